@@ -160,7 +160,12 @@ impl Backward {
         let (absolute, weights) = (sums == Sums::Absolute, sums == Sums::Weights);
         if built.is_none() {
             let LaunchSizes {
-                tile, incremental_exp, blend_backward_subgroup_per_tile: alone, strips, ..
+                tile,
+                region_height,
+                incremental_exp,
+                blend_backward_subgroup_per_tile: alone,
+                strips,
+                ..
             } = self.sizes;
             let incremental_exp = incremental_exp && !steep;
             *built = Some(if alone {
@@ -186,6 +191,8 @@ impl Backward {
                     strips,
                     absolute,
                     weights,
+                    region_height,
+                    broadcast: self.context.limits().tuning.broadcasts,
                 };
                 Blend::Regions(Kernel::new(&self.context, &spec)?)
             });
@@ -221,7 +228,7 @@ impl Backward {
                 // The indirect dispatch over the visible Gaussians counts blocks of the elementwise
                 // workgroup's size.
                 workgroup_size: self.sizes.elementwise_workgroup,
-                subgroup_size: self.context.limits().subgroup_size,
+                subgroup_size: self.context.limits().heavy_subgroup_size,
                 sh_degree,
                 lane_instances: LANE_INSTANCES,
                 filter_3d,
@@ -284,7 +291,7 @@ impl Backward {
         statistics: Statistics,
     ) {
         // Subgroups without a visible Gaussian write no sum.
-        let sums = inputs.scene.count.div_ceil(self.context.limits().subgroup_size);
+        let sums = inputs.scene.count.div_ceil(self.context.limits().heavy_subgroup_size);
         r.fill(&inputs.frame.pose_sums().range(0, u64::from(sums) * POSE_SUM_BYTES), 0);
         self.record_all(r, inputs, image_gradient, statistics, true);
     }

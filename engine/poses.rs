@@ -27,7 +27,8 @@ pub const GRADIENT_BYTES: u64 = 48;
 /// The kernel of the gradient with respect to a pose.
 pub struct PoseGradient {
     kernel: Kernel<pose_gradient::Interface>,
-    subgroup_size: u32,
+    /// Gaussians of a sum, which a subgroup of `project_backward` adds.
+    sum_gaussians: u32,
 }
 
 impl PoseGradient {
@@ -39,7 +40,7 @@ impl PoseGradient {
         let subgroup_size = context.limits().subgroup_size;
         let workgroup_size = LaunchSizes::new(context.limits()).elementwise_workgroup;
         let kernel = Kernel::new(context, &pose_gradient::Spec { workgroup_size, subgroup_size })?;
-        Ok(Self { kernel, subgroup_size })
+        Ok(Self { kernel, sum_gaussians: context.limits().heavy_subgroup_size })
     }
 
     /// Records the gradient after [`Backward::record_with_pose`](crate::backward::Backward::record_with_pose).
@@ -58,7 +59,7 @@ impl PoseGradient {
             pose_parameters: parameters,
             pose_gradient: gradient,
         };
-        let sums = inputs.scene.count.div_ceil(self.subgroup_size);
+        let sums = inputs.scene.count.div_ceil(self.sum_gaussians);
         r.dispatch(&self.kernel, &bind, &pose_gradient::Push { sums, image }, 1);
     }
 }

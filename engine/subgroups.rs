@@ -8,8 +8,8 @@ use crate::vk::{Context, Kernel, MemoryKind};
 const SUBGROUPS: u32 = 8;
 
 /// Checks on the device that subgroups have the size it reports and hold neighbouring invocations. Where the size can be
-/// required ([`Limits::subgroup_size_selectable`](crate::vk::Limits::subgroup_size_selectable)), and on a host's device without
-/// a queue, nothing is done.
+/// required ([`Limits::subgroup_size_selectable`](crate::vk::Limits::subgroup_size_selectable)), on a host's device without a
+/// queue, and where nothing runs, nothing is done.
 ///
 /// Kernels are built so that the size may not vary (SPIR-V below 1.6, Vulkan's `VkPipelineShaderStageCreateFlagBits`). This
 /// finds drivers that choose another one all the same. [`Renderer::new`](crate::Renderer::new) and
@@ -19,7 +19,7 @@ const SUBGROUPS: u32 = 8;
 /// [`Error::MissingFeature`] with the sizes; when the device refuses the pipeline.
 pub fn check(context: &Context) -> Result<()> {
     let limits = context.limits();
-    if limits.subgroup_size_selectable || !context.can_submit() {
+    if limits.subgroup_size_selectable || !context.can_run() {
         return Ok(());
     }
     let size = limits.subgroup_size;

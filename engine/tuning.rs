@@ -72,6 +72,8 @@ pub struct Tuning {
     pub backend: Backend,
     /// Size of subgroups, where the device has it and lets it be chosen; None: the device's own.
     pub lanes: Option<u32>,
+    /// The same for the kernels with the most registers: the backward pass of the projection, the loss by blocks.
+    pub heavy_lanes: Option<u32>,
     /// How keys are sorted.
     pub sort_method: SortMethod,
     /// Values of one invocation of a prefix sum; read in fours.
@@ -82,6 +84,10 @@ pub struct Tuning {
     pub duplicate_items: u32,
     /// The smallest subgroup that blends all regions of a tile, forward and backward; None: one region each.
     pub whole_tiles_from_lanes: Option<u32>,
+    /// Pixels of an invocation in a region: regions have 4 to 8 rows, 16 for subgroups of 128.
+    pub region_pixels: u32,
+    /// Whether Gaussians are handed over a subgroup by broadcasts, in place of shuffles (splat_shuffle.glsl).
+    pub broadcasts: bool,
     /// Pixels of an invocation of a tile that is blended from shared memory: a column of them.
     pub shared_tile_pixels: u32,
     /// Strands of interleaved rows of tiles, a power of two (tile_order.glsl); 1: row by row.
@@ -115,6 +121,7 @@ impl Tuning {
     pub const PROCESSOR: Self = Self {
         backend: Backend::Processor,
         lanes: None,
+        heavy_lanes: None,
         sort_method: SortMethod::Serial,
         // Few invocations without barriers.
         scan_items: 256,
@@ -124,6 +131,9 @@ impl Tuning {
         // A processor's pixels lie in memory anyway, and a Gaussian is fetched once in place of once per region. Below 8
         // lanes the code would be too long to compile.
         whole_tiles_from_lanes: Some(8),
+        // Registers are memory anyway.
+        region_pixels: 16,
+        broadcasts: false,
         // Each column has a chain of opacities.
         shared_tile_pixels: 8,
         tile_row_interleave: 16,
@@ -145,11 +155,16 @@ impl Tuning {
     pub const GPU: Self = Self {
         backend: Backend::Gpu,
         lanes: None,
+        heavy_lanes: None,
         sort_method: SortMethod::Matching,
         scan_items: 4,
         scan_workgroup: WorkgroupRule::Elementwise,
         duplicate_items: 4,
         whole_tiles_from_lanes: None,
+        // Four spill on Intel (tools/gpu_static.md), and small regions cull more.
+        region_pixels: 2,
+        // Up to a seventh fewer estimated cycles on Intel, the same code on AMD and NVK.
+        broadcasts: true,
         shared_tile_pixels: 1,
         tile_row_interleave: 1,
         // exp2 is one instruction.
@@ -168,9 +183,9 @@ impl Tuning {
         is_slow: false,
     };
 
-    /// Its registers hold 16 lanes of most kernels and 32 of few: of 9 kernels that Mesa's compiler spills at 32 lanes for DG2,
-    /// 4 are left at 16 (tools/gpu_static.md).
-    pub const INTEL: Self = Self { lanes: Some(16), ..Self::GPU };
+    /// Its registers hold 16 lanes of most kernels, 32 of few, and 8 of the heaviest (tools/gpu_static.md). Xe2 has twice the
+    /// registers and no 8 lanes; at 32 it spills in three kernels, at 16 in none.
+    pub const INTEL: Self = Self { lanes: Some(16), heavy_lanes: Some(8), ..Self::GPU };
 
     /// The row of a device that is no processor, by the PCI id of its vendor.
     pub(crate) const fn of_vendor(vendor: u32) -> &'static Self {
@@ -180,9 +195,12 @@ impl Tuning {
         }
     }
 
-    /// The size of subgroups on a device with its own size, and those that may be required; None: none may be.
-    pub fn subgroup_size(&self, own: u32, selectable: Option<RangeInclusive<u32>>) -> u32 {
-        self.lanes.filter(|lanes| selectable.is_some_and(|sizes| sizes.contains(lanes))).unwrap_or(own)
+    /// The size of subgroups, and that of the heaviest kernels, on a device with its own size and those that may be required;
+    /// None: none may be.
+    pub fn subgroup_sizes(&self, own: u32, selectable: Option<RangeInclusive<u32>>) -> [u32; 2] {
+        let required = |lanes: &u32| selectable.as_ref().is_some_and(|sizes| sizes.contains(lanes));
+        let usual = self.lanes.filter(required).unwrap_or(own);
+        [usual, self.heavy_lanes.filter(required).unwrap_or(usual)]
     }
 
     /// The row of a class of devices.

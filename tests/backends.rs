@@ -107,12 +107,13 @@ fn backends_of_both_kinds_of_loops_have_the_same_bits() {
 /// What suits Intel's registers is asked for where the device lets it be chosen.
 #[test]
 fn backends_choose_their_subgroup_size_where_the_device_has_it() {
-    let intel = |own, sizes| Tuning::INTEL.subgroup_size(own, sizes);
-    assert_eq!([intel(32, Some(8..=32)), intel(32, Some(32..=32)), intel(32, None)], [16, 32, 32]);
-    assert_eq!(Tuning::GPU.subgroup_size(64, Some(32..=64)), 64);
+    let intel = |own, sizes| Tuning::INTEL.subgroup_sizes(own, sizes);
+    assert_eq!([intel(32, Some(8..=32)), intel(32, Some(16..=32))], [[16, 8], [16, 16]]);
+    assert_eq!([intel(32, Some(32..=32)), intel(32, None)], [[32, 32]; 2]);
+    assert_eq!(Tuning::GPU.subgroup_sizes(64, Some(32..=64)), [64, 64]);
     // The row of a vendor differs in that only.
     let mut row = Tuning::INTEL;
-    row.lanes = None;
+    (row.lanes, row.heavy_lanes) = (None, None);
     assert_eq!(row, Tuning::GPU);
 }
 

@@ -20,7 +20,7 @@ impl Backward {
         if built.is_none() {
             let spec = project_adam::Spec {
                 workgroup_size: self.sizes.elementwise_workgroup,
-                subgroup_size: self.context.limits().subgroup_size,
+                subgroup_size: self.context.limits().heavy_subgroup_size,
                 sh_degree,
                 lane_instances: LANE_INSTANCES,
                 filter_3d,

@@ -116,8 +116,9 @@ impl Blend {
     pub fn prepare(&mut self, context: &Context, sizes: &LaunchSizes, wanted: BlendVariant) -> Result<()> {
         let BlendVariant { inverse_depth, linear_depth, depth_limit, steep, .. } = wanted;
         let (variant, strips) = (wanted.index(sizes), wanted.strips(sizes));
-        let subgroup_size = context.limits().subgroup_size;
-        let LaunchSizes { tile, tile_shared, incremental_exp, regions_per_subgroup, .. } = *sizes;
+        let (subgroup_size, broadcast) = (context.limits().subgroup_size, context.limits().tuning.broadcasts);
+        let LaunchSizes { tile, tile_shared, region_height, incremental_exp, regions_per_subgroup, .. } =
+            *sizes;
         let incremental_exp = incremental_exp && !steep;
         match self.blending {
             Blending::Regions if self.regions[variant].is_none() => {
@@ -131,6 +132,8 @@ impl Blend {
                     regions_per_subgroup,
                     count_hits: false,
                     strips,
+                    region_height,
+                    broadcast,
                 };
                 self.regions[variant] = Some(Kernel::new(context, &spec)?);
             }

@@ -39,6 +39,8 @@ pub struct LaunchSizes {
     pub duplicate_items: u32,
     /// Invocations of a tile's workgroup: one subgroup per region.
     pub tile: u32,
+    /// Rows of pixels of a region.
+    pub region_height: u32,
     /// Regions of a tile per subgroup in forward blending.
     pub regions_per_subgroup: u32,
     /// Whether one subgroup blends all regions of a tile in the backward pass.
@@ -94,10 +96,14 @@ impl LaunchSizes {
         let scan_items = size("scan", "ITEMS", tuning.scan_items).max(4);
         let scan_workgroup =
             limits.workgroup_size(size("scan", "WORKGROUP_SIZE", invocations(tuning.scan_workgroup)));
-        let regions = if limits.subgroup_size <= 64 { 4 } else { 2 };
+        let region_height = size("forward", "REGION_HEIGHT", tuning.region_pixels * limits.subgroup_size / 8);
+        // Rows that a subgroup has at least, 8 pixels wide.
+        let least = (limits.subgroup_size / 8).max(4);
+        let region_height = region_height.clamp(least, least.max(8));
+        let regions = TILE_SIZE / 8 * (TILE_SIZE / region_height);
         let whole_tiles = tuning.whole_tiles_from_lanes.is_some_and(|lanes| limits.subgroup_size >= lanes);
         let usual_regions = if whole_tiles { regions } else { 1 };
-        let regions_per_subgroup = size("forward", "REGIONS_PER_SUBGROUP", usual_regions).min(regions);
+        let regions_per_subgroup = size("forward", "REGIONS_PER_SUBGROUP", usual_regions).min(regions.min(4));
         Self {
             elementwise_workgroup: elementwise,
             sort_method,
@@ -109,6 +115,7 @@ impl LaunchSizes {
             scan_items,
             scan: scan_workgroup * scan_items,
             duplicate_items: tuning.duplicate_items,
+            region_height,
             tile: regions * limits.subgroup_size,
             regions_per_subgroup,
             blend_backward_subgroup_per_tile: whole_tiles,

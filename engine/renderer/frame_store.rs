@@ -54,8 +54,8 @@ impl State {
             non_finite: word(c::STATE_NON_FINITE),
             overflow: word(c::STATE_OVERFLOW) != 0,
             samples: BlendSamples {
-                forward: u64::from(word(c::STATE_BLEND_HITS)) * 64,
-                backward: u64::from(word(c::STATE_BLEND_BACKWARD_HITS)) * 64,
+                forward: u64::from(word(c::STATE_BLEND_HITS)) * 32,
+                backward: u64::from(word(c::STATE_BLEND_BACKWARD_HITS)) * 32,
             },
         }
     }

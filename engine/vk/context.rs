@@ -56,9 +56,9 @@ impl Context {
         &self.device.limits
     }
 
-    /// Whether there is a queue to submit to: a host may keep its own to itself.
-    pub(crate) fn can_submit(&self) -> bool {
-        self.device.queue.is_some()
+    /// Whether anything that is submitted here runs: a host may keep its queue to itself, and what only compiles runs nothing.
+    pub(crate) fn can_run(&self) -> bool {
+        self.device.queue.is_some() && self.device.executables.is_none()
     }
 
     /// The driver's name of the device.

@@ -285,6 +285,7 @@ fn limits(
     };
     let limits = Limits {
         subgroup_size: v11.subgroup_size,
+        heavy_subgroup_size: v11.subgroup_size,
         own_subgroup_size: v11.subgroup_size,
         min_subgroup_size: v13.min_subgroup_size,
         max_subgroup_size: v13.max_subgroup_size,

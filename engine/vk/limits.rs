@@ -8,8 +8,10 @@ use crate::tuning::Tuning;
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Limits {
-    /// Invocations of a subgroup in every kernel with a `subgroup_size` constant.
+    /// Invocations of a subgroup in every kernel with a `subgroup_size` constant, but for the heaviest.
     pub subgroup_size: u32,
+    /// The same in the kernels with the most registers ([`Tuning::heavy_lanes`]); it divides [`Limits::subgroup_size`].
+    pub heavy_subgroup_size: u32,
     /// subgroupSize: what the driver chooses where nothing is required.
     pub own_subgroup_size: u32,
     /// Smallest subgroup size that may be chosen.
@@ -85,13 +87,14 @@ pub fn is_yardstick(kernel: &str) -> bool {
 
 /// Constants that the host uses to count workgroups and to choose kernels. It sets them itself (from
 /// [`Limits::overridden`]), so that shader and host cannot differ.
-pub(super) const CHOSEN_BY_HOST: [&str; 12] = [
+pub(super) const CHOSEN_BY_HOST: [&str; 13] = [
     "WORKGROUP_SIZE",
     "SUBGROUP_SIZE",
     "ITEMS",
     "STRIP",
     "STRIPS",
     "REGIONS_PER_SUBGROUP",
+    "REGION_HEIGHT",
     "BLOCK",
     "FOR_BACKWARD",
     "SIZE",
@@ -105,7 +108,7 @@ impl Limits {
     pub(super) fn tuned(mut self, tuning: &'static Tuning) -> Self {
         let sizes = self.min_subgroup_size..=self.max_subgroup_size;
         let sizes = self.subgroup_size_selectable.then_some(sizes);
-        self.subgroup_size = tuning.subgroup_size(self.own_subgroup_size, sizes);
+        [self.subgroup_size, self.heavy_subgroup_size] = tuning.subgroup_sizes(self.own_subgroup_size, sizes);
         self.tuning = tuning;
         self
     }

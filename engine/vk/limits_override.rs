@@ -46,7 +46,8 @@ impl Limits {
         lower(&mut self.max_texels, to.max_texels);
         lower(&mut self.instances_per_dispatch, to.instances_per_dispatch);
         if let Some(size) = to.fixed_subgroup_size {
-            (self.subgroup_size, self.own_subgroup_size, self.subgroup_size_selectable) = (size, size, false);
+            [self.subgroup_size, self.heavy_subgroup_size, self.own_subgroup_size] = [size; 3];
+            self.subgroup_size_selectable = false;
         }
         self
     }

@@ -317,7 +317,7 @@ pub(super) fn effective_limits(candidate: &Candidate, options: &ContextOptions) 
             };
             return Err(Error::argument(format!("subgroup size {size}"), range));
         }
-        limits.subgroup_size = size;
+        (limits.subgroup_size, limits.heavy_subgroup_size) = (size, size);
     }
     Ok(limits)
 }

@@ -43,6 +43,10 @@ layout(constant_id = 5) const bool STRIPS = false;
 // Other sums: see above. At most one of the two.
 layout(constant_id = 6) const bool ABSOLUTE = false;
 layout(constant_id = 7) const bool WEIGHTS = false;
+// See region_shape.glsl.
+layout(constant_id = 8) const uint REGION_HEIGHT = 8;
+// See splat_shuffle.glsl.
+layout(constant_id = 9) const bool BROADCAST = false;
 layout(local_size_x_id = 0) in;
 
 #include "blend_gradient.glsl"

@@ -32,6 +32,9 @@ layout(constant_id = 6) const bool ABSOLUTE = false;
 layout(constant_id = 7) const bool WEIGHTS = false;
 layout(local_size_x_id = 0) in;
 
+const uint REGION_HEIGHT = SUBGROUP_SIZE <= 64 ? 8 : 16;
+const bool BROADCAST = false;
+
 #include "blend_gradient.glsl"
 #include "dispatch.glsl"
 #include "subgroup.glsl"

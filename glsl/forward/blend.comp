@@ -41,6 +41,10 @@ layout(constant_id = 6) const uint REGIONS_PER_SUBGROUP = 1;
 layout(constant_id = 7) const bool COUNT_HITS = false;
 // See blend_io.glsl. Only for subgroups of at most 16, whose lanes have four or eight rows of a column.
 layout(constant_id = 8) const bool STRIPS = false;
+// See region_shape.glsl.
+layout(constant_id = 9) const uint REGION_HEIGHT = 8;
+// See splat_shuffle.glsl.
+layout(constant_id = 10) const bool BROADCAST = false;
 layout(local_size_x_id = 0) in;
 
 #include "tile_region.glsl"
@@ -151,6 +155,6 @@ void main() {
 
     EACH_REGION(REGIONS_PER_SUBGROUP, STORE)
     if (COUNT_HITS && gl_SubgroupInvocationID == 0) {
-        atomicAdd(state[STATE_BLEND_HITS], hit_count * (REGION_HEIGHT / 8));
+        atomicAdd(state[STATE_BLEND_HITS], hit_count * (REGION_HEIGHT / 4));
     }
 }

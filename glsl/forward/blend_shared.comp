@@ -40,6 +40,8 @@ layout(constant_id = 7) const bool COUNT_HITS = false;
 layout(constant_id = 8) const bool STRIPS = false;
 layout(local_size_x_id = 0) in;
 
+const uint REGION_HEIGHT = SUBGROUP_SIZE <= 64 ? 8 : 16;
+
 #include "region_shape.glsl"
 
 const uint COLUMN_ROWS = INCREMENTAL_EXP ? ROWS : 1;
@@ -136,7 +138,7 @@ void main() {
             }
         }
         if (COUNT_HITS && gl_LocalInvocationID.x == 0) {
-            atomicAdd(state[STATE_BLEND_HITS], walked * (TILE_SIZE * TILE_SIZE / 64));
+            atomicAdd(state[STATE_BLEND_HITS], walked * (TILE_SIZE * TILE_SIZE / 32));
         }
     }
 }

@@ -60,7 +60,7 @@ const uint STATE_INSTANCES = 3;
 const uint STATE_LONGEST_TILE = 4;
 const uint STATE_NON_FINITE = 5;
 const uint STATE_OVERFLOW = 6;
-// With COUNT_HITS: Gaussians blended over 8 x 8 pixels, forward and backward.
+// With COUNT_HITS: Gaussians blended over 8 x 4 pixels, forward and backward.
 const uint STATE_BLEND_HITS = 7;
 const uint STATE_BLEND_BACKWARD_HITS = 8;
 const uint STATE_WORDS = 9;

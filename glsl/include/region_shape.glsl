@@ -1,8 +1,7 @@
 // The regions of a tile, one per subgroup, and the pixels of a lane: see tile_region.glsl.
-// Needs constants.glsl, SUBGROUP_SIZE.
+// Needs constants.glsl, SUBGROUP_SIZE, REGION_HEIGHT: 4, 8 or 16, at least an eighth of the subgroup.
 
 const uint REGION_WIDTH = 8;
-const uint REGION_HEIGHT = SUBGROUP_SIZE <= 64 ? 8 : 16;
 const uint REGIONS_X = TILE_SIZE / REGION_WIDTH;
 const uint REGIONS = REGIONS_X * (TILE_SIZE / REGION_HEIGHT);
 // Lanes side by side in a row, and the pixels of one lane.

@@ -1,7 +1,6 @@
-// Division of a tile within its workgroup. Each subgroup owns a region 8 pixels wide and 8 high (16 high for subgroups of
-// 128). Each lane owns COLUMNS x ROWS pixels of the region. A subgroup culls Gaussians against its own region only, so
+// Division of a tile within its workgroup. Each subgroup owns a region 8 pixels wide and REGION_HEIGHT high. Each lane owns COLUMNS x ROWS pixels of the region. A subgroup culls Gaussians against its own region only, so
 // blending needs no barrier. Works for any subgroup size from 4 to 128.
-// Needs constants.glsl, SUBGROUP_SIZE, GL_KHR_shader_subgroup_basic.
+// Needs constants.glsl, SUBGROUP_SIZE, REGION_HEIGHT, GL_KHR_shader_subgroup_basic.
 
 #include "region_shape.glsl"
 

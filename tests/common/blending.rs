@@ -45,9 +45,14 @@ pub fn assert_same(context: &Context, a: &[f32], b: &[f32], (what, error): (&str
     assert!(a.len() == b.len() && a.iter().zip(b).all(same), "{what} differ");
 }
 
+/// Rows of pixels of a region.
+fn region_height(gpu: &Gpu, how: How) -> u32 {
+    (if how.low_regions { 4 } else { 8 }).max(gpu.subgroup() / 8)
+}
+
 /// Invocations of a workgroup of one tile.
-fn workgroup(gpu: &Gpu) -> u32 {
-    gpu.subgroup() * if gpu.subgroup() <= 64 { 4 } else { 2 }
+fn workgroup(gpu: &Gpu, how: How) -> u32 {
+    gpu.subgroup() * 32 / region_height(gpu, how)
 }
 
 /// A blending kernel over lists, at most `$entries_per_pass` of each tile at a time.
@@ -109,6 +114,8 @@ pub struct How {
     /// REGIONS_PER_SUBGROUP: regions of a subgroup.
     pub parts: u32,
     pub entries_per_pass: u32,
+    /// REGION_HEIGHT: 4 in place of 8, where a subgroup is not higher. And BROADCAST.
+    pub low_regions: bool,
     /// STRIPS: pictures and gradients are planes in strips.
     pub strips: bool,
     pub sums: OtherSums,
@@ -131,11 +138,14 @@ pub const CHAINED: How = How {
     incremental_exp: true,
     parts: 1,
     entries_per_pass: u32::MAX,
+    low_regions: false,
     strips: false,
     sums: OtherSums::None,
 };
 /// The same with an exponential for each opacity.
 pub const UNCHAINED: How = How { incremental_exp: false, ..CHAINED };
+/// The same with low regions.
+pub const LOW: How = How { low_regions: true, ..UNCHAINED };
 /// Chained, with planes in strips.
 pub const IN_STRIPS: How = How { strips: true, ..CHAINED };
 
@@ -154,7 +164,7 @@ pub fn forward_limited(
 ) -> Blended {
     let How { inverse_depth, incremental_exp, parts, entries_per_pass, strips, .. } = how;
     let spec = blend::Spec {
-        workgroup_size: workgroup(gpu) / parts,
+        workgroup_size: workgroup(gpu, how) / parts,
         subgroup_size: gpu.subgroup(),
         inverse_depth,
         depth_limit: limits.is_some(),
@@ -163,6 +173,8 @@ pub fn forward_limited(
         regions_per_subgroup: parts,
         count_hits: false,
         strips,
+        region_height: region_height(gpu, how),
+        broadcast: how.low_regions,
     };
     blend_lists!(gpu, lists, blend, spec, entries_per_pass, limits)
 }
@@ -196,7 +208,10 @@ pub fn forward_shared_limited(
 
 /// A backward kernel over lists.
 macro_rules! backward_of_lists {
-    ($kernel:ident, $gpu:expr, $lists:expr, $blended:expr, $gradient:expr, $how:expr, $workgroup_size:expr) => {{
+    (
+        $kernel:ident, $gpu:expr, $lists:expr, $blended:expr, $gradient:expr, $how:expr, $workgroup_size:expr
+        $(, $region_height:ident)?
+    ) => {{
         let (gpu, lists, blended) = ($gpu, $lists, $blended);
         let How { inverse_depth, incremental_exp, entries_per_pass, strips, sums, .. } = $how;
         let (workgroup_size, subgroup_size) = ($workgroup_size, gpu.subgroup());
@@ -210,6 +225,7 @@ macro_rules! backward_of_lists {
             strips,
             absolute: sums == OtherSums::Absolute,
             weights: sums == OtherSums::Weights,
+            $($region_height: region_height(gpu, $how), broadcast: $how.low_regions,)?
         };
         let kernel = gpu.kernel::<$kernel::Interface>(&spec);
         let (pixels, instances) = (lists.view.pixels(), lists.instances.len());
@@ -287,7 +303,7 @@ pub fn backward(
     gradient: Option<&[[f32; 4]]>,
     how: How,
 ) -> SlotSums {
-    backward_of_lists!(blend_backward, gpu, lists, blended, gradient, how, workgroup(gpu))
+    backward_of_lists!(blend_backward, gpu, lists, blended, gradient, how, workgroup(gpu, how), region_height)
 }
 
 /// The same by `backward/blend_backward_subgroup_per_tile`.

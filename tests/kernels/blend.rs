@@ -5,7 +5,7 @@ use ashsplat::kernels::forward::blend::{Bind, Interface, Push, Spec};
 use ashsplat::plan::LaunchSizes;
 
 use crate::common::blending::{
-    CHAINED, How, IN_STRIPS, UNCHAINED, forward, forward_limited, has_strips, strips_of,
+    CHAINED, How, IN_STRIPS, LOW, UNCHAINED, forward, forward_limited, has_strips, strips_of,
 };
 use crate::common::compare::{PixelTolerance, pixels};
 use crate::common::gpu::{Gpu, UNTOUCHED};
@@ -19,7 +19,7 @@ const TOLERANCE: PixelTolerance = PixelTolerance { max: 5e-5, mean: 1e-6, unstab
 
 /// Blends on the device, with and without chained columns, and by the twin, and compares every output.
 fn check(gpu: &Gpu, lists: &Lists, inverse_depth: bool, entries_per_pass: u32) {
-    for how in [UNCHAINED, CHAINED] {
+    for how in [UNCHAINED, CHAINED, LOW] {
         check_one(gpu, lists, How { inverse_depth, entries_per_pass, ..how });
     }
     if has_strips(gpu) {
@@ -345,4 +345,6 @@ fn blend_of_several_regions_per_subgroup_is_the_same() {
     for parts in [2, 4].into_iter().filter(|&parts| parts <= regions) {
         assert!(words(How { parts, ..CHAINED }) == one, "{parts} regions per subgroup");
     }
+    // Nor does their height, where opacities do not follow from one another.
+    assert!(words(LOW) == words(UNCHAINED), "low regions");
 }

@@ -1,7 +1,7 @@
 //! `backward/blend_backward` against its twin.
 
 use crate::common::blending::{
-    Blended, CHAINED, How, IN_STRIPS, OtherSums, SlotSums, UNCHAINED, backward, forward, has_strips,
+    Blended, CHAINED, How, IN_STRIPS, LOW, OtherSums, SlotSums, UNCHAINED, backward, forward, has_strips,
 };
 use crate::common::compare::{GradientTolerance, gradient};
 use crate::common::gpu::Gpu;
@@ -84,7 +84,7 @@ pub type Kernel = fn(&Gpu, &Lists, &Blended, Option<&[[f32; 4]]>, How) -> SlotSu
 fn check(kernel: Kernel, gpu: &Gpu, lists: &Lists, entries_per_pass: u32) {
     let d_pixels = image_gradient(lists);
     let expected = expected(lists, &d_pixels);
-    let hows = [UNCHAINED, CHAINED].into_iter().chain(has_strips(gpu).then_some(IN_STRIPS));
+    let hows = [UNCHAINED, CHAINED, LOW].into_iter().chain(has_strips(gpu).then_some(IN_STRIPS));
     for how in hows.map(|how| How { entries_per_pass, ..how }) {
         let blended = forward(gpu, lists, how);
         let sums = kernel(gpu, lists, &blended, Some(&d_pixels), how);
@@ -142,7 +142,7 @@ pub fn with_other_sums(kernel: Kernel) {
         // The weights of red alone.
         let edges: Vec<[f32; 4]> = d_pixels.iter().map(|d| [d[0].abs(), 0.0, 0.0, 0.0]).collect();
         let weights = self::expected(&lists, &edges);
-        let hows = [UNCHAINED, CHAINED].into_iter().chain(has_strips(&gpu).then_some(IN_STRIPS));
+        let hows = [UNCHAINED, CHAINED, LOW].into_iter().chain(has_strips(&gpu).then_some(IN_STRIPS));
         for how in hows.map(|how| How { entries_per_pass, ..how }) {
             let blended = forward(&gpu, &lists, how);
             let usual = kernel(&gpu, &lists, &blended, Some(&d_pixels), how);

@@ -83,7 +83,8 @@ struct CompareArguments {
     /// The result to judge
     b: PathBuf,
     /// End with exit code 1 where a kernel of B takes more than X times as long as in A, beyond the spread of both; of files of
-    /// `profile --static`: where spills, memory or estimated cycles grow to more than X times, or subgroups per SIMD fall so
+    /// `profile --static`: where spills, memory or estimated cycles grow to more than X times, or subgroups per SIMD fall so.
+    /// What only one of the files has is an error: a time, a kernel
     #[arg(long, value_name = "X")]
     fail_above: Option<f64>,
 }
@@ -185,17 +186,24 @@ fn compare_compiled(files: &CompareArguments) -> Result<ExitCode> {
             b.device.driver
         );
     }
-    let (worse, unpaired) = compiled::worse(&a, &b, files.fail_above.unwrap_or(1.0));
-    worse.iter().chain(&unpaired).for_each(|line| say!("{line}"));
-    if worse.is_empty() {
-        let paired = b.pipelines.len() - unpaired.iter().filter(|line| line.starts_with("only in B")).count();
-        say!("{paired} pipelines: none is worse");
+    let found = compiled::compare(&a, &b, &files.b, files.fail_above.unwrap_or(1.0))?;
+    found.worse.iter().chain(&found.variants).chain(&found.kernels).for_each(|line| say!("{line}"));
+    if found.worse.is_empty() {
+        let groups = match found.groups {
+            0 => String::new(),
+            groups => format!(" and {groups} kernels with other variants"),
+        };
+        say!("{} pipelines{groups}: none is worse", found.pairs);
     }
-    Ok(if files.fail_above.is_some() && !worse.is_empty() {
-        ExitCode::from(REGRESSION)
-    } else {
-        ExitCode::SUCCESS
-    })
+    let Some(limit) = files.fail_above else { return Ok(ExitCode::SUCCESS) };
+    if !found.kernels.is_empty() {
+        return Err(Error::argument("kernels that cannot be compared", found.kernels.join(", ")));
+    }
+    if found.worse.is_empty() {
+        return Ok(ExitCode::SUCCESS);
+    }
+    tell!("worse than {limit} times: {}", found.worse.join(", "));
+    Ok(ExitCode::from(REGRESSION))
 }
 
 fn measure_all(

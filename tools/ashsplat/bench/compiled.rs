@@ -49,11 +49,11 @@ pub struct Figures {
     /// Registers that were written to memory for lack of room, and read back. AMD's compiler does not tell the two apart.
     pub spills: Option<f64>,
     pub fills: Option<f64>,
-    /// Bytes of memory of an invocation: arrays, and what was spilled.
+    /// Bytes of memory of an invocation: arrays, and what was spilled, which NVIDIA's drivers may tell only here.
     pub scratch_bytes: Option<f64>,
     /// Shared memory of a workgroup.
     pub shared_bytes: Option<f64>,
-    /// Subgroups that fit on a SIMD at a time.
+    /// Subgroups that fit on a SIMD at a time; of NVIDIA a quarter of the warps that fit on an SM.
     pub subgroups_per_simd: Option<f64>,
     /// The compiler's estimate, cycles.
     pub latency: Option<f64>,
@@ -62,6 +62,9 @@ pub struct Figures {
     pub instructions: Option<f64>,
     pub code_bytes: Option<f64>,
 }
+
+/// An SM of NVIDIA has four partitions, each with a scheduler and registers of its own, as a SIMD of AMD has.
+const SIMDS_PER_SM: f64 = 4.0;
 
 impl Figures {
     fn of(executable: &Executable) -> Self {
@@ -85,8 +88,10 @@ impl Figures {
             fills: any(&["fill count", "fills from memory", "num fills from memory"]),
             scratch_bytes: any(&["scratch size", "scratch memory size", "slm size", "local memory size"]),
             shared_bytes: any(&["lds size", "workgroup memory size", "shared memory size"]),
-            subgroups_per_simd: any(&["subgroups per simd", "max waves"]),
-            latency: any(&["latency", "cycle count"]),
+            // Warps are counted per SM: divided, the figure compares with those of other drivers.
+            subgroups_per_simd: any(&["subgroups per simd", "max waves"])
+                .or_else(|| any(&["max warps/sm"]).map(|warps| warps / SIMDS_PER_SM)),
+            latency: any(&["latency", "cycle count", "static cycle count"]),
             inverse_throughput: any(&["inverse throughput"]),
             instructions: any(&["instructions", "instruction count"]),
             code_bytes: any(&["code size"]),
@@ -137,6 +142,12 @@ impl Pipeline {
         }
     }
 
+    /// The workgroup's size: "16x16", "256".
+    fn workgroup(&self) -> String {
+        let size = self.workgroup_size.iter().map(u32::to_string).collect::<Vec<_>>();
+        size.join("x").trim_end_matches("x1").to_owned()
+    }
+
     /// The constants but for the sizes, which have columns of their own: "SH_DEGREE=3 ANTIALIAS".
     pub fn variant(&self) -> String {
         let sizes = ["WORKGROUP_SIZE", "SUBGROUP_SIZE"];
@@ -179,12 +190,13 @@ pub fn read(path: &Path) -> Result<Compiled> {
     Ok(compiled)
 }
 
-/// The heaviest variant of each kernel: that with the most registers, then instructions or bytes of code.
+/// The heaviest variant of each kernel, and how many it has: that with the most spills; among equals that with the most scratch
+/// memory, then registers, then instructions, or bytes of code where the driver does not count instructions.
 pub fn heaviest(compiled: &Compiled) -> BTreeMap<&str, (&Pipeline, usize)> {
     let weight = |p: &Pipeline| {
         let f = &p.figures;
         let size = f.instructions.or(f.code_bytes).unwrap_or(0.0);
-        [f.spills.unwrap_or(0.0), f.registers.unwrap_or(0.0), size]
+        [f.spills, f.scratch_bytes, f.registers, Some(size)].map(|figure| figure.unwrap_or(0.0))
     };
     let mut kernels: BTreeMap<&str, (&Pipeline, usize)> = BTreeMap::new();
     for pipeline in &compiled.pipelines {
@@ -207,39 +219,110 @@ pub fn shown(figure: Option<f64>) -> String {
     }
 }
 
-/// What has become worse from A to B, a line each; and what only one of them has.
-pub fn worse(a: &Compiled, b: &Compiled, limit: f64) -> (Vec<String>, Vec<String>) {
-    let (mut lines, mut unpaired) = (Vec::new(), Vec::new());
-    let key =
-        |p: &Pipeline| (p.kernel.clone(), p.texels, p.subgroup_size, p.workgroup_size, p.constants.clone());
-    let mut of_a: BTreeMap<_, &Pipeline> = a.pipelines.iter().map(|p| (key(p), p)).collect();
-    for new in &b.pipelines {
-        let Some(old) = of_a.remove(&key(new)) else {
-            unpaired.push(format!("only in B: {} {}", new.kernel, new.variant()));
-            continue;
-        };
-        let (f, g) = (&old.figures, &new.figures);
-        let figures = [
-            ("spills", f.spills, g.spills),
-            ("fills", f.fills, g.fills),
-            ("scratch bytes", f.scratch_bytes, g.scratch_bytes),
-            ("shared bytes", f.shared_bytes, g.shared_bytes),
-            ("latency", f.latency, g.latency),
-            ("inverse throughput", f.inverse_throughput, g.inverse_throughput),
-            // More is better: what is compared is what falls.
-            ("subgroups per SIMD", g.subgroups_per_simd, f.subgroups_per_simd),
-        ];
-        for (name, least, most) in figures {
-            let (Some(least), Some(most)) = (least, most) else { continue };
+/// A figure that is compared: its name, where it is, and whether more of it is better.
+type Compared = (&'static str, fn(&Figures) -> Option<f64>, bool);
+
+/// Registers and instructions are no fault by themselves.
+const COMPARED: [Compared; 7] = [
+    ("spills", |f| f.spills, false),
+    ("fills", |f| f.fills, false),
+    ("scratch bytes", |f| f.scratch_bytes, false),
+    ("shared bytes", |f| f.shared_bytes, false),
+    ("latency", |f| f.latency, false),
+    ("inverse throughput", |f| f.inverse_throughput, false),
+    ("subgroups per SIMD", |f| f.subgroups_per_simd, true),
+];
+
+/// Two files, A and B, beside each other.
+#[derive(Default)]
+pub struct Comparison {
+    /// What has become worse from A to B, a line each.
+    pub worse: Vec<String>,
+    /// Variants that only one of them has, a line each.
+    pub variants: Vec<String>,
+    /// Kernels that only one of them has, a line each.
+    pub kernels: Vec<String>,
+    /// Pipelines that both have.
+    pub pairs: usize,
+    /// Kernels of both that were compared by the worst figures of variants that only one of them has.
+    pub groups: usize,
+    /// Figures that both have.
+    pub figures: usize,
+}
+
+impl Comparison {
+    /// Enters the worst figures of some pipelines of A and of B.
+    fn enter(&mut self, name: &str, a: &[&Pipeline], b: &[&Pipeline], limit: f64) {
+        for (figure, of, is_more_better) in COMPARED {
+            let worst = |all: &[&Pipeline]| {
+                let figures = all.iter().filter_map(|p| of(&p.figures));
+                figures.reduce(if is_more_better { f64::min } else { f64::max })
+            };
+            let (Some(from), Some(to)) = (worst(a), worst(b)) else { continue };
+            self.figures += 1;
+            let (least, most) = if is_more_better { (to, from) } else { (from, to) };
             if most > least * limit {
-                let (from, to) = if name.starts_with("subgroups") { (most, least) } else { (least, most) };
                 let (from, to) = (shown(Some(from)), shown(Some(to)));
-                lines.push(format!("{} {}: {name} {from} -> {to}", new.kernel, new.variant()));
+                self.worse.push(format!("{name}: {figure} {from} -> {to}"));
             }
         }
     }
-    unpaired.extend(of_a.values().map(|old| format!("only in A: {} {}", old.kernel, old.variant())));
-    (lines, unpaired)
+}
+
+/// Pipelines with the same sizes and constants are compared one by one. Where a kernel has others in both files, say because a
+/// constant was added, it is compared by the worst of these.
+///
+/// # Errors
+/// Where nothing can be compared, named by B's path.
+pub fn compare(a: &Compiled, b: &Compiled, path: &Path, limit: f64) -> Result<Comparison> {
+    if a.what != b.what {
+        let problem =
+            format!("has the pipelines of '{}', the file to compare with those of '{}'", b.what, a.what);
+        let remedy = "write both with the same `ashsplat profile [render|train-step] --static --json`";
+        return Err(Error::input(path, problem, remedy));
+    }
+    let mut found = Comparison::default();
+    let key =
+        |p: &Pipeline| (p.kernel.clone(), p.texels, p.subgroup_size, p.workgroup_size, p.constants.clone());
+    let mut of_a: BTreeMap<_, &Pipeline> = a.pipelines.iter().map(|p| (key(p), p)).collect();
+    // Kernel → what only A has of it, what only B has.
+    let mut others: BTreeMap<&str, [Vec<&Pipeline>; 2]> = BTreeMap::new();
+    for new in &b.pipelines {
+        if let Some(old) = of_a.remove(&key(new)) {
+            found.pairs += 1;
+            found.enter(format!("{} {}", new.kernel, new.variant()).trim_end(), &[old], &[new], limit);
+        } else {
+            others.entry(&new.kernel).or_default()[1].push(new);
+        }
+    }
+    for old in of_a.into_values() {
+        others.entry(&old.kernel).or_default()[0].push(old);
+    }
+    for (kernel, [only_a, only_b]) in &others {
+        let has = |file: &Compiled| file.pipelines.iter().any(|p| p.kernel == *kernel);
+        match (has(a), has(b)) {
+            (true, false) => found.kernels.push(format!("only in A: {kernel}")),
+            (false, true) => found.kernels.push(format!("only in B: {kernel}")),
+            _ => {
+                for (name, only) in [("A", only_a), ("B", only_b)] {
+                    found.variants.extend(only.iter().map(|p| {
+                        let variant = format!("{kernel} {}", p.variant());
+                        let (variant, lanes, size) = (variant.trim_end(), p.subgroup_size, p.workgroup());
+                        format!("only in {name}: {variant}, {lanes} lanes, workgroup {size}")
+                    }));
+                }
+            }
+        }
+        if !only_a.is_empty() && !only_b.is_empty() {
+            found.groups += 1;
+            found.enter(&format!("{kernel} (variants differ)"), only_a, only_b, limit);
+        }
+    }
+    if found.figures == 0 {
+        let problem = "has no kernel with figures in common with the file to compare with";
+        return Err(Error::input(path, problem, "write both with the same --kernel or without it"));
+    }
+    Ok(found)
 }
 
 /// One device: a row per kernel, or per variant.
@@ -250,9 +333,7 @@ pub fn table(compiled: &Compiled, variants: bool) -> String {
     names.iter().for_each(|name| text += &format!(" {name:>9}"));
     let mut row = |name: &str, p: &Pipeline, rest: &str| {
         let f = &p.figures;
-        let size = p.workgroup_size.iter().map(u32::to_string).collect::<Vec<_>>();
-        let size = size.join("x").trim_end_matches("x1").to_owned();
-        text += &format!("\n{name:<44} {:>5} {size:>9}", p.subgroup_size);
+        text += &format!("\n{name:<44} {:>5} {:>9}", p.subgroup_size, p.workgroup());
         let figures = [
             f.registers,
             f.scalar_registers,
@@ -280,8 +361,8 @@ pub fn table(compiled: &Compiled, variants: bool) -> String {
     text
 }
 
-/// Several devices beside each other: registers, spills and fills, subgroups per SIMD, latency of each kernel's heaviest
-/// variant.
+/// Several devices beside each other: registers, subgroups per SIMD, latency, spills and fills, and scratch memory of each
+/// kernel's heaviest variant.
 pub fn beside(all: &[Compiled]) -> String {
     let each: Vec<_> = all.iter().map(heaviest).collect();
     let kernels: std::collections::BTreeSet<&str> = each.iter().flat_map(|e| e.keys().copied()).collect();
@@ -296,15 +377,55 @@ pub fn beside(all: &[Compiled]) -> String {
                 None => " |".to_owned(),
                 Some((p, _)) => {
                     let f = &p.figures;
-                    let spilled = match f.has_spilled() {
+                    let mut rest = match f.has_spilled() {
                         true => format!(", spills {}/{}", shown(f.spills), shown(f.fills)),
                         false => String::new(),
                     };
+                    if f.scratch_bytes.is_some_and(|bytes| bytes > 0.0) {
+                        rest += &format!(", scratch {}", shown(f.scratch_bytes));
+                    }
                     let (fits, latency) = (shown(f.subgroups_per_simd), shown(f.latency));
-                    format!(" w{}: {} / {fits} / {latency}{spilled} |", p.subgroup_size, shown(f.registers))
+                    format!(" w{}: {} / {fits} / {latency}{rest} |", p.subgroup_size, shown(f.registers))
                 }
             };
         }
     }
-    text + "\n\nw: lanes; registers / subgroups per SIMD / latency, cycles; each kernel's heaviest variant."
+    text + "\n\nw: lanes; registers / subgroups per SIMD / latency, cycles; scratch: bytes of memory of an invocation; each kernel's \
+         heaviest variant."
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ashsplat::vk::Statistic;
+
+    fn executable(statistics: &[(&str, f64)]) -> Executable {
+        let statistic = |&(name, value): &(&str, f64)| Statistic {
+            name: name.to_owned(),
+            description: String::new(),
+            value,
+        };
+        Executable {
+            name: String::new(),
+            subgroup_size: 32,
+            statistics: statistics.iter().map(statistic).collect(),
+            texts: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn figures_have_one_name_for_all_drivers() {
+        let nvk = [("Max warps/SM", 48.0), ("Static cycle count", 900.0), ("SLM size", 128.0)];
+        let figures = Figures::of(&executable(&nvk));
+        assert_eq!(
+            (figures.subgroups_per_simd, figures.latency, figures.scratch_bytes, figures.spills),
+            (Some(12.0), Some(900.0), Some(128.0), None)
+        );
+        let radv = [("Subgroups per SIMD", 20.0), ("Spilled VGPRs", 3.0), ("Spilled SGPRs", 1.0)];
+        let figures = Figures::of(&executable(&radv));
+        assert_eq!(
+            (figures.subgroups_per_simd, figures.latency, figures.scratch_bytes, figures.spills),
+            (Some(20.0), None, None, Some(4.0))
+        );
+    }
 }

@@ -83,10 +83,9 @@ struct Operations {
 
 impl Operations {
     /// Where opacities are chained or not, at a subgroup size.
-    fn of(chained: bool, subgroup_size: u32) -> Self {
+    fn of(chained: bool, subgroup_size: u32, region_height: u32) -> Self {
         // Pixels of a lane in one column: region_shape.glsl.
-        let side = if subgroup_size <= 64 { 8 } else { 16 };
-        let rows = f64::from(side / (subgroup_size / subgroup_size.min(8)).max(1));
+        let rows = f64::from(region_height / (subgroup_size / subgroup_size.min(8)).max(1));
         let opacity = |rows: f64| {
             if chained && rows > 2.0 {
                 // 16 at the middle of a column and for its two quotients, then two products a row.
@@ -108,7 +107,8 @@ impl Operations {
 
 /// Enters the samples and operations of the blending kernels into a task's results.
 pub fn enter(run: &mut Run, samples: BlendSamples, limits: &Limits, arithmetic: Option<&ArithmeticRate>) {
-    let operations = Operations::of(LaunchSizes::new(limits).incremental_exp, limits.subgroup_size);
+    let LaunchSizes { incremental_exp, region_height, .. } = LaunchSizes::new(limits);
+    let operations = Operations::of(incremental_exp, limits.subgroup_size, region_height);
     for kernel in &mut run.kernels {
         let (samples, operations) = match kernel.kernel.as_str() {
             "forward/blend" => (samples.forward, operations.regions),
@@ -136,7 +136,7 @@ mod tests {
     #[test]
     fn operations_of_a_sample_follow_its_columns() {
         let of = |chained, subgroup_size| {
-            let Operations { regions, shared, .. } = Operations::of(chained, subgroup_size);
+            let Operations { regions, shared, .. } = Operations::of(chained, subgroup_size, 8);
             (regions, shared)
         };
         assert_eq!([of(false, 32), of(false, 64), of(true, 8)], [(16.5, 18.0), (18.0, 18.0), (12.75, 12.75)]);

@@ -1,4 +1,5 @@
-//! `--static`: what the driver's compiler says of every pipeline of a run. Nothing runs: also for drivers without hardware.
+//! `--static`: what the driver's compiler says of the pipelines of frames and training steps. Nothing runs: also for drivers without
+//! hardware.
 
 use super::{Arguments, What, spec, watch};
 use crate::bench::compiled::{self, Compiled, Pipeline};
@@ -6,7 +7,9 @@ use crate::bench::{machine, synthetic};
 use crate::output;
 use ashsplat::trainer::{OptimizerType, StrategyType};
 use ashsplat::vk::{CompileOnly, Context, PipelineStatistics, is_kernel_of};
-use ashsplat::{Blending, RenderSettings, Renderer, Reservation, Result, TrainSettings, TrainView, Trainer};
+use ashsplat::{
+    Blending, Error, RenderSettings, Renderer, Reservation, Result, TrainSettings, TrainView, Trainer,
+};
 use ashsplat_files::{Photo, StoredPhoto, atomic};
 use clap::Args;
 use std::path::{Path, PathBuf};
@@ -15,16 +18,18 @@ use std::path::{Path, PathBuf};
 #[derive(Args, Default)]
 pub struct StaticArguments {
     /// Run nothing and ask the driver's compiler instead: registers, spills, shared memory, subgroups per SIMD, estimated cycles
-    /// and code size of every pipeline (VK_KHR_pipeline_executable_properties)
+    /// and code size of the pipelines of a frame and of training steps, without those that measure LPIPS
+    /// (VK_KHR_pipeline_executable_properties)
     #[arg(long = "static", conflicts_with_all = NOT_WITH_STATIC)]
     pub is_static: bool,
     /// Write all figures here (schema ashsplat-static/1)
     #[arg(long, value_name = "FILE", requires = "is_static")]
     json: Option<PathBuf>,
-    /// Write the compiler's texts here, machine code among them: DIR/KERNEL.NUMBER.NAME.txt
+    /// Write the compiler's texts here, machine code among them: DIR/KERNEL.NUMBER.NAME.txt; where a driver compiles several programs
+    /// of a pipeline, DIR/KERNEL.NUMBER.PROGRAM.NAME.txt
     #[arg(long, value_name = "DIR", requires = "is_static")]
     asm: Option<PathBuf>,
-    /// Show columns of these files, written with --json, beside the device's own; may be repeated
+    /// Show columns of these files, written with --json, beside the device's own; --kernel holds for them, too; may be repeated
     #[arg(long, value_name = "FILE", requires = "is_static")]
     beside: Vec<PathBuf>,
 }
@@ -63,7 +68,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     if let Some(folder) = &asked.asm {
         output::check_folder(folder)?;
     }
-    let others = asked.beside.iter().map(|path| compiled::read(path)).collect::<Result<Vec<_>>>()?;
+    let what = arguments.what.map_or("all", What::name);
+    let others = others(arguments, what)?;
     let overrides = arguments.overrides()?;
     let context = arguments.device.context_with(|options| {
         options.compile_only = Some(CompileOnly { texts: asked.asm.is_some() });
@@ -81,7 +87,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         forms.iter().try_for_each(|&form| trainings(&context, sh_degree, form))?;
     }
     let mut statistics = context.pipeline_statistics()?;
-    statistics.retain(|p| arguments.kernel.as_deref().is_none_or(|name| is_kernel_of(p.kernel, name)));
+    only(arguments, &mut statistics)?;
     if let Some(folder) = &asked.asm {
         write_texts(folder, &statistics)?;
     }
@@ -89,7 +95,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         schema: compiled::SCHEMA.to_owned(),
         program: machine::program(),
         device: machine::device(&context),
-        what: arguments.what.map_or("all", What::name).to_owned(),
+        what: what.to_owned(),
         pipelines: statistics.iter().map(Pipeline::of).collect(),
     };
     if let Some(path) = &asked.json {
@@ -110,6 +116,48 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         say!("{}", compiled::beside(&all));
     }
     Ok(())
+}
+
+/// The files of --beside, of the kernels that were asked for.
+fn others(arguments: &Arguments, what: &str) -> Result<Vec<Compiled>> {
+    let mut all = Vec::new();
+    for path in &arguments.compiled.beside {
+        let mut other = compiled::read(path)?;
+        if other.what != what {
+            tell!(
+                "warning: {}: has the pipelines of '{}', this run those of '{what}': kernels and their variants differ as well",
+                path.display(),
+                other.what
+            );
+        }
+        let asked =
+            |p: &Pipeline| arguments.kernel.as_deref().is_none_or(|name| is_kernel_of(&p.kernel, name));
+        other.pipelines.retain(asked);
+        all.push(other);
+    }
+    Ok(all)
+}
+
+/// Keeps the kernels that were asked for; those that are not built here are refused.
+fn only(arguments: &Arguments, statistics: &mut Vec<PipelineStatistics>) -> Result<()> {
+    let Some(name) = &arguments.kernel else { return Ok(()) };
+    let mut built: Vec<&str> = statistics.iter().map(|p| p.kernel).collect();
+    built.dedup();
+    statistics.retain(|p| is_kernel_of(p.kernel, name));
+    if !statistics.is_empty() {
+        return Ok(());
+    }
+    let built = built.join(", ");
+    let problem = match arguments.what {
+        Some(what) => {
+            let what = what.name();
+            format!(
+                "'{what}' has no pipeline of it; try without '{what}', for frames and training steps, or give one of: {built}"
+            )
+        }
+        None => format!("neither frames nor training steps have a pipeline of it here; give one of: {built}"),
+    };
+    Err(Error::argument(format!("--kernel {name}"), problem))
 }
 
 /// Frames with all that can be asked of them, gradients, and frames in a host's command buffer.
@@ -202,19 +250,59 @@ fn depth_points() -> Vec<ashsplat::loss::DepthPoint> {
     vec![ashsplat::loss::DepthPoint { position_px: [20.0, 20.0], inverse_z: 0.5 }]
 }
 
-/// DIR/forward/blend.2.shader_disassembly.txt and so on; the number is the variant's place in the table of the kernel.
+/// DIR/forward/blend.2.shader_disassembly.txt and so on; the number is the variant's place in the table of the kernel. Where a
+/// driver compiles several programs of a pipeline, which have texts of the same names, theirs is behind it:
+/// DIR/forward/blend.2.1.shader_disassembly.txt.
 fn write_texts(folder: &Path, all: &[PipelineStatistics]) -> Result<()> {
     let mut variant = 0;
     for (index, pipeline) in all.iter().enumerate() {
         variant = if index > 0 && all[index - 1].kernel == pipeline.kernel { variant + 1 } else { 0 };
-        for executable in &pipeline.executables {
+        for (program, executable) in pipeline.executables.iter().enumerate() {
+            let number = match pipeline.executables.len() {
+                1 => variant.to_string(),
+                _ => format!("{variant}.{program}"),
+            };
             for (name, text) in &executable.texts {
                 let plain: String =
                     name.to_lowercase().chars().map(|c| if c.is_alphanumeric() { c } else { '_' }).collect();
-                let path = folder.join(format!("{}.{variant}.{plain}.txt", pipeline.kernel));
+                let path = folder.join(format!("{}.{number}.{plain}.txt", pipeline.kernel));
                 output::in_folder(&path, |path| atomic::write(path, |out| out.write_all(text.as_bytes())))?;
             }
         }
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ashsplat::vk::Executable;
+
+    fn pipeline(texts: &[&str]) -> PipelineStatistics {
+        let executable = |text: &&str| Executable {
+            name: String::new(),
+            subgroup_size: 8,
+            statistics: Vec::new(),
+            texts: vec![("GEN Assembly".to_owned(), (*text).to_owned())],
+        };
+        PipelineStatistics {
+            kernel: "forward/blend",
+            texels: false,
+            subgroup_size: None,
+            workgroup_size: [16, 16, 1],
+            constants: Vec::new(),
+            executables: texts.iter().map(executable).collect(),
+        }
+    }
+
+    #[test]
+    fn texts_of_several_programs_are_all_kept() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        write_texts(folder.path(), &[pipeline(&["one"]), pipeline(&["8 lanes", "16 lanes"])])
+            .expect("written");
+        for (number, text) in [("0", "one"), ("1.0", "8 lanes"), ("1.1", "16 lanes")] {
+            let path = folder.path().join(format!("forward/blend.{number}.gen_assembly.txt"));
+            assert_eq!(std::fs::read_to_string(path).expect(number), text);
+        }
+    }
 }

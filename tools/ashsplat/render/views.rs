@@ -71,7 +71,8 @@ pub struct SizeArguments {
     /// are upright]
     #[arg(long, value_name = "PIXELS")]
     width: Option<u32>,
-    /// Height of the pictures, pixels [default: the cameras'; 9/16 of the width for an orbit]
+    /// Height of the pictures, pixels [default: the cameras', with --width in their aspect; for an orbit 9/16 of the width, 16/9
+    /// where most photographs are upright]
     #[arg(long, value_name = "PIXELS")]
     height: Option<u32>,
     /// Horizontal field of view, degrees [default: the cameras'; for an orbit as much as they show, at most 60]
