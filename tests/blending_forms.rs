@@ -150,8 +150,9 @@ fn bench_blending_measures_both_forms_in_turn() {
         assert_eq!(run["workload"]["blending"], form);
         assert_eq!(run["iterations"], 3);
         let kernel = run["kernels"].as_array().expect("kernels").iter().find(|k| k["scope"] == "blend");
-        let operations = kernel.and_then(|k| k["operations"].as_f64()).expect("operations");
-        (run, operations)
+        assert!(kernel.is_some_and(|k| k["operations"].as_f64() > Some(0.0)), "{kernel:?}");
+        let samples = kernel.and_then(|k| k["samples"].as_f64()).expect("samples");
+        (run, samples)
     };
     let ((regions, few), (shared, many)) = (of("regions"), of("shared"));
     assert_eq!(runs.len(), 2);

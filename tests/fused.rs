@@ -16,8 +16,12 @@ const ITERATIONS: u32 = 120;
 
 /// A device with or without the fused kernel.
 fn context(fused: bool, limits: LimitsOverride) -> Context {
+    context_of(fused, ContextOptions { limits_override: Some(limits), ..options() })
+}
+
+fn context_of(fused: bool, options: ContextOptions) -> Context {
     let choice = SpecOverride { kernel: "optimizer".into(), constant: "UNSEEN".into(), bits: fused.into() };
-    let options = ContextOptions { overrides: vec![choice], limits_override: Some(limits), ..options() };
+    let options = ContextOptions { overrides: vec![choice], ..options };
     let context = Context::new(&options).expect("a device");
     assert_eq!(LaunchSizes::new(context.limits()).fused_adam, fused);
     context
@@ -81,4 +85,19 @@ fn fused_adam_has_the_same_bits_in_chunks() {
     let settings = TrainSettings { strategy: StrategyType::Mcmc, cap_max: 400, ..long() };
     let limits = LimitsOverride { max_storage_buffer_range: Some(100_000), ..LimitsOverride::default() };
     check(&settings, limits);
+}
+
+/// Poses need the gradients, and sets without push descriptors have fewer buffers: there the step stays apart.
+#[test]
+fn fused_adam_is_left_out_where_it_cannot_be() {
+    let _gpu = Gpu::new();
+    let poses = TrainSettings { pose_opt: true, iterations: 30, ..settings() };
+    let few_buffers = || ContextOptions { push_descriptors: false, ..options() };
+    let usual = TrainSettings { iterations: 30, ..settings() };
+    let cases = [(options as fn() -> ContextOptions, poses), (few_buffers, usual)];
+    for (options, settings) in cases {
+        let [apart, fused] = [false, true].map(|fused| trained(&context_of(fused, options()), &settings));
+        assert!(!fused.1.contains(&"project backward and adam".to_string()), "{:?}", fused.1);
+        assert!(apart.0 == fused.0, "other bits");
+    }
 }

@@ -39,7 +39,11 @@ fn settings() -> TrainSettings {
 fn train(context: &Context) -> Result<Gaussians> {
     let mut trainer = Trainer::new(context, views(2, 5), &start(), 5.0, settings())?;
     for _ in 0..4 {
-        trainer.step()?;
+        if trainer.step()?.densified.is_some_and(|densified| densified.limited) {
+            // It goes on, with fewer Gaussians, and has said so.
+            let what = "growth".to_owned();
+            return Err(Error::TooLarge { what, needed: 1, unit: "Gaussians", limit: 0, limit_name: "" });
+        }
     }
     trainer.gaussians()
 }

@@ -6,9 +6,14 @@ use crate::error::Result;
 use crate::forward::{FrameInputs, block_of, range_arguments};
 use crate::kernels::backward::project_adam;
 use crate::optimizer::{self, Moments, Step};
-use crate::vk::{Buffer, Kernel, Recorder};
+use crate::vk::{Buffer, Kernel, KernelInterface, Limits, Recorder};
 
 impl Backward {
+    /// Whether [`Backward::record_with_step`] has a kernel on such a device: it binds 17 buffers.
+    pub fn can_step(limits: &Limits) -> bool {
+        project_adam::Interface::BINDINGS.len() <= limits.max_push_descriptors as usize
+    }
+
     /// As [`Backward::prepare`], for [`Backward::record_with_step`].
     ///
     /// # Errors

@@ -120,10 +120,13 @@ impl StepRecorder {
         let optimizer = if sums { optimizer.with_sums() } else { optimizer };
         let poses = settings.pose_opt;
         let optimizer = if poses { optimizer.with_moved_cameras() } else { optimizer };
+        let mut sizes = LaunchSizes::new(context.limits());
+        // It has more buffers than a set of ours, where there are no push descriptors.
+        sizes.fused_adam &= Backward::can_step(context.limits());
         Ok(Self {
             warm_up: WarmUp::new(context, settings)?,
             border: targets.rows().then(|| PixelBorder::new(context)).transpose()?,
-            sizes: LaunchSizes::new(context.limits()),
+            sizes,
             light: Light::new(context, settings, sums)?,
             backward: Backward::new(context),
             drawn: RenderSettings { dropout: settings.dropout_at(0), ..settings.render_settings() },
@@ -182,6 +185,7 @@ impl StepRecorder {
     /// gradients. Not in an iteration that densifies, in which the reference makes no step.
     fn fuses(&self, work: &Work, hooks: Hooks) -> bool {
         self.sizes.fused_adam
+            && !self.poses
             && work.optimizes
             && !work.sums_gradients
             && !work.actions.contains(Actions::DENSIFY)

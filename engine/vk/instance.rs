@@ -12,6 +12,8 @@ pub(super) const VALIDATION_LAYER: &CStr = c"VK_LAYER_KHRONOS_validation";
 pub(super) struct Instance {
     pub(super) messenger: Option<Messenger>,
     pub(super) has_debug_utils: bool,
+    /// The version of Vulkan that the validation layer knows, where it is on.
+    layer: Option<u32>,
     pub(super) raw: ash::Instance,
     // Unloads the library when dropped: keep it last.
     _entry: ash::Entry,
@@ -25,7 +27,8 @@ impl Instance {
         let entry = unsafe { ash::Entry::load() }
             .map_err(|e| Error::NoLoader { reason: one_line(&e.to_string()) })?;
         let wanted = validation || printf;
-        let layer = wanted && has_layer(&entry)?;
+        let version = if wanted { layer_version(&entry)? } else { None };
+        let layer = version.is_some();
         if wanted && !layer {
             return Err(Error::MissingFeature {
                 device: "this machine".into(),
@@ -50,13 +53,20 @@ impl Instance {
         let raw = create(&entry, &checks(layer, validation, printf), enabled, has_portability)?;
         let messenger = (layer && has_debug_utils).then(|| Messenger::new(&entry, &raw, printf)).transpose();
         match messenger {
-            Ok(messenger) => Ok(Self { messenger, has_debug_utils, raw, _entry: entry }),
+            Ok(messenger) => Ok(Self { messenger, has_debug_utils, layer: version, raw, _entry: entry }),
             Err(error) => {
                 // SAFETY: nothing was created from the instance.
                 unsafe { raw.destroy_instance(None) };
                 Err(vk_error("vkCreateDebugUtilsMessengerEXT")(error))
             }
         }
+    }
+}
+
+impl Instance {
+    /// Whether VK_KHR_shader_maximal_reconvergence can be used: a validation layer that is older calls its SPIR-V wrong.
+    pub(super) fn knows_reconvergence(&self) -> bool {
+        self.layer.is_none_or(|version| version >= vk::make_api_version(0, 1, 3, 280))
     }
 }
 
@@ -71,7 +81,7 @@ impl Drop for Instance {
 /// Whether the Khronos validation layer is installed (false without a loader).
 pub fn validation_available() -> bool {
     // SAFETY: as in `Instance::new`.
-    unsafe { ash::Entry::load() }.is_ok_and(|entry| has_layer(&entry).unwrap_or(false))
+    unsafe { ash::Entry::load() }.is_ok_and(|entry| layer_version(&entry).is_ok_and(|v| v.is_some()))
 }
 
 /// The checks of the layer; None without the layer.
@@ -118,11 +128,12 @@ fn create(
     })
 }
 
-fn has_layer(entry: &ash::Entry) -> Result<bool> {
+fn layer_version(entry: &ash::Entry) -> Result<Option<u32>> {
     // SAFETY: a plain query.
     let layers = unsafe { entry.enumerate_instance_layer_properties() };
     let layers = layers.map_err(vk_error("vkEnumerateInstanceLayerProperties"))?;
-    Ok(layers.iter().any(|l| l.layer_name_as_c_str() == Ok(VALIDATION_LAYER)))
+    let layer = layers.iter().find(|l| l.layer_name_as_c_str() == Ok(VALIDATION_LAYER));
+    Ok(layer.map(|layer| layer.spec_version))
 }
 
 fn has_extension(entry: &ash::Entry, layer: Option<&CStr>, name: &CStr) -> Result<bool> {

@@ -163,6 +163,7 @@ impl Context {
         let asked = options.device.clone().or(from_environment);
         let mut candidate = device::choose(&instance.raw, asked.as_deref(), options.least_version())?;
         candidate.features.push_descriptor &= options.push_descriptors;
+        candidate.features.reconverges &= instance.knows_reconvergence();
         let mut limits = effective_limits(&candidate, options)?;
         if options.compile_only.is_some() {
             // Of what does not run there are no times and no budget.

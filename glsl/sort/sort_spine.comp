@@ -25,10 +25,12 @@ layout(push_constant, scalar) uniform Push {
     uint digits;
 };
 
+#include "dispatch.glsl"
+
 void main() {
     uint n = counts[count_index];
     uint blocks = n / block_size + (n % block_size != 0 ? 1 : 0);
-    uint digit = gl_WorkGroupID.x * (WORKGROUP_SIZE / SUBGROUP_SIZE) + gl_SubgroupID;
+    uint digit = linear_workgroup() * (WORKGROUP_SIZE / SUBGROUP_SIZE) + gl_SubgroupID;
     if (digit >= digits) {
         return;
     }

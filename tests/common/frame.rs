@@ -102,7 +102,8 @@ impl Projected {
             let own = 2 * bytes as usize / 4..(2 + count) * bytes as usize / 4;
             let others = words[..own.start].iter().chain(&words[own.end..]);
             assert!(others.copied().all(|word| word == UNTOUCHED), "{} outside the range", buffer.name());
-            buffer.range(2 * bytes, buffer.bytes() - 2 * bytes)
+            // On its own: devices want ranges to begin at multiples of up to 256 bytes.
+            gpu.buffer("own", &words[own.start..])
         };
         Projected {
             expected: splats.into_iter().flatten().collect(),

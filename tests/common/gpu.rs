@@ -2,6 +2,7 @@
 
 use std::sync::OnceLock;
 
+use ashsplat::loss::Windowing;
 use ashsplat::vk::{Buffer, Context, ContextOptions, Kernel, KernelInterface, MemoryKind, Recorder};
 use bytemuck::Pod;
 
@@ -20,6 +21,21 @@ impl Gpu {
     /// The device that all tests share.
     pub fn new() -> Gpu {
         Gpu { context: context() }
+    }
+
+    /// Whether kernels can read texels here; says what is skipped where they cannot.
+    pub fn has_texels(&self, skipped: &str) -> bool {
+        let has = self.context.limits().max_texels > 0;
+        if !has {
+            eprintln!("skipped: {skipped}: kernels cannot read texels on this device");
+        }
+        has
+    }
+
+    /// The forms of the loss that this device has.
+    pub fn windowings(&self) -> impl Iterator<Item = Windowing> {
+        let sweeps = self.has_texels("the loss by sweeps").then_some(Windowing::Sweeps);
+        std::iter::once(Windowing::Blocks).chain(sweeps)
     }
 
     /// The same device without push descriptors, and so without texels: kernels in their form that reads storage buffers.

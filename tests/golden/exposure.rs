@@ -91,7 +91,7 @@ pub fn of_device(path: &Path) -> Result<(), String> {
     let npz = Npz::read(path);
     let tolerances = Tolerances { out: 1e-6, loss: 2e-6, gradient: SINGLE.gradient, adam: 1e-6 };
     let gpu = Gpu::new();
-    for windowing in [Windowing::Blocks, Windowing::Sweeps] {
+    for windowing in gpu.windowings() {
         judge(&npz, &compute(&gpu, &npz, windowing), &tolerances)?;
     }
     adam_of_device(&gpu, &npz, tolerances.adam)

@@ -88,7 +88,7 @@ pub fn loss(path: &Path) -> Result<(), String> {
     let shape = &npz.array("img").shape;
     let size = [shape[1] as u32, shape[0] as u32];
     let gpu = Gpu::new();
-    for windowing in [Windowing::Blocks, Windowing::Sweeps] {
+    for windowing in gpu.windowings() {
         let ([loss, l1, ssim], d_img) =
             device_loss(&gpu, windowing, [npz.values("img"), npz.values("gt")], size);
         elementwise("loss", &[loss], npz.values("loss"), 0.0, ROUNDING)?;

@@ -91,8 +91,9 @@ fn gather_equals_its_twin() {
     for size in sizes(gpu.workgroup(64) as usize) {
         let rows = Rows::random(size);
         let actual = rows.gathered(&gpu, spec(&gpu), None);
-        // Logarithm, cosine and their arguments in float32.
-        compare(&rows, &actual, |gaussian, child| random_normal([SEED, ITERATION, gaussian, child]), 2e-4);
+        // Logarithm, cosine and their arguments in float32. Vulkan asks for a cosine within 2^-11, times at most 6.
+        let error = if gpu.context.device_name().contains("llvmpipe") { 2e-4 } else { 6.0 / 2048.0 };
+        compare(&rows, &actual, |gaussian, child| random_normal([SEED, ITERATION, gaussian, child]), error);
     }
 }
 

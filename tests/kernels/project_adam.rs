@@ -1,5 +1,6 @@
 //! `backward/project_adam` against `backward/project_backward` and `optimizer/adam`, which their twins judge.
 
+use ashsplat::backward::Backward;
 use ashsplat::kernels::backward::project_adam::{Bind, Interface, Push, Spec};
 use ashsplat::kernels::constants::{STATE_NON_FINITE, STATE_WORDS};
 
@@ -139,9 +140,19 @@ fn check(gpu: &Gpu, mut scene: Scene) {
     assert!(bits(before) == bits(together.download().map(|set| scalars(&set))), "changed after an overflow");
 }
 
+/// None where a kernel has too few buffers, without push descriptors.
+fn device() -> Option<Gpu> {
+    let gpu = Gpu::new();
+    if !Backward::can_step(gpu.context.limits()) {
+        eprintln!("skipped: a kernel has {} buffers at most", gpu.context.limits().max_push_descriptors);
+        return None;
+    }
+    Some(gpu)
+}
+
 #[test]
 fn project_adam_equals_both_kernels_apart() {
-    let gpu = Gpu::new();
+    let Some(gpu) = device() else { return };
     for size in sizes(gpu.workgroup(64) as usize).into_iter().filter(|&size| size > 0) {
         check(&gpu, Scene::random(size, small_view([53, 37]), 7));
     }
@@ -149,7 +160,7 @@ fn project_adam_equals_both_kernels_apart() {
 
 #[test]
 fn project_adam_equals_both_kernels_apart_in_every_mode() {
-    let gpu = Gpu::new();
+    let Some(gpu) = device() else { return };
     for sh_degree in 0..=3 {
         let view = View { sh_degree, antialias: sh_degree % 2 == 1, ..small_view([53, 37]) };
         check(&gpu, Scene::random(300, view, 50));
@@ -159,7 +170,7 @@ fn project_adam_equals_both_kernels_apart_in_every_mode() {
 /// Gaussians with a gradient that is not finite are left alone, and counted.
 #[test]
 fn project_adam_skips_what_is_not_finite() {
-    let gpu = Gpu::new();
+    let Some(gpu) = device() else { return };
     let mut scene = Scene::random(200, small_view([53, 37]), 9);
     let with_instances: Vec<usize> = (0..scene.sums.len()).filter(|&i| !scene.sums[i].is_empty()).collect();
     scene.sums[with_instances[2]][0][0] = f64::NAN;
@@ -171,7 +182,7 @@ fn project_adam_skips_what_is_not_finite() {
 /// Some are left out at random, and the depth that was blended is z.
 #[test]
 fn project_adam_equals_both_kernels_apart_under_dropout() {
-    let gpu = Gpu::new();
+    let Some(gpu) = device() else { return };
     let dropout = Some(Dropout { below: 1 << 22, seed: 3, iteration: 9 });
     for z_record in [false, true] {
         let drawn = Drawn { dropout, z_record, ..Drawn::AS_THEY_ARE };

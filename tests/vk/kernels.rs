@@ -2,8 +2,9 @@
 
 use crate::common;
 use ashsplat::Error;
+use ashsplat::backward::Backward;
 use ashsplat::kernels::{self, scan::scan_reduce};
-use ashsplat::vk::{Context, Kernel, KernelInterface, KernelVisitor};
+use ashsplat::vk::{BindingInfo, BindingKind, Context, Kernel, KernelInterface, KernelVisitor};
 
 struct Compile<'a> {
     context: &'a Context,
@@ -13,7 +14,20 @@ struct Compile<'a> {
 impl KernelVisitor for Compile<'_> {
     fn visit<K: KernelInterface>(&mut self) {
         let spec = K::spec_for(self.context.limits());
-        let kernel = Kernel::<K>::new(self.context, &spec).unwrap_or_else(|e| panic!("{}: {e}", K::NAME));
+        let is_texels = |binding: &BindingInfo| matches!(binding.kind, BindingKind::Texels(_));
+        if K::BINDINGS.iter().any(is_texels) && self.context.limits().max_texels == 0 {
+            eprintln!("skipped: {}: kernels cannot read texels on this device", K::NAME);
+            return;
+        }
+        let kernel = match Kernel::<K>::new(self.context, &spec) {
+            // Sets without push descriptors have fewer buffers than one kernel, which is then done without.
+            Err(Error::TooLarge { limit_name: "maxPushDescriptors", .. })
+                if K::NAME == "backward/project_adam" && !Backward::can_step(self.context.limits()) =>
+            {
+                return;
+            }
+            kernel => kernel.unwrap_or_else(|e| panic!("{}: {e}", K::NAME)),
+        };
         assert_eq!(kernel.workgroup_size(), K::workgroup_size(&spec));
         self.names.push(K::NAME);
     }
