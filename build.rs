@@ -54,8 +54,8 @@ fn main() {
     }
 }
 
-/// The guide's chapters for rustdoc. As files they link to each other by name, so that they can be read where the project is
-/// browsed; as modules they are each other's neighbours.
+/// The guide's chapters for rustdoc. As files they link to each other and to sources, so that they can be read where the project
+/// is browsed; as modules they are each other's neighbours, and a link to a source has its item's path as its title.
 fn guide(root: &Path, out: &Path) {
     println!("cargo:rerun-if-changed=engine/guide");
     fs::create_dir_all(out.join("guide")).unwrap();
@@ -66,7 +66,14 @@ fn guide(root: &Path, out: &Path) {
         let text = fs::read_to_string(path).unwrap();
         let linked = names()
             .fold(text, |text, name| text.replace(&format!("]({name}.md"), &format!("](super::{name}")));
-        fs::write(out.join("guide").join(path.file_name().unwrap()), linked).unwrap();
+        let linked: Vec<&str> = linked.lines().collect();
+        let items = linked.iter().map(|line| {
+            match line.split_once("]: ../").map(|(name, rest)| (name, rest.split('"').nth(1))) {
+                Some((name, Some(item))) => format!("{name}]: {item}\n"),
+                _ => format!("{line}\n"),
+            }
+        });
+        fs::write(out.join("guide").join(path.file_name().unwrap()), items.collect::<String>()).unwrap();
     }
 }
 

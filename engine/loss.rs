@@ -191,13 +191,8 @@ impl Loss {
         let windows = match windowing {
             Windowing::Blocks => {
                 let (workgroup_size, strip) = (sizes.loss, sizes.loss_strip);
-                let forward = ssim_forward::Spec {
-                    workgroup_size,
-                    subgroup_size: limits.heavy_subgroup_size,
-                    strip,
-                    float_photo,
-                    masked,
-                };
+                let forward =
+                    ssim_forward::Spec { workgroup_size, subgroup_size, strip, float_photo, masked };
                 let backward = ssim_backward::Spec { workgroup_size, strip, float_photo, masked };
                 let reduce = loss_reduce::Spec { workgroup_size, subgroup_size };
                 Windows::Blocks {

@@ -72,7 +72,7 @@ pub struct Tuning {
     pub backend: Backend,
     /// Size of subgroups, where the device has it and lets it be chosen; None: the device's own.
     pub lanes: Option<u32>,
-    /// The same for the kernels with the most registers: the backward pass of the projection, the loss by blocks.
+    /// The same for the kernels with the most registers: the backward pass of the projection, with Adam's step or without.
     pub heavy_lanes: Option<u32>,
     /// How keys are sorted.
     pub sort_method: SortMethod,
@@ -184,12 +184,17 @@ impl Tuning {
     };
 
     /// Its registers hold 16 lanes of most kernels, 32 of few, and 8 of the heaviest (tools/gpu_static.md). Xe2 has twice the
-    /// registers and no 8 lanes; at 32 it spills in three kernels, at 16 in none.
-    pub const INTEL: Self = Self { lanes: Some(16), heavy_lanes: Some(8), ..Self::GPU };
+    /// registers and no 8 lanes; at 32 it spills in three kernels, at 16 in none. Two pixels in a row of the loss spill on some.
+    pub const INTEL: Self = Self { lanes: Some(16), heavy_lanes: Some(8), loss_strip: 1, ..Self::GPU };
+
+    /// 64 lanes, the driver's size, take fewer estimated cycles per pixel or Gaussian in most kernels of RDNA. In the heaviest they
+    /// take 1.3 to 1.6 times as many as 32, which need half the registers (tools/gpu_static.md). GCN has 64 only.
+    pub const AMD: Self = Self { heavy_lanes: Some(32), ..Self::GPU };
 
     /// The row of a device that is no processor, by the PCI id of its vendor.
     pub(crate) const fn of_vendor(vendor: u32) -> &'static Self {
         match vendor {
+            0x1002 => &Self::AMD,
             0x8086 => &Self::INTEL,
             _ => &Self::GPU,
         }

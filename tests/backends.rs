@@ -111,10 +111,9 @@ fn backends_choose_their_subgroup_size_where_the_device_has_it() {
     assert_eq!([intel(32, Some(8..=32)), intel(32, Some(16..=32))], [[16, 8], [16, 16]]);
     assert_eq!([intel(32, Some(32..=32)), intel(32, None)], [[32, 32]; 2]);
     assert_eq!(Tuning::GPU.subgroup_sizes(64, Some(32..=64)), [64, 64]);
-    // The row of a vendor differs in that only.
-    let mut row = Tuning::INTEL;
-    (row.lanes, row.heavy_lanes) = (None, None);
-    assert_eq!(row, Tuning::GPU);
+    // RDNA and GCN.
+    let amd = |own, sizes| Tuning::AMD.subgroup_sizes(own, sizes);
+    assert_eq!([amd(64, Some(32..=64)), amd(64, Some(64..=64))], [[64, 32], [64, 64]]);
 }
 
 #[test]

@@ -94,6 +94,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         let problem = format!("{} is the input itself; give another file", arguments.output.display());
         return Err(Error::argument("OUT", problem));
     }
+    let replaced = arguments.output.exists();
     let done = splats::convert(&input, &arguments.output, &options)?;
     for warning in &done.warnings {
         tell!("warning: {warning}");
@@ -102,7 +103,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         let (from, to) = (input.display(), arguments.output.display());
         let input = &done.input;
         say!(
-            "{from} ({}, {} Gaussians, SH degree {}) -> {to} ({}, {} Gaussians, SH degree {}){}",
+            "{from} ({}, {} Gaussians, SH degree {}) -> {to} ({}, {} Gaussians, SH degree {}){}{}",
             input.format,
             thousands(input.count),
             input.sh_degree,
@@ -110,6 +111,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
             thousands(done.written),
             done.sh_degree,
             if input.antialiased { ", antialiased" } else { "" },
+            if replaced { ", in place of an earlier file" } else { "" },
         );
     }
     Ok(())

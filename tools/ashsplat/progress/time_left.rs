@@ -12,7 +12,7 @@ const PRESENT: usize = 5;
 /// Densifications whose mean gain is the present one.
 const RECENT: usize = 15;
 /// Before this share of the densifications what is foretold was too little in the recorded trainings.
-const EARLY: f64 = 0.2;
+const EARLY: f64 = 0.125;
 /// With fewer densifications their trend is not known. At first they add more and more.
 const FEW: usize = 6;
 /// The gain falls at most with this power of the number of densifications.
@@ -285,12 +285,12 @@ mod tests {
             left.step(iteration, 1000, 0.01);
         }
         assert!(left.after(500).expect("known").at_least);
-        // A fifth of 25 densifications.
-        for iteration in 501..=1000 {
+        // An eighth of 25 densifications.
+        for iteration in 501..=800 {
             assert!(left.after(iteration).expect("known").at_least, "{iteration}");
             left.step(iteration, 1000 + 10 * (iteration - 500), 0.01);
         }
-        assert!(!left.after(1000).expect("known").at_least);
+        assert!(!left.after(800).expect("known").at_least);
     }
 
     /// What small pictures cost says nothing of whole ones.

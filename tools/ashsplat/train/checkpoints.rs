@@ -197,7 +197,19 @@ fn newest(folder: &Path) -> Result<PathBuf> {
     }
     let highest = names(folder).iter().filter_map(|name| iteration_of(name.to_str()?)).max();
     highest.map(|iteration| path(folder, iteration)).ok_or_else(|| {
-        let remedy = "checkpoints are written where --checkpoint-iterations asks for them, and on Ctrl-C";
+        let earlier: Option<PathBuf> = (1..)
+            .map(|n| folder.join(format!("earlier_{n}")))
+            .take_while(|earlier| earlier.is_dir())
+            .filter(|earlier| !names(earlier).is_empty())
+            .last();
+        let remedy = match earlier {
+            Some(earlier) => {
+                format!("those of an earlier training are in {0}: give -m {0}", earlier.display())
+            }
+            None => {
+                "checkpoints are written where --checkpoint-iterations asks for them, and on Ctrl-C".into()
+            }
+        };
         Error::input(folder, "has no checkpoint (chkpntN.safetensors) to go on from", remedy)
     })
 }
@@ -211,6 +223,10 @@ mod tests {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let folder = folder.path();
         assert!(newest(folder).is_err());
+        // An earlier training's are not taken for this one's, and are named.
+        std::fs::create_dir(folder.join("earlier_1")).expect("a folder");
+        std::fs::write(path(&folder.join("earlier_1"), 7), "").expect("written");
+        assert!(newest(folder).expect_err("none").to_string().contains("earlier_1"));
         for iteration in [7, 20, 100] {
             std::fs::write(path(folder, iteration), "").expect("written");
         }
