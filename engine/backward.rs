@@ -192,7 +192,7 @@ impl Backward {
                     absolute,
                     weights,
                     region_height,
-                    broadcast: self.context.limits().tuning.broadcasts,
+                    broadcast: self.context.limits().broadcasts,
                 };
                 Blend::Regions(Kernel::new(&self.context, &spec)?)
             });

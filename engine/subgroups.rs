@@ -6,6 +6,8 @@ use crate::vk::{Context, Kernel, MemoryKind};
 
 /// Subgroups that are looked at.
 const SUBGROUPS: u32 = 8;
+/// The largest workgroup of the kernels.
+const WORKGROUP: u32 = 256;
 
 /// Checks on the device that subgroups have the size it reports and hold neighbouring invocations. Where the size can be
 /// required ([`Limits::subgroup_size_selectable`](crate::vk::Limits::subgroup_size_selectable)), on a host's device without a
@@ -13,7 +15,8 @@ const SUBGROUPS: u32 = 8;
 ///
 /// Kernels are built so that the size may not vary (SPIR-V below 1.6, Vulkan's `VkPipelineShaderStageCreateFlagBits`). This
 /// finds drivers that choose another one all the same. [`Renderer::new`](crate::Renderer::new) and
-/// [`Trainer::new`](crate::Trainer::new) call it; who uses [`crate::sort`] or [`crate::scan`] alone calls it once.
+/// [`Trainer::new`](crate::Trainer::new) call it on devices of our own. It submits and waits: hosts call it themselves, and who uses
+/// [`crate::sort`] or [`crate::scan`] alone calls it once. It looks at its own kernel only.
 ///
 /// # Errors
 /// [`Error::MissingFeature`] with the sizes; when the device refuses the pipeline.
@@ -23,10 +26,17 @@ pub fn check(context: &Context) -> Result<()> {
         return Ok(());
     }
     let size = limits.subgroup_size;
-    let workgroup_size = limits.workgroup_size(SUBGROUPS * size);
+    // Drivers may choose by the workgroup.
+    let mut workgroups =
+        [size, limits.workgroup_size(SUBGROUPS * size), limits.workgroup_size(WORKGROUP)].to_vec();
+    workgroups.dedup();
+    workgroups.into_iter().try_for_each(|workgroup_size| probe(context, size, workgroup_size))
+}
+
+fn probe(context: &Context, size: u32, workgroup_size: u32) -> Result<()> {
     let kernel: Kernel<subgroup_probe::Interface> =
         Kernel::new(context, &subgroup_probe::Spec { workgroup_size, subgroup_size: size })?;
-    let count = SUBGROUPS * size;
+    let count = (SUBGROUPS * size).max(workgroup_size);
     let bytes = u64::from(12 * count);
     let found = context.allocate("subgroups", &[("found", bytes)], MemoryKind::Device)?.remove(0);
     context.run("subgroup size", |recorder| {

@@ -21,11 +21,11 @@ fn small(what: &str) -> Vec<&str> {
     [&["bench", what], &size.concat()[..]].concat()
 }
 
-fn measure(what: &str, more: &[&str]) -> String {
+pub fn measure(what: &str, more: &[&str]) -> String {
     succeed(&[&small(what)[..], more].concat())
 }
 
-fn read(path: &Path) -> Value {
+pub fn read(path: &Path) -> Value {
     serde_json::from_str(&std::fs::read_to_string(path).expect("a file")).expect("JSON")
 }
 
@@ -33,11 +33,11 @@ fn write(path: &Path, value: &Value) {
     std::fs::write(path, value.to_string()).expect("written");
 }
 
-fn runs(report: &Value) -> &Vec<Value> {
+pub fn runs(report: &Value) -> &Vec<Value> {
     report["runs"].as_array().expect("runs")
 }
 
-fn number(value: &Value) -> f64 {
+pub fn number(value: &Value) -> f64 {
     value.as_f64().unwrap_or_else(|| panic!("{value} is no number"))
 }
 

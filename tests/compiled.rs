@@ -26,7 +26,13 @@ fn radv() -> Option<PathBuf> {
 fn under(radv: &Path, family: &str, arguments: &[&str]) -> Finished {
     let mut program = program();
     program.env("VK_DRIVER_FILES", radv).env("VK_ICD_FILENAMES", radv).env("RADV_FORCE_FAMILY", family);
-    finish(program.env_remove("ASHSPLAT_DEVICE").args(["profile", "--static"]).args(arguments))
+    finish(
+        program
+            .env_remove("ASHSPLAT_DEVICE")
+            .env_remove("ASHSPLAT_BACKEND")
+            .args(["profile", "--static"])
+            .args(arguments),
+    )
 }
 
 /// What the first of a family's names that the driver knows compiles to; None: it knows none of them.

@@ -6,6 +6,7 @@ mod architecture;
 mod backends;
 mod barriers;
 mod bench;
+mod bench_model;
 mod blending_forms;
 mod budget;
 mod call_graph;

@@ -8,7 +8,7 @@ use crate::vk::Limits;
 /// arithmetic decides which Gaussians count.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Blending {
-    /// Each subgroup culls against its own region of the tile and broadcasts Gaussians by shuffles.
+    /// Each subgroup culls against its own region of the tile and hands Gaussians over by shuffles or broadcasts.
     Regions,
     /// The paper's form: batches in shared memory, and every invocation loops over the whole batch.
     SharedMemory,

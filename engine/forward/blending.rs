@@ -116,7 +116,7 @@ impl Blend {
     pub fn prepare(&mut self, context: &Context, sizes: &LaunchSizes, wanted: BlendVariant) -> Result<()> {
         let BlendVariant { inverse_depth, linear_depth, depth_limit, steep, .. } = wanted;
         let (variant, strips) = (wanted.index(sizes), wanted.strips(sizes));
-        let (subgroup_size, broadcast) = (context.limits().subgroup_size, context.limits().tuning.broadcasts);
+        let (subgroup_size, broadcast) = (context.limits().subgroup_size, context.limits().broadcasts);
         let LaunchSizes { tile, tile_shared, region_height, incremental_exp, regions_per_subgroup, .. } =
             *sizes;
         let incremental_exp = incremental_exp && !steep;

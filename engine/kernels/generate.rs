@@ -271,6 +271,9 @@ fn for_device(shader: &Shader) -> String {
     if has("SUBGROUP_SIZE") {
         body.push_str("spec.subgroup_size = limits.subgroup_size;\n");
     }
+    if has("REGION_HEIGHT") {
+        body.push_str("spec.region_height = spec.region_height.max(limits.subgroup_size / 8);\n");
+    }
     if has("WORKGROUP_SIZE") {
         body.push_str(
             "spec.workgroup_size = limits.workgroup_size(spec.workgroup_size);\n\

@@ -96,7 +96,7 @@ impl LaunchSizes {
         let scan_items = size("scan", "ITEMS", tuning.scan_items).max(4);
         let scan_workgroup =
             limits.workgroup_size(size("scan", "WORKGROUP_SIZE", invocations(tuning.scan_workgroup)));
-        let region_height = size("forward", "REGION_HEIGHT", tuning.region_pixels * limits.subgroup_size / 8);
+        let region_height = tuning.region_pixels * limits.subgroup_size / 8;
         // Rows that a subgroup has at least, 8 pixels wide.
         let least = (limits.subgroup_size / 8).max(4);
         let region_height = region_height.clamp(least, least.max(8));

@@ -56,6 +56,11 @@ impl Context {
         &self.device.limits
     }
 
+    /// Whether the device is ours, and not a host's.
+    pub(crate) fn owns_device(&self) -> bool {
+        !self.device.is_foreign()
+    }
+
     /// Whether anything that is submitted here runs: a host may keep its queue to itself, and what only compiles runs nothing.
     pub(crate) fn can_run(&self) -> bool {
         self.device.queue.is_some() && self.device.executables.is_none()

@@ -30,7 +30,8 @@ pub(super) fn create_device(
         .storage_buffer8_bit_access(optional.storage8)
         .uniform_and_storage_buffer8_bit_access(optional.uniform_storage8)
         .vulkan_memory_model(optional.memory_model)
-        .vulkan_memory_model_device_scope(optional.memory_model_device_scope);
+        .vulkan_memory_model_device_scope(optional.memory_model_device_scope)
+        .subgroup_broadcast_dynamic_id(optional.dynamic_broadcasts);
     let mut v13 = vk::PhysicalDeviceVulkan13Features::default();
     Features::REQUIRED.merge_into(&mut v12, &mut v13);
     // SAFETY: a plain query.

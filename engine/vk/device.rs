@@ -4,6 +4,7 @@ use super::clock::Calibrated;
 use super::error::vk_error;
 use super::instance::Instance;
 use super::limits::Limits;
+use super::queues::{ComputeFamilies, compute_families};
 use super::requirements::{Features, SUBGROUP_OPERATIONS, low_limit};
 use super::workarounds::Workarounds;
 use crate::tuning::{Backend, Tuning};
@@ -49,6 +50,8 @@ pub(super) struct Candidate {
     pub(super) description: DeviceDescription,
     pub(super) device_type: vk::PhysicalDeviceType,
     pub(super) queue_family: u32,
+    /// For a device that shows pictures on a screen, too.
+    pub(super) presenting_family: u32,
     pub(super) features: OptionalFeatures,
     pub(super) missing: Option<String>,
 }
@@ -73,6 +76,8 @@ pub(super) struct OptionalFeatures {
     pub(super) portability_subset: bool,
     pub(super) calibrated_timestamps: Option<Calibrated>,
     pub(super) memory_budget: bool,
+    /// subgroupBroadcastDynamicId.
+    pub(super) dynamic_broadcasts: bool,
     /// VK_KHR_shader_maximal_reconvergence.
     pub(super) reconverges: bool,
     /// robustBufferAccess2 of VK_EXT_robustness2.
@@ -166,6 +171,7 @@ pub(super) fn describe(
         },
         device_type: basic.device_type,
         queue_family: 0,
+        presenting_family: 0,
         features: OptionalFeatures::default(),
         missing: None,
     };
@@ -191,14 +197,11 @@ fn examine(
     let has = |name: &CStr| extensions.iter().any(|e| e.extension_name_as_c_str() == Ok(name));
     // SAFETY: a plain query.
     let families = unsafe { instance.get_physical_device_queue_family_properties(physical) };
-    let compute = |f: &&vk::QueueFamilyProperties| f.queue_flags.contains(vk::QueueFlags::COMPUTE);
-    let timed = families.iter().position(|f| compute(&f) && f.timestamp_valid_bits > 0);
-    let Some(family) = timed.or_else(|| families.iter().position(|f| compute(&f))) else {
+    let Some(ComputeFamilies { alone, presenting, timed }) = compute_families(&families) else {
         return Ok(Some("a compute queue".into()));
     };
-    candidate.queue_family = family as u32;
-    let (limits, missing_operations) =
-        limits(instance, physical, timed.is_some(), &mut candidate.description);
+    (candidate.queue_family, candidate.presenting_family) = (alone, presenting);
+    let (limits, missing_operations) = limits(instance, physical, timed, &mut candidate.description);
     candidate.description.limits = Some(limits);
     let (optional, missing) = features(instance, physical, &has);
     candidate.features = optional;
@@ -240,6 +243,7 @@ fn features(
         portability_subset: false,
         calibrated_timestamps: None,
         memory_budget: false,
+        dynamic_broadcasts: v12.subgroup_broadcast_dynamic_id != 0,
         reconverges: reconvergence.shader_maximal_reconvergence != 0,
         robust_buffers2: robustness2.robust_buffer_access2 != 0,
         graphics_stores: f.fragment_stores_and_atomics != 0 && f.vertex_pipeline_stores_and_atomics != 0,
@@ -307,6 +311,7 @@ fn limits(
         max_push_descriptors: push.max_push_descriptors,
         timestamp_period_ns: if timestamps { f64::from(l.timestamp_period) } else { 0.0 },
         tuning,
+        broadcasts: false,
         workarounds: Workarounds::of_driver(v12.driver_id, properties.driver_version),
         instances_per_dispatch: INSTANCES_PER_DISPATCH,
         overrides: Vec::new(),

@@ -111,8 +111,8 @@ impl Context {
         candidate.features.push_descriptor &=
             options.push_descriptors && host.extensions.contains(&ash::khr::push_descriptor::NAME);
         candidate.features.calibrated_timestamps = None;
-        // Features of extensions are not told.
-        candidate.features.reconverges = false;
+        // Which others are on is not told.
+        (candidate.features.reconverges, candidate.features.dynamic_broadcasts) = (false, false);
         let limits = effective_limits(&candidate, options)?;
         Self::assemble(Parts {
             owner: Owner::Host(host.instance.clone()),

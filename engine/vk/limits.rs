@@ -4,13 +4,13 @@ use super::texels::TexelFormat;
 use super::workarounds::Workarounds;
 use crate::tuning::Tuning;
 
-/// Limits of a device, and the subgroup size of all kernels.
+/// Limits of a device, and the subgroup sizes of the kernels.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Limits {
     /// Invocations of a subgroup in every kernel with a `subgroup_size` constant, but for the heaviest.
     pub subgroup_size: u32,
-    /// The same in the kernels with the most registers ([`Tuning::heavy_lanes`]); it divides [`Limits::subgroup_size`].
+    /// The same in the kernels with the most registers ([`Tuning::heavy_lanes`]).
     pub heavy_subgroup_size: u32,
     /// subgroupSize: what the driver chooses where nothing is required.
     pub own_subgroup_size: u32,
@@ -54,6 +54,9 @@ pub struct Limits {
     pub timestamp_period_ns: f64,
     /// Which kernels, sizes and layouts the device gets.
     pub tuning: &'static Tuning,
+    /// Whether kernels hand values over by broadcasts from a lane that is known at run time only: where the tuning says so and
+    /// subgroupBroadcastDynamicId is on, which is not told of hosts' devices.
+    pub broadcasts: bool,
     /// What its driver does against the specification.
     pub workarounds: Workarounds,
     /// (tile, Gaussian) instances per dispatch of blending, not counting the rest of its last tile. A limit
@@ -109,6 +112,11 @@ impl Limits {
         let sizes = self.min_subgroup_size..=self.max_subgroup_size;
         let sizes = self.subgroup_size_selectable.then_some(sizes);
         [self.subgroup_size, self.heavy_subgroup_size] = tuning.subgroup_sizes(self.own_subgroup_size, sizes);
+        // Its kernels have workgroups as large as those of the other kernels.
+        let most = self.workgroup_size(self.max_workgroup_invocations) / self.heavy_subgroup_size;
+        if most > self.max_workgroup_subgroups {
+            self.heavy_subgroup_size = self.subgroup_size;
+        }
         self.tuning = tuning;
         self
     }

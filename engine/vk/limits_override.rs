@@ -30,7 +30,7 @@ pub struct LimitsOverride {
 }
 
 impl Limits {
-    /// The limits with each value lowered to the override's. An override never raises a limit.
+    /// The limits with each value lowered to the override's. An override never raises a limit; a fixed subgroup size may be any.
     pub fn lowered(mut self, to: &LimitsOverride) -> Self {
         fn lower<T: Ord + Copy>(limit: &mut T, to: Option<T>) {
             *limit = to.map_or(*limit, |to| to.min(*limit));

@@ -2,6 +2,7 @@
 
 use super::allocator::{HostAllocator, HostMemory, MemoryKind, MemoryRequest};
 use super::error::vk_error;
+use super::memory_types;
 use super::open_device::Device;
 use super::texels::TexelViews;
 use crate::{Error, Result};
@@ -87,6 +88,8 @@ pub(super) struct Block {
     bytes: u64,
     arena: Arc<str>,
     pub(super) kind: MemoryKind,
+    /// Whether reading the mapping is fast: the processor's caches hold it.
+    cached: bool,
     /// Identifies the block in the hazard checker.
     pub(super) id: u64,
     /// Whether buffer and memory belong to the context.
@@ -128,6 +131,7 @@ impl Block {
             bytes,
             arena: arena.clone(),
             kind,
+            cached: true,
             id: NEXT_ID.fetch_add(1, Ordering::Relaxed),
             owned: true,
             in_flight: AtomicU32::new(0),
@@ -155,6 +159,7 @@ impl Block {
             bytes,
             arena: "host".into(),
             kind: MemoryKind::Device,
+            cached: true,
             id: NEXT_ID.fetch_add(1, Ordering::Relaxed),
             owned: false,
             in_flight: AtomicU32::new(0),
@@ -184,6 +189,7 @@ impl Block {
             device.bind_buffer_memory(self.raw, self.memory, 0).map_err(vk_error("vkBindBufferMemory"))?;
         }
         let flags = types[index as usize].property_flags;
+        self.cached = self.inner.caches(flags);
         let mappable =
             flags.contains(vk::MemoryPropertyFlags::HOST_VISIBLE | vk::MemoryPropertyFlags::HOST_COHERENT);
         // Accessing a GPU's own memory word by word over the bus is slower than staging.
@@ -236,6 +242,11 @@ impl Block {
 
     pub(super) fn is_mapped(&self) -> bool {
         self.mapping.is_some()
+    }
+
+    /// Whether the mapping is the way to read. Uncached memory is read word by word; memory for the host has no faster kind.
+    pub(super) fn is_read_mapped(&self) -> bool {
+        self.is_mapped() && (self.cached || self.kind == MemoryKind::HostVisible)
     }
 
     /// Copies into the block. False when it is not mapped.
@@ -292,48 +303,20 @@ impl Drop for Block {
 }
 
 impl Device {
+    fn caches(&self, flags: vk::MemoryPropertyFlags) -> bool {
+        #[cfg(feature = "testing")]
+        if self.force_uncached {
+            return false;
+        }
+        flags.contains(vk::MemoryPropertyFlags::HOST_CACHED)
+    }
+
     /// The best of the allowed memory types.
     pub(super) fn memory_type(&self, allowed: u32, kind: MemoryKind) -> Result<u32> {
         let types = self.memory.memory_types_as_slice();
-        memory_type(types, allowed, kind, self.unified_memory).ok_or_else(|| {
+        memory_types::best(types, allowed, kind, self.unified_memory).ok_or_else(|| {
             let device = self.description.name.clone();
             Error::MissingFeature { device, feature: format!("a memory type for {kind:?} memory") }
         })
     }
-}
-
-/// The best memory type for a kind: the first whose flags contain a wish, wishes in order.
-fn memory_type(types: &[vk::MemoryType], allowed: u32, kind: MemoryKind, unified: bool) -> Option<u32> {
-    type Flags = vk::MemoryPropertyFlags;
-    let coherent = Flags::HOST_VISIBLE | Flags::HOST_COHERENT;
-    // (required flags, unwanted flags)
-    let wishes = match (kind, unified) {
-        (MemoryKind::Device, true) => vec![
-            (Flags::DEVICE_LOCAL | coherent | Flags::HOST_CACHED, Flags::empty()),
-            (Flags::DEVICE_LOCAL | coherent, Flags::empty()),
-            (Flags::DEVICE_LOCAL, Flags::empty()),
-            (Flags::empty(), Flags::empty()),
-        ],
-        (MemoryKind::Device, false) => vec![
-            (Flags::DEVICE_LOCAL, Flags::HOST_VISIBLE),
-            (Flags::DEVICE_LOCAL, Flags::empty()),
-            (Flags::empty(), Flags::empty()),
-        ],
-        (MemoryKind::HostVisible, _) => vec![
-            (coherent | Flags::HOST_CACHED, Flags::empty()),
-            (coherent, Flags::DEVICE_LOCAL),
-            (coherent, Flags::empty()),
-        ],
-    };
-    let fits = |index: usize, with: Flags, without: Flags| {
-        let flags = types[index].property_flags;
-        allowed & (1 << index) != 0
-            && flags.contains(with)
-            && !flags.intersects(without)
-            // Types that need special treatment.
-            && !flags.intersects(Flags::PROTECTED | Flags::LAZILY_ALLOCATED | Flags::DEVICE_COHERENT_AMD)
-    };
-    let mut found =
-        wishes.iter().filter_map(|&(with, without)| (0..types.len()).find(|&i| fits(i, with, without)));
-    found.next().map(|i| i as u32)
 }

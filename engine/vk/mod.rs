@@ -46,7 +46,7 @@
 //!
 //! # Subgroups
 //! A kernel whose `Spec` has a `subgroup_size` runs with exactly that size and full subgroups;
-//! [`Limits::subgroup_size`] says which to take, and [`Limits::workgroup_size`] which workgroup fits it.
+//! [`Limits::subgroup_size`] and [`Limits::heavy_subgroup_size`] say which to take, and [`Limits::workgroup_size`] which workgroup fits it.
 
 #![allow(unsafe_code)]
 
@@ -90,6 +90,7 @@ mod limits;
 #[cfg(feature = "testing")]
 mod limits_override;
 mod memory;
+mod memory_types;
 mod open;
 mod open_device;
 mod pipeline_cache;
@@ -97,6 +98,7 @@ mod pipeline_statistics;
 mod pool;
 mod profile;
 mod profiler;
+mod queues;
 mod raw_device;
 mod record_audit;
 mod record_image;

@@ -45,8 +45,8 @@ pub struct ContextOptions {
     pub hazard_check: bool,
     /// Time scopes if the device can. Default: yes.
     pub timestamps: bool,
-    /// Subgroup size of all kernels, if the device supports the choice. None: [`Tuning::lanes`](crate::tuning::Tuning::lanes),
-    /// else the device's own.
+    /// Subgroup size of all kernels, if the device supports the choice. None: [`Tuning::lanes`](crate::tuning::Tuning::lanes) and
+    /// [`Tuning::heavy_lanes`](crate::tuning::Tuning::heavy_lanes), else the device's own.
     pub subgroup_size: Option<u32>,
     /// The kernels, sizes and layouts of this class of devices ([`Tuning`]), whatever the device is. None: the environment
     /// variable `ASHSPLAT_BACKEND` (`gpu` or `processor`), or otherwise what the device is.
@@ -62,6 +62,9 @@ pub struct ContextOptions {
     /// For tests: transfer through staging memory, as on a discrete GPU, even if device memory can be mapped.
     #[cfg(feature = "testing")]
     pub force_staging: bool,
+    /// For tests: device memory that the host sees without a cache.
+    #[cfg(feature = "testing")]
+    pub force_uncached: bool,
     /// For a capture by RenderDoc: accept Vulkan 1.2. Its layer reports this version for every driver without
     /// bufferDeviceAddressCaptureReplay, for example llvmpipe, although it passes 1.3 on.
     pub capture: bool,
@@ -118,6 +121,8 @@ impl Default for ContextOptions {
             overrides: Vec::new(),
             #[cfg(feature = "testing")]
             force_staging: false,
+            #[cfg(feature = "testing")]
+            force_uncached: false,
             capture: false,
             timeout: None,
             max_memory: None,
@@ -163,6 +168,9 @@ impl Context {
         let asked = options.device.clone().or(from_environment);
         let mut candidate = device::choose(&instance.raw, asked.as_deref(), options.least_version())?;
         candidate.features.push_descriptor &= options.push_descriptors;
+        if options.device_extensions.contains(&ash::khr::swapchain::NAME) {
+            candidate.queue_family = candidate.presenting_family;
+        }
         candidate.features.reconverges &= instance.knows_reconvergence();
         let mut limits = effective_limits(&candidate, options)?;
         if options.compile_only.is_some() {
@@ -230,6 +238,7 @@ impl Context {
             // texels write integers of 64 bits.
             limits.max_texels = 0;
         }
+        limits.broadcasts = limits.tuning.broadcasts && candidate.features.dynamic_broadcasts;
         if !push {
             limits.max_push_descriptors = BUFFERS;
         }
@@ -261,6 +270,8 @@ impl Context {
             limits,
             memory,
             unified_memory,
+            #[cfg(feature = "testing")]
+            force_uncached: options.force_uncached,
             timestamp_bits: if options.timestamps && runs { family.timestamp_valid_bits } else { 0 },
             timestamps: AtomicBool::new(true),
             hazard_check: options.hazard_check,
@@ -299,8 +310,10 @@ pub(super) fn effective_limits(candidate: &Candidate, options: &ContextOptions) 
     #[cfg(feature = "testing")]
     let limits = limits.lowered(&options.limits_override.unwrap_or_default());
     let mut limits = limits;
-    let asked = std::env::var("ASHSPLAT_BACKEND").ok().filter(|name| !name.is_empty());
-    let asked = asked.map(|name| name.parse().map_err(|e: String| Error::argument("ASHSPLAT_BACKEND", e)));
+    let asked = std::env::var_os("ASHSPLAT_BACKEND").filter(|name| !name.is_empty());
+    let asked = asked.map(|name| {
+        name.to_string_lossy().parse().map_err(|e: String| Error::argument("ASHSPLAT_BACKEND", e))
+    });
     if let Some(backend) = options.backend.map(Ok).or(asked).transpose()?
         && backend != limits.tuning.backend
     {
@@ -319,6 +332,11 @@ pub(super) fn effective_limits(candidate: &Candidate, options: &ContextOptions) 
             return Err(Error::argument(format!("subgroup size {size}"), range));
         }
         (limits.subgroup_size, limits.heavy_subgroup_size) = (size, size);
+    }
+    if !(4..=128).contains(&limits.heavy_subgroup_size) || limits.subgroup_size > 128 {
+        let problem =
+            format!("the kernels take 4 to 128; '{}' was to run {}", device.name, limits.subgroup_size);
+        return Err(Error::argument("subgroup size", problem));
     }
     Ok(limits)
 }

@@ -42,6 +42,8 @@ pub(super) struct Device {
     pub(super) memory: vk::PhysicalDeviceMemoryProperties,
     /// Whether device memory is the host's memory. Mapping is then the fastest transfer.
     pub(super) unified_memory: bool,
+    #[cfg(feature = "testing")]
+    pub(super) force_uncached: bool,
     pub(super) timestamp_bits: u32,
     /// Whether timestamps are currently written.
     pub(super) timestamps: AtomicBool,

@@ -69,7 +69,7 @@ impl Context {
     /// As [`Context::download`].
     pub fn download_chunks(&self, buffer: &Buffer, mut take: impl FnMut(&[u8])) -> Result<()> {
         let total = buffer.bytes();
-        let mapped = buffer.block().is_mapped();
+        let mapped = buffer.block().is_read_mapped();
         if total == 0 {
             return Ok(());
         }

@@ -124,6 +124,22 @@ fn architecture_kernels_without_subgroups() {
     assert_none("kernels with subgroups", wrong.map(|name| (*name).to_owned()).collect());
 }
 
+/// `.ci/run` runs these trainings with the forms of GPUs: each of its words is of some trial's name.
+#[test]
+fn architecture_trainings_of_gpus_are_trials() {
+    let script = std::fs::read_to_string(root().join(".ci/run")).expect("a script");
+    let list = script.split_once("trainings_of_gpus='").and_then(|(_, rest)| rest.split_once('\''));
+    let words: Vec<&str> = list.expect("a list").0.split_whitespace().collect();
+    assert!(words.len() > 10, "{words:?}");
+    let tests = sources(&["tests"], &["rs"]);
+    let is_trial = |word: &str| match word.strip_suffix("::") {
+        Some(file) => tests.iter().any(|source| source.path == format!("tests/{file}.rs")),
+        None => tests.iter().any(|source| source.text.contains(&format!("#[test]\nfn {word}"))),
+    };
+    let unknown = words.iter().filter(|word| !is_trial(word)).map(|word| (*word).to_owned());
+    assert_none("words that are no trial's", unknown.collect());
+}
+
 /// Kernels that compute what another one computes, in another way: they share its twin.
 const ALIKE: [(&str, &str); 6] = [
     ("blend_backward_subgroup_per_tile", "blend_backward"),

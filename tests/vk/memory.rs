@@ -148,8 +148,9 @@ fn pattern(bytes: usize) -> Vec<u8> {
 
 #[test]
 fn transfers_give_back_what_they_got() {
-    for force_staging in [false, true] {
-        let options = ContextOptions { force_staging, ..common::options() };
+    // Mapped, as on a discrete GPU, and mapped without a cache: read by copies then.
+    for (force_staging, force_uncached) in [(false, false), (true, false), (false, true)] {
+        let options = ContextOptions { force_staging, force_uncached, ..common::options() };
         let context = Context::new(&options).expect("a context");
         for bytes in [1, 3, 4, 17, 65_536, 65_540, (16 << 20) + 5] {
             let requests = [("before", 16), ("data", bytes as u64), ("after", 16)];

@@ -92,7 +92,9 @@ impl DeviceArguments {
         let device = self.device.iter().map(|device| format!(" --device {}", quoted(device)));
         let memory = self.max_memory.iter().map(|bytes| format!(" --max-memory {}", size(*bytes)));
         let lanes = self.subgroup_size.iter().map(|lanes| format!(" --subgroup-size {lanes}"));
-        let backend = self.backend.iter().map(|backend| format!(" --backend {backend}"));
+        // Also where the environment says it, which another shell does not have.
+        let named = std::env::var("ASHSPLAT_BACKEND").ok().and_then(|name| name.parse().ok());
+        let backend = self.backend.or(named).map(|backend| format!(" --backend {backend}"));
         device.chain(memory).chain(lanes).chain(backend).collect()
     }
 

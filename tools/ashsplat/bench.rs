@@ -8,6 +8,7 @@ pub mod forms;
 pub mod frames;
 pub mod machine;
 pub mod measure;
+mod model;
 pub mod plot;
 mod primitives;
 mod quality;
@@ -73,6 +74,8 @@ enum What {
     Quality(quality::Arguments),
     /// How each stage grows with the Gaussians and the pixels
     Scaling(scaling::Arguments),
+    /// The least time of each kernel of a result on a GPU that is not at hand, from its data sheet: a model
+    Model(model::Arguments),
 }
 
 /// Which files, and when their difference is a failure.
@@ -115,6 +118,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
         What::Compare(files) => return compare_files(files),
         What::Quality(a) => quality::run(a),
         What::Scaling(sweep) => scaling::run(sweep),
+        What::Model(arguments) => model::run(arguments),
     }?;
     Ok(ExitCode::SUCCESS)
 }

@@ -95,10 +95,14 @@ fn dataset(arguments: &Arguments) -> Result<()> {
     match report.problems.as_slice() {
         [] => {
             if !arguments.json {
-                say!(
-                    "next      it can be trained on: ashsplat train -s {}",
-                    quoted(&arguments.path.to_string_lossy())
-                );
+                let mut command = format!("ashsplat train -s {}", quoted(&arguments.path.to_string_lossy()));
+                if arguments.images != "images" {
+                    command += &format!(" --images {}", quoted(&arguments.images));
+                }
+                if arguments.orientation != "auto" {
+                    command += &format!(" --orientation {}", quoted(&arguments.orientation));
+                }
+                say!("next      it can be trained on: {command}");
             }
             Ok(())
         }

@@ -222,7 +222,7 @@ impl Run {
         let data = Prepared::new(dataset);
         let (train, extent) = (data.train, data.scene_extent);
         let trainer = Trainer::new(context, train, &initial, extent, settings.train.clone())?;
-        let lock = folder::begin(&settings, &data.views.cameras, Some(&points))?;
+        let lock = folder::begin(&settings, &data.views.cameras, Some(&points), false)?;
         let log = TrainLog::create(&settings.data.model_path.join(LOG_FILE))?;
         Ok(Run::new(context, settings, trainer, (log, lock), data.views, quiet))
     }
@@ -237,7 +237,8 @@ impl Run {
     ) -> Result<Run> {
         let data = Prepared::new(dataset);
         let trainer = start.trainer(context, data.train, data.scene_extent, &settings.train)?;
-        let lock = folder::begin(&settings, &data.views.cameras, None)?;
+        let goes_on = start.is_of(&settings.data.model_path);
+        let lock = folder::begin(&settings, &data.views.cameras, None, goes_on)?;
         let log = TrainLog::go_on(&settings.data.model_path.join(LOG_FILE), trainer.iteration())?;
         let run = Run::new(context, settings, trainer, (log, lock), data.views, quiet);
         run.save_poses(run.started)?;

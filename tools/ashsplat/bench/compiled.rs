@@ -313,9 +313,12 @@ pub fn compare(a: &Compiled, b: &Compiled, path: &Path, limit: f64) -> Result<Co
                 }
             }
         }
-        if !only_a.is_empty() && !only_b.is_empty() {
+        // New variants of a kernel whose others are paired are held to all that A has of it.
+        let of_kernel: Vec<&Pipeline> = a.pipelines.iter().filter(|p| p.kernel == *kernel).collect();
+        let with = if only_a.is_empty() { &of_kernel } else { only_a };
+        if !with.is_empty() && !only_b.is_empty() {
             found.groups += 1;
-            found.enter(&format!("{kernel} (variants differ)"), only_a, only_b, limit);
+            found.enter(&format!("{kernel} (variants differ)"), with, only_b, limit);
         }
     }
     if found.figures == 0 {

@@ -138,6 +138,7 @@ fn check_place(kernel: &str, name: &str) -> Result<(), String> {
         "SUBGROUP_SIZE" => &[""],
         "ITEMS" => &["sort", "scan"],
         "STRIP" => &["loss"],
+        "REGION_HEIGHT" => return Err("how high regions are follows from the device".into()),
         "STRIPS" => return Err("how kernels hand pictures on follows from the device".into()),
         _ => return Ok(()),
     };

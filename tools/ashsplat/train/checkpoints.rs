@@ -31,6 +31,12 @@ impl Start {
         Ok(Start { path, checkpoint })
     }
 
+    /// Whether it is a checkpoint of the training in this folder.
+    pub fn is_of(&self, folder: &Path) -> bool {
+        let parent = self.path.canonicalize().ok().and_then(|path| Some(path.parent()?.to_owned()));
+        parent.is_some() && parent == folder.canonicalize().ok()
+    }
+
     /// What was read.
     pub fn checkpoint(&self) -> &Checkpoint {
         &self.checkpoint

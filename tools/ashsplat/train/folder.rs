@@ -15,11 +15,13 @@ use std::path::{Path, PathBuf};
 
 const POINT_CLOUDS: &str = "point_cloud";
 const RENDERS: &str = "test";
+/// Made in the viewer.
+const FILMS: &str = "films";
 const INPUT_FILE: &str = "input.ply";
 const TRAINING: Work = Work { file: ".training.lock", what: "training", option: "-m" };
 
-/// Creates the model folder and writes what is known before training; without points, what was written before a
-/// checkpoint stays.
+/// Creates the model folder and writes what is known before training. A run that goes on with one of this folder leaves what that
+/// has written.
 ///
 /// # Errors
 /// Where another training writes into the folder; a full disk and the like.
@@ -27,13 +29,14 @@ pub fn begin(
     settings: &Settings,
     cameras: &[(String, Camera)],
     points: Option<&PointCloud>,
+    goes_on: bool,
 ) -> Result<FolderLock> {
     let folder = &settings.data.model_path;
     atomic::create_folder(folder)?;
     // Before anything is removed: it may be another training's.
     let lock = FolderLock::take(folder, &TRAINING)?;
     remove_leftovers(folder);
-    if points.is_some() {
+    if !goes_on {
         keep_earlier(folder)?;
     }
     output::write_text(&folder.join(SETTINGS_FILE), &settings.to_toml()?)?;
@@ -67,31 +70,52 @@ const LEFT: [&str; 12] = [
     POSES_FILE,
 ];
 
+/// Files that no data set has: where one of them is, a training was.
+const SIGNS: [&str; 4] = [CFG_ARGS_FILE, SETTINGS_FILE, LOG_FILE, model::LAST_ITERATION_FILE];
+/// What is being moved, so that a run that was killed meanwhile is gone on with.
+const UNFINISHED: &str = ".earlier_unfinished";
+
 /// Moves all of an earlier training into `earlier_1`, or the next number that is free: a model folder of its own. Nothing is
-/// overwritten, for a command may have been given a second time by mistake.
+/// overwritten, for a command may have been given a second time by mistake. What cannot be moved, such as links to other disks,
+/// stays.
 fn keep_earlier(folder: &Path) -> Result<()> {
+    let unfinished = folder.join(UNFINISHED);
+    if !unfinished.is_dir() && !SIGNS.iter().any(|name| folder.join(name).is_file()) {
+        return Ok(());
+    }
     let mut left: Vec<PathBuf> = LEFT.iter().map(PathBuf::from).collect();
     left.extend(checkpoints::names(folder));
     left.retain(|name| folder.join(name).is_file());
-    left.extend(folder.join(POINT_CLOUDS).is_dir().then(|| POINT_CLOUDS.into()));
+    left.extend(
+        [POINT_CLOUDS, FILMS].map(PathBuf::from).into_iter().filter(|name| is_folder(&folder.join(name))),
+    );
     // Of `test` only what `eval` writes there: the folder may hold photographs as well.
     let of_tests = names(&folder.join(RENDERS)).into_iter().filter(|name| name.starts_with("ours_"));
     left.extend(of_tests.map(|name| Path::new(RENDERS).join(name)));
-    if left.is_empty() {
-        return Ok(());
+    atomic::create_folder(&unfinished)?;
+    for name in &left {
+        let (from, to) = (folder.join(name), unfinished.join(name));
+        let moved = match to.parent() {
+            Some(parent) => std::fs::create_dir_all(parent),
+            None => Ok(()),
+        };
+        if let Err(error) = moved.and_then(|()| std::fs::rename(&from, &to)) {
+            tell!("warning: {}: is of an earlier training and cannot be moved: {error}", from.display());
+        }
     }
     let earlier = (1..).map(|n| folder.join(format!("earlier_{n}"))).find(|path| !path.exists());
     let earlier = earlier.unwrap_or_default();
-    for name in &left {
-        let (from, to) = (folder.join(name), earlier.join(name));
-        atomic::create_folder(to.parent().unwrap_or(&earlier))?;
-        std::fs::rename(&from, to).map_err(|e| Error::io(&from, "move", e))?;
-    }
+    std::fs::rename(&unfinished, &earlier).map_err(|e| Error::io(&unfinished, "move", e))?;
     let (folder, earlier) = (folder.display(), earlier.display());
     tell!(
         "warning: {folder}: had an earlier training, which is in {earlier} now; remove it if nobody needs it"
     );
     Ok(())
+}
+
+/// A link to a folder stays where it is: it may be relative.
+fn is_folder(path: &Path) -> bool {
+    path.symlink_metadata().is_ok_and(|found| found.is_dir())
 }
 
 /// The names in a folder; none if it cannot be read.

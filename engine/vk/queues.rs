@@ -1,0 +1,58 @@
+//! Which of a device's queue families the engine's work goes to.
+
+use ash::vk;
+
+/// Families with compute, by place.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct ComputeFamilies {
+    /// For work alone. A family without graphics where there is one: its queue does not wait for what else is drawn.
+    pub(super) alone: u32,
+    /// For work beside pictures that go to a screen.
+    pub(super) presenting: u32,
+    /// Whether both have timestamps.
+    pub(super) timed: bool,
+}
+
+/// None without compute. Families with timestamps come first.
+pub(super) fn compute_families(families: &[vk::QueueFamilyProperties]) -> Option<ComputeFamilies> {
+    let is_timed = |f: &vk::QueueFamilyProperties| f.timestamp_valid_bits > 0;
+    let compute = |f: &vk::QueueFamilyProperties| f.queue_flags.contains(vk::QueueFlags::COMPUTE);
+    let timed = families.iter().any(|f| compute(f) && is_timed(f));
+    let fits = |f: &vk::QueueFamilyProperties| compute(f) && (is_timed(f) || !timed);
+    let presenting = families.iter().position(fits)?;
+    let apart = |f: &vk::QueueFamilyProperties| fits(f) && !f.queue_flags.contains(vk::QueueFlags::GRAPHICS);
+    let alone = families.iter().position(apart).unwrap_or(presenting);
+    Some(ComputeFamilies { alone: alone as u32, presenting: presenting as u32, timed })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use vk::QueueFlags as Flags;
+
+    fn of(families: &[(Flags, u32)]) -> Option<(u32, u32, bool)> {
+        let family = |&(queue_flags, timestamp_valid_bits)| vk::QueueFamilyProperties {
+            queue_flags,
+            timestamp_valid_bits,
+            queue_count: 1,
+            ..vk::QueueFamilyProperties::default()
+        };
+        let found = compute_families(&families.iter().map(family).collect::<Vec<_>>())?;
+        Some((found.alone, found.presenting, found.timed))
+    }
+
+    #[test]
+    fn families_without_graphics_come_first_for_work_alone() {
+        let all = Flags::GRAPHICS | Flags::COMPUTE | Flags::TRANSFER;
+        let apart = Flags::COMPUTE | Flags::TRANSFER;
+        // As cards have them, one with a family for copies before that for compute.
+        assert_eq!(of(&[(all, 64), (Flags::TRANSFER, 64), (apart, 64)]), Some((2, 0, true)));
+        assert_eq!(of(&[(all, 64), (apart, 64)]), Some((1, 0, true)));
+        // One family for everything.
+        assert_eq!(of(&[(all, 36)]), Some((0, 0, true)));
+        // Times are worth more than a queue of one's own.
+        assert_eq!(of(&[(all, 36), (apart, 0)]), Some((0, 0, true)));
+        assert_eq!(of(&[(all, 0), (apart, 0)]), Some((1, 0, false)));
+        assert_eq!(of(&[(Flags::TRANSFER, 64), (Flags::GRAPHICS, 64)]), None);
+    }
+}
