@@ -12,6 +12,9 @@ use std::fmt;
 use std::ops::RangeInclusive;
 use std::str::FromStr;
 
+/// Invocations of a workgroup of the heaviest kernels, as [`plan`](crate::plan) has them.
+const HEAVY_WORKGROUP: u32 = 256;
+
 /// The class of devices that a row of the table is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Backend {
@@ -200,12 +203,18 @@ impl Tuning {
         }
     }
 
-    /// The size of subgroups, and that of the heaviest kernels, on a device with its own size and those that may be required;
-    /// None: none may be.
-    pub fn subgroup_sizes(&self, own: u32, selectable: Option<RangeInclusive<u32>>) -> [u32; 2] {
+    /// The size of subgroups, and that of the heaviest kernels, on a device with its own size, those that may be required (None:
+    /// none may be), and so many subgroups of a workgroup at most.
+    pub fn subgroup_sizes(
+        &self,
+        own: u32,
+        selectable: Option<RangeInclusive<u32>>,
+        max_workgroup_subgroups: u32,
+    ) -> [u32; 2] {
         let required = |lanes: &u32| selectable.as_ref().is_some_and(|sizes| sizes.contains(lanes));
         let usual = self.lanes.filter(required).unwrap_or(own);
-        [usual, self.heavy_lanes.filter(required).unwrap_or(usual)]
+        let fits = |lanes: &u32| HEAVY_WORKGROUP / lanes <= max_workgroup_subgroups;
+        [usual, self.heavy_lanes.filter(required).filter(fits).unwrap_or(usual)]
     }
 
     /// The row of a class of devices.

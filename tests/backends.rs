@@ -107,12 +107,14 @@ fn backends_of_both_kinds_of_loops_have_the_same_bits() {
 /// What suits Intel's registers is asked for where the device lets it be chosen.
 #[test]
 fn backends_choose_their_subgroup_size_where_the_device_has_it() {
-    let intel = |own, sizes| Tuning::INTEL.subgroup_sizes(own, sizes);
+    let intel = |own, sizes| Tuning::INTEL.subgroup_sizes(own, sizes, 64);
     assert_eq!([intel(32, Some(8..=32)), intel(32, Some(16..=32))], [[16, 8], [16, 16]]);
     assert_eq!([intel(32, Some(32..=32)), intel(32, None)], [[32, 32]; 2]);
-    assert_eq!(Tuning::GPU.subgroup_sizes(64, Some(32..=64)), [64, 64]);
+    // A workgroup of 256 is 32 subgroups of 8.
+    assert_eq!(Tuning::INTEL.subgroup_sizes(32, Some(8..=32), 31), [16, 16]);
+    assert_eq!(Tuning::GPU.subgroup_sizes(64, Some(32..=64), 64), [64, 64]);
     // RDNA and GCN.
-    let amd = |own, sizes| Tuning::AMD.subgroup_sizes(own, sizes);
+    let amd = |own, sizes| Tuning::AMD.subgroup_sizes(own, sizes, 64);
     assert_eq!([amd(64, Some(32..=64)), amd(64, Some(64..=64))], [[64, 32], [64, 64]]);
 }
 

@@ -111,12 +111,8 @@ impl Limits {
     pub(super) fn tuned(mut self, tuning: &'static Tuning) -> Self {
         let sizes = self.min_subgroup_size..=self.max_subgroup_size;
         let sizes = self.subgroup_size_selectable.then_some(sizes);
-        [self.subgroup_size, self.heavy_subgroup_size] = tuning.subgroup_sizes(self.own_subgroup_size, sizes);
-        // Its kernels have workgroups as large as those of the other kernels.
-        let most = self.workgroup_size(self.max_workgroup_invocations) / self.heavy_subgroup_size;
-        if most > self.max_workgroup_subgroups {
-            self.heavy_subgroup_size = self.subgroup_size;
-        }
+        [self.subgroup_size, self.heavy_subgroup_size] =
+            tuning.subgroup_sizes(self.own_subgroup_size, sizes, self.max_workgroup_subgroups);
         self.tuning = tuning;
         self
     }
