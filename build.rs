@@ -66,12 +66,10 @@ fn guide(root: &Path, out: &Path) {
         let text = fs::read_to_string(path).unwrap();
         let linked = names()
             .fold(text, |text, name| text.replace(&format!("]({name}.md"), &format!("](super::{name}")));
-        let linked: Vec<&str> = linked.lines().collect();
-        let items = linked.iter().map(|line| {
-            match line.split_once("]: ../").map(|(name, rest)| (name, rest.split('"').nth(1))) {
-                Some((name, Some(item))) => format!("{name}]: {item}\n"),
-                _ => format!("{line}\n"),
-            }
+        let items = linked.lines().map(|line| {
+            let link =
+                line.split_once("]: ../").and_then(|(name, rest)| Some((name, rest.split('"').nth(1)?)));
+            link.map_or(format!("{line}\n"), |(name, item)| format!("{name}]: {item}\n"))
         });
         fs::write(out.join("guide").join(path.file_name().unwrap()), items.collect::<String>()).unwrap();
     }

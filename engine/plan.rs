@@ -19,7 +19,7 @@ pub use launch_sizes::LaunchSizes;
 pub use pictures::PictureCapacity;
 pub use strips::{STRIP_ROWS, Strips};
 
-use launch_sizes::ELEMENTWISE_WORKGROUP;
+use crate::tuning::ELEMENTWISE_WORKGROUP;
 
 use crate::error::{Error, Result};
 use crate::kernels::constants::{

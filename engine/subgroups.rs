@@ -2,12 +2,12 @@
 
 use crate::error::{Error, Result};
 use crate::kernels::subgroups::subgroup_probe;
+use crate::tuning::ELEMENTWISE_WORKGROUP;
 use crate::vk::{Context, Kernel, MemoryKind};
+use std::sync::atomic::Ordering;
 
 /// Subgroups that are looked at.
 const SUBGROUPS: u32 = 8;
-/// The largest workgroup of the kernels.
-const WORKGROUP: u32 = 256;
 
 /// Checks on the device that subgroups have the size it reports and hold neighbouring invocations. Where the size can be
 /// required ([`Limits::subgroup_size_selectable`](crate::vk::Limits::subgroup_size_selectable)), on a host's device without a
@@ -22,15 +22,20 @@ const WORKGROUP: u32 = 256;
 /// [`Error::MissingFeature`] with the sizes; when the device refuses the pipeline.
 pub fn check(context: &Context) -> Result<()> {
     let limits = context.limits();
-    if limits.subgroup_size_selectable || !context.can_run() {
+    let sound = context.subgroups_are_sound();
+    if limits.subgroup_size_selectable || !context.can_run() || sound.load(Ordering::Relaxed) {
         return Ok(());
     }
     let size = limits.subgroup_size;
     // Drivers may choose by the workgroup.
     let mut workgroups =
-        [size, limits.workgroup_size(SUBGROUPS * size), limits.workgroup_size(WORKGROUP)].to_vec();
+        [size, limits.workgroup_size(SUBGROUPS * size), limits.workgroup_size(ELEMENTWISE_WORKGROUP)]
+            .to_vec();
     workgroups.dedup();
-    workgroups.into_iter().try_for_each(|workgroup_size| probe(context, size, workgroup_size))
+    workgroups.into_iter().try_for_each(|workgroup_size| probe(context, size, workgroup_size))?;
+    // Not again for every renderer.
+    sound.store(true, Ordering::Relaxed);
+    Ok(())
 }
 
 fn probe(context: &Context, size: u32, workgroup_size: u32) -> Result<()> {

@@ -12,8 +12,8 @@ use std::fmt;
 use std::ops::RangeInclusive;
 use std::str::FromStr;
 
-/// Invocations of a workgroup of the heaviest kernels, as [`plan`](crate::plan) has them.
-const HEAVY_WORKGROUP: u32 = 256;
+/// Invocations of an elementwise workgroup, if the device allows it; the heaviest kernels have these.
+pub(crate) const ELEMENTWISE_WORKGROUP: u32 = 256;
 
 /// The class of devices that a row of the table is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -213,7 +213,7 @@ impl Tuning {
     ) -> [u32; 2] {
         let required = |lanes: &u32| selectable.as_ref().is_some_and(|sizes| sizes.contains(lanes));
         let usual = self.lanes.filter(required).unwrap_or(own);
-        let fits = |lanes: &u32| HEAVY_WORKGROUP / lanes <= max_workgroup_subgroups;
+        let fits = |lanes: &u32| ELEMENTWISE_WORKGROUP / lanes <= max_workgroup_subgroups;
         [usual, self.heavy_lanes.filter(required).filter(fits).unwrap_or(usual)]
     }
 

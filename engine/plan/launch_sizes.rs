@@ -3,11 +3,8 @@
 use super::sorting;
 use super::strips::Strips;
 use crate::kernels::constants::TILE_SIZE;
-use crate::tuning::{SortMethod, WorkgroupRule};
+use crate::tuning::{ELEMENTWISE_WORKGROUP, SortMethod, WorkgroupRule};
 use crate::vk::Limits;
-
-/// Invocations of an elementwise workgroup, if the device allows it.
-pub(super) const ELEMENTWISE_WORKGROUP: u32 = 256;
 
 /// Most entries of a tile per blending dispatch, on any device. It bounds the time of a dispatch, so that a
 /// desktop's watchdog does not reset the device: one invocation blends this many entries, while every other

@@ -9,7 +9,7 @@ use super::memory::Block;
 use super::open_device::Device;
 use super::profile::{self, Profile};
 use crate::{Error, Result};
-use std::sync::atomic::Ordering;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError, Weak};
 
 /// An open device with its queue. Cheap to clone; buffers, kernels and recordings keep it open.
@@ -59,6 +59,11 @@ impl Context {
     /// Whether the device is ours, and not a host's.
     pub(crate) fn owns_device(&self) -> bool {
         !self.device.is_foreign()
+    }
+
+    /// Set once subgroups were found to be what the device reports.
+    pub(crate) fn subgroups_are_sound(&self) -> &AtomicBool {
+        &self.device.subgroups_are_sound
     }
 
     /// Whether anything that is submitted here runs: a host may keep its queue to itself, and what only compiles runs nothing.

@@ -285,6 +285,7 @@ impl Context {
             registry: Registry::default(),
             replaced: Mutex::default(),
             built: BuiltPipelines::default(),
+            subgroups_are_sound: AtomicBool::new(false),
             allocator,
             pipeline_cache: PipelineCache::of_host(pipeline_cache),
             owner,

@@ -67,6 +67,8 @@ pub(super) struct Device {
     pub(super) allocator: Option<Arc<dyn HostAllocator>>,
     /// The kernels that have been built.
     pub(super) built: BuiltPipelines,
+    /// Whether subgroups were found to be what the device reports.
+    pub(super) subgroups_are_sound: AtomicBool,
     /// What kernels are built with.
     pub(super) pipeline_cache: PipelineCache,
     // Destroyed after the device: keep it last.

@@ -2,8 +2,8 @@
 // variants of the kernel share it. They differ in how they add over lanes and regions. blend_backward.comp has the
 // derivative.
 //
-// Needs constants.glsl, buffers.glsl, SUBGROUP_SIZE, REGION_HEIGHT, INVERSE_DEPTH, INCREMENTAL_EXP, COUNT_HITS, STRIPS (see blend_io.glsl),
-// ABSOLUTE, WEIGHTS (see blend_backward.comp), BROADCAST, GL_KHR_shader_subgroup_basic, _ballot and _shuffle.
+// Needs constants.glsl, buffers.glsl, SUBGROUP_SIZE, REGION_HEIGHT, INVERSE_DEPTH, INCREMENTAL_EXP, COUNT_HITS, STRIPS (see
+// blend_io.glsl), ABSOLUTE, WEIGHTS (see blend_backward.comp), BROADCAST, GL_KHR_shader_subgroup_basic, _ballot and _shuffle.
 
 // Training draws splats only, with inverse depth: no host depth image, no linear depth.
 const bool DEPTH_LIMIT = false;

@@ -1,4 +1,5 @@
-// Division of a tile within its workgroup. Each subgroup owns a region 8 pixels wide and REGION_HEIGHT high. Each lane owns COLUMNS x ROWS pixels of the region. A subgroup culls Gaussians against its own region only, so
+// Division of a tile within its workgroup. Each subgroup owns a region 8 pixels wide and REGION_HEIGHT high. Each lane owns
+// COLUMNS x ROWS pixels of the region. A subgroup culls Gaussians against its own region only, so
 // blending needs no barrier. Works for any subgroup size from 4 to 128.
 // Needs constants.glsl, SUBGROUP_SIZE, REGION_HEIGHT, GL_KHR_shader_subgroup_basic.
 

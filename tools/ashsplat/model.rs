@@ -37,8 +37,11 @@ impl Model {
 
 /// `point_cloud/iteration_N/point_cloud.ply` of a model folder.
 pub fn point_cloud_path(folder: &Path, iteration: u32) -> PathBuf {
-    folder.join("point_cloud").join(format!("iteration_{iteration}")).join("point_cloud.ply")
+    folder.join(POINT_CLOUDS).join(format!("iteration_{iteration}")).join("point_cloud.ply")
 }
+
+/// The folder of all saved iterations.
+pub const POINT_CLOUDS: &str = "point_cloud";
 
 /// Which point cloud was saved last: not always the one with the highest number, where an earlier training left its own.
 pub const LAST_ITERATION_FILE: &str = "last_iteration";
@@ -50,7 +53,7 @@ pub fn note_saved(folder: &Path, iteration: u32) -> Result<()> {
 
 /// The iterations whose point clouds are in a model folder, ascending.
 fn saved_iterations(folder: &Path) -> Vec<u32> {
-    let Ok(entries) = std::fs::read_dir(folder.join("point_cloud")) else { return Vec::new() };
+    let Ok(entries) = std::fs::read_dir(folder.join(POINT_CLOUDS)) else { return Vec::new() };
     let iteration = |name: &str| name.strip_prefix("iteration_")?.parse::<u32>().ok();
     let numbers = entries.filter_map(|entry| iteration(entry.ok()?.file_name().to_str()?));
     let mut saved: Vec<u32> = numbers.filter(|&n| point_cloud_path(folder, n).is_file()).collect();

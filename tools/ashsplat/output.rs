@@ -120,6 +120,12 @@ pub fn read_note(path: &Path) -> Option<String> {
     Some(text)
 }
 
+/// The names in a folder; none if it cannot be read.
+pub fn names(folder: &Path) -> Vec<String> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten();
+    entries.filter_map(|entry| entry.ok()?.file_name().into_string().ok()).collect()
+}
+
 /// Removes the temporary files (`.NAME.XXXXXX.tmp`) of an earlier run that was killed, in a folder and in
 /// `levels` levels of folders below it. Files that cannot be removed stay, and do no harm.
 pub fn remove_leftovers(folder: &Path, levels: u32) {

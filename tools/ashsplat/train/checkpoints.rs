@@ -184,8 +184,7 @@ impl Run {
 
 /// The names of all checkpoints in a folder, and of the note which is the newest.
 pub fn names(folder: &Path) -> Vec<PathBuf> {
-    let entries = std::fs::read_dir(folder).into_iter().flatten();
-    let found = entries.filter_map(|entry| entry.ok()?.file_name().into_string().ok());
+    let found = output::names(folder).into_iter();
     found.filter(|name| name == LAST_FILE || iteration_of(name).is_some()).map(PathBuf::from).collect()
 }
 

@@ -13,7 +13,6 @@ use ashsplat_files::lens_json::LENS_FILE;
 use ashsplat_files::{atomic, cameras_json, ply};
 use std::path::{Path, PathBuf};
 
-const POINT_CLOUDS: &str = "point_cloud";
 const RENDERS: &str = "test";
 /// Made in the viewer.
 const FILMS: &str = "films";
@@ -50,7 +49,7 @@ pub fn begin(
 /// Of a run that was killed.
 fn remove_leftovers(folder: &Path) {
     output::remove_leftovers(folder, 0);
-    output::remove_leftovers(&folder.join(POINT_CLOUDS), 1);
+    output::remove_leftovers(&folder.join(model::POINT_CLOUDS), 1);
     output::remove_leftovers(&folder.join(RENDERS), 2);
 }
 
@@ -87,18 +86,18 @@ fn keep_earlier(folder: &Path) -> Result<()> {
     left.extend(checkpoints::names(folder));
     left.retain(|name| folder.join(name).is_file());
     left.extend(
-        [POINT_CLOUDS, FILMS].map(PathBuf::from).into_iter().filter(|name| is_folder(&folder.join(name))),
+        [model::POINT_CLOUDS, FILMS]
+            .map(PathBuf::from)
+            .into_iter()
+            .filter(|name| is_folder(&folder.join(name))),
     );
     // Of `test` only what `eval` writes there: the folder may hold photographs as well.
-    let of_tests = names(&folder.join(RENDERS)).into_iter().filter(|name| name.starts_with("ours_"));
+    let of_tests = output::names(&folder.join(RENDERS)).into_iter().filter(|name| name.starts_with("ours_"));
     left.extend(of_tests.map(|name| Path::new(RENDERS).join(name)));
     atomic::create_folder(&unfinished)?;
     for name in &left {
         let (from, to) = (folder.join(name), unfinished.join(name));
-        let moved = match to.parent() {
-            Some(parent) => std::fs::create_dir_all(parent),
-            None => Ok(()),
-        };
+        let moved = std::fs::create_dir_all(to.parent().unwrap_or(&unfinished));
         if let Err(error) = moved.and_then(|()| std::fs::rename(&from, &to)) {
             tell!("warning: {}: is of an earlier training and cannot be moved: {error}", from.display());
         }
@@ -116,10 +115,4 @@ fn keep_earlier(folder: &Path) -> Result<()> {
 /// A link to a folder stays where it is: it may be relative.
 fn is_folder(path: &Path) -> bool {
     path.symlink_metadata().is_ok_and(|found| found.is_dir())
-}
-
-/// The names in a folder; none if it cannot be read.
-fn names(folder: &Path) -> Vec<String> {
-    let entries = std::fs::read_dir(folder).into_iter().flatten();
-    entries.filter_map(|entry| entry.ok()?.file_name().into_string().ok()).collect()
 }
