@@ -8,7 +8,7 @@ mod video;
 mod work;
 
 use crate::args::HostArguments;
-use crate::progress::{clock, counting, thousands};
+use crate::progress::{clock, counting_in, thousands};
 use crate::session;
 use ashsplat::{Error, Result};
 use ashsplat_files::images::photo_size;
@@ -235,7 +235,7 @@ impl Arguments {
 
     /// Reads all photographs once: one that is damaged is better known now than after hours.
     fn looks(&self, photos: &Photos, stop: &AtomicBool) -> Result<Vec<Look>> {
-        let bar = counting("checking photographs", photos.names.len() as u64, self.quiet);
+        let bar = counting_in("checking", "photographs", photos.names.len() as u64, self.quiet);
         let memory = self.host.memory();
         let look = |name: &String| {
             session::check(stop)?;
@@ -273,8 +273,8 @@ impl Arguments {
             let begin = Instant::now();
             work.note_frames(None)?;
             work.fresh_folder("frames")?;
-            let bar = counting("frames", (1000.0 * video.seconds) as u64, self.quiet);
-            let looked_at = |seconds: f64| bar.set_position((1000.0 * seconds) as u64);
+            let bar = counting_in("frames", "seconds", video.seconds.ceil() as u64, self.quiet);
+            let looked_at = |seconds: f64| bar.set_position(seconds as u64);
             let kept = self.reader(path, stop).pick(&video, count, &folder, &looked_at);
             bar.finish_and_clear();
             let kept = kept?;
@@ -392,8 +392,8 @@ struct Meter {
 }
 
 impl Meter {
-    fn new(what: &'static str, total: usize, quiet: bool) -> Self {
-        Self { bar: counting(what, total as u64, quiet), before: AtomicU64::new(0) }
+    fn new(what: &'static str, unit: &'static str, total: usize, quiet: bool) -> Self {
+        Self { bar: counting_in(what, unit, total as u64, quiet), before: AtomicU64::new(0) }
     }
 
     fn hear(&self, heard: colmap::Heard) {

@@ -164,14 +164,20 @@ impl TrainProgress {
     }
 }
 
-/// Progress of something that is counted: photos decoded, frames rendered.
+/// Progress of something that is counted, whose name is its unit: frames, views.
 pub fn counting(what: &'static str, total: u64, quiet: bool) -> ProgressBar {
+    counting_in(what, "", total, quiet)
+}
+
+/// Progress of a stage, counted in a unit of its own.
+pub fn counting_in(what: &'static str, unit: &'static str, total: u64, quiet: bool) -> ProgressBar {
     // A bar of nothing would be full.
     if quiet || total == 0 || !std::io::stderr().is_terminal() {
         return ProgressBar::hidden();
     }
-    let bar = bar(total, "{msg} {wide_bar} {pos}/{len}");
+    let bar = bar(total, "{msg} {wide_bar} {pos}/{len} {prefix}");
     bar.set_message(what);
+    bar.set_prefix(unit);
     bar
 }
 

@@ -253,7 +253,7 @@ impl Run {
         Views { trained, test, cameras, takers, held_out }: Views,
         quiet: bool,
     ) -> Run {
-        let iterations = settings.train.iterations;
+        let tracking = Tracking::new(&test, &settings.train, tracking::SHARE);
         Run {
             progress: TrainProgress::new(trainer.iteration(), &settings.train, quiet),
             started: trainer.iteration(),
@@ -261,7 +261,7 @@ impl Run {
             settings,
             trainer,
             trained,
-            tracking: Tracking::new(&test, iterations, tracking::SHARE),
+            tracking,
             test,
             cameras,
             takers,

@@ -58,7 +58,8 @@ impl Cameras<'_> {
         let job = self.job(work)?;
         let models = work.fresh_folder("sparse")?;
         let begin = Instant::now();
-        let ended = self.run("cameras", self.photos.names.len(), self.colmap.mapping(&job, &models), &log)?;
+        let meter = Meter::new("cameras", "photographs", self.photos.names.len(), self.arguments.quiet);
+        let ended = self.run(meter, self.colmap.mapping(&job, &models), &log)?;
         let count = std::fs::read_dir(&models).map_err(|e| Error::io(&models, "read", e))?.count();
         if count == 0 {
             let said = |line: &String| UNCONNECTED.iter().any(|words| line.contains(words));
@@ -80,7 +81,8 @@ impl Cameras<'_> {
             let job = self.job(work)?;
             let (matcher, said) = self.arguments.matcher(photographs, self.gpu);
             let begin = Instant::now();
-            let ended = self.run("matches", 1, self.colmap.matches(&job, matcher, photographs), log)?;
+            let meter = Meter::new("matches", matcher.unit(), 1, self.arguments.quiet);
+            let ended = self.run(meter, self.colmap.matches(&job, matcher, photographs), log)?;
             if self.gpu && !ended.status.success() {
                 self.once_more("matching");
                 continue;
@@ -159,7 +161,8 @@ impl Cameras<'_> {
             let list = work.path("list.txt");
             let begin = Instant::now();
             let run = || {
-                let meter = Meter::new("features", self.photos.names.len(), self.arguments.quiet);
+                let meter =
+                    Meter::new("features", "photographs", self.photos.names.len(), self.arguments.quiet);
                 for group in &groups {
                     std::fs::write(&list, group.join("\n") + "\n")
                         .map_err(|e| Error::io(&list, "write", e))?;
@@ -202,8 +205,7 @@ impl Cameras<'_> {
         self.arguments.tell(&format!("{name:<11} {took}: {about}"));
     }
 
-    fn run(&self, what: &'static str, total: usize, words: Vec<OsString>, log: &Path) -> Result<Ended> {
-        let meter = Meter::new(what, total, self.arguments.quiet);
+    fn run(&self, meter: Meter, words: Vec<OsString>, log: &Path) -> Result<Ended> {
         self.colmap.run(&words, log, self.stop, &|heard| meter.hear(heard))
     }
 

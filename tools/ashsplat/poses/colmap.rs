@@ -163,6 +163,14 @@ pub enum Matcher {
 }
 
 impl Matcher {
+    /// What COLMAP counts while it matches.
+    pub fn unit(self) -> &'static str {
+        match self {
+            Matcher::Exhaustive => "blocks of pairs",
+            Matcher::Sequential => "photographs",
+        }
+    }
+
     fn command(self) -> &'static str {
         match self {
             Self::Exhaustive => "exhaustive_matcher",

@@ -6,7 +6,7 @@ use super::allowance::Allowance;
 use crate::eval::{self, Evaluation, Protocol};
 use crate::measure::Stopwatch;
 use ashsplat::trainer::{StepReport, Trainer};
-use ashsplat::{RenderSettings, Result};
+use ashsplat::{RenderSettings, Result, TrainSettings};
 use ashsplat_files::View;
 use std::time::{Duration, Instant};
 
@@ -17,6 +17,9 @@ const VIEWS: usize = 8;
 /// Points of the curve of a run, about, and the most iterations between two that are asked for.
 const POINTS: u32 = 200;
 const MOST_INTERVAL: u32 = 100;
+/// Most iterations after a change of the set of Gaussians in which nothing is measured: where many were cloned or split, the
+/// PSNR is some decibels lower for a while, and would be shown until the next point.
+const SETTLING: u32 = 50;
 
 /// A share of training's time, from the command line.
 pub(super) fn share(text: &str) -> Result<f64, String> {
@@ -38,6 +41,11 @@ pub(super) struct Tracking {
     /// Least iterations between two points.
     interval: u32,
     next: u32,
+    /// Iterations after a change of the set of Gaussians in which nothing is measured.
+    settling: u32,
+    /// Until when, and of how many Gaussians the last iteration was.
+    settled: u32,
+    gaussians: u32,
     /// Whether they were measured: the first time builds kernels, and does not count.
     warm: bool,
     /// None where nothing is to be measured.
@@ -45,15 +53,18 @@ pub(super) struct Tracking {
 }
 
 impl Tracking {
-    /// Of a run of so many iterations, within a share of its time; 0 measures nothing.
-    pub(super) fn new(test: &[View], iterations: u32, share: f64) -> Tracking {
+    /// Of a run with these settings, within a share of its time; 0 measures nothing.
+    pub(super) fn new(test: &[View], settings: &TrainSettings, share: f64) -> Tracking {
         // Who looks at a run without an end wants to see one soon.
-        let interval = (iterations / POINTS).clamp(1, MOST_INTERVAL);
+        let interval = (settings.iterations / POINTS).clamp(1, MOST_INTERVAL);
         Tracking {
             views: spread(test, VIEWS),
             of: test.len(),
             interval,
             next: interval,
+            settling: (settings.densification_interval / 2).min(SETTLING),
+            settled: 0,
+            gaussians: 0,
             warm: false,
             allowance: (share > 0.0 && !test.is_empty()).then(|| Allowance::new(share)),
         }
@@ -69,11 +80,15 @@ impl Tracking {
         }
     }
 
-    /// Notes an iteration that took so long. Whether the views are to be measured after it.
-    pub(super) fn is_due(&mut self, iteration: u32, milliseconds: f64) -> bool {
+    /// Notes an iteration. Whether the views are to be measured after it.
+    pub(super) fn is_due(&mut self, report: &StepReport) -> bool {
         let Some(allowance) = &mut self.allowance else { return false };
-        allowance.trained(Duration::try_from_secs_f64(1e-3 * milliseconds).unwrap_or_default());
-        iteration >= self.next && allowance.permits()
+        allowance.trained(Duration::try_from_secs_f64(1e-3 * report.milliseconds).unwrap_or_default());
+        let before = std::mem::replace(&mut self.gaussians, report.gaussians);
+        if before != 0 && before != report.gaussians {
+            self.settled = report.iteration + self.settling;
+        }
+        report.iteration >= self.next.max(self.settled) && allowance.permits()
     }
 
     /// The views were measured after an iteration, which took so long.
@@ -127,14 +142,14 @@ fn mean(values: &[f64]) -> Option<f64> {
 impl Run {
     /// Takes another share of training's time than [`SHARE`].
     pub(super) fn track_within(&mut self, share: f64) {
-        self.tracking = Tracking::new(&self.test, self.settings.train.iterations, share);
+        self.tracking = Tracking::new(&self.test, &self.settings.train, share);
     }
 
     /// The PSNR that is followed, if it is measured after this iteration, dB. Views of the training are measured only for
     /// those who look on. Where it cannot be measured, it is said, and training goes on.
     pub(super) fn track(&mut self, report: &StepReport, watch: &mut Stopwatch) -> Option<f64> {
         let iteration = report.iteration;
-        let due = self.tracking.is_due(iteration, report.milliseconds);
+        let due = self.tracking.is_due(report);
         let tested = self.evaluations.last().filter(|tested| tested.iteration == iteration);
         let psnr = match tested {
             Some(tested) => self.tracking.among(&tested.evaluation),

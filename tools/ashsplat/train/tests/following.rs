@@ -12,13 +12,17 @@ fn step(iteration: u32, milliseconds: f64) -> StepReport {
     StepReport { iteration, milliseconds, ..StepReport::default() }
 }
 
+fn of(iterations: u32) -> TrainSettings {
+    TrainSettings { iterations, ..TrainSettings::default() }
+}
+
 #[test]
 fn the_same_few_views_are_followed() {
     let all = views(29);
-    let tracking = Tracking::new(&all, 30_000, 0.02);
+    let tracking = Tracking::new(&all, &of(30_000), 0.02);
     let kind = "held-out";
     assert_eq!(tracking.describe(kind), "mean of the same 8 of 29 held-out views each time");
-    assert_eq!(Tracking::new(&all[..3], 30_000, 0.02).describe(kind), "mean of the 3 held-out views");
+    assert_eq!(Tracking::new(&all[..3], &of(30_000), 0.02).describe(kind), "mean of the 3 held-out views");
     // Of a test of all views the same ones count: 000, 004, ..., 028.
     let result = |(i, view): (usize, &View)| {
         let followed = i % 4 == 0;
@@ -33,10 +37,10 @@ fn the_same_few_views_are_followed() {
 #[test]
 fn measuring_keeps_to_its_share_of_time() {
     for (share, cost) in [(0.02, 0.5), (0.2, 0.5), (0.02, 0.0001)] {
-        let mut tracking = Tracking::new(&views(9), 1000, share);
+        let mut tracking = Tracking::new(&views(9), &of(1000), share);
         let (mut measured, mut spent) = (0, 0.0);
         for iteration in 1..=1000 {
-            if tracking.is_due(iteration, 50.0) {
+            if tracking.is_due(&step(iteration, 50.0)) {
                 // The first time builds kernels.
                 let cost = if measured == 0 { 100.0 } else { cost };
                 tracking.measured(iteration, std::time::Duration::from_secs_f64(cost));
@@ -49,12 +53,32 @@ fn measuring_keeps_to_its_share_of_time() {
         assert!((2..=200).contains(&measured), "{measured}");
         assert!(spent > 0.8 * share * 50.0 || measured == 200, "{spent} s at {share}");
     }
-    let mut none = Tracking::new(&views(9), 1000, 0.0);
-    assert!((1..=1000).all(|iteration| !none.is_due(iteration, 50.0)));
-    let mut nothing = Tracking::new(&[], 1000, 0.02);
-    assert!((1..=1000).all(|iteration| !nothing.is_due(iteration, 50.0)));
+    let mut none = Tracking::new(&views(9), &of(1000), 0.0);
+    assert!((1..=1000).all(|iteration| !none.is_due(&step(iteration, 50.0))));
+    let mut nothing = Tracking::new(&[], &of(1000), 0.02);
+    assert!((1..=1000).all(|iteration| !nothing.is_due(&step(iteration, 50.0))));
     assert!(["0", "0.02"].iter().all(|text| tracking::share(text).is_ok()));
     assert!(["-1", "1", "0.0001", "NaN"].iter().all(|text| tracking::share(text).is_err()));
+}
+
+/// Right after many Gaussians were cloned or split, the PSNR says little of the training.
+#[test]
+fn nothing_is_measured_right_after_growth() {
+    let mut tracking = Tracking::new(&views(2), &of(1000), 0.9);
+    let gaussians = |iteration: u32| if iteration < 600 { 1000 } else { 1000 + 10 * (iteration / 100) };
+    let mut measured = Vec::new();
+    for iteration in 1..=1000 {
+        if tracking.is_due(&StepReport { gaussians: gaussians(iteration), ..step(iteration, 50.0) }) {
+            tracking.measured(iteration, std::time::Duration::from_millis(1));
+            measured.push(iteration);
+        }
+    }
+    let after_growth = |&iteration: &u32| iteration >= 600 && iteration % 100 < 50;
+    assert!(!measured.iter().any(after_growth), "{measured:?}");
+    assert!(measured.iter().any(|iteration| *iteration < 50));
+    for growth in [600, 700, 800, 900] {
+        assert!(measured.contains(&(growth + 50)), "{measured:?}");
+    }
 }
 
 /// A view that cannot be measured ends the curve, not the training. Views of the training are measured for those who look on.
