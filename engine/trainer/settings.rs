@@ -150,6 +150,8 @@ options! {
 const INITIAL_OPACITY: f64 = 0.1;
 /// End of the reference's densification with few photographs.
 const FEW_PHOTOS_UNTIL: u32 = 1500;
+/// Share of the Gaussians that the last step leaves out with few photographs.
+const FEW_PHOTOS_DROPOUT: f64 = 0.2;
 /// Most Gaussians that are left out.
 const MOST_DROPOUT: f64 = 0.9;
 
@@ -199,16 +201,19 @@ impl TrainSettings {
     }
 
     /// With fewer photographs to train on than this, `ashsplat train` takes [`TrainSettings::of_few_photos`].
-    pub const FEW_PHOTOS: usize = 12;
+    pub const FEW_PHOTOS: usize = 24;
 
-    /// The defaults with a strategy for few photographs, by measurement (tools/strategies.md): the reference's growth ends early,
-    /// and with it its opacity resets, since what grows later fits the few photographs and nothing else. The strategies whose
-    /// growth has a bound keep their defaults.
+    /// The defaults with a strategy for few photographs, by measurement (tools/strategies.md). Budget has fewer Gaussians, and
+    /// steps leave some out at random (DropGaussian), so that no photograph is fitted by Gaussians that no other sees. The
+    /// reference's growth ends early, and with it its opacity resets. The other strategies keep their defaults.
     pub fn of_few_photos(strategy: StrategyType) -> Self {
         let usual = Self::of_strategy(strategy);
         match strategy {
             StrategyType::Reference => Self { densify_until_iter: FEW_PHOTOS_UNTIL, ..usual },
-            StrategyType::Fixed | StrategyType::Mcmc | StrategyType::Budget => usual,
+            StrategyType::Budget => {
+                Self { cap_ratio: 8.0, late_min_opacity: 0.1, dropout: FEW_PHOTOS_DROPOUT, ..usual }
+            }
+            StrategyType::Fixed | StrategyType::Mcmc => usual,
         }
     }
 

@@ -13,6 +13,7 @@ pub use train_overrides::{TrainOverrides, strategies};
 use ashsplat::trainer::{Preset, StrategyType, TrainSettings};
 use ashsplat::{Error, Result};
 use clap::Args;
+use few_photos::Defaults;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use toml::Table;
@@ -59,8 +60,8 @@ pub struct Overrides {
     /// sets --exposure (the reference's protocol)
     #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "true", value_name = "BOOL")]
     train_test_exp: Option<bool>,
-    /// Settings for few photos: on, off, or on below 12 photos to train on (auto); growth ends before the Gaussians fit nothing but
-    /// these photos. What is given otherwise wins [default: auto]
+    /// Settings for few photos: on, off, or on below 24 photos to train on (auto). Without --strategy that is budget with fewer
+    /// Gaussians, of which steps leave some out. What is given otherwise wins [default: auto]
     #[arg(long, value_name = "WHEN")]
     few_photos: Option<When>,
     #[command(flatten)]
@@ -95,15 +96,11 @@ pub struct Settings {
 impl Settings {
     /// Defaults, overridden by the file, overridden by the command line; checked.
     pub fn resolve(file: Option<&Path>, overrides: &Overrides) -> Result<Settings> {
-        Self::resolve_from(TrainSettings::of_strategy, file, overrides)
+        Self::resolve_from(Defaults::Usual, file, overrides)
     }
 
-    /// As [`Settings::resolve`], from these defaults of a strategy.
-    fn resolve_from(
-        defaults: impl Fn(StrategyType) -> TrainSettings,
-        file: Option<&Path>,
-        overrides: &Overrides,
-    ) -> Result<Settings> {
+    /// As [`Settings::resolve`], from these defaults.
+    fn resolve_from(defaults: Defaults, file: Option<&Path>, overrides: &Overrides) -> Result<Settings> {
         let mut table = match file {
             Some(path) => file::table(path)?,
             None => Table::new(),
@@ -147,13 +144,10 @@ impl Settings {
     }
 
     fn from_table(table: Table) -> Result<Settings, String> {
-        Self::with_defaults(TrainSettings::of_strategy, table)
+        Self::with_defaults(Defaults::Usual, table)
     }
 
-    fn with_defaults(
-        defaults: impl Fn(StrategyType) -> TrainSettings,
-        mut table: Table,
-    ) -> Result<Settings, String> {
+    fn with_defaults(defaults: Defaults, mut table: Table) -> Result<Settings, String> {
         let message = |e: toml::de::Error| e.message().to_owned();
         let preset = table.remove("preset").map(Preset::deserialize).transpose().map_err(message)?;
         let data_keys = Table::try_from(DataSettings::default()).map_err(|e| e.to_string())?;
@@ -162,15 +156,10 @@ impl Settings {
         // What is not given has the default of the strategy.
         let strategy = train.get("strategy").cloned().map(StrategyType::deserialize).transpose();
         let strategy = strategy.map_err(message)?;
-        let usual = match preset.map(TrainSettings::of_preset) {
-            Some(preset) if strategy.is_some_and(|strategy| strategy != preset.strategy) => {
-                return Err(
-                    "a preset has the strategy budget: leave out the preset, or another strategy".into()
-                );
-            }
-            Some(preset) => preset,
-            None => defaults(strategy.unwrap_or_default()),
-        };
+        let usual = defaults.of(preset, strategy);
+        if preset.is_some() && strategy.is_some_and(|strategy| strategy != usual.strategy) {
+            return Err("a preset has the strategy budget: leave out the preset, or another strategy".into());
+        }
         let mut all = Table::try_from(usual).map_err(|e| e.to_string())?;
         all.extend(train);
         let data: DataSettings = data.try_into().map_err(message)?;

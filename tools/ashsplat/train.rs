@@ -120,7 +120,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     options.photo_memory = photo_memory(&context, arguments.photo_memory, &settings.data.model_path);
     let mut gallery = session::open(&settings.data, &options, &stop)?;
     let given = (arguments.config.as_deref(), &arguments.overrides);
-    let (settings, few_photos) = settings.settle(&mut gallery, given)?;
+    let (settings, few_photos) =
+        settings.settle(&mut gallery, given, start.as_ref().map(Start::checkpoint))?;
     check_fits(
         &context,
         &gallery,

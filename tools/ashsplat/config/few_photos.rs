@@ -1,18 +1,42 @@
 //! The settings for few photos.
 
 use super::{Overrides, Settings, When};
-use ashsplat::trainer::TrainSettings;
+use ashsplat::trainer::{Checkpoint, Preset, StrategyType, TrainSettings};
 use ashsplat::{Error, Result};
 use ashsplat_files::Gallery;
 use std::path::Path;
 
+/// What is not given has the values of these.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Defaults {
+    Usual,
+    /// With the strategy where none is named.
+    FewPhotos(StrategyType),
+}
+
+impl Defaults {
+    pub(super) fn of(self, preset: Option<Preset>, strategy: Option<StrategyType>) -> TrainSettings {
+        match (self, preset) {
+            (Defaults::Usual, None) => TrainSettings::of_strategy(strategy.unwrap_or_default()),
+            (Defaults::Usual, Some(preset)) => TrainSettings::of_preset(preset),
+            (Defaults::FewPhotos(usual), None) => TrainSettings::of_few_photos(strategy.unwrap_or(usual)),
+            // A preset says how many Gaussians; what keeps them from fitting nothing but these photos stays.
+            (Defaults::FewPhotos(_), Some(preset)) => {
+                let preset = TrainSettings::of_preset(preset);
+                TrainSettings { dropout: TrainSettings::of_few_photos(preset.strategy).dropout, ..preset }
+            }
+        }
+    }
+}
+
 impl Settings {
     /// What follows from the data set: the settings for few photos, with a line to say about them, and the points whose depths
-    /// are trained on.
+    /// are trained on. A training that goes on from a checkpoint keeps its strategy.
     pub fn settle(
         self,
         gallery: &mut Gallery,
         (file, overrides): (Option<&Path>, &Overrides),
+        start: Option<&Checkpoint>,
     ) -> Result<(Settings, Option<String>)> {
         let photos = gallery.train_photos()?.len();
         let few = match self.data.few_photos {
@@ -28,23 +52,40 @@ impl Settings {
         if !few {
             return Ok((self, None));
         }
-        let settled = Settings::resolve_from(TrainSettings::of_few_photos, file, overrides)?;
+        let strategy = start.map_or(StrategyType::Budget, |start| strategy_of(start).unwrap_or_default());
+        let settled =
+            Settings::resolve_from(Defaults::FewPhotos(strategy), file, overrides).or_else(|refused| {
+                // What is given may be for the strategy that is usual.
+                let usual = Defaults::FewPhotos(StrategyType::default());
+                Settings::resolve_from(usual, file, overrides).map_err(|_| refused)
+            })?;
         let line = described(photos, &self.train, &settled.train);
         Ok((settled, line))
     }
 }
 
+/// The strategy of a checkpoint, unless a host has handed in one of its own.
+fn strategy_of(start: &Checkpoint) -> Option<StrategyType> {
+    toml::Value::String(start.strategy.name.clone()).try_into().ok()
+}
+
 /// What the settings for few photos change; None for nothing.
 fn described(photos: usize, before: &TrainSettings, after: &TrainSettings) -> Option<String> {
-    let pairs = before.values().into_iter().zip(after.values());
+    // What a strategy brings along is named by its name.
+    let usual = match before.strategy == after.strategy {
+        true => before.clone(),
+        false => TrainSettings { strategy: before.strategy, ..TrainSettings::of_strategy(after.strategy) },
+    };
+    let given = before.values().into_iter().zip(TrainSettings::of_strategy(before.strategy).values());
+    let is_given: Vec<bool> = given.map(|(value, usual)| value != usual).collect();
+    let pairs = usual.values().into_iter().zip(after.values()).zip(is_given);
     let changed: Vec<String> = pairs
-        .filter(|(before, after)| before != after)
-        .map(|(_, (name, value))| format!("--{} {value}", name.replace('_', "-")))
+        .filter(|((usual, after), is_given)| usual != after && !is_given)
+        .map(|((_, (name, value)), _)| format!("--{} {value}", name.replace('_', "-")))
         .collect();
     let changed = Some(changed.join(" ")).filter(|changed| !changed.is_empty())?;
     Some(format!(
-        "only {photos} photos to train on: {changed}, so that growth ends before it fits nothing but these \
-         (--few-photos off: as with many)"
+        "only {photos} photos to train on: {changed}, so that it does not fit nothing but these (--few-photos off: as with many)"
     ))
 }
 
@@ -55,16 +96,36 @@ mod tests {
 
     #[test]
     fn what_is_given_wins_over_the_settings_for_few_photos() {
-        let mut overrides = Overrides::default();
-        overrides.train.0.insert("densify_until_iter".into(), 9000.into());
-        let settled =
-            Settings::resolve_from(TrainSettings::of_few_photos, None, &overrides).expect("settings");
-        let preset = TrainSettings::of_few_photos(StrategyType::Reference);
-        assert_eq!(settled.train, TrainSettings { densify_until_iter: 9000, ..preset.clone() });
-        assert_eq!(described(8, &settled.train, &settled.train), None);
-        let said = described(8, &TrainSettings::default(), &preset).expect("a line");
-        assert!(said.starts_with("only 8 photos to train on: --"), "{said}");
-        assert!(said.contains("--few-photos off") && said.contains("--densify-until-iter 1500"), "{said}");
+        let settled = |given: &[(&str, toml::Value)]| {
+            let mut overrides = Overrides::default();
+            overrides.train.0.extend(given.iter().map(|(key, value)| ((*key).to_owned(), value.clone())));
+            Settings::resolve_from(Defaults::FewPhotos(StrategyType::Budget), None, &overrides)
+                .expect("settings")
+                .train
+        };
+        let usual = TrainSettings::of_few_photos(StrategyType::Budget);
+        assert_eq!(settled(&[]), usual);
+        assert_eq!(settled(&[("dropout", 0.0.into())]), TrainSettings { dropout: 0.0, ..usual.clone() });
+        let reference = TrainSettings::of_few_photos(StrategyType::Reference);
+        assert_eq!(settled(&[("strategy", "reference".into())]), reference);
+        let preset = Overrides { preset: Some("quality".into()), ..Overrides::default() };
+        let preset = Settings::resolve_from(Defaults::FewPhotos(StrategyType::Budget), None, &preset);
+        let quality = TrainSettings::of_preset(Preset::Quality);
+        assert_eq!(preset.expect("settings").train, TrainSettings { dropout: usual.dropout, ..quality });
+
+        assert_eq!(described(8, &usual, &usual), None);
+        let before = TrainSettings { iterations: 900, ..TrainSettings::default() };
+        let said = described(8, &before, &TrainSettings { iterations: 900, ..usual }).expect("a line");
+        assert!(said.starts_with("only 8 photos to train on: --strategy budget --"), "{said}");
+        for part in ["--few-photos off", "--dropout 0.2", "--cap-ratio 8"] {
+            assert!(said.contains(part), "{said}");
+        }
+        // Neither what was given, nor what comes with the strategy.
+        for part in ["iterations", "absgrad", "position"] {
+            assert!(!said.contains(part), "{said}");
+        }
+        let said = described(8, &TrainSettings::default(), &reference).expect("a line");
+        assert!(said.contains("to train on: --densify-until-iter 1500,"), "{said}");
     }
 
     /// Settings that a run has left have its decision in them.
@@ -72,12 +133,13 @@ mod tests {
     fn a_dump_settles_to_itself() {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let path = folder.path().join("settings.toml");
-        let few = TrainSettings::of_few_photos(StrategyType::Reference);
-        for train in [few, TrainSettings::default()] {
+        let few = TrainSettings::of_few_photos;
+        for train in [few(StrategyType::Reference), few(StrategyType::Budget), TrainSettings::default()] {
             let settings = Settings { train, ..Settings::default() };
             std::fs::write(&path, settings.to_toml().expect("a dump")).expect("written");
             let none = Overrides::default();
-            let read = Settings::resolve_from(TrainSettings::of_few_photos, Some(&path), &none);
+            let defaults = Defaults::FewPhotos(StrategyType::Budget);
+            let read = Settings::resolve_from(defaults, Some(&path), &none);
             assert_eq!(read.expect("settings"), settings);
         }
     }
