@@ -61,6 +61,6 @@ fn scan_wraps_around() {
 fn scan_in_a_narrow_grid() {
     let limits = LimitsOverride { max_workgroups_per_axis: Some(7), ..LimitsOverride::default() };
     let narrow = ContextOptions { limits_override: Some(limits), ..options() };
-    let gpu = Gpu { context: Box::leak(Box::new(Context::new(&narrow).expect("a device"))) };
+    let gpu = Gpu::of(Box::leak(Box::new(Context::new(&narrow).expect("a device"))));
     check_sizes(&gpu, &[1, 7 * 1024, 7 * 1024 + 1, 40 * 1024 + 3]);
 }

@@ -24,7 +24,7 @@ fn sorts(gpu: &Gpu) -> [RadixSort; 3] {
 
 /// A device with other options, for the rest of the process.
 fn gpu_with(options: &ContextOptions) -> Gpu {
-    Gpu { context: Box::leak(Box::new(Context::new(options).expect("a device"))) }
+    Gpu::of(Box::leak(Box::new(Context::new(options).expect("a device"))))
 }
 
 /// Sorts pairs on the device.

@@ -49,3 +49,4 @@ mod training;
 mod viewer;
 mod vk;
 mod warm_up;
+mod wide_subgroups;

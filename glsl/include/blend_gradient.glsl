@@ -158,9 +158,12 @@ uint load_pixels(uvec2 corner, bool tile_exists, out GradientPixel pixels[MAX_PI
     if (first_entry > 0) {
         [[unroll]] for (uint k = 0; k < PIXELS; ++k) {
             uvec2 at = corner + pixel_step(k);
-            vec2 before = backward_state[tile_exists && is_pixel(at) ? at.y * image_width + at.x : 0];
-            pixels[k].transmittance = before.x;
-            pixels[k].rest = before.y;
+            // Nothing of other pixels: their lanes write meanwhile.
+            if (tile_exists && is_pixel(at)) {
+                vec2 before = backward_state[at.y * image_width + at.x];
+                pixels[k].transmittance = before.x;
+                pixels[k].rest = before.y;
+            }
         }
     }
     return lane_last;

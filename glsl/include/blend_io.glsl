@@ -63,10 +63,11 @@ Pixel load_pixel(uvec2 at) {
     if (DEPTH_LIMIT) {
         pixel.least_inverse_z = depth_limits[index];
     }
-    if (first_entry > 0) {
+    // Beside the picture nothing of other pixels: their lanes write meanwhile.
+    if (first_entry > 0 && inside) {
         vec4 before = accumulated[index];
         pixel.color = before.xyz;
-        pixel.transmittance = inside ? before.w : -1.0;
+        pixel.transmittance = before.w;
         pixel.last = last_entries[index];
         if (INVERSE_DEPTH) {
             pixel.depth = inverse_depth[index];

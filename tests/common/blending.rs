@@ -59,7 +59,6 @@ fn workgroup(gpu: &Gpu, how: How) -> u32 {
 macro_rules! blend_lists {
     ($gpu:expr, $lists:expr, $kernel:ident, $spec:expr, $entries_per_pass:expr, $limits:expr) => {{
         let (gpu, lists, entries_per_pass) = ($gpu, $lists, $entries_per_pass);
-        let kernel = gpu.kernel::<$kernel::Interface>(&$spec);
         let pixels = lists.view.pixels();
         let blended = Blended {
             accumulated: gpu.untouched::<[f32; 4]>("accumulated", pixels),
@@ -81,26 +80,23 @@ macro_rules! blend_lists {
             depth_limits: $limits.unwrap_or(&lists.tile_ranges),
         };
         let [tiles_per_row, rows] = lists.view.tiles();
-        gpu.run(|recorder| {
-            for (pass, [first_instance, max_instances]) in dispatches(lists, entries_per_pass) {
-                recorder.barrier();
-                let push = $kernel::Push {
-                    image_width: lists.view.size_px[0],
-                    image_height: lists.view.size_px[1],
-                    tiles_per_row,
-                    tile_count: tiles_per_row * rows,
-                    first_entry: pass * entries_per_pass,
-                    max_entries: entries_per_pass,
-                    first_instance,
-                    max_instances,
-                    tile_row_interleave: ROW_STRANDS,
-                    last_pass: u32::from(pass + 1 == passes(lists, entries_per_pass)),
-                    splat_stride: 1,
-                    background: lists.view.background.map(|x| x as f32),
-                };
-                recorder.dispatch(&kernel, &bind, &push, u64::from(tiles_per_row * rows) + 1);
+        let pushes = dispatches(lists, entries_per_pass).map(|(pass, [first_instance, max_instances])| {
+            $kernel::Push {
+                image_width: lists.view.size_px[0],
+                image_height: lists.view.size_px[1],
+                tiles_per_row,
+                tile_count: tiles_per_row * rows,
+                first_entry: pass * entries_per_pass,
+                max_entries: entries_per_pass,
+                first_instance,
+                max_instances,
+                tile_row_interleave: ROW_STRANDS,
+                last_pass: u32::from(pass + 1 == passes(lists, entries_per_pass)),
+                splat_stride: 1,
+                background: lists.view.background.map(|x| x as f32),
             }
         });
+        gpu.dispatch_each::<$kernel::Interface>(&$spec, &bind, pushes, u64::from(tiles_per_row * rows) + 1);
         blended
     }};
 }
@@ -227,7 +223,6 @@ macro_rules! backward_of_lists {
             weights: sums == OtherSums::Weights,
             $($region_height: region_height(gpu, $how), broadcast: $how.low_regions,)?
         };
-        let kernel = gpu.kernel::<$kernel::Interface>(&spec);
         let (pixels, instances) = (lists.view.pixels(), lists.instances.len());
         let image_gradient = match $gradient {
             Some(gradient) if strips => {
@@ -260,10 +255,8 @@ macro_rules! backward_of_lists {
             state: &lists.state,
         };
         let [tiles_per_row, rows] = lists.view.tiles();
-        gpu.run(|recorder| {
-            for (pass, [first_instance, max_instances]) in dispatches(lists, entries_per_pass) {
-                recorder.barrier();
-                let push = $kernel::Push {
+        let pushes = dispatches(lists, entries_per_pass).map(|(pass, [first_instance, max_instances])| {
+                $kernel::Push {
                     image_width: lists.view.size_px[0],
                     image_height: lists.view.size_px[1],
                     tiles_per_row,
@@ -275,10 +268,9 @@ macro_rules! backward_of_lists {
                     tile_row_interleave: ROW_STRANDS,
                     background: lists.view.background.map(|x| x as f32),
                     splat_stride: 1,
-                };
-                recorder.dispatch(&kernel, &bind, &push, u64::from(tiles_per_row * rows) + 1);
-            }
+                }
         });
+        gpu.dispatch_each::<$kernel::Interface>(&spec, &bind, pushes, u64::from(tiles_per_row * rows) + 1);
         let (a, b) = (
             gpu.read::<[f32; 4]>(&instance_gradients_a, instances),
             gpu.read::<[f32; 4]>(&instance_gradients_b, instances),

@@ -59,9 +59,8 @@ impl Projected {
             filter_3d,
             dropout,
             z_record,
-            sh_loops: gpu.context.limits().tuning.sh_loops,
+            sh_loops: gpu.limits().tuning.sh_loops,
         };
-        let kernel = gpu.kernel::<project::Interface>(&spec);
         let splats: Vec<Option<Splat>> = gaussians.iter().map(|g| twin::project(g, view)).collect();
         // What is left out at random is left out by culling.
         let visible: Vec<u32> =
@@ -96,7 +95,7 @@ impl Projected {
             splat_stride: 1,
         };
         let workgroups = count as u64 / u64::from(spec.workgroup_size) + 1;
-        gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, workgroups));
+        gpu.dispatch::<project::Interface>(&spec, &bind, &push, workgroups);
         let behind = |buffer: Buffer, bytes: u64| {
             let words = gpu.read::<u32>(&buffer, buffer.bytes() as usize / 4);
             let own = 2 * bytes as usize / 4..(2 + count) * bytes as usize / 4;

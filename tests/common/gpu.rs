@@ -3,9 +3,10 @@
 use std::sync::OnceLock;
 
 use ashsplat::loss::Windowing;
-use ashsplat::vk::{Buffer, Context, ContextOptions, Kernel, KernelInterface, MemoryKind, Recorder};
+use ashsplat::vk::{Buffer, Context, ContextOptions, Kernel, KernelInterface, Limits, MemoryKind, Recorder};
 use bytemuck::Pod;
 
+use super::machine::{self, Machine};
 use super::{assert_silent, context, options};
 
 /// What outputs hold before a kernel runs, to see what it writes.
@@ -15,12 +16,27 @@ pub const UNTOUCHED: u32 = 0xDEAD_BEEF;
 pub struct Gpu {
     /// The device.
     pub context: &'static Context,
+    /// What runs kernels by [`Gpu::dispatch`].
+    machine: Machine,
+    /// What is told to kernels of it.
+    limits: Limits,
 }
 
 impl Gpu {
-    /// The device that all tests share.
+    /// The device that all tests share, or the machine that runs this test.
     pub fn new() -> Gpu {
-        Gpu { context: context() }
+        Gpu::of(context())
+    }
+
+    /// A device, or the machine that runs this test, with buffers on that device.
+    pub fn of(context: &'static Context) -> Gpu {
+        let machine = machine::current();
+        Gpu { context, machine, limits: machine.limits(context.limits()) }
+    }
+
+    /// Limits of the device or of the machine in its place.
+    pub fn limits(&self) -> &Limits {
+        &self.limits
     }
 
     /// Whether kernels can read texels here; says what is skipped where they cannot.
@@ -44,7 +60,7 @@ impl Gpu {
         // Called each time: `options` makes the calling test the only one with such a device.
         let options = options();
         let plain = || Context::new(&ContextOptions { push_descriptors: false, ..options });
-        Gpu { context: CONTEXT.get_or_init(|| plain().expect("a device")) }
+        Gpu::of(CONTEXT.get_or_init(|| plain().expect("a device")))
     }
 
     /// A device that nobody checks, for thousands of steps of which only the result matters. Checks take as long as such steps;
@@ -52,17 +68,20 @@ impl Gpu {
     pub fn unchecked() -> Gpu {
         static CONTEXT: OnceLock<Context> = OnceLock::new();
         let plain = || Context::new(&ContextOptions::default());
-        Gpu { context: CONTEXT.get_or_init(|| plain().expect("a device")) }
+        Gpu::of(CONTEXT.get_or_init(|| plain().expect("a device")))
     }
 
     /// The subgroup size of the kernels.
     pub fn subgroup(&self) -> u32 {
-        self.context.limits().subgroup_size
+        self.limits.subgroup_size
     }
 
     /// The largest possible workgroup up to a size.
     pub fn workgroup(&self, preferred: u32) -> u32 {
-        self.context.limits().workgroup_size(preferred)
+        match self.machine {
+            Machine::Interpreter { workgroup, .. } => self.limits.workgroup_size(preferred.max(workgroup)),
+            _ => self.limits.workgroup_size(preferred),
+        }
     }
 
     /// A buffer with these contents.
@@ -109,6 +128,47 @@ impl Gpu {
                 Ok(())
             })
             .expect("a submission");
+    }
+
+    /// Runs a kernel once. Tests that call it can run on every [`Machine`].
+    pub fn dispatch<K: KernelInterface>(
+        &self,
+        spec: &K::Spec,
+        bind: &K::Bind<'_>,
+        push: &K::Push,
+        workgroups: u64,
+    ) {
+        self.dispatch_each::<K>(spec, bind, [*push], workgroups);
+    }
+
+    /// Runs a kernel several times, with barriers between.
+    pub fn dispatch_each<K: KernelInterface>(
+        &self,
+        spec: &K::Spec,
+        bind: &K::Bind<'_>,
+        pushes: impl IntoIterator<Item = K::Push>,
+        workgroups: u64,
+    ) {
+        let on_device = |pushes: &mut dyn Iterator<Item = K::Push>| {
+            let kernel = self.kernel::<K>(spec);
+            self.run(|recorder| {
+                pushes.for_each(|push| {
+                    recorder.barrier();
+                    recorder.dispatch(&kernel, bind, &push, workgroups);
+                });
+            });
+        };
+        let mut pushes = pushes.into_iter();
+        match self.machine {
+            Machine::Device => on_device(&mut pushes),
+            Machine::Interpreter { lanes, .. } => pushes.for_each(|push| {
+                machine::interpret::<K>(self.context, lanes, (spec, bind, &push), workgroups);
+            }),
+            Machine::Both { error } => pushes.for_each(|push| {
+                let run = || on_device(&mut std::iter::once(push));
+                machine::compare::<K>(self.context, error, (spec, bind, &push), workgroups, run);
+            }),
+        }
     }
 
     fn allocate(&self, name: &'static str, bytes: u64) -> Buffer {

@@ -24,6 +24,7 @@ pub mod lens_rows;
 pub mod lenses;
 pub mod loss;
 pub mod lpips_files;
+pub mod machine;
 pub mod npz;
 pub mod page;
 pub mod poses;

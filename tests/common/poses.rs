@@ -9,8 +9,6 @@ use super::gpu::Gpu;
 /// What `poses/pose_gradient` leaves: g and dL/dξ.
 pub fn pose_gradient(gpu: &Gpu, sums: &[[f32; 6]], parameters: &[[f32; 6]], image: u32) -> [[f64; 6]; 2] {
     let (workgroup_size, subgroup_size) = (gpu.workgroup(64), gpu.subgroup());
-    let kernel =
-        gpu.kernel::<pose_gradient::Interface>(&pose_gradient::Spec { workgroup_size, subgroup_size });
     let gradient = gpu.untouched::<[f32; 6]>("pose_gradient", 2);
     let bind = pose_gradient::Bind {
         pose_sums: &gpu.buffer("pose_sums", sums),
@@ -18,7 +16,8 @@ pub fn pose_gradient(gpu: &Gpu, sums: &[[f32; 6]], parameters: &[[f32; 6]], imag
         pose_gradient: &gradient,
     };
     let push = pose_gradient::Push { sums: sums.len() as u32, image };
-    gpu.run(|r| r.dispatch(&kernel, &bind, &push, 1));
+    let spec = pose_gradient::Spec { workgroup_size, subgroup_size };
+    gpu.dispatch::<pose_gradient::Interface>(&spec, &bind, &push, 1);
     let [g, d_xi] = gpu.read::<[[f32; 6]; 2]>(&gradient, 1)[0];
     [g.map(f64::from), d_xi.map(f64::from)]
 }

@@ -14,6 +14,7 @@
 mod arithmetic;
 mod builder;
 mod execute;
+mod lockstep;
 mod memory;
 mod module;
 mod outline;
@@ -23,3 +24,6 @@ mod values;
 
 pub use execute::{Dispatch, Fault, Order};
 pub use program::Program;
+
+#[cfg(test)]
+mod tests;

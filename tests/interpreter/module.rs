@@ -135,6 +135,9 @@ impl<'m> Module<'m> {
                 _ => module.declare(instruction, specialization)?,
             }
         }
+        if function.is_some() {
+            return Err("truncated: a function without an end".to_owned());
+        }
         for (axis, id) in size_ids.into_iter().flatten().enumerate() {
             module.workgroup_size[axis] = module.word(id)?;
         }

@@ -92,7 +92,7 @@ fn check_one(gpu: &Gpu, lists: &Lists, how: How) {
 }
 
 #[test]
-fn blend_equals_its_twin_on_lists_of_all_lengths() {
+pub fn blend_equals_its_twin_on_lists_of_all_lengths() {
     let gpu = Gpu::new();
     let subgroup = gpu.subgroup() as usize;
     for entries in [0, 1, subgroup - 1, subgroup, subgroup + 1, 31, 32, 33, 300] {
@@ -105,7 +105,7 @@ fn blend_equals_its_twin_on_lists_of_all_lengths() {
 }
 
 #[test]
-fn blend_equals_its_twin_on_images_of_all_sizes() {
+pub fn blend_equals_its_twin_on_images_of_all_sizes() {
     let gpu = Gpu::new();
     for size in [[1, 1], [17, 5], [16, 16], [15, 33], [64, 48]] {
         let lists = Lists::long(&gpu, 40, [0.02, 0.99], &small_view(size));
@@ -115,14 +115,14 @@ fn blend_equals_its_twin_on_images_of_all_sizes() {
 
 /// Opaque layers: the clamp at 0.99 and the stop before transmittance 1e-4.
 #[test]
-fn blend_of_opaque_layers() {
+pub fn blend_of_opaque_layers() {
     let gpu = Gpu::new();
     check(&gpu, &Lists::long(&gpu, 50, [0.98, 1.0], &small_view([37, 21])), true, u32::MAX);
 }
 
 /// Passes over parts of the lists give the same picture to the bit.
 #[test]
-fn blend_in_passes_equals_blend_at_once() {
+pub fn blend_in_passes_equals_blend_at_once() {
     let gpu = Gpu::new();
     for (opacity, how) in [([0.005, 0.03], CHAINED), ([0.5, 1.0], CHAINED), ([0.02, 1.0], UNCHAINED)] {
         let lists = Lists::long(&gpu, 301, opacity, &small_view([37, 21]));
@@ -174,7 +174,7 @@ fn needles(gpu: &Gpu, longest: f64) -> Lists {
 
 /// Where a column's opacities change fastest, and the chain starts far from those that count.
 #[test]
-fn blend_of_needles() {
+pub fn blend_of_needles() {
     let gpu = Gpu::new();
     check(&gpu, &needles(&gpu, 30.0), true, u32::MAX);
 }
@@ -182,7 +182,7 @@ fn blend_of_needles() {
 /// Needles so long that float32 itself misses the tolerance, because the form's terms cancel: chained columns must not
 /// add to that.
 #[test]
-fn blend_of_long_needles_errs_no_more_in_chained_columns() {
+pub fn blend_of_long_needles_errs_no_more_in_chained_columns() {
     let gpu = Gpu::new();
     for longest in [300.0, 9000.0] {
         let lists = needles(&gpu, longest);
@@ -204,11 +204,11 @@ fn blend_of_long_needles_errs_no_more_in_chained_columns() {
 
 /// A tile that no pass finishes makes the frame invalid: said, so that it is run again with more passes.
 #[test]
-fn blend_reports_tiles_that_no_pass_finishes() {
+pub fn blend_reports_tiles_that_no_pass_finishes() {
     let gpu = Gpu::new();
     let subgroup_size = gpu.subgroup();
     let workgroup_size = subgroup_size * if subgroup_size <= 64 { 4 } else { 2 };
-    let kernel = gpu.kernel::<Interface>(&Spec { workgroup_size, subgroup_size, ..Spec::default() });
+    let spec = Spec { workgroup_size, subgroup_size, ..Spec::default() };
     let lists = Lists::long(&gpu, 100, [0.02, 0.6], &small_view([37, 21]));
     let pixels = lists.view.pixels();
     let accumulated = gpu.zeros::<[f32; 4]>("accumulated", pixels);
@@ -244,7 +244,7 @@ fn blend_reports_tiles_that_no_pass_finishes() {
             splat_stride: 1,
             background: [0.0; 3],
         };
-        gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, u64::from(tiles_per_row * rows)));
+        gpu.dispatch::<Interface>(&spec, &bind, &push, u64::from(tiles_per_row * rows));
         let state = gpu.read::<u32>(&lists.state, STATE_WORDS as usize);
         assert_eq!(state[STATE_OVERFLOW as usize], overflow, "{max_entries} entries, last pass {last_pass}");
     }
@@ -252,7 +252,7 @@ fn blend_reports_tiles_that_no_pass_finishes() {
 
 /// Splats behind a limit do not count, nor does anything that follows them; and the sum of weights * z.
 #[test]
-fn blend_stops_at_the_depth_limit() {
+pub fn blend_stops_at_the_depth_limit() {
     let gpu = Gpu::new();
     let lists = Lists::sorted(&gpu, 70, [0.02, 0.6], &small_view([37, 21]));
     let count = lists.view.pixels();
@@ -295,10 +295,10 @@ fn blend_stops_at_the_depth_limit() {
 /// Entries that each hit every region, more of them than a driver's rounds of an invocation suffice for at once, and behind
 /// them one that can be seen: such a driver stops without a word.
 #[test]
-fn blend_of_more_hits_than_an_invocation_has_rounds() {
+pub fn blend_of_more_hits_than_an_invocation_has_rounds() {
     const ENTRIES: usize = 20_000;
     let gpu = Gpu::new();
-    let blocks = LaunchSizes::new(gpu.context.limits());
+    let blocks = LaunchSizes::new(gpu.limits());
     let splat = |mean2d_px, variance: f64, opacity| Splat {
         depth: 1.0,
         mean2d_px,
@@ -320,7 +320,7 @@ fn blend_of_more_hits_than_an_invocation_has_rounds() {
     assert!(red > 0.8 && transmittance < 0.2, "the last entry is lost: {red}, {transmittance}");
     assert!(chosen == blend(1, 1000), "fewer entries per pass change the picture");
     // This test can tell.
-    let rounds = gpu.context.limits().max_loop_iterations().map_or(usize::MAX, |rounds| rounds as usize);
+    let rounds = gpu.limits().max_loop_iterations().map_or(usize::MAX, |rounds| rounds as usize);
     if blocks.regions_per_subgroup as usize * ENTRIES > rounds {
         assert!(
             chosen != blend(blocks.regions_per_subgroup, u32::MAX),
@@ -331,7 +331,7 @@ fn blend_of_more_hits_than_an_invocation_has_rounds() {
 
 /// How many regions a subgroup blends does not change the picture.
 #[test]
-fn blend_of_several_regions_per_subgroup_is_the_same() {
+pub fn blend_of_several_regions_per_subgroup_is_the_same() {
     let gpu = Gpu::new();
     let lists = Lists::long(&gpu, 200, [0.02, 0.99], &small_view([37, 21]));
     let count = lists.view.pixels();

@@ -165,31 +165,31 @@ pub fn with_other_sums(kernel: Kernel) {
 }
 
 #[test]
-fn blend_backward_with_other_sums_equals_its_twin() {
+pub fn blend_backward_with_other_sums_equals_its_twin() {
     with_other_sums(backward);
 }
 
 #[test]
-fn blend_backward_equals_its_twin_on_lists_of_all_lengths() {
+pub fn blend_backward_equals_its_twin_on_lists_of_all_lengths() {
     on_lists_of_all_lengths(backward);
 }
 
 #[test]
-fn blend_backward_equals_its_twin_on_images_of_all_sizes() {
+pub fn blend_backward_equals_its_twin_on_images_of_all_sizes() {
     on_images_of_all_sizes(backward);
 }
 
 #[test]
-fn blend_backward_of_opaque_layers() {
+pub fn blend_backward_of_opaque_layers() {
     of_opaque_layers(backward);
 }
 
 #[test]
-fn blend_backward_in_passes() {
+pub fn blend_backward_in_passes() {
     in_passes(backward);
 }
 
 #[test]
-fn blend_backward_of_nothing_is_zero() {
+pub fn blend_backward_of_nothing_is_zero() {
     of_nothing(backward);
 }

@@ -46,12 +46,11 @@ fn long_axis_bits(gaussian: &Gaussian, (criterion, value): (u32, f64), prune_big
 
 /// By absolute statistics and by a selection, with children along the long axis.
 #[test]
-fn decide_by_other_criteria_equals_its_twin() {
+pub fn decide_by_other_criteria_equals_its_twin() {
     let gpu = Gpu::new();
     let block = gpu.workgroup(64) as usize;
     for (criterion, prune_big) in [(CRITERION_ABSOLUTE, true), (CRITERION_SELECTED, false)] {
         let spec = Spec { long_axis: true, criterion, ..spec(&gpu) };
-        let kernel = gpu.kernel::<Interface>(&spec);
         for size in sizes(block) {
             let mut random = Random::new(size as u64);
             let mut gaussians = mixed_scene(&mut random, size, 1);
@@ -102,7 +101,7 @@ fn decide_by_other_criteria_equals_its_twin() {
                 min_opacity: 0.005,
                 max_scale: if prune_big { (0.1 * SCENE_EXTENT) as f32 } else { 0.0 },
             };
-            gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, blocks as u64 + 1));
+            gpu.dispatch::<Interface>(&spec, &bind, &push, blocks as u64 + 1);
             let value = |i: usize| match criterion {
                 CRITERION_SELECTED => f64::from(selected[i]),
                 _ if views[i] == 0.0 => 0.0,
@@ -118,10 +117,9 @@ fn decide_by_other_criteria_equals_its_twin() {
 }
 
 #[test]
-fn decide_equals_its_twin() {
+pub fn decide_equals_its_twin() {
     let gpu = Gpu::new();
     let spec = spec(&gpu);
-    let kernel = gpu.kernel::<Interface>(&spec);
     let block = spec.workgroup_size as usize;
     for (size, prune_big) in sizes(block).into_iter().flat_map(|n| [(n, false), (n, true)]) {
         let mut random = Random::new(size as u64);
@@ -157,7 +155,7 @@ fn decide_equals_its_twin() {
             min_opacity: 0.005,
             max_scale: if prune_big { (0.1 * SCENE_EXTENT) as f32 } else { 0.0 },
         };
-        gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, blocks as u64 + 1));
+        gpu.dispatch::<Interface>(&spec, &bind, &push, blocks as u64 + 1);
         let expected: Vec<u32> = gaussians
             .iter()
             .zip(&statistics)

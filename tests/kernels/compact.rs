@@ -8,11 +8,10 @@ use crate::reference::compact::compact;
 use crate::reference::scan_spine::scan_spine;
 
 #[test]
-fn compact_equals_its_twin() {
+pub fn compact_equals_its_twin() {
     let gpu = Gpu::new();
     let (workgroup_size, subgroup_size) = (gpu.workgroup(64), gpu.subgroup());
     let spec = Spec { workgroup_size, subgroup_size, block: workgroup_size };
-    let kernel = gpu.kernel::<Interface>(&spec);
     let block = spec.block as usize;
     // One in `share` is flagged: all, some, hardly any.
     for (size, share) in sizes(block).into_iter().flat_map(|n| [(n, 1), (n, 3), (n, 500)]) {
@@ -32,7 +31,7 @@ fn compact_equals_its_twin() {
             visible_index: &places,
         };
         let push = Push { count: size as u32 };
-        gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, size.div_ceil(block) as u64 + 1));
+        gpu.dispatch::<Interface>(&spec, &bind, &push, size.div_ceil(block) as u64 + 1);
         let (mut expected_list, mut expected_places) = compact(&flags);
         expected_list.extend([UNTOUCHED; 2]);
         expected_places.extend([UNTOUCHED; 2]);

@@ -10,10 +10,9 @@ use crate::reference::scan_reduce::scan_reduce;
 use crate::reference::tile_list::{LISTED, tiles_met};
 
 #[test]
-fn count_equals_its_twin() {
+pub fn count_equals_its_twin() {
     let gpu = Gpu::new();
     let spec = Spec { workgroup_size: gpu.workgroup(64), subgroup_size: gpu.subgroup(), items: 4 };
-    let kernel = gpu.kernel::<Interface>(&spec);
     let block = (spec.workgroup_size * spec.items) as usize;
     for size in sizes(block) {
         let mut random = Random::new(size as u64);
@@ -41,7 +40,7 @@ fn count_equals_its_twin() {
             list_rows: &list_rows,
             block_sums: &block_sums,
         };
-        gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &Push::default(), (size / block) as u64 + 1));
+        gpu.dispatch::<Interface>(&spec, &bind, &Push::default(), (size / block) as u64 + 1);
         let [heads, rows] =
             [0, 1].map(|word| lists_in_order.iter().map(|list| list[word]).collect::<Vec<_>>());
         for (buffer, expected) in [(&tiles_touched, &expected), (&list_heads, &heads), (&list_rows, &rows)] {

@@ -37,8 +37,7 @@ fn culled(gpu: &Gpu, view: &View, parameters: &Buffer, size: usize) -> [Vec<u32>
         block_counts: &counts,
         camera_block: &gpu.buffer("camera_block", &[camera_block(view)]),
     };
-    let (kernel, push) = (gpu.kernel::<Interface>(&spec), push(view, size));
-    gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, blocks as u64 + 1));
+    gpu.dispatch::<Interface>(&spec, &bind, &push(view, size), blocks as u64 + 1);
     let flags = gpu.read::<u32>(&flags, size + 2);
     assert_eq!(flags[size..], [UNTOUCHED; 2]);
     [flags, gpu.read::<u32>(&counts, blocks + 2)]
@@ -64,7 +63,7 @@ fn push(view: &View, count: usize) -> Push {
 }
 
 #[test]
-fn cull_equals_its_twin() {
+pub fn cull_equals_its_twin() {
     let gpu = Gpu::new();
     let block = spec(&gpu).workgroup_size as usize;
     for (size, extent, antialias) in
@@ -91,7 +90,7 @@ fn cull_equals_its_twin() {
 
 /// Fainter and wider than they are stored, behind a narrower low-pass filter.
 #[test]
-fn cull_equals_its_twin_with_a_3d_filter() {
+pub fn cull_equals_its_twin_with_a_3d_filter() {
     let gpu = Gpu::new();
     let size = 700;
     let gaussians = mixed_scene(&mut Random::new(13), size, 1);
@@ -110,7 +109,7 @@ fn cull_equals_its_twin_with_a_3d_filter() {
 
 /// Faint Gaussians leave no ellipsoid, but a dot.
 #[test]
-fn cull_equals_its_twin_for_what_is_drawn_in_place_of_gaussians() {
+pub fn cull_equals_its_twin_for_what_is_drawn_in_place_of_gaussians() {
     let gpu = Gpu::new();
     let size = 700;
     let gaussians = mixed_scene(&mut Random::new(11), size, 1);
@@ -130,7 +129,7 @@ fn cull_equals_its_twin_for_what_is_drawn_in_place_of_gaussians() {
 
 /// What is cut is cut bit for bit: the limits are values of single Gaussians, which stay.
 #[test]
-fn cull_equals_its_twin_where_a_part_is_cut() {
+pub fn cull_equals_its_twin_where_a_part_is_cut() {
     let gpu = Gpu::new();
     let size = 700;
     let gaussians = mixed_scene(&mut Random::new(12), size, 1);
@@ -170,7 +169,7 @@ fn cull_equals_its_twin_where_a_part_is_cut() {
 
 /// NaN and infinities are culled, opacity logits of ±∞ are valid.
 #[test]
-fn cull_of_non_finite_parameters() {
+pub fn cull_of_non_finite_parameters() {
     let gpu = Gpu::new();
     let plain = Gaussian {
         mean: [0.0; 3],
@@ -203,7 +202,7 @@ fn cull_of_non_finite_parameters() {
 
 /// What is left out at random follows from seed, iteration and Gaussian alone, bit for bit.
 #[test]
-fn cull_equals_its_twin_under_dropout() {
+pub fn cull_equals_its_twin_under_dropout() {
     let gpu = Gpu::new();
     let size = 900;
     let gaussians = mixed_scene(&mut Random::new(14), size, 1);

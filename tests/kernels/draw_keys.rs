@@ -31,7 +31,6 @@ fn run(gpu: &Gpu, rows: &[Row], how: How) -> (Vec<u32>, u32) {
     let How { absolute, explicit, chances } = how;
     let (workgroup_size, subgroup_size) = (gpu.workgroup(64), gpu.subgroup());
     let spec = Spec { workgroup_size, subgroup_size, absolute, explicit_uniforms: explicit };
-    let kernel = gpu.kernel::<Interface>(&spec);
     let column = |of: fn(&Row) -> f32| rows.iter().map(of).collect::<Vec<f32>>();
     let statistics: Vec<[f32; 2]> = rows.iter().map(|row| row.statistic).collect();
     let [keys, selected] = ["keys", "selected"].map(|name| gpu.untouched::<u32>(name, rows.len() + 1));
@@ -47,7 +46,7 @@ fn run(gpu: &Gpu, rows: &[Row], how: How) -> (Vec<u32>, u32) {
     };
     let [seed, iteration] = KEY;
     let push = Push { count: rows.len() as u32, threshold: THRESHOLD, chances, seed, iteration };
-    gpu.run(|r| r.dispatch(&kernel, &bind, &push, rows.len() as u64 / u64::from(spec.workgroup_size) + 1));
+    gpu.dispatch::<Interface>(&spec, &bind, &push, rows.len() as u64 / u64::from(spec.workgroup_size) + 1);
     let selected = gpu.read::<u32>(&selected, rows.len() + 1);
     assert!(selected[..rows.len()].iter().all(|&selected| selected == 0));
     assert_eq!(selected[rows.len()], UNTOUCHED);
@@ -81,7 +80,7 @@ fn check(gpu: &Gpu, rows: &[Row], how: How) {
 }
 
 #[test]
-fn draw_keys_equals_its_twin() {
+pub fn draw_keys_equals_its_twin() {
     let gpu = Gpu::new();
     for size in sizes(gpu.workgroup(64) as usize) {
         let mut random = Random::new(size as u64);

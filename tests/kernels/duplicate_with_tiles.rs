@@ -25,7 +25,6 @@ fn expanded(gpu: &Gpu, frame: &Projected, order: &[u32], view: &View) -> Expande
     let size = order.len();
     let (workgroup_size, subgroup_size) = (gpu.workgroup(64), gpu.subgroup());
     let spec = Spec { workgroup_size, subgroup_size, items: 4, for_backward: true };
-    let kernel = gpu.kernel::<Interface>(&spec);
     let lists = ordered(order, &gpu.read::<[u32; 2]>(&frame.tile_lists, frame.expected.len()));
     let counts: Vec<u32> = lists.iter().copied().map(tiles_met).collect();
     let [heads, rows] = [0, 1].map(|word| lists.iter().map(|list| list[word]).collect::<Vec<u32>>());
@@ -52,7 +51,7 @@ fn expanded(gpu: &Gpu, frame: &Projected, order: &[u32], view: &View) -> Expande
     let [tiles_per_row, tile_rows] = view.tiles();
     let push = Push { extent: extent_word(view), tiles_per_row, tile_rows, splat_stride: 1 };
     let block = u64::from(workgroup_size * spec.items);
-    gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, instances as u64 / block + 1));
+    gpu.dispatch::<Interface>(&spec, &bind, &push, instances as u64 / block + 1);
     let [mut tiles, mut visible] = [tiles, visible].map(|buffer| gpu.read::<u32>(&buffer, instances + 2));
     assert_eq!(
         (tiles.split_off(instances), visible.split_off(instances)),
@@ -98,7 +97,7 @@ fn check(gpu: &Gpu, gaussians: &[Gaussian], view: &View) {
 }
 
 #[test]
-fn expand_equals_its_twin() {
+pub fn expand_equals_its_twin() {
     let gpu = Gpu::new();
     for (size, extent) in sizes(64).into_iter().flat_map(|n| [(n, Extent::Exact), (n, Extent::Reference)]) {
         let view = View { extent, ..small_view([150, 90]) };
@@ -108,7 +107,7 @@ fn expand_equals_its_twin() {
 
 /// Long thin ellipses in all directions: where a box and an ellipse differ most.
 #[test]
-fn expand_of_needles() {
+pub fn expand_of_needles() {
     let gpu = Gpu::new();
     let view = small_view([400, 300]);
     let needles: Vec<Gaussian> = (0..300)
@@ -138,7 +137,7 @@ fn expand_of_needles() {
 
 /// Many Gaussians without a tile between others, and one with more tiles than a run has instances.
 #[test]
-fn expand_of_many_without_tiles() {
+pub fn expand_of_many_without_tiles() {
     let gpu = Gpu::new();
     let view = View { sh_degree: 0, ..small_view([640, 480]) };
     let small = |x: f64, log_scale: f64| Gaussian {
@@ -170,7 +169,7 @@ fn expand_of_many_without_tiles() {
 /// Should a driver round otherwise where tiles are counted than where they are listed, each instance still gets a tile of the
 /// Gaussian's box, none is left unwritten.
 #[test]
-fn expand_of_other_counts_stays_in_the_box() {
+pub fn expand_of_other_counts_stays_in_the_box() {
     let gpu = Gpu::new();
     for extent in [Extent::Exact, Extent::Reference] {
         let view = View { sh_degree: 0, extent, ..small_view([640, 480]) };

@@ -11,19 +11,18 @@ use crate::reference::loss_reduce::{LAMBDA_DSSIM, loss};
 /// Reduces partial sums into row 1 of 3.
 fn reduced(gpu: &Gpu, partials: &ashsplat::vk::Buffer, count: usize, scale: f64) -> [f64; 3] {
     let spec = Spec { workgroup_size: gpu.workgroup(64), subgroup_size: gpu.subgroup() };
-    let kernel = gpu.kernel::<Interface>(&spec);
     let losses = gpu.untouched::<[f32; 4]>("losses", 3);
     let bind = Bind { loss_partials: partials, losses: &losses };
     let push =
         Push { partials: count as u32, loss_row: 1, scale: scale as f32, lambda_dssim: LAMBDA_DSSIM as f32 };
-    gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, 1));
+    gpu.dispatch::<Interface>(&spec, &bind, &push, 1);
     let all = gpu.read::<[f32; 4]>(&losses, 3);
     assert!([all[0], all[2]].as_flattened().iter().all(|x| x.to_bits() == UNTOUCHED));
     [0, 1, 2].map(|k| f64::from(all[1][k]))
 }
 
 #[test]
-fn loss_reduce_equals_its_twin() {
+pub fn loss_reduce_equals_its_twin() {
     let gpu = Gpu::new();
     for size in sizes(gpu.workgroup(64) as usize) {
         let mut random = Random::new(size as u64);
@@ -40,7 +39,7 @@ fn loss_reduce_equals_its_twin() {
 
 /// Together with the kernel before it, the loss of two pictures.
 #[test]
-fn loss_of_two_pictures() {
+pub fn loss_of_two_pictures() {
     let gpu = Gpu::new();
     let pictures = Pictures::random([67, 41]);
     let window = Window::Block { strip: 4 };

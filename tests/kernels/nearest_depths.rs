@@ -50,7 +50,6 @@ fn bounds(view: &View) -> [f32; 4] {
 /// Fourth components of the log-scales, and the largest.
 fn depths(gpu: &Gpu, gaussians: &[Gaussian], cameras: &[View], overflow: u32) -> (Vec<f32>, f32) {
     let spec = Spec { workgroup_size: gpu.workgroup(64), subgroup_size: gpu.subgroup() };
-    let kernel = gpu.kernel::<Interface>(&spec);
     let (count, room) = (gaussians.len(), room(gaussians.len()));
     let parameters = gpu.buffer("parameters", &pack_filtered(gaussians, room, STALE));
     let mut words = vec![0_u32; STATE_WORDS as usize];
@@ -64,7 +63,7 @@ fn depths(gpu: &Gpu, gaussians: &[Gaussian], cameras: &[View], overflow: u32) ->
         poses: &gpu.buffer("poses", &cameras.iter().map(pose).collect::<Vec<_>>()),
     };
     let push = Push { count: count as u32, cameras_count: cameras.len() as u32 };
-    gpu.run(|r| r.dispatch(&kernel, &bind, &push, count as u64 / u64::from(spec.workgroup_size) + 1));
+    gpu.dispatch::<Interface>(&spec, &bind, &push, count as u64 / u64::from(spec.workgroup_size) + 1);
     let packed = gpu.read::<[f32; 4]>(&parameters, planes(1) * room);
     let at = |i: usize| packed[place(PLANE_LOG_SCALE, i, room)][3];
     ((0..count).map(at).collect(), f32::from_bits(gpu.read::<u32>(&farthest, 1)[0]))
@@ -83,7 +82,7 @@ fn may_differ(gaussian: &Gaussian, cameras: &[View]) -> bool {
 }
 
 #[test]
-fn nearest_depths_equals_its_twin() {
+pub fn nearest_depths_equals_its_twin() {
     let gpu = Gpu::new();
     let cameras = cameras();
     let mut seen = 0;
@@ -105,7 +104,7 @@ fn nearest_depths_equals_its_twin() {
 }
 
 #[test]
-fn nearest_depths_leaves_overflowed_frames_alone() {
+pub fn nearest_depths_leaves_overflowed_frames_alone() {
     let gpu = Gpu::new();
     let gaussians = mixed_scene(&mut Random::new(3), 300, 1);
     let (actual, farthest) = depths(&gpu, &gaussians, &cameras(), 1);

@@ -11,7 +11,7 @@ fn six(random: &mut Random, scale: f64) -> [f32; 6] {
 }
 
 #[test]
-fn pose_gradient_equals_its_twin() {
+pub fn pose_gradient_equals_its_twin() {
     let gpu = Gpu::new();
     let mut random = Random::new(5);
     // Nothing moved, a little, and turns of more than half a circle.

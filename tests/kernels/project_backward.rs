@@ -183,7 +183,6 @@ fn run_with(
         pose_gradient,
         ..Spec::default()
     };
-    let kernel = gpu.kernel::<Interface>(&spec);
     let (size, count) = (scene.gaussians.len(), scene.visible.len());
     let gradient_stride = count + 5;
     let inputs = scene.upload(gpu, overflow);
@@ -221,9 +220,7 @@ fn run_with(
         gradient_stride: gradient_stride as u32,
         accumulate: accumulate.into(),
     };
-    gpu.run(|recorder| {
-        recorder.dispatch(&kernel, &bind, &push, count as u64 / u64::from(spec.workgroup_size) + 1)
-    });
+    gpu.dispatch::<Interface>(&spec, &bind, &push, count as u64 / u64::from(spec.workgroup_size) + 1);
     let gradients = gpu.read(&gradients, GRADIENT_PLANES as usize * gradient_stride);
     let absolute = gpu.read(&absolute_statistics, size);
     (gradients, gpu.read(&statistics, size), absolute, gpu.read(&pose_sums, subgroups))
@@ -287,7 +284,7 @@ fn check_statistics(scene: &Scene, statistics: &[[f32; 2]], expected: &[(Gradien
 }
 
 #[test]
-fn project_backward_equals_its_twin() {
+pub fn project_backward_equals_its_twin() {
     let gpu = Gpu::new();
     for size in sizes(gpu.workgroup(64) as usize) {
         check(&gpu, &Scene::random(size, small_view([53, 37]), 7));
@@ -295,7 +292,7 @@ fn project_backward_equals_its_twin() {
 }
 
 #[test]
-fn project_backward_equals_its_twin_in_every_mode() {
+pub fn project_backward_equals_its_twin_in_every_mode() {
     let gpu = Gpu::new();
     for sh_degree in 0..=3 {
         let view = View {
@@ -313,7 +310,7 @@ fn project_backward_equals_its_twin_in_every_mode() {
 
 /// Mip-Splatting's filters; the compensation differentiated, and as a constant.
 #[test]
-fn project_backward_equals_its_twin_with_filters() {
+pub fn project_backward_equals_its_twin_with_filters() {
     let gpu = Gpu::new();
     for (filter_3d, antialias_detached) in [(0.0, true), (0.0078125, false), (0.125, true)] {
         let drawn = Drawn { dilation_px2: f64::from(0.1_f32), ..Drawn::AS_THEY_ARE };
@@ -324,7 +321,7 @@ fn project_backward_equals_its_twin_with_filters() {
 
 /// Opacities that were raised for others that are left out; and z as the depth that was blended.
 #[test]
-fn project_backward_equals_its_twin_under_dropout() {
+pub fn project_backward_equals_its_twin_under_dropout() {
     let gpu = Gpu::new();
     let dropout = Some(Dropout { below: 1 << 22, seed: 3, iteration: 9 });
     for (antialias, filter_3d, z_record) in [(false, 0.0, true), (true, 0.0, false), (true, 0.0078125, true)]
@@ -363,7 +360,7 @@ fn check_pose(gpu: &Gpu, scene: &Scene) {
 }
 
 #[test]
-fn project_backward_of_the_pose_equals_its_twin() {
+pub fn project_backward_of_the_pose_equals_its_twin() {
     let gpu = Gpu::new();
     for size in sizes(gpu.workgroup(64) as usize) {
         check_pose(&gpu, &Scene::random(size, small_view([53, 37]), 7));
@@ -383,7 +380,7 @@ fn project_backward_of_the_pose_equals_its_twin() {
 
 /// What is not finite would spoil the pose for good.
 #[test]
-fn project_backward_leaves_out_of_the_pose_what_is_not_finite() {
+pub fn project_backward_leaves_out_of_the_pose_what_is_not_finite() {
     let gpu = Gpu::new();
     let mut scene = Scene::random(200, small_view([53, 37]), 9);
     let (_, _, before) = run_variant(&gpu, &scene, [true, false, true]);
@@ -398,7 +395,7 @@ fn project_backward_leaves_out_of_the_pose_what_is_not_finite() {
 }
 
 #[test]
-fn project_backward_leaves_statistics_alone_unless_told() {
+pub fn project_backward_leaves_statistics_alone_unless_told() {
     let gpu = Gpu::new();
     let scene = Scene::random(200, small_view([53, 37]), 9);
     for (accumulate, overflow) in [(false, false), (true, true)] {
@@ -409,7 +406,7 @@ fn project_backward_leaves_statistics_alone_unless_told() {
 
 /// Beside the usual gradients and statistics, which keep their bits.
 #[test]
-fn project_backward_adds_up_absolute_statistics() {
+pub fn project_backward_adds_up_absolute_statistics() {
     let gpu = Gpu::new();
     let mut scene = Scene::random(300, small_view([53, 37]), 9);
     let instances = scene.sums.iter().map(Vec::len).sum();

@@ -7,7 +7,7 @@ use crate::common::scenes::Random;
 use crate::reference::scan_apply::{exclusive_scan, scan_apply};
 
 #[test]
-fn scan_apply_equals_its_twin() {
+pub fn scan_apply_equals_its_twin() {
     let gpu = Gpu::new();
     check(
         &gpu,
@@ -21,7 +21,6 @@ fn scan_apply_equals_its_twin() {
 }
 
 fn check(gpu: &Gpu, spec: scan_apply::Spec) {
-    let kernel = gpu.kernel::<scan_apply::Interface>(&spec);
     let block = (spec.workgroup_size * spec.items) as usize;
     for size in sizes(block) {
         let mut random = Random::new(size as u64);
@@ -38,7 +37,7 @@ fn check(gpu: &Gpu, spec: scan_apply::Spec) {
             prefix: &prefix,
         };
         let push = scan_apply::Push { count_index: 0 };
-        gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, blocks as u64 + 1));
+        gpu.dispatch::<scan_apply::Interface>(&spec, &bind, &push, blocks as u64 + 1);
         let mut expected = scan_apply(&values, &offsets, block);
         expected.extend([UNTOUCHED; 2]);
         assert_eq!(gpu.read::<u32>(&prefix, size + 2), expected, "size {size}");

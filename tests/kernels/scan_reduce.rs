@@ -7,7 +7,7 @@ use crate::common::scenes::Random;
 use crate::reference::scan_reduce::scan_reduce;
 
 #[test]
-fn scan_reduce_equals_its_twin() {
+pub fn scan_reduce_equals_its_twin() {
     let gpu = Gpu::new();
     check(&gpu, Spec { workgroup_size: gpu.workgroup(64), subgroup_size: gpu.subgroup(), items: 4 });
     // A single subgroup needs no barrier.
@@ -15,7 +15,6 @@ fn scan_reduce_equals_its_twin() {
 }
 
 fn check(gpu: &Gpu, spec: Spec) {
-    let kernel = gpu.kernel::<Interface>(&spec);
     let block = (spec.workgroup_size * spec.items) as usize;
     for size in sizes(block) {
         let mut random = Random::new(size as u64);
@@ -25,7 +24,7 @@ fn check(gpu: &Gpu, spec: Spec) {
         let sums = gpu.untouched::<u32>("block_sums", blocks + 2);
         let bind = Bind { counts: &counts, values: &input, block_sums: &sums };
         // One workgroup more than needed: it must write nothing.
-        gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &Push { count_index: 1 }, blocks as u64 + 1));
+        gpu.dispatch::<Interface>(&spec, &bind, &Push { count_index: 1 }, blocks as u64 + 1);
         let mut expected = scan_reduce(&values, block);
         expected.extend([UNTOUCHED; 2]);
         assert_eq!(gpu.read::<u32>(&sums, blocks + 2), expected, "size {size}");

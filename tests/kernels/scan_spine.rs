@@ -7,10 +7,9 @@ use crate::common::scenes::Random;
 use crate::reference::scan_spine::scan_spine;
 
 #[test]
-fn scan_spine_equals_its_twin() {
+pub fn scan_spine_equals_its_twin() {
     let gpu = Gpu::new();
     let spec = Spec { workgroup_size: gpu.workgroup(64), subgroup_size: gpu.subgroup() };
-    let kernel = gpu.kernel::<Interface>(&spec);
     let block_size = 24;
     for size in sizes(spec.workgroup_size as usize) {
         for from_totals in [0, 1] {
@@ -31,7 +30,7 @@ fn scan_spine_equals_its_twin() {
                 first_sum: 3,
             };
             let bind = Bind { block_sums: &input, totals: &totals };
-            gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, 1));
+            gpu.dispatch::<Interface>(&spec, &bind, &push, 1);
             let mut expected = sums;
             let total = scan_spine(&mut expected);
             let expected = [&[UNTOUCHED; 3], expected.as_slice(), &[UNTOUCHED; 2]].concat();
@@ -43,10 +42,9 @@ fn scan_spine_equals_its_twin() {
 
 /// A total that wraps around must not pass for a small one, wherever the carry happens.
 #[test]
-fn scan_spine_saturates_exactly_beyond_32_bits() {
+pub fn scan_spine_saturates_exactly_beyond_32_bits() {
     let gpu = Gpu::new();
     let spec = Spec { workgroup_size: gpu.workgroup(64), subgroup_size: gpu.subgroup() };
-    let kernel = gpu.kernel::<Interface>(&spec);
     let far = spec.workgroup_size as usize + 1;
     for (last, place) in [(0, 1), (1, 1), (2, 1), (0, far), (1, far), (2, far), (u32::MAX, far)] {
         let mut sums = vec![0; far + 1];
@@ -56,7 +54,7 @@ fn scan_spine_saturates_exactly_beyond_32_bits() {
         let count = sums.len() as u32;
         let push = Push { count, from_totals: 0, block_size: 1, total_index: 0, first_sum: 0 };
         let bind = Bind { block_sums: &input, totals: &totals };
-        gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, 1));
+        gpu.dispatch::<Interface>(&spec, &bind, &push, 1);
         let total = scan_spine(&mut sums);
         assert_eq!(total, (u32::MAX - 1).saturating_add(last));
         assert_eq!(gpu.read::<u32>(&totals, 1), [total], "{last} at {place}");

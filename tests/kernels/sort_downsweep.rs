@@ -1,7 +1,6 @@
 //! `sort/sort_downsweep` against its twin, with the other two steps of a pass by their twins.
 
 use ashsplat::kernels::sort::sort_downsweep::{Bind, Interface, Push, Spec};
-use ashsplat::vk::Kernel;
 
 use crate::common::gpu::{Gpu, UNTOUCHED, sizes};
 use crate::common::keys::equal_and_extreme;
@@ -20,7 +19,7 @@ fn spec(gpu: &Gpu, identity_values: bool) -> Spec {
 }
 
 /// Scatters by one digit and compares.
-fn check(gpu: &Gpu, kernel: &Kernel<Interface>, spec: Spec, keys: &[u32], [shift, bits]: [u32; 2]) {
+fn check(gpu: &Gpu, spec: Spec, keys: &[u32], [shift, bits]: [u32; 2]) {
     let size = keys.len();
     let block = (spec.workgroup_size * spec.items) as usize;
     let blocks = size.div_ceil(block);
@@ -48,7 +47,7 @@ fn check(gpu: &Gpu, kernel: &Kernel<Interface>, spec: Spec, keys: &[u32], [shift
         sorted_values: &sorted_values,
     };
     let push = Push { count_index: 0, shift, bits };
-    gpu.run(|recorder| recorder.dispatch(kernel, &bind, &push, blocks as u64 + 1));
+    gpu.dispatch::<Interface>(&spec, &bind, &push, blocks as u64 + 1);
     let (mut expected_keys, mut expected_values) = sort_downsweep(keys, &values, shift, bits);
     expected_keys.extend([UNTOUCHED; 2]);
     expected_values.extend([UNTOUCHED; 2]);
@@ -61,28 +60,26 @@ fn check(gpu: &Gpu, kernel: &Kernel<Interface>, spec: Spec, keys: &[u32], [shift
 }
 
 #[test]
-fn sort_downsweep_equals_its_twin() {
+pub fn sort_downsweep_equals_its_twin() {
     let gpu = Gpu::new();
     for identity_values in [false, true] {
         let spec = spec(&gpu, identity_values);
-        let kernel = gpu.kernel::<Interface>(&spec);
         for size in sizes((spec.workgroup_size * spec.items) as usize) {
             let mut random = Random::new(size as u64);
             let keys: Vec<u32> = (0..size).map(|_| random.bits() as u32).collect();
             for digit in [[0, 8], [24, 8], [8, 5], [31, 1]] {
-                check(&gpu, &kernel, spec, &keys, digit);
+                check(&gpu, spec, &keys, digit);
             }
         }
     }
 }
 
 #[test]
-fn sort_downsweep_of_equal_and_extreme_keys() {
+pub fn sort_downsweep_of_equal_and_extreme_keys() {
     let gpu = Gpu::new();
     let spec = spec(&gpu, false);
-    let kernel = gpu.kernel::<Interface>(&spec);
     let size = (3 * spec.workgroup_size * spec.items + 5) as usize;
     for keys in equal_and_extreme(size) {
-        check(&gpu, &kernel, spec, &keys, [0, 8]);
+        check(&gpu, spec, &keys, [0, 8]);
     }
 }

@@ -7,10 +7,9 @@ use crate::common::scenes::Random;
 use crate::reference::sort_spine::sort_spine;
 
 #[test]
-fn sort_spine_equals_its_twin() {
+pub fn sort_spine_equals_its_twin() {
     let gpu = Gpu::new();
     let spec = Spec { workgroup_size: gpu.workgroup(64), subgroup_size: gpu.subgroup() };
-    let kernel = gpu.kernel::<Interface>(&spec);
     let block_size = 8;
     // The last workgroup has rows to spare.
     let digits = 21;
@@ -25,7 +24,7 @@ fn sort_spine_equals_its_twin() {
         let totals = gpu.untouched::<u32>("digit_totals", digits + 1);
         let bind = Bind { counts: &counts, histogram: &histogram, digit_totals: &totals };
         let push = Push { count_index: 0, block_size, digits: digits as u32 };
-        gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, workgroups));
+        gpu.dispatch::<Interface>(&spec, &bind, &push, workgroups);
         let mut expected = rows;
         let expected_totals = sort_spine(&mut expected, blocks, digits);
         expected.extend([UNTOUCHED; 2]);

@@ -7,10 +7,9 @@ use crate::common::scenes::Random;
 use crate::reference::sort_upsweep::sort_upsweep;
 
 #[test]
-fn sort_upsweep_equals_its_twin() {
+pub fn sort_upsweep_equals_its_twin() {
     let gpu = Gpu::new();
     let spec = Spec { workgroup_size: gpu.workgroup(64), items: 4 };
-    let kernel = gpu.kernel::<Interface>(&spec);
     let block = (spec.workgroup_size * spec.items) as usize;
     for (size, shift, bits) in
         sizes(block).into_iter().flat_map(|n| [(n, 0, 8), (n, 24, 8), (n, 8, 5), (n, 31, 1)])
@@ -23,7 +22,7 @@ fn sort_upsweep_equals_its_twin() {
         let histogram = gpu.untouched::<u32>("histogram", length);
         let bind = Bind { counts: &counts, keys: &input, histogram: &histogram };
         let push = Push { count_index: 1, shift, bits };
-        gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, blocks as u64 + 1));
+        gpu.dispatch::<Interface>(&spec, &bind, &push, blocks as u64 + 1);
         let mut expected = sort_upsweep(&keys, shift, bits, block);
         expected.extend([UNTOUCHED; 2]);
         assert_eq!(gpu.read::<u32>(&histogram, length), expected, "size {size}, {bits} bits at {shift}");

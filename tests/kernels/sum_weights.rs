@@ -11,7 +11,6 @@ use crate::reference::sum_weights::sum_weights;
 /// Weights and ranges that the kernel leaves, for the instances of the visible Gaussians among `size`.
 fn run(gpu: &Gpu, visible: &[(u32, Vec<f32>)], size: usize, overflow: bool) -> (Vec<f32>, Vec<u32>) {
     let spec = Spec { workgroup_size: gpu.workgroup(64), subgroup_size: gpu.subgroup(), ..Spec::default() };
-    let kernel = gpu.kernel::<Interface>(&spec);
     let mut index = vec![NOT_VISIBLE; size];
     let (mut footprints, mut begins, mut flat) = (vec![], vec![], vec![]);
     for (row, (gaussian, own)) in visible.iter().enumerate() {
@@ -33,14 +32,14 @@ fn run(gpu: &Gpu, visible: &[(u32, Vec<f32>)], size: usize, overflow: bool) -> (
         ranges: &ranges,
     };
     let push = Push { count: size as u32, splat_stride: 1 };
-    gpu.run(|r| r.dispatch(&kernel, &bind, &push, size as u64 / u64::from(spec.workgroup_size) + 1));
+    gpu.dispatch::<Interface>(&spec, &bind, &push, size as u64 / u64::from(spec.workgroup_size) + 1);
     let weights = gpu.read::<f32>(&weights, size + 1);
     assert_eq!(weights[size].to_bits(), UNTOUCHED);
     (weights[..size].to_vec(), gpu.read(&ranges, 4))
 }
 
 #[test]
-fn sum_weights_equals_its_twin() {
+pub fn sum_weights_equals_its_twin() {
     let gpu = Gpu::new();
     for size in sizes(gpu.workgroup(64) as usize) {
         // All visible, most, and none.
@@ -69,7 +68,7 @@ fn sum_weights_equals_its_twin() {
 }
 
 #[test]
-fn sum_weights_of_a_frame_that_overflowed_are_none() {
+pub fn sum_weights_of_a_frame_that_overflowed_are_none() {
     let gpu = Gpu::new();
     let visible: Vec<(u32, Vec<f32>)> = (0..9).map(|i| (i, vec![1.0; 3])).collect();
     let (weights, ranges) = run(&gpu, &visible, 9, true);

@@ -43,7 +43,7 @@ fn of_scans(submissions: Vec<Submission>) -> Submission {
 /// A device of one's own, as a profile belongs to its context.
 fn own_gpu(options: ContextOptions) -> Gpu {
     let context = Context::new(&options).expect("a device");
-    Gpu { context: Box::leak(Box::new(context)) }
+    Gpu::of(Box::leak(Box::new(context)))
 }
 
 #[test]

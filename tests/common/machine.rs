@@ -1,0 +1,161 @@
+//! What runs the kernels of a test: the device, an interpreter, or both, which then must agree.
+
+use std::cell::{Cell, RefCell};
+use std::collections::HashMap;
+use std::rc::Rc;
+
+use ashsplat::tuning::Tuning;
+use ashsplat::vk::{Buffer, Context, KernelInterface, Limits};
+use ashsplat_interpreter::{Dispatch, Fault, Order, Program};
+
+/// Kernels that read shared memory which nobody has written, and drop what they have read: sums of regions that no Gaussian hits.
+/// If they kept it, results would be NaN.
+const READ_UNWRITTEN: [&str; 1] = ["backward/blend_backward"];
+
+/// What runs kernels.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Machine {
+    /// The device.
+    Device,
+    /// The interpreter, with so many lanes, and so many invocations of a workgroup where a test asks for less.
+    Interpreter { lanes: u32, workgroup: u32 },
+    /// Both, with the device's lanes. Words agree to the bit; floats within |a - b| <= `error` * (1 + |b|).
+    Both { error: f32 },
+}
+
+thread_local! {
+    static MACHINE: Cell<Machine> = const { Cell::new(Machine::Device) };
+    static PROGRAMS: RefCell<Programs> = RefCell::new(HashMap::new());
+    static DISPATCHES: Cell<u64> = const { Cell::new(0) };
+}
+
+type Programs = HashMap<(&'static str, u32, Vec<(u32, u32)>), Rc<Program>>;
+
+/// Runs tests of kernels, or parts of them, with another machine than the device.
+pub fn on(machine: Machine, tests: impl FnOnce()) {
+    struct Back(Machine);
+    impl Drop for Back {
+        fn drop(&mut self) {
+            MACHINE.set(self.0);
+        }
+    }
+    let _back = Back(MACHINE.replace(machine));
+    tests();
+}
+
+/// That of the calling thread.
+pub fn current() -> Machine {
+    MACHINE.get()
+}
+
+impl Machine {
+    /// What kernels are told of it: of an AMD GPU where it is the interpreter, which has other numbers of lanes than the device.
+    pub fn limits(self, device: &Limits) -> Limits {
+        let mut limits = device.clone();
+        if let Self::Interpreter { lanes, .. } = self {
+            (limits.subgroup_size, limits.heavy_subgroup_size, limits.own_subgroup_size) =
+                (lanes, lanes, lanes);
+            (limits.min_subgroup_size, limits.max_subgroup_size) = (lanes, lanes);
+            limits.max_workgroup_invocations = 1024;
+            limits.max_workgroup_size = [1024; 3];
+            limits.max_workgroup_subgroups = 1024 / lanes;
+            limits.max_texels = 0;
+            limits.workarounds = ashsplat::vk::Workarounds::default();
+            limits.tuning = &Tuning::AMD;
+        }
+        limits
+    }
+}
+
+/// (constant_id, bits) of a kernel, the largest subgroups that fit into its workgroups.
+fn program<K: KernelInterface>(spec: &K::Spec, lanes: u32) -> Rc<Program> {
+    let invocations: u32 = K::workgroup_size(spec).iter().product();
+    let lanes = K::subgroup_size(spec).unwrap_or_else(|| lanes.min(1 << invocations.trailing_zeros()));
+    let key = (K::NAME, lanes, K::spec_entries(spec));
+    PROGRAMS.with_borrow_mut(|programs| {
+        let made = || Program::new(K::NAME, K::SPIRV, &K::spec_entries(spec), lanes);
+        programs.entry(key).or_insert_with(|| Rc::new(made().expect("a program"))).clone()
+    })
+}
+
+/// The words of buffers by their bindings.
+pub type Words = Vec<(u32, Vec<u32>)>;
+
+/// The words of a dispatch's buffers.
+fn words<K: KernelInterface>(context: &Context, bind: &K::Bind<'_>) -> Words {
+    let word = |buffer: &Buffer| {
+        let bytes = context.download(&buffer.range(0, buffer.bytes())).expect("a download");
+        bytemuck::pod_collect_to_vec(&bytes)
+    };
+    let buffers = K::buffers(bind);
+    K::BINDINGS.iter().zip(buffers.as_ref()).map(|(info, buffer)| (info.binding, word(buffer))).collect()
+}
+
+/// Runs a program over words, in an order of workgroups and subgroups that is another for each dispatch.
+pub fn run(
+    program: &Program,
+    name: &str,
+    push: &[u8],
+    workgroups: [u32; 3],
+    words: &mut Words,
+) -> Result<(), Fault> {
+    let number = DISPATCHES.replace(DISPATCHES.get() + 1);
+    let order = [Order::Shuffled(number), Order::Reverse, Order::Forward][(number % 3) as usize];
+    let accepts_unwritten_shared = READ_UNWRITTEN.contains(&name);
+    program.run(&Dispatch { workgroups, push, order, accepts_unwritten_shared }, words)
+}
+
+/// Runs one dispatch by the interpreter, over the contents of the device's buffers.
+pub fn interpret<K: KernelInterface>(
+    context: &Context,
+    lanes: u32,
+    (spec, bind, push): (&K::Spec, &K::Bind<'_>, &K::Push),
+    workgroups: u64,
+) {
+    let before = words::<K>(context, bind);
+    let mut after = before.clone();
+    let workgroups = context.limits().grid(workgroups);
+    let program = program::<K>(spec, lanes);
+    run(&program, K::NAME, K::push_bytes(push), workgroups, &mut after)
+        .unwrap_or_else(|fault| panic!("{fault}"));
+    let buffers = K::buffers(bind);
+    for ((buffer, before), after) in buffers.as_ref().iter().zip(&before).zip(&after) {
+        if before != after {
+            let bytes = bytemuck::cast_slice(&after.1);
+            context.upload(&buffer.range(0, buffer.bytes()), bytes).expect("an upload");
+        }
+    }
+}
+
+/// Runs one dispatch by the interpreter and then `device`, and compares what both leave in the buffers.
+pub fn compare<K: KernelInterface>(
+    context: &Context,
+    error: f32,
+    (spec, bind, push): (&K::Spec, &K::Bind<'_>, &K::Push),
+    workgroups: u64,
+    device: impl FnOnce(),
+) {
+    let mut interpreted = words::<K>(context, bind);
+    let program = program::<K>(spec, context.limits().subgroup_size);
+    let workgroups = context.limits().grid(workgroups);
+    run(&program, K::NAME, K::push_bytes(push), workgroups, &mut interpreted)
+        .unwrap_or_else(|fault| panic!("{fault}"));
+    device();
+    let floats: HashMap<u32, bool> = program.bindings().collect();
+    for ((binding, device), (_, interpreted)) in words::<K>(context, bind).iter().zip(&interpreted) {
+        let is_float = floats.get(binding).is_some_and(|is_float| *is_float);
+        let same = |(a, b): (&u32, &u32)| {
+            let [x, y] = [*a, *b].map(f32::from_bits);
+            a == b || is_float && (x - y).abs() <= error * (1.0 + y.abs())
+        };
+        let other = device.iter().zip(interpreted).position(|pair| !same(pair));
+        if let Some(at) = other {
+            let [a, b] = [device[at], interpreted[at]];
+            let [x, y] = [a, b].map(f32::from_bits);
+            panic!(
+                "{}: word {at} of binding {binding} is {a:#x} ({x}) on the device, {b:#x} ({y}) interpreted",
+                K::NAME
+            );
+        }
+    }
+}
