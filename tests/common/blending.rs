@@ -145,6 +145,15 @@ pub const LOW: How = How { low_regions: true, ..UNCHAINED };
 /// Chained, with planes in strips.
 pub const IN_STRIPS: How = How { strips: true, ..CHAINED };
 
+/// The forms to try: all on a device, the GPUs' alone where an interpreter takes its time.
+pub fn forms(gpu: &Gpu) -> Vec<How> {
+    let in_strips = if has_strips(gpu) { vec![IN_STRIPS] } else { Vec::new() };
+    match gpu.is_interpreted() {
+        true => vec![LOW],
+        false => [vec![UNCHAINED, CHAINED, LOW], in_strips].concat(),
+    }
+}
+
 /// Blends lists by `forward/blend`.
 pub fn forward(gpu: &Gpu, lists: &Lists, how: How) -> Blended {
     forward_limited(gpu, lists, how, false, None)

@@ -34,6 +34,11 @@ impl Gpu {
         Gpu { context, machine, limits: machine.limits(context.limits()) }
     }
 
+    /// Whether an interpreter stands in the device's place.
+    pub fn is_interpreted(&self) -> bool {
+        matches!(self.machine, Machine::Interpreter { .. })
+    }
+
     /// Limits of the device or of the machine in its place.
     pub fn limits(&self) -> &Limits {
         &self.limits

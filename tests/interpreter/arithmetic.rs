@@ -134,7 +134,7 @@ operations!(binary, binary_lanes, 2, {
     179 => signed(|a, b| a <= b),
     // Ordered comparisons, and unordered ones, which are the opposites of ordered ones
     180 => compare(|a, b| a == b),
-    182 => compare(|a, b| a < b || a > b),
+    182 => compare(|a, b| a != b && !a.is_nan() && !b.is_nan()),
     183 => compare(|a, b| a != b),
     184 => compare(|a, b| a < b),
     186 => compare(|a, b| a > b),

@@ -4,9 +4,7 @@ use ashsplat::kernels::constants::{STATE_LONGEST_TILE, STATE_OVERFLOW, STATE_WOR
 use ashsplat::kernels::forward::blend::{Bind, Interface, Push, Spec};
 use ashsplat::plan::LaunchSizes;
 
-use crate::common::blending::{
-    CHAINED, How, IN_STRIPS, LOW, UNCHAINED, forward, forward_limited, has_strips, strips_of,
-};
+use crate::common::blending::{CHAINED, How, LOW, UNCHAINED, forms, forward, forward_limited, strips_of};
 use crate::common::compare::{PixelTolerance, pixels};
 use crate::common::gpu::{Gpu, UNTOUCHED};
 use crate::common::scenes::small_view;
@@ -19,11 +17,11 @@ const TOLERANCE: PixelTolerance = PixelTolerance { max: 5e-5, mean: 1e-6, unstab
 
 /// Blends on the device, with and without chained columns, and by the twin, and compares every output.
 fn check(gpu: &Gpu, lists: &Lists, inverse_depth: bool, entries_per_pass: u32) {
-    for how in [UNCHAINED, CHAINED, LOW] {
-        check_one(gpu, lists, How { inverse_depth, entries_per_pass, ..how });
-    }
-    if has_strips(gpu) {
-        check_strips(gpu, lists, How { inverse_depth, entries_per_pass, ..IN_STRIPS });
+    for how in forms(gpu).into_iter().map(|how| How { inverse_depth, entries_per_pass, ..how }) {
+        match how.strips {
+            true => check_strips(gpu, lists, how),
+            false => check_one(gpu, lists, how),
+        }
     }
 }
 

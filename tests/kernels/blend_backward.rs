@@ -1,8 +1,6 @@
 //! `backward/blend_backward` against its twin.
 
-use crate::common::blending::{
-    Blended, CHAINED, How, IN_STRIPS, LOW, OtherSums, SlotSums, UNCHAINED, backward, forward, has_strips,
-};
+use crate::common::blending::{Blended, CHAINED, How, OtherSums, SlotSums, backward, forms, forward};
 use crate::common::compare::{GradientTolerance, gradient};
 use crate::common::gpu::Gpu;
 use crate::common::scenes::{Random, small_view};
@@ -84,8 +82,7 @@ pub type Kernel = fn(&Gpu, &Lists, &Blended, Option<&[[f32; 4]]>, How) -> SlotSu
 fn check(kernel: Kernel, gpu: &Gpu, lists: &Lists, entries_per_pass: u32) {
     let d_pixels = image_gradient(lists);
     let expected = expected(lists, &d_pixels);
-    let hows = [UNCHAINED, CHAINED, LOW].into_iter().chain(has_strips(gpu).then_some(IN_STRIPS));
-    for how in hows.map(|how| How { entries_per_pass, ..how }) {
+    for how in forms(gpu).into_iter().map(|how| How { entries_per_pass, ..how }) {
         let blended = forward(gpu, lists, how);
         let sums = kernel(gpu, lists, &blended, Some(&d_pixels), how);
         compare(&actual(lists, &sums), &expected);
@@ -142,8 +139,7 @@ pub fn with_other_sums(kernel: Kernel) {
         // The weights of red alone.
         let edges: Vec<[f32; 4]> = d_pixels.iter().map(|d| [d[0].abs(), 0.0, 0.0, 0.0]).collect();
         let weights = self::expected(&lists, &edges);
-        let hows = [UNCHAINED, CHAINED, LOW].into_iter().chain(has_strips(&gpu).then_some(IN_STRIPS));
-        for how in hows.map(|how| How { entries_per_pass, ..how }) {
+        for how in forms(&gpu).into_iter().map(|how| How { entries_per_pass, ..how }) {
             let blended = forward(&gpu, &lists, how);
             let usual = kernel(&gpu, &lists, &blended, Some(&d_pixels), how);
             let how = How { sums: OtherSums::Absolute, ..how };

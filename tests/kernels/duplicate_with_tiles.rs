@@ -100,7 +100,7 @@ fn check(gpu: &Gpu, gaussians: &[Gaussian], view: &View) {
 pub fn expand_equals_its_twin() {
     let gpu = Gpu::new();
     for (size, extent) in sizes(64).into_iter().flat_map(|n| [(n, Extent::Exact), (n, Extent::Reference)]) {
-        let view = View { extent, ..small_view([150, 90]) };
+        let view = View { sh_degree: 0, extent, ..small_view([150, 90]) };
         check(&gpu, &visible_scene(size, &view), &view);
     }
 }

@@ -63,13 +63,17 @@ fn check(gpu: &Gpu, spec: Spec, keys: &[u32], [shift, bits]: [u32; 2]) {
 pub fn sort_downsweep_equals_its_twin() {
     let gpu = Gpu::new();
     for identity_values in [false, true] {
-        let spec = spec(&gpu, identity_values);
-        for size in sizes((spec.workgroup_size * spec.items) as usize) {
-            let mut random = Random::new(size as u64);
-            let keys: Vec<u32> = (0..size).map(|_| random.bits() as u32).collect();
-            for digit in [[0, 8], [24, 8], [8, 5], [31, 1]] {
-                check(&gpu, spec, &keys, digit);
-            }
+        check_sizes(&gpu, spec(&gpu, identity_values));
+    }
+}
+
+/// Numbers of keys around blocks, random keys, digits of all kinds.
+pub fn check_sizes(gpu: &Gpu, spec: Spec) {
+    for size in sizes((spec.workgroup_size * spec.items) as usize) {
+        let mut random = Random::new(size as u64);
+        let keys: Vec<u32> = (0..size).map(|_| random.bits() as u32).collect();
+        for digit in [[0, 8], [24, 8], [8, 5], [31, 1]] {
+            check(gpu, spec, &keys, digit);
         }
     }
 }

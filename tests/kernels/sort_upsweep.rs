@@ -9,7 +9,11 @@ use crate::reference::sort_upsweep::sort_upsweep;
 #[test]
 pub fn sort_upsweep_equals_its_twin() {
     let gpu = Gpu::new();
-    let spec = Spec { workgroup_size: gpu.workgroup(64), items: 4 };
+    check_sizes(&gpu, Spec { workgroup_size: gpu.workgroup(64), items: 4 });
+}
+
+/// Numbers of keys around blocks, random keys, digits of all kinds.
+pub fn check_sizes(gpu: &Gpu, spec: Spec) {
     let block = (spec.workgroup_size * spec.items) as usize;
     for (size, shift, bits) in
         sizes(block).into_iter().flat_map(|n| [(n, 0, 8), (n, 24, 8), (n, 8, 5), (n, 31, 1)])

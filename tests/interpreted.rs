@@ -2,24 +2,27 @@
 //! GPU's workgroups, against the twins. The interpreter itself against the device, at the device's lanes.
 
 use ashsplat::kernels::scan::scan_reduce;
-use ashsplat::kernels::sort::sort_downsweep;
+use ashsplat::kernels::sort::{sort_downsweep, sort_upsweep};
 use ashsplat::kernels::visit_all;
+use ashsplat::plan::LaunchSizes;
 use ashsplat::vk::{BindingKind, KernelInterface, KernelVisitor};
 use ashsplat_interpreter::{Dispatch, Fault, Order, Program};
 
+use crate::common::context;
+use crate::common::gpu::Gpu;
 use crate::common::machine::{Machine, on};
 use crate::kernels::{
     blend, blend_backward, blend_backward_subgroup_per_tile as alone, classify, compact, count, cull,
     draw_keys, duplicate_with_tiles, loss_reduce, nearest_depths, pose_gradient, project_backward,
-    scan_apply, scan_reduce as reduce, scan_spine, sort_downsweep as downsweep, sort_spine, sort_upsweep,
-    sum_weights,
+    scan_apply, scan_reduce as reduce, scan_spine, sort_downsweep as downsweep, sort_spine,
+    sort_upsweep as upsweep, sum_weights,
 };
 
 /// The width of AMD's GPUs, with the elementwise workgroups of all GPUs.
 const AMD: Machine = Machine::Interpreter { lanes: 64, workgroup: 256 };
 
 /// Runs tests of kernels at 64 lanes and at the other widths that the kernels are written for.
-fn on_wide_subgroups(tests: impl Fn()) {
+fn on_wide_machines(tests: impl Fn()) {
     for lanes in [64, 32, 128] {
         on(Machine::Interpreter { lanes, workgroup: 256 }, &tests);
     }
@@ -32,7 +35,7 @@ fn scans() {
 }
 
 fn sorts() {
-    sort_upsweep::sort_upsweep_equals_its_twin();
+    upsweep::sort_upsweep_equals_its_twin();
     sort_spine::sort_spine_equals_its_twin();
     downsweep::sort_downsweep_equals_its_twin();
 }
@@ -48,8 +51,13 @@ fn interpreter_scans_and_sorts_as_the_device_to_the_bit() {
     });
 }
 
+/// On llvmpipe alone: another driver's exponentials take other decisions now and then, as twins and tolerances allow.
 #[test]
 fn interpreter_culls_and_blends_as_the_device() {
+    if !context().device_name().contains("llvmpipe") {
+        eprintln!("skipped: the interpreter beside the device: not on {}", context().device_name());
+        return;
+    }
     on(Machine::Both { error: 0.0 }, cull::cull_equals_its_twin);
     on(Machine::Both { error: 1e-5 }, blend::blend_equals_its_twin_on_images_of_all_sizes);
     // Sums of many terms of both signs.
@@ -61,24 +69,33 @@ fn interpreter_culls_and_blends_as_the_device() {
 // ---- 64 lanes ------------------------------------------------------------------------------------------------------
 
 #[test]
-fn wide_subgroups_scan() {
-    on_wide_subgroups(|| {
+fn wide_scan() {
+    on_wide_machines(|| {
         scans();
         scan_spine::scan_spine_saturates_exactly_beyond_32_bits();
     });
 }
 
 #[test]
-fn wide_subgroups_sort() {
-    on_wide_subgroups(|| {
+fn wide_sort() {
+    on_wide_machines(|| {
         sorts();
         downsweep::sort_downsweep_of_equal_and_extreme_keys();
+    });
+    on(AMD, || {
+        let gpu = Gpu::new();
+        let LaunchSizes { sort_workgroup: workgroup_size, sort_items: items, .. } =
+            LaunchSizes::new(gpu.limits());
+        upsweep::check_sizes(&gpu, sort_upsweep::Spec { workgroup_size, items });
+        let (subgroup_size, identity_values) = (gpu.subgroup(), true);
+        let spec = sort_downsweep::Spec { workgroup_size, subgroup_size, items, identity_values };
+        downsweep::check_sizes(&gpu, spec);
     });
 }
 
 #[test]
-fn wide_subgroups_cull_and_compact() {
-    on_wide_subgroups(|| {
+fn wide_cull_and_compact() {
+    on_wide_machines(|| {
         cull::cull_equals_its_twin();
         cull::cull_equals_its_twin_under_dropout();
         cull::cull_of_non_finite_parameters();
@@ -87,8 +104,8 @@ fn wide_subgroups_cull_and_compact() {
 }
 
 #[test]
-fn wide_subgroups_blend() {
-    on_wide_subgroups(|| blend::blend_equals_its_twin_on_images_of_all_sizes());
+fn wide_blend() {
+    on_wide_machines(|| blend::blend_equals_its_twin_on_images_of_all_sizes());
     on(AMD, || {
         blend::blend_equals_its_twin_on_lists_of_all_lengths();
         blend::blend_of_opaque_layers();
@@ -100,8 +117,8 @@ fn wide_subgroups_blend() {
 }
 
 #[test]
-fn wide_subgroups_blend_backward() {
-    on_wide_subgroups(|| {
+fn wide_blend_backward() {
+    on_wide_machines(|| {
         blend_backward::blend_backward_equals_its_twin_on_images_of_all_sizes();
         alone::blend_backward_alone_equals_its_twin_on_images_of_all_sizes();
     });
@@ -116,8 +133,8 @@ fn wide_subgroups_blend_backward() {
 
 /// What the other kernels with operations of subgroups do, as far as they are dispatched alone.
 #[test]
-fn wide_subgroups_expand_and_project_backward() {
-    on_wide_subgroups(|| {
+fn wide_expand_and_project_backward() {
+    on_wide_machines(|| {
         count::count_equals_its_twin();
         duplicate_with_tiles::expand_equals_its_twin();
         duplicate_with_tiles::expand_of_needles();
@@ -128,8 +145,8 @@ fn wide_subgroups_expand_and_project_backward() {
 }
 
 #[test]
-fn wide_subgroups_densify_and_sum() {
-    on_wide_subgroups(|| {
+fn wide_densify_and_sum() {
+    on_wide_machines(|| {
         classify::decide_equals_its_twin();
         draw_keys::draw_keys_equals_its_twin();
         sum_weights::sum_weights_equals_its_twin();
@@ -199,7 +216,10 @@ fn interpreter_finds_accesses_out_of_bounds() {
     assert!(fault.to_string().contains("scan_reduce: ") && fault.opcode == 62, "{fault}");
 }
 
-/// Each barrier of a kernel that sorts and scans is needed, and its absence found, whatever the order of subgroups.
+/// One that is not needed, behind the ranks: the scan that follows begins with another.
+const REDUNDANT: usize = 3;
+
+/// The absence of a barrier from a kernel that sorts and scans is found, whatever the order of subgroups.
 #[test]
 fn interpreter_finds_missing_barriers() {
     let module = sort_downsweep::Interface::SPIRV;
@@ -207,7 +227,8 @@ fn interpreter_finds_missing_barriers() {
     let run = |module: &[u32], order, accepts_unwritten_shared| {
         let program =
             Program::new("sort_downsweep", module, &[(0, 128), (1, 64), (2, 2)], 64).expect("a program");
-        let keys: Vec<u32> = (0..512_u32).map(|k| k.wrapping_mul(0x9E37_79B9) >> 28).collect();
+        // 16 digits from the first to the last.
+        let keys: Vec<u32> = (0..512_u32).map(|k| (k.wrapping_mul(0x9E37_79B9) >> 28) * 17).collect();
         let digits: Vec<u32> = (0..256).map(|d| keys.iter().filter(|k| **k == d).count() as u32).collect();
         let before =
             |digit: u32, block: usize| keys[..256 * block].iter().filter(|k| **k == digit).count() as u32;
@@ -233,12 +254,15 @@ fn interpreter_finds_missing_barriers() {
         run(module, order, false).expect("a sort");
         for (index, barrier) in barriers.iter().enumerate() {
             let changed = without(module, *barrier);
+            if index == REDUNDANT {
+                run(&changed, order, false).expect("a sort without it");
+                continue;
+            }
             for accepts in [false, true] {
                 let fault = run(&changed, order, accepts).expect_err("a missing barrier");
                 let is_of_memory = fault.problem.contains("without a barrier between")
                     || fault.problem.contains("nobody has written");
                 assert!(is_of_memory, "barrier {index}, {order:?}: {fault}");
-                println!("barrier {index}, {order:?}: {fault}");
             }
         }
     }
