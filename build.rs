@@ -77,10 +77,11 @@ fn guide(root: &Path, out: &Path) {
 
 /// The graphics shaders of the example that embeds ashsplat, as `embed_NAME.spv`.
 fn embed(root: &Path, glsl: &Path, out: &Path) -> Result<(), String> {
-    for name in ["cube.vert", "cube.frag"] {
+    let names = ["cube.vert", "cube.frag", "tonemap.vert", "tonemap.frag"];
+    for name in names {
         println!("cargo:rerun-if-changed=tools/embed/{name}");
     }
-    for name in ["cube.vert", "cube.frag"] {
+    for name in names {
         let path = root.join("tools/embed").join(name);
         let display = format!("tools/embed/{name}");
         let source = fs::read_to_string(&path).map_err(|e| format!("{display}: cannot read: {e}"))?;

@@ -2,21 +2,27 @@
 //! pixels are written into the host's images.
 
 use crate::error::{Error, Result};
-use crate::kernels::compose::{compose_rgba8, compose_rgba16f, compose_rgba32f, depth_limit, expected_depth};
+use crate::kernels::compose::{
+    compose_bgra8, compose_r11g11b10f, compose_rgb10a2, compose_rgba8, compose_rgba16f, compose_rgba32f,
+    depth_limit, expected_depth,
+};
 use crate::kernels::constants as c;
 use crate::plan::blocks;
-use crate::scene::DepthMapping;
-use crate::vk::{Buffer, Context, Image, Kernel, Recorder};
+use crate::scene::{ColorEncoding, DepthMapping};
+use crate::vk::{self as device, Buffer, Context, Image, Kernel, Recorder};
 use ash::vk;
 
 /// What the splats are composited over.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Background {
-    /// A background of this colour; the result is opaque.
+    /// A background of this colour; the result is opaque. The colour is display-encoded, as trained, also where the
+    /// picture is then decoded to linear light.
     Color([f32; 3]),
-    /// Nothing: premultiplied colour with alpha 1 - T, for a host that composites it.
+    /// Nothing: premultiplied colour with alpha 1 - T, for a host that composites it. In linear light it is
+    /// (1 - T) f(C / (1 - T)), with the curve f of sRGB: what covers the pixel is decoded, and premultiplied again.
     Nothing,
-    /// The image's content: out = C + T image, and the same for alpha.
+    /// The image's content: out = C + T image, and the same for alpha. In linear light the content is linear, and C is
+    /// what [`Background::Nothing`] leaves.
     Image,
 }
 
@@ -32,12 +38,19 @@ pub struct Region<'a> {
 /// The kernels between a frame and a host's images.
 pub struct Compose {
     workgroup: u32,
-    rgba8: Kernel<compose_rgba8::Interface>,
-    rgba16f: Kernel<compose_rgba16f::Interface>,
-    rgba32f: Kernel<compose_rgba32f::Interface>,
+    rgba8: ByEncoding<compose_rgba8::Interface>,
+    bgra8: ByEncoding<compose_bgra8::Interface>,
+    rgb10a2: ByEncoding<compose_rgb10a2::Interface>,
+    r11g11b10f: ByEncoding<compose_r11g11b10f::Interface>,
+    rgba16f: ByEncoding<compose_rgba16f::Interface>,
+    rgba32f: ByEncoding<compose_rgba32f::Interface>,
     depth_limit: Kernel<depth_limit::Interface>,
     expected_depth: Kernel<expected_depth::Interface>,
 }
+
+/// A kernel for each of `COMPOSE_AS_TRAINED`, `COMPOSE_LINEAR` and, if texels can be display-encoded,
+/// `COMPOSE_LINEAR_IN_SRGB`.
+type ByEncoding<I> = Vec<Kernel<I>>;
 
 fn check_format(image: &Image, possible: &[vk::Format]) -> Result<()> {
     if possible.contains(&image.format()) {
@@ -47,24 +60,27 @@ fn check_format(image: &Image, possible: &[vk::Format]) -> Result<()> {
     Err(Error::argument(format!("image '{}'", image.name()), problem))
 }
 
+/// Whether the texels of a format are display-encoded for the host, which sees them decoded.
+fn is_srgb(format: vk::Format) -> bool {
+    matches!(format, vk::Format::R8G8B8A8_SRGB | vk::Format::B8G8R8A8_SRGB)
+}
+
+/// What a kernel writes into an image, and the factor of the light.
+fn encoding_word(encoding: ColorEncoding, format: vk::Format) -> (u32, f32) {
+    match encoding {
+        ColorEncoding::AsTrained => (c::COMPOSE_AS_TRAINED, 1.0),
+        ColorEncoding::LinearSrgb { exposure } if is_srgb(format) => (c::COMPOSE_LINEAR_IN_SRGB, exposure),
+        ColorEncoding::LinearSrgb { exposure } => (c::COMPOSE_LINEAR, exposure),
+    }
+}
+
 impl Compose {
     /// Formats of colour images.
-    pub const COLOR_FORMATS: [vk::Format; 3] =
-        [vk::Format::R8G8B8A8_UNORM, vk::Format::R16G16B16A16_SFLOAT, vk::Format::R32G32B32A32_SFLOAT];
+    pub const COLOR_FORMATS: [vk::Format; 8] = device::COLOR_FORMATS;
     /// Formats of a host's depth image, each read as one float.
-    pub const HOST_DEPTH_FORMATS: [vk::Format; 9] = [
-        vk::Format::D16_UNORM,
-        vk::Format::X8_D24_UNORM_PACK32,
-        vk::Format::D32_SFLOAT,
-        vk::Format::D16_UNORM_S8_UINT,
-        vk::Format::D24_UNORM_S8_UINT,
-        vk::Format::D32_SFLOAT_S8_UINT,
-        vk::Format::R16_UNORM,
-        vk::Format::R16_SFLOAT,
-        vk::Format::R32_SFLOAT,
-    ];
+    pub const HOST_DEPTH_FORMATS: [vk::Format; 9] = device::HOST_DEPTH_FORMATS;
     /// Format of an image of expected depth.
-    pub const DEPTH_FORMAT: vk::Format = vk::Format::R32_SFLOAT;
+    pub const DEPTH_FORMAT: vk::Format = device::DEPTH_FORMAT;
 
     /// Builds the kernels.
     ///
@@ -72,11 +88,21 @@ impl Compose {
     /// When the device refuses a pipeline.
     pub fn new(context: &Context) -> Result<Self> {
         let workgroup_size = context.limits().workgroup_size(256);
+        macro_rules! by_encoding {
+            ($interface:ident, $last:expr) => {
+                (c::COMPOSE_AS_TRAINED..=$last)
+                    .map(|encoding| Kernel::new(context, &$interface::Spec { workgroup_size, encoding }))
+                    .collect::<Result<_>>()?
+            };
+        }
         Ok(Self {
             workgroup: workgroup_size,
-            rgba8: Kernel::new(context, &compose_rgba8::Spec { workgroup_size })?,
-            rgba16f: Kernel::new(context, &compose_rgba16f::Spec { workgroup_size })?,
-            rgba32f: Kernel::new(context, &compose_rgba32f::Spec { workgroup_size })?,
+            rgba8: by_encoding!(compose_rgba8, c::COMPOSE_LINEAR_IN_SRGB),
+            bgra8: by_encoding!(compose_bgra8, c::COMPOSE_LINEAR_IN_SRGB),
+            rgb10a2: by_encoding!(compose_rgb10a2, c::COMPOSE_LINEAR),
+            r11g11b10f: by_encoding!(compose_r11g11b10f, c::COMPOSE_LINEAR),
+            rgba16f: by_encoding!(compose_rgba16f, c::COMPOSE_LINEAR),
+            rgba32f: by_encoding!(compose_rgba32f, c::COMPOSE_LINEAR),
             depth_limit: Kernel::new(context, &depth_limit::Spec { workgroup_size })?,
             expected_depth: Kernel::new(context, &expected_depth::Spec { workgroup_size })?,
         })
@@ -88,6 +114,26 @@ impl Compose {
     /// [`Error::Argument`] for another format than [`Compose::COLOR_FORMATS`].
     pub fn check_color(image: &Image) -> Result<()> {
         check_format(image, &Self::COLOR_FORMATS)
+    }
+
+    /// Checks that a frame of an encoding can be written over this into a colour image.
+    ///
+    /// # Errors
+    /// As [`Compose::check_color`]; [`Error::Argument`] for numbers that are not finite, an exposure that is not positive,
+    /// and for premultiplied colours in a format without alpha.
+    pub fn check_frame(image: &Image, behind: Background, encoding: ColorEncoding) -> Result<()> {
+        Self::check_color(image)?;
+        encoding.check()?;
+        match behind {
+            Background::Color(color) if color.iter().any(|channel| !channel.is_finite()) => {
+                Err(Error::argument("background", format!("{color:?} is not finite")))
+            }
+            Background::Nothing if image.format() == vk::Format::B10G11R11_UFLOAT_PACK32 => {
+                let problem = format!("format {:?} has no alpha for premultiplied colours", image.format());
+                Err(Error::argument(format!("image '{}'", image.name()), problem))
+            }
+            _ => Ok(()),
+        }
     }
 
     /// Checks that a host's depth image can be read.
@@ -102,15 +148,15 @@ impl Compose {
         blocks(u64::from(width) * u64::from(height), self.workgroup.into())
     }
 
-    /// Records the colours of a frame into an image that [`Compose::check_color`] accepts. The image must be
-    /// ready for kernels.
+    /// Records the colours of a frame into an image that [`Compose::check_frame`] accepts with this background and
+    /// encoding. The image must be ready for kernels.
     pub fn record_color(
         &self,
         r: &mut Recorder,
         accumulated: &Buffer,
         size: [u32; 2],
         region: Region<'_>,
-        behind: Background,
+        (behind, encoding): (Background, ColorEncoding),
     ) {
         let (mode, background) = match behind {
             Background::Color(color) => (c::COMPOSE_BACKGROUND, color),
@@ -119,15 +165,26 @@ impl Compose {
         };
         let [image_width, image_height] = size;
         let [offset_x, offset_y] = region.offset;
+        let (word, exposure) = encoding_word(encoding, region.image.format());
         macro_rules! compose {
-            ($interface:ident, $kernel:ident) => {{
+            ($interface:ident, $kernels:ident) => {{
                 let bind = $interface::Bind { accumulated, target: region.image };
-                let push =
-                    $interface::Push { image_width, image_height, offset_x, offset_y, mode, background };
-                r.dispatch(&self.$kernel, &bind, &push, self.workgroups(size));
+                let push = $interface::Push {
+                    image_width,
+                    image_height,
+                    offset_x,
+                    offset_y,
+                    mode,
+                    background,
+                    exposure,
+                };
+                r.dispatch(&self.$kernels[word as usize], &bind, &push, self.workgroups(size));
             }};
         }
         match region.image.format() {
+            vk::Format::B8G8R8A8_UNORM | vk::Format::B8G8R8A8_SRGB => compose!(compose_bgra8, bgra8),
+            vk::Format::A2B10G10R10_UNORM_PACK32 => compose!(compose_rgb10a2, rgb10a2),
+            vk::Format::B10G11R11_UFLOAT_PACK32 => compose!(compose_r11g11b10f, r11g11b10f),
             vk::Format::R16G16B16A16_SFLOAT => compose!(compose_rgba16f, rgba16f),
             vk::Format::R32G32B32A32_SFLOAT => compose!(compose_rgba32f, rgba32f),
             _ => compose!(compose_rgba8, rgba8),

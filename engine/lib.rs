@@ -66,10 +66,12 @@ pub use ash;
 pub use compose::Background;
 pub use error::{Error, Result};
 pub use forward::{BlendMeasurement, Blending, Extent, JacobianLimit, RenderSettings, Shape};
+/// The vectors and matrices whose types the API shows.
+pub use glam;
 pub use renderer::{
     Alignment, BlendSamples, DepthTarget, DeviceScene, Frame, FrameStats, Gradients, HostImage, Occluder,
     PixelReport, Placed, RecordedFrame, Release, Renderer, Reservation, Sample, SlotReport, Target,
     TileReport, Update,
 };
-pub use scene::{Camera, Gaussians};
+pub use scene::{Camera, ColorEncoding, Gaussians};
 pub use trainer::{Checkpoint, StepReport, TrainSettings, TrainView, Trainer};

@@ -72,7 +72,8 @@ pub struct Frame {
     pub width: u32,
     /// Height, pixels.
     pub height: u32,
-    /// Row-major colours, linear as trained, on the background, not clamped.
+    /// Row-major colours on the background, display-encoded as the photographs of the training were, not clamped.
+    /// [`linear_from_srgb`](crate::scene::linear_from_srgb) makes linear light of them.
     pub color: Vec<[f32; 3]>,
     /// Transmittance after the last Gaussian: 1 without any.
     pub transmittance: Vec<f32>,

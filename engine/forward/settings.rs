@@ -46,7 +46,7 @@ pub struct RenderSettings {
     /// [`Renderer::compute_filters`](crate::Renderer::compute_filters) gives them. Gaussians without a size are drawn as they
     /// are.
     pub filter_3d: bool,
-    /// Background colour, linear in the space of training.
+    /// Background colour, display-encoded as the photographs of the training.
     pub background: [f32; 3],
     /// Highest evaluated SH degree; `None` for all stored degrees.
     pub sh_degree: Option<u32>,

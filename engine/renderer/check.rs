@@ -75,15 +75,11 @@ impl Renderer {
             }
             Ok(())
         };
-        if let Target::Image { to, behind } = &frame.target {
+        if let Target::Image { to, behind, encoding } = &frame.target {
             check(to, ImageUse::Storage)?;
-            Compose::check_color(to.image)?;
-            match behind {
-                Background::Color(color) if color.iter().any(|channel| !channel.is_finite()) => {
-                    return Err(Error::argument("background", format!("{color:?} is not finite")));
-                }
-                Background::Image => check_contents(to)?,
-                _ => {}
+            Compose::check_frame(to.image, *behind, *encoding)?;
+            if *behind == Background::Image {
+                check_contents(to)?;
             }
         }
         if let Some(depth) = &frame.depth {

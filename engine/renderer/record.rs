@@ -8,7 +8,7 @@ use super::updates::{Update, record_copies, stage_updates};
 use crate::compose::{Background, Compose, Region};
 use crate::error::{Error, Result};
 use crate::forward::{FrameInputs, PlacedScene, RenderSettings};
-use crate::scene::{Camera, DepthMapping, Pose};
+use crate::scene::{Camera, ColorEncoding, DepthMapping, Pose};
 use crate::vk::{Buffer, ForeignCommands, Image, ImageState, Recorder, SlotRecording};
 use ash::vk;
 
@@ -42,18 +42,20 @@ pub struct HostImage<'a> {
 /// The target of the colours.
 #[derive(Clone, Copy)]
 pub enum Target<'a> {
-    /// The slot's own buffer, [`Renderer::slot_pixels`]: per pixel, row by row, premultiplied r, g, b and the
-    /// transmittance, each an f32. The host may use it after the recording, behind a barrier from
+    /// The slot's own buffer, [`Renderer::slot_pixels`]: per pixel, row by row, premultiplied r, g, b, display-encoded as
+    /// trained, and the transmittance, each an f32. The host may use it after the recording, behind a barrier from
     /// [`Release::stages`] and [`Release::accesses`], until the slot is recorded again. The next recording
     /// waits for compute and transfer commands that read the buffer. A host that reads it in other stages, in
     /// a later command buffer than the frame's, must wait for those stages first.
     Slot,
-    /// A storage image of format rgba8, rgba16f or rgba32f.
+    /// A storage image of a format of [`Compose::COLOR_FORMATS`].
     Image {
         /// The image.
         to: HostImage<'a>,
         /// What the splats are composited over.
         behind: Background,
+        /// What the image's colours are: see the [guide](crate::guide::colour).
+        encoding: ColorEncoding,
     },
 }
 
@@ -161,13 +163,14 @@ impl Renderer {
     /// [`Error::Argument`] for a slot that is not reserved or still in flight; for commands, scenes or images
     /// of another device; for an invalid camera or pose; for images with a wrong format, usage, size or
     /// layout; for numbers that are not finite; and for kernels that [`Renderer::reserve`] has not built.
-    /// [`Error::TooLarge`] for what exceeds the reservation.
+    /// [`Error::TooLarge`] for what exceeds the reservation; [`Error::DeviceLost`] after a loss that the context has noticed.
     pub fn record(
         &mut self,
         commands: ForeignCommands,
         slot: u32,
         frame: &RecordedFrame<'_>,
     ) -> Result<Release> {
+        self.context.check_alive()?;
         let Some(reserved) = self.slots.reserved else {
             return Err(Error::argument("frame slot", "none is reserved: call Renderer::reserve"));
         };
@@ -241,8 +244,8 @@ impl Renderer {
         self.slots.get(slot)?.record.release()
     }
 
-    /// The buffer that [`Target::Slot`] fills: premultiplied r, g, b and transmittance per pixel, row by row,
-    /// f32. Usable as a storage buffer and a source of transfers. [`Renderer::reserve`] replaces it.
+    /// The buffer that [`Target::Slot`] fills: premultiplied r, g, b (display-encoded, as trained) and transmittance per
+    /// pixel, row by row, f32. Usable as a storage buffer and a source of transfers. [`Renderer::reserve`] replaces it.
     ///
     /// # Errors
     /// [`Error::Argument`] for a slot that is not reserved.
@@ -319,9 +322,9 @@ fn record_targets(r: &mut Recorder, compose: &Compose, slot: &Slot, frame: &Reco
         depth: None,
     };
     r.scope("compose", |r| {
-        if let Target::Image { to, behind } = &frame.target {
+        if let Target::Image { to, behind, encoding } = &frame.target {
             release.color = Some(r.acquire_image(to.image, to.from));
-            compose.record_color(r, &f.accumulated, size, to.region(), *behind);
+            compose.record_color(r, &f.accumulated, size, to.region(), (*behind, *encoding));
         }
         if let Some(depth) = &frame.depth {
             release.depth = Some(r.acquire_image(depth.to.image, depth.to.from));

@@ -1,6 +1,7 @@
 //! What a scene is, on the host: Gaussians, cameras, points, spherical harmonics. Knows no Vulkan.
 
 pub mod camera;
+pub mod color;
 pub mod cut;
 pub mod exposure;
 pub mod filter_3d;
@@ -19,6 +20,7 @@ pub mod twist;
 pub mod view;
 
 pub use camera::{Camera, Intrinsics, scene_extent};
+pub use color::{ColorEncoding, linear_from_premultiplied, linear_from_srgb, srgb_from_linear};
 pub use cut::{Cut, CutLimits};
 pub use exposure::Exposure;
 pub use filter_3d::filtered;

@@ -133,9 +133,11 @@ impl Trainer {
     ///
     /// # Errors
     /// [`Error::Argument`] for a slot that is not reserved or still in flight; for commands of another
-    /// device; while maintenance is due ([`Trainer::maintenance_is_due`]); and as [`Trainer::step`] for a
-    /// trainer whose state is unknown.
+    /// device; while maintenance is due ([`Trainer::maintenance_is_due`]); after the last of
+    /// [`TrainSettings::iterations`](crate::TrainSettings); and as [`Trainer::step`] for a trainer whose state is unknown.
+    /// [`Error::DeviceLost`] after a loss that the context has noticed.
     pub fn record_step(&mut self, commands: ForeignCommands, slot: u32) -> Result<RecordedStep> {
+        self.context.check_alive()?;
         self.state.check_whole()?;
         if !commands.belongs_to(&self.context) {
             return Err(Error::argument("command buffer", "it belongs to another device"));
@@ -153,6 +155,11 @@ impl Trainer {
             return Err(Error::argument("training step", problem));
         }
         let progress = self.recording.in_flight.back().map_or(self.state.progress, |last| last.after);
+        let all = self.run.settings.iterations;
+        if progress.iteration >= all {
+            let problem = format!("the run is over: its settings have {all} iterations");
+            return Err(Error::argument("training step", problem));
+        }
         let plan = self.plan_after(&progress);
         self.runner.frame()?;
         let mut recorder = self.recording.slots[index].record.begin(commands, "ashsplat training step")?;

@@ -35,6 +35,56 @@ impl ImageUse {
     }
 }
 
+/// Formats of a host's colour images that kernels write.
+pub const COLOR_FORMATS: [F; 8] = [
+    F::R8G8B8A8_UNORM,
+    F::R8G8B8A8_SRGB,
+    F::B8G8R8A8_UNORM,
+    F::B8G8R8A8_SRGB,
+    F::A2B10G10R10_UNORM_PACK32,
+    F::B10G11R11_UFLOAT_PACK32,
+    F::R16G16B16A16_SFLOAT,
+    F::R32G32B32A32_SFLOAT,
+];
+
+/// Format of an image of depth that kernels write.
+pub const DEPTH_FORMAT: F = F::R32_SFLOAT;
+
+/// Formats of a host's depth image, each read as one float.
+pub const HOST_DEPTH_FORMATS: [F; 9] = [
+    F::D16_UNORM,
+    F::X8_D24_UNORM_PACK32,
+    F::D32_SFLOAT,
+    F::D16_UNORM_S8_UINT,
+    F::D24_UNORM_S8_UINT,
+    F::D32_SFLOAT_S8_UINT,
+    F::R16_UNORM,
+    F::R16_SFLOAT,
+    F::R32_SFLOAT,
+];
+
+impl ImageUse {
+    /// The formats of images with this use.
+    pub fn formats(self) -> Vec<F> {
+        match self {
+            Self::Storage => COLOR_FORMATS.into_iter().chain([DEPTH_FORMAT]).collect(),
+            Self::Sampled => HOST_DEPTH_FORMATS.to_vec(),
+        }
+    }
+
+    /// The format in which kernels see an image's texels. Where it is another one than the image's, the image was created
+    /// with MUTABLE_FORMAT.
+    ///
+    /// The formats of storage images in shaders are few. All devices have those of them that are named here.
+    pub fn seen_as(self, format: F) -> F {
+        match (self, format) {
+            (Self::Storage, F::R8G8B8A8_SRGB | F::B8G8R8A8_UNORM | F::B8G8R8A8_SRGB) => F::R8G8B8A8_UNORM,
+            (Self::Storage, F::A2B10G10R10_UNORM_PACK32 | F::B10G11R11_UFLOAT_PACK32) => F::R32_UINT,
+            _ => format,
+        }
+    }
+}
+
 /// The aspect that kernels see.
 pub(super) fn aspect(format: vk::Format) -> vk::ImageAspectFlags {
     match format {

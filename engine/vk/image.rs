@@ -22,6 +22,10 @@ pub struct ForeignImage {
     pub image: vk::Image,
     /// Its format.
     pub format: vk::Format,
+    /// Its flags. Kernels see the texels of some formats as another one ([`ImageUse::seen_as`]): such an image has
+    /// MUTABLE_FORMAT, and EXTENDED_USAGE where its own format cannot be a storage image on the device. If it was created
+    /// with a list of formats, that has the other one.
+    pub flags: vk::ImageCreateFlags,
     /// Its usage.
     pub usage: vk::ImageUsageFlags,
     /// Width and height of the mip level, pixels.
@@ -76,8 +80,9 @@ impl Image {
     /// A view of a host's image, for kernels.
     ///
     /// # Errors
-    /// [`Error::Argument`] for a null handle, no size, a usage that lacks what `purpose` needs, or a format
-    /// that the device does not support for it.
+    /// [`Error::Argument`] for a null handle, no size, a usage that lacks what `purpose` needs, a format that is not one
+    /// of [`ImageUse::formats`] or that the device does not support, or flags that lack what the format needs
+    /// ([`ForeignImage::flags`]).
     ///
     /// # Safety
     /// - the image is of the context's device, was created as `foreign` describes and is bound to memory;
@@ -101,8 +106,20 @@ impl Image {
         if !foreign.usage.contains(purpose.usage()) {
             return bad(format!("its usage {:?} lacks {:?}", foreign.usage, purpose.usage()));
         }
-        if !context.supports(foreign.format, purpose) {
-            return bad(format!("the device cannot use format {:?} as {purpose:?}", foreign.format));
+        let (format, possible) = (foreign.format, purpose.formats());
+        if !possible.contains(&format) {
+            return bad(format!("its format {format:?} is not one of {possible:?}"));
+        }
+        let seen = purpose.seen_as(format);
+        if !context.supports(seen, purpose) {
+            return bad(format!("the device cannot use format {seen:?} as {purpose:?}"));
+        }
+        let needed = context.flags_for(format, purpose);
+        if !foreign.flags.contains(needed) {
+            let missing = needed & !foreign.flags;
+            return bad(format!(
+                "its flags lack {missing:?}: kernels see the texels of {format:?} as {seen:?}"
+            ));
         }
         Self::view(context, name, foreign, (vk::DeviceMemory::null(), 0), purpose)
     }
@@ -118,13 +135,15 @@ impl Image {
         size: [u32; 2],
         purpose: ImageUse,
     ) -> Result<Self> {
-        if size.contains(&0) || !context.supports(format, purpose) {
+        if size.contains(&0) || !context.supports(purpose.seen_as(format), purpose) {
             let problem = format!("{format:?} of {} x {} is not possible as {purpose:?}", size[0], size[1]);
             return Err(Error::argument(format!("image '{name}'"), problem));
         }
         let transfer = vk::ImageUsageFlags::TRANSFER_SRC | vk::ImageUsageFlags::TRANSFER_DST;
         let usage = purpose.usage() | transfer;
+        let flags = context.flags_for(format, purpose);
         let info = vk::ImageCreateInfo::default()
+            .flags(flags)
             .image_type(vk::ImageType::TYPE_2D)
             .format(format)
             .extent(vk::Extent3D { width: size[0], height: size[1], depth: 1 })
@@ -138,7 +157,7 @@ impl Image {
         unsafe {
             let image = device.create_image(&info, None).map_err(vk_error("vkCreateImage"))?;
             let memory = context.image_memory(image).inspect_err(|_| device.destroy_image(image, None))?;
-            let foreign = ForeignImage { image, format, usage, size, mip_level: 0, layer: 0 };
+            let foreign = ForeignImage { image, format, flags, usage, size, mip_level: 0, layer: 0 };
             Self::view(context, name, &foreign, memory, purpose).inspect_err(|_| {
                 device.destroy_image(image, None);
                 device.free_memory(memory.0, None);
@@ -164,7 +183,7 @@ impl Image {
         let info = vk::ImageViewCreateInfo::default()
             .image(foreign.image)
             .view_type(vk::ImageViewType::TYPE_2D)
-            .format(foreign.format)
+            .format(purpose.seen_as(foreign.format))
             .subresource_range(range)
             .push_next(&mut usage);
         let inner = context.device.clone();
@@ -202,7 +221,7 @@ impl Image {
         self.0.size
     }
 
-    /// Its format.
+    /// Its format, as it was created.
     pub fn format(&self) -> vk::Format {
         self.0.format
     }
@@ -279,6 +298,18 @@ impl Drop for View {
 }
 
 impl Context {
+    /// The flags that an image needs so that kernels see its texels.
+    fn flags_for(&self, format: vk::Format, purpose: ImageUse) -> vk::ImageCreateFlags {
+        let mut flags = vk::ImageCreateFlags::empty();
+        if purpose.seen_as(format) != format {
+            flags |= vk::ImageCreateFlags::MUTABLE_FORMAT;
+            if !self.supports(format, purpose) {
+                flags |= vk::ImageCreateFlags::EXTENDED_USAGE;
+            }
+        }
+        flags
+    }
+
     fn supports(&self, format: vk::Format, purpose: ImageUse) -> bool {
         let (instance, physical) = (self.device.owner.instance(), self.device.physical);
         // SAFETY: a plain query.

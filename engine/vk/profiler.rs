@@ -99,7 +99,9 @@ impl Profiler {
         if self.pool != vk::QueryPool::null() {
             // SAFETY: `commands` is in the recording state; the query was reset and is written once.
             unsafe {
-                // Where commands run in order, the top of the pipe is also the end of all commands before.
+                // Where compute commands run in order, the top of the pipe is also the end of all of them before. Not of a
+                // render pass that a host has recorded: its work is put off, and the timestamps with it. The first one
+                // waits for that.
                 let stage = match inner.limits.tuning.runs_in_order {
                     true => vk::PipelineStageFlags2::TOP_OF_PIPE,
                     false => vk::PipelineStageFlags2::ALL_COMMANDS,

@@ -80,14 +80,17 @@ impl Drop for Pending {
 }
 
 impl Context {
+    /// Fails on a lost device.
+    pub(crate) fn check_alive(&self) -> Result<()> {
+        if self.is_lost() { Err(Error::DeviceLost { call: "an earlier call" }) } else { Ok(()) }
+    }
+
     /// Starts a recording under a label. Dropping the recorder discards it.
     ///
     /// # Errors
     /// [`Error::Vulkan`] when the driver has no memory left, [`Error::DeviceLost`].
     pub fn begin(&self, label: &str) -> Result<Recorder> {
-        if self.is_lost() {
-            return Err(Error::DeviceLost { call: "an earlier call" });
-        }
+        self.check_alive()?;
         let profile = self.logs.profile.lock().unwrap_or_else(PoisonError::into_inner).upgrade();
         let profiled = profile.map(|log| profile::Commands::begin(&self.device, log)).transpose()?;
         let audit = self.logs.audit.lock().unwrap_or_else(PoisonError::into_inner).upgrade();

@@ -1,12 +1,29 @@
 // Writes a blended picture into a host's storage image, either replacing the image or composited over it. Each format has
 // its own kernel because the format is part of the image's type. Needs constants.glsl and COMPOSE_FORMAT. COMPOSE_LARGEST is
-// the format's largest number, where it is below that of the colours.
+// the format's largest number, where it is below that of the colours. Where texels are not colours, COMPOSE_IMAGE is the
+// image's type, COMPOSE_LOAD the colour of a texel and COMPOSE_STORE its inverse.
+//
+// Splats are trained, and blended, in display-encoded values. Linear light is made of what they have blended to:
+//
+//   background: exposure f(C + T background), opaque: the picture as trained, decoded by the curve f of sRGB
+//   else:       a exposure f(C / a) + T below, a = 1 - T: the mean colour of what covers the pixel, decoded, and mixed with
+//               `below` in linear light, as a host mixes what is premultiplied
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
+// COMPOSE_AS_TRAINED, COMPOSE_LINEAR or COMPOSE_LINEAR_IN_SRGB.
+layout(constant_id = 2) const uint ENCODING = 0;
 layout(local_size_x_id = 0) in;
 
+#ifndef COMPOSE_IMAGE
+#define COMPOSE_IMAGE image2D
+#endif
+#ifndef COMPOSE_LOAD
+#define COMPOSE_LOAD(texel) (texel)
+#define COMPOSE_STORE(color) (color)
+#endif
+
 layout(set = 0, binding = 0, scalar) readonly buffer Accumulated { vec4 accumulated[]; };
-layout(set = 0, binding = 16, COMPOSE_FORMAT) uniform image2D target;
+layout(set = 0, binding = 16, COMPOSE_FORMAT) uniform COMPOSE_IMAGE target;
 
 layout(push_constant, scalar) uniform Push {
     uint image_width;
@@ -17,9 +34,12 @@ layout(push_constant, scalar) uniform Push {
     // COMPOSE_BACKGROUND, COMPOSE_PREMULTIPLIED or COMPOSE_OVER.
     uint mode;
     vec3 background;
+    // Factor of linear light; of no meaning as trained.
+    float exposure;
 };
 
 #include "dispatch.glsl"
+#include "srgb.glsl"
 
 void main() {
     uint index = linear_invocation();
@@ -33,12 +53,27 @@ void main() {
     if (mode == COMPOSE_BACKGROUND) {
         behind = vec4(background, 1.0);
     } else if (mode == COMPOSE_OVER) {
-        behind = imageLoad(target, at);
+        behind = COMPOSE_LOAD(imageLoad(target, at));
+    }
+    if (ENCODING != COMPOSE_AS_TRAINED && mode != COMPOSE_BACKGROUND) {
+        float alpha = 1.0 - transmittance;
+        splats.xyz = alpha > 0.0 ? alpha * exposure * linear_from_srgb(splats.xyz / alpha) : vec3(0.0);
+        if (ENCODING == COMPOSE_LINEAR_IN_SRGB) {
+            behind.xyz = linear_from_srgb(behind.xyz);
+        }
     }
     vec4 picture = vec4(splats.xyz, 1.0 - transmittance) + transmittance * behind;
+    if (ENCODING != COMPOSE_AS_TRAINED) {
+        if (mode == COMPOSE_BACKGROUND) {
+            picture.xyz = exposure * linear_from_srgb(picture.xyz);
+        }
+        if (ENCODING == COMPOSE_LINEAR_IN_SRGB) {
+            picture.xyz = srgb_from_linear(picture.xyz);
+        }
+    }
 #ifdef COMPOSE_LARGEST
     // The format rounds what is larger to infinity.
     picture = min(picture, vec4(COMPOSE_LARGEST));
 #endif
-    imageStore(target, at, picture);
+    imageStore(target, at, COMPOSE_STORE(picture));
 }

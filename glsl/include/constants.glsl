@@ -140,3 +140,7 @@ const uint MULTIPLY_ADD_STEPS = 4;
 const uint COMPOSE_BACKGROUND = 0;
 const uint COMPOSE_PREMULTIPLIED = 1;
 const uint COMPOSE_OVER = 2;
+// What compose writes: the values as trained; linear light; linear light into texels that the display's curve encodes.
+const uint COMPOSE_AS_TRAINED = 0;
+const uint COMPOSE_LINEAR = 1;
+const uint COMPOSE_LINEAR_IN_SRGB = 2;

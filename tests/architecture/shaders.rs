@@ -141,9 +141,12 @@ fn architecture_trainings_of_gpus_are_trials() {
 }
 
 /// Kernels that compute what another one computes, in another way: they share its twin.
-const ALIKE: [(&str, &str); 6] = [
+const ALIKE: [(&str, &str); 9] = [
     ("blend_backward_subgroup_per_tile", "blend_backward"),
     ("blend_shared", "blend"),
+    ("compose_bgra8", "compose_rgba8"),
+    ("compose_r11g11b10f", "compose_rgba32f"),
+    ("compose_rgb10a2", "compose_rgba8"),
     ("compose_rgba16f", "compose_rgba32f"),
     ("project_adam", "project_backward"),
     ("ssim_backward_sweep", "ssim_backward"),

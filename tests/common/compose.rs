@@ -1,5 +1,6 @@
 //! The kernels that write a host's images, over random pixels.
 
+use ashsplat::ColorEncoding;
 use ashsplat::ash::vk;
 use ashsplat::compose::{Background, Compose, Region};
 use ashsplat::vk::{Image, ImageUse};
@@ -31,27 +32,27 @@ pub fn pixels() -> Vec<[f32; 4]> {
         .collect()
 }
 
-/// Composes [`pixels`] over an image of texels; returns what the image holds then.
+/// Composes [`pixels`] as trained over an image of texels; returns what the image holds then.
 pub fn composed(gpu: &Gpu, format: vk::Format, texels: &[u8], behind: Background) -> Vec<u8> {
-    composed_of(gpu, &pixels(), format, texels, behind)
+    composed_of(gpu, &pixels(), format, texels, (behind, ColorEncoding::AsTrained))
 }
 
-/// The same of other pixels.
+/// The same of other pixels, in another encoding.
 pub fn composed_of(
     gpu: &Gpu,
     pixels: &[[f32; 4]],
     format: vk::Format,
     texels: &[u8],
-    behind: Background,
+    onto: (Background, ColorEncoding),
 ) -> Vec<u8> {
     let compose = Compose::new(gpu.context).expect("kernels");
     let image = Image::new(gpu.context, "target", format, IMAGE, ImageUse::Storage).expect("an image");
-    Compose::check_color(&image).expect("a possible format");
+    Compose::check_frame(&image, onto.0, onto.1).expect("a possible format");
     let accumulated = gpu.buffer("accumulated", pixels);
     let (from, to) = (gpu.buffer("texels", texels), gpu.untouched::<u8>("texels", texels.len()));
     gpu.run(|r| {
         r.copy_to_image(&from.range(0, texels.len() as u64), &image);
-        compose.record_color(r, &accumulated, SIZE, Region { image: &image, offset: OFFSET }, behind);
+        compose.record_color(r, &accumulated, SIZE, Region { image: &image, offset: OFFSET }, onto);
         r.copy_from_image(&image, &to.range(0, texels.len() as u64));
     });
     gpu.read(&to, texels.len())
@@ -63,6 +64,17 @@ pub fn check(
     after: &[[f64; 4]],
     behind: Background,
     tolerance: f64,
+    twin: impl Fn([f32; 4], [f64; 4]) -> [f64; 4],
+) {
+    check_each(before, after, behind, |_, _| tolerance, twin);
+}
+
+/// The same with a tolerance for each channel and expected number.
+pub fn check_each(
+    before: &[[f64; 4]],
+    after: &[[f64; 4]],
+    behind: Background,
+    tolerance: impl Fn(usize, f64) -> f64,
     twin: impl Fn([f32; 4], [f64; 4]) -> [f64; 4],
 ) {
     let pixels = pixels();
@@ -81,12 +93,22 @@ pub fn check(
                 Background::Image => before[texel],
             };
             let expected = twin(pixel, below);
-            for (actual, expected) in after[texel].iter().zip(expected) {
-                let close = (actual - expected).abs() <= tolerance;
+            for (channel, (actual, number)) in after[texel].iter().zip(expected).enumerate() {
+                let close = (actual - number).abs() <= tolerance(channel, number);
                 assert!(close, "({x}, {y}) {behind:?}: {:?}, expected {expected:?}", after[texel]);
             }
         }
     }
+}
+
+/// Linear light that is not as bright as the photographs'.
+pub const EXPOSURE: f32 = 0.8;
+/// It.
+pub const LINEAR: ColorEncoding = ColorEncoding::LinearSrgb { exposure: EXPOSURE };
+
+/// Whether the result is opaque, for the twins.
+pub fn is_opaque(behind: Background) -> bool {
+    matches!(behind, Background::Color(_))
 }
 
 /// What lies behind, in all its forms.

@@ -11,8 +11,8 @@ use ashsplat::vk::{
     Kernel, LimitsOverride, MemoryKind, Recorder,
 };
 use ashsplat::{
-    Background, Blending, DepthTarget, DeviceScene, Error, HostImage, Occluder, Placed, RecordedFrame,
-    RenderSettings, Renderer, Reservation, Target, Update,
+    Background, Blending, ColorEncoding, DepthTarget, DeviceScene, Error, HostImage, Occluder, Placed,
+    RecordedFrame, RenderSettings, Renderer, Reservation, Target, Update,
 };
 use glam::{Mat3, Vec3};
 
@@ -104,12 +104,26 @@ fn null_handles_and_wrong_images_are_refused() {
         };
         assert!(adopt(&|_| (), ImageUse::Storage).is_ok());
         type Change<'a> = &'a dyn Fn(&mut ashsplat::vk::ForeignImage);
-        let refused: [(Change, ImageUse, &str); 5] = [
+        let sampled = |f: &mut ashsplat::vk::ForeignImage| {
+            (f.format, f.usage) = (vk::Format::R32_UINT, vk::ImageUsageFlags::SAMPLED);
+        };
+        // No device here has storage images of it.
+        let only_mutable = |f: &mut ashsplat::vk::ForeignImage| {
+            (f.format, f.flags) = (vk::Format::R8G8B8A8_SRGB, vk::ImageCreateFlags::MUTABLE_FORMAT);
+        };
+        let refused: [(Change, ImageUse, &str); 11] = [
             (&|f| f.image = vk::Image::null(), ImageUse::Storage, "null"),
             (&|f| f.size = [0, 8], ImageUse::Storage, "0 x 8"),
             (&|f| f.usage = vk::ImageUsageFlags::SAMPLED, ImageUse::Storage, "lacks STORAGE"),
             (&|_| (), ImageUse::Sampled, "lacks SAMPLED"),
             (&|f| f.format = vk::Format::D32_SFLOAT, ImageUse::Storage, "D32_SFLOAT"),
+            // What no frame can be recorded with.
+            (&|f| f.format = vk::Format::R32_UINT, ImageUse::Storage, "R32_UINT is not one of"),
+            (&|f| f.format = vk::Format::R8G8_UNORM, ImageUse::Storage, "R8G8_UNORM is not one of"),
+            (&sampled, ImageUse::Sampled, "R32_UINT is not one of"),
+            (&|f| f.format = vk::Format::B8G8R8A8_UNORM, ImageUse::Storage, "lack MUTABLE_FORMAT"),
+            (&|f| f.format = vk::Format::R8G8B8A8_SRGB, ImageUse::Storage, "MUTABLE_FORMAT"),
+            (&only_mutable, ImageUse::Storage, "lack EXTENDED_USAGE"),
         ];
         for (change, purpose, expected) in refused {
             let error = adopt(change, purpose).expect_err(expected);
@@ -154,6 +168,7 @@ fn bad_frames_are_refused_before_anything_is_recorded() {
         let into = |image| Target::Image {
             to: HostImage { image, from: ImageState::UNDEFINED, offset: [0; 2] },
             behind: Background::Nothing,
+            encoding: ColorEncoding::AsTrained,
         };
         let nan = { ashsplat::Camera { fx: f32::NAN, ..good_camera } };
         let nothing = { ashsplat::Camera { width: 0, ..good_camera } };
@@ -172,13 +187,19 @@ fn bad_frames_are_refused_before_anything_is_recorded() {
         let onto = |behind| Target::Image {
             to: HostImage { image: &whole, from: ImageState::UNDEFINED, offset: [0; 2] },
             behind,
+            encoding: ColorEncoding::AsTrained,
         };
+        let exposed = |exposure| Target::Image {
+            to: HostImage { image: &whole, from: ImageState::UNDEFINED, offset: [0; 2] },
+            behind: Background::Nothing,
+            encoding: ColorEncoding::LinearSrgb { exposure },
+        };
+        let no_alpha = HostTexture::new(host, vk::Format::B10G11R11_UFLOAT_PACK32, usage, [64, 48]);
+        let no_alpha = no_alpha.expect("an image");
+        let no_alpha_view = view(&context, &no_alpha, ImageUse::Storage);
         let distances = HostImage { image: &images[1], from: ImageState::UNDEFINED, offset: [0; 2] };
         let expected = |min_weight| Some(DepthTarget { to: distances, min_weight, empty: f32::NAN });
         let mapping = ashsplat::scene::DepthMapping { scale: 1.0, offset: 0.0, clear_value: 0.0 };
-        let integers = HostTexture::new(host, vk::Format::R32_UINT, usage, [64, 48]).expect("an image");
-        let no_depth_view = view(&context, &integers, ImageUse::Sampled);
-        let no_depth = HostImage { image: &no_depth_view, from: ImageState::UNDEFINED, offset: [0; 2] };
         let unknown = ashsplat::scene::DepthMapping { scale: f32::NAN, ..mapping };
         let never = ashsplat::scene::DepthMapping { clear_value: f32::NAN, ..mapping };
         let no_background = RenderSettings { background: [0.0, f32::INFINITY, 0.0], ..settings };
@@ -209,16 +230,15 @@ fn bad_frames_are_refused_before_anything_is_recorded() {
             (RecordedFrame { target: into(&images[3]), ..good }, "not adopted for Storage"),
             (RecordedFrame { occluder: Some(Occluder { depth, mapping }), ..good }, "not reserved"),
             (RecordedFrame { occluder: Some(Occluder { depth, mapping: unknown }), ..good }, "depth mapping"),
-            (
-                RecordedFrame { occluder: Some(Occluder { depth: no_depth, mapping }), ..good },
-                "R32_UINT is not",
-            ),
             (RecordedFrame { occluder: Some(Occluder { depth, mapping: never }), ..good }, "depth mapping"),
             (RecordedFrame { occluder: Some(Occluder { depth: fresh_depth, mapping }), ..good }, "UNDEFINED"),
             (
                 RecordedFrame { occluder: Some(Occluder { depth, mapping }), depth: expected(0.5), ..good },
                 "is also the depth",
             ),
+            (RecordedFrame { target: exposed(0.0), ..good }, "exposure of linear colours"),
+            (RecordedFrame { target: exposed(f32::INFINITY), ..good }, "exposure of linear colours"),
+            (RecordedFrame { target: into(&no_alpha_view), ..good }, "has no alpha"),
             (RecordedFrame { target: onto(Background::Image), ..good }, "UNDEFINED"),
             (RecordedFrame { target: onto(Background::Color([0.0, f32::NAN, 0.0])), ..good }, "not finite"),
             (RecordedFrame { settings: &no_background, ..good }, "not finite"),
@@ -256,11 +276,11 @@ fn bad_frames_are_refused_before_anything_is_recorded() {
         in_flight.wait(host).expect("done");
         assert!(renderer.slot_report(0).expect("a report").expect("finished").visible > 50);
         in_flight.destroy(host);
-        drop((renderer, images, no_depth_view, whole));
+        drop((renderer, images, whole, no_alpha_view));
+        no_alpha.destroy(host);
         whole_target.destroy(host);
         small.destroy(host);
         single.destroy(host);
-        integers.destroy(host);
     });
 }
 

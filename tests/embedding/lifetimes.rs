@@ -10,8 +10,8 @@ use ashsplat::vk::{
     RecordSlot,
 };
 use ashsplat::{
-    Background, Camera, DeviceScene, HostImage, Placed, RecordedFrame, RenderSettings, Renderer, Reservation,
-    Target,
+    Background, Camera, ColorEncoding, DeviceScene, HostImage, Placed, RecordedFrame, RenderSettings,
+    Renderer, Reservation, Target,
 };
 
 fn renderer(context: &Context, slots: u32) -> Renderer {
@@ -54,7 +54,8 @@ fn what_is_dropped_lives_as_long_as_its_slots_need_it() {
                 },
             };
             let to = HostImage { image: &image, from, offset: [0; 2] };
-            let target = Target::Image { to, behind: Background::Nothing };
+            let target =
+                Target::Image { to, behind: Background::Nothing, encoding: ColorEncoding::AsTrained };
             let recorded = RecordedFrame { target, ..RecordedFrame::new(&placed, &view, &settings) };
             renderer.record(adopt(&context, frame), slot, &recorded).expect("a recording");
             let error = renderer.release_slot(slot).expect_err("in flight");

@@ -2,6 +2,9 @@
 
 // The example's parts, of which each test uses some.
 #[allow(dead_code)]
+#[path = "../../tools/embed/allocator.rs"]
+mod allocator;
+#[allow(dead_code)]
 #[path = "../../tools/embed/cube.rs"]
 mod cube;
 #[allow(dead_code)]
@@ -13,20 +16,31 @@ mod host;
 #[allow(dead_code)]
 #[path = "../../tools/embed/memory.rs"]
 mod memory;
+#[allow(dead_code)]
+#[path = "../../tools/embed/pass.rs"]
+mod pass;
+#[allow(dead_code)]
+#[path = "../../tools/embed/tonemap.rs"]
+mod tonemap;
+
+#[path = "../reference/compose_rgba32f.rs"]
+mod compose_rgba32f;
 
 #[path = "../common/child.rs"]
 mod child;
 
-mod allocator;
 mod bad_input;
+mod colour;
 mod faults;
 mod frames;
 mod lifetimes;
+mod memory_of_hosts;
 mod pictures;
 mod resident;
 mod scenes;
 mod stage;
 mod table;
+mod times;
 mod training;
 mod updates;
 mod warm_up;

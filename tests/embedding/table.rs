@@ -10,8 +10,8 @@ use ashsplat::scene::Gaussians;
 use ashsplat::trainer::{StepOutcome, StepReservation};
 use ashsplat::vk::{Context, ContextOptions, ForeignDevice, Image, ImageState, ImageUse};
 use ashsplat::{
-    Background, DeviceScene, HostImage, Occluder, Placed, RecordedFrame, RenderSettings, Renderer,
-    Reservation, Target, TrainSettings, Update,
+    Background, ColorEncoding, DeviceScene, HostImage, Occluder, Placed, RecordedFrame, RenderSettings,
+    Renderer, Reservation, Target, TrainSettings, Update,
 };
 use std::collections::BTreeSet;
 use std::ffi::{CStr, c_void};
@@ -322,6 +322,7 @@ impl<'a> Everything<'a> {
             target: Target::Image {
                 to: used(&self.adopted[0], ImageState::UNDEFINED),
                 behind: Background::Nothing,
+                encoding: ColorEncoding::LINEAR,
             },
             occluder: Some(Occluder { depth: used(&self.adopted[1], self.depth_state), mapping }),
             updates: &self.updates,

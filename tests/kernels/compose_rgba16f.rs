@@ -2,9 +2,11 @@
 
 use ashsplat::ash::vk;
 
-use crate::common::compose::{BEHIND, IMAGE, SIZE, check, composed, composed_of};
+use crate::common::compose::{
+    BEHIND, EXPOSURE, IMAGE, LINEAR, SIZE, check, composed, composed_of, is_opaque, pixels,
+};
 use crate::common::gpu::Gpu;
-use crate::reference::compose_rgba32f::compose;
+use crate::reference::compose_rgba32f::{compose, compose_linear};
 
 /// A half float without infinities.
 fn from_half(bits: u16) -> f64 {
@@ -29,6 +31,13 @@ fn compose_rgba16f_equals_its_twin() {
         let after: Vec<u16> = bytemuck::pod_collect_to_vec(&after);
         // Half a unit in the last place below 4.
         check(&wide(&texels), &wide(&after), behind, 1.1e-3, compose);
+        let linear = (behind, LINEAR);
+        let format = vk::Format::R16G16B16A16_SFLOAT;
+        let after = composed_of(&gpu, &pixels(), format, bytemuck::cast_slice(&texels), linear);
+        let after: Vec<u16> = bytemuck::pod_collect_to_vec(&after);
+        check(&wide(&texels), &wide(&after), behind, 1.1e-3, |pixel, below| {
+            compose_linear(pixel, below, is_opaque(behind), EXPOSURE.into())
+        });
     }
 }
 
@@ -40,7 +49,8 @@ fn compose_rgba16f_stays_finite() {
     let bright = vec![[1e30, 65504.0, 66000.0, 0.5]; (SIZE[0] * SIZE[1]) as usize];
     for behind in BEHIND {
         let format = vk::Format::R16G16B16A16_SFLOAT;
-        let after = composed_of(&gpu, &bright, format, bytemuck::cast_slice(&texels), behind);
+        let onto = (behind, ashsplat::ColorEncoding::AsTrained);
+        let after = composed_of(&gpu, &bright, format, bytemuck::cast_slice(&texels), onto);
         let after: Vec<u16> = bytemuck::pod_collect_to_vec(&after);
         let changed: Vec<_> = after.as_chunks::<4>().0.iter().filter(|t| t[0] != 0x3800).collect();
         assert_eq!(changed.len(), bright.len());

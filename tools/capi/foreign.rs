@@ -140,6 +140,7 @@ pub unsafe extern "C" fn ashsplat_image_adopt(
             size: [host.width, host.height],
             mip_level: host.mip_level,
             layer: host.layer,
+            flags: vk::ImageCreateFlags::from_raw(host.flags),
         };
         let (name, purpose) =
             if sampled { ("depth", ImageUse::Sampled) } else { ("target", ImageUse::Storage) };
@@ -233,7 +234,9 @@ pub unsafe extern "C" fn ashsplat_record(
         let used = |image, s: AshsplatImageState, offset| HostImage { image, from: s.into(), offset };
         if let Some(image) = f.target.as_ref() {
             let to = used(&image.0, f.target_from, f.target_offset);
-            recorded.target = Target::Image { to, behind: settings::behind(f.behind, f.background)? };
+            let behind = settings::behind(f.behind, f.background)?;
+            let encoding = settings::encoding(f.encoding, f.exposure)?;
+            recorded.target = Target::Image { to, behind, encoding };
         }
         if let Some(image) = f.depth.as_ref() {
             let depth = used(&image.0, f.depth_from, f.depth_offset);

@@ -1,7 +1,7 @@
 //! How a frame is rendered, in C. Enumerations arrive as numbers, for a C program may write any: they are checked here.
 
 use super::{AshsplatStatus, borrowed_mut, guarded};
-use ashsplat::{Background, Error, Extent, JacobianLimit, RenderSettings, Result, Shape};
+use ashsplat::{Background, ColorEncoding, Error, Extent, JacobianLimit, RenderSettings, Result, Shape};
 
 /// What the splats are composited over.
 #[repr(C)]
@@ -13,6 +13,17 @@ pub enum AshsplatBackground {
     Nothing = 1,
     /// The image's content.
     Image = 2,
+}
+
+/// What the colours are that are written into a target.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum AshsplatColorEncoding {
+    /// The values that the splats were trained in: those of photographs, display-encoded by the curve of sRGB.
+    AsTrained = 0,
+    /// Linear light with the primaries of sRGB, decoded after blending; what is premultiplied is decoded before the product
+    /// with alpha. A target of an sRGB format encodes it again.
+    LinearSrgb = 1,
 }
 
 /// At which pixels a Gaussian counts.
@@ -97,6 +108,11 @@ impl AshsplatRenderSettings {
 /// What lies behind the splats, from an AshsplatBackground's number.
 pub(super) fn behind(number: u32, background: [f32; 3]) -> Result<Background> {
     one_of("behind", number, &[Background::Color(background), Background::Nothing, Background::Image])
+}
+
+/// What the target's colours are, from an AshsplatColorEncoding's number.
+pub(super) fn encoding(number: u32, exposure: f32) -> Result<ColorEncoding> {
+    one_of("encoding", number, &[ColorEncoding::AsTrained, ColorEncoding::LinearSrgb { exposure }])
 }
 
 /// The default settings, with which scenes are trained and shown.

@@ -54,7 +54,7 @@ pub unsafe extern "C" fn ashsplat_slot_report(
 }
 
 /// The VkBuffer that a frame without target fills, and the byte offset in it: premultiplied red, green, blue
-/// and transmittance of each pixel, row by row, as floats. Usable as a storage buffer and a source of
+/// (display-encoded, as trained) and transmittance of each pixel, row by row, as floats. Usable as a storage buffer and a source of
 /// transfers, until the renderer reserves again. The host may use it after the frame, behind a barrier from
 /// AshsplatRelease's stages and accesses, until the slot is recorded again. A host that reads it in other
 /// stages than compute and transfer, in a later command buffer, must wait for those stages before the next

@@ -148,6 +148,10 @@ pub struct AshsplatHostImage {
     pub mip_level: u32,
     /// Which layer.
     pub layer: u32,
+    /// VkImageCreateFlags. Of a target in another format than R8G8B8A8_UNORM and the two float formats of 16 and 32 bits, they
+    /// have MUTABLE_FORMAT, and EXTENDED_USAGE where the device has no storage images of the format: texels of 8 bits per
+    /// channel are seen as R8G8B8A8_UNORM, A2B10G10R10 and B10G11R11 as R32_UINT.
+    pub flags: u32,
 }
 
 /// How an image is being used at some point of a command buffer.
@@ -304,8 +308,12 @@ pub struct AshsplatFrame {
     pub target_offset: [u32; 2],
     /// What the splats are composited over: an AshsplatBackground.
     pub behind: u32,
-    /// Its colour, for AshsplatBackground_Color.
+    /// Its colour, for AshsplatBackground_Color: display-encoded, as trained.
     pub background: [f32; 3],
+    /// What the target's colours are: an AshsplatColorEncoding.
+    pub encoding: u32,
+    /// Factor of linear light, finite and positive, for AshsplatColorEncoding_LinearSrgb.
+    pub exposure: f32,
     /// The host's depth image, which hides splats that are farther away, or NULL.
     pub depth: *const super::AshsplatImage,
     /// The host's use of the depth image before the frame.

@@ -1,4 +1,4 @@
-// The texture, a little darker on some faces.
+// The texture under a lamp and some light from everywhere, in linear light.
 #version 460
 layout(set = 0, binding = 0) uniform sampler2D image;
 layout(location = 0) in vec2 uv;
@@ -6,6 +6,6 @@ layout(location = 1) in vec3 normal;
 layout(location = 0) out vec4 color;
 
 void main() {
-    float light = 0.75 + 0.25 * dot(normal, normalize(vec3(0.3, -0.8, -0.5)));
+    float light = 0.6 + 0.5 * dot(normal, normalize(vec3(0.3, -0.8, -0.5)));
     color = vec4(light * texture(image, uv).rgb, 1.0);
 }

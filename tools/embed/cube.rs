@@ -1,15 +1,9 @@
-//! The host's own picture: a textured cube with depth, in a graphics pass with dynamic rendering.
+//! The host's own picture: a textured cube with depth, lit in linear light, in a graphics pass with dynamic rendering.
 
 use super::host::{Host, Result};
 use super::memory::{HostBuffer, HostTexture, Use};
+use super::pass::{Sampled, pipeline, spirv};
 use ashsplat::ash::vk;
-
-/// A SPIR-V module that build.rs compiled from a file of this folder.
-macro_rules! spirv {
-    ($name:literal) => {
-        include_bytes!(concat!(env!("OUT_DIR"), "/embed_", $name, ".spv"))
-    };
-}
 
 const TEXTURE_SIDE: u32 = 64;
 
@@ -26,7 +20,7 @@ pub const DEPTH_WRITTEN: Use = (
 );
 /// Nothing has used an image yet.
 pub const UNUSED: Use = (vk::ImageLayout::UNDEFINED, vk::PipelineStageFlags2::NONE, vk::AccessFlags2::NONE);
-const SAMPLED: Use = (
+pub const SAMPLED: Use = (
     vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL,
     vk::PipelineStageFlags2::FRAGMENT_SHADER,
     vk::AccessFlags2::SHADER_SAMPLED_READ,
@@ -35,10 +29,7 @@ const SAMPLED: Use = (
 /// The pipeline and its texture.
 pub struct Cube {
     texture: HostTexture,
-    sampler: vk::Sampler,
-    set_layout: vk::DescriptorSetLayout,
-    pool: vk::DescriptorPool,
-    set: vk::DescriptorSet,
+    sampled: Sampled,
     layout: vk::PipelineLayout,
     /// With depth that grows away from the camera, and with reversed depth.
     pipelines: [vk::Pipeline; 2],
@@ -60,44 +51,23 @@ impl Cube {
     pub fn new(host: &Host, color: vk::Format, depth: vk::Format) -> Result<Self> {
         let usage = vk::ImageUsageFlags::SAMPLED | vk::ImageUsageFlags::TRANSFER_DST;
         let side = TEXTURE_SIDE;
-        let texture = HostTexture::new(host, vk::Format::R8G8B8A8_UNORM, usage, [side, side])?;
+        let texture = HostTexture::new(host, vk::Format::R8G8B8A8_SRGB, usage, [side, side])?;
         upload(host, &texture)?;
         // SAFETY: valid create infos; handles come from the calls before.
         unsafe {
             let device = &host.device;
-            let info = vk::SamplerCreateInfo::default()
-                .mag_filter(vk::Filter::LINEAR)
-                .min_filter(vk::Filter::LINEAR);
-            let sampler = device.create_sampler(&info, None)?;
-            let kind = vk::DescriptorType::COMBINED_IMAGE_SAMPLER;
-            let bindings = [vk::DescriptorSetLayoutBinding::default()
-                .descriptor_type(kind)
-                .descriptor_count(1)
-                .stage_flags(vk::ShaderStageFlags::FRAGMENT)];
-            let info = vk::DescriptorSetLayoutCreateInfo::default().bindings(&bindings);
-            let set_layout = device.create_descriptor_set_layout(&info, None)?;
-            let sizes = [vk::DescriptorPoolSize::default().ty(kind).descriptor_count(1)];
-            let info = vk::DescriptorPoolCreateInfo::default().max_sets(1).pool_sizes(&sizes);
-            let pool = device.create_descriptor_pool(&info, None)?;
-            let layouts = [set_layout];
-            let info = vk::DescriptorSetAllocateInfo::default().descriptor_pool(pool).set_layouts(&layouts);
-            let set = device.allocate_descriptor_sets(&info)?[0];
-            let images = [vk::DescriptorImageInfo::default()
-                .sampler(sampler)
-                .image_view(texture.view)
-                .image_layout(SAMPLED.0)];
-            let write =
-                vk::WriteDescriptorSet::default().dst_set(set).descriptor_type(kind).image_info(&images);
-            device.update_descriptor_sets(&[write], &[]);
+            let sampled = Sampled::new(host, &texture)?;
             let ranges =
                 [vk::PushConstantRange::default().stage_flags(vk::ShaderStageFlags::VERTEX).size(64)];
+            let layouts = [sampled.set_layout];
             let info =
                 vk::PipelineLayoutCreateInfo::default().set_layouts(&layouts).push_constant_ranges(&ranges);
             let layout = device.create_pipeline_layout(&info, None)?;
-            let standard = pipeline(host, layout, [color, depth], vk::CompareOp::LESS)?;
-            let reversed = pipeline(host, layout, [color, depth], vk::CompareOp::GREATER)?;
+            let shaders: [&[u8]; 2] = [spirv!("cube.vert"), spirv!("cube.frag")];
+            let standard = pipeline(host, layout, shaders, color, Some((depth, vk::CompareOp::LESS)))?;
+            let reversed = pipeline(host, layout, shaders, color, Some((depth, vk::CompareOp::GREATER)))?;
             let pipelines = [standard, reversed];
-            Ok(Self { texture, sampler, set_layout, pool, set, layout, pipelines })
+            Ok(Self { texture, sampled, layout, pipelines })
         }
     }
 
@@ -139,7 +109,7 @@ impl Cube {
             device.cmd_begin_rendering(commands, &info);
             let graphics = vk::PipelineBindPoint::GRAPHICS;
             device.cmd_bind_pipeline(commands, graphics, self.pipelines[usize::from(pass.reversed_depth)]);
-            device.cmd_bind_descriptor_sets(commands, graphics, self.layout, 0, &[self.set], &[]);
+            device.cmd_bind_descriptor_sets(commands, graphics, self.layout, 0, &[self.sampled.set], &[]);
             device.cmd_push_constants(commands, self.layout, vk::ShaderStageFlags::VERTEX, 0, &matrix);
             device.cmd_set_viewport(commands, 0, &[viewport]);
             device.cmd_set_scissor(commands, 0, &[area]);
@@ -153,10 +123,8 @@ impl Cube {
         unsafe {
             self.pipelines.into_iter().for_each(|p| host.device.destroy_pipeline(p, None));
             host.device.destroy_pipeline_layout(self.layout, None);
-            host.device.destroy_descriptor_pool(self.pool, None);
-            host.device.destroy_descriptor_set_layout(self.set_layout, None);
-            host.device.destroy_sampler(self.sampler, None);
         }
+        self.sampled.destroy(host);
         self.texture.destroy(host);
     }
 }
@@ -204,65 +172,4 @@ fn upload(host: &Host, texture: &HostTexture) -> Result<()> {
     })?;
     staging.destroy(host);
     Ok(())
-}
-
-unsafe fn pipeline(
-    host: &Host,
-    layout: vk::PipelineLayout,
-    [color, depth]: [vk::Format; 2],
-    compare: vk::CompareOp,
-) -> Result<vk::Pipeline> {
-    let vertex = super::host::words(spirv!("cube.vert"));
-    let fragment = super::host::words(spirv!("cube.frag"));
-    // SAFETY: SPIR-V that build.rs compiled; every pointer lives through its call.
-    unsafe {
-        let device = &host.device;
-        let module = |code: &[u32]| {
-            device.create_shader_module(&vk::ShaderModuleCreateInfo::default().code(code), None)
-        };
-        let modules = [module(&vertex)?, module(&fragment)?];
-        let stage = |stage, module| {
-            vk::PipelineShaderStageCreateInfo::default().stage(stage).module(module).name(c"main")
-        };
-        let stages = [
-            stage(vk::ShaderStageFlags::VERTEX, modules[0]),
-            stage(vk::ShaderStageFlags::FRAGMENT, modules[1]),
-        ];
-        let input = vk::PipelineVertexInputStateCreateInfo::default();
-        let assembly = vk::PipelineInputAssemblyStateCreateInfo::default()
-            .topology(vk::PrimitiveTopology::TRIANGLE_LIST);
-        let viewport = vk::PipelineViewportStateCreateInfo::default().viewport_count(1).scissor_count(1);
-        let raster = vk::PipelineRasterizationStateCreateInfo::default().line_width(1.0);
-        let samples = vk::PipelineMultisampleStateCreateInfo::default()
-            .rasterization_samples(vk::SampleCountFlags::TYPE_1);
-        let depth_test = vk::PipelineDepthStencilStateCreateInfo::default()
-            .depth_test_enable(true)
-            .depth_write_enable(true)
-            .depth_compare_op(compare);
-        let blends =
-            [vk::PipelineColorBlendAttachmentState::default()
-                .color_write_mask(vk::ColorComponentFlags::RGBA)];
-        let blend = vk::PipelineColorBlendStateCreateInfo::default().attachments(&blends);
-        let states = [vk::DynamicState::VIEWPORT, vk::DynamicState::SCISSOR];
-        let dynamic = vk::PipelineDynamicStateCreateInfo::default().dynamic_states(&states);
-        let formats = [color];
-        let mut rendering = vk::PipelineRenderingCreateInfo::default()
-            .color_attachment_formats(&formats)
-            .depth_attachment_format(depth);
-        let info = vk::GraphicsPipelineCreateInfo::default()
-            .stages(&stages)
-            .vertex_input_state(&input)
-            .input_assembly_state(&assembly)
-            .viewport_state(&viewport)
-            .rasterization_state(&raster)
-            .multisample_state(&samples)
-            .depth_stencil_state(&depth_test)
-            .color_blend_state(&blend)
-            .dynamic_state(&dynamic)
-            .layout(layout)
-            .push_next(&mut rendering);
-        let made = device.create_graphics_pipelines(vk::PipelineCache::null(), &[info], None);
-        modules.into_iter().for_each(|m| device.destroy_shader_module(m, None));
-        Ok(made.map_err(|(_, error)| error)?[0])
-    }
 }

@@ -1,22 +1,27 @@
 //! What a host engine writes to have splats in its picture. The steps are numbered as in the guide's chapter `embedding`.
 
+use super::allocator::Adapter;
 use super::cube::{COLOR_WRITTEN, Cube, CubePass, DEPTH_WRITTEN, UNUSED};
 use super::host::{Host, HostOptions, InFlight, Result};
 use super::memory::{HostBuffer, HostTexture, Use};
+use super::tonemap::Tonemap;
 use ashsplat::ash::vk;
 use ashsplat::scene::{ClipY, HostView, Pose};
-use ashsplat::vk::{Context, ContextOptions, Image, ImageState, ImageUse};
+use ashsplat::vk::{Context, ContextOptions, ForeignDevice, Image, ImageState, ImageUse};
 use ashsplat::{
-    Background, DeviceScene, Gaussians, HostImage, Occluder, Placed, RecordedFrame, Release, RenderSettings,
-    Renderer, Reservation, Target,
+    Background, ColorEncoding, DeviceScene, Gaussians, HostImage, Occluder, Placed, RecordedFrame, Release,
+    RenderSettings, Renderer, Reservation, Target,
 };
 use glam::camera::rh::{proj::vulkan, view::look_at_mat4};
 use glam::{Mat3, Mat4, Vec3};
 use std::path::Path;
+use std::sync::Arc;
 
 /// Width and height of the pictures.
 pub const SIZE: [u32; 2] = [480, 360];
 const FRAMES_IN_FLIGHT: u32 = 2;
+/// Linear light: 26, 31 and 41 of 255 on a display.
+const BACKGROUND: [f32; 4] = [0.010330, 0.013702, 0.022174, 1.0];
 const PIXEL_BYTES: u64 = 4 * SIZE[0] as u64 * SIZE[1] as u64;
 
 /// A picture to draw.
@@ -29,13 +34,25 @@ pub struct Picture {
     pub reversed_depth: bool,
     /// Whether a second scene is in the picture.
     pub second: bool,
+    /// What the guest writes. The host lights and blends in linear light: with any other encoding, splats are washed out.
+    pub encoding: ColorEncoding,
 }
 
-pub const PICTURES: [Picture; 4] = [
-    Picture { name: "standard", angle: 0.5, reversed_depth: false, second: false },
-    Picture { name: "reversed", angle: 0.5, reversed_depth: true, second: false },
-    Picture { name: "two_scenes", angle: 1.1, reversed_depth: true, second: true },
-    Picture { name: "turned", angle: 2.3, reversed_depth: true, second: true },
+const TURNED: Picture = Picture {
+    name: "turned",
+    angle: 2.3,
+    reversed_depth: true,
+    second: true,
+    encoding: ColorEncoding::LINEAR,
+};
+
+pub const PICTURES: [Picture; 5] = [
+    Picture { name: "standard", angle: 0.5, reversed_depth: false, second: false, ..TURNED },
+    Picture { name: "reversed", angle: 0.5, second: false, ..TURNED },
+    Picture { name: "two_scenes", angle: 1.1, ..TURNED },
+    TURNED,
+    // What goes wrong.
+    Picture { name: "washed_out", encoding: ColorEncoding::AsTrained, ..TURNED },
 ];
 
 /// The engine with its guest.
@@ -43,10 +60,14 @@ struct Engine {
     /// Command buffers, and where the host reads their pictures.
     frames: Vec<(InFlight, HostBuffer)>,
     cube: Cube,
+    tonemap: Tonemap,
+    /// Linear light, more than a display has.
     color: HostTexture,
     depth: HostTexture,
-    /// How the frame before has used both last.
-    last: [Use; 2],
+    /// What is shown.
+    display: HostTexture,
+    /// How the frame before has used these three last.
+    last: [Use; 3],
     guest: Guest,
 }
 
@@ -63,18 +84,21 @@ struct Guest {
 impl Engine {
     fn new(host: &Host) -> Result<Self> {
         let color_usage = vk::ImageUsageFlags::COLOR_ATTACHMENT
-            | vk::ImageUsageFlags::TRANSFER_SRC
+            | vk::ImageUsageFlags::SAMPLED
             // The guest writes the image.
             | vk::ImageUsageFlags::STORAGE;
         // The guest reads the depth.
         let depth_usage = vk::ImageUsageFlags::DEPTH_STENCIL_ATTACHMENT | vk::ImageUsageFlags::SAMPLED;
-        let color = HostTexture::new(host, vk::Format::R8G8B8A8_UNORM, color_usage, SIZE)?;
+        let color = HostTexture::new(host, vk::Format::R16G16B16A16_SFLOAT, color_usage, SIZE)?;
         let depth = HostTexture::new(host, vk::Format::D32_SFLOAT, depth_usage, SIZE)?;
+        let display_usage = vk::ImageUsageFlags::COLOR_ATTACHMENT | vk::ImageUsageFlags::TRANSFER_SRC;
+        let display = HostTexture::new(host, vk::Format::R8G8B8A8_SRGB, display_usage, SIZE)?;
         let frame = |_| Ok((InFlight::new(host)?, HostBuffer::new(host, PIXEL_BYTES)?));
         let frames: Result<Vec<_>> = (0..FRAMES_IN_FLIGHT).map(frame).collect();
         let cube = Cube::new(host, color.format, depth.format)?;
-        let (guest, last) = (Guest::new(host, &color, &depth)?, [UNUSED; 2]);
-        Ok(Self { frames: frames?, cube, guest, color, depth, last })
+        let tonemap = Tonemap::new(host, &color, display.format)?;
+        let (guest, last) = (Guest::new(host, &color, &depth)?, [UNUSED; 3]);
+        Ok(Self { frames: frames?, cube, tonemap, guest, color, depth, display, last })
     }
 
     /// Records and submits a frame: the engine's own pass, the splats, and the copy to where the host reads it, all in one
@@ -93,18 +117,21 @@ impl Engine {
             &CubePass {
                 color: &self.color,
                 depth: &self.depth,
-                last: self.last,
-                background: [0.10, 0.12, 0.16, 1.0],
+                last: [self.last[0], self.last[1]],
+                background: BACKGROUND,
                 clip_from_object: clip_from_object.to_cols_array(),
                 reversed_depth: picture.reversed_depth,
             },
         );
         let release = self.guest.record(commands, slot as u32, picture, &view)?;
-        // 7. The release says what to wait for, and in which layouts the images are now: here for the copy, and for the next
-        // frame's pass, which may not write the depth before the guest has read it.
+        // 7. The release says what to wait for, and in which layouts the images are now: here for the last pass, and for the
+        // next frame's first one, which may not write the depth before the guest has read it.
         let [color, depth] = [release.color, release.occluder].map(|state| state.map(uses));
-        let color = self.color.record_read(host, commands, color.ok_or("the frame has a target")?, pixels);
-        self.last = [color, depth.ok_or("the frame has a depth")?];
+        let (color, depth) = (color.ok_or("the frame has a target")?, depth.ok_or("the frame has a depth")?);
+        let images = [&self.color, &self.display];
+        let [color, display] = self.tonemap.record(host, commands, images, [color, self.last[2]]);
+        let display = self.display.record_read(host, commands, display, pixels);
+        self.last = [color, depth, display];
         frame.submit(host)
     }
 
@@ -125,13 +152,15 @@ impl Engine {
 
     /// The guest goes before the images and the device that it looks at.
     fn destroy(self, host: &Host) {
-        let Self { frames, cube, color, depth, guest, .. } = self;
+        let Self { frames, cube, tonemap, color, depth, display, guest, .. } = self;
         drop(guest);
         for (frame, pixels) in frames {
             frame.destroy(host);
             pixels.destroy(host);
         }
         cube.destroy(host);
+        tonemap.destroy(host);
+        display.destroy(host);
         color.destroy(host);
         depth.destroy(host);
     }
@@ -160,10 +189,12 @@ impl Engine {
 
 impl Guest {
     fn new(host: &Host, color: &HostTexture, depth: &HostTexture) -> Result<Self> {
-        // 2. A context on the host's device. Nothing of the host's is ever destroyed by it.
+        // 2. A context on the host's device, with memory of the host's allocator. Nothing of the host's is ever destroyed by
+        // it.
+        let foreign = ForeignDevice { allocator: Some(Arc::new(Adapter::new(host)?)), ..host.foreign() };
         // SAFETY: the handles are alive and outlive the guest (`pictures` drops it first); what was enabled is what
         // `Host::new` says; the queue is used by this thread alone.
-        let context = unsafe { Context::from_foreign(&host.foreign(), &ContextOptions::default())? };
+        let context = unsafe { Context::from_foreign(&foreign, &ContextOptions::default())? };
         // 3. Scenes, and views of the host's images.
         let ring = DeviceScene::upload(&context, &ring(), 0)?;
         let ball = DeviceScene::upload(&context, &ball(), 0)?;
@@ -203,7 +234,8 @@ impl Guest {
         let scenes = if picture.second { &scenes[..] } else { &scenes[..1] };
         let settings = RenderSettings::default();
         // 6. The frame, composed over what the host has drawn, hidden where the host's depth is nearer.
-        let target = Target::Image { to: used(&self.color, COLOR_WRITTEN), behind: Background::Image };
+        let (to, behind) = (used(&self.color, COLOR_WRITTEN), Background::Image);
+        let target = Target::Image { to, behind, encoding: picture.encoding };
         let occluder = Some(Occluder { depth: used(&self.depth, DEPTH_WRITTEN), mapping });
         let frame = RecordedFrame { target, occluder, ..RecordedFrame::new(scenes, &camera, &settings) };
         Ok(self.renderer.record(commands, slot, &frame)?)

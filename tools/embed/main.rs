@@ -2,12 +2,16 @@
 //!
 //!     cargo run --release --example embed -- FOLDER
 //!
-//! `guest.rs` is the part that a host engine writes; `host.rs`, `memory.rs` and `cube.rs` are what it has already.
+//! `guest.rs` is the part that a host engine writes; the other files are what it has already. It lights and blends in linear
+//! light, with a tone curve at the end, as engines do.
 
+mod allocator;
 mod cube;
 mod guest;
 mod host;
 mod memory;
+mod pass;
+mod tonemap;
 
 use std::path::PathBuf;
 use std::process::ExitCode;

@@ -2,13 +2,16 @@
 
 use super::host::{Host, Result};
 use ashsplat::ash::vk;
-use ashsplat::vk::ForeignImage;
+use ashsplat::vk::{ForeignImage, ImageUse};
+
+const STORAGE: vk::ImageUsageFlags = vk::ImageUsageFlags::STORAGE;
 
 /// An image with its memory and a view.
 pub struct HostTexture {
     pub image: vk::Image,
     pub view: vk::ImageView,
     pub format: vk::Format,
+    pub flags: vk::ImageCreateFlags,
     pub usage: vk::ImageUsageFlags,
     pub size: [u32; 2],
     pub aspect: vk::ImageAspectFlags,
@@ -19,7 +22,13 @@ impl HostTexture {
     pub fn new(host: &Host, format: vk::Format, usage: vk::ImageUsageFlags, size: [u32; 2]) -> Result<Self> {
         let depth = format == vk::Format::D32_SFLOAT || format == vk::Format::D16_UNORM;
         let aspect = if depth { vk::ImageAspectFlags::DEPTH } else { vk::ImageAspectFlags::COLOR };
+        // The guest sees the texels of some formats as those of another one.
+        let flags = match ImageUse::Storage.seen_as(format) != format && usage.contains(STORAGE) {
+            true => vk::ImageCreateFlags::MUTABLE_FORMAT | vk::ImageCreateFlags::EXTENDED_USAGE,
+            false => vk::ImageCreateFlags::empty(),
+        };
         let info = vk::ImageCreateInfo::default()
+            .flags(flags)
             .image_type(vk::ImageType::TYPE_2D)
             .format(format)
             .extent(vk::Extent3D { width: size[0], height: size[1], depth: 1 })
@@ -39,20 +48,24 @@ impl HostTexture {
                 layer_count: 1,
                 ..Default::default()
             };
+            // The host's own view, in which such a format need not be possible as storage.
+            let seen = if flags.is_empty() { usage } else { usage & !STORAGE };
+            let mut seen = vk::ImageViewUsageCreateInfo::default().usage(seen);
             let info = vk::ImageViewCreateInfo::default()
                 .image(image)
                 .view_type(vk::ImageViewType::TYPE_2D)
                 .format(format)
-                .subresource_range(range);
+                .subresource_range(range)
+                .push_next(&mut seen);
             let view = host.device.create_image_view(&info, None)?;
-            Ok(Self { image, view, format, usage, size, aspect, memory })
+            Ok(Self { image, view, format, flags, usage, size, aspect, memory })
         }
     }
 
     /// What the guest is told of it.
     pub fn foreign(&self) -> ForeignImage {
-        let Self { image, format, usage, size, .. } = *self;
-        ForeignImage { image, format, usage, size, mip_level: 0, layer: 0 }
+        let Self { image, format, flags, usage, size, .. } = *self;
+        ForeignImage { image, format, flags, usage, size, mip_level: 0, layer: 0 }
     }
 
     /// Records a change of layout.

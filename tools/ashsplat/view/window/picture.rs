@@ -7,8 +7,8 @@ use ashsplat::compose::{Compose, Region};
 use ashsplat::scene::Camera;
 use ashsplat::vk::{Buffer, Context, Image, ImageState, ImageUse, MemoryKind, RecordSlot};
 use ashsplat::{
-    Background, DeviceScene, HostImage, Placed, RecordedFrame, RenderSettings, Renderer, Reservation, Result,
-    SlotReport, Target,
+    Background, ColorEncoding, DeviceScene, HostImage, Placed, RecordedFrame, RenderSettings, Renderer,
+    Reservation, Result, SlotReport, Target,
 };
 use ashsplat_files::Photo;
 use std::time::Instant;
@@ -181,7 +181,11 @@ impl Picture {
                 let scenes = [Placed::from(scene)];
                 let to = HostImage { image: target, from: USED, offset: [0; 2] };
                 let frame = RecordedFrame {
-                    target: Target::Image { to, behind: Background::Color(settings.background) },
+                    target: Target::Image {
+                        to,
+                        behind: Background::Color(settings.background),
+                        encoding: ColorEncoding::AsTrained,
+                    },
                     ..RecordedFrame::new(&scenes, camera, settings)
                 };
                 let release = self.renderer.record(present.commands(turn)?, turn.slot(), &frame)?;
@@ -237,7 +241,8 @@ impl Picture {
             let buffer = filled(&self.context, buffer, bytemuck::cast_slice(texels))?;
             state = recorder.acquire_image(canvas, state);
             let region = Region { image: canvas, offset: overlay.corner };
-            self.compose.record_color(&mut recorder, &buffer, [*width, *height], region, Background::Image);
+            let onto = (Background::Image, ColorEncoding::AsTrained);
+            self.compose.record_color(&mut recorder, &buffer, [*width, *height], region, onto);
         }
         records[1].end(recorder)?;
         Ok(state)

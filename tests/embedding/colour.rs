@@ -1,0 +1,349 @@
+//! What is written into a host's images: their formats, and linear light. Expected is what the twin of `compose` makes of the
+//! frame's own pixels.
+
+use crate::compose_rgba32f::{compose, compose_linear, decode, encode};
+use crate::host::{Host, InFlight};
+use crate::memory::{HostBuffer, HostTexture, Use};
+use crate::stage::{adopt, camera, cloud, guest, options, rendered, with_host};
+use ashsplat::ash::vk::{self, Format};
+use ashsplat::compose::Compose;
+use ashsplat::vk::{Context, Image, ImageState, ImageUse};
+use ashsplat::{
+    Background, Camera, ColorEncoding, DeviceScene, Gaussians, HostImage, RecordedFrame, RenderSettings,
+    Renderer, Reservation, Target,
+};
+
+const SIZE: [u32; 2] = [64, 48];
+const PIXELS: usize = (SIZE[0] * SIZE[1]) as usize;
+/// What the host has in its image before, as it sees it.
+const BELOW: [f32; 4] = [0.25, 0.5, 0.75, 1.0];
+const WRITTEN: Use = (
+    vk::ImageLayout::TRANSFER_DST_OPTIMAL,
+    vk::PipelineStageFlags2::ALL_TRANSFER,
+    vk::AccessFlags2::TRANSFER_WRITE,
+);
+const EXPOSED: ColorEncoding = ColorEncoding::LinearSrgb { exposure: 0.7 };
+
+/// A guest with a scene, and what it blends: premultiplied colours and transmittance.
+struct Scene {
+    context: Context,
+    renderer: Renderer,
+    scene: DeviceScene,
+    camera: Camera,
+    blended: Vec<[f32; 4]>,
+}
+
+impl Scene {
+    fn new(host: &Host, gaussians: &Gaussians) -> Self {
+        let context = guest(host);
+        let scene = DeviceScene::upload(&context, gaussians, 0).expect("a scene");
+        let mut renderer = Renderer::new(&context).expect("kernels");
+        renderer.reserve(&Reservation::new(scene.count(), 1, SIZE[0], SIZE[1])).expect("memory");
+        let camera = camera(0.3, SIZE[0], SIZE[1]);
+        let (settings, scenes) = (RenderSettings::default(), [(&scene).into()]);
+        let blended = rendered(host, &mut renderer, &RecordedFrame::new(&scenes, &camera, &settings));
+        Self { context, renderer, scene, camera, blended }
+    }
+
+    /// The texels of an image of a format in which the frame was composed over [`BELOW`], as the host reads them; in
+    /// linear floats, if the device converts them.
+    fn composed(
+        &mut self,
+        host: &Host,
+        format: Format,
+        onto: (Background, ColorEncoding),
+        convert: bool,
+    ) -> Vec<[f64; 4]> {
+        let transfer = vk::ImageUsageFlags::TRANSFER_SRC | vk::ImageUsageFlags::TRANSFER_DST;
+        let usage = transfer | vk::ImageUsageFlags::STORAGE | vk::ImageUsageFlags::COLOR_ATTACHMENT;
+        let texture = HostTexture::new(host, format, usage, SIZE).expect("an image");
+        let floats = HostTexture::new(
+            host,
+            Format::R32G32B32A32_SFLOAT,
+            transfer | vk::ImageUsageFlags::SAMPLED,
+            SIZE,
+        );
+        let floats = floats.expect("an image");
+        // SAFETY: the image is as it says, and outlives the view.
+        let image = unsafe { Image::adopt(&self.context, "target", &texture.foreign(), ImageUse::Storage) };
+        let image = image.expect("adopted");
+        let (read_from, bytes) = if convert { (&floats, 16) } else { (&texture, texel_bytes(format)) };
+        let staging = HostBuffer::new(host, (PIXELS * bytes) as u64).expect("memory");
+        let in_flight = InFlight::new(host).expect("a command buffer");
+        in_flight.begin(host).expect("recording");
+        clear(host, &in_flight, &texture);
+        let (layout, stages, accesses) = WRITTEN;
+        let from = ImageState { layout, stages, accesses };
+        let target = Target::Image {
+            to: HostImage { image: &image, from, offset: [0; 2] },
+            behind: onto.0,
+            encoding: onto.1,
+        };
+        let (settings, scenes) = (RenderSettings::default(), [(&self.scene).into()]);
+        let frame = RecordedFrame { target, ..RecordedFrame::new(&scenes, &self.camera, &settings) };
+        let release = self.renderer.record(adopt(&self.context, &in_flight), 0, &frame).expect("a recording");
+        let left = release.color.expect("a target");
+        let mut left = (left.layout, left.stages, left.accesses);
+        if convert {
+            blit(host, &in_flight, [&texture, &floats], left);
+            left = WRITTEN;
+        }
+        read_from.record_read(host, in_flight.commands, left, &staging);
+        in_flight.submit(host).expect("a submission");
+        in_flight.wait(host).expect("done");
+        self.renderer.release_slot(0).expect("finished");
+        let read = staging.read(host, PIXELS * bytes).expect("bytes");
+        drop(image);
+        staging.destroy(host);
+        in_flight.destroy(host);
+        texture.destroy(host);
+        floats.destroy(host);
+        let format = if convert { Format::R32G32B32A32_SFLOAT } else { format };
+        read.chunks_exact(bytes).map(|texel| texel_of(format, texel)).collect()
+    }
+
+    /// What the twin makes of the frame's pixels, over what `below` holds.
+    fn expected(&self, (behind, encoding): (Background, ColorEncoding), below: [f64; 4]) -> Vec<[f64; 4]> {
+        let (behind, opaque) = match behind {
+            Background::Color([r, g, b]) => ([r, g, b, 1.0].map(f64::from), true),
+            Background::Nothing => ([0.0; 4], false),
+            Background::Image => (below, false),
+        };
+        let pixel = |&pixel: &[f32; 4]| match encoding {
+            ColorEncoding::AsTrained => compose(pixel, behind),
+            ColorEncoding::LinearSrgb { exposure } => compose_linear(pixel, behind, opaque, exposure.into()),
+        };
+        self.blended.iter().map(pixel).collect()
+    }
+}
+
+fn clear(host: &Host, in_flight: &InFlight, texture: &HostTexture) {
+    let fresh = (vk::ImageLayout::UNDEFINED, vk::PipelineStageFlags2::NONE, vk::AccessFlags2::NONE);
+    texture.barrier(host, in_flight.commands, fresh, WRITTEN);
+    let color = vk::ClearColorValue { float32: BELOW };
+    let whole = vk::ImageSubresourceRange {
+        aspect_mask: texture.aspect,
+        level_count: 1,
+        layer_count: 1,
+        ..Default::default()
+    };
+    // SAFETY: recording state; the layout is as the barrier says.
+    unsafe {
+        host.device.cmd_clear_color_image(in_flight.commands, texture.image, WRITTEN.0, &color, &[whole])
+    }
+}
+
+/// Copies an image to one of another format: the device converts, and decodes what is sRGB.
+fn blit(host: &Host, in_flight: &InFlight, [from, to]: [&HostTexture; 2], left: Use) {
+    let read = (vk::ImageLayout::TRANSFER_SRC_OPTIMAL, WRITTEN.1, vk::AccessFlags2::TRANSFER_READ);
+    let fresh = (vk::ImageLayout::UNDEFINED, vk::PipelineStageFlags2::NONE, vk::AccessFlags2::NONE);
+    from.barrier(host, in_flight.commands, left, read);
+    to.barrier(host, in_flight.commands, fresh, WRITTEN);
+    let layers =
+        vk::ImageSubresourceLayers { aspect_mask: from.aspect, layer_count: 1, ..Default::default() };
+    let [x, y] = SIZE.map(|side| side as i32);
+    let ends = [vk::Offset3D::default(), vk::Offset3D { x, y, z: 1 }];
+    let region = vk::ImageBlit::default()
+        .src_subresource(layers)
+        .dst_subresource(layers)
+        .src_offsets(ends)
+        .dst_offsets(ends);
+    // SAFETY: recording state; the layouts are as the barriers say.
+    unsafe {
+        let (commands, filter) = (in_flight.commands, vk::Filter::NEAREST);
+        host.device.cmd_blit_image(commands, from.image, read.0, to.image, WRITTEN.0, &[region], filter);
+    }
+}
+
+fn texel_bytes(format: Format) -> usize {
+    match format {
+        Format::R16G16B16A16_SFLOAT => 8,
+        Format::R32G32B32A32_SFLOAT => 16,
+        _ => 4,
+    }
+}
+
+/// A number of floats without sign, or with a sign that is not set.
+fn small_float(bits: u32, mantissa_bits: i32) -> f64 {
+    let (exponent, mantissa) = ((bits >> mantissa_bits) as i32, f64::from(bits & ((1 << mantissa_bits) - 1)));
+    let steps = 2f64.powi(mantissa_bits);
+    match exponent {
+        0 => mantissa / steps * 2f64.powi(-14),
+        _ => (1.0 + mantissa / steps) * 2f64.powi(exponent - 15),
+    }
+}
+
+/// The numbers of a texel. Those of an sRGB format are its codes.
+fn texel_of(format: Format, bytes: &[u8]) -> [f64; 4] {
+    let word = |at: usize| u32::from_le_bytes([0, 1, 2, 3].map(|k| bytes[at + k]));
+    let [r, g, b, a] = [0, 1, 2, 3].map(|k| f64::from(bytes[k]) / 255.0);
+    let all = word(0);
+    match format {
+        Format::B8G8R8A8_UNORM | Format::B8G8R8A8_SRGB => [b, g, r, a],
+        Format::A2B10G10R10_UNORM_PACK32 => {
+            let [r, g, b] = [0, 10, 20].map(|first| f64::from(all >> first & 1023) / 1023.0);
+            [r, g, b, f64::from(all >> 30) / 3.0]
+        }
+        Format::B10G11R11_UFLOAT_PACK32 => {
+            [small_float(all & 2047, 6), small_float(all >> 11 & 2047, 6), small_float(all >> 22, 5), 1.0]
+        }
+        Format::R16G16B16A16_SFLOAT => {
+            [0, 2, 4, 6].map(|at| small_float(u32::from_le_bytes([bytes[at], bytes[at + 1], 0, 0]), 10))
+        }
+        Format::R32G32B32A32_SFLOAT => [0, 4, 8, 12].map(|at| f64::from(f32::from_bits(word(at)))),
+        _ => [r, g, b, a],
+    }
+}
+
+fn is_srgb(format: Format) -> bool {
+    matches!(format, Format::R8G8B8A8_SRGB | Format::B8G8R8A8_SRGB)
+}
+
+/// Half of what a format's numbers lie apart around one.
+fn half_step(format: Format, channel: usize, value: f64) -> f64 {
+    let float =
+        |mantissa: i32| 2f64.powi(-mantissa - 1) * 2f64.powf(value.max(2f64.powi(-14)).log2().floor());
+    match format {
+        Format::R32G32B32A32_SFLOAT => 0.0,
+        Format::R16G16B16A16_SFLOAT => float(10),
+        Format::B10G11R11_UFLOAT_PACK32 => float(if channel == 2 { 5 } else { 6 }),
+        Format::A2B10G10R10_UNORM_PACK32 if channel == 3 => 0.5 / 3.0,
+        Format::A2B10G10R10_UNORM_PACK32 => 0.5 / 1023.0,
+        _ => 0.5 / 255.0,
+    }
+}
+
+fn assert_close(format: Format, what: &str, actual: &[[f64; 4]], expected: &[[f64; 4]]) {
+    assert_eq!(actual.len(), expected.len());
+    for (pixel, (actual, expected)) in actual.iter().zip(expected).enumerate() {
+        for channel in 0..4 {
+            if channel == 3 && format == Format::B10G11R11_UFLOAT_PACK32 {
+                continue;
+            }
+            let tolerance = 2e-5 + 1.01 * half_step(format, channel, expected[channel]);
+            let close = (actual[channel] - expected[channel]).abs() <= tolerance;
+            assert!(close, "{format:?}, {what}, pixel {pixel}: {actual:?}, expected {expected:?}");
+        }
+    }
+}
+
+/// Steps between 0 and 1 of a format that has no more.
+fn unorm_steps(format: Format) -> Option<f64> {
+    match format {
+        Format::B10G11R11_UFLOAT_PACK32 | Format::R16G16B16A16_SFLOAT | Format::R32G32B32A32_SFLOAT => None,
+        Format::A2B10G10R10_UNORM_PACK32 => Some(1023.0),
+        _ => Some(255.0),
+    }
+}
+
+fn encoded([r, g, b, a]: [f64; 4]) -> [f64; 4] {
+    [encode(r), encode(g), encode(b), a]
+}
+
+/// What [`BELOW`] is after the device has cleared an image with it, as the guest takes it: an sRGB format holds codes.
+fn below(format: Format, encoding: ColorEncoding) -> [f64; 4] {
+    let below = BELOW.map(f64::from);
+    let held = |x: f64| unorm_steps(format).map_or(x, |steps| (x * steps).round() / steps);
+    match (is_srgb(format), encoding) {
+        (false, _) => below.map(held),
+        (true, ColorEncoding::AsTrained) => encoded(below).map(held),
+        (true, ColorEncoding::LinearSrgb { .. }) => encoded(below).map(held).map(decode),
+    }
+}
+
+const GREY: Background = Background::Color([0.2, 0.6, 0.4]);
+
+/// Every format, over everything, in both encodings: the picture of floats of 32 bits, within what the format can hold.
+#[test]
+fn every_format_holds_the_picture() {
+    with_host(&options(), |host| {
+        let mut scene = Scene::new(host, &cloud(700, 3));
+        let partly = scene.blended.iter().filter(|pixel| (0.1..0.9).contains(&pixel[3])).count();
+        assert!(partly > PIXELS / 8, "{partly} pixels are partly covered");
+        for format in Compose::COLOR_FORMATS {
+            for behind in [GREY, Background::Nothing, Background::Image] {
+                if behind == Background::Nothing && format == Format::B10G11R11_UFLOAT_PACK32 {
+                    continue;
+                }
+                for encoding in [ColorEncoding::AsTrained, ColorEncoding::LINEAR, EXPOSED] {
+                    let actual = scene.composed(host, format, (behind, encoding), false);
+                    let below = below(format, encoding);
+                    let mut expected = scene.expected((behind, encoding), below);
+                    if is_srgb(format) && encoding != ColorEncoding::AsTrained {
+                        expected.iter_mut().for_each(|pixel| *pixel = encoded(*pixel));
+                    }
+                    if unorm_steps(format).is_some() {
+                        expected.iter_mut().flatten().for_each(|x| *x = x.min(1.0));
+                    }
+                    assert_close(format, &format!("{behind:?} {encoding:?}"), &actual, &expected);
+                }
+            }
+        }
+    });
+}
+
+/// The device itself decodes what was written into an sRGB image through another view: linear light was meant, and is seen.
+#[test]
+fn an_srgb_image_is_seen_as_linear_light() {
+    with_host(&options(), |host| {
+        let mut scene = Scene::new(host, &cloud(700, 3));
+        for format in [Format::R8G8B8A8_SRGB, Format::B8G8R8A8_SRGB] {
+            // The codes are the picture as trained: decoded, they are its linear light. So they are either way.
+            for encoding in [ColorEncoding::AsTrained, ColorEncoding::LINEAR] {
+                let seen = scene.composed(host, format, (GREY, encoding), true);
+                let linear = scene.expected((GREY, ColorEncoding::LINEAR), [0.0; 4]);
+                for (seen, expected) in seen.iter().zip(&linear) {
+                    for channel in 0..3 {
+                        // Half a code; the curve is at most this steep.
+                        let (seen, expected) = (seen[channel], expected[channel].min(1.0));
+                        assert!((seen - expected).abs() < 2.3 * 0.51 / 255.0, "{seen}, expected {expected}");
+                    }
+                }
+            }
+        }
+    });
+}
+
+/// A guest that leaves premultiplied colours to the host, which mixes in linear light, shows what the guest mixes itself.
+#[test]
+fn premultiplied_colours_are_mixed_by_the_host_as_by_the_guest() {
+    with_host(&options(), |host| {
+        let mut scene = Scene::new(host, &cloud(700, 3));
+        let format = Format::R32G32B32A32_SFLOAT;
+        let left = scene.composed(host, format, (Background::Nothing, EXPOSED), false);
+        let mixed = scene.composed(host, format, (Background::Image, EXPOSED), false);
+        let by_host = |[r, g, b, a]: [f64; 4]| {
+            let over = |color: f64, below: f32| color + (1.0 - a) * f64::from(below);
+            [over(r, BELOW[0]), over(g, BELOW[1]), over(b, BELOW[2]), a + (1.0 - a)]
+        };
+        let expected: Vec<_> = left.iter().map(|&pixel| by_host(pixel)).collect();
+        assert_close(format, "over", &mixed, &expected);
+        // Decoding what is premultiplied already would be darker, by far, wherever a pixel is partly covered.
+        let naive = |pixel: &[f32; 4]| 0.7 * decode(pixel[0].into());
+        let darker = scene.blended.iter().zip(&left).filter(|(raw, left)| naive(raw) < 0.8 * left[0]).count();
+        assert!(darker > PIXELS / 8, "{darker} pixels");
+    });
+}
+
+/// A grey of 173 of 255, as trained: written as it is into a linear image, the host shows it as 214; as linear light, as 173.
+#[test]
+fn what_was_trained_is_washed_out_unless_it_is_linear() {
+    with_host(&options(), |host| {
+        let mut wall = cloud(1, 0);
+        (wall.means[0], wall.log_scales[0], wall.opacity_logits[0]) = ([0.0; 3], [3.0; 3], 20.0);
+        wall.sh[..4].fill([0.0; 3]);
+        wall.sh[0] = [(173.0 / 255.0 - 0.5) / 0.282_094_8; 3];
+        let mut scene = Scene::new(host, &wall);
+        assert!(scene.blended[PIXELS / 2 + 32][3] < 0.1, "the wall is not there");
+        let onto = |encoding| (Background::Color([173.0 / 255.0; 3]), encoding);
+        let shown = |texels: Vec<[f64; 4]>| {
+            let [r, ..] = texels[PIXELS / 2 + 32];
+            (encode(r) * 255.0).round()
+        };
+        let format = Format::R16G16B16A16_SFLOAT;
+        let washed_out = scene.composed(host, format, onto(ColorEncoding::AsTrained), false);
+        assert_eq!(shown(washed_out), 214.0);
+        let right = scene.composed(host, format, onto(ColorEncoding::LINEAR), false);
+        assert_eq!(shown(right), 173.0);
+    });
+}

@@ -1,0 +1,59 @@
+//! Memory from the host's allocator, through an adapter for the crate `gpu-allocator`.
+
+use crate::allocator::Adapter;
+use crate::host::Host;
+use crate::stage::{assert_same, camera, cloud, options, owned, rendered, with_host};
+use ashsplat::vk::{Context, ContextOptions, ForeignDevice, HostAllocator, HostMemory, MemoryRequest};
+use ashsplat::{DeviceScene, Placed, RecordedFrame, RenderSettings, Renderer, Reservation};
+use std::sync::Arc;
+
+/// An allocator that has nothing left.
+struct Exhausted;
+
+// SAFETY: it never gives out any memory.
+unsafe impl HostAllocator for Exhausted {
+    fn allocate(&self, request: &MemoryRequest<'_>) -> Result<HostMemory, String> {
+        Err(format!("the budget has no {} bytes left", request.requirements.size))
+    }
+
+    fn free(&self, _: HostMemory) {}
+}
+
+fn context(host: &Host, allocator: Arc<dyn HostAllocator>) -> Context {
+    let foreign = ForeignDevice { allocator: Some(allocator), ..host.foreign() };
+    // SAFETY: as in `guest`.
+    unsafe { Context::from_foreign(&foreign, &ContextOptions::default()) }.expect("a context")
+}
+
+#[test]
+fn all_memory_comes_from_the_hosts_allocator() {
+    with_host(&options(), |host| {
+        let adapter = Arc::new(Adapter::new(host).expect("an allocator"));
+        let context = context(host, adapter.clone());
+        let (gaussians, camera) = (cloud(400, 2), camera(0.3, 96, 64));
+        let scene = DeviceScene::upload(&context, &gaussians, 0).expect("a scene");
+        let mut renderer = Renderer::new(&context).expect("kernels");
+        renderer.reserve(&Reservation { slots: 2, ..Reservation::new(400, 1, 96, 64) }).expect("memory");
+        let blocks = adapter.pieces();
+        assert!(blocks >= 5, "{blocks} pieces for a scene and two slots");
+        let (settings, placed) = (RenderSettings::default(), [Placed::from(&scene)]);
+        for _ in 0..3 {
+            let frame = RecordedFrame::new(&placed, &camera, &settings);
+            let pixels = rendered(host, &mut renderer, &frame);
+            assert_same(&pixels, &owned(&gaussians, &camera, &settings), [0.0; 3]);
+            assert_eq!(adapter.pieces(), blocks);
+        }
+        assert!(renderer.slot_report(0).expect("a report").expect("finished").visible > 100);
+        drop((renderer, scene, context));
+        assert_eq!(adapter.pieces(), 0, "everything was given back");
+    });
+}
+
+#[test]
+fn a_hosts_allocator_may_refuse() {
+    with_host(&options(), |host| {
+        let context = context(host, Arc::new(Exhausted));
+        let error = DeviceScene::upload(&context, &cloud(10, 1), 0).err().expect("refused").to_string();
+        assert!(error.contains("the budget has no") && error.contains("scene"), "{error}");
+    });
+}

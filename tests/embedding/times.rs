@@ -1,0 +1,59 @@
+//! Times of stages, in a command buffer that has commands of the host's before them.
+
+use crate::cube::{Cube, CubePass, UNUSED};
+use crate::host::InFlight;
+use crate::memory::HostTexture;
+use crate::stage::{adopt, camera, cloud, guest, options, with_host};
+use ashsplat::ash::vk;
+use ashsplat::{DeviceScene, RecordedFrame, RenderSettings, Renderer, Reservation};
+
+/// A driver that puts the work of a render pass off puts off the timestamps behind it, too: without a wait at the first of them,
+/// all stages but one seem to take no time.
+#[test]
+fn stages_behind_a_render_pass_have_times_of_their_own() {
+    with_host(&options(), |host| {
+        let context = guest(host);
+        if context.limits().timestamp_period_ns == 0.0 {
+            eprintln!("no timestamps on this device");
+            return;
+        }
+        let size = [1024, 1024];
+        let usage = vk::ImageUsageFlags::COLOR_ATTACHMENT;
+        let color = HostTexture::new(host, vk::Format::R8G8B8A8_UNORM, usage, size).expect("an image");
+        let usage = vk::ImageUsageFlags::DEPTH_STENCIL_ATTACHMENT;
+        let depth = HostTexture::new(host, vk::Format::D32_SFLOAT, usage, size).expect("an image");
+        let cube = Cube::new(host, color.format, depth.format).expect("a pipeline");
+        let gaussians = cloud(2000, 3);
+        let scene = DeviceScene::upload(&context, &gaussians, 0).expect("a scene");
+        let mut renderer = Renderer::new(&context).expect("kernels");
+        renderer.reserve(&Reservation::new(2000, 1, 160, 120)).expect("memory");
+        let (camera, settings, scenes) =
+            (camera(0.4, 160, 120), RenderSettings::default(), [(&scene).into()]);
+        let in_flight = InFlight::new(host).expect("a command buffer");
+        for last in [UNUSED; 3] {
+            in_flight.begin(host).expect("recording");
+            let whole = glam::Mat4::from_scale(glam::Vec3::new(2.0, 2.0, 0.5));
+            let pass = CubePass {
+                color: &color,
+                depth: &depth,
+                last: [last; 2],
+                background: [0.0; 4],
+                clip_from_object: whole.to_cols_array(),
+                reversed_depth: false,
+            };
+            cube.record(host, in_flight.commands, &pass);
+            let frame = RecordedFrame::new(&scenes, &camera, &settings);
+            renderer.record(adopt(&context, &in_flight), 0, &frame).expect("a recording");
+            in_flight.submit(host).expect("a submission");
+            in_flight.wait(host).expect("done");
+            let report = renderer.slot_report(0).expect("a report").expect("finished");
+            let silent: Vec<_> = report.scopes.iter().filter(|scope| scope.nanoseconds == 0.0).collect();
+            assert!(report.scopes.iter().any(|scope| scope.name == "blend"), "{:#?}", report.scopes);
+            assert!(silent.is_empty(), "{:#?}", report.scopes);
+        }
+        in_flight.destroy(host);
+        cube.destroy(host);
+        color.destroy(host);
+        depth.destroy(host);
+    });
+}
