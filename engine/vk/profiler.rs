@@ -20,6 +20,9 @@ pub(super) struct Profiler {
     written: u32,
     /// Whether nothing was recorded since the last timestamp, so that it can be reused.
     fresh: bool,
+    /// Whether the recording lies behind commands of a host's. After a render pass, llvmpipe writes a timestamp like what is
+    /// drawn, with the next flush: a dispatch behind it may run before. A barrier flushes.
+    pub(super) behind_host: bool,
     /// Present while a profile is held.
     pub(super) commands: Option<Commands>,
     /// The timestamp after each timed command.
@@ -42,6 +45,7 @@ impl Profiler {
             open: Vec::new(),
             written: 0,
             fresh: false,
+            behind_host: false,
             commands,
             command_ends: Vec::new(),
         }
@@ -99,14 +103,18 @@ impl Profiler {
         if self.pool != vk::QueryPool::null() {
             // SAFETY: `commands` is in the recording state; the query was reset and is written once.
             unsafe {
-                // Where compute commands run in order, the top of the pipe is also the end of all of them before. Not of a
-                // render pass that a host has recorded: its work is put off, and the timestamps with it. The first one
-                // waits for that.
+                // Where commands run in order, the top of the pipe is also the end of all commands before.
                 let stage = match inner.limits.tuning.runs_in_order {
                     true => vk::PipelineStageFlags2::TOP_OF_PIPE,
                     false => vk::PipelineStageFlags2::ALL_COMMANDS,
                 };
                 inner.device.cmd_write_timestamp2(commands, stage, self.pool, self.written);
+                if self.behind_host && inner.limits.tuning.runs_in_order {
+                    let all = vk::PipelineStageFlags2::ALL_COMMANDS;
+                    let barriers = [vk::MemoryBarrier2::default().src_stage_mask(all).dst_stage_mask(all)];
+                    let dependency = vk::DependencyInfo::default().memory_barriers(&barriers);
+                    inner.device.cmd_pipeline_barrier2(commands, &dependency);
+                }
             }
         }
         self.fresh = true;

@@ -129,6 +129,7 @@ impl Recorder {
         let queries = target.queries;
         let mut recorder = Self::with_target(Target::Foreign(target), inner.clone(), queries);
         recorder.kept = kept;
+        recorder.profiler.behind_host = true;
         recorder.profiler.begin(inner, recorder.raw(), label);
         recorder
     }

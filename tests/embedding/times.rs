@@ -7,8 +7,8 @@ use crate::stage::{adopt, camera, cloud, guest, options, with_host};
 use ashsplat::ash::vk;
 use ashsplat::{DeviceScene, RecordedFrame, RenderSettings, Renderer, Reservation};
 
-/// A driver that puts the work of a render pass off puts off the timestamps behind it, too: without a wait at the first of them,
-/// all stages but one seem to take no time.
+/// A driver that draws later, as llvmpipe does, may write the timestamps behind a render pass later, too: the time of blending was
+/// that of the stage before.
 #[test]
 fn stages_behind_a_render_pass_have_times_of_their_own() {
     with_host(&options(), |host| {
@@ -30,6 +30,7 @@ fn stages_behind_a_render_pass_have_times_of_their_own() {
         let (camera, settings, scenes) =
             (camera(0.4, 160, 120), RenderSettings::default(), [(&scene).into()]);
         let in_flight = InFlight::new(host).expect("a command buffer");
+        let mut least = [f64::INFINITY; 2];
         for last in [UNUSED; 3] {
             in_flight.begin(host).expect("recording");
             let whole = glam::Mat4::from_scale(glam::Vec3::new(2.0, 2.0, 0.5));
@@ -47,10 +48,14 @@ fn stages_behind_a_render_pass_have_times_of_their_own() {
             in_flight.submit(host).expect("a submission");
             in_flight.wait(host).expect("done");
             let report = renderer.slot_report(0).expect("a report").expect("finished");
-            let silent: Vec<_> = report.scopes.iter().filter(|scope| scope.nanoseconds == 0.0).collect();
-            assert!(report.scopes.iter().any(|scope| scope.name == "blend"), "{:#?}", report.scopes);
-            assert!(silent.is_empty(), "{:#?}", report.scopes);
+            let time = |name: &str| {
+                let scope = report.scopes.iter().find(|scope| scope.name == name);
+                scope.expect("a stage").nanoseconds
+            };
+            least = [least[0].min(time("ranges")), least[1].min(time("blend"))];
         }
+        // One finds where lists end, the other reads them all at each of 19,200 pixels.
+        assert!(least[1] > least[0], "ranges {} ns, blend {} ns", least[0], least[1]);
         in_flight.destroy(host);
         cube.destroy(host);
         color.destroy(host);
