@@ -55,7 +55,8 @@ fn main() {
 }
 
 /// The guide's chapters for rustdoc. As files they link to each other and to sources, so that they can be read where the project
-/// is browsed; as modules they are each other's neighbours, and a link to a source has its item's path as its title.
+/// is browsed; as modules they are each other's neighbours, a link to a source has its item's path as its title, and pictures are
+/// part of the page.
 fn guide(root: &Path, out: &Path) {
     println!("cargo:rerun-if-changed=engine/guide");
     fs::create_dir_all(out.join("guide")).unwrap();
@@ -67,12 +68,28 @@ fn guide(root: &Path, out: &Path) {
         let linked = names()
             .fold(text, |text, name| text.replace(&format!("]({name}.md"), &format!("](super::{name}")));
         let items = linked.lines().map(|line| {
+            if let Some((before, name)) = line.split_once("](pictures/") {
+                let name = name.trim_end_matches(')');
+                let picture = fs::read(root.join("engine/guide/pictures").join(name)).unwrap();
+                return format!("{before}](data:image/png;base64,{})\n", base64(&picture));
+            }
             let link =
                 line.split_once("]: ../").and_then(|(name, rest)| Some((name, rest.split('"').nth(1)?)));
             link.map_or(format!("{line}\n"), |(name, item)| format!("{name}]: {item}\n"))
         });
         fs::write(out.join("guide").join(path.file_name().unwrap()), items.collect::<String>()).unwrap();
     }
+}
+
+/// As RFC 4648 has it.
+fn base64(bytes: &[u8]) -> String {
+    const LETTERS: &[u8] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
+    let quartet = |three: &[u8]| {
+        let all = (0..3).fold(0, |all, k| all << 8 | u32::from(*three.get(k).unwrap_or(&0)));
+        let letter = |k: usize| char::from(LETTERS[(all >> (18 - 6 * k) & 63) as usize]);
+        (0..4).map(move |k| if k <= three.len() { letter(k) } else { '=' }).collect::<String>()
+    };
+    bytes.chunks(3).map(quartet).collect()
 }
 
 /// The graphics shaders of the example that embeds ashsplat, as `embed_NAME.spv`.

@@ -15,6 +15,7 @@
 //! - [`faults`]: limits of devices, and errors
 //! - [`how_it_works`]: the stages of frames and training steps, and where the code is
 //! - [`embedding`]: frames and training steps in a host engine's command buffers
+//! - [`colour`]: display-encoded values and linear light
 
 pub mod program {
     #![doc = include_str!(concat!(env!("OUT_DIR"), "/guide/program.md"))]
@@ -74,4 +75,8 @@ pub mod how_it_works {
 
 pub mod embedding {
     #![doc = include_str!(concat!(env!("OUT_DIR"), "/guide/embedding.md"))]
+}
+
+pub mod colour {
+    #![doc = include_str!(concat!(env!("OUT_DIR"), "/guide/colour.md"))]
 }

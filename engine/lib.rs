@@ -7,7 +7,7 @@
 //! - [masks and memory](guide::masks_and_memory), [checkpoints](guide::checkpoints)
 //! - [measuring](guide::measuring), [profiling](guide::profiling)
 //! - [determinism](guide::determinism), [faults](guide::faults)
-//! - [how it works](guide::how_it_works), [embedding](guide::embedding)
+//! - [how it works](guide::how_it_works), [embedding](guide::embedding), [colour](guide::colour)
 //!
 //! Files, photographs and data sets are the crate `ashsplat-files`. The program is the crate `ashsplat-cli`, the C
 //! interface `ashsplat-capi`.

@@ -82,6 +82,50 @@ fn camera_path_is_rendered_to_png_and_exr() {
     compare_exr_with_png(&out);
 }
 
+/// Without a background, colours are those of what covers: a PNG has them as they are, an EXR premultiplied, in linear light.
+#[test]
+fn pictures_without_background_have_the_colours_of_what_covers() {
+    use exr::prelude::*;
+    let folder = tempdir().expect("a temporary folder");
+    let (ply, path, out) =
+        (folder.path().join("scene.ply"), folder.path().join("path.json"), folder.path().join("out"));
+    let mut gaussians = ashsplat_files::initial_gaussians(&wall_points(), 0).expect("Gaussians");
+    gaussians.opacity_logits.fill(-1.5);
+    // One grey of 128 everywhere: half covered or not, it is that.
+    gaussians.sh.fill([(128.0 / 255.0 - 0.5) / 0.282_094_8; 3]);
+    ashsplat_files::ply::write(&ply, &gaussians).expect("written");
+    let camera = r#"[{"id": 0, "img_name": "front", "width": 64, "height": 48, "position": [0, 0, -2],
+        "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "fx": 60, "fy": 60}]"#;
+    std::fs::write(&path, camera).expect("written");
+    let views = ["render", text(&ply), "--path", text(&path), "--transparent", "-o"];
+    succeed(&[&views[..], &[text(&out), "--format", "both"]].concat());
+    let picture = image::open(out.join("00000.png")).expect("a PNG");
+    let image = read_first_flat_layer_from_file(out.join("00000.exr")).expect("an EXR");
+    let values = |name: &str| -> Vec<f32> {
+        let channel = image.layer_data.channel_data.list.iter().find(|channel| channel.name.eq(name));
+        channel.expect(name).sample_data.values_as_f32().collect()
+    };
+    let (green, alpha) = (values("G"), values("A"));
+    let grey = ((128.0_f32 / 255.0 + 0.055) / 1.055).powf(2.4);
+    let mut partly = 0;
+    for (index, pixel) in picture.as_rgba8().expect("with opacity").pixels().enumerate() {
+        assert!((alpha[index] * 255.0 - f32::from(pixel[3])).abs() < 0.51, "pixel {index}");
+        if alpha[index] == 0.0 {
+            assert_eq!((pixel.0, green[index]), ([0; 4], 0.0));
+            continue;
+        }
+        assert!(pixel[1].abs_diff(128) <= 1, "pixel {index}: {:?}", pixel.0);
+        assert!((green[index] - alpha[index] * grey).abs() < 2e-4, "pixel {index}: {}", green[index]);
+        partly += usize::from((0.1..0.9).contains(&alpha[index]));
+    }
+    assert!(partly > 100, "{partly} pixels are partly covered");
+    refuse(
+        &[&views[..], &[text(&out), "--background", "1,1,1"]].concat(),
+        &["--transparent", "--background"],
+    );
+    refuse(&[&views[..], &[text(&folder.path().join("a.gif"))]].concat(), &["--transparent", "no opacity"]);
+}
+
 /// The EXR's colour is the PNG's without the sRGB curve; the wall's depth is 2.
 fn compare_exr_with_png(folder: &Path) {
     use exr::prelude::*;

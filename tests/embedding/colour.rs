@@ -7,7 +7,7 @@ use crate::memory::{HostBuffer, HostTexture, Use};
 use crate::stage::{adopt, camera, cloud, guest, options, rendered, with_host};
 use ashsplat::ash::vk::{self, Format};
 use ashsplat::compose::Compose;
-use ashsplat::vk::{Context, Image, ImageState, ImageUse};
+use ashsplat::vk::{Context, ContextOptions, Image, ImageState, ImageUse};
 use ashsplat::{
     Background, Camera, ColorEncoding, DeviceScene, Gaussians, HostImage, RecordedFrame, RenderSettings,
     Renderer, Reservation, Target,
@@ -347,4 +347,102 @@ fn what_was_trained_is_washed_out_unless_it_is_linear() {
         let right = scene.composed(host, format, onto(ColorEncoding::LINEAR), false);
         assert_eq!(shown(right), 173.0);
     });
+}
+
+/// Both encodings in turn; nothing is asserted of times.
+#[test]
+#[ignore = "a measurement"]
+fn what_linear_light_costs() {
+    with_host(&crate::host::HostOptions::default(), |host| {
+        // SAFETY: as in `guest`.
+        let context = unsafe { Context::from_foreign(&host.foreign(), &ContextOptions::default()) };
+        let context = context.expect("a context");
+        let scene = DeviceScene::upload(&context, &cloud(20_000, 3), 0).expect("a scene");
+        let mut renderer = Renderer::new(&context).expect("kernels");
+        renderer.reserve(&Reservation::new(scene.count(), 1, 1280, 720)).expect("memory");
+        let (usage, size) = (vk::ImageUsageFlags::STORAGE, [1280, 720]);
+        let texture = HostTexture::new(host, Format::R16G16B16A16_SFLOAT, usage, size).expect("an image");
+        // SAFETY: the image is as it says, and outlives the view.
+        let image = unsafe { Image::adopt(&context, "target", &texture.foreign(), ImageUse::Storage) };
+        let image = image.expect("adopted");
+        let (camera, settings, scenes) =
+            (camera(0.3, 1280, 720), RenderSettings::default(), [(&scene).into()]);
+        let in_flight = InFlight::new(host).expect("a command buffer");
+        let mut times = [[Vec::new(), Vec::new()], [Vec::new(), Vec::new()]];
+        let general = ImageState { layout: vk::ImageLayout::GENERAL, ..ImageState::UNDEFINED };
+        for round in 0..42 {
+            let encoding = [ColorEncoding::AsTrained, ColorEncoding::LINEAR][round % 2];
+            let from = if round == 0 { ImageState::UNDEFINED } else { general };
+            let behind = if round == 0 { Background::Nothing } else { Background::Image };
+            let to = HostImage { image: &image, from, offset: [0; 2] };
+            let frame = RecordedFrame {
+                target: Target::Image { to, behind, encoding },
+                ..RecordedFrame::new(&scenes, &camera, &settings)
+            };
+            in_flight.begin(host).expect("recording");
+            renderer.record(adopt(&context, &in_flight), 0, &frame).expect("a recording");
+            in_flight.submit(host).expect("a submission");
+            in_flight.wait(host).expect("done");
+            let scopes = renderer.slot_report(0).expect("a report").expect("finished").scopes;
+            let compose = scopes.iter().filter(|scope| scope.name == "compose");
+            let [stage, whole] = &mut times[round % 2];
+            stage.push(compose.map(|scope| scope.nanoseconds).sum::<f64>());
+            whole.push(scopes.iter().filter(|scope| scope.depth == 0).map(|scope| scope.nanoseconds).sum());
+        }
+        let median = |times: &mut Vec<f64>| {
+            times.sort_by(f64::total_cmp);
+            times[times.len() / 2] / 1e6
+        };
+        let [trained, linear] = times.each_mut().map(|kinds| kinds.each_mut().map(median));
+        for (what, k) in [("compose", 0), ("the frame", 1)] {
+            let ratio = linear[k] / trained[k];
+            println!("{what}: {:.2} ms as trained, {:.2} ms linear, ratio {ratio:.2}", trained[k], linear[k]);
+        }
+        in_flight.destroy(host);
+        drop((renderer, image));
+        texture.destroy(host);
+    });
+}
+
+/// Two pictures side by side, each a part of the size of a panel.
+fn panels(pictures: [image::RgbImage; 2]) -> image::RgbImage {
+    let (width, height) = pictures[0].dimensions();
+    let mut both = image::RgbImage::from_pixel(2 * width + 8, height, image::Rgb([255; 3]));
+    for (at, picture) in [0, width + 8].into_iter().zip(&pictures) {
+        image::imageops::replace(&mut both, picture, at.into(), 0);
+    }
+    both
+}
+
+/// `ASHSPLAT_PICTURES=engine/guide/pictures cargo test --release --test embedding -- --ignored pictures_of_the_guide`
+#[test]
+#[ignore = "writes files of the guide"]
+fn pictures_of_the_guide() {
+    let folder = std::path::PathBuf::from(std::env::var_os("ASHSPLAT_PICTURES").expect("a folder"));
+    let drawn = tempfile::tempdir().expect("a folder");
+    crate::guest::pictures(drawn.path(), &options()).expect("pictures");
+    let part = |name: &str| {
+        let picture = image::open(drawn.path().join(format!("embed_{name}.png"))).expect("a picture");
+        picture.crop_imm(60, 20, 360, 320).into_rgb8()
+    };
+    panels([part("washed_out"), part("turned")]).save(folder.join("colour_target.png")).expect("written");
+
+    // Over white, in linear light: what is premultiplied decoded as it is, and what covers decoded before the product.
+    let camera = camera(0.6, 120, 106);
+    let frame = crate::stage::owned(&crate::guest::ring(), &camera, &RenderSettings::default());
+    let over_white = |light: &dyn Fn(f64, f64) -> f64| {
+        let mut picture = image::RgbImage::new(camera.width, camera.height);
+        for (pixel, (color, transmittance)) in
+            picture.pixels_mut().zip(frame.color.iter().zip(&frame.transmittance))
+        {
+            let transmittance = f64::from(*transmittance);
+            let mixed = color.map(|c| encode(light(c.into(), 1.0 - transmittance) + transmittance));
+            pixel.0 = mixed.map(|x| (255.0 * x.clamp(0.0, 1.0)).round() as u8);
+        }
+        let part = image::imageops::crop_imm(&picture, 52, 46, 60, 40).to_image();
+        image::imageops::resize(&part, 360, 240, image::imageops::FilterType::Nearest)
+    };
+    let naive = over_white(&|color, _| decode(color));
+    let right = over_white(&|color, alpha| if alpha > 0.0 { alpha * decode(color / alpha) } else { 0.0 });
+    panels([naive, right]).save(folder.join("colour_alpha.png")).expect("written");
 }

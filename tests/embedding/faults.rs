@@ -3,9 +3,13 @@
 
 use crate::host::{Host, HostOptions, InFlight};
 use crate::stage::{adopt, camera, cloud, options, with_host};
+use crate::training::trainer;
 use ashsplat::ash::vk;
+use ashsplat::trainer::StepReservation;
 use ashsplat::vk::{Context, ContextOptions, Fault, Faults, Image, ImageUse};
-use ashsplat::{DeviceScene, RecordedFrame, RenderSettings, Renderer, Reservation, Result};
+use ashsplat::{
+    DeviceScene, Error, RecordedFrame, RenderSettings, Renderer, Reservation, Result, TrainSettings,
+};
 
 fn guest(host: &Host, faults: &Faults) -> Result<Context> {
     let options =
@@ -68,5 +72,60 @@ fn faults_of_a_guest() {
         assert!(refused > 15, "{refused} refused, {survived} survived");
         faults.disarm();
         assert_eq!(frame(host, &faults).expect("works again"), whole);
+    });
+}
+
+/// After a loss that the context has seen, nothing is recorded: no frame, no training step.
+#[test]
+fn a_lost_device_records_nothing() {
+    with_host(&options(), |host| {
+        let faults = Faults::new();
+        let context = guest(host, &faults).expect("a context");
+        let scene = DeviceScene::upload(&context, &cloud(60, 1), 0).expect("a scene");
+        let mut renderer = Renderer::new(&context).expect("kernels");
+        renderer.reserve(&Reservation::new(60, 1, 40, 30)).expect("memory");
+        let mut trainer = trainer(&context, TrainSettings { iterations: 10, ..TrainSettings::default() });
+        trainer.reserve_steps(&StepReservation::default()).expect("memory");
+        let (scenes, camera, settings) = ([(&scene).into()], camera(0.3, 40, 30), RenderSettings::default());
+        let frame = RecordedFrame::new(&scenes, &camera, &settings);
+        let in_flight = InFlight::new(host).expect("a command buffer");
+        faults.arm(Fault::WaitLost, 0);
+        assert!(matches!(context.run("nothing", |_| Ok(())), Err(Error::DeviceLost { .. })));
+        faults.disarm();
+        assert!(context.is_lost());
+        in_flight.begin(host).expect("recording");
+        let recorded = renderer.record(adopt(&context, &in_flight), 0, &frame);
+        assert!(matches!(recorded, Err(Error::DeviceLost { .. })), "{recorded:?}");
+        let recorded = trainer.record_step(adopt(&context, &in_flight), 0);
+        assert!(matches!(recorded, Err(Error::DeviceLost { .. })), "{recorded:?}");
+        in_flight.destroy(host);
+    });
+}
+
+/// A run has the iterations of its settings, recorded or not.
+#[test]
+fn a_run_that_is_over_records_no_step() {
+    with_host(&options(), |host| {
+        let context = guest(host, &Faults::new()).expect("a context");
+        let mut trainer = trainer(&context, TrainSettings { iterations: 3, ..TrainSettings::default() });
+        trainer.reserve_steps(&StepReservation { slots: 4, instances: 0 }).expect("memory");
+        let frames = [0; 4].map(|_| InFlight::new(host).expect("a command buffer"));
+        for (slot, in_flight) in frames.iter().enumerate() {
+            in_flight.begin(host).expect("recording");
+            let recorded = trainer.record_step(adopt(&context, in_flight), slot as u32);
+            // The first three are still in flight: they count.
+            match slot {
+                3 => {
+                    let error = recorded.expect_err("a fourth of three").to_string();
+                    assert!(error.contains("the run is over") && error.contains("3 iterations"), "{error}");
+                }
+                _ => assert_eq!(recorded.expect("a recording").iteration, slot as u32 + 1),
+            }
+            in_flight.submit(host).expect("a submission");
+        }
+        frames.iter().for_each(|in_flight| in_flight.wait(host).expect("done"));
+        assert_eq!(trainer.settle().expect("settled"), 0);
+        assert_eq!(trainer.iteration(), 3);
+        frames.into_iter().for_each(|in_flight| in_flight.destroy(host));
     });
 }

@@ -1,5 +1,6 @@
 //! The files that commands leave: whole or not at all, in folders that are created as needed.
 
+use ashsplat::scene::{linear_from_premultiplied, linear_from_srgb};
 use ashsplat::{Error, Frame, Result};
 use ashsplat_files::{Photo, PhotoFileFormat, atomic};
 use exr::prelude::{
@@ -196,11 +197,29 @@ pub fn to_photo(frame: &Frame) -> Result<Photo> {
     Photo::from_f32(frame.width, frame.height, &frame.color)
 }
 
+/// The colours of a frame on black as 8 bits per channel, with opacity: PNG's are not premultiplied.
+pub fn to_rgba(frame: &Frame) -> image::RgbaImage {
+    let pixel = |x: u32, y: u32| {
+        let at = (y * frame.width + x) as usize;
+        let alpha = 1.0 - frame.transmittance[at];
+        let byte = |value: f32| (value.clamp(0.0, 1.0) * 255.0).round() as u8;
+        let [r, g, b] = frame.color[at].map(|c| if alpha > 0.0 { byte(c / alpha) } else { 0 });
+        image::Rgba([r, g, b, byte(alpha)])
+    };
+    image::RgbaImage::from_fn(frame.width, frame.height, pixel)
+}
+
 /// A 32-bit float EXR with the channels R G B (linear light: the sRGB curve of the photographs is undone), A
-/// (1 − transmittance) and Z (expected depth along the view axis, world units, see [`expected_depth`]).
-pub fn write_exr(path: &Path, frame: &Frame) -> Result<()> {
+/// (1 − transmittance) and Z (expected depth along the view axis, world units, see [`expected_depth`]). The colours are on the
+/// frame's background; those of a frame on black may also be premultiplied by alpha, as EXR has it for pictures without one.
+pub fn write_exr(path: &Path, frame: &Frame, premultiplied: bool) -> Result<()> {
     let channel = |name: &str, samples: Vec<f32>| AnyChannel::new(name, FlatSamples::F32(samples));
-    let color = |c: usize| frame.color.iter().map(|rgb| linear_from_srgb(rgb[c])).collect();
+    let pixels = frame.color.iter().zip(&frame.transmittance);
+    let linear: Vec<[f32; 3]> = match premultiplied {
+        true => pixels.map(|(&rgb, t)| linear_from_premultiplied(rgb, 1.0 - t)).collect(),
+        false => pixels.map(|(rgb, _)| rgb.map(linear_from_srgb)).collect(),
+    };
+    let color = |c: usize| linear.iter().map(|rgb| rgb[c]).collect();
     let channels: SmallVec<_> = [
         channel("R", color(0)),
         channel("G", color(1)),
@@ -230,13 +249,6 @@ pub fn expected_depth(frame: &Frame) -> Vec<f32> {
         if inverse > 0.0 { (1.0 - transmittance) / inverse } else { f32::INFINITY }
     };
     inverse_depth.iter().zip(&frame.transmittance).map(depth).collect()
-}
-
-/// Undoes the sRGB curve; continued oddly below 0, and as it is above 1.
-fn linear_from_srgb(value: f32) -> f32 {
-    let v = value.abs();
-    let linear = if v <= 0.040_45 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) };
-    linear.copysign(value)
 }
 
 /// `folder/00012.png`.

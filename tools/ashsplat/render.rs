@@ -29,8 +29,9 @@ pub use views::orbit_around;
 /// An orbit stays in what the cameras of the training saw: a circle where they surround the scene, an arc where they look
 /// at it from one side, else a path along them (--motion).
 ///
-/// EXR files hold linear light (R G B: the sRGB curve of the photographs undone), A = 1 - transmittance, and
-/// Z = expected depth = (1 - transmittance) / sum(alpha T / z), infinite where nothing was blended.
+/// EXR files hold linear light (R G B: the sRGB curve of the photographs undone, on the background), A = 1 - transmittance,
+/// and Z = expected depth = (1 - transmittance) / sum(alpha T / z), infinite where nothing was blended. To be composed over
+/// something else, they are written with --transparent: R G B are then premultiplied by A, as compositors expect it.
 ///
 /// A camera path is a JSON list in the format of a model folder's cameras.json: [{"id", "img_name", "width",
 /// "height", "position": [x, y, z], "rotation": 3 rows of the rotation from camera (x right, y down, z forward) to
@@ -63,6 +64,9 @@ pub struct Arguments {
     /// Which files to write
     #[arg(long, value_enum, default_value = "png")]
     format: Format,
+    /// Without a background: an EXR's colours are premultiplied by its alpha, and a PNG has opacity
+    #[arg(long, conflicts_with_all = ["background", "exposure_of", "lens_of"])]
+    transparent: bool,
     #[command(flatten)]
     look: LookArguments,
     #[command(flatten)]
@@ -179,10 +183,13 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let gaussians = &scene.gaussians;
     let views = arguments.views.choose(&model, gaussians, film)?;
     let with_depth = arguments.format != Format::Png;
-    let settings = RenderSettings {
+    let mut settings = RenderSettings {
         inverse_depth: with_depth,
         ..arguments.look.settings(&model.settings, &scene.header)?
     };
+    if arguments.transparent {
+        settings.background = [0.0; 3];
+    }
     let context = arguments.device.context()?;
     let mut renderer = Renderer::new(&context)?;
     renderer.upload(gaussians)?;
@@ -303,17 +310,26 @@ impl Arguments {
                 "films have 8 bits per channel; name a folder for EXR files",
             ));
         }
+        if self.transparent {
+            return Err(Error::argument(
+                "--transparent",
+                "films have no opacity; name a folder for pictures",
+            ));
+        }
         output::check(&[("--out", Some(&self.out))])?;
         container.check(&self.out)?;
         Ok(Some(container))
     }
 
     fn save(&self, index: usize, frame: &Frame) -> Result<()> {
-        if self.format != Format::Exr {
-            output::write_png(&output::numbered(&self.out, index, "png"), &output::to_photo(frame)?)?;
+        let path = |extension| output::numbered(&self.out, index, extension);
+        match (self.format, self.transparent) {
+            (Format::Exr, _) => {}
+            (_, true) => output::write_rgba_png(&path("png"), &output::to_rgba(frame))?,
+            (_, false) => output::write_png(&path("png"), &output::to_photo(frame)?)?,
         }
         if self.format != Format::Png {
-            output::write_exr(&output::numbered(&self.out, index, "exr"), frame)?;
+            output::write_exr(&path("exr"), frame, self.transparent)?;
         }
         Ok(())
     }

@@ -291,7 +291,7 @@ fn view(picture: &Picture) -> HostView {
 }
 
 /// Gaussians around the crate, some before and some behind it.
-fn ring() -> Gaussians {
+pub fn ring() -> Gaussians {
     let mut ring = Gaussians { sh_degree: 1, ..Gaussians::default() };
     for i in 0..2400 {
         let angle = i as f32 * 0.0261799;

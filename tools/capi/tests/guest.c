@@ -61,11 +61,16 @@ int main(int count, char **arguments) {
     int of_scene = counter.live;
     EXPECT(of_scene > 0);
 
-    HostTexture color = host_texture(&host, FORMAT_RGBA8, USAGE_IMAGE_STORAGE | USAGE_IMAGE_COPY_FROM | USAGE_IMAGE_COPY_TO,
+    HostTexture color = host_texture(&host, FORMAT_RGBA8_SRGB, USAGE_IMAGE_STORAGE | USAGE_IMAGE_COPY_FROM | USAGE_IMAGE_COPY_TO,
                                      WHOLE_WIDTH, WHOLE_HEIGHT);
     HostBuffer pixels = host_buffer(&host, 4 * WHOLE_WIDTH * WHOLE_HEIGHT, USAGE_BUFFER_COPIES);
     HostBuffer sums = host_buffer(&host, 4 * WIDTH * HEIGHT, USAGE_BUFFER_COPIES);
+    /* Kernels would see its texels as another format, which its flags do not allow. */
     AshsplatImage *target = NULL;
+    AshsplatHostImage fixed = color.description;
+    fixed.flags = 0;
+    EXPECT(ashsplat_image_adopt(context, &fixed, false, &target) == AshsplatStatus_Argument && target == NULL);
+    EXPECT(strstr(ashsplat_last_error(), "MUTABLE_FORMAT") != NULL);
     check(ashsplat_image_adopt(context, &color.description, false, &target), "adopting the target");
     AshsplatRenderer *renderer = NULL;
     check(ashsplat_renderer_new(context, &renderer), "building the renderer");
@@ -106,6 +111,14 @@ int main(int count, char **arguments) {
     EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
     EXPECT(strstr(ashsplat_last_error(), "behind: 3, there are 0 to 2") != NULL);
     frame.behind = AshsplatBackground_Color;
+    frame.encoding = 2;
+    EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
+    EXPECT(strstr(ashsplat_last_error(), "encoding: 2, there are 0 to 1") != NULL);
+    frame.encoding = AshsplatColorEncoding_LinearSrgb;
+    EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
+    EXPECT(strstr(ashsplat_last_error(), "exposure") != NULL);
+    /* Linear light, which an sRGB image encodes: on an opaque background the picture as trained. */
+    frame.exposure = 1;
     settings.shape = 0x7fffffff;
     EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
     settings.shape = AshsplatShape_Gaussian;

@@ -44,7 +44,8 @@ typedef struct {
 typedef struct { float depth; uint32_t stencil; } ClearDepth;
 
 enum {
-    FORMAT_RGBA8 = 37, FORMAT_R32F = 100, FORMAT_D32 = 126,
+    FORMAT_RGBA8 = 37, FORMAT_RGBA8_SRGB = 43, FORMAT_R32F = 100, FORMAT_D32 = 126,
+    IMAGE_MUTABLE_FORMAT = 8, IMAGE_EXTENDED_USAGE = 256,
     USAGE_IMAGE_COPY_FROM = 1, USAGE_IMAGE_COPY_TO = 2, USAGE_IMAGE_SAMPLED = 4, USAGE_IMAGE_STORAGE = 8,
     USAGE_IMAGE_DEPTH = 32,
     USAGE_BUFFER_COPIES = 3, USAGE_BUFFER_STORAGE = 32,
@@ -204,13 +205,15 @@ static inline void host_free_buffer(Host *host, HostBuffer *buffer) {
 static inline HostTexture host_texture(Host *host, int format, uint32_t usage, uint32_t width, uint32_t height) {
     HostTexture texture;
     void *device = host->handles.device;
-    ImageInfo info = {14, NULL, 0, 1, format, width, height, 1, 1, 1, 1, 0, usage, 0, 0, NULL, LAYOUT_UNDEFINED};
+    /* Kernels see an sRGB image through another format. */
+    uint32_t flags = format == FORMAT_RGBA8_SRGB ? IMAGE_MUTABLE_FORMAT | IMAGE_EXTENDED_USAGE : 0;
+    ImageInfo info = {14, NULL, flags, 1, format, width, height, 1, 1, 1, 1, 0, usage, 0, 0, NULL, LAYOUT_UNDEFINED};
     require(host->CreateImage(device, &info, NULL, &texture.raw), "vkCreateImage");
     Needs needs;
     host->GetImageMemoryRequirements(device, texture.raw, &needs);
     texture.memory = host_memory(host, needs, 0);
     require(host->BindImageMemory(device, texture.raw, texture.memory, 0), "vkBindImageMemory");
-    AshsplatHostImage description = {texture.raw, format, usage, width, height, 0, 0};
+    AshsplatHostImage description = {texture.raw, format, usage, width, height, 0, 0, flags};
     texture.description = description;
     return texture;
 }
