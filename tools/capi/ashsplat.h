@@ -209,6 +209,10 @@ typedef struct AshsplatHostImage {
   uint32_t mip_level;
   // Which layer.
   uint32_t layer;
+  // VkImageCreateFlags. Of a target in another format than R8G8B8A8_UNORM and the two float formats of 16 and 32 bits, they
+  // have MUTABLE_FORMAT, and EXTENDED_USAGE where the device has no storage images of the format: texels of 8 bits per
+  // channel are seen as R8G8B8A8_UNORM, A2B10G10R10 and B10G11R11 as R32_UINT.
+  uint32_t flags;
 } AshsplatHostImage;
 
 // Conversion of a depth buffer's value d: 1/z = scale d + offset. clear_value marks pixels without a
@@ -291,8 +295,12 @@ typedef struct AshsplatFrame {
   uint32_t target_offset[2];
   // What the splats are composited over: an AshsplatBackground.
   uint32_t behind;
-  // Its colour, for AshsplatBackground_Color.
+  // Its colour, for AshsplatBackground_Color: display-encoded, as trained.
   float background[3];
+  // What the target's colours are: an AshsplatColorEncoding.
+  uint32_t encoding;
+  // Factor of linear light, finite and positive, for AshsplatColorEncoding_LinearSrgb.
+  float exposure;
   // The host's depth image, which hides splats that are farther away, or NULL.
   const struct AshsplatImage *depth;
   // The host's use of the depth image before the frame.
@@ -713,7 +721,7 @@ enum AshsplatStatus ashsplat_slot_report(struct AshsplatRenderer *renderer,
                                          struct AshsplatReport *report);
 
 // The VkBuffer that a frame without target fills, and the byte offset in it: premultiplied red, green, blue
-// and transmittance of each pixel, row by row, as floats. Usable as a storage buffer and a source of
+// (display-encoded, as trained) and transmittance of each pixel, row by row, as floats. Usable as a storage buffer and a source of
 // transfers, until the renderer reserves again. The host may use it after the frame, behind a barrier from
 // AshsplatRelease's stages and accesses, until the slot is recorded again. A host that reads it in other
 // stages than compute and transfer, in a later command buffer, must wait for those stages before the next
