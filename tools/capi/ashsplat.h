@@ -43,6 +43,15 @@ typedef enum AshsplatBackground {
   AshsplatBackground_Image = 2,
 } AshsplatBackground;
 
+// What the colours are that are written into a target.
+typedef enum AshsplatColorEncoding {
+  // The values that the splats were trained in: those of photographs, display-encoded by the curve of sRGB.
+  AshsplatColorEncoding_AsTrained = 0,
+  // Linear light with the primaries of sRGB, decoded after blending; what is premultiplied is decoded before the product
+  // with alpha. A target of an sRGB format encodes it again.
+  AshsplatColorEncoding_LinearSrgb = 1,
+} AshsplatColorEncoding;
+
 // At which pixels a Gaussian counts.
 typedef enum AshsplatExtent {
   // Wherever its alpha is at least 1/255.

@@ -30,7 +30,7 @@ fn the_header_is_what_the_sources_say() {
         enumeration: EnumConfig { prefix_with_name: true, ..EnumConfig::default() },
         // They arrive as numbers: no function has them in its signature.
         export: ExportConfig {
-            include: ["Background", "Extent", "JacobianLimit", "Shape"]
+            include: ["Background", "ColorEncoding", "Extent", "JacobianLimit", "Shape"]
                 .map(|e| format!("Ashsplat{e}"))
                 .to_vec(),
             ..ExportConfig::default()
