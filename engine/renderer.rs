@@ -11,6 +11,7 @@ mod inspect;
 mod record;
 mod runner;
 mod slots;
+mod tile_lists;
 mod tiles;
 mod updates;
 
@@ -23,6 +24,7 @@ pub use inspect::{PixelReport, Sample};
 pub use record::{DepthTarget, HostImage, Occluder, Placed, RecordedFrame, Release, Target};
 pub(crate) use runner::{Failed, FrameRunner, Ran, Request};
 pub use slots::{Reservation, SlotReport};
+pub use tile_lists::{ProjectedSplat, TileLists};
 pub use tiles::TileReport;
 pub use updates::Update;
 

@@ -197,9 +197,16 @@ fn checkpoints_say_what_else_made_them() {
     let mut checkpoint = trainer.checkpoint().expect("a checkpoint");
     let (device, driver) = (checkpoint.device.clone(), checkpoint.driver.clone());
     assert!(!driver.is_empty());
-    assert_eq!(checkpoint.differences(&device, &driver), [""; 0]);
+    let kernels = checkpoint.kernels.clone();
+    assert_eq!(kernels, gpu.context.limits().kernel_forms());
+    assert_eq!(checkpoint.differences(&device, &driver, &kernels), [""; 0]);
+    let said = checkpoint.differences(&device, &driver, "gpu, subgroups of 128");
+    assert_eq!(said, [format!("was made with kernels of '{kernels}', here it is 'gpu, subgroups of 128'")]);
+    // Checkpoints of older versions do not say it.
+    checkpoint.kernels.clear();
+    assert_eq!(checkpoint.differences(&device, &driver, &kernels), [""; 0]);
     checkpoint.version = "0.0.9".into();
-    let said = checkpoint.differences("another", "newer").join("; ");
+    let said = checkpoint.differences("another", "newer", &kernels).join("; ");
     for word in ["ashsplat '0.0.9'", "device", "'another'", "driver", "'newer'"] {
         assert!(said.contains(word), "no '{word}' in {said}");
     }
@@ -220,6 +227,7 @@ fn checkpoints_with_any_bit_flipped_are_refused() {
         version: "1".into(),
         device: "d".into(),
         driver: "r".into(),
+        kernels: "k".into(),
         settings: TrainSettings { sh_degree: 0, filter_3d: true, ..TrainSettings::default() },
         views: 3,
         views_fingerprint: 77,

@@ -34,6 +34,8 @@ const DUE: [(&str, Actions); 2] =
 const OTHERS_DUE: &str = "strategy_due";
 /// The strategy's name, and the names of the loss's terms, with commas between them. Older files lack both.
 const STRATEGY_NAME: &str = "strategy";
+/// [`Checkpoint::kernels`]. Older files lack it.
+const KERNELS: &str = "kernels";
 /// See [`STRATEGY_NAME`].
 const TERMS: &str = "loss_terms";
 /// The data begin at a multiple of this.
@@ -140,7 +142,8 @@ fn metadata(checkpoint: &Checkpoint, data_fingerprint: u64) -> Result<BTreeMap<S
     let due = DUE.map(|(name, action)| (name, checkpoint.due.contains(action).to_string()));
     let others = DUE.iter().fold(checkpoint.due, |due, (_, action)| due.without(*action));
     let others = (!others.is_empty()).then(|| (OTHERS_DUE, others.0.to_string()));
-    let named = pairs.into_iter().chain(due).chain(others).chain(max_memory).chain(summed);
+    let kernels = (!checkpoint.kernels.is_empty()).then(|| (KERNELS, checkpoint.kernels.clone()));
+    let named = pairs.into_iter().chain(kernels).chain(due).chain(others).chain(max_memory).chain(summed);
     let own = checkpoint.strategy.values.iter();
     let own = own.map(|(name, value)| (format!("{}{name}", Checkpoint::STRATEGY), value.clone()));
     Ok(named.map(|(name, value)| (name.to_owned(), value)).chain(own).collect())
@@ -178,6 +181,7 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
         version: metadata.text("version")?.to_owned(),
         device: metadata.text("device")?.to_owned(),
         driver: metadata.text("driver")?.to_owned(),
+        kernels: metadata.optional(KERNELS)?.unwrap_or_default(),
         settings,
         views: metadata.parsed("views")?,
         views_fingerprint: metadata.hexadecimal("views_fingerprint")?,

@@ -20,6 +20,9 @@ pub struct Checkpoint {
     pub device: String,
     /// The device's driver and its version. With another driver the bits may differ.
     pub driver: String,
+    /// Which forms of the kernels ran ([`Limits::kernel_forms`](crate::vk::Limits::kernel_forms)); empty in older checkpoints. With
+    /// other ones the bits may differ.
+    pub kernels: String,
     /// The run's settings.
     pub settings: TrainSettings,
     /// Number of views.
@@ -178,12 +181,16 @@ pub(super) struct Wanted<'a> {
 
 impl Checkpoint {
     /// Why a run that is resumed here may end with other bits than one that was never interrupted: another
-    /// version, device or driver made the checkpoint. One sentence each.
-    pub fn differences(&self, device: &str, driver: &str) -> Vec<String> {
+    /// version, device or driver made the checkpoint, or other forms of the kernels
+    /// ([`Limits::kernel_forms`](crate::vk::Limits::kernel_forms)). One sentence each.
+    pub fn differences(&self, device: &str, driver: &str, kernels: &str) -> Vec<String> {
+        // Older checkpoints do not say it.
+        let own = if self.kernels.is_empty() { kernels } else { &self.kernels };
         let pairs = [
             ("ashsplat", self.version.as_str(), env!("CARGO_PKG_VERSION")),
             ("device", &self.device, device),
             ("driver", &self.driver, driver),
+            ("kernels of", own, kernels),
         ];
         let differing = pairs.iter().filter(|(_, there, here)| there != here);
         let say = |(what, there, here): &(&str, &str, &str)| {

@@ -47,6 +47,7 @@ impl Trainer {
             version: env!("CARGO_PKG_VERSION").to_owned(),
             device: self.context.device_name().to_owned(),
             driver: self.context.description().driver.clone(),
+            kernels: self.context.limits().kernel_forms(),
             settings: self.run.settings.clone(),
             views: self.run.cameras.len() as u64,
             views_fingerprint: self.run.views_fingerprint,

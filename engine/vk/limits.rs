@@ -117,6 +117,17 @@ impl Limits {
         self
     }
 
+    /// Which forms of the kernels run: their backend and the sizes of subgroups, "gpu, subgroups of 16, of 8 in the heaviest".
+    /// With other ones the bits of a result differ.
+    pub fn kernel_forms(&self) -> String {
+        let Self { subgroup_size, heavy_subgroup_size, .. } = self;
+        let heaviest = match heavy_subgroup_size == subgroup_size {
+            true => String::new(),
+            false => format!(", of {heavy_subgroup_size} in the heaviest"),
+        };
+        format!("{}, subgroups of {subgroup_size}{heaviest}", self.tuning.backend)
+    }
+
     /// The largest workgroup size up to `preferred` on this device: a multiple of the subgroup size, within
     /// the limits of invocations and subgroups, and at least one subgroup.
     pub fn workgroup_size(&self, preferred: u32) -> u32 {

@@ -101,6 +101,18 @@ pub struct ContextOptions {
 }
 
 impl ContextOptions {
+    /// The class of devices that is asked for: [`ContextOptions::backend`], or the environment variable `ASHSPLAT_BACKEND`.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] when the variable names none.
+    pub fn asked_backend(&self) -> Result<Option<Backend>> {
+        let named = std::env::var_os("ASHSPLAT_BACKEND").filter(|name| !name.is_empty());
+        let named = named.map(|name| {
+            name.to_string_lossy().parse().map_err(|e: String| Error::argument("ASHSPLAT_BACKEND", e))
+        });
+        self.backend.map(Ok).or(named).transpose()
+    }
+
     fn least_version(&self) -> u32 {
         if self.capture { vk::API_VERSION_1_2 } else { vk::API_VERSION_1_3 }
     }
@@ -311,11 +323,7 @@ pub(super) fn effective_limits(candidate: &Candidate, options: &ContextOptions) 
     #[cfg(feature = "testing")]
     let limits = limits.lowered(&options.limits_override.unwrap_or_default());
     let mut limits = limits;
-    let asked = std::env::var_os("ASHSPLAT_BACKEND").filter(|name| !name.is_empty());
-    let asked = asked.map(|name| {
-        name.to_string_lossy().parse().map_err(|e: String| Error::argument("ASHSPLAT_BACKEND", e))
-    });
-    if let Some(backend) = options.backend.map(Ok).or(asked).transpose()?
+    if let Some(backend) = options.asked_backend()?
         && backend != limits.tuning.backend
     {
         limits = limits.tuned(Tuning::of(backend));

@@ -67,6 +67,8 @@ pub struct CommandRecord {
     pub workgroups: Option<[u32; 3]>,
     /// Its buffers.
     pub buffers: Vec<BoundBuffer>,
+    /// Barriers recorded since the command before it: with any, it waits for all commands before them.
+    pub barriers: u32,
     /// Its begin, nanoseconds from the recording's begin on the device; None without timestamps.
     pub begin_ns: Option<f64>,
     /// From the end of the previous command to its own end, including the barrier between them; None without
@@ -98,6 +100,7 @@ impl CommandRecord {
             scope: String::new(),
             workgroups,
             buffers: buffers.collect(),
+            barriers: 0,
             begin_ns: None,
             nanoseconds: None,
         }

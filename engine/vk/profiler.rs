@@ -27,6 +27,8 @@ pub(super) struct Profiler {
     pub(super) commands: Option<Commands>,
     /// The timestamp after each timed command.
     command_ends: Vec<u32>,
+    /// Barriers of the recording up to the last command that was noted.
+    barriers: u32,
 }
 
 struct Scope {
@@ -48,6 +50,7 @@ impl Profiler {
             behind_host: false,
             commands,
             command_ends: Vec::new(),
+            barriers: 0,
         }
     }
 
@@ -76,18 +79,20 @@ impl Profiler {
         inner.names.end_label(commands);
     }
 
-    /// Notes a command that was just recorded, and its end.
+    /// Notes a command that was just recorded, and its end. `barriers`: those of the recording so far.
     pub(super) fn command(
         &mut self,
         inner: &Device,
         raw: vk::CommandBuffer,
+        barriers: u32,
         describe: impl FnOnce() -> CommandRecord,
     ) {
         self.fresh = false;
         let Some(commands) = &mut self.commands else { return };
         let scope = self.open.last().copied().flatten().filter(|&index| index > 0);
         let scope = scope.map_or_else(String::new, |index| self.scopes[index].name.clone());
-        commands.push(CommandRecord { scope, ..describe() });
+        let waits = barriers - std::mem::replace(&mut self.barriers, barriers);
+        commands.push(CommandRecord { scope, barriers: waits, ..describe() });
         if self.command_ends.len() < MAX_COMMANDS as usize {
             let end = self.now(inner, raw);
             self.command_ends.push(end);

@@ -254,7 +254,7 @@ impl Recorder {
         let accesses = pipeline.bindings.iter().map(|info| info.access);
         self.audit(pipeline.name, buffers.iter().copied().zip(accesses));
         let raw = self.raw();
-        self.profiler.command(&self.inner, raw, || {
+        self.profiler.command(&self.inner, raw, self.barriers, || {
             let bound = pipeline.bindings.iter().zip(buffers);
             let bound = bound.map(|(info, buffer)| BoundBuffer::new(info.name, buffer, info.access));
             CommandRecord::new(pipeline.name, grid, bound)
@@ -264,7 +264,7 @@ impl Recorder {
     fn profile_transfer(&mut self, command: &'static str, uses: &[(&Buffer, &'static str, Access)]) {
         self.audit(command, uses.iter().map(|&(buffer, _, access)| (buffer, access)));
         let raw = self.raw();
-        self.profiler.command(&self.inner, raw, || {
+        self.profiler.command(&self.inner, raw, self.barriers, || {
             let bound = uses.iter().map(|&(buffer, role, access)| BoundBuffer::new(role, buffer, access));
             CommandRecord::new(command, None, bound)
         });

@@ -29,6 +29,7 @@ fn checkpoint(count: usize, own: usize) -> Checkpoint {
         version: "1".into(),
         device: "a device".into(),
         driver: "a driver".into(),
+        kernels: "gpu, subgroups of 32".into(),
         settings: TrainSettings { sh_degree: 1, ..TrainSettings::default() },
         views: 3,
         views_fingerprint: 7,

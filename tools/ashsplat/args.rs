@@ -89,12 +89,15 @@ pub fn size(bytes: u64) -> String {
 impl DeviceArguments {
     /// What decides the bits of a result, as it was typed: to type it again.
     pub fn repeated(&self) -> String {
+        // Another shell does not have the environment.
+        self.repeated_for(self.options().asked_backend().ok().flatten())
+    }
+
+    fn repeated_for(&self, backend: Option<Backend>) -> String {
         let device = self.device.iter().map(|device| format!(" --device {}", quoted(device)));
         let memory = self.max_memory.iter().map(|bytes| format!(" --max-memory {}", size(*bytes)));
         let lanes = self.subgroup_size.iter().map(|lanes| format!(" --subgroup-size {lanes}"));
-        // Also where the environment says it, which another shell does not have.
-        let named = std::env::var("ASHSPLAT_BACKEND").ok().and_then(|name| name.parse().ok());
-        let backend = self.backend.or(named).map(|backend| format!(" --backend {backend}"));
+        let backend = backend.map(|backend| format!(" --backend {backend}"));
         device.chain(memory).chain(lanes).chain(backend).collect()
     }
 
@@ -105,17 +108,20 @@ impl DeviceArguments {
 
     /// Opens the device with other options than usual.
     pub fn context_with(&self, change: impl FnOnce(&mut ContextOptions)) -> Result<Context> {
-        let mut options = ContextOptions {
+        let mut options = ContextOptions { pipeline_cache: pipeline_cache::kept(), ..self.options() };
+        change(&mut options);
+        Context::new(&options)
+    }
+
+    fn options(&self) -> ContextOptions {
+        ContextOptions {
             device: self.device.clone(),
             validation: self.validation,
             max_memory: self.max_memory,
             subgroup_size: self.subgroup_size,
             backend: self.backend,
-            pipeline_cache: pipeline_cache::kept(),
             ..Default::default()
-        };
-        change(&mut options);
-        Context::new(&options)
+        }
     }
 
     /// Prints what the validation layer said, if it was asked for.
@@ -141,10 +147,12 @@ mod tests {
         }
         let device = Some("it's (256 bits)".to_owned());
         let arguments = DeviceArguments { device, max_memory: Some(6 << 30), ..Default::default() };
-        assert_eq!(arguments.repeated(), r" --device 'it'\''s (256 bits)' --max-memory 6G");
+        assert_eq!(arguments.repeated_for(None), r" --device 'it'\''s (256 bits)' --max-memory 6G");
         let arguments =
             DeviceArguments { subgroup_size: Some(16), backend: Some(Backend::Gpu), ..Default::default() };
+        // What was typed holds, whatever the environment says.
         assert_eq!(arguments.repeated(), " --subgroup-size 16 --backend gpu");
-        assert_eq!(DeviceArguments::default().repeated(), "");
+        let processor = DeviceArguments::default().repeated_for(Some(Backend::Processor));
+        assert_eq!([processor, DeviceArguments::default().repeated_for(None)], [" --backend processor", ""]);
     }
 }

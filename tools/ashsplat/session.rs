@@ -2,6 +2,7 @@
 
 use crate::args::HostArguments;
 use crate::config::DataSettings;
+use crate::model::POINT_CLOUDS;
 use crate::progress::counting;
 use ashsplat::scene::PointCloud;
 use ashsplat::{Error, Result};
@@ -61,7 +62,7 @@ impl DataArguments {
 pub fn is_dataset(path: &Path) -> bool {
     let is_archive = path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("zip"))
         || Dataset::is_archive(path);
-    is_archive || path.is_dir() && !path.join("point_cloud").is_dir()
+    is_archive || path.is_dir() && !path.join(POINT_CLOUDS).is_dir()
 }
 
 /// The options that the settings mean; all photos are held in memory, within the bound of `host`.

@@ -63,6 +63,7 @@ pub fn checkpoint(gaussians: Gaussians, sh_degree: u32) -> Checkpoint {
         version: "0.1.0".into(),
         device: "a device".into(),
         driver: "a driver".into(),
+        kernels: "gpu, subgroups of 32".into(),
         settings: TrainSettings { sh_degree, ..TrainSettings::default() },
         views: 3,
         views_fingerprint: 7,

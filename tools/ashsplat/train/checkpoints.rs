@@ -49,7 +49,8 @@ impl Start {
 
     /// Says what keeps the run from ending with the same bits as one that was never interrupted.
     pub fn warn(&self, context: &Context) {
-        for difference in self.checkpoint.differences(context.device_name(), &context.description().driver) {
+        let (device, driver) = (context.device_name(), &context.description().driver);
+        for difference in self.checkpoint.differences(device, driver, &context.limits().kernel_forms()) {
             tell!(
                 "warning: {}: {difference}; the result may differ from that of a run without interruption",
                 self.path.display()
