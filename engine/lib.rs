@@ -70,8 +70,8 @@ pub use forward::{BlendMeasurement, Blending, Extent, JacobianLimit, RenderSetti
 pub use glam;
 pub use renderer::{
     Alignment, BlendSamples, DepthTarget, DeviceScene, Frame, FrameStats, Gradients, HostImage, Occluder,
-    PixelReport, Placed, ProjectedSplat, RecordedFrame, Release, Renderer, Reservation, Sample, SlotReport, Target,
-    TileLists, TileReport, Update,
+    PixelReport, Placed, ProjectedSplat, RecordedFrame, Release, Renderer, Reservation, Sample, SlotReport,
+    Target, TileLists, TileReport, Update,
 };
 pub use scene::{Camera, ColorEncoding, Gaussians};
 pub use trainer::{Checkpoint, StepReport, TrainSettings, TrainView, Trainer};

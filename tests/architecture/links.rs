@@ -32,19 +32,61 @@ fn links(text: &str) -> Vec<(&str, Option<&str>)> {
     found
 }
 
+/// The anchors of a document's headings, as GitHub names them: lower case, without punctuation, a hyphen for each space, a number
+/// behind all but the first of a name.
+fn anchors(text: &str) -> Vec<String> {
+    let mut is_code = false;
+    let mut found: Vec<String> = Vec::new();
+    for line in text.lines() {
+        is_code ^= line.trim_start().starts_with("```");
+        let heading = line.trim_start_matches('#');
+        if is_code || heading.len() == line.len() || !heading.starts_with(' ') {
+            continue;
+        }
+        // Of a link its text remains.
+        let mut shown = String::new();
+        let mut rest = heading.trim();
+        while let Some((before, target)) = rest.split_once("](") {
+            shown += before;
+            rest = target.split_once(')').map_or("", |(_, after)| after);
+        }
+        shown += rest;
+        let kept = |c: &char| c.is_alphanumeric() || matches!(c, ' ' | '-' | '_');
+        let anchor: String =
+            shown.to_lowercase().chars().filter(kept).map(|c| if c == ' ' { '-' } else { c }).collect();
+        let numbered = |n: usize| if n == 0 { anchor.clone() } else { format!("{anchor}-{n}") };
+        let free = (0..).map(numbered).find(|name| !found.contains(name));
+        found.extend(free);
+    }
+    found
+}
+
 #[test]
 fn architecture_links_of_documents_lead_somewhere() {
     let mut checked = 0;
+    let mut headings = 0;
     for document in documents() {
         let text = std::fs::read_to_string(&document).expect("text");
         for (target, item) in links(&text) {
-            let path = target.split('#').next().unwrap_or_default();
-            if path.is_empty() || target.contains("://") || target.contains("::") {
+            let (path, anchor) =
+                target.split_once('#').map_or((target, None), |(path, anchor)| (path, Some(anchor)));
+            if target.contains("://") || target.contains("::") {
                 continue;
             }
-            let file = document.parent().unwrap_or(Path::new("")).join(path);
+            let file = match path {
+                "" => document.clone(),
+                path => document.parent().unwrap_or(Path::new("")).join(path),
+            };
             assert!(file.exists(), "{}: no {target}", document.display());
             checked += 1;
+            if let Some(anchor) = anchor
+                && file.extension().is_some_and(|extension| extension == "md")
+            {
+                let text = std::fs::read_to_string(&file).expect("text");
+                let is_there = anchors(&text).iter().any(|heading| heading == anchor);
+                assert!(is_there, "{}: no heading of {target}", document.display());
+                headings += 1;
+            }
             // A link to a source names its item, which rustdoc shows.
             if let Some(name) = item.and_then(|item| item.rsplit("::").next()) {
                 let source = std::fs::read_to_string(&file).unwrap_or_default();
@@ -54,6 +96,13 @@ fn architecture_links_of_documents_lead_somewhere() {
         }
     }
     assert!(checked > 150, "{checked} links");
+    assert!(headings > 0, "no link to a heading");
+}
+
+#[test]
+fn architecture_anchors_are_those_of_github() {
+    let text = "# A `b_c`: d, e\n## [F](g.md) — h\n```\n# code\n```\n#no heading\n### F  — h\n## 1. Two's\n# F — h\n";
+    assert_eq!(anchors(text), ["a-b_c-d-e", "f--h", "f---h", "1-twos", "f--h-1"]);
 }
 
 #[test]

@@ -6,6 +6,7 @@ pub mod compiled;
 mod cpu_sorts;
 pub mod forms;
 pub mod frames;
+mod gpus;
 pub mod machine;
 pub mod measure;
 mod model;
@@ -21,6 +22,7 @@ pub mod table;
 mod tasks;
 pub mod traffic;
 mod training;
+mod transactions;
 pub mod workload;
 
 use arguments::{
@@ -228,6 +230,8 @@ fn measure_all(
         for (run, samples) in results.iter_mut().zip(samples) {
             samples::enter(run, samples, context.limits(), yardsticks.arithmetic.as_ref());
         }
+        let counted = counter.transactions(&task, context.limits().tuning.backend)?;
+        results.iter_mut().for_each(|run| transactions::enter(run, &counted));
         runs.extend(results);
     }
     name_apart(&mut runs);

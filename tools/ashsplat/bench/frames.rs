@@ -9,7 +9,8 @@ use super::workload::Scene;
 use ashsplat::plan::ScenePlan;
 use ashsplat::vk::Context;
 use ashsplat::{
-    Blending, FrameStats, RenderSettings, Renderer, Result, StepReport, TrainSettings, TrainView, Trainer,
+    Blending, FrameStats, Gaussians, RenderSettings, Renderer, Result, StepReport, TrainSettings, TrainView,
+    Trainer,
 };
 use ashsplat_files::Photo;
 
@@ -145,20 +146,28 @@ pub fn steady_settings(sh_degree: u32, seed: u64) -> TrainSettings {
     }
 }
 
+/// What the training of a scene starts from.
+pub fn start(scene: &Scene, seed: u64) -> Gaussians {
+    match &scene.view {
+        Some(_) => scene.gaussians.clone(),
+        None => synthetic::disturbed(&scene.gaussians, seed),
+    }
+}
+
 /// The trainer of a scene. A synthetic scene is trained, from a disturbed state, on a picture of itself.
 pub fn trainer(context: &Context, scene: &Scene, seed: u64) -> Result<Trainer> {
-    let (view, start) = match &scene.view {
-        Some(view) => (view.clone(), scene.gaussians.clone()),
+    let view = match &scene.view {
+        Some(view) => view.clone(),
         None => {
             let mut renderer = Renderer::new(context)?;
             renderer.upload(&scene.gaussians)?;
             let frame = renderer.render(&scene.camera, &RenderSettings::default())?;
             let photo = Photo::from_f32(frame.width, frame.height, &frame.color)?;
-            (TrainView::new(scene.camera, photo), synthetic::disturbed(&scene.gaussians, seed))
+            TrainView::new(scene.camera, photo)
         }
     };
     let settings = steady_settings(scene.gaussians.sh_degree, seed);
-    Trainer::new(context, vec![view], &start, scene.scene_extent, settings)
+    Trainer::new(context, vec![view], &start(scene, seed), scene.scene_extent, settings)
 }
 
 /// Steps until the full SH degree is in use.

@@ -72,6 +72,8 @@ pub fn device(context: &Context) -> Device {
         driver: description.driver.clone(),
         api_version: description.api_version.clone(),
         subgroup_size: l.subgroup_size,
+        heavy_subgroup_size: Some(l.heavy_subgroup_size),
+        backend: Some(l.tuning.backend.to_string()),
         // A driver without hardware gives a period that is no number.
         limits: (limits.into_iter().filter(|(_, value)| value.is_finite()))
             .map(|(name, value)| (name.to_owned(), value))

@@ -236,6 +236,7 @@ impl Measured {
                 Some(place) => {
                     let kernel = &mut found[place];
                     kernel.calls += 1;
+                    kernel.waits = kernel.waits.map(|waits| waits + command.barriers.min(1));
                     kernel.workgroups = kernel.workgroups.zip(groups).map(|(sum, groups)| sum + groups);
                     kernel.bytes_read += read;
                     kernel.bytes_written += written;
@@ -244,16 +245,11 @@ impl Measured {
                     scope: command.scope.clone(),
                     kernel: command.name.to_owned(),
                     calls: 1,
+                    waits: Some(command.barriers.min(1)),
                     workgroups: groups,
-                    time_us: None,
                     bytes_read: read,
                     bytes_written: written,
-                    gigabytes_per_second: None,
-                    share_of_copy_bandwidth: None,
-                    samples: None,
-                    operations: None,
-                    gigaoperations_per_second: None,
-                    share_of_arithmetic: None,
+                    ..KernelResult::default()
                 }),
             }
         }

@@ -2,11 +2,13 @@
 //! kernels move and compute and from the GPU's data sheet. A model, never a measurement.
 
 use super::compiled;
+use super::gpus::{Gpu, Sheet};
 use super::schema::{KernelResult, Report, Run};
 use super::{compare, table};
 use crate::output;
+use ashsplat::tuning::Backend;
 use ashsplat::{Error, Result};
-use clap::{Args, ValueEnum};
+use clap::Args;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -26,9 +28,12 @@ pub struct Arguments {
     /// A file of `profile --static --json` for that GPU: no kernel takes less than one subgroup's estimated cycles
     #[arg(long = "static", value_name = "FILE")]
     compiled: Option<PathBuf>,
-    /// Time from one dispatch to the next that waits for it, microseconds: an assumption, no data sheet has it
+    /// Time from one dispatch to the next that waits for it behind a barrier, microseconds: an assumption, no data sheet has it
     #[arg(long, value_name = "US", default_value_t = 3.0, value_parser = parse_time)]
     dispatch_us: f64,
+    /// Say what would have to be true for a run to take no longer, milliseconds
+    #[arg(long, value_name = "MS", value_parser = parse_time)]
+    target_ms: Option<f64>,
     /// Write the result here (schema ashsplat-model/1)
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
@@ -36,46 +41,7 @@ pub struct Arguments {
 
 fn parse_time(text: &str) -> Result<f64, String> {
     let time = text.parse().ok().filter(|time: &f64| time.is_finite() && *time >= 0.0);
-    time.ok_or_else(|| "expected a number of microseconds, 0 or more".to_owned())
-}
-
-/// GPUs with public data sheets.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Gpu {
-    /// NVIDIA H200 (Hopper)
-    H200,
-    /// NVIDIA GeForce RTX 4090 (Ada)
-    #[value(name = "rtx4090")]
-    Rtx4090,
-    /// AMD Radeon RX 7900 XTX (RDNA3)
-    #[value(name = "rx7900xtx")]
-    Rx7900Xtx,
-    /// Intel Arc A770 (DG2)
-    A770,
-}
-
-/// What a data sheet says.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-struct Sheet {
-    name: &'static str,
-    /// Float lanes that take an instruction each per cycle. RDNA3's second issue is not counted.
-    lanes: f64,
-    /// Boost clock.
-    gigahertz: f64,
-    /// Bandwidth of device memory.
-    gigabytes_per_second: f64,
-}
-
-impl Gpu {
-    fn sheet(self) -> Sheet {
-        let (name, lanes, gigahertz, gigabytes_per_second) = match self {
-            Self::H200 => ("NVIDIA H200", 16_896.0, 1.98, 4800.0),
-            Self::Rtx4090 => ("NVIDIA GeForce RTX 4090", 16_384.0, 2.52, 1008.0),
-            Self::Rx7900Xtx => ("AMD Radeon RX 7900 XTX", 6144.0, 2.5, 960.0),
-            Self::A770 => ("Intel Arc A770", 4096.0, 2.1, 560.0),
-        };
-        Sheet { name, lanes, gigahertz, gigabytes_per_second }
-    }
+    time.ok_or_else(|| "expected a time, 0 or more".to_owned())
 }
 
 /// Instructions for a Gaussian at a pixel, counted in the machine code of RDNA3's loops (tools/gpu_static.md).
@@ -89,6 +55,8 @@ const REACHED: f64 = 0.85;
 #[serde(rename_all = "snake_case")]
 enum Resource {
     Memory,
+    /// What a core's load/store unit takes in a cycle.
+    Transactions,
     Arithmetic,
     /// One subgroup's own time.
     Latency,
@@ -100,6 +68,7 @@ impl Resource {
     fn name(self) -> &'static str {
         match self {
             Self::Memory => "memory",
+            Self::Transactions => "transactions",
             Self::Arithmetic => "arithmetic",
             Self::Latency => "latency",
             Self::Dispatch => "dispatches",
@@ -113,13 +82,18 @@ struct Bound {
     scope: String,
     kernel: String,
     calls: u32,
+    /// Calls that wait behind a barrier; all of them where the file does not say it.
+    waits: u32,
     memory_us: f64,
+    /// Segments of the first cache's lines that subgroups touch; those of neighbouring accesses from their bytes.
+    segments: u64,
+    transactions_us: f64,
     /// Null where instructions are not counted: all but blending.
     arithmetic_us: Option<f64>,
     /// Null without a static file.
     latency_us: Option<f64>,
     dispatch_us: f64,
-    /// The largest of memory, arithmetic and latency, and the dispatches.
+    /// The largest of memory, transactions, arithmetic and latency, and the dispatches.
     time_us: f64,
     set_by: Resource,
 }
@@ -133,7 +107,22 @@ struct Modelled {
     gaussians: Option<u32>,
     elements: Option<u64>,
     total_us: f64,
+    /// Commands, and those that wait behind a barrier.
+    calls: u32,
+    waits: u32,
+    target: Option<Target>,
     kernels: Vec<Bound>,
+}
+
+/// What would have to be true for a run to take a time.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+struct Target {
+    target_ms: f64,
+    /// The share of its bound that every kernel has to reach, where a dispatch takes what was assumed; above 1 it is out of reach.
+    /// Null where the dispatches alone take longer.
+    share_of_bounds: Option<f64>,
+    /// The most that a dispatch may take, where every kernel reaches half of its bound; null where it cannot be.
+    dispatch_us: Option<f64>,
 }
 
 #[derive(Serialize)]
@@ -161,7 +150,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         compiled::heaviest(compiled).into_iter().filter_map(latency).collect::<BTreeMap<String, f64>>()
     });
     let sheet = arguments.gpu.sheet();
-    let of = |run: &Run| model(run, &sheet, cycles.as_ref(), arguments.dispatch_us);
+    let of = |run: &Run| {
+        let modelled = model(run, &sheet, cycles.as_ref(), arguments.dispatch_us);
+        Modelled { target: arguments.target_ms.map(|target_ms| target(&modelled, target_ms)), ..modelled }
+    };
     let runs: Vec<Modelled> = report.runs.iter().map(of).collect();
     say!("{}: {NOTE}", sheet.name);
     for run in &runs {
@@ -176,15 +168,13 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 
 /// Kernels of processors say nothing of a GPU.
 fn check(arguments: &Arguments, report: &Report) -> Result<()> {
-    const OF_PROCESSORS: [&str; 4] = ["_serial", "_subgroup_per_tile", "_single_subgroup", "_sweep"];
-    let kernels = report.runs.iter().flat_map(|run| &run.kernels);
-    let found =
-        kernels.map(|k| k.kernel.as_str()).find(|name| OF_PROCESSORS.iter().any(|end| name.ends_with(end)));
-    if let Some(kernel) = found {
-        let problem = format!("has kernels for processors ({kernel})");
-        return Err(Error::input(&arguments.file, problem, "measure with --backend gpu"));
-    }
-    Ok(())
+    let backend = report.device.backend.as_deref();
+    let problem = match backend.map(str::parse) {
+        Some(Ok(Backend::Gpu)) => return Ok(()),
+        Some(_) => format!("has kernels for a {}", backend.unwrap_or_default()),
+        None => "does not say for which backend its kernels are: an older program wrote it".to_owned(),
+    };
+    Err(Error::input(&arguments.file, problem, "measure with --backend gpu"))
 }
 
 fn model(run: &Run, sheet: &Sheet, cycles: Option<&BTreeMap<String, f64>>, dispatch_us: f64) -> Modelled {
@@ -198,8 +188,32 @@ fn model(run: &Run, sheet: &Sheet, cycles: Option<&BTreeMap<String, f64>>, dispa
         gaussians: workload.gaussians,
         elements: workload.elements,
         total_us: kernels.iter().map(|kernel| kernel.time_us).sum(),
+        calls: kernels.iter().map(|kernel| kernel.calls).sum(),
+        waits: kernels.iter().map(|kernel| kernel.waits).sum(),
+        target: None,
         kernels,
     }
+}
+
+fn target(run: &Modelled, target_ms: f64) -> Target {
+    let dispatches: f64 = run.kernels.iter().map(|kernel| kernel.dispatch_us).sum();
+    let (work, time) = (run.total_us - dispatches, target_ms * 1e3);
+    Target {
+        target_ms,
+        share_of_bounds: (time > dispatches).then(|| work / (time - dispatches)),
+        dispatch_us: Some((time - 2.0 * work) / f64::from(run.waits.max(1))).filter(|us| *us >= 0.0),
+    }
+}
+
+/// Segments that a kernel's subgroups touch, of the size of the sheet's lines.
+fn segments(kernel: &KernelResult, sheet: &Sheet) -> u64 {
+    let bytes = kernel.bytes_read + kernel.bytes_written;
+    let Some(counted) = &kernel.transactions else { return bytes / u64::from(sheet.line_bytes) };
+    let own = counted.by_lanes.iter().find(|of| of.lanes == sheet.subgroup_size);
+    let touched = own.map_or(0, |of| if sheet.line_bytes == 64 { of.of_64 } else { of.of_128 });
+    // The arrays are among the kernel's bytes, once a call.
+    let neighbours = bytes.saturating_sub(counted.array_bytes * u64::from(kernel.calls));
+    touched + neighbours / u64::from(sheet.line_bytes)
 }
 
 fn bound(
@@ -211,6 +225,8 @@ fn bound(
     let bytes = (kernel.bytes_read + kernel.bytes_written) as f64;
     // Gigabytes per second are kilobytes per microsecond.
     let memory_us = bytes / (REACHED * sheet.gigabytes_per_second * 1e3);
+    let segments = segments(kernel, sheet);
+    let transactions_us = segments as f64 / (sheet.cores * sheet.gigahertz * 1e3);
     let instructions = match kernel.kernel.as_str() {
         name if name.starts_with("backward/") => BACKWARD_INSTRUCTIONS,
         _ => FORWARD_INSTRUCTIONS,
@@ -219,9 +235,11 @@ fn bound(
         kernel.samples.map(|n| n as f64 * instructions / (sheet.lanes * sheet.gigahertz * 1e3));
     let alone = cycles.and_then(|cycles| cycles.get(&kernel.kernel));
     let latency_us = alone.map(|cycles| f64::from(kernel.calls) * cycles / (sheet.gigahertz * 1e3));
-    let dispatch_us = f64::from(kernel.calls) * dispatch_us;
+    let waits = kernel.waits.unwrap_or(kernel.calls);
+    let dispatch_us = f64::from(waits) * dispatch_us;
     let work = [
         (memory_us, Resource::Memory),
+        (transactions_us, Resource::Transactions),
         (arithmetic_us.unwrap_or(0.0), Resource::Arithmetic),
         (latency_us.unwrap_or(0.0), Resource::Latency),
     ];
@@ -230,7 +248,10 @@ fn bound(
         scope: kernel.scope.clone(),
         kernel: kernel.kernel.clone(),
         calls: kernel.calls,
+        waits,
         memory_us,
+        segments,
+        transactions_us,
         arithmetic_us,
         latency_us,
         dispatch_us,
@@ -249,22 +270,25 @@ fn text(run: &Modelled) -> String {
     };
     let per_second = 1e6 / run.total_us.max(1e-9);
     let mut text = format!(
-        "\n{}{size}: at least {:.3} ms, at most {per_second:.0} per second",
+        "\n{}{size}: at least {:.3} ms, at most {per_second:.0} per second; {} commands, {} of them wait behind a barrier",
         run.name,
-        run.total_us / 1e3
+        run.total_us / 1e3,
+        run.calls,
+        run.waits
     );
     text += &format!(
-        "\n{:<28} {:<34} {:>5} {:>9} {:>9} {:>9} {:>9}  set by",
-        "stage", "kernel", "calls", "memory", "arithm.", "latency", "all, us"
+        "\n{:<28} {:<34} {:>5} {:>9} {:>9} {:>9} {:>9} {:>9}  set by",
+        "stage", "kernel", "calls", "memory", "transact.", "arithm.", "latency", "all, us"
     );
     let shown = |time: Option<f64>| time.map_or("-".to_owned(), |time| format!("{time:.1}"));
     for kernel in &run.kernels {
         text += &format!(
-            "\n{:<28} {:<34} {:>5} {:>9} {:>9} {:>9} {:>9.1}  {}",
+            "\n{:<28} {:<34} {:>5} {:>9} {:>9} {:>9} {:>9} {:>9.1}  {}",
             kernel.scope,
             kernel.kernel,
             kernel.calls,
             shown(Some(kernel.memory_us)),
+            shown(Some(kernel.transactions_us)),
             shown(kernel.arithmetic_us),
             shown(kernel.latency_us),
             kernel.time_us,
@@ -276,11 +300,28 @@ fn text(run: &Modelled) -> String {
     let share = |(by, time): (&Resource, &f64)| {
         format!("{} {:.0} %", by.name(), 100.0 * time / run.total_us.max(1e-9))
     };
-    text + &format!("\ntime in kernels set by: {}", shares.iter().map(share).collect::<Vec<_>>().join(", "))
+    text += &format!("\ntime in kernels set by: {}", shares.iter().map(share).collect::<Vec<_>>().join(", "));
+    text + &run.target.as_ref().map(said).unwrap_or_default()
+}
+
+fn said(target: &Target) -> String {
+    let reached = match target.share_of_bounds {
+        Some(share) if share <= 1.0 => {
+            format!("every kernel has to reach {:.0} % of its bound", 100.0 * share)
+        }
+        Some(_) => "out of reach by this model".to_owned(),
+        None => "the dispatches alone take longer".to_owned(),
+    };
+    let dispatches = target.dispatch_us.map_or_else(
+        || "out of reach at half of the bounds".to_owned(),
+        |us| format!("at half of the bounds a dispatch may take {us:.1} us"),
+    );
+    format!("\nfor {} ms: {reached}; {dispatches}", target.target_ms)
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::schema::{Segments, Transactions};
     use super::*;
 
     fn kernel(name: &str, calls: u32, bytes: u64, samples: Option<u64>) -> KernelResult {
@@ -288,10 +329,55 @@ mod tests {
         KernelResult { scope, kernel, calls, bytes_read: bytes, samples, ..KernelResult::default() }
     }
 
+    const ROUND: Sheet = Sheet {
+        name: "round",
+        lanes: 1e4,
+        gigahertz: 1.0,
+        gigabytes_per_second: 1000.0,
+        cores: 100.0,
+        subgroup_size: 32,
+        line_bytes: 128,
+    };
+
+    /// By hand: 10^8 segments by 100 cores of 10^9 cycles a second are 1000 us; an array of 12.8 MB is not counted twice.
+    #[test]
+    fn scattered_accesses_take_a_cycle_of_a_core_for_each_segment() {
+        let counted = Segments { lanes: 32, of_32: 4, of_64: 5, of_128: 100_000_000 };
+        let transactions = Transactions { bytes: 0, array_bytes: 12_800_000, by_lanes: vec![counted] };
+        let gather = KernelResult {
+            transactions: Some(transactions),
+            waits: Some(1),
+            ..kernel("forward/count", 3, 38_400_000, None)
+        };
+        let found = bound(&gather, &ROUND, None, 2.0);
+        assert_eq!((found.segments, found.waits), (100_000_000, 1));
+        assert!((found.time_us - 1002.0).abs() < 1e-6, "{found:?}");
+        assert_eq!(found.set_by, Resource::Transactions);
+        // Neighbours share lines: their bytes bound them.
+        let stream = bound(&kernel("scan/scan_apply", 1, 12_800_000, None), &ROUND, None, 2.0);
+        assert_eq!((stream.segments, stream.set_by), (100_000, Resource::Memory));
+    }
+
+    /// By hand: 850 MB take 1000 us at their bound, ten waits of 3 us come to that.
+    #[test]
+    fn targets_say_what_would_have_to_be_true() {
+        let bytes = kernel("optimizer/adam", 10, 850_000_000, None);
+        let run = Run { kernels: vec![bytes], ..Run::default() };
+        let modelled = model(&run, &ROUND, None, 3.0);
+        assert!((modelled.total_us - 1030.0).abs() < 1e-6, "{modelled:?}");
+        let of = |ms| {
+            let Target { share_of_bounds, dispatch_us, .. } = target(&modelled, ms);
+            [share_of_bounds, dispatch_us].map(|value| value.map(|value| (value * 1e3).round() / 1e3))
+        };
+        assert_eq!(of(2.03), [Some(0.5), Some(3.0)]);
+        assert_eq!(of(1.0), [Some(1.031), None]);
+        assert_eq!(of(0.02), [None, None]);
+    }
+
     /// By hand: 85 MB at 85 % of 1 TB/s are 100 us; 10^9 samples of 45 instructions on 10^4 lanes at 1 GHz are 4500 us.
     #[test]
     fn the_slowest_resource_bounds_a_kernel() {
-        let sheet = Sheet { name: "round", lanes: 1e4, gigahertz: 1.0, gigabytes_per_second: 1000.0 };
+        let sheet = ROUND;
         let of = |kernel: &KernelResult, cycles| {
             let bound = bound(kernel, &sheet, cycles, 2.0);
             ((bound.time_us * 1e3).round() / 1e3, bound.set_by)
@@ -304,13 +390,5 @@ mod tests {
         assert_eq!(of(&kernel("sort/sort_spine", 4, 85_000, None), None), (8.1, Resource::Dispatch));
         let cycles = BTreeMap::from([("sort/sort_spine".to_owned(), 10_000.0)]);
         assert_eq!(of(&kernel("sort/sort_spine", 4, 85_000, None), Some(&cycles)), (48.0, Resource::Latency));
-    }
-
-    #[test]
-    fn data_sheets_are_in_the_order_of_their_generations() {
-        let rates = Gpu::value_variants().iter().map(|gpu| gpu.sheet());
-        assert!(rates.clone().all(|sheet| (1.0..3.0).contains(&sheet.gigahertz)));
-        assert!(rates.clone().all(|sheet| (500.0..5000.0).contains(&sheet.gigabytes_per_second)));
-        assert_eq!(rates.count(), 4);
     }
 }

@@ -3,10 +3,12 @@
 
 use super::schema::{ArithmeticRate, Run};
 use super::tasks::Task;
+use super::transactions::{self, Counted};
 use super::workload::Scene;
-use super::{forms, frames};
+use super::{forms, frames, synthetic};
 use crate::args::DeviceArguments;
 use ashsplat::plan::LaunchSizes;
+use ashsplat::tuning::Backend;
 use ashsplat::vk::{Context, Limits, SpecOverride};
 use ashsplat::{BlendSamples, Blending, RenderSettings, Renderer, Result};
 
@@ -37,6 +39,28 @@ impl<'a> Counter<'a> {
             }
             Task::Scan(..) | Task::Sort(..) | Task::Train(_) => Ok(Vec::new()),
         }
+    }
+
+    /// The memory transactions of a task's runs, of kernels for GPUs; none for processors, whose lanes share a cache line anyway,
+    /// and for tasks that are measured elsewhere as well.
+    pub fn transactions(&mut self, task: &Task, backend: Backend) -> Result<Counted> {
+        if backend != Backend::Gpu {
+            return Ok(Counted::new());
+        }
+        let (seed, none) = (self.seed, Counted::new());
+        let (scene, start) = match task {
+            Task::Sort(elements, _) => {
+                return Ok(transactions::of_sort(&synthetic::keys(seed, *elements as usize)));
+            }
+            Task::Render(scene, ..) => (scene, None),
+            Task::TrainStep(scene, ..) => (scene, Some(frames::start(scene, seed))),
+            Task::Scan(..) | Task::RenderBoth(..) | Task::Train(_) => return Ok(none),
+        };
+        let mut renderer = Renderer::new(self.context()?)?;
+        renderer.upload(start.as_ref().unwrap_or(&scene.gaussians))?;
+        let lists = renderer.tile_lists(&scene.camera, &RenderSettings::default())?;
+        let size = (scene.camera.width, scene.camera.height);
+        Ok(transactions::of_frame(&lists, size, start.is_some()))
     }
 
     fn context(&mut self) -> Result<&Context> {

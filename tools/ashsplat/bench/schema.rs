@@ -53,6 +53,12 @@ pub struct Device {
     pub driver: String,
     pub api_version: String,
     pub subgroup_size: u32,
+    /// The same in the heaviest kernels; null in files written before it was added.
+    #[serde(default)]
+    pub heavy_subgroup_size: Option<u32>,
+    /// Whose forms of the kernels ran, "gpu" or "processor"; null in files written before it was added.
+    #[serde(default)]
+    pub backend: Option<String>,
     pub limits: BTreeMap<String, f64>,
 }
 
@@ -186,6 +192,9 @@ pub struct KernelResult {
     pub kernel: String,
     /// Dispatches per iteration.
     pub calls: u32,
+    /// Those of them that wait for what came before, behind a barrier; null in files written before it was added.
+    #[serde(default)]
+    pub waits: Option<u32>,
     /// Workgroups per iteration, indirect dispatches included; null for transfers.
     pub workgroups: Option<u64>,
     /// Device time per iteration; null without timestamps.
@@ -198,6 +207,9 @@ pub struct KernelResult {
     pub gigabytes_per_second: Option<f64>,
     /// That over the device's own copy bandwidth.
     pub share_of_copy_bandwidth: Option<f64>,
+    /// Accesses to places that are not neighbours; null where none were counted.
+    #[serde(default)]
+    pub transactions: Option<Transactions>,
     /// Gaussians at pixels that a blending kernel computes per iteration; null for others, and in files written before it was added.
     #[serde(default)]
     pub samples: Option<u64>,
@@ -210,6 +222,26 @@ pub struct KernelResult {
     /// That over the device's own rate of multiplications and additions.
     #[serde(default)]
     pub share_of_arithmetic: Option<f64>,
+}
+
+/// What a kernel's subgroups touch at once where their lanes do not access neighbouring places, per iteration.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Transactions {
+    /// Bytes that these accesses are for.
+    pub bytes: u64,
+    /// Bytes of the arrays that they go to.
+    pub array_bytes: u64,
+    /// For subgroups of several sizes.
+    pub by_lanes: Vec<Segments>,
+}
+
+/// Aligned segments of memory of 32, 64 and 128 bytes that subgroups touch: an access of a subgroup counts each once.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Segments {
+    pub lanes: u32,
+    pub of_32: u64,
+    pub of_64: u64,
+    pub of_128: u64,
 }
 
 /// Device memory of one arena.
