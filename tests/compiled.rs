@@ -133,6 +133,32 @@ fn compiled_kernels_fit_into_registers() {
     assert!(gone.is_none(), "{gone:?} is in the table and was not compiled; run with ASHSPLAT_BLESS=1");
 }
 
+/// The heaviest kernels get another size of subgroups than the others where the driver has both: in the shader's constant, and in
+/// what is required of the pipeline.
+#[test]
+fn compiled_subgroups_have_the_size_that_is_asked_for() {
+    const HEAVIEST: [&str; 2] = ["backward/project_adam", "backward/project_backward"];
+    let Some(radv) = radv() else { return };
+    let folder = tempdir().expect("a temporary folder");
+    for (family, heavy) in [("navi21", 32), ("vega10", 64)] {
+        let json = folder.path().join(family);
+        let run = under(&radv, family, &["--json", text(&json)]);
+        assert_eq!(run.code, Some(0), "{}", run.stderr);
+        let compiled = read(&json);
+        assert_eq!(compiled["device"]["heavy_subgroup_size"], heavy);
+        let mut sizes = BTreeMap::new();
+        for pipeline in compiled["pipelines"].as_array().expect("pipelines") {
+            let Some(constant) = pipeline["constants"]["SUBGROUP_SIZE"].as_str() else { continue };
+            let kernel = pipeline["kernel"].as_str().expect("a name");
+            let wanted = if HEAVIEST.contains(&kernel) { heavy } else { 64 };
+            assert_eq!(constant, wanted.to_string(), "{family}: {kernel}");
+            assert_eq!(pipeline["subgroup_size"], wanted, "{family}: {kernel}");
+            *sizes.entry(wanted).or_insert(0) += 1;
+        }
+        assert_eq!(sizes.len(), if heavy == 64 { 1 } else { 2 }, "{family}: {sizes:?}");
+    }
+}
+
 #[test]
 fn compiled_files_stand_beside_each_other() {
     let Some(radv) = radv() else { return };

@@ -46,6 +46,7 @@ mod soak;
 mod sort;
 mod splats;
 mod subgroup_widths;
+mod tile_lists;
 mod training;
 mod viewer;
 mod vk;

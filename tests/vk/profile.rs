@@ -59,6 +59,9 @@ fn profile_names_every_command_with_its_grid_and_time() {
         .chain(kernels.map(|name| ("indirect", name)))
         .collect();
     assert_eq!(names, expected);
+    // Each kernel waits for the one before it.
+    let barriers: Vec<u32> = submission.commands.iter().map(|c| c.barriers).collect();
+    assert_eq!(barriers, [0, 1, 1, 1, 1, 1, 1]);
     assert_eq!(submission.commands[0].workgroups, None);
     // The grid of an indirect dispatch is read back.
     assert_eq!(submission.commands[1].workgroups, submission.commands[4].workgroups);

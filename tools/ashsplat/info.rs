@@ -4,7 +4,7 @@ use crate::args::HostArguments;
 use crate::config::DataSettings;
 use crate::model::Model;
 use crate::progress::thousands;
-use crate::session;
+use crate::{model, session};
 use ashsplat::scene::{Bounds, Gaussians};
 use ashsplat::{Error, Result};
 use ashsplat_files::{Dataset, DatasetReport, quoted, splats};
@@ -51,7 +51,7 @@ const BAR: usize = 40;
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<()> {
     let path = &arguments.path;
-    if session::is_dataset(path) {
+    if model::is_dataset(path) {
         return dataset(arguments);
     }
     let model = Model::locate(path, None)?;

@@ -3,6 +3,7 @@
 use crate::config::Settings;
 use crate::output;
 use ashsplat::{Error, Result};
+use ashsplat_files::Dataset;
 use std::path::{Path, PathBuf};
 
 /// A trained scene.
@@ -42,6 +43,13 @@ pub fn point_cloud_path(folder: &Path, iteration: u32) -> PathBuf {
 
 /// The folder of all saved iterations.
 pub const POINT_CLOUDS: &str = "point_cloud";
+
+/// Whether a path is taken for a data set, and not for a scene or a model folder.
+pub fn is_dataset(path: &Path) -> bool {
+    let is_archive = path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("zip"))
+        || Dataset::is_archive(path);
+    is_archive || path.is_dir() && !path.join(POINT_CLOUDS).is_dir()
+}
 
 /// Which point cloud was saved last: not always the one with the highest number, where an earlier training left its own.
 pub const LAST_ITERATION_FILE: &str = "last_iteration";

@@ -2,7 +2,6 @@
 
 use crate::args::HostArguments;
 use crate::config::DataSettings;
-use crate::model::POINT_CLOUDS;
 use crate::progress::counting;
 use ashsplat::scene::PointCloud;
 use ashsplat::{Error, Result};
@@ -56,13 +55,6 @@ impl DataArguments {
         }
         Ok(data)
     }
-}
-
-/// Whether a path is taken for a data set, and not for a scene or a model folder.
-pub fn is_dataset(path: &Path) -> bool {
-    let is_archive = path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("zip"))
-        || Dataset::is_archive(path);
-    is_archive || path.is_dir() && !path.join(POINT_CLOUDS).is_dir()
 }
 
 /// The options that the settings mean; all photos are held in memory, within the bound of `host`.

@@ -9,7 +9,7 @@ use crate::config::{CAMERAS_FILE, DataSettings};
 use crate::light::Lights;
 use crate::model::Model;
 use crate::render::{self, LookArguments};
-use crate::session;
+use crate::{model, session};
 use ashsplat::scene::{Bounds, Camera, Gaussians, Intrinsics, Orbit};
 use ashsplat::{Error, RenderSettings, Result};
 use ashsplat_files::cameras_json::{self, NamedCamera};
@@ -82,7 +82,7 @@ impl Subject {
         host: &HostArguments,
         stop: &AtomicBool,
     ) -> Result<Subject> {
-        if session::is_dataset(path) {
+        if model::is_dataset(path) {
             return Subject::of_dataset(path, wanted.images, host, stop);
         }
         let model = Model::locate(path, wanted.iteration)?;
