@@ -202,8 +202,15 @@ fn checkpoints_say_what_else_made_them() {
     assert_eq!(checkpoint.differences(&device, &driver, &kernels), [""; 0]);
     let said = checkpoint.differences(&device, &driver, "gpu, subgroups of 128");
     assert_eq!(said, [format!("was made with kernels of '{kernels}', here it is 'gpu, subgroups of 128'")]);
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = folder.path().join("of_this.safetensors");
+    checkpoint.write(&path).expect("written");
+    assert_eq!(Checkpoint::read(&path).expect("read").kernels, kernels);
     // Checkpoints of older versions do not say it.
     checkpoint.kernels.clear();
+    checkpoint.write(&path).expect("written");
+    assert!(!String::from_utf8_lossy(&std::fs::read(&path).expect("a file")).contains("\"kernels\""));
+    assert_eq!(Checkpoint::read(&path).expect("read").kernels, "");
     assert_eq!(checkpoint.differences(&device, &driver, &kernels), [""; 0]);
     checkpoint.version = "0.0.9".into();
     let said = checkpoint.differences("another", "newer", &kernels).join("; ");
