@@ -1,0 +1,269 @@
+//! What the layer says in the driver's place when a program asks for properties.
+
+use super::state::{InstanceState, heap_usage};
+use ash::vk;
+use std::ffi::{CStr, c_char};
+
+/// Extensions that speak of memory types or queues which the layer knows nothing of.
+const HIDDEN: [&CStr; 5] = [
+    c"VK_EXT_external_memory_host",
+    c"VK_KHR_external_memory_fd",
+    c"VK_EXT_external_memory_dma_buf",
+    c"VK_EXT_host_image_copy",
+    c"VK_KHR_map_memory2",
+];
+
+pub(crate) unsafe extern "system" fn properties(
+    physical: vk::PhysicalDevice,
+    properties: *mut vk::PhysicalDeviceProperties,
+) {
+    let state = InstanceState::of(physical);
+    // SAFETY: the caller's arguments; the struct is written by the call.
+    unsafe {
+        (state.functions.get_physical_device_properties)(physical, properties);
+        state.machine.describe(&mut *properties);
+    }
+}
+
+/// The struct of a kind in a chain that a call has written.
+unsafe fn in_chain<'a, T>(chain: *mut std::ffi::c_void, kind: vk::StructureType) -> Option<&'a mut T> {
+    let mut next = chain.cast::<vk::BaseOutStructure<'_>>();
+    // SAFETY: every struct of a chain begins like this one, and its kind says what it is.
+    unsafe {
+        while let Some(found) = next.as_mut() {
+            if found.s_type == kind {
+                return next.cast::<T>().as_mut();
+            }
+            next = found.p_next.cast();
+        }
+    }
+    None
+}
+
+pub(crate) unsafe extern "system" fn properties2(
+    physical: vk::PhysicalDevice,
+    properties: *mut vk::PhysicalDeviceProperties2<'_>,
+) {
+    let state = InstanceState::of(physical);
+    // SAFETY: as above.
+    unsafe {
+        (state.v11.get_physical_device_properties2)(physical, properties);
+        state.machine.describe(&mut (*properties).properties);
+        if state.machine.small {
+            let kind = vk::StructureType::PHYSICAL_DEVICE_PUSH_DESCRIPTOR_PROPERTIES_KHR;
+            let push: Option<&mut vk::PhysicalDevicePushDescriptorPropertiesKHR<'_>> =
+                in_chain((*properties).p_next, kind);
+            if let Some(push) = push {
+                push.max_push_descriptors = push.max_push_descriptors.min(32);
+            }
+        }
+    }
+}
+
+/// Bytes of the machine's heaps: no more than the driver has.
+pub(crate) fn heap_sizes(state: &InstanceState, physical: vk::PhysicalDevice) -> Vec<u64> {
+    let mut real = vk::PhysicalDeviceMemoryProperties::default();
+    // SAFETY: a plain query.
+    unsafe { (state.functions.get_physical_device_memory_properties)(physical, &raw mut real) };
+    let most = real.memory_heaps_as_slice().iter().map(|heap| heap.size).max().unwrap_or(0);
+    state.machine.heaps.iter().map(|(bytes, _)| most.min(*bytes)).collect()
+}
+
+fn write_memory(
+    state: &InstanceState,
+    physical: vk::PhysicalDevice,
+    memory: &mut vk::PhysicalDeviceMemoryProperties,
+) {
+    *memory = vk::PhysicalDeviceMemoryProperties::default();
+    let machine = state.machine;
+    (memory.memory_type_count, memory.memory_heap_count) = (machine.types.len() as u32, machine.heaps.len() as u32);
+    for (to, &(property_flags, heap_index)) in memory.memory_types.iter_mut().zip(machine.types) {
+        *to = vk::MemoryType { property_flags, heap_index };
+    }
+    let heaps = machine.heaps.iter().zip(heap_sizes(state, physical));
+    for (to, ((_, local), size)) in memory.memory_heaps.iter_mut().zip(heaps) {
+        let flags = if *local { vk::MemoryHeapFlags::DEVICE_LOCAL } else { vk::MemoryHeapFlags::empty() };
+        *to = vk::MemoryHeap { size, flags };
+    }
+}
+
+pub(crate) unsafe extern "system" fn memory(
+    physical: vk::PhysicalDevice,
+    memory: *mut vk::PhysicalDeviceMemoryProperties,
+) {
+    // SAFETY: the caller's struct.
+    write_memory(&InstanceState::of(physical), physical, unsafe { &mut *memory });
+}
+
+pub(crate) unsafe extern "system" fn memory2(
+    physical: vk::PhysicalDevice,
+    memory: *mut vk::PhysicalDeviceMemoryProperties2<'_>,
+) {
+    let state = InstanceState::of(physical);
+    // SAFETY: the caller's structs.
+    unsafe {
+        (state.v11.get_physical_device_memory_properties2)(physical, memory);
+        let properties = &mut (*memory).memory_properties;
+        write_memory(&state, physical, properties);
+        let kind = vk::StructureType::PHYSICAL_DEVICE_MEMORY_BUDGET_PROPERTIES_EXT;
+        let budget: Option<&mut vk::PhysicalDeviceMemoryBudgetPropertiesEXT<'_>> =
+            in_chain((*memory).p_next, kind);
+        let Some(budget) = budget else { return };
+        for (heap, described) in properties.memory_heaps_as_slice().iter().enumerate() {
+            // As a desktop leaves it.
+            budget.heap_budget[heap] = described.size / 16 * 15;
+            budget.heap_usage[heap] = heap_usage(physical, heap as u32);
+        }
+    }
+}
+
+/// The machine's families, with the clock of the driver's first.
+fn described(state: &InstanceState, physical: vk::PhysicalDevice) -> Vec<vk::QueueFamilyProperties> {
+    let mut real = vk::QueueFamilyProperties::default();
+    let mut one = 1;
+    // SAFETY: a plain query, of one family.
+    unsafe {
+        (state.functions.get_physical_device_queue_family_properties)(physical, &raw mut one, &raw mut real);
+    }
+    let family = |&queue_flags: &vk::QueueFlags| vk::QueueFamilyProperties {
+        queue_flags: queue_flags & (real.queue_flags | vk::QueueFlags::TRANSFER),
+        queue_count: 1,
+        ..real
+    };
+    state.machine.families.iter().map(family).collect()
+}
+
+pub(crate) unsafe extern "system" fn families(
+    physical: vk::PhysicalDevice,
+    count: *mut u32,
+    families: *mut vk::QueueFamilyProperties,
+) {
+    let described = described(&InstanceState::of(physical), physical);
+    // SAFETY: the caller's counter, and its array of so many elements if there is one.
+    unsafe {
+        if families.is_null() {
+            *count = described.len() as u32;
+            return;
+        }
+        *count = (*count).min(described.len() as u32);
+        for (index, family) in described.into_iter().take(*count as usize).enumerate() {
+            *families.add(index) = family;
+        }
+    }
+}
+
+pub(crate) unsafe extern "system" fn families2(
+    physical: vk::PhysicalDevice,
+    count: *mut u32,
+    families: *mut vk::QueueFamilyProperties2<'_>,
+) {
+    let described = described(&InstanceState::of(physical), physical);
+    // SAFETY: as above. What is chained stays as it is.
+    unsafe {
+        if families.is_null() {
+            *count = described.len() as u32;
+            return;
+        }
+        *count = (*count).min(described.len() as u32);
+        for (index, family) in described.into_iter().take(*count as usize).enumerate() {
+            (*families.add(index)).queue_family_properties = family;
+        }
+    }
+}
+
+pub(crate) unsafe extern "system" fn surface_support(
+    physical: vk::PhysicalDevice,
+    family: u32,
+    surface: vk::SurfaceKHR,
+    supported: *mut vk::Bool32,
+) -> vk::Result {
+    let state = InstanceState::of(physical);
+    let draws = state.machine.families.get(family as usize);
+    // SAFETY: the caller's arguments, with the driver's family.
+    unsafe {
+        let next = state.surface.get_physical_device_surface_support_khr;
+        let result = next(physical, 0, surface, supported);
+        if !draws.is_some_and(|flags| flags.contains(vk::QueueFlags::GRAPHICS)) {
+            *supported = vk::FALSE;
+        }
+        result
+    }
+}
+
+/// The driver's extensions of a device.
+fn of_driver(state: &InstanceState, physical: vk::PhysicalDevice) -> Vec<vk::ExtensionProperties> {
+    let next = state.functions.enumerate_device_extension_properties;
+    let mut count = 0;
+    // SAFETY: two plain queries, the second with room for what the first has counted.
+    unsafe {
+        let _ = next(physical, std::ptr::null(), &raw mut count, std::ptr::null_mut());
+        let mut all = vec![vk::ExtensionProperties::default(); count as usize];
+        let _ = next(physical, std::ptr::null(), &raw mut count, all.as_mut_ptr());
+        all.truncate(count as usize);
+        all
+    }
+}
+
+fn has(extensions: &[vk::ExtensionProperties], name: &CStr) -> bool {
+    extensions.iter().any(|extension| extension.extension_name_as_c_str() == Ok(name))
+}
+
+/// With the budget, which the layer answers itself, and without those that it does not know.
+pub(crate) unsafe extern "system" fn extensions(
+    physical: vk::PhysicalDevice,
+    layer: *const c_char,
+    count: *mut u32,
+    extensions: *mut vk::ExtensionProperties,
+) -> vk::Result {
+    let state = InstanceState::of(physical);
+    if !layer.is_null() {
+        // SAFETY: the caller's arguments.
+        return unsafe {
+            (state.functions.enumerate_device_extension_properties)(physical, layer, count, extensions)
+        };
+    }
+    let mut all = of_driver(&state, physical);
+    all.retain(|extension| !HIDDEN.iter().any(|hidden| extension.extension_name_as_c_str() == Ok(hidden)));
+    let budget = ash::ext::memory_budget::NAME;
+    if !has(&all, budget) {
+        let mut added = vk::ExtensionProperties { spec_version: 1, ..Default::default() };
+        for (to, from) in added.extension_name.iter_mut().zip(budget.to_bytes()) {
+            *to = *from as c_char;
+        }
+        all.push(added);
+    }
+    // SAFETY: the caller's counter, and its array of so many elements if there is one.
+    unsafe {
+        if extensions.is_null() {
+            *count = all.len() as u32;
+            return vk::Result::SUCCESS;
+        }
+        let room = (*count as usize).min(all.len());
+        std::ptr::copy_nonoverlapping(all.as_ptr(), extensions, room);
+        *count = room as u32;
+        if room < all.len() { vk::Result::INCOMPLETE } else { vk::Result::SUCCESS }
+    }
+}
+
+/// What a program enables, without what the layer adds.
+///
+/// # Safety
+/// `info` is a valid description of a device.
+pub(crate) unsafe fn driver_extensions(
+    state: &InstanceState,
+    physical: vk::PhysicalDevice,
+    info: &vk::DeviceCreateInfo<'_>,
+) -> Vec<*const c_char> {
+    let present = of_driver(state, physical);
+    if info.enabled_extension_count == 0 {
+        return Vec::new();
+    }
+    // SAFETY: as promised: an array of C strings of this length.
+    unsafe {
+        let names =
+            std::slice::from_raw_parts(info.pp_enabled_extension_names, info.enabled_extension_count as usize);
+        let budget = ash::ext::memory_budget::NAME;
+        let kept = |name: &&*const c_char| CStr::from_ptr(**name) != budget || has(&present, budget);
+        names.iter().filter(kept).copied().collect()
+    }
+}

@@ -1,0 +1,22 @@
+//! A Vulkan layer for tests: memory, queues and limits of other devices over the driver at hand, most often llvmpipe.
+//! `ASHSPLAT_MOCK` names the [`machine`]. Below the validation layer, which then holds the program against what this device
+//! claims:
+//!
+//! ```sh
+//! export LD_LIBRARY_PATH=target/release VK_ADD_LAYER_PATH=tools/mock_layer ASHSPLAT_MOCK=discrete
+//! export VK_INSTANCE_LAYERS=VK_LAYER_KHRONOS_validation:VK_LAYER_ASHSPLAT_mock
+//! ```
+//!
+//! What it changes: properties and memory types (`answers`), allocation and mapping (`memory`), queues and their families
+//! (`queues`, `families`). New memory holds 0xFF in every byte, where drivers on processors give zeros. All the rest is the
+//! driver's.
+
+mod answers;
+mod families;
+mod loader;
+mod machine;
+mod memory;
+mod queues;
+mod state;
+
+pub use machine::{MACHINES, Machine, VARIABLE};

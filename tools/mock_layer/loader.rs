@@ -1,0 +1,272 @@
+//! What the loader and a layer tell each other (vk_layer.h), and the lists of functions.
+
+use super::state::{DeviceState, InstanceState};
+use super::{answers, families, memory, queues};
+use ash::vk;
+use std::ffi::{CStr, c_char, c_void};
+use std::ptr::null_mut;
+
+/// VkNegotiateLayerInterface.
+#[repr(C)]
+pub(crate) struct Negotiation {
+    kind: u32,
+    next: *mut c_void,
+    version: u32,
+    get_instance_proc_addr: Option<vk::PFN_vkGetInstanceProcAddr>,
+    get_device_proc_addr: Option<vk::PFN_vkGetDeviceProcAddr>,
+    get_physical_device_proc_addr: Option<vk::PFN_vkGetInstanceProcAddr>,
+}
+
+/// VkLayerInstanceLink and VkLayerDeviceLink: the second function is that of devices in the latter.
+#[repr(C)]
+struct Link {
+    next: *mut Link,
+    get_instance_proc_addr: vk::PFN_vkGetInstanceProcAddr,
+    get_device_proc_addr: Option<vk::PFN_vkGetDeviceProcAddr>,
+}
+
+/// VkLayerInstanceCreateInfo and VkLayerDeviceCreateInfo.
+#[repr(C)]
+struct LayerInfo {
+    kind: vk::StructureType,
+    next: *const c_void,
+    function: i32,
+    /// A link for [`LINK`], a function for [`DATA`].
+    content: *mut c_void,
+}
+
+const LINK: i32 = 0;
+const DATA: i32 = 1;
+
+/// Gives a dispatchable object of the driver the loader's table.
+pub(crate) type SetLoaderData = unsafe extern "system" fn(vk::Device, *mut c_void) -> vk::Result;
+
+/// The loader's struct of a kind and function in a chain.
+unsafe fn find(mut chain: *const c_void, kind: vk::StructureType, function: i32) -> *mut LayerInfo {
+    while !chain.is_null() {
+        let info = chain.cast_mut().cast::<LayerInfo>();
+        // SAFETY: every struct of a chain begins with its kind and the next one; the rest is read only of the loader's kind.
+        unsafe {
+            if (*info).kind == kind && (*info).function == function {
+                return info;
+            }
+            chain = (*info).next;
+        }
+    }
+    null_mut()
+}
+
+/// The functions of the next layer, and moves the chain on to it.
+unsafe fn take_link(
+    chain: *const c_void,
+    kind: vk::StructureType,
+) -> Option<(vk::PFN_vkGetInstanceProcAddr, Option<vk::PFN_vkGetDeviceProcAddr>)> {
+    // SAFETY: the loader's chain, whose link is this layer's alone during the call.
+    unsafe {
+        let info = find(chain, kind, LINK);
+        let link = info.as_ref()?.content.cast::<Link>();
+        let found = ((*link).get_instance_proc_addr, (*link).get_device_proc_addr);
+        (*info).content = (*link).next.cast();
+        Some(found)
+    }
+}
+
+/// Answers the loader's first question.
+#[unsafe(no_mangle)]
+pub(crate) unsafe extern "system" fn vkNegotiateLoaderLayerInterfaceVersion(
+    negotiation: *mut Negotiation,
+) -> vk::Result {
+    // SAFETY: the loader's struct, valid during the call.
+    let negotiation = unsafe { &mut *negotiation };
+    if negotiation.version < 2 {
+        return vk::Result::ERROR_INITIALIZATION_FAILED;
+    }
+    negotiation.version = 2;
+    negotiation.get_instance_proc_addr = Some(get_instance_proc_addr);
+    negotiation.get_device_proc_addr = Some(get_device_proc_addr);
+    negotiation.get_physical_device_proc_addr = None;
+    vk::Result::SUCCESS
+}
+
+unsafe extern "system" fn create_instance(
+    info: *const vk::InstanceCreateInfo<'_>,
+    callbacks: *const vk::AllocationCallbacks<'_>,
+    instance: *mut vk::Instance,
+) -> vk::Result {
+    // SAFETY: the loader's arguments; what they point to is valid during the call, and so are the next layer's functions.
+    unsafe {
+        let Some((next, _)) = take_link((*info).p_next, vk::StructureType::LOADER_INSTANCE_CREATE_INFO)
+        else {
+            return vk::Result::ERROR_INITIALIZATION_FAILED;
+        };
+        let Some(create) = next(vk::Instance::null(), c"vkCreateInstance".as_ptr()) else {
+            return vk::Result::ERROR_INITIALIZATION_FAILED;
+        };
+        let create: vk::PFN_vkCreateInstance = std::mem::transmute(create);
+        let result = create(info, callbacks, instance);
+        if result == vk::Result::SUCCESS {
+            InstanceState::add(*instance, next);
+        }
+        result
+    }
+}
+
+unsafe extern "system" fn destroy_instance(
+    instance: vk::Instance,
+    callbacks: *const vk::AllocationCallbacks<'_>,
+) {
+    if instance != vk::Instance::null()
+        && let Some(state) = InstanceState::remove(instance)
+    {
+        // SAFETY: the caller's arguments.
+        unsafe { (state.functions.destroy_instance)(instance, callbacks) }
+    }
+}
+
+unsafe extern "system" fn create_device(
+    physical: vk::PhysicalDevice,
+    info: *const vk::DeviceCreateInfo<'_>,
+    callbacks: *const vk::AllocationCallbacks<'_>,
+    device: *mut vk::Device,
+) -> vk::Result {
+    let instance = InstanceState::of(physical);
+    let kind = vk::StructureType::LOADER_DEVICE_CREATE_INFO;
+    // SAFETY: the loader's arguments; what they point to is valid during the call, and so are the next layer's functions.
+    unsafe {
+        let data = find((*info).p_next, kind, DATA);
+        let Some((next, Some(next_of_device))) = take_link((*info).p_next, kind) else {
+            return vk::Result::ERROR_INITIALIZATION_FAILED;
+        };
+        let Some(create) = next(instance.instance, c"vkCreateDevice".as_ptr()) else {
+            return vk::Result::ERROR_INITIALIZATION_FAILED;
+        };
+        let create: vk::PFN_vkCreateDevice = std::mem::transmute(create);
+        let set: Option<SetLoaderData> = data.as_ref().map(|data| std::mem::transmute(data.content));
+        // One queue of the driver's stands for all.
+        let priorities = [1.0];
+        let queue = [vk::DeviceQueueCreateInfo::default().queue_priorities(&priorities)];
+        let extensions = answers::driver_extensions(&instance, physical, &*info);
+        let own = (*info).queue_create_infos(&queue).enabled_extension_names(&extensions);
+        let result = create(physical, &raw const own, callbacks, device);
+        if result == vk::Result::SUCCESS {
+            DeviceState::add(*device, physical, &instance, next_of_device, set);
+        }
+        result
+    }
+}
+
+unsafe extern "system" fn destroy_device(
+    device: vk::Device,
+    callbacks: *const vk::AllocationCallbacks<'_>,
+) {
+    if device != vk::Device::null()
+        && let Some(state) = DeviceState::remove(device)
+    {
+        state.release_held();
+        // SAFETY: the caller's arguments.
+        unsafe { (state.v10.destroy_device)(device, callbacks) }
+    }
+}
+
+/// `name => function: type;` as a search for one of them.
+macro_rules! functions {
+    ($asked:expr; $($name:literal => $function:expr, $kind:ident;)*) => {{
+        let asked: &CStr = $asked;
+        $(
+            if asked == $name {
+                let function: vk::$kind = $function;
+                // SAFETY: a function pointer to a function pointer; the caller casts it back, by the name.
+                return Some(unsafe { std::mem::transmute::<vk::$kind, unsafe extern "system" fn()>(function) });
+            }
+        )*
+        None
+    }};
+}
+
+fn of_instance(name: &CStr) -> vk::PFN_vkVoidFunction {
+    functions! { name;
+        c"vkGetInstanceProcAddr" => get_instance_proc_addr, PFN_vkGetInstanceProcAddr;
+        c"vkCreateInstance" => create_instance, PFN_vkCreateInstance;
+        c"vkDestroyInstance" => destroy_instance, PFN_vkDestroyInstance;
+        c"vkCreateDevice" => create_device, PFN_vkCreateDevice;
+        c"vkEnumerateDeviceExtensionProperties" => answers::extensions, PFN_vkEnumerateDeviceExtensionProperties;
+        c"vkGetPhysicalDeviceProperties" => answers::properties, PFN_vkGetPhysicalDeviceProperties;
+        c"vkGetPhysicalDeviceProperties2" => answers::properties2, PFN_vkGetPhysicalDeviceProperties2;
+        c"vkGetPhysicalDeviceProperties2KHR" => answers::properties2, PFN_vkGetPhysicalDeviceProperties2;
+        c"vkGetPhysicalDeviceMemoryProperties" => answers::memory, PFN_vkGetPhysicalDeviceMemoryProperties;
+        c"vkGetPhysicalDeviceMemoryProperties2" => answers::memory2, PFN_vkGetPhysicalDeviceMemoryProperties2;
+        c"vkGetPhysicalDeviceMemoryProperties2KHR" => answers::memory2, PFN_vkGetPhysicalDeviceMemoryProperties2;
+        c"vkGetPhysicalDeviceQueueFamilyProperties" => answers::families, PFN_vkGetPhysicalDeviceQueueFamilyProperties;
+        c"vkGetPhysicalDeviceQueueFamilyProperties2" => answers::families2, PFN_vkGetPhysicalDeviceQueueFamilyProperties2;
+        c"vkGetPhysicalDeviceQueueFamilyProperties2KHR" => answers::families2, PFN_vkGetPhysicalDeviceQueueFamilyProperties2;
+        c"vkGetPhysicalDeviceSurfaceSupportKHR" => answers::surface_support, PFN_vkGetPhysicalDeviceSurfaceSupportKHR;
+    }
+}
+
+fn of_device(name: &CStr) -> vk::PFN_vkVoidFunction {
+    functions! { name;
+        c"vkGetDeviceProcAddr" => get_device_proc_addr, PFN_vkGetDeviceProcAddr;
+        c"vkDestroyDevice" => destroy_device, PFN_vkDestroyDevice;
+        c"vkAllocateMemory" => memory::allocate, PFN_vkAllocateMemory;
+        c"vkFreeMemory" => memory::free, PFN_vkFreeMemory;
+        c"vkMapMemory" => memory::map, PFN_vkMapMemory;
+        c"vkGetBufferMemoryRequirements" => memory::of_buffer, PFN_vkGetBufferMemoryRequirements;
+        c"vkGetBufferMemoryRequirements2" => memory::of_buffer2, PFN_vkGetBufferMemoryRequirements2;
+        c"vkGetBufferMemoryRequirements2KHR" => memory::of_buffer2, PFN_vkGetBufferMemoryRequirements2;
+        c"vkGetImageMemoryRequirements" => memory::of_image, PFN_vkGetImageMemoryRequirements;
+        c"vkGetImageMemoryRequirements2" => memory::of_image2, PFN_vkGetImageMemoryRequirements2;
+        c"vkGetImageMemoryRequirements2KHR" => memory::of_image2, PFN_vkGetImageMemoryRequirements2;
+        c"vkGetDeviceBufferMemoryRequirements" => memory::of_new_buffer, PFN_vkGetDeviceBufferMemoryRequirements;
+        c"vkGetDeviceImageMemoryRequirements" => memory::of_new_image, PFN_vkGetDeviceImageMemoryRequirements;
+        c"vkCreateBuffer" => families::create_buffer, PFN_vkCreateBuffer;
+        c"vkCreateImage" => families::create_image, PFN_vkCreateImage;
+        c"vkCreateCommandPool" => families::create_command_pool, PFN_vkCreateCommandPool;
+        c"vkCmdPipelineBarrier" => families::barrier, PFN_vkCmdPipelineBarrier;
+        c"vkCmdPipelineBarrier2" => families::barrier2, PFN_vkCmdPipelineBarrier2;
+        c"vkCmdPipelineBarrier2KHR" => families::barrier2, PFN_vkCmdPipelineBarrier2;
+        c"vkGetDeviceQueue" => queues::get, PFN_vkGetDeviceQueue;
+        c"vkGetDeviceQueue2" => queues::get2, PFN_vkGetDeviceQueue2;
+        c"vkQueueSubmit" => queues::submit, PFN_vkQueueSubmit;
+        c"vkQueueSubmit2" => queues::submit2, PFN_vkQueueSubmit2;
+        c"vkQueueSubmit2KHR" => queues::submit2, PFN_vkQueueSubmit2;
+        c"vkQueueWaitIdle" => queues::wait_idle, PFN_vkQueueWaitIdle;
+        c"vkDeviceWaitIdle" => queues::device_wait_idle, PFN_vkDeviceWaitIdle;
+        c"vkQueuePresentKHR" => queues::present, PFN_vkQueuePresentKHR;
+        c"vkWaitForFences" => queues::wait_for_fences, PFN_vkWaitForFences;
+        c"vkGetFenceStatus" => queues::fence_status, PFN_vkGetFenceStatus;
+        c"vkWaitSemaphores" => queues::wait_semaphores, PFN_vkWaitSemaphores;
+        c"vkWaitSemaphoresKHR" => queues::wait_semaphores, PFN_vkWaitSemaphores;
+        c"vkGetSemaphoreCounterValue" => queues::semaphore_value, PFN_vkGetSemaphoreCounterValue;
+        c"vkGetSemaphoreCounterValueKHR" => queues::semaphore_value, PFN_vkGetSemaphoreCounterValue;
+        c"vkGetEventStatus" => queues::event_status, PFN_vkGetEventStatus;
+        c"vkQueueBeginDebugUtilsLabelEXT" => queues::begin_label, PFN_vkQueueBeginDebugUtilsLabelEXT;
+        c"vkQueueInsertDebugUtilsLabelEXT" => queues::insert_label, PFN_vkQueueInsertDebugUtilsLabelEXT;
+        c"vkQueueEndDebugUtilsLabelEXT" => queues::end_label, PFN_vkQueueEndDebugUtilsLabelEXT;
+        c"vkSetDebugUtilsObjectNameEXT" => queues::name_object, PFN_vkSetDebugUtilsObjectNameEXT;
+    }
+}
+
+unsafe extern "system" fn get_instance_proc_addr(
+    instance: vk::Instance,
+    name: *const c_char,
+) -> vk::PFN_vkVoidFunction {
+    // SAFETY: the caller's name is a C string.
+    let asked = unsafe { CStr::from_ptr(name) };
+    let own = of_instance(asked).or_else(|| of_device(asked));
+    if instance == vk::Instance::null() {
+        return own;
+    }
+    // SAFETY: the caller's arguments, passed on.
+    let next = unsafe { (InstanceState::of(instance).next)(instance, name) };
+    // What nobody below knows does not exist.
+    next.and(own.or(next))
+}
+
+unsafe extern "system" fn get_device_proc_addr(
+    device: vk::Device,
+    name: *const c_char,
+) -> vk::PFN_vkVoidFunction {
+    // SAFETY: the caller's name is a C string; the arguments are passed on.
+    let (asked, next) = unsafe { (CStr::from_ptr(name), (DeviceState::of(device).next)(device, name)) };
+    next.and(of_device(asked).or(next))
+}

@@ -1,0 +1,201 @@
+//! The devices that the layer can claim to be.
+
+use ash::vk;
+
+/// The environment variable with a machine's name.
+pub const VARIABLE: &str = "ASHSPLAT_MOCK";
+
+type Flags = vk::MemoryPropertyFlags;
+
+const LOCAL: Flags = Flags::DEVICE_LOCAL;
+const SEEN: Flags = Flags::from_raw(Flags::HOST_VISIBLE.as_raw() | Flags::HOST_COHERENT.as_raw());
+const CACHED: Flags = Flags::from_raw(SEEN.as_raw() | Flags::HOST_CACHED.as_raw());
+
+const fn both(a: Flags, b: Flags) -> Flags {
+    Flags::from_raw(a.as_raw() | b.as_raw())
+}
+
+/// Size in bytes, no larger than the driver's, and whether it is the device's.
+pub(crate) type Heap = (u64, bool);
+/// Properties and heap.
+pub(crate) type Type = (Flags, u32);
+
+/// A device that the layer claims to be.
+#[derive(Debug)]
+pub struct Machine {
+    /// As `ASHSPLAT_MOCK` says it.
+    pub name: &'static str,
+    pub(crate) device_type: vk::PhysicalDeviceType,
+    pub(crate) heaps: &'static [Heap],
+    pub(crate) types: &'static [Type],
+    pub(crate) families: &'static [vk::QueueFlags],
+    /// Whether the limits are the least that the engine takes, most of them those of the specification.
+    pub(crate) small: bool,
+}
+
+const LARGE: u64 = 8 << 30;
+/// What a processor sees of a card through its old window.
+const WINDOW: u64 = 256 << 20;
+
+const CARD: [Heap; 2] = [(LARGE, true), (LARGE, false)];
+const CARD_TYPES: [Type; 4] = [(Flags::empty(), 1), (LOCAL, 0), (SEEN, 1), (CACHED, 1)];
+const ALL: vk::QueueFlags = vk::QueueFlags::from_raw(
+    vk::QueueFlags::GRAPHICS.as_raw() | vk::QueueFlags::COMPUTE.as_raw() | vk::QueueFlags::TRANSFER.as_raw(),
+);
+const APART: vk::QueueFlags =
+    vk::QueueFlags::from_raw(vk::QueueFlags::COMPUTE.as_raw() | vk::QueueFlags::TRANSFER.as_raw());
+
+const DISCRETE: Machine = Machine {
+    name: "discrete",
+    device_type: vk::PhysicalDeviceType::DISCRETE_GPU,
+    heaps: &CARD,
+    types: &CARD_TYPES,
+    families: &[ALL],
+    small: false,
+};
+
+/// All of them.
+pub const MACHINES: &[Machine] = &[
+    // A card whose memory no processor sees.
+    DISCRETE,
+    // A card with a window of 256 MiB, a heap of its own.
+    Machine {
+        name: "discrete-window",
+        heaps: &[CARD[0], CARD[1], (WINDOW, true)],
+        types: &[(LOCAL, 0), (SEEN, 1), (CACHED, 1), (both(LOCAL, SEEN), 2)],
+        ..DISCRETE
+    },
+    // A card all of whose memory the processor sees.
+    Machine {
+        name: "discrete-rebar",
+        types: &[(LOCAL, 0), (SEEN, 1), (both(LOCAL, SEEN), 0), (CACHED, 1)],
+        ..DISCRETE
+    },
+    // Memory that both share, in a cached and an uncached type.
+    Machine {
+        name: "unified",
+        device_type: vk::PhysicalDeviceType::INTEGRATED_GPU,
+        heaps: &[(LARGE, true)],
+        types: &[(both(LOCAL, SEEN), 0), (both(LOCAL, CACHED), 0)],
+        families: &[ALL],
+        small: false,
+    },
+    // The same, and the processor reads it word by word.
+    Machine {
+        name: "unified-uncached",
+        device_type: vk::PhysicalDeviceType::INTEGRATED_GPU,
+        heaps: &[(LARGE, true)],
+        types: &[(both(LOCAL, SEEN), 0)],
+        families: &[ALL],
+        small: false,
+    },
+    // A card with queues for copies and for compute besides the one for everything. What is submitted to the one for copies
+    // runs as late as it may.
+    Machine { name: "transfer-queue", families: &[ALL, vk::QueueFlags::TRANSFER, APART], ..DISCRETE },
+    // Workgroups of 256, 16 KiB of shared memory, 128 bytes of push constants.
+    Machine { name: "small-limits", small: true, ..DISCRETE },
+];
+
+impl Machine {
+    /// The machine of this name.
+    pub fn of(name: &str) -> Option<&'static Machine> {
+        MACHINES.iter().find(|machine| machine.name == name)
+    }
+
+    /// The one that the environment asks for.
+    ///
+    /// # Panics
+    /// For a name that none has: what runs under no machine would prove nothing.
+    pub(crate) fn asked() -> &'static Machine {
+        let name = std::env::var(VARIABLE).unwrap_or_default();
+        Self::of(&name).unwrap_or_else(|| {
+            let names: Vec<_> = MACHINES.iter().map(|machine| machine.name).collect();
+            panic!("{VARIABLE}='{name}' is none of {}", names.join(", "))
+        })
+    }
+
+    /// All memory types, as bits.
+    pub(crate) fn type_bits(&self) -> u32 {
+        (1 << self.types.len()) - 1
+    }
+
+    /// Whether submissions to queues of this family are held back.
+    pub(crate) fn holds(&self, family: u32) -> bool {
+        self.families.get(family as usize) == Some(&vk::QueueFlags::TRANSFER)
+    }
+
+    /// Changes what the driver says of itself.
+    pub(crate) fn describe(&self, properties: &mut vk::PhysicalDeviceProperties) {
+        properties.device_type = self.device_type;
+        let driver = properties.device_name_as_c_str().unwrap_or_default().to_string_lossy().into_owned();
+        let name = format!("{} mock of {driver}", self.name);
+        let room = properties.device_name.len() - 1;
+        properties.device_name.fill(0);
+        for (to, from) in properties.device_name.iter_mut().zip(name.bytes().take(room)) {
+            *to = from as std::ffi::c_char;
+        }
+        if !self.small {
+            return;
+        }
+        let limits = &mut properties.limits;
+        let sizes = limits.max_compute_work_group_size;
+        limits.max_compute_work_group_size = [sizes[0].min(256), sizes[1].min(256), sizes[2].min(64)];
+        let least = |limit: &mut u32, least: u32| *limit = (*limit).min(least);
+        least(&mut limits.max_compute_work_group_invocations, 256);
+        least(&mut limits.max_compute_shared_memory_size, 16 << 10);
+        least(&mut limits.max_push_constants_size, 128);
+        least(&mut limits.max_storage_buffer_range, 1 << 27);
+        least(&mut limits.max_uniform_buffer_range, 16 << 10);
+        least(&mut limits.max_texel_buffer_elements, 1 << 16);
+        least(&mut limits.max_memory_allocation_count, 4096);
+        limits.max_compute_work_group_count = limits.max_compute_work_group_count.map(|n| n.min(65_535));
+        let coarse = |alignment: &mut u64| *alignment = (*alignment).max(256);
+        coarse(&mut limits.min_storage_buffer_offset_alignment);
+        coarse(&mut limits.min_uniform_buffer_offset_alignment);
+        coarse(&mut limits.min_texel_buffer_offset_alignment);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What the specification demands of every device, so that nobody hunts an error of the mock's.
+    #[test]
+    fn machines_are_devices_that_there_may_be() {
+        for machine in MACHINES {
+            let name = machine.name;
+            assert!(machine.types.iter().any(|(flags, _)| flags.contains(SEEN)), "{name}: a type for the host");
+            assert!(machine.types.iter().any(|(flags, _)| flags.contains(LOCAL)), "{name}: a type for the device");
+            for (flags, heap) in machine.types {
+                assert!((*heap as usize) < machine.heaps.len(), "{name}: heap {heap}");
+                assert_eq!(flags.contains(LOCAL), machine.heaps[*heap as usize].1, "{name}: {flags:?}");
+            }
+            // Types whose flags are a subset come first, within a heap.
+            for (first, (a, heap)) in machine.types.iter().enumerate() {
+                let later = machine.types[first + 1..].iter().filter(|(_, of)| of == heap);
+                for (b, _) in later {
+                    assert!(!(a.contains(*b) && a != b), "{name}: {b:?} after {a:?}");
+                }
+            }
+            assert!(machine.families.iter().any(|f| f.contains(vk::QueueFlags::COMPUTE)), "{name}");
+            assert!(Machine::of(name).is_some_and(|found| std::ptr::eq(found, machine)));
+        }
+        assert!(Machine::of("no such machine").is_none());
+    }
+
+    #[test]
+    fn names_fit_and_limits_are_only_lowered() {
+        let mut properties = vk::PhysicalDeviceProperties::default();
+        properties.device_name.fill(b'x' as std::ffi::c_char);
+        *properties.device_name.last_mut().expect("a place") = 0;
+        properties.limits.max_compute_work_group_invocations = 1024;
+        properties.limits.max_push_constants_size = 64;
+        Machine::of("small-limits").expect("there").describe(&mut properties);
+        let name = properties.device_name_as_c_str().expect("an end").to_string_lossy().into_owned();
+        assert!(name.starts_with("small-limits mock of xxx") && name.len() == 255, "{name}");
+        assert_eq!(properties.limits.max_compute_work_group_invocations, 256);
+        assert_eq!(properties.limits.max_push_constants_size, 64);
+        assert_eq!(properties.device_type, vk::PhysicalDeviceType::DISCRETE_GPU);
+    }
+}

@@ -1,0 +1,185 @@
+//! Memory: the machine's types over the driver's first, heaps that end, mappings of what the host sees, garbage in new memory.
+
+use super::families;
+use super::state::{DeviceState, InstanceState};
+use ash::vk::{self, Handle};
+use std::collections::HashMap;
+use std::ffi::c_void;
+use std::ptr::null;
+
+/// Every byte of new memory: not a number, or a number that no count should be.
+const GARBAGE: u8 = 0xFF;
+/// At most so much of an allocation is filled.
+const FILLED: u64 = 256 << 20;
+
+/// The allocations of a device: type, heap and bytes of each.
+#[derive(Default)]
+pub(crate) struct Memory(HashMap<u64, (u32, u32, u64)>);
+
+impl Memory {
+    pub fn used(&self, heap: u32) -> u64 {
+        self.0.values().filter(|(_, of, _)| *of == heap).map(|(_, _, bytes)| bytes).sum()
+    }
+}
+
+pub(crate) unsafe extern "system" fn allocate(
+    device: vk::Device,
+    info: *const vk::MemoryAllocateInfo<'_>,
+    callbacks: *const vk::AllocationCallbacks<'_>,
+    memory: *mut vk::DeviceMemory,
+) -> vk::Result {
+    let state = DeviceState::of(device);
+    // SAFETY: the caller's arguments.
+    let mut own = unsafe { *info };
+    let kind = own.memory_type_index;
+    let (_, heap) = state.machine.types[kind as usize];
+    let size = super::answers::heap_sizes(&InstanceState::of(state.physical), state.physical)[heap as usize];
+    let bytes = own.allocation_size;
+    if super::state::heap_usage(state.physical, heap).saturating_add(bytes) > size {
+        return vk::Result::ERROR_OUT_OF_DEVICE_MEMORY;
+    }
+    own.memory_type_index = 0;
+    // SAFETY: the caller's arguments, and a type that every driver has.
+    let result = unsafe { (state.v10.allocate_memory)(device, &raw const own, callbacks, memory) };
+    if result == vk::Result::SUCCESS {
+        // SAFETY: written by the call.
+        let memory = unsafe { *memory };
+        state.memory().0.insert(memory.as_raw(), (kind, heap, bytes));
+        fill(&state, memory, bytes.min(FILLED));
+    }
+    result
+}
+
+fn fill(state: &DeviceState, memory: vk::DeviceMemory, bytes: u64) {
+    let mut address = std::ptr::null_mut::<c_void>();
+    let flags = vk::MemoryMapFlags::empty();
+    // SAFETY: new memory of the driver's first type, which the host sees on the drivers this layer is for; where it does not,
+    // the call fails. It is mapped once, filled within its bounds and unmapped.
+    unsafe {
+        let result = (state.v10.map_memory)(state.device, memory, 0, bytes, flags, &raw mut address);
+        if result == vk::Result::SUCCESS {
+            std::ptr::write_bytes(address.cast::<u8>(), GARBAGE, bytes as usize);
+            (state.v10.unmap_memory)(state.device, memory);
+        }
+    }
+}
+
+pub(crate) unsafe extern "system" fn free(
+    device: vk::Device,
+    memory: vk::DeviceMemory,
+    callbacks: *const vk::AllocationCallbacks<'_>,
+) {
+    let state = DeviceState::of(device);
+    state.memory().0.remove(&memory.as_raw());
+    // SAFETY: the caller's arguments.
+    unsafe { (state.v10.free_memory)(device, memory, callbacks) }
+}
+
+pub(crate) unsafe extern "system" fn map(
+    device: vk::Device,
+    memory: vk::DeviceMemory,
+    offset: u64,
+    size: u64,
+    flags: vk::MemoryMapFlags,
+    address: *mut *mut c_void,
+) -> vk::Result {
+    let state = DeviceState::of(device);
+    let kind = state.memory().0.get(&memory.as_raw()).map(|(kind, ..)| *kind as usize);
+    let seen = kind.is_some_and(|kind| {
+        state.machine.types[kind].0.contains(vk::MemoryPropertyFlags::HOST_VISIBLE)
+    });
+    if !seen {
+        return vk::Result::ERROR_MEMORY_MAP_FAILED;
+    }
+    // SAFETY: the caller's arguments.
+    unsafe { (state.v10.map_memory)(device, memory, offset, size, flags, address) }
+}
+
+/// Every type of the machine, where the driver allows its first.
+fn allow(state: &DeviceState, requirements: &mut vk::MemoryRequirements) {
+    requirements.memory_type_bits = (requirements.memory_type_bits & 1) * state.machine.type_bits();
+}
+
+pub(crate) unsafe extern "system" fn of_buffer(
+    device: vk::Device,
+    buffer: vk::Buffer,
+    requirements: *mut vk::MemoryRequirements,
+) {
+    let state = DeviceState::of(device);
+    // SAFETY: the caller's arguments; the struct is written by the call.
+    unsafe {
+        (state.v10.get_buffer_memory_requirements)(device, buffer, requirements);
+        allow(&state, &mut *requirements);
+    }
+}
+
+pub(crate) unsafe extern "system" fn of_image(
+    device: vk::Device,
+    image: vk::Image,
+    requirements: *mut vk::MemoryRequirements,
+) {
+    let state = DeviceState::of(device);
+    // SAFETY: as above.
+    unsafe {
+        (state.v10.get_image_memory_requirements)(device, image, requirements);
+        allow(&state, &mut *requirements);
+    }
+}
+
+pub(crate) unsafe extern "system" fn of_buffer2(
+    device: vk::Device,
+    info: *const vk::BufferMemoryRequirementsInfo2<'_>,
+    requirements: *mut vk::MemoryRequirements2<'_>,
+) {
+    let state = DeviceState::of(device);
+    // SAFETY: as above.
+    unsafe {
+        (state.v11.get_buffer_memory_requirements2)(device, info, requirements);
+        allow(&state, &mut (*requirements).memory_requirements);
+    }
+}
+
+pub(crate) unsafe extern "system" fn of_image2(
+    device: vk::Device,
+    info: *const vk::ImageMemoryRequirementsInfo2<'_>,
+    requirements: *mut vk::MemoryRequirements2<'_>,
+) {
+    let state = DeviceState::of(device);
+    // SAFETY: as above.
+    unsafe {
+        (state.v11.get_image_memory_requirements2)(device, info, requirements);
+        allow(&state, &mut (*requirements).memory_requirements);
+    }
+}
+
+pub(crate) unsafe extern "system" fn of_new_buffer(
+    device: vk::Device,
+    info: *const vk::DeviceBufferMemoryRequirements<'_>,
+    requirements: *mut vk::MemoryRequirements2<'_>,
+) {
+    let state = DeviceState::of(device);
+    // SAFETY: as above; the changed description outlives the call.
+    unsafe {
+        let mut own = *info;
+        let create = own.p_create_info.as_ref().map(|create| families::exclusive_buffer(create));
+        own.p_create_info = create.as_ref().map_or(null(), |create| create);
+        (state.v13.get_device_buffer_memory_requirements)(device, &raw const own, requirements);
+        allow(&state, &mut (*requirements).memory_requirements);
+    }
+}
+
+pub(crate) unsafe extern "system" fn of_new_image(
+    device: vk::Device,
+    info: *const vk::DeviceImageMemoryRequirements<'_>,
+    requirements: *mut vk::MemoryRequirements2<'_>,
+) {
+    let state = DeviceState::of(device);
+    // SAFETY: as above.
+    unsafe {
+        let mut own = *info;
+        let create = own.p_create_info.as_ref().map(|create| families::exclusive_image(create));
+        own.p_create_info = create.as_ref().map_or(null(), |create| create);
+        (state.v13.get_device_image_memory_requirements)(device, &raw const own, requirements);
+        allow(&state, &mut (*requirements).memory_requirements);
+    }
+}

@@ -1,0 +1,153 @@
+//! What is kept for an instance and for a device.
+
+use super::loader::SetLoaderData;
+use super::machine::Machine;
+use super::memory::Memory;
+use super::queues::Submissions;
+use ash::vk::{self, Handle};
+use std::collections::HashMap;
+use std::ffi::c_void;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock};
+
+/// By the loader's table, which all dispatchable objects of an instance or a device begin with.
+type Table<T> = RwLock<Option<HashMap<usize, Arc<T>>>>;
+
+static INSTANCES: Table<InstanceState> = RwLock::new(None);
+static DEVICES: Table<DeviceState> = RwLock::new(None);
+
+fn key<H: Handle>(handle: H) -> usize {
+    // SAFETY: a dispatchable handle is the address of an object that begins with the loader's table.
+    unsafe { *(handle.as_raw() as usize as *const usize) }
+}
+
+fn add<T>(table: &Table<T>, key: usize, state: T) {
+    let mut table = table.write().unwrap_or_else(PoisonError::into_inner);
+    table.get_or_insert_default().insert(key, Arc::new(state));
+}
+
+fn remove<T>(table: &Table<T>, key: usize) -> Option<Arc<T>> {
+    table.write().unwrap_or_else(PoisonError::into_inner).as_mut()?.remove(&key)
+}
+
+fn find<T>(table: &Table<T>, key: usize) -> Arc<T> {
+    let table = table.read().unwrap_or_else(PoisonError::into_inner);
+    let found = table.as_ref().and_then(|table| table.get(&key));
+    found.expect("an object that was made through this layer").clone()
+}
+
+/// An instance with the functions of what is below.
+pub(crate) struct InstanceState {
+    pub instance: vk::Instance,
+    pub machine: &'static Machine,
+    pub next: vk::PFN_vkGetInstanceProcAddr,
+    pub functions: ash::InstanceFnV1_0,
+    pub v11: ash::InstanceFnV1_1,
+    pub surface: ash::khr::surface::InstanceFn,
+}
+
+impl InstanceState {
+    pub fn add(instance: vk::Instance, next: vk::PFN_vkGetInstanceProcAddr) {
+        // SAFETY: the next layer's function and its instance.
+        let load = |name: &std::ffi::CStr| unsafe { pointer(next(instance, name.as_ptr())) };
+        let state = Self {
+            instance,
+            machine: Machine::asked(),
+            next,
+            functions: ash::InstanceFnV1_0::load(load),
+            v11: ash::InstanceFnV1_1::load(load),
+            surface: ash::khr::surface::InstanceFn::load(load),
+        };
+        add(&INSTANCES, key(instance), state);
+    }
+
+    /// Of an instance or a physical device.
+    pub fn of<H: Handle>(handle: H) -> Arc<Self> {
+        find(&INSTANCES, key(handle))
+    }
+
+    pub fn remove(instance: vk::Instance) -> Option<Arc<Self>> {
+        remove(&INSTANCES, key(instance))
+    }
+}
+
+fn pointer(function: vk::PFN_vkVoidFunction) -> *const c_void {
+    function.map_or(std::ptr::null(), |function| function as *const c_void)
+}
+
+/// A device with the functions of what is below.
+pub(crate) struct DeviceState {
+    pub device: vk::Device,
+    pub physical: vk::PhysicalDevice,
+    pub machine: &'static Machine,
+    pub next: vk::PFN_vkGetDeviceProcAddr,
+    pub v10: ash::DeviceFnV1_0,
+    pub v11: ash::DeviceFnV1_1,
+    pub v12: ash::DeviceFnV1_2,
+    pub v13: ash::DeviceFnV1_3,
+    pub debug: ash::ext::debug_utils::DeviceFn,
+    pub swapchain: ash::khr::swapchain::DeviceFn,
+    pub memory: Mutex<Memory>,
+    submissions: Mutex<Submissions>,
+}
+
+impl DeviceState {
+    pub fn add(
+        device: vk::Device,
+        physical: vk::PhysicalDevice,
+        instance: &InstanceState,
+        next: vk::PFN_vkGetDeviceProcAddr,
+        set_loader_data: Option<SetLoaderData>,
+    ) {
+        // SAFETY: the next layer's function and its device.
+        let load = |name: &std::ffi::CStr| unsafe { pointer(next(device, name.as_ptr())) };
+        let v10 = ash::DeviceFnV1_0::load(load);
+        let mut queue = vk::Queue::null();
+        // SAFETY: the device was made with one queue of this family. The layer gives it the table that the loader gives those
+        // that a program gets.
+        unsafe {
+            (v10.get_device_queue)(device, 0, 0, &raw mut queue);
+            if let Some(set) = set_loader_data {
+                let _ = set(device, queue.as_raw() as usize as *mut c_void);
+            }
+        }
+        let state = Self {
+            device,
+            physical,
+            machine: instance.machine,
+            next,
+            v10,
+            v11: ash::DeviceFnV1_1::load(load),
+            v12: ash::DeviceFnV1_2::load(load),
+            v13: ash::DeviceFnV1_3::load(load),
+            debug: ash::ext::debug_utils::DeviceFn::load(load),
+            swapchain: ash::khr::swapchain::DeviceFn::load(load),
+            memory: Mutex::default(),
+            submissions: Mutex::new(Submissions::new(queue)),
+        };
+        add(&DEVICES, key(device), state);
+    }
+
+    /// Of a device, a command buffer or a queue.
+    pub fn of<H: Handle>(handle: H) -> Arc<Self> {
+        find(&DEVICES, key(handle))
+    }
+
+    pub fn remove(device: vk::Device) -> Option<Arc<Self>> {
+        remove(&DEVICES, key(device))
+    }
+
+    pub fn submissions(&self) -> MutexGuard<'_, Submissions> {
+        self.submissions.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    pub fn memory(&self) -> MutexGuard<'_, Memory> {
+        self.memory.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Bytes in use in a heap, of all devices of a physical device.
+pub(crate) fn heap_usage(physical: vk::PhysicalDevice, heap: u32) -> u64 {
+    let table = DEVICES.read().unwrap_or_else(PoisonError::into_inner);
+    let devices = table.iter().flat_map(HashMap::values).filter(|device| device.physical == physical);
+    devices.map(|device| device.memory().used(heap)).sum()
+}
