@@ -38,6 +38,7 @@ fn device_with(options: ContextOptions) -> (Context, Faults) {
 /// Nothing is allocated any more, and the validation layer has nothing to say, of leaks neither.
 fn close(context: Context) {
     // A submission that timed out is waited for by a thread.
+    context.free_staging();
     for _ in 0..500 {
         if context.memory().iter().all(|arena| arena.bytes == 0) {
             break;
@@ -51,6 +52,7 @@ fn close(context: Context) {
 }
 
 fn assert_nothing_allocated(context: &Context) {
+    context.free_staging();
     for arena in context.memory() {
         assert_eq!(arena.bytes, 0, "arena {} leaks", arena.name);
     }

@@ -33,6 +33,7 @@ mod lens_effects;
 mod limits;
 mod lpips;
 mod mcmc;
+mod mock_devices;
 mod orientations;
 mod parts;
 mod photos;

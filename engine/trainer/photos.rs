@@ -164,8 +164,9 @@ impl Photos {
             Residence::All => {
                 let texels = context.allocate("photos", &requests(context, sizes), MemoryKind::Device)?;
                 for (buffer, view) in texels.iter().zip(views) {
-                    context.upload(buffer, &on_device(windowing_of(context), &view.photo)?)?;
+                    context.begin_upload(buffer, &on_device(windowing_of(context), &view.photo)?)?;
                 }
+                context.take_over_uploads()?;
                 let masked = views.iter().map(|view| view.photo.is_masked()).collect();
                 return Ok(Self::Resident { texels, masked });
             }
@@ -186,6 +187,15 @@ impl Photos {
         match self {
             Self::Resident { .. } => Ok(()),
             Self::Streamed(stream) => stream.prepare(context, iteration),
+        }
+    }
+
+    /// Begins to load the photograph of the next iteration, beside the one that was prepared, where the device copies beside
+    /// its work.
+    pub fn prefetch(&mut self, context: &Context) -> Result<()> {
+        match self {
+            Self::Resident { .. } => Ok(()),
+            Self::Streamed(stream) => stream.prefetch(context),
         }
     }
 
@@ -243,6 +253,8 @@ struct Running {
     /// The prepared iteration.
     iteration: u32,
     at: Use,
+    /// The next iteration's, and whether its load has begun.
+    ahead: Option<(Use, bool)>,
     /// Texels in the order of the loads. The thread ends when the receiver is dropped.
     texels: Receiver<Result<Vec<u8>>>,
 }
@@ -258,16 +270,32 @@ impl Stream {
             _ => self.start(windowing_of(context), iteration)?,
         };
         running.iteration = iteration;
-        running.at = running.schedule.advance();
-        if running.at.load {
+        let (at, begun) = running.ahead.take().unwrap_or_else(|| (running.schedule.advance(), false));
+        running.at = at;
+        if at.load && !begun {
             let texels = running.texels.recv().map_err(|_| {
                 Error::argument(
                     "photographs",
                     "the thread that reads them has ended; go on from a checkpoint",
                 )
             })??;
-            context.upload(&self.places[running.at.place].range(0, texels.len() as u64), &texels)?;
+            context.begin_upload(&self.places[at.place].range(0, texels.len() as u64), &texels)?;
         }
+        context.take_over_uploads()?;
+        self.running = Some(running);
+        Ok(())
+    }
+
+    fn prefetch(&mut self, context: &Context) -> Result<()> {
+        let Some(mut running) = self.running.take_if(|running| running.ahead.is_none()) else { return Ok(()) };
+        let at = running.schedule.advance();
+        // The place of the prepared one is in use.
+        let free = at.load && at.place != running.at.place && context.copies_beside_work();
+        let texels = if free { running.texels.try_recv().ok().transpose()? } else { None };
+        if let Some(texels) = &texels {
+            context.begin_upload(&self.places[at.place].range(0, texels.len() as u64), texels)?;
+        }
+        running.ahead = Some((at, texels.is_some()));
         self.running = Some(running);
         Ok(())
     }
@@ -295,6 +323,6 @@ impl Stream {
             .name("photographs".into())
             .spawn(read)
             .map_err(|e| Error::argument("photographs", format!("no thread to read them: {e}")))?;
-        Ok(Running { schedule, iteration, at: Use { view: 0, place: 0, load: false }, texels })
+        Ok(Running { schedule, iteration, at: Use { view: 0, place: 0, load: false }, ahead: None, texels })
     }
 }

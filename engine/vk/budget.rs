@@ -26,11 +26,21 @@ impl Context {
         requests: &[(&'static str, u64)],
         kind: MemoryKind,
     ) -> Result<Vec<Buffer>> {
-        let buffers = self.device.allocate(arena, requests, kind)?;
+        let mut allocated = self.device.allocate(arena, requests, kind);
+        if allocated.is_err() && self.free_staging() {
+            allocated = self.device.allocate(arena, requests, kind);
+        }
+        let buffers = allocated?;
         #[cfg(feature = "testing")]
         self.raise_guards(&buffers)?;
         self.clear_if_audited(&buffers, kind)?;
         Ok(buffers)
+    }
+
+    /// Frees the staging memory that transfers keep for the next ones, where device memory is not mapped. Waits for uploads in
+    /// flight. Returns whether there was any. Allocations that would not fit do so themselves.
+    pub fn free_staging(&self) -> bool {
+        self.staging.lock().free()
     }
 
     /// Bytes that [`Context::allocate`] takes for these requests. For requests that it refuses, their sum.

@@ -1,5 +1,6 @@
 //! Command buffers: recorded, submitted, waited for and used again.
 
+use super::copy_queue::Point;
 use super::descriptors::DescriptorSets;
 use super::error::vk_error;
 use super::open_device::Device;
@@ -20,7 +21,8 @@ struct Slot {
 }
 
 impl Slot {
-    fn new(inner: &Device) -> Result<Self> {
+    /// With timestamps if `timed`.
+    fn new(inner: &Device, family: u32, timed: bool) -> Result<Self> {
         let null = Self {
             pool: vk::CommandPool::null(),
             commands: vk::CommandBuffer::null(),
@@ -28,14 +30,14 @@ impl Slot {
             queries: vk::QueryPool::null(),
         };
         let mut slot = null;
-        slot.create(inner).inspect_err(|_| slot.destroy(inner))?;
+        slot.create(inner, family, timed).inspect_err(|_| slot.destroy(inner))?;
         Ok(slot)
     }
 
-    fn create(&mut self, inner: &Device) -> Result<()> {
+    fn create(&mut self, inner: &Device, family: u32, timed: bool) -> Result<()> {
         let device = &inner.device;
         let pool = vk::CommandPoolCreateInfo::default()
-            .queue_family_index(inner.queue_family)
+            .queue_family_index(family)
             .flags(vk::CommandPoolCreateFlags::TRANSIENT);
         // SAFETY: valid create infos for this device.
         unsafe {
@@ -49,7 +51,7 @@ impl Slot {
             self.commands = commands.first().copied().unwrap_or_default();
             let fence = device.create_fence(&vk::FenceCreateInfo::default(), None);
             self.fence = fence.map_err(vk_error("vkCreateFence"))?;
-            if inner.timestamp_bits > 0 {
+            if timed && inner.timestamp_bits > 0 {
                 let queries = vk::QueryPoolCreateInfo::default()
                     .query_type(vk::QueryType::TIMESTAMP)
                     .query_count(QUERIES);
@@ -77,13 +79,19 @@ impl Slot {
 pub(super) struct Pools {
     inner: Arc<Device>,
     slots: Mutex<Vec<Slot>>,
+    /// Those of the queue for copies.
+    copying: Mutex<Vec<Slot>>,
     /// Descriptor sets, where there are no push descriptors.
     descriptors: Mutex<Vec<DescriptorSets>>,
 }
 
 impl Pools {
     pub(super) fn new(inner: Arc<Device>) -> Self {
-        Self { inner, slots: Mutex::default(), descriptors: Mutex::default() }
+        Self { inner, slots: Mutex::default(), copying: Mutex::default(), descriptors: Mutex::default() }
+    }
+
+    pub(super) fn device(&self) -> &Arc<Device> {
+        &self.inner
     }
 }
 
@@ -91,6 +99,8 @@ impl Drop for Pools {
     fn drop(&mut self) {
         // All of them are idle: whoever gave them back has waited for its submission.
         let slots = self.slots.get_mut().unwrap_or_else(PoisonError::into_inner);
+        slots.iter().for_each(|slot| slot.destroy(&self.inner));
+        let slots = self.copying.get_mut().unwrap_or_else(PoisonError::into_inner);
         slots.iter().for_each(|slot| slot.destroy(&self.inner));
         let sets = self.descriptors.get_mut().unwrap_or_else(PoisonError::into_inner);
         sets.iter_mut().for_each(|sets| sets.destroy(&self.inner));
@@ -102,6 +112,8 @@ pub(super) struct Commands {
     pub(super) pools: Arc<Pools>,
     pub(super) inner: Arc<Device>,
     slot: Slot,
+    /// Whether they are for the queue for copies.
+    copies: bool,
     pub(super) submitted: bool,
     pub(super) descriptors: Option<DescriptorSets>,
 }
@@ -113,12 +125,31 @@ impl Commands {
         let free = pools.slots.lock().unwrap_or_else(PoisonError::into_inner).pop();
         let slot = match free {
             Some(slot) => slot,
-            None => Slot::new(inner)?,
+            None => Slot::new(inner, inner.queue_family, true)?,
         };
         let sets = pools.descriptors.lock().unwrap_or_else(PoisonError::into_inner).pop();
         let descriptors = sets.or_else(|| DescriptorSets::new(inner));
-        let commands =
-            Self { pools: pools.clone(), inner: inner.clone(), slot, submitted: false, descriptors };
+        Self::on(pools, slot, descriptors, false).begun(label, every_command)
+    }
+
+    /// For the queue for copies, or the main one where there is none.
+    pub(super) fn begin_copies(pools: &Arc<Pools>, label: &str) -> Result<Self> {
+        let inner = &pools.inner;
+        let Some(queue) = &inner.copying else { return Self::begin(pools, label, false) };
+        let free = pools.copying.lock().unwrap_or_else(PoisonError::into_inner).pop();
+        let slot = match free {
+            Some(slot) => slot,
+            None => Slot::new(inner, queue.family, false)?,
+        };
+        Self::on(pools, slot, None, true).begun(label, false)
+    }
+
+    fn on(pools: &Arc<Pools>, slot: Slot, descriptors: Option<DescriptorSets>, copies: bool) -> Self {
+        Self { pools: pools.clone(), inner: pools.inner.clone(), slot, copies, submitted: false, descriptors }
+    }
+
+    fn begun(self, label: &str, every_command: bool) -> Result<Self> {
+        let (inner, slot) = (&self.inner, self.slot);
         inner.names.name(slot.commands, label);
         let info = vk::CommandBufferBeginInfo::default().flags(vk::CommandBufferUsageFlags::ONE_TIME_SUBMIT);
         // SAFETY: the command buffer is in the initial state (new, or its pool was reset) and this thread's alone; the
@@ -137,8 +168,8 @@ impl Commands {
             .src_access_mask(vk::AccessFlags2::MEMORY_WRITE)
             .dst_stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)
             .dst_access_mask(vk::AccessFlags2::MEMORY_READ | vk::AccessFlags2::MEMORY_WRITE);
-        commands.memory_barrier(earlier);
-        Ok(commands)
+        self.memory_barrier(earlier);
+        Ok(self)
     }
 
     pub(super) fn raw(&self) -> vk::CommandBuffer {
@@ -158,7 +189,20 @@ impl Commands {
         unsafe { self.inner.device.cmd_pipeline_barrier2(self.slot.commands, &dependency) }
     }
 
+    /// Orders a range of a buffer, or hands it to another queue family.
+    pub(super) fn buffer_barrier(&mut self, barrier: vk::BufferMemoryBarrier2<'_>) {
+        let barriers = [barrier];
+        let dependency = vk::DependencyInfo::default().buffer_memory_barriers(&barriers);
+        // SAFETY: the command buffer is in the recording state; the caller keeps the buffer.
+        unsafe { self.inner.device.cmd_pipeline_barrier2(self.slot.commands, &dependency) }
+    }
+
     pub(super) fn submit(&mut self) -> Result<()> {
+        self.submit_after(None)
+    }
+
+    /// Submits them to run after a point of the other queue's.
+    pub(super) fn submit_after(&mut self, after: Option<Point>) -> Result<()> {
         // A fence alone does not make writes visible to the host.
         let to_host = vk::MemoryBarrier2::default()
             .src_stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)
@@ -168,8 +212,25 @@ impl Commands {
         self.memory_barrier(to_host);
         let device = &self.inner.device;
         let buffers = [vk::CommandBufferSubmitInfo::default().command_buffer(self.slot.commands)];
-        let submits = [vk::SubmitInfo2::default().command_buffer_infos(&buffers)];
-        let queue = self.inner.lock_queue()?;
+        let copying = self.inner.copying.as_ref();
+        let queue = match copying.filter(|_| self.copies) {
+            Some(copying) => copying.lock(),
+            None => self.inner.lock_queue()?,
+        };
+        let timeline = copying.map(|copying| if self.copies { &copying.copied } else { &copying.worked });
+        let done = timeline.map(|timeline| timeline.next());
+        let info = |point: Point| {
+            vk::SemaphoreSubmitInfo::default()
+                .semaphore(point.semaphore)
+                .value(point.value)
+                .stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)
+        };
+        let (waits, signals): (Vec<_>, Vec<_>) =
+            (after.map(info).into_iter().collect(), done.map(info).into_iter().collect());
+        let submits = [vk::SubmitInfo2::default()
+            .command_buffer_infos(&buffers)
+            .wait_semaphore_infos(&waits)
+            .signal_semaphore_infos(&signals)];
         // SAFETY: the command buffer was recorded on this device and everything that it refers to is kept by the
         // caller until the fence has signalled; the lock gives the queue to this thread.
         unsafe {
@@ -178,6 +239,10 @@ impl Commands {
             let submitted = device.queue_submit2(*queue, &submits, self.slot.fence);
             submitted.map_err(|error| self.inner.failed("vkQueueSubmit2", error))?;
         }
+        if let (Some(timeline), Some(done)) = (timeline, done) {
+            timeline.submitted(done);
+        }
+        drop(queue);
         self.submitted = true;
         Ok(())
     }
@@ -212,7 +277,8 @@ impl Commands {
     /// Waits until nothing of the submission runs any more, also after errors.
     pub(super) fn settle(&mut self) {
         if self.wait(None).is_err() && self.submitted {
-            if let Ok(queue) = self.inner.lock_queue() {
+            let copying = self.inner.copying.as_ref().filter(|_| self.copies);
+            if let Ok(queue) = copying.map_or_else(|| self.inner.lock_queue(), |copying| Ok(copying.lock())) {
                 // The queue alone: of a host's device, others are in use by other threads.
                 // SAFETY: the lock gives the queue to this thread. When this fails, the device is lost.
                 let _ = unsafe { self.inner.device.queue_wait_idle(*queue) };
@@ -237,7 +303,10 @@ impl Drop for Commands {
                 .and_then(|()| device.reset_fences(&[self.slot.fence]))
         };
         match reset {
-            Ok(()) => self.pools.slots.lock().unwrap_or_else(PoisonError::into_inner).push(self.slot),
+            Ok(()) => {
+                let slots = if self.copies { &self.pools.copying } else { &self.pools.slots };
+                slots.lock().unwrap_or_else(PoisonError::into_inner).push(self.slot);
+            }
             Err(_) => self.slot.destroy(&self.inner),
         }
     }

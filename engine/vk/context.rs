@@ -8,6 +8,7 @@ use super::limits::Limits;
 use super::memory::Block;
 use super::open_device::Device;
 use super::profile::{self, Profile};
+use super::staging::Staging;
 use crate::{Error, Result};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError, Weak};
@@ -31,6 +32,8 @@ pub struct Context {
     /// Idle command buffers.
     pub(super) pools: Arc<Pools>,
     pub(super) logs: Arc<Logs>,
+    /// For transfers where device memory is not mapped.
+    pub(super) staging: Arc<Staging>,
 }
 
 /// What watches over a context.
@@ -48,7 +51,8 @@ pub(super) struct Logs {
 impl Context {
     /// The context of a device that was just opened.
     pub(super) fn on(device: Arc<Device>) -> Self {
-        Self { pools: Arc::new(Pools::new(device.clone())), logs: Arc::default(), device }
+        let pools = Arc::new(Pools::new(device.clone()));
+        Self { pools, logs: Arc::default(), staging: Arc::default(), device }
     }
 
     /// The device's limits, with the changes of the options.
@@ -95,8 +99,8 @@ impl Context {
     /// Drops this handle. If it was the last holder of the device, the device is destroyed, and all messages
     /// of the validation layers are returned, including leaks.
     pub fn close(self) -> Option<Vec<String>> {
-        let Self { device, pools, logs } = self;
-        drop((pools, logs));
+        let Self { device, pools, logs, staging } = self;
+        drop((staging, pools, logs));
         let messages = device.owner.messages().cloned();
         drop(Arc::into_inner(device)?);
         Some(messages.map_or_else(Vec::new, |messages| messages.all()))

@@ -16,7 +16,7 @@ pub(super) struct Wishes<'a> {
     pub extensions: &'a [&'a CStr],
 }
 
-/// A device with one queue, the required features, the optional features that it has, and what is asked for.
+/// A device with a queue, another for copies where there is a family for them, the required features, the optional features that it has, and what is asked for.
 pub(super) fn create_device(
     instance: &ash::Instance,
     candidate: &Candidate,
@@ -31,7 +31,9 @@ pub(super) fn create_device(
         .uniform_and_storage_buffer8_bit_access(optional.uniform_storage8)
         .vulkan_memory_model(optional.memory_model)
         .vulkan_memory_model_device_scope(optional.memory_model_device_scope)
-        .subgroup_broadcast_dynamic_id(optional.dynamic_broadcasts);
+        .subgroup_broadcast_dynamic_id(optional.dynamic_broadcasts)
+        // Every device of Vulkan 1.2 has it.
+        .timeline_semaphore(candidate.copying_family.is_some());
     let mut v13 = vk::PhysicalDeviceVulkan13Features::default();
     Features::REQUIRED.merge_into(&mut v12, &mut v13);
     // SAFETY: a plain query.
@@ -60,9 +62,11 @@ pub(super) fn create_device(
     }
     extensions.extend(optional.calibrated_timestamps.map(|kind| kind.extension().as_ptr()));
     let priorities = [1.0];
-    let queues = [vk::DeviceQueueCreateInfo::default()
-        .queue_family_index(candidate.queue_family)
-        .queue_priorities(&priorities)];
+    let families = std::iter::once(candidate.queue_family).chain(candidate.copying_family);
+    let queue = |family| {
+        vk::DeviceQueueCreateInfo::default().queue_family_index(family).queue_priorities(&priorities)
+    };
+    let queues: Vec<_> = families.map(queue).collect();
     // Without them the layer refuses to print.
     let printing = wishes.printf && optional.graphics_stores;
     // Every device has it: what a kernel is told by its push constants is not checked here.

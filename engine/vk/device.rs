@@ -52,6 +52,8 @@ pub(super) struct Candidate {
     pub(super) queue_family: u32,
     /// For a device that shows pictures on a screen, too.
     pub(super) presenting_family: u32,
+    /// For copies alone, on a device of our own.
+    pub(super) copying_family: Option<u32>,
     pub(super) features: OptionalFeatures,
     pub(super) missing: Option<String>,
 }
@@ -172,6 +174,7 @@ pub(super) fn describe(
         device_type: basic.device_type,
         queue_family: 0,
         presenting_family: 0,
+        copying_family: None,
         features: OptionalFeatures::default(),
         missing: None,
     };
@@ -197,10 +200,11 @@ fn examine(
     let has = |name: &CStr| extensions.iter().any(|e| e.extension_name_as_c_str() == Ok(name));
     // SAFETY: a plain query.
     let families = unsafe { instance.get_physical_device_queue_family_properties(physical) };
-    let Some(ComputeFamilies { alone, presenting, timed }) = compute_families(&families) else {
+    let Some(ComputeFamilies { alone, presenting, timed, copying }) = compute_families(&families) else {
         return Ok(Some("a compute queue".into()));
     };
     (candidate.queue_family, candidate.presenting_family) = (alone, presenting);
+    candidate.copying_family = copying;
     let (limits, missing_operations) = limits(instance, physical, timed, &mut candidate.description);
     candidate.description.limits = Some(limits);
     let (optional, missing) = features(instance, physical, &has);

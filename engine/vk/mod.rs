@@ -11,11 +11,13 @@
 //! | `debug`, `raw_device` | names, labels and validation messages; the device's functions |
 //! | `instance`, `device`, `create_device` | the loader, devices and their choice |
 //! | `compile_only`, `executables` | a device that runs nothing; what compilers say of a pipeline |
+//! | `copy_queue` | a queue for copies beside the main one, and the semaphores between both |
 //! | `open_device` | the open device, which everything made from it keeps open |
 //! | `memory`, `buffer`, `allocate` | requests packed into blocks; a [`Buffer`] is a named range of one |
 //! | `descriptors` | descriptor sets where push descriptors are missing |
 //! | `profile`, `profiler`, `audit` | [`Context::profile`] and [`Context::audit`]: time and output of every command |
 //! | `commands` | command buffers: recorded, submitted, waited for |
+//! | `staging` | the ring of staging memory of uploads and downloads |
 //! | `context`, `open` | the open [`Context`]; [`Context::new`] and its options |
 //! | `pipeline_statistics` | [`Context::pipeline_statistics`]: what compilers say of all kernels |
 //! | `budget` | [`Context::allocate`], and how much memory there may be |
@@ -66,6 +68,7 @@ mod clock;
 mod commands;
 mod compile_only;
 mod context;
+mod copy_queue;
 mod create_device;
 mod debug;
 mod descriptors;
@@ -109,6 +112,7 @@ mod requirements;
 mod resources;
 mod slot_recording;
 mod spirv;
+mod staging;
 mod submit;
 mod texels;
 mod transfer;

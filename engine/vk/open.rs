@@ -8,6 +8,7 @@ use super::built::BuiltPipelines;
 use super::clock::Clock;
 use super::compile_only;
 use super::context::Context;
+use super::copy_queue::CopyQueue;
 use super::create_device::{self, Wishes};
 use super::debug::Names;
 use super::descriptors;
@@ -183,6 +184,10 @@ impl Context {
         if options.device_extensions.contains(&ash::khr::swapchain::NAME) {
             candidate.queue_family = candidate.presenting_family;
         }
+        if candidate.has_unified_memory() || options.compile_only.is_some() {
+            // Memory that the host sees is written directly.
+            candidate.copying_family = None;
+        }
         candidate.features.reconverges &= instance.knows_reconvergence();
         let mut limits = effective_limits(&candidate, options)?;
         if options.compile_only.is_some() {
@@ -274,6 +279,7 @@ impl Context {
             device,
             queue: queue.map(Mutex::new),
             queue_family: candidate.queue_family,
+            copying: None,
             physical: candidate.physical,
             subgroup_rules: SubgroupRules {
                 fixed_size: !limits.subgroup_size_selectable,
@@ -304,6 +310,9 @@ impl Context {
         };
         #[cfg(feature = "testing")]
         open.device.faults.clone_from(&options.faults);
+        if let (Some(family), false) = (candidate.copying_family, foreign) {
+            open.copying = Some(CopyQueue::new(&open.device, family)?);
+        }
         if !push {
             descriptors::add_shared_layouts(&mut open)?;
         }

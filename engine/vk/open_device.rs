@@ -5,6 +5,7 @@ use super::allocator::HostAllocator;
 use super::arenas::Registry;
 use super::built::BuiltPipelines;
 use super::clock::Clock;
+use super::copy_queue::CopyQueue;
 use super::debug::{Messages, Names};
 use super::device::DeviceDescription;
 use super::error::vk_error;
@@ -35,6 +36,8 @@ pub(super) struct Device {
     /// None on a host's device whose host keeps the queue to itself.
     pub(super) queue: Option<Mutex<vk::Queue>>,
     pub(super) queue_family: u32,
+    /// Uploads run there where device memory is not mapped. None on a host's device, and without such a family.
+    pub(super) copying: Option<CopyQueue>,
     pub(super) physical: vk::PhysicalDevice,
     pub(super) limits: Limits,
     /// Of kernels that use subgroups.
@@ -141,6 +144,9 @@ impl Drop for Device {
                 let _ = self.device.device_wait_idle();
             }
             self.built.close(&self.device);
+            if let Some(queue) = &self.copying {
+                queue.close(&self.device);
+            }
             for layout in self.shared_layouts.iter().flatten() {
                 self.device.destroy_descriptor_set_layout(*layout, None);
             }

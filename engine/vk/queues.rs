@@ -11,6 +11,8 @@ pub(super) struct ComputeFamilies {
     pub(super) presenting: u32,
     /// Whether both have timestamps.
     pub(super) timed: bool,
+    /// For copies alone: its queue runs beside the others. None where there is no such family.
+    pub(super) copying: Option<u32>,
 }
 
 /// None without compute. Families with timestamps come first.
@@ -22,7 +24,13 @@ pub(super) fn compute_families(families: &[vk::QueueFamilyProperties]) -> Option
     let presenting = families.iter().position(fits)?;
     let apart = |f: &vk::QueueFamilyProperties| fits(f) && !f.queue_flags.contains(vk::QueueFlags::GRAPHICS);
     let alone = families.iter().position(apart).unwrap_or(presenting);
-    Some(ComputeFamilies { alone: alone as u32, presenting: presenting as u32, timed })
+    // Families for films copy too, but are there for other things.
+    let copies = vk::QueueFlags::TRANSFER | vk::QueueFlags::SPARSE_BINDING | vk::QueueFlags::PROTECTED;
+    let only_copies = |f: &vk::QueueFamilyProperties| {
+        f.queue_flags.contains(vk::QueueFlags::TRANSFER) && copies.contains(f.queue_flags)
+    };
+    let copying = families.iter().position(only_copies).map(|index| index as u32);
+    Some(ComputeFamilies { alone: alone as u32, presenting: presenting as u32, timed, copying })
 }
 
 #[cfg(test)]
@@ -39,6 +47,25 @@ mod tests {
         };
         let found = compute_families(&families.iter().map(family).collect::<Vec<_>>())?;
         Some((found.alone, found.presenting, found.timed))
+    }
+
+    #[test]
+    fn copies_have_a_family_that_does_nothing_else() {
+        let all = Flags::GRAPHICS | Flags::COMPUTE | Flags::TRANSFER | Flags::SPARSE_BINDING;
+        let copies = Flags::TRANSFER | Flags::SPARSE_BINDING;
+        let films = Flags::TRANSFER | Flags::SPARSE_BINDING | Flags::VIDEO_DECODE_KHR;
+        let found = |flags: &[Flags]| {
+            let family = |&queue_flags| vk::QueueFamilyProperties {
+                queue_flags,
+                queue_count: 1,
+                ..vk::QueueFamilyProperties::default()
+            };
+            compute_families(&flags.iter().map(family).collect::<Vec<_>>()).and_then(|found| found.copying)
+        };
+        // NVIDIA's order, AMD's, and cards without.
+        assert_eq!(found(&[all, copies, Flags::COMPUTE | copies, films]), Some(1));
+        assert_eq!(found(&[all, Flags::COMPUTE | copies, films, copies]), Some(3));
+        assert_eq!(found(&[all, Flags::COMPUTE | copies, films]), None);
     }
 
     #[test]

@@ -1,19 +1,19 @@
 //! Transfers to and from device memory.
 
-use super::allocator::MemoryKind;
 use super::buffer::Buffer;
 use super::context::Context;
 use super::recorder::MAX_UPDATE_BYTES;
-use crate::Result;
+use crate::{Error, Result};
+use std::sync::PoisonError;
 
-/// Most staging memory of one transfer.
+/// Most bytes of a download at a time.
 const CHUNK_BYTES: u64 = 16 << 20;
 /// Size of the chunks in which mapped memory is read: they stay in the cache.
 const MAPPED_CHUNK_BYTES: u64 = 256 << 10;
 
 impl Context {
-    /// Copies bytes into the start of a buffer and waits: directly if the memory is mapped, otherwise through
-    /// staging memory in bounded chunks.
+    /// Copies bytes into the start of a buffer and waits: directly if the memory is mapped, otherwise by
+    /// copies from a ring of staging memory that the context keeps ([`Context::free_staging`]).
     ///
     /// # Errors
     /// [`crate::Error::Argument`] when the bytes do not fit, or while a submission that uses the buffer's
@@ -37,17 +37,88 @@ impl Context {
                 })
                 .map(drop);
         }
-        let staging = self.staging(bytes.len() as u64)?;
+        let copied = self.upload_staged(buffer, bytes);
+        if self.is_foreign() {
+            // A host's memory goes back.
+            self.free_staging();
+        }
+        copied
+    }
+
+    /// As [`Context::upload`], without waiting: the bytes are taken over into staging memory, and what is submitted after
+    /// [`Context::take_over_uploads`] sees them in the buffer. The caller writes nothing else to the buffer's bytes until then,
+    /// and nothing in flight uses them: on a device with a queue for copies they may be written at once.
+    ///
+    /// # Errors
+    /// As [`Context::upload`]. Failures of the copy itself are those of the next transfer.
+    pub(crate) fn begin_upload(&self, buffer: &Buffer, bytes: &[u8]) -> Result<()> {
+        if buffer.block().is_mapped() || self.is_foreign() || self.is_watched() {
+            return self.upload(buffer, bytes);
+        }
+        buffer.check_range(0, bytes.len())?;
+        self.copy_staged(buffer, bytes, false)
+    }
+
+    /// Lets all that is submitted from now on see what was uploaded.
+    ///
+    /// # Errors
+    /// When the device is lost or has no memory left.
+    pub(crate) fn take_over_uploads(&self) -> Result<()> {
+        self.staging.lock().take_over(&self.pools)
+    }
+
+    /// Whether uploads run beside the main queue's work.
+    pub(crate) fn copies_beside_work(&self) -> bool {
+        self.device.copying.is_some()
+    }
+
+    /// Whether a profile or an audit wants to see every command.
+    fn is_watched(&self) -> bool {
+        let profile = &self.logs.profile.lock().unwrap_or_else(PoisonError::into_inner);
+        let audit = &self.logs.audit.lock().unwrap_or_else(PoisonError::into_inner);
+        profile.strong_count() > 0 || audit.strong_count() > 0
+    }
+
+    /// Copies all bytes by way of the ring, and waits.
+    fn upload_staged(&self, buffer: &Buffer, bytes: &[u8]) -> Result<()> {
+        if self.is_watched() {
+            return self.upload_watched(buffer, bytes);
+        }
+        self.copy_staged(buffer, bytes, true)?;
+        self.take_over_uploads()?;
+        self.staging.lock().settle(&self.device)
+    }
+
+    /// Submits copies of all bytes.
+    fn copy_staged(&self, buffer: &Buffer, bytes: &[u8], after_work: bool) -> Result<()> {
+        if self.is_lost() {
+            return Err(Error::DeviceLost { call: "an earlier call" });
+        }
+        let mut ring = self.staging.lock();
+        let mut done = 0;
+        while done < bytes.len() {
+            let rest = buffer.range(done as u64, buffer.bytes() - done as u64);
+            done += ring.copy(&self.pools, &rest, &bytes[done..], after_work)?;
+        }
+        Ok(())
+    }
+
+    /// Piece by piece, as a command that a profile times and an audit hashes.
+    fn upload_watched(&self, buffer: &Buffer, bytes: &[u8]) -> Result<()> {
+        let mut ring = self.staging.lock();
         let mut offset = 0;
-        for chunk in bytes.chunks(CHUNK_BYTES as usize) {
-            staging.write(0, chunk)?;
-            // The last chunk may end within a word: the rest of that word is in the buffer's padding.
-            let length = (chunk.len() as u64).next_multiple_of(4).min(buffer.bytes() - offset);
+        while offset < bytes.len() {
+            let (staging, place) = ring.reserve(&self.device, (bytes.len() - offset) as u64)?;
+            let length = place.end - place.start;
+            let piece = &bytes[offset..][..length as usize];
+            staging.block().write_mapped(staging.offset() + place.start, piece);
+            // The last piece may end within a word: the rest of that word is in the buffer's padding.
+            let whole = length.next_multiple_of(4).min(buffer.bytes() - offset as u64);
             self.run("upload", |recorder| {
-                recorder.copy(&staging.range(0, length), &buffer.range(offset, length));
+                recorder.copy(&staging.range(place.start, whole), &buffer.range(offset as u64, whole));
                 Ok(())
             })?;
-            offset += length;
+            offset += length as usize;
         }
         Ok(())
     }
@@ -76,37 +147,42 @@ impl Context {
         if mapped {
             buffer.check_idle()?;
         }
-        let staging = if mapped { None } else { Some(self.staging(total)?) };
         let step = if mapped { MAPPED_CHUNK_BYTES } else { CHUNK_BYTES };
         let mut chunk = vec![0; total.min(step) as usize];
-        for offset in (0..total).step_by(step as usize) {
+        let mut offset = 0;
+        while offset < total {
             let length = (total - offset).min(step);
-            let bytes = &mut chunk[..length as usize];
-            match &staging {
-                None => {
-                    buffer.block().read_mapped(buffer.offset() + offset, bytes);
-                }
-                Some(staging) => {
-                    self.run("download", |recorder| {
-                        recorder.copy(&buffer.range(offset, length), &staging.range(0, length));
-                        Ok(())
-                    })?;
-                    staging.read(0, bytes)?;
-                }
+            let mut bytes = &mut chunk[..length as usize];
+            if mapped {
+                buffer.block().read_mapped(buffer.offset() + offset, bytes);
+            } else {
+                let length = self.download_staged(&buffer.range(offset, length), bytes)?;
+                bytes = &mut bytes[..length];
             }
+            offset += bytes.len() as u64;
             take(bytes);
         }
+        if !mapped && self.is_foreign() {
+            self.free_staging();
+        }
         Ok(())
+    }
+
+    /// Reads as much of a buffer as fits a piece of the ring; returns how much.
+    fn download_staged(&self, from: &Buffer, bytes: &mut [u8]) -> Result<usize> {
+        let mut ring = self.staging.lock();
+        let (staging, place) = ring.reserve(&self.device, from.bytes())?;
+        let length = place.end - place.start;
+        self.run("download", |recorder| {
+            recorder.copy(&from.range(0, length), &staging.range(place.start, length));
+            Ok(())
+        })?;
+        staging.block().read_mapped(staging.offset() + place.start, &mut bytes[..length as usize]);
+        Ok(length as usize)
     }
 
     /// Most bytes of temporary memory for an upload of `bytes` bytes.
     pub(crate) fn staging_bytes(&self, bytes: u64) -> u64 {
         if self.device.unified_memory { 0 } else { bytes.min(CHUNK_BYTES) }
-    }
-
-    fn staging(&self, bytes: u64) -> Result<Buffer> {
-        let request = [("staging", bytes.min(CHUNK_BYTES))];
-        let mut buffers = self.allocate("staging", &request, MemoryKind::HostVisible)?;
-        Ok(buffers.swap_remove(0))
     }
 }

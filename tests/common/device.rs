@@ -63,6 +63,7 @@ pub fn bounded(max_memory: Option<u64>) -> Bounded {
     let options = options();
     let context = CONTEXT.get_or_init(|| Context::new(&options).expect("a device"));
     assert!(!BOUNDED.swap(true, Relaxed), "drop the one before");
+    context.free_staging();
     assert_eq!(context.memory_total().bytes, 0, "left by the work before");
     context.reset_memory_peaks();
     context.set_max_memory(max_memory);

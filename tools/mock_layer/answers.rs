@@ -76,7 +76,8 @@ fn write_memory(
 ) {
     *memory = vk::PhysicalDeviceMemoryProperties::default();
     let machine = state.machine;
-    (memory.memory_type_count, memory.memory_heap_count) = (machine.types.len() as u32, machine.heaps.len() as u32);
+    (memory.memory_type_count, memory.memory_heap_count) =
+        (machine.types.len() as u32, machine.heaps.len() as u32);
     for (to, &(property_flags, heap_index)) in memory.memory_types.iter_mut().zip(machine.types) {
         *to = vk::MemoryType { property_flags, heap_index };
     }
@@ -260,8 +261,10 @@ pub(crate) unsafe fn driver_extensions(
     }
     // SAFETY: as promised: an array of C strings of this length.
     unsafe {
-        let names =
-            std::slice::from_raw_parts(info.pp_enabled_extension_names, info.enabled_extension_count as usize);
+        let names = std::slice::from_raw_parts(
+            info.pp_enabled_extension_names,
+            info.enabled_extension_count as usize,
+        );
         let budget = ash::ext::memory_budget::NAME;
         let kept = |name: &&*const c_char| CStr::from_ptr(**name) != budget || has(&present, budget);
         names.iter().filter(kept).copied().collect()

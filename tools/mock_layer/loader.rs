@@ -155,10 +155,7 @@ unsafe extern "system" fn create_device(
     }
 }
 
-unsafe extern "system" fn destroy_device(
-    device: vk::Device,
-    callbacks: *const vk::AllocationCallbacks<'_>,
-) {
+unsafe extern "system" fn destroy_device(device: vk::Device, callbacks: *const vk::AllocationCallbacks<'_>) {
     if device != vk::Device::null()
         && let Some(state) = DeviceState::remove(device)
     {

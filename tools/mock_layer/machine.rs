@@ -165,8 +165,14 @@ mod tests {
     fn machines_are_devices_that_there_may_be() {
         for machine in MACHINES {
             let name = machine.name;
-            assert!(machine.types.iter().any(|(flags, _)| flags.contains(SEEN)), "{name}: a type for the host");
-            assert!(machine.types.iter().any(|(flags, _)| flags.contains(LOCAL)), "{name}: a type for the device");
+            assert!(
+                machine.types.iter().any(|(flags, _)| flags.contains(SEEN)),
+                "{name}: a type for the host"
+            );
+            assert!(
+                machine.types.iter().any(|(flags, _)| flags.contains(LOCAL)),
+                "{name}: a type for the device"
+            );
             for (flags, heap) in machine.types {
                 assert!((*heap as usize) < machine.heaps.len(), "{name}: heap {heap}");
                 assert_eq!(flags.contains(LOCAL), machine.heaps[*heap as usize].1, "{name}: {flags:?}");

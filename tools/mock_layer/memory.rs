@@ -85,9 +85,8 @@ pub(crate) unsafe extern "system" fn map(
 ) -> vk::Result {
     let state = DeviceState::of(device);
     let kind = state.memory().0.get(&memory.as_raw()).map(|(kind, ..)| *kind as usize);
-    let seen = kind.is_some_and(|kind| {
-        state.machine.types[kind].0.contains(vk::MemoryPropertyFlags::HOST_VISIBLE)
-    });
+    let seen =
+        kind.is_some_and(|kind| state.machine.types[kind].0.contains(vk::MemoryPropertyFlags::HOST_VISIBLE));
     if !seen {
         return vk::Result::ERROR_MEMORY_MAP_FAILED;
     }

@@ -75,17 +75,13 @@ fn family_of(queue: vk::Queue) -> u32 {
     unsafe { (*(queue.as_raw() as usize as *const Queue)).family }
 }
 
-pub(crate) unsafe extern "system" fn get(
-    device: vk::Device,
-    family: u32,
-    index: u32,
-    queue: *mut vk::Queue,
-) {
+pub(crate) unsafe extern "system" fn get(device: vk::Device, family: u32, index: u32, queue: *mut vk::Queue) {
     let state = DeviceState::of(device);
     let mut submissions = state.submissions();
     // SAFETY: a device begins with the loader's table, which its queues share.
     let table = unsafe { *(device.as_raw() as usize as *const usize) };
-    let found = submissions.queues.entry((family, index)).or_insert_with(|| Box::new(Queue { table, family }));
+    let found =
+        submissions.queues.entry((family, index)).or_insert_with(|| Box::new(Queue { table, family }));
     // SAFETY: the caller's place for a handle.
     unsafe { *queue = vk::Queue::from_raw((&raw mut **found) as usize as u64) }
 }
@@ -109,9 +105,7 @@ pub(crate) unsafe extern "system" fn submit(
     let mut submissions = state.submissions();
     // SAFETY: the caller's arguments; the lock gives the driver's queue to this thread.
     match submissions.release(&state) {
-        vk::Result::SUCCESS => unsafe {
-            (state.v10.queue_submit)(submissions.queue, count, submits, fence)
-        },
+        vk::Result::SUCCESS => unsafe { (state.v10.queue_submit)(submissions.queue, count, submits, fence) },
         error => error,
     }
 }
@@ -183,7 +177,11 @@ pub(crate) unsafe extern "system" fn wait_idle(queue: vk::Queue) -> vk::Result {
     let mut submissions = state.submissions();
     let released = submissions.release(&state);
     // SAFETY: the lock gives the driver's queue to this thread.
-    if released == vk::Result::SUCCESS { unsafe { (state.v10.queue_wait_idle)(submissions.queue) } } else { released }
+    if released == vk::Result::SUCCESS {
+        unsafe { (state.v10.queue_wait_idle)(submissions.queue) }
+    } else {
+        released
+    }
 }
 
 pub(crate) unsafe extern "system" fn device_wait_idle(device: vk::Device) -> vk::Result {
@@ -254,10 +252,7 @@ pub(crate) unsafe extern "system" fn event_status(device: vk::Device, event: vk:
     unsafe { (state.v10.get_event_status)(device, event) }
 }
 
-pub(crate) unsafe extern "system" fn begin_label(
-    queue: vk::Queue,
-    label: *const vk::DebugUtilsLabelEXT<'_>,
-) {
+pub(crate) unsafe extern "system" fn begin_label(queue: vk::Queue, label: *const vk::DebugUtilsLabelEXT<'_>) {
     let state = DeviceState::of(queue);
     let submissions = state.submissions();
     // SAFETY: as above.
@@ -294,6 +289,3 @@ pub(crate) unsafe extern "system" fn name_object(
         (DeviceState::of(device).debug.set_debug_utils_object_name_ext)(device, info)
     }
 }
-
-
-

@@ -1,0 +1,195 @@
+//! The ring of staging memory through which transfers go where the host does not see device memory.
+//!
+//! One buffer per context, made at the first such transfer. An upload writes a piece of it and submits a copy, without
+//! waiting: the host writes the next piece meanwhile. It waits when the ring is full, for the oldest copy. On devices with a
+//! queue for copies (module `copy_queue`) uploads run there, and the main queue takes over what was copied before it goes on.
+
+use super::allocator::MemoryKind;
+use super::buffer::Buffer;
+use super::commands::{Commands, Pools};
+use super::copy_queue::CopyQueue;
+use super::memory::PLACEMENT_ALIGNMENT;
+use super::open_device::Device;
+use crate::Result;
+use ash::vk;
+use std::collections::VecDeque;
+use std::ops::Range;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// Most bytes of the ring.
+const RING_BYTES: u64 = 32 << 20;
+/// Fewest, where memory is bounded: larger than an update that a recording holds itself.
+const LEAST_RING_BYTES: u64 = 1 << 18;
+/// Pieces that a ring holds at least: the host writes one while the others are copied.
+const PIECES: u64 = 4;
+
+/// The ring of a context.
+#[derive(Default)]
+pub(super) struct Staging(Mutex<Ring>);
+
+/// The ring's buffer and the copies in flight.
+#[derive(Default)]
+pub(super) struct Ring {
+    buffer: Option<Buffer>,
+    /// Where the next piece begins.
+    head: u64,
+    /// Oldest first.
+    running: VecDeque<Piece>,
+    /// What the queue for copies has released, and the main queue has not taken over yet.
+    released: Vec<Buffer>,
+}
+
+/// A submission in flight.
+struct Piece {
+    // Dropped first: that waits.
+    commands: Commands,
+    /// Of the ring; empty for what takes over.
+    bytes: Range<u64>,
+    _kept: Vec<Buffer>,
+}
+
+impl Staging {
+    pub(super) fn lock(&self) -> MutexGuard<'_, Ring> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Ring {
+    /// Bytes that a transfer of so many takes, of a ring that is yet to be made.
+    pub(super) fn bytes_for(bytes: u64) -> u64 {
+        (bytes * PIECES).clamp(LEAST_RING_BYTES, RING_BYTES)
+    }
+
+    /// The ring's buffer: made now if there is none or if it is small. What is in flight keeps the old one.
+    fn buffer(&mut self, device: &Arc<Device>, bytes: u64) -> Result<Buffer> {
+        let mut wanted = Self::bytes_for(bytes);
+        if let Some(buffer) = self.buffer.as_ref().filter(|buffer| buffer.bytes() >= wanted) {
+            return Ok(buffer.clone());
+        }
+        // Of bounded memory it takes what is left.
+        loop {
+            let made = device.allocate("staging", &[("ring", wanted)], MemoryKind::HostVisible);
+            match (made, &self.buffer) {
+                (Ok(mut made), _) => {
+                    let buffer = made.swap_remove(0);
+                    // A place in the old one says nothing of the new one.
+                    self.settle(device)?;
+                    self.head = 0;
+                    self.buffer = Some(buffer.clone());
+                    return Ok(buffer);
+                }
+                (Err(_), Some(smaller)) => return Ok(smaller.clone()),
+                (Err(_), None) if wanted > LEAST_RING_BYTES => wanted = (wanted / 2).max(LEAST_RING_BYTES),
+                (Err(error), None) => return Err(error),
+            }
+        }
+    }
+
+    /// Room for a piece of at most so many bytes: the ring's buffer and a range of it that nothing in flight uses.
+    pub(super) fn reserve(&mut self, device: &Arc<Device>, bytes: u64) -> Result<(Buffer, Range<u64>)> {
+        let ring = self.buffer(device, bytes)?;
+        let most = ring.bytes() / PIECES / PLACEMENT_ALIGNMENT * PLACEMENT_ALIGNMENT;
+        let length = bytes.min(most);
+        let first = if self.head + length > ring.bytes() { 0 } else { self.head };
+        let place = first..first + length;
+        while self.running.iter().any(|piece| piece.bytes.start < place.end && place.start < piece.bytes.end) {
+            self.wait_oldest(device)?;
+        }
+        Ok((ring, place))
+    }
+
+    /// Copies bytes to the start of a buffer, as many as fit a piece; returns how many. The copy runs after all earlier
+    /// submissions if `after_work`, otherwise beside them.
+    pub(super) fn copy(
+        &mut self,
+        pools: &Arc<Pools>,
+        to: &Buffer,
+        bytes: &[u8],
+        after_work: bool,
+    ) -> Result<usize> {
+        let device = pools.device();
+        let (ring, place) = self.reserve(device, bytes.len() as u64)?;
+        let length = place.end - place.start;
+        ring.block().write_mapped(ring.offset() + place.start, &bytes[..length as usize]);
+        // The last piece may end within a word: the rest of that word is in the buffer's padding.
+        let whole = length.next_multiple_of(4).min(to.bytes());
+        let queue = device.copying.as_ref();
+        let mut commands = if queue.is_some() {
+            Commands::begin_copies(pools, "upload")?
+        } else {
+            Commands::begin(pools, "upload", false)?
+        };
+        let region = vk::BufferCopy::default()
+            .src_offset(ring.offset() + place.start)
+            .dst_offset(to.offset())
+            .size(whole);
+        // SAFETY: recording state; ranges within buffers that are kept until the copy is done, with transfer usage.
+        unsafe { device.device.cmd_copy_buffer(commands.raw(), ring.raw(), to.raw(), &[region]) }
+        if let Some(queue) = queue {
+            let (stage, access) = (vk::PipelineStageFlags2::COPY, vk::AccessFlags2::TRANSFER_WRITE);
+            let released = owner_change(queue, device, &to.range(0, whole));
+            commands.buffer_barrier(released.src_stage_mask(stage).src_access_mask(access));
+        }
+        let after = queue.filter(|_| after_work).map(|queue| queue.worked.last());
+        commands.submit_after(after)?;
+        self.head = place.end.next_multiple_of(PLACEMENT_ALIGNMENT);
+        let to = to.range(0, whole);
+        self.released.extend(queue.map(|_| to.clone()));
+        self.running.push_back(Piece { commands, bytes: place, _kept: vec![ring, to] });
+        Ok(length as usize)
+    }
+
+    /// Lets the main queue take over what the queue for copies has written: submissions after this one see it, once all of it
+    /// is written. The host does not wait.
+    pub(super) fn take_over(&mut self, pools: &Arc<Pools>) -> Result<()> {
+        let device = pools.device();
+        let Some(queue) = device.copying.as_ref().filter(|_| !self.released.is_empty()) else {
+            return Ok(());
+        };
+        let mut commands = Commands::begin(pools, "take over uploads", false)?;
+        for to in &self.released {
+            let acquire = owner_change(queue, device, to)
+                .dst_stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)
+                .dst_access_mask(vk::AccessFlags2::MEMORY_READ | vk::AccessFlags2::MEMORY_WRITE);
+            commands.buffer_barrier(acquire);
+        }
+        commands.submit_after(Some(queue.copied.last()))?;
+        let kept = std::mem::take(&mut self.released);
+        self.running.push_back(Piece { commands, bytes: 0..0, _kept: kept });
+        Ok(())
+    }
+
+    /// Waits for the oldest submission. An error leaves it in the ring: it may still run.
+    fn wait_oldest(&mut self, device: &Device) -> Result<()> {
+        let Some(piece) = self.running.front_mut() else { return Ok(()) };
+        piece.commands.wait(device.timeout)?;
+        self.running.pop_front();
+        Ok(())
+    }
+
+    /// Waits for all of them.
+    pub(super) fn settle(&mut self, device: &Device) -> Result<()> {
+        while !self.running.is_empty() {
+            self.wait_oldest(device)?;
+        }
+        Ok(())
+    }
+
+    /// Frees the ring's memory, after its submissions. Returns whether there was any.
+    pub(super) fn free(&mut self) -> bool {
+        // Dropping them waits.
+        self.running.clear();
+        self.head = 0;
+        self.buffer.take().is_some()
+    }
+}
+
+/// The part that both barriers of a change of owner share: from the queue for copies to the main one.
+fn owner_change(queue: &CopyQueue, device: &Device, to: &Buffer) -> vk::BufferMemoryBarrier2<'static> {
+    vk::BufferMemoryBarrier2::default()
+        .src_queue_family_index(queue.family)
+        .dst_queue_family_index(device.queue_family)
+        .buffer(to.raw())
+        .offset(to.offset())
+        .size(to.bytes())
+}

@@ -1,0 +1,152 @@
+//! The same on devices with other memory, queues and limits: those that the layer of `tools/mock_layer` claims over llvmpipe.
+//!
+//! A layer takes a process of its own. The kernels are those of GPUs, for the machines say that they are none of processors;
+//! so the trial in this process has them as well, and a training must end in the same bits wherever memory lies and whichever
+//! queue copies. `tools/as_gpu mock:discrete` runs all that the suite has on one.
+
+use std::path::Path;
+
+use ashsplat::trainer::Trainer;
+use ashsplat::tuning::Backend;
+use ashsplat::vk::{Context, ContextOptions, MemoryKind};
+use ashsplat::{RenderSettings, Renderer, TrainSettings};
+use ashsplat_mock_layer::{MACHINES, VARIABLE};
+
+use crate::checkpoints::{start, views};
+use crate::common::engine::{camera, gaussians};
+use crate::common::scenes::{Random, mixed_scene, small_view};
+use crate::common::{assert_silent, child, context, options, root};
+
+/// What a child runs: what the device claims to be, trainings and pictures for the parent, transfers of all kinds, and kernels
+/// whose workgroups and shared memory follow the limits.
+const SELECTION: [&str; 7] = [
+    "mock_device_claims_in_a_child",
+    "mock_device_results_in_a_child",
+    "vk::memory::transfers_give_back_what_they_got",
+    "kernels::scan_apply::scan_apply_equals_its_twin",
+    "kernels::sort_downsweep::sort_downsweep_equals_its_twin",
+    "kernels::blend_shared::blend_shared_equals_blend_on_images_of_all_sizes_and_opaque_layers",
+    "hard_cases::hard_case_images_of_odd_sizes",
+];
+
+/// Where a child leaves its results.
+const RESULTS: &str = "ASHSPLAT_MOCK_RESULTS";
+const LAYERS: &str = "VK_LAYER_KHRONOS_validation:VK_LAYER_ASHSPLAT_mock";
+
+/// The values of a picture, and the fingerprint of a training that has densified.
+fn results(context: &Context) -> (Vec<f32>, String) {
+    let mut renderer = Renderer::new(context).expect("kernels");
+    renderer.upload(&gaussians(&mixed_scene(&mut Random::new(17), 1500, 16))).expect("a scene");
+    let frame = renderer.render(&camera(&small_view([203, 117])), &RenderSettings::default());
+    let settings = TrainSettings {
+        sh_degree_interval: 2,
+        densify_from_iter: 3,
+        densification_interval: 4,
+        densify_grad_threshold: 1e-6,
+        ..TrainSettings::default()
+    };
+    let mut trainer = Trainer::new(context, views(3, 5), &start(), 5.0, settings).expect("a trainer");
+    (0..10).for_each(|_| drop(trainer.step().expect("a step")));
+    let trained = trainer.checkpoint().expect("a state").fingerprint();
+    assert_silent(context);
+    (frame.expect("a picture").color.into_flattened(), format!("{trained:?}"))
+}
+
+fn check(machine: &str) {
+    if !cfg!(target_os = "linux") || !context().device_name().contains("llvmpipe") {
+        eprintln!("skipped: machines are claimed over llvmpipe on Linux only");
+        return;
+    }
+    if std::env::var_os(VARIABLE).is_some() {
+        eprintln!("skipped: this device is claimed already");
+        return;
+    }
+    let folder = tempfile::tempdir().expect("a folder for results");
+    let library = std::env::current_exe().expect("a path");
+    let mut libraries = vec![library.parent().expect("deps").to_owned()];
+    libraries.extend(std::env::var_os("LD_LIBRARY_PATH").iter().flat_map(std::env::split_paths));
+    child::run(&SELECTION, SELECTION.len(), |child| {
+        child
+            .args(["--test-threads", "2"])
+            .env("LD_LIBRARY_PATH", std::env::join_paths(&libraries).expect("paths"))
+            .env("VK_ADD_LAYER_PATH", root().join("tools/mock_layer"))
+            .env("VK_INSTANCE_LAYERS", LAYERS)
+            .env(VARIABLE, machine)
+            .env(RESULTS, folder.path())
+            .env_remove("ASHSPLAT_BACKEND");
+    });
+    let read = |name: &str| std::fs::read(folder.path().join(name)).expect("the child's results");
+    let own = Context::new(&ContextOptions { backend: Some(Backend::Gpu), ..options() }).expect("a device");
+    let (picture, trained) = results(&own);
+    let theirs: Vec<f32> = bytemuck::pod_collect_to_vec(&read("picture"));
+    assert!(picture.iter().filter(|x| **x > 0.1).count() > picture.len() / 10, "there is little to be seen");
+    assert_eq!(picture.len(), theirs.len());
+    let largest = picture.iter().zip(&theirs).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+    // Other workgroups add in another order.
+    if machine == "small-limits" {
+        assert!(largest < 1.0 / 128.0, "{machine}: pictures differ by {largest:e}");
+    } else {
+        assert!(largest == 0.0, "{machine}: pictures differ by {largest:e}");
+        assert_eq!(
+            String::from_utf8_lossy(&read("trained")),
+            trained,
+            "{machine}: the training has other bits"
+        );
+    }
+}
+
+/// One trial for each machine, so that they run at the same time.
+macro_rules! machines {
+    ($($trial:ident: $machine:literal;)*) => {
+        $(#[test] fn $trial() { check($machine); })*
+
+        #[test]
+        fn mock_device_of_every_machine() {
+            let tried = [$($machine),*];
+            assert!(MACHINES.iter().map(|machine| machine.name).eq(tried), "a machine has no trial");
+        }
+    };
+}
+
+machines! {
+    mock_device_discrete: "discrete";
+    mock_device_discrete_window: "discrete-window";
+    mock_device_discrete_rebar: "discrete-rebar";
+    mock_device_unified: "unified";
+    mock_device_unified_uncached: "unified-uncached";
+    mock_device_transfer_queue: "transfer-queue";
+    mock_device_small_limits: "small-limits";
+}
+
+#[test]
+#[ignore = "the child's part of mock_device_…: results for the parent"]
+fn mock_device_results_in_a_child() {
+    let folder = std::env::var_os(RESULTS).expect("mock_device_… runs it, and says where results go");
+    let (picture, trained) = results(context());
+    std::fs::write(Path::new(&folder).join("picture"), bytemuck::cast_slice::<f32, u8>(&picture))
+        .expect("written");
+    std::fs::write(Path::new(&folder).join("trained"), trained).expect("written");
+}
+
+#[test]
+#[ignore = "the child's part of mock_device_…: the layer is there, and memory is as a card's"]
+fn mock_device_claims_in_a_child() {
+    let machine = std::env::var(VARIABLE).expect("mock_device_… runs it, and says which machine");
+    let context = context();
+    assert!(context.device_name().starts_with(&format!("{machine} mock of ")), "{}", context.device_name());
+    let kind = if machine.starts_with("unified") { "integrated GPU" } else { "discrete GPU" };
+    assert_eq!((context.description().kind, context.limits().tuning.backend), (kind, Backend::Gpu));
+    // The machine's budget is less than its heap.
+    let (budget, name) = context.memory_limit().expect("a bound");
+    assert_eq!((budget, name), (context.limits().heap_bytes / 16 * 15, "VK_EXT_memory_budget"));
+    if machine == "small-limits" {
+        let limits = context.limits();
+        assert_eq!(limits.max_workgroup_invocations, 256);
+        assert_eq!((limits.shared_memory_bytes, limits.push_constant_bytes), (16 << 10, 128));
+    }
+    // New memory is garbage, not zeros.
+    let buffer =
+        context.allocate("new", &[("words", 64)], MemoryKind::Device).expect("memory").swap_remove(0);
+    assert_eq!(context.download(&buffer).expect("download"), [0xFF; 64]);
+    assert_silent(context);
+}
