@@ -166,7 +166,7 @@ impl Photos {
                 for (buffer, view) in texels.iter().zip(views) {
                     context.begin_upload(buffer, &on_device(windowing_of(context), &view.photo)?)?;
                 }
-                context.take_over_uploads()?;
+                context.finish_uploads()?;
                 let masked = views.iter().map(|view| view.photo.is_masked()).collect();
                 return Ok(Self::Resident { texels, masked });
             }
@@ -287,7 +287,9 @@ impl Stream {
     }
 
     fn prefetch(&mut self, context: &Context) -> Result<()> {
-        let Some(mut running) = self.running.take_if(|running| running.ahead.is_none()) else { return Ok(()) };
+        let Some(mut running) = self.running.take_if(|running| running.ahead.is_none()) else {
+            return Ok(());
+        };
         let at = running.schedule.advance();
         // The place of the prepared one is in use.
         let free = at.load && at.place != running.at.place && context.copies_beside_work();

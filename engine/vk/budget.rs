@@ -5,7 +5,7 @@ use super::allocator::MemoryKind;
 use super::arenas::ArenaMemory;
 use super::buffer::Buffer;
 use super::context::Context;
-use crate::Result;
+use crate::{Error, Result};
 use ash::vk;
 use std::sync::PoisonError;
 use std::sync::atomic::Ordering;
@@ -27,7 +27,7 @@ impl Context {
         kind: MemoryKind,
     ) -> Result<Vec<Buffer>> {
         let mut allocated = self.device.allocate(arena, requests, kind);
-        if allocated.is_err() && self.free_staging() {
+        if matches!(allocated, Err(Error::TooLarge { .. })) && self.free_staging() {
             allocated = self.device.allocate(arena, requests, kind);
         }
         let buffers = allocated?;

@@ -2,7 +2,7 @@
 
 use super::allocator::{HostAllocator, HostMemory, MemoryKind, MemoryRequest};
 use super::error::vk_error;
-use super::memory_types;
+use super::memory_types::{self, Place};
 use super::open_device::Device;
 use super::texels::TexelViews;
 use crate::{Error, Result};
@@ -113,6 +113,17 @@ impl Block {
         bytes: u64,
         kind: MemoryKind,
     ) -> Result<Self> {
+        Self::of_types(inner, (arena, number), bytes, kind, u32::MAX)
+    }
+
+    /// In one of the allowed memory types.
+    pub(super) fn of_types(
+        inner: &Arc<Device>,
+        (arena, number): (&Arc<str>, usize),
+        bytes: u64,
+        kind: MemoryKind,
+        allowed: u32,
+    ) -> Result<Self> {
         let usage = vk::BufferUsageFlags::STORAGE_BUFFER
             | vk::BufferUsageFlags::UNIFORM_TEXEL_BUFFER
             | vk::BufferUsageFlags::UNIFORM_BUFFER
@@ -140,7 +151,7 @@ impl Block {
             guarded: Mutex::default(),
         };
         inner.registry.add(arena, bytes);
-        block.bind_memory(kind)?;
+        block.bind_memory(kind, allowed)?;
         inner.names.name(block.raw, &format!("{arena}#{number}"));
         if block.hosted.is_none() {
             inner.names.name(block.memory, &format!("{arena}#{number} memory"));
@@ -173,7 +184,7 @@ impl Block {
         Arc::ptr_eq(&self.inner, inner)
     }
 
-    fn bind_memory(&mut self, kind: MemoryKind) -> Result<()> {
+    fn bind_memory(&mut self, kind: MemoryKind, allowed: u32) -> Result<()> {
         let device = &self.inner.device;
         // SAFETY: `raw` was created from this device.
         let needs = unsafe { device.get_buffer_memory_requirements(self.raw) };
@@ -181,7 +192,7 @@ impl Block {
             return self.bind_hosted(&*allocator, needs, kind);
         }
         let types = self.inner.memory.memory_types_as_slice();
-        let index = self.inner.memory_type(needs.memory_type_bits, kind)?;
+        let index = self.inner.memory_type(needs.memory_type_bits & allowed, kind)?;
         let info = vk::MemoryAllocateInfo::default().allocation_size(needs.size).memory_type_index(index);
         // SAFETY: the type index is valid, and the buffer is bound once, at offset 0, to memory of its own.
         unsafe {
@@ -192,8 +203,8 @@ impl Block {
         self.cached = self.inner.caches(flags);
         let mappable =
             flags.contains(vk::MemoryPropertyFlags::HOST_VISIBLE | vk::MemoryPropertyFlags::HOST_COHERENT);
-        // Accessing a GPU's own memory word by word over the bus is slower than staging.
-        if mappable && (kind == MemoryKind::HostVisible || self.inner.unified_memory) {
+        // Reading a GPU's own memory word by word over the bus is slower than staging: see `is_read_mapped`.
+        if mappable && (kind == MemoryKind::HostVisible || self.inner.place.is_mapped()) {
             // SAFETY: host-visible memory, mapped once, whole; freeing it unmaps it.
             let address =
                 unsafe { device.map_memory(self.memory, 0, vk::WHOLE_SIZE, vk::MemoryMapFlags::empty()) };
@@ -223,7 +234,7 @@ impl Block {
         // SAFETY: the allocator guarantees the requested size, alignment and type; the buffer is bound once.
         let bound = unsafe { self.inner.device.bind_buffer_memory(self.raw, piece.memory, piece.offset) };
         bound.map_err(vk_error("vkBindBufferMemory"))?;
-        if kind == MemoryKind::HostVisible || self.inner.unified_memory {
+        if kind == MemoryKind::HostVisible || self.inner.place == Place::Unified {
             self.mapping = piece.mapped.map(|address| Mutex::new(Mapping(address)));
         }
         Ok(())
@@ -313,8 +324,7 @@ impl Device {
 
     /// The best of the allowed memory types.
     pub(super) fn memory_type(&self, allowed: u32, kind: MemoryKind) -> Result<u32> {
-        let types = self.memory.memory_types_as_slice();
-        memory_types::best(types, allowed, kind, self.unified_memory).ok_or_else(|| {
+        memory_types::best(&self.memory, allowed, kind, self.place).ok_or_else(|| {
             let device = self.description.name.clone();
             Error::MissingFeature { device, feature: format!("a memory type for {kind:?} memory") }
         })

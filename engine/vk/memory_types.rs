@@ -3,19 +3,74 @@
 use super::allocator::MemoryKind;
 use ash::vk;
 
-/// The best memory type for a kind: the first whose flags contain a wish, wishes in order.
-pub(super) fn best(types: &[vk::MemoryType], allowed: u32, kind: MemoryKind, unified: bool) -> Option<u32> {
+/// Where device memory lies, as the host sees it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Place {
+    /// It is the host's.
+    Unified,
+    /// A card's, all of which the host can write (resizable BAR).
+    Window,
+    /// A card's.
+    Card,
+}
+
+impl Place {
+    /// Whether the host writes device memory directly.
+    pub(super) fn is_mapped(self) -> bool {
+        self != Self::Card
+    }
+
+    /// Of a card: [`Place::Window`] if the host sees all of its memory, not the 256 MiB of old.
+    pub(super) fn of_card(memory: &vk::PhysicalDeviceMemoryProperties) -> Self {
+        const OLD_WINDOW: u64 = 256 << 20;
+        type Flags = vk::MemoryPropertyFlags;
+        let heaps = memory.memory_heaps_as_slice();
+        let local = heaps.iter().filter(|heap| heap.flags.contains(vk::MemoryHeapFlags::DEVICE_LOCAL));
+        let largest = local.map(|heap| heap.size).max().unwrap_or(0);
+        let seen = memory.memory_types_as_slice().iter().any(|of| {
+            let flags = Flags::DEVICE_LOCAL | Flags::HOST_VISIBLE | Flags::HOST_COHERENT;
+            let size = heaps.get(of.heap_index as usize).map_or(0, |heap| heap.size);
+            of.property_flags.contains(flags)
+                && !of.property_flags.intersects(SPECIAL)
+                && size == largest
+                && size > OLD_WINDOW
+        });
+        if seen { Self::Window } else { Self::Card }
+    }
+}
+
+/// Types that need special treatment.
+const SPECIAL: vk::MemoryPropertyFlags = vk::MemoryPropertyFlags::from_raw(
+    vk::MemoryPropertyFlags::PROTECTED.as_raw()
+        | vk::MemoryPropertyFlags::LAZILY_ALLOCATED.as_raw()
+        | vk::MemoryPropertyFlags::DEVICE_COHERENT_AMD.as_raw(),
+);
+
+/// The best memory type for a kind: the first whose flags contain a wish, wishes in order. Of types with the same flags the one
+/// in the largest heap.
+pub(super) fn best(
+    memory: &vk::PhysicalDeviceMemoryProperties,
+    allowed: u32,
+    kind: MemoryKind,
+    place: Place,
+) -> Option<u32> {
     type Flags = vk::MemoryPropertyFlags;
+    let (types, heaps) = (memory.memory_types_as_slice(), memory.memory_heaps_as_slice());
     let coherent = Flags::HOST_VISIBLE | Flags::HOST_COHERENT;
     // (required flags, unwanted flags)
-    let wishes = match (kind, unified) {
-        (MemoryKind::Device, true) => vec![
+    let wishes = match (kind, place) {
+        (MemoryKind::Device, Place::Unified) => vec![
             (Flags::DEVICE_LOCAL | coherent | Flags::HOST_CACHED, Flags::empty()),
             (Flags::DEVICE_LOCAL | coherent, Flags::empty()),
             (Flags::DEVICE_LOCAL, Flags::empty()),
             (Flags::empty(), Flags::empty()),
         ],
-        (MemoryKind::Device, false) => vec![
+        (MemoryKind::Device, Place::Window) => vec![
+            (Flags::DEVICE_LOCAL | coherent, Flags::empty()),
+            (Flags::DEVICE_LOCAL, Flags::empty()),
+            (Flags::empty(), Flags::empty()),
+        ],
+        (MemoryKind::Device, Place::Card) => vec![
             (Flags::DEVICE_LOCAL, Flags::HOST_VISIBLE),
             (Flags::DEVICE_LOCAL, Flags::empty()),
             (Flags::empty(), Flags::empty()),
@@ -31,11 +86,16 @@ pub(super) fn best(types: &[vk::MemoryType], allowed: u32, kind: MemoryKind, uni
         allowed & (1 << index) != 0
             && flags.contains(with)
             && !flags.intersects(without)
-            // Types that need special treatment.
-            && !flags.intersects(Flags::PROTECTED | Flags::LAZILY_ALLOCATED | Flags::DEVICE_COHERENT_AMD)
+            && !flags.intersects(SPECIAL)
     };
-    let mut found =
-        wishes.iter().filter_map(|&(with, without)| (0..types.len()).find(|&i| fits(i, with, without)));
+    let size = |index: usize| heaps.get(types[index].heap_index as usize).map_or(0, |heap| heap.size);
+    let mut found = wishes.iter().filter_map(|&(with, without)| {
+        // The first of the largest: `max_by_key` gives the last.
+        (0..types.len()).rev().filter(|&i| fits(i, with, without)).max_by_key(|&i| {
+            // A window of 256 MiB is no place for arenas, and host memory is as good in any heap.
+            if kind == MemoryKind::Device { size(i) } else { 0 }
+        })
+    });
     found.next().map(|i| i as u32)
 }
 
@@ -46,12 +106,62 @@ mod tests {
 
     const SEEN: Flags = Flags::from_raw(Flags::HOST_VISIBLE.as_raw() | Flags::HOST_COHERENT.as_raw());
 
-    fn types(flags: &[Flags]) -> Vec<vk::MemoryType> {
-        flags.iter().map(|&property_flags| vk::MemoryType { property_flags, heap_index: 0 }).collect()
+    const CACHED: Flags = Flags::from_raw(SEEN.as_raw() | Flags::HOST_CACHED.as_raw());
+    const LOCAL: Flags = Flags::DEVICE_LOCAL;
+
+    /// Types with their heaps; heaps in MiB, and whether they are the device's.
+    fn memory(types: &[(Flags, u32)], heaps: &[(u64, bool)]) -> vk::PhysicalDeviceMemoryProperties {
+        let mut memory = vk::PhysicalDeviceMemoryProperties::default();
+        (memory.memory_type_count, memory.memory_heap_count) = (types.len() as u32, heaps.len() as u32);
+        for (to, &(property_flags, heap_index)) in memory.memory_types.iter_mut().zip(types) {
+            *to = vk::MemoryType { property_flags, heap_index };
+        }
+        for (to, &(mib, local)) in memory.memory_heaps.iter_mut().zip(heaps) {
+            let flags = if local { vk::MemoryHeapFlags::DEVICE_LOCAL } else { vk::MemoryHeapFlags::empty() };
+            *to = vk::MemoryHeap { size: mib << 20, flags };
+        }
+        memory
+    }
+
+    fn types(flags: &[Flags]) -> vk::PhysicalDeviceMemoryProperties {
+        memory(&flags.iter().map(|&flags| (flags, 0)).collect::<Vec<_>>(), &[(0, true)])
     }
 
     fn of(flags: &[Flags], unified: bool) -> [Option<u32>; 2] {
-        [MemoryKind::Device, MemoryKind::HostVisible].map(|kind| best(&types(flags), u32::MAX, kind, unified))
+        let place = if unified { Place::Unified } else { Place::Card };
+        [MemoryKind::Device, MemoryKind::HostVisible].map(|kind| best(&types(flags), u32::MAX, kind, place))
+    }
+
+    /// The tables of cards as drivers give them (vulkan.gpuinfo.org), shortened by types for images.
+    #[test]
+    fn all_of_a_cards_memory_is_written_directly_where_the_host_sees_it() {
+        let chosen = |types: &[(Flags, u32)], heaps: &[(u64, bool)]| {
+            let memory = memory(types, heaps);
+            let place = Place::of_card(&memory);
+            let kinds = [MemoryKind::Device, MemoryKind::HostVisible];
+            (place, kinds.map(|kind| best(&memory, u32::MAX, kind, place)))
+        };
+        // NVIDIA, RTX 30 and later without and with resizable BAR: the window is a heap of its own, or it is gone.
+        let nvidia = [(Flags::empty(), 1), (LOCAL, 0), (SEEN, 1), (CACHED, 1), (LOCAL | SEEN, 2)];
+        let window = chosen(&nvidia, &[(24_576, true), (32_768, false), (246, true)]);
+        assert_eq!(window, (Place::Card, [Some(1), Some(3)]));
+        let whole = [(Flags::empty(), 1), (LOCAL, 0), (SEEN, 1), (CACHED, 1), (LOCAL | SEEN, 0)];
+        assert_eq!(chosen(&whole, &[(24_576, true), (32_768, false)]), (Place::Window, [Some(4), Some(3)]));
+        // AMD by Mesa: without, with the old window, and with all of it. Its coherent types come last.
+        let amd =
+            [(LOCAL, 0), (SEEN, 1), (LOCAL | SEEN, 2), (CACHED, 1), (LOCAL | Flags::DEVICE_COHERENT_AMD, 0)];
+        let window = chosen(&amd, &[(7_936, true), (16_000, false), (256, true)]);
+        assert_eq!(window, (Place::Card, [Some(0), Some(3)]));
+        let whole = [(LOCAL, 0), (SEEN, 1), (LOCAL | SEEN, 0), (CACHED, 1)];
+        assert_eq!(chosen(&whole, &[(16_368, true), (16_000, false)]), (Place::Window, [Some(2), Some(3)]));
+        // Intel's Arc.
+        let arc = [(LOCAL, 0), (SEEN, 1), (CACHED, 1), (LOCAL | SEEN, 0)];
+        assert_eq!(chosen(&arc, &[(16_256, true), (31_900, false)]), (Place::Window, [Some(3), Some(2)]));
+        // A card whose memory no host sees.
+        assert_eq!(chosen(&[(LOCAL, 0), (SEEN, 1)], &[(8_192, true), (8_192, false)]).0, Place::Card);
+        // What only special types show is not seen.
+        let special = [(LOCAL, 0), (LOCAL | SEEN | Flags::DEVICE_COHERENT_AMD, 0), (CACHED, 1)];
+        assert_eq!(chosen(&special, &[(8_192, true), (8_192, false)]), (Place::Card, [Some(0), Some(2)]));
     }
 
     /// A card with a window of its memory on the bus: parameters stay where the host does not see them, read-back is cached.
@@ -84,9 +194,9 @@ mod tests {
     #[test]
     fn only_allowed_types_are_taken() {
         let two = types(&[Flags::DEVICE_LOCAL, Flags::DEVICE_LOCAL]);
-        assert_eq!(best(&two, 0b10, MemoryKind::Device, false), Some(1));
-        assert_eq!(best(&two, 0b11, MemoryKind::HostVisible, false), None);
+        assert_eq!(best(&two, 0b10, MemoryKind::Device, Place::Card), Some(1));
+        assert_eq!(best(&two, 0b11, MemoryKind::HostVisible, Place::Card), None);
         let special = types(&[Flags::DEVICE_LOCAL | Flags::DEVICE_COHERENT_AMD, Flags::empty()]);
-        assert_eq!(best(&special, 0b11, MemoryKind::Device, false), Some(1));
+        assert_eq!(best(&special, 0b11, MemoryKind::Device, Place::Card), Some(1));
     }
 }

@@ -26,6 +26,7 @@
 //! | `hazard` | finds missing barriers while recording |
 //! | `recorder` | [`Recorder`]: dispatch, fill, copy, barrier, scope |
 //! | `bind`, `record_image`, `record_audit` | further parts of the recorder |
+//! | `memory_rates` | [`Context::measure_memory`] |
 //! | `submit`, `transfer` | [`Context::submit`], [`Pending`], [`RunReport`]; [`Context::upload`], [`Context::download`] |
 //! | `foreign`, `slot_recording` | [`Context::from_foreign`], [`RecordSlot`], [`SlotRecording`] |
 //! | `faults`, `failing_calls`, `guard_bands`, `guards`, `limits_override`, `record_testing` | with the feature `testing` |
@@ -93,6 +94,7 @@ mod limits;
 #[cfg(feature = "testing")]
 mod limits_override;
 mod memory;
+mod memory_rates;
 mod memory_types;
 mod open;
 mod open_device;
@@ -139,6 +141,7 @@ pub use limits::{Limits, SpecOverride, is_kernel_of, is_yardstick};
 #[cfg(feature = "testing")]
 pub use limits_override::LimitsOverride;
 pub use memory::{PLACEMENT_ALIGNMENT, Packing, SMALLEST_BUFFER, pack};
+pub use memory_rates::MemoryRates;
 pub use open::ContextOptions;
 pub use pipeline_cache::{PipelineCacheKey, PipelineCacheStore};
 pub use pipeline_statistics::PipelineStatistics;

@@ -20,6 +20,7 @@ use super::instance::Instance;
 use super::limits::{Limits, SpecOverride};
 #[cfg(feature = "testing")]
 use super::limits_override::LimitsOverride;
+use super::memory_types::Place;
 use super::open_device::{Device, Owner};
 use super::pipeline_cache::{PipelineCache, PipelineCacheStore};
 use super::raw_device::RawDevice;
@@ -85,6 +86,9 @@ pub struct ContextOptions {
     /// that memory holds. For [`Context::pipeline_statistics`], also on drivers without hardware. It is an error if the device
     /// lacks VK_KHR_pipeline_executable_properties. Default: None, everything runs.
     pub compile_only: Option<CompileOnly>,
+    /// Write a card's memory directly where the host sees all of it (resizable BAR), instead of by copies. It is read by copies all
+    /// the same. Default: yes; never on a host's device. `ashsplat devices --measure` says what both are worth.
+    pub direct_writes: bool,
     /// Use VK_KHR_push_descriptor if the device has it. Default: yes.
     pub push_descriptors: bool,
     /// Let kernels read buffers as texels on processors, where that is faster. The views are made while
@@ -144,6 +148,7 @@ impl Default for ContextOptions {
             #[cfg(feature = "testing")]
             faults: None,
             compile_only: None,
+            direct_writes: true,
             push_descriptors: true,
             texels: true,
             instance_extensions: Vec::new(),
@@ -263,9 +268,13 @@ impl Context {
         if !runs {
             memory = compile_only::memory_properties();
         }
-        let unified_memory = candidate.has_unified_memory() || !runs;
+        let place = match candidate.has_unified_memory() || !runs {
+            true => Place::Unified,
+            false if foreign || !options.direct_writes => Place::Card,
+            false => Place::of_card(&memory),
+        };
         #[cfg(feature = "testing")]
-        let unified_memory = unified_memory && !options.force_staging;
+        let place = if options.force_staging { Place::Card } else { place };
         // From here on, dropping it destroys whatever there is.
         let mut open = Device {
             push_descriptor: push.then(|| match runs {
@@ -287,7 +296,7 @@ impl Context {
             },
             limits,
             memory,
-            unified_memory,
+            place,
             #[cfg(feature = "testing")]
             force_uncached: options.force_uncached,
             timestamp_bits: if options.timestamps && runs { family.timestamp_valid_bits } else { 0 },

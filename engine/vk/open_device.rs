@@ -12,6 +12,7 @@ use super::error::vk_error;
 use super::executables::Executables;
 use super::instance::Instance;
 use super::limits::Limits;
+use super::memory_types::Place;
 use super::pipeline_cache::PipelineCache;
 use super::raw_device::RawDevice;
 use super::spirv::SubgroupRules;
@@ -43,8 +44,8 @@ pub(super) struct Device {
     /// Of kernels that use subgroups.
     pub(super) subgroup_rules: SubgroupRules,
     pub(super) memory: vk::PhysicalDeviceMemoryProperties,
-    /// Whether device memory is the host's memory. Mapping is then the fastest transfer.
-    pub(super) unified_memory: bool,
+    /// Where device memory lies: whether mapping is the fastest way in.
+    pub(super) place: Place,
     #[cfg(feature = "testing")]
     pub(super) force_uncached: bool,
     pub(super) timestamp_bits: u32,

@@ -10,7 +10,7 @@ use super::commands::{Commands, Pools};
 use super::copy_queue::CopyQueue;
 use super::memory::PLACEMENT_ALIGNMENT;
 use super::open_device::Device;
-use crate::Result;
+use crate::{Error, Result};
 use ash::vk;
 use std::collections::VecDeque;
 use std::ops::Range;
@@ -78,9 +78,11 @@ impl Ring {
                     self.buffer = Some(buffer.clone());
                     return Ok(buffer);
                 }
-                (Err(_), Some(smaller)) => return Ok(smaller.clone()),
-                (Err(_), None) if wanted > LEAST_RING_BYTES => wanted = (wanted / 2).max(LEAST_RING_BYTES),
-                (Err(error), None) => return Err(error),
+                (Err(Error::TooLarge { .. }), Some(smaller)) => return Ok(smaller.clone()),
+                (Err(Error::TooLarge { .. }), None) if wanted > LEAST_RING_BYTES => {
+                    wanted = (wanted / 2).max(LEAST_RING_BYTES);
+                }
+                (Err(error), _) => return Err(error),
             }
         }
     }
@@ -92,7 +94,8 @@ impl Ring {
         let length = bytes.min(most);
         let first = if self.head + length > ring.bytes() { 0 } else { self.head };
         let place = first..first + length;
-        while self.running.iter().any(|piece| piece.bytes.start < place.end && place.start < piece.bytes.end) {
+        while self.running.iter().any(|piece| piece.bytes.start < place.end && place.start < piece.bytes.end)
+        {
             self.wait_oldest(device)?;
         }
         Ok((ring, place))

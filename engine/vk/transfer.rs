@@ -2,6 +2,7 @@
 
 use super::buffer::Buffer;
 use super::context::Context;
+use super::memory_types::Place;
 use super::recorder::MAX_UPDATE_BYTES;
 use crate::{Error, Result};
 use std::sync::PoisonError;
@@ -50,7 +51,7 @@ impl Context {
     /// and nothing in flight uses them: on a device with a queue for copies they may be written at once.
     ///
     /// # Errors
-    /// As [`Context::upload`]. Failures of the copy itself are those of the next transfer.
+    /// As [`Context::upload`]. Failures of the copy itself are those of a later transfer or of [`Context::finish_uploads`].
     pub(crate) fn begin_upload(&self, buffer: &Buffer, bytes: &[u8]) -> Result<()> {
         if buffer.block().is_mapped() || self.is_foreign() || self.is_watched() {
             return self.upload(buffer, bytes);
@@ -85,6 +86,14 @@ impl Context {
             return self.upload_watched(buffer, bytes);
         }
         self.copy_staged(buffer, bytes, true)?;
+        self.finish_uploads()
+    }
+
+    /// Waits for all uploads that were begun.
+    ///
+    /// # Errors
+    /// Those of the copies.
+    pub(crate) fn finish_uploads(&self) -> Result<()> {
         self.take_over_uploads()?;
         self.staging.lock().settle(&self.device)
     }
@@ -183,6 +192,6 @@ impl Context {
 
     /// Most bytes of temporary memory for an upload of `bytes` bytes.
     pub(crate) fn staging_bytes(&self, bytes: u64) -> u64 {
-        if self.device.unified_memory { 0 } else { bytes.min(CHUNK_BYTES) }
+        if self.device.place == Place::Unified { 0 } else { bytes.min(CHUNK_BYTES) }
     }
 }

@@ -165,6 +165,58 @@ fn transfers_give_back_what_they_got() {
     }
 }
 
+/// Every upload of many through a ring that holds four pieces of them, sizes and order as they come; the memory goes back when
+/// asked for or when another allocation needs it.
+#[test]
+fn staging_is_a_ring_that_is_kept_and_given_back() {
+    let options = ContextOptions { force_staging: true, ..common::options() };
+    let context = Context::new(&options).expect("a context");
+    let staging =
+        || context.memory().iter().find(|arena| arena.name == "staging").map_or(0, |arena| arena.bytes);
+    let sizes = [70_000, 300_004, 65_541, 9 << 20, 100_000, 33 << 20, 70_000];
+    let requests: Vec<_> = sizes.iter().map(|&bytes| ("data", bytes as u64)).collect();
+    let buffers = context.allocate("transfers", &requests, MemoryKind::Device).expect("memory");
+    let mut kept = 0;
+    for round in 0..2 {
+        for (buffer, bytes) in buffers.iter().zip(sizes) {
+            let mut content = pattern(bytes);
+            content[0] = round;
+            context.upload(buffer, &content).expect("upload");
+            assert!(staging() >= kept && staging() <= 32 << 20, "{} bytes of staging", staging());
+            kept = staging();
+        }
+        for (buffer, bytes) in buffers.iter().zip(sizes) {
+            let back = context.download(buffer).expect("download");
+            assert!(back[0] == round && back[1..bytes] == pattern(bytes)[1..], "{bytes} bytes");
+        }
+    }
+    assert_eq!(kept, 32 << 20);
+    assert!(context.free_staging() && !context.free_staging());
+    assert_eq!(staging(), 0);
+    // A bound that leaves less than the ring likes, and then nothing.
+    context.upload(&buffers[3], &pattern(9 << 20)).expect("upload");
+    let used = context.memory_total().bytes;
+    context.set_max_memory(Some(used));
+    drop(context.allocate("more", &[("a", 16 << 20)], MemoryKind::Device).expect("in the ring's place"));
+    let left = context.memory_total().bytes + (1 << 20);
+    context.set_max_memory(Some(left));
+    context.upload(&buffers[3], &pattern(9 << 20)).expect("by a smaller ring");
+    assert!(staging() > 0 && staging() <= 1 << 20, "{}", staging());
+    assert!(context.download(&buffers[3]).expect("download")[..9 << 20] == pattern(9 << 20));
+    common::assert_silent(&context);
+}
+
+#[test]
+fn every_memory_type_that_the_host_sees_is_measured() {
+    let context = common::context();
+    let all = context.measure_memory(1 << 20).expect("rates");
+    assert!(!all.is_empty() && all.iter().all(|of| of.heap_bytes > 0));
+    let rates = all.iter().flat_map(|of| [of.write, of.read, of.to_device, of.from_device]);
+    assert!(rates.into_iter().all(|rate| rate.is_finite() && rate > 0.0), "{all:?}");
+    assert!(context.measure_memory(0).is_err());
+    common::assert_silent(context);
+}
+
 #[test]
 fn host_access_outside_or_to_device_memory_is_refused() {
     let context = common::context();

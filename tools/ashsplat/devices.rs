@@ -1,7 +1,7 @@
 //! `ashsplat devices`.
 
 use ashsplat::Result;
-use ashsplat::vk::{self, DeviceDescription};
+use ashsplat::vk::{self, Context, ContextOptions, DeviceDescription};
 use clap::Args;
 
 /// The Vulkan devices of this machine, with the limits that matter. Choose one with --device or ASHSPLAT_DEVICE.
@@ -10,7 +10,13 @@ pub struct Arguments {
     /// Print instead what a host engine has to enable on its own device to embed ashsplat
     #[arg(long)]
     requirements: bool,
+    /// Measure, too, how fast the host writes and reads each kind of memory that it sees, and how fast the device copies
+    #[arg(long, conflicts_with = "requirements")]
+    measure: bool,
 }
+
+/// Of a buffer that is measured.
+const MEASURED_BYTES: u64 = 64 << 20;
 
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<()> {
@@ -20,6 +26,32 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     }
     for device in vk::devices()? {
         print(&device);
+        if arguments.measure && device.problem.is_none() {
+            measure(&device)?;
+        }
+    }
+    Ok(())
+}
+
+/// A line for each memory type that the host sees, GB/s.
+fn measure(device: &DeviceDescription) -> Result<()> {
+    let options = ContextOptions { device: Some(device.index.to_string()), ..ContextOptions::default() };
+    let context = Context::new(&options)?;
+    say!(
+        "   GB/s            {:>11} {:>11} {:>11} {:>11}",
+        "host writes",
+        "host reads",
+        "to device",
+        "from device"
+    );
+    for of in context.measure_memory(MEASURED_BYTES)? {
+        let place = if of.device_local { "device" } else { "host" };
+        let cached = if of.cached { ", cached" } else { "" };
+        let [write, read, to, from] =
+            [of.write, of.read, of.to_device, of.from_device].map(|rate| rate * 1e-9);
+        let arenas = if of.holds_arenas { "  uploads write here" } else { "" };
+        let name = format!("{place}{cached}");
+        say!("   {:<2} {name:12} {write:>11.2} {read:>11.2} {to:>11.2} {from:>11.2}{arenas}", of.memory_type);
     }
     Ok(())
 }
