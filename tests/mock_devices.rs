@@ -17,12 +17,13 @@ use crate::common::engine::{camera, gaussians};
 use crate::common::scenes::{Random, mixed_scene, small_view};
 use crate::common::{assert_silent, child, context, options, root};
 
-/// What a child runs: what the device claims to be, trainings and pictures for the parent, transfers of all kinds, and kernels
-/// whose workgroups and shared memory follow the limits.
-const SELECTION: [&str; 7] = [
+/// What a child runs: what the device claims to be, trainings and pictures for the parent, transfers of all kinds, kernels
+/// whose workgroups and shared memory follow the limits, and a training whose photographs come from a file.
+const SELECTION: [&str; 8] = [
     "mock_device_claims_in_a_child",
     "mock_device_results_in_a_child",
     "vk::memory::transfers_give_back_what_they_got",
+    "photos::photos_from_a_file_give_the_same_bits",
     "kernels::scan_apply::scan_apply_equals_its_twin",
     "kernels::sort_downsweep::sort_downsweep_equals_its_twin",
     "kernels::blend_shared::blend_shared_equals_blend_on_images_of_all_sizes_and_opaque_layers",

@@ -206,6 +206,47 @@ fn staging_is_a_ring_that_is_kept_and_given_back() {
     common::assert_silent(&context);
 }
 
+/// What a ring is worth: photographs of a data set, each by memory of its own and a wait for each 16 MiB, as it was, and by the
+/// ring. Prints seconds; run it alone.
+#[test]
+#[ignore = "a measurement, which proves nothing"]
+fn staging_by_a_ring_is_measured() {
+    let options = ContextOptions { force_staging: true, validation: false, ..common::options() };
+    let context = Context::new(&options).expect("a context");
+    for bytes in [130_000, 518_400, 8 << 20, 40 << 20] {
+        let content = pattern(bytes);
+        let requests = vec![("photo", bytes as u64); (100_000_000 / bytes).max(2)];
+        let buffers = context.allocate("photos", &requests, MemoryKind::Device).expect("memory");
+        let alone = || {
+            for buffer in &buffers {
+                let chunk = bytes.min(16 << 20);
+                let request = [("staging", chunk as u64)];
+                let staging = context.allocate("alone", &request, MemoryKind::HostVisible).expect("memory");
+                for (number, part) in content.chunks(chunk).enumerate() {
+                    staging[0].write(0, part).expect("written");
+                    let (from, to) = (staging[0].range(0, part.len() as u64), (number * chunk) as u64);
+                    let copied = context.run("upload", |recorder| {
+                        recorder.copy(&from, &buffer.range(to, part.len() as u64));
+                        Ok(())
+                    });
+                    copied.expect("copied");
+                }
+            }
+        };
+        let ring = || buffers.iter().for_each(|buffer| context.upload(buffer, &content).expect("upload"));
+        let seconds = |work: &dyn Fn()| {
+            let begin = std::time::Instant::now();
+            work();
+            begin.elapsed().as_secs_f64()
+        };
+        let mut best = [f64::INFINITY; 2];
+        for _ in 0..7 {
+            best = [best[0].min(seconds(&alone)), best[1].min(seconds(&ring))];
+        }
+        eprintln!("{} of {bytes} bytes: {:.4} s alone, {:.4} s by the ring", buffers.len(), best[0], best[1]);
+    }
+}
+
 #[test]
 fn every_memory_type_that_the_host_sees_is_measured() {
     let context = common::context();
