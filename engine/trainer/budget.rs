@@ -148,7 +148,7 @@ impl Before<'_> {
         // A reserve: densification reallocates when it is used up.
         let wanted = count.saturating_add(count / 2).max(1 << 12).min(most);
         let Some((limit, limit_name)) = context.memory_limit() else { return Ok(wanted) };
-        let free = limit.saturating_sub(context.memory_total().bytes);
+        let free = limit.saturating_sub(context.held_bytes());
         let buffers = |capacity: u32| -> Result<u64> {
             let plan = ScenePlan::new(context.limits(), capacity, sh_degree)?;
             Ok(self.buffer_bytes(context, &plan, Some(self.first_frame(context, capacity, self.pictures()))))
@@ -199,9 +199,7 @@ impl Before<'_> {
             return false;
         }
         let needed = self.buffer_bytes(context, &plan, frame) + self.photo_bytes.held;
-        context
-            .memory_limit()
-            .is_none_or(|(limit, _)| needed <= limit.saturating_sub(context.memory_total().bytes))
+        context.memory_limit().is_none_or(|(limit, _)| needed <= limit.saturating_sub(context.held_bytes()))
     }
 }
 
@@ -239,7 +237,7 @@ impl Present<'_> {
             u64::from(frame.instances) * u64::from(plan.capacity) / u64::from(old.capacity.max(1));
         let full =
             FrameCapacity { instances: instances.min(max_trained_instances(limits).into()) as u32, ..grown };
-        let beside = (context.memory_total().bytes + rows.bytes(plan)).saturating_sub(*old_frame);
+        let beside = (context.held_bytes() + rows.bytes(plan)).saturating_sub(*old_frame);
         let during = beside + frame_bytes(&grown, &sizes);
         let after = (beside + frame_bytes(&full, &sizes)).saturating_sub(rows.bytes(old));
         during.max(after) <= limit
@@ -272,7 +270,7 @@ impl Present<'_> {
     fn holds(&self, instances: u32) -> bool {
         let Some((limit, _)) = self.context.memory_limit() else { return true };
         let full = FrameCapacity { instances: instances.max(self.frame.instances), ..self.frame };
-        let beside = self.context.memory_total().bytes.saturating_sub(self.frame_bytes);
+        let beside = self.context.held_bytes().saturating_sub(self.frame_bytes);
         instances <= self.frame.instances
             || beside + frame_bytes(&full, &LaunchSizes::new(self.context.limits())) <= limit
     }

@@ -249,6 +249,7 @@ pub(super) struct Stream {
 }
 
 struct Running {
+    context: Context,
     schedule: Residency,
     /// The prepared iteration.
     iteration: u32,
@@ -259,6 +260,13 @@ struct Running {
     texels: Receiver<Result<Vec<u8>>>,
 }
 
+impl Drop for Running {
+    fn drop(&mut self) {
+        // A load that has begun uses memory that goes now. After an error there is nothing to wait for.
+        let _ = self.context.finish_uploads();
+    }
+}
+
 impl Stream {
     fn prepare(&mut self, context: &Context, iteration: u32) -> Result<()> {
         if self.running.as_ref().is_some_and(|running| running.iteration == iteration) {
@@ -267,7 +275,7 @@ impl Stream {
         // Restarts at the first iteration, after a checkpoint and after a failure.
         let mut running = match self.running.take() {
             Some(running) if running.iteration + 1 == iteration => running,
-            _ => self.start(windowing_of(context), iteration)?,
+            _ => self.start(context, iteration)?,
         };
         running.iteration = iteration;
         let (at, begun) = running.ahead.take().unwrap_or_else(|| (running.schedule.advance(), false));
@@ -302,7 +310,8 @@ impl Stream {
         Ok(())
     }
 
-    fn start(&self, windowing: Windowing, iteration: u32) -> Result<Running> {
+    fn start(&self, context: &Context, iteration: u32) -> Result<Running> {
+        let windowing = windowing_of(context);
         let order = ViewOrder::new(self.seed, self.photos.len());
         let schedule = Residency::new(order, self.places.len(), iteration);
         let (mut ahead, photos) = (schedule.clone(), self.photos.clone());
@@ -325,6 +334,14 @@ impl Stream {
             .name("photographs".into())
             .spawn(read)
             .map_err(|e| Error::argument("photographs", format!("no thread to read them: {e}")))?;
-        Ok(Running { schedule, iteration, at: Use { view: 0, place: 0, load: false }, ahead: None, texels })
+        let context = context.clone();
+        Ok(Running {
+            context,
+            schedule,
+            iteration,
+            at: Use { view: 0, place: 0, load: false },
+            ahead: None,
+            texels,
+        })
     }
 }

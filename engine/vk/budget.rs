@@ -5,6 +5,7 @@ use super::allocator::MemoryKind;
 use super::arenas::ArenaMemory;
 use super::buffer::Buffer;
 use super::context::Context;
+use super::staging::LEAST_RING_BYTES;
 use crate::{Error, Result};
 use ash::vk;
 use std::sync::PoisonError;
@@ -41,6 +42,13 @@ impl Context {
     /// flight. Returns whether there was any. Allocations that would not fit do so themselves.
     pub fn free_staging(&self) -> bool {
         self.staging.lock().free()
+    }
+
+    /// Bytes of all arenas, for plans of what may be allocated beside them. The ring of staging memory counts with the least that a
+    /// transfer needs, whatever it holds: it makes room. So a plan does not depend on what was transferred before.
+    pub(crate) fn held_bytes(&self) -> u64 {
+        let ring = self.staging.lock().bytes();
+        self.memory_total().bytes.saturating_sub(ring) + self.staging_bytes(LEAST_RING_BYTES)
     }
 
     /// Bytes that [`Context::allocate`] takes for these requests. For requests that it refuses, their sum.

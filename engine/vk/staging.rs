@@ -19,7 +19,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 /// Most bytes of the ring.
 const RING_BYTES: u64 = 32 << 20;
 /// Fewest, where memory is bounded: larger than an update that a recording holds itself.
-const LEAST_RING_BYTES: u64 = 1 << 18;
+pub(super) const LEAST_RING_BYTES: u64 = 1 << 18;
 /// Pieces that a ring holds at least: the host writes one while the others are copied.
 const PIECES: u64 = 4;
 
@@ -146,20 +146,25 @@ impl Ring {
     /// is written. The host does not wait.
     pub(super) fn take_over(&mut self, pools: &Arc<Pools>) -> Result<()> {
         let device = pools.device();
-        let Some(queue) = device.copying.as_ref().filter(|_| !self.released.is_empty()) else {
-            return Ok(());
-        };
+        // After an error the uploads have failed: nobody reads what they wrote.
+        let released = std::mem::take(&mut self.released);
+        let Some(queue) = device.copying.as_ref().filter(|_| !released.is_empty()) else { return Ok(()) };
         let mut commands = Commands::begin(pools, "take over uploads", false)?;
-        for to in &self.released {
+        for to in &released {
             let acquire = owner_change(queue, device, to)
                 .dst_stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)
                 .dst_access_mask(vk::AccessFlags2::MEMORY_READ | vk::AccessFlags2::MEMORY_WRITE);
             commands.buffer_barrier(acquire);
         }
         commands.submit_after(Some(queue.copied.last()))?;
-        let kept = std::mem::take(&mut self.released);
-        self.running.push_back(Piece { commands, bytes: 0..0, _kept: kept });
+        self.running.push_back(Piece { commands, bytes: 0..0, _kept: released });
         Ok(())
+    }
+
+    /// Forgets what was copied into a buffer: the upload has failed.
+    pub(super) fn forget(&mut self, to: &Buffer) {
+        let end = to.offset() + to.bytes();
+        self.released.retain(|of| of.raw() != to.raw() || of.offset() < to.offset() || of.offset() >= end);
     }
 
     /// Waits for the oldest submission. An error leaves it in the ring: it may still run.
@@ -176,6 +181,11 @@ impl Ring {
             self.wait_oldest(device)?;
         }
         Ok(())
+    }
+
+    /// Its size now.
+    pub(super) fn bytes(&self) -> u64 {
+        self.buffer.as_ref().map_or(0, Buffer::bytes)
     }
 
     /// Frees the ring's memory, after its submissions. Returns whether there was any.

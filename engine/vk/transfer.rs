@@ -107,7 +107,8 @@ impl Context {
         let mut done = 0;
         while done < bytes.len() {
             let rest = buffer.range(done as u64, buffer.bytes() - done as u64);
-            done += ring.copy(&self.pools, &rest, &bytes[done..], after_work)?;
+            let copied = ring.copy(&self.pools, &rest, &bytes[done..], after_work);
+            done += copied.inspect_err(|_| ring.forget(buffer))?;
         }
         Ok(())
     }

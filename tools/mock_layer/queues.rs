@@ -28,7 +28,6 @@ struct Held {
 pub(crate) struct Submissions {
     queue: vk::Queue,
     /// By family and index. The boxes give each its address.
-    #[expect(clippy::vec_box, reason = "handles are addresses, which must not move")]
     queues: HashMap<(u32, u32), Box<Queue>>,
     held: Vec<Held>,
 }
@@ -103,11 +102,12 @@ pub(crate) unsafe extern "system" fn submit(
 ) -> vk::Result {
     let state = DeviceState::of(queue);
     let mut submissions = state.submissions();
-    // SAFETY: the caller's arguments; the lock gives the driver's queue to this thread.
-    match submissions.release(&state) {
-        vk::Result::SUCCESS => unsafe { (state.v10.queue_submit)(submissions.queue, count, submits, fence) },
-        error => error,
+    let released = submissions.release(&state);
+    if released != vk::Result::SUCCESS {
+        return released;
     }
+    // SAFETY: the caller's arguments; the lock gives the driver's queue to this thread.
+    unsafe { (state.v10.queue_submit)(submissions.queue, count, submits, fence) }
 }
 
 /// Copies of the lists of a submission, which do not point to anything.
@@ -176,20 +176,22 @@ pub(crate) unsafe extern "system" fn wait_idle(queue: vk::Queue) -> vk::Result {
     let state = DeviceState::of(queue);
     let mut submissions = state.submissions();
     let released = submissions.release(&state);
-    // SAFETY: the lock gives the driver's queue to this thread.
-    if released == vk::Result::SUCCESS {
-        unsafe { (state.v10.queue_wait_idle)(submissions.queue) }
-    } else {
-        released
+    if released != vk::Result::SUCCESS {
+        return released;
     }
+    // SAFETY: the lock gives the driver's queue to this thread.
+    unsafe { (state.v10.queue_wait_idle)(submissions.queue) }
 }
 
 pub(crate) unsafe extern "system" fn device_wait_idle(device: vk::Device) -> vk::Result {
     let state = DeviceState::of(device);
     let mut submissions = state.submissions();
     let released = submissions.release(&state);
-    // SAFETY: as above: it stands for all queues.
-    if released == vk::Result::SUCCESS { unsafe { (state.v10.device_wait_idle)(device) } } else { released }
+    if released != vk::Result::SUCCESS {
+        return released;
+    }
+    // SAFETY: as above: the driver's one queue stands for all.
+    unsafe { (state.v10.device_wait_idle)(device) }
 }
 
 pub(crate) unsafe extern "system" fn present(

@@ -32,7 +32,8 @@ fn remove<T>(table: &Table<T>, key: usize) -> Option<Arc<T>> {
 fn find<T>(table: &Table<T>, key: usize) -> Arc<T> {
     let table = table.read().unwrap_or_else(PoisonError::into_inner);
     let found = table.as_ref().and_then(|table| table.get(&key));
-    found.expect("an object that was made through this layer").clone()
+    let Some(found) = found else { panic!("an object that was not made through this layer") };
+    found.clone()
 }
 
 /// An instance with the functions of what is below.
