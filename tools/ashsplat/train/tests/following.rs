@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::eval::ViewResult;
+use ashsplat::TrainSettings;
 
 fn views(count: u32) -> Vec<View> {
     let view = dataset(1.0).train.remove(0);
