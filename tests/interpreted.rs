@@ -12,10 +12,9 @@ use crate::common::context;
 use crate::common::gpu::Gpu;
 use crate::common::machine::{Machine, on};
 use crate::kernels::{
-    blend, blend_backward, blend_backward_subgroup_per_tile as alone, classify, compact, count, cull,
-    draw_keys, duplicate_with_tiles, loss_reduce, nearest_depths, pose_gradient, project_backward,
-    scan_apply, scan_reduce as reduce, scan_spine, sort_downsweep as downsweep, sort_spine,
-    sort_upsweep as upsweep, sum_weights,
+    blend, blend_backward, classify, compact, count, cull, draw_keys, duplicate_with_tiles, loss_reduce,
+    nearest_depths, pose_gradient, project_backward, scan_apply, scan_reduce as reduce, scan_spine,
+    sort_downsweep as downsweep, sort_spine, sort_upsweep as upsweep, sum_weights,
 };
 
 /// The width of AMD's GPUs, with the elementwise workgroups of all GPUs.
@@ -105,7 +104,7 @@ fn wide_cull_and_compact() {
 
 #[test]
 fn wide_blend() {
-    on_wide_machines(|| blend::blend_equals_its_twin_on_images_of_all_sizes());
+    on_wide_machines(blend::blend_equals_its_twin_on_images_of_all_sizes);
     on(AMD, || {
         blend::blend_equals_its_twin_on_lists_of_all_lengths();
         blend::blend_of_opaque_layers();
@@ -118,10 +117,7 @@ fn wide_blend() {
 
 #[test]
 fn wide_blend_backward() {
-    on_wide_machines(|| {
-        blend_backward::blend_backward_equals_its_twin_on_images_of_all_sizes();
-        alone::blend_backward_alone_equals_its_twin_on_images_of_all_sizes();
-    });
+    on_wide_machines(blend_backward::blend_backward_equals_its_twin_on_images_of_all_sizes);
     on(AMD, || {
         blend_backward::blend_backward_equals_its_twin_on_lists_of_all_lengths();
         blend_backward::blend_backward_of_opaque_layers();

@@ -6,31 +6,31 @@ use super::blend_backward::{
 use crate::common::blending::backward_alone;
 
 #[test]
-pub fn blend_backward_alone_equals_its_twin_on_lists_of_all_lengths() {
+fn blend_backward_alone_equals_its_twin_on_lists_of_all_lengths() {
     on_lists_of_all_lengths(backward_alone);
 }
 
 #[test]
-pub fn blend_backward_alone_equals_its_twin_on_images_of_all_sizes() {
+fn blend_backward_alone_equals_its_twin_on_images_of_all_sizes() {
     on_images_of_all_sizes(backward_alone);
 }
 
 #[test]
-pub fn blend_backward_alone_with_other_sums_equals_its_twin() {
+fn blend_backward_alone_with_other_sums_equals_its_twin() {
     with_other_sums(backward_alone);
 }
 
 #[test]
-pub fn blend_backward_alone_of_opaque_layers() {
+fn blend_backward_alone_of_opaque_layers() {
     of_opaque_layers(backward_alone);
 }
 
 #[test]
-pub fn blend_backward_alone_in_passes() {
+fn blend_backward_alone_in_passes() {
     in_passes(backward_alone);
 }
 
 #[test]
-pub fn blend_backward_alone_of_nothing_is_zero() {
+fn blend_backward_alone_of_nothing_is_zero() {
     of_nothing(backward_alone);
 }

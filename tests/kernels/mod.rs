@@ -6,7 +6,7 @@ mod add_importance;
 mod add_noise;
 pub mod blend;
 pub mod blend_backward;
-pub mod blend_backward_subgroup_per_tile;
+mod blend_backward_subgroup_per_tile;
 mod blend_shared;
 pub mod classify;
 pub mod compact;
