@@ -67,7 +67,7 @@ fn compose_r11g11b10f_leaves_what_nothing_covers() {
     for round in 0..(31 * 64_u32).div_ceil(count) {
         let texel = |i: u32| {
             let code = (round * count + i) % (31 * 64);
-            code | (31 * 64 - 1 - code) << 11 | code % (31 * 32) << 22
+            code | (31 * 64 - 1 - code) << 11 | (code % (31 * 32)) << 22
         };
         // As many texels in a row, wherever the frame lies.
         let texels: Vec<u32> = (0..IMAGE[0] * IMAGE[1]).map(|i| texel(i % count)).collect();
