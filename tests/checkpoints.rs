@@ -207,7 +207,7 @@ fn checkpoints_say_what_else_made_them() {
     assert_eq!(checkpoint.differences(&device, &driver, &kernels), [""; 0]);
     let said = checkpoint.differences(&device, &driver, "gpu, subgroups of 128");
     assert_eq!(said, [format!("was made with kernels of '{kernels}', here it is 'gpu, subgroups of 128'")]);
-    let folder = tempfile::tempdir().expect("a temporary folder");
+    let folder = tempdir().expect("a temporary folder");
     let path = folder.path().join("of_this.safetensors");
     checkpoint.write(&path).expect("written");
     assert_eq!(Checkpoint::read(&path).expect("read").kernels, kernels);

@@ -71,17 +71,21 @@ impl FrameRunner {
         let means = read(attributes.mean2d_extent, c::SPLAT_MEAN2D_EXTENT)?;
         let conics = read(attributes.conic_opacity, c::SPLAT_CONIC_OPACITY)?;
         let shades = read(attributes.color_inverse_depth, c::SPLAT_COLOR_INVERSE_DEPTH)?;
-        let attributes = means.into_iter().zip(conics).zip(shades);
-        let splat = |(gaussian, ((mean, conic), shade)): (u32, (([f32; 4], [f32; 4]), [f32; 4]))| {
-            let [a, b, c, opacity] = conic;
-            let (mean2d_px, depth) = ([mean[0], mean[1]], shade[3].recip());
-            ProjectedSplat { gaussian, mean2d_px, conic: [a, b, c], opacity, depth }
+        let splat = |(at, &gaussian): (usize, &u32)| {
+            let ([x, y, ..], [a, b, c, opacity]) = (means[at], conics[at]);
+            ProjectedSplat {
+                gaussian,
+                mean2d_px: [x, y],
+                conic: [a, b, c],
+                opacity,
+                depth: shades[at][3].recip(),
+            }
         };
         Ok(TileLists {
             tiles_per_row,
             ranges,
             entries,
-            splats: gaussians.into_iter().zip(attributes).map(splat).collect(),
+            splats: gaussians.iter().enumerate().map(splat).collect(),
         })
     }
 }
