@@ -19,7 +19,7 @@ const ON_HOST: u64 = AHEAD + 2;
 /// The views' photographs in the layout of [`photo_on_device`].
 pub(super) enum Photos {
     Resident { texels: Vec<Buffer>, masked: Vec<bool> },
-    Streamed(Stream),
+    Streamed(Box<Stream>),
 }
 
 /// How much of the photographs is on the device at a time.
@@ -173,7 +173,7 @@ impl Photos {
         };
         let places = context.allocate("photos", &vec![("photo", bytes); count], MemoryKind::Device)?;
         let photos = views.iter().map(|view| view.photo.clone()).collect();
-        Ok(Self::Streamed(Stream { photos, places, seed, running: None }))
+        Ok(Self::Streamed(Box::new(Stream { photos, places, seed, running: None })))
     }
 
     /// Whether all photographs stay on the device.

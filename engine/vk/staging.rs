@@ -55,14 +55,11 @@ impl Staging {
 }
 
 impl Ring {
-    /// Bytes that a transfer of so many takes, of a ring that is yet to be made.
-    pub(super) fn bytes_for(bytes: u64) -> u64 {
-        (bytes * PIECES).clamp(LEAST_RING_BYTES, RING_BYTES)
-    }
-
     /// The ring's buffer: made now if there is none or if it is small. What is in flight keeps the old one.
     fn buffer(&mut self, device: &Arc<Device>, bytes: u64) -> Result<Buffer> {
-        let mut wanted = Self::bytes_for(bytes);
+        let most = device.limits.max_storage_buffer_range.min(device.limits.max_allocation_bytes);
+        let least = LEAST_RING_BYTES.min(most / 2);
+        let mut wanted = (bytes * PIECES).clamp(LEAST_RING_BYTES, RING_BYTES).min(most);
         if let Some(buffer) = self.buffer.as_ref().filter(|buffer| buffer.bytes() >= wanted) {
             return Ok(buffer.clone());
         }
@@ -79,8 +76,8 @@ impl Ring {
                     return Ok(buffer);
                 }
                 (Err(Error::TooLarge { .. }), Some(smaller)) => return Ok(smaller.clone()),
-                (Err(Error::TooLarge { .. }), None) if wanted > LEAST_RING_BYTES => {
-                    wanted = (wanted / 2).max(LEAST_RING_BYTES);
+                (Err(Error::TooLarge { .. }), None) if wanted > least => {
+                    wanted = (wanted / 2).max(least);
                 }
                 (Err(error), _) => return Err(error),
             }
