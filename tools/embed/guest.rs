@@ -79,6 +79,7 @@ struct Guest {
     ring: DeviceScene,
     ball: DeviceScene,
     _context: Context,
+    allocator: Arc<Adapter>,
 }
 
 impl Engine {
@@ -147,6 +148,7 @@ impl Engine {
         for number in PICTURES.len() - self.frames.len()..PICTURES.len() {
             report.push(self.finish(host, number, folder)?);
         }
+        report.push(format!("{} pieces of memory of the host's allocator", self.guest.allocator.pieces()));
         Ok(report)
     }
 
@@ -191,7 +193,8 @@ impl Guest {
     fn new(host: &Host, color: &HostTexture, depth: &HostTexture) -> Result<Self> {
         // 2. A context on the host's device, with memory of the host's allocator. Nothing of the host's is ever destroyed by
         // it.
-        let foreign = ForeignDevice { allocator: Some(Arc::new(Adapter::new(host)?)), ..host.foreign() };
+        let allocator = Arc::new(Adapter::new(host)?);
+        let foreign = ForeignDevice { allocator: Some(allocator.clone()), ..host.foreign() };
         // SAFETY: the handles are alive and outlive the guest (`pictures` drops it first); what was enabled is what
         // `Host::new` says; the queue is used by this thread alone.
         let context = unsafe { Context::from_foreign(&foreign, &ContextOptions::default())? };
@@ -213,7 +216,7 @@ impl Guest {
             occlusion: true,
             ..Reservation::new(ring.count() + ball.count(), 1, SIZE[0], SIZE[1])
         })?;
-        Ok(Self { renderer, color, depth, ring, ball, _context: context })
+        Ok(Self { renderer, color, depth, ring, ball, _context: context, allocator })
     }
 
     fn record(
