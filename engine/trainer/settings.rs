@@ -210,9 +210,13 @@ impl TrainSettings {
         let usual = Self::of_strategy(strategy);
         match strategy {
             StrategyType::Reference => Self { densify_until_iter: FEW_PHOTOS_UNTIL, ..usual },
-            StrategyType::Budget => {
-                Self { sh_degree: 1, cap_ratio: 8.0, late_min_opacity: 0.1, dropout: FEW_PHOTOS_DROPOUT, ..usual }
-            }
+            StrategyType::Budget => Self {
+                sh_degree: 1,
+                cap_ratio: 8.0,
+                late_min_opacity: 0.1,
+                dropout: FEW_PHOTOS_DROPOUT,
+                ..usual
+            },
             StrategyType::Fixed | StrategyType::Mcmc => usual,
         }
     }

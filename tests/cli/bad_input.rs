@@ -110,6 +110,8 @@ fn zero_points_are_refused_unless_random_ones_are_wanted() {
         "--iterations",
         "1",
         "--random-points",
+        "--few-photos",
+        "off",
         "--quiet",
     ]));
     assert_eq!(run.code, Some(0), "{}", run.stderr);

@@ -7,7 +7,10 @@ use std::process::Stdio;
 use std::time::Duration;
 use tempfile::{TempDir, tempdir};
 
-const SCHEDULE: [&str; 10] = [
+const SCHEDULE: [&str; 12] = [
+    // Whose schedule does not stretch with the iterations.
+    "--strategy",
+    "reference",
     "--sh_degree",
     "1",
     "--densify_from_iter",

@@ -66,7 +66,10 @@ fn few_photos_are_noticed_and_said() {
     for part in ["only 9 photos", "--strategy budget", "--dropout 0.2", "--few-photos off"] {
         assert!(said[0].contains(part), "{}", said[0]);
     }
-    assert_eq!((setting(&model, "strategy").as_str(), setting(&model, "dropout").as_str()), ("\"budget\"", "0.2"));
+    assert_eq!(
+        (setting(&model, "strategy").as_str(), setting(&model, "dropout").as_str()),
+        ("\"budget\"", "0.2")
+    );
     assert_eq!(setting(&model, "few_photos"), "\"auto\"");
     // A run with its dump is the same run, and needs not be said anything about twice.
     let again = folder.path().join("again");
@@ -79,12 +82,18 @@ fn few_photos_are_noticed_and_said() {
     assert!(scene(&again) == scene(&model));
     let off = folder.path().join("off");
     assert!(lines(&train(&data, &off, &["--few-photos", "off"])).is_empty());
-    assert_eq!((setting(&off, "strategy").as_str(), setting(&off, "dropout").as_str()), ("\"reference\"", "0.0"));
+    assert_eq!(
+        (setting(&off, "strategy").as_str(), setting(&off, "dropout").as_str()),
+        ("\"reference\"", "0.0")
+    );
     let given = folder.path().join("given");
     let reference = ["--few-photos", "on", "--strategy", "reference"];
     let said = lines(&train(&data, &given, &reference));
     assert!(said.len() == 1 && said[0].contains("--densify-until-iter 1500"), "{said:?}");
-    assert_eq!((setting(&given, "strategy").as_str(), setting(&given, "dropout").as_str()), ("\"reference\"", "0.0"));
+    assert_eq!(
+        (setting(&given, "strategy").as_str(), setting(&given, "dropout").as_str()),
+        ("\"reference\"", "0.0")
+    );
     let said = lines(&train(&data, &given, &[&reference[..], &["--densify-until-iter", "9"]].concat()));
     assert!(said.is_empty(), "{said:?}");
     assert_eq!(setting(&given, "densify_until_iter"), "9");

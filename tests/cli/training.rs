@@ -317,7 +317,10 @@ fn training_ends_when_nothing_is_left() {
     let short = Short::new();
     let schedule =
         ["--densify_from_iter", "2", "--densification_interval", "2", "--densify_until_iter", "20"];
-    let run = short.train(&[&["--iterations", "30", "--min_opacity", "1"], schedule.as_slice()].concat());
+    let run = short.train(
+        &[&["--iterations", "30", "--min_opacity", "1", "--strategy", "reference"], schedule.as_slice()]
+            .concat(),
+    );
     assert_refused(&run, &["no Gaussians", "--min-opacity"]);
     assert!(!short.model().join("point_cloud").exists(), "{:?}", files_below(&short.model()));
 }

@@ -79,10 +79,11 @@ fn described(photos: usize, before: &TrainSettings, after: &TrainSettings) -> Op
     let given = before.values().into_iter().zip(TrainSettings::of_strategy(before.strategy).values());
     let is_given: Vec<bool> = given.map(|(value, usual)| value != usual).collect();
     let pairs = usual.values().into_iter().zip(after.values()).zip(is_given);
-    let changed: Vec<String> = pairs
+    let mut changed: Vec<String> = pairs
         .filter(|((usual, after), is_given)| usual != after && !is_given)
         .map(|((_, (name, value)), _)| format!("--{} {value}", name.replace('_', "-")))
         .collect();
+    changed.sort_by_key(|option| !option.starts_with("--strategy "));
     let changed = Some(changed.join(" ")).filter(|changed| !changed.is_empty())?;
     Some(format!(
         "only {photos} photos to train on: {changed}, so that it does not fit nothing but these (--few-photos off: as with many)"
