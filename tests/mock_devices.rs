@@ -19,10 +19,11 @@ use crate::common::{assert_silent, child, context, options, root};
 
 /// What a child runs: what the device claims to be, trainings and pictures for the parent, transfers of all kinds, kernels
 /// whose workgroups and shared memory follow the limits, and a training whose photographs come from a file.
-const SELECTION: [&str; 8] = [
+const SELECTION: [&str; 9] = [
     "mock_device_claims_in_a_child",
     "mock_device_results_in_a_child",
     "vk::memory::transfers_give_back_what_they_got",
+    "vk::memory::staging_is_a_ring_that_is_kept_and_given_back",
     "photos::photos_from_a_file_give_the_same_bits",
     "kernels::scan_apply::scan_apply_equals_its_twin",
     "kernels::sort_downsweep::sort_downsweep_equals_its_twin",

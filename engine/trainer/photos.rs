@@ -163,10 +163,13 @@ impl Photos {
             Residence::Places { count, bytes } => (count, bytes),
             Residence::All => {
                 let texels = context.allocate("photos", &requests(context, sizes), MemoryKind::Device)?;
-                for (buffer, view) in texels.iter().zip(views) {
-                    context.begin_upload(buffer, &on_device(windowing_of(context), &view.photo)?)?;
-                }
-                context.finish_uploads()?;
+                let begin = |(buffer, view): (_, &TrainView)| {
+                    context.begin_upload(buffer, &on_device(windowing_of(context), &view.photo)?)
+                };
+                let begun = texels.iter().zip(views).try_for_each(begin);
+                // Also of those that were begun before one that cannot be read: they hold the memory.
+                let finished = context.finish_uploads();
+                begun.and(finished)?;
                 let masked = views.iter().map(|view| view.photo.is_masked()).collect();
                 return Ok(Self::Resident { texels, masked });
             }

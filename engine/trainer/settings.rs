@@ -204,19 +204,15 @@ impl TrainSettings {
     pub const FEW_PHOTOS: usize = 24;
 
     /// The defaults with a strategy for few photographs, by measurement (tools/strategies.md). Budget has fewer Gaussians,
-    /// SH of degree 1, and steps leave Gaussians out at random (DropGaussian), so that no photograph is fitted by what no other
-    /// sees. The reference's growth ends early, and with it its opacity resets. The other strategies keep their defaults.
+    /// and steps leave some out at random (DropGaussian), so that no photograph is fitted by what no other sees. The reference's
+    /// growth ends early, and with it its opacity resets. The other strategies keep their defaults.
     pub fn of_few_photos(strategy: StrategyType) -> Self {
         let usual = Self::of_strategy(strategy);
         match strategy {
             StrategyType::Reference => Self { densify_until_iter: FEW_PHOTOS_UNTIL, ..usual },
-            StrategyType::Budget => Self {
-                sh_degree: 1,
-                cap_ratio: 8.0,
-                late_min_opacity: 0.1,
-                dropout: FEW_PHOTOS_DROPOUT,
-                ..usual
-            },
+            StrategyType::Budget => {
+                Self { cap_ratio: 8.0, late_min_opacity: 0.1, dropout: FEW_PHOTOS_DROPOUT, ..usual }
+            }
             StrategyType::Fixed | StrategyType::Mcmc => usual,
         }
     }

@@ -62,7 +62,9 @@ impl Trainer {
         let progress = self.state.progress;
         let plan = self.plan_after(&progress);
         self.photos.prepare(&self.context, plan.iteration)?;
-        self.photos.prefetch(&self.context)?;
+        if plan.iteration < self.run.settings.iterations {
+            self.photos.prefetch(&self.context)?;
+        }
         let mut ran = self.run_step(&plan);
         if matches!(ran, Err(Failed::TooLittleRoom(_))) && self.give_up_reserve()? {
             ran = self.run_step(&plan);

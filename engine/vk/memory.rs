@@ -322,6 +322,17 @@ impl Device {
         flags.contains(vk::MemoryPropertyFlags::HOST_CACHED)
     }
 
+    /// Whether device memory is read and written where it is, without staging.
+    pub(super) fn reads_mapped(&self) -> bool {
+        let mapped = vk::MemoryPropertyFlags::HOST_VISIBLE | vk::MemoryPropertyFlags::HOST_COHERENT;
+        let of_type = |index: u32| self.memory.memory_types_as_slice()[index as usize].property_flags;
+        let best = self.memory_type(u32::MAX, MemoryKind::Device).map(of_type);
+        // What a host's allocator gives is known only when it is there.
+        let direct =
+            self.allocator.is_some() || best.is_ok_and(|flags| flags.contains(mapped) && self.caches(flags));
+        self.place == Place::Unified && direct
+    }
+
     /// The best of the allowed memory types.
     pub(super) fn memory_type(&self, allowed: u32, kind: MemoryKind) -> Result<u32> {
         memory_types::best(&self.memory, allowed, kind, self.place).ok_or_else(|| {

@@ -143,17 +143,21 @@ impl Ring {
     /// is written. The host does not wait.
     pub(super) fn take_over(&mut self, pools: &Arc<Pools>) -> Result<()> {
         let device = pools.device();
-        // After an error the uploads have failed: nobody reads what they wrote.
-        let released = std::mem::take(&mut self.released);
-        let Some(queue) = device.copying.as_ref().filter(|_| !released.is_empty()) else { return Ok(()) };
+        let Some(queue) = device.copying.as_ref().filter(|_| !self.released.is_empty()) else {
+            return Ok(());
+        };
         let mut commands = Commands::begin(pools, "take over uploads", false)?;
-        for to in &released {
+        for to in &self.released {
+            // The stages are those that wait for the semaphore.
             let acquire = owner_change(queue, device, to)
+                .src_stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)
                 .dst_stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)
                 .dst_access_mask(vk::AccessFlags2::MEMORY_READ | vk::AccessFlags2::MEMORY_WRITE);
             commands.buffer_barrier(acquire);
         }
         commands.submit_after(Some(queue.copied.last()))?;
+        // Not before: after an error a second attempt takes over the same.
+        let released = std::mem::take(&mut self.released);
         self.running.push_back(Piece { commands, bytes: 0..0, _kept: released });
         Ok(())
     }
@@ -162,6 +166,13 @@ impl Ring {
     pub(super) fn forget(&mut self, to: &Buffer) {
         let end = to.offset() + to.bytes();
         self.released.retain(|of| of.raw() != to.raw() || of.offset() < to.offset() || of.offset() >= end);
+    }
+
+    /// Leaves its memory to a submission of somebody else's that has failed and may still run; the next transfer takes other
+    /// memory.
+    pub(super) fn abandon(&mut self) {
+        self.buffer = None;
+        self.head = 0;
     }
 
     /// Waits for the oldest submission. An error leaves it in the ring: it may still run.

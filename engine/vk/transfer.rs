@@ -2,7 +2,6 @@
 
 use super::buffer::Buffer;
 use super::context::Context;
-use super::memory_types::Place;
 use super::recorder::MAX_UPDATE_BYTES;
 use crate::{Error, Result};
 use std::sync::PoisonError;
@@ -124,10 +123,11 @@ impl Context {
             staging.block().write_mapped(staging.offset() + place.start, piece);
             // The last piece may end within a word: the rest of that word is in the buffer's padding.
             let whole = length.next_multiple_of(4).min(buffer.bytes() - offset as u64);
-            self.run("upload", |recorder| {
+            let ran = self.run("upload", |recorder| {
                 recorder.copy(&staging.range(place.start, whole), &buffer.range(offset as u64, whole));
                 Ok(())
-            })?;
+            });
+            ran.inspect_err(|_| ring.abandon())?;
             offset += length as usize;
         }
         Ok(())
@@ -148,7 +148,15 @@ impl Context {
     ///
     /// # Errors
     /// As [`Context::download`].
-    pub fn download_chunks(&self, buffer: &Buffer, mut take: impl FnMut(&[u8])) -> Result<()> {
+    pub fn download_chunks(&self, buffer: &Buffer, take: impl FnMut(&[u8])) -> Result<()> {
+        let downloaded = self.download_pieces(buffer, take);
+        if self.is_foreign() && !buffer.block().is_read_mapped() {
+            self.free_staging();
+        }
+        downloaded
+    }
+
+    fn download_pieces(&self, buffer: &Buffer, mut take: impl FnMut(&[u8])) -> Result<()> {
         let total = buffer.bytes();
         let mapped = buffer.block().is_read_mapped();
         if total == 0 {
@@ -172,9 +180,6 @@ impl Context {
             offset += bytes.len() as u64;
             take(bytes);
         }
-        if !mapped && self.is_foreign() {
-            self.free_staging();
-        }
         Ok(())
     }
 
@@ -183,16 +188,17 @@ impl Context {
         let mut ring = self.staging.lock();
         let (staging, place) = ring.reserve(&self.device, from.bytes())?;
         let length = place.end - place.start;
-        self.run("download", |recorder| {
+        let ran = self.run("download", |recorder| {
             recorder.copy(&from.range(0, length), &staging.range(place.start, length));
             Ok(())
-        })?;
+        });
+        ran.inspect_err(|_| ring.abandon())?;
         staging.block().read_mapped(staging.offset() + place.start, &mut bytes[..length as usize]);
         Ok(length as usize)
     }
 
     /// Most bytes of temporary memory for an upload of `bytes` bytes.
     pub(crate) fn staging_bytes(&self, bytes: u64) -> u64 {
-        if self.device.place == Place::Unified { 0 } else { bytes.min(CHUNK_BYTES) }
+        if self.device.reads_mapped() { 0 } else { bytes.min(CHUNK_BYTES) }
     }
 }

@@ -97,6 +97,26 @@ fn few_photos_are_noticed_and_said() {
     let said = lines(&train(&data, &given, &[&reference[..], &["--densify-until-iter", "9"]].concat()));
     assert!(said.is_empty(), "{said:?}");
     assert_eq!(setting(&given, "densify_until_iter"), "9");
+    // An optimiser that budget does not go with.
+    let sparse = folder.path().join("sparse");
+    let said = lines(&train(&data, &sparse, &["--optimizer-type", "sparse_adam"]));
+    assert!(said.len() == 1 && said[0].contains(": --densify-until-iter 1500,"), "{said:?}");
+    assert_eq!(setting(&sparse, "strategy"), "\"reference\"");
+    // A training that was begun as with many goes on so.
+    let begun = folder.path().join("begun");
+    let stop = ["--few-photos", "off", "--checkpoint-iterations", "5"];
+    assert!(lines(&train(&data, &begun, &stop)).is_empty());
+    let on = ["--start-checkpoint", "latest", "--iterations", "14"];
+    assert!(
+        lines(&finish(
+            program()
+                .args(["train", "-s", text(&data), "-m", text(&begun)])
+                .args(["--sh_degree", "0"])
+                .args(on)
+        ))
+        .is_empty()
+    );
+    assert_eq!(setting(&begun, "strategy"), "\"reference\"");
     let quiet = folder.path().join("quiet");
     assert!(lines(&train(&data, &quiet, &["--quiet"])).is_empty());
     refuse(&["train", "-s", text(&data), "-m", "x", "--few-photos", "maybe"], &["maybe", "few-photos"]);

@@ -60,8 +60,9 @@ pub struct Overrides {
     /// sets --exposure (the reference's protocol)
     #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "true", value_name = "BOOL")]
     train_test_exp: Option<bool>,
-    /// Settings for few photos: on, off, or on below 24 photos to train on (auto). Without --strategy that is budget with fewer
-    /// Gaussians, of which steps leave some out. What is given otherwise wins [default: auto]
+    /// Settings for few photos: on, off, or on below 24 photos to train on (auto): without --strategy that is budget, with fewer
+    /// Gaussians, of which steps leave some out; a preset keeps its number of Gaussians. What is given otherwise wins
+    /// [default: auto]
     #[arg(long, value_name = "WHEN")]
     few_photos: Option<When>,
     #[command(flatten)]

@@ -27,7 +27,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     for device in vk::devices()? {
         print(&device);
         if arguments.measure && device.problem.is_none() {
-            measure(&device)?;
+            measure(&device).unwrap_or_else(|error| say!("   cannot be measured: {error}"));
         }
     }
     Ok(())

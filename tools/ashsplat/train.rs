@@ -122,6 +122,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let given = (arguments.config.as_deref(), &arguments.overrides);
     let (settings, few_photos) =
         settings.settle(&mut gallery, given, start.as_ref().map(Start::checkpoint))?;
+    few_photos.iter().filter(|_| !arguments.quiet).for_each(|line| tell!("{line}"));
     check_fits(
         &context,
         &gallery,
@@ -149,7 +150,6 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         None => Run::prepare(&context, dataset, settings, arguments.quiet)?,
         Some(start) => Run::resume(&context, dataset, settings, &start, arguments.quiet)?,
     };
-    few_photos.iter().filter(|_| !arguments.quiet).for_each(|line| tell!("{line}"));
     run.repeat(&arguments.device, arguments.photo_memory);
     run.track_within(arguments.eval_share);
     run.lpips = lpips;

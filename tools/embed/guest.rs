@@ -6,14 +6,14 @@ use super::host::{Host, HostOptions, InFlight, Result};
 use super::memory::{HostBuffer, HostTexture, Use};
 use super::tonemap::Tonemap;
 use ashsplat::ash::vk;
+use ashsplat::glam::camera::rh::{proj::vulkan, view::look_at_mat4};
+use ashsplat::glam::{Mat3, Mat4, Vec3};
 use ashsplat::scene::{ClipY, HostView, Pose};
 use ashsplat::vk::{Context, ContextOptions, ForeignDevice, Image, ImageState, ImageUse};
 use ashsplat::{
     Background, ColorEncoding, DeviceScene, Gaussians, HostImage, Occluder, Placed, RecordedFrame, Release,
     RenderSettings, Renderer, Reservation, Target,
 };
-use glam::camera::rh::{proj::vulkan, view::look_at_mat4};
-use glam::{Mat3, Mat4, Vec3};
 use std::path::Path;
 use std::sync::Arc;
 

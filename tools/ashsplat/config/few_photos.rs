@@ -1,10 +1,11 @@
 //! The settings for few photos.
 
-use super::{Overrides, Settings, When};
-use ashsplat::trainer::{Checkpoint, Preset, StrategyType, TrainSettings};
+use super::{Overrides, Settings, When, file};
+use ashsplat::trainer::{Checkpoint, OptimizerType, Preset, StrategyType, TrainSettings};
 use ashsplat::{Error, Result};
 use ashsplat_files::Gallery;
 use std::path::Path;
+use toml::Table;
 
 /// What is not given has the values of these.
 #[derive(Clone, Copy, Debug)]
@@ -20,7 +21,7 @@ impl Defaults {
             (Defaults::Usual, None) => TrainSettings::of_strategy(strategy.unwrap_or_default()),
             (Defaults::Usual, Some(preset)) => TrainSettings::of_preset(preset),
             (Defaults::FewPhotos(usual), None) => TrainSettings::of_few_photos(strategy.unwrap_or(usual)),
-            // A preset says how many Gaussians; what keeps them from fitting nothing but these photos stays.
+            // A preset says how many Gaussians; what keeps them from fitting these photos only stays.
             (Defaults::FewPhotos(_), Some(preset)) => {
                 let preset = TrainSettings::of_preset(preset);
                 TrainSettings { dropout: TrainSettings::of_few_photos(preset.strategy).dropout, ..preset }
@@ -49,19 +50,29 @@ impl Settings {
             let remedy = "give a COLMAP model with its observations, or leave --depth-points out";
             return Err(Error::input(&self.data.source_path, problem, remedy));
         }
+        let strategy = match start {
+            // A training that goes on keeps what it had, also that of an earlier version.
+            Some(start) if difference(&start.settings, &self.train) == 0 => return Ok((self, None)),
+            Some(start) => strategy_of(start).unwrap_or_default(),
+            // Budget adds up views, which this optimiser does not.
+            None if self.train.optimizer_type == OptimizerType::SparseAdam => StrategyType::Reference,
+            None => StrategyType::Budget,
+        };
         if !few {
             return Ok((self, None));
         }
-        let strategy = start.map_or(StrategyType::Budget, |start| strategy_of(start).unwrap_or_default());
-        let settled =
-            Settings::resolve_from(Defaults::FewPhotos(strategy), file, overrides).or_else(|refused| {
-                // What is given may be for the strategy that is usual.
-                let usual = Defaults::FewPhotos(StrategyType::default());
-                Settings::resolve_from(usual, file, overrides).map_err(|_| refused)
-            })?;
-        let line = described(photos, &self.train, &settled.train);
+        let settled = Settings::resolve_from(Defaults::FewPhotos(strategy), file, overrides)?;
+        let mut given = Table::try_from(overrides).map_err(|e| Error::argument("settings", e.to_string()))?;
+        given.extend(file.map(file::table).transpose()?.unwrap_or_default());
+        let line = described(photos, &given, (&self.train, &settled.train));
         Ok((settled, line))
     }
+}
+
+/// In how many settings two trainings differ, but for their ends.
+fn difference(one: &TrainSettings, other: &TrainSettings) -> usize {
+    let one = TrainSettings { iterations: other.iterations, ..one.clone() };
+    one.values().iter().zip(other.values()).filter(|(one, other)| *one != other).count()
 }
 
 /// The strategy of a checkpoint, unless a host has handed in one of its own.
@@ -69,24 +80,26 @@ fn strategy_of(start: &Checkpoint) -> Option<StrategyType> {
     toml::Value::String(start.strategy.name.clone()).try_into().ok()
 }
 
-/// What the settings for few photos change; None for nothing.
-fn described(photos: usize, before: &TrainSettings, after: &TrainSettings) -> Option<String> {
+/// What the settings for few photos change, beside what is given; None for nothing.
+fn described(
+    photos: usize,
+    given: &Table,
+    (before, after): (&TrainSettings, &TrainSettings),
+) -> Option<String> {
     // What a strategy brings along is named by its name.
     let usual = match before.strategy == after.strategy {
         true => before.clone(),
         false => TrainSettings { strategy: before.strategy, ..TrainSettings::of_strategy(after.strategy) },
     };
-    let given = before.values().into_iter().zip(TrainSettings::of_strategy(before.strategy).values());
-    let is_given: Vec<bool> = given.map(|(value, usual)| value != usual).collect();
-    let pairs = usual.values().into_iter().zip(after.values()).zip(is_given);
+    let pairs = usual.values().into_iter().zip(after.values());
     let mut changed: Vec<String> = pairs
-        .filter(|((usual, after), is_given)| usual != after && !is_given)
-        .map(|((_, (name, value)), _)| format!("--{} {value}", name.replace('_', "-")))
+        .filter(|(usual, after)| usual != after && !given.contains_key(after.0))
+        .map(|(_, (name, value))| format!("--{} {value}", name.replace('_', "-")))
         .collect();
     changed.sort_by_key(|option| !option.starts_with("--strategy "));
     let changed = Some(changed.join(" ")).filter(|changed| !changed.is_empty())?;
     Some(format!(
-        "only {photos} photos to train on: {changed}, so that it does not fit nothing but these (--few-photos off: as with many)"
+        "only {photos} photos to train on: {changed}, against fitting only these (--few-photos off: as with many)"
     ))
 }
 
@@ -114,18 +127,21 @@ mod tests {
         let quality = TrainSettings::of_preset(Preset::Quality);
         assert_eq!(preset.expect("settings").train, TrainSettings { dropout: usual.dropout, ..quality });
 
-        assert_eq!(described(8, &usual, &usual), None);
+        let none = Table::new();
+        assert_eq!(described(8, &none, (&usual, &usual)), None);
         let before = TrainSettings { iterations: 900, ..TrainSettings::default() };
-        let said = described(8, &before, &TrainSettings { iterations: 900, ..usual }).expect("a line");
+        let given: Table = "iterations = 900\nlate_min_opacity = 0.1".parse().expect("a table");
+        let after = TrainSettings { iterations: 900, ..usual };
+        let said = described(8, &given, (&before, &after)).expect("a line");
         assert!(said.starts_with("only 8 photos to train on: --strategy budget --"), "{said}");
         for part in ["--few-photos off", "--dropout 0.2", "--cap-ratio 8"] {
             assert!(said.contains(part), "{said}");
         }
         // Neither what was given, nor what comes with the strategy.
-        for part in ["iterations", "absgrad", "position"] {
+        for part in ["iterations", "late-min-opacity", "absgrad", "position", "sh-degree"] {
             assert!(!said.contains(part), "{said}");
         }
-        let said = described(8, &TrainSettings::default(), &reference).expect("a line");
+        let said = described(8, &none, (&TrainSettings::default(), &reference)).expect("a line");
         assert!(said.contains("to train on: --densify-until-iter 1500,"), "{said}");
     }
 
