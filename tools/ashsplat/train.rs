@@ -122,7 +122,6 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let given = (arguments.config.as_deref(), &arguments.overrides);
     let (settings, few_photos) =
         settings.settle(&mut gallery, given, start.as_ref().map(Start::checkpoint))?;
-    few_photos.iter().filter(|_| !arguments.quiet).for_each(|line| tell!("{line}"));
     check_fits(
         &context,
         &gallery,
@@ -131,6 +130,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         settings.missing_points(),
     )?;
     let mut dataset = session::load(&gallery, arguments.quiet, &stop)?;
+    few_photos.iter().filter(|_| !arguments.quiet).for_each(|line| tell!("{line}"));
     let gallery = arguments.live.wants_photos().then_some(gallery);
     match start {
         None => {
