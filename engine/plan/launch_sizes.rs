@@ -3,7 +3,7 @@
 use super::sorting;
 use super::strips::Strips;
 use crate::kernels::constants::TILE_SIZE;
-use crate::tuning::{ELEMENTWISE_WORKGROUP, SortMethod, WorkgroupRule};
+use crate::tuning::{ELEMENTWISE_WORKGROUP, SortMethod, Tuning, WorkgroupRule};
 use crate::vk::Limits;
 
 /// Most entries of a tile per blending dispatch, on any device. It bounds the time of a dispatch, so that a
@@ -68,6 +68,13 @@ pub struct LaunchSizes {
     pub instances_per_dispatch: u32,
 }
 
+/// Rows of the regions of a tile, 8 pixels wide, that subgroups of this size blend.
+pub fn region_height(tuning: &Tuning, subgroup_size: u32) -> u32 {
+    // Rows that a subgroup has at least.
+    let least = (subgroup_size / 8).max(4);
+    (tuning.region_pixels * subgroup_size / 8).clamp(least, least.max(8))
+}
+
 impl LaunchSizes {
     /// Sizes for a device, with those that its [`Limits::overrides`] set.
     pub fn new(limits: &Limits) -> Self {
@@ -93,10 +100,7 @@ impl LaunchSizes {
         let scan_items = size("scan", "ITEMS", tuning.scan_items).max(4);
         let scan_workgroup =
             limits.workgroup_size(size("scan", "WORKGROUP_SIZE", invocations(tuning.scan_workgroup)));
-        let region_height = tuning.region_pixels * limits.subgroup_size / 8;
-        // Rows that a subgroup has at least, 8 pixels wide.
-        let least = (limits.subgroup_size / 8).max(4);
-        let region_height = region_height.clamp(least, least.max(8));
+        let region_height = region_height(tuning, limits.subgroup_size);
         let regions = TILE_SIZE / 8 * (TILE_SIZE / region_height);
         let whole_tiles = tuning.whole_tiles_from_lanes.is_some_and(|lanes| limits.subgroup_size >= lanes);
         let usual_regions = if whole_tiles { regions } else { 1 };

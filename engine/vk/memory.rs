@@ -70,6 +70,11 @@ pub fn pack(sizes: &[u64], largest_block: u64) -> Result<Packing, usize> {
     Ok(packing)
 }
 
+/// Flags of a memory type that is mapped: nothing is flushed by hand.
+const MAPPABLE: vk::MemoryPropertyFlags = vk::MemoryPropertyFlags::from_raw(
+    vk::MemoryPropertyFlags::HOST_VISIBLE.as_raw() | vk::MemoryPropertyFlags::HOST_COHERENT.as_raw(),
+);
+
 /// The address of a mapped block. Accessed only with the block's lock held.
 struct Mapping(NonNull<u8>);
 
@@ -201,10 +206,8 @@ impl Block {
         }
         let flags = types[index as usize].property_flags;
         self.cached = self.inner.caches(flags);
-        let mappable =
-            flags.contains(vk::MemoryPropertyFlags::HOST_VISIBLE | vk::MemoryPropertyFlags::HOST_COHERENT);
         // Reading a GPU's own memory word by word over the bus is slower than staging: see `is_read_mapped`.
-        if mappable && (kind == MemoryKind::HostVisible || self.inner.place.is_mapped()) {
+        if flags.contains(MAPPABLE) && (kind == MemoryKind::HostVisible || self.inner.place.is_mapped()) {
             // SAFETY: host-visible memory, mapped once, whole; freeing it unmaps it.
             let address =
                 unsafe { device.map_memory(self.memory, 0, vk::WHOLE_SIZE, vk::MemoryMapFlags::empty()) };
@@ -324,12 +327,11 @@ impl Device {
 
     /// Whether device memory is read and written where it is, without staging.
     pub(super) fn reads_mapped(&self) -> bool {
-        let mapped = vk::MemoryPropertyFlags::HOST_VISIBLE | vk::MemoryPropertyFlags::HOST_COHERENT;
         let of_type = |index: u32| self.memory.memory_types_as_slice()[index as usize].property_flags;
         let best = self.memory_type(u32::MAX, MemoryKind::Device).map(of_type);
         // What a host's allocator gives is known only when it is there.
-        let direct =
-            self.allocator.is_some() || best.is_ok_and(|flags| flags.contains(mapped) && self.caches(flags));
+        let direct = self.allocator.is_some()
+            || best.is_ok_and(|flags| flags.contains(MAPPABLE) && self.caches(flags));
         self.place == Place::Unified && direct
     }
 

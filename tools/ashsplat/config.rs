@@ -97,11 +97,11 @@ pub struct Settings {
 impl Settings {
     /// Defaults, overridden by the file, overridden by the command line; checked.
     pub fn resolve(file: Option<&Path>, overrides: &Overrides) -> Result<Settings> {
-        Self::resolve_from(Defaults::Usual, file, overrides)
+        Self::resolve_from(Defaults::Usual, Self::given(file, overrides)?)
     }
 
-    /// As [`Settings::resolve`], from these defaults.
-    fn resolve_from(defaults: Defaults, file: Option<&Path>, overrides: &Overrides) -> Result<Settings> {
+    /// What the file and the command line say, by name.
+    fn given(file: Option<&Path>, overrides: &Overrides) -> Result<Table> {
         let mut table = match file {
             Some(path) => file::table(path)?,
             None => Table::new(),
@@ -116,6 +116,11 @@ impl Settings {
             return Err(Error::input(path, problem, "leave out one of them, or --preset"));
         }
         table.extend(given);
+        Ok(table)
+    }
+
+    /// As [`Settings::resolve`], of what is given, from these defaults.
+    fn resolve_from(defaults: Defaults, table: Table) -> Result<Settings> {
         let settings = Settings::with_defaults(defaults, table)
             .map_err(|problem| Error::argument("settings", problem))?;
         settings.train.check()?;

@@ -38,7 +38,7 @@ impl Submissions {
     }
 
     /// Submits what is held back.
-    fn release(&mut self, state: &DeviceState) -> vk::Result {
+    fn release(&mut self, state: &DeviceState) -> Result<(), vk::Result> {
         for held in self.held.drain(..) {
             let info = [vk::SubmitInfo2::default()
                 .wait_semaphore_infos(&held.waits)
@@ -47,11 +47,9 @@ impl Submissions {
             // SAFETY: a submission of the program's, whose objects live until it is done; the lock gives the queue to this
             // thread.
             let result = unsafe { (state.v13.queue_submit2)(self.queue, 1, info.as_ptr(), held.fence) };
-            if result != vk::Result::SUCCESS {
-                return result;
-            }
+            result.result()?;
         }
-        vk::Result::SUCCESS
+        Ok(())
     }
 
     fn signals(&self, semaphore: vk::Semaphore) -> bool {
@@ -102,9 +100,8 @@ pub(crate) unsafe extern "system" fn submit(
 ) -> vk::Result {
     let state = DeviceState::of(queue);
     let mut submissions = state.submissions();
-    let released = submissions.release(&state);
-    if released != vk::Result::SUCCESS {
-        return released;
+    if let Err(error) = submissions.release(&state) {
+        return error;
     }
     // SAFETY: the caller's arguments; the lock gives the driver's queue to this thread.
     unsafe { (state.v10.queue_submit)(submissions.queue, count, submits, fence) }
@@ -161,12 +158,12 @@ pub(crate) unsafe extern "system" fn submit2(
             }
             return vk::Result::SUCCESS;
         }
-        let waited = infos.iter().flat_map(|info| copies(info).waits);
-        if waited.into_iter().any(|wait| submissions.signals(wait.semaphore)) {
-            let released = submissions.release(&state);
-            if released != vk::Result::SUCCESS {
-                return released;
-            }
+        let mut waited =
+            infos.iter().flat_map(|info| list(info.p_wait_semaphore_infos, info.wait_semaphore_info_count));
+        if waited.any(|wait| submissions.signals(wait.semaphore))
+            && let Err(error) = submissions.release(&state)
+        {
+            return error;
         }
         (state.v13.queue_submit2)(submissions.queue, count, submits, fence)
     }
@@ -175,9 +172,8 @@ pub(crate) unsafe extern "system" fn submit2(
 pub(crate) unsafe extern "system" fn wait_idle(queue: vk::Queue) -> vk::Result {
     let state = DeviceState::of(queue);
     let mut submissions = state.submissions();
-    let released = submissions.release(&state);
-    if released != vk::Result::SUCCESS {
-        return released;
+    if let Err(error) = submissions.release(&state) {
+        return error;
     }
     // SAFETY: the lock gives the driver's queue to this thread.
     unsafe { (state.v10.queue_wait_idle)(submissions.queue) }
@@ -186,9 +182,8 @@ pub(crate) unsafe extern "system" fn wait_idle(queue: vk::Queue) -> vk::Result {
 pub(crate) unsafe extern "system" fn device_wait_idle(device: vk::Device) -> vk::Result {
     let state = DeviceState::of(device);
     let mut submissions = state.submissions();
-    let released = submissions.release(&state);
-    if released != vk::Result::SUCCESS {
-        return released;
+    if let Err(error) = submissions.release(&state) {
+        return error;
     }
     // SAFETY: as above: the driver's one queue stands for all.
     unsafe { (state.v10.device_wait_idle)(device) }

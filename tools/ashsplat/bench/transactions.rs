@@ -7,7 +7,8 @@
 use super::schema::{Run, Segments, Transactions};
 use ashsplat::TileLists;
 use ashsplat::kernels::constants as c;
-use ashsplat::plan::tile_bits;
+use ashsplat::plan::{region_height, tile_bits};
+use ashsplat::tuning::Tuning;
 use std::collections::BTreeMap;
 
 /// Sizes of subgroups that are counted for: those of GPUs.
@@ -178,8 +179,7 @@ fn fetches(lists: &TileLists, size: (u32, u32)) -> [Transactions; 2] {
 /// Adds what a tile's regions fetch. `ends`: how many entries each pixel needs.
 fn fetch(counting: &mut Counting, entries: &[u32], ends: &[u32]) {
     for (at, lanes) in LANES.into_iter().enumerate() {
-        // As engine/plan/launch_sizes.rs cuts a tile for GPUs: two pixels a lane, at least as many as the lanes.
-        let rows = (lanes / 4).clamp((lanes / 8).max(4), 8) as usize;
+        let rows = region_height(&Tuning::GPU, lanes) as usize;
         let tile = c::TILE_SIZE as usize;
         for region in 0..tile / 8 * (tile / rows) {
             let inside = |&pixel: &usize| pixel % tile / 8 == region % 2 && pixel / tile / rows == region / 2;

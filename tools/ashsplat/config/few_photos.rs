@@ -1,6 +1,6 @@
 //! The settings for few photos.
 
-use super::{Overrides, Settings, When, file};
+use super::{Overrides, Settings, When};
 use ashsplat::trainer::{Checkpoint, OptimizerType, Preset, StrategyType, TrainSettings};
 use ashsplat::{Error, Result};
 use ashsplat_files::Gallery;
@@ -50,29 +50,27 @@ impl Settings {
             let remedy = "give a COLMAP model with its observations, or leave --depth-points out";
             return Err(Error::input(&self.data.source_path, problem, remedy));
         }
+        if !few {
+            return Ok((self, None));
+        }
         let strategy = match start {
             // A training that goes on keeps what it had, also that of an earlier version.
-            Some(start) if difference(&start.settings, &self.train) == 0 => return Ok((self, None)),
+            Some(start) if made_with(start, &self.train) => return Ok((self, None)),
             Some(start) => strategy_of(start).unwrap_or_default(),
             // Budget adds up views, which this optimiser does not.
             None if self.train.optimizer_type == OptimizerType::SparseAdam => StrategyType::Reference,
             None => StrategyType::Budget,
         };
-        if !few {
-            return Ok((self, None));
-        }
-        let settled = Settings::resolve_from(Defaults::FewPhotos(strategy), file, overrides)?;
-        let mut given = Table::try_from(overrides).map_err(|e| Error::argument("settings", e.to_string()))?;
-        given.extend(file.map(file::table).transpose()?.unwrap_or_default());
+        let given = Settings::given(file, overrides)?;
+        let settled = Settings::resolve_from(Defaults::FewPhotos(strategy), given.clone())?;
         let line = described(photos, &given, (&self.train, &settled.train));
         Ok((settled, line))
     }
 }
 
-/// In how many settings two trainings differ, but for their ends.
-fn difference(one: &TrainSettings, other: &TrainSettings) -> usize {
-    let one = TrainSettings { iterations: other.iterations, ..one.clone() };
-    one.values().iter().zip(other.values()).filter(|(one, other)| *one != other).count()
+/// Whether a checkpoint is of a run with these settings, but for its end.
+fn made_with(start: &Checkpoint, settings: &TrainSettings) -> bool {
+    TrainSettings { iterations: settings.iterations, ..start.settings.clone() } == *settings
 }
 
 /// The strategy of a checkpoint, unless a host has handed in one of its own.
@@ -108,14 +106,16 @@ mod tests {
     use super::*;
     use ashsplat::trainer::StrategyType;
 
+    fn resolved(file: Option<&Path>, overrides: &Overrides) -> Result<Settings> {
+        Settings::resolve_from(Defaults::FewPhotos(StrategyType::Budget), Settings::given(file, overrides)?)
+    }
+
     #[test]
     fn what_is_given_wins_over_the_settings_for_few_photos() {
         let settled = |given: &[(&str, toml::Value)]| {
             let mut overrides = Overrides::default();
             overrides.train.0.extend(given.iter().map(|(key, value)| ((*key).to_owned(), value.clone())));
-            Settings::resolve_from(Defaults::FewPhotos(StrategyType::Budget), None, &overrides)
-                .expect("settings")
-                .train
+            resolved(None, &overrides).expect("settings").train
         };
         let usual = TrainSettings::of_few_photos(StrategyType::Budget);
         assert_eq!(settled(&[]), usual);
@@ -123,7 +123,7 @@ mod tests {
         let reference = TrainSettings::of_few_photos(StrategyType::Reference);
         assert_eq!(settled(&[("strategy", "reference".into())]), reference);
         let preset = Overrides { preset: Some("quality".into()), ..Overrides::default() };
-        let preset = Settings::resolve_from(Defaults::FewPhotos(StrategyType::Budget), None, &preset);
+        let preset = resolved(None, &preset);
         let quality = TrainSettings::of_preset(Preset::Quality);
         assert_eq!(preset.expect("settings").train, TrainSettings { dropout: usual.dropout, ..quality });
 
@@ -155,8 +155,7 @@ mod tests {
             let settings = Settings { train, ..Settings::default() };
             std::fs::write(&path, settings.to_toml().expect("a dump")).expect("written");
             let none = Overrides::default();
-            let defaults = Defaults::FewPhotos(StrategyType::Budget);
-            let read = Settings::resolve_from(defaults, Some(&path), &none);
+            let read = resolved(Some(&path), &none);
             assert_eq!(read.expect("settings"), settings);
         }
     }

@@ -1,7 +1,7 @@
 //! A small ray-caster: analytic intersections (sphere tracing for the torus), one jittered sun, Phong highlights.
 
 use super::scene::{Object, SKY_RADIUS, Scene, Shape};
-use ashsplat::scene::Camera;
+use ashsplat::scene::{Camera, srgb_from_linear};
 use ashsplat_files::Photo;
 use glam::{Mat3, Vec3, vec3};
 use image::{Rgba, RgbaImage};
@@ -110,11 +110,7 @@ pub fn pixel_light(scene: &Scene, camera: &Camera, x: u32, y: u32) -> Vec3 {
 
 /// Linear light to an 8-bit sRGB triple.
 pub fn encode(light: Vec3) -> [u8; 3] {
-    light.to_array().map(|v| {
-        let v = v.clamp(0.0, 1.0);
-        let encoded = if v <= 0.003_130_8 { 12.92 * v } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 };
-        (encoded * 255.0 + 0.5) as u8
-    })
+    light.to_array().map(|v| (srgb_from_linear(v.clamp(0.0, 1.0)) * 255.0 + 0.5) as u8)
 }
 
 /// The first surface on a ray, if any.
