@@ -12,8 +12,9 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode, Stdio};
 use std::time::{Duration, Instant};
 
-use ashsplat::scene::{Camera, Gaussians, Intrinsics};
+use ashsplat::scene::{Camera, Exposure, Gaussians, Intrinsics};
 use ashsplat::vk::{Context, ContextOptions};
+use ashsplat_files::exposure_json::{self, EXPOSURE_FILE};
 use ashsplat_files::splats::{self, WriteOptions};
 use ashsplat_files::{Photo, PhotoFileFormat, cameras_json};
 use glam::Vec3;
@@ -34,6 +35,7 @@ const P: u8 = 33;
 const Q: u8 = 24;
 const ESCAPE: u8 = 9;
 const RIGHT_BRACKET: u8 = 35;
+const L: u8 = 46;
 const SLASH: u8 = 61;
 const SHIFT: u8 = 50;
 const CONTROL: u8 = 37;
@@ -93,6 +95,9 @@ fn model(folder: &Path) -> PathBuf {
     let odd = Intrinsics { fx: 520.0, fy: 500.0, cx: 200.0, cy: 205.0, ..lens };
     let second = Camera::look_at(Vec3::new(-3.0, 0.5, 2.0), Vec3::new(0.2, 0.0, 0.0), Vec3::NEG_Y, odd);
     cameras_json::write(model.join("cameras.json"), [("one", &first), ("two", &second)]).expect("cameras");
+    // Training has learned how the second was exposed.
+    let rows = [[0.6, 0.1, 0.0, 0.05], [0.0, 1.2, 0.0, 0.0], [0.1, 0.0, 0.8, 0.0]];
+    exposure_json::write(model.join(EXPOSURE_FILE), [("two", &Exposure { rows })]).expect("exposures");
     // The first as a larger window has it: its vertical field of view stays.
     let f = first.fy * LARGER[1] as f32 / SIZE[1] as f32;
     let [cx, cy] = LARGER.map(|side| 0.5 * side as f32);
@@ -104,10 +109,12 @@ fn model(folder: &Path) -> PathBuf {
 }
 
 /// What `ashsplat render` draws of the model.
-fn rendered(model: &Path, folder: &Path) -> Vec<Photo> {
-    let out = folder.join("rendered");
+fn rendered(model: &Path, folder: &Path, options: &[&str]) -> Vec<Photo> {
+    let out = folder.join(format!("rendered{}", options.len()));
     let path = folder.join("path.json");
-    let run = finish(program().args(["render", text(model), "--path", text(&path), "-o", text(&out)]));
+    let run = finish(
+        program().args(["render", text(model), "--path", text(&path), "-o", text(&out)]).args(options),
+    );
     assert_eq!(run.code, Some(0), "{}", run.stderr);
     pictures(&out)
 }
@@ -172,7 +179,10 @@ fn keep(shown: &Screenshot, what: &str, folder: &Path) -> PathBuf {
 fn shows_what_render_draws() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let model = model(folder.path());
-    let expected = rendered(&model, folder.path());
+    let expected = rendered(&model, folder.path(), &[]);
+    let exposed = rendered(&model, folder.path(), &["--exposure-of", "two"]);
+    let differs = |(a, b): (&u8, &u8)| a.abs_diff(*b) > 2;
+    assert!(expected[1].rgb.iter().zip(&exposed[1].rgb).any(differs), "the exposure changes nothing");
     let (server, out) = (Server::start(), folder.path().join("out"));
     let child = start(&server, &model, &out);
     let desk = server.connect();
@@ -215,6 +225,15 @@ fn shows_what_render_draws() {
     desk.key(RIGHT_BRACKET);
     desk.key(RIGHT_BRACKET);
     wait("second view", &|shown| equals(&expected[1], shown));
+    desk.key(L);
+    wait("as photographed", &|shown| equals(&exposed[1], shown));
+    // Only that photo's view.
+    desk.key(RIGHT_BRACKET);
+    wait("another photo's view", &|shown| equals(&expected[0], shown));
+    desk.key(RIGHT_BRACKET);
+    wait("as photographed again", &|shown| equals(&exposed[1], shown));
+    desk.key(L);
+    wait("as the scene is", &|shown| equals(&expected[1], shown));
     // Moved, and back at the first view.
     desk.hold(W, Duration::from_millis(300));
     desk.drag([200, 150], [260, 190]);

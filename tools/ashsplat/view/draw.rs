@@ -112,7 +112,7 @@ pub fn draw(painter: &mut dyn Painter, camera: &Camera, base: &RenderSettings, l
 }
 
 /// As [`draw`]; the picture itself in the light of a photo that the camera given with it has taken.
-fn draw_as(
+pub fn draw_as(
     painter: &mut dyn Painter,
     camera: &Camera,
     base: &RenderSettings,

@@ -102,6 +102,7 @@ function key(code, event) {
     else if (code === 'Home') home();
     else if (code === 'BracketLeft') photos.step(-1);
     else if (code === 'BracketRight') photos.step(1);
+    else if (code === 'KeyL') photos.toggleLight();
     else if (code === 'Escape') { photos.close(); picker.close(); }
     else if (code === 'Space' && scene?.training !== null) training.toggle();
     else return false;

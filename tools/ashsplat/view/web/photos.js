@@ -70,6 +70,11 @@ export class Photos {
         return entry?.lit && find('photo-light').checked ? this.current : null;
     }
 
+    /** Draws as photographed, or not any more, where any photo's light is known. */
+    toggleLight() {
+        if (!find('photo-lit').hidden) find('photo-light').click();
+    }
+
     /** The photo is there as long as the view is exactly its own. */
     follow() {
         const visible = this.shown && this.camera.lens !== null;

@@ -24,12 +24,14 @@ pub enum Action {
     Home,
     /// The photo before (-1) or after (1).
     Photo(isize),
+    /// Draws a photo's view as it was photographed, or not any more.
+    PhotoLight,
     /// Closes what is open; with nothing open, the window.
     Close,
 }
 
 /// The keys that the page has, too.
-pub const KEYS: [(&str, Action); 33] = [
+pub const KEYS: [(&str, Action); 34] = [
     ("KeyW", Action::Fly([0.0, 0.0, 1.0])),
     ("KeyS", Action::Fly([0.0, 0.0, -1.0])),
     ("KeyA", Action::Fly([-1.0, 0.0, 0.0])),
@@ -62,6 +64,7 @@ pub const KEYS: [(&str, Action); 33] = [
     ("Home", Action::Home),
     ("BracketLeft", Action::Photo(-1)),
     ("BracketRight", Action::Photo(1)),
+    ("KeyL", Action::PhotoLight),
     ("Escape", Action::Close),
 ];
 
@@ -75,7 +78,7 @@ pub const ONLY_PAGE: [(&str, &str); 5] = [
 ];
 
 /// The list of keys, as the page has it where both have the same; "?" shows it.
-pub const HELP: [(&str, &str); 18] = [
+pub const HELP: [(&str, &str); 19] = [
     ("left or middle drag", "orbit (look around in fly mode)"),
     ("right, Shift or Shift-middle drag", "pan"),
     ("wheel, Ctrl drag", "closer, farther"),
@@ -89,6 +92,7 @@ pub const HELP: [(&str, &str); 18] = [
     ("F, Home", "face the pivot, first view"),
     ("Shift F", "whole screen"),
     ("[ ]", "photo before, after"),
+    ("L", "as photographed: the photo's exposure and lens"),
     ("P", "screenshot"),
     ("H", "this text"),
     ("?", "these lines"),

@@ -1,6 +1,7 @@
 //! What the window shows, and what it takes to show it: view, mode, photo, text.
 
 use super::super::draw;
+use super::super::lights::PhotoLights;
 use super::super::photos::Photos;
 use super::super::protocol::{self, CameraMessage, Look, Mode};
 use super::super::studio::fatal;
@@ -13,6 +14,7 @@ use super::picture::{Content, Picture};
 use super::present::Present;
 use super::text::{Overlay, Text, text};
 use super::words::{self, Measured};
+use crate::light::Light;
 use crate::output;
 use ashsplat::scene::Camera;
 use ashsplat::{PixelReport, RenderSettings, Result};
@@ -56,6 +58,9 @@ pub struct Stage {
     base: RenderSettings,
     cameras: Vec<NamedCamera>,
     photos: Option<Arc<Photos>>,
+    lights: PhotoLights,
+    /// Whether a photo's view has its light.
+    lit: bool,
     name: String,
     device: String,
     note: Option<String>,
@@ -102,6 +107,8 @@ impl Stage {
             base: subject.base,
             cameras: subject.cameras,
             photos: subject.photos,
+            lights: subject.lights,
+            lit: false,
             name: subject.name,
             device: device.to_owned(),
             note: subject.note,
@@ -163,11 +170,26 @@ impl Stage {
             Action::Face => self.view.face(self.center),
             Action::Home => self.home(),
             Action::Photo(step) => self.step(step),
+            Action::PhotoLight => {
+                self.lit = !self.lit;
+                self.say(words::photo_light(self.lit, self.knows_lights()).into());
+            }
             Action::Close => return Ok(!self.close_something()),
             Action::Fly(_) | Action::Turn(_) | Action::Zoom(_) | Action::FlyMode => {}
         }
         self.pace.leap();
         Ok(false)
+    }
+
+    fn knows_lights(&self) -> bool {
+        (0..self.cameras.len()).any(|photo| self.lights.has(photo))
+    }
+
+    /// The photo whose light the picture is to have: that of the view, while it is exactly its own.
+    fn photo_light(&mut self) -> Result<Option<(Camera, Light)>> {
+        let lit = self.lit && self.mode == 0 && self.view.is_photo();
+        let photo = self.current.filter(|photo| lit && self.lights.has(*photo));
+        photo.map(|photo| self.lights.of(photo, self.picture.renderer())).transpose()
     }
 
     /// Whether anything was open.
@@ -258,7 +280,8 @@ impl Stage {
         if !self.picture.has_scene() {
             return Ok(());
         }
-        let drawn = draw::draw(self.picture.renderer(), &camera, &self.base, &look);
+        let drawn = (self.photo_light())
+            .and_then(|light| draw::draw_as(self.picture.renderer(), &camera, &self.base, &look, light));
         match drawn.and_then(|drawn| output::write_png(&path, &drawn.photo)) {
             Ok(()) => self.say(format!("saved {}", path.display())),
             Err(error) => {
@@ -380,13 +403,14 @@ impl Stage {
         if !self.picture.has_scene() {
             return Ok(None);
         }
-        if matches!(MODES[self.mode], Mode::Splats | Mode::Centres) {
+        let light = self.photo_light()?;
+        if light.is_none() && matches!(MODES[self.mode], Mode::Splats | Mode::Centres) {
             let whole = self.view.camera(self.size);
             self.picture.reserve(present, self.size, &whole, settings)?;
             return Ok(None);
         }
         let look = self.look();
-        let drawn = draw::draw(self.picture.renderer(), camera, &self.base, &look)?;
+        let drawn = draw::draw_as(self.picture.renderer(), camera, &self.base, &look, light)?;
         let number = |key: &str| drawn.stats[key].as_u64().and_then(|n| u32::try_from(n).ok()).unwrap_or(0);
         self.measured = Measured {
             milliseconds: self.measured.milliseconds,

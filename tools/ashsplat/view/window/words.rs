@@ -76,6 +76,15 @@ pub fn status(scene: &str, device: &str, mode: usize, rate: f64, frame: &Measure
     lines
 }
 
+/// What is said when photos' views are to be drawn as photographed, or not any more.
+pub fn photo_light(on: bool, known: bool) -> &'static str {
+    match (on, known) {
+        (_, false) => "as photographed: training has learned no exposures and no lens effects",
+        (true, true) => "as photographed: on, in the photos' views",
+        (false, true) => "as photographed: off",
+    }
+}
+
 /// Why no display can be opened, as winit says it, without the place in its sources.
 pub fn no_display(said: &str) -> String {
     let place = said.starts_with("os error at ").then(|| said.split_once(": ")).flatten();
