@@ -6,6 +6,7 @@ mod checkpoints;
 mod commands;
 mod convert;
 mod few_photos;
+mod init;
 mod inspect;
 mod layouts;
 mod light;

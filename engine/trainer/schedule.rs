@@ -101,9 +101,10 @@ impl TrainSettings {
         self.feature_lr * FEATURE_REST_SHARE
     }
 
-    /// The SH degree in use at an iteration (1-based): one more at every `sh_degree_interval`, up to `sh_degree`.
+    /// The SH degree in use at an iteration (1-based): one more at every `sh_degree_interval`, up to `sh_degree`, and never below
+    /// `sh_degree_start`.
     pub fn sh_degree_at(&self, iteration: u32) -> u32 {
-        (iteration / self.sh_degree_interval).min(self.sh_degree)
+        (iteration / self.sh_degree_interval).max(self.sh_degree_start).min(self.sh_degree)
     }
 
     /// Whether statistics for densification are collected at an iteration (1-based).

@@ -25,6 +25,8 @@ options! {
         sh_degree: u32 = 3, Bounds::AtMost(MAX_SH_DEGREE);
         /// Iterations after which the SH degree in use rises by one
         sh_degree_interval: u32 = 1000, Bounds::AtLeast(1);
+        /// SH degree in use at the start (of a scene that training begins with: its own)
+        sh_degree_start: u32 = 0, Bounds::AtMost(MAX_SH_DEGREE);
         /// Learning rate of the means at the start, times the scene's extent
         position_lr_init: f64 = 1.6e-4, Bounds::Positive;
         /// Learning rate of the means at the end, times the scene's extent

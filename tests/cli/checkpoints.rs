@@ -23,18 +23,18 @@ const SCHEDULE: [&str; 12] = [
     "22",
 ];
 
-struct Place {
+pub(super) struct Place {
     folder: TempDir,
 }
 
 impl Place {
-    fn new() -> Place {
+    pub(super) fn new() -> Place {
         let folder = tempdir().expect("a temporary folder");
         write_dataset(&folder.path().join("data"));
         Place { folder }
     }
 
-    fn model(&self, name: &str) -> PathBuf {
+    pub(super) fn model(&self, name: &str) -> PathBuf {
         self.folder.path().join(name)
     }
 
@@ -45,17 +45,17 @@ impl Place {
         command
     }
 
-    fn train(&self, model: &str, more: &[&str]) -> Finished {
+    pub(super) fn train(&self, model: &str, more: &[&str]) -> Finished {
         finish(&mut self.command(model, more))
     }
 
-    fn ply(&self, model: &str, iteration: u32) -> Vec<u8> {
+    pub(super) fn ply(&self, model: &str, iteration: u32) -> Vec<u8> {
         let path = format!("point_cloud/iteration_{iteration}/point_cloud.ply");
         std::fs::read(self.model(model).join(&path)).expect("a PLY")
     }
 }
 
-fn assert_trained(run: &Finished) {
+pub(super) fn assert_trained(run: &Finished) {
     assert_eq!(run.code, Some(0), "{}", run.stderr);
 }
 
@@ -86,6 +86,43 @@ fn a_resumed_training_equals_one_that_was_never_stopped() {
     let none = place.train("none", &["--iterations", "40", "--start_checkpoint", "latest"]);
     assert_refused(&none, &["no checkpoint", "--checkpoint-iterations"]);
     assert!(!place.model("none").exists());
+}
+
+/// As a scheduler runs it: the same command again and again, until it is done.
+#[test]
+fn the_same_command_goes_on_by_itself() {
+    let place = Place::new();
+    assert_trained(&place.train("whole", &["--iterations", "40"]));
+    let auto = |iterations: &str| {
+        let every =
+            ["--checkpoint-every", "10", "--checkpoint_iterations", "20", "--start_checkpoint", "auto"];
+        place.train("model", &[every.as_slice(), &["--iterations", iterations]].concat())
+    };
+    let checkpoints = || {
+        let names = files_below(&place.model("model")).into_iter().map(|path| path.display().to_string());
+        let mut names: Vec<_> = names.filter(|name| name.ends_with(".safetensors")).collect();
+        names.sort();
+        names
+    };
+    let begun = auto("36");
+    assert_trained(&begun);
+    assert!(begun.stderr.contains("has no checkpoint: training begins anew"), "{}", begun.stderr);
+    // The newest of those that pass, and the one that was asked for.
+    assert_eq!(checkpoints(), ["chkpnt20.safetensors", "chkpnt30.safetensors"]);
+    // From iteration 30 on, after 36 were done: what a killed run leaves.
+    let gone_on = auto("40");
+    assert_trained(&gone_on);
+    assert!(!gone_on.stderr.contains("anew"), "{}", gone_on.stderr);
+    assert_eq!(checkpoints(), ["chkpnt20.safetensors", "chkpnt40.safetensors"]);
+    assert!(place.ply("model", 40) == place.ply("whole", 40), "other bits");
+    // Nothing is left to do, which is no failure.
+    let ply = place.model("model").join("point_cloud/iteration_40/point_cloud.ply");
+    let written = || std::fs::metadata(&ply).and_then(|file| file.modified()).expect("a time");
+    let before = written();
+    let done = auto("40");
+    assert_trained(&done);
+    assert!(done.stdout.contains("is trained to its end already"), "{}", done.stdout);
+    assert_eq!(written(), before);
 }
 
 /// Where densification stops depends on the memory: a run that goes on with another says so.

@@ -68,6 +68,9 @@ pub struct Overrides {
     #[command(flatten)]
     #[serde(flatten)]
     missing_points: MissingPoints,
+    /// Begin with the Gaussians of this file, of any format that convert reads, in place of points
+    #[arg(long, value_name = "FILE")]
+    init: Option<PathBuf>,
     /// Test after these iterations, and after the last; -1 for the last only [default: 7000 30000]
     #[arg(long, num_args = 1.., value_name = "N", allow_negative_numbers = true, value_parser = iteration)]
     test_iterations: Option<Vec<u32>>,
@@ -77,6 +80,9 @@ pub struct Overrides {
     /// Write a checkpoint, from which training can go on, after these iterations
     #[arg(long, num_args = 1.., value_name = "N", allow_negative_numbers = true, value_parser = iteration)]
     checkpoint_iterations: Option<Vec<u32>>,
+    /// Write a checkpoint after every so many iterations, and remove the one before; 0 for none [default: 0]
+    #[arg(long, value_name = "N")]
+    checkpoint_every: Option<u32>,
     #[command(flatten)]
     #[serde(flatten)]
     train: TrainOverrides,

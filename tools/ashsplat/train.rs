@@ -5,6 +5,7 @@ mod checkpoints;
 mod folder;
 mod live;
 mod log;
+mod origin;
 mod poses;
 mod prepared;
 mod report;
@@ -27,10 +28,11 @@ use ashsplat::trainer::{StepReport, Trainer};
 use ashsplat::vk::Context;
 use ashsplat::{Error, Result};
 use ashsplat_files::{Dataset, View};
-use checkpoints::{LATEST, Start};
+use checkpoints::{AUTO, LATEST};
 use clap::Args;
 use live::{Live, LiveArguments};
 use log::TrainLog;
+use origin::Origin;
 use prepared::{Prepared, Views, check_fits, photo_memory};
 use report::KernelTimes;
 pub use report::say_what_next;
@@ -56,8 +58,9 @@ pub struct Arguments {
     /// TOML file with any of these settings (as settings.toml in a model folder); the command line wins
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// Go on from this checkpoint, or from the newest of the model folder; all else must be as it was
-    #[arg(long, value_name = "FILE|latest")]
+    /// Go on from this checkpoint, or from the newest of the model folder; all else must be as it was. auto: from the newest, or
+    /// from the start where there is none
+    #[arg(long, value_name = "FILE|latest|auto")]
     start_checkpoint: Option<PathBuf>,
     /// Most memory for photos, with a unit: 800M, 6G; more of them are kept in a file beside the model folder
     /// and read while training runs, with the same result [default: half of what the device gives or
@@ -94,7 +97,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         [(&settings.data.source_path, "-s/--source-path"), (&settings.data.model_path, "-m/--model-path")]
     {
         // Verification writes nothing, and reads the newest checkpoint if anything.
-        let newest = arguments.start_checkpoint.as_ref().is_some_and(|path| path.as_os_str() == LATEST);
+        let newest = arguments.start_checkpoint.as_ref().and_then(|path| path.to_str());
+        let newest = newest.is_some_and(|asked| [LATEST, AUTO].contains(&asked));
         let unused = arguments.verify_determinism.is_some() && !newest && name.starts_with("-m");
         if path.as_os_str().is_empty() && !unused {
             return Err(Error::argument(name, "is missing; give it here or in --config FILE"));
@@ -109,47 +113,41 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     };
     // Open the device first, so that its absence is reported before the photos are loaded.
     let context = arguments.device.context()?;
-    let start = arguments.start_checkpoint.as_ref();
-    let start = start
-        .map(|asked| Start::read(asked, &settings.data.model_path, &arguments.device.host))
-        .transpose()?;
     let host = &arguments.device.host;
+    let asked = arguments.start_checkpoint.as_deref();
+    let origin = Origin::read(asked, &settings, host)?;
+    if origin.is_complete(asked, &settings) {
+        say!("{} is trained to its end already", settings.data.model_path.display());
+        return Ok(());
+    }
+    let settings = origin.settle(settings);
     let mut options = session::options(&settings.data, settings.train.white_background, host)?;
     // Only training looks at them.
     options.depths = Some(settings.data.depths.clone()).filter(|folder| !folder.as_os_str().is_empty());
     options.photo_memory = photo_memory(&context, arguments.photo_memory, &settings.data.model_path);
     let mut gallery = session::open(&settings.data, &options, &stop)?;
     let given = (arguments.config.as_deref(), &arguments.overrides);
-    let (settings, few_photos) =
-        settings.settle(&mut gallery, given, start.as_ref().map(Start::checkpoint))?;
-    check_fits(
-        &context,
-        &gallery,
-        &settings.train,
-        start.as_ref().map(Start::checkpoint),
-        settings.missing_points(),
-    )?;
+    let (settings, few_photos) = settings.settle(&mut gallery, given, origin.checkpoint())?;
+    let settings = origin.settle(settings);
+    check_fits(&context, &gallery, &settings, &origin)?;
     let mut dataset = session::load(&gallery, arguments.quiet, &stop)?;
     few_photos.iter().filter(|_| !arguments.quiet).for_each(|line| tell!("{line}"));
     let gallery = arguments.live.wants_photos().then_some(gallery);
-    match start {
-        None => {
+    match origin {
+        Origin::Points => {
             settings.settle_points(&mut dataset, &options.host_memory, arguments.quiet, &stop)?;
         }
-        Some(_) => dataset.needs_no_points(),
+        Origin::Scene(_) | Origin::Checkpoint(_) => dataset.needs_no_points(),
     }
     session::warn(&dataset.warnings);
-    start.iter().for_each(|start| start.warn(&context));
+    origin.start().iter().for_each(|start| start.warn(&context));
     if let Some(iterations) = arguments.verify_determinism {
         drop(gallery);
         session::end_at_once(&stop)?;
-        return verify::run(&context, dataset, (&settings, start.as_ref()), iterations, arguments.quiet);
+        return verify::run(&context, dataset, (&settings, &origin), iterations, arguments.quiet);
     }
     let folder = settings.data.model_path.clone();
-    let mut run = match start {
-        None => Run::prepare(&context, dataset, settings, arguments.quiet)?,
-        Some(start) => Run::resume(&context, dataset, settings, &start, arguments.quiet)?,
-    };
+    let mut run = Run::begin(&context, dataset, settings, &origin, arguments.quiet)?;
     run.repeat(&arguments.device, arguments.photo_memory);
     run.track_within(arguments.eval_share);
     run.lpips = lpips;
@@ -214,34 +212,37 @@ pub struct Run {
 }
 
 impl Run {
-    /// Creates the trainer, and then, when nothing but the disk can fail any more, the model folder with
-    /// everything that is known before training.
+    /// A run that begins with the data set's points.
     pub fn prepare(context: &Context, dataset: Dataset, settings: Settings, quiet: bool) -> Result<Run> {
-        let points = dataset.initial_points(u64::from(settings.train.seed));
-        let mut initial = ashsplat_files::initial_gaussians(&points, settings.train.sh_degree)?;
-        settings.train.initialize(&mut initial);
-        let data = Prepared::new(dataset);
-        let (train, extent) = (data.train, data.scene_extent);
-        let trainer = Trainer::new(context, train, &initial, extent, settings.train.clone())?;
-        let lock = folder::begin(&settings, &data.views.cameras, Some(&points), false)?;
-        let log = TrainLog::create(&settings.data.model_path.join(LOG_FILE))?;
-        Ok(Run::new(context, settings, trainer, (log, lock), data.views, quiet))
+        Self::begin(context, dataset, settings, &Origin::Points, quiet)
     }
 
-    /// As [`Run::prepare`], from a checkpoint.
-    fn resume(
+    /// Creates the trainer, and then, when nothing but the disk can fail any more, the model folder with
+    /// everything that is known before training.
+    fn begin(
         context: &Context,
         dataset: Dataset,
         settings: Settings,
-        start: &Start,
+        origin: &Origin,
         quiet: bool,
     ) -> Result<Run> {
+        let Some(start) = origin.start() else {
+            let (initial, points) = origin.first(&dataset, &settings.train)?;
+            let data = Prepared::new(dataset);
+            let (train, extent) = (data.train, data.scene_extent);
+            let trainer = Trainer::new(context, train, &initial, extent, settings.train.clone())?;
+            let lock = folder::begin(&settings, &data.views.cameras, points.as_ref(), false)?;
+            let log = TrainLog::create(&settings.data.model_path.join(LOG_FILE))?;
+            return Ok(Run::new(context, settings, trainer, (log, lock), data.views, quiet));
+        };
         let data = Prepared::new(dataset);
         let trainer = start.trainer(context, data.train, data.scene_extent, &settings.train)?;
         let goes_on = start.is_of(&settings.data.model_path);
         let lock = folder::begin(&settings, &data.views.cameras, None, goes_on)?;
         let log = TrainLog::go_on(&settings.data.model_path.join(LOG_FILE), trainer.iteration())?;
-        let run = Run::new(context, settings, trainer, (log, lock), data.views, quiet);
+        let mut run = Run::new(context, settings, trainer, (log, lock), data.views, quiet);
+        // What it went on from goes, too, where only the newest is to stay.
+        run.checkpointed = goes_on.then_some(run.started);
         run.save_poses(run.started)?;
         Ok(run)
     }

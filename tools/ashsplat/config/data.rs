@@ -29,12 +29,29 @@ pub struct DataSettings {
     pub random_points: bool,
     /// Whether points are looked for in the photos where there are none.
     pub photo_points: When,
+    /// Gaussians to begin with, in place of points; empty: none.
+    pub init: PathBuf,
     /// Iterations after which to test; the last is always one.
     pub test_iterations: Vec<u32>,
     /// Iterations after which to save; the last is always one.
     pub save_iterations: Vec<u32>,
     /// Iterations after which to write a checkpoint.
     pub checkpoint_iterations: Vec<u32>,
+    /// Iterations between checkpoints of which only the newest stays; 0: none.
+    pub checkpoint_every: u32,
+}
+
+impl DataSettings {
+    /// Whether a checkpoint is written after an iteration (1-based).
+    pub fn checkpoints_at(&self, iteration: u32) -> bool {
+        self.checkpoint_iterations.contains(&iteration) || self.is_passing(iteration)
+    }
+
+    /// Whether an iteration's checkpoint goes as soon as there is a newer one.
+    pub fn is_passing(&self, iteration: u32) -> bool {
+        let every = self.checkpoint_every;
+        every > 0 && iteration.is_multiple_of(every) && !self.checkpoint_iterations.contains(&iteration)
+    }
 }
 
 impl Default for DataSettings {
@@ -51,9 +68,11 @@ impl Default for DataSettings {
             few_photos: When::Auto,
             random_points: false,
             photo_points: When::Auto,
+            init: PathBuf::new(),
             test_iterations: vec![7000, 30_000],
             save_iterations: vec![7000, 30_000],
             checkpoint_iterations: Vec::new(),
+            checkpoint_every: 0,
         }
     }
 }

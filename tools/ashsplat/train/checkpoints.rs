@@ -13,6 +13,8 @@ use std::path::{Path, PathBuf};
 
 /// Instead of a file: the newest of the model folder.
 pub const LATEST: &str = "latest";
+/// As [`LATEST`], or from the beginning where there is none: for schedulers that try again.
+pub const AUTO: &str = "auto";
 /// The iteration whose checkpoint was written last: not always the highest, where an earlier training left its own.
 const LAST_FILE: &str = "last_checkpoint";
 const EXTENSION: &str = "safetensors";
@@ -24,11 +26,18 @@ pub struct Start {
 }
 
 impl Start {
-    /// Reads the file, or the newest of the model folder for "latest".
-    pub fn read(asked: &Path, folder: &Path, host: &HostArguments) -> Result<Start> {
-        let path = if asked.as_os_str() == LATEST { newest(folder)? } else { asked.to_owned() };
+    /// Reads the file, or the newest of the model folder for "latest" and "auto". None where there is none for "auto".
+    pub fn find(asked: &Path, folder: &Path, host: &HostArguments) -> Result<Option<Start>> {
+        let path = match asked.to_str() {
+            Some(LATEST) => newest(folder).ok_or_else(|| no_checkpoint(folder))?,
+            Some(AUTO) => match newest(folder) {
+                Some(path) => path,
+                None => return Ok(None),
+            },
+            _ => asked.to_owned(),
+        };
         let checkpoint = Checkpoint::read_within(&path, &host.memory())?;
-        Ok(Start { path, checkpoint })
+        Ok(Some(Start { path, checkpoint }))
     }
 
     /// Whether it is a checkpoint of the training in this folder.
@@ -146,8 +155,15 @@ impl Run {
 
     fn write_that(&mut self, checkpoint: &Checkpoint) -> Result<()> {
         self.log.flush();
-        let path = write(&self.settings.data.model_path, checkpoint)?;
-        self.checkpointed = Some(checkpoint.iteration);
+        let folder = &self.settings.data.model_path;
+        let path = write(folder, checkpoint)?;
+        let before = self.checkpointed.replace(checkpoint.iteration);
+        // Of those that are written every so often, the newest is enough.
+        let passing =
+            |before: &u32| *before != checkpoint.iteration && self.settings.data.is_passing(*before);
+        if let Some(before) = before.filter(passing) {
+            std::fs::remove_file(self::path(folder, before)).ok();
+        }
         self.progress.note(&format!("checkpoint {}", path.display()));
         Ok(())
     }
@@ -195,29 +211,30 @@ fn iteration_of(name: &str) -> Option<u32> {
 }
 
 /// The checkpoint noted last, if it is there; else the one with the highest iteration.
-fn newest(folder: &Path) -> Result<PathBuf> {
+fn newest(folder: &Path) -> Option<PathBuf> {
     let note = output::read_note(&folder.join(LAST_FILE));
     let noted = note.and_then(|text| text.trim().parse().ok()).map(|iteration| path(folder, iteration));
     if let Some(noted) = noted.filter(|path| path.is_file()) {
-        return Ok(noted);
+        return Some(noted);
     }
     let highest = names(folder).iter().filter_map(|name| iteration_of(name.to_str()?)).max();
-    highest.map(|iteration| path(folder, iteration)).ok_or_else(|| {
-        let earlier: Option<PathBuf> = (1..)
-            .map(|n| folder.join(format!("earlier_{n}")))
-            .take_while(|earlier| earlier.is_dir())
-            .filter(|earlier| !names(earlier).is_empty())
-            .last();
-        let remedy = match earlier {
-            Some(earlier) => {
-                format!("those of an earlier training are in {0}: give -m {0}", earlier.display())
-            }
-            None => {
-                "checkpoints are written where --checkpoint-iterations asks for them, and on Ctrl-C".into()
-            }
-        };
-        Error::input(folder, "has no checkpoint (chkpntN.safetensors) to go on from", remedy)
-    })
+    highest.map(|iteration| path(folder, iteration))
+}
+
+fn no_checkpoint(folder: &Path) -> Error {
+    let earlier: Option<PathBuf> = (1..)
+        .map(|n| folder.join(format!("earlier_{n}")))
+        .take_while(|earlier| earlier.is_dir())
+        .filter(|earlier| !names(earlier).is_empty())
+        .last();
+    let remedy = match earlier {
+        Some(earlier) => {
+            format!("those of an earlier training are in {0}: give -m {0}", earlier.display())
+        }
+        None => "checkpoints are written where --checkpoint-iterations and --checkpoint-every ask for them, and on Ctrl-C"
+            .into(),
+    };
+    Error::input(folder, "has no checkpoint (chkpntN.safetensors) to go on from", remedy)
 }
 
 #[cfg(test)]
@@ -228,26 +245,26 @@ mod tests {
     fn the_note_counts_and_else_the_highest() {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let folder = folder.path();
-        assert!(newest(folder).is_err());
+        assert!(newest(folder).is_none());
         // An earlier training's are not taken for this one's, and are named.
         std::fs::create_dir(folder.join("earlier_1")).expect("a folder");
         std::fs::write(path(&folder.join("earlier_1"), 7), "").expect("written");
-        assert!(newest(folder).expect_err("none").to_string().contains("earlier_1"));
+        assert!(newest(folder).is_none() && no_checkpoint(folder).to_string().contains("earlier_1"));
         for iteration in [7, 20, 100] {
             std::fs::write(path(folder, iteration), "").expect("written");
         }
-        assert_eq!(newest(folder).expect("one"), path(folder, 100));
+        assert_eq!(newest(folder), Some(path(folder, 100)));
         std::fs::write(folder.join(LAST_FILE), "20\n").expect("written");
-        assert_eq!(newest(folder).expect("one"), path(folder, 20));
+        assert_eq!(newest(folder), Some(path(folder, 20)));
         std::fs::remove_file(path(folder, 20)).expect("removed");
-        assert_eq!(newest(folder).expect("one"), path(folder, 100));
+        assert_eq!(newest(folder), Some(path(folder, 100)));
         std::fs::remove_file(folder.join(LAST_FILE)).expect("removed");
         #[cfg(unix)]
         {
             // A pipe that nobody writes to is not waited for.
             let mode = nix::sys::stat::Mode::S_IRWXU;
             nix::unistd::mkfifo(&folder.join(LAST_FILE), mode).expect("a pipe");
-            assert_eq!(newest(folder).expect("one"), path(folder, 100));
+            assert_eq!(newest(folder), Some(path(folder, 100)));
         }
     }
 }

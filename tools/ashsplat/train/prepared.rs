@@ -1,9 +1,11 @@
 //! A data set as a run uses it.
 
+use super::origin::Origin;
+use crate::config::Settings;
 use ashsplat::Result;
 use ashsplat::plan::to_u32;
 use ashsplat::scene::Camera;
-use ashsplat::trainer::{Checkpoint, Forecast, TrainSettings, TrainView};
+use ashsplat::trainer::{Forecast, TrainView};
 use ashsplat::vk::Context;
 use ashsplat_files::images::existing_folder;
 use ashsplat_files::{Dataset, Gallery, PhotoMemory, View};
@@ -65,26 +67,19 @@ fn sample(train: &[View]) -> Vec<View> {
     train.iter().step_by(step).cloned().collect()
 }
 
-/// Refuses what cannot be trained here, from the sizes of the photos: before they are read. `stand_ins` is the number of points
-/// where there are none.
-pub fn check_fits(
-    context: &Context,
-    gallery: &Gallery,
-    settings: &TrainSettings,
-    start: Option<&Checkpoint>,
-    stand_ins: usize,
-) -> Result<()> {
+/// Refuses what cannot be trained here, from the sizes of the photos: before they are read.
+pub fn check_fits(context: &Context, gallery: &Gallery, settings: &Settings, origin: &Origin) -> Result<()> {
     let points = match gallery.points().len() {
-        0 => stand_ins,
+        0 => settings.missing_points(),
         points => points,
     };
-    let gaussians = start.map_or(points, |checkpoint| checkpoint.gaussians.len());
+    let gaussians = origin.gaussians().unwrap_or(points);
     Forecast {
-        settings,
+        settings: &settings.train,
         photos: &gallery.train_photos()?,
         photo_memory: gallery.file_memory(),
         gaussians: to_u32(gaussians as u64)?,
-        room: start.map(|checkpoint| &checkpoint.room),
+        room: origin.checkpoint().map(|checkpoint| &checkpoint.room),
     }
     .check(context)
 }

@@ -1,6 +1,7 @@
 //! `ashsplat train --verify-determinism N`.
 
 use super::checkpoints::Start;
+use super::origin::Origin;
 use super::prepared::Prepared;
 use crate::config::Settings;
 use ashsplat::trainer::Trainer;
@@ -14,12 +15,12 @@ use ashsplat_files::Dataset;
 pub fn run(
     context: &Context,
     dataset: Dataset,
-    (settings, start): (&Settings, Option<&Start>),
+    (settings, origin): (&Settings, &Origin),
     iterations: u32,
     quiet: bool,
 ) -> Result<()> {
-    let points = dataset.initial_points(u64::from(settings.train.seed));
-    let initial = ashsplat_files::initial_gaussians(&points, settings.train.sh_degree)?;
+    let start = origin.start();
+    let (initial, _) = origin.first(&dataset, &settings.train)?;
     let data = Prepared::new(dataset);
     let new = |context: &Context| match start {
         Some(start) => start.trainer(context, data.train.clone(), data.scene_extent, &settings.train),

@@ -1,0 +1,56 @@
+//! `train --init`: training that begins with a scene.
+
+use super::checkpoints::{Place, assert_trained};
+use super::*;
+use ashsplat_files::splats::{self, ReadOptions};
+
+/// A scene of any format in place of points.
+#[test]
+fn a_training_begins_with_a_scene() {
+    let place = Place::new();
+    let still = "--strategy fixed --position_lr_init 1e-12 --position_lr_final 1e-12 --feature_lr 0 --opacity_lr 0 \
+                 --scaling_lr 0 --rotation_lr 0";
+    let still: Vec<&str> = still.split_whitespace().collect();
+    // SH in use from 5 on, so that the scene has some.
+    assert_trained(&place.train("coarse", &["--iterations", "30", "--sh_degree_interval", "5"]));
+    let coarse = place.model("coarse").join("point_cloud/iteration_30/point_cloud.ply");
+    let begin = |model: &str, scene: &Path, more: &[&str]| {
+        let mut command = program();
+        let (data, out) = (place.model("data"), place.model(model));
+        command.args(["train", "-s", text(&data), "-m", text(&out), "--quiet", "--init", text(scene)]);
+        finish(command.args(more))
+    };
+    let trained = |model: &str, iteration: u32| {
+        let path = place.model(model).join(format!("point_cloud/iteration_{iteration}/point_cloud.ply"));
+        splats::read(path, &ReadOptions::default()).expect("a PLY").gaussians
+    };
+    let first = trained("coarse", 30);
+    assert!(first.sh.iter().skip(1).step_by(4).flatten().any(|&c| c != 0.0), "no SH above degree 0");
+    // One step without rates: what was given comes out.
+    let options = [still.as_slice(), &["--sh_degree", "1", "--iterations", "1"]].concat();
+    assert_trained(&begin("same", &coarse, &options));
+    let same = trained("same", 1);
+    assert_eq!((same.means.len(), &same.sh), (first.means.len(), &first.sh));
+    assert_eq!((&same.opacity_logits, &same.log_scales), (&first.opacity_logits, &first.log_scales));
+    assert!(!place.model("same").join("input.ply").exists());
+    // Its SH degree is in use at once.
+    let settings = std::fs::read_to_string(place.model("same").join("settings.toml")).expect("settings");
+    assert!(settings.contains("sh_degree_start = 1"), "{settings}");
+    // Of another degree: cut, or with zeros.
+    let options = [still.as_slice(), &["--sh_degree", "0", "--iterations", "1"]].concat();
+    assert_trained(&begin("cut", &coarse, &options));
+    assert_eq!(trained("cut", 1).sh.len(), first.means.len());
+    // Compressed, and trained on from there, with what a stopped run needs to go on.
+    let spz = place.model("coarse.spz");
+    assert_trained(&finish(program().args(["convert", text(&coarse), text(&spz)])));
+    let options = ["--strategy", "reference", "--iterations", "12", "--checkpoint-every", "8"];
+    assert_trained(&begin("on", &spz, &options));
+    let resumed = [options.as_slice(), &["--start-checkpoint", "latest"]].concat();
+    let ply = place.ply("on", 12);
+    assert_trained(&begin("on", &spz, &resumed));
+    assert!(place.ply("on", 12) == ply, "other bits");
+    // What is no scene.
+    let refused = begin("none", &place.model("nowhere.ply"), &[]);
+    assert_refused(&refused, &["nowhere.ply"]);
+    assert!(!place.model("none").exists());
+}
