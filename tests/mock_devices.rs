@@ -9,7 +9,7 @@ use std::sync::LazyLock;
 
 use ashsplat::trainer::Trainer;
 use ashsplat::tuning::Backend;
-use ashsplat::vk::{Context, ContextOptions, MemoryKind};
+use ashsplat::vk::{Context, ContextOptions, MemoryKind, Transfers};
 use ashsplat::{RenderSettings, Renderer, TrainSettings};
 use ashsplat_mock_layer::{MACHINES, VARIABLE};
 
@@ -152,6 +152,15 @@ fn mock_device_claims_in_a_child() {
         assert_eq!(limits.max_workgroup_invocations, 256);
         assert_eq!((limits.shared_memory_bytes, limits.push_constant_bytes), (16 << 10, 128));
     }
+    let (writes_directly, reads_directly, copy_queue) = match machine.as_str() {
+        "discrete" | "discrete-window" | "small-limits" => (false, false, false),
+        "discrete-rebar" => (true, false, false),
+        "unified" => (true, true, false),
+        "unified-uncached" => (true, false, false),
+        "transfer-queue" => (false, false, true),
+        other => panic!("how does {other} transfer?"),
+    };
+    assert_eq!(context.transfers(), Transfers { writes_directly, reads_directly, copy_queue }, "{machine}");
     // New memory is garbage, not zeros.
     let buffer =
         context.allocate("new", &[("words", 64)], MemoryKind::Device).expect("memory").swap_remove(0);

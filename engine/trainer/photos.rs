@@ -303,7 +303,7 @@ impl Stream {
         };
         let at = running.schedule.advance();
         // The place of the prepared one is in use.
-        let free = at.load && at.place != running.at.place && context.copies_beside_work();
+        let free = at.load && at.place != running.at.place && context.transfers().copy_queue;
         let texels = if free { running.texels.try_recv().ok().transpose()? } else { None };
         if let Some(texels) = &texels {
             context.begin_upload(&self.places[at.place].range(0, texels.len() as u64), texels)?;

@@ -38,7 +38,28 @@ pub struct MemoryRates {
     pub from_device: f64,
 }
 
+/// How contents come into the device's memory and back, by its memory types and queues.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Transfers {
+    /// Uploads are written into the device's memory itself: it is the host's, or the host sees all of it (resizable BAR).
+    /// Otherwise they are copied from a ring of staging memory.
+    pub writes_directly: bool,
+    /// Downloads are read from the device's memory itself: it is the host's, and cached. Otherwise they are copied first.
+    pub reads_directly: bool,
+    /// Staged uploads are copied by a queue of their own, beside the main queue's work.
+    pub copy_queue: bool,
+}
+
 impl Context {
+    /// How contents come into the device's memory and back.
+    pub fn transfers(&self) -> Transfers {
+        Transfers {
+            writes_directly: self.device.place.is_mapped(),
+            reads_directly: self.device.reads_mapped(),
+            copy_queue: self.device.copying.is_some(),
+        }
+    }
+
     /// Measures every memory type that the host sees, with buffers of this many bytes. A type whose heap has no room is left out.
     ///
     /// # Errors

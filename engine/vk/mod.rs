@@ -141,7 +141,7 @@ pub use limits::{Limits, SpecOverride, is_kernel_of, is_yardstick};
 #[cfg(feature = "testing")]
 pub use limits_override::LimitsOverride;
 pub use memory::{PLACEMENT_ALIGNMENT, Packing, SMALLEST_BUFFER, pack};
-pub use memory_rates::MemoryRates;
+pub use memory_rates::{MemoryRates, Transfers};
 pub use open::ContextOptions;
 pub use pipeline_cache::{PipelineCacheKey, PipelineCacheStore};
 pub use pipeline_statistics::PipelineStatistics;

@@ -67,11 +67,6 @@ impl Context {
         self.staging.lock().take_over(&self.pools)
     }
 
-    /// Whether uploads run beside the main queue's work.
-    pub(crate) fn copies_beside_work(&self) -> bool {
-        self.device.copying.is_some()
-    }
-
     /// Whether a profile or an audit wants to see every command.
     fn is_watched(&self) -> bool {
         let profile = &self.logs.profile.lock().unwrap_or_else(PoisonError::into_inner);

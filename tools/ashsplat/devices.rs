@@ -37,6 +37,16 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 fn measure(device: &DeviceDescription) -> Result<()> {
     let options = ContextOptions { device: Some(device.index.to_string()), ..ContextOptions::default() };
     let context = Context::new(&options)?;
+    let ways = context.transfers();
+    let to = match (ways.writes_directly, ways.copy_queue) {
+        (true, _) => "written directly",
+        (false, true) => "copied by a queue of their own",
+        (false, false) => "copied",
+    };
+    say!(
+        "   uploads         {to}; downloads are {}",
+        if ways.reads_directly { "read directly" } else { "copied" }
+    );
     say!(
         "   GB/s            {:>11} {:>11} {:>11} {:>11}",
         "host writes",
