@@ -31,6 +31,7 @@ mod child;
 
 mod bad_input;
 mod colour;
+mod cost;
 mod faults;
 mod frames;
 mod lifetimes;
@@ -44,3 +45,7 @@ mod times;
 mod training;
 mod updates;
 mod warm_up;
+
+/// Counts heap allocations, for the tests that bound them.
+#[global_allocator]
+static ALLOCATOR: cost::Counting = cost::Counting;

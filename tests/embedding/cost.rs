@@ -1,0 +1,144 @@
+//! What frames cost the host: memory of slots, time and heap allocations of `record`.
+//!
+//! The tables of the guide: `cargo test --release --test embedding -- --ignored --nocapture cost::tables`.
+
+use crate::host::{Host, HostOptions, InFlight};
+use crate::stage::{adopt, camera, cloud, with_host};
+use ashsplat::vk::{Context, ContextOptions};
+use ashsplat::{DeviceScene, Placed, RecordedFrame, RenderSettings, Renderer, Reservation};
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+use std::time::Instant;
+
+/// The system's allocator, which counts what each thread asks for.
+pub struct Counting;
+
+thread_local! {
+    static ASKED: Cell<u64> = const { Cell::new(0) };
+}
+
+fn note() {
+    // A thread that is ending has no counter any more.
+    let _ = ASKED.try_with(|asked| asked.set(asked.get() + 1));
+}
+
+// SAFETY: every call is passed on to the system's allocator as it is.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        note();
+        // SAFETY: as the caller promises.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
+        note();
+        // SAFETY: as the caller promises.
+        unsafe { System.alloc_zeroed(layout) }
+    }
+
+    unsafe fn realloc(&self, at: *mut u8, layout: Layout, bytes: usize) -> *mut u8 {
+        note();
+        // SAFETY: as the caller promises.
+        unsafe { System.realloc(at, layout, bytes) }
+    }
+
+    unsafe fn dealloc(&self, at: *mut u8, layout: Layout) {
+        // SAFETY: as the caller promises.
+        unsafe { System.dealloc(at, layout) }
+    }
+}
+
+/// Heap allocations of this thread while `f` runs; what the driver asks malloc for is not among them.
+pub fn allocations<T>(f: impl FnOnce() -> T) -> (u64, T) {
+    let before = ASKED.get();
+    let result = f();
+    (ASKED.get() - before, result)
+}
+
+/// A guest as in a game that is shipped: nothing checks what it does.
+fn shipped(host: &Host, timestamps: bool) -> Context {
+    let options = ContextOptions { timestamps, hazard_check: false, ..ContextOptions::default() };
+    // SAFETY: as in `guest`.
+    unsafe { Context::from_foreign(&host.foreign(), &options) }.expect("a context")
+}
+
+/// Bytes of a reservation.
+fn reserved_bytes(context: &Context, wanted: &Reservation) -> u64 {
+    let before = context.memory_total().bytes;
+    let mut renderer = Renderer::new(context).expect("kernels");
+    let empty = context.memory_total().bytes - before;
+    renderer.reserve(wanted).expect("memory");
+    context.memory_total().bytes - before - empty
+}
+
+fn memory_table(host: &Host) {
+    let context = shipped(host, false);
+    println!("Gaussians | picture | one slot, MiB | two | three | three / one");
+    for gaussians in [100_000, 1_000_000, 2_000_000] {
+        for [width, height] in [[1280, 720], [1920, 1080], [3840, 2160]] {
+            let bytes = [1, 2, 3].map(|slots| {
+                let wanted = Reservation { slots, ..Reservation::new(gaussians, 3, width, height) };
+                reserved_bytes(&context, &wanted)
+            });
+            let [one, two, three] = bytes.map(|bytes| bytes as f64 / f64::from(1 << 20));
+            println!(
+                "{gaussians} | {width}x{height} | {one:.1} | {two:.1} | {three:.1} | {:.2}",
+                three / one
+            );
+        }
+    }
+}
+
+/// Median time of `record`, microseconds, its fastest, and the most heap allocations of one, after `warm` frames.
+fn record_cost(host: &Host, scenes: u32, timestamps: bool, frames: usize) -> ([f64; 2], u64) {
+    let context = shipped(host, timestamps);
+    let gaussians = cloud(8, 1);
+    let scenes: Vec<_> =
+        (0..scenes).map(|_| DeviceScene::upload(&context, &gaussians, 0).expect("a scene")).collect();
+    let placed: Vec<Placed> = scenes.iter().map(Placed::from).collect();
+    let count = scenes.len() as u32;
+    let mut renderer = Renderer::new(&context).expect("kernels");
+    let wanted = Reservation { slots: 2, scenes: count, ..Reservation::new(8 * count, 1, 64, 48) };
+    renderer.reserve(&wanted).expect("memory");
+    let in_flight = [0; 2].map(|_| InFlight::new(host).expect("a command buffer"));
+    let (view, settings) = (camera(0.3, 64, 48), RenderSettings::default());
+    let (mut times, mut most) = (Vec::new(), 0);
+    for number in 0..frames + 4 {
+        let (slot, frame) = (number % 2, &in_flight[number % 2]);
+        if number > 1 {
+            frame.wait(host).expect("done");
+        }
+        frame.begin(host).expect("recording");
+        let commands = adopt(&context, frame);
+        let recorded = RecordedFrame::new(&placed, &view, &settings);
+        let start = Instant::now();
+        let (asked, done) = allocations(|| renderer.record(commands, slot as u32, &recorded));
+        let time = start.elapsed().as_secs_f64() * 1e6;
+        done.expect("a recording");
+        frame.submit(host).expect("a submission");
+        // What the first frames make stays.
+        if number >= 4 {
+            times.push(time);
+            most = most.max(asked);
+        }
+    }
+    in_flight.iter().for_each(|frame| frame.wait(host).expect("done"));
+    in_flight.into_iter().for_each(|frame| frame.destroy(host));
+    times.sort_by(f64::total_cmp);
+    ([times[times.len() / 2], times[0]], most)
+}
+
+#[test]
+#[ignore = "prints the tables of the guide"]
+fn tables() {
+    with_host(&HostOptions::default(), |host| {
+        memory_table(host);
+        println!("scenes | timestamps | record, median us | fastest | heap allocations");
+        for (scenes, frames) in [(1, 100), (2, 100), (64, 50), (2048, 9)] {
+            for timestamps in [false, true] {
+                let ([median, fastest], asked) = record_cost(host, scenes, timestamps, frames);
+                println!("{scenes} | {timestamps} | {median:.1} | {fastest:.1} | {asked}");
+            }
+        }
+    });
+}
