@@ -2,7 +2,7 @@
 
 use super::Renderer;
 use super::record::{HostImage, RecordedFrame, Target};
-use super::slots::Reservation;
+use super::reservation::Reservation;
 use super::updates::Update;
 use crate::compose::{Background, Compose};
 use crate::error::{Error, Result};
@@ -43,9 +43,11 @@ impl Renderer {
             depth_limit: frame.occluder.is_some(),
             ..BlendVariant::of(frame.settings, false)
         };
-        if !reserved.variants().contains(&variant) {
-            let problem = format!("{variant:?} was not reserved: see Reservation");
-            return Err(Error::argument("kind of frame", problem));
+        if let Some(fields) = reserved.lacks(variant) {
+            return Err(Error::argument(fields, "not reserved, and the frame needs it"));
+        }
+        if frame.settings.dropout.is_some() || frame.settings.has_z_record() {
+            return Err(Error::argument("settings", "are of training, no recorded frame has them"));
         }
         let mut degrees = frame.scenes.iter().map(|s| s.scene.buffers.active_degree(frame.settings));
         if !degrees.all(|degree| self.runner.forward.is_prepared(degree, variant)) {

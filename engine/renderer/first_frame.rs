@@ -3,7 +3,8 @@
 use super::Renderer;
 use super::check::check_capacity;
 use super::record::{RecordedFrame, inputs_of, place};
-use super::slots::{Reservation, SlotReport};
+use super::reservation::Reservation;
+use super::slots::SlotReport;
 use crate::error::{Error, Result};
 use crate::forward::RenderSettings;
 
@@ -41,11 +42,11 @@ impl Renderer {
         self.check_frame(frame, reserved)?;
         let forward = &self.runner.forward;
         let slot = self.slots.get(0)?;
-        check_capacity(frame, &slot.capacity, forward.sizes.elementwise_workgroup)?;
+        check_capacity(frame, &slot.upcoming().capacity, forward.sizes.elementwise_workgroup)?;
         let [main, others] = place(frame, forward.sizes.elementwise_workgroup);
         let Some(first) = main.first() else { unreachable!("checked") };
         let settings = RenderSettings { inverse_depth: false, ..*frame.settings };
-        let inputs = inputs_of(first, &others, slot, &settings);
+        let inputs = inputs_of(first, &others, &slot.memory, &settings);
         self.context.run("count", |r| {
             forward.record(r, &inputs);
             r.barrier();

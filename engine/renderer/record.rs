@@ -3,13 +3,13 @@
 use super::Renderer;
 use super::check::check_capacity;
 use super::device_scene::DeviceScene;
-use super::slots::{Reservation, Slot, SlotReport};
+use super::slot_memory::SlotMemory;
 use super::updates::{Update, record_copies, stage_updates};
 use crate::compose::{Background, Compose, Region};
 use crate::error::{Error, Result};
 use crate::forward::{FrameInputs, PlacedScene, RenderSettings};
 use crate::scene::{Camera, ColorEncoding, DepthMapping, Pose};
-use crate::vk::{Buffer, ForeignCommands, Image, ImageState, Recorder, SlotRecording};
+use crate::vk::{ForeignCommands, Image, ImageState, Recorder};
 use ash::vk;
 
 /// A scene and its pose.
@@ -42,7 +42,7 @@ pub struct HostImage<'a> {
 /// The target of the colours.
 #[derive(Clone, Copy)]
 pub enum Target<'a> {
-    /// The slot's own buffer, [`Renderer::slot_pixels`]: per pixel, row by row, premultiplied r, g, b, display-encoded as
+    /// The slot's own buffer, [`Renderer::slot_pixels`], unless the reservation is for [`images_only`](super::Reservation::images_only): per pixel, row by row, premultiplied r, g, b, display-encoded as
     /// trained, and the transmittance, each an f32. The host may use it after the recording, behind a barrier from
     /// [`Release::stages`] and [`Release::accesses`], until the slot is recorded again. The next recording
     /// waits for compute and transfer commands that read the buffer. A host that reads it in other stages, in
@@ -124,27 +124,6 @@ pub struct Release {
 }
 
 impl Renderer {
-    /// Allocates frame slots and builds all kernels that frames of this kind need. Replaces the previous
-    /// slots, whose command buffers must have finished
-    /// ([`Context::adopt_commands`](crate::vk::Context::adopt_commands)). Neither submits nor waits.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] for an invalid reservation or while a slot is in flight, [`Error::TooLarge`] if
-    /// the reservation exceeds the device; memory or device failures. After a memory failure no slot is
-    /// reserved.
-    pub fn reserve(&mut self, wanted: &Reservation) -> Result<()> {
-        if self.compose.is_none() {
-            self.compose = Some(Compose::new(&self.context)?);
-        }
-        let forward = &mut self.runner.forward;
-        for variant in wanted.variants() {
-            for sh_degree in 0..=wanted.sh_degree.min(3) {
-                forward.prepare_variant(sh_degree, variant)?;
-            }
-        }
-        self.slots.reserve(&self.context, &forward.sizes, wanted)
-    }
-
     /// Records a frame into a host's command buffer.
     ///
     /// It only records: it neither submits nor waits, allocates or maps device memory, or reads anything
@@ -178,10 +157,16 @@ impl Renderer {
             return Err(Error::argument("command buffer", "it belongs to another device"));
         }
         self.check_frame(frame, &reserved)?;
+        if matches!(frame.target, Target::Slot) && reserved.images_only {
+            return Err(Error::argument(
+                "images_only",
+                "is reserved, and the frame has no image as its target",
+            ));
+        }
         let forward = &self.runner.forward;
         let slot = self.slots.get(slot)?;
         slot.record.check_free()?;
-        check_capacity(frame, &slot.capacity, forward.sizes.elementwise_workgroup)?;
+        check_capacity(frame, &slot.upcoming().capacity, forward.sizes.elementwise_workgroup)?;
         let Some(compose) = &self.compose else { unreachable!("built by reserve") };
         let [main, others] = place(frame, forward.sizes.elementwise_workgroup);
         let Some(first) = main.first() else { unreachable!("checked") };
@@ -189,87 +174,31 @@ impl Renderer {
             inverse_depth: frame.settings.inverse_depth || frame.depth.is_some(),
             ..*frame.settings
         };
-        let copies = stage_updates(slot.staging.as_ref(), frame.updates)?;
+        slot.take_over();
+        let copies = stage_updates(slot.memory.staging.as_ref(), frame.updates)?;
         let gaussians = frame.scenes.iter().map(|s| s.scene.count()).sum();
         let mut recorder = slot.begin(commands, gaussians)?;
-        let r = &mut recorder;
+        let (r, memory) = (&mut recorder, &slot.memory);
         record_copies(r, &copies);
         let size = [frame.camera.width, frame.camera.height];
         let mut occluder = None;
-        if let (Some(o), Some(limits)) = (&frame.occluder, &slot.depth_limits) {
+        if let (Some(o), Some(limits)) = (&frame.occluder, &memory.depth_limits) {
             occluder = Some(r.acquire_image(o.depth.image, o.depth.from));
             r.scope("depth limits", |r| {
                 compose.record_depth_limits(r, o.depth.region(), o.mapping, size, limits);
             });
         }
         let inputs = FrameInputs {
-            depth_limits: frame.occluder.as_ref().and(slot.depth_limits.as_ref()),
+            depth_limits: frame.occluder.as_ref().and(memory.depth_limits.as_ref()),
             linear_depth: frame.depth.is_some(),
-            ..inputs_of(first, &others, slot, &settings)
+            ..inputs_of(first, &others, memory, &settings)
         };
         forward.record(r, &inputs);
         r.barrier();
-        let mut release = record_targets(r, compose, slot, frame);
+        let mut release = record_targets(r, compose, memory, frame);
         release.occluder = occluder;
         slot.end(recorder)?;
         Ok(release)
-    }
-
-    /// The report of a slot's last frame: None while it is in flight, and without a frame. Never waits,
-    /// except on llvmpipe, where reading timestamps waits for the whole device
-    /// ([`ContextOptions::timestamps`](crate::vk::ContextOptions::timestamps)).
-    ///
-    /// # Errors
-    /// [`Error::Argument`] for a slot that is not reserved; when the device is lost.
-    pub fn slot_report(&mut self, slot: u32) -> Result<Option<SlotReport>> {
-        let sizes = self.runner.forward.sizes;
-        self.slots.get(slot)?.report(&sizes)
-    }
-
-    /// Whether the last frame of a slot has finished. Never waits. Commands that the host recorded after the
-    /// frame may still run: see [`Context::adopt_commands`](crate::vk::Context::adopt_commands).
-    ///
-    /// # Errors
-    /// As [`Renderer::slot_report`].
-    pub fn slot_finished(&mut self, slot: u32) -> Result<bool> {
-        self.slots.get(slot)?.record.finished()
-    }
-
-    /// Releases what the last frame of a slot used, once its command buffer has finished. Scenes and image
-    /// views that were dropped meanwhile are destroyed now instead of at the slot's next recording.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] for a slot that is not reserved or still in flight.
-    pub fn release_slot(&mut self, slot: u32) -> Result<()> {
-        self.slots.get(slot)?.record.release()
-    }
-
-    /// The buffer that [`Target::Slot`] fills: premultiplied r, g, b (display-encoded, as trained) and transmittance per
-    /// pixel, row by row, f32. Usable as a storage buffer and a source of transfers. [`Renderer::reserve`] replaces it.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] for a slot that is not reserved.
-    pub fn slot_pixels(&mut self, slot: u32) -> Result<Buffer> {
-        Ok(self.slots.get(slot)?.frame.accumulated.clone())
-    }
-
-    /// The buffer of [`RenderSettings::inverse_depth`]: the sum of weights / z per pixel, row by row, f32;
-    /// otherwise as [`Renderer::slot_pixels`]. With an expected depth ([`RecordedFrame::depth`]) it holds the
-    /// sum of weights * z.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] for a slot that is not reserved.
-    pub fn slot_inverse_depth(&mut self, slot: u32) -> Result<Buffer> {
-        Ok(self.slots.get(slot)?.frame.inverse_depth.clone())
-    }
-
-    /// The slot's recording state, for a host that has discarded its command buffer or caught a panic: see
-    /// [`SlotRecording::discard`].
-    ///
-    /// # Errors
-    /// [`Error::Argument`] for a slot that is not reserved.
-    pub fn slot_recording(&mut self, slot: u32) -> Result<SlotRecording<'_>> {
-        Ok(SlotRecording::new(&mut self.slots.get(slot)?.record))
     }
 }
 
@@ -291,13 +220,13 @@ pub(super) fn place<'a>(frame: &RecordedFrame<'a>, alignment: u32) -> [Vec<Place
 pub(super) fn inputs_of<'a>(
     first: &'a PlacedScene<'a>,
     others: &'a [PlacedScene<'a>],
-    slot: &'a Slot,
+    memory: &'a SlotMemory,
     settings: &'a RenderSettings,
 ) -> FrameInputs<'a> {
     FrameInputs {
         scene: first.scene,
-        frame: &slot.frame,
-        capacity: &slot.capacity,
+        frame: &memory.frame,
+        capacity: &memory.capacity,
         camera: &first.camera,
         pose: None,
         settings,
@@ -311,9 +240,14 @@ pub(super) fn inputs_of<'a>(
     }
 }
 
-fn record_targets(r: &mut Recorder, compose: &Compose, slot: &Slot, frame: &RecordedFrame<'_>) -> Release {
+fn record_targets(
+    r: &mut Recorder,
+    compose: &Compose,
+    memory: &SlotMemory,
+    frame: &RecordedFrame<'_>,
+) -> Release {
     let size = [frame.camera.width, frame.camera.height];
-    let f = &slot.frame;
+    let f = &memory.frame;
     let mut release = Release {
         stages: vk::PipelineStageFlags2::COMPUTE_SHADER,
         accesses: vk::AccessFlags2::SHADER_STORAGE_WRITE,

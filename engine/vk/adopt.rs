@@ -2,7 +2,7 @@
 
 use super::buffer::Buffer;
 use super::context::Context;
-use super::memory::{Block, PLACEMENT_ALIGNMENT};
+use super::memory::{Block, PLACEMENT_ALIGNMENT, SMALLEST_BUFFER, pack};
 use crate::{Error, Result};
 use ash::vk;
 use std::sync::Arc;
@@ -39,6 +39,21 @@ impl Buffer {
         }
         let end = offset.saturating_add(bytes);
         Ok(Self::new(Arc::new(Block::foreign(&context.device, raw, end)), offset, bytes, name))
+    }
+
+    /// Buffers of these names and sizes, bytes, one behind the other as [`pack`] places them.
+    ///
+    /// # Panics
+    /// When they do not fit.
+    pub(crate) fn split(&self, requests: &[(&'static str, u64)]) -> Vec<Self> {
+        let sizes: Vec<u64> = requests.iter().map(|(_, bytes)| *bytes).collect();
+        let Ok(packing) = pack(&sizes, u64::MAX) else { unreachable!("no size is above the largest") };
+        let places = requests.iter().zip(packing.places);
+        let part = |(&(name, bytes), (_, offset)): (&(&'static str, u64), (usize, u64))| {
+            let part = self.range(offset, bytes.max(SMALLEST_BUFFER).next_multiple_of(4));
+            Self::new(part.block().clone(), part.offset(), part.bytes(), name)
+        };
+        places.map(part).collect()
     }
 
     /// Whether it belongs to this context's device.

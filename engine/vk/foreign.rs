@@ -261,6 +261,19 @@ impl RecordSlot {
         Ok(())
     }
 
+    /// Makes room for recordings of up to `dispatches` dispatches from the next one on, also while one is in flight.
+    ///
+    /// # Errors
+    /// As [`RecordSlot::new`].
+    pub(crate) fn reserve(&mut self, dispatches: usize) -> Result<()> {
+        let mut descriptors = self.descriptors.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(sets) = descriptors.sets() {
+            sets.reserve(&self.inner, dispatches)?;
+        }
+        self.dispatches = self.dispatches.max(dispatches);
+        Ok(())
+    }
+
     /// Whether the commands that were recorded through the slot have finished. True for a slot that was never
     /// used; false while the command buffer has not been submitted. Commands that the host has recorded after
     /// them may still run. Never waits.

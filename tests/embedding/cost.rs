@@ -73,18 +73,20 @@ fn reserved_bytes(context: &Context, wanted: &Reservation) -> u64 {
 
 fn memory_table(host: &Host) {
     let context = shipped(host, false);
-    println!("Gaussians | picture | one slot, MiB | two | three | three / one");
+    println!("Gaussians | picture | frames go into | one slot, MiB | two | three | three / one");
     for gaussians in [100_000, 1_000_000, 2_000_000] {
         for [width, height] in [[1280, 720], [1920, 1080], [3840, 2160]] {
-            let bytes = [1, 2, 3].map(|slots| {
-                let wanted = Reservation { slots, ..Reservation::new(gaussians, 3, width, height) };
-                reserved_bytes(&context, &wanted)
-            });
-            let [one, two, three] = bytes.map(|bytes| bytes as f64 / f64::from(1 << 20));
-            println!(
-                "{gaussians} | {width}x{height} | {one:.1} | {two:.1} | {three:.1} | {:.2}",
-                three / one
-            );
+            for images_only in [true, false] {
+                let bytes = [1, 2, 3].map(|slots| {
+                    let wanted = Reservation::new(gaussians, 3, width, height);
+                    reserved_bytes(&context, &Reservation { slots, images_only, ..wanted })
+                });
+                let [one, two, three] = bytes.map(|bytes| bytes as f64 / f64::from(1 << 20));
+                let (target, ratio) = (if images_only { "images" } else { "slots" }, three / one);
+                println!(
+                    "{gaussians} | {width}x{height} | {target} | {one:.1} | {two:.1} | {three:.1} | {ratio:.2}"
+                );
+            }
         }
     }
 }

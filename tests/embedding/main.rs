@@ -39,6 +39,7 @@ mod memory_of_hosts;
 mod pictures;
 mod resident;
 mod scenes;
+mod shared;
 mod stage;
 mod table;
 mod times;

@@ -1,11 +1,30 @@
 //! Frames in flight, in C.
 
 use super::{
-    AshsplatRenderer, AshsplatReport, AshsplatReservation, AshsplatStatus, borrowed, borrowed_mut, guarded,
+    AshsplatHostBuffer, AshsplatRenderer, AshsplatReport, AshsplatReservation, AshsplatStatus, borrowed,
+    borrowed_mut, guarded,
 };
-use ashsplat::ash::vk::Handle;
+use ashsplat::ash::{vk, vk::Handle};
 use ashsplat::vk::Buffer;
 use ashsplat::{Reservation, Result};
+
+impl From<&AshsplatReservation> for Reservation {
+    fn from(w: &AshsplatReservation) -> Self {
+        Self {
+            slots: w.slots,
+            queues: w.queues.max(1),
+            scenes: w.scenes,
+            instances: w.instances,
+            blend_passes: w.blend_passes.max(1),
+            inverse_depth: w.inverse_depth,
+            occlusion: w.occlusion,
+            expected_depth: w.expected_depth,
+            images_only: w.images_only,
+            staging_bytes: w.staging_bytes,
+            ..Self::new(w.gaussians, w.sh_degree, w.width, w.height)
+        }
+    }
+}
 
 /// Allocates frame slots and builds all kernels that frames of this kind need. Replaces the previous slots,
 /// whose command buffers must have finished.
@@ -19,18 +38,67 @@ pub unsafe extern "C" fn ashsplat_reserve(
 ) -> AshsplatStatus {
     // SAFETY: as promised.
     guarded(|| unsafe {
-        let (renderer, w) = (borrowed_mut(renderer, "renderer")?, borrowed(wanted, "reservation")?);
-        renderer.0.reserve(&Reservation {
-            slots: w.slots,
-            scenes: w.scenes,
-            instances: w.instances,
-            blend_passes: w.blend_passes.max(1),
-            inverse_depth: w.inverse_depth,
-            occlusion: w.occlusion,
-            expected_depth: w.expected_depth,
-            staging_bytes: w.staging_bytes,
-            ..Reservation::new(w.gaussians, w.sh_degree, w.width, w.height)
-        })
+        let (renderer, wanted) = (borrowed_mut(renderer, "renderer")?, borrowed(wanted, "reservation")?);
+        renderer.0.reserve(&wanted.into())
+    })
+}
+
+/// As ashsplat_reserve, while frames are in flight: nobody waits. Every slot takes the new memory over with its next
+/// recording or release; until then there is memory for both. The number of slots stays.
+///
+/// # Safety
+/// `renderer` and `wanted` are alive.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_grow(
+    renderer: *mut AshsplatRenderer,
+    wanted: *const AshsplatReservation,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        let (renderer, wanted) = (borrowed_mut(renderer, "renderer")?, borrowed(wanted, "reservation")?);
+        renderer.0.grow(&wanted.into())
+    })
+}
+
+/// Bytes of the block that a reservation takes: ashsplat_reserve_in. Allocates nothing.
+///
+/// # Safety
+/// `renderer` and `wanted` are alive, `bytes` is valid for a write.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_reservation_bytes(
+    renderer: *const AshsplatRenderer,
+    wanted: *const AshsplatReservation,
+    bytes: *mut u64,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        let (renderer, wanted) = (borrowed(renderer, "renderer")?, borrowed(wanted, "reservation")?);
+        *borrowed_mut(bytes, "bytes")? = renderer.0.reservation_bytes(&wanted.into())?;
+        Ok(())
+    })
+}
+
+/// As ashsplat_reserve, or with `grow` as ashsplat_grow, with all memory of the device in one buffer of the host's. Beside
+/// it there are, for each slot, less than a kilobyte that the host can read, and `staging_bytes`.
+///
+/// # Safety
+/// `renderer`, `wanted` and `block` are alive. The buffer is of the context's device, bound to memory, has the usages
+/// STORAGE_BUFFER, UNIFORM_BUFFER, INDIRECT_BUFFER, TRANSFER_SRC and TRANSFER_DST, no other user, and lives until all slots
+/// use another reservation or the renderer is freed, and their frames have finished.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_reserve_in(
+    renderer: *mut AshsplatRenderer,
+    wanted: *const AshsplatReservation,
+    block: *const AshsplatHostBuffer,
+    grow: bool,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        let renderer = &mut borrowed_mut(renderer, "renderer")?.0;
+        let (wanted, block) = (borrowed(wanted, "reservation")?.into(), borrowed(block, "block")?);
+        let raw = vk::Buffer::from_raw(block.buffer);
+        let block = Buffer::adopt(renderer.context(), "frame slots", raw, block.offset, block.bytes)?;
+        if grow { renderer.grow_in(&wanted, &block) } else { renderer.reserve_in(&wanted, &block) }
     })
 }
 

@@ -195,6 +195,12 @@ pub struct AshsplatReservation {
     pub occlusion: bool,
     /// Whether frames will render expected depth.
     pub expected_depth: bool,
+    /// Whether all frames go into images (AshsplatFrame.target). Slots then have no pixels of their own.
+    pub images_only: bool,
+    /// Queues that frames are submitted to, 0 for one. What lives only while a frame is computed exists once for each
+    /// queue: slots whose numbers leave the same rest when divided by this share it. Their frames go to one queue, in
+    /// any order, or are ordered by semaphores. With as many queues as slots nothing is shared.
+    pub queues: u32,
     /// Bytes of staging memory for a frame's updates: ashsplat_update_bytes.
     pub staging_bytes: u64,
 }

@@ -214,6 +214,7 @@ impl Guest {
             slots: FRAMES_IN_FLIGHT,
             scenes: 2,
             occlusion: true,
+            images_only: true,
             ..Reservation::new(ring.count() + ball.count(), 1, SIZE[0], SIZE[1])
         })?;
         Ok(Self { renderer, color, depth, ring, ball, _context: context, allocator })

@@ -112,6 +112,7 @@ impl Picture {
         }
         let wanted = Reservation {
             slots: FRAMES_IN_FLIGHT,
+            images_only: true,
             blend_passes: before.map_or(1, |old| old.blend_passes),
             ..Reservation::new(scene.count(), self.sh_degree, size[0], size[1])
         };
@@ -129,9 +130,8 @@ impl Picture {
         let report = self.renderer.slot_report(slot)?;
         let grown = report.as_ref().filter(|report| report.overflow).map(|report| reserved.grown(report));
         if let Some(grown) = grown.filter(|grown| *grown != reserved) {
-            present.idle()?;
-            self.reserved = None;
-            self.renderer.reserve(&grown)?;
+            // Frames in flight go on with what they have.
+            self.renderer.grow(&grown)?;
             self.reserved = Some(grown);
         }
         Ok(report)

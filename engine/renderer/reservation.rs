@@ -1,0 +1,189 @@
+//! What a host reserves for frames in flight.
+
+use super::slots::SlotReport;
+use crate::error::{Error, Result};
+use crate::forward::BlendVariant;
+use crate::plan::{FrameCapacity, LaunchSizes, PictureCapacity, ScenePlan, check_grids, initial_instances};
+use crate::vk::Context;
+
+/// What is allocated in advance for recording: see [`super::Renderer::reserve`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Reservation {
+    /// Frames in flight.
+    pub slots: u32,
+    /// Queues that frames are submitted to. What lives only while a frame is computed exists once for each queue:
+    /// slots whose numbers leave the same rest when divided by this share it. Their frames go to one queue, in any
+    /// order, or are ordered by semaphores. With as many queues as slots nothing is shared.
+    pub queues: u32,
+    /// Gaussians of all scenes of a frame together.
+    pub gaussians: u32,
+    /// Scenes of a frame.
+    pub scenes: u32,
+    /// Highest SH degree of the scenes.
+    pub sh_degree: u32,
+    /// (tile, Gaussian) instances of a frame; 0 for an estimate. [`SlotReport`] has the number that a frame
+    /// needs.
+    pub instances: u32,
+    /// Width of the largest picture, pixels. Pictures of any shape fit that need no more pixels and no more tiles
+    /// of 16×16 pixels, for example the same size turned by 90 degrees.
+    pub width: u32,
+    /// Height of the largest picture, pixels: see [`Reservation::width`].
+    pub height: u32,
+    /// Passes of blending. More than one is only needed if a driver's limit on loops cuts off very long
+    /// tiles.
+    pub blend_passes: u32,
+    /// Whether frames will render the sum of weights / z.
+    pub inverse_depth: bool,
+    /// Whether frames will render expected depth.
+    pub expected_depth: bool,
+    /// Whether frames will read a host's depth image.
+    pub occlusion: bool,
+    /// Whether frames will draw scenes with a 3D filter ([`RenderSettings::filter_3d`](crate::RenderSettings::filter_3d)).
+    pub filter_3d: bool,
+    /// Whether all frames go into images, and none into its slot ([`Target::Slot`](super::Target::Slot)). Slots then have
+    /// no pixels of their own ([`Renderer::slot_pixels`](super::Renderer::slot_pixels), `slot_inverse_depth`).
+    pub images_only: bool,
+    /// Bytes of staging memory for the [`super::Update`]s of a frame: see [`Reservation::update_bytes`].
+    pub staging_bytes: u64,
+}
+
+impl Reservation {
+    /// A reservation for one frame in flight of one scene, for one queue, with all options off.
+    pub fn new(gaussians: u32, sh_degree: u32, width: u32, height: u32) -> Self {
+        Self {
+            slots: 1,
+            queues: 1,
+            gaussians,
+            scenes: 1,
+            sh_degree,
+            instances: 0,
+            width,
+            height,
+            blend_passes: 1,
+            inverse_depth: false,
+            expected_depth: false,
+            occlusion: false,
+            filter_3d: false,
+            images_only: false,
+            staging_bytes: 0,
+        }
+    }
+
+    /// Staging bytes of an update of `gaussians` Gaussians of a scene of this degree.
+    pub fn update_bytes(gaussians: u32, sh_degree: u32) -> u64 {
+        u64::from(gaussians) * u64::from(crate::plan::parameter_planes(sh_degree)) * 16
+    }
+
+    /// A copy of the reservation that fits what a frame needed; unchanged if the frame fitted.
+    pub fn grown(&self, report: &SlotReport) -> Self {
+        let mut grown = *self;
+        if report.instances_needed > report.instance_capacity {
+            // With a reserve of half: the next frames will need a different number.
+            grown.instances = report.instances_needed.saturating_add(report.instances_needed / 2);
+        }
+        grown.blend_passes = self.blend_passes.max(report.blend_passes_needed);
+        grown
+    }
+
+    pub(super) fn check(&self) -> Result<()> {
+        let sides = 1..=crate::scene::camera::MAX_IMAGE_SIDE;
+        if !sides.contains(&self.width) || !sides.contains(&self.height) {
+            let problem = format!(
+                "width and height are {} x {}, each may be 1 to {}",
+                self.width,
+                self.height,
+                sides.end()
+            );
+            return Err(Error::argument("reservation", problem));
+        }
+        // The most are above the instances of any device.
+        let counts = [
+            ("slots", self.slots, 1..=1024),
+            ("queues", self.queues, 1..=1024),
+            ("scenes", self.scenes, 1..=65_536),
+            ("blend_passes", self.blend_passes, 1..=65_536),
+            ("sh_degree", self.sh_degree, 0..=3),
+        ];
+        match counts.into_iter().find(|(_, count, range)| !range.contains(count)) {
+            Some((field, count, range)) => {
+                let problem = format!("{field} is {count}, it may be {} to {}", range.start(), range.end());
+                Err(Error::argument("reservation", problem))
+            }
+            None => Ok(()),
+        }
+    }
+
+    /// The variants of blending that frames may use.
+    pub(super) fn variants(&self) -> Vec<BlendVariant> {
+        let mut variants = vec![BlendVariant::default()];
+        if self.inverse_depth {
+            variants.push(BlendVariant { inverse_depth: true, ..BlendVariant::default() });
+        }
+        if self.expected_depth {
+            variants.push(BlendVariant {
+                inverse_depth: true,
+                linear_depth: true,
+                ..BlendVariant::default()
+            });
+        }
+        if self.occlusion {
+            let hidden = variants.clone().into_iter();
+            variants.extend(hidden.map(|v| BlendVariant { depth_limit: true, ..v }));
+        }
+        // Any frame may draw ellipsoids.
+        let steep = variants.clone().into_iter();
+        variants.extend(steep.map(|v| BlendVariant { steep: true, ..v }));
+        if self.filter_3d {
+            let filtered = variants.clone().into_iter();
+            variants.extend(filtered.map(|v| BlendVariant { filter_3d: true, ..v }));
+        }
+        variants
+    }
+
+    /// The fields that a frame of this variant takes and that are not set, with commas; None if there are none.
+    pub(super) fn lacks(&self, frame: BlendVariant) -> Option<String> {
+        let needs = [
+            ("occlusion", frame.depth_limit, self.occlusion),
+            ("expected_depth", frame.linear_depth, self.expected_depth),
+            ("inverse_depth", frame.inverse_depth && !frame.linear_depth, self.inverse_depth),
+            ("filter_3d", frame.filter_3d, self.filter_3d),
+        ];
+        let lacking = needs.into_iter().filter(|(_, needed, set)| *needed && !set).map(|(field, ..)| field);
+        // Without a list in memory where nothing lacks.
+        lacking.map(str::to_owned).reduce(|all, field| all + ", " + &field)
+    }
+
+    /// Most dispatches of a frame.
+    pub(super) fn dispatches(&self, context: &Context) -> Result<usize> {
+        const PER_FRAME: u32 = 48;
+        // Scenes may be stored at a higher degree than the evaluated one, in more chunks.
+        let plan = ScenePlan::new(context.limits(), self.gaussians, 3)
+            .or_else(|_| ScenePlan::new(context.limits(), self.gaussians, self.sh_degree))?;
+        // Per chunk of parameters: culling and projection. Per scene: the ranges of its chunks.
+        let projection = 2 * (plan.chunks + self.scenes) + self.scenes;
+        let blending = LaunchSizes::new(context.limits()).blend_dispatches(self.instances, self.blend_passes);
+        Ok((PER_FRAME + blending + projection) as usize)
+    }
+
+    /// The capacity of each frame, if the device has grids for it.
+    pub(super) fn capacity(&self, context: &Context, sizes: &LaunchSizes) -> Result<FrameCapacity> {
+        // Gaps between scenes are smaller than a block.
+        let gaps = (self.scenes - 1).saturating_mul(sizes.elementwise_workgroup);
+        let gaussians = self.gaussians.saturating_add(gaps);
+        let pictures = PictureCapacity::of(self.width, self.height).without_backward();
+        let capacity = FrameCapacity {
+            gaussians,
+            instances: match self.instances {
+                0 => initial_instances(context.limits(), gaussians, &pictures),
+                instances => instances,
+            },
+            scenes: self.scenes,
+            pictures,
+            blend_passes: self.blend_passes,
+            backward: false,
+            absolute: false,
+        };
+        check_grids(context.limits(), &capacity, sizes)?;
+        Ok(capacity)
+    }
+}

@@ -1,0 +1,154 @@
+//! Reserves frame slots, and what a host asks of them.
+
+use super::Renderer;
+use super::reservation::Reservation;
+use super::slot_memory;
+use super::slots::{Slot, SlotReport};
+use crate::compose::Compose;
+use crate::error::{Error, Result};
+use crate::vk::{Buffer, SlotRecording};
+
+impl Renderer {
+    /// Allocates frame slots and builds all kernels that frames of this kind need. Replaces the previous
+    /// slots, whose command buffers must have finished
+    /// ([`Context::adopt_commands`](crate::vk::Context::adopt_commands)). Neither submits nor waits.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for an invalid reservation or while a slot is in flight, [`Error::TooLarge`] if
+    /// the reservation exceeds the device; memory or device failures. After a memory failure no slot is
+    /// reserved.
+    pub fn reserve(&mut self, wanted: &Reservation) -> Result<()> {
+        self.prepare(wanted)?;
+        self.slots.reserve(&self.context, &self.runner.forward.sizes, wanted, None)
+    }
+
+    /// As [`Renderer::reserve`], with all memory of the device in one block of the host's
+    /// ([`Buffer::adopt`]), of at least [`Renderer::reservation_bytes`]. Beside it there are, for each slot, less than a
+    /// kilobyte that the host can read, and [`Reservation::staging_bytes`]. The block has the usages STORAGE_BUFFER,
+    /// UNIFORM_BUFFER, INDIRECT_BUFFER, TRANSFER_SRC and TRANSFER_DST.
+    ///
+    /// # Errors
+    /// As [`Renderer::reserve`]; for a block of another device, or one that is too small.
+    pub fn reserve_in(&mut self, wanted: &Reservation, block: &Buffer) -> Result<()> {
+        self.prepare(wanted)?;
+        self.slots.reserve(&self.context, &self.runner.forward.sizes, wanted, Some(block))
+    }
+
+    /// As [`Renderer::reserve`], while frames are in flight: nobody waits. Every slot takes the new memory over with
+    /// its next recording or release, and the old memory is freed when no slot uses it any more. Until then there is
+    /// memory for both. The number of slots stays.
+    ///
+    /// # Errors
+    /// As [`Renderer::reserve`]; [`Error::Argument`] without slots, or for another number of them. The slots then are as
+    /// before.
+    pub fn grow(&mut self, wanted: &Reservation) -> Result<()> {
+        self.grow_by(wanted, None)
+    }
+
+    /// As [`Renderer::grow`], in a block of the host's, as for [`Renderer::reserve_in`]. The old block is not used any
+    /// more once all slots have been recorded again and these frames' predecessors have finished.
+    ///
+    /// # Errors
+    /// As [`Renderer::grow`] and [`Renderer::reserve_in`].
+    pub fn grow_in(&mut self, wanted: &Reservation, block: &Buffer) -> Result<()> {
+        self.grow_by(wanted, Some(block))
+    }
+
+    fn grow_by(&mut self, wanted: &Reservation, block: Option<&Buffer>) -> Result<()> {
+        self.prepare(wanted)?;
+        self.slots.grow(&self.context, &self.runner.forward.sizes, wanted, block)
+    }
+
+    /// Bytes of the block that a reservation takes: [`Renderer::reserve_in`].
+    ///
+    /// # Errors
+    /// As [`Renderer::reserve`], without allocating anything.
+    pub fn reservation_bytes(&self, wanted: &Reservation) -> Result<u64> {
+        slot_memory::block_bytes(&self.context, &self.runner.forward.sizes, wanted)
+    }
+
+    /// Builds the kernels of a reservation.
+    fn prepare(&mut self, wanted: &Reservation) -> Result<()> {
+        if self.compose.is_none() {
+            self.compose = Some(Compose::new(&self.context)?);
+        }
+        let forward = &mut self.runner.forward;
+        for variant in wanted.variants() {
+            for sh_degree in 0..=wanted.sh_degree.min(3) {
+                forward.prepare_variant(sh_degree, variant)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// The report of a slot's last frame: None while it is in flight, and without a frame. Never waits,
+    /// except on llvmpipe, where reading timestamps waits for the whole device
+    /// ([`ContextOptions::timestamps`](crate::vk::ContextOptions::timestamps)).
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for a slot that is not reserved; when the device is lost.
+    pub fn slot_report(&mut self, slot: u32) -> Result<Option<SlotReport>> {
+        let sizes = self.runner.forward.sizes;
+        self.slots.get(slot)?.report(&sizes)
+    }
+
+    /// Whether the last frame of a slot has finished. Never waits. Commands that the host recorded after the
+    /// frame may still run: see [`Context::adopt_commands`](crate::vk::Context::adopt_commands).
+    ///
+    /// # Errors
+    /// As [`Renderer::slot_report`].
+    pub fn slot_finished(&mut self, slot: u32) -> Result<bool> {
+        self.slots.get(slot)?.record.finished()
+    }
+
+    /// Releases what the last frame of a slot used, once its command buffer has finished. Scenes and image
+    /// views that were dropped meanwhile are destroyed now instead of at the slot's next recording.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for a slot that is not reserved or still in flight.
+    pub fn release_slot(&mut self, slot: u32) -> Result<()> {
+        let slot = self.slots.get(slot)?;
+        slot.record.release()?;
+        slot.take_over();
+        Ok(())
+    }
+
+    /// The buffer that [`Target::Slot`] fills: premultiplied r, g, b (display-encoded, as trained) and transmittance per
+    /// pixel, row by row, f32. Usable as a storage buffer and a source of transfers. [`Renderer::reserve`] replaces it, and after
+    /// [`Renderer::grow`] the slot's next recording does.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for a slot that is not reserved, or with [`Reservation::images_only`].
+    pub fn slot_pixels(&mut self, slot: u32) -> Result<Buffer> {
+        Ok(self.slot_with_pixels(slot)?.memory.frame.accumulated.clone())
+    }
+
+    /// The buffer of [`RenderSettings::inverse_depth`]: the sum of weights / z per pixel, row by row, f32;
+    /// otherwise as [`Renderer::slot_pixels`]. With an expected depth ([`RecordedFrame::depth`]) it holds the
+    /// sum of weights * z.
+    ///
+    /// # Errors
+    /// As [`Renderer::slot_pixels`].
+    pub fn slot_inverse_depth(&mut self, slot: u32) -> Result<Buffer> {
+        let reserved = self.slots.reserved.filter(|r| r.inverse_depth || r.expected_depth);
+        let buffer = self.slot_with_pixels(slot)?.memory.frame.inverse_depth.clone();
+        reserved.map(|_| buffer).ok_or_else(|| Error::argument("inverse_depth", "not reserved"))
+    }
+
+    /// The slot's recording state, for a host that has discarded its command buffer or caught a panic: see
+    /// [`SlotRecording::discard`].
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for a slot that is not reserved.
+    pub fn slot_recording(&mut self, slot: u32) -> Result<SlotRecording<'_>> {
+        Ok(SlotRecording::new(&mut self.slots.get(slot)?.record))
+    }
+
+    fn slot_with_pixels(&mut self, slot: u32) -> Result<&mut Slot> {
+        let slot = self.slots.get(slot)?;
+        match slot.memory.keeps_pixels {
+            true => Ok(slot),
+            false => Err(Error::argument("images_only", "is reserved: slots have no pixels of their own")),
+        }
+    }
+}

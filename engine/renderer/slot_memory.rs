@@ -1,0 +1,157 @@
+//! The device memory of frames in flight.
+//!
+//! A frame begins with a barrier behind all earlier commands of its queue. So what is written and read within a frame
+//! exists once for each queue, whatever the order in which frames are recorded and submitted. What is used before or
+//! behind the frame exists once for each slot: pixels that the host reads, staging memory that it writes, the counts.
+
+use super::reservation::Reservation;
+use crate::error::{Error, Result};
+use crate::plan::{FrameBuffers, FrameCapacity, LaunchSizes, frame_requests};
+use crate::vk::{Buffer, Context, MemoryKind, PLACEMENT_ALIGNMENT, pack};
+
+type Requests = Vec<(&'static str, u64)>;
+
+/// What the frames of a slot are recorded with.
+#[derive(Clone)]
+pub(super) struct SlotMemory {
+    pub frame: FrameBuffers,
+    pub capacity: FrameCapacity,
+    /// 1/z per pixel.
+    pub depth_limits: Option<Buffer>,
+    pub staging: Option<Buffer>,
+    /// Whether the pixels of a frame stay until the slot is recorded again.
+    pub keeps_pixels: bool,
+}
+
+/// Requests of a reservation.
+struct Plan {
+    capacity: FrameCapacity,
+    /// Once for each queue, and last what some frames have alone.
+    scratch: Requests,
+    /// Whether the last of them is there.
+    has_limits: bool,
+    /// Of each slot but the first of a queue, which keeps its pixels in the scratch.
+    pixels: Requests,
+}
+
+impl Plan {
+    fn new(context: &Context, sizes: &LaunchSizes, wanted: &Reservation) -> Result<Self> {
+        wanted.check()?;
+        let capacity = wanted.capacity(context, sizes)?;
+        let pixels = capacity.pictures.pixels;
+        let mut scratch = frame_requests(&capacity, sizes);
+        scratch.extend(wanted.occlusion.then_some(("depth_limits", pixels * 4)));
+        let mut own = Vec::new();
+        if !wanted.images_only {
+            own.push(("accumulated", pixels * 16));
+            let depths = wanted.inverse_depth || wanted.expected_depth;
+            own.extend(depths.then_some(("inverse_depth", pixels * 4)));
+        }
+        Ok(Self { capacity, scratch, has_limits: wanted.occlusion, pixels: own })
+    }
+
+    /// The groups that are allocated, in order.
+    fn groups(&self, wanted: &Reservation) -> impl Iterator<Item = &Requests> {
+        let queues = wanted.queues.min(wanted.slots);
+        let own = if self.pixels.is_empty() { 0 } else { wanted.slots - queues };
+        let scratch = std::iter::repeat_n(&self.scratch, queues as usize);
+        scratch.chain(std::iter::repeat_n(&self.pixels, own as usize))
+    }
+}
+
+/// Bytes of a group in one block.
+fn group_bytes(requests: &Requests) -> u64 {
+    let sizes: Vec<u64> = requests.iter().map(|(_, bytes)| *bytes).collect();
+    let bytes: u64 = pack(&sizes, u64::MAX).map_or(u64::MAX, |packing| packing.blocks.iter().sum());
+    bytes.checked_next_multiple_of(PLACEMENT_ALIGNMENT).unwrap_or(u64::MAX)
+}
+
+/// Bytes of a block for [`allocate`].
+pub(super) fn block_bytes(context: &Context, sizes: &LaunchSizes, wanted: &Reservation) -> Result<u64> {
+    let plan = Plan::new(context, sizes, wanted)?;
+    Ok(plan.groups(wanted).map(group_bytes).fold(0, u64::saturating_add))
+}
+
+/// Memory for all slots: in a host's block if there is one.
+pub(super) fn allocate(
+    context: &Context,
+    sizes: &LaunchSizes,
+    wanted: &Reservation,
+    block: Option<&Buffer>,
+) -> Result<Vec<SlotMemory>> {
+    let plan = Plan::new(context, sizes, wanted)?;
+    if let Some(block) = block {
+        let needed = block_bytes(context, sizes, wanted)?;
+        check_block(context, block, needed)?;
+    }
+    let mut at = 0;
+    let mut groups = Vec::new();
+    for requests in plan.groups(wanted) {
+        groups.push(match block {
+            None => context.allocate("frame slot", requests, MemoryKind::Device)?.into_iter(),
+            Some(block) => {
+                let bytes = group_bytes(requests);
+                let group = place(context, &block.range(at, bytes), requests)?;
+                at += bytes;
+                group.into_iter()
+            }
+        });
+    }
+    let mut groups = groups.into_iter();
+    let queues = wanted.queues.min(wanted.slots) as usize;
+    let mut memory: Vec<SlotMemory> = Vec::new();
+    for slot in 0..wanted.slots as usize {
+        let mut own = match memory.get(slot % queues) {
+            Some(shared) if slot >= queues => shared.clone(),
+            _ => {
+                let mut scratch = groups.next().unwrap_or_default();
+                let limits = scratch.len() - usize::from(plan.has_limits);
+                let frame = FrameBuffers::from_allocated(scratch.by_ref().take(limits).collect());
+                let (capacity, depth_limits) = (plan.capacity, scratch.next());
+                let keeps_pixels = !wanted.images_only;
+                SlotMemory { frame, capacity, depth_limits, staging: None, keeps_pixels }
+            }
+        };
+        if slot >= queues && !plan.pixels.is_empty() {
+            let mut pixels = groups.next().unwrap_or_default();
+            if let Some(accumulated) = pixels.next() {
+                own.frame.accumulated = accumulated;
+            }
+            if let Some(inverse_depth) = pixels.next() {
+                own.frame.inverse_depth = inverse_depth;
+            }
+        }
+        if wanted.staging_bytes > 0 {
+            let request = [("scene_updates", wanted.staging_bytes)];
+            own.staging = context.allocate("frame slot host", &request, MemoryKind::HostVisible)?.pop();
+        }
+        memory.push(own);
+    }
+    Ok(memory)
+}
+
+fn check_block(context: &Context, block: &Buffer, needed: u64) -> Result<()> {
+    let what = || format!("block '{}' for frame slots", block.name());
+    if !block.belongs_to(context) {
+        return Err(Error::argument(what(), "it belongs to another device"));
+    }
+    if !block.handle().1.is_multiple_of(PLACEMENT_ALIGNMENT) {
+        let problem = format!("begins at byte {}, no multiple of {PLACEMENT_ALIGNMENT}", block.handle().1);
+        return Err(Error::argument(what(), problem));
+    }
+    if block.bytes() < needed {
+        let (limit, limit_name) = (block.bytes(), "its size");
+        return Err(Error::TooLarge { what: what(), needed, unit: "bytes", limit, limit_name });
+    }
+    Ok(())
+}
+
+/// The buffers of a group in a part of a host's block.
+fn place(context: &Context, block: &Buffer, requests: &Requests) -> Result<Vec<Buffer>> {
+    let limit = context.limits().max_storage_buffer_range;
+    if let Some(&(name, needed)) = requests.iter().find(|(_, bytes)| *bytes > limit) {
+        let (what, limit_name) = (format!("buffer {}.{name}", block.name()), "maxStorageBufferRange");
+        return Err(Error::TooLarge { what, needed, unit: "bytes", limit, limit_name });
+    }
+    Ok(block.split(requests))
+}
