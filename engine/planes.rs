@@ -134,7 +134,21 @@ pub(crate) fn pack(
     plan: &ScenePlan,
     begin: usize,
 ) -> Vec<[f32; 4]> {
-    let mut planes = vec![[0.0f32; 4]; plan.chunk_gaussians as usize * plan.planes as usize];
+    let mut planes = Vec::new();
+    pack_into(&mut planes, g, range, plan, begin);
+    planes
+}
+
+/// The same in memory that is there already.
+pub(crate) fn pack_into(
+    planes: &mut Vec<[f32; 4]>,
+    g: &Gaussians,
+    range: std::ops::Range<usize>,
+    plan: &ScenePlan,
+    begin: usize,
+) {
+    planes.clear();
+    planes.resize(plan.chunk_gaussians as usize * plan.planes as usize, [0.0; 4]);
     let stored = sh_coefficients(plan.sh_degree);
     for (i, source) in (begin..).zip(range) {
         let mut put = |plane: u32, values| planes[plan.place(plane, i)] = values;
@@ -151,7 +165,6 @@ pub(crate) fn pack(
             put(plane, values);
         }
     }
-    planes
 }
 
 fn unpack(planes: &[[f32; 4]], count: usize, plan: &ScenePlan, out: &mut Gaussians) {

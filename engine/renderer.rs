@@ -35,7 +35,7 @@ pub use updates::Update;
 use crate::backward::Backward;
 use crate::compose::Compose;
 use crate::error::{Error, Result};
-use crate::forward::{Blending, Filter3d, RenderSettings, SceneBuffers};
+use crate::forward::{Blending, Filter3d, PlacedScene, RenderSettings, SceneBuffers};
 use crate::pixels::PixelBorder;
 use crate::planes;
 use crate::scene::{Camera, Gaussians};
@@ -69,6 +69,10 @@ pub struct Renderer {
     /// Built with the first alignment.
     aligner: Option<Aligner>,
     slots: slots::Slots,
+    /// Memory of recordings.
+    placed: Vec<PlacedScene<'static>>,
+    /// The same for updates.
+    staged: updates::Staged,
 }
 
 /// A rendered frame.
@@ -137,6 +141,8 @@ impl Renderer {
             border: None,
             aligner: None,
             slots: slots::Slots::default(),
+            placed: Vec::new(),
+            staged: updates::Staged::default(),
         })
     }
 

@@ -43,10 +43,11 @@ impl Renderer {
         let forward = &self.runner.forward;
         let slot = self.slots.get(0)?;
         check_capacity(frame, &slot.upcoming().capacity, forward.sizes.elementwise_workgroup)?;
-        let [main, others] = place(frame, forward.sizes.elementwise_workgroup);
-        let Some(first) = main.first() else { unreachable!("checked") };
+        let mut placed = Vec::new();
+        place(frame, forward.sizes.elementwise_workgroup, &mut placed);
+        let Some((first, others)) = placed.split_first() else { unreachable!("checked") };
         let settings = RenderSettings { inverse_depth: false, ..*frame.settings };
-        let inputs = inputs_of(first, &others, &slot.memory, &settings);
+        let inputs = inputs_of(first, others, &slot.memory, &settings);
         self.context.run("count", |r| {
             forward.record(r, &inputs);
             r.barrier();

@@ -4,7 +4,7 @@ use super::Renderer;
 use super::check::check_capacity;
 use super::device_scene::DeviceScene;
 use super::slot_memory::SlotMemory;
-use super::updates::{Update, record_copies, stage_updates};
+use super::updates::Update;
 use crate::compose::{Background, Compose, Region};
 use crate::error::{Error, Result};
 use crate::forward::{FrameInputs, PlacedScene, RenderSettings};
@@ -168,18 +168,19 @@ impl Renderer {
         slot.record.check_free()?;
         check_capacity(frame, &slot.upcoming().capacity, forward.sizes.elementwise_workgroup)?;
         let Some(compose) = &self.compose else { unreachable!("built by reserve") };
-        let [main, others] = place(frame, forward.sizes.elementwise_workgroup);
-        let Some(first) = main.first() else { unreachable!("checked") };
+        let mut placed = emptied(std::mem::take(&mut self.placed));
+        place(frame, forward.sizes.elementwise_workgroup, &mut placed);
+        let Some((first, others)) = placed.split_first() else { unreachable!("checked") };
         let settings = RenderSettings {
             inverse_depth: frame.settings.inverse_depth || frame.depth.is_some(),
             ..*frame.settings
         };
         slot.take_over();
-        let copies = stage_updates(slot.memory.staging.as_ref(), frame.updates)?;
+        self.staged.stage(slot.memory.staging.as_ref(), frame.updates)?;
         let gaussians = frame.scenes.iter().map(|s| s.scene.count()).sum();
         let mut recorder = slot.begin(commands, gaussians)?;
         let (r, memory) = (&mut recorder, &slot.memory);
-        record_copies(r, &copies);
+        self.staged.record(r);
         let size = [frame.camera.width, frame.camera.height];
         let mut occluder = None;
         if let (Some(o), Some(limits)) = (&frame.occluder, &memory.depth_limits) {
@@ -191,29 +192,36 @@ impl Renderer {
         let inputs = FrameInputs {
             depth_limits: frame.occluder.as_ref().and(memory.depth_limits.as_ref()),
             linear_depth: frame.depth.is_some(),
-            ..inputs_of(first, &others, memory, &settings)
+            ..inputs_of(first, others, memory, &settings)
         };
         forward.record(r, &inputs);
         r.barrier();
         let mut release = record_targets(r, compose, memory, frame);
         release.occluder = occluder;
         slot.end(recorder)?;
+        self.placed = emptied(placed);
         Ok(release)
     }
 }
 
-/// The first scene, and the others after it in the frame's index space.
-pub(super) fn place<'a>(frame: &RecordedFrame<'a>, alignment: u32) -> [Vec<PlacedScene<'a>>; 2] {
+/// The scenes, each after the one before it in the frame's index space.
+pub(super) fn place<'a>(frame: &RecordedFrame<'a>, alignment: u32, placed: &mut Vec<PlacedScene<'a>>) {
     let mut first = 0;
-    let mut all = frame.scenes.iter().map(|placed| {
+    placed.extend(frame.scenes.iter().map(|placed| {
         let scene = &placed.scene.buffers;
         let begin = first;
         first = (begin + scene.count).next_multiple_of(alignment);
         let (camera, sh_degree) =
             (placed.pose.camera_in_object(frame.camera), scene.active_degree(frame.settings));
         PlacedScene { scene, camera, scale: placed.pose.scale, sh_degree, first: begin }
-    });
-    [all.next().into_iter().collect(), all.collect()]
+    }));
+}
+
+/// An empty list in the memory of another one, whose scenes may be gone: a list is collected in place of one of the same
+/// type. A test counts what is allocated.
+fn emptied<'a>(mut placed: Vec<PlacedScene<'_>>) -> Vec<PlacedScene<'a>> {
+    placed.clear();
+    placed.into_iter().map(|_| unreachable!("it is empty")).collect()
 }
 
 /// A frame of some scenes in the buffers of a slot, without occluder and depth.

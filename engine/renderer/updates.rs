@@ -25,75 +25,79 @@ impl Update<'_> {
     fn overlaps(&self, other: &Self) -> bool {
         let range = |u: &Self| (u64::from(u.first), u64::from(u.first) + u.gaussians.len() as u64);
         let ((first, end), (other_first, other_end)) = (range(self), range(other));
-        let chunks = |u: &Self| u.scene.buffers.chunks.iter().map(Buffer::handle).collect::<Vec<_>>();
         first < other_end && other_first < end && {
-            let theirs = chunks(other);
-            chunks(self).iter().any(|chunk| theirs.contains(chunk))
+            let (own, theirs) = (&self.scene.buffers.chunks, &other.scene.buffers.chunks);
+            own.iter().any(|chunk| theirs.iter().any(|their| their.handle() == chunk.handle()))
         }
     }
 }
 
-/// The copies of one update.
+/// The copies of a frame's updates. Its memory serves the next frame.
+#[derive(Default)]
 pub(super) struct Staged {
+    words: Vec<[f32; 4]>,
+    copies: Vec<StagedCopy>,
+}
+
+/// From the staging memory to the scene.
+struct StagedCopy {
     /// Whether it needs a barrier: an update since the last barrier writes some of the same Gaussians.
     behind_barrier: bool,
-    /// From the staging memory to the scene.
-    copies: Vec<(Buffer, Buffer)>,
+    from: Buffer,
+    to: Buffer,
 }
 
-/// Writes new parameters into the slot's staging memory, which is not in use, and returns the copies from it.
-pub(super) fn stage_updates(staging: Option<&Buffer>, updates: &[Update<'_>]) -> Result<Vec<Staged>> {
-    let mut staged = Vec::new();
-    let Some(staging) = staging else { return Ok(staged) };
-    let (mut offset, mut since_barrier) = (0, 0);
-    for (number, update) in updates.iter().enumerate() {
-        let behind_barrier = updates[since_barrier..number].iter().any(|earlier| earlier.overlaps(update));
-        if behind_barrier {
-            since_barrier = number;
-        }
-        let buffers = &update.scene.buffers;
-        let mut copies = Vec::new();
-        for piece in pieces(update, &buffers.plan) {
-            let bytes = piece.words.len() as u64 * 16;
-            staging.write(offset, bytemuck::cast_slice(&piece.words))?;
-            let to = buffers.chunks[piece.chunk].range(piece.offset, bytes);
-            copies.push((staging.range(offset, bytes), to));
-            offset += bytes;
-        }
-        staged.push(Staged { behind_barrier, copies });
-    }
-    Ok(staged)
-}
-
-pub(super) fn record_copies(r: &mut Recorder, staged: &[Staged]) {
-    if staged.iter().all(|update| update.copies.is_empty()) {
-        return;
-    }
-    r.scope("scene updates", |r| {
-        for update in staged {
-            if update.behind_barrier {
-                r.barrier();
+impl Staged {
+    /// Writes new parameters into the slot's staging memory, which is not in use, and notes the copies from it.
+    pub(super) fn stage(&mut self, staging: Option<&Buffer>, updates: &[Update<'_>]) -> Result<()> {
+        self.copies.clear();
+        let Some(staging) = staging else { return Ok(()) };
+        let (mut offset, mut since_barrier) = (0, 0);
+        for (number, update) in updates.iter().enumerate() {
+            let mut behind_barrier =
+                updates[since_barrier..number].iter().any(|earlier| earlier.overlaps(update));
+            if behind_barrier {
+                since_barrier = number;
             }
-            for (from, to) in &update.copies {
-                r.copy(from, to);
-            }
+            let (buffers, copies) = (&update.scene.buffers, &mut self.copies);
+            each_piece(update, &buffers.plan, &mut self.words, |chunk, at, words| {
+                let bytes = words.len() as u64 * 16;
+                staging.write(offset, bytemuck::cast_slice(words))?;
+                let (from, to) = (staging.range(offset, bytes), buffers.chunks[chunk].range(at, bytes));
+                copies.push(StagedCopy { behind_barrier, from, to });
+                behind_barrier = false;
+                offset += bytes;
+                Ok(())
+            })?;
         }
-        r.barrier();
-    });
+        Ok(())
+    }
+
+    /// Records the copies, and lets go of the buffers.
+    pub(super) fn record(&mut self, r: &mut Recorder) {
+        if self.copies.is_empty() {
+            return;
+        }
+        r.scope("scene updates", |r| {
+            for StagedCopy { behind_barrier, from, to } in self.copies.drain(..) {
+                if behind_barrier {
+                    r.barrier();
+                }
+                r.copy(&from, &to);
+            }
+            r.barrier();
+        });
+    }
 }
 
-/// A run of vec4s of one chunk.
-struct Piece {
-    chunk: usize,
-    /// Bytes from the chunk's start.
-    offset: u64,
-    words: Vec<[f32; 4]>,
-}
-
-/// Splits an update into pieces that are contiguous on the device.
-fn pieces(update: &Update<'_>, plan: &ScenePlan) -> Vec<Piece> {
+/// Splits an update into pieces that are contiguous on the device: chunk, bytes from its start, vec4s.
+fn each_piece(
+    update: &Update<'_>,
+    plan: &ScenePlan,
+    words: &mut Vec<[f32; 4]>,
+    mut piece: impl FnMut(usize, u64, &[[f32; 4]]) -> Result<()>,
+) -> Result<()> {
     let (first, end) = (update.first, update.first + update.gaussians.len() as u32);
-    let mut pieces = Vec::new();
     for range in plan.ranges(end) {
         let (begin, stop) = (first.max(range.first), range.first + range.count);
         if begin >= stop {
@@ -105,23 +109,23 @@ fn pieces(update: &Update<'_>, plan: &ScenePlan) -> Vec<Piece> {
         let rows = begin / PLANE_ROW..stop.div_ceil(PLANE_ROW);
         let skipped = rows.start * PLANE_ROW;
         let packed_plan = ScenePlan { chunk_gaussians: (rows.end - rows.start) * PLANE_ROW, ..*plan };
-        let packed = planes::pack(update.gaussians, own, &packed_plan, (begin - skipped) as usize);
-        for (at, run) in runs(plan, &packed_plan, rows, (begin, stop)) {
-            let words = packed[run].to_vec();
-            pieces.push(Piece { chunk: range.chunk, offset: 16 * at as u64, words });
-        }
+        planes::pack_into(words, update.gaussians, own, &packed_plan, (begin - skipped) as usize);
+        each_run(plan, &packed_plan, rows, (begin, stop), |at, run| {
+            piece(range.chunk, 16 * at as u64, &words[run])
+        })?;
     }
-    pieces
+    Ok(())
 }
 
-/// Ranges of Gaussians `begin` to `stop` in a chunk, and in a chunk that consists of their rows only.
-fn runs(
+/// Ranges of Gaussians `begin` to `stop` in a chunk (where they begin), and in a chunk that consists of their rows only.
+fn each_run(
     plan: &ScenePlan,
     packed: &ScenePlan,
     rows: Range<u32>,
     (begin, stop): (u32, u32),
-) -> Vec<(usize, Range<usize>)> {
-    let mut runs: Vec<(usize, Range<usize>)> = Vec::new();
+    mut run: impl FnMut(usize, Range<usize>) -> Result<()>,
+) -> Result<()> {
+    let mut last: Option<(usize, Range<usize>)> = None;
     let mut next = 0;
     while next < plan.planes {
         let planes = plane_group(next);
@@ -132,12 +136,16 @@ fn runs(
             for plane in planes.clone() {
                 let at = plan.place(plane, from as usize);
                 let own = packed.place(plane, (from - rows.start * PLANE_ROW) as usize);
-                match runs.last_mut() {
+                match &mut last {
                     Some((begun, run)) if *begun + run.len() == at && run.end == own => run.end += count,
-                    _ => runs.push((at, own..own + count)),
+                    _ => {
+                        if let Some((begun, whole)) = last.replace((at, own..own + count)) {
+                            run(begun, whole)?;
+                        }
+                    }
                 }
             }
         }
     }
-    runs
+    last.map_or(Ok(()), |(begun, whole)| run(begun, whole))
 }

@@ -122,12 +122,11 @@ impl Names {
 
     pub(super) fn begin_label(&self, commands: vk::CommandBuffer, name: &str) {
         let Some(loader) = &self.0 else { return };
-        let name = c_string(name);
-        // SAFETY: `commands` is in the recording state, held by the recorder that calls.
-        unsafe {
-            loader
-                .cmd_begin_debug_utils_label(commands, &vk::DebugUtilsLabelEXT::default().label_name(&name));
-        }
+        with_c_string(name, |name| {
+            let label = vk::DebugUtilsLabelEXT::default().label_name(name);
+            // SAFETY: `commands` is in the recording state, held by the recorder that calls.
+            unsafe { loader.cmd_begin_debug_utils_label(commands, &label) }
+        });
     }
 
     pub(super) fn end_label(&self, commands: vk::CommandBuffer) {
@@ -147,13 +146,34 @@ impl Names {
     }
 }
 
+/// A label that is not long, without memory for it: recordings have many.
+fn with_c_string(text: &str, f: impl FnOnce(&CStr)) {
+    let mut bytes = [0; 64];
+    match bytes.get_mut(..text.len()).filter(|bytes| bytes.len() < 64) {
+        Some(start) => start.copy_from_slice(text.as_bytes()),
+        None => return f(&c_string(text)),
+    }
+    match CStr::from_bytes_until_nul(&bytes) {
+        Ok(short) => f(short),
+        Err(_) => f(&c_string(text)),
+    }
+}
+
 fn c_string(text: &str) -> CString {
     CString::new(text.replace('\0', "")).unwrap_or_default()
 }
 
 #[cfg(test)]
 mod tests {
-    use super::printed;
+    use super::{printed, with_c_string};
+
+    #[test]
+    fn labels_of_any_length_are_whole() {
+        for length in [0, 5, 63, 64, 65, 200] {
+            let text = "x".repeat(length);
+            with_c_string(&text, |label| assert_eq!(label.to_bytes(), text.as_bytes()));
+        }
+    }
 
     #[test]
     fn what_shaders_print_is_told_from_what_the_layer_says() {

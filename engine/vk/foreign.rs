@@ -212,6 +212,8 @@ pub struct RecordSlot {
     /// The resources of the last recording.
     kept: Pool<Kept>,
     profiler: Option<Profiler>,
+    /// One that was asked for its times, or not wanted any more: its memory.
+    spare: Option<Profiler>,
     /// Whether a recording was begun and not discarded.
     recorded: bool,
     /// Whether the last discarded recording had been executed after all.
@@ -233,6 +235,7 @@ impl RecordSlot {
             descriptors: Arc::new(Mutex::new(OwnedSets::new(&inner, dispatches)?)),
             kept: Pool::default(),
             profiler: None,
+            spare: None,
             recorded: false,
             discarded_late: false,
             dispatches,
@@ -316,7 +319,7 @@ impl RecordSlot {
     pub unsafe fn discard(&mut self) {
         self.discarded_late = self.recorded && self.finished().unwrap_or(true);
         self.recorded = false;
-        self.profiler = None;
+        self.retire_profiler();
         self.clear();
     }
 
@@ -329,6 +332,10 @@ impl RecordSlot {
         self.check_free()?;
         self.clear();
         Ok(())
+    }
+
+    fn retire_profiler(&mut self) {
+        self.spare = self.profiler.take().or_else(|| self.spare.take());
     }
 
     fn clear(&self) {
@@ -357,7 +364,8 @@ impl RecordSlot {
         reset.map_err(vk_error("vkResetEvent"))?;
         self.recorded = true;
         self.clear();
-        self.profiler = None;
+        self.retire_profiler();
+        let inner = &self.inner;
         let timed = inner.timestamps.load(std::sync::atomic::Ordering::Relaxed);
         let queries = if timed { self.queries } else { vk::QueryPool::null() };
         if queries != vk::QueryPool::null() {
@@ -367,8 +375,11 @@ impl RecordSlot {
         if let Some(sets) = descriptors.sets() {
             sets.reset();
         }
-        let target = ForeignTarget { raw: commands.raw, queries, descriptors };
-        let mut recorder = Recorder::foreign(inner, target, PoolGuard::take_from(&self.kept), label);
+        let target = ForeignTarget { raw: commands.raw, descriptors };
+        let new = || Profiler::new(queries, None);
+        let profiler = self.spare.take().map_or_else(new, |spare| spare.again(queries));
+        let kept = PoolGuard::take_from(&self.kept);
+        let mut recorder = Recorder::foreign(inner, target, kept, profiler, label);
         recorder.barrier();
         Ok(recorder)
     }
@@ -415,11 +426,14 @@ impl RecordSlot {
     /// # Errors
     /// [`Error::Vulkan`] when the device is lost.
     pub fn times(&mut self) -> Result<Vec<ScopeTime>> {
-        if !self.has_times()? {
+        let Some(mut profiler) = self.profiler.take() else { return Ok(Vec::new()) };
+        if !(self.finished()? && profiler.is_ready(&self.inner)?) {
+            self.profiler = Some(profiler);
             return Ok(Vec::new());
         }
-        let profiler = self.profiler.take();
-        profiler.map_or(Ok(Vec::new()), |mut profiler| Ok(profiler.collect(&self.inner)?.scopes))
+        let collected = profiler.collect(&self.inner);
+        self.spare = Some(profiler);
+        Ok(collected?.scopes)
     }
 }
 

@@ -99,6 +99,8 @@ pub(super) struct Block {
     pub(super) id: u64,
     /// Whether buffer and memory belong to the context.
     owned: bool,
+    /// The recording that has kept the block last: see [`super::resources::Kept`].
+    pub(super) kept_by: AtomicU64,
     /// Submissions that use the block and have not been waited for.
     pub(super) in_flight: AtomicU32,
     pub(super) texels: TexelViews,
@@ -150,6 +152,7 @@ impl Block {
             cached: true,
             id: NEXT_ID.fetch_add(1, Ordering::Relaxed),
             owned: true,
+            kept_by: AtomicU64::new(0),
             in_flight: AtomicU32::new(0),
             texels: Default::default(),
             #[cfg(feature = "testing")]
@@ -178,6 +181,7 @@ impl Block {
             cached: true,
             id: NEXT_ID.fetch_add(1, Ordering::Relaxed),
             owned: false,
+            kept_by: AtomicU64::new(0),
             in_flight: AtomicU32::new(0),
             texels: Default::default(),
             #[cfg(feature = "testing")]

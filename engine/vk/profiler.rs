@@ -14,7 +14,9 @@ pub(super) const QUERIES: u32 = 2 * MAX_SCOPES + MAX_COMMANDS;
 /// The scopes of a recording. Scope 0 is the whole recording.
 pub(super) struct Profiler {
     pool: vk::QueryPool,
+    /// Those of this recording are the first [`Profiler::used`]. The others lend their names' memory.
     scopes: Vec<Scope>,
+    used: usize,
     open: Vec<Option<usize>>,
     /// Timestamps written so far: they take the pool's queries in order.
     written: u32,
@@ -44,6 +46,7 @@ impl Profiler {
         Self {
             pool,
             scopes: Vec::new(),
+            used: 0,
             open: Vec::new(),
             written: 0,
             fresh: false,
@@ -54,14 +57,30 @@ impl Profiler {
         }
     }
 
+    /// The same for another recording, in the memory of one that is over.
+    pub(super) fn again(self, pool: vk::QueryPool) -> Self {
+        let Self { scopes, mut open, mut command_ends, .. } = self;
+        open.clear();
+        command_ends.clear();
+        Self { scopes, open, command_ends, ..Self::new(pool, None) }
+    }
+
     pub(super) fn begin(&mut self, inner: &Device, commands: vk::CommandBuffer, name: &str) {
         inner.names.begin_label(commands, name);
-        let index = self.scopes.len();
+        let index = self.used;
         let timed =
             index < MAX_SCOPES as usize && (self.pool != vk::QueryPool::null() || self.commands.is_some());
         if timed {
             let (depth, begin) = (self.open.len() as u32, self.now(inner, commands));
-            self.scopes.push(Scope { name: name.to_owned(), depth, begin, end: begin });
+            match self.scopes.get_mut(index) {
+                Some(scope) => {
+                    scope.name.clear();
+                    scope.name.push_str(name);
+                    (scope.depth, scope.begin, scope.end) = (depth, begin, begin);
+                }
+                None => self.scopes.push(Scope { name: name.to_owned(), depth, begin, end: begin }),
+            }
+            self.used += 1;
         }
         self.open.push(timed.then_some(index));
     }
@@ -69,7 +88,10 @@ impl Profiler {
     /// The name of the whole recording.
     pub(super) fn label(&self) -> String {
         let wanted = self.commands.is_some();
-        self.scopes.first().filter(|_| wanted).map_or_else(String::new, |scope| scope.name.clone())
+        self.scopes[..self.used]
+            .first()
+            .filter(|_| wanted)
+            .map_or_else(String::new, |scope| scope.name.clone())
     }
 
     pub(super) fn end(&mut self, inner: &Device, commands: vk::CommandBuffer) {
@@ -142,16 +164,16 @@ impl Profiler {
     /// The times of the whole recording, of each scope and of each command. The submission must have been waited for.
     pub(super) fn collect(&mut self, inner: &Device) -> Result<Collected> {
         let mut commands = self.commands.as_mut().map_or_else(Vec::new, Commands::take);
-        if self.scopes.is_empty() || self.pool == vk::QueryPool::null() {
+        if self.used == 0 || self.pool == vk::QueryPool::null() {
             return Ok(Collected { commands, ..Collected::default() });
         }
         let ticks = self.read(inner).map_err(vk_error("vkGetQueryPoolResults"))?;
         let between =
             |begin: u32, end: u32| inner.nanoseconds_between(ticks[begin as usize], ticks[end as usize]);
-        let mut scopes = std::mem::take(&mut self.scopes).into_iter().map(|scope| ScopeTime {
+        let mut scopes = self.scopes[..self.used].iter().map(|scope| ScopeTime {
             depth: scope.depth.saturating_sub(1),
             nanoseconds: between(scope.begin, scope.end),
-            name: scope.name,
+            name: scope.name.clone(),
         });
         let whole = scopes.next().map(|s| s.nanoseconds);
         let mut before = 0;

@@ -56,7 +56,6 @@ pub(super) enum Target {
 /// A host's command buffer, and the objects that a [`super::RecordSlot`] lends to the recording.
 pub(super) struct ForeignTarget {
     pub(super) raw: vk::CommandBuffer,
-    pub(super) queries: vk::QueryPool,
     pub(super) descriptors: PoolGuard<OwnedSets>,
 }
 
@@ -112,7 +111,7 @@ impl Recorder {
         // An audited recording may take several command buffers.
         let queries = if audit.is_some() { vk::QueryPool::null() } else { commands.queries() };
         let inner = commands.inner.clone();
-        let mut recorder = Self::with_target(Target::Owned(commands), inner, queries);
+        let mut recorder = Self::with_target(Target::Owned(commands), inner, Profiler::new(queries, None));
         recorder.profiler.commands = profiled;
         recorder.audit = audit;
         recorder.profiler.begin(&recorder.inner, recorder.raw(), label);
@@ -124,10 +123,10 @@ impl Recorder {
         inner: &Arc<Device>,
         target: ForeignTarget,
         kept: PoolGuard<Kept>,
+        profiler: Profiler,
         label: &str,
     ) -> Self {
-        let queries = target.queries;
-        let mut recorder = Self::with_target(Target::Foreign(target), inner.clone(), queries);
+        let mut recorder = Self::with_target(Target::Foreign(target), inner.clone(), profiler);
         recorder.kept = kept;
         recorder.profiler.behind_host = true;
         recorder.profiler.begin(inner, recorder.raw(), label);
@@ -144,10 +143,10 @@ impl Recorder {
         }
     }
 
-    fn with_target(commands: Target, inner: Arc<Device>, queries: vk::QueryPool) -> Self {
+    fn with_target(commands: Target, inner: Arc<Device>, profiler: Profiler) -> Self {
         Self {
             commands,
-            profiler: Profiler::new(queries, None),
+            profiler,
             kept: PoolGuard::default(),
             bound: vk::Pipeline::null(),
             hazards: inner.hazard_check.then(Hazards::default),

@@ -5,6 +5,7 @@ use super::image::Image;
 use super::kernel::Pipeline;
 use super::memory::Block;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 /// The resources of a dispatch.
 pub(super) struct Bound<'a> {
@@ -13,16 +14,29 @@ pub(super) struct Bound<'a> {
 }
 
 /// All resources of a recording.
-#[derive(Default)]
 pub(super) struct Kept {
+    /// Of this recording alone. Every block is marked with the last one that keeps it, so that nobody searches for it.
+    id: u64,
     pub(super) blocks: Vec<Arc<Block>>,
     pipelines: Vec<Arc<Pipeline>>,
     images: Vec<Image>,
 }
 
+impl Default for Kept {
+    fn default() -> Self {
+        Self { id: next_id(), blocks: Vec::new(), pipelines: Vec::new(), images: Vec::new() }
+    }
+}
+
+fn next_id() -> u64 {
+    static NEXT: AtomicU64 = AtomicU64::new(1);
+    NEXT.fetch_add(1, Ordering::Relaxed)
+}
+
 impl Kept {
     pub(super) fn block(&mut self, block: &Arc<Block>) {
-        if !self.blocks.iter().rev().any(|b| Arc::ptr_eq(b, block)) {
+        // Where two threads record with the same block, each may keep it more than once.
+        if block.kept_by.swap(self.id, Ordering::Relaxed) != self.id {
             self.blocks.push(block.clone());
         }
     }
@@ -36,6 +50,7 @@ impl Kept {
     /// Releases all resources, and keeps the lists' own memory. Resources without another holder are
     /// destroyed.
     pub(super) fn clear(&mut self) {
+        self.id = next_id();
         self.blocks.clear();
         self.pipelines.clear();
         self.images.clear();

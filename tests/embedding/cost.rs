@@ -3,7 +3,8 @@
 //! The tables of the guide: `cargo test --release --test embedding -- --ignored --nocapture cost::tables`.
 
 use crate::host::{Host, HostOptions, InFlight};
-use crate::stage::{adopt, camera, cloud, with_host};
+use crate::stage::{adopt, camera, cloud, options, with_host};
+use crate::table::Images;
 use ashsplat::vk::{Context, ContextOptions};
 use ashsplat::{DeviceScene, Placed, RecordedFrame, RenderSettings, Renderer, Reservation};
 use std::alloc::{GlobalAlloc, Layout, System};
@@ -128,6 +129,60 @@ fn record_cost(host: &Host, scenes: u32, timestamps: bool, frames: usize) -> ([f
     in_flight.into_iter().for_each(|frame| frame.destroy(host));
     times.sort_by(f64::total_cmp);
     ([times[times.len() / 2], times[0]], most)
+}
+
+/// Everything that a frame can ask for, over and over, with a report after each.
+fn steady_allocations(host_options: &HostOptions, timestamps: bool) {
+    with_host(host_options, |host| {
+        let context = shipped(host, timestamps);
+        let (gaussians, few, view) = (cloud(600, 1), cloud(50, 2), camera(0.3, 96, 64));
+        let scenes = [&gaussians, &few, &few].map(|g| DeviceScene::upload(&context, g, 0).expect("a scene"));
+        let mut renderer = Renderer::new(&context).expect("kernels");
+        let reservation = Reservation {
+            slots: 2,
+            scenes: 3,
+            occlusion: true,
+            staging_bytes: Reservation::update_bytes(600, 1),
+            ..Reservation::new(700, 1, 96, 64)
+        };
+        renderer.reserve(&reservation).expect("memory");
+        let images = Images::new(host, &context);
+        let in_flight = InFlight::new(host).expect("a command buffer");
+        let mut asked = Vec::new();
+        for number in 0..8 {
+            let slot = number % 2;
+            in_flight.begin(host).expect("recording");
+            let commands = adopt(&context, &in_flight);
+            let everything = images.frame(&scenes[0], &gaussians, &view);
+            let placed = [&scenes[0], &scenes[1], &scenes[2]].map(Placed::from);
+            let frame = RecordedFrame { scenes: &placed, ..everything.recorded() };
+            let (count, recorded) = allocations(|| renderer.record(commands, slot, &frame));
+            recorded.expect("a recording");
+            in_flight.submit(host).expect("a submission");
+            in_flight.wait(host).expect("done");
+            let report = renderer.slot_report(slot).expect("a report").expect("finished");
+            assert!(report.visible > 100 && !report.overflow, "{report:?}");
+            renderer.release_slot(slot).expect("over");
+            asked.push(count);
+        }
+        assert!(asked[0] > 0, "the allocator counts");
+        assert_eq!(asked[2..], [0; 6], "heap allocations of {asked:?}");
+        in_flight.destroy(host);
+        drop(renderer);
+        images.destroy(host);
+    });
+}
+
+#[test]
+fn record_takes_nothing_from_the_heap() {
+    for push_descriptors in [true, false] {
+        // Validation brings VK_EXT_debug_utils with it, and labels.
+        for host_options in [options(), HostOptions::default()] {
+            for timestamps in [true, false] {
+                steady_allocations(&HostOptions { push_descriptors, ..host_options }, timestamps);
+            }
+        }
+    }
 }
 
 #[test]

@@ -248,7 +248,7 @@ fn training_steps(host: &Host, context: &Context, in_flight: &InFlight) {
 }
 
 /// The most that a frame can ask for: updates, a host's depth, a host's image.
-struct Images {
+pub struct Images {
     color: crate::memory::HostTexture,
     depth: crate::memory::HostTexture,
     adopted: [Image; 2],
@@ -256,7 +256,7 @@ struct Images {
     depth_state: ImageState,
 }
 
-struct Everything<'a> {
+pub struct Everything<'a> {
     scenes: [Placed<'a>; 1],
     camera: &'a ashsplat::Camera,
     settings: RenderSettings,
@@ -266,7 +266,7 @@ struct Everything<'a> {
 }
 
 impl Images {
-    fn new(host: &Host, context: &Context) -> Self {
+    pub fn new(host: &Host, context: &Context) -> Self {
         let texture = |format, usage| crate::memory::HostTexture::new(host, format, usage, [96, 64]);
         let color = texture(vk::Format::R16G16B16A16_SFLOAT, vk::ImageUsageFlags::STORAGE).expect("an image");
         let depth = vk::ImageUsageFlags::SAMPLED | vk::ImageUsageFlags::DEPTH_STENCIL_ATTACHMENT;
@@ -290,7 +290,7 @@ impl Images {
         Self { color, depth, adopted, depth_state: ImageState { layout, stages, accesses } }
     }
 
-    fn frame<'a>(
+    pub fn frame<'a>(
         &'a self,
         scene: &'a DeviceScene,
         gaussians: &'a Gaussians,
@@ -306,7 +306,7 @@ impl Images {
         }
     }
 
-    fn destroy(self, host: &Host) {
+    pub fn destroy(self, host: &Host) {
         drop(self.adopted);
         self.color.destroy(host);
         self.depth.destroy(host);
@@ -314,7 +314,7 @@ impl Images {
 }
 
 impl<'a> Everything<'a> {
-    fn recorded(&'a self) -> RecordedFrame<'a> {
+    pub fn recorded(&'a self) -> RecordedFrame<'a> {
         let used = |image, from| HostImage { image, from, offset: [0; 2] };
         // Nothing is ever drawn into the depth image: what it holds does not matter here.
         let mapping = ashsplat::scene::DepthMapping { scale: 0.0, offset: 0.0, clear_value: 2.0 };
