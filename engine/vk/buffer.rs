@@ -68,8 +68,8 @@ impl Buffer {
     }
 
     fn check_host(&self, done: &str, offset: u64, bytes: usize) -> Result<()> {
-        let name = format!("buffer '{}'", self.name);
         if self.block.kind != MemoryKind::HostVisible {
+            let name = format!("buffer '{}'", self.name);
             return Err(Error::argument(name, format!("device memory cannot be {done} directly")));
         }
         self.check_range(offset, bytes)?;
