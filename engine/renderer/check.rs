@@ -33,7 +33,7 @@ impl Renderer {
             let degree = placed.scene.buffers.active_degree(frame.settings);
             if degree > reserved.sh_degree {
                 let problem = format!("{degree}, reserved is {}", reserved.sh_degree);
-                return Err(Error::argument("SH degree", problem));
+                return Err(Error::argument("sh_degree", problem));
             }
         }
         self.check_images(frame)?;
@@ -60,10 +60,8 @@ impl Renderer {
     fn check_images(&self, frame: &RecordedFrame<'_>) -> Result<()> {
         let context = &self.context;
         let size = [frame.camera.width, frame.camera.height];
-        let check = |host: &HostImage<'_>, purpose: ImageUse| {
-            let bad = |problem: &str| {
-                Err(Error::argument(format!("image '{}'", host.image.name()), problem.to_owned()))
-            };
+        let check = |field: &str, host: &HostImage<'_>, purpose: ImageUse| {
+            let bad = |problem: &str| Err(Error::argument(field_of(field, host), problem.to_owned()));
             let [[x, y], [width, height]] = [host.offset, host.image.size()];
             if !host.image.belongs_to(context) {
                 return bad("it belongs to another device");
@@ -78,53 +76,65 @@ impl Renderer {
             Ok(())
         };
         if let Target::Image { to, behind, encoding } = &frame.target {
-            check(to, ImageUse::Storage)?;
-            Compose::check_frame(to.image, *behind, *encoding)?;
+            check("target", to, ImageUse::Storage)?;
+            in_field("target", Compose::check_frame(to.image, *behind, *encoding))?;
             if *behind == Background::Image {
-                check_contents(to)?;
+                check_contents("target", to)?;
             }
         }
         if let Some(depth) = &frame.depth {
-            check(&depth.to, ImageUse::Storage)?;
+            check("depth", &depth.to, ImageUse::Storage)?;
             if depth.to.image.format() != Compose::DEPTH_FORMAT {
                 let problem = format!("format {:?} is not R32_SFLOAT", depth.to.image.format());
-                return Err(Error::argument(format!("image '{}'", depth.to.image.name()), problem));
+                return Err(Error::argument(field_of("depth", &depth.to), problem));
             }
             if !depth.min_weight.is_finite() {
                 let problem = format!("{} is not finite", depth.min_weight);
-                return Err(Error::argument("least weight of expected depth", problem));
+                return Err(Error::argument("depth.min_weight", problem));
             }
         }
         if let Some(occluder) = &frame.occluder {
-            check(&occluder.depth, ImageUse::Sampled)?;
-            Compose::check_depth(occluder.depth.image)?;
-            check_contents(&occluder.depth)?;
+            check("occluder", &occluder.depth, ImageUse::Sampled)?;
+            in_field("occluder", Compose::check_depth(occluder.depth.image))?;
+            check_contents("occluder", &occluder.depth)?;
             let DepthMapping { scale, offset, clear_value } = occluder.mapping;
             if !(scale.is_finite() && offset.is_finite() && clear_value.is_finite()) {
-                return Err(Error::argument("depth mapping", "holds numbers that are not finite"));
+                return Err(Error::argument("occluder.mapping", "holds numbers that are not finite"));
             }
             // The colour target cannot be either image: its format differs from both.
             if let Some(depth) = &frame.depth
                 && depth.to.image.is_same_as(occluder.depth.image)
             {
-                let name = depth.to.image.name();
-                return Err(Error::argument(
-                    format!("image '{name}'"),
-                    "is also the depth that hides splats",
-                ));
+                let field = field_of("depth", &depth.to);
+                return Err(Error::argument(field, "is also the depth that hides splats"));
             }
         }
         Ok(())
     }
 }
 
+/// The field of a frame, and the name of its image.
+fn field_of(field: &str, host: &HostImage<'_>) -> String {
+    format!("{field} (image '{}')", host.image.name())
+}
+
+/// Names the field of an image's error.
+fn in_field(field: &str, checked: Result<()>) -> Result<()> {
+    checked.map_err(|error| match error {
+        Error::Argument { what, problem } if what.starts_with("image '") => {
+            Error::Argument { what: format!("{field} ({what})"), problem }
+        }
+        other => other,
+    })
+}
+
 /// An image that is read must have contents.
-fn check_contents(host: &HostImage<'_>) -> Result<()> {
+fn check_contents(field: &str, host: &HostImage<'_>) -> Result<()> {
     if host.from.layout != vk::ImageLayout::UNDEFINED {
         return Ok(());
     }
     let problem = "is read, but its layout is UNDEFINED, from which nothing is kept";
-    Err(Error::argument(format!("image '{}'", host.image.name()), problem))
+    Err(Error::argument(field_of(field, host), problem))
 }
 
 fn check_updates(updates: &[Update<'_>], context: &Context, reserved: &Reservation) -> Result<()> {
@@ -133,13 +143,13 @@ fn check_updates(updates: &[Update<'_>], context: &Context, reserved: &Reservati
         let plan = update.scene.plan();
         update.gaussians.check_shapes()?;
         if !update.scene.belongs_to(context) {
-            return Err(Error::argument("update", "its scene belongs to another device"));
+            return Err(Error::argument("updates", "its scene belongs to another device"));
         }
         let count = update.gaussians.len() as u64;
         if u64::from(update.first) + count > u64::from(plan.capacity) {
             let problem =
                 format!("{count} Gaussians at {} exceed the scene's {}", update.first, plan.capacity);
-            return Err(Error::argument("update", problem));
+            return Err(Error::argument("updates", problem));
         }
         bytes += count * u64::from(plan.planes) * 16;
     }
@@ -154,22 +164,26 @@ fn check_updates(updates: &[Update<'_>], context: &Context, reserved: &Reservati
 pub(super) fn check_capacity(
     frame: &RecordedFrame<'_>,
     capacity: &FrameCapacity,
+    reserved: &Reservation,
     alignment: u32,
 ) -> Result<()> {
-    let (needed, reserved) = (PictureCapacity::of_cameras([frame.camera]), capacity.pictures);
-    let counts = frame.scenes.iter().map(|s| u64::from(s.scene.count().next_multiple_of(alignment)));
-    let last = frame.scenes.last().map_or(0, |s| u64::from(s.scene.count()));
-    let gaussians = counts.take(frame.scenes.len() - 1).sum::<u64>() + last;
-    let bounds = [
-        ("picture", needed.pixels, "pixels", reserved.pixels),
-        ("picture", needed.tiles, "tiles", reserved.tiles),
-        ("scenes", gaussians, "Gaussians", capacity.gaussians.into()),
-    ];
-    for (what, needed, unit, limit) in bounds {
+    let (needed, pictures) = (PictureCapacity::of_cameras([frame.camera]), capacity.pictures);
+    let bounds = [("pixels", needed.pixels, pictures.pixels), ("tiles", needed.tiles, pictures.tiles)];
+    for (unit, needed, limit) in bounds {
         if needed > limit {
-            let what = format!("the frame's {what}");
+            let ([w, h], Reservation { width, height, .. }) =
+                ([frame.camera.width, frame.camera.height], reserved);
+            let what = format!("camera: a picture of {w} x {h}, where {width} x {height} are reserved,");
             return Err(Error::TooLarge { what, needed, unit, limit, limit_name: "reserved" });
         }
+    }
+    // Where that is no more than is reserved, there is room for the gaps between scenes, too.
+    let counts = frame.scenes.iter().map(|s| u64::from(s.scene.count().next_multiple_of(alignment)));
+    let last = frame.scenes.last().map_or(0, |s| u64::from(s.scene.count()));
+    if counts.take(frame.scenes.len() - 1).sum::<u64>() + last > u64::from(capacity.gaussians) {
+        let needed = frame.scenes.iter().map(|s| u64::from(s.scene.count())).sum();
+        let (what, limit) = ("scenes: the frame".to_owned(), reserved.gaussians.into());
+        return Err(Error::TooLarge { what, needed, unit: "Gaussians", limit, limit_name: "reserved" });
     }
     Ok(())
 }

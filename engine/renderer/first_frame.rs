@@ -42,7 +42,7 @@ impl Renderer {
         self.check_frame(frame, reserved)?;
         let forward = &self.runner.forward;
         let slot = self.slots.get(0)?;
-        check_capacity(frame, &slot.upcoming().capacity, forward.sizes.elementwise_workgroup)?;
+        check_capacity(frame, &slot.upcoming().capacity, reserved, forward.sizes.elementwise_workgroup)?;
         let mut placed = Vec::new();
         place(frame, forward.sizes.elementwise_workgroup, &mut placed);
         let Some((first, others)) = placed.split_first() else { unreachable!("checked") };

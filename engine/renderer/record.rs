@@ -166,7 +166,7 @@ impl Renderer {
         let forward = &self.runner.forward;
         let slot = self.slots.get(slot)?;
         slot.record.check_free()?;
-        check_capacity(frame, &slot.upcoming().capacity, forward.sizes.elementwise_workgroup)?;
+        check_capacity(frame, &slot.upcoming().capacity, &reserved, forward.sizes.elementwise_workgroup)?;
         let Some(compose) = &self.compose else { unreachable!("built by reserve") };
         let mut placed = emptied(std::mem::take(&mut self.placed));
         place(frame, forward.sizes.elementwise_workgroup, &mut placed);

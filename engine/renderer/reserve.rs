@@ -6,7 +6,8 @@ use super::slot_memory;
 use super::slots::{Slot, SlotReport};
 use crate::compose::Compose;
 use crate::error::{Error, Result};
-use crate::vk::{Buffer, SlotRecording};
+use crate::forward::Forward;
+use crate::vk::{Buffer, Context, KernelJob, SlotRecording};
 
 impl Renderer {
     /// Allocates frame slots and builds all kernels that frames of this kind need. Replaces the previous
@@ -67,18 +68,25 @@ impl Renderer {
         slot_memory::block_bytes(&self.context, &self.runner.forward.sizes, wanted)
     }
 
+    /// The kernels that [`Renderer::new`] and [`Renderer::reserve`] build, to build them before on threads of the host's
+    /// choice: both then build none. With the device's own form of blending.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for an invalid reservation; [`Error::TooLarge`] for kernels that exceed the device.
+    pub fn kernel_jobs(context: &Context, wanted: &Reservation) -> Result<Vec<KernelJob>> {
+        wanted.check()?;
+        context.kernel_jobs(|context| {
+            prepare_variants(&mut Forward::new(context)?, wanted)?;
+            Compose::new(context).map(drop)
+        })
+    }
+
     /// Builds the kernels of a reservation.
     fn prepare(&mut self, wanted: &Reservation) -> Result<()> {
         if self.compose.is_none() {
             self.compose = Some(Compose::new(&self.context)?);
         }
-        let forward = &mut self.runner.forward;
-        for variant in wanted.variants() {
-            for sh_degree in 0..=wanted.sh_degree.min(3) {
-                forward.prepare_variant(sh_degree, variant)?;
-            }
-        }
-        Ok(())
+        prepare_variants(&mut self.runner.forward, wanted)
     }
 
     /// The report of a slot's last frame: None while it is in flight, and without a frame. Never waits,
@@ -151,4 +159,13 @@ impl Renderer {
             false => Err(Error::argument("images_only", "is reserved: slots have no pixels of their own")),
         }
     }
+}
+
+fn prepare_variants(forward: &mut Forward, wanted: &Reservation) -> Result<()> {
+    for variant in wanted.variants() {
+        for sh_degree in 0..=wanted.sh_degree.min(3) {
+            forward.prepare_variant(sh_degree, variant)?;
+        }
+    }
+    Ok(())
 }

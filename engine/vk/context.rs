@@ -3,6 +3,7 @@
 use super::audit::{self, Audit};
 use super::commands::Pools;
 use super::device::DeviceDescription;
+use super::kernel_job::Jobs;
 use super::limits::Limits;
 #[cfg(feature = "testing")]
 use super::memory::Block;
@@ -34,6 +35,8 @@ pub struct Context {
     pub(super) logs: Arc<Logs>,
     /// For transfers where device memory is not mapped.
     pub(super) staging: Arc<Staging>,
+    /// Kernels are noted here in place of being built, if there is such a list.
+    pub(super) jobs: Option<Jobs>,
 }
 
 /// What watches over a context.
@@ -52,7 +55,7 @@ impl Context {
     /// The context of a device that was just opened.
     pub(super) fn on(device: Arc<Device>) -> Self {
         let pools = Arc::new(Pools::new(device.clone()));
-        Self { pools, logs: Arc::default(), staging: Arc::default(), device }
+        Self { pools, logs: Arc::default(), staging: Arc::default(), jobs: None, device }
     }
 
     /// The device's limits, with the changes of the options.
@@ -99,8 +102,8 @@ impl Context {
     /// Drops this handle. If it was the last holder of the device, the device is destroyed, and all messages
     /// of the validation layers are returned, including leaks.
     pub fn close(self) -> Option<Vec<String>> {
-        let Self { device, pools, logs, staging } = self;
-        drop((staging, pools, logs));
+        let Self { device, pools, logs, staging, jobs } = self;
+        drop((jobs, staging, pools, logs));
         let messages = device.owner.messages().cloned();
         drop(Arc::into_inner(device)?);
         Some(messages.map_or_else(Vec::new, |messages| messages.all()))

@@ -5,7 +5,7 @@ use super::error::vk_error;
 use super::instance::Instance;
 use super::limits::Limits;
 use super::queues::{ComputeFamilies, compute_families};
-use super::requirements::{Features, SUBGROUP_OPERATIONS, low_limit};
+use super::requirements::{Features, SUBGROUP_OPERATIONS, low_limits};
 use super::workarounds::Workarounds;
 use crate::tuning::{Backend, Tuning};
 use crate::{Error, Result};
@@ -59,6 +59,18 @@ pub(super) struct Candidate {
 }
 
 impl Candidate {
+    /// All that it lacks, and what else a host has not enabled; None if nothing is missing.
+    pub(super) fn lacks(&self, enabled: &Features) -> Option<String> {
+        let own = self.missing.as_deref();
+        let is_there =
+            |name: &&str| own.is_none_or(|missing| missing.split(", ").all(|other| other != *name));
+        let not_enabled: Vec<&str> = enabled.missing().into_iter().filter(is_there).collect();
+        let host = format!("{} (the device has it, the host has not enabled it)", not_enabled.join(", "));
+        let host = (!not_enabled.is_empty()).then_some(host);
+        let all: Vec<&str> = own.into_iter().chain(host.as_deref()).collect();
+        (!all.is_empty()).then(|| all.join(", "))
+    }
+
     /// Whether device memory is the host's memory, so that mapping it is the fastest way in and out.
     pub(super) fn has_unified_memory(&self) -> bool {
         matches!(self.device_type, vk::PhysicalDeviceType::CPU | vk::PhysicalDeviceType::INTEGRATED_GPU)
@@ -205,22 +217,23 @@ fn examine(
     };
     (candidate.queue_family, candidate.presenting_family) = (alone, presenting);
     candidate.copying_family = copying;
-    let (limits, missing_operations) = limits(instance, physical, timed, &mut candidate.description);
+    let (limits, lacking) = limits(instance, physical, timed, &mut candidate.description);
     candidate.description.limits = Some(limits);
-    let (optional, missing) = features(instance, physical, &has);
+    let (optional, mut missing) = features(instance, physical, &has);
     candidate.features = optional;
     candidate.features.push_descriptor = has(ash::khr::push_descriptor::NAME);
     candidate.features.portability_subset = has(c"VK_KHR_portability_subset");
     candidate.features.calibrated_timestamps = Calibrated::find(has);
     candidate.features.memory_budget = has(ash::ext::memory_budget::NAME);
-    Ok(missing.or(missing_operations))
+    missing.extend(lacking);
+    Ok((!missing.is_empty()).then(|| missing.join(", ")))
 }
 
 fn features(
     instance: &ash::Instance,
     physical: vk::PhysicalDevice,
     has: &impl Fn(&CStr) -> bool,
-) -> (OptionalFeatures, Option<String>) {
+) -> (OptionalFeatures, Vec<String>) {
     let mut robustness2 = vk::PhysicalDeviceRobustness2FeaturesEXT::default();
     let mut reconvergence = vk::PhysicalDeviceShaderMaximalReconvergenceFeaturesKHR::default();
     let mut v12 = vk::PhysicalDeviceVulkan12Features::default();
@@ -235,7 +248,7 @@ fn features(
     // SAFETY: the device implements Vulkan 1.3, each struct is chained once.
     unsafe { instance.get_physical_device_features2(physical, &mut all) };
     let f = all.features;
-    let missing = Features::of(&v12, &v13).missing().map(str::to_owned);
+    let missing = Features::of(&v12, &v13).missing().into_iter().map(str::to_owned).collect();
     let optional = OptionalFeatures {
         int8: v12.shader_int8 != 0,
         int64: f.shader_int64 != 0,
@@ -260,7 +273,7 @@ fn limits(
     physical: vk::PhysicalDevice,
     timestamps: bool,
     description: &mut DeviceDescription,
-) -> (Limits, Option<String>) {
+) -> (Limits, Vec<String>) {
     let mut v11 = vk::PhysicalDeviceVulkan11Properties::default();
     let mut v12 = vk::PhysicalDeviceVulkan12Properties::default();
     let mut v13 = vk::PhysicalDeviceVulkan13Properties::default();
@@ -279,14 +292,18 @@ fn limits(
     let local = memory.memory_heaps_as_slice().iter();
     let local = local.filter(|h| h.flags.contains(vk::MemoryHeapFlags::DEVICE_LOCAL)).map(|h| h.size).max();
     description.driver = format!("{} {}", text(v12.driver_name_as_c_str()), text(v12.driver_info_as_c_str()));
-    let lacking =
-        SUBGROUP_OPERATIONS.iter().find(|(flag, _)| !v11.subgroup_supported_operations.contains(*flag));
-    let missing = if v11.subgroup_supported_stages.contains(vk::ShaderStageFlags::COMPUTE) {
-        lacking.map(|(_, name)| format!("subgroup operations ({name})"))
-    } else {
-        Some("subgroup operations in compute shaders".into())
-    };
-    let missing = missing.or_else(|| low_limit(&l));
+    let lacking = SUBGROUP_OPERATIONS
+        .iter()
+        .filter(|(flag, _)| !v11.subgroup_supported_operations.contains(*flag))
+        .map(|(_, name)| *name);
+    let lacking = lacking.collect::<Vec<_>>().join(", ");
+    let mut missing = Vec::new();
+    if !v11.subgroup_supported_stages.contains(vk::ShaderStageFlags::COMPUTE) {
+        missing.push("subgroup operations in compute shaders".to_owned());
+    } else if !lacking.is_empty() {
+        missing.push(format!("subgroup operations ({lacking})"));
+    }
+    missing.extend(low_limits(&l));
     let tuning = match properties.device_type {
         vk::PhysicalDeviceType::CPU => Tuning::of(Backend::Processor),
         _ => Tuning::of_vendor(properties.vendor_id),

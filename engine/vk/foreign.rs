@@ -56,7 +56,7 @@ impl Context {
     /// layers, which are the host's.
     ///
     /// # Errors
-    /// [`Error::MissingFeature`] for the first of [`Context::requirements`] that the device lacks or that was
+    /// [`Error::MissingFeature`] with all of [`Context::requirements`] that the device lacks or that were
     /// not enabled, [`Error::Argument`] for a null handle, a queue family without compute, or
     /// [`ContextOptions::compile_only`], which takes a device of our own.
     ///
@@ -90,14 +90,8 @@ impl Context {
             return Err(Error::argument("compile_only", problem));
         }
         let mut candidate = device::describe(host.instance, 0, host.physical_device, vk::API_VERSION_1_3)?;
-        let lacks = |feature: String| {
-            Err(Error::MissingFeature { device: candidate.description.name.clone(), feature })
-        };
-        if let Some(feature) = &candidate.missing {
-            return lacks(feature.clone());
-        }
-        if let Some(feature) = host.features.missing() {
-            return lacks(format!("{feature} (the device has it, the host has not enabled it)"));
+        if let Some(feature) = candidate.lacks(&host.features) {
+            return Err(Error::MissingFeature { device: candidate.description.name.clone(), feature });
         }
         // SAFETY: the physical device is of this instance.
         let families =

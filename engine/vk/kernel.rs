@@ -121,14 +121,21 @@ impl<K> Clone for Kernel<K> {
 
 /// Requirements of a pipeline.
 #[derive(Clone, Debug)]
-struct Demands {
-    name: &'static str,
+pub(super) struct Demands {
+    pub(super) name: &'static str,
     subgroup_size: Option<u32>,
     workgroup_size: [u32; 3],
     shared_bytes: u32,
     push_bytes: u32,
     bindings: &'static [BindingInfo],
     images: &'static [ImageInfo],
+}
+
+impl Demands {
+    /// What tells kernels of one device apart, beside their form and constants.
+    pub(super) fn key(&self) -> (&'static str, Option<u32>, [u32; 3]) {
+        (self.name, self.subgroup_size, self.workgroup_size)
+    }
 }
 
 impl<K: KernelInterface> Kernel<K> {
@@ -161,7 +168,12 @@ impl<K: KernelInterface> Kernel<K> {
                 Pipeline::shared(&context.device, &demands, (form.texels, replaced, &spirv), constants)?
             }
             Some(spirv) => Pipeline::new(&context.device, &demands, &spirv, &constants)?,
-            None => Pipeline::shared(&context.device, &demands, (form.texels, None, form.spirv), constants)?,
+            None => match context.collect_job(&demands, (form.texels, form.spirv), &constants) {
+                Some(pipeline) => pipeline,
+                None => {
+                    Pipeline::shared(&context.device, &demands, (form.texels, None, form.spirv), constants)?
+                }
+            },
         };
         Ok(Self { pipeline: Arc::new(pipeline), interface: PhantomData })
     }
@@ -274,8 +286,15 @@ pub(super) struct Pipeline {
 }
 
 impl Pipeline {
+    /// One that no recording can use.
+    pub(super) fn never_built(inner: &Arc<Device>, demands: &Demands) -> Self {
+        let mut pipeline = Self::unbuilt(inner, demands);
+        pipeline.shared = true;
+        pipeline
+    }
+
     /// The device's own, which it builds if it has none.
-    fn shared(
+    pub(super) fn shared(
         inner: &Arc<Device>,
         demands: &Demands,
         (texels, replaced, spirv): (bool, Option<u64>, &[u32]),

@@ -23,6 +23,7 @@
 //! | `budget` | [`Context::allocate`], and how much memory there may be |
 //! | `image`, `adopt` | [`Image`]: a host's or our own; buffers of a host |
 //! | `kernel`, `resources` | [`Kernel`]: a pipeline with the typed interface that build.rs generated; what it binds |
+//! | `kernel_job` | [`KernelJob`]: a kernel to be built ahead, on any thread |
 //! | `hazard` | finds missing barriers while recording |
 //! | `recorder` | [`Recorder`]: dispatch, fill, copy, barrier, scope |
 //! | `bind`, `record_image`, `record_audit` | further parts of the recorder |
@@ -90,6 +91,7 @@ pub mod hazard;
 mod image;
 mod instance;
 mod kernel;
+mod kernel_job;
 mod limits;
 #[cfg(feature = "testing")]
 mod limits_override;
@@ -137,6 +139,7 @@ pub use image::{ForeignImage, Image, ImageState};
 pub use instance::validation_available;
 pub(crate) use kernel::sealed::Generated;
 pub use kernel::{ConstantInfo, ConstantKind, Form, Kernel, KernelInterface, KernelVisitor};
+pub use kernel_job::KernelJob;
 pub use limits::{Limits, SpecOverride, is_kernel_of, is_yardstick};
 #[cfg(feature = "testing")]
 pub use limits_override::LimitsOverride;

@@ -72,10 +72,11 @@ impl Features {
         ]
     }
 
-    /// The first feature of [`Features::REQUIRED`] that is not set.
-    pub fn missing(&self) -> Option<&'static str> {
+    /// All features of [`Features::REQUIRED`] that are not set.
+    pub fn missing(&self) -> Vec<&'static str> {
         let required = Self::REQUIRED.all().into_iter().zip(self.all());
-        required.into_iter().find(|((_, required), (_, has))| *required && !has).map(|(_, (name, _))| name)
+        let missing = required.filter(|((_, required), (_, has))| *required && !has);
+        missing.map(|(_, (name, _))| name).collect()
     }
 }
 
@@ -97,16 +98,15 @@ pub(super) const LEAST_LIMITS: [(&str, u64); 4] = [
     ("maxPerStageDescriptorStorageBuffers", BUFFERS as u64),
 ];
 
-/// The first of [`LEAST_LIMITS`] that a device does not reach.
-pub(super) fn low_limit(l: &vk::PhysicalDeviceLimits) -> Option<String> {
+/// All of [`LEAST_LIMITS`] that a device does not reach.
+pub(super) fn low_limits(l: &vk::PhysicalDeviceLimits) -> impl Iterator<Item = String> {
     let has = [
         l.max_compute_work_group_invocations,
         l.max_compute_shared_memory_size,
         l.max_push_constants_size,
         l.max_per_stage_descriptor_storage_buffers,
     ];
-    let mut pairs = LEAST_LIMITS.iter().zip(has);
-    let low = pairs.find(|((_, least), has)| u64::from(*has) < *least);
+    let low = LEAST_LIMITS.iter().zip(has).filter(|((_, least), has)| u64::from(*has) < *least);
     low.map(|((name, least), has)| format!("{name} of {least} (it has {has})"))
 }
 
@@ -201,11 +201,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_first_missing_feature_is_named() {
-        assert_eq!(Features::REQUIRED.missing(), None);
-        let lacking = Features { maintenance4: false, ..Features::REQUIRED };
-        assert_eq!(lacking.missing(), Some("maintenance4"));
-        assert_eq!(Features::default().missing(), Some("scalarBlockLayout"));
+    fn all_missing_features_are_named() {
+        assert!(Features::REQUIRED.missing().is_empty());
+        let lacking = Features { maintenance4: false, subgroup_size_control: false, ..Features::REQUIRED };
+        assert_eq!(lacking.missing(), ["maintenance4", "subgroupSizeControl"]);
+        assert_eq!(Features::default().missing().len(), Features::REQUIRED.all().len());
+        let low = vk::PhysicalDeviceLimits { max_compute_work_group_invocations: 128, ..Default::default() };
+        assert_eq!(low_limits(&low).count(), LEAST_LIMITS.len() - 1);
     }
 
     #[test]

@@ -26,6 +26,12 @@ fn refused(host: &Host, change: impl FnOnce(&mut ForeignDevice<'_>)) -> Error {
 
 #[test]
 fn a_host_that_has_not_enabled_a_feature_is_told_which() {
+    // All of them in one answer.
+    with_host(&options(), |host| {
+        let features = Features { scalar_block_layout: false, subgroup_size_control: false, ..host.features };
+        let error = refused(host, |h| h.features = features).to_string();
+        assert!(error.contains("lacks scalarBlockLayout, subgroupSizeControl (the device has"), "{error}");
+    });
     // The device itself was created without it.
     with_host(&HostOptions { without: Some("maintenance4"), ..options() }, |host| {
         let error = refused(host, |_| ());
@@ -211,26 +217,45 @@ fn bad_frames_are_refused_before_anything_is_recorded() {
         let [stretched, nowhere, inside_out, vanished] =
             [sheared, lost, inside_out, vanished].map(|pose| [Placed { pose, ..placed[0] }]);
         let depth_settings = RenderSettings { inverse_depth: true, ..settings };
+        let both_settings = RenderSettings { filter_3d: true, ..depth_settings };
         let bad = [
             (RecordedFrame { camera: &nan, ..good }, "focal length"),
             (RecordedFrame { camera: &nothing, ..good }, "image size 0x48"),
-            (RecordedFrame { camera: &wide, ..good }, "more than 3072 (reserved)"),
+            (RecordedFrame { camera: &wide, ..good }, "where 64 x 48 are reserved, needs"),
             (RecordedFrame { scenes: &[], ..good }, "there are none"),
             (RecordedFrame { scenes: &of_other, ..good }, "another device"),
-            (RecordedFrame { scenes: &too_large, ..good }, "201 Gaussians"),
+            (
+                RecordedFrame { scenes: &too_large, ..good },
+                "scenes: the frame needs 201 Gaussians, more than 200 (reserved)",
+            ),
             (RecordedFrame { scenes: &two, ..good }, "2 of them, 1 are reserved"),
             (RecordedFrame { scenes: &stretched, ..good }, "a uniform scale"),
             (RecordedFrame { scenes: &inside_out, ..good }, "a scale of -1 is not possible"),
             (RecordedFrame { scenes: &vanished, ..good }, "a scale of 0 is not possible"),
             (RecordedFrame { scenes: &nowhere, ..good }, "pose"),
-            (RecordedFrame { settings: &depth_settings, ..good }, "not reserved"),
-            (RecordedFrame { target: into(&images[0]), ..good }, "exceed its 40 x 48"),
-            (RecordedFrame { target: into(&images[1]), ..good }, "R32_SFLOAT is not one of"),
+            (RecordedFrame { settings: &depth_settings, ..good }, "inverse_depth: not reserved"),
+            (
+                RecordedFrame { target: into(&images[0]), ..good },
+                "target (image 'target'): 64 x 48 pixels at (0, 0) exceed its 40 x 48",
+            ),
+            (
+                RecordedFrame { target: into(&images[1]), ..good },
+                "target (image 'target'): format R32_SFLOAT is not one of",
+            ),
             (RecordedFrame { target: into(&images[2]), ..good }, "another device"),
             (RecordedFrame { target: into(&images[3]), ..good }, "not adopted for Storage"),
-            (RecordedFrame { occluder: Some(Occluder { depth, mapping }), ..good }, "not reserved"),
-            (RecordedFrame { occluder: Some(Occluder { depth, mapping: unknown }), ..good }, "depth mapping"),
-            (RecordedFrame { occluder: Some(Occluder { depth, mapping: never }), ..good }, "depth mapping"),
+            (
+                RecordedFrame { occluder: Some(Occluder { depth, mapping }), ..good },
+                "occlusion: not reserved",
+            ),
+            (
+                RecordedFrame { occluder: Some(Occluder { depth, mapping: unknown }), ..good },
+                "occluder.mapping: ",
+            ),
+            (
+                RecordedFrame { occluder: Some(Occluder { depth, mapping: never }), ..good },
+                "occluder.mapping: ",
+            ),
             (RecordedFrame { occluder: Some(Occluder { depth: fresh_depth, mapping }), ..good }, "UNDEFINED"),
             (
                 RecordedFrame { occluder: Some(Occluder { depth, mapping }), depth: expected(0.5), ..good },
@@ -242,8 +267,9 @@ fn bad_frames_are_refused_before_anything_is_recorded() {
             (RecordedFrame { target: onto(Background::Image), ..good }, "UNDEFINED"),
             (RecordedFrame { target: onto(Background::Color([0.0, f32::NAN, 0.0])), ..good }, "not finite"),
             (RecordedFrame { settings: &no_background, ..good }, "not finite"),
-            (RecordedFrame { depth: expected(f32::NAN), ..good }, "least weight"),
-            (RecordedFrame { depth: expected(0.5), ..good }, "not reserved"),
+            (RecordedFrame { depth: expected(f32::NAN), ..good }, "depth.min_weight: "),
+            (RecordedFrame { depth: expected(0.5), ..good }, "expected_depth: not reserved"),
+            (RecordedFrame { settings: &both_settings, ..good }, "inverse_depth, filter_3d: not reserved"),
             (RecordedFrame { updates: &update, ..good }, "staging_bytes"),
             (RecordedFrame { updates: &beyond, ..good }, "exceed the scene's"),
         ];

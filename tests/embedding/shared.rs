@@ -98,6 +98,39 @@ fn frames_that_share_memory_may_be_submitted_in_any_order() {
     });
 }
 
+/// The second frame in a command buffer writes what the first one reads: synchronisation validation sees whether it waits.
+#[test]
+fn frames_of_one_command_buffer_share_memory() {
+    with_host(&options(), |host| {
+        let context = guest(host);
+        let gaussians = cloud(900, 4);
+        let scene = DeviceScene::upload(&context, &gaussians, 0).expect("a scene");
+        let mut renderer = Renderer::new(&context).expect("kernels");
+        renderer
+            .reserve(&Reservation { slots: 2, ..Reservation::new(900, 1, SIZE[0], SIZE[1]) })
+            .expect("memory");
+        let (settings, scenes) = (RenderSettings::default(), [(&scene).into()]);
+        let cameras = [0.0, 1.0].map(|turn| camera(turn, SIZE[0], SIZE[1]));
+        let staging = [0; 2].map(|_| HostBuffer::new(host, 16 * PIXELS as u64).expect("memory"));
+        let frame = InFlight::new(host).expect("a command buffer");
+        frame.begin(host).expect("recording");
+        for (slot, camera) in (0..).zip(&cameras) {
+            let recorded = RecordedFrame::new(&scenes, camera, &settings);
+            renderer.record(adopt(&context, &frame), slot, &recorded).expect("a recording");
+        }
+        for (slot, staging) in (0..).zip(&staging) {
+            copy_pixels(host, &mut renderer, slot, &frame, staging, PIXELS);
+        }
+        frame.submit(host).expect("a submission");
+        frame.wait(host).expect("done");
+        for (camera, staging) in cameras.iter().zip(staging) {
+            assert_same(&pixels(host, &staging), &owned(&gaussians, camera, &settings), [0.0; 3]);
+            staging.destroy(host);
+        }
+        frame.destroy(host);
+    });
+}
+
 /// Two slots fly with too little room while the third gets more.
 #[test]
 fn memory_grows_while_frames_fly() {

@@ -5,7 +5,7 @@
 
 use crate::host::{Host, HostOptions, InFlight};
 use crate::stage::{adopt, camera, cloud, guest, options, with_host};
-use ashsplat::ash::{self, vk};
+use ashsplat::ash::{self, vk, vk::Handle};
 use ashsplat::scene::Gaussians;
 use ashsplat::trainer::{StepOutcome, StepReservation};
 use ashsplat::vk::{Context, ContextOptions, ForeignDevice, Image, ImageState, ImageUse};
@@ -110,6 +110,22 @@ counted! {
     "vkDeviceWaitIdle" wait_device(d: Device) -> i32;
 }
 
+/// The caches that pipelines were built with.
+static CACHES: Mutex<BTreeSet<u64>> = Mutex::new(BTreeSet::new());
+
+unsafe extern "system" fn create_pipelines_with(
+    device: Device,
+    cache: u64,
+    count: u32,
+    infos: *const c_void,
+    callbacks: Callbacks,
+    pipelines: *mut u64,
+) -> i32 {
+    CACHES.lock().expect("no panic while held").insert(cache);
+    // SAFETY: as the caller promises.
+    unsafe { create_pipelines(device, cache, count, infos, callbacks, pipelines) }
+}
+
 /// What recording may call besides `vkCmd*`.
 const ALLOWED: [&str; 3] = ["vkGetEventStatus", "vkResetEvent", "vkUpdateDescriptorSets"];
 
@@ -126,7 +142,11 @@ fn instrumented(host: &Host) -> (ash::Device, BTreeSet<String>) {
         if address.is_null() || text.starts_with("vkCmd") || ALLOWED.contains(&text.as_str()) {
             return address;
         }
-        wrapped(&text, address as usize).unwrap_or_else(|| {
+        let wrapper = wrapped(&text, address as usize);
+        if text == "vkCreateComputePipelines" {
+            return create_pipelines_with as *const c_void;
+        }
+        wrapper.unwrap_or_else(|| {
             absent.insert(text);
             std::ptr::null()
         })
@@ -336,6 +356,57 @@ impl<'a> Everything<'a> {
 fn record_calls_nothing_that_submits_waits_allocates_or_maps() {
     record_and_count(&options());
     record_and_count(&HostOptions { push_descriptors: false, ..options() });
+    kernels_of_threads(&options());
+}
+
+/// What the host's threads have built, in its own cache, is not built again.
+fn kernels_of_threads(host_options: &HostOptions) {
+    with_host(host_options, |host| {
+        let (device, _) = instrumented(host);
+        let info = vk::PipelineCacheCreateInfo::default();
+        // SAFETY: a valid create info.
+        let pipeline_cache = unsafe { host.device.create_pipeline_cache(&info, None) }.expect("a cache");
+        let foreign = ForeignDevice { device: &device, pipeline_cache, ..host.foreign() };
+        // SAFETY: as in `guest`; the cache is destroyed after the context.
+        let context =
+            unsafe { Context::from_foreign(&foreign, &ContextOptions::default()) }.expect("a context");
+        let wanted = Reservation {
+            occlusion: true,
+            expected_depth: true,
+            filter_3d: true,
+            ..Reservation::new(100, 2, 96, 64)
+        };
+        take_calls();
+        let jobs = Renderer::kernel_jobs(&context, &wanted).expect("a list");
+        let pipelines = |calls: &[(&str, usize)]| {
+            calls.iter().find(|(name, _)| *name == "vkCreateComputePipelines").map_or(0, |(_, count)| *count)
+        };
+        assert_eq!(pipelines(&take_calls()), 0, "nothing is built yet");
+        assert!(jobs.iter().any(|job| job.name() == "forward/blend") && jobs.len() > 40, "{}", jobs.len());
+        let count = jobs.len();
+        let queue = Mutex::new(jobs);
+        CACHES.lock().expect("no panic while held").clear();
+        std::thread::scope(|threads| {
+            for _ in 0..3 {
+                threads.spawn(|| {
+                    loop {
+                        let job = queue.lock().expect("no panic while held").pop();
+                        let Some(job) = job else { return };
+                        job.build().expect("built");
+                    }
+                });
+            }
+        });
+        assert_eq!(pipelines(&take_calls()), count);
+        let caches = std::mem::take(&mut *CACHES.lock().expect("no panic while held"));
+        assert_eq!(caches, [pipeline_cache.as_raw()].into());
+        let mut renderer = Renderer::new(&context).expect("kernels");
+        renderer.reserve(&wanted).expect("memory");
+        assert_eq!(pipelines(&take_calls()), 0, "all are there");
+        drop((renderer, context));
+        // SAFETY: nothing is built with it any more.
+        unsafe { host.device.destroy_pipeline_cache(pipeline_cache, None) };
+    });
 }
 
 /// And the counters see it when one does.

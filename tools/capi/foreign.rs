@@ -79,12 +79,15 @@ unsafe fn from_host(host: &AshsplatHost) -> Result<Context> {
     let null = |what: &str| Error::argument(what, "the handle is null");
     let handle = |pointer: *mut c_void| pointer as u64;
     if host.get_instance_proc_addr.is_null() {
-        return Err(null("vkGetInstanceProcAddr"));
+        return Err(null("get_instance_proc_addr"));
     }
     let (instance, device) =
         (vk::Instance::from_raw(handle(host.instance)), vk::Device::from_raw(handle(host.device)));
-    if instance == vk::Instance::null() || device == vk::Device::null() {
-        return Err(null("instance or device"));
+    if instance == vk::Instance::null() {
+        return Err(null("instance"));
+    }
+    if device == vk::Device::null() {
+        return Err(null("device"));
     }
     // SAFETY: the function and both handles are the host's, as promised; the structs are of their types.
     unsafe {
@@ -248,12 +251,28 @@ pub unsafe extern "C" fn ashsplat_record(
         }
         let commands = vk::CommandBuffer::from_raw(commands as u64);
         let commands = renderer.0.context().adopt_commands(commands)?;
-        let left = renderer.0.record(commands, slot, &recorded)?;
+        let left = renderer.0.record(commands, slot, &recorded).map_err(in_c)?;
         if let Some(release) = release.as_mut() {
             *release = (&left).into();
         }
         Ok(())
     })
+}
+
+/// An error of a frame with the names of AshsplatFrame's fields.
+fn in_c(error: Error) -> Error {
+    let Error::Argument { what, problem } = error else { return error };
+    let (field, rest) = what.split_at(what.find(" (").unwrap_or(what.len()));
+    let name = match field {
+        "occluder" => "depth",
+        "occluder.mapping" => "depth_mapping",
+        "depth" => "expected_depth",
+        "depth.min_weight" => "min_weight",
+        "command buffer" => "commands",
+        "frame slot" => "slot",
+        other => other,
+    };
+    Error::Argument { what: format!("{name}{rest}"), problem }
 }
 
 /// The device of a context, for a host that lets this library open one: each pointer may be NULL.

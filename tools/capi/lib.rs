@@ -6,6 +6,7 @@
 
 mod allocator;
 mod foreign;
+mod kernels;
 mod scenes;
 mod settings;
 mod slots;
@@ -14,6 +15,7 @@ mod types;
 
 pub use allocator::{AshsplatAllocator, AshsplatMemory, AshsplatMemoryRequest};
 pub use foreign::*;
+pub use kernels::*;
 pub use scenes::*;
 pub use settings::*;
 pub use slots::*;

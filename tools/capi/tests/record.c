@@ -30,7 +30,6 @@ int main(int count, char **arguments) {
     AshsplatScene *scene = NULL;
     AshsplatRenderer *renderer = NULL;
     check(ashsplat_scene_load(context, arguments[1], &scene), "loading the scene");
-    check(ashsplat_renderer_new(context, &renderer), "building the renderer");
     AshsplatReservation wanted;
     memset(&wanted, 0, sizeof wanted);
     wanted.slots = 1;
@@ -38,7 +37,27 @@ int main(int count, char **arguments) {
     wanted.width = 160;
     wanted.height = 120;
     check(ashsplat_scene_size(scene, &wanted.gaussians, &wanted.sh_degree), "asking for the scene's size");
-    check(ashsplat_reserve(renderer, &wanted), "reserving");
+    /* Kernels may be built ahead, by any thread. */
+    AshsplatKernels *kernels = NULL;
+    uint32_t kernel_count = 0;
+    check(ashsplat_kernels_new(context, &wanted, &kernels, &kernel_count), "listing the kernels");
+    EXPECT(kernel_count > 20);
+    for (uint32_t kernel = 0; kernel < kernel_count; ++kernel) {
+        check(ashsplat_kernels_build(kernels, kernel), "building a kernel");
+    }
+    EXPECT(ashsplat_kernels_build(kernels, kernel_count) == AshsplatStatus_Argument);
+    ashsplat_kernels_free(kernels);
+    check(ashsplat_renderer_new(context, &renderer), "building the renderer");
+    EXPECT(ashsplat_grow(renderer, &wanted) == AshsplatStatus_Argument);
+    /* All frames in one buffer of the host's, behind something else of the host's. */
+    uint64_t bytes = 0;
+    wanted.instances = 4;
+    check(ashsplat_reservation_bytes(renderer, &wanted, &bytes), "asking for the size");
+    HostBuffer frames = host_buffer(&host, 256 + bytes, 1 | 2 | 16 | 32 | 256);
+    AshsplatHostBuffer block = {frames.raw, 256, bytes - 256};
+    EXPECT(ashsplat_reserve_in(renderer, &wanted, &block, false) == AshsplatStatus_TooLarge);
+    block.bytes = bytes;
+    check(ashsplat_reserve_in(renderer, &wanted, &block, false), "reserving in a block");
 
     void *commands = host_begin(&host);
     AshsplatPlaced placed = {scene, {1, 0, 0, 0, 1, 0, 0, 0, 1}, {0, 0, 0}, 1};
@@ -64,10 +83,26 @@ int main(int count, char **arguments) {
     AshsplatReport report;
     check(ashsplat_slot_report(renderer, 0, &report), "asking too early");
     EXPECT(!report.finished && release.stages != 0);
+    /* More room, while the frame is in flight. */
+    wanted.instances = 0;
+    check(ashsplat_grow(renderer, &wanted), "growing");
     host_submit_and_wait(&host);
+    check(ashsplat_slot_report(renderer, 0, &report), "asking for the report");
+    EXPECT(report.finished && report.overflow && report.instance_capacity == 4);
+    commands = host_begin(&host);
+    check(ashsplat_record(renderer, commands, 0, &frame, &release), "recording with more room");
+    host_submit_and_wait(&host);
+    host_free_buffer(&host, &frames);
 
     check(ashsplat_slot_report(renderer, 0, &report), "asking for the report");
     EXPECT(report.finished && !report.overflow);
+    wanted.images_only = true;
+    check(ashsplat_reserve(renderer, &wanted), "reserving without pixels");
+    commands = host_begin(&host);
+    EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
+    EXPECT(strstr(ashsplat_last_error(), "images_only: ") != NULL);
+    EXPECT(ashsplat_record(renderer, commands, 9, &frame, NULL) == AshsplatStatus_Argument);
+    EXPECT(strstr(ashsplat_last_error(), "slot: 9: 1 are reserved") != NULL);
     printf("%u of %u Gaussians visible, scale %.1f, offset %.1f\n", report.visible, report.gaussians,
            (double)frame.depth_mapping.scale, (double)frame.depth_mapping.offset);
     ashsplat_renderer_free(renderer);
