@@ -9,6 +9,7 @@ use ashsplat::vk::{Context, ContextOptions};
 use ashsplat::{DeviceScene, Placed, RecordedFrame, RenderSettings, Renderer, Reservation};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
+use std::sync::Mutex;
 use std::time::Instant;
 
 /// The system's allocator, which counts what each thread asks for.
@@ -183,9 +184,58 @@ fn record_takes_nothing_from_the_heap() {
     }
 }
 
+/// Milliseconds of building kernels ahead on so many threads, of `Renderer::new` and `reserve`, and of two frames.
+fn first_frame(threads: usize) -> [f64; 4] {
+    let host = Host::new(&HostOptions::default()).expect("a host");
+    let context = shipped(&host, false);
+    let scene = DeviceScene::upload(&context, &cloud(10_000, 1), 0).expect("a scene");
+    let wanted = Reservation { occlusion: true, ..Reservation::new(10_000, 1, 640, 480) };
+    let ms = |start: Instant| start.elapsed().as_secs_f64() * 1e3;
+    let start = Instant::now();
+    if threads > 0 {
+        let jobs = Mutex::new(Renderer::kernel_jobs(&context, &wanted).expect("a list"));
+        let next = || jobs.lock().expect("no panic while held").pop();
+        std::thread::scope(|scope| {
+            for _ in 0..threads {
+                scope.spawn(|| {
+                    while let Some(job) = next() {
+                        job.build().expect("built")
+                    }
+                });
+            }
+        });
+    }
+    let ahead = ms(start);
+    let start = Instant::now();
+    let mut renderer = Renderer::new(&context).expect("kernels");
+    renderer.reserve(&wanted).expect("memory");
+    let reserved = ms(start);
+    let in_flight = InFlight::new(&host).expect("a command buffer");
+    let (view, settings, placed) = (camera(0.3, 640, 480), RenderSettings::default(), [(&scene).into()]);
+    let mut frame = || {
+        let start = Instant::now();
+        in_flight.begin(&host).expect("recording");
+        let recorded = RecordedFrame::new(&placed, &view, &settings);
+        renderer.record(adopt(&context, &in_flight), 0, &recorded).expect("a recording");
+        in_flight.submit(&host).expect("a submission");
+        in_flight.wait(&host).expect("done");
+        ms(start)
+    };
+    let frames = [frame(), frame()];
+    in_flight.destroy(&host);
+    drop((renderer, scene, context));
+    host.destroy();
+    [ahead, reserved, frames[0], frames[1]]
+}
+
 #[test]
 #[ignore = "prints the tables of the guide"]
 fn tables() {
+    println!("threads | kernels ahead, ms | Renderer::new and reserve | first frame | second");
+    for threads in [0, 1, 2] {
+        let [ahead, reserved, first, second] = first_frame(threads);
+        println!("{threads} | {ahead:.0} | {reserved:.0} | {first:.0} | {second:.0}");
+    }
     with_host(&HostOptions::default(), |host| {
         memory_table(host);
         println!("scenes | timestamps | record, median us | fastest | heap allocations");
