@@ -85,6 +85,9 @@ typedef struct AshsplatContext AshsplatContext;
 // A view of a host's image.
 typedef struct AshsplatImage AshsplatImage;
 
+// The kernels of a reservation, to be built on threads of the host's choice.
+typedef struct AshsplatKernels AshsplatKernels;
+
 // Renders scenes.
 typedef struct AshsplatRenderer AshsplatRenderer;
 
@@ -349,33 +352,6 @@ typedef struct AshsplatRelease {
   struct AshsplatImageState expected_depth;
 } AshsplatRelease;
 
-// The layout of the parameters in a host's own buffers: planes of four floats. Plane 0 is the mean and the
-// opacity logit, 1 the quaternion (w, x, y, z), 2 the log-scales and 0. The others are the SH coefficients,
-// red, green and blue one after the other, padded with zeros. The groups of planes are 0 to 2 (geometry), 3,
-// 4 and 5, 6 to 9, and 10 to 14 (one degree each). A group is contiguous for all Gaussians, in rows of
-// eight. In the group of planes `first` to `end` - 1, plane p of the i-th Gaussian of a chunk begins at byte
-// 16 * (first * chunk_gaussians + (i / 8 * (end - first) + p - first) * 8 + i % 8).
-typedef struct AshsplatScenePlan {
-  // Number of buffers.
-  uint32_t chunks;
-  // Planes of a Gaussian: three, and those of the spherical harmonics.
-  uint32_t planes;
-  // Gaussians per buffer.
-  uint32_t chunk_gaussians;
-  // Bytes per buffer.
-  uint64_t chunk_bytes;
-} AshsplatScenePlan;
-
-// A range of a host's buffer.
-typedef struct AshsplatHostBuffer {
-  // VkBuffer.
-  uint64_t buffer;
-  // A multiple of 256.
-  uint64_t offset;
-  // A multiple of 4.
-  uint64_t bytes;
-} AshsplatHostBuffer;
-
 // What is allocated in advance for recording.
 typedef struct AshsplatReservation {
   // Frames in flight.
@@ -403,9 +379,42 @@ typedef struct AshsplatReservation {
   bool occlusion;
   // Whether frames will render expected depth.
   bool expected_depth;
+  // Whether all frames go into images (AshsplatFrame.target). Slots then have no pixels of their own.
+  bool images_only;
+  // Queues that frames are submitted to, 0 for one. What lives only while a frame is computed exists once for each
+  // queue: slots whose numbers leave the same rest when divided by this share it. Their frames go to one queue, in
+  // any order, or are ordered by semaphores. With as many queues as slots nothing is shared.
+  uint32_t queues;
   // Bytes of staging memory for a frame's updates: ashsplat_update_bytes.
   uint64_t staging_bytes;
 } AshsplatReservation;
+
+// The layout of the parameters in a host's own buffers: planes of four floats. Plane 0 is the mean and the
+// opacity logit, 1 the quaternion (w, x, y, z), 2 the log-scales and 0. The others are the SH coefficients,
+// red, green and blue one after the other, padded with zeros. The groups of planes are 0 to 2 (geometry), 3,
+// 4 and 5, 6 to 9, and 10 to 14 (one degree each). A group is contiguous for all Gaussians, in rows of
+// eight. In the group of planes `first` to `end` - 1, plane p of the i-th Gaussian of a chunk begins at byte
+// 16 * (first * chunk_gaussians + (i / 8 * (end - first) + p - first) * 8 + i % 8).
+typedef struct AshsplatScenePlan {
+  // Number of buffers.
+  uint32_t chunks;
+  // Planes of a Gaussian: three, and those of the spherical harmonics.
+  uint32_t planes;
+  // Gaussians per buffer.
+  uint32_t chunk_gaussians;
+  // Bytes per buffer.
+  uint64_t chunk_bytes;
+} AshsplatScenePlan;
+
+// A range of a host's buffer.
+typedef struct AshsplatHostBuffer {
+  // VkBuffer.
+  uint64_t buffer;
+  // A multiple of 256.
+  uint64_t offset;
+  // A multiple of 4.
+  uint64_t bytes;
+} AshsplatHostBuffer;
 
 // The report of a recorded frame.
 typedef struct AshsplatReport {
@@ -661,6 +670,28 @@ enum AshsplatStatus ashsplat_context_handles(const struct AshsplatContext *conte
                                              void **device,
                                              uint32_t *queue_family);
 
+// The kernels that ashsplat_renderer_new and ashsplat_reserve build, and their number. Once they are built, both build none.
+// Free them with ashsplat_kernels_free.
+//
+// # Safety
+// `context` and `wanted` are alive, `kernels` and `count` are valid for a write.
+enum AshsplatStatus ashsplat_kernels_new(const struct AshsplatContext *context,
+                                         const struct AshsplatReservation *wanted,
+                                         struct AshsplatKernels **kernels,
+                                         uint32_t *count);
+
+// Builds one of the kernels, `index` below their number. Any number of threads may do so at once.
+//
+// # Safety
+// `kernels` is alive, and so is its context.
+enum AshsplatStatus ashsplat_kernels_build(const struct AshsplatKernels *kernels, uint32_t index);
+
+// Frees the list. What is built stays.
+//
+// # Safety
+// `kernels` is NULL or of this library and not used afterwards.
+void ashsplat_kernels_free(struct AshsplatKernels *kernels);
+
 // Uploads a scene from a host's arrays, with a capacity of at least `capacity` Gaussians: AshsplatUpdate and
 // ashsplat_scene_set_count change it later. Without Gaussians the scene is empty, and nothing is submitted.
 //
@@ -719,6 +750,34 @@ enum AshsplatStatus ashsplat_render_settings(struct AshsplatRenderSettings *sett
 // `renderer` and `wanted` are alive.
 enum AshsplatStatus ashsplat_reserve(struct AshsplatRenderer *renderer,
                                      const struct AshsplatReservation *wanted);
+
+// As ashsplat_reserve, while frames are in flight: nobody waits. Every slot takes the new memory over with its next
+// recording or release; until then there is memory for both. The number of slots stays.
+//
+// # Safety
+// `renderer` and `wanted` are alive.
+enum AshsplatStatus ashsplat_grow(struct AshsplatRenderer *renderer,
+                                  const struct AshsplatReservation *wanted);
+
+// Bytes of the block that a reservation takes: ashsplat_reserve_in. Allocates nothing.
+//
+// # Safety
+// `renderer` and `wanted` are alive, `bytes` is valid for a write.
+enum AshsplatStatus ashsplat_reservation_bytes(const struct AshsplatRenderer *renderer,
+                                               const struct AshsplatReservation *wanted,
+                                               uint64_t *bytes);
+
+// As ashsplat_reserve, or with `grow` as ashsplat_grow, with all memory of the device in one buffer of the host's. Beside
+// it there are, for each slot, less than a kilobyte that the host can read, and `staging_bytes`.
+//
+// # Safety
+// `renderer`, `wanted` and `block` are alive. The buffer is of the context's device, bound to memory, has the usages
+// STORAGE_BUFFER, UNIFORM_BUFFER, INDIRECT_BUFFER, TRANSFER_SRC and TRANSFER_DST, no other user, and lives until all slots
+// use another reservation or the renderer is freed, and their frames have finished.
+enum AshsplatStatus ashsplat_reserve_in(struct AshsplatRenderer *renderer,
+                                        const struct AshsplatReservation *wanted,
+                                        const struct AshsplatHostBuffer *block,
+                                        bool grow);
 
 // The report of a slot's last frame, once it has finished. Never waits, except on llvmpipe, where reading
 // the time waits.
