@@ -4,7 +4,7 @@ use super::binding::{BindingInfo, BindingKind};
 use super::binding_numbers::BUFFERS;
 use super::buffer::Buffer;
 use super::image::Image;
-use super::kernel::{MAX_BINDINGS, Pipeline};
+use super::pipeline::{MAX_BINDINGS, Pipeline};
 use super::recorder::Recorder;
 use super::resources::Bound;
 use super::texels::{TexelFormat, TexelRange};

@@ -1,8 +1,8 @@
 //! Kernels that are built ahead, on threads of the host's choice.
 
 use super::context::Context;
-use super::kernel::{Demands, Pipeline};
 use super::open_device::Device;
+use super::pipeline::{Demands, Pipeline};
 use crate::Result;
 use std::sync::{Arc, Mutex, PoisonError};
 

@@ -23,6 +23,7 @@
 //! | `budget` | [`Context::allocate`], and how much memory there may be |
 //! | `image`, `adopt` | [`Image`]: a host's or our own; buffers of a host |
 //! | `kernel`, `resources` | [`Kernel`]: a pipeline with the typed interface that build.rs generated; what it binds |
+//! | `pipeline` | a pipeline as Vulkan has it, and what it demands of the device |
 //! | `kernel_job` | [`KernelJob`]: a kernel to be built ahead, on any thread |
 //! | `hazard` | finds missing barriers while recording |
 //! | `recorder` | [`Recorder`]: dispatch, fill, copy, barrier, scope |
@@ -100,6 +101,7 @@ mod memory_rates;
 mod memory_types;
 mod open;
 mod open_device;
+mod pipeline;
 mod pipeline_cache;
 mod pipeline_statistics;
 mod pool;

@@ -2,8 +2,8 @@
 
 use super::buffer::Buffer;
 use super::image::Image;
-use super::kernel::Pipeline;
 use super::memory::Block;
+use super::pipeline::Pipeline;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
