@@ -154,16 +154,16 @@ fn memory_grows_while_frames_fly() {
         // SAFETY: a valid create info; the event is set below, so that the device goes on.
         let gate = unsafe { host.device.create_event(&vk::EventCreateInfo::default(), None) };
         let gate = gate.expect("an event");
-        for slot in 0..2 {
-            frames[slot].begin(host).expect("recording");
+        for (slot, frame) in (0..).zip(&frames[..2]) {
+            frame.begin(host).expect("recording");
             // SAFETY: recording state.
             unsafe {
                 let (from, to) = (vk::PipelineStageFlags::HOST, vk::PipelineStageFlags::ALL_COMMANDS);
-                host.device.cmd_wait_events(frames[slot].commands, &[gate], from, to, &[], &[], &[]);
+                host.device.cmd_wait_events(frame.commands, &[gate], from, to, &[], &[], &[]);
             }
-            let commands = adopt(&context, &frames[slot]);
-            renderer.record(commands, slot as u32, &recorded).expect("a recording");
-            frames[slot].submit(host).expect("a submission");
+            let commands = adopt(&context, frame);
+            renderer.record(commands, slot, &recorded).expect("a recording");
+            frame.submit(host).expect("a submission");
         }
         // Both wait for the host, and so nothing below can have waited for them.
         let enough = Reservation { instances: 60_000, ..small };
