@@ -47,7 +47,8 @@ layout(constant_id = 7) const bool OWN_DILATION = false;
 // As in project.comp.
 layout(constant_id = 8) const bool DROPOUT = false;
 layout(constant_id = 9) const bool Z_RECORD = false;
-// Whether loops over SH coefficients stay loops: see sh.glsl.
+// Whether loops over SH coefficients stay loops (see sh.glsl), and what takes few instructions is computed again where it would
+// be kept in registers.
 layout(constant_id = 10) const bool SH_LOOPS = false;
 layout(local_size_x_id = 0) in;
 
@@ -218,13 +219,29 @@ vec4 quaternion_backward(vec4 q, float inverse_norm, mat3 d) {
     return (g - q * dot(q, g)) * inverse_norm;
 }
 
+// Gradient of the raw quaternion from that of the axes in camera space.
+vec4 axes_backward(Projection p, mat3 d_axes) {
+    mat3 d_rotation = mat3(from_camera(d_axes[0]), from_camera(d_axes[1]), from_camera(d_axes[2]));
+    return quaternion_backward(p.quat, p.inverse_norm, d_rotation);
+}
+
+// With SH_LOOPS the coefficients become four products before the derivatives are computed: never both in registers.
 void add_direction_gradient(uint group, uint index, vec3 direction, vec3 d_color, inout vec3 d_direction) {
     vec3 derivative[4];
-    sh_derivative_group(group, direction, derivative);
     vec3 sh[4];
-    sh_coefficient_group(group, index, sh);
-    [[unroll]] for (uint k = 0; k < 4; ++k) {
-        d_direction += derivative[k] * dot(sh[k], d_color);
+    if (SH_LOOPS) {
+        sh_coefficient_group(group, index, sh);
+        vec4 along = vec4(dot(sh[0], d_color), dot(sh[1], d_color), dot(sh[2], d_color), dot(sh[3], d_color));
+        sh_derivative_group(group, direction, derivative);
+        [[unroll]] for (uint k = 0; k < 4; ++k) {
+            d_direction += derivative[k] * along[k];
+        }
+    } else {
+        sh_derivative_group(group, direction, derivative);
+        sh_coefficient_group(group, index, sh);
+        [[unroll]] for (uint k = 0; k < 4; ++k) {
+            d_direction += derivative[k] * dot(sh[k], d_color);
+        }
     }
 }
 
@@ -316,6 +333,12 @@ void main() {
         d_logit = d_opacity_filtered * filtered.shrink * stored * (1.0 - stored);
     }
 
+    if (SH_LOOPS) {
+        // The axes and what is made of them are computed again, not kept meanwhile: 16 registers. The bound, which holds for
+        // every index, keeps the compiler from seeing that this is the same quaternion.
+        quat = VEC4_AT(parameters, plane_at(PLANE_QUAT, min(index, chunk_gaussians), chunk_gaussians));
+        p = project_gaussian(mean_opacity.xyz, quat, filtered.log_scale);
+    }
     // The rows of M are J times the scaled axes.
     d_row_x *= p.scale;
     d_row_y *= p.scale;
@@ -327,8 +350,10 @@ void main() {
     vec2 d_j_depth = vec2(dot(d_row_x, axes_t[2]), dot(d_row_y, axes_t[2]));
     mat3 d_axes = transpose(
         mat3(j_diagonal.x * d_row_x, j_diagonal.y * d_row_y, j_depth.x * d_row_x + j_depth.y * d_row_y));
-    mat3 d_rotation = mat3(from_camera(d_axes[0]), from_camera(d_axes[1]), from_camera(d_axes[2]));
-    vec4 d_quat = quaternion_backward(p.quat, p.inverse_norm, d_rotation);
+    vec4 d_quat;
+    if (!SH_LOOPS) {
+        d_quat = axes_backward(p, d_axes);
+    }
 
     // J = (f/z, -f slope / z). An unclamped slope is x/z; a clamped slope does not depend on the mean.
     vec2 through_slope = vec2(p.clamped.x ? 0.0 : 1.0, p.clamped.y ? 0.0 : 1.0);
@@ -352,6 +377,10 @@ void main() {
         write_pose_sums(d_camera + to_camera(d_towards), d_turned, exists, visible_range.y - visible_range.x);
     }
 #endif
+    if (SH_LOOPS) {
+        // After the pose, which is the last to need the axes.
+        d_quat = axes_backward(p, d_axes);
+    }
 #ifdef ADAM
     if (exists && state[STATE_OVERFLOW] == 0) {
         vec4 d_mean_opacity = vec4(d_mean, d_logit);

@@ -24,6 +24,7 @@ fn fused(gpu: &Gpu, scene: &Scene, state: &AdamState, step: &Step, overflow: boo
         sh_degree: scene.view.sh_degree,
         dropout: scene.view.drawn.dropout.is_some(),
         z_record: scene.view.drawn.z_record,
+        sh_loops: gpu.limits().tuning.sh_loops,
         ..Spec::default()
     };
     let kernel = gpu.kernel::<Interface>(&spec);

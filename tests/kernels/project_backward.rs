@@ -181,6 +181,7 @@ fn run_with(
         z_record: scene.view.drawn.z_record,
         absolute: absolute.is_some(),
         pose_gradient,
+        sh_loops: gpu.limits().tuning.sh_loops,
         ..Spec::default()
     };
     let (size, count) = (scene.gaussians.len(), scene.visible.len());
