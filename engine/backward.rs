@@ -154,14 +154,14 @@ impl Backward {
     }
 
     fn prepare_blend(&mut self, sums: Sums, variant: BackwardVariant) -> Result<()> {
-        let subgroup_size = self.context.limits().subgroup_size;
         let BackwardVariant { inverse_depth, steep, .. } = variant;
         let built = &mut self.blend[sums as usize][variant.index(&self.sizes)];
         let (absolute, weights) = (sums == Sums::Absolute, sums == Sums::Weights);
         if built.is_none() {
             let LaunchSizes {
-                tile,
-                region_height,
+                blend_backward_lanes: subgroup_size,
+                blend_backward_tile: tile,
+                blend_backward_region_height: region_height,
                 incremental_exp,
                 blend_backward_subgroup_per_tile: alone,
                 strips,

@@ -118,6 +118,23 @@ fn backends_choose_their_subgroup_size_where_the_device_has_it() {
     assert_eq!([amd(64, Some(32..=64)), amd(64, Some(64..=64))], [[64, 32], [64, 64]]);
 }
 
+/// Those of the heaviest kernels on Intel before Xe2, the usual ones elsewhere. Regions have 4 rows at least.
+#[test]
+fn backends_choose_the_lanes_that_blend_backward() {
+    let device = Gpu::new();
+    let sizes = |tuning: &'static Tuning, [usual, heavy]: [u32; 2]| {
+        let mut limits = device.context.limits().clone();
+        (limits.tuning, limits.subgroup_size, limits.heavy_subgroup_size) = (tuning, usual, heavy);
+        let sizes = LaunchSizes::new(&limits);
+        let backward =
+            [sizes.blend_backward_lanes, sizes.blend_backward_region_height, sizes.blend_backward_tile];
+        ([usual, sizes.region_height, sizes.tile], backward)
+    };
+    assert_eq!(sizes(&Tuning::INTEL, [16, 8]), ([16, 4, 128], [8, 4, 64]));
+    assert_eq!(sizes(&Tuning::INTEL, [16, 16]), ([16, 4, 128], [16, 4, 128]));
+    assert_eq!(sizes(&Tuning::AMD, [64, 32]), ([64, 8, 256], [64, 8, 256]));
+}
+
 #[test]
 fn backends_are_looked_up_by_their_class() {
     for backend in [Backend::Processor, Backend::Gpu] {

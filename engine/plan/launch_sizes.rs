@@ -38,6 +38,12 @@ pub struct LaunchSizes {
     pub tile: u32,
     /// Rows of pixels of a region.
     pub region_height: u32,
+    /// Size of subgroups in the backward pass of blending.
+    pub blend_backward_lanes: u32,
+    /// As `tile`, in the backward pass.
+    pub blend_backward_tile: u32,
+    /// As `region_height`, in the backward pass.
+    pub blend_backward_region_height: u32,
     /// Regions of a tile per subgroup in forward blending.
     pub regions_per_subgroup: u32,
     /// Whether one subgroup blends all regions of a tile in the backward pass.
@@ -100,8 +106,16 @@ impl LaunchSizes {
         let scan_items = size("scan", "ITEMS", tuning.scan_items).max(4);
         let scan_workgroup =
             limits.workgroup_size(size("scan", "WORKGROUP_SIZE", invocations(tuning.scan_workgroup)));
-        let region_height = region_height(tuning, limits.subgroup_size);
-        let regions = TILE_SIZE / 8 * (TILE_SIZE / region_height);
+        let shape = |lanes| {
+            let height = region_height(tuning, lanes);
+            [height, TILE_SIZE / 8 * (TILE_SIZE / height)]
+        };
+        let [region_height, regions] = shape(limits.subgroup_size);
+        let blend_backward_lanes = match tuning.heavy_blend_backward {
+            true => limits.heavy_subgroup_size,
+            false => limits.subgroup_size,
+        };
+        let [blend_backward_region_height, blend_backward_regions] = shape(blend_backward_lanes);
         let whole_tiles = tuning.whole_tiles_from_lanes.is_some_and(|lanes| limits.subgroup_size >= lanes);
         let usual_regions = if whole_tiles { regions } else { 1 };
         let regions_per_subgroup = size("forward", "REGIONS_PER_SUBGROUP", usual_regions).min(regions.min(4));
@@ -118,6 +132,9 @@ impl LaunchSizes {
             duplicate_items: tuning.duplicate_items,
             region_height,
             tile: regions * limits.subgroup_size,
+            blend_backward_lanes,
+            blend_backward_tile: blend_backward_regions * blend_backward_lanes,
+            blend_backward_region_height,
             regions_per_subgroup,
             blend_backward_subgroup_per_tile: whole_tiles,
             // A power of two divides the tile's pixels; subgroup sizes and limits are powers of two.

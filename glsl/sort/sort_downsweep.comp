@@ -1,7 +1,8 @@
 // Stable scatter by one digit: last step of a radix sort pass.
 //
-// Each subgroup owns a contiguous run of its block's keys. Matching lanes, round by round, gives the ranks within the run.
-// Runs, blocks and digits are processed in order, so the pass is stable.
+// Each subgroup owns a contiguous run of its block's keys and counts its digits. Matching lanes, round by round, then gives the
+// places behind the run's first. Runs, blocks and digits are processed in order, so the pass is stable. Keys are read twice:
+// to keep them and their ranks takes 2 ITEMS registers, which one driver puts into memory (tools/gpu_static.md).
 //
 // invocation: ITEMS keys; subgroup: a run of SUBGROUP_SIZE * ITEMS keys; workgroup: one block
 // in: keys[n], values[n], histogram (exclusive within a digit), digit_totals; out: sorted_keys[n], sorted_values[n]
@@ -44,8 +45,12 @@ layout(push_constant, scalar) uniform Push {
 
 const uint SUBGROUPS = WORKGROUP_SIZE / SUBGROUP_SIZE;
 
-// Per subgroup and digit: first the count within the run, then the output index of the run's first key with this digit.
+// Per subgroup and digit: first the count within the run, then the output index of the run's next key with this digit.
 shared uint run_bins[SUBGROUPS * SORT_BINS];
+
+uint digit_of(uint key) {
+    return (key >> shift) & ((1u << bits) - 1);
+}
 
 void main() {
     const uint block_size = WORKGROUP_SIZE * ITEMS;
@@ -62,28 +67,15 @@ void main() {
     subgroupMemoryBarrierShared();
     subgroupBarrier();
 
-    uint key[ITEMS];
-    uint rank[ITEMS];
     [[unroll]] for (uint k = 0; k < ITEMS; ++k) {
         uint index = first + k * SUBGROUP_SIZE;
-        bool valid = index < n;
-        key[k] = keys[valid ? index : 0];
-        uint digit = (key[k] >> shift) & (digits - 1);
-        uint below;
-        uint peers;
-        match_key(digit, bits, valid, below, peers);
-        uint before = run_bins[run_base + digit];
-        rank[k] = before + below;
-        subgroupMemoryBarrierShared();
-        subgroupBarrier();
-        // The last of the lanes with the same digit updates the count.
-        if (valid && below + 1 == peers) {
-            run_bins[run_base + digit] = before + peers;
+        if (index < n) {
+            atomicAdd(run_bins[run_base + digit_of(keys[index])], 1);
         }
-        subgroupMemoryBarrierShared();
-        subgroupBarrier();
     }
-    barrier();
+    // For the lanes of one subgroup: if there are several, the prefix sum has a barrier.
+    subgroupMemoryBarrierShared();
+    subgroupBarrier();
 
     // Start of each digit: after all lower digits, all earlier blocks, and all earlier runs.
     uint carry = 0;
@@ -104,15 +96,34 @@ void main() {
     }
     barrier();
 
-    [[unroll]] for (uint k = 0; k < ITEMS; ++k) {
+    uint next_key = keys[first < n ? first : 0];
+    uint next_value = IDENTITY_VALUES ? first : values[first < n ? first : 0];
+    for (uint k = 0; k < ITEMS; ++k) {
         uint index = first + k * SUBGROUP_SIZE;
         bool valid = index < n;
-        uint digit = (key[k] >> shift) & (digits - 1);
-        uint target = run_bins[run_base + digit] + rank[k];
-        uint value = IDENTITY_VALUES ? index : values[valid ? index : 0];
+        uint key = next_key;
+        uint value = next_value;
+        // The next round's, so that they are there in time.
+        uint next = index + SUBGROUP_SIZE;
+        bool next_valid = k + 1 < ITEMS && next < n;
+        next_key = keys[next_valid ? next : 0];
+        next_value = IDENTITY_VALUES ? next : values[next_valid ? next : 0];
+        uint digit = digit_of(key);
+        uint below;
+        uint peers;
+        match_key(digit, bits, valid, below, peers);
+        uint before = run_bins[run_base + digit];
+        subgroupMemoryBarrierShared();
+        subgroupBarrier();
+        // The last of the lanes with the same digit moves the place on.
+        if (valid && below + 1 == peers) {
+            run_bins[run_base + digit] = before + peers;
+        }
+        subgroupMemoryBarrierShared();
+        subgroupBarrier();
         if (valid) {
-            sorted_keys[target] = key[k];
-            sorted_values[target] = value;
+            sorted_keys[before + below] = key;
+            sorted_values[before + below] = value;
         }
     }
 }
