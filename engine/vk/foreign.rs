@@ -395,13 +395,18 @@ impl RecordSlot {
         let barriers = [vk::MemoryBarrier2::default()
             .src_stage_mask(Stage::ALL_COMMANDS)
             .src_access_mask(vk::AccessFlags2::SHADER_WRITE | vk::AccessFlags2::TRANSFER_WRITE)
-            .dst_stage_mask(Stage::HOST)
+            .dst_stage_mask(Stage::HOST | Stage::ALL_COMMANDS)
             .dst_access_mask(vk::AccessFlags2::HOST_READ)];
-        let dependency = vk::DependencyInfo::default().memory_barriers(&barriers);
+        let writes = vk::DependencyInfo::default().memory_barriers(&barriers);
+        // Events do not take the host's stage; what the barrier has made visible comes before this.
+        let order = [vk::MemoryBarrier2::default()
+            .src_stage_mask(Stage::ALL_COMMANDS)
+            .dst_stage_mask(Stage::ALL_COMMANDS)];
+        let order = vk::DependencyInfo::default().memory_barriers(&order);
         // SAFETY: recording state outside of a render pass; the event is this slot's and was reset.
         unsafe {
-            self.inner.device.cmd_pipeline_barrier2(target.raw, &dependency);
-            self.inner.device.cmd_set_event2(target.raw, self.event, &dependency);
+            self.inner.device.cmd_pipeline_barrier2(target.raw, &writes);
+            self.inner.device.cmd_set_event2(target.raw, self.event, &order);
         }
         self.profiler = Some(profiler);
         whole
