@@ -77,7 +77,8 @@ impl Reservation {
     /// A copy of the reservation that fits what a frame needed; unchanged if the frame fitted.
     pub fn grown(&self, report: &SlotReport) -> Self {
         let mut grown = *self;
-        if report.instances_needed > report.instance_capacity {
+        // A frame may have been recorded before the reservation has grown.
+        if report.instances_needed > report.instance_capacity.max(self.instances) {
             // With a reserve of half: the next frames will need a different number.
             grown.instances = report.instances_needed.saturating_add(report.instances_needed / 2);
         }

@@ -125,7 +125,7 @@ impl Picture {
     }
 
     /// What the splats of a frame that is done needed. With too little room for them, there is more for the next.
-    pub fn report(&mut self, present: &Present, slot: u32) -> Result<Option<SlotReport>> {
+    pub fn report(&mut self, slot: u32) -> Result<Option<SlotReport>> {
         let Some(reserved) = self.reserved else { return Ok(None) };
         let report = self.renderer.slot_report(slot)?;
         let grown = report.as_ref().filter(|report| report.overflow).map(|report| reserved.grown(report));
