@@ -7,11 +7,13 @@
 //! does not depend on scheduling.
 
 mod importance;
+mod mask;
 mod order;
 mod relocation;
 mod selection;
 
 pub use importance::{EdgePhoto, Importance, ImportanceBuffers};
+pub use mask::MaskOutside;
 pub use order::{Curve, OrderBuffers};
 pub use relocation::{Draw, DrawBuffers, Relocation};
 pub use selection::{Candidates, Chances, Selection, SelectionBuffers, SelectionDraw};

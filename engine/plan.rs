@@ -202,6 +202,28 @@ pub fn max_trained_gaussians(limits: &Limits) -> u32 {
     (bytes / (16 * u64::from(GRADIENT_PLANES))).min(u32::MAX.into()) as u32
 }
 
+/// Index of the first Gaussian that lies around a scene of `count` Gaussians, in a frame of both: a culling block belongs to one
+/// scene.
+pub const fn first_around(count: u32) -> u32 {
+    count.next_multiple_of(ELEMENTWISE_WORKGROUP)
+}
+
+/// Gaussians of a frame of a scene with a capacity of `capacity`, and of `around` that lie around it.
+pub const fn gaussians_with(capacity: u32, around: u32) -> u32 {
+    match around {
+        0 => capacity,
+        _ => first_around(capacity).saturating_add(around),
+    }
+}
+
+/// Most Gaussians that can be trained on a device with so many around them.
+pub fn max_trained_among(limits: &Limits, around: u32) -> u32 {
+    match (max_trained_gaussians(limits), around) {
+        (most, 0) => most,
+        (most, _) => most.saturating_sub(around) / ELEMENTWISE_WORKGROUP * ELEMENTWISE_WORKGROUP,
+    }
+}
+
 /// `n` as u32.
 ///
 /// # Errors

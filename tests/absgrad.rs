@@ -36,7 +36,11 @@ impl Watching {
             Importance::new(context).expect("kernels"),
             Selection::new(context).expect("kernels"),
         );
-        TrainParts { strategy: Box::new(Self { absolute, every, kernels, largest: 0.0 }), terms: Vec::new() }
+        TrainParts {
+            strategy: Box::new(Self { absolute, every, kernels, largest: 0.0 }),
+            terms: Vec::new(),
+            block: None,
+        }
     }
 }
 
@@ -188,7 +192,7 @@ impl Asking {
         let answers = Arc::default();
         let kernels = Importance::new(context).expect("kernels");
         let strategy = Asking { kernels, views: views_asked.to_vec(), answers: Arc::clone(&answers) };
-        let parts = TrainParts { strategy: Box::new(strategy), terms: Vec::new() };
+        let parts = TrainParts { strategy: Box::new(strategy), terms: Vec::new(), block: None };
         let trainer = Trainer::with_parts(context, views(3, 9), &start(), EXTENT, settings(), parts);
         (trainer.expect("a trainer"), answers)
     }

@@ -2,6 +2,7 @@
 
 mod archives;
 mod bad_input;
+mod blocks;
 mod checkpoints;
 mod commands;
 mod convert;

@@ -117,7 +117,8 @@ fn orientations_that_do_not_fit_are_named_with_their_own_bytes() {
     let settings = settings();
     let check = |photos: &[PhotoSize]| {
         let (photo_memory, room) = (None, None);
-        Forecast { settings: &settings, photos, photo_memory, gaussians: 150, room }.check(&context)
+        Forecast { settings: &settings, photos, photo_memory, gaussians: 150, frozen: 0, room }
+            .check(&context)
     };
     let said = |error: &Error| {
         let Error::TooLarge { needed, limit: RANGE, .. } = error else { panic!("{error}") };
@@ -157,7 +158,8 @@ fn orientations_need_the_memory_that_is_forecast() {
     let photos: Vec<_> = sizes.iter().enumerate().map(photo).collect();
     let check = |context: &Context| {
         let (photo_memory, room) = (None, None);
-        Forecast { settings: &settings, photos: &photos, photo_memory, gaussians: 150, room }.check(context)
+        Forecast { settings: &settings, photos: &photos, photo_memory, gaussians: 150, frozen: 0, room }
+            .check(context)
     };
     let refused = check(&bounded(Some(100_000))).expect_err("too little");
     let Error::TooLarge { needed, limit: 100_000, .. } = refused else { panic!("{refused}") };

@@ -31,7 +31,7 @@ struct RandomPrune {
 impl RandomPrune {
     fn parts(context: &Context) -> TrainParts {
         let kernels = Densify::new(context).expect("kernels");
-        TrainParts { strategy: Box::new(Self { kernels, pruned: 0 }), terms: Vec::new() }
+        TrainParts { strategy: Box::new(Self { kernels, pruned: 0 }), terms: Vec::new(), block: None }
     }
 }
 
@@ -174,7 +174,7 @@ impl Strategy for Wrong {
 fn a_strategy_cannot_keep_what_does_not_exist() {
     let gpu = Gpu::new();
     let strategy = Box::new(Wrong { kernels: Densify::new(gpu.context).expect("kernels") });
-    let parts = TrainParts { strategy, terms: Vec::new() };
+    let parts = TrainParts { strategy, terms: Vec::new(), block: None };
     let mut trainer = Trainer::with_parts(gpu.context, views(2, 9), &start(), EXTENT, settings(), parts)
         .expect("a trainer");
     for _ in 0..2 {

@@ -8,6 +8,7 @@ mod barriers;
 mod bench;
 mod bench_model;
 mod blending_forms;
+mod blocks;
 mod budget;
 mod call_graph;
 mod checkpoints;

@@ -5,6 +5,7 @@ use crate::{atomic, cost};
 use ashsplat::fingerprint::Fingerprint;
 use ashsplat::scene::Gaussians;
 use ashsplat::scene::gaussians::sh_coefficients;
+use ashsplat::trainer::BlockState;
 use ashsplat::trainer::checkpoint::{
     Checkpoint, ExposureState, GradientSums, LightSums, PoseState, Room, StrategyState, StrategyStatistic,
     Tensor,
@@ -38,6 +39,9 @@ const STRATEGY_NAME: &str = "strategy";
 const KERNELS: &str = "kernels";
 /// See [`STRATEGY_NAME`].
 const TERMS: &str = "loss_terms";
+/// [`Checkpoint::block`]: the bits of the core's corners, with commas between them; the number of Gaussians around; their hash.
+/// Present only with a block.
+const BLOCK: [&str; 3] = ["block_core_bits", "block_frozen", "block_fingerprint"];
 /// The data begin at a multiple of this.
 const ALIGNMENT: usize = 8;
 
@@ -143,7 +147,12 @@ fn metadata(checkpoint: &Checkpoint, data_fingerprint: u64) -> Result<BTreeMap<S
     let others = DUE.iter().fold(checkpoint.due, |due, (_, action)| due.without(*action));
     let others = (!others.is_empty()).then(|| (OTHERS_DUE, others.0.to_string()));
     let kernels = (!checkpoint.kernels.is_empty()).then(|| (KERNELS, checkpoint.kernels.clone()));
+    let block = checkpoint.block.iter().flat_map(|BlockState { core, frozen, fingerprint }| {
+        let core: Vec<String> = core.as_flattened().iter().map(|x| format!("{:08x}", x.to_bits())).collect();
+        BLOCK.into_iter().zip([core.join(","), frozen.to_string(), format!("{fingerprint:016x}")])
+    });
     let named = pairs.into_iter().chain(kernels).chain(due).chain(others).chain(max_memory).chain(summed);
+    let named = named.chain(block);
     let own = checkpoint.strategy.values.iter();
     let own = own.map(|(name, value)| (format!("{}{name}", Checkpoint::STRATEGY), value.clone()));
     Ok(named.map(|(name, value)| (name.to_owned(), value)).chain(own).collect())
@@ -220,6 +229,7 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
         lenses: light_state(&tensors, Checkpoint::LENSES)?,
         poses: poses(&tensors)?,
         skipped: metadata.optional(SKIPPED)?.unwrap_or(0),
+        block: metadata.block()?,
         room: Room {
             gaussians: metadata.parsed("room_gaussians")?,
             frame_gaussians: metadata.parsed("room_frame_gaussians")?,
@@ -254,6 +264,25 @@ impl Metadata {
     /// None if it is missing.
     fn optional<T: std::str::FromStr>(&self, name: &str) -> Result<Option<T>, String> {
         self.0.contains_key(name).then(|| self.parsed(name)).transpose()
+    }
+
+    /// None of a whole scene, and in older files.
+    fn block(&self) -> Result<Option<BlockState>, String> {
+        let [core, frozen, fingerprint] = BLOCK;
+        if !self.0.contains_key(core) {
+            return Ok(None);
+        }
+        let sides: Option<Vec<f32>> = self
+            .text(core)?
+            .split(',')
+            .map(|bits| u32::from_str_radix(bits, 16).ok().map(f32::from_bits))
+            .collect();
+        let Some(&[a, b, c, x, y, z]) = sides.as_deref() else {
+            return Err(format!("has '{}' as the metadata '{core}'", self.text(core)?));
+        };
+        let core = [[a, b, c], [x, y, z]];
+        let fingerprint = self.hexadecimal(fingerprint)?;
+        Ok(Some(BlockState { core, frozen: self.parsed(frozen)?, fingerprint }))
     }
 
     fn due(&self) -> Result<Actions, String> {

@@ -106,7 +106,7 @@ impl FrameStore {
         self.absolute = true;
     }
 
-    /// Buffers for a scene and a camera. Reallocates them if the current ones are too small. If they then do not
+    /// Buffers for some Gaussians of some scenes, and a camera. Reallocates them if the current ones are too small. If they then do not
     /// fit the memory because of what earlier frames needed, that is given up. The first ones have an estimated
     /// number of instances, or a part of it if the memory holds no more.
     ///
@@ -114,7 +114,7 @@ impl FrameStore {
     /// When the memory or a limit of the device does not suffice: before any work.
     pub fn ensure(
         &mut self,
-        gaussians: u32,
+        [gaussians, scenes]: [u32; 2],
         camera: &Camera,
         backward: bool,
     ) -> Result<(FrameBuffers, FrameCapacity)> {
@@ -124,8 +124,9 @@ impl FrameStore {
         let pictures = if backward { wanted } else { wanted.without_backward() };
         let instances = initial_instances(self.context.limits(), gaussians, &pictures);
         let absolute = backward && self.absolute;
-        self.asked = FrameCapacity { gaussians, instances, pictures, backward, absolute, ..NOTHING };
+        self.asked = FrameCapacity { gaussians, scenes, instances, pictures, backward, absolute, ..NOTHING };
         let fits = gaussians <= old.gaussians
+            && scenes <= old.scenes
             && old.pictures.holds(&pictures)
             && backward <= old.backward
             && absolute <= old.absolute;
@@ -134,6 +135,7 @@ impl FrameStore {
         }
         let mut capacity = FrameCapacity {
             gaussians: gaussians.max(old.gaussians),
+            scenes: scenes.max(old.scenes),
             instances: if old.instances > 0 { old.instances } else { instances },
             pictures: pictures.and(old.pictures),
             backward: backward || old.backward,

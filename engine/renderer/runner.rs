@@ -3,8 +3,10 @@
 use super::frame_store::{FrameStore, State};
 use super::{Frame, FrameStats};
 use crate::error::{Error, Result};
-use crate::forward::{BlendVariant, Blending, Forward, FrameInputs, RenderSettings, SceneBuffers};
-use crate::plan::{FrameBuffers, FrameCapacity, PictureCapacity};
+use crate::forward::{
+    BlendVariant, Blending, Forward, FrameInputs, PlacedScene, RenderSettings, SceneBuffers,
+};
+use crate::plan::{FrameBuffers, FrameCapacity, PictureCapacity, first_around, gaussians_with};
 use crate::scene::Camera;
 use crate::vk::{Buffer, Context, Recorder, RunReport};
 
@@ -13,6 +15,8 @@ pub(crate) struct FrameRunner {
     pub(super) context: Context,
     pub(super) forward: Forward,
     pub(super) store: FrameStore,
+    /// Drawn together with every scene, in the same axes.
+    around: Option<SceneBuffers>,
 }
 
 /// Inputs of a run.
@@ -30,7 +34,18 @@ pub(crate) struct Request<'a> {
 }
 
 impl<'a> Request<'a> {
-    fn inputs(&self, frame: &'a FrameBuffers, capacity: &'a FrameCapacity) -> FrameInputs<'a> {
+    /// What lies around the scene, behind it in the frame's index space.
+    fn placed(&self, around: &'a SceneBuffers) -> PlacedScene<'a> {
+        let first = first_around(self.scene.count);
+        PlacedScene { scene: around, camera: *self.camera, scale: 1.0, sh_degree: self.sh_degree, first }
+    }
+
+    fn inputs(
+        &self,
+        frame: &'a FrameBuffers,
+        capacity: &'a FrameCapacity,
+        others: &'a [PlacedScene<'a>],
+    ) -> FrameInputs<'a> {
         FrameInputs {
             scene: self.scene,
             frame,
@@ -40,7 +55,7 @@ impl<'a> Request<'a> {
             settings: self.settings,
             scale: 1.0,
             sh_degree: self.sh_degree,
-            others: &[],
+            others,
             depth_limits: None,
             linear_depth: false,
             backward: self.backward,
@@ -82,7 +97,27 @@ impl Failed {
 impl FrameRunner {
     pub fn new(context: &Context) -> Result<Self> {
         let (forward, store) = (Forward::new(context)?, FrameStore::new(context)?);
-        Ok(Self { context: context.clone(), forward, store })
+        Ok(Self { context: context.clone(), forward, store, around: None })
+    }
+
+    /// From now on these Gaussians are drawn together with every scene, in the same axes. They are stored with the SH degree of
+    /// the scenes. Frames with a pose on the device ([`Request::pose`]) cannot have them.
+    pub fn surround(&mut self, around: Option<SceneBuffers>) {
+        self.around = around;
+    }
+
+    /// Number of Gaussians that are drawn together with every scene.
+    pub fn around(&self) -> u32 {
+        self.around.as_ref().map_or(0, |around| around.count)
+    }
+
+    fn scenes(&self) -> u32 {
+        1 + u32::from(self.around.is_some())
+    }
+
+    /// Gaussians of a frame with a scene of this capacity.
+    pub fn gaussians_with(&self, capacity: u32) -> u32 {
+        gaussians_with(capacity, self.around())
     }
 
     /// See [`Forward::blending`].
@@ -105,21 +140,24 @@ impl FrameRunner {
         let Request { scene, camera, settings, sh_degree, backward, .. } = *request;
         camera.check()?;
         settings.check()?;
-        self.forward.prepare_variant(sh_degree, BlendVariant::of(settings, backward))?;
+        let gaussians = [self.gaussians_with(scene.plan.capacity), self.scenes()];
+        let Self { context, forward, store, around } = self;
+        forward.prepare_variant(sh_degree, BlendVariant::of(settings, backward))?;
+        let others = around.as_ref().map(|around| request.placed(around));
         let mut retries = 0;
         loop {
-            let (frame, capacity) = self.store.ensure(scene.plan.capacity, camera, backward)?;
-            let inputs = request.inputs(&frame, &capacity);
-            let report = self.context.run("frame", |r| {
-                self.forward.record(r, &inputs);
+            let (frame, capacity) = store.ensure(gaussians, camera, backward)?;
+            let inputs = request.inputs(&frame, &capacity, others.as_slice());
+            let report = context.run("frame", |r| {
+                forward.record(r, &inputs);
                 record_more(r, &inputs)?;
-                self.store.record_readback(r, &frame);
+                store.record_readback(r, &frame);
                 Ok(())
             })?;
-            let state = self.store.state()?;
+            let state = store.state()?;
             // Growing frees its buffers before it allocates larger ones.
             drop(frame);
-            let grown = self.store.grow(&state, &self.forward.sizes);
+            let grown = store.grow(&state, &forward.sizes);
             if !grown.map_err(|error| Failed::TooLittleRoom(Box::new((state, error))))? {
                 return Ok(Ran { state, report, retries });
             }
@@ -152,7 +190,7 @@ impl FrameRunner {
         self.store.expect_absolute();
     }
 
-    /// Allocates buffers with backward for a camera and the expected pictures, and builds the kernels of these settings up
+    /// Allocates buffers with backward for a scene of this capacity, a camera and the expected pictures, and builds the kernels of these settings up
     /// to an SH degree, for [`FrameRunner::record`].
     pub fn reserve(
         &mut self,
@@ -165,12 +203,13 @@ impl FrameRunner {
         for degree in 0..=sh_degree {
             self.forward.prepare_variant(degree, variant)?;
         }
+        let gaussians = [self.gaussians_with(gaussians), self.scenes()];
         self.store.ensure(gaussians, camera, true).map(drop)
     }
 
-    /// Grows the capacity above that of all earlier frames.
+    /// Grows the capacity above that of all earlier frames, for a scene of this capacity.
     pub fn make_room(&mut self, gaussians: u32) -> Result<()> {
-        self.store.make_room(gaussians)
+        self.store.make_room(self.gaussians_with(gaussians))
     }
 
     /// Allocates the capacity of an earlier run.
@@ -204,7 +243,9 @@ impl FrameRunner {
         record_more: impl FnOnce(&mut Recorder, &FrameInputs),
     ) -> Result<()> {
         let (frame, capacity) = (self.store.current()?, self.store.capacity());
-        let inputs = FrameInputs { keeps_overflow: true, ..request.inputs(frame, &capacity) };
+        let others = self.around.as_ref().map(|around| request.placed(around));
+        let inputs =
+            FrameInputs { keeps_overflow: true, ..request.inputs(frame, &capacity, others.as_slice()) };
         self.forward.record(r, &inputs);
         record_more(r, &inputs);
         Ok(())
@@ -250,7 +291,7 @@ impl FrameRunner {
             }
         };
         let stats = FrameStats {
-            gaussians: scene.count,
+            gaussians: scene.count + self.around(),
             visible: ran.state.visible,
             instances: ran.state.instances,
             longest_tile: ran.state.longest_tile,

@@ -1,7 +1,7 @@
 //! Where the cameras are: those of the training views, which may be optimised, and others that are aligned.
 
 use super::Trainer;
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::forward::RenderSettings;
 use crate::renderer::{AlignRequest, Aligner, Alignment};
 use crate::scene::{Camera, StoredPhoto, Twist};
@@ -42,7 +42,8 @@ impl Trainer {
     /// degree of this iteration. Training does not depend on it.
     ///
     /// # Errors
-    /// As [`Renderer::align`](crate::Renderer::align) and [`Trainer::render`].
+    /// As [`Renderer::align`](crate::Renderer::align) and [`Trainer::render`];
+    /// [`Error::Argument`](crate::Error::Argument) with Gaussians around a [block](super::SceneBlock).
     pub fn align(
         &mut self,
         camera: &Camera,
@@ -50,6 +51,10 @@ impl Trainer {
         settings: &RenderSettings,
         alignment: &Alignment,
     ) -> Result<Camera> {
+        if self.runner.around() > 0 {
+            let problem = "cameras are aligned to whole scenes, and this is a block of one";
+            return Err(Error::argument("trainer", problem));
+        }
         let settings = self.at_present_degree(settings);
         let mut aligner = match self.aligner.take() {
             Some(aligner) => aligner,

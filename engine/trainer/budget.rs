@@ -6,7 +6,7 @@ use super::photos::{PhotoBytes, PhotoSize};
 use crate::error::{Error, Result};
 use crate::plan::{
     FrameCapacity, LaunchSizes, PictureCapacity, ScenePlan, check_grids, frame_bytes, frame_requests,
-    initial_instances, max_trained_gaussians, max_trained_instances,
+    gaussians_with, initial_instances, max_trained_among, max_trained_gaussians, max_trained_instances,
 };
 use crate::renderer::FrameStore;
 use crate::vk::Context;
@@ -31,8 +31,10 @@ pub(super) struct Before<'a> {
     pub losses: Request,
     /// The poses' buffers; none unless they are optimised.
     pub poses: Requests,
-    /// Initial number of Gaussians.
+    /// Initial number of Gaussians that are trained.
     pub count: u32,
+    /// Number of those that lie around them.
+    pub around: u32,
     pub sh_degree: u32,
 }
 
@@ -46,7 +48,18 @@ impl Before<'_> {
         let readback = 2 * bytes(&FrameStore::READBACK) + bytes(&[self.losses]);
         let frame = frame.map_or(0, |frame| bytes(&frame_requests(&frame, &LaunchSizes::new(limits))));
         let poses = if self.poses.is_empty() { 0 } else { bytes(&self.poses) };
-        self.rows.allocation_bytes(context, plan) + bytes(&scratch) + readback + frame + poses
+        let around = self.around_bytes(context, plan);
+        self.rows.allocation_bytes(context, plan) + around + bytes(&scratch) + readback + frame + poses
+    }
+
+    /// Bytes of the planes of what lies around, of this plan's SH degree.
+    fn around_bytes(&self, context: &Context, of: &ScenePlan) -> u64 {
+        match ScenePlan::new(context.limits(), self.around, of.sh_degree) {
+            Ok(plan) if self.around > 0 => {
+                context.allocation_bytes(&vec![("planes", plan.chunk_bytes()); plan.chunks as usize])
+            }
+            _ => 0,
+        }
     }
 
     fn sizes(&self) -> Vec<(u32, u32)> {
@@ -59,11 +72,18 @@ impl Before<'_> {
         each.fold(PictureCapacity::NONE, PictureCapacity::and)
     }
 
-    /// The first frame with this number of Gaussians, for these pictures.
+    /// The first frame with this number of Gaussians that are trained, for these pictures.
     fn first_frame(&self, context: &Context, gaussians: u32, pictures: PictureCapacity) -> FrameCapacity {
+        let gaussians = gaussians_with(gaussians, self.around);
         let instances = initial_instances(context.limits(), gaussians, &pictures);
         let absolute = self.rows.absolute().is_some();
-        FrameCapacity { gaussians, instances, scenes: 1, pictures, blend_passes: 1, backward: true, absolute }
+        let scenes = self.scenes();
+        FrameCapacity { gaussians, instances, scenes, pictures, blend_passes: 1, backward: true, absolute }
+    }
+
+    /// Scenes of a frame.
+    fn scenes(&self) -> u32 {
+        1 + u32::from(self.around > 0)
     }
 
     /// Refuses photographs whose frames exceed a limit of the device, whatever the memory.
@@ -104,7 +124,7 @@ impl Before<'_> {
     /// Whether a device can have the buffers and grids of a frame of this size.
     fn check_size(&self, context: &Context, size: (u32, u32)) -> Result<()> {
         let limits = context.limits();
-        let count = self.count.min(max_trained_gaussians(limits));
+        let count = self.count.min(max_trained_among(limits, self.around));
         let frame = self.first_frame(context, count, PictureCapacity::of(size.0, size.1));
         let launches = LaunchSizes::new(limits);
         let named = |arena: &'static str, requests: Requests| {
@@ -135,13 +155,13 @@ impl Before<'_> {
     /// [`Error::TooLarge`] with the needed bytes, if even the initial Gaussians do not fit.
     pub fn initial_capacity(&self, context: &Context) -> Result<u32> {
         let Self { photos: all, ref photo_bytes, count, sh_degree, .. } = *self;
-        let most = max_trained_gaussians(context.limits());
+        let most = max_trained_among(context.limits(), self.around);
         if count > most {
             return Err(Error::TooLarge {
                 what: "the gradients of the scene".into(),
-                needed: count.into(),
+                needed: u64::from(count) + u64::from(self.around),
                 unit: "Gaussians",
-                limit: most.into(),
+                limit: max_trained_gaussians(context.limits()).into(),
                 limit_name: "what maxStorageBufferRange holds",
             });
         }
@@ -169,8 +189,12 @@ impl Before<'_> {
         let largest = largest.map_or_else(String::new, |photo| {
             format!(", the largest '{}' of {}x{} pixels", photo.name, photo.width, photo.height)
         });
+        let among = match self.around {
+            0 => String::new(),
+            around => format!(" among {around} others"),
+        };
         let what = format!(
-            "training {count} Gaussians of SH degree {sh_degree} on {} photographs{largest} (fewer or smaller ones (-r) \
+            "training {count} Gaussians{among} of SH degree {sh_degree} on {} photographs{largest} (fewer or smaller ones (-r) \
              need less, or --photo-memory)",
             all.len()
         );
@@ -188,14 +212,14 @@ impl Before<'_> {
         let limits = context.limits();
         let Ok(plan) = ScenePlan::new(limits, room.gaussians, self.sh_degree) else { return false };
         let sizes = LaunchSizes::new(limits);
-        let frame = room.frame(self.pictures(), self.rows.absolute().is_some());
+        let frame = room.frame((self.pictures(), self.scenes()), self.rows.absolute().is_some());
         let fits = frame.is_none_or(|frame| {
             let one = |(_, bytes): &(_, u64)| {
                 *bytes <= limits.max_storage_buffer_range.min(limits.max_allocation_bytes)
             };
             check_grids(limits, &frame, &sizes).is_ok() && frame_requests(&frame, &sizes).iter().all(one)
         });
-        if !fits || !(self.count..=max_trained_gaussians(limits)).contains(&room.gaussians) {
+        if !fits || !(self.count..=max_trained_among(limits, self.around)).contains(&room.gaussians) {
             return false;
         }
         let needed = self.buffer_bytes(context, &plan, frame) + self.photo_bytes.held;
@@ -204,9 +228,9 @@ impl Before<'_> {
 }
 
 /// The new capacity when `rows` do not fit: with a reserve of half, up to the most Gaussians that can be
-/// trained.
-pub(super) fn grown_capacity(context: &Context, rows: u32) -> u32 {
-    let most = max_trained_gaussians(context.limits());
+/// trained with so many around them.
+pub(super) fn grown_capacity(context: &Context, rows: u32, around: u32) -> u32 {
+    let most = max_trained_among(context.limits(), around);
     rows.saturating_add(rows / 2).min(most.max(rows))
 }
 
@@ -218,23 +242,25 @@ pub(super) struct Present<'a> {
     pub frame: FrameCapacity,
     /// Current bytes of the frame's buffers.
     pub frame_bytes: u64,
+    /// Gaussians around those that are trained.
+    pub around: u32,
 }
 
 impl Present<'_> {
     /// Whether planes for a plan and a frame of its capacity fit beside the current planes, and, once those
     /// are freed, a frame with proportionally more instances.
     pub fn has_room(&self, plan: &ScenePlan) -> bool {
-        let Self { context, rows, plan: old, frame, frame_bytes: old_frame } = self;
+        let Self { context, rows, plan: old, frame, frame_bytes: old_frame, around } = self;
         let limits = context.limits();
-        if plan.capacity > max_trained_gaussians(limits) {
+        if plan.capacity > max_trained_among(limits, *around) {
             return false;
         }
         let Some((limit, _)) = context.memory_limit() else { return true };
         let sizes = LaunchSizes::new(limits);
-        let grown = FrameCapacity { gaussians: plan.capacity, ..*frame };
+        let of = |plan: &ScenePlan| gaussians_with(plan.capacity, *around);
+        let grown = FrameCapacity { gaussians: of(plan), ..*frame };
         // The number of instances grows with the number of Gaussians.
-        let instances =
-            u64::from(frame.instances) * u64::from(plan.capacity) / u64::from(old.capacity.max(1));
+        let instances = u64::from(frame.instances) * u64::from(of(plan)) / u64::from(of(old).max(1));
         let full =
             FrameCapacity { instances: instances.min(max_trained_instances(limits).into()) as u32, ..grown };
         let beside = (context.held_bytes() + rows.bytes(plan)).saturating_sub(*old_frame);
@@ -262,8 +288,9 @@ impl Present<'_> {
             return before;
         }
         let most = u64::from(max_trained_instances(self.context.limits())) * 3 / 4;
-        let rows = u64::from(before) * most / u64::from(instances.max(1));
-        rows.clamp(before.into(), u32::MAX.into()) as u32
+        let around = u64::from(self.around);
+        let all = (u64::from(before) + around) * most / u64::from(instances.max(1));
+        all.saturating_sub(around).clamp(before.into(), u32::MAX.into()) as u32
     }
 
     /// Whether the memory holds a frame with this number of instances.
@@ -276,7 +303,7 @@ impl Present<'_> {
     }
 }
 
-/// The remembered maximum of instances after a densification of `before` Gaussians has left `rows`: the same
+/// The remembered maximum of instances after a densification of a frame's `before` Gaussians has left `rows`: the same
 /// number per Gaussian, less a twentieth. After an opacity reset frames have few instances for a while, and
 /// then as many as before.
 pub(super) fn remembered_instances(most: u32, before: u32, rows: u32) -> u32 {

@@ -4,6 +4,7 @@
 //! densification as named tensors, the rest as metadata. A resumed run ends with the same bits as a run that
 //! was never interrupted: random numbers are keyed by seed and iteration, so no generator has state.
 
+use super::block::BlockState;
 use super::settings::TrainSettings;
 use super::work::Actions;
 use crate::error::{Error, Result};
@@ -63,6 +64,8 @@ pub struct Checkpoint {
     pub poses: Option<PoseState>,
     /// Number of consecutive skipped iterations up to this one ([`super::StepReport::skipped`]).
     pub skipped: u32,
+    /// The block of the scene that is trained; None of a whole one. What lies around is not in a checkpoint.
+    pub block: Option<BlockState>,
     /// Allocated capacities.
     pub room: Room,
 }
@@ -177,6 +180,7 @@ pub(super) struct Wanted<'a> {
     pub views: u64,
     pub views_fingerprint: u64,
     pub scene_extent: f32,
+    pub block: Option<BlockState>,
 }
 
 impl Checkpoint {
@@ -362,6 +366,9 @@ impl Checkpoint {
                 "was made with other photographs or cameras (of another data set, resolution, background or split)"
                     .into(),
             );
+        }
+        if let Some(difference) = BlockState::difference(self.block.as_ref(), wanted.block.as_ref()) {
+            return refuse(difference);
         }
         if self.scene_extent.to_bits() != wanted.scene_extent.to_bits() {
             return refuse(format!(

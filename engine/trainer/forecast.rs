@@ -8,7 +8,7 @@ use super::poses;
 use super::settings::TrainSettings;
 use super::step_recorder::StepRecorder;
 use super::strategy::Strategy;
-use super::{InverseDepth, SparseDepth, TrainParts, TrainView};
+use super::{InverseDepth, SparseDepth, TrainParts, TrainView, block};
 use crate::error::{Error, Result};
 use crate::forward::Filter3d;
 use crate::loss::{LossTerm, Photometric};
@@ -24,8 +24,10 @@ pub struct Forecast<'a> {
     /// If the photographs will be in a file: the bound of the memory that they take, bytes
     /// ([`PhotoFile::memory_bytes`](crate::scene::PhotoFile::memory_bytes)).
     pub photo_memory: Option<u64>,
-    /// Initial number of Gaussians; that of the checkpoint if the training goes on from one.
+    /// Initial number of Gaussians that are trained; that of the checkpoint if the training goes on from one.
     pub gaussians: u32,
+    /// Number of Gaussians around those that are trained: [`SceneBlock::frozen`](super::SceneBlock::frozen).
+    pub frozen: u32,
     /// The checkpoint's capacities.
     pub room: Option<&'a Room>,
 }
@@ -38,16 +40,18 @@ impl Forecast<'_> {
     /// [`Error::TooLarge`](crate::Error::TooLarge) with the photograph and the needed bytes, of the device
     /// ([`Error::Vulkan`](crate::Error::Vulkan)).
     pub fn check(&self, context: &Context) -> Result<()> {
-        let Self { settings, photos, photo_memory, gaussians, room } = *self;
+        let Self { settings, photos, photo_memory, gaussians, frozen, room } = *self;
         settings.check()?;
         if photos.is_empty() {
             return Ok(());
         }
         let parts = TrainParts::of_settings(context, settings)?;
         parts.strategy.check(settings, gaussians)?;
+        // Whether a block with nothing around it has a border is not known here; the trainer looks at that.
+        block::check_settings(settings, &*parts.strategy, false, frozen > 0)?;
         // The extent scales a weight only.
         let kit = Kit::new(context, (settings, 1.0), parts, photos)?;
-        kit.capacity(context, settings, (photos, photo_memory), gaussians, room).map(drop)
+        kit.capacity(context, settings, (photos, photo_memory), (gaussians, frozen), room).map(drop)
     }
 }
 
@@ -65,7 +69,7 @@ impl Kit {
         parts: TrainParts,
         photos: &[PhotoSize],
     ) -> Result<Self> {
-        let TrainParts { mut strategy, terms } = parts;
+        let TrainParts { mut strategy, terms, block: _ } = parts;
         let any_masked = photos.iter().any(|photo| photo.masked);
         let mut all: Vec<Box<dyn LossTerm>> =
             vec![Box::new(Photometric::new(context, any_masked, settings.lambda_dssim as f32)?)];
@@ -91,7 +95,7 @@ impl Kit {
         Ok(Self { strategy, recorder, rows })
     }
 
-    /// The initial capacity in Gaussians, and the given capacities of an earlier run if they fit.
+    /// The initial capacity in Gaussians, of `count` that are trained among `around` others, and the given capacities of an earlier run if they fit.
     ///
     /// # Errors
     /// [`Error::TooLarge`](crate::Error::TooLarge): before anything is allocated.
@@ -100,7 +104,7 @@ impl Kit {
         context: &Context,
         settings: &TrainSettings,
         (photos, photo_memory): (&[PhotoSize], Option<u64>),
-        count: u32,
+        (count, around): (u32, u32),
         room: Option<&'a Room>,
     ) -> Result<(u32, Option<&'a Room>)> {
         let before = Before {
@@ -117,6 +121,7 @@ impl Kit {
             losses: self.recorder.readback_request(),
             poses: poses::requests(settings, photos.len()),
             count,
+            around,
             sh_degree: settings.sh_degree,
         };
         before.check_photos(context)?;

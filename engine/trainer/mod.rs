@@ -6,6 +6,7 @@
 //! its buffers changes nothing, and is run again with a larger capacity.
 
 mod align;
+mod block;
 mod budget;
 pub mod checkpoint;
 mod choices;
@@ -36,6 +37,7 @@ mod views;
 mod warm_up;
 mod work;
 
+pub use block::{BlockState, SceneBlock};
 pub use checkpoint::{Checkpoint, ExposureState, LightSums, PoseState, Room};
 pub use forecast::Forecast;
 pub use photos::PhotoSize;
@@ -57,6 +59,7 @@ use crate::planes;
 use crate::renderer::{Aligner, Frame, FrameRunner, FrameStore, PixelReport, TileReport};
 use crate::scene::{Camera, Gaussians};
 use crate::vk::{ArenaMemory, Context};
+use block::Block;
 use depth_maps::DepthMaps;
 use forecast::Kit;
 use model::{Model, RowMemory, State};
@@ -72,6 +75,8 @@ pub struct TrainParts {
     pub strategy: Box<dyn Strategy>,
     /// Terms of the loss besides the photometric one and the strategy's own.
     pub terms: Vec<Box<dyn LossTerm>>,
+    /// The block that the initial Gaussians are; None if they are the whole scene.
+    pub block: Option<SceneBlock>,
 }
 
 impl TrainParts {
@@ -81,7 +86,7 @@ impl TrainParts {
     /// When the device refuses a pipeline.
     pub fn of_settings(context: &Context, settings: &TrainSettings) -> Result<Self> {
         let terms = terms::of_settings(context, settings)?;
-        Ok(Self { strategy: strategies::of_settings(context, settings)?, terms })
+        Ok(Self { strategy: strategies::of_settings(context, settings)?, terms, block: None })
     }
 }
 
@@ -123,6 +128,7 @@ pub struct Trainer {
     state: State,
     /// The 3D filter, if the settings want one.
     filter: Option<Filter3d>,
+    block: Option<Block>,
     recording: record::Recording,
 }
 
@@ -169,7 +175,7 @@ impl Trainer {
         views: Vec<TrainView>,
         initial: &Gaussians,
         (settings, scene_extent): (TrainSettings, f32),
-        parts: TrainParts,
+        mut parts: TrainParts,
         room: Option<&Room>,
     ) -> Result<Self> {
         settings.check()?;
@@ -190,11 +196,16 @@ impl Trainer {
         let sh_degree = settings.sh_degree;
         let count = crate::plan::to_u32(initial.len() as u64)?;
         parts.strategy.check(&settings, count)?;
+        let block = parts.block.take();
+        Block::check(&settings, &*parts.strategy, block.as_ref())?;
+        let around = crate::plan::to_u32(block.as_ref().map_or(0, |block| block.frozen.len() as u64))?;
         photos::check(&views)?;
         let photo_sizes = forecast::sizes_of(&views, &settings);
         let photo_memory = photos::memory_of_file(&views);
         let kit = Kit::new(context, (&settings, scene_extent), parts, &photo_sizes)?;
-        let (capacity, room) = kit.capacity(context, &settings, (&photo_sizes, photo_memory), count, room)?;
+        let counts = (count, around);
+        let (capacity, room) =
+            kit.capacity(context, &settings, (&photo_sizes, photo_memory), counts, room)?;
         let Kit { strategy, recorder, rows } = kit;
         let sizes: Vec<_> = cameras.iter().map(|camera| (camera.width, camera.height)).collect();
         let photos = Photos::new(context, &views, &photo_sizes, settings.seed)?;
@@ -212,7 +223,8 @@ impl Trainer {
         if absolute {
             runner.expect_absolute();
         }
-        if let Some(frame) = room.and_then(|room| room.frame(pictures, absolute)) {
+        let scenes = 1 + u32::from(around > 0);
+        if let Some(frame) = room.and_then(|room| room.frame((pictures, scenes), absolute)) {
             runner.restore(frame)?;
         }
         let run = Run { settings, scene_extent, cameras, lenses, views_fingerprint };
@@ -221,6 +233,8 @@ impl Trainer {
             Some(poses) => filter.map(|filter| filter.with_poses(poses.all_cameras().clone())),
             None => filter,
         };
+        let block = Block::new(context, block, (&rows, sh_degree), filter.as_ref())?;
+        runner.surround(block.as_ref().and_then(Block::around).cloned());
         let trainer = Self {
             losses: recorder.allocate(context, &sizes)?,
             poses,
@@ -237,6 +251,7 @@ impl Trainer {
             rows,
             state,
             filter,
+            block,
             recording: record::Recording::default(),
         };
         trainer.compute_filters()?;

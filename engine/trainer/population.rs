@@ -182,7 +182,8 @@ impl Population<'_> {
         }
         let most = self.present().most_with_room(rows)?;
         let worth_it = old + old / 16;
-        for capacity in [budget::grown_capacity(self.context, rows), rows, most] {
+        let reserved = budget::grown_capacity(self.context, rows, self.runner.around());
+        for capacity in [reserved, rows, most] {
             if capacity <= worth_it && capacity < rows {
                 continue;
             }
@@ -277,7 +278,9 @@ impl Population<'_> {
         };
         // The sums are in the planes that are the spare set no longer, in the order of the old set.
         *self.summed = 0;
-        *self.most_instances = budget::remembered_instances(*self.most_instances, before, rows);
+        let of_frame = |rows: u32| rows.saturating_add(self.runner.around());
+        *self.most_instances =
+            budget::remembered_instances(*self.most_instances, of_frame(before), of_frame(rows));
         Ok(())
     }
 
@@ -325,6 +328,7 @@ impl Population<'_> {
             plan: &self.model.scene.plan,
             frame: FrameCapacity { pictures: frame.pictures.and(pictures), ..frame },
             frame_bytes: self.runner.frame_bytes(),
+            around: self.runner.around(),
         }
     }
 

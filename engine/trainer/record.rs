@@ -284,7 +284,8 @@ impl Trainer {
         self.settle()?;
         let recording = &self.recording;
         let due = recording.in_flight.back().map_or(self.state.progress, |last| last.after).due;
-        let fits = self.runner.capacity().gaussians >= self.state.model.scene.plan.capacity;
+        let gaussians = self.runner.gaussians_with(self.state.model.scene.plan.capacity);
+        let fits = self.runner.capacity().gaussians >= gaussians;
         Ok(!due.is_empty() || recording.overflow.is_some() || !recording.frame_is_ready || !fits)
     }
 
@@ -388,16 +389,18 @@ impl Trainer {
     /// Most dispatches of a step.
     fn step_dispatches(&self) -> usize {
         const PER_STEP: u32 = 64;
-        // Per chunk of parameters: culling, projection, its backward pass, the sums of gradients, the optimiser.
+        // Per chunk of parameters: culling, projection, its backward pass, the sums of gradients, the optimiser. What lies
+        // around a block has the first two, and one dispatch for its ranges.
+        let around = self.surroundings().map_or(0, |around| 2 * around.plan().chunks + 1);
         let frame = self.runner.capacity();
         let blending =
             LaunchSizes::new(self.context.limits()).blend_dispatches(frame.instances, frame.blend_passes);
-        (PER_STEP + 5 * self.state.model.scene.plan.chunks + 2 * blending) as usize
+        (PER_STEP + 5 * self.state.model.scene.plan.chunks + around + 2 * blending) as usize
     }
 
     /// The Gaussians on the device, for [`Renderer::record`](crate::Renderer::record) after recorded steps.
     /// Valid until the next [`Trainer::maintain`] or [`Trainer::step`]. `RenderSettings::sh_degree` should be
-    /// [`Trainer::sh_degree`].
+    /// [`Trainer::sh_degree`]. Of a block, without [`Trainer::surroundings`].
     pub fn scene(&self) -> DeviceScene {
         DeviceScene::of(&self.context, self.state.model.scene.clone())
     }

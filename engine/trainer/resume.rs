@@ -3,7 +3,7 @@
 use super::checkpoint::{Checkpoint, GradientSums, Room, StrategyState, StrategyStatistic, Wanted};
 use super::iteration::Progress;
 use super::settings::TrainSettings;
-use super::{TrainParts, TrainView, Trainer, strategies};
+use super::{SceneBlock, TrainParts, TrainView, Trainer, strategies};
 use crate::error::{Error, Result};
 use crate::fingerprint::Fingerprint;
 use crate::forward::SceneBuffers;
@@ -83,6 +83,7 @@ impl Trainer {
             lenses,
             poses: self.poses.as_ref().map(|poses| poses.state(&self.context)).transpose()?,
             skipped: self.state.skipped,
+            block: self.block.as_ref().map(|block| block.state),
             room: self.room(),
         })
     }
@@ -122,6 +123,7 @@ impl Trainer {
             views: views.len() as u64,
             views_fingerprint: fingerprint_of(&views, settings.lens_effects),
             scene_extent,
+            block: parts.block.as_ref().and_then(SceneBlock::state),
         })?;
         let (there, here) = (strategies::present_name(&from.strategy.name), parts.strategy.name());
         if !there.is_empty() && there != here {
@@ -221,13 +223,17 @@ impl Trainer {
 }
 
 impl Room {
-    /// The capacity of a frame, for these pictures, with room for absolute gradients or not; None without a
+    /// The capacity of a frame, for these pictures and so many scenes, with room for absolute gradients or not; None without a
     /// frame.
-    pub(super) fn frame(&self, pictures: PictureCapacity, absolute: bool) -> Option<FrameCapacity> {
+    pub(super) fn frame(
+        &self,
+        (pictures, scenes): (PictureCapacity, u32),
+        absolute: bool,
+    ) -> Option<FrameCapacity> {
         (self.frame_width > 0).then_some(FrameCapacity {
             gaussians: self.frame_gaussians,
             instances: self.frame_instances,
-            scenes: 1,
+            scenes,
             pictures,
             blend_passes: self.blend_passes.max(1),
             backward: self.backward != 0,

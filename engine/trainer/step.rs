@@ -138,6 +138,7 @@ impl Trainer {
             if due.is_empty() {
                 return Ok(done);
             }
+            self.mask_outside(due.first())?;
             let mut population = Population {
                 context: &self.context,
                 run: &self.run,

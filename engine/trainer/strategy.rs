@@ -83,6 +83,12 @@ pub trait Strategy: Send {
         Hooks::default()
     }
 
+    /// Whether it chooses the Gaussians that it adds by [`GRADIENT_STATISTIC`] or [`ABSOLUTE_STATISTIC`]. In training of a
+    /// [block](super::SceneBlock) those of Gaussians outside of its core are below every threshold when it densifies.
+    fn grows_by_statistics(&self) -> bool {
+        true
+    }
+
     /// Records the update of its own statistics, after the backward pass. A barrier precedes it. It must
     /// change nothing if `state[STATE_OVERFLOW]` is set.
     fn record_statistics(&self, _: &mut Recorder, _: &StepInputs) {}

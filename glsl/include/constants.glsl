@@ -85,6 +85,8 @@ const uint ZORDER_BITS = 30;
 
 // Densification divides the scales of a split Gaussian's halves by this.
 const float SPLIT_FACTOR = 1.6;
+// Sum of gradient norms of a Gaussian outside of a block's core: its mean over views is below every threshold.
+const float OUTSIDE_STATISTIC = -3e38;
 // A split along the longest axis (Improved-GS): the children lie at three times this share of the scale, which shrinks by
 // it, and they have this share of the opacity.
 const float LONG_AXIS_SHARE = 0.45;

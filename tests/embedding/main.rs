@@ -30,6 +30,7 @@ mod compose_rgba32f;
 mod child;
 
 mod bad_input;
+mod blocks;
 mod colour;
 mod cost;
 mod faults;

@@ -11,7 +11,7 @@ use ashsplat::{
 use ashsplat_files::{Photo, PhotoMemory, StoredPhoto};
 
 /// Densifies after 20, 40, 60, 80, resets opacities after 50.
-fn settings() -> TrainSettings {
+pub fn settings() -> TrainSettings {
     TrainSettings {
         iterations: 100,
         sh_degree: 2,
@@ -55,7 +55,7 @@ fn done(trainer: &mut Trainer, slot: u32) -> StepReport {
 }
 
 /// Records and executes one step in slot 0.
-fn step(host: &Host, trainer: &mut Trainer, context: &Context, in_flight: &InFlight) -> StepReport {
+pub fn step(host: &Host, trainer: &mut Trainer, context: &Context, in_flight: &InFlight) -> StepReport {
     in_flight.begin(host).expect("recording");
     trainer.record_step(adopt(context, in_flight), 0).expect("a recording");
     in_flight.submit(host).expect("a submission");

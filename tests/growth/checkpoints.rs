@@ -53,6 +53,7 @@ fn checkpoint(count: usize, own: usize) -> Checkpoint {
         exposures: Default::default(),
         lenses: Default::default(),
         poses: None,
+        block: None,
         skipped: 0,
         room: Room::default(),
     }

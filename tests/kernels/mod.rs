@@ -40,6 +40,7 @@ mod lens_backward;
 mod lens_effects;
 pub mod loss_reduce;
 mod mark_drawn;
+mod mask_outside;
 mod max_pool;
 mod multiply_add;
 pub mod nearest_depths;

@@ -302,6 +302,7 @@ fn poses_count_among_the_memory() {
             photos: &photos,
             photo_memory: None,
             gaussians: 1000,
+            frozen: 0,
             room: None,
         };
         match forecast.check(&context).expect_err("too much") {

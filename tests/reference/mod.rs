@@ -43,6 +43,7 @@ pub mod linear;
 pub mod loss_reduce;
 pub mod lpips;
 pub mod mark_drawn;
+pub mod mask_outside;
 pub mod max_pool;
 pub mod multiply_add;
 pub mod nearest_depths;

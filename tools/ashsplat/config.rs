@@ -1,5 +1,6 @@
 //! The settings of a training run: defaults, then `--config FILE`, then the command line; and their dumps.
 
+mod block;
 mod data;
 mod few_photos;
 mod file;
@@ -12,6 +13,7 @@ pub use train_overrides::{TrainOverrides, strategies};
 
 use ashsplat::trainer::{Preset, StrategyType, TrainSettings};
 use ashsplat::{Error, Result};
+use block::BlockArguments;
 use clap::Args;
 use few_photos::Defaults;
 use serde::{Deserialize, Serialize};
@@ -71,6 +73,9 @@ pub struct Overrides {
     /// Begin with the Gaussians of this file, of any format that convert reads, in place of points
     #[arg(long, value_name = "FILE")]
     init: Option<PathBuf>,
+    #[command(flatten)]
+    #[serde(flatten)]
+    block: BlockArguments,
     /// Test after these iterations, and after the last; -1 for the last only [default: 7000 30000]
     #[arg(long, num_args = 1.., value_name = "N", allow_negative_numbers = true, value_parser = iteration)]
     test_iterations: Option<Vec<u32>>,
@@ -130,6 +135,7 @@ impl Settings {
         let settings = Settings::with_defaults(defaults, table)
             .map_err(|problem| Error::argument("settings", problem))?;
         settings.train.check()?;
+        settings.data.check_block()?;
         if settings.train.depth_points > 0.0 && !settings.data.depths.as_os_str().is_empty() {
             let problem = "does not go together with depth maps (-d): take one of them";
             return Err(Error::argument("depth_points", problem));

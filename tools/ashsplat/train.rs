@@ -32,7 +32,7 @@ use checkpoints::{AUTO, LATEST};
 use clap::Args;
 use live::{Live, LiveArguments};
 use log::TrainLog;
-use origin::Origin;
+use origin::{First, Origin};
 use prepared::{Prepared, Views, check_fits, photo_memory};
 use report::KernelTimes;
 pub use report::say_what_next;
@@ -133,11 +133,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let mut dataset = session::load(&gallery, arguments.quiet, &stop)?;
     few_photos.iter().filter(|_| !arguments.quiet).for_each(|line| tell!("{line}"));
     let gallery = arguments.live.wants_photos().then_some(gallery);
-    match origin {
-        Origin::Points => {
-            settings.settle_points(&mut dataset, &options.host_memory, arguments.quiet, &stop)?;
-        }
-        Origin::Scene(_) | Origin::Checkpoint(_) => dataset.needs_no_points(),
+    match origin.needs_points() {
+        true => settings.settle_points(&mut dataset, &options.host_memory, arguments.quiet, &stop)?,
+        false => dataset.needs_no_points(),
     }
     session::warn(&dataset.warnings);
     origin.start().iter().for_each(|start| start.warn(&context));
@@ -214,7 +212,7 @@ pub struct Run {
 impl Run {
     /// A run that begins with the data set's points.
     pub fn prepare(context: &Context, dataset: Dataset, settings: Settings, quiet: bool) -> Result<Run> {
-        Self::begin(context, dataset, settings, &Origin::Points, quiet)
+        Self::begin(context, dataset, settings, &Origin::points(), quiet)
     }
 
     /// Creates the trainer, and then, when nothing but the disk can fail any more, the model folder with
@@ -226,21 +224,19 @@ impl Run {
         origin: &Origin,
         quiet: bool,
     ) -> Result<Run> {
+        let First { trained, block, points } = origin.first(&dataset, &settings)?;
+        let Prepared { data, views } = Prepared::new(dataset, &settings);
+        let trainer = origin.trainer(context, data, (&trained, block), &settings.train)?;
+        let model = settings.data.model_path.clone();
         let Some(start) = origin.start() else {
-            let (initial, points) = origin.first(&dataset, &settings.train)?;
-            let data = Prepared::new(dataset);
-            let (train, extent) = (data.train, data.scene_extent);
-            let trainer = Trainer::new(context, train, &initial, extent, settings.train.clone())?;
-            let lock = folder::begin(&settings, &data.views.cameras, points.as_ref(), false)?;
-            let log = TrainLog::create(&settings.data.model_path.join(LOG_FILE))?;
-            return Ok(Run::new(context, settings, trainer, (log, lock), data.views, quiet));
+            let lock = folder::begin(&settings, &views.cameras, points.as_ref(), false)?;
+            let log = TrainLog::create(&model.join(LOG_FILE))?;
+            return Ok(Run::new(context, settings, trainer, (log, lock), views, quiet));
         };
-        let data = Prepared::new(dataset);
-        let trainer = start.trainer(context, data.train, data.scene_extent, &settings.train)?;
-        let goes_on = start.is_of(&settings.data.model_path);
-        let lock = folder::begin(&settings, &data.views.cameras, None, goes_on)?;
-        let log = TrainLog::go_on(&settings.data.model_path.join(LOG_FILE), trainer.iteration())?;
-        let mut run = Run::new(context, settings, trainer, (log, lock), data.views, quiet);
+        let goes_on = start.is_of(&model);
+        let lock = folder::begin(&settings, &views.cameras, None, goes_on)?;
+        let log = TrainLog::go_on(&model.join(LOG_FILE), trainer.iteration())?;
+        let mut run = Run::new(context, settings, trainer, (log, lock), views, quiet);
         // What it went on from goes, too, where only the newest is to stay.
         run.checkpointed = goes_on.then_some(run.started);
         run.save_poses(run.started)?;

@@ -62,6 +62,10 @@ impl Strategy for Mcmc {
         Hooks { update: true, ..Hooks::default() }
     }
 
+    fn grows_by_statistics(&self) -> bool {
+        false
+    }
+
     fn record_update(&self, r: &mut Recorder, step: &StepInputs) {
         let rate = (step.step.rates.mean * step.settings.noise_lr) as f32;
         if rate > 0.0 {

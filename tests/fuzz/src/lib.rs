@@ -82,6 +82,7 @@ pub fn checkpoint(gaussians: Gaussians, sh_degree: u32) -> Checkpoint {
         exposures: Default::default(),
         lenses: Default::default(),
         poses: None,
+        block: None,
         skipped: 1,
         room: Room::default(),
     }

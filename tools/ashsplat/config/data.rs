@@ -31,6 +31,12 @@ pub struct DataSettings {
     pub photo_points: When,
     /// Gaussians to begin with, in place of points; empty: none.
     pub init: PathBuf,
+    /// The corners of the block that is trained, world units; empty: the whole scene.
+    pub block: Vec<f64>,
+    /// How far around it Gaussians are trained too, world units.
+    pub margin: f64,
+    /// World units; 0: that of the training cameras.
+    pub scene_extent: f64,
     /// Iterations after which to test; the last is always one.
     pub test_iterations: Vec<u32>,
     /// Iterations after which to save; the last is always one.
@@ -69,6 +75,9 @@ impl Default for DataSettings {
             random_points: false,
             photo_points: When::Auto,
             init: PathBuf::new(),
+            block: Vec::new(),
+            margin: 0.0,
+            scene_extent: 0.0,
             test_iterations: vec![7000, 30_000],
             save_iterations: vec![7000, 30_000],
             checkpoint_iterations: Vec::new(),

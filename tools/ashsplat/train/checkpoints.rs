@@ -5,7 +5,7 @@ use crate::args::{self, DeviceArguments, HostArguments};
 use crate::config::SETTINGS_FILE;
 use crate::output;
 use ashsplat::trainer::strategy::Actions;
-use ashsplat::trainer::{Checkpoint, TrainSettings, TrainView, Trainer};
+use ashsplat::trainer::{Checkpoint, TrainParts, TrainSettings, TrainView, Trainer};
 use ashsplat::vk::Context;
 use ashsplat::{Error, Result};
 use ashsplat_files::{CheckpointFile, quoted};
@@ -83,10 +83,11 @@ impl Start {
         &self,
         context: &Context,
         views: Vec<TrainView>,
-        scene_extent: f32,
-        settings: &TrainSettings,
+        (settings, scene_extent): (&TrainSettings, f32),
+        parts: TrainParts,
     ) -> Result<Trainer> {
-        let trainer = Trainer::resume(context, views, scene_extent, settings.clone(), &self.checkpoint);
+        let given = (settings.clone(), scene_extent);
+        let trainer = Trainer::resume_with_parts(context, views, given, parts, &self.checkpoint);
         trainer.map_err(|error| match error {
             Error::Argument { problem, .. } => {
                 Error::input(&self.path, problem, "or start anew without --start-checkpoint")

@@ -1,11 +1,13 @@
-//! What a training begins with: points, a scene, or a checkpoint.
+//! What a training begins with: points, a scene, or a checkpoint; and which block of it is trained.
 
 use super::checkpoints::{AUTO, Start};
+use super::prepared::{Data, Prepared};
 use crate::args::HostArguments;
 use crate::config::Settings;
 use crate::model;
 use ashsplat::scene::{Gaussians, PointCloud};
-use ashsplat::trainer::{Checkpoint, TrainSettings};
+use ashsplat::trainer::{Checkpoint, SceneBlock, TrainParts, TrainSettings, Trainer};
+use ashsplat::vk::Context;
 use ashsplat::{Error, Result};
 use ashsplat_files::{Dataset, splats};
 use std::path::Path;
@@ -14,13 +16,25 @@ fn is_auto(asked: Option<&Path>) -> bool {
     asked.is_some_and(|asked| asked.as_os_str() == AUTO)
 }
 
-/// What a training begins with.
-pub enum Origin {
-    /// The points of the data set, or what stands in for them.
-    Points,
+/// What a training begins with: a checkpoint, else a scene, else the points of the data set or what stands in for them. Around a
+/// block the checkpoint has nothing: that is the scene's, or the points', here too.
+#[derive(Default)]
+pub struct Origin {
+    start: Option<Box<Start>>,
     /// The Gaussians of a file, `--init`.
-    Scene(Gaussians),
-    Checkpoint(Box<Start>),
+    scene: Option<Gaussians>,
+    /// Whether a checkpoint is of a block, among points.
+    needs_points: bool,
+}
+
+/// The first Gaussians.
+pub struct First {
+    /// Those that are trained; without them a checkpoint has them.
+    pub trained: Option<Gaussians>,
+    /// The block that they are.
+    pub block: Option<SceneBlock>,
+    /// The points that they were made of.
+    pub points: Option<PointCloud>,
 }
 
 impl Origin {
@@ -29,14 +43,13 @@ impl Origin {
     pub fn read(asked: Option<&Path>, settings: &Settings, host: &HostArguments) -> Result<Origin> {
         let data = &settings.data;
         let start = asked.map(|asked| Start::find(asked, &data.model_path, host)).transpose()?.flatten();
-        if let Some(start) = start {
-            return Ok(Origin::Checkpoint(Box::new(start)));
-        }
-        if is_auto(asked) {
+        let start = start.map(Box::new);
+        if start.is_none() && is_auto(asked) {
             tell!("{} has no checkpoint: training begins anew", data.model_path.display());
         }
-        if data.init.as_os_str().is_empty() {
-            return Ok(Origin::Points);
+        let (goes_on, has_block) = (start.is_some(), data.block()?.is_some());
+        if data.init.as_os_str().is_empty() || goes_on && !has_block {
+            return Ok(Origin { start, scene: None, needs_points: !goes_on || has_block });
         }
         let scene = splats::read(&data.init, &host.reading(false))?;
         if scene.gaussians.is_empty() {
@@ -50,15 +63,22 @@ impl Origin {
         for warning in &scene.warnings {
             tell!("warning: {warning}");
         }
-        Ok(Origin::Scene(scene.gaussians))
+        Ok(Origin { start, scene: Some(scene.gaussians), needs_points: false })
+    }
+
+    /// A training that begins with the data set's points.
+    pub fn points() -> Origin {
+        Origin { needs_points: true, ..Origin::default() }
+    }
+
+    /// Whether the points of the data set are used.
+    pub fn needs_points(&self) -> bool {
+        self.needs_points
     }
 
     /// The checkpoint, if it is one.
     pub fn start(&self) -> Option<&Start> {
-        match self {
-            Origin::Checkpoint(start) => Some(start),
-            Origin::Points | Origin::Scene(_) => None,
-        }
+        self.start.as_deref()
     }
 
     /// What was read of it.
@@ -66,12 +86,24 @@ impl Origin {
         self.start().map(Start::checkpoint)
     }
 
-    /// How many Gaussians it has, as far as that is known before the data set is read.
-    pub fn gaussians(&self) -> Option<usize> {
-        match self {
-            Origin::Points => None,
-            Origin::Scene(gaussians) => Some(gaussians.len()),
-            Origin::Checkpoint(start) => Some(start.checkpoint().gaussians.len()),
+    /// How many Gaussians are trained, and how many lie around them, as far as that is known before the photos are read: of
+    /// these `points`, or of so many that stand in for them.
+    pub fn counts(&self, settings: &Settings, points: &PointCloud) -> Result<[usize; 2]> {
+        let means = match &self.scene {
+            Some(scene) => &scene.means,
+            None => &points.positions,
+        };
+        let all = if means.is_empty() { settings.missing_points() } else { means.len() };
+        let inside = match settings.data.block()? {
+            Some((core, margin)) if !means.is_empty() => {
+                means.iter().filter(|&&mean| SceneBlock::contains(core, margin, mean)).count()
+            }
+            _ => all,
+        };
+        match self.checkpoint() {
+            Some(checkpoint) => Ok([checkpoint.gaussians.len(), all - inside]),
+            None if inside == 0 => Err(SceneBlock::nothing_inside(all)),
+            None => Ok([inside, all - inside]),
         }
     }
 
@@ -84,24 +116,62 @@ impl Origin {
 
     /// The settings of a training that begins so: the SH degree of a scene is in use from its start.
     pub fn settle(&self, settings: Settings) -> Settings {
-        let degree = match self {
-            Origin::Points => 0,
-            Origin::Scene(gaussians) => gaussians.sh_degree,
-            Origin::Checkpoint(start) => start.checkpoint().settings.sh_degree_start,
+        let degree = match (self.checkpoint(), &self.scene) {
+            (Some(checkpoint), _) => checkpoint.settings.sh_degree_start,
+            (None, Some(scene)) => scene.sh_degree,
+            (None, None) => 0,
         };
         let train = settings.train;
         let sh_degree_start = train.sh_degree_start.max(degree).min(train.sh_degree);
         Settings { train: TrainSettings { sh_degree_start, ..train }, ..settings }
     }
 
-    /// The first Gaussians, and the points that they were made of.
-    pub fn first(&self, dataset: &Dataset, train: &TrainSettings) -> Result<(Gaussians, Option<PointCloud>)> {
-        if let Origin::Scene(gaussians) = self {
-            return Ok((gaussians.with_sh_degree(train.sh_degree), None));
+    /// The first Gaussians.
+    pub fn first(&self, dataset: &Dataset, settings: &Settings) -> Result<First> {
+        let (train, block) = (&settings.train, settings.data.block()?);
+        let goes_on = self.start.is_some();
+        if goes_on && block.is_none() {
+            return Ok(First { trained: None, block: None, points: None });
         }
-        let points = dataset.initial_points(u64::from(train.seed));
-        let mut gaussians = ashsplat_files::initial_gaussians(&points, train.sh_degree)?;
-        train.initialize(&mut gaussians);
-        Ok((gaussians, Some(points)))
+        let (whole, points) = match &self.scene {
+            Some(gaussians) => (gaussians.with_sh_degree(train.sh_degree), None),
+            None => {
+                let points = dataset.initial_points(u64::from(train.seed));
+                let mut gaussians = ashsplat_files::initial_gaussians(&points, train.sh_degree)?;
+                train.initialize(&mut gaussians);
+                (gaussians, Some(points))
+            }
+        };
+        let (trained, block) = match block {
+            None => (whole, None),
+            Some((core, margin)) => {
+                let (trained, block) = SceneBlock::divide(&whole, core, margin)?;
+                (trained, Some(block))
+            }
+        };
+        let beginning = (Some(trained), points);
+        let (trained, points) = if goes_on { (None, None) } else { beginning };
+        Ok(First { trained, block, points })
+    }
+
+    /// The trainer of a training that begins so.
+    pub fn trainer(
+        &self,
+        context: &Context,
+        data: Data,
+        first: (&Option<Gaussians>, Option<SceneBlock>),
+        settings: &TrainSettings,
+    ) -> Result<Trainer> {
+        let (trained, block) = first;
+        let Data { train, scene_extent } = data;
+        settings.check()?;
+        let parts = TrainParts { block, ..TrainParts::of_settings(context, settings)? };
+        match (&self.start, trained) {
+            (Some(start), _) => start.trainer(context, train, (settings, scene_extent), parts),
+            (None, Some(initial)) => {
+                Trainer::with_parts(context, train, initial, scene_extent, settings.clone(), parts)
+            }
+            (None, None) => unreachable!("without a checkpoint there are first Gaussians"),
+        }
     }
 }

@@ -17,8 +17,15 @@ const STAND_IN_VIEWS: usize = 5;
 
 /// A data set taken apart.
 pub struct Prepared {
-    pub train: Vec<TrainView>,
+    pub data: Data,
     pub views: Views,
+}
+
+/// What a trainer is given of it.
+#[derive(Clone)]
+pub struct Data {
+    pub train: Vec<TrainView>,
+    /// World units.
     pub scene_extent: f32,
 }
 
@@ -36,8 +43,9 @@ pub struct Views {
 }
 
 impl Prepared {
-    pub fn new(dataset: Dataset) -> Prepared {
+    pub fn new(dataset: Dataset, settings: &Settings) -> Prepared {
         let Dataset { train, test, scene_extent, .. } = dataset;
+        let scene_extent = settings.data.extent(scene_extent);
         let own = |view: &View| (view.name.clone(), view.original_camera);
         // A view may be trained on and held out, each for one half.
         let held_out: HashSet<&str> = test.iter().map(|view| view.name.as_str()).collect();
@@ -47,9 +55,9 @@ impl Prepared {
         let trained = train.iter().map(|view| view.name.clone()).collect();
         let held_out = !test.is_empty();
         let test = if held_out { test } else { sample(&train) };
-        let train = train.into_iter().map(train_view);
+        let train = train.into_iter().map(train_view).collect();
         let views = Views { trained, test, cameras, takers, held_out };
-        Prepared { train: train.collect(), views, scene_extent }
+        Prepared { data: Data { train, scene_extent }, views }
     }
 }
 
@@ -69,16 +77,13 @@ fn sample(train: &[View]) -> Vec<View> {
 
 /// Refuses what cannot be trained here, from the sizes of the photos: before they are read.
 pub fn check_fits(context: &Context, gallery: &Gallery, settings: &Settings, origin: &Origin) -> Result<()> {
-    let points = match gallery.points().len() {
-        0 => settings.missing_points(),
-        points => points,
-    };
-    let gaussians = origin.gaussians().unwrap_or(points);
+    let [gaussians, frozen] = origin.counts(settings, gallery.points())?;
     Forecast {
         settings: &settings.train,
         photos: &gallery.train_photos()?,
         photo_memory: gallery.file_memory(),
         gaussians: to_u32(gaussians as u64)?,
+        frozen: to_u32(frozen as u64)?,
         room: origin.checkpoint().map(|checkpoint| &checkpoint.room),
     }
     .check(context)

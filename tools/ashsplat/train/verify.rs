@@ -1,10 +1,9 @@
 //! `ashsplat train --verify-determinism N`.
 
 use super::checkpoints::Start;
-use super::origin::Origin;
+use super::origin::{First, Origin};
 use super::prepared::Prepared;
 use crate::config::Settings;
-use ashsplat::trainer::Trainer;
 use ashsplat::trainer::verify::{Verdict, verify_determinism};
 use ashsplat::vk::Context;
 use ashsplat::{Error, Result};
@@ -20,14 +19,10 @@ pub fn run(
     quiet: bool,
 ) -> Result<()> {
     let start = origin.start();
-    let (initial, _) = origin.first(&dataset, &settings.train)?;
-    let data = Prepared::new(dataset);
-    let new = |context: &Context| match start {
-        Some(start) => start.trainer(context, data.train.clone(), data.scene_extent, &settings.train),
-        None => {
-            Trainer::new(context, data.train.clone(), &initial, data.scene_extent, settings.train.clone())
-        }
-    };
+    let First { trained, block, .. } = origin.first(&dataset, settings)?;
+    let data = Prepared::new(dataset, settings).data;
+    let new =
+        |context: &Context| origin.trainer(context, data.clone(), (&trained, block.clone()), &settings.train);
     let left = settings.train.iterations.saturating_sub(start.map_or(0, Start::iteration));
     let iterations = iterations.min(left);
     let mut last = 0;

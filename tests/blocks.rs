@@ -1,0 +1,315 @@
+//! Training of a block of a scene: what lies around is drawn and stays as it is.
+
+use ashsplat::renderer::Renderer;
+use ashsplat::scene::{Bounds, Intrinsics};
+use ashsplat::trainer::{
+    Checkpoint, Forecast, PhotoSize, SceneBlock, StrategyType, TrainParts, TrainView, Trainer,
+};
+use ashsplat::vk::Context;
+use ashsplat::{Camera, Error, Gaussians, TrainSettings};
+use ashsplat_files::CheckpointFile;
+use glam::Vec3;
+use std::collections::HashSet;
+
+use crate::checkpoints::{settings, start, views};
+use crate::common::bounded;
+use crate::common::gpu::Gpu;
+
+const EXTENT: f32 = 5.0;
+
+/// Half of the scene, less a margin.
+fn core() -> Bounds {
+    Bounds { min: Vec3::new(f32::NEG_INFINITY, -1.2, f32::NEG_INFINITY), max: Vec3::new(0.2, 1.3, 9.0) }
+}
+
+const MARGIN: f32 = 0.3;
+
+fn everything() -> Bounds {
+    Bounds { min: Vec3::NEG_INFINITY, max: Vec3::INFINITY }
+}
+
+fn divided() -> (Gaussians, SceneBlock) {
+    let (trained, block) = SceneBlock::divide(&start(), core(), MARGIN).expect("a block");
+    assert!(trained.len() > 40 && block.frozen.len() > 40, "{} {}", trained.len(), block.frozen.len());
+    (trained, block)
+}
+
+fn trainer(
+    context: &Context,
+    initial: &Gaussians,
+    block: Option<SceneBlock>,
+    settings: &TrainSettings,
+) -> Result<Trainer, Error> {
+    let parts = TrainParts { block, ..TrainParts::of_settings(context, settings)? };
+    Trainer::with_parts(context, views(3, 9), initial, EXTENT, settings.clone(), parts)
+}
+
+fn resumed(
+    context: &Context,
+    block: Option<SceneBlock>,
+    settings: &TrainSettings,
+    from: &Checkpoint,
+) -> Result<Trainer, Error> {
+    let parts = TrainParts { block, ..TrainParts::of_settings(context, settings)? };
+    Trainer::resume_with_parts(context, views(3, 9), (settings.clone(), EXTENT), parts, from)
+}
+
+fn end(trainer: &mut Trainer) -> Checkpoint {
+    while trainer.iteration() < trainer.settings().iterations {
+        trainer.step().expect("a step");
+    }
+    trainer.checkpoint().expect("the end")
+}
+
+fn inside(core: Bounds, mean: [f32; 3]) -> bool {
+    SceneBlock::contains(core, 0.0, mean)
+}
+
+/// Without borders nothing runs that plain training does not have; with far ones the mask runs, and masks nothing.
+#[test]
+fn a_block_that_is_the_whole_scene_is_plain_training() {
+    let gpu = Gpu::new();
+    for strategy in [StrategyType::Reference, StrategyType::Budget] {
+        let settings =
+            TrainSettings { strategy, absgrad: strategy == StrategyType::Budget, cap_max: 220, ..settings() };
+        let run = |core: Option<Bounds>| {
+            let divided = core.map(|core| SceneBlock::divide(&start(), core, 0.0).expect("a block"));
+            let (initial, block) = divided.map_or((start(), None), |(initial, block)| (initial, Some(block)));
+            end(&mut trainer(gpu.context, &initial, block, &settings).expect("a trainer"))
+        };
+        let plain = run(None);
+        assert!(plain.gaussians.len() != start().len(), "nothing was added");
+        assert!(run(Some(everything())) == plain, "{strategy:?}: other bits");
+        let far = run(Some(Bounds { min: Vec3::splat(-1e9), max: Vec3::splat(1e9) }));
+        assert!(far.block.is_some());
+        assert!(Checkpoint { block: None, ..far } == plain, "{strategy:?}: other bits with far borders");
+    }
+}
+
+/// The picture is that of the whole scene, bit for bit, and so is the first step of those that are trained.
+#[test]
+fn the_first_step_of_a_block_is_that_of_the_whole_scene() {
+    let gpu = Gpu::new();
+    let (initial, block) = divided();
+    for filter_3d in [false, true] {
+        let settings = TrainSettings { filter_3d, ..settings() };
+        let mut whole = initial.clone();
+        whole.append(&block.frozen);
+        let mut of_block = trainer(gpu.context, &initial, Some(block.clone()), &settings).expect("a trainer");
+        let mut of_whole = trainer(gpu.context, &whole, None, &settings).expect("a trainer");
+        let camera = views(3, 9)[1].camera;
+        let render_settings = of_block.render_settings();
+        let mut picture =
+            |trainer: &mut Trainer| trainer.render(&camera, &render_settings).expect("a picture");
+        let pictures = [picture(&mut of_block), picture(&mut of_whole)];
+        assert!(pictures[0].color == pictures[1].color, "other pictures");
+        assert_eq!(pictures[0].stats.gaussians, whole.len() as u32);
+        if !filter_3d {
+            let mut renderer = Renderer::new(gpu.context).expect("a renderer");
+            renderer.upload(&initial).expect("loaded");
+            let alone = renderer.render(&camera, &render_settings).expect("a picture");
+            assert!(alone.color != pictures[0].color, "nothing of the rest is to be seen");
+        }
+        let losses = [&mut of_block, &mut of_whole].map(|trainer| trainer.step().expect("a step").loss);
+        assert_eq!(losses[0].to_bits(), losses[1].to_bits());
+        let [ours, theirs] = [of_block, of_whole].map(|trainer| trainer.checkpoint().expect("a checkpoint"));
+        let rows: Vec<usize> = (0..initial.len()).collect();
+        for (ours, theirs) in [
+            (&ours.gaussians, &theirs.gaussians),
+            (&ours.first_moments, &theirs.first_moments),
+            (&ours.second_moments, &theirs.second_moments),
+        ] {
+            assert!(*ours == theirs.select(&rows), "other bits");
+        }
+        assert!(ours.gaussians != initial, "nothing has moved");
+        assert_eq!(ours.statistics[..], theirs.statistics[..initial.len()]);
+    }
+}
+
+#[test]
+fn what_lies_around_stays_as_it_is() {
+    let gpu = Gpu::new();
+    let (initial, block) = divided();
+    let mut trainer = trainer(gpu.context, &initial, Some(block.clone()), &settings()).expect("a trainer");
+    let state = end(&mut trainer);
+    assert!(state.gaussians.len() > initial.len(), "nothing was added");
+    let around = trainer.surroundings().expect("Gaussians around").download().expect("downloaded");
+    assert!(around == block.frozen.with_sh_degree(around.sh_degree));
+    let memory = trainer.memory();
+    let arena = |name: &str| memory.iter().filter(|arena| arena.name == name).map(|arena| arena.bytes).sum();
+    let (parameters, moments): (u64, u64) = (arena("surroundings"), arena("moments"));
+    assert!(parameters > 0 && moments == 2 * arena("scene"), "{parameters} {moments}");
+}
+
+/// With rates of 0 a clone is its original once more, and an original that is split is gone.
+#[test]
+fn gaussians_are_added_in_the_core_only() {
+    let gpu = Gpu::new();
+    let (initial, block) = divided();
+    let still = |strategy, percent_dense| TrainSettings {
+        position_lr_init: 1e-30,
+        position_lr_final: 1e-30,
+        feature_lr: 0.0,
+        opacity_lr: 0.0,
+        scaling_lr: 0.0,
+        rotation_lr: 0.0,
+        min_opacity: 1e-9,
+        percent_dense,
+        strategy,
+        cap_max: 10_000,
+        densify_grad_threshold: 1e-9,
+        ..settings()
+    };
+    for (settings, clones) in [
+        (still(StrategyType::Reference, 1e3), true),
+        (still(StrategyType::Reference, 1e-9), false),
+        (TrainSettings { absgrad: true, ..still(StrategyType::Reference, 1e-9) }, false),
+        (TrainSettings { absgrad: true, ..still(StrategyType::Budget, 1e-9) }, false),
+    ] {
+        let key = |mean: &[f32; 3]| mean.map(f32::to_bits);
+        // The means of those that were cloned or split.
+        let chosen = |initial: &Gaussians, block: Option<SceneBlock>| -> Vec<[f32; 3]> {
+            let mut trainer = trainer(gpu.context, initial, block, &settings).expect("a trainer");
+            let densified = (0..16).filter_map(|_| trainer.step().expect("a step").densified).last();
+            let densified = densified.expect("a densification");
+            assert_eq!((densified.cloned > 0, densified.split > 0), (clones, !clones), "{densified:?}");
+            let after = trainer.gaussians().expect("Gaussians").means;
+            let mut seen = HashSet::new();
+            match clones {
+                true => after.into_iter().filter(|mean| !seen.insert(key(mean))).collect(),
+                false => {
+                    seen.extend(after.iter().map(key));
+                    initial.means.iter().copied().filter(|mean| !seen.contains(&key(mean))).collect()
+                }
+            }
+        };
+        let of_block = chosen(&initial, Some(block.clone()));
+        assert!(of_block.len() > 10, "{} of {:?}", of_block.len(), settings.strategy);
+        assert!(of_block.iter().all(|&mean| inside(core(), mean)), "{:?}", settings.strategy);
+        // Among the same Gaussians without a border, some are outside.
+        let free = SceneBlock { core: everything(), ..block.clone() };
+        assert!(chosen(&initial, Some(free)).iter().any(|&mean| !inside(core(), mean)));
+    }
+}
+
+#[test]
+fn a_resumed_block_ends_with_the_same_bits() {
+    let gpu = Gpu::new();
+    let (initial, block) = divided();
+    let settings = settings();
+    let mut whole = trainer(gpu.context, &initial, Some(block.clone()), &settings).expect("a trainer");
+    let whole = end(&mut whole);
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let file = folder.path().join("block.safetensors");
+    for stop in [7, 15, 20, 30] {
+        let mut first = trainer(gpu.context, &initial, Some(block.clone()), &settings).expect("a trainer");
+        (0..stop).for_each(|_| drop(first.step().expect("a step")));
+        let checkpoint = first.checkpoint().expect("a checkpoint");
+        drop(first);
+        checkpoint.write(&file).expect("written");
+        let checkpoint = Checkpoint::read(&file).expect("read");
+        let mut second = resumed(gpu.context, Some(block.clone()), &settings, &checkpoint).expect("resumed");
+        assert!(end(&mut second) == whole, "interrupted after {stop}: other bits");
+    }
+    let checkpoint = Checkpoint::read(&file).expect("read");
+    let mut moved = block.clone();
+    moved.frozen.means[3][0] += 1e-3;
+    let wider = SceneBlock { core: everything(), ..block.clone() };
+    for (other, said) in [
+        (None, "the whole scene is trained"),
+        (Some(moved), "other Gaussians around the block"),
+        (Some(wider), "was made for the block -inf,-1.2,-inf,0.2,1.3,9, here it is -inf,"),
+    ] {
+        let refused = resumed(gpu.context, other, &settings, &checkpoint).err().expect("refused");
+        assert!(refused.to_string().contains(said), "{refused}");
+    }
+}
+
+#[test]
+fn senseless_blocks_are_refused() {
+    let gpu = Gpu::new();
+    let (initial, block) = divided();
+    let refused = |settings: &TrainSettings, block: &SceneBlock| {
+        let refused = trainer(gpu.context, &initial, Some(block.clone()), settings);
+        refused.err().expect("refused").to_string()
+    };
+    let mcmc = TrainSettings::of_strategy(StrategyType::Mcmc);
+    assert!(refused(&mcmc, &block).contains("'mcmc' adds Gaussians anywhere"));
+    let poses = TrainSettings { pose_opt: true, ..settings() };
+    assert!(refused(&poses, &block).contains("pose_opt"));
+    let flat = SceneBlock { core: Bounds { min: Vec3::ONE, max: Vec3::ONE }, ..block.clone() };
+    assert!(refused(&settings(), &flat).contains("block"));
+    let mut short = block.clone();
+    short.frozen.sh.pop();
+    assert!(!refused(&settings(), &short).is_empty());
+    let alone = SceneBlock { frozen: Gaussians::default(), ..block.clone() };
+    assert!(refused(&mcmc, &alone).contains("'mcmc' adds Gaussians anywhere"));
+    let mut trainer = trainer(gpu.context, &initial, Some(block), &settings()).expect("a trainer");
+    let TrainView { camera, photo, .. } = views(1, 9).remove(0);
+    let aligned = trainer.align(&camera, &photo, &trainer.render_settings(), &Default::default());
+    assert!(aligned.expect_err("refused").to_string().contains("a block of one"));
+}
+
+/// What the forecast asks for is enough, and what lies around is counted: parameters and frames, but no moments.
+#[test]
+fn the_memory_of_what_lies_around_is_planned() {
+    let (initial, block) = divided();
+    let settings = settings();
+    let photo = PhotoSize {
+        name: "a".into(),
+        width: 40,
+        height: 30,
+        masked: false,
+        inverse_depth: false,
+        depth_points: 0,
+    };
+    let photos = vec![photo; 3];
+    let needed = |gaussians: u32, frozen: u32| {
+        let (photo_memory, room) = (None, None);
+        let photos = &photos;
+        let forecast = Forecast { settings: &settings, photos, photo_memory, gaussians, frozen, room };
+        match forecast.check(&bounded(Some(1))).expect_err("too little") {
+            Error::TooLarge { needed, what, .. } => {
+                assert_eq!(what.contains(" others"), frozen > 0, "{what}");
+                needed
+            }
+            other => panic!("{other}"),
+        }
+    };
+    let (count, frozen) = (initial.len() as u32, 100_000);
+    let alone = needed(count, 0);
+    let [around, trained] = [needed(count, frozen), needed(count + frozen, 0)].map(|bytes| bytes - alone);
+    // Ten planes of parameters at SH degree 2.
+    assert!(around > u64::from(frozen) * 160, "{around}");
+    assert!(trained > around + u64::from(frozen) * 3 * 160, "{around} {trained}");
+    // Enough for a run, and for what it adds as far as that fits.
+    let mut many = block.clone();
+    (0..200).for_each(|_| many.frozen.append(&block.frozen));
+    let bound = needed(count, many.frozen.len() as u32) + (1 << 20);
+    let context = bounded(Some(bound));
+    let mut trainer = trainer(&context, &initial, Some(many), &settings).expect("a trainer");
+    end(&mut trainer);
+    assert!(trainer.memory().last().expect("the total").peak_bytes <= bound);
+}
+
+/// A camera far from all.
+#[test]
+fn a_picture_of_what_lies_around_alone_is_drawn() {
+    let gpu = Gpu::new();
+    let (initial, block) = divided();
+    let mut far = initial.clone();
+    far.means.iter_mut().for_each(|mean| mean[0] -= 1e4);
+    let core = everything();
+    let block = SceneBlock { core, ..block };
+    let frozen = block.frozen.clone();
+    let mut trainer = trainer(gpu.context, &far, Some(block), &settings()).expect("a trainer");
+    let intrinsics = Intrinsics::from_fov_x(0.8, 40, 30);
+    let camera = Camera::look_at(Vec3::new(0.0, 0.0, -6.0), Vec3::ZERO, Vec3::NEG_Y, intrinsics);
+    let settings = trainer.render_settings();
+    let ours = trainer.render(&camera, &settings).expect("a picture");
+    let mut renderer = Renderer::new(gpu.context).expect("a renderer");
+    renderer.upload(&frozen).expect("loaded");
+    let settings = ashsplat::RenderSettings { sh_degree: Some(trainer.sh_degree()), ..settings };
+    let theirs = renderer.render(&camera, &settings).expect("a picture");
+    assert!(ours.color == theirs.color && theirs.stats.visible > 0);
+}

@@ -1,0 +1,107 @@
+//! `train --block`: a part of a scene is trained, the rest is drawn.
+
+use super::checkpoints::{Place, assert_trained};
+use super::*;
+use ashsplat::Gaussians;
+use ashsplat_files::splats::{self, ReadOptions};
+
+const LEFT: &str = "--block=-inf,-inf,-inf,-0.2,inf,inf";
+const EVERYTHING: &str = "--block=-inf,-inf,-inf,inf,inf,inf";
+
+fn trained(place: &Place, model: &str, iteration: u32) -> Gaussians {
+    let path = place.model(model).join(format!("point_cloud/iteration_{iteration}/point_cloud.ply"));
+    splats::read(path, &ReadOptions::default()).expect("a PLY").gaussians
+}
+
+#[test]
+fn a_block_that_is_everything_is_plain_training_to_the_byte() {
+    let place = Place::new();
+    let options = ["--iterations", "30", "--checkpoint_iterations", "20"];
+    assert_trained(&place.train("plain", &options));
+    assert_trained(&place.train("block", &[options.as_slice(), &[EVERYTHING]].concat()));
+    assert!(place.ply("block", 30) == place.ply("plain", 30), "other bits");
+    let checkpoint = |model: &str| std::fs::read(place.model(model).join("chkpnt20.safetensors")).ok();
+    assert!(checkpoint("block") == checkpoint("plain") && checkpoint("plain").is_some());
+}
+
+/// Among the points of the data set, and among the Gaussians of a scene; stopped and gone on with.
+#[test]
+fn a_block_is_trained_among_the_rest_of_its_scene() {
+    let place = Place::new();
+    assert_trained(&place.train("coarse", &["--iterations", "20"]));
+    let scene = place.model("coarse").join("point_cloud/iteration_20/point_cloud.ply");
+    let init = ["--init", text(&scene)];
+    for begin in [&[][..], &init[..]] {
+        let block = [LEFT, "--margin", "0.1", "--scene-extent", "1.5", "--iterations"];
+        let run = |model: &str, more: &[&str]| place.train(model, &[&block, more, begin].concat());
+        let names = [format!("whole{}", begin.len()), format!("parts{}", begin.len())];
+        assert_trained(&run(&names[0], &["30"]));
+        let counts = |gaussians: &Gaussians| {
+            gaussians.means.iter().filter(|mean| mean[0] <= 0.3).count() as f64 / gaussians.len() as f64
+        };
+        let ours = trained(&place, &names[0], 30);
+        assert!(ours.len() > 20 && counts(&ours) > 0.95, "{} {}", ours.len(), counts(&ours));
+        assert_trained(&run(&names[1], &["20", "--checkpoint_iterations", "20"]));
+        assert_trained(&run(&names[1], &["30", "--start_checkpoint", "latest"]));
+        assert!(place.ply(&names[0], 30) == place.ply(&names[1], 30), "other bits");
+        // From its settings alone.
+        let settings = place.model(&names[1]).join("settings.toml");
+        let written = std::fs::read_to_string(&settings).expect("settings");
+        assert!(written.contains("block = [-inf, -inf, -inf, -0.2, inf, inf]"), "{written}");
+        assert!(written.contains("margin = 0.1") && written.contains("scene_extent = 1.5"), "{written}");
+        let again = place.model("again");
+        let again = ["train", "--config", text(&settings), "-m", text(&again), "--quiet"];
+        assert_trained(&finish(program().args(again)));
+        assert!(place.ply(&names[0], 30) == place.ply("again", 30), "other bits");
+        std::fs::remove_dir_all(place.model("again")).expect("removed");
+        // What lies around must be what it was.
+        for (other, said) in [
+            (&[LEFT, "--margin", "0.2"][..], "of another scene or margin"),
+            (&["--block=-9,-9,-9,-0.2,9,9", "--margin", "0.1"], "here it is -9,"),
+            (&[], "the whole scene is trained"),
+        ] {
+            let goes_on = ["--scene-extent", "1.5", "--iterations", "40", "--start_checkpoint", "latest"];
+            let refused = place.train(&names[1], &[other, &goes_on, begin].concat());
+            assert_refused(&refused, &["chkpnt20", said]);
+        }
+        // Verification trains it, too.
+        let verified = program()
+            .args(["train", "--config", text(&settings), "--verify-determinism", "3"])
+            .output()
+            .expect("a run");
+        assert!(verified.status.success(), "{}", String::from_utf8_lossy(&verified.stderr));
+    }
+    // Only what is trained is written.
+    let all = trained(&place, "coarse", 20);
+    let inside = all.means.iter().filter(|mean| mean[0] <= -0.2 + 0.1).count();
+    let (still, one) = (["--strategy", "fixed"], ["--iterations", "1", "--margin", "0.1", LEFT]);
+    let (data, out) = (place.model("data"), place.model("one"));
+    let one = [&["train", "-s", text(&data), "-m", text(&out), "--quiet"][..], &still, &one, &init].concat();
+    assert_trained(&finish(program().args(one)));
+    assert_eq!(trained(&place, "one", 1).len(), inside);
+    assert!(inside > 20 && inside < all.len() - 20, "{inside} of {}", all.len());
+}
+
+#[test]
+fn senseless_blocks_are_refused_before_the_work() {
+    let place = Place::new();
+    for (options, words) in [
+        (&["--block=1,2,3"][..], &["block", "six numbers"][..]),
+        (&["--block=1,0,0,-1,1,1"], &["block", "least side"]),
+        (&["--block=nan,0,0,1,1,1"], &["block", "least side"]),
+        (&["--block=0,0,0,1,0,1"], &["block", "least side"]),
+        (&["--block=50,50,50,60,60,60"], &["block", "none of the 400"]),
+        (&[LEFT, "--margin=-1"], &["margin", "0 or more"]),
+        (&[LEFT, "--margin=nan"], &["margin", "0 or more"]),
+        (&["--margin=1"], &["margin", "--block"]),
+        (&["--scene-extent=-1"], &["scene_extent"]),
+        (&["--scene-extent=inf"], &["scene_extent"]),
+        (&[LEFT, "--strategy", "mcmc"], &["block", "mcmc"]),
+        (&[LEFT, "--pose-opt"], &["pose_opt", "block"]),
+    ] {
+        let (data, out) = (place.model("data"), place.model("out"));
+        let command = [&["train", "-s", text(&data), "-m", text(&out), "--quiet"][..], options].concat();
+        refuse(&command, words);
+        assert!(!out.exists(), "{options:?}: {:?}", files_below(&out));
+    }
+}

@@ -1,0 +1,56 @@
+//! Which part of a scene is trained.
+
+use super::DataSettings;
+use ashsplat::scene::Bounds;
+use ashsplat::trainer::SceneBlock;
+use ashsplat::{Error, Result};
+use clap::Args;
+use glam::Vec3;
+use serde::Serialize;
+
+/// A block of a scene, in place of the whole.
+#[derive(Args, Clone, Default, Serialize)]
+pub struct BlockArguments {
+    /// Train the Gaussians of the start with centres in this box, least and greatest corner; the others are drawn and stay as they
+    /// are. Sides may be inf or -inf
+    #[arg(long, value_name = "X,Y,Z,X,Y,Z", value_delimiter = ',', allow_hyphen_values = true)]
+    block: Option<Vec<f64>>,
+    /// Train those this far around the block too, world units; none are added there [default: 0]
+    #[arg(long, value_name = "X", allow_hyphen_values = true)]
+    margin: Option<f64>,
+    /// The extent that scales the means' learning rate and the thresholds of densification, world units: of a block, that of the
+    /// whole scene; 0 takes that of the training cameras [default: 0]
+    #[arg(long, value_name = "X", allow_hyphen_values = true)]
+    scene_extent: Option<f64>,
+}
+
+impl DataSettings {
+    /// The block's core and margin, world units; None where the whole scene is trained.
+    pub fn block(&self) -> Result<Option<(Bounds, f32)>> {
+        let sides: Vec<f32> = self.block.iter().map(|&side| side as f32).collect();
+        match sides[..] {
+            [] if self.margin == 0.0 => Ok(None),
+            [] => Err(Error::argument("margin", "is that of a block: give --block as well")),
+            [a, b, c, x, y, z] => {
+                let core = Bounds { min: Vec3::new(a, b, c), max: Vec3::new(x, y, z) };
+                SceneBlock::check_box(core, self.margin as f32)?;
+                Ok(Some((core, self.margin as f32)))
+            }
+            _ => Err(Error::argument("block", "expected six numbers with commas between them")),
+        }
+    }
+
+    /// The scene's extent, where that of the cameras is this.
+    pub fn extent(&self, of_cameras: f32) -> f32 {
+        if self.scene_extent > 0.0 { self.scene_extent as f32 } else { of_cameras }
+    }
+
+    /// Refuses a senseless block or extent.
+    pub fn check_block(&self) -> Result<()> {
+        if !(self.scene_extent.is_finite() && self.scene_extent >= 0.0) {
+            let problem = format!("is {}, must be positive, or 0 for that of the cameras", self.scene_extent);
+            return Err(Error::argument("scene_extent", problem));
+        }
+        self.block().map(drop)
+    }
+}
