@@ -99,8 +99,7 @@ fn the_first_step_of_a_block_is_that_of_the_whole_scene() {
         let mut of_whole = trainer(gpu.context, &whole, None, &settings).expect("a trainer");
         let camera = views(3, 9)[1].camera;
         let render_settings = of_block.render_settings();
-        let mut picture =
-            |trainer: &mut Trainer| trainer.render(&camera, &render_settings).expect("a picture");
+        let picture = |trainer: &mut Trainer| trainer.render(&camera, &render_settings).expect("a picture");
         let pictures = [picture(&mut of_block), picture(&mut of_whole)];
         assert!(pictures[0].color == pictures[1].color, "other pictures");
         assert_eq!(pictures[0].stats.gaussians, whole.len() as u32);

@@ -262,6 +262,7 @@ fn checkpoints_with_any_bit_flipped_are_refused() {
             first_moments: vec![[0.2; 6]; 3],
             second_moments: vec![[0.3; 6]; 3],
         }),
+        block: None,
         skipped: 2,
         room: Room::default(),
     };

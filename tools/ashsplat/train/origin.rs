@@ -1,7 +1,7 @@
 //! What a training begins with: points, a scene, or a checkpoint; and which block of it is trained.
 
 use super::checkpoints::{AUTO, Start};
-use super::prepared::{Data, Prepared};
+use super::prepared::Data;
 use crate::args::HostArguments;
 use crate::config::Settings;
 use crate::model;
