@@ -8,7 +8,7 @@ use super::poses;
 use super::settings::TrainSettings;
 use super::step_recorder::StepRecorder;
 use super::strategy::Strategy;
-use super::{InverseDepth, SparseDepth, TrainParts, TrainView, block};
+use super::{InverseDepth, SparseDepth, TrainParts, TrainView, surroundings};
 use crate::error::{Error, Result};
 use crate::forward::Filter3d;
 use crate::loss::{LossTerm, Photometric};
@@ -48,7 +48,7 @@ impl Forecast<'_> {
         let parts = TrainParts::of_settings(context, settings)?;
         parts.strategy.check(settings, gaussians)?;
         // Whether a block with nothing around it has a border is not known here; the trainer looks at that.
-        block::check_settings(settings, &*parts.strategy, false, frozen > 0)?;
+        surroundings::check_settings(settings, &*parts.strategy, false, frozen > 0)?;
         // The extent scales a weight only.
         let kit = Kit::new(context, (settings, 1.0), parts, photos)?;
         kit.capacity(context, settings, (photos, photo_memory), (gaussians, frozen), room).map(drop)

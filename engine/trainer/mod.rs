@@ -31,6 +31,7 @@ mod step;
 mod step_recorder;
 mod strategies;
 pub mod strategy;
+mod surroundings;
 mod terms;
 pub mod verify;
 mod views;
@@ -59,7 +60,6 @@ use crate::planes;
 use crate::renderer::{Aligner, Frame, FrameRunner, FrameStore, PixelReport, TileReport};
 use crate::scene::{Camera, Gaussians};
 use crate::vk::{ArenaMemory, Context};
-use block::Block;
 use depth_maps::DepthMaps;
 use forecast::Kit;
 use model::{Model, RowMemory, State};
@@ -68,6 +68,7 @@ use poses::Poses;
 use run::Run;
 use std::panic::{self, AssertUnwindSafe};
 use step_recorder::{LossMemory, StepRecorder};
+use surroundings::Block;
 
 /// The parts of training that can be exchanged. The photometric term of the loss always comes first.
 pub struct TrainParts {

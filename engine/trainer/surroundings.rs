@@ -1,0 +1,107 @@
+//! Training of a block of a scene: some Gaussians are trained, those around are drawn as they are.
+//!
+//! Frames have both, so that pictures are whole and photographs need no mask. What lies around has parameters on the device and
+//! nothing else: no moments, no statistics, no spare set.
+
+use super::Trainer;
+use super::block::{BlockState, SceneBlock, is_everything};
+use super::model::RowMemory;
+use super::settings::TrainSettings;
+use super::strategy::Strategy;
+use super::work::Actions;
+use crate::densify::MaskOutside;
+use crate::error::{Error, Result};
+use crate::forward::{Filter3d, SceneBuffers};
+use crate::planes;
+use crate::renderer::DeviceScene;
+use crate::vk::Context;
+
+/// A block as training keeps it.
+pub(super) struct Block {
+    /// For the checkpoint.
+    pub state: BlockState,
+    /// None without borders.
+    mask: Option<MaskOutside>,
+    /// None where nothing lies around.
+    around: Option<SceneBuffers>,
+}
+
+impl Block {
+    /// Refuses what blocks do not go together with.
+    pub fn check(settings: &TrainSettings, strategy: &dyn Strategy, of: Option<&SceneBlock>) -> Result<()> {
+        let Some(block) = of else { return Ok(()) };
+        SceneBlock::check_box(block.core, 0.0)?;
+        block.frozen.check_shapes()?;
+        check_settings(settings, strategy, !is_everything(block.core), !block.frozen.is_empty())
+    }
+
+    /// Uploads what lies around. None of a block that is the whole scene.
+    pub fn new(
+        context: &Context,
+        block: Option<SceneBlock>,
+        (rows, sh_degree): (&RowMemory, u32),
+        filter: Option<&Filter3d>,
+    ) -> Result<Option<Self>> {
+        let Some((block, state)) = block.and_then(|block| block.state().map(|state| (block, state))) else {
+            return Ok(None);
+        };
+        let absolute = rows.absolute().is_some();
+        let bordered = !is_everything(block.core);
+        let mask = bordered.then(|| MaskOutside::new(context, block.core, absolute)).transpose()?;
+        let around = match block.frozen.len() {
+            0 => None,
+            _ => Some(planes::upload(context, "surroundings", &block.frozen, 0, sh_degree)?),
+        };
+        // They do not move: once is enough.
+        filter.zip(around.as_ref()).map_or(Ok(()), |(filter, around)| filter.run(context, around))?;
+        Ok(Some(Self { state, mask, around }))
+    }
+
+    /// What is drawn with every frame.
+    pub fn around(&self) -> Option<&SceneBuffers> {
+        self.around.as_ref()
+    }
+}
+
+/// As [`Block::check`]. `bordered`: density control has a border; `frozen`: something lies around, so that it should have one.
+pub(super) fn check_settings(
+    settings: &TrainSettings,
+    strategy: &dyn Strategy,
+    bordered: bool,
+    frozen: bool,
+) -> Result<()> {
+    if (bordered || frozen) && !strategy.grows_by_statistics() {
+        let problem = format!(
+            "the strategy '{}' adds Gaussians anywhere; take one that goes by gradients, or fixed",
+            strategy.name()
+        );
+        return Err(Error::argument("block", problem));
+    }
+    if frozen && settings.pose_opt {
+        let problem = "does not go together with a block of a scene: optimise the poses with the whole of it";
+        return Err(Error::argument("pose_opt", problem));
+    }
+    Ok(())
+}
+
+impl Trainer {
+    /// The Gaussians around the [block](SceneBlock), which every picture of this trainer has; None if there are none. In
+    /// [`Trainer::inspect`] they have the indices behind those that are trained.
+    pub fn surroundings(&self) -> Option<DeviceScene> {
+        let around = self.block.as_ref()?.around()?;
+        Some(DeviceScene::of(&self.context, around.clone()))
+    }
+
+    /// Before a densification: hides the statistics of Gaussians outside of the core from it.
+    pub(super) fn mask_outside(&self, action: Actions) -> Result<()> {
+        let mask = self.block.as_ref().and_then(|block| block.mask.as_ref());
+        let Some(mask) = mask.filter(|_| action == Actions::DENSIFY) else { return Ok(()) };
+        let model = &self.state.model;
+        let absolute = self.rows.absolute().map(|place| &model.statistics[place]);
+        self.context.run("mask statistics", |r| {
+            mask.record(r, &model.scene, &model.statistics[0], absolute);
+            Ok(())
+        })?;
+        Ok(())
+    }
+}
