@@ -13,8 +13,7 @@ use glam::Vec3;
 pub struct SceneBlock {
     /// Where density control adds Gaussians, world units. Sides may be infinite.
     pub core: Bounds,
-    /// Gaussians that are drawn and stay as they are; there may be none. Degrees of SH above [`TrainSettings::sh_degree`] are
-    /// left out.
+    /// Gaussians that are drawn and stay as they are; there may be none. Degrees of SH above that of the settings are left out.
     pub frozen: Gaussians,
 }
 
