@@ -11,7 +11,7 @@ impl Trainer {
     /// [`pose_opt`](super::TrainSettings::pose_opt) has moved them.
     ///
     /// # Errors
-    /// [`Error::Argument`](crate::Error::Argument) while recorded steps are in flight, and after a step with an unknown
+    /// [`Error::Argument`] while recorded steps are in flight, and after a step with an unknown
     /// outcome; when the device is lost.
     pub fn cameras(&self) -> Result<Vec<Camera>> {
         self.check_readable()?;
@@ -43,7 +43,7 @@ impl Trainer {
     ///
     /// # Errors
     /// As [`Renderer::align`](crate::Renderer::align) and [`Trainer::render`];
-    /// [`Error::Argument`](crate::Error::Argument) with Gaussians around a [block](super::SceneBlock).
+    /// [`Error::Argument`] with Gaussians around a [block](super::SceneBlock).
     pub fn align(
         &mut self,
         camera: &Camera,
