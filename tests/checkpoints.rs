@@ -346,7 +346,7 @@ fn checkpoints_of_something_else_are_refused() {
     };
     let other = TrainSettings { seed: 7, lambda_dssim: 0.5, ..settings.clone() };
     refuse(views(5, 40), EXTENT, &other, &["seed was 6, is 7", "lambda_dssim was 0.2, is 0.5"]);
-    let over = TrainSettings { iterations: 3, ..settings.clone() };
+    let over = TrainSettings { iterations: 2, ..settings.clone() };
     refuse(views(5, 40), EXTENT, &over, &["iteration 3", "raise"]);
     refuse(views(4, 40), EXTENT, &settings, &["5 training views, here are 4"]);
     refuse(views(5, 41), EXTENT, &settings, &["other photographs"]);

@@ -36,8 +36,9 @@ impl Renderer {
     }
 
     /// As [`Renderer::reserve`], while frames are in flight: nobody waits. Every slot takes the new memory over with
-    /// its next recording or release, and the old memory is freed when no slot uses it any more. Until then there is
-    /// memory for both. The number of slots stays.
+    /// its next recording, with [`Reservation::images_only`] also with its release. The old memory is freed when no slot uses
+    /// it any more. Until then there is memory for both. The number of slots stays. What is reserved already is not reserved
+    /// again.
     ///
     /// # Errors
     /// As [`Renderer::reserve`]; [`Error::Argument`] without slots, or for another number of them. The slots then are as
@@ -46,8 +47,8 @@ impl Renderer {
         self.grow_by(wanted, None)
     }
 
-    /// As [`Renderer::grow`], in a block of the host's, as for [`Renderer::reserve_in`]. The old block is not used any
-    /// more once all slots have been recorded again and these frames' predecessors have finished.
+    /// As [`Renderer::grow`], in a block of the host's, as for [`Renderer::reserve_in`]. The old block is free once every
+    /// slot has taken the new one over, and the frames before have finished.
     ///
     /// # Errors
     /// As [`Renderer::grow`] and [`Renderer::reserve_in`].
@@ -117,7 +118,10 @@ impl Renderer {
     pub fn release_slot(&mut self, slot: u32) -> Result<()> {
         let slot = self.slots.get(slot)?;
         slot.record.release()?;
-        slot.take_over();
+        // The host may still read pixels of the last frame.
+        if !slot.memory.keeps_pixels {
+            slot.take_over();
+        }
         Ok(())
     }
 
@@ -138,9 +142,11 @@ impl Renderer {
     /// # Errors
     /// As [`Renderer::slot_pixels`].
     pub fn slot_inverse_depth(&mut self, slot: u32) -> Result<Buffer> {
-        let reserved = self.slots.reserved.filter(|r| r.inverse_depth || r.expected_depth);
-        let buffer = self.slot_with_pixels(slot)?.memory.frame.inverse_depth.clone();
-        reserved.map(|_| buffer).ok_or_else(|| Error::argument("inverse_depth", "not reserved"))
+        let memory = &self.slot_with_pixels(slot)?.memory;
+        match memory.keeps_depth {
+            true => Ok(memory.frame.inverse_depth.clone()),
+            false => Err(Error::argument("inverse_depth", "not reserved")),
+        }
     }
 
     /// The slot's recording state, for a host that has discarded its command buffer or caught a panic: see

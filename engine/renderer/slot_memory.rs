@@ -21,6 +21,8 @@ pub(super) struct SlotMemory {
     pub staging: Option<Buffer>,
     /// Whether the pixels of a frame stay until the slot is recorded again.
     pub keeps_pixels: bool,
+    /// The same of the inverse or expected depth.
+    pub keeps_depth: bool,
 }
 
 /// Requests of a reservation.
@@ -32,6 +34,8 @@ struct Plan {
     has_limits: bool,
     /// Of each slot but the first of a queue, which keeps its pixels in the scratch.
     pixels: Requests,
+    /// Whether they have a depth.
+    has_depth: bool,
 }
 
 impl Plan {
@@ -41,13 +45,13 @@ impl Plan {
         let pixels = capacity.pictures.pixels;
         let mut scratch = frame_requests(&capacity, sizes);
         scratch.extend(wanted.occlusion.then_some(("depth_limits", pixels * 4)));
+        let has_depth = !wanted.images_only && (wanted.inverse_depth || wanted.expected_depth);
         let mut own = Vec::new();
         if !wanted.images_only {
             own.push(("accumulated", pixels * 16));
-            let depths = wanted.inverse_depth || wanted.expected_depth;
-            own.extend(depths.then_some(("inverse_depth", pixels * 4)));
+            own.extend(has_depth.then_some(("inverse_depth", pixels * 4)));
         }
-        Ok(Self { capacity, scratch, has_limits: wanted.occlusion, pixels: own })
+        Ok(Self { capacity, scratch, has_limits: wanted.occlusion, pixels: own, has_depth })
     }
 
     /// The groups that are allocated, in order.
@@ -72,6 +76,17 @@ pub(super) fn block_bytes(context: &Context, sizes: &LaunchSizes, wanted: &Reser
     Ok(plan.groups(wanted).map(group_bytes).fold(0, u64::saturating_add))
 }
 
+/// Refuses what [`allocate`] would, but for a lack of memory.
+pub(super) fn check(
+    context: &Context,
+    sizes: &LaunchSizes,
+    wanted: &Reservation,
+    block: Option<&Buffer>,
+) -> Result<()> {
+    let needed = block_bytes(context, sizes, wanted)?;
+    block.map_or(Ok(()), |block| check_block(context, block, needed))
+}
+
 /// Memory for all slots: in a host's block if there is one.
 pub(super) fn allocate(
     context: &Context,
@@ -79,11 +94,8 @@ pub(super) fn allocate(
     wanted: &Reservation,
     block: Option<&Buffer>,
 ) -> Result<Vec<SlotMemory>> {
+    check(context, sizes, wanted, block)?;
     let plan = Plan::new(context, sizes, wanted)?;
-    if let Some(block) = block {
-        let needed = block_bytes(context, sizes, wanted)?;
-        check_block(context, block, needed)?;
-    }
     let mut at = 0;
     let mut groups = Vec::new();
     for requests in plan.groups(wanted) {
@@ -109,7 +121,8 @@ pub(super) fn allocate(
                 let frame = FrameBuffers::from_allocated(scratch.by_ref().take(limits).collect());
                 let (capacity, depth_limits) = (plan.capacity, scratch.next());
                 let keeps_pixels = !wanted.images_only;
-                SlotMemory { frame, capacity, depth_limits, staging: None, keeps_pixels }
+                let keeps_depth = plan.has_depth;
+                SlotMemory { frame, capacity, depth_limits, staging: None, keeps_pixels, keeps_depth }
             }
         };
         if slot >= queues && !plan.pixels.is_empty() {

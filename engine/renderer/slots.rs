@@ -70,6 +70,7 @@ impl Slots {
             }
         }
         let dispatches = wanted.dispatches(context)?;
+        slot_memory::check(context, sizes, wanted, block)?;
         // The old memory is freed first: both at once might not fit.
         self.slots.clear();
         self.reserved = None;
@@ -93,6 +94,9 @@ impl Slots {
             let problem =
                 format!("slots is {}, {slots} are reserved: growth keeps their number", wanted.slots);
             return Err(Error::argument("reservation", problem));
+        }
+        if block.is_none() && self.reserved == Some(*wanted) {
+            return Ok(());
         }
         let dispatches = wanted.dispatches(context)?;
         let memory = slot_memory::allocate(context, sizes, wanted, block)?;

@@ -352,7 +352,7 @@ impl Checkpoint {
         if let Some(difference) = difference(&settings, wanted.settings) {
             return refuse(format!("was made with other settings: {difference}"));
         }
-        if self.iteration >= wanted.settings.iterations {
+        if self.iteration > wanted.settings.iterations {
             return refuse(format!(
                 "is of iteration {} already, the training ends at {}; raise iterations to go on",
                 self.iteration, wanted.settings.iterations

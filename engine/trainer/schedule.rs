@@ -150,6 +150,20 @@ mod tests {
     use super::*;
 
     #[test]
+    fn the_sh_degree_rises_from_where_it_starts() {
+        let settings = |sh_degree_start, sh_degree| TrainSettings {
+            sh_degree_start,
+            sh_degree,
+            sh_degree_interval: 10,
+            ..TrainSettings::default()
+        };
+        let degrees = |settings: TrainSettings| [1, 9, 10, 20, 29, 30, 99].map(|i| settings.sh_degree_at(i));
+        assert_eq!(degrees(settings(0, 3)), [0, 0, 1, 2, 2, 3, 3]);
+        assert_eq!(degrees(settings(2, 3)), [2, 2, 2, 2, 2, 3, 3]);
+        assert_eq!(degrees(settings(3, 1)), [1; 7]);
+    }
+
+    #[test]
     fn position_lr_is_log_linear_then_constant() {
         let settings = TrainSettings::default();
         assert!((settings.position_lr(0) - 1.6e-4).abs() < 1e-18);

@@ -108,8 +108,11 @@ fn the_same_command_goes_on_by_itself() {
     assert_trained(&begun);
     assert!(begun.stderr.contains("has no checkpoint: training begins anew"), "{}", begun.stderr);
     // The newest of those that pass, and the one that was asked for.
-    assert_eq!(checkpoints(), ["chkpnt20.safetensors", "chkpnt30.safetensors"]);
-    // From iteration 30 on, after 36 were done: what a killed run leaves.
+    assert_eq!(checkpoints(), ["chkpnt20.safetensors", "chkpnt36.safetensors"]);
+    // What a run leaves that was killed between writing a checkpoint and removing the one before.
+    let model = place.model("model");
+    std::fs::write(model.join("chkpnt30.safetensors"), "").expect("written");
+    std::fs::write(model.join("passing_checkpoints"), "30\n36\n").expect("written");
     let gone_on = auto("40");
     assert_trained(&gone_on);
     assert!(!gone_on.stderr.contains("anew"), "{}", gone_on.stderr);
@@ -123,6 +126,15 @@ fn the_same_command_goes_on_by_itself() {
     assert_trained(&done);
     assert!(done.stdout.contains("is trained to its end already"), "{}", done.stdout);
     assert_eq!(written(), before);
+    // Nothing but the scene, which could not be saved.
+    std::fs::remove_dir_all(model.join("point_cloud")).expect("removed");
+    assert_trained(&auto("40"));
+    assert!(place.ply("model", 40) == place.ply("whole", 40), "other bits");
+    // What is asked for by name stays.
+    let last = model.join("chkpnt40.safetensors");
+    let named = ["--checkpoint-every", "10", "--iterations", "50", "--start-checkpoint", text(&last)];
+    assert_trained(&place.train("model", &named));
+    assert_eq!(checkpoints(), ["chkpnt20.safetensors", "chkpnt40.safetensors", "chkpnt50.safetensors"]);
 }
 
 /// Where densification stops depends on the memory: a run that goes on with another says so.

@@ -40,15 +40,24 @@ fn a_training_begins_with_a_scene() {
     let options = [still.as_slice(), &["--sh_degree", "0", "--iterations", "1"]].concat();
     assert_trained(&begin("cut", &coarse, &options));
     assert_eq!(trained("cut", 1).sh.len(), first.means.len());
+    let options = [still.as_slice(), &["--sh_degree", "2", "--iterations", "1"]].concat();
+    assert_trained(&begin("more", &coarse, &options));
+    let more = trained("more", 1);
+    let rows = more.sh.chunks_exact(9).zip(first.sh.chunks_exact(4));
+    assert!(rows.into_iter().all(|(more, first)| more[..4] == *first && more[4..] == [[0.0; 3]; 5]));
     // Compressed, and trained on from there, with what a stopped run needs to go on.
     let spz = place.model("coarse.spz");
     assert_trained(&finish(program().args(["convert", text(&coarse), text(&spz)])));
-    let options = ["--strategy", "reference", "--iterations", "12", "--checkpoint-every", "8"];
+    let options = ["--strategy", "reference", "--iterations", "12", "--checkpoint_iterations", "8"];
     assert_trained(&begin("on", &spz, &options));
     let resumed = [options.as_slice(), &["--start-checkpoint", "latest"]].concat();
     let ply = place.ply("on", 12);
+    std::fs::remove_dir_all(place.model("on").join("point_cloud")).expect("removed");
     assert_trained(&begin("on", &spz, &resumed));
     assert!(place.ply("on", 12) == ply, "other bits");
+    // A file that this training would move away.
+    let inside = place.model("on").join("point_cloud/iteration_12/point_cloud.ply");
+    assert_refused(&begin("on", &inside, &options), &["lies in the model folder"]);
     // What is no scene.
     let refused = begin("none", &place.model("nowhere.ply"), &[]);
     assert_refused(&refused, &["nowhere.ply"]);

@@ -189,9 +189,16 @@ fn memory_grows_while_frames_fly() {
         let reports = [0, 1, 2].map(|slot| renderer.slot_report(slot).expect("a report").expect("finished"));
         let said = reports.map(|report| (report.overflow, report.instance_capacity));
         assert_eq!(said, [(true, 100), (true, 100), (false, 60_000)]);
-        // The old memory lives as long as a slot uses it: one lets go of it when it is released, one when it is recorded.
+        // What is reserved already is not reserved again.
+        let held = slot_bytes(&context);
+        assert!(before < held && held <= both);
+        renderer.grow(&enough).expect("nothing");
+        assert_eq!(slot_bytes(&context), held);
+        // A released slot keeps its pixels, and with them the old memory.
+        let old = renderer.slot_pixels(0).expect("pixels");
         renderer.release_slot(0).expect("over");
-        assert!(slot_bytes(&context) >= before && slot_bytes(&context) <= both);
+        assert!(renderer.slot_pixels(0).expect("pixels").handle() == old.handle());
+        assert_eq!(slot_bytes(&context), held);
         submitted(host, &mut renderer, (1, &frames[1], &staging[1]), &recorded)
             .submit(host)
             .expect("submitted");

@@ -85,7 +85,8 @@ pub struct Overrides {
     /// Write a checkpoint, from which training can go on, after these iterations
     #[arg(long, num_args = 1.., value_name = "N", allow_negative_numbers = true, value_parser = iteration)]
     checkpoint_iterations: Option<Vec<u32>>,
-    /// Write a checkpoint after every so many iterations, and remove the one before; 0 for none [default: 0]
+    /// Write a checkpoint after every so many iterations and after the last, of which only the newest stays; 0 for none
+    /// [default: 0]
     #[arg(long, value_name = "N")]
     checkpoint_every: Option<u32>,
     #[command(flatten)]

@@ -51,7 +51,14 @@ impl FolderLock {
         let path = folder.join(work.file);
         match try_lock(&file) {
             Locked::Yes => {}
-            Locked::Unknown => return Ok(Some(Self { path, held: None })),
+            Locked::Unknown => {
+                let folder = folder.display();
+                tell!(
+                    "warning: {folder}: files cannot be locked here; see that no other {} writes into it",
+                    work.what
+                );
+                return Ok(Some(Self { path, held: None }));
+            }
             Locked::No => {
                 let mut holder = String::new();
                 // Its name only makes the message better.

@@ -23,6 +23,7 @@ use crate::lock::FolderLock;
 use crate::measure::{Cost, Stopwatch};
 use crate::progress::{State, TrainProgress, thousands};
 use crate::session;
+use ashsplat::plan::to_u32;
 use ashsplat::scene::Camera;
 use ashsplat::trainer::{StepReport, Trainer};
 use ashsplat::vk::Context;
@@ -116,7 +117,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let host = &arguments.device.host;
     let asked = arguments.start_checkpoint.as_deref();
     let origin = Origin::read(asked, &settings, host)?;
-    if origin.is_complete(asked, &settings) {
+    if arguments.verify_determinism.is_none() && origin.is_complete(asked, &settings) {
         say!("{} is trained to its end already", settings.data.model_path.display());
         return Ok(());
     }
@@ -146,6 +147,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     }
     let folder = settings.data.model_path.clone();
     let mut run = Run::begin(&context, dataset, settings, &origin, arguments.quiet)?;
+    // A checkpoint is as large as all that training keeps on the device.
+    drop(origin);
     run.repeat(&arguments.device, arguments.photo_memory);
     run.track_within(arguments.eval_share);
     run.lpips = lpips;
@@ -237,8 +240,7 @@ impl Run {
         let lock = folder::begin(&settings, &views.cameras, None, goes_on)?;
         let log = TrainLog::go_on(&model.join(LOG_FILE), trainer.iteration())?;
         let mut run = Run::new(context, settings, trainer, (log, lock), views, quiet);
-        // What it went on from goes, too, where only the newest is to stay.
-        run.checkpointed = goes_on.then_some(run.started);
+        run.gaussians = to_u32(start.checkpoint().gaussians.len() as u64)?;
         run.save_poses(run.started)?;
         Ok(run)
     }
@@ -320,6 +322,10 @@ impl Run {
     }
 
     fn iterate(&mut self, stop: &AtomicBool, watch: &mut Stopwatch) -> Result<bool> {
+        if self.started == self.settings.train.iterations {
+            // All that is missing is what could not be saved.
+            self.keep(self.started, false, watch)?;
+        }
         for _ in self.started..self.settings.train.iterations {
             let report = self.timed_step()?;
             self.show(&report, stop, watch);

@@ -44,7 +44,7 @@ pub unsafe extern "C" fn ashsplat_reserve(
 }
 
 /// As ashsplat_reserve, while frames are in flight: nobody waits. Every slot takes the new memory over with its next
-/// recording or release; until then there is memory for both. The number of slots stays.
+/// recording, with images_only also with its release; until then there is memory for both. The number of slots stays.
 ///
 /// # Safety
 /// `renderer` and `wanted` are alive.
@@ -123,7 +123,7 @@ pub unsafe extern "C" fn ashsplat_slot_report(
 
 /// The VkBuffer that a frame without target fills, and the byte offset in it: premultiplied red, green, blue
 /// (display-encoded, as trained) and transmittance of each pixel, row by row, as floats. Usable as a storage buffer and a source of
-/// transfers, until the renderer reserves again. The host may use it after the frame, behind a barrier from
+/// transfers, until the renderer reserves again or, after ashsplat_grow, the slot is recorded again. The host may use it after the frame, behind a barrier from
 /// AshsplatRelease's stages and accesses, until the slot is recorded again. A host that reads it in other
 /// stages than compute and transfer, in a later command buffer, must wait for those stages before the next
 /// recording.

@@ -48,15 +48,11 @@ pub struct DataSettings {
 }
 
 impl DataSettings {
-    /// Whether a checkpoint is written after an iteration (1-based).
-    pub fn checkpoints_at(&self, iteration: u32) -> bool {
-        self.checkpoint_iterations.contains(&iteration) || self.is_passing(iteration)
-    }
-
-    /// Whether an iteration's checkpoint goes as soon as there is a newer one.
-    pub fn is_passing(&self, iteration: u32) -> bool {
+    /// Whether a checkpoint is written after an iteration (1-based) of so many.
+    pub fn checkpoints_at(&self, iteration: u32, iterations: u32) -> bool {
         let every = self.checkpoint_every;
-        every > 0 && iteration.is_multiple_of(every) && !self.checkpoint_iterations.contains(&iteration)
+        let passing = every > 0 && (iteration.is_multiple_of(every) || iteration == iterations);
+        passing || self.checkpoint_iterations.contains(&iteration)
     }
 }
 

@@ -17,6 +17,8 @@ pub const LATEST: &str = "latest";
 pub const AUTO: &str = "auto";
 /// The iteration whose checkpoint was written last: not always the highest, where an earlier training left its own.
 const LAST_FILE: &str = "last_checkpoint";
+/// The iterations whose checkpoints go as soon as there is a newer one.
+const PASSING_FILE: &str = "passing_checkpoints";
 const EXTENSION: &str = "safetensors";
 
 /// A checkpoint to go on from.
@@ -38,6 +40,16 @@ impl Start {
         };
         let checkpoint = Checkpoint::read_within(&path, &host.memory())?;
         Ok(Some(Start { path, checkpoint }))
+    }
+
+    /// A checkpoint that is asked for by name stays.
+    pub fn keep(&self, asked: Option<&Path>, folder: &Path) -> Result<()> {
+        let named = asked.is_some_and(|asked| asked.as_os_str() != LATEST && asked.as_os_str() != AUTO);
+        let passing = passing(folder);
+        if named && self.is_of(folder) && passing.contains(&self.iteration()) {
+            return note_passing(folder, passing.into_iter().filter(|n| *n != self.iteration()));
+        }
+        Ok(())
     }
 
     /// Whether it is a checkpoint of the training in this folder.
@@ -102,6 +114,31 @@ pub fn path(folder: &Path, iteration: u32) -> PathBuf {
     folder.join(format!("chkpnt{iteration}.{EXTENSION}"))
 }
 
+/// As [`write`], and removes those that were to go as soon as there is a newer one; this one is another, unless it `stays`.
+fn write_passing(folder: &Path, checkpoint: &Checkpoint, stays: bool) -> Result<PathBuf> {
+    let iteration = checkpoint.iteration;
+    let before: Vec<u32> = passing(folder).into_iter().filter(|n| *n != iteration).collect();
+    let own = if stays { None } else { Some(iteration) };
+    // Before any is written or removed, so that nothing is forgotten where the process is killed.
+    note_passing(folder, before.iter().copied().chain(own))?;
+    let path = write(folder, checkpoint)?;
+    for n in before {
+        std::fs::remove_file(self::path(folder, n)).ok();
+    }
+    note_passing(folder, own)?;
+    Ok(path)
+}
+
+fn passing(folder: &Path) -> Vec<u32> {
+    let note = output::read_note(&folder.join(PASSING_FILE)).unwrap_or_default();
+    note.split_whitespace().filter_map(|n| n.parse().ok()).collect()
+}
+
+fn note_passing(folder: &Path, iterations: impl IntoIterator<Item = u32>) -> Result<()> {
+    let lines: String = iterations.into_iter().map(|n| format!("{n}\n")).collect();
+    output::write_text(&folder.join(PASSING_FILE), &lines)
+}
+
 /// Writes a checkpoint, and notes that it is the newest.
 pub fn write(folder: &Path, checkpoint: &Checkpoint) -> Result<PathBuf> {
     let path = path(folder, checkpoint.iteration);
@@ -156,15 +193,13 @@ impl Run {
 
     fn write_that(&mut self, checkpoint: &Checkpoint) -> Result<()> {
         self.log.flush();
-        let folder = &self.settings.data.model_path;
-        let path = write(folder, checkpoint)?;
-        let before = self.checkpointed.replace(checkpoint.iteration);
-        // Of those that are written every so often, the newest is enough.
-        let passing =
-            |before: &u32| *before != checkpoint.iteration && self.settings.data.is_passing(*before);
-        if let Some(before) = before.filter(passing) {
-            std::fs::remove_file(self::path(folder, before)).ok();
-        }
+        let data = &self.settings.data;
+        let (folder, iteration) = (&data.model_path, checkpoint.iteration);
+        let path = match data.checkpoint_every {
+            0 => write(folder, checkpoint)?,
+            _ => write_passing(folder, checkpoint, data.checkpoint_iterations.contains(&iteration))?,
+        };
+        self.checkpointed = Some(iteration);
         self.progress.note(&format!("checkpoint {}", path.display()));
         Ok(())
     }
@@ -203,7 +238,11 @@ impl Run {
 /// The names of all checkpoints in a folder, and of the note which is the newest.
 pub fn names(folder: &Path) -> Vec<PathBuf> {
     let found = output::names(folder).into_iter();
-    found.filter(|name| name == LAST_FILE || iteration_of(name).is_some()).map(PathBuf::from).collect()
+    let notes = [LAST_FILE, PASSING_FILE];
+    found
+        .filter(|name| notes.contains(&name.as_str()) || iteration_of(name).is_some())
+        .map(PathBuf::from)
+        .collect()
 }
 
 /// N of chkpntN.safetensors.

@@ -47,18 +47,33 @@ impl Origin {
         if start.is_none() && is_auto(asked) {
             tell!("{} has no checkpoint: training begins anew", data.model_path.display());
         }
+        if let Some(start) = &start {
+            start.keep(asked, &data.model_path)?;
+            // A scheduler may ask again for a training whose last iteration is done.
+            let (iteration, last) = (start.iteration(), settings.train.iterations);
+            if iteration == last && !is_auto(asked) {
+                let problem = format!("is of iteration {iteration} already, the last one");
+                return Err(Error::argument("checkpoint", problem + "; raise --iterations to go on"));
+            }
+        }
         let (goes_on, has_block) = (start.is_some(), data.block()?.is_some());
         if data.init.as_os_str().is_empty() || goes_on && !has_block {
             return Ok(Origin { start, scene: None, needs_points: !goes_on || has_block });
+        }
+        let whole = |path: &Path| path.canonicalize().ok();
+        let (init, model) = (whole(&data.init), whole(&data.model_path));
+        if !goes_on && init.zip(model).is_some_and(|(init, model)| init.starts_with(model)) {
+            let problem = "lies in the model folder (-m), from where an earlier training is moved";
+            return Err(Error::input(&data.init, problem, "choose another model folder"));
         }
         let scene = splats::read(&data.init, &host.reading(false))?;
         if scene.gaussians.is_empty() {
             let remedy = "give another file, or leave --init out and begin with points";
             return Err(Error::input(&data.init, "has no Gaussians to begin with", remedy));
         }
-        if scene.header.antialiased != settings.train.antialiasing {
-            let how = if scene.header.antialiased { "with" } else { "without" };
-            tell!("warning: {}: was trained {how} --antialiasing; train {how} it, too", data.init.display());
+        // Formats without the mark say that it is not.
+        if scene.header.antialiased && !settings.train.antialiasing {
+            tell!("warning: {}: was trained with --antialiasing; train with it, too", data.init.display());
         }
         for warning in &scene.warnings {
             tell!("warning: {warning}");

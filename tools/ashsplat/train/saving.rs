@@ -99,7 +99,7 @@ impl Run {
     /// Whether a checkpoint is to be written after an iteration: also one that could not be written before.
     pub(super) fn checkpoint_is_due(&mut self, iteration: u32, stopping: bool) -> bool {
         let last = iteration == self.settings.train.iterations;
-        let asked = self.settings.data.checkpoints_at(iteration);
+        let asked = self.settings.data.checkpoints_at(iteration, self.settings.train.iterations);
         let late = last && self.unsaved.checkpoint.is_some();
         stopping || asked || late || self.unsaved.is_due(Kind::Checkpoint)
     }

@@ -24,6 +24,9 @@ pub fn run(
     let new =
         |context: &Context| origin.trainer(context, data.clone(), (&trained, block.clone()), &settings.train);
     let left = settings.train.iterations.saturating_sub(start.map_or(0, Start::iteration));
+    if left == 0 {
+        return Err(Error::argument("checkpoint", "is of the last iteration: there is none left to verify"));
+    }
     let iterations = iterations.min(left);
     let mut last = 0;
     let report = |run: u32, iteration: u32, hash: u64| {

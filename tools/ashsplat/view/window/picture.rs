@@ -7,8 +7,8 @@ use ashsplat::compose::{Compose, Region};
 use ashsplat::scene::Camera;
 use ashsplat::vk::{Buffer, Context, Image, ImageState, ImageUse, MemoryKind, RecordSlot};
 use ashsplat::{
-    Background, ColorEncoding, DeviceScene, HostImage, Placed, RecordedFrame, RenderSettings, Renderer,
-    Reservation, Result, SlotReport, Target,
+    Background, ColorEncoding, DeviceScene, Error, HostImage, Placed, RecordedFrame, RenderSettings,
+    Renderer, Reservation, Result, SlotReport, Target,
 };
 use ashsplat_files::Photo;
 use std::time::Instant;
@@ -125,13 +125,21 @@ impl Picture {
     }
 
     /// What the splats of a frame that is done needed. With too little room for them, there is more for the next.
-    pub fn report(&mut self, slot: u32) -> Result<Option<SlotReport>> {
+    pub fn report(&mut self, present: &Present, slot: u32) -> Result<Option<SlotReport>> {
         let Some(reserved) = self.reserved else { return Ok(None) };
         let report = self.renderer.slot_report(slot)?;
         let grown = report.as_ref().filter(|report| report.overflow).map(|report| reserved.grown(report));
         if let Some(grown) = grown.filter(|grown| *grown != reserved) {
             // Frames in flight go on with what they have.
-            self.renderer.grow(&grown)?;
+            if let Err(error) = self.renderer.grow(&grown) {
+                if !matches!(error, Error::TooLarge { .. } | Error::Vulkan { .. }) {
+                    return Err(error);
+                }
+                // Old and new do not fit beside each other.
+                present.idle()?;
+                self.reserved = None;
+                self.renderer.reserve(&grown)?;
+            }
             self.reserved = Some(grown);
         }
         Ok(report)

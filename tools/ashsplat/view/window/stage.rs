@@ -327,7 +327,7 @@ impl Stage {
                 continue;
             }
             self.settle |= done.due == Due::Still && !done.settled && self.panel;
-            match self.picture.report(done.slot) {
+            match self.picture.report(present, done.slot) {
                 Ok(Some(report)) => {
                     if report.overflow {
                         self.pace.leap();
