@@ -125,7 +125,7 @@ impl Renderer {
         Ok(())
     }
 
-    /// The buffer that [`Target::Slot`] fills: premultiplied r, g, b (display-encoded, as trained) and transmittance per
+    /// The buffer that [`Target::Slot`](super::Target::Slot) fills: premultiplied r, g, b (display-encoded, as trained) and transmittance per
     /// pixel, row by row, f32. Usable as a storage buffer and a source of transfers. [`Renderer::reserve`] replaces it, and after
     /// [`Renderer::grow`] the slot's next recording does.
     ///
@@ -135,8 +135,8 @@ impl Renderer {
         Ok(self.slot_with_pixels(slot)?.memory.frame.accumulated.clone())
     }
 
-    /// The buffer of [`RenderSettings::inverse_depth`]: the sum of weights / z per pixel, row by row, f32;
-    /// otherwise as [`Renderer::slot_pixels`]. With an expected depth ([`RecordedFrame::depth`]) it holds the
+    /// The buffer of [`RenderSettings::inverse_depth`](crate::RenderSettings::inverse_depth): the sum of weights / z per pixel, row by row, f32;
+    /// otherwise as [`Renderer::slot_pixels`]. With an expected depth ([`RecordedFrame::depth`](super::RecordedFrame::depth)) it holds the
     /// sum of weights * z.
     ///
     /// # Errors
