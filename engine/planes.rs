@@ -8,13 +8,17 @@ use crate::scene::Gaussians;
 use crate::scene::gaussians::sh_coefficients;
 use crate::vk::{Buffer, Context, MemoryKind};
 
+/// The buffers of a plan's planes, one per chunk.
+pub(crate) fn requests(plan: &ScenePlan) -> Vec<(&'static str, u64)> {
+    vec![("planes", plan.chunk_bytes()); plan.chunks as usize]
+}
+
 /// Allocates planes for a plan, one buffer per chunk.
 ///
 /// # Errors
 /// When the memory does not suffice.
 pub fn allocate(context: &Context, arena: &str, plan: &ScenePlan) -> Result<Vec<Buffer>> {
-    let requests = vec![("planes", plan.chunk_bytes()); plan.chunks as usize];
-    context.allocate(arena, &requests, MemoryKind::Device)
+    context.allocate(arena, &requests(plan), MemoryKind::Device)
 }
 
 /// Uploads Gaussians into newly allocated planes with the given `capacity`, stored with SH up to `sh_degree`

@@ -2,7 +2,7 @@
 
 use super::Renderer;
 use super::reservation::Reservation;
-use super::slot_memory;
+use super::slot_memory::Plan;
 use super::slots::{Slot, SlotReport};
 use crate::compose::Compose;
 use crate::error::{Error, Result};
@@ -66,7 +66,8 @@ impl Renderer {
     /// # Errors
     /// As [`Renderer::reserve`], without allocating anything.
     pub fn reservation_bytes(&self, wanted: &Reservation) -> Result<u64> {
-        slot_memory::block_bytes(&self.context, &self.runner.forward.sizes, wanted)
+        let plan = Plan::new(&self.context, &self.runner.forward.sizes, wanted, None)?;
+        Ok(plan.block_bytes())
     }
 
     /// The kernels that [`Renderer::new`] and [`Renderer::reserve`] build, to build them before on threads of the host's

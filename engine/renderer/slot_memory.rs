@@ -25,8 +25,11 @@ pub(super) struct SlotMemory {
     pub keeps_depth: bool,
 }
 
-/// Requests of a reservation.
-struct Plan {
+/// Requests of a reservation, in a host's block if there is one.
+pub(super) struct Plan<'a> {
+    context: &'a Context,
+    wanted: &'a Reservation,
+    block: Option<&'a Buffer>,
     capacity: FrameCapacity,
     /// Once for each queue, and last what some frames have alone.
     scratch: Requests,
@@ -38,8 +41,14 @@ struct Plan {
     has_depth: bool,
 }
 
-impl Plan {
-    fn new(context: &Context, sizes: &LaunchSizes, wanted: &Reservation) -> Result<Self> {
+impl<'a> Plan<'a> {
+    /// Refuses what [`Plan::allocate`] would, but for a lack of memory.
+    pub fn new(
+        context: &'a Context,
+        sizes: &LaunchSizes,
+        wanted: &'a Reservation,
+        block: Option<&'a Buffer>,
+    ) -> Result<Self> {
         wanted.check()?;
         let capacity = wanted.capacity(context, sizes)?;
         let pixels = capacity.pictures.pixels;
@@ -51,15 +60,74 @@ impl Plan {
             own.push(("accumulated", pixels * 16));
             own.extend(has_depth.then_some(("inverse_depth", pixels * 4)));
         }
-        Ok(Self { capacity, scratch, has_limits: wanted.occlusion, pixels: own, has_depth })
+        let has_limits = wanted.occlusion;
+        let plan = Self { context, wanted, block, capacity, scratch, has_limits, pixels: own, has_depth };
+        block.map_or(Ok(()), |block| check_block(context, block, plan.block_bytes()))?;
+        Ok(plan)
     }
 
     /// The groups that are allocated, in order.
-    fn groups(&self, wanted: &Reservation) -> impl Iterator<Item = &Requests> {
+    fn groups(&self) -> impl Iterator<Item = &Requests> {
+        let wanted = self.wanted;
         let queues = wanted.queues.min(wanted.slots);
         let own = if self.pixels.is_empty() { 0 } else { wanted.slots - queues };
         let scratch = std::iter::repeat_n(&self.scratch, queues as usize);
         scratch.chain(std::iter::repeat_n(&self.pixels, own as usize))
+    }
+
+    /// Bytes of a block for all of it.
+    pub fn block_bytes(&self) -> u64 {
+        self.groups().map(group_bytes).fold(0, u64::saturating_add)
+    }
+
+    /// Memory for all slots.
+    pub fn allocate(&self) -> Result<Vec<SlotMemory>> {
+        let Self { context, wanted, block, .. } = *self;
+        let mut at = 0;
+        let mut groups = Vec::new();
+        for requests in self.groups() {
+            groups.push(match block {
+                None => context.allocate("frame slot", requests, MemoryKind::Device)?.into_iter(),
+                Some(block) => {
+                    let bytes = group_bytes(requests);
+                    let group = place(context, &block.range(at, bytes), requests)?;
+                    at += bytes;
+                    group.into_iter()
+                }
+            });
+        }
+        let mut groups = groups.into_iter();
+        let queues = wanted.queues.min(wanted.slots) as usize;
+        let mut memory: Vec<SlotMemory> = Vec::new();
+        for slot in 0..wanted.slots as usize {
+            let mut own = match memory.get(slot % queues) {
+                Some(shared) if slot >= queues => shared.clone(),
+                _ => {
+                    let mut scratch = groups.next().unwrap_or_default();
+                    let limits = scratch.len() - usize::from(self.has_limits);
+                    let frame = FrameBuffers::from_allocated(scratch.by_ref().take(limits).collect());
+                    let (capacity, depth_limits) = (self.capacity, scratch.next());
+                    let keeps_pixels = !wanted.images_only;
+                    let keeps_depth = self.has_depth;
+                    SlotMemory { frame, capacity, depth_limits, staging: None, keeps_pixels, keeps_depth }
+                }
+            };
+            if slot >= queues && !self.pixels.is_empty() {
+                let mut pixels = groups.next().unwrap_or_default();
+                if let Some(accumulated) = pixels.next() {
+                    own.frame.accumulated = accumulated;
+                }
+                if let Some(inverse_depth) = pixels.next() {
+                    own.frame.inverse_depth = inverse_depth;
+                }
+            }
+            if wanted.staging_bytes > 0 {
+                let request = [("scene_updates", wanted.staging_bytes)];
+                own.staging = context.allocate("frame slot host", &request, MemoryKind::HostVisible)?.pop();
+            }
+            memory.push(own);
+        }
+        Ok(memory)
     }
 }
 
@@ -68,79 +136,6 @@ fn group_bytes(requests: &Requests) -> u64 {
     let sizes: Vec<u64> = requests.iter().map(|(_, bytes)| *bytes).collect();
     let bytes: u64 = pack(&sizes, u64::MAX).map_or(u64::MAX, |packing| packing.blocks.iter().sum());
     bytes.checked_next_multiple_of(PLACEMENT_ALIGNMENT).unwrap_or(u64::MAX)
-}
-
-/// Bytes of a block for [`allocate`].
-pub(super) fn block_bytes(context: &Context, sizes: &LaunchSizes, wanted: &Reservation) -> Result<u64> {
-    let plan = Plan::new(context, sizes, wanted)?;
-    Ok(plan.groups(wanted).map(group_bytes).fold(0, u64::saturating_add))
-}
-
-/// Refuses what [`allocate`] would, but for a lack of memory.
-pub(super) fn check(
-    context: &Context,
-    sizes: &LaunchSizes,
-    wanted: &Reservation,
-    block: Option<&Buffer>,
-) -> Result<()> {
-    let needed = block_bytes(context, sizes, wanted)?;
-    block.map_or(Ok(()), |block| check_block(context, block, needed))
-}
-
-/// Memory for all slots: in a host's block if there is one.
-pub(super) fn allocate(
-    context: &Context,
-    sizes: &LaunchSizes,
-    wanted: &Reservation,
-    block: Option<&Buffer>,
-) -> Result<Vec<SlotMemory>> {
-    check(context, sizes, wanted, block)?;
-    let plan = Plan::new(context, sizes, wanted)?;
-    let mut at = 0;
-    let mut groups = Vec::new();
-    for requests in plan.groups(wanted) {
-        groups.push(match block {
-            None => context.allocate("frame slot", requests, MemoryKind::Device)?.into_iter(),
-            Some(block) => {
-                let bytes = group_bytes(requests);
-                let group = place(context, &block.range(at, bytes), requests)?;
-                at += bytes;
-                group.into_iter()
-            }
-        });
-    }
-    let mut groups = groups.into_iter();
-    let queues = wanted.queues.min(wanted.slots) as usize;
-    let mut memory: Vec<SlotMemory> = Vec::new();
-    for slot in 0..wanted.slots as usize {
-        let mut own = match memory.get(slot % queues) {
-            Some(shared) if slot >= queues => shared.clone(),
-            _ => {
-                let mut scratch = groups.next().unwrap_or_default();
-                let limits = scratch.len() - usize::from(plan.has_limits);
-                let frame = FrameBuffers::from_allocated(scratch.by_ref().take(limits).collect());
-                let (capacity, depth_limits) = (plan.capacity, scratch.next());
-                let keeps_pixels = !wanted.images_only;
-                let keeps_depth = plan.has_depth;
-                SlotMemory { frame, capacity, depth_limits, staging: None, keeps_pixels, keeps_depth }
-            }
-        };
-        if slot >= queues && !plan.pixels.is_empty() {
-            let mut pixels = groups.next().unwrap_or_default();
-            if let Some(accumulated) = pixels.next() {
-                own.frame.accumulated = accumulated;
-            }
-            if let Some(inverse_depth) = pixels.next() {
-                own.frame.inverse_depth = inverse_depth;
-            }
-        }
-        if wanted.staging_bytes > 0 {
-            let request = [("scene_updates", wanted.staging_bytes)];
-            own.staging = context.allocate("frame slot host", &request, MemoryKind::HostVisible)?.pop();
-        }
-        memory.push(own);
-    }
-    Ok(memory)
 }
 
 fn check_block(context: &Context, block: &Buffer, needed: u64) -> Result<()> {

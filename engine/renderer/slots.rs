@@ -2,7 +2,7 @@
 
 use super::frame_store::State;
 use super::reservation::Reservation;
-use super::slot_memory::{self, SlotMemory};
+use super::slot_memory::{Plan, SlotMemory};
 use crate::error::{Error, Result};
 use crate::kernels::constants as c;
 use crate::plan::LaunchSizes;
@@ -70,11 +70,11 @@ impl Slots {
             }
         }
         let dispatches = wanted.dispatches(context)?;
-        slot_memory::check(context, sizes, wanted, block)?;
+        let plan = Plan::new(context, sizes, wanted, block)?;
         // The old memory is freed first: both at once might not fit.
         self.slots.clear();
         self.reserved = None;
-        for memory in slot_memory::allocate(context, sizes, wanted, block)? {
+        for memory in plan.allocate()? {
             self.slots.push(Slot::new(context, memory, dispatches)?);
         }
         self.reserved = Some(*wanted);
@@ -99,7 +99,7 @@ impl Slots {
             return Ok(());
         }
         let dispatches = wanted.dispatches(context)?;
-        let memory = slot_memory::allocate(context, sizes, wanted, block)?;
+        let memory = Plan::new(context, sizes, wanted, block)?.allocate()?;
         for slot in &mut self.slots {
             slot.record.reserve(dispatches)?;
         }

@@ -8,6 +8,7 @@ use crate::plan::{
     FrameCapacity, LaunchSizes, PictureCapacity, ScenePlan, check_grids, frame_bytes, frame_requests,
     gaussians_with, initial_instances, max_trained_among, max_trained_gaussians, max_trained_instances,
 };
+use crate::planes;
 use crate::renderer::FrameStore;
 use crate::vk::Context;
 use std::collections::HashMap;
@@ -55,9 +56,7 @@ impl Before<'_> {
     /// Bytes of the planes of what lies around, of this plan's SH degree.
     fn around_bytes(&self, context: &Context, of: &ScenePlan) -> u64 {
         match ScenePlan::new(context.limits(), self.around, of.sh_degree) {
-            Ok(plan) if self.around > 0 => {
-                context.allocation_bytes(&vec![("planes", plan.chunk_bytes()); plan.chunks as usize])
-            }
+            Ok(plan) if self.around > 0 => context.allocation_bytes(&planes::requests(&plan)),
             _ => 0,
         }
     }

@@ -58,7 +58,7 @@ impl RowMemory {
     /// Bytes of device memory that the buffers take, with padding: what a run needs before it starts.
     pub fn allocation_bytes(&self, context: &Context, plan: &ScenePlan) -> u64 {
         let bytes = |requests: &[(&'static str, u64)]| context.allocation_bytes(requests);
-        let planes = bytes(&vec![("planes", plan.chunk_bytes()); plan.chunks as usize]);
+        let planes = bytes(&planes::requests(plan));
         let gradients = self.gradient_requests(plan);
         PLANE_SETS * planes
             + bytes(&self.statistics_requests(plan.capacity))

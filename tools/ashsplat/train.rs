@@ -29,8 +29,8 @@ use ashsplat::trainer::{StepReport, Trainer};
 use ashsplat::vk::Context;
 use ashsplat::{Error, Result};
 use ashsplat_files::{Dataset, View};
-use checkpoints::{AUTO, LATEST};
-use clap::Args;
+use checkpoints::StartFrom;
+use clap::{Args, value_parser};
 use live::{Live, LiveArguments};
 use log::TrainLog;
 use origin::{First, Origin};
@@ -61,8 +61,8 @@ pub struct Arguments {
     config: Option<PathBuf>,
     /// Go on from this checkpoint, or from the newest of the model folder; all else must be as it was. auto: from the newest, or
     /// from the start where there is none
-    #[arg(long, value_name = "FILE|latest|auto")]
-    start_checkpoint: Option<PathBuf>,
+    #[arg(long, value_name = "FILE|latest|auto", value_parser = value_parser!(StartFrom))]
+    start_checkpoint: Option<StartFrom>,
     /// Most memory for photos, with a unit: 800M, 6G; more of them are kept in a file beside the model folder
     /// and read while training runs, with the same result [default: half of what the device gives or
     /// --max-memory says]
@@ -98,8 +98,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         [(&settings.data.source_path, "-s/--source-path"), (&settings.data.model_path, "-m/--model-path")]
     {
         // Verification writes nothing, and reads the newest checkpoint if anything.
-        let newest = arguments.start_checkpoint.as_ref().and_then(|path| path.to_str());
-        let newest = newest.is_some_and(|asked| [LATEST, AUTO].contains(&asked));
+        let newest = matches!(arguments.start_checkpoint, Some(StartFrom::Latest | StartFrom::Auto));
         let unused = arguments.verify_determinism.is_some() && !newest && name.starts_with("-m");
         if path.as_os_str().is_empty() && !unused {
             return Err(Error::argument(name, "is missing; give it here or in --config FILE"));
@@ -115,9 +114,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     // Open the device first, so that its absence is reported before the photos are loaded.
     let context = arguments.device.context()?;
     let host = &arguments.device.host;
-    let asked = arguments.start_checkpoint.as_deref();
-    let origin = Origin::read(asked, &settings, host)?;
-    if arguments.verify_determinism.is_none() && origin.is_complete(asked, &settings) {
+    let origin = Origin::read(arguments.start_checkpoint.as_ref(), &settings, host)?;
+    if arguments.verify_determinism.is_none() && origin.is_complete(&settings) {
         say!("{} is trained to its end already", settings.data.model_path.display());
         return Ok(());
     }
@@ -238,6 +236,9 @@ impl Run {
         };
         let goes_on = start.is_of(&model);
         let lock = folder::begin(&settings, &views.cameras, None, goes_on)?;
+        if goes_on {
+            start.keep(&model)?;
+        }
         let log = TrainLog::go_on(&model.join(LOG_FILE), trainer.iteration())?;
         let mut run = Run::new(context, settings, trainer, (log, lock), views, quiet);
         run.gaussians = to_u32(start.checkpoint().gaussians.len() as u64)?;

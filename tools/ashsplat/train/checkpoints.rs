@@ -9,44 +9,68 @@ use ashsplat::trainer::{Checkpoint, TrainParts, TrainSettings, TrainView, Traine
 use ashsplat::vk::Context;
 use ashsplat::{Error, Result};
 use ashsplat_files::{CheckpointFile, quoted};
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
-/// Instead of a file: the newest of the model folder.
-pub const LATEST: &str = "latest";
-/// As [`LATEST`], or from the beginning where there is none: for schedulers that try again.
-pub const AUTO: &str = "auto";
+/// Instead of a file: [`StartFrom::Latest`].
+const LATEST: &str = "latest";
 /// The iteration whose checkpoint was written last: not always the highest, where an earlier training left its own.
 const LAST_FILE: &str = "last_checkpoint";
 /// The iterations whose checkpoints go as soon as there is a newer one.
 const PASSING_FILE: &str = "passing_checkpoints";
 const EXTENSION: &str = "safetensors";
 
+/// Where a training is to go on from.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum StartFrom {
+    /// The newest of the model folder.
+    Latest,
+    /// The same, or the beginning where there is none: for schedulers that try again.
+    Auto,
+    File(PathBuf),
+}
+
+impl From<OsString> for StartFrom {
+    fn from(text: OsString) -> Self {
+        match text.to_str() {
+            Some(LATEST) => Self::Latest,
+            Some("auto") => Self::Auto,
+            _ => Self::File(text.into()),
+        }
+    }
+}
+
 /// A checkpoint to go on from.
 pub struct Start {
+    from: StartFrom,
     path: PathBuf,
     checkpoint: Checkpoint,
 }
 
 impl Start {
-    /// Reads the file, or the newest of the model folder for "latest" and "auto". None where there is none for "auto".
-    pub fn find(asked: &Path, folder: &Path, host: &HostArguments) -> Result<Option<Start>> {
-        let path = match asked.to_str() {
-            Some(LATEST) => newest(folder).ok_or_else(|| no_checkpoint(folder))?,
-            Some(AUTO) => match newest(folder) {
+    /// Reads it. None where there is none for [`StartFrom::Auto`].
+    pub fn find(from: &StartFrom, folder: &Path, host: &HostArguments) -> Result<Option<Start>> {
+        let path = match from {
+            StartFrom::Latest => newest(folder).ok_or_else(|| no_checkpoint(folder))?,
+            StartFrom::Auto => match newest(folder) {
                 Some(path) => path,
                 None => return Ok(None),
             },
-            _ => asked.to_owned(),
+            StartFrom::File(path) => path.clone(),
         };
         let checkpoint = Checkpoint::read_within(&path, &host.memory())?;
-        Ok(Some(Start { path, checkpoint }))
+        Ok(Some(Start { from: from.clone(), path, checkpoint }))
     }
 
-    /// A checkpoint that is asked for by name stays.
-    pub fn keep(&self, asked: Option<&Path>, folder: &Path) -> Result<()> {
-        let named = asked.is_some_and(|asked| asked.as_os_str() != LATEST && asked.as_os_str() != AUTO);
+    /// Whether a scheduler asks, perhaps once more for a training that has come to its end.
+    pub fn is_automatic(&self) -> bool {
+        self.from == StartFrom::Auto
+    }
+
+    /// Goes on in its own folder, where one that is asked for by name stays.
+    pub fn keep(&self, folder: &Path) -> Result<()> {
         let passing = passing(folder);
-        if named && self.is_of(folder) && passing.contains(&self.iteration()) {
+        if matches!(self.from, StartFrom::File(_)) && passing.contains(&self.iteration()) {
             return note_passing(folder, passing.into_iter().filter(|n| *n != self.iteration()));
         }
         Ok(())

@@ -1,6 +1,6 @@
 //! What a training begins with: points, a scene, or a checkpoint; and which block of it is trained.
 
-use super::checkpoints::{AUTO, Start};
+use super::checkpoints::{Start, StartFrom};
 use super::prepared::Data;
 use crate::args::HostArguments;
 use crate::config::Settings;
@@ -11,10 +11,6 @@ use ashsplat::vk::Context;
 use ashsplat::{Error, Result};
 use ashsplat_files::{Dataset, splats};
 use std::path::Path;
-
-fn is_auto(asked: Option<&Path>) -> bool {
-    asked.is_some_and(|asked| asked.as_os_str() == AUTO)
-}
 
 /// What a training begins with: a checkpoint, else a scene, else the points of the data set or what stands in for them. Around a
 /// block the checkpoint has nothing: that is the scene's, or the points', here too.
@@ -40,18 +36,16 @@ pub struct First {
 impl Origin {
     /// What was asked for; a checkpoint comes before `--init`, with which its training may have begun. Warns where a scene was
     /// trained with another low-pass filter.
-    pub fn read(asked: Option<&Path>, settings: &Settings, host: &HostArguments) -> Result<Origin> {
+    pub fn read(from: Option<&StartFrom>, settings: &Settings, host: &HostArguments) -> Result<Origin> {
         let data = &settings.data;
-        let start = asked.map(|asked| Start::find(asked, &data.model_path, host)).transpose()?.flatten();
+        let start = from.map(|from| Start::find(from, &data.model_path, host)).transpose()?.flatten();
         let start = start.map(Box::new);
-        if start.is_none() && is_auto(asked) {
+        if start.is_none() && from.is_some() {
             tell!("{} has no checkpoint: training begins anew", data.model_path.display());
         }
         if let Some(start) = &start {
-            start.keep(asked, &data.model_path)?;
-            // A scheduler may ask again for a training whose last iteration is done.
             let (iteration, last) = (start.iteration(), settings.train.iterations);
-            if iteration == last && !is_auto(asked) {
+            if iteration == last && !start.is_automatic() {
                 let problem = format!("is of iteration {iteration} already, the last one");
                 return Err(Error::argument("checkpoint", problem + "; raise --iterations to go on"));
             }
@@ -122,11 +116,11 @@ impl Origin {
         }
     }
 
-    /// Whether a scheduler asks once more for a training that has come to its end.
-    pub fn is_complete(&self, asked: Option<&Path>, settings: &Settings) -> bool {
+    /// Whether it is the end of its training, and all is saved: only a scheduler may ask for that.
+    pub fn is_complete(&self, settings: &Settings) -> bool {
         let (folder, last) = (&settings.data.model_path, settings.train.iterations);
-        let at_end = self.start().is_some_and(|start| start.iteration() == last && start.is_of(folder));
-        is_auto(asked) && at_end && model::point_cloud_path(folder, last).is_file()
+        let at_end = self.start().is_some_and(|start| start.iteration() == last);
+        at_end && model::point_cloud_path(folder, last).is_file()
     }
 
     /// The settings of a training that begins so: the SH degree of a scene is in use from its start.
