@@ -145,7 +145,7 @@ fn zero_points_of_a_textured_scene_are_found_in_its_photos() {
     succeed(&["demo", "--out", text(&dataset), "--dataset-only", "--quiet"]);
     let dataset = dataset.join("dataset");
     colmap_without_points(&dataset);
-    let train = ["train", "-s", text(&dataset), "-m", text(&model), "-r", "2"];
+    let train = ["train", "-s", text(&dataset), "-m", text(&model), "-r", "4"];
     let short = ["--iterations", "2", "--random-points"];
     let found = "no points to start from; 20,000 at which the photos agree stand in for them";
     for (arguments, finds) in [
