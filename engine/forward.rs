@@ -10,6 +10,7 @@ mod blending;
 mod camera_block;
 mod filter_3d;
 mod inputs;
+mod scene_settings;
 mod settings;
 mod shape;
 
@@ -20,6 +21,7 @@ pub(crate) use camera_block::block_of;
 pub use camera_block::{POSE_BYTES, pose_of};
 pub use filter_3d::Filter3d;
 pub use inputs::{FrameInputs, PlacedScene, SceneBuffers};
+pub use scene_settings::{MAX_TINT, SceneSettings};
 pub use settings::{Dropout, Extent, JacobianLimit, RenderSettings};
 pub use shape::{ELLIPSOID_SIGMAS, POINT_RADIUS_PX, Shape};
 
@@ -40,12 +42,12 @@ pub struct Forward {
     scan: Scan,
     sort: RadixSort,
     /// By [`BlendVariant::of_cull`].
-    cull: [Option<Kernel<cull::Interface>>; 4],
+    cull: [Option<Kernel<cull::Interface>>; 8],
     compact: Kernel<compact::Interface>,
     write_indirect_args: Kernel<write_indirect_args::Interface>,
     write_visible_ranges: Kernel<write_visible_ranges::Interface>,
     /// By [`BlendVariant::of_project`], by SH degree.
-    project: [[Option<Kernel<project::Interface>>; 4]; 8],
+    project: [[Option<Kernel<project::Interface>>; 4]; 16],
     count: Kernel<count::Interface>,
     /// For rendering alone, and for frames with backward.
     duplicate: [Kernel<duplicate_with_tiles::Interface>; 2],
@@ -109,12 +111,12 @@ impl Forward {
     /// # Errors
     /// When the device refuses a pipeline.
     pub fn prepare_variant(&mut self, sh_degree: u32, variant: BlendVariant) -> Result<()> {
-        let BlendVariant { filter_3d, dropout, z_record, .. } = variant;
+        let BlendVariant { filter_3d, dropout, tinted, z_record, .. } = variant;
         let workgroup_size = self.sizes.elementwise_workgroup;
         let cull = &mut self.cull[variant.of_cull()];
         if cull.is_none() {
             let subgroup_size = self.context.limits().subgroup_size;
-            let spec = cull::Spec { workgroup_size, subgroup_size, filter_3d, dropout };
+            let spec = cull::Spec { workgroup_size, subgroup_size, filter_3d, dropout, tinted };
             *cull = Some(Kernel::new(&self.context, &spec)?);
         }
         let built = &mut self.project[variant.of_project()][sh_degree as usize];
@@ -124,6 +126,7 @@ impl Forward {
                 sh_degree,
                 filter_3d,
                 dropout,
+                tinted,
                 z_record,
                 sh_loops: self.sizes.sh_loops,
             };
@@ -135,7 +138,9 @@ impl Forward {
     /// Whether all kernels for an SH degree and a variant of blending are built.
     pub fn is_prepared(&self, sh_degree: u32, variant: BlendVariant) -> bool {
         let built = &self.project[variant.of_project()][sh_degree as usize];
-        built.is_some() && self.blend.is_prepared(&self.sizes, variant)
+        built.is_some()
+            && self.cull[variant.of_cull()].is_some()
+            && self.blend.is_prepared(&self.sizes, variant)
     }
 
     /// Sets the form of blending, instead of [`Blending::of_device`]. Call it before [`Forward::prepare`].
@@ -181,10 +186,11 @@ impl Forward {
             r.fill(&f.visible_flags.range(u64::from(first) * 4, u64::from(count) * 4), 0);
         }
         let [extent, antialias] = inputs.settings.modes();
-        let Some(kernel) = &self.cull[inputs.blend_variant().of_cull()] else {
-            panic!("Forward::prepare was not called for this variant");
-        };
         for part in inputs.parts() {
+            let variant = inputs.blend_variant().of_scene(&part.settings);
+            let Some(kernel) = &self.cull[variant.of_cull()] else {
+                panic!("Forward::prepare was not called for this variant");
+            };
             let GaussianRange { chunk, first, count } = part.range;
             let chunk_gaussians = part.scene.plan.chunk_gaussians;
             let push = cull::Push { first, count, chunk_gaussians, extent, antialias };
@@ -225,7 +231,7 @@ impl Forward {
             [c::STATE_VISIBLE_NEEDED, inputs.capacity.gaussians, c::ARGUMENTS_VISIBLE, self.sizes.scan];
         self.record_prepare(r, f, counted);
         r.barrier();
-        for (index, placed) in inputs.placed().enumerate() {
+        for (index, placed) in inputs.placed().filter(|p| p.settings.draws()).enumerate() {
             if index > 0 {
                 r.barrier();
             }
@@ -278,8 +284,8 @@ impl Forward {
         let f = inputs.frame;
         let (splats, [extent, antialias]) = (f.splats(), inputs.settings.modes());
         for (index, part) in inputs.parts().enumerate() {
-            let variant = inputs.blend_variant().of_project();
-            let Some(kernel) = &self.project[variant][part.sh_degree as usize] else {
+            let variant = inputs.blend_variant().of_scene(&part.settings);
+            let Some(kernel) = &self.project[variant.of_project()][part.sh_degree as usize] else {
                 panic!("Forward::prepare was not called for SH degree {}", part.sh_degree);
             };
             let range = part.range;

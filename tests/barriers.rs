@@ -1,7 +1,7 @@
 //! Every barrier of a training step is needed, and the hazard checker notices the absence of any one.
 
 use ashsplat::backward::{Backward, BackwardVariant, Statistics};
-use ashsplat::forward::{BlendVariant, Forward, FrameInputs, POSE_BYTES, SceneBuffers};
+use ashsplat::forward::{BlendVariant, Forward, FrameInputs, POSE_BYTES, SceneBuffers, SceneSettings};
 use ashsplat::loss::{Loss, LossInputs, PhotoFormat, Windowing, photo_bytes};
 use ashsplat::optimizer::{Moments, Optimizer, Rates, Step, ViewSum};
 use ashsplat::plan::{FrameBuffers, FrameCapacity, LaunchSizes, PictureCapacity, Strips, frame_requests};
@@ -128,6 +128,7 @@ impl Training {
             pose: (kind == Kind::Poses).then_some(&first_pose),
             settings: &self.settings,
             sh_degree: SH_DEGREE,
+            scene_settings: SceneSettings::default(),
             others: &[],
             depth_limits: None,
             linear_depth: false,

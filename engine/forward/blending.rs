@@ -1,7 +1,7 @@
 //! Blending, in two forms.
 
 use super::blend_forms::Blending;
-use super::{FrameInputs, RenderSettings};
+use super::{FrameInputs, RenderSettings, SceneSettings};
 use crate::error::Result;
 use crate::kernels::forward::{blend, blend_shared};
 use crate::plan::{LaunchSizes, tile_grid};
@@ -25,6 +25,8 @@ pub struct BlendVariant {
     pub filter_3d: bool,
     /// Some Gaussians are left out at random: as `filter_3d`.
     pub dropout: bool,
+    /// A scene has a tint or an opacity ([`SceneSettings`]): as `filter_3d`.
+    pub tinted: bool,
     /// The splats' records have z in place of 1/z, so that the sum of weights * z is differentiable; `linear_depth` is not:
     /// this concerns projection.
     pub z_record: bool,
@@ -44,14 +46,19 @@ impl BlendVariant {
         }
     }
 
+    /// That of one of a frame's scenes.
+    pub(crate) fn of_scene(self, scene: &SceneSettings) -> Self {
+        Self { tinted: scene.is_tinted(), ..self }
+    }
+
     /// The place of its kernel of culling.
     pub(super) fn of_cull(self) -> usize {
-        usize::from(self.filter_3d) | usize::from(self.dropout) << 1
+        usize::from(self.filter_3d) | usize::from(self.dropout) << 1 | usize::from(self.tinted) << 2
     }
 
     /// The place of its kernels of projection.
     pub(super) fn of_project(self) -> usize {
-        self.of_cull() | usize::from(self.z_record) << 2
+        self.of_cull() | usize::from(self.z_record) << 3
     }
 
     fn strips(self, sizes: &LaunchSizes) -> bool {

@@ -2,15 +2,16 @@
 //! settings, in one uniform block per scene.
 //!
 //! A new scalar of the projection takes three files: a member in `glsl/include/camera_block.glsl`, a field of
-//! `RenderSettings` and a line of [`camera_block`] beside it, and its use in a shader. The blocks are written
+//! `RenderSettings` and a line of [`camera_block`] below, and its use in a shader. The blocks are written
 //! by commands of the frame's own recording, so a recording needs no host memory, and frames in flight do not
 //! share a block.
 
-use super::inputs::FrameInputs;
-use super::settings::camera_block;
+use super::inputs::{FrameInputs, PlacedScene};
+use super::settings::{Dropout, JacobianLimit, RenderSettings};
+use super::shape::DrawnShape;
 use crate::kernels::blocks::CameraBlock;
 use crate::plan::{CAMERA_BLOCK_BYTES, FrameBuffers};
-use crate::scene::Camera;
+use crate::scene::{Camera, CutLimits};
 use crate::vk::{Buffer, Recorder};
 use std::mem::offset_of;
 
@@ -38,8 +39,8 @@ pub fn pose_of(camera: &Camera) -> [f32; 12] {
 
 /// Records the writes of the blocks of all scenes. The caller places a barrier after it.
 pub(super) fn record_blocks(r: &mut Recorder, inputs: &FrameInputs) {
-    for (scene, placed) in inputs.placed().enumerate() {
-        let values = camera_block(&placed.camera, placed.scale, inputs.settings);
+    for (scene, placed) in inputs.placed().enumerate().filter(|(_, placed)| placed.settings.draws()) {
+        let values = camera_block(&placed, inputs.settings);
         let (values, block) = (bytemuck::bytes_of(&values), block_of(inputs.frame, scene));
         match inputs.pose {
             Some(pose) if scene == 0 => {
@@ -50,4 +51,56 @@ pub(super) fn record_blocks(r: &mut Recorder, inputs: &FrameInputs) {
             _ => r.update(&block, values),
         }
     }
+}
+
+/// The camera block of a scene.
+fn camera_block(placed: &PlacedScene<'_>, settings: &RenderSettings) -> CameraBlock {
+    let PlacedScene { camera, scale, settings: scene, .. } = placed;
+    let rows = camera.camera_from_world.transpose() * *scale;
+    let shape = DrawnShape::of(settings);
+    let CutLimits { low, high, opacity_logit, log_density } = settings.cut.limits();
+    let dropout = settings.dropout.unwrap_or(Dropout { share: 0.0, seed: 0, iteration: 0 });
+    CameraBlock {
+        camera_row_x: rows.x_axis.to_array(),
+        camera_row_y: rows.y_axis.to_array(),
+        camera_row_z: rows.z_axis.to_array(),
+        camera_translation: camera.translation.to_array(),
+        focal_px: [camera.fx, camera.fy],
+        // COLMAP puts the centre of the first pixel at 0.5, the shaders at 0.
+        center_px: [camera.cx - 0.5, camera.cy - 0.5],
+        jacobian_limits: jacobian_limits(camera, settings.jacobian_limit),
+        image_width: camera.width,
+        image_height: camera.height,
+        inverse_scale_squared: (scale * scale).recip(),
+        shape_scale: shape.scale,
+        shape_dilation_px2: shape.dilation_px2,
+        shape_opacity: shape.opacity,
+        cut_low: low.to_array(),
+        cut_high: high.to_array(),
+        cut_opacity_logit: opacity_logit,
+        cut_log_density: log_density,
+        dropout_seed: dropout.seed,
+        dropout_iteration: dropout.iteration,
+        dropout_below: dropout.below(),
+        dropout_factor: dropout.factor(),
+        scene_tint: scene.tint,
+        scene_opacity: scene.opacity,
+    }
+}
+
+/// Limits of x/z and y/z (low, high, low, high) within which the projection is linearised.
+fn jacobian_limits(camera: &Camera, limit: JacobianLimit) -> [f32; 4] {
+    let axis = |focal: f32, center: f32, size: u32| {
+        let size = size as f32;
+        let half_tan = size / (2.0 * focal);
+        match limit {
+            JacobianLimit::Edge => {
+                [-center / focal - 0.3 * half_tan, (size - center) / focal + 0.3 * half_tan]
+            }
+            JacobianLimit::Symmetric => [-1.3 * half_tan, 1.3 * half_tan],
+        }
+    };
+    let [x_low, x_high] = axis(camera.fx, camera.cx, camera.width);
+    let [y_low, y_high] = axis(camera.fy, camera.cy, camera.height);
+    [x_low, x_high, y_low, y_high]
 }

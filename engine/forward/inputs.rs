@@ -1,6 +1,6 @@
 //! The inputs of a frame: scenes with their transforms, a camera, settings.
 
-use super::{BlendVariant, RenderSettings};
+use super::{BlendVariant, RenderSettings, SceneSettings};
 use crate::plan::{FrameBuffers, FrameCapacity, GaussianRange, ScenePlan};
 use crate::scene::Camera;
 use crate::vk::Buffer;
@@ -43,6 +43,8 @@ pub struct FrameInputs<'a> {
     pub scale: f32,
     /// Evaluated SH degree.
     pub sh_degree: u32,
+    /// How `scene` is drawn; its SH degree is in `sh_degree`.
+    pub scene_settings: SceneSettings,
     /// Scenes that are rendered together with `scene`, each with its own transform.
     pub others: &'a [PlacedScene<'a>],
     /// Per pixel of the image: 1/z of the opaque surface that hides splats, 0 for none.
@@ -77,10 +79,19 @@ pub struct PlacedScene<'a> {
     pub scale: f32,
     /// Evaluated SH degree.
     pub sh_degree: u32,
+    /// How it is drawn; its SH degree is in `sh_degree`.
+    pub settings: SceneSettings,
     /// Index of its first Gaussian among all of the frame. It comes after the previous scene, at a multiple
     /// of [`LaunchSizes::elementwise_workgroup`](crate::plan::LaunchSizes::elementwise_workgroup), so that a
     /// culling block belongs to one scene.
     pub first: u32,
+}
+
+impl PlacedScene<'_> {
+    /// Number of Gaussians that take part in the frame.
+    pub fn drawn(&self) -> u32 {
+        if self.settings.draws() { self.scene.count } else { 0 }
+    }
 }
 
 /// The inputs of one dispatch over a scene's parameters.
@@ -90,39 +101,42 @@ pub(super) struct Part<'a> {
     /// The scene's place in the frame.
     pub(super) place: usize,
     pub(super) sh_degree: u32,
+    pub(super) settings: SceneSettings,
     /// Of the frame: its first Gaussian counts among those of all scenes.
     pub(super) range: GaussianRange,
 }
 
 impl<'a> FrameInputs<'a> {
+    fn first(&self) -> PlacedScene<'a> {
+        let &Self { scene, camera, scale, sh_degree, scene_settings, .. } = self;
+        PlacedScene { scene, camera: *camera, scale, sh_degree, settings: scene_settings, first: 0 }
+    }
+
     /// The scenes, each with its transform.
     pub(super) fn placed(&self) -> impl Iterator<Item = PlacedScene<'a>> + use<'a> {
-        let &Self { scene, camera, scale, sh_degree, .. } = self;
-        let first = PlacedScene { scene, camera: *camera, scale, sh_degree, first: 0 };
-        std::iter::once(first).chain(self.others.iter().copied())
+        std::iter::once(self.first()).chain(self.others.iter().copied())
     }
 
     /// The dispatches over parameters: chunk by chunk, scene by scene.
     pub(super) fn parts(&self) -> impl Iterator<Item = Part<'a>> + use<'a> {
         self.placed().enumerate().flat_map(|(place, placed)| {
-            let PlacedScene { scene, sh_degree, first, .. } = placed;
-            let ranges = scene.plan.ranges(scene.count);
+            let PlacedScene { scene, sh_degree, settings, first, .. } = placed;
+            let ranges = scene.plan.ranges(placed.drawn());
             ranges.map(move |range| {
                 let range = GaussianRange { first: first + range.first, ..range };
-                Part { scene, place, sh_degree, range }
+                Part { scene, place, sh_degree, settings, range }
             })
         })
     }
 
     /// Number of indices of all scenes together, including the gaps between them.
     pub(super) fn index_count(&self) -> u32 {
-        self.others.last().map_or(self.scene.count, |o| o.first + o.scene.count)
+        self.others.last().map_or(self.first().drawn(), |last| last.first + last.drawn())
     }
 
     /// The gaps between scenes: (first, count).
     pub(super) fn gaps(&self) -> impl Iterator<Item = (u32, u32)> {
-        let ends =
-            std::iter::once(self.scene.count).chain(self.others.iter().map(|o| o.first + o.scene.count));
+        let ends = self.placed().map(|placed| placed.first + placed.drawn());
         let gaps = ends.zip(self.others).map(|(end, next)| (end, next.first - end));
         gaps.filter(|(_, count)| *count > 0)
     }

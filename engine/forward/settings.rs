@@ -1,10 +1,9 @@
 //! How a frame is rendered.
 
-use super::shape::{DrawnShape, Shape};
+use super::shape::Shape;
 use crate::error::{Error, Result};
-use crate::kernels::blocks::CameraBlock;
 use crate::kernels::constants as c;
-use crate::scene::{Camera, Cut, CutLimits};
+use crate::scene::Cut;
 
 /// At which pixels a Gaussian counts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -80,12 +79,12 @@ pub struct Dropout {
 
 impl Dropout {
     /// Numbers of 24 bits below which a Gaussian is left out.
-    fn below(self) -> u32 {
+    pub(super) fn below(self) -> u32 {
         (self.share * f64::from(1 << 24)).round() as u32
     }
 
     /// The factor of the opacities, from the probability as it is after rounding.
-    fn factor(self) -> f32 {
+    pub(super) fn factor(self) -> f32 {
         (1.0 / (1.0 - f64::from(self.below()) / f64::from(1 << 24))) as f32
     }
 }
@@ -169,53 +168,4 @@ impl RenderSettings {
             Extent::Reference => c::EXTENT_REFERENCE,
         }
     }
-}
-
-/// The camera block of a scene, seen by a camera in its axes, with `scale` world units per unit of the scene.
-pub(super) fn camera_block(camera: &Camera, scale: f32, settings: &RenderSettings) -> CameraBlock {
-    let rows = camera.camera_from_world.transpose() * scale;
-    let shape = DrawnShape::of(settings);
-    let CutLimits { low, high, opacity_logit, log_density } = settings.cut.limits();
-    let dropout = settings.dropout.unwrap_or(Dropout { share: 0.0, seed: 0, iteration: 0 });
-    CameraBlock {
-        camera_row_x: rows.x_axis.to_array(),
-        camera_row_y: rows.y_axis.to_array(),
-        camera_row_z: rows.z_axis.to_array(),
-        camera_translation: camera.translation.to_array(),
-        focal_px: [camera.fx, camera.fy],
-        // COLMAP puts the centre of the first pixel at 0.5, the shaders at 0.
-        center_px: [camera.cx - 0.5, camera.cy - 0.5],
-        jacobian_limits: jacobian_limits(camera, settings.jacobian_limit),
-        image_width: camera.width,
-        image_height: camera.height,
-        inverse_scale_squared: (scale * scale).recip(),
-        shape_scale: shape.scale,
-        shape_dilation_px2: shape.dilation_px2,
-        shape_opacity: shape.opacity,
-        cut_low: low.to_array(),
-        cut_high: high.to_array(),
-        cut_opacity_logit: opacity_logit,
-        cut_log_density: log_density,
-        dropout_seed: dropout.seed,
-        dropout_iteration: dropout.iteration,
-        dropout_below: dropout.below(),
-        dropout_factor: dropout.factor(),
-    }
-}
-
-/// Limits of x/z and y/z (low, high, low, high) within which the projection is linearised.
-fn jacobian_limits(camera: &Camera, limit: JacobianLimit) -> [f32; 4] {
-    let axis = |focal: f32, center: f32, size: u32| {
-        let size = size as f32;
-        let half_tan = size / (2.0 * focal);
-        match limit {
-            JacobianLimit::Edge => {
-                [-center / focal - 0.3 * half_tan, (size - center) / focal + 0.3 * half_tan]
-            }
-            JacobianLimit::Symmetric => [-1.3 * half_tan, 1.3 * half_tan],
-        }
-    };
-    let [x_low, x_high] = axis(camera.fx, camera.cx, camera.width);
-    let [y_low, y_high] = axis(camera.fy, camera.cy, camera.height);
-    [x_low, x_high, y_low, y_high]
 }

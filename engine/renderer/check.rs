@@ -1,7 +1,7 @@
 //! Checks of a frame before it is recorded: all errors are reported before the first command.
 
 use super::Renderer;
-use super::record::{HostImage, RecordedFrame, Target};
+use super::record::{HostImage, Placed, RecordedFrame, Target};
 use super::reservation::Reservation;
 use super::updates::Update;
 use crate::compose::{Background, Compose};
@@ -25,13 +25,14 @@ impl Renderer {
             let problem = format!("{} of them, {} are reserved", frame.scenes.len(), reserved.scenes);
             return Err(Error::argument("scenes", problem));
         }
-        for placed in frame.scenes {
+        for (index, placed) in frame.scenes.iter().enumerate() {
             if !placed.scene.belongs_to(context) {
                 return Err(Error::argument("scene", "it belongs to another device"));
             }
             placed.pose.check()?;
-            let degree = placed.scene.buffers.active_degree(frame.settings);
-            if degree > reserved.sh_degree {
+            placed.settings.check().map_err(|error| of_scene(index, error))?;
+            let degree = placed.active_degree(frame.settings);
+            if placed.settings.draws() && degree > reserved.sh_degree {
                 let problem = format!("{degree}, reserved is {}", reserved.sh_degree);
                 return Err(Error::argument("sh_degree", problem));
             }
@@ -43,14 +44,19 @@ impl Renderer {
             depth_limit: frame.occluder.is_some(),
             ..BlendVariant::of(frame.settings, false)
         };
-        if let Some(fields) = reserved.lacks(variant) {
+        let tinted = frame.scenes.iter().any(|placed| placed.settings.is_tinted());
+        if let Some(fields) = reserved.lacks(BlendVariant { tinted, ..variant }) {
             return Err(Error::argument(fields, "not reserved, and the frame needs it"));
         }
         if frame.settings.dropout.is_some() || frame.settings.has_z_record() {
             return Err(Error::argument("settings", "are of training, no recorded frame has them"));
         }
-        let mut degrees = frame.scenes.iter().map(|s| s.scene.buffers.active_degree(frame.settings));
-        if !degrees.all(|degree| self.runner.forward.is_prepared(degree, variant)) {
+        let prepared = |placed: &Placed<'_>| {
+            let variant = variant.of_scene(&placed.settings);
+            let degree = placed.active_degree(frame.settings);
+            !placed.settings.draws() || self.runner.forward.is_prepared(degree, variant)
+        };
+        if !frame.scenes.iter().all(prepared) {
             let problem = "its kernels are not built: call Renderer::reserve after Renderer::set_blending";
             return Err(Error::argument("kind of frame", problem));
         }
@@ -118,6 +124,16 @@ fn field_of(field: &str, host: &HostImage<'_>) -> String {
     format!("{field} (image '{}')", host.image.name())
 }
 
+/// Names the scene of an error of its settings.
+fn of_scene(index: usize, error: Error) -> Error {
+    match error {
+        Error::Argument { what, problem } => {
+            Error::Argument { what: format!("scenes[{index}].settings.{what}"), problem }
+        }
+        other => other,
+    }
+}
+
 /// Names the field of an image's error.
 fn in_field(field: &str, checked: Result<()>) -> Result<()> {
     checked.map_err(|error| match error {
@@ -178,10 +194,10 @@ pub(super) fn check_capacity(
         }
     }
     // Where that is no more than is reserved, there is room for the gaps between scenes, too.
-    let counts = frame.scenes.iter().map(|s| u64::from(s.scene.count().next_multiple_of(alignment)));
-    let last = frame.scenes.last().map_or(0, |s| u64::from(s.scene.count()));
+    let counts = frame.scenes.iter().map(|s| u64::from(s.drawn().next_multiple_of(alignment)));
+    let last = frame.scenes.last().map_or(0, |s| u64::from(s.drawn()));
     if counts.take(frame.scenes.len() - 1).sum::<u64>() + last > u64::from(capacity.gaussians) {
-        let needed = frame.scenes.iter().map(|s| u64::from(s.scene.count())).sum();
+        let needed = frame.scenes.iter().map(|s| u64::from(s.drawn())).sum();
         let (what, limit) = ("scenes: the frame".to_owned(), reserved.gaussians.into());
         return Err(Error::TooLarge { what, needed, unit: "Gaussians", limit, limit_name: "reserved" });
     }

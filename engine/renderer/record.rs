@@ -7,23 +7,43 @@ use super::slot_memory::SlotMemory;
 use super::updates::Update;
 use crate::compose::{Background, Compose, Region};
 use crate::error::{Error, Result};
-use crate::forward::{FrameInputs, PlacedScene, RenderSettings};
+use crate::forward::{FrameInputs, PlacedScene, RenderSettings, SceneSettings};
 use crate::scene::{Camera, ColorEncoding, DepthMapping, Pose};
 use crate::vk::{ForeignCommands, Image, ImageState, Recorder};
 use ash::vk;
 
-/// A scene and its pose.
+/// A scene, its pose, and how it is drawn.
 #[derive(Clone, Copy)]
 pub struct Placed<'a> {
     /// The scene.
     pub scene: &'a DeviceScene,
     /// Its pose in the world.
     pub pose: Pose,
+    /// How it is drawn.
+    pub settings: SceneSettings,
+}
+
+impl<'a> Placed<'a> {
+    /// A scene as it is, in some pose.
+    pub fn at(scene: &'a DeviceScene, pose: Pose) -> Self {
+        Self { scene, pose, settings: SceneSettings::default() }
+    }
+
+    /// The evaluated SH degree: what is stored, up to the frame's and the scene's own limits.
+    pub(super) fn active_degree(&self, frame: &RenderSettings) -> u32 {
+        let stored = self.scene.buffers.active_degree(frame);
+        self.settings.sh_degree.map_or(stored, |degree| degree.min(stored))
+    }
+
+    /// Gaussians that take part in the frame.
+    pub(super) fn drawn(&self) -> u32 {
+        if self.settings.draws() { self.scene.count() } else { 0 }
+    }
 }
 
 impl<'a> From<&'a DeviceScene> for Placed<'a> {
     fn from(scene: &'a DeviceScene) -> Self {
-        Self { scene, pose: Pose::IDENTITY }
+        Self::at(scene, Pose::IDENTITY)
     }
 }
 
@@ -177,7 +197,7 @@ impl Renderer {
         };
         slot.take_over();
         self.staged.stage(slot.memory.staging.as_ref(), frame.updates)?;
-        let gaussians = frame.scenes.iter().map(|s| s.scene.count()).sum();
+        let gaussians = frame.scenes.iter().map(Placed::drawn).sum();
         let mut recorder = slot.begin(commands, gaussians)?;
         let (r, memory) = (&mut recorder, &slot.memory);
         self.staged.record(r);
@@ -210,10 +230,10 @@ pub(super) fn place<'a>(frame: &RecordedFrame<'a>, alignment: u32, placed: &mut 
     placed.extend(frame.scenes.iter().map(|placed| {
         let scene = &placed.scene.buffers;
         let begin = first;
-        first = (begin + scene.count).next_multiple_of(alignment);
-        let (camera, sh_degree) =
-            (placed.pose.camera_in_object(frame.camera), scene.active_degree(frame.settings));
-        PlacedScene { scene, camera, scale: placed.pose.scale, sh_degree, first: begin }
+        first = (begin + placed.drawn()).next_multiple_of(alignment);
+        let (camera, scale) = (placed.pose.camera_in_object(frame.camera), placed.pose.scale);
+        let (sh_degree, settings) = (placed.active_degree(frame.settings), placed.settings);
+        PlacedScene { scene, camera, scale, sh_degree, settings, first: begin }
     }));
 }
 
@@ -240,6 +260,7 @@ pub(super) fn inputs_of<'a>(
         settings,
         scale: first.scale,
         sh_degree: first.sh_degree,
+        scene_settings: first.settings,
         others,
         depth_limits: None,
         linear_depth: false,

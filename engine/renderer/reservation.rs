@@ -40,6 +40,8 @@ pub struct Reservation {
     pub occlusion: bool,
     /// Whether frames will draw scenes with a 3D filter ([`RenderSettings::filter_3d`](crate::RenderSettings::filter_3d)).
     pub filter_3d: bool,
+    /// Whether scenes of frames will have a tint or an opacity ([`SceneSettings`](crate::SceneSettings)).
+    pub tint: bool,
     /// Whether all frames go into images, and none into its slot ([`Target::Slot`](super::Target::Slot)). Slots then have
     /// no pixels of their own ([`Renderer::slot_pixels`](super::Renderer::slot_pixels), `slot_inverse_depth`).
     pub images_only: bool,
@@ -64,6 +66,7 @@ impl Reservation {
             expected_depth: false,
             occlusion: false,
             filter_3d: false,
+            tint: false,
             images_only: false,
             staging_bytes: 0,
         }
@@ -138,6 +141,10 @@ impl Reservation {
             let filtered = variants.clone().into_iter();
             variants.extend(filtered.map(|v| BlendVariant { filter_3d: true, ..v }));
         }
+        if self.tint {
+            let tinted = variants.clone().into_iter();
+            variants.extend(tinted.map(|v| BlendVariant { tinted: true, ..v }));
+        }
         variants
     }
 
@@ -148,6 +155,7 @@ impl Reservation {
             ("expected_depth", frame.linear_depth, self.expected_depth),
             ("inverse_depth", frame.inverse_depth && !frame.linear_depth, self.inverse_depth),
             ("filter_3d", frame.filter_3d, self.filter_3d),
+            ("tint", frame.tinted, self.tint),
         ];
         let lacking = needs.into_iter().filter(|(_, needed, set)| *needed && !set).map(|(field, ..)| field);
         // Without a list in memory where nothing lacks.

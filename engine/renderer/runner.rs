@@ -4,7 +4,7 @@ use super::frame_store::{FrameStore, State};
 use super::{Frame, FrameStats};
 use crate::error::{Error, Result};
 use crate::forward::{
-    BlendVariant, Blending, Forward, FrameInputs, PlacedScene, RenderSettings, SceneBuffers,
+    BlendVariant, Blending, Forward, FrameInputs, PlacedScene, RenderSettings, SceneBuffers, SceneSettings,
 };
 use crate::plan::{FrameBuffers, FrameCapacity, PictureCapacity, first_around, gaussians_with};
 use crate::scene::Camera;
@@ -37,7 +37,8 @@ impl<'a> Request<'a> {
     /// What lies around the scene, behind it in the frame's index space.
     fn placed(&self, around: &'a SceneBuffers) -> PlacedScene<'a> {
         let first = first_around(self.scene.count);
-        PlacedScene { scene: around, camera: *self.camera, scale: 1.0, sh_degree: self.sh_degree, first }
+        let (sh_degree, settings) = (self.sh_degree, SceneSettings::default());
+        PlacedScene { scene: around, camera: *self.camera, scale: 1.0, sh_degree, settings, first }
     }
 
     fn inputs(
@@ -55,6 +56,7 @@ impl<'a> Request<'a> {
             settings: self.settings,
             scale: 1.0,
             sh_degree: self.sh_degree,
+            scene_settings: SceneSettings::default(),
             others,
             depth_limits: None,
             linear_depth: false,

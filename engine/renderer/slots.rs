@@ -12,7 +12,7 @@ use crate::vk::{Buffer, Context, ForeignCommands, MemoryKind, RecordSlot, Record
 #[derive(Clone, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct SlotReport {
-    /// Gaussians in the frame's scenes.
+    /// Gaussians in the frame's scenes, but for those that are not drawn.
     pub gaussians: u32,
     /// Visible Gaussians.
     pub visible: u32,

@@ -1,6 +1,7 @@
 // Visibility of each Gaussian, and the number of visible ones in each block: first step of the stable compaction. Culls by
 // the near plane, a degenerate covariance, an opacity below 1/255, and an empty set of tiles (paper, section 6; reference
-// preprocessCUDA). Leaves out what the settings cut, and with DROPOUT some at random.
+// preprocessCUDA). Leaves out what the settings cut, and with DROPOUT some at random. With TINTED opacities have the scene's
+// factor.
 //
 // invocation: one Gaussian; workgroup: one block of WORKGROUP_SIZE Gaussians
 // in: parameters (PerGaussian planes); out: visible_flags[Gaussian], block_counts[block]
@@ -20,6 +21,8 @@ layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
 layout(constant_id = 3) const bool FILTER_3D = false;
 // Whether some are left out at random: see dropout.glsl.
 layout(constant_id = 4) const bool DROPOUT = false;
+// Whether the scene has an opacity of its own: see camera_block.glsl.
+layout(constant_id = 5) const bool TINTED = false;
 layout(local_size_x_id = 0) in;
 
 VEC4_READS(0, Parameters, parameters);

@@ -1,5 +1,6 @@
 // Screen-space attributes of the visible Gaussians: mean, conic, extent, tiles, depth, and colour from spherical harmonics
-// (paper, section 4; reference preprocessCUDA and computeColorFromSH).
+// (paper, section 4; reference preprocessCUDA and computeColorFromSH). With TINTED, colours and opacities have the scene's
+// factors.
 //
 // invocation: one visible Gaussian of the bound parameter range; it loops over its rows of tiles to count its tiles
 // in: parameters (PerGaussian planes), visible_list, visible_ranges; out, PerVisible: mean2d_extent (x, y, half extents,
@@ -22,6 +23,8 @@ layout(constant_id = 3) const bool FILTER_3D = false;
 layout(constant_id = 4) const bool DROPOUT = false;
 // Whether the depth that is blended is z instead of 1/z.
 layout(constant_id = 5) const bool Z_RECORD = false;
+// Whether the scene has a tint or an opacity of its own: see camera_block.glsl.
+layout(constant_id = 6) const bool TINTED = false;
 layout(constant_id = 9) const bool SH_LOOPS = false;
 layout(local_size_x_id = 0) in;
 
@@ -77,6 +80,11 @@ void main() {
     bool valid = is_finite(color.x) && is_finite(color.y) && is_finite(color.z);
     color = valid ? color : vec3(0.0);
 
+    color = max(color, vec3(0.0));
+    if (TINTED) {
+        color = min(color * scene_tint, vec3(TINTED_COLOR_MAX));
+    }
+
     vec4 mean2d = vec4(f.mean2d_px, f.half_extent_px);
     vec4 conic = vec4(vec3(p.cov2d.z, -p.cov2d.y, p.cov2d.x) / p.det, f.opacity);
     uvec3 shape = extent == EXTENT_REFERENCE ? uvec3(pack_tiles(f.tiles), f.radius_px) : row_shape(mean2d, conic);
@@ -84,7 +92,7 @@ void main() {
     mean2d_extent[splat_at(visible, SPLAT_MEAN2D_EXTENT)] = mean2d;
     conic_opacity[splat_at(visible, SPLAT_CONIC_OPACITY)] = conic;
     color_inverse_depth[splat_at(visible, SPLAT_COLOR_INVERSE_DEPTH)] =
-        vec4(max(color, vec3(0.0)), Z_RECORD ? p.mean_camera.z : 1.0 / p.mean_camera.z);
+        vec4(color, Z_RECORD ? p.mean_camera.z : 1.0 / p.mean_camera.z);
     depth_keys[visible] = floatBitsToUint(p.mean_camera.z);
     footprints[splat_at(visible, SPLAT_FOOTPRINT)] = uvec4(shape, tiles_met(list));
     tile_lists[visible] = list;

@@ -35,4 +35,7 @@ layout(set = 0, binding = 18, scalar) uniform CameraBlock {
     uint dropout_iteration;
     uint dropout_below;
     float dropout_factor;
+    // Factors of the scene's colours and opacities (engine/forward/scene_settings.rs). Only read with TINTED.
+    vec3 scene_tint;
+    float scene_opacity;
 };

@@ -14,6 +14,9 @@ const float QUAT_NORM_MIN = 1e-12;
 // Opacity of the faintest Gaussians that are drawn as ellipsoids.
 const float ELLIPSOID_LEAST_OPACITY = 0.2;
 
+// Largest colour of a tinted scene: the largest half float.
+const float TINTED_COLOR_MAX = 65504.0;
+
 // Antialiasing, bits: opacities are compensated for the dilation (Mip-Splatting's 2D filter); the compensation is a constant
 // for gradients.
 const uint ANTIALIAS_COMPENSATED = 1;

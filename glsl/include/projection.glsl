@@ -2,7 +2,7 @@
 // pass. Needs constants.glsl, camera_block.glsl and `parameters`.
 // Needs filter_3d.glsl, FILTER_3D, and the push constant `antialias`, of ANTIALIAS_ bits.
 // Culling and projection can draw ellipsoids or points instead. They define DRAWS_SHAPES, need tile_span.glsl and the push
-// constant `extent` and DROPOUT (dropout.glsl), and have footprint_of.
+// constant `extent`, DROPOUT (dropout.glsl) and TINTED (whether the scene has factors of its own), and have footprint_of.
 
 #ifdef DRAWS_SHAPES
 #define SCALE_MODIFIER shape_scale
@@ -116,7 +116,7 @@ bool is_finite(float x) {
 // The screen area that a Gaussian covers.
 struct Footprint {
     bool visible;
-    float opacity;         // after the antialiasing compensation and the factor of DROPOUT
+    float opacity;         // after the antialiasing compensation and the factors of TINTED and DROPOUT
     vec2 mean2d_px;
     vec2 half_extent_px;   // where alpha falls to 1/255
     uint radius_px;        // the reference's radius; 0 in exact extent
@@ -129,6 +129,9 @@ Footprint footprint_of(Projection p, float opacity_logit) {
     float opacity = sigmoid(opacity_logit);
     bool compensated = (antialias & ANTIALIAS_COMPENSATED) != 0;
     f.opacity = opacity * (compensated ? sqrt(max(ANTIALIAS_MIN_RATIO, ratio)) : 1.0);
+    if (TINTED) {
+        f.opacity *= scene_opacity;
+    }
     // Of the members of the camera block, values to select from: see there.
     float least_opacity = shape_opacity > 0.0 ? 0.0 : ELLIPSOID_LEAST_OPACITY;
     float drawn_opacity = abs(shape_opacity);

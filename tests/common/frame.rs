@@ -51,13 +51,15 @@ impl Projected {
     pub fn new(gpu: &Gpu, gaussians: &[Gaussian], view: &View) -> Projected {
         // The degree may be below what is stored.
         let (sh_degree, filter_3d) = (view.sh_degree, view.filter_3d > 0.0);
-        let (dropout, z_record) = (view.drawn.dropout.is_some(), view.drawn.z_record);
+        let (dropout, z_record, tinted) =
+            (view.drawn.dropout.is_some(), view.drawn.z_record, view.drawn.tint.is_some());
         let workgroup_size = gpu.workgroup(64);
         let spec = project::Spec {
             workgroup_size,
             sh_degree,
             filter_3d,
             dropout,
+            tinted,
             z_record,
             sh_loops: gpu.limits().tuning.sh_loops,
         };

@@ -115,6 +115,8 @@ pub fn camera_block(view: &View) -> CameraBlock {
         dropout_iteration: view.drawn.dropout.map_or(0, |dropout| dropout.iteration),
         dropout_below: view.drawn.dropout.map_or(0, |dropout| dropout.below),
         dropout_factor: view.drawn.opacity_factor() as f32,
+        scene_tint: view.drawn.tint.map_or([0.0; 3], |tint| tint.color.map(|x| x as f32)),
+        scene_opacity: view.drawn.tint.map_or(0.0, |tint| tint.opacity as f32),
         ..CameraBlock::default()
     }
 }

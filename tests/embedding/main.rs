@@ -39,6 +39,7 @@ mod lifetimes;
 mod memory_of_hosts;
 mod pictures;
 mod resident;
+mod scene_settings;
 mod scenes;
 mod shared;
 mod stage;

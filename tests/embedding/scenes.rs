@@ -13,7 +13,7 @@ use ashsplat::{
 };
 use glam::{Mat3, Quat, Vec3};
 
-fn appended(a: &Gaussians, b: &Gaussians) -> Gaussians {
+pub fn appended(a: &Gaussians, b: &Gaussians) -> Gaussians {
     let mut both = a.clone();
     both.means.extend(&b.means);
     both.quats.extend(&b.quats);
@@ -53,7 +53,7 @@ fn several_scenes_are_one_picture() {
 }
 
 /// Few pixels differ by more than rounding.
-fn assert_nearly_equal(pixels: &[[f32; 4]], expected: &Frame) {
+pub fn assert_nearly_equal(pixels: &[[f32; 4]], expected: &Frame) {
     let differences = pixels
         .iter()
         .zip(&expected.color)
@@ -85,7 +85,7 @@ fn a_pose_moves_a_scene() {
         let mut renderer = renderer(&context, 400, 0);
         let (settings, camera) = (RenderSettings::default(), camera(0.7, 110, 70));
         let pose = Pose { world_from_object: Mat3::from_quat(turn), translation: shift, scale: 1.0 };
-        let placed = [Placed { scene: &scene, pose }];
+        let placed = [Placed::at(&scene, pose)];
         let pixels = rendered(host, &mut renderer, &RecordedFrame::new(&placed, &camera, &settings));
         let expected = owned(&moved, &camera, &settings);
         assert_nearly_equal(&pixels, &expected);
@@ -99,7 +99,7 @@ fn a_pose_moves_a_scene() {
             translation: camera.translation - camera.camera_from_world * rotation.transpose() * shift,
             ..camera
         };
-        let placed = [Placed { scene: &scene, pose }];
+        let placed = [Placed::at(&scene, pose)];
         let pixels = rendered(host, &mut renderer, &RecordedFrame::new(&placed, &turned, &settings));
         let expected = owned(&object, &camera, &settings);
         assert_nearly_equal(&pixels, &expected);
@@ -134,7 +134,7 @@ fn a_pose_scales_a_scene() {
             let pose = Pose::from_matrix(matrix).expect("a uniform scale");
             assert!((pose.scale - scale).abs() < 1e-6 * scale);
             // The scaled one first, and behind the other: they are sorted together either way.
-            let scaled = Placed { scene: &scenes[0], pose };
+            let scaled = Placed::at(&scenes[0], pose);
             for placed in [[scaled, (&scenes[1]).into()], [(&scenes[1]).into(), scaled]] {
                 let frame = RecordedFrame::new(&placed, &camera, &settings);
                 assert_nearly_equal(&rendered(host, &mut renderer, &frame), &expected);

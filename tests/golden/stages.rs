@@ -1,7 +1,7 @@
 //! Frames with backward by the engine's stages, without a renderer: for what it does not hand out.
 
 use ashsplat::backward::{Backward, BackwardVariant};
-use ashsplat::forward::{BlendVariant, Forward, FrameInputs, SceneBuffers};
+use ashsplat::forward::{BlendVariant, Forward, FrameInputs, SceneBuffers, SceneSettings};
 use ashsplat::kernels::constants::{STATE_OVERFLOW, STATE_WORDS};
 use ashsplat::plan::{FrameBuffers, FrameCapacity, LaunchSizes, PictureCapacity, frame_requests};
 use ashsplat::vk::{MemoryKind, Recorder};
@@ -88,6 +88,7 @@ impl<'a> Stages<'a> {
             settings: &settings,
             scale: 1.0,
             sh_degree: view.sh_degree,
+            scene_settings: SceneSettings::default(),
             others: &[],
             depth_limits: None,
             linear_depth: false,

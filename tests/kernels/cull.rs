@@ -8,7 +8,7 @@ use crate::common::layout::{antialias_word, camera_block, extent_word, pack, pac
 use crate::common::scenes::{Random, drawn_shapes, mixed_scene, small_view};
 use crate::reference::cull::cull;
 use crate::reference::project::project;
-use crate::reference::types::{Drawn, Dropout, Extent, Gaussian, Limits, View};
+use crate::reference::types::{Drawn, Dropout, Extent, Gaussian, Limits, Tint, View};
 
 /// Whether a Gaussian's visibility may hang on the rounding of float32, or on the margin that the kernel adds to
 /// exact extents: a splat that touches nothing but the margin costs time only.
@@ -27,7 +27,8 @@ fn may_differ(gaussian: &Gaussian, view: &View) -> bool {
 /// Culls `size` Gaussians. Returns flags and counts of blocks, each with two words more that must stay untouched.
 fn culled(gpu: &Gpu, view: &View, parameters: &Buffer, size: usize) -> [Vec<u32>; 2] {
     let dropout = view.drawn.dropout.is_some();
-    let spec = Spec { filter_3d: view.filter_3d > 0.0, dropout, ..spec(gpu) };
+    let tinted = view.drawn.tint.is_some();
+    let spec = Spec { filter_3d: view.filter_3d > 0.0, dropout, tinted, ..spec(gpu) };
     let blocks = size.div_ceil(spec.workgroup_size as usize);
     let flags = gpu.untouched::<u32>("visible_flags", size + 2);
     let counts = gpu.untouched::<u32>("block_counts", blocks + 2);
@@ -49,6 +50,7 @@ fn spec(gpu: &Gpu) -> Spec {
         subgroup_size: gpu.subgroup(),
         filter_3d: false,
         dropout: false,
+        tinted: false,
     }
 }
 
@@ -227,4 +229,31 @@ pub fn cull_equals_its_twin_under_dropout() {
     assert!(left_out[1] != left_out[2] && left_out[1] != left_out[3] && left_out[2] != left_out[3]);
     // A larger share leaves out those of the smaller one, and more.
     assert!(left_out[1].iter().all(|i| left_out[4].contains(i)));
+}
+
+/// A scene's opacity leaves out what it makes faint, and no ellipsoid or dot. A factor of 1 changes nothing.
+#[test]
+pub fn cull_equals_its_twin_under_a_scenes_opacity() {
+    let gpu = Gpu::new();
+    let size = 700;
+    let gaussians = mixed_scene(&mut Random::new(15), size, 1);
+    let parameters = gpu.buffer("parameters", &pack(&gaussians, room(size)));
+    for (drawn, fades) in [(Drawn::AS_THEY_ARE, true), (drawn_shapes()[1], false), (drawn_shapes()[2], false)]
+    {
+        let mut seen = Vec::new();
+        for opacity in [1.0, 0.5, 0.0625] {
+            let tint = Some(Tint { color: [1.0; 3], opacity });
+            let view = View { drawn: Drawn { tint, ..drawn }, antialias: true, ..small_view([53, 37]) };
+            let [flags, _] = culled(&gpu, &view, &parameters, size);
+            let expected = cull(&gaussians, &view);
+            let differ = |&i: &usize| flags[i] != u32::from(expected[i]) && !may_differ(&gaussians[i], &view);
+            assert_eq!((0..size).find(differ), None, "{opacity}");
+            seen.push(flags);
+        }
+        let view = View { drawn, antialias: true, ..small_view([53, 37]) };
+        assert_eq!(seen[0], culled(&gpu, &view, &parameters, size)[0]);
+        let counts: Vec<u32> = seen.iter().map(|flags| flags[..size].iter().sum()).collect();
+        assert!(counts[2] > 0 && (counts[2] < counts[1] && counts[1] < counts[0]) == fades, "{counts:?}");
+        assert!(fades || counts[0] == counts[2], "{counts:?}");
+    }
 }

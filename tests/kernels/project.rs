@@ -5,7 +5,7 @@ use crate::common::gpu::{Gpu, sizes};
 use crate::common::scenes::{Random, drawn_shapes, mixed_scene, small_view};
 use crate::reference::tile_list::{is_listed, listed_tiles, tiles_met};
 use crate::reference::tiles::{half_extent_px, reference_square, touched};
-use crate::reference::types::{Drawn, Dropout, Extent, Splat, View};
+use crate::reference::types::{Drawn, Dropout, Extent, Splat, Tint, View};
 
 /// What the kernel writes of each visible Gaussian.
 struct Output {
@@ -87,8 +87,9 @@ fn compare(output: &Output, place: usize, splat: &Splat, view: &View) {
     }
     close("opacity", opacity, splat.opacity, 1e-7, 2e-4);
     let [red, green, blue, inverse_depth] = output.color_inverse_depth[place];
-    for (actual, expected) in [red, green, blue].into_iter().zip(splat.color) {
-        close("colour", actual, expected, 3e-6, 1e-6);
+    let factors = view.drawn.tint.map_or([1.0; 3], |tint| tint.color);
+    for (channel, actual) in [red, green, blue].into_iter().enumerate() {
+        close("colour", actual, splat.color[channel], 3e-6 * factors[channel].max(1.0), 1e-6);
     }
     let blended = if view.drawn.z_record { splat.depth } else { 1.0 / splat.depth };
     close("blended depth", inverse_depth, blended, 0.0, 1e-5);
@@ -176,6 +177,21 @@ fn project_equals_its_twin_under_dropout() {
     for (antialias, z_record) in [(false, true), (true, false), (true, true)] {
         let drawn = Drawn { dropout, z_record, ..Drawn::AS_THEY_ARE };
         check(&gpu, 500, &View { antialias, drawn, ..small_view([53, 37]) });
+    }
+}
+
+/// A scene's factors, up to colours that are clamped, and of what is drawn in place of Gaussians.
+#[test]
+fn project_equals_its_twin_under_a_tint() {
+    let gpu = Gpu::new();
+    for (color, opacity) in [([1.0; 3], 1.0), ([0.5, 0.0, 1.75], 0.375), ([65536.0, 1.0, 0.25], 1.0)] {
+        let tint = Some(Tint { color, opacity });
+        for drawn in [Drawn::AS_THEY_ARE, drawn_shapes()[1], drawn_shapes()[2]] {
+            for antialias in [false, true] {
+                let drawn = Drawn { tint, ..drawn };
+                check(&gpu, 500, &View { antialias, drawn, ..small_view([53, 37]) });
+            }
+        }
     }
 }
 

@@ -116,8 +116,11 @@ pub fn project(gaussian: &Gaussian, view: &View) -> Option<Splat> {
         mean2d_px: [0, 1].map(|i| view.focal_px[i] * p[i] / p[2] + view.center_px[i] - 0.5),
         cov2d: [a, b, c],
         conic: [c / determinant, -b / determinant, a / determinant],
-        opacity: on_the_way.opacity * on_the_way.compensation.0 * view.drawn.opacity_factor(),
-        color: color(gaussian, view).0,
+        opacity: on_the_way.opacity
+            * on_the_way.compensation.0
+            * view.drawn.fading()
+            * view.drawn.opacity_factor(),
+        color: view.drawn.tinted(color(gaussian, view).0),
         radius_px: match view.extent {
             Extent::Exact => 0,
             Extent::Reference => radius_px([a, b, c]),

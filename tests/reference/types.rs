@@ -71,8 +71,19 @@ pub struct Drawn {
     pub cut: Limits,
     /// Some that are left out at random.
     pub dropout: Option<Dropout>,
+    /// Factors of the scene. Only the kernels that cull and project know them.
+    pub tint: Option<Tint>,
     /// The depth that is blended is z, not 1/z. Only the kernels that project know it.
     pub z_record: bool,
+}
+
+/// Factors of a scene's colours and opacities.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Tint {
+    /// Red, green and blue.
+    pub color: [f64; 3],
+    /// 0 to 1, of Gaussians themselves.
+    pub opacity: f64,
 }
 
 /// Gaussians that are left out at random (DropGaussian): the numbers of 24 bits below `below`, by the keys and the Gaussian.
@@ -135,12 +146,26 @@ impl Drawn {
         opacity: 0.0,
         cut: Limits::NONE,
         dropout: None,
+        tint: None,
         z_record: false,
     };
 
     /// Whether a Gaussian is left out at random.
     pub fn drops(&self, gaussian: usize) -> bool {
         self.dropout.is_some_and(|dropout| dropout.drops(gaussian))
+    }
+
+    /// A colour under the tint, at most the largest half float.
+    pub fn tinted(&self, color: [f64; 3]) -> [f64; 3] {
+        match self.tint {
+            None => color,
+            Some(tint) => [0, 1, 2].map(|i| (color[i] * tint.color[i]).min(65504.0)),
+        }
+    }
+
+    /// The scene's factor of the opacities of Gaussians, which is none of what is drawn in their place.
+    pub fn fading(&self) -> f64 {
+        self.tint.filter(|_| self.opacity == 0.0).map_or(1.0, |tint| tint.opacity)
     }
 
     /// What opacities are multiplied by at last.

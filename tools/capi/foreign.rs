@@ -223,9 +223,8 @@ pub unsafe extern "C" fn ashsplat_record(
     // SAFETY: as promised.
     guarded(|| unsafe {
         let (renderer, f) = (borrowed_mut(renderer, "renderer")?, borrowed(frame, "frame")?);
-        let place = |placed: &AshsplatPlaced| {
-            Ok(Placed { scene: &borrowed(placed.scene, "scene")?.scene, pose: placed.pose() })
-        };
+        let place =
+            |placed: &AshsplatPlaced| Ok(Placed::at(&borrowed(placed.scene, "scene")?.scene, placed.pose()));
         let scenes: Result<Vec<Placed<'_>>> =
             slice(f.scenes, f.scene_count as usize, "scenes")?.iter().map(place).collect();
         let copied = scenes::copied(slice(f.updates, f.update_count as usize, "updates")?)?;

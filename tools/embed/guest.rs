@@ -234,7 +234,7 @@ impl Guest {
         let ring = Placed::from(&self.ring);
         let turned = Mat3::from_rotation_z(picture.angle);
         let pose = Pose { world_from_object: turned, translation: Vec3::new(0.75, 0.55, 0.75), scale: 1.0 };
-        let scenes = [ring, Placed { scene: &self.ball, pose }];
+        let scenes = [ring, Placed::at(&self.ball, pose)];
         let scenes = if picture.second { &scenes[..] } else { &scenes[..1] };
         let settings = RenderSettings::default();
         // 6. The frame, composed over what the host has drawn, hidden where the host's depth is nearer.

@@ -1,0 +1,189 @@
+//! Scenes of one frame that are drawn in ways of their own.
+
+use crate::host::Host;
+use crate::scenes::{appended, assert_nearly_equal};
+use crate::stage::{assert_same, camera, cloud, guest, options, owned, rendered, with_host};
+use ashsplat::scene::{Camera, Gaussians};
+use ashsplat::vk::Context;
+use ashsplat::{
+    DeviceScene, Error, Placed, RecordedFrame, RenderSettings, Renderer, Reservation, SceneSettings, Shape,
+};
+
+const SIZE: [u32; 2] = [110, 70];
+
+/// Scenes, and frames of them.
+struct Stage<'a> {
+    host: &'a Host,
+    renderer: Renderer,
+    scenes: Vec<DeviceScene>,
+    camera: Camera,
+    frame: RenderSettings,
+}
+
+impl<'a> Stage<'a> {
+    fn new(host: &'a Host, parts: &[&Gaussians], wanted: &dyn Fn(Reservation) -> Reservation) -> Self {
+        let context: Context = guest(host);
+        let upload = |part: &&Gaussians| DeviceScene::upload(&context, part, 0).expect("a scene");
+        let mut renderer = Renderer::new(&context).expect("kernels");
+        let gaussians: usize = parts.iter().map(|part| part.len()).sum();
+        let least = Reservation::new(gaussians as u32, 1, SIZE[0], SIZE[1]);
+        renderer.reserve(&wanted(Reservation { scenes: parts.len() as u32, ..least })).expect("memory");
+        let frame = RenderSettings::default();
+        let scenes = parts.iter().map(upload).collect();
+        Self { host, renderer, scenes, camera: camera(0.7, SIZE[0], SIZE[1]), frame }
+    }
+
+    fn pixels(&mut self, settings: &[SceneSettings]) -> Vec<[f32; 4]> {
+        let Self { host, renderer, scenes, camera, frame } = self;
+        let placed = placed(scenes, settings);
+        rendered(host, renderer, &RecordedFrame::new(&placed, camera, frame))
+    }
+
+    /// The error of a frame that is refused.
+    fn refused(&mut self, settings: &[SceneSettings]) -> Error {
+        let in_flight = crate::host::InFlight::new(self.host).expect("a command buffer");
+        in_flight.begin(self.host).expect("recording");
+        let commands = crate::stage::adopt(self.renderer.context(), &in_flight);
+        let placed = placed(&self.scenes, settings);
+        let frame = RecordedFrame::new(&placed, &self.camera, &self.frame);
+        let error = self.renderer.record(commands, 0, &frame).expect_err("refused");
+        in_flight.destroy(self.host);
+        error
+    }
+}
+
+/// Scenes with settings of their own.
+fn placed<'a>(scenes: &'a [DeviceScene], settings: &[SceneSettings]) -> Vec<Placed<'a>> {
+    let scenes = scenes.iter().zip(settings);
+    scenes.map(|(scene, &settings)| Placed { settings, ..Placed::from(scene) }).collect()
+}
+
+const USUAL: SceneSettings = SceneSettings { visible: true, tint: [1.0; 3], opacity: 1.0, sh_degree: None };
+const HIDDEN: SceneSettings = SceneSettings { visible: false, ..USUAL };
+const FADED: SceneSettings = SceneSettings { opacity: 0.0, ..USUAL };
+
+/// What is not drawn takes no room, and leaves the bits of a frame without it.
+#[test]
+fn scenes_that_are_not_drawn_leave_no_trace() {
+    with_host(&options(), |host| {
+        let parts = [cloud(300, 1), cloud(5000, 2), cloud(257, 3)];
+        // The second one alone would not fit.
+        let least = |wanted| Reservation { gaussians: 600, ..wanted };
+        let mut stage = Stage::new(host, &[&parts[0], &parts[1], &parts[2]], &least);
+        let (camera, frame) = (stage.camera, stage.frame);
+        for hidden in [HIDDEN, FADED] {
+            let rest = owned(&appended(&parts[0], &parts[2]), &camera, &frame);
+            assert_same(&stage.pixels(&[USUAL, hidden, USUAL]), &rest, [0.0; 3]);
+            let report = stage.renderer.slot_report(0).expect("a report").expect("finished");
+            assert_eq!(report.gaussians, 557);
+            assert_same(
+                &stage.pixels(&[hidden, hidden, USUAL]),
+                &owned(&parts[2], &camera, &frame),
+                [0.0; 3],
+            );
+            assert_same(
+                &stage.pixels(&[USUAL, hidden, hidden]),
+                &owned(&parts[0], &camera, &frame),
+                [0.0; 3],
+            );
+            assert!(stage.pixels(&[hidden; 3]).iter().all(|pixel| *pixel == [0.0, 0.0, 0.0, 1.0]));
+            let report = stage.renderer.slot_report(0).expect("a report").expect("finished");
+            assert_eq!((report.gaussians, report.visible), (0, 0));
+        }
+        let error = stage.refused(&[USUAL, USUAL, HIDDEN]);
+        assert!(matches!(&error, Error::TooLarge { needed: 5300, .. }), "{error}");
+    });
+}
+
+/// Each scene has its own degree, with the bits of a scene that has no more coefficients.
+#[test]
+fn a_scene_has_an_sh_degree_of_its_own() {
+    with_host(&options(), |host| {
+        let parts = [cloud(300, 1), cloud(280, 2)];
+        let mut stage = Stage::new(host, &[&parts[0], &parts[1]], &|wanted| wanted);
+        let mut flat = parts[0].clone();
+        flat.sh.chunks_mut(4).for_each(|sh| sh[1..].fill([0.0; 3]));
+        let degree = |sh_degree| SceneSettings { sh_degree: Some(sh_degree), ..USUAL };
+        let expected = owned(&appended(&flat, &parts[1]), &stage.camera, &stage.frame);
+        // A sum with zeros is rounded in other places.
+        assert_nearly_equal(&stage.pixels(&[degree(0), degree(3)]), &expected);
+        let whole = owned(&appended(&parts[0], &parts[1]), &stage.camera, &stage.frame);
+        assert_same(&stage.pixels(&[degree(1), USUAL]), &whole, [0.0; 3]);
+        // The frame's limit holds for all.
+        stage.frame.sh_degree = Some(0);
+        let all_flat = owned(&appended(&parts[0], &parts[1]), &stage.camera, &stage.frame);
+        assert_same(&stage.pixels(&[degree(1), degree(3)]), &all_flat, [0.0; 3]);
+        stage.frame.sh_degree = None;
+        assert_same(&stage.pixels(&[degree(0), degree(0)]), &all_flat, [0.0; 3]);
+    });
+}
+
+/// Colours and opacities as if the scene had been trained with them; a factor of 1 has the bits of none.
+#[test]
+fn a_tint_and_an_opacity_are_factors() {
+    with_host(&options(), |host| {
+        let (mut tinted, other) = (cloud(300, 1), cloud(280, 2));
+        tinted.sh.chunks_mut(4).for_each(|sh| sh[1..].fill([0.0; 3]));
+        let mut stage = Stage::new(host, &[&tinted, &other], &|wanted| Reservation { tint: true, ..wanted });
+        let whole = owned(&appended(&tinted, &other), &stage.camera, &stage.frame);
+        assert_same(&stage.pixels(&[USUAL, USUAL]), &whole, [0.0; 3]);
+        // The kernels of a tint, with one that is all but none.
+        let least = SceneSettings { tint: [1.0, 1.0, 1.0f32.next_down()], ..USUAL };
+        assert_nearly_equal(&stage.pixels(&[least, USUAL]), &whole);
+        let (tint, opacity) = ([0.5, 1.75, 0.0], 0.375);
+        let mut edited = tinted.clone();
+        let c0 = 0.282_094_79;
+        for sh in &mut edited.sh.chunks_mut(4) {
+            sh[0] = [0, 1, 2].map(|i| ((c0 * sh[0][i] + 0.5) * tint[i] - 0.5) / c0);
+        }
+        for logit in &mut edited.opacity_logits {
+            let faded = opacity / (1.0 + (-*logit).exp());
+            *logit = (faded / (1.0 - faded)).ln();
+        }
+        let settings = SceneSettings { tint, opacity, ..USUAL };
+        let expected = owned(&appended(&edited, &other), &stage.camera, &stage.frame);
+        assert_nearly_equal(&stage.pixels(&[settings, USUAL]), &expected);
+        let expected = owned(&edited, &stage.camera, &stage.frame);
+        assert_nearly_equal(&stage.pixels(&[settings, HIDDEN]), &expected);
+        // Dots stay opaque.
+        stage.frame.shape = Shape::Point;
+        let opaque = stage.pixels(&[SceneSettings { opacity: 0.01, ..USUAL }, USUAL]);
+        let dots = owned(&appended(&tinted, &other), &stage.camera, &stage.frame);
+        assert_same(&opaque, &dots, [0.0; 3]);
+    });
+}
+
+/// What a scene's settings can have wrong is said with the scene's place and the field.
+#[test]
+fn bad_settings_of_a_scene_are_refused_by_name() {
+    with_host(&options(), |host| {
+        let part = cloud(100, 1);
+        let mut stage = Stage::new(host, &[&part, &part], &|wanted| wanted);
+        let bad = [
+            (
+                SceneSettings { tint: [0.5, f32::NAN, 0.5], ..USUAL },
+                "scenes[1].settings.tint: [0.5, NaN, 0.5]",
+            ),
+            (SceneSettings { tint: [-1.0; 3], ..USUAL }, "scenes[1].settings.tint: "),
+            (SceneSettings { tint: [1001.0; 3], ..USUAL }, "each factor may be 0 to 1000"),
+            (SceneSettings { opacity: f32::NAN, ..USUAL }, "scenes[1].settings.opacity: NaN"),
+            (
+                SceneSettings { opacity: 1.5, ..USUAL },
+                "scenes[1].settings.opacity: 1.5 is not between 0 and 1",
+            ),
+            (SceneSettings { opacity: -0.0625, ..HIDDEN }, "scenes[1].settings.opacity: -0.0625"),
+            (SceneSettings { sh_degree: Some(4), ..USUAL }, "scenes[1].settings.sh_degree: 4"),
+            (SceneSettings { tint: [0.5; 3], ..USUAL }, "tint: not reserved, and the frame needs it"),
+            (SceneSettings { opacity: 0.5, ..USUAL }, "tint: not reserved, and the frame needs it"),
+        ];
+        for (settings, expected) in bad {
+            let error = stage.refused(&[USUAL, settings]);
+            assert!(matches!(error, Error::Argument { .. }), "{error:?}");
+            assert!(error.to_string().contains(expected), "{error} (expected {expected})");
+        }
+        // What is not drawn needs nothing that is reserved.
+        let expected = owned(&part, &stage.camera, &stage.frame);
+        let unseen = SceneSettings { visible: false, tint: [0.5; 3], ..USUAL };
+        assert_same(&stage.pixels(&[USUAL, unseen]), &expected, [0.0; 3]);
+    });
+}
