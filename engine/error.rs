@@ -148,6 +148,15 @@ impl Error {
     pub fn argument(what: impl Into<String>, problem: impl Into<String>) -> Self {
         Self::Argument { what: what.into(), problem: problem.into() }
     }
+
+    /// Of an argument that is a part of another one, with both names.
+    #[must_use]
+    pub(crate) fn within(self, outer: impl std::fmt::Display) -> Self {
+        match self {
+            Self::Argument { what, problem } => Self::Argument { what: format!("{outer}.{what}"), problem },
+            other => other,
+        }
+    }
 }
 
 #[cfg(test)]

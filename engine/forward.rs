@@ -8,6 +8,7 @@
 mod blend_forms;
 mod blending;
 mod camera_block;
+mod cut_outs;
 mod filter_3d;
 mod inputs;
 mod scene_settings;
@@ -19,6 +20,7 @@ pub use blending::BlendVariant;
 pub(crate) use blending::record_passes;
 pub(crate) use camera_block::block_of;
 pub use camera_block::{POSE_BYTES, pose_of};
+pub(crate) use cut_outs::CUT_OUT_BYTES;
 pub use filter_3d::Filter3d;
 pub use inputs::{FrameInputs, PlacedScene, SceneBuffers};
 pub use scene_settings::{MAX_TINT, SceneSettings};
@@ -42,7 +44,7 @@ pub struct Forward {
     scan: Scan,
     sort: RadixSort,
     /// By [`BlendVariant::of_cull`].
-    cull: [Option<Kernel<cull::Interface>>; 8],
+    cull: [Option<Kernel<cull::Interface>>; 16],
     compact: Kernel<compact::Interface>,
     write_indirect_args: Kernel<write_indirect_args::Interface>,
     write_visible_ranges: Kernel<write_visible_ranges::Interface>,
@@ -111,12 +113,12 @@ impl Forward {
     /// # Errors
     /// When the device refuses a pipeline.
     pub fn prepare_variant(&mut self, sh_degree: u32, variant: BlendVariant) -> Result<()> {
-        let BlendVariant { filter_3d, dropout, tinted, z_record, .. } = variant;
+        let BlendVariant { filter_3d, dropout, tinted, cut_outs, z_record, .. } = variant;
         let workgroup_size = self.sizes.elementwise_workgroup;
         let cull = &mut self.cull[variant.of_cull()];
         if cull.is_none() {
             let subgroup_size = self.context.limits().subgroup_size;
-            let spec = cull::Spec { workgroup_size, subgroup_size, filter_3d, dropout, tinted };
+            let spec = cull::Spec { workgroup_size, subgroup_size, filter_3d, dropout, tinted, cut_outs };
             *cull = Some(Kernel::new(&self.context, &spec)?);
         }
         let built = &mut self.project[variant.of_project()][sh_degree as usize];
@@ -159,6 +161,7 @@ impl Forward {
         let f = inputs.frame;
         r.scope("clear", |r| {
             camera_block::record_blocks(r, inputs);
+            cut_outs::record(r, inputs);
             let overflow = 4 * u64::from(c::STATE_OVERFLOW);
             match inputs.keeps_overflow {
                 false => r.fill(&f.state, 0),
@@ -193,11 +196,21 @@ impl Forward {
             };
             let GaussianRange { chunk, first, count } = part.range;
             let chunk_gaussians = part.scene.plan.chunk_gaussians;
-            let push = cull::Push { first, count, chunk_gaussians, extent, antialias };
+            let push = cull::Push {
+                first,
+                count,
+                chunk_gaussians,
+                extent,
+                antialias,
+                first_cut_out: part.first_cut_out,
+                cut_out_count: part.settings.cut_out_count(),
+            };
             let bind = cull::Bind {
                 parameters: &part.scene.chunks[chunk],
                 visible_flags: &f.visible_flags,
                 block_counts: f.visible_counts(),
+                // Without any it is not read, but must be bound.
+                cut_outs: inputs.cut_outs.unwrap_or(&part.scene.chunks[chunk]),
                 camera_block: &block_of(f, part.place),
             };
             r.barrier();

@@ -131,6 +131,7 @@ impl Training {
             scene_settings: SceneSettings::default(),
             others: &[],
             depth_limits: None,
+            cut_outs: None,
             linear_depth: false,
             backward: true,
             keeps_overflow: false,

@@ -27,6 +27,8 @@ pub struct BlendVariant {
     pub dropout: bool,
     /// A scene has a tint or an opacity ([`SceneSettings`]): as `filter_3d`.
     pub tinted: bool,
+    /// A scene has cut-outs: this concerns culling.
+    pub cut_outs: bool,
     /// The splats' records have z in place of 1/z, so that the sum of weights * z is differentiable; `linear_depth` is not:
     /// this concerns projection.
     pub z_record: bool,
@@ -48,17 +50,21 @@ impl BlendVariant {
 
     /// That of one of a frame's scenes.
     pub(crate) fn of_scene(self, scene: &SceneSettings) -> Self {
-        Self { tinted: scene.is_tinted(), ..self }
+        Self { tinted: scene.is_tinted(), cut_outs: scene.cut_out_count() > 0, ..self }
+    }
+
+    fn of_shape(self) -> usize {
+        usize::from(self.filter_3d) | usize::from(self.dropout) << 1 | usize::from(self.tinted) << 2
     }
 
     /// The place of its kernel of culling.
     pub(super) fn of_cull(self) -> usize {
-        usize::from(self.filter_3d) | usize::from(self.dropout) << 1 | usize::from(self.tinted) << 2
+        self.of_shape() | usize::from(self.cut_outs) << 3
     }
 
     /// The place of its kernels of projection.
     pub(super) fn of_project(self) -> usize {
-        self.of_cull() | usize::from(self.z_record) << 3
+        self.of_shape() | usize::from(self.z_record) << 3
     }
 
     fn strips(self, sizes: &LaunchSizes) -> bool {

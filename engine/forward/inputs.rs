@@ -44,11 +44,13 @@ pub struct FrameInputs<'a> {
     /// Evaluated SH degree.
     pub sh_degree: u32,
     /// How `scene` is drawn; its SH degree is in `sh_degree`.
-    pub scene_settings: SceneSettings,
+    pub scene_settings: SceneSettings<'a>,
     /// Scenes that are rendered together with `scene`, each with its own transform.
     pub others: &'a [PlacedScene<'a>],
     /// Per pixel of the image: 1/z of the opaque surface that hides splats, 0 for none.
     pub depth_limits: Option<&'a Buffer>,
+    /// Room for the cut-outs of all scenes, if there are any: [`CUT_OUT_BYTES`](super::CUT_OUT_BYTES) each.
+    pub cut_outs: Option<&'a Buffer>,
     /// Sum weights * z instead of weights / z.
     pub linear_depth: bool,
     /// A backward pass follows: store the picture in its layout, see [`FrameBuffers::rendered`].
@@ -80,11 +82,13 @@ pub struct PlacedScene<'a> {
     /// Evaluated SH degree.
     pub sh_degree: u32,
     /// How it is drawn; its SH degree is in `sh_degree`.
-    pub settings: SceneSettings,
+    pub settings: SceneSettings<'a>,
     /// Index of its first Gaussian among all of the frame. It comes after the previous scene, at a multiple
     /// of [`LaunchSizes::elementwise_workgroup`](crate::plan::LaunchSizes::elementwise_workgroup), so that a
     /// culling block belongs to one scene.
     pub first: u32,
+    /// Index of its first cut-out among all of the frame.
+    pub first_cut_out: u32,
 }
 
 impl PlacedScene<'_> {
@@ -101,7 +105,9 @@ pub(super) struct Part<'a> {
     /// The scene's place in the frame.
     pub(super) place: usize,
     pub(super) sh_degree: u32,
-    pub(super) settings: SceneSettings,
+    pub(super) settings: SceneSettings<'a>,
+    /// Of the frame.
+    pub(super) first_cut_out: u32,
     /// Of the frame: its first Gaussian counts among those of all scenes.
     pub(super) range: GaussianRange,
 }
@@ -109,7 +115,15 @@ pub(super) struct Part<'a> {
 impl<'a> FrameInputs<'a> {
     fn first(&self) -> PlacedScene<'a> {
         let &Self { scene, camera, scale, sh_degree, scene_settings, .. } = self;
-        PlacedScene { scene, camera: *camera, scale, sh_degree, settings: scene_settings, first: 0 }
+        PlacedScene {
+            scene,
+            camera: *camera,
+            scale,
+            sh_degree,
+            settings: scene_settings,
+            first: 0,
+            first_cut_out: 0,
+        }
     }
 
     /// The scenes, each with its transform.
@@ -120,11 +134,11 @@ impl<'a> FrameInputs<'a> {
     /// The dispatches over parameters: chunk by chunk, scene by scene.
     pub(super) fn parts(&self) -> impl Iterator<Item = Part<'a>> + use<'a> {
         self.placed().enumerate().flat_map(|(place, placed)| {
-            let PlacedScene { scene, sh_degree, settings, first, .. } = placed;
+            let PlacedScene { scene, sh_degree, settings, first, first_cut_out, .. } = placed;
             let ranges = scene.plan.ranges(placed.drawn());
             ranges.map(move |range| {
                 let range = GaussianRange { first: first + range.first, ..range };
-                Part { scene, place, sh_degree, settings, range }
+                Part { scene, place, sh_degree, settings, first_cut_out, range }
             })
         })
     }

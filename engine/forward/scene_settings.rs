@@ -1,10 +1,11 @@
 //! How one scene of a frame is drawn, beside the frame's settings.
 
 use crate::error::{Error, Result};
+use crate::scene::{CutOut, MAX_CUT_OUTS};
 
 /// How one scene of a frame is drawn. The default draws it as it is, with the kernels of a frame without any of this.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SceneSettings {
+pub struct SceneSettings<'a> {
     /// Whether it is drawn. A scene that is not takes no work and no room, and the others keep their places in
     /// [`RecordedFrame::scenes`](crate::RecordedFrame::scenes).
     pub visible: bool,
@@ -18,22 +19,25 @@ pub struct SceneSettings {
     /// Highest evaluated SH degree, 0 to 3: lower degrees alone. `None` for the frame's
     /// [`sh_degree`](crate::RenderSettings::sh_degree), which is never exceeded.
     pub sh_degree: Option<u32>,
+    /// Volumes that keep or remove Gaussians, in the scene's own coordinates: at most [`MAX_CUT_OUTS`].
+    pub cut_outs: &'a [CutOut],
 }
 
 /// Largest factor of a [`SceneSettings::tint`].
 pub const MAX_TINT: f32 = 1000.0;
 
-impl Default for SceneSettings {
+impl Default for SceneSettings<'_> {
     fn default() -> Self {
-        Self { visible: true, tint: [1.0; 3], opacity: 1.0, sh_degree: None }
+        Self { visible: true, tint: [1.0; 3], opacity: 1.0, sh_degree: None, cut_outs: &[] }
     }
 }
 
-impl SceneSettings {
+impl SceneSettings<'_> {
     /// Checks the numbers.
     ///
     /// # Errors
-    /// [`Error::Argument`] with the field's name for a tint or an opacity out of range or no number, and an SH degree above 3.
+    /// [`Error::Argument`] with the field's name for a tint or an opacity out of range or no number, an SH degree above 3, too
+    /// many cut-outs, and those of [`CutOut::check`].
     pub fn check(&self) -> Result<()> {
         if !self.tint.iter().all(|factor| (0.0..=MAX_TINT).contains(factor)) {
             let problem = format!("{:?}, each factor may be 0 to {MAX_TINT}", self.tint);
@@ -42,17 +46,26 @@ impl SceneSettings {
         if !(0.0..=1.0).contains(&self.opacity) {
             return Err(Error::argument("opacity", format!("{} is not between 0 and 1", self.opacity)));
         }
-        match self.sh_degree {
-            Some(degree) if degree > 3 => {
-                Err(Error::argument("sh_degree", format!("{degree}, it may be 0 to 3")))
-            }
-            _ => Ok(()),
+        if let Some(degree) = self.sh_degree.filter(|degree| *degree > 3) {
+            return Err(Error::argument("sh_degree", format!("{degree}, it may be 0 to 3")));
         }
+        if self.cut_outs.len() > MAX_CUT_OUTS {
+            let problem = format!("{} of them, there may be {MAX_CUT_OUTS}", self.cut_outs.len());
+            return Err(Error::argument("cut_outs", problem));
+        }
+        self.cut_outs.iter().enumerate().try_for_each(|(index, cut_out)| {
+            cut_out.check().map_err(|error| error.within(format_args!("cut_outs[{index}]")))
+        })
     }
 
     /// Whether anything is drawn.
     pub fn draws(&self) -> bool {
         self.visible && self.opacity > 0.0
+    }
+
+    /// Number of cut-outs of what is drawn.
+    pub fn cut_out_count(&self) -> u32 {
+        if self.draws() { self.cut_outs.len() as u32 } else { 0 }
     }
 
     /// Whether colours or opacities of what is drawn are multiplied.
@@ -64,12 +77,26 @@ impl SceneSettings {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scene::{Inside, Pose, Volume};
+    use glam::Vec3;
 
     #[test]
     fn senseless_settings_are_refused_by_name() {
         let usual = SceneSettings::default();
         assert!(usual.check().is_ok() && usual.draws() && !usual.is_tinted());
+        let flat = Volume::Box { half_size: Vec3::new(1.0, 1.0, 0.0) };
+        let good = CutOut {
+            volume: Volume::Box { half_size: Vec3::ONE },
+            pose: Pose::IDENTITY,
+            inside: Inside::Kept,
+        };
+        let (degenerate, many) = ([good, CutOut { volume: flat, ..good }], [good; MAX_CUT_OUTS + 1]);
         let bad = [
+            (
+                SceneSettings { cut_outs: &degenerate, ..usual },
+                "cut_outs[1].volume: sizes of [1.0, 1.0, 0.0]",
+            ),
+            (SceneSettings { cut_outs: &many, ..usual }, "cut_outs: 17 of them, there may be 16"),
             (SceneSettings { tint: [1.0, f32::NAN, 1.0], ..usual }, "tint: [1.0, NaN, 1.0]"),
             (SceneSettings { tint: [-0.1, 1.0, 1.0], ..usual }, "tint: "),
             (SceneSettings { tint: [1.0, 1.0, f32::INFINITY], ..usual }, "tint: "),
@@ -82,10 +109,16 @@ mod tests {
             let error = settings.check().map_or_else(|error| error.to_string(), |()| "accepted".into());
             assert!(error.contains(expected), "{error}");
         }
-        let most = SceneSettings { tint: [0.0, MAX_TINT, 1.0], sh_degree: Some(0), ..usual };
-        assert!(most.check().is_ok() && most.draws() && most.is_tinted());
+        let most =
+            SceneSettings { tint: [0.0, MAX_TINT, 1.0], sh_degree: Some(0), cut_outs: &many[1..], ..usual };
+        assert!(most.check().is_ok() && most.draws() && most.is_tinted() && most.cut_out_count() == 16);
         for hidden in [SceneSettings { visible: false, ..most }, SceneSettings { opacity: 0.0, ..most }] {
-            assert!(hidden.check().is_ok() && !hidden.draws() && !hidden.is_tinted());
+            assert!(
+                hidden.check().is_ok()
+                    && !hidden.draws()
+                    && !hidden.is_tinted()
+                    && hidden.cut_out_count() == 0
+            );
         }
     }
 }

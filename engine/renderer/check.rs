@@ -30,7 +30,8 @@ impl Renderer {
                 return Err(Error::argument("scene", "it belongs to another device"));
             }
             placed.pose.check()?;
-            placed.settings.check().map_err(|error| of_scene(index, error))?;
+            let named = |error: Error| error.within(format_args!("scenes[{index}].settings"));
+            placed.settings.check().map_err(named)?;
             let degree = placed.active_degree(frame.settings);
             if placed.settings.draws() && degree > reserved.sh_degree {
                 let problem = format!("{degree}, reserved is {}", reserved.sh_degree);
@@ -45,6 +46,16 @@ impl Renderer {
             ..BlendVariant::of(frame.settings, false)
         };
         let tinted = frame.scenes.iter().any(|placed| placed.settings.is_tinted());
+        let cut_outs: u32 = frame.scenes.iter().map(|placed| placed.settings.cut_out_count()).sum();
+        if cut_outs > reserved.cut_outs {
+            return Err(Error::TooLarge {
+                what: "scenes: the frame".to_owned(),
+                needed: cut_outs.into(),
+                unit: "cut_outs",
+                limit: reserved.cut_outs.into(),
+                limit_name: "reserved",
+            });
+        }
         if let Some(fields) = reserved.lacks(BlendVariant { tinted, ..variant }) {
             return Err(Error::argument(fields, "not reserved, and the frame needs it"));
         }
@@ -122,16 +133,6 @@ impl Renderer {
 /// The field of a frame, and the name of its image.
 fn field_of(field: &str, host: &HostImage<'_>) -> String {
     format!("{field} (image '{}')", host.image.name())
-}
-
-/// Names the scene of an error of its settings.
-fn of_scene(index: usize, error: Error) -> Error {
-    match error {
-        Error::Argument { what, problem } => {
-            Error::Argument { what: format!("scenes[{index}].settings.{what}"), problem }
-        }
-        other => other,
-    }
 }
 
 /// Names the field of an image's error.

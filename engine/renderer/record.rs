@@ -20,7 +20,7 @@ pub struct Placed<'a> {
     /// Its pose in the world.
     pub pose: Pose,
     /// How it is drawn.
-    pub settings: SceneSettings,
+    pub settings: SceneSettings<'a>,
 }
 
 impl<'a> Placed<'a> {
@@ -226,14 +226,16 @@ impl Renderer {
 
 /// The scenes, each after the one before it in the frame's index space.
 pub(super) fn place<'a>(frame: &RecordedFrame<'a>, alignment: u32, placed: &mut Vec<PlacedScene<'a>>) {
-    let mut first = 0;
+    let (mut first, mut cut_outs) = (0, 0);
     placed.extend(frame.scenes.iter().map(|placed| {
         let scene = &placed.scene.buffers;
         let begin = first;
         first = (begin + placed.drawn()).next_multiple_of(alignment);
         let (camera, scale) = (placed.pose.camera_in_object(frame.camera), placed.pose.scale);
         let (sh_degree, settings) = (placed.active_degree(frame.settings), placed.settings);
-        PlacedScene { scene, camera, scale, sh_degree, settings, first: begin }
+        let first_cut_out = cut_outs;
+        cut_outs += settings.cut_out_count();
+        PlacedScene { scene, camera, scale, sh_degree, settings, first: begin, first_cut_out }
     }));
 }
 
@@ -263,6 +265,7 @@ pub(super) fn inputs_of<'a>(
         scene_settings: first.settings,
         others,
         depth_limits: None,
+        cut_outs: memory.cut_outs.as_ref(),
         linear_depth: false,
         backward: false,
         keeps_overflow: false,

@@ -4,6 +4,7 @@ use super::slots::SlotReport;
 use crate::error::{Error, Result};
 use crate::forward::BlendVariant;
 use crate::plan::{FrameCapacity, LaunchSizes, PictureCapacity, ScenePlan, check_grids, initial_instances};
+use crate::scene::MAX_CUT_OUTS;
 use crate::vk::Context;
 
 /// What is allocated in advance for recording: see [`super::Renderer::reserve`].
@@ -42,6 +43,8 @@ pub struct Reservation {
     pub filter_3d: bool,
     /// Whether scenes of frames will have a tint or an opacity ([`SceneSettings`](crate::SceneSettings)).
     pub tint: bool,
+    /// Cut-outs of all scenes of a frame together ([`SceneSettings::cut_outs`](crate::SceneSettings::cut_outs)).
+    pub cut_outs: u32,
     /// Whether all frames go into images, and none into its slot ([`Target::Slot`](super::Target::Slot)). Slots then have
     /// no pixels of their own ([`Renderer::slot_pixels`](super::Renderer::slot_pixels), `slot_inverse_depth`).
     pub images_only: bool,
@@ -67,6 +70,7 @@ impl Reservation {
             occlusion: false,
             filter_3d: false,
             tint: false,
+            cut_outs: 0,
             images_only: false,
             staging_bytes: 0,
         }
@@ -107,6 +111,7 @@ impl Reservation {
             ("scenes", self.scenes, 1..=65_536),
             ("blend_passes", self.blend_passes, 1..=65_536),
             ("sh_degree", self.sh_degree, 0..=3),
+            ("cut_outs", self.cut_outs, 0..=65_536 * MAX_CUT_OUTS as u32),
         ];
         match counts.into_iter().find(|(_, count, range)| !range.contains(count)) {
             Some((field, count, range)) => {
@@ -144,6 +149,10 @@ impl Reservation {
         if self.tint {
             let tinted = variants.clone().into_iter();
             variants.extend(tinted.map(|v| BlendVariant { tinted: true, ..v }));
+        }
+        if self.cut_outs > 0 {
+            let cut = variants.clone().into_iter();
+            variants.extend(cut.map(|v| BlendVariant { cut_outs: true, ..v }));
         }
         variants
     }

@@ -38,7 +38,15 @@ impl<'a> Request<'a> {
     fn placed(&self, around: &'a SceneBuffers) -> PlacedScene<'a> {
         let first = first_around(self.scene.count);
         let (sh_degree, settings) = (self.sh_degree, SceneSettings::default());
-        PlacedScene { scene: around, camera: *self.camera, scale: 1.0, sh_degree, settings, first }
+        PlacedScene {
+            scene: around,
+            camera: *self.camera,
+            scale: 1.0,
+            sh_degree,
+            settings,
+            first,
+            first_cut_out: 0,
+        }
     }
 
     fn inputs(
@@ -59,6 +67,7 @@ impl<'a> Request<'a> {
             scene_settings: SceneSettings::default(),
             others,
             depth_limits: None,
+            cut_outs: None,
             linear_depth: false,
             backward: self.backward,
             keeps_overflow: false,

@@ -6,6 +6,7 @@
 
 use super::reservation::Reservation;
 use crate::error::{Error, Result};
+use crate::forward::CUT_OUT_BYTES;
 use crate::plan::{FrameBuffers, FrameCapacity, LaunchSizes, frame_requests};
 use crate::vk::{Buffer, Context, MemoryKind, PLACEMENT_ALIGNMENT, pack};
 
@@ -18,6 +19,7 @@ pub(super) struct SlotMemory {
     pub capacity: FrameCapacity,
     /// 1/z per pixel.
     pub depth_limits: Option<Buffer>,
+    pub cut_outs: Option<Buffer>,
     pub staging: Option<Buffer>,
     /// Whether the pixels of a frame stay until the slot is recorded again.
     pub keeps_pixels: bool,
@@ -33,8 +35,8 @@ pub(super) struct Plan<'a> {
     capacity: FrameCapacity,
     /// Once for each queue, and last what some frames have alone.
     scratch: Requests,
-    /// Whether the last of them is there.
-    has_limits: bool,
+    /// How many the last ones are.
+    extra: usize,
     /// Of each slot but the first of a queue, which keeps its pixels in the scratch.
     pixels: Requests,
     /// Whether they have a depth.
@@ -53,15 +55,19 @@ impl<'a> Plan<'a> {
         let capacity = wanted.capacity(context, sizes)?;
         let pixels = capacity.pictures.pixels;
         let mut scratch = frame_requests(&capacity, sizes);
+        let frame = scratch.len();
         scratch.extend(wanted.occlusion.then_some(("depth_limits", pixels * 4)));
+        scratch.extend(
+            (wanted.cut_outs > 0).then_some(("cut_outs", u64::from(wanted.cut_outs) * CUT_OUT_BYTES)),
+        );
         let has_depth = !wanted.images_only && (wanted.inverse_depth || wanted.expected_depth);
         let mut own = Vec::new();
         if !wanted.images_only {
             own.push(("accumulated", pixels * 16));
             own.extend(has_depth.then_some(("inverse_depth", pixels * 4)));
         }
-        let has_limits = wanted.occlusion;
-        let plan = Self { context, wanted, block, capacity, scratch, has_limits, pixels: own, has_depth };
+        let extra = scratch.len() - frame;
+        let plan = Self { context, wanted, block, capacity, scratch, extra, pixels: own, has_depth };
         block.map_or(Ok(()), |block| check_block(context, block, plan.block_bytes()))?;
         Ok(plan)
     }
@@ -104,12 +110,21 @@ impl<'a> Plan<'a> {
                 Some(shared) if slot >= queues => shared.clone(),
                 _ => {
                     let mut scratch = groups.next().unwrap_or_default();
-                    let limits = scratch.len() - usize::from(self.has_limits);
-                    let frame = FrameBuffers::from_allocated(scratch.by_ref().take(limits).collect());
-                    let (capacity, depth_limits) = (self.capacity, scratch.next());
+                    let own = scratch.len() - self.extra;
+                    let frame = FrameBuffers::from_allocated(scratch.by_ref().take(own).collect());
+                    let depth_limits = wanted.occlusion.then(|| scratch.next()).flatten();
+                    let (capacity, cut_outs) = (self.capacity, scratch.next());
                     let keeps_pixels = !wanted.images_only;
                     let keeps_depth = self.has_depth;
-                    SlotMemory { frame, capacity, depth_limits, staging: None, keeps_pixels, keeps_depth }
+                    SlotMemory {
+                        frame,
+                        capacity,
+                        depth_limits,
+                        cut_outs,
+                        staging: None,
+                        keeps_pixels,
+                        keeps_depth,
+                    }
                 }
             };
             if slot >= queues && !self.pixels.is_empty() {

@@ -3,6 +3,7 @@
 pub mod camera;
 pub mod color;
 pub mod cut;
+pub mod cut_out;
 pub mod exposure;
 pub mod filter_3d;
 pub mod gaussians;
@@ -22,6 +23,7 @@ pub mod view;
 pub use camera::{Camera, Intrinsics, scene_extent};
 pub use color::{ColorEncoding, linear_from_premultiplied, linear_from_srgb, srgb_from_linear};
 pub use cut::{Cut, CutLimits};
+pub use cut_out::{CutOut, CutOutLimits, Inside, MAX_CUT_OUTS, Volume};
 pub use exposure::Exposure;
 pub use filter_3d::filtered;
 pub use gaussians::{GaussianStatistics, Gaussians};

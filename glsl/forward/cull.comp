@@ -1,10 +1,10 @@
 // Visibility of each Gaussian, and the number of visible ones in each block: first step of the stable compaction. Culls by
 // the near plane, a degenerate covariance, an opacity below 1/255, and an empty set of tiles (paper, section 6; reference
 // preprocessCUDA). Leaves out what the settings cut, and with DROPOUT some at random. With TINTED opacities have the scene's
-// factor.
+// factor, with CUT_OUTS volumes keep or remove what lies inside.
 //
 // invocation: one Gaussian; workgroup: one block of WORKGROUP_SIZE Gaussians
-// in: parameters (PerGaussian planes); out: visible_flags[Gaussian], block_counts[block]
+// in: parameters (PerGaussian planes), with CUT_OUTS cut_outs (64 bytes each); out: visible_flags[Gaussian], block_counts[block]
 // shared: one word per subgroup; any subgroup size
 #version 460
 #extension GL_EXT_scalar_block_layout : require
@@ -23,11 +23,14 @@ layout(constant_id = 3) const bool FILTER_3D = false;
 layout(constant_id = 4) const bool DROPOUT = false;
 // Whether the scene has an opacity of its own: see camera_block.glsl.
 layout(constant_id = 5) const bool TINTED = false;
+// Whether volumes keep or remove Gaussians: see cut_outs.glsl.
+layout(constant_id = 6) const bool CUT_OUTS = false;
 layout(local_size_x_id = 0) in;
 
 VEC4_READS(0, Parameters, parameters);
 layout(set = 0, binding = 1, scalar) writeonly buffer VisibleFlags { uint visible_flags[]; };
 layout(set = 0, binding = 2, scalar) writeonly buffer BlockCounts { uint block_counts[]; };
+VEC4_READS(3, CutOuts, cut_outs);
 
 layout(push_constant, scalar) uniform Push {
     // First Gaussian of the bound parameter range, number of Gaussians, and capacity of the range.
@@ -37,6 +40,9 @@ layout(push_constant, scalar) uniform Push {
     // `extent` is EXTENT_EXACT or EXTENT_REFERENCE, `antialias` of ANTIALIAS_ bits.
     uint extent;
     uint antialias;
+    // With CUT_OUTS: those of the scene.
+    uint first_cut_out;
+    uint cut_out_count;
 };
 
 #define DRAWS_SHAPES
@@ -49,6 +55,7 @@ layout(push_constant, scalar) uniform Push {
 #include "projection.glsl"
 #include "random.glsl"
 #include "dropout.glsl"
+#include "cut_outs.glsl"
 
 // As CutLimits::keeps (engine/scene/cut.rs), bit for bit: comparisons and one subtraction.
 bool kept(vec3 mean, vec3 log_scale, float opacity_logit) {
@@ -70,6 +77,9 @@ void main() {
     bool visible = f.visible && kept(mean_opacity.xyz, log_scale.xyz, mean_opacity.w);
     if (DROPOUT) {
         visible = visible && !dropped_out(first + index);
+    }
+    if (CUT_OUTS) {
+        visible = visible && kept_by_cut_outs(first_cut_out, cut_out_count, mean_opacity.xyz);
     }
     uint flag = exists && visible ? 1 : 0;
     if (exists) {

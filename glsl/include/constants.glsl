@@ -17,6 +17,13 @@ const float ELLIPSOID_LEAST_OPACITY = 0.2;
 // Largest colour of a tinted scene: the largest half float.
 const float TINTED_COLOR_MAX = 65504.0;
 
+// Cut-outs: shapes, what is added for those that remove, and vec4 of each.
+const uint CUT_OUT_BOX = 0;
+const uint CUT_OUT_ELLIPSOID = 1;
+const uint CUT_OUT_HALF_SPACE = 2;
+const uint CUT_OUT_REMOVES = 4;
+const uint CUT_OUT_PLANES = 4;
+
 // Antialiasing, bits: opacities are compensated for the dilation (Mip-Splatting's 2D filter); the compensation is a constant
 // for gradients.
 const uint ANTIALIAS_COMPENSATED = 1;

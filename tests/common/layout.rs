@@ -121,6 +121,21 @@ pub fn camera_block(view: &View) -> CameraBlock {
     }
 }
 
+/// The cut-outs of a view behind two that no culling may read, and the numbers of the first and of all.
+#[allow(dead_code)]
+pub fn cut_outs(view: &View) -> (Vec<[f32; 4]>, [u32; 2]) {
+    let mut words = vec![[f32::NAN; 4]; 8];
+    let own = view.drawn.cut_outs.iter().flatten();
+    for cut_out in own.clone() {
+        for (row, center) in cut_out.rows.iter().zip(cut_out.center) {
+            words.push([row[0], row[1], row[2], center]);
+        }
+        let ([x, y, z], kind) = (cut_out.bounds, cut_out.shape + if cut_out.removes { 4 } else { 0 });
+        words.push([x, y, z, kind as f32]);
+    }
+    (words, [2, own.count() as u32])
+}
+
 /// EXTENT_EXACT or EXTENT_REFERENCE.
 pub fn extent_word(view: &View) -> u32 {
     use crate::reference::types::Extent;

@@ -5,8 +5,10 @@
 use crate::host::{Host, HostOptions, InFlight};
 use crate::stage::{adopt, camera, cloud, options, with_host};
 use crate::table::Images;
+use ashsplat::scene::{CutOut, Inside, Pose, Volume};
 use ashsplat::vk::{Context, ContextOptions};
-use ashsplat::{DeviceScene, Placed, RecordedFrame, RenderSettings, Renderer, Reservation};
+use ashsplat::{DeviceScene, Placed, RecordedFrame, RenderSettings, Renderer, Reservation, SceneSettings};
+use glam::Vec3;
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::sync::Mutex;
@@ -139,12 +141,16 @@ fn steady_allocations(host_options: &HostOptions, timestamps: bool) {
         let mut renderer = Renderer::new(&context).expect("kernels");
         let reservation = Reservation {
             slots: 2,
-            scenes: 3,
+            scenes: 4,
             occlusion: true,
+            tint: true,
+            cut_outs: 2,
             staging_bytes: Reservation::update_bytes(600, 1),
             ..Reservation::new(700, 1, 96, 64)
         };
         renderer.reserve(&reservation).expect("memory");
+        let volume = Volume::Ellipsoid { radii: Vec3::ONE };
+        let cut_outs = [CutOut { volume, pose: Pose::IDENTITY, inside: Inside::Kept }; 2];
         let images = Images::new(host, &context);
         let in_flight = InFlight::new(host).expect("a command buffer");
         let mut asked = Vec::new();
@@ -153,7 +159,13 @@ fn steady_allocations(host_options: &HostOptions, timestamps: bool) {
             in_flight.begin(host).expect("recording");
             let commands = adopt(&context, &in_flight);
             let everything = images.frame(&scenes[0], &gaussians, &view);
-            let placed = [&scenes[0], &scenes[1], &scenes[2]].map(Placed::from);
+            let tinted = SceneSettings { tint: [1.0, 0.5, 0.5], opacity: 0.5, ..SceneSettings::default() };
+            let placed = [
+                Placed::from(&scenes[0]),
+                Placed { settings: SceneSettings { cut_outs: &cut_outs, ..tinted }, ..(&scenes[1]).into() },
+                Placed { settings: SceneSettings { visible: false, ..tinted }, ..(&scenes[0]).into() },
+                Placed { settings: tinted, ..(&scenes[2]).into() },
+            ];
             let frame = RecordedFrame { scenes: &placed, ..everything.recorded() };
             let (count, recorded) = allocations(|| renderer.record(commands, slot, &frame));
             recorded.expect("a recording");

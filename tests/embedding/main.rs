@@ -33,6 +33,7 @@ mod bad_input;
 mod blocks;
 mod colour;
 mod cost;
+mod cut_outs;
 mod faults;
 mod frames;
 mod lifetimes;

@@ -3,7 +3,7 @@
 use crate::host::Host;
 use crate::scenes::{appended, assert_nearly_equal};
 use crate::stage::{assert_same, camera, cloud, guest, options, owned, rendered, with_host};
-use ashsplat::scene::{Camera, Gaussians};
+use ashsplat::scene::{Camera, Gaussians, Pose};
 use ashsplat::vk::Context;
 use ashsplat::{
     DeviceScene, Error, Placed, RecordedFrame, RenderSettings, Renderer, Reservation, SceneSettings, Shape,
@@ -12,16 +12,18 @@ use ashsplat::{
 const SIZE: [u32; 2] = [110, 70];
 
 /// Scenes, and frames of them.
-struct Stage<'a> {
+pub struct Stage<'a> {
     host: &'a Host,
-    renderer: Renderer,
-    scenes: Vec<DeviceScene>,
-    camera: Camera,
-    frame: RenderSettings,
+    pub renderer: Renderer,
+    pub scenes: Vec<DeviceScene>,
+    pub camera: Camera,
+    pub frame: RenderSettings,
+    /// Of the scenes; in the world as they are, where there are none.
+    pub poses: Vec<Pose>,
 }
 
 impl<'a> Stage<'a> {
-    fn new(host: &'a Host, parts: &[&Gaussians], wanted: &dyn Fn(Reservation) -> Reservation) -> Self {
+    pub fn new(host: &'a Host, parts: &[&Gaussians], wanted: &dyn Fn(Reservation) -> Reservation) -> Self {
         let context: Context = guest(host);
         let upload = |part: &&Gaussians| DeviceScene::upload(&context, part, 0).expect("a scene");
         let mut renderer = Renderer::new(&context).expect("kernels");
@@ -30,21 +32,21 @@ impl<'a> Stage<'a> {
         renderer.reserve(&wanted(Reservation { scenes: parts.len() as u32, ..least })).expect("memory");
         let frame = RenderSettings::default();
         let scenes = parts.iter().map(upload).collect();
-        Self { host, renderer, scenes, camera: camera(0.7, SIZE[0], SIZE[1]), frame }
+        Self { host, renderer, scenes, camera: camera(0.7, SIZE[0], SIZE[1]), frame, poses: Vec::new() }
     }
 
-    fn pixels(&mut self, settings: &[SceneSettings]) -> Vec<[f32; 4]> {
-        let Self { host, renderer, scenes, camera, frame } = self;
-        let placed = placed(scenes, settings);
+    pub fn pixels(&mut self, settings: &[SceneSettings]) -> Vec<[f32; 4]> {
+        let Self { host, renderer, scenes, camera, frame, poses } = self;
+        let placed = placed(scenes, poses, settings);
         rendered(host, renderer, &RecordedFrame::new(&placed, camera, frame))
     }
 
     /// The error of a frame that is refused.
-    fn refused(&mut self, settings: &[SceneSettings]) -> Error {
+    pub fn refused(&mut self, settings: &[SceneSettings]) -> Error {
         let in_flight = crate::host::InFlight::new(self.host).expect("a command buffer");
         in_flight.begin(self.host).expect("recording");
         let commands = crate::stage::adopt(self.renderer.context(), &in_flight);
-        let placed = placed(&self.scenes, settings);
+        let placed = placed(&self.scenes, &self.poses, settings);
         let frame = RecordedFrame::new(&placed, &self.camera, &self.frame);
         let error = self.renderer.record(commands, 0, &frame).expect_err("refused");
         in_flight.destroy(self.host);
@@ -53,13 +55,15 @@ impl<'a> Stage<'a> {
 }
 
 /// Scenes with settings of their own.
-fn placed<'a>(scenes: &'a [DeviceScene], settings: &[SceneSettings]) -> Vec<Placed<'a>> {
-    let scenes = scenes.iter().zip(settings);
-    scenes.map(|(scene, &settings)| Placed { settings, ..Placed::from(scene) }).collect()
+fn placed<'a>(scenes: &'a [DeviceScene], poses: &[Pose], settings: &[SceneSettings<'a>]) -> Vec<Placed<'a>> {
+    let poses = poses.iter().copied().chain(std::iter::repeat(Pose::IDENTITY));
+    let scenes = scenes.iter().zip(settings).zip(poses);
+    scenes.map(|((scene, &settings), pose)| Placed { settings, ..Placed::at(scene, pose) }).collect()
 }
 
-const USUAL: SceneSettings = SceneSettings { visible: true, tint: [1.0; 3], opacity: 1.0, sh_degree: None };
-const HIDDEN: SceneSettings = SceneSettings { visible: false, ..USUAL };
+pub const USUAL: SceneSettings =
+    SceneSettings { visible: true, tint: [1.0; 3], opacity: 1.0, sh_degree: None, cut_outs: &[] };
+pub const HIDDEN: SceneSettings = SceneSettings { visible: false, ..USUAL };
 const FADED: SceneSettings = SceneSettings { opacity: 0.0, ..USUAL };
 
 /// What is not drawn takes no room, and leaves the bits of a frame without it.

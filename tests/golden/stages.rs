@@ -91,6 +91,7 @@ impl<'a> Stages<'a> {
             scene_settings: SceneSettings::default(),
             others: &[],
             depth_limits: None,
+            cut_outs: None,
             linear_depth: false,
             backward: true,
             keeps_overflow: false,

@@ -13,7 +13,7 @@ pub fn camera_position(gaussian: &Gaussian, view: &View) -> [f64; 3] {
 /// One flag per Gaussian: whether it is not cut, and leaves a splat.
 pub fn cull(gaussians: &[Gaussian], view: &View) -> Vec<bool> {
     let drawn = |(index, gaussian): (usize, &Gaussian)| {
-        let kept = view.drawn.cut.keep(gaussian) && !view.drawn.drops(index);
+        let kept = view.drawn.cut.keep(gaussian) && view.drawn.keeps(gaussian) && !view.drawn.drops(index);
         kept && project::project(gaussian, view).is_some()
     };
     gaussians.iter().enumerate().map(drawn).collect()

@@ -73,6 +73,8 @@ pub struct Drawn {
     pub dropout: Option<Dropout>,
     /// Factors of the scene. Only the kernels that cull and project know them.
     pub tint: Option<Tint>,
+    /// Volumes that keep or remove Gaussians. Only culling knows them.
+    pub cut_outs: [Option<CutOut>; 3],
     /// The depth that is blended is z, not 1/z. Only the kernels that project know it.
     pub z_record: bool,
 }
@@ -84,6 +86,34 @@ pub struct Tint {
     pub color: [f64; 3],
     /// 0 to 1, of Gaussians themselves.
     pub opacity: f64,
+}
+
+/// A volume that keeps or removes the Gaussians whose means lie inside, in float32.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CutOut {
+    /// Centre.
+    pub center: [f32; 3],
+    /// What takes points relative to it to the volume's axes.
+    pub rows: [[f32; 3]; 3],
+    /// Half sizes of a box; of a half-space, the largest first coordinate.
+    pub bounds: [f32; 3],
+    /// Box, unit ball or half-space: 0, 1, 2.
+    pub shape: u32,
+    /// Whether what is inside is removed.
+    pub removes: bool,
+}
+
+impl CutOut {
+    /// Whether a mean lies inside.
+    pub fn contains(&self, mean: [f64; 3]) -> bool {
+        let from = [0, 1, 2].map(|i| mean[i] as f32 - self.center[i]);
+        let q = self.rows.map(|[a, b, c]| a * from[0] + b * from[1] + c * from[2]);
+        match self.shape {
+            0 => (0..3).all(|i| q[i].abs() <= self.bounds[i]),
+            1 => q[0] * q[0] + q[1] * q[1] + q[2] * q[2] <= 1.0,
+            _ => q[0] <= self.bounds[0],
+        }
+    }
 }
 
 /// Gaussians that are left out at random (DropGaussian): the numbers of 24 bits below `below`, by the keys and the Gaussian.
@@ -147,8 +177,16 @@ impl Drawn {
         cut: Limits::NONE,
         dropout: None,
         tint: None,
+        cut_outs: [None; 3],
         z_record: false,
     };
+
+    /// Whether the cut-outs leave a Gaussian.
+    pub fn keeps(&self, gaussian: &Gaussian) -> bool {
+        let own = || self.cut_outs.iter().flatten();
+        let inside = |removes: bool| own().any(|c| c.removes == removes && c.contains(gaussian.mean));
+        !inside(true) && (inside(false) || own().all(|c| c.removes))
+    }
 
     /// Whether a Gaussian is left out at random.
     pub fn drops(&self, gaussian: usize) -> bool {

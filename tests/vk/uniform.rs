@@ -29,7 +29,7 @@ impl Culling {
         let [parameters, visible_flags, block_counts, blocks] = &self.buffers[..] else { unreachable!() };
         r.update(blocks, &vec![0; blocks.bytes() as usize]);
         r.barrier();
-        let bind = cull::Bind { parameters, visible_flags, block_counts, camera_block };
+        let bind = cull::Bind { parameters, visible_flags, block_counts, cut_outs: parameters, camera_block };
         r.dispatch(&self.kernel, &bind, &cull::Push::default(), 1);
     }
 

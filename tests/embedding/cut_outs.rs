@@ -1,0 +1,207 @@
+//! Volumes that keep or remove the Gaussians of a scene of a frame.
+
+use crate::host::Host;
+use crate::scene_settings::{HIDDEN, Stage, USUAL};
+use crate::scenes::appended;
+use crate::stage::{assert_same, cloud, options, owned, with_host};
+use ashsplat::scene::{CutOut, Gaussians, Inside, Pose, Volume};
+use ashsplat::{Error, Reservation, SceneSettings};
+use glam::{Mat3, Quat, Vec3};
+
+fn pose(turn: f32, translation: Vec3, scale: f32) -> Pose {
+    let turn = Quat::from_euler(glam::EulerRot::XYZ, turn, -2.0 * turn, 0.5 * turn);
+    Pose { world_from_object: Mat3::from_quat(turn), translation, scale }
+}
+
+/// One of each volume, turned, moved and scaled, that keeps what is inside.
+fn volumes() -> [CutOut; 3] {
+    let inside = Inside::Kept;
+    let half_size = Vec3::new(0.9, 0.6, 0.75);
+    [
+        CutOut { volume: Volume::Box { half_size }, pose: pose(0.4, Vec3::splat(0.1), 0.75), inside },
+        CutOut {
+            volume: Volume::Ellipsoid { radii: half_size },
+            pose: pose(0.8, -Vec3::splat(0.2), 1.1),
+            inside,
+        },
+        CutOut {
+            volume: Volume::HalfSpace { normal: Vec3::new(1.0, -2.0, 0.5), offset: 0.1 },
+            pose: pose(0.0, Vec3::X * 0.1, 2.0),
+            inside,
+        },
+    ]
+}
+
+fn filtered(gaussians: &Gaussians, cut_outs: &[CutOut]) -> Gaussians {
+    let mut left = gaussians.clone();
+    left.cut_out(cut_outs).expect("valid cut-outs");
+    left
+}
+
+fn removing(cut_out: CutOut) -> CutOut {
+    CutOut { inside: Inside::Removed, ..cut_out }
+}
+
+fn with_cut_outs(wanted: Reservation) -> Reservation {
+    Reservation { slots: 2, occlusion: true, tint: true, cut_outs: 20, ..wanted }
+}
+
+/// The bits of a frame of what is left, filtered on the host.
+#[test]
+fn cut_outs_leave_the_bits_of_a_filtered_scene() {
+    with_host(&options(), |host| {
+        let parts = [cloud(500, 1), cloud(400, 2)];
+        let mut stage = Stage::new(host, &[&parts[0], &parts[1]], &with_cut_outs);
+        let [boxes, balls, halves] = volumes();
+        let sets = [
+            vec![boxes],
+            vec![balls],
+            vec![halves],
+            vec![removing(boxes)],
+            vec![removing(balls)],
+            vec![removing(halves)],
+            vec![boxes, balls, removing(halves)],
+            vec![removing(balls); 16],
+        ];
+        for set in &sets {
+            let cut_outs = SceneSettings { cut_outs: set, ..USUAL };
+            let [first, second] = [0, 1].map(|part| filtered(&parts[part], set));
+            assert!(first.len() > 50 && first.len() < 450, "{} of 500 are left", first.len());
+            let pixels = stage.pixels(&[cut_outs, USUAL]);
+            let expected = owned(&appended(&first, &parts[1]), &stage.camera, &stage.frame);
+            assert_same(&pixels, &expected, [0.0; 3]);
+            let pixels = stage.pixels(&[USUAL, SceneSettings { cut_outs: &set[..1], ..USUAL }]);
+            let second = if set.len() > 1 { filtered(&parts[1], &set[..1]) } else { second };
+            let expected = owned(&appended(&parts[0], &second), &stage.camera, &stage.frame);
+            assert_same(&pixels, &expected, [0.0; 3]);
+        }
+        let report = stage.renderer.slot_report(0).expect("a report").expect("finished");
+        assert_eq!(report.gaussians, 900, "they count, and are not visible");
+    });
+}
+
+/// A cut-out moves with its scene; one that stands in the world is brought into the scene.
+#[test]
+fn cut_outs_of_the_world_stay_where_they_are() {
+    with_host(&options(), |host| {
+        let part = cloud(600, 4);
+        let mut stage = Stage::new(host, &[&part], &with_cut_outs);
+        for scene_pose in [Pose::IDENTITY, pose(0.3, Vec3::new(0.2, -0.1, 0.3), 0.8)] {
+            stage.poses = vec![scene_pose];
+            let world = volumes();
+            let own = world.map(|cut_out| cut_out.in_scene(&scene_pose));
+            for (in_world, in_scene) in world.iter().zip(&own) {
+                let limits = in_world.limits();
+                let place = |mean: &[f32; 3]| {
+                    let turned = scene_pose.world_from_object * Vec3::from(*mean);
+                    (scene_pose.scale * turned + scene_pose.translation).to_array()
+                };
+                let inside = part.means.iter().filter(|mean| limits.contains(place(mean))).count();
+                let left = filtered(&part, std::slice::from_ref(in_scene));
+                assert!(left.len().abs_diff(inside) <= 1 && inside > 50, "{inside}, {}", left.len());
+                let cut_outs = std::slice::from_ref(in_scene);
+                let pixels = stage.pixels(&[SceneSettings { cut_outs, ..USUAL }]);
+                let mut apart = Stage::new(host, &[&left], &with_cut_outs);
+                apart.poses = vec![scene_pose];
+                assert!(pixels == apart.pixels(&[USUAL]), "{in_world:?}");
+            }
+        }
+    });
+}
+
+/// Frame after frame with everything on and off at random, in the bits of scenes that were filtered before.
+fn at_random(host: &Host, frames: u32) {
+    let parts = [cloud(200, 1), cloud(150, 2), cloud(120, 3)];
+    let all = [&parts[0], &parts[1], &parts[2]];
+    let mut stage = Stage::new(host, &all, &with_cut_outs);
+    let mut plain = Stage::new(host, &all, &with_cut_outs);
+    let context = plain.renderer.context().clone();
+    let mut state = 1u32;
+    let mut below = |most: u32| {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        (state >> 16) % most
+    };
+    for frame in 0..frames {
+        let sets: Vec<Vec<CutOut>> = (0..3)
+            .map(|_| {
+                let count = below(4);
+                let mut one = |_| {
+                    let cut_out = volumes()[below(3) as usize];
+                    if below(2) == 0 { cut_out } else { removing(cut_out) }
+                };
+                (0..count).map(&mut one).collect()
+            })
+            .collect();
+        let settings: Vec<SceneSettings> = sets
+            .iter()
+            .map(|cut_outs| SceneSettings {
+                visible: below(4) > 0,
+                tint: [[1.0; 3], [0.5, 1.5, 1.0]][below(2) as usize],
+                opacity: [1.0, 0.5, 0.0][below(3) as usize],
+                sh_degree: [None, Some(0), Some(3)][below(3) as usize],
+                cut_outs,
+            })
+            .collect();
+        let left = parts.iter().zip(&sets).map(|(part, set)| filtered(part, set));
+        let upload = |part: Gaussians| ashsplat::DeviceScene::upload(&context, &part, 0).expect("a scene");
+        plain.scenes = left.map(upload).collect();
+        let without: Vec<_> = settings.iter().map(|own| SceneSettings { cut_outs: &[], ..*own }).collect();
+        let expected = plain.pixels(&without);
+        assert!(stage.pixels(&settings) == expected, "frame {frame}: {settings:?}");
+    }
+}
+
+#[test]
+fn settings_of_scenes_change_from_frame_to_frame() {
+    with_host(&options(), |host| at_random(host, 40));
+}
+
+#[test]
+#[ignore = "takes minutes"]
+fn settings_of_scenes_change_a_thousand_times() {
+    with_host(&options(), |host| at_random(host, 1000));
+}
+
+#[test]
+fn bad_cut_outs_are_refused_by_name() {
+    with_host(&options(), |host| {
+        let part = cloud(100, 1);
+        let mut stage = Stage::new(host, &[&part, &part], &with_cut_outs);
+        let [good, ball, half] = volumes();
+        let with = |volume| [good, CutOut { volume, ..good }];
+        let flat = with(Volume::Box { half_size: Vec3::new(1.0, 0.0, 1.0) });
+        let unknown = with(Volume::Ellipsoid { radii: Vec3::new(1.0, f32::NAN, 1.0) });
+        let tiny = with(Volume::Ellipsoid { radii: Vec3::splat(1e-40) });
+        let nowhere = with(Volume::HalfSpace { normal: Vec3::ZERO, offset: 0.0 });
+        let endless = with(Volume::HalfSpace { normal: Vec3::X, offset: f32::INFINITY });
+        let sheared =
+            [Pose { world_from_object: Mat3::from_diagonal(Vec3::new(1.0, 2.0, 1.0)), ..Pose::IDENTITY }]
+                .map(|pose| CutOut { pose, ..ball });
+        let (seventeen, ten) = ([half; 17], [half; 11]);
+        let bad: [(&[CutOut], &str); 7] = [
+            (&flat, "scenes[1].settings.cut_outs[1].volume: sizes of [1.0, 0.0, 1.0] are not all positive"),
+            (&unknown, "scenes[1].settings.cut_outs[1].volume: sizes of [1.0, NaN, 1.0]"),
+            (&tiny, "it is too large or too small with its pose"),
+            (&nowhere, "a normal of [0.0, 0.0, 0.0] has no direction"),
+            (&endless, "an offset of inf is not finite"),
+            (&sheared, "scenes[1].settings.cut_outs[0].pose: is not a rotation"),
+            (&seventeen, "scenes[1].settings.cut_outs: 17 of them, there may be 16"),
+        ];
+        for (cut_outs, expected) in bad {
+            let error = stage.refused(&[USUAL, SceneSettings { cut_outs, ..USUAL }]);
+            assert!(matches!(error, Error::Argument { .. }), "{error:?}");
+            assert!(error.to_string().contains(expected), "{error} (expected {expected})");
+        }
+        let eleven = SceneSettings { cut_outs: &ten, ..USUAL };
+        let error = stage.refused(&[eleven, eleven]).to_string();
+        assert_eq!(error, "scenes: the frame needs 22 cut_outs, more than 20 (reserved)");
+        // What is hidden has none.
+        let hidden = SceneSettings { visible: false, ..eleven };
+        let expected = owned(&filtered(&part, &ten), &stage.camera, &stage.frame);
+        assert_same(&stage.pixels(&[hidden, eleven]), &expected, [0.0; 3]);
+        let mut none = Stage::new(host, &[&part], &|wanted| wanted);
+        let error = none.refused(&[eleven]).to_string();
+        assert_eq!(error, "scenes: the frame needs 11 cut_outs, more than 0 (reserved)");
+        assert!(none.pixels(&[HIDDEN]).iter().all(|pixel| pixel[3] == 1.0));
+    });
+}
