@@ -79,6 +79,16 @@ typedef enum AshsplatShape {
   AshsplatShape_Point = 2,
 } AshsplatShape;
 
+// The shape of a volume.
+typedef enum AshsplatVolume {
+  // A box around the origin of its own axes.
+  AshsplatVolume_Box = 0,
+  // An ellipsoid around the origin.
+  AshsplatVolume_Ellipsoid = 1,
+  // The points x with normal x <= offset.
+  AshsplatVolume_HalfSpace = 2,
+} AshsplatVolume;
+
 // A device that everything runs on.
 typedef struct AshsplatContext AshsplatContext;
 
@@ -238,6 +248,41 @@ typedef struct AshsplatDepthMapping {
   float clear_value;
 } AshsplatDepthMapping;
 
+// A volume that keeps or removes the Gaussians whose means lie inside. Of several, a Gaussian is drawn that lies in at least
+// one of those that keep, if there are any, and in none of those that remove.
+typedef struct AshsplatCutOut {
+  // An AshsplatVolume.
+  uint32_t volume;
+  // Half of the size along each of its axes, positive; of a half-space the normal, out of it, of any length but 0.
+  float size[3];
+  // Of a half-space: where its plane lies along the normal, in units of the normal's length.
+  float offset;
+  // From its axes to the scene's own, before the scene's pose: a rotation, row by row.
+  float scene_from_volume[9];
+  // Its origin, units of the scene.
+  float translation[3];
+  // Units of the scene per unit of the volume: 1 for no scaling.
+  float scale;
+  // Whether what lies inside is removed, instead of kept.
+  bool removes;
+} AshsplatCutOut;
+
+// How one scene of a frame is drawn; ashsplat_scene_settings fills in the defaults.
+typedef struct AshsplatSceneSettings {
+  // Whether it is drawn. A scene that is not takes no work and no room; the others keep their places among the frame's.
+  bool visible;
+  // Factors of red, green and blue, 0 to 1000 each, of the colours as trained. The product is at most 65504.
+  float tint[3];
+  // Factor of the opacities, 0 to 1; 0 is as not visible.
+  float opacity;
+  // Highest evaluated SH degree: 3 for all stored degrees.
+  uint32_t sh_degree;
+  // Volumes that keep or remove Gaussians.
+  const struct AshsplatCutOut *cut_outs;
+  // How many, at most 16.
+  uint32_t cut_out_count;
+} AshsplatSceneSettings;
+
 // A scene and its pose: x_world = scale rotation x_object + translation.
 typedef struct AshsplatPlaced {
   // The scene.
@@ -248,6 +293,8 @@ typedef struct AshsplatPlaced {
   float translation[3];
   // World units per unit of the scene, the same in all directions: 1 for no scaling.
   float scale;
+  // How it is drawn, or NULL: as it is.
+  const struct AshsplatSceneSettings *settings;
 } AshsplatPlaced;
 
 // How an image is being used at some point of a command buffer.
@@ -385,6 +432,10 @@ typedef struct AshsplatReservation {
   // queue: slots whose numbers leave the same rest when divided by this share it. Their frames go to one queue, in
   // any order, or are ordered by semaphores. With as many queues as slots nothing is shared.
   uint32_t queues;
+  // Whether scenes of frames will have a tint or an opacity (AshsplatSceneSettings).
+  bool tint;
+  // Cut-outs of all scenes of a frame together.
+  uint32_t cut_outs;
   // Bytes of staging memory for a frame's updates: ashsplat_update_bytes.
   uint64_t staging_bytes;
 } AshsplatReservation;
@@ -691,6 +742,20 @@ enum AshsplatStatus ashsplat_kernels_build(const struct AshsplatKernels *kernels
 // # Safety
 // `kernels` is NULL or of this library and not used afterwards.
 void ashsplat_kernels_free(struct AshsplatKernels *kernels);
+
+// The default settings, with which a scene is drawn as it is.
+//
+// # Safety
+// `settings` is valid for a write.
+enum AshsplatStatus ashsplat_scene_settings(struct AshsplatSceneSettings *settings);
+
+// A cut-out whose pose is one in the world, for a scene that is placed there: `placed` needs no scene.
+//
+// # Safety
+// `cut_out` and `placed` are alive, `in_scene` is valid for a write; it may be `cut_out`.
+enum AshsplatStatus ashsplat_cut_out_in_scene(const struct AshsplatCutOut *cut_out,
+                                              const struct AshsplatPlaced *placed,
+                                              struct AshsplatCutOut *in_scene);
 
 // Uploads a scene from a host's arrays, with a capacity of at least `capacity` Gaussians: AshsplatUpdate and
 // ashsplat_scene_set_count change it later. Without Gaussians the scene is empty, and nothing is submitted.

@@ -3,8 +3,8 @@
 use super::allocator::Adapter;
 use super::{
     AshsplatCamera, AshsplatContext, AshsplatDepthMapping, AshsplatFrame, AshsplatHost, AshsplatHostImage,
-    AshsplatImageState, AshsplatPlaced, AshsplatRelease, AshsplatRenderer, AshsplatStatus, borrowed,
-    borrowed_mut, give, guarded, scenes, settings, slice, take,
+    AshsplatImageState, AshsplatRelease, AshsplatRenderer, AshsplatStatus, borrowed, borrowed_mut, give,
+    guarded, scene_settings, scenes, settings, slice, take,
 };
 use ashsplat::ash::{self, vk, vk::Handle};
 use ashsplat::scene::{ClipY, HostView};
@@ -223,12 +223,16 @@ pub unsafe extern "C" fn ashsplat_record(
     // SAFETY: as promised.
     guarded(|| unsafe {
         let (renderer, f) = (borrowed_mut(renderer, "renderer")?, borrowed(frame, "frame")?);
-        let place =
-            |placed: &AshsplatPlaced| Ok(Placed::at(&borrowed(placed.scene, "scene")?.scene, placed.pose()));
-        let scenes: Result<Vec<Placed<'_>>> =
-            slice(f.scenes, f.scene_count as usize, "scenes")?.iter().map(place).collect();
+        let placed = slice(f.scenes, f.scene_count as usize, "scenes")?;
+        let cut_outs = scene_settings::cut_outs(placed)?;
+        let mut scenes = Vec::with_capacity(placed.len());
+        for (placed, cut_outs) in placed.iter().zip(&cut_outs) {
+            let settings = scene_settings::of(placed, cut_outs);
+            let scene = &borrowed(placed.scene, "scene")?.scene;
+            scenes.push(Placed { settings, ..Placed::at(scene, placed.pose()) });
+        }
         let copied = scenes::copied(slice(f.updates, f.update_count as usize, "updates")?)?;
-        let (scenes, updates) = (scenes?, scenes::updates(&copied));
+        let updates = scenes::updates(&copied);
         let camera = (&f.camera).into();
         let settings = f.settings.as_ref().map_or(Ok(RenderSettings::default()), |s| s.checked())?;
         let mut recorded =

@@ -7,6 +7,7 @@
 mod allocator;
 mod foreign;
 mod kernels;
+mod scene_settings;
 mod scenes;
 mod settings;
 mod slots;
@@ -16,6 +17,7 @@ mod types;
 pub use allocator::{AshsplatAllocator, AshsplatMemory, AshsplatMemoryRequest};
 pub use foreign::*;
 pub use kernels::*;
+pub use scene_settings::*;
 pub use scenes::*;
 pub use settings::*;
 pub use slots::*;

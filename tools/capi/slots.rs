@@ -20,6 +20,8 @@ impl From<&AshsplatReservation> for Reservation {
             occlusion: w.occlusion,
             expected_depth: w.expected_depth,
             images_only: w.images_only,
+            tint: w.tint,
+            cut_outs: w.cut_outs,
             staging_bytes: w.staging_bytes,
             ..Self::new(w.gaussians, w.sh_degree, w.width, w.height)
         }

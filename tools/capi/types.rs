@@ -201,6 +201,10 @@ pub struct AshsplatReservation {
     /// queue: slots whose numbers leave the same rest when divided by this share it. Their frames go to one queue, in
     /// any order, or are ordered by semaphores. With as many queues as slots nothing is shared.
     pub queues: u32,
+    /// Whether scenes of frames will have a tint or an opacity (AshsplatSceneSettings).
+    pub tint: bool,
+    /// Cut-outs of all scenes of a frame together.
+    pub cut_outs: u32,
     /// Bytes of staging memory for a frame's updates: ashsplat_update_bytes.
     pub staging_bytes: u64,
 }
@@ -281,6 +285,8 @@ pub struct AshsplatPlaced {
     pub translation: [f32; 3],
     /// World units per unit of the scene, the same in all directions: 1 for no scaling.
     pub scale: f32,
+    /// How it is drawn, or NULL: as it is.
+    pub settings: *const super::AshsplatSceneSettings,
 }
 
 impl AshsplatPlaced {

@@ -184,6 +184,8 @@ fn frames(context: &Context, sh_degree: u32, form: Blending) -> Result<()> {
         expected_depth: true,
         occlusion: true,
         filter_3d: true,
+        tint: true,
+        cut_outs: 1,
         ..Reservation::new(GAUSSIANS as u32, sh_degree, SIZE[0], SIZE[1])
     })
 }

@@ -30,7 +30,7 @@ fn the_header_is_what_the_sources_say() {
         enumeration: EnumConfig { prefix_with_name: true, ..EnumConfig::default() },
         // They arrive as numbers: no function has them in its signature.
         export: ExportConfig {
-            include: ["Background", "ColorEncoding", "Extent", "JacobianLimit", "Shape"]
+            include: ["Background", "ColorEncoding", "Extent", "JacobianLimit", "Shape", "Volume"]
                 .map(|e| format!("Ashsplat{e}"))
                 .to_vec(),
             ..ExportConfig::default()
@@ -191,8 +191,17 @@ fn expected_of_scenes(mut file: Gaussians) -> (Frame, Camera) {
     };
     let quarter = DQuat::from_rotation_z(std::f64::consts::FRAC_PI_2);
     all.append(&moved(file, quarter, 0.25, DVec3::new(-0.8, 0.4, -0.5)));
-    all.append(&grid(0.15));
-    let half = grid(-0.9).select(&(0..32).collect::<Vec<_>>());
+    let mut tinted = grid(0.15);
+    for (sh, logit) in tinted.sh.chunks_mut(4).zip(&mut tinted.opacity_logits) {
+        let c0 = 0.282_094_79;
+        sh[0][0] = ((sh[0][0] * c0 + 0.5) * 0.5 - 0.5) / c0;
+        let opacity = 0.75 / (1.0 + (-*logit).exp());
+        *logit = (opacity / (1.0 - opacity)).ln();
+    }
+    all.append(&tinted);
+    let mut half = grid(-0.9).select(&(0..32).collect::<Vec<_>>());
+    // A half-space in the scene's units.
+    half.retain(|half, i| half.means[i][0] < 0.5);
     all.append(&moved(half, DQuat::IDENTITY, 0.5, DVec3::new(0.3, 0.0, 0.0)));
     // Background the wall.
     all.retain(|all, i| all.means[i][2] + 4.0 < 4.2);

@@ -94,7 +94,9 @@ int main(int count, char **arguments) {
     AshsplatReservation wanted;
     memset(&wanted, 0, sizeof wanted);
     wanted.slots = 1;
-    wanted.scenes = 4;
+    wanted.scenes = 5;
+    wanted.tint = true;
+    wanted.cut_outs = 1;
     wanted.gaussians = 2 * gaussians + 2 * OWN;
     wanted.sh_degree = sh_degree;
     wanted.width = WIDTH;
@@ -111,18 +113,32 @@ int main(int count, char **arguments) {
     host_transition(&host, &depth, ASPECT_DEPTH, LAYOUT_UNDEFINED, LAYOUT_COPY_TO, ACCESS_TRANSFER_WRITE);
     host.CmdClearDepthStencilImage(commands, depth.raw, LAYOUT_COPY_TO, &wall, 1, &whole);
 
-    AshsplatPlaced placed[4] = {
-        {file, {1, 0, 0, 0, 1, 0, 0, 0, 1}, {0, 0, 0}, 1},
-        {file, {0, -1, 0, 1, 0, 0, 0, 0, 1}, {-0.8f, 0.4f, -0.5f}, 0.25f},
-        {own, {1, 0, 0, 0, 1, 0, 0, 0, 1}, {0, 0, 0}, 1},
-        {made, {1, 0, 0, 0, 1, 0, 0, 0, 1}, {0.3f, 0, 0}, 0.5f},
+    AshsplatSceneSettings hidden, tinted, cut;
+    check(ashsplat_scene_settings(&hidden), "the defaults");
+    EXPECT(hidden.visible && hidden.tint[2] == 1 && hidden.opacity == 1 && hidden.sh_degree == 3);
+    tinted = cut = hidden;
+    hidden.visible = false;
+    tinted.tint[0] = 0.5f;
+    tinted.opacity = 0.75f;
+    /* What lies at x >= 0.55 in the world. */
+    AshsplatCutOut half = {AshsplatVolume_HalfSpace, {-1, 0, 0}, -0.55f, {1, 0, 0, 0, 1, 0, 0, 0, 1}, {0, 0, 0}, 1, true};
+    cut.cut_outs = &half;
+    cut.cut_out_count = 1;
+    AshsplatPlaced placed[5] = {
+        {file, {1, 0, 0, 0, 1, 0, 0, 0, 1}, {0, 0, 0}, 1, NULL},
+        {file, {0, -1, 0, 1, 0, 0, 0, 0, 1}, {-0.8f, 0.4f, -0.5f}, 0.25f, NULL},
+        {own, {1, 0, 0, 0, 1, 0, 0, 0, 1}, {0, 0, 0}, 1, &tinted},
+        {made, {1, 0, 0, 0, 1, 0, 0, 0, 1}, {0.3f, 0, 0}, 0.5f, &cut},
+        {file, {1, 0, 0, 0, 1, 0, 0, 0, 1}, {0, 0, 0}, 1, &hidden},
     };
+    check(ashsplat_cut_out_in_scene(&half, &placed[3], &half), "bringing a cut-out into a scene");
+    EXPECT(half.scale == 2 && half.translation[0] < -0.599f && half.translation[0] > -0.601f && half.removes);
     arrays = grid(-0.4f);
     AshsplatUpdate update = {file, 10, arrays};
     AshsplatFrame frame;
     memset(&frame, 0, sizeof frame);
     frame.scenes = placed;
-    frame.scene_count = 4;
+    frame.scene_count = 5;
     const float view[16] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 4, 1};
     const float projection[16] = {2, 0, 0, 0, 0, 2.6666667f, 0, 0, 0, 0, 0, 1, 0, 0, NEAR, 0};
     check(ashsplat_camera_from_matrices(view, projection, false, WIDTH, HEIGHT, &frame.camera, &frame.depth_mapping),
@@ -151,6 +167,21 @@ int main(int count, char **arguments) {
     frame.camera.fx = -1;
     EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
     frame.camera.fx = 160;
+    half.volume = 3;
+    EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
+    EXPECT(strstr(ashsplat_last_error(), "scenes[3].settings.cut_outs[0].volume: 3, there are 0 to 2") != NULL);
+    half.volume = AshsplatVolume_HalfSpace;
+    half.size[0] = 0;
+    EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
+    EXPECT(strstr(ashsplat_last_error(), "scenes[3].settings.cut_outs[0].volume: a normal") != NULL);
+    half.size[0] = -1;
+    cut.cut_outs = NULL;
+    EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
+    cut.cut_outs = &half;
+    tinted.opacity = 1.5f;
+    EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
+    EXPECT(strstr(ashsplat_last_error(), "scenes[2].settings.opacity: 1.5") != NULL);
+    tinted.opacity = 0.75f;
     AshsplatRelease release;
     check(ashsplat_record(renderer, commands, 0, &frame, &release), "recording");
     host_read(&host, &color, release.target.layout, &pixels);
