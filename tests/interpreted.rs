@@ -97,6 +97,8 @@ fn wide_cull_and_compact() {
     on_wide_machines(|| {
         cull::cull_equals_its_twin();
         cull::cull_equals_its_twin_under_dropout();
+        cull::cull_equals_its_twin_under_a_scenes_opacity();
+        cull::cull_equals_its_twin_with_cut_outs();
         cull::cull_of_non_finite_parameters();
         compact::compact_equals_its_twin();
     });

@@ -59,6 +59,10 @@ layout(push_constant, scalar) uniform Push {
 #include "sh.glsl"
 #include "sh_planes.glsl"
 
+vec3 tinted(vec3 color) {
+    return TINTED ? min(color * scene_tint, vec3(TINTED_COLOR_MAX)) : color;
+}
+
 void main() {
     // A workgroup has the size of a culling block.
     uvec4 visible_range = UVEC4_AT(visible_ranges, 2 * (first / WORKGROUP_SIZE) + 1);
@@ -80,11 +84,6 @@ void main() {
     bool valid = is_finite(color.x) && is_finite(color.y) && is_finite(color.z);
     color = valid ? color : vec3(0.0);
 
-    color = max(color, vec3(0.0));
-    if (TINTED) {
-        color = min(color * scene_tint, vec3(TINTED_COLOR_MAX));
-    }
-
     vec4 mean2d = vec4(f.mean2d_px, f.half_extent_px);
     vec4 conic = vec4(vec3(p.cov2d.z, -p.cov2d.y, p.cov2d.x) / p.det, f.opacity);
     uvec3 shape = extent == EXTENT_REFERENCE ? uvec3(pack_tiles(f.tiles), f.radius_px) : row_shape(mean2d, conic);
@@ -92,7 +91,7 @@ void main() {
     mean2d_extent[splat_at(visible, SPLAT_MEAN2D_EXTENT)] = mean2d;
     conic_opacity[splat_at(visible, SPLAT_CONIC_OPACITY)] = conic;
     color_inverse_depth[splat_at(visible, SPLAT_COLOR_INVERSE_DEPTH)] =
-        vec4(color, Z_RECORD ? p.mean_camera.z : 1.0 / p.mean_camera.z);
+        vec4(tinted(max(color, vec3(0.0))), Z_RECORD ? p.mean_camera.z : 1.0 / p.mean_camera.z);
     depth_keys[visible] = floatBitsToUint(p.mean_camera.z);
     footprints[splat_at(visible, SPLAT_FOOTPRINT)] = uvec4(shape, tiles_met(list));
     tile_lists[visible] = list;

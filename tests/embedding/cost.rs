@@ -60,7 +60,7 @@ pub fn allocations<T>(f: impl FnOnce() -> T) -> (u64, T) {
 }
 
 /// A guest as in a game that is shipped: nothing checks what it does.
-fn shipped(host: &Host, timestamps: bool) -> Context {
+pub fn shipped(host: &Host, timestamps: bool) -> Context {
     let options = ContextOptions { timestamps, hazard_check: false, ..ContextOptions::default() };
     // SAFETY: as in `guest`.
     unsafe { Context::from_foreign(&host.foreign(), &options) }.expect("a context")

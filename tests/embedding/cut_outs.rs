@@ -1,11 +1,13 @@
 //! Volumes that keep or remove the Gaussians of a scene of a frame.
 
-use crate::host::Host;
+use crate::host::{Host, HostOptions, InFlight};
 use crate::scene_settings::{HIDDEN, Stage, USUAL};
 use crate::scenes::appended;
-use crate::stage::{assert_same, cloud, options, owned, with_host};
+use crate::stage::{adopt, assert_same, camera, cloud, options, owned, with_host};
 use ashsplat::scene::{CutOut, Gaussians, Inside, Pose, Volume};
-use ashsplat::{Error, Reservation, SceneSettings};
+use ashsplat::{
+    DeviceScene, Error, Placed, RecordedFrame, RenderSettings, Renderer, Reservation, SceneSettings,
+};
 use glam::{Mat3, Quat, Vec3};
 
 fn pose(turn: f32, translation: Vec3, scale: f32) -> Pose {
@@ -143,7 +145,7 @@ fn at_random(host: &Host, frames: u32) {
             })
             .collect();
         let left = parts.iter().zip(&sets).map(|(part, set)| filtered(part, set));
-        let upload = |part: Gaussians| ashsplat::DeviceScene::upload(&context, &part, 0).expect("a scene");
+        let upload = |part: Gaussians| DeviceScene::upload(&context, &part, 0).expect("a scene");
         plain.scenes = left.map(upload).collect();
         let without: Vec<_> = settings.iter().map(|own| SceneSettings { cut_outs: &[], ..*own }).collect();
         let expected = plain.pixels(&without);
@@ -160,6 +162,59 @@ fn settings_of_scenes_change_from_frame_to_frame() {
 #[ignore = "takes minutes"]
 fn settings_of_scenes_change_a_thousand_times() {
     with_host(&options(), |host| at_random(host, 1000));
+}
+
+/// Milliseconds of culling, of projection and of all, of frames that draw the same Gaussians: medians, taken in turn.
+#[test]
+#[ignore = "prints a table of the guide"]
+fn costs() {
+    with_host(&HostOptions::default(), |host| {
+        let context = crate::cost::shipped(host, true);
+        let scene = DeviceScene::upload(&context, &cloud(200_000, 1), 0).expect("a scene");
+        let mut renderer = Renderer::new(&context).expect("kernels");
+        let wanted = Reservation { tint: true, cut_outs: 16, ..Reservation::new(200_000, 1, 640, 480) };
+        renderer.reserve(&wanted).expect("memory");
+        let volume = Volume::Box { half_size: Vec3::splat(9.0) };
+        let around = [CutOut { volume, pose: pose(0.3, Vec3::ZERO, 1.0), inside: Inside::Kept }; 16];
+        let cases = [
+            ("as it is", USUAL),
+            ("tint and opacity", SceneSettings { tint: [1.0, 1.0, 0.99], opacity: 0.999, ..USUAL }),
+            ("SH degree 0", SceneSettings { sh_degree: Some(0), ..USUAL }),
+            ("a cut-out around all", SceneSettings { cut_outs: &around[..1], ..USUAL }),
+            ("16 of them", SceneSettings { cut_outs: &around, ..USUAL }),
+            ("not visible", HIDDEN),
+        ];
+        let (view, settings) = (camera(0.7, 640, 480), RenderSettings::default());
+        let in_flight = InFlight::new(host).expect("a command buffer");
+        let mut times = vec![[const { Vec::new() }; 3]; cases.len()];
+        for round in 0..11 {
+            for ((_, own), times) in cases.iter().zip(&mut times) {
+                let placed = [Placed { settings: *own, ..Placed::from(&scene) }];
+                in_flight.begin(host).expect("recording");
+                let frame = RecordedFrame::new(&placed, &view, &settings);
+                renderer.record(adopt(&context, &in_flight), 0, &frame).expect("a recording");
+                in_flight.submit(host).expect("a submission");
+                in_flight.wait(host).expect("done");
+                let report = renderer.slot_report(0).expect("a report").expect("finished");
+                let sum = |name: Option<&str>| -> f64 {
+                    let own =
+                        report.scopes.iter().filter(|s| name.map_or(s.depth == 0, |name| s.name == name));
+                    own.map(|s| s.nanoseconds / 1e6).sum()
+                };
+                if round > 0 {
+                    let all = [sum(Some("cull")), sum(Some("project")), sum(None)];
+                    times.iter_mut().zip(all).for_each(|(times, ms)| times.push(ms));
+                }
+            }
+        }
+        println!("scene | cull, ms | project, ms | frame, ms");
+        for ((name, _), mut times) in cases.iter().zip(times) {
+            times.iter_mut().for_each(|times| times.sort_by(f64::total_cmp));
+            let [cull, project, all] = times.map(|times| times[times.len() / 2]);
+            println!("{name} | {cull:.2} | {project:.2} | {all:.1}");
+        }
+        in_flight.destroy(host);
+    });
 }
 
 #[test]
