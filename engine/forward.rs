@@ -5,6 +5,7 @@
 //! tile bits of the instances then remain to be sorted, and the order is that of the 64-bit (tile | depth)
 //! key. Second, a Gaussian touches a tile only if the ellipse where alpha reaches 1/255 meets it.
 
+mod arguments;
 mod blend_forms;
 mod blending;
 mod camera_block;
@@ -15,6 +16,8 @@ mod scene_settings;
 mod settings;
 mod shape;
 
+use arguments::arguments;
+pub(crate) use arguments::range_arguments;
 pub use blend_forms::{BlendMeasurement, Blending};
 pub use blending::BlendVariant;
 pub(crate) use blending::record_passes;
@@ -23,7 +26,7 @@ pub use camera_block::{POSE_BYTES, pose_of};
 pub(crate) use cut_outs::CUT_OUT_BYTES;
 pub use filter_3d::Filter3d;
 pub use inputs::{FrameInputs, PlacedScene, SceneBuffers};
-pub use scene_settings::{MAX_TINT, SceneSettings};
+pub use scene_settings::{MAX_TINT, SceneSettings, Selection};
 pub use settings::{Dropout, Extent, JacobianLimit, RenderSettings};
 pub use shape::{ELLIPSOID_SIGMAS, POINT_RADIUS_PX, Shape};
 
@@ -35,7 +38,7 @@ use crate::kernels::forward::{
 use crate::plan::{FrameBuffers, GaussianRange, LaunchSizes, blocks, sorted_side, tile_bits, tile_grid};
 use crate::scan::{Scan, ScanBuffers, Workgroups};
 use crate::sort::{RadixSort, SortBuffers, Values};
-use crate::vk::{Buffer, Context, Kernel, Recorder};
+use crate::vk::{Context, Kernel, Recorder};
 
 /// The kernels of the forward pass.
 pub struct Forward {
@@ -49,7 +52,7 @@ pub struct Forward {
     write_indirect_args: Kernel<write_indirect_args::Interface>,
     write_visible_ranges: Kernel<write_visible_ranges::Interface>,
     /// By [`BlendVariant::of_project`], by SH degree.
-    project: [[Option<Kernel<project::Interface>>; 4]; 16],
+    project: [[Option<Kernel<project::Interface>>; 4]; 32],
     count: Kernel<count::Interface>,
     /// For rendering alone, and for frames with backward.
     duplicate: [Kernel<duplicate_with_tiles::Interface>; 2],
@@ -113,7 +116,7 @@ impl Forward {
     /// # Errors
     /// When the device refuses a pipeline.
     pub fn prepare_variant(&mut self, sh_degree: u32, variant: BlendVariant) -> Result<()> {
-        let BlendVariant { filter_3d, dropout, tinted, cut_outs, z_record, .. } = variant;
+        let BlendVariant { filter_3d, dropout, tinted, cut_outs, selection, z_record, .. } = variant;
         let workgroup_size = self.sizes.elementwise_workgroup;
         let cull = &mut self.cull[variant.of_cull()];
         if cull.is_none() {
@@ -129,6 +132,7 @@ impl Forward {
                 filter_3d,
                 dropout,
                 tinted,
+                selection,
                 z_record,
                 sh_loops: self.sizes.sh_loops,
             };
@@ -308,6 +312,7 @@ impl Forward {
                 extent,
                 antialias,
                 splat_stride: splats.stride,
+                first_of_scene: part.first_of_scene,
             };
             let bind = project::Bind {
                 parameters: &part.scene.chunks[range.chunk],
@@ -319,6 +324,8 @@ impl Forward {
                 depth_keys: f.depth_keys(),
                 footprints: splats.footprints,
                 tile_lists: f.tile_lists(),
+                // Without one it is not read, but must be bound.
+                selection: part.settings.mask().unwrap_or(&f.visible_list),
                 camera_block: &block_of(f, part.place),
             };
             if index > 0 {
@@ -436,15 +443,4 @@ impl Forward {
         r.dispatch_indirect(kernel, &bind, &ranges::Push {}, &arguments(f, c::ARGUMENTS_INSTANCES));
         r.barrier();
     }
-}
-
-/// The indirect arguments of a dispatch over the visible Gaussians of one parameter range. Their index in
-/// `visible_ranges` is that of the range's first culling block.
-pub(crate) fn range_arguments(frame: &FrameBuffers, sizes: &LaunchSizes, range: GaussianRange) -> Buffer {
-    frame.visible_ranges.range(32 * u64::from(range.first / sizes.elementwise_workgroup), 12)
-}
-
-/// The indirect arguments of this name (ARGUMENTS_*).
-pub(crate) fn arguments(frame: &FrameBuffers, index: u32) -> Buffer {
-    frame.arguments.range(u64::from(index) * 16, 12)
 }

@@ -29,6 +29,8 @@ pub struct BlendVariant {
     pub tinted: bool,
     /// A scene has cut-outs: this concerns culling.
     pub cut_outs: bool,
+    /// A scene has a selection: this concerns projection.
+    pub selection: bool,
     /// The splats' records have z in place of 1/z, so that the sum of weights * z is differentiable; `linear_depth` is not:
     /// this concerns projection.
     pub z_record: bool,
@@ -50,7 +52,12 @@ impl BlendVariant {
 
     /// That of one of a frame's scenes.
     pub(crate) fn of_scene(self, scene: &SceneSettings) -> Self {
-        Self { tinted: scene.is_tinted(), cut_outs: scene.cut_out_count() > 0, ..self }
+        Self {
+            tinted: scene.is_tinted(),
+            cut_outs: scene.cut_out_count() > 0,
+            selection: scene.mask().is_some(),
+            ..self
+        }
     }
 
     fn of_shape(self) -> usize {
@@ -64,7 +71,7 @@ impl BlendVariant {
 
     /// The place of its kernels of projection.
     pub(super) fn of_project(self) -> usize {
-        self.of_shape() | usize::from(self.z_record) << 3
+        self.of_shape() | usize::from(self.z_record) << 3 | usize::from(self.selection) << 4
     }
 
     fn strips(self, sizes: &LaunchSizes) -> bool {

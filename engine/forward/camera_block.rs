@@ -85,6 +85,8 @@ fn camera_block(placed: &PlacedScene<'_>, settings: &RenderSettings) -> CameraBl
         dropout_factor: dropout.factor(),
         scene_tint: scene.tint,
         scene_opacity: scene.opacity,
+        selection_color: scene.selection.map_or([0.0; 3], |selection| selection.color),
+        selection_share: scene.selection.map_or(0.0, |selection| selection.share),
     }
 }
 

@@ -108,6 +108,8 @@ pub(super) struct Part<'a> {
     pub(super) settings: SceneSettings<'a>,
     /// Of the frame.
     pub(super) first_cut_out: u32,
+    /// First Gaussian of the range in its scene.
+    pub(super) first_of_scene: u32,
     /// Of the frame: its first Gaussian counts among those of all scenes.
     pub(super) range: GaussianRange,
 }
@@ -137,8 +139,9 @@ impl<'a> FrameInputs<'a> {
             let PlacedScene { scene, sh_degree, settings, first, first_cut_out, .. } = placed;
             let ranges = scene.plan.ranges(placed.drawn());
             ranges.map(move |range| {
+                let first_of_scene = range.first;
                 let range = GaussianRange { first: first + range.first, ..range };
-                Part { scene, place, sh_degree, settings, first_cut_out, range }
+                Part { scene, place, sh_degree, settings, first_cut_out, first_of_scene, range }
             })
         })
     }

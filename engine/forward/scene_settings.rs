@@ -1,10 +1,12 @@
 //! How one scene of a frame is drawn, beside the frame's settings.
 
 use crate::error::{Error, Result};
+use crate::kernels::constants::TINTED_COLOR_MAX;
 use crate::scene::{CutOut, MAX_CUT_OUTS};
+use crate::vk::Buffer;
 
 /// How one scene of a frame is drawn. The default draws it as it is, with the kernels of a frame without any of this.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug)]
 pub struct SceneSettings<'a> {
     /// Whether it is drawn. A scene that is not takes no work and no room, and the others keep their places in
     /// [`RecordedFrame::scenes`](crate::RecordedFrame::scenes).
@@ -21,6 +23,21 @@ pub struct SceneSettings<'a> {
     pub sh_degree: Option<u32>,
     /// Volumes that keep or remove Gaussians, in the scene's own coordinates: at most [`MAX_CUT_OUTS`].
     pub cut_outs: &'a [CutOut],
+    /// Gaussians that are drawn in another colour.
+    pub selection: Option<Selection<'a>>,
+}
+
+/// Gaussians of a scene that are drawn in another colour.
+#[derive(Clone, Copy, Debug)]
+pub struct Selection<'a> {
+    /// A bit per Gaussian of the scene: bit i % 32 of word i / 32, set where it is selected. A host's buffer
+    /// ([`Buffer::adopt`]) or one of the context's, of whole words for all Gaussians; the host synchronises its writes as for
+    /// any buffer that compute shaders read.
+    pub mask: &'a Buffer,
+    /// The other colour, display-encoded, 0 to [`TINTED_COLOR_MAX`] each.
+    pub color: [f32; 3],
+    /// Its share in the drawn colour, 0 to 1; the rest is the Gaussian's own, under the tint.
+    pub share: f32,
 }
 
 /// Largest factor of a [`SceneSettings::tint`].
@@ -28,16 +45,16 @@ pub const MAX_TINT: f32 = 1000.0;
 
 impl Default for SceneSettings<'_> {
     fn default() -> Self {
-        Self { visible: true, tint: [1.0; 3], opacity: 1.0, sh_degree: None, cut_outs: &[] }
+        Self { visible: true, tint: [1.0; 3], opacity: 1.0, sh_degree: None, cut_outs: &[], selection: None }
     }
 }
 
-impl SceneSettings<'_> {
+impl<'a> SceneSettings<'a> {
     /// Checks the numbers.
     ///
     /// # Errors
-    /// [`Error::Argument`] with the field's name for a tint or an opacity out of range or no number, an SH degree above 3, too
-    /// many cut-outs, and those of [`CutOut::check`].
+    /// [`Error::Argument`] with the field's name for a tint, an opacity or a selection's colour out of range or no number, an
+    /// SH degree above 3, too many cut-outs, and those of [`CutOut::check`].
     pub fn check(&self) -> Result<()> {
         if !self.tint.iter().all(|factor| (0.0..=MAX_TINT).contains(factor)) {
             let problem = format!("{:?}, each factor may be 0 to {MAX_TINT}", self.tint);
@@ -53,6 +70,15 @@ impl SceneSettings<'_> {
             let problem = format!("{} of them, there may be {MAX_CUT_OUTS}", self.cut_outs.len());
             return Err(Error::argument("cut_outs", problem));
         }
+        if let Some(Selection { color, share, .. }) = self.selection {
+            if !color.iter().all(|channel| (0.0..=TINTED_COLOR_MAX).contains(channel)) {
+                let problem = format!("{color:?}, each may be 0 to {TINTED_COLOR_MAX}");
+                return Err(Error::argument("selection.color", problem));
+            }
+            if !(0.0..=1.0).contains(&share) {
+                return Err(Error::argument("selection.share", format!("{share} is not between 0 and 1")));
+            }
+        }
         self.cut_outs.iter().enumerate().try_for_each(|(index, cut_out)| {
             cut_out.check().map_err(|error| error.within(format_args!("cut_outs[{index}]")))
         })
@@ -66,6 +92,13 @@ impl SceneSettings<'_> {
     /// Number of cut-outs of what is drawn.
     pub fn cut_out_count(&self) -> u32 {
         if self.draws() { self.cut_outs.len() as u32 } else { 0 }
+    }
+
+    /// The mask of a selection that shows.
+    pub fn mask(&self) -> Option<&'a Buffer> {
+        self.selection
+            .filter(|selection| self.draws() && selection.share > 0.0)
+            .map(|selection| selection.mask)
     }
 
     /// Whether colours or opacities of what is drawn are multiplied.

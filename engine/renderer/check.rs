@@ -32,6 +32,7 @@ impl Renderer {
             placed.pose.check()?;
             let named = |error: Error| error.within(format_args!("scenes[{index}].settings"));
             placed.settings.check().map_err(named)?;
+            check_mask(placed, context).map_err(named)?;
             let degree = placed.active_degree(frame.settings);
             if placed.settings.draws() && degree > reserved.sh_degree {
                 let problem = format!("{degree}, reserved is {}", reserved.sh_degree);
@@ -46,6 +47,7 @@ impl Renderer {
             ..BlendVariant::of(frame.settings, false)
         };
         let tinted = frame.scenes.iter().any(|placed| placed.settings.is_tinted());
+        let selection = frame.scenes.iter().any(|placed| placed.settings.mask().is_some());
         let cut_outs: u32 = frame.scenes.iter().map(|placed| placed.settings.cut_out_count()).sum();
         if cut_outs > reserved.cut_outs {
             return Err(Error::TooLarge {
@@ -56,7 +58,7 @@ impl Renderer {
                 limit_name: "reserved",
             });
         }
-        if let Some(fields) = reserved.lacks(BlendVariant { tinted, ..variant }) {
+        if let Some(fields) = reserved.lacks(BlendVariant { tinted, selection, ..variant }) {
             return Err(Error::argument(fields, "not reserved, and the frame needs it"));
         }
         if frame.settings.dropout.is_some() || frame.settings.has_z_record() {
@@ -152,6 +154,20 @@ fn check_contents(field: &str, host: &HostImage<'_>) -> Result<()> {
     }
     let problem = "is read, but its layout is UNDEFINED, from which nothing is kept";
     Err(Error::argument(field_of(field, host), problem))
+}
+
+/// A mask has a bit for each of the scene's Gaussians.
+fn check_mask(placed: &Placed<'_>, context: &Context) -> Result<()> {
+    let Some(mask) = placed.settings.mask() else { return Ok(()) };
+    let bad = |problem| Err(Error::argument(format!("selection.mask (buffer '{}')", mask.name()), problem));
+    if !mask.belongs_to(context) {
+        return bad("it belongs to another device".to_owned());
+    }
+    let (gaussians, bytes) = (placed.scene.count(), 4 * u64::from(placed.scene.count().div_ceil(32)));
+    match mask.bytes() < bytes {
+        true => bad(format!("has {} bytes, {gaussians} Gaussians take {bytes}", mask.bytes())),
+        false => Ok(()),
+    }
 }
 
 fn check_updates(updates: &[Update<'_>], context: &Context, reserved: &Reservation) -> Result<()> {

@@ -45,6 +45,8 @@ pub struct Reservation {
     pub tint: bool,
     /// Cut-outs of all scenes of a frame together ([`SceneSettings::cut_outs`](crate::SceneSettings::cut_outs)).
     pub cut_outs: u32,
+    /// Whether scenes of frames will have a selection ([`SceneSettings::selection`](crate::SceneSettings::selection)).
+    pub selection: bool,
     /// Whether all frames go into images, and none into its slot ([`Target::Slot`](super::Target::Slot)). Slots then have
     /// no pixels of their own ([`Renderer::slot_pixels`](super::Renderer::slot_pixels), `slot_inverse_depth`).
     pub images_only: bool,
@@ -71,6 +73,7 @@ impl Reservation {
             filter_3d: false,
             tint: false,
             cut_outs: 0,
+            selection: false,
             images_only: false,
             staging_bytes: 0,
         }
@@ -154,6 +157,10 @@ impl Reservation {
             let cut = variants.clone().into_iter();
             variants.extend(cut.map(|v| BlendVariant { cut_outs: true, ..v }));
         }
+        if self.selection {
+            let selected = variants.clone().into_iter();
+            variants.extend(selected.map(|v| BlendVariant { selection: true, ..v }));
+        }
         variants
     }
 
@@ -165,6 +172,7 @@ impl Reservation {
             ("inverse_depth", frame.inverse_depth && !frame.linear_depth, self.inverse_depth),
             ("filter_3d", frame.filter_3d, self.filter_3d),
             ("tint", frame.tinted, self.tint),
+            ("selection", frame.selection, self.selection),
         ];
         let lacking = needs.into_iter().filter(|(_, needed, set)| *needed && !set).map(|(field, ..)| field);
         // Without a list in memory where nothing lacks.

@@ -3,7 +3,7 @@
 // factors.
 //
 // invocation: one visible Gaussian of the bound parameter range; it loops over its rows of tiles to count its tiles
-// in: parameters (PerGaussian planes), visible_list, visible_ranges; out, PerVisible: mean2d_extent (x, y, half extents,
+// in: parameters (PerGaussian planes), visible_list, visible_ranges, with SELECTION selection (a bit per Gaussian); out, PerVisible: mean2d_extent (x, y, half extents,
 //     px), conic_opacity (A, B, C, opacity), color_inverse_depth (r, g, b, 1/z, or z with Z_RECORD), depth_keys (bits of z),
 //     footprints and tile_lists (tile_span.glsl)
 // shared: none; any subgroup size
@@ -25,6 +25,8 @@ layout(constant_id = 4) const bool DROPOUT = false;
 layout(constant_id = 5) const bool Z_RECORD = false;
 // Whether the scene has a tint or an opacity of its own: see camera_block.glsl.
 layout(constant_id = 6) const bool TINTED = false;
+// Whether some Gaussians have another colour: those whose bits in `selection` are set.
+layout(constant_id = 7) const bool SELECTION = false;
 layout(constant_id = 9) const bool SH_LOOPS = false;
 layout(local_size_x_id = 0) in;
 
@@ -37,6 +39,7 @@ layout(set = 0, binding = 5, scalar) writeonly buffer ColorInverseDepth { vec4 c
 layout(set = 0, binding = 6, scalar) writeonly buffer DepthKeys { uint depth_keys[]; };
 layout(set = 0, binding = 7, scalar) writeonly buffer Footprints { uvec4 footprints[]; };
 layout(set = 0, binding = 8, scalar) writeonly buffer TileLists { uvec2 tile_lists[]; };
+UINT_READS(9, Selection, selection);
 
 layout(push_constant, scalar) uniform Push {
     // First Gaussian of the bound parameter range, and capacity of the range.
@@ -46,6 +49,8 @@ layout(push_constant, scalar) uniform Push {
     uint extent;
     uint antialias;
     uint splat_stride;
+    // With SELECTION: the range's first Gaussian in its scene.
+    uint first_of_scene;
 };
 
 #define DRAWS_SHAPES
@@ -61,6 +66,16 @@ layout(push_constant, scalar) uniform Push {
 
 vec3 tinted(vec3 color) {
     return TINTED ? min(color * scene_tint, vec3(TINTED_COLOR_MAX)) : color;
+}
+
+// Bit i % 32 of word i / 32 is that of the scene's Gaussian i.
+vec3 highlighted(vec3 color, uint index) {
+    if (SELECTION) {
+        uint gaussian = first_of_scene + index;
+        bool selected = (UINT_AT(selection, gaussian / 32) >> gaussian % 32 & 1) != 0;
+        color = selected ? mix(color, selection_color, selection_share) : color;
+    }
+    return color;
 }
 
 void main() {
@@ -91,7 +106,7 @@ void main() {
     mean2d_extent[splat_at(visible, SPLAT_MEAN2D_EXTENT)] = mean2d;
     conic_opacity[splat_at(visible, SPLAT_CONIC_OPACITY)] = conic;
     color_inverse_depth[splat_at(visible, SPLAT_COLOR_INVERSE_DEPTH)] =
-        vec4(tinted(max(color, vec3(0.0))), Z_RECORD ? p.mean_camera.z : 1.0 / p.mean_camera.z);
+        vec4(highlighted(tinted(max(color, vec3(0.0))), index), Z_RECORD ? p.mean_camera.z : 1.0 / p.mean_camera.z);
     depth_keys[visible] = floatBitsToUint(p.mean_camera.z);
     footprints[splat_at(visible, SPLAT_FOOTPRINT)] = uvec4(shape, tiles_met(list));
     tile_lists[visible] = list;

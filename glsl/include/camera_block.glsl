@@ -38,4 +38,7 @@ layout(set = 0, binding = 18, scalar) uniform CameraBlock {
     // Factors of the scene's colours and opacities (engine/forward/scene_settings.rs). Only read with TINTED.
     vec3 scene_tint;
     float scene_opacity;
+    // Colour of the scene's selected Gaussians and its share in theirs. Only read with SELECTION.
+    vec3 selection_color;
+    float selection_share;
 };

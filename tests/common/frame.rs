@@ -11,7 +11,7 @@ use super::layout::{
 use super::scenes::{Random, mixed_scene};
 use crate::reference::project as twin;
 use crate::reference::tiles::{touched, touches_by_pixels};
-use crate::reference::types::{ALPHA_MIN, Extent, Gaussian, Splat, View};
+use crate::reference::types::{ALPHA_MIN, Extent, Gaussian, Selection, Splat, View};
 
 /// Visible splats, in the precision that the blending sees, and on the device.
 pub struct Splats {
@@ -60,10 +60,21 @@ impl Projected {
             filter_3d,
             dropout,
             tinted,
+            selection: view.drawn.selection.is_some(),
             z_record,
             sh_loops: gpu.limits().tuning.sh_loops,
         };
-        let splats: Vec<Option<Splat>> = gaussians.iter().map(|g| twin::project(g, view)).collect();
+        let splat = |(i, gaussian): (usize, &Gaussian)| {
+            let splat = twin::project(gaussian, view)?;
+            Some(Splat { color: view.drawn.highlighted(i, splat.color), ..splat })
+        };
+        let splats: Vec<Option<Splat>> = gaussians.iter().enumerate().map(splat).collect();
+        // The range begins with a later Gaussian of its scene.
+        let first_of_scene = 37;
+        let mut mask = vec![0; (gaussians.len() + first_of_scene).div_ceil(32).max(1)];
+        for i in (0..gaussians.len()).filter(|&i| Selection::selects(i)) {
+            mask[(first_of_scene + i) / 32] |= 1u32 << ((first_of_scene + i) % 32);
+        }
         // What is left out at random is left out by culling.
         let visible: Vec<u32> =
             (0..gaussians.len() as u32).filter(|&i| splats[i as usize].is_some()).collect();
@@ -87,6 +98,7 @@ impl Projected {
             depth_keys: &depth_keys,
             footprints: &footprints,
             tile_lists: &tile_lists,
+            selection: &gpu.buffer("selection", &mask),
             camera_block: &gpu.buffer("camera_block", &[camera_block(view)]),
         };
         let push = project::Push {
@@ -95,6 +107,7 @@ impl Projected {
             extent: extent_word(view),
             antialias: antialias_word(view),
             splat_stride: 1,
+            first_of_scene: first_of_scene as u32,
         };
         let workgroups = count as u64 / u64::from(spec.workgroup_size) + 1;
         gpu.dispatch::<project::Interface>(&spec, &bind, &push, workgroups);

@@ -117,6 +117,8 @@ pub fn camera_block(view: &View) -> CameraBlock {
         dropout_factor: view.drawn.opacity_factor() as f32,
         scene_tint: view.drawn.tint.map_or([0.0; 3], |tint| tint.color.map(|x| x as f32)),
         scene_opacity: view.drawn.tint.map_or(0.0, |tint| tint.opacity as f32),
+        selection_color: view.drawn.selection.map_or([0.0; 3], |own| own.color.map(|x| x as f32)),
+        selection_share: view.drawn.selection.map_or(0.0, |own| own.share as f32),
         ..CameraBlock::default()
     }
 }

@@ -6,8 +6,10 @@ use crate::host::{Host, HostOptions, InFlight};
 use crate::stage::{adopt, camera, cloud, options, with_host};
 use crate::table::Images;
 use ashsplat::scene::{CutOut, Inside, Pose, Volume};
-use ashsplat::vk::{Context, ContextOptions};
-use ashsplat::{DeviceScene, Placed, RecordedFrame, RenderSettings, Renderer, Reservation, SceneSettings};
+use ashsplat::vk::{Context, ContextOptions, MemoryKind};
+use ashsplat::{
+    DeviceScene, Placed, RecordedFrame, RenderSettings, Renderer, Reservation, SceneSettings, Selection,
+};
 use glam::Vec3;
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
@@ -145,12 +147,16 @@ fn steady_allocations(host_options: &HostOptions, timestamps: bool) {
             occlusion: true,
             tint: true,
             cut_outs: 2,
+            selection: true,
             staging_bytes: Reservation::update_bytes(600, 1),
             ..Reservation::new(700, 1, 96, 64)
         };
         renderer.reserve(&reservation).expect("memory");
         let volume = Volume::Ellipsoid { radii: Vec3::ONE };
         let cut_outs = [CutOut { volume, pose: Pose::IDENTITY, inside: Inside::Kept }; 2];
+        let bits = context.allocate("selection", &[("mask", 8)], MemoryKind::Device).expect("memory");
+        context.upload(&bits[0], &[0x55; 8]).expect("uploaded");
+        let selection = Some(Selection { mask: &bits[0], color: [1.0, 0.5, 0.0], share: 0.5 });
         let images = Images::new(host, &context);
         let in_flight = InFlight::new(host).expect("a command buffer");
         let mut asked = Vec::new();
@@ -164,7 +170,7 @@ fn steady_allocations(host_options: &HostOptions, timestamps: bool) {
                 Placed::from(&scenes[0]),
                 Placed { settings: SceneSettings { cut_outs: &cut_outs, ..tinted }, ..(&scenes[1]).into() },
                 Placed { settings: SceneSettings { visible: false, ..tinted }, ..(&scenes[0]).into() },
-                Placed { settings: tinted, ..(&scenes[2]).into() },
+                Placed { settings: SceneSettings { selection, ..tinted }, ..(&scenes[2]).into() },
             ];
             let frame = RecordedFrame { scenes: &placed, ..everything.recorded() };
             let (count, recorded) = allocations(|| renderer.record(commands, slot, &frame));

@@ -5,8 +5,10 @@ use crate::scene_settings::{HIDDEN, Stage, USUAL};
 use crate::scenes::appended;
 use crate::stage::{adopt, assert_same, camera, cloud, options, owned, with_host};
 use ashsplat::scene::{CutOut, Gaussians, Inside, Pose, Volume};
+use ashsplat::vk::MemoryKind;
 use ashsplat::{
     DeviceScene, Error, Placed, RecordedFrame, RenderSettings, Renderer, Reservation, SceneSettings,
+    Selection,
 };
 use glam::{Mat3, Quat, Vec3};
 
@@ -45,7 +47,7 @@ fn removing(cut_out: CutOut) -> CutOut {
 }
 
 fn with_cut_outs(wanted: Reservation) -> Reservation {
-    Reservation { slots: 2, occlusion: true, tint: true, cut_outs: 20, ..wanted }
+    Reservation { slots: 2, occlusion: true, tint: true, cut_outs: 20, selection: true, ..wanted }
 }
 
 /// The bits of a frame of what is left, filtered on the host.
@@ -116,8 +118,12 @@ fn at_random(host: &Host, frames: u32) {
     let parts = [cloud(200, 1), cloud(150, 2), cloud(120, 3)];
     let all = [&parts[0], &parts[1], &parts[2]];
     let mut stage = Stage::new(host, &all, &with_cut_outs);
-    let mut plain = Stage::new(host, &all, &with_cut_outs);
-    let context = plain.renderer.context().clone();
+    let mut plain = Stage::of(host, &stage.renderer.context().clone(), &all, &with_cut_outs);
+    let context = stage.renderer.context().clone();
+    // Of all, whichever are left.
+    let bits = context.allocate("selection", &[("mask", 28)], MemoryKind::Device).expect("memory");
+    context.upload(&bits[0], &[0xFF; 28]).expect("uploaded");
+    let selection = Selection { mask: &bits[0], color: [1.0, 0.5, 0.0], share: 0.5 };
     let mut state = 1u32;
     let mut below = |most: u32| {
         state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
@@ -142,6 +148,7 @@ fn at_random(host: &Host, frames: u32) {
                 opacity: [1.0, 0.5, 0.0][below(3) as usize],
                 sh_degree: [None, Some(0), Some(3)][below(3) as usize],
                 cut_outs,
+                selection: [None, Some(selection)][below(2) as usize],
             })
             .collect();
         let left = parts.iter().zip(&sets).map(|(part, set)| filtered(part, set));
@@ -155,11 +162,11 @@ fn at_random(host: &Host, frames: u32) {
 
 #[test]
 fn settings_of_scenes_change_from_frame_to_frame() {
-    with_host(&options(), |host| at_random(host, 40));
+    with_host(&options(), |host| at_random(host, 200));
 }
 
 #[test]
-#[ignore = "takes minutes"]
+#[ignore = "200 of them are enough for each change"]
 fn settings_of_scenes_change_a_thousand_times() {
     with_host(&options(), |host| at_random(host, 1000));
 }

@@ -42,6 +42,7 @@ mod pictures;
 mod resident;
 mod scene_settings;
 mod scenes;
+mod selections;
 mod shared;
 mod stage;
 mod table;

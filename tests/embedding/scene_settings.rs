@@ -24,9 +24,17 @@ pub struct Stage<'a> {
 
 impl<'a> Stage<'a> {
     pub fn new(host: &'a Host, parts: &[&Gaussians], wanted: &dyn Fn(Reservation) -> Reservation) -> Self {
-        let context: Context = guest(host);
-        let upload = |part: &&Gaussians| DeviceScene::upload(&context, part, 0).expect("a scene");
-        let mut renderer = Renderer::new(&context).expect("kernels");
+        Self::of(host, &guest(host), parts, wanted)
+    }
+
+    pub fn of(
+        host: &'a Host,
+        context: &Context,
+        parts: &[&Gaussians],
+        wanted: &dyn Fn(Reservation) -> Reservation,
+    ) -> Self {
+        let upload = |part: &&Gaussians| DeviceScene::upload(context, part, 0).expect("a scene");
+        let mut renderer = Renderer::new(context).expect("kernels");
         let gaussians: usize = parts.iter().map(|part| part.len()).sum();
         let least = Reservation::new(gaussians as u32, 1, SIZE[0], SIZE[1]);
         renderer.reserve(&wanted(Reservation { scenes: parts.len() as u32, ..least })).expect("memory");
@@ -61,8 +69,14 @@ fn placed<'a>(scenes: &'a [DeviceScene], poses: &[Pose], settings: &[SceneSettin
     scenes.map(|((scene, &settings), pose)| Placed { settings, ..Placed::at(scene, pose) }).collect()
 }
 
-pub const USUAL: SceneSettings =
-    SceneSettings { visible: true, tint: [1.0; 3], opacity: 1.0, sh_degree: None, cut_outs: &[] };
+pub const USUAL: SceneSettings = SceneSettings {
+    visible: true,
+    tint: [1.0; 3],
+    opacity: 1.0,
+    sh_degree: None,
+    cut_outs: &[],
+    selection: None,
+};
 pub const HIDDEN: SceneSettings = SceneSettings { visible: false, ..USUAL };
 const FADED: SceneSettings = SceneSettings { opacity: 0.0, ..USUAL };
 

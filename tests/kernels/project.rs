@@ -5,7 +5,7 @@ use crate::common::gpu::{Gpu, sizes};
 use crate::common::scenes::{Random, drawn_shapes, mixed_scene, small_view};
 use crate::reference::tile_list::{is_listed, listed_tiles, tiles_met};
 use crate::reference::tiles::{half_extent_px, reference_square, touched};
-use crate::reference::types::{Drawn, Dropout, Extent, Splat, Tint, View};
+use crate::reference::types::{Drawn, Dropout, Extent, Selection, Splat, Tint, View};
 
 /// What the kernel writes of each visible Gaussian.
 struct Output {
@@ -191,6 +191,19 @@ fn project_equals_its_twin_under_a_tint() {
                 let drawn = Drawn { tint, ..drawn };
                 check(&gpu, 500, &View { antialias, drawn, ..small_view([53, 37]) });
             }
+        }
+    }
+}
+
+/// Some in another colour, which the tint leaves alone.
+#[test]
+fn project_equals_its_twin_with_a_selection() {
+    let gpu = Gpu::new();
+    for (share, tint) in [(0.75, None), (1.0, Some(Tint { color: [0.5, 1.5, 1.0], opacity: 0.5 }))] {
+        let selection = Some(Selection { color: [1.0, 0.25, 0.0], share });
+        let drawn = Drawn { selection, tint, ..Drawn::AS_THEY_ARE };
+        for size in [1, 33, 500] {
+            check(&gpu, size, &View { drawn, ..small_view([53, 37]) });
         }
     }
 }

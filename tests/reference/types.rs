@@ -75,6 +75,8 @@ pub struct Drawn {
     pub tint: Option<Tint>,
     /// Volumes that keep or remove Gaussians. Only culling knows them.
     pub cut_outs: [Option<CutOut>; 3],
+    /// Gaussians in another colour. Only the kernels that project know it.
+    pub selection: Option<Selection>,
     /// The depth that is blended is z, not 1/z. Only the kernels that project know it.
     pub z_record: bool,
 }
@@ -113,6 +115,22 @@ impl CutOut {
             1 => q[0] * q[0] + q[1] * q[1] + q[2] * q[2] <= 1.0,
             _ => q[0] <= self.bounds[0],
         }
+    }
+}
+
+/// Gaussians in another colour: about every other one.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Selection {
+    /// The other colour.
+    pub color: [f64; 3],
+    /// Its share.
+    pub share: f64,
+}
+
+impl Selection {
+    /// Whether a Gaussian is among them.
+    pub fn selects(gaussian: usize) -> bool {
+        pcg4d([gaussian as u32, 1, 2, 3])[0] & 1 == 1
     }
 }
 
@@ -178,6 +196,7 @@ impl Drawn {
         dropout: None,
         tint: None,
         cut_outs: [None; 3],
+        selection: None,
         z_record: false,
     };
 
@@ -198,6 +217,16 @@ impl Drawn {
         match self.tint {
             None => color,
             Some(tint) => [0, 1, 2].map(|i| (color[i] * tint.color[i]).min(65504.0)),
+        }
+    }
+
+    /// The colour of a Gaussian, selected or not.
+    pub fn highlighted(&self, gaussian: usize, color: [f64; 3]) -> [f64; 3] {
+        match self.selection {
+            Some(Selection { color: other, share }) if Selection::selects(gaussian) => {
+                [0, 1, 2].map(|i| (1.0 - share) * color[i] + share * other[i])
+            }
+            _ => color,
         }
     }
 

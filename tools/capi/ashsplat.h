@@ -267,6 +267,16 @@ typedef struct AshsplatCutOut {
   bool removes;
 } AshsplatCutOut;
 
+// A range of a host's buffer.
+typedef struct AshsplatHostBuffer {
+  // VkBuffer.
+  uint64_t buffer;
+  // A multiple of 256.
+  uint64_t offset;
+  // A multiple of 4.
+  uint64_t bytes;
+} AshsplatHostBuffer;
+
 // How one scene of a frame is drawn; ashsplat_scene_settings fills in the defaults.
 typedef struct AshsplatSceneSettings {
   // Whether it is drawn. A scene that is not takes no work and no room; the others keep their places among the frame's.
@@ -281,6 +291,13 @@ typedef struct AshsplatSceneSettings {
   const struct AshsplatCutOut *cut_outs;
   // How many, at most 16.
   uint32_t cut_out_count;
+  // A bit per Gaussian of the scene, set where it has another colour: bit i % 32 of the word i / 32. A buffer with the usages
+  // STORAGE_BUFFER, TRANSFER_SRC and TRANSFER_DST, of whole words for all Gaussians; or NULL.
+  const struct AshsplatHostBuffer *selection;
+  // The other colour, as trained, 0 to 65504 each.
+  float selection_color[3];
+  // Its share in the drawn colour, 0 to 1.
+  float selection_share;
 } AshsplatSceneSettings;
 
 // A scene and its pose: x_world = scale rotation x_object + translation.
@@ -434,6 +451,8 @@ typedef struct AshsplatReservation {
   uint32_t queues;
   // Whether scenes of frames will have a tint or an opacity (AshsplatSceneSettings).
   bool tint;
+  // Whether scenes of frames will have a selection.
+  bool selection;
   // Cut-outs of all scenes of a frame together.
   uint32_t cut_outs;
   // Bytes of staging memory for a frame's updates: ashsplat_update_bytes.
@@ -456,16 +475,6 @@ typedef struct AshsplatScenePlan {
   // Bytes per buffer.
   uint64_t chunk_bytes;
 } AshsplatScenePlan;
-
-// A range of a host's buffer.
-typedef struct AshsplatHostBuffer {
-  // VkBuffer.
-  uint64_t buffer;
-  // A multiple of 256.
-  uint64_t offset;
-  // A multiple of 4.
-  uint64_t bytes;
-} AshsplatHostBuffer;
 
 // The report of a recorded frame.
 typedef struct AshsplatReport {

@@ -224,10 +224,10 @@ pub unsafe extern "C" fn ashsplat_record(
     guarded(|| unsafe {
         let (renderer, f) = (borrowed_mut(renderer, "renderer")?, borrowed(frame, "frame")?);
         let placed = slice(f.scenes, f.scene_count as usize, "scenes")?;
-        let cut_outs = scene_settings::cut_outs(placed)?;
+        let pointees = scene_settings::pointees(placed, renderer.0.context())?;
         let mut scenes = Vec::with_capacity(placed.len());
-        for (placed, cut_outs) in placed.iter().zip(&cut_outs) {
-            let settings = scene_settings::of(placed, cut_outs);
+        for (placed, own) in placed.iter().zip(&pointees) {
+            let settings = scene_settings::of(placed, own);
             let scene = &borrowed(placed.scene, "scene")?.scene;
             scenes.push(Placed { settings, ..Placed::at(scene, placed.pose()) });
         }

@@ -1,9 +1,11 @@
 //! How one scene of a frame is drawn, in C.
 
 use super::settings::one_of;
-use super::{AshsplatPlaced, AshsplatStatus, borrowed, borrowed_mut, guarded, slice};
+use super::{AshsplatHostBuffer, AshsplatPlaced, AshsplatStatus, borrowed, borrowed_mut, guarded, slice};
+use ashsplat::ash::{vk, vk::Handle};
 use ashsplat::scene::{CutOut, Inside, Pose, Volume};
-use ashsplat::{Result, SceneSettings};
+use ashsplat::vk::{Buffer, Context};
+use ashsplat::{Result, SceneSettings, Selection};
 use glam::{Mat3, Vec3};
 
 /// The shape of a volume.
@@ -55,6 +57,19 @@ pub struct AshsplatSceneSettings {
     pub cut_outs: *const AshsplatCutOut,
     /// How many, at most 16.
     pub cut_out_count: u32,
+    /// A bit per Gaussian of the scene, set where it has another colour: bit i % 32 of the word i / 32. A buffer with the usages
+    /// STORAGE_BUFFER, TRANSFER_SRC and TRANSFER_DST, of whole words for all Gaussians; or NULL.
+    pub selection: *const AshsplatHostBuffer,
+    /// The other colour, as trained, 0 to 65504 each.
+    pub selection_color: [f32; 3],
+    /// Its share in the drawn colour, 0 to 1.
+    pub selection_share: f32,
+}
+
+/// What the settings of a scene point to, as the library has it.
+pub(super) struct Pointees {
+    cut_outs: Vec<CutOut>,
+    mask: Option<Buffer>,
 }
 
 impl AshsplatCutOut {
@@ -75,34 +90,48 @@ impl AshsplatCutOut {
     }
 }
 
-/// The cut-outs of each scene.
+/// What the settings of each scene point to.
 ///
 /// # Safety
-/// The settings are NULL or valid with all that they point to.
-pub(super) unsafe fn cut_outs(placed: &[AshsplatPlaced]) -> Result<Vec<Vec<CutOut>>> {
+/// The settings are NULL or valid with all that they point to; masks are as [`Buffer::adopt`] says.
+pub(super) unsafe fn pointees(placed: &[AshsplatPlaced], context: &Context) -> Result<Vec<Pointees>> {
     let of = |(place, placed): (usize, &AshsplatPlaced)| {
         // SAFETY: as promised.
-        let Some(settings) = (unsafe { placed.settings.as_ref() }) else { return Ok(Vec::new()) };
+        let Some(settings) = (unsafe { placed.settings.as_ref() }) else {
+            return Ok(Pointees { cut_outs: Vec::new(), mask: None });
+        };
         let name = |index: usize| format!("scenes[{place}].settings.cut_outs[{index}]");
         // SAFETY: as promised.
         let own = unsafe { slice(settings.cut_outs, settings.cut_out_count as usize, "cut_outs")? };
-        own.iter().enumerate().map(|(index, cut_out)| cut_out.checked(|| name(index))).collect()
+        let cut_outs: Result<_> =
+            own.iter().enumerate().map(|(index, cut_out)| cut_out.checked(|| name(index))).collect();
+        // SAFETY: as promised.
+        let mask = unsafe { settings.selection.as_ref() }.map(|mask| {
+            let raw = vk::Buffer::from_raw(mask.buffer);
+            // SAFETY: as promised.
+            unsafe { Buffer::adopt(context, "selection", raw, mask.offset, mask.bytes) }
+        });
+        Ok(Pointees { cut_outs: cut_outs?, mask: mask.transpose()? })
     };
     placed.iter().enumerate().map(of).collect()
 }
 
-/// The settings of a scene with these cut-outs.
+/// The settings of a scene with what they point to.
 ///
 /// # Safety
 /// The settings are NULL or valid.
-pub(super) unsafe fn of<'a>(placed: &AshsplatPlaced, cut_outs: &'a [CutOut]) -> SceneSettings<'a> {
+pub(super) unsafe fn of<'a>(placed: &AshsplatPlaced, own: &'a Pointees) -> SceneSettings<'a> {
     // SAFETY: as promised.
-    unsafe { placed.settings.as_ref() }.map_or_else(SceneSettings::default, |own| SceneSettings {
-        visible: own.visible,
-        tint: own.tint,
-        opacity: own.opacity,
-        sh_degree: Some(own.sh_degree),
-        cut_outs,
+    unsafe { placed.settings.as_ref() }.map_or_else(SceneSettings::default, |settings| SceneSettings {
+        visible: settings.visible,
+        tint: settings.tint,
+        opacity: settings.opacity,
+        sh_degree: Some(settings.sh_degree),
+        cut_outs: &own.cut_outs,
+        selection: own.mask.as_ref().map(|mask| {
+            let (color, share) = (settings.selection_color, settings.selection_share);
+            Selection { mask, color, share }
+        }),
     })
 }
 
@@ -121,6 +150,9 @@ pub unsafe extern "C" fn ashsplat_scene_settings(settings: *mut AshsplatSceneSet
             sh_degree: 3,
             cut_outs: std::ptr::null(),
             cut_out_count: 0,
+            selection: std::ptr::null(),
+            selection_color: [1.0; 3],
+            selection_share: 0.5,
         };
         Ok(())
     })

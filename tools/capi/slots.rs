@@ -22,6 +22,7 @@ impl From<&AshsplatReservation> for Reservation {
             images_only: w.images_only,
             tint: w.tint,
             cut_outs: w.cut_outs,
+            selection: w.selection,
             staging_bytes: w.staging_bytes,
             ..Self::new(w.gaussians, w.sh_degree, w.width, w.height)
         }

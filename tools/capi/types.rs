@@ -203,6 +203,8 @@ pub struct AshsplatReservation {
     pub queues: u32,
     /// Whether scenes of frames will have a tint or an opacity (AshsplatSceneSettings).
     pub tint: bool,
+    /// Whether scenes of frames will have a selection.
+    pub selection: bool,
     /// Cut-outs of all scenes of a frame together.
     pub cut_outs: u32,
     /// Bytes of staging memory for a frame's updates: ashsplat_update_bytes.

@@ -186,6 +186,7 @@ fn frames(context: &Context, sh_degree: u32, form: Blending) -> Result<()> {
         filter_3d: true,
         tint: true,
         cut_outs: 1,
+        selection: true,
         ..Reservation::new(GAUSSIANS as u32, sh_degree, SIZE[0], SIZE[1])
     })
 }

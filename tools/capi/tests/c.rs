@@ -200,6 +200,11 @@ fn expected_of_scenes(mut file: Gaussians) -> (Frame, Camera) {
     }
     all.append(&tinted);
     let mut half = grid(-0.9).select(&(0..32).collect::<Vec<_>>());
+    for sh in half.sh.chunks_mut(4).take(16) {
+        let c0 = 0.282_094_79;
+        let mixed = |k: usize| 0.25 * (sh[0][k] * c0 + 0.5) + 0.75 * [0.0, 1.0, 0.25][k];
+        sh[0] = [0, 1, 2].map(|k| (mixed(k) - 0.5) / c0);
+    }
     // A half-space in the scene's units.
     half.retain(|half, i| half.means[i][0] < 0.5);
     all.append(&moved(half, DQuat::IDENTITY, 0.5, DVec3::new(0.3, 0.0, 0.0)));

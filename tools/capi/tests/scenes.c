@@ -97,6 +97,7 @@ int main(int count, char **arguments) {
     wanted.scenes = 5;
     wanted.tint = true;
     wanted.cut_outs = 1;
+    wanted.selection = true;
     wanted.gaussians = 2 * gaussians + 2 * OWN;
     wanted.sh_degree = sh_degree;
     wanted.width = WIDTH;
@@ -124,6 +125,15 @@ int main(int count, char **arguments) {
     AshsplatCutOut half = {AshsplatVolume_HalfSpace, {-1, 0, 0}, -0.55f, {1, 0, 0, 0, 1, 0, 0, 0, 1}, {0, 0, 0}, 1, true};
     cut.cut_outs = &half;
     cut.cut_out_count = 1;
+    /* The first half of what is left of the grid. */
+    HostBuffer bits = host_buffer(&host, 4, USAGE_BUFFER_COPIES | USAGE_BUFFER_STORAGE);
+    const uint32_t selected = 0xffff;
+    memcpy(bits.mapped, &selected, sizeof selected);
+    AshsplatHostBuffer mask = {bits.raw, 0, 4};
+    cut.selection = &mask;
+    cut.selection_color[0] = 0;
+    cut.selection_color[2] = 0.25f;
+    cut.selection_share = 0.75f;
     AshsplatPlaced placed[5] = {
         {file, {1, 0, 0, 0, 1, 0, 0, 0, 1}, {0, 0, 0}, 1, NULL},
         {file, {0, -1, 0, 1, 0, 0, 0, 0, 1}, {-0.8f, 0.4f, -0.5f}, 0.25f, NULL},
@@ -178,6 +188,13 @@ int main(int count, char **arguments) {
     cut.cut_outs = NULL;
     EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
     cut.cut_outs = &half;
+    mask.buffer = 0;
+    EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
+    mask.buffer = bits.raw;
+    cut.selection_share = -1;
+    EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
+    EXPECT(strstr(ashsplat_last_error(), "scenes[3].settings.selection.share: -1") != NULL);
+    cut.selection_share = 0.75f;
     tinted.opacity = 1.5f;
     EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
     EXPECT(strstr(ashsplat_last_error(), "scenes[2].settings.opacity: 1.5") != NULL);
@@ -214,6 +231,7 @@ int main(int count, char **arguments) {
     host_free_texture(&host, &depth);
     host_free_texture(&host, &expected);
     host_free_buffer(&host, &planes);
+    host_free_buffer(&host, &bits);
     host_free_buffer(&host, &pixels);
     host_free_buffer(&host, &depths);
     ashsplat_context_free(context);
