@@ -13,6 +13,7 @@ pub mod dataset;
 pub mod decimate;
 pub mod depth_fit;
 pub mod exposure_json;
+mod file_hash;
 pub mod host_memory;
 pub mod images;
 pub mod init;
@@ -29,6 +30,7 @@ pub mod transforms;
 
 pub use checkpoint::CheckpointFile;
 pub use dataset::{Dataset, DatasetOptions, DatasetReport, Gallery, View};
+pub use file_hash::file_hash;
 pub use host_memory::HostMemory;
 pub use images::{Photo, PhotoFileFormat, PhotoMemory, PhotoOrientation, Resolution, StoredPhoto};
 pub use init::initial_gaussians;

@@ -10,6 +10,7 @@ mod dot_splat;
 mod format;
 mod gltf;
 mod gltf_write;
+mod merge;
 mod spz;
 mod spz_pack;
 mod spz_write;
@@ -25,6 +26,7 @@ use glam::Vec3;
 
 pub use convert::{ConvertOptions, Converted, Target, convert};
 pub use format::Format;
+pub use merge::{Merged, Part, merge};
 pub(super) use stream::{BLOCK, Outline, Produce, Reader, Sink, Source, in_blocks, row_bytes};
 pub use stream::{Header, ReadOptions, Scene};
 

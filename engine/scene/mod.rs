@@ -1,6 +1,7 @@
 //! What a scene is, on the host: Gaussians, cameras, points, spherical harmonics. Knows no Vulkan.
 
 pub mod camera;
+pub mod cells;
 pub mod color;
 pub mod cut;
 pub mod cut_out;
@@ -21,6 +22,7 @@ pub mod twist;
 pub mod view;
 
 pub use camera::{Camera, Intrinsics, scene_extent};
+pub use cells::{Cells, Seam};
 pub use color::{ColorEncoding, linear_from_premultiplied, linear_from_srgb, srgb_from_linear};
 pub use cut::{Cut, CutLimits};
 pub use cut_out::{CutOut, CutOutLimits, Inside, MAX_CUT_OUTS, Volume};

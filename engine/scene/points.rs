@@ -51,6 +51,12 @@ impl Bounds {
         Self { min: one.min(other), max: one.max(other) }
     }
 
+    /// Whether a point lies in the box: on its least sides or above, below its greatest ones, so that of two boxes with a common
+    /// side one has it. False for what is no number.
+    pub fn contains(&self, point: Vec3) -> bool {
+        point.cmpge(self.min).all() && point.cmplt(self.max).all()
+    }
+
     /// Edge lengths.
     pub fn size(&self) -> Vec3 {
         self.max - self.min

@@ -346,3 +346,23 @@ fn photos_have_the_points_that_they_show() {
     let mut gallery = Gallery::open(folder.path(), &options, Progress::NONE).unwrap();
     assert_eq!(gallery.read_tracks().unwrap(), 0);
 }
+
+#[test]
+fn views_are_chosen_by_name() {
+    let folder = tempfile::tempdir().unwrap();
+    write(folder.path(), 9, 3);
+    let options = DatasetOptions { eval: true, ..DatasetOptions::default() };
+    let names = |names: &[&str]| names.iter().map(|name| (*name).to_owned()).collect();
+    let mut gallery = Gallery::open(folder.path(), &options, Progress::NONE).unwrap();
+    let refused = gallery.keep(&names(&["002.png", "009.png"])).unwrap_err().to_string();
+    assert!(refused.contains("images.bin: has no photo 009.png"), "{refused}");
+    assert_eq!(gallery.cameras().len(), 9);
+    gallery.keep(&names(&["008.png", "002.png", "003.png"])).unwrap();
+    // The ninth is held out, as it was among all.
+    assert_eq!(gallery.held_out(), [false, false, true]);
+    let dataset = gallery.load(Progress::NONE).unwrap();
+    let named = |views: &[View]| views.iter().map(|view| view.name.clone()).collect::<Vec<_>>();
+    assert_eq!(named(&dataset.train), ["002.png", "003.png"]);
+    assert_eq!(named(&dataset.test), ["008.png"]);
+    assert_eq!(dataset.train[1].photo.photo().unwrap().rgb[0], 3);
+}

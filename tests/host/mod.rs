@@ -5,6 +5,7 @@
 
 mod atomic;
 mod camera;
+mod cells;
 mod colmap;
 mod dataset;
 mod exif_orientation;

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use ashsplat::scene::{Bounds, Cut, Gaussians, Similarity};
+use ashsplat::scene::{Bounds, Cells, Cut, Gaussians, Similarity};
 use ashsplat_files::splats::{self, ConvertOptions, Format, ReadOptions, Target, WriteOptions};
 use glam::{DQuat, DVec3, Vec3};
 use serde_json::{Value, json};
@@ -177,6 +177,53 @@ fn a_cut_scene_is_written_as_a_conversion_writes_it() {
         splats::write_cut(&path, &original, (&odd, 3), &WriteOptions::default()).is_err() && !path.exists()
     );
     assert!(splats::convert(&input, &path, &ConvertOptions { cut: odd, ..Default::default() }).is_err());
+}
+
+/// Each part has all of the scene; of each, its cell is taken.
+#[test]
+fn merged_cells_are_the_scene() {
+    let folder = tempfile::tempdir().unwrap();
+    let original = scene(40_000, 2);
+    let cells = Cells::divide(&original.means, 9_000).unwrap();
+    let input = folder.path().join("in.ply");
+    let options = WriteOptions { antialiased: true, ..Default::default() };
+    splats::write(&input, &original, &options).unwrap();
+    let part = |within: &Bounds| splats::Part { path: &input, within: *within };
+    let parts: Vec<splats::Part<'_>> = cells.bounds().iter().map(part).collect();
+    assert!(parts.len() > 4);
+    let cell_of = |index: &usize| cells.at(Vec3::from_array(original.means[*index])).unwrap();
+    let mut order: Vec<usize> = (0..original.len()).collect();
+    order.sort_by_key(cell_of);
+    let expected = original.select(&order);
+    for format in Format::ALL {
+        let [merged, written] = ["merged", "written"]
+            .map(|name| folder.path().join(name).join(format!("scene{}", format.extension())));
+        for path in [&merged, &written] {
+            std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        }
+        let done = splats::merge(&parts, &merged, &KEEP, &WriteOptions::default()).unwrap();
+        assert_eq!((done.format, done.written.iter().sum::<u64>()), (format, 40_000));
+        splats::write_cut(&written, &expected, (&Cut::default(), 2), &options).unwrap();
+        assert!(std::fs::read(&merged).unwrap() == std::fs::read(&written).unwrap(), "{format}");
+    }
+    // Parts that do not go together, or are none.
+    let other = folder.path().join("other.ply");
+    splats::write(&other, &original.with_sh_degree(1), &options).unwrap();
+    let output = folder.path().join("none.ply");
+    let refused = |path: &Path| {
+        let parts = [parts[0], splats::Part { path, within: Cells::EVERYTHING }];
+        let refused =
+            splats::merge(&parts, &output, &KEEP, &WriteOptions::default()).unwrap_err().to_string();
+        assert!(refused.starts_with(path.to_str().unwrap()) && !output.exists(), "{refused}");
+        refused
+    };
+    assert!(refused(&other).contains("SH degree 1, with antialiasing"));
+    splats::write(&other, &original, &WriteOptions::default()).unwrap();
+    assert!(refused(&other).contains("SH degree 2, without antialiasing"));
+    let bytes = std::fs::read(&input).unwrap();
+    std::fs::write(&other, &bytes[..bytes.len() - 9]).unwrap();
+    refused(&other);
+    assert!(splats::merge(&[], &output, &KEEP, &WriteOptions::default()).is_err());
 }
 
 #[test]

@@ -1,5 +1,6 @@
 //! The photos of a data set one at a time, for applications that need only a few.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use super::depths::{self, PlannedMap};
@@ -8,9 +9,9 @@ use super::tracks::Track;
 use super::{Dataset, DatasetOptions, Unpacked, View, beyond_memory};
 use crate::cameras_json::NamedCamera;
 use crate::progress::Progress;
-use ashsplat::Result;
 use ashsplat::scene::PointCloud;
 use ashsplat::trainer::PhotoSize;
+use ashsplat::{Error, Result};
 
 /// The views of a data set. Their photos are read on request.
 pub struct Gallery {
@@ -58,6 +59,29 @@ impl Gallery {
     /// As [`Dataset::load`].
     pub fn load(&self, progress: Progress<'_>) -> Result<Dataset> {
         Dataset::of(self, progress).map_err(|error| self.unpacked.name(error))
+    }
+
+    /// Leaves out all views but those with these names. Which are held out stays as it was with all of them.
+    ///
+    /// # Errors
+    /// [`Error::Input`] for a name that no view has.
+    pub fn keep(&mut self, names: &BTreeSet<String>) -> Result<()> {
+        let known: BTreeSet<&str> = self.views.iter().map(|view| view.name.as_str()).collect();
+        if let Some(missing) = names.iter().find(|name| !known.contains(name.as_str())) {
+            let problem = format!("has no photo {missing}, which is to be used");
+            let remedy = "give the data set that the list of photos was made for";
+            return Err(self.unpacked.name(Error::input(&self.list, problem, remedy)));
+        }
+        let kept: Vec<bool> = self.views.iter().map(|view| names.contains(&view.name)).collect();
+        fn retain<T>(all: &mut Vec<T>, kept: &[bool]) {
+            let mut kept = kept.iter();
+            all.retain(|_| kept.next().is_none_or(|&kept| kept));
+        }
+        retain(&mut self.views, &kept);
+        retain(&mut self.held_out, &kept);
+        retain(&mut self.maps, &kept);
+        retain(&mut self.tracks, &kept);
+        Ok(())
     }
 
     /// The cameras by name, at the photos' own sizes.

@@ -124,7 +124,8 @@ impl ConvertOptions {
     }
 }
 
-fn around(a: Option<Bounds>, b: Option<Bounds>) -> Option<Bounds> {
+/// The box around two.
+pub(super) fn around(a: Option<Bounds>, b: Option<Bounds>) -> Option<Bounds> {
     match (a, b) {
         (Some(a), Some(b)) => Some(Bounds { min: a.min.min(b.min), max: a.max.max(b.max) }),
         (one, other) => one.or(other),

@@ -1,0 +1,106 @@
+//! Parts of several files as one.
+
+use std::path::Path;
+
+use super::convert::around;
+use super::{Format, Outline, ReadOptions, Reader, WriteOptions, open, write_blocks};
+use ashsplat::scene::{Bounds, Gaussians};
+use ashsplat::{Error, Result};
+use glam::Vec3;
+
+/// A file, and which of its Gaussians are taken.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Part<'a> {
+    /// A file of any format.
+    pub path: &'a Path,
+    /// Those with means in this box, world units: see [`Bounds::contains`].
+    pub within: Bounds,
+}
+
+/// What was merged.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Merged {
+    /// The output's format.
+    pub format: Format,
+    /// How many Gaussians each part has given, in their order.
+    pub written: Vec<u64>,
+    /// SH degree written.
+    pub sh_degree: u32,
+    /// What was lost or odd.
+    pub warnings: Vec<String>,
+}
+
+/// Writes what the parts have in their boxes into one file, part by part, in their order. Each file is read twice, block by
+/// block: the memory needed depends neither on their sizes nor on their number, but for compressed PLY, which is sorted.
+/// Whether the Gaussians were trained with antialiasing is what the parts say; `options` has no part in it.
+///
+/// # Errors
+/// As [`super::read`] and [`super::write`]; [`Error::Input`] for a part of another SH degree than the first or that does not want
+/// antialiasing as the first does; [`Error::Argument`] without parts.
+pub fn merge(
+    parts: &[Part<'_>],
+    output: &Path,
+    read: &ReadOptions,
+    options: &WriteOptions,
+) -> Result<Merged> {
+    let format = match options.format {
+        Some(format) => format,
+        None => Format::of_extension(output)?,
+    };
+    let first = parts.first().ok_or_else(|| Error::argument("parts", "there are none to merge"))?;
+    let of_first = open(first.path, read)?.header().clone();
+    let sh_degree = of_first.sh_degree.min(format.max_sh_degree());
+    let mut warnings = Vec::new();
+    if sh_degree < of_first.sh_degree {
+        warnings.push(format!("{format} holds no spherical harmonics: the view dependence is lost"));
+    }
+    if of_first.antialiased && !format.keeps_antialiased() {
+        warnings.push(format!("{format} cannot say that the Gaussians want antialiasing"));
+    }
+    let (mut written, mut bounds) = (Vec::new(), None);
+    for part in parts {
+        let mut reader = open(part.path, read)?;
+        let header = reader.header();
+        let own = (header.sh_degree, header.antialiased);
+        if own != (of_first.sh_degree, of_first.antialiased) {
+            let words = |(degree, antialiased): (u32, bool)| {
+                format!("SH degree {degree}, {} antialiasing", if antialiased { "with" } else { "without" })
+            };
+            let there = words((of_first.sh_degree, of_first.antialiased));
+            let problem = format!("has {}, {} has {there}", words(own), first.path.display());
+            return Err(Error::input(part.path, problem, "train all parts with the same settings"));
+        }
+        let mut count = 0;
+        inside(&mut reader, part.within, &mut |block| {
+            count += block.len() as u64;
+            bounds = around(bounds, block.bounds());
+            Ok(())
+        })?;
+        written.push(count);
+        warnings.extend(reader.warning.take());
+    }
+    let (count, antialiased) = (written.iter().sum(), of_first.antialiased);
+    let outline = Outline { count, sh_degree, antialiased, bounds };
+    write_blocks(output, format, &outline, &mut |sink| {
+        for part in parts {
+            inside(&mut open(part.path, read)?, part.within, &mut |block| {
+                sink(if sh_degree == block.sh_degree { block } else { block.with_sh_degree(sh_degree) })
+            })?;
+        }
+        Ok(())
+    })?;
+    Ok(Merged { format, written, sh_degree, warnings })
+}
+
+/// Passes on what lies in a box.
+fn inside(
+    reader: &mut Reader<'_>,
+    within: Bounds,
+    sink: &mut dyn FnMut(Gaussians) -> Result<()>,
+) -> Result<()> {
+    let read = reader.blocks(&mut |mut block| {
+        block.retain(|all, index| within.contains(Vec3::from_array(all.means[index])));
+        sink(block)
+    });
+    read.map(drop)
+}
