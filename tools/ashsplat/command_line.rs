@@ -1,7 +1,8 @@
 //! The command line and how it is read.
 
 use crate::{
-    bench, convert, demo, devices, eval, info, inspect, output, poses, profile, render, train, view,
+    bench, convert, demo, devices, eval, info, inspect, merge, output, partition, poses, profile, render,
+    train, view,
 };
 use ashsplat::Result;
 use clap::error::{ContextKind, ContextValue, ErrorKind};
@@ -36,6 +37,10 @@ pub enum Command {
     Info(info::Arguments),
     /// Convert Gaussians between PLY, compressed PLY, .splat, SPZ and glTF; crop, move, thin out
     Convert(convert::Arguments),
+    /// Divide a scene into blocks that are trained one by one, on any machines
+    Partition(Box<partition::Arguments>),
+    /// Merge trained blocks into one scene
+    Merge(merge::Arguments),
     /// The Gaussians blended at one pixel, front to back
     Inspect(inspect::Arguments),
     /// The Vulkan devices of this machine, with the limits that matter

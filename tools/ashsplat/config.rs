@@ -11,6 +11,7 @@ pub use data::{DataSettings, When};
 pub use missing_points::MissingPoints;
 pub use train_overrides::{TrainOverrides, strategies};
 
+use crate::blocks::job::Job;
 use ashsplat::trainer::{Preset, StrategyType, TrainSettings};
 use ashsplat::{Error, Result};
 use block::BlockArguments;
@@ -118,7 +119,7 @@ impl Settings {
             Some(path) => file::table(path)?,
             None => Table::new(),
         };
-        let given = Table::try_from(overrides).map_err(|e| Error::argument("settings", e.to_string()))?;
+        let mut given = Table::try_from(overrides).map_err(|e| Error::argument("settings", e.to_string()))?;
         // What the file says would win over a preset, which is a set of defaults.
         let chosen = ["strategy", "cap_ratio", "warm_up", "late_min_opacity"]
             .into_iter()
@@ -126,6 +127,13 @@ impl Settings {
         if let (Some(path), Some(key), true) = (file, chosen, given.contains_key("preset")) {
             let problem = format!("sets {key}, which --preset would set");
             return Err(Error::input(path, problem, "leave out one of them, or --preset"));
+        }
+        // Of a file only what says no more: one that a run has left has all of it.
+        let of_file = table.get("job").filter(|_| !table.contains_key("source_path"));
+        if let Some(job) = overrides.block.job.as_deref().or(of_file.and_then(toml::Value::as_str)) {
+            let job = Job::find(job)?.settings();
+            given.remove("job");
+            table.extend(job);
         }
         table.extend(given);
         Ok(table)

@@ -17,6 +17,7 @@ macro_rules! tell {
 mod args;
 mod axis;
 mod bench;
+mod blocks;
 mod child;
 mod command_line;
 mod config;
@@ -32,8 +33,10 @@ mod inspect;
 mod light;
 mod lock;
 mod measure;
+mod merge;
 mod model;
 mod output;
+mod partition;
 mod pipeline_cache;
 mod poses;
 mod profile;
@@ -89,6 +92,8 @@ fn run(command: command_line::Command) -> Result<ExitCode> {
         Command::Eval(arguments) => eval::run(&arguments),
         Command::Info(arguments) => info::run(&arguments),
         Command::Convert(arguments) => convert::run(&arguments),
+        Command::Partition(arguments) => partition::run(&arguments),
+        Command::Merge(arguments) => merge::run(&arguments),
         Command::Inspect(arguments) => inspect::run(&arguments),
         Command::Devices(arguments) => devices::run(&arguments),
         Command::Demo(arguments) => demo::run(&arguments),

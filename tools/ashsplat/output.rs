@@ -117,7 +117,7 @@ fn write_whole(path: &Path, fill: impl FnOnce(&mut dyn Write) -> std::io::Result
 pub fn read_note(path: &Path) -> Option<String> {
     let mut text = String::new();
     let file = path.is_file().then(|| File::open(path).ok())??;
-    file.take(64).read_to_string(&mut text).ok()?;
+    file.take(1024).read_to_string(&mut text).ok()?;
     Some(text)
 }
 

@@ -1,6 +1,7 @@
 //! Data sets as commands load them.
 
 use crate::args::HostArguments;
+use crate::blocks::job::Job;
 use crate::config::DataSettings;
 use crate::progress::counting;
 use ashsplat::scene::PointCloud;
@@ -33,11 +34,21 @@ pub struct DataArguments {
 }
 
 impl DataArguments {
+    /// As [`DataArguments::applied_to`], of a data set that is given otherwise, for a whole scene.
+    pub fn applied_to_dataset(&self, dataset: Option<&Path>, trained: &DataSettings) -> Result<DataSettings> {
+        let source_path = dataset.map_or_else(|| trained.source_path.clone(), Path::to_owned);
+        let whole =
+            DataSettings { source_path, job: String::new(), train_test_exp: false, ..trained.clone() };
+        self.applied_to(&whole)
+    }
+
     /// The settings of a training, changed by what was given.
     pub fn applied_to(&self, trained: &DataSettings) -> Result<DataSettings> {
         let mut data = trained.clone();
         if let Some(source) = &self.source_path {
             data.source_path.clone_from(source);
+            // Its photos are listed by name.
+            data.job.clear();
         }
         if let Some(images) = &self.images {
             data.images.clone_from(images);
@@ -71,9 +82,15 @@ pub fn options(data: &DataSettings, white_background: bool, host: &HostArguments
     })
 }
 
-/// Finds out what a data set consists of; a ZIP is unpacked for as long as the value lives. `stop` ends it.
+/// Finds out what a data set consists of; a ZIP is unpacked for as long as the value lives. `stop` ends it. Of a block's
+/// training these are its photos only.
 pub fn open(data: &DataSettings, options: &DatasetOptions, stop: &AtomicBool) -> Result<Gallery> {
-    Gallery::open(&data.source_path, options, Progress { report: None, interrupted: Some(stop) })
+    let progress = Progress { report: None, interrupted: Some(stop) };
+    let mut gallery = Gallery::open(&data.source_path, options, progress)?;
+    if let Some(job) = Job::of(&data.job)? {
+        job.choose_photos(&mut gallery)?;
+    }
+    Ok(gallery)
 }
 
 /// Loads a data set with progress. `stop` ends it.

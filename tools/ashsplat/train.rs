@@ -17,6 +17,8 @@ mod tracking;
 mod verify;
 
 use crate::args::{DeviceArguments, MAX_MEMORY_IN_TRAINING, bytes};
+use crate::blocks::job::Job;
+use crate::blocks::result;
 use crate::config::{Overrides, Settings};
 use crate::eval::LpipsArguments;
 use crate::lock::FolderLock;
@@ -115,7 +117,11 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let context = arguments.device.context()?;
     let host = &arguments.device.host;
     let origin = Origin::read(arguments.start_checkpoint.as_ref(), &settings, host)?;
-    if arguments.verify_determinism.is_none() && origin.is_complete(&settings) {
+    let job = Job::of(&settings.data.job)?;
+    let is_noted = |job: &Job| result::is_noted(job, &settings.data.model_path);
+    job.as_ref().map_or(Ok(()), Job::check_coarse)?;
+    let is_over = origin.is_complete(&settings) && job.as_ref().is_none_or(is_noted);
+    if arguments.verify_determinism.is_none() && is_over {
         say!("{} is trained to its end already", settings.data.model_path.display());
         return Ok(());
     }
@@ -155,6 +161,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     session::check(&stop)?;
     let interrupted = run.train(&stop)?;
     run.report();
+    if let (Some(job), false) = (&job, interrupted) {
+        result::note(job, &folder, run.settings.train.iterations)?;
+    }
     say!("written to {}", folder.display());
     if !interrupted && !arguments.quiet {
         say_what_next(&folder, run.held_out);
@@ -402,28 +411,6 @@ impl Run {
             gaussians: report.gaussians,
             memory_bytes: self.trainer.memory_bytes(),
         });
-    }
-
-    /// Results and costs, on stdout.
-    pub fn report(&self) {
-        for tested in &self.evaluations {
-            say!("{}", self.describe(tested));
-        }
-        if let Some(first) = self.first {
-            say!("first {} iterations: {first}", first.iterations);
-        }
-        if let Some(total) = self.total {
-            say!("all {} iterations: {total}, {:.1} s", total.iterations, total.seconds);
-        }
-        if let Ok(Some(moved)) = self.moved() {
-            say!("{}", moved.describe());
-        }
-        if self.skipped > 0 {
-            say!("{} iterations were left out: their frames were too large", thousands(self.skipped.into()));
-        }
-        if self.non_finite > 0 {
-            say!("{} updates with a gradient that is not finite were skipped", thousands(self.non_finite));
-        }
     }
 
     /// The trained scene.

@@ -11,6 +11,17 @@ use serde::Serialize;
 /// A block of a scene, in place of the whole.
 #[derive(Args, Clone, Default, Serialize)]
 pub struct BlockArguments {
+    /// Train this block of a file that `ashsplat partition` wrote: data set, photos, start, block, margin, scene extent,
+    /// iterations and model folder are as it says
+    #[arg(
+        long,
+        value_name = "BLOCKS.json:N",
+        conflicts_with_all = [
+            "source_path", "model_path", "images", "resolution", "orientation", "eval", "train_test_exp", "init", "block",
+            "margin", "scene_extent",
+        ]
+    )]
+    pub(super) job: Option<String>,
     /// Train the Gaussians of the start with centres in this box, least and greatest corner; the others are drawn and stay as they
     /// are. Sides may be inf or -inf
     #[arg(long, value_name = "X,Y,Z,X,Y,Z", value_delimiter = ',', allow_hyphen_values = true)]

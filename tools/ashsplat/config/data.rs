@@ -29,6 +29,8 @@ pub struct DataSettings {
     pub random_points: bool,
     /// Whether points are looked for in the photos where there are none.
     pub photo_points: When,
+    /// The block that is trained, as blocks.json:3; empty: none.
+    pub job: String,
     /// Gaussians to begin with, in place of points; empty: none.
     pub init: PathBuf,
     /// The corners of the block that is trained, world units; empty: the whole scene.
@@ -70,6 +72,7 @@ impl Default for DataSettings {
             few_photos: When::Auto,
             random_points: false,
             photo_points: When::Auto,
+            job: String::new(),
             init: PathBuf::new(),
             block: Vec::new(),
             margin: 0.0,

@@ -3,6 +3,7 @@
 use super::poses::POSES_FILE;
 use super::report::REPORT_FILE;
 use super::{LOG_FILE, checkpoints};
+use crate::blocks::result::RESULT_FILE;
 use crate::config::{CAMERAS_FILE, CFG_ARGS_FILE, SETTINGS_FILE, Settings};
 use crate::lock::{FolderLock, Work};
 use crate::{eval, model, output};
@@ -54,7 +55,7 @@ fn remove_leftovers(folder: &Path) {
 }
 
 /// The files that a training leaves in its folder, beside the checkpoints.
-const LEFT: [&str; 12] = [
+const LEFT: [&str; 13] = [
     model::LAST_ITERATION_FILE,
     SETTINGS_FILE,
     CFG_ARGS_FILE,
@@ -67,6 +68,7 @@ const LEFT: [&str; 12] = [
     EXPOSURE_FILE,
     LENS_FILE,
     POSES_FILE,
+    RESULT_FILE,
 ];
 
 /// Files that no data set has: where one of them is, a training was.

@@ -74,6 +74,30 @@ pub fn write(run: &mut Run, interrupted: bool) -> Result<()> {
     output::write_text(&path, &page)
 }
 
+impl Run {
+    /// Results and costs, on stdout.
+    pub fn report(&self) {
+        for tested in &self.evaluations {
+            say!("{}", self.describe(tested));
+        }
+        if let Some(first) = self.first {
+            say!("first {} iterations: {first}", first.iterations);
+        }
+        if let Some(total) = self.total {
+            say!("all {} iterations: {total}, {:.1} s", total.iterations, total.seconds);
+        }
+        if let Ok(Some(moved)) = self.moved() {
+            say!("{}", moved.describe());
+        }
+        if self.skipped > 0 {
+            say!("{} iterations were left out: their frames were too large", thousands(self.skipped.into()));
+        }
+        if self.non_finite > 0 {
+            say!("{} updates with a gradient that is not finite were skipped", thousands(self.non_finite));
+        }
+    }
+}
+
 fn page(run: &mut Run, rows: &Rows, interrupted: bool) -> Result<String> {
     let iteration = run.trainer.iteration();
     let tested = run.evaluations.last().filter(|tested| tested.iteration == iteration);

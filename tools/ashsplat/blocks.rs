@@ -1,0 +1,207 @@
+//! `blocks.json`: how a scene is divided into blocks that are trained one by one, wherever, and merged then.
+
+pub mod job;
+pub mod result;
+
+use ashsplat::fingerprint::Fingerprint;
+use ashsplat::scene::{Bounds, Cells};
+use ashsplat::{Error, Result};
+use ashsplat_files::cameras_json::NamedCamera;
+use glam::Vec3;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+/// Of the file's form.
+pub const VERSION: u32 = 1;
+const REMEDY: &str = "make it anew: `ashsplat partition`";
+
+/// A division of a scene. Paths are relative to the file's folder where they lie below it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Division {
+    pub version: u32,
+    pub dataset: DatasetOfBlocks,
+    pub coarse: Coarse,
+    /// That of the whole scene, world units.
+    pub scene_extent: f32,
+    /// How far around its core Gaussians of a block are trained, world units.
+    pub margin: f32,
+    /// The share of a picture that a block's core must cover.
+    pub min_share: f64,
+    /// Most Gaussians of the coarse model in a core.
+    pub max_gaussians: u64,
+    /// Those that training the whole would take.
+    pub iterations: u32,
+    pub blocks: Vec<Block>,
+}
+
+/// What all blocks are trained on.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DatasetOfBlocks {
+    pub path: PathBuf,
+    /// Hash of all its cameras: see [`cameras_hash`].
+    pub cameras: String,
+    pub images: String,
+    pub resolution: i32,
+    pub orientation: String,
+    pub eval: bool,
+}
+
+/// The model that the blocks begin with.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Coarse {
+    pub path: PathBuf,
+    /// Hash of the file.
+    pub hash: String,
+    pub gaussians: u64,
+}
+
+/// One block.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Block {
+    /// From 1.
+    pub number: u32,
+    pub core: Core,
+    /// Of the coarse model, in the core.
+    pub gaussians: u64,
+    /// Of the coarse model, in core and margin: those that training begins with.
+    pub trained: u64,
+    pub iterations: u32,
+    /// The model folder.
+    pub folder: PathBuf,
+    /// To train on.
+    pub photos: Vec<String>,
+    /// Held out.
+    pub held_out: Vec<String>,
+}
+
+/// A box, world units; null for a side without an end. Least sides belong to it, greatest ones do not.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Core {
+    pub min: [Option<f32>; 3],
+    pub max: [Option<f32>; 3],
+}
+
+impl Core {
+    pub fn of(bounds: Bounds) -> Core {
+        let sides = |corner: Vec3| corner.to_array().map(|side| Some(side).filter(|side| side.is_finite()));
+        Core { min: sides(bounds.min), max: sides(bounds.max) }
+    }
+
+    pub fn bounds(&self) -> Bounds {
+        let corner = |sides: [Option<f32>; 3], end: f32| Vec3::from_array(sides.map(|s| s.unwrap_or(end)));
+        Bounds { min: corner(self.min, f32::NEG_INFINITY), max: corner(self.max, f32::INFINITY) }
+    }
+}
+
+/// A file with a division.
+#[derive(Clone)]
+pub struct BlocksFile {
+    pub path: PathBuf,
+    pub division: Division,
+    /// Of the file: what is trained says which division it is of.
+    pub hash: String,
+}
+
+impl BlocksFile {
+    /// Reads and checks it.
+    pub fn read(path: &Path) -> Result<BlocksFile> {
+        let refuse = |problem: String| Error::input(path, problem, REMEDY);
+        let bytes = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
+        let no_json = |e: serde_json::Error| refuse(format!("is no list of blocks: {e}"));
+        let value: Value = serde_json::from_slice(&bytes).map_err(no_json)?;
+        match value.get("version").and_then(Value::as_u64) {
+            Some(version) if version == u64::from(VERSION) => {}
+            Some(other) => {
+                return Err(refuse(format!("is of version {other}, this program reads version {VERSION}")));
+            }
+            None => return Err(refuse("is no list of blocks: it says no version".into())),
+        }
+        let division: Division = serde_json::from_value(value).map_err(no_json)?;
+        division.check().map_err(|problem| refuse(problem.to_string()))?;
+        let mut print = Fingerprint::new();
+        print.add(&bytes);
+        Ok(BlocksFile { path: path.to_owned(), division, hash: format!("{:016x}", print.finish()) })
+    }
+
+    /// A path as the file means it.
+    pub fn at(&self, path: &Path) -> PathBuf {
+        folder_of(&self.path).join(path)
+    }
+}
+
+impl Division {
+    /// The blocks' cores.
+    pub fn cells(&self) -> Result<Cells> {
+        let cores: Vec<Bounds> = self.blocks.iter().map(|block| block.core.bounds()).collect();
+        Cells::of(&cores)
+    }
+
+    /// Refuses what no division is: a mistake of an editor, say.
+    fn check(&self) -> Result<(), String> {
+        let numbered = self.blocks.iter().zip(1..).all(|(block, number)| block.number == number);
+        let folders: BTreeSet<&Path> = self.blocks.iter().map(|block| block.folder.as_path()).collect();
+        if !numbered || self.blocks.is_empty() {
+            return Err("its blocks are not numbered from 1".into());
+        }
+        if folders.len() != self.blocks.len() || folders.contains(Path::new("")) {
+            return Err("its blocks do not have a folder each".into());
+        }
+        if let Some(block) = self.blocks.iter().find(|block| block.photos.is_empty()) {
+            return Err(format!("block {} has no photos to train on", block.number));
+        }
+        self.cells().map(drop).map_err(|error| error.to_string())
+    }
+}
+
+/// The folder that a file lies in.
+fn folder_of(file: &Path) -> &Path {
+    file.parent().unwrap_or(Path::new(""))
+}
+
+/// A path for a file in a folder: relative where it lies below, else absolute.
+pub fn stored(path: &Path, file: &Path) -> PathBuf {
+    let absolute = |path: &Path| std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
+    let (path, file) = (absolute(path), absolute(file));
+    path.strip_prefix(folder_of(&file)).map(Path::to_owned).unwrap_or(path)
+}
+
+/// The hash of a data set's cameras, by name: names, poses, focal lengths, sizes.
+pub fn cameras_hash(cameras: &[NamedCamera]) -> String {
+    let mut print = Fingerprint::new();
+    for NamedCamera { name, camera } in cameras {
+        print.add(name.as_bytes());
+        print.add(bytemuck::cast_slice(&camera.camera_from_world.to_cols_array()));
+        print.add(bytemuck::cast_slice(&camera.translation.to_array()));
+        print.add(bytemuck::cast_slice(&[camera.fx, camera.fy, camera.cx, camera.cy]));
+        print.add(bytemuck::cast_slice(&[camera.width, camera.height]));
+    }
+    format!("{:016x}", print.finish())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cores_come_back_to_the_bit() {
+        let (min, max) = (Vec3::new(-0.1, f32::NEG_INFINITY, 1e-30), Vec3::new(0.3, 7.25, f32::INFINITY));
+        let text = serde_json::to_string(&Core::of(Bounds { min, max })).expect("JSON");
+        assert!(text.contains("[-0.1,null,"), "{text}");
+        let read: Core = serde_json::from_str(&text).expect("a core");
+        assert_eq!((read.bounds().min, read.bounds().max), (min, max));
+    }
+
+    #[test]
+    fn paths_below_the_file_are_relative() {
+        assert_eq!(stored(Path::new("/a/b/c"), Path::new("/a/blocks.json")), Path::new("b/c"));
+        assert_eq!(stored(Path::new("/x/c"), Path::new("/a/blocks.json")), Path::new("/x/c"));
+        assert_eq!(stored(Path::new("b"), Path::new("blocks.json")), Path::new("b"));
+    }
+}

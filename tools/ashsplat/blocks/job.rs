@@ -1,0 +1,89 @@
+//! One block's training: `ashsplat train --job blocks.json:3`.
+
+use super::{Block, BlocksFile, cameras_hash};
+use ashsplat::{Error, Result};
+use ashsplat_files::{Gallery, file_hash};
+use std::path::Path;
+use toml::Table;
+
+/// A block to be trained.
+pub struct Job {
+    pub file: BlocksFile,
+    index: usize,
+}
+
+impl Job {
+    /// The job of a file's name and a number.
+    pub fn find(text: &str) -> Result<Job> {
+        let problem =
+            || Error::argument("job", format!("'{text}': expected a file and a number, as blocks.json:3"));
+        let (path, number) = text.rsplit_once(':').ok_or_else(problem)?;
+        let number: usize = number.parse().map_err(|_| problem())?;
+        let file = BlocksFile::read(Path::new(path))?;
+        let blocks = file.division.blocks.len();
+        match number.checked_sub(1).filter(|&index| index < blocks) {
+            Some(index) => Ok(Job { file, index }),
+            None => Err(Error::argument("job", format!("{path} has the blocks 1 to {blocks}, not {number}"))),
+        }
+    }
+
+    /// The job of a training's settings, if it is one.
+    pub fn of(text: &str) -> Result<Option<Job>> {
+        if text.is_empty() { Ok(None) } else { Job::find(text).map(Some) }
+    }
+
+    pub fn block(&self) -> &Block {
+        &self.file.division.blocks[self.index]
+    }
+
+    /// Its settings, by their names in settings.toml.
+    pub fn settings(&self) -> Table {
+        let (division, block) = (&self.file.division, self.block());
+        let absolute = |path: &Path| {
+            let path = self.file.at(path);
+            std::path::absolute(&path).unwrap_or(path).to_string_lossy().into_owned()
+        };
+        let core = block.core.bounds();
+        let sides = [core.min, core.max].map(|corner| corner.to_array()).concat();
+        let path = std::path::absolute(&self.file.path).unwrap_or_else(|_| self.file.path.clone());
+        let mut table = Table::new();
+        table.insert("job".into(), format!("{}:{}", path.display(), block.number).into());
+        table.insert("source_path".into(), absolute(&division.dataset.path).into());
+        table.insert("model_path".into(), absolute(&block.folder).into());
+        table.insert("images".into(), division.dataset.images.clone().into());
+        table.insert("resolution".into(), i64::from(division.dataset.resolution).into());
+        table.insert("orientation".into(), division.dataset.orientation.clone().into());
+        table.insert("eval".into(), division.dataset.eval.into());
+        // A block is a part of a scene with many, and does not begin with points.
+        table.insert("few_photos".into(), "off".into());
+        table.insert("init".into(), absolute(&division.coarse.path).into());
+        table.insert("block".into(), sides.into_iter().map(f64::from).collect::<Vec<f64>>().into());
+        table.insert("margin".into(), f64::from(division.margin).into());
+        table.insert("scene_extent".into(), f64::from(division.scene_extent).into());
+        table.insert("iterations".into(), i64::from(block.iterations).into());
+        table
+    }
+
+    /// Leaves the block's photos; refuses a data set with other cameras.
+    pub fn choose_photos(&self, gallery: &mut Gallery) -> Result<()> {
+        let dataset = &self.file.division.dataset;
+        if cameras_hash(&gallery.cameras()) != dataset.cameras {
+            let problem = format!("its cameras are not those that {} was made for", self.file.path.display());
+            let remedy = "give the data set as it was, or make the blocks anew: `ashsplat partition`";
+            return Err(Error::input(self.file.at(&dataset.path), problem, remedy));
+        }
+        let block = self.block();
+        gallery.keep(&block.photos.iter().chain(&block.held_out).cloned().collect())
+    }
+
+    /// Refuses another coarse model than that of the division.
+    pub fn check_coarse(&self) -> Result<()> {
+        let coarse = &self.file.division.coarse;
+        let path = self.file.at(&coarse.path);
+        if file_hash(&path)? == coarse.hash {
+            return Ok(());
+        }
+        let problem = format!("is not the coarse model that {} was made for", self.file.path.display());
+        Err(Error::input(path, problem, "give that file, or make the blocks anew: `ashsplat partition`"))
+    }
+}

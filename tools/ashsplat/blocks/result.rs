@@ -1,0 +1,82 @@
+//! What a block's training leaves for the merge: `block.json` in its model folder, written when all is done.
+
+use super::job::Job;
+use super::{Block, BlocksFile};
+use crate::{model, output};
+use ashsplat::{Error, Result};
+use ashsplat_files::file_hash;
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+/// The note's name in the model folder.
+pub const RESULT_FILE: &str = "block.json";
+
+/// A block that is trained.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Trained {
+    /// Hash of the division's file.
+    blocks: String,
+    /// The block's number.
+    block: u32,
+    iteration: u32,
+    /// Hash of that iteration's point cloud.
+    hash: String,
+}
+
+/// Notes that a job's training is at its end.
+pub fn note(job: &Job, folder: &Path, iteration: u32) -> Result<()> {
+    let hash = file_hash(model::point_cloud_path(folder, iteration))?;
+    let trained = Trained { blocks: job.file.hash.clone(), block: job.block().number, iteration, hash };
+    output::write_json(&folder.join(RESULT_FILE), &trained)
+}
+
+/// Whether a job's training has been noted as being at its end.
+pub fn is_noted(job: &Job, folder: &Path) -> bool {
+    let noted = |noted: Trained| noted.blocks == job.file.hash && noted.block == job.block().number;
+    read(folder).is_ok_and(|found| found.is_some_and(noted))
+}
+
+/// None where there is no note.
+fn read(folder: &Path) -> Result<Option<Trained>> {
+    let path = folder.join(RESULT_FILE);
+    let Some(text) = output::read_note(&path) else { return Ok(None) };
+    let damaged = |e: serde_json::Error| Error::input(&path, e.to_string(), "train the block again");
+    serde_json::from_str(&text).map(Some).map_err(damaged)
+}
+
+/// What keeps a block from being merged.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Missing {
+    NotTrained,
+    OtherDivision,
+    Damaged,
+}
+
+impl Missing {
+    pub fn describe(self) -> &'static str {
+        match self {
+            Missing::NotTrained => "not trained to the end",
+            Missing::OtherDivision => "trained for another division",
+            Missing::Damaged => "damaged (its scene is not as training left it)",
+        }
+    }
+}
+
+/// The scene of a trained block, whose hash is right.
+pub fn scene_of(file: &BlocksFile, block: &Block) -> Result<Result<PathBuf, Missing>> {
+    let folder = file.at(&block.folder);
+    let trained = match read(&folder) {
+        Ok(Some(trained)) => trained,
+        Ok(None) => return Ok(Err(Missing::NotTrained)),
+        Err(_) => return Ok(Err(Missing::Damaged)),
+    };
+    if trained.blocks != file.hash || trained.block != block.number {
+        return Ok(Err(Missing::OtherDivision));
+    }
+    let path = model::point_cloud_path(&folder, trained.iteration);
+    if !path.is_file() {
+        return Ok(Err(Missing::Damaged));
+    }
+    Ok(if file_hash(&path)? == trained.hash { Ok(path) } else { Err(Missing::Damaged) })
+}

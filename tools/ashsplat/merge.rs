@@ -1,0 +1,94 @@
+//! `ashsplat merge`.
+
+use crate::args::HostArguments;
+use crate::blocks::BlocksFile;
+use crate::blocks::result::{Missing, scene_of};
+use crate::lock::{FolderLock, Work};
+use crate::output;
+use crate::progress::{counting, thousands};
+use ashsplat::{Error, Result};
+use ashsplat_files::splats::{self, Format, Part, WriteOptions};
+use clap::Args;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// Merge the trained blocks of `ashsplat partition` into one scene.
+///
+/// Of each block it takes the Gaussians with centres in its cell, so that none is lost or there twice. Blocks are read one after
+/// another: the memory needed does not depend on their number, but for .compressed.ply, which is sorted. A block that is missing,
+/// damaged or of another division is named before anything is written.
+#[derive(Args)]
+pub struct Arguments {
+    /// The file that `ashsplat partition` wrote
+    #[arg(value_name = "BLOCKS.json")]
+    blocks: PathBuf,
+    /// The scene; its extension says the format, as for convert
+    #[arg(short, long, value_name = "OUT")]
+    out: PathBuf,
+    #[command(flatten)]
+    host: HostArguments,
+    /// Print only errors
+    #[arg(long)]
+    quiet: bool,
+}
+
+const WORK: Work = Work { file: ".merge.lock", what: "merge", option: "-o" };
+
+/// Runs the command.
+pub fn run(arguments: &Arguments) -> Result<()> {
+    output::check(&[("--out", Some(&arguments.out))])?;
+    Format::of_extension(&arguments.out)?;
+    let file = BlocksFile::read(&arguments.blocks)?;
+    output::in_folder(&arguments.out, |out| {
+        let folder = out.parent().filter(|folder| !folder.as_os_str().is_empty());
+        let _lock = FolderLock::take(folder.unwrap_or(Path::new(".")), &WORK)?;
+        output::remove_leftovers_of(out);
+        arguments.merge(&file, out)
+    })
+}
+
+impl Arguments {
+    fn merge(&self, file: &BlocksFile, out: &Path) -> Result<()> {
+        let blocks = &file.division.blocks;
+        let scenes = scenes(file, self.quiet)?;
+        let parts = scenes.iter().zip(blocks);
+        let parts: Vec<Part<'_>> =
+            parts.map(|(path, block)| Part { path, within: block.core.bounds() }).collect();
+        let done = splats::merge(&parts, out, &self.host.reading(false), &WriteOptions::default())?;
+        for warning in &done.warnings {
+            tell!("warning: {warning}");
+        }
+        if !self.quiet {
+            for (block, written) in blocks.iter().zip(&done.written) {
+                say!("block {}: {} Gaussians", block.number, thousands(*written));
+            }
+            let (count, sum) = (blocks.len(), done.written.iter().sum());
+            let (out, format, degree) = (out.display(), done.format, done.sh_degree);
+            say!("{count} blocks -> {out} ({format}, {} Gaussians, SH degree {degree})", thousands(sum));
+        }
+        Ok(())
+    }
+}
+
+/// The trained scenes of all blocks; refuses a division of which any is not as it should be, and names them.
+fn scenes(file: &BlocksFile, quiet: bool) -> Result<Vec<PathBuf>> {
+    let blocks = &file.division.blocks;
+    let bar = counting("blocks checked", blocks.len() as u64, quiet);
+    let (mut scenes, mut missing) = (Vec::new(), BTreeMap::<Missing, Vec<String>>::new());
+    for block in blocks {
+        match scene_of(file, block)? {
+            Ok(scene) => scenes.push(scene),
+            Err(why) => missing.entry(why).or_default().push(block.number.to_string()),
+        }
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    let Some(first) = missing.values().next().map(|numbers| numbers[0].clone()) else { return Ok(scenes) };
+    let told = missing.iter().map(|(why, numbers)| {
+        let (blocks, are) = if numbers.len() == 1 { ("block", "is") } else { ("blocks", "are") };
+        format!("{blocks} {} {are} {}", numbers.join(", "), why.describe())
+    });
+    let problem = format!("of {} blocks {}", blocks.len(), told.collect::<Vec<_>>().join("; "));
+    let remedy = format!("train them: `ashsplat train --job {}:{first}`", file.path.display());
+    Err(Error::input(&file.path, problem, remedy))
+}

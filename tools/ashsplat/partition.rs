@@ -1,0 +1,296 @@
+//! `ashsplat partition`.
+
+mod cameras;
+mod plan;
+
+use crate::args::DeviceArguments;
+use crate::blocks::{self, Block, Coarse, Core, DatasetOfBlocks, Division, cameras_hash, stored};
+use crate::config::{CAMERAS_FILE, DataSettings};
+use crate::lock::{FolderLock, Work};
+use crate::model::Model;
+use crate::progress::thousands;
+use crate::{output, render, session};
+use ashsplat::scene::{Camera, Cells, Gaussians, scene_extent};
+use ashsplat::trainer::SceneBlock;
+use ashsplat::{Error, RenderSettings, Renderer, Result};
+use ashsplat_files::cameras_json::{self, NamedCamera};
+use ashsplat_files::{Gallery, file_hash, splats};
+use cameras::Shares;
+use clap::Args;
+use glam::Vec3;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// Divide a scene into blocks that are trained one by one, on any machines: `train --job blocks.json:1`, then `merge`.
+///
+/// The cells are those of a k-d tree over the coarse model's Gaussians: halved at the median of the longest axis until none
+/// has more than --max-gaussians. Together they cover all space, and each place is in exactly one. A block is trained on the
+/// photos of which its cell covers --min-share: by the depths of the coarse model, which is drawn once per photo. A photo that
+/// shows no cell so much goes to the one that it shows most of. The same input gives the same file.
+#[derive(Args)]
+pub struct Arguments {
+    /// Data set [default: that of the coarse model's training]
+    #[arg(value_name = "DATASET", conflicts_with = "source_path")]
+    dataset: Option<PathBuf>,
+    /// A model of the whole scene: a model folder or a file of Gaussians; a short training with few Gaussians is enough
+    #[arg(long, value_name = "MODEL")]
+    coarse: PathBuf,
+    /// Most Gaussians of the coarse model in a block, without its margin
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    max_gaussians: u64,
+    /// The new file
+    #[arg(short, long, value_name = "FILE", default_value = "blocks.json")]
+    out: PathBuf,
+    /// How far around its cell a block trains Gaussians too, world units [default: a twentieth of the usual cell's longest side]
+    #[arg(long, value_name = "X")]
+    margin: Option<f32>,
+    /// The share of a picture that a cell must cover for the photo to be used for its block, above 0 and up to 1
+    #[arg(long, value_name = "X", default_value_t = 0.1)]
+    min_share: f64,
+    /// Iterations that training the whole scene would take: a block has its photos' share of them, so that each photo is looked
+    /// at as often
+    #[arg(long, value_name = "N", default_value_t = 30_000, value_parser = clap::value_parser!(u32).range(1..))]
+    iterations: u32,
+    /// Draw cells, seams, margins, cameras and Gaussians from above
+    #[arg(long, value_name = "FILE.svg")]
+    plot: Option<PathBuf>,
+    #[command(flatten)]
+    data: session::DataArguments,
+    #[command(flatten)]
+    device: DeviceArguments,
+    /// Print only errors
+    #[arg(long)]
+    quiet: bool,
+}
+
+const WORK: Work = Work { file: ".partition.lock", what: "partition", option: "-o" };
+
+/// A margin in sides of the usual cell.
+const MARGIN: f32 = 0.05;
+/// What is said of an earlier model of the coarse model's cameras may differ by, in scene extents.
+const SAME_PLACE: f64 = 1e-3;
+/// Of the pictures, if a model is of the scene.
+const LEAST_COVERED: f64 = 0.02;
+
+/// Runs the command.
+pub fn run(arguments: &Arguments) -> Result<()> {
+    arguments.check()?;
+    let coarse = Model::locate(&arguments.coarse, None)?;
+    let data = arguments.data.applied_to_dataset(arguments.dataset.as_deref(), &coarse.settings.data)?;
+    let host = &arguments.device.host;
+    let scene = splats::read(&coarse.ply, &host.reading(false))?;
+    if scene.gaussians.is_empty() {
+        return Err(Error::input(&coarse.ply, "has no Gaussians", "give a model of the whole scene"));
+    }
+    let context = arguments.device.context()?;
+    let stop = session::stop_on_ctrl_c()?;
+    let white = coarse.settings.train.white_background;
+    let gallery = session::open(&data, &session::options(&data, white, host)?, &stop)?;
+    session::warn(gallery.warnings());
+    check_same_scene(&coarse, &gallery, &data)?;
+    let most = usize::try_from(arguments.max_gaussians).unwrap_or(usize::MAX);
+    let cells = Cells::divide(&scene.gaussians.means, most)
+        .map_err(|error| Error::argument("--max-gaussians", error.to_string()))?;
+    let mut renderer = Renderer::new(&context)?;
+    renderer.upload(&scene.gaussians)?;
+    let look = render::settings_of(&coarse.settings);
+    let antialias = look.antialias || scene.header.antialiased;
+    let look = RenderSettings { inverse_depth: true, antialias, ..look };
+    let cameras = gallery.cameras();
+    let shares = Shares::of(&mut renderer, &cameras, &cells, &look, (arguments.quiet, &stop))?;
+    if shares.covered() < LEAST_COVERED {
+        let problem = format!("shows next to nothing to the cameras of {}", data.source_path.display());
+        return Err(Error::input(&coarse.ply, problem, "give a model of this data set"));
+    }
+    let division = arguments.division(&Found {
+        coarse: &coarse,
+        gaussians: &scene.gaussians,
+        data: &data,
+        gallery: &gallery,
+        cells: &cells,
+        shares: &shares,
+    })?;
+    session::check(&stop)?;
+    output::in_folder(&arguments.out, |path| {
+        let _lock = FolderLock::take(folder_of(path), &WORK)?;
+        if let Some(plot) = &arguments.plot {
+            output::write_text(plot, &plan::svg(&division, &scene.gaussians, &cameras, &shares)?)?;
+        }
+        output::write_json(path, &division)
+    })?;
+    if !arguments.quiet {
+        arguments.describe(&division);
+    }
+    arguments.device.report_validation(&context);
+    Ok(())
+}
+
+/// All that a division is made of.
+struct Found<'a> {
+    coarse: &'a Model,
+    gaussians: &'a Gaussians,
+    data: &'a DataSettings,
+    gallery: &'a Gallery,
+    cells: &'a Cells,
+    shares: &'a Shares,
+}
+
+fn folder_of(path: &Path) -> &Path {
+    path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
+}
+
+/// Refuses a model folder whose cameras are not those of the data set.
+fn check_same_scene(coarse: &Model, gallery: &Gallery, data: &DataSettings) -> Result<()> {
+    let Some((folder, _)) = &coarse.folder else { return Ok(()) };
+    let file = folder.join(CAMERAS_FILE);
+    if !file.is_file() {
+        return Ok(());
+    }
+    let own = cameras_json::read(&file)?;
+    let cameras = gallery.cameras();
+    let by_name: BTreeMap<&str, &Camera> =
+        cameras.iter().map(|named| (named.name.as_str(), &named.camera)).collect();
+    let near = SAME_PLACE * f64::from(scene_extent(cameras.iter().map(|named| named.camera.position())));
+    // Poses that were optimised have moved.
+    let moved = coarse.settings.train.pose_opt;
+    let is_there = |named: &&NamedCamera| {
+        let there = by_name.get(named.name.as_str());
+        there.is_some_and(|there| {
+            moved || there.exact_position().distance(named.camera.exact_position()) <= near
+        })
+    };
+    let same = own.iter().filter(is_there).count();
+    if 2 * same >= own.len() && same > 0 {
+        return Ok(());
+    }
+    let problem = format!(
+        "of its {} cameras {same} are in {}: it is of another scene",
+        own.len(),
+        data.source_path.display()
+    );
+    Err(Error::input(file, problem, "give a model of this data set"))
+}
+
+impl Arguments {
+    /// Refuses what cannot be done, before the work.
+    fn check(&self) -> Result<()> {
+        output::check(&[("--out", Some(&self.out)), ("--plot", self.plot.as_deref())])?;
+        if !(self.min_share > 0.0 && self.min_share <= 1.0) {
+            let problem = format!("{} is not above 0 and up to 1", self.min_share);
+            return Err(Error::argument("--min-share", problem));
+        }
+        match self.margin {
+            Some(margin) if !(margin.is_finite() && margin >= 0.0) => {
+                Err(Error::argument("--margin", format!("is {margin}, must be 0 or more")))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    fn division(&self, found: &Found<'_>) -> Result<Division> {
+        let Found { coarse, gaussians, data, gallery, cells, shares } = found;
+        let cameras = gallery.cameras();
+        let is_trained = |index: usize| !gallery.held_out()[index];
+        let trained = (0..cameras.len()).filter(|&index| is_trained(index));
+        let extent = scene_extent(trained.clone().map(|index| cameras[index].camera.position()));
+        let scene_extent = if extent > 0.0 { extent } else { 1.0 };
+        let margin = self.margin.unwrap_or_else(|| MARGIN * usual_side(gaussians, cells));
+        let photos = trained.count();
+        let mut blocks = Vec::new();
+        for (index, &core) in cells.bounds().iter().enumerate() {
+            let number = index as u32 + 1;
+            let chosen: Vec<usize> =
+                (0..cameras.len()).filter(|&camera| shares.is_of(camera, index, self.min_share)).collect();
+            let named = |trained: bool| -> Vec<String> {
+                let all = chosen.iter().filter(|&&camera| is_trained(camera) == trained);
+                all.map(|&camera| cameras[camera].name.clone()).collect()
+            };
+            let own = named(true);
+            if own.is_empty() {
+                let most = 100.0 * shares.most(index, is_trained);
+                let problem = format!(
+                    "block {number} has no photo to train on: none shows more than {most:.2} % of its picture in it; lower \
+                     --min-share (it is {}) or raise --max-gaussians",
+                    self.min_share
+                );
+                return Err(Error::argument("partition", problem));
+            }
+            let count = |margin: Option<f32>| {
+                let inside = |mean: &&[f32; 3]| match margin {
+                    None => core.contains(Vec3::from_array(**mean)),
+                    Some(margin) => SceneBlock::contains(core, margin, **mean),
+                };
+                gaussians.means.iter().filter(inside).count() as u64
+            };
+            let iterations = (u64::from(self.iterations) * own.len() as u64).div_ceil(photos as u64);
+            let folder = self.out.with_extension("").join(format!("{number:03}"));
+            blocks.push(Block {
+                number,
+                core: Core::of(core),
+                gaussians: count(None),
+                trained: count(Some(margin)),
+                iterations: iterations as u32,
+                folder: stored(&folder, &self.out),
+                photos: own,
+                held_out: named(false),
+            });
+        }
+        Ok(Division {
+            version: blocks::VERSION,
+            dataset: DatasetOfBlocks {
+                path: stored(&data.source_path, &self.out),
+                cameras: cameras_hash(&cameras),
+                images: data.images.clone(),
+                resolution: data.resolution,
+                orientation: data.orientation.clone(),
+                eval: data.eval,
+            },
+            coarse: Coarse {
+                path: stored(&coarse.ply, &self.out),
+                hash: file_hash(&coarse.ply)?,
+                gaussians: gaussians.len() as u64,
+            },
+            scene_extent,
+            margin,
+            min_share: self.min_share,
+            max_gaussians: self.max_gaussians,
+            iterations: self.iterations,
+            blocks,
+        })
+    }
+
+    fn describe(&self, division: &Division) {
+        for block in &division.blocks {
+            say!(
+                "block {}: {} Gaussians, {} with the margin; {} photos, {} held out; {} iterations",
+                block.number,
+                thousands(block.gaussians),
+                thousands(block.trained),
+                block.photos.len(),
+                block.held_out.len(),
+                thousands(block.iterations.into())
+            );
+        }
+        let out = self.out.display();
+        say!(
+            "written to {out}; train each: ashsplat train --job {out}:1, and then: ashsplat merge {out} -o scene.ply"
+        );
+    }
+}
+
+/// The median of the cells' longest sides, world units: of the boxes around nearly all of a cell's Gaussians.
+fn usual_side(gaussians: &Gaussians, cells: &Cells) -> f32 {
+    let mut own: Vec<Vec<usize>> = vec![Vec::new(); cells.bounds().len()];
+    for (index, &mean) in gaussians.means.iter().enumerate() {
+        if let Some(cell) = cells.at(Vec3::from_array(mean)) {
+            own[cell].push(index);
+        }
+    }
+    let side = |own: &Vec<usize>| {
+        let bounds = gaussians.select(own).statistics().central_bounds;
+        bounds.map_or(0.0, |bounds| bounds.size().max_element())
+    };
+    let mut sides: Vec<f32> = own.iter().map(side).collect();
+    sides.sort_unstable_by(f32::total_cmp);
+    sides[sides.len() / 2]
+}

@@ -1,0 +1,153 @@
+//! Cells, seams, margins, cameras and Gaussians from above, as SVG.
+
+use super::cameras::Shares;
+use crate::bench::plot::COLORS;
+use crate::blocks::Division;
+use crate::html::escape;
+use crate::progress::thousands;
+use ashsplat::Result;
+use ashsplat::scene::{Bounds, Gaussians};
+use ashsplat_files::cameras_json::NamedCamera;
+use glam::{Vec2, Vec3};
+use std::fmt::Write;
+
+/// The longer side of the drawing, pixels.
+const SIDE: f32 = 900.0;
+const MARGIN: f32 = 30.0;
+/// Gaussians that are drawn, about.
+const DOTS: usize = 4000;
+
+/// From world to paper.
+struct Plan {
+    axes: [usize; 2],
+    min: Vec2,
+    scale: f32,
+    size: Vec2,
+}
+
+impl Plan {
+    /// Seen along the axis that is nearest to the cameras' common up.
+    fn new(gaussians: &Gaussians, cameras: &[NamedCamera]) -> Plan {
+        let up: Vec3 = cameras.iter().map(|named| -named.camera.camera_from_world.row(1)).sum();
+        let down = (0..3).max_by(|&a, &b| up[a].abs().total_cmp(&up[b].abs())).unwrap_or(1);
+        let axes = [(down + 1) % 3, (down + 2) % 3];
+        let seen = cameras.iter().map(|named| named.camera.position());
+        let middle = gaussians.statistics().central_bounds;
+        let corners = middle.into_iter().flat_map(|bounds| [bounds.min, bounds.max]);
+        let around = Bounds::of(seen.chain(corners)).unwrap_or(Bounds { min: Vec3::ZERO, max: Vec3::ONE });
+        let flat = |point: Vec3| Vec2::new(point[axes[0]], point[axes[1]]);
+        let (min, extent) = (flat(around.min), flat(around.size()).max(Vec2::splat(1e-6)));
+        let (min, extent) = (min - 0.05 * extent, 1.1 * extent);
+        let scale = SIDE / extent.max_element();
+        Plan { axes, min, scale, size: scale * extent }
+    }
+
+    fn at(&self, point: Vec3) -> Vec2 {
+        let flat = Vec2::new(point[self.axes[0]], point[self.axes[1]]);
+        (self.scale * (flat - self.min)).clamp(Vec2::ZERO, self.size) + MARGIN
+    }
+}
+
+/// The drawing.
+pub fn svg(
+    division: &Division,
+    gaussians: &Gaussians,
+    cameras: &[NamedCamera],
+    shares: &Shares,
+) -> Result<String> {
+    let plan = Plan::new(gaussians, cameras);
+    let [width, height] = (plan.size + 2.0 * MARGIN).to_array();
+    let names = ["x", "y", "z"];
+    let [across, down] = plan.axes.map(|axis| names[axis]);
+    let mut out = format!(
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width:.1} {:.1}\" font-family=\"sans-serif\" font-size=\"12\">\n\
+         <rect width=\"{width:.1}\" height=\"{:.1}\" fill=\"#ffffff\"/>\n\
+         <text x=\"{MARGIN}\" y=\"20\">{across} to the right, {down} downwards; margin {}; lines: seams</text>\n",
+        height + 20.0 * (division.blocks.len() as f32),
+        height + 20.0 * (division.blocks.len() as f32),
+        division.margin
+    );
+    let color = |block: usize| COLORS[1 + block % (COLORS.len() - 1)];
+    let cells = division.cells()?;
+    for (index, cell) in cells.bounds().iter().enumerate() {
+        let (a, b) = (plan.at(cell.min), plan.at(cell.max));
+        rectangle(&mut out, a, b, &format!("fill=\"{}\" fill-opacity=\"0.13\"", color(index)));
+    }
+    let step = gaussians.len().div_ceil(DOTS).max(1);
+    for (place, cell) in gaussians.means.iter().step_by(step).filter_map(|&mean| {
+        let mean = Vec3::from_array(mean);
+        Some((plan.at(mean), cells.at(mean)?))
+    }) {
+        let _ = writeln!(
+            out,
+            "<circle cx=\"{:.1}\" cy=\"{:.1}\" r=\"0.9\" fill=\"{}\"/>",
+            place.x,
+            place.y,
+            color(cell)
+        );
+    }
+    for seam in cells.seams() {
+        let margin =
+            Vec3::from_array([0, 1, 2].map(|axis| if axis == seam.axis { division.margin } else { 0.0 }));
+        let (a, b) = (plan.at(seam.bounds.min - margin), plan.at(seam.bounds.max + margin));
+        rectangle(&mut out, a, b, "fill=\"#000000\" fill-opacity=\"0.08\"");
+        let (a, b) = (plan.at(seam.bounds.min), plan.at(seam.bounds.max));
+        let style = "stroke=\"#222222\" stroke-width=\"1.5\"";
+        let _ = writeln!(out, "<path d=\"M{:.1} {:.1}L{:.1} {:.1}\" {style}/>", a.x, a.y, b.x, b.y);
+    }
+    for (index, NamedCamera { name, camera }) in cameras.iter().enumerate() {
+        let place = plan.at(camera.position());
+        let forward = camera.forward();
+        let look = Vec2::new(forward[plan.axes[0]], forward[plan.axes[1]]).normalize_or_zero();
+        let (tip, side) = (place + 9.0 * look, 3.5 * look.perp());
+        let (a, b) = (place + side, place - side);
+        let fill = shares.main_cell(index).map_or("#ffffff", color);
+        let of: Vec<String> = division
+            .blocks
+            .iter()
+            .filter(|block| block.photos.contains(name) || block.held_out.contains(name))
+            .map(|block| block.number.to_string())
+            .collect();
+        let _ = writeln!(
+            out,
+            "<path d=\"M{:.1} {:.1}L{:.1} {:.1}L{:.1} {:.1}Z\" fill=\"{fill}\" stroke=\"#222222\" stroke-width=\"0.6\">\
+             <title>{}: {}</title></path>",
+            a.x,
+            a.y,
+            b.x,
+            b.y,
+            tip.x,
+            tip.y,
+            escape(name),
+            of.join(", ")
+        );
+    }
+    for (index, block) in division.blocks.iter().enumerate() {
+        let y = height + 20.0 * index as f32;
+        let _ = writeln!(
+            out,
+            "<rect x=\"{MARGIN}\" y=\"{:.1}\" width=\"12\" height=\"12\" fill=\"{}\"/><text x=\"{}\" y=\"{:.1}\">block {}: {} \
+             Gaussians, {} with the margin; {} photos, {} held out</text>",
+            y - 10.0,
+            color(index),
+            MARGIN + 20.0,
+            y,
+            block.number,
+            thousands(block.gaussians),
+            thousands(block.trained),
+            block.photos.len(),
+            block.held_out.len()
+        );
+    }
+    out.push_str("</svg>\n");
+    Ok(out)
+}
+
+fn rectangle(out: &mut String, a: Vec2, b: Vec2, style: &str) {
+    let (min, size) = (a.min(b), (b - a).abs());
+    let _ = writeln!(
+        out,
+        "<rect x=\"{:.1}\" y=\"{:.1}\" width=\"{:.1}\" height=\"{:.1}\" {style}/>",
+        min.x, min.y, size.x, size.y
+    );
+}
