@@ -9,6 +9,7 @@
 //! - [`parts`]: other strategies of density control, other terms of the loss
 //! - [`masks_and_memory`]: pixels that do not count, bounds for memory
 //! - [`checkpoints`]: stopping a training and going on
+//! - [`blocks`]: scenes that are trained in blocks, and merged
 //! - [`measuring`]: times, counts and benchmarks
 //! - [`profiling`]: one frame or step, command by command
 //! - [`determinism`]: what is the same to the bit, and how to check it
@@ -51,6 +52,10 @@ pub mod masks_and_memory {
 
 pub mod checkpoints {
     #![doc = include_str!(concat!(env!("OUT_DIR"), "/guide/checkpoints.md"))]
+}
+
+pub mod blocks {
+    #![doc = include_str!(concat!(env!("OUT_DIR"), "/guide/blocks.md"))]
 }
 
 pub mod measuring {

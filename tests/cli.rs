@@ -12,6 +12,7 @@ mod inspect;
 mod layouts;
 mod light;
 mod lpips;
+mod merge;
 mod pose_opt;
 // The stand-ins are scripts of a shell.
 #[cfg(unix)]

@@ -10,8 +10,19 @@ use tempfile::tempdir;
 fn help_names_every_command() {
     let help = succeed(&["--help"]);
     for command in [
-        "train", "poses", "render", "eval", "info", "convert", "inspect", "devices", "demo", "bench",
+        "train",
+        "poses",
+        "render",
+        "eval",
+        "info",
+        "convert",
+        "inspect",
+        "devices",
+        "demo",
+        "bench",
         "profile",
+        "partition",
+        "merge",
     ] {
         assert!(help.contains(command), "{help}");
         assert!(succeed(&[command, "--help"]).contains("Usage: ashsplat"), "{command}");

@@ -84,11 +84,8 @@ fn scenes(file: &BlocksFile, quiet: bool) -> Result<Vec<PathBuf>> {
     }
     bar.finish_and_clear();
     let Some(first) = missing.values().next().map(|numbers| numbers[0].clone()) else { return Ok(scenes) };
-    let told = missing.iter().map(|(why, numbers)| {
-        let (blocks, are) = if numbers.len() == 1 { ("block", "is") } else { ("blocks", "are") };
-        format!("{blocks} {} {are} {}", numbers.join(", "), why.describe())
-    });
-    let problem = format!("of {} blocks {}", blocks.len(), told.collect::<Vec<_>>().join("; "));
+    let told = missing.iter().map(|(why, numbers)| format!("{} {}", numbers.join(", "), why.describe()));
+    let problem = format!("of its {} blocks {}", blocks.len(), told.collect::<Vec<_>>().join("; "));
     let remedy = format!("train them: `ashsplat train --job {}:{first}`", file.path.display());
     Err(Error::input(&file.path, problem, remedy))
 }

@@ -91,6 +91,9 @@ pub fn svg(
             Vec3::from_array([0, 1, 2].map(|axis| if axis == seam.axis { division.margin } else { 0.0 }));
         let (a, b) = (plan.at(seam.bounds.min - margin), plan.at(seam.bounds.max + margin));
         rectangle(&mut out, a, b, "fill=\"#000000\" fill-opacity=\"0.08\"");
+        if !plan.axes.contains(&seam.axis) {
+            continue;
+        }
         let (a, b) = (plan.at(seam.bounds.min), plan.at(seam.bounds.max));
         let style = "stroke=\"#222222\" stroke-width=\"1.5\"";
         let _ = writeln!(out, "<path d=\"M{:.1} {:.1}L{:.1} {:.1}\" {style}/>", a.x, a.y, b.x, b.y);

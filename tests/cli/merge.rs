@@ -1,0 +1,256 @@
+//! `partition`, `train --job` and `merge`: a scene that is trained in blocks.
+
+use super::checkpoints::{Place, assert_trained};
+use super::*;
+use ashsplat::Gaussians;
+use ashsplat::scene::Bounds;
+use ashsplat_files::splats::{self, ReadOptions};
+use serde_json::Value;
+
+fn read(path: &Path) -> Gaussians {
+    splats::read(path, &ReadOptions::default()).expect("Gaussians").gaussians
+}
+
+/// A data set and a coarse model of it.
+fn place() -> Place {
+    let place = Place::new();
+    assert_trained(&place.train("coarse", &["--iterations", "12", "--eval"]));
+    place
+}
+
+fn partition(place: &Place, file: &str, more: &[&str]) -> Finished {
+    let (coarse, out) = (place.model("coarse"), place.model(file));
+    let given = ["partition", "--coarse", text(&coarse), "-o", text(&out), "--iterations", "14"];
+    // Faint after so few steps.
+    let share = if more.contains(&"--min-share") { &[][..] } else { &["--min-share", "0.03"] };
+    finish(program().args(given).args(share).args(more))
+}
+
+/// Of a few steps, with the few degrees of SH that the coarse model has.
+fn job(place: &Place, number: u32, more: &[&str]) -> Finished {
+    let job = format!("{}:{number}", text(&place.model("blocks.json")));
+    finish(program().args(["train", "--job", &job, "--quiet", "--sh-degree", "1"]).args(more))
+}
+
+fn merge(place: &Place, out: &str) -> Finished {
+    let (blocks, out) = (place.model("blocks.json"), place.model(out));
+    finish(program().args(["merge", text(&blocks), "-o", text(&out)]))
+}
+
+fn division(place: &Place) -> Value {
+    let text = std::fs::read_to_string(place.model("blocks.json")).expect("blocks.json");
+    serde_json::from_str(&text).expect("JSON")
+}
+
+/// A cell; null is no border.
+fn core(block: &Value) -> Bounds {
+    let corner = |name: &str, end: f32| {
+        Vec3::from_array(
+            [0, 1, 2].map(|axis| block["core"][name][axis].as_f64().map_or(end, |side| side as f32)),
+        )
+    };
+    Bounds { min: corner("min", f32::NEG_INFINITY), max: corner("max", f32::INFINITY) }
+}
+
+#[test]
+fn blocks_are_trained_one_by_one_and_merged() {
+    let place = place();
+    let plot = place.model("plan.svg");
+    assert_trained(&partition(&place, "blocks.json", &["--max-gaussians", "300", "--plot", text(&plot)]));
+    // The same again, to the byte; but for where results go.
+    let first = std::fs::read(place.model("blocks.json")).expect("blocks.json");
+    let data = place.model("data");
+    assert_trained(&partition(&place, "blocks.json", &[text(&data), "--max-gaussians", "300"]));
+    assert!(first == std::fs::read(place.model("blocks.json")).expect("blocks.json"), "other bytes");
+
+    let division = division(&place);
+    let blocks = division["blocks"].as_array().expect("blocks");
+    let coarse = read(&place.model("coarse/point_cloud/iteration_12/point_cloud.ply"));
+    let drawn = std::fs::read_to_string(&plot).expect("a drawing");
+    assert!(blocks.len() > 2 && drawn.matches(">block ").count() == blocks.len(), "{drawn}");
+    assert_eq!(drawn.matches("<title>").count(), 9, "a mark per camera");
+    for block in blocks {
+        let inside =
+            coarse.means.iter().filter(|&&mean| core(block).contains(Vec3::from_array(mean))).count();
+        assert_eq!(block["gaussians"], inside, "{block}");
+        assert!((1..=300).contains(&inside) && block["trained"].as_u64() > Some(inside as u64), "{block}");
+        let photos = block["photos"].as_array().expect("photos");
+        // The first and the ninth are held out; each photo is looked at twice in 14 iterations.
+        assert!(photos.iter().all(|name| name != "01.png" && name != "09.png"), "{block}");
+        assert_eq!(block["iterations"], 2 * photos.len(), "{block}");
+        assert_trained(&job(&place, block["number"].as_u64().expect("a number") as u32, &[]));
+    }
+    let sum = |name: &str| blocks.iter().filter_map(|block| block[name].as_u64()).sum::<u64>();
+    assert_eq!(sum("gaussians"), coarse.len() as u64);
+
+    let merged = merge(&place, "new/scene.ply");
+    assert_trained(&merged);
+    let mut union = Gaussians { sh_degree: 1, ..Default::default() };
+    for block in blocks {
+        let folder = place.model("").join(block["folder"].as_str().expect("a folder"));
+        let scene = folder.join(format!("point_cloud/iteration_{}/point_cloud.ply", block["iterations"]));
+        let mut own = read(&scene);
+        let all = own.len();
+        own.retain(|own, index| core(block).contains(Vec3::from_array(own.means[index])));
+        assert!(
+            own.len() < all && own.len() > 20,
+            "the margin is trained, and left out: {} {all}",
+            own.len()
+        );
+        assert!(merged.stdout.contains(&format!("block {}: {} Gaussians", block["number"], own.len())));
+        union.append(&own);
+    }
+    let scene = read(&place.model("new/scene.ply"));
+    assert!(scene == union, "{} {}", scene.len(), union.len());
+    for mean in scene.means.iter().map(|&mean| Vec3::from_array(mean)) {
+        assert_eq!(blocks.iter().filter(|block| core(block).contains(mean)).count(), 1, "{mean}");
+    }
+    // Another format, as convert writes it.
+    assert_trained(&merge(&place, "scene.spz"));
+    let (ply, spz) = (place.model("new/scene.ply"), place.model("converted.spz"));
+    succeed(&["convert", text(&ply), text(&spz)]);
+    assert!(std::fs::read(place.model("scene.spz")).ok() == std::fs::read(spz).ok(), "other bytes");
+
+    // A block is over when it is noted, and its results are its own.
+    let over = job(&place, 2, &["--start-checkpoint", "auto", "--checkpoint-every", "5"]);
+    assert_trained(&over);
+    let folder = place.model("blocks/002");
+    let ply = folder.join(format!("point_cloud/iteration_{}/point_cloud.ply", blocks[1]["iterations"]));
+    let good = std::fs::read(&ply).expect("a scene");
+    let again = job(&place, 2, &["--start-checkpoint", "auto", "--checkpoint-every", "5"]);
+    assert!(again.stdout.contains("is trained to its end already"), "{}{}", again.stdout, again.stderr);
+    // Evaluated on its photos, of which one is held out.
+    let known = blocks[1]["held_out"].as_array().map_or(0, Vec::len);
+    let evaluated = finish(program().args(["eval", text(&folder), "--quiet"]));
+    assert!(
+        evaluated.stdout.contains(&format!("mean of {known}")),
+        "{}{}",
+        evaluated.stdout,
+        evaluated.stderr
+    );
+
+    // Damaged, and missing.
+    let mut bad = good.clone();
+    let last = bad.len() - 3;
+    bad[last] ^= 1;
+    std::fs::write(&ply, &bad).expect("written");
+    std::fs::rename(place.model("blocks/001/block.json"), place.model("kept")).expect("moved");
+    let before = files_below(&place.model(""));
+    let refused = merge(&place, "other/scene.ply");
+    assert_refused(&refused, &["blocks.json", "1 not trained to the end", "2 damaged", "--job"]);
+    assert_eq!(files_below(&place.model("")), before);
+    std::fs::write(&ply, &good).expect("written");
+    std::fs::rename(place.model("kept"), place.model("blocks/001/block.json")).expect("moved");
+    // Another division's results.
+    assert_trained(&partition(&place, "blocks.json", &["--max-gaussians", "300", "--margin", "0.4"]));
+    assert_refused(&merge(&place, "other/scene.ply"), &["1, 2", "trained for another division"]);
+    let begun = job(&place, 2, &["--start-checkpoint", "auto", "--checkpoint-every", "5"]);
+    assert_refused(&begun, &["of another scene or margin"]);
+}
+
+#[cfg(unix)]
+#[test]
+fn two_merges_at_once_are_refused() {
+    use nix::fcntl::{Flock, FlockArg};
+    let place = place();
+    assert_trained(&partition(&place, "blocks.json", &["--max-gaussians", "100000"]));
+    assert_trained(&job(&place, 1, &[]));
+    let path = place.model(".merge.lock");
+    std::fs::write(&path, "process 1").expect("written");
+    let file = std::fs::File::open(&path).expect("it is there");
+    let held = Flock::lock(file, FlockArg::LockExclusiveNonblock).expect("free");
+    assert_refused(&merge(&place, "scene.ply"), &["another merge (process 1)", "choose another -o"]);
+    assert!(!place.model("scene.ply").exists());
+    drop(held);
+    assert_trained(&merge(&place, "scene.ply"));
+    assert!(!path.exists());
+    // A single block is the whole scene, but for the photos that are listed: all of them.
+    let whole = place.model("coarse/point_cloud/iteration_12/point_cloud.ply");
+    let same = place
+        .train("whole", &["--init", text(&whole), "--eval", "--iterations", "14", "--few-photos", "off"]);
+    assert_trained(&same);
+    let options = ["--strategy", "reference", "--densify-from-iter", "5", "--densification-interval", "10"];
+    let options = [&options[..], &["--densify-until-iter", "35", "--opacity-reset-interval", "22"]].concat();
+    assert_trained(&job(&place, 1, &options));
+    assert_trained(&merge(&place, "scene.ply"));
+    let merged = std::fs::read(place.model("scene.ply")).expect("a scene");
+    assert!(merged == place.ply("whole", 14), "other bits");
+}
+
+#[test]
+fn what_cannot_be_divided_or_trained_is_refused() {
+    let place = place();
+    let data = place.model("data");
+    let refused = |more: &[&str], words: &[&str]| {
+        assert_refused(&partition(&place, "blocks.json", more), words);
+        assert!(!place.model("blocks.json").exists() && !place.model("plan.svg").exists());
+    };
+    let plot = place.model("plan.svg");
+    refused(
+        &["--max-gaussians", "9", "--min-share", "1", "--plot", text(&plot)],
+        &["block ", "has no photo", "--min-share"],
+    );
+    refused(&["--max-gaussians", "300", "--min-share", "nan"], &["--min-share"]);
+    refused(&["--max-gaussians", "300", "--margin=-1"], &["--margin"]);
+    refused(&["--max-gaussians", "0"], &["--max-gaussians"]);
+    // Another data set: of other places, and of photos from which nothing is seen.
+    let other = place.model("other");
+    write_dataset(&other);
+    let images = |count: u32, turned: f32| -> Vec<ColmapImage> {
+        let image = |id: u32| {
+            let lens = view(0).intrinsics();
+            let eye = vec3(0.1 * id as f32, 5.0, -2.5);
+            let camera = Camera::look_at(eye, eye + turned * Vec3::Z, Vec3::NEG_Y, lens);
+            ColmapImage::posed(id, 1, format!("{id:02}.png"), &camera)
+        };
+        (1..=count).map(image).collect()
+    };
+    write_model(&other, &images(9, 1.0), &wall_points());
+    refused(
+        &[text(&other), "--max-gaussians", "300"],
+        &["cameras.json", "of its 9 cameras 0 are in", "another scene"],
+    );
+    write_model(&other, &images(9, -1.0), &wall_points());
+    let ply = place.model("coarse/point_cloud/iteration_12/point_cloud.ply");
+    let out = place.model("blocks.json");
+    let bare =
+        ["partition", text(&other), "--coarse", text(&ply), "--max-gaussians", "300", "-o", text(&out)];
+    refuse(&bare, &["point_cloud.ply", "next to nothing"]);
+
+    assert_trained(&partition(&place, "blocks.json", &["--max-gaussians", "300"]));
+    let written = std::fs::read_to_string(&out).expect("blocks.json");
+    let before = files_below(&place.model(""));
+    let changed = |from: &str, to: &str, words: &[&str]| {
+        assert!(written.contains(from), "{from}");
+        std::fs::write(&out, written.replacen(from, to, 1)).expect("written");
+        assert_refused(&job(&place, 1, &[]), words);
+        assert_refused(&merge(&place, "scene.ply"), words);
+        std::fs::write(&out, &written).expect("written");
+    };
+    changed("\"version\": 1", "\"version\": 2", &["blocks.json", "is of version 2", "partition"]);
+    changed("\"version\": 1", "\"versions\": 1", &["blocks.json", "no version"]);
+    changed("{", "", &["blocks.json", "no list of blocks"]);
+    changed("\"number\": 2", "\"number\": 7", &["blocks.json", "numbered"]);
+    changed("null", "-0.3", &["blocks.json", "do not divide"]);
+    changed("\"margin\"", "\"margins\"", &["blocks.json", "margins"]);
+    let all = [text(&out), ":9999"].concat();
+    refuse(&["train", "--job", &all], &["job", "has the blocks 1 to"]);
+    refuse(&["train", "--job", text(&out)], &["job", "blocks.json:3"]);
+    refuse(&["train", "--job", &all, "--margin", "1"], &["--job", "cannot be used with"]);
+    // What the blocks refer to is not what it was.
+    let photo = data.join("images/05.png");
+    let kept = std::fs::read(&photo).expect("a photo");
+    std::fs::remove_file(&photo).expect("removed");
+    assert_refused(&job(&place, 1, &[]), &["05.png", "the photo of image 5 is missing"]);
+    std::fs::write(&photo, kept).expect("written");
+    let kept = std::fs::read(&ply).expect("a scene");
+    let mut other = kept.clone();
+    other[kept.len() - 3] ^= 1;
+    std::fs::write(&ply, other).expect("written");
+    assert_refused(&job(&place, 1, &[]), &["point_cloud.ply", "is not the coarse model that"]);
+    std::fs::write(&ply, kept).expect("written");
+    assert_eq!(files_below(&place.model("")), before);
+    write_model(&data, &images(9, 1.0), &wall_points());
+    assert_refused(&job(&place, 1, &[]), &["data: its cameras are not those that", "blocks.json"]);
+    assert!(!place.model("blocks").exists());
+}
