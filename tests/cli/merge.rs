@@ -105,6 +105,38 @@ fn blocks_are_trained_one_by_one_and_merged() {
     for mean in scene.means.iter().map(|&mean| Vec3::from_array(mean)) {
         assert_eq!(blocks.iter().filter(|block| core(block).contains(mean)).count(), 1, "{mean}");
     }
+    // Measured, beside the coarse model: as eval measures both.
+    let (blocks_json, coarse_model) = (place.model("blocks.json"), place.model("coarse"));
+    let (out, page) = (place.model("again.ply"), place.model("quality/page.html"));
+    let measured = ["merge", text(&blocks_json), "-o", text(&out), "--report", text(&page), "--against"];
+    let said = succeed(&[&measured[..], &[text(&coarse_model)]].concat());
+    assert!(std::fs::read(&out).ok() == std::fs::read(place.model("new/scene.ply")).ok(), "other bytes");
+    let results = std::fs::read(page.with_extension("json")).expect("JSON");
+    let results: Value = serde_json::from_slice(&results).expect("JSON");
+    for (name, model) in [("merged", &out), ("against", &coarse_model)] {
+        let table = succeed(&["eval", text(model), "-s", text(&data), "--eval", "--quiet", "--json"]);
+        let table: Value = serde_json::from_str(&table).expect("JSON");
+        let [own, evaluated] =
+            [&results[name]["mean_psnr"], &table["mean"]["PSNR"]].map(|psnr| psnr.as_f64());
+        assert!(
+            own.zip(evaluated).is_some_and(|(own, evaluated)| (own - evaluated).abs() < 0.01),
+            "{own:?} {table}"
+        );
+        // All pixels lie inside or along a seam.
+        let part = |part: &str| results[name][part].as_f64().expect("a number");
+        let (least, most) =
+            (part("inside_psnr").min(part("seam_psnr")), part("inside_psnr").max(part("seam_psnr")));
+        assert!((least..=most).contains(&part("psnr")) && least < most, "{results}");
+        assert!(
+            said.contains(&format!("{name}: PSNR {:.2} dB on 2 held-out views", part("mean_psnr"))),
+            "{said}"
+        );
+    }
+    let seams = results["seams"].as_array().expect("seams");
+    let psnr: Vec<f64> = seams.iter().filter_map(|seam| seam["psnr"].as_f64()).collect();
+    assert!(psnr.len() == seams.len() && psnr.is_sorted() && !psnr.is_empty(), "{results}");
+    let page = std::fs::read_to_string(page).expect("a page");
+    assert_eq!(page.matches("<img").count(), 3);
     // Another format, as convert writes it.
     assert_trained(&merge(&place, "scene.spz"));
     let (ply, spz) = (place.model("new/scene.ply"), place.model("converted.spz"));

@@ -1,6 +1,7 @@
 //! `blocks.json`: how a scene is divided into blocks that are trained one by one, wherever, and merged then.
 
 pub mod job;
+pub mod places;
 pub mod result;
 
 use ashsplat::fingerprint::Fingerprint;

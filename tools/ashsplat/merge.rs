@@ -1,6 +1,9 @@
 //! `ashsplat merge`.
 
-use crate::args::HostArguments;
+mod report;
+mod seams;
+
+use crate::args::DeviceArguments;
 use crate::blocks::BlocksFile;
 use crate::blocks::result::{Missing, scene_of};
 use crate::lock::{FolderLock, Work};
@@ -9,6 +12,7 @@ use crate::progress::{counting, thousands};
 use ashsplat::{Error, Result};
 use ashsplat_files::splats::{self, Format, Part, WriteOptions};
 use clap::Args;
+use report::Ready;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -18,6 +22,13 @@ use std::path::{Path, PathBuf};
 /// another: the memory needed does not depend on their number, but for .compressed.ply, which is sorted. A block that is missing,
 /// damaged or of another division is named before anything is written.
 #[derive(Args)]
+#[command(
+    mut_arg("device", |argument| argument.requires("report")),
+    mut_arg("validation", |argument| argument.requires("report")),
+    mut_arg("max_memory", |argument| argument.requires("report")),
+    mut_arg("subgroup_size", |argument| argument.requires("report")),
+    mut_arg("backend", |argument| argument.requires("report"))
+)]
 pub struct Arguments {
     /// The file that `ashsplat partition` wrote
     #[arg(value_name = "BLOCKS.json")]
@@ -25,8 +36,15 @@ pub struct Arguments {
     /// The scene; its extension says the format, as for convert
     #[arg(short, long, value_name = "OUT")]
     out: PathBuf,
+    /// A page with the quality on held-out photos, overall, inside of blocks and along their seams, with pictures of the worst
+    /// seam, and a JSON beside it; needs the memory of the scene
+    #[arg(long, value_name = "FILE.html")]
+    report: Option<PathBuf>,
+    /// A model to be measured beside the merged scene: one that was trained as a whole, say
+    #[arg(long, value_name = "MODEL", requires = "report")]
+    against: Option<PathBuf>,
     #[command(flatten)]
-    host: HostArguments,
+    device: DeviceArguments,
     /// Print only errors
     #[arg(long)]
     quiet: bool,
@@ -36,15 +54,24 @@ const WORK: Work = Work { file: ".merge.lock", what: "merge", option: "-o" };
 
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<()> {
-    output::check(&[("--out", Some(&arguments.out))])?;
+    let json = arguments.report.as_ref().map(|page| page.with_extension("json"));
+    let results: [(&'static str, Option<&Path>); 3] = [
+        ("--out", Some(&arguments.out)),
+        ("--report", arguments.report.as_deref()),
+        ("--report's JSON", json.as_deref()),
+    ];
+    output::check(&results)?;
     Format::of_extension(&arguments.out)?;
     let file = BlocksFile::read(&arguments.blocks)?;
+    // What it needs is looked for before the work.
+    let ready = arguments.report.as_ref().map(|page| Ready::new(page, arguments, &file)).transpose()?;
     output::in_folder(&arguments.out, |out| {
         let folder = out.parent().filter(|folder| !folder.as_os_str().is_empty());
         let _lock = FolderLock::take(folder.unwrap_or(Path::new(".")), &WORK)?;
         output::remove_leftovers_of(out);
         arguments.merge(&file, out)
-    })
+    })?;
+    ready.map_or(Ok(()), |ready| ready.measure(arguments, &file))
 }
 
 impl Arguments {
@@ -54,7 +81,7 @@ impl Arguments {
         let parts = scenes.iter().zip(blocks);
         let parts: Vec<Part<'_>> =
             parts.map(|(path, block)| Part { path, within: block.core.bounds() }).collect();
-        let done = splats::merge(&parts, out, &self.host.reading(false), &WriteOptions::default())?;
+        let done = splats::merge(&parts, out, &self.device.host.reading(false), &WriteOptions::default())?;
         for warning in &done.warnings {
             tell!("warning: {warning}");
         }

@@ -4,13 +4,12 @@
 //! its opacity. That is one picture per photo however many cells there are; what each cell's Gaussians contribute would need
 //! one per photo and cell.
 
-use crate::output::expected_depth;
+use crate::blocks::places::places;
 use crate::progress::counting;
 use crate::session;
 use ashsplat::scene::{Camera, Cells};
 use ashsplat::{Frame, RenderSettings, Renderer, Result};
 use ashsplat_files::cameras_json::NamedCamera;
-use glam::{Vec3, vec3};
 use std::sync::atomic::AtomicBool;
 
 /// The longer side of the pictures, pixels.
@@ -73,17 +72,6 @@ fn small(camera: &Camera) -> Camera {
     camera.scaled_to(scaled(camera.width), scaled(camera.height))
 }
 
-/// Where the pixels of a frame are, in the order of rows, world; None where there is nothing. By the frame's expected depth.
-pub fn places(camera: &Camera, frame: &Frame) -> Vec<Option<Vec3>> {
-    let world_from_camera = camera.camera_from_world.transpose();
-    let place = |(pixel, z): (usize, f32)| {
-        let [x, y] = [pixel % frame.width as usize, pixel / frame.width as usize].map(|p| p as f32 + 0.5);
-        let ray = vec3((x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, 1.0);
-        z.is_finite().then(|| world_from_camera * (z * ray - camera.translation))
-    };
-    expected_depth(frame).into_iter().enumerate().map(place).collect()
-}
-
 fn covered(camera: &Camera, frame: &Frame, cells: &Cells) -> Vec<f64> {
     let mut sums = vec![0.0; cells.bounds().len()];
     for (place, transmittance) in places(camera, frame).into_iter().zip(&frame.transmittance) {
@@ -99,6 +87,7 @@ fn covered(camera: &Camera, frame: &Frame, cells: &Cells) -> Vec<f64> {
 mod tests {
     use super::*;
     use ashsplat::scene::Intrinsics;
+    use glam::{Vec3, vec3};
 
     /// A wall at depth 2, the left half of which is half transparent.
     #[test]
