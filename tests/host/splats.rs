@@ -206,6 +206,15 @@ fn merged_cells_are_the_scene() {
         splats::write_cut(&written, &expected, (&Cut::default(), 2), &options).unwrap();
         assert!(std::fs::read(&merged).unwrap() == std::fs::read(&written).unwrap(), "{format}");
     }
+    // As much memory for many cells as for one.
+    let [few, many] = [40_000, 500].map(|most| {
+        let cells = Cells::divide(&original.means, most).unwrap();
+        let parts: Vec<splats::Part<'_>> = cells.bounds().iter().map(part).collect();
+        let output = folder.path().join("memory.ply");
+        let merge = || splats::merge(&parts, &output, &KEEP, &WriteOptions::default()).unwrap();
+        (parts.len(), allocation_counter::measure(|| drop(merge())).bytes_max)
+    });
+    assert!(few.0 == 1 && many.0 > 60 && many.1 < few.1 + few.1 / 10, "{few:?} {many:?}");
     // Parts that do not go together, or are none.
     let other = folder.path().join("other.ply");
     splats::write(&other, &original.with_sh_degree(1), &options).unwrap();

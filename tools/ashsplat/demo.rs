@@ -1,5 +1,6 @@
 //! `ashsplat demo`: from nothing to a trained scene in one command.
 
+mod city;
 mod dataset;
 mod raycast;
 mod scene;
@@ -21,7 +22,8 @@ use std::time::Instant;
 /// difference), the metrics and the PLY.
 ///
 /// The data set is a procedural scene, photographed by ray casting from 40 sides, with a sparse, noisy point cloud, as a
-/// COLMAP folder: `ashsplat train -s OUT/dataset` and every other program that reads COLMAP can use it too.
+/// COLMAP folder: `ashsplat train -s OUT/dataset` and every other program that reads COLMAP can use it too. With --scene city it
+/// is a city of many houses in 162 small photographs from above: to be trained in blocks.
 #[derive(Args)]
 #[command(mut_arg("max_memory", |argument| argument.help(MAX_MEMORY_IN_TRAINING)))]
 pub struct Arguments {

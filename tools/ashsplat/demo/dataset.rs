@@ -1,6 +1,7 @@
 //! The demo's data set: photographs from two circles, with a sparse, noisy point cloud as a COLMAP folder, or as the
 //! synthetic scenes of the NeRF paper lie.
 
+use super::city;
 use super::raycast::{self, Ray};
 use super::scene::Scene;
 use crate::output;
@@ -31,6 +32,7 @@ const DISTANCE: f32 = 4.0;
 const TARGET: Vec3 = vec3(0.0, 0.0, 0.45);
 /// Size of the point cloud: sparse, as structure from motion would leave it.
 const POINTS: usize = 6000;
+const CITY_POINTS: usize = 12_000;
 /// Standard deviation of the points' error, as a share of their distance to the camera: about half a pixel's width
 /// across and much more than that along the ray.
 const NOISE: f32 = 0.004;
@@ -56,9 +58,22 @@ pub enum Points {
     None,
 }
 
+/// What is photographed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+pub enum Subject {
+    /// Shapes on a terrace, from all around
+    #[default]
+    Terrace,
+    /// A city of many houses, from above
+    City,
+}
+
 /// What of the data set can be chosen.
 #[derive(Args)]
 pub struct Choices {
+    /// What is photographed
+    #[arg(long, value_enum, default_value_t)]
+    scene: Subject,
     /// How the data set lies on disk
     #[arg(long, value_enum, default_value_t)]
     layout: Layout,
@@ -82,11 +97,13 @@ impl Choices {
 /// Photographs the scene and writes it; the same files for the same seed. With the same points and without the sky, both
 /// layouts say the same of cameras, photographs and points, to the bit.
 pub fn write(folder: &Path, choices: &Choices, seed: u64, quiet: bool) -> Result<()> {
-    let scene = Scene::demo();
-    let cameras = cameras();
+    let (scene, cameras, count) = match choices.scene {
+        Subject::Terrace => (Scene::demo(), cameras(), POINTS),
+        Subject::City => (city::scene(), city::cameras(), CITY_POINTS),
+    };
     let sky = choices.layout == Layout::Colmap && !choices.without_sky;
     let points = match choices.points() {
-        Points::Sparse => sparse_points(&scene, &cameras, sky, seed),
+        Points::Sparse => sparse_points((&scene, &cameras), count, sky, seed),
         Points::None => PointCloud::default(),
     };
     let bar = counting("photographs", cameras.len() as u64, quiet);
@@ -129,7 +146,7 @@ fn write_nerf_synthetic(
         let rows = Pose::new(index, String::new(), camera).opengl_rows();
         frames.push(json!({ "file_path": format!("./{name}"), "rotation": 0.0, "transform_matrix": rows }));
     }
-    let angle = 2.0 * (0.5 * f64::from(SIZE[0]) / f64::from(cameras[0].fx)).atan();
+    let angle = 2.0 * (0.5 * f64::from(cameras[0].width) / f64::from(cameras[0].fx)).atan();
     for (part, frames) in [("train", &train), ("val", &test), ("test", &test)] {
         let document = json!({ "camera_angle_x": angle, "frames": frames });
         output::write_json(&folder.join(format!("transforms_{part}.json")), &document)?;
@@ -201,10 +218,10 @@ fn cameras() -> Vec<Camera> {
 }
 
 /// Points on surfaces that the cameras see, through random pixels, with an error and the pixel's colour.
-fn sparse_points(scene: &Scene, cameras: &[Camera], sky: bool, seed: u64) -> PointCloud {
+fn sparse_points((scene, cameras): (&Scene, &[Camera]), count: usize, sky: bool, seed: u64) -> PointCloud {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let mut points = PointCloud::default();
-    while points.len() < POINTS {
+    while points.len() < count {
         let camera = &cameras[random.random_range(0..cameras.len())];
         let (x, y) = (random.random_range(0..camera.width), random.random_range(0..camera.height));
         let ray = Ray::through_pixel(camera, x as f32 + 0.5, y as f32 + 0.5);

@@ -182,11 +182,11 @@ fn small_pieces() -> Vec<Object> {
     ]
 }
 
-fn matt(texture: Texture) -> Material {
+pub fn matt(texture: Texture) -> Material {
     Material { texture, gloss: 0.0, shininess: 1.0, mirror: 0.0 }
 }
 
-fn glossy(texture: Texture, gloss: f32, mirror: f32) -> Material {
+pub fn glossy(texture: Texture, gloss: f32, mirror: f32) -> Material {
     // A broad highlight: degree-3 harmonics can follow it in part, so that it tells a right gradient from a wrong one.
     Material { texture, gloss, shininess: 14.0, mirror }
 }
@@ -245,7 +245,7 @@ fn value_noise(position: Vec3) -> f32 {
 }
 
 /// A random number in [0, 1) that depends on three integers only.
-fn lattice_noise(x: i32, y: i32, z: i32) -> f32 {
+pub fn lattice_noise(x: i32, y: i32, z: i32) -> f32 {
     let mut hash = (x as u32).wrapping_mul(0x9E37_79B1)
         ^ (y as u32).wrapping_mul(0x85EB_CA77)
         ^ (z as u32).wrapping_mul(0xC2B2_AE3D);

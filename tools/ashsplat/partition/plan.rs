@@ -42,6 +42,12 @@ impl Plan {
         Plan { axes, min, scale, size: scale * extent }
     }
 
+    /// Whether a point is on the paper.
+    fn shows(&self, point: Vec3) -> bool {
+        let flat = self.scale * (Vec2::new(point[self.axes[0]], point[self.axes[1]]) - self.min);
+        flat.cmpge(Vec2::ZERO).all() && flat.cmple(self.size).all()
+    }
+
     fn at(&self, point: Vec3) -> Vec2 {
         let flat = Vec2::new(point[self.axes[0]], point[self.axes[1]]);
         (self.scale * (flat - self.min)).clamp(Vec2::ZERO, self.size) + MARGIN
@@ -62,7 +68,7 @@ pub fn svg(
     let mut out = format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width:.1} {:.1}\" font-family=\"sans-serif\" font-size=\"12\">\n\
          <rect width=\"{width:.1}\" height=\"{:.1}\" fill=\"#ffffff\"/>\n\
-         <text x=\"{MARGIN}\" y=\"20\">{across} to the right, {down} downwards; margin {}; lines: seams</text>\n",
+         <text x=\"{MARGIN}\" y=\"20\">{across} to the right, {down} downwards; margin {:.3}; lines: seams</text>\n",
         height + 20.0 * (division.blocks.len() as f32),
         height + 20.0 * (division.blocks.len() as f32),
         division.margin
@@ -76,7 +82,7 @@ pub fn svg(
     let step = gaussians.len().div_ceil(DOTS).max(1);
     for (place, cell) in gaussians.means.iter().step_by(step).filter_map(|&mean| {
         let mean = Vec3::from_array(mean);
-        Some((plan.at(mean), cells.at(mean)?))
+        plan.shows(mean).then(|| Some((plan.at(mean), cells.at(mean)?)))?
     }) {
         let _ = writeln!(
             out,

@@ -1,0 +1,132 @@
+//! A city of many houses, photographed from above: a scene to be trained in blocks.
+//!
+//! World frame: z up, the ground at z = 0; eight by eight lots of 1.6 units, with houses of individual sizes, colours and textures,
+//! every seventh or so with trees instead. The cameras fly over it in a grid and look obliquely, so that each photograph shows
+//! a few lots and no photograph all of them.
+
+use super::scene::{Object, Scene, Shape, Texture, glossy, lattice_noise, matt};
+use ashsplat::scene::{Camera, Intrinsics};
+use glam::{Mat3, Vec3, vec3};
+
+/// Lots along a side.
+const LOTS: i32 = 8;
+/// Length of a lot.
+const LOT: f32 = 1.6;
+/// Cameras along a side, each with two views.
+const CAMERAS: u32 = 9;
+/// Half the side of the square over which the cameras are, and their height.
+const FLIGHT: [f32; 2] = [5.8, 3.0];
+/// Size of the photographs, pixels.
+const SIZE: [u32; 2] = [128, 96];
+/// Horizontal field of view, radians.
+const FOV_X: f32 = 0.96;
+
+/// The city.
+pub fn scene() -> Scene {
+    let ground = Texture::Tiles {
+        colors: [vec3(0.20, 0.20, 0.21), vec3(0.36, 0.35, 0.33)],
+        joint: vec3(0.55, 0.54, 0.50),
+        size: LOT,
+    };
+    let mut objects = vec![Object { shape: Shape::Terrace { radius: 10.0 }, material: matt(ground) }];
+    for (i, j) in (0..LOTS).flat_map(|i| (0..LOTS).map(move |j| (i, j))) {
+        objects.extend(lot(i, j));
+    }
+    Scene { objects, to_sun: vec3(0.45, -0.5, 0.74).normalize(), sun: vec3(1.05, 0.98, 0.86) }
+}
+
+/// What stands on a lot.
+fn lot(i: i32, j: i32) -> Vec<Object> {
+    let random = |what: i32| lattice_noise(i, j, 100 + what);
+    let middle = |index: i32| (index as f32 - 0.5 * (LOTS - 1) as f32) * LOT;
+    let center = vec3(middle(i), middle(j), 0.0);
+    if random(0) < 0.15 {
+        return trees(center, &random);
+    }
+    let color = |what: i32| vec3(random(what), random(what + 1), random(what + 2)) * 0.6 + 0.1;
+    let half = vec3(0.32 + 0.22 * random(1), 0.32 + 0.22 * random(2), 0.2 + 0.5 * random(3));
+    let local_from_world = Mat3::from_rotation_z(0.5 * random(4) - 0.25);
+    let walls = match (3.0 * random(5)) as u32 {
+        0 => Texture::Checker { colors: [color(10), color(13)], size: 0.12 + 0.12 * random(6) },
+        1 => Texture::Stripes {
+            colors: [color(10), color(13)],
+            width: 0.16 + 0.1 * random(6),
+            direction: Vec3::Z,
+        },
+        _ => Texture::Noise { colors: [color(10), color(13)], size: 0.1 + 0.1 * random(6) },
+    };
+    let roof = Texture::Noise { colors: [color(16), color(19)], size: 0.15 };
+    let flat = half * vec3(0.7, 0.7, 0.0) + vec3(0.0, 0.0, 0.05 + 0.1 * random(7));
+    let above = |z: f32| center + z * Vec3::Z;
+    vec![
+        Object { shape: Shape::Box { center: above(half.z), half, local_from_world }, material: matt(walls) },
+        Object {
+            shape: Shape::Box { center: above(2.0 * half.z + flat.z), half: flat, local_from_world },
+            material: glossy(roof, 0.2, 0.0),
+        },
+    ]
+}
+
+fn trees(center: Vec3, random: &impl Fn(i32) -> f32) -> Vec<Object> {
+    let tree = |number: i32| {
+        let place = |what: i32| 0.8 * random(30 + 5 * number + what) - 0.4;
+        let foot = center + vec3(place(0), place(1), 0.0);
+        let (height, radius) = (0.35 + 0.3 * random(33 + 5 * number), 0.15 + 0.12 * random(34 + 5 * number));
+        let bark = Texture::Noise { colors: [vec3(0.30, 0.14, 0.05), vec3(0.45, 0.28, 0.14)], size: 0.1 };
+        let leaves = Texture::Noise { colors: [vec3(0.05, 0.24, 0.06), vec3(0.35, 0.52, 0.12)], size: 0.12 };
+        let top = foot + height * Vec3::Z;
+        [
+            Object { shape: Shape::Capsule { start: foot, end: top, radius: 0.04 }, material: matt(bark) },
+            Object { shape: Shape::Sphere { center: top, radius }, material: matt(leaves) },
+        ]
+    };
+    (0..3).flat_map(tree).collect()
+}
+
+/// The flight: to and fro, at each place a view ahead and one aside, which turn from place to place.
+pub fn cameras() -> Vec<Camera> {
+    let intrinsics = Intrinsics::from_fov_x(FOV_X, SIZE[0], SIZE[1]);
+    let view = |index: u32| {
+        let (place, aside) = (index / 2, index % 2);
+        let (row, column) = (place / CAMERAS, place % CAMERAS);
+        let column = if row.is_multiple_of(2) { column } else { CAMERAS - 1 - column };
+        let at = |step: u32| FLIGHT[0] * (2.0 * step as f32 / (CAMERAS - 1) as f32 - 1.0);
+        let eye = vec3(at(column), at(row), FLIGHT[1]);
+        let azimuth = 2.4 * place as f32 + 1.7 * aside as f32;
+        // Towards the middle at the rim, where there is nothing outside.
+        let inward = -0.12 * vec3(eye.x, eye.y, 0.0);
+        let look = vec3(azimuth.cos(), azimuth.sin(), 0.0) + inward - 1.3 * Vec3::Z;
+        Camera::look_at(eye, eye + look, Vec3::Z, intrinsics)
+    };
+    (0..2 * CAMERAS * CAMERAS).map(view).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::demo::raycast::{Ray, first_hit};
+
+    #[test]
+    fn no_photograph_shows_more_than_a_part_of_it() {
+        let (scene, cameras) = (scene(), cameras());
+        assert!(cameras.len() == 162 && scene.objects.len() > 120, "{}", scene.objects.len());
+        let mut seen = [[false; LOTS as usize]; LOTS as usize];
+        for camera in &cameras {
+            let mut own = Vec::new();
+            for (x, y) in (4..SIZE[0]).step_by(8).flat_map(|x| (4..SIZE[1]).step_by(8).map(move |y| (x, y))) {
+                let ray = Ray::through_pixel(camera, x as f32, y as f32);
+                let Some(hit) = first_hit(&scene, &ray) else { continue };
+                let lot = (ray.at(hit.distance) / LOT + 0.5 * LOTS as f32).floor();
+                let inside = |index: f32| (0.0..LOTS as f32).contains(&index);
+                if inside(lot.x) && inside(lot.y) {
+                    seen[lot.x as usize][lot.y as usize] = true;
+                    own.push((lot.x as i32, lot.y as i32));
+                }
+            }
+            own.sort_unstable();
+            own.dedup();
+            assert!((2..=40).contains(&own.len()), "{} of 64 lots", own.len());
+        }
+        assert!(seen.iter().flatten().all(|&seen| seen), "{seen:?}");
+    }
+}
