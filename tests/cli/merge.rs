@@ -248,6 +248,14 @@ fn what_cannot_be_divided_or_trained_is_refused() {
     let bare =
         ["partition", text(&other), "--coarse", text(&ply), "--max-gaussians", "300", "-o", text(&out)];
     refuse(&bare, &["point_cloud.ply", "next to nothing"]);
+    // As large, and with other colours.
+    let mut negative = read(&ply);
+    negative.sh.iter_mut().flatten().for_each(|coefficient| *coefficient *= -1.0);
+    let path = place.model("negative.ply");
+    splats::write(&path, &negative, &splats::WriteOptions::default()).expect("written");
+    let bare =
+        ["partition", text(&data), "--coarse", text(&path), "--max-gaussians", "300", "-o", text(&out)];
+    refuse(&bare, &["negative.ply", "does not look like the photos", "another scene"]);
 
     assert_trained(&partition(&place, "blocks.json", &["--max-gaussians", "300"]));
     let written = std::fs::read_to_string(&out).expect("blocks.json");

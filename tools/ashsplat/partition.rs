@@ -1,6 +1,7 @@
 //! `ashsplat partition`.
 
 mod cameras;
+mod likeness;
 mod plan;
 
 use crate::args::DeviceArguments;
@@ -71,6 +72,8 @@ const MARGIN: f32 = 0.05;
 const SAME_PLACE: f64 = 1e-3;
 /// Of the pictures, if a model is of the scene.
 const LEAST_COVERED: f64 = 0.02;
+/// The mean correlation of photographs and renders of a model of the scene.
+const LEAST_LIKE: f64 = 0.2;
 
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<()> {
@@ -98,10 +101,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let look = RenderSettings { inverse_depth: true, antialias, ..look };
     let cameras = gallery.cameras();
     let shares = Shares::of(&mut renderer, &cameras, &cells, &look, (arguments.quiet, &stop))?;
-    if shares.covered() < LEAST_COVERED {
-        let problem = format!("shows next to nothing to the cameras of {}", data.source_path.display());
-        return Err(Error::input(&coarse.ply, problem, "give a model of this data set"));
-    }
+    check_likeness(&coarse, &gallery, &data, (&mut renderer, &shares, &look))?;
     let division = arguments.division(&Found {
         coarse: &coarse,
         gaussians: &scene.gaussians,
@@ -169,6 +169,28 @@ fn check_same_scene(coarse: &Model, gallery: &Gallery, data: &DataSettings) -> R
         data.source_path.display()
     );
     Err(Error::input(file, problem, "give a model of this data set"))
+}
+
+/// Refuses a model that shows the cameras something else than the photographs, or nothing.
+fn check_likeness(
+    coarse: &Model,
+    gallery: &Gallery,
+    data: &DataSettings,
+    (renderer, shares, look): (&mut Renderer, &Shares, &RenderSettings),
+) -> Result<()> {
+    let photos = data.source_path.display();
+    let refuse = |problem: String| {
+        Err(Error::input(&coarse.ply, problem, "it is of another scene: give a model of this data set"))
+    };
+    if shares.covered() < LEAST_COVERED {
+        return refuse(format!("shows next to nothing to the cameras of {photos}"));
+    }
+    match likeness::correlation(renderer, gallery, look)? {
+        Some(like) if like < LEAST_LIKE => {
+            refuse(format!("does not look like the photos of {photos} (correlation {like:.2})"))
+        }
+        _ => Ok(()),
+    }
 }
 
 impl Arguments {

@@ -63,7 +63,7 @@ impl Shares {
 }
 
 /// The camera at a size of at most [`SIDE`].
-fn small(camera: &Camera) -> Camera {
+pub fn small(camera: &Camera) -> Camera {
     let longest = camera.width.max(camera.height);
     let scaled = |side: u32| match longest {
         ..=SIDE => side,
