@@ -67,9 +67,7 @@ fn limits_that_are_lowered_change_no_bit_or_are_named() {
         (render(gpu.context).expect("a picture"), train(gpu.context).expect("Gaussians"));
     let none = LimitsOverride::default();
     let mut lowered = Vec::new();
-    lowered.extend(
-        [384_000, 4096].map(|n| LimitsOverride { max_storage_buffer_range: Some(n), ..none }),
-    );
+    lowered.extend([384_000, 4096].map(|n| LimitsOverride { max_storage_buffer_range: Some(n), ..none }));
     lowered.extend([384_000, 4096].map(|n| LimitsOverride { max_allocation_bytes: Some(n), ..none }));
     lowered.extend([100, 8, 1].map(|n| LimitsOverride { max_workgroups_per_axis: Some(n), ..none }));
     lowered.extend([128, 8].map(|n| LimitsOverride { max_workgroup_invocations: Some(n), ..none }));
