@@ -179,16 +179,25 @@ fn costs() {
         let context = crate::cost::shipped(host, true);
         let scene = DeviceScene::upload(&context, &cloud(200_000, 1), 0).expect("a scene");
         let mut renderer = Renderer::new(&context).expect("kernels");
-        let wanted = Reservation { tint: true, cut_outs: 16, ..Reservation::new(200_000, 1, 640, 480) };
+        let wanted = Reservation {
+            tint: true,
+            cut_outs: 16,
+            selection: true,
+            ..Reservation::new(200_000, 1, 640, 480)
+        };
         renderer.reserve(&wanted).expect("memory");
         let volume = Volume::Box { half_size: Vec3::splat(9.0) };
         let around = [CutOut { volume, pose: pose(0.3, Vec3::ZERO, 1.0), inside: Inside::Kept }; 16];
+        let bits = context.allocate("selection", &[("mask", 25_000)], MemoryKind::Device).expect("memory");
+        context.upload(&bits[0], &[0x55; 25_000]).expect("uploaded");
+        let selection = Some(Selection { mask: &bits[0], color: [1.0, 0.5, 0.0], share: 0.5 });
         let cases = [
             ("as it is", USUAL),
             ("tint and opacity", SceneSettings { tint: [1.0, 1.0, 0.99], opacity: 0.999, ..USUAL }),
             ("SH degree 0", SceneSettings { sh_degree: Some(0), ..USUAL }),
             ("a cut-out around all", SceneSettings { cut_outs: &around[..1], ..USUAL }),
             ("16 of them", SceneSettings { cut_outs: &around, ..USUAL }),
+            ("a selection of half", SceneSettings { selection, ..USUAL }),
             ("not visible", HIDDEN),
         ];
         let (view, settings) = (camera(0.7, 640, 480), RenderSettings::default());

@@ -7,6 +7,7 @@ use crate::common::gpu::{Gpu, UNTOUCHED, sizes};
 use crate::common::layout::{antialias_word, camera_block, cut_outs, extent_word, pack, pack_filtered, room};
 use crate::common::scenes::{Random, drawn_shapes, mixed_scene, rotation_about_y, small_view};
 use crate::reference::cull::cull;
+use crate::reference::linear::multiply;
 use crate::reference::project::project;
 use crate::reference::types::{CutOut, Drawn, Dropout, Extent, Gaussian, Limits, Tint, View};
 
@@ -271,7 +272,10 @@ pub fn cull_equals_its_twin_under_a_scenes_opacity() {
 /// A turned volume of each shape, and Gaussians within a few roundings of its surface.
 fn at_the_surface(shape: u32, count: usize) -> (CutOut, Vec<Gaussian>) {
     let mut random = Random::new(shape.into());
-    let (rotation, center) = (rotation_about_y(0.7), [0.1f32, -0.2, 0.3]);
+    // No element is 0: the order of the sums matters.
+    let about_z = [[0.8, -0.6, 0.0], [0.6, 0.8, 0.0], [0.0, 0.0, 1.0]];
+    let rotation = multiply(&multiply(&rotation_about_y(0.7), &about_z), &rotation_about_y(-0.4));
+    let center = [0.1f32, -0.2, 0.3];
     let radius = [0.75, 0.375, 0.5];
     let scale = |axis: usize| if shape == 1 { 1.0 / radius[axis] } else { 1.0 };
     let rows = [0, 1, 2].map(|axis| rotation[axis].map(|x| (x * scale(axis)) as f32));
