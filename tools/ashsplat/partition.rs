@@ -42,11 +42,11 @@ pub struct Arguments {
     /// The new file
     #[arg(short, long, value_name = "FILE", default_value = "blocks.json")]
     out: PathBuf,
-    /// How far around its cell a block trains Gaussians too, world units [default: a twentieth of the usual cell's longest side]
+    /// How far around its cell a block trains Gaussians too, world units [default: 0.15 of the usual cell's longest side]
     #[arg(long, value_name = "X")]
     margin: Option<f32>,
     /// The share of a picture that a cell must cover for the photo to be used for its block, above 0 and up to 1
-    #[arg(long, value_name = "X", default_value_t = 0.1)]
+    #[arg(long, value_name = "X", default_value_t = 0.02)]
     min_share: f64,
     /// Iterations that training the whole scene would take: a block has its photos' share of them, so that each photo is looked
     /// at as often
@@ -67,7 +67,7 @@ pub struct Arguments {
 const WORK: Work = Work { file: ".partition.lock", what: "partition", option: "-o" };
 
 /// A margin in sides of the usual cell.
-const MARGIN: f32 = 0.05;
+const MARGIN: f32 = 0.15;
 /// What is said of an earlier model of the coarse model's cameras may differ by, in scene extents.
 const SAME_PLACE: f64 = 1e-3;
 /// Of the pictures, if a model is of the scene.
