@@ -111,7 +111,7 @@ fn blocks_are_trained_one_by_one_and_merged() {
     let measured = ["merge", text(&blocks_json), "-o", text(&out), "--report", text(&page), "--against"];
     let said = succeed(&[&measured[..], &[text(&coarse_model)]].concat());
     assert!(std::fs::read(&out).ok() == std::fs::read(place.model("new/scene.ply")).ok(), "other bytes");
-    let results = std::fs::read(page.with_extension("json")).expect("JSON");
+    let results = std::fs::read(place.model("quality/page.html.json")).expect("JSON");
     let results: Value = serde_json::from_slice(&results).expect("JSON");
     for (name, model) in [("merged", &out), ("against", &coarse_model)] {
         let table = succeed(&["eval", text(model), "-s", text(&data), "--eval", "--quiet", "--json"]);
@@ -143,14 +143,25 @@ fn blocks_are_trained_one_by_one_and_merged() {
     succeed(&["convert", text(&ply), text(&spz)]);
     assert!(std::fs::read(place.model("scene.spz")).ok() == std::fs::read(spz).ok(), "other bytes");
 
-    // A block is over when it is noted, and its results are its own.
-    let over = job(&place, 2, &["--start-checkpoint", "auto", "--checkpoint-every", "5"]);
-    assert_trained(&over);
+    // What is read is not written.
+    let own = place
+        .model("blocks/001")
+        .join(format!("point_cloud/iteration_{}/point_cloud.ply", blocks[0]["iterations"]));
+    let aside = place.model("aside.ply");
+    for (out, page) in [(&own, &place.model("page.html")), (&aside, &blocks_json)] {
+        let merged =
+            finish(program().args(["merge", text(&blocks_json), "-o", text(out), "--report", text(page)]));
+        assert_refused(&merged, &["is read; give another file"]);
+    }
+    assert!(std::fs::read(&blocks_json).ok() == Some(first) && !aside.exists());
+
+    // A block is over when it is noted and whole, and its results are its own.
     let folder = place.model("blocks/002");
     let ply = folder.join(format!("point_cloud/iteration_{}/point_cloud.ply", blocks[1]["iterations"]));
     let good = std::fs::read(&ply).expect("a scene");
     let again = job(&place, 2, &["--start-checkpoint", "auto", "--checkpoint-every", "5"]);
     assert!(again.stdout.contains("is trained to its end already"), "{}{}", again.stdout, again.stderr);
+    assert!(!folder.join("earlier_1").exists());
     // Evaluated on its photos, of which one is held out.
     let known = blocks[1]["held_out"].as_array().map_or(0, Vec::len);
     let evaluated = finish(program().args(["eval", text(&folder), "--quiet"]));
@@ -171,9 +182,15 @@ fn blocks_are_trained_one_by_one_and_merged() {
     let refused = merge(&place, "other/scene.ply");
     assert_refused(&refused, &["blocks.json", "1 not trained to the end", "2 damaged", "--job"]);
     assert_eq!(files_below(&place.model("")), before);
-    std::fs::write(&ply, &good).expect("written");
+    // The same command mends it.
+    assert_trained(&job(&place, 2, &["--start-checkpoint", "auto", "--checkpoint-every", "5"]));
+    assert!(std::fs::read(&ply).ok() == Some(good), "other bytes");
     std::fs::rename(place.model("kept"), place.model("blocks/001/block.json")).expect("moved");
-    // Another division's results.
+    assert_trained(&merge(&place, "new/scene.ply"));
+    // Another division does not take the place of one that is trained; where it does, results are of another.
+    let replaced = partition(&place, "blocks.json", &["--max-gaussians", "300", "--margin", "0.4"]);
+    assert_refused(&replaced, &["blocks.json", "blocks have been trained", "another -o"]);
+    std::fs::remove_file(&blocks_json).expect("removed");
     assert_trained(&partition(&place, "blocks.json", &["--max-gaussians", "300", "--margin", "0.4"]));
     assert_refused(&merge(&place, "other/scene.ply"), &["1, 2", "trained for another division"]);
     let begun = job(&place, 2, &["--start-checkpoint", "auto", "--checkpoint-every", "5"]);
@@ -212,6 +229,7 @@ fn two_merges_at_once_are_refused() {
 #[test]
 fn what_cannot_be_divided_or_trained_is_refused() {
     let place = place();
+    assert_refused(&partition(&place, "plan", &["--max-gaussians", "300"]), &["--out", ".json"]);
     let data = place.model("data");
     let refused = |more: &[&str], words: &[&str]| {
         assert_refused(&partition(&place, "blocks.json", more), words);

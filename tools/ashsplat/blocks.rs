@@ -12,10 +12,12 @@ use glam::Vec3;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::collections::BTreeSet;
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 
 /// Of the file's form.
 pub const VERSION: u32 = 1;
+/// More would take long to check against each other.
+pub const MAX_BLOCKS: usize = 4096;
 const REMEDY: &str = "make it anew: `ashsplat partition`";
 
 /// A division of a scene. Paths are relative to the file's folder where they lie below it.
@@ -131,6 +133,17 @@ impl BlocksFile {
         Ok(BlocksFile { path: path.to_owned(), division, hash: format!("{:016x}", print.finish()) })
     }
 
+    /// Refuses to be replaced by another division once blocks have been trained: they could not be merged any more.
+    pub fn check_replaced(&self, division: &Division) -> Result<()> {
+        let is_trained = |block: &&Block| result::is_noted(&self.at(&block.folder));
+        let trained = self.division.blocks.iter().filter(is_trained).count();
+        if self.division == *division || trained == 0 {
+            return Ok(());
+        }
+        let problem = format!("is another division, for which {trained} blocks have been trained");
+        Err(Error::input(&self.path, problem, "give another -o, or remove it if they are not needed"))
+    }
+
     /// A path as the file means it.
     pub fn at(&self, path: &Path) -> PathBuf {
         folder_of(&self.path).join(path)
@@ -151,8 +164,21 @@ impl Division {
         if !numbered || self.blocks.is_empty() {
             return Err("its blocks are not numbered from 1".into());
         }
-        if folders.len() != self.blocks.len() || folders.contains(Path::new("")) {
-            return Err("its blocks do not have a folder each".into());
+        let below = |folder: &&Path| {
+            let mut parts = folder.components().peekable();
+            parts.peek().is_some() && parts.all(|part| matches!(part, Component::Normal(_)))
+        };
+        if folders.len() != self.blocks.len() || !folders.iter().all(below) {
+            return Err("its blocks do not have a folder each, below that of the file".into());
+        }
+        if self.blocks.len() > MAX_BLOCKS {
+            return Err(format!("it has {} blocks, more than {MAX_BLOCKS}", self.blocks.len()));
+        }
+        if !(self.margin.is_finite() && self.margin >= 0.0) {
+            return Err(format!("its margin is {}, must be 0 or more", self.margin));
+        }
+        if !(self.scene_extent.is_finite() && self.scene_extent > 0.0) {
+            return Err(format!("its scene_extent is {}, must be above 0", self.scene_extent));
         }
         if let Some(block) = self.blocks.iter().find(|block| block.photos.is_empty()) {
             return Err(format!("block {} has no photos to train on", block.number));
@@ -170,7 +196,12 @@ fn folder_of(file: &Path) -> &Path {
 pub fn stored(path: &Path, file: &Path) -> PathBuf {
     let absolute = |path: &Path| std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
     let (path, file) = (absolute(path), absolute(file));
-    path.strip_prefix(folder_of(&file)).map(Path::to_owned).unwrap_or(path)
+    match path.strip_prefix(folder_of(&file)) {
+        // The folder itself.
+        Ok(below) if below.as_os_str().is_empty() => PathBuf::from("."),
+        Ok(below) => below.to_owned(),
+        Err(_) => path,
+    }
 }
 
 /// The hash of a data set's cameras, by name: names, poses, focal lengths, sizes.

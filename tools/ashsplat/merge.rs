@@ -52,9 +52,16 @@ pub struct Arguments {
 
 const WORK: Work = Work { file: ".merge.lock", what: "merge", option: "-o" };
 
+/// The report's JSON: quality/page.html.json, so that a page beside blocks.json may have its name.
+fn results_beside(page: &Path) -> PathBuf {
+    let mut name = page.as_os_str().to_owned();
+    name.push(".json");
+    name.into()
+}
+
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<()> {
-    let json = arguments.report.as_ref().map(|page| page.with_extension("json"));
+    let json = arguments.report.as_deref().map(results_beside);
     let results: [(&'static str, Option<&Path>); 3] = [
         ("--out", Some(&arguments.out)),
         ("--report", arguments.report.as_deref()),
@@ -63,6 +70,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     output::check(&results)?;
     Format::of_extension(&arguments.out)?;
     let file = BlocksFile::read(&arguments.blocks)?;
+    let division = &file.division;
+    let scenes = division.blocks.iter().filter_map(|block| scene_of(&file, block).ok()?.ok());
+    let read = [arguments.blocks.clone(), file.at(&division.coarse.path)];
+    output::check_apart(&results, &read.into_iter().chain(scenes).collect::<Vec<_>>())?;
     // What it needs is looked for before the work.
     let ready = arguments.report.as_ref().map(|page| Ready::new(page, arguments, &file)).transpose()?;
     output::in_folder(&arguments.out, |out| {

@@ -58,6 +58,18 @@ pub fn check(results: &[(&'static str, Option<&Path>)]) -> Result<()> {
     Ok(())
 }
 
+/// Refuses results that would take the place of what they are made of.
+pub fn check_apart(results: &[(&'static str, Option<&Path>)], inputs: &[PathBuf]) -> Result<()> {
+    let inputs: Vec<PathBuf> = inputs.iter().filter_map(|path| path.canonicalize().ok()).collect();
+    for (option, path) in results.iter().filter_map(|(option, path)| Some((option, (*path)?))) {
+        if path.canonicalize().is_ok_and(|path| inputs.contains(&path)) {
+            let problem = format!("{} is read; give another file to be written", path.display());
+            return Err(Error::argument(*option, problem));
+        }
+    }
+    Ok(())
+}
+
 /// The same name for the same file; an error where it cannot be written.
 fn checked_file(path: &Path) -> Result<PathBuf> {
     match path.metadata() {

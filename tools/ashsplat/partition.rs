@@ -5,7 +5,9 @@ mod likeness;
 mod plan;
 
 use crate::args::DeviceArguments;
-use crate::blocks::{self, Block, Coarse, Core, DatasetOfBlocks, Division, cameras_hash, stored};
+use crate::blocks::{
+    self, Block, BlocksFile, Coarse, Core, DatasetOfBlocks, Division, MAX_BLOCKS, cameras_hash, stored,
+};
 use crate::config::{CAMERAS_FILE, DataSettings};
 use crate::lock::{FolderLock, Work};
 use crate::model::Model;
@@ -94,6 +96,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let most = usize::try_from(arguments.max_gaussians).unwrap_or(usize::MAX);
     let cells = Cells::divide(&scene.gaussians.means, most)
         .map_err(|error| Error::argument("--max-gaussians", error.to_string()))?;
+    if cells.bounds().len() > MAX_BLOCKS {
+        let problem = format!("makes {} blocks, more than {MAX_BLOCKS}", cells.bounds().len());
+        return Err(Error::argument("--max-gaussians", problem));
+    }
     let mut renderer = Renderer::new(&context)?;
     renderer.upload(&scene.gaussians)?;
     let look = render::settings_of(&coarse.settings);
@@ -113,6 +119,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     session::check(&stop)?;
     output::in_folder(&arguments.out, |path| {
         let _lock = FolderLock::take(folder_of(path), &WORK)?;
+        BlocksFile::read(path).map_or(Ok(()), |old| old.check_replaced(&division))?;
         if let Some(plot) = &arguments.plot {
             output::write_text(plot, &plan::svg(&division, &scene.gaussians, &cameras, &shares)?)?;
         }
@@ -197,6 +204,11 @@ impl Arguments {
     /// Refuses what cannot be done, before the work.
     fn check(&self) -> Result<()> {
         output::check(&[("--out", Some(&self.out)), ("--plot", self.plot.as_deref())])?;
+        if self.out.extension().is_none_or(|extension| extension != "json") {
+            let problem =
+                format!("{} does not end in .json; models go beside it, without", self.out.display());
+            return Err(Error::argument("--out", problem));
+        }
         if !(self.min_share > 0.0 && self.min_share <= 1.0) {
             let problem = format!("{} is not above 0 and up to 1", self.min_share);
             return Err(Error::argument("--min-share", problem));

@@ -93,6 +93,11 @@ pub struct Arguments {
 const FIRST_ITERATIONS: u32 = 100;
 const LOG_FILE: &str = "train_log.csv";
 
+fn say_complete(settings: &Settings) -> Result<()> {
+    say!("{} is trained to its end already", settings.data.model_path.display());
+    Ok(())
+}
+
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<()> {
     let settings = Settings::resolve(arguments.config.as_deref(), &arguments.overrides)?;
@@ -106,6 +111,11 @@ pub fn run(arguments: &Arguments) -> Result<()> {
             return Err(Error::argument(name, "is missing; give it here or in --config FILE"));
         }
     }
+    let job = Job::of(&settings.data.job)?;
+    let is_asked_again = arguments.start_checkpoint == Some(StartFrom::Auto);
+    if arguments.verify_determinism.is_none() && is_asked_again && job.as_ref().is_some_and(result::is_done) {
+        return say_complete(&settings);
+    }
     let lpips = FinalLpips::read(&arguments.lpips, &arguments.device.host)?;
     // From now on: a ZIP is unpacked, and nothing of it may be left.
     let stop = session::stop_on_ctrl_c()?;
@@ -117,13 +127,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let context = arguments.device.context()?;
     let host = &arguments.device.host;
     let origin = Origin::read(arguments.start_checkpoint.as_ref(), &settings, host)?;
-    let job = Job::of(&settings.data.job)?;
-    let is_noted = |job: &Job| result::is_noted(job, &settings.data.model_path);
     job.as_ref().map_or(Ok(()), Job::check_coarse)?;
-    let is_over = origin.is_complete(&settings) && job.as_ref().is_none_or(is_noted);
-    if arguments.verify_determinism.is_none() && is_over {
-        say!("{} is trained to its end already", settings.data.model_path.display());
-        return Ok(());
+    if arguments.verify_determinism.is_none() && job.is_none() && origin.is_complete(&settings) {
+        return say_complete(&settings);
     }
     let settings = origin.settle(settings);
     let mut options = session::options(&settings.data, settings.train.white_background, host)?;

@@ -31,10 +31,14 @@ pub fn note(job: &Job, folder: &Path, iteration: u32) -> Result<()> {
     output::write_json(&folder.join(RESULT_FILE), &trained)
 }
 
-/// Whether a job's training has been noted as being at its end.
-pub fn is_noted(job: &Job, folder: &Path) -> bool {
-    let noted = |noted: Trained| noted.blocks == job.file.hash && noted.block == job.block().number;
-    read(folder).is_ok_and(|found| found.is_some_and(noted))
+/// Whether a job's training is at its end, and its scene is as it left it.
+pub fn is_done(job: &Job) -> bool {
+    matches!(scene_of(&job.file, job.block()), Ok(Ok(_)))
+}
+
+/// Whether any training in a folder has been noted as being at its end.
+pub fn is_noted(folder: &Path) -> bool {
+    folder.join(RESULT_FILE).is_file()
 }
 
 /// None where there is no note.

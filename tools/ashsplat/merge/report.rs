@@ -1,7 +1,7 @@
 //! How good a merged scene is, inside of blocks and along their seams.
 
-use super::Arguments;
 use super::seams::{Measured, Seams};
+use super::{Arguments, results_beside};
 use crate::blocks::BlocksFile;
 use crate::config::{DataSettings, Settings};
 use crate::html::{self, escape, section};
@@ -146,7 +146,7 @@ impl Ready {
         if let Some(worst) = worst {
             self.pictures(&mut page, worst, &seams, &mut scenes)?;
         }
-        output::write_json(&self.page.with_extension("json"), &results)?;
+        output::write_json(&results_beside(&self.page), &results)?;
         output::write_text(&self.page, &page)?;
         if !arguments.quiet {
             results.say();
