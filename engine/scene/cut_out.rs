@@ -49,7 +49,8 @@ pub enum Volume {
     HalfSpace {
         /// Points out of it; of any length but 0.
         normal: Vec3,
-        /// In units of the normal's length: where the plane lies along it.
+        /// The plane is normal · x = offset: it lies at offset / |normal| along the normal, which is a distance if the normal has
+        /// length 1.
         offset: f32,
     },
 }
@@ -114,8 +115,15 @@ impl CutOut {
                 }
             }
         }
+        // A device may take subnormal sizes as zeros.
+        let usable = match self.volume {
+            Volume::Box { half_size: size } | Volume::Ellipsoid { radii: size } => {
+                (size * self.pose.scale).to_array().iter().all(|size| size.is_normal())
+            }
+            Volume::HalfSpace { .. } => true,
+        };
         let CutOutLimits { rows, bounds, .. } = self.limits();
-        if !rows.iter().chain([&bounds]).flatten().all(|x| x.is_finite()) {
+        if !(usable && rows.iter().chain([&bounds]).flatten().all(|x| x.is_finite())) {
             return bad("it is too large or too small with its pose".into());
         }
         Ok(())
@@ -149,8 +157,8 @@ impl CutOut {
 }
 
 impl CutOutLimits {
-    /// Whether a point of the scene lies inside. As in_cut_out (glsl/include/cut_outs.glsl), bit for bit: products, sums and
-    /// comparisons in this order.
+    /// Whether a point of the scene lies inside. As in_cut_out (glsl/include/cut_outs.glsl), bit for bit but for subnormal
+    /// numbers, which a device may take as zero: products, sums and comparisons in this order.
     pub fn contains(&self, point: [f32; 3]) -> bool {
         let Self { center, rows, bounds, compared, .. } = self;
         let from = [0, 1, 2].map(|i| point[i] - center[i]);
@@ -172,7 +180,7 @@ impl CutOutLimits {
 
 impl Gaussians {
     /// Keeps the Gaussians that frames show with these cut-outs ([`SceneSettings`](crate::SceneSettings::cut_outs)): the same
-    /// ones, bit for bit.
+    /// ones, bit for bit but for subnormal numbers.
     ///
     /// # Errors
     /// As [`CutOut::check`].
@@ -272,6 +280,13 @@ mod tests {
             CutOut { volume: Volume::Ellipsoid { radii: Vec3::new(1.0, -1.0, 1.0) }, ..good },
             CutOut { volume: Volume::Ellipsoid { radii: Vec3::splat(f32::INFINITY) }, ..good },
             CutOut { volume: Volume::Ellipsoid { radii: Vec3::splat(1e-40) }, ..good },
+            // Of subnormal sizes a device may make zeros.
+            CutOut { volume: Volume::Box { half_size: Vec3::new(1.0, 1e-39, 1.0) }, ..good },
+            CutOut {
+                volume: Volume::Ellipsoid { radii: Vec3::splat(3e-38) },
+                pose: Pose { scale: 0.1, ..good.pose },
+                ..good
+            },
             CutOut { volume: half(Vec3::ZERO, 1.0), ..good },
             CutOut { volume: half(Vec3::NAN, 1.0), ..good },
             CutOut { volume: half(Vec3::X, f32::INFINITY), ..good },
