@@ -1,4 +1,6 @@
-/* The C interface of ashsplat. Generated from the sources in tools/capi: do not edit. */
+/* The C interface of ashsplat. Generated from the sources in tools/capi: do not edit.
+ * Structs are set to zero, or filled by their functions, before their fields are set: new fields come at the
+ * end. A host is compiled again with each new header. */
 
 #ifndef ASHSPLAT_H
 #define ASHSPLAT_H
@@ -255,7 +257,8 @@ typedef struct AshsplatCutOut {
   uint32_t volume;
   // Half of the size along each of its axes, positive; of a half-space the normal, out of it, of any length but 0.
   float size[3];
-  // Of a half-space: where its plane lies along the normal, in units of the normal's length.
+  // Of a half-space: the plane is normal x = offset. It lies at offset / |normal| along the normal: a distance in units of
+  // the volume if the normal has length 1.
   float offset;
   // From its axes to the scene's own, before the scene's pose: a rotation, row by row.
   float scene_from_volume[9];
@@ -277,9 +280,11 @@ typedef struct AshsplatHostBuffer {
   uint64_t bytes;
 } AshsplatHostBuffer;
 
-// How one scene of a frame is drawn; ashsplat_scene_settings fills in the defaults.
+// How one scene of a frame is drawn. Call ashsplat_scene_settings first, which fills in the defaults: zeroed memory is a scene
+// that is not drawn.
 typedef struct AshsplatSceneSettings {
-  // Whether it is drawn. A scene that is not takes no work and no room; the others keep their places among the frame's.
+  // Whether it is drawn. A scene that is not takes no Gaussians of the reservation and no time on the device. It counts
+  // among its scenes, and the others keep their places.
   bool visible;
   // Factors of red, green and blue, 0 to 1000 each, of the colours as trained. The product is at most 65504.
   float tint[3];
@@ -449,14 +454,14 @@ typedef struct AshsplatReservation {
   // queue: slots whose numbers leave the same rest when divided by this share it. Their frames go to one queue, in
   // any order, or are ordered by semaphores. With as many queues as slots nothing is shared.
   uint32_t queues;
+  // Bytes of staging memory for a frame's updates: ashsplat_update_bytes.
+  uint64_t staging_bytes;
   // Whether scenes of frames will have a tint or an opacity (AshsplatSceneSettings).
   bool tint;
   // Whether scenes of frames will have a selection.
   bool selection;
   // Cut-outs of all scenes of a frame together.
   uint32_t cut_outs;
-  // Bytes of staging memory for a frame's updates: ashsplat_update_bytes.
-  uint64_t staging_bytes;
 } AshsplatReservation;
 
 // The layout of the parameters in a host's own buffers: planes of four floats. Plane 0 is the mean and the
@@ -483,7 +488,7 @@ typedef struct AshsplatReport {
   // Whether a capacity was too small. The picture then lacks the Gaussians farthest away, or all of them
   // if `instances_needed` is `UINT32_MAX`.
   bool overflow;
-  // Gaussians in the frame's scenes.
+  // Gaussians in the frame's scenes, without those of scenes that are not drawn.
   uint32_t gaussians;
   // Visible Gaussians.
   uint32_t visible;

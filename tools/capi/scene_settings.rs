@@ -3,9 +3,9 @@
 use super::settings::one_of;
 use super::{AshsplatHostBuffer, AshsplatPlaced, AshsplatStatus, borrowed, borrowed_mut, guarded, slice};
 use ashsplat::ash::{vk, vk::Handle};
-use ashsplat::scene::{CutOut, Inside, Pose, Volume};
+use ashsplat::scene::{CutOut, Inside, MAX_CUT_OUTS, Pose, Volume};
 use ashsplat::vk::{Buffer, Context};
-use ashsplat::{Result, SceneSettings, Selection};
+use ashsplat::{Error, Result, SceneSettings, Selection};
 use glam::{Mat3, Vec3};
 
 /// The shape of a volume.
@@ -29,7 +29,8 @@ pub struct AshsplatCutOut {
     pub volume: u32,
     /// Half of the size along each of its axes, positive; of a half-space the normal, out of it, of any length but 0.
     pub size: [f32; 3],
-    /// Of a half-space: where its plane lies along the normal, in units of the normal's length.
+    /// Of a half-space: the plane is normal x = offset. It lies at offset / |normal| along the normal: a distance in units of
+    /// the volume if the normal has length 1.
     pub offset: f32,
     /// From its axes to the scene's own, before the scene's pose: a rotation, row by row.
     pub scene_from_volume: [f32; 9],
@@ -41,11 +42,13 @@ pub struct AshsplatCutOut {
     pub removes: bool,
 }
 
-/// How one scene of a frame is drawn; ashsplat_scene_settings fills in the defaults.
+/// How one scene of a frame is drawn. Call ashsplat_scene_settings first, which fills in the defaults: zeroed memory is a scene
+/// that is not drawn.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct AshsplatSceneSettings {
-    /// Whether it is drawn. A scene that is not takes no work and no room; the others keep their places among the frame's.
+    /// Whether it is drawn. A scene that is not takes no Gaussians of the reservation and no time on the device. It counts
+    /// among its scenes, and the others keep their places.
     pub visible: bool,
     /// Factors of red, green and blue, 0 to 1000 each, of the colours as trained. The product is at most 65504.
     pub tint: [f32; 3],
@@ -100,11 +103,20 @@ pub(super) unsafe fn pointees(placed: &[AshsplatPlaced], context: &Context) -> R
         let Some(settings) = (unsafe { placed.settings.as_ref() }) else {
             return Ok(Pointees { cut_outs: Vec::new(), mask: None });
         };
-        let name = |index: usize| format!("scenes[{place}].settings.cut_outs[{index}]");
+        let field = || format!("scenes[{place}].settings.cut_outs");
+        let count = settings.cut_out_count as usize;
+        // Before so many are read.
+        if count > MAX_CUT_OUTS {
+            return Err(Error::argument(field(), format!("{count} of them, there may be {MAX_CUT_OUTS}")));
+        }
+        if count > 0 && settings.cut_outs.is_null() {
+            return Err(Error::argument(field(), "the pointer is null"));
+        }
         // SAFETY: as promised.
-        let own = unsafe { slice(settings.cut_outs, settings.cut_out_count as usize, "cut_outs")? };
-        let cut_outs: Result<_> =
-            own.iter().enumerate().map(|(index, cut_out)| cut_out.checked(|| name(index))).collect();
+        let own = unsafe { slice(settings.cut_outs, count, "cut_outs")? };
+        let checked =
+            |(index, cut_out): (usize, &AshsplatCutOut)| cut_out.checked(|| format!("{}[{index}]", field()));
+        let cut_outs: Result<_> = own.iter().enumerate().map(checked).collect();
         // SAFETY: as promised.
         let mask = unsafe { settings.selection.as_ref() }.map(|mask| {
             let raw = vk::Buffer::from_raw(mask.buffer);
@@ -114,6 +126,14 @@ pub(super) unsafe fn pointees(placed: &[AshsplatPlaced], context: &Context) -> R
         Ok(Pointees { cut_outs: cut_outs?, mask: mask.transpose()? })
     };
     placed.iter().enumerate().map(of).collect()
+}
+
+/// Checks a pose that is a part of something.
+fn check_pose(pose: &Pose, of: &str) -> Result<()> {
+    pose.check().map_err(|error| match error {
+        Error::Argument { what, problem } => Error::argument(format!("{of}.{what}"), problem),
+        other => other,
+    })
 }
 
 /// The settings of a scene with what they point to.
@@ -170,8 +190,12 @@ pub unsafe extern "C" fn ashsplat_cut_out_in_scene(
 ) -> AshsplatStatus {
     // SAFETY: as promised.
     guarded(|| unsafe {
-        let (own, pose) = (*borrowed(cut_out, "cut_out")?, borrowed(placed, "placed")?.pose());
-        let CutOut { pose, .. } = own.checked(|| "cut_out".to_owned())?.in_scene(&pose);
+        let (own, scene) = (*borrowed(cut_out, "cut_out")?, borrowed(placed, "placed")?.pose());
+        let in_world = own.checked(|| "cut_out".to_owned())?;
+        check_pose(&in_world.pose, "cut_out")?;
+        check_pose(&scene, "placed")?;
+        let CutOut { pose, .. } = in_world.in_scene(&scene);
+        check_pose(&pose, "in_scene")?;
         *borrowed_mut(in_scene, "in_scene")? = AshsplatCutOut {
             scene_from_volume: pose.world_from_object.transpose().to_cols_array(),
             translation: pose.translation.to_array(),

@@ -201,14 +201,14 @@ pub struct AshsplatReservation {
     /// queue: slots whose numbers leave the same rest when divided by this share it. Their frames go to one queue, in
     /// any order, or are ordered by semaphores. With as many queues as slots nothing is shared.
     pub queues: u32,
+    /// Bytes of staging memory for a frame's updates: ashsplat_update_bytes.
+    pub staging_bytes: u64,
     /// Whether scenes of frames will have a tint or an opacity (AshsplatSceneSettings).
     pub tint: bool,
     /// Whether scenes of frames will have a selection.
     pub selection: bool,
     /// Cut-outs of all scenes of a frame together.
     pub cut_outs: u32,
-    /// Bytes of staging memory for a frame's updates: ashsplat_update_bytes.
-    pub staging_bytes: u64,
 }
 
 /// Gaussians in a host's arrays, each as long as the count says. All but `means` are as in the reference
@@ -407,7 +407,7 @@ pub struct AshsplatReport {
     /// Whether a capacity was too small. The picture then lacks the Gaussians farthest away, or all of them
     /// if `instances_needed` is `UINT32_MAX`.
     pub overflow: bool,
-    /// Gaussians in the frame's scenes.
+    /// Gaussians in the frame's scenes, without those of scenes that are not drawn.
     pub gaussians: u32,
     /// Visible Gaussians.
     pub visible: u32,

@@ -21,7 +21,9 @@ fn the_header_is_what_the_sources_say() {
         cpp_compat: true,
         include_guard: Some("ASHSPLAT_H".into()),
         header: Some(
-            "/* The C interface of ashsplat. Generated from the sources in tools/capi: do not edit. */"
+            "/* The C interface of ashsplat. Generated from the sources in tools/capi: do not edit.\n \
+             * Structs are set to zero, or filled by their functions, before their fields are set: new fields come at the\n \
+             * end. A host is compiled again with each new header. */"
                 .into(),
         ),
         documentation_style: DocumentationStyle::C99,

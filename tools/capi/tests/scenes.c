@@ -143,6 +143,15 @@ int main(int count, char **arguments) {
     };
     check(ashsplat_cut_out_in_scene(&half, &placed[3], &half), "bringing a cut-out into a scene");
     EXPECT(half.scale == 2 && half.translation[0] < -0.599f && half.translation[0] > -0.601f && half.removes);
+    AshsplatCutOut sheared = half, unchanged = half;
+    sheared.scene_from_volume[0] = 2;
+    EXPECT(ashsplat_cut_out_in_scene(&sheared, &placed[3], &unchanged) == AshsplatStatus_Argument);
+    EXPECT(strstr(ashsplat_last_error(), "cut_out.pose: is not a rotation") != NULL);
+    AshsplatPlaced nowhere = placed[3];
+    nowhere.scale = 0;
+    EXPECT(ashsplat_cut_out_in_scene(&half, &nowhere, &unchanged) == AshsplatStatus_Argument);
+    EXPECT(strstr(ashsplat_last_error(), "placed.pose: a scale of 0") != NULL);
+    EXPECT(memcmp(&unchanged, &half, sizeof half) == 0);
     arrays = grid(-0.4f);
     AshsplatUpdate update = {file, 10, arrays};
     AshsplatFrame frame;
@@ -187,6 +196,13 @@ int main(int count, char **arguments) {
     half.size[0] = -1;
     cut.cut_outs = NULL;
     EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
+    EXPECT(strstr(ashsplat_last_error(), "scenes[3].settings.cut_outs: the pointer is null") != NULL);
+    /* Nothing is read of too many. */
+    cut.cut_outs = (const AshsplatCutOut *)sizeof(AshsplatCutOut);
+    cut.cut_out_count = UINT32_MAX;
+    EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
+    EXPECT(strstr(ashsplat_last_error(), "scenes[3].settings.cut_outs: 4294967295 of them, there may be 16") != NULL);
+    cut.cut_out_count = 1;
     cut.cut_outs = &half;
     mask.buffer = 0;
     EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
