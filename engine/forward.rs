@@ -161,7 +161,11 @@ impl Forward {
     }
 
     /// Records a frame. [`Forward::prepare`] must have been called for its variants. Ends without a barrier.
+    ///
+    /// # Panics
+    /// Without these variants, without room for the cut-outs, and for a tint, an opacity or a selection before a backward pass.
     pub fn record(&self, r: &mut Recorder, inputs: &FrameInputs) {
+        inputs.assert_differentiable();
         let f = inputs.frame;
         r.scope("clear", |r| {
             camera_block::record_blocks(r, inputs);
@@ -213,7 +217,7 @@ impl Forward {
                 parameters: &part.scene.chunks[chunk],
                 visible_flags: &f.visible_flags,
                 block_counts: f.visible_counts(),
-                // Without any it is not read, but must be bound.
+                // Without any it is not read, but must be bound; with some, record has checked it.
                 cut_outs: inputs.cut_outs.unwrap_or(&part.scene.chunks[chunk]),
                 camera_block: &block_of(f, part.place),
             };

@@ -12,8 +12,19 @@ type Words = [[f32; 4]; c::CUT_OUT_PLANES as usize];
 pub(crate) const CUT_OUT_BYTES: u64 = size_of::<Words>() as u64;
 
 /// Records the writes of the cut-outs of all scenes. The caller places a barrier after it.
+///
+/// # Panics
+/// Without room for them.
 pub(super) fn record(r: &mut Recorder, inputs: &FrameInputs) {
-    let Some(buffer) = inputs.cut_outs else { return };
+    let ends = inputs.placed().map(|placed| (placed.first_cut_out, placed.settings.cut_out_count()));
+    let end = ends.filter(|(_, count)| *count > 0).map(|(first, count)| first + count).max().unwrap_or(0);
+    let needed = u64::from(end) * CUT_OUT_BYTES;
+    if needed == 0 {
+        return;
+    }
+    let Some(buffer) = inputs.cut_outs.filter(|buffer| buffer.bytes() >= needed) else {
+        panic!("FrameInputs::cut_outs has no room for {end} cut-outs, which take {needed} bytes");
+    };
     for placed in inputs.placed().filter(|placed| placed.settings.cut_out_count() > 0) {
         let mut words = [Words::default(); MAX_CUT_OUTS];
         let own = placed.settings.cut_outs;

@@ -43,13 +43,14 @@ pub struct FrameInputs<'a> {
     pub scale: f32,
     /// Evaluated SH degree.
     pub sh_degree: u32,
-    /// How `scene` is drawn; its SH degree is in `sh_degree`.
+    /// How `scene` is drawn; its SH degree is in `sh_degree`. The backward pass knows nothing of a tint, an opacity and a
+    /// selection: with `backward` no scene has any.
     pub scene_settings: SceneSettings<'a>,
     /// Scenes that are rendered together with `scene`, each with its own transform.
     pub others: &'a [PlacedScene<'a>],
     /// Per pixel of the image: 1/z of the opaque surface that hides splats, 0 for none.
     pub depth_limits: Option<&'a Buffer>,
-    /// Room for the cut-outs of all scenes, if there are any: [`CUT_OUT_BYTES`](super::CUT_OUT_BYTES) each.
+    /// Room for the cut-outs of all scenes, 64 bytes each; may be `None` if there are none.
     pub cut_outs: Option<&'a Buffer>,
     /// Sum weights * z instead of weights / z.
     pub linear_depth: bool,
@@ -126,6 +127,16 @@ impl<'a> FrameInputs<'a> {
             first: 0,
             first_cut_out: 0,
         }
+    }
+
+    /// # Panics
+    /// If a backward pass would have wrong gradients.
+    pub(super) fn assert_differentiable(&self) {
+        let colored = |own: &SceneSettings| own.is_tinted() || own.mask().is_some();
+        assert!(
+            !(self.backward && self.placed().any(|placed| colored(&placed.settings))),
+            "no backward pass can follow a frame with a tint, an opacity or a selection"
+        );
     }
 
     /// The scenes, each with its transform.

@@ -8,8 +8,8 @@ use crate::vk::Buffer;
 /// How one scene of a frame is drawn. The default draws it as it is, with the kernels of a frame without any of this.
 #[derive(Clone, Copy, Debug)]
 pub struct SceneSettings<'a> {
-    /// Whether it is drawn. A scene that is not takes no work and no room, and the others keep their places in
-    /// [`RecordedFrame::scenes`](crate::RecordedFrame::scenes).
+    /// Whether it is drawn. A scene that is not takes no Gaussians of the reservation and no time on the device. It counts among
+    /// the scenes, and the others keep their places in [`RecordedFrame::scenes`](crate::RecordedFrame::scenes).
     pub visible: bool,
     /// Factors of red, green and blue, each 0 to [`MAX_TINT`]. They multiply the colour of each Gaussian after its spherical
     /// harmonics and their clamp at 0: display-encoded, as trained. The product is at most

@@ -29,15 +29,16 @@ impl Renderer {
             if !placed.scene.belongs_to(context) {
                 return Err(Error::argument("scene", "it belongs to another device"));
             }
-            placed.pose.check()?;
+            placed.pose.check().map_err(|error| error.within(format_args!("scenes[{index}]")))?;
             let named = |error: Error| error.within(format_args!("scenes[{index}].settings"));
             placed.settings.check().map_err(named)?;
             check_mask(placed, context).map_err(named)?;
             let degree = placed.active_degree(frame.settings);
             if placed.settings.draws() && degree > reserved.sh_degree {
-                let problem = format!("{degree}, reserved is {}", reserved.sh_degree);
+                let problem = format!("{degree} of scenes[{index}], reserved is {}", reserved.sh_degree);
                 return Err(Error::argument("sh_degree", problem));
             }
+            reserved.check_scene(index, &placed.settings)?;
         }
         self.check_images(frame)?;
         let variant = BlendVariant {
@@ -46,8 +47,6 @@ impl Renderer {
             depth_limit: frame.occluder.is_some(),
             ..BlendVariant::of(frame.settings, false)
         };
-        let tinted = frame.scenes.iter().any(|placed| placed.settings.is_tinted());
-        let selection = frame.scenes.iter().any(|placed| placed.settings.mask().is_some());
         let cut_outs: u32 = frame.scenes.iter().map(|placed| placed.settings.cut_out_count()).sum();
         if cut_outs > reserved.cut_outs {
             return Err(Error::TooLarge {
@@ -58,7 +57,7 @@ impl Renderer {
                 limit_name: "reserved",
             });
         }
-        if let Some(fields) = reserved.lacks(BlendVariant { tinted, selection, ..variant }) {
+        if let Some(fields) = reserved.lacks(variant) {
             return Err(Error::argument(fields, "not reserved, and the frame needs it"));
         }
         if frame.settings.dropout.is_some() || frame.settings.has_z_record() {

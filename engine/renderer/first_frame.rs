@@ -12,7 +12,8 @@ impl Renderer {
     /// As [`Renderer::reserve`], with room for this frame: without
     /// [`instances`](Reservation::instances) a reservation is an estimate, and a first frame that needs more
     /// lacks what lies farthest back. Counts what the frame needs, without its targets, occluder and updates.
-    /// Submits to the context's queue, and waits. Returns what is reserved.
+    /// Where scenes are shown, hidden or cut in turn, give the frame that shows most. Submits to the context's queue, and waits.
+    /// Returns what is reserved.
     ///
     /// # Errors
     /// As [`Renderer::reserve`] and [`Renderer::record`]; on a host's device that was given without a queue.

@@ -2,7 +2,7 @@
 
 use super::slots::SlotReport;
 use crate::error::{Error, Result};
-use crate::forward::BlendVariant;
+use crate::forward::{BlendVariant, SceneSettings};
 use crate::plan::{FrameCapacity, LaunchSizes, PictureCapacity, ScenePlan, check_grids, initial_instances};
 use crate::scene::MAX_CUT_OUTS;
 use crate::vk::Context;
@@ -171,12 +171,22 @@ impl Reservation {
             ("expected_depth", frame.linear_depth, self.expected_depth),
             ("inverse_depth", frame.inverse_depth && !frame.linear_depth, self.inverse_depth),
             ("filter_3d", frame.filter_3d, self.filter_3d),
-            ("tint", frame.tinted, self.tint),
-            ("selection", frame.selection, self.selection),
         ];
         let lacking = needs.into_iter().filter(|(_, needed, set)| *needed && !set).map(|(field, ..)| field);
         // Without a list in memory where nothing lacks.
         lacking.map(str::to_owned).reduce(|all, field| all + ", " + &field)
+    }
+
+    /// Checks that what a frame's scene has is reserved.
+    pub(super) fn check_scene(&self, index: usize, own: &SceneSettings) -> Result<()> {
+        let lacks = |field: &str, what: &str| {
+            Err(Error::argument(field, format!("not reserved, and scenes[{index}] has {what}")))
+        };
+        match () {
+            () if own.is_tinted() && !self.tint => lacks("tint", "a tint or an opacity"),
+            () if own.mask().is_some() && !self.selection => lacks("selection", "a selection"),
+            () => Ok(()),
+        }
     }
 
     /// Most dispatches of a frame.

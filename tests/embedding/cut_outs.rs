@@ -1,9 +1,10 @@
 //! Volumes that keep or remove the Gaussians of a scene of a frame.
 
 use crate::host::{Host, HostOptions, InFlight};
+use crate::memory::HostBuffer;
 use crate::scene_settings::{HIDDEN, Stage, USUAL};
 use crate::scenes::appended;
-use crate::stage::{adopt, assert_same, camera, cloud, options, owned, with_host};
+use crate::stage::{adopt, assert_same, camera, cloud, copy_pixels, options, owned, with_host};
 use ashsplat::scene::{CutOut, Gaussians, Inside, Pose, Volume};
 use ashsplat::vk::MemoryKind;
 use ashsplat::{
@@ -113,8 +114,10 @@ fn cut_outs_of_the_world_stay_where_they_are() {
     });
 }
 
-/// Frame after frame with everything on and off at random, in the bits of scenes that were filtered before.
+/// Frame after frame with everything on and off at random, in the bits of scenes that were filtered before. Two slots in turn
+/// share their memory: the second one is submitted while the first one is in flight.
 fn at_random(host: &Host, frames: u32) {
+    assert!(frames.is_multiple_of(2));
     let parts = [cloud(200, 1), cloud(150, 2), cloud(120, 3)];
     let all = [&parts[0], &parts[1], &parts[2]];
     let mut stage = Stage::new(host, &all, &with_cut_outs);
@@ -128,6 +131,18 @@ fn at_random(host: &Host, frames: u32) {
     let mut below = |most: u32| {
         state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
         (state >> 16) % most
+    };
+    let number = (stage.camera.width * stage.camera.height) as usize;
+    let in_flight = [0; 2].map(|_| InFlight::new(host).expect("a command buffer"));
+    let staging = [0; 2].map(|_| HostBuffer::new(host, 16 * number as u64).expect("memory"));
+    // What a slot's frame has to show.
+    let mut awaited: [Option<Vec<[f32; 4]>>; 2] = [None, None];
+    let finish = |slot: usize, frame: u32, awaited: &mut [Option<Vec<[f32; 4]>>; 2]| {
+        let Some(expected) = awaited[slot].take() else { return };
+        in_flight[slot].wait(host).expect("done");
+        let bytes = staging[slot].read(host, 16 * number).expect("bytes");
+        let pixels: Vec<[f32; 4]> = bytemuck::pod_collect_to_vec(&bytes);
+        assert!(pixels == expected, "frame {frame}");
     };
     for frame in 0..frames {
         let sets: Vec<Vec<CutOut>> = (0..3)
@@ -156,8 +171,22 @@ fn at_random(host: &Host, frames: u32) {
         plain.scenes = left.map(upload).collect();
         let without: Vec<_> = settings.iter().map(|own| SceneSettings { cut_outs: &[], ..*own }).collect();
         let expected = plain.pixels(&without);
-        assert!(stage.pixels(&settings) == expected, "frame {frame}: {settings:?}");
+        // Both are submitted at once, so that nobody waits between them.
+        let slot = (frame % 2) as usize;
+        finish(slot, frame.wrapping_sub(2), &mut awaited);
+        in_flight[slot].begin(host).expect("recording");
+        stage.record(&in_flight[slot], slot as u32, &settings);
+        copy_pixels(host, &mut stage.renderer, slot as u32, &in_flight[slot], &staging[slot], number);
+        awaited[slot] = Some(expected);
+        if slot == 1 {
+            in_flight.iter().for_each(|frame| frame.submit(host).expect("a submission"));
+        }
     }
+    for frame in frames.saturating_sub(2)..frames {
+        finish((frame % 2) as usize, frame, &mut awaited);
+    }
+    in_flight.into_iter().for_each(|frame| frame.destroy(host));
+    staging.into_iter().for_each(|staging| staging.destroy(host));
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! Scenes of one frame that are drawn in ways of their own.
 
-use crate::host::Host;
+use crate::host::{Host, InFlight};
 use crate::scenes::{appended, assert_nearly_equal};
 use crate::stage::{assert_same, camera, cloud, guest, options, owned, rendered, with_host};
 use ashsplat::scene::{Camera, Gaussians, Pose};
@@ -49,9 +49,18 @@ impl<'a> Stage<'a> {
         rendered(host, renderer, &RecordedFrame::new(&placed, camera, frame))
     }
 
+    /// Records a frame into a slot.
+    pub fn record(&mut self, in_flight: &InFlight, slot: u32, settings: &[SceneSettings]) {
+        let Self { renderer, scenes, camera, frame, poses, .. } = self;
+        let placed = placed(scenes, poses, settings);
+        let commands = crate::stage::adopt(renderer.context(), in_flight);
+        let recorded = RecordedFrame::new(&placed, camera, frame);
+        renderer.record(commands, slot, &recorded).expect("a recording");
+    }
+
     /// The error of a frame that is refused.
     pub fn refused(&mut self, settings: &[SceneSettings]) -> Error {
-        let in_flight = crate::host::InFlight::new(self.host).expect("a command buffer");
+        let in_flight = InFlight::new(self.host).expect("a command buffer");
         in_flight.begin(self.host).expect("recording");
         let commands = crate::stage::adopt(self.renderer.context(), &in_flight);
         let placed = placed(&self.scenes, &self.poses, settings);
@@ -191,8 +200,14 @@ fn bad_settings_of_a_scene_are_refused_by_name() {
             ),
             (SceneSettings { opacity: -0.0625, ..HIDDEN }, "scenes[1].settings.opacity: -0.0625"),
             (SceneSettings { sh_degree: Some(4), ..USUAL }, "scenes[1].settings.sh_degree: 4"),
-            (SceneSettings { tint: [0.5; 3], ..USUAL }, "tint: not reserved, and the frame needs it"),
-            (SceneSettings { opacity: 0.5, ..USUAL }, "tint: not reserved, and the frame needs it"),
+            (
+                SceneSettings { tint: [0.5; 3], ..USUAL },
+                "tint: not reserved, and scenes[1] has a tint or an opacity",
+            ),
+            (
+                SceneSettings { opacity: 0.5, ..USUAL },
+                "tint: not reserved, and scenes[1] has a tint or an opacity",
+            ),
         ];
         for (settings, expected) in bad {
             let error = stage.refused(&[USUAL, settings]);
