@@ -2,11 +2,14 @@
 
 use crate::host::Host;
 use crate::memory::{HostBuffer, HostTexture};
-use crate::stage::{assert_same, camera, cloud, guest, options, owned, read_texture, rendered, with_host};
+use crate::stage::{
+    assert_same, camera, cloud, guest, guest_of_small_bindings, options, owned, read_texture, rendered,
+    with_host,
+};
 use ashsplat::ash::vk;
 use ashsplat::plan::ScenePlan;
 use ashsplat::scene::{Gaussians, Pose, Similarity};
-use ashsplat::vk::{Buffer, Context, ContextOptions, Image, ImageState, ImageUse, LimitsOverride};
+use ashsplat::vk::{Buffer, Context, Image, ImageState, ImageUse};
 use ashsplat::{
     DepthTarget, DeviceScene, Error, Frame, HostImage, Placed, RecordedFrame, RenderSettings, Renderer,
     Reservation,
@@ -187,15 +190,7 @@ fn a_scene_may_lie_in_the_hosts_buffers() {
 #[test]
 fn a_hosts_buffers_may_exceed_what_can_be_bound() {
     with_host(&options(), |host| {
-        let lowered =
-            LimitsOverride { max_storage_buffer_range: Some(96 * 1024), ..LimitsOverride::default() };
-        let context_options = ContextOptions {
-            hazard_check: true,
-            limits_override: Some(lowered),
-            ..ContextOptions::default()
-        };
-        // SAFETY: as in `guest`.
-        let context = unsafe { Context::from_foreign(&host.foreign(), &context_options) }.expect("a context");
+        let context = guest_of_small_bindings(host);
         let gaussians = cloud(600, 8);
         let plan = DeviceScene::plan_for(&context, 1200, 1).expect("a plan");
         assert_eq!(plan.chunks, 2, "{plan:?}");

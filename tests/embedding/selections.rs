@@ -4,9 +4,11 @@ use crate::host::Host;
 use crate::memory::HostBuffer;
 use crate::scene_settings::{Stage, USUAL};
 use crate::scenes::{appended, assert_nearly_equal};
-use crate::stage::{assert_same, camera, cloud, guest, options, owned, rendered, with_host};
+use crate::stage::{
+    assert_same, camera, cloud, guest, guest_of_small_bindings, options, owned, rendered, with_host,
+};
 use ashsplat::scene::Gaussians;
-use ashsplat::vk::{Buffer, Context, ContextOptions, LimitsOverride};
+use ashsplat::vk::{Buffer, Context};
 use ashsplat::{
     DeviceScene, Error, Placed, RecordedFrame, RenderSettings, Renderer, Reservation, SceneSettings,
     Selection,
@@ -84,15 +86,7 @@ fn a_selection_has_another_colour() {
 #[test]
 fn a_mask_goes_on_from_chunk_to_chunk() {
     with_host(&options(), |host| {
-        let lowered =
-            LimitsOverride { max_storage_buffer_range: Some(96 * 1024), ..LimitsOverride::default() };
-        let context_options = ContextOptions {
-            hazard_check: true,
-            limits_override: Some(lowered),
-            ..ContextOptions::default()
-        };
-        // SAFETY: as in `guest`.
-        let context = unsafe { Context::from_foreign(&host.foreign(), &context_options) }.expect("a context");
+        let context = guest_of_small_bindings(host);
         let gaussians = flat(1500, 8);
         let scene = DeviceScene::upload(&context, &gaussians, 0).expect("a scene");
         assert_eq!(scene.plan().chunks, 2);

@@ -4,7 +4,7 @@ use crate::host::{Host, HostOptions, InFlight};
 use crate::memory::{HostBuffer, HostTexture, Use};
 use ashsplat::ash::vk;
 use ashsplat::scene::{Camera, Gaussians, Intrinsics};
-use ashsplat::vk::{Context, ContextOptions, ForeignCommands, validation_available};
+use ashsplat::vk::{Context, ContextOptions, ForeignCommands, LimitsOverride, validation_available};
 use ashsplat::{Frame, RecordedFrame, RenderSettings, Renderer};
 use glam::Vec3;
 use std::sync::{Mutex, OnceLock, PoisonError};
@@ -34,7 +34,19 @@ pub fn with_host(options: &HostOptions, test: impl FnOnce(&Host)) {
 
 /// The guest's context on a host's device.
 pub fn guest(host: &Host) -> Context {
-    let options = ContextOptions { hazard_check: true, ..ContextOptions::default() };
+    guest_within(host, None)
+}
+
+/// As [`guest`], with bindings of 96 KiB at most.
+pub fn guest_of_small_bindings(host: &Host) -> Context {
+    guest_within(
+        host,
+        Some(LimitsOverride { max_storage_buffer_range: Some(96 * 1024), ..LimitsOverride::default() }),
+    )
+}
+
+fn guest_within(host: &Host, limits_override: Option<LimitsOverride>) -> Context {
+    let options = ContextOptions { hazard_check: true, limits_override, ..ContextOptions::default() };
     // SAFETY: the host outlives the context in all tests, which use the queue from one thread; what was enabled is what
     // the host says.
     unsafe { Context::from_foreign(&host.foreign(), &options) }.expect("a context")
