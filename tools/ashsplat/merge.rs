@@ -70,25 +70,23 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     output::check(&results)?;
     Format::of_extension(&arguments.out)?;
     let file = BlocksFile::read(&arguments.blocks)?;
-    let division = &file.division;
-    let scenes = division.blocks.iter().filter_map(|block| scene_of(&file, block).ok()?.ok());
-    let read = [arguments.blocks.clone(), file.at(&division.coarse.path)];
-    output::check_apart(&results, &read.into_iter().chain(scenes).collect::<Vec<_>>())?;
+    let scenes = scenes(&file, arguments.quiet)?;
+    let others = [arguments.blocks.clone(), file.at(&file.division.coarse.path)];
+    output::check_apart(&results, &[&scenes[..], &others].concat())?;
     // What it needs is looked for before the work.
     let ready = arguments.report.as_ref().map(|page| Ready::new(page, arguments, &file)).transpose()?;
     output::in_folder(&arguments.out, |out| {
         let folder = out.parent().filter(|folder| !folder.as_os_str().is_empty());
         let _lock = FolderLock::take(folder.unwrap_or(Path::new(".")), &WORK)?;
         output::remove_leftovers_of(out);
-        arguments.merge(&file, out)
+        arguments.merge(&file, &scenes, out)
     })?;
     ready.map_or(Ok(()), |ready| ready.measure(arguments, &file))
 }
 
 impl Arguments {
-    fn merge(&self, file: &BlocksFile, out: &Path) -> Result<()> {
+    fn merge(&self, file: &BlocksFile, scenes: &[PathBuf], out: &Path) -> Result<()> {
         let blocks = &file.division.blocks;
-        let scenes = scenes(file, self.quiet)?;
         let parts = scenes.iter().zip(blocks);
         let parts: Vec<Part<'_>> =
             parts.map(|(path, block)| Part { path, within: block.core.bounds() }).collect();
