@@ -65,12 +65,8 @@ pub fn convert(input: &Path, output: &Path, options: &ConvertOptions) -> Result<
     let header = reader.header().clone();
     let sh_degree = header.sh_degree.min(format.max_sh_degree()).min(options.sh_degree.unwrap_or(3));
     let mut warnings = header.warnings.clone();
-    if options.sh_degree.unwrap_or(3).min(header.sh_degree) > sh_degree {
-        warnings.push(format!("{format} holds no spherical harmonics: the view dependence is lost"));
-    }
-    if header.antialiased && !format.keeps_antialiased() {
-        warnings.push(format!("{format} cannot say that the Gaussians want antialiasing"));
-    }
+    let wanted_degree = header.sh_degree.min(options.sh_degree.unwrap_or(3));
+    warnings.extend(format.losses(wanted_degree, header.antialiased));
     let (mut count, mut bounds) = (0, None);
     if options.decimate.is_some() {
         // All of them, and those that are merged of them.

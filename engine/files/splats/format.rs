@@ -26,6 +26,18 @@ impl Format {
     pub const ALL: [Self; 6] =
         [Self::Ply, Self::CompressedPly, Self::Splat, Self::Spz, Self::Glb, Self::Gltf];
 
+    /// What Gaussians of this SH degree, trained with antialiasing or without, lose in it, in words.
+    pub(super) fn losses(self, sh_degree: u32, antialiased: bool) -> Vec<String> {
+        let mut losses = Vec::new();
+        if sh_degree > self.max_sh_degree() {
+            losses.push(format!("{self} holds no spherical harmonics: the view dependence is lost"));
+        }
+        if antialiased && !self.keeps_antialiased() {
+            losses.push(format!("{self} cannot say that the Gaussians want antialiasing"));
+        }
+        losses
+    }
+
     /// The ending of a file's name, with the dot.
     pub fn extension(self) -> &'static str {
         match self {

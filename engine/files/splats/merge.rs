@@ -50,13 +50,7 @@ pub fn merge(
     let first = parts.first().ok_or_else(|| Error::argument("parts", "there are none to merge"))?;
     let of_first = open(first.path, read)?.header().clone();
     let sh_degree = of_first.sh_degree.min(format.max_sh_degree());
-    let mut warnings = Vec::new();
-    if sh_degree < of_first.sh_degree {
-        warnings.push(format!("{format} holds no spherical harmonics: the view dependence is lost"));
-    }
-    if of_first.antialiased && !format.keeps_antialiased() {
-        warnings.push(format!("{format} cannot say that the Gaussians want antialiasing"));
-    }
+    let mut warnings = format.losses(of_first.sh_degree, of_first.antialiased);
     let (mut written, mut bounds) = (Vec::new(), None);
     for part in parts {
         let mut reader = open(part.path, read)?;
