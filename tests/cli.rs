@@ -11,6 +11,8 @@ mod init;
 mod inspect;
 mod layouts;
 mod light;
+#[cfg(unix)]
+mod lock;
 mod lpips;
 mod merge;
 mod pose_opt;

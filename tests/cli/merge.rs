@@ -37,6 +37,13 @@ fn merge(place: &Place, out: &str) -> Finished {
     finish(program().args(["merge", text(&blocks), "-o", text(&out)]))
 }
 
+/// Of each block how far it is, and how many are trained.
+fn status(place: &Place) -> (Vec<Value>, Value) {
+    let told = succeed(&["blocks", text(&place.model("blocks.json")), "--json"]);
+    let told: Value = serde_json::from_str(&told).expect("JSON");
+    (told["blocks"].as_array().expect("blocks").clone(), told["trained"].clone())
+}
+
 fn division(place: &Place) -> Value {
     let text = std::fs::read_to_string(place.model("blocks.json")).expect("blocks.json");
     serde_json::from_str(&text).expect("JSON")
@@ -69,6 +76,12 @@ fn blocks_are_trained_one_by_one_and_merged() {
     let drawn = std::fs::read_to_string(&plot).expect("a drawing");
     assert!(blocks.len() > 2 && drawn.matches(">block ").count() == blocks.len(), "{drawn}");
     assert_eq!(drawn.matches("<title>").count(), 9, "a mark per camera");
+    let told = succeed(&["blocks", text(&place.model("blocks.json"))]);
+    let waiting = format!("block 2: waiting, 0/{}\n", blocks[1]["iterations"]);
+    assert!(
+        told.contains(&waiting) && told.ends_with(&format!("\n0 of {} blocks trained\n", blocks.len())),
+        "{told}"
+    );
     for block in blocks {
         let inside =
             coarse.means.iter().filter(|&&mean| core(block).contains(Vec3::from_array(mean))).count();
@@ -80,6 +93,17 @@ fn blocks_are_trained_one_by_one_and_merged() {
         assert_eq!(block["iterations"], 2 * photos.len(), "{block}");
         assert_trained(&job(&place, block["number"].as_u64().expect("a number") as u32, &[]));
     }
+    let (all, trained) = status(&place);
+    assert_eq!(trained, blocks.len());
+    for (status, block) in all.iter().zip(blocks) {
+        assert_eq!((&status["state"], &status["iteration"]), (&"trained".into(), &block["iterations"]));
+        assert_eq!(status["iterations"], block["iterations"]);
+        let measured = ["gaussians", "psnr", "iterations_per_second", "peak_bytes"];
+        assert!(measured.iter().all(|name| status[name].as_f64() > Some(1.0)), "{status}");
+        assert!(status["trainer"].is_null());
+    }
+    // It ends when all are trained.
+    succeed(&["blocks", text(&place.model("blocks.json")), "--watch", "1"]);
     let sum = |name: &str| blocks.iter().filter_map(|block| block[name].as_u64()).sum::<u64>();
     assert_eq!(sum("gaussians"), coarse.len() as u64);
 
@@ -195,6 +219,12 @@ fn blocks_are_trained_one_by_one_and_merged() {
     assert_refused(&merge(&place, "other/scene.ply"), &["1, 2", "trained for another division"]);
     let begun = job(&place, 2, &["--start-checkpoint", "auto", "--checkpoint-every", "5"]);
     assert_refused(&begun, &["of another scene or margin"]);
+    assert_eq!(status(&place).0[1]["state"], "of another division");
+    // What was trained for the old one is not gone on with as if it were of the new one.
+    let settings = folder.join("settings.toml");
+    let begun =
+        finish(program().args(["train", "--config", text(&settings), "--start-checkpoint", "latest"]));
+    assert_refused(&begun, &["blocks.json", "another division than the one that block 2", "--job"]);
 }
 
 #[cfg(unix)]
@@ -203,7 +233,20 @@ fn two_merges_at_once_are_refused() {
     use nix::fcntl::{Flock, FlockArg};
     let place = place();
     assert_trained(&partition(&place, "blocks.json", &["--max-gaussians", "100000"]));
-    assert_trained(&job(&place, 1, &[]));
+    // As on a machine that has the photos elsewhere.
+    let moved = place.model("elsewhere");
+    std::fs::rename(place.model("data"), &moved).expect("moved");
+    assert_trained(&job(&place, 1, &["-s", text(&moved)]));
+    std::fs::rename(&moved, place.model("data")).expect("moved");
+    // How far a block is that another process trains.
+    let path = place.model("blocks/001/.training.lock");
+    std::fs::write(&path, "process 7 on node3").expect("written");
+    let file = std::fs::File::open(&path).expect("it is there");
+    let held = Flock::lock(file, FlockArg::LockExclusiveNonblock).expect("free");
+    assert_eq!(status(&place).0[0]["state"], "training");
+    let told = succeed(&["blocks", text(&place.model("blocks.json"))]);
+    assert!(told.contains("block 1: training, 14/14") && told.contains(", process 7 on node3\n"), "{told}");
+    drop(held);
     let path = place.model(".merge.lock");
     std::fs::write(&path, "process 1").expect("written");
     let file = std::fs::File::open(&path).expect("it is there");

@@ -362,31 +362,6 @@ fn ctrl_c_saves() {
     assert!(report().contains(&format!("\">{next} iterations</span>")) && report().contains(",1,\""));
 }
 
-/// A second training into the same folder is refused while the first runs, and takes nothing from it.
-#[cfg(unix)]
-#[test]
-fn one_training_at_a_time_writes_into_a_folder() {
-    let short = Short::new();
-    let (data, model) = (short.folder.path().join("data"), short.model());
-    let mut command = program();
-    command.args(["train", "-s", text(&data), "-m", text(&model), "--iterations", "1000000"]);
-    let mut child = Running::start(command.stdout(Stdio::null()).stderr(Stdio::piped()));
-    let mut lines = BufReader::new(child.stderr.take().expect("its stderr")).lines().map_while(Result::ok);
-    lines.find(|line| line.starts_with("100/1000000")).expect("progress after 100 iterations");
-    // As the first one has it in mid-write.
-    let unfinished = model.join(".chkpnt100.safetensors.aB3dE6.tmp");
-    std::fs::write(&unfinished, "half").expect("written");
-    let second = short.train(&["--iterations", "3"]);
-    assert_refused(&second, &["another training (process ", "choose another -m"]);
-    assert!(unfinished.is_file() && model.join("train_log.csv").is_file(), "{:?}", files_below(&model));
-    child.interrupt();
-    lines.for_each(drop);
-    assert_eq!(child.wait().expect("it ends").code(), Some(130));
-    // Free again; so it is after a kill.
-    assert_eq!(short.train(&["--iterations", "3"]).code, Some(0));
-    assert!(!model.join(".training.lock").exists(), "{:?}", files_below(&model));
-}
-
 /// What cannot be saved is a warning: the checkpoint has everything.
 #[cfg(unix)]
 #[test]

@@ -1,8 +1,8 @@
 //! The command line and how it is read.
 
 use crate::{
-    bench, convert, demo, devices, eval, info, inspect, merge, output, partition, poses, profile, render,
-    train, view,
+    bench, block_status, convert, demo, devices, eval, info, inspect, merge, output, partition, poses,
+    profile, render, train, view,
 };
 use ashsplat::Result;
 use clap::error::{ContextKind, ContextValue, ErrorKind};
@@ -39,6 +39,8 @@ pub enum Command {
     Convert(convert::Arguments),
     /// Divide a scene into blocks that are trained one by one, on any machines
     Partition(Box<partition::Arguments>),
+    /// How far the training of each block is
+    Blocks(block_status::Arguments),
     /// Merge trained blocks into one scene
     Merge(merge::Arguments),
     /// The Gaussians blended at one pixel, front to back

@@ -3,10 +3,19 @@
 //! The lock is the operating system's (`flock`): it ends with the process, however that ends, so none is left behind.
 //! Where there is no such lock (other systems than Unix, some network file systems) nothing is locked.
 
+use crate::session;
 use ashsplat::{Error, Result};
 use std::fs::{self, File};
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
+use std::sync::atomic::AtomicBool;
+use std::time::Duration;
+
+/// How often a folder is looked at that another one holds.
+const WAIT: Duration = Duration::from_millis(500);
+/// How often, and after how long each, it is tried again before it is held.
+const GLANCES: u32 = 3;
+const GLANCE: Duration = Duration::from_millis(20);
 
 /// What is done in a locked folder.
 pub struct Work {
@@ -32,6 +41,7 @@ impl FolderLock {
     /// [`Error::Input`] naming the process that holds it; [`Error::Io`].
     pub fn take(folder: &Path, work: &Work) -> Result<Self> {
         let path = folder.join(work.file);
+        let mut glances = 0;
         loop {
             let file = File::options()
                 .read(true)
@@ -40,10 +50,31 @@ impl FolderLock {
                 .truncate(false)
                 .open(&path)
                 .map_err(|e| Error::io(&path, "open", e))?;
+            // One who asks whether a folder is held holds it for that moment.
+            if glances < GLANCES && matches!(try_lock(&file), Locked::No) {
+                glances += 1;
+                std::thread::sleep(GLANCE);
+                continue;
+            }
             if let Some(lock) = Self::take_open(folder, file, work)? {
                 return Ok(lock);
             }
         }
+    }
+
+    /// As [`FolderLock::take`], once nobody else holds it; says whom it waits for.
+    ///
+    /// # Errors
+    /// Also [`Error::Interrupted`], when `stop` is set meanwhile.
+    pub fn wait(folder: &Path, work: &Work, stop: &AtomicBool) -> Result<Self> {
+        if let Some(holder) = holder(folder, work) {
+            tell!("waiting for another {} ({holder}) that writes into {}", work.what, folder.display());
+        }
+        while holder(folder, work).is_some() {
+            session::check(stop)?;
+            std::thread::sleep(WAIT);
+        }
+        Self::take(folder, work)
     }
 
     /// Locks the open file; none where its last holder has removed it since it was opened.
@@ -73,10 +104,35 @@ impl FolderLock {
         if !is_at(&file, &path) {
             return Ok(None);
         }
-        let written = file.set_len(0).and_then(|()| write!(file, "process {}", std::process::id()));
+        let written = file.set_len(0).and_then(|()| write!(file, "{}", own_name()));
         written.map_err(|e| Error::io(&path, "write", e))?;
         Ok(Some(Self { path, held: Some(file) }))
     }
+}
+
+/// Who holds a folder, in words; None where nobody does, and where that cannot be told.
+pub fn holder(folder: &Path, work: &Work) -> Option<String> {
+    let mut file = File::open(folder.join(work.file)).ok()?;
+    match try_lock(&file) {
+        Locked::Yes | Locked::Unknown => None,
+        Locked::No => {
+            let mut name = String::new();
+            file.read_to_string(&mut name).ok();
+            Some(name.trim().to_owned())
+        }
+    }
+}
+
+/// "process 12 on node7": the folder may be that of many machines.
+fn own_name() -> String {
+    let process = std::process::id();
+    #[cfg(unix)]
+    {
+        let machine = rustix::system::uname();
+        format!("process {process} on {}", machine.nodename().to_string_lossy())
+    }
+    #[cfg(not(unix))]
+    format!("process {process}")
 }
 
 impl Drop for FolderLock {
@@ -138,9 +194,14 @@ mod tests {
         let first = FolderLock::take(folder.path(), &WORK).expect("free");
         let refused = FolderLock::take(folder.path(), &WORK).err().map(|error| error.to_string());
         let refused = refused.expect("refused");
-        let holder = format!("another training (process {})", std::process::id());
+        let holder = format!("another training ({})", own_name());
         assert!(refused.contains(&holder) && refused.contains("choose another -m"), "{refused}");
+        assert_eq!(super::holder(folder.path(), &WORK), Some(own_name()));
+        let asked_to_end = AtomicBool::new(true);
+        let ended = FolderLock::wait(folder.path(), &WORK, &asked_to_end).err();
+        assert!(matches!(ended, Some(Error::Interrupted)), "it waits, and ends when it is asked to");
         drop(first);
+        assert_eq!(super::holder(folder.path(), &WORK), None);
         assert_eq!(fs::read_dir(folder.path()).expect("a folder").count(), 0, "nothing is left");
         // A file that a killed process left has no holder.
         fs::write(folder.path().join(WORK.file), "process 1").expect("written");

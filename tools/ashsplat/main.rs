@@ -17,6 +17,7 @@ macro_rules! tell {
 mod args;
 mod axis;
 mod bench;
+mod block_status;
 mod blocks;
 mod child;
 mod command_line;
@@ -93,6 +94,7 @@ fn run(command: command_line::Command) -> Result<ExitCode> {
         Command::Info(arguments) => info::run(&arguments),
         Command::Convert(arguments) => convert::run(&arguments),
         Command::Partition(arguments) => partition::run(&arguments),
+        Command::Blocks(arguments) => block_status::run(&arguments),
         Command::Merge(arguments) => merge::run(&arguments),
         Command::Inspect(arguments) => inspect::run(&arguments),
         Command::Devices(arguments) => devices::run(&arguments),

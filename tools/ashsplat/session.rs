@@ -88,7 +88,7 @@ pub fn open(data: &DataSettings, options: &DatasetOptions, stop: &AtomicBool) ->
     let progress = Progress { report: None, interrupted: Some(stop) };
     let mut gallery = Gallery::open(&data.source_path, options, progress)?;
     if let Some(job) = Job::of(&data.job)? {
-        job.choose_photos(&mut gallery)?;
+        job.choose_photos(&data.source_path, &mut gallery)?;
     }
     Ok(gallery)
 }

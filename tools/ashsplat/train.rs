@@ -33,7 +33,9 @@ use ashsplat::{Error, Result};
 use ashsplat_files::{Dataset, View};
 use checkpoints::StartFrom;
 use clap::{Args, value_parser};
+pub use folder::trainer;
 use live::{Live, LiveArguments};
+pub use log::Rows;
 use log::TrainLog;
 use origin::{First, Origin};
 use prepared::{Prepared, Views, check_fits, photo_memory};
@@ -78,6 +80,9 @@ pub struct Arguments {
     /// time, 0.001 to 0.9; 0 measures only after --test-iterations
     #[arg(long, value_name = "SHARE", default_value_t = tracking::SHARE, value_parser = tracking::share)]
     eval_share: f64,
+    /// Wait while another training writes into the model folder, in place of an error: a scheduler's second try may meet its first
+    #[arg(long)]
+    wait: bool,
     #[command(flatten)]
     lpips: LpipsArguments,
     #[command(flatten)]
@@ -91,7 +96,7 @@ pub struct Arguments {
 
 /// After so many iterations the cost is taken once, for comparison with other trainers.
 const FIRST_ITERATIONS: u32 = 100;
-const LOG_FILE: &str = "train_log.csv";
+pub const LOG_FILE: &str = "train_log.csv";
 
 fn say_complete(settings: &Settings) -> Result<()> {
     say!("{} is trained to its end already", settings.data.model_path.display());
@@ -112,23 +117,23 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         }
     }
     let job = Job::of(&settings.data.job)?;
+    // From now on: a ZIP is unpacked, and nothing of it may be left.
+    let stop = session::stop_on_ctrl_c()?;
+    let writes = arguments.verify_determinism.is_none();
+    let model = &settings.data.model_path;
+    let held = if writes { folder::hold(model, arguments.wait, &stop)? } else { None };
     let is_asked_again = arguments.start_checkpoint == Some(StartFrom::Auto);
-    if arguments.verify_determinism.is_none() && is_asked_again && job.as_ref().is_some_and(result::is_done) {
+    if writes && is_asked_again && job.as_ref().is_some_and(result::is_done) {
         return say_complete(&settings);
     }
     let lpips = FinalLpips::read(&arguments.lpips, &arguments.device.host)?;
-    // From now on: a ZIP is unpacked, and nothing of it may be left.
-    let stop = session::stop_on_ctrl_c()?;
-    let doors = match arguments.verify_determinism {
-        None => arguments.live.open()?,
-        Some(_) => None,
-    };
+    let doors = if writes { arguments.live.open()? } else { None };
     // Open the device first, so that its absence is reported before the photos are loaded.
     let context = arguments.device.context()?;
     let host = &arguments.device.host;
     let origin = Origin::read(arguments.start_checkpoint.as_ref(), &settings, host)?;
-    job.as_ref().map_or(Ok(()), Job::check_coarse)?;
-    if arguments.verify_determinism.is_none() && job.is_none() && origin.is_complete(&settings) {
+    job.as_ref().map_or(Ok(()), |job| job.check_coarse(&settings.data.init))?;
+    if writes && job.is_none() && origin.is_complete(&settings) {
         return say_complete(&settings);
     }
     let settings = origin.settle(settings);
@@ -156,7 +161,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         return verify::run(&context, dataset, (&settings, &origin), iterations, arguments.quiet);
     }
     let folder = settings.data.model_path.clone();
-    let mut run = Run::begin(&context, dataset, settings, &origin, arguments.quiet)?;
+    let mut run = Run::begin(&context, dataset, (settings, held), &origin, arguments.quiet)?;
     // A checkpoint is as large as all that training keeps on the device.
     drop(origin);
     run.repeat(&arguments.device, arguments.photo_memory);
@@ -228,7 +233,7 @@ pub struct Run {
 impl Run {
     /// A run that begins with the data set's points.
     pub fn prepare(context: &Context, dataset: Dataset, settings: Settings, quiet: bool) -> Result<Run> {
-        Self::begin(context, dataset, settings, &Origin::points(), quiet)
+        Self::begin(context, dataset, (settings, None), &Origin::points(), quiet)
     }
 
     /// Creates the trainer, and then, when nothing but the disk can fail any more, the model folder with
@@ -236,7 +241,7 @@ impl Run {
     fn begin(
         context: &Context,
         dataset: Dataset,
-        settings: Settings,
+        (settings, held): (Settings, Option<FolderLock>),
         origin: &Origin,
         quiet: bool,
     ) -> Result<Run> {
@@ -245,12 +250,12 @@ impl Run {
         let trainer = origin.trainer(context, data, (&trained, block), &settings.train)?;
         let model = settings.data.model_path.clone();
         let Some(start) = origin.start() else {
-            let lock = folder::begin(&settings, &views.cameras, points.as_ref(), false)?;
+            let lock = folder::begin(&settings, held, &views.cameras, points.as_ref(), false)?;
             let log = TrainLog::create(&model.join(LOG_FILE))?;
             return Ok(Run::new(context, settings, trainer, (log, lock), views, quiet));
         };
         let goes_on = start.is_of(&model);
-        let lock = folder::begin(&settings, &views.cameras, None, goes_on)?;
+        let lock = folder::begin(&settings, held, &views.cameras, None, goes_on)?;
         if goes_on {
             start.keep(&model)?;
         }

@@ -13,13 +13,20 @@ pub struct Job {
 }
 
 impl Job {
-    /// The job of a file's name and a number.
+    /// The job of a file's name and a number; of a training's settings, with the hash of that file as it was then.
     pub fn find(text: &str) -> Result<Job> {
         let problem =
             || Error::argument("job", format!("'{text}': expected a file and a number, as blocks.json:3"));
         let (path, number) = text.rsplit_once(':').ok_or_else(problem)?;
+        let (number, hash) = number.split_once('@').map_or((number, None), |(n, hash)| (n, Some(hash)));
         let number: usize = number.parse().map_err(|_| problem())?;
         let file = BlocksFile::read(Path::new(path))?;
+        if hash.is_some_and(|hash| hash != file.hash) {
+            let problem = format!("is another division than the one that block {number} was trained for");
+            let again = format!("train it as a block of this one: `ashsplat train --job {path}:{number}`");
+            let remedy = format!("{again}; to look at what was trained, give its data set by -s");
+            return Err(Error::input(path, problem, remedy));
+        }
         let blocks = file.division.blocks.len();
         match number.checked_sub(1).filter(|&index| index < blocks) {
             Some(index) => Ok(Job { file, index }),
@@ -47,7 +54,7 @@ impl Job {
         let sides = [core.min, core.max].map(|corner| corner.to_array()).concat();
         let path = std::path::absolute(&self.file.path).unwrap_or_else(|_| self.file.path.clone());
         let mut table = Table::new();
-        table.insert("job".into(), format!("{}:{}", path.display(), block.number).into());
+        table.insert("job".into(), format!("{}:{}@{}", path.display(), block.number, self.file.hash).into());
         table.insert("source_path".into(), absolute(&division.dataset.path).into());
         table.insert("model_path".into(), absolute(&block.folder).into());
         table.insert("images".into(), division.dataset.images.clone().into());
@@ -64,23 +71,21 @@ impl Job {
         table
     }
 
-    /// Leaves the block's photos; refuses a data set with other cameras.
-    pub fn choose_photos(&self, gallery: &mut Gallery) -> Result<()> {
+    /// Leaves the block's photos; refuses a data set, at this path, with other cameras.
+    pub fn choose_photos(&self, path: &Path, gallery: &mut Gallery) -> Result<()> {
         let dataset = &self.file.division.dataset;
         if cameras_hash(&gallery.cameras()) != dataset.cameras {
             let problem = format!("its cameras are not those that {} was made for", self.file.path.display());
             let remedy = "give the data set as it was, or make the blocks anew: `ashsplat partition`";
-            return Err(Error::input(self.file.at(&dataset.path), problem, remedy));
+            return Err(Error::input(path, problem, remedy));
         }
         let block = self.block();
         gallery.keep(&block.photos.iter().chain(&block.held_out).cloned().collect())
     }
 
-    /// Refuses another coarse model than that of the division.
-    pub fn check_coarse(&self) -> Result<()> {
-        let coarse = &self.file.division.coarse;
-        let path = self.file.at(&coarse.path);
-        if file_hash(&path)? == coarse.hash {
+    /// Refuses another coarse model than that of the division, wherever it is.
+    pub fn check_coarse(&self, path: &Path) -> Result<()> {
+        if file_hash(path)? == self.file.division.coarse.hash {
             return Ok(());
         }
         let problem = format!("is not the coarse model that {} was made for", self.file.path.display());

@@ -41,6 +41,13 @@ pub fn is_noted(folder: &Path) -> bool {
     folder.join(RESULT_FILE).is_file()
 }
 
+/// Whether the training of a block has been noted as being at its end for this division, and not for another one; None where there is
+/// no note that can be read. The scene itself is not looked at.
+pub fn noted(file: &BlocksFile, block: &Block) -> Option<bool> {
+    let trained = read(&file.at(&block.folder)).ok().flatten()?;
+    Some(trained.blocks == file.hash && trained.block == block.number)
+}
+
 /// None where there is no note.
 fn read(folder: &Path) -> Result<Option<Trained>> {
     let path = folder.join(RESULT_FILE);

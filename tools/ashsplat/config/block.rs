@@ -12,13 +12,13 @@ use serde::Serialize;
 #[derive(Args, Clone, Default, Serialize)]
 pub struct BlockArguments {
     /// Train this block of a file that `ashsplat partition` wrote: data set, photos, start, block, margin, scene extent,
-    /// iterations and model folder are as it says
+    /// iterations and model folder are as it says; -s and --init name the same data set and coarse model where they are elsewhere on
+    /// this machine
     #[arg(
         long,
         value_name = "BLOCKS.json:N",
         conflicts_with_all = [
-            "source_path", "model_path", "images", "resolution", "orientation", "eval", "train_test_exp", "init", "block",
-            "margin", "scene_extent",
+            "model_path", "images", "resolution", "orientation", "eval", "train_test_exp", "block", "margin", "scene_extent",
         ]
     )]
     pub(super) job: Option<String>,

@@ -5,7 +5,7 @@ use super::report::REPORT_FILE;
 use super::{LOG_FILE, checkpoints};
 use crate::blocks::result::RESULT_FILE;
 use crate::config::{CAMERAS_FILE, CFG_ARGS_FILE, SETTINGS_FILE, Settings};
-use crate::lock::{FolderLock, Work};
+use crate::lock::{self, FolderLock, Work};
 use crate::{eval, model, output};
 use ashsplat::scene::{Camera, PointCloud};
 use ashsplat::{Error, Result};
@@ -13,6 +13,7 @@ use ashsplat_files::exposure_json::EXPOSURE_FILE;
 use ashsplat_files::lens_json::LENS_FILE;
 use ashsplat_files::{atomic, cameras_json, ply};
 use std::path::{Path, PathBuf};
+use std::sync::atomic::AtomicBool;
 
 const RENDERS: &str = "test";
 /// Made in the viewer.
@@ -20,13 +21,33 @@ const FILMS: &str = "films";
 const INPUT_FILE: &str = "input.ply";
 const TRAINING: Work = Work { file: ".training.lock", what: "training", option: "-m" };
 
-/// Creates the model folder and writes what is known before training. A run that goes on with one of this folder leaves what that
-/// has written.
+/// Holds the model folder, where there is one already, before it is asked for its checkpoints: another training would go on writing
+/// them. With `wait`, once that one is at its end.
+///
+/// # Errors
+/// Where another training writes into the folder.
+pub fn hold(folder: &Path, wait: bool, stop: &AtomicBool) -> Result<Option<FolderLock>> {
+    if !folder.is_dir() {
+        return Ok(None);
+    }
+    let lock =
+        if wait { FolderLock::wait(folder, &TRAINING, stop) } else { FolderLock::take(folder, &TRAINING) };
+    lock.map(Some)
+}
+
+/// Who trains in a folder, in words.
+pub fn trainer(folder: &Path) -> Option<String> {
+    lock::holder(folder, &TRAINING)
+}
+
+/// Creates the model folder, unless it is there and held, and writes what is known before training. A run that goes on with one of
+/// this folder leaves what that has written.
 ///
 /// # Errors
 /// Where another training writes into the folder; a full disk and the like.
 pub fn begin(
     settings: &Settings,
+    held: Option<FolderLock>,
     cameras: &[(String, Camera)],
     points: Option<&PointCloud>,
     goes_on: bool,
@@ -34,7 +55,7 @@ pub fn begin(
     let folder = &settings.data.model_path;
     atomic::create_folder(folder)?;
     // Before anything is removed: it may be another training's.
-    let lock = FolderLock::take(folder, &TRAINING)?;
+    let lock = held.map_or_else(|| FolderLock::take(folder, &TRAINING), Ok)?;
     remove_leftovers(folder);
     if !goes_on {
         keep_earlier(folder)?;

@@ -1,0 +1,41 @@
+//! One training at a time in a model folder.
+
+use super::checkpoints::Place;
+use super::*;
+use crate::common::running::Running;
+use std::io::{BufRead, BufReader};
+use std::process::Stdio;
+
+/// A second training into the same folder is refused while the first runs, and takes nothing from it.
+#[test]
+fn one_training_at_a_time_writes_into_a_folder() {
+    let place = Place::new();
+    let (data, model) = (place.model("data"), place.model("model"));
+    let mut command = program();
+    command.args(["train", "-s", text(&data), "-m", text(&model), "--iterations", "1000000"]);
+    let mut child = Running::start(command.stdout(Stdio::null()).stderr(Stdio::piped()));
+    let mut lines = BufReader::new(child.stderr.take().expect("its stderr")).lines().map_while(Result::ok);
+    lines.find(|line| line.starts_with("100/1000000")).expect("progress after 100 iterations");
+    // As the first one has it in mid-write.
+    let unfinished = model.join(".chkpnt100.safetensors.aB3dE6.tmp");
+    std::fs::write(&unfinished, "half").expect("written");
+    let second = place.train("model", &["--iterations", "3"]);
+    assert_refused(&second, &["another training (process ", "choose another -m"]);
+    assert!(unfinished.is_file() && model.join("train_log.csv").is_file(), "{:?}", files_below(&model));
+    // Who is patient comes after it.
+    let mut command = program();
+    command.args(["train", "-s", text(&data), "-m", text(&model), "--iterations", "3", "--wait"]);
+    let mut patient = Running::start(command.stdout(Stdio::null()).stderr(Stdio::piped()));
+    let errors = patient.stderr.take().expect("its stderr");
+    let mut heard = BufReader::new(errors).lines().map_while(Result::ok);
+    let waiting = format!("waiting for another training (process {} on ", child.id());
+    assert!(heard.next().is_some_and(|line| line.starts_with(&waiting)), "{waiting}");
+    child.interrupt();
+    lines.for_each(drop);
+    assert_eq!(child.wait().expect("it ends").code(), Some(130));
+    let rest: Vec<String> = heard.collect();
+    assert!(rest.iter().any(|line| line.contains("had an earlier training")), "{rest:?}");
+    assert_eq!(patient.wait().expect("it ends").code(), Some(0));
+    // Free again; so it is after a kill.
+    assert!(!model.join(".training.lock").exists(), "{:?}", files_below(&model));
+}

@@ -1,0 +1,163 @@
+//! `ashsplat blocks`: how far the training of each block is.
+
+use crate::blocks::{Block, BlocksFile, result};
+use crate::progress::thousands;
+use crate::session;
+use crate::train::{LOG_FILE, Rows, trainer};
+use ashsplat::Result;
+use clap::Args;
+use serde_json::{Value, json};
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+/// How far the training of each block is: iterations, PSNR, iterations per second, memory.
+///
+/// Read from what the trainings write into their model folders, on whatever machine they run.
+#[derive(Args)]
+pub struct Arguments {
+    /// The file that `ashsplat partition` wrote
+    #[arg(value_name = "BLOCKS.json")]
+    blocks: PathBuf,
+    /// Print it again every so many seconds until all blocks are trained
+    #[arg(long, value_name = "SECONDS", num_args = 0..=1, default_missing_value = "10", value_parser = clap::value_parser!(u64).range(1..))]
+    watch: Option<u64>,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// Iterations whose time tells the speed.
+const RECENT: usize = 100;
+/// How soon Ctrl-C ends waiting.
+const GLANCE: Duration = Duration::from_millis(100);
+
+/// Runs the command.
+pub fn run(arguments: &Arguments) -> Result<()> {
+    let file = BlocksFile::read(&arguments.blocks)?;
+    let Some(seconds) = arguments.watch else {
+        show(&file, arguments.json);
+        return Ok(());
+    };
+    let stop = session::stop_on_ctrl_c()?;
+    while show(&file, arguments.json) < file.division.blocks.len() {
+        let shown = Instant::now();
+        while shown.elapsed().as_secs() < seconds {
+            session::check(&stop)?;
+            std::thread::sleep(GLANCE);
+        }
+    }
+    Ok(())
+}
+
+/// Prints all blocks; how many are trained.
+fn show(file: &BlocksFile, as_json: bool) -> usize {
+    let all: Vec<Status> = file.division.blocks.iter().map(|block| Status::of(file, block)).collect();
+    let trained = all.iter().filter(|status| status.state == State::Trained).count();
+    if as_json {
+        let blocks: Vec<Value> = all.iter().map(Status::json).collect();
+        say!("{:#}", json!({ "blocks": blocks, "trained": trained }));
+        return trained;
+    }
+    for status in &all {
+        say!("{}", status.line());
+    }
+    say!("{trained} of {} blocks trained", all.len());
+    trained
+}
+
+#[derive(Clone, Debug, PartialEq)]
+enum State {
+    Waiting,
+    /// By whom.
+    Training(String),
+    Stopped,
+    Trained,
+    /// Of another division.
+    Other,
+}
+
+/// How far one block is.
+struct Status<'a> {
+    block: &'a Block,
+    state: State,
+    /// Of the last iteration in its log.
+    iteration: u32,
+    gaussians: Option<u64>,
+    /// dB, the last that was measured.
+    psnr: Option<f64>,
+    iterations_per_second: Option<f64>,
+    /// On the device, the most so far.
+    peak_bytes: Option<u64>,
+}
+
+impl Status<'_> {
+    fn of<'a>(file: &BlocksFile, block: &'a Block) -> Status<'a> {
+        let folder = file.at(&block.folder);
+        // A training that has not begun, or is just replacing its log, has none.
+        let rows = Rows::read(&folder.join(LOG_FILE)).unwrap_or_default();
+        let last = |column: &[f64]| column.iter().rev().copied().find(|value| value.is_finite());
+        let iteration = last(&rows.iterations).unwrap_or(0.0) as u32;
+        let state = match (result::noted(file, block), trainer(&folder)) {
+            (_, Some(holder)) => State::Training(holder),
+            (Some(true), None) => State::Trained,
+            (Some(false), None) => State::Other,
+            (None, None) if iteration > 0 => State::Stopped,
+            (None, None) => State::Waiting,
+        };
+        let recent = &rows.milliseconds[rows.milliseconds.len().saturating_sub(RECENT)..];
+        let seconds = recent.iter().filter(|ms| ms.is_finite()).sum::<f64>() / 1e3;
+        let psnr = last(&rows.tracked_psnr).or_else(|| last(&rows.psnr));
+        Status {
+            block,
+            state,
+            iteration,
+            gaussians: last(&rows.gaussians).map(|count| count as u64),
+            psnr,
+            iterations_per_second: (seconds > 0.0).then(|| recent.len() as f64 / seconds),
+            peak_bytes: last(&rows.peak_bytes).map(|bytes| bytes as u64),
+        }
+    }
+
+    fn word(&self) -> &'static str {
+        match self.state {
+            State::Waiting => "waiting",
+            State::Training(_) => "training",
+            State::Stopped => "stopped",
+            State::Trained => "trained",
+            State::Other => "of another division",
+        }
+    }
+
+    fn line(&self) -> String {
+        let Status { block, iteration, .. } = self;
+        let mut line = format!("block {}: {}, {iteration}/{}", block.number, self.word(), block.iterations);
+        let mut add = |what: Option<String>| line.extend(what.map(|what| format!(", {what}")));
+        add(self.psnr.map(|psnr| format!("{psnr:.2} dB")));
+        add(self.iterations_per_second.map(|speed| format!("{speed:.1} it/s")));
+        add(self.gaussians.map(|count| format!("{} Gaussians", thousands(count))));
+        let mebibytes = self.peak_bytes.map(|bytes| bytes >> 20).filter(|&count| count > 0);
+        add(mebibytes.map(|count| format!("{count} MiB at most")));
+        if let State::Training(holder) = &self.state {
+            add(Some(holder.clone()).filter(|holder| !holder.is_empty()));
+        }
+        line
+    }
+
+    fn json(&self) -> Value {
+        let holder = match &self.state {
+            State::Training(holder) => Some(holder),
+            _ => None,
+        };
+        json!({
+            "number": self.block.number,
+            "state": self.word(),
+            "iteration": self.iteration,
+            "iterations": self.block.iterations,
+            "gaussians": self.gaussians,
+            "psnr": self.psnr,
+            "iterations_per_second": self.iterations_per_second,
+            "peak_bytes": self.peak_bytes,
+            "trainer": holder,
+        })
+    }
+}
