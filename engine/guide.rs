@@ -10,6 +10,7 @@
 //! - [`masks_and_memory`]: pixels that do not count, bounds for memory
 //! - [`checkpoints`]: stopping a training and going on
 //! - [`blocks`]: scenes that are trained in blocks, and merged
+//! - [`tiles`]: scenes as trees of tiles, for viewers that stream
 //! - [`measuring`]: times, counts and benchmarks
 //! - [`profiling`]: one frame or step, command by command
 //! - [`determinism`]: what is the same to the bit, and how to check it
@@ -56,6 +57,10 @@ pub mod checkpoints {
 
 pub mod blocks {
     #![doc = include_str!(concat!(env!("OUT_DIR"), "/guide/blocks.md"))]
+}
+
+pub mod tiles {
+    #![doc = include_str!(concat!(env!("OUT_DIR"), "/guide/tiles.md"))]
 }
 
 pub mod measuring {

@@ -21,6 +21,7 @@ mod pose_opt;
 mod poses;
 mod report;
 mod run;
+mod tiles;
 mod training;
 
 use ashsplat::scene::{Camera, Intrinsics, PointCloud};

@@ -154,7 +154,8 @@ fn push_merged(all: &Gaussians, pair: [usize; 2], left: &mut Gaussians) {
     }
 }
 
-fn covariance_of(all: &Gaussians, index: usize) -> DMat3 {
+/// Covariance of one of all, world units squared.
+pub(crate) fn covariance_of(all: &Gaussians, index: usize) -> DMat3 {
     let [w, x, y, z] = all.quats[index].map(f64::from);
     let quat = DQuat::from_xyzw(x, y, z, w);
     let rotation =

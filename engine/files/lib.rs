@@ -26,6 +26,7 @@ pub mod ply;
 mod progress;
 mod sniff;
 pub mod splats;
+pub mod tiles;
 pub mod transforms;
 
 pub use checkpoint::CheckpointFile;

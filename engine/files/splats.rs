@@ -111,7 +111,7 @@ fn write_blocks(path: &Path, format: Format, outline: &Outline, produce: &mut Pr
 }
 
 /// Opens a file of any format.
-fn open<'a>(path: &'a Path, options: &ReadOptions) -> Result<Reader<'a>> {
+pub(crate) fn open<'a>(path: &'a Path, options: &ReadOptions) -> Result<Reader<'a>> {
     let source: Box<dyn Source + 'a> = match Format::of_file(path)? {
         Format::Ply => Box::new(ply::GaussianRows::open(path)?),
         Format::CompressedPly => Box::new(ply::CompressedPly::open(path)?),

@@ -22,6 +22,7 @@ mod ply;
 mod sh;
 mod sh_rotation;
 mod splats;
+mod tiles;
 mod tour;
 mod transform;
 mod transforms;

@@ -2,7 +2,7 @@
 
 use crate::{
     bench, block_status, convert, demo, devices, eval, info, inspect, merge, output, partition, poses,
-    profile, render, train, view,
+    profile, render, tiles, train, view,
 };
 use ashsplat::Result;
 use clap::error::{ContextKind, ContextValue, ErrorKind};
@@ -43,6 +43,8 @@ pub enum Command {
     Blocks(block_status::Arguments),
     /// Merge trained blocks into one scene
     Merge(merge::Arguments),
+    /// Write a scene as a tree of tiles for viewers that stream: 3D Tiles
+    Tiles(tiles::Arguments),
     /// The Gaussians blended at one pixel, front to back
     Inspect(inspect::Arguments),
     /// The Vulkan devices of this machine, with the limits that matter

@@ -44,6 +44,7 @@ mod profile;
 mod progress;
 mod render;
 mod session;
+mod tiles;
 mod train;
 mod view;
 
@@ -96,6 +97,7 @@ fn run(command: command_line::Command) -> Result<ExitCode> {
         Command::Partition(arguments) => partition::run(&arguments),
         Command::Blocks(arguments) => block_status::run(&arguments),
         Command::Merge(arguments) => merge::run(&arguments),
+        Command::Tiles(arguments) => tiles::run(&arguments),
         Command::Inspect(arguments) => inspect::run(&arguments),
         Command::Devices(arguments) => devices::run(&arguments),
         Command::Demo(arguments) => demo::run(&arguments),

@@ -1,0 +1,328 @@
+//! A scene as a tree of tiles, the coarser ones merged of the finer: 3D Tiles 1.1 with `KHR_gaussian_splatting` in GLB.
+
+mod document;
+
+use std::fs::{self, File};
+use std::io::{Read, Write};
+use std::path::{Path, PathBuf};
+
+use glam::Vec3;
+
+use crate::Progress;
+use crate::decimate::{covariance_of, decimate};
+use crate::splats::{self, Format, ReadOptions, WriteOptions};
+use ashsplat::scene::gaussians::sh_coefficients;
+use ashsplat::scene::{Bounds, Cells, Gaussians};
+use ashsplat::{Error, Result};
+use document::Tile;
+
+/// How many Gaussians of the finer tiles become one of the coarser: on surfaces, half of the resolution.
+const MERGED: usize = 4;
+
+/// How far a Gaussian is taken to reach, standard deviations.
+const REACH: f64 = 3.0;
+
+/// How a scene is divided.
+#[derive(Clone, Copy, Debug)]
+pub struct TileOptions {
+    /// Gaussians of a tile, at most.
+    pub most: usize,
+}
+
+impl Default for TileOptions {
+    /// 50,000 Gaussians.
+    fn default() -> Self {
+        Self { most: 50_000 }
+    }
+}
+
+/// Of the Gaussians of finer tiles, and those that they were merged to: how much their pictures differ, world units. The root of the
+/// squared difference from 0 to 1, integrated over the tile: divided by the size of a pixel it is that of a picture, summed over
+/// pixels.
+pub type Measure<'a> = dyn FnMut(&Gaussians, &Gaussians) -> Result<f64> + 'a;
+
+/// What was written.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Tiling {
+    /// Gaussians of the scene.
+    pub gaussians: u64,
+    /// All tiles.
+    pub tiles: usize,
+    /// Of these, the tiles with the scene's own Gaussians.
+    pub leaves: usize,
+    /// Tiles from the coarsest to the finest, one after another.
+    pub levels: usize,
+    /// Gaussians of all tiles.
+    pub written: u64,
+    /// About the scene, for the user.
+    pub warnings: Vec<String>,
+}
+
+/// Writes the tiles of a scene, and `tileset.json` about them, into a new folder. The same scene gives the same bytes.
+///
+/// A k-d tree ([`Cells`]) divides the scene; a cell of its finest level is a tile with the Gaussians that have their centres there, as
+/// they are. A tile above has up to four below it, and a quarter of their Gaussians ([`decimate`]). The host holds the centres of all
+/// Gaussians, and the tiles on the way from the root to one of the finest: the rows of the scene lie on the disk meanwhile, in the
+/// folder.
+///
+/// # Errors
+/// [`Error::Argument`] for less than one Gaussian per tile, and where more are at one place; [`Error::Input`] for a folder with something in it, for a scene without
+/// Gaussians, and as [`splats::read`]; [`Error::Io`]; [`Error::Interrupted`]; what `measure` says. Then nothing is left.
+pub fn write(
+    input: &Path,
+    folder: &Path,
+    options: &TileOptions,
+    read: &ReadOptions,
+    measure: &mut Measure<'_>,
+    progress: &Progress<'_>,
+) -> Result<Tiling> {
+    let is_empty = |folder: &Path| fs::read_dir(folder).is_ok_and(|mut entries| entries.next().is_none());
+    if folder.symlink_metadata().is_ok() && !is_empty(folder) {
+        return Err(Error::input(folder, "is there already", "give another folder, or remove it"));
+    }
+    let beside = folder.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let mut builder = tempfile::Builder::new();
+    // As any folder, not for its owner alone.
+    #[cfg(unix)]
+    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o777));
+    let unfinished = builder.prefix(".tiles").tempdir_in(beside);
+    let unfinished = unfinished.map_err(|e| Error::io(beside, "write into", e))?;
+    let (rows, spill) = Spill::of(input, unfinished.path(), options.most, read, progress)?;
+    let mut writer =
+        TileWriter { spill, folder: unfinished.path(), options, measure, progress, done: Tiling::default() };
+    let steps = steps(&rows.means, &writer.spill.cells, options.most)?;
+    writer.done = Tiling { gaussians: rows.means.len() as u64, warnings: rows.warnings, ..Tiling::default() };
+    let root = writer.write(&steps)?.ok_or_else(|| Error::argument("tiles", "there are none"))?;
+    document::write(&unfinished.path().join("tileset.json"), &root)?;
+    let done = Tiling { levels: root.levels(), ..writer.done };
+    fs::remove_dir(unfinished.path().join(ROWS)).map_err(|e| Error::io(folder, "write", e))?;
+    let whole = unfinished.keep();
+    if is_empty(folder) {
+        fs::remove_dir(folder).ok();
+    }
+    fs::rename(&whole, folder).map_err(|e| {
+        fs::remove_dir_all(&whole).ok();
+        Error::io(folder, "write", e)
+    })?;
+    Ok(done)
+}
+
+/// Where the scene's rows lie until their tile is written.
+const ROWS: &str = "rows";
+
+/// The scene's rows on the disk, by cells of the finest level.
+struct Spill {
+    folder: PathBuf,
+    cells: Cells,
+    sh_degree: u32,
+    antialiased: bool,
+}
+
+/// What of all rows is held.
+struct Rows {
+    means: Vec<[f32; 3]>,
+    warnings: Vec<String>,
+}
+
+impl Spill {
+    fn of(
+        input: &Path,
+        folder: &Path,
+        most: usize,
+        read: &ReadOptions,
+        progress: &Progress<'_>,
+    ) -> Result<(Rows, Spill)> {
+        let mut reader = splats::open(input, read)?;
+        let header = reader.header().clone();
+        let mut means = Vec::new();
+        reader.blocks(&mut |block| {
+            means.extend(block.means);
+            progress.check()
+        })?;
+        let warnings = header.warnings.iter().cloned().chain(reader.warning.take()).collect();
+        if means.is_empty() {
+            return Err(Error::input(input, "has no Gaussians", "give a trained scene"));
+        }
+        let cells = Cells::divide(&means, most)?;
+        let folder = folder.join(ROWS);
+        fs::create_dir(&folder).map_err(|e| Error::io(&folder, "create", e))?;
+        let spill = Spill { folder, cells, sh_degree: header.sh_degree, antialiased: header.antialiased };
+        splats::open(input, read)?.blocks(&mut |block| {
+            progress.check()?;
+            spill.add(&block)
+        })?;
+        Ok((Rows { means, warnings }, spill))
+    }
+
+    fn path(&self, cell: usize) -> PathBuf {
+        self.folder.join(cell.to_string())
+    }
+
+    /// Adds a block's rows to those of their cells. Any number of cells needs one open file.
+    fn add(&self, block: &Gaussians) -> Result<()> {
+        let mut by_cell: Vec<(usize, usize)> = (0..block.len())
+            .filter_map(|row| Some((self.cells.at(Vec3::from_array(block.means[row]))?, row)))
+            .collect();
+        by_cell.sort_unstable();
+        for rows in by_cell.chunk_by(|a, b| a.0 == b.0) {
+            let mut bytes = Vec::new();
+            for &(_, row) in rows {
+                let floats = [&block.means[row][..], &block.quats[row], &block.log_scales[row]].concat();
+                bytes.extend_from_slice(bytemuck::cast_slice(&floats));
+                bytes.extend_from_slice(bytemuck::bytes_of(&block.opacity_logits[row]));
+                bytes.extend_from_slice(bytemuck::cast_slice(block.sh_of(row)));
+            }
+            let path = self.path(rows[0].0);
+            let file = File::options().append(true).create(true).open(&path);
+            file.and_then(|mut file| file.write_all(&bytes)).map_err(|e| Error::io(&path, "write", e))?;
+        }
+        Ok(())
+    }
+
+    /// A cell's rows, in the order of the scene; they are gone from the disk then.
+    fn take(&self, cell: usize) -> Result<Gaussians> {
+        let path = self.path(cell);
+        let mut bytes = Vec::new();
+        let read = File::open(&path).and_then(|mut file| file.read_to_end(&mut bytes));
+        read.and_then(|_| fs::remove_file(&path)).map_err(|e| Error::io(&path, "read", e))?;
+        let floats: Vec<f32> = bytemuck::pod_collect_to_vec(&bytes);
+        let width = 11 + 3 * sh_coefficients(self.sh_degree);
+        let mut all = Gaussians::with_capacity(self.sh_degree, floats.len() / width);
+        for row in floats.chunks_exact(width) {
+            all.means.push([row[0], row[1], row[2]]);
+            all.quats.push([row[3], row[4], row[5], row[6]]);
+            all.log_scales.push([row[7], row[8], row[9]]);
+            all.opacity_logits.push(row[10]);
+            all.sh.extend_from_slice(row[11..].as_chunks::<3>().0);
+        }
+        Ok(all)
+    }
+}
+
+/// One of the tiles to be written, which are in such an order that those below a tile come before it.
+enum Step {
+    /// The cell of the finest level.
+    Leaf(usize),
+    /// Above the last so many that have none above them yet.
+    Above(usize),
+}
+
+/// The steps to all tiles: the same division of the same points ends earlier for larger cells, so that each is made of whole smaller
+/// ones.
+fn steps(means: &[[f32; 3]], finest: &Cells, most: usize) -> Result<Vec<Step>> {
+    let mut inside: Vec<Vec3> = vec![Vec3::NAN; finest.bounds().len()];
+    for mean in means.iter().copied().map(Vec3::from_array) {
+        if let Some(cell) = finest.at(mean) {
+            inside[cell] = mean;
+        }
+    }
+    // Each with a place inside of it.
+    let mut trees: Vec<(Vec<Step>, Vec3)> =
+        inside.into_iter().enumerate().map(|(cell, place)| (vec![Step::Leaf(cell)], place)).collect();
+    let mut most = most;
+    while trees.len() > 1 {
+        most = most.saturating_mul(MERGED);
+        let coarser = Cells::divide(means, most)?;
+        let mut below: Vec<Vec<(Vec<Step>, Vec3)>> = coarser.bounds().iter().map(|_| Vec::new()).collect();
+        for (tree, place) in trees {
+            if let Some(cell) = coarser.at(place) {
+                below[cell].push((tree, place));
+            }
+        }
+        trees = below.into_iter().filter_map(joined).collect();
+    }
+    Ok(trees.pop().map(|(steps, _)| steps).unwrap_or_default())
+}
+
+/// One tree of several; a single one stays as it is.
+fn joined(mut own: Vec<(Vec<Step>, Vec3)>) -> Option<(Vec<Step>, Vec3)> {
+    if own.len() < 2 {
+        return own.pop();
+    }
+    let (count, place) = (own.len(), own[0].1);
+    let below = own.into_iter().flat_map(|(steps, _)| steps);
+    Some((below.chain([Step::Above(count)]).collect(), place))
+}
+
+struct TileWriter<'a, 'm> {
+    spill: Spill,
+    folder: &'a Path,
+    options: &'a TileOptions,
+    measure: &'a mut Measure<'m>,
+    progress: &'a Progress<'a>,
+    done: Tiling,
+}
+
+/// A tile that is written.
+struct Built {
+    gaussians: Gaussians,
+    tile: Tile,
+}
+
+impl TileWriter<'_, '_> {
+    /// Writes all tiles; the coarsest.
+    fn write(&mut self, steps: &[Step]) -> Result<Option<Tile>> {
+        let mut written: Vec<Built> = Vec::new();
+        for step in steps {
+            let built = match *step {
+                Step::Leaf(cell) => {
+                    let gaussians = self.spill.take(cell)?;
+                    self.tile(gaussians, Vec::new(), 0.0, steps.len())?
+                }
+                Step::Above(count) => {
+                    let below = written.split_off(written.len() - count);
+                    self.above(below, steps.len())?
+                }
+            };
+            written.push(built);
+        }
+        Ok(written.pop().map(|root| root.tile))
+    }
+
+    /// The tile above others.
+    fn above(&mut self, below: Vec<Built>, total: usize) -> Result<Built> {
+        let mut finer = Gaussians::with_capacity(self.spill.sh_degree, 0);
+        let mut children = Vec::new();
+        for built in below {
+            finer.append(&built.gaussians);
+            children.push(built.tile);
+        }
+        let mut merged = finer.clone();
+        decimate(&mut merged, (finer.len() / MERGED).clamp(1, self.options.most));
+        // Squares add up where differences have nothing to do with each other, as those of tiles side by side.
+        let squares = children.iter().map(|tile: &Tile| tile.error.powi(2)).sum::<f64>();
+        let error = (squares + (self.measure)(&finer, &merged)?.powi(2)).sqrt();
+        self.tile(merged, children, error, total)
+    }
+
+    fn tile(&mut self, gaussians: Gaussians, children: Vec<Tile>, error: f64, total: usize) -> Result<Built> {
+        self.progress.check()?;
+        let name = format!("{}.glb", self.done.tiles);
+        let write = WriteOptions { format: Some(Format::Glb), antialiased: self.spill.antialiased };
+        splats::write(self.folder.join(&name), &gaussians, &write)?;
+        self.done.tiles += 1;
+        self.done.leaves += usize::from(children.is_empty());
+        self.done.written += gaussians.len() as u64;
+        self.progress.step(self.done.tiles, total);
+        // That of a tile holds those below it, whose Gaussians may reach farther than the merged ones.
+        let reach = children.iter().map(|tile: &Tile| tile.bounds).fold(reach(&gaussians), enclosing);
+        let tile = Tile { name, bounds: reach, error, gaussians: gaussians.len(), children };
+        Ok(Built { gaussians, tile })
+    }
+}
+
+fn enclosing(a: Bounds, b: Bounds) -> Bounds {
+    Bounds { min: a.min.min(b.min), max: a.max.max(b.max) }
+}
+
+/// The box that the Gaussians reach.
+fn reach(all: &Gaussians) -> Bounds {
+    let nothing = Bounds { min: Vec3::INFINITY, max: Vec3::NEG_INFINITY };
+    let own = |index: usize| {
+        let covariance = covariance_of(all, index);
+        let half = [0, 1, 2].map(|axis| (REACH * covariance.col(axis)[axis].sqrt()) as f32);
+        let (mean, half) = (Vec3::from_array(all.means[index]), Vec3::from_array(half));
+        Bounds { min: mean - half, max: mean + half }
+    };
+    (0..all.len()).map(own).fold(nothing, enclosing)
+}

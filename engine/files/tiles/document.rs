@@ -1,0 +1,72 @@
+//! `tileset.json` of 3D Tiles 1.1 (OGC 22-025r4).
+//!
+//! Tiles are z-up. Viewers turn the y-up glTF of a tile so: (x, y, z) of glTF is (x, -z, y) of a tile. glTF's x and y are those of
+//! this crate's frame the other way round.
+
+use std::path::Path;
+
+use glam::{Vec3, vec3};
+use serde_json::{Value, json};
+
+use crate::atomic;
+use ashsplat::Result;
+use ashsplat::scene::Bounds;
+
+/// One tile.
+pub(super) struct Tile {
+    /// Of its file.
+    pub(super) name: String,
+    /// What it and the tiles below it reach, in this crate's frame.
+    pub(super) bounds: Bounds,
+    /// Geometric error, world units: 0 for the scene's own Gaussians.
+    pub(super) error: f64,
+    pub(super) gaussians: usize,
+    pub(super) children: Vec<Tile>,
+}
+
+impl Tile {
+    pub(super) fn levels(&self) -> usize {
+        1 + self.children.iter().map(Tile::levels).max().unwrap_or(0)
+    }
+
+    fn json(&self) -> Value {
+        let mut tile = json!({
+            "boundingVolume": { "box": box_of(self.bounds) },
+            "geometricError": self.error,
+            "refine": "REPLACE",
+            "content": { "uri": self.name },
+            "extras": { "gaussians": self.gaussians },
+        });
+        if !self.children.is_empty() {
+            tile["children"] = self.children.iter().map(Tile::json).collect();
+        }
+        tile
+    }
+}
+
+/// A point of this crate's frame in that of tiles.
+fn turned(point: Vec3) -> Vec3 {
+    vec3(-point.x, -point.z, -point.y)
+}
+
+/// Centre and half axes.
+fn box_of(bounds: Bounds) -> [f32; 12] {
+    let [a, b] = [bounds.min, bounds.max].map(turned);
+    let (centre, half) = (0.5 * (a + b), 0.5 * (a - b).abs());
+    [centre.x, centre.y, centre.z, half.x, 0.0, 0.0, 0.0, half.y, 0.0, 0.0, 0.0, half.z]
+}
+
+/// Writes the description of a tree.
+pub(super) fn write(path: &Path, root: &Tile) -> Result<()> {
+    // Of drawing nothing at all.
+    let nothing = f64::from(root.bounds.max.distance(root.bounds.min)).max(root.error);
+    let used = json!(["KHR_gaussian_splatting"]);
+    let document = json!({
+        "asset": { "version": "1.1", "generator": concat!("ashsplat ", env!("CARGO_PKG_VERSION")) },
+        "extensionsUsed": ["3DTILES_content_gltf"],
+        "extensions": { "3DTILES_content_gltf": { "extensionsUsed": used } },
+        "geometricError": nothing,
+        "root": root.json(),
+    });
+    atomic::write(path, |writer| writer.write_all(format!("{document:#}\n").as_bytes()))
+}

@@ -1,0 +1,72 @@
+//! `tiles`.
+
+use super::*;
+use ashsplat_files::splats::{self, WriteOptions};
+use serde_json::Value;
+
+use crate::common::splats::scene;
+
+fn written(folder: &Path, gaussians: usize) -> PathBuf {
+    let path = folder.join("scene.ply");
+    splats::write(&path, &scene(gaussians, 1), &WriteOptions::default()).expect("a scene");
+    path
+}
+
+/// The errors from the root down, one child after another.
+fn check(tile: &Value, gaussians: &mut u64, tiles: &mut u32) {
+    let error = |tile: &Value| tile["geometricError"].as_f64().expect("an error");
+    let children = tile["children"].as_array().map_or(&[][..], Vec::as_slice);
+    *tiles += 1;
+    if children.is_empty() {
+        assert_eq!(error(tile), 0.0);
+        *gaussians += tile["extras"]["gaussians"].as_u64().expect("a number");
+    }
+    for child in children {
+        assert!(error(tile) > error(child), "{} above {}", error(tile), error(child));
+        check(child, gaussians, tiles);
+    }
+}
+
+#[test]
+fn a_scene_becomes_tiles_whose_errors_are_measured() {
+    let place = tempfile::tempdir().expect("a folder");
+    let (scene, out) = (written(place.path(), 400), place.path().join("tiles"));
+    let told = succeed(&["tiles", text(&scene), "-o", text(&out), "--max-gaussians", "50"]);
+    let document = std::fs::read_to_string(out.join("tileset.json")).expect("a tileset");
+    let document: Value = serde_json::from_str(&document).expect("JSON");
+    let (mut gaussians, mut tiles) = (0, 0);
+    check(&document["root"], &mut gaussians, &mut tiles);
+    assert_eq!(gaussians, 400);
+    assert!(told.contains("400 Gaussians") && told.contains(&format!("{tiles} tiles")), "{told}");
+    // Pictures of 20 units' width, each of whose channels differs by less than 1, and 3 levels.
+    let error = document["root"]["geometricError"].as_f64().expect("an error");
+    assert!((0.1..80.0).contains(&error), "{error}");
+    // A merge is no copy: what is finer is nearer.
+    let finest = place.path().join("one");
+    succeed(&["tiles", text(&scene), "-o", text(&finest), "--quiet"]);
+    let one = std::fs::read_to_string(finest.join("tileset.json")).expect("a tileset");
+    let one: Value = serde_json::from_str(&one).expect("JSON");
+    assert_eq!(one["root"]["geometricError"], 0.0);
+}
+
+#[test]
+fn tiles_refuse_by_name() {
+    let place = tempfile::tempdir().expect("a folder");
+    let scene = written(place.path(), 20);
+    let folder = |name: &str| place.path().join(name);
+    let refused = |out: &Path, more: &[&str], words: &[&str]| {
+        refuse(&[&["tiles", text(&scene), "-o", text(out)], more].concat(), words);
+    };
+    refused(&scene, &[], &["scene.ply", "is a file"]);
+    std::fs::create_dir(folder("full")).expect("a folder");
+    std::fs::write(folder("full").join("mine"), "1").expect("a file");
+    refused(&folder("full"), &[], &["full", "is there already"]);
+    refused(&folder("new"), &["--max-gaussians", "1"], &["2 or more"]);
+    refused(&scene.join("new"), &[], &["scene.ply"]);
+    let mut names: Vec<_> = std::fs::read_dir(place.path())
+        .expect("a folder")
+        .map(|e| e.expect("an entry").file_name())
+        .collect();
+    names.sort();
+    assert_eq!(names, ["full", "scene.ply"]);
+}

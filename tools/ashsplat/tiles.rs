@@ -1,0 +1,93 @@
+//! `ashsplat tiles`.
+
+mod likeness;
+
+use crate::args::DeviceArguments;
+use crate::model::Model;
+use crate::output;
+use crate::progress::{counting, thousands};
+use crate::session;
+use ashsplat::{Error, Renderer, Result};
+use ashsplat_files::Progress;
+use ashsplat_files::tiles::{self, TileOptions};
+use clap::Args;
+use likeness::Likeness;
+use std::path::PathBuf;
+
+/// Write a scene as a tree of tiles for viewers that stream: 3D Tiles 1.1 with KHR_gaussian_splatting in GLB.
+///
+/// Tiles that are far away are drawn by fewer Gaussians, merged of the others. How much a tile's picture differs from that of the finer
+/// ones is measured by rendering both, and is its geometric error: its screen-space error is the root of the squared difference, summed
+/// over the pixels that the tile covers.
+#[derive(Args)]
+pub struct Arguments {
+    /// A file of Gaussians or a model folder
+    #[arg(value_name = "SCENE")]
+    scene: PathBuf,
+    /// The folder, which must not be there yet
+    #[arg(short, long, value_name = "DIR")]
+    out: PathBuf,
+    /// Gaussians of a tile, at most
+    #[arg(long, value_name = "N", default_value_t = TileOptions::default().most, value_parser = most)]
+    max_gaussians: usize,
+    /// Drop the Gaussians whose parameters are not finite, instead of refusing them
+    #[arg(long)]
+    drop_invalid: bool,
+    #[command(flatten)]
+    device: DeviceArguments,
+    /// No progress; only results and errors
+    #[arg(long)]
+    quiet: bool,
+}
+
+fn most(text: &str) -> Result<usize, String> {
+    match text.parse() {
+        Ok(most) if most >= 2 => Ok(most),
+        _ => Err("expected a number of 2 or more".into()),
+    }
+}
+
+/// Runs the command.
+pub fn run(arguments: &Arguments) -> Result<()> {
+    let model = Model::locate(&arguments.scene, None)?;
+    if arguments.out.is_file() {
+        return Err(Error::input(&arguments.out, "is a file", "give a folder that is not there yet"));
+    }
+    let stop = session::stop_on_ctrl_c()?;
+    let context = arguments.device.context()?;
+    let mut likeness = Likeness::new(Renderer::new(&context)?);
+    let bar = counting("tiles", 0, arguments.quiet);
+    let report = |done: usize, total: usize| {
+        bar.set_length(total as u64);
+        bar.set_position(done as u64);
+    };
+    let progress = Progress { report: Some(&report), interrupted: Some(&stop) };
+    let options = TileOptions { most: arguments.max_gaussians };
+    let read = arguments.device.host.reading(arguments.drop_invalid);
+    let done = output::in_folder(&arguments.out, |out| {
+        tiles::write(
+            &model.ply,
+            out,
+            &options,
+            &read,
+            &mut |fine, merged| likeness.difference(fine, merged),
+            &progress,
+        )
+    });
+    bar.finish_and_clear();
+    let done = done?;
+    for warning in &done.warnings {
+        tell!("warning: {warning}");
+    }
+    if !arguments.quiet {
+        let out = arguments.out.join("tileset.json");
+        let (tiles, leaves, levels) = (done.tiles, done.leaves, done.levels);
+        let [own, written] = [done.gaussians, done.written].map(thousands);
+        say!(
+            "{own} Gaussians -> {} ({tiles} tiles, {leaves} of them the finest, {levels} levels, {written} Gaussians in all)",
+            out.display()
+        );
+    }
+    arguments.device.report_validation(&context);
+    Ok(())
+}

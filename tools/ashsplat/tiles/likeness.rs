@@ -1,0 +1,98 @@
+//! How much a tile's picture differs from that of its finer ones.
+
+use ashsplat::scene::{Camera, Gaussians, Intrinsics};
+use ashsplat::{Frame, RenderSettings, Renderer, Result};
+use glam::{Vec3, vec3};
+
+/// Side of the pictures, pixels.
+const SIDE: u32 = 256;
+/// From where tiles are looked at: four corners of a cube, which see every side.
+const DIRECTIONS: [Vec3; 4] =
+    [vec3(1.0, 1.0, 1.0), vec3(1.0, -1.0, -1.0), vec3(-1.0, 1.0, -1.0), vec3(-1.0, -1.0, 1.0)];
+/// Distance of the eye, in radii of the tile.
+const DISTANCE: f32 = 4.0;
+/// Of the centres on each axis, those beyond each end that do not make pictures smaller: strays.
+const STRAYS: usize = 50;
+
+/// Compares tiles.
+pub struct Likeness {
+    renderer: Renderer,
+}
+
+impl Likeness {
+    pub fn new(renderer: Renderer) -> Likeness {
+        Likeness { renderer }
+    }
+
+    /// The root of the squared difference of two pictures, of the mean channel from 0 to 1, integrated over the tile's plane through its
+    /// middle: world units. The root mean square over four directions.
+    pub fn difference(&mut self, finer: &Gaussians, merged: &Gaussians) -> Result<f64> {
+        let (centre, radius) = ball(finer);
+        let cameras = DIRECTIONS.map(|direction| camera(centre, radius, direction));
+        let [a, b] = [self.pictures(finer, &cameras)?, self.pictures(merged, &cameras)?];
+        let of_frames = |(a, b): (&Frame, &Frame)| squared_difference(&a.color, &b.color);
+        let sum: f64 = a.iter().zip(&b).map(of_frames).sum();
+        let pixel = 2.0 * f64::from(radius) / f64::from(SIDE);
+        Ok(pixel * (sum / cameras.len() as f64).sqrt())
+    }
+
+    fn pictures(&mut self, gaussians: &Gaussians, cameras: &[Camera]) -> Result<Vec<Frame>> {
+        self.renderer.upload(gaussians)?;
+        cameras.iter().map(|camera| self.renderer.render(camera, &RenderSettings::default())).collect()
+    }
+}
+
+/// Summed over pixels, the mean of the channels.
+fn squared_difference(a: &[[f32; 3]], b: &[[f32; 3]]) -> f64 {
+    let channels = a.as_flattened().iter().zip(b.as_flattened());
+    channels.map(|(a, b)| f64::from(a.clamp(0.0, 1.0) - b.clamp(0.0, 1.0)).powi(2)).sum::<f64>() / 3.0
+}
+
+/// Around the centres, but for strays.
+fn ball(gaussians: &Gaussians) -> (Vec3, f32) {
+    let ends = [0, 1, 2].map(|axis| {
+        let mut places: Vec<f32> = gaussians.means.iter().map(|mean| mean[axis]).collect();
+        places.sort_unstable_by(f32::total_cmp);
+        let out = places.len() / STRAYS;
+        [places[out], places[places.len() - 1 - out]]
+    });
+    let [min, max] = [0, 1].map(|end| Vec3::from_array(ends.map(|ends| ends[end])));
+    let centre = 0.5 * (min + max);
+    // Where all are at one place their own size counts.
+    let own = gaussians.log_scales.iter().flatten().copied().fold(f32::NEG_INFINITY, f32::max).exp();
+    (centre, (0.5 * min.distance(max)).max(own).max(f32::MIN_POSITIVE))
+}
+
+/// Sees the ball around a tile: its diameter is the side of the picture.
+fn camera(centre: Vec3, radius: f32, direction: Vec3) -> Camera {
+    let eye = centre + DISTANCE * radius * direction.normalize();
+    let fov = 2.0 * (1.0 / DISTANCE).atan();
+    Camera::look_at(eye, centre, Vec3::NEG_Y, Intrinsics::from_fov_x(fov, SIDE, SIDE))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn differences_are_of_the_mean_channel_in_the_range_of_screens() {
+        let (a, b) = ([[0.0, 0.5, 2.0], [0.1; 3]], [[0.3, 0.5, 1.0], [0.1; 3]]);
+        assert!((squared_difference(&a, &b) - 0.03).abs() < 1e-6);
+    }
+
+    #[test]
+    fn strays_do_not_make_the_ball() {
+        let mut gaussians = Gaussians::with_capacity(0, 101);
+        gaussians.means = (0..100).map(|i| [i as f32 / 99.0, 0.0, 0.0]).chain([[1e6, 0.0, 0.0]]).collect();
+        gaussians.log_scales = vec![[-5.0; 3]; 101];
+        let (centre, radius) = ball(&gaussians);
+        assert!((centre.x - 0.5).abs() < 0.02 && (0.45..0.5).contains(&radius), "{centre} {radius}");
+        gaussians.means = vec![[3.0, 2.0, 1.0]; 101];
+        assert_eq!(ball(&gaussians), (vec3(3.0, 2.0, 1.0), (-5.0_f32).exp()));
+        let camera = camera(Vec3::ZERO, 2.0, DIRECTIONS[1]);
+        let across = DIRECTIONS[1].any_orthonormal_vector() * 2.0;
+        let (x, y, z) = camera.project(across);
+        let off = (x - 128.0).hypot(y - 128.0);
+        assert!((off - 128.0).abs() < 0.1 && (z - 8.0).abs() < 1e-4, "{off} {z}");
+    }
+}
