@@ -1,4 +1,4 @@
-//! Other people's programs beside ours: PlayCanvas' splat-transform and engine, Khronos' glTF validator; and our page in
+//! Other people's programs beside ours: PlayCanvas' splat-transform and engine, CesiumJS, Khronos' glTF validator; and our page in
 //! other people's browser.
 //!
 //! They come from npm: `ASHSPLAT_NPM=1` installs them below `target`, `ASHSPLAT_NPM=FOLDER` uses those of a
@@ -7,6 +7,7 @@
 // In a test, an unwrap is an assertion.
 #![allow(clippy::unwrap_used)]
 
+mod cesium;
 mod playcanvas;
 mod viewer;
 
@@ -23,7 +24,8 @@ use crate::absent;
 use crate::common::splats::{Tolerance, assert_close, in_order_of, scene, tolerance};
 
 /// What is installed.
-const PACKAGES: [&str; 4] = [
+const PACKAGES: [&str; 5] = [
+    "cesium@1.145.0",
     "@playcanvas/splat-transform@2.7.1",
     "playcanvas@2.23.3",
     "gltf-validator@2.0.0-dev.3.10",
@@ -54,6 +56,9 @@ pub fn trials() -> Vec<Trial> {
     cases.push(("playcanvas_shows_a_trained_scene_ply".into(), |modules, _| {
         playcanvas::shows_a_trained_scene(modules, &trained_scene());
     }));
+    for (name, run) in cesium::TRIALS {
+        cases.push((name.into(), run));
+    }
     cases.push(("viewer_in_chromium_ply".into(), viewer::works_in_chromium));
     // What others cannot do yet.
     let missing = absent(
@@ -69,7 +74,9 @@ pub fn trials() -> Vec<Trial> {
             if wanted.is_empty() {
                 return absent(&full, "ASHSPLAT_NPM is not set (1, or a node_modules folder)");
             }
-            if (full.contains("playcanvas") || full.contains("chromium")) && !has_chromium() {
+            if (["playcanvas", "cesium", "chromium"].iter().any(|name| full.contains(name)))
+                && !has_chromium()
+            {
                 return absent(&full, "there is no chromium to run (Debian: apt-get install chromium)");
             }
             if full.contains("trained") && !trained_scene().is_file() {

@@ -144,7 +144,8 @@ fn other_format(path: &Path, count: usize, antialiased: bool) {
     assert_eq!((scene.header.antialiased, scene.dropped), (antialiased, 0));
     let folder = tempfile::tempdir().unwrap();
     let copy = folder.path().join(format!("copy{}", scene.header.format.extension()));
-    splats::write(&copy, &scene.gaussians, &splats::WriteOptions { format: None, antialiased }).unwrap();
+    splats::write(&copy, &scene.gaussians, &splats::WriteOptions { antialiased, ..Default::default() })
+        .unwrap();
     let again = read(&copy);
     assert_eq!((again.gaussians.len(), again.header.antialiased), (count, antialiased));
     let (a, b) = (scene.gaussians.statistics(), again.gaussians.statistics());

@@ -9,6 +9,7 @@ mod detect;
 mod dot_splat;
 mod format;
 mod gltf;
+mod gltf_packed;
 mod gltf_write;
 mod merge;
 mod spz;
@@ -20,12 +21,13 @@ mod validation;
 use std::path::Path;
 
 use super::ply;
-use ashsplat::Result;
 use ashsplat::scene::{Bounds, Cut, Gaussians};
+use ashsplat::{Error, Result};
 use glam::Vec3;
 
 pub use convert::{ConvertOptions, Converted, Target, convert};
 pub use format::Format;
+pub(crate) use gltf::{EXTENSION, PACKED_EXTENSION};
 pub use merge::{Merged, Part, merge};
 pub(super) use stream::{BLOCK, Outline, Produce, Reader, Sink, Source, in_blocks, row_bytes};
 pub use stream::{Header, ReadOptions, Scene};
@@ -43,7 +45,7 @@ pub fn read(path: impl AsRef<Path>, options: &ReadOptions) -> Result<Scene> {
 /// Writes Gaussians in the format of the path's extension, or in a given one.
 ///
 /// # Errors
-/// [`ashsplat::Error::Argument`] when the vectors do not fit together; [`ashsplat::Error::Input`] for an unknown extension or for
+/// [`ashsplat::Error::Argument`] when the vectors do not fit together, and for an SPZ version that the format does not have; [`ashsplat::Error::Input`] for an unknown extension or for
 /// data that the format cannot hold; [`ashsplat::Error::Io`] naming the file when it cannot be written. No partial file
 /// remains.
 pub fn write(path: impl AsRef<Path>, gaussians: &Gaussians, options: &WriteOptions) -> Result<()> {
@@ -54,7 +56,7 @@ pub fn write(path: impl AsRef<Path>, gaussians: &Gaussians, options: &WriteOptio
         None => Format::of_extension(path)?,
     };
     let outline = Outline::of(gaussians, options.antialiased);
-    write_blocks(path, format, &outline, &mut |sink| in_blocks(gaussians, sink))
+    write_blocks(path, (format, options.spz_version), &outline, &mut |sink| in_blocks(gaussians, sink))
 }
 
 /// As [`write()`], of the Gaussians that a cut leaves, in their order, with spherical harmonics up to a degree; needs the
@@ -85,7 +87,7 @@ pub fn write_cut(
         Vec3::from_array(gaussians.means[index])
     }));
     let outline = Outline { count, sh_degree, antialiased: options.antialiased, bounds };
-    write_blocks(path, format, &outline, &mut |sink| {
+    write_blocks(path, (format, options.spz_version), &outline, &mut |sink| {
         in_blocks(gaussians, &mut |block| sink(change.change(block, sh_degree)))
     })?;
     Ok(count)
@@ -98,10 +100,35 @@ pub struct WriteOptions {
     pub format: Option<Format>,
     /// Whether the Gaussians were trained with antialiasing.
     pub antialiased: bool,
+    /// Version of SPZ. SPZ: 2 or 4; none: 4. GLB: 2 packs the attributes as `KHR_gaussian_splatting_compression_spz_2`; none: not
+    /// packed. Other formats have none.
+    pub spz_version: Option<u32>,
 }
 
-fn write_blocks(path: &Path, format: Format, outline: &Outline, produce: &mut Produce<'_>) -> Result<()> {
+/// Whether a format has a version of SPZ: [`WriteOptions::spz_version`].
+///
+/// # Errors
+/// [`Error::Argument`].
+pub fn check_spz_version(format: Format, version: Option<u32>) -> Result<()> {
+    match (format, version) {
+        (_, None) | (Format::Spz, Some(2 | 4)) | (Format::Glb, Some(2)) => Ok(()),
+        (_, Some(version)) => {
+            let problem = format!("{format} has no version {version}: SPZ has 2 and 4, GLB has 2");
+            Err(Error::argument("spz_version", problem))
+        }
+    }
+}
+
+fn write_blocks(
+    path: &Path,
+    (format, spz_version): (Format, Option<u32>),
+    outline: &Outline,
+    produce: &mut Produce<'_>,
+) -> Result<()> {
+    check_spz_version(format, spz_version)?;
     match format {
+        Format::Spz if spz_version == Some(2) => spz_write::write_old(path, outline, produce),
+        Format::Glb if spz_version == Some(2) => gltf_packed::write(path, outline, produce),
         Format::Ply => ply::write_blocks(path, outline, produce),
         Format::CompressedPly => ply::write_compressed_blocks(path, outline, produce),
         Format::Splat => dot_splat::write(path, outline, produce),

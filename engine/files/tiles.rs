@@ -27,12 +27,14 @@ const REACH: f64 = 3.0;
 pub struct TileOptions {
     /// Gaussians of a tile, at most.
     pub most: usize,
+    /// Whether the tiles' attributes are packed as SPZ version 2, with `KHR_gaussian_splatting_compression_spz_2`. CesiumJS reads no others.
+    pub packed: bool,
 }
 
 impl Default for TileOptions {
-    /// 50,000 Gaussians.
+    /// 50,000 Gaussians, not packed.
     fn default() -> Self {
-        Self { most: 50_000 }
+        Self { most: 50_000, packed: false }
     }
 }
 
@@ -93,7 +95,7 @@ pub fn write(
     let steps = steps(&rows.means, &writer.spill.cells, options.most)?;
     writer.done = Tiling { gaussians: rows.means.len() as u64, warnings: rows.warnings, ..Tiling::default() };
     let root = writer.write(&steps)?.ok_or_else(|| Error::argument("tiles", "there are none"))?;
-    document::write(&unfinished.path().join("tileset.json"), &root)?;
+    document::write(&unfinished.path().join("tileset.json"), &root, options.packed)?;
     let done = Tiling { levels: root.levels(), ..writer.done };
     fs::remove_dir(unfinished.path().join(ROWS)).map_err(|e| Error::io(folder, "write", e))?;
     let whole = unfinished.keep();
@@ -298,7 +300,11 @@ impl TileWriter<'_, '_> {
     fn tile(&mut self, gaussians: Gaussians, children: Vec<Tile>, error: f64, total: usize) -> Result<Built> {
         self.progress.check()?;
         let name = format!("{}.glb", self.done.tiles);
-        let write = WriteOptions { format: Some(Format::Glb), antialiased: self.spill.antialiased };
+        let write = WriteOptions {
+            format: Some(Format::Glb),
+            antialiased: self.spill.antialiased,
+            spz_version: self.options.packed.then_some(2),
+        };
         splats::write(self.folder.join(&name), &gaussians, &write)?;
         self.done.tiles += 1;
         self.done.leaves += usize::from(children.is_empty());

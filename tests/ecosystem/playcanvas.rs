@@ -19,18 +19,8 @@ const LEAST_PSNR: f64 = 30.0;
 pub fn shows_the_same(modules: &Path, format: Format) {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join(format!("scene{}", format.extension()));
-    let mut gaussians = scene(6000, 3);
-    // A ball that fills the picture, of softer colours: what is clamped differs at the edges of 8 bits.
-    gaussians.means.as_flattened_mut().iter_mut().for_each(|v| *v *= 0.12);
-    gaussians.log_scales.as_flattened_mut().iter_mut().for_each(|s| *s = 0.5 * *s - 2.2);
-    gaussians.sh.as_flattened_mut().iter_mut().for_each(|c| *c *= 0.4);
-    splats::write(&path, &gaussians, &WriteOptions::default()).unwrap();
-    let camera = Camera::look_at(
-        Vec3::new(1.5, -1.0, -3.5),
-        Vec3::new(0.1, 0.0, 0.0),
-        Vec3::NEG_Y,
-        Intrinsics::from_fov_x(0.8, 400, 300),
-    );
+    splats::write(&path, &ball(), &WriteOptions::default()).unwrap();
+    let camera = camera();
     let picture = folder.path().join("playcanvas.png");
     draw(modules, &path, &camera, &picture, false);
     let theirs = Photo::read(&picture, [0.0; 3]).unwrap();
@@ -43,6 +33,21 @@ pub fn shows_the_same(modules: &Path, format: Format) {
     assert!(psnr >= LEAST_PSNR, "{psnr:.2} dB: see {}", kept.display());
     let bright = ours.rgb.iter().filter(|&&v| v > 60).count();
     assert!(bright > ours.rgb.len() / 4, "an empty picture proves nothing");
+}
+
+/// Gaussians that fill the picture, of softer colours: what is clamped differs at the edges of 8 bits.
+pub fn ball() -> Gaussians {
+    let mut gaussians = scene(6000, 3);
+    gaussians.means.as_flattened_mut().iter_mut().for_each(|v| *v *= 0.12);
+    gaussians.log_scales.as_flattened_mut().iter_mut().for_each(|s| *s = 0.5 * *s - 2.2);
+    gaussians.sh.as_flattened_mut().iter_mut().for_each(|c| *c *= 0.4);
+    gaussians
+}
+
+/// Sees it, from no axis.
+pub fn camera() -> Camera {
+    let intrinsics = Intrinsics::from_fov_x(0.8, 400, 300);
+    Camera::look_at(Vec3::new(1.5, -1.0, -3.5), Vec3::new(0.1, 0.0, 0.0), Vec3::NEG_Y, intrinsics)
 }
 
 /// A trained scene from outside: most of its Gaussians are about as large as a pixel, so that the engine's own, smaller
@@ -99,7 +104,7 @@ fn render_in_half_pixels(gaussians: &Gaussians, camera: &Camera) -> Photo {
     Photo { width: camera.width, height: camera.height, rgb }
 }
 
-fn render(gaussians: &Gaussians, camera: &Camera) -> Photo {
+pub fn render(gaussians: &Gaussians, camera: &Camera) -> Photo {
     let mut renderer = renderer();
     renderer.upload(gaussians).unwrap();
     let frame = renderer.render(camera, &RenderSettings::default()).unwrap();
@@ -127,7 +132,7 @@ fn draw(modules: &Path, scene: &Path, camera: &Camera, output: &Path, reference_
     assert!(result.status.success(), "{}", String::from_utf8_lossy(&result.stderr));
 }
 
-fn side_by_side(left: &Photo, right: &Photo) -> Photo {
+pub fn side_by_side(left: &Photo, right: &Photo) -> Photo {
     let row = 3 * left.width as usize;
     let rows = left.rgb.chunks(row).zip(right.rgb.chunks(row));
     Photo {

@@ -17,6 +17,7 @@ mod lpips_weights;
 mod metrics;
 mod mutations;
 mod names;
+mod packed;
 mod photo_points;
 mod ply;
 mod sh;

@@ -38,7 +38,7 @@ impl Place {
             told.push((finer.len(), merged.len()));
             Ok(2.0)
         };
-        let (input, options) = (self.folder("scene.ply"), TileOptions { most });
+        let (input, options) = (self.folder("scene.ply"), TileOptions { most, packed: false });
         tiles::write(&input, &self.folder(name), &options, &KEEP, &mut measure, &Progress::default())
     }
 
@@ -171,7 +171,7 @@ fn tiles_that_fail_leave_nothing() {
         calls.set(calls.get() + 1);
         if calls.get() < 3 { Ok(1.0) } else { Err(Error::argument("picture", "is lost")) }
     };
-    let options = TileOptions { most: 64 };
+    let options = TileOptions { most: 64, packed: false };
     let failed =
         tiles::write(&input, &folder, &options, &KEEP, &mut fails_late, &Progress::default()).unwrap_err();
     assert!(failed.to_string().contains("is lost"), "{failed}");

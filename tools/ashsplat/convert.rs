@@ -14,7 +14,7 @@ use std::path::PathBuf;
 /// Convert Gaussians between formats, and change them on the way.
 ///
 /// The formats are those of the extensions .ply (the reference's), .compressed.ply (PlayCanvas), .splat, .spz
-/// (version 4; 2 and 3 are read too), .glb and .gltf (KHR_gaussian_splatting). Changes are made in this order:
+/// (version 4, or 2; 3 is read too), .glb and .gltf (KHR_gaussian_splatting). Changes are made in this order:
 /// --sh-degree, --min-opacity, --min-density, --crop-box, --rotate, --scale, --translate, --decimate.
 #[derive(Args)]
 pub struct Arguments {
@@ -52,6 +52,10 @@ pub struct Arguments {
     /// Merge neighbours until N, or N percent, are left
     #[arg(long, value_name = "N|N%", value_parser = parse_target)]
     decimate: Option<Target>,
+    /// Version of SPZ: 2 or 4 for .spz [default: 4]; 2 for .glb packs it as KHR_gaussian_splatting_compression_spz_2, which CesiumJS
+    /// reads
+    #[arg(long, value_name = "N")]
+    spz_version: Option<u32>,
     /// Drop the Gaussians whose parameters are not finite, instead of refusing the file
     #[arg(long)]
     drop_invalid: bool,
@@ -130,6 +134,10 @@ impl Arguments {
         if !(min_density.is_finite() && min_density >= 0.0) {
             return Err(Error::argument("--min-density", format!("{min_density} is not 0 or more")));
         }
+        let format = Format::of_extension(&self.output)?;
+        splats::check_spz_version(format, self.spz_version).map_err(|_| {
+            Error::argument("--spz-version", "give 2 or 4 for .spz, 2 for .glb, none for others")
+        })?;
         let [x, y, z] =
             self.rotate.unwrap_or_default().to_array().map(|degrees| f64::from(degrees).to_radians());
         Ok(ConvertOptions {
@@ -147,7 +155,8 @@ impl Arguments {
                 translation: self.translate.unwrap_or_default().as_dvec3(),
             },
             decimate: self.decimate,
-            format: Some(Format::of_extension(&self.output)?),
+            format: Some(format),
+            spz_version: self.spz_version,
         })
     }
 }

@@ -30,6 +30,10 @@ pub struct Arguments {
     /// Gaussians of a tile, at most
     #[arg(long, value_name = "N", default_value_t = TileOptions::default().most, value_parser = most)]
     max_gaussians: usize,
+    /// Pack the tiles' attributes as SPZ version 2 (KHR_gaussian_splatting_compression_spz_2): smaller, less exact, and all that CesiumJS
+    /// reads
+    #[arg(long)]
+    spz: bool,
     /// Drop the Gaussians whose parameters are not finite, instead of refusing them
     #[arg(long)]
     drop_invalid: bool,
@@ -62,7 +66,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         bar.set_position(done as u64);
     };
     let progress = Progress { report: Some(&report), interrupted: Some(&stop) };
-    let options = TileOptions { most: arguments.max_gaussians };
+    let options = TileOptions { most: arguments.max_gaussians, packed: arguments.spz };
     let read = arguments.device.host.reading(arguments.drop_invalid);
     let done = output::in_folder(&arguments.out, |out| {
         tiles::write(

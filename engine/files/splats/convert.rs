@@ -23,6 +23,8 @@ pub struct ConvertOptions {
     pub decimate: Option<Target>,
     /// The output's format; none: that of its extension.
     pub format: Option<Format>,
+    /// As [`super::WriteOptions::spz_version`].
+    pub spz_version: Option<u32>,
 }
 
 /// How many Gaussians are to be left.
@@ -96,7 +98,7 @@ pub fn convert(input: &Path, output: &Path, options: &ConvertOptions) -> Result<
         warnings.push("no Gaussians are left".into());
     }
     let outline = Outline { count, sh_degree, antialiased: header.antialiased, bounds };
-    write_blocks(output, format, &outline, &mut |sink| match kept.take() {
+    write_blocks(output, (format, options.spz_version), &outline, &mut |sink| match kept.take() {
         Some(all) => sink(all),
         None => open(input, &options.read)?
             .blocks(&mut |block| sink(options.change(block, sh_degree)))

@@ -5,11 +5,14 @@
 
 mod accessor;
 mod document;
+mod packed;
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use accessor::{Accessor, Buffers};
 use document::Document;
+use packed::PackedRows;
 
 use super::{BLOCK, Format, Header, Sink, Source};
 use crate::cost;
@@ -21,7 +24,10 @@ use ashsplat::{Error, Result};
 pub(super) const MIRRORED: [bool; 3] = [true, true, false];
 
 /// The extension's name.
-pub(super) const EXTENSION: &str = "KHR_gaussian_splatting";
+pub(crate) const EXTENSION: &str = "KHR_gaussian_splatting";
+
+/// Its attributes, as an SPZ.
+pub(crate) const PACKED_EXTENSION: &str = "KHR_gaussian_splatting_compression_spz_2";
 
 /// How close to 0 and 1 a stored opacity is taken for: the logits of these are infinite.
 const OPACITY_MARGIN: f64 = 3e-8;
@@ -42,8 +48,20 @@ pub(super) struct Gltf {
 
 /// One primitive at one node.
 struct Part {
-    count: usize,
     placement: Similarity,
+    sh_degree: u32,
+    rows: Rows,
+}
+
+/// Where its Gaussians are.
+enum Rows {
+    Plain(PlainRows),
+    Packed(PackedRows),
+}
+
+/// In accessors.
+struct PlainRows {
+    count: usize,
     position: Accessor,
     rotation: Accessor,
     scale: Accessor,
@@ -57,6 +75,7 @@ impl Gltf {
         let mut header = Header { format, count: 0, sh_degree: 0, antialiased: false, warnings: Vec::new() };
         let mut parts = Vec::new();
         let (held, mut used) = (buffers.bytes(), 0_u64);
+        let mut uses: BTreeMap<(usize, usize), u64> = BTreeMap::new();
         let splats: Vec<Vec<Splats<'_>>> = document.meshes.iter().map(Splats::of).collect();
         for (mesh_index, placement) in document.placed_meshes(path)? {
             let Some(mesh) = splats.get(mesh_index) else {
@@ -72,20 +91,31 @@ impl Gltf {
                     header.warnings.push(warning);
                 }
                 header.antialiased |= extension["extras"]["antialiased"] == true;
-                let attribute = Attributes {
-                    path,
-                    place: &place,
-                    document: &document,
-                    buffers: &buffers,
-                    primitive,
-                    extension,
+                let packed = PackedRows::of(path, &place, (&document, &buffers), (primitive, extension))?;
+                let rows = if let Some(packed) = packed {
+                    *uses.entry((mesh_index, index)).or_insert(0) += 1;
+                    header.warnings.extend(packed.spz.header().warnings.iter().cloned());
+                    header.antialiased |= packed.spz.header().antialiased;
+                    Rows::Packed(packed)
+                } else {
+                    Rows::Plain(
+                        Attributes {
+                            path,
+                            place: &place,
+                            document: &document,
+                            buffers: &buffers,
+                            primitive,
+                            extension,
+                        }
+                        .rows()?,
+                    )
                 };
-                let part = attribute.part(placement)?;
-                used = used.saturating_add(part.bytes());
-                header.count = header.count.saturating_add(part.count as u64);
-                parts.push(part);
-                // A few bytes could claim any number of Gaussians: the same ones at many nodes.
-                let copies = header.count > FREE_GAUSSIANS && used / MOST_USES > held;
+                used = used.saturating_add(rows.bytes());
+                header.count = header.count.saturating_add(rows.count());
+                parts.push(Part { placement, sh_degree: rows.sh_degree(), rows });
+                // A few bytes could claim any number of Gaussians: the same ones at many nodes. What is packed is unpacked for each.
+                let copies = header.count > FREE_GAUSSIANS && used / MOST_USES > held
+                    || uses.get(&(mesh_index, index)).is_some_and(|&uses| uses > MOST_USES);
                 if copies || parts.len() > MOST_PARTS {
                     let problem = format!(
                         "places the same Gaussians again and again: {} or more at {} places from {held} bytes",
@@ -102,8 +132,7 @@ impl Gltf {
             let problem = format!("has no Gaussians (no placed primitive with {EXTENSION})");
             return Err(Error::input(path, problem, "is it a mesh?"));
         }
-        let most = parts.iter().map(|part| part.sh.len()).max().unwrap_or(1);
-        header.sh_degree = (0..=MAX_SH_DEGREE).find(|&d| sh_coefficients(d) == most).unwrap_or(0);
+        header.sh_degree = parts.iter().map(|part| part.sh_degree).max().unwrap_or(0);
         Ok(Self { buffers, parts, header })
     }
 }
@@ -140,24 +169,23 @@ struct Attributes<'a> {
 }
 
 impl Attributes<'_> {
-    fn part(&self, placement: Similarity) -> Result<Part> {
+    fn rows(&self) -> Result<PlainRows> {
         let position = self.required("POSITION", 3)?;
         let own = |name: &str| format!("{EXTENSION}:{name}");
-        let part = Part {
+        let rows = PlainRows {
             count: position.count(),
-            placement,
             rotation: self.required(&own("ROTATION"), 4)?,
             scale: self.required(&own("SCALE"), 3)?,
             opacity: self.required(&own("OPACITY"), 1)?,
             sh: self.sh(&own)?,
             position,
         };
-        let others = [&part.rotation, &part.scale, &part.opacity].into_iter().chain(&part.sh);
-        if let Some(odd) = others.map(Accessor::count).find(|&count| count != part.count) {
-            let problem = format!("{}: {} positions, but {odd} of another attribute", self.place, part.count);
+        let others = [&rows.rotation, &rows.scale, &rows.opacity].into_iter().chain(&rows.sh);
+        if let Some(odd) = others.map(Accessor::count).find(|&count| count != rows.count) {
+            let problem = format!("{}: {} positions, but {odd} of another attribute", self.place, rows.count);
             return Err(damaged(self.path, problem));
         }
-        Ok(part)
+        Ok(rows)
     }
 
     fn sh(&self, own: &dyn Fn(&str) -> String) -> Result<Vec<Accessor>> {
@@ -198,23 +226,67 @@ impl Source for Gltf {
     }
 
     fn blocks(&mut self, sink: &mut Sink<'_>) -> Result<()> {
-        for part in &self.parts {
-            for start in (0..part.count).step_by(BLOCK) {
-                let rows = start..(start + BLOCK).min(part.count);
-                let mut block = part.read(&mut self.buffers, rows)?;
-                block.transform(&part.placement);
+        let (buffers, sh_degree) = (&mut self.buffers, self.header.sh_degree);
+        for part in &mut self.parts {
+            let placement = part.placement;
+            let mut placed = |mut block: Gaussians| {
+                block.transform(&placement);
                 block.mirror(MIRRORED);
-                if block.sh_degree < self.header.sh_degree {
-                    block = block.with_sh_degree(self.header.sh_degree);
+                if block.sh_degree < sh_degree {
+                    block = block.with_sh_degree(sh_degree);
                 }
-                sink(block)?;
+                sink(block)
+            };
+            match &mut part.rows {
+                Rows::Plain(rows) => {
+                    for start in (0..rows.count).step_by(BLOCK) {
+                        placed(rows.read(buffers, start..(start + BLOCK).min(rows.count))?)?;
+                    }
+                }
+                Rows::Packed(rows) => {
+                    let turned = rows.has_own_axes;
+                    rows.spz.blocks(&mut |mut block| {
+                        if turned {
+                            block.mirror(MIRRORED);
+                        }
+                        placed(block)
+                    })?;
+                }
             }
         }
         Ok(())
     }
 }
 
-impl Part {
+impl Rows {
+    fn count(&self) -> u64 {
+        match self {
+            Self::Plain(rows) => rows.count as u64,
+            Self::Packed(rows) => rows.spz.header().count,
+        }
+    }
+
+    fn sh_degree(&self) -> u32 {
+        match self {
+            Self::Plain(rows) => rows.sh_degree(),
+            Self::Packed(rows) => rows.spz.header().sh_degree,
+        }
+    }
+
+    /// Bytes in the file.
+    fn bytes(&self) -> u64 {
+        match self {
+            Self::Plain(rows) => rows.bytes(),
+            Self::Packed(rows) => rows.bytes,
+        }
+    }
+}
+
+impl PlainRows {
+    fn sh_degree(&self) -> u32 {
+        (0..=MAX_SH_DEGREE).find(|&degree| sh_coefficients(degree) == self.sh.len()).unwrap_or(0)
+    }
+
     /// Bytes of its numbers.
     fn bytes(&self) -> u64 {
         let all = [&self.position, &self.rotation, &self.scale, &self.opacity].into_iter().chain(&self.sh);
@@ -223,8 +295,7 @@ impl Part {
 
     fn read(&self, buffers: &mut Buffers, rows: std::ops::Range<usize>) -> Result<Gaussians> {
         let coefficients = self.sh.len();
-        let degree = (0..=MAX_SH_DEGREE).find(|&d| sh_coefficients(d) == coefficients).unwrap_or(0);
-        let mut block = Gaussians::with_capacity(degree, rows.len());
+        let mut block = Gaussians::with_capacity(self.sh_degree(), rows.len());
         let [mean, rotation, scale, opacity] = [&self.position, &self.rotation, &self.scale, &self.opacity];
         block.means = triples(&mean.read(buffers, rows.clone())?);
         block.quats = rotation

@@ -8,13 +8,13 @@ use serde_json::{Value, json};
 use super::gltf::{EXTENSION, MIRRORED};
 use super::{Format, Outline, Produce};
 use crate::atomic::{self, Output};
-use ashsplat::scene::Gaussians;
 use ashsplat::scene::gaussians::sh_coefficients;
 use ashsplat::scene::sh::sh_dc_to_rgb;
+use ashsplat::scene::{Bounds, Gaussians};
 use ashsplat::{Error, Result};
 
-const FLOAT: u32 = 5126;
-const UNSIGNED_BYTE: u32 = 5121;
+pub(super) const FLOAT: u32 = 5126;
+pub(super) const UNSIGNED_BYTE: u32 = 5121;
 const ARRAY_BUFFER: u32 = 34_962;
 
 /// Appends the bytes of one Gaussian's attribute.
@@ -67,6 +67,15 @@ pub(super) fn write(path: &Path, format: Format, outline: &Outline, produce: &mu
         return atomic::write(path, |writer| writer.write_all(document.to_string().as_bytes()));
     }
     document["buffers"] = json!([{ "byteLength": binary_bytes }]);
+    let head = glb_head(&document, binary_bytes)?;
+    atomic::write_seekable(path, |writer| {
+        writer.write_all(&head).map_err(|source| Error::io(path, "write", source))?;
+        write_planes(path, writer, head.len() as u64, outline, &planes, produce)
+    })
+}
+
+/// A GLB's beginning, up to so many bytes of binary data.
+pub(super) fn glb_head(document: &Value, binary_bytes: u64) -> Result<Vec<u8>> {
     let mut json = document.to_string().into_bytes();
     json.resize(json.len().next_multiple_of(4), b' ');
     let total = 12 + 8 + json.len() as u64 + 8 + binary_bytes;
@@ -87,10 +96,7 @@ pub(super) fn write(path: &Path, format: Format, outline: &Outline, produce: &mu
     head.extend(&json);
     head.extend(binary.to_le_bytes());
     head.extend(b"BIN\0");
-    atomic::write_seekable(path, |writer| {
-        writer.write_all(&head).map_err(|source| Error::io(path, "write", source))?;
-        write_planes(path, writer, head.len() as u64, outline, &planes, produce)
-    })
+    Ok(head)
 }
 
 fn write_planes(
@@ -149,7 +155,7 @@ fn planes(sh_degree: u32) -> Vec<Plane> {
     planes
 }
 
-fn document(outline: &Outline, bounds: ashsplat::scene::Bounds, planes: &[Plane]) -> Value {
+fn document(outline: &Outline, bounds: Bounds, planes: &[Plane]) -> Value {
     let (mut views, mut accessors, mut attributes) = (Vec::new(), Vec::new(), serde_json::Map::new());
     let mut offset = 0;
     for (index, plane) in planes.iter().enumerate() {
@@ -164,14 +170,8 @@ fn document(outline: &Outline, bounds: ashsplat::scene::Bounds, planes: &[Plane]
             accessor["normalized"] = json!(true);
         }
         if index == 0 {
-            let corners = [bounds.min, bounds.max].map(|corner| corner.to_array().map(f64::from));
-            // Where an axis is mirrored, the largest becomes the smallest.
-            let side = |which: usize| -> [f64; 3] {
-                std::array::from_fn(|axis| {
-                    if MIRRORED[axis] { -corners[1 - which][axis] } else { corners[which][axis] }
-                })
-            };
-            (accessor["min"], accessor["max"]) = (json!(side(0)), json!(side(1)));
+            let [min, max] = mirrored_corners(bounds);
+            (accessor["min"], accessor["max"]) = (json!(min), json!(max));
         }
         accessors.push(accessor);
         attributes.insert(plane.name.clone(), json!(index));
@@ -191,6 +191,18 @@ fn document(outline: &Outline, bounds: ashsplat::scene::Bounds, planes: &[Plane]
         "bufferViews": views,
         "accessors": accessors,
         "meshes": [{ "primitives": [{ "mode": 0, "attributes": attributes, "extensions": { EXTENSION: extension } }] }],
+    })
+}
+
+/// The smallest and the largest corner in glTF's axes. Where an axis is mirrored, the largest becomes the smallest.
+pub(super) fn mirrored_corners(bounds: Bounds) -> [[f64; 3]; 2] {
+    let corners = [bounds.min, bounds.max].map(|corner| corner.to_array().map(f64::from));
+    [0, 1].map(|which| {
+        std::array::from_fn(
+            |axis| {
+                if MIRRORED[axis] { -corners[1 - which][axis] } else { corners[which][axis] }
+            },
+        )
     })
 }
 

@@ -75,7 +75,7 @@ pub fn merge(
     }
     let (count, antialiased) = (written.iter().sum(), of_first.antialiased);
     let outline = Outline { count, sh_degree, antialiased, bounds };
-    write_blocks(output, format, &outline, &mut |sink| {
+    write_blocks(output, (format, None), &outline, &mut |sink| {
         for part in parts {
             inside(&mut open(part.path, read)?, part.within, &mut |block| {
                 sink(if sh_degree == block.sh_degree { block } else { block.with_sh_degree(sh_degree) })

@@ -38,6 +38,9 @@ pub(super) struct Spz {
     header: Header,
 }
 
+/// A file up to where the SPZ ends.
+type Bytes = BufReader<io::Take<File>>;
+
 /// Where the planes are.
 enum Layout {
     /// One behind the other in one gzip stream; behind them at most so many bytes of extensions.
@@ -56,17 +59,29 @@ struct Head {
 impl Spz {
     pub(super) fn open(path: &Path) -> Result<Self> {
         let io = |source| Error::io(path, "read", source);
-        let mut reader = BufReader::new(File::open(path).map_err(io)?);
-        let file = SpzFile { path: path.to_owned(), bytes: reader.get_ref().metadata().map_err(io)?.len() };
+        let bytes = path.metadata().map_err(io)?.len();
+        Self::inside(path, 0, bytes)
+    }
+
+    /// Of a part of a file: so many bytes from an offset.
+    pub(super) fn inside(path: &Path, offset: u64, bytes: u64) -> Result<Self> {
+        let io = |source| Error::io(path, "read", source);
+        let file = SpzFile { path: path.to_owned(), offset, bytes };
+        let mut reader = file.from(0)?;
         let mut start = Vec::new();
         reader.by_ref().take(4).read_to_end(&mut start).map_err(io)?;
-        reader.rewind().map_err(io)?;
+        let reader = file.from(0)?;
         match start.as_slice() {
             [0x1f, 0x8b, ..] => file.gzip(reader),
             b"NGSP" => file.zstd(reader),
             [] => Err(Error::input(path, "is empty", "download or copy it again")),
             _ => Err(file.damaged("is no SPZ: neither gzip nor an SPZ header")),
         }
+    }
+
+    /// The same, whose numbers are taken as they are stored: in no axes that are known here.
+    pub(super) fn without_axes(self) -> Self {
+        Self { mirrored: [false; 3], ..self }
     }
 
     /// The planes at their beginning.
@@ -81,9 +96,8 @@ impl Spz {
                     None => Box::new(io::empty()),
                     Some((at, packed)) => {
                         let io = |source| Error::io(&self.file.path, "read", source);
-                        let mut file = BufReader::new(File::open(&self.file.path).map_err(io)?);
-                        file.seek(SeekFrom::Start(at)).map_err(io)?;
-                        let mut decoder = zstd::stream::read::Decoder::new(file.take(packed)).map_err(io)?;
+                        let stream = self.file.from(at)?.take(packed);
+                        let mut decoder = zstd::stream::read::Decoder::new(stream).map_err(io)?;
                         decoder.window_log_max(window_log(bytes)).map_err(io)?;
                         Box::new(decoder)
                     }
@@ -91,9 +105,7 @@ impl Spz {
                 // What is before it is unpacked again: in all up to four times what the file has, twice with all
                 // harmonics.
                 Layout::Gzip { .. } => {
-                    let file =
-                        File::open(&self.file.path).map_err(|e| Error::io(&self.file.path, "read", e))?;
-                    let mut stream = GzDecoder::new(BufReader::new(file));
+                    let mut stream = GzDecoder::new(self.file.from(0)?);
                     self.file.skip(&mut stream, before, name)?;
                     Box::new(stream)
                 }
@@ -196,13 +208,22 @@ impl Plane<'_> {
     }
 }
 
-/// The file, for messages and checks.
+/// The file, or the part of one.
 struct SpzFile {
     path: PathBuf,
+    offset: u64,
     bytes: u64,
 }
 
 impl SpzFile {
+    /// Its bytes from one on.
+    fn from(&self, at: u64) -> Result<Bytes> {
+        let io = |source| Error::io(&self.path, "read", source);
+        let mut file = File::open(&self.path).map_err(io)?;
+        file.seek(SeekFrom::Start(self.offset + at)).map_err(io)?;
+        Ok(BufReader::new(file.take(self.bytes.saturating_sub(at))))
+    }
+
     fn damaged(&self, problem: impl Into<String>) -> Error {
         Error::input(&self.path, problem, "the file is damaged or cut short: write or download it again")
     }
@@ -239,7 +260,7 @@ impl SpzFile {
         Ok(Head { packing, count, flags: bytes[14] })
     }
 
-    fn gzip(self, reader: BufReader<File>) -> Result<Spz> {
+    fn gzip(self, reader: Bytes) -> Result<Spz> {
         let mut stream = GzDecoder::new(reader);
         let mut start = [0; OLD_HEADER_BYTES];
         stream
@@ -274,7 +295,7 @@ impl SpzFile {
         Err(self.damaged(format!("{what}: the data end after {skipped} bytes, where {bytes} are needed")))
     }
 
-    fn zstd(self, mut reader: BufReader<File>) -> Result<Spz> {
+    fn zstd(self, mut reader: Bytes) -> Result<Spz> {
         let io = |source| Error::io(&self.path, "read", source);
         if self.bytes < HEADER_BYTES {
             return Err(

@@ -78,7 +78,10 @@ impl Packing {
             let sh = block.sh_of(index);
             planes[2].extend(sh[0].map(|dc| byte(dc * (COLOR_SCALE * 255.0) + 0.5 * 255.0)));
             planes[3].extend(block.log_scales[index].map(|s| byte((s + 10.0) * 16.0)));
-            planes[4].extend(pack_smallest_three(block.quats[index]).to_le_bytes());
+            match self.version {
+                2 => planes[4].extend(pack_first_three(block.quats[index])),
+                _ => planes[4].extend(pack_smallest_three(block.quats[index]).to_le_bytes()),
+            }
             for (k, rgb) in sh[1..].iter().enumerate() {
                 let bits = if k < 3 { SH_BITS[0] } else { SH_BITS[1] };
                 planes[5].extend(rgb.map(|value| pack_sh(value, 1 << (8 - bits))));
@@ -103,6 +106,17 @@ fn first_three(bytes: [u8; 3]) -> [f32; 4] {
     [w, x, y, z]
 }
 
+fn pack_first_three(quat: [f32; 4]) -> [u8; 3] {
+    let [w, x, y, z] = unit(quat);
+    [x, y, z].map(|v| byte(127.5 + 127.5 * v * w.signum()))
+}
+
+/// Without a length, no rotation.
+fn unit([w, x, y, z]: [f32; 4]) -> [f32; 4] {
+    let length = (w * w + x * x + y * y + z * z).sqrt();
+    if length > 0.0 { [w, x, y, z].map(|v| v / length) } else { [1.0, 0.0, 0.0, 0.0] }
+}
+
 /// From version 3: which of x, y, z, w is the largest, and the others as sign and 9 bits.
 fn smallest_three(packed: u32) -> [f32; 4] {
     const MAGNITUDE: u32 = (1 << 9) - 1;
@@ -119,9 +133,9 @@ fn smallest_three(packed: u32) -> [f32; 4] {
     [w, x, y, z]
 }
 
-fn pack_smallest_three([w, x, y, z]: [f32; 4]) -> u32 {
-    let length = (w * w + x * x + y * y + z * z).sqrt();
-    let xyzw = if length > 0.0 { [x, y, z, w].map(|v| v / length) } else { [0.0, 0.0, 0.0, 1.0] };
+fn pack_smallest_three(quat: [f32; 4]) -> u32 {
+    let [w, x, y, z] = unit(quat);
+    let xyzw = [x, y, z, w];
     let largest = (1..4).fold(0, |best, i| if xyzw[i].abs() > xyzw[best].abs() { i } else { best });
     let others = (0..4).filter(|&i| i != largest);
     others.fold(largest as u32, |packed, i| {

@@ -9,6 +9,7 @@ use glam::{Vec3, vec3};
 use serde_json::{Value, json};
 
 use crate::atomic;
+use crate::splats::{EXTENSION, PACKED_EXTENSION};
 use ashsplat::Result;
 use ashsplat::scene::Bounds;
 
@@ -57,14 +58,19 @@ fn box_of(bounds: Bounds) -> [f32; 12] {
 }
 
 /// Writes the description of a tree.
-pub(super) fn write(path: &Path, root: &Tile) -> Result<()> {
+pub(super) fn write(path: &Path, root: &Tile, packed: bool) -> Result<()> {
     // Of drawing nothing at all.
     let nothing = f64::from(root.bounds.max.distance(root.bounds.min)).max(root.error);
-    let used = json!(["KHR_gaussian_splatting"]);
+    // Viewers look here before the first tile is there.
+    let mut used = json!({ "extensionsUsed": [EXTENSION] });
+    if packed {
+        let both = json!([EXTENSION, PACKED_EXTENSION]);
+        used = json!({ "extensionsUsed": both, "extensionsRequired": both });
+    }
     let document = json!({
         "asset": { "version": "1.1", "generator": concat!("ashsplat ", env!("CARGO_PKG_VERSION")) },
         "extensionsUsed": ["3DTILES_content_gltf"],
-        "extensions": { "3DTILES_content_gltf": { "extensionsUsed": used } },
+        "extensions": { "3DTILES_content_gltf": used },
         "geometricError": nothing,
         "root": root.json(),
     });

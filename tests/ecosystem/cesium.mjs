@@ -1,0 +1,126 @@
+// Draws a tileset with CesiumJS in headless Chromium and writes the picture as PNG.
+//
+// node cesium.mjs MODULES FOLDER CAMERA.json OUT.png
+//   MODULES: a node_modules folder with cesium; FOLDER: with a tileset.json; CAMERA: { width, height, fov_degrees: of the longer side,
+//   eye, forward, up: [x, y, z] in the tileset's axes, screen_space_error: of tiles, at most, pixels }
+//
+// Prints the names of the tiles that were drawn, one a line.
+import { spawn } from 'node:child_process';
+import { mkdtempSync, readFileSync, rmSync, writeFileSync } from 'node:fs';
+import { createServer } from 'node:http';
+import { tmpdir } from 'node:os';
+import { extname, join, normalize } from 'node:path';
+
+const TIMEOUT_SECONDS = 240;
+const [modules, folder, cameraFile, output] = process.argv.slice(2);
+const camera = JSON.parse(readFileSync(cameraFile, 'utf8'));
+
+// CesiumJS wants to be above the ground: east, north and up at latitude and longitude 0 are its y, z and x.
+const RADIUS = 6378137;
+const tileset = () => {
+    const document = JSON.parse(readFileSync(join(folder, 'tileset.json'), 'utf8'));
+    document.root.transform = [0, 1, 0, 0, 0, 0, 1, 0, 1, 0, 0, 0, RADIUS, 0, 0, 1];
+    return JSON.stringify(document);
+};
+
+const page = `<!DOCTYPE html><meta charset="utf-8"><style>.cesium-widget, .cesium-widget canvas { width: 100%; height: 100%; }</style><div id="c" style="width: ${camera.width}px; height: ${camera.height}px"></div>
+<script>window.CESIUM_BASE_URL = '/cesium/';</script>
+<script src="/cesium/Cesium.js"></script>
+<script type="module">
+const say = (path, body) => fetch(path, { method: 'POST', body });
+window.onerror = (message) => say('/failed', String(message));
+window.onunhandledrejection = (event) => say('/failed', String(event.reason && event.reason.stack || event.reason));
+const camera = ${JSON.stringify(camera)};
+const widget = new Cesium.CesiumWidget('c', {
+    baseLayer: false, globe: false, skyBox: false, skyAtmosphere: false, scene3DOnly: true, useDefaultRenderLoop: false,
+    msaaSamples: 1, contextOptions: { webgl: { antialias: false, preserveDrawingBuffer: true } }
+});
+const scene = widget.scene;
+scene.backgroundColor = Cesium.Color.BLACK;
+scene.rethrowRenderErrors = true;
+for (const body of ['sun', 'moon']) if (scene[body]) scene[body].show = false;
+widget.creditDisplay?.container?.remove();
+const world = ([x, y, z]) => new Cesium.Cartesian3(z, x, y);
+const tiles = await Cesium.Cesium3DTileset.fromUrl('/tiles/tileset.json', {
+    maximumScreenSpaceError: camera.screen_space_error, dynamicScreenSpaceError: false, cullRequestsWhileMoving: false
+});
+tiles.tileFailed.addEventListener((event) => say('/failed', event.url + ': ' + event.message));
+scene.primitives.add(tiles);
+scene.camera.frustum = new Cesium.PerspectiveFrustum({
+    fov: camera.fov_degrees * Math.PI / 180, aspectRatio: camera.width / camera.height, near: 0.1, far: 1e5
+});
+const drawn = new Set();
+tiles.tileVisible.addEventListener((tile) => drawn.add(tile.content.url.split('/').pop()));
+// Tiles arrive and are sorted some frames later: the picture is done when it stays the same.
+let last = '', same = 0;
+for (let frame = 0; frame < 400 && same < 8; ++frame) {
+    const eye = world(camera.eye);
+    eye.x += ${RADIUS};
+    scene.camera.setView({ destination: eye, orientation: { direction: world(camera.forward), up: world(camera.up) } });
+    drawn.clear();
+    widget.resize();
+    widget.render();
+    await new Promise((resolve) => setTimeout(resolve, 50));
+    const now = widget.canvas.toDataURL('image/png');
+    same = now === last && tiles.tilesLoaded && drawn.size > 0 && frame > 10 ? same + 1 : 0;
+    last = now;
+}
+await say('/drawn', [...drawn].join('\\n'));
+await say('/done', last);
+</script>`;
+
+const types = { '.js': 'text/javascript', '.json': 'application/json', '.wasm': 'application/wasm', '.css': 'text/css' };
+const inside = (root, path) => readFileSync(join(root, normalize(path)));
+const content = (url) => {
+    if (url === '/') return ['text/html', page];
+    const type = types[extname(url)] ?? 'application/octet-stream';
+    if (url === '/tiles/tileset.json') return [type, tileset()];
+    if (url.startsWith('/tiles/')) return [type, inside(folder, url.slice(7))];
+    if (url.startsWith('/cesium/')) return [type, inside(join(modules, 'cesium/Build/Cesium'), url.slice(8))];
+    throw new Error(url);
+};
+const profile = mkdtempSync(join(tmpdir(), 'ashsplat-chromium-'));
+let browser;
+const finish = (code, message) => {
+    if (message) console.error(message);
+    browser?.kill('SIGKILL');
+    setTimeout(() => {
+        try {
+            rmSync(profile, { recursive: true, force: true, maxRetries: 5, retryDelay: 200 });
+        } catch (error) {
+            // A process of the browser still writes: its temporary folder stays.
+        }
+        process.exit(code);
+    }, 500);
+};
+const server = createServer((request, response) => {
+    const url = decodeURIComponent(request.url.split('?')[0]);
+    if (request.method === 'POST') {
+        let body = '';
+        request.on('data', (part) => { body += part; });
+        request.on('end', () => {
+            response.end();
+            if (url === '/drawn') return console.log(body);
+            if (url !== '/done') return finish(1, body);
+            writeFileSync(output, Buffer.from(body.slice(body.indexOf(',') + 1), 'base64'));
+            finish(0);
+        });
+        return;
+    }
+    let reply = ['text/plain', ''];
+    let status = 200;
+    try {
+        reply = content(url);
+    } catch (error) {
+        status = 404;
+    }
+    response.writeHead(status, { 'Content-Type': reply[0] });
+    response.end(reply[1]);
+});
+server.listen(0, '127.0.0.1', () => {
+    const flags = ['--headless=new', '--no-sandbox', '--disable-gpu-sandbox', '--use-angle=swiftshader',
+        '--enable-unsafe-swiftshader', '--ignore-gpu-blocklist', '--mute-audio', `--user-data-dir=${profile}`];
+    browser = spawn('chromium', [...flags, `http://127.0.0.1:${server.address().port}/`], { stdio: 'ignore' });
+    browser.on('error', (error) => finish(1, `chromium: ${error.message}`));
+});
+setTimeout(() => finish(1, `no picture after ${TIMEOUT_SECONDS} s`), TIMEOUT_SECONDS * 1000).unref();

@@ -1,0 +1,91 @@
+//! CesiumJS in headless Chromium draws our trees of tiles as we draw their Gaussians.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use ashsplat::scene::{Camera, Gaussians};
+use ashsplat_files::splats::{self, Format, WriteOptions};
+use ashsplat_files::tiles::{self, TileOptions};
+use ashsplat_files::{Photo, PhotoFileFormat, Progress, metrics};
+use glam::Vec3;
+use serde_json::Value;
+
+use super::playcanvas::{ball, camera, render, side_by_side};
+
+/// dB between its picture and ours, of the same tiles.
+const LEAST_PSNR: f64 = 35.0;
+
+pub const TRIALS: [(&str, super::Check); 1] =
+    [("cesium_shows_our_tiles_ply", |modules, _| shows_the_tree(modules))];
+
+/// All of the finest tiles where no error is allowed, and the coarsest one where its own is.
+fn shows_the_tree(modules: &Path) {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = folder.path().join("scene.ply");
+    splats::write(&scene, &ball(), &WriteOptions { format: Some(Format::Ply), ..Default::default() })
+        .unwrap();
+    let tree = folder.path().join("tiles");
+    // Some 20 pixels for the root at the eye's distance; nothing at all would be some 900.
+    let options = TileOptions { most: 1000, packed: true };
+    let mut measure = |_: &Gaussians, _: &Gaussians| Ok(0.05);
+    tiles::write(&scene, &tree, &options, &Default::default(), &mut measure, &Progress::NONE).unwrap();
+    let document: Value = serde_json::from_slice(&std::fs::read(tree.join("tileset.json")).unwrap()).unwrap();
+    let all = names(&document["root"], false);
+    let finest = names(&document["root"], true);
+    assert!(finest.len() >= 6 && all.len() > finest.len() + 1, "{all:?}");
+    let coarsest = vec![document["root"]["content"]["uri"].as_str().unwrap().to_owned()];
+    for (name, error, expected) in [("finest", 0.01, finest), ("coarsest", 200.0, coarsest)] {
+        let camera = camera();
+        let picture = folder.path().join("cesium.png");
+        let mut drawn = draw(modules, &tree, &camera, error, &picture);
+        drawn.sort();
+        assert_eq!(drawn, expected, "{name}");
+        let mut gaussians = Gaussians { sh_degree: 3, ..Default::default() };
+        for tile in &drawn {
+            gaussians.append(&splats::read(tree.join(tile), &Default::default()).unwrap().gaussians);
+        }
+        let (ours, theirs) = (render(&gaussians, &camera), Photo::read(&picture, [0.0; 3]).unwrap());
+        let kept = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("cesium_{name}.png"));
+        side_by_side(&ours, &theirs).write_png(&kept).unwrap();
+        let psnr = metrics::psnr(&ours.to_f32(), &theirs.to_f32()).unwrap();
+        println!("{name}: {} tiles, {psnr:.2} dB, {}", drawn.len(), kept.display());
+        assert!(psnr >= LEAST_PSNR, "{psnr:.2} dB: see {}", kept.display());
+    }
+}
+
+/// The tiles of a tree, sorted; the finest alone, or all.
+fn names(root: &Value, finest: bool) -> Vec<String> {
+    let (mut names, mut open) = (Vec::new(), vec![root]);
+    while let Some(tile) = open.pop() {
+        let children = tile["children"].as_array().map_or(&[][..], Vec::as_slice);
+        if children.is_empty() || !finest {
+            names.push(tile["content"]["uri"].as_str().unwrap().to_owned());
+        }
+        open.extend(children);
+    }
+    names.sort();
+    names
+}
+
+/// Draws a tree with CesiumJS; the tiles that it drew.
+fn draw(modules: &Path, tree: &Path, camera: &Camera, error: f64, output: &Path) -> Vec<String> {
+    let r = camera.camera_from_world;
+    // z up.
+    let turned = |v: Vec3| [-v.x, -v.z, -v.y];
+    let description = serde_json::json!({
+        "width": camera.width,
+        "height": camera.height,
+        "fov_degrees": 2.0 * (0.5 * camera.width as f32 / camera.fx).atan().to_degrees(),
+        "eye": turned(camera.position()),
+        "forward": turned(r.row(2)),
+        "up": turned(-r.row(1)),
+        "screen_space_error": error,
+    });
+    let file = output.with_extension("json");
+    std::fs::write(&file, description.to_string()).unwrap();
+    let script = PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/ecosystem/cesium.mjs"));
+    let mut node = Command::new("node");
+    let result = node.arg(script).arg(modules).arg(tree).arg(file).arg(output).output().expect("node");
+    assert!(result.status.success(), "{}", String::from_utf8_lossy(&result.stderr));
+    String::from_utf8_lossy(&result.stdout).lines().map(Into::into).collect()
+}
