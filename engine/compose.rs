@@ -1,6 +1,8 @@
 //! Composites a frame into a host's picture: the host's depth image limits the blending, and the blended
 //! pixels are written into the host's images.
 
+mod auxiliary;
+
 use crate::error::{Error, Result};
 use crate::kernels::compose::{
     compose_bgra8, compose_r11g11b10f, compose_rgb10a2, compose_rgba8, compose_rgba16f, compose_rgba32f,
@@ -46,6 +48,7 @@ pub struct Compose {
     rgba32f: ByEncoding<compose_rgba32f::Interface>,
     depth_limit: Kernel<depth_limit::Interface>,
     expected_depth: Kernel<expected_depth::Interface>,
+    auxiliary: auxiliary::Kernels,
 }
 
 /// A kernel for each of `COMPOSE_AS_TRAINED`, `COMPOSE_LINEAR` and, if texels can be display-encoded,
@@ -81,6 +84,10 @@ impl Compose {
     pub const HOST_DEPTH_FORMATS: [vk::Format; 9] = device::HOST_DEPTH_FORMATS;
     /// Format of an image of expected depth.
     pub const DEPTH_FORMAT: vk::Format = device::DEPTH_FORMAT;
+    /// Format of an image of what is picked: Gaussian, scene, bits of its depth, bits of its weight.
+    pub const PICK_FORMAT: vk::Format = device::PICK_FORMAT;
+    /// Format of an image of motion, px.
+    pub const MOTION_FORMAT: vk::Format = device::MOTION_FORMAT;
 
     /// Builds the kernels.
     ///
@@ -105,6 +112,7 @@ impl Compose {
             rgba32f: by_encoding!(compose_rgba32f, c::COMPOSE_LINEAR),
             depth_limit: Kernel::new(context, &depth_limit::Spec { workgroup_size })?,
             expected_depth: Kernel::new(context, &expected_depth::Spec { workgroup_size })?,
+            auxiliary: auxiliary::Kernels::default(),
         })
     }
 

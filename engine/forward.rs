@@ -6,18 +6,22 @@
 //! key. Second, a Gaussian touches a tile only if the ellipse where alpha reaches 1/255 meets it.
 
 mod arguments;
+mod auxiliary;
 mod blend_forms;
 mod blending;
 mod camera_block;
 mod cut_outs;
 mod filter_3d;
 mod inputs;
+mod instances;
 mod scene_settings;
+mod screen_motion;
 mod settings;
 mod shape;
 
 use arguments::arguments;
 pub(crate) use arguments::range_arguments;
+pub use auxiliary::{Auxiliary, MotionBuffers, PickBuffers, Seen};
 pub use blend_forms::{BlendMeasurement, Blending};
 pub use blending::BlendVariant;
 pub(crate) use blending::record_passes;
@@ -35,7 +39,7 @@ use crate::kernels::constants as c;
 use crate::kernels::forward::{
     compact, count, cull, duplicate_with_tiles, project, ranges, write_indirect_args, write_visible_ranges,
 };
-use crate::plan::{FrameBuffers, GaussianRange, LaunchSizes, blocks, sorted_side, tile_bits, tile_grid};
+use crate::plan::{FrameBuffers, GaussianRange, LaunchSizes, blocks};
 use crate::scan::{Scan, ScanBuffers, Workgroups};
 use crate::sort::{RadixSort, SortBuffers, Values};
 use crate::vk::{Context, Kernel, Recorder};
@@ -58,6 +62,7 @@ pub struct Forward {
     duplicate: [Kernel<duplicate_with_tiles::Interface>; 2],
     ranges: [Kernel<ranges::Interface>; 2],
     blend: blending::Blend,
+    screen_motion: screen_motion::ScreenMotion,
 }
 
 impl Forward {
@@ -100,6 +105,7 @@ impl Forward {
             duplicate: [duplicate(false)?, duplicate(true)?],
             ranges: [ranges(false)?, ranges(true)?],
             blend: blending::Blend::new(limits),
+            screen_motion: screen_motion::ScreenMotion::default(),
         })
     }
 
@@ -138,6 +144,9 @@ impl Forward {
             };
             *built = Some(Kernel::new(&self.context, &spec)?);
         }
+        if variant.motion {
+            self.screen_motion.prepare(&self.context, workgroup_size)?;
+        }
         self.blend.prepare(&self.context, &self.sizes, variant)
     }
 
@@ -146,6 +155,7 @@ impl Forward {
         let built = &self.project[variant.of_project()][sh_degree as usize];
         built.is_some()
             && self.cull[variant.of_cull()].is_some()
+            && (!variant.motion || self.screen_motion.is_prepared())
             && self.blend.is_prepared(&self.sizes, variant)
     }
 
@@ -170,6 +180,7 @@ impl Forward {
         r.scope("clear", |r| {
             camera_block::record_blocks(r, inputs);
             cut_outs::record(r, inputs);
+            auxiliary::record_firsts(r, inputs);
             let overflow = 4 * u64::from(c::STATE_OVERFLOW);
             match inputs.keeps_overflow {
                 false => r.fill(&f.state, 0),
@@ -182,6 +193,7 @@ impl Forward {
         });
         r.scope("cull", |r| self.record_visibility(r, inputs));
         r.scope("project", |r| self.record_project(r, inputs));
+        self.screen_motion.record(r, inputs, &self.sizes);
         r.scope("depth sort", |r| self.record_depth_sort(r, f));
         r.scope("count", |r| self.record_count(r, inputs));
         r.scope("duplicate", |r| self.record_duplicate(r, inputs));
@@ -384,67 +396,6 @@ impl Forward {
         let (capacity, block) =
             (inputs.capacity.instances, self.sizes.elementwise_workgroup * self.sizes.duplicate_items);
         self.record_prepare(r, f, [c::STATE_INSTANCES_NEEDED, capacity, c::ARGUMENTS_INSTANCES, block]);
-        r.barrier();
-    }
-
-    /// Records duplicate_with_tiles: one (tile, Gaussian) instance per touched tile.
-    fn record_duplicate(&self, r: &mut Recorder, inputs: &FrameInputs) {
-        let f = inputs.frame;
-        let (for_backward, splats) = (inputs.capacity.backward, f.splats());
-        let bind = duplicate_with_tiles::Bind {
-            state: &f.state,
-            order: f.depth_order(),
-            instance_offsets: &f.instance_offsets,
-            mean2d_extent: splats.mean2d_extent,
-            footprints: splats.footprints,
-            list_heads: f.list_heads(),
-            list_rows: f.list_rows(),
-            instance_tiles: f.instance_tiles(),
-            instance_visible: f.instance_visible(for_backward),
-            first_instances: &f.first_instances,
-        };
-        let (tiles_per_row, tile_rows) = tile_grid(inputs.camera.width, inputs.camera.height);
-        let (extent, splat_stride) = (inputs.settings.extent_word(), splats.stride);
-        let push = duplicate_with_tiles::Push { extent, tiles_per_row, tile_rows, splat_stride };
-        let at = arguments(f, c::ARGUMENTS_INSTANCES_EXPAND);
-        r.dispatch_indirect(&self.duplicate[usize::from(for_backward)], &bind, &push, &at);
-        r.barrier();
-    }
-
-    /// Sorts the instances by tile. The sort is stable, so depth order remains within a tile. The values are
-    /// the instance indices before the tile sort, or without backward the visible Gaussians.
-    fn record_tile_sort(&self, r: &mut Recorder, inputs: &FrameInputs) {
-        let f = inputs.frame;
-        let (columns, rows) = tile_grid(inputs.camera.width, inputs.camera.height);
-        let buffers = SortBuffers {
-            counts: &f.state,
-            count_index: c::STATE_INSTANCES,
-            keys: f.tile_sort_keys(),
-            values: f.tile_sort_values(),
-            histogram: &f.histogram,
-            digit_totals: &f.digit_totals,
-        };
-        let at = arguments(f, c::ARGUMENTS_INSTANCES_SORT);
-        let bits = tile_bits(columns * rows);
-        let values = if inputs.capacity.backward { Values::Positions } else { Values::Given };
-        let side = self.sort.record(r, &buffers, values, bits, Workgroups::Indirect(&at));
-        assert_eq!(side, sorted_side(&self.sizes, inputs.camera), "FrameBuffers::sorted_tiles is elsewhere");
-        r.barrier();
-    }
-
-    /// Finds the begin and end of each tile's instances.
-    fn record_ranges(&self, r: &mut Recorder, inputs: &FrameInputs) {
-        let f = inputs.frame;
-        let bind = ranges::Bind {
-            state: &f.state,
-            sorted_tiles: f.sorted_tiles(&self.sizes, inputs.camera),
-            sorted_instances: f.sorted_instances(&self.sizes, inputs.camera),
-            instance_visible: f.instance_visible(inputs.capacity.backward),
-            tile_ranges: &f.tile_ranges,
-            sorted_visible: &f.gathered_visible,
-        };
-        let kernel = &self.ranges[usize::from(inputs.capacity.backward)];
-        r.dispatch_indirect(kernel, &bind, &ranges::Push {}, &arguments(f, c::ARGUMENTS_INSTANCES));
         r.barrier();
     }
 }

@@ -71,9 +71,9 @@ pub use forward::{
 /// The vectors and matrices whose types the API shows.
 pub use glam;
 pub use renderer::{
-    Alignment, BlendSamples, DepthTarget, DeviceScene, Frame, FrameStats, Gradients, HostImage, Occluder,
-    PixelReport, Placed, ProjectedSplat, RecordedFrame, Release, Renderer, Reservation, Sample, SlotReport,
-    Target, TileLists, TileReport, Update,
+    Alignment, BlendSamples, DepthTarget, DeviceScene, Frame, FrameStats, Gradients, HostImage, MotionTarget,
+    Occluder, PickTarget, PixelReport, Placed, ProjectedSplat, RecordedFrame, Release, Renderer, Reservation,
+    Sample, SlotReport, Target, TileLists, TileReport, Update,
 };
 pub use scene::{Camera, ColorEncoding, Gaussians};
 pub use trainer::{Checkpoint, StepReport, TrainSettings, TrainView, Trainer};

@@ -24,7 +24,9 @@ pub use device_scene::DeviceScene;
 pub(crate) use frame_store::{FrameStore, State};
 pub use gradients::Gradients;
 pub use inspect::{PixelReport, Sample};
-pub use record::{DepthTarget, HostImage, Occluder, Placed, RecordedFrame, Release, Target};
+pub use record::{
+    DepthTarget, HostImage, MotionTarget, Occluder, PickTarget, Placed, RecordedFrame, Release, Target,
+};
 pub use reservation::Reservation;
 pub(crate) use runner::{Failed, FrameRunner, Ran, Request};
 pub use slots::SlotReport;

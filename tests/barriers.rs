@@ -1,7 +1,9 @@
 //! Every barrier of a training step is needed, and the hazard checker notices the absence of any one.
 
 use ashsplat::backward::{Backward, BackwardVariant, Statistics};
-use ashsplat::forward::{BlendVariant, Forward, FrameInputs, POSE_BYTES, SceneBuffers, SceneSettings};
+use ashsplat::forward::{
+    Auxiliary, BlendVariant, Forward, FrameInputs, POSE_BYTES, SceneBuffers, SceneSettings,
+};
 use ashsplat::loss::{Loss, LossInputs, PhotoFormat, Windowing, photo_bytes};
 use ashsplat::optimizer::{Moments, Optimizer, Rates, Step, ViewSum};
 use ashsplat::plan::{FrameBuffers, FrameCapacity, LaunchSizes, PictureCapacity, Strips, frame_requests};
@@ -136,6 +138,8 @@ impl Training {
             backward: true,
             keeps_overflow: false,
             scale: 1.0,
+            auxiliary: Auxiliary::default(),
+            previous: None,
         };
         let [photo, losses, statistics, mean2d_gradients, image_gradient, scratch @ ..] = &self.others[..]
         else {

@@ -3,7 +3,7 @@
 use super::blend_forms::Blending;
 use super::{FrameInputs, RenderSettings, SceneSettings};
 use crate::error::Result;
-use crate::kernels::forward::{blend, blend_shared};
+use crate::kernels::forward::{blend, blend_auxiliary, blend_shared, blend_shared_auxiliary};
 use crate::plan::{LaunchSizes, tile_grid};
 use crate::vk::{Context, Kernel, Limits, Recorder};
 
@@ -34,6 +34,10 @@ pub struct BlendVariant {
     /// The splats' records have z in place of 1/z, so that the sum of weights * z is differentiable; `linear_depth` is not:
     /// this concerns projection.
     pub z_record: bool,
+    /// The Gaussian of the largest weight is kept for each pixel.
+    pub pick: bool,
+    /// The sum of weights * motions.
+    pub motion: bool,
 }
 
 impl BlendVariant {
@@ -85,18 +89,31 @@ impl BlendVariant {
             | usize::from(self.strips(sizes)) << 3
             | usize::from(self.steep && sizes.incremental_exp) << 4
     }
+
+    /// The place of its kernels of blending beside those without; they have no strips.
+    fn of_auxiliary(self, sizes: &LaunchSizes) -> Option<usize> {
+        let own = usize::from(self.pick) | usize::from(self.motion) << 1;
+        (own > 0).then(|| (own - 1) * 32 + self.index(sizes))
+    }
 }
 
-/// The blending kernels by variant, built on first use.
+/// Kernels by variant, built on first use.
+type Built<I, const COUNT: usize> = [Option<Kernel<I>>; COUNT];
+
+/// The blending kernels by variant: those of the picture alone by [`BlendVariant::index`], the others by
+/// [`BlendVariant::of_auxiliary`].
 pub(super) struct Blend {
     blending: Blending,
-    regions: [Option<Kernel<blend::Interface>>; 32],
-    shared: [Option<Kernel<blend_shared::Interface>>; 32],
+    regions: Built<blend::Interface, 32>,
+    shared: Built<blend_shared::Interface, 32>,
+    regions_auxiliary: Built<blend_auxiliary::Interface, 96>,
+    shared_auxiliary: Built<blend_shared_auxiliary::Interface, 96>,
 }
 
-/// The buffers of blend_io.glsl, for both forms of the kernel.
+/// The buffers of blend_io.glsl, for all kernels; and those of blend_auxiliary.glsl, which are bound also where they are
+/// not used.
 macro_rules! blend_bind {
-    ($kernel:ident, $inputs:expr, $sizes:expr) => {{
+    ($kernel:ident, $inputs:expr, $sizes:expr $(, $auxiliary:ident)?) => {{
         let frame = $inputs.frame;
         let splats = frame.splats();
         $kernel::Bind {
@@ -112,6 +129,11 @@ macro_rules! blend_bind {
             // Without a limit it is not read, but must be bound.
             depth_limits: $inputs.depth_limits.unwrap_or(&frame.tile_ranges),
             composited: &frame.composited,
+            $(
+                picks: $auxiliary.picks.map_or(&frame.last_entries, |own| own.picks),
+                motions: $auxiliary.motion.map_or(&frame.tile_ranges, |own| own.motions),
+                motion_sums: $auxiliary.motion.map_or(&frame.last_entries, |own| own.sums),
+            )?
         }
     }};
 }
@@ -120,8 +142,10 @@ impl Blend {
     pub fn new(limits: &Limits) -> Self {
         Self {
             blending: Blending::of_device(limits),
-            regions: Default::default(),
-            shared: Default::default(),
+            regions: [const { None }; 32],
+            shared: [const { None }; 32],
+            regions_auxiliary: [const { None }; 96],
+            shared_auxiliary: [const { None }; 96],
         }
     }
 
@@ -134,15 +158,19 @@ impl Blend {
     }
 
     pub fn prepare(&mut self, context: &Context, sizes: &LaunchSizes, wanted: BlendVariant) -> Result<()> {
-        let BlendVariant { inverse_depth, linear_depth, depth_limit, steep, .. } = wanted;
+        if self.is_prepared(sizes, wanted) {
+            return Ok(());
+        }
+        let BlendVariant { inverse_depth, linear_depth, depth_limit, steep, pick, motion, .. } = wanted;
         let (variant, strips) = (wanted.index(sizes), wanted.strips(sizes));
         let (subgroup_size, broadcast) = (context.limits().subgroup_size, context.limits().broadcasts);
         let LaunchSizes { tile, tile_shared, region_height, incremental_exp, regions_per_subgroup, .. } =
             *sizes;
         let incremental_exp = incremental_exp && !steep;
-        match self.blending {
-            Blending::Regions if self.regions[variant].is_none() => {
-                let spec = blend::Spec {
+        let count_hits = false;
+        macro_rules! regions {
+            ($kernel:ident $(, $auxiliary:ident)*) => {
+                $kernel::Spec {
                     workgroup_size: tile / regions_per_subgroup,
                     subgroup_size,
                     inverse_depth,
@@ -150,54 +178,83 @@ impl Blend {
                     linear_depth,
                     incremental_exp,
                     regions_per_subgroup,
-                    count_hits: false,
+                    count_hits,
                     strips,
                     region_height,
                     broadcast,
-                };
-                self.regions[variant] = Some(Kernel::new(context, &spec)?);
-            }
-            Blending::SharedMemory if self.shared[variant].is_none() => {
-                let spec = blend_shared::Spec {
+                    $($auxiliary,)*
+                }
+            };
+        }
+        macro_rules! shared {
+            ($kernel:ident $(, $auxiliary:ident)*) => {
+                $kernel::Spec {
                     workgroup_size: tile_shared,
                     subgroup_size,
                     inverse_depth,
                     depth_limit,
                     linear_depth,
                     incremental_exp,
-                    count_hits: false,
+                    count_hits,
                     strips,
-                };
-                self.shared[variant] = Some(Kernel::new(context, &spec)?);
+                    $($auxiliary,)*
+                }
+            };
+        }
+        match (self.blending, wanted.of_auxiliary(sizes)) {
+            (Blending::Regions, None) => {
+                self.regions[variant] = Some(Kernel::new(context, &regions!(blend))?);
             }
-            _ => {}
+            (Blending::SharedMemory, None) => {
+                self.shared[variant] = Some(Kernel::new(context, &shared!(blend_shared))?);
+            }
+            (Blending::Regions, Some(own)) => {
+                let spec = regions!(blend_auxiliary, pick, motion);
+                self.regions_auxiliary[own] = Some(Kernel::new(context, &spec)?);
+            }
+            (Blending::SharedMemory, Some(own)) => {
+                let spec = shared!(blend_shared_auxiliary, pick, motion);
+                self.shared_auxiliary[own] = Some(Kernel::new(context, &spec)?);
+            }
         }
         Ok(())
     }
 
     pub fn is_prepared(&self, sizes: &LaunchSizes, wanted: BlendVariant) -> bool {
         let variant = wanted.index(sizes);
-        match self.blending {
-            Blending::Regions => self.regions[variant].is_some(),
-            Blending::SharedMemory => self.shared[variant].is_some(),
+        match (self.blending, wanted.of_auxiliary(sizes)) {
+            (Blending::Regions, None) => self.regions[variant].is_some(),
+            (Blending::SharedMemory, None) => self.shared[variant].is_some(),
+            (Blending::Regions, Some(own)) => self.regions_auxiliary[own].is_some(),
+            (Blending::SharedMemory, Some(own)) => self.shared_auxiliary[own].is_some(),
         }
     }
 
     /// Records the blending: colour and transmittance of each pixel.
+    ///
+    /// # Panics
+    /// Without the kernel.
     pub fn record(&self, r: &mut Recorder, inputs: &FrameInputs, sizes: &LaunchSizes) {
-        let variant = inputs.blend_variant().index(sizes);
-        match (self.blending, &self.regions[variant], &self.shared[variant]) {
-            (Blending::Regions, Some(kernel), _) => {
+        let (wanted, auxiliary) = (inputs.blend_variant(), inputs.auxiliary);
+        let variant = wanted.index(sizes);
+        macro_rules! passes {
+            ($kernels:ident[$at:expr], $kernel:ident $(, $auxiliary:ident)?) => {{
+                let Some(kernel) = &self.$kernels[$at] else {
+                    panic!("Forward::prepare was not called for {wanted:?}");
+                };
                 record_passes(r, inputs, sizes, |r, push, tiles| {
-                    r.dispatch(kernel, &blend_bind!(blend, inputs, sizes), &bytemuck::cast(push), tiles);
+                    let bind = blend_bind!($kernel, inputs, sizes $(, $auxiliary)?);
+                    r.dispatch(kernel, &bind, &bytemuck::cast(push), tiles);
                 });
+            }};
+        }
+        match (self.blending, wanted.of_auxiliary(sizes)) {
+            (Blending::Regions, None) => passes!(regions[variant], blend),
+            (Blending::SharedMemory, None) => passes!(shared[variant], blend_shared),
+            (Blending::Regions, Some(own)) => passes!(regions_auxiliary[own], blend_auxiliary, auxiliary),
+            (Blending::SharedMemory, Some(own)) => {
+                passes!(shared_auxiliary[own], blend_shared_auxiliary, auxiliary);
             }
-            (Blending::SharedMemory, _, Some(kernel)) => {
-                record_passes(r, inputs, sizes, |r, push, tiles| {
-                    r.dispatch(kernel, &blend_bind!(blend_shared, inputs, sizes), &push, tiles);
-                });
-            }
-            _ => panic!("Forward::prepare was not called for {:?}", inputs.blend_variant()),
         }
     }
 }

@@ -1,6 +1,6 @@
 //! The inputs of a frame: scenes with their transforms, a camera, settings.
 
-use super::{BlendVariant, RenderSettings, SceneSettings};
+use super::{Auxiliary, BlendVariant, RenderSettings, SceneSettings, Seen};
 use crate::plan::{FrameBuffers, FrameCapacity, GaussianRange, ScenePlan};
 use crate::scene::Camera;
 use crate::vk::Buffer;
@@ -58,6 +58,10 @@ pub struct FrameInputs<'a> {
     pub backward: bool,
     /// Keep the previous frame's STATE_OVERFLOW: all frames after one that overflowed are invalid too.
     pub keeps_overflow: bool,
+    /// What is left beside the picture; nothing with `backward`.
+    pub auxiliary: Auxiliary<'a>,
+    /// How `scene` was seen in the frame before, for its motion; as now if `None`.
+    pub previous: Option<Seen>,
 }
 
 impl FrameInputs<'_> {
@@ -66,6 +70,8 @@ impl FrameInputs<'_> {
         BlendVariant {
             linear_depth: self.linear_depth,
             depth_limit: self.depth_limits.is_some(),
+            pick: self.auxiliary.picks.is_some(),
+            motion: self.auxiliary.motion.is_some(),
             ..BlendVariant::of(self.settings, self.backward)
         }
     }
@@ -90,6 +96,8 @@ pub struct PlacedScene<'a> {
     pub first: u32,
     /// Index of its first cut-out among all of the frame.
     pub first_cut_out: u32,
+    /// How it was seen in the frame before, for its motion; as now if `None`.
+    pub previous: Option<Seen>,
 }
 
 impl PlacedScene<'_> {
@@ -113,11 +121,13 @@ pub(super) struct Part<'a> {
     pub(super) first_of_scene: u32,
     /// Of the frame: its first Gaussian counts among those of all scenes.
     pub(super) range: GaussianRange,
+    /// How the scene was seen in the frame before.
+    pub(super) previous: Seen,
 }
 
 impl<'a> FrameInputs<'a> {
     fn first(&self) -> PlacedScene<'a> {
-        let &Self { scene, camera, scale, sh_degree, scene_settings, .. } = self;
+        let &Self { scene, camera, scale, sh_degree, scene_settings, previous, .. } = self;
         PlacedScene {
             scene,
             camera: *camera,
@@ -126,6 +136,7 @@ impl<'a> FrameInputs<'a> {
             settings: scene_settings,
             first: 0,
             first_cut_out: 0,
+            previous,
         }
     }
 
@@ -136,6 +147,11 @@ impl<'a> FrameInputs<'a> {
         assert!(
             !(self.backward && self.placed().any(|placed| colored(&placed.settings))),
             "no backward pass can follow a frame with a tint, an opacity or a selection"
+        );
+        let Auxiliary { picks, motion } = self.auxiliary;
+        assert!(
+            !(self.backward && (picks.is_some() || motion.is_some())),
+            "no backward pass can follow a frame with picks or motion"
         );
     }
 
@@ -148,11 +164,12 @@ impl<'a> FrameInputs<'a> {
     pub(super) fn parts(&self) -> impl Iterator<Item = Part<'a>> + use<'a> {
         self.placed().enumerate().flat_map(|(place, placed)| {
             let PlacedScene { scene, sh_degree, settings, first, first_cut_out, .. } = placed;
+            let previous = placed.previous.unwrap_or(Seen { camera: placed.camera, scale: placed.scale });
             let ranges = scene.plan.ranges(placed.drawn());
             ranges.map(move |range| {
                 let first_of_scene = range.first;
                 let range = GaussianRange { first: first + range.first, ..range };
-                Part { scene, place, sh_degree, settings, first_cut_out, first_of_scene, range }
+                Part { scene, place, sh_degree, settings, first_cut_out, first_of_scene, range, previous }
             })
         })
     }

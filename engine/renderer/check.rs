@@ -1,14 +1,15 @@
 //! Checks of a frame before it is recorded: all errors are reported before the first command.
 
 use super::Renderer;
-use super::record::{HostImage, Placed, RecordedFrame, Target};
+use super::record::{HostImage, MotionTarget, PickTarget, Placed, RecordedFrame, Target};
 use super::reservation::Reservation;
 use super::updates::Update;
 use crate::compose::{Background, Compose};
 use crate::error::{Error, Result};
 use crate::forward::BlendVariant;
+use crate::kernels::constants as c;
 use crate::plan::{FrameCapacity, PictureCapacity};
-use crate::scene::DepthMapping;
+use crate::scene::{Camera, DepthMapping};
 use crate::vk::{Context, ImageUse};
 use ash::vk;
 
@@ -30,6 +31,10 @@ impl Renderer {
                 return Err(Error::argument("scene", "it belongs to another device"));
             }
             placed.pose.check().map_err(|error| error.within(format_args!("scenes[{index}]")))?;
+            if let Some(pose) = placed.previous_pose {
+                let named = |error: Error| error.within(format_args!("scenes[{index}].previous_pose"));
+                pose.check().map_err(named)?;
+            }
             let named = |error: Error| error.within(format_args!("scenes[{index}].settings"));
             placed.settings.check().map_err(named)?;
             check_mask(placed, context).map_err(named)?;
@@ -45,6 +50,8 @@ impl Renderer {
             inverse_depth: frame.settings.inverse_depth || frame.depth.is_some(),
             linear_depth: frame.depth.is_some(),
             depth_limit: frame.occluder.is_some(),
+            pick: frame.pick.is_some(),
+            motion: frame.motion.is_some(),
             ..BlendVariant::of(frame.settings, false)
         };
         let cut_outs: u32 = frame.scenes.iter().map(|placed| placed.settings.cut_out_count()).sum();
@@ -102,14 +109,19 @@ impl Renderer {
         }
         if let Some(depth) = &frame.depth {
             check("depth", &depth.to, ImageUse::Storage)?;
-            if depth.to.image.format() != Compose::DEPTH_FORMAT {
-                let problem = format!("format {:?} is not R32_SFLOAT", depth.to.image.format());
-                return Err(Error::argument(field_of("depth", &depth.to), problem));
-            }
+            check_format("depth", &depth.to, Compose::DEPTH_FORMAT)?;
             if !depth.min_weight.is_finite() {
                 let problem = format!("{} is not finite", depth.min_weight);
                 return Err(Error::argument("depth.min_weight", problem));
             }
+        }
+        if let Some(PickTarget { to }) = &frame.pick {
+            check("pick", to, ImageUse::Storage)?;
+            check_format("pick", to, Compose::PICK_FORMAT)?;
+        }
+        if let Some(motion) = &frame.motion {
+            check("motion", &motion.to, ImageUse::Storage)?;
+            check_motion(motion, size)?;
         }
         if let Some(occluder) = &frame.occluder {
             check("occluder", &occluder.depth, ImageUse::Sampled)?;
@@ -144,6 +156,38 @@ fn in_field(field: &str, checked: Result<()>) -> Result<()> {
         }
         other => other,
     })
+}
+
+/// The one format that an image may have.
+fn check_format(field: &str, host: &HostImage<'_>, format: vk::Format) -> Result<()> {
+    if host.image.format() == format {
+        return Ok(());
+    }
+    let problem = format!("format {:?} is not {format:?}", host.image.format());
+    Err(Error::argument(field_of(field, host), problem))
+}
+
+/// Motion into an image that is possible otherwise, of a frame of this size.
+fn check_motion(motion: &MotionTarget<'_>, size: [u32; 2]) -> Result<()> {
+    check_format("motion", &motion.to, Compose::MOTION_FORMAT)?;
+    let camera = motion.previous_camera;
+    camera.check().map_err(|error| error.within("motion.previous_camera"))?;
+    if [camera.width, camera.height] != size {
+        let ([w, h], Camera { width, height, .. }) = (size, camera);
+        let problem = format!("is of {width} x {height} pixels, the frame of {w} x {h}");
+        return Err(Error::argument("motion.previous_camera", problem));
+    }
+    if !motion.min_weight.is_finite() {
+        return Err(Error::argument("motion.min_weight", format!("{} is not finite", motion.min_weight)));
+    }
+    match motion.empty {
+        Some(empty) if !empty.iter().all(|x| x.abs() <= c::MOTION_MAX) => {
+            let problem = format!("{empty:?}, each may be -{0} to {0}", c::MOTION_MAX);
+            Err(Error::argument("motion.empty", problem))
+        }
+        Some(_) => Ok(()),
+        None => check_contents("motion", &motion.to),
+    }
 }
 
 /// An image that is read must have contents.

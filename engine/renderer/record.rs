@@ -7,7 +7,8 @@ use super::slot_memory::SlotMemory;
 use super::updates::Update;
 use crate::compose::{Background, Compose, Region};
 use crate::error::{Error, Result};
-use crate::forward::{FrameInputs, PlacedScene, RenderSettings, SceneSettings};
+use crate::forward::{Auxiliary, FrameInputs, PlacedScene, RenderSettings, SceneSettings, Seen};
+use crate::plan::LaunchSizes;
 use crate::scene::{Camera, ColorEncoding, DepthMapping, Pose};
 use crate::vk::{ForeignCommands, Image, ImageState, Recorder};
 use ash::vk;
@@ -21,12 +22,15 @@ pub struct Placed<'a> {
     pub pose: Pose,
     /// How it is drawn.
     pub settings: SceneSettings<'a>,
+    /// Its pose in the frame before, for [`RecordedFrame::motion`]. `None`: the same as now, for scenes that stand still and
+    /// for those that were not there.
+    pub previous_pose: Option<Pose>,
 }
 
 impl<'a> Placed<'a> {
     /// A scene as it is, in some pose.
     pub fn at(scene: &'a DeviceScene, pose: Pose) -> Self {
-        Self { scene, pose, settings: SceneSettings::default() }
+        Self { scene, pose, settings: SceneSettings::default(), previous_pose: None }
     }
 
     /// The evaluated SH degree: what is stored, up to the frame's and the scene's own limits.
@@ -99,6 +103,32 @@ pub struct DepthTarget<'a> {
     pub empty: f32,
 }
 
+/// An image of what is picked at each pixel: the Gaussian with the largest blending weight alpha T, the nearest of equal ones.
+#[derive(Clone, Copy)]
+pub struct PickTarget<'a> {
+    /// A storage image of format [`Compose::PICK_FORMAT`], rgba32ui. A texel is the index of the Gaussian in its scene, the
+    /// index of the scene in [`RecordedFrame::scenes`], the bits of the f32 of the Gaussian's depth z in the camera's frame (world
+    /// units), and the bits of the f32 of its weight. Where nothing is blended: [`NOT_PICKED`](crate::kernels::constants::NOT_PICKED)
+    /// twice, then 0 twice.
+    pub to: HostImage<'a>,
+}
+
+/// An image of motion: of what is blended at each pixel, the mean of its motion on the screen from the frame before to this
+/// one, by the blending's weights. A Gaussian moves as its mean does. How [`Update`]s move Gaussians is not known.
+#[derive(Clone, Copy)]
+pub struct MotionTarget<'a> {
+    /// A storage image of format [`Compose::MOTION_FORMAT`], rg16f: the place now less the place before, in pixels, x right, y
+    /// down. What is at pixel p now was at p - motion.
+    pub to: HostImage<'a>,
+    /// The camera of the frame before, of the same width and height. Poses before are in [`Placed::previous_pose`]. What did
+    /// not lie in front of it (depth z above 0.2) has no motion.
+    pub previous_camera: &'a Camera,
+    /// A pixel whose sum of weights is smaller is empty.
+    pub min_weight: f32,
+    /// The motion of empty pixels, px; `None`: they keep what is in the image.
+    pub empty: Option<[f32; 2]>,
+}
+
 /// A frame to record.
 #[derive(Clone, Copy)]
 pub struct RecordedFrame<'a> {
@@ -116,13 +146,27 @@ pub struct RecordedFrame<'a> {
     pub depth: Option<DepthTarget<'a>>,
     /// Parameter updates before the frame.
     pub updates: &'a [Update<'a>],
+    /// The target of what is picked.
+    pub pick: Option<PickTarget<'a>>,
+    /// The target of the motion.
+    pub motion: Option<MotionTarget<'a>>,
 }
 
 impl<'a> RecordedFrame<'a> {
     /// A frame of scenes that is rendered into the slot's own buffer.
     pub fn new(scenes: &'a [Placed<'a>], camera: &'a Camera, settings: &'a RenderSettings) -> Self {
         let target = Target::Slot;
-        Self { scenes, camera, settings, target, occluder: None, depth: None, updates: &[] }
+        Self {
+            scenes,
+            camera,
+            settings,
+            target,
+            occluder: None,
+            depth: None,
+            updates: &[],
+            pick: None,
+            motion: None,
+        }
     }
 }
 
@@ -141,6 +185,10 @@ pub struct Release {
     pub occluder: Option<ImageState>,
     /// Last use of the image of expected depth.
     pub depth: Option<ImageState>,
+    /// Last use of the image of what is picked.
+    pub pick: Option<ImageState>,
+    /// Last use of the image of motion.
+    pub motion: Option<ImageState>,
 }
 
 impl Renderer {
@@ -212,11 +260,12 @@ impl Renderer {
         let inputs = FrameInputs {
             depth_limits: frame.occluder.as_ref().and(memory.depth_limits.as_ref()),
             linear_depth: frame.depth.is_some(),
+            auxiliary: memory.auxiliary([frame.pick.is_some(), frame.motion.is_some()]),
             ..inputs_of(first, others, memory, &settings)
         };
         forward.record(r, &inputs);
         r.barrier();
-        let mut release = record_targets(r, compose, memory, frame);
+        let mut release = record_targets(r, compose, &inputs, &forward.sizes, frame);
         release.occluder = occluder;
         slot.end(recorder)?;
         self.placed = emptied(placed);
@@ -235,7 +284,11 @@ pub(super) fn place<'a>(frame: &RecordedFrame<'a>, alignment: u32, placed: &mut 
         let (sh_degree, settings) = (placed.active_degree(frame.settings), placed.settings);
         let first_cut_out = cut_outs;
         cut_outs += settings.cut_out_count();
-        PlacedScene { scene, camera, scale, sh_degree, settings, first: begin, first_cut_out }
+        let previous = frame.motion.map(|motion| {
+            let pose = placed.previous_pose.unwrap_or(placed.pose);
+            Seen { camera: pose.camera_in_object(motion.previous_camera), scale: pose.scale }
+        });
+        PlacedScene { scene, camera, scale, sh_degree, settings, first: begin, first_cut_out, previous }
     }));
 }
 
@@ -269,23 +322,28 @@ pub(super) fn inputs_of<'a>(
         linear_depth: false,
         backward: false,
         keeps_overflow: false,
+        auxiliary: Auxiliary::default(),
+        previous: first.previous,
     }
 }
 
 fn record_targets(
     r: &mut Recorder,
     compose: &Compose,
-    memory: &SlotMemory,
+    inputs: &FrameInputs<'_>,
+    sizes: &LaunchSizes,
     frame: &RecordedFrame<'_>,
 ) -> Release {
     let size = [frame.camera.width, frame.camera.height];
-    let f = &memory.frame;
+    let f = inputs.frame;
     let mut release = Release {
         stages: vk::PipelineStageFlags2::COMPUTE_SHADER,
         accesses: vk::AccessFlags2::SHADER_STORAGE_WRITE,
         color: None,
         occluder: None,
         depth: None,
+        pick: None,
+        motion: None,
     };
     r.scope("compose", |r| {
         if let Target::Image { to, behind, encoding } = &frame.target {
@@ -302,6 +360,16 @@ fn record_targets(
                 depth.to.region(),
                 limits,
             );
+        }
+        if let (Some(PickTarget { to }), Some(own)) = (&frame.pick, inputs.auxiliary.picks) {
+            release.pick = Some(r.acquire_image(to.image, to.from));
+            let scenes = frame.scenes.len() as u32;
+            compose.record_picks(r, (f, sizes, own), (frame.camera, scenes), to.region());
+        }
+        if let (Some(motion), Some(own)) = (&frame.motion, inputs.auxiliary.motion) {
+            release.motion = Some(r.acquire_image(motion.to.image, motion.to.from));
+            let others = (motion.min_weight, motion.empty);
+            compose.record_motion(r, (&f.accumulated, own), size, motion.to.region(), others);
         }
     });
     release

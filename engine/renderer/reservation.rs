@@ -47,6 +47,12 @@ pub struct Reservation {
     pub cut_outs: u32,
     /// Whether scenes of frames will have a selection ([`SceneSettings::selection`](crate::SceneSettings::selection)).
     pub selection: bool,
+    /// Whether frames will have what is picked at each pixel ([`RecordedFrame::pick`](super::RecordedFrame::pick)): 8 bytes of
+    /// memory per pixel.
+    pub pick: bool,
+    /// Whether frames will have motion ([`RecordedFrame::motion`](super::RecordedFrame::motion)): 8 bytes of memory per pixel
+    /// and 8 per Gaussian.
+    pub motion: bool,
     /// Whether all frames go into images, and none into its slot ([`Target::Slot`](super::Target::Slot)). Slots then have
     /// no pixels of their own ([`Renderer::slot_pixels`](super::Renderer::slot_pixels), `slot_inverse_depth`).
     pub images_only: bool,
@@ -74,6 +80,8 @@ impl Reservation {
             tint: false,
             cut_outs: 0,
             selection: false,
+            pick: false,
+            motion: false,
             images_only: false,
             staging_bytes: 0,
         }
@@ -142,6 +150,14 @@ impl Reservation {
             let hidden = variants.clone().into_iter();
             variants.extend(hidden.map(|v| BlendVariant { depth_limit: true, ..v }));
         }
+        if self.pick {
+            let picked = variants.clone().into_iter();
+            variants.extend(picked.map(|v| BlendVariant { pick: true, ..v }));
+        }
+        if self.motion {
+            let moving = variants.clone().into_iter();
+            variants.extend(moving.map(|v| BlendVariant { motion: true, ..v }));
+        }
         // Any frame may draw ellipsoids.
         let steep = variants.clone().into_iter();
         variants.extend(steep.map(|v| BlendVariant { steep: true, ..v }));
@@ -171,6 +187,8 @@ impl Reservation {
             ("expected_depth", frame.linear_depth, self.expected_depth),
             ("inverse_depth", frame.inverse_depth && !frame.linear_depth, self.inverse_depth),
             ("filter_3d", frame.filter_3d, self.filter_3d),
+            ("pick", frame.pick, self.pick),
+            ("motion", frame.motion, self.motion),
         ];
         let lacking = needs.into_iter().filter(|(_, needed, set)| *needed && !set).map(|(field, ..)| field);
         // Without a list in memory where nothing lacks.
@@ -195,8 +213,9 @@ impl Reservation {
         // Scenes may be stored at a higher degree than the evaluated one, in more chunks.
         let plan = ScenePlan::new(context.limits(), self.gaussians, 3)
             .or_else(|_| ScenePlan::new(context.limits(), self.gaussians, self.sh_degree))?;
-        // Per chunk of parameters: culling and projection. Per scene: the ranges of its chunks.
-        let projection = 2 * (plan.chunks + self.scenes) + self.scenes;
+        // Per chunk of parameters: culling, projection and motion. Per scene: the ranges of its chunks.
+        let of_chunk = 2 + u32::from(self.motion);
+        let projection = of_chunk * (plan.chunks + self.scenes) + self.scenes;
         let blending = LaunchSizes::new(context.limits()).blend_dispatches(self.instances, self.blend_passes);
         Ok((PER_FRAME + blending + projection) as usize)
     }

@@ -79,15 +79,17 @@ impl Renderer {
         wanted.check()?;
         context.kernel_jobs(|context| {
             prepare_variants(&mut Forward::new(context)?, wanted)?;
-            Compose::new(context).map(drop)
+            Compose::new(context)?.prepare(context, [wanted.pick, wanted.motion])
         })
     }
 
     /// Builds the kernels of a reservation.
     fn prepare(&mut self, wanted: &Reservation) -> Result<()> {
-        if self.compose.is_none() {
-            self.compose = Some(Compose::new(&self.context)?);
-        }
+        let compose = match self.compose.take() {
+            Some(compose) => compose,
+            None => Compose::new(&self.context)?,
+        };
+        self.compose.insert(compose).prepare(&self.context, [wanted.pick, wanted.motion])?;
         prepare_variants(&mut self.runner.forward, wanted)
     }
 

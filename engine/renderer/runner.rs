@@ -4,7 +4,8 @@ use super::frame_store::{FrameStore, State};
 use super::{Frame, FrameStats};
 use crate::error::{Error, Result};
 use crate::forward::{
-    BlendVariant, Blending, Forward, FrameInputs, PlacedScene, RenderSettings, SceneBuffers, SceneSettings,
+    Auxiliary, BlendVariant, Blending, Forward, FrameInputs, PlacedScene, RenderSettings, SceneBuffers,
+    SceneSettings,
 };
 use crate::plan::{FrameBuffers, FrameCapacity, PictureCapacity, first_around, gaussians_with};
 use crate::scene::Camera;
@@ -46,6 +47,7 @@ impl<'a> Request<'a> {
             settings,
             first,
             first_cut_out: 0,
+            previous: None,
         }
     }
 
@@ -71,6 +73,8 @@ impl<'a> Request<'a> {
             linear_depth: false,
             backward: self.backward,
             keeps_overflow: false,
+            auxiliary: Auxiliary::default(),
+            previous: None,
         }
     }
 }

@@ -6,7 +6,7 @@
 
 use super::reservation::Reservation;
 use crate::error::{Error, Result};
-use crate::forward::CUT_OUT_BYTES;
+use crate::forward::{Auxiliary, CUT_OUT_BYTES, MotionBuffers, PickBuffers};
 use crate::plan::{FrameBuffers, FrameCapacity, LaunchSizes, frame_requests};
 use crate::vk::{Buffer, Context, MemoryKind, PLACEMENT_ALIGNMENT, pack};
 
@@ -20,11 +20,27 @@ pub(super) struct SlotMemory {
     /// 1/z per pixel.
     pub depth_limits: Option<Buffer>,
     pub cut_outs: Option<Buffer>,
+    /// Per pixel, and per scene: see [`PickBuffers`].
+    picks: Option<[Buffer; 2]>,
+    /// Per visible Gaussian, and per pixel: see [`MotionBuffers`].
+    motion: Option<[Buffer; 2]>,
     pub staging: Option<Buffer>,
     /// Whether the pixels of a frame stay until the slot is recorded again.
     pub keeps_pixels: bool,
     /// The same of the inverse or expected depth.
     pub keeps_depth: bool,
+}
+
+impl SlotMemory {
+    /// The buffers of what a frame leaves beside the picture, as it asks for picks and for motion.
+    pub fn auxiliary(&self, [pick, motion]: [bool; 2]) -> Auxiliary<'_> {
+        let picks = self.picks.as_ref().filter(|_| pick);
+        let motion = self.motion.as_ref().filter(|_| motion);
+        Auxiliary {
+            picks: picks.map(|[picks, scene_firsts]| PickBuffers { picks, scene_firsts }),
+            motion: motion.map(|[motions, sums]| MotionBuffers { motions, sums }),
+        }
+    }
 }
 
 /// Requests of a reservation, in a host's block if there is one.
@@ -60,6 +76,12 @@ impl<'a> Plan<'a> {
         scratch.extend(
             (wanted.cut_outs > 0).then_some(("cut_outs", u64::from(wanted.cut_outs) * CUT_OUT_BYTES)),
         );
+        if wanted.pick {
+            scratch.extend([("picks", pixels * 8), ("scene_firsts", u64::from(wanted.scenes) * 4)]);
+        }
+        if wanted.motion {
+            scratch.extend([("motions", u64::from(capacity.gaussians) * 8), ("motion_sums", pixels * 8)]);
+        }
         let has_depth = !wanted.images_only && (wanted.inverse_depth || wanted.expected_depth);
         let mut own = Vec::new();
         if !wanted.images_only {
@@ -112,8 +134,11 @@ impl<'a> Plan<'a> {
                     let mut scratch = groups.next().unwrap_or_default();
                     let own = scratch.len() - self.extra;
                     let frame = FrameBuffers::from_allocated(scratch.by_ref().take(own).collect());
-                    let depth_limits = wanted.occlusion.then(|| scratch.next()).flatten();
-                    let (capacity, cut_outs) = (self.capacity, scratch.next());
+                    let mut next = |reserved: bool| reserved.then(|| scratch.next()).flatten();
+                    let (depth_limits, cut_outs) = (next(wanted.occlusion), next(wanted.cut_outs > 0));
+                    let picks = next(wanted.pick).zip(next(wanted.pick)).map(<[_; 2]>::from);
+                    let motion = next(wanted.motion).zip(next(wanted.motion)).map(<[_; 2]>::from);
+                    let capacity = self.capacity;
                     let keeps_pixels = !wanted.images_only;
                     let keeps_depth = self.has_depth;
                     SlotMemory {
@@ -121,6 +146,8 @@ impl<'a> Plan<'a> {
                         capacity,
                         depth_limits,
                         cut_outs,
+                        picks,
+                        motion,
                         staging: None,
                         keeps_pixels,
                         keeps_depth,

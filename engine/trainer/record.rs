@@ -176,6 +176,8 @@ impl Trainer {
             color: None,
             occluder: None,
             depth: None,
+            pick: None,
+            motion: None,
         };
         Ok(RecordedStep { iteration: plan.iteration, view: plan.view, release })
     }

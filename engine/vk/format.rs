@@ -50,6 +50,12 @@ pub const COLOR_FORMATS: [F; 8] = [
 /// Format of an image of depth that kernels write.
 pub const DEPTH_FORMAT: F = F::R32_SFLOAT;
 
+/// Format of an image of what is picked, which kernels write.
+pub const PICK_FORMAT: F = F::R32G32B32A32_UINT;
+
+/// Format of an image of motion, which kernels write.
+pub const MOTION_FORMAT: F = F::R16G16_SFLOAT;
+
 /// Formats of a host's depth image, each read as one float.
 pub const HOST_DEPTH_FORMATS: [F; 9] = [
     F::D16_UNORM,
@@ -67,7 +73,9 @@ impl ImageUse {
     /// The formats of images with this use.
     pub fn formats(self) -> Vec<F> {
         match self {
-            Self::Storage => COLOR_FORMATS.into_iter().chain([DEPTH_FORMAT]).collect(),
+            Self::Storage => {
+                COLOR_FORMATS.into_iter().chain([DEPTH_FORMAT, PICK_FORMAT, MOTION_FORMAT]).collect()
+            }
             Self::Sampled => HOST_DEPTH_FORMATS.to_vec(),
         }
     }
@@ -79,7 +87,9 @@ impl ImageUse {
     pub fn seen_as(self, format: F) -> F {
         match (self, format) {
             (Self::Storage, F::R8G8B8A8_SRGB | F::B8G8R8A8_UNORM | F::B8G8R8A8_SRGB) => F::R8G8B8A8_UNORM,
-            (Self::Storage, F::A2B10G10R10_UNORM_PACK32 | F::B10G11R11_UFLOAT_PACK32) => F::R32_UINT,
+            (Self::Storage, F::A2B10G10R10_UNORM_PACK32 | F::B10G11R11_UFLOAT_PACK32 | MOTION_FORMAT) => {
+                F::R32_UINT
+            }
             _ => format,
         }
     }
@@ -99,7 +109,7 @@ pub(super) fn texel_bytes(format: vk::Format) -> u64 {
     match format {
         F::D16_UNORM | F::D16_UNORM_S8_UINT | F::R16_UNORM | F::R16_SFLOAT => 2,
         F::R16G16B16A16_SFLOAT => 8,
-        F::R32G32B32A32_SFLOAT => 16,
+        F::R32G32B32A32_SFLOAT | F::R32G32B32A32_UINT => 16,
         _ => 4,
     }
 }

@@ -45,6 +45,11 @@ layout(constant_id = 8) const bool STRIPS = false;
 layout(constant_id = 9) const uint REGION_HEIGHT = 8;
 // See splat_shuffle.glsl.
 layout(constant_id = 10) const bool BROADCAST = false;
+#ifdef AUXILIARY
+// See blend_auxiliary.glsl.
+layout(constant_id = 11) const bool PICK = false;
+layout(constant_id = 12) const bool MOTION = false;
+#endif
 layout(local_size_x_id = 0) in;
 
 #include "tile_region.glsl"
@@ -59,6 +64,10 @@ const uint MAX_PIXELS = 16;
 
 // With COUNT_HITS: Gaussians blended over a region.
 uint hit_count = 0;
+#ifdef AUXILIARY
+// With MOTION: the motion of the lane's splat.
+vec2 own_motion = vec2(0.0);
+#endif
 
 // Tests each lane's splat against a region and blends the hits over it.
 void blend_region(Splat own, vec4 mean2d, bool exists, uvec2 origin, uint batch, inout Pixel pixels[MAX_PIXELS],
@@ -72,11 +81,17 @@ void blend_region(Splat own, vec4 mean2d, bool exists, uvec2 origin, uint batch,
             uint lane = findLSB(bits) + 32 * word;
             bits &= bits - 1;
             Splat splat = shuffled(own, lane);
+#ifdef AUXILIARY
+            vec2 motion = MOTION ? vec2(lane_value(own_motion.x, lane), lane_value(own_motion.y, lane)) : vec2(0.0);
+#endif
             [[unroll]] for (uint column = 0; column < COLUMNS; ++column) {
                 float alphas[MAX_COLUMN_ROWS];
                 column_alphas(splat, corner_px + vec2(column * LANES_X, 0), alphas);
                 [[unroll]] for (uint row = 0; row < ROWS; ++row) {
-                    blend_splat(splat, alphas[row], batch + lane + 1, pixels[column * ROWS + row]);
+                    float weight = blend_splat(splat, alphas[row], batch + lane + 1, pixels[column * ROWS + row]);
+#ifdef AUXILIARY
+                    note_splat(weight, motion, batch + lane + 1, pixels[column * ROWS + row]);
+#endif
                 }
             }
             if (bits == 0) {
@@ -146,6 +161,9 @@ void main() {
         vec4 conic = VEC4_AT(conic_opacity, splat_at(visible, SPLAT_CONIC_OPACITY));
         vec4 shade = VEC4_AT(color_inverse_depth, splat_at(visible, SPLAT_COLOR_INVERSE_DEPTH));
         Splat own = splat_of(mean2d.xy, conic, shade);
+#ifdef AUXILIARY
+        own_motion = MOTION ? VEC2_AT(motions, visible) : vec2(0.0);
+#endif
         EACH_REGION(REGIONS_PER_SUBGROUP, BLEND)
         batch += SUBGROUP_SIZE;
         if (batch >= end || !(alive_0 || alive_1 || alive_2 || alive_3)) {

@@ -38,6 +38,11 @@ layout(constant_id = 5) const bool INCREMENTAL_EXP = false;
 layout(constant_id = 7) const bool COUNT_HITS = false;
 // See blend_io.glsl. Only with INCREMENTAL_EXP.
 layout(constant_id = 8) const bool STRIPS = false;
+#ifdef AUXILIARY
+// See blend_auxiliary.glsl.
+layout(constant_id = 11) const bool PICK = false;
+layout(constant_id = 12) const bool MOTION = false;
+#endif
 layout(local_size_x_id = 0) in;
 
 const uint REGION_HEIGHT = SUBGROUP_SIZE <= 64 ? 8 : 16;
@@ -56,6 +61,9 @@ const uint PIXELS = OWN_COLUMNS * COLUMN_ROWS;
 shared vec2 means[WORKGROUP_SIZE];
 shared vec4 conics[WORKGROUP_SIZE];
 shared vec4 shades[WORKGROUP_SIZE];
+#ifdef AUXILIARY
+shared vec2 shared_motions[MOTION ? WORKGROUP_SIZE : 1];
+#endif
 shared uint alive;
 
 // First pixel, within the tile, of column k of the invocation. Columns are numbered from left to right, then from top to
@@ -108,16 +116,28 @@ void main() {
         means[gl_LocalInvocationID.x] = VEC4_AT(mean2d_extent, splat_at(visible, SPLAT_MEAN2D_EXTENT)).xy;
         conics[gl_LocalInvocationID.x] = VEC4_AT(conic_opacity, splat_at(visible, SPLAT_CONIC_OPACITY));
         shades[gl_LocalInvocationID.x] = VEC4_AT(color_inverse_depth, splat_at(visible, SPLAT_COLOR_INVERSE_DEPTH));
+#ifdef AUXILIARY
+        if (MOTION) {
+            shared_motions[gl_LocalInvocationID.x] = VEC2_AT(motions, visible);
+        }
+#endif
         barrier();
         // Uniform: all invocations have read the same word, and no invocation writes it before the barrier below.
         uint fetched = alive != 0 ? min(end - batch, WORKGROUP_SIZE) : 0;
         for (uint k = 0; k < fetched; ++k) {
             Splat splat = splat_of(means[k], conics[k], shades[k]);
+#ifdef AUXILIARY
+            vec2 motion = MOTION ? shared_motions[k] : vec2(0.0);
+#endif
             [[unroll]] for (uint column = 0; column < OWN_COLUMNS; ++column) {
                 float alphas[MAX_COLUMN_ROWS];
                 column_alphas(splat, vec2(corner + column_origin(column)), alphas);
                 [[unroll]] for (uint row = 0; row < COLUMN_ROWS; ++row) {
-                    blend_splat(splat, alphas[row], batch + k + 1, pixels[column * COLUMN_ROWS + row]);
+                    float weight =
+                        blend_splat(splat, alphas[row], batch + k + 1, pixels[column * COLUMN_ROWS + row]);
+#ifdef AUXILIARY
+                    note_splat(weight, motion, batch + k + 1, pixels[column * COLUMN_ROWS + row]);
+#endif
                 }
             }
         }

@@ -44,6 +44,9 @@ layout(push_constant, scalar) uniform Push {
 #include "dispatch_range.glsl"
 #include "tile_order.glsl"
 #include "strips.glsl"
+#ifdef AUXILIARY
+#include "blend_auxiliary.glsl"
+#endif
 
 // Records the longest tile, and sets STATE_OVERFLOW for a tile that the last pass does not finish.
 void note_tile(uint entries, uint end) {
@@ -72,6 +75,9 @@ Pixel load_pixel(uvec2 at) {
         if (INVERSE_DEPTH) {
             pixel.depth = inverse_depth[index];
         }
+#ifdef AUXILIARY
+        load_auxiliary(index, pixel);
+#endif
     }
     return pixel;
 }
@@ -88,6 +94,9 @@ void store_pixel(uvec2 at, Pixel pixel, bool more) {
         if (INVERSE_DEPTH) {
             inverse_depth[index] = pixel.depth;
         }
+#ifdef AUXILIARY
+        store_auxiliary(index, pixel);
+#endif
     }
 }
 

@@ -33,6 +33,12 @@ struct Pixel {
     // Splats with a smaller 1/z lie behind the host's opaque surface and do not count.
     float least_inverse_z;
     uint last;
+#ifdef AUXILIARY
+    // Largest weight, the place of its splat, and the sum of weighted motions: blend_auxiliary.glsl.
+    float heaviest;
+    uint picked;
+    vec2 motion;
+#endif
 };
 
 Splat splat_of(vec2 mean, vec4 conic_opacity, vec4 color_inverse_depth) {
@@ -94,8 +100,8 @@ void column_alphas(Splat splat, vec2 first_px, out float alphas[MAX_COLUMN_ROWS]
     }
 }
 
-// `unclamped` is the opacity from column_alphas.
-void blend_splat(Splat splat, float unclamped, uint place, inout Pixel pixel) {
+// `unclamped` is the opacity from column_alphas. Returns the splat's weight.
+float blend_splat(Splat splat, float unclamped, uint place, inout Pixel pixel) {
     float alpha = min(ALPHA_MAX, unclamped);
     precise float next = pixel.transmittance * (1.0 - alpha);
     // Tested even if the splat does not count at this pixel, but not after the pixel has stopped. Splats come front to back,
@@ -109,8 +115,13 @@ void blend_splat(Splat splat, float unclamped, uint place, inout Pixel pixel) {
     }
     pixel.transmittance = goes_on ? next : -abs(pixel.transmittance);
     pixel.last = weight > 0.0 ? place : pixel.last;
+    return weight;
 }
 
 Pixel fresh_pixel(bool inside) {
+#ifdef AUXILIARY
+    return Pixel(inside ? 1.0 : -1.0, vec3(0.0), 0.0, 0.0, 0, 0.0, 0, vec2(0.0));
+#else
     return Pixel(inside ? 1.0 : -1.0, vec3(0.0), 0.0, 0.0, 0);
+#endif
 }

@@ -17,6 +17,11 @@ const float ELLIPSOID_LEAST_OPACITY = 0.2;
 // Largest colour of a tinted scene: the largest half float.
 const float TINTED_COLOR_MAX = 65504.0;
 
+// Where nothing is picked: in place of the Gaussian and of the scene.
+const uint NOT_PICKED = 0xFFFFFFFF;
+// Largest motion along an axis, px: the largest half float.
+const float MOTION_MAX = 65504.0;
+
 // Cut-outs: shapes, what is added for those that remove, and vec4 of each.
 const uint CUT_OUT_BOX = 0;
 const uint CUT_OUT_ELLIPSOID = 1;

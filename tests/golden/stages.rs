@@ -1,7 +1,7 @@
 //! Frames with backward by the engine's stages, without a renderer: for what it does not hand out.
 
 use ashsplat::backward::{Backward, BackwardVariant};
-use ashsplat::forward::{BlendVariant, Forward, FrameInputs, SceneBuffers, SceneSettings};
+use ashsplat::forward::{Auxiliary, BlendVariant, Forward, FrameInputs, SceneBuffers, SceneSettings};
 use ashsplat::kernels::constants::{STATE_OVERFLOW, STATE_WORDS};
 use ashsplat::plan::{FrameBuffers, FrameCapacity, LaunchSizes, PictureCapacity, frame_requests};
 use ashsplat::vk::{MemoryKind, Recorder};
@@ -95,6 +95,8 @@ impl<'a> Stages<'a> {
             linear_depth: false,
             backward: true,
             keeps_overflow: false,
+            auxiliary: Auxiliary::default(),
+            previous: None,
         };
         self.gpu.run(|r| {
             self.forward.record(r, &inputs);

@@ -1,0 +1,101 @@
+//! What is picked at each pixel and the mean motion, into a host's images.
+
+use super::{Compose, Region};
+use crate::error::Result;
+use crate::forward::{MotionBuffers, PickBuffers};
+use crate::kernels::compose::{mean_motion, picks};
+use crate::plan::{FrameBuffers, LaunchSizes, tile_grid};
+use crate::scene::Camera;
+use crate::vk::{Buffer, Context, Kernel, Recorder};
+
+/// The kernels, built where a host asks for them.
+#[derive(Default)]
+pub(super) struct Kernels {
+    picks: Option<Kernel<picks::Interface>>,
+    mean_motion: Option<Kernel<mean_motion::Interface>>,
+}
+
+impl Compose {
+    /// Builds the kernels of picking and of motion that are wanted, unless they exist.
+    ///
+    /// # Errors
+    /// When the device refuses a pipeline.
+    pub fn prepare(&mut self, context: &Context, [pick, motion]: [bool; 2]) -> Result<()> {
+        let workgroup_size = self.workgroup;
+        let Kernels { picks, mean_motion } = &mut self.auxiliary;
+        if pick && picks.is_none() {
+            *picks = Some(Kernel::new(context, &picks::Spec { workgroup_size })?);
+        }
+        if motion && mean_motion.is_none() {
+            *mean_motion = Some(Kernel::new(context, &mean_motion::Spec { workgroup_size })?);
+        }
+        Ok(())
+    }
+
+    /// Records what is picked at each pixel of a frame without backward that was blended with picks, into an image of
+    /// [`Compose::PICK_FORMAT`] that is ready for kernels: the Gaussian, its scene, the bits of its depth and of its weight.
+    ///
+    /// # Panics
+    /// Without [`Compose::prepare`].
+    pub fn record_picks(
+        &self,
+        r: &mut Recorder,
+        (frame, sizes, own): (&FrameBuffers, &LaunchSizes, PickBuffers<'_>),
+        (camera, scenes): (&Camera, u32),
+        region: Region<'_>,
+    ) {
+        let Some(kernel) = &self.auxiliary.picks else { panic!("Compose::prepare was not called for picks") };
+        let splats = frame.splats();
+        let [offset_x, offset_y] = region.offset;
+        let bind = picks::Bind {
+            picks: own.picks,
+            tile_ranges: &frame.tile_ranges,
+            sorted_visible: frame.sorted_visible(sizes, false, camera),
+            visible_list: &frame.visible_list,
+            color_inverse_depth: splats.color_inverse_depth,
+            scene_firsts: own.scene_firsts,
+            target: region.image,
+        };
+        let push = picks::Push {
+            image_width: camera.width,
+            image_height: camera.height,
+            offset_x,
+            offset_y,
+            tiles_per_row: tile_grid(camera.width, camera.height).0,
+            splat_stride: splats.stride,
+            scenes,
+        };
+        r.dispatch(kernel, &bind, &push, self.workgroups([camera.width, camera.height]));
+    }
+
+    /// Records the mean motion sum(w m) / sum(w) of a frame that was blended with motion, px, into an image of
+    /// [`Compose::MOTION_FORMAT`] that is ready for kernels. Pixels whose sum of weights is below `min_weight` receive
+    /// `empty`; without it they stay as they are.
+    ///
+    /// # Panics
+    /// Without [`Compose::prepare`].
+    pub fn record_motion(
+        &self,
+        r: &mut Recorder,
+        (accumulated, own): (&Buffer, MotionBuffers<'_>),
+        size: [u32; 2],
+        region: Region<'_>,
+        (min_weight, empty): (f32, Option<[f32; 2]>),
+    ) {
+        let Some(kernel) = &self.auxiliary.mean_motion else {
+            panic!("Compose::prepare was not called for motion");
+        };
+        let ([image_width, image_height], [offset_x, offset_y]) = (size, region.offset);
+        let bind = mean_motion::Bind { accumulated, motion_sums: own.sums, target: region.image };
+        let push = mean_motion::Push {
+            image_width,
+            image_height,
+            offset_x,
+            offset_y,
+            min_weight,
+            empty: empty.unwrap_or_default(),
+            keeps: empty.is_none().into(),
+        };
+        r.dispatch(kernel, &bind, &push, self.workgroups(size));
+    }
+}

@@ -1,0 +1,10 @@
+// blend.comp, with what engines want beside the picture (blend_auxiliary.glsl): the splat of the largest weight in each pixel,
+// and the mean motion. Colours and depths have the bits of blend.comp.
+//
+// invocation, subgroup, workgroup: as blend.comp
+// in: as blend.comp; with MOTION motions (PerVisible)
+// out: as blend.comp; PerPixel, with PICK picks, with MOTION motion_sums
+// shared: none; subgroup sizes 4 to 128
+#version 460
+#define AUXILIARY
+#include "blend.comp"
