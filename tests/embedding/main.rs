@@ -29,6 +29,7 @@ mod compose_rgba32f;
 #[path = "../common/child.rs"]
 mod child;
 
+mod auxiliary;
 mod bad_input;
 mod blocks;
 mod colour;

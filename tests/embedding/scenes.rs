@@ -336,7 +336,7 @@ fn a_hosts_depth_hides_what_lies_behind_it() {
 }
 
 /// A depth image of one value.
-fn depth_image(host: &Host, size: [u32; 2], value: f32) -> (HostTexture, ImageState) {
+pub fn depth_image(host: &Host, size: [u32; 2], value: f32) -> (HostTexture, ImageState) {
     let usage = vk::ImageUsageFlags::SAMPLED | vk::ImageUsageFlags::TRANSFER_DST;
     let texture = HostTexture::new(host, vk::Format::D32_SFLOAT, usage, size).expect("an image");
     let texels = vec![value; (size[0] * size[1]) as usize];

@@ -1,0 +1,575 @@
+//! What a frame leaves beside the picture: what is picked at each pixel, and motion; by the host's own arithmetic.
+
+use crate::host::Host;
+use crate::memory::{HostBuffer, HostTexture};
+use crate::scene_settings::{HIDDEN, USUAL};
+use crate::scenes::{appended, depth_image};
+use crate::stage::{assert_same, camera, guest, options, own_device, owned, rendered, with_host};
+use ashsplat::ash::vk;
+use ashsplat::kernels::constants::{ALPHA_MAX, ALPHA_MIN, NOT_PICKED, TRANSMITTANCE_MIN};
+use ashsplat::scene::{Camera, CutOut, DepthMapping, Gaussians, Inside, Pose, Volume};
+use ashsplat::vk::{Context, Image, ImageState, ImageUse};
+use ashsplat::{
+    Blending, DeviceScene, HostImage, MotionTarget, Occluder, PickTarget, Placed, RecordedFrame,
+    RenderSettings, Renderer, Reservation, SceneSettings, TileLists,
+};
+use glam::{DMat3, DVec3, Mat3, Quat, Vec3};
+
+const SIZE: [u32; 2] = [96, 70];
+const WRITTEN: ImageState = ImageState {
+    layout: vk::ImageLayout::GENERAL,
+    stages: vk::PipelineStageFlags2::COMPUTE_SHADER,
+    accesses: vk::AccessFlags2::SHADER_STORAGE_WRITE,
+};
+
+/// Images of the host's for what lies beside the picture.
+pub struct Screens<'a> {
+    host: &'a Host,
+    textures: [HostTexture; 2],
+    pub views: [Image; 2],
+}
+
+/// What a frame left.
+pub struct Shot {
+    pub pixels: Vec<[f32; 4]>,
+    pub picks: Vec<[u32; 4]>,
+    pub motions: Vec<[f32; 2]>,
+}
+
+impl<'a> Screens<'a> {
+    pub fn new(host: &'a Host, context: &Context, size: [u32; 2]) -> Self {
+        let usage = vk::ImageUsageFlags::STORAGE
+            | vk::ImageUsageFlags::TRANSFER_SRC
+            | vk::ImageUsageFlags::TRANSFER_DST;
+        let textures = [vk::Format::R32G32B32A32_UINT, vk::Format::R16G16_SFLOAT]
+            .map(|format| HostTexture::new(host, format, usage, size).expect("an image"));
+        // SAFETY: the images are as they say, and outlive the views.
+        let view = |t: &HostTexture| unsafe {
+            Image::adopt(context, "beside", &t.foreign(), ImageUse::Storage).expect("adopted")
+        };
+        let views = [view(&textures[0]), view(&textures[1])];
+        Self { host, textures, views }
+    }
+
+    pub fn to(&self, which: usize) -> HostImage<'_> {
+        HostImage { image: &self.views[which], from: ImageState::UNDEFINED, offset: [0; 2] }
+    }
+
+    /// Renders a frame with both.
+    pub fn shot(&self, renderer: &mut Renderer, frame: &RecordedFrame<'_>, previous: &Camera) -> Shot {
+        let (pick, motion) = (PickTarget { to: self.to(0) }, self.motion(previous));
+        let frame = RecordedFrame { pick: Some(pick), motion: Some(motion), ..*frame };
+        let pixels = rendered(self.host, renderer, &frame);
+        Shot { pixels, picks: self.read(0), motions: self.motions() }
+    }
+
+    pub fn motion<'b>(&'b self, previous_camera: &'b Camera) -> MotionTarget<'b> {
+        MotionTarget { to: self.to(1), previous_camera, min_weight: 0.0, empty: Some([0.0; 2]) }
+    }
+
+    pub fn motions(&self) -> Vec<[f32; 2]> {
+        let halves: Vec<[u16; 2]> = self.read(1);
+        halves.into_iter().map(|texel| texel.map(|bits| of_half(bits))).collect()
+    }
+
+    fn read<T: bytemuck::Pod>(&self, which: usize) -> Vec<T> {
+        let (host, texture) = (self.host, &self.textures[which]);
+        let bytes = size_of::<T>() * texture.size[0] as usize * texture.size[1] as usize;
+        let staging = HostBuffer::new(host, bytes as u64).expect("memory");
+        let from = (WRITTEN.layout, WRITTEN.stages, WRITTEN.accesses);
+        let copied = host.run(|commands| {
+            texture.record_read(host, commands, from, &staging);
+            Ok(())
+        });
+        copied.expect("copied");
+        let read = staging.read(host, bytes).expect("bytes");
+        staging.destroy(host);
+        bytemuck::pod_collect_to_vec(&read)
+    }
+
+    fn destroy(self) {
+        drop(self.views);
+        self.textures.into_iter().for_each(|texture| texture.destroy(self.host));
+    }
+}
+
+/// A half float that is finite.
+fn of_half(bits: u16) -> f32 {
+    let (sign, exponent, mantissa) =
+        (bits >> 15, i32::from(bits >> 10 & 31), f32::from(bits & 1023) / 1024.0);
+    let size = match exponent {
+        0 => mantissa * 2.0f32.powi(-14),
+        _ => (1.0 + mantissa) * 2.0f32.powi(exponent - 15),
+    };
+    if sign == 1 { -size } else { size }
+}
+
+fn both(wanted: Reservation) -> Reservation {
+    Reservation { pick: true, motion: true, ..wanted }
+}
+
+/// Round Gaussians without a direction: what a pose does to them is soon said.
+fn round(count: usize, seed: u32) -> Gaussians {
+    let mut round = crate::stage::cloud(count, seed).with_sh_degree(0);
+    for i in 0..count {
+        round.quats[i] = [1.0, 0.0, 0.0, 0.0];
+        round.log_scales[i] = [round.log_scales[i][0]; 3];
+    }
+    round
+}
+
+/// One round Gaussian at a place in a camera's frame.
+fn ball(camera: &Camera, at: [f32; 3], [scale, opacity]: [f32; 2]) -> Gaussians {
+    let at = camera.camera_from_world.transpose() * (Vec3::from(at) - camera.translation);
+    Gaussians {
+        sh_degree: 0,
+        means: vec![at.to_array()],
+        quats: vec![[1.0, 0.0, 0.0, 0.0]],
+        log_scales: vec![[scale.ln(); 3]],
+        opacity_logits: vec![(opacity / (1.0 - opacity)).ln()],
+        sh: vec![[1.0; 3]],
+    }
+}
+
+/// Round Gaussians as a pose places them.
+fn posed(gaussians: &Gaussians, pose: &Pose) -> Gaussians {
+    let mut posed = gaussians.clone();
+    for (mean, log_scale) in posed.means.iter_mut().zip(&mut posed.log_scales) {
+        *mean = in_world(*mean, pose).as_vec3().to_array();
+        *log_scale = log_scale.map(|x| x + pose.scale.ln());
+    }
+    posed
+}
+
+fn in_world(mean: [f32; 3], pose: &Pose) -> DVec3 {
+    let rotation: DMat3 = pose.world_from_object.as_dmat3();
+    rotation * (Vec3::from(mean).as_dvec3() * f64::from(pose.scale)) + pose.translation.as_dvec3()
+}
+
+/// Screen position and depth, in float64; pixel centres at the integers.
+fn seen(point: DVec3, camera: &Camera) -> ([f64; 2], f64) {
+    let at = camera.camera_from_world.as_dmat3() * point + camera.translation.as_dvec3();
+    let f = |focal: f32, x: f64, center: f32| f64::from(focal) * x / at.z + f64::from(center) - 0.5;
+    ([f(camera.fx, at.x, camera.cx), f(camera.fy, at.y, camera.cy)], at.z)
+}
+
+/// What has moved on the screen, in float64.
+fn moved(mean: [f32; 3], [pose, before]: [&Pose; 2], [camera, camera_before]: [&Camera; 2]) -> [f64; 2] {
+    let ([x, y], _) = seen(in_world(mean, pose), camera);
+    let ([x0, y0], z0) = seen(in_world(mean, before), camera_before);
+    if z0 > 0.2 { [x - x0, y - y0] } else { [0.0; 2] }
+}
+
+/// Weights of what is blended at a pixel, as (Gaussian, weight, depth); none from `limit` on.
+fn weights(lists: &TileLists, [x, y]: [u32; 2], limit: f64) -> Vec<(usize, f64, f64)> {
+    let [begin, end] = lists.ranges[(y / 16 * lists.tiles_per_row + x / 16) as usize];
+    let (mut weights, mut transmittance) = (Vec::new(), 1.0);
+    for &entry in &lists.entries[begin as usize..end as usize] {
+        let splat = &lists.splats[entry as usize];
+        let depth = f64::from(splat.depth);
+        let [mx, my] = splat.mean2d_px.map(f64::from);
+        let [dx, dy] = [mx - f64::from(x), my - f64::from(y)];
+        let [a, b, c] = splat.conic.map(f64::from);
+        let alpha = f64::from(splat.opacity) * (-0.5 * (a * dx * dx + c * dy * dy) - b * dx * dy).exp();
+        let alpha = alpha.min(f64::from(ALPHA_MAX));
+        if depth > limit
+            || (alpha >= f64::from(ALPHA_MIN) && transmittance * (1.0 - alpha) < f64::from(TRANSMITTANCE_MIN))
+        {
+            break;
+        }
+        if alpha >= f64::from(ALPHA_MIN) {
+            weights.push((splat.gaussian as usize, alpha * transmittance, depth));
+            transmittance *= 1.0 - alpha;
+        }
+    }
+    weights
+}
+
+/// The truth about a frame of round Gaussians: who they are, and how each moved.
+struct Truth {
+    lists: TileLists,
+    /// Of each Gaussian of the lists: its index in its scene, the scene, its motion.
+    who: Vec<(u32, u32, [f64; 2])>,
+    limit: f64,
+}
+
+impl Truth {
+    fn new(drawn: &[(u32, &Gaussians, Pose, Pose)], cameras: [&Camera; 2]) -> Self {
+        let mut all = Gaussians::default();
+        let mut who = Vec::new();
+        for (scene, gaussians, pose, before) in drawn {
+            all = appended(&all, &posed(gaussians, pose));
+            let motion = |&mean: &[f32; 3]| moved(mean, [pose, before], cameras);
+            who.extend((0..).zip(&gaussians.means).map(|(i, mean)| (i, *scene, motion(mean))));
+        }
+        let mut renderer = Renderer::new(own_device()).expect("kernels");
+        renderer.upload(&all).expect("a scene");
+        let lists = renderer.tile_lists(cameras[0], &RenderSettings::default()).expect("lists");
+        Self { lists, who, limit: f64::INFINITY }
+    }
+
+    /// Compares all pixels. Returns how many have something. At most one of a hundred may hang on rounding.
+    fn check(&self, shot: &Shot, [width, height]: [u32; 2]) -> usize {
+        let (mut covered, mut odd) = (0, 0);
+        for index in 0..width * height {
+            let weights = weights(&self.lists, [index % width, index / width], self.limit);
+            let ([gaussian, scene, depth, weight], motion) =
+                (shot.picks[index as usize], shot.motions[index as usize]);
+            let largest = weights.iter().map(|(_, weight, _)| *weight).fold(0.0, f64::max);
+            let picked = weights.iter().find(|(own, weight, _)| {
+                let (index, place, _) = self.who[*own];
+                (index, place) == (gaussian, scene) && *weight > largest - 1e-4
+            });
+            let nothing = [NOT_PICKED, NOT_PICKED, 0, 0] == shot.picks[index as usize];
+            let is_picked = match picked {
+                Some((_, own, z)) => {
+                    let (actual, z_actual) =
+                        (f64::from(f32::from_bits(weight)), f64::from(f32::from_bits(depth)));
+                    (actual - own).abs() < 1e-4 && (z_actual - z).abs() < 1e-5 * z
+                }
+                None => nothing && largest < 1e-2,
+            };
+            let sum: f64 = weights.iter().map(|(_, weight, _)| weight).sum();
+            let mean = [0, 1].map(|axis| {
+                let weighted = weights.iter().map(|(own, weight, _)| weight * self.who[*own].2[axis]);
+                if sum > 0.0 { weighted.sum::<f64>() / sum } else { 0.0 }
+            });
+            let close =
+                |axis: usize| (f64::from(motion[axis]) - mean[axis]).abs() < 2e-3 * (1.0 + mean[axis].abs());
+            covered += usize::from(!weights.is_empty());
+            odd += usize::from(!(is_picked && close(0) && close(1)));
+        }
+        assert!(odd <= (width * height / 100) as usize, "{odd} pixels differ");
+        covered
+    }
+}
+
+fn shifted(camera: &Camera, by: [f32; 3]) -> Camera {
+    // A camera that stands `by` further along its own axes sees everything so much less far along them.
+    Camera { translation: camera.translation - Vec3::from(by), ..*camera }
+}
+
+fn turned(camera: &Camera, angle: f32) -> Camera {
+    let turn = Mat3::from_rotation_y(angle);
+    Camera {
+        camera_from_world: turn * camera.camera_from_world,
+        translation: turn * camera.translation,
+        ..*camera
+    }
+}
+
+/// Four Gaussians at known places: which wins where, its depth, its weight, its motion.
+#[test]
+fn picks_and_motion_of_a_scene_on_paper() {
+    with_host(&options(), |host| {
+        let context = guest(host);
+        let view = Camera { cx: 40.5, cy: 35.5, ..camera(0.0, SIZE[0], SIZE[1]) };
+        let screens = Screens::new(host, &context, SIZE);
+        // 0.2 of opacity before 0.9, at the pixel (40, 35): weights of 0.2 and 0.72. And one of 0.6 before 0.9: 0.6 and 0.36.
+        let right = |z: f32| 30.0 / view.fx * z;
+        let first = appended(
+            &ball(&view, [0.0, 0.0, 3.0], [0.05, 0.2]),
+            &ball(&view, [right(2.0), 0.0, 2.0], [0.04, 0.6]),
+        );
+        let second = appended(
+            &ball(&view, [0.0, 0.0, 6.0], [0.1, 0.9]),
+            &ball(&view, [right(5.0), 0.0, 5.0], [0.1, 0.9]),
+        );
+        let scenes = [&first, &second].map(|part| DeviceScene::upload(&context, part, 0).expect("a scene"));
+        let placed: Vec<Placed> = scenes.iter().map(Placed::from).collect();
+        let settings = RenderSettings::default();
+        for form in Blending::ALL {
+            let mut renderer = Renderer::new(&context).expect("kernels");
+            renderer.set_blending(form);
+            let wanted = Reservation { scenes: 2, ..Reservation::new(4, 0, SIZE[0], SIZE[1]) };
+            renderer.reserve(&both(wanted)).expect("memory");
+            let frame = RecordedFrame::new(&placed, &view, &settings);
+            let at = |[x, y]: [u32; 2]| (y * SIZE[0] + x) as usize;
+            // The camera came from 0.1 to the left: everything goes to the left, near things faster.
+            let before = shifted(&view, [-0.1, 0.0, 0.0]);
+            let shot = screens.shot(&mut renderer, &frame, &before);
+            let known = [([40, 35], [0, 1], 6.0, 0.72), ([70, 35], [1, 0], 2.0, 0.6)];
+            for (pixel, [gaussian, scene], z, weight) in known {
+                let [g, s, depth, w] = shot.picks[at(pixel)];
+                assert_eq!([g, s], [gaussian, scene], "{form:?}, {pixel:?}");
+                let [depth, w] = [depth, w].map(f32::from_bits);
+                assert!((depth - z).abs() < 1e-4 && (w - weight).abs() < 1e-3, "{pixel:?}: {depth}, {w}");
+            }
+            assert_eq!(shot.picks[at([4, 4])], [NOT_PICKED, NOT_PICKED, 0, 0]);
+            assert_eq!(shot.motions[at([4, 4])], [0.0; 2]);
+            let slide = |z: f32| -view.fx * 0.1 / z;
+            let expected = [
+                ([40, 35], (0.2 * slide(3.0) + 0.72 * slide(6.0)) / 0.92),
+                ([70, 35], (0.6 * slide(2.0) + 0.36 * slide(5.0)) / 0.96),
+            ];
+            for (pixel, x) in expected {
+                let [mx, my] = shot.motions[at(pixel)];
+                assert!((mx - x).abs() < 5e-3 * x.abs() && my.abs() < 1e-3, "{pixel:?}: {mx} {my}, {x}");
+            }
+            // What stands still has none, to the bit.
+            let still = screens.shot(&mut renderer, &frame, &view);
+            assert!(still.motions.iter().all(|motion| *motion == [0.0; 2]));
+            // The camera looked further to the left: about 0.05 f more to the left now.
+            let shot = screens.shot(&mut renderer, &frame, &turned(&view, 0.05));
+            let x = shot.motions[at([40, 35])][0];
+            assert!((x + view.fx * 0.05f32.tan()).abs() < 0.01 * view.fx, "{x}");
+            // The second scene came from below: it goes up.
+            let down = view.camera_from_world.transpose() * Vec3::new(0.0, 0.5, 0.0);
+            let pose = Pose { translation: down, ..Pose::IDENTITY };
+            let moving = [placed[0], Placed { previous_pose: Some(pose), ..placed[1] }];
+            let shot = screens.shot(&mut renderer, &RecordedFrame { scenes: &moving, ..frame }, &view);
+            let [x, y] = shot.motions[at([40, 35])];
+            let expected = -0.72 * view.fy * 0.5 / 6.0 / 0.92;
+            assert!(x.abs() < 1e-3 && (y - expected).abs() < 5e-3 * expected.abs(), "{x} {y}, {expected}");
+        }
+        screens.destroy();
+    });
+}
+
+/// Many at random, in every way that a frame can draw scenes.
+#[test]
+fn picks_and_motion_of_random_scenes() {
+    with_host(&options(), |host| {
+        let context = guest(host);
+        let view = camera(0.3, SIZE[0], SIZE[1]);
+        let before = turned(&shifted(&view, [0.05, -0.02, 0.1]), -0.03);
+        let parts = [round(300, 1), round(257, 2), round(200, 3)];
+        let scenes: Vec<_> =
+            parts.iter().map(|part| DeviceScene::upload(&context, part, 0).expect("a scene")).collect();
+        let screens = Screens::new(host, &context, SIZE);
+        let pose = |angle: f32, x: f32, scale| Pose {
+            world_from_object: Mat3::from_quat(Quat::from_rotation_z(angle)),
+            translation: Vec3::new(x, 0.1, -x),
+            scale,
+        };
+        let (poses, earlier) = (
+            [Pose::IDENTITY, pose(0.5, 0.3, 1.25), pose(-0.25, -0.2, 0.75)],
+            [Pose::IDENTITY, pose(0.45, 0.35, 1.25), pose(-0.25, -0.2, 0.8)],
+        );
+        let settings = RenderSettings::default();
+        let mut colors = Vec::new();
+        for form in Blending::ALL {
+            let mut renderer = Renderer::new(&context).expect("kernels");
+            renderer.set_blending(form);
+            let wanted = Reservation::new(757, 0, SIZE[0], SIZE[1]);
+            let wanted = Reservation { scenes: 3, cut_outs: 1, occlusion: true, ..wanted };
+            renderer.reserve(&both(wanted)).expect("memory");
+            let placed = |own: [SceneSettings<'static>; 3]| -> Vec<Placed<'_>> {
+                let placed = |i: usize| Placed {
+                    settings: own[i],
+                    previous_pose: Some(earlier[i]),
+                    ..Placed::at(&scenes[i], poses[i])
+                };
+                vec![placed(0), placed(1), placed(2)]
+            };
+            let of = |i: usize| (i as u32, &parts[i], poses[i], earlier[i]);
+            let all = placed([USUAL; 3]);
+            let frame = RecordedFrame::new(&all, &view, &settings);
+            let shot = screens.shot(&mut renderer, &frame, &before);
+            let truth = Truth::new(&[of(0), of(1), of(2)], [&view, &before]);
+            let covered = truth.check(&shot, SIZE);
+            assert!(covered > 2000, "{covered}");
+            // The picture has the bits of a frame without, and each alone those of both.
+            let plain = rendered(host, &mut renderer, &frame);
+            assert!(plain == shot.pixels, "{form:?}: the picture changes");
+            let pick = RecordedFrame { pick: Some(PickTarget { to: screens.to(0) }), ..frame };
+            assert!(rendered(host, &mut renderer, &pick) == plain);
+            assert!(screens.read::<[u32; 4]>(0) == shot.picks);
+            let motion = RecordedFrame { motion: Some(screens.motion(&before)), ..frame };
+            assert!(rendered(host, &mut renderer, &motion) == plain);
+            assert!(screens.motions() == shot.motions);
+            // Scenes keep their places beside one that is hidden.
+            for (hidden, others) in [(0, [1, 2]), (1, [0, 2]), (2, [0, 1])] {
+                let mut own = [USUAL; 3];
+                own[hidden] = HIDDEN;
+                let placed = placed(own);
+                let frame = RecordedFrame { scenes: &placed, ..frame };
+                let shot = screens.shot(&mut renderer, &frame, &before);
+                Truth::new(&others.map(of), [&view, &before]).check(&shot, SIZE);
+            }
+            // Behind a wall of the host's.
+            let wall = 4.1;
+            let (texture, state) = depth_image(host, SIZE, 0.1 / wall);
+            // SAFETY: the image is as it says, and outlives the frame.
+            let image = unsafe { Image::adopt(&context, "depth", &texture.foreign(), ImageUse::Sampled) };
+            let image = image.expect("adopted");
+            let depth = HostImage { image: &image, from: state, offset: [0; 2] };
+            let mapping = DepthMapping { scale: 10.0, offset: 0.0, clear_value: 0.0 };
+            let hidden = RecordedFrame { occluder: Some(Occluder { depth, mapping }), ..frame };
+            let shot = screens.shot(&mut renderer, &hidden, &before);
+            let truth = Truth { limit: f64::from(wall), ..truth };
+            let left = truth.check(&shot, SIZE);
+            assert!(left > 500 && left < covered, "{left} of {covered}");
+            rendered(host, &mut renderer, &frame);
+            drop(image);
+            texture.destroy(host);
+            colors.push((shot.picks, shot.motions));
+        }
+        // Both forms blend the same.
+        assert!(colors[0] == colors[1]);
+        screens.destroy();
+    });
+}
+
+/// Cut-outs, a tint and a selection change who is drawn and what weighs how much; indices stay those of the scene.
+#[test]
+fn picks_know_scenes_in_ways_of_their_own() {
+    with_host(&options(), |host| {
+        let context = guest(host);
+        let view = camera(0.3, SIZE[0], SIZE[1]);
+        let part = round(400, 4);
+        let scene = DeviceScene::upload(&context, &part, 0).expect("a scene");
+        let mut renderer = Renderer::new(&context).expect("kernels");
+        let wanted = Reservation::new(400, 0, SIZE[0], SIZE[1]);
+        renderer.reserve(&both(Reservation { cut_outs: 1, tint: true, ..wanted })).expect("memory");
+        let screens = Screens::new(host, &context, SIZE);
+        let volume = Volume::Ellipsoid { radii: Vec3::splat(0.8) };
+        let cut_outs = [CutOut { volume, pose: Pose::IDENTITY, inside: Inside::Removed }];
+        let settings = SceneSettings { cut_outs: &cut_outs, opacity: 0.5, ..USUAL };
+        let placed = [Placed { settings, ..Placed::from(&scene) }];
+        let render = RenderSettings::default();
+        let shot = screens.shot(&mut renderer, &RecordedFrame::new(&placed, &view, &render), &view);
+        // The same on the host; who is left keeps its index.
+        let left: Vec<u32> =
+            (0..400).filter(|&i| Vec3::from(part.means[i as usize]).length() > 0.8).collect();
+        let mut kept = part.clone();
+        kept.cut_out(&cut_outs).expect("cut out");
+        assert_eq!(kept.len(), left.len());
+        for logit in &mut kept.opacity_logits {
+            let faded = 0.5 / (1.0 + (-*logit).exp());
+            *logit = (faded / (1.0 - faded)).ln();
+        }
+        let mut truth = Truth::new(&[(0, &kept, Pose::IDENTITY, Pose::IDENTITY)], [&view, &view]);
+        truth.who = left.iter().map(|&i| (i, 0, [0.0; 2])).collect();
+        assert!(truth.check(&shot, SIZE) > 1000);
+        screens.destroy();
+    });
+}
+
+/// A part of a larger image, what is kept there, and pixels that are covered little.
+#[test]
+fn picks_and_motion_go_into_a_part_of_an_image() {
+    with_host(&options(), |host| {
+        let context = guest(host);
+        let view = camera(0.3, 48, 33);
+        let before = shifted(&view, [0.1, 0.0, 0.0]);
+        let part = round(60, 5);
+        let scene = DeviceScene::upload(&context, &part, 0).expect("a scene");
+        let mut renderer = Renderer::new(&context).expect("kernels");
+        renderer.reserve(&both(Reservation::new(60, 0, 48, 33))).expect("memory");
+        let (whole, own) = (Screens::new(host, &context, SIZE), Screens::new(host, &context, [48, 33]));
+        let (placed, settings) = ([Placed::from(&scene)], RenderSettings::default());
+        let frame = RecordedFrame::new(&placed, &view, &settings);
+        let shot = own.shot(&mut renderer, &frame, &before);
+        // First all of it, then a part, over what is there.
+        let large = camera(0.3, SIZE[0], SIZE[1]);
+        let cleared = [Placed { settings: HIDDEN, ..placed[0] }];
+        renderer.reserve(&both(Reservation::new(60, 0, SIZE[0], SIZE[1]))).expect("memory");
+        let mut motion = whole.motion(&large);
+        motion.empty = Some([3.0, -4.0]);
+        let all = RecordedFrame {
+            pick: Some(PickTarget { to: whole.to(0) }),
+            motion: Some(motion),
+            ..RecordedFrame::new(&cleared, &large, &settings)
+        };
+        rendered(host, &mut renderer, &all);
+        assert!(whole.motions().iter().all(|motion| *motion == [3.0, -4.0]));
+        let offset = [29, 31];
+        let read = (vk::ImageLayout::TRANSFER_SRC_OPTIMAL, vk::PipelineStageFlags2::ALL_TRANSFER);
+        let from = ImageState { layout: read.0, stages: read.1, accesses: vk::AccessFlags2::NONE };
+        // What was read last is the motion; the picks are still as they were written.
+        let motion = MotionTarget {
+            to: HostImage { from, offset, ..whole.to(1) },
+            min_weight: 0.5,
+            empty: None,
+            ..whole.motion(&before)
+        };
+        let pick = PickTarget { to: HostImage { from: WRITTEN, offset, ..whole.to(0) } };
+        let pixels =
+            rendered(host, &mut renderer, &RecordedFrame { pick: Some(pick), motion: Some(motion), ..frame });
+        assert!(pixels == shot.pixels);
+        let (picks, motions): (Vec<[u32; 4]>, _) = (whole.read(0), whole.motions());
+        let mut kinds = [0; 3];
+        for (index, (pick, motion)) in picks.into_iter().zip(motions).enumerate() {
+            let [x, y] = [index as u32 % SIZE[0], index as u32 / SIZE[0]];
+            let inside = (offset[0]..offset[0] + 48).contains(&x) && (offset[1]..offset[1] + 33).contains(&y);
+            let place = if inside { ((y - offset[1]) * 48 + x - offset[0]) as usize } else { 0 };
+            let kind = match inside {
+                false => 0,
+                true if 1.0 - shot.pixels[place][3] < 0.5 => 1,
+                true => 2,
+            };
+            kinds[kind] += 1;
+            let nothing = [NOT_PICKED, NOT_PICKED, 0, 0];
+            assert_eq!(pick, if inside { shot.picks[place] } else { nothing }, "({x}, {y})");
+            assert_eq!(motion, if kind == 2 { shot.motions[place] } else { [3.0, -4.0] }, "({x}, {y})");
+        }
+        assert!(kinds.iter().all(|&count| count > 50), "{kinds:?}");
+        whole.destroy();
+        own.destroy();
+    });
+}
+
+/// What is refused, by the caller's field; and what is not reserved takes no memory.
+#[test]
+fn bad_picks_and_motions_are_refused_by_name() {
+    with_host(&options(), |host| {
+        let context = guest(host);
+        let view = camera(0.3, SIZE[0], SIZE[1]);
+        let scene = DeviceScene::upload(&context, &round(60, 5), 0).expect("a scene");
+        let mut renderer = Renderer::new(&context).expect("kernels");
+        let plain = Reservation::new(60, 0, SIZE[0], SIZE[1]);
+        let bytes = |wanted: &Reservation| renderer.reservation_bytes(wanted).expect("bytes");
+        let pixels = u64::from(SIZE[0] * SIZE[1]);
+        let more = bytes(&both(plain)) - bytes(&plain);
+        assert!((16 * pixels..16 * pixels + 4096).contains(&more), "{more}");
+        let screens = Screens::new(host, &context, SIZE);
+        let small = Screens::new(host, &context, [SIZE[0], SIZE[1] - 1]);
+        let (placed, settings) = ([Placed::from(&scene)], RenderSettings::default());
+        let good = RecordedFrame::new(&placed, &view, &settings);
+        let pick = |to| RecordedFrame { pick: Some(PickTarget { to }), ..good };
+        let usual = screens.motion(&view);
+        let motion = |motion| RecordedFrame { motion: Some(motion), ..good };
+        let wider = Camera { width: SIZE[0] + 1, ..view };
+        let nowhere = Camera { fx: f32::NAN, ..view };
+        let lost = Pose { translation: Vec3::NAN, ..Pose::IDENTITY };
+        let lost = [Placed { previous_pose: Some(lost), ..placed[0] }];
+        let refused = |renderer: &mut Renderer, frame: &RecordedFrame<'_>, expected: &str| {
+            let in_flight = crate::host::InFlight::new(host).expect("a command buffer");
+            in_flight.begin(host).expect("recording");
+            let commands = crate::stage::adopt(&context, &in_flight);
+            let error = renderer.record(commands, 0, frame).expect_err(expected);
+            assert!(matches!(error, ashsplat::Error::Argument { .. }), "{error:?}");
+            assert!(error.to_string().contains(expected), "{error} (expected {expected})");
+            in_flight.destroy(host);
+        };
+        renderer.reserve(&plain).expect("memory");
+        refused(&mut renderer, &pick(screens.to(0)), "pick: not reserved, and the frame needs it");
+        refused(&mut renderer, &motion(usual), "motion: not reserved");
+        renderer.reserve(&both(plain)).expect("memory");
+        let bad = [
+            (pick(screens.to(1)), "pick (image 'beside'): format R16G16_SFLOAT is not R32G32B32A32_UINT"),
+            (pick(small.to(0)), "pick (image 'beside'): 96 x 70 pixels at (0, 0) exceed its 96 x 69"),
+            (motion(MotionTarget { to: screens.to(0), ..usual }), "is not R16G16_SFLOAT"),
+            (motion(MotionTarget { to: small.to(1), ..usual }), "motion (image 'beside'): 96 x 70 pixels"),
+            (
+                motion(MotionTarget { previous_camera: &wider, ..usual }),
+                "motion.previous_camera: is of 97 x 70 pixels, the frame of 96 x 70",
+            ),
+            (motion(MotionTarget { previous_camera: &nowhere, ..usual }), "motion.previous_camera"),
+            (motion(MotionTarget { min_weight: f32::NAN, ..usual }), "motion.min_weight: NaN"),
+            (motion(MotionTarget { empty: Some([0.0, f32::NAN]), ..usual }), "motion.empty: [0.0, NaN]"),
+            (motion(MotionTarget { empty: Some([1e5, 0.0]), ..usual }), "each may be -65504 to 65504"),
+            (motion(MotionTarget { empty: None, ..usual }), "UNDEFINED"),
+            (RecordedFrame { scenes: &lost, ..good }, "scenes[0].previous_pose"),
+        ];
+        for (frame, expected) in bad {
+            refused(&mut renderer, &frame, expected);
+        }
+        // Nothing was recorded, and all is well.
+        let shot = screens.shot(&mut renderer, &good, &view);
+        assert_same(&shot.pixels, &owned(&round(60, 5), &view, &settings), [0.0; 3]);
+        screens.destroy();
+        small.destroy();
+    });
+}
