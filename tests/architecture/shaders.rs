@@ -141,9 +141,11 @@ fn architecture_trainings_of_gpus_are_trials() {
 }
 
 /// Kernels that compute what another one computes, in another way: they share its twin.
-const ALIKE: [(&str, &str); 9] = [
+const ALIKE: [(&str, &str); 11] = [
+    ("blend_auxiliary", "blend"),
     ("blend_backward_subgroup_per_tile", "blend_backward"),
     ("blend_shared", "blend"),
+    ("blend_shared_auxiliary", "blend"),
     ("compose_bgra8", "compose_rgba8"),
     ("compose_r11g11b10f", "compose_rgba32f"),
     ("compose_rgb10a2", "compose_rgba8"),

@@ -1,7 +1,7 @@
 //! The two blending kernels over tile lists.
 
 use ashsplat::kernels::backward::{blend_backward, blend_backward_subgroup_per_tile};
-use ashsplat::kernels::forward::{blend, blend_shared};
+use ashsplat::kernels::forward::{blend, blend_auxiliary, blend_shared, blend_shared_auxiliary};
 use ashsplat::plan::Strips;
 use ashsplat::tuning::Backend;
 use ashsplat::vk::{Buffer, Context};
@@ -57,7 +57,10 @@ fn workgroup(gpu: &Gpu, how: How) -> u32 {
 
 /// A blending kernel over lists, at most `$entries_per_pass` of each tile at a time.
 macro_rules! blend_lists {
-    ($gpu:expr, $lists:expr, $kernel:ident, $spec:expr, $entries_per_pass:expr, $limits:expr) => {{
+    (
+        $gpu:expr, $lists:expr, $kernel:ident, $spec:expr, $entries_per_pass:expr, $limits:expr
+        $(, $auxiliary:ident: $buffer:expr)*
+    ) => {{
         let (gpu, lists, entries_per_pass) = ($gpu, $lists, $entries_per_pass);
         let pixels = lists.view.pixels();
         let blended = Blended {
@@ -78,6 +81,7 @@ macro_rules! blend_lists {
             last_entries: &blended.last_entries,
             state: &lists.state,
             depth_limits: $limits.unwrap_or(&lists.tile_ranges),
+            $($auxiliary: $buffer,)*
         };
         let [tiles_per_row, rows] = lists.view.tiles();
         let pushes = dispatches(lists, entries_per_pass).map(|(pass, [first_instance, max_instances])| {
@@ -209,6 +213,68 @@ pub fn forward_shared_limited(
         strips,
     };
     blend_lists!(gpu, lists, blend_shared, spec, entries_per_pass, limits)
+}
+
+/// What is left beside the picture.
+pub struct Beside {
+    pub blended: Blended,
+    /// Per pixel: 1 + place in the list, and the bits of the weight.
+    pub picks: Buffer,
+    /// Per pixel: sum of weights * motions.
+    pub motion_sums: Buffer,
+}
+
+/// Blends lists by `forward/blend_auxiliary`, or by `forward/blend_shared_auxiliary` with this many invocations per tile,
+/// with picks and with motion as asked for.
+pub fn forward_auxiliary(
+    gpu: &Gpu,
+    lists: &Lists,
+    (how, shared): (How, Option<u32>),
+    motions: &[[f32; 2]],
+    [pick, motion]: [bool; 2],
+) -> Beside {
+    let How { inverse_depth, incremental_exp, parts, entries_per_pass, .. } = how;
+    let pixels = lists.view.pixels();
+    let picks = gpu.untouched::<[u32; 2]>("picks", pixels);
+    let motion_sums = gpu.untouched::<[f32; 2]>("motion_sums", pixels);
+    let motions = gpu.buffer("motions", motions);
+    let (subgroup_size, limits) = (gpu.subgroup(), None::<&Buffer>);
+    let blended = match shared {
+        None => {
+            let spec = blend_auxiliary::Spec {
+                workgroup_size: workgroup(gpu, how) / parts,
+                subgroup_size,
+                inverse_depth,
+                incremental_exp,
+                regions_per_subgroup: parts,
+                region_height: region_height(gpu, how),
+                broadcast: how.low_regions,
+                pick,
+                motion,
+                ..blend_auxiliary::Spec::default()
+            };
+            blend_lists!(
+                gpu, lists, blend_auxiliary, spec, entries_per_pass, limits,
+                picks: &picks, motions: &motions, motion_sums: &motion_sums
+            )
+        }
+        Some(workgroup_size) => {
+            let spec = blend_shared_auxiliary::Spec {
+                workgroup_size,
+                subgroup_size,
+                inverse_depth,
+                incremental_exp,
+                pick,
+                motion,
+                ..blend_shared_auxiliary::Spec::default()
+            };
+            blend_lists!(
+                gpu, lists, blend_shared_auxiliary, spec, entries_per_pass, limits,
+                picks: &picks, motions: &motions, motion_sums: &motion_sums
+            )
+        }
+    };
+    Beside { blended, picks, motion_sums }
 }
 
 /// A backward kernel over lists.

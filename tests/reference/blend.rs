@@ -70,6 +70,29 @@ pub fn blend(list: &[&Splat], pixel: [u32; 2], background: [f64; 3]) -> Pixel {
     result
 }
 
+/// What lies beside a pixel.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Beside {
+    /// The largest weight; 0 for none.
+    pub heaviest: f64,
+    /// Σ α T m, px.
+    pub motion: [f64; 2],
+}
+
+/// The largest weight at a pixel, and the sum of weighted motions; the weight of each place in the list besides.
+pub fn beside(list: &[&Splat], motions: &[[f64; 2]], pixel: [u32; 2]) -> (Beside, Vec<f64>) {
+    let (mut result, mut weights) = (Beside::default(), vec![0.0; list.len()]);
+    for sample in &samples(list, pixel).0 {
+        let weight = sample.alpha * sample.transmittance;
+        weights[sample.entry] = weight;
+        result.heaviest = result.heaviest.max(weight);
+        for axis in 0..2 {
+            result.motion[axis] += weight * motions[sample.entry][axis];
+        }
+    }
+    (result, weights)
+}
+
 /// The part of a list that lies in front of a limit, 1/z: the blending stops at the first splat behind it.
 pub fn before<'a, 'b>(list: &'a [&'b Splat], least_inverse_z: f64) -> &'a [&'b Splat] {
     let end = list.iter().position(|splat| 1.0 / splat.depth < least_inverse_z);

@@ -3,7 +3,7 @@
 use super::allocator::Adapter;
 use super::{
     AshsplatCamera, AshsplatContext, AshsplatDepthMapping, AshsplatFrame, AshsplatHost, AshsplatHostImage,
-    AshsplatImageState, AshsplatRelease, AshsplatRenderer, AshsplatStatus, borrowed, borrowed_mut, give,
+    AshsplatImageState, AshsplatPose, AshsplatRelease, AshsplatRenderer, AshsplatStatus, borrowed, borrowed_mut, give,
     guarded, scene_settings, scenes, settings, slice, take,
 };
 use ashsplat::ash::{self, vk, vk::Handle};
@@ -229,7 +229,8 @@ pub unsafe extern "C" fn ashsplat_record(
         for (placed, own) in placed.iter().zip(&pointees) {
             let settings = scene_settings::of(placed, own);
             let scene = &borrowed(placed.scene, "scene")?.scene;
-            scenes.push(Placed { settings, ..Placed::at(scene, placed.pose()) });
+            let previous_pose = placed.previous_pose.as_ref().map(AshsplatPose::pose);
+            scenes.push(Placed { settings, previous_pose, ..Placed::at(scene, placed.pose()) });
         }
         let copied = scenes::copied(slice(f.updates, f.update_count as usize, "updates")?)?;
         let updates = scenes::updates(&copied);
@@ -252,6 +253,9 @@ pub unsafe extern "C" fn ashsplat_record(
             let to = used(&image.0, f.expected_depth_from, f.expected_depth_offset);
             recorded.depth = Some(DepthTarget { to, min_weight: f.min_weight, empty: f.empty_depth });
         }
+        let previous_camera = auxiliary::previous_camera(f.motion);
+        recorded.pick = auxiliary::pick(f.pick)?;
+        recorded.motion = auxiliary::motion(f.motion, previous_camera.as_ref())?;
         let commands = vk::CommandBuffer::from_raw(commands as u64);
         let commands = renderer.0.context().adopt_commands(commands)?;
         let left = renderer.0.record(commands, slot, &recorded).map_err(in_c)?;

@@ -1,12 +1,12 @@
 //! Frames in flight, in C.
 
 use super::{
-    AshsplatHostBuffer, AshsplatRenderer, AshsplatReport, AshsplatReservation, AshsplatStatus, borrowed,
+    AshsplatHostBuffer, AshsplatRenderer, AshsplatReservation, AshsplatStatus, borrowed,
     borrowed_mut, guarded,
 };
 use ashsplat::ash::{vk, vk::Handle};
 use ashsplat::vk::Buffer;
-use ashsplat::{Reservation, Result};
+use ashsplat::{Reservation, Result, SlotReport};
 
 impl From<&AshsplatReservation> for Reservation {
     fn from(w: &AshsplatReservation) -> Self {
@@ -23,8 +23,51 @@ impl From<&AshsplatReservation> for Reservation {
             tint: w.tint,
             cut_outs: w.cut_outs,
             selection: w.selection,
+            pick: w.pick,
+            motion: w.motion,
             staging_bytes: w.staging_bytes,
             ..Self::new(w.gaussians, w.sh_degree, w.width, w.height)
+        }
+    }
+}
+
+/// The report of a recorded frame.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default)]
+pub struct AshsplatReport {
+    /// Whether the frame has finished. The other fields are valid only then.
+    pub finished: bool,
+    /// Whether a capacity was too small. The picture then lacks the Gaussians farthest away, or all of them
+    /// if `instances_needed` is `UINT32_MAX`.
+    pub overflow: bool,
+    /// Gaussians in the frame's scenes, without those of scenes that are not drawn.
+    pub gaussians: u32,
+    /// Visible Gaussians.
+    pub visible: u32,
+    /// (tile, Gaussian) instances that the picture needs.
+    pub instances_needed: u32,
+    /// The frame's capacity in instances.
+    pub instance_capacity: u32,
+    /// Entries of the longest tile.
+    pub longest_tile: u32,
+    /// Passes of blending that the longest tile needs.
+    pub blend_passes_needed: u32,
+    /// Time on the device, nanoseconds; 0 without timestamps.
+    pub nanoseconds: f64,
+}
+
+impl From<SlotReport> for AshsplatReport {
+    fn from(r: SlotReport) -> Self {
+        Self {
+            finished: true,
+            overflow: r.overflow,
+            gaussians: r.gaussians,
+            visible: r.visible,
+            instances_needed: r.instances_needed,
+            instance_capacity: r.instance_capacity,
+            longest_tile: r.longest_tile,
+            blend_passes_needed: r.blend_passes_needed,
+            nanoseconds: r.scopes.iter().filter(|s| s.depth == 0).map(|s| s.nanoseconds).sum(),
         }
     }
 }

@@ -209,6 +209,10 @@ pub struct AshsplatReservation {
     pub selection: bool,
     /// Cut-outs of all scenes of a frame together.
     pub cut_outs: u32,
+    /// Whether frames will have what is picked at each pixel: 8 bytes of memory per pixel.
+    pub pick: bool,
+    /// Whether frames will have motion: 8 bytes of memory per pixel and 8 per Gaussian.
+    pub motion: bool,
 }
 
 /// Gaussians in a host's arrays, each as long as the count says. All but `means` are as in the reference
@@ -289,16 +293,16 @@ pub struct AshsplatPlaced {
     pub scale: f32,
     /// How it is drawn, or NULL: as it is.
     pub settings: *const super::AshsplatSceneSettings,
+    /// Its pose in the frame before, for AshsplatFrame.motion; NULL: the same as now, for scenes that stand still and for
+    /// those that were not there.
+    pub previous_pose: *const super::AshsplatPose,
 }
 
 impl AshsplatPlaced {
     /// Where the scene stands.
     pub fn pose(&self) -> Pose {
-        Pose {
-            world_from_object: Mat3::from_cols_array(&self.world_from_object).transpose(),
-            translation: Vec3::from(self.translation),
-            scale: self.scale,
-        }
+        let Self { world_from_object, translation, scale, .. } = *self;
+        super::AshsplatPose { world_from_object, translation, scale }.pose()
     }
 }
 
@@ -350,6 +354,10 @@ pub struct AshsplatFrame {
     pub updates: *const AshsplatUpdate,
     /// Number of updates.
     pub update_count: u32,
+    /// The target of what is picked, or NULL.
+    pub pick: *const super::AshsplatPickTarget,
+    /// The target of the motion, or NULL.
+    pub motion: *const super::AshsplatMotionTarget,
 }
 
 /// The state after a recording. The next user of its results waits for these stages and accesses, and finds
@@ -367,6 +375,10 @@ pub struct AshsplatRelease {
     pub depth: AshsplatImageState,
     /// Last use of the image of expected depth.
     pub expected_depth: AshsplatImageState,
+    /// Last use of the image of what is picked.
+    pub pick: AshsplatImageState,
+    /// Last use of the image of motion.
+    pub motion: AshsplatImageState,
 }
 
 impl From<ImageState> for AshsplatImageState {
@@ -394,47 +406,8 @@ impl From<&Release> for AshsplatRelease {
             target: state(r.color),
             depth: state(r.occluder),
             expected_depth: state(r.depth),
-        }
-    }
-}
-
-/// The report of a recorded frame.
-#[repr(C)]
-#[derive(Clone, Copy, Debug, Default)]
-pub struct AshsplatReport {
-    /// Whether the frame has finished. The other fields are valid only then.
-    pub finished: bool,
-    /// Whether a capacity was too small. The picture then lacks the Gaussians farthest away, or all of them
-    /// if `instances_needed` is `UINT32_MAX`.
-    pub overflow: bool,
-    /// Gaussians in the frame's scenes, without those of scenes that are not drawn.
-    pub gaussians: u32,
-    /// Visible Gaussians.
-    pub visible: u32,
-    /// (tile, Gaussian) instances that the picture needs.
-    pub instances_needed: u32,
-    /// The frame's capacity in instances.
-    pub instance_capacity: u32,
-    /// Entries of the longest tile.
-    pub longest_tile: u32,
-    /// Passes of blending that the longest tile needs.
-    pub blend_passes_needed: u32,
-    /// Time on the device, nanoseconds; 0 without timestamps.
-    pub nanoseconds: f64,
-}
-
-impl From<SlotReport> for AshsplatReport {
-    fn from(r: SlotReport) -> Self {
-        Self {
-            finished: true,
-            overflow: r.overflow,
-            gaussians: r.gaussians,
-            visible: r.visible,
-            instances_needed: r.instances_needed,
-            instance_capacity: r.instance_capacity,
-            longest_tile: r.longest_tile,
-            blend_passes_needed: r.blend_passes_needed,
-            nanoseconds: r.scopes.iter().filter(|s| s.depth == 0).map(|s| s.nanoseconds).sum(),
+            pick: state(r.pick),
+            motion: state(r.motion),
         }
     }
 }

@@ -1,0 +1,91 @@
+//! `forward/screen_motion` against its twin.
+
+use ashsplat::kernels::forward::screen_motion::{Bind, Interface, Push, Spec};
+
+use crate::common::gpu::{Gpu, UNTOUCHED};
+use crate::common::layout::{camera_block, pack, room};
+use crate::common::scenes::{Random, mixed_scene, small_view};
+use crate::reference::screen_motion::screen_motion;
+use crate::reference::types::{Gaussian, View};
+
+/// Motions of every second Gaussian of a range that begins behind others, as the kernel says.
+fn moved(gpu: &Gpu, gaussians: &[Gaussian], view: &View, before: &View) -> Vec<[f32; 2]> {
+    let workgroup_size = gpu.workgroup(64);
+    let room = room(gaussians.len());
+    // The range is the second culling block's.
+    let first = workgroup_size;
+    let visible: Vec<u32> = (0..gaussians.len() as u32).step_by(2).map(|i| first + i).collect();
+    let list = gpu.buffer("visible_list", &[&[UNTOUCHED; 3], visible.as_slice()].concat());
+    let end = 3 + visible.len() as u32;
+    let ranges = gpu.buffer("visible_ranges", &[[0; 4], [0; 4], [0; 4], [3, end, 0, 0]]);
+    let motions = gpu.untouched::<[f32; 2]>("motions", end as usize + 2);
+    let f = |x: f64| x as f32;
+    let [previous_row_x, previous_row_y, previous_row_z] = before.camera_from_world.map(|row| row.map(f));
+    let bind = Bind {
+        parameters: &gpu.buffer("parameters", &pack(gaussians, room)),
+        visible_ranges: &ranges,
+        visible_list: &list,
+        motions: &motions,
+        camera_block: &gpu.buffer("camera_block", &[camera_block(view)]),
+    };
+    let push = Push {
+        first,
+        previous_row_x,
+        previous_row_y,
+        previous_row_z,
+        previous_translation: before.translation.map(f),
+        previous_focal_px: before.focal_px.map(f),
+        previous_center_px: before.center_px.map(|x| f(x - 0.5)),
+    };
+    let workgroups = visible.len() as u64 / u64::from(workgroup_size) + 1;
+    gpu.dispatch::<Interface>(&Spec { workgroup_size }, &bind, &push, workgroups);
+    let words = gpu.read::<u32>(&motions, 2 * (end as usize + 2));
+    assert!(words[..6].iter().chain(&words[2 * end as usize..]).all(|&word| word == UNTOUCHED));
+    gpu.read::<[f32; 2]>(&motions, end as usize).split_off(3)
+}
+
+#[test]
+fn screen_motion_equals_its_twin() {
+    let gpu = Gpu::new();
+    let view = small_view([53, 37]);
+    let before = View {
+        translation: [0.125, -0.0625, 3.875],
+        focal_px: [60.0, 62.0],
+        center_px: [26.25, 18.75],
+        ..small_view([53, 37])
+    };
+    for size in [1, 33, 500] {
+        let gaussians = mixed_scene(&mut Random::new(size as u64), size, 1);
+        let (mut some, mut none) = (0, 0);
+        for (gaussian, motion) in gaussians.iter().step_by(2).zip(moved(&gpu, &gaussians, &view, &before)) {
+            let expected = screen_motion(gaussian.mean, &view, &before);
+            for axis in 0..2 {
+                let (actual, expected) = (f64::from(motion[axis]), expected[axis]);
+                // Places are that large, and rounded.
+                let tolerance = 1e-3 + 1e-5 * expected.abs();
+                assert!((actual - expected).abs() < tolerance, "{actual}, expected {expected}");
+            }
+            if expected == [0.0; 2] { none += 1 } else { some += 1 }
+        }
+        assert!(size < 500 || some > 200, "{some} move, {none} do not");
+        let still = moved(&gpu, &gaussians, &view, &view);
+        assert!(still.iter().all(|motion| *motion == [0.0; 2]), "what stands still moves");
+    }
+}
+
+/// Behind the camera of before, far aside, and not a number.
+#[test]
+fn screen_motion_stays_finite() {
+    let gpu = Gpu::new();
+    let view = small_view([53, 37]);
+    let mut gaussians = mixed_scene(&mut Random::new(3), 8, 1);
+    let behind = View { translation: [0.0, 0.0, -100.0], ..view.clone() };
+    assert!(moved(&gpu, &gaussians, &view, &behind).iter().all(|motion| *motion == [0.0; 2]));
+    let aside = View { translation: [1e9, 0.0, 4.0], ..view.clone() };
+    for motion in moved(&gpu, &gaussians, &view, &aside) {
+        assert_eq!(motion[0], -65504.0);
+    }
+    gaussians[2].mean = [1e38, 1e38, f64::from(f32::MAX)];
+    let motions = moved(&gpu, &gaussians, &view, &View { translation: [-3e38, 0.0, 3e38], ..view.clone() });
+    assert!(motions.iter().flatten().all(|x| x.abs() <= 65504.0), "{motions:?}");
+}
