@@ -235,7 +235,7 @@ typedef struct AshsplatHostImage {
   uint32_t layer;
   // VkImageCreateFlags. Of a target in another format than R8G8B8A8_UNORM and the two float formats of 16 and 32 bits, they
   // have MUTABLE_FORMAT, and EXTENDED_USAGE where the device has no storage images of the format: texels of 8 bits per
-  // channel are seen as R8G8B8A8_UNORM, A2B10G10R10 and B10G11R11 as R32_UINT.
+  // channel are seen as R8G8B8A8_UNORM, A2B10G10R10, B10G11R11 and R16G16 as R32_UINT. R32G32B32A32_UINT needs none.
   uint32_t flags;
 } AshsplatHostImage;
 
@@ -305,6 +305,16 @@ typedef struct AshsplatSceneSettings {
   float selection_share;
 } AshsplatSceneSettings;
 
+// A pose in the world: x_world = scale rotation x_object + translation.
+typedef struct AshsplatPose {
+  // A rotation, row by row.
+  float world_from_object[9];
+  // World units.
+  float translation[3];
+  // World units per unit of the scene, the same in all directions: 1 for no scaling.
+  float scale;
+} AshsplatPose;
+
 // A scene and its pose: x_world = scale rotation x_object + translation.
 typedef struct AshsplatPlaced {
   // The scene.
@@ -317,6 +327,9 @@ typedef struct AshsplatPlaced {
   float scale;
   // How it is drawn, or NULL: as it is.
   const struct AshsplatSceneSettings *settings;
+  // Its pose in the frame before, for AshsplatFrame.motion; NULL: the same as now, for scenes that stand still and for
+  // those that were not there.
+  const struct AshsplatPose *previous_pose;
 } AshsplatPlaced;
 
 // How an image is being used at some point of a command buffer.
@@ -357,6 +370,39 @@ typedef struct AshsplatUpdate {
   // The new Gaussians. SH above the scene's degree is dropped, missing SH is zero.
   struct AshsplatGaussians gaussians;
 } AshsplatUpdate;
+
+// An image of what is picked at each pixel: the Gaussian with the largest blending weight alpha T, the nearest of equal ones.
+typedef struct AshsplatPickTarget {
+  // A storage image of format R32G32B32A32_UINT. A texel is the index of the Gaussian in its scene, the index of the scene in
+  // AshsplatFrame.scenes, the bits of the float of its depth z (world units), and the bits of the float of its weight. Where
+  // nothing is blended: UINT32_MAX twice, then 0 twice.
+  const struct AshsplatImage *image;
+  // The host's use of the image before the frame.
+  struct AshsplatImageState from;
+  // Texel that receives the frame's pixel (0, 0).
+  uint32_t offset[2];
+} AshsplatPickTarget;
+
+// An image of motion: of what is blended at each pixel, the mean of its motion on the screen from the frame before to this
+// one, by the blending's weights. A Gaussian moves as its mean does. How updates move Gaussians is not known.
+typedef struct AshsplatMotionTarget {
+  // A storage image of format R16G16_SFLOAT, with MUTABLE_FORMAT (AshsplatHostImage.flags): the place now less the place
+  // before, in pixels, x right, y down. What is at pixel p now was at p - motion.
+  const struct AshsplatImage *image;
+  // The host's use of the image before the frame.
+  struct AshsplatImageState from;
+  // Texel that receives the frame's pixel (0, 0).
+  uint32_t offset[2];
+  // The camera of the frame before, of the same width and height. Poses before are in AshsplatPlaced. What did not lie in
+  // front of it (depth z above 0.2) has no motion.
+  struct AshsplatCamera previous_camera;
+  // A pixel is empty if the splats' weights sum to less.
+  float min_weight;
+  // The motion of empty pixels, pixels.
+  float empty[2];
+  // Whether empty pixels keep what is in the image, in place of `empty`.
+  bool keeps_empty;
+} AshsplatMotionTarget;
 
 // A frame to record.
 typedef struct AshsplatFrame {
@@ -404,6 +450,10 @@ typedef struct AshsplatFrame {
   const struct AshsplatUpdate *updates;
   // Number of updates.
   uint32_t update_count;
+  // The target of what is picked, or NULL.
+  const struct AshsplatPickTarget *pick;
+  // The target of the motion, or NULL.
+  const struct AshsplatMotionTarget *motion;
 } AshsplatFrame;
 
 // The state after a recording. The next user of its results waits for these stages and accesses, and finds
@@ -419,6 +469,10 @@ typedef struct AshsplatRelease {
   struct AshsplatImageState depth;
   // Last use of the image of expected depth.
   struct AshsplatImageState expected_depth;
+  // Last use of the image of what is picked.
+  struct AshsplatImageState pick;
+  // Last use of the image of motion.
+  struct AshsplatImageState motion;
 } AshsplatRelease;
 
 // What is allocated in advance for recording.
@@ -462,6 +516,10 @@ typedef struct AshsplatReservation {
   bool selection;
   // Cut-outs of all scenes of a frame together.
   uint32_t cut_outs;
+  // Whether frames will have what is picked at each pixel: 8 bytes of memory per pixel.
+  bool pick;
+  // Whether frames will have motion: 8 bytes of memory per pixel and 8 per Gaussian.
+  bool motion;
 } AshsplatReservation;
 
 // The layout of the parameters in a host's own buffers: planes of four floats. Plane 0 is the mean and the

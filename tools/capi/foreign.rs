@@ -3,8 +3,8 @@
 use super::allocator::Adapter;
 use super::{
     AshsplatCamera, AshsplatContext, AshsplatDepthMapping, AshsplatFrame, AshsplatHost, AshsplatHostImage,
-    AshsplatImageState, AshsplatPose, AshsplatRelease, AshsplatRenderer, AshsplatStatus, borrowed, borrowed_mut, give,
-    guarded, scene_settings, scenes, settings, slice, take,
+    AshsplatImageState, AshsplatPose, AshsplatRelease, AshsplatRenderer, AshsplatStatus, auxiliary, borrowed,
+    borrowed_mut, give, guarded, scene_settings, scenes, settings, slice, take,
 };
 use ashsplat::ash::{self, vk, vk::Handle};
 use ashsplat::scene::{ClipY, HostView};
@@ -19,7 +19,7 @@ use std::ffi::{CStr, c_char, c_void};
 use std::sync::Arc;
 
 /// A view of a host's image.
-pub struct AshsplatImage(Image);
+pub struct AshsplatImage(pub(super) Image);
 
 /// The features and extensions that a host has to enable, as readable text.
 #[unsafe(no_mangle)]
@@ -275,6 +275,8 @@ fn in_c(error: Error) -> Error {
         "occluder.mapping" => "depth_mapping",
         "depth" => "expected_depth",
         "depth.min_weight" => "min_weight",
+        "pick" => "pick.image",
+        "motion" => "motion.image",
         "command buffer" => "commands",
         "frame slot" => "slot",
         other => other,

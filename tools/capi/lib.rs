@@ -5,6 +5,7 @@
 //! C on 64-bit machines: dispatchable ones as pointers, the others as 64-bit numbers.
 
 mod allocator;
+mod auxiliary;
 mod foreign;
 mod kernels;
 mod scene_settings;
@@ -15,6 +16,7 @@ mod training;
 mod types;
 
 pub use allocator::{AshsplatAllocator, AshsplatMemory, AshsplatMemoryRequest};
+pub use auxiliary::*;
 pub use foreign::*;
 pub use kernels::*;
 pub use scene_settings::*;

@@ -1,8 +1,8 @@
 //! Frames in flight, in C.
 
 use super::{
-    AshsplatHostBuffer, AshsplatRenderer, AshsplatReservation, AshsplatStatus, borrowed,
-    borrowed_mut, guarded,
+    AshsplatHostBuffer, AshsplatRenderer, AshsplatReservation, AshsplatStatus, borrowed, borrowed_mut,
+    guarded,
 };
 use ashsplat::ash::{vk, vk::Handle};
 use ashsplat::vk::Buffer;

@@ -3,7 +3,7 @@
 use ashsplat::ash::vk;
 use ashsplat::scene::{DepthMapping, Pose};
 use ashsplat::vk::ImageState;
-use ashsplat::{Camera, Release, SlotReport};
+use ashsplat::{Camera, Release};
 use glam::{Mat3, Vec3};
 use std::ffi::{c_char, c_void};
 
@@ -150,7 +150,7 @@ pub struct AshsplatHostImage {
     pub layer: u32,
     /// VkImageCreateFlags. Of a target in another format than R8G8B8A8_UNORM and the two float formats of 16 and 32 bits, they
     /// have MUTABLE_FORMAT, and EXTENDED_USAGE where the device has no storage images of the format: texels of 8 bits per
-    /// channel are seen as R8G8B8A8_UNORM, A2B10G10R10 and B10G11R11 as R32_UINT.
+    /// channel are seen as R8G8B8A8_UNORM, A2B10G10R10, B10G11R11 and R16G16 as R32_UINT. R32G32B32A32_UINT needs none.
     pub flags: u32,
 }
 

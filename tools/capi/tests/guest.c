@@ -92,7 +92,7 @@ int main(int count, char **arguments) {
     settings.sh_degree = 0;
     settings.antialias = true;
     settings.inverse_depth = true;
-    AshsplatPlaced placed = {scene, {1, 0, 0, 0, 1, 0, 0, 0, 1}, {0, 0, 0}, 1, NULL};
+    AshsplatPlaced placed = {scene, {1, 0, 0, 0, 1, 0, 0, 0, 1}, {0, 0, 0}, 1, NULL, NULL};
     AshsplatFrame frame;
     memset(&frame, 0, sizeof frame);
     frame.scenes = &placed;

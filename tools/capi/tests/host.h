@@ -44,7 +44,7 @@ typedef struct {
 typedef struct { float depth; uint32_t stencil; } ClearDepth;
 
 enum {
-    FORMAT_RGBA8 = 37, FORMAT_RGBA8_SRGB = 43, FORMAT_R32F = 100, FORMAT_D32 = 126,
+    FORMAT_RGBA8 = 37, FORMAT_RGBA8_SRGB = 43, FORMAT_RG16F = 83, FORMAT_R32F = 100, FORMAT_RGBA32UI = 107, FORMAT_D32 = 126,
     IMAGE_MUTABLE_FORMAT = 8, IMAGE_EXTENDED_USAGE = 256,
     USAGE_IMAGE_COPY_FROM = 1, USAGE_IMAGE_COPY_TO = 2, USAGE_IMAGE_SAMPLED = 4, USAGE_IMAGE_STORAGE = 8,
     USAGE_IMAGE_DEPTH = 32,
@@ -205,8 +205,9 @@ static inline void host_free_buffer(Host *host, HostBuffer *buffer) {
 static inline HostTexture host_texture(Host *host, int format, uint32_t usage, uint32_t width, uint32_t height) {
     HostTexture texture;
     void *device = host->handles.device;
-    /* Kernels see an sRGB image through another format. */
-    uint32_t flags = format == FORMAT_RGBA8_SRGB ? IMAGE_MUTABLE_FORMAT | IMAGE_EXTENDED_USAGE : 0;
+    /* Kernels see these images through another format. */
+    bool seen = format == FORMAT_RGBA8_SRGB || format == FORMAT_RG16F;
+    uint32_t flags = seen ? IMAGE_MUTABLE_FORMAT | IMAGE_EXTENDED_USAGE : 0;
     ImageInfo info = {14, NULL, flags, 1, format, width, height, 1, 1, 1, 1, 0, usage, 0, 0, NULL, LAYOUT_UNDEFINED};
     require(host->CreateImage(device, &info, NULL, &texture.raw), "vkCreateImage");
     Needs needs;
@@ -229,7 +230,7 @@ static inline void host_transition(Host *host, HostTexture *texture, uint32_t as
     host->CmdPipelineBarrier(host->commands, STAGE_ALL, STAGE_TRANSFER, 0, 0, NULL, 0, NULL, 1, &barrier);
 }
 
-/* Records a copy of a texture of four bytes per pixel, as the release has left it, to where the host can read it. */
+/* Records a copy of a texture, as the release has left it, to where the host can read it. */
 static inline void host_read(Host *host, HostTexture *texture, int layout, HostBuffer *to) {
     host_transition(host, texture, ASPECT_COLOR, layout, LAYOUT_COPY_FROM, ACCESS_TRANSFER_READ);
     ImageCopy copy = {0, 0, 0, ASPECT_COLOR, 0, 0, 1, 0, 0, 0, texture->description.width, texture->description.height, 1};

@@ -60,7 +60,7 @@ int main(int count, char **arguments) {
     check(ashsplat_reserve_in(renderer, &wanted, &block, false), "reserving in a block");
 
     void *commands = host_begin(&host);
-    AshsplatPlaced placed = {scene, {1, 0, 0, 0, 1, 0, 0, 0, 1}, {0, 0, 0}, 1, NULL};
+    AshsplatPlaced placed = {scene, {1, 0, 0, 0, 1, 0, 0, 0, 1}, {0, 0, 0}, 1, NULL, NULL};
     AshsplatFrame frame;
     memset(&frame, 0, sizeof frame);
     frame.scenes = &placed;

@@ -83,6 +83,14 @@ int main(int count, char **arguments) {
     HostTexture expected = host_texture(&host, FORMAT_R32F, USAGE_IMAGE_STORAGE | USAGE_IMAGE_COPY_FROM, WIDTH, HEIGHT);
     HostBuffer pixels = host_buffer(&host, 4 * WIDTH * HEIGHT, USAGE_BUFFER_COPIES);
     HostBuffer depths = host_buffer(&host, 4 * WIDTH * HEIGHT, USAGE_BUFFER_COPIES);
+    /* What lies beside the picture: who is seen, and how it moves. */
+    HostTexture who = host_texture(&host, FORMAT_RGBA32UI, USAGE_IMAGE_STORAGE | USAGE_IMAGE_COPY_FROM, WIDTH, HEIGHT);
+    HostTexture speed = host_texture(&host, FORMAT_RG16F, USAGE_IMAGE_STORAGE | USAGE_IMAGE_COPY_FROM, WIDTH, HEIGHT);
+    HostBuffer picks = host_buffer(&host, 16 * WIDTH * HEIGHT, USAGE_BUFFER_COPIES);
+    HostBuffer motions = host_buffer(&host, 4 * WIDTH * HEIGHT, USAGE_BUFFER_COPIES);
+    AshsplatImage *picked = NULL, *moved = NULL;
+    check(ashsplat_image_adopt(context, &who.description, false, &picked), "adopting the picks");
+    check(ashsplat_image_adopt(context, &speed.description, false, &moved), "adopting the motion");
     AshsplatImage *target = NULL, *walls = NULL, *distances = NULL, *wrong = NULL;
     EXPECT(ashsplat_image_adopt(context, &color.description, true, &wrong) == AshsplatStatus_Argument && wrong == NULL);
     check(ashsplat_image_adopt(context, &color.description, false, &target), "adopting the target");
@@ -104,6 +112,8 @@ int main(int count, char **arguments) {
     wanted.height = HEIGHT;
     wanted.occlusion = true;
     wanted.expected_depth = true;
+    wanted.pick = true;
+    wanted.motion = true;
     wanted.staging_bytes = ashsplat_update_bytes(OWN, sh_degree);
     check(ashsplat_reserve(renderer, &wanted), "reserving");
 
@@ -134,12 +144,13 @@ int main(int count, char **arguments) {
     cut.selection_color[0] = 0;
     cut.selection_color[2] = 0.25f;
     cut.selection_share = 0.75f;
+    AshsplatPose still = {{1, 0, 0, 0, 1, 0, 0, 0, 1}, {0, 0, 0}, 1};
     AshsplatPlaced placed[5] = {
-        {file, {1, 0, 0, 0, 1, 0, 0, 0, 1}, {0, 0, 0}, 1, NULL},
-        {file, {0, -1, 0, 1, 0, 0, 0, 0, 1}, {-0.8f, 0.4f, -0.5f}, 0.25f, NULL},
-        {own, {1, 0, 0, 0, 1, 0, 0, 0, 1}, {0, 0, 0}, 1, &tinted},
-        {made, {1, 0, 0, 0, 1, 0, 0, 0, 1}, {0.3f, 0, 0}, 0.5f, &cut},
-        {file, {1, 0, 0, 0, 1, 0, 0, 0, 1}, {0, 0, 0}, 1, &hidden},
+        {file, {1, 0, 0, 0, 1, 0, 0, 0, 1}, {0, 0, 0}, 1, NULL, NULL},
+        {file, {0, -1, 0, 1, 0, 0, 0, 0, 1}, {-0.8f, 0.4f, -0.5f}, 0.25f, NULL, NULL},
+        {own, {1, 0, 0, 0, 1, 0, 0, 0, 1}, {0, 0, 0}, 1, &tinted, &still},
+        {made, {1, 0, 0, 0, 1, 0, 0, 0, 1}, {0.3f, 0, 0}, 0.5f, &cut, NULL},
+        {file, {1, 0, 0, 0, 1, 0, 0, 0, 1}, {0, 0, 0}, 1, &hidden, NULL},
     };
     check(ashsplat_cut_out_in_scene(&half, &placed[3], &half), "bringing a cut-out into a scene");
     EXPECT(half.scale == 2 && half.translation[0] < -0.599f && half.translation[0] > -0.601f && half.removes);
@@ -175,6 +186,12 @@ int main(int count, char **arguments) {
     frame.expected_depth_from = fresh;
     frame.min_weight = 0.5f;
     frame.empty_depth = -1;
+    AshsplatPickTarget pick = {picked, fresh, {0, 0}};
+    frame.pick = &pick;
+    /* The middle of the picture was three pixels further to the left, and lay as high: everything goes to the right. */
+    AshsplatMotionTarget motion = {moved, fresh, {0, 0}, frame.camera, 0.5f, {0, -1}, false};
+    motion.previous_camera.cx -= 3;
+    frame.motion = &motion;
     frame.updates = &update;
     frame.update_count = 1;
     update.first = gaussians;
@@ -215,10 +232,22 @@ int main(int count, char **arguments) {
     EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
     EXPECT(strstr(ashsplat_last_error(), "scenes[2].settings.opacity: 1.5") != NULL);
     tinted.opacity = 0.75f;
+    pick.image = NULL;
+    EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
+    pick.image = moved;
+    EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
+    EXPECT(strstr(ashsplat_last_error(), "pick.image (image 'target'): format R16G16_SFLOAT is not") != NULL);
+    pick.image = picked;
+    motion.previous_camera.width = 1;
+    EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
+    EXPECT(strstr(ashsplat_last_error(), "motion.previous_camera: is of 1 x 120") != NULL);
+    motion.previous_camera.width = WIDTH;
     AshsplatRelease release;
     check(ashsplat_record(renderer, commands, 0, &frame, &release), "recording");
     host_read(&host, &color, release.target.layout, &pixels);
     host_read(&host, &expected, release.expected_depth.layout, &depths);
+    host_read(&host, &who, release.pick.layout, &picks);
+    host_read(&host, &speed, release.motion.layout, &motions);
     host_submit_and_wait(&host);
     AshsplatReport report;
     check(ashsplat_slot_report(renderer, 0, &report), "asking for the report");
@@ -234,22 +263,52 @@ int main(int count, char **arguments) {
     check(ashsplat_write_png(arguments[2], WIDTH, HEIGHT, rgb), "writing the picture");
     FILE *out = fopen(arguments[3], "wb");
     EXPECT(out != NULL && fwrite(depths.mapped, 4, WIDTH * HEIGHT, out) == WIDTH * HEIGHT && fclose(out) == 0);
+    const uint32_t counts[5] = {gaussians, gaussians, OWN, OWN / 2, 0}, (*pixel)[4] = picks.mapped;
+    const uint16_t(*half_floats)[2] = motions.mapped;
+    const float *distance = depths.mapped;
+    int somebody = 0;
+    for (int i = 0; i < WIDTH * HEIGHT; ++i) {
+        float z, weight;
+        memcpy(&z, &pixel[i][2], sizeof z);
+        memcpy(&weight, &pixel[i][3], sizeof weight);
+        if (pixel[i][1] == UINT32_MAX) {
+            EXPECT(pixel[i][0] == UINT32_MAX && z == 0 && weight == 0 && distance[i] == -1);
+        } else {
+            EXPECT(pixel[i][1] < 5 && pixel[i][0] < counts[pixel[i][1]]);
+            EXPECT(z > 2 && z < WALL && weight > 0 && weight <= 1);
+            ++somebody;
+        }
+        /* As half floats 3 and 0, or 0 and -1 where less than half of the pixel is covered; 3 may be rounded. */
+        int right = half_floats[i][0], down = half_floats[i][1] & 0x7fff;
+        if (distance[i] == -1) {
+            EXPECT(right == 0 && half_floats[i][1] == 0xbc00);
+        } else {
+            EXPECT(right >= 0x41fe && right <= 0x4202 && down < 0x1000);
+        }
+    }
+    EXPECT(somebody > WIDTH * HEIGHT / 10);
     printf("%u of %u Gaussians visible\n", report.visible, report.gaussians);
 
     ashsplat_renderer_free(renderer);
     ashsplat_image_free(target);
     ashsplat_image_free(walls);
     ashsplat_image_free(distances);
+    ashsplat_image_free(picked);
+    ashsplat_image_free(moved);
     ashsplat_scene_free(file);
     ashsplat_scene_free(own);
     ashsplat_scene_free(made);
     host_free_texture(&host, &color);
     host_free_texture(&host, &depth);
     host_free_texture(&host, &expected);
+    host_free_texture(&host, &who);
+    host_free_texture(&host, &speed);
     host_free_buffer(&host, &planes);
     host_free_buffer(&host, &bits);
     host_free_buffer(&host, &pixels);
     host_free_buffer(&host, &depths);
+    host_free_buffer(&host, &picks);
+    host_free_buffer(&host, &motions);
     ashsplat_context_free(context);
     host_close(&host);
     return 0;

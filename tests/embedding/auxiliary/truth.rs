@@ -1,0 +1,275 @@
+//! Images for what lies beside the picture, and the host's own arithmetic for it.
+
+use crate::host::Host;
+use crate::memory::{HostBuffer, HostTexture};
+use crate::scene_settings::{HIDDEN, USUAL};
+use crate::scenes::{appended, depth_image};
+use crate::stage::{assert_same, camera, guest, options, own_device, owned, rendered, with_host};
+use ashsplat::ash::vk;
+use ashsplat::kernels::constants::{ALPHA_MAX, ALPHA_MIN, NOT_PICKED, TRANSMITTANCE_MIN};
+use ashsplat::scene::{Camera, CutOut, DepthMapping, Gaussians, Inside, Pose, Volume};
+use ashsplat::vk::{Context, Image, ImageState, ImageUse};
+use ashsplat::{
+    Blending, DeviceScene, HostImage, MotionTarget, Occluder, PickTarget, Placed, RecordedFrame,
+    RenderSettings, Renderer, Reservation, SceneSettings, TileLists,
+};
+use glam::{DMat3, DVec3, Mat3, Quat, Vec3};
+
+pub const SIZE: [u32; 2] = [96, 70];
+pub const WRITTEN: ImageState = ImageState {
+    layout: vk::ImageLayout::GENERAL,
+    stages: vk::PipelineStageFlags2::COMPUTE_SHADER,
+    accesses: vk::AccessFlags2::SHADER_STORAGE_WRITE,
+};
+
+/// Images of the host's for what lies beside the picture.
+pub struct Screens<'a> {
+    host: &'a Host,
+    textures: [HostTexture; 2],
+    pub views: [Image; 2],
+}
+
+/// What a frame left.
+#[derive(Clone)]
+pub struct Shot {
+    pub pixels: Vec<[f32; 4]>,
+    pub picks: Vec<[u32; 4]>,
+    pub motions: Vec<[f32; 2]>,
+}
+
+impl<'a> Screens<'a> {
+    pub fn new(host: &'a Host, context: &Context, size: [u32; 2]) -> Self {
+        let usage = vk::ImageUsageFlags::STORAGE
+            | vk::ImageUsageFlags::TRANSFER_SRC
+            | vk::ImageUsageFlags::TRANSFER_DST;
+        let textures = [vk::Format::R32G32B32A32_UINT, vk::Format::R16G16_SFLOAT]
+            .map(|format| HostTexture::new(host, format, usage, size).expect("an image"));
+        // SAFETY: the images are as they say, and outlive the views.
+        let view = |t: &HostTexture| unsafe {
+            Image::adopt(context, "beside", &t.foreign(), ImageUse::Storage).expect("adopted")
+        };
+        let views = [view(&textures[0]), view(&textures[1])];
+        Self { host, textures, views }
+    }
+
+    pub fn to(&self, which: usize) -> HostImage<'_> {
+        HostImage { image: &self.views[which], from: ImageState::UNDEFINED, offset: [0; 2] }
+    }
+
+    /// Renders a frame with both.
+    pub fn shot(&self, renderer: &mut Renderer, frame: &RecordedFrame<'_>, previous: &Camera) -> Shot {
+        let (pick, motion) = (PickTarget { to: self.to(0) }, self.motion(previous));
+        let frame = RecordedFrame { pick: Some(pick), motion: Some(motion), ..*frame };
+        let pixels = rendered(self.host, renderer, &frame);
+        Shot { pixels, picks: self.read(0), motions: self.motions() }
+    }
+
+    pub fn motion<'b>(&'b self, previous_camera: &'b Camera) -> MotionTarget<'b> {
+        MotionTarget { to: self.to(1), previous_camera, min_weight: 0.0, empty: Some([0.0; 2]) }
+    }
+
+    pub fn motions(&self) -> Vec<[f32; 2]> {
+        let halves: Vec<[u16; 2]> = self.read(1);
+        halves.into_iter().map(|texel| texel.map(|bits| of_half(bits))).collect()
+    }
+
+    pub fn read<T: bytemuck::Pod>(&self, which: usize) -> Vec<T> {
+        let (host, texture) = (self.host, &self.textures[which]);
+        let bytes = size_of::<T>() * texture.size[0] as usize * texture.size[1] as usize;
+        let staging = HostBuffer::new(host, bytes as u64).expect("memory");
+        let from = (WRITTEN.layout, WRITTEN.stages, WRITTEN.accesses);
+        let copied = host.run(|commands| {
+            texture.record_read(host, commands, from, &staging);
+            Ok(())
+        });
+        copied.expect("copied");
+        let read = staging.read(host, bytes).expect("bytes");
+        staging.destroy(host);
+        bytemuck::pod_collect_to_vec(&read)
+    }
+
+    pub fn destroy(self) {
+        drop(self.views);
+        self.textures.into_iter().for_each(|texture| texture.destroy(self.host));
+    }
+}
+
+/// A half float that is finite.
+pub fn of_half(bits: u16) -> f32 {
+    let (sign, exponent, mantissa) =
+        (bits >> 15, i32::from(bits >> 10 & 31), f32::from(bits & 1023) / 1024.0);
+    let size = match exponent {
+        0 => mantissa * 2.0f32.powi(-14),
+        _ => (1.0 + mantissa) * 2.0f32.powi(exponent - 15),
+    };
+    if sign == 1 { -size } else { size }
+}
+
+pub fn both(wanted: Reservation) -> Reservation {
+    Reservation { pick: true, motion: true, ..wanted }
+}
+
+/// Round Gaussians without a direction: what a pose does to them is soon said.
+pub fn round(count: usize, seed: u32) -> Gaussians {
+    let mut round = crate::stage::cloud(count, seed).with_sh_degree(0);
+    for i in 0..count {
+        round.quats[i] = [1.0, 0.0, 0.0, 0.0];
+        round.log_scales[i] = [round.log_scales[i][0]; 3];
+    }
+    round
+}
+
+/// One round Gaussian at a place in a camera's frame.
+pub fn ball(camera: &Camera, at: [f32; 3], [scale, opacity]: [f32; 2]) -> Gaussians {
+    let at = camera.camera_from_world.transpose() * (Vec3::from(at) - camera.translation);
+    Gaussians {
+        sh_degree: 0,
+        means: vec![at.to_array()],
+        quats: vec![[1.0, 0.0, 0.0, 0.0]],
+        log_scales: vec![[scale.ln(); 3]],
+        opacity_logits: vec![(opacity / (1.0 - opacity)).ln()],
+        sh: vec![[1.0; 3]],
+    }
+}
+
+/// Round Gaussians as a pose places them.
+pub fn posed(gaussians: &Gaussians, pose: &Pose) -> Gaussians {
+    let mut posed = gaussians.clone();
+    for (mean, log_scale) in posed.means.iter_mut().zip(&mut posed.log_scales) {
+        *mean = in_world(*mean, pose).as_vec3().to_array();
+        *log_scale = log_scale.map(|x| x + pose.scale.ln());
+    }
+    posed
+}
+
+pub fn in_world(mean: [f32; 3], pose: &Pose) -> DVec3 {
+    let rotation: DMat3 = pose.world_from_object.as_dmat3();
+    rotation * (Vec3::from(mean).as_dvec3() * f64::from(pose.scale)) + pose.translation.as_dvec3()
+}
+
+/// Screen position and depth, in float64; pixel centres at the integers.
+pub fn seen(point: DVec3, camera: &Camera) -> ([f64; 2], f64) {
+    let at = camera.camera_from_world.as_dmat3() * point + camera.translation.as_dvec3();
+    let f = |focal: f32, x: f64, center: f32| f64::from(focal) * x / at.z + f64::from(center) - 0.5;
+    ([f(camera.fx, at.x, camera.cx), f(camera.fy, at.y, camera.cy)], at.z)
+}
+
+/// What has moved on the screen, in float64.
+pub fn moved(mean: [f32; 3], [pose, before]: [&Pose; 2], [camera, camera_before]: [&Camera; 2]) -> [f64; 2] {
+    let ([x, y], _) = seen(in_world(mean, pose), camera);
+    let ([x0, y0], z0) = seen(in_world(mean, before), camera_before);
+    if z0 > 0.2 { [x - x0, y - y0] } else { [0.0; 2] }
+}
+
+/// Weights of what is blended at a pixel, as (Gaussian, weight, depth); none from `limit` on.
+pub fn weights(lists: &TileLists, [x, y]: [u32; 2], limit: f64) -> Vec<(usize, f64, f64)> {
+    let [begin, end] = lists.ranges[(y / 16 * lists.tiles_per_row + x / 16) as usize];
+    let (mut weights, mut transmittance) = (Vec::new(), 1.0);
+    for &entry in &lists.entries[begin as usize..end as usize] {
+        let splat = &lists.splats[entry as usize];
+        let depth = f64::from(splat.depth);
+        let [mx, my] = splat.mean2d_px.map(f64::from);
+        let [dx, dy] = [mx - f64::from(x), my - f64::from(y)];
+        let [a, b, c] = splat.conic.map(f64::from);
+        let alpha = f64::from(splat.opacity) * (-0.5 * (a * dx * dx + c * dy * dy) - b * dx * dy).exp();
+        let alpha = alpha.min(f64::from(ALPHA_MAX));
+        if depth > limit
+            || (alpha >= f64::from(ALPHA_MIN) && transmittance * (1.0 - alpha) < f64::from(TRANSMITTANCE_MIN))
+        {
+            break;
+        }
+        if alpha >= f64::from(ALPHA_MIN) {
+            weights.push((splat.gaussian as usize, alpha * transmittance, depth));
+            transmittance *= 1.0 - alpha;
+        }
+    }
+    weights
+}
+
+/// The truth about a frame of round Gaussians: who they are, and how each moved.
+pub struct Truth {
+    lists: TileLists,
+    /// Of each Gaussian of the lists: its index in its scene, the scene, its motion.
+    pub who: Vec<(u32, u32, [f64; 2])>,
+    pub limit: f64,
+}
+
+impl Truth {
+    pub fn new(drawn: &[(u32, &Gaussians, Pose, Pose)], cameras: [&Camera; 2]) -> Self {
+        let mut all = Gaussians::default();
+        let mut who = Vec::new();
+        for (scene, gaussians, pose, before) in drawn {
+            all = appended(&all, &posed(gaussians, pose));
+            let motion = |&mean: &[f32; 3]| moved(mean, [pose, before], cameras);
+            who.extend((0..).zip(&gaussians.means).map(|(i, mean)| (i, *scene, motion(mean))));
+        }
+        let mut renderer = Renderer::new(own_device()).expect("kernels");
+        renderer.upload(&all).expect("a scene");
+        let lists = renderer.tile_lists(cameras[0], &RenderSettings::default()).expect("lists");
+        Self { lists, who, limit: f64::INFINITY }
+    }
+
+    /// Compares all pixels. Returns how many have something. At most one of a hundred may hang on rounding.
+    pub fn check(&self, shot: &Shot, size: [u32; 2]) -> usize {
+        let [covered, odd] = self.compare(shot, size);
+        assert!(odd <= shot.picks.len() / 100, "{odd} pixels differ");
+        // The comparison can tell: what lies beside is another pixel's.
+        let (mut picks, mut motions) = (shot.picks.clone(), shot.motions.clone());
+        picks.rotate_left(2);
+        motions.rotate_left(2);
+        let moves = self.who.iter().any(|(_, _, motion)| *motion != [0.0; 2]);
+        let others = [Shot { picks, ..shot.clone() }, Shot { motions, ..shot.clone() }];
+        for other in &others[..1 + usize::from(moves)] {
+            assert!(self.compare(other, size)[1] > covered / 4);
+        }
+        covered
+    }
+
+    /// Pixels that have something, and those that differ.
+    fn compare(&self, shot: &Shot, [width, height]: [u32; 2]) -> [usize; 2] {
+        let (mut covered, mut odd) = (0, 0);
+        for index in 0..width * height {
+            let weights = weights(&self.lists, [index % width, index / width], self.limit);
+            let ([gaussian, scene, depth, weight], motion) =
+                (shot.picks[index as usize], shot.motions[index as usize]);
+            let largest = weights.iter().map(|(_, weight, _)| *weight).fold(0.0, f64::max);
+            let picked = weights.iter().find(|(own, weight, _)| {
+                let (index, place, _) = self.who[*own];
+                (index, place) == (gaussian, scene) && *weight > largest - 1e-4
+            });
+            let nothing = [NOT_PICKED, NOT_PICKED, 0, 0] == shot.picks[index as usize];
+            let is_picked = match picked {
+                Some((_, own, z)) => {
+                    let (actual, z_actual) =
+                        (f64::from(f32::from_bits(weight)), f64::from(f32::from_bits(depth)));
+                    (actual - own).abs() < 1e-4 && (z_actual - z).abs() < 1e-5 * z
+                }
+                None => nothing && largest < 1e-2,
+            };
+            let sum: f64 = weights.iter().map(|(_, weight, _)| weight).sum();
+            let mean = [0, 1].map(|axis| {
+                let weighted = weights.iter().map(|(own, weight, _)| weight * self.who[*own].2[axis]);
+                if sum > 0.0 { weighted.sum::<f64>() / sum } else { 0.0 }
+            });
+            let close =
+                |axis: usize| (f64::from(motion[axis]) - mean[axis]).abs() < 2e-3 * (1.0 + mean[axis].abs());
+            covered += usize::from(!weights.is_empty());
+            odd += usize::from(!(is_picked && close(0) && close(1)));
+        }
+        [covered, odd]
+    }
+}
+
+pub fn shifted(camera: &Camera, by: [f32; 3]) -> Camera {
+    // A camera that stands `by` further along its own axes sees everything so much less far along them.
+    Camera { translation: camera.translation - Vec3::from(by), ..*camera }
+}
+
+pub fn turned(camera: &Camera, angle: f32) -> Camera {
+    let turn = Mat3::from_rotation_y(angle);
+    Camera {
+        camera_from_world: turn * camera.camera_from_world,
+        translation: turn * camera.translation,
+        ..*camera
+    }
+}
