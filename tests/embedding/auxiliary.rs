@@ -2,7 +2,6 @@
 
 mod truth;
 
-use crate::host::Host;
 use crate::scene_settings::{HIDDEN, USUAL};
 use crate::scenes::{appended, depth_image};
 use crate::stage::{assert_same, camera, guest, options, owned, rendered, with_host};
@@ -156,7 +155,8 @@ fn picks_and_motion_of_random_scenes() {
             let mapping = DepthMapping { scale: 10.0, offset: 0.0, clear_value: 0.0 };
             let hidden = RecordedFrame { occluder: Some(Occluder { depth, mapping }), ..frame };
             let shot = screens.shot(&mut renderer, &hidden, &before);
-            let truth = Truth { limit: f64::from(wall), ..truth };
+            let mut truth = truth;
+            truth.limit = f64::from(wall);
             let left = truth.check(&shot, SIZE);
             assert!(left > 500 && left < covered, "{left} of {covered}");
             rendered(host, &mut renderer, &frame);

@@ -2,18 +2,16 @@
 
 use crate::host::Host;
 use crate::memory::{HostBuffer, HostTexture};
-use crate::scene_settings::{HIDDEN, USUAL};
-use crate::scenes::{appended, depth_image};
-use crate::stage::{assert_same, camera, guest, options, own_device, owned, rendered, with_host};
+use crate::scenes::appended;
+use crate::stage::{own_device, rendered};
 use ashsplat::ash::vk;
 use ashsplat::kernels::constants::{ALPHA_MAX, ALPHA_MIN, NOT_PICKED, TRANSMITTANCE_MIN};
-use ashsplat::scene::{Camera, CutOut, DepthMapping, Gaussians, Inside, Pose, Volume};
+use ashsplat::scene::{Camera, Gaussians, Pose};
 use ashsplat::vk::{Context, Image, ImageState, ImageUse};
 use ashsplat::{
-    Blending, DeviceScene, HostImage, MotionTarget, Occluder, PickTarget, Placed, RecordedFrame,
-    RenderSettings, Renderer, Reservation, SceneSettings, TileLists,
+    HostImage, MotionTarget, PickTarget, RecordedFrame, RenderSettings, Renderer, Reservation, TileLists,
 };
-use glam::{DMat3, DVec3, Mat3, Quat, Vec3};
+use glam::{DMat3, DVec3, Mat3, Vec3};
 
 pub const SIZE: [u32; 2] = [96, 70];
 pub const WRITTEN: ImageState = ImageState {
