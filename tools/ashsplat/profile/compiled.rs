@@ -187,6 +187,8 @@ fn frames(context: &Context, sh_degree: u32, form: Blending) -> Result<()> {
         tint: true,
         cut_outs: 1,
         selection: true,
+        pick: true,
+        motion: true,
         ..Reservation::new(GAUSSIANS as u32, sh_degree, SIZE[0], SIZE[1])
     })
 }
