@@ -2,13 +2,15 @@
 //!
 //! The tables of the guide: `cargo test --release --test embedding -- --ignored --nocapture cost::tables`.
 
+use crate::auxiliary::truth::Screens;
 use crate::host::{Host, HostOptions, InFlight};
 use crate::stage::{adopt, camera, cloud, options, with_host};
 use crate::table::Images;
 use ashsplat::scene::{CutOut, Inside, Pose, Volume};
 use ashsplat::vk::{Context, ContextOptions, MemoryKind};
 use ashsplat::{
-    DeviceScene, Placed, RecordedFrame, RenderSettings, Renderer, Reservation, SceneSettings, Selection,
+    DeviceScene, PickTarget, Placed, RecordedFrame, RenderSettings, Renderer, Reservation, SceneSettings,
+    Selection,
 };
 use glam::Vec3;
 use std::alloc::{GlobalAlloc, Layout, System};
@@ -148,6 +150,8 @@ fn steady_allocations(host_options: &HostOptions, timestamps: bool) {
             tint: true,
             cut_outs: 2,
             selection: true,
+            pick: true,
+            motion: true,
             staging_bytes: Reservation::update_bytes(600, 1),
             ..Reservation::new(700, 1, 96, 64)
         };
@@ -158,6 +162,7 @@ fn steady_allocations(host_options: &HostOptions, timestamps: bool) {
         context.upload(&bits[0], &[0x55; 8]).expect("uploaded");
         let selection = Some(Selection { mask: &bits[0], color: [1.0, 0.5, 0.0], share: 0.5 });
         let images = Images::new(host, &context);
+        let screens = Screens::new(host, &context, [96, 64]);
         let in_flight = InFlight::new(host).expect("a command buffer");
         let mut asked = Vec::new();
         for number in 0..8 {
@@ -172,7 +177,8 @@ fn steady_allocations(host_options: &HostOptions, timestamps: bool) {
                 Placed { settings: SceneSettings { visible: false, ..tinted }, ..(&scenes[0]).into() },
                 Placed { settings: SceneSettings { selection, ..tinted }, ..(&scenes[2]).into() },
             ];
-            let frame = RecordedFrame { scenes: &placed, ..everything.recorded() };
+            let (pick, motion) = (Some(PickTarget { to: screens.to(0) }), Some(screens.motion(&view)));
+            let frame = RecordedFrame { scenes: &placed, pick, motion, ..everything.recorded() };
             let (count, recorded) = allocations(|| renderer.record(commands, slot, &frame));
             recorded.expect("a recording");
             in_flight.submit(host).expect("a submission");
@@ -186,6 +192,7 @@ fn steady_allocations(host_options: &HostOptions, timestamps: bool) {
         assert_eq!(asked[2..], [0; 6], "heap allocations of {asked:?}");
         in_flight.destroy(host);
         drop(renderer);
+        screens.destroy();
         images.destroy(host);
     });
 }

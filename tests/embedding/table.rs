@@ -374,6 +374,8 @@ fn kernels_of_threads(host_options: &HostOptions) {
             occlusion: true,
             expected_depth: true,
             filter_3d: true,
+            pick: true,
+            motion: true,
             ..Reservation::new(100, 2, 96, 64)
         };
         take_calls();
