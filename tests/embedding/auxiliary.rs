@@ -1,11 +1,13 @@
 //! What a frame leaves beside the picture: what is picked at each pixel, and motion; by the host's own arithmetic.
 
+mod costs;
 pub mod truth;
 
-use crate::host::{HostOptions, InFlight};
 use crate::scene_settings::{HIDDEN, USUAL};
 use crate::scenes::{appended, depth_image};
-use crate::stage::{adopt, assert_same, camera, cloud, guest, options, owned, rendered, with_host};
+use crate::stage::{
+    assert_same, camera, guest, guest_of_small_bindings, options, owned, rendered, with_host,
+};
 use ashsplat::ash::vk;
 use ashsplat::kernels::constants::NOT_PICKED;
 use ashsplat::scene::{Camera, CutOut, DepthMapping, Inside, Pose, Volume};
@@ -171,6 +173,69 @@ fn picks_and_motion_of_random_scenes() {
     });
 }
 
+/// A scene whose parameters lie in several buffers, and whose splats' attributes lie apart.
+#[test]
+fn picks_and_motion_go_on_from_chunk_to_chunk() {
+    with_host(&options(), |host| {
+        let context = guest_of_small_bindings(host);
+        let size = [80, 60];
+        let view = camera(0.3, size[0], size[1]);
+        let before = shifted(&view, [0.05, 0.0, 0.02]);
+        let part = round(2500, 6);
+        let scene = DeviceScene::upload(&context, &part, 0).expect("a scene");
+        assert!(scene.plan().chunks > 1);
+        let mut renderer = Renderer::new(&context).expect("kernels");
+        renderer.reserve(&both(Reservation::new(2500, 0, size[0], size[1]))).expect("memory");
+        let screens = Screens::new(host, &context, size);
+        let (placed, settings) = ([Placed::from(&scene)], RenderSettings::default());
+        let shot = screens.shot(&mut renderer, &RecordedFrame::new(&placed, &view, &settings), &before);
+        let truth = Truth::new(&[(0, &part, Pose::IDENTITY, Pose::IDENTITY)], [&view, &before]);
+        assert!(truth.check(&shot, size) > 2000);
+        assert!(shot.picks.iter().any(|pick| pick[0] > 2400 && pick[0] < 2500), "none of the last chunk");
+        screens.destroy();
+    });
+}
+
+/// More scenes than one command writes the first Gaussians of, a tenth of them hidden: one at each fourth pixel of a grid.
+#[test]
+fn picks_know_a_thousand_scenes() {
+    const COLUMNS: u32 = 44;
+    const SCENES: u32 = 25 * COLUMNS;
+    with_host(&options(), |host| {
+        let context = guest(host);
+        let (width, height) = (4 * COLUMNS, 100);
+        let view = Camera { cx: 0.5, cy: 0.5, ..camera(0.0, width, height) };
+        let small = ball(&view, [0.0, 0.0, 4.0], [0.001, 0.9]);
+        let scene = DeviceScene::upload(&context, &small, 0).expect("a scene");
+        let mut renderer = Renderer::new(&context).expect("kernels");
+        let wanted = Reservation { scenes: SCENES, ..Reservation::new(SCENES, 0, width, height) };
+        renderer.reserve(&Reservation { pick: true, ..wanted }).expect("memory");
+        let screens = Screens::new(host, &context, [width, height]);
+        let place = |scene: u32| [4 * (scene % COLUMNS) + 2, 4 * (scene / COLUMNS) + 1];
+        let is_hidden = |scene: u32| scene.is_multiple_of(10) || (1020..1030).contains(&scene);
+        let placed: Vec<Placed> = (0..SCENES)
+            .map(|index| {
+                let [x, y] = place(index).map(|at| at as f32 / view.fx * 4.0);
+                let translation = view.camera_from_world.transpose() * Vec3::new(x, y, 0.0);
+                let settings = if is_hidden(index) { HIDDEN } else { USUAL };
+                Placed { settings, ..Placed::at(&scene, Pose { translation, ..Pose::IDENTITY }) }
+            })
+            .collect();
+        let settings = RenderSettings::default();
+        let pick = Some(PickTarget { to: screens.to(0) });
+        let frame = RecordedFrame { pick, ..RecordedFrame::new(&placed, &view, &settings) };
+        rendered(host, &mut renderer, &frame);
+        let picks = screens.read::<[u32; 4]>(0);
+        for index in 0..SCENES {
+            let [x, y] = place(index);
+            let [gaussian, found, ..] = picks[(y * width + x) as usize];
+            let expected = if is_hidden(index) { [NOT_PICKED; 2] } else { [0, index] };
+            assert_eq!([gaussian, found], expected, "scene {index}");
+        }
+        screens.destroy();
+    });
+}
+
 /// Cut-outs, a tint and a selection change who is drawn and what weighs how much; indices stay those of the scene.
 #[test]
 fn picks_know_scenes_in_ways_of_their_own() {
@@ -267,69 +332,6 @@ fn picks_and_motion_go_into_a_part_of_an_image() {
         assert!(kinds.iter().all(|&count| count > 50), "{kinds:?}");
         whole.destroy();
         own.destroy();
-    });
-}
-
-/// Milliseconds of the stages and of all, of a frame with and without: medians, taken in turn.
-#[test]
-#[ignore = "prints a table of the guide"]
-fn costs() {
-    with_host(&HostOptions::default(), |host| {
-        let context = crate::cost::shipped(host, true);
-        let scene = DeviceScene::upload(&context, &cloud(200_000, 1), 0).expect("a scene");
-        let mut renderer = Renderer::new(&context).expect("kernels");
-        let wanted = Reservation::new(200_000, 1, 640, 480);
-        let bytes = |wanted: &Reservation| renderer.reservation_bytes(wanted).expect("bytes") as f64;
-        let mib = (bytes(&both(wanted)) - bytes(&wanted)) / 1024.0 / 1024.0;
-        println!("{mib:.1} MiB more than {:.1}", bytes(&wanted) / 1024.0 / 1024.0);
-        renderer.reserve(&both(wanted)).expect("memory");
-        let screens = Screens::new(host, &context, [640, 480]);
-        let (view, settings) = (camera(0.7, 640, 480), RenderSettings::default());
-        let before = shifted(&view, [0.01, 0.0, 0.0]);
-        let placed = [Placed::from(&scene)];
-        let plain = RecordedFrame::new(&placed, &view, &settings);
-        let pick = Some(PickTarget { to: screens.to(0) });
-        let motion = Some(screens.motion(&before));
-        let cases = [
-            ("neither", plain),
-            ("picks", RecordedFrame { pick, ..plain }),
-            ("motion", RecordedFrame { motion, ..plain }),
-            ("both", RecordedFrame { pick, motion, ..plain }),
-        ];
-        let in_flight = InFlight::new(host).expect("a command buffer");
-        let mut times = vec![[const { Vec::new() }; 4]; cases.len()];
-        for round in 0..16 {
-            for ((_, frame), times) in cases.iter().zip(&mut times) {
-                in_flight.begin(host).expect("recording");
-                renderer.record(adopt(&context, &in_flight), 0, frame).expect("a recording");
-                in_flight.submit(host).expect("a submission");
-                in_flight.wait(host).expect("done");
-                let report = renderer.slot_report(0).expect("a report").expect("finished");
-                let sum = |name: Option<&str>| -> f64 {
-                    let own =
-                        report.scopes.iter().filter(|s| name.map_or(s.depth == 0, |name| s.name == name));
-                    own.map(|s| s.nanoseconds / 1e6).sum()
-                };
-                if round > 0 {
-                    let all = [sum(Some("motion")), sum(Some("blend")), sum(Some("compose")), sum(None)];
-                    times.iter_mut().zip(all).for_each(|(times, ms)| times.push(ms));
-                }
-            }
-        }
-        println!("frame with | motion, ms | blend, ms | compose, ms | frame, ms | ratio of pairs");
-        let without = times[0][3].clone();
-        for ((name, _), mut times) in cases.iter().zip(times) {
-            let mut ratios: Vec<f64> =
-                times[3].iter().zip(&without).map(|(own, other)| own / other).collect();
-            ratios.sort_by(f64::total_cmp);
-            times.iter_mut().for_each(|times| times.sort_by(f64::total_cmp));
-            let [motion, blend, compose, all] = times.map(|times| times[times.len() / 2]);
-            let ratio = ratios[ratios.len() / 2];
-            println!("{name} | {motion:.2} | {blend:.1} | {compose:.2} | {all:.1} | {ratio:.3}");
-        }
-        in_flight.destroy(host);
-        drop(renderer);
-        screens.destroy();
     });
 }
 

@@ -1,0 +1,69 @@
+//! What picks and motion cost a frame.
+
+use super::truth::{Screens, both, shifted};
+use crate::host::{HostOptions, InFlight};
+use crate::stage::{adopt, camera, cloud, with_host};
+use ashsplat::{DeviceScene, PickTarget, Placed, RecordedFrame, RenderSettings, Renderer, Reservation};
+
+/// Milliseconds of the stages and of all, of a frame with and without: medians, taken in turn.
+#[test]
+#[ignore = "prints a table of the guide"]
+fn costs() {
+    with_host(&HostOptions::default(), |host| {
+        let context = crate::cost::shipped(host, true);
+        let scene = DeviceScene::upload(&context, &cloud(200_000, 1), 0).expect("a scene");
+        let mut renderer = Renderer::new(&context).expect("kernels");
+        let wanted = Reservation::new(200_000, 1, 640, 480);
+        let bytes = |wanted: &Reservation| renderer.reservation_bytes(wanted).expect("bytes") as f64;
+        let mib = (bytes(&both(wanted)) - bytes(&wanted)) / 1024.0 / 1024.0;
+        println!("{mib:.1} MiB more than {:.1}", bytes(&wanted) / 1024.0 / 1024.0);
+        renderer.reserve(&both(wanted)).expect("memory");
+        let screens = Screens::new(host, &context, [640, 480]);
+        let (view, settings) = (camera(0.7, 640, 480), RenderSettings::default());
+        let before = shifted(&view, [0.01, 0.0, 0.0]);
+        let placed = [Placed::from(&scene)];
+        let plain = RecordedFrame::new(&placed, &view, &settings);
+        let pick = Some(PickTarget { to: screens.to(0) });
+        let motion = Some(screens.motion(&before));
+        let cases = [
+            ("neither", plain),
+            ("picks", RecordedFrame { pick, ..plain }),
+            ("motion", RecordedFrame { motion, ..plain }),
+            ("both", RecordedFrame { pick, motion, ..plain }),
+        ];
+        let in_flight = InFlight::new(host).expect("a command buffer");
+        let mut times = vec![[const { Vec::new() }; 4]; cases.len()];
+        for round in 0..16 {
+            for ((_, frame), times) in cases.iter().zip(&mut times) {
+                in_flight.begin(host).expect("recording");
+                renderer.record(adopt(&context, &in_flight), 0, frame).expect("a recording");
+                in_flight.submit(host).expect("a submission");
+                in_flight.wait(host).expect("done");
+                let report = renderer.slot_report(0).expect("a report").expect("finished");
+                let sum = |name: Option<&str>| -> f64 {
+                    let own =
+                        report.scopes.iter().filter(|s| name.map_or(s.depth == 0, |name| s.name == name));
+                    own.map(|s| s.nanoseconds / 1e6).sum()
+                };
+                if round > 0 {
+                    let all = [sum(Some("motion")), sum(Some("blend")), sum(Some("compose")), sum(None)];
+                    times.iter_mut().zip(all).for_each(|(times, ms)| times.push(ms));
+                }
+            }
+        }
+        println!("frame with | motion, ms | blend, ms | compose, ms | frame, ms | ratio of pairs");
+        let without = times[0][3].clone();
+        for ((name, _), mut times) in cases.iter().zip(times) {
+            let mut ratios: Vec<f64> =
+                times[3].iter().zip(&without).map(|(own, other)| own / other).collect();
+            ratios.sort_by(f64::total_cmp);
+            times.iter_mut().for_each(|times| times.sort_by(f64::total_cmp));
+            let [motion, blend, compose, all] = times.map(|times| times[times.len() / 2]);
+            let ratio = ratios[ratios.len() / 2];
+            println!("{name} | {motion:.2} | {blend:.1} | {compose:.2} | {all:.1} | {ratio:.3}");
+        }
+        in_flight.destroy(host);
+        drop(renderer);
+        screens.destroy();
+    });
+}
