@@ -68,7 +68,7 @@ impl<'a> Screens<'a> {
 
     pub fn motions(&self) -> Vec<[f32; 2]> {
         let halves: Vec<[u16; 2]> = self.read(1);
-        halves.into_iter().map(|texel| texel.map(|bits| of_half(bits))).collect()
+        halves.into_iter().map(|texel| texel.map(of_half)).collect()
     }
 
     pub fn read<T: bytemuck::Pod>(&self, which: usize) -> Vec<T> {
