@@ -117,7 +117,7 @@ fn null_handles_and_wrong_images_are_refused() {
         let only_mutable = |f: &mut ashsplat::vk::ForeignImage| {
             (f.format, f.flags) = (vk::Format::R8G8B8A8_SRGB, vk::ImageCreateFlags::MUTABLE_FORMAT);
         };
-        let refused: [(Change, ImageUse, &str); 11] = [
+        let refused: [(Change, ImageUse, &str); 13] = [
             (&|f| f.image = vk::Image::null(), ImageUse::Storage, "null"),
             (&|f| f.size = [0, 8], ImageUse::Storage, "0 x 8"),
             (&|f| f.usage = vk::ImageUsageFlags::SAMPLED, ImageUse::Storage, "lacks STORAGE"),
@@ -128,6 +128,8 @@ fn null_handles_and_wrong_images_are_refused() {
             (&|f| f.format = vk::Format::R8G8_UNORM, ImageUse::Storage, "R8G8_UNORM is not one of"),
             (&sampled, ImageUse::Sampled, "R32_UINT is not one of"),
             (&|f| f.format = vk::Format::B8G8R8A8_UNORM, ImageUse::Storage, "lack MUTABLE_FORMAT"),
+            (&|f| f.format = vk::Format::R16G16_SFLOAT, ImageUse::Storage, "lack MUTABLE_FORMAT"),
+            (&|f| f.format = vk::Format::R32G32_UINT, ImageUse::Storage, "R32G32_UINT is not one of"),
             (&|f| f.format = vk::Format::R8G8B8A8_SRGB, ImageUse::Storage, "MUTABLE_FORMAT"),
             (&only_mutable, ImageUse::Storage, "lack EXTENDED_USAGE"),
         ];

@@ -275,8 +275,9 @@ fn in_c(error: Error) -> Error {
         "occluder.mapping" => "depth_mapping",
         "depth" => "expected_depth",
         "depth.min_weight" => "min_weight",
-        "pick" => "pick.image",
-        "motion" => "motion.image",
+        // Not where it is the field of a reservation.
+        "pick" if !rest.is_empty() => "pick.image",
+        "motion" if !rest.is_empty() => "motion.image",
         "command buffer" => "commands",
         "frame slot" => "slot",
         other => other,
