@@ -46,7 +46,8 @@ pub struct Compose {
     r11g11b10f: ByEncoding<compose_r11g11b10f::Interface>,
     rgba16f: ByEncoding<compose_rgba16f::Interface>,
     rgba32f: ByEncoding<compose_rgba32f::Interface>,
-    depth_limit: Kernel<depth_limit::Interface>,
+    /// Of perspective and of orthographic projections.
+    depth_limits: [Kernel<depth_limit::Interface>; 2],
     expected_depth: Kernel<expected_depth::Interface>,
     auxiliary: auxiliary::Kernels,
 }
@@ -102,6 +103,7 @@ impl Compose {
                     .collect::<Result<_>>()?
             };
         }
+        let limits = |linear| Kernel::new(context, &depth_limit::Spec { workgroup_size, linear });
         Ok(Self {
             workgroup: workgroup_size,
             rgba8: by_encoding!(compose_rgba8, c::COMPOSE_LINEAR_IN_SRGB),
@@ -110,7 +112,7 @@ impl Compose {
             r11g11b10f: by_encoding!(compose_r11g11b10f, c::COMPOSE_LINEAR),
             rgba16f: by_encoding!(compose_rgba16f, c::COMPOSE_LINEAR),
             rgba32f: by_encoding!(compose_rgba32f, c::COMPOSE_LINEAR),
-            depth_limit: Kernel::new(context, &depth_limit::Spec { workgroup_size })?,
+            depth_limits: [limits(false)?, limits(true)?],
             expected_depth: Kernel::new(context, &expected_depth::Spec { workgroup_size })?,
             auxiliary: auxiliary::Kernels::default(),
         })
@@ -211,11 +213,11 @@ impl Compose {
     ) {
         let [image_width, image_height] = size;
         let [offset_x, offset_y] = region.offset;
-        let DepthMapping { scale, offset, clear_value } = mapping;
+        let DepthMapping { scale, offset, clear_value, linear } = mapping;
         let bind = depth_limit::Bind { depth_limits, depth: region.image };
         let push =
             depth_limit::Push { image_width, image_height, offset_x, offset_y, scale, offset, clear_value };
-        r.dispatch(&self.depth_limit, &bind, &push, self.workgroups(size));
+        r.dispatch(&self.depth_limits[usize::from(linear)], &bind, &push, self.workgroups(size));
     }
 
     /// Records the expected depth sum(w z) / sum(w) of a frame that was blended with `linear_depth`, into an

@@ -51,12 +51,12 @@ pub struct Forward {
     scan: Scan,
     sort: RadixSort,
     /// By [`BlendVariant::of_cull`].
-    cull: [Option<Kernel<cull::Interface>>; 16],
+    cull: [Option<Kernel<cull::Interface>>; 32],
     compact: Kernel<compact::Interface>,
     write_indirect_args: Kernel<write_indirect_args::Interface>,
     write_visible_ranges: Kernel<write_visible_ranges::Interface>,
     /// By [`BlendVariant::of_project`], by SH degree.
-    project: [[Option<Kernel<project::Interface>>; 4]; 32],
+    project: [[Option<Kernel<project::Interface>>; 4]; 64],
     count: Kernel<count::Interface>,
     /// For rendering alone, and for frames with backward.
     duplicate: [Kernel<duplicate_with_tiles::Interface>; 2],
@@ -97,7 +97,7 @@ impl Forward {
             )?,
             write_indirect_args: Kernel::new(context, &write_indirect_args::Spec::default())?,
             write_visible_ranges: Kernel::new(context, &write_visible_ranges::Spec { workgroup_size })?,
-            project: Default::default(),
+            project: std::array::from_fn(|_| Default::default()),
             count: Kernel::new(
                 context,
                 &count::Spec { workgroup_size: sizes.scan_workgroup, subgroup_size, items: sizes.scan_items },
@@ -122,30 +122,18 @@ impl Forward {
     /// # Errors
     /// When the device refuses a pipeline.
     pub fn prepare_variant(&mut self, sh_degree: u32, variant: BlendVariant) -> Result<()> {
-        let BlendVariant { filter_3d, dropout, tinted, cut_outs, selection, z_record, .. } = variant;
-        let workgroup_size = self.sizes.elementwise_workgroup;
         let cull = &mut self.cull[variant.of_cull()];
         if cull.is_none() {
-            let subgroup_size = self.context.limits().subgroup_size;
-            let spec = cull::Spec { workgroup_size, subgroup_size, filter_3d, dropout, tinted, cut_outs };
+            let spec = variant.cull_spec(&self.sizes, self.context.limits().subgroup_size);
             *cull = Some(Kernel::new(&self.context, &spec)?);
         }
-        let built = &mut self.project[variant.of_project()][sh_degree as usize];
-        if built.is_none() {
-            let spec = project::Spec {
-                workgroup_size,
-                sh_degree,
-                filter_3d,
-                dropout,
-                tinted,
-                selection,
-                z_record,
-                sh_loops: self.sizes.sh_loops,
-            };
-            *built = Some(Kernel::new(&self.context, &spec)?);
+        let project = &mut self.project[variant.of_project()][sh_degree as usize];
+        if project.is_none() {
+            let spec = variant.project_spec(&self.sizes, sh_degree);
+            *project = Some(Kernel::new(&self.context, &spec)?);
         }
         if variant.motion {
-            self.screen_motion.prepare(&self.context, workgroup_size)?;
+            self.screen_motion.prepare(&self.context, self.sizes.elementwise_workgroup)?;
         }
         self.blend.prepare(&self.context, &self.sizes, variant)
     }

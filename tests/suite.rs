@@ -36,6 +36,7 @@ mod lpips;
 mod mcmc;
 mod mock_devices;
 mod orientations;
+mod orthographic;
 mod parts;
 mod photos;
 mod poses;

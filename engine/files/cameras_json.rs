@@ -35,6 +35,16 @@ struct Entry {
     cx: Option<f32>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     cy: Option<f32>,
+    /// Only of an orthographic camera, whose fx and fy are pixels per unit.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    projection: Option<Rays>,
+}
+
+#[derive(Clone, Copy, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum Rays {
+    Perspective,
+    Orthographic,
 }
 
 impl Entry {
@@ -51,6 +61,7 @@ impl Entry {
             fx: camera.fx,
             cx: Some(camera.cx),
             cy: Some(camera.cy),
+            projection: camera.is_orthographic().then_some(Rays::Orthographic),
         }
     }
 
@@ -64,12 +75,17 @@ impl Entry {
             width: self.width,
             height: self.height,
         };
-        Camera::at(DVec3::from_array(self.position), camera_from_world, intrinsics)
+        let camera = Camera::at(DVec3::from_array(self.position), camera_from_world, intrinsics);
+        match self.projection {
+            Some(Rays::Orthographic) => camera.orthographic(),
+            Some(Rays::Perspective) | None => camera,
+        }
     }
 }
 
 /// Writes cameras in the reference implementation's form: id, img_name, width, height, position and rotation
-/// (camera to world, rows), fy, fx. It adds cx and cy, which the reference's readers ignore.
+/// (camera to world, rows), fy, fx. It adds cx and cy, which the reference's readers ignore, and for
+/// orthographic cameras `"projection": "orthographic"`.
 ///
 /// # Errors
 /// [`Error::Io`] naming the file.

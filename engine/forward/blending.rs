@@ -3,8 +3,9 @@
 use super::blend_forms::Blending;
 use super::{FrameInputs, RenderSettings, SceneSettings};
 use crate::error::Result;
-use crate::kernels::forward::{blend, blend_auxiliary, blend_shared, blend_shared_auxiliary};
+use crate::kernels::forward::{blend, blend_auxiliary, blend_shared, blend_shared_auxiliary, cull, project};
 use crate::plan::{LaunchSizes, tile_grid};
+use crate::scene::Camera;
 use crate::vk::{Context, Kernel, Limits, Recorder};
 
 /// The variant of a frame's kernels: what is blended in addition to colours, and how.
@@ -38,10 +39,12 @@ pub struct BlendVariant {
     pub pick: bool,
     /// The sum of weights * motions.
     pub motion: bool,
+    /// The camera's rays are parallel ([`Projection::Orthographic`](crate::scene::Projection::Orthographic)): as `filter_3d`.
+    pub orthographic: bool,
 }
 
 impl BlendVariant {
-    /// That of a frame of one scene, in a buffer of its own.
+    /// That of a pinhole's frame of one scene, in a buffer of its own.
     pub fn of(settings: &RenderSettings, backward: bool) -> Self {
         Self {
             inverse_depth: settings.inverse_depth,
@@ -65,17 +68,46 @@ impl BlendVariant {
     }
 
     fn of_shape(self) -> usize {
-        usize::from(self.filter_3d) | usize::from(self.dropout) << 1 | usize::from(self.tinted) << 2
+        usize::from(self.filter_3d)
+            | usize::from(self.dropout) << 1
+            | usize::from(self.tinted) << 2
+            | usize::from(self.orthographic) << 3
     }
 
     /// The place of its kernel of culling.
     pub(super) fn of_cull(self) -> usize {
-        self.of_shape() | usize::from(self.cut_outs) << 3
+        self.of_shape() | usize::from(self.cut_outs) << 4
     }
 
     /// The place of its kernels of projection.
     pub(super) fn of_project(self) -> usize {
-        self.of_shape() | usize::from(self.z_record) << 3 | usize::from(self.selection) << 4
+        self.of_shape() | usize::from(self.z_record) << 4 | usize::from(self.selection) << 5
+    }
+
+    /// With a camera.
+    pub(crate) fn of_camera(self, camera: &Camera) -> Self {
+        Self { orthographic: camera.is_orthographic(), ..self }
+    }
+
+    pub(super) fn cull_spec(self, sizes: &LaunchSizes, subgroup_size: u32) -> cull::Spec {
+        let Self { filter_3d, dropout, tinted, cut_outs, orthographic, .. } = self;
+        let workgroup_size = sizes.elementwise_workgroup;
+        cull::Spec { workgroup_size, subgroup_size, filter_3d, dropout, tinted, cut_outs, orthographic }
+    }
+
+    pub(super) fn project_spec(self, sizes: &LaunchSizes, sh_degree: u32) -> project::Spec {
+        let Self { filter_3d, dropout, tinted, selection, z_record, orthographic, .. } = self;
+        project::Spec {
+            workgroup_size: sizes.elementwise_workgroup,
+            sh_degree,
+            filter_3d,
+            dropout,
+            tinted,
+            selection,
+            z_record,
+            orthographic,
+            sh_loops: sizes.sh_loops,
+        }
     }
 
     fn strips(self, sizes: &LaunchSizes) -> bool {

@@ -10,6 +10,7 @@ use super::inputs::{FrameInputs, PlacedScene};
 use super::settings::{Dropout, JacobianLimit, RenderSettings};
 use super::shape::DrawnShape;
 use crate::kernels::blocks::CameraBlock;
+use crate::kernels::constants;
 use crate::plan::{CAMERA_BLOCK_BYTES, FrameBuffers};
 use crate::scene::{Camera, CutLimits};
 use crate::vk::{Buffer, Recorder};
@@ -27,6 +28,8 @@ const _: () = assert!(
         && offset_of!(CameraBlock, camera_translation) == 36
         && offset_of!(CameraBlock, focal_px) as u64 == POSE_BYTES
 );
+
+const _: () = assert!(crate::scene::camera::NEAR_PLANE == constants::NEAR_PLANE);
 
 /// A camera's pose as the device keeps it: the rows of the rotation from world to camera, then the translation.
 pub fn pose_of(camera: &Camera) -> [f32; 12] {

@@ -39,12 +39,15 @@ impl Filter3d {
     /// Builds the kernels and uploads the cameras from which a scene is trained.
     ///
     /// # Errors
-    /// [`Error::Argument`] without cameras; memory or device failures.
+    /// [`Error::Argument`] without cameras, and for an orthographic one; memory or device failures.
     pub fn new(context: &Context, cameras: &[Camera]) -> Result<Self> {
         let longest = cameras.iter().map(|camera| camera.fx).fold(0.0, f32::max);
         if longest <= 0.0 {
             return Err(Error::argument("cameras", "there are none, and the 3D filter follows from them"));
         }
+        cameras
+            .iter()
+            .try_for_each(|camera| camera.check_perspective("the 3D filter follows from pinholes"))?;
         let requests = Self::requests(cameras.len());
         let buffers = context.allocate("filter", &requests, MemoryKind::Device)?;
         let Ok([poses, bounds, farthest]) = <[Buffer; 3]>::try_from(buffers) else {

@@ -72,7 +72,7 @@ impl FrameInputs<'_> {
             depth_limit: self.depth_limits.is_some(),
             pick: self.auxiliary.picks.is_some(),
             motion: self.auxiliary.motion.is_some(),
-            ..BlendVariant::of(self.settings, self.backward)
+            ..BlendVariant::of(self.settings, self.backward).of_camera(self.camera)
         }
     }
 }
@@ -152,6 +152,10 @@ impl<'a> FrameInputs<'a> {
         assert!(
             !(self.backward && (picks.is_some() || motion.is_some())),
             "no backward pass can follow a frame with picks or motion"
+        );
+        assert!(
+            !(self.backward && self.camera.is_orthographic()),
+            "no backward pass can follow an orthographic camera's frame"
         );
     }
 

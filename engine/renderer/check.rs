@@ -52,7 +52,7 @@ impl Renderer {
             depth_limit: frame.occluder.is_some(),
             pick: frame.pick.is_some(),
             motion: frame.motion.is_some(),
-            ..BlendVariant::of(frame.settings, false)
+            ..BlendVariant::of(frame.settings, false).of_camera(frame.camera)
         };
         let cut_outs: u32 = frame.scenes.iter().map(|placed| placed.settings.cut_out_count()).sum();
         if cut_outs > reserved.cut_outs {
@@ -127,7 +127,7 @@ impl Renderer {
             check("occluder", &occluder.depth, ImageUse::Sampled)?;
             in_field("occluder", Compose::check_depth(occluder.depth.image))?;
             check_contents("occluder", &occluder.depth)?;
-            let DepthMapping { scale, offset, clear_value } = occluder.mapping;
+            let DepthMapping { scale, offset, clear_value, .. } = occluder.mapping;
             if !(scale.is_finite() && offset.is_finite() && clear_value.is_finite()) {
                 return Err(Error::argument("occluder.mapping", "holds numbers that are not finite"));
             }

@@ -30,7 +30,7 @@ impl Renderer {
     ///
     /// # Errors
     /// [`Error::Argument`] when a gradient does not have one entry per pixel, for an inverse-depth gradient
-    /// without `settings.inverse_depth`, and for settings that are not
+    /// without `settings.inverse_depth`, for an orthographic camera, and for settings that are not
     /// [faithful](RenderSettings::is_faithful); as [`Renderer::render`].
     pub fn gradients(
         &mut self,

@@ -53,6 +53,9 @@ pub struct Reservation {
     /// Whether frames will have motion ([`RecordedFrame::motion`](super::RecordedFrame::motion)): 8 bytes of memory per pixel
     /// and 8 per Gaussian.
     pub motion: bool,
+    /// Whether frames will have orthographic cameras ([`Projection::Orthographic`](crate::scene::Projection::Orthographic)),
+    /// beside pinholes.
+    pub orthographic: bool,
     /// Whether all frames go into images, and none into its slot ([`Target::Slot`](super::Target::Slot)). Slots then have
     /// no pixels of their own ([`Renderer::slot_pixels`](super::Renderer::slot_pixels), `slot_inverse_depth`).
     pub images_only: bool,
@@ -82,6 +85,7 @@ impl Reservation {
             selection: false,
             pick: false,
             motion: false,
+            orthographic: false,
             images_only: false,
             staging_bytes: 0,
         }
@@ -177,6 +181,10 @@ impl Reservation {
             let selected = variants.clone().into_iter();
             variants.extend(selected.map(|v| BlendVariant { selection: true, ..v }));
         }
+        if self.orthographic {
+            let parallel = variants.clone().into_iter();
+            variants.extend(parallel.map(|v| BlendVariant { orthographic: true, ..v }));
+        }
         variants
     }
 
@@ -189,6 +197,7 @@ impl Reservation {
             ("filter_3d", frame.filter_3d, self.filter_3d),
             ("pick", frame.pick, self.pick),
             ("motion", frame.motion, self.motion),
+            ("orthographic", frame.orthographic, self.orthographic),
         ];
         let lacking = needs.into_iter().filter(|(_, needed, set)| *needed && !set).map(|(field, ..)| field);
         // Without a list in memory where nothing lacks.

@@ -154,10 +154,13 @@ impl FrameRunner {
     ) -> Result<Ran, Failed> {
         let Request { scene, camera, settings, sh_degree, backward, .. } = *request;
         camera.check()?;
+        if backward {
+            camera.check_perspective("gradients are of pinholes alone")?;
+        }
         settings.check()?;
         let gaussians = [self.gaussians_with(scene.plan.capacity), self.scenes()];
         let Self { context, forward, store, around } = self;
-        forward.prepare_variant(sh_degree, BlendVariant::of(settings, backward))?;
+        forward.prepare_variant(sh_degree, BlendVariant::of(settings, backward).of_camera(camera))?;
         let others = around.as_ref().map(|around| request.placed(around));
         let mut retries = 0;
         loop {

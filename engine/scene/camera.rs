@@ -1,4 +1,4 @@
-//! A pinhole camera.
+//! A camera: a pinhole, or parallel rays.
 
 use glam::{DMat3, DQuat, DVec3, Mat3, Vec3};
 
@@ -7,6 +7,9 @@ use crate::{Error, Result};
 /// Largest accepted width or height of an image, pixels. It is JPEG's own limit; a larger value means a
 /// damaged file.
 pub const MAX_IMAGE_SIDE: u32 = 65_535;
+
+/// Least z of what is drawn, world units: that of the shaders.
+pub const NEAR_PLANE: f32 = 0.2;
 
 /// Smallest and largest plausible focal length of a camera that took photographs, in image sizes.
 const FOCAL_LENGTHS: [f32; 2] = [1e-3, 1e6];
@@ -20,19 +23,32 @@ const FARTHEST: f32 = 1e9;
 /// How far `R Rᵀ` of a camera's rotation may be from the identity, per element.
 const ORTHONORMAL_TOLERANCE: f32 = 1e-3;
 
-/// A pinhole camera in COLMAP's and OpenCV's frame: x right, y down, z forward.
+/// How the rays of a camera run.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Projection {
+    /// Through one point, the camera's centre: a pinhole.
+    #[default]
+    Perspective,
+    /// In parallel, along the camera's z axis. All Gaussians are seen from that direction. Only pictures are rendered so:
+    /// photographs that are trained on, and gradients, are of pinholes.
+    Orthographic,
+}
+
+/// A camera in COLMAP's and OpenCV's frame: x right, y down, z forward.
 ///
 /// `x_camera = camera_from_world * x_world + translation`; a point projects to
-/// `(fx·x/z + cx, fy·y/z + cy)` pixels, where the centre of the first pixel is (0.5, 0.5).
+/// `(fx·x/z + cx, fy·y/z + cy)` pixels, or to `(fx·x + cx, fy·y + cy)` if the camera is
+/// [orthographic](Projection::Orthographic), where the centre of the first pixel is (0.5, 0.5). Either way only what lies
+/// beyond z = [`NEAR_PLANE`] is drawn.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Camera {
     /// Rotation from world to camera axes.
     pub camera_from_world: Mat3,
     /// Translation from world to camera, world units.
     pub translation: Vec3,
-    /// Focal length in x, pixels.
+    /// Focal length in x, pixels; pixels per world unit if it is orthographic.
     pub fx: f32,
-    /// Focal length in y, pixels.
+    /// Focal length in y: as `fx`.
     pub fy: f32,
     /// Principal point in x, pixels (centre of the first pixel at 0.5).
     pub cx: f32,
@@ -42,9 +58,11 @@ pub struct Camera {
     pub width: u32,
     /// Height of the image, pixels.
     pub height: u32,
+    /// How its rays run.
+    pub projection: Projection,
 }
 
-/// A camera without its pose: focal lengths, principal point and image size.
+/// A camera without its pose and projection: focal lengths, principal point and image size.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Intrinsics {
     /// Focal length in x, pixels.
@@ -129,13 +147,24 @@ impl Camera {
         Self::with_pose(camera_from_world, translation.as_vec3(), intrinsics)
     }
 
-    /// A camera from its world-to-camera pose.
+    /// A pinhole from its world-to-camera pose.
     pub fn with_pose(camera_from_world: Mat3, translation: Vec3, intrinsics: Intrinsics) -> Self {
         let Intrinsics { fx, fy, cx, cy, width, height } = intrinsics;
-        Self { camera_from_world, translation, fx, fy, cx, cy, width, height }
+        let projection = Projection::Perspective;
+        Self { camera_from_world, translation, fx, fy, cx, cy, width, height, projection }
     }
 
-    /// The camera without its pose.
+    /// The camera with parallel rays in place of the pinhole's; its focal lengths now are pixels per world unit.
+    pub fn orthographic(self) -> Self {
+        Self { projection: Projection::Orthographic, ..self }
+    }
+
+    /// Whether its rays are parallel.
+    pub fn is_orthographic(&self) -> bool {
+        self.projection == Projection::Orthographic
+    }
+
+    /// The camera without its pose and projection.
     pub fn intrinsics(&self) -> Intrinsics {
         let Self { fx, fy, cx, cy, width, height, .. } = *self;
         Intrinsics { fx, fy, cx, cy, width, height }
@@ -173,7 +202,19 @@ impl Camera {
     /// Pixel position of a world point (first pixel's centre at 0.5) and its depth along z, world units.
     pub fn project(&self, world: Vec3) -> (f32, f32, f32) {
         let p = self.camera_from_world * world + self.translation;
-        (self.fx * p.x / p.z + self.cx, self.fy * p.y / p.z + self.cy, p.z)
+        let distance = if self.is_orthographic() { 1.0 } else { p.z };
+        (self.fx * p.x / distance + self.cx, self.fy * p.y / distance + self.cy, p.z)
+    }
+
+    /// Checks that it is a pinhole, for what is defined for pinholes alone.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for an orthographic camera.
+    pub fn check_perspective(&self, what: &str) -> Result<()> {
+        match self.is_orthographic() {
+            true => Err(Error::argument("camera.projection", format!("is orthographic: {what}"))),
+            false => Ok(()),
+        }
     }
 
     /// Checks that the camera can be rendered.

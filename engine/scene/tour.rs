@@ -114,7 +114,8 @@ fn between(keys: &[Camera], span: usize, t: f64, closed: bool) -> Camera {
         cy: mix(from.cy, to.cy),
         ..from
     };
-    Camera::at(position, DMat3::from_quat(turned), intrinsics)
+    let camera = Camera::at(position, DMat3::from_quat(turned), intrinsics);
+    Camera { projection: key(0).projection, ..camera }
 }
 
 fn rotation(camera: &Camera) -> DQuat {

@@ -6,7 +6,7 @@
 
 use glam::{Mat3, Mat4, Vec3, Vec4};
 
-use super::camera::is_rotation;
+use super::camera::{NEAR_PLANE, is_rotation};
 use super::{Camera, Intrinsics};
 use crate::{Error, Result};
 
@@ -28,7 +28,8 @@ pub struct HostView {
     /// scene's world is right-handed. A host with a left-handed world multiplies by the conversion: `view *
     /// diag(1, 1, -1, 1)`.
     pub view_from_world: Mat4,
-    /// Perspective projection: any signs, off-centre or not, standard or reversed depth, finite or infinite far plane.
+    /// Perspective projection: any signs, off-centre or not, standard or reversed depth, finite or infinite far plane. Or an
+    /// orthographic one: any signs, off-centre or not, standard or reversed depth, near plane before or behind the eye.
     pub clip_from_view: Mat4,
     /// Where the +y of clip space lies in the image.
     pub clip_y: ClipY,
@@ -38,30 +39,52 @@ pub struct HostView {
     pub height: u32,
 }
 
-/// Conversion of the value `d` of a host's depth buffer to 1/z: `1/z = scale * d + offset`, exact for every
-/// perspective projection; z is the distance along the optical axis.
+/// What the value `d` of a host's depth buffer means: `1/z = scale * d + offset`, exact for every perspective projection, or
+/// `z = scale * d + offset` for an orthographic one. z is the distance along the optical axis from the camera that
+/// [`HostView::camera`] gives, in world units.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DepthMapping {
-    /// See above. Positive for reversed depth.
+    /// See above. For reversed depth it is positive, for an orthographic projection negative.
     pub scale: f32,
     /// See above.
     pub offset: f32,
     /// The depth of a pixel without a surface: 1, or 0 for reversed depth.
     pub clear_value: f32,
+    /// Whether it is z itself that is linear in d: of an orthographic projection.
+    pub linear: bool,
 }
 
 impl DepthMapping {
     /// The z of a depth value, infinite for the far plane at infinity.
     pub fn z(&self, depth: f32) -> f32 {
-        (self.scale * depth + self.offset).max(0.0).recip()
+        let value = self.scale * depth + self.offset;
+        if self.linear { value } else { value.max(0.0).recip() }
+    }
+
+    /// The coefficients (a, b) of the way back, for a host's shader that writes depth: `d = a / z + b`, or `d = a z + b` if the
+    /// mapping is [`linear`](Self::linear). Not finite if `scale` is 0.
+    pub fn coefficients(&self) -> [f32; 2] {
+        let (scale, offset) = (f64::from(self.scale), f64::from(self.offset));
+        [scale.recip() as f32, (-offset / scale) as f32]
+    }
+
+    /// The depth value of a z, by [`coefficients`](Self::coefficients): outside of 0 to 1 where z is not between the host's
+    /// planes.
+    pub fn depth(&self, z: f32) -> f32 {
+        let [a, b] = self.coefficients();
+        a * if self.linear { z } else { z.recip() } + b
     }
 }
 
 impl HostView {
     /// The camera, and the mapping of the depth buffer that is rendered with it.
     ///
+    /// The camera is the host's. Of an orthographic projection it looks where its axes are right-handed, whether depth is
+    /// reversed or not; and because splats are drawn beyond z = [`NEAR_PLANE`] only, it stands so far behind the host's eye that
+    /// the near plane has that z, unless it has more already. The mapping, and expected depth, count from there.
+    ///
     /// # Errors
-    /// [`Error::Argument`] for numbers that are not finite, a projection that is not perspective or is
+    /// [`Error::Argument`] for numbers that are not finite, a projection that is neither perspective nor orthographic or is
     /// skewed, a view that scales or is not affine, and matrices that together mirror the picture.
     pub fn camera(&self) -> Result<(Camera, DepthMapping)> {
         let bad = |what: &str, problem: &str| Err(Error::argument(what, problem));
@@ -76,10 +99,15 @@ impl HostView {
             return bad("host's view", "the image has no size");
         }
         let p = |row: usize, column: usize| projection.col(column)[row];
+        if p(3, 3) != 0.0 && [p(3, 0), p(3, 1), p(3, 2)] == [0.0; 3] {
+            return self.orthographic();
+        }
         // w = sign z_view, up to a common factor of the whole matrix.
         let w = p(3, 2);
         if w == 0.0 || p(3, 0) != 0.0 || p(3, 1) != 0.0 || p(3, 3) != 0.0 {
-            return bad("projection", "is no perspective: its last row must be (0, 0, ±1, 0)");
+            let problem =
+                "is neither perspective nor orthographic: its last row must be (0, 0, ±1, 0) or (0, 0, 0, 1)";
+            return bad("projection", problem);
         }
         let skewed = [p(0, 1), p(1, 0), p(2, 0), p(2, 1), p(0, 3), p(1, 3)].into_iter().any(|x| x != 0.0);
         if skewed || p(0, 0) == 0.0 || p(1, 1) == 0.0 || p(2, 3) == 0.0 {
@@ -92,9 +120,7 @@ impl HostView {
         let view_rotation = Mat3::from_mat4(view);
         let camera_from_world = Mat3::from_diagonal(axes) * view_rotation;
         if camera_from_world.determinant() < 0.0 {
-            let problem = "mirror the picture: check clip_y; for a left-handed world, multiply view_from_world by what \
-                           takes the scene there, for example diag(1, 1, -1, 1)";
-            return bad("host's matrices", problem);
+            return bad("host's matrices", MIRRORED);
         }
         let (width, height) = (self.width as f32, self.height as f32);
         let intrinsics = Intrinsics {
@@ -114,10 +140,62 @@ impl HostView {
             scale,
             offset: -p(2, 2) * w.signum() / p(2, 3),
             clear_value: if scale > 0.0 { 0.0 } else { 1.0 },
+            linear: false,
         };
         Ok((camera, mapping))
     }
+
+    /// As [`HostView::camera`], of a projection with the last row (0, 0, 0, w).
+    fn orthographic(&self) -> Result<(Camera, DepthMapping)> {
+        let bad = |what: &str, problem: &str| Err(Error::argument(what, problem));
+        let projection = self.clip_from_view;
+        let p = |row: usize, column: usize| f64::from(projection.col(column)[row] / projection.col(3)[3]);
+        let skewed = [p(0, 1), p(0, 2), p(1, 0), p(1, 2), p(2, 0), p(2, 1)].into_iter().any(|x| x != 0.0);
+        if skewed || p(0, 0) == 0.0 || p(1, 1) == 0.0 || p(2, 2) == 0.0 {
+            return bad(
+                "projection",
+                "is skewed or degenerate: only off-centre orthographic ones are possible",
+            );
+        }
+        let up = if self.clip_y == ClipY::Up { -1.0 } else { 1.0 };
+        let (scale_x, scale_y) = (p(0, 0), up * p(1, 1));
+        let view_rotation = Mat3::from_mat4(self.view_from_world);
+        // Two axes of the picture and the handedness give the third.
+        let handed = scale_x.signum() * scale_y.signum() * f64::from(view_rotation.determinant().signum());
+        let axes = Vec3::new(scale_x.signum() as f32, scale_y.signum() as f32, handed as f32);
+        // d = p22 z_view + p23, and z_view = handed z.
+        let z_of = |depth: f64| handed * (depth - p(2, 3)) / p(2, 2);
+        let (near, far) = (z_of(0.0).min(z_of(1.0)), z_of(0.0).max(z_of(1.0)));
+        if far <= 0.0 {
+            return bad("host's matrices", MIRRORED);
+        }
+        let behind = (f64::from(NEAR_PLANE) - near).max(0.0);
+        let (width, height) = (f64::from(self.width), f64::from(self.height));
+        let intrinsics = Intrinsics {
+            fx: (0.5 * width * scale_x.abs()) as f32,
+            fy: (0.5 * height * scale_y.abs()) as f32,
+            cx: (0.5 * width * (1.0 + p(0, 3))) as f32,
+            cy: (0.5 * height * (1.0 + up * p(1, 3))) as f32,
+            width: self.width,
+            height: self.height,
+        };
+        let mut translation = axes * self.view_from_world.w_axis.truncate();
+        translation.z += behind as f32;
+        let camera = Camera::with_pose(Mat3::from_diagonal(axes) * view_rotation, translation, intrinsics);
+        camera.check()?;
+        let mapping = DepthMapping {
+            scale: (z_of(1.0) - z_of(0.0)) as f32,
+            offset: (z_of(0.0) + behind) as f32,
+            clear_value: if z_of(1.0) < z_of(0.0) { 0.0 } else { 1.0 },
+            linear: true,
+        };
+        Ok((camera.orthographic(), mapping))
+    }
 }
+
+/// What is wrong with matrices that show a mirror image.
+const MIRRORED: &str = "mirror the picture: check clip_y; for a left-handed world, multiply view_from_world by what takes the \
+                        scene there, for example diag(1, 1, -1, 1)";
 
 /// Whether a matrix's last row is (0, 0, 0, 1), but for the rounding of an inverse.
 fn is_affine(matrix: Mat4) -> bool {

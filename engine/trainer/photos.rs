@@ -134,7 +134,11 @@ fn on_device(windowing: Windowing, photo: &StoredPhoto) -> Result<Vec<u8>> {
 /// Refuses views whose photographs do not have their cameras' sizes.
 pub(super) fn check(views: &[TrainView]) -> Result<()> {
     for (index, TrainView { camera, photo, inverse_depth, depth_points, .. }) in views.iter().enumerate() {
-        camera.check()?;
+        let named = |error: Error| error.within(format_args!("view {index}"));
+        camera
+            .check()
+            .and_then(|()| camera.check_perspective("photographs are of pinholes"))
+            .map_err(named)?;
         if (photo.width, photo.height) != (camera.width, camera.height) {
             let problem = format!(
                 "the photo has {}x{} pixels, its camera {}x{}; they must agree",

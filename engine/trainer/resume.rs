@@ -245,7 +245,7 @@ impl Room {
 /// Identifies views, cameras and photographs in their order; `by_camera`: and which cameras took them.
 pub(super) fn fingerprint_of(views: &[TrainView], by_camera: bool) -> u64 {
     let of_view = |view: &TrainView| {
-        let Camera { camera_from_world, translation, fx, fy, cx, cy, width, height } = view.camera;
+        let Camera { camera_from_world, translation, fx, fy, cx, cy, width, height, .. } = view.camera;
         let mut print = Fingerprint::new();
         print.add(bytemuck::cast_slice(&camera_from_world.to_cols_array()));
         print.add(bytemuck::cast_slice(&translation.to_array()));

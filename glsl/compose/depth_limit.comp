@@ -1,6 +1,7 @@
 // Converts a host's depth image into the depth limit of the blending: 1/z of the nearest opaque surface per pixel.
 //
-//   1/z = scale * d + offset is exact for every perspective projection: standard, reversed or with an infinite far plane
+//   1/z = scale * d + offset is exact for every perspective projection: standard, reversed or with an infinite far plane;
+//   with LINEAR, z = scale * d + offset for every orthographic one
 //   (engine/scene/view.rs derives scale and offset from the projection matrix).
 //
 // invocation: one pixel
@@ -12,6 +13,8 @@
 #extension GL_GOOGLE_include_directive : require
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
+// Whether z itself is linear in the depth.
+layout(constant_id = 2) const bool LINEAR = false;
 layout(local_size_x_id = 0) in;
 
 layout(set = 0, binding = 0, scalar) writeonly buffer DepthLimits { float depth_limits[]; };
@@ -31,6 +34,8 @@ layout(push_constant, scalar) uniform Push {
 
 #include "dispatch.glsl"
 
+const float HIDES_ALL = 3e38;
+
 void main() {
     uint index = linear_invocation();
     if (index >= image_width * image_height) {
@@ -38,5 +43,10 @@ void main() {
     }
     uvec2 at = uvec2(index % image_width, index / image_width);
     float d = texelFetch(depth, ivec2(at + uvec2(offset_x, offset_y)), 0).x;
-    depth_limits[index] = d == clear_value ? 0.0 : max(scale * d + offset, 0.0);
+    float limit = max(scale * d + offset, 0.0);
+    if (LINEAR) {
+        // A surface at the camera hides everything.
+        limit = limit > 0.0 ? 1.0 / limit : HIDES_ALL;
+    }
+    depth_limits[index] = d == clear_value ? 0.0 : limit;
 }

@@ -25,6 +25,8 @@ layout(constant_id = 4) const bool DROPOUT = false;
 layout(constant_id = 5) const bool TINTED = false;
 // Whether volumes keep or remove Gaussians: see cut_outs.glsl.
 layout(constant_id = 6) const bool CUT_OUTS = false;
+// Whether the camera's rays are parallel: see projection.glsl.
+layout(constant_id = 7) const bool ORTHOGRAPHIC = false;
 layout(local_size_x_id = 0) in;
 
 VEC4_READS(0, Parameters, parameters);

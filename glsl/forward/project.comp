@@ -1,6 +1,6 @@
 // Screen-space attributes of the visible Gaussians: mean, conic, extent, tiles, depth, and colour from spherical harmonics
 // (paper, section 4; reference preprocessCUDA and computeColorFromSH). With TINTED, colours and opacities have the scene's
-// factors.
+// factors. With ORTHOGRAPHIC, all are seen along the camera's z axis.
 //
 // invocation: one visible Gaussian of the bound parameter range; it loops over its rows of tiles to count its tiles
 // in: parameters (PerGaussian planes), visible_list, visible_ranges, with SELECTION selection (a bit per Gaussian); out, PerVisible: mean2d_extent (x, y, half extents,
@@ -27,6 +27,8 @@ layout(constant_id = 5) const bool Z_RECORD = false;
 layout(constant_id = 6) const bool TINTED = false;
 // Whether some Gaussians have another colour: those whose bits in `selection` are set.
 layout(constant_id = 7) const bool SELECTION = false;
+// Whether the camera's rays are parallel: see projection.glsl.
+layout(constant_id = 8) const bool ORTHOGRAPHIC = false;
 layout(constant_id = 9) const bool SH_LOOPS = false;
 layout(local_size_x_id = 0) in;
 
@@ -93,7 +95,7 @@ void main() {
     Projection p = project_gaussian(mean_opacity.xyz, quat, filtered.log_scale);
     Footprint f = footprint_of(p, filtered.opacity_logit);
 
-    vec3 direction = normalize(mean_opacity.xyz - camera_position());
+    vec3 direction = normalize(ORTHOGRAPHIC ? camera_row_z : mean_opacity.xyz - camera_position());
     vec3 color = sh_color(index, direction);
     // A coefficient that is not finite must not reach the pixels.
     bool valid = is_finite(color.x) && is_finite(color.y) && is_finite(color.z);

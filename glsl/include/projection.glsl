@@ -2,16 +2,22 @@
 // pass. Needs constants.glsl, camera_block.glsl and `parameters`.
 // Needs filter_3d.glsl, FILTER_3D, and the push constant `antialias`, of ANTIALIAS_ bits.
 // Culling and projection can draw ellipsoids or points instead. They define DRAWS_SHAPES, need tile_span.glsl and the push
-// constant `extent`, DROPOUT (dropout.glsl) and TINTED (whether the scene has factors of its own), and have footprint_of.
+// constant `extent`, DROPOUT (dropout.glsl), TINTED (whether the scene has factors of its own) and ORTHOGRAPHIC (whether the
+// camera's rays are parallel), and have footprint_of.
 
 #ifdef DRAWS_SHAPES
 #define SCALE_MODIFIER shape_scale
 #define SCREEN_DILATION_PX2 shape_dilation_px2
+#define PARALLEL_RAYS ORTHOGRAPHIC
 #else
 // Only Gaussians themselves are differentiated. The backward pass has OWN_DILATION.
 #define SCALE_MODIFIER 1.0
 #define SCREEN_DILATION_PX2 (OWN_DILATION ? shape_dilation_px2 : DILATION_PX2)
+#define PARALLEL_RAYS false
 #endif
+
+// With ORTHOGRAPHIC, x and y are those of the camera's frame in place of x/z and y/z, and focal_px are pixels per unit: the
+// Jacobian is diag(fx, fy) without a third column.
 
 struct Projection {
     vec3 mean_camera;      // R mean + t
@@ -19,7 +25,7 @@ struct Projection {
     vec3 scale;            // exp(log_scale) times the scale modifier
     vec4 quat;             // unit, or zero
     float inverse_norm;    // 1 / |q|, or 0 for a zero quaternion
-    vec2 slope;            // x/z and y/z, clamped to the Jacobian limits
+    vec2 slope;            // x/z and y/z, clamped to the Jacobian limits; 0 with ORTHOGRAPHIC
     bvec2 clamped;
     // Rows of M = J R R(q) S: cov2d = M M^T + dilation I.
     vec3 row_x;
@@ -60,9 +66,9 @@ Projection project_gaussian(vec3 mean, vec4 quat, vec3 log_scale) {
     mat3 axes = rotation_of(p.quat);
     p.axes_camera = mat3(to_camera(axes[0]), to_camera(axes[1]), to_camera(axes[2]));
 
-    float inverse_z = 1.0 / p.mean_camera.z;
-    vec2 slope = p.mean_camera.xy * inverse_z;
-    p.slope = clamp(slope, jacobian_limits.xz, jacobian_limits.yw);
+    float inverse_z = PARALLEL_RAYS ? 1.0 : 1.0 / p.mean_camera.z;
+    vec2 slope = PARALLEL_RAYS ? vec2(0.0) : p.mean_camera.xy * inverse_z;
+    p.slope = PARALLEL_RAYS ? slope : clamp(slope, jacobian_limits.xz, jacobian_limits.yw);
     p.clamped = notEqual(p.slope, slope);
     vec2 j_diagonal = focal_px * inverse_z;
     vec2 j_depth = -j_diagonal * p.slope;
@@ -140,7 +146,7 @@ Footprint footprint_of(Projection p, float opacity_logit) {
     if (DROPOUT) {
         f.opacity *= dropout_factor;
     }
-    f.mean2d_px = focal_px * p.mean_camera.xy / p.mean_camera.z + center_px;
+    f.mean2d_px = focal_px * p.mean_camera.xy / (ORTHOGRAPHIC ? 1.0 : p.mean_camera.z) + center_px;
     bool valid = p.mean_camera.z > NEAR_PLANE && is_finite(p.det) && p.det > 0.0 && is_finite(p.cov2d.x)
         && is_finite(p.cov2d.z) && is_finite(f.mean2d_px.x) && is_finite(f.mean2d_px.y) && is_finite(f.opacity);
 

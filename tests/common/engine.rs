@@ -3,6 +3,7 @@
 use std::sync::{Mutex, MutexGuard, OnceLock};
 
 use ashsplat::forward::Dropout;
+use ashsplat::scene::Projection;
 use ashsplat::{Camera, Gaussians, JacobianLimit, RenderSettings, Renderer};
 use glam::{Mat3, Vec3};
 
@@ -50,6 +51,10 @@ pub fn camera(view: &View) -> Camera {
         cy: f(view.center_px[1]),
         width: view.size_px[0],
         height: view.size_px[1],
+        projection: match view.drawn.orthographic {
+            true => Projection::Orthographic,
+            false => Projection::Perspective,
+        },
     }
 }
 

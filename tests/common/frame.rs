@@ -62,6 +62,7 @@ impl Projected {
             tinted,
             selection: view.drawn.selection.is_some(),
             z_record,
+            orthographic: view.drawn.orthographic,
             sh_loops: gpu.limits().tuning.sh_loops,
         };
         let splat = |(i, gaussian): (usize, &Gaussian)| {

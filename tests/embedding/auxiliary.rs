@@ -155,7 +155,7 @@ fn picks_and_motion_of_random_scenes() {
             let image = unsafe { Image::adopt(&context, "depth", &texture.foreign(), ImageUse::Sampled) };
             let image = image.expect("adopted");
             let depth = HostImage { image: &image, from: state, offset: [0; 2] };
-            let mapping = DepthMapping { scale: 10.0, offset: 0.0, clear_value: 0.0 };
+            let mapping = DepthMapping { scale: 10.0, offset: 0.0, clear_value: 0.0, linear: false };
             let hidden = RecordedFrame { occluder: Some(Occluder { depth, mapping }), ..frame };
             let shot = screens.shot(&mut renderer, &hidden, &before);
             let mut truth = truth;

@@ -207,7 +207,8 @@ fn bad_frames_are_refused_before_anything_is_recorded() {
         let no_alpha_view = view(&context, &no_alpha, ImageUse::Storage);
         let distances = HostImage { image: &images[1], from: ImageState::UNDEFINED, offset: [0; 2] };
         let expected = |min_weight| Some(DepthTarget { to: distances, min_weight, empty: f32::NAN });
-        let mapping = ashsplat::scene::DepthMapping { scale: 1.0, offset: 0.0, clear_value: 0.0 };
+        let mapping =
+            ashsplat::scene::DepthMapping { scale: 1.0, offset: 0.0, clear_value: 0.0, linear: false };
         let unknown = ashsplat::scene::DepthMapping { scale: f32::NAN, ..mapping };
         let never = ashsplat::scene::DepthMapping { clear_value: f32::NAN, ..mapping };
         let no_background = RenderSettings { background: [0.0, f32::INFINITY, 0.0], ..settings };

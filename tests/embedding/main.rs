@@ -39,6 +39,7 @@ mod faults;
 mod frames;
 mod lifetimes;
 mod memory_of_hosts;
+mod orthographic;
 mod pictures;
 mod resident;
 mod scene_settings;

@@ -317,7 +317,8 @@ fn a_hosts_depth_hides_what_lies_behind_it() {
         }
         let placed = [Placed::from(&scene)];
         let plain = RecordedFrame::new(&placed, &camera, &settings);
-        let mapping = ashsplat::scene::DepthMapping { scale: 1.0 / near, offset: 0.0, clear_value: 0.0 };
+        let mapping =
+            ashsplat::scene::DepthMapping { scale: 1.0 / near, offset: 0.0, clear_value: 0.0, linear: false };
         for (value, expected) in [(near / wall, &kept), (0.0, &gaussians)] {
             let (texture, state) = depth_image(host, [110, 70], value);
             // SAFETY: the image is as it says, and outlives the frame.

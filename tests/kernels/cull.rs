@@ -30,8 +30,14 @@ fn culled(gpu: &Gpu, view: &View, parameters: &Buffer, size: usize) -> [Vec<u32>
     let dropout = view.drawn.dropout.is_some();
     let (words, [first_cut_out, cut_out_count]) = cut_outs(view);
     let tinted = view.drawn.tint.is_some();
-    let spec =
-        Spec { filter_3d: view.filter_3d > 0.0, dropout, tinted, cut_outs: cut_out_count > 0, ..spec(gpu) };
+    let spec = Spec {
+        filter_3d: view.filter_3d > 0.0,
+        dropout,
+        tinted,
+        cut_outs: cut_out_count > 0,
+        orthographic: view.drawn.orthographic,
+        ..spec(gpu)
+    };
     let blocks = size.div_ceil(spec.workgroup_size as usize);
     let flags = gpu.untouched::<u32>("visible_flags", size + 2);
     let counts = gpu.untouched::<u32>("block_counts", blocks + 2);
@@ -61,6 +67,7 @@ fn spec(gpu: &Gpu) -> Spec {
         dropout: false,
         tinted: false,
         cut_outs: false,
+        orthographic: false,
     }
 }
 
@@ -98,6 +105,25 @@ pub fn cull_equals_its_twin() {
         let mut counted: Vec<u32> = flags[..size].chunks(block).map(|flags| flags.iter().sum()).collect();
         counted.extend([UNTOUCHED; 2]);
         assert_eq!(counts, counted, "{extent:?} {size}");
+    }
+}
+
+/// Parallel rays: the picture's edges are planes, and only the near plane has a z.
+#[test]
+pub fn cull_equals_its_twin_with_parallel_rays() {
+    let gpu = Gpu::new();
+    let size = 700;
+    let gaussians = mixed_scene(&mut Random::new(17), size, 1);
+    let parameters = gpu.buffer("parameters", &pack(&gaussians, room(size)));
+    for (extent, antialias) in [(Extent::Exact, false), (Extent::Reference, true)] {
+        let drawn = Drawn { orthographic: true, ..Drawn::AS_THEY_ARE };
+        let view = View { extent, antialias, drawn, focal_px: [13.0, 14.5], ..small_view([53, 37]) };
+        let [flags, _] = culled(&gpu, &view, &parameters, size);
+        let expected = cull(&gaussians, &view);
+        let differ = |&i: &usize| flags[i] != u32::from(expected[i]) && !may_differ(&gaussians[i], &view);
+        assert_eq!((0..size).find(differ), None, "{extent:?}");
+        let perspective = View { drawn: Drawn::AS_THEY_ARE, ..view };
+        assert_ne!(expected, cull(&gaussians, &perspective), "other rays see others");
     }
 }
 

@@ -17,12 +17,14 @@ fn depth_limit_equals_its_twin() {
         .map(|i| if i % 7 == 0 { (i % 2) as f32 } else { (i % 89) as f32 / 90.0 })
         .collect();
     // Standard, reversed with a far plane, reversed without one.
-    let mappings = [(-9.98, 10.0, 1.0), (9.98, 0.02, 0.0), (10.0, 0.0, 0.0)];
+    let perspectives = [(-9.98, 10.0, 1.0), (9.98, 0.02, 0.0), (10.0, 0.0, 0.0)].map(|m| (m, false));
+    // Standard and reversed depth of parallel rays, and a near plane behind the camera.
+    let parallel = [(99.5, 0.5, 1.0), (-99.5, 100.0, 0.0), (-20.0, 15.0, 0.0)].map(|m| (m, true));
     for format in [vk::Format::D32_SFLOAT, vk::Format::R32_SFLOAT] {
         let image = Image::new(gpu.context, "depth", format, IMAGE, ImageUse::Sampled).expect("an image");
         let from = gpu.buffer("texels", &texels);
-        for (scale, offset, clear_value) in mappings {
-            let mapping = DepthMapping { scale, offset, clear_value };
+        for ((scale, offset, clear_value), linear) in perspectives.into_iter().chain(parallel) {
+            let mapping = DepthMapping { scale, offset, clear_value, linear };
             let count = (SIZE[0] * SIZE[1]) as usize;
             let limits = gpu.untouched::<f32>("depth_limits", count + 4);
             gpu.run(|r| {
@@ -34,8 +36,11 @@ fn depth_limit_equals_its_twin() {
             for (index, actual) in words[..count].iter().enumerate() {
                 let (x, y) = (index as u32 % SIZE[0] + OFFSET[0], index as u32 / SIZE[0] + OFFSET[1]);
                 let depth = texels[(y * IMAGE[0] + x) as usize];
-                let expected = depth_limit(depth, scale.into(), offset.into(), clear_value);
-                let close = (f64::from(*actual) - expected).abs() < 2e-6;
+                let expected = depth_limit(depth, (scale.into(), offset.into()), linear, clear_value);
+                // Near the camera, z cancels.
+                let bound = if linear { 2e-6 * expected.max(expected * expected * 100.0) } else { 2e-6 };
+                let both_hide = expected > 1e30 && *actual > 1e30;
+                let close = (f64::from(*actual) - expected).abs() <= bound || both_hide;
                 assert!(close, "{format:?} ({x}, {y}) of depth {depth}: {actual}, expected {expected}");
             }
             let untouched = crate::common::gpu::UNTOUCHED;

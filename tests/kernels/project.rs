@@ -208,6 +208,28 @@ fn project_equals_its_twin_with_a_selection() {
     }
 }
 
+/// Parallel rays, also with what else changes the same lines.
+#[test]
+fn project_equals_its_twin_with_parallel_rays() {
+    let gpu = Gpu::new();
+    for (drawn, antialias, extent) in [
+        (Drawn::AS_THEY_ARE, false, Extent::Exact),
+        (Drawn::AS_THEY_ARE, true, Extent::Reference),
+        (drawn_shapes()[1], false, Extent::Exact),
+        (Drawn { z_record: true, ..Drawn::AS_THEY_ARE }, true, Extent::Exact),
+    ] {
+        let drawn = Drawn { orthographic: true, ..drawn };
+        for (sh_degree, size) in [(3, 500), (0, 33), (1, 1)] {
+            check(&gpu, size, &View { drawn, antialias, extent, sh_degree, ..parallel_view() });
+        }
+    }
+}
+
+/// As large as a pinhole's at the middle of the scene.
+fn parallel_view() -> View {
+    View { focal_px: [13.0, 14.5], ..small_view([53, 37]) }
+}
+
 #[test]
 fn project_counts_the_tiles_of_its_twin() {
     let gpu = Gpu::new();

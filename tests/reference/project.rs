@@ -58,8 +58,14 @@ pub fn intermediate(gaussian: &Gaussian, view: &View) -> Option<Intermediate> {
         return None;
     }
     let limits = slope_limits(view);
-    let raw = [p[0] / p[2], p[1] / p[2]];
-    let slope = [0, 1].map(|i| raw[i].clamp(limits[i][0], limits[i][1]));
+    // Of parallel rays, x and y do not change with z.
+    let (z, raw) = match view.drawn.orthographic {
+        true => (1.0, [0.0; 2]),
+        false => (p[2], [p[0] / p[2], p[1] / p[2]]),
+    };
+    let limit =
+        |i: usize| if view.drawn.orthographic { 0.0 } else { raw[i].clamp(limits[i][0], limits[i][1]) };
+    let slope = [0, 1].map(limit);
     let limited = [0, 1].map(|i| slope[i] != raw[i]);
 
     let unit_quat = normalize_quat(gaussian.quat);
@@ -70,7 +76,7 @@ pub fn intermediate(gaussian: &Gaussian, view: &View) -> Option<Intermediate> {
     let cov3d = multiply(&m, &transpose(&m));
 
     let [fx, fy] = view.focal_px;
-    let j = [[fx / p[2], 0.0, -fx * slope[0] / p[2]], [0.0, fy / p[2], -fy * slope[1] / p[2]], [0.0; 3]];
+    let j = [[fx / z, 0.0, -fx * slope[0] / z], [0.0, fy / z, -fy * slope[1] / z], [0.0; 3]];
     let jr = multiply(&j, &view.camera_from_world);
     let cov = multiply(&multiply(&jr, &cov3d), &transpose(&jr));
     let [a, b, c] = [cov[0][0], cov[0][1], cov[1][1]];
@@ -111,9 +117,10 @@ pub fn project(gaussian: &Gaussian, view: &View) -> Option<Splat> {
         return None;
     }
     let p = on_the_way.p;
+    let distance = if view.drawn.orthographic { 1.0 } else { p[2] };
     let splat = Splat {
         depth: p[2],
-        mean2d_px: [0, 1].map(|i| view.focal_px[i] * p[i] / p[2] + view.center_px[i] - 0.5),
+        mean2d_px: [0, 1].map(|i| view.focal_px[i] * p[i] / distance + view.center_px[i] - 0.5),
         cov2d: [a, b, c],
         conic: [c / determinant, -b / determinant, a / determinant],
         opacity: on_the_way.opacity
@@ -160,9 +167,12 @@ pub fn color(gaussian: &Gaussian, view: &View) -> ([f64; 3], [f64; 3]) {
     (raw.map(|x| x.max(0.0)), raw)
 }
 
-/// Unit vector from the camera to the Gaussian, and the distance.
+/// Unit vector from the camera to the Gaussian, and the distance; of parallel rays, theirs.
 pub fn view_direction(gaussian: &Gaussian, view: &View) -> ([f64; 3], f64) {
     let eye = camera_position(view);
+    if view.drawn.orthographic {
+        return (view.camera_from_world[2], 1.0);
+    }
     let v = [0, 1, 2].map(|i| gaussian.mean[i] - eye[i]);
     let distance = v.iter().map(|x| x * x).sum::<f64>().sqrt();
     (v.map(|x| x / distance), distance)

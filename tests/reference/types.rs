@@ -79,6 +79,8 @@ pub struct Drawn {
     pub selection: Option<Selection>,
     /// The depth that is blended is z, not 1/z. Only the kernels that project know it.
     pub z_record: bool,
+    /// The camera's rays are parallel. Only the kernels that cull and project know it.
+    pub orthographic: bool,
 }
 
 /// Factors of a scene's colours and opacities.
@@ -198,6 +200,7 @@ impl Drawn {
         cut_outs: [None; 3],
         selection: None,
         z_record: false,
+        orthographic: false,
     };
 
     /// Whether the cut-outs leave a Gaussian.

@@ -25,6 +25,7 @@ impl From<&AshsplatReservation> for Reservation {
             selection: w.selection,
             pick: w.pick,
             motion: w.motion,
+            orthographic: w.orthographic,
             staging_bytes: w.staging_bytes,
             ..Self::new(w.gaussians, w.sh_degree, w.width, w.height)
         }

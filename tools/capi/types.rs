@@ -1,7 +1,7 @@
 //! The structs and codes of the C interface.
 
 use ashsplat::ash::vk;
-use ashsplat::scene::{DepthMapping, Pose};
+use ashsplat::scene::{DepthMapping, Pose, Projection};
 use ashsplat::vk::ImageState;
 use ashsplat::{Camera, Release};
 use glam::{Mat3, Vec3};
@@ -33,8 +33,8 @@ pub enum AshsplatStatus {
     Timeout = 9,
 }
 
-/// A pinhole camera, x right, y down, z forward: x_camera = R x_world + t, pixel = (fx x/z + cx, fy y/z +
-/// cy), where the centre of the first pixel is (0.5, 0.5).
+/// A camera, x right, y down, z forward: x_camera = R x_world + t, pixel = (fx x/z + cx, fy y/z + cy), or (fx x + cx,
+/// fy y + cy) if it is orthographic, where the centre of the first pixel is (0.5, 0.5).
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct AshsplatCamera {
@@ -42,9 +42,9 @@ pub struct AshsplatCamera {
     pub camera_from_world: [f32; 9],
     /// t, world units.
     pub translation: [f32; 3],
-    /// Focal length in x, pixels.
+    /// Focal length in x, pixels; pixels per world unit if it is orthographic.
     pub fx: f32,
-    /// Focal length in y, pixels.
+    /// Focal length in y: as fx.
     pub fy: f32,
     /// Principal point in x, pixels.
     pub cx: f32,
@@ -54,26 +54,31 @@ pub struct AshsplatCamera {
     pub width: u32,
     /// Height of the picture, pixels.
     pub height: u32,
+    /// Whether its rays are parallel, along z. AshsplatReservation.orthographic.
+    pub orthographic: bool,
 }
 
 impl From<Camera> for AshsplatCamera {
     fn from(c: Camera) -> Self {
         let Camera { fx, fy, cx, cy, width, height, .. } = c;
         let camera_from_world = c.camera_from_world.transpose().to_cols_array();
-        Self { camera_from_world, translation: c.translation.to_array(), fx, fy, cx, cy, width, height }
+        let (translation, orthographic) = (c.translation.to_array(), c.is_orthographic());
+        Self { camera_from_world, translation, fx, fy, cx, cy, width, height, orthographic }
     }
 }
 
 impl From<&AshsplatCamera> for Camera {
     fn from(c: &AshsplatCamera) -> Self {
-        let AshsplatCamera { fx, fy, cx, cy, width, height, .. } = *c;
+        let AshsplatCamera { fx, fy, cx, cy, width, height, orthographic, .. } = *c;
         let camera_from_world = Mat3::from_cols_array(&c.camera_from_world).transpose();
-        Self { camera_from_world, translation: Vec3::from(c.translation), fx, fy, cx, cy, width, height }
+        let translation = Vec3::from(c.translation);
+        let projection = if orthographic { Projection::Orthographic } else { Projection::Perspective };
+        Self { camera_from_world, translation, fx, fy, cx, cy, width, height, projection }
     }
 }
 
-/// Conversion of a depth buffer's value d: 1/z = scale d + offset. clear_value marks pixels without a
-/// surface.
+/// Conversion of a depth buffer's value d: 1/z = scale d + offset, or z = scale d + offset if it is linear. clear_value marks
+/// pixels without a surface.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct AshsplatDepthMapping {
@@ -83,17 +88,19 @@ pub struct AshsplatDepthMapping {
     pub offset: f32,
     /// See above.
     pub clear_value: f32,
+    /// Whether z itself is linear in d: of an orthographic projection.
+    pub linear: bool,
 }
 
 impl From<DepthMapping> for AshsplatDepthMapping {
     fn from(m: DepthMapping) -> Self {
-        Self { scale: m.scale, offset: m.offset, clear_value: m.clear_value }
+        Self { scale: m.scale, offset: m.offset, clear_value: m.clear_value, linear: m.linear }
     }
 }
 
 impl From<AshsplatDepthMapping> for DepthMapping {
     fn from(m: AshsplatDepthMapping) -> Self {
-        Self { scale: m.scale, offset: m.offset, clear_value: m.clear_value }
+        Self { scale: m.scale, offset: m.offset, clear_value: m.clear_value, linear: m.linear }
     }
 }
 
@@ -213,6 +220,8 @@ pub struct AshsplatReservation {
     pub pick: bool,
     /// Whether frames will have motion: 8 bytes of memory per pixel and 8 per Gaussian.
     pub motion: bool,
+    /// Whether frames will have orthographic cameras, beside pinholes.
+    pub orthographic: bool,
 }
 
 /// Gaussians in a host's arrays, each as long as the count says. All but `means` are as in the reference

@@ -1,0 +1,219 @@
+//! Orthographic cameras: what parallel rays show of known Gaussians, and of random ones what the twin shows.
+
+use ashsplat::forward::Filter3d;
+use ashsplat::scene::{Camera, Gaussians, HostView, Intrinsics};
+use ashsplat::{RenderSettings, Shape};
+use glam::{Mat3, Vec3};
+
+use crate::common::engine::{camera, gaussians, renderer, settings};
+use crate::common::gpu::Gpu;
+use crate::common::scenes::{Random, small_scene, small_view};
+use crate::reference::pipeline;
+use crate::reference::types::{Drawn, View};
+
+const SIZE: [u32; 2] = [64, 48];
+/// Pixels per unit.
+const SCALE: [f32; 2] = [8.0, 6.0];
+
+/// Looks along the world's z axis, with the origin in the middle of the picture.
+fn along_z() -> Camera {
+    let [fx, fy] = SCALE;
+    let [width, height] = SIZE;
+    let intrinsics = Intrinsics { fx, fy, cx: 32.5, cy: 24.5, width, height };
+    Camera::with_pose(Mat3::IDENTITY, Vec3::ZERO, intrinsics).orthographic()
+}
+
+/// One Gaussian along the axes: of SH degree 1, red where it is seen along +z.
+fn one(mean: [f32; 3], sigmas: [f32; 3], logit: f32) -> Gaussians {
+    Gaussians {
+        sh_degree: 1,
+        means: vec![mean],
+        quats: vec![[1.0, 0.0, 0.0, 0.0]],
+        log_scales: vec![sigmas.map(f32::ln)],
+        opacity_logits: vec![logit],
+        sh: vec![[0.0; 3], [0.0, 0.25, 0.0], [0.5, 0.0, 0.0], [0.0, 0.0, 0.75]],
+    }
+}
+
+/// alpha = opacity exp(-d²/2) with the standard deviations fx sx and fy sy, widened by the low-pass filter, around
+/// (fx x, fy y): the same for every z and every thickness.
+#[test]
+fn orthographic_gaussians_cover_the_same_pixels_at_every_depth() {
+    let gpu = Gpu::new();
+    let mut pictures = Vec::new();
+    for (z, thickness) in [(0.3, 0.01), (2.0, 0.5), (50.0, 0.5), (4000.0, 30.0)] {
+        let (mean, sigmas) = ([1.25, -0.75, z], [0.5, 0.25, thickness]);
+        let mut renderer = renderer();
+        renderer.upload(&one(mean, sigmas, 1.0)).expect("a scene");
+        let wanted = RenderSettings { inverse_depth: true, ..RenderSettings::default() };
+        let frame = renderer.render(&along_z(), &wanted).expect("a frame");
+        let dilation = f64::from(wanted.dilation_px2);
+        let opacity = 1.0 / (1.0 + (-1.0_f64).exp());
+        for (index, &transmittance) in frame.transmittance.iter().enumerate() {
+            let at = [index as u32 % SIZE[0], index as u32 / SIZE[0]];
+            let power: f64 = (0..2)
+                .map(|i| {
+                    let center = f64::from(SCALE[i] * mean[i]) + [32.0, 24.0][i];
+                    let variance = f64::from(SCALE[i] * sigmas[i]).powi(2) + dilation;
+                    (f64::from(at[i]) - center).powi(2) / variance
+                })
+                .sum();
+            let alpha = opacity * (-0.5 * power).exp();
+            let expected = if alpha < 1.0 / 255.0 { 0.0 } else { alpha };
+            let actual = f64::from(1.0 - transmittance);
+            let close = (actual - expected).abs() < 1e-5 || (alpha * 255.0 - 1.0).abs() < 1e-3;
+            assert!(close, "z {z}, {at:?}: {actual}, expected {expected}");
+            let depth = f64::from(frame.inverse_depth.as_ref().expect("rendered")[index]);
+            assert!((depth - actual / f64::from(z)).abs() <= 1e-5 * actual / f64::from(z), "{depth}");
+            // The constants of spherical harmonics: the direction is (0, 0, 1) at every pixel.
+            let red = actual * (0.5 + 0.5 * 0.488_602_511_902_919_9);
+            let [r, g, b] = frame.color[index].map(f64::from);
+            assert!((r - red).abs() < 1e-6 && (g - 0.5 * actual).abs() < 1e-6, "{r}, {g}");
+            assert!((b - 0.5 * actual).abs() < 1e-6, "{b}");
+        }
+        pictures.push(frame.transmittance);
+    }
+    assert!(pictures.iter().all(|picture| picture == &pictures[0]), "bits do not depend on z");
+    // The near plane is one of z.
+    let mut renderer = renderer();
+    for (z, visible) in [(0.19, 0), (-5.0, 0), (0.21, 1)] {
+        renderer.upload(&one([0.0, 0.0, z], [0.5; 3], 1.0)).expect("a scene");
+        let frame = renderer.render(&along_z(), &RenderSettings::default()).expect("a frame");
+        assert_eq!(frame.stats.visible, visible, "{z}");
+    }
+    drop((renderer, gpu));
+}
+
+/// Depth order, spherical harmonics, turned cameras, shapes and filters, as the twin blends them.
+#[test]
+fn orthographic_pictures_equal_the_twins() {
+    let gpu = Gpu::new();
+    for (seed, antialias, sh_degree) in [(1, false, 3), (2, true, 1), (3, false, 0)] {
+        let scene = small_scene(&mut Random::new(seed), 120, 16);
+        let drawn = Drawn { orthographic: true, ..Drawn::AS_THEY_ARE };
+        let center_px = [30.0, 17.0];
+        let view =
+            View { drawn, antialias, sh_degree, center_px, focal_px: [14.0, 15.5], ..small_view([53, 37]) };
+        let expected = pipeline::render(&scene, &view);
+        let mut renderer = renderer();
+        renderer.upload(&gaussians(&scene)).expect("a scene");
+        let frame = renderer.render(&camera(&view), &settings(&view)).expect("a frame");
+        let mut off = 0;
+        for (index, pixel) in expected.pixels.iter().enumerate() {
+            let actual = frame.color[index];
+            let near = |channel: usize| (f64::from(actual[channel]) - pixel.color[channel]).abs();
+            let worst = (0..3).map(near).fold(0.0, f64::max);
+            assert!(worst < 2e-2, "{seed}, pixel {index}: {actual:?}, {:?}", pixel.color);
+            off += usize::from(worst > 5e-5);
+        }
+        // Decisions that hang on rounding.
+        assert!(off <= expected.pixels.len() / 100, "{off} pixels");
+        assert!(frame.stats.visible > 60, "{}", frame.stats.visible);
+        // A pinhole shows something else.
+        let pinhole = Camera { projection: ashsplat::scene::Projection::Perspective, ..camera(&view) };
+        assert_ne!(renderer.render(&pinhole, &settings(&view)).expect("a frame").color, frame.color);
+    }
+    drop(gpu);
+}
+
+/// Dots of the means lie where `Camera::project` says.
+#[test]
+fn orthographic_points_lie_where_the_camera_projects_them() {
+    let gpu = Gpu::new();
+    let mut renderer = renderer();
+    let wanted = RenderSettings { shape: Shape::Point, ..RenderSettings::default() };
+    for (x, y) in [(-2.0, 1.5), (0.0, 0.0), (3.0, -2.5)] {
+        let mean = Vec3::new(x, y, 7.0);
+        let (px, py, z) = along_z().project(mean);
+        assert_eq!([px, py, z], [8.0 * x + 32.5, 6.0 * y + 24.5, 7.0]);
+        renderer.upload(&one(mean.to_array(), [0.1; 3], 3.0)).expect("a scene");
+        let frame = renderer.render(&along_z(), &wanted).expect("a frame");
+        let place = py as usize * SIZE[0] as usize + px as usize;
+        assert!(frame.transmittance[place] < 0.05 && frame.transmittance[place - 4] > 0.9);
+    }
+    drop((renderer, gpu));
+}
+
+/// What is defined for pinholes alone names the field.
+#[test]
+fn orthographic_cameras_have_no_gradients() {
+    let gpu = Gpu::new();
+    let mut renderer = renderer();
+    renderer.upload(&one([0.0, 0.0, 3.0], [0.5; 3], 1.0)).expect("a scene");
+    let ones = vec![[1.0; 3]; (SIZE[0] * SIZE[1]) as usize];
+    let refused = renderer.gradients(&along_z(), &RenderSettings::default(), &ones, None);
+    let error = refused.map_or_else(|error| error.to_string(), |_| "accepted".into());
+    assert!(error.contains("camera.projection") && error.contains("orthographic"), "{error}");
+    let refused = Filter3d::new(gpu.context, &[along_z()]).map(drop);
+    let error = refused.map_or_else(|error| error.to_string(), |()| "accepted".into());
+    assert!(error.contains("camera.projection"), "{error}");
+    drop(renderer);
+}
+
+/// A host's matrices, of standard and reversed depth, with y up and down, off-centre, near planes before and behind the
+/// eye: pixels and depths of points are those of the matrices.
+#[test]
+fn orthographic_matrices_become_a_camera() {
+    use ashsplat::scene::ClipY;
+    use glam::camera::rh::view::look_at_mat4;
+    use glam::{Mat4, Vec4};
+    let view_from_world = look_at_mat4(Vec3::new(1.0, 2.0, 5.0), Vec3::new(0.0, 0.5, 0.0), Vec3::Y);
+    for (near, far) in [(0.5_f32, 20.0_f32), (-10.0, 30.0), (0.0, 8.0)] {
+        for (reversed, clip_y) in
+            [(false, ClipY::Down), (true, ClipY::Down), (false, ClipY::Up), (true, ClipY::Up)]
+        {
+            let up = if clip_y == ClipY::Up { 1.0 } else { -1.0 };
+            // The view looks along -z: z = -z_view.
+            let (d_near, d_far) = if reversed { (1.0, 0.0) } else { (0.0, 1.0) };
+            let per_z = (d_far - d_near) / (far - near);
+            let clip_from_view = Mat4::from_cols(
+                Vec4::new(0.25, 0.0, 0.0, 0.0),
+                Vec4::new(0.0, up / 3.0, 0.0, 0.0),
+                Vec4::new(0.0, 0.0, -per_z, 0.0),
+                Vec4::new(0.125, -0.0625, d_near - per_z * near, 1.0),
+            );
+            let host = HostView { view_from_world, clip_from_view, clip_y, width: 640, height: 480 };
+            let (camera, mapping) = host.camera().expect("a camera");
+            assert!(camera.is_orthographic() && mapping.linear);
+            assert_eq!(mapping.clear_value, d_far);
+            for point in [Vec3::ZERO, Vec3::new(1.0, -0.5, 0.25), Vec3::new(-2.0, 1.5, 1.0)] {
+                let clip = clip_from_view * view_from_world * point.extend(1.0);
+                let (x, y, z) = camera.project(point);
+                let down = if clip_y == ClipY::Up { -clip.y } else { clip.y };
+                assert!((x - 320.0 * (1.0 + clip.x)).abs() < 1e-3, "{x}");
+                assert!((y - 240.0 * (1.0 + down)).abs() < 1e-3, "{y}");
+                assert!((mapping.z(clip.z) - z).abs() < 1e-4, "{} {z}", mapping.z(clip.z));
+                assert!((mapping.depth(z) - clip.z).abs() < 1e-5, "{} {}", mapping.depth(z), clip.z);
+            }
+            // The near plane is where drawing begins, or it is as far as the host says.
+            let at_near = mapping.z(d_near);
+            assert!((at_near - near.max(0.2)).abs() < 1e-5, "{at_near}");
+        }
+    }
+    let wrong = Mat4::from_cols(Vec4::X, Vec4::Y, Vec4::new(0.0, 0.1, 1.0, 0.0), Vec4::W);
+    let mirrored = Mat4::from_cols(Vec4::X, Vec4::Y, -Vec4::Z * 0.1, Vec4::W);
+    for (clip_from_view, clip_y, expected) in
+        [(wrong, ClipY::Up, "skewed"), (mirrored, ClipY::Down, "mirror the picture")]
+    {
+        let host = HostView { view_from_world, clip_from_view, clip_y, width: 640, height: 480 };
+        let error = host.camera().map_or_else(|error| error.to_string(), |_| "accepted".into());
+        assert!(error.contains(expected), "{error}");
+    }
+}
+
+/// The conversions of perspective depth go back and forth, too.
+#[test]
+fn orthographic_and_perspective_coefficients_invert_the_mapping() {
+    use ashsplat::scene::DepthMapping;
+    let mappings = [
+        (DepthMapping { scale: -9.99, offset: 10.0, clear_value: 1.0, linear: false }, 0.7),
+        (DepthMapping { scale: 10.0, offset: 0.0, clear_value: 0.0, linear: false }, 12.0),
+        (DepthMapping { scale: -99.5, offset: 100.0, clear_value: 0.0, linear: true }, 3.0),
+    ];
+    for (mapping, z) in mappings {
+        let [a, b] = mapping.coefficients();
+        let depth = mapping.depth(z);
+        assert_eq!(depth, a * if mapping.linear { z } else { 1.0 / z } + b);
+        assert!((mapping.z(depth) - z).abs() < 1e-4 * z, "{mapping:?}: {}", mapping.z(depth));
+    }
+}
