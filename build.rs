@@ -94,7 +94,7 @@ fn base64(bytes: &[u8]) -> String {
 
 /// The graphics shaders of the example that embeds ashsplat, as `embed_NAME.spv`.
 fn embed(root: &Path, glsl: &Path, out: &Path) -> Result<(), String> {
-    let names = ["cube.vert", "cube.frag", "tonemap.vert", "tonemap.frag"];
+    let names = ["cube.vert", "cube.frag", "splat_depth.frag", "tonemap.vert", "tonemap.frag"];
     for name in names {
         println!("cargo:rerun-if-changed=tools/embed/{name}");
     }

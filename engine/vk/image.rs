@@ -18,7 +18,7 @@ const ARENA: &str = "images";
 /// A host's image, as it was created.
 #[derive(Clone, Copy, Debug)]
 pub struct ForeignImage {
-    /// The image: two-dimensional, one sample per pixel, optimal tiling.
+    /// The image: two-dimensional, optimal tiling.
     pub image: vk::Image,
     /// Its format.
     pub format: vk::Format,
@@ -28,6 +28,9 @@ pub struct ForeignImage {
     pub flags: vk::ImageCreateFlags,
     /// Its usage.
     pub usage: vk::ImageUsageFlags,
+    /// Its samples per pixel: kernels see images of one. A host that draws with more resolves them before: depth into a depth
+    /// image of one sample, by `resolve_mode` MIN, MAX or SAMPLE_ZERO of its attachment.
+    pub samples: vk::SampleCountFlags,
     /// Width and height of the mip level, pixels.
     pub size: [u32; 2],
     /// Which mip level.
@@ -80,7 +83,7 @@ impl Image {
     /// A view of a host's image, for kernels.
     ///
     /// # Errors
-    /// [`Error::Argument`] for a null handle, no size, a usage that lacks what `purpose` needs, a format that is not one
+    /// [`Error::Argument`] for a null handle, no size, more than one sample per pixel, a usage that lacks what `purpose` needs, a format that is not one
     /// of [`ImageUse::formats`] or that the device does not support, or flags that lack what the format needs
     /// ([`ForeignImage::flags`]).
     ///
@@ -102,6 +105,12 @@ impl Image {
         }
         if foreign.size.contains(&0) {
             return bad(format!("its size is {} x {}", foreign.size[0], foreign.size[1]));
+        }
+        if foreign.samples != vk::SampleCountFlags::TYPE_1 {
+            let samples = foreign.samples.as_raw();
+            return bad(format!(
+                "it has {samples} samples per pixel, kernels see images of one: resolve it into such an image, and give that"
+            ));
         }
         if !foreign.usage.contains(purpose.usage()) {
             return bad(format!("its usage {:?} lacks {:?}", foreign.usage, purpose.usage()));
@@ -157,7 +166,8 @@ impl Image {
         unsafe {
             let image = device.create_image(&info, None).map_err(vk_error("vkCreateImage"))?;
             let memory = context.image_memory(image).inspect_err(|_| device.destroy_image(image, None))?;
-            let foreign = ForeignImage { image, format, flags, usage, size, mip_level: 0, layer: 0 };
+            let samples = vk::SampleCountFlags::TYPE_1;
+            let foreign = ForeignImage { image, format, flags, usage, samples, size, mip_level: 0, layer: 0 };
             Self::view(context, name, &foreign, memory, purpose).inspect_err(|_| {
                 device.destroy_image(image, None);
                 device.free_memory(memory.0, None);

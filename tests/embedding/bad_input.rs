@@ -117,9 +117,21 @@ fn null_handles_and_wrong_images_are_refused() {
         let only_mutable = |f: &mut ashsplat::vk::ForeignImage| {
             (f.format, f.flags) = (vk::Format::R8G8B8A8_SRGB, vk::ImageCreateFlags::MUTABLE_FORMAT);
         };
-        let refused: [(Change, ImageUse, &str); 13] = [
+        let depths = |f: &mut ashsplat::vk::ForeignImage| {
+            let usage = vk::ImageUsageFlags::DEPTH_STENCIL_ATTACHMENT | vk::ImageUsageFlags::SAMPLED;
+            (f.format, f.usage) = (vk::Format::D32_SFLOAT, usage);
+            f.samples = vk::SampleCountFlags::TYPE_4;
+        };
+        let refused: [(Change, ImageUse, &str); 16] = [
             (&|f| f.image = vk::Image::null(), ImageUse::Storage, "null"),
             (&|f| f.size = [0, 8], ImageUse::Storage, "0 x 8"),
+            (
+                &depths,
+                ImageUse::Sampled,
+                "'target': it has 4 samples per pixel, kernels see images of one: resolve it",
+            ),
+            (&|f| f.samples = vk::SampleCountFlags::TYPE_2, ImageUse::Storage, "2 samples"),
+            (&|f| f.samples = vk::SampleCountFlags::empty(), ImageUse::Storage, "0 samples"),
             (&|f| f.usage = vk::ImageUsageFlags::SAMPLED, ImageUse::Storage, "lacks STORAGE"),
             (&|_| (), ImageUse::Sampled, "lacks SAMPLED"),
             (&|f| f.format = vk::Format::D32_SFLOAT, ImageUse::Storage, "D32_SFLOAT"),

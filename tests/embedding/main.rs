@@ -20,6 +20,9 @@ mod memory;
 #[path = "../../tools/embed/pass.rs"]
 mod pass;
 #[allow(dead_code)]
+#[path = "../../tools/embed/splat_depth.rs"]
+mod splat_depth;
+#[allow(dead_code)]
 #[path = "../../tools/embed/tonemap.rs"]
 mod tonemap;
 
@@ -46,6 +49,7 @@ mod scene_settings;
 mod scenes;
 mod selections;
 mod shared;
+mod splats_in_depth;
 mod stage;
 mod table;
 mod times;

@@ -144,6 +144,7 @@ pub unsafe extern "C" fn ashsplat_image_adopt(
             mip_level: host.mip_level,
             layer: host.layer,
             flags: vk::ImageCreateFlags::from_raw(host.flags),
+            samples: vk::SampleCountFlags::from_raw(host.samples.max(1)),
         };
         let (name, purpose) =
             if sampled { ("depth", ImageUse::Sampled) } else { ("target", ImageUse::Storage) };

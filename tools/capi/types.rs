@@ -137,7 +137,7 @@ pub struct AshsplatHost {
     pub pipeline_cache: u64,
 }
 
-/// An image of a host's and how it was created: two-dimensional, one sample per pixel, optimal tiling.
+/// An image of a host's and how it was created: two-dimensional, optimal tiling.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct AshsplatHostImage {
@@ -159,6 +159,8 @@ pub struct AshsplatHostImage {
     /// have MUTABLE_FORMAT, and EXTENDED_USAGE where the device has no storage images of the format: texels of 8 bits per
     /// channel are seen as R8G8B8A8_UNORM, A2B10G10R10, B10G11R11 and R16G16 as R32_UINT. R32G32B32A32_UINT needs none.
     pub flags: u32,
+    /// VkSampleCountFlagBits, 0 for one. Images of more samples are refused: resolve them into one of one sample.
+    pub samples: u32,
 }
 
 /// How an image is being used at some point of a command buffer.

@@ -56,7 +56,7 @@ impl Cube {
         // SAFETY: valid create infos; handles come from the calls before.
         unsafe {
             let device = &host.device;
-            let sampled = Sampled::new(host, &texture)?;
+            let sampled = Sampled::new(host, &texture, vk::Filter::LINEAR)?;
             let ranges =
                 [vk::PushConstantRange::default().stage_flags(vk::ShaderStageFlags::VERTEX).size(64)];
             let layouts = [sampled.set_layout];

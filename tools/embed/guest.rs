@@ -1,18 +1,19 @@
 //! What a host engine writes to have splats in its picture. The steps are numbered as in the guide's chapter `embedding`.
 
 use super::allocator::Adapter;
-use super::cube::{COLOR_WRITTEN, Cube, CubePass, DEPTH_WRITTEN, UNUSED};
+use super::cube::{COLOR_WRITTEN, Cube, CubePass, DEPTH_WRITTEN, SAMPLED, UNUSED};
 use super::host::{Host, HostOptions, InFlight, Result};
 use super::memory::{HostBuffer, HostTexture, Use};
+use super::splat_depth::{self, SplatDepth};
 use super::tonemap::Tonemap;
 use ashsplat::ash::vk;
 use ashsplat::glam::camera::rh::{proj::vulkan, view::look_at_mat4};
 use ashsplat::glam::{Mat3, Mat4, Vec3};
-use ashsplat::scene::{ClipY, HostView, Pose};
+use ashsplat::scene::{ClipY, DepthMapping, HostView, Pose};
 use ashsplat::vk::{Context, ContextOptions, ForeignDevice, Image, ImageState, ImageUse};
 use ashsplat::{
-    Background, ColorEncoding, DeviceScene, Gaussians, HostImage, Occluder, Placed, RecordedFrame, Release,
-    RenderSettings, Renderer, Reservation, Target,
+    Background, ColorEncoding, DepthTarget, DeviceScene, Gaussians, HostImage, Occluder, Placed,
+    RecordedFrame, Release, RenderSettings, Renderer, Reservation, Target,
 };
 use std::path::Path;
 use std::sync::Arc;
@@ -60,13 +61,16 @@ struct Engine {
     /// Command buffers, and where the host reads their pictures.
     frames: Vec<(InFlight, HostBuffer)>,
     cube: Cube,
+    splat_depth: SplatDepth,
     tonemap: Tonemap,
     /// Linear light, more than a display has.
     color: HostTexture,
     depth: HostTexture,
+    /// How far the splats are.
+    expected: HostTexture,
     /// What is shown.
     display: HostTexture,
-    /// How the frame before has used these three last.
+    /// How the frame before has used colour, depth and display last.
     last: [Use; 3],
     guest: Guest,
 }
@@ -76,6 +80,7 @@ struct Guest {
     renderer: Renderer,
     color: Image,
     depth: Image,
+    expected: Image,
     ring: DeviceScene,
     ball: DeviceScene,
     _context: Context,
@@ -94,12 +99,16 @@ impl Engine {
         let depth = HostTexture::new(host, vk::Format::D32_SFLOAT, depth_usage, SIZE)?;
         let display_usage = vk::ImageUsageFlags::COLOR_ATTACHMENT | vk::ImageUsageFlags::TRANSFER_SRC;
         let display = HostTexture::new(host, vk::Format::R8G8B8A8_SRGB, display_usage, SIZE)?;
+        let expected_usage = vk::ImageUsageFlags::STORAGE | vk::ImageUsageFlags::SAMPLED;
+        let expected = HostTexture::new(host, vk::Format::R32_SFLOAT, expected_usage, SIZE)?;
         let frame = |_| Ok((InFlight::new(host)?, HostBuffer::new(host, PIXEL_BYTES)?));
         let frames: Result<Vec<_>> = (0..FRAMES_IN_FLIGHT).map(frame).collect();
         let cube = Cube::new(host, color.format, depth.format)?;
         let tonemap = Tonemap::new(host, &color, display.format)?;
-        let (guest, last) = (Guest::new(host, &color, &depth)?, [UNUSED; 3]);
-        Ok(Self { frames: frames?, cube, tonemap, guest, color, depth, display, last })
+        let splat_depth = SplatDepth::new(host, &expected, depth.format)?;
+        let (guest, last) = (Guest::new(host, [&color, &depth, &expected])?, [UNUSED; 3]);
+        let frames = frames?;
+        Ok(Self { frames, cube, splat_depth, tonemap, guest, color, depth, expected, display, last })
     }
 
     /// Records and submits a frame: the engine's own pass, the splats, and the copy to where the host reads it, all in one
@@ -124,11 +133,16 @@ impl Engine {
                 reversed_depth: picture.reversed_depth,
             },
         );
-        let release = self.guest.record(commands, slot as u32, picture, &view)?;
+        let (release, mapping) = self.guest.record(commands, slot as u32, picture, &view)?;
         // 7. The release says what to wait for, and in which layouts the images are now: here for the last pass, and for the
         // next frame's first one, which may not write the depth before the guest has read it.
-        let [color, depth] = [release.color, release.occluder].map(|state| state.map(uses));
+        let [color, depth, expected] =
+            [release.color, release.occluder, release.depth].map(|state| state.map(uses));
         let (color, depth) = (color.ok_or("the frame has a target")?, depth.ok_or("the frame has a depth")?);
+        // What is drawn from here on is hidden by splats, too.
+        let images = [&self.expected, &self.depth];
+        let uses = [expected.ok_or("the frame has an expected depth")?, depth];
+        let [_, depth] = self.splat_depth.record(host, commands, images, uses, &mapping);
         let images = [&self.color, &self.display];
         let [color, display] = self.tonemap.record(host, commands, images, [color, self.last[2]]);
         let display = self.display.record_read(host, commands, display, pixels);
@@ -154,13 +168,15 @@ impl Engine {
 
     /// The guest goes before the images and the device that it looks at.
     fn destroy(self, host: &Host) {
-        let Self { frames, cube, tonemap, color, depth, display, guest, .. } = self;
+        let Self { frames, cube, splat_depth, tonemap, color, depth, expected, display, guest, .. } = self;
         drop(guest);
         for (frame, pixels) in frames {
             frame.destroy(host);
             pixels.destroy(host);
         }
         cube.destroy(host);
+        splat_depth.destroy(host);
+        expected.destroy(host);
         tonemap.destroy(host);
         display.destroy(host);
         color.destroy(host);
@@ -190,7 +206,7 @@ impl Engine {
 }
 
 impl Guest {
-    fn new(host: &Host, color: &HostTexture, depth: &HostTexture) -> Result<Self> {
+    fn new(host: &Host, [color, depth, expected]: [&HostTexture; 3]) -> Result<Self> {
         // 2. A context on the host's device, with memory of the host's allocator. Nothing of the host's is ever destroyed by
         // it.
         let allocator = Arc::new(Adapter::new(host)?);
@@ -201,11 +217,12 @@ impl Guest {
         // 3. Scenes, and views of the host's images.
         let ring = DeviceScene::upload(&context, &ring(), 0)?;
         let ball = DeviceScene::upload(&context, &ball(), 0)?;
-        // SAFETY: both images are the host's, created as they say, and outlive the guest.
-        let (color, depth) = unsafe {
+        // SAFETY: the images are the host's, created as they say, and outlive the guest.
+        let (color, depth, expected) = unsafe {
             (
                 Image::adopt(&context, "picture", &color.foreign(), ImageUse::Storage)?,
                 Image::adopt(&context, "picture's depth", &depth.foreign(), ImageUse::Sampled)?,
+                Image::adopt(&context, "expected depth", &expected.foreign(), ImageUse::Storage)?,
             )
         };
         // 4. Everything that frames will need is built and allocated now.
@@ -214,10 +231,11 @@ impl Guest {
             slots: FRAMES_IN_FLIGHT,
             scenes: 2,
             occlusion: true,
+            expected_depth: true,
             images_only: true,
             ..Reservation::new(ring.count() + ball.count(), 1, SIZE[0], SIZE[1])
         })?;
-        Ok(Self { renderer, color, depth, ring, ball, _context: context, allocator })
+        Ok(Self { renderer, color, depth, expected, ring, ball, _context: context, allocator })
     }
 
     fn record(
@@ -226,7 +244,7 @@ impl Guest {
         slot: u32,
         picture: &Picture,
         view: &HostView,
-    ) -> Result<Release> {
+    ) -> Result<(Release, DepthMapping)> {
         // 5. The host's matrices say everything about its conventions, and how its depth is to be read.
         let (camera, mapping) = view.camera()?;
         // SAFETY: recording state, outside of the pass; submitted once, and waited for before the slot's next turn.
@@ -241,8 +259,12 @@ impl Guest {
         let (to, behind) = (used(&self.color, COLOR_WRITTEN), Background::Image);
         let target = Target::Image { to, behind, encoding: picture.encoding };
         let occluder = Some(Occluder { depth: used(&self.depth, DEPTH_WRITTEN), mapping });
-        let frame = RecordedFrame { target, occluder, ..RecordedFrame::new(scenes, &camera, &settings) };
-        Ok(self.renderer.record(commands, slot, &frame)?)
+        // The depth pass of the frame before has read it.
+        let to = used(&self.expected, (UNUSED.0, SAMPLED.1, SAMPLED.2));
+        let depth = Some(DepthTarget { to, min_weight: 0.5, empty: splat_depth::EMPTY });
+        let frame =
+            RecordedFrame { target, occluder, depth, ..RecordedFrame::new(scenes, &camera, &settings) };
+        Ok((self.renderer.record(commands, slot, &frame)?, mapping))
     }
 }
 

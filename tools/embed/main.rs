@@ -11,6 +11,7 @@ mod guest;
 mod host;
 mod memory;
 mod pass;
+mod splat_depth;
 mod tonemap;
 
 use std::path::PathBuf;

@@ -65,7 +65,8 @@ impl HostTexture {
     /// What the guest is told of it.
     pub fn foreign(&self) -> ForeignImage {
         let Self { image, format, flags, usage, size, .. } = *self;
-        ForeignImage { image, format, flags, usage, size, mip_level: 0, layer: 0 }
+        let samples = vk::SampleCountFlags::TYPE_1;
+        ForeignImage { image, format, flags, usage, samples, size, mip_level: 0, layer: 0 }
     }
 
     /// Records a change of layout.

@@ -22,13 +22,11 @@ pub struct Sampled {
 }
 
 impl Sampled {
-    pub fn new(host: &Host, texture: &HostTexture) -> Result<Self> {
+    pub fn new(host: &Host, texture: &HostTexture, filter: vk::Filter) -> Result<Self> {
         // SAFETY: valid create infos; handles come from the calls before.
         unsafe {
             let device = &host.device;
-            let info = vk::SamplerCreateInfo::default()
-                .mag_filter(vk::Filter::LINEAR)
-                .min_filter(vk::Filter::LINEAR);
+            let info = vk::SamplerCreateInfo::default().mag_filter(filter).min_filter(filter);
             let sampler = device.create_sampler(&info, None)?;
             let kind = vk::DescriptorType::COMBINED_IMAGE_SAMPLER;
             let bindings = [vk::DescriptorSetLayoutBinding::default()
@@ -64,7 +62,7 @@ impl Sampled {
     }
 }
 
-/// A pipeline of two SPIR-V modules, with a depth test if there is a depth.
+/// A pipeline of two SPIR-V modules, with a depth test if there is a depth, and without colours if their format is UNDEFINED.
 ///
 /// # Safety
 /// The modules are valid, and of this layout.
@@ -78,6 +76,7 @@ pub unsafe fn pipeline(
     let [vertex, fragment] = shaders.map(super::host::words);
     let (depth, compare) = depth.unwrap_or_default();
     let tested = depth != vk::Format::UNDEFINED;
+    let colors = usize::from(color != vk::Format::UNDEFINED);
     // SAFETY: valid modules, as promised; every pointer lives through its call.
     unsafe {
         let device = &host.device;
@@ -106,12 +105,12 @@ pub unsafe fn pipeline(
         let blends =
             [vk::PipelineColorBlendAttachmentState::default()
                 .color_write_mask(vk::ColorComponentFlags::RGBA)];
-        let blend = vk::PipelineColorBlendStateCreateInfo::default().attachments(&blends);
+        let blend = vk::PipelineColorBlendStateCreateInfo::default().attachments(&blends[..colors]);
         let states = [vk::DynamicState::VIEWPORT, vk::DynamicState::SCISSOR];
         let dynamic = vk::PipelineDynamicStateCreateInfo::default().dynamic_states(&states);
         let formats = [color];
         let mut rendering = vk::PipelineRenderingCreateInfo::default()
-            .color_attachment_formats(&formats)
+            .color_attachment_formats(&formats[..colors])
             .depth_attachment_format(depth);
         let info = vk::GraphicsPipelineCreateInfo::default()
             .stages(&stages)

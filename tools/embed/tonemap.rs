@@ -15,7 +15,7 @@ pub struct Tonemap {
 
 impl Tonemap {
     pub fn new(host: &Host, picture: &HostTexture, display: vk::Format) -> Result<Self> {
-        let sampled = Sampled::new(host, picture)?;
+        let sampled = Sampled::new(host, picture, vk::Filter::NEAREST)?;
         let layouts = [sampled.set_layout];
         let info = vk::PipelineLayoutCreateInfo::default().set_layouts(&layouts);
         // SAFETY: a valid create info; SPIR-V that build.rs compiled, of this layout.
