@@ -149,6 +149,15 @@ impl Error {
         Self::Argument { what: what.into(), problem: problem.into() }
     }
 
+    /// Of an argument that has another name where the caller gives it.
+    #[must_use]
+    pub(crate) fn of(self, name: impl Into<String>) -> Self {
+        match self {
+            Self::Argument { problem, .. } => Self::argument(name, problem),
+            other => other,
+        }
+    }
+
     /// Of an argument that is a part of another one, with both names.
     #[must_use]
     pub(crate) fn within(self, outer: impl std::fmt::Display) -> Self {

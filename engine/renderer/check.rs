@@ -32,8 +32,7 @@ impl Renderer {
             }
             placed.pose.check().map_err(|error| error.within(format_args!("scenes[{index}]")))?;
             if let Some(pose) = placed.previous_pose {
-                let named = |error: Error| error.within(format_args!("scenes[{index}].previous_pose"));
-                pose.check().map_err(named)?;
+                pose.check().map_err(|error| error.of(format!("scenes[{index}].previous_pose")))?;
             }
             let named = |error: Error| error.within(format_args!("scenes[{index}].settings"));
             placed.settings.check().map_err(named)?;
@@ -171,7 +170,7 @@ fn check_format(field: &str, host: &HostImage<'_>, format: vk::Format) -> Result
 fn check_motion(motion: &MotionTarget<'_>, size: [u32; 2]) -> Result<()> {
     check_format("motion", &motion.to, Compose::MOTION_FORMAT)?;
     let camera = motion.previous_camera;
-    camera.check().map_err(|error| error.within("motion.previous_camera"))?;
+    camera.check().map_err(|error| error.of("motion.previous_camera"))?;
     if [camera.width, camera.height] != size {
         let ([w, h], Camera { width, height, .. }) = (size, camera);
         let problem = format!("is of {width} x {height} pixels, the frame of {w} x {h}");

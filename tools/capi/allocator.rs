@@ -42,6 +42,8 @@ pub struct AshsplatMemory {
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct AshsplatAllocator {
+    /// Set by ASHSPLAT_INIT.
+    pub struct_size: u32,
     /// Handed to both functions.
     pub user: *mut c_void,
     /// Allocates a piece; false when it cannot. Mapped memory has to be host-coherent.

@@ -1,6 +1,12 @@
 /* The C interface of ashsplat. Generated from the sources in tools/capi: do not edit.
- * Structs are set to zero, or filled by their functions, before their fields are set: new fields come at the
- * end. A host is compiled again with each new header. */
+ * Structs that have struct_size begin with ASHSPLAT_INIT, which sets it and the defaults:
+ *
+ *     AshsplatReservation wanted = ASHSPLAT_INIT(AshsplatReservation);
+ *     wanted.gaussians = 100000;
+ *
+ * New fields come at their ends. A host that was compiled with an older header works with this library: the
+ * fields that it does not know have their defaults. So does one with a newer header as long as it sets
+ * nothing that this library does not know. All other structs and the functions stay as they are. */
 
 #ifndef ASHSPLAT_H
 #define ASHSPLAT_H
@@ -10,6 +16,7 @@
 #include <stddef.h>
 #include <stdint.h>
 #include <stdlib.h>
+#include <string.h>
 
 // The result of a call.
 typedef enum AshsplatStatus {
@@ -62,6 +69,14 @@ typedef enum AshsplatExtent {
   AshsplatExtent_Reference = 1,
 } AshsplatExtent;
 
+// What kernels do with an image.
+typedef enum AshsplatImageUse {
+  // They write it: a target.
+  AshsplatImageUse_Storage = 0,
+  // They read it: a depth image.
+  AshsplatImageUse_Sampled = 1,
+} AshsplatImageUse;
+
 // Directions within which the projection is linearised at the Gaussian itself. Outside, it is linearised at
 // the limit.
 typedef enum AshsplatJacobianLimit {
@@ -70,6 +85,14 @@ typedef enum AshsplatJacobianLimit {
   // 1.3 tan(fov/2) on either side of the optical axis, as the reference implementation does.
   AshsplatJacobianLimit_Symmetric = 1,
 } AshsplatJacobianLimit;
+
+// How the rays of a camera run.
+typedef enum AshsplatProjection {
+  // Through one point: a pinhole.
+  AshsplatProjection_Perspective = 0,
+  // In parallel, along the camera's z axis. Frames of such cameras are reserved: AshsplatReservation.orthographic.
+  AshsplatProjection_Orthographic = 1,
+} AshsplatProjection;
 
 // How each Gaussian is drawn.
 typedef enum AshsplatShape {
@@ -109,16 +132,18 @@ typedef struct AshsplatScene AshsplatScene;
 // Trains Gaussians on photographs.
 typedef struct AshsplatTrainer AshsplatTrainer;
 
-// A pinhole camera, x right, y down, z forward: x_camera = R x_world + t, pixel = (fx x/z + cx, fy y/z +
-// cy), where the centre of the first pixel is (0.5, 0.5).
+// A camera, x right, y down, z forward: x_camera = R x_world + t, pixel = (fx x/z + cx, fy y/z + cy), or (fx x + cx,
+// fy y + cy) if it is orthographic, where the centre of the first pixel is (0.5, 0.5).
 typedef struct AshsplatCamera {
+  // Set by ASHSPLAT_INIT.
+  uint32_t struct_size;
   // R, row by row.
   float camera_from_world[9];
   // t, world units.
   float translation[3];
-  // Focal length in x, pixels.
+  // Focal length in x, pixels; pixels per world unit if it is orthographic.
   float fx;
-  // Focal length in y, pixels.
+  // Focal length in y: as fx.
   float fy;
   // Principal point in x, pixels.
   float cx;
@@ -128,10 +153,14 @@ typedef struct AshsplatCamera {
   uint32_t width;
   // Height of the picture, pixels.
   uint32_t height;
+  // An AshsplatProjection.
+  uint32_t projection;
 } AshsplatCamera;
 
-// How a frame is rendered; ashsplat_render_settings fills in the defaults.
+// How a frame is rendered; by default as scenes are trained and shown.
 typedef struct AshsplatRenderSettings {
+  // Set by ASHSPLAT_INIT.
+  uint32_t struct_size;
   // An AshsplatExtent.
   uint32_t extent;
   // An AshsplatJacobianLimit.
@@ -140,12 +169,12 @@ typedef struct AshsplatRenderSettings {
   uint32_t shape;
   // Highest evaluated SH degree: 3 for all stored degrees.
   uint32_t sh_degree;
-  // Factor of all scales: 1 for the scene as it is.
-  float scale_modifier;
   // Whether opacities are compensated for the low-pass filter.
   bool antialias;
   // Whether the sum of weights / z is rendered as well: ashsplat_slot_inverse_depth.
   bool inverse_depth;
+  // Factor of all scales: 1 for the scene as it is.
+  float scale_modifier;
 } AshsplatRenderSettings;
 
 // What is to be allocated, for a buffer.
@@ -178,6 +207,8 @@ typedef struct AshsplatMemory {
 // also from other threads. Recording never allocates. It frees memory that only the slot's last frame still
 // used, unless ashsplat_slot_release has done so.
 typedef struct AshsplatAllocator {
+  // Set by ASHSPLAT_INIT.
+  uint32_t struct_size;
   // Handed to both functions.
   void *user;
   // Allocates a piece; false when it cannot. Mapped memory has to be host-coherent.
@@ -187,7 +218,9 @@ typedef struct AshsplatAllocator {
 } AshsplatAllocator;
 
 // A host's device, and what was enabled when it was created.
-typedef struct AshsplatHost {
+typedef struct AshsplatForeignDevice {
+  // Set by ASHSPLAT_INIT.
+  uint32_t struct_size;
   // vkGetInstanceProcAddr of the host's loader.
   const void *get_instance_proc_addr;
   // VkInstance.
@@ -215,12 +248,12 @@ typedef struct AshsplatHost {
   const struct AshsplatAllocator *allocator;
   // A VkPipelineCache that kernels are built with, or 0. The host keeps and destroys it.
   uint64_t pipeline_cache;
-} AshsplatHost;
+} AshsplatForeignDevice;
 
-// An image of a host's and how it was created: two-dimensional, one sample per pixel, optimal tiling.
-typedef struct AshsplatHostImage {
-  // VkImage.
-  uint64_t image;
+// An image of a host's and how it was created: two-dimensional, optimal tiling.
+typedef struct AshsplatForeignImage {
+  // Set by ASHSPLAT_INIT.
+  uint32_t struct_size;
   // VkFormat.
   int32_t format;
   // VkImageUsageFlags.
@@ -237,10 +270,14 @@ typedef struct AshsplatHostImage {
   // have MUTABLE_FORMAT, and EXTENDED_USAGE where the device has no storage images of the format: texels of 8 bits per
   // channel are seen as R8G8B8A8_UNORM, A2B10G10R10, B10G11R11 and R16G16 as R32_UINT. R32G32B32A32_UINT needs none.
   uint32_t flags;
-} AshsplatHostImage;
+  // VkSampleCountFlagBits: 1. Images of more samples are refused: resolve them into one of one sample.
+  uint32_t samples;
+  // VkImage.
+  uint64_t image;
+} AshsplatForeignImage;
 
-// Conversion of a depth buffer's value d: 1/z = scale d + offset. clear_value marks pixels without a
-// surface.
+// Conversion of a depth buffer's value d: 1/z = scale d + offset, or z = scale d + offset if it is linear. clear_value marks
+// pixels without a surface.
 typedef struct AshsplatDepthMapping {
   // See above.
   float scale;
@@ -248,11 +285,17 @@ typedef struct AshsplatDepthMapping {
   float offset;
   // See above.
   float clear_value;
+  // Whether z itself is linear in d: of an orthographic projection.
+  bool linear;
 } AshsplatDepthMapping;
 
 // A volume that keeps or removes the Gaussians whose means lie inside. Of several, a Gaussian is drawn that lies in at least
 // one of those that keep, if there are any, and in none of those that remove.
 typedef struct AshsplatCutOut {
+  // Set by ASHSPLAT_INIT.
+  uint32_t struct_size;
+  // Whether what lies inside is removed, instead of kept.
+  bool removes;
   // An AshsplatVolume.
   uint32_t volume;
   // Half of the size along each of its axes, positive; of a half-space the normal, out of it, of any length but 0.
@@ -266,8 +309,6 @@ typedef struct AshsplatCutOut {
   float translation[3];
   // Units of the scene per unit of the volume: 1 for no scaling.
   float scale;
-  // Whether what lies inside is removed, instead of kept.
-  bool removes;
 } AshsplatCutOut;
 
 // A range of a host's buffer.
@@ -280,9 +321,10 @@ typedef struct AshsplatHostBuffer {
   uint64_t bytes;
 } AshsplatHostBuffer;
 
-// How one scene of a frame is drawn. Call ashsplat_scene_settings first, which fills in the defaults: zeroed memory is a scene
-// that is not drawn.
+// How one scene of a frame is drawn; by default as it is.
 typedef struct AshsplatSceneSettings {
+  // Set by ASHSPLAT_INIT.
+  uint32_t struct_size;
   // Whether it is drawn. A scene that is not takes no Gaussians of the reservation and no time on the device. It counts
   // among its scenes, and the others keep their places.
   bool visible;
@@ -292,10 +334,10 @@ typedef struct AshsplatSceneSettings {
   float opacity;
   // Highest evaluated SH degree: 3 for all stored degrees.
   uint32_t sh_degree;
+  // How many cut-outs, at most 16.
+  uint32_t cut_out_count;
   // Volumes that keep or remove Gaussians.
   const struct AshsplatCutOut *cut_outs;
-  // How many, at most 16.
-  uint32_t cut_out_count;
   // A bit per Gaussian of the scene, set where it has another colour: bit i % 32 of the word i / 32. A buffer with the usages
   // STORAGE_BUFFER, TRANSFER_SRC and TRANSFER_DST, of whole words for all Gaussians; or NULL.
   const struct AshsplatHostBuffer *selection;
@@ -307,6 +349,8 @@ typedef struct AshsplatSceneSettings {
 
 // A pose in the world: x_world = scale rotation x_object + translation.
 typedef struct AshsplatPose {
+  // Set by ASHSPLAT_INIT.
+  uint32_t struct_size;
   // A rotation, row by row.
   float world_from_object[9];
   // World units.
@@ -317,6 +361,8 @@ typedef struct AshsplatPose {
 
 // A scene and its pose: x_world = scale rotation x_object + translation.
 typedef struct AshsplatPlaced {
+  // Set by ASHSPLAT_INIT.
+  uint32_t struct_size;
   // The scene.
   const struct AshsplatScene *scene;
   // A rotation, row by row.
@@ -327,8 +373,8 @@ typedef struct AshsplatPlaced {
   float scale;
   // How it is drawn, or NULL: as it is.
   const struct AshsplatSceneSettings *settings;
-  // Its pose in the frame before, for AshsplatFrame.motion; NULL: the same as now, for scenes that stand still and for
-  // those that were not there.
+  // Its pose in the frame before, for AshsplatRecordedFrame.motion. NULL: the same as now, for scenes that stand still and
+  // for those that were not there.
   const struct AshsplatPose *previous_pose;
 } AshsplatPlaced;
 
@@ -342,9 +388,59 @@ typedef struct AshsplatImageState {
   uint64_t accesses;
 } AshsplatImageState;
 
+// An image of a frame, and its previous use by the host.
+typedef struct AshsplatHostImage {
+  // The image.
+  const struct AshsplatImage *image;
+  // The host's use of it before the frame.
+  struct AshsplatImageState from;
+  // Texel of the image that belongs to the frame's pixel (0, 0).
+  uint32_t offset[2];
+} AshsplatHostImage;
+
+// The image that a frame's colours are written to.
+typedef struct AshsplatTarget {
+  // Set by ASHSPLAT_INIT.
+  uint32_t struct_size;
+  // What the splats are composited over: an AshsplatBackground.
+  uint32_t behind;
+  // Its colour, for AshsplatBackground_Color: display-encoded, as trained.
+  float background[3];
+  // What the target's colours are: an AshsplatColorEncoding.
+  uint32_t encoding;
+  // Factor of linear light, finite and positive, for AshsplatColorEncoding_LinearSrgb: 1 by default.
+  float exposure;
+  // The image.
+  struct AshsplatHostImage to;
+} AshsplatTarget;
+
+// A host's depth image. It hides the splats that are farther away.
+typedef struct AshsplatOccluder {
+  // Set by ASHSPLAT_INIT.
+  uint32_t struct_size;
+  // The depth image.
+  struct AshsplatHostImage depth;
+  // How to read it: ashsplat_camera_from_matrices.
+  struct AshsplatDepthMapping mapping;
+} AshsplatOccluder;
+
+// An image of expected depth: sum(w z) / sum(w), world units.
+typedef struct AshsplatDepthTarget {
+  // Set by ASHSPLAT_INIT.
+  uint32_t struct_size;
+  // A pixel is empty if the splats' weights sum to less.
+  float min_weight;
+  // The depth of empty pixels.
+  float empty;
+  // The r32f image.
+  struct AshsplatHostImage to;
+} AshsplatDepthTarget;
+
 // Gaussians in a host's arrays, each as long as the count says. All but `means` are as in the reference
 // implementation's files, before their activations.
 typedef struct AshsplatGaussians {
+  // Set by ASHSPLAT_INIT.
+  uint32_t struct_size;
   // How many.
   uint32_t count;
   // Degree of the spherical harmonics, 0 to 3.
@@ -363,112 +459,88 @@ typedef struct AshsplatGaussians {
 
 // New parameters for some of a scene's Gaussians, copied before the frame is rendered.
 typedef struct AshsplatUpdate {
+  // Set by ASHSPLAT_INIT.
+  uint32_t struct_size;
   // The scene.
   const struct AshsplatScene *scene;
   // Index of the first replaced Gaussian.
   uint32_t first;
   // The new Gaussians. SH above the scene's degree is dropped, missing SH is zero.
-  struct AshsplatGaussians gaussians;
+  const struct AshsplatGaussians *gaussians;
 } AshsplatUpdate;
 
 // An image of what is picked at each pixel: the Gaussian with the largest blending weight alpha T, the nearest of equal ones.
 typedef struct AshsplatPickTarget {
+  // Set by ASHSPLAT_INIT.
+  uint32_t struct_size;
   // A storage image of format R32G32B32A32_UINT. A texel is the index of the Gaussian in its scene, the index of the scene in
-  // AshsplatFrame.scenes, the bits of the float of its depth z (world units), and the bits of the float of its weight. Where
-  // nothing is blended: UINT32_MAX twice, then 0 twice.
-  const struct AshsplatImage *image;
-  // The host's use of the image before the frame.
-  struct AshsplatImageState from;
-  // Texel that receives the frame's pixel (0, 0).
-  uint32_t offset[2];
+  // AshsplatRecordedFrame.scenes, the bits of the float of its depth z (world units), and the bits of the float of its weight.
+  // Where nothing is blended: UINT32_MAX twice, then 0 twice.
+  struct AshsplatHostImage to;
 } AshsplatPickTarget;
 
 // An image of motion: of what is blended at each pixel, the mean of its motion on the screen from the frame before to this
 // one, by the blending's weights. A Gaussian moves as its mean does. How updates move Gaussians is not known.
 typedef struct AshsplatMotionTarget {
-  // A storage image of format R16G16_SFLOAT, with MUTABLE_FORMAT (AshsplatHostImage.flags): the place now less the place
-  // before, in pixels, x right, y down. What is at pixel p now was at p - motion.
-  const struct AshsplatImage *image;
-  // The host's use of the image before the frame.
-  struct AshsplatImageState from;
-  // Texel that receives the frame's pixel (0, 0).
-  uint32_t offset[2];
-  // The camera of the frame before, of the same width and height. Poses before are in AshsplatPlaced. What did not lie in
-  // front of it (depth z above 0.2) has no motion.
-  struct AshsplatCamera previous_camera;
+  // Set by ASHSPLAT_INIT.
+  uint32_t struct_size;
   // A pixel is empty if the splats' weights sum to less.
   float min_weight;
   // The motion of empty pixels, pixels.
   float empty[2];
   // Whether empty pixels keep what is in the image, in place of `empty`.
   bool keeps_empty;
+  // The camera of the frame before, of the same width and height. Poses before are in AshsplatPlaced. What did not lie in
+  // front of it (depth z above 0.2) has no motion.
+  const struct AshsplatCamera *previous_camera;
+  // A storage image of format R16G16_SFLOAT, with MUTABLE_FORMAT (AshsplatForeignImage.flags): the place now less the place
+  // before, in pixels, x right, y down. What is at pixel p now was at p - motion.
+  struct AshsplatHostImage to;
 } AshsplatMotionTarget;
 
 // A frame to record.
-typedef struct AshsplatFrame {
-  // The scenes, whose Gaussians are sorted together.
-  const struct AshsplatPlaced *scenes;
+typedef struct AshsplatRecordedFrame {
+  // Set by ASHSPLAT_INIT.
+  uint32_t struct_size;
   // Number of scenes, at least one.
   uint32_t scene_count;
+  // Number of updates.
+  uint32_t update_count;
+  // The scenes, whose Gaussians are sorted together.
+  const struct AshsplatPlaced *scenes;
   // The camera; its width and height are the frame's.
-  struct AshsplatCamera camera;
+  const struct AshsplatCamera *camera;
   // How to render, or NULL for the defaults.
   const struct AshsplatRenderSettings *settings;
   // The image that is written, or NULL: then the slot's own buffer, ashsplat_slot_pixels.
-  const struct AshsplatImage *target;
-  // The host's use of the target before the frame.
-  struct AshsplatImageState target_from;
-  // Texel of the target that receives the frame's pixel (0, 0).
-  uint32_t target_offset[2];
-  // What the splats are composited over: an AshsplatBackground.
-  uint32_t behind;
-  // Its colour, for AshsplatBackground_Color: display-encoded, as trained.
-  float background[3];
-  // What the target's colours are: an AshsplatColorEncoding.
-  uint32_t encoding;
-  // Factor of linear light, finite and positive, for AshsplatColorEncoding_LinearSrgb.
-  float exposure;
+  const struct AshsplatTarget *target;
   // The host's depth image, which hides splats that are farther away, or NULL.
-  const struct AshsplatImage *depth;
-  // The host's use of the depth image before the frame.
-  struct AshsplatImageState depth_from;
-  // Texel of the depth image that belongs to the frame's pixel (0, 0).
-  uint32_t depth_offset[2];
-  // How to read it.
-  struct AshsplatDepthMapping depth_mapping;
-  // The r32f image that expected depth is written to, or NULL.
-  const struct AshsplatImage *expected_depth;
-  // The host's use of that image before the frame.
-  struct AshsplatImageState expected_depth_from;
-  // Texel of that image that receives the frame's pixel (0, 0).
-  uint32_t expected_depth_offset[2];
-  // A pixel of expected depth is empty if the splats' weights sum to less.
-  float min_weight;
-  // The expected depth of empty pixels.
-  float empty_depth;
+  const struct AshsplatOccluder *occluder;
+  // The image that expected depth is written to, or NULL.
+  const struct AshsplatDepthTarget *depth;
   // Parameter updates before the frame.
   const struct AshsplatUpdate *updates;
-  // Number of updates.
-  uint32_t update_count;
   // The target of what is picked, or NULL.
   const struct AshsplatPickTarget *pick;
   // The target of the motion, or NULL.
   const struct AshsplatMotionTarget *motion;
-} AshsplatFrame;
+} AshsplatRecordedFrame;
 
 // The state after a recording. The next user of its results waits for these stages and accesses, and finds
 // the images in these layouts.
 typedef struct AshsplatRelease {
+  // Set by ASHSPLAT_INIT.
+  uint32_t struct_size;
   // VkPipelineStageFlags2 that write results.
   uint64_t stages;
   // VkAccessFlags2 that they write with.
   uint64_t accesses;
   // Last use of the target.
-  struct AshsplatImageState target;
-  // Last use of the depth image.
-  struct AshsplatImageState depth;
+  struct AshsplatImageState color;
+  // Last use of the host's depth image.
+  struct AshsplatImageState occluder;
   // Last use of the image of expected depth.
-  struct AshsplatImageState expected_depth;
+  struct AshsplatImageState depth;
   // Last use of the image of what is picked.
   struct AshsplatImageState pick;
   // Last use of the image of motion.
@@ -477,6 +549,8 @@ typedef struct AshsplatRelease {
 
 // What is allocated in advance for recording.
 typedef struct AshsplatReservation {
+  // Set by ASHSPLAT_INIT.
+  uint32_t struct_size;
   // Frames in flight.
   uint32_t slots;
   // Gaussians of all scenes of a frame together.
@@ -485,7 +559,7 @@ typedef struct AshsplatReservation {
   uint32_t scenes;
   // Highest degree of the scenes' spherical harmonics.
   uint32_t sh_degree;
-  // (tile, Gaussian) instances of a frame; 0 for an estimate. AshsplatReport has the number that a frame
+  // (tile, Gaussian) instances of a frame; 0 for an estimate. AshsplatSlotReport has the number that a frame
   // needs.
   uint32_t instances;
   // Width of the largest picture, pixels. Pictures of any shape fit that need no more pixels and no more tiles
@@ -493,33 +567,35 @@ typedef struct AshsplatReservation {
   uint32_t width;
   // Height of the largest picture, pixels: see `width`.
   uint32_t height;
-  // Passes of blending, 0 for one. More are only needed if a driver's limit on loops cuts off very long
-  // tiles. AshsplatReport has the number that a frame needs.
+  // Passes of blending. More than one are only needed if a driver's limit on loops cuts off very long
+  // tiles. AshsplatSlotReport has the number that a frame needs.
   uint32_t blend_passes;
+  // Cut-outs of all scenes of a frame together.
+  uint32_t cut_outs;
   // Whether frames will render the sum of weights / z.
   bool inverse_depth;
   // Whether frames will read a host's depth image.
   bool occlusion;
   // Whether frames will render expected depth.
   bool expected_depth;
-  // Whether all frames go into images (AshsplatFrame.target). Slots then have no pixels of their own.
+  // Whether all frames go into images (AshsplatRecordedFrame.target). Slots then have no pixels of their own.
   bool images_only;
-  // Queues that frames are submitted to, 0 for one. What lives only while a frame is computed exists once for each
+  // Queues that frames are submitted to. What lives only while a frame is computed exists once for each
   // queue: slots whose numbers leave the same rest when divided by this share it. Their frames go to one queue, in
   // any order, or are ordered by semaphores. With as many queues as slots nothing is shared.
   uint32_t queues;
-  // Bytes of staging memory for a frame's updates: ashsplat_update_bytes.
-  uint64_t staging_bytes;
   // Whether scenes of frames will have a tint or an opacity (AshsplatSceneSettings).
   bool tint;
   // Whether scenes of frames will have a selection.
   bool selection;
-  // Cut-outs of all scenes of a frame together.
-  uint32_t cut_outs;
+  // Whether frames will have orthographic cameras, beside pinholes; also those of the frame before, for motion.
+  bool orthographic;
   // Whether frames will have what is picked at each pixel: 8 bytes of memory per pixel.
   bool pick;
   // Whether frames will have motion: 8 bytes of memory per pixel and 8 per Gaussian.
   bool motion;
+  // Bytes of staging memory for a frame's updates: ashsplat_update_bytes.
+  uint64_t staging_bytes;
 } AshsplatReservation;
 
 // The layout of the parameters in a host's own buffers: planes of four floats. Plane 0 is the mean and the
@@ -529,6 +605,8 @@ typedef struct AshsplatReservation {
 // eight. In the group of planes `first` to `end` - 1, plane p of the i-th Gaussian of a chunk begins at byte
 // 16 * (first * chunk_gaussians + (i / 8 * (end - first) + p - first) * 8 + i % 8).
 typedef struct AshsplatScenePlan {
+  // Set by ASHSPLAT_INIT.
+  uint32_t struct_size;
   // Number of buffers.
   uint32_t chunks;
   // Planes of a Gaussian: three, and those of the spherical harmonics.
@@ -540,7 +618,9 @@ typedef struct AshsplatScenePlan {
 } AshsplatScenePlan;
 
 // The report of a recorded frame.
-typedef struct AshsplatReport {
+typedef struct AshsplatSlotReport {
+  // Set by ASHSPLAT_INIT.
+  uint32_t struct_size;
   // Whether the frame has finished. The other fields are valid only then.
   bool finished;
   // Whether a capacity was too small. The picture then lacks the Gaussians farthest away, or all of them
@@ -560,18 +640,22 @@ typedef struct AshsplatReport {
   uint32_t blend_passes_needed;
   // Time on the device, nanoseconds; 0 without timestamps.
   double nanoseconds;
-} AshsplatReport;
+} AshsplatSlotReport;
 
 // A photograph to train on, and its camera.
 typedef struct AshsplatTrainView {
+  // Set by ASHSPLAT_INIT.
+  uint32_t struct_size;
   // The camera; its size is the photograph's.
-  struct AshsplatCamera camera;
+  const struct AshsplatCamera *camera;
   // Red, green and blue of each pixel, a byte each, row by row.
   const uint8_t *rgb;
 } AshsplatTrainView;
 
 // The report of a training step.
 typedef struct AshsplatStep {
+  // Set by ASHSPLAT_INIT.
+  uint32_t struct_size;
   // Whether the step has finished. The other fields are valid only then.
   bool finished;
   // Whether it changed nothing, because a capacity was too small. ashsplat_trainer_maintain grows it. Then
@@ -594,6 +678,8 @@ typedef struct AshsplatStep {
 
 // The report of ashsplat_trainer_maintain.
 typedef struct AshsplatMaintenance {
+  // Set by ASHSPLAT_INIT.
+  uint32_t struct_size;
   // Whether Gaussians were added and removed.
   bool densified;
   // Whether opacities were reset.
@@ -630,7 +716,8 @@ enum AshsplatStatus ashsplat_context_new(const char *device, struct AshsplatCont
 // `context` is NULL or of this library and not used afterwards.
 void ashsplat_context_free(struct AshsplatContext *context);
 
-// Loads a scene from a PLY file.
+// Loads a scene from a file: PLY, compressed PLY, .splat, SPZ, or glTF and GLB with KHR_gaussian_splatting. Its first bytes or
+// its name's ending select the format.
 //
 // # Safety
 // `context` is alive, `path` is a C string, `scene` is valid for a write.
@@ -726,18 +813,17 @@ enum AshsplatStatus ashsplat_merge_features(void *vulkan12, void *vulkan13);
 // - the functions of an allocator may be called from any thread until everything made from the context is
 //   freed, and return memory as requested, without another user;
 // - `context` is valid for a write.
-enum AshsplatStatus ashsplat_context_from_host(const struct AshsplatHost *host,
-                                               struct AshsplatContext **context);
+enum AshsplatStatus ashsplat_context_from_foreign(const struct AshsplatForeignDevice *host,
+                                                  struct AshsplatContext **context);
 
-// A view of a host's image: as a target that kernels write (`sampled` false), or as a depth image that they
-// read.
+// A view of a host's image for kernels: `purpose` is an AshsplatImageUse.
 //
 // # Safety
 // The image is of the context's device, is what `host` says, is bound to memory, and outlives the view and
 // the execution of all recordings that use it; `image` is valid for a write.
 enum AshsplatStatus ashsplat_image_adopt(const struct AshsplatContext *context,
-                                         const struct AshsplatHostImage *host,
-                                         bool sampled,
+                                         const struct AshsplatForeignImage *host,
+                                         uint32_t purpose,
                                          struct AshsplatImage **image);
 
 // Frees a view. Slots keep it as long as their recordings use it, and the host's image must live until they
@@ -780,7 +866,7 @@ enum AshsplatStatus ashsplat_camera_from_matrices(const float *view_from_world,
 enum AshsplatStatus ashsplat_record(struct AshsplatRenderer *renderer,
                                     void *commands,
                                     uint32_t slot,
-                                    const struct AshsplatFrame *frame,
+                                    const struct AshsplatRecordedFrame *frame,
                                     struct AshsplatRelease *release);
 
 // The device of a context, for a host that lets this library open one: each pointer may be NULL.
@@ -814,12 +900,6 @@ enum AshsplatStatus ashsplat_kernels_build(const struct AshsplatKernels *kernels
 // # Safety
 // `kernels` is NULL or of this library and not used afterwards.
 void ashsplat_kernels_free(struct AshsplatKernels *kernels);
-
-// The default settings, with which a scene is drawn as it is.
-//
-// # Safety
-// `settings` is valid for a write.
-enum AshsplatStatus ashsplat_scene_settings(struct AshsplatSceneSettings *settings);
 
 // A cut-out whose pose is one in the world, for a scene that is placed there: `placed` needs no scene.
 //
@@ -874,12 +954,6 @@ enum AshsplatStatus ashsplat_scene_set_count(struct AshsplatScene *scene, uint32
 // Staging bytes of an update of `gaussians` Gaussians of a scene of this degree, for AshsplatReservation.
 uint64_t ashsplat_update_bytes(uint32_t gaussians, uint32_t sh_degree);
 
-// The default settings, with which scenes are trained and shown.
-//
-// # Safety
-// `settings` is valid for a write.
-enum AshsplatStatus ashsplat_render_settings(struct AshsplatRenderSettings *settings);
-
 // Allocates frame slots and builds all kernels that frames of this kind need. Replaces the previous slots,
 // whose command buffers must have finished.
 //
@@ -923,7 +997,7 @@ enum AshsplatStatus ashsplat_reserve_in(struct AshsplatRenderer *renderer,
 // `renderer` is alive, `report` valid for a write.
 enum AshsplatStatus ashsplat_slot_report(struct AshsplatRenderer *renderer,
                                          uint32_t slot,
-                                         struct AshsplatReport *report);
+                                         struct AshsplatSlotReport *report);
 
 // The VkBuffer that a frame without target fills, and the byte offset in it: premultiplied red, green, blue
 // (display-encoded, as trained) and transmittance of each pixel, row by row, as floats. Usable as a storage buffer and a source of
@@ -1078,3 +1152,199 @@ enum AshsplatStatus ashsplat_trainer_save(const struct AshsplatTrainer *trainer,
 #endif  // __cplusplus
 
 #endif  /* ASHSPLAT_H */
+
+/* A struct that knows its size, with the defaults of its fields. */
+#define ASHSPLAT_INIT(Type) Type##_init()
+
+static inline AshsplatAllocator AshsplatAllocator_init(void) {
+  AshsplatAllocator it;
+  memset(&it, 0, sizeof it);
+  it.struct_size = (uint32_t)sizeof it;
+  return it;
+}
+
+static inline AshsplatCamera AshsplatCamera_init(void) {
+  AshsplatCamera it;
+  memset(&it, 0, sizeof it);
+  it.struct_size = (uint32_t)sizeof it;
+  it.camera_from_world[0] = it.camera_from_world[4] = it.camera_from_world[8] = 1.0f;
+  return it;
+}
+
+static inline AshsplatCutOut AshsplatCutOut_init(void) {
+  AshsplatCutOut it;
+  memset(&it, 0, sizeof it);
+  it.struct_size = (uint32_t)sizeof it;
+  it.scene_from_volume[0] = it.scene_from_volume[4] = it.scene_from_volume[8] = 1.0f;
+  it.scale = 1.0f;
+  return it;
+}
+
+static inline AshsplatDepthTarget AshsplatDepthTarget_init(void) {
+  AshsplatDepthTarget it;
+  memset(&it, 0, sizeof it);
+  it.struct_size = (uint32_t)sizeof it;
+  return it;
+}
+
+static inline AshsplatForeignDevice AshsplatForeignDevice_init(void) {
+  AshsplatForeignDevice it;
+  memset(&it, 0, sizeof it);
+  it.struct_size = (uint32_t)sizeof it;
+  return it;
+}
+
+static inline AshsplatForeignImage AshsplatForeignImage_init(void) {
+  AshsplatForeignImage it;
+  memset(&it, 0, sizeof it);
+  it.struct_size = (uint32_t)sizeof it;
+  it.samples = 1;
+  return it;
+}
+
+static inline AshsplatGaussians AshsplatGaussians_init(void) {
+  AshsplatGaussians it;
+  memset(&it, 0, sizeof it);
+  it.struct_size = (uint32_t)sizeof it;
+  return it;
+}
+
+static inline AshsplatMaintenance AshsplatMaintenance_init(void) {
+  AshsplatMaintenance it;
+  memset(&it, 0, sizeof it);
+  it.struct_size = (uint32_t)sizeof it;
+  return it;
+}
+
+static inline AshsplatMotionTarget AshsplatMotionTarget_init(void) {
+  AshsplatMotionTarget it;
+  memset(&it, 0, sizeof it);
+  it.struct_size = (uint32_t)sizeof it;
+  return it;
+}
+
+static inline AshsplatOccluder AshsplatOccluder_init(void) {
+  AshsplatOccluder it;
+  memset(&it, 0, sizeof it);
+  it.struct_size = (uint32_t)sizeof it;
+  return it;
+}
+
+static inline AshsplatPickTarget AshsplatPickTarget_init(void) {
+  AshsplatPickTarget it;
+  memset(&it, 0, sizeof it);
+  it.struct_size = (uint32_t)sizeof it;
+  return it;
+}
+
+static inline AshsplatPlaced AshsplatPlaced_init(void) {
+  AshsplatPlaced it;
+  memset(&it, 0, sizeof it);
+  it.struct_size = (uint32_t)sizeof it;
+  it.world_from_object[0] = it.world_from_object[4] = it.world_from_object[8] = 1.0f;
+  it.scale = 1.0f;
+  return it;
+}
+
+static inline AshsplatPose AshsplatPose_init(void) {
+  AshsplatPose it;
+  memset(&it, 0, sizeof it);
+  it.struct_size = (uint32_t)sizeof it;
+  it.world_from_object[0] = it.world_from_object[4] = it.world_from_object[8] = 1.0f;
+  it.scale = 1.0f;
+  return it;
+}
+
+static inline AshsplatRecordedFrame AshsplatRecordedFrame_init(void) {
+  AshsplatRecordedFrame it;
+  memset(&it, 0, sizeof it);
+  it.struct_size = (uint32_t)sizeof it;
+  return it;
+}
+
+static inline AshsplatRelease AshsplatRelease_init(void) {
+  AshsplatRelease it;
+  memset(&it, 0, sizeof it);
+  it.struct_size = (uint32_t)sizeof it;
+  return it;
+}
+
+static inline AshsplatRenderSettings AshsplatRenderSettings_init(void) {
+  AshsplatRenderSettings it;
+  memset(&it, 0, sizeof it);
+  it.struct_size = (uint32_t)sizeof it;
+  it.sh_degree = 3;
+  it.scale_modifier = 1.0f;
+  return it;
+}
+
+static inline AshsplatReservation AshsplatReservation_init(void) {
+  AshsplatReservation it;
+  memset(&it, 0, sizeof it);
+  it.struct_size = (uint32_t)sizeof it;
+  it.slots = 1;
+  it.queues = 1;
+  it.scenes = 1;
+  it.blend_passes = 1;
+  return it;
+}
+
+static inline AshsplatScenePlan AshsplatScenePlan_init(void) {
+  AshsplatScenePlan it;
+  memset(&it, 0, sizeof it);
+  it.struct_size = (uint32_t)sizeof it;
+  return it;
+}
+
+static inline AshsplatSceneSettings AshsplatSceneSettings_init(void) {
+  AshsplatSceneSettings it;
+  memset(&it, 0, sizeof it);
+  it.struct_size = (uint32_t)sizeof it;
+  it.visible = true;
+  it.tint[0] = 1.0f;
+  it.tint[1] = 1.0f;
+  it.tint[2] = 1.0f;
+  it.opacity = 1.0f;
+  it.sh_degree = 3;
+  it.selection_color[0] = 1.0f;
+  it.selection_color[1] = 1.0f;
+  it.selection_color[2] = 1.0f;
+  it.selection_share = 0.5f;
+  return it;
+}
+
+static inline AshsplatSlotReport AshsplatSlotReport_init(void) {
+  AshsplatSlotReport it;
+  memset(&it, 0, sizeof it);
+  it.struct_size = (uint32_t)sizeof it;
+  return it;
+}
+
+static inline AshsplatStep AshsplatStep_init(void) {
+  AshsplatStep it;
+  memset(&it, 0, sizeof it);
+  it.struct_size = (uint32_t)sizeof it;
+  return it;
+}
+
+static inline AshsplatTarget AshsplatTarget_init(void) {
+  AshsplatTarget it;
+  memset(&it, 0, sizeof it);
+  it.struct_size = (uint32_t)sizeof it;
+  it.exposure = 1.0f;
+  return it;
+}
+
+static inline AshsplatTrainView AshsplatTrainView_init(void) {
+  AshsplatTrainView it;
+  memset(&it, 0, sizeof it);
+  it.struct_size = (uint32_t)sizeof it;
+  return it;
+}
+
+static inline AshsplatUpdate AshsplatUpdate_init(void) {
+  AshsplatUpdate it;
+  memset(&it, 0, sizeof it);
+  it.struct_size = (uint32_t)sizeof it;
+  return it;
+}

@@ -1,14 +1,18 @@
 //! What a frame leaves beside the picture, in C.
 
-use super::{AshsplatCamera, AshsplatImage, AshsplatImageState, borrowed};
+use super::foreign::used;
+use super::structs::{read, read_if};
+use super::{AshsplatCamera, AshsplatHostImage};
 use ashsplat::scene::{Camera, Pose};
-use ashsplat::{HostImage, MotionTarget, PickTarget, Result};
+use ashsplat::{MotionTarget, PickTarget, Result};
 use glam::{Mat3, Vec3};
 
 /// A pose in the world: x_world = scale rotation x_object + translation.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct AshsplatPose {
+    /// Set by ASHSPLAT_INIT.
+    pub struct_size: u32,
     /// A rotation, row by row.
     pub world_from_object: [f32; 9],
     /// World units.
@@ -32,14 +36,12 @@ impl AshsplatPose {
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct AshsplatPickTarget {
+    /// Set by ASHSPLAT_INIT.
+    pub struct_size: u32,
     /// A storage image of format R32G32B32A32_UINT. A texel is the index of the Gaussian in its scene, the index of the scene in
-    /// AshsplatFrame.scenes, the bits of the float of its depth z (world units), and the bits of the float of its weight. Where
-    /// nothing is blended: UINT32_MAX twice, then 0 twice.
-    pub image: *const AshsplatImage,
-    /// The host's use of the image before the frame.
-    pub from: AshsplatImageState,
-    /// Texel that receives the frame's pixel (0, 0).
-    pub offset: [u32; 2],
+    /// AshsplatRecordedFrame.scenes, the bits of the float of its depth z (world units), and the bits of the float of its weight.
+    /// Where nothing is blended: UINT32_MAX twice, then 0 twice.
+    pub to: AshsplatHostImage,
 }
 
 /// An image of motion: of what is blended at each pixel, the mean of its motion on the screen from the frame before to this
@@ -47,59 +49,62 @@ pub struct AshsplatPickTarget {
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct AshsplatMotionTarget {
-    /// A storage image of format R16G16_SFLOAT, with MUTABLE_FORMAT (AshsplatHostImage.flags): the place now less the place
-    /// before, in pixels, x right, y down. What is at pixel p now was at p - motion.
-    pub image: *const AshsplatImage,
-    /// The host's use of the image before the frame.
-    pub from: AshsplatImageState,
-    /// Texel that receives the frame's pixel (0, 0).
-    pub offset: [u32; 2],
-    /// The camera of the frame before, of the same width and height. Poses before are in AshsplatPlaced. What did not lie in
-    /// front of it (depth z above 0.2) has no motion.
-    pub previous_camera: AshsplatCamera,
+    /// Set by ASHSPLAT_INIT.
+    pub struct_size: u32,
     /// A pixel is empty if the splats' weights sum to less.
     pub min_weight: f32,
     /// The motion of empty pixels, pixels.
     pub empty: [f32; 2],
     /// Whether empty pixels keep what is in the image, in place of `empty`.
     pub keeps_empty: bool,
+    /// The camera of the frame before, of the same width and height. Poses before are in AshsplatPlaced. What did not lie in
+    /// front of it (depth z above 0.2) has no motion.
+    pub previous_camera: *const AshsplatCamera,
+    /// A storage image of format R16G16_SFLOAT, with MUTABLE_FORMAT (AshsplatForeignImage.flags): the place now less the place
+    /// before, in pixels, x right, y down. What is at pixel p now was at p - motion.
+    pub to: AshsplatHostImage,
 }
 
+/// What is picked, if the host wants it.
+///
 /// # Safety
 /// `target` is NULL or alive with its image.
 pub(super) unsafe fn pick<'a>(target: *const AshsplatPickTarget) -> Result<Option<PickTarget<'a>>> {
     // SAFETY: as promised.
-    let Some(target) = (unsafe { target.as_ref() }) else { return Ok(None) };
+    let Some(target) = (unsafe { read_if(target, "pick")? }) else { return Ok(None) };
     // SAFETY: as promised.
-    let image = &unsafe { borrowed(target.image, "pick.image")? }.0;
-    Ok(Some(PickTarget { to: HostImage { image, from: target.from.into(), offset: target.offset } }))
+    Ok(Some(PickTarget { to: unsafe { used(&target.to, "pick.to.image")? } }))
 }
 
-/// The camera of the frame before, if there is a motion.
-///
-/// # Safety
-/// `target` is NULL or alive.
-pub(super) unsafe fn previous_camera(target: *const AshsplatMotionTarget) -> Option<Camera> {
-    // SAFETY: as promised.
-    unsafe { target.as_ref() }.map(|target| (&target.previous_camera).into())
+/// A target of motion and the camera of the frame before.
+pub(super) struct Motion {
+    target: AshsplatMotionTarget,
+    previous_camera: Camera,
 }
 
-/// # Safety
-/// `target` is NULL or alive with its image.
-pub(super) unsafe fn motion<'a>(
-    target: *const AshsplatMotionTarget,
-    previous_camera: Option<&'a Camera>,
-) -> Result<Option<MotionTarget<'a>>> {
-    // SAFETY: as promised.
-    let (Some(target), Some(previous_camera)) = (unsafe { target.as_ref() }, previous_camera) else {
-        return Ok(None);
-    };
-    // SAFETY: as promised.
-    let image = &unsafe { borrowed(target.image, "motion.image")? }.0;
-    Ok(Some(MotionTarget {
-        to: HostImage { image, from: target.from.into(), offset: target.offset },
-        previous_camera,
-        min_weight: target.min_weight,
-        empty: (!target.keeps_empty).then_some(target.empty),
-    }))
+impl Motion {
+    /// The motion that the host wants, if it does.
+    ///
+    /// # Safety
+    /// `target` is NULL or alive with its camera.
+    pub unsafe fn read(target: *const AshsplatMotionTarget) -> Result<Option<Self>> {
+        // SAFETY: as promised.
+        let Some(target) = (unsafe { read_if(target, "motion")? }) else { return Ok(None) };
+        let name = "motion.previous_camera";
+        // SAFETY: as promised.
+        let previous_camera = unsafe { read(target.previous_camera, name)? }.known_as(name)?;
+        Ok(Some(Self { target, previous_camera }))
+    }
+
+    /// As the library has it.
+    ///
+    /// # Safety
+    /// Its image is NULL or alive.
+    pub unsafe fn target(&self) -> Result<MotionTarget<'_>> {
+        let AshsplatMotionTarget { to, min_weight, empty, keeps_empty, .. } = self.target;
+        // SAFETY: as promised.
+        let to = unsafe { used(&to, "motion.to.image")? };
+        let empty = (!keeps_empty).then_some(empty);
+        Ok(MotionTarget { to, previous_camera: &self.previous_camera, min_weight, empty })
+    }
 }

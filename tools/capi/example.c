@@ -33,7 +33,7 @@ int main(int count, char **arguments) {
 
     const float eye[3] = {0.0f, -1.0f, -4.0f}, target[3] = {0.0f, 0.0f, 0.0f}, up[3] = {0.0f, -1.0f, 0.0f};
     const float background[3] = {0.1f, 0.2f, 0.3f};
-    AshsplatCamera camera;
+    AshsplatCamera camera = ASHSPLAT_INIT(AshsplatCamera);
     check(ashsplat_camera_look_at(eye, target, up, 0.7f, WIDTH, HEIGHT, &camera), "looking at the scene");
 
     float *rgb = malloc(sizeof(float) * 3 * WIDTH * HEIGHT);

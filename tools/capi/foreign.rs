@@ -1,10 +1,12 @@
 //! A host's device, images and command buffers in C.
 
 use super::allocator::Adapter;
+use super::structs::{check_room, read, read_all, read_if, within, write, write_if};
 use super::{
-    AshsplatCamera, AshsplatContext, AshsplatDepthMapping, AshsplatFrame, AshsplatHost, AshsplatHostImage,
-    AshsplatImageState, AshsplatPose, AshsplatRelease, AshsplatRenderer, AshsplatStatus, auxiliary, borrowed,
-    borrowed_mut, give, guarded, scene_settings, scenes, settings, slice, take,
+    AshsplatCamera, AshsplatContext, AshsplatDepthMapping, AshsplatDepthTarget, AshsplatForeignDevice,
+    AshsplatForeignImage, AshsplatHostImage, AshsplatOccluder, AshsplatPose, AshsplatRecordedFrame,
+    AshsplatRelease, AshsplatRenderer, AshsplatStatus, auxiliary, borrowed, borrowed_mut, frames, give,
+    guarded, scene_settings, scenes, settings, slice, take,
 };
 use ashsplat::ash::{self, vk, vk::Handle};
 use ashsplat::scene::{ClipY, HostView};
@@ -19,7 +21,7 @@ use std::ffi::{CStr, c_char, c_void};
 use std::sync::Arc;
 
 /// A view of a host's image.
-pub struct AshsplatImage(pub(super) Image);
+pub struct AshsplatImage(Image);
 
 /// The features and extensions that a host has to enable, as readable text.
 #[unsafe(no_mangle)]
@@ -62,20 +64,20 @@ pub unsafe extern "C" fn ashsplat_merge_features(
 ///   freed, and return memory as requested, without another user;
 /// - `context` is valid for a write.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn ashsplat_context_from_host(
-    host: *const AshsplatHost,
+pub unsafe extern "C" fn ashsplat_context_from_foreign(
+    host: *const AshsplatForeignDevice,
     context: *mut *mut AshsplatContext,
 ) -> AshsplatStatus {
     // SAFETY: as promised.
     guarded(|| unsafe {
-        let host = borrowed(host, "host")?;
-        give(context, "context", || from_host(host).map(AshsplatContext))
+        let host = read(host, "host")?;
+        give(context, "context", || from_host(&host).map(AshsplatContext))
     })
 }
 
 /// # Safety
-/// As [`ashsplat_context_from_host`].
-unsafe fn from_host(host: &AshsplatHost) -> Result<Context> {
+/// As [`ashsplat_context_from_foreign`].
+unsafe fn from_host(host: &AshsplatForeignDevice) -> Result<Context> {
     let null = |what: &str| Error::argument(what, "the handle is null");
     let handle = |pointer: *mut c_void| pointer as u64;
     if host.get_instance_proc_addr.is_null() {
@@ -102,7 +104,8 @@ unsafe fn from_host(host: &AshsplatHost) -> Result<Context> {
         let names = slice(host.extensions, host.extension_count as usize, "extensions")?;
         let extensions: Vec<&CStr> =
             names.iter().filter(|name| !name.is_null()).map(|&name| CStr::from_ptr(name)).collect();
-        let allocator = host.allocator.as_ref().map(|allocator| Adapter::new(allocator)).transpose()?;
+        let allocator = read_if(host.allocator, "allocator")?;
+        let allocator = allocator.map(|allocator| Adapter::new(&allocator)).transpose()?;
         let allocator = allocator.map(|adapter| Arc::new(adapter) as Arc<dyn HostAllocator>);
         let foreign = ForeignDevice {
             instance: &instance,
@@ -120,8 +123,7 @@ unsafe fn from_host(host: &AshsplatHost) -> Result<Context> {
     }
 }
 
-/// A view of a host's image: as a target that kernels write (`sampled` false), or as a depth image that they
-/// read.
+/// A view of a host's image for kernels: `purpose` is an AshsplatImageUse.
 ///
 /// # Safety
 /// The image is of the context's device, is what `host` says, is bound to memory, and outlives the view and
@@ -129,13 +131,15 @@ unsafe fn from_host(host: &AshsplatHost) -> Result<Context> {
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ashsplat_image_adopt(
     context: *const AshsplatContext,
-    host: *const AshsplatHostImage,
-    sampled: bool,
+    host: *const AshsplatForeignImage,
+    purpose: u32,
     image: *mut *mut AshsplatImage,
 ) -> AshsplatStatus {
     // SAFETY: as promised.
     guarded(|| unsafe {
-        let (context, host) = (borrowed(context, "context")?, borrowed(host, "host")?);
+        let (context, host) = (borrowed(context, "context")?, read(host, "host")?);
+        let uses = [("target", ImageUse::Storage), ("depth", ImageUse::Sampled)];
+        let (name, purpose) = settings::one_of("purpose", purpose, &uses)?;
         let foreign = ForeignImage {
             image: vk::Image::from_raw(host.image),
             format: vk::Format::from_raw(host.format),
@@ -144,10 +148,8 @@ pub unsafe extern "C" fn ashsplat_image_adopt(
             mip_level: host.mip_level,
             layer: host.layer,
             flags: vk::ImageCreateFlags::from_raw(host.flags),
-            samples: vk::SampleCountFlags::from_raw(host.samples.max(1)),
+            samples: vk::SampleCountFlags::from_raw(host.samples),
         };
-        let (name, purpose) =
-            if sampled { ("depth", ImageUse::Sampled) } else { ("target", ImageUse::Storage) };
         give(image, "image", || Image::adopt(&context.0, name, &foreign, purpose).map(AshsplatImage))
     })
 }
@@ -189,7 +191,7 @@ pub unsafe extern "C" fn ashsplat_camera_from_matrices(
             height,
         };
         let (found, depth) = host.camera()?;
-        *borrowed_mut(camera, "camera")? = found.into();
+        write(camera, "camera", found.into())?;
         if let Some(mapping) = mapping.as_mut() {
             *mapping = depth.into();
         }
@@ -218,67 +220,73 @@ pub unsafe extern "C" fn ashsplat_record(
     renderer: *mut AshsplatRenderer,
     commands: *mut c_void,
     slot: u32,
-    frame: *const AshsplatFrame,
+    frame: *const AshsplatRecordedFrame,
     release: *mut AshsplatRelease,
 ) -> AshsplatStatus {
     // SAFETY: as promised.
     guarded(|| unsafe {
-        let (renderer, f) = (borrowed_mut(renderer, "renderer")?, borrowed(frame, "frame")?);
-        let placed = slice(f.scenes, f.scene_count as usize, "scenes")?;
-        let pointees = scene_settings::pointees(placed, renderer.0.context())?;
+        let (renderer, f) = (borrowed_mut(renderer, "renderer")?, read(frame, "frame")?);
+        check_room(release, "release")?;
+        let placed = read_all(f.scenes, f.scene_count, "scenes")?;
+        let pointees = scene_settings::pointees(&placed, renderer.0.context())?;
         let mut scenes = Vec::with_capacity(placed.len());
-        for (placed, own) in placed.iter().zip(&pointees) {
-            let settings = scene_settings::of(placed, own);
-            let scene = &borrowed(placed.scene, "scene")?.scene;
-            let previous_pose = placed.previous_pose.as_ref().map(AshsplatPose::pose);
-            scenes.push(Placed { settings, previous_pose, ..Placed::at(scene, placed.pose()) });
+        for (place, (placed, own)) in placed.iter().zip(&pointees).enumerate() {
+            let scene = borrowed(placed.scene, "scene");
+            let scene = &scene.map_err(within(format_args!("scenes[{place}]")))?.scene;
+            let previous_pose = read_if(placed.previous_pose, "previous_pose");
+            let previous_pose = previous_pose.map_err(within(format_args!("scenes[{place}]")))?;
+            scenes.push(Placed {
+                settings: scene_settings::of(own),
+                previous_pose: previous_pose.as_ref().map(AshsplatPose::pose),
+                ..Placed::at(scene, placed.pose())
+            });
         }
-        let copied = scenes::copied(slice(f.updates, f.update_count as usize, "updates")?)?;
+        let copied = scenes::copied(&read_all(f.updates, f.update_count, "updates")?)?;
         let updates = scenes::updates(&copied);
-        let camera = (&f.camera).into();
-        let settings = f.settings.as_ref().map_or(Ok(RenderSettings::default()), |s| s.checked())?;
+        let camera = read(f.camera, "camera")?.known()?;
+        let settings = read_if(f.settings, "settings")?;
+        let settings = settings.map_or(Ok(RenderSettings::default()), |settings| settings.checked())?;
         let mut recorded =
             RecordedFrame { updates: &updates, ..RecordedFrame::new(&scenes, &camera, &settings) };
-        let used = |image, s: AshsplatImageState, offset| HostImage { image, from: s.into(), offset };
-        if let Some(image) = f.target.as_ref() {
-            let to = used(&image.0, f.target_from, f.target_offset);
-            let behind = settings::behind(f.behind, f.background)?;
-            let encoding = settings::encoding(f.encoding, f.exposure)?;
-            recorded.target = Target::Image { to, behind, encoding };
+        if let Some(target) = read_if(f.target, "target")? {
+            recorded.target = Target::Image {
+                to: used(&target.to, "target.to.image")?,
+                behind: frames::behind(target.behind, target.background)?,
+                encoding: frames::encoding(target.encoding, target.exposure)?,
+            };
         }
-        if let Some(image) = f.depth.as_ref() {
-            let depth = used(&image.0, f.depth_from, f.depth_offset);
-            recorded.occluder = Some(Occluder { depth, mapping: f.depth_mapping.into() });
+        if let Some(AshsplatOccluder { depth, mapping, .. }) = read_if(f.occluder, "occluder")? {
+            let depth = used(&depth, "occluder.depth.image")?;
+            recorded.occluder = Some(Occluder { depth, mapping: mapping.into() });
         }
-        if let Some(image) = f.expected_depth.as_ref() {
-            let to = used(&image.0, f.expected_depth_from, f.expected_depth_offset);
-            recorded.depth = Some(DepthTarget { to, min_weight: f.min_weight, empty: f.empty_depth });
+        if let Some(AshsplatDepthTarget { to, min_weight, empty, .. }) = read_if(f.depth, "depth")? {
+            recorded.depth = Some(DepthTarget { to: used(&to, "depth.to.image")?, min_weight, empty });
         }
-        let previous_camera = auxiliary::previous_camera(f.motion);
+        let motion = auxiliary::Motion::read(f.motion)?;
         recorded.pick = auxiliary::pick(f.pick)?;
-        recorded.motion = auxiliary::motion(f.motion, previous_camera.as_ref())?;
+        recorded.motion = motion.as_ref().map(|motion| motion.target()).transpose()?;
         let commands = vk::CommandBuffer::from_raw(commands as u64);
         let commands = renderer.0.context().adopt_commands(commands)?;
         let left = renderer.0.record(commands, slot, &recorded).map_err(in_c)?;
-        if let Some(release) = release.as_mut() {
-            *release = (&left).into();
-        }
-        Ok(())
+        write_if(release, "release", (&left).into())
     })
 }
 
-/// An error of a frame with the names of AshsplatFrame's fields.
+/// A host's image as the library has it.
+///
+/// # Safety
+/// Its view is null or alive.
+pub(super) unsafe fn used<'a>(host: &AshsplatHostImage, what: &str) -> Result<HostImage<'a>> {
+    // SAFETY: as promised.
+    let image = unsafe { borrowed(host.image, what)? };
+    Ok(HostImage { image: &image.0, from: host.from.into(), offset: host.offset })
+}
+
+/// An error of a frame with the names of ashsplat_record's parameters; the fields have the same in both languages.
 fn in_c(error: Error) -> Error {
     let Error::Argument { what, problem } = error else { return error };
     let (field, rest) = what.split_at(what.find(" (").unwrap_or(what.len()));
     let name = match field {
-        "occluder" => "depth",
-        "occluder.mapping" => "depth_mapping",
-        "depth" => "expected_depth",
-        "depth.min_weight" => "min_weight",
-        // Not where it is the field of a reservation.
-        "pick" if !rest.is_empty() => "pick.image",
-        "motion" if !rest.is_empty() => "motion.image",
         "command buffer" => "commands",
         "frame slot" => "slot",
         other => other,

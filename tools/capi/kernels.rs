@@ -1,5 +1,6 @@
 //! Kernels that are built ahead, in C.
 
+use super::structs::read;
 use super::{
     AshsplatContext, AshsplatReservation, AshsplatStatus, borrowed, borrowed_mut, give, guarded, take,
 };
@@ -23,10 +24,10 @@ pub unsafe extern "C" fn ashsplat_kernels_new(
 ) -> AshsplatStatus {
     // SAFETY: as promised.
     guarded(|| unsafe {
-        let (context, wanted) = (borrowed(context, "context")?, borrowed(wanted, "reservation")?);
+        let (context, wanted) = (borrowed(context, "context")?, read(wanted, "wanted")?);
         let count = borrowed_mut(count, "count")?;
         give(kernels, "kernels", || {
-            let jobs = Renderer::kernel_jobs(&context.0, &wanted.into())?;
+            let jobs = Renderer::kernel_jobs(&context.0, &(&wanted).into())?;
             *count = jobs.len() as u32;
             Ok(AshsplatKernels(jobs))
         })

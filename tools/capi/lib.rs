@@ -7,28 +7,33 @@
 mod allocator;
 mod auxiliary;
 mod foreign;
+mod frames;
 mod kernels;
 mod scene_settings;
 mod scenes;
 mod settings;
 mod slots;
+mod structs;
 mod training;
 mod types;
 
 pub use allocator::{AshsplatAllocator, AshsplatMemory, AshsplatMemoryRequest};
 pub use auxiliary::*;
 pub use foreign::*;
+pub use frames::*;
 pub use kernels::*;
 pub use scene_settings::*;
 pub use scenes::*;
 pub use settings::*;
 pub use slots::*;
+pub use structs::{Defaults, STRUCTS};
 pub use training::*;
 pub use types::*;
 
+use self::structs::{read, read_if, write};
 use ashsplat::vk::{Context, ContextOptions};
 use ashsplat::{DeviceScene, Error, RenderSettings, Renderer, Result};
-use ashsplat_files::{Photo, PhotoFileFormat, ply};
+use ashsplat_files::{Photo, PhotoFileFormat, splats};
 use std::cell::RefCell;
 use std::ffi::{CStr, CString, c_char};
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -193,7 +198,8 @@ pub unsafe extern "C" fn ashsplat_context_free(context: *mut AshsplatContext) {
     unsafe { take(context) }
 }
 
-/// Loads a scene from a PLY file.
+/// Loads a scene from a file: PLY, compressed PLY, .splat, SPZ, or glTF and GLB with KHR_gaussian_splatting. Its first bytes or
+/// its name's ending select the format.
 ///
 /// # Safety
 /// `context` is alive, `path` is a C string, `scene` is valid for a write.
@@ -207,7 +213,7 @@ pub unsafe extern "C" fn ashsplat_scene_load(
     guarded(|| unsafe {
         let (context, path) = (borrowed(context, "context")?, text(path, "path")?);
         give(scene, "scene", || {
-            let file = ply::read(path, &ply::PlyOptions::default())?;
+            let file = splats::read(path, &splats::ReadOptions::default())?;
             Ok(AshsplatScene { scene: DeviceScene::upload(&context.0, &file.gaussians, 0)? })
         })
     })
@@ -294,8 +300,7 @@ pub unsafe extern "C" fn ashsplat_camera_look_at(
         let intrinsics = ashsplat::scene::Intrinsics::from_fov_x(fov_x, width, height);
         let looking = ashsplat::Camera::look_at(eye, target, up, intrinsics);
         looking.check()?;
-        *borrowed_mut(camera, "camera")? = looking.into();
-        Ok(())
+        write(camera, "camera", looking.into())
     })
 }
 
@@ -317,8 +322,8 @@ pub unsafe extern "C" fn ashsplat_render(
     // SAFETY: as promised.
     guarded(|| unsafe {
         let (renderer, scene) = (borrowed_mut(renderer, "renderer")?, borrowed(scene, "scene")?);
-        let camera = borrowed(camera, "camera")?.into();
-        let settings = settings.as_ref().map(AshsplatRenderSettings::checked).transpose()?;
+        let camera = read(camera, "camera")?.known()?;
+        let settings = read_if(settings, "settings")?.map(|settings| settings.checked()).transpose()?;
         let mut settings: RenderSettings = settings.unwrap_or_default();
         settings.background.copy_from_slice(slice(background, 3, "background")?);
         let first = borrowed_mut(rgb, "rgb")?;

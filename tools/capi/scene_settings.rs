@@ -1,7 +1,8 @@
 //! How one scene of a frame is drawn, in C.
 
 use super::settings::one_of;
-use super::{AshsplatHostBuffer, AshsplatPlaced, AshsplatStatus, borrowed, borrowed_mut, guarded, slice};
+use super::structs::{read, read_all, read_if, within, write};
+use super::{AshsplatHostBuffer, AshsplatPlaced, AshsplatStatus, guarded};
 use ashsplat::ash::{vk, vk::Handle};
 use ashsplat::scene::{CutOut, Inside, MAX_CUT_OUTS, Pose, Volume};
 use ashsplat::vk::{Buffer, Context};
@@ -25,6 +26,10 @@ pub enum AshsplatVolume {
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct AshsplatCutOut {
+    /// Set by ASHSPLAT_INIT.
+    pub struct_size: u32,
+    /// Whether what lies inside is removed, instead of kept.
+    pub removes: bool,
     /// An AshsplatVolume.
     pub volume: u32,
     /// Half of the size along each of its axes, positive; of a half-space the normal, out of it, of any length but 0.
@@ -38,15 +43,14 @@ pub struct AshsplatCutOut {
     pub translation: [f32; 3],
     /// Units of the scene per unit of the volume: 1 for no scaling.
     pub scale: f32,
-    /// Whether what lies inside is removed, instead of kept.
-    pub removes: bool,
 }
 
-/// How one scene of a frame is drawn. Call ashsplat_scene_settings first, which fills in the defaults: zeroed memory is a scene
-/// that is not drawn.
+/// How one scene of a frame is drawn; by default as it is.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct AshsplatSceneSettings {
+    /// Set by ASHSPLAT_INIT.
+    pub struct_size: u32,
     /// Whether it is drawn. A scene that is not takes no Gaussians of the reservation and no time on the device. It counts
     /// among its scenes, and the others keep their places.
     pub visible: bool,
@@ -56,10 +60,10 @@ pub struct AshsplatSceneSettings {
     pub opacity: f32,
     /// Highest evaluated SH degree: 3 for all stored degrees.
     pub sh_degree: u32,
+    /// How many cut-outs, at most 16.
+    pub cut_out_count: u32,
     /// Volumes that keep or remove Gaussians.
     pub cut_outs: *const AshsplatCutOut,
-    /// How many, at most 16.
-    pub cut_out_count: u32,
     /// A bit per Gaussian of the scene, set where it has another colour: bit i % 32 of the word i / 32. A buffer with the usages
     /// STORAGE_BUFFER, TRANSFER_SRC and TRANSFER_DST, of whole words for all Gaussians; or NULL.
     pub selection: *const AshsplatHostBuffer,
@@ -69,8 +73,9 @@ pub struct AshsplatSceneSettings {
     pub selection_share: f32,
 }
 
-/// What the settings of a scene point to, as the library has it.
+/// The settings of a scene and what they point to, as the library has it.
 pub(super) struct Pointees {
+    settings: Option<AshsplatSceneSettings>,
     cut_outs: Vec<CutOut>,
     mask: Option<Buffer>,
 }
@@ -100,8 +105,9 @@ impl AshsplatCutOut {
 pub(super) unsafe fn pointees(placed: &[AshsplatPlaced], context: &Context) -> Result<Vec<Pointees>> {
     let of = |(place, placed): (usize, &AshsplatPlaced)| {
         // SAFETY: as promised.
-        let Some(settings) = (unsafe { placed.settings.as_ref() }) else {
-            return Ok(Pointees { cut_outs: Vec::new(), mask: None });
+        let settings = unsafe { read_if(placed.settings, "settings") };
+        let Some(settings) = settings.map_err(within(format_args!("scenes[{place}]")))? else {
+            return Ok(Pointees { settings: None, cut_outs: Vec::new(), mask: None });
         };
         let field = || format!("scenes[{place}].settings.cut_outs");
         let count = settings.cut_out_count as usize;
@@ -109,11 +115,9 @@ pub(super) unsafe fn pointees(placed: &[AshsplatPlaced], context: &Context) -> R
         if count > MAX_CUT_OUTS {
             return Err(Error::argument(field(), format!("{count} of them, there may be {MAX_CUT_OUTS}")));
         }
-        if count > 0 && settings.cut_outs.is_null() {
-            return Err(Error::argument(field(), "the pointer is null"));
-        }
         // SAFETY: as promised.
-        let own = unsafe { slice(settings.cut_outs, count, "cut_outs")? };
+        let own = unsafe { read_all(settings.cut_outs, settings.cut_out_count, "cut_outs") };
+        let own = own.map_err(within(format_args!("scenes[{place}].settings")))?;
         let checked =
             |(index, cut_out): (usize, &AshsplatCutOut)| cut_out.checked(|| format!("{}[{index}]", field()));
         let cut_outs: Result<_> = own.iter().enumerate().map(checked).collect();
@@ -123,26 +127,19 @@ pub(super) unsafe fn pointees(placed: &[AshsplatPlaced], context: &Context) -> R
             // SAFETY: as promised.
             unsafe { Buffer::adopt(context, "selection", raw, mask.offset, mask.bytes) }
         });
-        Ok(Pointees { cut_outs: cut_outs?, mask: mask.transpose()? })
+        Ok(Pointees { settings: Some(settings), cut_outs: cut_outs?, mask: mask.transpose()? })
     };
     placed.iter().enumerate().map(of).collect()
 }
 
 /// Checks a pose that is a part of something.
 fn check_pose(pose: &Pose, of: &str) -> Result<()> {
-    pose.check().map_err(|error| match error {
-        Error::Argument { what, problem } => Error::argument(format!("{of}.{what}"), problem),
-        other => other,
-    })
+    pose.check().map_err(within(of))
 }
 
 /// The settings of a scene with what they point to.
-///
-/// # Safety
-/// The settings are NULL or valid.
-pub(super) unsafe fn of<'a>(placed: &AshsplatPlaced, own: &'a Pointees) -> SceneSettings<'a> {
-    // SAFETY: as promised.
-    unsafe { placed.settings.as_ref() }.map_or_else(SceneSettings::default, |settings| SceneSettings {
+pub(super) fn of(own: &Pointees) -> SceneSettings<'_> {
+    own.settings.as_ref().map_or_else(SceneSettings::default, |settings| SceneSettings {
         visible: settings.visible,
         tint: settings.tint,
         opacity: settings.opacity,
@@ -152,29 +149,6 @@ pub(super) unsafe fn of<'a>(placed: &AshsplatPlaced, own: &'a Pointees) -> Scene
             let (color, share) = (settings.selection_color, settings.selection_share);
             Selection { mask, color, share }
         }),
-    })
-}
-
-/// The default settings, with which a scene is drawn as it is.
-///
-/// # Safety
-/// `settings` is valid for a write.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn ashsplat_scene_settings(settings: *mut AshsplatSceneSettings) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
-        *borrowed_mut(settings, "settings")? = AshsplatSceneSettings {
-            visible: true,
-            tint: [1.0; 3],
-            opacity: 1.0,
-            sh_degree: 3,
-            cut_outs: std::ptr::null(),
-            cut_out_count: 0,
-            selection: std::ptr::null(),
-            selection_color: [1.0; 3],
-            selection_share: 0.5,
-        };
-        Ok(())
     })
 }
 
@@ -190,18 +164,18 @@ pub unsafe extern "C" fn ashsplat_cut_out_in_scene(
 ) -> AshsplatStatus {
     // SAFETY: as promised.
     guarded(|| unsafe {
-        let (own, scene) = (*borrowed(cut_out, "cut_out")?, borrowed(placed, "placed")?.pose());
+        let (own, scene) = (read(cut_out, "cut_out")?, read(placed, "placed")?.pose());
         let in_world = own.checked(|| "cut_out".to_owned())?;
         check_pose(&in_world.pose, "cut_out")?;
         check_pose(&scene, "placed")?;
         let CutOut { pose, .. } = in_world.in_scene(&scene);
         check_pose(&pose, "in_scene")?;
-        *borrowed_mut(in_scene, "in_scene")? = AshsplatCutOut {
+        let moved = AshsplatCutOut {
             scene_from_volume: pose.world_from_object.transpose().to_cols_array(),
             translation: pose.translation.to_array(),
             scale: pose.scale,
             ..own
         };
-        Ok(())
+        write(in_scene, "in_scene", moved)
     })
 }

@@ -1,5 +1,6 @@
 //! Scenes that a host makes, changes and owns, in C.
 
+use super::structs::{read, within, write};
 use super::{
     AshsplatContext, AshsplatGaussians, AshsplatHostBuffer, AshsplatScene, AshsplatScenePlan, AshsplatStatus,
     AshsplatUpdate, borrowed, borrowed_mut, give, guarded, slice,
@@ -15,7 +16,7 @@ use ashsplat::{DeviceScene, Error, Reservation, Result, Update};
 /// The arrays have as many elements as the count and the degree say.
 pub(super) unsafe fn gaussians(host: &AshsplatGaussians) -> Result<Gaussians> {
     if host.sh_degree > 3 {
-        return Err(Error::argument("SH degree", format!("{} is above 3", host.sh_degree)));
+        return Err(Error::argument("sh_degree", format!("{} is above 3", host.sh_degree)));
     }
     let (count, coefficients) = (host.count as usize, (host.sh_degree as usize + 1).pow(2));
     // SAFETY: as promised.
@@ -36,12 +37,18 @@ pub(super) unsafe fn gaussians(host: &AshsplatGaussians) -> Result<Gaussians> {
 ///
 /// # Safety
 /// As [`gaussians`], for each; the scenes are alive.
-pub(super) unsafe fn copied(updates: &[AshsplatUpdate]) -> Result<Vec<(&DeviceScene, u32, Gaussians)>> {
-    // SAFETY: as promised.
-    let copy = |u: &AshsplatUpdate| unsafe {
-        Ok((&borrowed(u.scene, "update's scene")?.scene, u.first, gaussians(&u.gaussians)?))
+pub(super) unsafe fn copied<'a>(
+    updates: &[AshsplatUpdate],
+) -> Result<Vec<(&'a DeviceScene, u32, Gaussians)>> {
+    let copy = |(place, u): (usize, &AshsplatUpdate)| {
+        // SAFETY: as promised.
+        let copied = unsafe {
+            borrowed(u.scene, "scene")
+                .and_then(|scene| Ok((&scene.scene, u.first, gaussians(&read(u.gaussians, "gaussians")?)?)))
+        };
+        copied.map_err(within(format_args!("updates[{place}]")))
     };
-    updates.iter().map(copy).collect()
+    updates.iter().enumerate().map(copy).collect()
 }
 
 /// The same as the library sees them.
@@ -63,11 +70,11 @@ pub unsafe extern "C" fn ashsplat_scene_new(
 ) -> AshsplatStatus {
     // SAFETY: as promised.
     guarded(|| unsafe {
-        let (context, host) = (borrowed(context, "context")?, borrowed(gaussians, "gaussians")?);
+        let (context, host) = (borrowed(context, "context")?, read(gaussians, "gaussians")?);
         give(scene, "scene", || {
             let made = match host.count {
                 0 => DeviceScene::empty(&context.0, capacity, host.sh_degree),
-                _ => DeviceScene::upload(&context.0, &self::gaussians(host)?, capacity),
+                _ => DeviceScene::upload(&context.0, &self::gaussians(&host)?, capacity),
             };
             made.map(|scene| AshsplatScene { scene })
         })
@@ -88,13 +95,14 @@ pub unsafe extern "C" fn ashsplat_scene_plan(
     // SAFETY: as promised.
     guarded(|| unsafe {
         let made = DeviceScene::plan_for(&borrowed(context, "context")?.0, capacity, sh_degree)?;
-        *borrowed_mut(plan, "plan")? = AshsplatScenePlan {
+        let told = AshsplatScenePlan {
             chunks: made.chunks,
             planes: made.planes,
             chunk_gaussians: made.chunk_gaussians,
             chunk_bytes: made.chunk_bytes(),
+            ..AshsplatScenePlan::default()
         };
-        Ok(())
+        write(plan, "plan", told)
     })
 }
 

@@ -1,30 +1,6 @@
 //! How a frame is rendered, in C. Enumerations arrive as numbers, for a C program may write any: they are checked here.
 
-use super::{AshsplatStatus, borrowed_mut, guarded};
-use ashsplat::{Background, ColorEncoding, Error, Extent, JacobianLimit, RenderSettings, Result, Shape};
-
-/// What the splats are composited over.
-#[repr(C)]
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum AshsplatBackground {
-    /// A background colour; the result is opaque.
-    Color = 0,
-    /// Nothing: premultiplied colour and alpha.
-    Nothing = 1,
-    /// The image's content.
-    Image = 2,
-}
-
-/// What the colours are that are written into a target.
-#[repr(C)]
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum AshsplatColorEncoding {
-    /// The values that the splats were trained in: those of photographs, display-encoded by the curve of sRGB.
-    AsTrained = 0,
-    /// Linear light with the primaries of sRGB, decoded after blending; what is premultiplied is decoded before the product
-    /// with alpha. A target of an sRGB format encodes it again.
-    LinearSrgb = 1,
-}
+use ashsplat::{Error, Extent, JacobianLimit, RenderSettings, Result, Shape};
 
 /// At which pixels a Gaussian counts.
 #[repr(C)]
@@ -59,10 +35,12 @@ pub enum AshsplatShape {
     Point = 2,
 }
 
-/// How a frame is rendered; ashsplat_render_settings fills in the defaults.
+/// How a frame is rendered; by default as scenes are trained and shown.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct AshsplatRenderSettings {
+    /// Set by ASHSPLAT_INIT.
+    pub struct_size: u32,
     /// An AshsplatExtent.
     pub extent: u32,
     /// An AshsplatJacobianLimit.
@@ -71,12 +49,12 @@ pub struct AshsplatRenderSettings {
     pub shape: u32,
     /// Highest evaluated SH degree: 3 for all stored degrees.
     pub sh_degree: u32,
-    /// Factor of all scales: 1 for the scene as it is.
-    pub scale_modifier: f32,
     /// Whether opacities are compensated for the low-pass filter.
     pub antialias: bool,
     /// Whether the sum of weights / z is rendered as well: ashsplat_slot_inverse_depth.
     pub inverse_depth: bool,
+    /// Factor of all scales: 1 for the scene as it is.
+    pub scale_modifier: f32,
 }
 
 /// The meaning of a number that stands for one of an enumeration.
@@ -103,35 +81,4 @@ impl AshsplatRenderSettings {
             ..RenderSettings::default()
         })
     }
-}
-
-/// What lies behind the splats, from an AshsplatBackground's number.
-pub(super) fn behind(number: u32, background: [f32; 3]) -> Result<Background> {
-    one_of("behind", number, &[Background::Color(background), Background::Nothing, Background::Image])
-}
-
-/// What the target's colours are, from an AshsplatColorEncoding's number.
-pub(super) fn encoding(number: u32, exposure: f32) -> Result<ColorEncoding> {
-    one_of("encoding", number, &[ColorEncoding::AsTrained, ColorEncoding::LinearSrgb { exposure }])
-}
-
-/// The default settings, with which scenes are trained and shown.
-///
-/// # Safety
-/// `settings` is valid for a write.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn ashsplat_render_settings(settings: *mut AshsplatRenderSettings) -> AshsplatStatus {
-    // SAFETY: as promised.
-    guarded(|| unsafe {
-        *borrowed_mut(settings, "settings")? = AshsplatRenderSettings {
-            extent: AshsplatExtent::Exact as u32,
-            jacobian_limit: AshsplatJacobianLimit::Edge as u32,
-            shape: AshsplatShape::Gaussian as u32,
-            sh_degree: 3,
-            scale_modifier: 1.0,
-            antialias: false,
-            inverse_depth: false,
-        };
-        Ok(())
-    })
 }

@@ -1,21 +1,22 @@
 //! Frames in flight, in C.
 
+use super::structs::{read, write};
 use super::{
-    AshsplatHostBuffer, AshsplatRenderer, AshsplatReservation, AshsplatStatus, borrowed, borrowed_mut,
-    guarded,
+    AshsplatHostBuffer, AshsplatRenderer, AshsplatReservation, AshsplatSlotReport, AshsplatStatus, borrowed,
+    borrowed_mut, guarded,
 };
 use ashsplat::ash::{vk, vk::Handle};
 use ashsplat::vk::Buffer;
-use ashsplat::{Reservation, Result, SlotReport};
+use ashsplat::{Reservation, Result};
 
 impl From<&AshsplatReservation> for Reservation {
     fn from(w: &AshsplatReservation) -> Self {
         Self {
             slots: w.slots,
-            queues: w.queues.max(1),
+            queues: w.queues,
             scenes: w.scenes,
             instances: w.instances,
-            blend_passes: w.blend_passes.max(1),
+            blend_passes: w.blend_passes,
             inverse_depth: w.inverse_depth,
             occlusion: w.occlusion,
             expected_depth: w.expected_depth,
@@ -32,47 +33,6 @@ impl From<&AshsplatReservation> for Reservation {
     }
 }
 
-/// The report of a recorded frame.
-#[repr(C)]
-#[derive(Clone, Copy, Debug, Default)]
-pub struct AshsplatReport {
-    /// Whether the frame has finished. The other fields are valid only then.
-    pub finished: bool,
-    /// Whether a capacity was too small. The picture then lacks the Gaussians farthest away, or all of them
-    /// if `instances_needed` is `UINT32_MAX`.
-    pub overflow: bool,
-    /// Gaussians in the frame's scenes, without those of scenes that are not drawn.
-    pub gaussians: u32,
-    /// Visible Gaussians.
-    pub visible: u32,
-    /// (tile, Gaussian) instances that the picture needs.
-    pub instances_needed: u32,
-    /// The frame's capacity in instances.
-    pub instance_capacity: u32,
-    /// Entries of the longest tile.
-    pub longest_tile: u32,
-    /// Passes of blending that the longest tile needs.
-    pub blend_passes_needed: u32,
-    /// Time on the device, nanoseconds; 0 without timestamps.
-    pub nanoseconds: f64,
-}
-
-impl From<SlotReport> for AshsplatReport {
-    fn from(r: SlotReport) -> Self {
-        Self {
-            finished: true,
-            overflow: r.overflow,
-            gaussians: r.gaussians,
-            visible: r.visible,
-            instances_needed: r.instances_needed,
-            instance_capacity: r.instance_capacity,
-            longest_tile: r.longest_tile,
-            blend_passes_needed: r.blend_passes_needed,
-            nanoseconds: r.scopes.iter().filter(|s| s.depth == 0).map(|s| s.nanoseconds).sum(),
-        }
-    }
-}
-
 /// Allocates frame slots and builds all kernels that frames of this kind need. Replaces the previous slots,
 /// whose command buffers must have finished.
 ///
@@ -85,8 +45,8 @@ pub unsafe extern "C" fn ashsplat_reserve(
 ) -> AshsplatStatus {
     // SAFETY: as promised.
     guarded(|| unsafe {
-        let (renderer, wanted) = (borrowed_mut(renderer, "renderer")?, borrowed(wanted, "reservation")?);
-        renderer.0.reserve(&wanted.into())
+        let (renderer, wanted) = (borrowed_mut(renderer, "renderer")?, read(wanted, "wanted")?);
+        renderer.0.reserve(&(&wanted).into())
     })
 }
 
@@ -102,8 +62,8 @@ pub unsafe extern "C" fn ashsplat_grow(
 ) -> AshsplatStatus {
     // SAFETY: as promised.
     guarded(|| unsafe {
-        let (renderer, wanted) = (borrowed_mut(renderer, "renderer")?, borrowed(wanted, "reservation")?);
-        renderer.0.grow(&wanted.into())
+        let (renderer, wanted) = (borrowed_mut(renderer, "renderer")?, read(wanted, "wanted")?);
+        renderer.0.grow(&(&wanted).into())
     })
 }
 
@@ -119,8 +79,8 @@ pub unsafe extern "C" fn ashsplat_reservation_bytes(
 ) -> AshsplatStatus {
     // SAFETY: as promised.
     guarded(|| unsafe {
-        let (renderer, wanted) = (borrowed(renderer, "renderer")?, borrowed(wanted, "reservation")?);
-        *borrowed_mut(bytes, "bytes")? = renderer.0.reservation_bytes(&wanted.into())?;
+        let (renderer, wanted) = (borrowed(renderer, "renderer")?, read(wanted, "wanted")?);
+        *borrowed_mut(bytes, "bytes")? = renderer.0.reservation_bytes(&(&wanted).into())?;
         Ok(())
     })
 }
@@ -142,7 +102,7 @@ pub unsafe extern "C" fn ashsplat_reserve_in(
     // SAFETY: as promised.
     guarded(|| unsafe {
         let renderer = &mut borrowed_mut(renderer, "renderer")?.0;
-        let (wanted, block) = (borrowed(wanted, "reservation")?.into(), borrowed(block, "block")?);
+        let (wanted, block) = ((&read(wanted, "wanted")?).into(), borrowed(block, "block")?);
         let raw = vk::Buffer::from_raw(block.buffer);
         let block = Buffer::adopt(renderer.context(), "frame slots", raw, block.offset, block.bytes)?;
         if grow { renderer.grow_in(&wanted, &block) } else { renderer.reserve_in(&wanted, &block) }
@@ -158,13 +118,12 @@ pub unsafe extern "C" fn ashsplat_reserve_in(
 pub unsafe extern "C" fn ashsplat_slot_report(
     renderer: *mut AshsplatRenderer,
     slot: u32,
-    report: *mut AshsplatReport,
+    report: *mut AshsplatSlotReport,
 ) -> AshsplatStatus {
     // SAFETY: as promised.
     guarded(|| unsafe {
         let made = borrowed_mut(renderer, "renderer")?.0.slot_report(slot)?;
-        *borrowed_mut(report, "report")? = made.map(AshsplatReport::from).unwrap_or_default();
-        Ok(())
+        write(report, "report", made.map(AshsplatSlotReport::from).unwrap_or_default())
     })
 }
 

@@ -1,6 +1,7 @@
 //! Training in C: steps that submit and wait, and steps in a host's command buffer.
 
 use super::scenes::gaussians;
+use super::structs::{check_room, read, read_all, within, write, write_if};
 use super::{
     AshsplatCamera, AshsplatContext, AshsplatGaussians, AshsplatRelease, AshsplatScene, AshsplatStatus,
     borrowed, borrowed_mut, give, guarded, slice, take, text,
@@ -19,16 +20,20 @@ pub struct AshsplatTrainer(Trainer);
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct AshsplatTrainView {
+    /// Set by ASHSPLAT_INIT.
+    pub struct_size: u32,
     /// The camera; its size is the photograph's.
-    pub camera: AshsplatCamera,
+    pub camera: *const AshsplatCamera,
     /// Red, green and blue of each pixel, a byte each, row by row.
     pub rgb: *const u8,
 }
 
 /// The report of a training step.
 #[repr(C)]
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug)]
 pub struct AshsplatStep {
+    /// Set by ASHSPLAT_INIT.
+    pub struct_size: u32,
     /// Whether the step has finished. The other fields are valid only then.
     pub finished: bool,
     /// Whether it changed nothing, because a capacity was too small. ashsplat_trainer_maintain grows it. Then
@@ -60,6 +65,7 @@ impl From<&StepReport> for AshsplatStep {
             visible: r.visible,
             instances: r.instances,
             view: r.view as u32,
+            ..Self::default()
         }
     }
 }
@@ -77,8 +83,10 @@ impl From<&StepOutcome> for AshsplatStep {
 
 /// The report of ashsplat_trainer_maintain.
 #[repr(C)]
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug)]
 pub struct AshsplatMaintenance {
+    /// Set by ASHSPLAT_INIT.
+    pub struct_size: u32,
     /// Whether Gaussians were added and removed.
     pub densified: bool,
     /// Whether opacities were reset.
@@ -97,6 +105,7 @@ impl From<Maintenance> for AshsplatMaintenance {
             opacities_reset: m.opacities_reset,
             grown: m.grown,
             skipped: m.skipped.unwrap_or(0),
+            ..Self::default()
         }
     }
 }
@@ -121,11 +130,15 @@ pub unsafe extern "C" fn ashsplat_trainer_new(
 ) -> AshsplatStatus {
     // SAFETY: as promised.
     guarded(|| unsafe {
-        let (context, initial) = (borrowed(context, "context")?, borrowed(initial, "initial")?);
-        let views = slice(views, view_count as usize, "views")?;
+        let (context, initial) = (borrowed(context, "context")?, read(initial, "initial")?);
+        let views = read_all(views, view_count, "views")?;
         give(trainer, "trainer", || {
-            let views: Result<Vec<TrainView>> = views.iter().map(|view| train_view(view)).collect();
-            let (views, initial) = (views?, gaussians(initial)?);
+            let views: Result<Vec<TrainView>> = views
+                .iter()
+                .enumerate()
+                .map(|(place, view)| train_view(view).map_err(within(format_args!("views[{place}]"))))
+                .collect();
+            let (views, initial) = (views?, gaussians(&initial)?);
             let settings = match settings_json.is_null() {
                 true => TrainSettings::default(),
                 false => settings_of(text(settings_json, "settings_json")?)?,
@@ -155,11 +168,12 @@ fn settings_of(json: &str) -> Result<TrainSettings> {
 /// # Safety
 /// The photograph has three bytes for each of the camera's pixels.
 unsafe fn train_view(view: &AshsplatTrainView) -> Result<TrainView> {
-    let camera: ashsplat::Camera = (&view.camera).into();
+    // SAFETY: as promised.
+    let camera = unsafe { read(view.camera, "camera")? }.known()?;
     camera.check()?;
     let (width, height) = (camera.width, camera.height);
     // SAFETY: as promised.
-    let rgb = unsafe { slice(view.rgb, 3 * width as usize * height as usize, "view's rgb")? };
+    let rgb = unsafe { slice(view.rgb, 3 * width as usize * height as usize, "rgb")? };
     Ok(TrainView::new(camera, Photo { width, height, rgb: rgb.to_vec() }))
 }
 
@@ -184,11 +198,9 @@ pub unsafe extern "C" fn ashsplat_trainer_step(
 ) -> AshsplatStatus {
     // SAFETY: as promised.
     guarded(|| unsafe {
+        check_room(step, "step")?;
         let report = borrowed_mut(trainer, "trainer")?.0.step()?;
-        if let Some(step) = step.as_mut() {
-            *step = (&report).into();
-        }
-        Ok(())
+        write_if(step, "step", (&report).into())
     })
 }
 
@@ -234,11 +246,9 @@ pub unsafe extern "C" fn ashsplat_trainer_record(
     guarded(|| unsafe {
         let trainer = &mut borrowed_mut(trainer, "trainer")?.0;
         let commands = trainer.context().adopt_commands(vk::CommandBuffer::from_raw(commands as u64))?;
+        check_room(release, "release")?;
         let step = trainer.record_step(commands, slot)?;
-        if let Some(release) = release.as_mut() {
-            *release = (&step.release).into();
-        }
-        Ok(())
+        write_if(release, "release", (&step.release).into())
     })
 }
 
@@ -273,8 +283,7 @@ pub unsafe extern "C" fn ashsplat_trainer_outcome(
     // SAFETY: as promised.
     guarded(|| unsafe {
         let outcome = borrowed_mut(trainer, "trainer")?.0.step_outcome(slot)?;
-        *borrowed_mut(step, "step")? = outcome.as_ref().map(AshsplatStep::from).unwrap_or_default();
-        Ok(())
+        write(step, "step", outcome.as_ref().map(AshsplatStep::from).unwrap_or_default())
     })
 }
 
@@ -308,11 +317,9 @@ pub unsafe extern "C" fn ashsplat_trainer_maintain(
 ) -> AshsplatStatus {
     // SAFETY: as promised.
     guarded(|| unsafe {
+        check_room(done, "done")?;
         let maintenance = borrowed_mut(trainer, "trainer")?.0.maintain()?;
-        if let Some(done) = done.as_mut() {
-            *done = maintenance.into();
-        }
-        Ok(())
+        write_if(done, "done", maintenance.into())
     })
 }
 

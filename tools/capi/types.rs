@@ -1,9 +1,10 @@
 //! The structs and codes of the C interface.
 
+use super::settings::one_of;
 use ashsplat::ash::vk;
 use ashsplat::scene::{DepthMapping, Pose, Projection};
 use ashsplat::vk::ImageState;
-use ashsplat::{Camera, Release};
+use ashsplat::{Camera, Result};
 use glam::{Mat3, Vec3};
 use std::ffi::{c_char, c_void};
 
@@ -38,6 +39,8 @@ pub enum AshsplatStatus {
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct AshsplatCamera {
+    /// Set by ASHSPLAT_INIT.
+    pub struct_size: u32,
     /// R, row by row.
     pub camera_from_world: [f32; 9],
     /// t, world units.
@@ -54,26 +57,43 @@ pub struct AshsplatCamera {
     pub width: u32,
     /// Height of the picture, pixels.
     pub height: u32,
-    /// Whether its rays are parallel, along z. AshsplatReservation.orthographic.
-    pub orthographic: bool,
+    /// An AshsplatProjection.
+    pub projection: u32,
+}
+
+/// How the rays of a camera run.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum AshsplatProjection {
+    /// Through one point: a pinhole.
+    Perspective = 0,
+    /// In parallel, along the camera's z axis. Frames of such cameras are reserved: AshsplatReservation.orthographic.
+    Orthographic = 1,
 }
 
 impl From<Camera> for AshsplatCamera {
     fn from(c: Camera) -> Self {
         let Camera { fx, fy, cx, cy, width, height, .. } = c;
         let camera_from_world = c.camera_from_world.transpose().to_cols_array();
-        let (translation, orthographic) = (c.translation.to_array(), c.is_orthographic());
-        Self { camera_from_world, translation, fx, fy, cx, cy, width, height, orthographic }
+        let (translation, projection) = (c.translation.to_array(), u32::from(c.is_orthographic()));
+        Self { camera_from_world, translation, fx, fy, cx, cy, width, height, projection, ..Self::default() }
     }
 }
 
-impl From<&AshsplatCamera> for Camera {
-    fn from(c: &AshsplatCamera) -> Self {
-        let AshsplatCamera { fx, fy, cx, cy, width, height, orthographic, .. } = *c;
-        let camera_from_world = Mat3::from_cols_array(&c.camera_from_world).transpose();
-        let translation = Vec3::from(c.translation);
-        let projection = if orthographic { Projection::Orthographic } else { Projection::Perspective };
-        Self { camera_from_world, translation, fx, fy, cx, cy, width, height, projection }
+impl AshsplatCamera {
+    /// As the library has it.
+    pub(super) fn known(&self) -> Result<Camera> {
+        self.known_as("camera")
+    }
+
+    /// The same of a camera with another name.
+    pub(super) fn known_as(&self, name: &str) -> Result<Camera> {
+        let AshsplatCamera { fx, fy, cx, cy, width, height, .. } = *self;
+        let camera_from_world = Mat3::from_cols_array(&self.camera_from_world).transpose();
+        let translation = Vec3::from(self.translation);
+        let kinds = [Projection::Perspective, Projection::Orthographic];
+        let projection = one_of(&format!("{name}.projection"), self.projection, &kinds)?;
+        Ok(Camera { camera_from_world, translation, fx, fy, cx, cy, width, height, projection })
     }
 }
 
@@ -107,7 +127,9 @@ impl From<AshsplatDepthMapping> for DepthMapping {
 /// A host's device, and what was enabled when it was created.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
-pub struct AshsplatHost {
+pub struct AshsplatForeignDevice {
+    /// Set by ASHSPLAT_INIT.
+    pub struct_size: u32,
     /// vkGetInstanceProcAddr of the host's loader.
     pub get_instance_proc_addr: *const c_void,
     /// VkInstance.
@@ -140,9 +162,9 @@ pub struct AshsplatHost {
 /// An image of a host's and how it was created: two-dimensional, optimal tiling.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
-pub struct AshsplatHostImage {
-    /// VkImage.
-    pub image: u64,
+pub struct AshsplatForeignImage {
+    /// Set by ASHSPLAT_INIT.
+    pub struct_size: u32,
     /// VkFormat.
     pub format: i32,
     /// VkImageUsageFlags.
@@ -159,8 +181,20 @@ pub struct AshsplatHostImage {
     /// have MUTABLE_FORMAT, and EXTENDED_USAGE where the device has no storage images of the format: texels of 8 bits per
     /// channel are seen as R8G8B8A8_UNORM, A2B10G10R10, B10G11R11 and R16G16 as R32_UINT. R32G32B32A32_UINT needs none.
     pub flags: u32,
-    /// VkSampleCountFlagBits, 0 for one. Images of more samples are refused: resolve them into one of one sample.
+    /// VkSampleCountFlagBits: 1. Images of more samples are refused: resolve them into one of one sample.
     pub samples: u32,
+    /// VkImage.
+    pub image: u64,
+}
+
+/// What kernels do with an image.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum AshsplatImageUse {
+    /// They write it: a target.
+    Storage = 0,
+    /// They read it: a depth image.
+    Sampled = 1,
 }
 
 /// How an image is being used at some point of a command buffer.
@@ -175,10 +209,24 @@ pub struct AshsplatImageState {
     pub accesses: u64,
 }
 
+/// An image of a frame, and its previous use by the host.
+#[repr(C)]
+#[derive(Clone, Copy, Debug)]
+pub struct AshsplatHostImage {
+    /// The image.
+    pub image: *const super::AshsplatImage,
+    /// The host's use of it before the frame.
+    pub from: AshsplatImageState,
+    /// Texel of the image that belongs to the frame's pixel (0, 0).
+    pub offset: [u32; 2],
+}
+
 /// What is allocated in advance for recording.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct AshsplatReservation {
+    /// Set by ASHSPLAT_INIT.
+    pub struct_size: u32,
     /// Frames in flight.
     pub slots: u32,
     /// Gaussians of all scenes of a frame together.
@@ -187,7 +235,7 @@ pub struct AshsplatReservation {
     pub scenes: u32,
     /// Highest degree of the scenes' spherical harmonics.
     pub sh_degree: u32,
-    /// (tile, Gaussian) instances of a frame; 0 for an estimate. AshsplatReport has the number that a frame
+    /// (tile, Gaussian) instances of a frame; 0 for an estimate. AshsplatSlotReport has the number that a frame
     /// needs.
     pub instances: u32,
     /// Width of the largest picture, pixels. Pictures of any shape fit that need no more pixels and no more tiles
@@ -195,35 +243,35 @@ pub struct AshsplatReservation {
     pub width: u32,
     /// Height of the largest picture, pixels: see `width`.
     pub height: u32,
-    /// Passes of blending, 0 for one. More are only needed if a driver's limit on loops cuts off very long
-    /// tiles. AshsplatReport has the number that a frame needs.
+    /// Passes of blending. More than one are only needed if a driver's limit on loops cuts off very long
+    /// tiles. AshsplatSlotReport has the number that a frame needs.
     pub blend_passes: u32,
+    /// Cut-outs of all scenes of a frame together.
+    pub cut_outs: u32,
     /// Whether frames will render the sum of weights / z.
     pub inverse_depth: bool,
     /// Whether frames will read a host's depth image.
     pub occlusion: bool,
     /// Whether frames will render expected depth.
     pub expected_depth: bool,
-    /// Whether all frames go into images (AshsplatFrame.target). Slots then have no pixels of their own.
+    /// Whether all frames go into images (AshsplatRecordedFrame.target). Slots then have no pixels of their own.
     pub images_only: bool,
-    /// Queues that frames are submitted to, 0 for one. What lives only while a frame is computed exists once for each
+    /// Queues that frames are submitted to. What lives only while a frame is computed exists once for each
     /// queue: slots whose numbers leave the same rest when divided by this share it. Their frames go to one queue, in
     /// any order, or are ordered by semaphores. With as many queues as slots nothing is shared.
     pub queues: u32,
-    /// Bytes of staging memory for a frame's updates: ashsplat_update_bytes.
-    pub staging_bytes: u64,
     /// Whether scenes of frames will have a tint or an opacity (AshsplatSceneSettings).
     pub tint: bool,
     /// Whether scenes of frames will have a selection.
     pub selection: bool,
-    /// Cut-outs of all scenes of a frame together.
-    pub cut_outs: u32,
+    /// Whether frames will have orthographic cameras, beside pinholes; also those of the frame before, for motion.
+    pub orthographic: bool,
     /// Whether frames will have what is picked at each pixel: 8 bytes of memory per pixel.
     pub pick: bool,
     /// Whether frames will have motion: 8 bytes of memory per pixel and 8 per Gaussian.
     pub motion: bool,
-    /// Whether frames will have orthographic cameras, beside pinholes.
-    pub orthographic: bool,
+    /// Bytes of staging memory for a frame's updates: ashsplat_update_bytes.
+    pub staging_bytes: u64,
 }
 
 /// Gaussians in a host's arrays, each as long as the count says. All but `means` are as in the reference
@@ -231,6 +279,8 @@ pub struct AshsplatReservation {
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct AshsplatGaussians {
+    /// Set by ASHSPLAT_INIT.
+    pub struct_size: u32,
     /// How many.
     pub count: u32,
     /// Degree of the spherical harmonics, 0 to 3.
@@ -256,6 +306,8 @@ pub struct AshsplatGaussians {
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct AshsplatScenePlan {
+    /// Set by ASHSPLAT_INIT.
+    pub struct_size: u32,
     /// Number of buffers.
     pub chunks: u32,
     /// Planes of a Gaussian: three, and those of the spherical harmonics.
@@ -282,18 +334,22 @@ pub struct AshsplatHostBuffer {
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct AshsplatUpdate {
+    /// Set by ASHSPLAT_INIT.
+    pub struct_size: u32,
     /// The scene.
     pub scene: *const super::AshsplatScene,
     /// Index of the first replaced Gaussian.
     pub first: u32,
     /// The new Gaussians. SH above the scene's degree is dropped, missing SH is zero.
-    pub gaussians: AshsplatGaussians,
+    pub gaussians: *const AshsplatGaussians,
 }
 
 /// A scene and its pose: x_world = scale rotation x_object + translation.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct AshsplatPlaced {
+    /// Set by ASHSPLAT_INIT.
+    pub struct_size: u32,
     /// The scene.
     pub scene: *const super::AshsplatScene,
     /// A rotation, row by row.
@@ -304,8 +360,8 @@ pub struct AshsplatPlaced {
     pub scale: f32,
     /// How it is drawn, or NULL: as it is.
     pub settings: *const super::AshsplatSceneSettings,
-    /// Its pose in the frame before, for AshsplatFrame.motion; NULL: the same as now, for scenes that stand still and for
-    /// those that were not there.
+    /// Its pose in the frame before, for AshsplatRecordedFrame.motion. NULL: the same as now, for scenes that stand still and
+    /// for those that were not there.
     pub previous_pose: *const super::AshsplatPose,
 }
 
@@ -313,83 +369,8 @@ impl AshsplatPlaced {
     /// Where the scene stands.
     pub fn pose(&self) -> Pose {
         let Self { world_from_object, translation, scale, .. } = *self;
-        super::AshsplatPose { world_from_object, translation, scale }.pose()
+        super::AshsplatPose { world_from_object, translation, scale, ..Default::default() }.pose()
     }
-}
-
-/// A frame to record.
-#[repr(C)]
-#[derive(Clone, Copy)]
-pub struct AshsplatFrame {
-    /// The scenes, whose Gaussians are sorted together.
-    pub scenes: *const AshsplatPlaced,
-    /// Number of scenes, at least one.
-    pub scene_count: u32,
-    /// The camera; its width and height are the frame's.
-    pub camera: AshsplatCamera,
-    /// How to render, or NULL for the defaults.
-    pub settings: *const super::AshsplatRenderSettings,
-    /// The image that is written, or NULL: then the slot's own buffer, ashsplat_slot_pixels.
-    pub target: *const super::AshsplatImage,
-    /// The host's use of the target before the frame.
-    pub target_from: AshsplatImageState,
-    /// Texel of the target that receives the frame's pixel (0, 0).
-    pub target_offset: [u32; 2],
-    /// What the splats are composited over: an AshsplatBackground.
-    pub behind: u32,
-    /// Its colour, for AshsplatBackground_Color: display-encoded, as trained.
-    pub background: [f32; 3],
-    /// What the target's colours are: an AshsplatColorEncoding.
-    pub encoding: u32,
-    /// Factor of linear light, finite and positive, for AshsplatColorEncoding_LinearSrgb.
-    pub exposure: f32,
-    /// The host's depth image, which hides splats that are farther away, or NULL.
-    pub depth: *const super::AshsplatImage,
-    /// The host's use of the depth image before the frame.
-    pub depth_from: AshsplatImageState,
-    /// Texel of the depth image that belongs to the frame's pixel (0, 0).
-    pub depth_offset: [u32; 2],
-    /// How to read it.
-    pub depth_mapping: AshsplatDepthMapping,
-    /// The r32f image that expected depth is written to, or NULL.
-    pub expected_depth: *const super::AshsplatImage,
-    /// The host's use of that image before the frame.
-    pub expected_depth_from: AshsplatImageState,
-    /// Texel of that image that receives the frame's pixel (0, 0).
-    pub expected_depth_offset: [u32; 2],
-    /// A pixel of expected depth is empty if the splats' weights sum to less.
-    pub min_weight: f32,
-    /// The expected depth of empty pixels.
-    pub empty_depth: f32,
-    /// Parameter updates before the frame.
-    pub updates: *const AshsplatUpdate,
-    /// Number of updates.
-    pub update_count: u32,
-    /// The target of what is picked, or NULL.
-    pub pick: *const super::AshsplatPickTarget,
-    /// The target of the motion, or NULL.
-    pub motion: *const super::AshsplatMotionTarget,
-}
-
-/// The state after a recording. The next user of its results waits for these stages and accesses, and finds
-/// the images in these layouts.
-#[repr(C)]
-#[derive(Clone, Copy, Debug, Default)]
-pub struct AshsplatRelease {
-    /// VkPipelineStageFlags2 that write results.
-    pub stages: u64,
-    /// VkAccessFlags2 that they write with.
-    pub accesses: u64,
-    /// Last use of the target.
-    pub target: AshsplatImageState,
-    /// Last use of the depth image.
-    pub depth: AshsplatImageState,
-    /// Last use of the image of expected depth.
-    pub expected_depth: AshsplatImageState,
-    /// Last use of the image of what is picked.
-    pub pick: AshsplatImageState,
-    /// Last use of the image of motion.
-    pub motion: AshsplatImageState,
 }
 
 impl From<ImageState> for AshsplatImageState {
@@ -404,21 +385,6 @@ impl From<AshsplatImageState> for ImageState {
             layout: vk::ImageLayout::from_raw(s.layout),
             stages: vk::PipelineStageFlags2::from_raw(s.stages),
             accesses: vk::AccessFlags2::from_raw(s.accesses),
-        }
-    }
-}
-
-impl From<&Release> for AshsplatRelease {
-    fn from(r: &Release) -> Self {
-        let state = |s: Option<ImageState>| s.map(AshsplatImageState::from).unwrap_or_default();
-        Self {
-            stages: r.stages.as_raw(),
-            accesses: r.accesses.as_raw(),
-            target: state(r.color),
-            depth: state(r.occluder),
-            expected_depth: state(r.depth),
-            pick: state(r.pick),
-            motion: state(r.motion),
         }
     }
 }

@@ -4,6 +4,7 @@ use ashsplat::scene::{Camera, Gaussians, Intrinsics, Similarity};
 use ashsplat::vk::{Context, ContextOptions};
 use ashsplat::{Frame, RenderSettings, Renderer};
 use ashsplat_files::ply;
+use ashsplat_files::splats::{self, Format, ReadOptions, WriteOptions};
 use cbindgen::{Builder, Config, DocumentationStyle, EnumConfig, ExportConfig, Language};
 use glam::{DQuat, DVec3, Mat3, Vec3};
 use std::path::{Path, PathBuf};
@@ -22,19 +23,36 @@ fn the_header_is_what_the_sources_say() {
         include_guard: Some("ASHSPLAT_H".into()),
         header: Some(
             "/* The C interface of ashsplat. Generated from the sources in tools/capi: do not edit.\n \
-             * Structs are set to zero, or filled by their functions, before their fields are set: new fields come at the\n \
-             * end. A host is compiled again with each new header. */"
+             * Structs that have struct_size begin with ASHSPLAT_INIT, which sets it and the defaults:\n \
+             *\n \
+             *     AshsplatReservation wanted = ASHSPLAT_INIT(AshsplatReservation);\n \
+             *     wanted.gaussians = 100000;\n \
+             *\n \
+             * New fields come at their ends. A host that was compiled with an older header works with this library: the\n \
+             * fields that it does not know have their defaults. So does one with a newer header as long as it sets\n \
+             * nothing that this library does not know. All other structs and the functions stay as they are. */"
                 .into(),
         ),
         documentation_style: DocumentationStyle::C99,
         usize_is_size_t: true,
+        sys_includes: vec!["string.h".into()],
+        trailer: Some(initialisers()),
         line_length: 110,
         enumeration: EnumConfig { prefix_with_name: true, ..EnumConfig::default() },
         // They arrive as numbers: no function has them in its signature.
         export: ExportConfig {
-            include: ["Background", "ColorEncoding", "Extent", "JacobianLimit", "Shape", "Volume"]
-                .map(|e| format!("Ashsplat{e}"))
-                .to_vec(),
+            include: [
+                "Background",
+                "ColorEncoding",
+                "Extent",
+                "ImageUse",
+                "JacobianLimit",
+                "Projection",
+                "Shape",
+                "Volume",
+            ]
+            .map(|e| format!("Ashsplat{e}"))
+            .to_vec(),
             ..ExportConfig::default()
         },
         ..Config::default()
@@ -50,10 +68,42 @@ fn the_header_is_what_the_sources_say() {
     }
     let kept = std::fs::read_to_string(&path).expect("tools/capi/ashsplat.h");
     assert!(kept == made, "tools/capi/ashsplat.h is out of date: run with ASHSPLAT_BLESS=1");
-    for name in ["ashsplat_record", "ashsplat_context_from_host", "ashsplat_last_error", "AshsplatStatus_Ok"]
+    for name in
+        ["ashsplat_record", "ashsplat_context_from_foreign", "ashsplat_last_error", "AshsplatStatus_Ok"]
     {
         assert!(made.contains(name), "{name}");
     }
+}
+
+/// `ASHSPLAT_INIT`, from the defaults of the library's own structs.
+fn initialisers() -> String {
+    let mut text = String::from(
+        "/* A struct that knows its size, with the defaults of its fields. */\n#define ASHSPLAT_INIT(Type) Type##_init()\n",
+    );
+    for (name, defaults) in ashsplat_c::STRUCTS {
+        text += &format!(
+            "\nstatic inline {name} {name}_init(void) {{\n  {name} it;\n  memset(&it, 0, sizeof it);\n"
+        );
+        text += "  it.struct_size = (uint32_t)sizeof it;\n";
+        for (field, value) in *defaults {
+            let number =
+                |value: &str| if value.contains('.') { format!("{value}f") } else { value.to_owned() };
+            let listed = value.strip_prefix('[').and_then(|list| list.strip_suffix(']'));
+            match (*value, listed) {
+                ("UPRIGHT", _) => {
+                    text += &format!("  it.{field}[0] = it.{field}[4] = it.{field}[8] = 1.0f;\n");
+                }
+                (_, Some(list)) => {
+                    for (index, value) in list.split(", ").enumerate() {
+                        text += &format!("  it.{field}[{index}] = {};\n", number(value));
+                    }
+                }
+                (value, None) => text += &format!("  it.{field} = {};\n", number(value)),
+            }
+        }
+        text += "  return it;\n}\n";
+    }
+    text
 }
 
 /// The newest library with this ending that cargo has made.
@@ -299,6 +349,45 @@ fn a_host_in_c_has_all_there_is() {
             let far = (f32::from(*byte) - 255.0 * value.clamp(0.0, 1.0)).abs();
             assert!(far <= 0.51, "({x}, {y}): {byte}, {value}");
         }
+    }
+}
+
+/// Smaller and larger structs than today's.
+#[test]
+fn a_host_in_c_may_have_another_header() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let scene = folder.path().join("scene.ply");
+    ply::write(&scene, &cloud()).expect("a PLY");
+    let said = host_in_c("structs", &[&scene]);
+    assert!(said.contains("of 1500 Gaussians visible"), "{said}");
+}
+
+/// Each as the files' own crate reads it.
+#[test]
+fn a_c_program_loads_every_format() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let paths = Format::ALL.map(|format| folder.path().join(format!("scene{}", format.extension())));
+    for path in &paths {
+        splats::write(path, &cloud(), &WriteOptions::default()).expect("written");
+    }
+    let said = host_in_c("formats", &paths.each_ref().map(PathBuf::as_path));
+    let context = Context::new(&ContextOptions::default()).expect("a device");
+    let mut renderer = Renderer::new(&context).expect("kernels");
+    let intrinsics = Intrinsics::from_fov_x(0.7, 64, 48);
+    let camera = Camera::look_at(Vec3::new(0.0, -1.0, -4.0), Vec3::ZERO, Vec3::NEG_Y, intrinsics);
+    assert_eq!(said.lines().count(), Format::ALL.len());
+    for (path, line) in paths.iter().zip(said.lines()) {
+        let read = splats::read(path, &ReadOptions::default()).expect("a scene").gaussians;
+        renderer.upload(&read).expect("uploaded");
+        let frame = renderer.render(&camera, &RenderSettings::default()).expect("a frame");
+        let expected: f64 = frame.color.as_flattened().iter().map(|x| f64::from(*x)).sum();
+        let said: Vec<f64> = line.split(' ').map(|number| number.parse().expect("a number")).collect();
+        assert_eq!(said[..2], [500.0, f64::from(read.sh_degree)], "{}", path.display());
+        assert!(
+            expected > 100.0 && (said[2] - expected).abs() < 1e-4,
+            "{}: {line}, {expected}",
+            path.display()
+        );
     }
 }
 

@@ -85,7 +85,7 @@ enum {
 #define DECLARE(result, name, arguments) result(*name) arguments;
 typedef struct {
     AshsplatContext *owner;
-    AshsplatHost handles;
+    AshsplatForeignDevice handles;
     uint64_t vulkan12[64], vulkan13[64];
     uint64_t pool;
     void *commands;
@@ -94,7 +94,7 @@ typedef struct {
 } Host;
 
 typedef struct { uint64_t raw, memory; void *mapped; } HostBuffer;
-typedef struct { uint64_t raw, memory; AshsplatHostImage description; } HostTexture;
+typedef struct { uint64_t raw, memory; AshsplatForeignImage description; } HostTexture;
 
 static void check(AshsplatStatus status, const char *what) {
     if (status != AshsplatStatus_Ok) {
@@ -103,7 +103,7 @@ static void check(AshsplatStatus status, const char *what) {
     }
 }
 
-static void require(int result, const char *what) {
+static inline void require(int result, const char *what) {
     if (result != 0) {
         fprintf(stderr, "%s: %d\n", what, result);
         exit(3);
@@ -119,19 +119,20 @@ static void require(int result, const char *what) {
         } \
     } while (0)
 
-static GetProc as_get_proc(void *symbol) {
+static inline GetProc as_get_proc(void *symbol) {
     GetProc function = NULL;
     memcpy(&function, &symbol, sizeof function);
     return function;
 }
 
-static void host_open(Host *host) {
+static inline void host_open(Host *host) {
     memset(host, 0, sizeof *host);
+    host->handles = ASHSPLAT_INIT(AshsplatForeignDevice);
     void *library = dlopen("libvulkan.so.1", RTLD_NOW);
     EXPECT(library != NULL);
     GetProc instance_proc = as_get_proc(dlsym(library, "vkGetInstanceProcAddr"));
     check(ashsplat_context_new(NULL, &host->owner), "opening a device");
-    AshsplatHost *h = &host->handles;
+    AshsplatForeignDevice *h = &host->handles;
     check(ashsplat_context_handles(host->owner, &h->instance, &h->physical_device, &h->device, &h->queue_family),
           "asking for the handles");
     memcpy(&h->get_instance_proc_addr, &instance_proc, sizeof instance_proc);
@@ -153,18 +154,18 @@ static void host_open(Host *host) {
     require(host->AllocateCommandBuffers(h->device, &allocate_info, &host->commands), "vkAllocateCommandBuffers");
 }
 
-static void host_close(Host *host) {
+static inline void host_close(Host *host) {
     host->DestroyCommandPool(host->handles.device, host->pool, NULL);
     ashsplat_context_free(host->owner);
 }
 
-static void *host_begin(Host *host) {
+static inline void *host_begin(Host *host) {
     BeginInfo begin_info = {42, NULL, 1, NULL};
     require(host->BeginCommandBuffer(host->commands, &begin_info), "vkBeginCommandBuffer");
     return host->commands;
 }
 
-static void host_submit_and_wait(Host *host) {
+static inline void host_submit_and_wait(Host *host) {
     require(host->EndCommandBuffer(host->commands), "vkEndCommandBuffer");
     SubmitInfo submit_info = {4, NULL, 0, NULL, NULL, 1, &host->commands, 0, NULL};
     require(host->QueueSubmit(host->handles.queue, 1, &submit_info, 0), "vkQueueSubmit");
@@ -214,8 +215,13 @@ static inline HostTexture host_texture(Host *host, int format, uint32_t usage, u
     host->GetImageMemoryRequirements(device, texture.raw, &needs);
     texture.memory = host_memory(host, needs, 0);
     require(host->BindImageMemory(device, texture.raw, texture.memory, 0), "vkBindImageMemory");
-    AshsplatHostImage description = {texture.raw, format, usage, width, height, 0, 0, flags};
-    texture.description = description;
+    texture.description = ASHSPLAT_INIT(AshsplatForeignImage);
+    texture.description.image = texture.raw;
+    texture.description.format = format;
+    texture.description.usage = usage;
+    texture.description.width = width;
+    texture.description.height = height;
+    texture.description.flags = flags;
     return texture;
 }
 

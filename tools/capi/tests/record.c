@@ -6,34 +6,31 @@ int main(int count, char **arguments) {
     static Host host;
     host_open(&host);
     AshsplatContext *context = NULL, *none = NULL;
-    check(ashsplat_context_from_host(&host.handles, &context), "being a guest");
+    check(ashsplat_context_from_foreign(&host.handles, &context), "being a guest");
 
-    AshsplatHost nobody = host.handles;
+    AshsplatForeignDevice nobody = host.handles;
     nobody.device = NULL;
-    EXPECT(ashsplat_context_from_host(&nobody, &none) == AshsplatStatus_Argument && none == NULL);
+    EXPECT(ashsplat_context_from_foreign(&nobody, &none) == AshsplatStatus_Argument && none == NULL);
     static uint64_t nothing[64];
     nobody = host.handles;
     nobody.vulkan13_features = nothing;
-    EXPECT(ashsplat_context_from_host(&nobody, &none) == AshsplatStatus_MissingFeature);
+    EXPECT(ashsplat_context_from_foreign(&nobody, &none) == AshsplatStatus_MissingFeature);
 
     /* What a host merges into its own features is all that is asked for. */
     static uint64_t merged[2][64];
     EXPECT(ashsplat_merge_features(NULL, merged[1]) == AshsplatStatus_Argument);
     EXPECT(ashsplat_merge_features(merged[0], NULL) == AshsplatStatus_Argument);
     check(ashsplat_merge_features(merged[0], merged[1]), "merging features");
-    AshsplatHost merging = host.handles;
+    AshsplatForeignDevice merging = host.handles;
     merging.vulkan12_features = merged[0];
     merging.vulkan13_features = merged[1];
-    check(ashsplat_context_from_host(&merging, &none), "being a guest with merged features");
+    check(ashsplat_context_from_foreign(&merging, &none), "being a guest with merged features");
     ashsplat_context_free(none);
 
     AshsplatScene *scene = NULL;
     AshsplatRenderer *renderer = NULL;
     check(ashsplat_scene_load(context, arguments[1], &scene), "loading the scene");
-    AshsplatReservation wanted;
-    memset(&wanted, 0, sizeof wanted);
-    wanted.slots = 1;
-    wanted.scenes = 1;
+    AshsplatReservation wanted = ASHSPLAT_INIT(AshsplatReservation);
     wanted.width = 160;
     wanted.height = 120;
     check(ashsplat_scene_size(scene, &wanted.gaussians, &wanted.sh_degree), "asking for the scene's size");
@@ -60,15 +57,18 @@ int main(int count, char **arguments) {
     check(ashsplat_reserve_in(renderer, &wanted, &block, false), "reserving in a block");
 
     void *commands = host_begin(&host);
-    AshsplatPlaced placed = {scene, {1, 0, 0, 0, 1, 0, 0, 0, 1}, {0, 0, 0}, 1, NULL, NULL};
-    AshsplatFrame frame;
-    memset(&frame, 0, sizeof frame);
+    AshsplatPlaced placed = ASHSPLAT_INIT(AshsplatPlaced);
+    placed.scene = scene;
+    AshsplatCamera camera = ASHSPLAT_INIT(AshsplatCamera);
+    AshsplatRecordedFrame frame = ASHSPLAT_INIT(AshsplatRecordedFrame);
+    frame.camera = &camera;
+    AshsplatDepthMapping mapping;
     frame.scenes = &placed;
     frame.scene_count = 1;
     /* A host's matrices, column by column: it looks along -z of its view space, depth reversed, no far plane. */
     const float view[16] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, -4, 1};
     const float projection[16] = {2, 0, 0, 0, 0, -2.6667f, 0, 0, 0, 0, 0, -1, 0, 0, 0.1f, 0};
-    check(ashsplat_camera_from_matrices(view, projection, false, 160, 120, &frame.camera, &frame.depth_mapping),
+    check(ashsplat_camera_from_matrices(view, projection, false, 160, 120, &camera, &mapping),
           "understanding the matrices");
     EXPECT(ashsplat_record(renderer, NULL, 0, &frame, NULL) == AshsplatStatus_Argument);
     EXPECT(ashsplat_record(renderer, commands, 7, &frame, NULL) == AshsplatStatus_Argument);
@@ -78,10 +78,10 @@ int main(int count, char **arguments) {
     placed.scale = 0;
     EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
     placed.scale = 1;
-    AshsplatRelease release;
+    AshsplatRelease release = ASHSPLAT_INIT(AshsplatRelease);
     check(ashsplat_record(renderer, commands, 0, &frame, &release), "recording");
     EXPECT(ashsplat_record(renderer, commands, 0, &frame, &release) == AshsplatStatus_Argument);
-    AshsplatReport report;
+    AshsplatSlotReport report = ASHSPLAT_INIT(AshsplatSlotReport);
     check(ashsplat_slot_report(renderer, 0, &report), "asking too early");
     EXPECT(!report.finished && release.stages != 0);
     /* More room, while the frame is in flight. */
@@ -103,7 +103,7 @@ int main(int count, char **arguments) {
     EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
     EXPECT(strstr(ashsplat_last_error(), "images_only: ") != NULL);
     printf("%u of %u Gaussians visible, scale %.1f, offset %.1f\n", report.visible, report.gaussians,
-           (double)frame.depth_mapping.scale, (double)frame.depth_mapping.offset);
+           (double)mapping.scale, (double)mapping.offset);
     ashsplat_renderer_free(renderer);
     ashsplat_scene_free(scene);
     ashsplat_context_free(context);

@@ -22,7 +22,13 @@ static AshsplatGaussians grid(float z) {
         memcpy(sh[i], color, sizeof color);
         opacity_logits[i] = 2.0f;
     }
-    AshsplatGaussians gaussians = {OWN, 0, means[0], quats[0], log_scales[0], opacity_logits, sh[0]};
+    AshsplatGaussians gaussians = ASHSPLAT_INIT(AshsplatGaussians);
+    gaussians.count = OWN;
+    gaussians.means = means[0];
+    gaussians.quats = quats[0];
+    gaussians.log_scales = log_scales[0];
+    gaussians.opacity_logits = opacity_logits;
+    gaussians.sh = sh[0];
     return gaussians;
 }
 
@@ -40,19 +46,29 @@ static void fill_planes(float *floats, const AshsplatScenePlan *plan, uint32_t c
     }
 }
 
+/* A half float that is finite. */
+static float of_half(uint16_t bits) {
+    int exponent = bits >> 10 & 31;
+    float size = (float)(bits & 1023) / 1024 + (exponent > 0 ? 1 : 0);
+    for (int at = exponent > 0 ? exponent : 1; at != 15; at += at < 15 ? 1 : -1) {
+        size = at < 15 ? size / 2 : size * 2;
+    }
+    return bits >> 15 ? -size : size;
+}
+
 int main(int count, char **arguments) {
     EXPECT(count == 4);
     static Host host;
     host_open(&host);
     AshsplatContext *context = NULL;
-    check(ashsplat_context_from_host(&host.handles, &context), "being a guest");
+    check(ashsplat_context_from_foreign(&host.handles, &context), "being a guest");
     AshsplatScene *file = NULL, *own = NULL, *made = NULL, *none = NULL;
     check(ashsplat_scene_load(context, arguments[1], &file), "loading the scene");
     uint32_t gaussians = 0, sh_degree = 0;
     check(ashsplat_scene_size(file, &gaussians, &sh_degree), "asking for the scene's size");
 
     /* A scene in the host's own buffer. */
-    AshsplatScenePlan plan;
+    AshsplatScenePlan plan = ASHSPLAT_INIT(AshsplatScenePlan);
     check(ashsplat_scene_plan(context, OWN, 0, &plan), "planning");
     EXPECT(plan.chunks == 1 && plan.planes == 4 && plan.chunk_gaussians >= OWN);
     EXPECT(plan.chunk_bytes == 64u * plan.chunk_gaussians);
@@ -89,19 +105,24 @@ int main(int count, char **arguments) {
     HostBuffer picks = host_buffer(&host, 16 * WIDTH * HEIGHT, USAGE_BUFFER_COPIES);
     HostBuffer motions = host_buffer(&host, 4 * WIDTH * HEIGHT, USAGE_BUFFER_COPIES);
     AshsplatImage *picked = NULL, *moved = NULL;
-    check(ashsplat_image_adopt(context, &who.description, false, &picked), "adopting the picks");
-    check(ashsplat_image_adopt(context, &speed.description, false, &moved), "adopting the motion");
+    check(ashsplat_image_adopt(context, &who.description, AshsplatImageUse_Storage, &picked), "adopting the picks");
+    check(ashsplat_image_adopt(context, &speed.description, AshsplatImageUse_Storage, &moved), "adopting the motion");
     AshsplatImage *target = NULL, *walls = NULL, *distances = NULL, *wrong = NULL;
-    EXPECT(ashsplat_image_adopt(context, &color.description, true, &wrong) == AshsplatStatus_Argument && wrong == NULL);
-    check(ashsplat_image_adopt(context, &color.description, false, &target), "adopting the target");
-    check(ashsplat_image_adopt(context, &depth.description, true, &walls), "adopting the depth");
-    check(ashsplat_image_adopt(context, &expected.description, false, &distances), "adopting the expected depth");
+    EXPECT(ashsplat_image_adopt(context, &color.description, AshsplatImageUse_Sampled, &wrong) == AshsplatStatus_Argument && wrong == NULL);
+    EXPECT(ashsplat_image_adopt(context, &color.description, 2, &wrong) == AshsplatStatus_Argument);
+    EXPECT(strstr(ashsplat_last_error(), "purpose: 2, there are 0 to 1") != NULL);
+    /* Depth of several samples is resolved first. */
+    AshsplatForeignImage multisampled = depth.description;
+    multisampled.samples = 4;
+    EXPECT(ashsplat_image_adopt(context, &multisampled, AshsplatImageUse_Sampled, &wrong) == AshsplatStatus_Argument);
+    EXPECT(wrong == NULL && strstr(ashsplat_last_error(), "'depth': it has 4 samples per pixel") != NULL);
+    check(ashsplat_image_adopt(context, &color.description, AshsplatImageUse_Storage, &target), "adopting the target");
+    check(ashsplat_image_adopt(context, &depth.description, AshsplatImageUse_Sampled, &walls), "adopting the depth");
+    check(ashsplat_image_adopt(context, &expected.description, AshsplatImageUse_Storage, &distances), "adopting the expected depth");
 
     AshsplatRenderer *renderer = NULL;
     check(ashsplat_renderer_new(context, &renderer), "building the renderer");
-    AshsplatReservation wanted;
-    memset(&wanted, 0, sizeof wanted);
-    wanted.slots = 1;
+    AshsplatReservation wanted = ASHSPLAT_INIT(AshsplatReservation);
     wanted.scenes = 5;
     wanted.tint = true;
     wanted.cut_outs = 1;
@@ -124,15 +145,18 @@ int main(int count, char **arguments) {
     host_transition(&host, &depth, ASPECT_DEPTH, LAYOUT_UNDEFINED, LAYOUT_COPY_TO, ACCESS_TRANSFER_WRITE);
     host.CmdClearDepthStencilImage(commands, depth.raw, LAYOUT_COPY_TO, &wall, 1, &whole);
 
-    AshsplatSceneSettings hidden, tinted, cut;
-    check(ashsplat_scene_settings(&hidden), "the defaults");
+    AshsplatSceneSettings hidden = ASHSPLAT_INIT(AshsplatSceneSettings), tinted, cut;
     EXPECT(hidden.visible && hidden.tint[2] == 1 && hidden.opacity == 1 && hidden.sh_degree == 3);
     tinted = cut = hidden;
     hidden.visible = false;
     tinted.tint[0] = 0.5f;
     tinted.opacity = 0.75f;
     /* What lies at x >= 0.55 in the world. */
-    AshsplatCutOut half = {AshsplatVolume_HalfSpace, {-1, 0, 0}, -0.55f, {1, 0, 0, 0, 1, 0, 0, 0, 1}, {0, 0, 0}, 1, true};
+    AshsplatCutOut half = ASHSPLAT_INIT(AshsplatCutOut);
+    half.volume = AshsplatVolume_HalfSpace;
+    half.size[0] = -1;
+    half.offset = -0.55f;
+    half.removes = true;
     cut.cut_outs = &half;
     cut.cut_out_count = 1;
     /* The first half of what is left of the grid. */
@@ -144,14 +168,28 @@ int main(int count, char **arguments) {
     cut.selection_color[0] = 0;
     cut.selection_color[2] = 0.25f;
     cut.selection_share = 0.75f;
-    AshsplatPose still = {{1, 0, 0, 0, 1, 0, 0, 0, 1}, {0, 0, 0}, 1};
-    AshsplatPlaced placed[5] = {
-        {file, {1, 0, 0, 0, 1, 0, 0, 0, 1}, {0, 0, 0}, 1, NULL, NULL},
-        {file, {0, -1, 0, 1, 0, 0, 0, 0, 1}, {-0.8f, 0.4f, -0.5f}, 0.25f, NULL, NULL},
-        {own, {1, 0, 0, 0, 1, 0, 0, 0, 1}, {0, 0, 0}, 1, &tinted, &still},
-        {made, {1, 0, 0, 0, 1, 0, 0, 0, 1}, {0.3f, 0, 0}, 0.5f, &cut, NULL},
-        {file, {1, 0, 0, 0, 1, 0, 0, 0, 1}, {0, 0, 0}, 1, &hidden, NULL},
-    };
+    AshsplatPlaced placed[5];
+    const AshsplatScene *scenes[5] = {file, file, own, made, file};
+    for (int i = 0; i < 5; ++i) {
+        placed[i] = ASHSPLAT_INIT(AshsplatPlaced);
+        placed[i].scene = scenes[i];
+    }
+    const float quarter[9] = {0, -1, 0, 1, 0, 0, 0, 0, 1}, aside[3] = {-0.8f, 0.4f, -0.5f};
+    memcpy(placed[1].world_from_object, quarter, sizeof quarter);
+    memcpy(placed[1].translation, aside, sizeof aside);
+    placed[1].scale = 0.25f;
+    placed[2].settings = &tinted;
+    placed[3].translation[0] = 0.3f;
+    placed[3].scale = 0.5f;
+    placed[3].settings = &cut;
+    /* Half a unit further down in the frame before: it rises by that much of the screen at its z = 3.55. */
+    AshsplatPose lower = ASHSPLAT_INIT(AshsplatPose);
+    lower.translation[0] = 0.3f;
+    lower.translation[1] = 0.5f;
+    lower.scale = 0.5f;
+    placed[3].previous_pose = &lower;
+    const float rise = 160 * 0.5f / 3.55f;
+    placed[4].settings = &hidden;
     check(ashsplat_cut_out_in_scene(&half, &placed[3], &half), "bringing a cut-out into a scene");
     EXPECT(half.scale == 2 && half.translation[0] < -0.599f && half.translation[0] > -0.601f && half.removes);
     AshsplatCutOut sheared = half, unchanged = half;
@@ -164,45 +202,63 @@ int main(int count, char **arguments) {
     EXPECT(strstr(ashsplat_last_error(), "placed.pose: a scale of 0") != NULL);
     EXPECT(memcmp(&unchanged, &half, sizeof half) == 0);
     arrays = grid(-0.4f);
-    AshsplatUpdate update = {file, 10, arrays};
-    AshsplatFrame frame;
-    memset(&frame, 0, sizeof frame);
+    AshsplatUpdate update = ASHSPLAT_INIT(AshsplatUpdate);
+    update.scene = file;
+    update.first = 10;
+    update.gaussians = &arrays;
+    AshsplatCamera camera = ASHSPLAT_INIT(AshsplatCamera);
+    AshsplatRecordedFrame frame = ASHSPLAT_INIT(AshsplatRecordedFrame);
+    frame.camera = &camera;
+    AshsplatTarget to = ASHSPLAT_INIT(AshsplatTarget);
+    AshsplatOccluder occluder = ASHSPLAT_INIT(AshsplatOccluder);
+    AshsplatDepthTarget z = ASHSPLAT_INIT(AshsplatDepthTarget);
     frame.scenes = placed;
     frame.scene_count = 5;
     const float view[16] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 4, 1};
     const float projection[16] = {2, 0, 0, 0, 0, 2.6666667f, 0, 0, 0, 0, 0, 1, 0, 0, NEAR, 0};
-    check(ashsplat_camera_from_matrices(view, projection, false, WIDTH, HEIGHT, &frame.camera, &frame.depth_mapping),
+    check(ashsplat_camera_from_matrices(view, projection, false, WIDTH, HEIGHT, &camera, &occluder.mapping),
           "understanding the matrices");
     AshsplatImageState fresh = {LAYOUT_UNDEFINED, 0, 0}, cleared = {LAYOUT_COPY_TO, STAGE_TRANSFER, ACCESS_TRANSFER_WRITE};
-    frame.target = target;
-    frame.target_from = fresh;
-    frame.behind = AshsplatBackground_Color;
-    frame.background[0] = 0.1f;
-    frame.background[1] = 0.2f;
-    frame.background[2] = 0.3f;
-    frame.depth = walls;
-    frame.depth_from = cleared;
-    frame.expected_depth = distances;
-    frame.expected_depth_from = fresh;
-    frame.min_weight = 0.5f;
-    frame.empty_depth = -1;
-    AshsplatPickTarget pick = {picked, fresh, {0, 0}};
+    frame.target = &to;
+    to.to.image = target;
+    to.to.from = fresh;
+    to.behind = AshsplatBackground_Color;
+    to.background[0] = 0.1f;
+    to.background[1] = 0.2f;
+    to.background[2] = 0.3f;
+    frame.occluder = &occluder;
+    occluder.depth.image = walls;
+    occluder.depth.from = cleared;
+    frame.depth = &z;
+    z.to.image = distances;
+    z.to.from = fresh;
+    z.min_weight = 0.5f;
+    z.empty = -1;
+    AshsplatPickTarget pick = ASHSPLAT_INIT(AshsplatPickTarget);
+    pick.to.image = picked;
+    pick.to.from = fresh;
     frame.pick = &pick;
     /* The middle of the picture was three pixels further to the left, and lay as high: everything goes to the right. */
-    AshsplatMotionTarget motion = {moved, fresh, {0, 0}, frame.camera, 0.5f, {0, -1}, false};
-    motion.previous_camera.cx -= 3;
+    AshsplatCamera before = camera;
+    before.cx -= 3;
+    AshsplatMotionTarget motion = ASHSPLAT_INIT(AshsplatMotionTarget);
+    motion.to.image = moved;
+    motion.to.from = fresh;
+    motion.previous_camera = &before;
+    motion.min_weight = 0.5f;
+    motion.empty[1] = -1;
     frame.motion = &motion;
     frame.updates = &update;
     frame.update_count = 1;
     update.first = gaussians;
     EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
     update.first = 10;
-    frame.target = distances;
+    to.to.image = distances;
     EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
-    frame.target = target;
-    frame.camera.fx = -1;
+    to.to.image = target;
+    camera.fx = -1;
     EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
-    frame.camera.fx = 160;
+    camera.fx = 160;
     half.volume = 3;
     EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
     EXPECT(strstr(ashsplat_last_error(), "scenes[3].settings.cut_outs[0].volume: 3, there are 0 to 2") != NULL);
@@ -232,24 +288,41 @@ int main(int count, char **arguments) {
     EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
     EXPECT(strstr(ashsplat_last_error(), "scenes[2].settings.opacity: 1.5") != NULL);
     tinted.opacity = 0.75f;
-    pick.image = NULL;
+    pick.to.image = NULL;
     EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
-    pick.image = moved;
+    EXPECT(strstr(ashsplat_last_error(), "pick.to.image: the pointer is null") != NULL);
+    pick.to.image = moved;
     EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
-    EXPECT(strstr(ashsplat_last_error(), "pick.image (image 'target'): format R16G16_SFLOAT is not") != NULL);
-    pick.image = picked;
-    motion.previous_camera.width = 1;
+    EXPECT(strstr(ashsplat_last_error(), "pick (image 'target'): format R16G16_SFLOAT is not") != NULL);
+    pick.to.image = picked;
+    motion.to.image = NULL;
+    EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
+    EXPECT(strstr(ashsplat_last_error(), "motion.to.image: the pointer is null") != NULL);
+    motion.to.image = moved;
+    motion.previous_camera = NULL;
+    EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
+    EXPECT(strstr(ashsplat_last_error(), "motion.previous_camera: the pointer is null") != NULL);
+    motion.previous_camera = &before;
+    before.projection = 2;
+    EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
+    EXPECT(strstr(ashsplat_last_error(), "motion.previous_camera.projection: 2, there are 0 to 1") != NULL);
+    before.projection = AshsplatProjection_Perspective;
+    before.width = 1;
     EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
     EXPECT(strstr(ashsplat_last_error(), "motion.previous_camera: is of 1 x 120") != NULL);
-    motion.previous_camera.width = WIDTH;
-    AshsplatRelease release;
+    before.width = WIDTH;
+    lower.scale = 0;
+    EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
+    EXPECT(strstr(ashsplat_last_error(), "scenes[3].previous_pose: a scale of 0") != NULL);
+    lower.scale = 0.5f;
+    AshsplatRelease release = ASHSPLAT_INIT(AshsplatRelease);
     check(ashsplat_record(renderer, commands, 0, &frame, &release), "recording");
-    host_read(&host, &color, release.target.layout, &pixels);
-    host_read(&host, &expected, release.expected_depth.layout, &depths);
+    host_read(&host, &color, release.color.layout, &pixels);
+    host_read(&host, &expected, release.depth.layout, &depths);
     host_read(&host, &who, release.pick.layout, &picks);
     host_read(&host, &speed, release.motion.layout, &motions);
     host_submit_and_wait(&host);
-    AshsplatReport report;
+    AshsplatSlotReport report = ASHSPLAT_INIT(AshsplatSlotReport);
     check(ashsplat_slot_report(renderer, 0, &report), "asking for the report");
     EXPECT(report.finished && !report.overflow && report.gaussians == 2 * gaussians + OWN + OWN / 2);
 
@@ -266,7 +339,7 @@ int main(int count, char **arguments) {
     const uint32_t counts[5] = {gaussians, gaussians, OWN, OWN / 2, 0}, (*pixel)[4] = picks.mapped;
     const uint16_t(*half_floats)[2] = motions.mapped;
     const float *distance = depths.mapped;
-    int somebody = 0;
+    int somebody = 0, rising = 0;
     for (int i = 0; i < WIDTH * HEIGHT; ++i) {
         float z, weight;
         memcpy(&z, &pixel[i][2], sizeof z);
@@ -278,14 +351,23 @@ int main(int count, char **arguments) {
             EXPECT(z > 2 && z < WALL && weight > 0 && weight <= 1);
             ++somebody;
         }
-        /* As half floats 3 and 0, or 0 and -1 where less than half of the pixel is covered; 3 may be rounded. */
-        int right = half_floats[i][0], down = half_floats[i][1] & 0x7fff;
+        /* (0, -1) where less than half of the pixel is covered. */
+        float right = of_half(half_floats[i][0]), down = of_half(half_floats[i][1]);
         if (distance[i] == -1) {
-            EXPECT(right == 0 && half_floats[i][1] == 0xbc00);
+            EXPECT(right == 0 && down == -1);
+            continue;
+        }
+        /* The scene that rises has at least the share of the weights that its Gaussian picked has, or at most what others leave. */
+        float share = -down / rise;
+        EXPECT(right > 2.99f && right < 3.01f && share > -0.01f && share < 1.01f);
+        if (pixel[i][1] == 3) {
+            EXPECT(share > weight - 0.01f);
+            rising += weight > 0.5f;
         } else {
-            EXPECT(right >= 0x41fe && right <= 0x4202 && down < 0x1000);
+            EXPECT(share < 1 - weight + 0.01f);
         }
     }
+    EXPECT(rising > 50);
     EXPECT(somebody > WIDTH * HEIGHT / 10);
     printf("%u of %u Gaussians visible\n", report.visible, report.gaussians);
 

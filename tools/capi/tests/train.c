@@ -14,14 +14,18 @@ int main(int count, char **arguments) {
     static Host host;
     host_open(&host);
     AshsplatContext *context = NULL;
-    check(ashsplat_context_from_host(&host.handles, &context), "being a guest");
+    check(ashsplat_context_from_foreign(&host.handles, &context), "being a guest");
     AshsplatTrainView views[VIEWS];
+    AshsplatCamera cameras[VIEWS];
     for (int v = 0; v < VIEWS; ++v) {
         const float eye[3] = {(float)v - 1.0f, -1.0f, -4.0f}, target[3] = {0, 0, 0}, up[3] = {0, -1, 0};
-        check(ashsplat_camera_look_at(eye, target, up, 0.8f, WIDTH, HEIGHT, &views[v].camera), "a camera");
+        cameras[v] = ASHSPLAT_INIT(AshsplatCamera);
+        check(ashsplat_camera_look_at(eye, target, up, 0.8f, WIDTH, HEIGHT, &cameras[v]), "a camera");
         for (int k = 0; k < 3 * WIDTH * HEIGHT; ++k) {
             photos[v][k] = (uint8_t)(k * (v + 2) / 5);
         }
+        views[v] = ASHSPLAT_INIT(AshsplatTrainView);
+        views[v].camera = &cameras[v];
         views[v].rgb = photos[v];
     }
     uint32_t random = 1;
@@ -34,7 +38,13 @@ int main(int count, char **arguments) {
         }
         quats[i][0] = 1;
     }
-    AshsplatGaussians start = {COUNT, 0, means[0], quats[0], log_scales[0], opacity_logits, sh[0]};
+    AshsplatGaussians start = ASHSPLAT_INIT(AshsplatGaussians);
+    start.count = COUNT;
+    start.means = means[0];
+    start.quats = quats[0];
+    start.log_scales = log_scales[0];
+    start.opacity_logits = opacity_logits;
+    start.sh = sh[0];
     const char *settings = "{\"iterations\": 100, \"sh_degree\": 1, \"sh_degree_interval\": 10, \"densify_from_iter\": 5,"
                            " \"densification_interval\": 8, \"densify_grad_threshold\": 1e-5}";
     AshsplatTrainer *own = NULL, *recorded = NULL, *none = NULL;
@@ -48,7 +58,7 @@ int main(int count, char **arguments) {
     /* Too little room at first: the first step changes nothing, and is recorded again. */
     check(ashsplat_trainer_reserve(recorded, 1, 10), "reserving");
     /* A step that is thrown away is recorded again. */
-    AshsplatStep thrown;
+    AshsplatStep thrown = ASHSPLAT_INIT(AshsplatStep);
     check(ashsplat_trainer_record(recorded, host_begin(&host), 0, NULL), "recording a step");
     require(host.EndCommandBuffer(host.commands), "vkEndCommandBuffer");
     check(ashsplat_trainer_discard(recorded, 0), "throwing it away");
@@ -58,13 +68,13 @@ int main(int count, char **arguments) {
     while (iterations < STEPS) {
         bool is_due = false;
         check(ashsplat_trainer_maintenance_is_due(recorded, &is_due), "asking for maintenance");
-        AshsplatMaintenance done = {false, false, false, 0};
+        AshsplatMaintenance done = ASHSPLAT_INIT(AshsplatMaintenance);
         if (is_due) {
             check(ashsplat_trainer_maintain(recorded, &done), "maintaining");
             densified += done.densified;
         }
-        AshsplatRelease release;
-        AshsplatStep step, wanted;
+        AshsplatRelease release = ASHSPLAT_INIT(AshsplatRelease);
+        AshsplatStep step = ASHSPLAT_INIT(AshsplatStep), wanted = ASHSPLAT_INIT(AshsplatStep);
         check(ashsplat_trainer_record(recorded, host_begin(&host), 0, &release), "recording a step");
         EXPECT(ashsplat_trainer_record(recorded, host.commands, 0, &release) == AshsplatStatus_Argument);
         EXPECT(ashsplat_trainer_save(recorded, arguments[1]) == AshsplatStatus_Argument);

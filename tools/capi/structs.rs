@@ -1,0 +1,240 @@
+//! Structs that hosts fill, and how they grow.
+//!
+//! Each begins with its size in the header that the host was compiled with, which `ASHSPLAT_INIT` sets together with the
+//! defaults. A host of an older header has a smaller struct: the fields that it does not know have their defaults. A host of a
+//! newer header has a larger one, which works as long as what lies beyond is zero. Such a struct is never a part of another
+//! one, and in an array all have the size of the first. A size of 0 is one that was not set: the error says how.
+
+use super::{
+    AshsplatAllocator, AshsplatCamera, AshsplatCutOut, AshsplatDepthTarget, AshsplatForeignDevice,
+    AshsplatForeignImage, AshsplatGaussians, AshsplatMaintenance, AshsplatMotionTarget, AshsplatOccluder,
+    AshsplatPickTarget, AshsplatPlaced, AshsplatPose, AshsplatRecordedFrame, AshsplatRelease,
+    AshsplatRenderSettings, AshsplatReservation, AshsplatScenePlan, AshsplatSceneSettings,
+    AshsplatSlotReport, AshsplatStep, AshsplatTarget, AshsplatTrainView, AshsplatUpdate,
+};
+use ashsplat::{Error, Result};
+use std::mem::{MaybeUninit, offset_of, size_of};
+
+/// A struct that begins with its size.
+///
+/// # Safety
+/// The first field is `struct_size: u32` of `#[repr(C)]`; the others are numbers, booleans, pointers, functions that may be
+/// missing, and structs of those.
+pub(super) unsafe trait Grows: Copy + Default {
+    /// Its name in C.
+    const NAME: &'static str;
+}
+
+/// Fields with other defaults than zero, and their values, in the words of the sources: `ASHSPLAT_INIT` is made of them.
+pub type Defaults = (&'static str, &'static [(&'static str, &'static str)]);
+
+/// Where a field ends that begins there.
+const fn end<T, F>(begin: usize, _: fn(&T) -> &F) -> usize {
+    begin + size_of::<F>()
+}
+
+/// A struct's name and its last field, behind which nothing is padded: the next field begins at today's size. Then the
+/// defaults other than zero.
+macro_rules! structs {
+    ($($name:ident, $last:ident, { $($field:ident: $value:expr),* };)*) => {
+        $(
+            const _: () = assert!(
+                offset_of!($name, struct_size) == 0
+                    && end::<$name, _>(offset_of!($name, $last), |it| &it.$last) == size_of::<$name>(),
+                "padding at the end"
+            );
+
+            // SAFETY: as the type's definition shows.
+            unsafe impl Grows for $name {
+                const NAME: &'static str = stringify!($name);
+            }
+
+            impl Default for $name {
+                fn default() -> Self {
+                    // SAFETY: zero is a value of all fields.
+                    let mut it: Self = unsafe { MaybeUninit::zeroed().assume_init() };
+                    it.struct_size = size_of::<Self>() as u32;
+                    $(it.$field = $value;)*
+                    it
+                }
+            }
+        )*
+
+        /// All of them.
+        #[doc(hidden)]
+        pub const STRUCTS: &[Defaults] =
+            &[$((stringify!($name), &[$((stringify!($field), stringify!($value))),*])),*];
+    };
+}
+
+/// The rows of no rotation.
+pub(super) const UPRIGHT: [f32; 9] = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
+
+structs! {
+    AshsplatAllocator, free, {};
+    AshsplatCamera, projection, { camera_from_world: UPRIGHT };
+    AshsplatCutOut, scale, { scene_from_volume: UPRIGHT, scale: 1.0 };
+    AshsplatDepthTarget, to, {};
+    AshsplatForeignDevice, pipeline_cache, {};
+    AshsplatForeignImage, image, { samples: 1 };
+    AshsplatGaussians, sh, {};
+    AshsplatMaintenance, skipped, {};
+    AshsplatMotionTarget, to, {};
+    AshsplatOccluder, mapping, {};
+    AshsplatPickTarget, to, {};
+    AshsplatPlaced, previous_pose, { world_from_object: UPRIGHT, scale: 1.0 };
+    AshsplatPose, scale, { world_from_object: UPRIGHT, scale: 1.0 };
+    AshsplatRecordedFrame, motion, {};
+    AshsplatRelease, motion, {};
+    AshsplatRenderSettings, scale_modifier, { sh_degree: 3, scale_modifier: 1.0 };
+    AshsplatReservation, staging_bytes, { slots: 1, queues: 1, scenes: 1, blend_passes: 1 };
+    AshsplatScenePlan, chunk_bytes, {};
+    AshsplatSceneSettings, selection_share, {
+        visible: true, tint: [1.0, 1.0, 1.0], opacity: 1.0, sh_degree: 3, selection_color: [1.0, 1.0, 1.0], selection_share: 0.5
+    };
+    AshsplatSlotReport, nanoseconds, {};
+    AshsplatStep, view, {};
+    AshsplatTarget, to, { exposure: 1.0 };
+    AshsplatTrainView, rgb, {};
+    AshsplatUpdate, gaussians, {};
+}
+
+/// Largest size that is taken for one: what lies beyond is memory that nothing was written to.
+const LARGEST: usize = 4096;
+
+/// Names what an error is within.
+pub(super) fn within(outer: impl std::fmt::Display) -> impl FnOnce(Error) -> Error {
+    move |error| match error {
+        Error::Argument { what, problem } => Error::argument(format!("{outer}.{what}"), problem),
+        other => other,
+    }
+}
+
+/// The size that a host's struct has.
+///
+/// # Safety
+/// The pointer is valid for a read of a number.
+unsafe fn size_of_hosts<T: Grows>(pointer: *const T, what: &str) -> Result<usize> {
+    // SAFETY: as promised; the number is the first field.
+    let size = unsafe { pointer.cast::<u32>().read_unaligned() } as usize;
+    let (name, own) = (T::NAME, size_of::<T>());
+    match size {
+        0 => {
+            let problem = format!("struct_size is 0: begin with ASHSPLAT_INIT({name})");
+            Err(Error::argument(what, problem))
+        }
+        8..=LARGEST if size.is_multiple_of(4) => Ok(size),
+        _ => {
+            let problem =
+                format!("struct_size is {size}, {name} has {own}: begin with ASHSPLAT_INIT({name})");
+            Err(Error::argument(what, problem))
+        }
+    }
+}
+
+/// A host's struct as this library has it.
+///
+/// # Safety
+/// The pointer is null or valid for as many bytes as the struct says.
+pub(super) unsafe fn read<T: Grows>(pointer: *const T, what: &str) -> Result<T> {
+    if pointer.is_null() {
+        return Err(Error::argument(what, "the pointer is null"));
+    }
+    let (mut it, own) = (T::default(), size_of::<T>());
+    // SAFETY: as promised; all bytes of the fields of a struct of the host's are values of theirs.
+    unsafe {
+        let size = size_of_hosts(pointer, what)?;
+        let bytes = pointer.cast::<MaybeUninit<u8>>();
+        std::ptr::copy_nonoverlapping(bytes, (&raw mut it).cast(), size.min(own));
+        (&raw mut it).cast::<u32>().write(own as u32);
+        if size > own {
+            let tail = std::slice::from_raw_parts(pointer.cast::<u8>().add(own), size - own);
+            if let Some(place) = tail.iter().position(|byte| *byte != 0) {
+                let problem = format!(
+                    "struct_size is {size}, this version knows {own} bytes of {}, and what the host has set at byte {} is \
+                     unknown to it: use a newer library",
+                    T::NAME,
+                    own + place
+                );
+                return Err(Error::argument(what, problem));
+            }
+        }
+    }
+    Ok(it)
+}
+
+/// As [`read`], of a pointer that may be null.
+///
+/// # Safety
+/// As [`read`].
+pub(super) unsafe fn read_if<T: Grows>(pointer: *const T, what: &str) -> Result<Option<T>> {
+    // SAFETY: as promised.
+    if pointer.is_null() { Ok(None) } else { unsafe { read(pointer, what) }.map(Some) }
+}
+
+/// A host's array, whose elements are as large as the first says.
+///
+/// # Safety
+/// The pointer is valid for so many structs of that size, or the count is 0.
+pub(super) unsafe fn read_all<T: Grows>(pointer: *const T, count: u32, what: &str) -> Result<Vec<T>> {
+    if count == 0 {
+        return Ok(Vec::new());
+    }
+    if pointer.is_null() {
+        return Err(Error::argument(what, "the pointer is null"));
+    }
+    let mut all = Vec::with_capacity(count as usize);
+    // SAFETY: as promised.
+    unsafe {
+        let stride = size_of_hosts(pointer, &format!("{what}[0]"))?;
+        for index in 0..count as usize {
+            let at = pointer.byte_add(index * stride);
+            let size = at.cast::<u32>().read_unaligned() as usize;
+            if size != stride && size != 0 {
+                let problem = format!("struct_size is {size}, that of {what}[0] is {stride}");
+                return Err(Error::argument(format!("{what}[{index}]"), problem));
+            }
+            // Its name is needed for errors alone.
+            all.push(read(at, what).map_err(|error| match error {
+                Error::Argument { what, problem } => Error::argument(format!("{what}[{index}]"), problem),
+                other => other,
+            })?);
+        }
+    }
+    Ok(all)
+}
+
+/// Gives a host's struct its values, as many as it has.
+///
+/// # Safety
+/// The pointer is null or valid for as many bytes as the struct says.
+pub(super) unsafe fn write<T: Grows>(pointer: *mut T, what: &str, value: T) -> Result<()> {
+    if pointer.is_null() {
+        return Err(Error::argument(what, "the pointer is null"));
+    }
+    // SAFETY: as promised; the host's size stays.
+    unsafe {
+        let size = size_of_hosts(pointer, what)?.min(size_of::<T>());
+        let from = (&raw const value).cast::<MaybeUninit<u8>>();
+        std::ptr::copy_nonoverlapping(from.add(4), pointer.cast::<MaybeUninit<u8>>().add(4), size - 4);
+    }
+    Ok(())
+}
+
+/// As [`write`], of a pointer that may be null.
+///
+/// # Safety
+/// As [`write`].
+pub(super) unsafe fn write_if<T: Grows>(pointer: *mut T, what: &str, value: T) -> Result<()> {
+    // SAFETY: as promised.
+    if pointer.is_null() { Ok(()) } else { unsafe { write(pointer, what, value) } }
+}
+
+/// Checks that a struct can be written, before work whose result it is to have.
+///
+/// # Safety
+/// As [`write`].
+pub(super) unsafe fn check_room<T: Grows>(pointer: *mut T, what: &str) -> Result<()> {
+    // SAFETY: as promised.
+    if pointer.is_null() { Ok(()) } else { unsafe { size_of_hosts(pointer, what) }.map(drop) }
+}
