@@ -3,6 +3,7 @@
 use ashsplat::forward::Filter3d;
 use ashsplat::scene::{Camera, Gaussians, HostView, Intrinsics};
 use ashsplat::{RenderSettings, Shape};
+use ashsplat_files::cameras_json;
 use glam::{Mat3, Vec3};
 
 use crate::common::engine::{camera, gaussians, renderer, settings};
@@ -216,4 +217,21 @@ fn orthographic_and_perspective_coefficients_invert_the_mapping() {
         assert_eq!(depth, a * if mapping.linear { z } else { 1.0 / z } + b);
         assert!((mapping.z(depth) - z).abs() < 1e-4 * z, "{mapping:?}: {}", mapping.z(depth));
     }
+}
+
+/// `cameras.json` keeps the projection, and says nothing of it for pinholes.
+#[test]
+fn orthographic_cameras_come_back_from_their_file() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("cameras.json");
+    let pinhole = Camera { projection: ashsplat::scene::Projection::Perspective, ..along_z() };
+    cameras_json::write(&path, [("parallel", &along_z()), ("pinhole", &pinhole)]).expect("written");
+    let read: Vec<Camera> =
+        cameras_json::read(&path).expect("cameras").iter().map(|named| named.camera).collect();
+    assert_eq!(read, [along_z(), pinhole]);
+    let text = std::fs::read_to_string(&path).expect("text");
+    assert_eq!(text.matches("projection").count(), 1);
+    std::fs::write(&path, text.replace("orthographic", "fisheye")).expect("written");
+    let error = cameras_json::read(&path).map_or_else(|error| error.to_string(), |_| "accepted".into());
+    assert!(error.contains("cameras.json") && error.contains("fisheye"), "{error}");
 }
