@@ -36,6 +36,14 @@ layout(push_constant, scalar) uniform Push {
 
 const float HIDES_ALL = 3e38;
 
+float limit_of(float value) {
+    if (LINEAR) {
+        // A surface at the camera hides everything.
+        return value > 0.0 ? 1.0 / value : HIDES_ALL;
+    }
+    return max(value, 0.0);
+}
+
 void main() {
     uint index = linear_invocation();
     if (index >= image_width * image_height) {
@@ -43,10 +51,5 @@ void main() {
     }
     uvec2 at = uvec2(index % image_width, index / image_width);
     float d = texelFetch(depth, ivec2(at + uvec2(offset_x, offset_y)), 0).x;
-    float limit = max(scale * d + offset, 0.0);
-    if (LINEAR) {
-        // A surface at the camera hides everything.
-        limit = limit > 0.0 ? 1.0 / limit : HIDES_ALL;
-    }
-    depth_limits[index] = d == clear_value ? 0.0 : limit;
+    depth_limits[index] = d == clear_value ? 0.0 : limit_of(scale * d + offset);
 }

@@ -121,7 +121,7 @@ fn host_views_that_cannot_be_are_refused() {
         ("mirror the picture", HostView { clip_y: ClipY::Up, ..good }),
         ("not finite", HostView { view_from_world: Mat4::NAN, ..good }),
         ("no size", HostView { width: 0, ..good }),
-        ("no perspective", HostView { clip_from_view: Mat4::IDENTITY, ..good }),
+        ("neither perspective nor orthographic", HostView { clip_from_view: Mat4::ZERO, ..good }),
         (
             "not a rotation",
             HostView { view_from_world: Mat4::from_scale(Vec3::splat(2.0)) * good.view_from_world, ..good },
@@ -137,6 +137,10 @@ fn host_views_that_cannot_be_are_refused() {
     let mut skewed = good;
     skewed.clip_from_view.y_axis.x = 0.1;
     bad.push(("skewed", skewed));
+    // w of both kinds.
+    let mut mixed = good;
+    mixed.clip_from_view.w_axis.w = 1.0;
+    bad.push(("neither perspective nor orthographic", mixed));
     for (expected, view) in bad {
         let error = view.camera().expect_err(expected).to_string();
         assert!(error.contains(expected) && !error.contains('\n'), "{error} (expected {expected})");
