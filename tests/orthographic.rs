@@ -1,8 +1,8 @@
 //! Orthographic cameras: what parallel rays show of known Gaussians, and of random ones what the twin shows.
 
 use ashsplat::forward::Filter3d;
-use ashsplat::scene::{Camera, Gaussians, HostView, Intrinsics};
-use ashsplat::{RenderSettings, Shape};
+use ashsplat::scene::{Camera, Gaussians, HostView, Intrinsics, Photo};
+use ashsplat::{RenderSettings, Shape, TrainSettings, TrainView, Trainer};
 use ashsplat_files::cameras_json;
 use glam::{Mat3, Vec3};
 
@@ -149,6 +149,13 @@ fn orthographic_cameras_have_no_gradients() {
     let error = refused.map_or_else(|error| error.to_string(), |()| "accepted".into());
     assert!(error.contains("camera.projection"), "{error}");
     drop(renderer);
+    let [width, height] = SIZE;
+    let photo = Photo { width, height, rgb: vec![128; 3 * (width * height) as usize] };
+    let views = vec![TrainView::new(along_z(), photo)];
+    let start = one([0.0, 0.0, 3.0], [0.5; 3], 1.0);
+    let refused = Trainer::new(gpu.context, views, &start, 1.0, TrainSettings::default()).map(drop);
+    let error = refused.map_or_else(|error| error.to_string(), |()| "accepted".into());
+    assert!(error.contains("view 0.camera.projection: is orthographic"), "{error}");
 }
 
 /// A host's matrices, of standard and reversed depth, with y up and down, off-centre, near planes before and behind the
