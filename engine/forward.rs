@@ -133,7 +133,8 @@ impl Forward {
             *project = Some(Kernel::new(&self.context, &spec)?);
         }
         if variant.motion {
-            self.screen_motion.prepare(&self.context, self.sizes.elementwise_workgroup)?;
+            let workgroup = self.sizes.elementwise_workgroup;
+            self.screen_motion.prepare(&self.context, workgroup, variant.orthographic)?;
         }
         self.blend.prepare(&self.context, &self.sizes, variant)
     }
@@ -143,7 +144,7 @@ impl Forward {
         let built = &self.project[variant.of_project()][sh_degree as usize];
         built.is_some()
             && self.cull[variant.of_cull()].is_some()
-            && (!variant.motion || self.screen_motion.is_prepared())
+            && (!variant.motion || self.screen_motion.is_prepared(variant.orthographic))
             && self.blend.is_prepared(&self.sizes, variant)
     }
 
@@ -181,7 +182,6 @@ impl Forward {
         });
         r.scope("cull", |r| self.record_visibility(r, inputs));
         r.scope("project", |r| self.record_project(r, inputs));
-        self.screen_motion.record(r, inputs, &self.sizes);
         r.scope("depth sort", |r| self.record_depth_sort(r, f));
         r.scope("count", |r| self.record_count(r, inputs));
         r.scope("duplicate", |r| self.record_duplicate(r, inputs));
@@ -300,7 +300,7 @@ impl Forward {
         );
     }
 
-    /// Records the screen-space attributes of the visible Gaussians.
+    /// Records the screen-space attributes of the visible Gaussians, and their motions where a host wants them.
     fn record_project(&self, r: &mut Recorder, inputs: &FrameInputs) {
         let f = inputs.frame;
         let (splats, [extent, antialias]) = (f.splats(), inputs.settings.modes());
@@ -336,6 +336,7 @@ impl Forward {
                 r.barrier();
             }
             r.dispatch_indirect(kernel, &bind, &push, &range_arguments(f, &self.sizes, range));
+            self.screen_motion.record(r, (inputs, &part), &self.sizes);
         }
         r.barrier();
     }

@@ -63,7 +63,10 @@ impl Renderer {
                 limit_name: "reserved",
             });
         }
-        if let Some(fields) = reserved.lacks(variant) {
+        let parallel = |camera: &Camera| camera.is_orthographic();
+        let before = frame.motion.is_some_and(|motion| parallel(motion.previous_camera));
+        let needed = BlendVariant { orthographic: variant.orthographic || before, ..variant };
+        if let Some(fields) = reserved.lacks(needed) {
             return Err(Error::argument(fields, "not reserved, and the frame needs it"));
         }
         if frame.settings.dropout.is_some() || frame.settings.has_z_record() {

@@ -54,7 +54,8 @@ pub struct Reservation {
     /// and 8 per Gaussian.
     pub motion: bool,
     /// Whether frames will have orthographic cameras ([`Projection::Orthographic`](crate::scene::Projection::Orthographic)),
-    /// beside pinholes.
+    /// beside pinholes; also those of the frame before
+    /// ([`MotionTarget::previous_camera`](super::MotionTarget::previous_camera)).
     pub orthographic: bool,
     /// Whether all frames go into images, and none into its slot ([`Target::Slot`](super::Target::Slot)). Slots then have
     /// no pixels of their own ([`Renderer::slot_pixels`](super::Renderer::slot_pixels), `slot_inverse_depth`).

@@ -1,10 +1,12 @@
-// Motion of the visible Gaussians on the screen, from the frame before to this one: of their means, by the pinhole projection
-// of both cameras and poses.
+// Motion of the visible Gaussians on the screen, from the frame before to this one: of their means, by both cameras and poses.
 //
-//   m = p - p', p = f (R mean + t).xy / (R mean + t).z + c, and p' the same of the frame before
+//   m = p - p', p = f (R mean + t).xy / (R mean + t).z + c, with ORTHOGRAPHIC p = f (R mean + t).xy + c; p' the same of the
+//   frame before
 //
-// Zero where the mean did not lie in front of the earlier camera (z > NEAR_PLANE), or where a number is not finite. The same
-// arithmetic for both: what has not moved has the motion 0 exactly.
+// Zero where the mean did not lie in front of the earlier camera (z > NEAR_PLANE), or where a number is not finite. At most the
+// picture's width and height: from any pixel that leads out of the picture, and a Gaussian close to the plane of the earlier
+// camera, whose p' is far away, does not outweigh all others of a pixel. The same arithmetic for both cameras: what has not moved
+// has the motion 0 exactly.
 //
 // invocation: one visible Gaussian of the bound parameter range
 // in: parameters (PerGaussian planes), visible_list, visible_ranges; out, PerVisible: motions, px, y down
@@ -17,6 +19,9 @@
 #include "buffers.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
+// Whether the camera's rays are parallel, and those of the camera before: see projection.glsl.
+layout(constant_id = 2) const bool ORTHOGRAPHIC = false;
+layout(constant_id = 3) const bool PREVIOUS_ORTHOGRAPHIC = false;
 layout(local_size_x_id = 0) in;
 
 VEC4_READS(0, Parameters, parameters);
@@ -42,9 +47,9 @@ layout(push_constant, scalar) uniform Push {
 #include "planes.glsl"
 
 // Screen position (px) and depth of a point.
-vec3 seen(vec3 point, mat3 rows, vec3 translation, vec2 focal, vec2 center) {
+vec3 seen(vec3 point, mat3 rows, vec3 translation, vec2 focal, vec2 center, bool parallel) {
     precise vec3 at = vec3(dot(rows[0], point), dot(rows[1], point), dot(rows[2], point)) + translation;
-    precise vec2 screen = focal * at.xy / at.z + center;
+    precise vec2 screen = focal * at.xy / (parallel ? 1.0 : at.z) + center;
     return vec3(screen, at.z);
 }
 
@@ -59,9 +64,12 @@ void main() {
     vec3 mean = VEC4_AT(parameters, geometry_at(PLANE_MEAN_OPACITY, index)).xyz;
     mat3 rows = mat3(camera_row_x, camera_row_y, camera_row_z);
     mat3 previous_rows = mat3(previous_row_x, previous_row_y, previous_row_z);
-    vec3 now = seen(mean, rows, camera_translation, focal_px, center_px);
-    vec3 before = seen(mean, previous_rows, previous_translation, previous_focal_px, previous_center_px);
+    vec3 now = seen(mean, rows, camera_translation, focal_px, center_px, ORTHOGRAPHIC);
+    vec3 before = seen(
+        mean, previous_rows, previous_translation, previous_focal_px, previous_center_px, PREVIOUS_ORTHOGRAPHIC
+    );
     vec2 motion = now.xy - before.xy;
     bool known = before.z > NEAR_PLANE && finite(vec4(motion, 0.0, 0.0));
-    motions[visible] = known ? clamp(motion, vec2(-MOTION_MAX), vec2(MOTION_MAX)) : vec2(0.0);
+    vec2 most = vec2(image_width, image_height);
+    motions[visible] = known ? clamp(motion, -most, most) : vec2(0.0);
 }

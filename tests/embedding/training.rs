@@ -184,7 +184,8 @@ fn another_form_of_blending_is_due_maintenance() {
     });
 }
 
-/// A step without room leaves everything as it was, and so do those behind it that were recorded before anybody knew.
+/// A step without room leaves everything as it was, and so do those behind it that were recorded before it ran: once it has
+/// finished, recording refuses.
 #[test]
 fn steps_without_room_change_nothing() {
     with_host(&options(), |host| {
@@ -196,8 +197,8 @@ fn steps_without_room_change_nothing() {
         for (slot, frame) in (0..).zip(&frames) {
             frame.begin(host).expect("recording");
             recorded.record_step(adopt(&context, frame), slot).expect("a recording");
-            frame.submit(host).expect("a submission");
         }
+        frames.iter().for_each(|frame| frame.submit(host).expect("a submission"));
         frames.iter().for_each(|frame| frame.wait(host).expect("done"));
         for slot in 0..3 {
             let outcome = recorded.step_outcome(slot).expect("an outcome").expect("finished");

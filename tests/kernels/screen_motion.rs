@@ -6,7 +6,7 @@ use crate::common::gpu::{Gpu, UNTOUCHED};
 use crate::common::layout::{camera_block, pack, room};
 use crate::common::scenes::{Random, mixed_scene, small_view};
 use crate::reference::screen_motion::screen_motion;
-use crate::reference::types::{Gaussian, View};
+use crate::reference::types::{Drawn, Gaussian, View};
 
 /// Motions of every second Gaussian of a range that begins behind others, as the kernel says.
 fn moved(gpu: &Gpu, gaussians: &[Gaussian], view: &View, before: &View) -> Vec<[f32; 2]> {
@@ -38,7 +38,9 @@ fn moved(gpu: &Gpu, gaussians: &[Gaussian], view: &View, before: &View) -> Vec<[
         previous_center_px: before.center_px.map(|x| f(x - 0.5)),
     };
     let workgroups = visible.len() as u64 / u64::from(workgroup_size) + 1;
-    gpu.dispatch::<Interface>(&Spec { workgroup_size }, &bind, &push, workgroups);
+    let [orthographic, previous_orthographic] = [view, before].map(|view| view.drawn.orthographic);
+    let spec = Spec { workgroup_size, orthographic, previous_orthographic };
+    gpu.dispatch::<Interface>(&spec, &bind, &push, workgroups);
     let words = gpu.read::<u32>(&motions, 2 * (end as usize + 2));
     assert!(words[..6].iter().chain(&words[2 * end as usize..]).all(|&word| word == UNTOUCHED));
     gpu.read::<[f32; 2]>(&motions, end as usize).split_off(3)
@@ -47,18 +49,32 @@ fn moved(gpu: &Gpu, gaussians: &[Gaussian], view: &View, before: &View) -> Vec<[
 #[test]
 fn screen_motion_equals_its_twin() {
     let gpu = Gpu::new();
-    let view = small_view([53, 37]);
-    let before = View {
+    let now = small_view([53, 37]);
+    let earlier = View {
         translation: [0.125, -0.0625, 3.875],
         focal_px: [60.0, 62.0],
         center_px: [26.25, 18.75],
-        ..small_view([53, 37])
+        ..now.clone()
     };
-    for size in [1, 33, 500] {
+    // Pixels per unit, in place of a focal length.
+    let parallel = |view: &View, scale: f64| View {
+        drawn: Drawn { orthographic: true, ..Drawn::AS_THEY_ARE },
+        focal_px: view.focal_px.map(|f| f * scale),
+        ..view.clone()
+    };
+    let [now_parallel, earlier_parallel] =
+        [(&now, 0.25), (&earlier, 0.3)].map(|(v, scale)| parallel(v, scale));
+    let pairs = [
+        (&now, &earlier),
+        (&now_parallel, &earlier_parallel),
+        (&now, &earlier_parallel),
+        (&now_parallel, &earlier),
+    ];
+    for (size, (view, before)) in pairs.into_iter().flat_map(|pair| [1, 33, 500].map(|size| (size, pair))) {
         let gaussians = mixed_scene(&mut Random::new(size as u64), size, 1);
         let (mut some, mut none) = (0, 0);
-        for (gaussian, motion) in gaussians.iter().step_by(2).zip(moved(&gpu, &gaussians, &view, &before)) {
-            let expected = screen_motion(gaussian.mean, &view, &before);
+        for (gaussian, motion) in gaussians.iter().step_by(2).zip(moved(&gpu, &gaussians, view, before)) {
+            let expected = screen_motion(gaussian.mean, view, before);
             for axis in 0..2 {
                 let (actual, expected) = (f64::from(motion[axis]), expected[axis]);
                 // Places are that large, and rounded.
@@ -68,12 +84,12 @@ fn screen_motion_equals_its_twin() {
             if expected == [0.0; 2] { none += 1 } else { some += 1 }
         }
         assert!(size < 500 || some > 200, "{some} move, {none} do not");
-        let still = moved(&gpu, &gaussians, &view, &view);
+        let still = moved(&gpu, &gaussians, view, view);
         assert!(still.iter().all(|motion| *motion == [0.0; 2]), "what stands still moves");
     }
 }
 
-/// Behind the camera of before, far aside, and not a number.
+/// Behind the camera of before, close to its plane, far aside, and not a number.
 #[test]
 fn screen_motion_stays_finite() {
     let gpu = Gpu::new();
@@ -81,11 +97,21 @@ fn screen_motion_stays_finite() {
     let mut gaussians = mixed_scene(&mut Random::new(3), 8, 1);
     let behind = View { translation: [0.0, 0.0, -100.0], ..view.clone() };
     assert!(moved(&gpu, &gaussians, &view, &behind).iter().all(|motion| *motion == [0.0; 2]));
-    let aside = View { translation: [1e9, 0.0, 4.0], ..view.clone() };
+    // At most as much as leads out of the picture.
+    let aside = View { translation: [1e9, -1e9, 4.0], ..view.clone() };
     for motion in moved(&gpu, &gaussians, &view, &aside) {
-        assert_eq!(motion[0], -65504.0);
+        assert_eq!(motion, [-53.0, 37.0]);
     }
-    gaussians[2].mean = [1e38, 1e38, f64::from(f32::MAX)];
-    let motions = moved(&gpu, &gaussians, &view, &View { translation: [-3e38, 0.0, 3e38], ..view.clone() });
-    assert!(motions.iter().flatten().all(|x| x.abs() <= 65504.0), "{motions:?}");
+    gaussians[0].mean = [-1.0, 0.0, 0.0];
+    let close = View { translation: [0.0, 0.0, 0.201], ..view.clone() };
+    assert_eq!(moved(&gpu, &gaussians, &view, &close)[0][0], 53.0);
+    // From infinity, and to there: the guard leaves nothing.
+    for gaussian in &mut gaussians {
+        gaussian.mean = [1e38, 1e38, f64::from(f32::MAX)];
+    }
+    let far = View { translation: [-3e38, 0.0, 3e38], ..view.clone() };
+    for [from, to] in [[&far, &view], [&view, &far]] {
+        let motions = moved(&gpu, &gaussians, to, from);
+        assert!(motions.iter().all(|motion| *motion == [0.0; 2]), "{motions:?}");
+    }
 }

@@ -7,13 +7,15 @@ fn seen(mean: [f64; 3], view: &View) -> ([f64; 2], f64) {
     let row =
         |k: usize| (0..3).map(|j| view.camera_from_world[k][j] * mean[j]).sum::<f64>() + view.translation[k];
     let [x, y, z] = [row(0), row(1), row(2)];
-    let at = |k: usize, v: f64| view.focal_px[k] * v / z + view.center_px[k] - 0.5;
+    let distance = if view.drawn.orthographic { 1.0 } else { z };
+    let at = |k: usize, v: f64| view.focal_px[k] * v / distance + view.center_px[k] - 0.5;
     ([at(0, x), at(1, y)], z)
 }
 
-/// Its place in `view` less that in `before`, px; none where it did not lie before that camera.
+/// Its place in `view` less that in `before`, px, at most the picture's size; none where it did not lie before that camera.
 pub fn screen_motion(mean: [f64; 3], view: &View, before: &View) -> [f64; 2] {
     let ([x, y], _) = seen(mean, view);
     let ([x0, y0], z0) = seen(mean, before);
-    if z0 > 0.2 { [x - x0, y - y0].map(|m: f64| m.clamp(-65504.0, 65504.0)) } else { [0.0; 2] }
+    let [w, h] = view.size_px.map(f64::from);
+    if z0 > 0.2 { [(x - x0).clamp(-w, w), (y - y0).clamp(-h, h)] } else { [0.0; 2] }
 }
