@@ -1,6 +1,8 @@
 //! What a frame leaves beside the picture: what is picked at each pixel, and motion; by the host's own arithmetic.
 
+mod cameras;
 mod costs;
+pub mod flight;
 pub mod truth;
 
 use crate::scene_settings::{HIDDEN, USUAL};

@@ -99,8 +99,13 @@ fn memory_table(host: &Host) {
     }
 }
 
-/// Median time of `record`, microseconds, its fastest, and the most heap allocations of one, after `warm` frames.
-fn record_cost(host: &Host, scenes: u32, timestamps: bool, frames: usize) -> ([f64; 2], u64) {
+/// Median time of `record`, microseconds, its fastest, and the most heap allocations of one, after the first frames.
+pub fn record_cost(
+    host: &Host,
+    (scenes, motion): (u32, bool),
+    timestamps: bool,
+    frames: usize,
+) -> ([f64; 2], u64) {
     let context = shipped(host, timestamps);
     let gaussians = cloud(8, 1);
     let scenes: Vec<_> =
@@ -109,7 +114,8 @@ fn record_cost(host: &Host, scenes: u32, timestamps: bool, frames: usize) -> ([f
     let count = scenes.len() as u32;
     let mut renderer = Renderer::new(&context).expect("kernels");
     let wanted = Reservation { slots: 2, scenes: count, ..Reservation::new(8 * count, 1, 64, 48) };
-    renderer.reserve(&wanted).expect("memory");
+    renderer.reserve(&Reservation { motion, ..wanted }).expect("memory");
+    let screens = Screens::new(host, &context, [64, 48]);
     let in_flight = [0; 2].map(|_| InFlight::new(host).expect("a command buffer"));
     let (view, settings) = (camera(0.3, 64, 48), RenderSettings::default());
     let (mut times, mut most) = (Vec::new(), 0);
@@ -117,7 +123,8 @@ fn record_cost(host: &Host, scenes: u32, timestamps: bool, frames: usize) -> ([f
         let (slot, frame) = (number % 2, &in_flight[number % 2]);
         frame.begin(host).expect("recording");
         let commands = adopt(&context, frame);
-        let recorded = RecordedFrame::new(&placed, &view, &settings);
+        let motion = motion.then(|| screens.motion(&view));
+        let recorded = RecordedFrame { motion, ..RecordedFrame::new(&placed, &view, &settings) };
         let start = Instant::now();
         let (asked, done) = allocations(|| renderer.record(commands, slot as u32, &recorded));
         let time = start.elapsed().as_secs_f64() * 1e6;
@@ -132,6 +139,8 @@ fn record_cost(host: &Host, scenes: u32, timestamps: bool, frames: usize) -> ([f
         }
     }
     in_flight.into_iter().for_each(|frame| frame.destroy(host));
+    drop(renderer);
+    screens.destroy();
     times.sort_by(f64::total_cmp);
     ([times[times.len() / 2], times[0]], most)
 }
@@ -266,7 +275,7 @@ fn tables() {
         println!("scenes | timestamps | record, median us | fastest | heap allocations");
         for (scenes, frames) in [(1, 100), (2, 100), (64, 50), (2048, 9)] {
             for timestamps in [false, true] {
-                let ([median, fastest], asked) = record_cost(host, scenes, timestamps, frames);
+                let ([median, fastest], asked) = record_cost(host, (scenes, false), timestamps, frames);
                 println!("{scenes} | {timestamps} | {median:.1} | {fastest:.1} | {asked}");
             }
         }

@@ -14,10 +14,10 @@ use crate::memory::HostTexture;
 use crate::scenes::depth_image;
 use crate::stage::{assert_same, cloud, guest, options, owned, read_texture, rendered, with_host};
 
-const SIZE: [u32; 2] = [110, 70];
+pub const SIZE: [u32; 2] = [110, 70];
 
 /// A view of the cloud whose near plane is behind the eye, with standard or reversed depth.
-fn view(reversed: bool) -> HostView {
+pub fn view(reversed: bool) -> HostView {
     let (near, far) = (-3.0, 9.0);
     let (d_near, d_far) = if reversed { (1.0, 0.0) } else { (0.0, 1.0) };
     let per_z = (d_far - d_near) / (far - near);

@@ -9,7 +9,7 @@ use ashsplat::{
     DeviceScene, Error, Placed, RecordedFrame, RenderSettings, Renderer, Reservation, SceneSettings, Shape,
 };
 
-const SIZE: [u32; 2] = [110, 70];
+pub const SIZE: [u32; 2] = [110, 70];
 
 /// Scenes, and frames of them.
 pub struct Stage<'a> {
@@ -49,15 +49,6 @@ impl<'a> Stage<'a> {
         rendered(host, renderer, &RecordedFrame::new(&placed, camera, frame))
     }
 
-    /// Records a frame into a slot.
-    pub fn record(&mut self, in_flight: &InFlight, slot: u32, settings: &[SceneSettings]) {
-        let Self { renderer, scenes, camera, frame, poses, .. } = self;
-        let placed = placed(scenes, poses, settings);
-        let commands = crate::stage::adopt(renderer.context(), in_flight);
-        let recorded = RecordedFrame::new(&placed, camera, frame);
-        renderer.record(commands, slot, &recorded).expect("a recording");
-    }
-
     /// The error of a frame that is refused.
     pub fn refused(&mut self, settings: &[SceneSettings]) -> Error {
         let in_flight = InFlight::new(self.host).expect("a command buffer");
@@ -72,7 +63,11 @@ impl<'a> Stage<'a> {
 }
 
 /// Scenes with settings of their own.
-fn placed<'a>(scenes: &'a [DeviceScene], poses: &[Pose], settings: &[SceneSettings<'a>]) -> Vec<Placed<'a>> {
+pub fn placed<'a>(
+    scenes: &'a [DeviceScene],
+    poses: &[Pose],
+    settings: &[SceneSettings<'a>],
+) -> Vec<Placed<'a>> {
     let poses = poses.iter().copied().chain(std::iter::repeat(Pose::IDENTITY));
     let scenes = scenes.iter().zip(settings).zip(poses);
     scenes.map(|((scene, &settings), pose)| Placed { settings, ..Placed::at(scene, pose) }).collect()

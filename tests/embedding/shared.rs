@@ -1,5 +1,7 @@
 //! Memory of frames in flight: what slots share, how it grows while they fly, and a host's own block for it.
 
+use crate::auxiliary::flight::Flight;
+use crate::auxiliary::truth::both;
 use crate::host::{Host, InFlight};
 use crate::memory::HostBuffer;
 use crate::stage::{
@@ -109,27 +111,40 @@ fn frames_of_one_command_buffer_share_memory() {
         let gaussians = cloud(900, 4);
         let scene = DeviceScene::upload(&context, &gaussians, 0).expect("a scene");
         let mut renderer = Renderer::new(&context).expect("kernels");
-        renderer
-            .reserve(&Reservation { slots: 2, ..Reservation::new(900, 1, SIZE[0], SIZE[1]) })
-            .expect("memory");
+        let wanted = Reservation { slots: 2, ..Reservation::new(900, 1, SIZE[0], SIZE[1]) };
+        renderer.reserve(&both(wanted)).expect("memory");
         let (settings, scenes) = (RenderSettings::default(), [(&scene).into()]);
         let cameras = [0.0, 1.0].map(|turn| camera(turn, SIZE[0], SIZE[1]));
         let staging = [0; 2].map(|_| HostBuffer::new(host, 16 * PIXELS as u64).expect("memory"));
         let frame = InFlight::new(host).expect("a command buffer");
+        let mut flights = [0; 2].map(|_| Flight::new(host, &context, SIZE));
         frame.begin(host).expect("recording");
-        for (slot, camera) in (0..).zip(&cameras) {
+        // Each has moved from where the other one is.
+        for (slot, camera) in cameras.iter().enumerate() {
             let recorded = RecordedFrame::new(&scenes, camera, &settings);
-            renderer.record(adopt(&context, &frame), slot, &recorded).expect("a recording");
+            let recorded = flights[slot].with(recorded, &cameras[1 - slot], [true; 2]);
+            renderer.record(adopt(&context, &frame), slot as u32, &recorded).expect("a recording");
         }
+        flights.iter_mut().for_each(|flight| flight.record_read(&frame, [true; 2]));
         for (slot, staging) in (0..).zip(&staging) {
             copy_pixels(host, &mut renderer, slot, &frame, staging, PIXELS);
         }
         frame.submit(host).expect("a submission");
         frame.wait(host).expect("done");
+        let alone = Flight::new(host, &context, SIZE);
+        for (slot, flight) in flights.iter().enumerate() {
+            let drawn = RecordedFrame::new(&scenes, &cameras[slot], &settings);
+            rendered(host, &mut renderer, &alone.with(drawn, &cameras[1 - slot], [true; 2]));
+            let expected = alone.now([true; 2]);
+            assert!(expected.1.iter().any(|motion| *motion != [0; 2]));
+            assert!(flight.read([true; 2]) == expected, "frame {slot} has others beside it");
+        }
         for (camera, staging) in cameras.iter().zip(staging) {
             assert_same(&pixels(host, &staging), &owned(&gaussians, camera, &settings), [0.0; 3]);
             staging.destroy(host);
         }
+        drop(renderer);
+        flights.into_iter().chain([alone]).for_each(Flight::destroy);
         frame.destroy(host);
     });
 }

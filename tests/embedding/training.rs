@@ -184,8 +184,7 @@ fn another_form_of_blending_is_due_maintenance() {
     });
 }
 
-/// A step without room leaves everything as it was, and so do those behind it that were recorded before it ran: once it has
-/// finished, recording refuses.
+/// A step without room leaves everything as it was, and so do those behind it. All are recorded before the first one runs.
 #[test]
 fn steps_without_room_change_nothing() {
     with_host(&options(), |host| {

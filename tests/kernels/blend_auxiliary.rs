@@ -8,6 +8,7 @@ use crate::common::scenes::small_view;
 use crate::common::tiles::Lists;
 use crate::reference::blend::beside;
 use crate::reference::pipeline::pixels_of;
+use crate::reference::types::Splat;
 
 /// Motions of splats, px.
 pub fn motions(lists: &Lists) -> Vec<[f32; 2]> {
@@ -69,6 +70,42 @@ pub fn check_apart(gpu: &Gpu, lists: &Lists, how: How, shared: Option<u32>) {
             let own = words(buffer);
             assert!(if on { own == words(other) } else { own.iter().all(|&word| word == UNTOUCHED) });
         }
+    }
+}
+
+/// Of two equal weights the nearer splat's wins: 1/4 in front, and behind it 3/4 of a third, which rounds to 1/4. A third and one
+/// step more is heavier, and wins. The splats are so wide that alpha is their opacity at each pixel.
+pub fn check_ties(gpu: &Gpu, how: How, shared: Option<u32>) {
+    let view = small_view([37, 21]);
+    let third = 1.0f32 / 3.0;
+    let more = f32::from_bits(third.to_bits() + 1);
+    assert!(0.75 * third == 0.25 && 0.75 * more > 0.25);
+    for (behind, place) in [(third, 2), (more, 3)] {
+        let splat = |opacity: f32| Splat {
+            depth: 2.0,
+            mean2d_px: [18.0, 10.0],
+            cov2d: [1e8, 0.0, 1e8],
+            conic: [0.0; 3],
+            opacity: f64::from(opacity),
+            color: [0.5; 3],
+            radius_px: 0,
+        };
+        // Of the first nothing is blended, of the last too little to count.
+        let splats = [0.001, 0.25, behind, 0.125].map(splat).to_vec();
+        let lists = vec![(0..4).collect(); (view.tiles()[0] * view.tiles()[1]) as usize];
+        let lists = Lists::new(gpu, splats, lists, &view);
+        let beside = forward_auxiliary(gpu, &lists, (how, shared), &motions(&lists), [true, false]);
+        for [picked, weight] in gpu.read::<[u32; 2]>(&beside.picks, view.pixels()) {
+            assert_eq!((picked, f32::from_bits(weight) >= 0.25), (place, true), "{how:?}, {shared:?}");
+        }
+    }
+}
+
+#[test]
+fn blend_auxiliary_picks_the_nearest_of_equal_weights() {
+    let gpu = Gpu::new();
+    for how in [CHAINED, UNCHAINED, LOW, How { entries_per_pass: 2, ..CHAINED }] {
+        check_ties(&gpu, how, None);
     }
 }
 

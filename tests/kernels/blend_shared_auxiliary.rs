@@ -1,11 +1,19 @@
 //! `forward/blend_shared_auxiliary` against the twin of `forward/blend`, and its picture against that of
 //! `forward/blend_shared`, to the bit.
 
-use super::blend_auxiliary::{check, check_apart};
+use super::blend_auxiliary::{check, check_apart, check_ties};
 use crate::common::blending::{CHAINED, How, UNCHAINED};
 use crate::common::gpu::Gpu;
 use crate::common::scenes::small_view;
 use crate::common::tiles::Lists;
+
+#[test]
+fn blend_shared_auxiliary_picks_the_nearest_of_equal_weights() {
+    let gpu = Gpu::new();
+    for how in [CHAINED, UNCHAINED, How { entries_per_pass: 2, ..CHAINED }] {
+        check_ties(&gpu, how, Some(32));
+    }
+}
 
 #[test]
 fn blend_shared_auxiliary_equals_its_twin() {

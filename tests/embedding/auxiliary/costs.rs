@@ -1,9 +1,11 @@
 //! What picks and motion cost a frame.
 
 use super::truth::{Screens, both, shifted};
-use crate::host::{HostOptions, InFlight};
+use crate::cost::record_cost;
+use crate::host::{Host, HostOptions, InFlight};
 use crate::stage::{adopt, camera, cloud, with_host};
 use ashsplat::{DeviceScene, PickTarget, Placed, RecordedFrame, RenderSettings, Renderer, Reservation};
+use std::time::Instant;
 
 /// Milliseconds of the stages and of all, of a frame with and without: medians, taken in turn.
 #[test]
@@ -46,24 +48,63 @@ fn costs() {
                     own.map(|s| s.nanoseconds / 1e6).sum()
                 };
                 if round > 0 {
-                    let all = [sum(Some("motion")), sum(Some("blend")), sum(Some("compose")), sum(None)];
+                    let all = [sum(Some("project")), sum(Some("blend")), sum(Some("compose")), sum(None)];
                     times.iter_mut().zip(all).for_each(|(times, ms)| times.push(ms));
                 }
             }
         }
-        println!("frame with | motion, ms | blend, ms | compose, ms | frame, ms | ratio of pairs");
+        println!("frame with | project, ms | blend, ms | compose, ms | frame, ms | ratio of pairs");
         let without = times[0][3].clone();
         for ((name, _), mut times) in cases.iter().zip(times) {
             let mut ratios: Vec<f64> =
                 times[3].iter().zip(&without).map(|(own, other)| own / other).collect();
             ratios.sort_by(f64::total_cmp);
             times.iter_mut().for_each(|times| times.sort_by(f64::total_cmp));
-            let [motion, blend, compose, all] = times.map(|times| times[times.len() / 2]);
+            let [project, blend, compose, all] = times.map(|times| times[times.len() / 2]);
             let ratio = ratios[ratios.len() / 2];
-            println!("{name} | {motion:.2} | {blend:.1} | {compose:.2} | {all:.1} | {ratio:.3}");
+            println!("{name} | {project:.2} | {blend:.1} | {compose:.2} | {all:.1} | {ratio:.3}");
         }
         in_flight.destroy(host);
         drop(renderer);
         screens.destroy();
     });
+}
+
+/// Microseconds of `record` with and without motion.
+#[test]
+#[ignore = "prints numbers of the guide"]
+fn record_costs() {
+    with_host(&HostOptions::default(), |host| {
+        println!("scenes | motion | record, median us | fastest");
+        for (scenes, frames) in [(1, 100), (64, 50), (2048, 15)] {
+            for motion in [false, true] {
+                let ([median, fastest], _) = record_cost(host, (scenes, motion), false, frames);
+                println!("{scenes} | {motion} | {median:.0} | {fastest:.0}");
+            }
+        }
+    });
+}
+
+/// Pipelines of a reservation, and the milliseconds until all are built: with MESA_SHADER_CACHE_DISABLE=true by the compiler.
+#[test]
+#[ignore = "prints numbers of the guide"]
+fn pipelines() {
+    println!("reserved | pipelines | milliseconds");
+    for (name, [pick, motion]) in
+        [("neither", [false; 2]), ("pick", [true, false]), ("motion", [false, true]), ("both", [true; 2])]
+    {
+        for occlusion in [false, true] {
+            let host = Host::new(&HostOptions::default()).expect("a host");
+            let context = crate::cost::shipped(&host, false);
+            let wanted = Reservation { pick, motion, occlusion, ..Reservation::new(1000, 3, 64, 48) };
+            let jobs = Renderer::kernel_jobs(&context, &wanted).expect("a list").len();
+            let start = Instant::now();
+            let mut renderer = Renderer::new(&context).expect("kernels");
+            renderer.reserve(&wanted).expect("memory");
+            let ms = start.elapsed().as_secs_f64() * 1e3;
+            println!("{name}, occlusion {occlusion} | {jobs} | {ms:.0}");
+            drop((renderer, context));
+            host.destroy();
+        }
+    }
 }

@@ -23,7 +23,7 @@ pub const WRITTEN: ImageState = ImageState {
 /// Images of the host's for what lies beside the picture.
 pub struct Screens<'a> {
     host: &'a Host,
-    textures: [HostTexture; 2],
+    pub textures: [HostTexture; 2],
     pub views: [Image; 2],
 }
 
@@ -148,15 +148,17 @@ pub fn in_world(mean: [f32; 3], pose: &Pose) -> DVec3 {
 /// Screen position and depth, in float64; pixel centres at the integers.
 pub fn seen(point: DVec3, camera: &Camera) -> ([f64; 2], f64) {
     let at = camera.camera_from_world.as_dmat3() * point + camera.translation.as_dvec3();
-    let f = |focal: f32, x: f64, center: f32| f64::from(focal) * x / at.z + f64::from(center) - 0.5;
+    let distance = if camera.is_orthographic() { 1.0 } else { at.z };
+    let f = |focal: f32, x: f64, center: f32| f64::from(focal) * x / distance + f64::from(center) - 0.5;
     ([f(camera.fx, at.x, camera.cx), f(camera.fy, at.y, camera.cy)], at.z)
 }
 
-/// What has moved on the screen, in float64.
+/// What has moved on the screen, in float64: at most the picture's size.
 pub fn moved(mean: [f32; 3], [pose, before]: [&Pose; 2], [camera, camera_before]: [&Camera; 2]) -> [f64; 2] {
     let ([x, y], _) = seen(in_world(mean, pose), camera);
     let ([x0, y0], z0) = seen(in_world(mean, before), camera_before);
-    if z0 > 0.2 { [x - x0, y - y0] } else { [0.0; 2] }
+    let [w, h] = [camera.width, camera.height].map(f64::from);
+    if z0 > 0.2 { [(x - x0).clamp(-w, w), (y - y0).clamp(-h, h)] } else { [0.0; 2] }
 }
 
 /// Weights of what is blended at a pixel, as (Gaussian, weight, depth); none from `limit` on.
