@@ -40,10 +40,10 @@ pub struct Seen {
     pub scale: f32,
 }
 
-/// Scenes in one command: a command writes 65,536 bytes at most.
+/// How many of them one command writes. They are gathered on the stack: 4 KiB.
 const FIRSTS_AT_ONCE: usize = 1024;
 
-/// Records the writes of the scenes' first Gaussians. The caller places a barrier after it.
+/// Records the writes of the scenes' first Gaussians, by which picks find the scene. The caller places a barrier after it.
 ///
 /// # Panics
 /// Without room for them.

@@ -106,7 +106,7 @@ impl Renderer {
             check("target", to, ImageUse::Storage)?;
             in_field("target", Compose::check_frame(to.image, *behind, *encoding))?;
             if *behind == Background::Image {
-                check_contents("target", to)?;
+                check_is_defined("target", to)?;
             }
         }
         if let Some(depth) = &frame.depth {
@@ -128,7 +128,7 @@ impl Renderer {
         if let Some(occluder) = &frame.occluder {
             check("occluder", &occluder.depth, ImageUse::Sampled)?;
             in_field("occluder", Compose::check_depth(occluder.depth.image))?;
-            check_contents("occluder", &occluder.depth)?;
+            check_is_defined("occluder", &occluder.depth)?;
             let DepthMapping { scale, offset, clear_value, .. } = occluder.mapping;
             if !(scale.is_finite() && offset.is_finite() && clear_value.is_finite()) {
                 return Err(Error::argument("occluder.mapping", "holds numbers that are not finite"));
@@ -188,16 +188,16 @@ fn check_motion(motion: &MotionTarget<'_>, size: [u32; 2]) -> Result<()> {
             Err(Error::argument("motion.empty", problem))
         }
         Some(_) => Ok(()),
-        None => check_contents("motion", &motion.to),
+        None => check_is_defined("motion", &motion.to),
     }
 }
 
-/// An image that is read must have contents.
-fn check_contents(field: &str, host: &HostImage<'_>) -> Result<()> {
+/// Refuses an image whose contents the frame needs and that it would find in the layout UNDEFINED: they are lost then.
+fn check_is_defined(field: &str, host: &HostImage<'_>) -> Result<()> {
     if host.from.layout != vk::ImageLayout::UNDEFINED {
         return Ok(());
     }
-    let problem = "is read, but its layout is UNDEFINED, from which nothing is kept";
+    let problem = "the frame needs its contents, and from the layout UNDEFINED they are lost";
     Err(Error::argument(field_of(field, host), problem))
 }
 

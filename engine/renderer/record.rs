@@ -108,20 +108,22 @@ pub struct DepthTarget<'a> {
 pub struct PickTarget<'a> {
     /// A storage image of format [`Compose::PICK_FORMAT`], rgba32ui. A texel is the index of the Gaussian in its scene, the
     /// index of the scene in [`RecordedFrame::scenes`], the bits of the f32 of the Gaussian's depth z in the camera's frame (world
-    /// units), and the bits of the f32 of its weight. Where nothing is blended: [`NOT_PICKED`](crate::kernels::constants::NOT_PICKED)
-    /// twice, then 0 twice.
+    /// units), and the bits of the f32 of its weight. Where nothing is blended, the first two are
+    /// [`NOT_PICKED`](crate::kernels::constants::NOT_PICKED), the others 0.
     pub to: HostImage<'a>,
 }
 
-/// An image of motion: of what is blended at each pixel, the mean of its motion on the screen from the frame before to this
-/// one, by the blending's weights. A Gaussian moves as its mean does. How [`Update`]s move Gaussians is not known.
+/// An image of motion: for each pixel the mean motion on the screen of what is blended there, from the frame before to this one,
+/// weighted as in blending. A Gaussian moves as its mean does, at most by the picture's width and height. It counts with a motion of
+/// 0 where its earlier place is unknown: where its mean did not lie in front of the earlier camera (z above 0.2), or lay too far
+/// away for an f32. How [`Update`]s move Gaussians is not known.
 #[derive(Clone, Copy)]
 pub struct MotionTarget<'a> {
     /// A storage image of format [`Compose::MOTION_FORMAT`], rg16f: the place now less the place before, in pixels, x right, y
     /// down. What is at pixel p now was at p - motion.
     pub to: HostImage<'a>,
-    /// The camera of the frame before, of the same width and height. Poses before are in [`Placed::previous_pose`]. What did
-    /// not lie in front of it (depth z above 0.2) has no motion.
+    /// The camera of the frame before, of the same width and height. The motion counts from its own principal point to that of
+    /// the frame's camera: see the [guide](crate::guide::embedding) for jitter. Poses before are in [`Placed::previous_pose`].
     pub previous_camera: &'a Camera,
     /// A pixel whose sum of weights is smaller is empty.
     pub min_weight: f32,

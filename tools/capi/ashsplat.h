@@ -390,7 +390,7 @@ typedef struct AshsplatImageState {
 
 // An image of a frame, and its previous use by the host.
 typedef struct AshsplatHostImage {
-  // The image.
+  // The image. NULL is an error: a frame without this image has no struct that it is a part of.
   const struct AshsplatImage *image;
   // The host's use of it before the frame.
   struct AshsplatImageState from;
@@ -475,12 +475,15 @@ typedef struct AshsplatPickTarget {
   uint32_t struct_size;
   // A storage image of format R32G32B32A32_UINT. A texel is the index of the Gaussian in its scene, the index of the scene in
   // AshsplatRecordedFrame.scenes, the bits of the float of its depth z (world units), and the bits of the float of its weight.
-  // Where nothing is blended: UINT32_MAX twice, then 0 twice.
+  // Where nothing is blended, the first two are UINT32_MAX, the others 0. Its image is never NULL: AshsplatRecordedFrame.pick
+  // is NULL in a frame without picks.
   struct AshsplatHostImage to;
 } AshsplatPickTarget;
 
-// An image of motion: of what is blended at each pixel, the mean of its motion on the screen from the frame before to this
-// one, by the blending's weights. A Gaussian moves as its mean does. How updates move Gaussians is not known.
+// An image of motion: for each pixel the mean motion on the screen of what is blended there, from the frame before to this one,
+// weighted as in blending. A Gaussian moves as its mean does, at most by the picture's width and height. It counts with a motion of
+// 0 where its earlier place is unknown: where its mean did not lie in front of the earlier camera (z above 0.2), or lay too far
+// away for a float. How updates move Gaussians is not known.
 typedef struct AshsplatMotionTarget {
   // Set by ASHSPLAT_INIT.
   uint32_t struct_size;
@@ -490,11 +493,12 @@ typedef struct AshsplatMotionTarget {
   float empty[2];
   // Whether empty pixels keep what is in the image, in place of `empty`.
   bool keeps_empty;
-  // The camera of the frame before, of the same width and height. Poses before are in AshsplatPlaced. What did not lie in
-  // front of it (depth z above 0.2) has no motion.
+  // The camera of the frame before, of the same width and height. The motion counts from its own principal point to that of
+  // the frame's camera. Poses before are in AshsplatPlaced.
   const struct AshsplatCamera *previous_camera;
   // A storage image of format R16G16_SFLOAT, with MUTABLE_FORMAT (AshsplatForeignImage.flags): the place now less the place
-  // before, in pixels, x right, y down. What is at pixel p now was at p - motion.
+  // before, in pixels, x right, y down. What is at pixel p now was at p - motion. Its image is never NULL:
+  // AshsplatRecordedFrame.motion is NULL in a frame without motion.
   struct AshsplatHostImage to;
 } AshsplatMotionTarget;
 
@@ -520,9 +524,9 @@ typedef struct AshsplatRecordedFrame {
   const struct AshsplatDepthTarget *depth;
   // Parameter updates before the frame.
   const struct AshsplatUpdate *updates;
-  // The target of what is picked, or NULL.
+  // The image that what is picked is written to, or NULL: nothing is noted then.
   const struct AshsplatPickTarget *pick;
-  // The target of the motion, or NULL.
+  // The image that motion is written to, or NULL: then none is computed.
   const struct AshsplatMotionTarget *motion;
 } AshsplatRecordedFrame;
 

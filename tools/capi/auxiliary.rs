@@ -40,12 +40,15 @@ pub struct AshsplatPickTarget {
     pub struct_size: u32,
     /// A storage image of format R32G32B32A32_UINT. A texel is the index of the Gaussian in its scene, the index of the scene in
     /// AshsplatRecordedFrame.scenes, the bits of the float of its depth z (world units), and the bits of the float of its weight.
-    /// Where nothing is blended: UINT32_MAX twice, then 0 twice.
+    /// Where nothing is blended, the first two are UINT32_MAX, the others 0. Its image is never NULL: AshsplatRecordedFrame.pick
+    /// is NULL in a frame without picks.
     pub to: AshsplatHostImage,
 }
 
-/// An image of motion: of what is blended at each pixel, the mean of its motion on the screen from the frame before to this
-/// one, by the blending's weights. A Gaussian moves as its mean does. How updates move Gaussians is not known.
+/// An image of motion: for each pixel the mean motion on the screen of what is blended there, from the frame before to this one,
+/// weighted as in blending. A Gaussian moves as its mean does, at most by the picture's width and height. It counts with a motion of
+/// 0 where its earlier place is unknown: where its mean did not lie in front of the earlier camera (z above 0.2), or lay too far
+/// away for a float. How updates move Gaussians is not known.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct AshsplatMotionTarget {
@@ -57,11 +60,12 @@ pub struct AshsplatMotionTarget {
     pub empty: [f32; 2],
     /// Whether empty pixels keep what is in the image, in place of `empty`.
     pub keeps_empty: bool,
-    /// The camera of the frame before, of the same width and height. Poses before are in AshsplatPlaced. What did not lie in
-    /// front of it (depth z above 0.2) has no motion.
+    /// The camera of the frame before, of the same width and height. The motion counts from its own principal point to that of
+    /// the frame's camera. Poses before are in AshsplatPlaced.
     pub previous_camera: *const AshsplatCamera,
     /// A storage image of format R16G16_SFLOAT, with MUTABLE_FORMAT (AshsplatForeignImage.flags): the place now less the place
-    /// before, in pixels, x right, y down. What is at pixel p now was at p - motion.
+    /// before, in pixels, x right, y down. What is at pixel p now was at p - motion. Its image is never NULL:
+    /// AshsplatRecordedFrame.motion is NULL in a frame without motion.
     pub to: AshsplatHostImage,
 }
 

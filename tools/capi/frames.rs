@@ -99,9 +99,9 @@ pub struct AshsplatRecordedFrame {
     pub depth: *const AshsplatDepthTarget,
     /// Parameter updates before the frame.
     pub updates: *const AshsplatUpdate,
-    /// The target of what is picked, or NULL.
+    /// The image that what is picked is written to, or NULL: nothing is noted then.
     pub pick: *const super::AshsplatPickTarget,
-    /// The target of the motion, or NULL.
+    /// The image that motion is written to, or NULL: then none is computed.
     pub motion: *const super::AshsplatMotionTarget,
 }
 

@@ -213,7 +213,7 @@ pub struct AshsplatImageState {
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct AshsplatHostImage {
-    /// The image.
+    /// The image. NULL is an error: a frame without this image has no struct that it is a part of.
     pub image: *const super::AshsplatImage,
     /// The host's use of it before the frame.
     pub from: AshsplatImageState,
