@@ -362,12 +362,12 @@ int main(int count, char **arguments) {
         EXPECT(right > 2.99f && right < 3.01f && share > -0.01f && share < 1.01f);
         if (pixel[i][1] == 3) {
             EXPECT(share > weight - 0.01f);
-            rising += weight > 0.5f;
+            rising += weight > 0.25f;
         } else {
             EXPECT(share < 1 - weight + 0.01f);
         }
     }
-    EXPECT(rising > 50);
+    EXPECT(rising > 100);
     EXPECT(somebody > WIDTH * HEIGHT / 10);
     printf("%u of %u Gaussians visible\n", report.visible, report.gaussians);
 
