@@ -1,6 +1,7 @@
 //! A scene as a tree of tiles, the coarser ones merged of the finer: 3D Tiles 1.1 with `KHR_gaussian_splatting` in GLB.
 
 mod document;
+mod tree;
 
 use std::fs::{self, File};
 use std::io::{Read, Write};
@@ -15,6 +16,8 @@ use ashsplat::scene::gaussians::sh_coefficients;
 use ashsplat::scene::{Bounds, Cells, Gaussians};
 use ashsplat::{Error, Result};
 use document::Tile;
+
+pub use tree::{TILESET_FILE, Tile as TreeTile, Tree};
 
 /// How many Gaussians of the finer tiles become one of the coarser: on surfaces, half of the resolution.
 const MERGED: usize = 4;
@@ -95,7 +98,7 @@ pub fn write(
     let steps = steps(&rows.means, &writer.spill.cells, options.most)?;
     writer.done = Tiling { gaussians: rows.means.len() as u64, warnings: rows.warnings, ..Tiling::default() };
     let root = writer.write(&steps)?.ok_or_else(|| Error::argument("tiles", "there are none"))?;
-    document::write(&unfinished.path().join("tileset.json"), &root, options.packed)?;
+    document::write(&unfinished.path().join(TILESET_FILE), &root, options.packed)?;
     let done = Tiling { levels: root.levels(), ..writer.done };
     fs::remove_dir(unfinished.path().join(ROWS)).map_err(|e| Error::io(folder, "write", e))?;
     let whole = unfinished.keep();

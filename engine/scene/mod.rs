@@ -21,7 +21,7 @@ pub mod transform;
 pub mod twist;
 pub mod view;
 
-pub use camera::{Camera, Intrinsics, Projection, scene_extent};
+pub use camera::{Camera, Intrinsics, NEAR_PLANE, Projection, scene_extent};
 pub use cells::{Cells, Seam};
 pub use color::{ColorEncoding, linear_from_premultiplied, linear_from_srgb, srgb_from_linear};
 pub use cut::{Cut, CutLimits};

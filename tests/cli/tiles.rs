@@ -70,3 +70,49 @@ fn tiles_refuse_by_name() {
     names.sort();
     assert_eq!(names, ["full", "scene.ply"]);
 }
+
+#[test]
+fn a_tree_is_drawn_within_a_budget() {
+    let place = tempfile::tempdir().expect("a folder");
+    let (scene, out) = (written(place.path(), 400), place.path().join("tiles"));
+    let told = succeed(&["tiles", text(&scene), "-o", text(&out), "--max-gaussians", "50", "--measure"]);
+    let rows: Vec<Vec<f64>> = told.lines().filter(|line| line.contains('%')).map(numbers).collect();
+    assert_eq!(rows.iter().map(|row| row[0]).collect::<Vec<_>>(), [5.0, 10.0, 25.0, 50.0, 100.0], "{told}");
+    for row in &rows {
+        // The coarsest tile is drawn whatever it has.
+        assert!(
+            row[1] <= (4.0 * row[0]).max(50.0) && row[2] >= 1.0 && row[3] >= row[4] && row[5] > 0.0,
+            "{told}"
+        );
+    }
+    assert!(
+        rows[4][1] == 400.0 && rows[4][4] > 60.0 && rows[3][4] < 60.0 && rows[3][3] > rows[0][3],
+        "{told}"
+    );
+    let pictures = place.path().join("pictures");
+    let drawn = |budget: &[&str]| {
+        let views = ["--orbit", "2", "--width", "64", "-o", text(&pictures)];
+        succeed(&[&["render", text(&out)], &views[..], budget].concat())
+    };
+    let of = |told: &str| {
+        let counts =
+            told.lines().filter_map(|line| line.split(" of ").nth(1)?.split(' ').next()?.parse().ok());
+        counts.collect::<Vec<u32>>()
+    };
+    assert_eq!(of(&drawn(&[])), [400, 400]);
+    let half = of(&drawn(&["--budget", "50%"]));
+    assert!(half.len() == 2 && half.iter().all(|count| (100..=200).contains(count)), "{half:?}");
+    // More than were asked for, and no fewer than there are.
+    let coarsest = of(&drawn(&["--budget", "1"]));
+    assert!(coarsest[0] == coarsest[1] && (2..=50).contains(&coarsest[0]), "{coarsest:?}");
+    refuse(&["render", text(&scene), "--budget", "1", "--orbit", "1"], &["--budget", "folders of tiles"]);
+    std::fs::remove_file(out.join("0.glb")).expect("a tile");
+    let orbit = ["--orbit", "1", "-o", text(&pictures)];
+    refuse(&[&["render", text(&out)], &orbit[..]].concat(), &["0.glb"]);
+}
+
+/// Those in a line of a table.
+fn numbers(line: &str) -> Vec<f64> {
+    let words = line.split_whitespace().map(|word| word.trim_end_matches('%').replace(',', ""));
+    words.map(|word| word.parse().expect("a number")).collect()
+}

@@ -4,11 +4,12 @@ use std::cell::Cell;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use ashsplat::scene::Gaussians;
+use ashsplat::scene::{Camera, Gaussians, Intrinsics, Projection};
 use ashsplat::{Error, Result};
 use ashsplat_files::Progress;
 use ashsplat_files::splats::{self, ReadOptions, WriteOptions};
-use ashsplat_files::tiles::{self, TileOptions, Tiling};
+use ashsplat_files::tiles::{self, TILESET_FILE, TileOptions, Tiling, Tree};
+use glam::{Vec3, vec3};
 use serde_json::Value;
 
 use crate::common::splats::scene;
@@ -194,4 +195,112 @@ fn tiles_that_fail_leave_nothing() {
     assert!(refused.to_string().contains("is there already"), "{refused}");
     assert_eq!(fs::read_to_string(folder.join("note")).unwrap(), "mine");
     assert_eq!(place.names(), ["scene.ply", "tiles"]);
+}
+
+/// All of a room of 20 units is in its picture, from outside.
+fn from_outside() -> Camera {
+    let intrinsics = Intrinsics::from_fov_x(1.0, 400, 300);
+    Camera::look_at(vec3(4.0, -9.0, -60.0), Vec3::ZERO, Vec3::NEG_Y, intrinsics)
+}
+
+/// Every finest tile is drawn itself or by exactly one above it, but for those out of the picture.
+fn assert_covered(tree: &Tree, cut: &[usize]) {
+    let tiles = tree.tiles();
+    let mut times = vec![0; tiles.len()];
+    for &tile in cut {
+        let mut open = vec![tile];
+        while let Some(index) = open.pop() {
+            times[index] += 1;
+            open.extend(&tiles[index].children);
+        }
+    }
+    for (tile, times) in tiles.iter().zip(times).filter(|(tile, _)| tile.children.is_empty()) {
+        assert_eq!(times, 1, "{}", tile.name);
+    }
+}
+
+#[test]
+fn a_cut_of_the_tree_is_as_fine_as_its_budget() {
+    let place = Place::new(scene(3000, 0));
+    place.tiled("tiles", 100, &mut Vec::new()).unwrap();
+    let tree = Tree::open(place.folder("tiles")).unwrap();
+    assert_eq!(tree.gaussians(), 3000);
+    let (camera, count) =
+        (from_outside(), |cut: &[usize]| cut.iter().map(|&tile| tree.tiles()[tile].gaussians).sum::<usize>());
+    assert_eq!(tree.cut(&camera, 0), [0]);
+    let mut last = 0;
+    for budget in [100, 300, 1000, 2000, 3000] {
+        let cut = tree.cut(&camera, budget);
+        assert_covered(&tree, &cut);
+        assert!((last..=budget).contains(&count(&cut)), "{} of {budget}", count(&cut));
+        // The next finer tile has four times a tile's Gaussians at most.
+        assert!(4 * count(&cut) >= budget, "{} of {budget}", count(&cut));
+        last = count(&cut);
+    }
+    assert_eq!(last, 3000);
+    let all = tree.cut(&camera, usize::MAX);
+    assert!(all.iter().all(|&tile| tree.tiles()[tile].children.is_empty()));
+    let read: Vec<Gaussians> = all.iter().map(|&tile| tree.read(tile, &KEEP).unwrap().gaussians).collect();
+    assert_eq!(rows(&read), rows([&place.scene]));
+    assert!(tree.read(tree.tiles().len(), &KEEP).is_err());
+}
+
+/// Both kinds of cameras: what is near is finer, and what is out of the picture is not drawn.
+#[test]
+fn a_cut_is_finer_where_it_is_nearer_and_leaves_out_what_is_not_seen() {
+    let place = Place::new(scene(3000, 0));
+    place.tiled("tiles", 50, &mut Vec::new()).unwrap();
+    let tree = Tree::open(place.folder("tiles")).unwrap();
+    let intrinsics = Intrinsics::from_fov_x(1.0, 400, 300);
+    let near = Camera::look_at(vec3(0.0, 0.0, -13.0), Vec3::ZERO, Vec3::NEG_Y, intrinsics);
+    let drawn: Vec<_> = tree.cut(&near, 1200).into_iter().map(|tile| &tree.tiles()[tile]).collect();
+    let depth = |finest: bool| {
+        let own = drawn.iter().filter(|tile| tile.children.is_empty() == finest);
+        let middles: Vec<f32> = own.map(|tile| 0.5 * (tile.bounds.min.z + tile.bounds.max.z)).collect();
+        assert!(middles.len() > 2, "{finest}: {middles:?}");
+        middles.iter().sum::<f32>() / middles.len() as f32
+    };
+    assert!(depth(true) + 2.0 < depth(false), "{} {}", depth(true), depth(false));
+    let away = Camera::look_at(vec3(0.0, 0.0, -60.0), vec3(0.0, 0.0, -100.0), Vec3::NEG_Y, intrinsics);
+    assert!(tree.cut(&away, 3000).is_empty());
+    // Parallel rays around x = 6, one unit wide: what is drawn of the finest tiles reaches there, and all of what reaches there is drawn.
+    let wide = Intrinsics { fx: 400.0, fy: 10.0, cx: 200.0, cy: 150.0, width: 400, height: 300 };
+    let slice = Camera::look_at(vec3(6.0, 0.0, -60.0), vec3(6.0, 0.0, 0.0), Vec3::NEG_Y, wide);
+    let slice = Camera { projection: Projection::Orthographic, ..slice };
+    let drawn = tree.cut(&slice, 3000);
+    let reaches = |index: &usize| {
+        let bounds = tree.tiles()[*index].bounds;
+        bounds.min.x < 6.5 && bounds.max.x > 5.5 && bounds.max.y > -15.0 && bounds.min.y < 15.0
+    };
+    let finest: Vec<usize> =
+        (0..tree.tiles().len()).filter(|&tile| tree.tiles()[tile].children.is_empty()).collect();
+    let expected: Vec<usize> = finest.iter().copied().filter(reaches).collect();
+    assert!(
+        expected.len() > 3 && expected.len() < 3 * finest.len() / 4,
+        "{} of {}",
+        expected.len(),
+        finest.len()
+    );
+    assert_eq!(drawn, expected);
+}
+
+#[test]
+fn trees_of_others_are_refused() {
+    let place = Place::new(scene(200, 0));
+    place.tiled("tiles", 50, &mut Vec::new()).unwrap();
+    let (folder, good) = (place.folder("tiles"), tileset(&place.folder("tiles")));
+    let refused = |change: &dyn Fn(&mut Value), word: &str| {
+        let mut document = good.clone();
+        change(&mut document);
+        fs::write(folder.join(TILESET_FILE), document.to_string()).unwrap();
+        let error = Tree::open(&folder).expect_err(word).to_string();
+        assert!(error.contains(TILESET_FILE) && error.contains(word), "{word}: {error}");
+    };
+    refused(&|d| d["root"]["content"]["uri"] = "../0.glb".into(), "must lie beside it");
+    refused(&|d| d["root"]["content"]["uri"] = "..".into(), "must lie beside it");
+    refused(&|d| d["root"]["geometricError"] = (-1.0).into(), "the error is -1");
+    refused(&|d| d["root"]["boundingVolume"] = serde_json::json!({ "sphere": [0, 0, 0, 1] }), "box");
+    refused(&|d| d["root"]["boundingVolume"]["box"][3] = (-1.0).into(), "not finite");
+    refused(&|d| d["root"]["children"][1]["extras"] = Value::Null, "no tree of Gaussians");
+    refused(&|d| *d = Value::Null, "no tree of Gaussians");
 }

@@ -76,7 +76,7 @@ fn parse_box(text: &str) -> Result<Bounds, String> {
     }
 }
 
-fn parse_target(text: &str) -> Result<Target, String> {
+pub fn parse_target(text: &str) -> Result<Target, String> {
     let problem = || "expected a number above 0, or 0 to 100 with %".to_owned();
     match text.strip_suffix('%') {
         Some(percent) => match percent.trim().parse::<f64>() {

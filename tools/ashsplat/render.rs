@@ -2,16 +2,19 @@
 
 use crate::args::{DeviceArguments, HostArguments};
 use crate::config::Settings;
+use crate::convert::parse_target;
 use crate::film_file::{self, Container, Frames};
 use crate::light::Light;
 use crate::model::Model;
 use crate::output;
 use crate::progress::counting;
+use crate::tiles::Drawn;
 use ashsplat::scene::LensEffects;
 use ashsplat::{Error, Extent, Frame, RenderSettings, Renderer, Result};
 use ashsplat_files::exposure_json::{self, EXPOSURE_FILE};
 use ashsplat_files::lens_json::{LENS_FILE, LensFile};
-use ashsplat_files::splats;
+use ashsplat_files::splats::{self, Target};
+use ashsplat_files::tiles::{TILESET_FILE, Tree};
 use clap::{Args, ValueEnum};
 use glam::Vec3;
 use std::collections::BTreeMap;
@@ -38,7 +41,7 @@ pub use views::orbit_around;
 /// world, "fx", "fy", and optionally "cx", "cy"}, ...], lengths in pixels, the first pixel's centre at 0.5.
 #[derive(Args)]
 pub struct Arguments {
-    /// A model folder or a file of Gaussians (PLY, compressed PLY, .splat, SPZ, glTF)
+    /// A model folder, a file of Gaussians (PLY, compressed PLY, .splat, SPZ, glTF), or a folder of `ashsplat tiles`
     #[arg(value_name = "MODEL", required_unless_present = "model_path")]
     model: Option<PathBuf>,
     /// The same, under the reference's name
@@ -47,6 +50,10 @@ pub struct Arguments {
     /// Iteration of the model folder's PLY [default: what was saved last]
     #[arg(long, value_name = "N")]
     iteration: Option<u32>,
+    /// Gaussians of a picture, at most, of a folder of tiles: the tiles whose error is largest in pixels are the finest
+    /// [default: all]
+    #[arg(long, value_name = "N|N%", value_parser = parse_target)]
+    budget: Option<Target>,
     #[command(flatten)]
     views: views::Arguments,
     /// Folder for the pictures, or a film: FILE.mp4, FILE.webm (both by ffmpeg) or FILE.gif
@@ -177,7 +184,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let path = arguments.model.as_ref().or(arguments.model_path.as_ref());
     let path = path.ok_or_else(|| Error::argument("MODEL", "is missing"))?;
     let film = arguments.film()?;
-    let model = Model::locate(path, arguments.iteration)?;
+    let tree = arguments.tree(path)?;
+    let model = Model::locate(&scene_of(path, tree.as_ref()), arguments.iteration)?;
     let light = arguments.light(&model)?;
     let scene = arguments.look.load(&model.ply, &arguments.device.host)?;
     let gaussians = &scene.gaussians;
@@ -200,9 +208,13 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     // A film's frames are no results of their own: a bar suffices.
     let bar = counting("frames", if film.is_some() { count as u64 } else { 0 }, arguments.quiet);
     let mut total = 0.0;
+    let mut tiles = tree.map(|tree| arguments.drawn(tree));
     let mut render = |index: usize| {
         let start = Instant::now();
         let named = &views.cameras[index];
+        if let Some(tiles) = tiles.as_mut().map(|tiles| tiles.wanted(&named.camera)).transpose()?.flatten() {
+            renderer.upload(&tiles)?;
+        }
         let mut frame = renderer.render(&named.camera, &settings)?;
         light.apply(&named.camera, &mut frame);
         let milliseconds = start.elapsed().as_secs_f64() * 1e3;
@@ -282,7 +294,30 @@ fn describe(index: usize, name: &str, milliseconds: f64, frame: &Frame) -> Strin
     )
 }
 
+/// What is read first: of a tree of tiles the coarsest.
+fn scene_of(path: &Path, tree: Option<&Tree>) -> PathBuf {
+    tree.and_then(|tree| tree.tiles().first()).map_or_else(|| path.to_owned(), |tile| path.join(&tile.name))
+}
+
 impl Arguments {
+    /// The tree of tiles, if the scene is one.
+    fn tree(&self, path: &Path) -> Result<Option<Tree>> {
+        if path.join(TILESET_FILE).is_file() {
+            return Tree::open(path).map(Some);
+        }
+        let problem = "is for folders of tiles, as `ashsplat tiles` writes them";
+        self.budget.map_or(Ok(None), |_| Err(Error::argument("--budget", problem)))
+    }
+
+    fn drawn(&self, tree: Tree) -> Drawn {
+        let budget = match self.budget {
+            None => usize::MAX,
+            Some(Target::Count(count)) => usize::try_from(count).unwrap_or(usize::MAX),
+            Some(Target::Share(share)) => (share * tree.gaussians() as f64).round() as usize,
+        };
+        Drawn::new(tree, budget, self.device.host.reading(self.look.drop_invalid))
+    }
+
     /// The light that is asked for.
     fn light(&self, model: &Model) -> Result<Light> {
         let exposure = |name: &String| {

@@ -1,18 +1,30 @@
 //! `ashsplat tiles`.
 
+mod drawn;
 mod likeness;
+mod measure;
 
 use crate::args::DeviceArguments;
+use crate::config::CAMERAS_FILE;
 use crate::model::Model;
 use crate::output;
 use crate::progress::{counting, thousands};
+use crate::render::{orbit_around, settings_of};
 use crate::session;
+use ashsplat::scene::{Camera, Gaussians, Intrinsics};
+use ashsplat::vk::Context;
 use ashsplat::{Error, Renderer, Result};
-use ashsplat_files::Progress;
-use ashsplat_files::tiles::{self, TileOptions};
+use ashsplat_files::splats::{self, ReadOptions};
+use ashsplat_files::tiles::{self, TILESET_FILE, TileOptions, Tree};
+use ashsplat_files::{Progress, cameras_json};
 use clap::Args;
+use glam::Vec3;
 use likeness::Likeness;
+use measure::Measurement;
 use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+pub use drawn::Drawn;
 
 /// Write a scene as a tree of tiles for viewers that stream: 3D Tiles 1.1 with KHR_gaussian_splatting in GLB.
 ///
@@ -34,6 +46,10 @@ pub struct Arguments {
     /// reads
     #[arg(long)]
     spz: bool,
+    /// Compare pictures of the tiles within 5 to 100 % of the scene's Gaussians with those of the scene itself: from 12 cameras of a
+    /// model folder, or around a file's Gaussians; needs the memory of the whole scene
+    #[arg(long)]
+    measure: bool,
     /// Drop the Gaussians whose parameters are not finite, instead of refusing them
     #[arg(long)]
     drop_invalid: bool,
@@ -84,7 +100,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         tell!("warning: {warning}");
     }
     if !arguments.quiet {
-        let out = arguments.out.join("tileset.json");
+        let out = arguments.out.join(TILESET_FILE);
         let (tiles, leaves, levels) = (done.tiles, done.leaves, done.levels);
         let [own, written] = [done.gaussians, done.written].map(thousands);
         say!(
@@ -92,6 +108,45 @@ pub fn run(arguments: &Arguments) -> Result<()> {
             out.display()
         );
     }
+    if arguments.measure {
+        say!("{}", arguments.measured(&context, &model, &read, &stop)?.trim_end());
+    }
     arguments.device.report_validation(&context);
     Ok(())
+}
+
+/// Cameras of a measurement.
+const VIEWS: usize = 12;
+
+impl Arguments {
+    fn measured(
+        &self,
+        context: &Context,
+        model: &Model,
+        read: &ReadOptions,
+        stop: &AtomicBool,
+    ) -> Result<String> {
+        let scene = splats::read(&model.ply, read)?;
+        let mut settings = settings_of(&model.settings);
+        settings.antialias |= scene.header.antialiased;
+        let (tree, whole) = (Tree::open(&self.out)?, &scene.gaussians);
+        let cameras = views(model, whole)?;
+        let measurement = Measurement { tree: &tree, whole, cameras: &cameras, settings, read: *read };
+        measurement.table(&mut Renderer::new(context)?, &|| match stop.load(Ordering::Relaxed) {
+            true => Err(Error::Interrupted),
+            false => Ok(()),
+        })
+    }
+}
+
+/// Some of the training's cameras, or around the scene.
+fn views(model: &Model, gaussians: &Gaussians) -> Result<Vec<Camera>> {
+    let file = model.folder.as_ref().map(|(folder, _)| folder.join(CAMERAS_FILE));
+    if let Some(file) = file.filter(|file| file.is_file()) {
+        let all = cameras_json::read(&file)?;
+        let every = all.len().div_ceil(VIEWS).max(1);
+        return Ok(all.iter().step_by(every).map(|named| named.camera).collect());
+    }
+    let intrinsics = Intrinsics::from_fov_x(1.0, 960, 540);
+    Ok(orbit_around(gaussians, Vec3::NEG_Y, VIEWS as u32, intrinsics).cameras())
 }

@@ -50,6 +50,11 @@ fn turned(point: Vec3) -> Vec3 {
     vec3(-point.x, -point.z, -point.y)
 }
 
+/// The other way.
+pub(super) fn turned_back(point: Vec3) -> Vec3 {
+    vec3(-point.x, -point.z, -point.y)
+}
+
 /// Centre and half axes.
 fn box_of(bounds: Bounds) -> [f32; 12] {
     let [a, b] = [bounds.min, bounds.max].map(turned);

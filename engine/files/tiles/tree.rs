@@ -1,0 +1,243 @@
+//! Trees of tiles that [`super::write`] has written: which tiles a camera wants, within a number of Gaussians.
+
+use std::collections::BinaryHeap;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use glam::{DVec3, Vec3, vec3};
+use serde::Deserialize;
+
+use super::document::turned_back;
+use crate::host_memory;
+use crate::splats::{self, ReadOptions, Scene};
+use ashsplat::scene::{Bounds, Camera, NEAR_PLANE, Projection};
+use ashsplat::{Error, Result};
+
+/// The description in the folder.
+pub const TILESET_FILE: &str = "tileset.json";
+
+/// A tree of tiles in a folder.
+#[derive(Clone, Debug)]
+pub struct Tree {
+    folder: PathBuf,
+    tiles: Vec<Tile>,
+}
+
+/// A tile.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Tile {
+    /// Its file's name in the folder.
+    pub name: String,
+    /// What it and those below it reach, world units, this crate's frame.
+    pub bounds: Bounds,
+    /// How much its picture differs from that of the finest tiles, world units: see the guide's chapter on tiles.
+    pub error: f64,
+    /// Its Gaussians.
+    pub gaussians: usize,
+    /// The tiles that take its place.
+    pub children: Vec<usize>,
+}
+
+#[derive(Deserialize)]
+struct DocumentJson {
+    root: TileJson,
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "camelCase")]
+struct TileJson {
+    bounding_volume: BoxJson,
+    geometric_error: f64,
+    content: ContentJson,
+    extras: ExtrasJson,
+    #[serde(default)]
+    children: Vec<TileJson>,
+}
+
+#[derive(Deserialize)]
+struct BoxJson {
+    r#box: [f32; 12],
+}
+
+#[derive(Deserialize)]
+struct ContentJson {
+    uri: String,
+}
+
+#[derive(Deserialize)]
+struct ExtrasJson {
+    gaussians: usize,
+}
+
+impl Tree {
+    /// Reads the description of a tree, and no tile yet.
+    ///
+    /// # Errors
+    /// [`Error::Io`]; [`Error::Input`] for a description that [`super::write`] has not written, for files outside of the folder, and
+    /// for numbers that make no sense.
+    pub fn open(folder: impl AsRef<Path>) -> Result<Tree> {
+        let folder = folder.as_ref();
+        let path = folder.join(TILESET_FILE);
+        let io = |source| Error::io(&path, "read", source);
+        host_memory::check_text(&path, path.metadata().map_err(io)?.len())?;
+        let text = fs::read(&path).map_err(io)?;
+        let document: DocumentJson = serde_json::from_slice(&text).map_err(|e| {
+            Error::input(
+                &path,
+                format!("is no tree of Gaussians: {e}"),
+                "give one that `ashsplat tiles` has written",
+            )
+        })?;
+        let mut tiles = vec![checked(&path, &document.root)?];
+        // Those whose children are not in the list yet.
+        let mut open = vec![(0, document.root.children)];
+        while let Some((index, children)) = open.pop() {
+            for child in children {
+                let added = tiles.len();
+                tiles.push(checked(&path, &child)?);
+                tiles[index].children.push(added);
+                open.push((added, child.children));
+            }
+        }
+        Ok(Tree { folder: folder.to_owned(), tiles })
+    }
+
+    /// All tiles; the first is the coarsest.
+    pub fn tiles(&self) -> &[Tile] {
+        &self.tiles
+    }
+
+    /// Gaussians of the finest tiles: those of the scene.
+    pub fn gaussians(&self) -> usize {
+        self.tiles.iter().filter(|tile| tile.children.is_empty()).map(|tile| tile.gaussians).sum()
+    }
+
+    /// The tiles to be drawn for a camera, ascending: those in its picture, as fine as so many Gaussians allow, and finest where the error
+    /// is largest in pixels. The coarsest tile is drawn however many it has; nothing, where it is not in the picture.
+    pub fn cut(&self, camera: &Camera, budget: usize) -> Vec<usize> {
+        let seen = |index: &usize| sees(camera, self.tiles[*index].bounds);
+        if !seen(&0) {
+            return Vec::new();
+        }
+        let mut drawn = vec![0];
+        let mut used = self.tiles[0].gaussians;
+        let mut open = BinaryHeap::from([Candidate { pixels: f64::INFINITY, index: 0 }]);
+        while let Some(Candidate { index, .. }) = open.pop() {
+            let finer: Vec<usize> = self.tiles[index].children.iter().copied().filter(seen).collect();
+            let more = finer.iter().map(|&child| self.tiles[child].gaussians).sum::<usize>();
+            let after = used - self.tiles[index].gaussians + more;
+            if self.tiles[index].children.is_empty() || after > budget {
+                continue;
+            }
+            used = after;
+            drawn.retain(|&other| other != index);
+            drawn.extend(&finer);
+            open.extend(
+                finer.into_iter().map(|index| Candidate { pixels: self.pixels(camera, index), index }),
+            );
+        }
+        drawn.sort_unstable();
+        drawn
+    }
+
+    /// Reads a tile.
+    ///
+    /// # Errors
+    /// As [`splats::read`].
+    pub fn read(&self, tile: usize, options: &ReadOptions) -> Result<Scene> {
+        let Some(tile) = self.tiles.get(tile) else {
+            return Err(Error::argument("tile", format!("{tile} is none of {}", self.tiles.len())));
+        };
+        splats::read(self.folder.join(&tile.name), options)
+    }
+
+    /// The error of a tile in pixels, where it is nearest.
+    fn pixels(&self, camera: &Camera, index: usize) -> f64 {
+        let Tile { bounds, error, .. } = &self.tiles[index];
+        let eye = camera.position();
+        let distance = match camera.projection {
+            Projection::Perspective => eye.distance(eye.clamp(bounds.min, bounds.max)).max(NEAR_PLANE),
+            Projection::Orthographic => 1.0,
+        };
+        error * f64::from(camera.fx.max(camera.fy)) / f64::from(distance)
+    }
+}
+
+/// Tiles to be refined, the worst first; of equal ones the first.
+struct Candidate {
+    pixels: f64,
+    index: usize,
+}
+
+impl Ord for Candidate {
+    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
+        self.pixels.total_cmp(&other.pixels).then(other.index.cmp(&self.index))
+    }
+}
+
+impl PartialOrd for Candidate {
+    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl PartialEq for Candidate {
+    fn eq(&self, other: &Self) -> bool {
+        self.cmp(other).is_eq()
+    }
+}
+
+impl Eq for Candidate {}
+
+/// Whether a part of a box can be in a picture: never false where one is.
+fn sees(camera: &Camera, bounds: Bounds) -> bool {
+    let corners = (0..8).map(|corner: u32| {
+        let side = |axis: u32| if corner >> axis & 1 == 0 { bounds.min } else { bounds.max };
+        let place = vec3(side(0).x, side(1).y, side(2).z);
+        (camera.camera_from_world * place + camera.translation).as_dvec3()
+    });
+    let corners: Vec<DVec3> = corners.collect();
+    let [fx, fy, cx, cy] = [camera.fx, camera.fy, camera.cx, camera.cy].map(f64::from);
+    let (width, height) = (f64::from(camera.width), f64::from(camera.height));
+    // By what pixels are multiplied.
+    let depth = |p: &DVec3| match camera.projection {
+        Projection::Perspective => p.z,
+        Projection::Orthographic => 1.0,
+    };
+    // What is positive inside of each side of the pyramid or block.
+    let inside: [&dyn Fn(&DVec3) -> f64; 5] = [
+        &|p| p.z - f64::from(NEAR_PLANE),
+        &|p| fx * p.x + cx * depth(p),
+        &|p| (width - cx) * depth(p) - fx * p.x,
+        &|p| fy * p.y + cy * depth(p),
+        &|p| (height - cy) * depth(p) - fy * p.y,
+    ];
+    inside.iter().all(|inside| corners.iter().any(|corner| inside(corner) >= 0.0))
+}
+
+fn checked(path: &Path, json: &TileJson) -> Result<Tile> {
+    let wrong = |problem: String| {
+        Error::input(
+            path,
+            format!("{}: {problem}", json.content.uri),
+            "write the tree again with `ashsplat tiles`",
+        )
+    };
+    let name = &json.content.uri;
+    let plain = |byte: u8| byte.is_ascii_alphanumeric() || b"._-".contains(&byte);
+    if name.is_empty() || name.starts_with('.') || !name.bytes().all(plain) {
+        return Err(wrong("a tile's file must lie beside it".into()));
+    }
+    if !(json.geometric_error >= 0.0 && json.geometric_error.is_finite()) {
+        return Err(wrong(format!("the error is {}", json.geometric_error)));
+    }
+    let [x, y, z, half_x, _, _, _, half_y, _, _, _, half_z] = json.bounding_volume.r#box;
+    let (centre, half) = (vec3(x, y, z), vec3(half_x, half_y, half_z));
+    if !(centre.is_finite() && half.is_finite() && half.min_element() >= 0.0) {
+        return Err(wrong("the box is not finite".into()));
+    }
+    let [a, b]: [Vec3; 2] = [centre - half, centre + half].map(turned_back);
+    let bounds = Bounds { min: a.min(b), max: a.max(b) };
+    let gaussians = json.extras.gaussians;
+    Ok(Tile { name: name.clone(), bounds, error: json.geometric_error, gaussians, children: Vec::new() })
+}

@@ -1,0 +1,45 @@
+//! The tiles of a tree that a camera wants.
+
+use ashsplat::Result;
+use ashsplat::scene::{Camera, Gaussians};
+use ashsplat_files::splats::ReadOptions;
+use ashsplat_files::tiles::Tree;
+use std::collections::BTreeMap;
+
+/// A tree that is drawn within a number of Gaussians. The tiles of the last picture are held.
+pub struct Drawn {
+    tree: Tree,
+    budget: usize,
+    read: ReadOptions,
+    held: BTreeMap<usize, Gaussians>,
+}
+
+impl Drawn {
+    pub fn new(tree: Tree, budget: usize, read: ReadOptions) -> Drawn {
+        Drawn { tree, budget, read, held: BTreeMap::new() }
+    }
+
+    /// What a camera wants, where that is not what the last one wanted.
+    pub fn wanted(&mut self, camera: &Camera) -> Result<Option<Gaussians>> {
+        let cut = self.tree.cut(camera, self.budget);
+        if !self.held.is_empty() && self.held.keys().eq(&cut) {
+            return Ok(None);
+        }
+        self.held.retain(|tile, _| cut.contains(tile));
+        for tile in cut {
+            if let std::collections::btree_map::Entry::Vacant(place) = self.held.entry(tile) {
+                place.insert(self.tree.read(tile, &self.read)?.gaussians);
+            }
+        }
+        let sh_degree = self.held.values().map(|tile| tile.sh_degree).max().unwrap_or(0);
+        let count = self.held.values().map(Gaussians::len).sum();
+        let mut all = Gaussians::with_capacity(sh_degree, count);
+        self.held.values().for_each(|tile| all.append(tile));
+        Ok(Some(all))
+    }
+
+    /// How many tiles the last camera wanted.
+    pub fn tiles(&self) -> usize {
+        self.held.len()
+    }
+}
