@@ -377,6 +377,7 @@ fn kernels_of_threads(host_options: &HostOptions) {
             filter_3d: true,
             pick: true,
             motion: true,
+            orthographic: true,
             ..Reservation::new(100, 2, 96, 64)
         };
         take_calls();
