@@ -233,6 +233,20 @@ fn merged_cells_are_the_scene() {
     std::fs::write(&other, &bytes[..bytes.len() - 9]).unwrap();
     refused(&other);
     assert!(splats::merge(&[], &output, &KEEP, &WriteOptions::default()).is_err());
+    // One Gaussian that is not finite, of the box that holds all.
+    let mut broken = original.clone();
+    broken.log_scales[7][1] = f32::NAN;
+    splats::write(&other, &broken, &options).unwrap();
+    assert!(refused(&other).contains("--drop-invalid"));
+    let all = [splats::Part { path: &other, within: Cells::EVERYTHING }];
+    let drop = ReadOptions { drop_invalid: true, ..KEEP };
+    let done = splats::merge(&all, &output, &drop, &WriteOptions::default()).unwrap();
+    assert_eq!(done.written, [39_999]);
+    assert!(
+        done.warnings.len() == 1 && done.warnings[0].ends_with("scale_1 = NaN is not finite"),
+        "{:?}",
+        done.warnings
+    );
 }
 
 #[test]

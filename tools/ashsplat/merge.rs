@@ -43,6 +43,9 @@ pub struct Arguments {
     /// A model to be measured beside the merged scene: one that was trained as a whole, say
     #[arg(long, value_name = "MODEL", requires = "report")]
     against: Option<PathBuf>,
+    /// Drop the Gaussians whose parameters are not finite, instead of refusing their block
+    #[arg(long)]
+    drop_invalid: bool,
     #[command(flatten)]
     device: DeviceArguments,
     /// Print only errors
@@ -90,7 +93,12 @@ impl Arguments {
         let parts = scenes.iter().zip(blocks);
         let parts: Vec<Part<'_>> =
             parts.map(|(path, block)| Part { path, within: block.core.bounds() }).collect();
-        let done = splats::merge(&parts, out, &self.device.host.reading(false), &WriteOptions::default())?;
+        let done = splats::merge(
+            &parts,
+            out,
+            &self.device.host.reading(self.drop_invalid),
+            &WriteOptions::default(),
+        )?;
         for warning in &done.warnings {
             tell!("warning: {warning}");
         }

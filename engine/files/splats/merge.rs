@@ -64,6 +64,7 @@ pub fn merge(
             let problem = format!("has {}, {} has {there}", words(own), first.path.display());
             return Err(Error::input(part.path, problem, "train all parts with the same settings"));
         }
+        warnings.extend(header.warnings.iter().cloned());
         let mut count = 0;
         inside(&mut reader, part.within, &mut |block| {
             count += block.len() as u64;
@@ -71,11 +72,12 @@ pub fn merge(
             Ok(())
         })?;
         written.push(count);
-        warnings.extend(reader.warning.take());
+        let dropped = reader.warning.take();
+        warnings.extend(dropped.map(|warning| format!("{}: {warning}", part.path.display())));
     }
     let (count, antialiased) = (written.iter().sum(), of_first.antialiased);
     let outline = Outline { count, sh_degree, antialiased, bounds };
-    write_blocks(output, (format, None), &outline, &mut |sink| {
+    write_blocks(output, (format, options.spz_version), &outline, &mut |sink| {
         for part in parts {
             inside(&mut open(part.path, read)?, part.within, &mut |block| {
                 sink(if sh_degree == block.sh_degree { block } else { block.with_sh_degree(sh_degree) })

@@ -103,7 +103,7 @@ impl Ready {
     }
 
     fn drawn(&self, path: &Path, settings: &Settings, arguments: &Arguments) -> Result<Drawn> {
-        let scene = splats::read(path, &arguments.device.host.reading(false))?;
+        let scene = splats::read(path, &arguments.device.host.reading(arguments.drop_invalid))?;
         let mut renderer = Renderer::new(&self.context)?;
         renderer.upload(&scene.gaussians)?;
         let look = render::settings_of(settings);
