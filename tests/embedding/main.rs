@@ -51,6 +51,7 @@ mod selections;
 mod shared;
 mod splats_in_depth;
 mod stage;
+mod streaming;
 mod table;
 mod times;
 mod training;

@@ -243,6 +243,21 @@ fn a_cut_of_the_tree_is_as_fine_as_its_budget() {
     let read: Vec<Gaussians> = all.iter().map(|&tile| tree.read(tile, &KEEP).unwrap().gaussians).collect();
     assert_eq!(rows(&read), rows([&place.scene]));
     assert!(tree.read(tree.tiles().len(), &KEEP).is_err());
+    assert_eq!(tree.wanted(&camera, usize::MAX), (0..tree.tiles().len()).collect::<Vec<_>>());
+    // What is loaded in order is drawn sooner or later, and a tile above is there before.
+    let wanted = tree.wanted(&camera, 700);
+    for loaded in 1..=wanted.len() {
+        let cut = tree.cut_among(&camera, 700, |tile| wanted[..loaded].contains(&tile));
+        assert_covered(&tree, &cut);
+        assert!(loaded < wanted.len() || cut == tree.cut(&camera, 700));
+    }
+    // While tiles are missing, those above them take their place.
+    for there in 0..tree.tiles().len() {
+        let cut = tree.cut_among(&camera, usize::MAX, |tile| tile <= there);
+        assert_covered(&tree, &cut);
+        assert!(cut.iter().all(|&tile| tile <= there));
+    }
+    assert!(tree.cut_among(&camera, 3000, |_| false).is_empty());
 }
 
 /// Both kinds of cameras: what is near is finer, and what is out of the picture is not drawn.

@@ -115,29 +115,54 @@ impl Tree {
     /// The tiles to be drawn for a camera, ascending: those in its picture, as fine as so many Gaussians allow, and finest where the error
     /// is largest in pixels. The coarsest tile is drawn however many it has; nothing, where it is not in the picture.
     pub fn cut(&self, camera: &Camera, budget: usize) -> Vec<usize> {
+        self.cut_among(camera, budget, |_| true)
+    }
+
+    /// Those of [`Tree::cut`] and those on the way to them, ascending: a tile comes after the one above it. In this order they are to be
+    /// loaded for [`Tree::cut_among`].
+    pub fn wanted(&self, camera: &Camera, budget: usize) -> Vec<usize> {
+        self.refined(camera, budget, &|_| true).1
+    }
+
+    /// As [`Tree::cut`], of the tiles that are there: while one of those that would take a tile's place is not, the tile itself is drawn.
+    /// Without the coarsest tile there is nothing.
+    pub fn cut_among(&self, camera: &Camera, budget: usize, is_there: impl Fn(usize) -> bool) -> Vec<usize> {
+        self.refined(camera, budget, &is_there).0
+    }
+
+    /// The tiles that are drawn, and those and what they have replaced.
+    fn refined(
+        &self,
+        camera: &Camera,
+        budget: usize,
+        is_there: &dyn Fn(usize) -> bool,
+    ) -> (Vec<usize>, Vec<usize>) {
         let seen = |index: &usize| sees(camera, self.tiles[*index].bounds);
-        if !seen(&0) {
-            return Vec::new();
+        if !seen(&0) || !is_there(0) {
+            return (Vec::new(), Vec::new());
         }
-        let mut drawn = vec![0];
-        let mut used = self.tiles[0].gaussians;
+        let (mut drawn, mut used) = (Vec::new(), self.tiles[0].gaussians);
+        let mut visited = vec![0];
         let mut open = BinaryHeap::from([Candidate { pixels: f64::INFINITY, index: 0 }]);
         while let Some(Candidate { index, .. }) = open.pop() {
-            let finer: Vec<usize> = self.tiles[index].children.iter().copied().filter(seen).collect();
+            let tile = &self.tiles[index];
+            let finer: Vec<usize> = tile.children.iter().copied().filter(seen).collect();
             let more = finer.iter().map(|&child| self.tiles[child].gaussians).sum::<usize>();
-            let after = used - self.tiles[index].gaussians + more;
-            if self.tiles[index].children.is_empty() || after > budget {
+            let after = used - tile.gaussians + more;
+            let all_there = finer.iter().all(|&child| is_there(child));
+            if tile.children.is_empty() || after > budget || !all_there {
+                drawn.push(index);
                 continue;
             }
             used = after;
-            drawn.retain(|&other| other != index);
-            drawn.extend(&finer);
+            visited.extend(&finer);
             open.extend(
                 finer.into_iter().map(|index| Candidate { pixels: self.pixels(camera, index), index }),
             );
         }
         drawn.sort_unstable();
-        drawn
+        visited.sort_unstable();
+        (drawn, visited)
     }
 
     /// Reads a tile.
