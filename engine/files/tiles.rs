@@ -71,7 +71,7 @@ pub struct Tiling {
 /// folder.
 ///
 /// # Errors
-/// [`Error::Argument`] for less than one Gaussian per tile, and where more are at one place; [`Error::Input`] for a folder with something in it, for a scene without
+/// [`Error::Input`] for more Gaussians at one place than a tile has, for means that are too far out for SPZ, for a folder with something in it, for a scene without
 /// Gaussians, and as [`splats::read`]; [`Error::Io`]; [`Error::Interrupted`]; what `measure` says. Then nothing is left.
 pub fn write(
     input: &Path,
@@ -93,8 +93,15 @@ pub fn write(
     let unfinished = builder.prefix(".tiles").tempdir_in(beside);
     let unfinished = unfinished.map_err(|e| Error::io(beside, "write into", e))?;
     let (rows, spill) = Spill::of(input, unfinished.path(), options.most, read, progress)?;
-    let mut writer =
-        TileWriter { spill, folder: unfinished.path(), options, measure, progress, done: Tiling::default() };
+    let mut writer = TileWriter {
+        spill,
+        input,
+        folder: unfinished.path(),
+        options,
+        measure,
+        progress,
+        done: Tiling::default(),
+    };
     let steps = steps(&rows.means, &writer.spill.cells, options.most)?;
     writer.done = Tiling { gaussians: rows.means.len() as u64, warnings: rows.warnings, ..Tiling::default() };
     let root = writer.write(&steps)?.ok_or_else(|| Error::argument("tiles", "there are none"))?;
@@ -102,12 +109,10 @@ pub fn write(
     let done = Tiling { levels: root.levels(), ..writer.done };
     fs::remove_dir(unfinished.path().join(ROWS)).map_err(|e| Error::io(folder, "write", e))?;
     let whole = unfinished.keep();
-    if is_empty(folder) {
-        fs::remove_dir(folder).ok();
-    }
-    fs::rename(&whole, folder).map_err(|e| {
+    let renamed = if is_empty(folder) { fs::remove_dir(folder) } else { Ok(()) };
+    renamed.and_then(|()| fs::rename(&whole, folder)).map_err(|e| {
         fs::remove_dir_all(&whole).ok();
-        Error::io(folder, "write", e)
+        Error::input(folder, format!("cannot be written: {e}"), "give a folder that is not there yet")
     })?;
     Ok(done)
 }
@@ -148,7 +153,10 @@ impl Spill {
         if means.is_empty() {
             return Err(Error::input(input, "has no Gaussians", "give a trained scene"));
         }
-        let cells = Cells::divide(&means, most)?;
+        // Means are finite, and there are some: too many are at one place.
+        let cells = Cells::divide(&means, most).map_err(|e| {
+            Error::input(input, format!("cannot be divided: {e}"), "give more --max-gaussians")
+        })?;
         let folder = folder.join(ROWS);
         fs::create_dir(&folder).map_err(|e| Error::io(&folder, "create", e))?;
         let spill = Spill { folder, cells, sh_degree: header.sh_degree, antialiased: header.antialiased };
@@ -251,6 +259,7 @@ fn joined(mut own: Vec<(Vec<Step>, Vec3)>) -> Option<(Vec<Step>, Vec3)> {
 
 struct TileWriter<'a, 'm> {
     spill: Spill,
+    input: &'a Path,
     folder: &'a Path,
     options: &'a TileOptions,
     measure: &'a mut Measure<'m>,
@@ -308,7 +317,13 @@ impl TileWriter<'_, '_> {
             antialiased: self.spill.antialiased,
             spz_version: self.options.packed.then_some(2),
         };
-        splats::write(self.folder.join(&name), &gaussians, &write)?;
+        splats::write(self.folder.join(&name), &gaussians, &write).map_err(|e| match e {
+            // The folder has another name yet, and what is wrong is the scene's.
+            Error::Input { problem, remedy, .. } => {
+                Error::input(self.input, format!("{name}: {problem}"), remedy)
+            }
+            other => other,
+        })?;
         self.done.tiles += 1;
         self.done.leaves += usize::from(children.is_empty());
         self.done.written += gaussians.len() as u64;

@@ -186,7 +186,21 @@ fn tiles_that_fail_leave_nothing() {
     heap.means.fill([1.0, 2.0, 3.0]);
     splats::write(&input, &heap, &WriteOptions::default()).unwrap();
     let refused = place.tiled("tiles", 64, &mut Vec::new()).unwrap_err();
-    assert!(matches!(refused, Error::Argument { .. }), "{refused}");
+    let told = refused.to_string();
+    assert!(
+        told.contains("scene.ply")
+            && told.contains("70 Gaussians are at")
+            && told.contains("--max-gaussians"),
+        "{told}"
+    );
+    // Farther than SPZ can say.
+    let mut far = scene(70, 0);
+    far.means[3] = [1e15, 0.0, 0.0];
+    splats::write(&input, &far, &WriteOptions::default()).unwrap();
+    let packed = TileOptions { most: 64, packed: true };
+    let told =
+        tiles::write(&input, &folder, &packed, &KEEP, &mut measure, &Progress::NONE).unwrap_err().to_string();
+    assert!(told.contains("scene.ply: ") && told.contains("too far out for SPZ"), "{told}");
     assert_eq!(place.names(), ["scene.ply"]);
     // A folder with something in it stays as it is.
     fs::create_dir(&folder).unwrap();
@@ -318,4 +332,16 @@ fn trees_of_others_are_refused() {
     refused(&|d| d["root"]["boundingVolume"]["box"][3] = (-1.0).into(), "not finite");
     refused(&|d| d["root"]["children"][1]["extras"] = Value::Null, "no tree of Gaussians");
     refused(&|d| *d = Value::Null, "no tree of Gaussians");
+}
+
+/// What is as large as single precision allows has numbers in its description, and no nulls.
+#[test]
+fn enormous_gaussians_have_finite_boxes() {
+    let mut large = scene(90, 0);
+    large.log_scales.fill([80.0; 3]);
+    let place = Place::new(large);
+    place.tiled("tiles", 40, &mut Vec::new()).unwrap();
+    let text = fs::read_to_string(place.folder("tiles").join(TILESET_FILE)).unwrap();
+    assert!(!text.contains("null"), "{text}");
+    assert!(Tree::open(place.folder("tiles")).unwrap().tiles()[0].bounds.max.x > 1e34);
 }

@@ -65,7 +65,7 @@ fn box_of(bounds: Bounds) -> [f32; 12] {
 /// Writes the description of a tree.
 pub(super) fn write(path: &Path, root: &Tile, packed: bool) -> Result<()> {
     // Of drawing nothing at all.
-    let nothing = f64::from(root.bounds.max.distance(root.bounds.min)).max(root.error);
+    let nothing = root.bounds.max.as_dvec3().distance(root.bounds.min.as_dvec3()).max(root.error);
     // Viewers look here before the first tile is there.
     let mut used = json!({ "extensionsUsed": [EXTENSION] });
     if packed {
