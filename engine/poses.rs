@@ -125,7 +125,7 @@ impl PoseBuffers {
 pub fn camera_at(camera: &Camera, pose: &[f32; 12]) -> Camera {
     let [a, b, c, d, e, f, g, h, i, x, y, z] = *pose;
     let rotation = glam::Mat3::from_cols_array(&[a, b, c, d, e, f, g, h, i]).transpose();
-    Camera::with_pose(rotation, glam::Vec3::new(x, y, z), camera.intrinsics())
+    Camera { camera_from_world: rotation, translation: glam::Vec3::new(x, y, z), ..*camera }
 }
 
 /// The kernel of Adam over poses.

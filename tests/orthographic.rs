@@ -85,7 +85,7 @@ fn orthographic_gaussians_cover_the_same_pixels_at_every_depth() {
     drop((renderer, gpu));
 }
 
-/// Depth order, spherical harmonics, turned cameras, shapes and filters, as the twin blends them.
+/// Depth order, spherical harmonics, turned cameras and antialiasing, as the twin blends them.
 #[test]
 fn orthographic_pictures_equal_the_twins() {
     let gpu = Gpu::new();
@@ -198,6 +198,18 @@ fn orthographic_matrices_become_a_camera() {
             assert!((at_near - near.max(0.2)).abs() < 1e-5, "{at_near}");
         }
     }
+    // Around the eye, what mirrors with standard depth is what looks back with reversed depth.
+    let around = |y: f32| {
+        let third = Vec4::new(0.0, 0.0, -1.0 / 40.0, 0.0);
+        let clip_from_view =
+            Mat4::from_cols(Vec4::X * 0.25, Vec4::Y * y, third, Vec4::new(0.0, 0.0, 0.25, 1.0));
+        let host = HostView { view_from_world, clip_from_view, clip_y: ClipY::Up, width: 640, height: 480 };
+        host.camera().expect("a camera")
+    };
+    let ((camera, standard), (back, reversed)) = (around(0.25), around(-0.25));
+    assert_eq!((standard.clear_value, reversed.clear_value), (1.0, 0.0));
+    let opposite = camera.camera_from_world.row(2) + back.camera_from_world.row(2);
+    assert!(opposite.length() < 1e-6, "{opposite}");
     let wrong = Mat4::from_cols(Vec4::X, Vec4::Y, Vec4::new(0.0, 0.1, 1.0, 0.0), Vec4::W);
     let mirrored = Mat4::from_cols(Vec4::X, Vec4::Y, -Vec4::Z * 0.1, Vec4::W);
     for (clip_from_view, clip_y, expected) in

@@ -71,7 +71,11 @@ impl Twist {
         let (rotation, translation) = self.exp();
         let camera_from_world = rotation * camera.camera_from_world.as_dmat3();
         let translation = rotation * camera.translation.as_dvec3() + translation;
-        Camera::with_pose(camera_from_world.as_mat3(), translation.as_vec3(), camera.intrinsics())
+        Camera {
+            camera_from_world: camera_from_world.as_mat3(),
+            translation: translation.as_vec3(),
+            ..*camera
+        }
     }
 
     /// dL/dξ from g = dL/dδ of `exp(δ^) exp(ξ^) T` at δ = 0: `J_l(ξ)ᵀ g`, with the left Jacobian of SE(3)

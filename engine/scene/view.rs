@@ -44,7 +44,7 @@ pub struct HostView {
 /// [`HostView::camera`] gives, in world units.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DepthMapping {
-    /// See above. For reversed depth it is positive, for an orthographic projection negative.
+    /// See above. For reversed depth it is positive of a perspective, and negative of an orthographic projection.
     pub scale: f32,
     /// See above.
     pub offset: f32,
@@ -81,11 +81,16 @@ impl HostView {
     ///
     /// The camera is the host's. Of an orthographic projection it looks where its axes are right-handed, whether depth is
     /// reversed or not; and because splats are drawn beyond z = [`NEAR_PLANE`] only, it stands so far behind the host's eye that
-    /// the near plane has that z, unless it has more already. The mapping, and expected depth, count from there.
+    /// the near plane has that z, unless it has more already. The mapping, and expected depth, count from there. Its near plane clips no
+    /// splats that lie before it and beyond that z.
+    ///
+    /// With parallel rays, a mirrored picture is that of the opposite direction. It is refused where the whole range of depth lies behind the
+    /// eye then. An orthographic projection whose near plane is behind the eye and whose far plane is before it must not mirror: it would
+    /// be taken for one of the other depth, reversed or not.
     ///
     /// # Errors
     /// [`Error::Argument`] for numbers that are not finite, a projection that is neither perspective nor orthographic or is
-    /// skewed, a view that scales or is not affine, and matrices that together mirror the picture.
+    /// skewed, a view that scales or is not affine, and matrices that together mirror the picture, but for those above.
     pub fn camera(&self) -> Result<(Camera, DepthMapping)> {
         let bad = |what: &str, problem: &str| Err(Error::argument(what, problem));
         let (view, projection) = (self.view_from_world, self.clip_from_view);

@@ -5,13 +5,10 @@
 //   eye, forward, up: [x, y, z] in the tileset's axes, screen_space_error: of tiles, at most, pixels }
 //
 // Prints the names of the tiles that were drawn, one a line.
-import { spawn } from 'node:child_process';
-import { mkdtempSync, readFileSync, rmSync, writeFileSync } from 'node:fs';
-import { createServer } from 'node:http';
-import { tmpdir } from 'node:os';
+import { readFileSync } from 'node:fs';
 import { extname, join, normalize } from 'node:path';
+import { BEGIN, show } from './browser.mjs';
 
-const TIMEOUT_SECONDS = 240;
 const [modules, folder, cameraFile, output] = process.argv.slice(2);
 const camera = JSON.parse(readFileSync(cameraFile, 'utf8'));
 
@@ -27,9 +24,7 @@ const page = `<!DOCTYPE html><meta charset="utf-8"><style>.cesium-widget, .cesiu
 <script>window.CESIUM_BASE_URL = '/cesium/';</script>
 <script src="/cesium/Cesium.js"></script>
 <script type="module">
-const say = (path, body) => fetch(path, { method: 'POST', body });
-window.onerror = (message) => say('/failed', String(message));
-window.onunhandledrejection = (event) => say('/failed', String(event.reason && event.reason.stack || event.reason));
+${BEGIN}
 const camera = ${JSON.stringify(camera)};
 const widget = new Cesium.CesiumWidget('c', {
     baseLayer: false, globe: false, skyBox: false, skyAtmosphere: false, scene3DOnly: true, useDefaultRenderLoop: false,
@@ -65,7 +60,7 @@ for (let frame = 0; frame < 400 && same < 8; ++frame) {
     same = now === last && tiles.tilesLoaded && drawn.size > 0 && frame > 10 ? same + 1 : 0;
     last = now;
 }
-await say('/drawn', [...drawn].join('\\n'));
+await say('/text', [...drawn].join('\\n'));
 await say('/done', last);
 </script>`;
 
@@ -79,48 +74,4 @@ const content = (url) => {
     if (url.startsWith('/cesium/')) return [type, inside(join(modules, 'cesium/Build/Cesium'), url.slice(8))];
     throw new Error(url);
 };
-const profile = mkdtempSync(join(tmpdir(), 'ashsplat-chromium-'));
-let browser;
-const finish = (code, message) => {
-    if (message) console.error(message);
-    browser?.kill('SIGKILL');
-    setTimeout(() => {
-        try {
-            rmSync(profile, { recursive: true, force: true, maxRetries: 5, retryDelay: 200 });
-        } catch (error) {
-            // A process of the browser still writes: its temporary folder stays.
-        }
-        process.exit(code);
-    }, 500);
-};
-const server = createServer((request, response) => {
-    const url = decodeURIComponent(request.url.split('?')[0]);
-    if (request.method === 'POST') {
-        let body = '';
-        request.on('data', (part) => { body += part; });
-        request.on('end', () => {
-            response.end();
-            if (url === '/drawn') return console.log(body);
-            if (url !== '/done') return finish(1, body);
-            writeFileSync(output, Buffer.from(body.slice(body.indexOf(',') + 1), 'base64'));
-            finish(0);
-        });
-        return;
-    }
-    let reply = ['text/plain', ''];
-    let status = 200;
-    try {
-        reply = content(url);
-    } catch (error) {
-        status = 404;
-    }
-    response.writeHead(status, { 'Content-Type': reply[0] });
-    response.end(reply[1]);
-});
-server.listen(0, '127.0.0.1', () => {
-    const flags = ['--headless=new', '--no-sandbox', '--disable-gpu-sandbox', '--use-angle=swiftshader',
-        '--enable-unsafe-swiftshader', '--ignore-gpu-blocklist', '--mute-audio', `--user-data-dir=${profile}`];
-    browser = spawn('chromium', [...flags, `http://127.0.0.1:${server.address().port}/`], { stdio: 'ignore' });
-    browser.on('error', (error) => finish(1, `chromium: ${error.message}`));
-});
-setTimeout(() => finish(1, `no picture after ${TIMEOUT_SECONDS} s`), TIMEOUT_SECONDS * 1000).unref();
+show(content, output);

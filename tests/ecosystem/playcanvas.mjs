@@ -5,13 +5,10 @@
 //   quat: [x, y, z, w] of the rotation from a camera with y up and z backward to the file's own axes,
 //   reference_dilation: whether to widen splats by 0.3 pixels squared as the reference does. The engine adds its 0.3 to a
 //   covariance in units of half pixels, which is a quarter of that, and its small splats are sharper for it }
-import { spawn } from 'node:child_process';
-import { mkdtempSync, readFileSync, rmSync, writeFileSync } from 'node:fs';
-import { createServer } from 'node:http';
-import { tmpdir } from 'node:os';
+import { readFileSync } from 'node:fs';
 import { basename, join } from 'node:path';
+import { BEGIN, show } from './browser.mjs';
 
-const TIMEOUT_SECONDS = 240;
 const [modules, scene, cameraFile, output] = process.argv.slice(2);
 const camera = JSON.parse(readFileSync(cameraFile, 'utf8'));
 const sceneName = basename(scene);
@@ -29,9 +26,7 @@ const engine = () => {
 
 const page = `<!DOCTYPE html><meta charset="utf-8"><canvas id="c" width="${camera.width}" height="${camera.height}"></canvas>
 <script type="module">
-const say = (path, body) => fetch(path, { method: 'POST', body });
-window.onerror = (message) => say('/failed', String(message));
-window.onunhandledrejection = (event) => say('/failed', String(event.reason && event.reason.stack || event.reason));
+${BEGIN}
 const pc = await import('/playcanvas.mjs');
 const camera = ${JSON.stringify(camera)};
 const canvas = document.getElementById('c');
@@ -83,42 +78,8 @@ const files = {
     '/playcanvas.mjs': ['text/javascript', engine],
     ['/' + sceneName]: ['application/octet-stream', () => readFileSync(scene)]
 };
-const profile = mkdtempSync(join(tmpdir(), 'ashsplat-chromium-'));
-let browser;
-const finish = (code, message) => {
-    if (message) console.error(message);
-    browser?.kill('SIGKILL');
-    setTimeout(() => {
-        try {
-            rmSync(profile, { recursive: true, force: true, maxRetries: 5, retryDelay: 200 });
-        } catch (error) {
-            // A process of the browser still writes: its temporary folder stays.
-        }
-        process.exit(code);
-    }, 500);
+const content = (url) => {
+    const [type, body] = files[url] ?? [];
+    return type && [type, body()];
 };
-const server = createServer((request, response) => {
-    const url = decodeURIComponent(request.url.split('?')[0]);
-    if (request.method === 'POST') {
-        let body = '';
-        request.on('data', (part) => { body += part; });
-        request.on('end', () => {
-            response.end();
-            if (url === '/frame') return;
-            if (url !== '/done') return finish(1, body);
-            writeFileSync(output, Buffer.from(body.slice(body.indexOf(',') + 1), 'base64'));
-            finish(0);
-        });
-        return;
-    }
-    const [type, content] = files[url] ?? [];
-    response.writeHead(type ? 200 : 404, { 'Content-Type': type ?? 'text/plain' });
-    response.end(content?.() ?? '');
-});
-server.listen(0, '127.0.0.1', () => {
-    const flags = ['--headless=new', '--no-sandbox', '--disable-gpu-sandbox', '--use-angle=swiftshader',
-        '--enable-unsafe-swiftshader', '--ignore-gpu-blocklist', '--mute-audio', `--user-data-dir=${profile}`];
-    browser = spawn('chromium', [...flags, `http://127.0.0.1:${server.address().port}/`], { stdio: 'ignore' });
-    browser.on('error', (error) => finish(1, `chromium: ${error.message}`));
-});
-setTimeout(() => finish(1, `no picture after ${TIMEOUT_SECONDS} s`), TIMEOUT_SECONDS * 1000).unref();
+show(content, output);

@@ -1,17 +1,17 @@
 //! Hosts with orthographic projections: pictures, occlusion and expected depth.
 
 use ashsplat::ash::vk;
-use ashsplat::glam::{Mat4, Vec3, Vec4, camera::rh::view::look_at_mat4};
+use ashsplat::glam::{self, Mat3, Mat4, Quat, Vec3, Vec4, camera::rh::view::look_at_mat4};
 use ashsplat::scene::{ClipY, DepthMapping, Gaussians, HostView, Pose};
 use ashsplat::vk::{Image, ImageState, ImageUse};
 use ashsplat::{
-    DepthTarget, DeviceScene, HostImage, Occluder, Placed, RecordedFrame, RenderSettings, Renderer,
+    Camera, DepthTarget, DeviceScene, HostImage, Occluder, Placed, RecordedFrame, RenderSettings, Renderer,
     Reservation,
 };
 
 use crate::host::Host;
 use crate::memory::HostTexture;
-use crate::scenes::depth_image;
+use crate::scenes::{assert_nearly_equal, depth_image};
 use crate::stage::{assert_same, cloud, guest, options, owned, read_texture, rendered, with_host};
 
 pub const SIZE: [u32; 2] = [110, 70];
@@ -96,11 +96,42 @@ fn an_orthographic_hosts_depth_hides_what_lies_behind_it() {
                 drop(image);
                 texture.destroy(host);
             }
-            let pinhole = ashsplat::Camera { projection: ashsplat::scene::Projection::Perspective, ..camera };
+            let pinhole = Camera { projection: ashsplat::scene::Projection::Perspective, ..camera };
             let frame = RecordedFrame::new(&placed, &pinhole, &settings);
             assert_same(&rendered(host, renderer, &frame), &owned(gaussians, &pinhole, &settings), [0.0; 3]);
         }
         assert_eq!(pictures[..3], pictures[3..], "depth is reversed, the picture is not");
+    });
+}
+
+/// A scene that stands turned, moved and twice as large, of view-dependent colours, looks to parallel rays as the scene itself does to
+/// the camera that is turned, moved and shrunk against it.
+#[test]
+fn parallel_rays_see_a_turned_scene_from_its_own_side() {
+    with_scene(|host, renderer, scene, gaussians| {
+        let settings = RenderSettings::default();
+        let (camera, _) = view(false).camera().expect("a camera");
+        let (turn, shift) =
+            (Quat::from_euler(glam::EulerRot::XYZ, 0.4, 1.5, -0.7), Vec3::new(0.2, -0.1, 0.3));
+        let rotation = Mat3::from_quat(turn);
+        let pose = Pose { world_from_object: rotation, translation: shift, scale: 2.0 };
+        let placed = [Placed::at(scene, pose)];
+        let pixels = rendered(host, renderer, &RecordedFrame::new(&placed, &camera, &settings));
+        // x_camera = 2 R_c R (x + Rᵀ shift / 2) + t_c: half as many units, each of twice as many pixels.
+        let camera_from_world = camera.camera_from_world * rotation;
+        let own = Camera {
+            camera_from_world,
+            translation: 0.5 * (camera.translation + camera.camera_from_world * shift),
+            fx: 2.0 * camera.fx,
+            fy: 2.0 * camera.fy,
+            ..camera
+        };
+        assert_nearly_equal(&pixels, &owned(gaussians, &own, &settings));
+        // Colours that do not depend on the direction would not show it.
+        let plain = gaussians.with_sh_degree(0);
+        let differs = owned(&plain, &own, &settings);
+        let far = pixels.iter().zip(&differs.color).filter(|(p, c)| (p[0] - c[0]).abs() > 0.02).count();
+        assert!(far > pixels.len() / 20, "{far}");
     });
 }
 

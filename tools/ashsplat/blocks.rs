@@ -213,6 +213,9 @@ pub fn cameras_hash(cameras: &[NamedCamera]) -> String {
         print.add(bytemuck::cast_slice(&camera.translation.to_array()));
         print.add(bytemuck::cast_slice(&[camera.fx, camera.fy, camera.cx, camera.cy]));
         print.add(bytemuck::cast_slice(&[camera.width, camera.height]));
+        if camera.is_orthographic() {
+            print.add(b"orthographic");
+        }
     }
     format!("{:016x}", print.finish())
 }

@@ -403,7 +403,8 @@ pub fn at_its_place(view: View, cameras: &HashMap<String, Camera>) -> View {
     match cameras.get(&view.name) {
         None => view,
         Some(at) => {
-            let camera = Camera::with_pose(at.camera_from_world, at.translation, view.camera.intrinsics());
+            let (camera_from_world, translation) = (at.camera_from_world, at.translation);
+            let camera = Camera { camera_from_world, translation, ..view.camera };
             View { camera, ..view }
         }
     }

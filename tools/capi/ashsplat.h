@@ -1155,8 +1155,6 @@ enum AshsplatStatus ashsplat_trainer_save(const struct AshsplatTrainer *trainer,
 }  // extern "C"
 #endif  // __cplusplus
 
-#endif  /* ASHSPLAT_H */
-
 /* A struct that knows its size, with the defaults of its fields. */
 #define ASHSPLAT_INIT(Type) Type##_init()
 
@@ -1352,3 +1350,5 @@ static inline AshsplatUpdate AshsplatUpdate_init(void) {
   it.struct_size = (uint32_t)sizeof it;
   return it;
 }
+
+#endif /* ASHSPLAT_H */

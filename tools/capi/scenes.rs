@@ -43,8 +43,13 @@ pub(super) unsafe fn copied<'a>(
     let copy = |(place, u): (usize, &AshsplatUpdate)| {
         // SAFETY: as promised.
         let copied = unsafe {
-            borrowed(u.scene, "scene")
-                .and_then(|scene| Ok((&scene.scene, u.first, gaussians(&read(u.gaussians, "gaussians")?)?)))
+            borrowed(u.scene, "scene").and_then(|scene| {
+                Ok((
+                    &scene.scene,
+                    u.first,
+                    gaussians(&read(u.gaussians, "gaussians")?).map_err(within("gaussians"))?,
+                ))
+            })
         };
         copied.map_err(within(format_args!("updates[{place}]")))
     };

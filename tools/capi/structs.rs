@@ -2,8 +2,9 @@
 //!
 //! Each begins with its size in the header that the host was compiled with, which `ASHSPLAT_INIT` sets together with the
 //! defaults. A host of an older header has a smaller struct: the fields that it does not know have their defaults. A host of a
-//! newer header has a larger one, which works as long as what lies beyond is zero. Such a struct is never a part of another
-//! one, and in an array all have the size of the first. A size of 0 is one that was not set: the error says how.
+//! newer header has a larger one, which works as long as what lies beyond is zero: fields that come later have the default 0, and
+//! nothing is padded before them. Such a struct is never a part of another one, and in an array all have the size of the first. A size
+//! that no header had is one that was not set: the error says how.
 
 use super::{
     AshsplatAllocator, AshsplatCamera, AshsplatCutOut, AshsplatDepthTarget, AshsplatForeignDevice,
@@ -23,6 +24,8 @@ use std::mem::{MaybeUninit, offset_of, size_of};
 pub(super) unsafe trait Grows: Copy + Default {
     /// Its name in C.
     const NAME: &'static str;
+    /// Its size in the first header.
+    const FIRST: usize;
 }
 
 /// Fields with other defaults than zero, and their values, in the words of the sources: `ASHSPLAT_INIT` is made of them.
@@ -33,11 +36,18 @@ const fn end<T, F>(begin: usize, _: fn(&T) -> &F) -> usize {
     begin + size_of::<F>()
 }
 
-/// A struct's name and its last field, behind which nothing is padded: the next field begins at today's size. Then the
-/// defaults other than zero.
+/// A struct's name, the last field that it had in the first header, and its last one, behind which nothing is padded: the next field
+/// begins at today's size. Then the defaults other than zero.
 macro_rules! structs {
-    ($($name:ident, $last:ident, { $($field:ident: $value:expr),* };)*) => {
+    ($($name:ident, $first:ident..$last:ident, { $($field:ident: $value:expr),* };)*) => {
         $(
+            $(
+                const _: () = assert!(
+                    offset_of!($name, $field) <= offset_of!($name, $first),
+                    "a later field's default is 0: an older library takes nothing else for unset"
+                );
+            )*
+
             const _: () = assert!(
                 offset_of!($name, struct_size) == 0
                     && end::<$name, _>(offset_of!($name, $last), |it| &it.$last) == size_of::<$name>(),
@@ -47,6 +57,7 @@ macro_rules! structs {
             // SAFETY: as the type's definition shows.
             unsafe impl Grows for $name {
                 const NAME: &'static str = stringify!($name);
+                const FIRST: usize = end::<$name, _>(offset_of!($name, $first), |it| &it.$first);
             }
 
             impl Default for $name {
@@ -71,32 +82,32 @@ macro_rules! structs {
 pub(super) const UPRIGHT: [f32; 9] = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
 
 structs! {
-    AshsplatAllocator, free, {};
-    AshsplatCamera, projection, { camera_from_world: UPRIGHT };
-    AshsplatCutOut, scale, { scene_from_volume: UPRIGHT, scale: 1.0 };
-    AshsplatDepthTarget, to, {};
-    AshsplatForeignDevice, pipeline_cache, {};
-    AshsplatForeignImage, image, { samples: 1 };
-    AshsplatGaussians, sh, {};
-    AshsplatMaintenance, skipped, {};
-    AshsplatMotionTarget, to, {};
-    AshsplatOccluder, mapping, {};
-    AshsplatPickTarget, to, {};
-    AshsplatPlaced, previous_pose, { world_from_object: UPRIGHT, scale: 1.0 };
-    AshsplatPose, scale, { world_from_object: UPRIGHT, scale: 1.0 };
-    AshsplatRecordedFrame, motion, {};
-    AshsplatRelease, motion, {};
-    AshsplatRenderSettings, scale_modifier, { sh_degree: 3, scale_modifier: 1.0 };
-    AshsplatReservation, staging_bytes, { slots: 1, queues: 1, scenes: 1, blend_passes: 1 };
-    AshsplatScenePlan, chunk_bytes, {};
-    AshsplatSceneSettings, selection_share, {
+    AshsplatAllocator, free..free, {};
+    AshsplatCamera, height..projection, { camera_from_world: UPRIGHT };
+    AshsplatCutOut, scale..scale, { scene_from_volume: UPRIGHT, scale: 1.0 };
+    AshsplatDepthTarget, to..to, {};
+    AshsplatForeignDevice, pipeline_cache..pipeline_cache, {};
+    AshsplatForeignImage, image..image, { samples: 1 };
+    AshsplatGaussians, sh..sh, {};
+    AshsplatMaintenance, skipped..skipped, {};
+    AshsplatMotionTarget, to..to, {};
+    AshsplatOccluder, mapping..mapping, {};
+    AshsplatPickTarget, to..to, {};
+    AshsplatPlaced, scale..previous_pose, { world_from_object: UPRIGHT, scale: 1.0 };
+    AshsplatPose, scale..scale, { world_from_object: UPRIGHT, scale: 1.0 };
+    AshsplatRecordedFrame, motion..motion, {};
+    AshsplatRelease, motion..motion, {};
+    AshsplatRenderSettings, scale_modifier..scale_modifier, { sh_degree: 3, scale_modifier: 1.0 };
+    AshsplatReservation, staging_bytes..staging_bytes, { slots: 1, queues: 1, scenes: 1, blend_passes: 1 };
+    AshsplatScenePlan, chunk_bytes..chunk_bytes, {};
+    AshsplatSceneSettings, selection_share..selection_share, {
         visible: true, tint: [1.0, 1.0, 1.0], opacity: 1.0, sh_degree: 3, selection_color: [1.0, 1.0, 1.0], selection_share: 0.5
     };
-    AshsplatSlotReport, nanoseconds, {};
-    AshsplatStep, view, {};
-    AshsplatTarget, to, { exposure: 1.0 };
-    AshsplatTrainView, rgb, {};
-    AshsplatUpdate, gaussians, {};
+    AshsplatSlotReport, visible..nanoseconds, {};
+    AshsplatStep, view..view, {};
+    AshsplatTarget, to..to, { exposure: 1.0 };
+    AshsplatTrainView, rgb..rgb, {};
+    AshsplatUpdate, gaussians..gaussians, {};
 }
 
 /// Largest size that is taken for one: what lies beyond is memory that nothing was written to.
@@ -106,6 +117,14 @@ const LARGEST: usize = 4096;
 pub(super) fn within(outer: impl std::fmt::Display) -> impl FnOnce(Error) -> Error {
     move |error| match error {
         Error::Argument { what, problem } => Error::argument(format!("{outer}.{what}"), problem),
+        other => other,
+    }
+}
+
+/// Names the element of the list that an error names.
+fn element(index: usize) -> impl FnOnce(Error) -> Error {
+    move |error| match error {
+        Error::Argument { what, problem } => Error::argument(format!("{what}[{index}]"), problem),
         other => other,
     }
 }
@@ -123,7 +142,7 @@ unsafe fn size_of_hosts<T: Grows>(pointer: *const T, what: &str) -> Result<usize
             let problem = format!("struct_size is 0: begin with ASHSPLAT_INIT({name})");
             Err(Error::argument(what, problem))
         }
-        8..=LARGEST if size.is_multiple_of(4) => Ok(size),
+        _ if (T::FIRST..=LARGEST).contains(&size) && size.is_multiple_of(4) => Ok(size),
         _ => {
             let problem =
                 format!("struct_size is {size}, {name} has {own}: begin with ASHSPLAT_INIT({name})");
@@ -186,7 +205,8 @@ pub(super) unsafe fn read_all<T: Grows>(pointer: *const T, count: u32, what: &st
     let mut all = Vec::with_capacity(count as usize);
     // SAFETY: as promised.
     unsafe {
-        let stride = size_of_hosts(pointer, &format!("{what}[0]"))?;
+        // Names are needed for errors alone.
+        let stride = size_of_hosts(pointer, what).map_err(element(0))?;
         for index in 0..count as usize {
             let at = pointer.byte_add(index * stride);
             let size = at.cast::<u32>().read_unaligned() as usize;
@@ -194,11 +214,7 @@ pub(super) unsafe fn read_all<T: Grows>(pointer: *const T, count: u32, what: &st
                 let problem = format!("struct_size is {size}, that of {what}[0] is {stride}");
                 return Err(Error::argument(format!("{what}[{index}]"), problem));
             }
-            // Its name is needed for errors alone.
-            all.push(read(at, what).map_err(|error| match error {
-                Error::Argument { what, problem } => Error::argument(format!("{what}[{index}]"), problem),
-                other => other,
-            })?);
+            all.push(read(at, what).map_err(element(index))?);
         }
     }
     Ok(all)

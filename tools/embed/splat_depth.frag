@@ -17,5 +17,6 @@ layout(push_constant) uniform Push {
 void main() {
     float z = texelFetch(expected_depth, ivec2(gl_FragCoord.xy), 0).x;
     float depth = clamp(a * (linear == 1 ? z : 1.0 / z) + b, 0.0, 1.0);
-    gl_FragDepth = z == empty ? clear_value : depth;
+    // `empty` may be NaN, which equals nothing.
+    gl_FragDepth = z == empty || !(z > 0.0) ? clear_value : depth;
 }

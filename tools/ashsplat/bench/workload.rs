@@ -310,6 +310,10 @@ impl Fnv {
         self.add(bytemuck::cast_slice(&[c.translation.x, c.translation.y, c.translation.z]));
         self.add(bytemuck::cast_slice(&[c.fx, c.fy, c.cx, c.cy]));
         self.add(bytemuck::cast_slice(&[c.width, c.height]));
+        // Pinholes keep the hashes that they had before there were others.
+        if c.is_orthographic() {
+            self.add(b"orthographic");
+        }
     }
 
     pub fn hex(&self) -> String {

@@ -128,6 +128,15 @@ impl Arguments {
     fn along(&self, path: &Path) -> Result<Vec<NamedCamera>> {
         let keys = cameras_json::read(path)?;
         let Some(count) = self.frames else { return Ok(keys) };
+        if let Some(pair) =
+            keys.windows(2).find(|pair| pair[0].camera.projection != pair[1].camera.projection)
+        {
+            let problem = format!(
+                "one of {} and {} is orthographic: nothing lies between them",
+                pair[0].name, pair[1].name
+            );
+            return Err(Error::input(path, problem, "leave out --frames, or give keys of one kind"));
+        }
         let keys: Vec<Camera> = keys.iter().map(|named| named.camera).collect();
         named(tour::through_keys(&keys, count, false), "path")
     }
@@ -141,7 +150,11 @@ impl Arguments {
         film: Option<Container>,
     ) -> Result<Views> {
         let seen: Vec<Camera> = match own {
-            Some(path) => cameras_json::read(path)?.iter().map(|named| named.camera).collect(),
+            // What an orbit shows is an angle, which others have none of.
+            Some(path) => {
+                let all = cameras_json::read(path)?;
+                all.iter().map(|named| named.camera).filter(|camera| !camera.is_orthographic()).collect()
+            }
             None => Vec::new(),
         };
         let intrinsics = self.size.of_orbit(&seen, film);
@@ -246,6 +259,12 @@ impl SizeArguments {
         };
         let mut camera = camera.scaled_to(width, height);
         if let Some(fov) = self.fov {
+            if camera.is_orthographic() {
+                return Err(Error::argument(
+                    "--fov",
+                    "an orthographic camera has none: change fx and fy in its file",
+                ));
+            }
             let focal = Intrinsics::from_fov_x(fov.to_radians(), width, height).fx;
             camera.fy *= focal / camera.fx;
             camera.fx = focal;

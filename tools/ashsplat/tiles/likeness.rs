@@ -90,7 +90,7 @@ mod tests {
         gaussians.means = vec![[3.0, 2.0, 1.0]; 101];
         assert_eq!(ball(&gaussians), (vec3(3.0, 2.0, 1.0), (-5.0_f32).exp()));
         let camera = camera(Vec3::ZERO, 2.0, DIRECTIONS[1]);
-        let across = DIRECTIONS[1].any_orthonormal_vector() * 2.0;
+        let across = DIRECTIONS[1].normalize().any_orthonormal_vector() * 2.0;
         let (x, y, z) = camera.project(across);
         let off = (x - 128.0).hypot(y - 128.0);
         assert!((off - 128.0).abs() < 0.1 && (z - 8.0).abs() < 1e-4, "{off} {z}");

@@ -4,7 +4,7 @@ use super::Run;
 use crate::config::CAMERAS_FILE;
 use crate::{eval, output};
 use ashsplat::Result;
-use ashsplat::scene::{Camera, Twist};
+use ashsplat::scene::Twist;
 use ashsplat_files::cameras_json::{self, NamedCamera};
 use serde_json::{Map, json};
 
@@ -73,8 +73,8 @@ impl Run {
         let own = self.cameras.iter().cloned().map(|(name, camera)| NamedCamera { name, camera });
         let mut cameras: Vec<NamedCamera> = own.collect();
         for (named, at) in cameras[held_out..].iter_mut().zip(&moved) {
-            let intrinsics = named.camera.intrinsics();
-            named.camera = Camera::with_pose(at.camera_from_world, at.translation, intrinsics);
+            named.camera.camera_from_world = at.camera_from_world;
+            named.camera.translation = at.translation;
         }
         Ok(cameras)
     }

@@ -108,7 +108,7 @@ impl Subject {
         let own = model.folder.as_ref().map(|(folder, _)| folder.join(CAMERAS_FILE));
         let cameras = match (&gallery, own.filter(|own| own.is_file())) {
             (Some(gallery), _) => gallery.cameras(),
-            (None, Some(own)) => cameras_json::read(own)?,
+            (None, Some(own)) => pinholes(&own)?,
             (None, None) => Vec::new(),
         };
         let lights = match &model.folder {
@@ -228,6 +228,21 @@ impl Subject {
 fn run_name() -> String {
     let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
     format!("{:x}", now.as_nanos())
+}
+
+/// The pinholes of a model's cameras; the viewer shows no others.
+fn pinholes(file: &Path) -> Result<Vec<NamedCamera>> {
+    let mut cameras = cameras_json::read(file)?;
+    let all = cameras.len();
+    cameras.retain(|named| !named.camera.is_orthographic());
+    if cameras.len() < all {
+        tell!(
+            "{}: {} orthographic cameras are left out: views are pinholes",
+            file.display(),
+            all - cameras.len()
+        );
+    }
+    Ok(cameras)
 }
 
 /// Whether a data set and the folder of its photos lie in a folder, which is given without links. Both names may come with

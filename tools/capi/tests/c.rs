@@ -20,7 +20,6 @@ fn the_header_is_what_the_sources_say() {
     let config = Config {
         language: Language::C,
         cpp_compat: true,
-        include_guard: Some("ASHSPLAT_H".into()),
         header: Some(
             "/* The C interface of ashsplat. Generated from the sources in tools/capi: do not edit.\n \
              * Structs that have struct_size begin with ASHSPLAT_INIT, which sets it and the defaults:\n \
@@ -30,13 +29,15 @@ fn the_header_is_what_the_sources_say() {
              *\n \
              * New fields come at their ends. A host that was compiled with an older header works with this library: the\n \
              * fields that it does not know have their defaults. So does one with a newer header as long as it sets\n \
-             * nothing that this library does not know. All other structs and the functions stay as they are. */"
+             * nothing that this library does not know. All other structs and the functions stay as they are. */\n\n\
+             #ifndef ASHSPLAT_H\n#define ASHSPLAT_H"
                 .into(),
         ),
         documentation_style: DocumentationStyle::C99,
         usize_is_size_t: true,
         sys_includes: vec!["string.h".into()],
-        trailer: Some(initialisers()),
+        // The guard holds the initialisers as well, which come last.
+        trailer: Some(initialisers() + "\n#endif /* ASHSPLAT_H */"),
         line_length: 110,
         enumeration: EnumConfig { prefix_with_name: true, ..EnumConfig::default() },
         // They arrive as numbers: no function has them in its signature.

@@ -1,4 +1,4 @@
-/* What files hold: formats FILE... prints the number of Gaussians, the degree and the first pixel of a picture of each. */
+/* What files hold: formats FILE... prints the number of Gaussians, the degree and the sum of a picture of each. */
 #include "host.h"
 
 int main(int count, char **arguments) {
