@@ -22,8 +22,11 @@ pub use tree::{TILESET_FILE, Tile as TreeTile, Tree};
 /// How many Gaussians of the finer tiles become one of the coarser: on surfaces, half of the resolution.
 const MERGED: usize = 4;
 
-/// How far a Gaussian is taken to reach, standard deviations.
-const REACH: f64 = 3.0;
+/// How far a Gaussian is taken to reach, standard deviations: an opaque one is drawn up to √(2 ln 255) of them.
+const REACH: f64 = 3.34;
+
+/// How far from its mean, world units: single precision ends soon after.
+const MOST_REACH: f64 = 1e38;
 
 /// How a scene is divided.
 #[derive(Clone, Copy, Debug)]
@@ -66,7 +69,7 @@ pub struct Tiling {
 /// Writes the tiles of a scene, and `tileset.json` about them, into a new folder. The same scene gives the same bytes.
 ///
 /// A k-d tree ([`Cells`]) divides the scene; a cell of its finest level is a tile with the Gaussians that have their centres there, as
-/// they are. A tile above has up to four below it, and a quarter of their Gaussians ([`decimate`]). The host holds the centres of all
+/// they are. A tile above has about four below it, and a quarter of their Gaussians ([`decimate`]). The host holds the centres of all
 /// Gaussians, and the tiles on the way from the root to one of the finest: the rows of the scene lie on the disk meanwhile, in the
 /// folder.
 ///
@@ -106,7 +109,7 @@ pub fn write(
     writer.done = Tiling { gaussians: rows.means.len() as u64, warnings: rows.warnings, ..Tiling::default() };
     let root = writer.write(&steps)?.ok_or_else(|| Error::argument("tiles", "there are none"))?;
     document::write(&unfinished.path().join(TILESET_FILE), &root, options.packed)?;
-    let done = Tiling { levels: root.levels(), ..writer.done };
+    let done = Tiling { levels: root.levels, ..writer.done };
     fs::remove_dir(unfinished.path().join(ROWS)).map_err(|e| Error::io(folder, "write", e))?;
     let whole = unfinished.keep();
     let renamed = if is_empty(folder) { fs::remove_dir(folder) } else { Ok(()) };
@@ -330,7 +333,7 @@ impl TileWriter<'_, '_> {
         self.progress.step(self.done.tiles, total);
         // That of a tile holds those below it, whose Gaussians may reach farther than the merged ones.
         let reach = children.iter().map(|tile: &Tile| tile.bounds).fold(reach(&gaussians), enclosing);
-        let tile = Tile { name, bounds: reach, error, gaussians: gaussians.len(), children };
+        let tile = Tile::new(&name, gaussians.len(), (reach, error), children);
         Ok(Built { gaussians, tile })
     }
 }
@@ -344,7 +347,7 @@ fn reach(all: &Gaussians) -> Bounds {
     let nothing = Bounds { min: Vec3::INFINITY, max: Vec3::NEG_INFINITY };
     let own = |index: usize| {
         let covariance = covariance_of(all, index);
-        let half = [0, 1, 2].map(|axis| (REACH * covariance.col(axis)[axis].sqrt()) as f32);
+        let half = [0, 1, 2].map(|axis| (REACH * covariance.col(axis)[axis].sqrt()).min(MOST_REACH) as f32);
         let (mean, half) = (Vec3::from_array(all.means[index]), Vec3::from_array(half));
         Bounds { min: mean - half, max: mean + half }
     };

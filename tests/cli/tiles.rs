@@ -41,6 +41,17 @@ fn a_scene_becomes_tiles_whose_errors_are_measured() {
     // Pictures of 20 units' width, each of whose channels differs by less than 1, and 3 levels.
     let error = document["root"]["geometricError"].as_f64().expect("an error");
     assert!((0.1..80.0).contains(&error), "{error}");
+    // The same scene of other sizes: lengths grow with it, also where all is nearer together than the near plane's z.
+    for scale in ["0.01", "100"] {
+        let [other, tiles] = ["other.ply", &format!("tiles{scale}")].map(|name| place.path().join(name));
+        succeed(&["convert", text(&scene), text(&other), "--scale", scale, "--quiet"]);
+        succeed(&["tiles", text(&other), "-o", text(&tiles), "--max-gaussians", "50", "--quiet"]);
+        let own = std::fs::read_to_string(tiles.join("tileset.json")).expect("a tileset");
+        let own: Value = serde_json::from_str(&own).expect("JSON");
+        let own = own["root"]["geometricError"].as_f64().expect("an error");
+        let ratio = own / error / scale.parse::<f64>().expect("a number");
+        assert!((ratio - 1.0).abs() < 0.02, "{scale}: {own}, {error} at 1");
+    }
     // A merge is no copy: what is finer is nearer.
     let finest = place.path().join("one");
     succeed(&["tiles", text(&scene), "-o", text(&finest), "--quiet"]);

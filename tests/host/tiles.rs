@@ -9,7 +9,7 @@ use ashsplat::{Error, Result};
 use ashsplat_files::Progress;
 use ashsplat_files::splats::{self, ReadOptions, WriteOptions};
 use ashsplat_files::tiles::{self, TILESET_FILE, TileOptions, Tiling, Tree};
-use glam::{Vec3, vec3};
+use glam::{Quat, Vec3, vec3};
 use serde_json::Value;
 
 use crate::common::splats::scene;
@@ -76,12 +76,21 @@ fn leaves_of(tile: &Value, folder: &Path, most: usize, found: &mut Vec<Gaussians
     assert_eq!(tile["extras"]["gaussians"].as_u64(), Some(own.len() as u64));
     assert_eq!(tile["refine"], "REPLACE");
     let [min, max] = corners(tile);
-    for mean in &own.means {
-        // From right, down, forward to z up, as a viewer turns y-up glTF: (x, y, z) to (x, -z, y).
-        let gltf = [-mean[0], -mean[1], mean[2]].map(f64::from);
-        let turned = [gltf[0], -gltf[2], gltf[1]];
-        let inside = (0..3).all(|axis| (min[axis]..=max[axis]).contains(&turned[axis]));
-        assert!(inside, "{turned:?} is not in {min:?} to {max:?}");
+    for index in 0..own.len() {
+        let [w, x, y, z] = own.quats[index];
+        let (mean, turn) = (Vec3::from_array(own.means[index]), Quat::from_xyzw(x, y, z, w).normalize());
+        // To where an opaque one ends, along each of its own axes.
+        let ends = (0..3).flat_map(|axis| {
+            let end = 3.3 * own.log_scales[index][axis].exp() * (turn * Vec3::AXES[axis]);
+            [mean - end, mean + end]
+        });
+        for place in ends {
+            // From right, down, forward to z up, as a viewer turns y-up glTF: (x, y, z) to (x, -z, y).
+            let gltf = [-place[0], -place[1], place[2]].map(f64::from);
+            let turned = [gltf[0], -gltf[2], gltf[1]];
+            let inside = (0..3).all(|axis| (min[axis]..=max[axis]).contains(&turned[axis]));
+            assert!(inside, "{turned:?} is not in {min:?} to {max:?}");
+        }
     }
     let error = |tile: &Value| tile["geometricError"].as_f64().unwrap();
     let squares: f64 = children(tile).iter().map(|child| error(child).powi(2)).sum();
@@ -89,8 +98,7 @@ fn leaves_of(tile: &Value, folder: &Path, most: usize, found: &mut Vec<Gaussians
     assert!((error(tile) - expected).abs() < 1e-9, "{} where {expected} was due", error(tile));
     for child in children(tile) {
         let [low, high] = corners(child);
-        // Centres and halves are rounded.
-        let inside = (0..3).all(|axis| min[axis] <= low[axis] + 1e-4 && high[axis] <= max[axis] + 1e-4);
+        let inside = (0..3).all(|axis| min[axis] <= low[axis] + 1e-9 && high[axis] <= max[axis] + 1e-9);
         assert!(inside, "{low:?} to {high:?} is not in {min:?} to {max:?}");
     }
     if children(tile).is_empty() {
@@ -257,7 +265,16 @@ fn a_cut_of_the_tree_is_as_fine_as_its_budget() {
     let read: Vec<Gaussians> = all.iter().map(|&tile| tree.read(tile, &KEEP).unwrap().gaussians).collect();
     assert_eq!(rows(&read), rows([&place.scene]));
     assert!(tree.read(tree.tiles().len(), &KEEP).is_err());
-    assert_eq!(tree.wanted(&camera, usize::MAX), (0..tree.tiles().len()).collect::<Vec<_>>());
+    let mut wanted = tree.wanted(&camera, usize::MAX);
+    for (place, &tile) in wanted.iter().enumerate() {
+        assert!(tree.tiles()[tile].children.iter().all(|child| !wanted[..place].contains(child)));
+    }
+    // Level by level here, where all is about as far away, and not one corner down to the finest.
+    let half =
+        wanted[..wanted.len() / 2].iter().filter(|&&tile| tree.tiles()[tile].children.is_empty()).count();
+    assert!(half < all.len() / 2, "{half} of {}", all.len());
+    wanted.sort_unstable();
+    assert_eq!(wanted, (0..tree.tiles().len()).collect::<Vec<_>>());
     // What is loaded in order is drawn sooner or later, and a tile above is there before.
     let wanted = tree.wanted(&camera, 700);
     for loaded in 1..=wanted.len() {
@@ -332,13 +349,23 @@ fn trees_of_others_are_refused() {
     refused(&|d| d["root"]["boundingVolume"]["box"][3] = (-1.0).into(), "not finite");
     refused(&|d| d["root"]["children"][1]["extras"] = Value::Null, "no tree of Gaussians");
     refused(&|d| *d = Value::Null, "no tree of Gaussians");
+    refused(&|d| d["root"]["transform"] = serde_json::json!([1]), "moved");
+    refused(&|d| d["root"]["children"][0]["refine"] = "ADD".into(), "add to those above");
+    refused(&|d| d["root"]["boundingVolume"]["box"][4] = 0.5.into(), "turned");
+    refused(&|d| d["root"]["children"][1] = d["root"]["children"][0].clone(), "twice");
+    // A number that is not that of the file.
+    let mut document = good.clone();
+    document["root"]["extras"]["gaussians"] = 7.into();
+    fs::write(folder.join(TILESET_FILE), document.to_string()).unwrap();
+    let error = Tree::open(&folder).unwrap().read(0, &KEEP).unwrap_err().to_string();
+    assert!(error.contains("says 7"), "{error}");
 }
 
 /// What is as large as single precision allows has numbers in its description, and no nulls.
 #[test]
 fn enormous_gaussians_have_finite_boxes() {
     let mut large = scene(90, 0);
-    large.log_scales.fill([80.0; 3]);
+    large.log_scales.fill([88.0; 3]);
     let place = Place::new(large);
     place.tiled("tiles", 40, &mut Vec::new()).unwrap();
     let text = fs::read_to_string(place.folder("tiles").join(TILESET_FILE)).unwrap();

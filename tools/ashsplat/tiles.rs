@@ -144,7 +144,14 @@ fn views(model: &Model, gaussians: &Gaussians) -> Result<Vec<Camera>> {
     let file = model.folder.as_ref().map(|(folder, _)| folder.join(CAMERAS_FILE));
     if let Some(file) = file.filter(|file| file.is_file()) {
         let all = cameras_json::read(&file)?;
-        let every = all.len().div_ceil(VIEWS).max(1);
+        if all.is_empty() {
+            return Err(Error::input(
+                file,
+                "has no cameras",
+                "leave out --measure, or give the file of Gaussians itself",
+            ));
+        }
+        let every = all.len().div_ceil(VIEWS);
         return Ok(all.iter().step_by(every).map(|named| named.camera).collect());
     }
     let intrinsics = Intrinsics::from_fov_x(1.0, 960, 540);

@@ -13,35 +13,38 @@ use crate::splats::{EXTENSION, PACKED_EXTENSION};
 use ashsplat::Result;
 use ashsplat::scene::Bounds;
 
-/// One tile.
+/// One tile, with those below it.
 pub(super) struct Tile {
-    /// Of its file.
-    pub(super) name: String,
     /// What it and the tiles below it reach, in this crate's frame.
     pub(super) bounds: Bounds,
     /// Geometric error, world units: 0 for the scene's own Gaussians.
     pub(super) error: f64,
-    pub(super) gaussians: usize,
-    pub(super) children: Vec<Tile>,
+    /// Tiles from here to the finest, one below another.
+    pub(super) levels: usize,
+    /// Its description.
+    json: Value,
 }
 
 impl Tile {
-    pub(super) fn levels(&self) -> usize {
-        1 + self.children.iter().map(Tile::levels).max().unwrap_or(0)
-    }
-
-    fn json(&self) -> Value {
-        let mut tile = json!({
-            "boundingVolume": { "box": box_of(self.bounds) },
-            "geometricError": self.error,
+    /// The tile of a file, with so many Gaussians, above others.
+    pub(super) fn new(
+        name: &str,
+        gaussians: usize,
+        (bounds, error): (Bounds, f64),
+        children: Vec<Tile>,
+    ) -> Tile {
+        let mut json = json!({
+            "boundingVolume": { "box": box_of(bounds) },
+            "geometricError": error,
             "refine": "REPLACE",
-            "content": { "uri": self.name },
-            "extras": { "gaussians": self.gaussians },
+            "content": { "uri": name },
+            "extras": { "gaussians": gaussians },
         });
-        if !self.children.is_empty() {
-            tile["children"] = self.children.iter().map(Tile::json).collect();
+        let levels = 1 + children.iter().map(|tile| tile.levels).max().unwrap_or(0);
+        if !children.is_empty() {
+            json["children"] = children.into_iter().map(|tile| tile.json).collect();
         }
-        tile
+        Tile { bounds, error, levels, json }
     }
 }
 
@@ -56,8 +59,8 @@ pub(super) fn turned_back(point: Vec3) -> Vec3 {
 }
 
 /// Centre and half axes.
-fn box_of(bounds: Bounds) -> [f32; 12] {
-    let [a, b] = [bounds.min, bounds.max].map(turned);
+fn box_of(bounds: Bounds) -> [f64; 12] {
+    let [a, b] = [bounds.min, bounds.max].map(|corner| turned(corner).as_dvec3());
     let (centre, half) = (0.5 * (a + b), 0.5 * (a - b).abs());
     [centre.x, centre.y, centre.z, half.x, 0.0, 0.0, 0.0, half.y, 0.0, 0.0, 0.0, half.z]
 }
@@ -77,7 +80,7 @@ pub(super) fn write(path: &Path, root: &Tile, packed: bool) -> Result<()> {
         "extensionsUsed": ["3DTILES_content_gltf"],
         "extensions": { "3DTILES_content_gltf": used },
         "geometricError": nothing,
-        "root": root.json(),
+        "root": root.json,
     });
     atomic::write(path, |writer| writer.write_all(format!("{document:#}\n").as_bytes()))
 }

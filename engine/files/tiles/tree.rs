@@ -1,17 +1,21 @@
 //! Trees of tiles that [`super::write`] has written: which tiles a camera wants, within a number of Gaussians.
 
-use std::collections::BinaryHeap;
+use std::collections::{BTreeSet, BinaryHeap};
 use std::fs;
 use std::path::{Path, PathBuf};
 
 use glam::{DVec3, Vec3, vec3};
 use serde::Deserialize;
+use serde_json::Value;
 
 use super::document::turned_back;
 use crate::host_memory;
 use crate::splats::{self, ReadOptions, Scene};
 use ashsplat::scene::{Bounds, Camera, NEAR_PLANE, Projection};
 use ashsplat::{Error, Result};
+
+/// Beyond the box of a tile in a picture, pixels: the low-pass filter widens Gaussians.
+const MARGIN: f64 = 2.0;
 
 /// The description in the folder.
 pub const TILESET_FILE: &str = "tileset.json";
@@ -39,24 +43,20 @@ pub struct Tile {
 }
 
 #[derive(Deserialize)]
-struct DocumentJson {
-    root: TileJson,
-}
-
-#[derive(Deserialize)]
 #[serde(rename_all = "camelCase")]
 struct TileJson {
+    refine: String,
+    #[serde(default)]
+    transform: Option<Value>,
     bounding_volume: BoxJson,
     geometric_error: f64,
     content: ContentJson,
     extras: ExtrasJson,
-    #[serde(default)]
-    children: Vec<TileJson>,
 }
 
 #[derive(Deserialize)]
 struct BoxJson {
-    r#box: [f32; 12],
+    r#box: [f64; 12],
 }
 
 #[derive(Deserialize)]
@@ -66,7 +66,7 @@ struct ContentJson {
 
 #[derive(Deserialize)]
 struct ExtrasJson {
-    gaussians: usize,
+    gaussians: u32,
 }
 
 impl Tree {
@@ -81,22 +81,34 @@ impl Tree {
         let io = |source| Error::io(&path, "read", source);
         host_memory::check_text(&path, path.metadata().map_err(io)?.len())?;
         let text = fs::read(&path).map_err(io)?;
-        let document: DocumentJson = serde_json::from_slice(&text).map_err(|e| {
-            Error::input(
-                &path,
-                format!("is no tree of Gaussians: {e}"),
-                "give one that `ashsplat tiles` has written",
-            )
-        })?;
-        let mut tiles = vec![checked(&path, &document.root)?];
-        // Those whose children are not in the list yet.
-        let mut open = vec![(0, document.root.children)];
-        while let Some((index, children)) = open.pop() {
-            for child in children {
-                let added = tiles.len();
-                tiles.push(checked(&path, &child)?);
-                tiles[index].children.push(added);
-                open.push((added, child.children));
+        let foreign = |problem: &dyn std::fmt::Display| {
+            let problem = format!("is no tree of Gaussians: {problem}");
+            Error::input(&path, problem, "give one that `ashsplat tiles` has written")
+        };
+        let mut document: Value = serde_json::from_slice(&text).map_err(|e| foreign(&e))?;
+        let root = document.get_mut("root").map(Value::take).unwrap_or_default();
+        let (mut tiles, mut names) = (Vec::<Tile>::new(), BTreeSet::new());
+        // Those that are not in the list yet, each with the one above it; the next is the last.
+        let mut open = vec![(None, root)];
+        while let Some((above, mut value)) = open.pop() {
+            let children = value.as_object_mut().and_then(|tile| tile.remove("children"));
+            let json: TileJson = serde_json::from_value(value).map_err(|e| foreign(&e))?;
+            let index = tiles.len();
+            tiles.push(checked(&path, &json)?);
+            if let Some(above) = above {
+                let above: &mut Tile = &mut tiles[above];
+                above.children.push(index);
+            }
+            if !names.insert(json.content.uri.clone()) {
+                let problem = format!("names {} twice", json.content.uri);
+                return Err(Error::input(&path, problem, "write the tree again with `ashsplat tiles`"));
+            }
+            match children {
+                None => {}
+                Some(Value::Array(children)) => {
+                    open.extend(children.into_iter().rev().map(|child| (Some(index), child)));
+                }
+                Some(_) => return Err(foreign(&"children are a list")),
             }
         }
         Ok(Tree { folder: folder.to_owned(), tiles })
@@ -118,8 +130,8 @@ impl Tree {
         self.cut_among(camera, budget, |_| true)
     }
 
-    /// Those of [`Tree::cut`] and those on the way to them, ascending: a tile comes after the one above it. In this order they are to be
-    /// loaded for [`Tree::cut_among`].
+    /// Those of [`Tree::cut`] and those on the way to them: a tile comes after the one above it, and sooner where the error of that is
+    /// larger in pixels. In this order they are to be loaded for [`Tree::cut_among`].
     pub fn wanted(&self, camera: &Camera, budget: usize) -> Vec<usize> {
         self.refined(camera, budget, &|_| true).1
     }
@@ -161,19 +173,25 @@ impl Tree {
             );
         }
         drawn.sort_unstable();
-        visited.sort_unstable();
         (drawn, visited)
     }
 
     /// Reads a tile.
     ///
     /// # Errors
-    /// As [`splats::read`].
+    /// As [`splats::read`]; [`Error::Input`] for a file with another number of Gaussians.
     pub fn read(&self, tile: usize, options: &ReadOptions) -> Result<Scene> {
         let Some(tile) = self.tiles.get(tile) else {
             return Err(Error::argument("tile", format!("{tile} is none of {}", self.tiles.len())));
         };
-        splats::read(self.folder.join(&tile.name), options)
+        let path = self.folder.join(&tile.name);
+        let scene = splats::read(&path, options)?;
+        let found = scene.header.count;
+        if found != tile.gaussians as u64 {
+            let problem = format!("has {found} Gaussians, {TILESET_FILE} says {}", tile.gaussians);
+            return Err(Error::input(path, problem, "write the tree again with `ashsplat tiles`"));
+        }
+        Ok(scene)
     }
 
     /// The error of a tile in pixels, where it is nearest.
@@ -232,10 +250,10 @@ fn sees(camera: &Camera, bounds: Bounds) -> bool {
     // What is positive inside of each side of the pyramid or block.
     let inside: [&dyn Fn(&DVec3) -> f64; 5] = [
         &|p| p.z - f64::from(NEAR_PLANE),
-        &|p| fx * p.x + cx * depth(p),
-        &|p| (width - cx) * depth(p) - fx * p.x,
-        &|p| fy * p.y + cy * depth(p),
-        &|p| (height - cy) * depth(p) - fy * p.y,
+        &|p| fx * p.x + (cx + MARGIN) * depth(p),
+        &|p| (width - cx + MARGIN) * depth(p) - fx * p.x,
+        &|p| fy * p.y + (cy + MARGIN) * depth(p),
+        &|p| (height - cy + MARGIN) * depth(p) - fy * p.y,
     ];
     inside.iter().all(|inside| corners.iter().any(|corner| inside(corner) >= 0.0))
 }
@@ -256,13 +274,20 @@ fn checked(path: &Path, json: &TileJson) -> Result<Tile> {
     if !(json.geometric_error >= 0.0 && json.geometric_error.is_finite()) {
         return Err(wrong(format!("the error is {}", json.geometric_error)));
     }
-    let [x, y, z, half_x, _, _, _, half_y, _, _, _, half_z] = json.bounding_volume.r#box;
-    let (centre, half) = (vec3(x, y, z), vec3(half_x, half_y, half_z));
-    if !(centre.is_finite() && half.is_finite() && half.min_element() >= 0.0) {
+    if json.transform.is_some() || json.refine != "REPLACE" {
+        return Err(wrong("tiles that are moved, or that add to those above them, are not read".into()));
+    }
+    let [x, y, z, half_x, b, c, d, half_y, e, f, g, half_z] = json.bounding_volume.r#box;
+    if [b, c, d, e, f, g] != [0.0; 6] {
+        return Err(wrong("its box is turned, which is not read".into()));
+    }
+    let (centre, half) = (DVec3::new(x, y, z), DVec3::new(half_x, half_y, half_z));
+    let [low, high] = [centre - half, centre + half].map(DVec3::as_vec3);
+    if !(low.is_finite() && high.is_finite() && half.min_element() >= 0.0) {
         return Err(wrong("the box is not finite".into()));
     }
-    let [a, b]: [Vec3; 2] = [centre - half, centre + half].map(turned_back);
+    let [a, b]: [Vec3; 2] = [low, high].map(turned_back);
     let bounds = Bounds { min: a.min(b), max: a.max(b) };
-    let gaussians = json.extras.gaussians;
+    let gaussians = json.extras.gaussians as usize;
     Ok(Tile { name: name.clone(), bounds, error: json.geometric_error, gaussians, children: Vec::new() })
 }

@@ -14,6 +14,9 @@ const DISTANCE: f32 = 4.0;
 /// Of the centres on each axis, those beyond each end that do not make pictures smaller: strays.
 const STRAYS: usize = 50;
 
+/// Of a ball, at most: single precision ends soon after.
+const MOST_RADIUS: f32 = 1e37;
+
 /// Compares tiles.
 pub struct Likeness {
     renderer: Renderer,
@@ -28,8 +31,10 @@ impl Likeness {
     /// middle: world units. The root mean square over four directions.
     pub fn difference(&mut self, finer: &Gaussians, merged: &Gaussians) -> Result<f64> {
         let (centre, radius) = ball(finer);
-        let cameras = DIRECTIONS.map(|direction| camera(centre, radius, direction));
-        let [a, b] = [self.pictures(finer, &cameras)?, self.pictures(merged, &cameras)?];
+        // At the size of 1, so that nothing lies before the near plane, however small the tile is.
+        let cameras = DIRECTIONS.map(|direction| camera(Vec3::ZERO, 1.0, direction));
+        let [finer, merged] = [finer, merged].map(|own| of_size_1(own, centre, radius));
+        let [a, b] = [self.pictures(&finer, &cameras)?, self.pictures(&merged, &cameras)?];
         let of_frames = |(a, b): (&Frame, &Frame)| squared_difference(&a.color, &b.color);
         let sum: f64 = a.iter().zip(&b).map(of_frames).sum();
         let pixel = 2.0 * f64::from(radius) / f64::from(SIDE);
@@ -40,6 +45,14 @@ impl Likeness {
         self.renderer.upload(gaussians)?;
         cameras.iter().map(|camera| self.renderer.render(camera, &RenderSettings::default())).collect()
     }
+}
+
+/// The same Gaussians, with a ball around 0 of the radius 1.
+fn of_size_1(gaussians: &Gaussians, centre: Vec3, radius: f32) -> Gaussians {
+    let mut own = gaussians.clone();
+    own.means.iter_mut().for_each(|mean| *mean = ((Vec3::from_array(*mean) - centre) / radius).to_array());
+    own.log_scales.as_flattened_mut().iter_mut().for_each(|scale| *scale -= radius.ln());
+    own
 }
 
 /// Summed over pixels, the mean of the channels.
@@ -58,9 +71,13 @@ fn ball(gaussians: &Gaussians) -> (Vec3, f32) {
     });
     let [min, max] = [0, 1].map(|end| Vec3::from_array(ends.map(|ends| ends[end])));
     let centre = 0.5 * (min + max);
-    // Where all are at one place their own size counts.
-    let own = gaussians.log_scales.iter().flatten().copied().fold(f32::NEG_INFINITY, f32::max).exp();
-    (centre, (0.5 * min.distance(max)).max(own).max(f32::MIN_POSITIVE))
+    // Where all are at about one place, their own size counts: that of most, whatever a single one has.
+    let largest = |scales: &[f32; 3]| scales.iter().copied().fold(f32::NEG_INFINITY, f32::max);
+    let mut sizes: Vec<f32> = gaussians.log_scales.iter().map(largest).collect();
+    sizes.sort_unstable_by(f32::total_cmp);
+    let own = sizes[sizes.len() / 2].exp();
+    let reach = 0.5 * min.as_dvec3().distance(max.as_dvec3()) as f32;
+    (centre, reach.max(own).clamp(f32::MIN_POSITIVE, MOST_RADIUS))
 }
 
 /// Sees the ball around a tile: its diameter is the side of the picture.
@@ -87,6 +104,9 @@ mod tests {
         gaussians.log_scales = vec![[-5.0; 3]; 101];
         let (centre, radius) = ball(&gaussians);
         assert!((centre.x - 0.5).abs() < 0.02 && (0.45..0.5).contains(&radius), "{centre} {radius}");
+        // Neither does a large one.
+        gaussians.log_scales[5] = [8.0; 3];
+        assert_eq!(ball(&gaussians), (centre, radius));
         gaussians.means = vec![[3.0, 2.0, 1.0]; 101];
         assert_eq!(ball(&gaussians), (vec3(3.0, 2.0, 1.0), (-5.0_f32).exp()));
         let camera = camera(Vec3::ZERO, 2.0, DIRECTIONS[1]);
