@@ -10,20 +10,14 @@ use std::path::Path;
 use serde_json::json;
 
 use super::gltf::{EXTENSION, MIRRORED, PACKED_EXTENSION};
-use super::gltf_write::{FLOAT, UNSIGNED_BYTE, glb_head, mirrored_corners};
+use super::gltf_write::{FLOAT, UNSIGNED_BYTE, bounds_of, glb_head, mirrored_corners};
 use super::{Outline, Produce, spz_write};
 use crate::atomic;
 use ashsplat::{Error, Result};
 
 /// Writes Gaussians as they come; they wait in files to be packed.
 pub(super) fn write(path: &Path, outline: &Outline, produce: &mut Produce<'_>) -> Result<()> {
-    let Some(bounds) = outline.bounds else {
-        return Err(Error::input(
-            path,
-            "glTF cannot hold a scene without Gaussians",
-            "choose another format",
-        ));
-    };
+    let bounds = bounds_of(path, outline)?;
     let mut packed = spz_write::old(path, MIRRORED, outline, produce)?;
     let io = |source| Error::io(path, "write", source);
     let bytes = packed.seek(SeekFrom::End(0)).map_err(io)?;

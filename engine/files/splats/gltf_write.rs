@@ -43,13 +43,7 @@ impl Plane {
 
 /// Writes Gaussians as they come, each attribute at its place; a `.gltf` gets its `.bin` first.
 pub(super) fn write(path: &Path, format: Format, outline: &Outline, produce: &mut Produce<'_>) -> Result<()> {
-    let Some(bounds) = outline.bounds else {
-        return Err(Error::input(
-            path,
-            "glTF cannot hold a scene without Gaussians",
-            "choose another format",
-        ));
-    };
+    let bounds = bounds_of(path, outline)?;
     let planes = planes(outline.sh_degree);
     let binary_bytes = planes.iter().map(|plane| plane.row_bytes()).sum::<u64>() * outline.count;
     let mut document = document(outline, bounds, &planes);
@@ -72,6 +66,12 @@ pub(super) fn write(path: &Path, format: Format, outline: &Outline, produce: &mu
         writer.write_all(&head).map_err(|source| Error::io(path, "write", source))?;
         write_planes(path, writer, head.len() as u64, outline, &planes, produce)
     })
+}
+
+/// The box around the means, which an accessor needs.
+pub(super) fn bounds_of(path: &Path, outline: &Outline) -> Result<Bounds> {
+    let problem = "glTF cannot hold a scene without Gaussians";
+    outline.bounds.ok_or_else(|| Error::input(path, problem, "choose another format"))
 }
 
 /// A GLB's beginning, up to so many bytes of binary data.

@@ -48,13 +48,8 @@ impl Tile {
     }
 }
 
-/// A point of this crate's frame in that of tiles.
-fn turned(point: Vec3) -> Vec3 {
-    vec3(-point.x, -point.z, -point.y)
-}
-
-/// The other way.
-pub(super) fn turned_back(point: Vec3) -> Vec3 {
+/// A point of this crate's frame in that of tiles, and the other way.
+pub(super) fn turned(point: Vec3) -> Vec3 {
     vec3(-point.x, -point.z, -point.y)
 }
 

@@ -8,7 +8,7 @@ use glam::{DVec3, Vec3, vec3};
 use serde::Deserialize;
 use serde_json::Value;
 
-use super::document::turned_back;
+use super::document::turned;
 use crate::host_memory;
 use crate::splats::{self, ReadOptions, Scene};
 use ashsplat::scene::{Bounds, Camera, NEAR_PLANE, Projection};
@@ -286,7 +286,7 @@ fn checked(path: &Path, json: &TileJson) -> Result<Tile> {
     if !(low.is_finite() && high.is_finite() && half.min_element() >= 0.0) {
         return Err(wrong("the box is not finite".into()));
     }
-    let [a, b]: [Vec3; 2] = [low, high].map(turned_back);
+    let [a, b]: [Vec3; 2] = [low, high].map(turned);
     let bounds = Bounds { min: a.min(b), max: a.max(b) };
     let gaussians = json.extras.gaussians as usize;
     Ok(Tile { name: name.clone(), bounds, error: json.geometric_error, gaussians, children: Vec::new() })
