@@ -42,6 +42,14 @@ pub fn read(path: impl AsRef<Path>, options: &ReadOptions) -> Result<Scene> {
     open(path.as_ref(), options)?.collect()
 }
 
+/// What a file of Gaussians says of itself, without the Gaussians.
+///
+/// # Errors
+/// As [`read`], but for what is wrong with the Gaussians.
+pub fn header(path: impl AsRef<Path>, options: &ReadOptions) -> Result<Header> {
+    Ok(open(path.as_ref(), options)?.header().clone())
+}
+
 /// Writes Gaussians in the format of the path's extension, or in a given one.
 ///
 /// # Errors

@@ -88,6 +88,10 @@ pub fn write(
     if folder.symlink_metadata().is_ok() && !is_empty(folder) {
         return Err(Error::input(folder, "is there already", "give another folder, or remove it"));
     }
+    // The tree is made beside the folder and renamed to it in the end.
+    if folder.is_symlink() || folder.file_name().is_none() {
+        return Err(Error::input(folder, "cannot be replaced by a new folder", "give the name of one"));
+    }
     let beside = folder.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let mut builder = tempfile::Builder::new();
     // As any folder, not for its owner alone.

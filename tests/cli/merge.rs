@@ -178,6 +178,19 @@ fn blocks_are_trained_one_by_one_and_merged() {
         assert_refused(&merged, &["is read; give another file"]);
     }
     assert!(std::fs::read(&blocks_json).ok() == Some(first) && !aside.exists());
+    // Photos with other poses than the blocks were trained on say nothing about the scene.
+    let (images, kept) = (data.join("sparse/0/images.bin"), place.model("kept.bin"));
+    std::fs::copy(&images, &kept).expect("copied");
+    let mut moved = std::fs::read(&images).expect("images");
+    // The first one's tx: after their number, its own, and its rotation.
+    moved[8 + 4 + 32..][..8].copy_from_slice(&0.25_f64.to_le_bytes());
+    std::fs::write(&images, moved).expect("written");
+    let page = place.model("page.html");
+    let merged =
+        finish(program().args(["merge", text(&blocks_json), "-o", text(&aside), "--report", text(&page)]));
+    assert_refused(&merged, &["data", "its cameras are not those", "blocks.json"]);
+    assert!(!aside.exists() && !page.exists());
+    std::fs::rename(kept, images).expect("moved");
 
     // A block is over when it is noted and whole, and its results are its own.
     let folder = place.model("blocks/002");

@@ -52,6 +52,18 @@ fn a_scene_becomes_tiles_whose_errors_are_measured() {
         let ratio = own / error / scale.parse::<f64>().expect("a number");
         assert!((ratio - 1.0).abs() < 0.02, "{scale}: {own}, {error} at 1");
     }
+    // Measured as the scene is drawn: with antialiasing, if the file says so.
+    let [plain, antialiased] = [false, true].map(|antialiased| {
+        let [file, tiles] = ["glb", "tiles"].map(|end| place.path().join(format!("{antialiased}.{end}")));
+        let options = WriteOptions { antialiased, ..WriteOptions::default() };
+        splats::write(&file, &crate::common::splats::scene(400, 1), &options).expect("a scene");
+        succeed(&["tiles", text(&file), "-o", text(&tiles), "--max-gaussians", "50", "--quiet"]);
+        let own = std::fs::read_to_string(tiles.join("tileset.json")).expect("a tileset");
+        let own: Value = serde_json::from_str(&own).expect("JSON");
+        own["root"]["geometricError"].as_f64().expect("an error")
+    });
+    assert!((plain / error - 1.0).abs() < 1e-3, "{plain} {error}");
+    assert!((antialiased / plain - 1.0).abs() > 1e-2, "{antialiased} {plain}");
     // A merge is no copy: what is finer is nearer.
     let finest = place.path().join("one");
     succeed(&["tiles", text(&scene), "-o", text(&finest), "--quiet"]);
@@ -74,6 +86,16 @@ fn tiles_refuse_by_name() {
     refused(&folder("full"), &[], &["full", "is there already"]);
     refused(&folder("new"), &["--max-gaussians", "1"], &["2 or more"]);
     refused(&scene.join("new"), &[], &["scene.ply"]);
+    refused(&folder("full/.."), &[], &["is there already"]);
+    // An empty folder is replaced, but not one that another name links to.
+    #[cfg(unix)]
+    {
+        let away = tempfile::tempdir().expect("a folder");
+        std::os::unix::fs::symlink(away.path(), folder("link")).expect("a link");
+        refused(&folder("link"), &[], &["link", "cannot be replaced"]);
+        assert!(std::fs::read_dir(away.path()).is_ok_and(|mut entries| entries.next().is_none()));
+        std::fs::remove_file(folder("link")).expect("a link");
+    }
     let mut names: Vec<_> = std::fs::read_dir(place.path())
         .expect("a folder")
         .map(|e| e.expect("an entry").file_name())
@@ -111,6 +133,10 @@ fn a_tree_is_drawn_within_a_budget() {
         counts.collect::<Vec<u32>>()
     };
     assert_eq!(of(&drawn(&[])), [400, 400]);
+    // By the name of its description; other commands say what the folder is.
+    let described = out.join("tileset.json");
+    assert_eq!(of(&succeed(&["render", text(&described), "--orbit", "1", "-o", text(&pictures)])), [400]);
+    refuse(&["info", text(&out)], &["is a folder of tiles", "ashsplat render"]);
     let half = of(&drawn(&["--budget", "50%"]));
     assert!(half.len() == 2 && half.iter().all(|count| (100..=200).contains(count)), "{half:?}");
     // More than were asked for, and no fewer than there are.

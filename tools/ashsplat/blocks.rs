@@ -7,6 +7,7 @@ pub mod result;
 use ashsplat::fingerprint::Fingerprint;
 use ashsplat::scene::{Bounds, Cells};
 use ashsplat::{Error, Result};
+use ashsplat_files::Gallery;
 use ashsplat_files::cameras_json::NamedCamera;
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
@@ -142,6 +143,16 @@ impl BlocksFile {
         }
         let problem = format!("is another division, for which {trained} blocks have been trained");
         Err(Error::input(&self.path, problem, "give another -o, or remove it if they are not needed"))
+    }
+
+    /// Refuses a data set, read from this path, with other cameras than the division was made for.
+    pub fn check_cameras(&self, path: &Path, gallery: &Gallery) -> Result<()> {
+        if cameras_hash(&gallery.cameras()) == self.division.dataset.cameras {
+            return Ok(());
+        }
+        let problem = format!("its cameras are not those that {} was made for", self.path.display());
+        let remedy = "give the data set as it was, or make the blocks anew: `ashsplat partition`";
+        Err(Error::input(path, problem, remedy))
     }
 
     /// A path as the file means it.

@@ -4,6 +4,7 @@ use crate::config::Settings;
 use crate::output;
 use ashsplat::{Error, Result};
 use ashsplat_files::Dataset;
+use ashsplat_files::tiles::TILESET_FILE;
 use std::path::{Path, PathBuf};
 
 /// A trained scene.
@@ -22,6 +23,10 @@ impl Model {
         if !path.is_dir() {
             std::fs::metadata(path).map_err(|e| Error::io(path, "read", e))?;
             return Ok(Model { ply: path.to_owned(), folder: None, settings: Settings::default() });
+        }
+        if is_tiles(path) {
+            let remedy = "give the scene that they were made of; `ashsplat render` draws the tiles";
+            return Err(Error::input(path, "is a folder of tiles", remedy));
         }
         let iteration = match iteration {
             Some(iteration) => iteration,
@@ -44,11 +49,16 @@ pub fn point_cloud_path(folder: &Path, iteration: u32) -> PathBuf {
 /// The folder of all saved iterations.
 pub const POINT_CLOUDS: &str = "point_cloud";
 
+/// Whether a folder is a tree of tiles.
+fn is_tiles(path: &Path) -> bool {
+    path.join(TILESET_FILE).is_file()
+}
+
 /// Whether a path is taken for a data set, and not for a scene or a model folder.
 pub fn is_dataset(path: &Path) -> bool {
     let is_archive = path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("zip"))
         || Dataset::is_archive(path);
-    is_archive || path.is_dir() && !path.join(POINT_CLOUDS).is_dir()
+    is_archive || path.is_dir() && !path.join(POINT_CLOUDS).is_dir() && !is_tiles(path)
 }
 
 /// Which point cloud was saved last: not always the one with the highest number, where an earlier training left its own.

@@ -182,7 +182,7 @@ pub fn parse_vector(text: &str) -> Result<Vec3, String> {
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<()> {
     let path = arguments.model.as_ref().or(arguments.model_path.as_ref());
-    let path = path.ok_or_else(|| Error::argument("MODEL", "is missing"))?;
+    let path = folder_of_tiles(path.ok_or_else(|| Error::argument("MODEL", "is missing"))?);
     let film = arguments.film()?;
     let tree = arguments.tree(path)?;
     let model = Model::locate(&scene_of(path, tree.as_ref()), arguments.iteration)?;
@@ -292,6 +292,14 @@ fn describe(index: usize, name: &str, milliseconds: f64, frame: &Frame) -> Strin
         "{index:05} {name} {}x{}: {milliseconds:.1} ms, {} of {} Gaussians visible, {} instances, longest tile {}",
         frame.width, frame.height, stats.visible, stats.gaussians, stats.instances, stats.longest_tile
     )
+}
+
+/// The folder of a tree that is named by its description; else the same.
+fn folder_of_tiles(path: &Path) -> &Path {
+    match path.parent().filter(|_| path.file_name().is_some_and(|name| name == TILESET_FILE)) {
+        Some(parent) if parent.as_os_str().is_empty() => Path::new("."),
+        parent => parent.unwrap_or(path),
+    }
 }
 
 /// What is read first: of a tree of tiles the coarsest.

@@ -13,8 +13,8 @@ use crate::render::{orbit_around, settings_of};
 use crate::session;
 use ashsplat::scene::{Camera, Gaussians, Intrinsics};
 use ashsplat::vk::Context;
-use ashsplat::{Error, Renderer, Result};
-use ashsplat_files::splats::{self, ReadOptions};
+use ashsplat::{Error, RenderSettings, Renderer, Result};
+use ashsplat_files::splats::{self, Header, ReadOptions};
 use ashsplat_files::tiles::{self, TILESET_FILE, TileOptions, Tree};
 use ashsplat_files::{Progress, cameras_json};
 use clap::Args;
@@ -75,7 +75,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     }
     let stop = session::stop_on_ctrl_c()?;
     let context = arguments.device.context()?;
-    let mut likeness = Likeness::new(Renderer::new(&context)?);
+    let read = arguments.device.host.reading(arguments.drop_invalid);
+    let look = look_of(&model, &splats::header(&model.ply, &read)?);
+    let mut likeness = Likeness::new(Renderer::new(&context)?, look);
     let bar = counting("tiles", 0, arguments.quiet);
     let report = |done: usize, total: usize| {
         bar.set_length(total as u64);
@@ -83,7 +85,6 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     };
     let progress = Progress { report: Some(&report), interrupted: Some(&stop) };
     let options = TileOptions { most: arguments.max_gaussians, packed: arguments.spz };
-    let read = arguments.device.host.reading(arguments.drop_invalid);
     let done = output::in_folder(&arguments.out, |out| {
         tiles::write(
             &model.ply,
@@ -115,6 +116,12 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     Ok(())
 }
 
+/// How the scene is drawn.
+fn look_of(model: &Model, header: &Header) -> RenderSettings {
+    let trained = settings_of(&model.settings);
+    RenderSettings { antialias: trained.antialias || header.antialiased, ..trained }
+}
+
 /// Cameras of a measurement.
 const VIEWS: usize = 12;
 
@@ -127,8 +134,7 @@ impl Arguments {
         stop: &AtomicBool,
     ) -> Result<String> {
         let scene = splats::read(&model.ply, read)?;
-        let mut settings = settings_of(&model.settings);
-        settings.antialias |= scene.header.antialiased;
+        let settings = look_of(model, &scene.header);
         let (tree, whole) = (Tree::open(&self.out)?, &scene.gaussians);
         let cameras = views(model, whole)?;
         let measurement = Measurement { tree: &tree, whole, cameras: &cameras, settings, read: *read };

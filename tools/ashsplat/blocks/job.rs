@@ -1,6 +1,6 @@
 //! One block's training: `ashsplat train --job blocks.json:3`.
 
-use super::{Block, BlocksFile, cameras_hash};
+use super::{Block, BlocksFile};
 use ashsplat::{Error, Result};
 use ashsplat_files::{Gallery, file_hash};
 use std::path::Path;
@@ -73,12 +73,7 @@ impl Job {
 
     /// Leaves the block's photos; refuses a data set, at this path, with other cameras.
     pub fn choose_photos(&self, path: &Path, gallery: &mut Gallery) -> Result<()> {
-        let dataset = &self.file.division.dataset;
-        if cameras_hash(&gallery.cameras()) != dataset.cameras {
-            let problem = format!("its cameras are not those that {} was made for", self.file.path.display());
-            let remedy = "give the data set as it was, or make the blocks anew: `ashsplat partition`";
-            return Err(Error::input(path, problem, remedy));
-        }
+        self.file.check_cameras(path, gallery)?;
         let block = self.block();
         gallery.keep(&block.photos.iter().chain(&block.held_out).cloned().collect())
     }

@@ -99,6 +99,7 @@ impl Ready {
         let stop = session::stop_on_ctrl_c()?;
         let options = session::options(&data, settings.train.white_background, host)?;
         let gallery = session::open(&data, &options, &stop)?;
+        file.check_cameras(&data.source_path, &gallery)?;
         Ok(Ready { page: page.to_owned(), gallery, context: arguments.device.context()?, settings, stop })
     }
 

@@ -20,11 +20,13 @@ const MOST_RADIUS: f32 = 1e37;
 /// Compares tiles.
 pub struct Likeness {
     renderer: Renderer,
+    settings: RenderSettings,
 }
 
 impl Likeness {
-    pub fn new(renderer: Renderer) -> Likeness {
-        Likeness { renderer }
+    /// Of a scene that is drawn with these settings; on black, whatever they say.
+    pub fn new(renderer: Renderer, settings: RenderSettings) -> Likeness {
+        Likeness { renderer, settings: RenderSettings { background: [0.0; 3], ..settings } }
     }
 
     /// The root of the squared difference of two pictures, of the mean channel from 0 to 1, integrated over the tile's plane through its
@@ -43,7 +45,7 @@ impl Likeness {
 
     fn pictures(&mut self, gaussians: &Gaussians, cameras: &[Camera]) -> Result<Vec<Frame>> {
         self.renderer.upload(gaussians)?;
-        cameras.iter().map(|camera| self.renderer.render(camera, &RenderSettings::default())).collect()
+        cameras.iter().map(|camera| self.renderer.render(camera, &self.settings)).collect()
     }
 }
 
