@@ -17,7 +17,7 @@ use ashsplat::scene::{Bounds, Cells, Gaussians};
 use ashsplat::{Error, Result};
 use document::Tile;
 
-pub use tree::{TILESET_FILE, Tile as TreeTile, Tree};
+pub use tree::{Demand, TILESET_FILE, Tile as TreeTile, Tree};
 
 /// How many Gaussians of the finer tiles become one of the coarser: on surfaces, half of the resolution.
 const MERGED: usize = 4;

@@ -10,7 +10,7 @@ use ashsplat::{
 };
 use ashsplat_files::Progress;
 use ashsplat_files::splats::{self, ReadOptions, WriteOptions};
-use ashsplat_files::tiles::{self, TileOptions, Tree};
+use ashsplat_files::tiles::{self, Demand, TileOptions, Tree};
 use glam::Vec3;
 
 /// Gaussians of a tile.
@@ -71,7 +71,7 @@ fn tiles_stream_into_recorded_frames() {
                 // It stands still at the end, so that all arrives.
                 let camera = inside(0.06 * frame.min(100) as f32);
                 let ideal = tree.cut(&camera, BUDGET);
-                let wanted = tree.wanted(&camera, BUDGET);
+                let wanted = tree.wanted(&Demand::of(&camera, BUDGET));
                 // One tile per frame, if one has arrived. The first is waited for, and those that are wished at the end.
                 let arrival = if there.is_empty() || frame > 100 && !wished.is_empty() {
                     Some(arrived.recv().expect("a tile"))
@@ -98,7 +98,7 @@ fn tiles_stream_into_recorded_frames() {
                         ask.send(tile).expect("a loader");
                     }
                 }
-                let drawn = tree.cut_among(&camera, BUDGET, |tile| there.contains_key(&tile));
+                let drawn = tree.cut_among(&Demand::of(&camera, BUDGET), |tile| there.contains_key(&tile));
                 let update = |tile: usize| {
                     let (scene, gaussians) = &there[&tile];
                     Update { scene, first: 0, gaussians }

@@ -8,7 +8,7 @@ use ashsplat::scene::{Camera, Gaussians, Intrinsics, Projection};
 use ashsplat::{Error, Result};
 use ashsplat_files::Progress;
 use ashsplat_files::splats::{self, ReadOptions, WriteOptions};
-use ashsplat_files::tiles::{self, TILESET_FILE, TileOptions, Tiling, Tree};
+use ashsplat_files::tiles::{self, Demand, TILESET_FILE, TileOptions, Tiling, Tree};
 use glam::{Quat, Vec3, vec3};
 use serde_json::Value;
 
@@ -265,7 +265,7 @@ fn a_cut_of_the_tree_is_as_fine_as_its_budget() {
     let read: Vec<Gaussians> = all.iter().map(|&tile| tree.read(tile, &KEEP).unwrap().gaussians).collect();
     assert_eq!(rows(&read), rows([&place.scene]));
     assert!(tree.read(tree.tiles().len(), &KEEP).is_err());
-    let mut wanted = tree.wanted(&camera, usize::MAX);
+    let mut wanted = tree.wanted(&Demand::of(&camera, usize::MAX));
     for (place, &tile) in wanted.iter().enumerate() {
         assert!(tree.tiles()[tile].children.iter().all(|child| !wanted[..place].contains(child)));
     }
@@ -276,19 +276,19 @@ fn a_cut_of_the_tree_is_as_fine_as_its_budget() {
     wanted.sort_unstable();
     assert_eq!(wanted, (0..tree.tiles().len()).collect::<Vec<_>>());
     // What is loaded in order is drawn sooner or later, and a tile above is there before.
-    let wanted = tree.wanted(&camera, 700);
+    let wanted = tree.wanted(&Demand::of(&camera, 700));
     for loaded in 1..=wanted.len() {
-        let cut = tree.cut_among(&camera, 700, |tile| wanted[..loaded].contains(&tile));
+        let cut = tree.cut_among(&Demand::of(&camera, 700), |tile| wanted[..loaded].contains(&tile));
         assert_covered(&tree, &cut);
         assert!(loaded < wanted.len() || cut == tree.cut(&camera, 700));
     }
     // While tiles are missing, those above them take their place.
     for there in 0..tree.tiles().len() {
-        let cut = tree.cut_among(&camera, usize::MAX, |tile| tile <= there);
+        let cut = tree.cut_among(&Demand::of(&camera, usize::MAX), |tile| tile <= there);
         assert_covered(&tree, &cut);
         assert!(cut.iter().all(|&tile| tile <= there));
     }
-    assert!(tree.cut_among(&camera, 3000, |_| false).is_empty());
+    assert!(tree.cut_among(&Demand::of(&camera, 3000), |_| false).is_empty());
 }
 
 /// Both kinds of cameras: what is near is finer, and what is out of the picture is not drawn.
@@ -371,4 +371,51 @@ fn enormous_gaussians_have_finite_boxes() {
     let text = fs::read_to_string(place.folder("tiles").join(TILESET_FILE)).unwrap();
     assert!(!text.contains("null"), "{text}");
     assert!(Tree::open(place.folder("tiles")).unwrap().tiles()[0].bounds.max.x > 1e34);
+}
+
+/// What either of two cameras sees is drawn, and what lies beyond a picture's sides, but less fine than what lies in it.
+#[test]
+fn a_cut_is_for_several_cameras_and_for_what_lies_beyond_their_pictures() {
+    let place = Place::new(scene(3000, 0));
+    place.tiled("tiles", 50, &mut Vec::new()).unwrap();
+    let tree = Tree::open(place.folder("tiles")).unwrap();
+    let intrinsics = Intrinsics::from_fov_x(0.5, 400, 300);
+    let towards = |x: f32| Camera::look_at(Vec3::ZERO, vec3(x, 0.0, 10.0), Vec3::NEG_Y, intrinsics);
+    let finest = |cut: Vec<usize>| -> Vec<usize> {
+        cut.into_iter().filter(|&tile| tree.tiles()[tile].children.is_empty()).collect()
+    };
+    let own = [-8.0, 8.0].map(|x| tree.cut(&towards(x), usize::MAX));
+    let both = Demand { cameras: &[-8.0, 8.0].map(towards), budget: usize::MAX, border: 0.0 };
+    let mut either: Vec<usize> = own.concat();
+    either.sort_unstable();
+    either.dedup();
+    assert!(either.len() > own[0].len() && either.len() > own[1].len());
+    assert_eq!(tree.cut_among(&both, |_| true), either);
+    // As far to the sides as the picture is wide: a camera that turns by less finds all there.
+    let (camera, turned) = (towards(0.0), towards(3.0));
+    let wide = Demand { border: 1.0, ..Demand::of(&camera, usize::MAX) };
+    let around = tree.cut_among(&wide, |_| true);
+    let narrow = tree.cut(&camera, usize::MAX);
+    let new = tree.cut(&turned, usize::MAX);
+    assert!(new.iter().any(|tile| !narrow.contains(tile)));
+    // A box may count as seen that is not: what is left out shows no Gaussian.
+    for &tile in new.iter().filter(|tile| !around.contains(tile)) {
+        for mean in tree.read(tile, &KEEP).unwrap().gaussians.means {
+            let p = turned.camera_from_world * Vec3::from(mean) + turned.translation;
+            let [x, y] = [turned.fx * p.x / p.z, turned.fy * p.y / p.z].map(f32::abs);
+            assert!(p.z < 0.2 || x > 200.0 || y > 150.0, "{tile}: {p}");
+        }
+    }
+    assert!(new.iter().filter(|tile| around.contains(tile)).count() > new.len() / 2);
+    // Where the number is short, more of the picture is finest than of what lies beside it.
+    let count = |cut: &[usize]| cut.iter().map(|&tile| tree.tiles()[tile].gaussians).sum::<usize>();
+    let budget = (count(&narrow) + count(&around)) / 2;
+    let short = tree.cut_among(&Demand { budget, ..wide }, |_| true);
+    assert!(count(&short) <= budget);
+    let short = finest(short);
+    let (inside, beside): (Vec<usize>, Vec<usize>) = around.iter().partition(|tile| narrow.contains(tile));
+    let share = |of: &[usize]| of.iter().filter(|tile| short.contains(tile)).count() as f64 / of.len() as f64;
+    assert!(share(&inside) > 2.0 * share(&beside), "{} {}", share(&inside), share(&beside));
+    assert!(short.len() < around.len());
+    assert!(tree.cut_among(&Demand { cameras: &[], ..wide }, |_| true).is_empty());
 }

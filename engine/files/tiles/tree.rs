@@ -127,50 +127,44 @@ impl Tree {
     /// The tiles to be drawn for a camera, ascending: those in its picture, as fine as so many Gaussians allow, and finest where the error
     /// is largest in pixels. The coarsest tile is drawn however many it has; nothing, where it is not in the picture.
     pub fn cut(&self, camera: &Camera, budget: usize) -> Vec<usize> {
-        self.cut_among(camera, budget, |_| true)
+        self.cut_among(&Demand::of(camera, budget), |_| true)
     }
 
-    /// Those of [`Tree::cut`] and those on the way to them: a tile comes after the one above it, and sooner where the error of that is
-    /// larger in pixels. In this order they are to be loaded for [`Tree::cut_among`].
-    pub fn wanted(&self, camera: &Camera, budget: usize) -> Vec<usize> {
-        self.refined(camera, budget, &|_| true).1
+    /// The tiles of a cut and those on the way to them: a tile comes after the one above it, and sooner where the error of that is larger
+    /// in pixels. In this order they are to be loaded for [`Tree::cut_among`].
+    pub fn wanted(&self, demand: &Demand<'_>) -> Vec<usize> {
+        self.refined(demand, &|_| true).1
     }
 
     /// As [`Tree::cut`], of the tiles that are there: while one of those that would take a tile's place is not, the tile itself is drawn.
     /// Without the coarsest tile there is nothing.
-    pub fn cut_among(&self, camera: &Camera, budget: usize, is_there: impl Fn(usize) -> bool) -> Vec<usize> {
-        self.refined(camera, budget, &is_there).0
+    pub fn cut_among(&self, demand: &Demand<'_>, is_there: impl Fn(usize) -> bool) -> Vec<usize> {
+        self.refined(demand, &is_there).0
     }
 
     /// The tiles that are drawn, and those and what they have replaced.
-    fn refined(
-        &self,
-        camera: &Camera,
-        budget: usize,
-        is_there: &dyn Fn(usize) -> bool,
-    ) -> (Vec<usize>, Vec<usize>) {
-        let seen = |index: &usize| sees(camera, self.tiles[*index].bounds);
-        if !seen(&0) || !is_there(0) {
+    fn refined(&self, demand: &Demand<'_>, is_there: &dyn Fn(usize) -> bool) -> (Vec<usize>, Vec<usize>) {
+        let near =
+            |index: &usize| demand.cameras.iter().any(|c| sees(c, self.tiles[*index].bounds, demand.border));
+        if !near(&0) || !is_there(0) {
             return (Vec::new(), Vec::new());
         }
         let (mut drawn, mut used) = (Vec::new(), self.tiles[0].gaussians);
         let mut visited = vec![0];
-        let mut open = BinaryHeap::from([Candidate { pixels: f64::INFINITY, index: 0 }]);
+        let mut open = BinaryHeap::from([self.candidate(demand, 0)]);
         while let Some(Candidate { index, .. }) = open.pop() {
             let tile = &self.tiles[index];
-            let finer: Vec<usize> = tile.children.iter().copied().filter(seen).collect();
+            let finer: Vec<usize> = tile.children.iter().copied().filter(near).collect();
             let more = finer.iter().map(|&child| self.tiles[child].gaussians).sum::<usize>();
             let after = used - tile.gaussians + more;
             let all_there = finer.iter().all(|&child| is_there(child));
-            if tile.children.is_empty() || after > budget || !all_there {
+            if tile.children.is_empty() || after > demand.budget || !all_there {
                 drawn.push(index);
                 continue;
             }
             used = after;
             visited.extend(&finer);
-            open.extend(
-                finer.into_iter().map(|index| Candidate { pixels: self.pixels(camera, index), index }),
-            );
+            open.extend(finer.into_iter().map(|index| self.candidate(demand, index)));
         }
         drawn.sort_unstable();
         (drawn, visited)
@@ -194,6 +188,21 @@ impl Tree {
         Ok(scene)
     }
 
+    /// How urgently a tile is to be refined.
+    fn candidate(&self, demand: &Demand<'_>, index: usize) -> Candidate {
+        let bounds = self.tiles[index].bounds;
+        let seen = |camera: &&Camera| demand.border == 0.0 || sees(camera, bounds, 0.0);
+        let largest = |cameras: &mut dyn Iterator<Item = &Camera>| {
+            cameras.map(|camera| self.pixels(camera, index)).max_by(f64::total_cmp)
+        };
+        match largest(&mut demand.cameras.iter().filter(seen)) {
+            Some(pixels) => Candidate { seen: true, pixels, index },
+            None => {
+                Candidate { seen: false, pixels: largest(&mut demand.cameras.iter()).unwrap_or(0.0), index }
+            }
+        }
+    }
+
     /// The error of a tile in pixels, where it is nearest.
     fn pixels(&self, camera: &Camera, index: usize) -> f64 {
         let Tile { bounds, error, .. } = &self.tiles[index];
@@ -206,15 +215,36 @@ impl Tree {
     }
 }
 
-/// Tiles to be refined, the worst first; of equal ones the first.
+/// For what tiles are chosen.
+#[derive(Clone, Copy, Debug)]
+pub struct Demand<'a> {
+    /// Tiles are chosen that one of them sees, and by the largest error in any of their pictures.
+    pub cameras: &'a [Camera],
+    /// Gaussians of all tiles that are drawn, at most.
+    pub budget: usize,
+    /// What lies beyond a picture by less than so many of its widths and heights is drawn too, so that a camera that turns finds it
+    /// there. It is refined after what lies in the picture. 0 draws the pictures alone.
+    pub border: f64,
+}
+
+impl<'a> Demand<'a> {
+    /// The picture of one camera.
+    pub fn of(camera: &'a Camera, budget: usize) -> Self {
+        Self { cameras: std::slice::from_ref(camera), budget, border: 0.0 }
+    }
+}
+
+/// Tiles to be refined: those in a picture first, of these the worst, of equal ones the first.
 struct Candidate {
+    seen: bool,
     pixels: f64,
     index: usize,
 }
 
 impl Ord for Candidate {
     fn cmp(&self, other: &Self) -> std::cmp::Ordering {
-        self.pixels.total_cmp(&other.pixels).then(other.index.cmp(&self.index))
+        let pixels = self.pixels.total_cmp(&other.pixels);
+        self.seen.cmp(&other.seen).then(pixels).then(other.index.cmp(&self.index))
     }
 }
 
@@ -232,8 +262,8 @@ impl PartialEq for Candidate {
 
 impl Eq for Candidate {}
 
-/// Whether a part of a box can be in a picture: never false where one is.
-fn sees(camera: &Camera, bounds: Bounds) -> bool {
+/// Whether a part of a box can be in a picture, or beyond it by less than so many of its widths and heights: never false where one is.
+fn sees(camera: &Camera, bounds: Bounds, border: f64) -> bool {
     let corners = (0..8).map(|corner: u32| {
         let side = |axis: u32| if corner >> axis & 1 == 0 { bounds.min } else { bounds.max };
         let place = vec3(side(0).x, side(1).y, side(2).z);
@@ -242,6 +272,7 @@ fn sees(camera: &Camera, bounds: Bounds) -> bool {
     let corners: Vec<DVec3> = corners.collect();
     let [fx, fy, cx, cy] = [camera.fx, camera.fy, camera.cx, camera.cy].map(f64::from);
     let (width, height) = (f64::from(camera.width), f64::from(camera.height));
+    let [across, down] = [width, height].map(|side| MARGIN + border * side);
     // By what pixels are multiplied.
     let depth = |p: &DVec3| match camera.projection {
         Projection::Perspective => p.z,
@@ -250,10 +281,10 @@ fn sees(camera: &Camera, bounds: Bounds) -> bool {
     // What is positive inside of each side of the pyramid or block.
     let inside: [&dyn Fn(&DVec3) -> f64; 5] = [
         &|p| p.z - f64::from(NEAR_PLANE),
-        &|p| fx * p.x + (cx + MARGIN) * depth(p),
-        &|p| (width - cx + MARGIN) * depth(p) - fx * p.x,
-        &|p| fy * p.y + (cy + MARGIN) * depth(p),
-        &|p| (height - cy + MARGIN) * depth(p) - fy * p.y,
+        &|p| fx * p.x + (cx + across) * depth(p),
+        &|p| (width - cx + across) * depth(p) - fx * p.x,
+        &|p| fy * p.y + (cy + down) * depth(p),
+        &|p| (height - cy + down) * depth(p) - fy * p.y,
     ];
     inside.iter().all(|inside| corners.iter().any(|corner| inside(corner) >= 0.0))
 }
