@@ -11,6 +11,9 @@ use std::time::{Duration, Instant};
 /// Most timed commands of one profiled recording.
 pub(super) const MAX_COMMANDS: u32 = 1024;
 
+/// How often both clocks are read for each submission.
+const CLOCK_READINGS: u32 = 3;
+
 /// While it exists, all submissions of its context are recorded command by command. It costs a timestamp per
 /// command; without a profile there is no cost.
 pub struct Profile {
@@ -53,6 +56,9 @@ pub struct Submission {
     /// Whether `device_begun` comes from calibrated timestamps. Otherwise the device is assumed to have
     /// finished at `done`, which is late by the time it takes to wake the host.
     pub calibrated: bool,
+    /// How far `device_begun` may be off where it is calibrated: half of the time that reading both clocks took.
+    /// Zero where it is not.
+    pub calibration_error: Duration,
 }
 
 /// A command of a recording.
@@ -202,8 +208,8 @@ impl Commands {
         let begin = collected.begin_ticks;
         let device_begun = match (collected.nanoseconds, calibrated) {
             (None, _) => None,
-            (Some(_), Some((ticks, now))) => {
-                now.checked_sub(nanoseconds(inner.nanoseconds_between(begin, ticks)))
+            (Some(_), Some(clocks)) => {
+                clocks.host.checked_sub(nanoseconds(inner.nanoseconds_between(begin, clocks.ticks)))
             }
             (Some(whole), None) => done.checked_sub(nanoseconds(whole)),
         };
@@ -218,10 +224,19 @@ impl Commands {
             done,
             device_begun,
             calibrated: calibrated.is_some() && device_begun.is_some(),
+            calibration_error: calibrated.map_or(Duration::ZERO, |clocks| clocks.error),
         };
         self.log.submissions.lock().unwrap_or_else(PoisonError::into_inner).push(submission);
         self.log.spare.lock().unwrap_or_else(PoisonError::into_inner).push(self.readback);
     }
+}
+
+/// The device's clock, and the host's at the same moment but for an error.
+#[derive(Clone, Copy)]
+struct Clocks {
+    ticks: u64,
+    host: Instant,
+    error: Duration,
 }
 
 fn nanoseconds(n: f64) -> Duration {
@@ -244,13 +259,17 @@ impl Device {
         (end.wrapping_sub(begin) & mask) as f64 * self.limits.timestamp_period_ns
     }
 
-    /// The device's clock and the host's at one moment; None if timestamps cannot be calibrated.
-    fn now_on_both_clocks(&self) -> Option<(u64, Instant)> {
+    /// Both clocks at one moment; None if timestamps cannot be calibrated.
+    fn now_on_both_clocks(&self) -> Option<Clocks> {
         let clock = self.clock.as_ref()?;
-        let before = Instant::now();
-        let ticks = clock.ticks()?;
-        let middle = before + before.elapsed() / 2;
-        Some((ticks, middle))
+        // A thread that is interrupted between the readings would make them differ by milliseconds: the closest counts.
+        let readings = (0..CLOCK_READINGS).map(|_| {
+            let before = Instant::now();
+            let ticks = clock.ticks()?;
+            let error = before.elapsed() / 2;
+            Some(Clocks { ticks, host: before + error, error })
+        });
+        readings.collect::<Option<Vec<_>>>()?.into_iter().min_by_key(|clocks| clocks.error)
     }
 }
 

@@ -92,9 +92,11 @@ fn check_times(gpu: &Gpu, submission: &Submission) {
     assert!(submission.submitted <= submission.done);
     let device_begun = submission.device_begun.expect("timestamps");
     if submission.calibrated {
-        assert!(device_begun >= submission.submitting, "the device begins after the host submits");
+        // The clocks are read one after the other: a thread may be interrupted between them.
+        let error = submission.calibration_error;
+        assert!(device_begun + error >= submission.submitting, "the device begins after the host submits");
         let device_done = device_begun + std::time::Duration::from_nanos(whole as u64);
-        assert!(device_done <= submission.done + std::time::Duration::from_micros(100));
+        assert!(device_done <= submission.done + error, "the device ends before the host knows");
     }
 }
 

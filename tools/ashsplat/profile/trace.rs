@@ -77,7 +77,11 @@ fn device_events(events: &mut Vec<Value>, origin: Instant, s: &Submission, flow:
     let (Some(begun), Some(whole)) = (s.device_begun, s.nanoseconds) else { return };
     let begun = at(origin, begun);
     let mut submission = span(&s.label, "submission", DEVICE, (begun, whole * 1e-3));
-    submission["args"] = json!({ "calibrated": s.calibrated, "commands": s.commands.len() });
+    submission["args"] = json!({
+        "calibrated": s.calibrated,
+        "calibration_error_us": s.calibration_error.as_secs_f64() * 1e6,
+        "commands": s.commands.len(),
+    });
     events.push(submission);
     // An arrow from the host's submitting to the device's begin.
     let arrow = |phase: &str, process: u32, ts: f64| json!({ "name": "submission", "cat": "flow", "ph": phase, "id": flow, "ts": ts, "pid": process, "tid": 1, "bp": "e" });
