@@ -3,6 +3,8 @@
 //! The data lie in `$ASHSPLAT_SHARED`, by default `../shared` beside the repository, but for a small part of the golden vectors in
 //! tests/golden/sets. Without them, one ignored trial per kind says so; with `ASHSPLAT_REQUIRE_SHARED=1` it fails.
 
+extern crate ashsplat_reference as reference;
+
 mod common;
 #[cfg(target_os = "linux")]
 mod control_groups;
@@ -12,7 +14,6 @@ mod golden_host;
 mod malformed;
 mod programs;
 mod real_data;
-mod reference;
 
 use std::process::ExitCode;
 

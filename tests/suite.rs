@@ -1,5 +1,7 @@
 //! The test suite: one binary, one Vulkan context.
 
+extern crate ashsplat_reference as reference;
+
 mod absgrad;
 mod address_space;
 mod architecture;
@@ -43,7 +45,6 @@ mod poses;
 mod profile;
 mod properties;
 mod quality;
-mod reference;
 mod scan;
 mod soak;
 mod sort;

@@ -49,6 +49,7 @@ layout(constant_id = 8) const uint REGION_HEIGHT = 8;
 layout(constant_id = 9) const bool BROADCAST = false;
 layout(local_size_x_id = 0) in;
 
+#define OWN_REGIONS 1
 #include "blend_gradient.glsl"
 #include "dispatch.glsl"
 #include "subgroup.glsl"
@@ -127,8 +128,7 @@ void main() {
     uvec2 corner = origin + lane_offset();
     vec2 corner_px = vec2(corner);
 
-    GradientPixel pixels[MAX_PIXELS];
-    uint lane_last = load_pixels(corner, tile_exists, pixels);
+    uint lane_last = load_pixels(corner, tile_exists, 0);
     uint own_last = subgroupMax(lane_last);
     if (gl_SubgroupInvocationID == 0) {
         region_last[gl_SubgroupID] = own_last;
@@ -164,7 +164,7 @@ void main() {
                     bits &= bits - 1;
                     Splat splat = shuffled(own, lane);
                     uint place = batch + step * SUBGROUP_SIZE + lane + 1;
-                    Sums sums = blend_backward(splat, place, corner_px, pixels);
+                    Sums sums = blend_backward(splat, place, corner_px, 0);
                     uint base = ((step * SUBGROUP_SIZE + lane) * REGIONS + gl_SubgroupID) * SUMS;
                     store_sums(base, sums);
                     if (bits == 0) {
@@ -206,7 +206,7 @@ void main() {
     }
 
     if (entries > end) {
-        store_pixels(corner, tile_exists, pixels);
+        store_pixels(corner, tile_exists, 0);
     }
     note_hits();
 }

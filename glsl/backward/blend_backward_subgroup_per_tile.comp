@@ -35,6 +35,7 @@ layout(local_size_x_id = 0) in;
 const uint REGION_HEIGHT = SUBGROUP_SIZE <= 64 ? 8 : 16;
 const bool BROADCAST = false;
 
+#define OWN_REGIONS REGIONS
 #include "blend_gradient.glsl"
 #include "dispatch.glsl"
 #include "subgroup.glsl"
@@ -58,7 +59,7 @@ void add_if(bool own, inout float sum, float value) {
 }
 
 // Tests each lane's Gaussian against a region, and blends the hits.
-void blend_region(Splat own, vec4 mean2d, bool exists, uvec2 origin, uint batch, inout GradientPixel pixels[MAX_PIXELS],
+void blend_region(Splat own, vec4 mean2d, bool exists, uvec2 origin, uint batch, uint first,
     inout Sums own_sums) {
     vec2 corner_px = vec2(origin + lane_offset());
     uvec4 hits = subgroupBallot(exists && meets_region(mean2d, own.form, own.opacity, origin));
@@ -70,7 +71,7 @@ void blend_region(Splat own, vec4 mean2d, bool exists, uvec2 origin, uint batch,
             uint lane = findLSB(bits) + 32 * word;
             bits &= bits - 1;
             Splat splat = shuffled(own, lane);
-            Sums sums = blend_backward(splat, batch + lane + 1, corner_px, pixels);
+            Sums sums = blend_backward(splat, batch + lane + 1, corner_px, first);
             bool mine = gl_SubgroupInvocationID == lane;
             add_if(mine, own_sums.value.x, sums.value.x);
             if (!WEIGHTS) {
@@ -97,11 +98,10 @@ void blend_region(Splat own, vec4 mean2d, bool exists, uvec2 origin, uint batch,
 
 #define DECLARE(K) \
     uvec2 origin_##K = region_origin(tile_xy, K); \
-    GradientPixel pixels_##K[MAX_PIXELS]; \
     uint last_##K = 0;
-#define LOAD(K) last_##K = subgroupMax(load_pixels(origin_##K + lane_offset(), true, pixels_##K));
-#define BLEND(K) blend_region(own, mean2d, exists && entry < last_##K, origin_##K, batch, pixels_##K, sums);
-#define STORE(K) store_pixels(origin_##K + lane_offset(), true, pixels_##K);
+#define LOAD(K) last_##K = subgroupMax(load_pixels(origin_##K + lane_offset(), true, K * PIXELS));
+#define BLEND(K) blend_region(own, mean2d, exists && entry < last_##K, origin_##K, batch, K * PIXELS, sums);
+#define STORE(K) store_pixels(origin_##K + lane_offset(), true, K * PIXELS);
 
 void main() {
     uint tile = tile_of(linear_workgroup());

@@ -3,7 +3,8 @@
 // derivative.
 //
 // Needs constants.glsl, buffers.glsl, SUBGROUP_SIZE, REGION_HEIGHT, INVERSE_DEPTH, INCREMENTAL_EXP, COUNT_HITS, STRIPS (see
-// blend_io.glsl), ABSOLUTE, WEIGHTS (see blend_backward.comp), BROADCAST, GL_KHR_shader_subgroup_basic, _ballot and _shuffle.
+// blend_io.glsl), ABSOLUTE, WEIGHTS (see blend_backward.comp), BROADCAST, OWN_REGIONS: how many regions a lane has pixels in,
+// GL_KHR_shader_subgroup_basic, _ballot and _shuffle.
 
 // Training draws splats only, with inverse depth: no host depth image, no linear depth.
 const bool DEPTH_LIMIT = false;
@@ -53,9 +54,6 @@ layout(push_constant, scalar) uniform Push {
 #include "blending.glsl"
 #include "splat_shuffle.glsl"
 
-// Most pixels of a lane in a region. A literal for the same reason as MAX_COLUMN_ROWS.
-const uint MAX_PIXELS = 16;
-
 const float LN_2 = 0.6931471805599453;
 
 // With COUNT_HITS: Gaussians blended over a region.
@@ -76,6 +74,9 @@ struct GradientPixel {
     uint last;
 };
 
+// The lane's pixels, those of its first region first. Not parameters: see blend.comp.
+GradientPixel pixels[OWN_REGIONS * PIXELS];
+
 // One instance's sums over the pixels, see blend_backward.comp.
 struct Sums {
     // dL/dpower times 1, dx, dy; dx^2, dx dy, dy^2.
@@ -91,14 +92,14 @@ bool is_pixel(uvec2 at) {
     return at.x < image_width && at.y < image_height;
 }
 
-// What blending and the loss have written for a pixel: its composited colour and its gradient.
-struct Handed {
-    vec3 color;
-    vec4 gradient;
-};
+// Notes what blending and the loss have written for a pixel: its composited colour and its gradient.
+void hand(uint k, vec3 color, vec4 gradient) {
+    pixels[k].gradient = gradient;
+    pixels[k].rest = WEIGHTS ? 0.0 : dot(gradient.xyz, color);
+}
 
-// Loads four rows of a column. The first row is a multiple of 4.
-void load_four(uvec2 at, bool tile_exists, out Handed handed[4]) {
+// Loads four rows of a column into pixels[first...]. The first row is a multiple of 4.
+void load_four(uvec2 at, bool tile_exists, uint first) {
     bool inside = tile_exists && is_pixel(at);
     vec4 rows[7];
     [[unroll]] for (uint plane = 0; plane < 4; ++plane) {
@@ -112,47 +113,41 @@ void load_four(uvec2 at, bool tile_exists, out Handed handed[4]) {
         // The loss writes no gradient below the picture.
         bool exists = at.y + k < image_height;
         vec4 gradient = vec4(rows[0][k], rows[1][k], rows[2][k], rows[3][k]);
-        handed[k] = Handed(vec3(rows[4][k], rows[5][k], rows[6][k]), exists ? gradient : vec4(0.0));
+        hand(first + k, vec3(rows[4][k], rows[5][k], rows[6][k]), exists ? gradient : vec4(0.0));
     }
 }
 
-Handed load_one(uvec2 at, bool tile_exists) {
+void load_one(uvec2 at, bool tile_exists, uint k) {
     uint index = tile_exists && is_pixel(at) ? at.y * image_width + at.x : 0;
     vec4 color = VEC4_AT(rendered, index);
     vec4 gradient = VEC4_AT(image_gradient, index);
     if (!INVERSE_DEPTH) {
         gradient.w = 0.0;
     }
-    return Handed(color.xyz + color.w * background, gradient);
+    hand(k, color.xyz + color.w * background, gradient);
 }
 
-// Loads the state of a lane's pixels in a region as the previous pass left it. Returns 1 + the last list index that any of
-// these pixels blended.
-uint load_pixels(uvec2 corner, bool tile_exists, out GradientPixel pixels[MAX_PIXELS]) {
+// Loads the state of a lane's pixels in a region, from the index `first` on, as the previous pass left it. Returns 1 + the
+// last list index that any of these pixels blended.
+uint load_pixels(uvec2 corner, bool tile_exists, uint first) {
     uint lane_last = 0;
-    Handed handed[MAX_PIXELS];
     [[unroll]] for (uint k = 0; k < PIXELS; ++k) {
         if (!STRIPS) {
-            handed[k] = load_one(corner + pixel_step(k), tile_exists);
+            load_one(corner + pixel_step(k), tile_exists, first + k);
         } else if (k % 4 == 0) {
-            Handed four[4];
-            load_four(corner + pixel_step(k), tile_exists, four);
-            [[unroll]] for (uint i = 0; i < 4; ++i) {
-                handed[k + i] = four[i];
-            }
+            load_four(corner + pixel_step(k), tile_exists, first + k);
         }
     }
     [[unroll]] for (uint k = 0; k < PIXELS; ++k) {
         uvec2 at = corner + pixel_step(k);
         bool inside = tile_exists && is_pixel(at);
         uint index = inside ? at.y * image_width + at.x : 0;
-        vec4 gradient = handed[k].gradient;
-        float rest = WEIGHTS ? 0.0 : dot(gradient.xyz, handed[k].color);
         if (INVERSE_DEPTH) {
-            rest += gradient.w * FLOAT_AT(inverse_depth, index);
+            pixels[first + k].rest += pixels[first + k].gradient.w * FLOAT_AT(inverse_depth, index);
         }
         uint last = inside ? UINT_AT(last_entries, index) : 0;
-        pixels[k] = GradientPixel(1.0, rest, gradient, last);
+        pixels[first + k].transmittance = 1.0;
+        pixels[first + k].last = last;
         lane_last = max(lane_last, last);
     }
     if (first_entry > 0) {
@@ -161,8 +156,8 @@ uint load_pixels(uvec2 corner, bool tile_exists, out GradientPixel pixels[MAX_PI
             // Nothing of other pixels: their lanes write meanwhile.
             if (tile_exists && is_pixel(at)) {
                 vec2 before = backward_state[at.y * image_width + at.x];
-                pixels[k].transmittance = before.x;
-                pixels[k].rest = before.y;
+                pixels[first + k].transmittance = before.x;
+                pixels[first + k].rest = before.y;
             }
         }
     }
@@ -170,18 +165,18 @@ uint load_pixels(uvec2 corner, bool tile_exists, out GradientPixel pixels[MAX_PI
 }
 
 // Stores the state for the next pass.
-void store_pixels(uvec2 corner, bool tile_exists, GradientPixel pixels[MAX_PIXELS]) {
+void store_pixels(uvec2 corner, bool tile_exists, uint first) {
     [[unroll]] for (uint k = 0; k < PIXELS; ++k) {
         uvec2 at = corner + pixel_step(k);
         if (tile_exists && is_pixel(at)) {
-            backward_state[at.y * image_width + at.x] = vec2(pixels[k].transmittance, pixels[k].rest);
+            backward_state[at.y * image_width + at.x] = vec2(pixels[first + k].transmittance, pixels[first + k].rest);
         }
     }
 }
 
-// Gradient of the Gaussian at list index `place` over the pixels of a lane. Blends the Gaussian over these pixels as it
-// goes.
-Sums blend_backward(Splat splat, uint place, vec2 corner_px, inout GradientPixel pixels[MAX_PIXELS]) {
+// Gradient of the Gaussian at list index `place` over the pixels of a lane in a region, from the index `first` on. Blends
+// the Gaussian over these pixels as it goes.
+Sums blend_backward(Splat splat, uint place, vec2 corner_px, uint first) {
     vec4 value = vec4(splat.rgb, splat.inverse_z);
     vec2 d0 = splat.mean - corner_px;
     float sum_1 = 0.0, sum_x = 0.0, sum_y = 0.0, sum_xx = 0.0, sum_xy = 0.0, sum_yy = 0.0;
@@ -193,7 +188,7 @@ Sums blend_backward(Splat splat, uint place, vec2 corner_px, inout GradientPixel
         column_alphas(splat, corner_px + vec2(column * LANES_X, 0), alphas);
         float column_1 = 0.0, column_y = 0.0, column_yy = 0.0;
         [[unroll]] for (uint row = 0; row < ROWS; ++row) {
-            uint k = column * ROWS + row;
+            uint k = first + column * ROWS + row;
             float dy = d0.y - float(row);
             float unclamped = place <= pixels[k].last ? alphas[row] : 0.0;
             float alpha = min(ALPHA_MAX, unclamped);

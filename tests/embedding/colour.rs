@@ -1,7 +1,6 @@
 //! What is written into a host's images: their formats, and linear light. Expected is what the twin of `compose` makes of the
 //! frame's own pixels.
 
-use crate::compose_rgba32f::{compose, compose_linear, decode, encode};
 use crate::host::{Host, InFlight};
 use crate::memory::{HostBuffer, HostTexture, Use};
 use crate::stage::{adopt, camera, cloud, guest, options, rendered, with_host};
@@ -12,6 +11,7 @@ use ashsplat::{
     Background, Camera, ColorEncoding, DeviceScene, Gaussians, HostImage, RecordedFrame, RenderSettings,
     Renderer, Reservation, Target,
 };
+use ashsplat_reference::compose_rgba32f::{compose, compose_linear, decode, encode};
 
 const SIZE: [u32; 2] = [64, 48];
 const PIXELS: usize = (SIZE[0] * SIZE[1]) as usize;

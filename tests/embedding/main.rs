@@ -26,9 +26,6 @@ mod splat_depth;
 #[path = "../../tools/embed/tonemap.rs"]
 mod tonemap;
 
-#[path = "../reference/compose_rgba32f.rs"]
-mod compose_rgba32f;
-
 #[path = "../common/child.rs"]
 mod child;
 

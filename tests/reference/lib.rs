@@ -2,8 +2,8 @@
 //! the paper and the reference implementation's definitions without a line of the engine: the judge of the GPU. Kernels
 //! that compute the same in another way share a twin.
 
-// Each test binary uses a part of the twins.
-#![allow(dead_code)]
+// The formulas' names say what the fields and parameters are.
+#![allow(missing_docs)]
 // Loops over indices read like the formulas.
 #![allow(clippy::needless_range_loop)]
 
