@@ -18,6 +18,7 @@ mod scene_settings;
 mod screen_motion;
 mod settings;
 mod shape;
+mod views;
 
 use arguments::arguments;
 pub(crate) use arguments::range_arguments;
@@ -51,12 +52,12 @@ pub struct Forward {
     scan: Scan,
     sort: RadixSort,
     /// By [`BlendVariant::of_cull`].
-    cull: [Option<Kernel<cull::Interface>>; 32],
+    cull: [Option<Kernel<cull::Interface>>; 64],
     compact: Kernel<compact::Interface>,
     write_indirect_args: Kernel<write_indirect_args::Interface>,
     write_visible_ranges: Kernel<write_visible_ranges::Interface>,
     /// By [`BlendVariant::of_project`], by SH degree.
-    project: [[Option<Kernel<project::Interface>>; 4]; 64],
+    project: [[Option<Kernel<project::Interface>>; 4]; 128],
     count: Kernel<count::Interface>,
     /// For rendering alone, and for frames with backward.
     duplicate: [Kernel<duplicate_with_tiles::Interface>; 2],
@@ -89,7 +90,7 @@ impl Forward {
             sizes,
             scan: Scan::new(context)?,
             sort: RadixSort::new(context)?,
-            cull: Default::default(),
+            cull: [const { None }; 64],
             // Its blocks are the culling blocks.
             compact: Kernel::new(
                 context,
@@ -159,46 +160,13 @@ impl Forward {
         self.blend.blending()
     }
 
-    /// Records a frame. [`Forward::prepare`] must have been called for its variants. Ends without a barrier.
-    ///
-    /// # Panics
-    /// Without these variants, without room for the cut-outs, and for a tint, an opacity or a selection before a backward pass.
-    pub fn record(&self, r: &mut Recorder, inputs: &FrameInputs) {
-        inputs.assert_differentiable();
+    /// Culls. A view after the first of some with one order adds to what those before it see.
+    fn record_flags(&self, r: &mut Recorder, inputs: &FrameInputs) {
         let f = inputs.frame;
-        r.scope("clear", |r| {
-            camera_block::record_blocks(r, inputs);
-            cut_outs::record(r, inputs);
-            auxiliary::record_firsts(r, inputs);
-            let overflow = 4 * u64::from(c::STATE_OVERFLOW);
-            match inputs.keeps_overflow {
-                false => r.fill(&f.state, 0),
-                true => {
-                    r.fill(&f.state.range(0, overflow), 0);
-                    r.fill(&f.state.range(overflow + 4, f.state.bytes() - overflow - 4), 0);
-                }
-            }
-            r.fill(&f.tile_ranges, 0);
-        });
-        r.scope("cull", |r| self.record_visibility(r, inputs));
-        r.scope("project", |r| self.record_project(r, inputs));
-        r.scope("depth sort", |r| self.record_depth_sort(r, f));
-        r.scope("count", |r| self.record_count(r, inputs));
-        r.scope("duplicate", |r| self.record_duplicate(r, inputs));
-        r.scope("tile sort", |r| self.record_tile_sort(r, inputs));
-        r.scope("ranges", |r| self.record_ranges(r, inputs));
-        r.scope("blend", |r| self.blend.record(r, inputs, &self.sizes));
-    }
-
-    /// Culls, and compacts the visible Gaussians in their own order.
-    fn record_visibility(&self, r: &mut Recorder, inputs: &FrameInputs) {
-        let f = inputs.frame;
-        for (first, count) in inputs.gaps() {
-            r.fill(&f.visible_flags.range(u64::from(first) * 4, u64::from(count) * 4), 0);
-        }
         let [extent, antialias] = inputs.settings.modes();
+        let of_frame = BlendVariant { shared_order: inputs.view > Some(0), ..inputs.blend_variant() };
         for part in inputs.parts() {
-            let variant = inputs.blend_variant().of_scene(&part.settings);
+            let variant = of_frame.of_scene(&part.settings);
             let Some(kernel) = &self.cull[variant.of_cull()] else {
                 panic!("Forward::prepare was not called for this variant");
             };
@@ -219,13 +187,18 @@ impl Forward {
                 block_counts: f.visible_counts(),
                 // Without any it is not read, but must be bound; with some, record has checked it.
                 cut_outs: inputs.cut_outs.unwrap_or(&part.scene.chunks[chunk]),
-                camera_block: &block_of(f, part.place),
+                camera_block: &block_of(f, part.block),
             };
             r.barrier();
             let workgroups = blocks(count.into(), self.sizes.elementwise_workgroup.into());
             r.dispatch(kernel, &bind, &push, workgroups);
         }
         r.barrier();
+    }
+
+    /// Compacts the visible Gaussians in their own order.
+    fn record_compaction(&self, r: &mut Recorder, inputs: &FrameInputs) {
+        let f = inputs.frame;
         let (count, subgroup_size) = (inputs.index_count(), self.context.limits().subgroup_size);
         let culled_blocks = count.div_ceil(self.sizes.elementwise_workgroup);
         self.scan.record_block_sums(
@@ -330,7 +303,7 @@ impl Forward {
                 tile_lists: f.tile_lists(),
                 // Without one it is not read, but must be bound.
                 selection: part.settings.mask().unwrap_or(&f.visible_list),
-                camera_block: &block_of(f, part.place),
+                camera_block: &block_of(f, part.block),
             };
             if index > 0 {
                 r.barrier();

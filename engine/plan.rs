@@ -153,7 +153,7 @@ pub struct FrameCapacity {
     pub gaussians: u32,
     /// (tile, Gaussian) instances.
     pub instances: u32,
-    /// Scenes.
+    /// Scenes, each with a camera block; of views with one order, those of all.
     pub scenes: u32,
     /// Pictures.
     pub pictures: PictureCapacity,

@@ -3,6 +3,7 @@
 
 mod align;
 mod check;
+mod check_views;
 mod device_scene;
 mod first_frame;
 mod frame_store;
@@ -14,9 +15,11 @@ mod reserve;
 mod runner;
 mod slot_memory;
 mod slots;
+mod targets;
 mod tile_lists;
 mod tiles;
 mod updates;
+mod views;
 
 pub use align::Alignment;
 pub(crate) use align::{AlignRequest, Aligner};

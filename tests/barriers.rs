@@ -140,6 +140,7 @@ impl Training {
             scale: 1.0,
             auxiliary: Auxiliary::default(),
             previous: None,
+            view: None,
         };
         let [photo, losses, statistics, mean2d_gradients, image_gradient, scratch @ ..] = &self.others[..]
         else {

@@ -41,6 +41,8 @@ pub struct BlendVariant {
     pub motion: bool,
     /// The camera's rays are parallel ([`Projection::Orthographic`](crate::scene::Projection::Orthographic)): as `filter_3d`.
     pub orthographic: bool,
+    /// Views have one order: culling adds to what earlier ones see, and projection leaves out what its view does not show.
+    pub shared_order: bool,
 }
 
 impl BlendVariant {
@@ -76,12 +78,15 @@ impl BlendVariant {
 
     /// The place of its kernel of culling.
     pub(super) fn of_cull(self) -> usize {
-        self.of_shape() | usize::from(self.cut_outs) << 4
+        self.of_shape() | usize::from(self.cut_outs) << 4 | usize::from(self.shared_order) << 5
     }
 
     /// The place of its kernels of projection.
     pub(super) fn of_project(self) -> usize {
-        self.of_shape() | usize::from(self.z_record) << 4 | usize::from(self.selection) << 5
+        self.of_shape()
+            | usize::from(self.z_record) << 4
+            | usize::from(self.selection) << 5
+            | usize::from(self.shared_order) << 6
     }
 
     /// With a camera.
@@ -90,13 +95,13 @@ impl BlendVariant {
     }
 
     pub(super) fn cull_spec(self, sizes: &LaunchSizes, subgroup_size: u32) -> cull::Spec {
-        let Self { filter_3d, dropout, tinted, cut_outs, orthographic, .. } = self;
+        let Self { filter_3d, dropout, tinted, cut_outs, orthographic, shared_order: adds, .. } = self;
         let workgroup_size = sizes.elementwise_workgroup;
-        cull::Spec { workgroup_size, subgroup_size, filter_3d, dropout, tinted, cut_outs, orthographic }
+        cull::Spec { workgroup_size, subgroup_size, filter_3d, dropout, tinted, cut_outs, orthographic, adds }
     }
 
     pub(super) fn project_spec(self, sizes: &LaunchSizes, sh_degree: u32) -> project::Spec {
-        let Self { filter_3d, dropout, tinted, selection, z_record, orthographic, .. } = self;
+        let Self { filter_3d, dropout, tinted, selection, z_record, orthographic, shared_order, .. } = self;
         project::Spec {
             workgroup_size: sizes.elementwise_workgroup,
             sh_degree,
@@ -107,6 +112,7 @@ impl BlendVariant {
             z_record,
             orthographic,
             sh_loops: sizes.sh_loops,
+            may_be_unseen: shared_order,
         }
     }
 

@@ -44,7 +44,8 @@ pub fn pose_of(camera: &Camera) -> [f32; 12] {
 pub(super) fn record_blocks(r: &mut Recorder, inputs: &FrameInputs) {
     for (scene, placed) in inputs.placed().enumerate().filter(|(_, placed)| placed.settings.draws()) {
         let values = camera_block(&placed, inputs.settings);
-        let (values, block) = (bytemuck::bytes_of(&values), block_of(inputs.frame, scene));
+        let block = block_of(inputs.frame, inputs.first_block() + scene);
+        let values = bytemuck::bytes_of(&values);
         match inputs.pose {
             Some(pose) if scene == 0 => {
                 r.copy(pose, &block.range(0, POSE_BYTES));

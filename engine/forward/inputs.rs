@@ -62,6 +62,8 @@ pub struct FrameInputs<'a> {
     pub auxiliary: Auxiliary<'a>,
     /// How `scene` was seen in the frame before, for its motion; as now if `None`.
     pub previous: Option<Seen>,
+    /// Which of some views with one order it is ([`Forward::record_first`](super::Forward::record_first)); `None` alone.
+    pub view: Option<u32>,
 }
 
 impl FrameInputs<'_> {
@@ -72,6 +74,7 @@ impl FrameInputs<'_> {
             depth_limit: self.depth_limits.is_some(),
             pick: self.auxiliary.picks.is_some(),
             motion: self.auxiliary.motion.is_some(),
+            shared_order: self.view.is_some(),
             ..BlendVariant::of(self.settings, self.backward).of_camera(self.camera)
         }
     }
@@ -111,8 +114,8 @@ impl PlacedScene<'_> {
 #[derive(Clone, Copy)]
 pub(super) struct Part<'a> {
     pub(super) scene: &'a SceneBuffers,
-    /// The scene's place in the frame.
-    pub(super) place: usize,
+    /// The place of the scene's camera block.
+    pub(super) block: usize,
     pub(super) sh_degree: u32,
     pub(super) settings: SceneSettings<'a>,
     /// Of the frame.
@@ -164,16 +167,23 @@ impl<'a> FrameInputs<'a> {
         std::iter::once(self.first()).chain(self.others.iter().copied())
     }
 
+    /// The place of the camera block of its first scene. Views with one order have their blocks behind each other.
+    pub(super) fn first_block(&self) -> usize {
+        self.view.unwrap_or(0) as usize * (1 + self.others.len())
+    }
+
     /// The dispatches over parameters: chunk by chunk, scene by scene.
     pub(super) fn parts(&self) -> impl Iterator<Item = Part<'a>> + use<'a> {
-        self.placed().enumerate().flat_map(|(place, placed)| {
+        let first_block = self.first_block();
+        self.placed().enumerate().flat_map(move |(place, placed)| {
+            let block = first_block + place;
             let PlacedScene { scene, sh_degree, settings, first, first_cut_out, .. } = placed;
             let previous = placed.previous.unwrap_or(Seen { camera: placed.camera, scale: placed.scale });
             let ranges = scene.plan.ranges(placed.drawn());
             ranges.map(move |range| {
                 let first_of_scene = range.first;
                 let range = GaussianRange { first: first + range.first, ..range };
-                Part { scene, place, sh_degree, settings, first_cut_out, first_of_scene, range, previous }
+                Part { scene, block, sh_degree, settings, first_cut_out, first_of_scene, range, previous }
             })
         })
     }

@@ -55,7 +55,7 @@ impl ScreenMotion {
             visible_ranges: &f.visible_ranges,
             visible_list: &f.visible_list,
             motions,
-            camera_block: &block_of(f, part.place),
+            camera_block: &block_of(f, part.block),
         };
         r.dispatch_indirect(kernel, &bind, &push, &range_arguments(f, sizes, part.range));
     }

@@ -14,8 +14,12 @@ use crate::vk::{Context, ImageUse};
 use ash::vk;
 
 impl Renderer {
-    /// Checks a frame before anything is recorded.
-    pub(super) fn check_frame(&self, frame: &RecordedFrame<'_>, reserved: &Reservation) -> Result<()> {
+    /// Checks a frame before anything is recorded. `earlier`: the views before it in the recording.
+    pub(super) fn check_frame(
+        &self,
+        (frame, earlier): (&RecordedFrame<'_>, &[RecordedFrame<'_>]),
+        reserved: &Reservation,
+    ) -> Result<()> {
         frame.camera.check()?;
         frame.settings.check()?;
         let context = &self.context;
@@ -44,7 +48,7 @@ impl Renderer {
             }
             reserved.check_scene(index, &placed.settings)?;
         }
-        self.check_images(frame)?;
+        self.check_images(frame, earlier)?;
         let variant = BlendVariant {
             inverse_depth: frame.settings.inverse_depth || frame.depth.is_some(),
             linear_depth: frame.depth.is_some(),
@@ -84,7 +88,8 @@ impl Renderer {
         check_updates(frame.updates, context, reserved)
     }
 
-    fn check_images(&self, frame: &RecordedFrame<'_>) -> Result<()> {
+    fn check_images(&self, frame: &RecordedFrame<'_>, earlier: &[RecordedFrame<'_>]) -> Result<()> {
+        let is_new = |host: &HostImage<'_>| !earlier.iter().any(|view| view.uses(host.image));
         let context = &self.context;
         let size = [frame.camera.width, frame.camera.height];
         let check = |field: &str, host: &HostImage<'_>, purpose: ImageUse| {
@@ -105,7 +110,7 @@ impl Renderer {
         if let Target::Image { to, behind, encoding } = &frame.target {
             check("target", to, ImageUse::Storage)?;
             in_field("target", Compose::check_frame(to.image, *behind, *encoding))?;
-            if *behind == Background::Image {
+            if *behind == Background::Image && is_new(to) {
                 check_is_defined("target", to)?;
             }
         }
@@ -123,12 +128,14 @@ impl Renderer {
         }
         if let Some(motion) = &frame.motion {
             check("motion", &motion.to, ImageUse::Storage)?;
-            check_motion(motion, size)?;
+            check_motion(motion, size, is_new(&motion.to))?;
         }
         if let Some(occluder) = &frame.occluder {
             check("occluder", &occluder.depth, ImageUse::Sampled)?;
             in_field("occluder", Compose::check_depth(occluder.depth.image))?;
-            check_is_defined("occluder", &occluder.depth)?;
+            if is_new(&occluder.depth) {
+                check_is_defined("occluder", &occluder.depth)?;
+            }
             let DepthMapping { scale, offset, clear_value, .. } = occluder.mapping;
             if !(scale.is_finite() && offset.is_finite() && clear_value.is_finite()) {
                 return Err(Error::argument("occluder.mapping", "holds numbers that are not finite"));
@@ -146,7 +153,7 @@ impl Renderer {
 }
 
 /// The field of a frame, and the name of its image.
-fn field_of(field: &str, host: &HostImage<'_>) -> String {
+pub(super) fn field_of(field: &str, host: &HostImage<'_>) -> String {
     format!("{field} (image '{}')", host.image.name())
 }
 
@@ -170,7 +177,7 @@ fn check_format(field: &str, host: &HostImage<'_>, format: vk::Format) -> Result
 }
 
 /// Motion into an image that is possible otherwise, of a frame of this size.
-fn check_motion(motion: &MotionTarget<'_>, size: [u32; 2]) -> Result<()> {
+fn check_motion(motion: &MotionTarget<'_>, size: [u32; 2], is_new: bool) -> Result<()> {
     check_format("motion", &motion.to, Compose::MOTION_FORMAT)?;
     let camera = motion.previous_camera;
     camera.check().map_err(|error| error.of("motion.previous_camera"))?;
@@ -187,8 +194,8 @@ fn check_motion(motion: &MotionTarget<'_>, size: [u32; 2]) -> Result<()> {
             let problem = format!("{empty:?}, each may be -{0} to {0}", c::MOTION_MAX);
             Err(Error::argument("motion.empty", problem))
         }
-        Some(_) => Ok(()),
-        None => check_is_defined("motion", &motion.to),
+        None if is_new => check_is_defined("motion", &motion.to),
+        _ => Ok(()),
     }
 }
 

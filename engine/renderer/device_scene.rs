@@ -29,6 +29,24 @@ impl DeviceScene {
         Ok(Self { context: context.clone(), buffers })
     }
 
+    /// The same scene in another context on the same VkDevice, with the same Gaussians in memory: several parts of an engine, each with a
+    /// context of its own, draw it. It keeps the memory alive. Uses in both contexts are uses of the same buffers, which the host orders:
+    /// those of one queue are in order, those of several by semaphores.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for a context of another device, whose queues are of another family, whose limits ask for another plan, or whose
+    /// kernels read texels.
+    pub fn in_context(&self, context: &Context) -> Result<Self> {
+        let plan = self.buffers.plan;
+        let shared = |chunk: &Buffer| chunk.in_context(context).map_err(|error| error.of("scene"));
+        let chunks = self.buffers.chunks.iter().map(shared).collect::<Result<_>>()?;
+        if plan != Self::plan_for(context, plan.capacity, plan.sh_degree)? {
+            let problem = "the limits of the context ask for another plan of the scene's buffers";
+            return Err(Error::argument("scene", problem));
+        }
+        Ok(Self { context: context.clone(), buffers: SceneBuffers { chunks, ..self.buffers } })
+    }
+
     /// An empty scene with a capacity of `capacity` Gaussians with SH up to `sh_degree`. [`super::Update`]s
     /// fill it.
     ///

@@ -40,7 +40,7 @@ impl Renderer {
 
     /// Executes a frame in the first slot, which is free, up to its counts.
     fn count(&mut self, frame: &RecordedFrame<'_>, reserved: &Reservation) -> Result<SlotReport> {
-        self.check_frame(frame, reserved)?;
+        self.check_frame((frame, &[]), reserved)?;
         let forward = &self.runner.forward;
         let slot = self.slots.get(0)?;
         check_capacity(frame, &slot.upcoming().capacity, reserved, forward.sizes.elementwise_workgroup)?;
@@ -52,9 +52,9 @@ impl Renderer {
         self.context.run("count", |r| {
             forward.record(r, &inputs);
             r.barrier();
-            slot.record_counts(r);
+            slot.record_counts(r, 0);
             Ok(())
         })?;
-        slot.counts(&forward.sizes)
+        slot.counts(&forward.sizes, 1)
     }
 }

@@ -1,16 +1,14 @@
 //! Records a frame into a host's command buffer. Never submits, waits, allocates, maps or reads back.
 
 use super::Renderer;
-use super::check::check_capacity;
 use super::device_scene::DeviceScene;
 use super::slot_memory::SlotMemory;
 use super::updates::Update;
-use crate::compose::{Background, Compose, Region};
-use crate::error::{Error, Result};
+use crate::compose::{Background, Region};
+use crate::error::Result;
 use crate::forward::{Auxiliary, FrameInputs, PlacedScene, RenderSettings, SceneSettings, Seen};
-use crate::plan::LaunchSizes;
 use crate::scene::{Camera, ColorEncoding, DepthMapping, Pose};
-use crate::vk::{ForeignCommands, Image, ImageState, Recorder};
+use crate::vk::{ForeignCommands, Image, ImageState};
 use ash::vk;
 
 /// A scene, its pose, and how it is drawn.
@@ -72,7 +70,7 @@ pub enum Target<'a> {
     /// waits for compute and transfer commands that read the buffer. A host that reads it in other stages, in
     /// a later command buffer than the frame's, must wait for those stages first.
     Slot,
-    /// A storage image of a format of [`Compose::COLOR_FORMATS`].
+    /// A storage image of a format of [`Compose::COLOR_FORMATS`](crate::compose::Compose::COLOR_FORMATS).
     Image {
         /// The image.
         to: HostImage<'a>,
@@ -106,7 +104,7 @@ pub struct DepthTarget<'a> {
 /// An image of what is picked at each pixel: the Gaussian with the largest blending weight alpha T, the nearest of equal ones.
 #[derive(Clone, Copy)]
 pub struct PickTarget<'a> {
-    /// A storage image of format [`Compose::PICK_FORMAT`], rgba32ui. A texel is the index of the Gaussian in its scene, the
+    /// A storage image of format [`Compose::PICK_FORMAT`](crate::compose::Compose::PICK_FORMAT), rgba32ui. A texel is the index of the Gaussian in its scene, the
     /// index of the scene in [`RecordedFrame::scenes`], the bits of the f32 of the Gaussian's depth z in the camera's frame (world
     /// units), and the bits of the f32 of its weight. Where nothing is blended, the first two are
     /// [`NOT_PICKED`](crate::kernels::constants::NOT_PICKED), the others 0.
@@ -119,7 +117,7 @@ pub struct PickTarget<'a> {
 /// away for an f32. How [`Update`]s move Gaussians is not known.
 #[derive(Clone, Copy)]
 pub struct MotionTarget<'a> {
-    /// A storage image of format [`Compose::MOTION_FORMAT`], rg16f: the place now less the place before, in pixels, x right, y
+    /// A storage image of format [`Compose::MOTION_FORMAT`](crate::compose::Compose::MOTION_FORMAT), rg16f: the place now less the place before, in pixels, x right, y
     /// down. What is at pixel p now was at p - motion.
     pub to: HostImage<'a>,
     /// The camera of the frame before, of the same width and height. The motion counts from its own principal point to that of
@@ -174,7 +172,7 @@ impl<'a> RecordedFrame<'a> {
 
 /// The state after a recording. The next user of its results waits for these stages and accesses, and finds
 /// the images in these layouts.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Release {
     /// The stages that write results, including those in the slot's own buffers.
@@ -219,58 +217,9 @@ impl Renderer {
         slot: u32,
         frame: &RecordedFrame<'_>,
     ) -> Result<Release> {
-        self.context.check_alive()?;
-        let Some(reserved) = self.slots.reserved else {
-            return Err(Error::argument("frame slot", "none is reserved: call Renderer::reserve"));
-        };
-        if !commands.belongs_to(&self.context) {
-            return Err(Error::argument("command buffer", "it belongs to another device"));
-        }
-        self.check_frame(frame, &reserved)?;
-        if matches!(frame.target, Target::Slot) && reserved.images_only {
-            return Err(Error::argument(
-                "images_only",
-                "is reserved, and the frame has no image as its target",
-            ));
-        }
-        let forward = &self.runner.forward;
-        let slot = self.slots.get(slot)?;
-        slot.record.check_free()?;
-        check_capacity(frame, &slot.upcoming().capacity, &reserved, forward.sizes.elementwise_workgroup)?;
-        let Some(compose) = &self.compose else { unreachable!("built by reserve") };
-        let mut placed = emptied(std::mem::take(&mut self.placed));
-        place(frame, forward.sizes.elementwise_workgroup, &mut placed);
-        let Some((first, others)) = placed.split_first() else { unreachable!("checked") };
-        let settings = RenderSettings {
-            inverse_depth: frame.settings.inverse_depth || frame.depth.is_some(),
-            ..*frame.settings
-        };
-        slot.take_over();
-        self.staged.stage(slot.memory.staging.as_ref(), frame.updates)?;
-        let gaussians = frame.scenes.iter().map(Placed::drawn).sum();
-        let mut recorder = slot.begin(commands, gaussians)?;
-        let (r, memory) = (&mut recorder, &slot.memory);
-        self.staged.record(r);
-        let size = [frame.camera.width, frame.camera.height];
-        let mut occluder = None;
-        if let (Some(o), Some(limits)) = (&frame.occluder, &memory.depth_limits) {
-            occluder = Some(r.acquire_image(o.depth.image, o.depth.from));
-            r.scope("depth limits", |r| {
-                compose.record_depth_limits(r, o.depth.region(), o.mapping, size, limits);
-            });
-        }
-        let inputs = FrameInputs {
-            depth_limits: frame.occluder.as_ref().and(memory.depth_limits.as_ref()),
-            linear_depth: frame.depth.is_some(),
-            auxiliary: memory.auxiliary([frame.pick.is_some(), frame.motion.is_some()]),
-            ..inputs_of(first, others, memory, &settings)
-        };
-        forward.record(r, &inputs);
-        r.barrier();
-        let mut release = record_targets(r, compose, &inputs, &forward.sizes, frame);
-        release.occluder = occluder;
-        slot.end(recorder)?;
-        self.placed = emptied(placed);
+        let mut release = [Release::default()];
+        self.record_frames(commands, slot, (std::slice::from_ref(frame), &mut release))?;
+        let [release] = release;
         Ok(release)
     }
 }
@@ -292,13 +241,6 @@ pub(super) fn place<'a>(frame: &RecordedFrame<'a>, alignment: u32, placed: &mut 
         });
         PlacedScene { scene, camera, scale, sh_degree, settings, first: begin, first_cut_out, previous }
     }));
-}
-
-/// An empty list in the memory of another one, whose scenes may be gone: a list is collected in place of one of the same
-/// type. A test counts what is allocated.
-fn emptied<'a>(mut placed: Vec<PlacedScene<'_>>) -> Vec<PlacedScene<'a>> {
-    placed.clear();
-    placed.into_iter().map(|_| unreachable!("it is empty")).collect()
 }
 
 /// A frame of some scenes in the buffers of a slot, without occluder and depth.
@@ -326,59 +268,12 @@ pub(super) fn inputs_of<'a>(
         keeps_overflow: false,
         auxiliary: Auxiliary::default(),
         previous: first.previous,
+        view: None,
     }
 }
 
-fn record_targets(
-    r: &mut Recorder,
-    compose: &Compose,
-    inputs: &FrameInputs<'_>,
-    sizes: &LaunchSizes,
-    frame: &RecordedFrame<'_>,
-) -> Release {
-    let size = [frame.camera.width, frame.camera.height];
-    let f = inputs.frame;
-    let mut release = Release {
-        stages: vk::PipelineStageFlags2::COMPUTE_SHADER,
-        accesses: vk::AccessFlags2::SHADER_STORAGE_WRITE,
-        color: None,
-        occluder: None,
-        depth: None,
-        pick: None,
-        motion: None,
-    };
-    r.scope("compose", |r| {
-        if let Target::Image { to, behind, encoding } = &frame.target {
-            release.color = Some(r.acquire_image(to.image, to.from));
-            compose.record_color(r, &f.accumulated, size, to.region(), (*behind, *encoding));
-        }
-        if let Some(depth) = &frame.depth {
-            release.depth = Some(r.acquire_image(depth.to.image, depth.to.from));
-            let limits = [depth.min_weight, depth.empty];
-            compose.record_expected_depth(
-                r,
-                [&f.accumulated, &f.inverse_depth],
-                size,
-                depth.to.region(),
-                limits,
-            );
-        }
-        if let (Some(PickTarget { to }), Some(own)) = (&frame.pick, inputs.auxiliary.picks) {
-            release.pick = Some(r.acquire_image(to.image, to.from));
-            let scenes = frame.scenes.len() as u32;
-            compose.record_picks(r, (f, sizes, own), (frame.camera, scenes), to.region());
-        }
-        if let (Some(motion), Some(own)) = (&frame.motion, inputs.auxiliary.motion) {
-            release.motion = Some(r.acquire_image(motion.to.image, motion.to.from));
-            let others = (motion.min_weight, motion.empty);
-            compose.record_motion(r, (&f.accumulated, own), size, motion.to.region(), others);
-        }
-    });
-    release
-}
-
 impl<'a> HostImage<'a> {
-    fn region(&self) -> Region<'a> {
+    pub(super) fn region(&self) -> Region<'a> {
         Region { image: self.image, offset: self.offset }
     }
 }

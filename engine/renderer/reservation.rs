@@ -16,6 +16,11 @@ pub struct Reservation {
     /// slots whose numbers leave the same rest when divided by this share it. Their frames go to one queue, in any
     /// order, or are ordered by semaphores. With as many queues as slots nothing is shared.
     pub queues: u32,
+    /// Views of a recording ([`Renderer::record_views`](super::Renderer::record_views)): they share the memory of one.
+    pub views: u32,
+    /// Whether views whose depths are the same, as those of two eyes side by side, are culled and sorted once: see
+    /// [`Renderer::record_views`](super::Renderer::record_views). 512 bytes for each scene and view, and more kernels.
+    pub shared_sort: bool,
     /// Gaussians of all scenes of a frame together.
     pub gaussians: u32,
     /// Scenes of a frame.
@@ -70,6 +75,8 @@ impl Reservation {
         Self {
             slots: 1,
             queues: 1,
+            views: 1,
+            shared_sort: false,
             gaussians,
             scenes: 1,
             sh_degree,
@@ -124,6 +131,7 @@ impl Reservation {
         let counts = [
             ("slots", self.slots, 1..=1024),
             ("queues", self.queues, 1..=1024),
+            ("views", self.views, 1..=1024),
             ("scenes", self.scenes, 1..=65_536),
             ("blend_passes", self.blend_passes, 1..=65_536),
             ("sh_degree", self.sh_degree, 0..=3),
@@ -186,6 +194,10 @@ impl Reservation {
             let parallel = variants.clone().into_iter();
             variants.extend(parallel.map(|v| BlendVariant { orthographic: true, ..v }));
         }
+        if self.shared_sort {
+            let shared = variants.clone().into_iter();
+            variants.extend(shared.map(|v| BlendVariant { shared_order: true, ..v }));
+        }
         variants
     }
 
@@ -217,7 +229,7 @@ impl Reservation {
         }
     }
 
-    /// Most dispatches of a frame.
+    /// Most dispatches of a recording.
     pub(super) fn dispatches(&self, context: &Context) -> Result<usize> {
         const PER_FRAME: u32 = 48;
         // Scenes may be stored at a higher degree than the evaluated one, in more chunks.
@@ -227,7 +239,7 @@ impl Reservation {
         let of_chunk = 2 + u32::from(self.motion);
         let projection = of_chunk * (plan.chunks + self.scenes) + self.scenes;
         let blending = LaunchSizes::new(context.limits()).blend_dispatches(self.instances, self.blend_passes);
-        Ok((PER_FRAME + blending + projection) as usize)
+        Ok((PER_FRAME + blending + projection) as usize * self.views as usize)
     }
 
     /// The capacity of each frame, if the device has grids for it.
@@ -242,7 +254,7 @@ impl Reservation {
                 0 => initial_instances(context.limits(), gaussians, &pictures),
                 instances => instances,
             },
-            scenes: self.scenes,
+            scenes: self.scenes * if self.shared_sort { self.views } else { 1 },
             pictures,
             blend_passes: self.blend_passes,
             backward: false,

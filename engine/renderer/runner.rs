@@ -75,6 +75,7 @@ impl<'a> Request<'a> {
             keeps_overflow: false,
             auxiliary: Auxiliary::default(),
             previous: None,
+            view: None,
         }
     }
 }

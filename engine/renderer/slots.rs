@@ -8,13 +8,17 @@ use crate::kernels::constants as c;
 use crate::plan::LaunchSizes;
 use crate::vk::{Buffer, Context, ForeignCommands, MemoryKind, RecordSlot, Recorder, ScopeTime};
 
-/// The counts of a recorded frame that has finished.
+/// Bytes of a view's counts.
+const STATE_BYTES: u64 = c::STATE_WORDS as u64 * 4;
+
+/// The counts of a recorded frame that has finished. Of several views ([`Renderer::record_views`](super::Renderer::record_views)) the
+/// largest of each.
 #[derive(Clone, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct SlotReport {
     /// Gaussians in the frame's scenes, but for those that are not drawn.
     pub gaussians: u32,
-    /// Visible Gaussians.
+    /// Visible Gaussians; where views share a sort, those that any of them shows.
     pub visible: u32,
     /// (tile, Gaussian) instances that the picture needs.
     pub instances_needed: u32,
@@ -27,7 +31,10 @@ pub struct SlotReport {
     /// Whether a capacity was too small. The picture then lacks the Gaussians farthest away, or all of them
     /// if `instances_needed` is `u32::MAX`. [`Reservation::grown`] fixes the first case.
     pub overflow: bool,
-    /// Device time per stage; empty without timestamps.
+    /// How often the recording sorts by depth: once for each view, or for each run of views that share it
+    /// ([`Reservation::shared_sort`]).
+    pub sorts: u32,
+    /// Device time per stage, view by view; empty without timestamps.
     pub scopes: Vec<ScopeTime>,
 }
 
@@ -40,6 +47,10 @@ pub(super) struct Slot {
     readback: Buffer,
     /// Gaussians of the last recording.
     gaussians: u32,
+    /// Its views.
+    views: u32,
+    /// How often it sorts by depth.
+    pub sorts: u32,
     /// Its capacity.
     instances: u32,
     /// The report of the last recording, once it has been requested.
@@ -75,7 +86,7 @@ impl Slots {
         self.slots.clear();
         self.reserved = None;
         for memory in plan.allocate()? {
-            self.slots.push(Slot::new(context, memory, dispatches)?);
+            self.slots.push(Slot::new(context, memory, (dispatches, wanted.views))?);
         }
         self.reserved = Some(*wanted);
         Ok(())
@@ -93,6 +104,12 @@ impl Slots {
         if wanted.slots as usize != slots {
             let problem =
                 format!("slots is {}, {slots} are reserved: growth keeps their number", wanted.slots);
+            return Err(Error::argument("reservation", problem));
+        }
+        let views = self.reserved.map_or(0, |reserved| reserved.views);
+        if wanted.views != views {
+            let problem =
+                format!("views is {}, {views} are reserved: growth keeps their number", wanted.views);
             return Err(Error::argument("reservation", problem));
         }
         if block.is_none() && self.reserved == Some(*wanted) {
@@ -120,13 +137,23 @@ impl Slots {
 }
 
 impl Slot {
-    fn new(context: &Context, memory: SlotMemory, dispatches: usize) -> Result<Self> {
-        let host = [("state_readback", u64::from(c::STATE_WORDS) * 4)];
+    fn new(context: &Context, memory: SlotMemory, (dispatches, views): (usize, u32)) -> Result<Self> {
+        let host = [("state_readback", u64::from(views) * STATE_BYTES)];
         let mut host = context.allocate("frame slot host", &host, MemoryKind::HostVisible)?;
         let Some(readback) = host.pop() else { unreachable!("one buffer per request") };
         let record = RecordSlot::new(context, dispatches)?;
         let instances = memory.capacity.instances;
-        Ok(Self { record, memory, next: None, readback, gaussians: 0, instances, report: None })
+        Ok(Self {
+            record,
+            memory,
+            next: None,
+            readback,
+            gaussians: 0,
+            views: 0,
+            sorts: 0,
+            instances,
+            report: None,
+        })
     }
 
     /// The memory of the next recording.
@@ -141,16 +168,16 @@ impl Slot {
         }
     }
 
-    /// Begins a recording with `gaussians` Gaussians.
-    pub fn begin(&mut self, commands: ForeignCommands, gaussians: u32) -> Result<Recorder> {
+    /// Begins a recording of some views with up to so many Gaussians.
+    pub fn begin(&mut self, commands: ForeignCommands, (gaussians, views): (u32, u32)) -> Result<Recorder> {
         let recorder = self.record.begin(commands, "ashsplat")?;
-        (self.gaussians, self.instances, self.report) = (gaussians, self.memory.capacity.instances, None);
+        (self.gaussians, self.views, self.sorts) = (gaussians, views, 0);
+        (self.instances, self.report) = (self.memory.capacity.instances, None);
         Ok(recorder)
     }
 
-    /// Records the copy of the frame's counts to host-readable memory, and ends the recording.
-    pub fn end(&mut self, mut recorder: Recorder) -> Result<()> {
-        self.record_counts(&mut recorder);
+    /// Ends the recording.
+    pub fn end(&mut self, recorder: Recorder) -> Result<()> {
         self.record.end(recorder)
     }
 
@@ -162,20 +189,31 @@ impl Slot {
         if self.report.is_some() || !self.record.has_times()? {
             return Ok(self.report.clone());
         }
-        self.report = Some(SlotReport { scopes: self.record.times()?, ..self.counts(sizes)? });
+        self.report = Some(SlotReport { scopes: self.record.times()?, ..self.counts(sizes, self.views)? });
         Ok(self.report.clone())
     }
 
-    /// Records the copy of the frame's counts to host-readable memory.
-    pub fn record_counts(&self, recorder: &mut Recorder) {
-        recorder.copy(&self.memory.frame.state, &self.readback);
+    /// Records the copy of a view's counts to host-readable memory.
+    pub fn record_counts(&self, recorder: &mut Recorder, view: u32) {
+        let to = self.readback.range(u64::from(view) * STATE_BYTES, STATE_BYTES);
+        recorder.copy(&self.memory.frame.state, &to);
     }
 
-    /// The counts of a frame that has finished.
-    pub fn counts(&self, sizes: &LaunchSizes) -> Result<SlotReport> {
-        let mut bytes = [0u8; c::STATE_WORDS as usize * 4];
-        self.readback.read(0, &mut bytes)?;
-        let state = State::of(&bytes);
+    /// The counts of so many views that have finished: of each the largest.
+    pub fn counts(&self, sizes: &LaunchSizes, views: u32) -> Result<SlotReport> {
+        let mut state = State::default();
+        for view in 0..views {
+            let mut bytes = [0u8; STATE_BYTES as usize];
+            self.readback.read(u64::from(view) * STATE_BYTES, &mut bytes)?;
+            let own = State::of(&bytes);
+            state = State {
+                visible: state.visible.max(own.visible),
+                instances: state.instances.max(own.instances),
+                longest_tile: state.longest_tile.max(own.longest_tile),
+                overflow: state.overflow || own.overflow,
+                ..state
+            };
+        }
         Ok(SlotReport {
             gaussians: self.gaussians,
             visible: state.visible,
@@ -184,6 +222,7 @@ impl Slot {
             longest_tile: state.longest_tile,
             blend_passes_needed: state.longest_tile.div_ceil(sizes.entries_per_pass).max(1),
             overflow: state.overflow,
+            sorts: self.sorts,
             scopes: Vec::new(),
         })
     }

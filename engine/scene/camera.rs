@@ -199,6 +199,12 @@ impl Camera {
         }
     }
 
+    /// The same camera moved within its image plane, world units along its own x (right) and y (down): the other eye. Depths stay
+    /// the same to the bit.
+    pub fn moved_aside(&self, [x, y]: [f32; 2]) -> Self {
+        Self { translation: self.translation - Vec3::new(x, y, 0.0), ..*self }
+    }
+
     /// Pixel position of a world point (first pixel's centre at 0.5) and its depth along z, world units.
     pub fn project(&self, world: Vec3) -> (f32, f32, f32) {
         let p = self.camera_from_world * world + self.translation;

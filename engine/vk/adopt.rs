@@ -41,6 +41,32 @@ impl Buffer {
         Ok(Self::new(Arc::new(Block::foreign(&context.device, raw, end)), offset, bytes, name))
     }
 
+    /// The same range in another context on the same VkDevice. It keeps the memory alive; uses in both contexts are uses of one buffer,
+    /// which the host orders: those of one queue are in order, those of several by semaphores.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for a context of another device or whose queues are of another family: the buffer is owned by one. Also as for
+    /// [`Buffer::adopt`].
+    pub fn in_context(&self, context: &Context) -> Result<Self> {
+        if self.belongs_to(context) {
+            return Ok(self.clone());
+        }
+        let bad = |problem: String| Err(Error::argument(format!("buffer '{}'", self.name()), problem));
+        let (own, other) = (self.block().device(), &context.device);
+        if own.device.handle() != other.device.handle() {
+            return bad("it belongs to another device".into());
+        }
+        if own.queue_family != other.queue_family {
+            return bad(format!(
+                "queue family {} owns it, the context's queues are of family {}: a context of that family needs one of its own",
+                own.queue_family, other.queue_family
+            ));
+        }
+        other.check_adoption()?;
+        let block = Arc::new(Block::lent(other, self.block()));
+        Ok(Self::new(block, self.offset(), self.bytes(), self.static_name()))
+    }
+
     /// Buffers of these names and sizes, bytes, one behind the other as [`pack`] places them.
     ///
     /// # Panics

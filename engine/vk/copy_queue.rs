@@ -4,11 +4,12 @@
 //! waits for that count; the main queue acquires what was copied by waiting for the other.
 
 use super::error::vk_error;
+use super::queue_lock::LockedQueue;
 use super::raw_device::RawDevice;
 use crate::Result;
 use ash::vk;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Mutex, PoisonError};
 
 /// A semaphore that counts the submissions to a queue.
 pub(super) struct Timeline {
@@ -75,8 +76,8 @@ impl CopyQueue {
     }
 
     /// Locks the queue for this thread.
-    pub(super) fn lock(&self) -> MutexGuard<'_, vk::Queue> {
-        self.queue.lock().unwrap_or_else(PoisonError::into_inner)
+    pub(super) fn lock(&self) -> LockedQueue<'_> {
+        LockedQueue::new(self.queue.lock().unwrap_or_else(PoisonError::into_inner), None)
     }
 
     /// Destroys the semaphores of an idle device.

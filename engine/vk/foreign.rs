@@ -11,6 +11,7 @@ use super::open_device::{Device, Owner};
 use super::pool::{Pool, PoolGuard};
 use super::profile::ScopeTime;
 use super::profiler::{MAX_SCOPES, Profiler};
+use super::queue_lock::QueueLock;
 use super::raw_device::RawDevice;
 use super::recorder::{ForeignTarget, Recorder};
 use super::requirements::{Features, Requirements};
@@ -34,6 +35,9 @@ pub struct ForeignDevice<'a> {
     /// A queue of that family for operations that submit and wait themselves: [`Context::run`],
     /// [`Context::upload`], [`crate::Renderer::render`]. None: they are refused, and only recording works.
     pub queue: Option<vk::Queue>,
+    /// The host's lock around that queue, for hosts whose other threads submit to it; `None` if none does while an operation
+    /// submits.
+    pub queue_lock: Option<Arc<dyn QueueLock>>,
     /// The features that the device was created with: see [`Features::of`].
     pub features: Features,
     /// The device extensions that it was created with.
@@ -68,7 +72,7 @@ impl Context {
     /// - `features` and `extensions` were enabled at its creation, and VK_EXT_debug_utils if `debug_utils` is
     ///   set;
     /// - `queue`, if given, is one of `device` and of that family, and is not used elsewhere during a call
-    ///   that submits;
+    ///   that submits, or only under `queue_lock`;
     /// - `device` was created with robustBufferAccess, or the push constants of all [`Recorder::dispatch`]es and
     ///   the counts given to stages ([`crate::scan`], [`crate::sort`], …) fit their buffers. Renderer and trainer
     ///   see to that themselves;
@@ -114,6 +118,7 @@ impl Context {
             limits,
             device: RawDevice::of_host(host.device.clone()),
             queue: host.queue,
+            queue_lock: host.queue_lock.clone(),
             debug_utils: host.debug_utils,
             allocator: host.allocator.clone(),
             pipeline_cache: host.pipeline_cache,

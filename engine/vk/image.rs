@@ -61,7 +61,11 @@ impl ImageState {
 
 /// A view of one level and layer of an image. Clones share it.
 #[derive(Clone)]
-pub struct Image(Arc<View>);
+pub struct Image(
+    Arc<View>,
+    /// The queue family that owns it between recordings: see [`Image::of_family`].
+    pub(super) u32,
+);
 
 struct View {
     inner: Arc<Device>,
@@ -91,8 +95,8 @@ impl Image {
     /// - the image is of the context's device, was created as `foreign` describes and is bound to memory;
     /// - it lives until the last recording that uses it has finished and this view and its clones are
     ///   dropped;
-    /// - the context's queue family owns it when recordings use it. The barriers here transfer no ownership:
-    ///   a host whose   other queues are of another family releases and acquires it.
+    /// - the context's queue family owns it when recordings use it, or it was created for concurrent use; or another family does
+    ///   that [`Image::of_family`] names.
     pub unsafe fn adopt(
         context: &Context,
         name: &'static str,
@@ -205,7 +209,7 @@ impl Image {
         if bytes > 0 {
             inner.registry.add(&ARENA.into(), bytes);
         }
-        Ok(Self(Arc::new(View {
+        let view = View {
             inner,
             image: foreign.image,
             view,
@@ -218,7 +222,8 @@ impl Image {
             is_attachment: foreign.usage.contains(vk::ImageUsageFlags::DEPTH_STENCIL_ATTACHMENT),
             name,
             id,
-        })))
+        };
+        Ok(Self(Arc::new(view), vk::QUEUE_FAMILY_IGNORED))
     }
 
     /// Its name in messages.
@@ -263,6 +268,10 @@ impl Image {
 
     pub(super) fn is_of(&self, inner: &Arc<Device>) -> bool {
         Arc::ptr_eq(&self.0.inner, inner)
+    }
+
+    pub(super) fn device(&self) -> &Device {
+        &self.0.inner
     }
 
     /// Whether both are views of the same texels.

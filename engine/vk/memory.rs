@@ -99,6 +99,8 @@ pub(super) struct Block {
     pub(super) id: u64,
     /// Whether buffer and memory belong to the context.
     owned: bool,
+    /// The same buffer in another context, whose it is: kept for as long.
+    lender: Option<Arc<Block>>,
     /// The recording that has kept the block last: see [`super::resources::Kept`].
     pub(super) kept_by: AtomicU64,
     /// Submissions that use the block and have not been waited for.
@@ -152,6 +154,7 @@ impl Block {
             cached: true,
             id: NEXT_ID.fetch_add(1, Ordering::Relaxed),
             owned: true,
+            lender: None,
             kept_by: AtomicU64::new(0),
             in_flight: AtomicU32::new(0),
             texels: Default::default(),
@@ -181,6 +184,7 @@ impl Block {
             cached: true,
             id: NEXT_ID.fetch_add(1, Ordering::Relaxed),
             owned: false,
+            lender: None,
             kept_by: AtomicU64::new(0),
             in_flight: AtomicU32::new(0),
             texels: Default::default(),
@@ -189,8 +193,19 @@ impl Block {
         }
     }
 
+    /// A buffer of another context on the same VkDevice.
+    pub(super) fn lent(inner: &Arc<Device>, lender: &Arc<Block>) -> Self {
+        let mut lent = Self::foreign(inner, lender.raw, lender.bytes);
+        lent.lender = Some(lender.clone());
+        lent
+    }
+
     pub(super) fn is_of(&self, inner: &Arc<Device>) -> bool {
         Arc::ptr_eq(&self.inner, inner)
+    }
+
+    pub(super) fn device(&self) -> &Device {
+        &self.inner
     }
 
     fn bind_memory(&mut self, kind: MemoryKind, allowed: u32) -> Result<()> {

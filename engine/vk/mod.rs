@@ -18,10 +18,12 @@
 //! | `profile`, `profiler`, `audit` | [`Context::profile`] and [`Context::audit`]: time and output of every command |
 //! | `commands` | command buffers: recorded, submitted, waited for |
 //! | `staging` | the ring of staging memory of uploads and downloads |
+//! | `queues`, `queue_lock` | families of queues; the queue for one thread, under a host's [`QueueLock`] too |
 //! | `context`, `open` | the open [`Context`]; [`Context::new`] and its options |
 //! | `pipeline_statistics` | [`Context::pipeline_statistics`]: what compilers say of all kernels |
 //! | `budget` | [`Context::allocate`], and how much memory there may be |
 //! | `image`, `adopt` | [`Image`]: a host's or our own; buffers of a host |
+//! | `image_owner` | images that another queue family owns between recordings |
 //! | `kernel`, `resources` | [`Kernel`]: a pipeline with the typed interface that build.rs generated; what it binds |
 //! | `pipeline` | a pipeline as Vulkan has it, and what it demands of the device |
 //! | `kernel_job` | [`KernelJob`]: a kernel to be built ahead, on any thread |
@@ -90,6 +92,7 @@ mod guard_bands;
 mod guards;
 pub mod hazard;
 mod image;
+mod image_owner;
 mod instance;
 mod kernel;
 mod kernel_job;
@@ -107,6 +110,7 @@ mod pipeline_statistics;
 mod pool;
 mod profile;
 mod profiler;
+mod queue_lock;
 mod queues;
 mod raw_device;
 mod record_audit;
@@ -151,6 +155,7 @@ pub use open::ContextOptions;
 pub use pipeline_cache::{PipelineCacheKey, PipelineCacheStore};
 pub use pipeline_statistics::PipelineStatistics;
 pub use profile::{BoundBuffer, CommandRecord, Profile, ScopeTime, Submission};
+pub use queue_lock::QueueLock;
 pub use recorder::{MAX_UPDATE_BYTES, Recorder};
 pub use requirements::{Features, OptionalExtension, Requirements};
 pub use slot_recording::SlotRecording;

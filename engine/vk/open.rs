@@ -23,6 +23,7 @@ use super::limits_override::LimitsOverride;
 use super::memory_types::Place;
 use super::open_device::{Device, Owner};
 use super::pipeline_cache::{PipelineCache, PipelineCacheStore};
+use super::queue_lock::QueueLock;
 use super::raw_device::RawDevice;
 use super::spirv::SubgroupRules;
 use crate::tuning::{Backend, Tuning};
@@ -167,6 +168,7 @@ pub(super) struct Parts<'a> {
     /// From [`effective_limits`].
     pub(super) limits: Limits,
     pub(super) queue: Option<vk::Queue>,
+    pub(super) queue_lock: Option<Arc<dyn QueueLock>>,
     pub(super) debug_utils: bool,
     pub(super) allocator: Option<Arc<dyn HostAllocator>>,
     /// A host's; null: none.
@@ -221,6 +223,7 @@ impl Context {
             limits,
             device,
             queue: Some(queue),
+            queue_lock: None,
             debug_utils,
             allocator: None,
             pipeline_cache: vk::PipelineCache::null(),
@@ -238,6 +241,7 @@ impl Context {
             mut limits,
             device,
             queue,
+            queue_lock,
             debug_utils,
             allocator,
             pipeline_cache,
@@ -287,6 +291,7 @@ impl Context {
             names: Names::new(instance, &device, debug_utils),
             device,
             queue: queue.map(Mutex::new),
+            queue_lock,
             queue_family: candidate.queue_family,
             copying: None,
             physical: candidate.physical,

@@ -14,13 +14,14 @@ use super::instance::Instance;
 use super::limits::Limits;
 use super::memory_types::Place;
 use super::pipeline_cache::PipelineCache;
+use super::queue_lock::QueueLock;
 use super::raw_device::RawDevice;
 use super::spirv::SubgroupRules;
 use crate::{Error, Result};
 use ash::vk;
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 /// An open device, which everything made from it keeps open.
@@ -36,6 +37,8 @@ pub(super) struct Device {
     pub(super) names: Names,
     /// None on a host's device whose host keeps the queue to itself.
     pub(super) queue: Option<Mutex<vk::Queue>>,
+    /// A host's lock around it.
+    pub(super) queue_lock: Option<Arc<dyn QueueLock>>,
     pub(super) queue_family: u32,
     /// Uploads run there where device memory is not mapped. None on a host's device, and without such a family.
     pub(super) copying: Option<CopyQueue>,
@@ -107,15 +110,6 @@ impl Device {
     /// Whether the instance and the device are a host's.
     pub(super) fn is_foreign(&self) -> bool {
         matches!(self.owner, Owner::Host(_))
-    }
-
-    /// Locks the queue for this thread.
-    pub(super) fn lock_queue(&self) -> Result<MutexGuard<'_, vk::Queue>> {
-        let Some(queue) = &self.queue else {
-            let problem = "the host keeps its queue: only recording into its command buffers is possible";
-            return Err(Error::argument("queue", problem));
-        };
-        Ok(queue.lock().unwrap_or_else(PoisonError::into_inner))
     }
 
     /// The error of a failed call. Remembers a lost device.

@@ -19,7 +19,12 @@ impl Recorder {
         };
         let stages = vk::PipelineStageFlags2::COMPUTE_SHADER;
         let to = ImageState { layout: image.layout(), stages, accesses };
-        self.image_barrier(image, from, to);
+        match image.acquisition(from) {
+            Some(half) => {
+                self.record_image_barrier(image, half.dst_stage_mask(stages).dst_access_mask(accesses));
+            }
+            None => self.image_barrier(image, from, to),
+        }
         to
     }
 
@@ -68,8 +73,7 @@ impl Recorder {
     }
 
     fn image_barrier(&mut self, image: &Image, from: ImageState, to: ImageState) {
-        self.keep_image(image);
-        let barriers = [vk::ImageMemoryBarrier2::default()
+        let barrier = vk::ImageMemoryBarrier2::default()
             .src_stage_mask(from.stages)
             .src_access_mask(from.accesses)
             .dst_stage_mask(to.stages)
@@ -79,7 +83,13 @@ impl Recorder {
             .src_queue_family_index(vk::QUEUE_FAMILY_IGNORED)
             .dst_queue_family_index(vk::QUEUE_FAMILY_IGNORED)
             .image(image.raw())
-            .subresource_range(image.whole_range())];
+            .subresource_range(image.whole_range());
+        self.record_image_barrier(image, barrier);
+    }
+
+    pub(super) fn record_image_barrier(&mut self, image: &Image, barrier: vk::ImageMemoryBarrier2<'_>) {
+        self.keep_image(image);
+        let barriers = [barrier];
         let dependency = vk::DependencyInfo::default().image_memory_barriers(&barriers);
         // SAFETY: recording state, outside of a render pass; the view's owner says that the image is alive.
         unsafe { self.inner.device.cmd_pipeline_barrier2(self.raw(), &dependency) }

@@ -1,10 +1,11 @@
 // Visibility of each Gaussian, and the number of visible ones in each block: first step of the stable compaction. Culls by
 // the near plane, a degenerate covariance, an opacity below 1/255, and an empty set of tiles (paper, section 6; reference
 // preprocessCUDA). Leaves out what the settings cut, and with DROPOUT some at random. With TINTED opacities have the scene's
-// factor, with CUT_OUTS volumes keep or remove what lies inside.
+// factor, with CUT_OUTS volumes keep or remove what lies inside. With ADDS, what an earlier view of the same Gaussians sees is
+// visible, too.
 //
 // invocation: one Gaussian; workgroup: one block of WORKGROUP_SIZE Gaussians
-// in: parameters (PerGaussian planes), with CUT_OUTS cut_outs (64 bytes each); out: visible_flags[Gaussian], block_counts[block]
+// in: parameters (PerGaussian planes), with CUT_OUTS cut_outs (64 bytes each), with ADDS visible_flags; out: visible_flags[Gaussian], block_counts[block]
 // shared: one word per subgroup; any subgroup size
 #version 460
 #extension GL_EXT_scalar_block_layout : require
@@ -27,10 +28,12 @@ layout(constant_id = 5) const bool TINTED = false;
 layout(constant_id = 6) const bool CUT_OUTS = false;
 // Whether the camera's rays are parallel: see projection.glsl.
 layout(constant_id = 7) const bool ORTHOGRAPHIC = false;
+// Whether the flags hold what an earlier view sees.
+layout(constant_id = 8) const bool ADDS = false;
 layout(local_size_x_id = 0) in;
 
 VEC4_READS(0, Parameters, parameters);
-layout(set = 0, binding = 1, scalar) writeonly buffer VisibleFlags { uint visible_flags[]; };
+layout(set = 0, binding = 1, scalar) buffer VisibleFlags { uint visible_flags[]; };
 layout(set = 0, binding = 2, scalar) writeonly buffer BlockCounts { uint block_counts[]; };
 VEC4_READS(3, CutOuts, cut_outs);
 
@@ -82,6 +85,9 @@ void main() {
     }
     if (CUT_OUTS) {
         visible = visible && kept_by_cut_outs(first_cut_out, cut_out_count, mean_opacity.xyz);
+    }
+    if (ADDS) {
+        visible = visible || visible_flags[first + index] != 0;
     }
     uint flag = exists && visible ? 1 : 0;
     if (exists) {

@@ -1,6 +1,7 @@
 // Screen-space attributes of the visible Gaussians: mean, conic, extent, tiles, depth, and colour from spherical harmonics
 // (paper, section 4; reference preprocessCUDA and computeColorFromSH). With TINTED, colours and opacities have the scene's
-// factors. With ORTHOGRAPHIC, all are seen along the camera's z axis.
+// factors. With ORTHOGRAPHIC, all are seen along the camera's z axis. With MAY_BE_UNSEEN, Gaussians may be listed that this view
+// does not show, because another one does: they meet no tile.
 //
 // invocation: one visible Gaussian of the bound parameter range; it loops over its rows of tiles to count its tiles
 // in: parameters (PerGaussian planes), visible_list, visible_ranges, with SELECTION selection (a bit per Gaussian); out, PerVisible: mean2d_extent (x, y, half extents,
@@ -30,6 +31,8 @@ layout(constant_id = 7) const bool SELECTION = false;
 // Whether the camera's rays are parallel: see projection.glsl.
 layout(constant_id = 8) const bool ORTHOGRAPHIC = false;
 layout(constant_id = 9) const bool SH_LOOPS = false;
+// Whether the list has Gaussians of other views.
+layout(constant_id = 10) const bool MAY_BE_UNSEEN = false;
 layout(local_size_x_id = 0) in;
 
 VEC4_READS(0, Parameters, parameters);
@@ -105,6 +108,9 @@ void main() {
     vec4 conic = vec4(vec3(p.cov2d.z, -p.cov2d.y, p.cov2d.x) / p.det, f.opacity);
     uvec3 shape = extent == EXTENT_REFERENCE ? uvec3(pack_tiles(f.tiles), f.radius_px) : row_shape(mean2d, conic);
     uvec2 list = list_tiles(mean2d, shape, f.tiles, (image_width + TILE_SIZE - 1) / TILE_SIZE);
+    if (MAY_BE_UNSEEN) {
+        list = f.visible ? list : uvec2(0);
+    }
     mean2d_extent[splat_at(visible, SPLAT_MEAN2D_EXTENT)] = mean2d;
     conic_opacity[splat_at(visible, SPLAT_CONIC_OPACITY)] = conic;
     color_inverse_depth[splat_at(visible, SPLAT_COLOR_INVERSE_DEPTH)] =

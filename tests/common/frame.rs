@@ -49,6 +49,15 @@ pub struct Projected {
 impl Projected {
     /// Projects a scene. Each output has room for one more than the visible.
     pub fn new(gpu: &Gpu, gaussians: &[Gaussian], view: &View) -> Projected {
+        Self::of(gpu, gaussians, view, false)
+    }
+
+    /// The same of all Gaussians in the place of the visible ones, as other views may show them. `expected` has the visible.
+    pub fn of_all(gpu: &Gpu, gaussians: &[Gaussian], view: &View) -> Projected {
+        Self::of(gpu, gaussians, view, true)
+    }
+
+    fn of(gpu: &Gpu, gaussians: &[Gaussian], view: &View, may_be_unseen: bool) -> Projected {
         // The degree may be below what is stored.
         let (sh_degree, filter_3d) = (view.sh_degree, view.filter_3d > 0.0);
         let (dropout, z_record, tinted) =
@@ -64,6 +73,7 @@ impl Projected {
             z_record,
             orthographic: view.drawn.orthographic,
             sh_loops: gpu.limits().tuning.sh_loops,
+            may_be_unseen,
         };
         let splat = |(i, gaussian): (usize, &Gaussian)| {
             let splat = twin::project(gaussian, view)?;
@@ -78,7 +88,7 @@ impl Projected {
         }
         // What is left out at random is left out by culling.
         let visible: Vec<u32> =
-            (0..gaussians.len() as u32).filter(|&i| splats[i as usize].is_some()).collect();
+            (0..gaussians.len() as u32).filter(|&i| may_be_unseen || splats[i as usize].is_some()).collect();
         let (room, count) = (room(gaussians.len()), visible.len());
         let parameters = gpu.buffer("parameters", &pack_filtered(gaussians, room, view.filter_3d));
         // Two in front that do not belong to this range.

@@ -29,6 +29,7 @@ mod tonemap;
 #[path = "../common/child.rs"]
 mod child;
 
+mod array_image;
 mod auxiliary;
 mod bad_input;
 mod blocks;
@@ -41,6 +42,7 @@ mod lifetimes;
 mod memory_of_hosts;
 mod orthographic;
 mod pictures;
+mod queues;
 mod resident;
 mod scene_settings;
 mod scenes;
@@ -53,6 +55,7 @@ mod table;
 mod times;
 mod training;
 mod updates;
+mod views;
 mod warm_up;
 
 /// Counts heap allocations, for the tests that bound them.

@@ -97,6 +97,7 @@ impl<'a> Stages<'a> {
             keeps_overflow: false,
             auxiliary: Auxiliary::default(),
             previous: None,
+            view: None,
         };
         self.gpu.run(|r| {
             self.forward.record(r, &inputs);

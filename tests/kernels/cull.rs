@@ -27,6 +27,16 @@ fn may_differ(gaussian: &Gaussian, view: &View) -> bool {
 
 /// Culls `size` Gaussians. Returns flags and counts of blocks, each with two words more that must stay untouched.
 fn culled(gpu: &Gpu, view: &View, parameters: &Buffer, size: usize) -> [Vec<u32>; 2] {
+    culled_behind(gpu, view, (parameters, size), None)
+}
+
+/// As [`culled`], by the flags of an earlier view if there are some.
+fn culled_behind(
+    gpu: &Gpu,
+    view: &View,
+    (parameters, size): (&Buffer, usize),
+    earlier: Option<&[u32]>,
+) -> [Vec<u32>; 2] {
     let dropout = view.drawn.dropout.is_some();
     let (words, [first_cut_out, cut_out_count]) = cut_outs(view);
     let tinted = view.drawn.tint.is_some();
@@ -36,10 +46,14 @@ fn culled(gpu: &Gpu, view: &View, parameters: &Buffer, size: usize) -> [Vec<u32>
         tinted,
         cut_outs: cut_out_count > 0,
         orthographic: view.drawn.orthographic,
+        adds: earlier.is_some(),
         ..spec(gpu)
     };
     let blocks = size.div_ceil(spec.workgroup_size as usize);
-    let flags = gpu.untouched::<u32>("visible_flags", size + 2);
+    let flags = match earlier {
+        None => gpu.untouched::<u32>("visible_flags", size + 2),
+        Some(earlier) => gpu.buffer("visible_flags", &[earlier, &[UNTOUCHED; 2]].concat()),
+    };
     let counts = gpu.untouched::<u32>("block_counts", blocks + 2);
     let bind = Bind {
         parameters,
@@ -68,6 +82,7 @@ fn spec(gpu: &Gpu) -> Spec {
         tinted: false,
         cut_outs: false,
         orthographic: false,
+        adds: false,
     }
 }
 
@@ -105,6 +120,29 @@ pub fn cull_equals_its_twin() {
         let mut counted: Vec<u32> = flags[..size].chunks(block).map(|flags| flags.iter().sum()).collect();
         counted.extend([UNTOUCHED; 2]);
         assert_eq!(counts, counted, "{extent:?} {size}");
+    }
+}
+
+/// A second view adds what it shows to what the first one does.
+#[test]
+pub fn cull_equals_its_twin_behind_an_earlier_view() {
+    let gpu = Gpu::new();
+    let block = spec(&gpu).workgroup_size as usize;
+    for size in [1, block, block + 1, 5 * block + 3] {
+        let gaussians = mixed_scene(&mut Random::new(size as u64), size, 1);
+        let parameters = gpu.buffer("parameters", &pack(&gaussians, room(size)));
+        let views =
+            [0.0, 1.5].map(|turn| View { camera_from_world: rotation_about_y(turn), ..small_view([53, 37]) });
+        let alone = views.clone().map(|view| culled(&gpu, &view, &parameters, size)[0][..size].to_vec());
+        let earlier = Some(alone[0].as_slice());
+        let [flags, counts] = culled_behind(&gpu, &views[1], (&parameters, size), earlier);
+        let expected: Vec<u32> = alone[0].iter().zip(&alone[1]).map(|(a, b)| a | b).collect();
+        assert_eq!(flags[..size], expected);
+        let counted: Vec<u32> = expected.chunks(block).map(|flags| flags.iter().sum()).collect();
+        assert_eq!(counts[..counted.len()], counted);
+        if size > block + 1 {
+            assert!(expected != alone[0] && expected != alone[1], "each view shows others");
+        }
     }
 }
 

@@ -195,6 +195,53 @@ fn project_equals_its_twin_under_a_tint() {
     }
 }
 
+/// Among Gaussians that only other views show, the visible ones are what they are alone, and the others meet no tile: not those
+/// without finite numbers either.
+#[test]
+fn project_leaves_out_what_other_views_show() {
+    let gpu = Gpu::new();
+    let size = 500;
+    for extent in [Extent::Exact, Extent::Reference] {
+        let view = View { extent, ..small_view([53, 37]) };
+        let mut gaussians = mixed_scene(&mut Random::new(31), size, 16);
+        let (usual, places) = (gaussians[0].clone(), [0, 1, 2]);
+        for (place, axis) in places.into_iter().zip([0, 1, 0]) {
+            gaussians[place] = usual.clone();
+            gaussians[place].mean[axis] = [3e38, -3e38, 1e30][place];
+            gaussians[place].mean[2] = 1.0;
+            gaussians[place].log_scale[axis] = 80.0;
+        }
+        let shown: Vec<bool> =
+            gaussians.iter().map(|g| crate::reference::project::project(g, &view).is_some()).collect();
+        let [alone, all] =
+            [Projected::new(&gpu, &gaussians, &view), Projected::of_all(&gpu, &gaussians, &view)];
+        let count = alone.expected.len();
+        let lists = gpu.read::<[u32; 2]>(&all.tile_lists, size);
+        let own_lists = gpu.read::<[u32; 2]>(&alone.tile_lists, count);
+        let (keys, own_keys) =
+            (gpu.read::<u32>(&all.depth_keys, size), gpu.read::<u32>(&alone.depth_keys, count));
+        let (means, own_means) = (
+            gpu.read::<[u32; 4]>(&all.mean2d_extent, size),
+            gpu.read::<[u32; 4]>(&alone.mean2d_extent, count),
+        );
+        let (mut next, mut borderline) = (0, 0);
+        for i in 0..size {
+            if shown[i] {
+                // The twin may show one that the kernel does not, by rounding.
+                let own = (own_keys[next], own_means[next]);
+                assert_eq!((keys[i], means[i]), own, "{extent:?}: Gaussian {i}");
+                let left_out = lists[i] == [0; 2] && tiles_met(own_lists[next]) == 0;
+                assert!(left_out || lists[i] == own_lists[next] || places.contains(&i), "Gaussian {i}");
+                next += 1;
+            } else if lists[i] != [0; 2] {
+                borderline += 1;
+            }
+        }
+        assert!(places.iter().all(|&i| lists[i] == [0; 2]), "{:?}", &lists[..3]);
+        assert!(borderline <= 1 + size / 50 && count > size / 10, "{borderline} of {size}, {count} seen");
+    }
+}
+
 /// Some in another colour, which the tint leaves alone.
 #[test]
 fn project_equals_its_twin_with_a_selection() {

@@ -1,21 +1,19 @@
 //! A host's device, images and command buffers in C.
 
 use super::allocator::Adapter;
-use super::structs::{check_room, read, read_all, read_if, within, write, write_if};
+use super::queue_lock::Lock;
+use super::structs::{check_room, check_room_of_all, read, read_all, read_if, write, write_all_if, write_if};
 use super::{
-    AshsplatCamera, AshsplatContext, AshsplatDepthMapping, AshsplatDepthTarget, AshsplatForeignDevice,
-    AshsplatForeignImage, AshsplatHostImage, AshsplatOccluder, AshsplatPose, AshsplatRecordedFrame,
-    AshsplatRelease, AshsplatRenderer, AshsplatStatus, auxiliary, borrowed, borrowed_mut, frames, give,
-    guarded, scene_settings, scenes, settings, slice, take,
+    AshsplatCamera, AshsplatContext, AshsplatDepthMapping, AshsplatForeignDevice, AshsplatForeignImage,
+    AshsplatHostImage, AshsplatRecordedFrame, AshsplatRelease, AshsplatRenderer, AshsplatStatus, borrowed,
+    borrowed_mut, give, guarded, recorded_frames, settings, slice, take,
 };
 use ashsplat::ash::{self, vk, vk::Handle};
 use ashsplat::scene::{ClipY, HostView};
 use ashsplat::vk::{
-    Context, ContextOptions, Features, ForeignDevice, ForeignImage, HostAllocator, Image, ImageUse,
+    Context, ContextOptions, Features, ForeignDevice, ForeignImage, HostAllocator, Image, ImageUse, QueueLock,
 };
-use ashsplat::{
-    DepthTarget, Error, HostImage, Occluder, Placed, RecordedFrame, RenderSettings, Result, Target,
-};
+use ashsplat::{Error, HostImage, Result};
 use glam::Mat4;
 use std::ffi::{CStr, c_char, c_void};
 use std::sync::Arc;
@@ -113,6 +111,7 @@ unsafe fn from_host(host: &AshsplatForeignDevice) -> Result<Context> {
             device: &device,
             queue_family: host.queue_family,
             queue: (!host.queue.is_null()).then(|| vk::Queue::from_raw(handle(host.queue))),
+            queue_lock: Lock::of(host)?.map(|lock| Arc::new(lock) as Arc<dyn QueueLock>),
             features,
             extensions: &extensions,
             debug_utils: host.debug_utils,
@@ -227,48 +226,35 @@ pub unsafe extern "C" fn ashsplat_record(
     guarded(|| unsafe {
         let (renderer, f) = (borrowed_mut(renderer, "renderer")?, read(frame, "frame")?);
         check_room(release, "release")?;
-        let placed = read_all(f.scenes, f.scene_count, "scenes")?;
-        let pointees = scene_settings::pointees(&placed, renderer.0.context())?;
-        let mut scenes = Vec::with_capacity(placed.len());
-        for (place, (placed, own)) in placed.iter().zip(&pointees).enumerate() {
-            let scene = borrowed(placed.scene, "scene");
-            let scene = &scene.map_err(within(format_args!("scenes[{place}]")))?.scene;
-            let previous_pose = read_if(placed.previous_pose, "previous_pose");
-            let previous_pose = previous_pose.map_err(within(format_args!("scenes[{place}]")))?;
-            scenes.push(Placed {
-                settings: scene_settings::of(own),
-                previous_pose: previous_pose.as_ref().map(AshsplatPose::pose),
-                ..Placed::at(scene, placed.pose())
-            });
-        }
-        let copied = scenes::copied(&read_all(f.updates, f.update_count, "updates")?)?;
-        let updates = scenes::updates(&copied);
-        let camera = read(f.camera, "camera")?.known()?;
-        let settings = read_if(f.settings, "settings")?;
-        let settings = settings.map_or(Ok(RenderSettings::default()), |settings| settings.checked())?;
-        let mut recorded =
-            RecordedFrame { updates: &updates, ..RecordedFrame::new(&scenes, &camera, &settings) };
-        if let Some(target) = read_if(f.target, "target")? {
-            recorded.target = Target::Image {
-                to: used(&target.to, "target.to.image")?,
-                behind: frames::behind(target.behind, target.background)?,
-                encoding: frames::encoding(target.encoding, target.exposure)?,
-            };
-        }
-        if let Some(AshsplatOccluder { depth, mapping, .. }) = read_if(f.occluder, "occluder")? {
-            let depth = used(&depth, "occluder.depth.image")?;
-            recorded.occluder = Some(Occluder { depth, mapping: mapping.into() });
-        }
-        if let Some(AshsplatDepthTarget { to, min_weight, empty, .. }) = read_if(f.depth, "depth")? {
-            recorded.depth = Some(DepthTarget { to: used(&to, "depth.to.image")?, min_weight, empty });
-        }
-        let motion = auxiliary::Motion::read(f.motion)?;
-        recorded.pick = auxiliary::pick(f.pick)?;
-        recorded.motion = motion.as_ref().map(|motion| motion.target()).transpose()?;
-        let commands = vk::CommandBuffer::from_raw(commands as u64);
-        let commands = renderer.0.context().adopt_commands(commands)?;
-        let left = renderer.0.record(commands, slot, &recorded).map_err(in_c)?;
-        write_if(release, "release", (&left).into())
+        let left = recorded_frames::record(&mut renderer.0, (commands, slot), &[f])?;
+        left.first().map_or(Ok(()), |left| write_if(release, "release", left.into()))
+    })
+}
+
+/// Records several frames in one slot, one after the other: views of the same moment, as for the eyes of a headset or a split screen.
+/// Each goes into images: a layer of an array for each, or rectangles of one image. AshsplatReservation.views says how many there may be,
+/// `shared_sort` whether eyes side by side are sorted once: those whose frames have the same `scenes` pointer. An image may be used by several views: only the first one's
+/// `from` counts. The updates are those of the first frame. Otherwise as ashsplat_record for each.
+///
+/// # Safety
+/// As ashsplat_record, for each; `frames` has `frame_count` elements, `releases` as many for a write, or is NULL.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_record_views(
+    renderer: *mut AshsplatRenderer,
+    commands: *mut c_void,
+    slot: u32,
+    frames: *const AshsplatRecordedFrame,
+    frame_count: u32,
+    releases: *mut AshsplatRelease,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        let renderer = borrowed_mut(renderer, "renderer")?;
+        let frames = read_all(frames, frame_count, "views")?;
+        check_room_of_all(releases, frame_count, "releases")?;
+        let left = recorded_frames::record(&mut renderer.0, (commands, slot), &frames)?;
+        let left: Vec<AshsplatRelease> = left.iter().map(AshsplatRelease::from).collect();
+        write_all_if(releases, "releases", &left)
     })
 }
 
@@ -280,18 +266,6 @@ pub(super) unsafe fn used<'a>(host: &AshsplatHostImage, what: &str) -> Result<Ho
     // SAFETY: as promised.
     let image = unsafe { borrowed(host.image, what)? };
     Ok(HostImage { image: &image.0, from: host.from.into(), offset: host.offset })
-}
-
-/// An error of a frame with the names of ashsplat_record's parameters; the fields have the same in both languages.
-fn in_c(error: Error) -> Error {
-    let Error::Argument { what, problem } = error else { return error };
-    let (field, rest) = what.split_at(what.find(" (").unwrap_or(what.len()));
-    let name = match field {
-        "command buffer" => "commands",
-        "frame slot" => "slot",
-        other => other,
-    };
-    Error::Argument { what: format!("{name}{rest}"), problem }
 }
 
 /// The device of a context, for a host that lets this library open one: each pointer may be NULL.

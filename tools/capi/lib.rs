@@ -9,6 +9,8 @@ mod auxiliary;
 mod foreign;
 mod frames;
 mod kernels;
+mod queue_lock;
+mod recorded_frames;
 mod scene_settings;
 mod scenes;
 mod settings;

@@ -28,6 +28,8 @@ impl From<&AshsplatReservation> for Reservation {
             motion: w.motion,
             orthographic: w.orthographic,
             staging_bytes: w.staging_bytes,
+            views: w.views.max(1),
+            shared_sort: w.shared_sort != 0,
             ..Self::new(w.gaussians, w.sh_degree, w.width, w.height)
         }
     }

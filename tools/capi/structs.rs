@@ -86,7 +86,7 @@ structs! {
     AshsplatCamera, height..projection, { camera_from_world: UPRIGHT };
     AshsplatCutOut, scale..scale, { scene_from_volume: UPRIGHT, scale: 1.0 };
     AshsplatDepthTarget, to..to, {};
-    AshsplatForeignDevice, pipeline_cache..pipeline_cache, {};
+    AshsplatForeignDevice, pipeline_cache..unlock_queue, {};
     AshsplatForeignImage, image..image, { samples: 1 };
     AshsplatGaussians, sh..sh, {};
     AshsplatMaintenance, skipped..skipped, {};
@@ -98,7 +98,7 @@ structs! {
     AshsplatRecordedFrame, motion..motion, {};
     AshsplatRelease, motion..motion, {};
     AshsplatRenderSettings, scale_modifier..scale_modifier, { sh_degree: 3, scale_modifier: 1.0 };
-    AshsplatReservation, staging_bytes..staging_bytes, { slots: 1, queues: 1, scenes: 1, blend_passes: 1 };
+    AshsplatReservation, staging_bytes..shared_sort, { slots: 1, queues: 1, scenes: 1, blend_passes: 1 };
     AshsplatScenePlan, chunk_bytes..chunk_bytes, {};
     AshsplatSceneSettings, selection_share..selection_share, {
         visible: true, tint: [1.0, 1.0, 1.0], opacity: 1.0, sh_degree: 3, selection_color: [1.0, 1.0, 1.0], selection_share: 0.5
@@ -246,6 +246,22 @@ pub(super) unsafe fn write_if<T: Grows>(pointer: *mut T, what: &str, value: T) -
     if pointer.is_null() { Ok(()) } else { unsafe { write(pointer, what, value) } }
 }
 
+/// As [`write`], of an array, or of none.
+///
+/// # Safety
+/// The pointer is null or valid for so many structs of the size of the first.
+pub(super) unsafe fn write_all_if<T: Grows>(pointer: *mut T, what: &str, values: &[T]) -> Result<()> {
+    if pointer.is_null() || values.is_empty() {
+        return Ok(());
+    }
+    // SAFETY: as promised.
+    unsafe {
+        let stride = size_of_hosts(pointer, what)?;
+        let mut all = values.iter().enumerate();
+        all.try_for_each(|(index, value)| write(pointer.byte_add(index * stride), what, *value))
+    }
+}
+
 /// Checks that a struct can be written, before work whose result it is to have.
 ///
 /// # Safety
@@ -253,4 +269,28 @@ pub(super) unsafe fn write_if<T: Grows>(pointer: *mut T, what: &str, value: T) -
 pub(super) unsafe fn check_room<T: Grows>(pointer: *mut T, what: &str) -> Result<()> {
     // SAFETY: as promised.
     if pointer.is_null() { Ok(()) } else { unsafe { size_of_hosts(pointer, what) }.map(drop) }
+}
+
+/// The same of an array.
+///
+/// # Safety
+/// As [`write_all_if`].
+pub(super) unsafe fn check_room_of_all<T: Grows>(pointer: *mut T, count: u32, what: &str) -> Result<()> {
+    if pointer.is_null() || count == 0 {
+        return Ok(());
+    }
+    // SAFETY: as promised.
+    unsafe {
+        let stride = size_of_hosts(pointer, what).map_err(element(0))?;
+        (1..count as usize).try_for_each(|index| {
+            let size = pointer.byte_add(index * stride).cast::<u32>().read_unaligned() as usize;
+            match size == stride {
+                true => Ok(()),
+                false => {
+                    let problem = format!("struct_size is {size}, that of {what}[0] is {stride}");
+                    Err(Error::argument(format!("{what}[{index}]"), problem))
+                }
+            }
+        })
+    }
 }

@@ -157,6 +157,14 @@ pub struct AshsplatForeignDevice {
     pub allocator: *const super::AshsplatAllocator,
     /// A VkPipelineCache that kernels are built with, or 0. The host keeps and destroys it.
     pub pipeline_cache: u64,
+    /// Handed to both functions below.
+    pub queue_user: *mut c_void,
+    /// Takes the host's lock around `queue`, or NULL if no other thread of the host submits to it while a function of this library
+    /// does. Taken around each vkQueueSubmit2, from any thread; a thread that holds it calls nothing that submits. Recording never
+    /// takes it.
+    pub lock_queue: Option<unsafe extern "C" fn(user: *mut c_void)>,
+    /// Gives it back, on the same thread. NULL with `lock_queue`.
+    pub unlock_queue: Option<unsafe extern "C" fn(user: *mut c_void)>,
 }
 
 /// An image of a host's and how it was created: two-dimensional, optimal tiling.
@@ -272,6 +280,11 @@ pub struct AshsplatReservation {
     pub motion: bool,
     /// Bytes of staging memory for a frame's updates: ashsplat_update_bytes.
     pub staging_bytes: u64,
+    /// Views of a recording (ashsplat_record_views), which share the memory of one; 0 is as 1.
+    pub views: u32,
+    /// Not 0: views whose depths are the same, as those of two eyes side by side, are culled and sorted once. Takes 512 bytes for each
+    /// scene and view, and more kernels.
+    pub shared_sort: u32,
 }
 
 /// Gaussians in a host's arrays, each as long as the count says. All but `means` are as in the reference

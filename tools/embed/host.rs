@@ -17,12 +17,22 @@ pub struct Host {
     pub queue_family: u32,
     pub queue: vk::Queue,
     pub pool: vk::CommandPool,
+    /// With [`HostOptions::async_compute`].
+    pub async_queue: Option<AsyncQueue>,
     pub features: Features,
     pub extensions: Vec<&'static CStr>,
     debug: Option<(ash::ext::debug_utils::Instance, vk::DebugUtilsMessengerEXT)>,
     messages: Arc<Mutex<Vec<String>>>,
     // Unloads the library when dropped: keep it last.
     _entry: ash::Entry,
+}
+
+/// A queue for compute beside the one for everything, of a family of its own.
+#[derive(Clone, Copy)]
+pub struct AsyncQueue {
+    pub family: u32,
+    pub queue: vk::Queue,
+    pub pool: vk::CommandPool,
 }
 
 /// How to make a host.
@@ -34,11 +44,13 @@ pub struct HostOptions {
     pub push_descriptors: bool,
     /// A required feature to leave out, by its Vulkan name.
     pub without: Option<&'static str>,
+    /// A queue of a family for compute without graphics as well.
+    pub async_compute: bool,
 }
 
 impl Default for HostOptions {
     fn default() -> Self {
-        Self { validation: false, push_descriptors: true, without: None }
+        Self { validation: false, push_descriptors: true, without: None, async_compute: false }
     }
 }
 
@@ -58,6 +70,11 @@ impl Host {
             let wanted = vk::QueueFlags::GRAPHICS | vk::QueueFlags::COMPUTE;
             let family = families.iter().position(|f| f.queue_flags.contains(wanted));
             let queue_family = family.ok_or("no queue for graphics and compute")? as u32;
+            let apart = |f: &vk::QueueFamilyProperties| f.queue_flags & wanted == vk::QueueFlags::COMPUTE;
+            let async_family = match options.async_compute {
+                true => Some(families.iter().position(apart).ok_or("no queue for compute alone")? as u32),
+                false => None,
+            };
 
             // The guest's wishes are merged with the host's own.
             let mut v12 = vk::PhysicalDeviceVulkan12Features::default();
@@ -78,9 +95,10 @@ impl Host {
 
             let names: Vec<_> = extensions.iter().map(|name| name.as_ptr()).collect();
             let priorities = [1.0];
-            let queues = [vk::DeviceQueueCreateInfo::default()
-                .queue_family_index(queue_family)
-                .queue_priorities(&priorities)];
+            let queue_of = |family: u32| {
+                vk::DeviceQueueCreateInfo::default().queue_family_index(family).queue_priorities(&priorities)
+            };
+            let queues: Vec<_> = std::iter::once(queue_family).chain(async_family).map(queue_of).collect();
             let info = vk::DeviceCreateInfo::default()
                 .queue_create_infos(&queues)
                 .enabled_extension_names(&names)
@@ -88,10 +106,20 @@ impl Host {
                 .push_next(&mut v13);
             let device = instance.create_device(physical, &info, None)?;
             let queue = device.get_device_queue(queue_family, 0);
-            let info = vk::CommandPoolCreateInfo::default()
-                .queue_family_index(queue_family)
-                .flags(vk::CommandPoolCreateFlags::RESET_COMMAND_BUFFER);
-            let pool = device.create_command_pool(&info, None)?;
+            let new_pool = |family: u32| {
+                let info = vk::CommandPoolCreateInfo::default()
+                    .queue_family_index(family)
+                    .flags(vk::CommandPoolCreateFlags::RESET_COMMAND_BUFFER);
+                device.create_command_pool(&info, None)
+            };
+            let pool = new_pool(queue_family)?;
+            let async_queue = match async_family {
+                Some(family) => {
+                    let queue = device.get_device_queue(family, 0);
+                    Some(AsyncQueue { family, queue, pool: new_pool(family)? })
+                }
+                None => None,
+            };
             let _entry = entry;
             Ok(Self {
                 instance,
@@ -100,6 +128,7 @@ impl Host {
                 queue_family,
                 queue,
                 pool,
+                async_queue,
                 features,
                 extensions,
                 debug,
@@ -120,6 +149,7 @@ impl Host {
             features: self.features,
             extensions: &self.extensions,
             debug_utils: self.debug.is_some(),
+            queue_lock: None,
             allocator: None,
             pipeline_cache: vk::PipelineCache::null(),
         }
@@ -172,6 +202,9 @@ impl Host {
         unsafe {
             let _ = self.device.device_wait_idle();
             self.device.destroy_command_pool(self.pool, None);
+            if let Some(AsyncQueue { pool, .. }) = self.async_queue {
+                self.device.destroy_command_pool(pool, None);
+            }
             self.device.destroy_device(None);
             if let Some((loader, messenger)) = &self.debug {
                 loader.destroy_debug_utils_messenger(*messenger, None);

@@ -1,0 +1,83 @@
+//! The order of a frame's stages, and of several views that share some of them.
+//!
+//! The kernels write z of a Gaussian by the same arithmetic on the same numbers, so that cameras whose rows of z are equal to the
+//! bit give it the same depth: those of eyes side by side, whatever their focal lengths, sizes and other axes. What at least
+//! one view shows is compacted and sorted once, and each view finds its own Gaussians therein in the order that it would have
+//! found itself: by depth, then by index. The others meet none of its tiles.
+
+use super::{Forward, FrameInputs, auxiliary, camera_block, cut_outs};
+use crate::kernels::constants as c;
+use crate::vk::Recorder;
+
+impl Forward {
+    /// Records a frame. [`Forward::prepare`] must have been called for its variants. Ends without a barrier.
+    ///
+    /// # Panics
+    /// Without these variants, without room for the cut-outs, and for a tint, an opacity or a selection before a backward pass.
+    pub fn record(&self, r: &mut Recorder, inputs: &FrameInputs) {
+        self.record_first(r, 1, |_| *inputs);
+    }
+
+    /// Records the first of so many views with one order: of the same scenes in the same poses and settings, whose cameras give
+    /// each Gaussian the same depth to the bit. `view` gives each by its number, with [`FrameInputs::view`]. The others follow by
+    /// [`Forward::record_next`]. Ends without a barrier.
+    ///
+    /// # Panics
+    /// As [`Forward::record`], and without room for the camera blocks of all views.
+    pub fn record_first<'a>(&self, r: &mut Recorder, views: u32, view: impl Fn(u32) -> FrameInputs<'a>) {
+        let inputs = &view(0);
+        inputs.assert_differentiable();
+        let f = inputs.frame;
+        r.scope("clear", |r| {
+            (0..views).for_each(|number| camera_block::record_blocks(r, &view(number)));
+            cut_outs::record(r, inputs);
+            auxiliary::record_firsts(r, inputs);
+            let overflow = 4 * u64::from(c::STATE_OVERFLOW);
+            match inputs.keeps_overflow {
+                false => r.fill(&f.state, 0),
+                true => {
+                    r.fill(&f.state.range(0, overflow), 0);
+                    r.fill(&f.state.range(overflow + 4, f.state.bytes() - overflow - 4), 0);
+                }
+            }
+            r.fill(&f.tile_ranges, 0);
+        });
+        r.scope("cull", |r| {
+            for (first, count) in inputs.gaps() {
+                r.fill(&f.visible_flags.range(u64::from(first) * 4, u64::from(count) * 4), 0);
+            }
+            (0..views).for_each(|number| self.record_flags(r, &view(number)));
+            self.record_compaction(r, inputs);
+        });
+        r.scope("project", |r| self.record_project(r, inputs));
+        r.scope("depth sort", |r| self.record_depth_sort(r, f));
+        self.record_picture(r, inputs);
+    }
+
+    /// Records another view with the order of the first one, in the same buffers, behind a barrier. Ends without one.
+    ///
+    /// # Panics
+    /// As [`Forward::record`].
+    pub fn record_next(&self, r: &mut Recorder, inputs: &FrameInputs) {
+        let f = inputs.frame;
+        r.scope("clear", |r| {
+            auxiliary::record_firsts(r, inputs);
+            // All counts but those of the visible.
+            let counts = 4 * u64::from(c::STATE_INSTANCES_NEEDED);
+            r.fill(&f.state.range(counts, f.state.bytes() - counts), 0);
+            r.fill(&f.tile_ranges, 0);
+            r.barrier();
+        });
+        r.scope("project", |r| self.record_project(r, inputs));
+        self.record_picture(r, inputs);
+    }
+
+    /// From the order to the pixels.
+    fn record_picture(&self, r: &mut Recorder, inputs: &FrameInputs) {
+        r.scope("count", |r| self.record_count(r, inputs));
+        r.scope("duplicate", |r| self.record_duplicate(r, inputs));
+        r.scope("tile sort", |r| self.record_tile_sort(r, inputs));
+        r.scope("ranges", |r| self.record_ranges(r, inputs));
+        r.scope("blend", |r| self.blend.record(r, inputs, &self.sizes));
+    }
+}

@@ -1,0 +1,78 @@
+//! Checks of what the views of a recording have in common, and whose view an error is.
+
+use super::check::field_of;
+use super::record::{RecordedFrame, Target};
+use super::reservation::Reservation;
+use crate::error::{Error, Result};
+
+/// Checks views beside each other, before each is checked alone.
+pub(super) fn check_views(
+    views: &[RecordedFrame<'_>],
+    releases: usize,
+    reserved: &Reservation,
+) -> Result<()> {
+    if views.is_empty() {
+        return Err(Error::argument("views", "there are none"));
+    }
+    if views.len() > reserved.views as usize {
+        let problem = format!("{} of them, {} are reserved", views.len(), reserved.views);
+        return Err(Error::argument("views", problem));
+    }
+    if releases != views.len() {
+        let problem = format!("room for {releases}, there are {} views", views.len());
+        return Err(Error::argument("releases", problem));
+    }
+    views.iter().enumerate().try_for_each(|(index, frame)| {
+        let checked = check_beside(frame, (&views[..index], views.len()), reserved);
+        checked.map_err(|error| in_view(error, index, views))
+    })
+}
+
+fn check_beside(
+    frame: &RecordedFrame<'_>,
+    (earlier, views): (&[RecordedFrame<'_>], usize),
+    reserved: &Reservation,
+) -> Result<()> {
+    if matches!(frame.target, Target::Slot) {
+        if reserved.images_only {
+            let problem = "is reserved, and the frame has no image as its target";
+            return Err(Error::argument("images_only", problem));
+        }
+        if views > 1 {
+            let problem = "is the slot's own buffer, which holds one view: give an image";
+            return Err(Error::argument("target", problem));
+        }
+    }
+    if !earlier.is_empty() && !frame.updates.is_empty() {
+        return Err(Error::argument("updates", "belong into views[0]: all views see them"));
+    }
+    let own = frame.images();
+    for (field, host) in own.iter().filter_map(|(field, host)| host.map(|host| (*field, host))) {
+        let others = earlier.iter().enumerate().flat_map(|(view, frame)| {
+            frame.images().into_iter().map(move |(field, host)| (view, field, host))
+        });
+        let differs = |&(_, _, other): &(usize, &str, Option<&super::HostImage<'_>>)| {
+            other.is_some_and(|other| {
+                other.image.is_same_as(host.image) && other.image.purpose() != host.image.purpose()
+            })
+        };
+        if let Some((view, other, _)) = others.into_iter().find(differs) {
+            let problem = format!("is also views[{view}].{other}: one samples it and the other writes it");
+            return Err(Error::argument(field_of(field, host), problem));
+        }
+    }
+    Ok(())
+}
+
+/// Names the view of an error, where there are several.
+pub(super) fn in_view(error: Error, index: usize, views: &[RecordedFrame<'_>]) -> Error {
+    if views.len() == 1 {
+        return error;
+    }
+    match error.within(format_args!("views[{index}]")) {
+        Error::TooLarge { what, needed, unit, limit, limit_name } => {
+            Error::TooLarge { what: format!("views[{index}].{what}"), needed, unit, limit, limit_name }
+        }
+        other => other,
+    }
+}

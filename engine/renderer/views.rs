@@ -1,0 +1,201 @@
+//! Frames of several views in one recording: the eyes of a headset, a split screen, a picture in a picture.
+//!
+//! They follow each other in the memory of one frame, with one barrier between two.
+
+use super::Renderer;
+use super::check::check_capacity;
+use super::check_views::{check_views, in_view};
+use super::record::{RecordedFrame, Release, inputs_of, place};
+use super::slot_memory::SlotMemory;
+use super::targets::{Earlier, record_targets, release_images};
+use crate::compose::Compose;
+use crate::error::{Error, Result};
+use crate::forward::{Forward, FrameInputs, PlacedScene, RenderSettings};
+use crate::scene::Camera;
+use crate::vk::{ForeignCommands, Recorder};
+
+impl Renderer {
+    /// Records several frames, one after the other, in one slot: views of the same moment, each with its own camera, scenes,
+    /// settings and images. As [`Renderer::record`] for each, with the same bits; but one recording's barriers, timestamps
+    /// and event, and one slot's memory and report. `releases` has a place for each view, which is filled.
+    ///
+    /// A view's pixels go into images: a layer of an array for each ([`ForeignImage::layer`](crate::vk::ForeignImage::layer)), or a
+    /// rectangle of one image ([`HostImage::offset`](super::HostImage::offset)). What lies outside of a rectangle stays as it is. An
+    /// image may be used by several views: in their order, which counts where rectangles overlap. Its
+    /// [`HostImage::from`](super::HostImage::from) is what the host did with it before the recording, and only that of the first view
+    /// counts.
+    ///
+    /// [`RecordedFrame::updates`] are those of the first view, and all see them.
+    ///
+    /// # Errors
+    /// As [`Renderer::record`], with `views[i]` before the field. [`Error::Argument`] also for no views, for more than
+    /// [`Reservation::views`](super::Reservation::views), for another number of releases, for several views without images, for
+    /// updates in another view than the first, and for an image that one view samples and another one writes.
+    pub fn record_views(
+        &mut self,
+        commands: ForeignCommands,
+        slot: u32,
+        views: &[RecordedFrame<'_>],
+        releases: &mut [Release],
+    ) -> Result<()> {
+        self.record_frames(commands, slot, (views, releases))
+    }
+
+    /// Of one view or of several.
+    pub(super) fn record_frames(
+        &mut self,
+        commands: ForeignCommands,
+        slot: u32,
+        (views, releases): (&[RecordedFrame<'_>], &mut [Release]),
+    ) -> Result<()> {
+        self.context.check_alive()?;
+        let Some(reserved) = self.slots.reserved else {
+            return Err(Error::argument("frame slot", "none is reserved: call Renderer::reserve"));
+        };
+        if !commands.belongs_to(&self.context) {
+            return Err(Error::argument("command buffer", "it belongs to another device"));
+        }
+        check_views(views, releases.len(), &reserved)?;
+        for (index, frame) in views.iter().enumerate() {
+            let checked = self.check_frame((frame, &views[..index]), &reserved);
+            checked.map_err(|error| in_view(error, index, views))?;
+        }
+        let forward = &self.runner.forward;
+        let alignment = forward.sizes.elementwise_workgroup;
+        let slot = self.slots.get(slot)?;
+        slot.record.check_free()?;
+        for (index, frame) in views.iter().enumerate() {
+            let checked = check_capacity(frame, &slot.upcoming().capacity, &reserved, alignment);
+            checked.map_err(|error| in_view(error, index, views))?;
+        }
+        let Some(compose) = &self.compose else { unreachable!("built by reserve") };
+        let mut placed = emptied(std::mem::take(&mut self.placed));
+        views.iter().for_each(|frame| place(frame, alignment, &mut placed));
+        slot.take_over();
+        self.staged.stage(slot.memory.staging.as_ref(), views[0].updates)?;
+        let gaussians = views.iter().map(RecordedFrame::drawn).max().unwrap_or(0);
+        let mut recorder = slot.begin(commands, (gaussians, views.len() as u32))?;
+        let (r, memory) = (&mut recorder, &slot.memory);
+        self.staged.record(r);
+        let recording = Recording { forward, compose, memory };
+        let (mut rest, mut sorts, mut first_of_order) = (placed.as_slice(), 0, 0..0);
+        for (index, frame) in views.iter().enumerate() {
+            if index > 0 {
+                r.barrier();
+            }
+            if !first_of_order.contains(&index) {
+                let own = &views[index..];
+                let shared = if reserved.shared_sort { with_one_order(own, rest) } else { 1 };
+                (first_of_order, sorts) = (index..index + shared, sorts + 1);
+            }
+            let order =
+                Order { views: first_of_order.len() as u32, number: (index - first_of_order.start) as u32 };
+            let earlier = Earlier { frames: &views[..index], releases: &releases[..index] };
+            let release = recording.record(r, (frame, rest), (order, earlier));
+            slot.record_counts(r, index as u32);
+            releases[index] = release;
+            rest = &rest[frame.scenes.len()..];
+        }
+        release_images(r, views, releases);
+        slot.sorts = sorts;
+        slot.end(recorder)?;
+        self.placed = emptied(placed);
+        Ok(())
+    }
+}
+
+impl RecordedFrame<'_> {
+    /// Gaussians of the scenes that are drawn.
+    fn drawn(&self) -> u32 {
+        self.scenes.iter().map(super::Placed::drawn).sum()
+    }
+}
+
+/// How many of the views from the first one on can have one order: they have its scenes, its settings, and its depths to the
+/// bit. `placed`: the scenes of all.
+fn with_one_order(views: &[RecordedFrame<'_>], placed: &[PlacedScene<'_>]) -> usize {
+    let Some((first, others)) = views.split_first() else { return 0 };
+    let scenes = first.scenes.len();
+    let has_order = |(frame, own): &(&RecordedFrame<'_>, &[PlacedScene<'_>])| {
+        std::ptr::eq(frame.scenes, first.scenes)
+            && frame.settings == first.settings
+            && frame.camera.is_orthographic() == first.camera.is_orthographic()
+            && own.iter().zip(placed).all(|(own, first)| depth_bits(own) == depth_bits(first))
+    };
+    // Views before the first that differs have as many scenes.
+    let own = placed.chunks(scenes).skip(1);
+    1 + others.iter().zip(own).take_while(has_order).count()
+}
+
+/// All that the depth of a scene's Gaussians comes from, beside the scene and its scale.
+fn depth_bits(placed: &PlacedScene<'_>) -> [u32; 4] {
+    let Camera { camera_from_world, translation, .. } = placed.camera;
+    let row = camera_from_world.row(2);
+    [row.x, row.y, row.z, translation.z].map(f32::to_bits)
+}
+
+/// Which of some views with one order a view is.
+#[derive(Clone, Copy)]
+struct Order {
+    views: u32,
+    number: u32,
+}
+
+/// What the views of a recording have in common.
+struct Recording<'a> {
+    forward: &'a Forward,
+    compose: &'a Compose,
+    memory: &'a SlotMemory,
+}
+
+impl Recording<'_> {
+    /// Records a frame, up to its images. Its scenes are the first of `placed`, and those of the views with its order follow. Ends
+    /// without a barrier.
+    fn record(
+        &self,
+        r: &mut Recorder,
+        (frame, placed): (&RecordedFrame<'_>, &[PlacedScene<'_>]),
+        (order, earlier): (Order, Earlier<'_>),
+    ) -> Release {
+        let Self { forward, compose, memory } = *self;
+        let settings = RenderSettings {
+            inverse_depth: frame.settings.inverse_depth || frame.depth.is_some(),
+            ..*frame.settings
+        };
+        let size = [frame.camera.width, frame.camera.height];
+        let mut occluder = None;
+        if let (Some(o), Some(limits)) = (&frame.occluder, &memory.depth_limits) {
+            occluder = Some(earlier.acquire(r, &o.depth));
+            r.scope("depth limits", |r| {
+                compose.record_depth_limits(r, o.depth.region(), o.mapping, size, limits);
+            });
+        }
+        let scenes = frame.scenes.len();
+        let view = |number: u32| {
+            let own = &placed[(number - order.number) as usize * scenes..][..scenes];
+            let Some((first, others)) = own.split_first() else { unreachable!("checked") };
+            FrameInputs {
+                depth_limits: frame.occluder.as_ref().and(memory.depth_limits.as_ref()),
+                linear_depth: frame.depth.is_some(),
+                auxiliary: memory.auxiliary([frame.pick.is_some(), frame.motion.is_some()]),
+                view: (order.views > 1).then_some(number),
+                ..inputs_of(first, others, memory, &settings)
+            }
+        };
+        let inputs = view(order.number);
+        match order.number {
+            0 => forward.record_first(r, order.views, view),
+            _ => forward.record_next(r, &inputs),
+        }
+        r.barrier();
+        let release = record_targets(r, (compose, &forward.sizes), &inputs, (frame, earlier));
+        Release { occluder, ..release }
+    }
+}
+
+/// An empty list in the memory of another one, whose scenes may be gone: a list is collected in place of one of the same
+/// type. A test counts what is allocated.
+fn emptied<'a>(mut placed: Vec<PlacedScene<'_>>) -> Vec<PlacedScene<'a>> {
+    placed.clear();
+    placed.into_iter().map(|_| unreachable!("it is empty")).collect()
+}

@@ -1,0 +1,98 @@
+//! Images that another queue family owns between recordings: a picture that an asynchronous queue renders and the graphics queue shows.
+//!
+//! A transfer of ownership has two halves, one in a queue of each family, ordered by a semaphore. The guest records its own;
+//! [`Image::hand_over`] and [`Image::take_back`] say what the host's are.
+
+use super::image::{Image, ImageState};
+use super::recorder::Recorder;
+use crate::{Error, Result};
+use ash::vk;
+
+impl Image {
+    /// The same image, which queues of another family own between recordings. Each recording acquires it from that family, by a barrier
+    /// that matches [`Image::hand_over`], and releases it to that family at its end.
+    ///
+    /// From [`ImageState::UNDEFINED`] its contents are discarded, and it is not acquired: the host does not hand it over then. It is
+    /// released in any case.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for a family that the device does not have.
+    pub fn of_family(self, queue_family: u32) -> Result<Self> {
+        let device = self.device();
+        // SAFETY: the physical device is of this instance.
+        let families =
+            unsafe { device.owner.instance().get_physical_device_queue_family_properties(device.physical) };
+        if queue_family as usize >= families.len() {
+            let problem = format!("queue family {queue_family}, the device has {}", families.len());
+            return Err(Error::argument(format!("image '{}'", self.name()), problem));
+        }
+        let mut owned = self;
+        owned.1 = queue_family;
+        Ok(owned)
+    }
+
+    /// The barrier that the host records in a queue of the image's family, behind its use `from`, before a recording that is told the same
+    /// [`HostImage::from`](crate::HostImage::from). The recording's submission waits for that queue's by a semaphore, in all stages.
+    pub fn hand_over(&self, from: ImageState) -> vk::ImageMemoryBarrier2<'static> {
+        let barrier = self.barrier(from.layout, [self.1, self.device().queue_family]);
+        barrier.src_stage_mask(from.stages).src_access_mask(from.accesses)
+    }
+
+    /// The barrier that the host records in a queue of the image's family behind a recording, which that queue's submission waits for by
+    /// a semaphore, in all stages. The image's layout is [`Image::layout`] then, and its last use that of the
+    /// [`Release`](crate::Release).
+    pub fn take_back(&self) -> vk::ImageMemoryBarrier2<'static> {
+        let all = vk::AccessFlags2::MEMORY_READ | vk::AccessFlags2::MEMORY_WRITE;
+        let barrier = self.barrier(self.layout(), [self.device().queue_family, self.1]);
+        barrier.src_stage_mask(EVERYTHING).dst_stage_mask(EVERYTHING).dst_access_mask(all)
+    }
+
+    /// Into the layout of kernels, from one family to another.
+    fn barrier(&self, from: vk::ImageLayout, [owner, next]: [u32; 2]) -> vk::ImageMemoryBarrier2<'static> {
+        let [owner, next] = if self.is_elsewhere() { [owner, next] } else { [vk::QUEUE_FAMILY_IGNORED; 2] };
+        vk::ImageMemoryBarrier2::default()
+            .old_layout(from)
+            .new_layout(self.layout())
+            .src_queue_family_index(owner)
+            .dst_queue_family_index(next)
+            .image(self.raw())
+            .subresource_range(self.whole_range())
+    }
+
+    /// Whether another family owns it between recordings.
+    fn is_elsewhere(&self) -> bool {
+        self.1 != vk::QUEUE_FAMILY_IGNORED && self.1 != self.device().queue_family
+    }
+
+    /// The guest's half of [`Image::hand_over`], if there is one.
+    pub(super) fn acquisition(&self, from: ImageState) -> Option<vk::ImageMemoryBarrier2<'static>> {
+        let wanted = self.is_elsewhere() && from.layout != vk::ImageLayout::UNDEFINED;
+        // The stages of the other queue may be none of this one. The semaphore is waited for in all.
+        wanted
+            .then(|| self.hand_over(from).src_stage_mask(EVERYTHING).src_access_mask(vk::AccessFlags2::NONE))
+    }
+
+    /// Its last use behind a recording that leaves it used like this.
+    pub(crate) fn left(&self, used: ImageState) -> ImageState {
+        match self.is_elsewhere() {
+            true => ImageState { stages: EVERYTHING, accesses: vk::AccessFlags2::NONE, ..used },
+            false => used,
+        }
+    }
+}
+
+const EVERYTHING: vk::PipelineStageFlags2 = vk::PipelineStageFlags2::ALL_COMMANDS;
+
+impl Recorder {
+    /// Gives an image that kernels have used back to the family that owns it.
+    pub(crate) fn release_image(&mut self, image: &Image, used: ImageState) {
+        if image.is_elsewhere() {
+            let barrier = image.take_back().src_stage_mask(used.stages).src_access_mask(used.accesses);
+            let nothing = vk::PipelineStageFlags2::NONE;
+            self.record_image_barrier(
+                image,
+                barrier.dst_stage_mask(nothing).dst_access_mask(vk::AccessFlags2::NONE),
+            );
+        }
+    }
+}

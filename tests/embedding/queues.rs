@@ -1,0 +1,352 @@
+//! Queues of a host: one of another family with images that change hands, one that other threads submit to, and contexts that share
+//! what is on the device.
+
+use crate::child;
+use crate::host::{AsyncQueue, Host, HostOptions};
+use crate::memory::{HostBuffer, HostTexture};
+use crate::stage::{assert_same, camera, cloud, guest, options, owned, rendered, with_host};
+use ashsplat::ash::vk;
+use ashsplat::vk::{
+    Context, ContextOptions, ForeignDevice, Image, ImageState, ImageUse, LimitsOverride, QueueLock,
+};
+use ashsplat::{
+    Background, ColorEncoding, DeviceScene, HostImage, Placed, RecordedFrame, Release, RenderSettings,
+    Renderer, Reservation, Target,
+};
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use std::sync::{Arc, Condvar, Mutex};
+
+const SIZE: [u32; 2] = [64, 48];
+const PIXELS: usize = 64 * 48;
+
+/// A context whose queues are those for compute alone.
+fn asynchronous(host: &Host) -> Context {
+    let AsyncQueue { family, queue, .. } = host.async_queue.expect("asked for");
+    let foreign = ForeignDevice { queue_family: family, queue: Some(queue), ..host.foreign() };
+    let options = ContextOptions { hazard_check: true, ..ContextOptions::default() };
+    // SAFETY: as in `guest`, with the other queue.
+    unsafe { Context::from_foreign(&foreign, &options) }.expect("a context")
+}
+
+/// A machine with such a family, claimed over the driver by the layer of `tools/mock_layer`, under validation.
+fn on_a_machine_with_two_queues(trial: &str) {
+    let own = Host::new(&HostOptions::default()).expect("a host");
+    // SAFETY: a plain query.
+    let properties = unsafe { own.instance.get_physical_device_properties(own.physical) };
+    let name = properties.device_name_as_c_str().unwrap_or_default().to_string_lossy().into_owned();
+    own.destroy();
+    if !cfg!(target_os = "linux") || !name.contains("llvmpipe") {
+        eprintln!("skipped: machines are claimed over llvmpipe on Linux only");
+        return;
+    }
+    let binary = std::env::current_exe().expect("a path");
+    let mut libraries = vec![binary.parent().expect("deps").to_owned()];
+    libraries.extend(std::env::var_os("LD_LIBRARY_PATH").iter().flat_map(std::env::split_paths));
+    let root = PathBuf::from(env!("CARGO_MANIFEST_DIR"));
+    child::run(&["--exact", trial], 1, |child| {
+        child
+            .env("LD_LIBRARY_PATH", std::env::join_paths(&libraries).expect("paths"))
+            .env("VK_ADD_LAYER_PATH", root.join("tools/mock_layer"))
+            .env("VK_INSTANCE_LAYERS", "VK_LAYER_KHRONOS_validation:VK_LAYER_ASHSPLAT_mock")
+            .env("ASHSPLAT_MOCK", "transfer-queue");
+    });
+}
+
+/// A command buffer of one queue, and the semaphore that the other queue waits for behind it.
+struct Work<'a> {
+    host: &'a Host,
+    queue: vk::Queue,
+    pool: vk::CommandPool,
+    commands: vk::CommandBuffer,
+    done: vk::Semaphore,
+}
+
+impl<'a> Work<'a> {
+    fn begin(host: &'a Host, queue: vk::Queue, pool: vk::CommandPool) -> Self {
+        let info = vk::CommandBufferAllocateInfo::default()
+            .command_pool(pool)
+            .level(vk::CommandBufferLevel::PRIMARY)
+            .command_buffer_count(1);
+        let begin = vk::CommandBufferBeginInfo::default().flags(vk::CommandBufferUsageFlags::ONE_TIME_SUBMIT);
+        // SAFETY: valid create infos.
+        unsafe {
+            let commands = host.device.allocate_command_buffers(&info).expect("a command buffer")[0];
+            let done = host.device.create_semaphore(&vk::SemaphoreCreateInfo::default(), None);
+            host.device.begin_command_buffer(commands, &begin).expect("recording");
+            Self { host, queue, pool, commands, done: done.expect("a semaphore") }
+        }
+    }
+
+    fn image_barrier(&self, barrier: vk::ImageMemoryBarrier2<'_>) {
+        let barriers = [barrier];
+        let dependency = vk::DependencyInfo::default().image_memory_barriers(&barriers);
+        // SAFETY: recording state.
+        unsafe { self.host.device.cmd_pipeline_barrier2(self.commands, &dependency) }
+    }
+
+    /// Behind some other work, before what waits for this.
+    fn submit(&self, behind: Option<&Work<'_>>, signals: bool) {
+        let point = |semaphore: vk::Semaphore| {
+            let all = vk::PipelineStageFlags2::ALL_COMMANDS;
+            vk::SemaphoreSubmitInfo::default().semaphore(semaphore).stage_mask(all)
+        };
+        let waits: Vec<_> = behind.iter().map(|work| point(work.done)).collect();
+        let signals: Vec<_> = signals.then(|| point(self.done)).into_iter().collect();
+        let buffers = [vk::CommandBufferSubmitInfo::default().command_buffer(self.commands)];
+        let submits = [vk::SubmitInfo2::default()
+            .command_buffer_infos(&buffers)
+            .wait_semaphore_infos(&waits)
+            .signal_semaphore_infos(&signals)];
+        // SAFETY: recorded; what it uses lives until the host has waited.
+        unsafe {
+            self.host.device.end_command_buffer(self.commands).expect("recorded");
+            self.host.device.queue_submit2(self.queue, &submits, vk::Fence::null()).expect("submitted");
+        }
+    }
+
+    fn destroy(self) {
+        // SAFETY: the host has waited.
+        unsafe {
+            self.host.device.destroy_semaphore(self.done, None);
+            self.host.device.free_command_buffers(self.pool, &[self.commands]);
+        }
+    }
+}
+
+const CLEARED: ImageState = ImageState {
+    layout: vk::ImageLayout::TRANSFER_DST_OPTIMAL,
+    stages: vk::PipelineStageFlags2::ALL_TRANSFER,
+    accesses: vk::AccessFlags2::TRANSFER_WRITE,
+};
+
+/// Records, in the queue for everything, a host's picture and its handing over.
+fn clear(work: &Work<'_>, image: &Image, used: ImageState, grey: f32) {
+    let mut ready = vk::ImageMemoryBarrier2::default()
+        .src_stage_mask(used.stages)
+        .src_access_mask(used.accesses)
+        .dst_stage_mask(CLEARED.stages)
+        .dst_access_mask(CLEARED.accesses)
+        .old_layout(used.layout)
+        .new_layout(CLEARED.layout)
+        .image(image.handle());
+    ready.subresource_range = image.hand_over(CLEARED).subresource_range;
+    work.image_barrier(ready);
+    let color = vk::ClearColorValue { float32: [grey, grey, grey, 1.0] };
+    let ranges = [ready.subresource_range];
+    // SAFETY: recording state; the image is in this layout and has TRANSFER_DST.
+    unsafe {
+        let device = &work.host.device;
+        device.cmd_clear_color_image(work.commands, image.handle(), CLEARED.layout, &color, &ranges);
+    }
+    work.image_barrier(image.hand_over(CLEARED));
+}
+
+/// Frames of an asynchronous queue over what the graphics queue has drawn, and back to it.
+#[test]
+#[ignore = "the child's part of images_change_hands_between_queues"]
+fn images_change_hands_in_a_child() {
+    with_host(&HostOptions { async_compute: true, ..options() }, |host| {
+        let context = asynchronous(host);
+        let apart = host.async_queue.expect("asked for");
+        assert_ne!(apart.family, host.queue_family);
+        let (gaussians, settings) = (cloud(300, 3), RenderSettings::default());
+        let scene = DeviceScene::upload(&context, &gaussians, 0).expect("a scene");
+        // What the other family owns cannot be drawn here.
+        let other = guest(host);
+        let error = scene.in_context(&other).err().expect("another family").to_string();
+        assert!(
+            error.contains("scene: queue family 2 owns it, the context's queues are of family 0"),
+            "{error}"
+        );
+        drop(other);
+        let usage = vk::ImageUsageFlags::STORAGE
+            | vk::ImageUsageFlags::TRANSFER_SRC
+            | vk::ImageUsageFlags::TRANSFER_DST;
+        let texture = HostTexture::new(host, vk::Format::R32G32B32A32_SFLOAT, usage, SIZE).expect("an image");
+        // SAFETY: the image is as it says, and outlives the view.
+        let image = unsafe { Image::adopt(&context, "shared", &texture.foreign(), ImageUse::Storage) };
+        let image = image.expect("adopted");
+        let error = image.clone().of_family(3).expect_err("no such family").to_string();
+        assert!(error.contains("image 'shared': queue family 3, the device has 3"), "{error}");
+        let image = image.of_family(host.queue_family).expect("a family");
+        let mut renderer = Renderer::new(&context).expect("kernels");
+        let wanted =
+            Reservation { views: 2, images_only: true, ..Reservation::new(300, 1, SIZE[0], SIZE[1]) };
+        renderer.reserve(&wanted).expect("memory");
+        let placed = [Placed::from(&scene)];
+        let staging = HostBuffer::new(host, 16 * PIXELS as u64).expect("memory");
+        let mut used = ImageState::UNDEFINED;
+        for (frame, grey) in [0.25, 0.5, 0.75].into_iter().enumerate() {
+            let whole = camera(0.3 * frame as f32, SIZE[0], SIZE[1]);
+            let inset = camera(1.0, 16, 16);
+            let before = Work::begin(host, host.queue, host.pool);
+            clear(&before, &image, used, grey);
+            let guests = Work::begin(host, apart.queue, apart.pool);
+            let target = |offset| Target::Image {
+                to: HostImage { image: &image, from: CLEARED, offset },
+                behind: Background::Image,
+                encoding: ColorEncoding::AsTrained,
+            };
+            let views = [
+                RecordedFrame { target: target([0; 2]), ..RecordedFrame::new(&placed, &whole, &settings) },
+                RecordedFrame { target: target([48, 32]), ..RecordedFrame::new(&placed, &inset, &settings) },
+            ];
+            // SAFETY: it is being recorded, is submitted once and waited for.
+            let commands = unsafe { context.adopt_commands(guests.commands) }.expect("a command buffer");
+            let mut releases = [Release::default(); 2];
+            renderer.record_views(commands, 0, &views, &mut releases).expect("a recording");
+            let last = releases[1].color.expect("a target");
+            assert_eq!((releases[0].color, last.layout), (Some(last), image.layout()));
+            let behind = Work::begin(host, host.queue, host.pool);
+            behind.image_barrier(image.take_back());
+            let from = (last.layout, last.stages, last.accesses);
+            let (layout, stages, _) = texture.record_read(host, behind.commands, from, &staging);
+            used = ImageState { layout, stages, accesses: vk::AccessFlags2::NONE };
+            before.submit(None, true);
+            guests.submit(Some(&before), true);
+            behind.submit(Some(&guests), false);
+            host.wait().expect("done");
+            let texels: Vec<[f32; 4]> =
+                bytemuck::pod_collect_to_vec(&staging.read(host, 16 * PIXELS).expect("bytes"));
+            let [below, above] = [whole, inset].map(|camera| owned(&gaussians, &camera, &settings));
+            for (i, texel) in texels.iter().enumerate() {
+                let [x, y] = [i % SIZE[0] as usize, i / SIZE[0] as usize];
+                let mut expected = below.color[i].map(|c| c + below.transmittance[i] * grey);
+                if x >= 48 && y >= 32 {
+                    let at = (y - 32) * 16 + x - 48;
+                    let behind = expected;
+                    expected = [0, 1, 2].map(|c| above.color[at][c] + above.transmittance[at] * behind[c]);
+                }
+                let near = (0..3).all(|c| (texel[c] - expected[c]).abs() < 1e-6);
+                assert!(near, "frame {frame}, ({x}, {y}): {texel:?}, not {expected:?}");
+            }
+            [before, guests, behind].into_iter().for_each(Work::destroy);
+        }
+        drop((renderer, image));
+        staging.destroy(host);
+        texture.destroy(host);
+    });
+}
+
+#[test]
+fn images_change_hands_between_queues() {
+    on_a_machine_with_two_queues("queues::images_change_hands_in_a_child");
+}
+
+/// Two contexts on one device, one of which has uploaded: both draw the scene, and it outlives the first one's.
+#[test]
+fn contexts_of_a_device_share_scenes() {
+    with_host(&options(), |host| {
+        let (first, second) = (guest(host), guest(host));
+        let (gaussians, settings) = (cloud(300, 3), RenderSettings::default());
+        let view = camera(0.3, SIZE[0], SIZE[1]);
+        let scene = DeviceScene::upload(&first, &gaussians, 0).expect("a scene");
+        let mut renderer = Renderer::new(&second).expect("kernels");
+        renderer.reserve(&Reservation::new(300, 1, SIZE[0], SIZE[1])).expect("memory");
+        let error = renderer.render_scene(&scene, &view, &settings).expect_err("the other's").to_string();
+        assert!(error.contains("another device"), "{error}");
+        let shared = scene.in_context(&second).expect("the same family");
+        let held = first.memory_total().bytes;
+        drop(scene);
+        let expected = owned(&gaussians, &view, &settings);
+        let placed = [Placed::from(&shared)];
+        let frame = RecordedFrame::new(&placed, &view, &settings);
+        assert_same(&rendered(host, &mut renderer, &frame), &expected, [0.0; 3]);
+        let own = renderer.render_scene(&shared, &view, &settings).expect("a frame");
+        assert!(own.color == expected.color);
+        assert_eq!(first.memory_total().bytes, held, "the other context keeps it");
+        drop((renderer, shared));
+        assert!(first.memory_total().bytes < held, "nobody keeps it any more");
+
+        let scene = DeviceScene::upload(&first, &gaussians, 0).expect("a scene");
+        let limits_override =
+            Some(LimitsOverride { max_storage_buffer_range: Some(16 * 1024), ..LimitsOverride::default() });
+        let options = ContextOptions { limits_override, ..ContextOptions::default() };
+        // SAFETY: as in `guest`.
+        let small = unsafe { Context::from_foreign(&host.foreign(), &options) }.expect("a context");
+        let error = scene.in_context(&small).err().expect("other chunks").to_string();
+        assert!(error.contains("scene: the limits of the context ask for another plan"), "{error}");
+        let error = scene.in_context(crate::stage::own_device()).err().expect("no").to_string();
+        assert!(error.contains("scene: it belongs to another device"), "{error}");
+    });
+}
+
+/// A host's lock: a flag that a thread holds.
+#[derive(Default)]
+struct Gate {
+    held: Mutex<bool>,
+    free: Condvar,
+    taken: AtomicU32,
+    /// Whether the queue is in use.
+    in_use: AtomicBool,
+}
+
+// SAFETY: the threads of the test use the queue between both calls alone.
+unsafe impl QueueLock for Gate {
+    fn lock(&self) {
+        let mut held = self.held.lock().expect("no panic while held");
+        while *held {
+            held = self.free.wait(held).expect("no panic while held");
+        }
+        *held = true;
+        assert!(!self.in_use.swap(true, Ordering::SeqCst), "two threads have the queue");
+        self.taken.fetch_add(1, Ordering::SeqCst);
+    }
+
+    fn unlock(&self) {
+        assert!(self.in_use.swap(false, Ordering::SeqCst), "nobody has the queue");
+        *self.held.lock().expect("no panic while held") = false;
+        self.free.notify_one();
+    }
+}
+
+/// The host's thread submits while the guest does: validation sees two threads in one queue where the lock is missing.
+#[test]
+fn a_hosts_lock_is_taken_around_submissions() {
+    with_host(&options(), |host| {
+        let gate = Arc::new(Gate::default());
+        let foreign = ForeignDevice { queue_lock: Some(gate.clone()), ..host.foreign() };
+        // SAFETY: as in `guest`; the host's thread below takes the lock.
+        let context =
+            unsafe { Context::from_foreign(&foreign, &ContextOptions::default()) }.expect("a context");
+        let (gaussians, settings) = (cloud(100, 3), RenderSettings::default());
+        let view = camera(0.3, SIZE[0], SIZE[1]);
+        let mut renderer = Renderer::new(&context).expect("kernels");
+        renderer.upload(&gaussians).expect("a scene");
+        renderer.reserve(&Reservation::new(100, 1, SIZE[0], SIZE[1])).expect("memory");
+        let scene = renderer.scene().expect("uploaded");
+        renderer.render(&view, &settings).expect("a frame");
+        let of_frame = gate.taken.load(Ordering::SeqCst);
+        renderer.render(&view, &settings).expect("a frame");
+        let of_frame = gate.taken.load(Ordering::SeqCst) - of_frame;
+        assert!(of_frame >= 1, "the lock is taken");
+        // Recording takes none.
+        let placed = [Placed::from(&scene)];
+        let before = gate.taken.load(Ordering::SeqCst);
+        rendered(host, &mut renderer, &RecordedFrame::new(&placed, &view, &settings));
+        assert_eq!(gate.taken.load(Ordering::SeqCst), before);
+        let expected = owned(&gaussians, &view, &settings);
+        let (stop, hosts) = (AtomicBool::new(false), AtomicU32::new(0));
+        std::thread::scope(|scope| {
+            scope.spawn(|| {
+                while !stop.load(Ordering::SeqCst) {
+                    gate.lock();
+                    // SAFETY: the lock gives the queue to this thread.
+                    unsafe { host.device.queue_submit2(host.queue, &[], vk::Fence::null()) }
+                        .expect("submitted");
+                    hosts.fetch_add(1, Ordering::SeqCst);
+                    gate.unlock();
+                    std::thread::yield_now();
+                }
+            });
+            for _ in 0..3 {
+                let frame = renderer.render(&view, &settings).expect("a frame");
+                assert!(frame.color == expected.color);
+            }
+            stop.store(true, Ordering::SeqCst);
+        });
+        let taken = gate.taken.load(Ordering::SeqCst) - before - hosts.load(Ordering::SeqCst);
+        assert_eq!(taken, 3 * of_frame);
+    });
+}

@@ -1,0 +1,149 @@
+//! Frames of a host in C, as the library records them.
+
+use super::foreign::used;
+use super::structs::{read, read_all, read_if, within};
+use super::{
+    AshsplatDepthTarget, AshsplatOccluder, AshsplatPlaced, AshsplatPose, AshsplatRecordedFrame, auxiliary,
+    borrowed, frames, scene_settings, scenes,
+};
+use ashsplat::ash::{vk, vk::Handle};
+use ashsplat::scene::{Camera, Gaussians};
+use ashsplat::{
+    DepthTarget, DeviceScene, Error, Occluder, Placed, RecordedFrame, Release, RenderSettings, Renderer,
+    Result, Target, Update,
+};
+use std::ffi::c_void;
+
+/// A frame with copies of what it points to.
+struct Copied<'a> {
+    frame: &'a AshsplatRecordedFrame,
+    placed: Vec<AshsplatPlaced>,
+    pointees: Vec<scene_settings::Pointees>,
+    updates: Vec<(&'a DeviceScene, u32, Gaussians)>,
+    camera: Camera,
+    settings: RenderSettings,
+    motion: Option<auxiliary::Motion>,
+}
+
+impl<'a> Copied<'a> {
+    /// # Safety
+    /// The frame is valid with all that it points to.
+    unsafe fn of(frame: &'a AshsplatRecordedFrame, renderer: &Renderer) -> Result<Self> {
+        // SAFETY: as promised.
+        unsafe {
+            let placed = read_all(frame.scenes, frame.scene_count, "scenes")?;
+            let pointees = scene_settings::pointees(&placed, renderer.context())?;
+            let settings = read_if(frame.settings, "settings")?;
+            Ok(Self {
+                frame,
+                placed,
+                pointees,
+                updates: scenes::copied(&read_all(frame.updates, frame.update_count, "updates")?)?,
+                camera: read(frame.camera, "camera")?.known()?,
+                settings: settings.map_or(Ok(RenderSettings::default()), |settings| settings.checked())?,
+                motion: auxiliary::Motion::read(frame.motion)?,
+            })
+        }
+    }
+
+    /// # Safety
+    /// As [`Copied::of`].
+    unsafe fn scenes(&self) -> Result<Vec<Placed<'_>>> {
+        let mut scenes = Vec::with_capacity(self.placed.len());
+        for (place, (placed, own)) in self.placed.iter().zip(&self.pointees).enumerate() {
+            // SAFETY: as promised.
+            unsafe {
+                let scene = borrowed(placed.scene, "scene");
+                let scene = &scene.map_err(within(format_args!("scenes[{place}]")))?.scene;
+                let previous_pose = read_if(placed.previous_pose, "previous_pose");
+                let previous_pose = previous_pose.map_err(within(format_args!("scenes[{place}]")))?;
+                scenes.push(Placed {
+                    settings: scene_settings::of(own),
+                    previous_pose: previous_pose.as_ref().map(AshsplatPose::pose),
+                    ..Placed::at(scene, placed.pose())
+                });
+            }
+        }
+        Ok(scenes)
+    }
+
+    /// # Safety
+    /// As [`Copied::of`].
+    unsafe fn recorded<'b>(
+        &'b self,
+        scenes: &'b [Placed<'b>],
+        updates: &'b [Update<'b>],
+    ) -> Result<RecordedFrame<'b>> {
+        let f = self.frame;
+        let mut recorded =
+            RecordedFrame { updates, ..RecordedFrame::new(scenes, &self.camera, &self.settings) };
+        // SAFETY: as promised.
+        unsafe {
+            if let Some(target) = read_if(f.target, "target")? {
+                recorded.target = Target::Image {
+                    to: used(&target.to, "target.to.image")?,
+                    behind: frames::behind(target.behind, target.background)?,
+                    encoding: frames::encoding(target.encoding, target.exposure)?,
+                };
+            }
+            if let Some(AshsplatOccluder { depth, mapping, .. }) = read_if(f.occluder, "occluder")? {
+                let depth = used(&depth, "occluder.depth.image")?;
+                recorded.occluder = Some(Occluder { depth, mapping: mapping.into() });
+            }
+            if let Some(AshsplatDepthTarget { to, min_weight, empty, .. }) = read_if(f.depth, "depth")? {
+                recorded.depth = Some(DepthTarget { to: used(&to, "depth.to.image")?, min_weight, empty });
+            }
+            recorded.pick = auxiliary::pick(f.pick)?;
+            recorded.motion = self.motion.as_ref().map(|motion| motion.target()).transpose()?;
+        }
+        Ok(recorded)
+    }
+}
+
+/// Records frames as the views of one recording.
+///
+/// # Safety
+/// As ashsplat_record, for each.
+pub(super) unsafe fn record(
+    renderer: &mut Renderer,
+    (commands, slot): (*mut c_void, u32),
+    frames: &[AshsplatRecordedFrame],
+) -> Result<Vec<Release>> {
+    let alone = frames.len() == 1;
+    let of_view = |index: usize| {
+        move |error: Error| if alone { error } else { within(format_args!("views[{index}]"))(error) }
+    };
+    // SAFETY: as promised.
+    unsafe {
+        let copied = frames.iter().enumerate();
+        let copied = copied.map(|(index, frame)| Copied::of(frame, renderer).map_err(of_view(index)));
+        let copied = copied.collect::<Result<Vec<_>>>()?;
+        let scenes = copied.iter().enumerate();
+        let scenes = scenes.map(|(index, own)| own.scenes().map_err(of_view(index)));
+        let scenes = scenes.collect::<Result<Vec<_>>>()?;
+        let updates: Vec<_> = copied.iter().map(|own| scenes::updates(&own.updates)).collect();
+        let mut views = Vec::with_capacity(frames.len());
+        for (index, own) in copied.iter().enumerate() {
+            // Views of the same list have the same one here: that is how the library knows it.
+            let list = |f: &AshsplatRecordedFrame| (f.scenes, f.scene_count);
+            let first = frames.iter().position(|frame| list(frame) == list(own.frame)).unwrap_or(index);
+            views.push(own.recorded(&scenes[first], &updates[index]).map_err(of_view(index))?);
+        }
+        let commands = renderer.context().adopt_commands(vk::CommandBuffer::from_raw(commands as u64))?;
+        let mut releases = vec![Release::default(); views.len()];
+        renderer.record_views(commands, slot, &views, &mut releases).map_err(in_c)?;
+        Ok(releases)
+    }
+}
+
+/// An error of a frame with the names of ashsplat_record's parameters; the fields have the same in both languages.
+fn in_c(error: Error) -> Error {
+    let Error::Argument { what, problem } = error else { return error };
+    let (field, rest) = what.split_at(what.find(" (").unwrap_or(what.len()));
+    let name = match field {
+        "command buffer" => "commands",
+        "frame slot" => "slot",
+        other => other,
+    };
+    Error::Argument { what: format!("{name}{rest}"), problem }
+}
