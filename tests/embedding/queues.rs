@@ -13,7 +13,7 @@ use ashsplat::{
     Background, ColorEncoding, DeviceScene, HostImage, Placed, RecordedFrame, Release, RenderSettings,
     Renderer, Reservation, Target,
 };
-use std::path::PathBuf;
+use std::path::Path;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::{Arc, Condvar, Mutex};
 
@@ -43,11 +43,15 @@ fn on_a_machine_with_two_queues(trial: &str) {
     let binary = std::env::current_exe().expect("a path");
     let mut libraries = vec![binary.parent().expect("deps").to_owned()];
     libraries.extend(std::env::var_os("LD_LIBRARY_PATH").iter().flat_map(std::env::split_paths));
-    let root = PathBuf::from(env!("CARGO_MANIFEST_DIR"));
+    // Layers lie over each other as they are found. Validation lies over the machine, and so sees its families.
+    let found = ["/usr/local/share", "/usr/share", "/etc"]
+        .map(|place| Path::new(place).join("vulkan/explicit_layer.d"));
+    let mock = Path::new(env!("CARGO_MANIFEST_DIR")).join("tools/mock_layer");
+    let manifests = found.into_iter().chain([mock]);
     child::run(&["--exact", trial], 1, |child| {
         child
             .env("LD_LIBRARY_PATH", std::env::join_paths(&libraries).expect("paths"))
-            .env("VK_ADD_LAYER_PATH", root.join("tools/mock_layer"))
+            .env("VK_ADD_LAYER_PATH", std::env::join_paths(manifests).expect("paths"))
             .env("VK_INSTANCE_LAYERS", "VK_LAYER_KHRONOS_validation:VK_LAYER_ASHSPLAT_mock")
             .env("ASHSPLAT_MOCK", "transfer-queue");
     });

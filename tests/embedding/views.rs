@@ -1,18 +1,20 @@
 //! Several views in one recording: layers of an array, rectangles of one image, with a sort of their own and with one for all.
 
+mod commands;
+mod costs;
+mod split_screen;
+
 use crate::array_image::ArrayImage;
-use crate::auxiliary::truth::{Screens, WRITTEN};
-use crate::cost::{allocations, shipped};
-use crate::host::{Host, HostOptions, InFlight};
-use crate::memory::{HostBuffer, HostTexture};
+use crate::auxiliary::truth::WRITTEN;
+use crate::host::{Host, InFlight};
+use crate::memory::HostTexture;
 use crate::stage::{adopt, camera, cloud, guest, options, owned, with_host};
 use ashsplat::ash::vk;
-use ashsplat::scene::{CutOut, Gaussians, Inside, Pose, Volume};
+use ashsplat::scene::Gaussians;
 use ashsplat::vk::{Image, ImageState, ImageUse};
 use ashsplat::{
-    Background, Camera, ColorEncoding, DepthTarget, DeviceScene, HostImage, MotionTarget, Occluder,
-    PickTarget, Placed, RecordedFrame, Release, RenderSettings, Renderer, Reservation, SceneSettings, Target,
-    Update,
+    Background, Camera, ColorEncoding, DepthTarget, DeviceScene, HostImage, Occluder, Placed, RecordedFrame,
+    Release, RenderSettings, Renderer, Reservation, Target, Update,
 };
 use glam::{Mat3, Vec3};
 
@@ -118,231 +120,6 @@ fn written() -> ImageState {
     ImageState { accesses: WRITTEN.accesses | read, ..WRITTEN }
 }
 
-/// The images of a split screen: colours, depths, what hides, picks and motion, for both players side by side.
-struct Split<'a> {
-    host: &'a Host,
-    textures: [HostTexture; 3],
-    images: [Image; 3],
-    beside: Screens<'a>,
-}
-
-const BOTH: [u32; 2] = [2 * SIZE[0], SIZE[1]];
-
-impl<'a> Split<'a> {
-    fn new(host: &'a Host, renderer: &Renderer) -> Self {
-        let context = renderer.context();
-        let (storage, copied) = (vk::ImageUsageFlags::STORAGE, vk::ImageUsageFlags::TRANSFER_SRC);
-        let sampled = vk::ImageUsageFlags::SAMPLED | vk::ImageUsageFlags::TRANSFER_DST;
-        let new = |format, usage| HostTexture::new(host, format, usage, BOTH).expect("an image");
-        let textures = [
-            new(vk::Format::R32G32B32A32_SFLOAT, storage | copied),
-            new(vk::Format::R32_SFLOAT, storage | copied),
-            new(vk::Format::R32_SFLOAT, sampled),
-        ];
-        let view = |texture: &HostTexture, purpose| {
-            // SAFETY: the images are as they say, and outlive the views.
-            unsafe { Image::adopt(context, "split", &texture.foreign(), purpose) }.expect("adopted")
-        };
-        let images = [
-            view(&textures[0], ImageUse::Storage),
-            view(&textures[1], ImageUse::Storage),
-            view(&textures[2], ImageUse::Sampled),
-        ];
-        let split = Self { host, textures, images, beside: Screens::new(host, context, BOTH) };
-        split.write_depth();
-        split
-    }
-
-    /// Slopes of the host's: z from 3 to 5, along the rows.
-    fn write_depth(&self) {
-        let depths: Vec<f32> =
-            (0..BOTH[0] * BOTH[1]).map(|i| 1.0 / (3.0 + 2.0 * (i % 59) as f32 / 59.0)).collect();
-        let bytes: &[u8] = bytemuck::cast_slice(&depths);
-        let staging = HostBuffer::new(self.host, bytes.len() as u64).expect("memory");
-        staging.write(self.host, bytes).expect("written");
-        let (texture, to) = (&self.textures[2], Self::depth_use());
-        let copied = self.host.run(|commands| {
-            let none = (vk::ImageLayout::UNDEFINED, to.stages, vk::AccessFlags2::NONE);
-            texture.barrier(self.host, commands, none, (to.layout, to.stages, to.accesses));
-            // SAFETY: recording state; the image has the texels of the buffer.
-            unsafe {
-                let region = [texture.region()];
-                self.host.device.cmd_copy_buffer_to_image(
-                    commands,
-                    staging.raw,
-                    texture.image,
-                    to.layout,
-                    &region,
-                );
-            }
-            Ok(())
-        });
-        copied.expect("copied");
-        staging.destroy(self.host);
-    }
-
-    fn depth_use() -> ImageState {
-        ImageState {
-            layout: vk::ImageLayout::TRANSFER_DST_OPTIMAL,
-            stages: vk::PipelineStageFlags2::ALL_TRANSFER,
-            accesses: vk::AccessFlags2::TRANSFER_WRITE,
-        }
-    }
-
-    /// A frame into the part of a player, with everything. `used`: by a recording before.
-    fn frame<'b>(
-        &'b self,
-        frame: RecordedFrame<'b>,
-        player: u32,
-        used: Option<&Release>,
-    ) -> RecordedFrame<'b> {
-        let to = |image, from: Option<ImageState>| HostImage {
-            image,
-            from: from.unwrap_or(ImageState::UNDEFINED),
-            offset: [player * SIZE[0], 0],
-        };
-        let hidden = to(&self.images[2], used.map_or(Some(Self::depth_use()), |used| used.occluder));
-        let mapping =
-            ashsplat::scene::DepthMapping { scale: 1.0, offset: 0.0, clear_value: 0.0, linear: false };
-        let behind = Background::Color([0.2, 0.3, 0.4]);
-        RecordedFrame {
-            target: Target::Image {
-                to: to(&self.images[0], used.and_then(|used| used.color)),
-                behind,
-                encoding: ColorEncoding::AsTrained,
-            },
-            occluder: Some(Occluder { depth: hidden, mapping }),
-            depth: Some(DepthTarget {
-                to: to(&self.images[1], used.and_then(|used| used.depth)),
-                min_weight: 0.5,
-                empty: 0.0,
-            }),
-            pick: Some(PickTarget { to: to(&self.beside.views[0], used.and_then(|used| used.pick)) }),
-            motion: Some(MotionTarget {
-                to: to(&self.beside.views[1], used.and_then(|used| used.motion)),
-                previous_camera: frame.camera,
-                min_weight: 0.1,
-                empty: Some([0.0; 2]),
-            }),
-            ..frame
-        }
-    }
-
-    /// How the images are used once they were read.
-    fn after_read(release: &Release) -> Release {
-        let mut after = *release;
-        let read = ImageState {
-            layout: vk::ImageLayout::TRANSFER_SRC_OPTIMAL,
-            stages: vk::PipelineStageFlags2::ALL_TRANSFER,
-            accesses: vk::AccessFlags2::NONE,
-        };
-        (after.color, after.depth, after.pick, after.motion) =
-            (Some(read), Some(read), Some(read), Some(read));
-        after
-    }
-
-    /// Everything that was written.
-    fn read(&self) -> [Vec<u32>; 4] {
-        let from = (WRITTEN.layout, WRITTEN.stages, WRITTEN.accesses);
-        let texels = |texture: &HostTexture, words: usize| -> Vec<u32> {
-            let bytes = 4 * words * (BOTH[0] * BOTH[1]) as usize;
-            let staging = HostBuffer::new(self.host, bytes as u64).expect("memory");
-            let copied = self.host.run(|commands| {
-                texture.record_read(self.host, commands, from, &staging);
-                Ok(())
-            });
-            copied.expect("copied");
-            let read = staging.read(self.host, bytes).expect("bytes");
-            staging.destroy(self.host);
-            bytemuck::pod_collect_to_vec(&read)
-        };
-        let [picks, motions] = &self.beside.textures;
-        [texels(&self.textures[0], 4), texels(&self.textures[1], 1), texels(picks, 4), texels(motions, 1)]
-    }
-
-    fn destroy(self) {
-        drop(self.images);
-        self.textures.into_iter().for_each(|texture| texture.destroy(self.host));
-        self.beside.destroy();
-    }
-}
-
-/// A reservation for two players with everything.
-fn for_two(shared_sort: bool) -> Reservation {
-    Reservation {
-        views: 2,
-        scenes: 3,
-        shared_sort,
-        images_only: true,
-        occlusion: true,
-        expected_depth: true,
-        pick: true,
-        motion: true,
-        tint: true,
-        cut_outs: 2,
-        staging_bytes: Reservation::update_bytes(50, 1),
-        ..Reservation::new(700, 1, SIZE[0], SIZE[1])
-    }
-}
-
-#[test]
-fn rectangles_have_the_bits_of_recordings_alone() {
-    with_host(&options(), |host| {
-        let context = guest(host);
-        let (many, few) = (cloud(600, 7), cloud(50, 8));
-        let scenes = [&many, &few].map(|g| DeviceScene::upload(&context, g, 0).expect("a scene"));
-        let volume = Volume::Ellipsoid { radii: Vec3::splat(0.7) };
-        let cut_outs = [CutOut { volume, pose: Pose::IDENTITY, inside: Inside::Removed }];
-        let tinted = SceneSettings { tint: [1.0, 0.5, 0.5], cut_outs: &cut_outs, ..SceneSettings::default() };
-        let pose = Pose {
-            translation: Vec3::new(0.3, 0.2, -0.4),
-            world_from_object: Mat3::from_rotation_y(0.7),
-            scale: 1.3,
-        };
-        let before = Pose { translation: Vec3::ZERO, ..pose };
-        let placed = [
-            Placed { settings: tinted, ..Placed::from(&scenes[0]) },
-            Placed { settings: SceneSettings { visible: false, ..tinted }, ..Placed::from(&scenes[0]) },
-            Placed { previous_pose: Some(before), ..Placed::at(&scenes[1], pose) },
-        ];
-        let settings = RenderSettings::default();
-        let left = camera(0.3, SIZE[0], SIZE[1]);
-        let cameras = [left, left.moved_aside([0.3, 0.0])];
-        let updates = [Update { scene: &scenes[1], first: 0, gaussians: &few }];
-        let mut renderer = Renderer::new(&context).expect("kernels");
-        let mut shots = Vec::new();
-        for shared_sort in [false, true] {
-            renderer.reserve(&for_two(shared_sort)).expect("memory");
-            let split = Split::new(host, &renderer);
-            let frame = |player: usize, used: Option<&Release>| {
-                let updates: &[Update] = if player == 0 { &updates } else { &[] };
-                let frame = RecordedFrame::new(&placed, &cameras[player], &settings);
-                split.frame(RecordedFrame { updates, ..frame }, player as u32, used)
-            };
-            // Alone, the second one into what the first has left.
-            let first = render_views(host, &mut renderer, &[frame(0, None)]);
-            render_views(host, &mut renderer, &[frame(1, Some(&first[0]))]);
-            shots.push(split.read());
-            let after = Split::after_read(&first[0]);
-            let again = [frame(0, Some(&after)), frame(1, None)];
-            render_views(host, &mut renderer, &again);
-            let report = renderer.slot_report(0).expect("a report").expect("finished");
-            assert_eq!(report.sorts, if shared_sort { 1 } else { 2 });
-            shots.push(split.read());
-            split.destroy();
-        }
-        let expected = &shots[0];
-        let drawn = |words: &Vec<u32>| words.iter().filter(|word| **word != 0).count();
-        assert!(expected.iter().all(|words| drawn(words) > 500), "{:?}", expected.each_ref().map(drawn));
-        for (number, shot) in shots.iter().enumerate() {
-            for (what, (own, expected)) in shot.iter().zip(expected).enumerate() {
-                let first = own.iter().zip(expected).position(|(a, b)| a != b);
-                assert_eq!(first, None, "image {what} of shot {number}");
-            }
-        }
-    });
-}
-
 /// A picture in a picture, over it: views are drawn in their order.
 #[test]
 fn views_may_overlap() {
@@ -380,44 +157,6 @@ fn views_may_overlap() {
         drop((renderer, image));
         array.destroy(host);
     });
-}
-
-#[test]
-fn views_take_nothing_from_the_heap() {
-    for push_descriptors in [true, false] {
-        with_host(&HostOptions { push_descriptors, ..HostOptions::default() }, |host| {
-            let context = shipped(host, true);
-            let scene = DeviceScene::upload(&context, &cloud(300, 7), 0).expect("a scene");
-            let (placed, settings) = ([Placed::from(&scene)], RenderSettings::default());
-            let left = camera(0.3, SIZE[0], SIZE[1]);
-            let cameras = [left, left.moved_aside([0.3, 0.0])];
-            let mut renderer = Renderer::new(&context).expect("kernels");
-            renderer.reserve(&Reservation { slots: 2, ..for_two(true) }).expect("memory");
-            let split = Split::new(host, &renderer);
-            let (mut used, mut asked) = ([Release::default(); 2], Vec::new());
-            let in_flight = InFlight::new(host).expect("a command buffer");
-            for number in 0..8 {
-                let last = used[0];
-                let views = [0, 1].map(|player| {
-                    let frame = RecordedFrame::new(&placed, &cameras[player], &settings);
-                    split.frame(frame, player as u32, (number > 0).then_some(&last))
-                });
-                in_flight.begin(host).expect("recording");
-                let commands = adopt(&context, &in_flight);
-                let (count, done) =
-                    allocations(|| renderer.record_views(commands, number % 2, &views, &mut used));
-                done.expect("a recording");
-                in_flight.submit(host).expect("a submission");
-                in_flight.wait(host).expect("done");
-                asked.push(count);
-            }
-            assert!(asked[0] > 0, "the allocator counts");
-            assert_eq!(asked[2..], [0; 6], "{asked:?}");
-            in_flight.destroy(host);
-            drop(renderer);
-            split.destroy();
-        });
-    }
 }
 
 #[test]
@@ -495,98 +234,6 @@ fn bad_views_are_refused_by_name() {
         in_flight.destroy(host);
         drop((renderer, layers, read, write));
         both.destroy(host);
-        array.destroy(host);
-    });
-}
-
-/// Processor time of this process so far, ms, in ticks of ten.
-fn cpu_ms() -> f64 {
-    let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
-    let ticks = stat.rsplit(')').next().unwrap_or_default().split_whitespace().skip(11).take(2);
-    ticks.filter_map(|word| word.parse::<f64>().ok()).sum::<f64>() * 10.0
-}
-
-/// Two eyes in two recordings, in one, and in one with a shared sort: in turn.
-#[test]
-#[ignore = "prints a table of the guide"]
-fn costs() {
-    const GAUSSIANS: usize = 200_000;
-    with_host(&HostOptions::default(), |host| {
-        let context = shipped(host, true);
-        let scene = DeviceScene::upload(&context, &cloud(GAUSSIANS, 1), 0).expect("a scene");
-        let (placed, settings) = ([Placed::from(&scene)], RenderSettings::default());
-        let left = camera(0.7, 640, 480);
-        let cameras = [left, left.moved_aside([0.064, 0.0])];
-        let array = ArrayImage::new(host, [640, 480], 2);
-        let layers = [0, 1].map(|layer| array.adopt(&context, layer));
-        let views = [0, 1].map(|view| RecordedFrame {
-            target: into(&layers[view], BLACK, [0; 2]),
-            ..RecordedFrame::new(&placed, &cameras[view], &settings)
-        });
-        let wanted = Reservation {
-            slots: 2,
-            views: 2,
-            images_only: true,
-            ..Reservation::new(GAUSSIANS as u32, 1, 640, 480)
-        };
-        let mut renderers = [false, true].map(|shared_sort| {
-            let mut renderer = Renderer::new(&context).expect("kernels");
-            let reserved = Reservation { shared_sort, ..wanted };
-            let bytes = renderer.reservation_bytes(&reserved).expect("bytes");
-            println!("shared sort: {shared_sort}: {:.1} MiB", bytes as f64 / 1024.0 / 1024.0);
-            renderer.reserve(&reserved).expect("memory");
-            renderer
-        });
-        let in_flight = InFlight::new(host).expect("a command buffer");
-        let mut times = [const { [const { Vec::new() }; 4] }; 3];
-        for round in 0..14 {
-            for (case, times) in times.iter_mut().enumerate() {
-                let renderer = &mut renderers[usize::from(case == 2)];
-                let (cpu, start) = (cpu_ms(), std::time::Instant::now());
-                in_flight.begin(host).expect("recording");
-                let recording = std::time::Instant::now();
-                let groups: &[&[RecordedFrame]] =
-                    if case == 0 { &[&views[..1], &views[1..]] } else { &[&views] };
-                for (slot, group) in (0..).zip(groups) {
-                    let mut releases = [Release::default(); 2];
-                    let releases = &mut releases[..group.len()];
-                    let commands = adopt(&context, &in_flight);
-                    renderer.record_views(commands, slot, group, releases).expect("a recording");
-                }
-                let recorded = recording.elapsed().as_secs_f64() * 1e6;
-                in_flight.submit(host).expect("a submission");
-                in_flight.wait(host).expect("done");
-                let wall = start.elapsed().as_secs_f64() * 1e3;
-                let device: f64 = (0..groups.len() as u32)
-                    .flat_map(|slot| renderer.slot_report(slot).expect("a report").expect("finished").scopes)
-                    .filter(|scope| scope.depth == 0)
-                    .map(|scope| scope.nanoseconds / 1e6)
-                    .sum();
-                if round > 1 {
-                    let all = [device, cpu_ms() - cpu, wall, recorded];
-                    times.iter_mut().zip(all).for_each(|(times, ms)| times.push(ms));
-                }
-            }
-        }
-        println!(
-            "recorded as | device, ms | CPU, ms | wall, ms | record, us | ratios of pairs to two recordings"
-        );
-        let first = times[0].clone();
-        for (name, times) in ["two recordings", "one", "one, shared sort"].iter().zip(&times) {
-            let median = |mut values: Vec<f64>| {
-                values.sort_by(f64::total_cmp);
-                values[values.len() / 2]
-            };
-            let ratio = |which: usize| {
-                let pairs = times[which].iter().zip(&first[which]);
-                median(pairs.map(|(own, other)| own / other).collect())
-            };
-            let [device, cpu, wall, record] = times.clone().map(median);
-            let ratios = [0, 1, 2, 3].map(ratio);
-            println!("{name} | {device:.1} | {cpu:.0} | {wall:.1} | {record:.0} | {ratios:.2?}");
-        }
-        in_flight.destroy(host);
-        drop((renderers, layers));
         array.destroy(host);
     });
 }

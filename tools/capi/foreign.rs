@@ -153,6 +153,30 @@ pub unsafe extern "C" fn ashsplat_image_adopt(
     })
 }
 
+/// Says that queues of another family own the image between recordings. A recording acquires it from them and releases it to them; the
+/// host records the other halves in a queue of that family, ordered by semaphores in all stages. Before the recording: a barrier from the
+/// layout of AshsplatHostImage.from to `layout`, from that family to the context's. Behind it: one from `layout` to `layout`, back. From
+/// VK_IMAGE_LAYOUT_UNDEFINED the contents are discarded, and there is no barrier before.
+///
+/// # Safety
+/// `image` is alive, `layout` is valid for a write, or NULL: it receives the VkImageLayout.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_image_of_family(
+    image: *mut AshsplatImage,
+    queue_family: u32,
+    layout: *mut i32,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        let image = borrowed_mut(image, "image")?;
+        image.0 = image.0.clone().of_family(queue_family)?;
+        if let Some(to) = layout.as_mut() {
+            *to = image.0.layout().as_raw();
+        }
+        Ok(())
+    })
+}
+
 /// Frees a view. Slots keep it as long as their recordings use it, and the host's image must live until they
 /// have released it: ashsplat_slot_release.
 ///

@@ -214,6 +214,17 @@ fn a_host_in_c_records_into_its_own_command_buffer() {
     assert!(visible > 100 && said.contains("of 500 Gaussians visible, scale 10.0, offset 0.0"), "{said}");
 }
 
+#[test]
+fn a_host_in_c_records_two_eyes_at_once() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let scene = folder.path().join("scene.ply");
+    ply::write(&scene, &cloud()).expect("a PLY");
+    let said = host_in_c("views", &[&scene]);
+    let numbers: Vec<u32> = said.split(' ').filter_map(|word| word.parse().ok()).collect();
+    let &[visible, lit, differ, locks] = &numbers[..] else { panic!("{said}") };
+    assert!(visible > 100 && lit > 500 && differ > 500 && locks > 0, "{said}");
+}
+
 /// The grid of scenes.c, with spherical harmonics of degree 1 that are zero.
 fn grid(z: f32) -> Gaussians {
     let mut grid = Gaussians { sh_degree: 1, ..Gaussians::default() };

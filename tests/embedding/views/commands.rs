@@ -1,0 +1,127 @@
+//! How many commands views take: counted in the device's table.
+
+use super::{BLACK, SIZE, into};
+use crate::array_image::ArrayImage;
+use crate::host::{Host, HostOptions, InFlight};
+use crate::stage::{adopt, camera, cloud, with_host};
+use ashsplat::ash::{self, vk};
+use ashsplat::vk::{Context, ContextOptions, ForeignDevice, Image};
+use ashsplat::{DeviceScene, Placed, RecordedFrame, Release, RenderSettings, Renderer, Reservation};
+use std::ffi::{CStr, c_void};
+use std::mem::transmute;
+use std::sync::atomic::{AtomicU32, AtomicUsize, Ordering};
+
+/// A wrapper for each command: a static with the real one, one with its calls, and a function that counts and passes on.
+macro_rules! counted {
+    ($($name:literal $wrapper:ident($($arg:ident: $ty:ty),*);)*) => {
+        mod real {
+            use super::AtomicUsize;
+            $(#[allow(non_upper_case_globals)] pub static $wrapper: AtomicUsize = AtomicUsize::new(0);)*
+        }
+        mod calls {
+            use super::AtomicU32;
+            $(#[allow(non_upper_case_globals)] pub static $wrapper: AtomicU32 = AtomicU32::new(0);)*
+        }
+        $(unsafe extern "system" fn $wrapper($($arg: $ty),*) {
+            calls::$wrapper.fetch_add(1, Ordering::Relaxed);
+            // SAFETY: the address is that of the device's function of this type.
+            unsafe {
+                let f: unsafe extern "system" fn($($ty),*) = transmute(real::$wrapper.load(Ordering::Relaxed));
+                f($($arg),*)
+            }
+        })*
+        fn wrapped(name: &str, address: usize) -> Option<*const c_void> {
+            match name {
+                $($name => {
+                    real::$wrapper.store(address, Ordering::Relaxed);
+                    Some($wrapper as *const c_void)
+                })*
+                _ => None,
+            }
+        }
+        /// Calls of each since the last time.
+        fn taken() -> Vec<u32> {
+            vec![$(calls::$wrapper.swap(0, Ordering::Relaxed)),*]
+        }
+    };
+}
+
+type Commands = vk::CommandBuffer;
+
+counted! {
+    "vkCmdDispatch" dispatch(c: Commands, x: u32, y: u32, z: u32);
+    "vkCmdDispatchIndirect" dispatch_indirect(c: Commands, b: u64, o: u64);
+    "vkCmdPipelineBarrier2" barrier(c: Commands, d: *const c_void);
+    "vkCmdFillBuffer" fill(c: Commands, b: u64, o: u64, s: u64, v: u32);
+    "vkCmdUpdateBuffer" update(c: Commands, b: u64, o: u64, s: u64, d: *const c_void);
+    "vkCmdCopyBuffer" copy(c: Commands, f: u64, t: u64, n: u32, r: *const c_void);
+}
+
+fn counting(host: &Host) -> ash::Device {
+    let load = |name: &CStr| -> *const c_void {
+        // SAFETY: the device is alive.
+        let address = unsafe {
+            let f = host.instance.get_device_proc_addr(host.device.handle(), name.as_ptr());
+            f.map_or(std::ptr::null(), |f| f as *const c_void)
+        };
+        wrapped(&name.to_string_lossy(), address as usize).unwrap_or(address)
+    };
+    // SAFETY: every address is null, the device's own function, or a wrapper of its type.
+    unsafe { ash::Device::load_with(load, host.device.handle()) }
+}
+
+/// Dispatches, barriers and other commands of groups of views, each group in a recording.
+fn counts(host: &Host, renderer: &mut Renderer, groups: &[&[RecordedFrame<'_>]]) -> [u32; 3] {
+    let in_flight = InFlight::new(host).expect("a command buffer");
+    in_flight.begin(host).expect("recording");
+    taken();
+    for (slot, group) in (0..).zip(groups) {
+        let mut releases = [Release::default(); 2];
+        let commands = adopt(renderer.context(), &in_flight);
+        renderer.record_views(commands, slot, group, &mut releases[..group.len()]).expect("a recording");
+    }
+    let [direct, indirect, barriers, others @ ..] = taken()[..] else { unreachable!("six commands") };
+    in_flight.submit(host).expect("a submission");
+    in_flight.wait(host).expect("done");
+    in_flight.destroy(host);
+    [direct + indirect, barriers, others.iter().sum()]
+}
+
+/// Two eyes in two recordings, in one, and with one sort: fewer commands each time.
+#[test]
+fn views_of_one_recording_have_fewer_commands() {
+    with_host(&HostOptions::default(), |host| {
+        let device = counting(host);
+        let options = ContextOptions { timestamps: false, hazard_check: false, ..ContextOptions::default() };
+        let foreign = ForeignDevice { device: &device, ..host.foreign() };
+        // SAFETY: as in `guest`.
+        let context = unsafe { Context::from_foreign(&foreign, &options) }.expect("a context");
+        let scene = DeviceScene::upload(&context, &cloud(300, 1), 0).expect("a scene");
+        let (placed, settings) = ([Placed::from(&scene)], RenderSettings::default());
+        let left = camera(0.3, SIZE[0], SIZE[1]);
+        let cameras = [left, left.moved_aside([0.3, 0.0])];
+        let array = ArrayImage::new(host, SIZE, 2);
+        let layers: [Image; 2] = [0, 1].map(|layer| array.adopt(&context, layer));
+        let views = [0, 1].map(|view| RecordedFrame {
+            target: into(&layers[view], BLACK, [0; 2]),
+            ..RecordedFrame::new(&placed, &cameras[view], &settings)
+        });
+        let wanted = Reservation {
+            slots: 2,
+            views: 2,
+            images_only: true,
+            ..Reservation::new(300, 1, SIZE[0], SIZE[1])
+        };
+        let mut renderer = Renderer::new(&context).expect("kernels");
+        renderer.reserve(&wanted).expect("memory");
+        let two = counts(host, &mut renderer, &[&views[..1], &views[1..]]);
+        let one = counts(host, &mut renderer, &[&views]);
+        renderer.reserve(&Reservation { shared_sort: true, ..wanted }).expect("memory");
+        let shared = counts(host, &mut renderer, &[&views]);
+        println!("dispatches, barriers, others: two recordings {two:?}, one {one:?}, one sort {shared:?}");
+        assert!(one[0] == two[0] && one[1] < two[1], "{one:?}, {two:?}");
+        assert!(shared[0] < one[0] && shared[1] < one[1], "{shared:?}, {one:?}");
+        drop((renderer, layers));
+        array.destroy(host);
+    });
+}

@@ -1,0 +1,106 @@
+//! What two eyes cost in two recordings, in one, and with one sort.
+
+use super::{BLACK, into};
+use crate::array_image::ArrayImage;
+use crate::cost::shipped;
+use crate::host::{Host, HostOptions, InFlight};
+use crate::stage::{adopt, camera, cloud, with_host};
+use ashsplat::{DeviceScene, Placed, RecordedFrame, Release, RenderSettings, Renderer, Reservation};
+use std::time::Instant;
+
+const CASES: [&str; 3] = ["two recordings", "one", "one, shared sort"];
+const FIGURES: [&str; 7] =
+    ["device, ms", "cull", "project", "depth sort", "the rest", "CPU, ms", "record, us"];
+
+/// Processor time of this process so far, ms, in ticks of ten.
+fn cpu_ms() -> f64 {
+    let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
+    let ticks = stat.rsplit(')').next().unwrap_or_default().split_whitespace().skip(11).take(2);
+    ticks.filter_map(|word| word.parse::<f64>().ok()).sum::<f64>() * 10.0
+}
+
+/// The figures of groups of views, each group in a recording.
+fn shot(host: &Host, in_flight: &InFlight, renderer: &mut Renderer, groups: &[&[RecordedFrame]]) -> [f64; 7] {
+    let cpu = cpu_ms();
+    in_flight.begin(host).expect("recording");
+    let recording = Instant::now();
+    for (slot, group) in (0..).zip(groups) {
+        let mut releases = [Release::default(); 2];
+        let commands = adopt(renderer.context(), in_flight);
+        renderer.record_views(commands, slot, group, &mut releases[..group.len()]).expect("a recording");
+    }
+    let recorded = recording.elapsed().as_secs_f64() * 1e6;
+    in_flight.submit(host).expect("a submission");
+    in_flight.wait(host).expect("done");
+    let mut scopes = Vec::new();
+    for slot in 0..groups.len() as u32 {
+        scopes.extend(renderer.slot_report(slot).expect("a report").expect("finished").scopes);
+    }
+    let sum = |name: &str| -> f64 {
+        let own = scopes.iter().filter(|scope| scope.depth == 0 && (name.is_empty() || scope.name == name));
+        own.map(|scope| scope.nanoseconds / 1e6).sum()
+    };
+    let [all, cull, project, sort] = ["", "cull", "project", "depth sort"].map(sum);
+    [all, cull, project, sort, all - cull - project - sort, cpu_ms() - cpu, recorded]
+}
+
+#[test]
+#[ignore = "prints a table of the guide"]
+fn costs() {
+    const GAUSSIANS: usize = 200_000;
+    const SIZE: [u32; 2] = [640, 480];
+    with_host(&HostOptions::default(), |host| {
+        let context = shipped(host, true);
+        let scene = DeviceScene::upload(&context, &cloud(GAUSSIANS, 1), 0).expect("a scene");
+        let (placed, settings) = ([Placed::from(&scene)], RenderSettings::default());
+        let left = camera(0.7, SIZE[0], SIZE[1]);
+        let cameras = [left, left.moved_aside([0.064, 0.0])];
+        let array = ArrayImage::new(host, SIZE, 2);
+        let layers = [0, 1].map(|layer| array.adopt(&context, layer));
+        let views = [0, 1].map(|view| RecordedFrame {
+            target: into(&layers[view], BLACK, [0; 2]),
+            ..RecordedFrame::new(&placed, &cameras[view], &settings)
+        });
+        let wanted = Reservation::new(GAUSSIANS as u32, 1, SIZE[0], SIZE[1]);
+        let wanted = Reservation { slots: 2, views: 2, images_only: true, ..wanted };
+        let mut renderers = [false, true].map(|shared_sort| {
+            let mut renderer = Renderer::new(&context).expect("kernels");
+            let reserved = Reservation { shared_sort, ..wanted };
+            let bytes = renderer.reservation_bytes(&reserved).expect("bytes");
+            println!("shared sort {shared_sort}: {:.2} MiB", bytes as f64 / 1024.0 / 1024.0);
+            renderer.reserve(&reserved).expect("memory");
+            renderer
+        });
+        let in_flight = InFlight::new(host).expect("a command buffer");
+        let mut shots = [const { Vec::new() }; CASES.len()];
+        for round in 0..32 {
+            for (case, shots) in shots.iter_mut().enumerate() {
+                let renderer = &mut renderers[usize::from(case == 2)];
+                let alone: &[&[RecordedFrame]] = &[&views[..1], &views[1..]];
+                let groups = if case == 0 { alone } else { &[&views] };
+                let figures = shot(host, &in_flight, renderer, groups);
+                if round > 1 {
+                    shots.push(figures);
+                }
+            }
+        }
+        println!("mean, least, and median of the ratios of pairs to two recordings");
+        println!("recorded as | {}", FIGURES.join(" | "));
+        for (name, own) in CASES.iter().zip(&shots) {
+            print!("{name}");
+            for figure in 0..FIGURES.len() {
+                let mean = own.iter().map(|shot| shot[figure]).sum::<f64>() / own.len() as f64;
+                let least = own.iter().map(|shot| shot[figure]).fold(f64::INFINITY, f64::min);
+                let pairs = own.iter().zip(&shots[0]);
+                let mut ratios: Vec<f64> =
+                    pairs.map(|(own, other)| own[figure] / other[figure].max(1e-9)).collect();
+                ratios.sort_by(f64::total_cmp);
+                print!(" | {mean:.1}, {least:.1}, {:.2}", ratios[ratios.len() / 2]);
+            }
+            println!();
+        }
+        in_flight.destroy(host);
+        drop((renderers, layers));
+        array.destroy(host);
+    });
+}
