@@ -162,22 +162,65 @@ impl Renderer {
     /// [`Error::Argument`] when the vectors differ in length; allocation failures.
     pub fn upload(&mut self, gaussians: &Gaussians) -> Result<()> {
         self.scene = None;
+        self.runner.surround(Vec::new());
         let count = crate::plan::to_u32(gaussians.len() as u64)?;
         self.scene = Some(planes::upload(&self.context, "scene", gaussians, count, gaussians.sh_degree)?);
         Ok(())
     }
 
-    /// Downloads the scene's Gaussians.
+    /// Draws these scenes together, in the same axes, from the next frame on: they replace what was loaded before. A frame is the
+    /// same to the bit as that of one scene with all their Gaussians in this order. Nothing is copied. Without any, pictures are
+    /// empty.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for scenes of another device and for different SH degrees; allocation failures.
+    pub fn set_scenes(&mut self, scenes: &[DeviceScene]) -> Result<()> {
+        if scenes.iter().any(|scene| !scene.belongs_to(&self.context)) {
+            return Err(Error::argument("scenes", "one belongs to another device"));
+        }
+        let degrees = scenes.iter().map(|scene| scene.plan().sh_degree);
+        if let (Some(least), Some(most)) = (degrees.clone().min(), degrees.max())
+            && least < most
+        {
+            let problem = format!("one has SH degree {least}, another {most}: store all with the same");
+            return Err(Error::argument("scenes", problem));
+        }
+        let filled = scenes.iter().filter(|scene| scene.count() > 0);
+        let mut buffers: Vec<SceneBuffers> = filled.map(|scene| scene.buffers.clone()).collect();
+        if buffers.is_empty() {
+            return self.upload(&Gaussians::default());
+        }
+        self.scene = Some(buffers.remove(0));
+        self.runner.surround(buffers);
+        Ok(())
+    }
+
+    /// All scenes that are drawn.
+    fn scenes(&self) -> Result<impl Iterator<Item = &SceneBuffers>> {
+        let first = self.scene.as_ref().ok_or_else(no_scene)?;
+        Ok(std::iter::once(first).chain(self.runner.surroundings()))
+    }
+
+    /// Downloads the scene's Gaussians; of several scenes, one after another.
     ///
     /// # Errors
     /// [`Error::Argument`] without a scene; when the device is lost.
     pub fn gaussians(&self) -> Result<Gaussians> {
-        planes::download(&self.context, self.scene.as_ref().ok_or_else(no_scene)?)
+        let mut all: Option<Gaussians> = None;
+        for scene in self.scenes()? {
+            let own = planes::download(&self.context, scene)?;
+            match &mut all {
+                Some(all) => all.append(&own),
+                None => all = Some(own),
+            }
+        }
+        Ok(all.unwrap_or_default())
     }
 
-    /// The scene on the device, for [`Renderer::record`]: None before [`Renderer::upload`].
+    /// The scene on the device, for [`Renderer::record`]: None before [`Renderer::upload`], and with several scenes.
     pub fn scene(&self) -> Option<DeviceScene> {
-        self.scene.as_ref().map(|scene| DeviceScene::of(&self.context, scene.clone()))
+        let scene = self.scene.as_ref().filter(|_| self.runner.surroundings().is_empty())?;
+        Some(DeviceScene::of(&self.context, scene.clone()))
     }
 
     /// Sets the initial capacity in (tile, Gaussian) instances, instead of an estimate. Frames that need more
@@ -216,9 +259,8 @@ impl Renderer {
     /// # Errors
     /// [`Error::Argument`] without a scene or cameras; memory or device failures.
     pub fn compute_filters(&mut self, cameras: &[Camera]) -> Result<()> {
-        let scene = self.scene.as_ref().ok_or_else(no_scene)?;
         let filter = Filter3d::new(&self.context, cameras)?;
-        filter.run(&self.context, scene)
+        self.scenes()?.try_for_each(|scene| filter.run(&self.context, scene))
     }
 
     /// The sizes of the 3D filter, world units, one per Gaussian; 0 where there is none.
@@ -226,7 +268,8 @@ impl Renderer {
     /// # Errors
     /// As [`Renderer::gaussians`].
     pub fn filters(&self) -> Result<Vec<f32>> {
-        planes::download_filters(&self.context, self.scene.as_ref().ok_or_else(no_scene)?)
+        let of_scenes = self.scenes()?.map(|scene| planes::download_filters(&self.context, scene));
+        Ok(of_scenes.collect::<Result<Vec<_>>>()?.concat())
     }
 
     /// Renders the scene.
@@ -238,7 +281,7 @@ impl Renderer {
         self.runner.render(scene, camera, settings)
     }
 
-    /// Renders a scene on the device.
+    /// Renders a scene on the device, and no others.
     ///
     /// # Errors
     /// [`Error::Argument`] for a scene of another device or an invalid camera; memory or device failures.
@@ -251,7 +294,15 @@ impl Renderer {
         if !scene.belongs_to(&self.context) {
             return Err(Error::argument("scene", "it belongs to another device"));
         }
-        self.runner.render(&scene.buffers, camera, settings)
+        self.runner.alone(|runner| runner.render(&scene.buffers, camera, settings))
+    }
+}
+
+/// What is of one scene alone.
+fn check_one(runner: &FrameRunner, what: &str) -> Result<()> {
+    match runner.surroundings().len() {
+        0 => Ok(()),
+        more => Err(Error::argument("scenes", format!("{what} of one alone, and {} are drawn", more + 1))),
     }
 }
 

@@ -10,6 +10,7 @@ mod shapes;
 mod sibr;
 mod siege;
 mod training;
+mod trees;
 #[allow(dead_code)]
 mod window;
 

@@ -237,6 +237,7 @@ impl Renderer {
         settings: &RenderSettings,
         alignment: &Alignment,
     ) -> Result<Camera> {
+        super::check_one(&self.runner, "an alignment is")?;
         let scene = self.scene.clone().ok_or_else(super::no_scene)?;
         let sh_degree = scene.active_degree(settings);
         let request = AlignRequest { scene: &scene, camera, photo, settings, sh_degree, alignment };

@@ -78,6 +78,7 @@ impl Renderer {
                 "gradients are those of the Gaussians as they are: no other shape, no scale modifier";
             return Err(Error::argument("settings", problem));
         }
+        super::check_one(&self.runner, "gradients are")?;
         let scene = self.scene.clone().ok_or_else(super::no_scene)?;
         let sh_degree = scene.active_degree(settings);
         let variant = BackwardVariant::of(settings);

@@ -4,14 +4,14 @@ use super::{FrameRunner, Renderer, no_scene};
 use crate::error::{Error, Result};
 use crate::forward::{RenderSettings, SceneBuffers};
 use crate::kernels::constants as c;
-use crate::plan::tile_grid;
+use crate::plan::{first_around, tile_grid};
 use crate::scene::Camera;
 use crate::vk::Buffer;
 
 /// One Gaussian blended at a pixel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sample {
-    /// Index in the scene.
+    /// Index in the scene; of several scenes, each is counted behind the one before it.
     pub gaussian: u32,
     /// Depth (z in the camera's frame), world units.
     pub depth: f32,
@@ -111,7 +111,7 @@ impl FrameRunner {
             }
             report.transmittance = after;
             report.samples.push(Sample {
-                gaussian: gaussians[at],
+                gaussian: self.without_gaps(scene, gaussians[at]),
                 depth: shade[3].recip(),
                 alpha,
                 transmittance_before: before,
@@ -124,6 +124,20 @@ impl FrameRunner {
             *sum += report.transmittance * background;
         }
         Ok(report)
+    }
+
+    /// The index of a Gaussian of a frame where scenes lie behind each other without gaps.
+    pub(super) fn without_gaps(&self, scene: &SceneBuffers, gaussian: u32) -> u32 {
+        let (mut first, mut end, mut before) = (0, scene.count, 0);
+        for next in self.surroundings() {
+            if gaussian < end {
+                break;
+            }
+            before += end - first;
+            first = first_around(end);
+            end = first + next.count;
+        }
+        before + gaussian - first
     }
 
     fn rows(&self, buffer: &Buffer) -> Result<Vec<[f32; 4]>> {

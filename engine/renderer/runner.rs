@@ -17,7 +17,7 @@ pub(crate) struct FrameRunner {
     pub(super) forward: Forward,
     pub(super) store: FrameStore,
     /// Drawn together with every scene, in the same axes.
-    around: Option<SceneBuffers>,
+    around: Vec<SceneBuffers>,
 }
 
 /// Inputs of a run.
@@ -35,20 +35,24 @@ pub(crate) struct Request<'a> {
 }
 
 impl<'a> Request<'a> {
-    /// What lies around the scene, behind it in the frame's index space.
-    fn placed(&self, around: &'a SceneBuffers) -> PlacedScene<'a> {
-        let first = first_around(self.scene.count);
-        let (sh_degree, settings) = (self.sh_degree, SceneSettings::default());
-        PlacedScene {
-            scene: around,
-            camera: *self.camera,
-            scale: 1.0,
-            sh_degree,
-            settings,
-            first,
-            first_cut_out: 0,
-            previous: None,
-        }
+    /// What lies around the scene, each behind the one before it in the frame's index space.
+    fn placed(&self, around: &'a [SceneBuffers]) -> Vec<PlacedScene<'a>> {
+        let mut end = self.scene.count;
+        let placed = around.iter().map(|scene| {
+            let first = first_around(end);
+            end = first.saturating_add(scene.count);
+            PlacedScene {
+                scene,
+                camera: *self.camera,
+                scale: 1.0,
+                sh_degree: self.sh_degree,
+                settings: SceneSettings::default(),
+                first,
+                first_cut_out: 0,
+                previous: None,
+            }
+        });
+        placed.collect()
     }
 
     fn inputs(
@@ -113,22 +117,36 @@ impl Failed {
 impl FrameRunner {
     pub fn new(context: &Context) -> Result<Self> {
         let (forward, store) = (Forward::new(context)?, FrameStore::new(context)?);
-        Ok(Self { context: context.clone(), forward, store, around: None })
+        Ok(Self { context: context.clone(), forward, store, around: Vec::new() })
     }
 
-    /// From now on these Gaussians are drawn together with every scene, in the same axes. They are stored with the SH degree of
+    /// From now on these scenes are drawn together with every scene, in the same axes. They are stored with the SH degree of
     /// the scenes. Frames with a pose on the device ([`Request::pose`]) cannot have them.
-    pub fn surround(&mut self, around: Option<SceneBuffers>) {
+    pub fn surround(&mut self, around: Vec<SceneBuffers>) {
         self.around = around;
     }
 
-    /// Number of Gaussians that are drawn together with every scene.
+    /// Room that is needed behind every scene: the Gaussians that are drawn together with it, and the gaps between their scenes.
     pub fn around(&self) -> u32 {
-        self.around.as_ref().map_or(0, |around| around.count)
+        let join = |behind: u32, scene: &SceneBuffers| gaussians_with(scene.count, behind);
+        self.around.iter().rev().fold(0, join)
+    }
+
+    /// The scenes that are drawn together with every scene.
+    pub fn surroundings(&self) -> &[SceneBuffers] {
+        &self.around
+    }
+
+    /// Does something with frames of single scenes.
+    pub fn alone<T>(&mut self, act: impl FnOnce(&mut Self) -> T) -> T {
+        let around = std::mem::take(&mut self.around);
+        let done = act(self);
+        self.around = around;
+        done
     }
 
     fn scenes(&self) -> u32 {
-        1 + u32::from(self.around.is_some())
+        1 + self.around.len() as u32
     }
 
     /// Gaussians of a frame with a scene of this capacity.
@@ -162,11 +180,11 @@ impl FrameRunner {
         let gaussians = [self.gaussians_with(scene.plan.capacity), self.scenes()];
         let Self { context, forward, store, around } = self;
         forward.prepare_variant(sh_degree, BlendVariant::of(settings, backward).of_camera(camera))?;
-        let others = around.as_ref().map(|around| request.placed(around));
+        let others = request.placed(around);
         let mut retries = 0;
         loop {
             let (frame, capacity) = store.ensure(gaussians, camera, backward)?;
-            let inputs = request.inputs(&frame, &capacity, others.as_slice());
+            let inputs = request.inputs(&frame, &capacity, &others);
             let report = context.run("frame", |r| {
                 forward.record(r, &inputs);
                 record_more(r, &inputs)?;
@@ -262,9 +280,8 @@ impl FrameRunner {
         record_more: impl FnOnce(&mut Recorder, &FrameInputs),
     ) -> Result<()> {
         let (frame, capacity) = (self.store.current()?, self.store.capacity());
-        let others = self.around.as_ref().map(|around| request.placed(around));
-        let inputs =
-            FrameInputs { keeps_overflow: true, ..request.inputs(frame, &capacity, others.as_slice()) };
+        let others = request.placed(&self.around);
+        let inputs = FrameInputs { keeps_overflow: true, ..request.inputs(frame, &capacity, &others) };
         self.forward.record(r, &inputs);
         record_more(r, &inputs);
         Ok(())
@@ -310,7 +327,7 @@ impl FrameRunner {
             }
         };
         let stats = FrameStats {
-            gaussians: scene.count + self.around(),
+            gaussians: scene.count + self.around.iter().map(|scene| scene.count).sum::<u32>(),
             visible: ran.state.visible,
             instances: ran.state.instances,
             longest_tile: ran.state.longest_tile,

@@ -10,7 +10,7 @@ use crate::scene::Camera;
 /// A visible Gaussian as it is blended.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ProjectedSplat {
-    /// Index in the scene.
+    /// Index in the scene; of several scenes, each is counted behind the one before it.
     pub gaussian: u32,
     /// Where its middle lies, pixels.
     pub mean2d_px: [f32; 2],
@@ -74,7 +74,7 @@ impl FrameRunner {
         let splat = |(at, &gaussian): (usize, &u32)| {
             let ([x, y, ..], [a, b, c, opacity]) = (means[at], conics[at]);
             ProjectedSplat {
-                gaussian,
+                gaussian: self.without_gaps(scene, gaussian),
                 mean2d_px: [x, y],
                 conic: [a, b, c],
                 opacity,

@@ -235,7 +235,7 @@ impl Trainer {
             None => filter,
         };
         let block = Block::new(context, block, (&rows, sh_degree), filter.as_ref())?;
-        runner.surround(block.as_ref().and_then(Block::around).cloned());
+        runner.surround(block.as_ref().and_then(Block::around).cloned().into_iter().collect());
         let trainer = Self {
             losses: recorder.allocate(context, &sizes)?,
             poses,

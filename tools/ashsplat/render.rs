@@ -99,7 +99,7 @@ enum Format {
 pub struct LookArguments {
     /// Drop the Gaussians whose parameters are not finite, instead of refusing it
     #[arg(long)]
-    drop_invalid: bool,
+    pub drop_invalid: bool,
     /// Background colour, 0 to 1 [default: as in training, else black]
     #[arg(long, value_name = "R,G,B", value_parser = parse_vector)]
     background: Option<Vec3>,
@@ -295,10 +295,27 @@ fn describe(index: usize, name: &str, milliseconds: f64, frame: &Frame) -> Strin
 }
 
 /// The folder of a tree that is named by its description; else the same.
-fn folder_of_tiles(path: &Path) -> &Path {
+pub fn folder_of_tiles(path: &Path) -> &Path {
     match path.parent().filter(|_| path.file_name().is_some_and(|name| name == TILESET_FILE)) {
         Some(parent) if parent.as_os_str().is_empty() => Path::new("."),
         parent => parent.unwrap_or(path),
+    }
+}
+
+/// The tree of tiles in a folder, if it is one: it must be where there is a budget.
+pub fn tree_of(folder: &Path, has_budget: bool) -> Result<Option<Tree>> {
+    if folder.join(TILESET_FILE).is_file() {
+        return Tree::open(folder).map(Some);
+    }
+    let problem = "is for folders of tiles, as `ashsplat tiles` writes them";
+    if has_budget { Err(Error::argument("--budget", problem)) } else { Ok(None) }
+}
+
+/// Gaussians of a budget.
+pub fn gaussians_of(budget: Target, tree: &Tree) -> usize {
+    match budget {
+        Target::Count(count) => usize::try_from(count).unwrap_or(usize::MAX),
+        Target::Share(share) => (share * tree.gaussians() as f64).round() as usize,
     }
 }
 
@@ -310,19 +327,11 @@ fn scene_of(path: &Path, tree: Option<&Tree>) -> PathBuf {
 impl Arguments {
     /// The tree of tiles, if the scene is one.
     fn tree(&self, path: &Path) -> Result<Option<Tree>> {
-        if path.join(TILESET_FILE).is_file() {
-            return Tree::open(path).map(Some);
-        }
-        let problem = "is for folders of tiles, as `ashsplat tiles` writes them";
-        self.budget.map_or(Ok(None), |_| Err(Error::argument("--budget", problem)))
+        tree_of(path, self.budget.is_some())
     }
 
     fn drawn(&self, tree: Tree) -> Drawn {
-        let budget = match self.budget {
-            None => usize::MAX,
-            Some(Target::Count(count)) => usize::try_from(count).unwrap_or(usize::MAX),
-            Some(Target::Share(share)) => (share * tree.gaussians() as f64).round() as usize,
-        };
+        let budget = self.budget.map_or(usize::MAX, |budget| gaussians_of(budget, &tree));
         Drawn::new(tree, budget, self.device.host.reading(self.look.drop_invalid))
     }
 

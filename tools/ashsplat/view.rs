@@ -1,6 +1,7 @@
 //! `ashsplat view`, and what `train --view` shares with it.
 
 mod assets;
+mod audience;
 mod cut;
 mod draw;
 mod film;
@@ -15,6 +16,7 @@ pub mod protocol;
 pub mod server;
 pub mod sibr;
 mod sizes;
+mod streamed;
 pub mod studio;
 mod subject;
 #[cfg(feature = "window")]
@@ -26,9 +28,11 @@ pub use photos::Photos;
 pub use subject::Subject;
 
 use crate::args::{DeviceArguments, MAX_MEMORY_IN_VIEWER};
+use crate::convert::parse_target;
 use crate::render::LookArguments;
 use crate::{output, session};
 use ashsplat::{Error, RenderSettings, Renderer, Result};
+use ashsplat_files::splats::Target;
 use clap::Args;
 use hub::Hub;
 use loading::Loading;
@@ -41,17 +45,18 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::Scope;
 use std::time::Duration;
+use streamed::Scenery;
 use studio::Studio;
 use subject::Wanted;
 
-/// Look at a scene, a trained model or a data set in a browser, also on a machine without a screen; or in a window.
+/// Look at a scene, a trained model, a tree of tiles or a data set in a browser, also on a machine without a screen; or in a window.
 ///
 /// The pictures are rendered here and streamed to the page, as many as each page can take. From elsewhere, forward the
 /// port (ssh -L 8090:localhost:8090 HOST), or use --host with --token.
 #[derive(Args)]
 #[command(mut_arg("max_memory", |argument| argument.help(MAX_MEMORY_IN_VIEWER)))]
 pub struct Arguments {
-    /// A file of Gaussians (PLY, compressed PLY, .splat, SPZ, glTF), a model folder, or a data set (its points) [default: the
+    /// A file of Gaussians (PLY, compressed PLY, .splat, SPZ, glTF), a model folder, a folder of `ashsplat tiles`, or a data set (its points) [default: the
     /// page takes files that are dropped on it, and paths in this folder or below]
     #[arg(value_name = "PATH")]
     path: Option<PathBuf>,
@@ -64,6 +69,10 @@ pub struct Arguments {
     /// Iteration of the model folder's PLY [default: what was saved last]
     #[arg(long, value_name = "N")]
     iteration: Option<u32>,
+    /// Gaussians of a picture, at most, of a folder of tiles: the tiles whose error is largest in pixels are the finest
+    /// [default: 1000000; pages can change it]
+    #[arg(long, value_name = "N|N%", value_parser = parse_target)]
+    budget: Option<Target>,
     #[command(flatten)]
     serve: ServeArguments,
     /// In a window on this machine's screen instead of a page
@@ -160,13 +169,13 @@ impl<'a> Stage<'a> {
         };
         // Meanwhile.
         let context = arguments.device.context()?;
-        let mut renderer = Renderer::new(&context)?;
+        let mut scenery = Scenery::new(Renderer::new(&context)?);
         let mut studio = Studio::new(hub.clone(), RenderSettings::default(), out);
         let first = match loading.take() {
             Some(loading) => loading.finish()?,
             None => Subject::nothing(),
         };
-        self.show(first, &mut renderer, &mut studio)?;
+        self.show(first, &mut scenery, &mut studio)?;
         while !stop.load(Ordering::Relaxed) {
             if let Some(read) = loading.take_if(|loading| loading.is_finished()) {
                 let (name, room) = (read.name().to_owned(), read.room());
@@ -177,7 +186,7 @@ impl<'a> Stage<'a> {
                         // Commands are for the file that the page has sent, not for what was kept of it here.
                         let file = if room.is_some() { Some(PathBuf::from(&name)) } else { subject.file };
                         let subject = Subject { name: name.clone(), file, ..subject };
-                        self.show(subject, &mut renderer, &mut studio).err()
+                        self.show(subject, &mut scenery, &mut studio).err()
                     }
                 };
                 if let Some(error) = failed {
@@ -192,21 +201,19 @@ impl<'a> Stage<'a> {
                 let read = move || arguments.load(&path, within.as_deref(), stop);
                 loading = Some(Loading::begin(threads, hub, name, read)?.keeping(turn, upload));
             }
-            studio.serve(&mut renderer, REST)?;
+            studio.serve(&mut scenery, REST)?;
         }
         arguments.device.report_validation(&context);
         Ok(())
     }
 
     /// Shows a scene to all pages.
-    fn show(&self, subject: Subject, renderer: &mut Renderer, studio: &mut Studio) -> Result<()> {
-        let mut greeting = subject.greeting(renderer.context().device_name(), None);
+    fn show(&self, subject: Subject, scenery: &mut Scenery, studio: &mut Studio) -> Result<()> {
+        let mut greeting = subject.greeting(scenery.renderer.context().device_name(), None);
         greeting["open"] = self.openings.as_ref().map(|openings| openings.described()).into();
-        if !subject.gaussians.is_empty()
-            && let Err(error) = renderer.upload(&subject.gaussians)
-        {
+        if let Err(error) = scenery.show(&subject.gaussians, subject.tree.as_ref(), &self.hub) {
             // The one before has gone already.
-            self.show(Subject::nothing(), renderer, studio)?;
+            self.show(Subject::nothing(), scenery, studio)?;
             return Err(error);
         }
         studio.show(subject.base, subject.lights);
@@ -227,7 +234,8 @@ impl Arguments {
 
     fn load(&self, path: &Path, within: Option<&Path>, stop: &AtomicBool) -> Result<Subject> {
         let source = self.source_path.as_deref();
-        let wanted = Wanted { iteration: self.iteration, source, images: self.images.as_deref(), within };
+        let (images, budget) = (self.images.as_deref(), self.budget);
+        let wanted = Wanted { iteration: self.iteration, source, images, within, budget };
         Subject::load(path, &wanted, &self.look, &self.device.host, stop)
     }
 

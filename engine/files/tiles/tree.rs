@@ -133,7 +133,13 @@ impl Tree {
     /// The tiles of a cut and those on the way to them: a tile comes after the one above it, and sooner where the error of that is larger
     /// in pixels. In this order they are to be loaded for [`Tree::cut_among`].
     pub fn wanted(&self, demand: &Demand<'_>) -> Vec<usize> {
-        self.refined(demand, &|_| true).1
+        self.wanted_among(demand, |_| true)
+    }
+
+    /// As [`Tree::wanted`], where some tiles will never be there, because they cannot be read say: nothing is wanted that could
+    /// only be drawn beside or below one of them.
+    pub fn wanted_among(&self, demand: &Demand<'_>, is_possible: impl Fn(usize) -> bool) -> Vec<usize> {
+        self.refined(demand, &is_possible).1
     }
 
     /// As [`Tree::cut`], of the tiles that are there: while one of those that would take a tile's place is not, the tile itself is drawn.
@@ -170,15 +176,19 @@ impl Tree {
         (drawn, visited)
     }
 
+    /// The file of a tile; None for a tile that is not in the tree.
+    pub fn path(&self, tile: usize) -> Option<PathBuf> {
+        self.tiles.get(tile).map(|tile| self.folder.join(&tile.name))
+    }
+
     /// Reads a tile.
     ///
     /// # Errors
     /// As [`splats::read`]; [`Error::Input`] for a file with another number of Gaussians.
     pub fn read(&self, tile: usize, options: &ReadOptions) -> Result<Scene> {
-        let Some(tile) = self.tiles.get(tile) else {
+        let (Some(path), Some(tile)) = (self.path(tile), self.tiles.get(tile)) else {
             return Err(Error::argument("tile", format!("{tile} is none of {}", self.tiles.len())));
         };
-        let path = self.folder.join(&tile.name);
         let scene = splats::read(&path, options)?;
         let found = scene.header.count;
         if found != tile.gaussians as u64 {

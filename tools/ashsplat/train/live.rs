@@ -275,6 +275,7 @@ impl Run {
         let cameras = gallery.as_ref().map(|gallery| gallery.cameras()).unwrap_or_default();
         let learns = [train.exposure, train.lens_effects];
         let subject = Subject {
+            tree: None,
             name: data.model_path.display().to_string(),
             gaussians: self.trainer.gaussians()?,
             base: self.trainer.render_settings(),

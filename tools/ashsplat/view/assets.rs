@@ -17,6 +17,7 @@ const FILES: &[(&str, &str, &str)] = files! {
     "maths.js": "text/javascript; charset=utf-8",
     "camera.js": "text/javascript; charset=utf-8",
     "controls.js": "text/javascript; charset=utf-8",
+    "detail.js": "text/javascript; charset=utf-8",
     "link.js": "text/javascript; charset=utf-8",
     "frames.js": "text/javascript; charset=utf-8",
     "overlay.js": "text/javascript; charset=utf-8",

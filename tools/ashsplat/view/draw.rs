@@ -1,5 +1,6 @@
 //! One picture of the scene in one of the modes, and its bytes.
 
+use super::audience::Audience;
 use super::cut;
 use super::lights::{self, PhotoLights, Places};
 use super::protocol::{Look, Mode, ViewRequest};
@@ -34,6 +35,16 @@ pub trait Painter {
     fn iteration(&self) -> Option<u32>;
     /// The light of photos that a training learns, as it is now.
     fn light(&self, places: Places) -> Result<Light>;
+    /// For whom the next pictures are.
+    fn attend(&mut self, _: &Audience<'_>) {}
+    /// Whether all of the scene is there that a camera's picture wants; what is not is asked for.
+    fn is_ready(&mut self, _: &Camera) -> Result<bool> {
+        Ok(true)
+    }
+    /// How much of a tree of tiles the last picture has.
+    fn tree(&self) -> Option<&Value> {
+        None
+    }
 }
 
 /// A painter whose methods of the same names draw.
@@ -172,6 +183,7 @@ pub fn answer(
         "format": if request.look.quality == 0 { "image/png" } else { "image/jpeg" },
         "render_ms": render_ms, "encode_ms": encode_ms, "stats": drawn.stats, "legend": drawn.legend,
         "iteration": painter.iteration(),
+        "tree": painter.tree(),
         // What makes the same cut of the file.
         "convert": cut::options(&settings),
         "export": cut::query(&settings),

@@ -63,15 +63,23 @@ impl Film {
         })
     }
 
-    /// Renders the next frame; what to tell the page.
-    pub fn advance(&mut self, painter: &mut dyn Painter, base: &RenderSettings) -> Result<Value> {
+    /// Gaussians of a frame of a tree of tiles, at most.
+    pub fn budget(&self) -> Option<u64> {
+        self.request.look.budget
+    }
+
+    /// Renders the next frame; what to tell the page. None while a part of the scene that it wants is not there yet.
+    pub fn advance(&mut self, painter: &mut dyn Painter, base: &RenderSettings) -> Result<Option<Value>> {
         if let Some(camera) = self.cameras.get(self.done) {
+            if !painter.is_ready(camera)? {
+                return Ok(None);
+            }
             let photo = draw::draw(painter, camera, base, &self.request.look)?.photo;
             let frames = self.folder.join(&self.name);
             output::write_png(&output::numbered(&frames, self.done, "png"), &photo)?;
             self.done += 1;
         }
-        Ok(json!({ "type": "film", "done": self.done, "total": self.cameras.len() }))
+        Ok(Some(json!({ "type": "film", "done": self.done, "total": self.cameras.len() })))
     }
 
     /// Removes what has been written of it.

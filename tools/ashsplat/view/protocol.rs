@@ -92,6 +92,8 @@ pub struct Look {
     pub quality: u8,
     /// What is left out.
     pub cut: CutMessage,
+    /// Of a tree of tiles: Gaussians of a picture, at most. None: as the program was told.
+    pub budget: Option<u64>,
 }
 
 impl Default for Look {
@@ -103,6 +105,7 @@ impl Default for Look {
             scale: 1.0,
             quality: 90,
             cut: CutMessage::default(),
+            budget: None,
         }
     }
 }

@@ -1,9 +1,11 @@
 //! Gives memory back after pictures that are much larger than those that follow.
 
+use super::audience::Audience;
 use super::draw::Painter;
 use super::lights::Places;
 use crate::light::Light;
 use ashsplat::{Camera, Frame, Gaussians, PixelReport, RenderSettings, Result, TileReport};
+use serde_json::Value;
 
 /// A picture is much smaller than another with less than 1/MUCH of its pixels.
 const MUCH: u64 = 4;
@@ -90,6 +92,18 @@ impl Painter for Sparing<'_> {
 
     fn iteration(&self) -> Option<u32> {
         self.painter.iteration()
+    }
+
+    fn attend(&mut self, audience: &Audience<'_>) {
+        self.painter.attend(audience);
+    }
+
+    fn is_ready(&mut self, camera: &Camera) -> Result<bool> {
+        self.painter.is_ready(camera)
+    }
+
+    fn tree(&self) -> Option<&Value> {
+        self.painter.tree()
     }
 }
 

@@ -1,10 +1,11 @@
 //! The one thread that renders: does the hub's tasks one by one.
 
+use super::audience::{Audience, Viewer};
 use super::draw::{self, Painter};
 use super::film::{Film, assembly};
 use super::hub::{CurrentScene, Hub, RemoteRequest, SceneRequest, Task};
 use super::lights::PhotoLights;
-use super::protocol::{self, ToPage};
+use super::protocol::{self, Look, ToPage};
 use super::sizes::{Sizes, Sparing};
 use crate::output;
 use ashsplat::{Error, RenderSettings, Result};
@@ -17,6 +18,11 @@ use std::time::Duration;
 
 /// Films that are put together at once: each takes a processor, descriptors and a frame's memory.
 const MOST_ASSEMBLED: usize = 2;
+
+/// How long a film waits before it looks whether its next frame's tiles are there: pages are served in between.
+const SHORTLY: Duration = Duration::from_millis(5);
+/// Number of the program that speaks the reference's protocol; pages have others.
+const REMOTE: u64 = 0;
 
 /// Serves pages with pictures of any subject.
 pub struct Studio {
@@ -79,6 +85,7 @@ impl Studio {
     fn serve_task(&mut self, painter: &mut dyn Painter, task: Task) -> Result<bool> {
         match task {
             Task::Frame { client, request } => {
+                self.attend(painter, client, &request.look);
                 let answer = draw::answer(painter, (&self.base, &self.lights), &request);
                 let failed = answer.is_err();
                 self.reply(client, answer.map(|(header, bytes)| ToPage::frame(&header, &bytes)))?;
@@ -88,6 +95,7 @@ impl Studio {
                 }
             }
             Task::Pick { client, pick } => {
+                self.attend(painter, client, &pick.look);
                 let settings = draw::settings(&self.base, &pick.look);
                 let report = pick.camera.camera().and_then(|c| painter.inspect(&c, &settings, pick.pixel));
                 let answer = report.map(|r| ToPage::json(&protocol::picked(pick.id, pick.pixel, &r)));
@@ -98,6 +106,18 @@ impl Studio {
             Task::Scene(request) => self.hand_over(painter, request)?,
         }
         Ok(true)
+    }
+
+    /// Whose picture is the next.
+    fn attend(&self, painter: &mut dyn Painter, page: u64, look: &Look) {
+        painter.attend(&Audience {
+            viewer: Viewer { page, films: false },
+            budget: look.budget,
+            is_there: &|viewer| match viewer.films {
+                true => self.film.is_some(),
+                false => viewer.page == REMOTE || self.hub.has_page(viewer.page),
+            },
+        });
     }
 
     /// Sends an answer, or why there is none.
@@ -113,6 +133,7 @@ impl Studio {
     }
 
     fn answer_remotely(&self, painter: &mut dyn Painter, request: &RemoteRequest) -> Result<()> {
+        self.attend(painter, REMOTE, &Look::default());
         let settings = RenderSettings { scale_modifier: request.scale, ..self.base };
         let frame = painter.render(&request.camera, &settings).and_then(|frame| output::to_photo(&frame));
         match frame {
@@ -151,13 +172,20 @@ impl Studio {
             self.end_film(client, json!({ "type": "film", "cancelled": true }));
             return Ok(true);
         }
+        let viewer = Viewer { page: client, films: true };
+        painter.attend(&Audience { viewer, budget: film.budget(), is_there: &|_| true });
         match film.advance(painter, &self.base) {
             Err(error) => {
                 film.discard();
                 self.end_film(client, json!({ "type": "film", "cancelled": true }));
                 self.reply(client, Err(error))?;
             }
-            Ok(progress) => match film.assembly() {
+            // What its next frame wants is being read.
+            Ok(None) => {
+                std::thread::sleep(SHORTLY);
+                self.film = Some(film);
+            }
+            Ok(Some(progress)) => match film.assembly() {
                 None => {
                     self.hub.send(client, ToPage::json(&progress));
                     self.film = Some(film);

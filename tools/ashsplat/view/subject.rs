@@ -5,16 +5,18 @@ use super::lights::PhotoLights;
 use super::photos::Photos;
 use super::protocol::CameraMessage;
 use crate::args::HostArguments;
-use crate::config::{CAMERAS_FILE, DataSettings};
+use crate::config::{CAMERAS_FILE, DataSettings, Settings};
 use crate::light::Lights;
 use crate::model::Model;
-use crate::render::{self, LookArguments};
+use crate::progress::thousands;
+use crate::render::{self, LookArguments, gaussians_of, tree_of};
 use crate::{model, session};
 use ashsplat::scene::{Bounds, Camera, Gaussians, Intrinsics, Orbit};
 use ashsplat::{Error, RenderSettings, Result};
 use ashsplat_files::cameras_json::{self, NamedCamera};
 use ashsplat_files::quoted;
-use ashsplat_files::splats::Format;
+use ashsplat_files::splats::{Format, ReadOptions, Target};
+use ashsplat_files::tiles::Tree;
 use ashsplat_files::{DatasetOptions, Gallery};
 use glam::Vec3;
 use serde_json::{Value, json};
@@ -43,6 +45,18 @@ pub struct Subject {
     pub note: Option<String>,
     /// Its file or folder, for commands; none where there is none.
     pub file: Option<PathBuf>,
+    /// The tree of tiles whose coarsest one the Gaussians are.
+    pub tree: Option<Streamed>,
+}
+
+/// A tree of tiles, of which the viewer holds what is looked at.
+pub struct Streamed {
+    pub tree: Arc<Tree>,
+    pub read: ReadOptions,
+    /// Gaussians of a picture, at most.
+    pub budget: usize,
+    /// Tiles that links lead out of this folder are left out.
+    pub within: Option<PathBuf>,
 }
 
 /// What of a scene is wanted, other than by default.
@@ -55,7 +69,12 @@ pub struct Wanted<'a> {
     pub images: Option<&'a str>,
     /// Photos of elsewhere are left out: a model names its data set and their folder.
     pub within: Option<&'a Path>,
+    /// Of a tree of tiles: Gaussians of a picture, at most.
+    pub budget: Option<Target>,
 }
+
+/// Gaussians of a picture of a tree, where nothing else is said.
+const BUDGET: usize = 1_000_000;
 
 impl Subject {
     /// Before anything is chosen.
@@ -71,10 +90,52 @@ impl Subject {
             lights: PhotoLights::default(),
             note: Some(note.into()),
             file: None,
+            tree: None,
         }
     }
 
-    /// A file of Gaussians, a model folder, or a data set, of which the points are shown.
+    /// A tree of tiles: its coarsest one is read, the others as pages look at them.
+    fn of_tree(
+        tree: Tree,
+        path: &Path,
+        wanted: &Wanted<'_>,
+        (look, host): (&LookArguments, &HostArguments),
+    ) -> Result<Subject> {
+        let coarsest = tree.path(0).ok_or_else(|| Error::input(path, "has no tiles", "write it again"))?;
+        let streamed = |tree: Tree| Streamed {
+            read: host.reading(look.drop_invalid),
+            budget: wanted.budget.map_or(BUDGET, |budget| gaussians_of(budget, &tree)),
+            within: wanted.within.map(Path::to_owned),
+            tree: Arc::new(tree),
+        };
+        if let Some(folder) = wanted.within
+            && !coarsest.canonicalize().is_ok_and(|real| real.starts_with(folder))
+        {
+            return Err(Error::input(
+                coarsest,
+                "leads out of the folder that may be opened",
+                "name the tree itself",
+            ));
+        }
+        let scene = tree.read(0, &host.reading(look.drop_invalid))?;
+        Ok(Subject {
+            name: path.display().to_string(),
+            base: look.settings(&Settings::default(), &scene.header)?,
+            gaussians: scene.gaussians,
+            cameras: Vec::new(),
+            photos: None,
+            lights: PhotoLights::default(),
+            note: Some(format!(
+                "{} Gaussians in {} tiles",
+                thousands(tree.gaussians() as u64),
+                tree.tiles().len()
+            )),
+            file: None,
+            tree: Some(streamed(tree)),
+        })
+    }
+
+    /// A file of Gaussians, a model folder, a tree of tiles, or a data set, of which the points are shown.
     pub fn load(
         path: &Path,
         wanted: &Wanted<'_>,
@@ -82,6 +143,10 @@ impl Subject {
         host: &HostArguments,
         stop: &AtomicBool,
     ) -> Result<Subject> {
+        let folder = render::folder_of_tiles(path);
+        if let Some(tree) = tree_of(folder, wanted.budget.is_some())? {
+            return Subject::of_tree(tree, path, wanted, (look, host));
+        }
         if model::is_dataset(path) {
             return Subject::of_dataset(path, wanted.images, host, stop);
         }
@@ -126,6 +191,7 @@ impl Subject {
             photos: gallery.map(|gallery| Arc::new(Photos::new(gallery))),
             note: model.folder.map(|(_, iteration)| format!("iteration {iteration}")),
             file: Some(file),
+            tree: None,
         })
     }
 
@@ -159,6 +225,7 @@ impl Subject {
             photos: Some(Arc::new(Photos::new(gallery))),
             note: Some(note.into()),
             file: None,
+            tree: None,
         })
     }
 
@@ -168,6 +235,7 @@ impl Subject {
         let intrinsics = Intrinsics::from_fov_x(1.0, width, height);
         let cameras: Vec<Camera> = self.cameras.iter().map(|named| named.camera).collect();
         let statistics = self.gaussians.statistics();
+        let tree = self.tree.as_ref();
         let corners = |bounds: Bounds| json!([bounds.min.to_array(), bounds.max.to_array()]);
         let middle = statistics.central_bounds.map(|bounds| bounds.center());
         let orbit = Orbit::around_scene(&cameras, middle, 1, intrinsics);
@@ -186,9 +254,10 @@ impl Subject {
             "run": run_name(),
             "note": self.note,
             "empty": self.gaussians.is_empty(),
-            "gaussians": self.gaussians.len(),
+            "gaussians": tree.map_or(self.gaussians.len(), |tree| tree.tree.gaussians()),
+            "tree": tree.map(|tree| json!({ "budget": tree.budget, "least": self.gaussians.len() })),
             "sh_degree": self.gaussians.sh_degree,
-            "bounds": statistics.bounds.map(corners),
+            "bounds": tree.and_then(Streamed::bounds).or(statistics.bounds).map(corners),
             "central_bounds": statistics.central_bounds.map(corners),
             "densities": statistics.density_percentiles,
             "stem": self.stem(),
@@ -204,6 +273,13 @@ impl Subject {
             "radius": orbit.radius,
             "training": training,
         })
+    }
+}
+
+impl Streamed {
+    /// What all of it reaches.
+    fn bounds(&self) -> Option<Bounds> {
+        self.tree.tiles().first().map(|tile| tile.bounds)
     }
 }
 

@@ -32,6 +32,10 @@ pub fn run(arguments: &Arguments, out: PathBuf, stop: Arc<AtomicBool>) -> Result
     let events = display::open()?;
     let instance_extensions = present::instance_extensions(&events)?;
     let subject = arguments.subject(&stop)?;
+    if subject.tree.is_some() {
+        let problem = "trees of tiles are drawn on the page alone: leave it out, or give the scene that they were made of";
+        return Err(Error::argument("--window", problem));
+    }
     let opened = arguments.device.context_with(|options| {
         // What is recorded into a host's command buffers cannot read texels.
         options.texels = false;

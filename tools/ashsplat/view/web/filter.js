@@ -37,6 +37,8 @@ export class Filter {
         if (scene.run !== this.scene?.run) this.shown = null;
         this.scene = scene;
         find('filter').hidden = scene.empty;
+        // Only a part of a tree is ever there: it is neither counted nor saved.
+        find('exports').hidden = Boolean(scene.tree);
         this.median = scene.densities?.[3] || 1;
         this.ranges = scene.central_bounds && this.rangesOf(scene);
         if (first) this.reset();
@@ -145,7 +147,7 @@ export class Filter {
         this.shown = address;
         const command = convert && this.scene?.convert ? `${this.scene.convert} ${convert}` : '';
         find('command').hidden = !command;
-        this.count(convert ? address : null);
+        this.count(convert && !this.scene?.tree ? address : null);
         if (find('command-text').textContent === command) return;
         // Lines end between words, not within options.
         const words = command.split(' ').map((word) => Object.assign(document.createElement('span'), { textContent: word }));

@@ -2,6 +2,7 @@
 
 import { Camera } from './camera.js';
 import { Controls } from './controls.js';
+import { Detail } from './detail.js';
 import { Film } from './film.js';
 import { Filter } from './filter.js';
 import { Frames } from './frames.js';
@@ -20,7 +21,8 @@ const camera = new Camera();
 const panel = new Panel();
 const overlay = new Overlay(find('overlay'), camera);
 const filter = new Filter(overlay, say);
-const look = () => ({ ...panel.look(), cut: filter.cut });
+const detail = new Detail();
+const look = () => ({ ...panel.look(), cut: filter.cut, budget: detail.budget });
 const frames = new Frames(link, camera, find('picture'), look);
 const picker = new Picker(link, camera, frames, look, overlay);
 const photos = new Photos(camera, overlay, frames);
@@ -56,6 +58,7 @@ panel.toggled = (name, on) => {
 };
 panel.rendering = ({ resolution, quality }) => { Object.assign(frames, { resolution, quality }); frames.leap(); };
 filter.changed = () => frames.touch();
+detail.changed = () => frames.leap();
 find('home').onclick = home;
 find('shot').onclick = () => frames.screenshot();
 find('help').onclick = listKeys;
@@ -128,9 +131,11 @@ link.on('scene', (message) => {
     document.title = `${message.name.split('/').filter(Boolean).at(-1) ?? ''} · ashsplat`;
     find('device').textContent = message.device;
     if (message.empty) find('welcome-note').replaceChildren(...marked(message.note ?? ''));
-    frames.follow = message.training !== null;
+    // Tiles that come later belong to the picture, too.
+    frames.follow = message.training !== null || Boolean(message.tree);
     panel.open(message);
     filter.open(message, first);
+    detail.open(message, first);
     training.open(message.training);
     if (first) {
         // Frames that are on their way may be of the scene before.
@@ -148,6 +153,7 @@ frames.onShown = (header) => {
     stage.picture();
     panel.showFrame(header, frames.framesPerSecond);
     filter.showFrame(header);
+    detail.showFrame(header);
     window.ashsplat.shown = header;
 };
 
@@ -176,6 +182,6 @@ function tick(now) {
 }
 
 // For tests, and for the curious.
-window.ashsplat = { camera, frames, link, panel, photos, picker, film, training, overlay, filter, stage, shown: null };
+window.ashsplat = { camera, frames, link, panel, photos, picker, film, training, overlay, filter, detail, stage, shown: null };
 link.open();
 requestAnimationFrame(tick);

@@ -1,0 +1,170 @@
+//! Trees of tiles on the page.
+
+use super::*;
+use crate::cli::{refuse, succeed};
+use crate::common::engine::renderer;
+use ashsplat::{Gaussians, RenderSettings};
+use ashsplat_files::splats::ReadOptions;
+use ashsplat_files::tiles::{self, Demand, TileOptions, Tree};
+use ashsplat_files::{Photo, Progress, cameras_json};
+use std::collections::BTreeSet;
+use tempfile::tempdir;
+
+const COUNT: usize = 900;
+
+fn written(folder: &Path) -> (std::path::PathBuf, Tree) {
+    let tree = folder.join("tree");
+    let options = TileOptions { most: 60, packed: false };
+    // Any error will do, as long as coarser tiles have larger ones.
+    let mut measure = |_: &Gaussians, _: &Gaussians| Ok(0.1);
+    let scene = write_ball(folder, COUNT);
+    tiles::write(&scene, &tree, &options, &ReadOptions::default(), &mut measure, &Progress::NONE)
+        .expect("tiles");
+    let opened = Tree::open(&tree).expect("a tree");
+    (tree, opened)
+}
+
+/// Frames until nothing is on its way: the first, the last, and what was said.
+fn settled(page: &mut Page, camera: &Camera, look: &Value) -> (Shown, Shown, BTreeSet<String>) {
+    let (start, mut first, mut said) = (Instant::now(), None, BTreeSet::new());
+    while start.elapsed() < PATIENCE {
+        page.send(&view(1, camera, look));
+        let shown = loop {
+            match page.socket.read().expect("a message") {
+                Message::Binary(bytes) => {
+                    let length = u32::from_le_bytes(bytes[..4].try_into().expect("4 bytes")) as usize;
+                    let header = serde_json::from_slice(&bytes[4..4 + length]).expect("a header");
+                    break Shown { header, picture: bytes[4 + length..].to_vec() };
+                }
+                Message::Text(text) => {
+                    let message: Value = serde_json::from_str(text.as_str()).expect("JSON");
+                    said.extend(message["message"].as_str().map(str::to_owned));
+                }
+                _ => {}
+            }
+        };
+        page.send(&json!({ "type": "ack" }));
+        if shown.header["tree"]["missing"] == 0 {
+            let first = first.unwrap_or(Shown { header: shown.header.clone(), picture: Vec::new() });
+            return (first, shown, said);
+        }
+        first.get_or_insert(shown);
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    panic!("tiles do not come");
+}
+
+/// A page's first frame shows the coarsest tile, and its last what `render --budget` draws, to the bit.
+#[test]
+fn viewer_streams_a_tree_until_it_is_what_render_draws() {
+    let folder = tempdir().expect("a temporary folder");
+    let (path, tree) = written(folder.path());
+    let server = Server::view(&path.join("tileset.json"), &["--budget", "50%"]);
+    let mut page = server.page();
+    assert_eq!(page.greeting["gaussians"], COUNT);
+    assert_eq!(page.greeting["tree"], json!({ "budget": COUNT / 2, "least": tree.tiles()[0].gaussians }));
+    let cameras: Vec<Camera> = [0.3, 1.9].map(camera).to_vec();
+    let named = folder.path().join("cameras.json");
+    cameras_json::write(&named, ["a", "b"].into_iter().zip(&cameras)).expect("written");
+    for (budget, look) in [("50%", json!({ "quality": 0 })), ("250", json!({ "quality": 0, "budget": 250 }))]
+    {
+        let out = folder.path().join(format!("out{}", budget.trim_end_matches('%')));
+        succeed(&["render", text(&path), "--budget", budget, "--path", text(&named), "-o", text(&out)]);
+        for (index, camera) in cameras.iter().enumerate() {
+            let (first, last, said) = settled(&mut page, camera, &look);
+            let tree = &last.header["tree"];
+            if budget == "50%" && index == 0 {
+                // Nothing else was asked for yet, and the frame did not wait.
+                assert_eq!((&first.header["tree"]["drawn"], &tree["of"]), (&json!(1), &json!(COUNT)));
+                assert!(first.header["tree"]["missing"].as_u64() > Some(3), "{}", first.header);
+                assert!(tree["drawn"].as_u64() > Some(3), "{}", last.header);
+                assert!(first.rgb() != last.rgb());
+            }
+            let files = std::fs::read_dir(&out).expect("pictures").map(|e| e.expect("an entry").path());
+            let mut files: Vec<_> = files.collect();
+            files.sort();
+            let expected = image::open(&files[index]).expect("a picture").to_rgb8().into_raw();
+            assert!(last.rgb() == expected, "{budget}, camera {index}: {}", last.header);
+            assert!(said.is_empty(), "{said:?}");
+        }
+    }
+    // Another page, at once, has what the first has loaded.
+    let mut other = server.page();
+    let (first, _, _) = settled(&mut other, &cameras[1], &json!({ "quality": 0, "budget": 250 }));
+    assert_eq!(first.header["tree"]["missing"], 0);
+    // A part of a tree is no scene to be saved.
+    assert_eq!(server.get("/export/tree.ply", &[]).0, 422);
+    assert!(page.greeting["convert"].is_null());
+    #[cfg(unix)]
+    assert_eq!(server.end(), (Some(0), String::new()));
+}
+
+/// A missing and a damaged tile are named, once each on the page and on the terminal; their coarser ones are drawn.
+#[test]
+fn viewer_names_tiles_that_cannot_be_read() {
+    let folder = tempdir().expect("a temporary folder");
+    let (path, tree) = written(folder.path());
+    let camera = camera(0.3);
+    let cut = tree.cut(&camera, COUNT);
+    let lost = [cut[1], *cut.last().expect("tiles")];
+    let files = lost.map(|tile| tree.path(tile).expect("a tile"));
+    std::fs::remove_file(&files[0]).expect("removed");
+    let bytes = std::fs::read(&files[1]).expect("a tile");
+    std::fs::write(&files[1], &bytes[..bytes.len() / 2]).expect("damaged");
+    let server = Server::view(&path, &["--budget", "100%"]);
+    let mut page = server.page();
+    let (_, shown, said) = settled(&mut page, &camera, &json!({ "quality": 0 }));
+    let drawn = tree.cut_among(&Demand::of(&camera, COUNT), |tile| !lost.contains(&tile));
+    assert!(drawn.len() > 3 && drawn != cut, "{drawn:?}");
+    let mut expected = Gaussians { sh_degree: 1, ..Gaussians::default() };
+    for tile in drawn {
+        expected.append(&tree.read(tile, &ReadOptions::default()).expect("a tile").gaussians);
+    }
+    let mut renderer = renderer();
+    renderer.upload(&expected).expect("uploaded");
+    let frame = renderer.render(&camera, &RenderSettings::default()).expect("a frame");
+    let expected = Photo::from_f32(frame.width, frame.height, &frame.color).expect("a picture").rgb;
+    assert!(shown.rgb() == expected, "{}", shown.header);
+    let names = files.each_ref().map(|file| file.file_name().and_then(|name| name.to_str()).expect("UTF-8"));
+    let problem = shown.header["tree"]["problem"].as_str().expect("a problem");
+    assert!(names.iter().any(|name| problem.contains(name)), "{problem}");
+    #[cfg(unix)]
+    let (code, stderr) = server.end();
+    #[cfg(unix)]
+    assert_eq!(code, Some(0), "{stderr}");
+    for name in names {
+        let of = |lines: &mut dyn Iterator<Item = &str>| lines.filter(|line| line.contains(name)).count();
+        assert_eq!(of(&mut said.iter().map(String::as_str)), 1, "{said:?}");
+        #[cfg(unix)]
+        assert_eq!(of(&mut stderr.lines()), 1, "{stderr}");
+    }
+}
+
+/// A tile that never comes delays no frame, and not the end of the program.
+#[cfg(unix)]
+#[test]
+fn viewer_waits_for_no_tile() {
+    let folder = tempdir().expect("a temporary folder");
+    let (path, tree) = written(folder.path());
+    let camera = camera(0.3);
+    let first = tree.wanted(&Demand::of(&camera, COUNT))[1];
+    let file = tree.path(first).expect("a tile");
+    std::fs::remove_file(&file).expect("removed");
+    // Whoever opens a pipe waits for its writer.
+    let made = std::process::Command::new("mkfifo").arg(&file).status().expect("mkfifo");
+    assert!(made.success());
+    let server = Server::view(&path, &["--budget", "100%"]);
+    let mut page = server.page();
+    for _ in 0..5 {
+        let shown = page.look(&camera, &json!({ "quality": 0 }));
+        assert_eq!(shown.header["tree"]["drawn"], 1);
+    }
+    assert_eq!(server.end().0, Some(0));
+}
+
+#[test]
+fn viewer_refuses_what_is_no_tree() {
+    let folder = tempdir().expect("a temporary folder");
+    let scene = write_ball(folder.path(), 50);
+    refuse(&["view", text(&scene), "--budget", "10"], &["--budget", "folders of tiles"]);
+}

@@ -1,0 +1,172 @@
+//! What the page's thread draws: a scene, or a tree of tiles within a budget of Gaussians.
+
+mod loader;
+mod residency;
+
+use super::audience::{Audience, Viewer};
+use super::draw::Painter;
+use super::hub::Hub;
+use super::lights::Places;
+use super::protocol::ToPage;
+use super::subject::Streamed;
+use crate::light::Light;
+use ashsplat::scene::Gaussians;
+use ashsplat::{
+    Camera, DeviceScene, Error, Frame, PixelReport, RenderSettings, Renderer, Result, TileReport,
+};
+use ashsplat_files::tiles::{Demand, Tree};
+use loader::{Loader, Source};
+use residency::Residency;
+use serde_json::{Value, json};
+use std::sync::Arc;
+
+/// Draws a scene that is loaded whole, or a tree of which it holds what is looked at.
+pub struct Scenery {
+    pub renderer: Renderer,
+    streaming: Option<Streaming>,
+}
+
+/// A tree that is being looked at.
+struct Streaming {
+    tree: Arc<Tree>,
+    residency: Residency<DeviceScene>,
+    loader: Loader,
+    hub: Arc<Hub>,
+    /// Of the program.
+    budget: usize,
+    /// Of the viewer that is served.
+    current: (Viewer, usize),
+    /// Of the last picture.
+    shown: Value,
+}
+
+impl Scenery {
+    /// Of what the renderer has.
+    pub fn new(renderer: Renderer) -> Scenery {
+        Scenery { renderer, streaming: None }
+    }
+
+    /// Shows a scene, or the tree whose coarsest tile it is.
+    pub fn show(&mut self, gaussians: &Gaussians, tree: Option<&Streamed>, hub: &Arc<Hub>) -> Result<()> {
+        self.streaming = None;
+        if !gaussians.is_empty() {
+            self.renderer.upload(gaussians)?;
+        }
+        let (Some(streamed), Some(coarsest)) = (tree, self.renderer.scene()) else { return Ok(()) };
+        let source = Source {
+            tree: streamed.tree.clone(),
+            read: streamed.read,
+            sh_degree: gaussians.sh_degree,
+            within: streamed.within.clone(),
+        };
+        let context = self.renderer.context().clone();
+        let pages = hub.clone();
+        self.streaming = Some(Streaming {
+            tree: streamed.tree.clone(),
+            residency: Residency::new(streamed.tree.clone(), coarsest),
+            loader: Loader::start(context, source, move || pages.renew())?,
+            hub: hub.clone(),
+            budget: streamed.budget,
+            current: (Viewer::default(), streamed.budget),
+            shown: Value::Null,
+        });
+        Ok(())
+    }
+
+    /// Takes over what has come, asks for what is missing, and has the renderer draw what is there. Whether nothing is missing.
+    fn prepare(&mut self, camera: &Camera) -> Result<bool> {
+        let Some(streaming) = &mut self.streaming else { return Ok(true) };
+        camera.check()?;
+        let scenes = streaming.scenes(camera);
+        let is_whole = streaming.shown["missing"] == 0;
+        self.renderer.set_scenes(&scenes)?;
+        Ok(is_whole)
+    }
+}
+
+impl Streaming {
+    fn scenes(&mut self, camera: &Camera) -> Vec<DeviceScene> {
+        for (tile, arrived) in self.loader.arrivals() {
+            match arrived {
+                Ok(scene) => self.residency.add(tile, scene),
+                Err(error) => {
+                    if let Some(problem) = self.residency.fail(tile, &error) {
+                        tell!("{problem}");
+                        self.hub.broadcast(&ToPage::problem(&problem));
+                    }
+                }
+            }
+        }
+        let (viewer, budget) = self.current;
+        let cut = self.residency.cut(viewer, &Demand::of(camera, budget));
+        self.loader.ask(cut.missing.iter().copied());
+        let (resident, resident_gaussians) = self.residency.resident();
+        self.shown = json!({
+            "of": self.tree.gaussians(), "budget": budget, "drawn": cut.drawn.len(), "wanted": cut.wanted,
+            "missing": cut.missing.len(), "resident": resident, "resident_gaussians": resident_gaussians,
+            "problems": self.residency.problems().count(), "problem": self.residency.problems().next(),
+        });
+        cut.drawn.iter().filter_map(|&tile| self.residency.get(tile).cloned()).collect()
+    }
+}
+
+impl Painter for Scenery {
+    fn render(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<Frame> {
+        self.prepare(camera)?;
+        self.renderer.render(camera, settings)
+    }
+
+    fn render_with_tiles(
+        &mut self,
+        camera: &Camera,
+        settings: &RenderSettings,
+    ) -> Result<(Frame, TileReport)> {
+        self.prepare(camera)?;
+        self.renderer.render_with_tiles(camera, settings)
+    }
+
+    fn inspect(
+        &mut self,
+        camera: &Camera,
+        settings: &RenderSettings,
+        pixel: [u32; 2],
+    ) -> Result<PixelReport> {
+        self.prepare(camera)?;
+        self.renderer.inspect(camera, settings, pixel)
+    }
+
+    fn gaussians(&self) -> Result<Gaussians> {
+        if self.streaming.is_some() {
+            let problem = "is not saved from here: it is not whole; `ashsplat convert` reads the scene that it was made of";
+            return Err(Error::argument("a tree of tiles", problem));
+        }
+        self.renderer.gaussians()
+    }
+
+    fn shrink(&mut self) {
+        self.renderer.shrink();
+    }
+
+    fn iteration(&self) -> Option<u32> {
+        None
+    }
+
+    fn light(&self, _: Places) -> Result<Light> {
+        Ok(Light::default())
+    }
+
+    fn attend(&mut self, audience: &Audience<'_>) {
+        let Some(streaming) = &mut self.streaming else { return };
+        let asked = audience.budget.map(|budget| usize::try_from(budget).unwrap_or(usize::MAX));
+        streaming.current = (audience.viewer, asked.unwrap_or(streaming.budget));
+        streaming.residency.keep_viewers(audience.is_there);
+    }
+
+    fn is_ready(&mut self, camera: &Camera) -> Result<bool> {
+        self.prepare(camera)
+    }
+
+    fn tree(&self) -> Option<&Value> {
+        self.streaming.as_ref().map(|streaming| &streaming.shown)
+    }
+}

@@ -1,0 +1,147 @@
+//! The thread that reads tiles and uploads them: no frame waits for a file.
+
+use ashsplat::scene::Gaussians;
+use ashsplat::vk::Context;
+use ashsplat::{DeviceScene, Error, Result};
+use ashsplat_files::splats::ReadOptions;
+use ashsplat_files::tiles::Tree;
+use std::collections::VecDeque;
+use std::path::PathBuf;
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+
+/// From where tiles are read.
+pub struct Source {
+    pub tree: Arc<Tree>,
+    pub read: ReadOptions,
+    /// SH degree at which all tiles are stored.
+    pub sh_degree: u32,
+    /// No tile is read from outside of this folder, whatever its links say.
+    pub within: Option<PathBuf>,
+}
+
+/// A tile, and its Gaussians on the device, or why there are none.
+pub type Arrival = (usize, Result<DeviceScene>);
+
+/// See the module.
+pub struct Loader {
+    shared: Arc<Shared>,
+}
+
+#[derive(Default)]
+struct Shared {
+    state: Mutex<State>,
+    news: Condvar,
+}
+
+#[derive(Default)]
+struct State {
+    wishes: VecDeque<usize>,
+    /// What is being read.
+    current: Option<usize>,
+    arrivals: Vec<Arrival>,
+    /// Whether the device is in use.
+    uploads: bool,
+    ended: bool,
+}
+
+impl Shared {
+    fn lock(&self) -> MutexGuard<'_, State> {
+        // A panic of another thread leaves nothing half-done here.
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The next tile to be read; none at the end.
+    fn next(&self) -> Option<usize> {
+        let mut state = self.lock();
+        loop {
+            if state.ended {
+                return None;
+            }
+            if let Some(tile) = state.wishes.pop_front() {
+                state.current = Some(tile);
+                return Some(tile);
+            }
+            state = self.news.wait(state).unwrap_or_else(PoisonError::into_inner);
+        }
+    }
+
+    /// Whether the tile that was read is still wanted.
+    fn begin_upload(&self) -> bool {
+        let mut state = self.lock();
+        state.uploads = !state.ended;
+        state.uploads
+    }
+
+    fn arrive(&self, arrival: Arrival) {
+        let mut state = self.lock();
+        (state.current, state.uploads) = (None, false);
+        state.arrivals.push(arrival);
+        self.news.notify_all();
+    }
+}
+
+impl Loader {
+    /// Begins; `arrived` is called after each tile.
+    pub fn start(context: Context, source: Source, arrived: impl Fn() + Send + 'static) -> Result<Loader> {
+        let shared = Arc::<Shared>::default();
+        let own = shared.clone();
+        let work = move || {
+            while let Some(tile) = own.next() {
+                let gaussians = source.read(tile);
+                if !own.begin_upload() {
+                    return;
+                }
+                let scene = gaussians.and_then(|all| DeviceScene::upload(&context, &all, 0));
+                own.arrive((tile, scene));
+                arrived();
+            }
+        };
+        let thread = std::thread::Builder::new().name("tiles".into()).spawn(work);
+        thread.map_err(|e| Error::argument("viewer", format!("no thread to read with: {e}")))?;
+        Ok(Loader { shared })
+    }
+
+    /// What is to be read from now on, the most urgent first: wishes that are not repeated are forgotten.
+    pub fn ask(&self, tiles: impl IntoIterator<Item = usize>) {
+        let mut state = self.shared.lock();
+        let known = |tile: &usize| {
+            state.current == Some(*tile) || state.arrivals.iter().any(|(arrived, _)| arrived == tile)
+        };
+        state.wishes = tiles.into_iter().filter(|tile| !known(tile)).collect();
+        drop(state);
+        self.shared.news.notify_one();
+    }
+
+    /// What has come since this was last asked.
+    pub fn arrivals(&self) -> Vec<Arrival> {
+        std::mem::take(&mut self.shared.lock().arrivals)
+    }
+}
+
+impl Drop for Loader {
+    /// Waits until the thread is done with the device, but not for a file: a network's may never come.
+    fn drop(&mut self) {
+        let mut state = self.shared.lock();
+        state.ended = true;
+        self.shared.news.notify_all();
+        while state.uploads {
+            state = self.shared.news.wait(state).unwrap_or_else(PoisonError::into_inner);
+        }
+    }
+}
+
+impl Source {
+    fn read(&self, tile: usize) -> Result<Gaussians> {
+        if let (Some(folder), Some(path)) = (&self.within, self.tree.path(tile)) {
+            let real = path.canonicalize().map_err(|e| Error::io(&path, "read", e))?;
+            if !real.starts_with(folder) {
+                let problem = "leads out of the folder that may be opened";
+                return Err(Error::input(path, problem, "start the viewer with the tree's path"));
+            }
+        }
+        let own = self.tree.read(tile, &self.read)?.gaussians;
+        let mut all = Gaussians::with_capacity(self.sh_degree, own.len());
+        all.append(&own);
+        Ok(all)
+    }
+}

@@ -1,0 +1,254 @@
+//! Which tiles of a tree are there, which are wanted, and which go.
+
+use crate::view::audience::Viewer;
+use ashsplat::Error;
+use ashsplat_files::tiles::{Demand, Tree};
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+
+/// The tiles that are there. All that somebody wants stay; of those that nobody wants any more, the latest stay, as many as one
+/// picture may have.
+pub struct Residency<T> {
+    tree: Arc<Tree>,
+    there: BTreeMap<usize, Held<T>>,
+    wanted: BTreeMap<Viewer, Vec<usize>>,
+    /// Why tiles cannot be read.
+    failed: BTreeMap<usize, String>,
+    /// Tiles for which the device had no memory. They are asked for again when somebody wants something else.
+    refused: BTreeSet<usize>,
+    frames: u64,
+}
+
+struct Held<T> {
+    scene: T,
+    /// The frame that wanted it last.
+    frame: u64,
+}
+
+/// What one picture has.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Cut {
+    /// Tiles that are drawn, ascending.
+    pub drawn: Vec<usize>,
+    /// Those that are to be read for it, the most urgent first.
+    pub missing: Vec<usize>,
+    /// How many it wants in all.
+    pub wanted: usize,
+}
+
+impl<T> Residency<T> {
+    /// Begins with the coarsest tile, which stays.
+    pub fn new(tree: Arc<Tree>, coarsest: T) -> Self {
+        let there = BTreeMap::from([(0, Held { scene: coarsest, frame: 0 })]);
+        let (wanted, failed, refused) = (BTreeMap::new(), BTreeMap::new(), BTreeSet::new());
+        Self { tree, there, wanted, failed, refused, frames: 0 }
+    }
+
+    /// What a viewer's next picture has. Tiles that are wanted no more go, beyond the budget.
+    pub fn cut(&mut self, viewer: Viewer, demand: &Demand<'_>) -> Cut {
+        self.frames += 1;
+        let possible = |tile: usize| !self.failed.contains_key(&tile);
+        let wanted = self.tree.wanted_among(demand, possible);
+        if self.wanted.get(&viewer) != Some(&wanted) {
+            self.refused.clear();
+        }
+        for tile in &wanted {
+            if let Some(held) = self.there.get_mut(tile) {
+                held.frame = self.frames;
+            }
+        }
+        let missing = wanted.iter().copied().filter(|tile| !self.has(*tile) && !self.refused.contains(tile));
+        let (missing, count) = (missing.collect(), wanted.len());
+        self.wanted.insert(viewer, wanted);
+        self.evict(demand.budget);
+        let drawn = self.tree.cut_among(demand, |tile| self.has(tile));
+        Cut { drawn, missing, wanted: count }
+    }
+
+    /// Forgets viewers that have gone.
+    pub fn keep_viewers(&mut self, is_there: impl Fn(&Viewer) -> bool) {
+        self.wanted.retain(|viewer, _| is_there(viewer));
+    }
+
+    pub fn has(&self, tile: usize) -> bool {
+        self.there.contains_key(&tile)
+    }
+
+    pub fn get(&self, tile: usize) -> Option<&T> {
+        self.there.get(&tile).map(|held| &held.scene)
+    }
+
+    /// A tile has come.
+    pub fn add(&mut self, tile: usize, scene: T) {
+        self.there.insert(tile, Held { scene, frame: self.frames });
+    }
+
+    /// A tile has not come. What is to be said about it, if anything.
+    pub fn fail(&mut self, tile: usize, error: &Error) -> Option<String> {
+        if !is_memory(error) {
+            let problem = error.to_string();
+            return self.failed.insert(tile, problem.clone()).is_none().then_some(problem);
+        }
+        // What nobody wants makes room; the tile is tried again then.
+        if self.evict(0) > 0 {
+            return None;
+        }
+        let said = !self.refused.is_empty();
+        self.refused.insert(tile);
+        (!said).then(|| format!("no memory for finer tiles, a smaller budget needs less: {error}"))
+    }
+
+    /// Tiles that are there, and their Gaussians.
+    pub fn resident(&self) -> (usize, usize) {
+        (self.there.len(), self.there.keys().map(|&tile| self.gaussians(tile)).sum())
+    }
+
+    /// Why tiles cannot be read.
+    pub fn problems(&self) -> impl Iterator<Item = &str> {
+        self.failed.values().map(String::as_str)
+    }
+
+    fn gaussians(&self, tile: usize) -> usize {
+        self.tree.tiles().get(tile).map_or(0, |tile| tile.gaussians)
+    }
+
+    /// Lets go of tiles that nobody wants, the longest unwanted first, until they have no more than so many Gaussians. How many
+    /// have gone.
+    fn evict(&mut self, most: usize) -> usize {
+        let wanted: BTreeSet<usize> = self.wanted.values().flatten().copied().chain([0]).collect();
+        let unwanted = self.there.iter().filter(|(tile, _)| !wanted.contains(tile));
+        let mut unwanted: Vec<(u64, usize)> = unwanted.map(|(&tile, held)| (held.frame, tile)).collect();
+        // The latest first; of these the coarser, which cover more.
+        unwanted.sort_unstable_by_key(|&(frame, tile)| (std::cmp::Reverse(frame), tile));
+        let (mut kept, before) = (0, self.there.len());
+        for (_, tile) in unwanted {
+            kept += self.gaussians(tile);
+            if kept > most {
+                self.there.remove(&tile);
+            }
+        }
+        before - self.there.len()
+    }
+}
+
+/// Whether it is the device's memory that does not suffice.
+fn is_memory(error: &Error) -> bool {
+    matches!(error, Error::TooLarge { .. } | Error::Vulkan { .. })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ashsplat::scene::{Camera, Gaussians, Intrinsics};
+    use ashsplat_files::Progress;
+    use ashsplat_files::splats::{self, ReadOptions, WriteOptions};
+    use ashsplat_files::tiles::{self, TileOptions};
+    use glam::Vec3;
+
+    const BUDGET: usize = 120;
+    const PAGES: [Viewer; 2] = [Viewer { page: 1, films: false }, Viewer { page: 2, films: false }];
+
+    /// A ring of 640 Gaussians, 20 in a tile.
+    fn ring() -> Arc<Tree> {
+        let folder = tempfile::tempdir().expect("a folder");
+        let (scene, tree) = (folder.path().join("scene.ply"), folder.path().join("tree"));
+        let mut all = Gaussians::with_capacity(0, 640);
+        for index in 0..640 {
+            let (sin, cos) = (index as f32 * 0.01).sin_cos();
+            all.means.push([sin, 0.01 * (index % 7) as f32, cos]);
+            all.quats.push([1.0, 0.0, 0.0, 0.0]);
+            all.log_scales.push([-4.5; 3]);
+            all.opacity_logits.push(1.0);
+            all.sh.push([0.1; 3]);
+        }
+        splats::write(&scene, &all, &WriteOptions::default()).expect("a scene");
+        let options = TileOptions { most: 20, packed: false };
+        let mut measure = |_: &Gaussians, _: &Gaussians| Ok(0.1);
+        tiles::write(&scene, &tree, &options, &ReadOptions::default(), &mut measure, &Progress::NONE)
+            .expect("tiles");
+        Arc::new(Tree::open(&tree).expect("a tree"))
+    }
+
+    fn looking(turn: f32) -> Camera {
+        let lens = Intrinsics::from_fov_x(0.9, 64, 48);
+        Camera::look_at(Vec3::ZERO, Vec3::new(turn.sin(), 0.0, turn.cos()), Vec3::NEG_Y, lens)
+    }
+
+    /// The cut when all that it asks for has come at once.
+    fn loaded(residency: &mut Residency<()>, viewer: Viewer, turn: f32) -> Cut {
+        let camera = looking(turn);
+        let demand = Demand::of(&camera, BUDGET);
+        let cut = residency.cut(viewer, &demand);
+        cut.missing.iter().for_each(|&tile| residency.add(tile, ()));
+        residency.cut(viewer, &demand)
+    }
+
+    fn memory() -> Error {
+        let (what, unit, limit_name) = ("a tile".into(), "bytes", "all that there is");
+        Error::TooLarge { what, needed: 2, unit, limit: 1, limit_name }
+    }
+
+    #[test]
+    fn memory_is_bounded_and_what_is_wanted_stays() {
+        let tree = ring();
+        let mut residency = Residency::new(tree.clone(), ());
+        let first = residency.cut(PAGES[0], &Demand::of(&looking(0.0), BUDGET));
+        assert_eq!((first.drawn.as_slice(), first.missing.len() + 1), (&[0][..], first.wanted));
+        let mut most = 0;
+        for step in 0..100 {
+            let cut = loaded(&mut residency, PAGES[0], 0.3 * step as f32);
+            assert_eq!(cut.drawn, tree.cut(&looking(0.3 * step as f32), BUDGET));
+            assert!(cut.missing.is_empty() && cut.drawn.len() > 2, "{cut:?}");
+            let wanted: usize =
+                residency.wanted[&PAGES[0]].iter().map(|&tile| residency.gaussians(tile)).sum();
+            assert!(residency.resident().1 <= wanted + BUDGET, "{:?}", residency.resident());
+            most = most.max(residency.resident().0);
+        }
+        assert!(2 * most < tree.tiles().len(), "{most} of {}", tree.tiles().len());
+        // Another page looks the other way, and neither takes the other's tiles.
+        let both = [0.0, 3.1].map(|turn| looking(turn));
+        for (page, turn) in [(0, 0.0), (1, 3.1), (1, 3.1), (0, 0.0), (1, 3.1)] {
+            loaded(&mut residency, PAGES[page], turn);
+        }
+        for (page, camera) in PAGES.into_iter().zip(&both) {
+            assert!(residency.cut(page, &Demand::of(camera, BUDGET)).missing.is_empty());
+        }
+        // It goes, and so do its tiles when others come.
+        residency.keep_viewers(|viewer| *viewer == PAGES[0]);
+        residency.evict(0);
+        assert!(!residency.cut(PAGES[1], &Demand::of(&both[1], BUDGET)).missing.is_empty());
+    }
+
+    #[test]
+    fn what_does_not_come_is_said_once_and_drawn_coarser() {
+        let tree = ring();
+        let mut residency = Residency::new(tree.clone(), ());
+        let camera = looking(0.0);
+        let demand = Demand::of(&camera, BUDGET);
+        let whole = loaded(&mut residency, PAGES[0], 0.0);
+        let lost = *whole.drawn.last().expect("a tile");
+        residency.there.remove(&lost);
+        let damaged = Error::input("7.glb", "ends early", "write it again");
+        assert!(residency.fail(lost, &damaged).is_some_and(|said| said.contains("7.glb")));
+        assert_eq!(residency.fail(lost, &damaged), None);
+        let cut = loaded(&mut residency, PAGES[0], 0.0);
+        assert!(cut.missing.is_empty() && !cut.drawn.contains(&lost), "{cut:?}");
+        assert_eq!(cut.drawn, tree.cut_among(&demand, |tile| tile != lost));
+        assert!(residency.problems().next().is_some_and(|problem| problem.contains("7.glb")));
+        // Without memory, what nobody wants goes first.
+        loaded(&mut residency, PAGES[0], 1.0);
+        let before = residency.resident().0;
+        let next = residency.cut(PAGES[0], &Demand::of(&looking(2.0), BUDGET)).missing[0];
+        assert_eq!(residency.fail(next, &memory()), None);
+        assert!(residency.resident().0 < before);
+        // If that is not enough, it is said, and not asked for again until something else is wanted.
+        let asked = |residency: &mut Residency<()>, turn: f32| {
+            residency.cut(PAGES[0], &Demand::of(&looking(turn), BUDGET)).missing.contains(&next)
+        };
+        assert!(asked(&mut residency, 2.0));
+        assert!(residency.fail(next, &memory()).is_some_and(|said| said.contains("budget")));
+        assert!(!asked(&mut residency, 2.0) && residency.fail(next, &memory()).is_none());
+        asked(&mut residency, 1.0);
+        assert!(asked(&mut residency, 2.0));
+    }
+}
