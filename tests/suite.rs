@@ -46,6 +46,7 @@ mod profile;
 mod properties;
 mod quality;
 mod scan;
+mod several_scenes;
 mod soak;
 mod sort;
 mod splats;

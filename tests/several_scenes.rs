@@ -1,0 +1,75 @@
+//! Several scenes on the device, drawn as one: `Renderer::set_scenes`.
+
+use ashsplat::vk::Context;
+use ashsplat::{Camera, DeviceScene, Gaussians, RenderSettings};
+
+use crate::common::engine::renderer;
+use crate::common::page::{ball, camera};
+
+/// Ends of the parts: one without Gaussians, and none a multiple of a block.
+const ENDS: [usize; 5] = [0, 130, 130, 400, 700];
+
+fn parts(all: &Gaussians) -> Vec<Gaussians> {
+    let part = |ends: &[usize]| all.select(&(ends[0]..ends[1]).collect::<Vec<_>>());
+    ENDS.windows(2).map(part).collect()
+}
+
+fn uploaded(context: &Context, parts: &[Gaussians]) -> Vec<DeviceScene> {
+    parts.iter().map(|part| DeviceScene::upload(context, part, 300).expect("uploaded")).collect()
+}
+
+#[test]
+fn several_scenes_are_drawn_as_one_to_the_bit() {
+    let all = ball(700);
+    let mut renderer = renderer();
+    let scenes = uploaded(renderer.context(), &parts(&all));
+    let (camera, settings): (Camera, _) =
+        (camera(0.3), RenderSettings { inverse_depth: true, ..Default::default() });
+    renderer.upload(&all).expect("uploaded");
+    let expected = renderer.render_with_tiles(&camera, &settings).expect("a frame");
+    let pixel = [48, 32];
+    let picked = renderer.inspect(&camera, &settings, pixel).expect("a report");
+    assert!(picked.samples.iter().any(|sample| sample.gaussian > 400), "{picked:?}");
+    renderer.set_scenes(&scenes).expect("scenes");
+    let (frame, tiles) = renderer.render_with_tiles(&camera, &settings).expect("a frame");
+    assert!(frame.color == expected.0.color && frame.transmittance == expected.0.transmittance);
+    assert!(frame.inverse_depth == expected.0.inverse_depth && tiles == expected.1);
+    assert_eq!(frame.stats.gaussians, 700);
+    // Gaussians have the numbers that they have in one scene.
+    assert_eq!(renderer.inspect(&camera, &settings, pixel).expect("a report"), picked);
+    let lists = renderer.tile_lists(&camera, &settings).expect("lists");
+    let last = lists.splats.iter().map(|splat| splat.gaussian).max();
+    assert!(last > Some(650) && last < Some(700), "{last:?}");
+    assert!(renderer.gaussians().expect("downloaded") == all && renderer.scene().is_none());
+    // One of them alone, beside them.
+    let alone = renderer.render_scene(&scenes[0], &camera, &settings).expect("a frame");
+    assert_eq!(
+        (alone.stats.gaussians, renderer.render(&camera, &settings).expect("a frame").stats.gaussians),
+        (130, 700)
+    );
+    // None, and one scene as before.
+    renderer.set_scenes(&scenes[1..2]).expect("none");
+    assert!(renderer.render(&camera, &settings).expect("a frame").transmittance.iter().all(|&t| t == 1.0));
+    renderer.set_scenes(&scenes).expect("scenes");
+    renderer.upload(&parts(&all)[0]).expect("uploaded");
+    assert!(renderer.render(&camera, &settings).expect("a frame").color == alone.color);
+}
+
+#[test]
+fn several_scenes_have_one_degree_and_no_gradients() {
+    let mut renderer = renderer();
+    let mut parts = parts(&ball(700));
+    let scenes = uploaded(renderer.context(), &parts);
+    renderer.set_scenes(&scenes).expect("scenes");
+    let camera = camera(0.0);
+    let gradient = vec![[0.0; 3]; (camera.width * camera.height) as usize];
+    let refused =
+        renderer.gradients(&camera, &RenderSettings::default(), &gradient, None).expect_err("several");
+    assert!(refused.to_string().contains("gradients are of one alone"), "{refused}");
+    parts[0] = parts[0].with_sh_degree(0);
+    let others = uploaded(renderer.context(), &parts);
+    let refused = renderer.set_scenes(&others).expect_err("two degrees");
+    assert!(refused.to_string().contains("SH degree 0"), "{refused}");
+    // What was there before is there still.
+    assert_eq!(renderer.render(&camera, &RenderSettings::default()).expect("a frame").stats.gaussians, 700);
+}
