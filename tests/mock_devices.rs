@@ -123,6 +123,7 @@ machines! {
     mock_device_unified: "unified";
     mock_device_unified_uncached: "unified-uncached";
     mock_device_transfer_queue: "transfer-queue";
+    mock_device_transfer_queue_main_late: "transfer-queue-main-late";
     mock_device_small_limits: "small-limits";
 }
 
@@ -157,7 +158,7 @@ fn mock_device_claims_in_a_child() {
         "discrete-rebar" => (true, false, false),
         "unified" => (true, true, false),
         "unified-uncached" => (true, false, false),
-        "transfer-queue" => (false, false, true),
+        "transfer-queue" | "transfer-queue-main-late" => (false, false, true),
         other => panic!("how does {other} transfer?"),
     };
     assert_eq!(context.transfers(), Transfers { writes_directly, reads_directly, copy_queue }, "{machine}");

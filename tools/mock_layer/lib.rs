@@ -8,15 +8,17 @@
 //! ```
 //!
 //! What it changes: properties and memory types (`answers`), allocation and mapping (`memory`), queues and their families
-//! (`queues`, `families`). New memory holds 0xFF in every byte, where drivers on processors give zeros. All the rest is the
+//! (`queues`, `held`, `semaphores`, `families`). New memory holds 0xFF in every byte, where drivers on processors give zeros. All the rest is the
 //! driver's.
 
 mod answers;
 mod families;
+mod held;
 mod loader;
 mod machine;
 mod memory;
 mod queues;
+mod semaphores;
 mod state;
 
 pub use machine::{MACHINES, Machine, VARIABLE};

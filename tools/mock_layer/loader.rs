@@ -1,7 +1,8 @@
 //! What the loader and a layer tell each other (vk_layer.h), and the lists of functions.
 
+use super::held::Want;
 use super::state::{DeviceState, InstanceState};
-use super::{answers, families, memory, queues};
+use super::{answers, families, memory, queues, semaphores};
 use ash::vk;
 use std::ffi::{CStr, c_char, c_void};
 use std::ptr::null_mut;
@@ -159,7 +160,7 @@ unsafe extern "system" fn destroy_device(device: vk::Device, callbacks: *const v
     if device != vk::Device::null()
         && let Some(state) = DeviceState::remove(device)
     {
-        state.release_held();
+        state.ask(Want::All);
         // SAFETY: the caller's arguments.
         unsafe { (state.v10.destroy_device)(device, callbacks) }
     }
@@ -231,10 +232,14 @@ fn of_device(name: &CStr) -> vk::PFN_vkVoidFunction {
         c"vkQueuePresentKHR" => queues::present, PFN_vkQueuePresentKHR;
         c"vkWaitForFences" => queues::wait_for_fences, PFN_vkWaitForFences;
         c"vkGetFenceStatus" => queues::fence_status, PFN_vkGetFenceStatus;
-        c"vkWaitSemaphores" => queues::wait_semaphores, PFN_vkWaitSemaphores;
-        c"vkWaitSemaphoresKHR" => queues::wait_semaphores, PFN_vkWaitSemaphores;
-        c"vkGetSemaphoreCounterValue" => queues::semaphore_value, PFN_vkGetSemaphoreCounterValue;
-        c"vkGetSemaphoreCounterValueKHR" => queues::semaphore_value, PFN_vkGetSemaphoreCounterValue;
+        c"vkWaitSemaphores" => semaphores::wait_semaphores, PFN_vkWaitSemaphores;
+        c"vkWaitSemaphoresKHR" => semaphores::wait_semaphores, PFN_vkWaitSemaphores;
+        c"vkGetSemaphoreCounterValue" => semaphores::semaphore_value, PFN_vkGetSemaphoreCounterValue;
+        c"vkGetSemaphoreCounterValueKHR" => semaphores::semaphore_value, PFN_vkGetSemaphoreCounterValue;
+        c"vkCreateSemaphore" => semaphores::create_semaphore, PFN_vkCreateSemaphore;
+        c"vkDestroySemaphore" => semaphores::destroy_semaphore, PFN_vkDestroySemaphore;
+        c"vkSignalSemaphore" => semaphores::signal_semaphore, PFN_vkSignalSemaphore;
+        c"vkSignalSemaphoreKHR" => semaphores::signal_semaphore, PFN_vkSignalSemaphore;
         c"vkGetEventStatus" => queues::event_status, PFN_vkGetEventStatus;
         c"vkQueueBeginDebugUtilsLabelEXT" => queues::begin_label, PFN_vkQueueBeginDebugUtilsLabelEXT;
         c"vkQueueInsertDebugUtilsLabelEXT" => queues::insert_label, PFN_vkQueueInsertDebugUtilsLabelEXT;

@@ -20,6 +20,13 @@ pub(crate) type Heap = (u64, bool);
 /// Properties and heap.
 pub(crate) type Type = (Flags, u32);
 
+/// Of queues for copies and other ones, which are late. A machine with one family has none that is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Late {
+    Copies,
+    Others,
+}
+
 /// A device that the layer claims to be.
 #[derive(Debug)]
 pub struct Machine {
@@ -29,6 +36,8 @@ pub struct Machine {
     pub(crate) heaps: &'static [Heap],
     pub(crate) types: &'static [Type],
     pub(crate) families: &'static [vk::QueueFlags],
+    /// Which queues' submissions are held back until something needs them.
+    pub(crate) late: Late,
     /// Whether the limits are the least that the engine takes, most of them those of the specification.
     pub(crate) small: bool,
 }
@@ -51,8 +60,12 @@ const DISCRETE: Machine = Machine {
     heaps: &CARD,
     types: &CARD_TYPES,
     families: &[ALL],
+    late: Late::Copies,
     small: false,
 };
+
+const QUEUES: Machine =
+    Machine { name: "transfer-queue", families: &[ALL, vk::QueueFlags::TRANSFER, APART], ..DISCRETE };
 
 /// All of them.
 pub const MACHINES: &[Machine] = &[
@@ -78,6 +91,7 @@ pub const MACHINES: &[Machine] = &[
         heaps: &[(LARGE, true)],
         types: &[(both(LOCAL, SEEN), 0), (both(LOCAL, CACHED), 0)],
         families: &[ALL],
+        late: Late::Copies,
         small: false,
     },
     // The same, and the processor reads it word by word.
@@ -87,11 +101,14 @@ pub const MACHINES: &[Machine] = &[
         heaps: &[(LARGE, true)],
         types: &[(both(LOCAL, SEEN), 0)],
         families: &[ALL],
+        late: Late::Copies,
         small: false,
     },
     // A card with queues for copies and for compute besides the one for everything. What is submitted to the one for copies
     // runs as late as it may.
-    Machine { name: "transfer-queue", families: &[ALL, vk::QueueFlags::TRANSFER, APART], ..DISCRETE },
+    QUEUES,
+    // The same; what is submitted to the others runs as late as it may.
+    Machine { name: "transfer-queue-main-late", late: Late::Others, ..QUEUES },
     // Workgroups of 256, 16 KiB of shared memory, 128 bytes of push constants.
     Machine { name: "small-limits", small: true, ..DISCRETE },
 ];
@@ -119,9 +136,11 @@ impl Machine {
         (1 << self.types.len()) - 1
     }
 
-    /// Whether submissions to queues of this family are held back.
+    /// Whether submissions to queues of this family are held back until something needs them.
     pub(crate) fn holds(&self, family: u32) -> bool {
-        self.families.get(family as usize) == Some(&vk::QueueFlags::TRANSFER)
+        let copies = |of: &vk::QueueFlags| *of == vk::QueueFlags::TRANSFER;
+        let of = self.families.get(family as usize).is_some_and(copies);
+        self.families.iter().any(copies) && of == (self.late == Late::Copies)
     }
 
     /// Changes what the driver says of itself.
@@ -188,6 +207,17 @@ mod tests {
             assert!(Machine::of(name).is_some_and(|found| found.name == name));
         }
         assert!(Machine::of("no such machine").is_none());
+    }
+
+    #[test]
+    fn either_the_queue_for_copies_is_late_or_the_others() {
+        let holds = |name| {
+            let machine = Machine::of(name).expect("there");
+            (0..machine.families.len() as u32).map(|family| machine.holds(family)).collect::<Vec<_>>()
+        };
+        assert_eq!(holds("transfer-queue"), [false, true, false]);
+        assert_eq!(holds("transfer-queue-main-late"), [true, false, true]);
+        assert_eq!(holds("unified"), [false]);
     }
 
     #[test]

@@ -1,9 +1,9 @@
 //! Queues: those of the machine over the driver's one.
 //!
-//! Submissions to a queue for copies are held back until the host waits for anything, or another submission waits for a
-//! semaphore of theirs. So a missing semaphore or a staging memory that is written too early shows, although one queue of the
-//! driver's runs everything in order.
+//! Submissions of some queues are held back until something needs them ([`super::held`]). So a missing semaphore, or memory that
+//! the host writes or reads too early, shows, although one queue of the driver's runs everything in order.
 
+use super::held::{Held, Order, Place, Want};
 use super::state::DeviceState;
 use ash::vk::{self, Handle};
 use std::collections::HashMap;
@@ -13,33 +13,28 @@ use std::collections::HashMap;
 struct Queue {
     /// The loader's table, which it puts here itself.
     table: usize,
-    family: u32,
+    place: Place,
 }
 
-/// A submission that is held back.
-struct Held {
-    waits: Vec<vk::SemaphoreSubmitInfo<'static>>,
-    commands: Vec<vk::CommandBufferSubmitInfo<'static>>,
-    signals: Vec<vk::SemaphoreSubmitInfo<'static>>,
-    fence: vk::Fence,
-}
-
-/// The driver's queue, those of the machine, and what is held back of them, oldest first.
+/// The driver's queue, those of the machine, and what is held back of them.
 pub(crate) struct Submissions {
     queue: vk::Queue,
-    /// By family and index. The boxes give each its address.
-    queues: HashMap<(u32, u32), Box<Queue>>,
-    held: Vec<Held>,
+    /// The boxes give each its address.
+    queues: HashMap<Place, Box<Queue>>,
+    pub order: Order,
 }
+
+// SAFETY: the handles and addresses in it are used with its lock held only; no chain of structs is kept.
+unsafe impl Send for Submissions {}
 
 impl Submissions {
     pub fn new(queue: vk::Queue) -> Self {
-        Self { queue, queues: HashMap::new(), held: Vec::new() }
+        Self { queue, queues: HashMap::new(), order: Order::default() }
     }
 
-    /// Submits what is held back.
-    fn release(&mut self, state: &DeviceState) -> Result<(), vk::Result> {
-        for held in self.held.drain(..) {
+    /// Submits what starts now.
+    pub fn go_on(&mut self, state: &DeviceState) -> vk::Result {
+        while let Some(held) = self.order.next() {
             let info = [vk::SubmitInfo2::default()
                 .wait_semaphore_infos(&held.waits)
                 .command_buffer_infos(&held.commands)
@@ -47,29 +42,72 @@ impl Submissions {
             // SAFETY: a submission of the program's, whose objects live until it is done; the lock gives the queue to this
             // thread.
             let result = unsafe { (state.v13.queue_submit2)(self.queue, 1, info.as_ptr(), held.fence) };
-            result.result()?;
+            if result != vk::Result::SUCCESS {
+                return result;
+            }
         }
-        Ok(())
+        vk::Result::SUCCESS
     }
 
-    fn signals(&self, semaphore: vk::Semaphore) -> bool {
-        self.held.iter().flat_map(|held| &held.signals).any(|signal| signal.semaphore == semaphore)
+    /// As the host asks for it once.
+    fn go_on_for(&mut self, state: &DeviceState, want: Want) -> vk::Result {
+        self.order.wants.push(want);
+        let result = self.go_on(state);
+        self.order.wants.pop();
+        result
+    }
+
+    /// All of a queue or of the device. What waits for a signal that nobody has submitted would be waited for without end.
+    fn finish(&mut self, state: &DeviceState, place: Option<Place>) -> vk::Result {
+        let result = self.go_on_for(state, place.map_or(Want::All, Want::Queue));
+        if result == vk::Result::SUCCESS && self.order.has(place) {
+            eprintln!(
+                "mock layer: the host waits for submissions that wait for a semaphore which nothing signals"
+            );
+            return vk::Result::ERROR_DEVICE_LOST;
+        }
+        result
+    }
+
+    /// Takes a submission of the program's.
+    fn add(&mut self, state: &DeviceState, place: Place, mut held: Held) {
+        (held.place, held.late) = (place, state.machine.holds(place.0));
+        // Values of binary semaphores mean nothing.
+        for of in held.waits.iter_mut().chain(&mut held.signals) {
+            of.value = self.order.reached(of.semaphore).map_or(0, |_| of.value);
+        }
+        self.order.held.push(held);
     }
 }
-
-// SAFETY: the handles and addresses in it are used with its lock held only; no chain of structs is kept.
-unsafe impl Send for Submissions {}
 
 impl DeviceState {
-    /// Submits what is held back.
-    pub fn release_held(&self) {
-        let _ = self.submissions().release(self);
+    /// Waits for the driver in a thread of the host's. Submissions of other threads meanwhile know of it.
+    pub fn wait(&self, wants: &[Want], wait: impl FnOnce() -> vk::Result) -> vk::Result {
+        let mut submissions = self.submissions();
+        submissions.order.wants.extend(wants);
+        let mut result = submissions.go_on(self);
+        drop(submissions);
+        if result == vk::Result::SUCCESS {
+            result = wait();
+        }
+        let order = &mut self.submissions().order;
+        for want in wants {
+            if let Some(at) = order.wants.iter().position(|of| of == want) {
+                order.wants.swap_remove(at);
+            }
+        }
+        result
+    }
+
+    /// Submits what a question of the host's is about.
+    pub fn ask(&self, want: Want) {
+        let _ = self.submissions().go_on_for(self, want);
     }
 }
 
-fn family_of(queue: vk::Queue) -> u32 {
+fn place_of(queue: vk::Queue) -> Place {
     // SAFETY: the handles of queues that this layer gives out are addresses of its own objects, which live as the device does.
-    unsafe { (*(queue.as_raw() as usize as *const Queue)).family }
+    unsafe { (*(queue.as_raw() as usize as *const Queue)).place }
 }
 
 pub(crate) unsafe extern "system" fn get(device: vk::Device, family: u32, index: u32, queue: *mut vk::Queue) {
@@ -77,8 +115,8 @@ pub(crate) unsafe extern "system" fn get(device: vk::Device, family: u32, index:
     let mut submissions = state.submissions();
     // SAFETY: a device begins with the loader's table, which its queues share.
     let table = unsafe { *(device.as_raw() as usize as *const usize) };
-    let found =
-        submissions.queues.entry((family, index)).or_insert_with(|| Box::new(Queue { table, family }));
+    let place = (family, index);
+    let found = submissions.queues.entry(place).or_insert_with(|| Box::new(Queue { table, place }));
     // SAFETY: the caller's place for a handle.
     unsafe { *queue = vk::Queue::from_raw((&raw mut **found) as usize as u64) }
 }
@@ -92,31 +130,47 @@ pub(crate) unsafe extern "system" fn get2(
     unsafe { get(device, (*info).queue_family_index, (*info).queue_index, queue) }
 }
 
-pub(crate) unsafe extern "system" fn submit(
-    queue: vk::Queue,
-    count: u32,
-    submits: *const vk::SubmitInfo<'_>,
-    fence: vk::Fence,
-) -> vk::Result {
-    let state = DeviceState::of(queue);
-    let mut submissions = state.submissions();
-    if let Err(error) = submissions.release(&state) {
-        return error;
+/// A submission by the older call. Its chain may hold values of timeline semaphores.
+unsafe fn older(info: &vk::SubmitInfo<'_>) -> Held {
+    // SAFETY: the caller's arrays have these lengths, and every struct of a chain begins with its kind and the next one.
+    unsafe {
+        let mut chain = info.p_next.cast::<vk::BaseInStructure<'_>>();
+        let (mut wait_values, mut signal_values): (&[u64], &[u64]) = (&[], &[]);
+        while let Some(of) = chain.as_ref() {
+            if of.s_type == vk::StructureType::TIMELINE_SEMAPHORE_SUBMIT_INFO {
+                let values = &*chain.cast::<vk::TimelineSemaphoreSubmitInfo<'_>>();
+                wait_values = list(values.p_wait_semaphore_values, values.wait_semaphore_value_count);
+                signal_values = list(values.p_signal_semaphore_values, values.signal_semaphore_value_count);
+            }
+            chain = of.p_next;
+        }
+        let stages = list(info.p_wait_dst_stage_mask, info.wait_semaphore_count);
+        let semaphore = |values: &[u64], at: usize, semaphore: vk::Semaphore, stage| {
+            vk::SemaphoreSubmitInfo::default()
+                .semaphore(semaphore)
+                .value(values.get(at).copied().unwrap_or_default())
+                .stage_mask(stage)
+        };
+        let waits = list(info.p_wait_semaphores, info.wait_semaphore_count).iter().enumerate();
+        let signals = list(info.p_signal_semaphores, info.signal_semaphore_count).iter().enumerate();
+        let all = vk::PipelineStageFlags2::ALL_COMMANDS;
+        // The older stages are the newer ones' lower bits.
+        let stage = |at: usize| vk::PipelineStageFlags2::from_raw(stages[at].as_raw().into());
+        let commands = list(info.p_command_buffers, info.command_buffer_count);
+        Held {
+            waits: waits.map(|(at, &of)| semaphore(wait_values, at, of, stage(at))).collect(),
+            commands: commands
+                .iter()
+                .map(|&of| vk::CommandBufferSubmitInfo::default().command_buffer(of))
+                .collect(),
+            signals: signals.map(|(at, &of)| semaphore(signal_values, at, of, all)).collect(),
+            ..Held::default()
+        }
     }
-    // SAFETY: the caller's arguments; the lock gives the driver's queue to this thread.
-    unsafe { (state.v10.queue_submit)(submissions.queue, count, submits, fence) }
 }
 
 /// Copies of the lists of a submission, which do not point to anything.
-fn copies(info: &vk::SubmitInfo2<'_>) -> Held {
-    // SAFETY: the caller's arrays have these lengths.
-    let (waits, commands, signals) = unsafe {
-        (
-            list(info.p_wait_semaphore_infos, info.wait_semaphore_info_count),
-            list(info.p_command_buffer_infos, info.command_buffer_info_count),
-            list(info.p_signal_semaphore_infos, info.signal_semaphore_info_count),
-        )
-    };
+unsafe fn newer(info: &vk::SubmitInfo2<'_>) -> Held {
     let semaphore = |from: &vk::SemaphoreSubmitInfo<'_>| {
         vk::SemaphoreSubmitInfo::default()
             .semaphore(from.semaphore)
@@ -126,18 +180,49 @@ fn copies(info: &vk::SubmitInfo2<'_>) -> Held {
     let buffer = |from: &vk::CommandBufferSubmitInfo<'_>| {
         vk::CommandBufferSubmitInfo::default().command_buffer(from.command_buffer)
     };
-    Held {
-        waits: waits.iter().map(semaphore).collect(),
-        commands: commands.iter().map(buffer).collect(),
-        signals: signals.iter().map(semaphore).collect(),
-        fence: vk::Fence::null(),
+    // SAFETY: the caller's arrays have these lengths.
+    unsafe {
+        let waits = list(info.p_wait_semaphore_infos, info.wait_semaphore_info_count);
+        let commands = list(info.p_command_buffer_infos, info.command_buffer_info_count);
+        let signals = list(info.p_signal_semaphore_infos, info.signal_semaphore_info_count);
+        Held {
+            waits: waits.iter().map(semaphore).collect(),
+            commands: commands.iter().map(buffer).collect(),
+            signals: signals.iter().map(semaphore).collect(),
+            ..Held::default()
+        }
     }
 }
 
 /// A slice of a caller's.
-unsafe fn list<'a, T>(pointer: *const T, count: u32) -> &'a [T] {
+pub(crate) unsafe fn list<'a, T>(pointer: *const T, count: u32) -> &'a [T] {
     // SAFETY: the caller's array has as many elements; without any the address may be null.
     if count == 0 { &[] } else { unsafe { std::slice::from_raw_parts(pointer, count as usize) } }
+}
+
+/// Takes what one call submits, with the fence after all of it.
+fn take(queue: vk::Queue, mut all: Vec<Held>, fence: vk::Fence) -> vk::Result {
+    let state = DeviceState::of(queue);
+    if fence != vk::Fence::null() && all.is_empty() {
+        all.push(Held::default());
+    }
+    if let Some(last) = all.last_mut() {
+        last.fence = fence;
+    }
+    let mut submissions = state.submissions();
+    all.into_iter().for_each(|held| submissions.add(&state, place_of(queue), held));
+    submissions.go_on(&state)
+}
+
+pub(crate) unsafe extern "system" fn submit(
+    queue: vk::Queue,
+    count: u32,
+    submits: *const vk::SubmitInfo<'_>,
+    fence: vk::Fence,
+) -> vk::Result {
+    // SAFETY: the caller's arguments.
+    let all = unsafe { list(submits, count).iter().map(|info| older(info)).collect() };
+    take(queue, all, fence)
 }
 
 pub(crate) unsafe extern "system" fn submit2(
@@ -146,34 +231,17 @@ pub(crate) unsafe extern "system" fn submit2(
     submits: *const vk::SubmitInfo2<'_>,
     fence: vk::Fence,
 ) -> vk::Result {
-    let state = DeviceState::of(queue);
-    let mut submissions = state.submissions();
-    // SAFETY: the caller's arguments; the lock gives the driver's queue to this thread.
-    unsafe {
-        let infos = list(submits, count);
-        if count > 0 && state.machine.holds(family_of(queue)) {
-            submissions.held.extend(infos.iter().map(copies));
-            if let Some(last) = submissions.held.last_mut() {
-                last.fence = fence;
-            }
-            return vk::Result::SUCCESS;
-        }
-        let mut waited =
-            infos.iter().flat_map(|info| list(info.p_wait_semaphore_infos, info.wait_semaphore_info_count));
-        if waited.any(|wait| submissions.signals(wait.semaphore))
-            && let Err(error) = submissions.release(&state)
-        {
-            return error;
-        }
-        (state.v13.queue_submit2)(submissions.queue, count, submits, fence)
-    }
+    // SAFETY: the caller's arguments.
+    let all = unsafe { list(submits, count).iter().map(|info| newer(info)).collect() };
+    take(queue, all, fence)
 }
 
 pub(crate) unsafe extern "system" fn wait_idle(queue: vk::Queue) -> vk::Result {
     let state = DeviceState::of(queue);
     let mut submissions = state.submissions();
-    if let Err(error) = submissions.release(&state) {
-        return error;
+    let result = submissions.finish(&state, Some(place_of(queue)));
+    if result != vk::Result::SUCCESS {
+        return result;
     }
     // SAFETY: the lock gives the driver's queue to this thread.
     unsafe { (state.v10.queue_wait_idle)(submissions.queue) }
@@ -182,8 +250,9 @@ pub(crate) unsafe extern "system" fn wait_idle(queue: vk::Queue) -> vk::Result {
 pub(crate) unsafe extern "system" fn device_wait_idle(device: vk::Device) -> vk::Result {
     let state = DeviceState::of(device);
     let mut submissions = state.submissions();
-    if let Err(error) = submissions.release(&state) {
-        return error;
+    let result = submissions.finish(&state, None);
+    if result != vk::Result::SUCCESS {
+        return result;
     }
     // SAFETY: as above: the driver's one queue stands for all.
     unsafe { (state.v10.device_wait_idle)(device) }
@@ -195,7 +264,10 @@ pub(crate) unsafe extern "system" fn present(
 ) -> vk::Result {
     let state = DeviceState::of(queue);
     let mut submissions = state.submissions();
-    let _ = submissions.release(&state);
+    let result = submissions.go_on_for(&state, Want::All);
+    if result != vk::Result::SUCCESS {
+        return result;
+    }
     // SAFETY: as above.
     unsafe { (state.swapchain.queue_present_khr)(submissions.queue, info) }
 }
@@ -208,43 +280,23 @@ pub(crate) unsafe extern "system" fn wait_for_fences(
     timeout: u64,
 ) -> vk::Result {
     let state = DeviceState::of(device);
-    state.release_held();
     // SAFETY: the caller's arguments.
-    unsafe { (state.v10.wait_for_fences)(device, count, fences, all, timeout) }
+    let wants: Vec<_> = unsafe { list(fences, count).iter().map(|&fence| Want::Fence(fence)).collect() };
+    // SAFETY: as above.
+    state.wait(&wants, || unsafe { (state.v10.wait_for_fences)(device, count, fences, all, timeout) })
 }
 
 pub(crate) unsafe extern "system" fn fence_status(device: vk::Device, fence: vk::Fence) -> vk::Result {
     let state = DeviceState::of(device);
-    state.release_held();
+    state.ask(Want::Fence(fence));
     // SAFETY: as above.
     unsafe { (state.v10.get_fence_status)(device, fence) }
 }
 
-pub(crate) unsafe extern "system" fn wait_semaphores(
-    device: vk::Device,
-    info: *const vk::SemaphoreWaitInfo<'_>,
-    timeout: u64,
-) -> vk::Result {
-    let state = DeviceState::of(device);
-    state.release_held();
-    // SAFETY: as above.
-    unsafe { (state.v12.wait_semaphores)(device, info, timeout) }
-}
-
-pub(crate) unsafe extern "system" fn semaphore_value(
-    device: vk::Device,
-    semaphore: vk::Semaphore,
-    value: *mut u64,
-) -> vk::Result {
-    let state = DeviceState::of(device);
-    state.release_held();
-    // SAFETY: as above.
-    unsafe { (state.v12.get_semaphore_counter_value)(device, semaphore, value) }
-}
-
 pub(crate) unsafe extern "system" fn event_status(device: vk::Device, event: vk::Event) -> vk::Result {
     let state = DeviceState::of(device);
-    state.release_held();
+    // Which submission sets it is not known.
+    state.ask(Want::All);
     // SAFETY: as above.
     unsafe { (state.v10.get_event_status)(device, event) }
 }

@@ -1,4 +1,5 @@
-//! The layer in raw Vulkan: what it refuses, and that it finds a missing semaphore, which the driver's one queue would hide.
+//! The layer in raw Vulkan: what it refuses, and that it finds a missing semaphore in either direction, which the driver's one
+//! queue would hide.
 #![cfg(target_os = "linux")]
 
 use ash::vk;
@@ -9,8 +10,20 @@ const WORDS: u64 = 64;
 const OLD: u32 = 0xFFFF_FFFF;
 const NEW: u32 = 0x0BAD_CAFE;
 
+const MAIN: usize = 0;
+const COPIES: usize = 1;
+
 #[test]
 fn the_layer_claims_a_card_and_holds_copies_back() {
+    run("transfer-queue");
+}
+
+#[test]
+fn the_layer_holds_the_main_queue_back() {
+    run("transfer-queue-main-late");
+}
+
+fn run(machine: &str) {
     let executable = std::env::current_exe().expect("a path");
     let output = Command::new(&executable)
         .args(["in_a_child", "--include-ignored", "--nocapture"])
@@ -18,13 +31,16 @@ fn the_layer_claims_a_card_and_holds_copies_back() {
         .env("LD_LIBRARY_PATH", executable.parent().expect("deps"))
         .env("VK_ADD_LAYER_PATH", Path::new(env!("CARGO_MANIFEST_DIR")))
         .env("VK_INSTANCE_LAYERS", "VK_LAYER_ASHSPLAT_mock")
-        .env(ashsplat_mock_layer::VARIABLE, "transfer-queue")
+        .env(ashsplat_mock_layer::VARIABLE, machine)
         .output()
         .expect("the test binary runs");
     let text = String::from_utf8_lossy(&output.stdout);
     assert!(output.status.success(), "{text}{}", String::from_utf8_lossy(&output.stderr));
     assert!(text.contains("1 passed"), "{text}");
 }
+
+/// A timeline semaphore with a value.
+type Point = (vk::Semaphore, u64);
 
 struct Gpu {
     device: ash::Device,
@@ -72,11 +88,11 @@ impl Gpu {
         }
     }
 
-    fn submit(&self, queue: usize, commands: vk::CommandBuffer, [wait, signal]: [Option<vk::Semaphore>; 2]) {
-        let info = |semaphore| {
+    fn submit(&self, queue: usize, commands: vk::CommandBuffer, [wait, signal]: [Option<Point>; 2]) {
+        let info = |(semaphore, value)| {
             vk::SemaphoreSubmitInfo::default()
                 .semaphore(semaphore)
-                .value(1)
+                .value(value)
                 .stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)
         };
         let (waits, signals): (Vec<_>, Vec<_>) =
@@ -91,8 +107,8 @@ impl Gpu {
             .expect("submitted");
     }
 
-    /// What the main queue reads of a buffer that the queue for copies fills, with or without a semaphore between them.
-    fn fill_and_read(&self, semaphore: Option<vk::Semaphore>) -> u32 {
+    /// What one queue reads of a buffer that the other fills. `point` orders them; the signal may come first or last.
+    fn fill_and_read(&self, writer: usize, signal_first: bool, point: Option<Point>) -> u32 {
         let local = vk::MemoryPropertyFlags::DEVICE_LOCAL;
         let seen = vk::MemoryPropertyFlags::HOST_VISIBLE | vk::MemoryPropertyFlags::HOST_COHERENT;
         let ((filled, hidden), (read, memory)) = (self.buffer(local), self.buffer(seen));
@@ -101,16 +117,19 @@ impl Gpu {
             unsafe { self.device.map_memory(hidden, 0, vk::WHOLE_SIZE, vk::MemoryMapFlags::empty()) };
         assert_eq!(mapped.err(), Some(vk::Result::ERROR_MEMORY_MAP_FAILED));
         // SAFETY: recording state, buffers of this size.
-        let fill = self.record(1, |commands| unsafe {
+        let fill = self.record(writer, |commands| unsafe {
             self.device.cmd_fill_buffer(commands, filled, 0, WORDS * 4, NEW);
         });
         // SAFETY: as above.
-        let copy = self.record(0, |commands| unsafe {
+        let copy = self.record(1 - writer, |commands| unsafe {
             let region = vk::BufferCopy::default().size(WORDS * 4);
             self.device.cmd_copy_buffer(commands, filled, read, &[region]);
         });
-        self.submit(1, fill, [None, semaphore]);
-        self.submit(0, copy, [semaphore, None]);
+        let submissions = [(writer, fill, [None, point]), (1 - writer, copy, [point, None])];
+        let order = if signal_first { [0, 1] } else { [1, 0] };
+        for (queue, commands, points) in order.map(|at| submissions[at]) {
+            self.submit(queue, commands, points);
+        }
         // SAFETY: the device is idle; memory that the host sees, mapped once, of this size.
         unsafe {
             self.device.device_wait_idle().expect("idle");
@@ -125,6 +144,52 @@ impl Gpu {
             }
             first
         }
+    }
+
+    /// What is read without the semaphore, with it, and with the signal submitted last: by the main queue of what a copy wrote,
+    /// and the other way round.
+    fn try_all(&self, semaphore: vk::Semaphore) -> [[u32; 3]; 2] {
+        let mut value = 0;
+        [COPIES, MAIN].map(|writer| {
+            [(true, false), (true, true), (false, true)].map(|(signal_first, ordered)| {
+                value += u64::from(ordered);
+                self.fill_and_read(writer, signal_first, ordered.then_some((semaphore, value)))
+            })
+        })
+    }
+
+    /// What the host sees of a fill: after it has waited for the other queue's work alone, and for the fill itself.
+    fn wait_for_either(&self, late: usize, [own, other]: [vk::Semaphore; 2]) -> [u32; 2] {
+        let seen = vk::MemoryPropertyFlags::HOST_VISIBLE | vk::MemoryPropertyFlags::HOST_COHERENT;
+        let (filled, memory) = self.buffer(seen);
+        // SAFETY: recording state, a buffer of this size.
+        let fill = self.record(late, |commands| unsafe {
+            self.device.cmd_fill_buffer(commands, filled, 0, WORDS * 4, NEW);
+        });
+        self.submit(late, fill, [None, Some((own, 1))]);
+        self.submit(1 - late, self.record(1 - late, |_| ()), [None, Some((other, 1))]);
+        // SAFETY: as above, and the words are read while nothing runs that writes them.
+        unsafe {
+            let flags = vk::MemoryMapFlags::empty();
+            let address = self.device.map_memory(memory, 0, vk::WHOLE_SIZE, flags).expect("mapped");
+            let words = [other, own].map(|semaphore| {
+                let (semaphores, values) = ([semaphore], [1]);
+                let info = vk::SemaphoreWaitInfo::default().semaphores(&semaphores).values(&values);
+                self.device.wait_semaphores(&info, u64::MAX).expect("signalled");
+                address.cast::<u32>().read_volatile()
+            });
+            self.device.device_wait_idle().expect("idle");
+            self.device.destroy_buffer(filled, None);
+            self.device.free_memory(memory, None);
+            words
+        }
+    }
+
+    fn timeline(&self) -> vk::Semaphore {
+        let mut kind = vk::SemaphoreTypeCreateInfo::default().semaphore_type(vk::SemaphoreType::TIMELINE);
+        let info = vk::SemaphoreCreateInfo::default().push_next(&mut kind);
+        // SAFETY: a valid description; the feature is on.
+        unsafe { self.device.create_semaphore(&info, None) }.expect("a semaphore")
     }
 }
 
@@ -163,12 +228,17 @@ fn card_in_a_child() {
             pools,
         };
         assert_ne!(gpu.queues[0], gpu.queues[1]);
-        let mut kind = vk::SemaphoreTypeCreateInfo::default().semaphore_type(vk::SemaphoreType::TIMELINE);
-        let info = vk::SemaphoreCreateInfo::default().push_next(&mut kind);
-        let semaphore = gpu.device.create_semaphore(&info, None).expect("a semaphore");
-        // What new memory holds, and what the copy has made of it.
-        assert_eq!([gpu.fill_and_read(None), gpu.fill_and_read(Some(semaphore))], [OLD, NEW]);
-        gpu.device.destroy_semaphore(semaphore, None);
+        let semaphores @ [first, second, third] = [(); 3].map(|()| gpu.timeline());
+        // New memory holds the old word. Without the semaphore whichever queue is late comes too late to be read.
+        let (late, seen) = match std::env::var(ashsplat_mock_layer::VARIABLE).as_deref() {
+            Ok("transfer-queue") => (COPIES, [OLD, NEW]),
+            Ok("transfer-queue-main-late") => (MAIN, [NEW, OLD]),
+            other => panic!("no machine of this trial: {other:?}"),
+        };
+        assert_eq!(gpu.try_all(first), seen.map(|unordered| [unordered, NEW, NEW]));
+        // The host's waiting for one queue is no waiting for the other.
+        assert_eq!(gpu.wait_for_either(late, [second, third]), [OLD, NEW]);
+        semaphores.iter().for_each(|semaphore| gpu.device.destroy_semaphore(*semaphore, None));
         gpu.pools.iter().for_each(|pool| gpu.device.destroy_command_pool(*pool, None));
         gpu.device.destroy_device(None);
         instance.destroy_instance(None);
