@@ -5,13 +5,14 @@
 //! queue copies. `tools/as_gpu mock:discrete` runs all that the suite has on one.
 
 use std::path::Path;
+use std::process::{Command, Stdio};
 use std::sync::LazyLock;
 
 use ashsplat::trainer::Trainer;
 use ashsplat::tuning::Backend;
 use ashsplat::vk::{Context, ContextOptions, MemoryKind, Transfers};
 use ashsplat::{RenderSettings, Renderer, TrainSettings};
-use ashsplat_mock_layer::{MACHINES, VARIABLE};
+use ashsplat_mock_layer::{FORGETTING, MACHINES, VARIABLE};
 
 use crate::checkpoints::{start, views};
 use crate::common::engine::{camera, gaussians};
@@ -20,17 +21,23 @@ use crate::common::{assert_silent, child, context, options, root};
 
 /// What a child runs: what the device claims to be, trainings and pictures for the parent, transfers of all kinds, kernels
 /// whose workgroups and shared memory follow the limits, and a training whose photographs come from a file.
-const SELECTION: [&str; 9] = [
+const SELECTION: [&str; 10] = [
     "mock_device_claims_in_a_child",
     "mock_device_results_in_a_child",
     "vk::memory::transfers_give_back_what_they_got",
+    UPLOADS,
     "vk::memory::staging_is_a_ring_that_is_kept_and_given_back",
-    "photos::photos_from_a_file_give_the_same_bits",
+    PHOTOS,
     "kernels::scan_apply::scan_apply_equals_its_twin",
     "kernels::sort_downsweep::sort_downsweep_equals_its_twin",
     "kernels::blend_shared::blend_shared_equals_blend_on_images_of_all_sizes_and_opaque_layers",
     "hard_cases::hard_case_images_of_odd_sizes",
 ];
+
+/// An upload into what a submission reads still.
+const UPLOADS: &str = "vk::memory::uploads_run_after_what_was_submitted";
+/// Photographs that are uploaded while the main queue computes.
+const PHOTOS: &str = "photos::photos_from_a_file_give_the_same_bits";
 
 /// Where a child leaves its results.
 const RESULTS: &str = "ASHSPLAT_MOCK_RESULTS";
@@ -61,28 +68,41 @@ static OWN: LazyLock<(Vec<f32>, String)> = LazyLock::new(|| {
     results(&Context::new(&own).expect("a device"))
 });
 
-fn check(machine: &str) {
+/// Whether machines can be claimed here; says why not.
+fn can_be_claimed() -> bool {
     if !cfg!(target_os = "linux") || !context().device_name().contains("llvmpipe") {
         eprintln!("skipped: machines are claimed over llvmpipe on Linux only");
-        return;
+        return false;
     }
     if std::env::var_os(VARIABLE).is_some() {
         eprintln!("skipped: this device is claimed already");
-        return;
+        return false;
     }
-    let folder = tempfile::tempdir().expect("a folder for results");
+    true
+}
+
+/// Lets a child see this machine.
+fn claim(child: &mut Command, machine: &str) {
     let library = std::env::current_exe().expect("a path");
     let mut libraries = vec![library.parent().expect("deps").to_owned()];
     libraries.extend(std::env::var_os("LD_LIBRARY_PATH").iter().flat_map(std::env::split_paths));
+    child
+        .args(["--test-threads", "2"])
+        .env("LD_LIBRARY_PATH", std::env::join_paths(&libraries).expect("paths"))
+        .env("VK_ADD_LAYER_PATH", root().join("tools/mock_layer"))
+        .env("VK_INSTANCE_LAYERS", LAYERS)
+        .env(VARIABLE, machine)
+        .env_remove("ASHSPLAT_BACKEND");
+}
+
+fn check(machine: &str) {
+    if !can_be_claimed() {
+        return;
+    }
+    let folder = tempfile::tempdir().expect("a folder for results");
     child::run(&SELECTION, SELECTION.len(), |child| {
-        child
-            .args(["--test-threads", "2"])
-            .env("LD_LIBRARY_PATH", std::env::join_paths(&libraries).expect("paths"))
-            .env("VK_ADD_LAYER_PATH", root().join("tools/mock_layer"))
-            .env("VK_INSTANCE_LAYERS", LAYERS)
-            .env(VARIABLE, machine)
-            .env(RESULTS, folder.path())
-            .env_remove("ASHSPLAT_BACKEND");
+        claim(child, machine);
+        child.env(RESULTS, folder.path());
     });
     let read = |name: &str| std::fs::read(folder.path().join(name)).expect("the child's results");
     let (picture, trained) = &*OWN;
@@ -125,6 +145,25 @@ machines! {
     mock_device_transfer_queue: "transfer-queue";
     mock_device_transfer_queue_main_late: "transfer-queue-main-late";
     mock_device_small_limits: "small-limits";
+}
+
+/// A wait that is missing in the engine is found, in either direction; with the other queue late it is not.
+#[test]
+fn mock_device_finds_missing_waits() {
+    if !can_be_claimed() {
+        return;
+    }
+    let fails = |machine, forgetting: &str, trial: &str| {
+        let mut child = Command::new(std::env::current_exe().expect("the test binary"));
+        claim(child.args([trial, "--exact"]).stdin(Stdio::null()), machine);
+        let output = child.env(FORGETTING, forgetting).output().expect("the test binary runs");
+        let text = String::from_utf8_lossy(&output.stdout).into_owned();
+        assert!(text.contains("running 1 test\n"), "{text}{}", String::from_utf8_lossy(&output.stderr));
+        !output.status.success()
+    };
+    assert!(fails("transfer-queue", "others", PHOTOS));
+    assert!(fails("transfer-queue-main-late", "copies", UPLOADS));
+    assert!(!fails("transfer-queue", "copies", UPLOADS));
 }
 
 #[test]

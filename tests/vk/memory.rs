@@ -165,6 +165,27 @@ fn transfers_give_back_what_they_got() {
     }
 }
 
+/// Also where uploads have a queue of their own.
+#[test]
+fn uploads_run_after_what_was_submitted() {
+    const BYTES: usize = 300_004;
+    let options = ContextOptions { force_staging: true, ..common::options() };
+    let context = Context::new(&options).expect("a context");
+    let requests = [("source", BYTES as u64), ("target", BYTES as u64)];
+    let buffers = context.allocate("transfers", &requests, MemoryKind::Device).expect("memory");
+    let (earlier, later) = (vec![1; BYTES], vec![2; BYTES]);
+    context.upload(&buffers[0], &earlier).expect("upload");
+    let mut recorder = context.begin("copy").expect("a recorder");
+    recorder.copy(&buffers[0], &buffers[1]);
+    let copy = context.submit(recorder).expect("submitted");
+    context.upload(&buffers[0], &later).expect("upload");
+    copy.wait().expect("copied");
+    for (buffer, content) in buffers.iter().zip([later, earlier]) {
+        assert!(context.download(buffer).expect("download") == content, "an upload overtook a copy");
+    }
+    common::assert_silent(&context);
+}
+
 /// Every upload of many through a ring that holds four pieces of them, sizes and order as they come; the memory goes back when
 /// asked for or when another allocation needs it.
 #[test]

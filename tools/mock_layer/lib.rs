@@ -21,4 +21,4 @@ mod queues;
 mod semaphores;
 mod state;
 
-pub use machine::{MACHINES, Machine, VARIABLE};
+pub use machine::{FORGETTING, MACHINES, Machine, VARIABLE};

@@ -20,6 +20,9 @@ pub(crate) type Heap = (u64, bool);
 /// Properties and heap.
 pub(crate) type Type = (Flags, u32);
 
+/// The environment variable that names queues whose submissions wait for no semaphore: a fault, for trials that must find it.
+pub const FORGETTING: &str = "ASHSPLAT_MOCK_FORGETS_WAITS";
+
 /// Of queues for copies and other ones, which are late. A machine with one family has none that is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Late {
@@ -141,6 +144,20 @@ impl Machine {
         let copies = |of: &vk::QueueFlags| *of == vk::QueueFlags::TRANSFER;
         let of = self.families.get(family as usize).is_some_and(copies);
         self.families.iter().any(copies) && of == (self.late == Late::Copies)
+    }
+
+    /// Whether submissions to queues of this family wait for nothing, by [`FORGETTING`].
+    ///
+    /// # Panics
+    /// For what is no kind of queues.
+    pub(crate) fn forgets(&self, family: u32) -> bool {
+        let copies = self.families.get(family as usize) == Some(&vk::QueueFlags::TRANSFER);
+        match std::env::var(FORGETTING).as_deref() {
+            Err(_) => false,
+            Ok("copies") => copies,
+            Ok("others") => !copies,
+            Ok(other) => panic!("{FORGETTING}='{other}' is neither 'copies' nor 'others'"),
+        }
     }
 
     /// Changes what the driver says of itself.

@@ -72,6 +72,9 @@ impl Submissions {
     /// Takes a submission of the program's.
     fn add(&mut self, state: &DeviceState, place: Place, mut held: Held) {
         (held.place, held.late) = (place, state.machine.holds(place.0));
+        if state.machine.forgets(place.0) {
+            held.waits.clear();
+        }
         // Values of binary semaphores mean nothing.
         for of in held.waits.iter_mut().chain(&mut held.signals) {
             of.value = self.order.reached(of.semaphore).map_or(0, |_| of.value);
