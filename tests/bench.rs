@@ -115,6 +115,11 @@ fn check_run(run: &Value) {
         assert_eq!((&workload["gaussians"], &workload["width"]), (&Value::from(400), &Value::from(72)));
         assert!(number(&workload["visible"]) > 100.0 && number(&workload["instances"]) > 400.0);
         assert!(number(&workload["longest_tile"]) > 10.0);
+        // Three vec4 of each Gaussian and the camera's block, and nothing for what is bound in place of cut-outs.
+        let mut kernels = run["kernels"].as_array().into_iter().flatten();
+        let cull = kernels.find(|kernel| kernel["kernel"] == "forward/cull").expect("culling");
+        let read = number(&cull["bytes_read"]);
+        assert!((48.0 * 400.0..72.0 * 400.0).contains(&read), "{cull}");
     }
     if run["name"] == "train-step" {
         assert!(number(&workload["longest_tile"]) > 10.0 && number(&workload["visible"]) > 100.0);

@@ -111,8 +111,13 @@ impl Traffic {
         if matches!(command.name, "fill" | "copy" | "update") {
             return buffer.bytes;
         }
+        // Those that read parameters do so in a dispatch for each chunk of them.
+        let planes = self.planes(command.name, counts);
+        let dispatches = planes.map_or(1, |_| counts.chunks.max(1));
         let used = match (buffer.name, command.scope.as_str()) {
-            ("planes", _) => self.planes(command.name, counts),
+            // Off in what is measured, with some other buffer in their place.
+            _ if ["cut_outs", "selection"].contains(&buffer.role) => Some(0),
+            ("planes", _) => planes,
             // Off in what is measured: densification's statistics and the inverse depth.
             ("statistics" | "inverse_depth", _) => Some(0),
             // Expansion reads attributes only of Gaussians with more tiles than a list holds.
@@ -126,10 +131,10 @@ impl Traffic {
             (name, "tile sort") => self.tile_sort.get(name).copied(),
             (name, _) => self.visible.get(name).copied(),
         };
-        used.map_or(buffer.bytes, |used| used.min(buffer.bytes))
+        used.map_or(buffer.bytes, |used| (used / dispatches).min(buffer.bytes))
     }
 
-    /// Bytes of the planes that hold parameters or moments, per dispatch.
+    /// Bytes of the planes that hold parameters or moments, in all dispatches.
     fn planes(&self, kernel: &str, counts: &Counts) -> Option<u64> {
         let all = u64::from(parameter_planes(counts.sh_degree));
         let (gaussians, planes) = match kernel {
@@ -138,6 +143,6 @@ impl Traffic {
             "optimizer/adam" => (counts.gaussians, all),
             _ => return None,
         };
-        Some(u64::from(gaussians) * planes * VEC4 / counts.chunks.max(1))
+        Some(u64::from(gaussians) * planes * VEC4)
     }
 }
