@@ -1,0 +1,58 @@
+//! What the validation layer says, counted.
+
+use crate::Result;
+use ashsplat::ash::{ext::debug_utils, vk};
+use std::ffi::{CStr, c_void};
+use std::sync::{Mutex, PoisonError};
+use wgpu::hal::api::Vulkan;
+
+/// A messenger beside wgpu's own one, which writes to the log.
+pub struct Messages {
+    loader: debug_utils::Instance,
+    messenger: vk::DebugUtilsMessengerEXT,
+    texts: Box<Mutex<Vec<String>>>,
+}
+
+impl Messages {
+    /// # Safety
+    /// The instance has VK_EXT_debug_utils and lives until [`Messages::finish`].
+    pub unsafe fn new(instance: &wgpu::Instance) -> Result<Self> {
+        // SAFETY: the handles are not destroyed.
+        let instance =
+            unsafe { instance.as_hal::<Vulkan>() }.ok_or("not a Vulkan instance")?.shared_instance();
+        let loader = debug_utils::Instance::new(instance.entry(), instance.raw_instance());
+        let texts = Box::new(Mutex::new(Vec::new()));
+        type Severity = vk::DebugUtilsMessageSeverityFlagsEXT;
+        let info = vk::DebugUtilsMessengerCreateInfoEXT::default()
+            .message_severity(Severity::WARNING | Severity::ERROR)
+            .message_type(vk::DebugUtilsMessageTypeFlagsEXT::VALIDATION)
+            .pfn_user_callback(Some(collect))
+            .user_data(std::ptr::from_ref(&*texts).cast_mut().cast());
+        // SAFETY: `texts` stays where it is for as long as the messenger lives.
+        let messenger = unsafe { loader.create_debug_utils_messenger(&info, None)? };
+        Ok(Self { loader, messenger, texts })
+    }
+
+    /// All that was said. The device is gone by then, so that what was left of it has been told.
+    pub fn finish(self) -> Vec<String> {
+        // SAFETY: the messenger is of the instance, which is alive.
+        unsafe { self.loader.destroy_debug_utils_messenger(self.messenger, None) };
+        self.texts.into_inner().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+unsafe extern "system" fn collect(
+    _: vk::DebugUtilsMessageSeverityFlagsEXT,
+    _: vk::DebugUtilsMessageTypeFlagsEXT,
+    data: *const vk::DebugUtilsMessengerCallbackDataEXT<'_>,
+    user: *mut c_void,
+) -> vk::Bool32 {
+    // SAFETY: the contract of the callback; `user` is what `Messages::new` gave.
+    unsafe {
+        if let (Some(data), Some(texts)) = (data.as_ref(), user.cast::<Mutex<Vec<String>>>().as_ref()) {
+            let text = CStr::from_ptr(data.p_message).to_string_lossy().into_owned();
+            texts.lock().unwrap_or_else(PoisonError::into_inner).push(text);
+        }
+    }
+    vk::FALSE
+}
