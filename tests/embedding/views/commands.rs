@@ -40,8 +40,8 @@ macro_rules! counted {
             }
         }
         /// Calls of each since the last time.
-        fn taken() -> Vec<u32> {
-            vec![$(calls::$wrapper.swap(0, Ordering::Relaxed)),*]
+        fn taken() -> [u32; 6] {
+            [$(calls::$wrapper.swap(0, Ordering::Relaxed)),*]
         }
     };
 }
@@ -80,11 +80,11 @@ fn counts(host: &Host, renderer: &mut Renderer, groups: &[&[RecordedFrame<'_>]])
         let commands = adopt(renderer.context(), &in_flight);
         renderer.record_views(commands, slot, group, &mut releases[..group.len()]).expect("a recording");
     }
-    let [direct, indirect, barriers, others @ ..] = taken()[..] else { unreachable!("six commands") };
+    let [direct, indirect, barriers, fills, updates, copies] = taken();
     in_flight.submit(host).expect("a submission");
     in_flight.wait(host).expect("done");
     in_flight.destroy(host);
-    [direct + indirect, barriers, others.iter().sum()]
+    [direct + indirect, barriers, fills + updates + copies]
 }
 
 /// Two eyes in two recordings, in one, and with one sort: fewer commands each time.

@@ -76,8 +76,8 @@ fn costs() {
         for round in 0..32 {
             for (case, shots) in shots.iter_mut().enumerate() {
                 let renderer = &mut renderers[usize::from(case == 2)];
-                let alone: &[&[RecordedFrame]] = &[&views[..1], &views[1..]];
-                let groups = if case == 0 { alone } else { &[&views] };
+                let (alone, both) = ([&views[..1], &views[1..]], [&views[..]]);
+                let groups = if case == 0 { &alone[..] } else { &both[..] };
                 let figures = shot(host, &in_flight, renderer, groups);
                 if round > 1 {
                     shots.push(figures);
