@@ -35,8 +35,7 @@ pub struct ForeignDevice<'a> {
     /// A queue of that family for operations that submit and wait themselves: [`Context::run`],
     /// [`Context::upload`], [`crate::Renderer::render`]. None: they are refused, and only recording works.
     pub queue: Option<vk::Queue>,
-    /// The host's lock around that queue, for hosts whose other threads submit to it; `None` if none does while an operation
-    /// submits.
+    /// The host's lock around that queue; `None` if no other thread submits to it while an operation does.
     pub queue_lock: Option<Arc<dyn QueueLock>>,
     /// The features that the device was created with: see [`Features::of`].
     pub features: Features,
@@ -67,10 +66,8 @@ impl Context {
     /// # Safety
     /// - `instance` and `device` are alive, were created for Vulkan 1.3 or later, and outlive the context and
     ///   everything made from it;
-    /// - `physical_device` is the one that `device` was created from, `queue_family` one that it was created
-    ///   with;
-    /// - `features` and `extensions` were enabled at its creation, and VK_EXT_debug_utils if `debug_utils` is
-    ///   set;
+    /// - `physical_device` is the one that `device` was created from, `queue_family` one that it was created with;
+    /// - `features` and `extensions` were enabled at its creation, and VK_EXT_debug_utils if `debug_utils` is set;
     /// - `queue`, if given, is one of `device` and of that family, and is not used elsewhere during a call
     ///   that submits, or only under `queue_lock`;
     /// - `device` was created with robustBufferAccess, or the push constants of all [`Recorder::dispatch`]es and
