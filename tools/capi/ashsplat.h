@@ -248,6 +248,14 @@ typedef struct AshsplatForeignDevice {
   const struct AshsplatAllocator *allocator;
   // A VkPipelineCache that kernels are built with, or 0. The host keeps and destroys it.
   uint64_t pipeline_cache;
+  // Handed to both functions below.
+  void *queue_user;
+  // Takes the host's lock around `queue`, or NULL if no other thread of the host submits to it while a function of this library
+  // does. Taken around each vkQueueSubmit2, from any thread; a thread that holds it calls nothing that submits. Recording never
+  // takes it.
+  void (*lock_queue)(void *user);
+  // Gives it back, on the same thread. NULL with `lock_queue`.
+  void (*unlock_queue)(void *user);
 } AshsplatForeignDevice;
 
 // An image of a host's and how it was created: two-dimensional, optimal tiling.
@@ -600,6 +608,11 @@ typedef struct AshsplatReservation {
   bool motion;
   // Bytes of staging memory for a frame's updates: ashsplat_update_bytes.
   uint64_t staging_bytes;
+  // Views of a recording (ashsplat_record_views), which share the memory of one; 0 is as 1.
+  uint32_t views;
+  // Not 0: views whose depths are the same, as those of two eyes side by side, are culled and sorted once. Takes 512 bytes for each
+  // scene and view, and more kernels.
+  uint32_t shared_sort;
 } AshsplatReservation;
 
 // The layout of the parameters in a host's own buffers: planes of four floats. Plane 0 is the mean and the
@@ -830,6 +843,17 @@ enum AshsplatStatus ashsplat_image_adopt(const struct AshsplatContext *context,
                                          uint32_t purpose,
                                          struct AshsplatImage **image);
 
+// Says that queues of another family own the image between recordings. A recording acquires it from them and releases it to them; the
+// host records the other halves in a queue of that family, ordered by semaphores in all stages. Before the recording: a barrier from the
+// layout of AshsplatHostImage.from to `layout`, from that family to the context's. Behind it: one from `layout` to `layout`, back. From
+// VK_IMAGE_LAYOUT_UNDEFINED the contents are discarded, and there is no barrier before.
+//
+// # Safety
+// `image` is alive, `layout` is valid for a write, or NULL: it receives the VkImageLayout.
+enum AshsplatStatus ashsplat_image_of_family(struct AshsplatImage *image,
+                                             uint32_t queue_family,
+                                             int32_t *layout);
+
 // Frees a view. Slots keep it as long as their recordings use it, and the host's image must live until they
 // have released it: ashsplat_slot_release.
 //
@@ -872,6 +896,20 @@ enum AshsplatStatus ashsplat_record(struct AshsplatRenderer *renderer,
                                     uint32_t slot,
                                     const struct AshsplatRecordedFrame *frame,
                                     struct AshsplatRelease *release);
+
+// Records several frames in one slot, one after the other: views of the same moment, as for the eyes of a headset or a split screen.
+// Each goes into images: a layer of an array for each, or rectangles of one image. AshsplatReservation.views says how many there may be,
+// `shared_sort` whether eyes side by side are sorted once: those whose frames have the same `scenes` pointer. An image may be used by several views: only the first one's
+// `from` counts. The updates are those of the first frame. Otherwise as ashsplat_record for each.
+//
+// # Safety
+// As ashsplat_record, for each; `frames` has `frame_count` elements, `releases` as many for a write, or is NULL.
+enum AshsplatStatus ashsplat_record_views(struct AshsplatRenderer *renderer,
+                                          void *commands,
+                                          uint32_t slot,
+                                          const struct AshsplatRecordedFrame *frames,
+                                          uint32_t frame_count,
+                                          struct AshsplatRelease *releases);
 
 // The device of a context, for a host that lets this library open one: each pointer may be NULL.
 //
