@@ -28,6 +28,7 @@ pub struct Host {
 }
 
 /// A queue for compute beside the one for everything, of a family of its own.
+#[allow(dead_code, reason = "the example has one queue; the tests use another one")]
 #[derive(Clone, Copy)]
 pub struct AsyncQueue {
     pub family: u32,
