@@ -146,7 +146,8 @@ fn views_may_overlap() {
         for (i, texel) in texels.iter().enumerate() {
             let [x, y] = [i % SIZE[0] as usize, i / SIZE[0] as usize];
             let behind = below.color[i];
-            let inner = (x >= 40 && x < 70 && y >= 30 && y < 50).then(|| (y - 30) * 30 + x - 40);
+            let within = (40..70).contains(&x) && (30..50).contains(&y);
+            let inner = within.then(|| (y - 30) * 30 + x - 40);
             for channel in 0..3 {
                 let expected = inner.map_or(behind[channel], |at| {
                     above.color[at][channel] + above.transmittance[at] * behind[channel]
