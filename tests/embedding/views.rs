@@ -59,8 +59,9 @@ fn layers_have_the_bits_of_frames_alone() {
         let context = guest(host);
         let gaussians = hard_cloud();
         let scene = DeviceScene::upload(&context, &gaussians, 0).expect("a scene");
-        let left = camera(0.3, SIZE[0], SIZE[1]);
-        let right = left.moved_aside([0.4, 0.1]);
+        // Each shows Gaussians that the other does not.
+        let left = camera(0.3, SIZE[0], SIZE[1]).moved_aside([-1.0, 0.0]);
+        let right = left.moved_aside([2.0, 0.1]);
         let mut nearly = right.moved_aside([0.4, 0.0]);
         nearly.translation.z = f32::from_bits(nearly.translation.z.to_bits() + 1);
         // A wider eye that is turned about the axis of view, of another size.
