@@ -206,7 +206,7 @@ mod tests {
         }
         assert!(2 * most < tree.tiles().len(), "{most} of {}", tree.tiles().len());
         // Another page looks the other way, and neither takes the other's tiles.
-        let both = [0.0, 3.1].map(|turn| looking(turn));
+        let both = [0.0, 3.1].map(looking);
         for (page, turn) in [(0, 0.0), (1, 3.1), (1, 3.1), (0, 0.0), (1, 3.1)] {
             loaded(&mut residency, PAGES[page], turn);
         }
