@@ -29,10 +29,9 @@ const MAX_OPACITY: f64 = 0.99;
 
 /// Merges pairs of neighbours until at most `target` are left (at least 1).
 ///
-/// The cheapest pairs go first: those that change pictures least ([`picture_difference`]), near to each other for their size and
-/// alike in colour. A merged Gaussian has the mean, the covariance and the colour of the two together, weighted by opacity times
-/// area, and as much opacity times area as both. Where its opacity would exceed the largest, it grows instead: opaque surfaces
-/// get no holes.
+/// The cheapest pairs go first: those that change pictures least, near to each other for their size and alike in colour. A
+/// merged Gaussian has the mean, the covariance and the colour of the two together, weighted by opacity times area, and as much
+/// opacity times area as both. Where its opacity would exceed the largest, it grows instead: opaque surfaces get no holes.
 pub fn decimate(gaussians: &mut Gaussians, target: usize) {
     let target = target.max(1);
     while gaussians.len() > target {
