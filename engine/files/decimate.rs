@@ -27,6 +27,14 @@ const OPACITY_WEIGHT: f64 = 0.5;
 /// Largest opacity of a merged Gaussian, as the rasterizer's largest alpha.
 const MAX_OPACITY: f64 = 0.99;
 
+/// Most that a merged Gaussian's covariance grows in place of its opacity. Two Gaussians side by side, which cover twice what
+/// one does, need 2.
+const MAX_GROWTH: f64 = 4.0;
+
+/// A picture of a Gaussian is at least so flat, as the square of its axes' ratio. The determinant of a flatter one is what
+/// rounding leaves of two equal products, and areas of such needles would differ by a hundred powers of ten.
+const FLATTEST: f64 = 1e-12;
+
 /// Merges pairs of neighbours until at most `target` are left (at least 1).
 ///
 /// The cheapest pairs go first: those that change pictures least, near to each other for their size and alike in colour. A
@@ -98,7 +106,7 @@ fn area(covariance: &DMat3) -> f64 {
 
 fn determinant(covariance: &DMat3, [x, y]: [usize; 2]) -> f64 {
     let (xx, yy, xy) = (covariance.col(x)[x], covariance.col(y)[y], covariance.col(x)[y]);
-    (xx * yy - xy * xy).max(f64::MIN_POSITIVE)
+    (xx * yy - xy * xy).max(FLATTEST * xx * yy).max(f64::MIN_POSITIVE)
 }
 
 /// The product of two Gaussians of opacity 1, `apart` from each other, integrated over a picture, over 2π.
@@ -123,7 +131,7 @@ fn joined(a: &Brief, b: &Brief) -> Joined {
     let spread = |own: &Brief| own.covariance + outer(own.mean - mean);
     let covariance = share[0] * spread(a) + share[1] * spread(b);
     let opacity = mass / area(&covariance);
-    let growth = (opacity / MAX_OPACITY).max(1.0);
+    let growth = (opacity / MAX_OPACITY).clamp(1.0, MAX_GROWTH);
     let (covariance, opacity) = (covariance * growth, (opacity / growth).clamp(1e-6, MAX_OPACITY));
     Joined { mean, covariance, opacity, share }
 }
@@ -327,5 +335,24 @@ mod tests {
         let [a, b] = [-0.4, 0.4].map(|x| of(DVec3::X * x, DVec3::splat(0.5), 0.3));
         let faint = joined(&a, &b);
         assert!((faint.covariance.col(1)[1] - 0.25).abs() < 1e-12 && faint.opacity < 0.6);
+    }
+
+    /// The determinant of a needle's picture is what rounding leaves: it must not make anything enormous.
+    #[test]
+    fn needles_do_not_grow() {
+        let _turn = turn();
+        for index in 0..200 {
+            let angle = 0.01 + 0.03 * f64::from(index);
+            let along = DVec3::new(angle.cos(), (0.7 * angle).sin(), angle.sin()).normalize();
+            let needle = |mean: DVec3| {
+                let covariance = outer(along) + DMat3::from_diagonal(DVec3::splat(1e-20));
+                let color = DVec3::splat(0.5);
+                Brief { mean, covariance, opacity: 0.9, mass: 0.9 * area(&covariance), size2: 1.0, color }
+            };
+            let (a, b) = (needle(DVec3::ZERO), needle(0.3 * along));
+            let one = joined(&a, &b);
+            let most = one.covariance.to_cols_array().into_iter().fold(0.0, |most: f64, x| most.max(x.abs()));
+            assert!(most < 5.0 && one.opacity <= MAX_OPACITY, "{along}: {most} {}", one.opacity);
+        }
     }
 }

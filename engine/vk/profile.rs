@@ -213,6 +213,7 @@ impl Commands {
             }
             (Some(whole), None) => done.checked_sub(nanoseconds(whole)),
         };
+        let calibrated = calibrated.filter(|_| device_begun.is_some());
         let submission = Submission {
             label,
             commands: collected.commands,
@@ -223,7 +224,7 @@ impl Commands {
             submitted,
             done,
             device_begun,
-            calibrated: calibrated.is_some() && device_begun.is_some(),
+            calibrated: calibrated.is_some(),
             calibration_error: calibrated.map_or(Duration::ZERO, |clocks| clocks.error),
         };
         self.log.submissions.lock().unwrap_or_else(PoisonError::into_inner).push(submission);

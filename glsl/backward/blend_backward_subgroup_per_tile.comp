@@ -35,7 +35,7 @@ layout(local_size_x_id = 0) in;
 const uint REGION_HEIGHT = SUBGROUP_SIZE <= 64 ? 8 : 16;
 const bool BROADCAST = false;
 
-#define OWN_REGIONS REGIONS
+#define OWN_REGIONS 4
 #include "blend_gradient.glsl"
 #include "dispatch.glsl"
 #include "subgroup.glsl"

@@ -3,7 +3,7 @@
 // derivative.
 //
 // Needs constants.glsl, buffers.glsl, SUBGROUP_SIZE, REGION_HEIGHT, INVERSE_DEPTH, INCREMENTAL_EXP, COUNT_HITS, STRIPS (see
-// blend_io.glsl), ABSOLUTE, WEIGHTS (see blend_backward.comp), BROADCAST, OWN_REGIONS: how many regions a lane has pixels in,
+// blend_io.glsl), ABSOLUTE, WEIGHTS (see blend_backward.comp), BROADCAST, OWN_REGIONS: in how many regions a lane has pixels at most,
 // GL_KHR_shader_subgroup_basic, _ballot and _shuffle.
 
 // Training draws splats only, with inverse depth: no host depth image, no linear depth.
@@ -54,6 +54,9 @@ layout(push_constant, scalar) uniform Push {
 #include "blending.glsl"
 #include "splat_shuffle.glsl"
 
+// Most pixels of a lane in a region. A literal for the same reason as MAX_COLUMN_ROWS.
+const uint MAX_PIXELS = 16;
+
 const float LN_2 = 0.6931471805599453;
 
 // With COUNT_HITS: Gaussians blended over a region.
@@ -75,7 +78,7 @@ struct GradientPixel {
 };
 
 // The lane's pixels, those of its first region first. Not parameters: see blend.comp.
-GradientPixel pixels[OWN_REGIONS * PIXELS];
+GradientPixel pixels[OWN_REGIONS * MAX_PIXELS];
 
 // One instance's sums over the pixels, see blend_backward.comp.
 struct Sums {

@@ -94,6 +94,10 @@ fn check_times(gpu: &Gpu, submission: &Submission) {
     if submission.calibrated {
         // The clocks are read one after the other: a thread may be interrupted between them.
         let error = submission.calibration_error;
+        assert!(
+            error <= submission.done - submission.begun,
+            "clocks that are read apart by {error:?} tell nothing"
+        );
         assert!(device_begun + error >= submission.submitting, "the device begins after the host submits");
         let device_done = device_begun + std::time::Duration::from_nanos(whole as u64);
         assert!(device_done <= submission.done + error, "the device ends before the host knows");

@@ -28,6 +28,7 @@ mod demo;
 mod devices;
 mod eval;
 mod film_file;
+mod guarded;
 mod html;
 mod info;
 mod inspect;

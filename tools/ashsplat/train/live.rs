@@ -7,6 +7,7 @@ mod tests;
 
 use super::Run;
 use super::allowance::Allowance;
+use crate::guarded::guarded;
 use crate::measure::Stopwatch;
 use crate::view::hub::Hub;
 use crate::view::protocol::{ToPage, TrainAction};
@@ -22,7 +23,6 @@ use clap::Args;
 use curves::Curves;
 use doors::Doors;
 use serde_json::json;
-use std::panic::{self, AssertUnwindSafe};
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -253,13 +253,6 @@ impl Live {
         self.note(|curves| curves.pause(self.paused));
         wish
     }
-}
-
-/// Does something of the viewers': a panic in it is an error like others, for training goes on.
-fn guarded(work: impl FnOnce() -> Result<()>) -> Result<()> {
-    // The panic has told where.
-    panic::catch_unwind(AssertUnwindSafe(work))
-        .unwrap_or_else(|_| Err(Error::argument("a panic", "told above")))
 }
 
 impl Run {

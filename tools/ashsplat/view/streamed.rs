@@ -16,7 +16,7 @@ use ashsplat::{
 };
 use ashsplat_files::tiles::{Demand, Tree};
 use loader::{Loader, Source};
-use residency::Residency;
+use residency::{Residency, is_memory};
 use serde_json::{Value, json};
 use std::sync::Arc;
 
@@ -36,6 +36,8 @@ struct Streaming {
     budget: usize,
     /// Of the viewer that is served.
     current: (Viewer, usize),
+    /// What the device has had memory for, whatever viewers ask for.
+    most: usize,
     /// Of the last picture.
     shown: Value,
 }
@@ -68,9 +70,26 @@ impl Scenery {
             hub: hub.clone(),
             budget: streamed.budget,
             current: (Viewer::default(), streamed.budget),
+            most: usize::MAX,
             shown: Value::Null,
         });
         Ok(())
+    }
+
+    /// Draws what is there. Where the device has no memory for the picture, tiles make room: those that nobody wants, then the
+    /// finest of what is wanted.
+    fn draw<T>(&mut self, camera: &Camera, draw: impl Fn(&mut Renderer) -> Result<T>) -> Result<T> {
+        loop {
+            self.prepare(camera)?;
+            let drawn = draw(&mut self.renderer);
+            let more = match (&drawn, &mut self.streaming) {
+                (Err(error), Some(streaming)) if is_memory(error) => streaming.make_room(error),
+                _ => false,
+            };
+            if !more {
+                return drawn;
+            }
+        }
     }
 
     /// Takes over what has come, asks for what is missing, and has the renderer draw what is there. Whether nothing is missing.
@@ -85,19 +104,41 @@ impl Scenery {
 }
 
 impl Streaming {
+    /// Says it on the terminal and on all pages.
+    fn say(&self, problem: &str) {
+        tell!("{problem}");
+        self.hub.broadcast(&ToPage::problem(problem));
+    }
+
+    /// Gives memory back for a picture that found none. Whether there was any to give.
+    fn make_room(&mut self, error: &Error) -> bool {
+        if self.residency.make_room() {
+            return true;
+        }
+        let least = self.tree.tiles()[0].gaussians;
+        let budget = self.current.1.min(self.most).min(self.tree.gaussians());
+        if budget <= least {
+            return false;
+        }
+        self.most = (budget / 2).max(least);
+        let most = self.most;
+        self.say(&format!("no memory for {budget} Gaussians, at most {most} are drawn from now on: {error}"));
+        true
+    }
+
     fn scenes(&mut self, camera: &Camera) -> Vec<DeviceScene> {
         for (tile, arrived) in self.loader.arrivals() {
             match arrived {
                 Ok(scene) => self.residency.add(tile, scene),
                 Err(error) => {
                     if let Some(problem) = self.residency.fail(tile, &error) {
-                        tell!("{problem}");
-                        self.hub.broadcast(&ToPage::problem(&problem));
+                        self.say(&problem);
                     }
                 }
             }
         }
-        let (viewer, budget) = self.current;
+        let (viewer, asked) = self.current;
+        let budget = asked.min(self.most);
         let cut = self.residency.cut(viewer, &Demand::of(camera, budget));
         self.loader.ask(cut.missing.iter().copied());
         let (resident, resident_gaussians) = self.residency.resident();
@@ -112,8 +153,7 @@ impl Streaming {
 
 impl Painter for Scenery {
     fn render(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<Frame> {
-        self.prepare(camera)?;
-        self.renderer.render(camera, settings)
+        self.draw(camera, |renderer| renderer.render(camera, settings))
     }
 
     fn render_with_tiles(
@@ -121,8 +161,7 @@ impl Painter for Scenery {
         camera: &Camera,
         settings: &RenderSettings,
     ) -> Result<(Frame, TileReport)> {
-        self.prepare(camera)?;
-        self.renderer.render_with_tiles(camera, settings)
+        self.draw(camera, |renderer| renderer.render_with_tiles(camera, settings))
     }
 
     fn inspect(
@@ -131,8 +170,7 @@ impl Painter for Scenery {
         settings: &RenderSettings,
         pixel: [u32; 2],
     ) -> Result<PixelReport> {
-        self.prepare(camera)?;
-        self.renderer.inspect(camera, settings, pixel)
+        self.draw(camera, |renderer| renderer.inspect(camera, settings, pixel))
     }
 
     fn gaussians(&self) -> Result<Gaussians> {

@@ -118,6 +118,13 @@ impl Subject {
             ));
         }
         let scene = tree.read(0, &host.reading(look.drop_invalid))?;
+        if scene.gaussians.is_empty() {
+            return Err(Error::input(
+                coarsest,
+                "has no Gaussians",
+                "write the tree again with `ashsplat tiles`",
+            ));
+        }
         Ok(Subject {
             name: path.display().to_string(),
             base: look.settings(&Settings::default(), &scene.header)?,

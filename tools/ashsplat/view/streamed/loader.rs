@@ -1,5 +1,6 @@
 //! The thread that reads tiles and uploads them: no frame waits for a file.
 
+use crate::guarded::guarded;
 use ashsplat::scene::Gaussians;
 use ashsplat::vk::Context;
 use ashsplat::{DeviceScene, Error, Result};
@@ -15,7 +16,7 @@ pub struct Source {
     pub read: ReadOptions,
     /// SH degree at which all tiles are stored.
     pub sh_degree: u32,
-    /// No tile is read from outside of this folder, whatever its links say.
+    /// No tile that is a link out of this folder is read.
     pub within: Option<PathBuf>,
 }
 
@@ -87,11 +88,12 @@ impl Loader {
         let own = shared.clone();
         let work = move || {
             while let Some(tile) = own.next() {
-                let gaussians = source.read(tile);
+                let gaussians = guarded(|| source.read(tile));
                 if !own.begin_upload() {
                     return;
                 }
-                let scene = gaussians.and_then(|all| DeviceScene::upload(&context, &all, 0));
+                // Whoever waits for the thread must hear of the tile, come what may.
+                let scene = guarded(|| DeviceScene::upload(&context, &gaussians?, 0));
                 own.arrive((tile, scene));
                 arrived();
             }
@@ -139,9 +141,13 @@ impl Source {
                 return Err(Error::input(path, problem, "start the viewer with the tree's path"));
             }
         }
-        let own = self.tree.read(tile, &self.read)?.gaussians;
-        let mut all = Gaussians::with_capacity(self.sh_degree, own.len());
-        all.append(&own);
-        Ok(all)
+        let gaussians = self.tree.read(tile, &self.read)?.gaussians;
+        let degree = gaussians.sh_degree;
+        if degree != self.sh_degree {
+            let path = self.tree.path(tile).unwrap_or_default();
+            let problem = format!("has SH degree {degree}, and the coarsest tile {}", self.sh_degree);
+            return Err(Error::input(path, problem, "write the tree again with `ashsplat tiles`"));
+        }
+        Ok(gaussians)
     }
 }

@@ -16,6 +16,8 @@ pub struct Residency<T> {
     failed: BTreeMap<usize, String>,
     /// Tiles for which the device had no memory. They are asked for again when somebody wants something else.
     refused: BTreeSet<usize>,
+    /// Whether it has been said that there is no memory.
+    said: bool,
     frames: u64,
 }
 
@@ -41,7 +43,7 @@ impl<T> Residency<T> {
     pub fn new(tree: Arc<Tree>, coarsest: T) -> Self {
         let there = BTreeMap::from([(0, Held { scene: coarsest, frame: 0 })]);
         let (wanted, failed, refused) = (BTreeMap::new(), BTreeMap::new(), BTreeSet::new());
-        Self { tree, there, wanted, failed, refused, frames: 0 }
+        Self { tree, there, wanted, failed, refused, said: false, frames: 0 }
     }
 
     /// What a viewer's next picture has. Tiles that are wanted no more go, beyond the budget.
@@ -50,7 +52,9 @@ impl<T> Residency<T> {
         let possible = |tile: usize| !self.failed.contains_key(&tile);
         let wanted = self.tree.wanted_among(demand, possible);
         if self.wanted.get(&viewer) != Some(&wanted) {
-            self.refused.clear();
+            let others = self.wanted.iter().filter(|(other, _)| **other != viewer);
+            let others: BTreeSet<usize> = others.flat_map(|(_, wanted)| wanted).copied().collect();
+            self.refused.retain(|tile| others.contains(tile));
         }
         for tile in &wanted {
             if let Some(held) = self.there.get_mut(tile) {
@@ -89,13 +93,22 @@ impl<T> Residency<T> {
             let problem = error.to_string();
             return self.failed.insert(tile, problem.clone()).is_none().then_some(problem);
         }
-        // What nobody wants makes room; the tile is tried again then.
-        if self.evict(0) > 0 {
+        // The tile is tried again then.
+        if self.make_room() {
             return None;
         }
-        let said = !self.refused.is_empty();
         self.refused.insert(tile);
+        let said = std::mem::replace(&mut self.said, true);
         (!said).then(|| format!("no memory for finer tiles, a smaller budget needs less: {error}"))
+    }
+
+    /// Lets go of all tiles that nobody wants. Whether there were any.
+    pub fn make_room(&mut self) -> bool {
+        let gone = self.evict(0) > 0;
+        if gone {
+            self.refused.clear();
+        }
+        gone
     }
 
     /// Tiles that are there, and their Gaussians.
@@ -132,7 +145,7 @@ impl<T> Residency<T> {
 }
 
 /// Whether it is the device's memory that does not suffice.
-fn is_memory(error: &Error) -> bool {
+pub fn is_memory(error: &Error) -> bool {
     matches!(error, Error::TooLarge { .. } | Error::Vulkan { .. })
 }
 
