@@ -151,8 +151,7 @@ fn viewer_waits_for_no_tile() {
     let file = tree.path(first).expect("a tile");
     std::fs::remove_file(&file).expect("removed");
     // Whoever opens a pipe waits for its writer.
-    let made = std::process::Command::new("mkfifo").arg(&file).status().expect("mkfifo");
-    assert!(made.success());
+    nix::unistd::mkfifo(&file, nix::sys::stat::Mode::S_IRWXU).expect("a pipe");
     let server = Server::view(&path, &["--budget", "100%"]);
     let mut page = server.page();
     for _ in 0..5 {
@@ -167,4 +166,29 @@ fn viewer_refuses_what_is_no_tree() {
     let folder = tempdir().expect("a temporary folder");
     let scene = write_ball(folder.path(), 50);
     refuse(&["view", text(&scene), "--budget", "10"], &["--budget", "folders of tiles"]);
+}
+
+/// Where tiles leave no memory for a picture, they make room for it, and that is said once.
+#[test]
+fn viewer_draws_fewer_tiles_where_a_picture_finds_no_memory() {
+    let folder = tempdir().expect("a temporary folder");
+    let (path, _) = written(folder.path());
+    // Enough for all tiles, but not for all tiles and a picture of them: 2 MiB would be.
+    let server = Server::view(&path, &["--budget", "100%", "--max-memory", "1M"]);
+    let mut page = server.page();
+    for turn in [0.3, 1.9, 0.3] {
+        let (_, shown, said) = settled(&mut page, &camera(turn), &json!({ "quality": 0 }));
+        let tree = &shown.header["tree"];
+        let (drawn, budget) = (tree["drawn"].as_u64(), tree["budget"].as_u64());
+        assert!(drawn > Some(1) && budget < Some(COUNT as u64), "{tree}");
+        assert!(
+            said.iter().all(|problem| problem.contains("no memory for 900 Gaussians, at most 450")),
+            "{said:?}"
+        );
+    }
+    #[cfg(unix)]
+    {
+        let (code, stderr) = server.end();
+        assert_eq!((code, stderr.matches("no memory").count()), (Some(0), 1), "{stderr}");
+    }
 }
