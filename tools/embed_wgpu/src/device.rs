@@ -47,6 +47,7 @@ impl Host {
             device: device.raw_device(),
             queue_family: device.queue_family_index(),
             queue: Some(device.raw_queue()),
+            queue_lock: None,
             features: Context::requirements().features,
             extensions: &self.extensions,
             debug_utils,
