@@ -86,7 +86,8 @@ void main() {
     if (CUT_OUTS) {
         visible = visible && kept_by_cut_outs(first_cut_out, cut_out_count, mean_opacity.xyz);
     }
-    if (ADDS) {
+    // The other invocations read no flag: the first one writes that of `index`.
+    if (ADDS && exists) {
         visible = visible || visible_flags[first + index] != 0;
     }
     uint flag = exists && visible ? 1 : 0;
