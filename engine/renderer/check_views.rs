@@ -51,13 +51,18 @@ fn check_beside(
         let others = earlier.iter().enumerate().flat_map(|(view, frame)| {
             frame.images().into_iter().map(move |(field, host)| (view, field, host))
         });
-        let differs = |&(_, _, other): &(usize, &str, Option<&super::HostImage<'_>>)| {
-            other.is_some_and(|other| {
-                other.image.is_same_as(host.image) && other.image.purpose() != host.image.purpose()
-            })
-        };
-        if let Some((view, other, _)) = others.into_iter().find(differs) {
-            let problem = format!("is also views[{view}].{other}: one samples it and the other writes it");
+        for (view, other, theirs) in others {
+            let same = theirs.filter(|theirs| theirs.image.is_same_as(host.image));
+            let differs = match same.map(|theirs| theirs.image) {
+                Some(image) if image.purpose() != host.image.purpose() => {
+                    "one samples it and the other writes it"
+                }
+                Some(image) if image.other_family() != host.image.other_family() => {
+                    "they say that other queue families own it"
+                }
+                _ => continue,
+            };
+            let problem = format!("is also views[{view}].{other}: {differs}");
             return Err(Error::argument(field_of(field, host), problem));
         }
     }

@@ -33,9 +33,11 @@ impl Image {
 
     /// The barrier that the host records in a queue of the image's family, behind its use `from`, before a recording that is told the same
     /// [`HostImage::from`](crate::HostImage::from). The recording's submission waits for that queue's by a semaphore, in all stages.
+    /// It changes the layout as the recording does, where another family owns the image; otherwise the layout stays as it is.
     pub fn hand_over(&self, from: ImageState) -> vk::ImageMemoryBarrier2<'static> {
         let barrier = self.barrier(from.layout, [self.1, self.device().queue_family]);
-        barrier.src_stage_mask(from.stages).src_access_mask(from.accesses)
+        let to = if self.is_elsewhere() { self.layout() } else { from.layout };
+        barrier.new_layout(to).src_stage_mask(from.stages).src_access_mask(from.accesses)
     }
 
     /// The barrier that the host records in a queue of the image's family behind a recording, which that queue's submission waits for by
@@ -44,7 +46,13 @@ impl Image {
     pub fn take_back(&self) -> vk::ImageMemoryBarrier2<'static> {
         let all = vk::AccessFlags2::MEMORY_READ | vk::AccessFlags2::MEMORY_WRITE;
         let barrier = self.barrier(self.layout(), [self.device().queue_family, self.1]);
-        barrier.src_stage_mask(EVERYTHING).dst_stage_mask(EVERYTHING).dst_access_mask(all)
+        // The release of another family has made the writes available.
+        let written = match self.is_elsewhere() {
+            true => vk::AccessFlags2::NONE,
+            false => vk::AccessFlags2::SHADER_STORAGE_WRITE,
+        };
+        let barrier = barrier.src_stage_mask(EVERYTHING).src_access_mask(written);
+        barrier.dst_stage_mask(EVERYTHING).dst_access_mask(all)
     }
 
     /// Into the layout of kernels, from one family to another.
@@ -64,12 +72,23 @@ impl Image {
         self.1 != vk::QUEUE_FAMILY_IGNORED && self.1 != self.device().queue_family
     }
 
-    /// The guest's half of [`Image::hand_over`], if there is one.
+    /// The family that owns it between recordings, if that is not the context's.
+    pub(crate) fn other_family(&self) -> Option<u32> {
+        self.is_elsewhere().then_some(self.1)
+    }
+
+    /// The guest's half of [`Image::hand_over`] where another family owns the image. Of one whose contents are discarded it is a change
+    /// of layout.
     pub(super) fn acquisition(&self, from: ImageState) -> Option<vk::ImageMemoryBarrier2<'static>> {
-        let wanted = self.is_elsewhere() && from.layout != vk::ImageLayout::UNDEFINED;
+        if !self.is_elsewhere() {
+            return None;
+        }
+        let families = match from.layout {
+            vk::ImageLayout::UNDEFINED => [vk::QUEUE_FAMILY_IGNORED; 2],
+            _ => [self.1, self.device().queue_family],
+        };
         // The stages of the other queue may be none of this one. The semaphore is waited for in all.
-        wanted
-            .then(|| self.hand_over(from).src_stage_mask(EVERYTHING).src_access_mask(vk::AccessFlags2::NONE))
+        Some(self.barrier(from.layout, families).src_stage_mask(EVERYTHING))
     }
 
     /// Its last use behind a recording that leaves it used like this.

@@ -1,21 +1,19 @@
-//! Queues of a host: one of another family with images that change hands, one that other threads submit to, and contexts that share
+//! Queues of a host: one of another family with images that change hands, one that other threads submit to ([`lock`]), and contexts that share
 //! what is on the device.
+
+mod lock;
 
 use crate::child;
 use crate::host::{AsyncQueue, Host, HostOptions};
 use crate::memory::{HostBuffer, HostTexture};
 use crate::stage::{assert_same, camera, cloud, guest, options, owned, rendered, with_host};
 use ashsplat::ash::vk;
-use ashsplat::vk::{
-    Context, ContextOptions, ForeignDevice, Image, ImageState, ImageUse, LimitsOverride, QueueLock,
-};
+use ashsplat::vk::{Context, ContextOptions, ForeignDevice, Image, ImageState, ImageUse, LimitsOverride};
 use ashsplat::{
     Background, ColorEncoding, DeviceScene, HostImage, Placed, RecordedFrame, Release, RenderSettings,
     Renderer, Reservation, Target,
 };
 use std::path::Path;
-use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
-use std::sync::{Arc, Condvar, Mutex};
 
 const SIZE: [u32; 2] = [64, 48];
 const PIXELS: usize = 64 * 48;
@@ -124,7 +122,7 @@ const CLEARED: ImageState = ImageState {
     accesses: vk::AccessFlags2::TRANSFER_WRITE,
 };
 
-/// Records, in the queue for everything, a host's picture and its handing over.
+/// Records, in the queue for everything, a host's picture.
 fn clear(work: &Work<'_>, image: &Image, used: ImageState, grey: f32) {
     let mut ready = vk::ImageMemoryBarrier2::default()
         .src_stage_mask(used.stages)
@@ -143,7 +141,125 @@ fn clear(work: &Work<'_>, image: &Image, used: ImageState, grey: f32) {
         let device = &work.host.device;
         device.cmd_clear_color_image(work.commands, image.handle(), CLEARED.layout, &color, &ranges);
     }
-    work.image_barrier(image.hand_over(CLEARED));
+}
+
+/// The uses before a recording: a queue that only computes has no stage of fragments, and discarded contents are not handed over.
+fn uses() -> [ImageState; 4] {
+    let fragments = vk::PipelineStageFlags2::FRAGMENT_SHADER;
+    let drawn = ImageState { stages: CLEARED.stages | fragments, ..CLEARED };
+    [CLEARED, drawn, ImageState::UNDEFINED, ImageState { stages: fragments, ..ImageState::UNDEFINED }]
+}
+
+/// Frames of a guest's queue over what the host's has drawn, or over a colour where that is discarded, and back to the host.
+fn draw_in_turns(
+    host: &Host,
+    context: &Context,
+    of_guest: (vk::Queue, vk::CommandPool),
+    (image, texture): (&Image, &HostTexture),
+) {
+    let (gaussians, settings) = (cloud(300, 3), RenderSettings::default());
+    let scene = DeviceScene::upload(context, &gaussians, 0).expect("a scene");
+    let mut renderer = Renderer::new(context).expect("kernels");
+    let wanted = Reservation { views: 2, images_only: true, ..Reservation::new(300, 1, SIZE[0], SIZE[1]) };
+    renderer.reserve(&wanted).expect("memory");
+    let placed = [Placed::from(&scene)];
+    let staging = HostBuffer::new(host, 16 * PIXELS as u64).expect("memory");
+    let mut used = ImageState::UNDEFINED;
+    for (frame, from) in uses().into_iter().enumerate() {
+        let grey = 0.25 * (frame + 1) as f32;
+        let keeps = from.layout != vk::ImageLayout::UNDEFINED;
+        let whole = camera(0.3 * frame as f32, SIZE[0], SIZE[1]);
+        let inset = camera(1.0, 16, 16);
+        let before = Work::begin(host, host.queue, host.pool);
+        clear(&before, image, used, grey);
+        if keeps {
+            before.image_barrier(image.hand_over(from));
+        }
+        let guests = Work::begin(host, of_guest.0, of_guest.1);
+        let target = |offset| Target::Image {
+            to: HostImage { image, from, offset },
+            behind: if keeps { Background::Image } else { Background::Color([grey; 3]) },
+            encoding: ColorEncoding::AsTrained,
+        };
+        let views = [
+            RecordedFrame { target: target([0; 2]), ..RecordedFrame::new(&placed, &whole, &settings) },
+            RecordedFrame { target: target([48, 32]), ..RecordedFrame::new(&placed, &inset, &settings) },
+        ];
+        // SAFETY: it is being recorded, is submitted once and waited for.
+        let commands = unsafe { context.adopt_commands(guests.commands) }.expect("a command buffer");
+        let mut releases = [Release::default(); 2];
+        renderer.record_views(commands, 0, &views, &mut releases).expect("a recording");
+        let last = releases[1].color.expect("a target");
+        assert_eq!((releases[0].color, last.layout), (Some(last), image.layout()));
+        let behind = Work::begin(host, host.queue, host.pool);
+        behind.image_barrier(image.take_back());
+        let of_release = (last.layout, last.stages, last.accesses);
+        let (layout, stages, _) = texture.record_read(host, behind.commands, of_release, &staging);
+        used = ImageState { layout, stages, accesses: vk::AccessFlags2::NONE };
+        before.submit(None, true);
+        guests.submit(Some(&before), true);
+        behind.submit(Some(&guests), false);
+        host.wait().expect("done");
+        let texels: Vec<[f32; 4]> =
+            bytemuck::pod_collect_to_vec(&staging.read(host, 16 * PIXELS).expect("bytes"));
+        let [below, above] = [whole, inset].map(|camera| owned(&gaussians, &camera, &settings));
+        for (i, texel) in texels.iter().enumerate() {
+            let [x, y] = [i % SIZE[0] as usize, i / SIZE[0] as usize];
+            let mut expected = below.color[i].map(|c| c + below.transmittance[i] * grey);
+            if x >= 48 && y >= 32 {
+                let at = (y - 32) * 16 + x - 48;
+                let behind = if keeps { expected } else { [grey; 3] };
+                expected = [0, 1, 2].map(|c| above.color[at][c] + above.transmittance[at] * behind[c]);
+            }
+            let near = (0..3).all(|c| (texel[c] - expected[c]).abs() < 1e-6);
+            assert!(near, "frame {frame}, ({x}, {y}): {texel:?}, not {expected:?}");
+        }
+        [before, guests, behind].into_iter().for_each(Work::destroy);
+    }
+    drop(renderer);
+    staging.destroy(host);
+}
+
+/// An image that a host draws into and a guest as well.
+fn shared_image(host: &Host, context: &Context) -> (HostTexture, Image) {
+    let usage =
+        vk::ImageUsageFlags::STORAGE | vk::ImageUsageFlags::TRANSFER_SRC | vk::ImageUsageFlags::TRANSFER_DST;
+    let texture = HostTexture::new(host, vk::Format::R32G32B32A32_SFLOAT, usage, SIZE).expect("an image");
+    // SAFETY: the image is as it says, and outlives the view.
+    let image = unsafe { Image::adopt(context, "shared", &texture.foreign(), ImageUse::Storage) };
+    (texture, image.expect("adopted"))
+}
+
+/// Two views into one image, which say that other families own it.
+fn assert_one_owner(
+    host: &Host,
+    context: &Context,
+    of_guest: (vk::Queue, vk::CommandPool),
+    images: [&Image; 2],
+) {
+    let scene = DeviceScene::upload(context, &cloud(300, 3), 0).expect("a scene");
+    let settings = RenderSettings::default();
+    let (placed, eye) = ([Placed::from(&scene)], camera(0.3, SIZE[0], SIZE[1]));
+    let mut renderer = Renderer::new(context).expect("kernels");
+    let wanted = Reservation { views: 2, images_only: true, ..Reservation::new(300, 1, SIZE[0], SIZE[1]) };
+    renderer.reserve(&wanted).expect("memory");
+    let views = images.map(|image| RecordedFrame {
+        target: Target::Image {
+            to: HostImage { image, from: ImageState::UNDEFINED, offset: [0; 2] },
+            behind: Background::Color([0.0; 3]),
+            encoding: ColorEncoding::AsTrained,
+        },
+        ..RecordedFrame::new(&placed, &eye, &settings)
+    });
+    let work = Work::begin(host, of_guest.0, of_guest.1);
+    // SAFETY: it is being recorded, and thrown away.
+    let commands = unsafe { context.adopt_commands(work.commands) }.expect("a command buffer");
+    let refused = renderer.record_views(commands, 0, &views, &mut [Release::default(); 2]);
+    let error = refused.expect_err("two owners").to_string();
+    let wanted = "views[1].target (image 'shared'): is also views[0].target: they say that other queue families own it";
+    assert!(error.contains(wanted), "{error}");
+    drop(renderer);
+    work.destroy();
 }
 
 /// Frames of an asynchronous queue over what the graphics queue has drawn, and back to it.
@@ -154,8 +270,7 @@ fn images_change_hands_in_a_child() {
         let context = asynchronous(host);
         let apart = host.async_queue.expect("asked for");
         assert_ne!(apart.family, host.queue_family);
-        let (gaussians, settings) = (cloud(300, 3), RenderSettings::default());
-        let scene = DeviceScene::upload(&context, &gaussians, 0).expect("a scene");
+        let scene = DeviceScene::upload(&context, &cloud(300, 3), 0).expect("a scene");
         // What the other family owns cannot be drawn here.
         let other = guest(host);
         let error = scene.in_context(&other).err().expect("another family").to_string();
@@ -164,71 +279,34 @@ fn images_change_hands_in_a_child() {
             "{error}"
         );
         drop(other);
-        let usage = vk::ImageUsageFlags::STORAGE
-            | vk::ImageUsageFlags::TRANSFER_SRC
-            | vk::ImageUsageFlags::TRANSFER_DST;
-        let texture = HostTexture::new(host, vk::Format::R32G32B32A32_SFLOAT, usage, SIZE).expect("an image");
-        // SAFETY: the image is as it says, and outlives the view.
-        let image = unsafe { Image::adopt(&context, "shared", &texture.foreign(), ImageUse::Storage) };
-        let image = image.expect("adopted");
+        let (texture, image) = shared_image(host, &context);
         let error = image.clone().of_family(3).expect_err("no such family").to_string();
         assert!(error.contains("image 'shared': queue family 3, the device has 3"), "{error}");
-        let image = image.of_family(host.queue_family).expect("a family");
-        let mut renderer = Renderer::new(&context).expect("kernels");
-        let wanted =
-            Reservation { views: 2, images_only: true, ..Reservation::new(300, 1, SIZE[0], SIZE[1]) };
-        renderer.reserve(&wanted).expect("memory");
-        let placed = [Placed::from(&scene)];
-        let staging = HostBuffer::new(host, 16 * PIXELS as u64).expect("memory");
-        let mut used = ImageState::UNDEFINED;
-        for (frame, grey) in [0.25, 0.5, 0.75].into_iter().enumerate() {
-            let whole = camera(0.3 * frame as f32, SIZE[0], SIZE[1]);
-            let inset = camera(1.0, 16, 16);
-            let before = Work::begin(host, host.queue, host.pool);
-            clear(&before, &image, used, grey);
-            let guests = Work::begin(host, apart.queue, apart.pool);
-            let target = |offset| Target::Image {
-                to: HostImage { image: &image, from: CLEARED, offset },
-                behind: Background::Image,
-                encoding: ColorEncoding::AsTrained,
-            };
-            let views = [
-                RecordedFrame { target: target([0; 2]), ..RecordedFrame::new(&placed, &whole, &settings) },
-                RecordedFrame { target: target([48, 32]), ..RecordedFrame::new(&placed, &inset, &settings) },
-            ];
-            // SAFETY: it is being recorded, is submitted once and waited for.
-            let commands = unsafe { context.adopt_commands(guests.commands) }.expect("a command buffer");
-            let mut releases = [Release::default(); 2];
-            renderer.record_views(commands, 0, &views, &mut releases).expect("a recording");
-            let last = releases[1].color.expect("a target");
-            assert_eq!((releases[0].color, last.layout), (Some(last), image.layout()));
-            let behind = Work::begin(host, host.queue, host.pool);
-            behind.image_barrier(image.take_back());
-            let from = (last.layout, last.stages, last.accesses);
-            let (layout, stages, _) = texture.record_read(host, behind.commands, from, &staging);
-            used = ImageState { layout, stages, accesses: vk::AccessFlags2::NONE };
-            before.submit(None, true);
-            guests.submit(Some(&before), true);
-            behind.submit(Some(&guests), false);
-            host.wait().expect("done");
-            let texels: Vec<[f32; 4]> =
-                bytemuck::pod_collect_to_vec(&staging.read(host, 16 * PIXELS).expect("bytes"));
-            let [below, above] = [whole, inset].map(|camera| owned(&gaussians, &camera, &settings));
-            for (i, texel) in texels.iter().enumerate() {
-                let [x, y] = [i % SIZE[0] as usize, i / SIZE[0] as usize];
-                let mut expected = below.color[i].map(|c| c + below.transmittance[i] * grey);
-                if x >= 48 && y >= 32 {
-                    let at = (y - 32) * 16 + x - 48;
-                    let behind = expected;
-                    expected = [0, 1, 2].map(|c| above.color[at][c] + above.transmittance[at] * behind[c]);
-                }
-                let near = (0..3).all(|c| (texel[c] - expected[c]).abs() < 1e-6);
-                assert!(near, "frame {frame}, ({x}, {y}): {texel:?}, not {expected:?}");
-            }
-            [before, guests, behind].into_iter().for_each(Work::destroy);
+        let owned = image.clone().of_family(host.queue_family).expect("a family");
+        let of_guest = (apart.queue, apart.pool);
+        assert_one_owner(host, &context, of_guest, [&image, &owned]);
+        assert_one_owner(host, &context, of_guest, [&owned, &image]);
+        draw_in_turns(host, &context, of_guest, (&owned, &texture));
+        drop((scene, owned, image));
+        texture.destroy(host);
+    });
+}
+
+/// Where the context's own family owns an image, both barriers of the host are plain ones.
+#[test]
+fn barriers_fit_images_of_the_own_family() {
+    with_host(&options(), |host| {
+        let context = guest(host);
+        let (texture, image) = shared_image(host, &context);
+        let named = image.clone().of_family(host.queue_family).expect("a family");
+        for image in [&image, &named] {
+            let (there, back) = (image.hand_over(CLEARED), image.take_back());
+            assert_eq!([there.old_layout, there.new_layout], [CLEARED.layout; 2]);
+            assert_eq!([back.old_layout, back.new_layout], [image.layout(); 2]);
+            assert_eq!(back.src_access_mask, vk::AccessFlags2::SHADER_STORAGE_WRITE);
         }
-        drop((renderer, image));
-        staging.destroy(host);
+        draw_in_turns(host, &context, (host.queue, host.pool), (&named, &texture));
+        drop((named, image));
         texture.destroy(host);
     });
 }
@@ -273,84 +351,5 @@ fn contexts_of_a_device_share_scenes() {
         assert!(error.contains("scene: the limits of the context ask for another plan"), "{error}");
         let error = scene.in_context(crate::stage::own_device()).err().expect("no").to_string();
         assert!(error.contains("scene: it belongs to another device"), "{error}");
-    });
-}
-
-/// A host's lock: a flag that a thread holds.
-#[derive(Default)]
-struct Gate {
-    held: Mutex<bool>,
-    free: Condvar,
-    taken: AtomicU32,
-    /// Whether the queue is in use.
-    in_use: AtomicBool,
-}
-
-// SAFETY: the threads of the test use the queue between both calls alone.
-unsafe impl QueueLock for Gate {
-    fn lock(&self) {
-        let mut held = self.held.lock().expect("no panic while held");
-        while *held {
-            held = self.free.wait(held).expect("no panic while held");
-        }
-        *held = true;
-        assert!(!self.in_use.swap(true, Ordering::SeqCst), "two threads have the queue");
-        self.taken.fetch_add(1, Ordering::SeqCst);
-    }
-
-    fn unlock(&self) {
-        assert!(self.in_use.swap(false, Ordering::SeqCst), "nobody has the queue");
-        *self.held.lock().expect("no panic while held") = false;
-        self.free.notify_one();
-    }
-}
-
-/// The host's thread submits while the guest does: validation sees two threads in one queue where the lock is missing.
-#[test]
-fn a_hosts_lock_is_taken_around_submissions() {
-    with_host(&options(), |host| {
-        let gate = Arc::new(Gate::default());
-        let foreign = ForeignDevice { queue_lock: Some(gate.clone()), ..host.foreign() };
-        // SAFETY: as in `guest`; the host's thread below takes the lock.
-        let context =
-            unsafe { Context::from_foreign(&foreign, &ContextOptions::default()) }.expect("a context");
-        let (gaussians, settings) = (cloud(100, 3), RenderSettings::default());
-        let view = camera(0.3, SIZE[0], SIZE[1]);
-        let mut renderer = Renderer::new(&context).expect("kernels");
-        renderer.upload(&gaussians).expect("a scene");
-        renderer.reserve(&Reservation::new(100, 1, SIZE[0], SIZE[1])).expect("memory");
-        let scene = renderer.scene().expect("uploaded");
-        renderer.render(&view, &settings).expect("a frame");
-        let of_frame = gate.taken.load(Ordering::SeqCst);
-        renderer.render(&view, &settings).expect("a frame");
-        let of_frame = gate.taken.load(Ordering::SeqCst) - of_frame;
-        assert!(of_frame >= 1, "the lock is taken");
-        // Recording takes none.
-        let placed = [Placed::from(&scene)];
-        let before = gate.taken.load(Ordering::SeqCst);
-        rendered(host, &mut renderer, &RecordedFrame::new(&placed, &view, &settings));
-        assert_eq!(gate.taken.load(Ordering::SeqCst), before);
-        let expected = owned(&gaussians, &view, &settings);
-        let (stop, hosts) = (AtomicBool::new(false), AtomicU32::new(0));
-        std::thread::scope(|scope| {
-            scope.spawn(|| {
-                while !stop.load(Ordering::SeqCst) {
-                    gate.lock();
-                    // SAFETY: the lock gives the queue to this thread.
-                    unsafe { host.device.queue_submit2(host.queue, &[], vk::Fence::null()) }
-                        .expect("submitted");
-                    hosts.fetch_add(1, Ordering::SeqCst);
-                    gate.unlock();
-                    std::thread::yield_now();
-                }
-            });
-            for _ in 0..3 {
-                let frame = renderer.render(&view, &settings).expect("a frame");
-                assert!(frame.color == expected.color);
-            }
-            stop.store(true, Ordering::SeqCst);
-        });
-        let taken = gate.taken.load(Ordering::SeqCst) - before - hosts.load(Ordering::SeqCst);
-        assert_eq!(taken, 3 * of_frame);
     });
 }
