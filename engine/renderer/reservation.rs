@@ -16,7 +16,8 @@ pub struct Reservation {
     /// slots whose numbers leave the same rest when divided by this share it. Their frames go to one queue, in any
     /// order, or are ordered by semaphores. With as many queues as slots nothing is shared.
     pub queues: u32,
-    /// Views of a recording ([`Renderer::record_views`](super::Renderer::record_views)): they share the memory of one.
+    /// Views of a recording ([`Renderer::record_views`](super::Renderer::record_views)): they share the memory of one. Times
+    /// are of 255 stages of a recording at most ([`SlotReport::scopes`]).
     pub views: u32,
     /// Whether views whose depths are the same, as those of two eyes side by side, are culled and sorted once: see
     /// [`Renderer::record_views`](super::Renderer::record_views). 512 bytes for each scene and view, and more kernels.

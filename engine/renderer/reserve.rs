@@ -24,8 +24,8 @@ impl Renderer {
     }
 
     /// As [`Renderer::reserve`], with all memory of the device in one block of the host's
-    /// ([`Buffer::adopt`]), of at least [`Renderer::reservation_bytes`]. Beside it there are, for each slot, less than a
-    /// kilobyte that the host can read, and [`Reservation::staging_bytes`]. The block has the usages STORAGE_BUFFER,
+    /// ([`Buffer::adopt`]), of at least [`Renderer::reservation_bytes`]. Beside it there are, for each slot, 36 bytes for each
+    /// view that the host can read, and [`Reservation::staging_bytes`]. The block has the usages STORAGE_BUFFER,
     /// UNIFORM_BUFFER, INDIRECT_BUFFER, TRANSFER_SRC and TRANSFER_DST.
     ///
     /// # Errors

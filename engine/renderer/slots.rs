@@ -34,7 +34,8 @@ pub struct SlotReport {
     /// How often the recording sorts by depth: once for each view, or for each run of views that share it
     /// ([`Reservation::shared_sort`]).
     pub sorts: u32,
-    /// Device time per stage, view by view; empty without timestamps.
+    /// Device time per stage, view by view; empty without timestamps. Of a recording of many views it has the
+    /// first 255 stages.
     pub scopes: Vec<ScopeTime>,
 }
 
