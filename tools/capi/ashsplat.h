@@ -251,8 +251,8 @@ typedef struct AshsplatForeignDevice {
   // Handed to both functions below.
   void *queue_user;
   // Takes the host's lock around `queue`, or NULL if no other thread of the host submits to it while a function of this library
-  // does. Taken around each vkQueueSubmit2, from any thread; a thread that holds it calls nothing that submits. Recording never
-  // takes it.
+  // does. Taken from any thread, around each vkQueueSubmit2, and around a vkQueueWaitIdle after a wait has failed. A thread that
+  // holds it calls nothing that submits. Recording never takes it.
   void (*lock_queue)(void *user);
   // Gives it back, on the same thread. NULL with `lock_queue`.
   void (*unlock_queue)(void *user);
@@ -655,8 +655,13 @@ typedef struct AshsplatSlotReport {
   uint32_t longest_tile;
   // Passes of blending that the longest tile needs.
   uint32_t blend_passes_needed;
-  // Time on the device, nanoseconds; 0 without timestamps.
+  // Time on the device, nanoseconds; 0 without timestamps. Of a recording of many views, of its first 255 stages.
   double nanoseconds;
+  // How often the recording sorts by depth: once for each view, or for each run of views that share it
+  // (AshsplatReservation.shared_sort).
+  uint32_t sorts;
+  // 0: room for another number.
+  uint32_t unused;
 } AshsplatSlotReport;
 
 // A photograph to train on, and its camera.
@@ -826,7 +831,9 @@ enum AshsplatStatus ashsplat_merge_features(void *vulkan12, void *vulkan13);
 //   all that is made from it;
 // - the device was created from the physical device, with the queue family, the features and the extensions;
 // - a queue, if given, is one of the device and of that family, and has no other user during a call that
-//   submits;
+//   submits, or only under `lock_queue`;
+// - `lock_queue` and `unlock_queue` may be called from any thread, with `queue_user`, until everything made from the
+//   context is freed: scenes, images and renderers with their slots too;
 // - the functions of an allocator may be called from any thread until everything made from the context is
 //   freed, and return memory as requested, without another user;
 // - `context` is valid for a write.
@@ -846,7 +853,9 @@ enum AshsplatStatus ashsplat_image_adopt(const struct AshsplatContext *context,
 // Says that queues of another family own the image between recordings. A recording acquires it from them and releases it to them; the
 // host records the other halves in a queue of that family, ordered by semaphores in all stages. Before the recording: a barrier from the
 // layout of AshsplatHostImage.from to `layout`, from that family to the context's. Behind it: one from `layout` to `layout`, back. From
-// VK_IMAGE_LAYOUT_UNDEFINED the contents are discarded, and there is no barrier before.
+// VK_IMAGE_LAYOUT_UNDEFINED the contents are discarded, and there is no barrier before. With the context's own family the image is as
+// without this call: there are no other halves, the host does not change the layout before, and a barrier behind is as AshsplatRelease
+// says.
 //
 // # Safety
 // `image` is alive, `layout` is valid for a write, or NULL: it receives the VkImageLayout.
@@ -898,9 +907,9 @@ enum AshsplatStatus ashsplat_record(struct AshsplatRenderer *renderer,
                                     struct AshsplatRelease *release);
 
 // Records several frames in one slot, one after the other: views of the same moment, as for the eyes of a headset or a split screen.
-// Each goes into images: a layer of an array for each, or rectangles of one image. AshsplatReservation.views says how many there may be,
-// `shared_sort` whether eyes side by side are sorted once: those whose frames have the same `scenes` pointer. An image may be used by several views: only the first one's
-// `from` counts. The updates are those of the first frame. Otherwise as ashsplat_record for each.
+// Each goes into images: a layer of an array for each, or rectangles of one image. AshsplatReservation.views says how many there may be.
+// With `shared_sort`, eyes side by side are sorted once if their frames have the same `scenes` pointer. An image may be used by several
+// views: only the first one's `from` counts. The updates are those of the first frame. Otherwise as ashsplat_record for each.
 //
 // # Safety
 // As ashsplat_record, for each; `frames` has `frame_count` elements, `releases` as many for a write, or is NULL.
@@ -1021,7 +1030,7 @@ enum AshsplatStatus ashsplat_reservation_bytes(const struct AshsplatRenderer *re
                                                uint64_t *bytes);
 
 // As ashsplat_reserve, or with `grow` as ashsplat_grow, with all memory of the device in one buffer of the host's. Beside
-// it there are, for each slot, less than a kilobyte that the host can read, and `staging_bytes`.
+// it there are, for each slot, 36 bytes for each view that the host can read, and `staging_bytes`.
 //
 // # Safety
 // `renderer`, `wanted` and `block` are alive. The buffer is of the context's device, bound to memory, has the usages

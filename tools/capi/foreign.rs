@@ -57,7 +57,9 @@ pub unsafe extern "C" fn ashsplat_merge_features(
 ///   all that is made from it;
 /// - the device was created from the physical device, with the queue family, the features and the extensions;
 /// - a queue, if given, is one of the device and of that family, and has no other user during a call that
-///   submits;
+///   submits, or only under `lock_queue`;
+/// - `lock_queue` and `unlock_queue` may be called from any thread, with `queue_user`, until everything made from the
+///   context is freed: scenes, images and renderers with their slots too;
 /// - the functions of an allocator may be called from any thread until everything made from the context is
 ///   freed, and return memory as requested, without another user;
 /// - `context` is valid for a write.
@@ -156,7 +158,9 @@ pub unsafe extern "C" fn ashsplat_image_adopt(
 /// Says that queues of another family own the image between recordings. A recording acquires it from them and releases it to them; the
 /// host records the other halves in a queue of that family, ordered by semaphores in all stages. Before the recording: a barrier from the
 /// layout of AshsplatHostImage.from to `layout`, from that family to the context's. Behind it: one from `layout` to `layout`, back. From
-/// VK_IMAGE_LAYOUT_UNDEFINED the contents are discarded, and there is no barrier before.
+/// VK_IMAGE_LAYOUT_UNDEFINED the contents are discarded, and there is no barrier before. With the context's own family the image is as
+/// without this call: there are no other halves, the host does not change the layout before, and a barrier behind is as AshsplatRelease
+/// says.
 ///
 /// # Safety
 /// `image` is alive, `layout` is valid for a write, or NULL: it receives the VkImageLayout.
@@ -256,9 +260,9 @@ pub unsafe extern "C" fn ashsplat_record(
 }
 
 /// Records several frames in one slot, one after the other: views of the same moment, as for the eyes of a headset or a split screen.
-/// Each goes into images: a layer of an array for each, or rectangles of one image. AshsplatReservation.views says how many there may be,
-/// `shared_sort` whether eyes side by side are sorted once: those whose frames have the same `scenes` pointer. An image may be used by several views: only the first one's
-/// `from` counts. The updates are those of the first frame. Otherwise as ashsplat_record for each.
+/// Each goes into images: a layer of an array for each, or rectangles of one image. AshsplatReservation.views says how many there may be.
+/// With `shared_sort`, eyes side by side are sorted once if their frames have the same `scenes` pointer. An image may be used by several
+/// views: only the first one's `from` counts. The updates are those of the first frame. Otherwise as ashsplat_record for each.
 ///
 /// # Safety
 /// As ashsplat_record, for each; `frames` has `frame_count` elements, `releases` as many for a write, or is NULL.
@@ -274,7 +278,7 @@ pub unsafe extern "C" fn ashsplat_record_views(
     // SAFETY: as promised.
     guarded(|| unsafe {
         let renderer = borrowed_mut(renderer, "renderer")?;
-        let frames = read_all(frames, frame_count, "views")?;
+        let frames = read_all(frames, frame_count, "frames")?;
         check_room_of_all(releases, frame_count, "releases")?;
         let left = recorded_frames::record(&mut renderer.0, (commands, slot), &frames)?;
         let left: Vec<AshsplatRelease> = left.iter().map(AshsplatRelease::from).collect();

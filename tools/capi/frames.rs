@@ -177,8 +177,13 @@ pub struct AshsplatSlotReport {
     pub longest_tile: u32,
     /// Passes of blending that the longest tile needs.
     pub blend_passes_needed: u32,
-    /// Time on the device, nanoseconds; 0 without timestamps.
+    /// Time on the device, nanoseconds; 0 without timestamps. Of a recording of many views, of its first 255 stages.
     pub nanoseconds: f64,
+    /// How often the recording sorts by depth: once for each view, or for each run of views that share it
+    /// (AshsplatReservation.shared_sort).
+    pub sorts: u32,
+    /// 0: room for another number.
+    pub unused: u32,
 }
 
 impl From<SlotReport> for AshsplatSlotReport {
@@ -193,6 +198,7 @@ impl From<SlotReport> for AshsplatSlotReport {
             longest_tile: r.longest_tile,
             blend_passes_needed: r.blend_passes_needed,
             nanoseconds: r.scopes.iter().filter(|s| s.depth == 0).map(|s| s.nanoseconds).sum(),
+            sorts: r.sorts,
             ..Self::default()
         }
     }

@@ -111,7 +111,7 @@ pub(super) unsafe fn record(
 ) -> Result<Vec<Release>> {
     let alone = frames.len() == 1;
     let of_view = |index: usize| {
-        move |error: Error| if alone { error } else { within(format_args!("views[{index}]"))(error) }
+        move |error: Error| if alone { error } else { within(format_args!("frames[{index}]"))(error) }
     };
     // SAFETY: as promised.
     unsafe {
@@ -136,14 +136,27 @@ pub(super) unsafe fn record(
     }
 }
 
-/// An error of a frame with the names of ashsplat_record's parameters; the fields have the same in both languages.
+/// An error of a frame with the names of the parameters of ashsplat_record and ashsplat_record_views; the fields have the same in both
+/// languages.
 fn in_c(error: Error) -> Error {
-    let Error::Argument { what, problem } = error else { return error };
-    let (field, rest) = what.split_at(what.find(" (").unwrap_or(what.len()));
-    let name = match field {
-        "command buffer" => "commands",
-        "frame slot" => "slot",
-        other => other,
+    let named = |what: &str| match what.strip_prefix("views") {
+        Some(rest) if rest.is_empty() || rest.starts_with('[') => format!("frames{rest}"),
+        _ => what.to_owned(),
     };
-    Error::Argument { what: format!("{name}{rest}"), problem }
+    match error {
+        Error::Argument { what, problem } => {
+            let (field, rest) = what.split_at(what.find(" (").unwrap_or(what.len()));
+            let name = match field {
+                "command buffer" => "commands".to_owned(),
+                "frame slot" => "slot".to_owned(),
+                other => named(other),
+            };
+            // Some views are refused because of another.
+            Error::Argument { what: format!("{name}{rest}"), problem: problem.replace("views[", "frames[") }
+        }
+        Error::TooLarge { what, needed, unit, limit, limit_name } => {
+            Error::TooLarge { what: named(&what), needed, unit, limit, limit_name }
+        }
+        other => other,
+    }
 }

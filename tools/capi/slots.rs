@@ -88,7 +88,7 @@ pub unsafe extern "C" fn ashsplat_reservation_bytes(
 }
 
 /// As ashsplat_reserve, or with `grow` as ashsplat_grow, with all memory of the device in one buffer of the host's. Beside
-/// it there are, for each slot, less than a kilobyte that the host can read, and `staging_bytes`.
+/// it there are, for each slot, 36 bytes for each view that the host can read, and `staging_bytes`.
 ///
 /// # Safety
 /// `renderer`, `wanted` and `block` are alive. The buffer is of the context's device, bound to memory, has the usages

@@ -160,8 +160,8 @@ pub struct AshsplatForeignDevice {
     /// Handed to both functions below.
     pub queue_user: *mut c_void,
     /// Takes the host's lock around `queue`, or NULL if no other thread of the host submits to it while a function of this library
-    /// does. Taken around each vkQueueSubmit2, from any thread; a thread that holds it calls nothing that submits. Recording never
-    /// takes it.
+    /// does. Taken from any thread, around each vkQueueSubmit2, and around a vkQueueWaitIdle after a wait has failed. A thread that
+    /// holds it calls nothing that submits. Recording never takes it.
     pub lock_queue: Option<unsafe extern "C" fn(user: *mut c_void)>,
     /// Gives it back, on the same thread. NULL with `lock_queue`.
     pub unlock_queue: Option<unsafe extern "C" fn(user: *mut c_void)>,

@@ -96,14 +96,15 @@ int main(int count, char **arguments) {
 
     commands = host_begin(&host);
     EXPECT(ashsplat_record_views(renderer, commands, 0, views, 2, left) == AshsplatStatus_Argument);
-    EXPECT(strstr(ashsplat_last_error(), "views: 2 of them, 1 are reserved") != NULL);
+    EXPECT(strstr(ashsplat_last_error(), "frames: 2 of them, 1 are reserved") != NULL);
     EXPECT(ashsplat_record_views(renderer, commands, 0, views, 0, left) == AshsplatStatus_Argument);
+    EXPECT(strstr(ashsplat_last_error(), "frames: there are none") != NULL);
     wanted.views = 2;
     wanted.shared_sort = 1;
     check(ashsplat_reserve(renderer, &wanted), "reserving for two");
     views[1].camera = NULL;
     EXPECT(ashsplat_record_views(renderer, commands, 0, views, 2, left) == AshsplatStatus_Argument);
-    EXPECT(strstr(ashsplat_last_error(), "views[1].camera: the pointer is null") != NULL);
+    EXPECT(strstr(ashsplat_last_error(), "frames[1].camera: the pointer is null") != NULL);
     views[1].camera = &eyes[1];
     left[1].struct_size = 0;
     EXPECT(ashsplat_record_views(renderer, commands, 0, views, 2, left) == AshsplatStatus_Argument);
@@ -111,7 +112,7 @@ int main(int count, char **arguments) {
     left[1] = left[0];
     to[1].to.offset[0] = WIDTH + 1;
     EXPECT(ashsplat_record_views(renderer, commands, 0, views, 2, left) == AshsplatStatus_Argument);
-    EXPECT(strstr(ashsplat_last_error(), "views[1].target (image 'target'): 96 x 64 pixels at (97, 0)") != NULL);
+    EXPECT(strstr(ashsplat_last_error(), "frames[1].target (image 'target'): 96 x 64 pixels at (97, 0)") != NULL);
     to[1].to.offset[0] = WIDTH;
     check(ashsplat_record_views(renderer, commands, 0, views, 2, left), "recording both eyes");
     EXPECT(left[0].color.layout == left[1].color.layout && left[1].struct_size == sizeof left[1]);
@@ -126,6 +127,7 @@ int main(int count, char **arguments) {
     AshsplatSlotReport report = ASHSPLAT_INIT(AshsplatSlotReport);
     check(ashsplat_slot_report(renderer, 0, &report), "asking for the report");
     EXPECT(report.finished && !report.overflow);
+    EXPECT(report.sorts == 1);
     printf("%u Gaussians visible, %d pixels lit, %d differ, %d locks\n", report.visible, lit, differ, lock.taken);
 
     ashsplat_renderer_free(renderer);
