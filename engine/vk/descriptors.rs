@@ -36,6 +36,8 @@ const KINDS: [Option<(u32, vk::DescriptorType)>; 4] = [
 ];
 /// The kinds that most dispatches of a recording may use.
 const FREQUENT_KINDS: usize = 2;
+/// Of so many dispatches at most one has an image: a view has 48 or more, and writes four images.
+const DISPATCHES_PER_IMAGE: usize = 12;
 
 /// The kind of set for a kernel with these resources; None if there is none.
 pub(super) fn kind_of(bindings: &[vk::DescriptorSetLayoutBinding<'_>]) -> Option<usize> {
@@ -86,7 +88,10 @@ impl DescriptorSets {
     /// Allocates at least this number of sets of each frequent kind for one recording, and some with images.
     pub(super) fn reserve(&mut self, inner: &Device, count: usize) -> Result<()> {
         for kind in 0..KINDS.len() {
-            let count = if kind < FREQUENT_KINDS { count } else { POOL_SETS[1] as usize };
+            let count = match kind < FREQUENT_KINDS {
+                true => count,
+                false => count.div_ceil(DISPATCHES_PER_IMAGE).max(POOL_SETS[1] as usize),
+            };
             self.reserve_kind(inner, kind, count)?;
         }
         Ok(())

@@ -1,4 +1,4 @@
-//! How many commands views take: counted in the device's table.
+//! How many commands and objects views take: counted in the device's table.
 
 use super::{BLACK, SIZE, into};
 use crate::array_image::ArrayImage;
@@ -57,6 +57,24 @@ counted! {
     "vkCmdCopyBuffer" copy(c: Commands, f: u64, t: u64, n: u32, r: *const c_void);
 }
 
+/// The device's vkCreateDescriptorPool, and its calls.
+static CREATE_POOL: AtomicUsize = AtomicUsize::new(0);
+static POOLS: AtomicU32 = AtomicU32::new(0);
+
+unsafe extern "system" fn create_pool(
+    device: vk::Device,
+    info: *const vk::DescriptorPoolCreateInfo<'_>,
+    allocator: *const vk::AllocationCallbacks<'_>,
+    pool: *mut vk::DescriptorPool,
+) -> vk::Result {
+    POOLS.fetch_add(1, Ordering::Relaxed);
+    // SAFETY: the address is that of the device's function.
+    unsafe {
+        let f: vk::PFN_vkCreateDescriptorPool = transmute(CREATE_POOL.load(Ordering::Relaxed));
+        f(device, info, allocator, pool)
+    }
+}
+
 fn counting(host: &Host) -> ash::Device {
     let load = |name: &CStr| -> *const c_void {
         // SAFETY: the device is alive.
@@ -64,6 +82,10 @@ fn counting(host: &Host) -> ash::Device {
             let f = host.instance.get_device_proc_addr(host.device.handle(), name.as_ptr());
             f.map_or(std::ptr::null(), |f| f as *const c_void)
         };
+        if name == c"vkCreateDescriptorPool" {
+            CREATE_POOL.store(address as usize, Ordering::Relaxed);
+            return create_pool as *const c_void;
+        }
         wrapped(&name.to_string_lossy(), address as usize).unwrap_or(address)
     };
     // SAFETY: every address is null, the device's own function, or a wrapper of its type.
@@ -122,6 +144,47 @@ fn views_of_one_recording_have_fewer_commands() {
         assert!(one[0] == two[0] && one[1] < two[1], "{one:?}, {two:?}");
         assert!(shared[0] < one[0] && shared[1] < one[1], "{shared:?}, {one:?}");
         drop((renderer, layers));
+        array.destroy(host);
+    });
+}
+
+/// Without push descriptors, the sets of many views with images are reserved as well.
+#[test]
+fn many_views_make_no_descriptor_pool() {
+    const VIEWS: usize = 20;
+    with_host(&HostOptions { push_descriptors: false, ..HostOptions::default() }, |host| {
+        let device = counting(host);
+        let foreign = ForeignDevice { device: &device, ..host.foreign() };
+        // SAFETY: as in `guest`.
+        let context = unsafe { Context::from_foreign(&foreign, &ContextOptions::default()) };
+        let context = context.expect("a context");
+        let scene = DeviceScene::upload(&context, &cloud(10, 1), 0).expect("a scene");
+        let (placed, settings) = ([Placed::from(&scene)], RenderSettings::default());
+        let (eye, array) = (camera(0.3, SIZE[0], SIZE[1]), ArrayImage::new(host, SIZE, 1));
+        let image = array.adopt(&context, 0);
+        let views = [(); VIEWS].map(|()| RecordedFrame {
+            target: into(&image, BLACK, [0; 2]),
+            ..RecordedFrame::new(&placed, &eye, &settings)
+        });
+        let mut renderer = Renderer::new(&context).expect("kernels");
+        let wanted = Reservation {
+            views: VIEWS as u32,
+            images_only: true,
+            ..Reservation::new(10, 1, SIZE[0], SIZE[1])
+        };
+        let before = POOLS.load(Ordering::Relaxed);
+        renderer.reserve(&wanted).expect("memory");
+        let reserved = POOLS.load(Ordering::Relaxed);
+        assert!(reserved > before);
+        let in_flight = InFlight::new(host).expect("a command buffer");
+        in_flight.begin(host).expect("recording");
+        let commands = adopt(&context, &in_flight);
+        renderer.record_views(commands, 0, &views, &mut [Release::default(); VIEWS]).expect("a recording");
+        assert_eq!(POOLS.load(Ordering::Relaxed), reserved, "pools are made while recording");
+        in_flight.submit(host).expect("a submission");
+        in_flight.wait(host).expect("done");
+        in_flight.destroy(host);
+        drop((renderer, image));
         array.destroy(host);
     });
 }
