@@ -15,7 +15,7 @@ use crate::forward::{FrameInputs, block_of, range_arguments, record_passes};
 use crate::kernels::backward::{
     blend_backward, blend_backward_subgroup_per_tile, expand_gradients, project_adam, project_backward,
 };
-use crate::plan::{LaunchSizes, blocks};
+use crate::plan::{BlendShape, LaunchSizes, blocks};
 use crate::vk::{Buffer, Context, Kernel, Recorder};
 
 /// A Gaussian with more tiles has its instances added by a whole subgroup.
@@ -159,9 +159,7 @@ impl Backward {
         let (absolute, weights) = (sums == Sums::Absolute, sums == Sums::Weights);
         if built.is_none() {
             let LaunchSizes {
-                blend_backward_lanes: subgroup_size,
-                blend_backward_tile: tile,
-                blend_backward_region_height: region_height,
+                blend_backward: BlendShape { lanes: subgroup_size, region_height, tile },
                 incremental_exp,
                 blend_backward_subgroup_per_tile: alone,
                 strips,

@@ -15,7 +15,7 @@ pub use crate::tuning::SortMethod;
 pub(crate) use frame_buffers::sorted_side;
 pub use frame_buffers::{CAMERA_BLOCK_BYTES, FrameBuffers, Splats, frame_bytes, frame_requests};
 pub use grids::check_grids;
-pub use launch_sizes::{LaunchSizes, region_height};
+pub use launch_sizes::{BlendShape, LaunchSizes, region_height};
 pub use pictures::PictureCapacity;
 pub use strips::{STRIP_ROWS, Strips};
 

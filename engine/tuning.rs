@@ -77,8 +77,8 @@ pub struct Tuning {
     pub lanes: Option<u32>,
     /// The same for the kernels with the most registers: the backward pass of the projection, with Adam's step or without.
     pub heavy_lanes: Option<u32>,
-    /// Whether the backward pass of blending is one of these.
-    pub heavy_blend_backward: bool,
+    /// Whether the backward pass of blending and the blending of picks and motions are among these.
+    pub heavy_blending: bool,
     /// How keys are sorted.
     pub sort_method: SortMethod,
     /// Values of one invocation of a prefix sum; read in fours.
@@ -127,7 +127,7 @@ impl Tuning {
         backend: Backend::Processor,
         lanes: None,
         heavy_lanes: None,
-        heavy_blend_backward: false,
+        heavy_blending: false,
         sort_method: SortMethod::Serial,
         // Few invocations without barriers.
         scan_items: 256,
@@ -162,7 +162,7 @@ impl Tuning {
         backend: Backend::Gpu,
         lanes: None,
         heavy_lanes: None,
-        heavy_blend_backward: false,
+        heavy_blending: false,
         sort_method: SortMethod::Matching,
         scan_items: 4,
         scan_workgroup: WorkgroupRule::Elementwise,
@@ -192,13 +192,8 @@ impl Tuning {
 
     /// Its registers hold 16 lanes of most kernels, 32 of few, and 8 of the heaviest (tools/gpu_static.md). Xe2 has twice the
     /// registers and no 8 lanes; at 32 it spills in three kernels, at 16 in none. Two pixels in a row of the loss spill on some.
-    pub const INTEL: Self = Self {
-        lanes: Some(16),
-        heavy_lanes: Some(8),
-        heavy_blend_backward: true,
-        loss_strip: 1,
-        ..Self::GPU
-    };
+    pub const INTEL: Self =
+        Self { lanes: Some(16), heavy_lanes: Some(8), heavy_blending: true, loss_strip: 1, ..Self::GPU };
 
     /// 64 lanes, the driver's size, take fewer estimated cycles per pixel or Gaussian in most kernels of RDNA. In the heaviest they
     /// take 1.3 to 1.6 times as many as 32, which need half the registers (tools/gpu_static.md). GCN has 64 only.

@@ -118,21 +118,21 @@ fn backends_choose_their_subgroup_size_where_the_device_has_it() {
     assert_eq!([amd(64, Some(32..=64)), amd(64, Some(64..=64))], [[64, 32], [64, 64]]);
 }
 
-/// Those of the heaviest kernels on Intel before Xe2, the usual ones elsewhere. Regions have 4 rows at least.
+/// Those of the heaviest kernels on Intel before Xe2 where more than the picture is blended, the usual ones elsewhere. Regions have
+/// 4 rows at least.
 #[test]
-fn backends_choose_the_lanes_that_blend_backward() {
+fn backends_choose_the_lanes_that_blend() {
     let device = Gpu::new();
     let sizes = |tuning: &'static Tuning, [usual, heavy]: [u32; 2]| {
         let mut limits = device.context.limits().clone();
         (limits.tuning, limits.subgroup_size, limits.heavy_subgroup_size) = (tuning, usual, heavy);
         let sizes = LaunchSizes::new(&limits);
-        let backward =
-            [sizes.blend_backward_lanes, sizes.blend_backward_region_height, sizes.blend_backward_tile];
-        ([usual, sizes.region_height, sizes.tile], backward)
+        assert_eq!(sizes.blend_auxiliary, sizes.blend_backward);
+        [sizes.blend, sizes.blend_backward].map(|shape| [shape.lanes, shape.region_height, shape.tile])
     };
-    assert_eq!(sizes(&Tuning::INTEL, [16, 8]), ([16, 4, 128], [8, 4, 64]));
-    assert_eq!(sizes(&Tuning::INTEL, [16, 16]), ([16, 4, 128], [16, 4, 128]));
-    assert_eq!(sizes(&Tuning::AMD, [64, 32]), ([64, 8, 256], [64, 8, 256]));
+    assert_eq!(sizes(&Tuning::INTEL, [16, 8]), [[16, 4, 128], [8, 4, 64]]);
+    assert_eq!(sizes(&Tuning::INTEL, [16, 16]), [[16, 4, 128], [16, 4, 128]]);
+    assert_eq!(sizes(&Tuning::AMD, [64, 32]), [[64, 8, 256], [64, 8, 256]]);
 }
 
 #[test]

@@ -201,16 +201,15 @@ impl Blend {
         }
         let BlendVariant { inverse_depth, linear_depth, depth_limit, steep, pick, motion, .. } = wanted;
         let (variant, strips) = (wanted.index(sizes), wanted.strips(sizes));
-        let (subgroup_size, broadcast) = (context.limits().subgroup_size, context.limits().broadcasts);
-        let LaunchSizes { tile, tile_shared, region_height, incremental_exp, regions_per_subgroup, .. } =
-            *sizes;
+        let broadcast = context.limits().broadcasts;
+        let LaunchSizes { tile_shared, incremental_exp, regions_per_subgroup, .. } = *sizes;
         let incremental_exp = incremental_exp && !steep;
         let count_hits = false;
         macro_rules! regions {
-            ($kernel:ident $(, $auxiliary:ident)*) => {
+            ($kernel:ident, $shape:expr $(, $auxiliary:ident)*) => {
                 $kernel::Spec {
-                    workgroup_size: tile / regions_per_subgroup,
-                    subgroup_size,
+                    workgroup_size: $shape.tile / regions_per_subgroup,
+                    subgroup_size: $shape.lanes,
                     inverse_depth,
                     depth_limit,
                     linear_depth,
@@ -218,7 +217,7 @@ impl Blend {
                     regions_per_subgroup,
                     count_hits,
                     strips,
-                    region_height,
+                    region_height: $shape.region_height,
                     broadcast,
                     $($auxiliary,)*
                 }
@@ -228,7 +227,7 @@ impl Blend {
             ($kernel:ident $(, $auxiliary:ident)*) => {
                 $kernel::Spec {
                     workgroup_size: tile_shared,
-                    subgroup_size,
+                    subgroup_size: sizes.blend.lanes,
                     inverse_depth,
                     depth_limit,
                     linear_depth,
@@ -241,13 +240,13 @@ impl Blend {
         }
         match (self.blending, wanted.of_auxiliary(sizes)) {
             (Blending::Regions, None) => {
-                self.regions[variant] = Some(Kernel::new(context, &regions!(blend))?);
+                self.regions[variant] = Some(Kernel::new(context, &regions!(blend, sizes.blend))?);
             }
             (Blending::SharedMemory, None) => {
                 self.shared[variant] = Some(Kernel::new(context, &shared!(blend_shared))?);
             }
             (Blending::Regions, Some(own)) => {
-                let spec = regions!(blend_auxiliary, pick, motion);
+                let spec = regions!(blend_auxiliary, sizes.blend_auxiliary, pick, motion);
                 self.regions_auxiliary[own] = Some(Kernel::new(context, &spec)?);
             }
             (Blending::SharedMemory, Some(own)) => {

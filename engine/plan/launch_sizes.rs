@@ -11,6 +11,24 @@ use crate::vk::Limits;
 /// dispatch touches each Gaussian, instance or pixel a constant number of times.
 const MAX_ENTRIES_PER_PASS: u32 = 1 << 18;
 
+/// The regions of tiles that subgroups blend.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct BlendShape {
+    /// Size of subgroups.
+    pub lanes: u32,
+    /// Rows of pixels of a region.
+    pub region_height: u32,
+    /// Invocations of a tile: one subgroup per region.
+    pub tile: u32,
+}
+
+impl BlendShape {
+    fn new(tuning: &Tuning, lanes: u32) -> Self {
+        let region_height = region_height(tuning, lanes);
+        Self { lanes, region_height, tile: lanes * TILE_SIZE / 8 * (TILE_SIZE / region_height) }
+    }
+}
+
 /// Sizes of workgroups and blocks on a device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LaunchSizes {
@@ -34,16 +52,12 @@ pub struct LaunchSizes {
     pub scan: u32,
     /// Instances per invocation of duplicate_with_tiles.
     pub duplicate_items: u32,
-    /// Invocations of a tile's workgroup: one subgroup per region.
-    pub tile: u32,
-    /// Rows of pixels of a region.
-    pub region_height: u32,
-    /// Size of subgroups in the backward pass of blending.
-    pub blend_backward_lanes: u32,
-    /// As `tile`, in the backward pass.
-    pub blend_backward_tile: u32,
-    /// As `region_height`, in the backward pass.
-    pub blend_backward_region_height: u32,
+    /// How tiles are blended.
+    pub blend: BlendShape,
+    /// The same where blending leaves more than the picture: picks and motions.
+    pub blend_auxiliary: BlendShape,
+    /// The same in the backward pass.
+    pub blend_backward: BlendShape,
     /// Regions of a tile per subgroup in forward blending.
     pub regions_per_subgroup: u32,
     /// Whether one subgroup blends all regions of a tile in the backward pass.
@@ -106,16 +120,12 @@ impl LaunchSizes {
         let scan_items = size("scan", "ITEMS", tuning.scan_items).max(4);
         let scan_workgroup =
             limits.workgroup_size(size("scan", "WORKGROUP_SIZE", invocations(tuning.scan_workgroup)));
-        let shape = |lanes| {
-            let height = region_height(tuning, lanes);
-            [height, TILE_SIZE / 8 * (TILE_SIZE / height)]
+        let blend = BlendShape::new(tuning, limits.subgroup_size);
+        let heaviest = match tuning.heavy_blending {
+            true => BlendShape::new(tuning, limits.heavy_subgroup_size),
+            false => blend,
         };
-        let [region_height, regions] = shape(limits.subgroup_size);
-        let blend_backward_lanes = match tuning.heavy_blend_backward {
-            true => limits.heavy_subgroup_size,
-            false => limits.subgroup_size,
-        };
-        let [blend_backward_region_height, blend_backward_regions] = shape(blend_backward_lanes);
+        let regions = blend.tile / blend.lanes;
         let whole_tiles = tuning.whole_tiles_from_lanes.is_some_and(|lanes| limits.subgroup_size >= lanes);
         let usual_regions = if whole_tiles { regions } else { 1 };
         let regions_per_subgroup = size("forward", "REGIONS_PER_SUBGROUP", usual_regions).min(regions.min(4));
@@ -130,11 +140,9 @@ impl LaunchSizes {
             scan_items,
             scan: scan_workgroup * scan_items,
             duplicate_items: tuning.duplicate_items,
-            region_height,
-            tile: regions * limits.subgroup_size,
-            blend_backward_lanes,
-            blend_backward_tile: blend_backward_regions * blend_backward_lanes,
-            blend_backward_region_height,
+            blend,
+            blend_auxiliary: heaviest,
+            blend_backward: heaviest,
             regions_per_subgroup,
             blend_backward_subgroup_per_tile: whole_tiles,
             // A power of two divides the tile's pixels; subgroup sizes and limits are powers of two.

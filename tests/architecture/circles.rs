@@ -11,10 +11,11 @@ use super::{Source, assert_none, code_lines, sources};
 const LARGEST: usize = 3;
 
 /// The crates by their names in paths and their roots; programs have no name that others could use.
-const CRATES: [(&str, &str); 7] = [
+const CRATES: [(&str, &str); 8] = [
     ("ashsplat", "engine/lib.rs"),
     ("ashsplat_files", "engine/files/lib.rs"),
     ("ashsplat_c", "tools/capi/lib.rs"),
+    ("ashsplat_demo_scene", "tools/demo_scene/lib.rs"),
     ("-cli", "tools/ashsplat/main.rs"),
     ("-embed", "tools/embed/main.rs"),
     ("-siege", "tools/siege/main.rs"),

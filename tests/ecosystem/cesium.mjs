@@ -2,7 +2,8 @@
 //
 // node cesium.mjs MODULES FOLDER CAMERA.json OUT.png
 //   MODULES: a node_modules folder with cesium; FOLDER: with a tileset.json; CAMERA: { width, height, fov_degrees: of the longer side,
-//   eye, forward, up: [x, y, z] in the tileset's axes, screen_space_error: of tiles, at most, pixels }
+//   eye, forward, up: [x, y, z] in the tileset's axes, screen_space_error: of tiles, at most, pixels,
+//   still_frames: for how many frames the picture must stay the same }
 //
 // Prints the names of the tiles that were drawn, one a line.
 import { readFileSync } from 'node:fs';
@@ -48,7 +49,7 @@ const drawn = new Set();
 tiles.tileVisible.addEventListener((tile) => drawn.add(tile.content.url.split('/').pop()));
 // Tiles arrive and are sorted some frames later: the picture is done when it stays the same.
 let last = '', same = 0;
-for (let frame = 0; frame < 400 && same < 8; ++frame) {
+for (let frame = 0; frame < 400 + camera.still_frames && same < camera.still_frames; ++frame) {
     const eye = world(camera.eye);
     eye.x += ${RADIUS};
     scene.camera.setView({ destination: eye, orientation: { direction: world(camera.forward), up: world(camera.up) } });

@@ -3,6 +3,7 @@
 // node playcanvas.mjs MODULES SCENE CAMERA.json OUT.png
 //   MODULES: a node_modules folder with playcanvas; CAMERA: { width, height, fov_y_degrees, eye: [x, y, z],
 //   quat: [x, y, z, w] of the rotation from a camera with y up and z backward to the file's own axes,
+//   still_frames: for how many frames the picture must stay the same,
 //   reference_dilation: whether to widen splats by 0.3 pixels squared as the reference does. The engine adds its 0.3 to a
 //   covariance in units of half pixels, which is a quarter of that, and its small splats are sharper for it }
 import { readFileSync } from 'node:fs';
@@ -61,7 +62,7 @@ app.root.addChild(splats);
 // The sorting worker answers some frames later: the picture is done when it stays the same.
 app.autoRender = false;
 let last = '', same = 0;
-for (let frame = 0; frame < 60 && same < 3; ++frame) {
+for (let frame = 0; frame < 60 + camera.still_frames && same < camera.still_frames; ++frame) {
     app.renderNextFrame = true;
     await new Promise((resolve) => app.once('frameend', resolve));
     await new Promise((resolve) => setTimeout(resolve, 200));

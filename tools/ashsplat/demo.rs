@@ -1,9 +1,6 @@
 //! `ashsplat demo`: from nothing to a trained scene in one command.
 
-mod city;
 mod dataset;
-mod raycast;
-mod scene;
 mod sheet;
 
 use crate::args::{DeviceArguments, MAX_MEMORY_IN_TRAINING};

@@ -1,13 +1,12 @@
 //! The demo's data set: photographs from two circles, with a sparse, noisy point cloud as a COLMAP folder, or as the
 //! synthetic scenes of the NeRF paper lie.
 
-use super::city;
-use super::raycast::{self, Ray};
-use super::scene::Scene;
 use crate::output;
 use crate::progress::counting;
 use ashsplat::Result;
 use ashsplat::scene::{Camera, Intrinsics, PointCloud};
+use ashsplat_demo_scene::raycast::{self, Ray};
+use ashsplat_demo_scene::{Scene, city};
 use ashsplat_files::colmap::{self, ColmapCamera, ColmapImage};
 use ashsplat_files::{Photo, ply};
 use clap::Args;

@@ -1,6 +1,6 @@
 //! A small ray-caster: analytic intersections (sphere tracing for the torus), one jittered sun, Phong highlights.
 
-use super::scene::{Object, SKY_RADIUS, Scene, Shape};
+use crate::scene::{Object, SKY_RADIUS, Scene, Shape};
 use ashsplat::scene::{Camera, srgb_from_linear};
 use ashsplat_files::Photo;
 use glam::{Mat3, Vec3, vec3};

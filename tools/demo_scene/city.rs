@@ -4,7 +4,7 @@
 //! every seventh or so with trees instead. The cameras fly over it in a grid and look obliquely, so that each photograph shows
 //! a few lots and no photograph all of them.
 
-use super::scene::{Object, Scene, Shape, Texture, glossy, lattice_noise, matt};
+use crate::scene::{Object, Scene, Shape, Texture, glossy, lattice_noise, matt};
 use ashsplat::scene::{Camera, Intrinsics};
 use glam::{Mat3, Vec3, vec3};
 
@@ -104,7 +104,7 @@ pub fn cameras() -> Vec<Camera> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::demo::raycast::{Ray, first_hit};
+    use crate::raycast::{Ray, first_hit};
 
     #[test]
     fn no_photograph_shows_more_than_a_part_of_it() {

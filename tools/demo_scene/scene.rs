@@ -21,7 +21,7 @@
 use glam::{Mat3, Vec3, vec3};
 
 /// A solid shape in world coordinates.
-pub enum Shape {
+pub(crate) enum Shape {
     Sphere { center: Vec3, radius: f32 },
     Box { center: Vec3, half: Vec3, local_from_world: Mat3 },
     Capsule { start: Vec3, end: Vec3, radius: f32 },
@@ -30,7 +30,7 @@ pub enum Shape {
 }
 
 /// A colour as a function of the position in the object's own frame (a solid texture); linear light.
-pub enum Texture {
+pub(crate) enum Texture {
     Checker { colors: [Vec3; 2], size: f32 },
     Stripes { colors: [Vec3; 2], width: f32, direction: Vec3 },
     Noise { colors: [Vec3; 2], size: f32 },
@@ -38,33 +38,33 @@ pub enum Texture {
 }
 
 /// What a surface is made of.
-pub struct Material {
-    pub texture: Texture,
+pub(crate) struct Material {
+    pub(crate) texture: Texture,
     /// Strength of the Phong highlight.
-    pub gloss: f32,
+    pub(crate) gloss: f32,
     /// Exponent of the Phong highlight.
-    pub shininess: f32,
+    pub(crate) shininess: f32,
     /// Share of the sky that is mirrored.
-    pub mirror: f32,
+    pub(crate) mirror: f32,
 }
 
 /// A shape and its material.
-pub struct Object {
-    pub shape: Shape,
-    pub material: Material,
+pub(crate) struct Object {
+    pub(crate) shape: Shape,
+    pub(crate) material: Material,
 }
 
 /// Everything that a ray can meet.
 pub struct Scene {
-    pub objects: Vec<Object>,
+    pub(crate) objects: Vec<Object>,
     /// Direction towards the sun, of unit length.
-    pub to_sun: Vec3,
+    pub(crate) to_sun: Vec3,
     /// Colour of the sun's light, linear.
-    pub sun: Vec3,
+    pub(crate) sun: Vec3,
 }
 
 /// Radius of the dome that stands for the sky: where a ray that meets nothing ends.
-pub const SKY_RADIUS: f32 = 14.0;
+pub(crate) const SKY_RADIUS: f32 = 14.0;
 
 impl Scene {
     /// The demo's scene.
@@ -76,7 +76,7 @@ impl Scene {
     }
 
     /// Colour of the sky in a direction, linear: a gradient from the horizon up, with broad clouds.
-    pub fn sky(&self, direction: Vec3) -> Vec3 {
+    pub(crate) fn sky(&self, direction: Vec3) -> Vec3 {
         let height = direction.z.clamp(-1.0, 1.0);
         let horizon = vec3(0.72, 0.76, 0.80);
         let zenith = vec3(0.16, 0.34, 0.66);
@@ -182,18 +182,18 @@ fn small_pieces() -> Vec<Object> {
     ]
 }
 
-pub fn matt(texture: Texture) -> Material {
+pub(crate) fn matt(texture: Texture) -> Material {
     Material { texture, gloss: 0.0, shininess: 1.0, mirror: 0.0 }
 }
 
-pub fn glossy(texture: Texture, gloss: f32, mirror: f32) -> Material {
+pub(crate) fn glossy(texture: Texture, gloss: f32, mirror: f32) -> Material {
     // A broad highlight: degree-3 harmonics can follow it in part, so that it tells a right gradient from a wrong one.
     Material { texture, gloss, shininess: 14.0, mirror }
 }
 
 impl Texture {
     /// The colour at a position in the object's frame, linear.
-    pub fn color(&self, position: Vec3) -> Vec3 {
+    pub(crate) fn color(&self, position: Vec3) -> Vec3 {
         match self {
             // Half a cell of offset keeps the faces of a box that is whole cells wide off the cell borders.
             Texture::Checker { colors, size } => {
@@ -245,7 +245,7 @@ fn value_noise(position: Vec3) -> f32 {
 }
 
 /// A random number in [0, 1) that depends on three integers only.
-pub fn lattice_noise(x: i32, y: i32, z: i32) -> f32 {
+pub(crate) fn lattice_noise(x: i32, y: i32, z: i32) -> f32 {
     let mut hash = (x as u32).wrapping_mul(0x9E37_79B1)
         ^ (y as u32).wrapping_mul(0x85EB_CA77)
         ^ (z as u32).wrapping_mul(0xC2B2_AE3D);

@@ -1,0 +1,9 @@
+//! The procedural scenes of `ashsplat demo` and the ray caster that photographs them.
+//!
+//! Lengths are in units of each scene's own, z is up, light is linear until it is encoded as sRGB.
+
+pub mod city;
+pub mod raycast;
+mod scene;
+
+pub use scene::Scene;
