@@ -49,7 +49,7 @@ fn json(path: &Path) -> Value {
 }
 
 fn train(data: &Path, model: &Path, more: &[&str]) -> (String, Value) {
-    let usual = ["train", "-s", text(data), "-m", text(model), "--eval", "-r", "2", "--quiet"];
+    let usual = ["train", "-s", text(data), "-m", text(model), "--eval", "-r", "4", "--quiet"];
     let schedule = ["--iterations", ITERATIONS, "--position_lr_max_steps", ITERATIONS, "--sh_degree", "1"];
     let rest = ["--sh-degree-interval", "150", "--eval-share", "0"];
     let stdout = succeed(&[usual.as_slice(), &schedule, &rest, more].concat());

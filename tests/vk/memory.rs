@@ -143,7 +143,11 @@ fn the_bound_of_all_arenas_may_change() {
 
 /// Bytes that differ at every place.
 fn pattern(bytes: usize) -> Vec<u8> {
-    (0..bytes as u32).map(|i| (i.wrapping_mul(2_654_435_761) >> 24) as u8).collect()
+    // As long as no power of two, so that parts of a transfer are told apart.
+    let block: Vec<u8> = (0..65_537_u32).map(|i| (i.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
+    let mut pattern = block.repeat(bytes.div_ceil(block.len()));
+    pattern.truncate(bytes);
+    pattern
 }
 
 #[test]
