@@ -47,6 +47,8 @@ fn run_with_width(bits: u32, cache: &Path, picture: &Path) {
             .args(["--test-threads", "2"])
             .env("LP_NATIVE_VECTOR_WIDTH", bits.to_string())
             .env("MESA_SHADER_CACHE_DIR", cache)
+            // Workgroups side by side, also where the rest of the suite has them one after the other, as in .ci/run.
+            .env("LP_NUM_THREADS", "2")
             .env(EXPECTED, (bits / 32).to_string())
             .env(PICTURE, picture);
     });
