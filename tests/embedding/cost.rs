@@ -270,8 +270,15 @@ fn tables() {
         let [ahead, reserved, first, second] = first_frame(threads);
         println!("{threads} | {ahead:.0} | {reserved:.0} | {first:.0} | {second:.0}");
     }
+    with_host(&HostOptions::default(), memory_table);
+    record_table();
+}
+
+/// The table of `record` alone.
+#[test]
+#[ignore = "prints a table of the guide"]
+fn record_table() {
     with_host(&HostOptions::default(), |host| {
-        memory_table(host);
         println!("scenes | timestamps | record, median us | fastest | heap allocations");
         for (scenes, frames) in [(1, 100), (2, 100), (64, 50), (2048, 9)] {
             for timestamps in [false, true] {
