@@ -180,6 +180,7 @@ impl Forward {
                 antialias,
                 first_cut_out: part.first_cut_out,
                 cut_out_count: part.settings.cut_out_count(),
+                flag_count: part.flags,
             };
             let bind = cull::Bind {
                 parameters: &part.scene.chunks[chunk],
@@ -190,7 +191,7 @@ impl Forward {
                 camera_block: &block_of(f, part.block),
             };
             r.barrier();
-            let workgroups = blocks(count.into(), self.sizes.elementwise_workgroup.into());
+            let workgroups = blocks(part.flags.into(), self.sizes.elementwise_workgroup.into());
             r.dispatch(kernel, &bind, &push, workgroups);
         }
         r.barrier();
@@ -225,31 +226,23 @@ impl Forward {
             [c::STATE_VISIBLE_NEEDED, inputs.capacity.gaussians, c::ARGUMENTS_VISIBLE, self.sizes.scan];
         self.record_prepare(r, f, counted);
         r.barrier();
-        for (index, placed) in inputs.placed().filter(|p| p.settings.draws()).enumerate() {
-            if index > 0 {
-                r.barrier();
-            }
-            let plan = &placed.scene.plan;
-            let ranges = plan.ranges(placed.scene.count).count() as u32;
-            r.dispatch(
-                &self.write_visible_ranges,
-                &write_visible_ranges::Bind {
-                    state: &f.state,
-                    block_offsets: f.visible_offsets(),
-                    visible_ranges: &f.visible_ranges,
-                },
-                &write_visible_ranges::Push {
-                    ranges,
-                    blocks: culled_blocks,
-                    first_block: placed.first / self.sizes.elementwise_workgroup,
-                    own_blocks: placed.scene.count.div_ceil(self.sizes.elementwise_workgroup),
-                    blocks_per_range: plan.chunk_gaussians / self.sizes.elementwise_workgroup,
-                    block_elementwise: self.sizes.elementwise_workgroup,
-                    max_workgroups_per_axis: self.context.limits().max_workgroups_per_axis,
-                },
-                blocks(ranges.into(), self.sizes.elementwise_workgroup.into()),
-            );
-        }
+        let scenes = 1 + inputs.others.len() as u32;
+        r.dispatch(
+            &self.write_visible_ranges,
+            &write_visible_ranges::Bind {
+                state: &f.state,
+                block_offsets: f.visible_offsets(),
+                visible_ranges: &f.visible_ranges,
+                scene_blocks: &camera_block::blocks_of(inputs),
+            },
+            &write_visible_ranges::Push {
+                scenes,
+                blocks: culled_blocks,
+                block_elementwise: self.sizes.elementwise_workgroup,
+                max_workgroups_per_axis: self.context.limits().max_workgroups_per_axis,
+            },
+            blocks(scenes.into(), self.sizes.elementwise_workgroup.into()),
+        );
         r.barrier();
     }
 

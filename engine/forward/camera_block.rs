@@ -1,5 +1,5 @@
 //! The camera blocks of a frame: what the kernels that project Gaussians know of a scene's camera and of the
-//! settings, in one uniform block per scene.
+//! settings, in one uniform block per scene. They lie behind each other: kernels over all scenes read them as a table.
 //!
 //! A new scalar of the projection takes three files: a member in `glsl/include/camera_block.glsl`, a field of
 //! `RenderSettings` and a line of [`camera_block`] below, and its use in a shader. The blocks are written
@@ -13,7 +13,8 @@ use crate::kernels::blocks::CameraBlock;
 use crate::kernels::constants;
 use crate::plan::{CAMERA_BLOCK_BYTES, FrameBuffers};
 use crate::scene::{Camera, CutLimits};
-use crate::vk::{Buffer, Recorder};
+use crate::vk::{Buffer, MAX_UPDATE_BYTES, Recorder};
+use bytemuck::Zeroable;
 use std::mem::offset_of;
 
 /// The block of a frame's scene, by the scene's place in the frame.
@@ -40,20 +41,46 @@ pub fn pose_of(camera: &Camera) -> [f32; 12] {
     pose
 }
 
-/// Records the writes of the blocks of all scenes. The caller places a barrier after it.
+/// The blocks of all scenes of a frame.
+pub(super) fn blocks_of(inputs: &FrameInputs) -> Buffer {
+    let scenes = 1 + inputs.others.len() as u64;
+    let first = inputs.first_block() as u64 * CAMERA_BLOCK_BYTES;
+    inputs.frame.camera_blocks.range(first, scenes * CAMERA_BLOCK_BYTES)
+}
+
+/// Blocks that one command writes, from the host's stack.
+const BLOCKS_PER_UPDATE: usize = 64;
+const _: () = assert!(BLOCKS_PER_UPDATE * size_of::<Block>() <= MAX_UPDATE_BYTES);
+
+/// A block, up to the next one.
+#[repr(C)]
+#[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+struct Block {
+    values: CameraBlock,
+    unused: [u32; (constants::CAMERA_BLOCK_WORDS - constants::CAMERA_BLOCK_MEMBERS) as usize],
+}
+const _: () = assert!(size_of::<Block>() as u64 == CAMERA_BLOCK_BYTES);
+
+/// Records the writes of the blocks of all scenes, those that are not drawn among them. The caller places a barrier after it.
 pub(super) fn record_blocks(r: &mut Recorder, inputs: &FrameInputs) {
-    for (scene, placed) in inputs.placed().enumerate().filter(|(_, placed)| placed.settings.draws()) {
-        let values = camera_block(&placed, inputs.settings);
-        let block = block_of(inputs.frame, inputs.first_block() + scene);
-        let values = bytemuck::bytes_of(&values);
-        match inputs.pose {
-            Some(pose) if scene == 0 => {
-                r.copy(pose, &block.range(0, POSE_BYTES));
-                let rest = values.len() as u64 - POSE_BYTES;
-                r.update(&block.range(POSE_BYTES, rest), &values[POSE_BYTES as usize..]);
-            }
-            _ => r.update(&block, values),
+    let all = blocks_of(inputs);
+    let mut blocks = [Block::zeroed(); BLOCKS_PER_UPDATE];
+    let (mut scenes, mut written) = (inputs.placed(), 0);
+    if let Some(pose) = inputs.pose {
+        r.copy(pose, &all.range(0, POSE_BYTES));
+    }
+    while written < all.bytes() {
+        let mut filled = 0;
+        for (block, placed) in blocks.iter_mut().zip(scenes.by_ref()) {
+            block.values = camera_block(&placed, inputs.settings);
+            filled += 1;
         }
+        // What the device knows better stays out of the first block.
+        let known = if written == 0 && inputs.pose.is_some() { POSE_BYTES } else { 0 };
+        let values = &bytemuck::cast_slice::<_, u8>(&blocks[..filled])[known as usize..];
+        let bytes = values.len() as u64;
+        r.update(&all.range(written + known, bytes), values);
+        written += known + bytes;
     }
 }
 
@@ -91,6 +118,9 @@ fn camera_block(placed: &PlacedScene<'_>, settings: &RenderSettings) -> CameraBl
         scene_opacity: scene.opacity,
         selection_color: scene.selection.map_or([0.0; 3], |selection| selection.color),
         selection_share: scene.selection.map_or(0.0, |selection| selection.share),
+        scene_first: placed.first,
+        scene_count: placed.drawn(),
+        scene_chunk_gaussians: placed.scene.plan.chunk_gaussians,
     }
 }
 

@@ -124,6 +124,8 @@ pub(super) struct Part<'a> {
     pub(super) first_of_scene: u32,
     /// Of the frame: its first Gaussian counts among those of all scenes.
     pub(super) range: GaussianRange,
+    /// Indices that the range takes in the frame: with the gap between its scene and the next one.
+    pub(super) flags: u32,
     /// How the scene was seen in the frame before.
     pub(super) previous: Seen,
 }
@@ -174,16 +176,29 @@ impl<'a> FrameInputs<'a> {
 
     /// The dispatches over parameters: chunk by chunk, scene by scene.
     pub(super) fn parts(&self) -> impl Iterator<Item = Part<'a>> + use<'a> {
-        let first_block = self.first_block();
+        let (first_block, end, others) = (self.first_block(), self.index_count(), self.others);
         self.placed().enumerate().flat_map(move |(place, placed)| {
             let block = first_block + place;
             let PlacedScene { scene, sh_degree, settings, first, first_cut_out, .. } = placed;
+            let next = others.get(place).map_or(end, |next| next.first);
             let previous = placed.previous.unwrap_or(Seen { camera: placed.camera, scale: placed.scale });
             let ranges = scene.plan.ranges(placed.drawn());
             ranges.map(move |range| {
                 let first_of_scene = range.first;
                 let range = GaussianRange { first: first + range.first, ..range };
-                Part { scene, block, sh_degree, settings, first_cut_out, first_of_scene, range, previous }
+                let is_last = first_of_scene + range.count == placed.drawn();
+                let flags = if is_last { next - range.first } else { range.count };
+                Part {
+                    scene,
+                    block,
+                    sh_degree,
+                    settings,
+                    first_cut_out,
+                    first_of_scene,
+                    range,
+                    flags,
+                    previous,
+                }
             })
         })
     }
@@ -191,12 +206,5 @@ impl<'a> FrameInputs<'a> {
     /// Number of indices of all scenes together, including the gaps between them.
     pub(super) fn index_count(&self) -> u32 {
         self.others.last().map_or(self.first().drawn(), |last| last.first + last.drawn())
-    }
-
-    /// The gaps between scenes: (first, count).
-    pub(super) fn gaps(&self) -> impl Iterator<Item = (u32, u32)> {
-        let ends = self.placed().map(|placed| placed.first + placed.drawn());
-        let gaps = ends.zip(self.others).map(|(end, next)| (end, next.first - end));
-        gaps.filter(|(_, count)| *count > 0)
     }
 }

@@ -43,9 +43,6 @@ impl Forward {
             r.fill(&f.tile_ranges, 0);
         });
         r.scope("cull", |r| {
-            for (first, count) in inputs.gaps() {
-                r.fill(&f.visible_flags.range(u64::from(first) * 4, u64::from(count) * 4), 0);
-            }
             (0..views).for_each(|number| self.record_flags(r, &view(number)));
             self.record_compaction(r, inputs);
         });

@@ -2,15 +2,19 @@
 
 use super::{FrameCapacity, LaunchSizes, PictureCapacity, blocks, tile_bits, tile_grid};
 use crate::kernels::blocks::CameraBlock;
-use crate::kernels::constants::{ARGUMENTS_COUNT, GRADIENT_PLANES, SPLAT_PLANES, STATE_WORDS};
+use crate::kernels::constants::{
+    ARGUMENTS_COUNT, CAMERA_BLOCK_MEMBERS, CAMERA_BLOCK_WORDS, GRADIENT_PLANES, SPLAT_PLANES, STATE_WORDS,
+};
 use crate::scene::Camera;
 use crate::vk::{Buffer, PLACEMENT_ALIGNMENT, pack};
 
 /// Bytes from one scene's camera block to the next, with room for more members: a multiple of what devices
-/// require of the offset of a uniform block, and far below what they allow as its size.
-pub const CAMERA_BLOCK_BYTES: u64 = 512;
+/// require of the offset of a uniform block, and far below what they allow as its size. Not more than that: a frame of
+/// thousands of scenes writes as many blocks.
+pub const CAMERA_BLOCK_BYTES: u64 = CAMERA_BLOCK_WORDS as u64 * 4;
 const _: () = assert!(
-    size_of::<CameraBlock>() as u64 <= CAMERA_BLOCK_BYTES
+    size_of::<CameraBlock>() == CAMERA_BLOCK_MEMBERS as usize * 4
+        && CAMERA_BLOCK_MEMBERS < CAMERA_BLOCK_WORDS
         && CAMERA_BLOCK_BYTES.is_multiple_of(PLACEMENT_ALIGNMENT)
 );
 

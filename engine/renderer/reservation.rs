@@ -20,7 +20,7 @@ pub struct Reservation {
     /// are of 255 stages of a recording at most ([`SlotReport::scopes`]).
     pub views: u32,
     /// Whether views whose depths are the same, as those of two eyes side by side, are culled and sorted once: see
-    /// [`Renderer::record_views`](super::Renderer::record_views). 512 bytes for each scene and view, and more kernels.
+    /// [`Renderer::record_views`](super::Renderer::record_views). 256 bytes for each scene and view, and more kernels.
     pub shared_sort: bool,
     /// Gaussians of all scenes of a frame together.
     pub gaussians: u32,

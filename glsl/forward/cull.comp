@@ -5,7 +5,8 @@
 // visible, too.
 //
 // invocation: one Gaussian; workgroup: one block of WORKGROUP_SIZE Gaussians
-// in: parameters (PerGaussian planes), with CUT_OUTS cut_outs (64 bytes each), with ADDS visible_flags; out: visible_flags[Gaussian], block_counts[block]
+// in: parameters (PerGaussian planes), with CUT_OUTS cut_outs (64 bytes each), with ADDS visible_flags; out: visible_flags[Gaussian], block_counts[block],
+//     zero where there is no Gaussian
 // shared: one word per subgroup; any subgroup size
 #version 460
 #extension GL_EXT_scalar_block_layout : require
@@ -48,6 +49,8 @@ layout(push_constant, scalar) uniform Push {
     // With CUT_OUTS: those of the scene.
     uint first_cut_out;
     uint cut_out_count;
+    // Indices that have flags: those of the Gaussians, and of the gap between them and the next scene.
+    uint flag_count;
 };
 
 #define DRAWS_SHAPES
@@ -91,12 +94,12 @@ void main() {
         visible = visible || visible_flags[first + index] != 0;
     }
     uint flag = exists && visible ? 1 : 0;
-    if (exists) {
+    if (local < flag_count) {
         visible_flags[first + local] = flag;
     }
     uint total;
     workgroup_exclusive_add(flag, total);
-    if (gl_LocalInvocationID.x == 0 && exists) {
+    if (gl_LocalInvocationID.x == 0 && local < flag_count) {
         block_counts[(first + local) / WORKGROUP_SIZE] = total;
     }
 }

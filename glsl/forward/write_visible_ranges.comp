@@ -1,8 +1,8 @@
-// The visible Gaussians of each parameter range of a scene, and the indirect arguments of the dispatches over them.
+// The visible Gaussians of each parameter range of all scenes, and the indirect arguments of the dispatches over them.
 //
-// invocation: one range; workgroup: WORKGROUP_SIZE ranges
-// in: block_offsets[block]: visible Gaussians before each culling block; state[STATE_VISIBLE]
-// out, at the range's first block b: visible_ranges[2 b] = workgroups (x, y, z, 0), visible_ranges[2 b + 1] = (first
+// invocation: one scene, it loops over its ranges; workgroup: WORKGROUP_SIZE scenes
+// in: scene_blocks[scene]; block_offsets[block]: visible Gaussians before each culling block; state[STATE_VISIBLE]
+// out, at each range's first block b: visible_ranges[2 b] = workgroups (x, y, z, 0), visible_ranges[2 b + 1] = (first
 //      visible, one past the last, 0, 0)
 // shared: none; any subgroup size
 #version 460
@@ -19,31 +19,33 @@ layout(set = 0, binding = 1, scalar) readonly buffer BlockOffsets { uint block_o
 layout(set = 0, binding = 2, scalar) writeonly buffer VisibleRanges { uvec4 visible_ranges[]; };
 
 layout(push_constant, scalar) uniform Push {
-    uint ranges;
+    uint scenes;
     // Culling blocks in the frame.
     uint blocks;
-    // The scene's first block, its number of blocks, and the blocks of each of its ranges except the last.
-    uint first_block;
-    uint own_blocks;
-    uint blocks_per_range;
-    // Elements per workgroup of the dispatches.
+    // Elements per culling block, and per workgroup of the dispatches.
     uint block_elementwise;
     uint max_workgroups_per_axis;
 };
 
+#define SCENE_BLOCKS 3
+#include "scene_blocks.glsl"
 #include "dispatch.glsl"
 #include "workgroup_count.glsl"
 
 void main() {
-    uint range = linear_invocation();
-    bool exists = range < ranges;
-    uint begin_block = first_block + (exists ? range * blocks_per_range : 0);
-    uint end_block = min(begin_block + blocks_per_range, first_block + own_blocks);
+    uint scene = linear_invocation();
+    bool exists = scene < scenes;
+    uint place = exists ? scene : 0;
+    uint count = exists ? scene_blocks[place].scene_count : 0;
+    uint first_block = scene_blocks[place].scene_first / block_elementwise;
+    uint last_block = first_block + (count + block_elementwise - 1) / block_elementwise;
+    uint blocks_per_range = scene_blocks[place].scene_chunk_gaussians / block_elementwise;
     uint visible = state[STATE_VISIBLE];
-    uint begin = min(block_offsets[begin_block], visible);
-    uint next = block_offsets[end_block < blocks ? end_block : begin_block];
-    uint end = end_block < blocks ? min(next, visible) : visible;
-    if (exists) {
+    for (uint begin_block = first_block; begin_block < last_block; begin_block += blocks_per_range) {
+        uint end_block = min(begin_block + blocks_per_range, last_block);
+        uint begin = min(block_offsets[begin_block], visible);
+        uint next = block_offsets[end_block < blocks ? end_block : begin_block];
+        uint end = end_block < blocks ? min(next, visible) : visible;
         visible_ranges[2 * begin_block] = workgroup_count(end - begin, block_elementwise);
         visible_ranges[2 * begin_block + 1] = uvec4(begin, end, 0, 0);
     }

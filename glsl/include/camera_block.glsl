@@ -4,41 +4,5 @@
 // kernel anew at each dispatch (1.3 to 1.7 ms). Elsewhere the members select between two values.
 // Frame: x_camera = R x_world + t, x right, y down, z forward; pixel centres are the integers.
 layout(set = 0, binding = 18, scalar) uniform CameraBlock {
-    // Rows of R (camera from world), times the object's scale if the object has one.
-    vec3 camera_row_x;
-    vec3 camera_row_y;
-    vec3 camera_row_z;
-    vec3 camera_translation;
-    vec2 focal_px;
-    vec2 center_px;
-    // Limits of x/z (low, high) and y/z (low, high) within which the projection is linearised.
-    vec4 jacobian_limits;
-    uint image_width;
-    uint image_height;
-    // 1 / scale^2.
-    float inverse_scale_squared;
-    // How Gaussians are drawn (engine/forward/shape.rs): a factor of the scales; a term added to both screen variances; an
-    // opacity override. The override is off at 0. If positive, it replaces every opacity; if negative, only opacities of at
-    // least ELLIPSOID_LEAST_OPACITY.
-    float shape_scale;
-    float shape_dilation_px2;
-    float shape_opacity;
-    // Which Gaussians are left out (engine/scene/cut.rs): those with means outside a box, with a smaller opacity logit, and
-    // with a smaller difference of opacity logit and largest log-scale. All finite.
-    vec3 cut_low;
-    vec3 cut_high;
-    float cut_opacity_logit;
-    float cut_log_density;
-    // Which Gaussians are left out at random (dropout.glsl): key, numbers below which one is left out, and the factor of the
-    // others' opacities. Only read with DROPOUT.
-    uint dropout_seed;
-    uint dropout_iteration;
-    uint dropout_below;
-    float dropout_factor;
-    // Factors of the scene's colours and opacities (engine/forward/scene_settings.rs). Only read with TINTED.
-    vec3 scene_tint;
-    float scene_opacity;
-    // Colour of the scene's selected Gaussians and its share in theirs. Only read with SELECTION.
-    vec3 selection_color;
-    float selection_share;
+#include "camera_members.glsl"
 };

@@ -92,6 +92,10 @@ const uint ARGUMENTS_COUNT = 6;
 // Radix sort: most bins of one digit.
 const uint SORT_BINS = 256;
 
+// Words from one scene's camera block to the next (scene_blocks.glsl), and those that have a meaning.
+const uint CAMERA_BLOCK_WORDS = 64;
+const uint CAMERA_BLOCK_MEMBERS = 49;
+
 // Marks a Gaussian that is not visible in this frame.
 const uint NOT_VISIBLE = 0xFFFFFFFF;
 

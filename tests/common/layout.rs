@@ -2,7 +2,8 @@
 
 use ashsplat::kernels::blocks::CameraBlock;
 use ashsplat::kernels::constants::{
-    ANTIALIAS_COMPENSATED, ANTIALIAS_DETACHED, PLANE_LOG_SCALE, PLANE_MEAN_OPACITY, PLANE_QUAT, PLANE_SH,
+    ANTIALIAS_COMPENSATED, ANTIALIAS_DETACHED, CAMERA_BLOCK_MEMBERS, CAMERA_BLOCK_WORDS, PLANE_LOG_SCALE,
+    PLANE_MEAN_OPACITY, PLANE_QUAT, PLANE_SH,
 };
 
 use crate::reference::project::slope_limits;
@@ -121,6 +122,18 @@ pub fn camera_block(view: &View) -> CameraBlock {
         selection_share: view.drawn.selection.map_or(0.0, |own| own.share as f32),
         ..CameraBlock::default()
     }
+}
+
+/// The blocks of several scenes behind each other, as the kernels over all scenes read them.
+#[allow(dead_code)]
+pub fn scene_blocks(blocks: &[CameraBlock]) -> Vec<[u32; CAMERA_BLOCK_WORDS as usize]> {
+    let padded = |block: &CameraBlock| {
+        let mut words = [0xDEAD_BEEF; CAMERA_BLOCK_WORDS as usize];
+        words[..CAMERA_BLOCK_MEMBERS as usize]
+            .copy_from_slice(bytemuck::cast_slice(bytemuck::bytes_of(block)));
+        words
+    };
+    blocks.iter().map(padded).collect()
 }
 
 /// The cut-outs of a view behind two that no culling may read, and the numbers of the first and of all.

@@ -25,7 +25,7 @@ fn may_differ(gaussian: &Gaussian, view: &View) -> bool {
     nudged[0] != nudged[1]
 }
 
-/// Culls `size` Gaussians. Returns flags and counts of blocks, each with two words more that must stay untouched.
+/// Culls `size` Gaussians with a gap behind them. Returns their flags and the counts of their blocks.
 fn culled(gpu: &Gpu, view: &View, parameters: &Buffer, size: usize) -> [Vec<u32>; 2] {
     culled_behind(gpu, view, (parameters, size), None)
 }
@@ -49,10 +49,13 @@ fn culled_behind(
         adds: earlier.is_some(),
         ..spec(gpu)
     };
-    let blocks = size.div_ceil(spec.workgroup_size as usize);
+    let block = spec.workgroup_size as usize;
+    // With all of another block in the gap.
+    let end = size + block + 1;
+    let [own_blocks, blocks] = [size, end].map(|count| count.div_ceil(block));
     let flags = match earlier {
-        None => gpu.untouched::<u32>("visible_flags", size + 2),
-        Some(earlier) => gpu.buffer("visible_flags", &[earlier, &[UNTOUCHED; 2]].concat()),
+        None => gpu.untouched::<u32>("visible_flags", end + 2),
+        Some(earlier) => gpu.buffer("visible_flags", &[earlier, &vec![UNTOUCHED; end + 2 - size]].concat()),
     };
     let counts = gpu.untouched::<u32>("block_counts", blocks + 2);
     let bind = Bind {
@@ -65,12 +68,16 @@ fn culled_behind(
     gpu.dispatch::<Interface>(
         &spec,
         &bind,
-        &Push { first_cut_out, cut_out_count, ..push(view, size) },
+        &Push { first_cut_out, cut_out_count, flag_count: end as u32, ..push(view, size) },
         blocks as u64 + 1,
     );
-    let flags = gpu.read::<u32>(&flags, size + 2);
-    assert_eq!(flags[size..], [UNTOUCHED; 2]);
-    [flags, gpu.read::<u32>(&counts, blocks + 2)]
+    let [flags, counts] = [(&flags, end), (&counts, blocks)].map(|(buffer, own)| {
+        let words = gpu.read::<u32>(buffer, own + 2);
+        assert_eq!(words[own..], [UNTOUCHED; 2], "{}", buffer.name());
+        words
+    });
+    assert!(flags[size..end].iter().chain(&counts[own_blocks..blocks]).all(|word| *word == 0), "in the gap");
+    [flags[..size].to_vec(), counts[..own_blocks].to_vec()]
 }
 
 fn spec(gpu: &Gpu) -> Spec {
@@ -117,8 +124,7 @@ pub fn cull_equals_its_twin() {
             }
         }
         assert!(borderline <= 1 + size / 50, "{borderline} of {size} differ");
-        let mut counted: Vec<u32> = flags[..size].chunks(block).map(|flags| flags.iter().sum()).collect();
-        counted.extend([UNTOUCHED; 2]);
+        let counted: Vec<u32> = flags.chunks(block).map(|flags| flags.iter().sum()).collect();
         assert_eq!(counts, counted, "{extent:?} {size}");
     }
 }

@@ -610,7 +610,7 @@ typedef struct AshsplatReservation {
   uint64_t staging_bytes;
   // Views of a recording (ashsplat_record_views), which share the memory of one; 0 is as 1.
   uint32_t views;
-  // Not 0: views whose depths are the same, as those of two eyes side by side, are culled and sorted once. Takes 512 bytes for each
+  // Not 0: views whose depths are the same, as those of two eyes side by side, are culled and sorted once. Takes 256 bytes for each
   // scene and view, and more kernels.
   uint32_t shared_sort;
 } AshsplatReservation;

@@ -282,7 +282,7 @@ pub struct AshsplatReservation {
     pub staging_bytes: u64,
     /// Views of a recording (ashsplat_record_views), which share the memory of one; 0 is as 1.
     pub views: u32,
-    /// Not 0: views whose depths are the same, as those of two eyes side by side, are culled and sorted once. Takes 512 bytes for each
+    /// Not 0: views whose depths are the same, as those of two eyes side by side, are culled and sorted once. Takes 256 bytes for each
     /// scene and view, and more kernels.
     pub shared_sort: u32,
 }
