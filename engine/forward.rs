@@ -7,6 +7,7 @@
 
 mod arguments;
 mod auxiliary;
+mod batches;
 mod blend_forms;
 mod blending;
 mod camera_block;
@@ -23,6 +24,7 @@ mod views;
 use arguments::arguments;
 pub(crate) use arguments::range_arguments;
 pub use auxiliary::{Auxiliary, MotionBuffers, PickBuffers, Seen};
+pub(crate) use batches::LEAST_SCENES;
 pub use blend_forms::{BlendMeasurement, Blending};
 pub use blending::BlendVariant;
 pub(crate) use blending::record_passes;
@@ -30,7 +32,7 @@ pub(crate) use camera_block::block_of;
 pub use camera_block::{POSE_BYTES, pose_of};
 pub(crate) use cut_outs::CUT_OUT_BYTES;
 pub use filter_3d::Filter3d;
-pub use inputs::{FrameInputs, PlacedScene, SceneBuffers};
+pub use inputs::{Batch, FrameInputs, PlacedScene, SceneBuffers};
 pub use scene_settings::{MAX_TINT, SceneSettings, Selection};
 pub use settings::{Dropout, Extent, JacobianLimit, RenderSettings};
 pub use shape::{ELLIPSOID_SIGMAS, POINT_RADIUS_PX, Shape};
@@ -38,7 +40,8 @@ pub use shape::{ELLIPSOID_SIGMAS, POINT_RADIUS_PX, Shape};
 use crate::error::Result;
 use crate::kernels::constants as c;
 use crate::kernels::forward::{
-    compact, count, cull, duplicate_with_tiles, project, ranges, write_indirect_args, write_visible_ranges,
+    compact, count, cull, cull_scenes, duplicate_with_tiles, project, project_scenes, ranges,
+    write_indirect_args, write_visible_ranges,
 };
 use crate::plan::{FrameBuffers, GaussianRange, LaunchSizes, blocks};
 use crate::scan::{Scan, ScanBuffers, Workgroups};
@@ -53,11 +56,15 @@ pub struct Forward {
     sort: RadixSort,
     /// By [`BlendVariant::of_cull`].
     cull: [Option<Kernel<cull::Interface>>; 64],
+    /// Of batches, by the same.
+    cull_scenes: [Option<Kernel<cull_scenes::Interface>>; 64],
     compact: Kernel<compact::Interface>,
     write_indirect_args: Kernel<write_indirect_args::Interface>,
     write_visible_ranges: Kernel<write_visible_ranges::Interface>,
     /// By [`BlendVariant::of_project`], by SH degree.
     project: [[Option<Kernel<project::Interface>>; 4]; 128],
+    /// Of batches, by the same.
+    project_scenes: [[Option<Kernel<project_scenes::Interface>>; 4]; 128],
     count: Kernel<count::Interface>,
     /// For rendering alone, and for frames with backward.
     duplicate: [Kernel<duplicate_with_tiles::Interface>; 2],
@@ -91,6 +98,7 @@ impl Forward {
             scan: Scan::new(context)?,
             sort: RadixSort::new(context)?,
             cull: [const { None }; 64],
+            cull_scenes: [const { None }; 64],
             // Its blocks are the culling blocks.
             compact: Kernel::new(
                 context,
@@ -99,6 +107,7 @@ impl Forward {
             write_indirect_args: Kernel::new(context, &write_indirect_args::Spec::default())?,
             write_visible_ranges: Kernel::new(context, &write_visible_ranges::Spec { workgroup_size })?,
             project: std::array::from_fn(|_| Default::default()),
+            project_scenes: std::array::from_fn(|_| Default::default()),
             count: Kernel::new(
                 context,
                 &count::Spec { workgroup_size: sizes.scan_workgroup, subgroup_size, items: sizes.scan_items },
@@ -165,6 +174,11 @@ impl Forward {
         let f = inputs.frame;
         let [extent, antialias] = inputs.settings.modes();
         let of_frame = BlendVariant { shared_order: inputs.view > Some(0), ..inputs.blend_variant() };
+        for (place, first) in inputs.batches() {
+            let variant = of_frame.of_scene(&first.settings);
+            r.barrier();
+            self.record_batch_flags(r, (inputs, place), &first, variant);
+        }
         for part in inputs.parts() {
             let variant = of_frame.of_scene(&part.settings);
             let Some(kernel) = &self.cull[variant.of_cull()] else {
@@ -270,7 +284,15 @@ impl Forward {
     fn record_project(&self, r: &mut Recorder, inputs: &FrameInputs) {
         let f = inputs.frame;
         let (splats, [extent, antialias]) = (f.splats(), inputs.settings.modes());
-        for (index, part) in inputs.parts().enumerate() {
+        let mut is_first = true;
+        for (place, first) in inputs.batches() {
+            if !std::mem::take(&mut is_first) {
+                r.barrier();
+            }
+            let variant = inputs.blend_variant().of_scene(&first.settings);
+            self.record_batch_project(r, (inputs, place), &first, variant);
+        }
+        for part in inputs.parts() {
             let variant = inputs.blend_variant().of_scene(&part.settings);
             let Some(kernel) = &self.project[variant.of_project()][part.sh_degree as usize] else {
                 panic!("Forward::prepare was not called for SH degree {}", part.sh_degree);
@@ -298,7 +320,7 @@ impl Forward {
                 selection: part.settings.mask().unwrap_or(&f.visible_list),
                 camera_block: &block_of(f, part.block),
             };
-            if index > 0 {
+            if !std::mem::take(&mut is_first) {
                 r.barrier();
             }
             r.dispatch_indirect(kernel, &bind, &push, &range_arguments(f, &self.sizes, range));

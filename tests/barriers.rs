@@ -2,7 +2,7 @@
 
 use ashsplat::backward::{Backward, BackwardVariant, Statistics};
 use ashsplat::forward::{
-    Auxiliary, BlendVariant, Forward, FrameInputs, POSE_BYTES, SceneBuffers, SceneSettings,
+    Auxiliary, Batch, BlendVariant, Forward, FrameInputs, POSE_BYTES, SceneBuffers, SceneSettings,
 };
 use ashsplat::loss::{Loss, LossInputs, PhotoFormat, Windowing, photo_bytes};
 use ashsplat::optimizer::{Moments, Optimizer, Rates, Step, ViewSum};
@@ -131,6 +131,7 @@ impl Training {
             settings: &self.settings,
             sh_degree: SH_DEGREE,
             scene_settings: SceneSettings::default(),
+            batch: Batch::ALONE,
             others: &[],
             depth_limits: None,
             cut_outs: None,

@@ -3,7 +3,9 @@
 use super::blend_forms::Blending;
 use super::{FrameInputs, RenderSettings, SceneSettings};
 use crate::error::Result;
-use crate::kernels::forward::{blend, blend_auxiliary, blend_shared, blend_shared_auxiliary, cull, project};
+use crate::kernels::forward::{
+    blend, blend_auxiliary, blend_shared, blend_shared_auxiliary, cull, cull_scenes, project, project_scenes,
+};
 use crate::plan::{LaunchSizes, tile_grid};
 use crate::scene::Camera;
 use crate::vk::{Context, Kernel, Limits, Recorder};
@@ -110,6 +112,30 @@ impl BlendVariant {
             tinted,
             selection,
             z_record,
+            orthographic,
+            sh_loops: sizes.sh_loops,
+            may_be_unseen: shared_order,
+        }
+    }
+
+    /// Whether batches have it.
+    pub(super) fn may_be_batched(self) -> bool {
+        !(self.dropout || self.selection || self.z_record || self.backward)
+    }
+
+    pub(super) fn cull_scenes_spec(self, sizes: &LaunchSizes, subgroup_size: u32) -> cull_scenes::Spec {
+        let Self { filter_3d, tinted, cut_outs, orthographic, shared_order: adds, .. } = self;
+        let workgroup_size = sizes.elementwise_workgroup;
+        cull_scenes::Spec { workgroup_size, subgroup_size, filter_3d, tinted, cut_outs, orthographic, adds }
+    }
+
+    pub(super) fn project_scenes_spec(self, sizes: &LaunchSizes, sh_degree: u32) -> project_scenes::Spec {
+        let Self { filter_3d, tinted, orthographic, shared_order, .. } = self;
+        project_scenes::Spec {
+            workgroup_size: sizes.elementwise_workgroup,
+            sh_degree,
+            filter_3d,
+            tinted,
             orthographic,
             sh_loops: sizes.sh_loops,
             may_be_unseen: shared_order,

@@ -1,8 +1,8 @@
 //! The camera blocks of a frame: what the kernels that project Gaussians know of a scene's camera and of the
 //! settings, in one uniform block per scene. They lie behind each other: kernels over all scenes read them as a table.
 //!
-//! A new scalar of the projection takes three files: a member in `glsl/include/camera_block.glsl`, a field of
-//! `RenderSettings` and a line of [`camera_block`] below, and its use in a shader. The blocks are written
+//! A new scalar of the projection takes three files: a member in `glsl/include/camera_members.glsl`, a field of
+//! `RenderSettings` and a line of [`block_of_frame`] below, and its use in a shader. The blocks are written
 //! by commands of the frame's own recording, so a recording needs no host memory, and frames in flight do not
 //! share a block.
 
@@ -65,6 +65,7 @@ const _: () = assert!(size_of::<Block>() as u64 == CAMERA_BLOCK_BYTES);
 pub(super) fn record_blocks(r: &mut Recorder, inputs: &FrameInputs) {
     let all = blocks_of(inputs);
     let mut blocks = [Block::zeroed(); BLOCKS_PER_UPDATE];
+    let of_frame = block_of_frame(inputs.camera, inputs.settings);
     let (mut scenes, mut written) = (inputs.placed(), 0);
     if let Some(pose) = inputs.pose {
         r.copy(pose, &all.range(0, POSE_BYTES));
@@ -72,7 +73,7 @@ pub(super) fn record_blocks(r: &mut Recorder, inputs: &FrameInputs) {
     while written < all.bytes() {
         let mut filled = 0;
         for (block, placed) in blocks.iter_mut().zip(scenes.by_ref()) {
-            block.values = camera_block(&placed, inputs.settings);
+            block.values = camera_block(&of_frame, &placed);
             filled += 1;
         }
         // What the device knows better stays out of the first block.
@@ -84,25 +85,18 @@ pub(super) fn record_blocks(r: &mut Recorder, inputs: &FrameInputs) {
     }
 }
 
-/// The camera block of a scene.
-fn camera_block(placed: &PlacedScene<'_>, settings: &RenderSettings) -> CameraBlock {
-    let PlacedScene { camera, scale, settings: scene, .. } = placed;
-    let rows = camera.camera_from_world.transpose() * *scale;
+/// What the blocks of a frame's scenes have in common: their cameras differ in where they stand alone.
+fn block_of_frame(camera: &Camera, settings: &RenderSettings) -> CameraBlock {
     let shape = DrawnShape::of(settings);
     let CutLimits { low, high, opacity_logit, log_density } = settings.cut.limits();
     let dropout = settings.dropout.unwrap_or(Dropout { share: 0.0, seed: 0, iteration: 0 });
     CameraBlock {
-        camera_row_x: rows.x_axis.to_array(),
-        camera_row_y: rows.y_axis.to_array(),
-        camera_row_z: rows.z_axis.to_array(),
-        camera_translation: camera.translation.to_array(),
         focal_px: [camera.fx, camera.fy],
         // COLMAP puts the centre of the first pixel at 0.5, the shaders at 0.
         center_px: [camera.cx - 0.5, camera.cy - 0.5],
         jacobian_limits: jacobian_limits(camera, settings.jacobian_limit),
         image_width: camera.width,
         image_height: camera.height,
-        inverse_scale_squared: (scale * scale).recip(),
         shape_scale: shape.scale,
         shape_dilation_px2: shape.dilation_px2,
         shape_opacity: shape.opacity,
@@ -114,6 +108,20 @@ fn camera_block(placed: &PlacedScene<'_>, settings: &RenderSettings) -> CameraBl
         dropout_iteration: dropout.iteration,
         dropout_below: dropout.below(),
         dropout_factor: dropout.factor(),
+        ..CameraBlock::zeroed()
+    }
+}
+
+/// The camera block of a scene.
+fn camera_block(of_frame: &CameraBlock, placed: &PlacedScene<'_>) -> CameraBlock {
+    let PlacedScene { camera, scale, settings: scene, .. } = placed;
+    let rows = camera.camera_from_world.transpose() * *scale;
+    CameraBlock {
+        camera_row_x: rows.x_axis.to_array(),
+        camera_row_y: rows.y_axis.to_array(),
+        camera_row_z: rows.z_axis.to_array(),
+        camera_translation: camera.translation.to_array(),
+        inverse_scale_squared: (scale * scale).recip(),
         scene_tint: scene.tint,
         scene_opacity: scene.opacity,
         selection_color: scene.selection.map_or([0.0; 3], |selection| selection.color),
@@ -121,6 +129,11 @@ fn camera_block(placed: &PlacedScene<'_>, settings: &RenderSettings) -> CameraBl
         scene_first: placed.first,
         scene_count: placed.drawn(),
         scene_chunk_gaussians: placed.scene.plan.chunk_gaussians,
+        scene_batch: placed.batch.first,
+        scene_parameters: placed.parameters_begin(),
+        scene_first_cut_out: placed.first_cut_out,
+        scene_cut_outs: scene.cut_out_count(),
+        ..*of_frame
     }
 }
 

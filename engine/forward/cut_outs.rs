@@ -16,7 +16,8 @@ pub(crate) const CUT_OUT_BYTES: u64 = size_of::<Words>() as u64;
 /// # Panics
 /// Without room for them.
 pub(super) fn record(r: &mut Recorder, inputs: &FrameInputs) {
-    let ends = inputs.placed().map(|placed| (placed.first_cut_out, placed.settings.cut_out_count()));
+    let with_some = || inputs.placed_where(|_, placed| placed.settings.cut_out_count() > 0);
+    let ends = with_some().map(|(_, placed)| (placed.first_cut_out, placed.settings.cut_out_count()));
     let end = ends.filter(|(_, count)| *count > 0).map(|(first, count)| first + count).max().unwrap_or(0);
     let needed = u64::from(end) * CUT_OUT_BYTES;
     if needed == 0 {
@@ -25,7 +26,7 @@ pub(super) fn record(r: &mut Recorder, inputs: &FrameInputs) {
     let Some(buffer) = inputs.cut_outs.filter(|buffer| buffer.bytes() >= needed) else {
         panic!("FrameInputs::cut_outs has no room for {end} cut-outs, which take {needed} bytes");
     };
-    for placed in inputs.placed().filter(|placed| placed.settings.cut_out_count() > 0) {
+    for (_, placed) in with_some() {
         let mut words = [Words::default(); MAX_CUT_OUTS];
         let own = placed.settings.cut_outs;
         for (words, cut_out) in words.iter_mut().zip(own) {

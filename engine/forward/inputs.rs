@@ -1,6 +1,7 @@
 //! The inputs of a frame: scenes with their transforms, a camera, settings.
 
 use super::{Auxiliary, BlendVariant, RenderSettings, SceneSettings, Seen};
+use crate::kernels::constants::NO_BATCH;
 use crate::plan::{FrameBuffers, FrameCapacity, GaussianRange, ScenePlan};
 use crate::scene::Camera;
 use crate::vk::Buffer;
@@ -46,6 +47,8 @@ pub struct FrameInputs<'a> {
     /// How `scene` is drawn; its SH degree is in `sh_degree`. The backward pass knows nothing of a tint, an opacity and a
     /// selection: with `backward` no scene has any.
     pub scene_settings: SceneSettings<'a>,
+    /// Which others the dispatches of `scene` draw, too.
+    pub batch: Batch,
     /// Scenes that are rendered together with `scene`, each with its own transform.
     pub others: &'a [PlacedScene<'a>],
     /// Per pixel of the image: 1/z of the opaque surface that hides splats, 0 for none.
@@ -80,6 +83,22 @@ impl FrameInputs<'_> {
     }
 }
 
+/// The batch of a scene.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Batch {
+    /// The place of its first scene in the frame; [`NO_BATCH`] for a scene that is drawn alone.
+    pub first: u32,
+    /// Of its first scene: how many there are.
+    pub(super) scenes: u32,
+    /// Of its first scene: one past the last Gaussian of all, in the frame.
+    pub(super) end: u32,
+}
+
+impl Batch {
+    /// A scene that is drawn alone.
+    pub const ALONE: Self = Self { first: NO_BATCH, scenes: 0, end: 0 };
+}
+
 /// An additional scene of a frame.
 #[derive(Clone, Copy)]
 pub struct PlacedScene<'a> {
@@ -101,12 +120,24 @@ pub struct PlacedScene<'a> {
     pub first_cut_out: u32,
     /// How it was seen in the frame before, for its motion; as now if `None`.
     pub previous: Option<Seen>,
+    /// Which others its dispatches draw, too.
+    pub batch: Batch,
 }
 
 impl PlacedScene<'_> {
     /// Number of Gaussians that take part in the frame.
     pub fn drawn(&self) -> u32 {
         if self.settings.draws() { self.scene.count } else { 0 }
+    }
+
+    /// Where its parameters begin in their VkBuffer, vec4.
+    pub(super) fn parameters_begin(&self) -> u32 {
+        self.scene.chunks.first().map_or(0, |chunk| (chunk.handle().1 / 16) as u32)
+    }
+
+    /// Of the first scene of a batch: its first culling block and one past the last, of `block` Gaussians each.
+    pub(super) fn batch_blocks(&self, block: u32) -> [u32; 2] {
+        [self.first / block, self.batch.end.div_ceil(block)]
     }
 }
 
@@ -132,7 +163,7 @@ pub(super) struct Part<'a> {
 
 impl<'a> FrameInputs<'a> {
     fn first(&self) -> PlacedScene<'a> {
-        let &Self { scene, camera, scale, sh_degree, scene_settings, previous, .. } = self;
+        let &Self { scene, camera, scale, sh_degree, scene_settings, previous, batch, .. } = self;
         PlacedScene {
             scene,
             camera: *camera,
@@ -142,6 +173,7 @@ impl<'a> FrameInputs<'a> {
             first: 0,
             first_cut_out: 0,
             previous,
+            batch,
         }
     }
 
@@ -174,10 +206,27 @@ impl<'a> FrameInputs<'a> {
         self.view.unwrap_or(0) as usize * (1 + self.others.len())
     }
 
-    /// The dispatches over parameters: chunk by chunk, scene by scene.
+    /// The scenes that `keep` wants, with their places. The others are not copied: there may be thousands.
+    pub(super) fn placed_where<F: Fn(u32, &PlacedScene<'a>) -> bool>(
+        &self,
+        keep: F,
+    ) -> impl Iterator<Item = (u32, PlacedScene<'a>)> + use<'a, F> {
+        let first = Some((0, self.first())).filter(|(place, placed)| keep(*place, placed));
+        let others = (1..).zip(self.others).filter(move |(place, placed)| keep(*place, placed));
+        first.into_iter().chain(others.map(|(place, placed)| (place, *placed)))
+    }
+
+    /// The first scenes of batches, with their places.
+    pub(super) fn batches(&self) -> impl Iterator<Item = (u32, PlacedScene<'a>)> + use<'a> {
+        self.placed_where(|place, placed| placed.batch.first == place)
+    }
+
+    /// The dispatches over parameters of scenes that are drawn alone: chunk by chunk, scene by scene.
     pub(super) fn parts(&self) -> impl Iterator<Item = Part<'a>> + use<'a> {
         let (first_block, end, others) = (self.first_block(), self.index_count(), self.others);
-        self.placed().enumerate().flat_map(move |(place, placed)| {
+        let alone = self.placed_where(|_, placed| placed.batch.first == NO_BATCH);
+        alone.flat_map(move |(place, placed)| {
+            let place = place as usize;
             let block = first_block + place;
             let PlacedScene { scene, sh_degree, settings, first, first_cut_out, .. } = placed;
             let next = others.get(place).map_or(end, |next| next.first);

@@ -76,12 +76,15 @@ impl Renderer {
         if frame.settings.dropout.is_some() || frame.settings.has_z_record() {
             return Err(Error::argument("settings", "are of training, no recorded frame has them"));
         }
-        let prepared = |placed: &Placed<'_>| {
-            let variant = variant.of_scene(&placed.settings);
-            let degree = placed.active_degree(frame.settings);
-            !placed.settings.draws() || self.runner.forward.is_prepared(degree, variant)
+        // Most scenes are of the same kind as the one before.
+        let mut known = None;
+        let mut prepared = |placed: &Placed<'_>| {
+            let kind = (placed.active_degree(frame.settings), variant.of_scene(&placed.settings));
+            let fits = known == Some(kind) || self.runner.forward.is_prepared(kind.0, kind.1);
+            known = fits.then_some(kind).or(known);
+            fits
         };
-        if !frame.scenes.iter().all(prepared) {
+        if !frame.scenes.iter().filter(|placed| placed.settings.draws()).all(&mut prepared) {
             let problem = "its kernels are not built: call Renderer::reserve after Renderer::set_blending";
             return Err(Error::argument("kind of frame", problem));
         }

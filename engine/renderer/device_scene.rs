@@ -5,7 +5,7 @@ use crate::forward::SceneBuffers;
 use crate::plan::{ScenePlan, to_u32};
 use crate::planes;
 use crate::scene::Gaussians;
-use crate::vk::{Buffer, Context};
+use crate::vk::{Buffer, Context, MemoryKind};
 
 /// Gaussians on the device, for [`super::Renderer::record`]. A frame can have any number of scenes.
 ///
@@ -27,6 +27,29 @@ impl DeviceScene {
     pub fn upload(context: &Context, gaussians: &Gaussians, capacity: u32) -> Result<Self> {
         let buffers = planes::upload(context, "scene", gaussians, capacity, gaussians.sh_degree)?;
         Ok(Self { context: context.clone(), buffers })
+    }
+
+    /// Uploads several scenes into as few buffers as kernels can bind, each with room for its own Gaussians. Frames draw small scenes of
+    /// one buffer by one dispatch in place of one each: see the [guide](crate::guide::embedding). The memory of a buffer is freed
+    /// with the last of its scenes.
+    ///
+    /// # Errors
+    /// As [`DeviceScene::upload`].
+    pub fn upload_all(context: &Context, scenes: &[&Gaussians]) -> Result<Vec<Self>> {
+        let plan = |gaussians: &&Gaussians| {
+            gaussians.check_shapes()?;
+            ScenePlan::new(context.limits(), to_u32(gaussians.len() as u64)?, gaussians.sh_degree)
+        };
+        let plans = scenes.iter().map(plan).collect::<Result<Vec<_>>>()?;
+        let requests: Vec<_> = plans.iter().flat_map(planes::requests).collect();
+        let mut chunks = allocate_together(context, &requests)?.into_iter();
+        let upload = |(gaussians, plan): (&&Gaussians, ScenePlan)| {
+            let (own, count) = (chunks.by_ref().take(plan.chunks as usize), to_u32(gaussians.len() as u64)?);
+            let buffers = SceneBuffers { chunks: own.collect(), plan, count };
+            planes::fill(context, &buffers, gaussians)?;
+            Ok(Self { context: context.clone(), buffers })
+        };
+        scenes.iter().zip(plans).map(upload).collect()
     }
 
     /// The same scene in another context on the same VkDevice, with the same Gaussians in memory: several parts of an engine, each with a
@@ -158,6 +181,16 @@ impl DeviceScene {
     pub fn belongs_to(&self, context: &Context) -> bool {
         self.context.is(context)
     }
+}
+
+/// Allocates buffers in VkBuffers that kernels can bind as a whole.
+fn allocate_together(context: &Context, requests: &[(&'static str, u64)]) -> Result<Vec<Buffer>> {
+    let is_large = context.allocation_bytes(requests) > context.limits().max_storage_buffer_range;
+    if requests.len() < 2 || !is_large {
+        return context.allocate("scenes", requests, MemoryKind::Device);
+    }
+    let (first, rest) = requests.split_at(requests.len() / 2);
+    Ok([allocate_together(context, first)?, allocate_together(context, rest)?].concat())
 }
 
 fn check_degree(sh_degree: u32) -> Result<u32> {

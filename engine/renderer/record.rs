@@ -6,7 +6,7 @@ use super::slot_memory::SlotMemory;
 use super::updates::Update;
 use crate::compose::{Background, Region};
 use crate::error::Result;
-use crate::forward::{Auxiliary, FrameInputs, PlacedScene, RenderSettings, SceneSettings, Seen};
+use crate::forward::{Auxiliary, Batch, FrameInputs, PlacedScene, RenderSettings, SceneSettings, Seen};
 use crate::scene::{Camera, ColorEncoding, DepthMapping, Pose};
 use crate::vk::{ForeignCommands, Image, ImageState};
 use ash::vk;
@@ -240,7 +240,17 @@ pub(super) fn place<'a>(frame: &RecordedFrame<'a>, alignment: u32, placed: &mut 
             let pose = placed.previous_pose.unwrap_or(placed.pose);
             Seen { camera: pose.camera_in_object(motion.previous_camera), scale: pose.scale }
         });
-        PlacedScene { scene, camera, scale, sh_degree, settings, first: begin, first_cut_out, previous }
+        PlacedScene {
+            scene,
+            camera,
+            scale,
+            sh_degree,
+            settings,
+            first: begin,
+            first_cut_out,
+            previous,
+            batch: Batch::ALONE,
+        }
     }));
 }
 
@@ -261,6 +271,7 @@ pub(super) fn inputs_of<'a>(
         scale: first.scale,
         sh_degree: first.sh_degree,
         scene_settings: first.settings,
+        batch: first.batch,
         others,
         depth_limits: None,
         cut_outs: memory.cut_outs.as_ref(),

@@ -2,7 +2,7 @@
 
 use super::slots::SlotReport;
 use crate::error::{Error, Result};
-use crate::forward::{BlendVariant, SceneSettings};
+use crate::forward::{BlendVariant, LEAST_SCENES, SceneSettings};
 use crate::plan::{FrameCapacity, LaunchSizes, PictureCapacity, ScenePlan, check_grids, initial_instances};
 use crate::scene::MAX_CUT_OUTS;
 use crate::vk::Context;
@@ -115,6 +115,11 @@ impl Reservation {
         }
         grown.blend_passes = self.blend_passes.max(report.blend_passes_needed);
         grown
+    }
+
+    /// Whether frames may have so many scenes that some are drawn by one dispatch.
+    pub(super) fn has_batches(&self) -> bool {
+        self.scenes >= LEAST_SCENES
     }
 
     pub(super) fn check(&self) -> Result<()> {

@@ -174,6 +174,9 @@ fn prepare_variants(forward: &mut Forward, wanted: &Reservation) -> Result<()> {
     for variant in wanted.variants() {
         for sh_degree in 0..=wanted.sh_degree.min(3) {
             forward.prepare_variant(sh_degree, variant)?;
+            if wanted.has_batches() {
+                forward.prepare_batches(sh_degree, variant)?;
+            }
         }
     }
     Ok(())

@@ -4,8 +4,8 @@ use super::frame_store::{FrameStore, State};
 use super::{Frame, FrameStats};
 use crate::error::{Error, Result};
 use crate::forward::{
-    Auxiliary, BlendVariant, Blending, Forward, FrameInputs, PlacedScene, RenderSettings, SceneBuffers,
-    SceneSettings,
+    Auxiliary, Batch, BlendVariant, Blending, Forward, FrameInputs, PlacedScene, RenderSettings,
+    SceneBuffers, SceneSettings,
 };
 use crate::plan::{FrameBuffers, FrameCapacity, PictureCapacity, first_around, gaussians_with};
 use crate::scene::Camera;
@@ -50,6 +50,7 @@ impl<'a> Request<'a> {
                 first,
                 first_cut_out: 0,
                 previous: None,
+                batch: Batch::ALONE,
             }
         });
         placed.collect()
@@ -71,6 +72,7 @@ impl<'a> Request<'a> {
             scale: 1.0,
             sh_degree: self.sh_degree,
             scene_settings: SceneSettings::default(),
+            batch: Batch::ALONE,
             others,
             depth_limits: None,
             cut_outs: None,

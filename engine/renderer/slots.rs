@@ -34,6 +34,9 @@ pub struct SlotReport {
     /// How often the recording sorts by depth: once for each view, or for each run of views that share it
     /// ([`Reservation::shared_sort`]).
     pub sorts: u32,
+    /// Scenes of the recording that are drawn together with others, by the same dispatches (see
+    /// [`DeviceScene::upload_all`](super::DeviceScene::upload_all)); those of all views.
+    pub batched_scenes: u32,
     /// Device time per stage, view by view; empty without timestamps. Of a recording of many views it has the
     /// first 255 stages.
     pub scopes: Vec<ScopeTime>,
@@ -52,6 +55,8 @@ pub(super) struct Slot {
     views: u32,
     /// How often it sorts by depth.
     pub sorts: u32,
+    /// Its scenes that are drawn together with others.
+    pub batched_scenes: u32,
     /// Its capacity.
     instances: u32,
     /// The report of the last recording, once it has been requested.
@@ -152,6 +157,7 @@ impl Slot {
             gaussians: 0,
             views: 0,
             sorts: 0,
+            batched_scenes: 0,
             instances,
             report: None,
         })
@@ -173,6 +179,7 @@ impl Slot {
     pub fn begin(&mut self, commands: ForeignCommands, (gaussians, views): (u32, u32)) -> Result<Recorder> {
         let recorder = self.record.begin(commands, "ashsplat")?;
         (self.gaussians, self.views, self.sorts) = (gaussians, views, 0);
+        self.batched_scenes = 0;
         (self.instances, self.report) = (self.memory.capacity.instances, None);
         Ok(recorder)
     }
@@ -224,6 +231,7 @@ impl Slot {
             blend_passes_needed: state.longest_tile.div_ceil(sizes.entries_per_pass).max(1),
             overflow: state.overflow,
             sorts: self.sorts,
+            batched_scenes: self.batched_scenes,
             scopes: Vec::new(),
         })
     }

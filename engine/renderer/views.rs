@@ -70,7 +70,15 @@ impl Renderer {
         }
         let Some(compose) = &self.compose else { unreachable!("built by reserve") };
         let mut placed = emptied(std::mem::take(&mut self.placed));
-        views.iter().for_each(|frame| place(frame, alignment, &mut placed));
+        let mut batched_scenes = 0;
+        for frame in views {
+            let begin = placed.len();
+            place(frame, alignment, &mut placed);
+            // Motion is a dispatch of each scene in any case.
+            if reserved.has_batches() && frame.motion.is_none() {
+                batched_scenes += forward.form_batches(&mut placed[begin..]);
+            }
+        }
         slot.take_over();
         self.staged.stage(slot.memory.staging.as_ref(), views[0].updates)?;
         let gaussians = views.iter().map(RecordedFrame::drawn).max().unwrap_or(0);
@@ -97,7 +105,7 @@ impl Renderer {
             rest = &rest[frame.scenes.len()..];
         }
         release_images(r, views, releases);
-        slot.sorts = sorts;
+        (slot.sorts, slot.batched_scenes) = (sorts, batched_scenes);
         slot.end(recorder)?;
         self.placed = emptied(placed);
         Ok(())

@@ -1,6 +1,7 @@
 //! A named range of device memory.
 
 use super::allocator::MemoryKind;
+use super::limits::Limits;
 use super::memory::Block;
 use crate::{Error, Result};
 use ash::vk;
@@ -44,6 +45,26 @@ impl Buffer {
         let inside = offset.checked_add(bytes).is_some_and(|end| end <= self.bytes);
         assert!(inside, "range {offset}+{bytes} lies outside of '{}' of {} bytes", self.name, self.bytes);
         Buffer { offset: self.offset + offset, bytes, ..self.clone() }
+    }
+
+    /// All of the VkBuffer that it is a part of, under the same name.
+    pub(crate) fn whole(&self) -> Buffer {
+        Buffer { offset: 0, bytes: self.block.bytes(), ..self.clone() }
+    }
+
+    /// Whether [`Buffer::whole`] can be bound.
+    pub(crate) fn whole_is_bindable(&self, limits: &Limits) -> bool {
+        self.block.bytes() <= limits.max_storage_buffer_range
+    }
+
+    /// Whether its VkBuffer has no room for another one of its size.
+    pub(crate) fn fills_its_memory(&self) -> bool {
+        self.block.bytes() < 2 * self.bytes
+    }
+
+    /// Whether both are parts of one VkBuffer.
+    pub(crate) fn shares_memory(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.block, &other.block)
     }
 
     /// Writes into a [`MemoryKind::HostVisible`] buffer.

@@ -200,6 +200,10 @@ impl Block {
         lent
     }
 
+    pub(super) fn bytes(&self) -> u64 {
+        self.bytes
+    }
+
     pub(super) fn is_of(&self, inner: &Arc<Device>) -> bool {
         Arc::ptr_eq(&self.inner, inner)
     }

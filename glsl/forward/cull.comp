@@ -64,42 +64,12 @@ layout(push_constant, scalar) uniform Push {
 #include "random.glsl"
 #include "dropout.glsl"
 #include "cut_outs.glsl"
-
-// As CutLimits::keeps (engine/scene/cut.rs), bit for bit: comparisons and one subtraction.
-bool kept(vec3 mean, vec3 log_scale, float opacity_logit) {
-    precise float log_density = opacity_logit - max(max(log_scale.x, log_scale.y), log_scale.z);
-    return all(greaterThanEqual(mean, cut_low)) && all(lessThanEqual(mean, cut_high))
-        && opacity_logit >= cut_opacity_logit && log_density >= cut_log_density;
-}
+#include "culling.glsl"
 
 void main() {
     uint local = linear_invocation();
     bool exists = local < count;
     uint index = exists ? local : 0;
-    vec4 mean_opacity = VEC4_AT(parameters, plane_at(PLANE_MEAN_OPACITY, index, chunk_gaussians));
-    vec4 quat = VEC4_AT(parameters, plane_at(PLANE_QUAT, index, chunk_gaussians));
-    vec4 log_scale = VEC4_AT(parameters, plane_at(PLANE_LOG_SCALE, index, chunk_gaussians));
-    Filtered filtered = filter_3d(log_scale, mean_opacity.w);
-    Projection p = project_gaussian(mean_opacity.xyz, quat, filtered.log_scale);
-    Footprint f = footprint_of(p, filtered.opacity_logit);
-    bool visible = f.visible && kept(mean_opacity.xyz, log_scale.xyz, mean_opacity.w);
-    if (DROPOUT) {
-        visible = visible && !dropped_out(first + index);
-    }
-    if (CUT_OUTS) {
-        visible = visible && kept_by_cut_outs(first_cut_out, cut_out_count, mean_opacity.xyz);
-    }
-    // The other invocations read no flag: the first one writes that of `index`.
-    if (ADDS && exists) {
-        visible = visible || visible_flags[first + index] != 0;
-    }
-    uint flag = exists && visible ? 1 : 0;
-    if (local < flag_count) {
-        visible_flags[first + local] = flag;
-    }
-    uint total;
-    workgroup_exclusive_add(flag, total);
-    if (gl_LocalInvocationID.x == 0 && local < flag_count) {
-        block_counts[(first + local) / WORKGROUP_SIZE] = total;
-    }
+    bool visible = is_shown(first + index, index, first_cut_out, cut_out_count);
+    write_flag(first + local, local < flag_count, exists, visible);
 }

@@ -69,10 +69,6 @@ layout(push_constant, scalar) uniform Push {
 #include "sh.glsl"
 #include "sh_planes.glsl"
 
-vec3 tinted(vec3 color) {
-    return TINTED ? min(color * scene_tint, vec3(TINTED_COLOR_MAX)) : color;
-}
-
 // Bit i % 32 of word i / 32 is that of the scene's Gaussian i.
 vec3 highlighted(vec3 color, uint index) {
     if (SELECTION) {
@@ -83,6 +79,8 @@ vec3 highlighted(vec3 color, uint index) {
     return color;
 }
 
+#include "write_splat.glsl"
+
 void main() {
     // A workgroup has the size of a culling block.
     uvec4 visible_range = UVEC4_AT(visible_ranges, 2 * (first / WORKGROUP_SIZE) + 1);
@@ -91,31 +89,5 @@ void main() {
         return;
     }
     uint index = UINT_AT(visible_list, visible) - first;
-    vec4 mean_opacity = VEC4_AT(parameters, plane_at(PLANE_MEAN_OPACITY, index, chunk_gaussians));
-    vec4 quat = VEC4_AT(parameters, plane_at(PLANE_QUAT, index, chunk_gaussians));
-    vec4 log_scale = VEC4_AT(parameters, plane_at(PLANE_LOG_SCALE, index, chunk_gaussians));
-    Filtered filtered = filter_3d(log_scale, mean_opacity.w);
-    Projection p = project_gaussian(mean_opacity.xyz, quat, filtered.log_scale);
-    Footprint f = footprint_of(p, filtered.opacity_logit);
-
-    vec3 direction = normalize(ORTHOGRAPHIC ? camera_row_z : mean_opacity.xyz - camera_position());
-    vec3 color = sh_color(index, direction);
-    // A coefficient that is not finite must not reach the pixels.
-    bool valid = is_finite(color.x) && is_finite(color.y) && is_finite(color.z);
-    color = valid ? color : vec3(0.0);
-
-    vec4 mean2d = vec4(f.mean2d_px, f.half_extent_px);
-    vec4 conic = vec4(vec3(p.cov2d.z, -p.cov2d.y, p.cov2d.x) / p.det, f.opacity);
-    uvec3 shape = extent == EXTENT_REFERENCE ? uvec3(pack_tiles(f.tiles), f.radius_px) : row_shape(mean2d, conic);
-    uvec2 list = list_tiles(mean2d, shape, f.tiles, (image_width + TILE_SIZE - 1) / TILE_SIZE);
-    if (MAY_BE_UNSEEN) {
-        list = f.visible ? list : uvec2(0);
-    }
-    mean2d_extent[splat_at(visible, SPLAT_MEAN2D_EXTENT)] = mean2d;
-    conic_opacity[splat_at(visible, SPLAT_CONIC_OPACITY)] = conic;
-    color_inverse_depth[splat_at(visible, SPLAT_COLOR_INVERSE_DEPTH)] =
-        vec4(highlighted(tinted(max(color, vec3(0.0))), index), Z_RECORD ? p.mean_camera.z : 1.0 / p.mean_camera.z);
-    depth_keys[visible] = floatBitsToUint(p.mean_camera.z);
-    footprints[splat_at(visible, SPLAT_FOOTPRINT)] = uvec4(shape, tiles_met(list));
-    tile_lists[visible] = list;
+    write_splat(visible, index);
 }

@@ -41,3 +41,9 @@ float selection_share;
 uint scene_first;
 uint scene_count;
 uint scene_chunk_gaussians;
+// Of scenes that are drawn by one dispatch (engine/forward/batches.rs): the place of the first one of them in the frame, NO_BATCH
+// if the scene is drawn alone; where its parameters begin in the buffer of all of them, vec4; its first cut-out and their number.
+uint scene_batch;
+uint scene_parameters;
+uint scene_first_cut_out;
+uint scene_cut_outs;

@@ -1,6 +1,11 @@
 // Addresses of a Gaussian's parameter planes: see PLANE_ROW in constants.glsl. ScenePlan::place is the same formula on the
 // host. The tests compare both with a third one, place in tests/common/layout.rs.
 
+// Where a chunk begins in its buffer, vec4: see batch.glsl.
+#ifndef PARAMETERS_BEGIN
+#define PARAMETERS_BEGIN 0
+#endif
+
 // Index of `plane` of Gaussian `index` in a chunk with capacity `gaussians`.
 uint plane_at(uint plane, uint index, uint gaussians) {
     uint first = 0, end = PLANE_SH;
@@ -18,7 +23,7 @@ uint plane_at(uint plane, uint index, uint gaussians) {
         end = PLANE_SH + SH_PLANES_0;
     }
     uint row = index / PLANE_ROW;
-    return first * gaussians + (row * (end - first) + plane - first) * PLANE_ROW + index % PLANE_ROW;
+    return PARAMETERS_BEGIN + first * gaussians + (row * (end - first) + plane - first) * PLANE_ROW + index % PLANE_ROW;
 }
 
 // The same for a geometry plane. Geometry comes first, so the index does not depend on the chunk's capacity.

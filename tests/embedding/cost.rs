@@ -102,14 +102,18 @@ fn memory_table(host: &Host) {
 /// Median time of `record`, microseconds, its fastest, and the most heap allocations of one, after the first frames.
 pub fn record_cost(
     host: &Host,
-    (scenes, motion): (u32, bool),
+    (scenes, together, motion): (u32, bool, bool),
     timestamps: bool,
     frames: usize,
 ) -> ([f64; 2], u64) {
     let context = shipped(host, timestamps);
     let gaussians = cloud(8, 1);
-    let scenes: Vec<_> =
-        (0..scenes).map(|_| DeviceScene::upload(&context, &gaussians, 0).expect("a scene")).collect();
+    let scenes: Vec<_> = match together {
+        true => DeviceScene::upload_all(&context, &vec![&gaussians; scenes as usize]).expect("scenes"),
+        false => {
+            (0..scenes).map(|_| DeviceScene::upload(&context, &gaussians, 0).expect("a scene")).collect()
+        }
+    };
     let placed: Vec<Placed> = scenes.iter().map(Placed::from).collect();
     let count = scenes.len() as u32;
     let mut renderer = Renderer::new(&context).expect("kernels");
@@ -279,12 +283,23 @@ fn tables() {
 #[ignore = "prints a table of the guide"]
 fn record_table() {
     with_host(&HostOptions::default(), |host| {
-        println!("scenes | timestamps | record, median us | fastest | heap allocations");
-        for (scenes, frames) in [(1, 100), (2, 100), (64, 50), (2048, 9)] {
-            for timestamps in [false, true] {
-                let ([median, fastest], asked) = record_cost(host, (scenes, false), timestamps, frames);
-                println!("{scenes} | {timestamps} | {median:.1} | {fastest:.1} | {asked}");
+        println!("scenes | in one buffer | timestamps | record, median us | fastest | heap allocations");
+        for (scenes, frames) in [(1, 100), (2, 100), (4, 100), (8, 100), (16, 100), (64, 50), (2048, 19)] {
+            for (together, timestamps) in [(false, false), (false, true), (true, false), (true, true)] {
+                let kind = (scenes, together, false);
+                let ([median, fastest], asked) = record_cost(host, kind, timestamps, frames);
+                println!("{scenes} | {together} | {timestamps} | {median:.1} | {fastest:.1} | {asked}");
             }
         }
+    });
+}
+
+/// TEMP
+#[test]
+#[ignore = "temp"]
+fn record_of_many() {
+    with_host(&HostOptions::default(), |host| {
+        let ([median, fastest], asked) = record_cost(host, (2048, true, false), false, 150);
+        println!("2048 {median:.1} | {fastest:.1} | {asked}");
     });
 }

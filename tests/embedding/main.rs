@@ -32,6 +32,7 @@ mod child;
 mod array_image;
 mod auxiliary;
 mod bad_input;
+mod batches;
 mod blocks;
 mod colour;
 mod cost;

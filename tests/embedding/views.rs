@@ -19,10 +19,10 @@ use ashsplat::{
 use glam::{Mat3, Vec3};
 
 const SIZE: [u32; 2] = [72, 56];
-const BLACK: Background = Background::Color([0.0; 3]);
+pub const BLACK: Background = Background::Color([0.0; 3]);
 
 /// Colours of a view, as they were trained.
-fn into(image: &Image, behind: Background, offset: [u32; 2]) -> Target<'_> {
+pub fn into(image: &Image, behind: Background, offset: [u32; 2]) -> Target<'_> {
     let to = HostImage { image, from: ImageState::UNDEFINED, offset };
     Target::Image { to, behind, encoding: ColorEncoding::AsTrained }
 }
@@ -40,7 +40,7 @@ fn hard_cloud() -> Gaussians {
 }
 
 /// Records, submits and waits.
-fn render_views(host: &Host, renderer: &mut Renderer, views: &[RecordedFrame<'_>]) -> Vec<Release> {
+pub fn render_views(host: &Host, renderer: &mut Renderer, views: &[RecordedFrame<'_>]) -> Vec<Release> {
     let in_flight = InFlight::new(host).expect("a command buffer");
     in_flight.begin(host).expect("recording");
     let mut releases = vec![Release::default(); views.len()];

@@ -1,7 +1,7 @@
 //! Frames with backward by the engine's stages, without a renderer: for what it does not hand out.
 
 use ashsplat::backward::{Backward, BackwardVariant};
-use ashsplat::forward::{Auxiliary, BlendVariant, Forward, FrameInputs, SceneBuffers, SceneSettings};
+use ashsplat::forward::{Auxiliary, Batch, BlendVariant, Forward, FrameInputs, SceneBuffers, SceneSettings};
 use ashsplat::kernels::constants::{STATE_OVERFLOW, STATE_WORDS};
 use ashsplat::plan::{FrameBuffers, FrameCapacity, LaunchSizes, PictureCapacity, frame_requests};
 use ashsplat::vk::{MemoryKind, Recorder};
@@ -89,6 +89,7 @@ impl<'a> Stages<'a> {
             scale: 1.0,
             sh_degree: view.sh_degree,
             scene_settings: SceneSettings::default(),
+            batch: Batch::ALONE,
             others: &[],
             depth_limits: None,
             cut_outs: None,

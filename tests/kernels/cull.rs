@@ -13,7 +13,7 @@ use crate::reference::types::{CutOut, Drawn, Dropout, Extent, Gaussian, Limits, 
 
 /// Whether a Gaussian's visibility may hang on the rounding of float32, or on the margin that the kernel adds to
 /// exact extents: a splat that touches nothing but the margin costs time only.
-fn may_differ(gaussian: &Gaussian, view: &View) -> bool {
+pub fn may_differ(gaussian: &Gaussian, view: &View) -> bool {
     let nudged = [-1.0, 1.0].map(|by: f64| {
         let larger = Gaussian {
             log_scale: gaussian.log_scale.map(|s| s + 2e-3 * by),
@@ -26,7 +26,7 @@ fn may_differ(gaussian: &Gaussian, view: &View) -> bool {
 }
 
 /// Culls `size` Gaussians with a gap behind them. Returns their flags and the counts of their blocks.
-fn culled(gpu: &Gpu, view: &View, parameters: &Buffer, size: usize) -> [Vec<u32>; 2] {
+pub fn culled(gpu: &Gpu, view: &View, parameters: &Buffer, size: usize) -> [Vec<u32>; 2] {
     culled_behind(gpu, view, (parameters, size), None)
 }
 

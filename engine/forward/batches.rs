@@ -1,0 +1,195 @@
+//! Batches: scenes of a frame whose culling and projection are one dispatch each.
+//!
+//! A frame of thousands of small scenes would spend its time on the host, in dispatches. Scenes whose parameters lie in one VkBuffer
+//! can share one: a workgroup is a culling block, which belongs to one scene, and finds that scene in the table of camera blocks
+//! (glsl/include/batch.glsl). Blocks of other scenes that lie between those of a batch are passed over.
+
+use super::inputs::{Batch, PlacedScene};
+use super::{BlendVariant, Forward, FrameInputs, camera_block};
+use crate::error::Result;
+use crate::kernels::constants as c;
+use crate::kernels::forward::{cull_scenes, project_scenes};
+use crate::vk::{Buffer, Kernel, Recorder};
+
+/// A frame of fewer scenes has no batches, and no batch has fewer.
+pub(crate) const LEAST_SCENES: u32 = 8;
+/// Culling blocks of the largest scene in a batch. A batch projects by culling blocks, however few of their Gaussians are visible;
+/// alone, a scene's visible Gaussians fill workgroups.
+const MOST_BLOCKS: u32 = 16;
+/// Most culling blocks of others between two scenes of a batch.
+const MOST_BETWEEN: u32 = 32;
+/// Batches that scenes are added to at a time.
+const OPEN: usize = 8;
+
+/// What the scenes of a batch have in common, beside the frame.
+#[derive(Clone, Copy)]
+struct Open<'a> {
+    parameters: &'a Buffer,
+    sh_degree: u32,
+    variant: BlendVariant,
+    first: u32,
+}
+
+impl Open<'_> {
+    fn takes(&self, other: &Self) -> bool {
+        self.parameters.shares_memory(other.parameters)
+            && self.sh_degree == other.sh_degree
+            && self.variant == other.variant
+    }
+}
+
+impl Forward {
+    /// Assigns the scenes of a frame to batches, and returns how many are in one. Their kernels must be there:
+    /// [`Forward::prepare_batches`].
+    pub(crate) fn form_batches(&self, scenes: &mut [PlacedScene<'_>]) -> u32 {
+        if scenes.len() < LEAST_SCENES as usize {
+            return 0;
+        }
+        let block = self.sizes.elementwise_workgroup;
+        let mut open = [None::<Open<'_>>; OPEN];
+        for place in 0..scenes.len() {
+            let Some(own) = self.batched(&scenes[place], place as u32) else { continue };
+            let (begin, end) = (scenes[place].first, scenes[place].first + scenes[place].drawn());
+            let known = open.iter().position(|batch| batch.is_some_and(|batch| batch.takes(&own)));
+            let is_near = |first: u32| {
+                let Batch { end, .. } = scenes[first as usize].batch;
+                begin - end.next_multiple_of(block) <= MOST_BETWEEN * block
+            };
+            let first = match known.and_then(|at| open[at]).map(|batch| batch.first) {
+                Some(first) if is_near(first) => first,
+                _ => {
+                    // In place of one that no scene can join any more, or to which few will.
+                    let worth = |batch: &Open<'_>| match scenes[batch.first as usize].batch.scenes {
+                        _ if !is_near(batch.first) => 0,
+                        1 if batch.parameters.fills_its_memory() => 1,
+                        scenes => 1 + scenes,
+                    };
+                    let least =
+                        || (0..OPEN).min_by_key(|&at| open[at].as_ref().map_or(0, worth)).unwrap_or(0);
+                    open[known.unwrap_or_else(least)] = Some(own);
+                    place as u32
+                }
+            };
+            scenes[place].batch.first = first;
+            let batch = &mut scenes[first as usize].batch;
+            (batch.scenes, batch.end) = (batch.scenes + 1, end);
+        }
+        let mut batched = 0;
+        for place in 0..scenes.len() {
+            let first = scenes[place].batch.first;
+            match scenes.get(first as usize) {
+                Some(first) if first.batch.scenes < LEAST_SCENES => scenes[place].batch.first = c::NO_BATCH,
+                Some(_) => batched += 1,
+                None => {}
+            }
+        }
+        batched
+    }
+
+    /// What a scene asks of its batch, if it can be in one.
+    fn batched<'a>(&self, placed: &PlacedScene<'a>, first: u32) -> Option<Open<'a>> {
+        let (scene, drawn) = (placed.scene, placed.drawn());
+        let fits = drawn > 0
+            && drawn <= (MOST_BLOCKS * self.sizes.elementwise_workgroup).min(scene.plan.chunk_gaussians)
+            && placed.settings.mask().is_none();
+        let parameters = scene.chunks.first().filter(|_| fits)?;
+        let variant = BlendVariant::default().of_scene(&placed.settings);
+        let open = Open { parameters, sh_degree: placed.sh_degree, variant, first };
+        parameters.whole_is_bindable(self.context.limits()).then_some(open)
+    }
+
+    /// Builds the kernels of batches for an SH degree and a variant, unless they exist or no batch has it.
+    ///
+    /// # Errors
+    /// When the device refuses a pipeline.
+    pub(crate) fn prepare_batches(&mut self, sh_degree: u32, variant: BlendVariant) -> Result<()> {
+        if !variant.may_be_batched() {
+            return Ok(());
+        }
+        let cull = &mut self.cull_scenes[variant.of_cull()];
+        if cull.is_none() {
+            let spec = variant.cull_scenes_spec(&self.sizes, self.context.limits().subgroup_size);
+            *cull = Some(Kernel::new(&self.context, &spec)?);
+        }
+        let project = &mut self.project_scenes[variant.of_project()][sh_degree as usize];
+        if project.is_none() {
+            *project =
+                Some(Kernel::new(&self.context, &variant.project_scenes_spec(&self.sizes, sh_degree))?);
+        }
+        Ok(())
+    }
+
+    /// Culls the batch whose first scene this is.
+    pub(super) fn record_batch_flags(
+        &self,
+        r: &mut Recorder,
+        (inputs, place): (&FrameInputs, u32),
+        first: &PlacedScene<'_>,
+        variant: BlendVariant,
+    ) {
+        let Some(kernel) = &self.cull_scenes[variant.of_cull()] else {
+            panic!("Forward::prepare_batches was not called for this variant");
+        };
+        let ([extent, antialias], f) = (inputs.settings.modes(), inputs.frame);
+        let [first_block, end_block] = first.batch_blocks(self.sizes.elementwise_workgroup);
+        let parameters = first.scene.chunks[0].whole();
+        let push = cull_scenes::Push {
+            first_block,
+            end_block,
+            scenes: 1 + inputs.others.len() as u32,
+            batch: place,
+            index_count: inputs.index_count(),
+            extent,
+            antialias,
+        };
+        let bind = cull_scenes::Bind {
+            parameters: &parameters,
+            visible_flags: &f.visible_flags,
+            block_counts: f.visible_counts(),
+            // As of one scene.
+            cut_outs: inputs.cut_outs.unwrap_or(&parameters),
+            scene_blocks: &camera_block::blocks_of(inputs),
+        };
+        r.dispatch(kernel, &bind, &push, (end_block - first_block).into());
+    }
+
+    /// Records the screen-space attributes of the batch whose first scene this is.
+    pub(super) fn record_batch_project(
+        &self,
+        r: &mut Recorder,
+        (inputs, place): (&FrameInputs, u32),
+        first: &PlacedScene<'_>,
+        variant: BlendVariant,
+    ) {
+        let Some(kernel) = &self.project_scenes[variant.of_project()][first.sh_degree as usize] else {
+            panic!("Forward::prepare_batches was not called for SH degree {}", first.sh_degree);
+        };
+        let ([extent, antialias], f) = (inputs.settings.modes(), inputs.frame);
+        let [first_block, end_block] = first.batch_blocks(self.sizes.elementwise_workgroup);
+        let splats = f.splats();
+        let push = project_scenes::Push {
+            first_block,
+            end_block,
+            scenes: 1 + inputs.others.len() as u32,
+            batch: place,
+            blocks: inputs.index_count().div_ceil(self.sizes.elementwise_workgroup),
+            extent,
+            antialias,
+            splat_stride: splats.stride,
+        };
+        let bind = project_scenes::Bind {
+            parameters: &first.scene.chunks[0].whole(),
+            block_offsets: f.visible_offsets(),
+            visible_list: &f.visible_list,
+            mean2d_extent: splats.mean2d_extent,
+            conic_opacity: splats.conic_opacity,
+            color_inverse_depth: splats.color_inverse_depth,
+            depth_keys: f.depth_keys(),
+            footprints: splats.footprints,
+            tile_lists: f.tile_lists(),
+            state: &f.state,
+            scene_blocks: &camera_block::blocks_of(inputs),
+        };
+        r.dispatch(kernel, &bind, &push, (end_block - first_block).into());
+    }
+}

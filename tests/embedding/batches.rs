@@ -1,0 +1,193 @@
+//! Many scenes in one frame: drawn together by few dispatches, they give the bits that they give alone.
+
+use crate::array_image::ArrayImage;
+use crate::cost::record_cost;
+use crate::host::HostOptions;
+use crate::stage::{camera, cloud, guest, guest_of_small_bindings, options, rendered, with_host};
+use crate::views::{BLACK, into, render_views};
+use ashsplat::scene::{CutOut, Gaussians, Inside, Pose, Volume};
+use ashsplat::vk::{Context, Image, MemoryKind};
+use ashsplat::{
+    DeviceScene, Placed, RecordedFrame, RenderSettings, Renderer, Reservation, SceneSettings, Selection,
+};
+use glam::{Mat3, Quat, Vec3};
+
+/// Gaussians of many sizes: none, a part of a block, a block, several blocks; one has more than a batch takes.
+fn clouds() -> Vec<Gaussians> {
+    let counts = [8, 0, 256, 300, 17, 1, 640, 8, 40];
+    let cloud = |number: usize| {
+        let count = if number == 96 { 5000 } else { counts[number % counts.len()] };
+        let cloud = cloud(count, number as u32);
+        if number % 5 == 3 { cloud.with_sh_degree(0) } else { cloud }
+    };
+    (0..99).map(cloud).collect()
+}
+
+/// Scenes in few buffers and, the same, each in a buffer of its own.
+fn uploaded(context: &Context, clouds: &[Gaussians]) -> [Vec<DeviceScene>; 2] {
+    let together = DeviceScene::upload_all(context, &clouds.iter().collect::<Vec<_>>()).expect("scenes");
+    let apart = clouds.iter().map(|cloud| DeviceScene::upload(context, cloud, 0).expect("a scene"));
+    [together, apart.collect()]
+}
+
+fn pose(number: usize) -> Pose {
+    let turn = number as f32;
+    Pose {
+        world_from_object: Mat3::from_quat(Quat::from_euler(
+            glam::EulerRot::XYZ,
+            turn,
+            2.0 * turn,
+            3.0 * turn,
+        )),
+        translation: Vec3::new(turn.sin(), turn.cos(), (2.0 * turn).sin()) * 0.5,
+        scale: 0.25 + 0.125 * (number % 5) as f32,
+    }
+}
+
+fn renderer(context: &Context, wanted: &Reservation) -> Renderer {
+    let mut renderer = Renderer::new(context).expect("kernels");
+    renderer.reserve(wanted).expect("memory");
+    renderer
+}
+
+/// Poses, scales, tints, degrees, cut-outs, a selection, scenes that are not drawn, some from a buffer of their own among the others.
+#[test]
+fn batches_have_the_bits_of_single_scenes() {
+    with_host(&options(), |host| {
+        let context = guest(host);
+        let clouds = clouds();
+        let [together, apart] = uploaded(&context, &clouds);
+        let gaussians: usize = clouds.iter().map(Gaussians::len).sum();
+        let wanted = Reservation {
+            scenes: clouds.len() as u32,
+            tint: true,
+            cut_outs: 64,
+            selection: true,
+            filter_3d: true,
+            orthographic: true,
+            ..Reservation::new(gaussians as u32, 1, 110, 70)
+        };
+        let mut renderer = renderer(&context, &wanted);
+        let volume = Volume::Ellipsoid { radii: Vec3::splat(0.5) };
+        let cut_outs = [CutOut { volume, pose: Pose::IDENTITY, inside: Inside::Removed }; 2];
+        let mask = context.allocate("selection", &[("mask", 1024)], MemoryKind::Device).expect("memory");
+        context.upload(&mask[0], &[0x55; 1024]).expect("uploaded");
+        let selection = Some(Selection { mask: &mask[0], color: [1.0, 0.5, 0.0], share: 0.5 });
+        let settings = |number: usize| match number % 11 {
+            2 | 3 => SceneSettings { tint: [1.0, 0.5, 0.25], opacity: 0.75, ..SceneSettings::default() },
+            4 => SceneSettings { cut_outs: &cut_outs[..1 + number % 2], ..SceneSettings::default() },
+            5 => SceneSettings { visible: false, ..SceneSettings::default() },
+            6 => SceneSettings { sh_degree: Some(0), ..SceneSettings::default() },
+            7 => SceneSettings { selection, ..SceneSettings::default() },
+            _ => SceneSettings::default(),
+        };
+        let mut orthographic = camera(0.3, 110, 70);
+        orthographic.projection = ashsplat::scene::Projection::Orthographic;
+        (orthographic.fx, orthographic.fy) = (20.0, 20.0);
+        let usual = RenderSettings::default();
+        let frames = [
+            (camera(0.3, 110, 70), usual),
+            (camera(2.0, 110, 70), RenderSettings { filter_3d: true, ..usual }),
+            (orthographic, usual),
+        ];
+        for (camera, own) in &frames {
+            let mut pictures = Vec::new();
+            for (is_apart, scenes) in [(false, &together), (true, &apart)] {
+                let placed = (0..clouds.len()).map(|number| {
+                    // Every seventh is of the other upload.
+                    let scene = if number % 7 == 6 { &apart[number] } else { &scenes[number] };
+                    Placed { settings: settings(number), ..Placed::at(scene, pose(number)) }
+                });
+                let placed: Vec<Placed> = placed.collect();
+                pictures.push(rendered(host, &mut renderer, &RecordedFrame::new(&placed, camera, own)));
+                let report = renderer.slot_report(0).expect("a report").expect("finished");
+                assert!(report.visible > 1000 && !report.overflow, "{report:?}");
+                // Three batches: 25 scenes, 15 of SH degree 0, 10 with a tint. The others are apart, not drawn, selected, too large, or too few.
+                assert_eq!(report.batched_scenes, if is_apart { 0 } else { 50 });
+            }
+            assert!(pictures[0] == pictures[1], "{camera:?}");
+            assert!(pictures[0].iter().any(|pixel| pixel[3] < 0.5));
+        }
+    });
+}
+
+/// Instances of one scene are in one buffer by nature. Eyes with one sort and with two, without push descriptors, too.
+#[test]
+fn batches_of_instances_are_seen_by_several_views() {
+    for push_descriptors in [true, false] {
+        with_host(&HostOptions { push_descriptors, ..options() }, |host| {
+            let context = guest(host);
+            let cloud = cloud(70, 4);
+            let scene = DeviceScene::upload(&context, &cloud, 0).expect("a scene");
+            let apart: Vec<_> =
+                (0..12).map(|_| DeviceScene::upload(&context, &cloud, 0).expect("a scene")).collect();
+            let left = camera(0.3, 48, 40).moved_aside([-1.0, 0.0]);
+            let eyes = [left, left.moved_aside([2.0, 0.1])];
+            let array = ArrayImage::new(host, [48, 40], 2);
+            let layers: Vec<Image> = (0..2).map(|layer| array.adopt(&context, layer)).collect();
+            let settings = RenderSettings::default();
+            let mut pictures = Vec::new();
+            for (shared_sort, is_apart) in [(false, true), (false, false), (true, false), (true, true)] {
+                let own = Reservation::new(12 * 70, 1, 48, 40);
+                let wanted = Reservation { scenes: 12, views: 2, images_only: true, shared_sort, ..own };
+                let mut renderer = renderer(&context, &wanted);
+                let place =
+                    |number: usize| Placed::at(if is_apart { &apart[number] } else { &scene }, pose(number));
+                let placed: Vec<Placed> = (0..12).map(place).collect();
+                let frames = [0, 1].map(|eye| RecordedFrame {
+                    target: into(&layers[eye], BLACK, [0; 2]),
+                    ..RecordedFrame::new(&placed, &eyes[eye], &settings)
+                });
+                render_views(host, &mut renderer, &frames);
+                let report = renderer.slot_report(0).expect("a report").expect("finished");
+                assert_eq!(report.batched_scenes, if is_apart { 0 } else { 24 });
+                assert_eq!(report.sorts, if shared_sort { 1 } else { 2 });
+                assert!(report.visible > 500, "{report:?}");
+                pictures.push(array.read(host));
+            }
+            assert!(
+                pictures.iter().all(|picture| *picture == pictures[0]) && pictures[0][0] != pictures[0][1]
+            );
+            drop(layers);
+            array.destroy(host);
+        });
+    }
+}
+
+/// Batches take nothing from the heap once each slot has recorded a frame with them.
+#[test]
+fn batches_take_nothing_from_the_heap() {
+    with_host(&HostOptions::default(), |host| {
+        for together in [true, false] {
+            let ([_, _], asked) = record_cost(host, (100, together, false), false, 3);
+            assert_eq!(asked, 0);
+        }
+    });
+}
+
+/// Uploads that exceed a binding lie in several buffers, and every scene keeps its Gaussians.
+#[test]
+fn batches_fit_what_can_be_bound() {
+    with_host(&options(), |host| {
+        let context = guest_of_small_bindings(host);
+        // One has two chunks.
+        let clouds: Vec<_> =
+            (0..20).map(|number| cloud(if number == 3 { 600 } else { 20 }, number)).collect();
+        let [together, apart] = uploaded(&context, &clouds);
+        let wanted = Reservation { scenes: 20, ..Reservation::new(980, 1, 64, 48) };
+        let mut renderer = renderer(&context, &wanted);
+        let (camera, settings) = (camera(0.3, 64, 48), RenderSettings::default());
+        let pictures = [&together, &apart].map(|scenes| {
+            let placed = scenes.iter().enumerate().map(|(number, scene)| Placed::at(scene, pose(number)));
+            let placed: Vec<Placed> = placed.collect();
+            rendered(host, &mut renderer, &RecordedFrame::new(&placed, &camera, &settings))
+        });
+        assert!(pictures[0] == pictures[1]);
+        for (scene, cloud) in together.iter().zip(&clouds) {
+            assert!(scene.download().expect("Gaussians") == *cloud);
+        }
+        assert!(DeviceScene::upload_all(&context, &[]).expect("none").is_empty());
+        let wrong = Gaussians { quats: Vec::new(), ..clouds[0].clone() };
+        assert!(DeviceScene::upload_all(&context, &[&clouds[0], &wrong]).is_err());
+    });
+}
