@@ -32,6 +32,7 @@ pub(crate) use camera_block::block_of;
 pub use camera_block::{POSE_BYTES, pose_of};
 pub(crate) use cut_outs::CUT_OUT_BYTES;
 pub use filter_3d::Filter3d;
+pub(crate) use inputs::Parameters;
 pub use inputs::{Batch, FrameInputs, PlacedScene, SceneBuffers};
 pub use scene_settings::{MAX_TINT, SceneSettings, Selection};
 pub use settings::{Dropout, Extent, JacobianLimit, RenderSettings};

@@ -4,12 +4,12 @@
 //! can share one: a workgroup is a culling block, which belongs to one scene, and finds that scene in the table of camera blocks
 //! (glsl/include/batch.glsl). Blocks of other scenes that lie between those of a batch are passed over.
 
-use super::inputs::{Batch, PlacedScene};
+use super::inputs::{Batch, Parameters, PlacedScene};
 use super::{BlendVariant, Forward, FrameInputs, camera_block};
 use crate::error::Result;
 use crate::kernels::constants as c;
 use crate::kernels::forward::{cull_scenes, project_scenes};
-use crate::vk::{Buffer, Kernel, Recorder};
+use crate::vk::{Kernel, Recorder};
 
 /// A frame of fewer scenes has no batches, and no batch has fewer.
 pub(crate) const LEAST_SCENES: u32 = 8;
@@ -23,18 +23,18 @@ const OPEN: usize = 8;
 
 /// What the scenes of a batch have in common, beside the frame.
 #[derive(Clone, Copy)]
-struct Open<'a> {
-    parameters: &'a Buffer,
+struct Open {
+    parameters: Parameters,
     sh_degree: u32,
-    variant: BlendVariant,
+    kinds: [bool; 3],
     first: u32,
 }
 
-impl Open<'_> {
+impl Open {
     fn takes(&self, other: &Self) -> bool {
-        self.parameters.shares_memory(other.parameters)
+        self.parameters.memory == other.parameters.memory
             && self.sh_degree == other.sh_degree
-            && self.variant == other.variant
+            && self.kinds == other.kinds
     }
 }
 
@@ -46,7 +46,7 @@ impl Forward {
             return 0;
         }
         let block = self.sizes.elementwise_workgroup;
-        let mut open = [None::<Open<'_>>; OPEN];
+        let mut open = [None::<Open>; OPEN];
         for place in 0..scenes.len() {
             let Some(own) = self.batched(&scenes[place], place as u32) else { continue };
             let (begin, end) = (scenes[place].first, scenes[place].first + scenes[place].drawn());
@@ -59,9 +59,9 @@ impl Forward {
                 Some(first) if is_near(first) => first,
                 _ => {
                     // In place of one that no scene can join any more, or to which few will.
-                    let worth = |batch: &Open<'_>| match scenes[batch.first as usize].batch.scenes {
+                    let worth = |batch: &Open| match scenes[batch.first as usize].batch.scenes {
                         _ if !is_near(batch.first) => 0,
-                        1 if batch.parameters.fills_its_memory() => 1,
+                        1 if batch.parameters.alone => 1,
                         scenes => 1 + scenes,
                     };
                     let least =
@@ -87,15 +87,13 @@ impl Forward {
     }
 
     /// What a scene asks of its batch, if it can be in one.
-    fn batched<'a>(&self, placed: &PlacedScene<'a>, first: u32) -> Option<Open<'a>> {
-        let (scene, drawn) = (placed.scene, placed.drawn());
+    fn batched(&self, placed: &PlacedScene<'_>, first: u32) -> Option<Open> {
+        let (drawn, parameters, kinds) = (placed.drawn(), placed.batch.parameters, placed.settings.kinds());
         let fits = drawn > 0
-            && drawn <= (MOST_BLOCKS * self.sizes.elementwise_workgroup).min(scene.plan.chunk_gaussians)
+            && drawn <= MOST_BLOCKS * self.sizes.elementwise_workgroup
+            && parameters.memory != 0
             && placed.settings.mask().is_none();
-        let parameters = scene.chunks.first().filter(|_| fits)?;
-        let variant = BlendVariant::default().of_scene(&placed.settings);
-        let open = Open { parameters, sh_degree: placed.sh_degree, variant, first };
-        parameters.whole_is_bindable(self.context.limits()).then_some(open)
+        fits.then_some(Open { parameters, sh_degree: placed.sh_degree, kinds, first })
     }
 
     /// Builds the kernels of batches for an SH degree and a variant, unless they exist or no batch has it.

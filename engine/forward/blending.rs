@@ -63,12 +63,8 @@ impl BlendVariant {
 
     /// That of one of a frame's scenes.
     pub(crate) fn of_scene(self, scene: &SceneSettings) -> Self {
-        Self {
-            tinted: scene.is_tinted(),
-            cut_outs: scene.cut_out_count() > 0,
-            selection: scene.mask().is_some(),
-            ..self
-        }
+        let [tinted, cut_outs, selection] = scene.kinds();
+        Self { tinted, cut_outs, selection, ..self }
     }
 
     fn of_shape(self) -> usize {

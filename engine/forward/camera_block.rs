@@ -130,7 +130,7 @@ fn camera_block(of_frame: &CameraBlock, placed: &PlacedScene<'_>) -> CameraBlock
         scene_count: placed.drawn(),
         scene_chunk_gaussians: placed.scene.plan.chunk_gaussians,
         scene_batch: placed.batch.first,
-        scene_parameters: placed.parameters_begin(),
+        scene_parameters: placed.batch.parameters.begin,
         scene_first_cut_out: placed.first_cut_out,
         scene_cut_outs: scene.cut_out_count(),
         ..*of_frame

@@ -4,7 +4,7 @@ use super::{Auxiliary, BlendVariant, RenderSettings, SceneSettings, Seen};
 use crate::kernels::constants::NO_BATCH;
 use crate::plan::{FrameBuffers, FrameCapacity, GaussianRange, ScenePlan};
 use crate::scene::Camera;
-use crate::vk::Buffer;
+use crate::vk::{Buffer, Context};
 
 /// The parameters of a scene on the device: planes split into chunks.
 #[derive(Clone)]
@@ -92,11 +92,45 @@ pub struct Batch {
     pub(super) scenes: u32,
     /// Of its first scene: one past the last Gaussian of all, in the frame.
     pub(super) end: u32,
+    pub(super) parameters: Parameters,
+}
+
+/// Where a scene's parameters lie among those of others. A frame of thousands of scenes has it at hand, and does not fetch
+/// each scene's list of buffers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Parameters {
+    /// Their VkBuffer; 0 if there are several or kernels cannot bind it as a whole.
+    pub(super) memory: u64,
+    /// Where they begin in it, vec4.
+    pub(super) begin: u32,
+    /// Whether it has no room for others of their size.
+    pub(super) alone: bool,
+}
+
+impl Parameters {
+    pub fn new(context: &Context, scene: &SceneBuffers) -> Self {
+        match &scene.chunks[..] {
+            [own] if own.whole_is_bindable(context.limits()) => Self {
+                memory: own.memory_id(),
+                begin: (own.handle().1 / 16) as u32,
+                alone: own.fills_its_memory(),
+            },
+            _ => Self { memory: 0, begin: 0, alone: true },
+        }
+    }
 }
 
 impl Batch {
     /// A scene that is drawn alone.
-    pub const ALONE: Self = Self { first: NO_BATCH, scenes: 0, end: 0 };
+    pub const ALONE: Self = {
+        let parameters = Parameters { memory: 0, begin: 0, alone: true };
+        Self { first: NO_BATCH, scenes: 0, end: 0, parameters }
+    };
+
+    /// The same of a scene that may come into a batch.
+    pub(crate) fn none_yet(parameters: Parameters) -> Self {
+        Self { parameters, ..Self::ALONE }
+    }
 }
 
 /// An additional scene of a frame.
@@ -128,11 +162,6 @@ impl PlacedScene<'_> {
     /// Number of Gaussians that take part in the frame.
     pub fn drawn(&self) -> u32 {
         if self.settings.draws() { self.scene.count } else { 0 }
-    }
-
-    /// Where its parameters begin in their VkBuffer, vec4.
-    pub(super) fn parameters_begin(&self) -> u32 {
-        self.scene.chunks.first().map_or(0, |chunk| (chunk.handle().1 / 16) as u32)
     }
 
     /// Of the first scene of a batch: its first culling block and one past the last, of `block` Gaussians each.

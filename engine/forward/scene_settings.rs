@@ -101,6 +101,12 @@ impl<'a> SceneSettings<'a> {
             .map(|selection| selection.mask)
     }
 
+    /// What concerns its kernels: a tint or an opacity, cut-outs, a selection.
+    #[inline]
+    pub(crate) fn kinds(&self) -> [bool; 3] {
+        [self.is_tinted(), self.cut_out_count() > 0, self.mask().is_some()]
+    }
+
     /// Whether colours or opacities of what is drawn are multiplied.
     pub fn is_tinted(&self) -> bool {
         self.draws() && (self.tint != [1.0; 3] || self.opacity != 1.0)

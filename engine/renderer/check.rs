@@ -79,10 +79,9 @@ impl Renderer {
         // Most scenes are of the same kind as the one before.
         let mut known = None;
         let mut prepared = |placed: &Placed<'_>| {
-            let kind = (placed.active_degree(frame.settings), variant.of_scene(&placed.settings));
-            let fits = known == Some(kind) || self.runner.forward.is_prepared(kind.0, kind.1);
-            known = fits.then_some(kind).or(known);
-            fits
+            let kind = (placed.active_degree(frame.settings), placed.settings.kinds());
+            let is_known = known.replace(kind) == Some(kind);
+            is_known || self.runner.forward.is_prepared(kind.0, variant.of_scene(&placed.settings))
         };
         if !frame.scenes.iter().filter(|placed| placed.settings.draws()).all(&mut prepared) {
             let problem = "its kernels are not built: call Renderer::reserve after Renderer::set_blending";

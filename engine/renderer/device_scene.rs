@@ -1,7 +1,7 @@
 //! A scene on the device that a host owns, changes and places in the world.
 
 use crate::error::{Error, Result};
-use crate::forward::SceneBuffers;
+use crate::forward::{Parameters, SceneBuffers};
 use crate::plan::{ScenePlan, to_u32};
 use crate::planes;
 use crate::scene::Gaussians;
@@ -16,9 +16,15 @@ use crate::vk::{Buffer, Context, MemoryKind};
 pub struct DeviceScene {
     context: Context,
     pub(super) buffers: SceneBuffers,
+    pub(super) parameters: Parameters,
 }
 
 impl DeviceScene {
+    fn new(context: &Context, buffers: SceneBuffers) -> Self {
+        let parameters = Parameters::new(context, &buffers);
+        Self { context: context.clone(), buffers, parameters }
+    }
+
     /// Uploads a scene with a capacity of at least `capacity` Gaussians. Submits and waits if the memory
     /// cannot be mapped.
     ///
@@ -26,7 +32,7 @@ impl DeviceScene {
     /// [`Error::Argument`] when the vectors differ in length; allocation failures.
     pub fn upload(context: &Context, gaussians: &Gaussians, capacity: u32) -> Result<Self> {
         let buffers = planes::upload(context, "scene", gaussians, capacity, gaussians.sh_degree)?;
-        Ok(Self { context: context.clone(), buffers })
+        Ok(Self::new(context, buffers))
     }
 
     /// Uploads several scenes into as few buffers as kernels can bind, each with room for its own Gaussians. Frames draw small scenes of
@@ -47,7 +53,7 @@ impl DeviceScene {
             let (own, count) = (chunks.by_ref().take(plan.chunks as usize), to_u32(gaussians.len() as u64)?);
             let buffers = SceneBuffers { chunks: own.collect(), plan, count };
             planes::fill(context, &buffers, gaussians)?;
-            Ok(Self { context: context.clone(), buffers })
+            Ok(Self::new(context, buffers))
         };
         scenes.iter().zip(plans).map(upload).collect()
     }
@@ -67,7 +73,7 @@ impl DeviceScene {
             let problem = "the limits of the context ask for another plan of the scene's buffers";
             return Err(Error::argument("scene", problem));
         }
-        Ok(Self { context: context.clone(), buffers: SceneBuffers { chunks, ..self.buffers } })
+        Ok(Self::new(context, SceneBuffers { chunks, ..self.buffers }))
     }
 
     /// An empty scene with a capacity of `capacity` Gaussians with SH up to `sh_degree`. [`super::Update`]s
@@ -78,7 +84,7 @@ impl DeviceScene {
     pub fn empty(context: &Context, capacity: u32, sh_degree: u32) -> Result<Self> {
         let plan = ScenePlan::new(context.limits(), capacity, check_degree(sh_degree)?)?;
         let chunks = planes::allocate(context, "scene", &plan)?;
-        Ok(Self { context: context.clone(), buffers: SceneBuffers { chunks, plan, count: 0 } })
+        Ok(Self::new(context, SceneBuffers { chunks, plan, count: 0 }))
     }
 
     /// A scene in the host's own buffers ([`Buffer::adopt`]), one for each chunk of
@@ -129,12 +135,12 @@ impl DeviceScene {
             return bad("overlap".into());
         }
         let chunks = chunks.iter().map(|buffer| buffer.range(0, plan.chunk_bytes())).collect();
-        Ok(Self { context: context.clone(), buffers: SceneBuffers { chunks, plan, count } })
+        Ok(Self::new(context, SceneBuffers { chunks, plan, count }))
     }
 
     /// Wraps a scene that is already on the device.
     pub(crate) fn of(context: &Context, buffers: SceneBuffers) -> Self {
-        Self { context: context.clone(), buffers }
+        Self::new(context, buffers)
     }
 
     /// The layout of the parameters of `capacity` Gaussians on this device.

@@ -249,7 +249,7 @@ pub(super) fn place<'a>(frame: &RecordedFrame<'a>, alignment: u32, placed: &mut 
             first: begin,
             first_cut_out,
             previous,
-            batch: Batch::ALONE,
+            batch: Batch::none_yet(placed.scene.parameters),
         }
     }));
 }

@@ -62,9 +62,9 @@ impl Buffer {
         self.block.bytes() < 2 * self.bytes
     }
 
-    /// Whether both are parts of one VkBuffer.
-    pub(crate) fn shares_memory(&self, other: &Self) -> bool {
-        Arc::ptr_eq(&self.block, &other.block)
+    /// A number of the VkBuffer that it is a part of, not 0.
+    pub(crate) fn memory_id(&self) -> u64 {
+        self.block.id
     }
 
     /// Writes into a [`MemoryKind::HostVisible`] buffer.

@@ -293,13 +293,3 @@ fn record_table() {
         }
     });
 }
-
-/// TEMP
-#[test]
-#[ignore = "temp"]
-fn record_of_many() {
-    with_host(&HostOptions::default(), |host| {
-        let ([median, fastest], asked) = record_cost(host, (2048, true, false), false, 150);
-        println!("2048 {median:.1} | {fastest:.1} | {asked}");
-    });
-}
