@@ -5,7 +5,7 @@ import { createServer } from 'node:http';
 import { tmpdir } from 'node:os';
 import { join } from 'node:path';
 
-const TIMEOUT_SECONDS = 240;
+const TIMEOUT_SECONDS = 480;
 
 // What a page begins with: say(path, body) tells the server something, and errors are told.
 export const BEGIN = `const say = (path, body) => fetch(path, { method: 'POST', body });

@@ -47,9 +47,16 @@ scene.camera.frustum = new Cesium.PerspectiveFrustum({
 });
 const drawn = new Set();
 tiles.tileVisible.addEventListener((tile) => drawn.add(tile.content.url.split('/').pop()));
-// Tiles arrive and are sorted some frames later: the picture is done when it stays the same.
+// Tiles arrive, and a worker sorts them for a picture of some frames later, on a busy machine of many: until then that of other tiles
+// stays. The engine tells by nothing public whether it is at work, and its version is a fixed one.
+const isSettled = () => {
+    const splats = tiles.gaussianSplatPrimitive;
+    const works = splats._pendingSnapshot || splats._needsSnapshotRebuild || splats._dirty || splats._pendingSortPromise;
+    return !works && splats._selectedTileSet.size === drawn.size;
+};
+// The picture is done when it stays the same.
 let last = '', same = 0;
-for (let frame = 0; frame < 400 + camera.still_frames && same < camera.still_frames; ++frame) {
+for (let frame = 0; same < camera.still_frames; ++frame) {
     const eye = world(camera.eye);
     eye.x += ${RADIUS};
     scene.camera.setView({ destination: eye, orientation: { direction: world(camera.forward), up: world(camera.up) } });
@@ -58,7 +65,7 @@ for (let frame = 0; frame < 400 + camera.still_frames && same < camera.still_fra
     widget.render();
     await new Promise((resolve) => setTimeout(resolve, 50));
     const now = widget.canvas.toDataURL('image/png');
-    same = now === last && tiles.tilesLoaded && drawn.size > 0 && frame > 10 ? same + 1 : 0;
+    same = now === last && tiles.tilesLoaded && drawn.size > 0 && frame > 10 && isSettled() ? same + 1 : 0;
     last = now;
 }
 await say('/text', [...drawn].join('\\n'));
