@@ -180,6 +180,8 @@ fn frames(context: &Context, sh_degree: u32, form: Blending) -> Result<()> {
     renderer.gradients(&camera, &usual, &weights, None)?;
     renderer.gradients_with_pose(&camera, &usual, &weights, None)?;
     renderer.reserve(&Reservation {
+        // As many as may be drawn together.
+        scenes: 8,
         inverse_depth: true,
         expected_depth: true,
         occlusion: true,
