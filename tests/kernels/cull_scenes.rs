@@ -98,7 +98,7 @@ fn check(gpu: &Gpu, adds: bool, view: impl Fn(usize) -> View) {
     let count = batch.index_count();
     let blocks = count.div_ceil(block);
     // Every third Gaussian is seen by an earlier view.
-    let seen = |i: usize| if adds && i < count { u32::from(i % 3 == 0) } else { UNTOUCHED };
+    let seen = |i: usize| if adds && i < count { u32::from(i.is_multiple_of(3)) } else { UNTOUCHED };
     let before: Vec<u32> = (0..count + 2).map(seen).collect();
     let flags = gpu.buffer("visible_flags", &before);
     let counts = gpu.untouched::<u32>("block_counts", blocks + 2);
