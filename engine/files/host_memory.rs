@@ -11,9 +11,6 @@ const UNKNOWN: u64 = 4 << 30;
 /// Share of the machine's free memory that reading may take: other programs, and what is kept, need some too.
 const SHARE: (u64, u64) = (3, 4);
 
-/// What fits anywhere, bytes: below it the system is not asked, which takes longer than reading a small file.
-const SMALL: u64 = 1 << 20;
-
 /// A bound of the host memory that files take while they are decoded. Clones share it: what one thread uses, the others
 /// cannot.
 #[derive(Clone, Debug)]
@@ -95,25 +92,16 @@ impl HostMemory {
 
 /// Refuses a file that needs more than a bound, before memory is reserved for it.
 pub(crate) fn check(path: &Path, bytes: u64, limit: Option<u64>) -> Result<()> {
-    match limit {
-        None if bytes <= SMALL => Ok(()),
-        limit => limit.map_or_else(HostMemory::default, HostMemory::new).take(path, bytes).map(drop),
-    }
+    limit.map_or_else(HostMemory::default, HostMemory::new).take(path, bytes).map(drop)
 }
 
 /// Refuses a file that the machine has too little memory for, whatever the bound.
 pub(crate) fn check_free(path: &Path, bytes: u64) -> Result<()> {
-    if bytes <= SMALL {
-        return Ok(());
-    }
     HostMemory::named(available(), "three quarters of what is free").take(path, bytes).map(drop)
 }
 
 /// The same of something that is written from memory.
 pub(crate) fn check_writing(path: &Path, bytes: u64) -> Result<()> {
-    if bytes <= SMALL {
-        return Ok(());
-    }
     let free = HostMemory::named(available(), "three quarters of what is free");
     free.keep(&|| format!("{}: writing it", path.display()), bytes).map(drop)
 }
