@@ -195,9 +195,9 @@ impl Tuning {
     pub const INTEL: Self =
         Self { lanes: Some(16), heavy_lanes: Some(8), heavy_blending: true, loss_strip: 1, ..Self::GPU };
 
-    /// 64 lanes, the driver's size, take fewer estimated cycles per pixel or Gaussian in most kernels of RDNA. In the heaviest they
-    /// take 1.3 to 1.6 times as many as 32, which need half the registers (tools/gpu_static.md). GCN has 64 only.
-    pub const AMD: Self = Self { heavy_lanes: Some(32), ..Self::GPU };
+    /// 64 lanes, the driver's size, take fewer estimated cycles per Gaussian in most kernels of RDNA. In the heaviest they take 1.2
+    /// to 1.9 times as many as 32, per pixel or Gaussian (tools/gpu_static.md). GCN has 64 only.
+    pub const AMD: Self = Self { heavy_lanes: Some(32), heavy_blending: true, ..Self::GPU };
 
     /// The row of a device that is no processor, by the PCI id of its vendor.
     pub(crate) const fn of_vendor(vendor: u32) -> &'static Self {

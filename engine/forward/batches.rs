@@ -38,6 +38,34 @@ impl Open {
     }
 }
 
+/// Makes a batch the first one of the frame.
+fn prepend(scenes: &mut [PlacedScene<'_>], batch: u32) {
+    scenes[batch as usize].batch.next = scenes[0].batch.frame.head;
+    scenes[0].batch.frame.head = batch;
+}
+
+/// Ends the batches of few scenes, and returns how many scenes the others have.
+fn keep_large(scenes: &mut [PlacedScene<'_>]) -> u32 {
+    let (mut batched, mut ended) = (0, false);
+    let mut place = std::mem::replace(&mut scenes[0].batch.frame.head, c::NO_BATCH);
+    while let Some(Batch { scenes: count, next, .. }) = scenes.get(place as usize).map(|first| first.batch) {
+        if count < LEAST_SCENES {
+            ended = true;
+        } else {
+            batched += count;
+            prepend(scenes, place);
+        }
+        place = next;
+    }
+    for own in 0..if ended { scenes.len() } else { 0 } {
+        let first = scenes.get(scenes[own].batch.first as usize);
+        if first.is_some_and(|first| first.batch.scenes < LEAST_SCENES) {
+            scenes[own].batch.first = c::NO_BATCH;
+        }
+    }
+    batched
+}
+
 impl Forward {
     /// Assigns the scenes of a frame to batches, and returns how many are in one. Their kernels must be there:
     /// [`Forward::prepare_batches`].
@@ -45,11 +73,20 @@ impl Forward {
         if scenes.len() < LEAST_SCENES as usize {
             return 0;
         }
+        let drawn = self.assign(scenes);
+        let batched = keep_large(scenes);
+        scenes[0].batch.frame.all = batched == drawn;
+        batched
+    }
+
+    /// Assigns the scenes that can be in a batch, however few they are, and returns how many scenes are drawn.
+    fn assign(&self, scenes: &mut [PlacedScene<'_>]) -> u32 {
         let block = self.sizes.elementwise_workgroup;
-        let mut open = [None::<Open>; OPEN];
+        let (mut open, mut drawn) = ([None::<Open>; OPEN], 0);
         for place in 0..scenes.len() {
-            let Some(own) = self.batched(&scenes[place], place as u32) else { continue };
-            let (begin, end) = (scenes[place].first, scenes[place].first + scenes[place].drawn());
+            let (begin, own_count) = (scenes[place].first, scenes[place].drawn());
+            drawn += u32::from(own_count > 0);
+            let Some(own) = self.batched(&scenes[place], (place as u32, own_count)) else { continue };
             let known = open.iter().position(|batch| batch.is_some_and(|batch| batch.takes(&own)));
             let is_near = |first: u32| {
                 let Batch { end, .. } = scenes[first as usize].batch;
@@ -67,28 +104,20 @@ impl Forward {
                     let least =
                         || (0..OPEN).min_by_key(|&at| open[at].as_ref().map_or(0, worth)).unwrap_or(0);
                     open[known.unwrap_or_else(least)] = Some(own);
+                    prepend(scenes, place as u32);
                     place as u32
                 }
             };
             scenes[place].batch.first = first;
             let batch = &mut scenes[first as usize].batch;
-            (batch.scenes, batch.end) = (batch.scenes + 1, end);
+            (batch.scenes, batch.end) = (batch.scenes + 1, begin + own_count);
         }
-        let mut batched = 0;
-        for place in 0..scenes.len() {
-            let first = scenes[place].batch.first;
-            match scenes.get(first as usize) {
-                Some(first) if first.batch.scenes < LEAST_SCENES => scenes[place].batch.first = c::NO_BATCH,
-                Some(_) => batched += 1,
-                None => {}
-            }
-        }
-        batched
+        drawn
     }
 
     /// What a scene asks of its batch, if it can be in one.
-    fn batched(&self, placed: &PlacedScene<'_>, first: u32) -> Option<Open> {
-        let (drawn, parameters, kinds) = (placed.drawn(), placed.batch.parameters, placed.settings.kinds());
+    fn batched(&self, placed: &PlacedScene<'_>, (first, drawn): (u32, u32)) -> Option<Open> {
+        let (parameters, kinds) = (placed.batch.parameters, placed.settings.kinds());
         let fits = drawn > 0
             && drawn <= MOST_BLOCKS * self.sizes.elementwise_workgroup
             && parameters.memory != 0

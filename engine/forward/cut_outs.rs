@@ -16,9 +16,10 @@ pub(crate) const CUT_OUT_BYTES: u64 = size_of::<Words>() as u64;
 /// # Panics
 /// Without room for them.
 pub(super) fn record(r: &mut Recorder, inputs: &FrameInputs) {
-    let with_some = || inputs.placed_where(|_, placed| placed.settings.cut_out_count() > 0);
-    let ends = with_some().map(|(_, placed)| (placed.first_cut_out, placed.settings.cut_out_count()));
-    let end = ends.filter(|(_, count)| *count > 0).map(|(first, count)| first + count).max().unwrap_or(0);
+    // The last scene's lie behind all others'.
+    let end = inputs.others.last().map_or(inputs.scene_settings.cut_out_count(), |last| {
+        last.first_cut_out + last.settings.cut_out_count()
+    });
     let needed = u64::from(end) * CUT_OUT_BYTES;
     if needed == 0 {
         return;
@@ -26,7 +27,7 @@ pub(super) fn record(r: &mut Recorder, inputs: &FrameInputs) {
     let Some(buffer) = inputs.cut_outs.filter(|buffer| buffer.bytes() >= needed) else {
         panic!("FrameInputs::cut_outs has no room for {end} cut-outs, which take {needed} bytes");
     };
-    for (_, placed) in with_some() {
+    for (_, placed) in inputs.placed_where(|_, placed| placed.settings.cut_out_count() > 0) {
         let mut words = [Words::default(); MAX_CUT_OUTS];
         let own = placed.settings.cut_outs;
         for (words, cut_out) in words.iter_mut().zip(own) {

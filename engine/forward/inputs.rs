@@ -92,7 +92,20 @@ pub struct Batch {
     pub(super) scenes: u32,
     /// Of its first scene: one past the last Gaussian of all, in the frame.
     pub(super) end: u32,
+    /// Of its first scene: the place of the first scene of the frame's next batch; [`NO_BATCH`] for none.
+    pub(super) next: u32,
     pub(super) parameters: Parameters,
+    /// Of the frame's first scene.
+    pub(super) frame: FrameBatches,
+}
+
+/// What a frame's batches draw, so that nobody looks through thousands of scenes for it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct FrameBatches {
+    /// The place of the first scene of the first batch; [`NO_BATCH`] for none.
+    pub(super) head: u32,
+    /// Whether they draw all that is drawn.
+    pub(super) all: bool,
 }
 
 /// Where a scene's parameters lie among those of others. A frame of thousands of scenes has it at hand, and does not fetch
@@ -124,7 +137,8 @@ impl Batch {
     /// A scene that is drawn alone.
     pub const ALONE: Self = {
         let parameters = Parameters { memory: 0, begin: 0, alone: true };
-        Self { first: NO_BATCH, scenes: 0, end: 0, parameters }
+        let frame = FrameBatches { head: NO_BATCH, all: false };
+        Self { first: NO_BATCH, scenes: 0, end: 0, next: NO_BATCH, parameters, frame }
     };
 
     /// The same of a scene that may come into a batch.
@@ -247,13 +261,19 @@ impl<'a> FrameInputs<'a> {
 
     /// The first scenes of batches, with their places.
     pub(super) fn batches(&self) -> impl Iterator<Item = (u32, PlacedScene<'a>)> + use<'a> {
-        self.placed_where(|place, placed| placed.batch.first == place)
+        let (first, others) = (self.first(), self.others);
+        let at = move |place: u32| match place.checked_sub(1) {
+            None => Some((place, first)),
+            Some(other) => others.get(other as usize).map(|placed| (place, *placed)),
+        };
+        std::iter::successors(at(self.batch.frame.head), move |(_, placed)| at(placed.batch.next))
     }
 
     /// The dispatches over parameters of scenes that are drawn alone: chunk by chunk, scene by scene.
     pub(super) fn parts(&self) -> impl Iterator<Item = Part<'a>> + use<'a> {
-        let (first_block, end, others) = (self.first_block(), self.index_count(), self.others);
-        let alone = self.placed_where(|_, placed| placed.batch.first == NO_BATCH);
+        let (first_block, end) = (self.first_block(), self.index_count());
+        let others = if self.batch.frame.all { &[] } else { self.others };
+        let alone = Self { others, ..*self }.placed_where(|_, placed| placed.batch.first == NO_BATCH);
         alone.flat_map(move |(place, placed)| {
             let place = place as usize;
             let block = first_block + place;

@@ -109,7 +109,8 @@ impl<'a> SceneSettings<'a> {
 
     /// Whether colours or opacities of what is drawn are multiplied.
     pub fn is_tinted(&self) -> bool {
-        self.draws() && (self.tint != [1.0; 3] || self.opacity != 1.0)
+        let [r, g, b] = self.tint;
+        self.draws() && (r != 1.0 || g != 1.0 || b != 1.0 || self.opacity != 1.0)
     }
 }
 

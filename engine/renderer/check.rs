@@ -30,6 +30,16 @@ impl Renderer {
             let problem = format!("{} of them, {} are reserved", frame.scenes.len(), reserved.scenes);
             return Err(Error::argument("scenes", problem));
         }
+        let variant = BlendVariant {
+            inverse_depth: frame.settings.inverse_depth || frame.depth.is_some(),
+            linear_depth: frame.depth.is_some(),
+            depth_limit: frame.occluder.is_some(),
+            pick: frame.pick.is_some(),
+            motion: frame.motion.is_some(),
+            ..BlendVariant::of(frame.settings, false).of_camera(frame.camera)
+        };
+        // One walk over the scenes: there may be thousands. Most are of the same kind as the one before.
+        let (mut cut_outs, mut known, mut are_prepared) = (0, None, true);
         for (index, placed) in frame.scenes.iter().enumerate() {
             if !placed.scene.belongs_to(context) {
                 return Err(Error::argument("scene", "it belongs to another device"));
@@ -47,17 +57,14 @@ impl Renderer {
                 return Err(Error::argument("sh_degree", problem));
             }
             reserved.check_scene(index, &placed.settings)?;
+            if placed.settings.draws() {
+                cut_outs += placed.settings.cut_out_count();
+                let kind = (degree, placed.settings.kinds());
+                are_prepared &= known.replace(kind) == Some(kind)
+                    || self.runner.forward.is_prepared(degree, variant.of_scene(&placed.settings));
+            }
         }
         self.check_images(frame, earlier)?;
-        let variant = BlendVariant {
-            inverse_depth: frame.settings.inverse_depth || frame.depth.is_some(),
-            linear_depth: frame.depth.is_some(),
-            depth_limit: frame.occluder.is_some(),
-            pick: frame.pick.is_some(),
-            motion: frame.motion.is_some(),
-            ..BlendVariant::of(frame.settings, false).of_camera(frame.camera)
-        };
-        let cut_outs: u32 = frame.scenes.iter().map(|placed| placed.settings.cut_out_count()).sum();
         if cut_outs > reserved.cut_outs {
             return Err(Error::TooLarge {
                 what: "scenes: the frame".to_owned(),
@@ -76,14 +83,7 @@ impl Renderer {
         if frame.settings.dropout.is_some() || frame.settings.has_z_record() {
             return Err(Error::argument("settings", "are of training, no recorded frame has them"));
         }
-        // Most scenes are of the same kind as the one before.
-        let mut known = None;
-        let mut prepared = |placed: &Placed<'_>| {
-            let kind = (placed.active_degree(frame.settings), placed.settings.kinds());
-            let is_known = known.replace(kind) == Some(kind);
-            is_known || self.runner.forward.is_prepared(kind.0, variant.of_scene(&placed.settings))
-        };
-        if !frame.scenes.iter().filter(|placed| placed.settings.draws()).all(&mut prepared) {
+        if !are_prepared {
             let problem = "its kernels are not built: call Renderer::reserve after Renderer::set_blending";
             return Err(Error::argument("kind of frame", problem));
         }
@@ -265,9 +265,10 @@ pub(super) fn check_capacity(
         }
     }
     // Where that is no more than is reserved, there is room for the gaps between scenes, too.
-    let counts = frame.scenes.iter().map(|s| u64::from(s.drawn().next_multiple_of(alignment)));
-    let last = frame.scenes.last().map_or(0, |s| u64::from(s.drawn()));
-    if counts.take(frame.scenes.len() - 1).sum::<u64>() + last > u64::from(capacity.gaussians) {
+    let end_of =
+        |end: u64, scene: &Placed<'_>| end.next_multiple_of(alignment.into()) + u64::from(scene.drawn());
+    let end = frame.scenes.iter().fold(0, end_of);
+    if end > u64::from(capacity.gaussians) {
         let needed = frame.scenes.iter().map(|s| u64::from(s.drawn())).sum();
         let (what, limit) = ("scenes: the frame".to_owned(), reserved.gaussians.into());
         return Err(Error::TooLarge { what, needed, unit: "Gaussians", limit, limit_name: "reserved" });

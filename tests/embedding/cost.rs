@@ -278,6 +278,16 @@ fn tables() {
     record_table();
 }
 
+/// The row of thousands of scenes in one buffer alone, which takes ten seconds.
+#[test]
+#[ignore = "prints a row of the guide"]
+fn record_of_thousands() {
+    with_host(&HostOptions::default(), |host| {
+        let ([median, fastest], asked) = record_cost(host, (2048, true, false), false, 100);
+        println!("2048 | true | false | {median:.1} | {fastest:.1} | {asked}");
+    });
+}
+
 /// The table of `record` alone.
 #[test]
 #[ignore = "prints a table of the guide"]

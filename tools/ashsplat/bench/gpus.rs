@@ -34,6 +34,12 @@ pub struct Sheet {
     pub subgroup_size: u32,
     /// Line of the first cache: what a subgroup's access takes a cycle for.
     pub line_bytes: u32,
+    /// Instructions of blending for a Gaussian at a pixel, forward and backward, counted in the machine code of the loops
+    /// (tools/gpu_static.md): for NVIDIA's in NVK's for Ampere, the newest that Mesa compiles for.
+    pub blend_instructions: [f64; 2],
+    /// What the names of the drivers begin with whose compilers know the GPU's instructions, or ones like them.
+    #[serde(skip)]
+    pub drivers: &'static [&'static str],
 }
 
 impl Gpu {
@@ -50,7 +56,22 @@ impl Gpu {
             Self::Rx7900Xtx => (6144.0, 2.5, 960.0),
             Self::A770 => (4096.0, 2.1, 560.0),
         };
-        Sheet { name, lanes, gigahertz, gigabytes_per_second, cores, subgroup_size, line_bytes }
+        let (blend_instructions, drivers): (_, &[&str]) = match self {
+            Self::H200 | Self::Rtx4090 => ([51.0, 95.0], &["NVK", "NVIDIA"]),
+            Self::Rx7900Xtx => ([45.0, 61.0], &["radv", "AMD"]),
+            Self::A770 => ([57.0, 77.0], &["Intel"]),
+        };
+        Sheet {
+            name,
+            lanes,
+            gigahertz,
+            gigabytes_per_second,
+            cores,
+            subgroup_size,
+            line_bytes,
+            blend_instructions,
+            drivers,
+        }
     }
 }
 

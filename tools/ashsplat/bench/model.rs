@@ -11,7 +11,7 @@ use ashsplat::{Error, Result};
 use clap::Args;
 use serde::Serialize;
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// The schema's name and version, first field of every file.
 const SCHEMA: &str = "ashsplat-model/1";
@@ -25,7 +25,8 @@ pub struct Arguments {
     /// The GPU
     #[arg(long, value_enum)]
     gpu: Gpu,
-    /// A file of `profile --static --json` for that GPU: no kernel takes less than one subgroup's estimated cycles
+    /// A file of `profile --static --json` for that GPU or one like it: says beside the bounds how long one subgroup takes by the
+    /// compiler's estimate, which guesses how often loops run
     #[arg(long = "static", value_name = "FILE")]
     compiled: Option<PathBuf>,
     /// Time from one dispatch to the next that waits for it behind a barrier, microseconds: an assumption, no data sheet has it
@@ -44,9 +45,6 @@ fn parse_time(text: &str) -> Result<f64, String> {
     time.ok_or_else(|| "expected a time, 0 or more".to_owned())
 }
 
-/// Instructions for a Gaussian at a pixel, counted in the machine code of RDNA3's loops (tools/gpu_static.md).
-const FORWARD_INSTRUCTIONS: f64 = 45.0;
-const BACKWARD_INSTRUCTIONS: f64 = 106.0;
 /// Bandwidth that plain copies reach on GPUs, of the data sheet's.
 const REACHED: f64 = 0.85;
 
@@ -58,8 +56,6 @@ enum Resource {
     /// What a core's load/store unit takes in a cycle.
     Transactions,
     Arithmetic,
-    /// One subgroup's own time.
-    Latency,
     /// From one dispatch to the next.
     Dispatch,
 }
@@ -70,7 +66,6 @@ impl Resource {
             Self::Memory => "memory",
             Self::Transactions => "transactions",
             Self::Arithmetic => "arithmetic",
-            Self::Latency => "latency",
             Self::Dispatch => "dispatches",
         }
     }
@@ -90,10 +85,10 @@ struct Bound {
     transactions_us: f64,
     /// Null where instructions are not counted: all but blending.
     arithmetic_us: Option<f64>,
-    /// Null without a static file.
+    /// One subgroup's own time by a compiler's estimate: no bound, for how often loops run is guessed. Null without a static file.
     latency_us: Option<f64>,
     dispatch_us: f64,
-    /// The largest of memory, transactions, arithmetic and latency, and the dispatches.
+    /// The largest of memory, transactions and arithmetic, and the dispatches.
     time_us: f64,
     set_by: Resource,
 }
@@ -107,6 +102,8 @@ struct Modelled {
     gaussians: Option<u32>,
     elements: Option<u64>,
     total_us: f64,
+    /// The same where no kernel takes less than `latency_us`: an estimate. Null without a static file.
+    estimate_us: Option<f64>,
     /// Commands, and those that wait behind a barrier.
     calls: u32,
     waits: u32,
@@ -143,13 +140,18 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let report = compare::read(&arguments.file)?;
     check(arguments, &report)?;
     let compiled = arguments.compiled.as_deref().map(compiled::read).transpose()?;
+    let sheet = arguments.gpu.sheet();
+    if let (Some(compiled), Some(path)) = (&compiled, &arguments.compiled) {
+        let [device, driver] = [&compiled.device.name, &compiled.device.driver];
+        check_compiled(path, [device, driver], &sheet)?;
+        say!("latencies: {device}, {driver}");
+    }
     let cycles = compiled.as_ref().map(|compiled| {
         let latency = |(kernel, (heaviest, _)): (&str, (&compiled::Pipeline, usize))| {
             Some((kernel.to_owned(), heaviest.figures.latency?))
         };
         compiled::heaviest(compiled).into_iter().filter_map(latency).collect::<BTreeMap<String, f64>>()
     });
-    let sheet = arguments.gpu.sheet();
     let of = |run: &Run| {
         let modelled = model(run, &sheet, cycles.as_ref(), arguments.dispatch_us);
         Modelled { target: arguments.target_ms.map(|target_ms| target(&modelled, target_ms)), ..modelled }
@@ -177,6 +179,15 @@ fn check(arguments: &Arguments, report: &Report) -> Result<()> {
     Err(Error::input(&arguments.file, problem, "measure with --backend gpu"))
 }
 
+/// Another vendor's code says nothing of a GPU.
+fn check_compiled(path: &Path, [device, driver]: [&str; 2], sheet: &Sheet) -> Result<()> {
+    if sheet.drivers.iter().any(|name| driver.starts_with(name)) {
+        return Ok(());
+    }
+    let problem = format!("is of {device}, {driver}");
+    Err(Error::input(path, problem, format!("make one by a driver of the {}", sheet.name)))
+}
+
 fn model(run: &Run, sheet: &Sheet, cycles: Option<&BTreeMap<String, f64>>, dispatch_us: f64) -> Modelled {
     let kernels: Vec<Bound> =
         run.kernels.iter().map(|kernel| bound(kernel, sheet, cycles, dispatch_us)).collect();
@@ -188,6 +199,7 @@ fn model(run: &Run, sheet: &Sheet, cycles: Option<&BTreeMap<String, f64>>, dispa
         gaussians: workload.gaussians,
         elements: workload.elements,
         total_us: kernels.iter().map(|kernel| kernel.time_us).sum(),
+        estimate_us: cycles.map(|_| kernels.iter().map(Bound::estimate_us).sum()),
         calls: kernels.iter().map(|kernel| kernel.calls).sum(),
         waits: kernels.iter().map(|kernel| kernel.waits).sum(),
         target: None,
@@ -227,10 +239,8 @@ fn bound(
     let memory_us = bytes / (REACHED * sheet.gigabytes_per_second * 1e3);
     let segments = segments(kernel, sheet);
     let transactions_us = segments as f64 / (sheet.cores * sheet.gigahertz * 1e3);
-    let instructions = match kernel.kernel.as_str() {
-        name if name.starts_with("backward/") => BACKWARD_INSTRUCTIONS,
-        _ => FORWARD_INSTRUCTIONS,
-    };
+    let [forward, backward] = sheet.blend_instructions;
+    let instructions = if kernel.kernel.starts_with("backward/") { backward } else { forward };
     let arithmetic_us =
         kernel.samples.map(|n| n as f64 * instructions / (sheet.lanes * sheet.gigahertz * 1e3));
     let alone = cycles.and_then(|cycles| cycles.get(&kernel.kernel));
@@ -241,7 +251,6 @@ fn bound(
         (memory_us, Resource::Memory),
         (transactions_us, Resource::Transactions),
         (arithmetic_us.unwrap_or(0.0), Resource::Arithmetic),
-        (latency_us.unwrap_or(0.0), Resource::Latency),
     ];
     let (work_us, by) = work.into_iter().fold((0.0, Resource::Memory), |a, b| if b.0 > a.0 { b } else { a });
     Bound {
@@ -257,6 +266,13 @@ fn bound(
         dispatch_us,
         time_us: work_us + dispatch_us,
         set_by: if dispatch_us > work_us { Resource::Dispatch } else { by },
+    }
+}
+
+impl Bound {
+    /// Its time, if one subgroup's is as its compiler has it.
+    fn estimate_us(&self) -> f64 {
+        self.time_us.max(self.latency_us.unwrap_or(0.0) + self.dispatch_us)
     }
 }
 
@@ -278,7 +294,7 @@ fn text(run: &Modelled) -> String {
     );
     text += &format!(
         "\n{:<28} {:<34} {:>5} {:>9} {:>9} {:>9} {:>9} {:>9}  set by",
-        "stage", "kernel", "calls", "memory", "transact.", "arithm.", "latency", "all, us"
+        "stage", "kernel", "calls", "memory", "transact.", "arithm.", "(latency)", "all, us"
     );
     let shown = |time: Option<f64>| time.map_or("-".to_owned(), |time| format!("{time:.1}"));
     for kernel in &run.kernels {
@@ -301,6 +317,12 @@ fn text(run: &Modelled) -> String {
         format!("{} {:.0} %", by.name(), 100.0 * time / run.total_us.max(1e-9))
     };
     text += &format!("\ntime in kernels set by: {}", shares.iter().map(share).collect::<Vec<_>>().join(", "));
+    if let Some(us) = run.estimate_us {
+        text += &format!(
+            "\nno bound: {:.3} ms where no kernel takes less than one subgroup (latency), by a compiler that guesses how often loops run",
+            us / 1e3
+        );
+    }
     text + &run.target.as_ref().map(said).unwrap_or_default()
 }
 
@@ -337,6 +359,8 @@ mod tests {
         cores: 100.0,
         subgroup_size: 32,
         line_bytes: 128,
+        blend_instructions: [45.0, 106.0],
+        drivers: &["round"],
     };
 
     /// By hand: 10^8 segments by 100 cores of 10^9 cycles a second are 1000 us; an array of 12.8 MB is not counted twice.
@@ -388,7 +412,23 @@ mod tests {
         let backward = kernel("backward/blend_backward", 1, 0, Some(1_000_000_000));
         assert_eq!(of(&backward, None), (10_602.0, Resource::Arithmetic));
         assert_eq!(of(&kernel("sort/sort_spine", 4, 85_000, None), None), (8.1, Resource::Dispatch));
+        // 4 times 10,000 cycles at 1 GHz are 40 us: beside the bound, for they are estimated.
         let cycles = BTreeMap::from([("sort/sort_spine".to_owned(), 10_000.0)]);
-        assert_eq!(of(&kernel("sort/sort_spine", 4, 85_000, None), Some(&cycles)), (48.0, Resource::Latency));
+        let spine = kernel("sort/sort_spine", 4, 85_000, None);
+        assert_eq!(of(&spine, Some(&cycles)), (8.1, Resource::Dispatch));
+        let run = Run { kernels: vec![spine], ..Run::default() };
+        assert_eq!(model(&run, &ROUND, Some(&cycles), 2.0).estimate_us, Some(48.0));
+        assert_eq!(model(&run, &ROUND, None, 2.0).estimate_us, None);
+    }
+
+    #[test]
+    fn compilers_of_another_vendor_are_refused() {
+        let of = |driver| check_compiled(Path::new("static.json"), ["device", driver], &Gpu::H200.sheet());
+        assert!(of("NVK Mesa 25").is_ok());
+        let error = of("radv Mesa 25").expect_err("refused").to_string();
+        assert!(
+            error.contains("static.json: is of device, radv Mesa 25") && error.contains("NVIDIA H200"),
+            "{error}"
+        );
     }
 }
