@@ -660,8 +660,9 @@ typedef struct AshsplatSlotReport {
   // How often the recording sorts by depth: once for each view, or for each run of views that share it
   // (AshsplatReservation.shared_sort).
   uint32_t sorts;
-  // 0: room for another number.
-  uint32_t unused;
+  // Scenes that were drawn together with others by one dispatch, in all views: scenes of ashsplat_scenes_new, or one scene that
+  // is placed many times.
+  uint32_t batched_scenes;
 } AshsplatSlotReport;
 
 // A photograph to train on, and its camera.
@@ -969,6 +970,18 @@ enum AshsplatStatus ashsplat_scene_new(const struct AshsplatContext *context,
                                        const struct AshsplatGaussians *gaussians,
                                        uint32_t capacity,
                                        struct AshsplatScene **scene);
+
+// Uploads `count` scenes from a host's arrays into as few buffers as kernels can bind, each with room for its own Gaussians: frames
+// draw small scenes of one buffer by one dispatch in place of one each (AshsplatSlotReport.batched_scenes). `scenes` has room for
+// `count` pointers; all are NULL after an error. Each scene is freed by itself, and the memory with the last one.
+//
+// # Safety
+// `context` is alive, `gaussians` is valid for `count` structs of one size with arrays as long as they say, `scenes` is valid for
+// `count` writes.
+enum AshsplatStatus ashsplat_scenes_new(const struct AshsplatContext *context,
+                                        const struct AshsplatGaussians *gaussians,
+                                        uint32_t count,
+                                        struct AshsplatScene **scenes);
 
 // The layout of the parameters of `capacity` Gaussians in a host's own buffers.
 //

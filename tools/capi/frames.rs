@@ -182,8 +182,9 @@ pub struct AshsplatSlotReport {
     /// How often the recording sorts by depth: once for each view, or for each run of views that share it
     /// (AshsplatReservation.shared_sort).
     pub sorts: u32,
-    /// 0: room for another number.
-    pub unused: u32,
+    /// Scenes that were drawn together with others by one dispatch, in all views: scenes of ashsplat_scenes_new, or one scene that
+    /// is placed many times.
+    pub batched_scenes: u32,
 }
 
 impl From<SlotReport> for AshsplatSlotReport {
@@ -199,6 +200,7 @@ impl From<SlotReport> for AshsplatSlotReport {
             blend_passes_needed: r.blend_passes_needed,
             nanoseconds: r.scopes.iter().filter(|s| s.depth == 0).map(|s| s.nanoseconds).sum(),
             sorts: r.sorts,
+            batched_scenes: r.batched_scenes,
             ..Self::default()
         }
     }

@@ -1,6 +1,6 @@
 //! Scenes that a host makes, changes and owns, in C.
 
-use super::structs::{read, within, write};
+use super::structs::{read, read_all, within, write};
 use super::{
     AshsplatContext, AshsplatGaussians, AshsplatHostBuffer, AshsplatScene, AshsplatScenePlan, AshsplatStatus,
     AshsplatUpdate, borrowed, borrowed_mut, give, guarded, slice,
@@ -83,6 +83,41 @@ pub unsafe extern "C" fn ashsplat_scene_new(
             };
             made.map(|scene| AshsplatScene { scene })
         })
+    })
+}
+
+/// Uploads `count` scenes from a host's arrays into as few buffers as kernels can bind, each with room for its own Gaussians: frames
+/// draw small scenes of one buffer by one dispatch in place of one each (AshsplatSlotReport.batched_scenes). `scenes` has room for
+/// `count` pointers; all are NULL after an error. Each scene is freed by itself, and the memory with the last one.
+///
+/// # Safety
+/// `context` is alive, `gaussians` is valid for `count` structs of one size with arrays as long as they say, `scenes` is valid for
+/// `count` writes.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_scenes_new(
+    context: *const AshsplatContext,
+    gaussians: *const AshsplatGaussians,
+    count: u32,
+    scenes: *mut *mut AshsplatScene,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        if count > 0 && scenes.is_null() {
+            return Err(Error::argument("scenes", "the pointer is null"));
+        }
+        for place in 0..count as usize {
+            scenes.add(place).write(std::ptr::null_mut());
+        }
+        let (context, hosts) = (borrowed(context, "context")?, read_all(gaussians, count, "gaussians")?);
+        let copy = |(place, host): (usize, &AshsplatGaussians)| {
+            self::gaussians(host).map_err(within(format_args!("gaussians[{place}]")))
+        };
+        let all = hosts.iter().enumerate().map(copy).collect::<Result<Vec<_>>>()?;
+        let made = DeviceScene::upload_all(&context.0, &all.iter().collect::<Vec<_>>())?;
+        for (place, scene) in made.into_iter().enumerate() {
+            scenes.add(place).write(Box::into_raw(Box::new(AshsplatScene { scene })));
+        }
+        Ok(())
     })
 }
 

@@ -103,7 +103,7 @@ structs! {
     AshsplatSceneSettings, selection_share..selection_share, {
         visible: true, tint: [1.0, 1.0, 1.0], opacity: 1.0, sh_degree: 3, selection_color: [1.0, 1.0, 1.0], selection_share: 0.5
     };
-    AshsplatSlotReport, visible..unused, {};
+    AshsplatSlotReport, visible..batched_scenes, {};
     AshsplatStep, view..view, {};
     AshsplatTarget, to..to, { exposure: 1.0 };
     AshsplatTrainView, rgb..rgb, {};

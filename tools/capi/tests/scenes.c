@@ -56,6 +56,57 @@ static float of_half(uint16_t bits) {
     return bits >> 15 ? -size : size;
 }
 
+/* Scenes of one buffer are drawn together. */
+static void draw_together(Host *host, AshsplatContext *context) {
+    enum { TOGETHER = 9 };
+    AshsplatGaussians all[TOGETHER];
+    AshsplatScene *scenes[TOGETHER + 1] = {NULL};
+    AshsplatPlaced placed[TOGETHER];
+    for (int i = 0; i < TOGETHER; ++i) {
+        all[i] = grid(0.1f);
+    }
+    all[5].sh = NULL;
+    scenes[2] = (AshsplatScene *)context;
+    EXPECT(ashsplat_scenes_new(context, all, TOGETHER, scenes) == AshsplatStatus_Argument && scenes[2] == NULL);
+    EXPECT(strstr(ashsplat_last_error(), "gaussians[5].sh: the pointer is null") != NULL);
+    EXPECT(ashsplat_scenes_new(context, all, TOGETHER, NULL) == AshsplatStatus_Argument);
+    all[5] = all[4];
+    check(ashsplat_scenes_new(context, all, TOGETHER, scenes), "uploading scenes together");
+    EXPECT(scenes[TOGETHER - 1] != NULL && scenes[TOGETHER] == NULL);
+    for (int i = 0; i < TOGETHER; ++i) {
+        placed[i] = ASHSPLAT_INIT(AshsplatPlaced);
+        placed[i].scene = scenes[i];
+        placed[i].translation[0] = 0.1f * (float)i;
+    }
+    AshsplatRenderer *renderer = NULL;
+    check(ashsplat_renderer_new(context, &renderer), "building a renderer");
+    AshsplatReservation wanted = ASHSPLAT_INIT(AshsplatReservation);
+    wanted.scenes = TOGETHER;
+    /* A scene begins at a block of culling. */
+    wanted.gaussians = TOGETHER * 256;
+    wanted.width = WIDTH;
+    wanted.height = HEIGHT;
+    check(ashsplat_reserve(renderer, &wanted), "reserving");
+    AshsplatCamera camera = ASHSPLAT_INIT(AshsplatCamera);
+    const float eye[3] = {0, 0, -4}, middle[3] = {0, 0, 0}, up[3] = {0, -1, 0};
+    check(ashsplat_camera_look_at(eye, middle, up, 0.8f, WIDTH, HEIGHT, &camera), "a camera");
+    AshsplatRecordedFrame frame = ASHSPLAT_INIT(AshsplatRecordedFrame);
+    frame.camera = &camera;
+    frame.scenes = placed;
+    frame.scene_count = TOGETHER;
+    void *commands = host_begin(host);
+    check(ashsplat_record(renderer, commands, 0, &frame, NULL), "recording scenes together");
+    host_submit_and_wait(host);
+    AshsplatSlotReport report = ASHSPLAT_INIT(AshsplatSlotReport);
+    check(ashsplat_slot_report(renderer, 0, &report), "asking for its report");
+    EXPECT(report.finished && report.gaussians == TOGETHER * OWN && report.visible > OWN);
+    EXPECT(report.batched_scenes == TOGETHER);
+    ashsplat_renderer_free(renderer);
+    for (int i = 0; i < TOGETHER; ++i) {
+        ashsplat_scene_free(scenes[i]);
+    }
+}
+
 int main(int count, char **arguments) {
     EXPECT(count == 4);
     static Host host;
@@ -370,6 +421,7 @@ int main(int count, char **arguments) {
     EXPECT(rising > 100);
     EXPECT(somebody > WIDTH * HEIGHT / 10);
     printf("%u of %u Gaussians visible\n", report.visible, report.gaussians);
+    draw_together(&host, context);
 
     ashsplat_renderer_free(renderer);
     ashsplat_image_free(target);
