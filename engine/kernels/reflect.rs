@@ -10,6 +10,8 @@
 mod binding_numbers;
 #[path = "shader.rs"]
 mod shader;
+#[path = "shared_memory.rs"]
+mod shared_memory;
 #[path = "spirv.rs"]
 mod spirv;
 
@@ -104,7 +106,7 @@ pub fn reflect(spirv: &[u32]) -> Result<Shader, String> {
             12 => shader.bindings.push(module.storage_buffer(id, *of)?),
             9 => shader.push = module.members(*of, "push constant")?,
             2 => shader.bindings.push(module.uniform_block(id, *of)?),
-            4 => shared.push(module.size_expression(*of, &shader.spec)?),
+            4 => shared.push(module.shared_layout(*of, &shader.spec)?),
             0 if matches!(module.types.get(of), Some(Type::TexelBuffer { .. })) => {
                 shader.bindings.push(module.texel_buffer(id, *of)?);
             }
@@ -119,7 +121,7 @@ pub fn reflect(spirv: &[u32]) -> Result<Shader, String> {
     }
     shader.bindings.sort_by_key(|b| b.binding);
     shader.images.sort_by_key(|i| i.binding.binding);
-    shader.shared_bytes = if shared.is_empty() { "0".into() } else { shared.join(" + ") };
+    shader.shared_bytes = shared_memory::total(shared).bytes;
     shader.workgroup_size = module.workgroup_size(&shader.spec)?;
     Ok(shader)
 }
@@ -368,29 +370,6 @@ impl Module {
         }
         let size = self.workgroup_size.ok_or("no workgroup size: write layout(local_size_x_id = 0) in;")?;
         Ok(size.map(|n| n.to_string()))
-    }
-
-    /// Bytes of a type in shared memory, as an expression over `spec`.
-    fn size_expression(&self, ty: u32, spec: &[SpecConstant]) -> Result<String, String> {
-        match self.types.get(&ty) {
-            Some(Type::Bool) => Ok("4".into()),
-            Some(Type::Int { bits, .. } | Type::Float { bits }) => Ok((bits / 8).to_string()),
-            Some(Type::Vector { of, count }) => {
-                Ok(format!("{count} * ({})", self.size_expression(*of, spec)?))
-            }
-            Some(Type::Matrix { column, columns }) => {
-                Ok(format!("{columns} * ({})", self.size_expression(*column, spec)?))
-            }
-            Some(Type::Array { of, length }) => {
-                Ok(format!("({}) * ({})", self.expression(*length, spec)?, self.size_expression(*of, spec)?))
-            }
-            Some(Type::Struct(members)) => {
-                let sizes: Result<Vec<_>, _> =
-                    members.iter().map(|&m| self.size_expression(m, spec)).collect();
-                Ok(sizes?.join(" + "))
-            }
-            other => Err(format!("shared memory of type {other:?} is not supported")),
-        }
     }
 
     /// The value of a constant, as a u32 expression over `spec`.

@@ -37,8 +37,17 @@ layout(push_constant, scalar) uniform Push {
 #include "ssim_pixel.glsl"
 #include "ssim_block.glsl"
 
-shared vec3 values[SSIM_APRON * SSIM_APRON];
-shared vec3 rows[SSIM_APRON * SSIM_BLOCK];
+// Three floats each: drivers may give a vec3 four, and that would be more than the 16 KiB that every device has.
+shared float values[3 * SSIM_APRON * SSIM_APRON];
+shared float rows[3 * SSIM_APRON * SSIM_BLOCK];
+
+vec3 value_at(uint at) {
+    return vec3(values[3 * at], values[3 * at + 1], values[3 * at + 2]);
+}
+
+vec3 row_at(uint at) {
+    return vec3(rows[3 * at], rows[3 * at + 1], rows[3 * at + 2]);
+}
 
 void finish(vec3 windowed, uvec2 pixel, uint channel) {
     if (pixel.x < image_width && pixel.y < image_height) {
@@ -65,7 +74,10 @@ void main() {
         bool inside = all(greaterThanEqual(pixel, ivec2(0))) && all(lessThan(pixel, size));
         uint index = inside ? uint(pixel.y) * image_width + uint(pixel.x) : 0;
         vec3 value = derivatives[gl_WorkGroupID.z * image_height * image_width + index];
-        values[place.y * SSIM_APRON + place.x] = inside ? value : vec3(0.0);
+        uint to = 3 * (place.y * SSIM_APRON + place.x);
+        values[to] = inside ? value.x : 0.0;
+        values[to + 1] = inside ? value.y : 0.0;
+        values[to + 2] = inside ? value.z : 0.0;
     }
     barrier();
     [[unroll]] for (uint round = 0; round < SSIM_APRON * SSIM_STRIPS; round += WORKGROUP_SIZE) {
@@ -77,14 +89,17 @@ void main() {
         uint column = at % SSIM_STRIPS * STRIP;
         vec3 window[SSIM_WINDOW_OF_STRIP];
         [[unroll]] for (uint k = 0; k < SSIM_WINDOW_OF_STRIP; ++k) {
-            window[k] = values[row * SSIM_APRON + column + k];
+            window[k] = value_at(row * SSIM_APRON + column + k);
         }
         [[unroll]] for (uint k = 0; k < STRIP; ++k) {
             vec3 sum = vec3(0.0);
             [[unroll]] for (uint tap = 0; tap < SSIM_TAPS; ++tap) {
                 sum += SSIM_WINDOW[tap] * window[k + tap];
             }
-            rows[row * SSIM_BLOCK + column + k] = sum;
+            uint to = 3 * (row * SSIM_BLOCK + column + k);
+            rows[to] = sum.x;
+            rows[to + 1] = sum.y;
+            rows[to + 2] = sum.z;
         }
     }
     barrier();
@@ -97,7 +112,7 @@ void main() {
         uint row = at / SSIM_BLOCK * STRIP;
         vec3 window[SSIM_WINDOW_OF_STRIP];
         [[unroll]] for (uint k = 0; k < SSIM_WINDOW_OF_STRIP; ++k) {
-            window[k] = rows[(row + k) * SSIM_BLOCK + column];
+            window[k] = row_at((row + k) * SSIM_BLOCK + column);
         }
         [[unroll]] for (uint k = 0; k < STRIP; ++k) {
             vec3 windowed = vec3(0.0);

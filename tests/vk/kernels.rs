@@ -4,7 +4,9 @@ use crate::common;
 use ashsplat::Error;
 use ashsplat::backward::Backward;
 use ashsplat::kernels::{self, scan::scan_reduce};
-use ashsplat::vk::{BindingInfo, BindingKind, Context, Kernel, KernelInterface, KernelVisitor};
+use ashsplat::vk::{
+    BindingInfo, BindingKind, Context, Kernel, KernelInterface, KernelVisitor, Limits, LimitsOverride,
+};
 
 struct Compile<'a> {
     context: &'a Context,
@@ -74,4 +76,43 @@ fn the_generated_interface_mirrors_the_shader() {
     assert_eq!(scan_reduce::Interface::subgroup_size(&spec), Some(8));
     assert_eq!(scan_reduce::Interface::push_bytes(&scan_reduce::Push { count_index: 5 }), 5u32.to_ne_bytes());
     assert_eq!(kernels::constants::TILE_SIZE, 16);
+}
+
+/// Whether kernels fit a device with these limits, for what is not in their workgroups.
+struct Fit<'a> {
+    limits: &'a Limits,
+    largest: u32,
+}
+
+impl KernelVisitor for Fit<'_> {
+    fn visit<K: KernelInterface>(&mut self) {
+        let (spec, limits) = (K::spec_for(self.limits), self.limits);
+        let [shared, most] = [K::shared_bytes(&spec), limits.shared_memory_bytes];
+        assert!(shared <= most, "{}, subgroups of {}: {shared} bytes", K::NAME, limits.subgroup_size);
+        assert!(K::PUSH_BYTES <= limits.push_constant_bytes, "{}", K::NAME);
+        self.largest = self.largest.max(shared);
+    }
+}
+
+/// What is asked of every device is enough for every kernel, also where a vec3 of shared memory takes 16 bytes.
+#[test]
+fn kernels_fit_into_what_is_asked_of_devices() {
+    let least = |name: &str| {
+        let (_, least) = Context::requirements().limits.into_iter().find(|(n, _)| *n == name).expect(name);
+        Some(u32::try_from(least).expect("a u32"))
+    };
+    let lowered = LimitsOverride {
+        shared_memory_bytes: least("maxComputeSharedMemorySize"),
+        push_constant_bytes: least("maxPushConstantsSize"),
+        ..LimitsOverride::default()
+    };
+    for lanes in [4, 8, 16, 32, 64, 128] {
+        let to = LimitsOverride { fixed_subgroup_size: Some(lanes), ..lowered };
+        let limits = common::context().limits().clone().lowered(&to);
+        let mut fit = Fit { limits: &limits, largest: 0 };
+        kernels::visit_all(&mut fit);
+        assert!(fit.largest > 12 << 10, "{lanes}: most bytes are {}", fit.largest);
+    }
+    let spec = kernels::poses::pose_gradient::Spec { workgroup_size: 256, subgroup_size: 32 };
+    assert_eq!(kernels::poses::pose_gradient::Interface::shared_bytes(&spec), 2 * 8 * 16);
 }
