@@ -187,3 +187,28 @@ fn backends_with_other_subgroups_than_they_report_are_refused() {
         );
     }
 }
+
+/// A driver could deal a workgroup's invocations out to lanes in another order, where it lets the size be required, too. Here the
+/// probe says so of lanes that are in order.
+#[cfg(feature = "hot-reload")]
+#[test]
+fn backends_with_lanes_in_another_order_are_refused() {
+    const PROBE: &str = "subgroups/subgroup_probe";
+    let context = Context::new(&options()).expect("a device");
+    assert!(context.limits().subgroup_size_selectable, "a driver like most");
+    let glsl = crate::common::root().join("glsl");
+    let path = glsl.join(format!("{PROBE}.comp"));
+    let probe = std::fs::read_to_string(&path).expect("the probe");
+    let reversed = probe.replace("+ gl_SubgroupInvocationID,", "+ size - 1 - gl_SubgroupInvocationID,");
+    assert_ne!(probe, reversed);
+    let compile = ashsplat::kernels::compile::compile;
+    let spirv = compile(&glsl, &path, PROBE, &reversed, false).expect("a shader");
+    context.replace_shader(PROBE, Some(spirv));
+    let size = context.limits().subgroup_size;
+    let said = Renderer::new(&context).err().expect("refused").to_string();
+    let place = format!("invocation 0 was at {} of its workgroup, in a subgroup that begins at 0", size - 1);
+    assert!(said.contains(&format!("subgroups of {size}")) && said.contains(&place), "{said}");
+    context.replace_shader(PROBE, None);
+    Renderer::new(&context).expect("subgroups are as they should be");
+    assert_silent(&context);
+}

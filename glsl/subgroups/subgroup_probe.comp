@@ -1,7 +1,8 @@
 // What a subgroup is on this device: how many invocations it has, and which of them runs where.
 //
 // invocation: one result; subgroup: counts its invocations by a ballot; workgroup: nothing shared
-// out: found[i] = invocations of its subgroup, gl_SubgroupSize, gl_SubgroupInvocationID
+// out: found[i] = invocations of its subgroup, gl_SubgroupSize, its place by gl_SubgroupID and gl_SubgroupInvocationID, and which
+// invocation of the workgroup is the first of its subgroup
 // shared: none; any subgroup size up to 128
 #version 460
 #extension GL_EXT_scalar_block_layout : require
@@ -13,7 +14,7 @@ layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
 layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
 layout(local_size_x_id = 0) in;
 
-layout(set = 0, binding = 0, scalar) writeonly buffer Found { uvec3 found[]; };
+layout(set = 0, binding = 0, scalar) writeonly buffer Found { uvec4 found[]; };
 
 layout(push_constant, scalar) uniform Push { uint count; };
 
@@ -23,8 +24,9 @@ void main() {
     uint invocations = subgroupBallotBitCount(subgroupBallot(true));
     // A compiler that takes SUBGROUP_SIZE for granted must still read what the device has.
     uint size = max(gl_SubgroupSize, min(SUBGROUP_SIZE, 1));
+    uint first = subgroupBroadcastFirst(gl_LocalInvocationID.x);
     uint index = linear_invocation();
     if (index < count) {
-        found[index] = uvec3(invocations, size, gl_SubgroupInvocationID);
+        found[index] = uvec4(invocations, size, gl_SubgroupID * size + gl_SubgroupInvocationID, first);
     }
 }

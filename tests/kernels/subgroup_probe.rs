@@ -13,9 +13,9 @@ fn subgroup_probe_equals_its_twin() {
     let kernel = gpu.kernel::<Interface>(&Spec { workgroup_size, subgroup_size: size });
     // The last workgroup is not full of results, but full of invocations.
     let count = 2 * workgroup_size + size / 2;
-    let found = gpu.untouched::<[u32; 3]>("found", count as usize + 1);
+    let found = gpu.untouched::<[u32; 4]>("found", count as usize + 1);
     gpu.run(|r| r.dispatch(&kernel, &Bind { found: &found }, &Push { count }, 3_u32.into()));
-    let expected: Vec<[u32; 3]> =
-        (0..count).map(|index| subgroup_probe(index, size)).chain([[UNTOUCHED; 3]]).collect();
-    assert_eq!(gpu.read::<[u32; 3]>(&found, count as usize + 1), expected);
+    let expected = (0..count).map(|index| subgroup_probe(index, workgroup_size, size));
+    let expected: Vec<[u32; 4]> = expected.chain([[UNTOUCHED; 4]]).collect();
+    assert_eq!(gpu.read::<[u32; 4]>(&found, count as usize + 1), expected);
 }
