@@ -285,3 +285,61 @@ fn compiled_only_where_the_driver_tells() {
     refuse(&["profile", "--static", "--html", "x.html"], &["--static", "--html"]);
     refuse(&["profile", "--json", "x.json"], &["--static"]);
 }
+
+/// tools/gpu_static with a runner and a program that pretend: what it says, what it says of errors, and its exit code.
+#[cfg(unix)]
+fn pretended_static(folder: &Path, configs: &[&str]) -> Finished {
+    use std::os::unix::fs::PermissionsExt;
+    // Under a driver that is absent nothing runs, as with a runner whose drivers were not installed.
+    let runner =
+        "[ \"$1\" != nvk:absent ] || { echo 'run: no such driver' >&2; exit 1; }\nFAMILY=$1 exec \"${@:2}\"";
+    let program = r#"case $FAMILY in
+  radv:navi31 | radv:mi100 | radv:nonsense) echo "radv: Unknown family: ${FAMILY#radv:}" >&2; kill -ABRT $$ ;;
+  intel:broken) echo "error: kernel forward/blend: no registers left" >&2; exit 1 ;;
+esac
+[ "$3" != --json ] || { echo {} >"$4"; echo "compiled for $FAMILY"; exit; }
+echo "table under $FAMILY: $*""#;
+    let script = |name: &str, lines: &str| {
+        let path = folder.join(name);
+        std::fs::write(&path, format!("#!/usr/bin/env bash\n{lines}\n")).expect("written");
+        std::fs::set_permissions(&path, PermissionsExt::from_mode(0o755)).expect("executable");
+        path
+    };
+    let (runner, program) = (script("runner", runner), script("program", program));
+    let tool = Path::new(env!("CARGO_MANIFEST_DIR")).join("../gpu_static");
+    finish(
+        std::process::Command::new(tool)
+            .env("ASHSPLAT_GPU_RUN", runner)
+            .env("ASHSPLAT", program)
+            .arg(folder.join("made"))
+            .args(configs),
+    )
+}
+
+#[cfg(unix)]
+#[test]
+fn compiled_tables_skip_only_what_no_compiler_knows() {
+    let folder = tempdir().expect("a temporary folder");
+    let table = || std::fs::read_to_string(folder.path().join("made/table.md")).expect("a table");
+    let all = ["radv:navi31", "intel:broken", "nvk:absent", "radv:nonsense", "radv:mi100"];
+    let run = pretended_static(folder.path(), &all);
+    assert_eq!(run.code, Some(1), "{}{}", run.stdout, run.stderr);
+    for line in [
+        "radv:navi31: compiled for radv:gfx1100",
+        "skipped: nvk:absent: run: no such driver",
+        "skipped: radv:nonsense: radv: Unknown family: nonsense",
+        "radv:mi100: compiled for radv:arcturus",
+    ] {
+        assert!(run.stdout.lines().any(|said| said == line), "no '{line}' in {}", run.stdout);
+    }
+    let broken = "error: intel:broken: exit code 1: error: kernel forward/blend: no registers left";
+    assert!(run.stderr.lines().any(|said| said == broken), "{}", run.stderr);
+    // The devices after it are in the table.
+    assert!(table().starts_with("table under radv:arcturus: ") && table().contains("radv-navi31.json"));
+    assert!(!folder.path().join("made/intel-broken.json").exists());
+    let run = pretended_static(folder.path(), &["radv:navi21", "radv:nonsense"]);
+    assert_eq!(run.code, Some(0), "{}", run.stderr);
+    assert_eq!(pretended_static(folder.path(), &["intel:broken"]).code, Some(1));
+    let run = pretended_static(folder.path(), &["radv:nonsense", "nvk:absent"]);
+    assert!(run.code == Some(2) && run.stderr.contains("no compiler at all"), "{}", run.stderr);
+}
