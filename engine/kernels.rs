@@ -36,6 +36,7 @@ mod tests {
             binding,
             reads,
             writes,
+            aliased: false,
             kind: BindingKind::Storage,
         };
         let buffers = [

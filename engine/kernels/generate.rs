@@ -390,8 +390,8 @@ fn binding_infos(shader: &Shader) -> String {
         let access = access_of(b.reads, b.writes);
         let _ = writeln!(
             infos,
-            "BindingInfo {{ name: {:?}, binding: {}, access: Access::{access}, kind: BindingKind::{kind} }},",
-            b.name, b.binding
+            "BindingInfo {{ name: {:?}, binding: {}, access: Access::{access}, aliased: {}, kind: BindingKind::{kind} }},",
+            b.name, b.binding, b.aliased
         );
     }
     infos

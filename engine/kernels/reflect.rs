@@ -68,6 +68,8 @@ const SPEC_ID: u32 = 1;
 const BLOCK: u32 = 2;
 const ARRAY_STRIDE: u32 = 6;
 const MATRIX_STRIDE: u32 = 7;
+const RESTRICT: u32 = 19;
+const ALIASED: u32 = 20;
 const NON_WRITABLE: u32 = 24;
 const NON_READABLE: u32 = 25;
 const BINDING: u32 = 33;
@@ -211,8 +213,15 @@ impl Module {
         if self.decorations.get(&(variable, DESCRIPTOR_SET)) != Some(&0) {
             return Err(format!("buffer '{name}': write set = 0"));
         }
+        if self.is_aliased(variable) && self.decorations.contains_key(&(variable, RESTRICT)) {
+            return Err(format!("buffer '{name}' is both ALIASED and restrict"));
+        }
         let binding = self.decorations.get(&(variable, BINDING)).copied();
         binding.ok_or_else(|| format!("buffer '{name}' has no binding number"))
+    }
+
+    fn is_aliased(&self, variable: u32) -> bool {
+        self.decorations.contains_key(&(variable, ALIASED))
     }
 
     fn storage_buffer(&self, variable: u32, block: u32) -> Result<Binding, String> {
@@ -233,7 +242,9 @@ impl Module {
             return Err(format!("buffer '{block_name}': its binding is not below {BUFFERS}"));
         }
         let (reads, writes) = (!everywhere(NON_READABLE), !everywhere(NON_WRITABLE));
-        Ok(Binding { name: self.member_name(block, 0)?, binding, reads, writes, kind: BindingKind::Storage })
+        let (name, aliased, kind) =
+            (self.member_name(block, 0)?, self.is_aliased(variable), BindingKind::Storage);
+        Ok(Binding { name, binding, reads, writes, aliased, kind })
     }
 
     fn texel_buffer(&self, variable: u32, ty: u32) -> Result<Binding, String> {
@@ -248,7 +259,8 @@ impl Module {
             Some(Type::Int { bits: 32, signed: false }) => "R32Uint",
             _ => return Err(format!("texels '{name}': neither textureBuffer nor utextureBuffer")),
         };
-        Ok(Binding { name, binding, reads: true, writes: false, kind: BindingKind::Texels(format) })
+        let (aliased, kind) = (self.is_aliased(variable), BindingKind::Texels(format));
+        Ok(Binding { name, binding, reads: true, writes: false, aliased, kind })
     }
 
     fn image(&self, variable: u32, ty: u32) -> Result<ImageBinding, String> {
@@ -260,8 +272,8 @@ impl Module {
             return Err(format!("image '{name}': write set = 0, binding = {wanted}"));
         }
         let (reads, writes) = (at(NON_READABLE).is_none(), storage && at(NON_WRITABLE).is_none());
-        let kind = BindingKind::Storage;
-        Ok(ImageBinding { binding: Binding { name, binding: wanted, reads, writes, kind }, storage })
+        let (aliased, kind) = (self.is_aliased(variable), BindingKind::Storage);
+        Ok(ImageBinding { binding: Binding { name, binding: wanted, reads, writes, aliased, kind }, storage })
     }
 
     fn uniform_block(&self, variable: u32, block: u32) -> Result<Binding, String> {
@@ -278,6 +290,7 @@ impl Module {
             binding: UNIFORM_BLOCK,
             reads: true,
             writes: false,
+            aliased: false,
             kind: BindingKind::Uniform(Block { name, members }),
         })
     }

@@ -22,7 +22,8 @@ impl Shader {
     /// forms of one shader, which read the same buffers in different ways.
     pub fn difference(&self, other: &Self, forms: bool) -> Option<&'static str> {
         let same = |(a, b): (&Binding, &Binding)| {
-            (&a.name, a.binding, a.reads, a.writes) == (&b.name, b.binding, b.reads, b.writes)
+            let access = |binding: &Binding| (binding.reads, binding.writes, binding.aliased);
+            (&a.name, a.binding, access(a)) == (&b.name, b.binding, access(b))
                 && (a.kind == b.kind || forms && !a.is_uniform() && !b.is_uniform())
         };
         let buffers = self.bindings.len() == other.bindings.len()
@@ -51,6 +52,8 @@ pub struct Binding {
     pub reads: bool,
     /// Whether the shader may write it.
     pub writes: bool,
+    /// Whether another one of the shader's may be the same memory, one of them written.
+    pub aliased: bool,
     /// How it is bound.
     pub kind: BindingKind,
 }

@@ -14,6 +14,8 @@ pub struct BindingInfo {
     pub binding: u32,
     /// How the shader accesses it.
     pub access: Access,
+    /// Whether another one of the shader's may be the same memory, one of them written.
+    pub aliased: bool,
     /// How it is bound.
     pub kind: BindingKind,
 }

@@ -23,6 +23,8 @@ pub struct Use {
     pub role: &'static str,
     /// Whether it is read, written, or both.
     pub access: Access,
+    /// Whether the command's other accesses may be of the same bytes.
+    pub aliased: bool,
 }
 
 /// Two commands that touch the same bytes with no barrier between them, at least one of them writing.
@@ -100,6 +102,21 @@ impl HazardTracker {
     pub fn barrier(&mut self) {
         self.since_barrier.clear();
     }
+}
+
+/// What is wrong with a command that reads bytes by one of its bindings and writes them by another. A compiler takes two buffers
+/// of a shader for different memory unless both are decorated `Aliased` (SPIR-V, 2.18.2). Two that both write are no such pair:
+/// they write in different places, or one of them stands for a buffer that this variant of the kernel does not touch.
+pub fn undeclared_alias(command: &str, uses: &[Use]) -> Option<String> {
+    let mut pairs = uses.iter().enumerate().flat_map(|(k, a)| uses[k + 1..].iter().map(move |b| (a, b)));
+    let is_alias =
+        |a: &Use, b: &Use| (a.access == Access::Read) != (b.access == Access::Read) && conflict(a, b);
+    let (a, b) = pairs.find(|(a, b)| is_alias(a, b) && !(a.aliased && b.aliased))?;
+    Some(format!(
+        "'{command}' has buffer '{}' as '{}' and buffer '{}' as '{}', which have bytes in common, reads one and writes the other: \
+         declare both ALIASED in the shader",
+        a.buffer, a.role, b.buffer, b.role
+    ))
 }
 
 fn conflict(a: &Use, b: &Use) -> bool {

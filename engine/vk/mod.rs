@@ -76,6 +76,7 @@ mod context;
 mod copy_queue;
 mod create_device;
 mod debug;
+mod declared;
 mod descriptors;
 mod device;
 mod error;

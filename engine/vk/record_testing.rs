@@ -1,6 +1,7 @@
 //! For tests of the barriers: leaving some out, and collecting the hazards.
 
-use super::recorder::{Hazards, Recorder};
+use super::declared::Hazards;
+use super::recorder::Recorder;
 
 impl Recorder {
     /// Whether the barrier that comes now is to be left out; it is counted then, and recorded if only the checker is not

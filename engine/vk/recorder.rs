@@ -4,9 +4,8 @@ use super::access::Access;
 use super::audit;
 use super::buffer::Buffer;
 use super::commands::Commands;
+use super::declared::Hazards;
 use super::descriptors::{DescriptorSets, OwnedSets};
-use super::hazard::{HazardTracker, Use};
-use super::image::Image;
 use super::kernel::{Kernel, KernelInterface};
 use super::limits::Limits;
 use super::open_device::Device;
@@ -65,39 +64,6 @@ impl Target {
         match self {
             Self::Owned(commands) => commands.descriptors.as_mut(),
             Self::Foreign(target) => target.descriptors.sets(),
-        }
-    }
-}
-
-#[derive(Default)]
-pub(super) struct Hazards {
-    pub(super) tracker: HazardTracker,
-    pub(super) uses: Vec<Use>,
-    /// None: a hazard panics.
-    #[cfg(feature = "testing")]
-    pub(super) collected: Option<Vec<String>>,
-}
-
-impl Hazards {
-    fn add(&mut self, buffer: &Buffer, role: &'static str, access: Access) {
-        let bytes = buffer.offset()..buffer.offset() + buffer.bytes();
-        self.uses.push(Use { block: buffer.block().id, bytes, buffer: buffer.static_name(), role, access });
-    }
-
-    fn add_image(&mut self, image: &Image, role: &'static str, access: Access) {
-        self.uses.push(Use { block: image.id(), bytes: 0..1, buffer: image.name(), role, access });
-    }
-
-    fn commit(&mut self, command: &'static str) {
-        let found = self.tracker.command(command, &self.uses);
-        self.uses.clear();
-        #[cfg(feature = "testing")]
-        if let Some(collected) = &mut self.collected {
-            collected.extend(found.iter().map(ToString::to_string));
-            return;
-        }
-        if let Some(hazard) = found.first() {
-            panic!("{hazard}");
         }
     }
 }
@@ -300,7 +266,7 @@ impl Recorder {
     fn declare(&mut self, pipeline: &Pipeline, bound: &Bound<'_>, arguments: Option<&Buffer>) {
         let Some(hazards) = &mut self.hazards else { return };
         for (info, buffer) in pipeline.bindings.iter().zip(bound.buffers) {
-            hazards.add(buffer, info.name, info.access);
+            hazards.add_binding(buffer, info);
         }
         for (info, image) in pipeline.images.iter().zip(bound.images) {
             hazards.add_image(image, info.name, info.access);

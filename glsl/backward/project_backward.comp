@@ -52,10 +52,11 @@ layout(constant_id = 9) const bool Z_RECORD = false;
 layout(constant_id = 10) const bool SH_LOOPS = false;
 layout(local_size_x_id = 0) in;
 
-VEC4_READS(0, Parameters, parameters);
 #ifdef ADAM
+ALIASED VEC4_READS(0, Parameters, parameters);
 layout(set = 0, binding = 1, scalar) buffer State { uint state[]; };
 #else
+VEC4_READS(0, Parameters, parameters);
 layout(set = 0, binding = 1, scalar) readonly buffer State { uint state[]; };
 #endif
 UINT_READS(2, VisibleList, visible_list);
@@ -69,11 +70,11 @@ layout(set = 0, binding = 10, scalar) buffer Statistics { vec2 statistics[]; };
 UVEC4_READS(11, VisibleRanges, visible_ranges);
 #ifdef ADAM
 // The same memory as `parameters` and the moments that are read. Each invocation reads its own elements before it writes them.
-VEC4_WRITES(9, NewParameters, new_parameters);
-VEC4_WRITES(12, Moments1, moments_1);
-VEC4_WRITES(13, Moments2, moments_2);
-VEC4_READS(14, OldMoments1, old_moments_1);
-VEC4_READS(15, OldMoments2, old_moments_2);
+ALIASED VEC4_WRITES(9, NewParameters, new_parameters);
+ALIASED VEC4_WRITES(12, Moments1, moments_1);
+ALIASED VEC4_WRITES(13, Moments2, moments_2);
+ALIASED VEC4_READS(14, OldMoments1, old_moments_1);
+ALIASED VEC4_READS(15, OldMoments2, old_moments_2);
 #else
 layout(set = 0, binding = 9, scalar) writeonly buffer Gradients { vec4 gradients[]; };
 // Only used with ABSOLUTE.

@@ -6,6 +6,11 @@
 //
 // VEC4_READS(binding, Block, name); declares a buffer, VEC4_AT(name, index) reads from it; likewise for other types.
 // VEC4_WRITES and VEC4_PUT(name, index, value) write.
+//
+// ALIASED stands before each of two buffers that may be bound to the same memory, one of them written: SPIR-V's decoration of
+// this name, without which a compiler takes them for different memory. The hazard checker finds where it is missing.
+#extension GL_EXT_spirv_intrinsics : require
+#define ALIASED spirv_decorate(20)
 
 #ifdef TEXELS
 #extension GL_EXT_samplerless_texture_functions : require

@@ -33,16 +33,16 @@ layout(constant_id = 7) const bool MOVED_CAMERA = false;
 layout(constant_id = 8) const bool SH_LOOPS = false;
 layout(local_size_x_id = 0) in;
 
-VEC4_WRITES(0, Parameters, parameters);
-VEC4_WRITES(1, Moments1, moments_1);
-VEC4_WRITES(2, Moments2, moments_2);
+ALIASED VEC4_WRITES(0, Parameters, parameters);
+ALIASED VEC4_WRITES(1, Moments1, moments_1);
+ALIASED VEC4_WRITES(2, Moments2, moments_2);
 UINT_READS(3, VisibleIndex, visible_index);
 VEC4_READS(4, Gradients, gradients);
 layout(set = 0, binding = 5, scalar) buffer State { uint state[]; };
 // The same memory as the first three bindings. Each invocation reads its own elements before it writes them.
-VEC4_READS(6, OldParameters, old_parameters);
-VEC4_READS(7, OldMoments1, old_moments_1);
-VEC4_READS(8, OldMoments2, old_moments_2);
+ALIASED VEC4_READS(6, OldParameters, old_parameters);
+ALIASED VEC4_READS(7, OldMoments1, old_moments_1);
+ALIASED VEC4_READS(8, OldMoments2, old_moments_2);
 VEC4_READS(9, ParameterGradients, parameter_gradients);
 
 layout(push_constant, scalar) uniform Push {

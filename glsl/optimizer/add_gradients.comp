@@ -23,13 +23,13 @@ layout(constant_id = 7) const bool MOVED_CAMERA = false;
 layout(constant_id = 8) const bool SH_LOOPS = false;
 layout(local_size_x_id = 0) in;
 
-VEC4_WRITES(0, Sums, sums);
+ALIASED VEC4_WRITES(0, Sums, sums);
 VEC4_READS(1, Parameters, parameters);
 UINT_READS(2, VisibleIndex, visible_index);
 VEC4_READS(3, Gradients, gradients);
 layout(set = 0, binding = 4, scalar) buffer State { uint state[]; };
 // The same memory as the first binding. Each invocation reads its own elements before it writes them.
-VEC4_READS(5, OldSums, old_sums);
+ALIASED VEC4_READS(5, OldSums, old_sums);
 VEC4_READS(6, ParameterGradients, parameter_gradients);
 
 layout(push_constant, scalar) uniform Push {

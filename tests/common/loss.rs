@@ -273,7 +273,7 @@ pub fn backward(
                 image_gradient: &image_gradient,
                 // Not touched without partial sums.
                 loss_partials: derivatives,
-                losses: derivatives,
+                losses: &image_gradient,
             };
             let invocations = 3 * window.partials(pictures) as u32;
             let push = ssim_backward_sweep::Push {

@@ -1,11 +1,11 @@
 //! The hazard checker's bookkeeping, without a device.
 
 use ashsplat::vk::Access::{self, Read, ReadWrite, Write};
-use ashsplat::vk::hazard::{Hazard, HazardTracker, Use};
+use ashsplat::vk::hazard::{Hazard, HazardTracker, Use, undeclared_alias};
 use std::ops::Range;
 
 fn touch(block: u64, bytes: Range<u64>, access: Access) -> Use {
-    Use { block, bytes, buffer: "keys", role: "sorted_keys", access }
+    Use { block, bytes, buffer: "keys", role: "sorted_keys", access, aliased: false }
 }
 
 /// The hazards between two commands that touch the same bytes.
@@ -70,4 +70,22 @@ fn an_earlier_read_does_not_hide_an_earlier_write() {
     let hazards = tracker.command("d", &[touch(1, 48..52, Write)]);
     assert_eq!(hazards.len(), 1);
     assert_eq!(hazards[0].first.0, "b");
+}
+
+/// What it reads and writes by one binding is its own affair; by two, the shader's compiler must know.
+#[test]
+fn one_memory_by_two_bindings_is_declared_in_the_shader() {
+    let check = |a: Use, b: Use| undeclared_alias("adam", &[touch(1, 0..64, ReadWrite), a, b]);
+    let said = check(touch(2, 0..64, Read), touch(2, 32..96, Write)).expect("an alias");
+    assert!(said.contains("'adam'") && said.contains("'keys' as 'sorted_keys'"), "{said}");
+    assert_eq!(check(touch(2, 0..64, Read), touch(2, 0..64, Read)), None, "nothing is written");
+    assert_eq!(
+        check(touch(2, 0..64, Write), touch(2, 0..64, Write)),
+        None,
+        "nothing is read by another name"
+    );
+    assert_eq!(check(touch(2, 0..64, Write), touch(2, 64..128, Write)), None, "neighbours");
+    let aliased = |access| Use { aliased: true, ..touch(2, 0..64, access) };
+    assert_eq!(check(aliased(Read), aliased(Write)), None);
+    assert!(check(aliased(Read), touch(2, 0..64, Write)).is_some(), "both are to be declared");
 }

@@ -78,6 +78,45 @@ fn the_generated_interface_mirrors_the_shader() {
     assert_eq!(kernels::constants::TILE_SIZE, 16);
 }
 
+/// Kernels with two buffers of one memory, and how many variables of each form tell the compiler so.
+struct Aliases(Vec<(&'static str, Vec<&'static str>)>);
+
+impl KernelVisitor for Aliases {
+    fn visit<K: KernelInterface>(&mut self) {
+        let names = |bindings: &[BindingInfo]| -> Vec<_> {
+            bindings.iter().filter(|binding| binding.aliased).map(|binding| binding.name).collect()
+        };
+        let all = names(K::BINDINGS);
+        let mut forms = vec![(K::SPIRV, K::BINDINGS)];
+        forms.extend(K::TEXELS.map(|form| (form.spirv, form.bindings)));
+        for (spirv, bindings) in forms {
+            assert_eq!(names(bindings), all, "{}", K::NAME);
+            // OpDecorate, a variable, Aliased; Restrict would say the opposite.
+            let decorated =
+                |with: u32| spirv.windows(3).filter(|w| w[0] == 3 << 16 | 71 && w[2] == with).count();
+            assert_eq!((decorated(20), decorated(19)), (all.len(), 0), "{}", K::NAME);
+        }
+        if !all.is_empty() {
+            self.0.push((K::NAME, all));
+        }
+    }
+}
+
+#[test]
+fn kernels_with_two_names_for_one_memory_tell_the_compiler() {
+    let mut aliases = Aliases(Vec::new());
+    kernels::visit_all(&mut aliases);
+    let moments = ["moments_1", "moments_2", "old_moments_1", "old_moments_2"];
+    let project_adam = [&["parameters", "new_parameters"], &moments[..]].concat();
+    let adam = [&["parameters"], &moments[..2], &["old_parameters"], &moments[2..]].concat();
+    let expected = [
+        ("backward/project_adam", project_adam),
+        ("optimizer/adam", adam),
+        ("optimizer/add_gradients", vec!["sums", "old_sums"]),
+    ];
+    assert_eq!(aliases.0, expected);
+}
+
 /// Whether kernels fit a device with these limits, for what is not in their workgroups.
 struct Fit<'a> {
     limits: &'a Limits,
