@@ -3,7 +3,7 @@
 use ashsplat::plan::LaunchSizes;
 use ashsplat::trainer::{StrategyType, Trainer};
 use ashsplat::tuning::{Backend, Tuning};
-use ashsplat::vk::{Context, ContextOptions, LimitsOverride, SpecOverride};
+use ashsplat::vk::{Context, ContextOptions, LimitsOverride, Requirements, SpecOverride};
 use ashsplat::{RenderSettings, Renderer, TrainSettings};
 
 use crate::checkpoints::{start, views};
@@ -133,6 +133,35 @@ fn backends_choose_the_lanes_that_blend() {
     assert_eq!(sizes(&Tuning::INTEL, [16, 8]), [[16, 4, 128], [8, 4, 64]]);
     assert_eq!(sizes(&Tuning::INTEL, [16, 16]), [[16, 4, 128], [16, 4, 128]]);
     assert_eq!(sizes(&Tuning::AMD, [64, 32]), [[64, 8, 256], [64, 8, 256]]);
+}
+
+/// The workgroups of tiles are no larger than what is asked of a device with such subgroups; more than 32 take more.
+#[test]
+fn backends_fit_into_the_workgroups_that_are_asked_of_devices() {
+    for tuning in [&Tuning::PROCESSOR, &Tuning::GPU, &Tuning::INTEL, &Tuning::AMD] {
+        for lanes in [4, 8, 16, 32, 64, 128] {
+            let mut limits = Gpu::new().context.limits().clone();
+            let least = Requirements::workgroup_invocations(lanes);
+            limits.tuning = tuning;
+            limits.max_workgroup_invocations = least;
+            [limits.subgroup_size, limits.heavy_subgroup_size] = [lanes; 2];
+            let sizes = LaunchSizes::new(&limits);
+            let tiles = [sizes.blend, sizes.blend_auxiliary, sizes.blend_backward].map(|shape| shape.tile);
+            assert!(tiles.iter().all(|tile| *tile <= least), "{:?}, {lanes}: {tiles:?}", tuning.backend);
+        }
+    }
+    assert_eq!([32, 64].map(Requirements::workgroup_invocations), [128, 256]);
+    let refused = |lanes| {
+        let limits = LimitsOverride {
+            fixed_subgroup_size: Some(lanes),
+            max_workgroup_invocations: Some(128),
+            ..LimitsOverride::default()
+        };
+        Context::new(&ContextOptions { limits_override: Some(limits), ..options() }).err()
+    };
+    assert!(refused(32).is_none());
+    let said = refused(64).expect("refused").to_string();
+    assert!(said.contains("subgroup size 64") && said.contains("256") && said.contains("has 128"), "{said}");
 }
 
 #[test]

@@ -303,7 +303,6 @@ fn limits(
     } else if !lacking.is_empty() {
         missing.push(format!("subgroup operations ({lacking})"));
     }
-    missing.extend(low_limits(&l));
     let tuning = match properties.device_type {
         vk::PhysicalDeviceType::CPU => Tuning::of(Backend::Processor),
         _ => Tuning::of_vendor(properties.vendor_id),
@@ -337,7 +336,9 @@ fn limits(
         instances_per_dispatch: INSTANCES_PER_DISPATCH,
         overrides: Vec::new(),
     };
-    (limits.tuned(tuning), missing)
+    let limits = limits.tuned(tuning);
+    missing.extend(low_limits(&l, limits.subgroup_size.max(limits.heavy_subgroup_size)));
+    (limits, missing)
 }
 
 fn text(name: Result<&CStr, std::ffi::FromBytesUntilNulError>) -> String {

@@ -25,6 +25,7 @@ use super::open_device::{Device, Owner};
 use super::pipeline_cache::{PipelineCache, PipelineCacheStore};
 use super::queue_lock::QueueLock;
 use super::raw_device::RawDevice;
+use super::requirements::Requirements;
 use super::spirv::SubgroupRules;
 use crate::tuning::{Backend, Tuning};
 use crate::{Error, Result};
@@ -369,6 +370,13 @@ pub(super) fn effective_limits(candidate: &Candidate, options: &ContextOptions) 
         let problem =
             format!("the kernels take 4 to 128; '{}' was to run {}", device.name, limits.subgroup_size);
         return Err(Error::argument("subgroup size", problem));
+    }
+    let largest = limits.subgroup_size.max(limits.heavy_subgroup_size);
+    let (needed, has) = (Requirements::workgroup_invocations(largest), limits.max_workgroup_invocations);
+    // With small subgroups, smaller workgroups than a device must have are a test's.
+    if needed > Requirements::workgroup_invocations(1) && has < needed {
+        let problem = format!("takes workgroups of {needed} invocations; '{}' has {has}", device.name);
+        return Err(Error::argument(format!("subgroup size {largest}"), problem));
     }
     Ok(limits)
 }

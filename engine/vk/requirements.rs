@@ -98,15 +98,23 @@ pub(super) const LEAST_LIMITS: [(&str, u64); 4] = [
     ("maxPerStageDescriptorStorageBuffers", BUFFERS as u64),
 ];
 
-/// All of [`LEAST_LIMITS`] that a device does not reach.
-pub(super) fn low_limits(l: &vk::PhysicalDeviceLimits) -> impl Iterator<Item = String> {
+/// The largest subgroups that need no more than the least workgroup.
+const FEW_LANES: u32 = 32;
+
+/// All of [`LEAST_LIMITS`] that a device with subgroups of this size does not reach.
+pub(super) fn low_limits(l: &vk::PhysicalDeviceLimits, subgroup_size: u32) -> impl Iterator<Item = String> {
+    let invocations = u64::from(Requirements::workgroup_invocations(subgroup_size));
+    let least = LEAST_LIMITS.map(|(name, least)| match name == LEAST_LIMITS[0].0 {
+        true => (name, least.max(invocations)),
+        false => (name, least),
+    });
     let has = [
         l.max_compute_work_group_invocations,
         l.max_compute_shared_memory_size,
         l.max_push_constants_size,
         l.max_per_stage_descriptor_storage_buffers,
     ];
-    let low = LEAST_LIMITS.iter().zip(has).filter(|((_, least), has)| u64::from(*has) < *least);
+    let low = least.into_iter().zip(has).filter(|((_, least), has)| u64::from(*has) < *least);
     low.map(|((name, least), has)| format!("{name} of {least} (it has {has})"))
 }
 
@@ -142,6 +150,12 @@ pub struct Requirements {
 }
 
 impl Requirements {
+    /// The maxComputeWorkGroupInvocations that kernels with subgroups of this size need: several subgroups share a workgroup,
+    /// two of them at least where they are large.
+    pub fn workgroup_invocations(subgroup_size: u32) -> u32 {
+        if subgroup_size > FEW_LANES { 256 } else { 128 }
+    }
+
     /// Of every device.
     pub(super) fn of_all() -> Self {
         let operations = SUBGROUP_OPERATIONS.iter().map(|(flag, _)| *flag);
@@ -187,6 +201,8 @@ impl fmt::Display for Requirements {
             writeln!(f, "{head:20} {name} >= {least}")?;
             head = "";
         }
+        let (lanes, most) = (FEW_LANES, Self::workgroup_invocations(FEW_LANES + 1));
+        writeln!(f, "{head:20} {} >= {most} with subgroups of more than {lanes}", LEAST_LIMITS[0].0)?;
         let mut head = "optional";
         for optional in self.optional_extensions.iter().chain(&self.optional_instance_extensions) {
             writeln!(f, "{head:20} {} (without: {})", optional.name.to_string_lossy(), optional.without)?;
@@ -207,7 +223,9 @@ mod tests {
         assert_eq!(lacking.missing(), ["maintenance4", "subgroupSizeControl"]);
         assert_eq!(Features::default().missing().len(), Features::REQUIRED.all().len());
         let low = vk::PhysicalDeviceLimits { max_compute_work_group_invocations: 128, ..Default::default() };
-        assert_eq!(low_limits(&low).count(), LEAST_LIMITS.len() - 1);
+        assert_eq!(low_limits(&low, 32).count(), LEAST_LIMITS.len() - 1);
+        let said: Vec<_> = low_limits(&low, 64).filter(|said| said.contains("Invocations")).collect();
+        assert_eq!(said, ["maxComputeWorkGroupInvocations of 256 (it has 128)"]);
     }
 
     #[test]
