@@ -60,6 +60,9 @@ pub(super) fn create_device(
     if optional.reconverges {
         extensions.push(ash::khr::shader_maximal_reconvergence::NAME.as_ptr());
     }
+    if optional.uniform_control_flow {
+        extensions.push(ash::khr::shader_subgroup_uniform_control_flow::NAME.as_ptr());
+    }
     extensions.extend(optional.calibrated_timestamps.map(|kind| kind.extension().as_ptr()));
     let priorities = [1.0];
     let families = std::iter::once(candidate.queue_family).chain(candidate.copying_family);
@@ -89,6 +92,11 @@ pub(super) fn create_device(
         vk::PhysicalDeviceShaderMaximalReconvergenceFeaturesKHR::default().shader_maximal_reconvergence(true);
     if optional.reconverges {
         info = info.push_next(&mut reconvergence);
+    }
+    let mut uniform = vk::PhysicalDeviceShaderSubgroupUniformControlFlowFeaturesKHR::default()
+        .shader_subgroup_uniform_control_flow(true);
+    if optional.uniform_control_flow {
+        info = info.push_next(&mut uniform);
     }
     let mut executables =
         vk::PhysicalDevicePipelineExecutablePropertiesFeaturesKHR::default().pipeline_executable_info(true);

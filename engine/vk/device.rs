@@ -94,10 +94,25 @@ pub(super) struct OptionalFeatures {
     pub(super) dynamic_broadcasts: bool,
     /// VK_KHR_shader_maximal_reconvergence.
     pub(super) reconverges: bool,
+    /// VK_KHR_shader_subgroup_uniform_control_flow.
+    pub(super) uniform_control_flow: bool,
     /// robustBufferAccess2 of VK_EXT_robustness2.
     pub(super) robust_buffers2: bool,
     /// fragmentStoresAndAtomics and vertexPipelineStoresAndAtomics, which the layer's debugPrintf asks for.
     pub(super) graphics_stores: bool,
+}
+
+impl OptionalFeatures {
+    /// Turns off those of subgroups that a host has not enabled.
+    pub(super) fn keep_enabled(&mut self, told: &Features, extensions: &[&CStr]) {
+        let enabled = |name: &CStr| extensions.contains(&name);
+        self.dynamic_broadcasts &= told.subgroup_broadcast_dynamic_id;
+        self.reconverges &=
+            told.shader_maximal_reconvergence && enabled(ash::khr::shader_maximal_reconvergence::NAME);
+        self.uniform_control_flow &= told.shader_subgroup_uniform_control_flow
+            && enabled(ash::khr::shader_subgroup_uniform_control_flow::NAME)
+            && !self.reconverges;
+    }
 }
 
 /// All devices, in the loader's order. Those that report an older Vulkan are unusable.
@@ -236,6 +251,7 @@ fn features(
 ) -> (OptionalFeatures, Vec<String>) {
     let mut robustness2 = vk::PhysicalDeviceRobustness2FeaturesEXT::default();
     let mut reconvergence = vk::PhysicalDeviceShaderMaximalReconvergenceFeaturesKHR::default();
+    let mut uniform = vk::PhysicalDeviceShaderSubgroupUniformControlFlowFeaturesKHR::default();
     let mut v12 = vk::PhysicalDeviceVulkan12Features::default();
     let mut v13 = vk::PhysicalDeviceVulkan13Features::default();
     let mut all = vk::PhysicalDeviceFeatures2::default().push_next(&mut v12).push_next(&mut v13);
@@ -244,6 +260,9 @@ fn features(
     }
     if has(ash::khr::shader_maximal_reconvergence::NAME) {
         all = all.push_next(&mut reconvergence);
+    }
+    if has(ash::khr::shader_subgroup_uniform_control_flow::NAME) {
+        all = all.push_next(&mut uniform);
     }
     // SAFETY: the device implements Vulkan 1.3, each struct is chained once.
     unsafe { instance.get_physical_device_features2(physical, &mut all) };
@@ -262,6 +281,7 @@ fn features(
         memory_budget: false,
         dynamic_broadcasts: v12.subgroup_broadcast_dynamic_id != 0,
         reconverges: reconvergence.shader_maximal_reconvergence != 0,
+        uniform_control_flow: uniform.shader_subgroup_uniform_control_flow != 0,
         robust_buffers2: robustness2.robust_buffer_access2 != 0,
         graphics_stores: f.fragment_stores_and_atomics != 0 && f.vertex_pipeline_stores_and_atomics != 0,
     };
@@ -351,7 +371,7 @@ fn version(v: u32) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::find;
+    use super::{CStr, Features, OptionalFeatures, find};
 
     #[test]
     fn a_device_is_found_by_index_and_by_part_of_its_name() {
@@ -363,5 +383,36 @@ mod tests {
         assert_eq!(find("amd 200"), Some(2));
         assert_eq!(find("intel"), None);
         assert_eq!(find(""), None);
+    }
+
+    /// What the device has counts as far as the host has enabled the feature, together with its extension.
+    #[test]
+    fn a_hosts_optional_features_are_those_that_it_has_enabled() {
+        let (maximal, uniform) = (
+            ash::khr::shader_maximal_reconvergence::NAME,
+            ash::khr::shader_subgroup_uniform_control_flow::NAME,
+        );
+        let kept = |told: &Features, extensions: &[&CStr]| {
+            let has = OptionalFeatures {
+                dynamic_broadcasts: true,
+                reconverges: true,
+                uniform_control_flow: true,
+                ..OptionalFeatures::default()
+            };
+            let mut kept = has;
+            kept.keep_enabled(told, extensions);
+            [kept.dynamic_broadcasts, kept.reconverges, kept.uniform_control_flow]
+        };
+        let told = Features {
+            subgroup_broadcast_dynamic_id: true,
+            shader_maximal_reconvergence: true,
+            shader_subgroup_uniform_control_flow: true,
+            ..Features::REQUIRED
+        };
+        assert_eq!(kept(&Features::REQUIRED, &[maximal, uniform]), [false; 3]);
+        assert_eq!(kept(&told, &[]), [true, false, false]);
+        assert_eq!(kept(&told, &[uniform]), [true, false, true]);
+        // The stronger one is enough.
+        assert_eq!(kept(&told, &[maximal, uniform]), [true, true, false]);
     }
 }

@@ -37,7 +37,7 @@ pub struct ForeignDevice<'a> {
     pub queue: Option<vk::Queue>,
     /// The host's lock around that queue; `None` if no other thread submits to it while an operation does.
     pub queue_lock: Option<Arc<dyn QueueLock>>,
-    /// The features that the device was created with: see [`Features::of`].
+    /// The features that the device was created with: see [`Features::of`]. Optional ones that are not set are not used.
     pub features: Features,
     /// The device extensions that it was created with.
     pub extensions: &'a [&'a CStr],
@@ -106,8 +106,7 @@ impl Context {
         candidate.features.push_descriptor &=
             options.push_descriptors && host.extensions.contains(&ash::khr::push_descriptor::NAME);
         candidate.features.calibrated_timestamps = None;
-        // Which others are on is not told.
-        (candidate.features.reconverges, candidate.features.dynamic_broadcasts) = (false, false);
+        candidate.features.keep_enabled(&host.features, host.extensions);
         let limits = effective_limits(&candidate, options)?;
         Self::assemble(Parts {
             owner: Owner::Host(host.instance.clone()),

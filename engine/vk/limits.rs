@@ -55,7 +55,7 @@ pub struct Limits {
     /// Which kernels, sizes and layouts the device gets.
     pub tuning: &'static Tuning,
     /// Whether kernels hand values over by broadcasts from a lane that is known at run time only: where the tuning says so and
-    /// subgroupBroadcastDynamicId is on, which is not told of hosts' devices.
+    /// subgroupBroadcastDynamicId is on, as hosts say of theirs.
     pub broadcasts: bool,
     /// What its driver does against the specification.
     pub workarounds: Workarounds,

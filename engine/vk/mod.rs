@@ -158,7 +158,7 @@ pub use pipeline_statistics::PipelineStatistics;
 pub use profile::{BoundBuffer, CommandRecord, Profile, ScopeTime, Submission};
 pub use queue_lock::QueueLock;
 pub use recorder::{MAX_UPDATE_BYTES, Recorder};
-pub use requirements::{Features, OptionalExtension, Requirements};
+pub use requirements::{Features, OptionalExtension, OptionalFeature, Requirements};
 pub use slot_recording::SlotRecording;
 pub use submit::{Pending, RunReport};
 pub use texels::TexelFormat;

@@ -26,7 +26,7 @@ use super::pipeline_cache::{PipelineCache, PipelineCacheStore};
 use super::queue_lock::QueueLock;
 use super::raw_device::RawDevice;
 use super::requirements::Requirements;
-use super::spirv::SubgroupRules;
+use super::spirv::{Reconvergence, SubgroupRules};
 use crate::tuning::{Backend, Tuning};
 use crate::{Error, Result};
 use ash::vk;
@@ -197,6 +197,7 @@ impl Context {
             candidate.copying_family = None;
         }
         candidate.features.reconverges &= instance.knows_reconvergence();
+        candidate.features.uniform_control_flow &= !candidate.features.reconverges;
         let mut limits = effective_limits(&candidate, options)?;
         if options.compile_only.is_some() {
             // Of what does not run there are no times and no budget.
@@ -298,7 +299,8 @@ impl Context {
             physical: candidate.physical,
             subgroup_rules: SubgroupRules {
                 fixed_size: !limits.subgroup_size_selectable,
-                reconverges: candidate.features.reconverges,
+                reconvergence: Reconvergence::of(&candidate.features),
+                broadcasts: candidate.features.dynamic_broadcasts,
             },
             limits,
             memory,

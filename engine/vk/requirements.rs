@@ -19,19 +19,30 @@ pub struct Features {
     pub subgroup_size_control: bool,
     /// computeFullSubgroups, Vulkan 1.3.
     pub compute_full_subgroups: bool,
+    /// subgroupBroadcastDynamicId, Vulkan 1.2. Optional: kernels hand values over by broadcasts where that is faster.
+    pub subgroup_broadcast_dynamic_id: bool,
+    /// shaderMaximalReconvergence of VK_KHR_shader_maximal_reconvergence. Optional: the invocations of a subgroup are together
+    /// again after a branch, as kernels take for granted.
+    pub shader_maximal_reconvergence: bool,
+    /// shaderSubgroupUniformControlFlow of VK_KHR_shader_subgroup_uniform_control_flow. Optional: the same where the whole
+    /// subgroup was together before, on devices that do not have the other one.
+    pub shader_subgroup_uniform_control_flow: bool,
 }
 
 impl Features {
-    /// Features that every device must have.
+    /// Features that every device must have. The optional ones are not among them.
     pub const REQUIRED: Self = Self {
         scalar_block_layout: true,
         synchronization2: true,
         maintenance4: true,
         subgroup_size_control: true,
         compute_full_subgroups: true,
+        subgroup_broadcast_dynamic_id: false,
+        shader_maximal_reconvergence: false,
+        shader_subgroup_uniform_control_flow: false,
     };
 
-    /// Reads the features' structs of a device (or of its creation).
+    /// Reads the features' structs of a device (or of its creation). Those of extensions are not in them: they are off.
     pub fn of(
         v12: &vk::PhysicalDeviceVulkan12Features<'_>,
         v13: &vk::PhysicalDeviceVulkan13Features<'_>,
@@ -42,12 +53,16 @@ impl Features {
             maintenance4: v13.maintenance4 != 0,
             subgroup_size_control: v13.subgroup_size_control != 0,
             compute_full_subgroups: v13.compute_full_subgroups != 0,
+            subgroup_broadcast_dynamic_id: v12.subgroup_broadcast_dynamic_id != 0,
+            shader_maximal_reconvergence: false,
+            shader_subgroup_uniform_control_flow: false,
         }
     }
 
     /// Turns on these features in the structs for the creation of a device, and does not change the others.
     ///
-    /// A host that chains the structs of single features instead sets the fields of the same names there.
+    /// A host that chains the structs of single features instead sets the fields of the same names there, as those of
+    /// extensions always are.
     pub fn merge_into(
         &self,
         v12: &mut vk::PhysicalDeviceVulkan12Features<'_>,
@@ -55,6 +70,7 @@ impl Features {
     ) {
         let add = |to: &mut vk::Bool32, wanted: bool| *to |= vk::Bool32::from(wanted);
         add(&mut v12.scalar_block_layout, self.scalar_block_layout);
+        add(&mut v12.subgroup_broadcast_dynamic_id, self.subgroup_broadcast_dynamic_id);
         add(&mut v13.synchronization2, self.synchronization2);
         add(&mut v13.maintenance4, self.maintenance4);
         add(&mut v13.subgroup_size_control, self.subgroup_size_control);
@@ -62,13 +78,16 @@ impl Features {
     }
 
     /// Names and values.
-    pub fn all(&self) -> [(&'static str, bool); 5] {
+    pub fn all(&self) -> [(&'static str, bool); 8] {
         [
             ("scalarBlockLayout", self.scalar_block_layout),
             ("synchronization2", self.synchronization2),
             ("maintenance4", self.maintenance4),
             ("subgroupSizeControl", self.subgroup_size_control),
             ("computeFullSubgroups", self.compute_full_subgroups),
+            ("subgroupBroadcastDynamicId", self.subgroup_broadcast_dynamic_id),
+            ("shaderMaximalReconvergence", self.shader_maximal_reconvergence),
+            ("shaderSubgroupUniformControlFlow", self.shader_subgroup_uniform_control_flow),
         ]
     }
 
@@ -127,6 +146,24 @@ pub struct OptionalExtension {
     pub without: &'static str,
 }
 
+/// A feature that is used if it is enabled, for those of an extension together with it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct OptionalFeature {
+    /// Its Vulkan name, as in [`Features::all`].
+    pub name: &'static str,
+    /// The substitute without it.
+    pub without: &'static str,
+}
+
+const OPTIONAL_FEATURES: [OptionalFeature; 3] = [
+    OptionalFeature { name: "subgroupBroadcastDynamicId", without: "shuffles in place of broadcasts" },
+    OptionalFeature { name: "shaderMaximalReconvergence", without: "shaderSubgroupUniformControlFlow" },
+    OptionalFeature {
+        name: "shaderSubgroupUniformControlFlow",
+        without: "the driver is trusted to bring subgroups together again after a branch",
+    },
+];
+
 /// Required and optional properties of a host's device. The `Display` is a readable list.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
@@ -139,6 +176,8 @@ pub struct Requirements {
     pub features: Features,
     /// Required device extensions: none at present.
     pub extensions: Vec<&'static CStr>,
+    /// Features that are used if enabled.
+    pub optional_features: Vec<OptionalFeature>,
     /// Device extensions that are used if enabled.
     pub optional_extensions: Vec<OptionalExtension>,
     /// Instance extensions that are used if enabled.
@@ -164,10 +203,21 @@ impl Requirements {
             queue: vk::QueueFlags::COMPUTE,
             features: Features::REQUIRED,
             extensions: Vec::new(),
-            optional_extensions: vec![OptionalExtension {
-                name: ash::khr::push_descriptor::NAME,
-                without: "descriptor sets from pools, allocated ahead",
-            }],
+            optional_features: OPTIONAL_FEATURES.to_vec(),
+            optional_extensions: vec![
+                OptionalExtension {
+                    name: ash::khr::push_descriptor::NAME,
+                    without: "descriptor sets from pools, allocated ahead",
+                },
+                OptionalExtension {
+                    name: ash::khr::shader_maximal_reconvergence::NAME,
+                    without: "no shaderMaximalReconvergence",
+                },
+                OptionalExtension {
+                    name: ash::khr::shader_subgroup_uniform_control_flow::NAME,
+                    without: "no shaderSubgroupUniformControlFlow",
+                },
+            ],
             optional_instance_extensions: vec![OptionalExtension {
                 name: ash::ext::debug_utils::NAME,
                 without: "no names and labels in debuggers",
@@ -204,6 +254,10 @@ impl fmt::Display for Requirements {
         let (lanes, most) = (FEW_LANES, Self::workgroup_invocations(FEW_LANES + 1));
         writeln!(f, "{head:20} {} >= {most} with subgroups of more than {lanes}", LEAST_LIMITS[0].0)?;
         let mut head = "optional";
+        for OptionalFeature { name, without } in &self.optional_features {
+            writeln!(f, "{head:20} {name} (without: {without})")?;
+            head = "";
+        }
         for optional in self.optional_extensions.iter().chain(&self.optional_instance_extensions) {
             writeln!(f, "{head:20} {} (without: {})", optional.name.to_string_lossy(), optional.without)?;
             head = "";
@@ -221,7 +275,11 @@ mod tests {
         assert!(Features::REQUIRED.missing().is_empty());
         let lacking = Features { maintenance4: false, subgroup_size_control: false, ..Features::REQUIRED };
         assert_eq!(lacking.missing(), ["maintenance4", "subgroupSizeControl"]);
-        assert_eq!(Features::default().missing().len(), Features::REQUIRED.all().len());
+        let required = Features::REQUIRED.all().into_iter().filter(|(_, required)| *required).count();
+        assert_eq!(Features::default().missing().len(), required);
+        let names =
+            Features::REQUIRED.all().into_iter().filter(|(_, required)| !required).map(|(name, _)| name);
+        assert!(names.eq(OPTIONAL_FEATURES.iter().map(|feature| feature.name)));
         let low = vk::PhysicalDeviceLimits { max_compute_work_group_invocations: 128, ..Default::default() };
         assert_eq!(low_limits(&low, 32).count(), LEAST_LIMITS.len() - 1);
         let said: Vec<_> = low_limits(&low, 64).filter(|said| said.contains("Invocations")).collect();

@@ -1,6 +1,8 @@
 //! Changes to compiled shaders that depend on the device. They concern how subgroups behave, and nothing that is computed.
 
+use super::device::OptionalFeatures;
 use std::borrow::Cow;
+use std::collections::BTreeSet;
 
 /// Words of a module's header.
 const HEADER: usize = 5;
@@ -9,8 +11,36 @@ const OP_EXTENSION: u32 = 10;
 const OP_ENTRY_POINT: u32 = 15;
 const OP_EXECUTION_MODE: u32 = 16;
 const OP_CAPABILITY: u32 = 17;
-const MAXIMALLY_RECONVERGES: u32 = 6023;
-const RECONVERGENCE: &[u8] = b"SPV_KHR_maximal_reconvergence";
+const OP_BROADCAST: u32 = 337;
+const OP_SHUFFLE: u32 = 345;
+const CAPABILITY_SHUFFLE: u32 = 65;
+
+/// How the invocations of a subgroup are together again after a branch or a loop, as the shaders take for granted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Reconvergence {
+    /// Those that took the same way before: VK_KHR_shader_maximal_reconvergence.
+    Maximal,
+    /// All of them where all were together before: VK_KHR_shader_subgroup_uniform_control_flow.
+    Uniform,
+}
+
+impl Reconvergence {
+    pub(super) fn of(features: &OptionalFeatures) -> Option<Self> {
+        match (features.reconverges, features.uniform_control_flow) {
+            (true, _) => Some(Self::Maximal),
+            (false, true) => Some(Self::Uniform),
+            (false, false) => None,
+        }
+    }
+
+    /// The extension of SPIR-V, and its execution mode.
+    const fn words(self) -> (&'static [u8], u32) {
+        match self {
+            Self::Maximal => (b"SPV_KHR_maximal_reconvergence", 6023),
+            Self::Uniform => (b"SPV_KHR_subgroup_uniform_control_flow", 4421),
+        }
+    }
+}
 
 /// What a device asks of modules that use subgroups.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -18,9 +48,11 @@ pub(super) struct SubgroupRules {
     /// The subgroup size cannot be required, so that it must be the one the device reports. From SPIR-V 1.6 on a driver may
     /// choose another one for each pipeline; before, only where a flag allows it (VkPipelineShaderStageCreateFlagBits).
     pub(super) fixed_size: bool,
-    /// The device has VK_KHR_shader_maximal_reconvergence: after a branch or a loop the invocations that took the same way
-    /// before are together again, as the shaders take for granted.
-    pub(super) reconverges: bool,
+    /// What is asked of the driver.
+    pub(super) reconvergence: Option<Reconvergence>,
+    /// subgroupBroadcastDynamicId is on. Without it, a broadcast from a lane that is known at run time only may not even stand
+    /// where it never runs (VUID-RuntimeSpirv-subgroupBroadcastDynamicId-06276).
+    pub(super) broadcasts: bool,
 }
 
 impl SubgroupRules {
@@ -33,10 +65,18 @@ impl SubgroupRules {
             // The kernels have nothing of 1.6; LocalSizeId is older.
             *version = VERSION_1_5.min(*version);
         }
-        if self.reconverges
-            && let Some(changed) = with_mode(&module, RECONVERGENCE, MAXIMALLY_RECONVERGES)
+        if let Some((extension, mode)) = self.reconvergence.map(Reconvergence::words)
+            && let Some(changed) = with_mode(&module, extension, mode)
         {
             module = Cow::Owned(changed);
+        }
+        if !self.broadcasts {
+            let places = dynamic_broadcasts(&module);
+            for at in places {
+                // The operands are the same.
+                let head = &mut module.to_mut()[at];
+                *head = *head & 0xFFFF_0000 | OP_SHUFFLE;
+            }
         }
         module
     }
@@ -67,6 +107,25 @@ fn with_mode(module: &[u32], extension: &[u8], mode: u32) -> Option<Vec<u32>> {
         at += count.max(1);
     }
     Some(out)
+}
+
+/// Where broadcasts from a lane that is no constant begin, in a module that may shuffle as well.
+fn dynamic_broadcasts(module: &[u32]) -> Vec<usize> {
+    let (mut constants, mut shuffles, mut found) = (BTreeSet::new(), false, Vec::new());
+    let mut at = HEADER;
+    while let Some(&word) = module.get(at) {
+        let (opcode, count) = (word & 0xFFFF, ((word >> 16) as usize).max(1));
+        let operand = |k: usize| module.get(at + k).copied().filter(|_| k < count);
+        match opcode {
+            OP_CAPABILITY => shuffles |= operand(1) == Some(CAPABILITY_SHUFFLE),
+            // OpConstantTrue to OpSpecConstantOp.
+            41..=52 => constants.extend(operand(2)),
+            OP_BROADCAST if operand(5).is_some_and(|lane| !constants.contains(&lane)) => found.push(at),
+            _ => {}
+        }
+        at += count;
+    }
+    if shuffles { found } else { Vec::new() }
 }
 
 /// OpExtension: the name's bytes, ended by a zero, in whole words.
@@ -103,17 +162,21 @@ mod tests {
             [header(0x0001_0600), capabilities.clone(), memory_model.clone(), entry.clone(), rest.clone()];
         let module = module.concat();
         assert!(matches!(SubgroupRules::default().apply(&module), Cow::Borrowed(same) if same == module));
-        let fixed = SubgroupRules { fixed_size: true, reconverges: false }.apply(&module);
+        let rules = |fixed_size, reconvergence| SubgroupRules { fixed_size, reconvergence, broadcasts: true };
+        let fixed = rules(true, None).apply(&module);
         assert_eq!(fixed[1], VERSION_1_5);
         assert_eq!((fixed[0], &fixed[2..]), (module[0], &module[2..]));
-        let mode = instruction(OP_EXECUTION_MODE, &[4, MAXIMALLY_RECONVERGES]);
-        let extension = extension_words(RECONVERGENCE);
-        assert_eq!(extension.len(), 9);
-        let parts = [header(VERSION_1_5), capabilities, extension, memory_model, entry, mode, rest];
-        let both = SubgroupRules { fixed_size: true, reconverges: true }.apply(&module);
-        assert_eq!(both, parts.concat());
+        for (kind, length) in [(Reconvergence::Maximal, 9), (Reconvergence::Uniform, 11)] {
+            let (extension, mode) = kind.words();
+            let (extension, mode) = (extension_words(extension), instruction(OP_EXECUTION_MODE, &[4, mode]));
+            assert_eq!(extension.len(), length);
+            let parts =
+                [&header(VERSION_1_5), &capabilities, &extension, &memory_model, &entry, &mode, &rest];
+            let both = rules(true, Some(kind)).apply(&module);
+            assert_eq!(both, parts.map(Vec::as_slice).concat());
+        }
         // What is no module stays as it is.
-        let reconverging = SubgroupRules { fixed_size: false, reconverges: true };
+        let reconverging = rules(false, Some(Reconvergence::Maximal));
         assert_eq!(reconverging.apply(&module[..3]), &module[..3]);
         let cut = &module[..module.len() - 1];
         assert_eq!(reconverging.apply(cut), cut);
@@ -150,37 +213,68 @@ mod tests {
         found
     }
 
-    /// The changed modules are valid. A validator from before 2024 does not know maximal reconvergence. It knows its forerunner,
-    /// subgroup uniform control flow, whose words stand in the same places.
+    /// A broadcast from a lane that the compiler does not know is a shuffle where the feature is off, and nothing else changes.
+    #[test]
+    fn dynamic_broadcasts_are_shuffles_where_they_may_not_be() {
+        let rules = SubgroupRules::default();
+        let mut found = 0;
+        for (name, module) in modules() {
+            let changed = rules.apply(&module);
+            let words = module.iter().zip(&*changed).filter(|(a, b)| a != b);
+            for (old, new) in words {
+                assert_eq!([*old, *new], [6 << 16 | OP_BROADCAST, 6 << 16 | OP_SHUFFLE], "{name}");
+                found += 1;
+            }
+            assert!(module.len() == changed.len() && dynamic_broadcasts(&changed).is_empty(), "{name}");
+            let on = SubgroupRules { broadcasts: true, ..rules };
+            assert!(*on.apply(&module) == *module);
+        }
+        assert!(found > 3, "{found} broadcasts");
+        // From a constant lane, and in a module that may not shuffle.
+        let module = |capability, lane| {
+            let parts = [
+                vec![0x0723_0203, 0x0001_0600, 0, 9, 0],
+                instruction(OP_CAPABILITY, &[capability]),
+                instruction(43, &[1, 2, 5]),
+                instruction(OP_BROADCAST, &[1, 8, 2, 7, lane]),
+            ];
+            parts.concat()
+        };
+        let is_changed = |module: Vec<u32>| *rules.apply(&module) != *module;
+        assert!(is_changed(module(CAPABILITY_SHUFFLE, 3)));
+        assert!(!is_changed(module(CAPABILITY_SHUFFLE, 2)) && !is_changed(module(64, 3)));
+    }
+
+    /// The changed modules are valid. A validator from before 2024 does not know maximal reconvergence. It knows subgroup uniform
+    /// control flow, whose words stand in the same places.
     #[test]
     fn changed_modules_are_valid() {
         if Command::new("spirv-val").arg("--version").output().is_err() {
             eprintln!("skipped: no spirv-val");
             return;
         }
-        const FORERUNNER: (&[u8], u32) = (b"SPV_KHR_subgroup_uniform_control_flow", 4421);
         let modules = modules();
         assert!(modules.len() > 80, "{} modules", modules.len());
-        let changed = |module: &[u32]| {
-            SubgroupRules { fixed_size: false, reconverges: true }.apply(module).into_owned()
-        };
+        let rules =
+            |fixed_size, kind| SubgroupRules { fixed_size, reconvergence: Some(kind), broadcasts: false };
+        let changed = |module: &[u32]| rules(false, Reconvergence::Maximal).apply(module).into_owned();
         let unknown =
             refused(&changed(&modules[0].1)).filter(|said| said.contains("6023") || said.contains("maximal"));
         if let Some(said) = &unknown {
             eprintln!("skipped: this spirv-val does not know maximal reconvergence: {said}");
         }
         for (name, module) in &modules {
-            let fixed = SubgroupRules { fixed_size: true, reconverges: false }.apply(module);
-            let forerunner = with_mode(&fixed, FORERUNNER.0, FORERUNNER.1).expect("a module");
+            let uniform = rules(true, Reconvergence::Uniform).apply(module).into_owned();
             let known = unknown.is_none().then(|| changed(module));
-            for form in [Some(forerunner), known].into_iter().flatten() {
+            for form in [Some(uniform), known].into_iter().flatten() {
                 assert_eq!(refused(&form), None, "{name}");
             }
         }
         // Words in a wrong place are seen: a mode before the entry point that it is of.
         let (name, module) = &modules[0];
-        let mut wrong = with_mode(module, FORERUNNER.0, FORERUNNER.1).expect("a module");
-        let at = wrong.windows(3).position(|w| w[0] == (3 << 16 | OP_EXECUTION_MODE) && w[2] == FORERUNNER.1);
+        let (extension, mode) = Reconvergence::Uniform.words();
+        let mut wrong = with_mode(module, extension, mode).expect("a module");
+        let at = wrong.windows(3).position(|w| w[0] == (3 << 16 | OP_EXECUTION_MODE) && w[2] == mode);
         let at = at.expect("the mode");
         let mode: Vec<u32> = wrong.drain(at..at + 3).collect();
         wrong.splice(HEADER..HEADER, mode);

@@ -19,6 +19,8 @@ use std::mem::transmute;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
+mod subgroup_features;
+
 /// Calls of each counted function.
 static CALLS: Mutex<Vec<(&str, usize)>> = Mutex::new(Vec::new());
 
@@ -145,6 +147,9 @@ fn instrumented(host: &Host) -> (ash::Device, BTreeSet<String>) {
         let wrapper = wrapped(&text, address as usize);
         if text == "vkCreateComputePipelines" {
             return create_pipelines_with as *const c_void;
+        }
+        if text == "vkCreateShaderModule" {
+            return subgroup_features::create_module_of as *const c_void;
         }
         wrapper.unwrap_or_else(|| {
             absent.insert(text);
@@ -358,6 +363,7 @@ fn record_calls_nothing_that_submits_waits_allocates_or_maps() {
     record_and_count(&options());
     record_and_count(&HostOptions { push_descriptors: false, ..options() });
     kernels_of_threads(&options());
+    subgroup_features::that_a_host_has_enabled();
 }
 
 /// What the host's threads have built, in its own cache, is not built again.

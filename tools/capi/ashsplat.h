@@ -256,6 +256,12 @@ typedef struct AshsplatForeignDevice {
   void (*lock_queue)(void *user);
   // Gives it back, on the same thread. NULL with `lock_queue`.
   void (*unlock_queue)(void *user);
+  // VkBool32: whether VK_KHR_shader_maximal_reconvergence is among `extensions` and its shaderMaximalReconvergence was
+  // enabled. Kernels then ask the driver for it. 0 if not, or if not known.
+  uint32_t shader_maximal_reconvergence;
+  // VkBool32: the same for VK_KHR_shader_subgroup_uniform_control_flow and shaderSubgroupUniformControlFlow, for devices that do
+  // not have the other one.
+  uint32_t shader_subgroup_uniform_control_flow;
 } AshsplatForeignDevice;
 
 // An image of a host's and how it was created: two-dimensional, optimal tiling.

@@ -101,6 +101,11 @@ unsafe fn from_host(host: &AshsplatForeignDevice) -> Result<Context> {
             borrowed(host.vulkan12_features.cast(), "vulkan12_features")?,
             borrowed(host.vulkan13_features.cast(), "vulkan13_features")?,
         );
+        let features = Features {
+            shader_maximal_reconvergence: host.shader_maximal_reconvergence != 0,
+            shader_subgroup_uniform_control_flow: host.shader_subgroup_uniform_control_flow != 0,
+            ..features
+        };
         let names = slice(host.extensions, host.extension_count as usize, "extensions")?;
         let extensions: Vec<&CStr> =
             names.iter().filter(|name| !name.is_null()).map(|&name| CStr::from_ptr(name)).collect();

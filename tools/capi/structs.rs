@@ -86,7 +86,7 @@ structs! {
     AshsplatCamera, height..projection, { camera_from_world: UPRIGHT };
     AshsplatCutOut, scale..scale, { scene_from_volume: UPRIGHT, scale: 1.0 };
     AshsplatDepthTarget, to..to, {};
-    AshsplatForeignDevice, pipeline_cache..unlock_queue, {};
+    AshsplatForeignDevice, pipeline_cache..shader_subgroup_uniform_control_flow, {};
     AshsplatForeignImage, image..image, { samples: 1 };
     AshsplatGaussians, sh..sh, {};
     AshsplatMaintenance, skipped..skipped, {};

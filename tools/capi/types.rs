@@ -165,6 +165,12 @@ pub struct AshsplatForeignDevice {
     pub lock_queue: Option<unsafe extern "C" fn(user: *mut c_void)>,
     /// Gives it back, on the same thread. NULL with `lock_queue`.
     pub unlock_queue: Option<unsafe extern "C" fn(user: *mut c_void)>,
+    /// VkBool32: whether VK_KHR_shader_maximal_reconvergence is among `extensions` and its shaderMaximalReconvergence was
+    /// enabled. Kernels then ask the driver for it. 0 if not, or if not known.
+    pub shader_maximal_reconvergence: u32,
+    /// VkBool32: the same for VK_KHR_shader_subgroup_uniform_control_flow and shaderSubgroupUniformControlFlow, for devices that do
+    /// not have the other one.
+    pub shader_subgroup_uniform_control_flow: u32,
 }
 
 /// An image of a host's and how it was created: two-dimensional, optimal tiling.

@@ -47,11 +47,19 @@ pub struct HostOptions {
     pub without: Option<&'static str>,
     /// A queue of a family for compute without graphics as well.
     pub async_compute: bool,
+    /// Enable what keeps the invocations of subgroups together, and broadcasts from any lane, where the device has it.
+    pub subgroup_features: bool,
 }
 
 impl Default for HostOptions {
     fn default() -> Self {
-        Self { validation: false, push_descriptors: true, without: None, async_compute: false }
+        Self {
+            validation: false,
+            push_descriptors: true,
+            without: None,
+            async_compute: false,
+            subgroup_features: false,
+        }
     }
 }
 
@@ -87,12 +95,26 @@ impl Host {
                 Some("maintenance4") => features.maintenance4 = false,
                 _ => {}
             }
-            features.merge_into(&mut v12, &mut v13);
             let present = instance.enumerate_device_extension_properties(physical)?;
             let has = |name: &CStr| present.iter().any(|e| e.extension_name_as_c_str() == Ok(name));
+            // A device with the extension has its feature. The newer one, which an older validation layer does not know, is left out.
+            features.shader_subgroup_uniform_control_flow =
+                options.subgroup_features && has(ash::khr::shader_subgroup_uniform_control_flow::NAME);
+            features.subgroup_broadcast_dynamic_id =
+                options.subgroup_features && broadcasts(&instance, physical);
+            features.merge_into(&mut v12, &mut v13);
+            let mut control_flow = vk::PhysicalDeviceShaderSubgroupUniformControlFlowFeaturesKHR::default()
+                .shader_subgroup_uniform_control_flow(features.shader_subgroup_uniform_control_flow);
             let mut extensions = requirements.extensions.clone();
             let optional = requirements.optional_extensions.iter().map(|e| e.name);
-            extensions.extend(optional.filter(|name| options.push_descriptors && has(name)));
+            let wanted = |name: &&CStr| match *name == ash::khr::push_descriptor::NAME {
+                true => options.push_descriptors && has(name),
+                false => {
+                    *name == ash::khr::shader_subgroup_uniform_control_flow::NAME
+                        && features.shader_subgroup_uniform_control_flow
+                }
+            };
+            extensions.extend(optional.filter(wanted));
 
             let names: Vec<_> = extensions.iter().map(|name| name.as_ptr()).collect();
             let priorities = [1.0];
@@ -105,6 +127,10 @@ impl Host {
                 .enabled_extension_names(&names)
                 .push_next(&mut v12)
                 .push_next(&mut v13);
+            let info = match features.shader_subgroup_uniform_control_flow {
+                true => info.push_next(&mut control_flow),
+                false => info,
+            };
             let device = instance.create_device(physical, &info, None)?;
             let queue = device.get_device_queue(queue_family, 0);
             let new_pool = |family: u32| {
@@ -344,4 +370,16 @@ impl InFlight {
 /// SPIR-V as words.
 pub fn words(bytes: &[u8]) -> Vec<u32> {
     bytes.chunks_exact(4).map(|c| u32::from_le_bytes([c[0], c[1], c[2], c[3]])).collect()
+}
+
+/// Whether the device broadcasts from lanes that are known at run time only.
+///
+/// # Safety
+/// The physical device is of the instance.
+unsafe fn broadcasts(instance: &ash::Instance, physical: vk::PhysicalDevice) -> bool {
+    let mut v12 = vk::PhysicalDeviceVulkan12Features::default();
+    let mut all = vk::PhysicalDeviceFeatures2::default().push_next(&mut v12);
+    // SAFETY: as promised; the struct is chained once.
+    unsafe { instance.get_physical_device_features2(physical, &mut all) };
+    v12.subgroup_broadcast_dynamic_id != 0
 }

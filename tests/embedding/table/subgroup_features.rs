@@ -1,0 +1,59 @@
+//! What a host has enabled for subgroups reaches the driver's compiler.
+
+use super::{Callbacks, Device, create_module, instrumented};
+use crate::host::HostOptions;
+use crate::stage::{options, with_host};
+use ashsplat::ash::vk;
+use ashsplat::vk::{Context, ContextOptions, ForeignDevice};
+use ashsplat::{Renderer, Reservation};
+use std::ffi::c_void;
+use std::sync::Mutex;
+
+/// Shader modules as the driver gets them.
+static MODULES: Mutex<Vec<Vec<u32>>> = Mutex::new(Vec::new());
+
+pub unsafe extern "system" fn create_module_of(
+    device: Device,
+    info: *const c_void,
+    callbacks: Callbacks,
+    module: *mut u64,
+) -> i32 {
+    // SAFETY: a create info whose code outlives the call; then as the caller promises.
+    unsafe {
+        let it = &*info.cast::<vk::ShaderModuleCreateInfo<'_>>();
+        let words = std::slice::from_raw_parts(it.p_code, it.code_size / 4);
+        MODULES.lock().expect("no panic while held").push(words.to_vec());
+        create_module(device, info, callbacks, module)
+    }
+}
+
+/// What a host says of subgroups is in the modules that the driver gets, and only then.
+pub fn that_a_host_has_enabled() {
+    // OpExecutionMode of an entry point, SubgroupUniformControlFlowKHR; OpGroupNonUniformBroadcast.
+    let has_mode = |module: &[u32]| module.windows(3).any(|w| w[0] == 3 << 16 | 16 && w[2] == 4421);
+    let broadcasts = |module: &[u32]| module.contains(&(6 << 16 | 337));
+    for subgroup_features in [false, true] {
+        with_host(&HostOptions { subgroup_features, ..options() }, |host| {
+            let (device, _) = instrumented(host);
+            let blending = |foreign: &ForeignDevice<'_>| {
+                MODULES.lock().expect("no panic while held").clear();
+                // SAFETY: as in `guest`.
+                let context = unsafe { Context::from_foreign(foreign, &ContextOptions::default()) };
+                let jobs =
+                    Renderer::kernel_jobs(&context.expect("a context"), &Reservation::new(9, 1, 96, 64));
+                let jobs = jobs.expect("a list").into_iter().filter(|job| job.name() == "forward/blend");
+                jobs.for_each(|job| job.build().expect("built"));
+                let modules = std::mem::take(&mut *MODULES.lock().expect("no panic while held"));
+                assert!(!modules.is_empty());
+                [modules.iter().all(|m| has_mode(m)), modules.iter().all(|m| broadcasts(m))]
+            };
+            let foreign = ForeignDevice { device: &device, ..host.foreign() };
+            let enabled = host.features;
+            let told = [enabled.shader_subgroup_uniform_control_flow, enabled.subgroup_broadcast_dynamic_id];
+            eprintln!("the host's control flow and broadcasts: {told:?}");
+            assert_eq!(blending(&foreign), told);
+            // A feature without its extension is not used.
+            assert_eq!(blending(&ForeignDevice { extensions: &[], ..foreign }), [false, told[1]]);
+        });
+    }
+}
