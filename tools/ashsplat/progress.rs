@@ -78,8 +78,7 @@ impl TrainProgress {
             first,
             iterations,
             last: Instant::now(),
-            time_left: TimeLeft::new(first, iterations, |iteration| settings.densifies_at(iteration))
-                .with_small_pictures(settings.warm_up),
+            time_left: TimeLeft::of(first, settings),
             foretold: None,
             window: (Instant::now(), first),
             iterations_per_second: 0.0,
