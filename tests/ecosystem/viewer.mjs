@@ -234,7 +234,23 @@ async function fits(address) {
         }
         await page.click('#help');
         await shot(page, `${width}_keys`);
+        await listCloses(page);
+        assert.equal(await page.isVisible('#scene-brief'), width === 390);
         await page.close();
+    }
+}
+
+/** The list of keys takes the keys: Esc and `?` close it, and the scene behind it does not move. */
+async function listCloses(page) {
+    const seen = () => page.evaluate(() => JSON.stringify([document.body.className, document.getElementById('keys').open, ashsplat.camera.position, ashsplat.overlay.showsCameras]));
+    const before = await seen();
+    for (const key of ['h', 'w', 'c', 'ArrowLeft']) await page.keyboard.press(key);
+    assert.equal(await seen(), before, 'keys act behind the list');
+    for (const key of ['Escape', '?']) {
+        await page.keyboard.press(key);
+        await page.waitForFunction(() => !document.getElementById('keys').open);
+        await page.keyboard.press('?');
+        await page.waitForFunction(() => document.getElementById('keys').open);
     }
 }
 

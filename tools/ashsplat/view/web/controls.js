@@ -11,7 +11,7 @@ const TURN_KEYS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], Ar
 const ZOOM_KEYS = { Equal: -1, NumpadAdd: -1, Minus: 1, NumpadSubtract: 1 };
 
 export class Controls {
-    /** `actions`: click(x, y, event), double(x, y), key(code, event) → handled. */
+    /** `actions`: click(x, y, event), double(x, y), key(code, event) → handled; covered(event) → handled, while a dialog is open. */
     constructor(surface, camera, actions) {
         Object.assign(this, { surface, camera, actions, flying: false, held: new Set(), pointers: new Map(), last: 0, clicked: null });
         surface.addEventListener('pointerdown', (e) => this.down(e));
@@ -86,6 +86,11 @@ export class Controls {
     }
 
     key(e) {
+        // A dialog has the keys for itself, and Esc closes it.
+        if (document.querySelector('dialog[open]')) {
+            if (this.actions.covered(e)) e.preventDefault();
+            return;
+        }
         const typing = /^(INPUT|SELECT|TEXTAREA)$/.test(e.target.tagName) && !['range', 'checkbox', 'color'].includes(e.target.type);
         if (typing || e.metaKey || e.ctrlKey && e.code !== 'ControlLeft') return;
         const steers = e.code in FLY_KEYS || e.code in TURN_KEYS || e.code in ZOOM_KEYS;

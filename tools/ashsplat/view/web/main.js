@@ -38,7 +38,8 @@ const controls = new Controls(find('overlay'), camera, {
         else photos.jumpTo(overlay.cameraAt(x, y));
     },
     double: (x, y) => picker.pivot(x, y),
-    key
+    key,
+    covered
 });
 
 camera.changed = () => {
@@ -78,6 +79,13 @@ function fullscreen() {
 function listKeys() {
     find('keys').showModal();
     find('keys').scrollTop = 0;
+}
+
+/** What opens the list of keys closes it. */
+function covered(event) {
+    if (event.key !== '?' || event.repeat || !find('keys').open) return false;
+    find('keys').close();
+    return true;
 }
 
 function home() {
@@ -127,6 +135,7 @@ link.on('scene', (message) => {
     scene = message;
     find('scene-name').textContent = `\u200e${message.name}`;
     find('scene-name').title = message.name;
+    find('scene-brief').textContent = message.name.split('/').filter(Boolean).at(-1) ?? '';
     find('scene-note').textContent = message.empty ? '' : message.note ?? `${message.gaussians.toLocaleString('en')} Gaussians`;
     document.title = `${message.name.split('/').filter(Boolean).at(-1) ?? ''} · ashsplat`;
     find('device').textContent = message.device;

@@ -10,6 +10,7 @@ export class Stage {
         Object.assign(this, { link, say, text: 'connecting', since: performance.now(), failed: false, pictured: false, waits: true, opens: null });
         setInterval(() => this.show(), 500);
         link.on('loading', ({ name, failed }) => (failed ? this.fail(failed) : this.wait(name ? `reading ${name}` : 'starting')));
+        link.on('open', () => { if (this.waits && !this.failed) this.wait('waiting for the scene'); });
         link.on('scene', (scene) => this.open(scene));
         link.on('problem', ({ message }) => { if (!this.pictured && this.waits) this.fail(message); });
         link.on('close', () => { if (!this.pictured && !this.failed) this.wait('no connection, trying again'); });
