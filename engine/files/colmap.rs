@@ -10,7 +10,7 @@ mod text;
 mod types;
 mod write;
 
-pub use find::{ModelFolder, UNFINISHED_POSES, exists, find};
+pub use find::{ModelFolder, POSES_LOG, UNFINISHED_POSES, exists, find};
 pub use model::{Model, undistort_command};
 pub use observations::{observations, tracks};
 pub use types::{CameraModel, ColmapCamera, ColmapImage};

@@ -2,9 +2,9 @@
 
 use ashsplat::scene::Intrinsics;
 use ashsplat::scene::lens::{Distortion, Lens};
-use ashsplat_files::Photo;
 use ashsplat_files::colmap::Model;
 use ashsplat_files::images::undistort;
+use ashsplat_files::{DatasetOptions, Gallery, Photo, Progress};
 use glam::{DVec2, dvec2};
 use proptest::prelude::*;
 
@@ -103,6 +103,26 @@ fn the_pinhole_is_inscribed() {
             ..pinhole
         };
         assert!(outside(&larger) > pinhole.height as usize, "{lens:?}");
+    }
+}
+
+/// Nothing is wrong with a lens that distorts: it is a note, with the size that is used.
+#[test]
+fn what_happens_to_distorted_photos_is_no_warning() {
+    let folder = tempfile::tempdir().unwrap();
+    write(folder.path());
+    for (resolution, end) in [("1", ""), ("2", " (-r 2)")] {
+        let options = DatasetOptions { resolution: resolution.parse().unwrap(), ..Default::default() };
+        let gallery = Gallery::open(folder.path(), &options, Progress::NONE).unwrap();
+        let size = &gallery.train_photos().unwrap()[0];
+        let used = format!("used at {}x{} pixels{end}", size.width, size.height);
+        let [note] = gallery.notes() else { panic!("{:?}", gallery.notes()) };
+        assert!(note.contains("all 6 cameras have lens distortion") && note.ends_with(&used), "{note}");
+        assert!(
+            gallery.warnings().iter().all(|warning| !warning.contains("lens")),
+            "{:?}",
+            gallery.warnings()
+        );
     }
 }
 

@@ -147,7 +147,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let settings = origin.settle(settings);
     check_fits(&context, &gallery, &settings, &origin)?;
     let mut dataset = session::load(&gallery, arguments.quiet, &stop)?;
-    few_photos.iter().filter(|_| !arguments.quiet).for_each(|line| tell!("{line}"));
+    gallery.notes().iter().chain(&few_photos).filter(|_| !arguments.quiet).for_each(|line| tell!("{line}"));
     let gallery = arguments.live.wants_photos().then_some(gallery);
     match origin.needs_points() {
         true => settings.settle_points(&mut dataset, &options.host_memory, arguments.quiet, &stop)?,

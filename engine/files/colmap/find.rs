@@ -22,6 +22,8 @@ pub struct ModelFolder {
 
 /// Folder within a data set's in which `ashsplat poses` works until its cameras are found.
 pub const UNFINISHED_POSES: &str = "poses.unfinished";
+/// File within a data set's folder with what `ashsplat poses` asked of COLMAP and what that said.
+pub const POSES_LOG: &str = "poses.log";
 
 const PARTS: [&str; 3] = ["cameras", "images", "points3D"];
 

@@ -24,6 +24,7 @@ pub struct Gallery {
     pub(super) tracks: Vec<Option<Track>>,
     pub(super) points: PointCloud,
     pub(super) warnings: Vec<String>,
+    pub(super) notes: Vec<String>,
     /// The folder of the COLMAP model, or the transforms.json.
     pub(super) source: PathBuf,
     /// The file that lists the views.
@@ -41,16 +42,17 @@ impl Gallery {
         let plan = Plan::of(unpacked.folder(), options).map_err(|error| unpacked.name(error))?;
         let held_out = (0..plan.views.len()).map(|index| plan.is_test(index, options)).collect();
         plan.check_views().map_err(|error| unpacked.name(error))?;
-        let Plan { views, points, source, list, warnings, .. } = plan;
+        let Plan { views, points, source, list, warnings, notes, .. } = plan;
         let views: Vec<PlannedView> =
             views.into_iter().collect::<Result<_>>().map_err(|error| unpacked.name(error))?;
         let mut warnings = warnings;
         let maps = depths::plan(unpacked.folder(), &views, options, &mut warnings);
         let maps = maps.map_err(|error| unpacked.name(error))?;
-        let warnings = warnings.iter().map(|warning| unpacked.name_in(warning)).collect();
+        let named = |lines: Vec<String>| lines.iter().map(|line| unpacked.name_in(line)).collect();
+        let (warnings, notes) = (named(warnings), named(notes));
         let source = unpacked.named(&source);
         let (options, tracks) = (options.clone(), Vec::new());
-        Ok(Self { unpacked, options, views, held_out, maps, tracks, points, warnings, source, list })
+        Ok(Self { unpacked, options, views, held_out, maps, tracks, points, warnings, notes, source, list })
     }
 
     /// Reads all photos: the whole data set, in parallel.
@@ -145,6 +147,11 @@ impl Gallery {
     /// Warnings that do not prevent the use of the photos.
     pub fn warnings(&self) -> &[String] {
         &self.warnings
+    }
+
+    /// What is done with the photos, one line each, where that is nothing to worry about.
+    pub fn notes(&self) -> &[String] {
+        &self.notes
     }
 
     /// The data set's points. There may be none.

@@ -42,6 +42,8 @@ pub struct DatasetReport {
     pub problems: Vec<String>,
     /// Warnings that do not prevent training.
     pub warnings: Vec<String>,
+    /// What is done with the photos, where that is nothing to worry about.
+    pub notes: Vec<String>,
     /// The problems again, to find one among many.
     known: HashSet<String>,
 }
@@ -73,7 +75,8 @@ pub(super) fn inspect(path: &Path, options: &DatasetOptions, progress: Progress<
     };
     report.describe(&plan);
     report.model = Some(unpacked.named(&plan.source));
-    report.warnings.iter_mut().for_each(|warning| *warning = unpacked.name_in(warning));
+    let lines = report.warnings.iter_mut().chain(&mut report.notes);
+    lines.for_each(|line| *line = unpacked.name_in(line));
     let held_out: Vec<bool> = (0..plan.views.len()).map(|index| plan.is_test(index, options)).collect();
     let split = plan.check_views().and_then(|()| check_split(&plan.list, &held_out));
     let mut views = Vec::new();
@@ -108,6 +111,7 @@ impl DatasetReport {
         self.points = plan.points.len();
         self.point_bounds = plan.points.bounds();
         self.warnings.clone_from(&plan.warnings);
+        self.notes.clone_from(&plan.notes);
         if plan.points.is_empty() {
             self.warnings.push(match may_lack_points(&plan.source) {
                 true => random_points_instead(),
@@ -162,6 +166,9 @@ impl fmt::Display for DatasetReport {
             }
         }
         writeln!(f, "extent    {:.4}", self.scene_extent)?;
+        for note in &self.notes {
+            writeln!(f, "note      {note}")?;
+        }
         for warning in &self.warnings {
             writeln!(f, "warning   {warning}")?;
         }

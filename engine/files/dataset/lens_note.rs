@@ -1,31 +1,36 @@
 //! What is said of lenses that distort.
 
+use super::scaling;
+use crate::images::Resolution;
 use ashsplat::scene::Intrinsics;
 use ashsplat::scene::lens::Lens;
 use std::path::Path;
 
-/// One line for all of a data set's cameras: many have one camera for each photo.
+/// Which of a data set's cameras have lens distortion, if any: many have one camera for each photo.
 pub(super) fn of<'a>(
     file: &Path,
     cameras: impl Iterator<Item = (&'a Lens, Option<Intrinsics>)>,
 ) -> Option<String> {
-    let (mut all, mut distorted, mut size) = (0, 0, None);
+    let (mut all, mut distorted) = (0, 0);
     for (lens, pinhole) in cameras {
         all += 1;
-        if let Some(pinhole) = pinhole.filter(|_| lens.is_distorted()) {
-            distorted += 1;
-            size.get_or_insert([pinhole.width, pinhole.height]);
-        }
+        distorted += u32::from(pinhole.is_some() && lens.is_distorted());
     }
-    let [width, height] = size?;
     let which = match (distorted, all) {
+        (0, _) => return None,
         (1, 1) => "the camera has".to_owned(),
         (some, all) if some == all => format!("all {all} cameras have"),
         (some, all) => format!("{some} of {all} cameras have"),
     };
-    let example = if distorted > 1 { ", for example" } else { "" };
-    let file = file.display();
+    Some(format!("{}: {which} lens distortion", file.display()))
+}
+
+/// What happens to their photos, of which one has this size, pixels: with one camera, that of all.
+pub(super) fn line(distorted: Option<(&str, (u32, u32))>, resolution: Resolution) -> Option<String> {
+    let (which, (width, height)) = distorted?;
+    let (width, height) = resolution.apply(width, height);
+    let scaled = scaling::divisor(resolution).map_or_else(String::new, |by| format!(" (-r {by})"));
     Some(format!(
-        "{file}: {which} lens distortion: photos are undistorted as they are read, to {width}x{height} pixels{example}"
+        "{which}: photos are undistorted as they are read, and used at {width}x{height} pixels{scaled}"
     ))
 }

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use crate::colmap;
 use crate::names::{count_photos, count_photos_beside, has_photos};
 use ashsplat::{Error, Result};
 
@@ -27,5 +28,18 @@ pub(super) fn count<'n>(dataset: &Path, folder: &Path, names: impl Iterator<Item
     match (dataset.canonicalize(), folder.canonicalize()) {
         (Ok(dataset), Ok(same)) if dataset == same => count_photos_beside(folder, names),
         _ => count_photos(folder),
+    }
+}
+
+/// What may find cameras for the other photos of a data set.
+pub(super) fn advice_for_more(dataset: &Path) -> &'static str {
+    match std::fs::read(dataset.join(colmap::POSES_LOG)) {
+        Ok(log) if String::from_utf8_lossy(&log).contains(" exhaustive_matcher ") => {
+            "all were compared with each other: photos that overlap more may register them"
+        }
+        Ok(_) => {
+            "photos that overlap more, or `ashsplat poses --matcher exhaustive` into another folder, may register them"
+        }
+        Err(_) => "photos that overlap more, or `colmap exhaustive_matcher`, may register them",
     }
 }

@@ -44,6 +44,10 @@ pub(super) struct Plan {
     /// Number of cameras by "MODEL WIDTHxHEIGHT".
     pub(super) cameras: BTreeMap<String, usize>,
     pub(super) warnings: Vec<String>,
+    /// What is done with the photos, where that is nothing to worry about.
+    pub(super) notes: Vec<String>,
+    /// Which cameras have lens distortion.
+    distorted: Option<String>,
 }
 
 /// A view whose photo is not loaded yet.
@@ -77,9 +81,13 @@ impl Plan {
             _ => Self::of_model(path, &Model::of_dataset(path)?, options)?,
         };
         plan.warn_of_strays();
-        let views = plan.views.iter().filter_map(|view| view.as_ref().ok());
-        let sizes: Vec<(u32, u32)> = views.map(|view| view.expected_size(options)).collect();
+        let sizes: Vec<(u32, u32)> =
+            plan.views.iter().flatten().map(|view| view.expected_size(options)).collect();
         plan.warnings.extend(scaling::warning(&sizes, options.resolution));
+        let distorted = plan.views.iter().flatten().find(|view| view.lens.is_distorted());
+        let distorted = plan.distorted.as_deref().zip(distorted.map(|view| view.expected_size(options)));
+        let note = lens_note::line(distorted, options.resolution);
+        plan.notes.extend(note.or_else(|| scaling::note(&sizes, options.resolution)));
         Ok(plan)
     }
 
@@ -116,6 +124,8 @@ impl Plan {
             points: model.points.clone(),
             cameras: BTreeMap::new(),
             warnings: model.warnings.clone(),
+            notes: Vec::new(),
+            distorted: None,
         };
         let mut images: Vec<&ColmapImage> = model.images.iter().collect();
         images.sort_by(|a, b| a.name.cmp(&b.name));
@@ -129,7 +139,7 @@ impl Plan {
             }
         }
         let known = lenses.values().map(|(lens, pinhole)| (lens, *pinhole));
-        plan.warnings.extend(lens_note::of(&model.file("cameras"), known));
+        plan.distorted = lens_note::of(&model.file("cameras"), known);
         let folder = match photo_folder::find(path, &options.images) {
             Ok(folder) => folder,
             Err(e) => {
@@ -180,9 +190,9 @@ impl Plan {
         let (photos, registered) = (photo_folder::count(path, &folder, names), images.len());
         if photos > registered {
             plan.warnings.push(format!(
-                "{}: only {registered} of its {photos} photos have a camera in the model: the others are not used (photos \
-                 that overlap more, or `colmap exhaustive_matcher`, may register them)",
-                folder.display()
+                "{}: only {registered} of its {photos} photos have a camera in the model: the others are not used ({})",
+                folder.display(),
+                photo_folder::advice_for_more(path)
             ));
         }
         plan.views = images.into_iter().zip(paths).zip(turned).map(&mut view).collect();
@@ -201,6 +211,8 @@ impl Plan {
             points,
             cameras: BTreeMap::new(),
             warnings,
+            notes: Vec::new(),
+            distorted: None,
         };
         let mut finder = Finder::default();
         let paths: Vec<PathBuf> =
@@ -242,7 +254,7 @@ impl Plan {
             ));
         }
         let known = lenses.values().map(|(lens, pinhole)| (lens, *pinhole));
-        plan.warnings.extend(lens_note::of(&plan.list, known));
+        plan.distorted = lens_note::of(&plan.list, known);
         Ok(plan)
     }
 

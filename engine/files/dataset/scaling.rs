@@ -32,6 +32,26 @@ pub(super) fn warning(sizes: &[(u32, u32)], resolution: Resolution) -> Option<St
     ))
 }
 
+/// What photos were asked to be divided by.
+pub(super) fn divisor(resolution: Resolution) -> Option<u32> {
+    match resolution {
+        Resolution::Factor(by) if by > 1 => Some(by),
+        _ => None,
+    }
+}
+
+/// At which size photos of these sizes, pixels, are used, if they are divided as was asked.
+pub(super) fn note(sizes: &[(u32, u32)], resolution: Resolution) -> Option<String> {
+    let by = divisor(resolution)?;
+    let &(width, height) =
+        sizes.iter().max_by_key(|(width, height)| u64::from(*width) * u64::from(*height))?;
+    let (used_width, used_height) = resolution.apply(width, height);
+    let up_to = if sizes.iter().all(|&size| size == (width, height)) { "" } else { "up to " };
+    Some(format!(
+        "photos of {up_to}{width}x{height} pixels are used at {used_width}x{used_height} pixels (-r {by})"
+    ))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -53,6 +73,12 @@ mod tests {
         for asked in [Resolution::Factor(1), Resolution::Factor(8), Resolution::Width(800)] {
             assert_eq!(of(asked), None, "{asked}");
         }
+        let said = note(&sizes, Resolution::Factor(8));
+        assert_eq!(
+            said.as_deref(),
+            Some("photos of up to 4000x3000 pixels are used at 500x375 pixels (-r 8)")
+        );
+        assert_eq!(note(&sizes, Resolution::Factor(1)), None);
         assert_eq!(warning(&sizes[..1], Resolution::Auto), None);
         assert_eq!(warning(&[], Resolution::Auto), None);
     }
