@@ -111,7 +111,10 @@ fn hints_work_as_they_are_printed() {
         let line = said.stdout.lines().find_map(|line| line.strip_prefix(what)).expect("printed");
         line.trim().to_owned()
     };
-    assert!(type_it(&next("check it")).stdout.contains("9 registered, 9 sound photos"));
+    let checked = type_it(&next("check it")).stdout;
+    assert!(checked.contains("9 registered, 9 sound photos"));
+    let train = checked.lines().find_map(|line| line.strip_prefix("next      it can be trained on: "));
+    assert_eq!(train, Some(&*next("train")));
     type_it(&format!("{} --iterations 1 --quiet", next("train")));
     assert!(place.at("out/my photos/point_cloud/iteration_1/point_cloud.ply").is_file());
     assert_eq!(next("look at it"), "ashsplat view 'out/my photos'");
@@ -156,6 +159,25 @@ fn photographs_stay_and_are_linked() {
 }
 
 #[test]
+fn a_damaged_photograph_is_left_out() {
+    let place = Place::new("photos");
+    std::fs::write(place.at("photos/05a.jpg"), "no JPEG").expect("written");
+    let [said, told] = place.succeed(&["photos", "--quiet"]);
+    assert!(said.contains("registered      9 of 9 photographs"), "{said}");
+    let lines: Vec<&str> = told.lines().collect();
+    assert!(lines.len() == 1 && lines[0].starts_with("warning: left out: photos/05a.jpg: "), "{told}");
+    assert!(!place.at("photos_dataset/images/05a.jpg").exists());
+    std::fs::create_dir(place.at("few")).expect("created");
+    std::fs::copy(place.at("photos/01.png"), place.at("few/01.png")).expect("copied");
+    place.fails(&mut place.poses(&["few"]), &["has 1 photograph, too few"]);
+    for name in ["02.jpg", "03.jpg"] {
+        std::fs::write(place.at("few").join(name), "no JPEG").expect("written");
+    }
+    // Without them too few are left.
+    place.fails(&mut place.poses(&["few"]), &["few/02.jpg", "(and 1 more)"]);
+}
+
+#[test]
 fn photographs_in_a_data_set_are_used_where_they_are() {
     let place = Place::new("scene/images");
     place.succeed(&["scene", "--quiet"]);
@@ -175,7 +197,10 @@ fn photographs_in_a_data_set_are_used_where_they_are() {
     }
     assert!(!info().stdout.contains("warning"), "{}", info().stdout);
     std::fs::copy(flat.at("flat/01.png"), flat.at("flat/99.png")).expect("copied");
-    assert!(info().stdout.contains("only 9 of its 10 photos have a camera"), "{}", info().stdout);
+    // COLMAP has compared them all already.
+    for words in ["only 9 of its 10 photos have a camera", "all were compared with each other"] {
+        assert!(info().stdout.contains(words), "{}", info().stdout);
+    }
     let named = finish(flat.command(env!("CARGO_BIN_EXE_ashsplat")).args(["info", "flat", "--images", "."]));
     assert!(
         named.stdout.contains("9 registered") && named.stdout.contains("9 of its 10 photos"),

@@ -95,7 +95,12 @@ fn dataset(arguments: &Arguments) -> Result<()> {
     match report.problems.as_slice() {
         [] => {
             if !arguments.json {
-                let mut command = format!("ashsplat train -s {}", quoted(&arguments.path.to_string_lossy()));
+                let (dataset, model) = (&arguments.path, model::usual_folder(&arguments.path));
+                let mut command = format!(
+                    "ashsplat train -s {} -m {} --eval",
+                    quoted(&dataset.to_string_lossy()),
+                    quoted(&model)
+                );
                 if arguments.images != "images" {
                     command += &format!(" --images {}", quoted(&arguments.images));
                 }
@@ -125,6 +130,7 @@ fn dataset_json(report: &DatasetReport) -> Value {
         "scene_extent": report.scene_extent,
         "problems": report.problems,
         "warnings": report.warnings,
+        "notes": report.notes,
     })
 }
 

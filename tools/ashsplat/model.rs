@@ -61,6 +61,16 @@ pub fn is_dataset(path: &Path) -> bool {
     is_archive || path.is_dir() && !path.join(POINT_CLOUDS).is_dir() && !is_tiles(path)
 }
 
+/// The model folder that is proposed for a data set: `out/NAME`.
+pub fn usual_folder(dataset: &Path) -> String {
+    let whole = dataset.canonicalize().ok();
+    let whole = whole.as_deref().unwrap_or(dataset);
+    let is_zip = whole.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("zip"));
+    let name = if is_zip { whole.file_stem() } else { whole.file_name() };
+    let name = name.map_or("scene".into(), |name| name.to_string_lossy());
+    format!("out/{}", name.strip_suffix("_dataset").unwrap_or(&name))
+}
+
 /// Which point cloud was saved last: not always the one with the highest number, where an earlier training left its own.
 pub const LAST_ITERATION_FILE: &str = "last_iteration";
 
@@ -90,6 +100,13 @@ fn newest_iteration(folder: &Path) -> Option<u32> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_model_has_its_data_sets_name() {
+        for (dataset, model) in [("my walk_dataset", "my walk"), ("a/garden", "garden"), ("fox.ZIP", "fox")] {
+            assert_eq!(usual_folder(Path::new(dataset)), format!("out/{model}"));
+        }
+    }
 
     #[test]
     fn the_note_counts_where_its_point_cloud_is() {

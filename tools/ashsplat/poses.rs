@@ -159,7 +159,8 @@ struct Prepared<'a> {
 }
 
 enum Kind<'a> {
-    Photos(&'a Photos, Vec<Look>),
+    /// With the names of those that are sound.
+    Photos(&'a Photos, Vec<String>, Vec<Look>),
     Video(&'a Path, Video, usize),
 }
 
@@ -192,11 +193,13 @@ impl Arguments {
             Source::Photos(photos) => {
                 let (count, folder) = (photos.names.len(), photos.folder.display());
                 if count < LEAST_PHOTOS {
-                    let problem = format!("has {count} photographs, too few to find their cameras");
+                    let photographs = if count == 1 { "photograph" } else { "photographs" };
+                    let problem = format!("has {count} {photographs}, too few to find their cameras");
                     let remedy = "take 20 or more, from all around, each overlapping the next by two thirds";
                     return Err(Error::input(&photos.folder, problem, remedy));
                 }
-                let looks = self.looks(photos, stop)?;
+                let (names, looks) = self.looks(photos, stop)?;
+                let count = names.len();
                 if let Some((others, one)) = &photos.others {
                     let they =
                         if *others == 1 { "1 picture is".into() } else { format!("{others} pictures are") };
@@ -209,7 +212,7 @@ impl Arguments {
                     false => format!("hard links to them go to {}", photos.dataset.join("images").display()),
                 };
                 let said = format!("{count} photographs in {folder}; {place}");
-                Ok(Prepared { kind: Kind::Photos(photos, looks), said })
+                Ok(Prepared { kind: Kind::Photos(photos, names, looks), said })
             }
             Source::Video(path, _) => {
                 let video = self.reader(path, stop).probe()?;
@@ -233,8 +236,8 @@ impl Arguments {
         }
     }
 
-    /// Reads all photographs once: one that is damaged is better known now than after hours.
-    fn looks(&self, photos: &Photos, stop: &AtomicBool) -> Result<Vec<Look>> {
+    /// Reads all photographs once: one that is damaged is better known now than after hours. It is left out, if enough are sound.
+    fn looks(&self, photos: &Photos, stop: &AtomicBool) -> Result<(Vec<String>, Vec<Look>)> {
         let bar = counting_in("checking", "photographs", photos.names.len() as u64, self.quiet);
         let memory = self.host.memory();
         let look = |name: &String| {
@@ -248,22 +251,36 @@ impl Arguments {
         bar.finish_and_clear();
         session::check(stop)?;
         let damaged = looks.iter().filter(|look| look.is_err()).count();
-        looks.into_iter().collect::<Result<Vec<Look>>>().map_err(|error| match damaged {
-            1 => error,
-            _ => Error::argument("photographs", format!("{error} (and {} more)", damaged - 1)),
-        })
+        let enough = looks.len() - damaged >= LEAST_PHOTOS;
+        let (mut sound, mut first) = ((Vec::new(), Vec::new()), None);
+        for (name, look) in photos.names.iter().zip(looks) {
+            match look {
+                Ok(look) => {
+                    sound.0.push(name.clone());
+                    sound.1.push(look);
+                }
+                // Too little memory or no permission is no fault of the photograph.
+                Err(error @ Error::Input { .. }) if enough => _ = first.get_or_insert(error),
+                Err(error) if damaged == 1 => return Err(error),
+                Err(error) => {
+                    let more = format!("{error} (and {} more)", damaged - 1);
+                    return Err(Error::argument("photographs", more));
+                }
+            }
+        }
+        if let Some(error) = first {
+            let others = if damaged > 1 { format!(" (and {} more)", damaged - 1) } else { String::new() };
+            tell!("warning: left out: {error}{others}");
+        }
+        Ok(sound)
     }
 
     /// The photographs as files: a video's frames are taken from it.
     fn photographs(&self, kind: Kind, work: &mut Work, stop: &AtomicBool) -> Result<(Prints, Vec<Look>)> {
         let (path, video, count) = match kind {
-            Kind::Photos(photos, looks) => {
-                let Photos { folder, names, in_place, .. } = photos;
-                let (folder, names) = (folder.clone(), names.clone());
-                return Ok((
-                    Prints { folder, names, in_place: *in_place, is_ours: false, video: false },
-                    looks,
-                ));
+            Kind::Photos(Photos { folder, in_place, .. }, names, looks) => {
+                let (folder, in_place) = (folder.clone(), *in_place);
+                return Ok((Prints { folder, names, in_place, is_ours: false, video: false }, looks));
             }
             Kind::Video(path, video, count) => (path, video, count),
         };
@@ -368,10 +385,7 @@ impl Arguments {
         say!("points          {}", thousands(found.points as u64));
         say!("data set        {}", dataset.display());
         say!("time            {}", time(seconds));
-        let name = dataset.canonicalize().ok();
-        let name =
-            name.as_deref().and_then(Path::file_name).map_or("scene".into(), |name| name.to_string_lossy());
-        let model = format!("out/{}", name.strip_suffix("_dataset").unwrap_or(&name));
+        let model = crate::model::usual_folder(dataset);
         let (dataset, model) = (quoted(&dataset.to_string_lossy()), quoted(&model));
         say!("check it        ashsplat info {dataset}");
         say!("train           ashsplat train -s {dataset} -m {model} --eval");

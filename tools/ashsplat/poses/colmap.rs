@@ -3,6 +3,8 @@
 use crate::child::{self, Ended};
 use ashsplat::{Error, Result};
 use std::ffi::{OsStr, OsString};
+use std::fs::File;
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::atomic::AtomicBool;
@@ -121,6 +123,10 @@ impl Colmap {
         let mut command = Command::new(&self.program);
         // It opens windows otherwise, also where there are none.
         command.args(words).env("QT_QPA_PLATFORM", "offscreen");
+        let asked: Vec<_> = words.iter().map(|word| word.to_string_lossy()).collect();
+        let file = File::options().create(true).append(true).open(log);
+        file.and_then(|mut file| writeln!(file, "$ {} {}", self.program.to_string_lossy(), asked.join(" ")))
+            .map_err(|e| Error::io(log, "write", e))?;
         let hear = |line: &str| Heard::of(line).into_iter().for_each(heard);
         child::run_logged(command, log, stop, &hear)
     }

@@ -10,8 +10,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 const STATE_FILE: &str = "state.json";
-/// What COLMAP said, in the end beside the data set.
-pub const LOG_FILE: &str = "poses.log";
+/// What COLMAP was asked and what it said, in the end beside the data set.
+pub use ashsplat_files::colmap::POSES_LOG as LOG_FILE;
 
 const POSES: Locked = Locked { file: ".poses.lock", what: "`ashsplat poses`", option: "-o" };
 
