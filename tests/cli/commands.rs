@@ -208,6 +208,56 @@ fn films_are_files_and_never_folders() {
     }
     let exr = [["render", text(&ply), "--format", "exr"].as_slice(), &small, &[text(&gif)]].concat();
     refuse(&exr, &["--format", "8 bits"]);
+    // One picture is a file, too.
+    let one = ["render", text(&ply), "--width", "40", "--orbit", "1", "--out"];
+    for name in ["one.png", "one.exr"] {
+        succeed(&[one.as_slice(), &[text(&film(name))]].concat());
+        assert!(film(name).is_file());
+    }
+    assert_eq!(image::open(film("one.png")).expect("a PNG").width(), 40);
+    let named = |name: &str, words: &[&str]| {
+        refuse(&[["render", text(&ply)].as_slice(), &small, &[text(&film(name))]].concat(), words);
+        assert!(!film(name).exists(), "{name}");
+    };
+    named("several.png", &["several.png", "3 views", "folder", ".mp4"]);
+    named("one.jpg", &["one.jpg", ".png or .exr"]);
+    refuse(&["render", text(&ply), "--frames", "12"], &["--frames", "--path", "`--orbit 12`"]);
+}
+
+/// Training lists what it holds out first; a curve goes from photograph to photograph. A path that somebody wrote stays as it is.
+#[test]
+fn a_models_cameras_are_a_path_by_name() {
+    let folder = tempdir().expect("a temporary folder");
+    let at = |name: &str| folder.path().join(name);
+    let gaussians = ashsplat_files::initial_gaussians(&wall_points(), 0).expect("Gaussians");
+    let ply = at("model/point_cloud/iteration_1/point_cloud.ply");
+    std::fs::create_dir_all(ply.parent().expect("a folder")).expect("created");
+    ashsplat_files::ply::write(&ply, &gaussians).expect("written");
+    let path = |names: [u32; 3]| {
+        let camera = |n: u32| {
+            let x = f64::from(n) * 0.05;
+            format!(
+                r#"{{"id": {n}, "img_name": "{n}.jpg", "width": 32, "height": 24, "position": [{x}, 0, -2],
+                "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "fx": 30, "fy": 30}}"#
+            )
+        };
+        format!("[{}]", names.map(camera).join(","))
+    };
+    std::fs::write(at("model/cameras.json"), path([10, 1, 2])).expect("written");
+    std::fs::write(at("listed.json"), path([10, 1, 2])).expect("written");
+    std::fs::write(at("cameras.json"), path([1, 2, 10])).expect("written");
+    let first = |name: &str| {
+        let (path, out) = (at(name), folder.path().join("out").join(name));
+        succeed(&["render", text(&ply), "--path", text(&path), "--frames", "2", "-o", text(&out), "--quiet"]);
+        std::fs::read(out.join("00000.png")).expect("a PNG")
+    };
+    assert!(first("model/cameras.json") == first("cameras.json"), "not by name");
+    assert!(first("listed.json") != first("cameras.json"), "not as it was written");
+}
+
+#[test]
+fn a_window_needs_something_to_show() {
+    refuse(&["view", "--window"], &["--window", "`ashsplat view --window out/MODEL`"]);
 }
 
 /// However small a scene is, an orbit does not come so near that all of it is culled.

@@ -56,8 +56,9 @@ pub struct Arguments {
     budget: Option<Target>,
     #[command(flatten)]
     views: views::Arguments,
-    /// Folder for the pictures, or a film: FILE.mp4, FILE.webm (both by ffmpeg) or FILE.gif
-    #[arg(short, long, value_name = "DIR|FILM", default_value = "out/render")]
+    /// Folder for the pictures; or the file of one: FILE.png or FILE.exr; or a film: FILE.mp4, FILE.webm (both by ffmpeg) or
+    /// FILE.gif
+    #[arg(short, long, value_name = "DIR|FILE", default_value = "out/render")]
     out: PathBuf,
     /// Frames per second of a film [default: 30]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=120))]
@@ -183,14 +184,21 @@ pub fn parse_vector(text: &str) -> Result<Vec3, String> {
 pub fn run(arguments: &Arguments) -> Result<()> {
     let path = arguments.model.as_ref().or(arguments.model_path.as_ref());
     let path = folder_of_tiles(path.ok_or_else(|| Error::argument("MODEL", "is missing"))?);
+    arguments.views.check()?;
     let film = arguments.film()?;
+    let picture = arguments.picture()?;
+    let format = picture.unwrap_or(arguments.format);
     let tree = arguments.tree(path)?;
     let model = Model::locate(&scene_of(path, tree.as_ref()), arguments.iteration)?;
     let light = arguments.light(&model)?;
     let scene = arguments.look.load(&model.ply, &arguments.device.host)?;
     let gaussians = &scene.gaussians;
     let views = arguments.views.choose(&model, gaussians, film)?;
-    let with_depth = arguments.format != Format::Png;
+    if let (Some(_), several @ 2..) = (picture, views.cameras.len()) {
+        let problem = format!("is one picture, and there are {several} views");
+        return Err(Error::input(&arguments.out, problem, "name a folder, or a film (.mp4, .webm, .gif)"));
+    }
+    let with_depth = format != Format::Png;
     let mut settings = RenderSettings {
         inverse_depth: with_depth,
         ..arguments.look.settings(&model.settings, &scene.header)?
@@ -227,8 +235,17 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     };
     match film {
         None => {
-            output::remove_leftovers(&arguments.out, 0);
-            (0..count).try_for_each(|index| arguments.save(index, &render(index)?))?;
+            match picture {
+                Some(_) => output::remove_leftovers_of(&arguments.out),
+                None => output::remove_leftovers(&arguments.out, 0),
+            }
+            (0..count).try_for_each(|index| {
+                let place = |extension: &str| match picture {
+                    Some(_) => arguments.out.clone(),
+                    None => output::numbered(&arguments.out, index, extension),
+                };
+                arguments.save(&place, format, &render(index)?)
+            })?;
         }
         Some(container) => {
             output::remove_leftovers_of(&arguments.out);
@@ -250,7 +267,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         let size = size
             .map_or_else(String::new, |file| format!(" ({:.1} MiB)", file.len() as f64 / f64::from(1 << 20)));
         let (out, device) = (arguments.out.display(), context.device_name());
-        say!("{count} frames in {out}{size}, {mean:.1} ms each on {device}");
+        let frames = if count == 1 { "1 frame".to_owned() } else { format!("{count} frames") };
+        say!("{frames} in {out}{size}, {mean:.1} ms each on {device}");
     }
     arguments.device.report_validation(&context);
     Ok(())
@@ -373,14 +391,35 @@ impl Arguments {
         Ok(Some(container))
     }
 
-    fn save(&self, index: usize, frame: &Frame) -> Result<()> {
-        let path = |extension| output::numbered(&self.out, index, extension);
-        match (self.format, self.transparent) {
+    /// The kind of the one picture that --out names, if it does not name a folder.
+    fn picture(&self) -> Result<Option<Format>> {
+        let ending = self.out.extension().and_then(|ending| ending.to_str()).unwrap_or_default();
+        // A folder may have any name.
+        let ending = if self.out.is_dir() { String::new() } else { ending.to_ascii_lowercase() };
+        let format = match (ending.as_str(), self.format) {
+            ("png", Format::Png) => Format::Png,
+            ("exr", Format::Png | Format::Exr) => Format::Exr,
+            ("png" | "exr", _) => {
+                let problem = "asks for other files than --out names; name a folder";
+                return Err(Error::argument("--format", problem));
+            }
+            ("jpg" | "jpeg" | "webp" | "tif" | "tiff" | "bmp", _) => {
+                let problem = "is a kind of picture that is not written";
+                return Err(Error::input(&self.out, problem, "end it in .png or .exr"));
+            }
+            _ => return Ok(None),
+        };
+        output::check(&[("--out", Some(&self.out))])?;
+        Ok(Some(format))
+    }
+
+    fn save(&self, path: &dyn Fn(&str) -> PathBuf, format: Format, frame: &Frame) -> Result<()> {
+        match (format, self.transparent) {
             (Format::Exr, _) => {}
             (_, true) => output::write_rgba_png(&path("png"), &output::to_rgba(frame))?,
             (_, false) => output::write_png(&path("png"), &output::to_photo(frame)?)?,
         }
-        if self.format != Format::Png {
+        if format != Format::Png {
             output::write_exr(&path("exr"), frame, self.transparent)?;
         }
         Ok(())

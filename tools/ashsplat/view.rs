@@ -107,6 +107,11 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         std::fs::metadata(path).map_err(|e| Error::io(path, "read", e))?;
     }
     if arguments.window {
+        if arguments.path.is_none() {
+            let problem = "a window opens nothing by itself: give what it is to show, `ashsplat view --window out/MODEL` for \
+                           example; without --window, the page takes files and paths";
+            return Err(Error::argument("--window", problem));
+        }
         return in_window(arguments, out, stop);
     }
     // Before anything is loaded: a port in use costs no time.

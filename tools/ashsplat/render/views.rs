@@ -3,7 +3,7 @@
 use super::parse_vector;
 use crate::config::CAMERAS_FILE;
 use crate::film_file::Container;
-use crate::model::Model;
+use crate::model::{Model, POINT_CLOUDS};
 use crate::session;
 use ashsplat::kernels::constants::NEAR_PLANE;
 use ashsplat::scene::{Camera, Gaussians, Intrinsics, Motion, Orbit, tour};
@@ -11,6 +11,7 @@ use ashsplat::{Error, Result};
 use ashsplat_files::cameras_json::{self, NamedCamera};
 use clap::{Args, ValueEnum};
 use glam::Vec3;
+use std::cmp::Ordering;
 use std::path::{Path, PathBuf};
 
 /// Most views of an orbit or a curve: an hour of film has as many at 28 frames per second.
@@ -33,8 +34,9 @@ pub struct Arguments {
     /// Render the views of a camera path (JSON)
     #[arg(long, value_name = "FILE")]
     path: Option<PathBuf>,
-    /// Render N views on a smooth curve through those of --path
-    #[arg(long, value_name = "N", requires = "path", value_parser = clap::value_parser!(u32).range(1..=MOST_FRAMES))]
+    /// Render N views on a smooth curve through those of --path: through a model folder's cameras.json in the order of their names,
+    /// through another file in its own
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MOST_FRAMES))]
     frames: Option<u32>,
     /// Up in an orbit's pictures, for a PLY without cameras
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, value_parser = parse_vector, default_value = "0,-1,0")]
@@ -88,6 +90,19 @@ pub struct Views {
 }
 
 impl Arguments {
+    /// Refuses what cannot be meant.
+    pub fn check(&self) -> Result<()> {
+        match (self.frames, &self.path) {
+            (Some(count), None) => {
+                let problem = format!(
+                    "needs a camera path: --path FILE; `--orbit {count}` has {count} views around the scene"
+                );
+                Err(Error::argument("--frames", problem))
+            }
+            _ => Ok(()),
+        }
+    }
+
     /// The views that are asked for.
     pub fn choose(&self, model: &Model, gaussians: &Gaussians, film: Option<Container>) -> Result<Views> {
         let own =
@@ -126,8 +141,12 @@ impl Arguments {
 
     /// The views of a file, or those between them.
     fn along(&self, path: &Path) -> Result<Vec<NamedCamera>> {
-        let keys = cameras_json::read(path)?;
+        let mut keys = cameras_json::read(path)?;
         let Some(count) = self.frames else { return Ok(keys) };
+        // Training lists what it holds out first; names tell how the photographs follow each other.
+        if is_of_model(path) {
+            keys.sort_by(|a, b| by_name(&a.name, &b.name));
+        }
         if let Some(pair) =
             keys.windows(2).find(|pair| pair[0].camera.projection != pair[1].camera.projection)
         {
@@ -185,6 +204,33 @@ impl Arguments {
         let note = note.filter(|_| self.motion.is_none()).map(str::to_owned);
         Ok(Views { cameras: named(cameras, "orbit")?, note })
     }
+}
+
+/// Whether a camera path is the list that a training wrote, and no path that somebody made: it lies in a model folder under that
+/// name.
+fn is_of_model(path: &Path) -> bool {
+    let folder = path.parent().unwrap_or(Path::new(""));
+    path.file_name().is_some_and(|name| name == CAMERAS_FILE) && folder.join(POINT_CLOUDS).is_dir()
+}
+
+/// The order of names that people mean: numbers in them count as such.
+fn by_name(a: &str, b: &str) -> Ordering {
+    fn part(name: &str) -> (&str, &str) {
+        let digit = name.starts_with(|c: char| c.is_ascii_digit());
+        name.split_at(name.find(|c: char| c.is_ascii_digit() != digit).unwrap_or(name.len()))
+    }
+    let (mut left, mut right) = (a, b);
+    while !left.is_empty() && !right.is_empty() {
+        let ((x, left_rest), (y, right_rest)) = (part(left), part(right));
+        let numbers = [x, y].iter().all(|part| part.starts_with(|c: char| c.is_ascii_digit()));
+        let [x0, y0] = [x, y].map(|part| part.trim_start_matches('0'));
+        let order = if numbers { x0.len().cmp(&y0.len()).then_with(|| x0.cmp(y0)) } else { x.cmp(y) };
+        if order.is_ne() {
+            return order;
+        }
+        (left, right) = (left_rest, right_rest);
+    }
+    left.len().cmp(&right.len()).then_with(|| a.cmp(b))
 }
 
 /// Sound cameras, numbered.
@@ -271,5 +317,17 @@ impl SizeArguments {
         }
         camera.check()?;
         Ok(camera)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_in_names_count_as_such() {
+        let mut names = ["b1", "a10.jpg", "a2.jpg", "a02.jpg", "a", "a2/3", "a2/20", "IMG_9", "IMG_0010"];
+        names.sort_by(|a, b| by_name(a, b));
+        assert_eq!(names, ["IMG_9", "IMG_0010", "a", "a02.jpg", "a2.jpg", "a2/3", "a2/20", "a10.jpg", "b1"]);
     }
 }
