@@ -42,6 +42,16 @@ pub const MAX_MEMORY_IN_VIEWER: &str = "Most device memory to use, with a unit: 
 pub const MAX_MEMORY_IN_MEASUREMENTS: &str = "Most device memory to use, with a unit: 800M, 6G; a measurement that needs more ends \
     with an error [default: what the device has]";
 
+/// The same where tiles are made.
+pub const MAX_MEMORY_IN_TILES: &str = "Most device memory to use, with a unit: 800M, 6G; the pictures that tell a tile's error are \
+    drawn within it, and where one needs more the command ends with an error [default: what the device has]";
+/// The same where a scene is divided.
+pub const MAX_MEMORY_IN_PARTITION: &str = "Most device memory to use, with a unit: 800M, 6G; the coarse model is drawn within it, once \
+    for each photo, and where that needs more the command ends with an error [default: what the device has]";
+/// The same where blocks are merged.
+pub const MAX_MEMORY_IN_MERGE: &str = "Most device memory to use, with a unit: 800M, 6G; the report draws the merged scene within it, \
+    and where that needs more there is no report; merging itself needs none [default: what the device has]";
+
 /// How much memory of the machine itself is used.
 #[derive(Args, Clone, Copy, Default)]
 pub struct HostArguments {

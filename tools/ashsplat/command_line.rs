@@ -98,6 +98,9 @@ fn summary(error: &clap::Error) -> String {
     if let Some(folder) = folder_of_training(error) {
         return format!("{first}; did you mean '-s {folder}'? see --help");
     }
+    if let Some(place) = place_of_options(error, &owners) {
+        return format!("{first}{place}; see --help");
+    }
     let suggestion = suggestion(error).map(|word| format!("; did you mean '{word}'?")).unwrap_or_default();
     // What was meant here is likelier than what another command has.
     if !suggestion.is_empty() || owners.is_empty() {
@@ -105,6 +108,24 @@ fn summary(error: &clap::Error) -> String {
         return format!("{first}{suggestion}{end} see --help");
     }
     format!("{first}: it is an option of `{}`; leave it out here, see --help", owners.join("`, `"))
+}
+
+/// Where an option belongs that stands before all commands; none if it may be one of the program's own.
+fn place_of_options(error: &clap::Error, owners: &[String]) -> Option<String> {
+    /// Letters that a slip leaves as they are.
+    const SAME: usize = 3;
+    let usage = error.get(ContextKind::Usage)?.to_string();
+    let ContextValue::String(option) = error.get(ContextKind::InvalidArg)? else { return None };
+    let begin = |word: &str| word.chars().filter(|&c| c != '-').take(SAME).collect::<String>();
+    // "Usage: ashsplat train …" within a command.
+    let within = usage.split("ashsplat ").nth(1).is_some_and(|rest| rest.starts_with(char::is_alphabetic));
+    if within || suggestion(error).is_some_and(|word| begin(&word) == begin(option)) {
+        return None;
+    }
+    Some(match owners {
+        [] => ": options come after a command, as in `ashsplat train --iterations 7000`".to_owned(),
+        _ => format!(": it is an option of `{}`; put it after the command", owners.join("`, `")),
+    })
 }
 
 /// What stands behind `train` without an option: other programs take the data set so.
@@ -180,6 +201,12 @@ mod tests {
         assert!(said(&["trian"]).ends_with("did you mean 'train'? see --help"), "{}", said(&["trian"]));
         assert!(said(&["train", "my_scene"]).ends_with("; did you mean '-s my_scene'? see --help"));
         assert!(said(&["bench", "sort", "--xyzzy"]).ends_with("found; see --help"));
+        let early = said(&["--iteration", "100"]);
+        assert!(early.contains("`render`") && !early.contains("--version"), "{early}");
+        let early = said(&["--iterations", "100"]);
+        assert!(early.contains("`train`") && early.contains("after the command"), "{early}");
+        assert!(said(&["--xyzzy"]).contains("after a command"), "{}", said(&["--xyzzy"]));
+        assert!(said(&["--versoin"]).contains("did you mean '--version'?"), "{}", said(&["--versoin"]));
     }
 
     #[test]

@@ -3,7 +3,7 @@
 mod report;
 mod seams;
 
-use crate::args::DeviceArguments;
+use crate::args::{DeviceArguments, MAX_MEMORY_IN_MERGE};
 use crate::blocks::BlocksFile;
 use crate::blocks::result::{Missing, scene_of};
 use crate::lock::{FolderLock, Work};
@@ -25,7 +25,7 @@ use std::path::{Path, PathBuf};
 #[command(
     mut_arg("device", |argument| argument.requires("report")),
     mut_arg("validation", |argument| argument.requires("report")),
-    mut_arg("max_memory", |argument| argument.requires("report")),
+    mut_arg("max_memory", |argument| argument.requires("report").help(MAX_MEMORY_IN_MERGE)),
     mut_arg("subgroup_size", |argument| argument.requires("report")),
     mut_arg("backend", |argument| argument.requires("report"))
 )]

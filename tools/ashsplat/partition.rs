@@ -4,7 +4,7 @@ mod cameras;
 mod likeness;
 mod plan;
 
-use crate::args::DeviceArguments;
+use crate::args::{DeviceArguments, MAX_MEMORY_IN_PARTITION};
 use crate::blocks::{
     self, Block, BlocksFile, Coarse, Core, DatasetOfBlocks, Division, MAX_BLOCKS, cameras_hash, stored,
 };
@@ -31,6 +31,7 @@ use std::path::{Path, PathBuf};
 /// photos of which its cell covers --min-share: by the depths of the coarse model, which is drawn once per photo. A photo that
 /// shows no cell so much goes to the one that it shows most of. The same input gives the same file.
 #[derive(Args)]
+#[command(mut_arg("max_memory", |argument| argument.help(MAX_MEMORY_IN_PARTITION)))]
 pub struct Arguments {
     /// Data set [default: that of the coarse model's training]
     #[arg(value_name = "DATASET", conflicts_with = "source_path")]

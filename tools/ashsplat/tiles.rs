@@ -4,7 +4,7 @@ mod drawn;
 mod likeness;
 mod measure;
 
-use crate::args::DeviceArguments;
+use crate::args::{DeviceArguments, MAX_MEMORY_IN_TILES};
 use crate::config::CAMERAS_FILE;
 use crate::model::Model;
 use crate::output;
@@ -32,6 +32,7 @@ pub use drawn::Drawn;
 /// ones is measured by rendering both, and is its geometric error: its screen-space error is the root of the squared difference, summed
 /// over the pixels that the tile covers.
 #[derive(Args)]
+#[command(mut_arg("max_memory", |argument| argument.help(MAX_MEMORY_IN_TILES)))]
 pub struct Arguments {
     /// A file of Gaussians or a model folder
     #[arg(value_name = "SCENE")]
