@@ -1,6 +1,7 @@
 //! Queues of a host: one of another family with images that change hands, one that other threads submit to ([`lock`]), and contexts that share
 //! what is on the device.
 
+mod failed_wait;
 mod lock;
 
 use crate::child;

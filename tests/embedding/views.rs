@@ -1,5 +1,6 @@
 //! Several views in one recording: layers of an array, rectangles of one image, with a sort of their own and with one for all.
 
+mod at_random;
 mod commands;
 mod costs;
 mod split_screen;
