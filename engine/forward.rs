@@ -23,7 +23,7 @@ mod views;
 
 use arguments::arguments;
 pub(crate) use arguments::range_arguments;
-pub use auxiliary::{Auxiliary, MotionBuffers, PickBuffers, Seen};
+pub use auxiliary::{Auxiliary, Before, MotionBuffers, PickBuffers, Seen};
 pub(crate) use batches::LEAST_SCENES;
 pub use blend_forms::{BlendMeasurement, Blending};
 pub use blending::BlendVariant;
@@ -176,12 +176,12 @@ impl Forward {
         let [extent, antialias] = inputs.settings.modes();
         let of_frame = BlendVariant { shared_order: inputs.view > Some(0), ..inputs.blend_variant() };
         for (place, first) in inputs.batches() {
-            let variant = of_frame.of_scene(&first.settings);
+            let variant = of_frame.of_scene(first.settings);
             r.barrier();
             self.record_batch_flags(r, (inputs, place), &first, variant);
         }
         for part in inputs.parts() {
-            let variant = of_frame.of_scene(&part.settings);
+            let variant = of_frame.of_scene(part.settings);
             let Some(kernel) = &self.cull[variant.of_cull()] else {
                 panic!("Forward::prepare was not called for this variant");
             };
@@ -290,11 +290,11 @@ impl Forward {
             if !std::mem::take(&mut is_first) {
                 r.barrier();
             }
-            let variant = inputs.blend_variant().of_scene(&first.settings);
+            let variant = inputs.blend_variant().of_scene(first.settings);
             self.record_batch_project(r, (inputs, place), &first, variant);
         }
         for part in inputs.parts() {
-            let variant = inputs.blend_variant().of_scene(&part.settings);
+            let variant = inputs.blend_variant().of_scene(part.settings);
             let Some(kernel) = &self.project[variant.of_project()][part.sh_degree as usize] else {
                 panic!("Forward::prepare was not called for SH degree {}", part.sh_degree);
             };

@@ -130,7 +130,7 @@ impl Training {
             pose: (kind == Kind::Poses).then_some(&first_pose),
             settings: &self.settings,
             sh_degree: SH_DEGREE,
-            scene_settings: SceneSettings::default(),
+            scene_settings: &SceneSettings::USUAL,
             batch: Batch::ALONE,
             others: &[],
             depth_limits: None,

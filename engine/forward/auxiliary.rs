@@ -1,7 +1,7 @@
 //! What blending leaves beside the picture where a host wants it: the Gaussian of the largest weight, and the mean motion.
 
 use super::inputs::FrameInputs;
-use crate::scene::Camera;
+use crate::scene::{Camera, Pose};
 use crate::vk::{Buffer, Recorder};
 
 /// What a frame leaves beside the picture. The default is nothing, by the kernels of a frame without.
@@ -38,6 +38,21 @@ pub struct Seen {
     pub camera: Camera,
     /// World units per unit of the scene.
     pub scale: f32,
+}
+
+/// How a scene was seen in the frame before.
+#[derive(Clone, Copy, Debug)]
+pub struct Before<'a> {
+    /// The frame's camera.
+    pub camera: &'a Camera,
+    /// The scene's pose.
+    pub pose: &'a Pose,
+}
+
+impl Before<'_> {
+    pub(super) fn seen(&self) -> Seen {
+        Seen { camera: self.pose.camera_in_object(self.camera), scale: self.pose.scale }
+    }
 }
 
 /// How many of them one command writes. They are gathered on the stack: 4 KiB.

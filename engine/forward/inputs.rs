@@ -1,6 +1,6 @@
 //! The inputs of a frame: scenes with their transforms, a camera, settings.
 
-use super::{Auxiliary, BlendVariant, RenderSettings, SceneSettings, Seen};
+use super::{Auxiliary, Before, BlendVariant, RenderSettings, SceneSettings, Seen};
 use crate::kernels::constants::NO_BATCH;
 use crate::plan::{FrameBuffers, FrameCapacity, GaussianRange, ScenePlan};
 use crate::scene::Camera;
@@ -46,7 +46,7 @@ pub struct FrameInputs<'a> {
     pub sh_degree: u32,
     /// How `scene` is drawn; its SH degree is in `sh_degree`. The backward pass knows nothing of a tint, an opacity and a
     /// selection: with `backward` no scene has any.
-    pub scene_settings: SceneSettings<'a>,
+    pub scene_settings: &'a SceneSettings<'a>,
     /// Which others the dispatches of `scene` draw, too.
     pub batch: Batch,
     /// Scenes that are rendered together with `scene`, each with its own transform.
@@ -64,7 +64,7 @@ pub struct FrameInputs<'a> {
     /// What is left beside the picture; nothing with `backward`.
     pub auxiliary: Auxiliary<'a>,
     /// How `scene` was seen in the frame before, for its motion; as now if `None`.
-    pub previous: Option<Seen>,
+    pub previous: Option<Before<'a>>,
     /// Which of some views with one order it is ([`Forward::record_first`](super::Forward::record_first)); `None` alone.
     pub view: Option<u32>,
 }
@@ -147,7 +147,7 @@ impl Batch {
     }
 }
 
-/// An additional scene of a frame.
+/// An additional scene of a frame. It is small, for there may be thousands: what it refers to is read where it is needed.
 #[derive(Clone, Copy)]
 pub struct PlacedScene<'a> {
     /// The scene.
@@ -159,7 +159,7 @@ pub struct PlacedScene<'a> {
     /// Evaluated SH degree.
     pub sh_degree: u32,
     /// How it is drawn; its SH degree is in `sh_degree`.
-    pub settings: SceneSettings<'a>,
+    pub settings: &'a SceneSettings<'a>,
     /// Index of its first Gaussian among all of the frame. It comes after the previous scene, at a multiple
     /// of [`LaunchSizes::elementwise_workgroup`](crate::plan::LaunchSizes::elementwise_workgroup), so that a
     /// culling block belongs to one scene.
@@ -167,7 +167,7 @@ pub struct PlacedScene<'a> {
     /// Index of its first cut-out among all of the frame.
     pub first_cut_out: u32,
     /// How it was seen in the frame before, for its motion; as now if `None`.
-    pub previous: Option<Seen>,
+    pub previous: Option<Before<'a>>,
     /// Which others its dispatches draw, too.
     pub batch: Batch,
 }
@@ -191,7 +191,7 @@ pub(super) struct Part<'a> {
     /// The place of the scene's camera block.
     pub(super) block: usize,
     pub(super) sh_degree: u32,
-    pub(super) settings: SceneSettings<'a>,
+    pub(super) settings: &'a SceneSettings<'a>,
     /// Of the frame.
     pub(super) first_cut_out: u32,
     /// First Gaussian of the range in its scene.
@@ -279,7 +279,8 @@ impl<'a> FrameInputs<'a> {
             let block = first_block + place;
             let PlacedScene { scene, sh_degree, settings, first, first_cut_out, .. } = placed;
             let next = others.get(place).map_or(end, |next| next.first);
-            let previous = placed.previous.unwrap_or(Seen { camera: placed.camera, scale: placed.scale });
+            let now = Seen { camera: placed.camera, scale: placed.scale };
+            let previous = placed.previous.map_or(now, |before| before.seen());
             let ranges = scene.plan.ranges(placed.drawn());
             ranges.map(move |range| {
                 let first_of_scene = range.first;

@@ -45,11 +45,15 @@ pub const MAX_TINT: f32 = 1000.0;
 
 impl Default for SceneSettings<'_> {
     fn default() -> Self {
-        Self { visible: true, tint: [1.0; 3], opacity: 1.0, sh_degree: None, cut_outs: &[], selection: None }
+        Self::USUAL
     }
 }
 
 impl<'a> SceneSettings<'a> {
+    /// As the scene is.
+    pub const USUAL: Self =
+        Self { visible: true, tint: [1.0; 3], opacity: 1.0, sh_degree: None, cut_outs: &[], selection: None };
+
     /// Checks the numbers.
     ///
     /// # Errors

@@ -6,7 +6,7 @@ use super::slot_memory::SlotMemory;
 use super::updates::Update;
 use crate::compose::{Background, Region};
 use crate::error::Result;
-use crate::forward::{Auxiliary, Batch, FrameInputs, PlacedScene, RenderSettings, SceneSettings, Seen};
+use crate::forward::{Auxiliary, Batch, Before, FrameInputs, PlacedScene, RenderSettings, SceneSettings};
 use crate::scene::{Camera, ColorEncoding, DepthMapping, Pose};
 use crate::vk::{ForeignCommands, Image, ImageState};
 use ash::vk;
@@ -233,12 +233,12 @@ pub(super) fn place<'a>(frame: &RecordedFrame<'a>, alignment: u32, placed: &mut 
         let begin = first;
         first = (begin + placed.drawn()).next_multiple_of(alignment);
         let (camera, scale) = (placed.pose.camera_in_object(frame.camera), placed.pose.scale);
-        let (sh_degree, settings) = (placed.active_degree(frame.settings), placed.settings);
+        let (sh_degree, settings) = (placed.active_degree(frame.settings), &placed.settings);
         let first_cut_out = cut_outs;
         cut_outs += settings.cut_out_count();
         let previous = frame.motion.map(|motion| {
-            let pose = placed.previous_pose.unwrap_or(placed.pose);
-            Seen { camera: pose.camera_in_object(motion.previous_camera), scale: pose.scale }
+            let pose = placed.previous_pose.as_ref().unwrap_or(&placed.pose);
+            Before { camera: motion.previous_camera, pose }
         });
         PlacedScene {
             scene,

@@ -88,7 +88,7 @@ impl<'a> Stages<'a> {
             settings: &settings,
             scale: 1.0,
             sh_degree: view.sh_degree,
-            scene_settings: SceneSettings::default(),
+            scene_settings: &SceneSettings::USUAL,
             batch: Batch::ALONE,
             others: &[],
             depth_limits: None,
