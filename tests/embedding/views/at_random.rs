@@ -13,12 +13,14 @@ use glam::{Mat3, Vec3};
 
 /// Views of a recording, at most.
 const MOST: u32 = 3;
+/// Small scenes.
+const SMALL: u32 = 20;
 
 /// Cameras beside each other can share a sort where they draw the same list; small scenes of one buffer come into batches; a large
 /// one never does.
 fn at_random(host: &Host, frames: u32) {
     let context = guest(host);
-    let small: Vec<Gaussians> = (0..10).map(|seed| cloud(12, 20 + seed)).collect();
+    let small: Vec<Gaussians> = (0..SMALL).map(|seed| cloud(12, 20 + seed)).collect();
     let mut scenes = DeviceScene::upload_all(&context, &small.iter().collect::<Vec<_>>()).expect("scenes");
     scenes.push(DeviceScene::upload(&context, &hard_cloud(), 0).expect("a scene"));
     let array = ArrayImage::new(host, SIZE, 2 * MOST);
@@ -29,10 +31,10 @@ fn at_random(host: &Host, frames: u32) {
             views: if shared_sort { MOST } else { 1 },
             shared_sort,
             images_only: true,
-            scenes: 11,
+            scenes: SMALL + 1,
             tint: true,
-            cut_outs: 11,
-            ..Reservation::new(10 * 256 + 900, 1, SIZE[0], SIZE[1])
+            cut_outs: SMALL + 1,
+            ..Reservation::new(SMALL * 256 + 900, 1, SIZE[0], SIZE[1])
         };
         renderer.reserve(&wanted).expect("memory");
         renderer
@@ -50,13 +52,15 @@ fn at_random(host: &Host, frames: u32) {
     let (mut sorts, mut batched) = ([0; MOST as usize + 1], 0);
     for frame in 0..frames {
         let lists: [Vec<Placed>; 2] = [(); 2].map(|()| {
+            // Scenes of a batch are alike in these.
+            let [tinted, cut, plain] = [(); 3].map(|()| below(2) > 0);
             let mut placed = |scene| {
                 let settings = SceneSettings {
-                    visible: below(5) > 0,
-                    tint: [[1.0; 3], [0.5, 1.5, 1.0]][below(2) as usize],
-                    opacity: [1.0, 1.0, 0.5, 0.0][below(4) as usize],
-                    sh_degree: [None, Some(0)][below(2) as usize],
-                    cut_outs: [&half[..], &[], &[]][below(3) as usize],
+                    visible: below(6) > 0,
+                    tint: [[1.0; 3], [0.5, 1.0 + 0.1 * below(5) as f32, 1.0]][usize::from(tinted)],
+                    opacity: [1.0, [1.0, 0.75, 0.5, 0.0][below(4) as usize]][usize::from(tinted)],
+                    sh_degree: [None, Some(0)][usize::from(plain || below(9) == 0)],
+                    cut_outs: if cut && below(9) > 0 { &half } else { &[] },
                     ..SceneSettings::default()
                 };
                 let pose = Pose {
