@@ -118,8 +118,8 @@ fn backends_choose_their_subgroup_size_where_the_device_has_it() {
     assert_eq!([amd(64, Some(32..=64)), amd(64, Some(64..=64))], [[64, 32], [64, 64]]);
 }
 
-/// Those of the heaviest kernels on Intel before Xe2 where more than the picture is blended, the usual ones elsewhere. Regions have
-/// 4 rows at least.
+/// Those of the heaviest kernels on Intel before Xe2 and on RDNA where more than the picture is blended, the usual ones elsewhere.
+/// Regions have 4 rows at least.
 #[test]
 fn backends_choose_the_lanes_that_blend() {
     let device = Gpu::new();
@@ -132,7 +132,9 @@ fn backends_choose_the_lanes_that_blend() {
     };
     assert_eq!(sizes(&Tuning::INTEL, [16, 8]), [[16, 4, 128], [8, 4, 64]]);
     assert_eq!(sizes(&Tuning::INTEL, [16, 16]), [[16, 4, 128], [16, 4, 128]]);
-    assert_eq!(sizes(&Tuning::AMD, [64, 32]), [[64, 8, 256], [64, 8, 256]]);
+    assert_eq!(sizes(&Tuning::AMD, [64, 32]), [[64, 8, 256], [32, 8, 128]]);
+    assert_eq!(sizes(&Tuning::AMD, [64, 64]), [[64, 8, 256], [64, 8, 256]]);
+    assert_eq!(sizes(&Tuning::GPU, [32, 32]), [[32, 8, 128], [32, 8, 128]]);
 }
 
 /// The workgroups of tiles are no larger than what is asked of a device with such subgroups; more than 32 take more.

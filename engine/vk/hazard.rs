@@ -2,7 +2,7 @@
 //!
 //! Since the last barrier it keeps every range that was read or written, and the command. A hazard is a
 //! command that touches a range that an earlier one wrote, or writes a range that an earlier one read,
-//! without a barrier between them. A command may read and write its own buffers.
+//! without a barrier between them. A command may read and write its own buffers, by one binding or by two that are ALIASED.
 //!
 //! It does not use Vulkan: a block of memory is a number, so it is tested without a device.
 
@@ -114,7 +114,7 @@ pub fn undeclared_alias(command: &str, uses: &[Use]) -> Option<String> {
     let (a, b) = pairs.find(|(a, b)| is_alias(a, b) && !(a.aliased && b.aliased))?;
     Some(format!(
         "'{command}' has buffer '{}' as '{}' and buffer '{}' as '{}', which have bytes in common, reads one and writes the other: \
-         declare both ALIASED in the shader",
+         declare both ALIASED in the shader, or give it other memory",
         a.buffer, a.role, b.buffer, b.role
     ))
 }

@@ -14,7 +14,8 @@ use std::process::ExitCode;
 ///
 /// Names may be written with hyphens or underscores (--sh-degree, --sh_degree).
 #[derive(Parser)]
-#[command(name = "ashsplat", version)]
+// Errors are read below: the name is the same whatever the file is called.
+#[command(name = "ashsplat", bin_name = "ashsplat", version)]
 struct CommandLine {
     #[command(subcommand)]
     command: Command,

@@ -96,11 +96,12 @@ fn dataset(arguments: &Arguments) -> Result<()> {
         [] => {
             if !arguments.json {
                 let (dataset, model) = (&arguments.path, model::usual_folder(&arguments.path));
-                let mut command = format!(
-                    "ashsplat train -s {} -m {} --eval",
-                    quoted(&dataset.to_string_lossy()),
-                    quoted(&model)
-                );
+                let mut command =
+                    format!("ashsplat train -s {} -m {}", quoted(&dataset.to_string_lossy()), quoted(&model));
+                // One photograph would be held out, and none be left.
+                if report.train_views + report.test_views > 1 {
+                    command += " --eval";
+                }
                 if arguments.images != "images" {
                     command += &format!(" --images {}", quoted(&arguments.images));
                 }

@@ -107,7 +107,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         std::fs::metadata(path).map_err(|e| Error::io(path, "read", e))?;
     }
     if arguments.window {
-        if arguments.path.is_none() {
+        if cfg!(feature = "window") && arguments.path.is_none() {
             let problem = "a window opens nothing by itself: give what it is to show, `ashsplat view --window out/MODEL` for \
                            example; without --window, the page takes files and paths";
             return Err(Error::argument("--window", problem));

@@ -84,9 +84,9 @@ impl Plan {
         let sizes: Vec<(u32, u32)> =
             plan.views.iter().flatten().map(|view| view.expected_size(options)).collect();
         plan.warnings.extend(scaling::warning(&sizes, options.resolution));
-        let distorted = plan.views.iter().flatten().find(|view| view.lens.is_distorted());
-        let distorted = plan.distorted.as_deref().zip(distorted.map(|view| view.expected_size(options)));
-        let note = lens_note::line(distorted, options.resolution);
+        let distorted = plan.views.iter().flatten().filter(|view| view.lens.is_distorted());
+        let distorted: Vec<_> = distorted.map(|view| view.expected_size(options)).collect();
+        let note = lens_note::line(plan.distorted.as_deref(), &distorted, options.resolution);
         plan.notes.extend(note.or_else(|| scaling::note(&sizes, options.resolution)));
         Ok(plan)
     }

@@ -80,6 +80,9 @@ impl Costs {
 
     /// Seconds of an iteration with so many Gaussians, a + b · Gaussians; none before anything was measured.
     pub fn by_gaussians(&self) -> Option<impl Fn(f64) -> f64 + use<>> {
+        if self.bins.is_empty() {
+            return None;
+        }
         let weights = (0..self.bins.len()).rev().map(|age| DECAY.powf(age as f64));
         let weighted: Vec<(f64, Bin)> =
             weights.zip(&self.bins).map(|(weight, bin)| (weight * bin.iterations, *bin)).collect();

@@ -65,7 +65,7 @@ impl Growth {
         if let Some(densification) = self.due.take() {
             self.gains.push(now - self.gaussians[0]);
             self.gaussians[0] = now;
-            let filled = self.plan(densification, f64::INFINITY).is_none_or(|plan| now >= FILLED * plan);
+            let filled = self.plan(densification, self.gaussians[1]).is_none_or(|plan| now >= FILLED * plan);
             self.planned = self.planned.take().filter(|_| filled);
         }
         self.gaussians[1] = now;
@@ -103,10 +103,9 @@ impl Growth {
         Some(match settings.strategy {
             StrategyType::Budget => {
                 let budget = f64::from(GrowthSchedule::of(settings, *start).budget(iteration));
-                if before.is_finite() { budget.clamp(before, MOST_GROWTH * before) } else { budget }
+                budget.clamp(before, MOST_GROWTH * before)
             }
             // Whatever there is, it grows by a share of that.
-            _ if before.is_infinite() => 0.0,
             _ => (before * (1.0 + MCMC)).min(f64::from(settings.cap_max)).max(before),
         })
     }
