@@ -180,9 +180,6 @@ impl Trainer {
         room: Option<&Room>,
     ) -> Result<Self> {
         settings.check()?;
-        if context.owns_device() {
-            crate::subgroups::check(context)?;
-        }
         if views.is_empty() {
             return Err(Error::argument("views", "there are none to train on"));
         }
@@ -207,6 +204,10 @@ impl Trainer {
         let counts = (count, around);
         let (capacity, room) =
             kit.capacity(context, &settings, (&photo_sizes, photo_memory), counts, room)?;
+        // It takes memory: what does not fit is refused before.
+        if context.owns_device() {
+            crate::subgroups::check(context)?;
+        }
         let Kit { strategy, recorder, rows } = kit;
         let sizes: Vec<_> = cameras.iter().map(|camera| (camera.width, camera.height)).collect();
         let photos = Photos::new(context, &views, &photo_sizes, settings.seed)?;

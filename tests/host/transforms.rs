@@ -171,7 +171,8 @@ fn distorted_frames_are_undistorted() {
     });
     write_json(&folder.path().join("transforms.json"), &document);
     let dataset = load(folder.path(), &DatasetOptions::default());
-    assert!(dataset.warnings[0].contains("distortion"), "{:?}", dataset.warnings);
+    let report = Dataset::inspect(folder.path(), &DatasetOptions::default(), Progress::NONE);
+    assert!(report.notes[0].contains("distortion") && report.notes[0].contains("19x11"), "{report}");
     let camera = dataset.train[0].camera;
     // The image loses half a pixel at each side, and keeps its scale.
     assert_eq!((camera.width, camera.height, camera.fx, camera.fy), (19, 11, 21.0, 21.0));

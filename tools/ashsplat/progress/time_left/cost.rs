@@ -2,6 +2,8 @@
 
 /// Iterations whose cost is taken together, at most.
 const BIN: u32 = 100;
+/// The same of the first one: a long training soon says what it takes at least.
+const FIRST_BIN: usize = 20;
 /// Growth ends a bin early that has this part of the iterations: each bin is of one number of Gaussians, if that does not change
 /// too often.
 const LEAST_BIN: usize = 4;
@@ -50,7 +52,8 @@ impl Costs {
         self.gaussians = gaussians;
         self.sum += gaussians;
         self.open.push(seconds);
-        (self.open.len() >= self.size && self.close(1)) || grown
+        let size = if self.bins.is_empty() { self.size.min(FIRST_BIN) } else { self.size };
+        (self.open.len() >= size && self.close(1)) || grown
     }
 
     /// Forgets what was measured: iterations are no longer as they were.
