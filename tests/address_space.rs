@@ -23,12 +23,25 @@ const ROOM: u64 = 24 << 20;
 /// Gaussians of which each takes 56 bytes at least.
 const MANY: usize = 400_000;
 
-/// Leaves this process so much more address space than it has.
-fn limit_address_space(room: u64) {
+/// The address space of this process, bytes.
+fn address_space() -> u64 {
     let status = fs::read_to_string("/proc/self/status").expect("a status");
     let line = status.lines().find_map(|line| line.strip_prefix("VmSize:")).expect("a size");
     let kib: u64 = line.trim().trim_end_matches(" kB").parse().expect("a number");
-    let current = Some((kib << 10) + room);
+    kib << 10
+}
+
+/// Leaves this process so much more address space than it has. Threads that have just been started take theirs first.
+fn limit_address_space(room: u64) {
+    let mut size = address_space();
+    loop {
+        std::thread::sleep(std::time::Duration::from_millis(200));
+        let before = std::mem::replace(&mut size, address_space());
+        if before == size {
+            break;
+        }
+    }
+    let current = Some(size + room);
     setrlimit(Resource::As, Rlimit { current, ..getrlimit(Resource::As) }).expect("a limit");
 }
 
