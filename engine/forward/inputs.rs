@@ -225,7 +225,7 @@ impl<'a> FrameInputs<'a> {
     pub(super) fn assert_differentiable(&self) {
         let colored = |own: &SceneSettings| own.is_tinted() || own.mask().is_some();
         assert!(
-            !(self.backward && self.placed().any(|placed| colored(&placed.settings))),
+            !(self.backward && self.placed().any(|placed| colored(placed.settings))),
             "no backward pass can follow a frame with a tint, an opacity or a selection"
         );
         let Auxiliary { picks, motion } = self.auxiliary;
