@@ -44,7 +44,7 @@ pub(super) fn divisor(resolution: Resolution) -> Option<u32> {
 pub(super) fn note(sizes: &[(u32, u32)], resolution: Resolution) -> Option<String> {
     let by = divisor(resolution)?;
     let &(width, height) =
-        sizes.iter().max_by_key(|(width, height)| u64::from(*width) * u64::from(*height))?;
+        sizes.iter().max_by_key(|(width, height)| (u64::from(*width) * u64::from(*height), *width))?;
     let (used_width, used_height) = resolution.apply(width, height);
     let up_to = if sizes.iter().all(|&size| size == (width, height)) { "" } else { "up to " };
     Some(format!(
