@@ -27,10 +27,7 @@ pub(super) fn of<'a>(
 
 /// What happens to their photos, which have these sizes, pixels.
 pub(super) fn line(which: Option<&str>, sizes: &[(u32, u32)], resolution: Resolution) -> Option<String> {
-    let (which, (&first, others)) = (which?, sizes.split_first()?);
-    let area = |&(width, height): &(u32, u32)| u64::from(width) * u64::from(height);
-    let (width, height) = others.iter().copied().fold(first, |a, b| if area(&b) > area(&a) { b } else { a });
-    let up_to = if others.iter().all(|&size| size == first) { "" } else { "up to " };
+    let (which, ((width, height), up_to)) = (which?, scaling::largest(sizes)?);
     let (width, height) = resolution.apply(width, height);
     let scaled = scaling::divisor(resolution).map_or_else(String::new, |by| format!(" (-r {by})"));
     Some(format!(

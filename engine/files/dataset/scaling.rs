@@ -12,9 +12,8 @@ pub(super) fn warning(sizes: &[(u32, u32)], resolution: Resolution) -> Option<St
         Resolution::Factor(_) => false,
         Resolution::Width(used) => used > width || used < SMALL_WIDTH && used < width,
     };
-    let scaled: Vec<_> = sizes.iter().filter(surprises).collect();
-    let &&(width, height) =
-        scaled.iter().max_by_key(|(width, height)| (u64::from(*width) * u64::from(*height), *width))?;
+    let scaled: Vec<_> = sizes.iter().filter(surprises).copied().collect();
+    let ((width, height), _) = largest(&scaled)?;
     let (used_width, used_height) = resolution.apply(width, height);
     let why = match resolution {
         Resolution::Width(used) if used > width => format!(
@@ -40,13 +39,18 @@ pub(super) fn divisor(resolution: Resolution) -> Option<u32> {
     }
 }
 
+/// The largest of some sizes, the wider of two as large, and what stands before it where not all are alike.
+pub(super) fn largest(sizes: &[(u32, u32)]) -> Option<((u32, u32), &'static str)> {
+    let area_and_width = |&&(width, height): &&(u32, u32)| (u64::from(width) * u64::from(height), width);
+    let largest = *sizes.iter().max_by_key(area_and_width)?;
+    Some((largest, if sizes.iter().all(|&size| size == largest) { "" } else { "up to " }))
+}
+
 /// At which size photos of these sizes, pixels, are used, if they are divided as was asked.
 pub(super) fn note(sizes: &[(u32, u32)], resolution: Resolution) -> Option<String> {
     let by = divisor(resolution)?;
-    let &(width, height) =
-        sizes.iter().max_by_key(|(width, height)| (u64::from(*width) * u64::from(*height), *width))?;
+    let ((width, height), up_to) = largest(sizes)?;
     let (used_width, used_height) = resolution.apply(width, height);
-    let up_to = if sizes.iter().all(|&size| size == (width, height)) { "" } else { "up to " };
     Some(format!(
         "photos of {up_to}{width}x{height} pixels are used at {used_width}x{used_height} pixels (-r {by})"
     ))
