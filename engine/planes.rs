@@ -13,12 +13,31 @@ pub(crate) fn requests(plan: &ScenePlan) -> Vec<(&'static str, u64)> {
     vec![("planes", plan.chunk_bytes()); plan.chunks as usize]
 }
 
+/// An arena, in device memory or in that of a kind.
+pub struct Place<'a> {
+    arena: &'a str,
+    kind: MemoryKind,
+}
+
+impl<'a> From<&'a str> for Place<'a> {
+    fn from(arena: &'a str) -> Self {
+        Self { arena, kind: MemoryKind::Device }
+    }
+}
+
+impl<'a> From<(&'a str, MemoryKind)> for Place<'a> {
+    fn from((arena, kind): (&'a str, MemoryKind)) -> Self {
+        Self { arena, kind }
+    }
+}
+
 /// Allocates planes for a plan, one buffer per chunk.
 ///
 /// # Errors
 /// When the memory does not suffice.
-pub fn allocate(context: &Context, arena: &str, plan: &ScenePlan) -> Result<Vec<Buffer>> {
-    context.allocate(arena, &requests(plan), MemoryKind::Device)
+pub fn allocate<'a>(context: &Context, place: impl Into<Place<'a>>, plan: &ScenePlan) -> Result<Vec<Buffer>> {
+    let Place { arena, kind } = place.into();
+    context.allocate(arena, &requests(plan), kind)
 }
 
 /// Uploads Gaussians into newly allocated planes with the given `capacity`, stored with SH up to `sh_degree`
@@ -27,9 +46,9 @@ pub fn allocate(context: &Context, arena: &str, plan: &ScenePlan) -> Result<Vec<
 /// # Errors
 /// [`TooLarge`](crate::Error::TooLarge) or an allocation's failure; [`Argument`](crate::Error::Argument) when
 /// the Gaussians' vectors differ in length.
-pub fn upload(
+pub fn upload<'a>(
     context: &Context,
-    arena: &str,
+    place: impl Into<Place<'a>>,
     gaussians: &Gaussians,
     capacity: u32,
     sh_degree: u32,
@@ -37,7 +56,7 @@ pub fn upload(
     gaussians.check_shapes()?;
     let count = to_u32(gaussians.len() as u64)?;
     let plan = ScenePlan::new(context.limits(), capacity.max(count), sh_degree)?;
-    let scene = SceneBuffers { chunks: allocate(context, arena, &plan)?, plan, count };
+    let scene = SceneBuffers { chunks: allocate(context, place, &plan)?, plan, count };
     fill(context, &scene, gaussians)?;
     Ok(scene)
 }

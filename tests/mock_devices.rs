@@ -47,11 +47,8 @@ const PHOTOS: &str = "photos::photos_from_a_file_give_the_same_bits";
 const RESULTS: &str = "ASHSPLAT_MOCK_RESULTS";
 const LAYERS: &str = "VK_LAYER_KHRONOS_validation:VK_LAYER_ASHSPLAT_mock";
 
-/// The values of a picture, and the fingerprint of a training that has densified.
-fn results(context: &Context) -> (Vec<f32>, String) {
-    let mut renderer = Renderer::new(context).expect("kernels");
-    renderer.upload(&gaussians(&mixed_scene(&mut Random::new(17), 1500, 16))).expect("a scene");
-    let frame = renderer.render(&camera(&small_view([203, 117])), &RenderSettings::default());
+/// The fingerprint of a training that has densified.
+fn trained(context: &Context) -> String {
     let settings = TrainSettings {
         sh_degree_interval: 2,
         densify_from_iter: 3,
@@ -61,9 +58,17 @@ fn results(context: &Context) -> (Vec<f32>, String) {
     };
     let mut trainer = Trainer::new(context, views(3, 5), &start(), 5.0, settings).expect("a trainer");
     (0..10).for_each(|_| drop(trainer.step().expect("a step")));
-    let trained = trainer.checkpoint().expect("a state").fingerprint();
+    format!("{:?}", trainer.checkpoint().expect("a state").fingerprint())
+}
+
+/// The values of a picture, and what a training has ended with.
+fn results(context: &Context) -> (Vec<f32>, String) {
+    let mut renderer = Renderer::new(context).expect("kernels");
+    renderer.upload(&gaussians(&mixed_scene(&mut Random::new(17), 1500, 16))).expect("a scene");
+    let frame = renderer.render(&camera(&small_view([203, 117])), &RenderSettings::default());
+    let trained = trained(context);
     assert_silent(context);
-    (frame.expect("a picture").color.into_flattened(), format!("{trained:?}"))
+    (frame.expect("a picture").color.into_flattened(), trained)
 }
 
 /// What every machine is held to: the same kernels without the layer.
@@ -177,6 +182,12 @@ fn mock_device_finds_missing_waits() {
 fn mock_device_results_in_a_child() {
     let folder = std::env::var_os(RESULTS).expect("mock_device_… runs it, and says where results go");
     let (picture, trained) = results(context());
+    // Parameters and moments in what this machine has of the host's memory.
+    context().set_offload(Some(1 << 30));
+    assert_eq!(self::trained(context()), trained);
+    context().set_offload(None);
+    assert!(context().memory_offloaded().peak_bytes > 0);
+    assert_silent(context());
     std::fs::write(Path::new(&folder).join("picture"), bytemuck::cast_slice::<f32, u8>(&picture))
         .expect("written");
     std::fs::write(Path::new(&folder).join("trained"), trained).expect("written");

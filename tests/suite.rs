@@ -37,6 +37,7 @@ mod limits;
 mod lpips;
 mod mcmc;
 mod mock_devices;
+mod offload;
 mod orientations;
 mod orthographic;
 mod parts;

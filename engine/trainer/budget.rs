@@ -1,7 +1,7 @@
 //! Memory of a training run, computed before it is allocated.
 
 use super::checkpoint::Room;
-use super::model::RowMemory;
+use super::model::{RowBytes, RowMemory};
 use super::photos::{PhotoBytes, PhotoSize};
 use crate::error::{Error, Result};
 use crate::plan::{
@@ -41,7 +41,7 @@ pub(super) struct Before<'a> {
 
 impl Before<'_> {
     /// Bytes of all buffers except the photographs', as allocated after the first iteration that fits.
-    fn buffer_bytes(&self, context: &Context, plan: &ScenePlan, frame: Option<FrameCapacity>) -> u64 {
+    fn buffer_bytes(&self, context: &Context, plan: &ScenePlan, frame: Option<FrameCapacity>) -> RowBytes {
         let limits = context.limits();
         let bytes = |requests: &[(&'static str, u64)]| context.allocation_bytes(requests);
         let scratch = (self.loss)(&self.sizes());
@@ -49,8 +49,9 @@ impl Before<'_> {
         let readback = 2 * bytes(&FrameStore::READBACK) + bytes(&[self.losses]);
         let frame = frame.map_or(0, |frame| bytes(&frame_requests(&frame, &LaunchSizes::new(limits))));
         let poses = if self.poses.is_empty() { 0 } else { bytes(&self.poses) };
-        let around = self.around_bytes(context, plan);
-        self.rows.allocation_bytes(context, plan) + around + bytes(&scratch) + readback + frame + poses
+        let around = self.rows.of_planes(self.around_bytes(context, plan));
+        let others = RowBytes { device: bytes(&scratch) + readback + frame + poses, offloaded: 0 };
+        self.rows.allocation_bytes(context, plan) + around + others
     }
 
     /// Bytes of the planes of what lies around, of this plan's SH degree.
@@ -166,20 +167,31 @@ impl Before<'_> {
         }
         // A reserve: densification reallocates when it is used up.
         let wanted = count.saturating_add(count / 2).max(1 << 12).min(most);
-        let Some((limit, limit_name)) = context.memory_limit() else { return Ok(wanted) };
+        let (limit, limit_name) = context.memory_limit().unwrap_or((u64::MAX, "no limit"));
         let free = limit.saturating_sub(context.held_bytes());
-        let buffers = |capacity: u32| -> Result<u64> {
+        let buffers = |capacity: u32| -> Result<RowBytes> {
             let plan = ScenePlan::new(context.limits(), capacity, sh_degree)?;
             Ok(self.buffer_bytes(context, &plan, Some(self.first_frame(context, capacity, self.pictures()))))
         };
         let photos = photo_bytes.held + photo_bytes.staging;
-        if buffers(wanted)? + photos <= free {
+        let fits = |of: &RowBytes| of.device + photos <= free && of.is_offloadable(context);
+        if fits(&buffers(wanted)?) {
             return Ok(wanted);
         }
         let least = buffers(count)?;
-        if least + photos <= free {
+        if fits(&least) {
             return Ok(count);
         }
+        if !least.is_offloadable(context) {
+            return Err(Error::TooLarge {
+                what: format!("training {count} Gaussians of SH degree {sh_degree} in the host's memory"),
+                needed: least.offloaded,
+                unit: "bytes",
+                limit: context.offload().unwrap_or(0).saturating_sub(context.memory_offloaded().bytes),
+                limit_name: "--offload",
+            });
+        }
+        let least = least.device;
         // Photographs with a budget of half the memory follow the total: all of it, or half of what is
         // requested.
         let follow = photo_bytes.budget == Some(limit / 2);
@@ -221,8 +233,10 @@ impl Before<'_> {
         if !fits || !(self.count..=max_trained_among(limits, self.around)).contains(&room.gaussians) {
             return false;
         }
-        let needed = self.buffer_bytes(context, &plan, frame) + self.photo_bytes.held;
-        context.memory_limit().is_none_or(|(limit, _)| needed <= limit.saturating_sub(context.held_bytes()))
+        let buffers = self.buffer_bytes(context, &plan, frame);
+        let needed = buffers.device + self.photo_bytes.held;
+        let free = |(limit, _): (u64, _)| limit.saturating_sub(context.held_bytes());
+        buffers.is_offloadable(context) && context.memory_limit().is_none_or(|limit| needed <= free(limit))
     }
 }
 
@@ -254,6 +268,10 @@ impl Present<'_> {
         if plan.capacity > max_trained_among(limits, *around) {
             return false;
         }
+        let (new, present) = (rows.bytes(plan), rows.bytes(old));
+        if !new.is_offloadable(context) {
+            return false;
+        }
         let Some((limit, _)) = context.memory_limit() else { return true };
         let sizes = LaunchSizes::new(limits);
         let of = |plan: &ScenePlan| gaussians_with(plan.capacity, *around);
@@ -262,9 +280,9 @@ impl Present<'_> {
         let instances = u64::from(frame.instances) * u64::from(of(plan)) / u64::from(of(old).max(1));
         let full =
             FrameCapacity { instances: instances.min(max_trained_instances(limits).into()) as u32, ..grown };
-        let beside = (context.held_bytes() + rows.bytes(plan)).saturating_sub(*old_frame);
+        let beside = (context.held_bytes() + new.device).saturating_sub(*old_frame);
         let during = beside + frame_bytes(&grown, &sizes);
-        let after = (beside + frame_bytes(&full, &sizes)).saturating_sub(rows.bytes(old));
+        let after = (beside + frame_bytes(&full, &sizes)).saturating_sub(present.device);
         during.max(after) <= limit
     }
 

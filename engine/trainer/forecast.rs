@@ -90,7 +90,7 @@ impl Kit {
         check_depths(&all)?;
         check_warm_up(settings, &all)?;
         let parameter_gradients = StepRecorder::targets_of(&all).parameters;
-        let rows = RowMemory::new(strategy.statistics(), parameter_gradients);
+        let rows = RowMemory::new(strategy.statistics(), parameter_gradients, context.planes_memory());
         let recorder = StepRecorder::new(context, all, (settings, strategy.records().sums), rows.absolute())?;
         Ok(Self { strategy, recorder, rows })
     }

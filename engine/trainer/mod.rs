@@ -216,7 +216,7 @@ impl Trainer {
         let lenses = light::lenses_of(&views);
         let views_fingerprint = resume::fingerprint_of(&views, settings.lens_effects);
         drop(views);
-        let scene = planes::upload(context, "scene", initial, capacity, sh_degree)?;
+        let scene = planes::upload(context, ("scene", rows.planes()), initial, capacity, sh_degree)?;
         let state = State::new(Model::new(context, scene, &rows)?);
         let mut runner = FrameRunner::new(context)?;
         let pictures = PictureCapacity::of_cameras(&cameras);
@@ -423,15 +423,16 @@ impl Trainer {
         }
     }
 
-    /// Bytes of device memory in use by all arenas of the context.
+    /// Bytes of device memory in use by all arenas of the context, without what is offloaded.
     pub fn memory_bytes(&self) -> u64 {
         self.context.memory_total().bytes
     }
 
-    /// Current and peak bytes of each arena of the context. The last entry is the total.
+    /// Current and peak bytes of each arena of the context. The last entries are what is offloaded of them, if anything is, and the
+    /// total of the rest.
     pub fn memory(&self) -> Vec<ArenaMemory> {
-        let mut all = self.context.memory();
-        all.push(self.context.memory_total());
-        all
+        let offloaded = Some(self.context.memory_offloaded()).filter(|memory| memory.peak_bytes > 0);
+        let total = self.context.memory_total();
+        self.context.memory().into_iter().chain(offloaded).chain([total]).collect()
     }
 }

@@ -14,16 +14,45 @@ use crate::vk::{Buffer, Context, MemoryKind};
 /// Sets of planes: parameters, two moments, and the target of densification's gather.
 const PLANE_SETS: u64 = 4;
 
+/// Bytes by where they lie.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct RowBytes {
+    pub device: u64,
+    pub offloaded: u64,
+}
+
+impl RowBytes {
+    /// Whether what is offloaded fits beside what is there.
+    pub fn is_offloadable(&self, context: &Context) -> bool {
+        let there = context.memory_offloaded().bytes;
+        context.offload().is_none_or(|bound| there + self.offloaded <= bound)
+    }
+}
+
+impl std::ops::Add for RowBytes {
+    type Output = Self;
+
+    fn add(self, other: Self) -> Self {
+        Self { device: self.device + other.device, offloaded: self.offloaded + other.offloaded }
+    }
+}
+
 /// The memory that the Gaussians of a run need, besides that of a frame.
 pub(super) struct RowMemory {
     statistics: Vec<Statistic>,
     parameter_gradients: bool,
+    planes: MemoryKind,
 }
 
 impl RowMemory {
-    /// `own`: the strategy's statistics.
-    pub fn new(own: Vec<Statistic>, parameter_gradients: bool) -> Self {
-        Self { statistics: [vec![GRADIENT_STATISTIC], own].concat(), parameter_gradients }
+    /// `own`: the strategy's statistics. `planes`: the memory of what a step needs of few Gaussians only.
+    pub fn new(own: Vec<Statistic>, parameter_gradients: bool, planes: MemoryKind) -> Self {
+        Self { statistics: [vec![GRADIENT_STATISTIC], own].concat(), parameter_gradients, planes }
+    }
+
+    /// The memory of parameters, moments and the spare set.
+    pub fn planes(&self) -> MemoryKind {
+        self.planes
     }
 
     /// The statistics, the gradient's first.
@@ -50,19 +79,31 @@ impl RowMemory {
 
     /// Bytes of the buffers with the capacity of a plan, without the padding of their allocation: what one
     /// capacity needs beside another.
-    pub fn bytes(&self, plan: &ScenePlan) -> u64 {
+    pub fn bytes(&self, plan: &ScenePlan) -> RowBytes {
         let others = self.statistics_requests(plan.capacity).into_iter().chain(self.gradient_requests(plan));
-        PLANE_SETS * plan.chunk_bytes() * u64::from(plan.chunks) + others.map(|(_, bytes)| bytes).sum::<u64>()
+        let planes = PLANE_SETS * plan.chunk_bytes() * u64::from(plan.chunks);
+        self.placed(planes, others.map(|(_, bytes)| bytes).sum())
     }
 
-    /// Bytes of device memory that the buffers take, with padding: what a run needs before it starts.
-    pub fn allocation_bytes(&self, context: &Context, plan: &ScenePlan) -> u64 {
+    /// Bytes that the buffers take, with padding: what a run needs before it starts.
+    pub fn allocation_bytes(&self, context: &Context, plan: &ScenePlan) -> RowBytes {
         let bytes = |requests: &[(&'static str, u64)]| context.allocation_bytes(requests);
-        let planes = bytes(&planes::requests(plan));
         let gradients = self.gradient_requests(plan);
-        PLANE_SETS * planes
-            + bytes(&self.statistics_requests(plan.capacity))
-            + if gradients.is_empty() { 0 } else { bytes(&gradients) }
+        let others = bytes(&self.statistics_requests(plan.capacity))
+            + if gradients.is_empty() { 0 } else { bytes(&gradients) };
+        self.placed(PLANE_SETS * bytes(&planes::requests(plan)), others)
+    }
+
+    /// Bytes of further planes: what lies around those that are trained.
+    pub fn of_planes(&self, bytes: u64) -> RowBytes {
+        self.placed(bytes, 0)
+    }
+
+    fn placed(&self, planes: u64, others: u64) -> RowBytes {
+        match self.planes {
+            MemoryKind::Offloaded => RowBytes { device: others, offloaded: planes },
+            _ => RowBytes { device: planes + others, offloaded: 0 },
+        }
     }
 
     /// One buffer per statistic.
@@ -96,11 +137,9 @@ pub(super) struct Model {
 impl Model {
     /// Allocates what belongs to a scene, and clears it.
     pub fn new(context: &Context, scene: SceneBuffers, rows: &RowMemory) -> Result<Self> {
-        let moments = Moments {
-            first: planes::allocate(context, "moments", &scene.plan)?,
-            second: planes::allocate(context, "moments", &scene.plan)?,
-        };
-        let spare = planes::allocate(context, "spare", &scene.plan)?;
+        let planes = |arena| planes::allocate(context, (arena, rows.planes), &scene.plan);
+        let moments = Moments { first: planes("moments")?, second: planes("moments")? };
+        let spare = planes("spare")?;
         let statistics = rows.allocate_statistics(context, scene.plan.capacity)?;
         let parameter_gradients = rows.allocate_parameter_gradients(context, &scene.plan)?;
         context.run("clear moments", |r| {

@@ -341,8 +341,10 @@ impl Population<'_> {
             return Err(Error::argument("densification", "the memory does not suffice"));
         }
         let arenas = ["scene", "moments", "moments", "spare"];
-        let sets: Result<_> =
-            arenas.iter().map(|arena| planes::allocate(self.context, arena, &plan)).collect();
+        let sets: Result<_> = arenas
+            .map(|arena| planes::allocate(self.context, (arena, self.rows.planes()), &plan))
+            .into_iter()
+            .collect();
         let fresh = Fresh {
             plan,
             sets: sets?,

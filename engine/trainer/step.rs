@@ -108,7 +108,8 @@ impl Trainer {
         self.state.broken = true;
         self.state.model.release();
         self.runner.forget();
-        let scene = planes::upload(&self.context, "scene", &gaussians, count, plan.sh_degree)?;
+        let scene =
+            planes::upload(&self.context, ("scene", self.rows.planes()), &gaussians, count, plan.sh_degree)?;
         self.state.model = Model::new(&self.context, scene, &self.rows)?;
         self.compute_filters()?;
         self.state.broken = false;

@@ -50,7 +50,7 @@ impl Block {
         let mask = bordered.then(|| MaskOutside::new(context, block.core, absolute)).transpose()?;
         let around = match block.frozen.len() {
             0 => None,
-            _ => Some(planes::upload(context, "surroundings", &block.frozen, 0, sh_degree)?),
+            _ => Some(planes::upload(context, ("surroundings", rows.planes()), &block.frozen, 0, sh_degree)?),
         };
         // They do not move: once is enough.
         filter.zip(around.as_ref()).map_or(Ok(()), |(filter, around)| filter.run(context, around))?;

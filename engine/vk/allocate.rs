@@ -13,6 +13,9 @@ use std::sync::atomic::Ordering;
 /// The user's name for [`ContextOptions::max_memory`](super::ContextOptions::max_memory).
 pub(super) const MAX_MEMORY: &str = "--max-memory";
 
+/// The user's name for [`ContextOptions::offload`](super::ContextOptions::offload).
+pub(super) const OFFLOAD: &str = "--offload";
+
 /// The bound where there is none.
 pub(super) const UNBOUNDED: u64 = u64::MAX;
 
@@ -47,6 +50,11 @@ impl Device {
         Some(self.max_memory.load(Ordering::Relaxed)).filter(|&bytes| bytes != UNBOUNDED)
     }
 
+    /// [`Context::offload`](super::Context::offload).
+    pub(super) fn offload(&self) -> Option<u64> {
+        Some(self.offload.load(Ordering::Relaxed)).filter(|&bytes| bytes > 0)
+    }
+
     /// [`Context::allocate`](super::Context::allocate), without what tests and audits do with new memory.
     pub(super) fn allocate(
         self: &Arc<Self>,
@@ -76,10 +84,13 @@ impl Device {
         if total > limits.heap_bytes && kind == MemoryKind::Device && limits.tuning.heap_is_bound {
             return too_large(format!("arena {arena}"), total, limits.heap_bytes, "device-local heap");
         }
-        let used = self.registry.total().bytes;
-        if let Some(limit) = self.max_memory().filter(|&limit| used.saturating_add(total) > limit) {
+        let (used, limit, limit_name) = match kind {
+            MemoryKind::Offloaded => (self.registry.offloaded().bytes, self.offload(), OFFLOAD),
+            _ => (self.registry.total().bytes, self.max_memory(), MAX_MEMORY),
+        };
+        if let Some(limit) = limit.filter(|&limit| used.saturating_add(total) > limit) {
             let what = format!("arena {arena} (beside {used} bytes in use)");
-            return too_large(what, used.saturating_add(total), limit, MAX_MEMORY);
+            return too_large(what, used.saturating_add(total), limit, limit_name);
         }
         let arena: Arc<str> = arena.into();
         let blocks = (packing.blocks.iter().enumerate())

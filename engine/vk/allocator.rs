@@ -12,6 +12,10 @@ pub enum MemoryKind {
     /// Mapped, coherent and, where possible, cached: [`Buffer::write`](super::Buffer::write) and
     /// [`Buffer::read`](super::Buffer::read).
     HostVisible,
+    /// The host's memory, which kernels reach over the bus: for what device memory is too small for. Filled and read as
+    /// [`MemoryKind::Device`]. It counts for [`ContextOptions::offload`](super::ContextOptions::offload) and not for
+    /// [`ContextOptions::max_memory`](super::ContextOptions::max_memory).
+    Offloaded,
 }
 
 /// What is to be allocated.

@@ -59,7 +59,7 @@ impl Context {
     /// With an audit, clears new memory.
     fn clear_if_audited(&self, buffers: &[Buffer], kind: MemoryKind) -> Result<()> {
         let audited = self.logs.audit.lock().unwrap_or_else(PoisonError::into_inner).strong_count() > 0;
-        if !audited || kind != MemoryKind::Device {
+        if !audited || kind == MemoryKind::HostVisible {
             return Ok(());
         }
         self.run("clear", |recorder| {
@@ -80,7 +80,8 @@ impl Context {
         self.device.registry.all()
     }
 
-    /// Current and peak bytes of all arenas together (peak as in [`Context::memory`]).
+    /// Current and peak bytes of all arenas together, without what is [offloaded](Context::memory_offloaded) (peak as in
+    /// [`Context::memory`]).
     pub fn memory_total(&self) -> ArenaMemory {
         self.device.registry.total()
     }
@@ -106,6 +107,27 @@ impl Context {
     /// changes grows differently, and so has other bits.
     pub fn set_max_memory(&self, bytes: Option<u64>) {
         self.device.max_memory.store(bytes.unwrap_or(UNBOUNDED), Ordering::Relaxed);
+    }
+
+    /// [`super::ContextOptions::offload`], or what [`Context::set_offload`] has made of it.
+    pub fn offload(&self) -> Option<u64> {
+        self.device.offload()
+    }
+
+    /// Changes [`super::ContextOptions::offload`] for the trainers that are made from now on.
+    pub fn set_offload(&self, bytes: Option<u64>) {
+        self.device.offload.store(bytes.unwrap_or(0), Ordering::Relaxed);
+    }
+
+    /// The memory of what a trainer keeps per Gaussian and a step needs of few Gaussians only.
+    pub(crate) fn planes_memory(&self) -> MemoryKind {
+        self.offload().map_or(MemoryKind::Device, |_| MemoryKind::Offloaded)
+    }
+
+    /// Current and peak bytes of what is offloaded, which [`Context::memory_total`] leaves out (peak as in
+    /// [`Context::memory`]).
+    pub fn memory_offloaded(&self) -> ArenaMemory {
+        self.device.registry.offloaded()
     }
 
     /// The driver's budget for this context in the largest device-local heap, including its current bytes.

@@ -207,7 +207,7 @@ impl Image {
         inner.names.name(view, name);
         let id = NEXT_ID.fetch_add(1, Ordering::Relaxed);
         if bytes > 0 {
-            inner.registry.add(&ARENA.into(), bytes);
+            inner.registry.add(&ARENA.into(), bytes, MemoryKind::Device);
         }
         let view = View {
             inner,
@@ -310,7 +310,7 @@ impl Drop for View {
             if self.memory != vk::DeviceMemory::null() {
                 device.destroy_image(self.image, None);
                 device.free_memory(self.memory, None);
-                self.inner.registry.remove(&ARENA.into(), self.bytes);
+                self.inner.registry.remove(&ARENA.into(), self.bytes, MemoryKind::Device);
             }
         }
     }

@@ -161,7 +161,7 @@ impl Block {
             #[cfg(feature = "testing")]
             guarded: Mutex::default(),
         };
-        inner.registry.add(arena, bytes);
+        inner.registry.add(arena, bytes, kind);
         block.bind_memory(kind, allowed)?;
         inner.names.name(block.raw, &format!("{arena}#{number}"));
         if block.hosted.is_none() {
@@ -230,7 +230,7 @@ impl Block {
         let flags = types[index as usize].property_flags;
         self.cached = self.inner.caches(flags);
         // Reading a GPU's own memory word by word over the bus is slower than staging: see `is_read_mapped`.
-        if flags.contains(MAPPABLE) && (kind == MemoryKind::HostVisible || self.inner.place.is_mapped()) {
+        if flags.contains(MAPPABLE) && (kind != MemoryKind::Device || self.inner.place.is_mapped()) {
             // SAFETY: host-visible memory, mapped once, whole; freeing it unmaps it.
             let address =
                 unsafe { device.map_memory(self.memory, 0, vk::WHOLE_SIZE, vk::MemoryMapFlags::empty()) };
@@ -260,7 +260,7 @@ impl Block {
         // SAFETY: the allocator guarantees the requested size, alignment and type; the buffer is bound once.
         let bound = unsafe { self.inner.device.bind_buffer_memory(self.raw, piece.memory, piece.offset) };
         bound.map_err(vk_error("vkBindBufferMemory"))?;
-        if kind == MemoryKind::HostVisible || self.inner.place == Place::Unified {
+        if kind != MemoryKind::Device || self.inner.place == Place::Unified {
             self.mapping = piece.mapped.map(|address| Mutex::new(Mapping(address)));
         }
         Ok(())
@@ -283,7 +283,7 @@ impl Block {
 
     /// Whether the mapping is the way to read. Uncached memory is read word by word; memory for the host has no faster kind.
     pub(super) fn is_read_mapped(&self) -> bool {
-        self.is_mapped() && (self.cached || self.kind == MemoryKind::HostVisible)
+        self.is_mapped() && (self.cached || self.kind != MemoryKind::Device)
     }
 
     /// Copies into the block. False when it is not mapped.
@@ -326,7 +326,7 @@ impl Drop for Block {
         if !self.owned {
             return;
         }
-        self.inner.registry.remove(&self.arena, self.bytes);
+        self.inner.registry.remove(&self.arena, self.bytes, self.kind);
         // SAFETY: recordings and submissions hold the block until they are done with it, so it is idle; null handles
         // are allowed.
         unsafe {

@@ -75,6 +75,15 @@ pub(super) fn best(
             (Flags::DEVICE_LOCAL, Flags::empty()),
             (Flags::empty(), Flags::empty()),
         ],
+        // All memory is the host's: none is better than the device's.
+        (MemoryKind::Offloaded, Place::Unified) => return best(memory, allowed, MemoryKind::Device, place),
+        (MemoryKind::Offloaded, _) => vec![
+            (coherent | Flags::HOST_CACHED, Flags::DEVICE_LOCAL),
+            (coherent, Flags::DEVICE_LOCAL),
+            (Flags::empty(), Flags::DEVICE_LOCAL),
+            // A processor that is treated as a card.
+            (Flags::empty(), Flags::empty()),
+        ],
         (MemoryKind::HostVisible, _) => vec![
             (coherent | Flags::HOST_CACHED, Flags::empty()),
             (coherent, Flags::DEVICE_LOCAL),
@@ -92,8 +101,8 @@ pub(super) fn best(
     let mut found = wishes.iter().filter_map(|&(with, without)| {
         // The first of the largest: `max_by_key` gives the last.
         (0..types.len()).rev().filter(|&i| fits(i, with, without)).max_by_key(|&i| {
-            // A window of 256 MiB is no place for arenas, and host memory is as good in any heap.
-            if kind == MemoryKind::Device { size(i) } else { 0 }
+            // A window of 256 MiB is no place for arenas, and staging memory is as good in any heap.
+            if kind == MemoryKind::HostVisible { 0 } else { size(i) }
         })
     });
     found.next().map(|i| i as u32)
@@ -138,8 +147,11 @@ mod tests {
         let chosen = |types: &[(Flags, u32)], heaps: &[(u64, bool)]| {
             let memory = memory(types, heaps);
             let place = Place::of_card(&memory);
-            let kinds = [MemoryKind::Device, MemoryKind::HostVisible];
-            (place, kinds.map(|kind| best(&memory, u32::MAX, kind, place)))
+            let kinds = [MemoryKind::Device, MemoryKind::HostVisible, MemoryKind::Offloaded];
+            let [device, host, offloaded] = kinds.map(|kind| best(&memory, u32::MAX, kind, place));
+            // The host's cached memory is where read-back is, too.
+            assert_eq!(offloaded, host);
+            (place, [device, host])
         };
         // NVIDIA, RTX 30 and later without and with resizable BAR: the window is a heap of its own, or it is gone.
         let nvidia = [(Flags::empty(), 1), (LOCAL, 0), (SEEN, 1), (CACHED, 1), (LOCAL | SEEN, 2)];
@@ -180,6 +192,11 @@ mod tests {
         assert_eq!(of(&card[..3], false), [Some(1), Some(2)]);
         // All of the card's memory on the bus.
         assert_eq!(of(&[Flags::DEVICE_LOCAL | SEEN, SEEN], false), [Some(0), Some(1)]);
+        // What is offloaded leaves the card, even where the host does not see it.
+        let offloaded = |flags: &[Flags]| best(&types(flags), u32::MAX, MemoryKind::Offloaded, Place::Card);
+        assert_eq!(offloaded(&card), Some(3));
+        assert_eq!(offloaded(&[Flags::DEVICE_LOCAL, Flags::DEVICE_LOCAL | SEEN, Flags::empty()]), Some(2));
+        assert_eq!(offloaded(&[Flags::DEVICE_LOCAL | SEEN]), Some(0));
     }
 
     #[test]
@@ -187,6 +204,10 @@ mod tests {
         let all = Flags::DEVICE_LOCAL | SEEN | Flags::HOST_CACHED;
         assert_eq!(of(&[Flags::DEVICE_LOCAL | SEEN, all], true), [Some(1), Some(1)]);
         assert_eq!(of(&[Flags::DEVICE_LOCAL, Flags::DEVICE_LOCAL | SEEN, SEEN], true), [Some(1), Some(2)]);
+        assert_eq!(
+            best(&types(&[LOCAL | SEEN, all]), u32::MAX, MemoryKind::Offloaded, Place::Unified),
+            Some(1)
+        );
         // A part of main memory is the device's, and the host does not see it.
         assert_eq!(of(&[Flags::DEVICE_LOCAL, SEEN | Flags::HOST_CACHED], true), [Some(0), Some(1)]);
     }

@@ -77,6 +77,10 @@ pub struct ContextOptions {
     pub timeout: Option<Duration>,
     /// Most bytes of device and staging memory, all arenas together. None: the device's memory.
     pub max_memory: Option<u64>,
+    /// Train scenes that are larger than device memory: parameters, moments and the target of densification lie in the host's
+    /// memory, at most so many bytes. Kernels reach them over the bus, for the Gaussians that they need. Results have the same bits.
+    /// Default: None, they lie in device memory.
+    pub offload: Option<u64>,
     /// For tests: guard bands around every buffer that detect writes outside of it; see
     /// [`Context::breached_guards`].
     #[cfg(feature = "testing")]
@@ -145,6 +149,7 @@ impl Default for ContextOptions {
             capture: false,
             timeout: None,
             max_memory: None,
+            offload: None,
             #[cfg(feature = "testing")]
             guard_bands: false,
             #[cfg(feature = "testing")]
@@ -312,6 +317,7 @@ impl Context {
             hazard_check: options.hazard_check,
             timeout: options.timeout,
             max_memory: AtomicU64::new(options.max_memory.unwrap_or(UNBOUNDED)),
+            offload: AtomicU64::new(options.offload.unwrap_or(0)),
             #[cfg(feature = "testing")]
             guard_bands: options.guard_bands,
             budget: candidate.features.memory_budget.then_some(candidate.physical),

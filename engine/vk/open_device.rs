@@ -60,6 +60,8 @@ pub(super) struct Device {
     pub(super) timeout: Option<Duration>,
     /// Of all arenas together, bytes; [`UNBOUNDED`] for none.
     pub(super) max_memory: AtomicU64,
+    /// Most bytes that are offloaded; 0 if nothing is.
+    pub(super) offload: AtomicU64,
     #[cfg(feature = "testing")]
     pub(super) guard_bands: bool,
     /// The physical device for budget queries: VK_EXT_memory_budget.

@@ -158,6 +158,26 @@ fn another_bound_of_memory_is_a_warning() {
     }
 }
 
+/// In the machine's memory a training is what it is in the device's, also if it goes on there.
+#[test]
+fn offload_gives_the_same_scene() {
+    let place = Place::new();
+    let usual = ["--iterations", "8", "--checkpoint_iterations", "4"];
+    let scene = |name: &str| place.ply(name, 8);
+    assert_trained(&place.train("here", &usual));
+    assert_trained(&place.train("there", &[&usual[..], &["--offload"]].concat()));
+    assert!(scene("there") == scene("here"), "another scene");
+    let first = text(&place.model("here").join("chkpnt4.safetensors")).to_owned();
+    let resumed = ["--start_checkpoint", &first, "--offload", "1G"];
+    assert_trained(&place.train("resumed", &[&usual[..], &resumed].concat()));
+    assert!(scene("resumed") == scene("here"), "another scene");
+    let report = std::fs::read_to_string(place.model("there").join("report.html")).expect("a report");
+    assert!(report.contains("lie in the machine's memory"));
+    let refused = place.train("refused", &[&usual[..], &["--offload", "1K"]].concat());
+    assert!(refused.code == Some(2) && refused.stderr.contains("--offload"), "{}", refused.stderr);
+    assert!(!place.model("refused").exists());
+}
+
 #[test]
 fn determinism_is_verified_without_writing() {
     let place = Place::new();

@@ -221,6 +221,13 @@ fn films_are_files_and_never_folders() {
     };
     named("several.png", &["several.png", "3 views", "folder", ".mp4"]);
     named("one.jpg", &["one.jpg", ".png or .exr"]);
+    for (format, name) in [("png", "other.exr"), ("exr", "other.png"), ("both", "other.png")] {
+        refuse(
+            &[one.as_slice(), &[text(&film(name)), "--format", format]].concat(),
+            &["--format", "name a folder"],
+        );
+        assert!(!film(name).exists(), "{format} {name}");
+    }
     refuse(&["render", text(&ply), "--frames", "12"], &["--frames", "--path", "`--orbit 12`"]);
 }
 

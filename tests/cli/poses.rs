@@ -161,12 +161,18 @@ fn photographs_stay_and_are_linked() {
 #[test]
 fn a_damaged_photograph_is_left_out() {
     let place = Place::new("photos");
-    std::fs::write(place.at("photos/05a.jpg"), "no JPEG").expect("written");
+    let damaged = ["05a.jpg", "05b.jpg"];
+    for name in damaged {
+        std::fs::write(place.at("photos").join(name), "no JPEG").expect("written");
+    }
     let [said, told] = place.succeed(&["photos", "--quiet"]);
     assert!(said.contains("registered      9 of 9 photographs"), "{said}");
     let lines: Vec<&str> = told.lines().collect();
-    assert!(lines.len() == 1 && lines[0].starts_with("warning: left out: photos/05a.jpg: "), "{told}");
-    assert!(!place.at("photos_dataset/images/05a.jpg").exists());
+    assert_eq!(lines.len(), damaged.len(), "{told}");
+    for (line, name) in lines.iter().zip(damaged) {
+        assert!(line.starts_with(&format!("warning: left out: photos/{name}: ")), "{told}");
+        assert!(!place.at("photos_dataset/images").join(name).exists());
+    }
     std::fs::create_dir(place.at("few")).expect("created");
     std::fs::copy(place.at("photos/01.png"), place.at("few/01.png")).expect("copied");
     place.fails(&mut place.poses(&["few"]), &["has 1 photograph, too few"]);

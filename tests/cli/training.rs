@@ -334,7 +334,7 @@ fn ctrl_c_saves() {
     write_dataset(&data);
     let mut command = program();
     command.args(["train", "-s", text(&data), "-m", text(&out), "--iterations", "1000000"]);
-    command.args(["--max-memory", "2048M"]);
+    command.args(["--max-memory", "2048M", "--offload", "1G"]);
     let mut child = Running::start(command.stdout(Stdio::null()).stderr(Stdio::piped()));
     let mut lines = BufReader::new(child.stderr.take().expect("its stderr")).lines().map_while(Result::ok);
     let first = lines.find(|line| line.starts_with("100/1000000")).expect("progress after 100 iterations");
@@ -353,7 +353,8 @@ fn ctrl_c_saves() {
     let advice = rest.iter().find(|line| line.starts_with("interrupted: to go on, ")).expect("how to go on");
     // What it says works: up to a Ctrl-C of its own.
     let typed: Vec<&str> = advice.split(", ashsplat ").nth(1).expect("a command").split(' ').collect();
-    assert!(typed.ends_with(&["--start-checkpoint", "latest", "--max-memory", "2G"]), "{advice}");
+    let same = ["--start-checkpoint", "latest", "--max-memory", "2G", "--offload", "1G"];
+    assert!(typed.ends_with(&same), "{advice}");
     let next = last.parse::<u32>().expect("a number") + 3;
     let more = ["--iterations", &next.to_string(), "--quiet"];
     succeed(&[typed.as_slice(), &more].concat());

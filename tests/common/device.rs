@@ -67,6 +67,7 @@ pub fn bounded(max_memory: Option<u64>) -> Bounded {
     assert_eq!(context.memory_total().bytes, 0, "left by the work before");
     context.reset_memory_peaks();
     context.set_max_memory(max_memory);
+    context.set_offload(None);
     Bounded(context)
 }
 

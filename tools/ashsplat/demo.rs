@@ -74,7 +74,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     }
     let model = settings.data.model_path.clone();
     let mut run = Run::prepare(&context, loaded, settings, arguments.quiet)?;
-    run.repeat(&arguments.device, None);
+    run.repeat(&arguments.device, None, None);
     let interrupted = run.train(&stop)?;
     if !interrupted {
         finish(&mut run, folder, arguments.iterations)?;

@@ -87,6 +87,8 @@ const CAMERA_MODELS: [&str; 9] = [
 ];
 /// Fewer photographs give no scene.
 const LEAST_PHOTOS: usize = 3;
+/// Damaged photographs that are named, each with its fault.
+const MOST_NAMED: usize = 10;
 /// Up to so many photographs are all compared with each other, without and with a GPU.
 const EXHAUSTIVE: [usize; 2] = [60, 200];
 /// Names in a message.
@@ -252,7 +254,7 @@ impl Arguments {
         session::check(stop)?;
         let damaged = looks.iter().filter(|look| look.is_err()).count();
         let enough = looks.len() - damaged >= LEAST_PHOTOS;
-        let (mut sound, mut first) = ((Vec::new(), Vec::new()), None);
+        let (mut sound, mut left_out) = ((Vec::new(), Vec::new()), 0);
         for (name, look) in photos.names.iter().zip(looks) {
             match look {
                 Ok(look) => {
@@ -260,7 +262,12 @@ impl Arguments {
                     sound.1.push(look);
                 }
                 // Too little memory or no permission is no fault of the photograph.
-                Err(error @ Error::Input { .. }) if enough => _ = first.get_or_insert(error),
+                Err(error @ Error::Input { .. }) if enough => {
+                    left_out += 1;
+                    if left_out <= MOST_NAMED {
+                        tell!("warning: left out: {error}");
+                    }
+                }
                 Err(error) if damaged == 1 => return Err(error),
                 Err(error) => {
                     let more = format!("{error} (and {} more)", damaged - 1);
@@ -268,9 +275,8 @@ impl Arguments {
                 }
             }
         }
-        if let Some(error) = first {
-            let others = if damaged > 1 { format!(" (and {} more)", damaged - 1) } else { String::new() };
-            tell!("warning: left out: {error}{others}");
+        if left_out > MOST_NAMED {
+            tell!("warning: left out: {} more", left_out - MOST_NAMED);
         }
         Ok(sound)
     }

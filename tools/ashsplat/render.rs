@@ -69,9 +69,9 @@ pub struct Arguments {
     /// Render with vignetting and response of the camera that took this photo, as the model folder's lens.json has them
     #[arg(long, value_name = "PHOTO")]
     lens_of: Option<String>,
-    /// Which files to write
-    #[arg(long, value_enum, default_value = "png")]
-    format: Format,
+    /// Which files to write; by default what --out names, and PNG into a folder
+    #[arg(long, value_enum)]
+    format: Option<Format>,
     /// Without a background: an EXR's colours are premultiplied by its alpha, and a PNG has opacity
     #[arg(long, conflicts_with_all = ["background", "exposure_of", "lens_of"])]
     transparent: bool,
@@ -187,7 +187,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     arguments.views.check()?;
     let film = arguments.film()?;
     let picture = arguments.picture()?;
-    let format = picture.unwrap_or(arguments.format);
+    let format = picture.or(arguments.format).unwrap_or(Format::Png);
     let tree = arguments.tree(path)?;
     let model = Model::locate(&scene_of(path, tree.as_ref()), arguments.iteration)?;
     let light = arguments.light(&model)?;
@@ -374,7 +374,7 @@ impl Arguments {
             let unused = "is for films; end --out in .mp4, .webm or .gif";
             return self.fps.map_or(Ok(None), |_| Err(Error::argument("--fps", unused)));
         };
-        if self.format != Format::Png {
+        if self.format.is_some_and(|format| format != Format::Png) {
             return Err(Error::argument(
                 "--format",
                 "films have 8 bits per channel; name a folder for EXR files",
@@ -397,8 +397,8 @@ impl Arguments {
         // A folder may have any name.
         let ending = if self.out.is_dir() { String::new() } else { ending.to_ascii_lowercase() };
         let format = match (ending.as_str(), self.format) {
-            ("png", Format::Png) => Format::Png,
-            ("exr", Format::Png | Format::Exr) => Format::Exr,
+            ("png", None | Some(Format::Png)) => Format::Png,
+            ("exr", None | Some(Format::Exr)) => Format::Exr,
             ("png" | "exr", _) => {
                 let problem = "asks for other files than --out names; name a folder";
                 return Err(Error::argument("--format", problem));

@@ -72,6 +72,10 @@ pub struct Arguments {
     /// --max-memory says]
     #[arg(long, value_name = "SIZE", value_parser = bytes)]
     photo_memory: Option<u64>,
+    /// Keep parameters and Adam's moments in the machine's memory, at most SIZE of it, for scenes that are larger than the device:
+    /// slower, with the same result [default of SIZE: --max-host-memory, else three quarters of what is free]
+    #[arg(long, value_name = "SIZE", value_parser = bytes, num_args = 0..=1)]
+    offload: Option<Option<u64>>,
     /// Instead of training: run so many iterations twice, compare hashes after each, and name the first
     /// kernel whose output differs
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
@@ -129,8 +133,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let lpips = FinalLpips::read(&arguments.lpips, &arguments.device.host)?;
     let doors = if writes { arguments.live.open()? } else { None };
     // Open the device first, so that its absence is reported before the photos are loaded.
-    let context = arguments.device.context()?;
     let host = &arguments.device.host;
+    let offload = arguments.offload.map(|size| size.unwrap_or_else(|| host.memory().limit()));
+    let context = arguments.device.context_with(|options| options.offload = offload)?;
     let origin = Origin::read(arguments.start_checkpoint.as_ref(), &settings, host)?;
     job.as_ref().map_or(Ok(()), |job| job.check_coarse(&settings.data.init))?;
     if writes && job.is_none() && origin.is_complete(&settings) {
@@ -164,7 +169,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let mut run = Run::begin(&context, dataset, (settings, held), &origin, arguments.quiet)?;
     // A checkpoint is as large as all that training keeps on the device.
     drop(origin);
-    run.repeat(&arguments.device, arguments.photo_memory);
+    run.repeat(&arguments.device, arguments.photo_memory, arguments.offload);
     run.track_within(arguments.eval_share);
     run.lpips = lpips;
     run.look_on(doors, &context, gallery)?;

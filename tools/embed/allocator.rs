@@ -48,7 +48,7 @@ unsafe impl HostAllocator for Adapter {
             requirements: request.requirements,
             location: match request.kind {
                 MemoryKind::Device => MemoryLocation::GpuOnly,
-                MemoryKind::HostVisible => MemoryLocation::GpuToCpu,
+                MemoryKind::HostVisible | MemoryKind::Offloaded => MemoryLocation::GpuToCpu,
             },
             linear: true,
             allocation_scheme: AllocationScheme::GpuAllocatorManaged,

@@ -173,9 +173,16 @@ pub fn write(folder: &Path, checkpoint: &Checkpoint) -> Result<PathBuf> {
 
 impl Run {
     /// Notes what settings.toml lacks of the command line, and the bits depend on.
-    pub fn repeat(&mut self, device: &DeviceArguments, photo_memory: Option<u64>) {
+    pub fn repeat(
+        &mut self,
+        device: &DeviceArguments,
+        photo_memory: Option<u64>,
+        offload: Option<Option<u64>>,
+    ) {
         let photos = photo_memory.map(|bytes| format!(" --photo-memory {}", args::size(bytes)));
-        self.repeated = device.repeated() + &photos.unwrap_or_default();
+        let size = |bytes: u64| format!(" {}", args::size(bytes));
+        let offload = offload.map(|bytes| format!(" --offload{}", bytes.map_or_else(String::new, size)));
+        self.repeated = device.repeated() + &photos.unwrap_or_default() + &offload.unwrap_or_default();
     }
 
     /// What to type to go on from the newest checkpoint.

@@ -268,8 +268,15 @@ fn histograms(out: &mut String, gaussians: &Gaussians) {
 }
 
 fn memory(out: &mut String, run: &Run) {
-    section(out, "Device memory", "most that each arena ever held");
-    let mut arenas: Vec<_> = run.trainer.memory().into_iter().filter(|arena| arena.name != "total").collect();
+    let (mut arenas, sums): (Vec<_>, Vec<_>) = (run.trainer.memory().into_iter())
+        .partition(|arena| !["total", "offloaded"].contains(&arena.name.as_str()));
+    let offloaded = sums.iter().find(|sum| sum.name == "offloaded").map_or_else(String::new, |sum| {
+        format!(
+            "; scene, moments, spare and surroundings, {} MiB, lie in the machine's memory",
+            sum.peak_bytes >> 20
+        )
+    });
+    section(out, "Device memory", &format!("most that each arena ever held{offloaded}"));
     arenas.sort_by_key(|arena| std::cmp::Reverse(arena.peak_bytes));
     let most = arenas.first().map_or(1, |arena| arena.peak_bytes.max(1)) as f64;
     out.push_str("<table><tr><th class=\"name\">arena</th><th>MiB</th><th class=\"name bar\"></th></tr>\n");

@@ -1,0 +1,123 @@
+//! Training whose parameters and moments lie in the host's memory: the same bits, and little memory of the device.
+
+use ashsplat::trainer::{Checkpoint, OptimizerType, StrategyType, Trainer};
+use ashsplat::vk::Context;
+use ashsplat::{Error, Gaussians, TrainSettings};
+
+use crate::checkpoints::views;
+use crate::common::engine::gaussians;
+use crate::common::scenes::{Random, gaussian};
+use crate::common::{assert_silent, bounded};
+
+const EXTENT: f32 = 5.0;
+/// Of a Gaussian of SH degree 3 in each of the four sets.
+const SET: u64 = 4 * (3 * 4 + 48);
+const HOST: Option<u64> = Some(1 << 30);
+
+/// Many Gaussians that cover few pixels each: most of their memory is parameters and moments.
+fn start(count: usize) -> Gaussians {
+    let mut random = Random::new(77);
+    gaussians(&(0..count).map(|_| gaussian(&mut random, 1.5, [-5.0, -4.0], 16)).collect::<Vec<_>>())
+}
+
+/// Grows twice and resets opacities once.
+fn settings() -> TrainSettings {
+    TrainSettings {
+        iterations: 24,
+        sh_degree_interval: 4,
+        densify_from_iter: 4,
+        densification_interval: 7,
+        densify_until_iter: 22,
+        opacity_reset_interval: 16,
+        densify_grad_threshold: 1e-6,
+        ..TrainSettings::default()
+    }
+}
+
+fn trainer(context: &Context, start: &Gaussians, settings: &TrainSettings) -> ashsplat::Result<Trainer> {
+    Trainer::new(context, views(3, 9), start, EXTENT, settings.clone())
+}
+
+/// The end of a run; the device's memory then and at its peak, and the peak of the host's, bytes.
+fn run(
+    start: &Gaussians,
+    settings: &TrainSettings,
+    (max_memory, offload): (Option<u64>, Option<u64>),
+) -> ashsplat::Result<(Checkpoint, [u64; 3])> {
+    let context = bounded(max_memory);
+    context.set_offload(offload);
+    let mut trainer = trainer(&context, start, settings)?;
+    for _ in 0..settings.iterations {
+        trainer.step()?;
+    }
+    let end = trainer.checkpoint()?;
+    let at_end = context.memory_total().bytes;
+    drop(trainer);
+    assert_silent(&context);
+    assert_eq!(context.memory_offloaded().bytes, 0, "left behind");
+    Ok((end, [at_end, context.memory_total().peak_bytes, context.memory_offloaded().peak_bytes]))
+}
+
+/// A scene of four times the device's memory is trained, with the bits that it has where there is enough.
+#[test]
+fn offload_trains_four_times_what_the_device_holds() {
+    let start = start(20_000);
+    let (whole, [all, _, none]) = run(&start, &settings(), (None, None)).expect("trained");
+    assert_eq!(none, 0);
+    let budget = Some(all / 4);
+    let (stunted, _) = run(&start, &settings(), (budget, None)).expect("trained");
+    let (end, [_, device, host]) = run(&start, &settings(), (budget, HOST)).expect("trained");
+    assert!(Some(device) <= budget, "{device} bytes of {budget:?}");
+    let rows = whole.gaussians.len() as u64;
+    let held = stunted.gaussians.len() as u64;
+    assert!(2 * held < rows, "{held} Gaussians of {rows} are as many as the device holds");
+    assert!(host >= rows * 4 * SET, "{host} bytes of {rows} Gaussians");
+    assert!(end.fingerprint() == whole.fingerprint(), "other bits within {budget:?} bytes");
+}
+
+/// Whatever else a step does, and also if a run goes on where its memory lies elsewhere.
+#[test]
+fn offload_changes_no_bit_of_any_strategy() {
+    let start = start(2000);
+    let of = |strategy| TrainSettings { strategy, absgrad: false, ..settings() };
+    let budget = TrainSettings { multi_step: true, scale_schedule: false, ..of(StrategyType::Budget) };
+    let filtered = TrainSettings { filter_3d: true, opacity_reg: 0.01, ..settings() };
+    let sparse = TrainSettings { optimizer_type: OptimizerType::SparseAdam, pose_opt: true, ..settings() };
+    for settings in [budget, of(StrategyType::Mcmc), filtered, sparse] {
+        let (whole, _) = run(&start, &settings, (None, None)).expect("trained");
+        let context = bounded(None);
+        let mut trainer = trainer(&context, &start, &settings).expect("a trainer");
+        for (offload, until) in [(HOST, 9), (None, 17), (HOST, settings.iterations)] {
+            context.set_offload(offload);
+            let checkpoint = trainer.checkpoint().expect("a checkpoint");
+            drop(trainer);
+            let resumed = Trainer::resume(&context, views(3, 9), EXTENT, settings.clone(), &checkpoint);
+            trainer = resumed.expect("resumed");
+            (checkpoint.iteration..until).for_each(|_| drop(trainer.step().expect("a step")));
+            assert_eq!(context.memory_offloaded().bytes > 0, offload.is_some());
+        }
+        let end = trainer.checkpoint().expect("the end");
+        assert!(end == whole, "other bits with {:?}", settings.strategy);
+    }
+}
+
+/// What does not fit the host's memory is refused before anything is allocated; growth stops there.
+#[test]
+fn offload_is_bounded() {
+    let start = start(6000);
+    let settings = TrainSettings { densify_grad_threshold: 0.0, ..settings() };
+    let planes = 6144 * 4 * SET;
+    let error =
+        run(&start, &settings, (None, Some(planes - 1))).map(|(_, peaks)| peaks).expect_err("too little");
+    let Error::TooLarge { needed, limit, limit_name, .. } = error else { panic!("{error}") };
+    assert_eq!((needed, limit, limit_name), (planes, planes - 1, "--offload"));
+    // Room for half as many again, once, and not for both before and after.
+    let bound = planes * 9 / 4;
+    let (end, [.., host]) = run(&start, &settings, (None, Some(bound))).expect("trained");
+    let (free, _) = run(&start, &settings, (None, HOST)).expect("trained");
+    let (bounded, free) = (end.gaussians.len(), free.gaussians.len());
+    assert!(
+        host <= bound && (6000..=9216).contains(&bounded) && bounded < free,
+        "{bounded} of {free}, {host} bytes"
+    );
+}
