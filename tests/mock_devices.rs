@@ -173,6 +173,8 @@ fn mock_device_finds_missing_waits() {
         !output.status.success()
     };
     assert!(fails("transfer-queue", "others", PHOTOS));
+    // There, too, photographs go by the queue for copies.
+    assert!(fails("discrete-rebar", "others", PHOTOS));
     assert!(fails("transfer-queue-main-late", "copies", UPLOADS));
     assert!(!fails("transfer-queue", "copies", UPLOADS));
 }
@@ -211,7 +213,7 @@ fn mock_device_claims_in_a_child() {
     }
     let (writes_directly, reads_directly, copy_queue) = match machine.as_str() {
         "discrete" | "discrete-window" | "small-limits" => (false, false, false),
-        "discrete-rebar" => (true, false, false),
+        "discrete-rebar" => (true, false, true),
         "unified" => (true, true, false),
         "unified-uncached" => (true, false, false),
         "transfer-queue" | "transfer-queue-main-late" => (false, false, true),

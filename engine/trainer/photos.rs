@@ -294,7 +294,7 @@ impl Stream {
                     "the thread that reads them has ended; go on from a checkpoint",
                 )
             })??;
-            context.begin_upload(&self.places[at.place].range(0, texels.len() as u64), &texels)?;
+            context.begin_upload_beside(&self.places[at.place].range(0, texels.len() as u64), &texels)?;
         }
         context.take_over_uploads()?;
         self.running = Some(running);
@@ -310,7 +310,7 @@ impl Stream {
         let free = at.load && at.place != running.at.place && context.transfers().copy_queue;
         let texels = if free { running.texels.try_recv().ok().transpose()? } else { None };
         if let Some(texels) = &texels {
-            context.begin_upload(&self.places[at.place].range(0, texels.len() as u64), texels)?;
+            context.begin_upload_beside(&self.places[at.place].range(0, texels.len() as u64), texels)?;
         }
         running.ahead = Some((at, texels.is_some()));
         self.running = Some(running);

@@ -46,7 +46,8 @@ pub struct Transfers {
     pub writes_directly: bool,
     /// Downloads are read from the device's memory itself: it is the host's, and cached. Otherwise they are copied first.
     pub reads_directly: bool,
-    /// Staged uploads are copied by a queue of their own, beside the main queue's work.
+    /// Staged uploads are copied by a queue of their own, beside the main queue's work. So are photographs that training reads from a
+    /// file, unless the device's memory is the host's.
     pub copy_queue: bool,
 }
 

@@ -2,6 +2,7 @@
 
 use super::buffer::Buffer;
 use super::context::Context;
+use super::memory_types::Place;
 use super::recorder::MAX_UPDATE_BYTES;
 use crate::{Error, Result};
 use std::sync::PoisonError;
@@ -53,6 +54,24 @@ impl Context {
     /// As [`Context::upload`]. Failures of the copy itself are those of a later transfer or of [`Context::finish_uploads`].
     pub(crate) fn begin_upload(&self, buffer: &Buffer, bytes: &[u8]) -> Result<()> {
         if buffer.block().is_mapped() || self.is_foreign() || self.is_watched() {
+            return self.upload(buffer, bytes);
+        }
+        buffer.check_range(0, bytes.len())?;
+        self.copy_staged(buffer, bytes, false)
+    }
+
+    /// As [`Context::begin_upload`], by the queue for copies also where the host sees a card's memory (resizable BAR): writing it
+    /// would have to wait for the main queue's work. All uploads to a buffer go this way or none, since the host writes only what no
+    /// copy is known to use.
+    ///
+    /// # Errors
+    /// As [`Context::begin_upload`].
+    pub(crate) fn begin_upload_beside(&self, buffer: &Buffer, bytes: &[u8]) -> Result<()> {
+        if self.device.place != Place::Window || self.device.copying.is_none() {
+            return self.begin_upload(buffer, bytes);
+        }
+        if self.is_watched() {
+            self.finish_uploads()?;
             return self.upload(buffer, bytes);
         }
         buffer.check_range(0, bytes.len())?;

@@ -81,11 +81,11 @@ pub const MACHINES: &[Machine] = &[
         types: &[(LOCAL, 0), (SEEN, 1), (CACHED, 1), (both(LOCAL, SEEN), 2)],
         ..DISCRETE
     },
-    // A card all of whose memory the processor sees.
+    // A card all of whose memory the processor sees, with a queue for copies.
     Machine {
         name: "discrete-rebar",
         types: &[(LOCAL, 0), (SEEN, 1), (both(LOCAL, SEEN), 0), (CACHED, 1)],
-        ..DISCRETE
+        ..QUEUES
     },
     // Memory that both share, in a cached and an uncached type.
     Machine {
