@@ -82,6 +82,37 @@ fn a_block_is_trained_among_the_rest_of_its_scene() {
     assert!(inside > 20 && inside < all.len() - 20, "{inside} of {}", all.len());
 }
 
+/// The rest of the scene is left out, and pixels that show it do not count; stopped and gone on with.
+#[test]
+fn a_block_is_trained_with_the_rest_of_its_scene_masked() {
+    let place = Place::new();
+    assert_trained(&place.train("coarse", &["--iterations", "60", "--opacity-lr", "0.2"]));
+    let scene = place.model("coarse").join("point_cloud/iteration_60/point_cloud.ply");
+    let block = ["--init", text(&scene), LEFT, "--margin", "0.1", "--iterations"];
+    let run = |model: &str, more: &[&str]| place.train(model, &[&block, more].concat());
+    let masked = ["--outside", "masked"];
+    assert_trained(&run("drawn", &["30"]));
+    assert_trained(&run("masked", &[&["30"][..], &masked].concat()));
+    assert!(place.ply("masked", 30) != place.ply("drawn", 30), "it changes nothing");
+    assert_trained(&run("parts", &[&["20", "--checkpoint_iterations", "20"][..], &masked].concat()));
+    let goes_on = run("parts", &["30", "--start_checkpoint", "latest"]);
+    assert_refused(&goes_on, &["chkpnt20"]);
+    assert_trained(&run("parts", &[&["30", "--start_checkpoint", "latest"][..], &masked].concat()));
+    assert!(place.ply("masked", 30) == place.ply("parts", 30), "other bits");
+    let written = std::fs::read_to_string(place.model("masked").join("settings.toml")).expect("settings");
+    assert!(written.contains("outside = \"masked\""), "{written}");
+    // Nothing lies around, on the device either.
+    let report =
+        |model: &str| std::fs::read_to_string(place.model(model).join("report.html")).expect("a report");
+    assert!(report("drawn").contains(">surroundings<") && !report("masked").contains(">surroundings<"));
+    // Far away from what is seen.
+    let nothing = "--block=-inf,-inf,-inf,inf,inf,-30";
+    let refused =
+        place.train("nothing", &["--init", text(&scene), nothing, "--margin", "0", "--outside", "masked"]);
+    assert_refused(&refused, &["block"]);
+    assert!(!place.model("nothing").exists());
+}
+
 #[test]
 fn senseless_blocks_are_refused_before_the_work() {
     let place = Place::new();
@@ -94,6 +125,8 @@ fn senseless_blocks_are_refused_before_the_work() {
         (&[LEFT, "--margin=-1"], &["margin", "0 or more"]),
         (&[LEFT, "--margin=nan"], &["margin", "0 or more"]),
         (&["--margin=1"], &["margin", "--block"]),
+        (&["--outside=masked"], &["outside", "--block"]),
+        (&[LEFT, "--outside=masked"], &["outside", "--init"]),
         (&["--scene-extent=-1"], &["scene_extent"]),
         (&["--scene-extent=inf"], &["scene_extent"]),
         (&[LEFT, "--strategy", "mcmc"], &["block", "mcmc"]),

@@ -7,7 +7,7 @@ mod file;
 mod missing_points;
 mod train_overrides;
 
-pub use data::{DataSettings, When};
+pub use data::{DataSettings, Outside, When};
 pub use missing_points::MissingPoints;
 pub use train_overrides::{TrainOverrides, strategies};
 

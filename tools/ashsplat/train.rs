@@ -6,6 +6,7 @@ mod folder;
 mod live;
 mod log;
 mod origin;
+mod outside;
 mod poses;
 mod prepared;
 mod report;
@@ -39,8 +40,8 @@ pub use log::Rows;
 use log::TrainLog;
 use origin::{First, Origin};
 use prepared::{Prepared, Views, check_fits, photo_memory};
-use report::KernelTimes;
 pub use report::say_what_next;
+use report::{KernelTimes, say_complete};
 use saving::Unsaved;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -102,11 +103,6 @@ pub struct Arguments {
 const FIRST_ITERATIONS: u32 = 100;
 pub const LOG_FILE: &str = "train_log.csv";
 
-fn say_complete(settings: &Settings) -> Result<()> {
-    say!("{} is trained to its end already", settings.data.model_path.display());
-    Ok(())
-}
-
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<()> {
     let settings = Settings::resolve(arguments.config.as_deref(), &arguments.overrides)?;
@@ -150,6 +146,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let given = (arguments.config.as_deref(), &arguments.overrides);
     let (settings, few_photos) = settings.settle(&mut gallery, given, origin.checkpoint())?;
     let settings = origin.settle(settings);
+    outside::hide(&context, &mut gallery, (origin.scene(), &settings), (arguments.quiet, &stop))?;
     check_fits(&context, &gallery, &settings, &origin)?;
     let mut dataset = session::load(&gallery, arguments.quiet, &stop)?;
     gallery.notes().iter().chain(&few_photos).filter(|_| !arguments.quiet).for_each(|line| tell!("{line}"));

@@ -4,6 +4,7 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use super::depths::{self, PlannedMap};
+use super::mask::Mask;
 use super::plan::{Plan, PlannedView};
 use super::tracks::Track;
 use super::{Dataset, DatasetOptions, Unpacked, View, beyond_memory};
@@ -86,6 +87,21 @@ impl Gallery {
         Ok(())
     }
 
+    /// Hides pixels of a view besides those that its mask hides: those where `counts`, a coarse picture of this width and height
+    /// over the whole view, is false.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for a view that does not exist, and a picture of another size.
+    pub fn hide(&mut self, index: usize, (width, height): (u32, u32), counts: &[bool]) -> Result<()> {
+        let mask = Mask::coarse(width, height, counts)?;
+        let count = self.views.len();
+        let Some(view) = self.views.get_mut(index) else {
+            return Err(Error::argument("view", format!("is {index}, there are {count}")));
+        };
+        view.coarse_mask = Some(mask);
+        Ok(())
+    }
+
     /// The cameras by name, at the photos' own sizes.
     pub fn cameras(&self) -> Vec<NamedCamera> {
         let named = |view: &PlannedView| NamedCamera { name: view.name.clone(), camera: view.camera() };
@@ -109,7 +125,7 @@ impl Gallery {
                     name: view.name.clone(),
                     width,
                     height,
-                    masked: *held_out,
+                    masked: *held_out || view.coarse_mask.is_some(),
                     inverse_depth: map.is_some(),
                     depth_points: self.track_length(index),
                 })

@@ -26,6 +26,30 @@ impl Mask {
         Self { width, height, values }
     }
 
+    /// A mask of any size, for a photo of another one: see [`Mask::stretched_to`].
+    ///
+    /// # Errors
+    /// [`Error::Argument`] when there is not one value per pixel.
+    pub(super) fn coarse(width: u32, height: u32, counts: &[bool]) -> Result<Self> {
+        if counts.is_empty() || counts.len() as u64 != u64::from(width) * u64::from(height) {
+            let problem = format!("has {} values for {width}x{height} pixels", counts.len());
+            return Err(Error::argument("mask", problem));
+        }
+        let values = counts.iter().map(|&counts| if counts { 255 } else { 0 }).collect();
+        Ok(Self { width, height, values })
+    }
+
+    /// The mask at another size, where a pixel has the value of that in which its centre lies.
+    pub(super) fn stretched_to(&self, width: u32, height: u32) -> Self {
+        let nearest = |at: u32, to: u32, from: u32| {
+            ((2 * u64::from(at) + 1) * u64::from(from) / (2 * u64::from(to))) as usize
+        };
+        let row = |y: u32| nearest(y, height, self.height) * self.width as usize;
+        let pixels = (0..height).flat_map(|y| (0..width).map(move |x| (x, y)));
+        let values = pixels.map(|(x, y)| self.values[row(y) + nearest(x, width, self.width)]).collect();
+        Self { width, height, values }
+    }
+
     /// Reads the mask of a photo of this size. The mask of a larger version of the photo is scaled down.
     pub(super) fn read(
         path: &Path,
@@ -51,10 +75,14 @@ impl Mask {
         Self { width: grey.width, height: grey.height, values }
     }
 
-    /// The pixels that count in both masks, which have the same size.
-    pub(super) fn and(mut self, other: &Self) -> Self {
-        self.values.iter_mut().zip(&other.values).for_each(|(a, &b)| *a = (*a).min(b));
-        self
+    /// The pixels that count in both masks, which have the same size. Without one all count.
+    pub(super) fn of_both(one: Option<Self>, other: Option<Self>) -> Option<Self> {
+        let (mut both, other) = match (one, other) {
+            (Some(one), Some(other)) => (one, other),
+            (one, other) => return one.or(other),
+        };
+        both.values.iter_mut().zip(&other.values).for_each(|(a, &b)| *a = (*a).min(b));
+        Some(both)
     }
 
     /// The mask for the pinhole camera that replaces a lens.

@@ -64,8 +64,9 @@ pub(crate) struct PlannedView {
     photo_path: PathBuf,
     /// Whether the photo is rotated by its metadata.
     turned: bool,
-    /// The photo's mask file.
+    /// The photo's mask file, and what else is hidden.
     mask_path: Option<PathBuf>,
+    pub(super) coarse_mask: Option<Mask>,
     /// Whether transparent pixels of the photo do not count; otherwise they show the background.
     alpha_is_mask: bool,
     /// Whether the data set specifies that the view is held out.
@@ -183,6 +184,7 @@ impl Plan {
                 turned,
                 mask_path: mask_of(path, &options.images, &image.name, &mut finder),
                 alpha_is_mask: true,
+                coarse_mask: None,
                 held_out: false,
             })
         };
@@ -306,6 +308,7 @@ impl Plan {
             turned,
             mask_path: frame.mask_path.clone(),
             alpha_is_mask: false,
+            coarse_mask: None,
             held_out: frame.test,
         })
     }
@@ -350,7 +353,7 @@ impl PlannedView {
         Camera::with_pose(self.camera_from_world, self.translation, self.pinhole)
     }
 
-    /// The undistorted and scaled photo, its mask at the size of the file, and its camera there.
+    /// The undistorted and scaled photo, its mask at the file's size, and its camera there.
     pub(super) fn read_photo(&self, options: &DatasetOptions) -> Result<(Photo, Option<Mask>, Camera)> {
         let (lens, pinhole) = self.optics_of_file(options.divisor())?;
         let memory = &options.host_memory;
@@ -377,10 +380,7 @@ impl PlannedView {
         };
         let Decoded { mut photo, alpha, lease, .. } = read_as(&self.photo_path, &request)?;
         let alpha = alpha.filter(|_| self.alpha_is_mask).map(|alpha| Mask::of_alpha(own.0, own.1, alpha));
-        let mut mask = match (mask, alpha) {
-            (Some(mask), Some(alpha)) => Some(mask.and(&alpha)),
-            (mask, alpha) => mask.or(alpha),
-        };
+        let mut mask = Mask::of_both(mask, alpha);
         if lens.is_distorted() {
             mask = mask.map(|mask| mask.undistorted(&lens, &pinhole));
             photo = undistort(&photo, &lens, &pinhole).scaled_to(scaled.0, scaled.1)?;
@@ -433,7 +433,9 @@ impl PlannedView {
     pub(super) fn load(&self, options: &DatasetOptions) -> Result<View> {
         let (photo, mask, original_camera) = self.read_photo(options)?;
         let (width, height) = (photo.width, photo.height);
-        let mask = mask.and_then(|mask| mask.scaled_to(width, height).into_values());
+        let coarse = self.coarse_mask.as_ref().map(|mask| mask.stretched_to(width, height));
+        let mask = Mask::of_both(mask.map(|mask| mask.scaled_to(width, height)), coarse);
+        let mask = mask.and_then(Mask::into_values);
         Ok(View {
             name: self.name.clone(),
             image_id: self.image_id,

@@ -5,6 +5,19 @@ use ashsplat::Frame;
 use ashsplat::scene::Camera;
 use glam::{Vec3, vec3};
 
+/// The longer side of pictures that only tell what lies where, pixels.
+const SIDE: u32 = 200;
+
+/// The camera at a size of at most [`SIDE`].
+pub fn small(camera: &Camera) -> Camera {
+    let longest = camera.width.max(camera.height);
+    let scaled = |side: u32| match longest {
+        ..=SIDE => side,
+        _ => ((f64::from(side) * f64::from(SIDE) / f64::from(longest)).round() as u32).max(1),
+    };
+    camera.scaled_to(scaled(camera.width), scaled(camera.height))
+}
+
 /// Where the pixels of a frame are, in the order of rows, world; None where there is nothing. By the frame's expected depth.
 pub fn places(camera: &Camera, frame: &Frame) -> Vec<Option<Vec3>> {
     let world_from_camera = camera.camera_from_world.transpose();

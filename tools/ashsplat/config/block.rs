@@ -1,6 +1,6 @@
 //! Which part of a scene is trained.
 
-use super::DataSettings;
+use super::{DataSettings, Outside};
 use ashsplat::scene::Bounds;
 use ashsplat::trainer::SceneBlock;
 use ashsplat::{Error, Result};
@@ -29,6 +29,10 @@ pub struct BlockArguments {
     /// Train those this far around the block too, world units; none are added there [default: 0]
     #[arg(long, value_name = "X", allow_hyphen_values = true)]
     margin: Option<f64>,
+    /// What becomes of the rest of the start's scene: masked leaves it out, and pixels of the photos that show it by its depths do not
+    /// count, which takes less memory than drawing it [default: drawn]
+    #[arg(long, value_enum)]
+    outside: Option<Outside>,
     /// The extent that scales the means' learning rate and the thresholds of densification, world units: of a block, that of the
     /// whole scene; 0 takes that of the training cameras [default: 0]
     #[arg(long, value_name = "X", allow_hyphen_values = true)]
@@ -56,12 +60,31 @@ impl DataSettings {
         if self.scene_extent > 0.0 { self.scene_extent as f32 } else { of_cameras }
     }
 
+    /// The block's core and margin, world units, if what lies beyond is masked.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] without a block, and without a scene whose depths tell what lies where.
+    pub fn masked_block(&self) -> Result<Option<(Bounds, f32)>> {
+        let block = self.block()?;
+        if self.outside == Outside::Drawn {
+            return Ok(None);
+        }
+        let problem = match block {
+            None => "masked is for a block: give --block or --job as well",
+            Some(_) if self.init.as_os_str().is_empty() => {
+                "masked goes by the depths of a scene: give one to begin with (--init)"
+            }
+            Some(_) => return Ok(block),
+        };
+        Err(Error::argument("outside", problem))
+    }
+
     /// Refuses a senseless block or extent.
     pub fn check_block(&self) -> Result<()> {
         if !(self.scene_extent.is_finite() && self.scene_extent >= 0.0) {
             let problem = format!("is {}, must be positive, or 0 for that of the cameras", self.scene_extent);
             return Err(Error::argument("scene_extent", problem));
         }
-        self.block().map(drop)
+        self.masked_block().map(drop)
     }
 }

@@ -37,6 +37,8 @@ pub struct DataSettings {
     pub block: Vec<f64>,
     /// How far around it Gaussians are trained too, world units.
     pub margin: f64,
+    /// What becomes of what lies beyond that.
+    pub outside: Outside,
     /// World units; 0: that of the training cameras.
     pub scene_extent: f64,
     /// Iterations after which to test; the last is always one.
@@ -76,6 +78,7 @@ impl Default for DataSettings {
             init: PathBuf::new(),
             block: Vec::new(),
             margin: 0.0,
+            outside: Outside::Drawn,
             scene_extent: 0.0,
             test_iterations: vec![7000, 30_000],
             save_iterations: vec![7000, 30_000],
@@ -83,6 +86,17 @@ impl Default for DataSettings {
             checkpoint_every: 0,
         }
     }
+}
+
+/// What becomes of a scene outside of the block that is trained.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "lowercase")]
+pub enum Outside {
+    /// It is drawn and stays as it is
+    #[default]
+    Drawn,
+    /// It is left out, and pixels that show it do not count
+    Masked,
 }
 
 /// Whether something is done; auto where it is known to help.

@@ -4,16 +4,13 @@
 //! its opacity. That is one picture per photo however many cells there are; what each cell's Gaussians contribute would need
 //! one per photo and cell.
 
-use crate::blocks::places::places;
+use crate::blocks::places::{places, small};
 use crate::progress::counting;
 use crate::session;
 use ashsplat::scene::{Camera, Cells};
 use ashsplat::{Frame, RenderSettings, Renderer, Result};
 use ashsplat_files::cameras_json::NamedCamera;
 use std::sync::atomic::AtomicBool;
-
-/// The longer side of the pictures, pixels.
-const SIDE: u32 = 200;
 
 /// Shares of the photos' pictures, by photo, then by cell, 0 to 1.
 pub struct Shares(Vec<Vec<f64>>);
@@ -60,16 +57,6 @@ impl Shares {
     pub fn covered(&self) -> f64 {
         self.0.iter().flatten().sum::<f64>() / self.0.len() as f64
     }
-}
-
-/// The camera at a size of at most [`SIDE`].
-pub fn small(camera: &Camera) -> Camera {
-    let longest = camera.width.max(camera.height);
-    let scaled = |side: u32| match longest {
-        ..=SIDE => side,
-        _ => ((f64::from(side) * f64::from(SIDE) / f64::from(longest)).round() as u32).max(1),
-    };
-    camera.scaled_to(scaled(camera.width), scaled(camera.height))
 }
 
 fn covered(camera: &Camera, frame: &Frame, cells: &Cells) -> Vec<f64> {

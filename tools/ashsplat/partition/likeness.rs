@@ -1,6 +1,6 @@
 //! Whether a model shows what the photographs show: one of another scene may fill the cameras' pictures just as well.
 
-use super::cameras::small;
+use crate::blocks::places::small;
 use ashsplat::{RenderSettings, Renderer, Result};
 use ashsplat_files::{Gallery, PhotoFileFormat};
 use std::sync::Arc;

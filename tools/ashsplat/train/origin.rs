@@ -3,7 +3,7 @@
 use super::checkpoints::{Start, StartFrom};
 use super::prepared::Data;
 use crate::args::HostArguments;
-use crate::config::Settings;
+use crate::config::{Outside, Settings};
 use crate::model;
 use ashsplat::scene::{Gaussians, PointCloud};
 use ashsplat::trainer::{Checkpoint, SceneBlock, TrainParts, TrainSettings, Trainer};
@@ -80,6 +80,11 @@ impl Origin {
         Origin { needs_points: true, ..Origin::default() }
     }
 
+    /// The scene that training begins with, or began with, if it does not begin with points.
+    pub fn scene(&self) -> Option<&Gaussians> {
+        self.scene.as_ref()
+    }
+
     /// Whether the points of the data set are used.
     pub fn needs_points(&self) -> bool {
         self.needs_points
@@ -109,10 +114,11 @@ impl Origin {
             }
             _ => all,
         };
+        let drawn = if settings.data.outside == Outside::Drawn { all - inside } else { 0 };
         match self.checkpoint() {
-            Some(checkpoint) => Ok([checkpoint.gaussians.len(), all - inside]),
+            Some(checkpoint) => Ok([checkpoint.gaussians.len(), drawn]),
             None if inside == 0 => Err(SceneBlock::nothing_inside(all)),
-            None => Ok([inside, all - inside]),
+            None => Ok([inside, drawn]),
         }
     }
 
@@ -155,6 +161,10 @@ impl Origin {
             None => (whole, None),
             Some((core, margin)) => {
                 let (trained, block) = SceneBlock::divide(&whole, core, margin)?;
+                let block = match settings.data.outside {
+                    Outside::Drawn => block,
+                    Outside::Masked => SceneBlock { frozen: block.frozen.select(&[]), ..block },
+                };
                 (trained, Some(block))
             }
         };

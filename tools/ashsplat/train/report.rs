@@ -312,6 +312,12 @@ fn settings(settings: &Settings) -> Result<String> {
     Ok(out)
 }
 
+/// Says that there is nothing to do.
+pub fn say_complete(settings: &Settings) -> Result<()> {
+    say!("{} is trained to its end already", settings.data.model_path.display());
+    Ok(())
+}
+
 /// What people do with a trained scene. `measured`: on photographs that were held out.
 pub fn say_what_next(model: &Path, measured: bool) {
     let name = quoted(&model.to_string_lossy());
