@@ -64,16 +64,18 @@ const _: () = assert!(size_of::<Block>() as u64 == CAMERA_BLOCK_BYTES);
 /// Records the writes of the blocks of all scenes, those that are not drawn among them. The caller places a barrier after it.
 pub(super) fn record_blocks(r: &mut Recorder, inputs: &FrameInputs) {
     let all = blocks_of(inputs);
-    let mut blocks = [Block::zeroed(); BLOCKS_PER_UPDATE];
-    let of_frame = block_of_frame(inputs.camera, inputs.settings);
-    let (mut scenes, mut written) = (inputs.placed(), 0);
+    // The scenes have most of a block in common: it is written once.
+    let of_frame = Block { values: block_of_frame(inputs.camera, inputs.settings), ..Block::zeroed() };
+    let mut blocks = [of_frame; BLOCKS_PER_UPDATE];
+    let first = inputs.first();
+    let (mut scenes, mut written) = (std::iter::once(&first).chain(inputs.others), 0);
     if let Some(pose) = inputs.pose {
         r.copy(pose, &all.range(0, POSE_BYTES));
     }
     while written < all.bytes() {
         let mut filled = 0;
         for (block, placed) in blocks.iter_mut().zip(scenes.by_ref()) {
-            block.values = camera_block(&of_frame, &placed);
+            set_scene(&mut block.values, placed);
             filled += 1;
         }
         // What the device knows better stays out of the first block.
@@ -112,29 +114,27 @@ fn block_of_frame(camera: &Camera, settings: &RenderSettings) -> CameraBlock {
     }
 }
 
-/// The camera block of a scene.
-fn camera_block(of_frame: &CameraBlock, placed: &PlacedScene<'_>) -> CameraBlock {
+/// Sets what the blocks of a frame's scenes differ in.
+#[inline]
+fn set_scene(block: &mut CameraBlock, placed: &PlacedScene<'_>) {
     let PlacedScene { camera, scale, settings: scene, .. } = placed;
     let rows = camera.camera_from_world.transpose() * *scale;
-    CameraBlock {
-        camera_row_x: rows.x_axis.to_array(),
-        camera_row_y: rows.y_axis.to_array(),
-        camera_row_z: rows.z_axis.to_array(),
-        camera_translation: camera.translation.to_array(),
-        inverse_scale_squared: (scale * scale).recip(),
-        scene_tint: scene.tint,
-        scene_opacity: scene.opacity,
-        selection_color: scene.selection.map_or([0.0; 3], |selection| selection.color),
-        selection_share: scene.selection.map_or(0.0, |selection| selection.share),
-        scene_first: placed.first,
-        scene_count: placed.drawn(),
-        scene_chunk_gaussians: placed.scene.plan.chunk_gaussians,
-        scene_batch: placed.batch.first,
-        scene_parameters: placed.batch.parameters.begin,
-        scene_first_cut_out: placed.first_cut_out,
-        scene_cut_outs: scene.cut_out_count(),
-        ..*of_frame
-    }
+    block.camera_row_x = rows.x_axis.to_array();
+    block.camera_row_y = rows.y_axis.to_array();
+    block.camera_row_z = rows.z_axis.to_array();
+    block.camera_translation = camera.translation.to_array();
+    block.inverse_scale_squared = (scale * scale).recip();
+    block.scene_tint = scene.tint;
+    block.scene_opacity = scene.opacity;
+    block.selection_color = scene.selection.map_or([0.0; 3], |selection| selection.color);
+    block.selection_share = scene.selection.map_or(0.0, |selection| selection.share);
+    block.scene_first = placed.first;
+    block.scene_count = placed.drawn();
+    block.scene_chunk_gaussians = placed.scene.plan.chunk_gaussians;
+    block.scene_batch = placed.batch.first;
+    block.scene_parameters = placed.batch.parameters.begin;
+    block.scene_first_cut_out = placed.first_cut_out;
+    block.scene_cut_outs = scene.cut_out_count();
 }
 
 /// Limits of x/z and y/z (low, high, low, high) within which the projection is linearised.

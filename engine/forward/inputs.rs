@@ -19,6 +19,7 @@ pub struct SceneBuffers {
 
 impl SceneBuffers {
     /// The evaluated SH degree: the settings' degree, at most the stored one.
+    #[inline]
     pub fn active_degree(&self, settings: &RenderSettings) -> u32 {
         settings.sh_degree.unwrap_or(self.plan.sh_degree).min(self.plan.sh_degree)
     }
@@ -174,6 +175,7 @@ pub struct PlacedScene<'a> {
 
 impl PlacedScene<'_> {
     /// Number of Gaussians that take part in the frame.
+    #[inline]
     pub fn drawn(&self) -> u32 {
         if self.settings.draws() { self.scene.count } else { 0 }
     }
@@ -205,7 +207,7 @@ pub(super) struct Part<'a> {
 }
 
 impl<'a> FrameInputs<'a> {
-    fn first(&self) -> PlacedScene<'a> {
+    pub(super) fn first(&self) -> PlacedScene<'a> {
         let &Self { scene, camera, scale, sh_degree, scene_settings, previous, batch, .. } = self;
         PlacedScene {
             scene,

@@ -59,7 +59,24 @@ impl<'a> SceneSettings<'a> {
     /// # Errors
     /// [`Error::Argument`] with the field's name for a tint, an opacity or a selection's colour out of range or no number, an
     /// SH degree above 3, too many cut-outs, and those of [`CutOut::check`].
+    #[inline]
     pub fn check(&self) -> Result<()> {
+        // As most scenes of a frame of thousands are.
+        let is_simple = self.sh_degree.is_none() & self.cut_outs.is_empty() & self.selection.is_none();
+        match is_simple & self.has_possible_factors() {
+            true => Ok(()),
+            false => self.check_each(),
+        }
+    }
+
+    /// Whether the tint and the opacity are in their ranges.
+    #[inline]
+    fn has_possible_factors(&self) -> bool {
+        let [r, g, b] = self.tint.map(|factor| (0.0..=MAX_TINT).contains(&factor));
+        r & g & b & (0.0..=1.0).contains(&self.opacity)
+    }
+
+    fn check_each(&self) -> Result<()> {
         if !self.tint.iter().all(|factor| (0.0..=MAX_TINT).contains(factor)) {
             let problem = format!("{:?}, each factor may be 0 to {MAX_TINT}", self.tint);
             return Err(Error::argument("tint", problem));
@@ -89,16 +106,19 @@ impl<'a> SceneSettings<'a> {
     }
 
     /// Whether anything is drawn.
+    #[inline]
     pub fn draws(&self) -> bool {
         self.visible && self.opacity > 0.0
     }
 
     /// Number of cut-outs of what is drawn.
+    #[inline]
     pub fn cut_out_count(&self) -> u32 {
         if self.draws() { self.cut_outs.len() as u32 } else { 0 }
     }
 
     /// The mask of a selection that shows.
+    #[inline]
     pub fn mask(&self) -> Option<&'a Buffer> {
         self.selection
             .filter(|selection| self.draws() && selection.share > 0.0)
@@ -112,6 +132,7 @@ impl<'a> SceneSettings<'a> {
     }
 
     /// Whether colours or opacities of what is drawn are multiplied.
+    #[inline]
     pub fn is_tinted(&self) -> bool {
         let [r, g, b] = self.tint;
         self.draws() && (r != 1.0 || g != 1.0 || b != 1.0 || self.opacity != 1.0)

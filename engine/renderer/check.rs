@@ -1,25 +1,30 @@
 //! Checks of a frame before it is recorded: all errors are reported before the first command.
 
 use super::Renderer;
-use super::record::{HostImage, MotionTarget, PickTarget, Placed, RecordedFrame, Target};
+use super::record::{HostImage, MotionTarget, PickTarget, Placed, Placing, RecordedFrame, Target};
 use super::reservation::Reservation;
 use super::updates::Update;
 use crate::compose::{Background, Compose};
 use crate::error::{Error, Result};
-use crate::forward::BlendVariant;
+use crate::forward::{BlendVariant, PlacedScene};
 use crate::kernels::constants as c;
 use crate::plan::{FrameCapacity, PictureCapacity};
 use crate::scene::{Camera, DepthMapping};
-use crate::vk::{Context, ImageUse};
+use crate::vk::{Buffer, Context, ImageUse};
 use ash::vk;
 
+/// Scenes that are checked and then placed, which finds them in the processor's first cache.
+const SCENES_AT_ONCE: usize = 32;
+
 impl Renderer {
-    /// Checks a frame before anything is recorded. `earlier`: the views before it in the recording.
-    pub(super) fn check_frame(
+    /// Checks a frame before anything is recorded, adds its scenes to `all`, and returns how many Gaussians they draw.
+    /// `earlier`: the views before it in the recording.
+    pub(super) fn check_frame<'a>(
         &self,
-        (frame, earlier): (&RecordedFrame<'_>, &[RecordedFrame<'_>]),
+        (frame, earlier): (&RecordedFrame<'a>, &[RecordedFrame<'_>]),
         reserved: &Reservation,
-    ) -> Result<()> {
+        all: &mut Vec<PlacedScene<'a>>,
+    ) -> Result<u64> {
         frame.camera.check()?;
         frame.settings.check()?;
         let context = &self.context;
@@ -39,36 +44,26 @@ impl Renderer {
             ..BlendVariant::of(frame.settings, false).of_camera(frame.camera)
         };
         // One walk over the scenes: there may be thousands. Most are of the same kind as the one before.
-        let (mut cut_outs, mut known, mut are_prepared) = (0, None, true);
-        for (index, placed) in frame.scenes.iter().enumerate() {
-            if !placed.scene.belongs_to(context) {
-                return Err(Error::argument("scene", "it belongs to another device"));
+        let (mut gaussians, mut known, mut are_prepared) = (0, None, true);
+        let mut placing = Placing::new(frame, self.runner.forward.sizes.elementwise_workgroup);
+        for (number, scenes) in frame.scenes.chunks(SCENES_AT_ONCE).enumerate() {
+            for (index, placed) in (number * SCENES_AT_ONCE..).zip(scenes) {
+                let degree = placed.active_degree(frame.settings);
+                check_scene((index, placed), degree, context, reserved)?;
+                if placed.settings.draws() {
+                    gaussians += u64::from(placed.scene.count());
+                    let kind = (degree, placed.settings.kinds());
+                    are_prepared &= known.replace(kind) == Some(kind)
+                        || self.runner.forward.is_prepared(degree, variant.of_scene(&placed.settings));
+                }
             }
-            placed.pose.check().map_err(|error| error.within(format_args!("scenes[{index}]")))?;
-            if let Some(pose) = placed.previous_pose {
-                pose.check().map_err(|error| error.of(format!("scenes[{index}].previous_pose")))?;
-            }
-            let named = |error: Error| error.within(format_args!("scenes[{index}].settings"));
-            placed.settings.check().map_err(named)?;
-            check_mask(placed, context).map_err(named)?;
-            let degree = placed.active_degree(frame.settings);
-            if placed.settings.draws() && degree > reserved.sh_degree {
-                let problem = format!("{degree} of scenes[{index}], reserved is {}", reserved.sh_degree);
-                return Err(Error::argument("sh_degree", problem));
-            }
-            reserved.check_scene(index, &placed.settings)?;
-            if placed.settings.draws() {
-                cut_outs += placed.settings.cut_out_count();
-                let kind = (degree, placed.settings.kinds());
-                are_prepared &= known.replace(kind) == Some(kind)
-                    || self.runner.forward.is_prepared(degree, variant.of_scene(&placed.settings));
-            }
+            all.extend(scenes.iter().map(|scene| placing.place(scene)));
         }
         self.check_images(frame, earlier)?;
-        if cut_outs > reserved.cut_outs {
+        if placing.cut_outs > reserved.cut_outs {
             return Err(Error::TooLarge {
                 what: "scenes: the frame".to_owned(),
-                needed: cut_outs.into(),
+                needed: placing.cut_outs.into(),
                 unit: "cut_outs",
                 limit: reserved.cut_outs.into(),
                 limit_name: "reserved",
@@ -87,7 +82,8 @@ impl Renderer {
             let problem = "its kernels are not built: call Renderer::reserve after Renderer::set_blending";
             return Err(Error::argument("kind of frame", problem));
         }
-        check_updates(frame.updates, context, reserved)
+        check_updates(frame.updates, context, reserved)?;
+        Ok(gaussians)
     }
 
     fn check_images(&self, frame: &RecordedFrame<'_>, earlier: &[RecordedFrame<'_>]) -> Result<()> {
@@ -210,14 +206,40 @@ fn check_is_defined(field: &str, host: &HostImage<'_>) -> Result<()> {
     Err(Error::argument(field_of(field, host), problem))
 }
 
+/// Checks a scene of a frame, which evaluates this SH degree of it.
+#[inline]
+fn check_scene(
+    (index, placed): (usize, &Placed<'_>),
+    degree: u32,
+    context: &Context,
+    reserved: &Reservation,
+) -> Result<()> {
+    if !placed.scene.belongs_to(context) {
+        return Err(Error::argument("scene", "it belongs to another device"));
+    }
+    placed.pose.check().map_err(|error| error.within(format_args!("scenes[{index}]")))?;
+    if let Some(pose) = &placed.previous_pose {
+        pose.check().map_err(|error| error.of(format!("scenes[{index}].previous_pose")))?;
+    }
+    let named = |error: Error| error.within(format_args!("scenes[{index}].settings"));
+    placed.settings.check().map_err(named)?;
+    if let Some(mask) = placed.settings.mask() {
+        check_mask(mask, placed.scene.count(), context).map_err(named)?;
+    }
+    if placed.settings.draws() && degree > reserved.sh_degree {
+        let problem = format!("{degree} of scenes[{index}], reserved is {}", reserved.sh_degree);
+        return Err(Error::argument("sh_degree", problem));
+    }
+    reserved.check_scene(index, &placed.settings)
+}
+
 /// A mask has a bit for each of the scene's Gaussians.
-fn check_mask(placed: &Placed<'_>, context: &Context) -> Result<()> {
-    let Some(mask) = placed.settings.mask() else { return Ok(()) };
+fn check_mask(mask: &Buffer, gaussians: u32, context: &Context) -> Result<()> {
     let bad = |problem| Err(Error::argument(format!("selection.mask (buffer '{}')", mask.name()), problem));
     if !mask.belongs_to(context) {
         return bad("it belongs to another device".to_owned());
     }
-    let (gaussians, bytes) = (placed.scene.count(), 4 * u64::from(placed.scene.count().div_ceil(32)));
+    let bytes = 4 * u64::from(gaussians.div_ceil(32));
     match mask.bytes() < bytes {
         true => bad(format!("has {} bytes, {gaussians} Gaussians take {bytes}", mask.bytes())),
         false => Ok(()),
@@ -248,11 +270,11 @@ fn check_updates(updates: &[Update<'_>], context: &Context, reserved: &Reservati
     Ok(())
 }
 
+/// Checks that there is room for a frame and its scenes, as they are placed.
 pub(super) fn check_capacity(
-    frame: &RecordedFrame<'_>,
+    (frame, placed): (&RecordedFrame<'_>, &[PlacedScene<'_>]),
     capacity: &FrameCapacity,
     reserved: &Reservation,
-    alignment: u32,
 ) -> Result<()> {
     let (needed, pictures) = (PictureCapacity::of_cameras([frame.camera]), capacity.pictures);
     let bounds = [("pixels", needed.pixels, pictures.pixels), ("tiles", needed.tiles, pictures.tiles)];
@@ -265,9 +287,7 @@ pub(super) fn check_capacity(
         }
     }
     // Where that is no more than is reserved, there is room for the gaps between scenes, too.
-    let end_of =
-        |end: u64, scene: &Placed<'_>| end.next_multiple_of(alignment.into()) + u64::from(scene.drawn());
-    let end = frame.scenes.iter().fold(0, end_of);
+    let end = placed.last().map_or(0, |last| u64::from(last.first) + u64::from(last.drawn()));
     if end > u64::from(capacity.gaussians) {
         let needed = frame.scenes.iter().map(|s| u64::from(s.drawn())).sum();
         let (what, limit) = ("scenes: the frame".to_owned(), reserved.gaussians.into());

@@ -2,7 +2,7 @@
 
 use super::Renderer;
 use super::check::check_capacity;
-use super::record::{RecordedFrame, inputs_of, place};
+use super::record::{RecordedFrame, inputs_of};
 use super::reservation::Reservation;
 use super::slots::SlotReport;
 use crate::error::{Error, Result};
@@ -40,12 +40,11 @@ impl Renderer {
 
     /// Executes a frame in the first slot, which is free, up to its counts.
     fn count(&mut self, frame: &RecordedFrame<'_>, reserved: &Reservation) -> Result<SlotReport> {
-        self.check_frame((frame, &[]), reserved)?;
+        let mut placed = Vec::new();
+        self.check_frame((frame, &[]), reserved, &mut placed)?;
         let forward = &self.runner.forward;
         let slot = self.slots.get(0)?;
-        check_capacity(frame, &slot.upcoming().capacity, reserved, forward.sizes.elementwise_workgroup)?;
-        let mut placed = Vec::new();
-        place(frame, forward.sizes.elementwise_workgroup, &mut placed);
+        check_capacity((frame, &placed), &slot.upcoming().capacity, reserved)?;
         let Some((first, others)) = placed.split_first() else { unreachable!("checked") };
         let settings = RenderSettings { inverse_depth: false, ..*frame.settings };
         let inputs = inputs_of(first, others, &slot.memory, &settings);

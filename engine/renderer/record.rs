@@ -32,12 +32,14 @@ impl<'a> Placed<'a> {
     }
 
     /// The evaluated SH degree: what is stored, up to the frame's and the scene's own limits.
+    #[inline]
     pub(super) fn active_degree(&self, frame: &RenderSettings) -> u32 {
         let stored = self.scene.buffers.active_degree(frame);
         self.settings.sh_degree.map_or(stored, |degree| degree.min(stored))
     }
 
     /// Gaussians that take part in the frame.
+    #[inline]
     pub(super) fn drawn(&self) -> u32 {
         if self.settings.draws() { self.scene.count() } else { 0 }
     }
@@ -225,33 +227,44 @@ impl Renderer {
     }
 }
 
-/// The scenes, each after the one before it in the frame's index space.
-pub(super) fn place<'a>(frame: &RecordedFrame<'a>, alignment: u32, placed: &mut Vec<PlacedScene<'a>>) {
-    let (mut first, mut cut_outs) = (0, 0);
-    placed.extend(frame.scenes.iter().map(|placed| {
-        let scene = &placed.scene.buffers;
-        let begin = first;
-        first = (begin + placed.drawn()).next_multiple_of(alignment);
-        let (camera, scale) = (placed.pose.camera_in_object(frame.camera), placed.pose.scale);
-        let (sh_degree, settings) = (placed.active_degree(frame.settings), &placed.settings);
-        let first_cut_out = cut_outs;
-        cut_outs += settings.cut_out_count();
-        let previous = frame.motion.map(|motion| {
-            let pose = placed.previous_pose.as_ref().unwrap_or(&placed.pose);
-            Before { camera: motion.previous_camera, pose }
-        });
+/// Places scenes, each after the one before it in the frame's index space.
+pub(super) struct Placing<'a, 'b> {
+    pub frame: &'b RecordedFrame<'a>,
+    /// Each begins at a multiple of it.
+    pub alignment: u32,
+    /// Where the next one begins; `u32::MAX` beyond what can be indexed, which is beyond any capacity.
+    pub first: u32,
+    /// Cut-outs so far.
+    pub cut_outs: u32,
+}
+
+impl<'a, 'b> Placing<'a, 'b> {
+    pub fn new(frame: &'b RecordedFrame<'a>, alignment: u32) -> Self {
+        Self { frame, alignment, first: 0, cut_outs: 0 }
+    }
+
+    /// The next scene.
+    #[inline]
+    pub fn place(&mut self, placed: &'a Placed<'a>) -> PlacedScene<'a> {
+        let (frame, first, first_cut_out) = (self.frame, self.first, self.cut_outs);
+        let end = first.saturating_add(placed.drawn());
+        self.first = end.checked_next_multiple_of(self.alignment).unwrap_or(u32::MAX);
+        self.cut_outs += placed.settings.cut_out_count();
         PlacedScene {
-            scene,
-            camera,
-            scale,
-            sh_degree,
-            settings,
-            first: begin,
+            scene: &placed.scene.buffers,
+            camera: placed.pose.camera_in_object(frame.camera),
+            scale: placed.pose.scale,
+            sh_degree: placed.active_degree(frame.settings),
+            settings: &placed.settings,
+            first,
             first_cut_out,
-            previous,
+            previous: frame.motion.map(|motion| {
+                let pose = placed.previous_pose.as_ref().unwrap_or(&placed.pose);
+                Before { camera: motion.previous_camera, pose }
+            }),
             batch: Batch::none_yet(placed.scene.parameters),
         }
-    }));
+    }
 }
 
 /// A frame of some scenes in the buffers of a slot, without occluder and depth.

@@ -224,6 +224,7 @@ impl Reservation {
     }
 
     /// Checks that what a frame's scene has is reserved.
+    #[inline]
     pub(super) fn check_scene(&self, index: usize, own: &SceneSettings) -> Result<()> {
         let lacks = |field: &str, what: &str| {
             Err(Error::argument(field, format!("not reserved, and scenes[{index}] has {what}")))

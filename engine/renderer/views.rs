@@ -5,7 +5,7 @@
 use super::Renderer;
 use super::check::check_capacity;
 use super::check_views::{check_views, in_view};
-use super::record::{RecordedFrame, Release, inputs_of, place};
+use super::record::{RecordedFrame, Release, inputs_of};
 use super::slot_memory::SlotMemory;
 use super::targets::{Earlier, record_targets, release_images};
 use crate::compose::Compose;
@@ -46,7 +46,21 @@ impl Renderer {
         &mut self,
         commands: ForeignCommands,
         slot: u32,
-        (views, releases): (&[RecordedFrame<'_>], &mut [Release]),
+        views: (&[RecordedFrame<'_>], &mut [Release]),
+    ) -> Result<()> {
+        let mut placed = emptied(std::mem::take(&mut self.placed));
+        let recorded = self.record_placed(commands, slot, views, &mut placed);
+        self.placed = emptied(placed);
+        recorded
+    }
+
+    /// The same with an empty list for the scenes of all views.
+    fn record_placed<'a>(
+        &mut self,
+        commands: ForeignCommands,
+        slot: u32,
+        (views, releases): (&[RecordedFrame<'a>], &mut [Release]),
+        placed: &mut Vec<PlacedScene<'a>>,
     ) -> Result<()> {
         self.context.check_alive()?;
         let Some(reserved) = self.slots.reserved else {
@@ -56,33 +70,29 @@ impl Renderer {
             return Err(Error::argument("command buffer", "it belongs to another device"));
         }
         check_views(views, releases.len(), &reserved)?;
+        let mut gaussians = 0;
         for (index, frame) in views.iter().enumerate() {
-            let checked = self.check_frame((frame, &views[..index]), &reserved);
-            checked.map_err(|error| in_view(error, index, views))?;
+            let checked = self.check_frame((frame, &views[..index]), &reserved, placed);
+            gaussians = checked.map_err(|error| in_view(error, index, views))?.max(gaussians);
         }
         let forward = &self.runner.forward;
-        let alignment = forward.sizes.elementwise_workgroup;
         let slot = self.slots.get(slot)?;
         slot.record.check_free()?;
+        let (mut rest, mut batched_scenes) = (placed.as_mut_slice(), 0);
         for (index, frame) in views.iter().enumerate() {
-            let checked = check_capacity(frame, &slot.upcoming().capacity, &reserved, alignment);
+            let own = rest.split_off_mut(..frame.scenes.len()).unwrap_or_default();
+            let checked = check_capacity((frame, own), &slot.upcoming().capacity, &reserved);
             checked.map_err(|error| in_view(error, index, views))?;
-        }
-        let Some(compose) = &self.compose else { unreachable!("built by reserve") };
-        let mut placed = emptied(std::mem::take(&mut self.placed));
-        let mut batched_scenes = 0;
-        for frame in views {
-            let begin = placed.len();
-            place(frame, alignment, &mut placed);
             // Motion is a dispatch of each scene in any case.
             if reserved.has_batches() && frame.motion.is_none() {
-                batched_scenes += forward.form_batches(&mut placed[begin..]);
+                batched_scenes += forward.form_batches(own);
             }
         }
+        let Some(compose) = &self.compose else { unreachable!("built by reserve") };
         slot.take_over();
         self.staged.stage(slot.memory.staging.as_ref(), views[0].updates)?;
-        let gaussians = views.iter().map(RecordedFrame::drawn).max().unwrap_or(0);
-        let mut recorder = slot.begin(commands, (gaussians, views.len() as u32))?;
+        // No more than the capacity.
+        let mut recorder = slot.begin(commands, (gaussians as u32, views.len() as u32))?;
         let (r, memory) = (&mut recorder, &slot.memory);
         self.staged.record(r);
         let recording = Recording { forward, compose, memory };
@@ -106,16 +116,7 @@ impl Renderer {
         }
         release_images(r, views, releases);
         (slot.sorts, slot.batched_scenes) = (sorts, batched_scenes);
-        slot.end(recorder)?;
-        self.placed = emptied(placed);
-        Ok(())
-    }
-}
-
-impl RecordedFrame<'_> {
-    /// Gaussians of the scenes that are drawn.
-    fn drawn(&self) -> u32 {
-        self.scenes.iter().map(super::Placed::drawn).sum()
+        slot.end(recorder)
     }
 }
 

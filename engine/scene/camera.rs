@@ -260,6 +260,7 @@ impl Camera {
 }
 
 /// Whether a matrix is orthonormal with determinant 1, but for rounding.
+#[inline]
 pub(super) fn is_rotation(r: Mat3) -> bool {
     // A frame asks it for thousands of poses. The other products are the same by symmetry.
     let Mat3 { x_axis: x, y_axis: y, z_axis: z } = r.transpose();

@@ -250,24 +250,39 @@ impl Pose {
     /// # Errors
     /// [`Error::Argument`] for numbers that are not finite, a scale that is not positive, or a matrix that is
     /// no rotation.
+    #[inline]
     pub fn check(&self) -> Result<()> {
-        let bad = |problem: &str| Err(Error::argument("pose", problem));
-        let r = self.world_from_object;
-        if !(r.is_finite() && self.translation.is_finite()) {
+        // Numbers that are not finite are no rotation.
+        if is_rotation(self.world_from_object) & self.translation.is_finite() & self.has_possible_scale() {
+            return Ok(());
+        }
+        Err(self.error())
+    }
+
+    /// Whether the square of the scale and its inverse are normal numbers.
+    #[inline]
+    fn has_possible_scale(&self) -> bool {
+        const LEAST: f32 = f32::MIN_POSITIVE;
+        let squared = self.scale * self.scale;
+        (self.scale > 0.0) & (squared >= LEAST) & (squared <= LEAST.recip())
+    }
+
+    /// What is wrong with a pose that fails its check.
+    #[cold]
+    fn error(&self) -> Error {
+        let bad = |problem: &str| Error::argument("pose", problem);
+        if !(self.world_from_object.is_finite() && self.translation.is_finite()) {
             return bad("holds numbers that are not finite");
         }
-        let squared = self.scale * self.scale;
-        if !(self.scale > 0.0 && squared.is_normal() && squared.recip().is_normal()) {
-            return bad(&format!("a scale of {} is not possible", self.scale));
+        match self.has_possible_scale() {
+            true => bad("is not a rotation, a uniform scale and a translation"),
+            false => bad(&format!("a scale of {} is not possible", self.scale)),
         }
-        if !is_rotation(r) {
-            return bad("is not a rotation, a uniform scale and a translation");
-        }
-        Ok(())
     }
 
     /// The camera in the object's axes and origin, in world units. Relative to it the object is neither
     /// turned nor moved, and its spherical harmonics are unchanged; the object is `scale` times as large.
+    #[inline]
     pub fn camera_in_object(&self, camera: &Camera) -> Camera {
         if (Self { scale: 1.0, ..*self }) == Self::IDENTITY {
             return *camera;
