@@ -229,11 +229,11 @@ impl Renderer {
 
 /// Places scenes, each after the one before it in the frame's index space.
 pub(super) struct Placing<'a, 'b> {
-    pub frame: &'b RecordedFrame<'a>,
+    frame: &'b RecordedFrame<'a>,
     /// Each begins at a multiple of it.
-    pub alignment: u32,
-    /// Where the next one begins; `u32::MAX` beyond what can be indexed, which is beyond any capacity.
-    pub first: u32,
+    alignment: u32,
+    /// Where the next one begins.
+    first: u32,
     /// Cut-outs so far.
     pub cut_outs: u32,
 }
@@ -247,8 +247,7 @@ impl<'a, 'b> Placing<'a, 'b> {
     #[inline]
     pub fn place(&mut self, placed: &'a Placed<'a>) -> PlacedScene<'a> {
         let (frame, first, first_cut_out) = (self.frame, self.first, self.cut_outs);
-        let end = first.saturating_add(placed.drawn());
-        self.first = end.checked_next_multiple_of(self.alignment).unwrap_or(u32::MAX);
+        self.first = behind((first, placed.drawn()), self.alignment);
         self.cut_outs += placed.settings.cut_out_count();
         PlacedScene {
             scene: &placed.scene.buffers,
@@ -265,6 +264,13 @@ impl<'a, 'b> Placing<'a, 'b> {
             batch: Batch::none_yet(placed.scene.parameters),
         }
     }
+}
+
+/// Where a scene begins behind one with its first Gaussian and their number; `u32::MAX` beyond what can be indexed, which is beyond any
+/// capacity. Nothing is checked yet.
+#[inline]
+fn behind((first, drawn): (u32, u32), alignment: u32) -> u32 {
+    first.saturating_add(drawn).checked_next_multiple_of(alignment).unwrap_or(u32::MAX)
 }
 
 /// A frame of some scenes in the buffers of a slot, without occluder and depth.
@@ -300,5 +306,18 @@ pub(super) fn inputs_of<'a>(
 impl<'a> HostImage<'a> {
     pub(super) fn region(&self) -> Region<'a> {
         Region { image: self.image, offset: self.offset }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::behind;
+
+    #[test]
+    fn places_beyond_all_indices_do_not_begin_anew() {
+        assert_eq!([(0, 0), (0, 5), (256, 256)].map(|scene| behind(scene, 256)), [0, 256, 512]);
+        let far = [(u32::MAX - 300, 5), (u32::MAX - 10, 5), (1 << 31, 1 << 31), (u32::MAX, 0), (u32::MAX, 7)];
+        let expected = [u32::MAX - 255, u32::MAX, u32::MAX, u32::MAX, u32::MAX];
+        assert_eq!(far.map(|scene| behind(scene, 256)), expected);
     }
 }

@@ -2,11 +2,12 @@
 
 use crate::host::{Host, HostOptions, InFlight};
 use crate::memory::{HostBuffer, HostTexture, Use};
-use ashsplat::ash::vk;
+use ashsplat::ash::{self, vk};
 use ashsplat::scene::{Camera, Gaussians, Intrinsics};
 use ashsplat::vk::{Context, ContextOptions, ForeignCommands, LimitsOverride, validation_available};
 use ashsplat::{Frame, RecordedFrame, RenderSettings, Renderer};
 use glam::Vec3;
+use std::ffi::{CStr, c_void};
 use std::sync::{Mutex, OnceLock, PoisonError};
 
 /// A host with validation wherever it is installed.
@@ -30,6 +31,24 @@ pub fn with_host(options: &HostOptions, test: impl FnOnce(&Host)) {
     test(&host);
     let messages = host.destroy();
     assert!(messages.is_empty(), "validation:\n{}", messages.join("\n"));
+}
+
+/// The host's device by another table of its functions. `replace` is given each one's name and address, null if the device has none,
+/// and says what the guest finds in its place.
+///
+/// # Safety
+/// What it says is null or a function of that name's type, which may be called wherever the device's own may.
+pub unsafe fn device_with(
+    host: &Host,
+    mut replace: impl FnMut(&CStr, *const c_void) -> *const c_void,
+) -> ash::Device {
+    let load = |name: &CStr| {
+        // SAFETY: the device is alive.
+        let own = unsafe { host.instance.get_device_proc_addr(host.device.handle(), name.as_ptr()) };
+        replace(name, own.map_or(std::ptr::null(), |own| own as *const c_void))
+    };
+    // SAFETY: the device is alive; the functions are as the caller promises.
+    unsafe { ash::Device::load_with(load, host.device.handle()) }
 }
 
 /// The guest's context on a host's device.

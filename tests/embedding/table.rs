@@ -4,7 +4,7 @@
 //! touch the guest's own descriptors and events), passed through; one that is counted; or absent, so that a call panics.
 
 use crate::host::{Host, HostOptions, InFlight};
-use crate::stage::{adopt, camera, cloud, guest, options, with_host};
+use crate::stage::{adopt, camera, cloud, device_with, guest, options, with_host};
 use ashsplat::ash::{self, vk, vk::Handle};
 use ashsplat::scene::Gaussians;
 use ashsplat::trainer::{StepOutcome, StepReservation};
@@ -134,13 +134,8 @@ const ALLOWED: [&str; 3] = ["vkGetEventStatus", "vkResetEvent", "vkUpdateDescrip
 /// The host's device with the instrumented table, and the names that the guest cannot call at all.
 fn instrumented(host: &Host) -> (ash::Device, BTreeSet<String>) {
     let mut absent = BTreeSet::new();
-    let load = |name: &CStr| -> *const c_void {
+    let replace = |name: &CStr, address: *const c_void| {
         let text = name.to_string_lossy().into_owned();
-        // SAFETY: the device is alive.
-        let address = unsafe {
-            let f = host.instance.get_device_proc_addr(host.device.handle(), name.as_ptr());
-            f.map_or(std::ptr::null(), |f| f as *const c_void)
-        };
         if address.is_null() || text.starts_with("vkCmd") || ALLOWED.contains(&text.as_str()) {
             return address;
         }
@@ -157,7 +152,7 @@ fn instrumented(host: &Host) -> (ash::Device, BTreeSet<String>) {
         })
     };
     // SAFETY: every address is null, the device's own function, or a wrapper of its type.
-    let device = unsafe { ash::Device::load_with(load, host.device.handle()) };
+    let device = unsafe { device_with(host, replace) };
     (device, absent)
 }
 

@@ -175,4 +175,10 @@ fn poses_come_from_matrices_that_scale_uniformly() {
         let error = Pose { scale, ..Pose::IDENTITY }.check().expect_err("no scale").to_string();
         assert!(error.contains("a scale of"), "{error}");
     }
+    // The square and its inverse are normal numbers.
+    for (least, beyond) in [(2f32.powi(-63), f32::next_down as fn(f32) -> f32), (2f32.powi(63), f32::next_up)]
+    {
+        let is_possible = |scale: f32| Pose { scale, ..Pose::IDENTITY }.check().is_ok();
+        assert!(is_possible(least) && !is_possible(beyond(least)));
+    }
 }

@@ -3,7 +3,7 @@
 
 use super::SIZE;
 use crate::host::Host;
-use crate::stage::{camera, cloud, options, owned, with_host};
+use crate::stage::{camera, cloud, device_with, options, owned, with_host};
 use ashsplat::ash::{self, vk};
 use ashsplat::vk::{Context, ContextOptions, ForeignDevice, QueueLock};
 use ashsplat::{RenderSettings, Renderer};
@@ -67,12 +67,7 @@ unsafe extern "system" fn idle(queue: vk::Queue) -> vk::Result {
 
 /// The host's device, whose waits are looked at.
 fn watched(host: &Host) -> ash::Device {
-    let load = |name: &CStr| -> *const c_void {
-        // SAFETY: the device is alive.
-        let address = unsafe {
-            let f = host.instance.get_device_proc_addr(host.device.handle(), name.as_ptr());
-            f.map_or(std::ptr::null(), |f| f as *const c_void)
-        };
+    let replace = |name: &CStr, address: *const c_void| {
         let (real, wrapper) = match name.to_bytes() {
             b"vkWaitForFences" => (&WAIT, wait as *const c_void),
             b"vkQueueWaitIdle" => (&IDLE, idle as *const c_void),
@@ -82,7 +77,7 @@ fn watched(host: &Host) -> ash::Device {
         wrapper
     };
     // SAFETY: every address is null, the device's own function, or a wrapper of its type.
-    unsafe { ash::Device::load_with(load, host.device.handle()) }
+    unsafe { device_with(host, replace) }
 }
 
 #[test]

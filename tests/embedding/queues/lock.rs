@@ -2,7 +2,7 @@
 
 use super::SIZE;
 use crate::host::Host;
-use crate::stage::{camera, cloud, options, owned, rendered, with_host};
+use crate::stage::{camera, cloud, device_with, options, owned, rendered, with_host};
 use ashsplat::ash::{self, vk};
 use ashsplat::vk::{Context, ContextOptions, ForeignDevice, QueueLock};
 use ashsplat::{Placed, RecordedFrame, RenderSettings, Renderer, Reservation};
@@ -58,12 +58,7 @@ unsafe extern "system" fn submit(
 
 /// The host's device, whose submissions are looked at.
 fn watched(host: &Host) -> ash::Device {
-    let load = |name: &CStr| -> *const c_void {
-        // SAFETY: the device is alive.
-        let address = unsafe {
-            let f = host.instance.get_device_proc_addr(host.device.handle(), name.as_ptr());
-            f.map_or(std::ptr::null(), |f| f as *const c_void)
-        };
+    let replace = |name: &CStr, address: *const c_void| {
         if name != c"vkQueueSubmit2" {
             return address;
         }
@@ -71,7 +66,7 @@ fn watched(host: &Host) -> ash::Device {
         submit as *const c_void
     };
     // SAFETY: every address is null, the device's own function, or a wrapper of its type.
-    unsafe { ash::Device::load_with(load, host.device.handle()) }
+    unsafe { device_with(host, replace) }
 }
 
 /// Ends the host's thread, also where the test fails.

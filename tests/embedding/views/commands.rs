@@ -3,7 +3,7 @@
 use super::{BLACK, SIZE, into};
 use crate::array_image::ArrayImage;
 use crate::host::{Host, HostOptions, InFlight};
-use crate::stage::{adopt, camera, cloud, with_host};
+use crate::stage::{adopt, camera, cloud, device_with, with_host};
 use ashsplat::ash::{self, vk};
 use ashsplat::vk::{Context, ContextOptions, ForeignDevice, Image};
 use ashsplat::{DeviceScene, Placed, RecordedFrame, Release, RenderSettings, Renderer, Reservation};
@@ -76,12 +76,7 @@ unsafe extern "system" fn create_pool(
 }
 
 fn counting(host: &Host) -> ash::Device {
-    let load = |name: &CStr| -> *const c_void {
-        // SAFETY: the device is alive.
-        let address = unsafe {
-            let f = host.instance.get_device_proc_addr(host.device.handle(), name.as_ptr());
-            f.map_or(std::ptr::null(), |f| f as *const c_void)
-        };
+    let replace = |name: &CStr, address: *const c_void| {
         if name == c"vkCreateDescriptorPool" {
             CREATE_POOL.store(address as usize, Ordering::Relaxed);
             return create_pool as *const c_void;
@@ -89,7 +84,7 @@ fn counting(host: &Host) -> ash::Device {
         wrapped(&name.to_string_lossy(), address as usize).unwrap_or(address)
     };
     // SAFETY: every address is null, the device's own function, or a wrapper of its type.
-    unsafe { ash::Device::load_with(load, host.device.handle()) }
+    unsafe { device_with(host, replace) }
 }
 
 /// Dispatches, barriers and other commands of groups of views, each group in a recording.
