@@ -679,6 +679,18 @@ typedef struct AshsplatTrainView {
   const struct AshsplatCamera *camera;
   // Red, green and blue of each pixel, a byte each, row by row.
   const uint8_t *rgb;
+  // A byte per pixel, row by row: those with 0 do not count. NULL: all count.
+  const uint8_t *mask;
+  // The inverse depth that pixels should have, row by row, 1 / world units; infinite where it is not known. NULL: none.
+  const float *inverse_depth;
+  // Sparse points that it shows, for the setting depth_points; not beside inverse_depth. Three floats each: where the photograph shows
+  // it, pixels, x to the right and y down, the first pixel's centre at 0, 0; and 1 / z in the camera's frame, 1 / world units. May be
+  // NULL.
+  const float *depth_points;
+  // Their number.
+  uint32_t depth_point_count;
+  // Which camera took it, by any number: views with the same one share lens effects.
+  uint32_t camera_id;
 } AshsplatTrainView;
 
 // The report of a training step.
@@ -746,13 +758,23 @@ enum AshsplatStatus ashsplat_context_new(const char *device, struct AshsplatCont
 void ashsplat_context_free(struct AshsplatContext *context);
 
 // Loads a scene from a file: PLY, compressed PLY, .splat, SPZ, or glTF and GLB with KHR_gaussian_splatting. Its first bytes or
-// its name's ending select the format.
+// its name's ending select the format. ashsplat_scene_told has what the file says besides.
 //
 // # Safety
 // `context` is alive, `path` is a C string, `scene` is valid for a write.
 enum AshsplatStatus ashsplat_scene_load(const struct AshsplatContext *context,
                                         const char *path,
                                         struct AshsplatScene **scene);
+
+// What the file of a scene says. `antialiased`: whether it was trained with antialiasing, and is to be rendered with it
+// (AshsplatRenderSettings.antialias). `warnings`: one line each, an empty text without; it lives as long as the scene. Either pointer
+// may be NULL.
+//
+// # Safety
+// `scene` is alive; the pointers are NULL or valid for a write.
+enum AshsplatStatus ashsplat_scene_told(const struct AshsplatScene *scene,
+                                        bool *antialiased,
+                                        const char **warnings);
 
 // Number of Gaussians of a scene, and the degree of its spherical harmonics. Either pointer may be NULL.
 //
@@ -989,6 +1011,15 @@ enum AshsplatStatus ashsplat_scenes_new(const struct AshsplatContext *context,
                                         uint32_t count,
                                         struct AshsplatScene **scenes);
 
+// The same scene in another context on the same VkDevice, with the same Gaussians in memory. It keeps the memory alive. Uses in both
+// contexts are uses of the same buffers, which the host orders.
+//
+// # Safety
+// `scene` and `context` are alive, `shared` is valid for a write.
+enum AshsplatStatus ashsplat_scene_in_context(const struct AshsplatScene *scene,
+                                              const struct AshsplatContext *context,
+                                              struct AshsplatScene **shared);
+
 // The layout of the parameters of `capacity` Gaussians in a host's own buffers.
 //
 // # Safety
@@ -1114,13 +1145,58 @@ enum AshsplatStatus ashsplat_slot_release(struct AshsplatRenderer *renderer, uin
 // finished.
 enum AshsplatStatus ashsplat_slot_discard(struct AshsplatRenderer *renderer, uint32_t slot);
 
-// Uploads photographs and initial Gaussians. The context needs a queue. `scene_extent` is 1.1 times the
-// largest distance of a camera to their mean, or 0 to have it computed. `settings_json`: an object with the
-// names of the reference implementation's settings, `{"iterations": 7000}`; missing settings keep their
-// defaults, and NULL keeps all defaults.
+// Reads the Gaussians back and writes them, in the format that the name's ending says: PLY in the reference implementation's layout,
+// .compressed.ply, .splat, SPZ, or GLB. The sizes of the 3D filter are in PLY only; in other formats they are a part of scales and
+// opacities. Submits and waits.
 //
 // # Safety
-// `context` is alive, `views` has `view_count` elements with bytes as the cameras say, `initial` is valid
+// `trainer` is alive, `path` is a C string.
+enum AshsplatStatus ashsplat_trainer_save(const struct AshsplatTrainer *trainer,
+                                          const char *path);
+
+// Writes all that ashsplat_trainer_resume needs. Submits and waits.
+//
+// # Safety
+// `trainer` is alive, `path` is a C string.
+enum AshsplatStatus ashsplat_trainer_checkpoint(const struct AshsplatTrainer *trainer, const char *path);
+
+// The cameras of the views in their order, as the setting pose_opt has moved them. `cameras` has room for `count`, which must be the
+// number of views. Submits and waits.
+//
+// # Safety
+// `trainer` is alive, `cameras` is valid for `count` structs that ASHSPLAT_INIT has begun.
+enum AshsplatStatus ashsplat_trainer_cameras(const struct AshsplatTrainer *trainer,
+                                             struct AshsplatCamera *cameras,
+                                             uint32_t count);
+
+// The exposures of the views in their order, with the setting exposure: three rows of four floats each, which make a photograph's
+// colour of a rendered one (r, g, b, 1). `exposures` has room for 12 `count` floats; `count` must be the number of views. Submits and
+// waits.
+//
+// # Safety
+// `trainer` is alive, `exposures` is valid for 12 `count` floats.
+enum AshsplatStatus ashsplat_trainer_exposures(const struct AshsplatTrainer *trainer,
+                                               float *exposures,
+                                               uint32_t count);
+
+// The lens effects of the views in their order, with the setting lens_effects: for red, green and blue a_1, a_2, a_3 of the vignetting
+// 1 + a_1 r^2 + a_2 r^4 + a_3 r^6 and the logarithm of the response's exponent. `effects` has room for 12 `count` floats; `count` must be
+// the number of views. Submits and waits.
+//
+// # Safety
+// `trainer` is alive, `effects` is valid for 12 `count` floats.
+enum AshsplatStatus ashsplat_trainer_lens_effects(const struct AshsplatTrainer *trainer,
+                                                  float *effects,
+                                                  uint32_t count);
+
+// Uploads photographs and initial Gaussians, which are taken as they are: the settings initial_opacity and initial_scale are for
+// ashsplat_trainer_new_from_points. The context needs a queue. `scene_extent` is 1.1 times the largest distance of a camera to their
+// mean, or 0 to have it computed. `settings_json`: an object with the names of the reference implementation's settings,
+// `{"iterations": 7000}`. It may have `"preset": "fast"`, `"default"` or `"quality"`, or `"few_photos": true`, whose settings the others
+// change. Missing settings have the defaults of the preset or of the strategy, and NULL keeps all defaults.
+//
+// # Safety
+// `context` is alive, `views` has `view_count` elements with arrays as the cameras say, `initial` is valid
 // with arrays as long as it says, `settings_json` is NULL or a C string, `trainer` is valid for a write.
 enum AshsplatStatus ashsplat_trainer_new(const struct AshsplatContext *context,
                                          const struct AshsplatTrainView *views,
@@ -1129,6 +1205,35 @@ enum AshsplatStatus ashsplat_trainer_new(const struct AshsplatContext *context,
                                          float scene_extent,
                                          const char *settings_json,
                                          struct AshsplatTrainer **trainer);
+
+// As ashsplat_trainer_new, with Gaussians made of points: `positions` has three floats of each, world units, `colors` red, green and
+// blue, a byte each. Their scales follow from the distances of the nearest neighbours, as in the reference implementation; the
+// settings initial_opacity and initial_scale change them.
+//
+// # Safety
+// As ashsplat_trainer_new; `positions` and `colors` have three elements for each of `point_count` points.
+enum AshsplatStatus ashsplat_trainer_new_from_points(const struct AshsplatContext *context,
+                                                     const struct AshsplatTrainView *views,
+                                                     uint32_t view_count,
+                                                     const float *positions,
+                                                     const uint8_t *colors,
+                                                     uint32_t point_count,
+                                                     float scene_extent,
+                                                     const char *settings_json,
+                                                     struct AshsplatTrainer **trainer);
+
+// Goes on from a file of ashsplat_trainer_checkpoint or of the program, to the same bits as a training that was never stopped. The
+// other arguments are those of the training that wrote it, except for the number of iterations.
+//
+// # Safety
+// As ashsplat_trainer_new; `path` is a C string.
+enum AshsplatStatus ashsplat_trainer_resume(const struct AshsplatContext *context,
+                                            const struct AshsplatTrainView *views,
+                                            uint32_t view_count,
+                                            const char *path,
+                                            float scene_extent,
+                                            const char *settings_json,
+                                            struct AshsplatTrainer **trainer);
 
 // Frees a trainer. No recorded step of it may still be executed.
 //
@@ -1209,13 +1314,6 @@ enum AshsplatStatus ashsplat_trainer_maintain(struct AshsplatTrainer *trainer,
 // `trainer` is alive, `scene` is valid for a write.
 enum AshsplatStatus ashsplat_trainer_scene(const struct AshsplatTrainer *trainer,
                                            struct AshsplatScene **scene);
-
-// Reads the Gaussians back and writes them as PLY in the reference implementation's layout. Submits and
-// waits.
-//
-// # Safety
-// `trainer` is alive, `path` is a C string.
-enum AshsplatStatus ashsplat_trainer_save(const struct AshsplatTrainer *trainer, const char *path);
 
 #ifdef __cplusplus
 }  // extern "C"

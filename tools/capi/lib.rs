@@ -16,6 +16,7 @@ mod scenes;
 mod settings;
 mod slots;
 mod structs;
+mod trained;
 mod training;
 mod types;
 
@@ -29,6 +30,7 @@ pub use scenes::*;
 pub use settings::*;
 pub use slots::*;
 pub use structs::{Defaults, STRUCTS};
+pub use trained::*;
 pub use training::*;
 pub use types::*;
 
@@ -46,6 +48,22 @@ pub struct AshsplatContext(Context);
 /// Gaussians on a device.
 pub struct AshsplatScene {
     scene: DeviceScene,
+    /// What the file says that it was read from.
+    told: Told,
+}
+
+#[derive(Default)]
+struct Told {
+    antialiased: bool,
+    /// One line each.
+    warnings: CString,
+}
+
+impl AshsplatScene {
+    /// A scene that no file says anything of.
+    fn of(scene: DeviceScene) -> Self {
+        Self { scene, told: Told::default() }
+    }
 }
 
 /// Renders scenes.
@@ -201,7 +219,7 @@ pub unsafe extern "C" fn ashsplat_context_free(context: *mut AshsplatContext) {
 }
 
 /// Loads a scene from a file: PLY, compressed PLY, .splat, SPZ, or glTF and GLB with KHR_gaussian_splatting. Its first bytes or
-/// its name's ending select the format.
+/// its name's ending select the format. ashsplat_scene_told has what the file says besides.
 ///
 /// # Safety
 /// `context` is alive, `path` is a C string, `scene` is valid for a write.
@@ -216,8 +234,36 @@ pub unsafe extern "C" fn ashsplat_scene_load(
         let (context, path) = (borrowed(context, "context")?, text(path, "path")?);
         give(scene, "scene", || {
             let file = splats::read(path, &splats::ReadOptions::default())?;
-            Ok(AshsplatScene { scene: DeviceScene::upload(&context.0, &file.gaussians, 0)? })
+            let warnings: Vec<String> = file.warnings.iter().map(ToString::to_string).collect();
+            let warnings = CString::new(warnings.join("\n").replace('\0', " ")).unwrap_or_default();
+            let told = Told { antialiased: file.header.antialiased, warnings };
+            Ok(AshsplatScene { scene: DeviceScene::upload(&context.0, &file.gaussians, 0)?, told })
         })
+    })
+}
+
+/// What the file of a scene says. `antialiased`: whether it was trained with antialiasing, and is to be rendered with it
+/// (AshsplatRenderSettings.antialias). `warnings`: one line each, an empty text without; it lives as long as the scene. Either pointer
+/// may be NULL.
+///
+/// # Safety
+/// `scene` is alive; the pointers are NULL or valid for a write.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_scene_told(
+    scene: *const AshsplatScene,
+    antialiased: *mut bool,
+    warnings: *mut *const c_char,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        let told = &borrowed(scene, "scene")?.told;
+        if !antialiased.is_null() {
+            antialiased.write(told.antialiased);
+        }
+        if !warnings.is_null() {
+            warnings.write(told.warnings.as_ptr());
+        }
+        Ok(())
     })
 }
 

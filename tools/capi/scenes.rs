@@ -81,7 +81,7 @@ pub unsafe extern "C" fn ashsplat_scene_new(
                 0 => DeviceScene::empty(&context.0, capacity, host.sh_degree),
                 _ => DeviceScene::upload(&context.0, &self::gaussians(&host)?, capacity),
             };
-            made.map(|scene| AshsplatScene { scene })
+            made.map(AshsplatScene::of)
         })
     })
 }
@@ -115,9 +115,27 @@ pub unsafe extern "C" fn ashsplat_scenes_new(
         let all = hosts.iter().enumerate().map(copy).collect::<Result<Vec<_>>>()?;
         let made = DeviceScene::upload_all(&context.0, &all.iter().collect::<Vec<_>>())?;
         for (place, scene) in made.into_iter().enumerate() {
-            scenes.add(place).write(Box::into_raw(Box::new(AshsplatScene { scene })));
+            scenes.add(place).write(Box::into_raw(Box::new(AshsplatScene::of(scene))));
         }
         Ok(())
+    })
+}
+
+/// The same scene in another context on the same VkDevice, with the same Gaussians in memory. It keeps the memory alive. Uses in both
+/// contexts are uses of the same buffers, which the host orders.
+///
+/// # Safety
+/// `scene` and `context` are alive, `shared` is valid for a write.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_scene_in_context(
+    scene: *const AshsplatScene,
+    context: *const AshsplatContext,
+    shared: *mut *mut AshsplatScene,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        let (scene, context) = (borrowed(scene, "scene")?, borrowed(context, "context")?);
+        give(shared, "shared", || scene.scene.in_context(&context.0).map(AshsplatScene::of))
     })
 }
 
@@ -176,7 +194,7 @@ pub unsafe extern "C" fn ashsplat_scene_from_buffers(
             let chunks: Result<Vec<Buffer>> = buffers.iter().map(adopt).collect();
             let plan = DeviceScene::plan_for(context, capacity, sh_degree)?;
             let scene = DeviceScene::from_buffers(context, plan, chunks?, count)?;
-            Ok(AshsplatScene { scene })
+            Ok(AshsplatScene::of(scene))
         })
     })
 }

@@ -106,7 +106,7 @@ structs! {
     AshsplatSlotReport, visible..batched_scenes, {};
     AshsplatStep, view..view, {};
     AshsplatTarget, to..to, { exposure: 1.0 };
-    AshsplatTrainView, rgb..rgb, {};
+    AshsplatTrainView, rgb..camera_id, {};
     AshsplatUpdate, gaussians..gaussians, {};
 }
 

@@ -411,4 +411,11 @@ fn a_host_in_c_trains() {
     assert!(said.contains("30 iterations"), "{said}");
     let trained = ply::read(&result, &ply::PlyOptions::default()).expect("a scene").gaussians;
     assert!(trained.len() > 10 && said.contains(&format!("{} Gaussians", trained.len())), "{said}");
+    // What the 3D filter adds is in the file, and marked.
+    let filtered = std::fs::read(folder.path().join("result.ply.filtered.ply")).expect("a PLY");
+    let header = String::from_utf8_lossy(&filtered[..2000.min(filtered.len())]).into_owned();
+    assert!(
+        header.contains("property float filter_3D") && header.contains("comment antialiased"),
+        "{header}"
+    );
 }

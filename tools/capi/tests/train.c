@@ -9,6 +9,89 @@ enum { WIDTH = 48, HEIGHT = 40, VIEWS = 3, COUNT = 200, STEPS = 30 };
 static float means[COUNT][3], quats[COUNT][4], log_scales[COUNT][3], opacity_logits[COUNT], sh[COUNT][3];
 static uint8_t photos[VIEWS][3 * WIDTH * HEIGHT];
 
+/* Refused, with these words in the message. */
+static void refused(AshsplatStatus status, const char *words) {
+    if (status != AshsplatStatus_Argument || !strstr(ashsplat_last_error(), words)) {
+        fprintf(stderr, "'%s' is not in '%s'\n", words, ashsplat_last_error());
+        exit(1);
+    }
+}
+
+/* Light, lens, poses and depths by another strategy from points, stopped and gone on with. */
+static void learns(const AshsplatContext *context, const AshsplatTrainView *plain, const char *path) {
+    static uint8_t colors[COUNT][3], mask[WIDTH * HEIGHT];
+    static float exposures[VIEWS][3][4], again[VIEWS][3][4], effects[VIEWS][3][4];
+    const float depth_points[2][3] = {{10, 12, 0.25f}, {30.5f, 20, 0.2f}};
+    char checkpoint[4096];
+    snprintf(checkpoint, sizeof checkpoint, "%s.safetensors", path);
+    AshsplatTrainView views[VIEWS];
+    memcpy(views, plain, sizeof views);
+    memset(colors, 150, sizeof colors);
+    memset(mask, 1, sizeof mask);
+    memset(mask, 0, WIDTH);
+    views[0].mask = mask;
+    views[1].depth_points = depth_points[0];
+    views[1].depth_point_count = 2;
+    views[2].camera_id = 1;
+    const char *settings = "{\"few_photos\": true, \"strategy\": \"budget\", \"iterations\": 20, \"sh_degree\": 1, \"exposure\": true,"
+                           " \"lens_effects\": true, \"pose_opt\": true, \"pose_lr\": 1e-3, \"depth_points\": 0.1}";
+    AshsplatTrainer *whole = NULL, *first = NULL, *second = NULL, *none = NULL;
+    AshsplatStep step = ASHSPLAT_INIT(AshsplatStep), last = ASHSPLAT_INIT(AshsplatStep);
+    check(ashsplat_trainer_new_from_points(context, views, VIEWS, means[0], colors[0], COUNT, 0, settings, &whole), "a trainer");
+    check(ashsplat_trainer_new_from_points(context, views, VIEWS, means[0], colors[0], COUNT, 0, settings, &first), "a trainer");
+    for (int i = 0; i < 12; ++i) {
+        check(ashsplat_trainer_step(whole, &last), "a step");
+        if (i < 7) check(ashsplat_trainer_step(first, &step), "a step");
+    }
+    check(ashsplat_trainer_checkpoint(first, checkpoint), "a checkpoint");
+    ashsplat_trainer_free(first);
+    check(ashsplat_trainer_resume(context, views, VIEWS, checkpoint, 0, settings, &second), "going on");
+    for (int i = 7; i < 12; ++i) check(ashsplat_trainer_step(second, &step), "a step");
+    EXPECT(step.iteration == 12 && memcmp(&step.loss, &last.loss, sizeof step.loss) == 0);
+    check(ashsplat_trainer_exposures(whole, exposures[0][0], VIEWS), "exposures");
+    check(ashsplat_trainer_exposures(second, again[0][0], VIEWS), "exposures");
+    EXPECT(memcmp(exposures, again, sizeof again) == 0 && exposures[0][0][3] != 0.0f);
+    check(ashsplat_trainer_lens_effects(whole, effects[0][0], VIEWS), "lens effects");
+    EXPECT(memcmp(effects[0], effects[1], sizeof effects[0]) == 0 && memcmp(effects[0], effects[2], sizeof effects[0]) != 0);
+    AshsplatCamera moved[VIEWS];
+    for (int v = 0; v < VIEWS; ++v) moved[v] = ASHSPLAT_INIT(AshsplatCamera);
+    check(ashsplat_trainer_cameras(whole, moved, VIEWS), "cameras");
+    EXPECT(moved[0].width == WIDTH && memcmp(moved[0].translation, views[0].camera->translation, sizeof moved[0].translation) != 0);
+    /* What does not fit is refused by name. */
+    refused(ashsplat_trainer_exposures(whole, exposures[0][0], 2), "count: is 2, there are 3 views");
+    refused(ashsplat_trainer_cameras(whole, NULL, VIEWS), "cameras: ");
+    refused(ashsplat_trainer_resume(context, views, 2, checkpoint, 0, settings, &none), "views");
+    refused(ashsplat_trainer_new(context, views, VIEWS, NULL, 0, "{}", &none), "initial: ");
+    const char *wrong[][2] = {{"[]", "is no object"}, {"{\"preset\": \"slow\"}", "'slow' is none of"}, {"{\"preset\": 3}", "preset: 3"},
+                              {"{\"few_photos\": 1}", "few_photos: 1"}, {"{\"preset\": \"fast\", \"strategy\": \"mcmc\"}", "strategy"},
+                              {"{\"preset\": \"fast\", \"few_photos\": true}", "leave one of both out"}};
+    for (size_t i = 0; i < sizeof wrong / sizeof wrong[0]; ++i) {
+        AshsplatStatus status =
+            ashsplat_trainer_new_from_points(context, views, VIEWS, means[0], colors[0], COUNT, 0, wrong[i][0], &none);
+        refused(status, wrong[i][1]);
+    }
+    ashsplat_trainer_free(second);
+    /* A filter and a mark, which the file has; nothing is learned of light. */
+    const char *filtered = "{\"preset\": \"fast\", \"iterations\": 20, \"warm_up\": 0, \"filter_3d\": true, \"antialiasing\": true}";
+    check(ashsplat_trainer_new_from_points(context, plain, VIEWS, means[0], colors[0], COUNT, 0, filtered, &second), "a trainer");
+    check(ashsplat_trainer_step(second, &step), "a step");
+    refused(ashsplat_trainer_exposures(second, exposures[0][0], VIEWS), "exposure: is not set");
+    const char *endings[] = {"filtered.ply", "filtered.spz"};
+    for (int i = 0; i < 2; ++i) {
+        snprintf(checkpoint, sizeof checkpoint, "%s.%s", path, endings[i]);
+        check(ashsplat_trainer_save(second, checkpoint), "saving");
+        AshsplatScene *scene = NULL;
+        bool antialiased = false;
+        const char *warnings = NULL;
+        check(ashsplat_scene_load(context, checkpoint, &scene), "loading");
+        check(ashsplat_scene_told(scene, &antialiased, &warnings), "what the file says");
+        EXPECT(antialiased && warnings && !*warnings);
+        ashsplat_scene_free(scene);
+    }
+    ashsplat_trainer_free(second);
+    ashsplat_trainer_free(whole);
+}
+
 int main(int count, char **arguments) {
     EXPECT(count == 2);
     static Host host;
@@ -93,6 +176,7 @@ int main(int count, char **arguments) {
         ++iterations;
     }
     EXPECT(densified >= 2 && overflowed >= 1);
+    learns(context, views, arguments[1]);
     AshsplatScene *scene = NULL;
     uint32_t gaussians = 0;
     check(ashsplat_trainer_scene(recorded, &scene), "the trained scene");

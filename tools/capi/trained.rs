@@ -1,0 +1,140 @@
+//! What a training in C has learned: the scene, cameras, exposures and lens effects, and a checkpoint of it all.
+
+use super::structs::{check_room_of_all, write_all_if};
+use super::{AshsplatCamera, AshsplatStatus, AshsplatTrainer, borrowed, guarded, text};
+use ashsplat::{Error, Result};
+use ashsplat_files::{CheckpointFile, ply, splats};
+use std::ffi::c_char;
+
+/// Reads the Gaussians back and writes them, in the format that the name's ending says: PLY in the reference implementation's layout,
+/// .compressed.ply, .splat, SPZ, or GLB. The sizes of the 3D filter are in PLY only; in other formats they are a part of scales and
+/// opacities. Submits and waits.
+///
+/// # Safety
+/// `trainer` is alive, `path` is a C string.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_trainer_save(
+    trainer: *const AshsplatTrainer,
+    path: *const c_char,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        let (trainer, path) = (&borrowed(trainer, "trainer")?.0, text(path, "path")?);
+        let antialiased = trainer.settings().antialiasing;
+        let options = splats::WriteOptions { antialiased, ..Default::default() };
+        let filters = trainer.filters()?;
+        let is_ply =
+            path.to_lowercase().ends_with(".ply") && !path.to_lowercase().ends_with(".compressed.ply");
+        match (filters.is_empty(), is_ply) {
+            (false, true) => ply::write_filtered(path, &trainer.gaussians()?, &filters, antialiased),
+            _ => splats::write(path, &trainer.baked_gaussians()?, &options),
+        }
+    })
+}
+
+/// Writes all that ashsplat_trainer_resume needs. Submits and waits.
+///
+/// # Safety
+/// `trainer` is alive, `path` is a C string.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_trainer_checkpoint(
+    trainer: *const AshsplatTrainer,
+    path: *const c_char,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        let (trainer, path) = (&borrowed(trainer, "trainer")?.0, text(path, "path")?);
+        trainer.checkpoint()?.write(path)
+    })
+}
+
+/// The cameras of the views in their order, as the setting pose_opt has moved them. `cameras` has room for `count`, which must be the
+/// number of views. Submits and waits.
+///
+/// # Safety
+/// `trainer` is alive, `cameras` is valid for `count` structs that ASHSPLAT_INIT has begun.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_trainer_cameras(
+    trainer: *const AshsplatTrainer,
+    cameras: *mut AshsplatCamera,
+    count: u32,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        let all = borrowed(trainer, "trainer")?.0.cameras()?;
+        check_count(count, all.len(), "views")?;
+        if cameras.is_null() {
+            return Err(Error::argument("cameras", "the pointer is null"));
+        }
+        check_room_of_all(cameras, count, "cameras")?;
+        let all: Vec<AshsplatCamera> = all.into_iter().map(Into::into).collect();
+        write_all_if(cameras, "cameras", &all)
+    })
+}
+
+/// The exposures of the views in their order, with the setting exposure: three rows of four floats each, which make a photograph's
+/// colour of a rendered one (r, g, b, 1). `exposures` has room for 12 `count` floats; `count` must be the number of views. Submits and
+/// waits.
+///
+/// # Safety
+/// `trainer` is alive, `exposures` is valid for 12 `count` floats.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_trainer_exposures(
+    trainer: *const AshsplatTrainer,
+    exposures: *mut f32,
+    count: u32,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        let all = borrowed(trainer, "trainer")?.0.exposures()?;
+        let rows: Vec<[[f32; 4]; 3]> = all.into_iter().map(|exposure| exposure.rows).collect();
+        give_rows(&rows, (exposures, count), ["exposures", "exposure"])
+    })
+}
+
+/// The lens effects of the views in their order, with the setting lens_effects: for red, green and blue a_1, a_2, a_3 of the vignetting
+/// 1 + a_1 r^2 + a_2 r^4 + a_3 r^6 and the logarithm of the response's exponent. `effects` has room for 12 `count` floats; `count` must be
+/// the number of views. Submits and waits.
+///
+/// # Safety
+/// `trainer` is alive, `effects` is valid for 12 `count` floats.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_trainer_lens_effects(
+    trainer: *const AshsplatTrainer,
+    effects: *mut f32,
+    count: u32,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        let all = borrowed(trainer, "trainer")?.0.lens_effects()?;
+        let rows: Vec<[[f32; 4]; 3]> = all.into_iter().map(|effects| effects.rows).collect();
+        give_rows(&rows, (effects, count), ["effects", "lens_effects"])
+    })
+}
+
+fn check_count(count: u32, wanted: usize, of: &str) -> Result<()> {
+    match count as usize == wanted {
+        true => Ok(()),
+        false => Err(Error::argument("count", format!("is {count}, there are {wanted} {of}"))),
+    }
+}
+
+/// # Safety
+/// The pointer is null or valid for so many rows.
+unsafe fn give_rows(
+    rows: &[[[f32; 4]; 3]],
+    (to, count): (*mut f32, u32),
+    [name, setting]: [&str; 2],
+) -> Result<()> {
+    if rows.is_empty() {
+        return Err(Error::argument(setting, "is not set: nothing of it is learned"));
+    }
+    check_count(count, rows.len(), "views")?;
+    if to.is_null() {
+        return Err(Error::argument(name, "the pointer is null"));
+    }
+    let floats = rows.as_flattened().as_flattened();
+    // SAFETY: as promised.
+    unsafe { std::ptr::copy_nonoverlapping(floats.as_ptr(), to, floats.len()) };
+    Ok(())
+}
