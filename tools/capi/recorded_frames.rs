@@ -144,15 +144,9 @@ fn in_c(error: Error) -> Error {
         _ => what.to_owned(),
     };
     match error {
+        // Some views are refused because of another.
         Error::Argument { what, problem } => {
-            let (field, rest) = what.split_at(what.find(" (").unwrap_or(what.len()));
-            let name = match field {
-                "command buffer" => "commands".to_owned(),
-                "frame slot" => "slot".to_owned(),
-                other => named(other),
-            };
-            // Some views are refused because of another.
-            Error::Argument { what: format!("{name}{rest}"), problem: problem.replace("views[", "frames[") }
+            Error::argument(named(&what), problem.replace("views[", "frames["))
         }
         Error::TooLarge { what, needed, unit, limit, limit_name } => {
             Error::TooLarge { what: named(&what), needed, unit, limit, limit_name }

@@ -71,8 +71,9 @@ int main(int count, char **arguments) {
     check(ashsplat_camera_from_matrices(view, projection, false, 160, 120, &camera, &mapping),
           "understanding the matrices");
     EXPECT(ashsplat_record(renderer, NULL, 0, &frame, NULL) == AshsplatStatus_Argument);
+    EXPECT(strstr(ashsplat_last_error(), "commands: ") == ashsplat_last_error());
     EXPECT(ashsplat_record(renderer, commands, 7, &frame, NULL) == AshsplatStatus_Argument);
-    EXPECT(strstr(ashsplat_last_error(), "slot: 7: 1 are reserved") != NULL);
+    EXPECT(strstr(ashsplat_last_error(), "slot: 7: 1 are reserved; call ashsplat_reserve") == ashsplat_last_error());
     EXPECT(ashsplat_record(NULL, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
     EXPECT(ashsplat_record(renderer, commands, 0, NULL, NULL) == AshsplatStatus_Argument);
     placed.scale = 0;

@@ -137,7 +137,9 @@ int main(int count, char **arguments) {
     check(ashsplat_trainer_new(context, views, VIEWS, &start, 0, settings, &own), "a trainer");
     check(ashsplat_trainer_new(context, views, VIEWS, &start, 0, settings, &recorded), "a trainer");
 
-    EXPECT(ashsplat_trainer_record(recorded, NULL, 0, NULL) == AshsplatStatus_Argument);
+    refused(ashsplat_trainer_record(recorded, NULL, 0, NULL), "commands: ");
+    refused(ashsplat_trainer_record(recorded, host_begin(&host), 0, NULL), "trainer: none are reserved: call ashsplat_trainer_reserve");
+    require(host.EndCommandBuffer(host.commands), "vkEndCommandBuffer");
     /* Too little room at first: the first step changes nothing, and is recorded again. */
     check(ashsplat_trainer_reserve(recorded, 1, 10), "reserving");
     /* A step that is thrown away is recorded again. */
@@ -159,7 +161,7 @@ int main(int count, char **arguments) {
         AshsplatRelease release = ASHSPLAT_INIT(AshsplatRelease);
         AshsplatStep step = ASHSPLAT_INIT(AshsplatStep), wanted = ASHSPLAT_INIT(AshsplatStep);
         check(ashsplat_trainer_record(recorded, host_begin(&host), 0, &release), "recording a step");
-        EXPECT(ashsplat_trainer_record(recorded, host.commands, 0, &release) == AshsplatStatus_Argument);
+        refused(ashsplat_trainer_record(recorded, host.commands, 0, &release), "slot: its last recording is still in flight");
         EXPECT(ashsplat_trainer_save(recorded, arguments[1]) == AshsplatStatus_Argument);
         check(ashsplat_trainer_outcome(recorded, 0, &step), "asking too early");
         EXPECT(!step.finished && release.stages != 0);

@@ -1,0 +1,48 @@
+//! Messages of the engine that advise a call name it in C.
+
+use ashsplat_c::CALLS;
+use std::path::{Path, PathBuf};
+
+/// Calls of types that C has none of.
+const RUST_ALONE: [&str; 1] = ["Renderer::set_blending"];
+
+fn sources(folder: &Path) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(folder).expect("a folder").map(|entry| entry.expect("an entry").path());
+    entries
+        .flat_map(|path| if path.is_dir() { sources(&path) } else { vec![path] })
+        .filter(|path| path.extension().is_some_and(|ending| ending == "rs"))
+        .collect()
+}
+
+/// `Type::function` in the texts of a line of source.
+fn calls(line: &str) -> impl Iterator<Item = String> {
+    let texts = line.split('"').skip(1).step_by(2);
+    let words = texts.flat_map(|text| text.split(|c: char| !(c.is_alphanumeric() || c == '_' || c == ':')));
+    let is_call = |word: &&str| {
+        word.split_once("::").is_some_and(|(of, call)| {
+            of.starts_with(char::is_uppercase) && call.starts_with(char::is_lowercase)
+        })
+    };
+    words.map(|word| word.trim_end_matches(':')).filter(is_call).map(str::to_owned)
+}
+
+#[test]
+fn advised_calls_have_names_in_c() {
+    let engine = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../engine");
+    let mut found = 0;
+    for path in ["renderer", "trainer", "vk"].into_iter().flat_map(|folder| sources(&engine.join(folder))) {
+        let text = std::fs::read_to_string(&path).expect("a source");
+        let code = text.split("#[cfg(test)]").next().unwrap_or_default();
+        let lines = code.lines().filter(|line| !line.trim_start().starts_with("//") && !line.contains("panic!"));
+        for call in lines.flat_map(calls).filter(|call| !RUST_ALONE.contains(&call.as_str())) {
+            let known = CALLS.iter().any(|(rust, _)| *rust == call);
+            assert!(known, "{}: '{call}' has no name in C: see CALLS", path.display());
+            found += 1;
+        }
+    }
+    assert!(found >= CALLS.len(), "{found} found: the messages are elsewhere");
+    let header = include_str!("../ashsplat.h");
+    for (_, name) in CALLS {
+        assert!(header.contains(&format!(" {name}(")), "{name} is not in the header");
+    }
+}
