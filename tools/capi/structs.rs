@@ -4,7 +4,7 @@
 //! defaults. A host of an older header has a smaller struct: the fields that it does not know have their defaults. A host of a
 //! newer header has a larger one, which works as long as what lies beyond is zero: fields that come later have the default 0, and
 //! nothing is padded before them. Such a struct is never a part of another one, and in an array all have the size of the first. A size
-//! that no header had is one that was not set: the error says how.
+//! below that of the first header was not set: the error says how.
 
 use super::{
     AshsplatAllocator, AshsplatCamera, AshsplatCutOut, AshsplatDepthTarget, AshsplatForeignDevice,
