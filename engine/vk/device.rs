@@ -352,7 +352,7 @@ fn limits(
         timestamp_period_ns: if timestamps { f64::from(l.timestamp_period) } else { 0.0 },
         tuning,
         broadcasts: false,
-        workarounds: Workarounds::of_driver(v12.driver_id, properties.driver_version),
+        workarounds: Workarounds::of_driver(v12.driver_id, &text(v12.driver_info_as_c_str())),
         instances_per_dispatch: INSTANCES_PER_DISPATCH,
         overrides: Vec::new(),
     };

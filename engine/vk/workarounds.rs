@@ -12,12 +12,12 @@ impl Workarounds {
     /// (LP_MAX_TGSI_LOOP_ITERATIONS in gallivm's lp_bld_limits.h). Blending hands fewer entries of a tile to a dispatch.
     pub const LOOPS_STOP_AT_65535: Self = Self(1 << 0);
 
-    /// Of a driver, by its id and its `driverVersion`. Each vendor encodes that in its own way: Mesa's drivers as
-    /// Vulkan versions, NVIDIA's in 10, 8, 8 and 6 bits.
-    pub fn of_driver(id: vk::DriverId, _version: u32) -> Self {
+    /// Of a driver, by its id and its `driverInfo`: Mesa's begins with `Mesa 22.3.6`. (llvmpipe's `driverVersion` says nothing:
+    /// that is 1 in all of them.)
+    pub fn of_driver(id: vk::DriverId, info: &str) -> Self {
         let mut all = Self::default();
-        // Versions from 25 on have no such limit. They keep the flag until the kernels were measured there.
-        if id == vk::DriverId::MESA_LLVMPIPE {
+        let version = info.strip_prefix("Mesa ").and_then(|rest| rest.split('.').next()?.parse::<u32>().ok());
+        if id == vk::DriverId::MESA_LLVMPIPE && version.is_none_or(|major| major < 25) {
             all |= Self::LOOPS_STOP_AT_65535;
         }
         all
@@ -50,9 +50,12 @@ mod tests {
 
     #[test]
     fn workarounds_go_by_the_driver() {
-        let llvmpipe = Workarounds::of_driver(vk::DriverId::MESA_LLVMPIPE, 1);
+        let of_llvmpipe = |info| Workarounds::of_driver(vk::DriverId::MESA_LLVMPIPE, info);
+        let llvmpipe = of_llvmpipe("Mesa 22.3.6 (LLVM 15.0.6)");
         assert!(llvmpipe.contains(Workarounds::LOOPS_STOP_AT_65535));
-        let other = Workarounds::of_driver(vk::DriverId::MESA_RADV, 1);
+        assert_eq!([of_llvmpipe("Mesa 24.99.0"), of_llvmpipe("unknown")], [llvmpipe; 2]);
+        assert_eq!(of_llvmpipe("Mesa 25.0.7-2+deb13u1 (LLVM 19.1.7)"), Workarounds::default());
+        let other = Workarounds::of_driver(vk::DriverId::MESA_RADV, "Mesa 22.3.6");
         assert!(!other.contains(Workarounds::LOOPS_STOP_AT_65535));
         assert!((other | llvmpipe).contains(llvmpipe) && other == Workarounds::default());
     }

@@ -33,7 +33,8 @@ fn advised_calls_have_names_in_c() {
     for path in ["renderer", "trainer", "vk"].into_iter().flat_map(|folder| sources(&engine.join(folder))) {
         let text = std::fs::read_to_string(&path).expect("a source");
         let code = text.split("#[cfg(test)]").next().unwrap_or_default();
-        let lines = code.lines().filter(|line| !line.trim_start().starts_with("//") && !line.contains("panic!"));
+        let lines =
+            code.lines().filter(|line| !line.trim_start().starts_with("//") && !line.contains("panic!"));
         for call in lines.flat_map(calls).filter(|call| !RUST_ALONE.contains(&call.as_str())) {
             let known = CALLS.iter().any(|(rust, _)| *rust == call);
             assert!(known, "{}: '{call}' has no name in C: see CALLS", path.display());
