@@ -37,11 +37,22 @@ fn fresh(gpu: &Gpu, trainer: &Trainer) -> Vec<f32> {
     renderer.filters().expect("sizes")
 }
 
+/// The same iterations, as shares of 30,000.
+fn scaled() -> TrainSettings {
+    TrainSettings { scale_schedule: true, densify_from_iter: 938, densify_until_iter: 3563, ..settings() }
+}
+
 #[test]
 fn filters_follow_the_gaussians_when_they_are_due() {
+    for settings in [settings(), scaled()] {
+        follow_the_gaussians(settings);
+    }
+}
+
+fn follow_the_gaussians(settings: TrainSettings) {
     let gpu = Gpu::unchecked();
     let mut trainer =
-        Trainer::new(gpu.context, views(3, 9), &start(), EXTENT, settings()).expect("a trainer");
+        Trainer::new(gpu.context, views(3, 9), &start(), EXTENT, settings).expect("a trainer");
     assert!(trainer.filters().expect("sizes") == fresh(&gpu, &trainer), "at the start");
     assert!(trainer.filters().expect("sizes").iter().all(|&size| size > 0.0));
     let mut computed = Vec::new();

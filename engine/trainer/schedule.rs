@@ -131,7 +131,7 @@ impl TrainSettings {
     pub fn computes_filters_at(&self, iteration: u32) -> bool {
         const INTERVAL: u32 = 100;
         self.filter_3d
-            && iteration > self.densify_until_iter
+            && iteration > self.scaled(self.densify_until_iter)
             && iteration.is_multiple_of(INTERVAL)
             && iteration < self.iterations.saturating_sub(INTERVAL)
     }
@@ -203,6 +203,10 @@ mod tests {
         let computed: Vec<u32> = (1..=30_000).filter(|&i| settings.computes_filters_at(i)).collect();
         assert_eq!((computed.first(), computed.last(), computed.len()), (Some(&15_100), Some(&29_800), 148));
         assert!((1..=30_000).all(|i| !TrainSettings::default().computes_filters_at(i)));
+        // Densification that is scaled ends at 1000 of 2000 iterations.
+        let short = TrainSettings { iterations: 2000, scale_schedule: true, ..settings };
+        let computed: Vec<u32> = (1..=2000).filter(|&i| short.computes_filters_at(i)).collect();
+        assert_eq!(computed, [1100, 1200, 1300, 1400, 1500, 1600, 1700, 1800]);
     }
 
     #[test]
