@@ -287,3 +287,27 @@ fn depth_maps_that_lack_something_are_refused() {
         .for_each(|part| std::fs::remove_file(mapped.data().join("sparse/0").join(part)).expect("removed"));
     mapped.refuses("depths", &["depths", "none of the depth maps", "depth_params.json"]);
 }
+
+/// Nothing reads the maps of photographs that are held out: they are not missed, and what is trained is the same.
+#[test]
+fn held_out_photos_need_no_depth_maps() {
+    let mapped = Mapped::new();
+    let data = mapped.data();
+    let scene_of = |name: &str| {
+        let model = mapped.folder.path().join(name);
+        train(&data, &model, &["--eval", "-d", "depths"]);
+        std::fs::read(model.join("point_cloud/iteration_40/point_cloud.ply")).expect("a scene")
+    };
+    let with_all = scene_of("all");
+    [0, VIEWS - 1].iter().for_each(|&index| std::fs::remove_file(mapped.map(index)).expect("removed"));
+    assert!(scene_of("some") == with_all);
+    let entry = |index: u32| format!("\"{:02}\": {{\"scale\": 1.0, \"offset\": 0.1}}", index + 1);
+    let entries: Vec<String> = (1..VIEWS - 1).map(entry).collect();
+    std::fs::write(mapped.params(), format!("{{{}}}", entries.join(", "))).expect("written");
+    assert!(scene_of("given") != with_all);
+    // Halves of them are trained on.
+    let out = mapped.folder.path().join("out");
+    let halves = ["train", "-s", text(&data), "-m", text(&out), "-d", "depths", "--eval", "--train-test-exp"];
+    refuse(&halves, &["01.png", "depth map", "missing"]);
+    mapped.refuses("depths", &["01.png", "depth map", "missing"]);
+}

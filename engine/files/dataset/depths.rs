@@ -23,17 +23,32 @@ pub(super) struct PlannedMap {
     fit: Option<DepthFit>,
 }
 
-/// The maps of the views, by their order; none for those that are left out.
+/// The maps of the views, by their order; none for those that are left out, and for views that are not trained on: nothing
+/// reads theirs.
 ///
 /// # Errors
 /// [`Error::Input`] naming the folder, the map or the parameters that are missing.
 pub(super) fn plan(
     dataset: &Path,
-    views: &[PlannedView],
+    (views, held_out): (&[PlannedView], &[bool]),
     options: &DatasetOptions,
     warnings: &mut Vec<String>,
 ) -> Result<Vec<Option<PlannedMap>>> {
     let Some(folder) = &options.depths else { return Ok(vec![None; views.len()]) };
+    let is_trained = |held_out: &bool| options.train_test_exp || !*held_out;
+    let trained: Vec<&PlannedView> =
+        views.iter().zip(held_out).filter(|(_, held_out)| is_trained(held_out)).map(|(view, _)| view).collect();
+    let mut maps = of_trained(dataset, folder, (&trained, options), warnings)?.into_iter();
+    Ok(held_out.iter().map(|held_out| is_trained(held_out).then(|| maps.next()).flatten().flatten()).collect())
+}
+
+/// The maps of views that are trained on, by their order.
+fn of_trained(
+    dataset: &Path,
+    folder: &Path,
+    (views, options): (&[&PlannedView], &DatasetOptions),
+    warnings: &mut Vec<String>,
+) -> Result<Vec<Option<PlannedMap>>> {
     let folder = dataset.join(folder);
     if !folder.is_dir() {
         let remedy = "give -d the folder of the maps within the data set, or train without it";
@@ -57,7 +72,7 @@ pub(super) fn plan(
     });
     let maps: Vec<_> = maps.collect();
     let left_out = maps.iter().filter(|map| map.is_none()).count();
-    if left_out == maps.len() {
+    if left_out == maps.len() && left_out > 0 {
         let problem =
             "none of the depth maps could be scaled: their photos show too few of the sparse points";
         return Err(Error::input(folder, problem, format!("write {}, or train without -d", file.display())));
@@ -99,9 +114,9 @@ fn map_of(folder: &Path, view: &PlannedView) -> Result<PathBuf> {
 }
 
 /// The parameters of a file.
-fn given(file: &Path, views: &[PlannedView]) -> Result<Vec<DepthFit>> {
+fn given(file: &Path, views: &[&PlannedView]) -> Result<Vec<DepthFit>> {
     let all: BTreeMap<String, DepthFit> = DepthFit::read_all(file)?;
-    let of = |view: &PlannedView| {
+    let of = |view: &&PlannedView| {
         all.get(&stem(&view.name)).copied().ok_or_else(|| {
             let problem = format!("has no scale and offset for photo {}", view.name);
             Error::input(
@@ -117,7 +132,7 @@ fn given(file: &Path, views: &[PlannedView]) -> Result<Vec<DepthFit>> {
 /// Fits all maps to the sparse points that their photos show.
 fn fitted(
     model: &Model,
-    views: &[PlannedView],
+    views: &[&PlannedView],
     paths: &[PathBuf],
     options: &DatasetOptions,
 ) -> Result<Vec<DepthFit>> {
@@ -130,7 +145,7 @@ fn fitted(
             Some((image.id, (u32::try_from(camera.width).ok()?, u32::try_from(camera.height).ok()?)))
         })
         .collect();
-    let fit = |(view, path): (&PlannedView, &PathBuf)| {
+    let fit = |(view, path): (&&PlannedView, &PathBuf)| {
         let id = view.image_id;
         let (Some(points), Some(size)) = (observed.get(&id), sizes.get(&id)) else {
             return Ok(DepthFit::default());

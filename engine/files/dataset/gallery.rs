@@ -41,13 +41,13 @@ impl Gallery {
     pub fn open(path: impl AsRef<Path>, options: &DatasetOptions, progress: Progress<'_>) -> Result<Self> {
         let unpacked = Unpacked::open(path.as_ref(), progress)?;
         let plan = Plan::of(unpacked.folder(), options).map_err(|error| unpacked.name(error))?;
-        let held_out = (0..plan.views.len()).map(|index| plan.is_test(index, options)).collect();
+        let held_out: Vec<bool> = (0..plan.views.len()).map(|index| plan.is_test(index, options)).collect();
         plan.check_views().map_err(|error| unpacked.name(error))?;
         let Plan { views, points, source, list, warnings, notes, .. } = plan;
         let views: Vec<PlannedView> =
             views.into_iter().collect::<Result<_>>().map_err(|error| unpacked.name(error))?;
         let mut warnings = warnings;
-        let maps = depths::plan(unpacked.folder(), &views, options, &mut warnings);
+        let maps = depths::plan(unpacked.folder(), (&views, &held_out), options, &mut warnings);
         let maps = maps.map_err(|error| unpacked.name(error))?;
         let named = |lines: Vec<String>| lines.iter().map(|line| unpacked.name_in(line)).collect();
         let (warnings, notes) = (named(warnings), named(notes));
