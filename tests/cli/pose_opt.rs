@@ -1,6 +1,6 @@
 //! The demo's poses are moved by known amounts; `--pose-opt` gets them back.
 
-use super::{succeed, text};
+use super::{succeed, text, write_dataset};
 use ashsplat::Camera;
 use ashsplat::scene::{Twist, scene_extent};
 use ashsplat_files::cameras_json::{self, NamedCamera};
@@ -128,4 +128,37 @@ fn poses_of_the_demo_are_found_again() {
         serde_json::from_str(&succeed(&["eval", text(&on), "--all", "--json", "--quiet"])).expect("JSON");
     // Training views stand where they were moved to.
     assert!(number(&all["mean"], "PSNR") > number(&with, "PSNR") + 2.0, "{}", all["mean"]);
+}
+
+/// With `--train-test-exp` held-out views are trained on as well. Each pose stands under the name of its own view, and `eval`
+/// places the views as training did.
+#[test]
+fn poses_of_halves_stand_under_their_names() {
+    let folder = tempdir().expect("a temporary folder");
+    let (data, model) = (folder.path().join("data"), folder.path().join("model"));
+    write_dataset(&data);
+    let paths = ["train", "-s", text(&data), "-m", text(&model), "--eval", "--train-test-exp", "--pose-opt"];
+    let few = ["--pose-lr", "1e-3", "--iterations", "40", "--sh-degree", "0", "--eval-share", "0", "--quiet"];
+    succeed(&[paths.as_slice(), &few].concat());
+    let given = Model::read(&colmap::find(&data).expect("a folder")).expect("a model");
+    let poses = json(&model.join("poses.json"));
+    let cameras = cameras_json::read(model.join("cameras.json")).expect("cameras");
+    assert_eq!((poses["xi"].as_object().expect("poses").len(), cameras.len()), (9, 9));
+    for named in &cameras {
+        let image = given.images.iter().find(|image| image.name == named.name).expect("known");
+        let xi: [f64; 6] = serde_json::from_value(poses["xi"][&named.name].clone()).expect("six numbers");
+        assert!(xi.iter().any(|&x| x != 0.0), "{}: not moved", named.name);
+        let moved = Twist::from_array(xi).applied_to(&given.camera_of(image).expect("a camera"));
+        let at = &named.camera;
+        let near = moved.camera_from_world.abs_diff_eq(at.camera_from_world, 1e-4);
+        assert!(near && moved.translation.abs_diff_eq(at.translation, 1e-4), "{}: {at:?}", named.name);
+    }
+    let trained = json(&model.join("per_view.json"));
+    succeed(&["eval", text(&model), "--quiet"]);
+    let again = json(&model.join("per_view.json"));
+    let psnr = |results: &Value, view: &str| results["ours_40"]["PSNR"][view].as_f64().expect("a number");
+    for view in ["00000.png", "00001.png"] {
+        let (trained, again) = (psnr(&trained, view), psnr(&again, view));
+        assert!((trained - again).abs() < 0.01, "{view}: {trained} dB in training, {again} dB after it");
+    }
 }

@@ -4,9 +4,10 @@ use super::Run;
 use crate::config::CAMERAS_FILE;
 use crate::{eval, output};
 use ashsplat::Result;
-use ashsplat::scene::Twist;
+use ashsplat::scene::{Camera, Twist};
 use ashsplat_files::cameras_json::{self, NamedCamera};
 use serde_json::{Map, json};
+use std::collections::HashMap;
 
 /// What each training view's camera was moved by.
 pub const POSES_FILE: &str = "poses.json";
@@ -69,14 +70,17 @@ impl Run {
     /// All cameras at the size of their photos' files, the training views' where they are now.
     fn cameras_now(&self) -> Result<Vec<NamedCamera>> {
         let moved = self.trainer.cameras()?;
-        let held_out = self.cameras.len() - moved.len();
-        let own = self.cameras.iter().cloned().map(|(name, camera)| NamedCamera { name, camera });
-        let mut cameras: Vec<NamedCamera> = own.collect();
-        for (named, at) in cameras[held_out..].iter_mut().zip(&moved) {
-            named.camera.camera_from_world = at.camera_from_world;
-            named.camera.translation = at.translation;
-        }
-        Ok(cameras)
+        // With --train-test-exp held-out views are trained on as well, so only names tell which is which.
+        let moved: HashMap<&str, &Camera> = self.trained.iter().map(String::as_str).zip(&moved).collect();
+        let now = |(name, camera): &(String, Camera)| {
+            let mut camera = *camera;
+            if let Some(at) = moved.get(name.as_str()) {
+                camera.camera_from_world = at.camera_from_world;
+                camera.translation = at.translation;
+            }
+            NamedCamera { name: name.clone(), camera }
+        };
+        Ok(self.cameras.iter().map(now).collect())
     }
 
     /// Writes the cameras as they are after an iteration, if poses are optimised.
@@ -92,9 +96,8 @@ impl Run {
             folder.join(CAMERAS_FILE),
             cameras.iter().map(|named| (named.name.as_str(), &named.camera)),
         )?;
-        let held_out = cameras.len() - changes.len();
-        let poses: Map<_, _> = (cameras[held_out..].iter().zip(&changes))
-            .map(|(named, change)| (named.name.clone(), json!(change.to_array())))
+        let poses: Map<_, _> = (self.trained.iter().zip(&changes))
+            .map(|(name, change)| (name.clone(), json!(change.to_array())))
             .collect();
         let summary = json!({
             "iteration": iteration,
@@ -108,9 +111,11 @@ impl Run {
         output::write_json(&folder.join(POSES_FILE), &summary)
     }
 
-    /// Training views that stand in for held-out ones are measured where their cameras are now.
+    /// Views that are trained on are measured where their cameras are now: those that stand in for held-out ones, and held-out
+    /// ones whose halves are trained on.
     pub(super) fn follow_cameras(&mut self) -> Result<()> {
-        if !self.settings.train.pose_opt || self.held_out {
+        let trained_on = !self.held_out || self.settings.data.train_test_exp;
+        if !(self.settings.train.pose_opt && trained_on) {
             return Ok(());
         }
         let cameras = eval::by_name(self.cameras_now()?);
