@@ -2,10 +2,10 @@
 
 use super::{succeed, text, write_dataset};
 use ashsplat::Camera;
-use ashsplat::scene::{Twist, scene_extent};
+use ashsplat::scene::{Similarity, Twist, scene_extent};
 use ashsplat_files::cameras_json::{self, NamedCamera};
 use ashsplat_files::colmap::{self, ColmapImage, Model};
-use glam::DVec3;
+use glam::{DQuat, DVec3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde_json::Value;
@@ -72,6 +72,48 @@ fn apart(cameras: &[NamedCamera], true_ones: &[(String, Camera)]) -> f64 {
     angles.sum::<f64>() / (cameras.len() - 1) as f64
 }
 
+/// What the true world is of the one that cameras stand in: the mean turn between their directions, then the scale and the move
+/// that fit their centres best.
+fn similarity(cameras: &[NamedCamera], true_ones: &[(String, Camera)]) -> Similarity {
+    let pairs = pairs(cameras, true_ones);
+    let turn = |[found, wanted]: &[Camera; 2]| {
+        let turn = wanted.camera_from_world.as_dmat3().transpose() * found.camera_from_world.as_dmat3();
+        let turn = DQuat::from_mat3(&turn);
+        if turn.w < 0.0 { -turn } else { turn }
+    };
+    let rotation = pairs.iter().map(turn).fold(DQuat::from_xyzw(0.0, 0.0, 0.0, 0.0), |sum, turn| sum + turn);
+    let rotation = rotation.normalize();
+    let middle = |which: usize| {
+        pairs.iter().map(|pair| pair[which].exact_position()).sum::<DVec3>() / pairs.len() as f64
+    };
+    let (found, wanted) = (middle(0), middle(1));
+    let (mut likeness, mut size) = (0.0, 0.0);
+    for pair in &pairs {
+        let arm = rotation * (pair[0].exact_position() - found);
+        likeness += arm.dot(pair[1].exact_position() - wanted);
+        size += arm.length_squared();
+    }
+    let scale = likeness / size;
+    Similarity { rotation, scale, translation: wanted - scale * (rotation * found) }
+}
+
+/// Each camera beside the true one of its name.
+fn pairs(cameras: &[NamedCamera], true_ones: &[(String, Camera)]) -> Vec<[Camera; 2]> {
+    let of = |name: &str| true_ones.iter().find(|(other, _)| other == name).expect("known").1;
+    cameras.iter().map(|named| [named.camera, of(&named.name)]).collect()
+}
+
+/// Mean distance of the cameras' centres from the true ones, as a share of the extent, after both are aligned by a similarity.
+fn misplaced(cameras: &[NamedCamera], true_ones: &[(String, Camera)]) -> f64 {
+    let aligned = similarity(cameras, true_ones);
+    let extent = scene_extent(true_ones.iter().map(|(_, c)| c.position()).collect::<Vec<_>>().into_iter());
+    let pairs = pairs(cameras, true_ones);
+    let away = |[found, wanted]: &[Camera; 2]| {
+        aligned.apply(found.exact_position()).distance(wanted.exact_position())
+    };
+    pairs.iter().map(away).sum::<f64>() / pairs.len() as f64 / f64::from(extent)
+}
+
 #[test]
 fn poses_of_the_demo_are_found_again() {
     let folder = tempdir().expect("a temporary folder");
@@ -104,9 +146,14 @@ fn poses_of_the_demo_are_found_again() {
     let before: Vec<NamedCamera> = (cameras[5..].iter())
         .map(|named| NamedCamera { camera: *given(&named.name), ..named.clone() })
         .collect();
+    let [was, is] = [&before[..], &cameras[5..]].map(|cameras| misplaced(cameras, &true_ones));
     let (before, after) = (apart(&before, &true_ones), apart(&cameras[5..], &true_ones));
-    println!("degrees between neighbours, mean: {before:.3} before, {after:.3} after");
-    assert!(after < 0.6 * before, "{before} degrees before, {after} after");
+    println!("degrees between neighbours, mean: {before:.4} before, {after:.4} after");
+    println!("centres, shares of the extent, mean: {was:.5} before, {is:.5} after");
+    // So few iterations on such small photographs find about half of the turns: 0.67 of 1.39 degrees are left. Of the moves, for
+    // which a small turn can stand in, they find a fifth: 0.0077 of 0.0097 are left.
+    assert!(after < 0.78, "{before} degrees before, {after} after");
+    assert!(is < 0.0086, "{was} of the extent before, {is} after");
 
     // What is said, and what is written.
     assert!(stdout.contains("poses turned by "), "{stdout}");
