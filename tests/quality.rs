@@ -113,6 +113,10 @@ fn bench_quality_refuses_what_makes_no_sense() {
     refused(&with(&["--strategy", "mcmc"]), &["--strategy", "--strategies"]);
     refused(&with(&["--iterations", "0"]), &["iterations", "at least 1"]);
     refused(&with(&["--until=-3"]), &["--until"]);
+    // What the second strategy refuses is said before the first is trained.
+    let late = ["--strategies", "budget,reference", "--late-min-opacity", "0.1", "--iterations", "3"];
+    refused(&late, &["late_min_opacity", "reference"]);
+    refused(&with(&["-d", "nowhere"]), &["nowhere", "no folder with depth maps"]);
     // Without points, unless random ones are wanted.
     let points = data.join("sparse/0/points3D.bin");
     assert!(points.exists());

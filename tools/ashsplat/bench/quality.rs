@@ -12,11 +12,12 @@ use crate::lock::{FolderLock, Work};
 use crate::measure::Stopwatch;
 use crate::progress::counting;
 use crate::{output, session};
+use ashsplat::plan::to_u32;
 use ashsplat::scene::PointCloud;
-use ashsplat::trainer::{TrainSettings, TrainView, Trainer};
+use ashsplat::trainer::{Forecast, TrainSettings, TrainView, Trainer};
 use ashsplat::vk::Context;
 use ashsplat::{Error, RenderSettings, Result};
-use ashsplat_files::{Dataset, HostMemory, View, atomic};
+use ashsplat_files::{Dataset, Gallery, HostMemory, View, atomic};
 use clap::Args;
 use runs::{Point, Run, SCHEMA, Setup};
 use serde::Serialize;
@@ -36,7 +37,9 @@ const PLOT_FILE: &str = "quality.svg";
 ///
 /// Runs take turns, seed by seed, so that a machine that becomes slower does so for all. Measuring does not count. Each
 /// run that is over stays in the folder: after Ctrl-C the same command goes on with the run that was stopped. All
-/// settings are those of `train`; what is given here holds for all strategies.
+/// settings are those of `train`; what is given here holds for all strategies. Two things differ: settings for few photos are not
+/// taken (as `train --few-photos off`), and views are measured as the scene shows them, without lens effects and at the poses that
+/// were given.
 #[derive(Args)]
 #[command(mut_arg("max_memory", |argument| argument.help(MAX_MEMORY_IN_TRAINING)))]
 #[command(mut_arg("strategy", |argument| argument.hide(true)), mut_arg("seed", |argument| argument.hide(true)))]
@@ -141,11 +144,13 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         done.extend(runs::read(&runs::file(folder, &job.strategy, job.seed), &setup(job)?)?);
     }
     if done.len() < jobs.len() {
-        let options = session::options(&data, jobs[0].settings.white_background, &arguments.device.host)?;
+        let mut options = session::options(&data, jobs[0].settings.white_background, &arguments.device.host)?;
+        options.depths = arguments.depths.clone();
         let mut gallery = session::open(&data, &options, &stop)?;
         if jobs.iter().any(|job| job.settings.depth_points > 0.0) {
             gallery.read_tracks()?;
         }
+        check_fits(&context, &gallery, (&data, &jobs))?;
         let dataset = session::load(&gallery, arguments.quiet, &stop)?;
         session::warn(&dataset.warnings);
         check(&dataset, &arguments.dataset)?;
@@ -188,6 +193,26 @@ fn train_view(view: &View) -> TrainView {
         .taken_by(view.camera_id)
         .with_inverse_depth(view.inverse_depth.clone())
         .with_depth_points(view.depth_points.clone())
+}
+
+/// Refuses what one of the trainings could not do, before the first begins.
+fn check_fits(context: &Context, gallery: &Gallery, (data, jobs): (&DataSettings, &[Job])) -> Result<()> {
+    let photos = gallery.train_photos()?;
+    for job in jobs {
+        let settings = Settings { data: data.clone(), train: job.settings.clone() };
+        let points = gallery.points().positions.len();
+        let gaussians = if points == 0 { settings.missing_points() } else { points };
+        let forecast = Forecast {
+            settings: &job.settings,
+            photos: &photos,
+            photo_memory: gallery.file_memory(),
+            gaussians: to_u32(gaussians as u64)?,
+            frozen: 0,
+            room: None,
+        };
+        forecast.check(context)?;
+    }
+    Ok(())
 }
 
 fn check(dataset: &Dataset, path: &Path) -> Result<()> {
