@@ -131,3 +131,23 @@ fn lpips_weights_that_are_none_are_refused_before_the_work() {
     write(&weights, &alexnet(0));
     check(&["once more", "AlexNet"], &["--lpips-weights", text(&weights)]);
 }
+
+/// Photographs that are smaller than the network's least picture: said before the work, of those that are tested.
+#[test]
+fn photos_that_are_too_small_for_lpips_are_refused_before_the_work() {
+    let folder = tempdir().expect("a temporary folder");
+    let (weights, model) = (folder.path().join("weights.safetensors"), folder.path().join("model"));
+    write(&weights, &alexnet(0));
+    let ply = trained().model.join("point_cloud/iteration_30/point_cloud.ply");
+    let data = &trained().data;
+    let train = ["train", "-s", text(data), "-m", text(&model), "--iterations", "2", "--quiet"];
+    let of = ["--lpips-weights", text(&weights)];
+    // Of 48x32 pixels, without --eval the first training view stands in.
+    let small = ["photo 01.png is 24x16 pixels", "AlexNet needs 31"];
+    refuse(&[&train[..], &of, &["-r", "2", "--eval"]].concat(), &small);
+    refuse(&[&train[..], &of, &["-r", "2"]].concat(), &small);
+    refuse(&[&["eval", text(&ply), "-s", text(data), "-r", "2"], &of[..]].concat(), &small);
+    let halves = [&train[..], &of, &["--eval", "--train-test-exp"]].concat();
+    refuse(&halves, &["photo 01.png is 24x32 pixels", "right half", "AlexNet needs 31"]);
+    assert!(!model.exists());
+}

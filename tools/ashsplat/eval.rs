@@ -4,7 +4,7 @@ mod perceptual;
 mod protocol;
 mod table;
 
-pub use perceptual::{LpipsArguments, Perceptual};
+pub use perceptual::{LpipsArguments, Perceptual, check_sizes};
 pub use protocol::Protocol;
 
 use crate::args::DeviceArguments;
@@ -328,6 +328,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     session::warn(gallery.warnings());
     let chosen = chosen_views(&gallery, arguments.all, &data)?;
     let protocol = protocol(&model, &gallery)?;
+    check_sizes(&weights, &gallery, &chosen, !protocol.halves.is_empty())?;
     let mut renderer = Renderer::new(&context)?;
     renderer.upload(&scene.gaussians)?;
     let look = arguments.look.settings(&model.settings, &scene.header)?;

@@ -146,6 +146,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let given = (arguments.config.as_deref(), &arguments.overrides);
     let (settings, few_photos) = settings.settle(&mut gallery, given, origin.checkpoint())?;
     let settings = origin.settle(settings);
+    lpips.check(&gallery, &settings)?;
     outside::hide(&context, &mut gallery, (origin.scene(), &settings), (arguments.quiet, &stop))?;
     check_fits(&context, &gallery, &settings, &origin)?;
     let mut dataset = session::load(&gallery, arguments.quiet, &stop)?;

@@ -36,10 +36,17 @@ pub(super) fn plan(
 ) -> Result<Vec<Option<PlannedMap>>> {
     let Some(folder) = &options.depths else { return Ok(vec![None; views.len()]) };
     let is_trained = |held_out: &bool| options.train_test_exp || !*held_out;
-    let trained: Vec<&PlannedView> =
-        views.iter().zip(held_out).filter(|(_, held_out)| is_trained(held_out)).map(|(view, _)| view).collect();
+    let trained: Vec<&PlannedView> = views
+        .iter()
+        .zip(held_out)
+        .filter(|(_, held_out)| is_trained(held_out))
+        .map(|(view, _)| view)
+        .collect();
     let mut maps = of_trained(dataset, folder, (&trained, options), warnings)?.into_iter();
-    Ok(held_out.iter().map(|held_out| is_trained(held_out).then(|| maps.next()).flatten().flatten()).collect())
+    Ok(held_out
+        .iter()
+        .map(|held_out| is_trained(held_out).then(|| maps.next()).flatten().flatten())
+        .collect())
 }
 
 /// The maps of views that are trained on, by their order.

@@ -175,6 +175,15 @@ impl Gallery {
         &self.points
     }
 
+    /// The width and height in pixels that a photo will have when it is read; `None` beyond the last.
+    ///
+    /// # Errors
+    /// As [`Gallery::train_photos`].
+    pub fn size(&self, index: usize) -> Option<Result<(u32, u32)>> {
+        let view = self.views.get(index)?;
+        Some(view.size(&self.options).map_err(|error| self.unpacked.name(error)))
+    }
+
     /// Reads a photo, undistorted and scaled as the options say; `None` beyond the last.
     ///
     /// # Errors

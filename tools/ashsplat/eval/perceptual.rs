@@ -4,7 +4,7 @@ use crate::args::HostArguments;
 use ashsplat::lpips::{Lpips, Weights};
 use ashsplat::vk::Context;
 use ashsplat::{Error, Frame, Result};
-use ashsplat_files::{View, WeightsFile};
+use ashsplat_files::{Gallery, View, WeightsFile};
 use clap::Args;
 use std::path::PathBuf;
 
@@ -37,6 +37,24 @@ impl LpipsArguments {
     pub fn files(&self) -> &[PathBuf] {
         &self.lpips_weights
     }
+}
+
+/// Refuses photos, by their indices, that are too small for a network; of held-out ones only the right half counts if `halves`.
+pub fn check_sizes(weights: &[Weights], gallery: &Gallery, chosen: &[usize], halves: bool) -> Result<()> {
+    for (network, &index) in weights.iter().flat_map(|of| chosen.iter().map(|index| (of.network, index))) {
+        let Some((width, height)) = gallery.size(index).transpose()? else { continue };
+        let width = if halves && gallery.held_out()[index] { width - width / 2 } else { width };
+        if let Err(Error::Argument { problem, .. }) = network.check_size(width, height) {
+            let name = gallery.cameras().swap_remove(index).name;
+            let half = if halves { " (of held-out photos the right half counts)" } else { "" };
+            let remedy = "take larger photos (-r), or leave LPIPS out";
+            return Err(Error::argument(
+                "--lpips-weights",
+                format!("photo {name} {problem}{half}; {remedy}"),
+            ));
+        }
+    }
+    Ok(())
 }
 
 /// Networks on the device.

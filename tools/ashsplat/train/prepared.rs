@@ -71,8 +71,12 @@ pub fn train_view(view: View) -> TrainView {
 
 /// A few of the training views, evenly spread.
 fn sample(train: &[View]) -> Vec<View> {
-    let step = train.len().div_ceil(STAND_IN_VIEWS).max(1);
-    train.iter().step_by(step).cloned().collect()
+    stand_ins(train.len()).map(|index| train[index].clone()).collect()
+}
+
+/// Which of so many training views stand in for held-out ones.
+pub fn stand_ins(views: usize) -> impl Iterator<Item = usize> {
+    (0..views).step_by(views.div_ceil(STAND_IN_VIEWS).max(1))
 }
 
 /// Refuses what cannot be trained here, from the sizes of the photos: before they are read.

@@ -1,15 +1,17 @@
 //! Tests while training runs. What they measure counts; pictures and results that the disk refuses end no training.
 
 use super::Run;
+use super::prepared::stand_ins;
 use super::saving::attempt;
 use crate::args::HostArguments;
+use crate::config::Settings;
 use crate::eval::{self, Evaluation, LpipsArguments, More, Perceptual, Pictures, Protocol, SceneSize};
 use crate::model::point_cloud_path;
 use crate::progress::thousands;
 use ashsplat::lpips::Weights;
 use ashsplat::scene::Camera;
 use ashsplat::{Error, Result};
-use ashsplat_files::quoted;
+use ashsplat_files::{Gallery, quoted};
 
 /// The test after an iteration.
 pub struct Tested {
@@ -33,6 +35,16 @@ impl FinalLpips {
             |path: &std::path::PathBuf| format!(" --lpips-weights {}", quoted(&path.to_string_lossy()));
         let typed = arguments.files().iter().map(file).collect();
         Ok(FinalLpips { weights: arguments.read(host)?, typed })
+    }
+
+    /// Refuses photos to test on that are too small for the networks: they would fail after all the work.
+    pub fn check(&self, gallery: &Gallery, settings: &Settings) -> Result<()> {
+        let held_out = gallery.held_out();
+        let mut tested: Vec<usize> = (0..held_out.len()).filter(|&index| held_out[index]).collect();
+        if tested.is_empty() {
+            tested = stand_ins(held_out.len()).collect();
+        }
+        eval::check_sizes(&self.weights, gallery, &tested, settings.data.train_test_exp)
     }
 }
 
