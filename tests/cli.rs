@@ -23,6 +23,7 @@ mod report;
 mod run;
 mod tiles;
 mod training;
+mod unused;
 
 use ashsplat::scene::{Camera, Intrinsics, PointCloud};
 use ashsplat_files::colmap::{self, ColmapCamera, ColmapImage};

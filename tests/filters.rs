@@ -51,8 +51,7 @@ fn filters_follow_the_gaussians_when_they_are_due() {
 
 fn follow_the_gaussians(settings: TrainSettings) {
     let gpu = Gpu::unchecked();
-    let mut trainer =
-        Trainer::new(gpu.context, views(3, 9), &start(), EXTENT, settings).expect("a trainer");
+    let mut trainer = Trainer::new(gpu.context, views(3, 9), &start(), EXTENT, settings).expect("a trainer");
     assert!(trainer.filters().expect("sizes") == fresh(&gpu, &trainer), "at the start");
     assert!(trainer.filters().expect("sizes").iter().all(|&size| size > 0.0));
     let mut computed = Vec::new();

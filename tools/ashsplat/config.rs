@@ -6,6 +6,7 @@ mod few_photos;
 mod file;
 mod missing_points;
 mod train_overrides;
+mod unused;
 
 pub use data::{DataSettings, Outside, When};
 pub use missing_points::MissingPoints;
@@ -201,7 +202,7 @@ impl Settings {
         let problem = |e: toml::ser::Error| Error::argument("settings", e.to_string());
         let data = toml::to_string(&self.data).map_err(problem)?;
         let train = toml::to_string(&self.train).map_err(problem)?;
-        Ok(format!("# Read back by: ashsplat train --config {SETTINGS_FILE}\n{data}{train}"))
+        Ok(format!("{}{data}{train}", file::dump_line()))
     }
 
     /// The line that the reference writes: the `repr` of its parsed model arguments, which viewers and scripts

@@ -145,6 +145,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let mut gallery = session::open(&settings.data, &options, &stop)?;
     let given = (arguments.config.as_deref(), &arguments.overrides);
     let (settings, few_photos) = settings.settle(&mut gallery, given, origin.checkpoint())?;
+    origin.refuse_unused(&settings, given)?;
     let settings = origin.settle(settings);
     lpips.check(&gallery, &settings)?;
     outside::hide(&context, &mut gallery, (origin.scene(), &settings), (arguments.quiet, &stop))?;

@@ -274,6 +274,9 @@ impl Arguments {
                 jobs.push(Job { strategy, seed, settings });
             }
         }
+        let data = self.data();
+        let of = |job: &Job| Settings { data: data.clone(), train: job.settings.clone() };
+        self.train.refuse_unused(&jobs.iter().map(of).collect::<Vec<_>>())?;
         Ok(jobs)
     }
 

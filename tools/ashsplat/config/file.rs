@@ -1,6 +1,6 @@
 //! Files of settings: ours (TOML) and the reference's `cfg_args`.
 
-use super::Settings;
+use super::{SETTINGS_FILE, Settings};
 use ashsplat::{Error, Result};
 use std::fs::File;
 use std::io::Read;
@@ -22,6 +22,16 @@ pub fn text(path: &Path) -> Result<String> {
         return Err(refuse(format!("is longer than {MOST_BYTES} bytes: no file of settings")));
     }
     String::from_utf8(bytes).map_err(|_| refuse("is not text".into()))
+}
+
+/// The first line of the settings that a run leaves.
+pub fn dump_line() -> String {
+    format!("# Read back by: ashsplat train --config {SETTINGS_FILE}\n")
+}
+
+/// Whether a run has left this file, perhaps of an earlier version.
+pub fn is_dump(path: &Path) -> Result<bool> {
+    Ok(text(path)?.starts_with(dump_line().trim_end()))
 }
 
 /// The text of `key=value` in a Python `Namespace(…)` line; values with commas in them are not understood.

@@ -3,7 +3,7 @@
 use super::checkpoints::{Start, StartFrom};
 use super::prepared::Data;
 use crate::args::HostArguments;
-use crate::config::{Outside, Settings};
+use crate::config::{Outside, Overrides, Settings};
 use crate::model;
 use ashsplat::scene::{Gaussians, PointCloud};
 use ashsplat::trainer::{Checkpoint, SceneBlock, TrainParts, TrainSettings, Trainer};
@@ -98,6 +98,11 @@ impl Origin {
     /// What was read of it.
     pub fn checkpoint(&self) -> Option<&Checkpoint> {
         self.start().map(Start::checkpoint)
+    }
+
+    /// Refuses settings that are given without effect. A training that goes on keeps what it began with, used or not.
+    pub fn refuse_unused(&self, settings: &Settings, given: (Option<&Path>, &Overrides)) -> Result<()> {
+        if self.start.is_some() { Ok(()) } else { settings.refuse_unused(given) }
     }
 
     /// How many Gaussians are trained, and how many lie around them, as far as that is known before the photos are read: of

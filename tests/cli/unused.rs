@@ -1,0 +1,63 @@
+//! Settings of training that would have no effect.
+
+use super::*;
+use tempfile::tempdir;
+
+const FEW: [&str; 6] = ["--iterations", "2", "--sh-degree", "0", "--eval-share", "0"];
+
+/// Each is refused by its name with what would use it, and no folder is left.
+#[test]
+fn settings_without_effect_are_refused() {
+    let folder = tempdir().expect("a temporary folder");
+    let (data, model, file) =
+        (folder.path().join("data"), folder.path().join("model"), folder.path().join("my.toml"));
+    write_dataset(&data);
+    let usual = ["train", "-s", text(&data), "-m", text(&model), "--few-photos", "off"];
+    let refused = |more: &[&str], words: [&str; 2]| {
+        let run = finish(program().args(usual).args(FEW).args(more));
+        assert_refused(&run, &[&words[..], &["no effect"]].concat());
+        assert!(!model.exists(), "{more:?}");
+    };
+    refused(&["--cap-max", "50000"], ["cap_max: is 50000", "budget"]);
+    refused(&["--noise-lr", "1e4", "--strategy", "budget"], ["noise_lr", "mcmc"]);
+    refused(&["--strategy=budget", "--cap-max=900", "--cap-ratio=3"], ["cap_ratio", "without --cap-max"]);
+    refused(&["--antialiasing-detached"], ["antialiasing_detached", "--antialiasing"]);
+    refused(&["--pose-lr", "1e-3"], ["pose_lr", "--pose-opt"]);
+    refused(&["--exposure-lr-final", "0.1"], ["exposure_lr_final", "--exposure"]);
+    refused(&["--lens-reg", "0.1"], ["lens_reg", "--lens-effects"]);
+    refused(&["--depth-l1-weight-final", "0.1"], ["depth_l1_weight_final", "-d"]);
+    refused(&["--strategy=mcmc", "--densify-grad-threshold=1e-4"], ["densify_grad_threshold", "reference"]);
+    refused(&["--strategy", "mcmc", "--percent-dense", "0.1"], ["percent_dense", "reference"]);
+    refused(&["--strategy=fixed", "--opacity-reset-interval=9"], ["opacity_reset_interval", "budget"]);
+    std::fs::write(&file, "lens_lr = 0.5\n").expect("written");
+    refused(&["--config", text(&file)], ["lens_lr: is 0.5", "--lens-effects"]);
+    // Of strategies that are compared, one may use it.
+    let (out, both) = (folder.path().join("out"), "--strategies=reference,mcmc");
+    let bench = ["bench", "quality", text(&data), "-o", text(&out), both];
+    refuse(&[&bench[..], &["--pose-lr", "1e-3"]].concat(), &["pose_lr", "no effect"]);
+    refuse(&[&bench[..], &["--cap-max", "7"]].concat(), &["cap_max", "400 Gaussians"]);
+}
+
+/// Defaults that are typed out, settings that a run has left, and what a file switches on itself.
+#[test]
+fn settings_that_are_listed_without_effect_are_read() {
+    let folder = tempdir().expect("a temporary folder");
+    let at = |name: &str| folder.path().join(name);
+    let data = at("data");
+    write_dataset(&data);
+    let train = |model: &str, more: &[&str]| {
+        let model = at(model);
+        let usual = ["train", "-s", text(&data), "-m", text(&model), "--quiet"];
+        succeed(&[&usual[..], &FEW, more].concat());
+        std::fs::read_to_string(model.join("settings.toml")).expect("a dump")
+    };
+    // With few photos that is budget, which has a bound.
+    let dump = train("first", &["--cap-max", "500", "--pose-opt", "--pose-lr", "1e-4"]);
+    assert!(dump.contains("cap_max = 500\n") && dump.contains("strategy = \"budget\""), "{dump}");
+    let (config, own) = (at("first/settings.toml"), at("own.toml"));
+    let dump = train("again", &["--config", text(&config), "--pose-opt=false"]);
+    assert!(dump.contains("pose_opt = false") && dump.contains("pose_lr = 0.0001"), "{dump}");
+    std::fs::write(&own, "pose_opt = true\npose_lr = 0.0001\n").expect("written");
+    train("own", &["--config", text(&own), "--pose-opt=false"]);
+    train("preset", &["--preset", "fast", "--warm-up", "0", "--cap-max", "500", "--pose-lr", "1e-5"]);
+}

@@ -1,0 +1,121 @@
+//! Settings that were given and that the training would not use.
+
+use super::{Overrides, Settings, TrainOverrides, file};
+use ashsplat::trainer::{StrategyType, TrainSettings};
+use ashsplat::{Error, Result};
+use std::path::Path;
+use toml::Table;
+
+/// Settings that only some trainings use. What the strategies refuse by themselves is not among them.
+struct Use {
+    names: &'static [&'static str],
+    is_used: fn(&Settings) -> bool,
+    /// What uses them, in words.
+    by: &'static str,
+}
+
+const USES: [Use; 10] = [
+    Use {
+        names: &["cap_max"],
+        is_used: |s| matches!(s.train.strategy, StrategyType::Mcmc | StrategyType::Budget),
+        by: "--strategy mcmc or budget",
+    },
+    Use {
+        names: &["cap_ratio"],
+        is_used: |s| s.train.strategy != StrategyType::Budget || s.train.cap_max == 0,
+        by: "--strategy budget without --cap-max",
+    },
+    Use { names: &["noise_lr"], is_used: |s| s.train.strategy == StrategyType::Mcmc, by: "--strategy mcmc" },
+    Use {
+        names: &["percent_dense"],
+        is_used: |s| s.train.strategy == StrategyType::Reference,
+        by: "--strategy reference",
+    },
+    Use {
+        names: &["densify_grad_threshold", "opacity_reset_interval"],
+        is_used: |s| matches!(s.train.strategy, StrategyType::Reference | StrategyType::Budget),
+        by: "--strategy reference or budget",
+    },
+    Use { names: &["antialiasing_detached"], is_used: |s| s.train.antialiasing, by: "--antialiasing" },
+    Use { names: &["pose_lr"], is_used: |s| s.train.pose_opt, by: "--pose-opt" },
+    Use {
+        names: &[
+            "exposure_lr_init",
+            "exposure_lr_final",
+            "exposure_lr_delay_steps",
+            "exposure_lr_delay_mult",
+        ],
+        is_used: |s| s.train.exposure,
+        by: "--exposure",
+    },
+    Use { names: &["lens_lr", "lens_reg"], is_used: |s| s.train.lens_effects, by: "--lens-effects" },
+    Use {
+        names: &["depth_l1_weight_init", "depth_l1_weight_final"],
+        is_used: |s| !s.data.depths.as_os_str().is_empty(),
+        by: "depth maps (-d)",
+    },
+];
+
+/// A setting that is given, without effect in all of some trainings, and not the default in one of them.
+type Unused = (&'static str, &'static str);
+
+/// All of them, with what would use them.
+fn unused(given: &Table, trainings: &[Settings]) -> Vec<Unused> {
+    let of = |of: &'static Use| of.names.iter().map(move |&name| (name, of));
+    let all = USES.iter().flat_map(of).filter(|(name, of)| {
+        given.contains_key(*name)
+            && !trainings.iter().any(of.is_used)
+            && trainings.iter().any(|training| training.differs_in(name))
+    });
+    all.map(|(name, of)| (name, of.by)).collect()
+}
+
+fn refuse(first: Option<&Unused>, given: &Table) -> Result<()> {
+    let Some((name, by)) = first else { return Ok(()) };
+    let value = given.get(*name).map(toml::Value::to_string).unwrap_or_default();
+    let problem = format!("is {value}, which has no effect here: it is for {by}; leave it out, or add that");
+    Err(Error::argument(*name, problem))
+}
+
+impl TrainOverrides {
+    /// Refuses what none of some trainings would use.
+    pub fn refuse_unused(&self, trainings: &[Settings]) -> Result<()> {
+        refuse(unused(&self.0, trainings).first(), &self.0)
+    }
+}
+
+impl Settings {
+    /// Refuses what is given, on the command line or in a file, and has no effect. A file that a run has left lists all settings,
+    /// used or not. Of another file, what it switches on itself may be switched off on the command line.
+    pub fn refuse_unused(&self, (file, overrides): (Option<&Path>, &Overrides)) -> Result<()> {
+        overrides.train.refuse_unused(std::slice::from_ref(self))?;
+        let Some(path) = file else { return Ok(()) };
+        if file::is_dump(path)? {
+            return Ok(());
+        }
+        let given = file::table(path)?;
+        let alone = Settings::from_table(given.clone()).map_err(|e| Error::argument("settings", e))?;
+        let of_file = unused(&given, &[alone]);
+        let here = unused(&given, std::slice::from_ref(self));
+        refuse(here.iter().find(|unused| of_file.contains(unused)), &given)
+    }
+
+    /// Whether a setting is not the default with its strategy.
+    fn differs_in(&self, name: &str) -> bool {
+        let usual = TrainSettings::of_strategy(self.train.strategy);
+        let option = TrainSettings::OPTIONS.iter().find(|option| option.name == name);
+        option.is_some_and(|option| (option.value)(&self.train) != (option.value)(&usual))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_name_is_that_of_a_setting() {
+        for name in USES.iter().flat_map(|of| of.names) {
+            assert!(TrainSettings::OPTIONS.iter().any(|option| option.name == *name), "{name}");
+        }
+    }
+}
