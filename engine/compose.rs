@@ -133,10 +133,10 @@ impl Compose {
     /// and for premultiplied colours in a format without alpha.
     pub fn check_frame(image: &Image, behind: Background, encoding: ColorEncoding) -> Result<()> {
         Self::check_color(image)?;
-        encoding.check()?;
+        encoding.check().map_err(|error| error.within("encoding"))?;
         match behind {
             Background::Color(color) if color.iter().any(|channel| !channel.is_finite()) => {
-                Err(Error::argument("background", format!("{color:?} is not finite")))
+                Err(Error::argument("behind", format!("{color:?} is not finite")))
             }
             Background::Nothing if image.format() == vk::Format::B10G11R11_UFLOAT_PACK32 => {
                 let problem = format!("format {:?} has no alpha for premultiplied colours", image.format());

@@ -119,7 +119,7 @@ impl RenderSettings {
     pub fn check(&self) -> Result<()> {
         if !(self.scale_modifier.is_finite() && self.scale_modifier >= 0.0) {
             let problem = format!("is {}, must be finite and not negative", self.scale_modifier);
-            return Err(Error::argument("scale modifier", problem));
+            return Err(Error::argument("scale_modifier", problem));
         }
         if !(self.dilation_px2.is_finite() && self.dilation_px2 > 0.0) {
             let problem = format!("is {}, must be finite and positive", self.dilation_px2);
@@ -131,9 +131,9 @@ impl RenderSettings {
         if let Some(Dropout { share, .. }) =
             self.dropout.filter(|dropout| !(0.0..=0.99).contains(&dropout.share))
         {
-            return Err(Error::argument("dropout", format!("has the share {share}, must be 0 to 0.99")));
+            return Err(Error::argument("dropout.share", format!("is {share}, must be 0 to 0.99")));
         }
-        self.cut.check()
+        self.cut.check().map_err(|error| error.within("cut"))
     }
 
     /// Whether the settings draw the Gaussians themselves, so that the picture is differentiable.

@@ -6,7 +6,7 @@ use super::reservation::Reservation;
 use super::updates::Update;
 use crate::compose::{Background, Compose};
 use crate::error::{Error, Result};
-use crate::forward::{BlendVariant, PlacedScene};
+use crate::forward::{BlendVariant, PlacedScene, RenderSettings};
 use crate::kernels::constants as c;
 use crate::plan::{FrameCapacity, PictureCapacity};
 use crate::scene::{Camera, DepthMapping};
@@ -26,7 +26,9 @@ impl Renderer {
         all: &mut Vec<PlacedScene<'a>>,
     ) -> Result<u64> {
         frame.camera.check()?;
-        frame.settings.check()?;
+        // Their background is none of the frame's.
+        let settings = RenderSettings { background: [0.0; 3], ..*frame.settings };
+        settings.check().map_err(|error| error.within("settings"))?;
         let context = &self.context;
         if frame.scenes.is_empty() {
             return Err(Error::argument("scenes", "there are none"));
@@ -75,8 +77,12 @@ impl Renderer {
         if let Some(fields) = reserved.lacks(needed) {
             return Err(Error::argument(fields, "not reserved, and the frame needs it"));
         }
-        if frame.settings.dropout.is_some() || frame.settings.has_z_record() {
-            return Err(Error::argument("settings", "are of training, no recorded frame has them"));
+        let of_training = [
+            ("settings.dropout", frame.settings.dropout.is_some()),
+            ("settings.linear_depth", frame.settings.has_z_record()),
+        ];
+        if let Some((field, _)) = of_training.into_iter().find(|(_, set)| *set) {
+            return Err(Error::argument(field, "is of training, no recorded frame has it"));
         }
         if !are_prepared {
             let problem = "its kernels are not built: call Renderer::reserve after Renderer::set_blending";
@@ -155,13 +161,13 @@ pub(super) fn field_of(field: &str, host: &HostImage<'_>) -> String {
     format!("{field} (image '{}')", host.image.name())
 }
 
-/// Names the field of an image's error.
+/// Names the field of an image's error, and that of another field beside the image.
 fn in_field(field: &str, checked: Result<()>) -> Result<()> {
     checked.map_err(|error| match error {
         Error::Argument { what, problem } if what.starts_with("image '") => {
             Error::Argument { what: format!("{field} ({what})"), problem }
         }
-        other => other,
+        other => other.within(field),
     })
 }
 
@@ -215,7 +221,7 @@ fn check_scene(
     reserved: &Reservation,
 ) -> Result<()> {
     if !placed.scene.belongs_to(context) {
-        return Err(Error::argument("scene", "it belongs to another device"));
+        return Err(Error::argument(format!("scenes[{index}].scene"), "it belongs to another device"));
     }
     placed.pose.check().map_err(|error| error.within(format_args!("scenes[{index}]")))?;
     if let Some(pose) = &placed.previous_pose {
@@ -248,22 +254,23 @@ fn check_mask(mask: &Buffer, gaussians: u32, context: &Context) -> Result<()> {
 
 fn check_updates(updates: &[Update<'_>], context: &Context, reserved: &Reservation) -> Result<()> {
     let mut bytes = 0;
-    for update in updates {
+    for (index, update) in updates.iter().enumerate() {
         let plan = update.scene.plan();
-        update.gaussians.check_shapes()?;
+        let shapes = update.gaussians.check_shapes();
+        shapes.map_err(|error| error.within(format_args!("updates[{index}].gaussians")))?;
         if !update.scene.belongs_to(context) {
-            return Err(Error::argument("updates", "its scene belongs to another device"));
+            return Err(Error::argument(format!("updates[{index}].scene"), "it belongs to another device"));
         }
         let count = update.gaussians.len() as u64;
         if u64::from(update.first) + count > u64::from(plan.capacity) {
             let problem =
                 format!("{count} Gaussians at {} exceed the scene's {}", update.first, plan.capacity);
-            return Err(Error::argument("updates", problem));
+            return Err(Error::argument(format!("updates[{index}].first"), problem));
         }
         bytes += count * u64::from(plan.planes) * 16;
     }
     if bytes > reserved.staging_bytes {
-        let (what, limit_name) = ("the frame's updates".into(), "reserved staging_bytes");
+        let (what, limit_name) = ("updates: the frame".into(), "reserved staging_bytes");
         let limit = reserved.staging_bytes;
         return Err(Error::TooLarge { what, needed: bytes, unit: "bytes", limit, limit_name });
     }

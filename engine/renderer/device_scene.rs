@@ -31,6 +31,7 @@ impl DeviceScene {
     /// # Errors
     /// [`Error::Argument`] when the vectors differ in length; allocation failures.
     pub fn upload(context: &Context, gaussians: &Gaussians, capacity: u32) -> Result<Self> {
+        gaussians.check_shapes().map_err(|error| error.within("gaussians"))?;
         let buffers = planes::upload(context, "scene", gaussians, capacity, gaussians.sh_degree)?;
         Ok(Self::new(context, buffers))
     }
@@ -42,11 +43,11 @@ impl DeviceScene {
     /// # Errors
     /// As [`DeviceScene::upload`].
     pub fn upload_all(context: &Context, scenes: &[&Gaussians]) -> Result<Vec<Self>> {
-        let plan = |gaussians: &&Gaussians| {
-            gaussians.check_shapes()?;
+        let plan = |(index, gaussians): (usize, &&Gaussians)| {
+            gaussians.check_shapes().map_err(|error| error.within(format_args!("scenes[{index}]")))?;
             ScenePlan::new(context.limits(), to_u32(gaussians.len() as u64)?, gaussians.sh_degree)
         };
-        let plans = scenes.iter().map(plan).collect::<Result<Vec<_>>>()?;
+        let plans = scenes.iter().enumerate().map(plan).collect::<Result<Vec<_>>>()?;
         let requests: Vec<_> = plans.iter().flat_map(planes::requests).collect();
         let mut chunks = allocate_together(context, &requests)?.into_iter();
         let upload = |(gaussians, plan): (&&Gaussians, ScenePlan)| {
@@ -97,42 +98,36 @@ impl DeviceScene {
     /// small buffers; for buffers of another device, with an unaligned offset, or that overlap; for more
     /// Gaussians than the plan's capacity.
     pub fn from_buffers(context: &Context, plan: ScenePlan, chunks: Vec<Buffer>, count: u32) -> Result<Self> {
-        let bad = |problem: String| Err(Error::argument("scene's buffers", problem));
+        let bad = |field: &str, problem: String| Err(Error::argument(field, problem));
         // A plan depends on the device's limits. A plan of another device would be bound and indexed wrongly.
-        if plan != Self::plan_for(context, plan.capacity, plan.sh_degree)? {
-            return bad("the plan is not the one that DeviceScene::plan_for makes on this device".into());
+        let own = Self::plan_for(context, plan.capacity, plan.sh_degree);
+        if plan != own.map_err(|error| error.within("plan"))? {
+            return bad("plan", "it is not the one that DeviceScene::plan_for makes on this device".into());
         }
         if chunks.len() != plan.chunks as usize {
-            return bad(format!("{} of them, the plan has {} chunks", chunks.len(), plan.chunks));
-        }
-        if let Some(small) = chunks.iter().find(|b| b.bytes() < plan.chunk_bytes()) {
-            return bad(format!(
-                "'{}' has {} bytes, not {}",
-                small.name(),
-                small.bytes(),
-                plan.chunk_bytes()
-            ));
-        }
-        if chunks.iter().any(|b| !b.belongs_to(context)) {
-            return bad("belong to another device".into());
+            return bad("chunks", format!("{} of them, the plan has {}", chunks.len(), plan.chunks));
         }
         if count > plan.capacity {
-            return bad(format!("{count} Gaussians, the plan has room for {}", plan.capacity));
+            return bad("count", format!("{count}, the plan has room for {}", plan.capacity));
         }
-        let alignment = context.limits().storage_alignment.max(16);
-        if let Some(odd) = chunks.iter().find(|b| !b.handle().1.is_multiple_of(alignment)) {
-            let problem = format!(
-                "'{}' begins at byte {}, which is no multiple of {alignment}",
-                odd.name(),
-                odd.handle().1
-            );
-            return bad(problem);
+        let (chunk_bytes, alignment) = (plan.chunk_bytes(), context.limits().storage_alignment.max(16));
+        for (index, chunk) in chunks.iter().enumerate() {
+            let bad = |problem| bad(&format!("chunks[{index}] (buffer '{}')", chunk.name()), problem);
+            if !chunk.belongs_to(context) {
+                return bad("it belongs to another device".into());
+            }
+            if chunk.bytes() < chunk_bytes {
+                return bad(format!("has {} bytes, not {chunk_bytes}", chunk.bytes()));
+            }
+            let begin = chunk.handle().1;
+            if !begin.is_multiple_of(alignment) {
+                return bad(format!("begins at byte {begin}, which is no multiple of {alignment}"));
+            }
         }
         let mut places: Vec<_> = chunks.iter().map(Buffer::handle).collect();
         places.sort_unstable();
-        let chunk_bytes = plan.chunk_bytes();
         if places.windows(2).any(|pair| pair[0].0 == pair[1].0 && pair[1].1 - pair[0].1 < chunk_bytes) {
-            return bad("overlap".into());
+            return bad("chunks", "they overlap".into());
         }
         let chunks = chunks.iter().map(|buffer| buffer.range(0, plan.chunk_bytes())).collect();
         Ok(Self::new(context, SceneBuffers { chunks, plan, count }))
@@ -168,7 +163,7 @@ impl DeviceScene {
     pub fn set_count(&mut self, count: u32) -> Result<()> {
         if count > self.buffers.plan.capacity {
             let problem = format!("{count}, there is room for {}", self.buffers.plan.capacity);
-            return Err(Error::argument("number of Gaussians", problem));
+            return Err(Error::argument("count", problem));
         }
         self.buffers.count = count;
         Ok(())
@@ -201,7 +196,7 @@ fn allocate_together(context: &Context, requests: &[(&'static str, u64)]) -> Res
 
 fn check_degree(sh_degree: u32) -> Result<u32> {
     if sh_degree > 3 {
-        return Err(Error::argument("SH degree", format!("{sh_degree} is above 3")));
+        return Err(Error::argument("sh_degree", format!("{sh_degree} is above 3")));
     }
     to_u32(sh_degree.into())
 }

@@ -137,7 +137,7 @@ impl Slots {
     pub fn get(&mut self, index: u32) -> Result<&mut Slot> {
         let count = self.slots.len();
         self.slots.get_mut(index as usize).ok_or_else(|| {
-            Error::argument("frame slot", format!("{index}: {count} are reserved; call Renderer::reserve"))
+            Error::argument("slot", format!("{index}: {count} are reserved; call Renderer::reserve"))
         })
     }
 }

@@ -64,10 +64,10 @@ impl Renderer {
     ) -> Result<()> {
         self.context.check_alive()?;
         let Some(reserved) = self.slots.reserved else {
-            return Err(Error::argument("frame slot", "none is reserved: call Renderer::reserve"));
+            return Err(Error::argument("slot", "none is reserved: call Renderer::reserve"));
         };
         if !commands.belongs_to(&self.context) {
-            return Err(Error::argument("command buffer", "it belongs to another device"));
+            return Err(Error::argument("commands", "it belongs to another device"));
         }
         check_views(views, releases.len(), &reserved)?;
         let mut gaussians = 0;

@@ -51,7 +51,7 @@ impl ColorEncoding {
         match self {
             Self::LinearSrgb { exposure } if !(exposure.is_finite() && exposure > 0.0) => {
                 let problem = format!("is {exposure}, must be finite and positive");
-                Err(Error::argument("exposure of linear colours", problem))
+                Err(Error::argument("exposure", problem))
             }
             _ => Ok(()),
         }

@@ -48,14 +48,14 @@ impl Cut {
     pub fn check(&self) -> Result<()> {
         let Self { min_opacity, min_density, bounds } = self;
         if !(0.0..=1.0).contains(min_opacity) {
-            return Err(Error::argument("least opacity", format!("{min_opacity} is not between 0 and 1")));
+            return Err(Error::argument("min_opacity", format!("{min_opacity} is not between 0 and 1")));
         }
         if !(min_density.is_finite() && *min_density >= 0.0) {
             let problem = format!("{min_density} is not 0 or more");
-            return Err(Error::argument("least density", problem));
+            return Err(Error::argument("min_density", problem));
         }
         if bounds.is_some_and(|Bounds { min, max }| min.is_nan() || max.is_nan()) {
-            return Err(Error::argument("box", "has sides that are no numbers"));
+            return Err(Error::argument("bounds", "has sides that are no numbers"));
         }
         Ok(())
     }

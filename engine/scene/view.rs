@@ -6,7 +6,7 @@
 
 use glam::{Mat3, Mat4, Vec3, Vec4};
 
-use super::camera::{NEAR_PLANE, is_rotation};
+use super::camera::{MAX_IMAGE_SIDE, NEAR_PLANE, is_rotation};
 use super::{Camera, Intrinsics};
 use crate::{Error, Result};
 
@@ -92,17 +92,8 @@ impl HostView {
     /// [`Error::Argument`] for numbers that are not finite, a projection that is neither perspective nor orthographic or is
     /// skewed, a view that scales or is not affine, and matrices that together mirror the picture, but for those above.
     pub fn camera(&self) -> Result<(Camera, DepthMapping)> {
-        let bad = |what: &str, problem: &str| Err(Error::argument(what, problem));
+        self.check()?;
         let (view, projection) = (self.view_from_world, self.clip_from_view);
-        if !view.is_finite() || !projection.is_finite() {
-            return bad("host's matrices", "hold numbers that are not finite");
-        }
-        if !is_affine(view) {
-            return bad("view", "its last row is not (0, 0, 0, 1)");
-        }
-        if self.width == 0 || self.height == 0 {
-            return bad("host's view", "the image has no size");
-        }
         let p = |row: usize, column: usize| projection.col(column)[row];
         if p(3, 3) != 0.0 && [p(3, 0), p(3, 1), p(3, 2)] == [0.0; 3] {
             return self.orthographic();
@@ -110,14 +101,14 @@ impl HostView {
         // w = sign z_view, up to a common factor of the whole matrix.
         let w = p(3, 2);
         if w == 0.0 || p(3, 0) != 0.0 || p(3, 1) != 0.0 || p(3, 3) != 0.0 {
-            let problem =
-                "is neither perspective nor orthographic: its last row must be (0, 0, ±1, 0) or (0, 0, 0, 1)";
-            return bad("projection", problem);
+            let problem = format!(
+                "is neither perspective nor orthographic: its last row is {}, it must be (0, 0, ±1, 0) or (0, 0, 0, 1)",
+                projection.row(3)
+            );
+            return Err(Error::argument("clip_from_view", problem));
         }
-        let skewed = [p(0, 1), p(1, 0), p(2, 0), p(2, 1), p(0, 3), p(1, 3)].into_iter().any(|x| x != 0.0);
-        if skewed || p(0, 0) == 0.0 || p(1, 1) == 0.0 || p(2, 3) == 0.0 {
-            return bad("projection", "is skewed or degenerate: only off-centre perspectives are possible");
-        }
+        let zeros = [[0, 1], [1, 0], [2, 0], [2, 1], [0, 3], [1, 3]];
+        check_zeros(projection, &zeros, [[0, 0], [1, 1], [2, 3]], "perspectives")?;
         let up = if self.clip_y == ClipY::Up { -1.0 } else { 1.0 };
         let (scale_x, scale_y) = (p(0, 0) / w.abs(), up * p(1, 1) / w.abs());
         // The camera's axes (x right, y down, z forward) in view space.
@@ -125,7 +116,7 @@ impl HostView {
         let view_rotation = Mat3::from_mat4(view);
         let camera_from_world = Mat3::from_diagonal(axes) * view_rotation;
         if camera_from_world.determinant() < 0.0 {
-            return bad("host's matrices", MIRRORED);
+            return mirrored();
         }
         let (width, height) = (self.width as f32, self.height as f32);
         let intrinsics = Intrinsics {
@@ -138,7 +129,7 @@ impl HostView {
         };
         let translation = axes * view.w_axis.truncate();
         let camera = Camera::with_pose(camera_from_world, translation, intrinsics);
-        camera.check()?;
+        camera.check().map_err(|error| error.of("clip_from_view"))?;
         // d = (p22 z_view + p23) / (w z_view), and z_view = sign(w) z.
         let scale = w.abs() / p(2, 3);
         let mapping = DepthMapping {
@@ -150,18 +141,39 @@ impl HostView {
         Ok((camera, mapping))
     }
 
+    /// Checks each field, but for the kind of projection.
+    fn check(&self) -> Result<()> {
+        let (view, projection) = (self.view_from_world, self.clip_from_view);
+        for (field, matrix) in [("view_from_world", view), ("clip_from_view", projection)] {
+            if let Some([row, column]) = find(matrix, |value| !value.is_finite()) {
+                let problem = format!("row {row}, column {column} is {}", matrix.col(column)[row]);
+                return Err(Error::argument(field, problem));
+            }
+        }
+        if !is_affine(view) {
+            let problem = format!("its last row is {}, not (0, 0, 0, 1)", view.row(3));
+            return Err(Error::argument("view_from_world", problem));
+        }
+        let rotation = Mat3::from_mat4(view);
+        // Axes may be mirrored.
+        if !is_rotation(rotation * rotation.determinant().signum()) {
+            let problem = format!("{rotation} is not a rotation, with or without a mirroring of axes");
+            return Err(Error::argument("view_from_world", problem));
+        }
+        for (field, side) in [("width", self.width), ("height", self.height)] {
+            if !(1..=MAX_IMAGE_SIDE).contains(&side) {
+                return Err(Error::argument(field, format!("{side}, it may be 1 to {MAX_IMAGE_SIDE}")));
+            }
+        }
+        Ok(())
+    }
+
     /// As [`HostView::camera`], of a projection with the last row (0, 0, 0, w).
     fn orthographic(&self) -> Result<(Camera, DepthMapping)> {
-        let bad = |what: &str, problem: &str| Err(Error::argument(what, problem));
         let projection = self.clip_from_view;
         let p = |row: usize, column: usize| f64::from(projection.col(column)[row] / projection.col(3)[3]);
-        let skewed = [p(0, 1), p(0, 2), p(1, 0), p(1, 2), p(2, 0), p(2, 1)].into_iter().any(|x| x != 0.0);
-        if skewed || p(0, 0) == 0.0 || p(1, 1) == 0.0 || p(2, 2) == 0.0 {
-            return bad(
-                "projection",
-                "is skewed or degenerate: only off-centre orthographic ones are possible",
-            );
-        }
+        let zeros = [[0, 1], [0, 2], [1, 0], [1, 2], [2, 0], [2, 1]];
+        check_zeros(projection, &zeros, [[0, 0], [1, 1], [2, 2]], "orthographic ones")?;
         let up = if self.clip_y == ClipY::Up { -1.0 } else { 1.0 };
         let (scale_x, scale_y) = (p(0, 0), up * p(1, 1));
         let view_rotation = Mat3::from_mat4(self.view_from_world);
@@ -172,7 +184,7 @@ impl HostView {
         let z_of = |depth: f64| handed * (depth - p(2, 3)) / p(2, 2);
         let (near, far) = (z_of(0.0).min(z_of(1.0)), z_of(0.0).max(z_of(1.0)));
         if far <= 0.0 {
-            return bad("host's matrices", MIRRORED);
+            return mirrored();
         }
         let behind = (f64::from(NEAR_PLANE) - near).max(0.0);
         let (width, height) = (f64::from(self.width), f64::from(self.height));
@@ -187,7 +199,7 @@ impl HostView {
         let mut translation = axes * self.view_from_world.w_axis.truncate();
         translation.z += behind as f32;
         let camera = Camera::with_pose(Mat3::from_diagonal(axes) * view_rotation, translation, intrinsics);
-        camera.check()?;
+        camera.check().map_err(|error| error.of("clip_from_view"))?;
         let mapping = DepthMapping {
             scale: (z_of(1.0) - z_of(0.0)) as f32,
             offset: (z_of(0.0) + behind) as f32,
@@ -198,9 +210,31 @@ impl HostView {
     }
 }
 
-/// What is wrong with matrices that show a mirror image.
-const MIRRORED: &str = "mirror the picture: check clip_y; for a left-handed world, multiply view_from_world by what takes the \
-                        scene there, for example diag(1, 1, -1, 1)";
+/// Of matrices that show a mirror image.
+fn mirrored<T>() -> Result<T> {
+    let problem = "together they mirror the picture: check clip_y; for a left-handed world, multiply view_from_world by what \
+                   takes the scene there, for example diag(1, 1, -1, 1)";
+    Err(Error::argument("view_from_world, clip_from_view, clip_y", problem))
+}
+
+/// Row and column of the first such element.
+fn find(matrix: Mat4, is_it: impl Fn(f32) -> bool) -> Option<[usize; 2]> {
+    (0..16).map(|i| [i / 4, i % 4]).find(|&[row, column]| is_it(matrix.col(column)[row]))
+}
+
+/// Refuses a projection that has not 0 at the first rows and columns, or has 0 at one of the others.
+fn check_zeros(projection: Mat4, zeros: &[[usize; 2]], others: [[usize; 2]; 3], kind: &str) -> Result<()> {
+    let value = |[row, column]: [usize; 2]| projection.col(column)[row];
+    let skewed = zeros.iter().find(|&&place| value(place) != 0.0);
+    let Some(&place) = skewed.or_else(|| others.iter().find(|&&place| value(place) == 0.0)) else {
+        return Ok(());
+    };
+    let ([row, column], value) = (place, value(place));
+    let problem = format!(
+        "is skewed or degenerate: row {row}, column {column} is {value}, only off-centre {kind} are possible"
+    );
+    Err(Error::argument("clip_from_view", problem))
+}
 
 /// Whether a matrix's last row is (0, 0, 0, 1), but for the rounding of an inverse.
 fn is_affine(matrix: Mat4) -> bool {

@@ -140,14 +140,14 @@ impl Trainer {
         self.context.check_alive()?;
         self.state.check_whole()?;
         if !commands.belongs_to(&self.context) {
-            return Err(Error::argument("command buffer", "it belongs to another device"));
+            return Err(Error::argument("commands", "it belongs to another device"));
         }
         if self.recording.slots.is_empty() {
             return Err(Error::argument("training steps", "none are reserved: call Trainer::reserve_steps"));
         }
         let index = self.slot_index(slot)?;
         if !self.recording.slots[index].record.finished()? {
-            return Err(Error::argument("step slot", "its last recording is still in flight"));
+            return Err(Error::argument("slot", "its last recording is still in flight"));
         }
         if self.maintenance_is_due()? {
             let problem =
@@ -435,7 +435,7 @@ impl Trainer {
     fn slot_index(&self, slot: u32) -> Result<usize> {
         let count = self.recording.slots.len();
         if slot as usize >= count {
-            return Err(Error::argument("step slot", format!("{slot}: {count} are reserved")));
+            return Err(Error::argument("slot", format!("{slot}: {count} are reserved")));
         }
         Ok(slot as usize)
     }

@@ -79,7 +79,7 @@ impl Context {
     pub unsafe fn from_foreign(host: &ForeignDevice<'_>, options: &ContextOptions) -> Result<Self> {
         let null = [
             ("instance", host.instance.handle() == vk::Instance::null()),
-            ("physical device", host.physical_device == vk::PhysicalDevice::null()),
+            ("physical_device", host.physical_device == vk::PhysicalDevice::null()),
             ("device", host.device.handle() == vk::Device::null()),
             ("queue", host.queue == Some(vk::Queue::null())),
         ];
@@ -99,8 +99,8 @@ impl Context {
             unsafe { host.instance.get_physical_device_queue_family_properties(host.physical_device) };
         let family = families.get(host.queue_family as usize).copied().unwrap_or_default();
         if !family.queue_flags.contains(vk::QueueFlags::COMPUTE) {
-            let problem = format!("family {} has no compute", host.queue_family);
-            return Err(Error::argument("queue family", problem));
+            let problem = format!("family {} of the device has no compute", host.queue_family);
+            return Err(Error::argument("queue_family", problem));
         }
         candidate.queue_family = host.queue_family;
         candidate.features.push_descriptor &=
@@ -153,7 +153,7 @@ impl Context {
     /// Afterwards pipeline, descriptors and push constants of the compute bind point have changed.
     pub unsafe fn adopt_commands(&self, commands: vk::CommandBuffer) -> Result<ForeignCommands> {
         if commands == vk::CommandBuffer::null() {
-            return Err(Error::argument("command buffer", "the handle is null"));
+            return Err(Error::argument("commands", "the handle is null"));
         }
         self.device.check_adoption()?;
         Ok(ForeignCommands { inner: self.device.clone(), raw: commands })
@@ -292,7 +292,7 @@ impl RecordSlot {
     pub(crate) fn check_free(&self) -> Result<()> {
         match self.finished()? {
             true => Ok(()),
-            false => Err(Error::argument("frame slot", "its last recording is still in flight")),
+            false => Err(Error::argument("slot", "its last recording is still in flight")),
         }
     }
 
@@ -346,7 +346,7 @@ impl RecordSlot {
     /// context: nothing is recorded then.
     pub fn begin(&mut self, commands: ForeignCommands, label: &str) -> Result<Recorder> {
         if !Arc::ptr_eq(&commands.inner, &self.inner) {
-            return Err(Error::argument("command buffer", "it belongs to another device"));
+            return Err(Error::argument("commands", "it belongs to another device"));
         }
         self.check_free()?;
         let inner = &self.inner;

@@ -4,15 +4,16 @@ use crate::host::{Host, HostOptions, InFlight};
 use crate::memory::{HostBuffer, HostTexture};
 use crate::stage::{adopt, camera, cloud, guest, options, rendered, with_host};
 use ashsplat::ash::vk;
+use ashsplat::forward::Dropout;
 use ashsplat::kernels::compose::expected_depth;
-use ashsplat::scene::Pose;
+use ashsplat::scene::{Cut, Pose};
 use ashsplat::vk::{
     Buffer, CompileOnly, Context, ContextOptions, Features, ForeignDevice, Image, ImageState, ImageUse,
     Kernel, LimitsOverride, MemoryKind, Recorder,
 };
 use ashsplat::{
-    Background, Blending, ColorEncoding, DepthTarget, DeviceScene, Error, HostImage, Occluder, Placed,
-    RecordedFrame, RenderSettings, Renderer, Reservation, Target, Update,
+    Background, Blending, ColorEncoding, DepthTarget, DeviceScene, Error, Gaussians, HostImage, Occluder,
+    Placed, RecordedFrame, RenderSettings, Renderer, Reservation, Target, Update,
 };
 use glam::{Mat3, Vec3};
 
@@ -44,11 +45,11 @@ fn a_host_that_has_not_enabled_a_feature_is_told_which() {
             "{error}"
         );
         let error = refused(host, |h| h.physical_device = vk::PhysicalDevice::null());
-        assert!(matches!(&error, Error::Argument { what, .. } if what == "physical device"), "{error}");
+        assert!(matches!(&error, Error::Argument { what, .. } if what == "physical_device"), "{error}");
         let error = refused(host, |h| h.queue = Some(vk::Queue::null()));
         assert!(matches!(&error, Error::Argument { what, .. } if what == "queue"), "{error}");
         let error = refused(host, |h| h.queue_family = 77);
-        assert!(matches!(&error, Error::Argument { what, .. } if what == "queue family"), "{error}");
+        assert!(matches!(&error, Error::Argument { what, .. } if what == "queue_family"), "{error}");
         // Its functions in place of the host's would take the host's handles for its own.
         let compile_only = Some(CompileOnly { texts: false });
         let options = ContextOptions { compile_only, ..ContextOptions::default() };
@@ -223,81 +224,101 @@ fn bad_frames_are_refused_before_anything_is_recorded() {
             ashsplat::scene::DepthMapping { scale: 1.0, offset: 0.0, clear_value: 0.0, linear: false };
         let unknown = ashsplat::scene::DepthMapping { scale: f32::NAN, ..mapping };
         let never = ashsplat::scene::DepthMapping { clear_value: f32::NAN, ..mapping };
-        let no_background = RenderSettings { background: [0.0, f32::INFINITY, 0.0], ..settings };
+        let [large_scale, no_dilation, cut_wrong] = [
+            RenderSettings { scale_modifier: f32::NAN, ..settings },
+            RenderSettings { dilation_px2: 0.0, ..settings },
+            RenderSettings { cut: Cut { min_opacity: 2.0, ..Cut::default() }, ..settings },
+        ];
+        let dropping = Some(Dropout { share: 0.1, seed: 1, iteration: 1 });
+        let of_training = RenderSettings { dropout: dropping, ..settings };
         let new = cloud(10, 2);
-        let update = [Update { scene: &scene, first: 0, gaussians: &new }];
-        let beyond = [Update { scene: &scene, first: 100_000, gaussians: &new }];
+        let shapeless = Gaussians { quats: Vec::new(), ..new.clone() };
+        let change = |scene, first, gaussians| Update { scene, first, gaussians };
+        let update = [change(&scene, 0, &new)];
+        let [beyond, misshapen, elsewhere] = [
+            [update[0], change(&scene, 100_000, &new)],
+            [update[0], change(&scene, 0, &shapeless)],
+            [update[0], change(&foreign, 0, &new)],
+        ];
         let two = [Placed::from(&scene), Placed::from(&scene)];
         let (of_other, too_large) = ([Placed::from(&foreign)], [Placed::from(&large)]);
         let [stretched, nowhere, inside_out, vanished] =
             [sheared, lost, inside_out, vanished].map(|pose| [Placed { pose, ..placed[0] }]);
         let depth_settings = RenderSettings { inverse_depth: true, ..settings };
         let both_settings = RenderSettings { filter_3d: true, ..depth_settings };
+        let hidden = |depth, mapping| RecordedFrame { occluder: Some(Occluder { depth, mapping }), ..good };
+        let target = "target (image 'target')";
+        // The field that is wrong, and words about it.
         let bad = [
-            (RecordedFrame { camera: &nan, ..good }, "focal length"),
-            (RecordedFrame { camera: &nothing, ..good }, "image size 0x48"),
-            (RecordedFrame { camera: &wide, ..good }, "where 64 x 48 are reserved, needs"),
-            (RecordedFrame { scenes: &[], ..good }, "there are none"),
-            (RecordedFrame { scenes: &of_other, ..good }, "another device"),
+            (RecordedFrame { camera: &nan, ..good }, "camera", "focal length"),
+            (RecordedFrame { camera: &nothing, ..good }, "camera", "image size 0x48"),
+            (RecordedFrame { camera: &wide, ..good }, "camera", "where 64 x 48 are reserved, needs"),
+            (RecordedFrame { scenes: &[], ..good }, "scenes", "there are none"),
+            (RecordedFrame { scenes: &of_other, ..good }, "scenes[0].scene", "another device"),
             (
                 RecordedFrame { scenes: &too_large, ..good },
-                "scenes: the frame needs 201 Gaussians, more than 200 (reserved)",
+                "scenes",
+                "the frame needs 201 Gaussians, more than 200 (reserved)",
             ),
-            (RecordedFrame { scenes: &two, ..good }, "2 of them, 1 are reserved"),
-            (RecordedFrame { scenes: &stretched, ..good }, "a uniform scale"),
-            (RecordedFrame { scenes: &inside_out, ..good }, "a scale of -1 is not possible"),
-            (RecordedFrame { scenes: &vanished, ..good }, "a scale of 0 is not possible"),
-            (RecordedFrame { scenes: &nowhere, ..good }, "pose"),
-            (RecordedFrame { settings: &depth_settings, ..good }, "inverse_depth: not reserved"),
+            (RecordedFrame { scenes: &two, ..good }, "scenes", "2 of them, 1 are reserved"),
+            (RecordedFrame { scenes: &stretched, ..good }, "scenes[0].pose", "a uniform scale"),
+            (
+                RecordedFrame { scenes: &inside_out, ..good },
+                "scenes[0].pose",
+                "a scale of -1 is not possible",
+            ),
+            (RecordedFrame { scenes: &vanished, ..good }, "scenes[0].pose", "a scale of 0 is not possible"),
+            (RecordedFrame { scenes: &nowhere, ..good }, "scenes[0].pose", "not finite"),
+            (RecordedFrame { settings: &depth_settings, ..good }, "inverse_depth", "not reserved"),
             (
                 RecordedFrame { target: into(&images[0]), ..good },
-                "target (image 'target'): 64 x 48 pixels at (0, 0) exceed its 40 x 48",
+                target,
+                "64 x 48 pixels at (0, 0) exceed its 40 x 48",
             ),
+            (RecordedFrame { target: into(&images[1]), ..good }, target, "format R32_SFLOAT is not one of"),
+            (RecordedFrame { target: into(&images[2]), ..good }, target, "another device"),
+            (RecordedFrame { target: into(&images[3]), ..good }, target, "not adopted for Storage"),
+            (hidden(depth, mapping), "occlusion", "not reserved"),
+            (hidden(depth, unknown), "occluder.mapping", "not finite"),
+            (hidden(depth, never), "occluder.mapping", "not finite"),
+            (hidden(fresh_depth, mapping), "occluder (image 'target')", "UNDEFINED"),
             (
-                RecordedFrame { target: into(&images[1]), ..good },
-                "target (image 'target'): format R32_SFLOAT is not one of",
-            ),
-            (RecordedFrame { target: into(&images[2]), ..good }, "another device"),
-            (RecordedFrame { target: into(&images[3]), ..good }, "not adopted for Storage"),
-            (
-                RecordedFrame { occluder: Some(Occluder { depth, mapping }), ..good },
-                "occlusion: not reserved",
-            ),
-            (
-                RecordedFrame { occluder: Some(Occluder { depth, mapping: unknown }), ..good },
-                "occluder.mapping: ",
-            ),
-            (
-                RecordedFrame { occluder: Some(Occluder { depth, mapping: never }), ..good },
-                "occluder.mapping: ",
-            ),
-            (RecordedFrame { occluder: Some(Occluder { depth: fresh_depth, mapping }), ..good }, "UNDEFINED"),
-            (
-                RecordedFrame { occluder: Some(Occluder { depth, mapping }), depth: expected(0.5), ..good },
+                RecordedFrame { depth: expected(0.5), ..hidden(depth, mapping) },
+                "depth (image 'target')",
                 "is also the depth",
             ),
-            (RecordedFrame { target: exposed(0.0), ..good }, "exposure of linear colours"),
-            (RecordedFrame { target: exposed(f32::INFINITY), ..good }, "exposure of linear colours"),
-            (RecordedFrame { target: into(&no_alpha_view), ..good }, "has no alpha"),
-            (RecordedFrame { target: onto(Background::Image), ..good }, "UNDEFINED"),
-            (RecordedFrame { target: onto(Background::Color([0.0, f32::NAN, 0.0])), ..good }, "not finite"),
-            (RecordedFrame { settings: &no_background, ..good }, "not finite"),
-            (RecordedFrame { depth: expected(f32::NAN), ..good }, "depth.min_weight: "),
-            (RecordedFrame { depth: expected(0.5), ..good }, "expected_depth: not reserved"),
-            (RecordedFrame { settings: &both_settings, ..good }, "inverse_depth, filter_3d: not reserved"),
-            (RecordedFrame { updates: &update, ..good }, "staging_bytes"),
-            (RecordedFrame { updates: &beyond, ..good }, "exceed the scene's"),
+            (RecordedFrame { target: exposed(0.0), ..good }, "target.encoding.exposure", "is 0, must be"),
+            (RecordedFrame { target: exposed(f32::INFINITY), ..good }, "target.encoding.exposure", "is inf"),
+            (RecordedFrame { target: into(&no_alpha_view), ..good }, target, "has no alpha"),
+            (RecordedFrame { target: onto(Background::Image), ..good }, target, "UNDEFINED"),
+            (
+                RecordedFrame { target: onto(Background::Color([0.0, f32::NAN, 0.0])), ..good },
+                "target.behind",
+                "[0.0, NaN, 0.0] is not finite",
+            ),
+            (RecordedFrame { settings: &large_scale, ..good }, "settings.scale_modifier", "is NaN"),
+            (RecordedFrame { settings: &no_dilation, ..good }, "settings.dilation_px2", "is 0"),
+            (RecordedFrame { settings: &cut_wrong, ..good }, "settings.cut.min_opacity", "2 is not"),
+            (RecordedFrame { settings: &of_training, ..good }, "settings.dropout", "of training"),
+            (RecordedFrame { depth: expected(f32::NAN), ..good }, "depth.min_weight", "NaN"),
+            (RecordedFrame { depth: expected(0.5), ..good }, "expected_depth", "not reserved"),
+            (RecordedFrame { settings: &both_settings, ..good }, "inverse_depth, filter_3d", "not reserved"),
+            (RecordedFrame { updates: &update, ..good }, "updates", "more than 0 (reserved staging_bytes)"),
+            (RecordedFrame { updates: &beyond, ..good }, "updates[1].first", "exceed the scene's"),
+            (RecordedFrame { updates: &misshapen, ..good }, "updates[1].gaussians.quats", "0 entries"),
+            (RecordedFrame { updates: &elsewhere, ..good }, "updates[1].scene", "another device"),
         ];
-        for (frame, expected) in &bad {
-            let error = renderer.record(adopt(&context, &in_flight), 0, frame).expect_err(expected);
+        for (frame, field, words) in &bad {
+            let error = renderer.record(adopt(&context, &in_flight), 0, frame).expect_err(field);
             let text = error.to_string();
-            assert!(text.contains(expected) && !text.contains('\n'), "{text} (expected {expected})");
+            let about = text.strip_prefix(&format!("{field}: ")).unwrap_or_default();
+            assert!(about.contains(words) && !text.contains('\n'), "{text} (expected {field}: {words})");
             assert!(matches!(error, Error::Argument { .. } | Error::TooLarge { .. }), "{error:?}");
         }
         let error = renderer.record(adopt(&context, &in_flight), 1, &good).expect_err("one slot");
-        assert!(error.to_string().contains("1 are reserved"), "{error}");
+        assert!(error.to_string().starts_with("slot: 1: 1 are reserved"), "{error}");
         let error = renderer.record(adopt(&other, &in_flight), 0, &good).expect_err("of another device");
-        assert!(error.to_string().contains("another device"), "{error}");
+        assert_eq!(error.to_string(), "commands: it belongs to another device");
 
         // What is set after the reservation has no kernels.
         let own = Blending::of_device(context.limits());
@@ -307,7 +328,9 @@ fn bad_frames_are_refused_before_anything_is_recorded() {
         assert!(error.to_string().contains("not built"), "{error}");
         renderer.set_blending(own);
 
-        // Still usable; then in flight until it has been executed.
+        // Still usable, whatever the background that no frame looks at; then in flight until it has been executed.
+        let settings = RenderSettings { background: [0.0, f32::INFINITY, 0.0], ..settings };
+        let good = RecordedFrame { settings: &settings, ..good };
         renderer.record(adopt(&context, &in_flight), 0, &good).expect("a recording");
         let error = renderer.record(adopt(&context, &in_flight), 0, &good).expect_err("in flight");
         assert!(error.to_string().contains("in flight"), "{error}");

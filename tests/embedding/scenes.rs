@@ -165,9 +165,18 @@ fn a_scene_may_lie_in_the_hosts_buffers() {
         let placed = [Placed::from(&scene)];
         let pixels = rendered(host, &mut renderer, &RecordedFrame::new(&placed, &camera, &settings));
         assert_same(&pixels, &owned(&gaussians, &camera, &settings), [0.0; 3]);
-        assert!(DeviceScene::from_buffers(&context, plan, vec![], 300).is_err());
-        let short = adopted.range(0, 64);
-        assert!(DeviceScene::from_buffers(&context, plan, vec![short], 300).is_err());
+        let other = guest(host);
+        // SAFETY: as above.
+        let elsewhere = unsafe { Buffer::adopt(&other, "other's", own.raw, 0, bytes) }.expect("adopted");
+        for (chunks, count, expected) in [
+            (vec![], 300, "chunks: 0 of them, the plan has 1"),
+            (vec![adopted.range(0, 64)], 300, "chunks[0] (buffer 'host's scene'): has 64 bytes, not "),
+            (vec![elsewhere], 300, "chunks[0] (buffer 'other's'): it belongs to another device"),
+            (vec![adopted.clone()], plan.capacity + 1, "count: "),
+        ] {
+            let error = DeviceScene::from_buffers(&context, plan, chunks, count).err().expect(expected);
+            assert!(error.to_string().starts_with(expected), "{error} (expected {expected})");
+        }
         for wrong in [
             ScenePlan { chunk_gaussians: 0, ..plan },
             ScenePlan { chunk_gaussians: plan.chunk_gaussians - 1, ..plan },
@@ -179,9 +188,19 @@ fn a_scene_may_lie_in_the_hosts_buffers() {
         ] {
             let chunks = vec![adopted.clone(); wrong.chunks as usize];
             let error = DeviceScene::from_buffers(&context, wrong, chunks, 10).err().expect("refused");
-            assert!(matches!(error, Error::Argument { .. }), "{error:?}");
+            assert!(matches!(&error, Error::Argument { what, .. } if what.starts_with("plan")), "{error:?}");
         }
-        drop((scene, adopted, renderer));
+        let mut scene = scene;
+        let error = scene.set_count(plan.capacity + 1).expect_err("too many").to_string();
+        assert!(error.starts_with("count: "), "{error}");
+        let error = DeviceScene::empty(&context, 1, 4).err().expect("too high").to_string();
+        assert_eq!(error, "sh_degree: 4 is above 3");
+        let shapeless = Gaussians { quats: Vec::new(), ..gaussians.clone() };
+        let error = DeviceScene::upload(&context, &shapeless, 0).err().expect("no rotations").to_string();
+        assert!(error.starts_with("gaussians.quats: 0 entries"), "{error}");
+        let error = DeviceScene::upload_all(&context, &[&gaussians, &shapeless]).err().expect("as above");
+        assert!(error.to_string().starts_with("scenes[1].quats: 0 entries"), "{error}");
+        drop((scene, adopted, renderer, other));
         own.destroy(host);
     });
 }
@@ -202,10 +221,13 @@ fn a_hosts_buffers_may_exceed_what_can_be_bound() {
         let twice = vec![adopted[0].clone(); 2];
         assert!(DeviceScene::from_buffers(&context, plan, twice, 600).is_err());
         let parts = |offsets: [u64; 2]| offsets.map(|at| adopted[0].range(at, plan.chunk_bytes())).to_vec();
-        for (offsets, problem) in [([2, 1 << 19], "multiple"), ([0, 4096], "overlap")] {
+        for (offsets, problem) in [
+            ([0, (1 << 19) + 2], "chunks[1] (buffer 'planes'): begins at byte 524290"),
+            ([0, 4096], "chunks: they overlap"),
+        ] {
             let error =
                 DeviceScene::from_buffers(&context, plan, parts(offsets), 600).err().expect("refused");
-            assert!(error.to_string().contains(problem), "{error}");
+            assert!(error.to_string().starts_with(problem), "{error}");
         }
         let scene = DeviceScene::from_buffers(&context, plan, adopted, 600).expect("a scene");
         let mut renderer = Renderer::new(&context).expect("kernels");

@@ -118,32 +118,48 @@ fn host_views_that_cannot_be_are_refused() {
     let good = conventions()[0].1;
     good.camera().expect("good");
     let mut bad = vec![
-        ("mirror the picture", HostView { clip_y: ClipY::Up, ..good }),
-        ("not finite", HostView { view_from_world: Mat4::NAN, ..good }),
-        ("no size", HostView { width: 0, ..good }),
-        ("neither perspective nor orthographic", HostView { clip_from_view: Mat4::ZERO, ..good }),
         (
-            "not a rotation",
+            "view_from_world, clip_from_view, clip_y: together they mirror the picture",
+            HostView { clip_y: ClipY::Up, ..good },
+        ),
+        ("view_from_world: row 0, column 0 is NaN", HostView { view_from_world: Mat4::NAN, ..good }),
+        ("width: 0, it may be 1 to", HostView { width: 0, ..good }),
+        ("height: 65536, it may be 1 to", HostView { height: 65_536, ..good }),
+        (
+            "clip_from_view: is neither perspective nor orthographic: its last row is [0, 0, 0, 0], it must",
+            HostView { clip_from_view: Mat4::ZERO, ..good },
+        ),
+        (
+            "view_from_world: [[",
             HostView { view_from_world: Mat4::from_scale(Vec3::splat(2.0)) * good.view_from_world, ..good },
         ),
     ];
     let mut projective = good;
     projective.view_from_world.z_axis.w = 0.2;
-    bad.push(("last row", projective));
+    bad.push(("view_from_world: its last row is [0, 0, 0.2, 1], not", projective));
+    let mut endless = good;
+    endless.clip_from_view.z_axis.y = f32::INFINITY;
+    bad.push(("clip_from_view: row 1, column 2 is inf", endless));
+    let mut far_off = good;
+    far_off.clip_from_view.x_axis.x = f32::MAX;
+    bad.push(("clip_from_view: focal length (inf, ", far_off));
     // The rounding of an inverse is none of it.
     let mut rounded = good;
     rounded.view_from_world.w_axis.w = 0.999_999_9;
     rounded.camera().expect("as good");
     let mut skewed = good;
     skewed.clip_from_view.y_axis.x = 0.1;
-    bad.push(("skewed", skewed));
+    bad.push(("clip_from_view: is skewed or degenerate: row 0, column 1 is 0.1", skewed));
+    let mut flat = good;
+    flat.clip_from_view.y_axis.y = 0.0;
+    bad.push(("clip_from_view: is skewed or degenerate: row 1, column 1 is 0", flat));
     // w of both kinds.
     let mut mixed = good;
     mixed.clip_from_view.w_axis.w = 1.0;
-    bad.push(("neither perspective nor orthographic", mixed));
+    bad.push(("clip_from_view: is neither perspective nor orthographic", mixed));
     for (expected, view) in bad {
         let error = view.camera().expect_err(expected).to_string();
-        assert!(error.contains(expected) && !error.contains('\n'), "{error} (expected {expected})");
+        assert!(error.starts_with(expected) && !error.contains('\n'), "{error} (expected {expected})");
     }
 }
 

@@ -152,7 +152,7 @@ fn viewer_complains_of_nonsense_and_goes_on() {
         (json!({ "type": "dance" }), "not understood"),
         (json!(7), "not understood"),
         (json!({ "type": "view", "seq": 1, "camera": bad }), "pixels"),
-        (view(1, &camera(0.0), &json!({ "scale": -1 })), "scale modifier"),
+        (view(1, &camera(0.0), &json!({ "scale": -1 })), "scale_modifier: is -1"),
         (outside, "outside"),
         (
             json!({ "type": "film", "keys": [], "seconds": 1, "frames_per_second": 1, "width": 9, "height": 9 }),
