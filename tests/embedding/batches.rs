@@ -3,10 +3,12 @@
 use crate::array_image::ArrayImage;
 use crate::cost::record_cost;
 use crate::host::HostOptions;
+use crate::memory::HostBuffer;
+use crate::scenes::planes;
 use crate::stage::{camera, cloud, guest, guest_of_small_bindings, options, rendered, with_host};
 use crate::views::{BLACK, into, render_views};
 use ashsplat::scene::{CutOut, Gaussians, Inside, Pose, Volume};
-use ashsplat::vk::{Context, Image, MemoryKind};
+use ashsplat::vk::{Buffer, Context, Image, MemoryKind};
 use ashsplat::{
     DeviceScene, Placed, RecordedFrame, RenderSettings, Renderer, Reservation, SceneSettings, Selection,
 };
@@ -152,6 +154,48 @@ fn batches_of_instances_are_seen_by_several_views() {
             array.destroy(host);
         });
     }
+}
+
+/// A host's scenes come into a batch as ranges of one adopted buffer. Adopted apart, they are drawn alone, and look the same.
+#[test]
+fn batches_of_a_hosts_buffer_are_of_one_adoption() {
+    with_host(&options(), |host| {
+        let context = guest(host);
+        let clouds: Vec<_> = (0..12).map(|number| cloud(20, number)).collect();
+        let plan = DeviceScene::plan_for(&context, 20, 1).expect("a plan");
+        let stride = plan.chunk_bytes().next_multiple_of(256);
+        let own = HostBuffer::new(host, 12 * stride).expect("memory");
+        // SAFETY: the buffer is the host's, of this size, and outlives the scenes. Uses of what overlaps are apart in time.
+        let adopt = |offset, bytes| unsafe { Buffer::adopt(&context, "scenes", own.raw, offset, bytes) };
+        let whole = adopt(0, 12 * stride).expect("adopted");
+        let scenes = [true, false].map(|together| {
+            let scene = |(number, cloud): (u64, &Gaussians)| {
+                let at = number * stride;
+                let chunk = match together {
+                    true => whole.range(at, stride),
+                    false => adopt(at, stride).expect("adopted"),
+                };
+                context.upload(&chunk, &planes(cloud, plan.chunk_gaussians as usize)).expect("uploaded");
+                DeviceScene::from_buffers(&context, plan, vec![chunk], 20).expect("a scene")
+            };
+            (0..).zip(&clouds).map(scene).collect::<Vec<_>>()
+        });
+        let wanted = Reservation { scenes: 12, ..Reservation::new(12 * 20, 1, 64, 48) };
+        let mut renderer = renderer(&context, &wanted);
+        let (camera, settings) = (camera(0.3, 64, 48), RenderSettings::default());
+        let pictures = [0, 1].map(|which| {
+            let placed = scenes[which].iter().enumerate();
+            let placed: Vec<Placed> = placed.map(|(number, scene)| Placed::at(scene, pose(number))).collect();
+            let pixels = rendered(host, &mut renderer, &RecordedFrame::new(&placed, &camera, &settings));
+            let report = renderer.slot_report(0).expect("a report").expect("finished");
+            assert!(report.visible > 100, "{report:?}");
+            assert_eq!(report.batched_scenes, [12, 0][which]);
+            pixels
+        });
+        assert!(pictures[0] == pictures[1]);
+        drop((renderer, scenes, whole));
+        own.destroy(host);
+    });
 }
 
 /// Batches take nothing from the heap once each slot has recorded a frame with them.

@@ -241,7 +241,7 @@ fn a_hosts_buffers_may_exceed_what_can_be_bound() {
 }
 
 /// The layout that [`DeviceScene`] documents, at SH degree 1.
-fn planes(g: &Gaussians, room: usize) -> Vec<u8> {
+pub fn planes(g: &Gaussians, room: usize) -> Vec<u8> {
     let mut planes = vec![[0.0f32; 4]; 6 * room];
     for i in 0..g.len() {
         let ([x, y, z], [a, b, c]) = (g.means[i], g.log_scales[i]);
