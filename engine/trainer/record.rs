@@ -149,15 +149,17 @@ impl Trainer {
         if !self.recording.slots[index].record.finished()? {
             return Err(Error::argument("slot", "its last recording is still in flight"));
         }
-        if self.maintenance_is_due()? {
-            let problem =
-                "maintenance is due first: wait for the steps in flight, then call Trainer::maintain";
-            return Err(Error::argument("training step", problem));
-        }
+        let is_due = self.maintenance_is_due()?;
         let progress = self.recording.in_flight.back().map_or(self.state.progress, |last| last.after);
         let all = self.run.settings.iterations;
-        if progress.iteration >= all {
+        // Steps behind one that overflowed are recorded again.
+        if progress.iteration >= all && self.recording.overflow.is_none() {
             let problem = format!("the run is over: its settings have {all} iterations");
+            return Err(Error::argument("training step", problem));
+        }
+        if is_due {
+            let problem =
+                "maintenance is due first: wait for the steps in flight, then call Trainer::maintain";
             return Err(Error::argument("training step", problem));
         }
         let plan = self.plan_after(&progress);

@@ -319,7 +319,7 @@ fn bad_steps_are_refused_before_anything_is_recorded() {
     with_host(&options(), |host| {
         let (context, other) = (guest(host), guest(host));
         let quick = TrainSettings { densify_from_iter: 0, densification_interval: 2, ..settings() };
-        let mut training = trainer(&context, quick);
+        let mut training = trainer(&context, quick.clone());
         let in_flight = InFlight::new(host).expect("a command buffer");
         in_flight.begin(host).expect("recording");
         let refused = |training: &mut Trainer, context: &Context, slot: u32, expected: &str| {
@@ -357,6 +357,16 @@ fn bad_steps_are_refused_before_anything_is_recorded() {
         in_flight.submit(host).expect("a submission");
         in_flight.wait(host).expect("done");
         assert_eq!(done(&mut training, 0).iteration, 3);
+
+        // Behind the last step nobody is sent to maintenance first.
+        let mut ending = trainer(&context, TrainSettings { iterations: 2, ..quick });
+        ending.reserve_steps(&StepReservation::default()).expect("memory");
+        assert_eq!([0; 2].map(|_| step(host, &mut ending, &context, &in_flight).iteration), [1, 2]);
+        assert!(ending.maintenance_is_due().expect("an answer"));
+        in_flight.begin(host).expect("recording");
+        refused(&mut ending, &context, 0, "training step: the run is over: its settings have 2 iterations");
+        in_flight.submit(host).expect("a submission");
+        in_flight.wait(host).expect("done");
         in_flight.destroy(host);
     });
 }
