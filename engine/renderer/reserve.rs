@@ -19,8 +19,7 @@ impl Renderer {
     /// the reservation exceeds the device; memory or device failures. After a memory failure no slot is
     /// reserved.
     pub fn reserve(&mut self, wanted: &Reservation) -> Result<()> {
-        self.prepare(wanted)?;
-        self.slots.reserve(&self.context, &self.runner.forward.sizes, wanted, None)
+        self.reserve_by(wanted, None)
     }
 
     /// As [`Renderer::reserve`], with all memory of the device in one block of the host's
@@ -31,8 +30,17 @@ impl Renderer {
     /// # Errors
     /// As [`Renderer::reserve`]; for a block of another device, or one that is too small.
     pub fn reserve_in(&mut self, wanted: &Reservation, block: &Buffer) -> Result<()> {
+        self.reserve_by(wanted, Some(block))
+    }
+
+    fn reserve_by(&mut self, wanted: &Reservation, block: Option<&Buffer>) -> Result<()> {
+        // What is refused is refused before kernels are built, which may take seconds.
+        wanted.check()?;
+        self.slots.check_free()?;
+        let context = self.context.clone();
+        let plan = Plan::new(&context, &self.runner.forward.sizes, wanted, block)?;
         self.prepare(wanted)?;
-        self.slots.reserve(&self.context, &self.runner.forward.sizes, wanted, Some(block))
+        self.slots.reserve(&plan)
     }
 
     /// As [`Renderer::reserve`], while frames are in flight: nobody waits. Every slot takes the new memory over with
@@ -57,8 +65,15 @@ impl Renderer {
     }
 
     fn grow_by(&mut self, wanted: &Reservation, block: Option<&Buffer>) -> Result<()> {
+        wanted.check()?;
+        self.slots.check_growth(wanted)?;
+        if block.is_none() && self.slots.reserved == Some(*wanted) {
+            return self.prepare(wanted);
+        }
+        let context = self.context.clone();
+        let plan = Plan::new(&context, &self.runner.forward.sizes, wanted, block)?;
         self.prepare(wanted)?;
-        self.slots.grow(&self.context, &self.runner.forward.sizes, wanted, block)
+        self.slots.grow(&plan)
     }
 
     /// Bytes of the block that a reservation takes: [`Renderer::reserve_in`].

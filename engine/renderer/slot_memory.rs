@@ -45,9 +45,11 @@ impl SlotMemory {
 
 /// Requests of a reservation, in a host's block if there is one.
 pub(super) struct Plan<'a> {
-    context: &'a Context,
-    wanted: &'a Reservation,
+    pub context: &'a Context,
+    pub wanted: &'a Reservation,
     block: Option<&'a Buffer>,
+    /// Most dispatches of a recording.
+    pub dispatches: usize,
     capacity: FrameCapacity,
     /// Once for each queue, and last what some frames have alone.
     scratch: Requests,
@@ -68,7 +70,7 @@ impl<'a> Plan<'a> {
         block: Option<&'a Buffer>,
     ) -> Result<Self> {
         wanted.check()?;
-        let capacity = wanted.capacity(context, sizes)?;
+        let (dispatches, capacity) = (wanted.dispatches(context)?, wanted.capacity(context, sizes)?);
         let pixels = capacity.pictures.pixels;
         let mut scratch = frame_requests(&capacity, sizes);
         let frame = scratch.len();
@@ -89,7 +91,8 @@ impl<'a> Plan<'a> {
             own.extend(has_depth.then_some(("inverse_depth", pixels * 4)));
         }
         let extra = scratch.len() - frame;
-        let plan = Self { context, wanted, block, capacity, scratch, extra, pixels: own, has_depth };
+        let plan =
+            Self { context, wanted, block, dispatches, capacity, scratch, extra, pixels: own, has_depth };
         block.map_or(Ok(()), |block| check_block(context, block, plan.block_bytes()))?;
         Ok(plan)
     }

@@ -71,41 +71,31 @@ pub(super) struct Slots {
 }
 
 impl Slots {
-    /// Allocates a reservation, which replaces the current one. The memory of the device is a part of the block, if there
-    /// is one.
-    pub fn reserve(
-        &mut self,
-        context: &Context,
-        sizes: &LaunchSizes,
-        wanted: &Reservation,
-        block: Option<&Buffer>,
-    ) -> Result<()> {
-        wanted.check()?;
+    /// Refuses while a frame is in flight.
+    pub fn check_free(&self) -> Result<()> {
         for slot in &self.slots {
             if !slot.record.finished()? {
                 return Err(Error::argument("frame slots", "one is still in flight: wait for it first"));
             }
         }
-        let dispatches = wanted.dispatches(context)?;
-        let plan = Plan::new(context, sizes, wanted, block)?;
-        // The old memory is freed first: both at once might not fit.
-        self.slots.clear();
-        self.reserved = None;
-        for memory in plan.allocate()? {
-            self.slots.push(Slot::new(context, memory, (dispatches, wanted.views))?);
-        }
-        self.reserved = Some(*wanted);
         Ok(())
     }
 
-    /// Allocates another reservation of as many slots, each of which takes it over with its next recording.
-    pub fn grow(
-        &mut self,
-        context: &Context,
-        sizes: &LaunchSizes,
-        wanted: &Reservation,
-        block: Option<&Buffer>,
-    ) -> Result<()> {
+    /// Allocates a reservation, which replaces the current one, while no frame is in flight.
+    pub fn reserve(&mut self, plan: &Plan<'_>) -> Result<()> {
+        // The old memory is freed first: both at once might not fit.
+        self.slots.clear();
+        self.reserved = None;
+        let numbers = (plan.dispatches, plan.wanted.views);
+        for memory in plan.allocate()? {
+            self.slots.push(Slot::new(plan.context, memory, numbers)?);
+        }
+        self.reserved = Some(*plan.wanted);
+        Ok(())
+    }
+
+    /// Refuses a reservation that is no growth of the current one.
+    pub fn check_growth(&self, wanted: &Reservation) -> Result<()> {
         let slots = self.slots.len();
         if wanted.slots as usize != slots {
             let problem =
@@ -118,18 +108,19 @@ impl Slots {
                 format!("views is {}, {views} are reserved: growth keeps their number", wanted.views);
             return Err(Error::argument("reservation", problem));
         }
-        if block.is_none() && self.reserved == Some(*wanted) {
-            return Ok(());
-        }
-        let dispatches = wanted.dispatches(context)?;
-        let memory = Plan::new(context, sizes, wanted, block)?.allocate()?;
+        Ok(())
+    }
+
+    /// Allocates another reservation of as many slots, each of which takes it over with its next recording.
+    pub fn grow(&mut self, plan: &Plan<'_>) -> Result<()> {
+        let memory = plan.allocate()?;
         for slot in &mut self.slots {
-            slot.record.reserve(dispatches)?;
+            slot.record.reserve(plan.dispatches)?;
         }
         for (slot, memory) in self.slots.iter_mut().zip(memory) {
             slot.next = Some(memory);
         }
-        self.reserved = Some(*wanted);
+        self.reserved = Some(*plan.wanted);
         Ok(())
     }
 

@@ -6,7 +6,7 @@ use crate::stage::{adopt, camera, cloud, options, with_host};
 use crate::training::trainer;
 use ashsplat::ash::vk;
 use ashsplat::trainer::StepReservation;
-use ashsplat::vk::{Context, ContextOptions, Fault, Faults, Image, ImageUse};
+use ashsplat::vk::{Context, ContextOptions, Fault, Faults, Image, ImageUse, MemoryKind};
 use ashsplat::{
     DeviceScene, Error, RecordedFrame, RenderSettings, Renderer, Reservation, Result, TrainSettings,
 };
@@ -127,5 +127,51 @@ fn a_run_that_is_over_records_no_step() {
         assert_eq!(trainer.settle().expect("settled"), 0);
         assert_eq!(trainer.iteration(), 3);
         frames.into_iter().for_each(|in_flight| in_flight.destroy(host));
+    });
+}
+
+/// What a reservation has wrong is said before kernels are built for it, which may take seconds.
+#[test]
+fn refused_reservations_build_no_kernels() {
+    with_host(&options(), |host| {
+        let faults = Faults::new();
+        let context = guest(host, &faults).expect("a context");
+        let mut renderer = Renderer::new(&context).expect("kernels");
+        let own = Reservation::new(60, 1, 40, 30);
+        renderer.reserve(&own).expect("memory");
+        let in_flight = InFlight::new(host).expect("a command buffer");
+        in_flight.begin(host).expect("recording");
+        let scene = DeviceScene::upload(&context, &cloud(60, 1), 0).expect("a scene");
+        let (scenes, camera, settings) = ([(&scene).into()], camera(0.3, 40, 30), RenderSettings::default());
+        let frame = RecordedFrame::new(&scenes, &camera, &settings);
+        renderer.record(adopt(&context, &in_flight), 0, &frame).expect("a recording");
+        // Kernels of their own, all of these.
+        let good = Reservation { pick: true, motion: true, tint: true, orthographic: true, ..own };
+        let block = context.allocate("block", &[("small", 256)], MemoryKind::Device).expect("memory");
+        faults.disarm();
+        let refused = |what: &str, error: Result<()>| {
+            let text = error.expect_err(what).to_string();
+            let mut made = faults.objects();
+            made.retain(|function| *function != "get_event_status");
+            assert!(text.contains(what) && made.is_empty(), "{text}: {made:?}");
+        };
+        refused("width and height", renderer.reserve(&Reservation { width: 0, ..good }));
+        refused("in flight", renderer.reserve(&good));
+        refused("in flight", renderer.reserve_in(&good, &block[0]));
+        refused("growth keeps", renderer.grow(&Reservation { slots: 2, ..good }));
+        refused("width and height", renderer.grow(&Reservation { width: 0, ..good }));
+        refused("bytes", renderer.grow_in(&good, &block[0]));
+        in_flight.submit(host).expect("a submission");
+        in_flight.wait(host).expect("done");
+        refused("bytes", renderer.reserve_in(&good, &block[0]));
+        refused("needs", renderer.reserve(&Reservation { gaussians: u32::MAX, ..good }));
+        // The reservation before is still there.
+        in_flight.begin(host).expect("recording");
+        renderer.record(adopt(&context, &in_flight), 0, &frame).expect("a recording");
+        in_flight.submit(host).expect("a submission");
+        in_flight.wait(host).expect("done");
+        renderer.reserve(&good).expect("memory");
+        assert!(faults.objects().contains(&"create_compute_pipelines"), "{:?}", faults.objects());
+        in_flight.destroy(host);
     });
 }
