@@ -262,9 +262,14 @@ fn a_models_cameras_are_a_path_by_name() {
     assert!(first("listed.json") != first("cameras.json"), "not as it was written");
 }
 
+/// And first of all windows, which a program has only if it is built with them.
 #[test]
 fn a_window_needs_something_to_show() {
-    refuse(&["view", "--window"], &["--window", "`ashsplat view --window out/MODEL`"]);
+    let remedy = match cfg!(feature = "window") {
+        true => "`ashsplat view --window out/MODEL`",
+        false => "--features window",
+    };
+    refuse(&["view", "--window"], &["--window", remedy]);
 }
 
 /// However small a scene is, an orbit does not come so near that all of it is culled.

@@ -17,6 +17,7 @@ mod settings;
 mod slots;
 mod structs;
 mod trained;
+mod trainers;
 mod training;
 mod types;
 
@@ -31,6 +32,7 @@ pub use settings::*;
 pub use slots::*;
 pub use structs::{Defaults, STRUCTS};
 pub use trained::*;
+pub use trainers::*;
 pub use training::*;
 pub use types::*;
 
