@@ -3,6 +3,7 @@
 mod cameras;
 mod costs;
 pub mod flight;
+pub mod outputs;
 pub mod truth;
 
 use crate::scene_settings::{HIDDEN, USUAL};

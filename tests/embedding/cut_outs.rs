@@ -1,19 +1,18 @@
 //! Volumes that keep or remove the Gaussians of a scene of a frame.
 
-use crate::auxiliary::flight::{Beside, Flight};
-use crate::auxiliary::truth::{both, shifted};
-use crate::host::{Host, HostOptions, InFlight};
-use crate::memory::HostBuffer;
-use crate::scene_settings::{HIDDEN, SIZE, Stage, USUAL, placed};
+mod at_random;
+
+use crate::host::{HostOptions, InFlight};
+use crate::scene_settings::{HIDDEN, Stage, USUAL};
 use crate::scenes::appended;
-use crate::stage::{adopt, assert_same, camera, cloud, copy_pixels, options, owned, rendered, with_host};
-use ashsplat::kernels::constants::NOT_PICKED;
+use crate::stage::{adopt, assert_same, camera, cloud, options, owned, with_host};
 use ashsplat::scene::{CutOut, Gaussians, Inside, Pose, Volume};
 use ashsplat::vk::MemoryKind;
 use ashsplat::{
     DeviceScene, Error, Placed, RecordedFrame, RenderSettings, Renderer, Reservation, SceneSettings,
     Selection,
 };
+pub use at_random::{HIDES, Random, mapping, parallel};
 use glam::{Mat3, Quat, Vec3};
 
 fn pose(turn: f32, translation: Vec3, scale: f32) -> Pose {
@@ -115,136 +114,6 @@ fn cut_outs_of_the_world_stay_where_they_are() {
             }
         }
     });
-}
-
-/// What a frame in flight has to show.
-struct Awaited {
-    pixels: Vec<[f32; 4]>,
-    /// Picks, motion.
-    wants: [bool; 2],
-    beside: Beside,
-}
-
-/// Scenes that come from somewhere else.
-fn moved(placed: &mut [Placed<'_>], earlier: &[Pose]) {
-    for (placed, pose) in placed.iter_mut().zip(earlier) {
-        placed.previous_pose = Some(*pose);
-    }
-}
-
-/// The index in a scene of each Gaussian that is left of it.
-fn places(part: &Gaussians, left: &Gaussians) -> Vec<u32> {
-    let mut all = (0..).zip(&part.means);
-    left.means.iter().map(|mean| all.find(|(_, own)| *own == mean).expect("of the scene").0).collect()
-}
-
-/// Frame after frame with everything on and off at random, picks and motion too, in the bits of scenes that were filtered
-/// before. Two slots in turn share their memory: the second one is submitted while the first one is in flight.
-fn at_random(host: &Host, frames: u32) {
-    assert!(frames.is_multiple_of(2));
-    let parts = [cloud(200, 1), cloud(150, 2), cloud(120, 3)];
-    let all = [&parts[0], &parts[1], &parts[2]];
-    let wanted = |wanted| both(with_cut_outs(wanted));
-    let mut stage = Stage::new(host, &all, &wanted);
-    let context = stage.renderer.context().clone();
-    let mut plain = Stage::of(host, &context, &all, &wanted);
-    let mut flights = [0; 2].map(|_| Flight::new(host, &context, SIZE));
-    let beside = Flight::new(host, &context, SIZE);
-    // Of all, whichever are left.
-    let bits = context.allocate("selection", &[("mask", 28)], MemoryKind::Device).expect("memory");
-    context.upload(&bits[0], &[0xFF; 28]).expect("uploaded");
-    let selection = Selection { mask: &bits[0], color: [1.0, 0.5, 0.0], share: 0.5 };
-    let mut state = 1u32;
-    let mut below = |most: u32| {
-        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-        (state >> 16) % most
-    };
-    let number = (stage.camera.width * stage.camera.height) as usize;
-    let in_flight = [0; 2].map(|_| InFlight::new(host).expect("a command buffer"));
-    let staging = [0; 2].map(|_| HostBuffer::new(host, 16 * number as u64).expect("memory"));
-    // What a slot's frame has to show.
-    let mut awaited = [const { None::<Awaited> }; 2];
-    let finish = |(slot, flight): (usize, &Flight<'_>), frame: u32, awaited: &mut Option<Awaited>| {
-        let Some(Awaited { pixels: expected, wants, beside }) = awaited.take() else { return };
-        in_flight[slot].wait(host).expect("done");
-        let bytes = staging[slot].read(host, 16 * number).expect("bytes");
-        let pixels: Vec<[f32; 4]> = bytemuck::pod_collect_to_vec(&bytes);
-        assert!(pixels == expected, "frame {frame}");
-        assert!(flight.read(wants) == beside, "beside frame {frame}");
-    };
-    for frame in 0..frames {
-        let sets: Vec<Vec<CutOut>> = (0..3)
-            .map(|_| {
-                let count = below(4);
-                let mut one = |_| {
-                    let cut_out = volumes()[below(3) as usize];
-                    if below(2) == 0 { cut_out } else { removing(cut_out) }
-                };
-                (0..count).map(&mut one).collect()
-            })
-            .collect();
-        let settings: Vec<SceneSettings> = sets
-            .iter()
-            .map(|cut_outs| SceneSettings {
-                visible: below(4) > 0,
-                tint: [[1.0; 3], [0.5, 1.5, 1.0]][below(2) as usize],
-                opacity: [1.0, 0.5, 0.0][below(3) as usize],
-                sh_degree: [None, Some(0), Some(3)][below(3) as usize],
-                cut_outs,
-                selection: [None, Some(selection)][below(2) as usize],
-            })
-            .collect();
-        let left: Vec<_> = parts.iter().zip(&sets).map(|(part, set)| filtered(part, set)).collect();
-        let upload = |part: &Gaussians| DeviceScene::upload(&context, part, 0).expect("a scene");
-        plain.scenes = left.iter().map(upload).collect();
-        let without: Vec<_> = settings.iter().map(|own| SceneSettings { cut_outs: &[], ..*own }).collect();
-        let wants = [(); 2].map(|()| below(2) > 0);
-        let before = shifted(&stage.camera, [below(9) as f32 * 0.01, 0.0, 0.02]);
-        let earlier = [(); 3].map(|()| pose(0.01 * below(9) as f32, Vec3::ZERO, 1.0));
-        let mut of_left = placed(&plain.scenes, &[], &without);
-        moved(&mut of_left, &earlier);
-        let drawn = beside.with(RecordedFrame::new(&of_left, &plain.camera, &plain.frame), &before, wants);
-        let pixels = rendered(host, &mut plain.renderer, &drawn);
-        let (mut picks, motions) = beside.now(wants);
-        let places: Vec<_> = parts.iter().zip(&left).map(|(part, left)| places(part, left)).collect();
-        for [gaussian, scene, ..] in picks.iter_mut().filter(|pick| pick[1] != NOT_PICKED) {
-            *gaussian = places[*scene as usize][*gaussian as usize];
-        }
-        // Both are submitted at once, so that nobody waits between them.
-        let slot = (frame % 2) as usize;
-        finish((slot, &flights[slot]), frame.wrapping_sub(2), &mut awaited[slot]);
-        in_flight[slot].begin(host).expect("recording");
-        let mut all = placed(&stage.scenes, &[], &settings);
-        moved(&mut all, &earlier);
-        let drawn = RecordedFrame::new(&all, &stage.camera, &stage.frame);
-        let drawn = flights[slot].with(drawn, &before, wants);
-        stage.renderer.record(adopt(&context, &in_flight[slot]), slot as u32, &drawn).expect("a recording");
-        flights[slot].record_read(&in_flight[slot], wants);
-        copy_pixels(host, &mut stage.renderer, slot as u32, &in_flight[slot], &staging[slot], number);
-        awaited[slot] = Some(Awaited { pixels, wants, beside: (picks, motions) });
-        if slot == 1 {
-            in_flight.iter().for_each(|frame| frame.submit(host).expect("a submission"));
-        }
-    }
-    for frame in frames.saturating_sub(2)..frames {
-        let slot = (frame % 2) as usize;
-        finish((slot, &flights[slot]), frame, &mut awaited[slot]);
-    }
-    drop((stage, plain));
-    flights.into_iter().chain([beside]).for_each(Flight::destroy);
-    in_flight.into_iter().for_each(|frame| frame.destroy(host));
-    staging.into_iter().for_each(|staging| staging.destroy(host));
-}
-
-#[test]
-fn settings_of_scenes_change_from_frame_to_frame() {
-    with_host(&options(), |host| at_random(host, 200));
-}
-
-#[test]
-#[ignore = "200 of them are enough for each change"]
-fn settings_of_scenes_change_a_thousand_times() {
-    with_host(&options(), |host| at_random(host, 1000));
 }
 
 /// Milliseconds of culling, of projection and of all, of frames that draw the same Gaussians: medians, taken in turn.

@@ -1,0 +1,322 @@
+//! Frame after frame with everything on and off at random: what scenes are drawn with, where to, and what lies beside.
+
+use super::{filtered, pose, removing, volumes, with_cut_outs};
+use crate::auxiliary::flight::{Beside, Flight};
+use crate::auxiliary::outputs::{Outputs, Seen, Wanted};
+use crate::auxiliary::truth::{both, shifted};
+use crate::host::{Host, InFlight};
+use crate::memory::HostBuffer;
+use crate::scene_settings::{SIZE, Stage, placed};
+use crate::stage::{adopt, cloud, copy_pixels, options, with_host};
+use ashsplat::kernels::constants::NOT_PICKED;
+use ashsplat::scene::{CutOut, DepthMapping, Gaussians, Pose, Projection};
+use ashsplat::vk::{Context, MemoryKind};
+use ashsplat::{
+    Background, Camera, ColorEncoding, DeviceScene, Placed, RecordedFrame, RenderSettings, Renderer,
+    Reservation, SceneSettings, Selection, Update,
+};
+use glam::Vec3;
+
+/// Scenes that are drawn alone, and small ones in one buffer, which come into batches.
+const LARGE: usize = 3;
+const SMALL: usize = 9;
+/// Gaussians of an update, at most.
+const MOST: u32 = 12;
+/// The value of the host's depth, and the z that is meant.
+pub const HIDES: (f32, f32) = (0.25, 4.0);
+
+pub struct Random(pub u32);
+
+impl Random {
+    pub fn below(&mut self, most: u32) -> u32 {
+        self.0 = self.0.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        (self.0 >> 16) % most
+    }
+}
+
+/// A camera with parallel rays where one with a pinhole stands.
+pub fn parallel(camera: &Camera) -> Camera {
+    let half = camera.width as f32 / 5.0;
+    Camera { projection: Projection::Orthographic, fx: half, fy: half, ..*camera }
+}
+
+/// What hides all that is farther than the middle.
+pub fn mapping(camera: &Camera) -> DepthMapping {
+    let (value, z) = HIDES;
+    let linear = camera.is_orthographic();
+    let scale = if linear { z / value } else { 1.0 / (z * value) };
+    DepthMapping { scale, offset: 0.0, clear_value: 1.0, linear }
+}
+
+/// What a frame has beside its scenes.
+struct Wants<'a> {
+    outputs: Wanted,
+    /// Picks, motion.
+    beside: [bool; 2],
+    before: &'a Camera,
+}
+
+/// What a frame shows: the slot's pixels, or images.
+#[derive(PartialEq)]
+struct Shown {
+    pixels: Vec<[f32; 4]>,
+    outputs: Seen,
+    beside: Beside,
+}
+
+/// A command buffer, and all that its frame writes.
+struct Shot<'a> {
+    host: &'a Host,
+    in_flight: InFlight,
+    staging: HostBuffer,
+    flight: Flight<'a>,
+    outputs: Outputs<'a>,
+    slot: u32,
+}
+
+type Awaited = (Shown, Wanted, [bool; 2]);
+
+const PIXELS: usize = (SIZE[0] * SIZE[1]) as usize;
+
+impl<'a> Shot<'a> {
+    fn new(host: &'a Host, context: &Context, slot: u32) -> Self {
+        let in_flight = InFlight::new(host).expect("a command buffer");
+        let staging = HostBuffer::new(host, 16 * PIXELS as u64).expect("memory");
+        let flight = Flight::new(host, context, SIZE);
+        Self { host, in_flight, staging, flight, outputs: Outputs::new(host, context, SIZE, HIDES.0), slot }
+    }
+
+    fn record(&mut self, renderer: &mut Renderer, frame: RecordedFrame<'_>, wants: &Wants<'_>) {
+        let Self { host, in_flight, flight, outputs, slot, .. } = self;
+        in_flight.begin(host).expect("recording");
+        outputs.record_clear(in_flight, &wants.outputs);
+        let drawn = outputs.with(frame, &wants.outputs);
+        let drawn = flight.with(drawn, wants.before, wants.beside);
+        let commands = adopt(renderer.context(), in_flight);
+        let release = renderer.record(commands, *slot, &drawn).expect("a recording");
+        flight.record_read(in_flight, wants.beside);
+        outputs.record_read(in_flight, &wants.outputs, &release);
+        if wants.outputs.target.is_none() {
+            copy_pixels(host, renderer, *slot, in_flight, &self.staging, PIXELS);
+        }
+    }
+
+    fn submit(&self) {
+        self.in_flight.submit(self.host).expect("a submission");
+    }
+
+    fn finish(&self, outputs: &Wanted, beside: [bool; 2]) -> Shown {
+        self.in_flight.wait(self.host).expect("done");
+        let bytes = match outputs.target {
+            None => self.staging.read(self.host, 16 * PIXELS).expect("bytes"),
+            Some(_) => Vec::new(),
+        };
+        let pixels = bytemuck::pod_collect_to_vec(&bytes);
+        Shown { pixels, outputs: self.outputs.read(outputs), beside: self.flight.read(beside) }
+    }
+
+    fn destroy(self) {
+        self.flight.destroy();
+        self.outputs.destroy();
+        self.in_flight.destroy(self.host);
+        self.staging.destroy(self.host);
+    }
+}
+
+/// Some of a scene's Gaussians give way to others.
+fn replace(part: &mut Gaussians, first: usize, new: &Gaussians) {
+    let end = first + new.len();
+    part.means[first..end].copy_from_slice(&new.means);
+    part.quats[first..end].copy_from_slice(&new.quats);
+    part.log_scales[first..end].copy_from_slice(&new.log_scales);
+    part.opacity_logits[first..end].copy_from_slice(&new.opacity_logits);
+    part.sh[4 * first..4 * end].copy_from_slice(&new.sh);
+}
+
+/// The index in a scene of each Gaussian that is left of it.
+fn places(part: &Gaussians, left: &Gaussians) -> Vec<u32> {
+    let mut all = (0..).zip(&part.means);
+    left.means.iter().map(|mean| all.find(|(_, own)| *own == mean).expect("of the scene").0).collect()
+}
+
+/// Cut-outs of each scene. The small ones have some or none together.
+fn cut_outs(random: &mut Random) -> Vec<Vec<CutOut>> {
+    let are_cut = random.below(2) > 0;
+    let mut set = |scene: usize| {
+        let count = if scene < LARGE { random.below(4) } else { u32::from(are_cut) };
+        let mut one = |_| {
+            let cut_out = volumes()[random.below(3) as usize];
+            if random.below(2) == 0 { cut_out } else { removing(cut_out) }
+        };
+        (0..count).map(&mut one).collect()
+    };
+    (0..LARGE + SMALL).map(&mut set).collect()
+}
+
+/// Settings of each scene. Most small ones are alike in their kinds.
+fn scene_settings<'a>(
+    random: &mut Random,
+    sets: &'a [Vec<CutOut>],
+    selection: Selection<'a>,
+) -> Vec<SceneSettings<'a>> {
+    let are_tinted = random.below(2) as usize;
+    let settings = |(scene, cut_outs): (usize, &'a Vec<CutOut>)| {
+        let mut of_three = |is_large: bool| if is_large { random.below(3) } else { 0 };
+        let is_large = scene < LARGE;
+        let (opacity, degree) = (of_three(is_large), of_three(is_large));
+        let tinted = if is_large { random.below(2) as usize } else { are_tinted };
+        SceneSettings {
+            visible: random.below(4) > 0 || !is_large,
+            tint: [[1.0; 3], [0.5, 1.5, 1.0]][tinted],
+            opacity: [1.0, 0.5, 0.0][opacity as usize],
+            sh_degree: [None, Some(0), Some(3)][degree as usize],
+            cut_outs,
+            selection: (random.below(2) > 0 && is_large).then_some(selection),
+        }
+    };
+    sets.iter().enumerate().map(settings).collect()
+}
+
+fn outputs(random: &mut Random, camera: &Camera) -> Wanted {
+    let behind = [Background::Nothing, Background::Color([0.5, 0.25, 0.75]), Background::Image];
+    let encodings = [
+        ColorEncoding::AsTrained,
+        ColorEncoding::LINEAR,
+        ColorEncoding::LinearSrgb { exposure: 0.5 + random.below(4) as f32 },
+    ];
+    let image = (behind[random.below(3) as usize], encodings[random.below(3) as usize]);
+    Wanted {
+        target: (random.below(2) > 0).then_some(image),
+        depth: random.below(3) == 0,
+        occluder: (random.below(3) == 0).then(|| mapping(camera)),
+    }
+}
+
+fn render_settings(random: &mut Random) -> RenderSettings {
+    RenderSettings {
+        antialias: random.below(3) == 0,
+        inverse_depth: random.below(4) == 0,
+        filter_3d: random.below(4) == 0,
+        sh_degree: (random.below(4) == 0).then_some(0),
+        // Which no frame looks at.
+        background: [f32::NAN; 3],
+        ..RenderSettings::default()
+    }
+}
+
+/// In the bits of scenes that were filtered before, each in a buffer of its own. Two slots in turn share their memory: the second one is
+/// submitted while the first one is in flight.
+fn at_random(host: &Host, frames: u32) {
+    assert!(frames.is_multiple_of(2));
+    let mut parts = vec![cloud(200, 1), cloud(150, 2), cloud(120, 3)];
+    parts.extend((0..SMALL as u32).map(|seed| cloud(16, 10 + seed)));
+    let all: Vec<&Gaussians> = parts.iter().collect();
+    let wanted = |wanted| Reservation {
+        cut_outs: 40,
+        expected_depth: true,
+        inverse_depth: true,
+        filter_3d: true,
+        orthographic: true,
+        staging_bytes: Reservation::update_bytes(MOST, 1),
+        ..both(with_cut_outs(wanted))
+    };
+    let mut stage = Stage::new(host, &all, &wanted);
+    let context = stage.renderer.context().clone();
+    stage.scenes.truncate(LARGE);
+    stage.scenes.extend(DeviceScene::upload_all(&context, &all[LARGE..]).expect("scenes"));
+    let mut plain = Stage::of(host, &context, &all, &wanted);
+    let mut shots = [0, 1].map(|slot| Shot::new(host, &context, slot));
+    let mut apart = Shot::new(host, &context, 0);
+    // Of all, whichever are left.
+    let bits = context.allocate("selection", &[("mask", 28)], MemoryKind::Device).expect("memory");
+    context.upload(&bits[0], &[0xFF; 28]).expect("uploaded");
+    let selection = Selection { mask: &bits[0], color: [1.0, 0.5, 0.0], share: 0.5 };
+    let mut random = Random(1);
+    // What a slot's frame has to show.
+    let mut awaited = [const { None::<Awaited> }; 2];
+    let mut batched = 0;
+    let mut finish = |shot: &Shot<'_>, frame: u32, awaited: &mut Option<Awaited>, renderer: &mut Renderer| {
+        let Some((expected, outputs, beside)) = awaited.take() else { return };
+        let shown = shot.finish(&outputs, beside);
+        assert!(shown.pixels == expected.pixels, "frame {frame}");
+        assert!(shown.outputs == expected.outputs, "images of frame {frame}");
+        assert!(shown.beside == expected.beside, "beside frame {frame}");
+        let report = renderer.slot_report(shot.slot).expect("a report").expect("finished");
+        assert!(!report.overflow, "frame {frame}: {report:?}");
+        batched += report.batched_scenes;
+    };
+    for frame in 0..frames {
+        // Both are submitted at once, so that nobody waits between them.
+        let slot = (frame % 2) as usize;
+        finish(&shots[slot], frame.wrapping_sub(2), &mut awaited[slot], &mut stage.renderer);
+        let changed = random.below(parts.len() as u32) as usize;
+        let new = cloud(random.below(MOST + 1) as usize, 100 + frame);
+        let first = random.below((parts[changed].len() - new.len()) as u32 + 1);
+        let is_updated = random.below(3) == 0;
+        if is_updated {
+            replace(&mut parts[changed], first as usize, &new);
+        }
+        let sets = cut_outs(&mut random);
+        let settings = scene_settings(&mut random, &sets, selection);
+        let camera = if random.below(3) == 0 { parallel(&stage.camera) } else { stage.camera };
+        let before = shifted(&camera, [random.below(9) as f32 * 0.01, 0.0, 0.02]);
+        let before = if random.below(4) == 0 { parallel(&before) } else { before };
+        let own = render_settings(&mut random);
+        let wants = Wants {
+            outputs: outputs(&mut random, &camera),
+            beside: [(); 2].map(|()| random.below(3) == 0),
+            before: &before,
+        };
+        let earlier: Vec<Pose> =
+            parts.iter().map(|_| pose(0.01 * random.below(9) as f32, Vec3::ZERO, 1.0)).collect();
+        let left: Vec<_> = parts.iter().zip(&sets).map(|(part, set)| filtered(part, set)).collect();
+        let upload = |part: &Gaussians| DeviceScene::upload(&context, part, 0).expect("a scene");
+        plain.scenes = left.iter().map(upload).collect();
+        let without: Vec<_> = settings.iter().map(|own| SceneSettings { cut_outs: &[], ..*own }).collect();
+        let of_left = come_from(placed(&plain.scenes, &[], &without), &earlier);
+        apart.record(&mut plain.renderer, RecordedFrame::new(&of_left, &camera, &own), &wants);
+        apart.submit();
+        let mut expected = apart.finish(&wants.outputs, wants.beside);
+        let places: Vec<_> = parts.iter().zip(&left).map(|(part, left)| places(part, left)).collect();
+        for [gaussian, scene, ..] in expected.beside.0.iter_mut().filter(|pick| pick[1] != NOT_PICKED) {
+            *gaussian = places[*scene as usize][*gaussian as usize];
+        }
+
+        let all = come_from(placed(&stage.scenes, &[], &settings), &earlier);
+        let updates = [Update { scene: &stage.scenes[changed], first, gaussians: &new }];
+        let drawn = RecordedFrame {
+            updates: if is_updated { &updates } else { &[] },
+            ..RecordedFrame::new(&all, &camera, &own)
+        };
+        shots[slot].record(&mut stage.renderer, drawn, &wants);
+        awaited[slot] = Some((expected, wants.outputs, wants.beside));
+        if slot == 1 {
+            shots.iter().for_each(Shot::submit);
+        }
+    }
+    for slot in 0..2 {
+        finish(&shots[slot], frames - 2 + slot as u32, &mut awaited[slot], &mut stage.renderer);
+    }
+    assert!(batched > frames, "{batched} scenes in batches");
+    drop((stage, plain));
+    shots.into_iter().chain([apart]).for_each(Shot::destroy);
+}
+
+/// Scenes that come from somewhere else.
+fn come_from<'a>(mut placed: Vec<Placed<'a>>, earlier: &[Pose]) -> Vec<Placed<'a>> {
+    for (placed, pose) in placed.iter_mut().zip(earlier) {
+        placed.previous_pose = Some(*pose);
+    }
+    placed
+}
+
+#[test]
+fn settings_of_scenes_change_from_frame_to_frame() {
+    with_host(&options(), |host| at_random(host, 60));
+}
+
+#[test]
+#[ignore = "60 of them are enough for each change"]
+fn settings_of_scenes_change_a_thousand_times() {
+    with_host(&options(), |host| at_random(host, 1000));
+}
