@@ -12,7 +12,7 @@ use ashsplat::{
     DeviceScene, Error, Placed, RecordedFrame, RenderSettings, Renderer, Reservation, SceneSettings,
     Selection,
 };
-pub use at_random::{HIDES, Random, mapping, parallel};
+pub use at_random::{HIDES, Kinds, Random, mapping, parallel};
 use glam::{Mat3, Quat, Vec3};
 
 fn pose(turn: f32, translation: Vec3, scale: f32) -> Pose {
