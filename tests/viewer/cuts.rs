@@ -114,7 +114,8 @@ fn viewer_pages_cut_for_themselves() {
     // Nonsense is answered in words.
     for cut in [json!({ "min_opacity": 7 }), json!({ "min_density": -1 })] {
         one.send(&view(1, &camera, &json!({ "cut": cut })));
-        assert!(one.wait_for_problem().contains("least"), "{cut}");
+        let problem = one.wait_for_problem();
+        assert!(problem.contains("cut.min_"), "{cut}: {problem}");
     }
     one.send(&view(1, &camera, &json!({ "cut": { "low": [1, 2] } })));
     assert!(one.wait_for_problem().contains("not understood"));

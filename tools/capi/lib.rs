@@ -9,6 +9,7 @@ mod auxiliary;
 mod foreign;
 mod frames;
 mod kernels;
+mod names;
 mod queue_lock;
 mod recorded_frames;
 mod scene_settings;
@@ -26,6 +27,7 @@ pub use auxiliary::*;
 pub use foreign::*;
 pub use frames::*;
 pub use kernels::*;
+pub use names::CALLS;
 pub use scene_settings::*;
 pub use scenes::*;
 pub use settings::*;
@@ -79,7 +81,7 @@ thread_local! {
 fn guarded(f: impl FnOnce() -> Result<()>) -> AshsplatStatus {
     let (status, message) = match catch_unwind(AssertUnwindSafe(f)) {
         Ok(Ok(())) => return AshsplatStatus::Ok,
-        Ok(Err(error)) => (status_of(&error), said_in_c(error)),
+        Ok(Err(error)) => (status_of(&error), names::said_in_c(error)),
         Err(panic) => {
             let text = panic.downcast_ref::<String>().cloned();
             let text = text.or_else(|| panic.downcast_ref::<&str>().map(|s| (*s).to_owned()));
@@ -89,40 +91,6 @@ fn guarded(f: impl FnOnce() -> Result<()>) -> AshsplatStatus {
     let message = CString::new(message.replace('\0', " ")).unwrap_or_default();
     LAST_ERROR.with(|last| *last.borrow_mut() = message);
     status
-}
-
-/// What messages call arguments, and what these are called here.
-const ARGUMENTS: [(&str, &str); 4] = [
-    ("command buffer", "commands"),
-    ("frame slot", "slot"),
-    ("step slot", "slot"),
-    ("training steps", "trainer"),
-];
-
-/// Calls that messages advise, and what these are called here.
-#[doc(hidden)]
-pub const CALLS: [(&str, &str); 6] = [
-    ("Context::new", "ashsplat_context_new"),
-    ("DeviceScene::plan_for", "ashsplat_scene_plan"),
-    ("Renderer::reserve", "ashsplat_reserve"),
-    ("Trainer::maintain", "ashsplat_trainer_maintain"),
-    ("Trainer::reserve_steps", "ashsplat_trainer_reserve"),
-    ("Trainer::settle", "ashsplat_trainer_maintain"),
-];
-
-/// A message with the names that a caller in C knows.
-fn said_in_c(error: Error) -> String {
-    let error = match error {
-        Error::Argument { what, problem } => {
-            let own = ARGUMENTS.iter().find(|(rust, _)| *rust == what).map(|(_, c)| (*c).to_owned());
-            Error::argument(own.unwrap_or(what), problem)
-        }
-        other => other,
-    };
-    // Longer names first: one may begin another.
-    let mut calls = CALLS;
-    calls.sort_by_key(|(rust, _)| std::cmp::Reverse(rust.len()));
-    calls.iter().fold(error.to_string(), |said, (rust, c)| said.replace(rust, c))
 }
 
 fn status_of(error: &Error) -> AshsplatStatus {

@@ -1,9 +1,7 @@
 //! Training in C: steps that submit and wait, and steps in a host's command buffer.
 
 use super::structs::{check_room, write, write_if};
-use super::{
-    AshsplatRelease, AshsplatScene, AshsplatStatus, borrowed, borrowed_mut, give, guarded, take,
-};
+use super::{AshsplatRelease, AshsplatScene, AshsplatStatus, borrowed, borrowed_mut, give, guarded, take};
 use ashsplat::ash::{vk, vk::Handle};
 use ashsplat::trainer::{Maintenance, StepOutcome, StepReservation};
 use ashsplat::{StepReport, Trainer};
