@@ -192,7 +192,7 @@ fn at_random(host: &Host, kinds: Kinds, frames: u32) {
             .collect();
         // Those that are left have a recording each: all layers are drawn. And each alone, by the other renderer.
         let first = if is_pair { 2 } else { 1 + below(MOST) as usize };
-        let of_together = (first..views.len()).map(|view| view..view + 1).chain([0..first]);
+        let of_together = (first..views.len()).map(|view| view..view + 1).chain(std::iter::once(0..first));
         for group in of_together {
             screens.render(host, &mut together, (&views, group, 0));
         }
