@@ -220,15 +220,11 @@ fn at_random(host: &Host, kinds: Kinds, frames: u32) {
 
 #[test]
 fn views_change_from_frame_to_frame() {
-    with_host(&options(), |host| {
-        for kinds in [Kinds::SURFACES, Kinds::TOOLS] {
-            at_random(host, kinds, 16);
-        }
-    });
+    with_host(&options(), |host| at_random(host, Kinds::TOOLS, 16));
 }
 
 #[test]
-#[ignore = "32 of them are enough for CI"]
+#[ignore = "16 of them, without occluders and depth, are enough for CI"]
 fn views_change_a_thousand_times() {
     with_host(&options(), |host| at_random(host, Kinds::ALL, 1000));
 }
