@@ -1169,8 +1169,8 @@ enum AshsplatStatus ashsplat_trainer_cameras(const struct AshsplatTrainer *train
                                              struct AshsplatCamera *cameras,
                                              uint32_t count);
 
-// The exposures of the views in their order, with the setting exposure: three rows of four floats each, which make a photograph's
-// colour of a rendered one (r, g, b, 1). `exposures` has room for 12 `count` floats; `count` must be the number of views. Submits and
+// The exposures of the views in their order, with the setting exposure: three rows E of four floats each. A photograph's colour is
+// out_c = sum over k of in_k E[k][c] + E[c][3] of the rendered one. `exposures` has room for 12 `count` floats; `count` must be the number of views. Submits and
 // waits.
 //
 // # Safety

@@ -23,10 +23,10 @@ pub unsafe extern "C" fn ashsplat_trainer_save(
         let antialiased = trainer.settings().antialiasing;
         let options = splats::WriteOptions { antialiased, ..Default::default() };
         let filters = trainer.filters()?;
-        let is_ply =
-            path.to_lowercase().ends_with(".ply") && !path.to_lowercase().ends_with(".compressed.ply");
-        match (filters.is_empty(), is_ply) {
-            (false, true) => ply::write_filtered(path, &trainer.gaussians()?, &filters, antialiased),
+        match splats::Format::of_extension(path)? {
+            splats::Format::Ply if !filters.is_empty() => {
+                ply::write_filtered(path, &trainer.gaussians()?, &filters, antialiased)
+            }
             _ => splats::write(path, &trainer.baked_gaussians()?, &options),
         }
     })
@@ -62,7 +62,7 @@ pub unsafe extern "C" fn ashsplat_trainer_cameras(
     // SAFETY: as promised.
     guarded(|| unsafe {
         let all = borrowed(trainer, "trainer")?.0.cameras()?;
-        check_count(count, all.len(), "views")?;
+        check_count(count, all.len())?;
         if cameras.is_null() {
             return Err(Error::argument("cameras", "the pointer is null"));
         }
@@ -72,8 +72,8 @@ pub unsafe extern "C" fn ashsplat_trainer_cameras(
     })
 }
 
-/// The exposures of the views in their order, with the setting exposure: three rows of four floats each, which make a photograph's
-/// colour of a rendered one (r, g, b, 1). `exposures` has room for 12 `count` floats; `count` must be the number of views. Submits and
+/// The exposures of the views in their order, with the setting exposure: three rows E of four floats each. A photograph's colour is
+/// out_c = sum over k of in_k E[k][c] + E[c][3] of the rendered one. `exposures` has room for 12 `count` floats; `count` must be the number of views. Submits and
 /// waits.
 ///
 /// # Safety
@@ -112,10 +112,10 @@ pub unsafe extern "C" fn ashsplat_trainer_lens_effects(
     })
 }
 
-fn check_count(count: u32, wanted: usize, of: &str) -> Result<()> {
-    match count as usize == wanted {
+fn check_count(count: u32, views: usize) -> Result<()> {
+    match count as usize == views {
         true => Ok(()),
-        false => Err(Error::argument("count", format!("is {count}, there are {wanted} {of}"))),
+        false => Err(Error::argument("count", format!("is {count}, there are {views} views"))),
     }
 }
 
@@ -129,7 +129,7 @@ unsafe fn give_rows(
     if rows.is_empty() {
         return Err(Error::argument(setting, "is not set: nothing of it is learned"));
     }
-    check_count(count, rows.len(), "views")?;
+    check_count(count, rows.len())?;
     if to.is_null() {
         return Err(Error::argument(name, "the pointer is null"));
     }
