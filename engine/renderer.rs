@@ -173,10 +173,10 @@ impl Renderer {
     /// empty.
     ///
     /// # Errors
-    /// [`Error::Argument`] for scenes of another device and for different SH degrees; allocation failures.
+    /// [`Error::Argument`] for scenes of another context and for different SH degrees; allocation failures.
     pub fn set_scenes(&mut self, scenes: &[DeviceScene]) -> Result<()> {
-        if scenes.iter().any(|scene| !scene.belongs_to(&self.context)) {
-            return Err(Error::argument("scenes", "one belongs to another device"));
+        if let Some(index) = scenes.iter().position(|scene| !scene.belongs_to(&self.context)) {
+            return Err(Error::argument(format!("scenes[{index}]"), check::ELSEWHERE));
         }
         let degrees = scenes.iter().map(|scene| scene.plan().sh_degree);
         if let (Some(least), Some(most)) = (degrees.clone().min(), degrees.max())
@@ -284,7 +284,7 @@ impl Renderer {
     /// Renders a scene on the device, and no others.
     ///
     /// # Errors
-    /// [`Error::Argument`] for a scene of another device or an invalid camera; memory or device failures.
+    /// [`Error::Argument`] for a scene of another context or an invalid camera; memory or device failures.
     pub fn render_scene(
         &mut self,
         scene: &DeviceScene,
@@ -292,7 +292,7 @@ impl Renderer {
         settings: &RenderSettings,
     ) -> Result<Frame> {
         if !scene.belongs_to(&self.context) {
-            return Err(Error::argument("scene", "it belongs to another device"));
+            return Err(Error::argument("scene", check::ELSEWHERE));
         }
         self.runner.alone(|runner| runner.render(&scene.buffers, camera, settings))
     }

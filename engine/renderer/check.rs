@@ -100,7 +100,7 @@ impl Renderer {
             let bad = |problem: &str| Err(Error::argument(field_of(field, host), problem.to_owned()));
             let [[x, y], [width, height]] = [host.offset, host.image.size()];
             if !host.image.belongs_to(context) {
-                return bad("it belongs to another device");
+                return bad("it belongs to another context");
             }
             if host.image.purpose() != purpose {
                 return bad(&format!("it was not adopted for {purpose:?}"));
@@ -212,6 +212,10 @@ fn check_is_defined(field: &str, host: &HostImage<'_>) -> Result<()> {
     Err(Error::argument(field_of(field, host), problem))
 }
 
+/// What is said of a scene that does not belong to the renderer's context.
+pub(super) const ELSEWHERE: &str =
+    "it belongs to another context: on the same VkDevice, DeviceScene::in_context gives one of this";
+
 /// Checks a scene of a frame, which evaluates this SH degree of it.
 #[inline]
 fn check_scene(
@@ -221,7 +225,7 @@ fn check_scene(
     reserved: &Reservation,
 ) -> Result<()> {
     if !placed.scene.belongs_to(context) {
-        return Err(Error::argument(format!("scenes[{index}].scene"), "it belongs to another device"));
+        return Err(Error::argument(format!("scenes[{index}].scene"), ELSEWHERE));
     }
     placed.pose.check().map_err(|error| error.within(format_args!("scenes[{index}]")))?;
     if let Some(pose) = &placed.previous_pose {
@@ -243,7 +247,7 @@ fn check_scene(
 fn check_mask(mask: &Buffer, gaussians: u32, context: &Context) -> Result<()> {
     let bad = |problem| Err(Error::argument(format!("selection.mask (buffer '{}')", mask.name()), problem));
     if !mask.belongs_to(context) {
-        return bad("it belongs to another device".to_owned());
+        return bad("it belongs to another context".to_owned());
     }
     let bytes = 4 * u64::from(gaussians.div_ceil(32));
     match mask.bytes() < bytes {
@@ -259,7 +263,7 @@ fn check_updates(updates: &[Update<'_>], context: &Context, reserved: &Reservati
         let shapes = update.gaussians.check_shapes();
         shapes.map_err(|error| error.within(format_args!("updates[{index}].gaussians")))?;
         if !update.scene.belongs_to(context) {
-            return Err(Error::argument(format!("updates[{index}].scene"), "it belongs to another device"));
+            return Err(Error::argument(format!("updates[{index}].scene"), ELSEWHERE));
         }
         let count = update.gaussians.len() as u64;
         if u64::from(update.first) + count > u64::from(plan.capacity) {

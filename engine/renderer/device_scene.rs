@@ -95,7 +95,7 @@ impl DeviceScene {
     ///
     /// # Errors
     /// [`Error::Argument`] for a plan that is not [`DeviceScene::plan_for`] this device; for too few or too
-    /// small buffers; for buffers of another device, with an unaligned offset, or that overlap; for more
+    /// small buffers; for buffers of another context, with an unaligned offset, or that overlap; for more
     /// Gaussians than the plan's capacity.
     pub fn from_buffers(context: &Context, plan: ScenePlan, chunks: Vec<Buffer>, count: u32) -> Result<Self> {
         let bad = |field: &str, problem: String| Err(Error::argument(field, problem));
@@ -114,7 +114,7 @@ impl DeviceScene {
         for (index, chunk) in chunks.iter().enumerate() {
             let bad = |problem| bad(&format!("chunks[{index}] (buffer '{}')", chunk.name()), problem);
             if !chunk.belongs_to(context) {
-                return bad("it belongs to another device".into());
+                return bad("it belongs to another context".into());
             }
             if chunk.bytes() < chunk_bytes {
                 return bad(format!("has {} bytes, not {chunk_bytes}", chunk.bytes()));

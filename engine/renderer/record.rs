@@ -210,7 +210,7 @@ impl Renderer {
     ///
     /// # Errors
     /// [`Error::Argument`](crate::Error::Argument) for a slot that is not reserved or still in flight; for commands,
-    /// scenes or images of another device; for an invalid camera or pose; for images with a wrong format, usage, size
+    /// scenes or images of another context; for an invalid camera or pose; for images with a wrong format, usage, size
     /// or layout; for numbers that are not finite; and for kernels that [`Renderer::reserve`] has not built.
     /// [`Error::TooLarge`](crate::Error::TooLarge) for what exceeds the reservation;
     /// [`Error::DeviceLost`](crate::Error::DeviceLost) after a loss that the context has noticed.

@@ -36,8 +36,8 @@ pub struct Reservation {
     pub width: u32,
     /// Height of the largest picture, pixels: see [`Reservation::width`].
     pub height: u32,
-    /// Passes of blending. More than one is only needed if a driver's limit on loops cuts off very long
-    /// tiles.
+    /// Passes of blending; 0 for an estimate: 1, or 2 where the driver bounds loops and a tile may have more entries than a pass
+    /// takes. [`SlotReport`] has the number that a frame needs.
     pub blend_passes: u32,
     /// Whether frames will render the sum of weights / z.
     pub inverse_depth: bool,
@@ -84,7 +84,7 @@ impl Reservation {
             instances: 0,
             width,
             height,
-            blend_passes: 1,
+            blend_passes: 0,
             inverse_depth: false,
             expected_depth: false,
             occlusion: false,
@@ -113,7 +113,9 @@ impl Reservation {
             // With a reserve of half: the next frames will need a different number.
             grown.instances = report.instances_needed.saturating_add(report.instances_needed / 2);
         }
-        grown.blend_passes = self.blend_passes.max(report.blend_passes_needed);
+        if report.blend_passes_needed > report.blend_passes.max(self.blend_passes) {
+            grown.blend_passes = report.blend_passes_needed;
+        }
         grown
     }
 
@@ -139,7 +141,7 @@ impl Reservation {
             ("queues", self.queues, 1..=1024),
             ("views", self.views, 1..=1024),
             ("scenes", self.scenes, 1..=65_536),
-            ("blend_passes", self.blend_passes, 1..=65_536),
+            ("blend_passes", self.blend_passes, 0..=65_536),
             ("sh_degree", self.sh_degree, 0..=3),
             ("cut_outs", self.cut_outs, 0..=65_536 * MAX_CUT_OUTS as u32),
         ];
@@ -236,8 +238,16 @@ impl Reservation {
         }
     }
 
-    /// Most dispatches of a recording.
-    pub(super) fn dispatches(&self, context: &Context) -> Result<usize> {
+    /// Passes of blending of each frame. A tile has no more entries than there are Gaussians.
+    fn passes(&self, sizes: &LaunchSizes) -> u32 {
+        match self.blend_passes {
+            0 => self.gaussians.div_ceil(sizes.entries_per_pass).clamp(1, 2),
+            passes => passes,
+        }
+    }
+
+    /// Most dispatches of a recording of frames of this capacity.
+    pub(super) fn dispatches(&self, context: &Context, capacity: &FrameCapacity) -> Result<usize> {
         const PER_FRAME: u32 = 48;
         // Scenes may be stored at a higher degree than the evaluated one, in more chunks.
         let plan = ScenePlan::new(context.limits(), self.gaussians, 3)
@@ -245,7 +255,8 @@ impl Reservation {
         // Per chunk of parameters: culling, projection and motion. Per scene: the ranges of its chunks.
         let of_chunk = 2 + u32::from(self.motion);
         let projection = of_chunk * (plan.chunks + self.scenes) + self.scenes;
-        let blending = LaunchSizes::new(context.limits()).blend_dispatches(self.instances, self.blend_passes);
+        let sizes = LaunchSizes::new(context.limits());
+        let blending = sizes.blend_dispatches(capacity.instances, capacity.blend_passes);
         Ok((PER_FRAME + blending + projection) as usize * self.views as usize)
     }
 
@@ -263,7 +274,7 @@ impl Reservation {
             },
             scenes: self.scenes * if self.shared_sort { self.views } else { 1 },
             pictures,
-            blend_passes: self.blend_passes,
+            blend_passes: self.passes(sizes),
             backward: false,
             absolute: false,
         };

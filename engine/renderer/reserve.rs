@@ -28,7 +28,7 @@ impl Renderer {
     /// UNIFORM_BUFFER, INDIRECT_BUFFER, TRANSFER_SRC and TRANSFER_DST.
     ///
     /// # Errors
-    /// As [`Renderer::reserve`]; for a block of another device, or one that is too small.
+    /// As [`Renderer::reserve`]; for a block of another context, or one that is too small.
     pub fn reserve_in(&mut self, wanted: &Reservation, block: &Buffer) -> Result<()> {
         self.reserve_by(wanted, Some(block))
     }
@@ -46,7 +46,7 @@ impl Renderer {
     /// As [`Renderer::reserve`], while frames are in flight: nobody waits. Every slot takes the new memory over with
     /// its next recording, with [`Reservation::images_only`] also with its release. The old memory is freed when no slot uses
     /// it any more. Until then there is memory for both. The number of slots stays. What is reserved already is not reserved
-    /// again.
+    /// again. What is wanted replaces what was reserved: less than before gives memory back.
     ///
     /// # Errors
     /// As [`Renderer::reserve`]; [`Error::Argument`] without slots, or for another number of them. The slots then are as

@@ -70,7 +70,8 @@ impl<'a> Plan<'a> {
         block: Option<&'a Buffer>,
     ) -> Result<Self> {
         wanted.check()?;
-        let (dispatches, capacity) = (wanted.dispatches(context)?, wanted.capacity(context, sizes)?);
+        let capacity = wanted.capacity(context, sizes)?;
+        let dispatches = wanted.dispatches(context, &capacity)?;
         let pixels = capacity.pictures.pixels;
         let mut scratch = frame_requests(&capacity, sizes);
         let frame = scratch.len();
@@ -186,7 +187,7 @@ fn group_bytes(requests: &Requests) -> u64 {
 fn check_block(context: &Context, block: &Buffer, needed: u64) -> Result<()> {
     let what = || format!("block '{}' for frame slots", block.name());
     if !block.belongs_to(context) {
-        return Err(Error::argument(what(), "it belongs to another device"));
+        return Err(Error::argument(what(), "it belongs to another context"));
     }
     if !block.handle().1.is_multiple_of(PLACEMENT_ALIGNMENT) {
         let problem = format!("begins at byte {}, no multiple of {PLACEMENT_ALIGNMENT}", block.handle().1);

@@ -5,7 +5,7 @@ use super::reservation::Reservation;
 use super::slot_memory::{Plan, SlotMemory};
 use crate::error::{Error, Result};
 use crate::kernels::constants as c;
-use crate::plan::LaunchSizes;
+use crate::plan::{FrameCapacity, LaunchSizes};
 use crate::vk::{Buffer, Context, ForeignCommands, MemoryKind, RecordSlot, Recorder, ScopeTime};
 
 /// Bytes of a view's counts.
@@ -28,8 +28,12 @@ pub struct SlotReport {
     pub longest_tile: u32,
     /// Passes of blending that the longest tile needs.
     pub blend_passes_needed: u32,
-    /// Whether a capacity was too small. The picture then lacks the Gaussians farthest away, or all of them
-    /// if `instances_needed` is `u32::MAX`. [`Reservation::grown`] fixes the first case.
+    /// Passes of blending that the frame was recorded with.
+    pub blend_passes: u32,
+    /// Entries of a tile that a pass of blending takes.
+    pub entries_per_pass: u32,
+    /// Whether more instances or passes of blending are needed than there were. The picture then lacks the Gaussians farthest away,
+    /// or all of them if `instances_needed` is `u32::MAX`. [`Reservation::grown`] fixes the first case.
     pub overflow: bool,
     /// How often the recording sorts by depth: once for each view, or for each run of views that share it
     /// ([`Reservation::shared_sort`]).
@@ -58,7 +62,7 @@ pub(super) struct Slot {
     /// Its scenes that are drawn together with others.
     pub batched_scenes: u32,
     /// Its capacity.
-    instances: u32,
+    capacity: FrameCapacity,
     /// The report of the last recording, once it has been requested.
     report: Option<SlotReport>,
 }
@@ -139,7 +143,7 @@ impl Slot {
         let mut host = context.allocate("frame slot host", &host, MemoryKind::HostVisible)?;
         let Some(readback) = host.pop() else { unreachable!("one buffer per request") };
         let record = RecordSlot::new(context, dispatches)?;
-        let instances = memory.capacity.instances;
+        let capacity = memory.capacity;
         Ok(Self {
             record,
             memory,
@@ -149,7 +153,7 @@ impl Slot {
             views: 0,
             sorts: 0,
             batched_scenes: 0,
-            instances,
+            capacity,
             report: None,
         })
     }
@@ -171,7 +175,7 @@ impl Slot {
         let recorder = self.record.begin(commands, "ashsplat")?;
         (self.gaussians, self.views, self.sorts) = (gaussians, views, 0);
         self.batched_scenes = 0;
-        (self.instances, self.report) = (self.memory.capacity.instances, None);
+        (self.capacity, self.report) = (self.memory.capacity, None);
         Ok(recorder)
     }
 
@@ -217,8 +221,10 @@ impl Slot {
             gaussians: self.gaussians,
             visible: state.visible,
             instances_needed: state.instances,
-            instance_capacity: self.instances,
+            instance_capacity: self.capacity.instances,
             longest_tile: state.longest_tile,
+            blend_passes: self.capacity.blend_passes,
+            entries_per_pass: sizes.entries_per_pass,
             blend_passes_needed: state.longest_tile.div_ceil(sizes.entries_per_pass).max(1),
             overflow: state.overflow,
             sorts: self.sorts,

@@ -67,7 +67,7 @@ impl Renderer {
             return Err(Error::argument("slot", "none is reserved: call Renderer::reserve"));
         };
         if !commands.belongs_to(&self.context) {
-            return Err(Error::argument("commands", "it belongs to another device"));
+            return Err(Error::argument("commands", "it belongs to another context"));
         }
         check_views(views, releases.len(), &reserved)?;
         let mut gaussians = 0;

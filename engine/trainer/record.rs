@@ -140,7 +140,7 @@ impl Trainer {
         self.context.check_alive()?;
         self.state.check_whole()?;
         if !commands.belongs_to(&self.context) {
-            return Err(Error::argument("commands", "it belongs to another device"));
+            return Err(Error::argument("commands", "it belongs to another context"));
         }
         if self.recording.slots.is_empty() {
             return Err(Error::argument("training steps", "none are reserved: call Trainer::reserve_steps"));

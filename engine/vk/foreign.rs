@@ -346,7 +346,7 @@ impl RecordSlot {
     /// context: nothing is recorded then.
     pub fn begin(&mut self, commands: ForeignCommands, label: &str) -> Result<Recorder> {
         if !Arc::ptr_eq(&commands.inner, &self.inner) {
-            return Err(Error::argument("commands", "it belongs to another device"));
+            return Err(Error::argument("commands", "it belongs to another context"));
         }
         self.check_free()?;
         let inner = &self.inner;

@@ -256,7 +256,7 @@ fn bad_frames_are_refused_before_anything_is_recorded() {
             (RecordedFrame { camera: &nothing, ..good }, "camera", "image size 0x48"),
             (RecordedFrame { camera: &wide, ..good }, "camera", "where 64 x 48 are reserved, needs"),
             (RecordedFrame { scenes: &[], ..good }, "scenes", "there are none"),
-            (RecordedFrame { scenes: &of_other, ..good }, "scenes[0].scene", "another device"),
+            (RecordedFrame { scenes: &of_other, ..good }, "scenes[0].scene", "another context"),
             (
                 RecordedFrame { scenes: &too_large, ..good },
                 "scenes",
@@ -278,7 +278,7 @@ fn bad_frames_are_refused_before_anything_is_recorded() {
                 "64 x 48 pixels at (0, 0) exceed its 40 x 48",
             ),
             (RecordedFrame { target: into(&images[1]), ..good }, target, "format R32_SFLOAT is not one of"),
-            (RecordedFrame { target: into(&images[2]), ..good }, target, "another device"),
+            (RecordedFrame { target: into(&images[2]), ..good }, target, "another context"),
             (RecordedFrame { target: into(&images[3]), ..good }, target, "not adopted for Storage"),
             (hidden(depth, mapping), "occlusion", "not reserved"),
             (hidden(depth, unknown), "occluder.mapping", "not finite"),
@@ -308,7 +308,7 @@ fn bad_frames_are_refused_before_anything_is_recorded() {
             (RecordedFrame { updates: &update, ..good }, "updates", "more than 0 (reserved staging_bytes)"),
             (RecordedFrame { updates: &beyond, ..good }, "updates[1].first", "exceed the scene's"),
             (RecordedFrame { updates: &misshapen, ..good }, "updates[1].gaussians.quats", "0 entries"),
-            (RecordedFrame { updates: &elsewhere, ..good }, "updates[1].scene", "another device"),
+            (RecordedFrame { updates: &elsewhere, ..good }, "updates[1].scene", "another context"),
         ];
         for (frame, field, words) in &bad {
             let error = renderer.record(adopt(&context, &in_flight), 0, frame).expect_err(field);
@@ -319,8 +319,8 @@ fn bad_frames_are_refused_before_anything_is_recorded() {
         }
         let error = renderer.record(adopt(&context, &in_flight), 1, &good).expect_err("one slot");
         assert!(error.to_string().starts_with("slot: 1: 1 are reserved"), "{error}");
-        let error = renderer.record(adopt(&other, &in_flight), 0, &good).expect_err("of another device");
-        assert_eq!(error.to_string(), "commands: it belongs to another device");
+        let error = renderer.record(adopt(&other, &in_flight), 0, &good).expect_err("of another context");
+        assert_eq!(error.to_string(), "commands: it belongs to another context");
 
         // What is set after the reservation has no kernels.
         let own = Blending::of_device(context.limits());

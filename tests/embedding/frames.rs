@@ -197,6 +197,40 @@ fn a_frame_without_room_says_what_it_needs() {
     });
 }
 
+/// A tile with more entries than two passes take, where the driver bounds loops. Elsewhere one pass is enough.
+#[test]
+fn long_tiles_are_blended_in_several_passes() {
+    with_host(&options(), |host| {
+        let context = guest(host);
+        let (gaussians, camera) = (cloud(30_000, 9), camera(0.2, 16, 16));
+        let scene = DeviceScene::upload(&context, &gaussians, 0).expect("a scene");
+        let mut renderer = Renderer::new(&context).expect("kernels");
+        let estimated = Reservation::new(scene.count(), 1, 16, 16);
+        let (settings, scenes) = (RenderSettings::default(), [(&scene).into()]);
+        let frame = RecordedFrame::new(&scenes, &camera, &settings);
+        let mut passes = |wanted: &Reservation| {
+            renderer.reserve(wanted).expect("memory");
+            let pixels = rendered(host, &mut renderer, &frame);
+            let report = renderer.slot_report(0).expect("a report").expect("finished");
+            assert_eq!(report.overflow, report.blend_passes < report.blend_passes_needed, "{report:?}");
+            if !report.overflow {
+                assert_same(&pixels, &owned(&gaussians, &camera, &settings), [0.0; 3]);
+            }
+            report
+        };
+        let report = passes(&Reservation { blend_passes: 1, ..estimated });
+        let is_bounded = context.limits().max_loop_iterations().is_some();
+        assert_eq!(report.overflow, is_bounded, "{report:?}");
+        let report = passes(&estimated);
+        assert_eq!(report.blend_passes, if is_bounded { 2 } else { 1 });
+        let grown = estimated.grown(&report);
+        assert_eq!(grown == estimated, !report.overflow, "{grown:?}");
+        let report = passes(&grown);
+        assert!(!report.overflow, "{report:?}");
+        assert_eq!(grown.grown(&report), grown);
+    });
+}
+
 #[test]
 fn a_recording_that_is_thrown_away_frees_its_slot() {
     with_host(&options(), |host| {
@@ -239,7 +273,7 @@ fn the_first_frame_that_is_reserved_for_is_whole() {
         assert_eq!((reserved.slots, reserved.gaussians), (2, 600));
         assert_eq!(renderer.slot_report(0).expect("none"), None);
         let expected = owned(&gaussians, &camera, &settings);
-        assert!(reserved.instances >= expected.stats.instances && expected.stats.retries > 0);
+        assert!(reserved.instances >= expected.stats.instances);
         assert_same(&rendered(host, &mut renderer, &frame), &expected, [0.0; 3]);
         assert!(!renderer.slot_report(0).expect("a report").expect("finished").overflow);
         // What fits is left as it is; what is not reserved is refused.

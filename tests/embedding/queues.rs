@@ -328,7 +328,7 @@ fn contexts_of_a_device_share_scenes() {
         let mut renderer = Renderer::new(&second).expect("kernels");
         renderer.reserve(&Reservation::new(300, 1, SIZE[0], SIZE[1])).expect("memory");
         let error = renderer.render_scene(&scene, &view, &settings).expect_err("the other's").to_string();
-        assert!(error.contains("another device"), "{error}");
+        assert!(error.contains("another context: on the same VkDevice, DeviceScene::in_context"), "{error}");
         let shared = scene.in_context(&second).expect("the same family");
         let held = first.memory_total().bytes;
         drop(scene);

@@ -171,7 +171,7 @@ fn a_scene_may_lie_in_the_hosts_buffers() {
         for (chunks, count, expected) in [
             (vec![], 300, "chunks: 0 of them, the plan has 1"),
             (vec![adopted.range(0, 64)], 300, "chunks[0] (buffer 'host's scene'): has 64 bytes, not "),
-            (vec![elsewhere], 300, "chunks[0] (buffer 'other's'): it belongs to another device"),
+            (vec![elsewhere], 300, "chunks[0] (buffer 'other's'): it belongs to another context"),
             (vec![adopted.clone()], plan.capacity + 1, "count: "),
         ] {
             let error = DeviceScene::from_buffers(&context, plan, chunks, count).err().expect(expected);

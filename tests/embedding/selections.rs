@@ -135,7 +135,7 @@ fn bad_selections_are_refused_by_name() {
                 Selection { mask: &short, ..good },
                 "scenes[1].settings.selection.mask (buffer 'mask'): has 12 bytes, 100 Gaussians take 16",
             ),
-            (Selection { mask: &foreign, ..good }, "it belongs to another device"),
+            (Selection { mask: &foreign, ..good }, "it belongs to another context"),
         ];
         for (selection, expected) in bad {
             let error = stage.refused(&[USUAL, with(selection)]);

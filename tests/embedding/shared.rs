@@ -283,7 +283,7 @@ fn a_hosts_block_holds_all_slots() {
         );
         let other = guest(host);
         let error = renderer.reserve_in(&small, &block.adopt(&other, 256, bytes[0])).expect_err("of another");
-        assert!(error.to_string().contains("another device"), "{error}");
+        assert!(error.to_string().contains("another context"), "{error}");
         renderer.reserve_in(&small, &parts[0]).expect("room");
         assert_eq!(slot_bytes(&context), 0, "all of it is the host's");
 

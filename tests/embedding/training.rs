@@ -333,7 +333,7 @@ fn bad_steps_are_refused_before_anything_is_recorded() {
         let none = training.reserve_steps(&StepReservation { slots: 0, instances: 0 }).expect_err("none");
         assert!(none.to_string().contains("no slots"), "{none}");
         training.reserve_steps(&StepReservation::default()).expect("memory");
-        refused(&mut training, &other, 0, "commands: it belongs to another device");
+        refused(&mut training, &other, 0, "commands: it belongs to another context");
         refused(&mut training, &context, 2, "2: 2 are reserved");
         training.record_step(adopt(&context, &in_flight), 0).expect("a recording");
         refused(&mut training, &context, 0, "still in flight");

@@ -73,7 +73,8 @@ typedef enum AshsplatExtent {
 typedef enum AshsplatImageUse {
   // They write it: a target.
   AshsplatImageUse_Storage = 0,
-  // They read it: a depth image.
+  // They read it: a depth image, of format D16_UNORM, X8_D24_UNORM_PACK32, D32_SFLOAT, D16_UNORM_S8_UINT, D24_UNORM_S8_UINT,
+  // D32_SFLOAT_S8_UINT, R16_UNORM, R16_SFLOAT or R32_SFLOAT.
   AshsplatImageUse_Sampled = 1,
 } AshsplatImageUse;
 
@@ -231,7 +232,9 @@ typedef struct AshsplatForeignDevice {
   void *device;
   // The family of the queues that recordings are submitted to.
   uint32_t queue_family;
-  // VkQueue for functions that submit, or NULL: then only recording works.
+  // VkQueue for functions that submit, or NULL. Without a queue a context records, and all functions that submit are refused: a
+  // scene is then made empty (ashsplat_scene_new) and filled by recorded updates, or is in the host's buffers
+  // (ashsplat_scene_from_buffers), and there is no training.
   void *queue;
   // The VkPhysicalDeviceVulkan12Features that the device was created with.
   const void *vulkan12_features;
@@ -432,7 +435,7 @@ typedef struct AshsplatTarget {
 typedef struct AshsplatOccluder {
   // Set by ASHSPLAT_INIT.
   uint32_t struct_size;
-  // The depth image.
+  // The depth image, adopted for AshsplatImageUse_Sampled.
   struct AshsplatHostImage depth;
   // How to read it: ashsplat_camera_from_matrices.
   struct AshsplatDepthMapping mapping;
@@ -575,7 +578,8 @@ typedef struct AshsplatReservation {
   uint32_t gaussians;
   // Scenes of a frame.
   uint32_t scenes;
-  // Highest degree of the scenes' spherical harmonics.
+  // Highest degree of the scenes' spherical harmonics, by default 0: ashsplat_scene_size tells a scene's. Frames evaluate no higher
+  // one (AshsplatRenderSettings.sh_degree).
   uint32_t sh_degree;
   // (tile, Gaussian) instances of a frame; 0 for an estimate. AshsplatSlotReport has the number that a frame
   // needs.
@@ -585,8 +589,8 @@ typedef struct AshsplatReservation {
   uint32_t width;
   // Height of the largest picture, pixels: see `width`.
   uint32_t height;
-  // Passes of blending. More than one are only needed if a driver's limit on loops cuts off very long
-  // tiles. AshsplatSlotReport has the number that a frame needs.
+  // Passes of blending; 0 for an estimate: 1, or 2 where the driver bounds loops and a tile may have more entries than a pass
+  // takes. AshsplatSlotReport has the number that a frame needs.
   uint32_t blend_passes;
   // Cut-outs of all scenes of a frame together.
   uint32_t cut_outs;
@@ -646,8 +650,9 @@ typedef struct AshsplatSlotReport {
   uint32_t struct_size;
   // Whether the frame has finished. The other fields are valid only then.
   bool finished;
-  // Whether a capacity was too small. The picture then lacks the Gaussians farthest away, or all of them
-  // if `instances_needed` is `UINT32_MAX`.
+  // Whether more instances (`instances_needed` for `instance_capacity`) or passes (`blend_passes_needed` for `blend_passes`) are
+  // needed than there were. The picture then lacks the Gaussians farthest away, or all of them if `instances_needed` is
+  // `UINT32_MAX`. ashsplat_reservation_grown makes room, but for the last case.
   bool overflow;
   // Gaussians in the frame's scenes, without those of scenes that are not drawn.
   uint32_t gaussians;
@@ -669,6 +674,10 @@ typedef struct AshsplatSlotReport {
   // Scenes that were drawn together with others by one dispatch, in all views: scenes of ashsplat_scenes_new, or one scene that
   // is placed many times.
   uint32_t batched_scenes;
+  // Passes of blending that the frame was recorded with.
+  uint32_t blend_passes;
+  // Entries of a tile that a pass takes.
+  uint32_t entries_per_pass;
 } AshsplatSlotReport;
 
 // A photograph to train on, and its camera.
@@ -901,7 +910,9 @@ void ashsplat_image_free(struct AshsplatImage *image);
 
 // Converts a host's matrices to a camera and a depth mapping. Both matrices are column-major, clip =
 // projection * view * world, depth from 0 to 1, standard or reversed. `clip_y_up`: clip space's +y is at the
-// top of the picture.
+// top of the picture (Direct3D's way, or a viewport of negative height). View space may be right- or left-handed, its z forward or
+// backward. The world is right-handed, as the scenes are: matrices that together mirror the picture are refused. A host with a
+// left-handed world gives view * M, with M what takes the scene's axes to its own, diag(1, 1, -1, 1) say.
 //
 // # Safety
 // Both matrices have 16 floats; `camera` and `mapping` are valid for a write, or `mapping` is NULL.
@@ -990,7 +1001,8 @@ enum AshsplatStatus ashsplat_cut_out_in_scene(const struct AshsplatCutOut *cut_o
                                               struct AshsplatCutOut *in_scene);
 
 // Uploads a scene from a host's arrays, with a capacity of at least `capacity` Gaussians: AshsplatUpdate and
-// ashsplat_scene_set_count change it later. Without Gaussians the scene is empty, and nothing is submitted.
+// ashsplat_scene_set_count change it later. Without Gaussians the scene is empty, and nothing is submitted. Values are not looked at:
+// Gaussians with a NaN, or an infinite position, size or quaternion, are not drawn. Quaternions are normalised.
 //
 // # Safety
 // `context` is alive, `gaussians` is valid with arrays as long as it says, `scene` is valid for a write.
@@ -1064,12 +1076,22 @@ enum AshsplatStatus ashsplat_reserve(struct AshsplatRenderer *renderer,
                                      const struct AshsplatReservation *wanted);
 
 // As ashsplat_reserve, while frames are in flight: nobody waits. Every slot takes the new memory over with its next
-// recording, with images_only also with its release; until then there is memory for both. The number of slots stays.
+// recording, with images_only also with its release; until then there is memory for both. The number of slots stays. What is wanted
+// replaces what was reserved: less than before gives memory back.
 //
 // # Safety
 // `renderer` and `wanted` are alive.
 enum AshsplatStatus ashsplat_grow(struct AshsplatRenderer *renderer,
                                   const struct AshsplatReservation *wanted);
+
+// The reservation with room for what a frame needed, in half as many instances again; the same if the frame fitted. For
+// ashsplat_grow or ashsplat_reserve. `grown` may be `reservation`.
+//
+// # Safety
+// `reservation` and `report` are valid, `grown` is valid for a write.
+enum AshsplatStatus ashsplat_reservation_grown(const struct AshsplatReservation *reservation,
+                                               const struct AshsplatSlotReport *report,
+                                               struct AshsplatReservation *grown);
 
 // Bytes of the block that a reservation takes: ashsplat_reserve_in. Allocates nothing.
 //
@@ -1241,7 +1263,7 @@ enum AshsplatStatus ashsplat_trainer_resume(const struct AshsplatContext *contex
 // `trainer` is NULL or of this library and not used afterwards.
 void ashsplat_trainer_free(struct AshsplatTrainer *trainer);
 
-// Runs one iteration: submits and waits.
+// Runs one iteration: submits and waits. Iterations after the last of the settings change nothing.
 //
 // # Safety
 // `trainer` is alive, `step` is NULL or valid for a write.
@@ -1307,8 +1329,9 @@ enum AshsplatStatus ashsplat_trainer_maintenance_is_due(struct AshsplatTrainer *
 enum AshsplatStatus ashsplat_trainer_maintain(struct AshsplatTrainer *trainer,
                                               struct AshsplatMaintenance *done);
 
-// The Gaussians on the device, for ashsplat_record after recorded steps. Valid until the next
-// ashsplat_trainer_maintain or ashsplat_trainer_step.
+// The Gaussians on the device, for ashsplat_record after recorded steps. Each call makes a scene that the host frees
+// (ashsplat_scene_free), before or after the trainer: it keeps the memory alive. It shows the trainer's Gaussians until the next
+// ashsplat_trainer_maintain or ashsplat_trainer_step: ask again then.
 //
 // # Safety
 // `trainer` is alive, `scene` is valid for a write.
@@ -1451,7 +1474,6 @@ static inline AshsplatReservation AshsplatReservation_init(void) {
   it.slots = 1;
   it.queues = 1;
   it.scenes = 1;
-  it.blend_passes = 1;
   return it;
 }
 

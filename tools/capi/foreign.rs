@@ -42,8 +42,10 @@ pub unsafe extern "C" fn ashsplat_merge_features(
 ) -> AshsplatStatus {
     // SAFETY: as promised.
     guarded(|| unsafe {
-        let v12 = borrowed_mut(vulkan12.cast(), "vulkan12")?;
-        let v13 = borrowed_mut(vulkan13.cast(), "vulkan13")?;
+        let v12: &mut vk::PhysicalDeviceVulkan12Features<'_> = borrowed_mut(vulkan12.cast(), "vulkan12")?;
+        let v13: &mut vk::PhysicalDeviceVulkan13Features<'_> = borrowed_mut(vulkan13.cast(), "vulkan13")?;
+        check_type(v12.s_type, vk::StructureType::PHYSICAL_DEVICE_VULKAN_1_2_FEATURES, "vulkan12")?;
+        check_type(v13.s_type, vk::StructureType::PHYSICAL_DEVICE_VULKAN_1_3_FEATURES, "vulkan13")?;
         Context::requirements().features.merge_into(v12, v13);
         Ok(())
     })
@@ -75,6 +77,12 @@ pub unsafe extern "C" fn ashsplat_context_from_foreign(
     })
 }
 
+/// Checks that a struct of Vulkan's is the one that it should be.
+fn check_type(found: vk::StructureType, wanted: vk::StructureType, field: &str) -> Result<()> {
+    let problem = || format!("sType is {}, it must be {} ({wanted:?})", found.as_raw(), wanted.as_raw());
+    if found == wanted { Ok(()) } else { Err(Error::argument(field, problem())) }
+}
+
 /// # Safety
 /// As [`ashsplat_context_from_foreign`].
 unsafe fn from_host(host: &AshsplatForeignDevice) -> Result<Context> {
@@ -97,10 +105,13 @@ unsafe fn from_host(host: &AshsplatForeignDevice) -> Result<Context> {
         let entry = ash::StaticFn { get_instance_proc_addr: load };
         let instance = ash::Instance::load(&entry, instance);
         let device = ash::Device::load(instance.fp_v1_0(), device);
-        let features = Features::of(
-            borrowed(host.vulkan12_features.cast(), "vulkan12_features")?,
-            borrowed(host.vulkan13_features.cast(), "vulkan13_features")?,
-        );
+        let v12: &vk::PhysicalDeviceVulkan12Features<'_> =
+            borrowed(host.vulkan12_features.cast(), "vulkan12_features")?;
+        let v13: &vk::PhysicalDeviceVulkan13Features<'_> =
+            borrowed(host.vulkan13_features.cast(), "vulkan13_features")?;
+        check_type(v12.s_type, vk::StructureType::PHYSICAL_DEVICE_VULKAN_1_2_FEATURES, "vulkan12_features")?;
+        check_type(v13.s_type, vk::StructureType::PHYSICAL_DEVICE_VULKAN_1_3_FEATURES, "vulkan13_features")?;
+        let features = Features::of(v12, v13);
         let features = Features {
             shader_maximal_reconvergence: host.shader_maximal_reconvergence != 0,
             shader_subgroup_uniform_control_flow: host.shader_subgroup_uniform_control_flow != 0,
@@ -199,7 +210,9 @@ pub unsafe extern "C" fn ashsplat_image_free(image: *mut AshsplatImage) {
 
 /// Converts a host's matrices to a camera and a depth mapping. Both matrices are column-major, clip =
 /// projection * view * world, depth from 0 to 1, standard or reversed. `clip_y_up`: clip space's +y is at the
-/// top of the picture.
+/// top of the picture (Direct3D's way, or a viewport of negative height). View space may be right- or left-handed, its z forward or
+/// backward. The world is right-handed, as the scenes are: matrices that together mirror the picture are refused. A host with a
+/// left-handed world gives view * M, with M what takes the scene's axes to its own, diag(1, 1, -1, 1) say.
 ///
 /// # Safety
 /// Both matrices have 16 floats; `camera` and `mapping` are valid for a write, or `mapping` is NULL.

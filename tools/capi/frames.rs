@@ -55,7 +55,7 @@ pub struct AshsplatTarget {
 pub struct AshsplatOccluder {
     /// Set by ASHSPLAT_INIT.
     pub struct_size: u32,
-    /// The depth image.
+    /// The depth image, adopted for AshsplatImageUse_Sampled.
     pub depth: AshsplatHostImage,
     /// How to read it: ashsplat_camera_from_matrices.
     pub mapping: AshsplatDepthMapping,
@@ -162,8 +162,9 @@ pub struct AshsplatSlotReport {
     pub struct_size: u32,
     /// Whether the frame has finished. The other fields are valid only then.
     pub finished: bool,
-    /// Whether a capacity was too small. The picture then lacks the Gaussians farthest away, or all of them
-    /// if `instances_needed` is `UINT32_MAX`.
+    /// Whether more instances (`instances_needed` for `instance_capacity`) or passes (`blend_passes_needed` for `blend_passes`) are
+    /// needed than there were. The picture then lacks the Gaussians farthest away, or all of them if `instances_needed` is
+    /// `UINT32_MAX`. ashsplat_reservation_grown makes room, but for the last case.
     pub overflow: bool,
     /// Gaussians in the frame's scenes, without those of scenes that are not drawn.
     pub gaussians: u32,
@@ -185,6 +186,19 @@ pub struct AshsplatSlotReport {
     /// Scenes that were drawn together with others by one dispatch, in all views: scenes of ashsplat_scenes_new, or one scene that
     /// is placed many times.
     pub batched_scenes: u32,
+    /// Passes of blending that the frame was recorded with.
+    pub blend_passes: u32,
+    /// Entries of a tile that a pass takes.
+    pub entries_per_pass: u32,
+}
+
+impl From<&AshsplatSlotReport> for SlotReport {
+    fn from(r: &AshsplatSlotReport) -> Self {
+        let mut report = Self::default();
+        (report.instances_needed, report.instance_capacity) = (r.instances_needed, r.instance_capacity);
+        (report.blend_passes_needed, report.blend_passes) = (r.blend_passes_needed, r.blend_passes);
+        report
+    }
 }
 
 impl From<SlotReport> for AshsplatSlotReport {
@@ -201,6 +215,8 @@ impl From<SlotReport> for AshsplatSlotReport {
             nanoseconds: r.scopes.iter().filter(|s| s.depth == 0).map(|s| s.nanoseconds).sum(),
             sorts: r.sorts,
             batched_scenes: r.batched_scenes,
+            blend_passes: r.blend_passes,
+            entries_per_pass: r.entries_per_pass,
             ..Self::default()
         }
     }

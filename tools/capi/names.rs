@@ -4,8 +4,9 @@ use ashsplat::Error;
 
 /// Calls that messages advise, and what these are called here.
 #[doc(hidden)]
-pub const CALLS: [(&str, &str); 6] = [
+pub const CALLS: [(&str, &str); 7] = [
     ("Context::new", "ashsplat_context_new"),
+    ("DeviceScene::in_context", "ashsplat_scene_in_context"),
     ("DeviceScene::plan_for", "ashsplat_scene_plan"),
     ("Renderer::reserve", "ashsplat_reserve"),
     ("Trainer::maintain", "ashsplat_trainer_maintain"),

@@ -62,7 +62,8 @@ pub(super) fn updates<'a>(copied: &'a [(&'a DeviceScene, u32, Gaussians)]) -> Ve
 }
 
 /// Uploads a scene from a host's arrays, with a capacity of at least `capacity` Gaussians: AshsplatUpdate and
-/// ashsplat_scene_set_count change it later. Without Gaussians the scene is empty, and nothing is submitted.
+/// ashsplat_scene_set_count change it later. Without Gaussians the scene is empty, and nothing is submitted. Values are not looked at:
+/// Gaussians with a NaN, or an infinite position, size or quaternion, are not drawn. Quaternions are normalised.
 ///
 /// # Safety
 /// `context` is alive, `gaussians` is valid with arrays as long as it says, `scene` is valid for a write.

@@ -53,7 +53,8 @@ pub unsafe extern "C" fn ashsplat_reserve(
 }
 
 /// As ashsplat_reserve, while frames are in flight: nobody waits. Every slot takes the new memory over with its next
-/// recording, with images_only also with its release; until then there is memory for both. The number of slots stays.
+/// recording, with images_only also with its release; until then there is memory for both. The number of slots stays. What is wanted
+/// replaces what was reserved: less than before gives memory back.
 ///
 /// # Safety
 /// `renderer` and `wanted` are alive.
@@ -66,6 +67,26 @@ pub unsafe extern "C" fn ashsplat_grow(
     guarded(|| unsafe {
         let (renderer, wanted) = (borrowed_mut(renderer, "renderer")?, read(wanted, "wanted")?);
         renderer.0.grow(&(&wanted).into())
+    })
+}
+
+/// The reservation with room for what a frame needed, in half as many instances again; the same if the frame fitted. For
+/// ashsplat_grow or ashsplat_reserve. `grown` may be `reservation`.
+///
+/// # Safety
+/// `reservation` and `report` are valid, `grown` is valid for a write.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_reservation_grown(
+    reservation: *const AshsplatReservation,
+    report: *const AshsplatSlotReport,
+    grown: *mut AshsplatReservation,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        let (reservation, report) = (read(reservation, "reservation")?, read(report, "report")?);
+        let Reservation { instances, blend_passes, .. } =
+            Reservation::from(&reservation).grown(&(&report).into());
+        write(grown, "grown", AshsplatReservation { instances, blend_passes, ..reservation })
     })
 }
 

@@ -98,12 +98,12 @@ structs! {
     AshsplatRecordedFrame, motion..motion, {};
     AshsplatRelease, motion..motion, {};
     AshsplatRenderSettings, scale_modifier..scale_modifier, { sh_degree: 3, scale_modifier: 1.0 };
-    AshsplatReservation, staging_bytes..shared_sort, { slots: 1, queues: 1, scenes: 1, blend_passes: 1 };
+    AshsplatReservation, staging_bytes..shared_sort, { slots: 1, queues: 1, scenes: 1 };
     AshsplatScenePlan, chunk_bytes..chunk_bytes, {};
     AshsplatSceneSettings, selection_share..selection_share, {
         visible: true, tint: [1.0, 1.0, 1.0], opacity: 1.0, sh_degree: 3, selection_color: [1.0, 1.0, 1.0], selection_share: 0.5
     };
-    AshsplatSlotReport, visible..batched_scenes, {};
+    AshsplatSlotReport, visible..entries_per_pass, {};
     AshsplatStep, view..view, {};
     AshsplatTarget, to..to, { exposure: 1.0 };
     AshsplatTrainView, rgb..camera_id, {};

@@ -102,7 +102,7 @@ pub unsafe extern "C" fn ashsplat_trainer_free(trainer: *mut AshsplatTrainer) {
     unsafe { take(trainer) }
 }
 
-/// Runs one iteration: submits and waits.
+/// Runs one iteration: submits and waits. Iterations after the last of the settings change nothing.
 ///
 /// # Safety
 /// `trainer` is alive, `step` is NULL or valid for a write.
@@ -238,8 +238,9 @@ pub unsafe extern "C" fn ashsplat_trainer_maintain(
     })
 }
 
-/// The Gaussians on the device, for ashsplat_record after recorded steps. Valid until the next
-/// ashsplat_trainer_maintain or ashsplat_trainer_step.
+/// The Gaussians on the device, for ashsplat_record after recorded steps. Each call makes a scene that the host frees
+/// (ashsplat_scene_free), before or after the trainer: it keeps the memory alive. It shows the trainer's Gaussians until the next
+/// ashsplat_trainer_maintain or ashsplat_trainer_step: ask again then.
 ///
 /// # Safety
 /// `trainer` is alive, `scene` is valid for a write.

@@ -140,7 +140,9 @@ pub struct AshsplatForeignDevice {
     pub device: *mut c_void,
     /// The family of the queues that recordings are submitted to.
     pub queue_family: u32,
-    /// VkQueue for functions that submit, or NULL: then only recording works.
+    /// VkQueue for functions that submit, or NULL. Without a queue a context records, and all functions that submit are refused: a
+    /// scene is then made empty (ashsplat_scene_new) and filled by recorded updates, or is in the host's buffers
+    /// (ashsplat_scene_from_buffers), and there is no training.
     pub queue: *mut c_void,
     /// The VkPhysicalDeviceVulkan12Features that the device was created with.
     pub vulkan12_features: *const c_void,
@@ -207,7 +209,8 @@ pub struct AshsplatForeignImage {
 pub enum AshsplatImageUse {
     /// They write it: a target.
     Storage = 0,
-    /// They read it: a depth image.
+    /// They read it: a depth image, of format D16_UNORM, X8_D24_UNORM_PACK32, D32_SFLOAT, D16_UNORM_S8_UINT, D24_UNORM_S8_UINT,
+    /// D32_SFLOAT_S8_UINT, R16_UNORM, R16_SFLOAT or R32_SFLOAT.
     Sampled = 1,
 }
 
@@ -247,7 +250,8 @@ pub struct AshsplatReservation {
     pub gaussians: u32,
     /// Scenes of a frame.
     pub scenes: u32,
-    /// Highest degree of the scenes' spherical harmonics.
+    /// Highest degree of the scenes' spherical harmonics, by default 0: ashsplat_scene_size tells a scene's. Frames evaluate no higher
+    /// one (AshsplatRenderSettings.sh_degree).
     pub sh_degree: u32,
     /// (tile, Gaussian) instances of a frame; 0 for an estimate. AshsplatSlotReport has the number that a frame
     /// needs.
@@ -257,8 +261,8 @@ pub struct AshsplatReservation {
     pub width: u32,
     /// Height of the largest picture, pixels: see `width`.
     pub height: u32,
-    /// Passes of blending. More than one are only needed if a driver's limit on loops cuts off very long
-    /// tiles. AshsplatSlotReport has the number that a frame needs.
+    /// Passes of blending; 0 for an estimate: 1, or 2 where the driver bounds loops and a tile may have more entries than a pass
+    /// takes. AshsplatSlotReport has the number that a frame needs.
     pub blend_passes: u32,
     /// Cut-outs of all scenes of a frame together.
     pub cut_outs: u32,

@@ -194,9 +194,15 @@ fn a_c_program_renders_what_rust_renders() {
 
 /// Compiles and runs a host in C on the scene of these tests; what it says.
 fn host_in_c(name: &str, arguments: &[&Path]) -> String {
+    host_with(name, "", arguments)
+}
+
+/// The same of a host that includes `included.c` with this text.
+fn host_with(name: &str, included: &str, arguments: &[&Path]) -> String {
     let folder = tempfile::tempdir().expect("a folder");
     let program = folder.path().join(name);
-    let link = [argument(&library(".so")), "-ldl".into()];
+    std::fs::write(folder.path().join("included.c"), included).expect("written");
+    let link = [argument(&library(".so")), "-ldl".into(), "-I".into(), argument(folder.path())];
     compile(&self::folder().join(format!("tests/{name}.c")), &program, &link);
     let output = run(&program, arguments);
     let (said, failed) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
@@ -212,6 +218,19 @@ fn a_host_in_c_records_into_its_own_command_buffer() {
     let said = host_in_c("record", &[&scene]);
     let visible: u32 = said.split(' ').next().and_then(|n| n.parse().ok()).expect("a number");
     assert!(visible > 100 && said.contains("of 500 Gaussians visible, scale 10.0, offset 0.0"), "{said}");
+}
+
+/// The guide's guest is compiled as it stands there.
+#[test]
+fn the_guides_guest_in_c_draws() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let scene = folder.path().join("scene.ply");
+    ply::write(&scene, &cloud()).expect("a PLY");
+    let guide = include_str!("../../../engine/guide/embedding.md");
+    let (_, guest) = guide.split_once("```c\n/* guest.c").expect("the guest in the guide");
+    let (guest, _) = guest.split_once("```").expect("its end");
+    let said = host_with("guide", &format!("/* guest.c{guest}"), &[&scene]);
+    assert!(said.contains("of 500 Gaussians visible"), "{said}");
 }
 
 #[test]

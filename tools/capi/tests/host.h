@@ -44,7 +44,9 @@ typedef struct {
 typedef struct { float depth; uint32_t stencil; } ClearDepth;
 
 enum {
-    FORMAT_RGBA8 = 37, FORMAT_RGBA8_SRGB = 43, FORMAT_RG16F = 83, FORMAT_R32F = 100, FORMAT_RGBA32UI = 107, FORMAT_D32 = 126,
+    /* sType of VkPhysicalDeviceVulkan12Features and of VkPhysicalDeviceVulkan13Features. */
+    FEATURES_12 = 51, FEATURES_13 = 53,
+    FORMAT_RGBA8 = 37, FORMAT_RGBA8_SRGB = 43, FORMAT_RG16F = 83, FORMAT_RGBA16F = 97, FORMAT_R32F = 100, FORMAT_RGBA32UI = 107, FORMAT_D32 = 126,
     IMAGE_MUTABLE_FORMAT = 8, IMAGE_EXTENDED_USAGE = 256,
     USAGE_IMAGE_COPY_FROM = 1, USAGE_IMAGE_COPY_TO = 2, USAGE_IMAGE_SAMPLED = 4, USAGE_IMAGE_STORAGE = 8,
     USAGE_IMAGE_DEPTH = 32,
@@ -136,6 +138,8 @@ static inline void host_open(Host *host) {
     check(ashsplat_context_handles(host->owner, &h->instance, &h->physical_device, &h->device, &h->queue_family),
           "asking for the handles");
     memcpy(&h->get_instance_proc_addr, &instance_proc, sizeof instance_proc);
+    host->vulkan12[0] = FEATURES_12;
+    host->vulkan13[0] = FEATURES_13;
     check(ashsplat_merge_features(host->vulkan12, host->vulkan13), "merging the features");
     h->vulkan12_features = host->vulkan12;
     h->vulkan13_features = host->vulkan13;

@@ -14,12 +14,20 @@ int main(int count, char **arguments) {
     static uint64_t nothing[64];
     nobody = host.handles;
     nobody.vulkan13_features = nothing;
+    EXPECT(ashsplat_context_from_foreign(&nobody, &none) == AshsplatStatus_Argument && none == NULL);
+    EXPECT(strstr(ashsplat_last_error(), "vulkan13_features: sType is 0, it must be 53") == ashsplat_last_error());
+    nothing[0] = FEATURES_13;
     EXPECT(ashsplat_context_from_foreign(&nobody, &none) == AshsplatStatus_MissingFeature);
 
     /* What a host merges into its own features is all that is asked for. */
     static uint64_t merged[2][64];
     EXPECT(ashsplat_merge_features(NULL, merged[1]) == AshsplatStatus_Argument);
     EXPECT(ashsplat_merge_features(merged[0], NULL) == AshsplatStatus_Argument);
+    merged[0][0] = FEATURES_13;
+    EXPECT(ashsplat_merge_features(merged[0], merged[1]) == AshsplatStatus_Argument);
+    EXPECT(strstr(ashsplat_last_error(), "vulkan12: sType is 53, it must be 51") == ashsplat_last_error());
+    merged[0][0] = FEATURES_12;
+    merged[1][0] = FEATURES_13;
     check(ashsplat_merge_features(merged[0], merged[1]), "merging features");
     AshsplatForeignDevice merging = host.handles;
     merging.vulkan12_features = merged[0];
@@ -90,7 +98,13 @@ int main(int count, char **arguments) {
     check(ashsplat_grow(renderer, &wanted), "growing");
     host_submit_and_wait(&host);
     check(ashsplat_slot_report(renderer, 0, &report), "asking for the report");
-    EXPECT(report.finished && report.overflow && report.instance_capacity == 4);
+    EXPECT(report.finished && report.overflow && report.instance_capacity == 4 && report.blend_passes == 1);
+    EXPECT(report.entries_per_pass >= report.longest_tile);
+    AshsplatReservation grown = ASHSPLAT_INIT(AshsplatReservation);
+    check(ashsplat_reservation_grown(&wanted, &report, &grown), "asking for room");
+    EXPECT(grown.instances > report.instances_needed && grown.blend_passes == 0 && grown.width == wanted.width);
+    check(ashsplat_reservation_grown(&grown, &report, &grown), "asking again");
+    EXPECT(grown.instances < 2 * report.instances_needed);
     commands = host_begin(&host);
     check(ashsplat_record(renderer, commands, 0, &frame, &release), "recording with more room");
     host_submit_and_wait(&host);
