@@ -68,7 +68,7 @@ impl Renderer {
                 needed: placing.cut_outs.into(),
                 unit: "cut_outs",
                 limit: reserved.cut_outs.into(),
-                limit_name: "reserved",
+                limit_name: "Reservation::cut_outs",
             });
         }
         let parallel = |camera: &Camera| camera.is_orthographic();
@@ -302,7 +302,13 @@ pub(super) fn check_capacity(
     if end > u64::from(capacity.gaussians) {
         let needed = frame.scenes.iter().map(|s| u64::from(s.drawn())).sum();
         let (what, limit) = ("scenes: the frame".to_owned(), reserved.gaussians.into());
-        return Err(Error::TooLarge { what, needed, unit: "Gaussians", limit, limit_name: "reserved" });
+        return Err(Error::TooLarge {
+            what,
+            needed,
+            unit: "Gaussians",
+            limit,
+            limit_name: "Reservation::gaussians",
+        });
     }
     Ok(())
 }

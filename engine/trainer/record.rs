@@ -146,9 +146,7 @@ impl Trainer {
             return Err(Error::argument("training steps", "none are reserved: call Trainer::reserve_steps"));
         }
         let index = self.slot_index(slot)?;
-        if !self.recording.slots[index].record.finished()? {
-            return Err(Error::argument("slot", "its last recording is still in flight"));
-        }
+        self.recording.slots[index].record.check_free()?;
         let is_due = self.maintenance_is_due()?;
         let progress = self.recording.in_flight.back().map_or(self.state.progress, |last| last.after);
         let all = self.run.settings.iterations;

@@ -292,7 +292,9 @@ impl RecordSlot {
     pub(crate) fn check_free(&self) -> Result<()> {
         match self.finished()? {
             true => Ok(()),
-            false => Err(Error::argument("slot", "its last recording is still in flight")),
+            false => {
+                Err(Error::argument("slot", "its last recording is still in flight: wait for its fence"))
+            }
         }
     }
 

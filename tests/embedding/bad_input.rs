@@ -260,7 +260,7 @@ fn bad_frames_are_refused_before_anything_is_recorded() {
             (
                 RecordedFrame { scenes: &too_large, ..good },
                 "scenes",
-                "the frame needs 201 Gaussians, more than 200 (reserved)",
+                "the frame needs 201 Gaussians, more than 200 (Reservation::gaussians)",
             ),
             (RecordedFrame { scenes: &two, ..good }, "scenes", "2 of them, 1 are reserved"),
             (RecordedFrame { scenes: &stretched, ..good }, "scenes[0].pose", "a uniform scale"),

@@ -20,5 +20,7 @@ pub(super) fn said_in_c(error: Error) -> String {
         Error::Argument { what, problem } if what == "training steps" => Error::argument("trainer", problem),
         other => other,
     };
-    CALLS.iter().fold(error.to_string(), |said, (rust, c)| said.replace(rust, c))
+    // A field of a reservation.
+    let said = error.to_string().replace("Reservation::", "AshsplatReservation.");
+    CALLS.iter().fold(said, |said, (rust, c)| said.replace(rust, c))
 }

@@ -87,6 +87,13 @@ int main(int count, char **arguments) {
     placed.scale = 0;
     EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
     placed.scale = 1;
+    AshsplatPlaced twice[2] = {placed, placed};
+    frame.scenes = twice;
+    frame.scene_count = 2;
+    EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
+    EXPECT(strstr(ashsplat_last_error(), "scenes: 2 of them, 1 are reserved") == ashsplat_last_error());
+    frame.scenes = &placed;
+    frame.scene_count = 1;
     AshsplatRelease release = ASHSPLAT_INIT(AshsplatRelease);
     check(ashsplat_record(renderer, commands, 0, &frame, &release), "recording");
     EXPECT(ashsplat_record(renderer, commands, 0, &frame, &release) == AshsplatStatus_Argument);
