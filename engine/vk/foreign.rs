@@ -287,8 +287,7 @@ impl RecordSlot {
         status.map_err(|error| self.inner.failed("vkGetEventStatus", error))
     }
 
-    /// Fails while the last recording is in flight. The adopter of the command buffer has promised that the
-    /// rest of it has finished as well.
+    /// Fails while the last recording is in flight. The rest of its command buffer has finished then, as its adopter has promised.
     pub(crate) fn check_free(&self) -> Result<()> {
         match self.finished()? {
             true => Ok(()),
