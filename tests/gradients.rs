@@ -1,5 +1,7 @@
 //! Finite differences prove the twins' backward pass, the twins prove the device's.
 
+mod terms;
+
 use crate::common::compare::{GradientTolerance, gradient};
 use crate::common::engine;
 use crate::common::gpu::Gpu;
