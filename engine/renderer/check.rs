@@ -2,7 +2,7 @@
 
 use super::Renderer;
 use super::record::{HostImage, MotionTarget, PickTarget, Placed, Placing, RecordedFrame, Target};
-use super::reservation::Reservation;
+use super::reservation::{Reservation, field_name};
 use super::updates::Update;
 use crate::compose::{Background, Compose};
 use crate::error::{Error, Result};
@@ -34,7 +34,8 @@ impl Renderer {
             return Err(Error::argument("scenes", "there are none"));
         }
         if frame.scenes.len() > reserved.scenes as usize {
-            let problem = format!("{} of them, {} are reserved", frame.scenes.len(), reserved.scenes);
+            let problem =
+                format!("{} of them, Reservation::scenes is {}", frame.scenes.len(), reserved.scenes);
             return Err(Error::argument("scenes", problem));
         }
         let variant = BlendVariant {
@@ -144,6 +145,10 @@ impl Renderer {
             if !(scale.is_finite() && offset.is_finite() && clear_value.is_finite()) {
                 return Err(Error::argument("occluder.mapping", "holds numbers that are not finite"));
             }
+            if scale == 0.0 {
+                let problem = "has a scale of 0: all depths would be one; HostView::camera gives the mapping of a projection";
+                return Err(Error::argument("occluder.mapping", problem));
+            }
             // The colour target cannot be either image: its format differs from both.
             if let Some(depth) = &frame.depth
                 && depth.to.image.is_same_as(occluder.depth.image)
@@ -237,8 +242,8 @@ fn check_scene(
         check_mask(mask, placed.scene.count(), context).map_err(named)?;
     }
     if placed.settings.draws() && degree > reserved.sh_degree {
-        let problem = format!("{degree} of scenes[{index}], reserved is {}", reserved.sh_degree);
-        return Err(Error::argument("sh_degree", problem));
+        let problem = format!("is {}, and scenes[{index}] is drawn with degree {degree}", reserved.sh_degree);
+        return Err(Error::argument(field_name("sh_degree"), problem));
     }
     reserved.check_scene(index, &placed.settings)
 }
@@ -274,7 +279,7 @@ fn check_updates(updates: &[Update<'_>], context: &Context, reserved: &Reservati
         bytes += count * u64::from(plan.planes) * 16;
     }
     if bytes > reserved.staging_bytes {
-        let (what, limit_name) = ("updates: the frame".into(), "reserved staging_bytes");
+        let (what, limit_name) = ("updates: the frame".into(), "Reservation::staging_bytes");
         let limit = reserved.staging_bytes;
         return Err(Error::TooLarge { what, needed: bytes, unit: "bytes", limit, limit_name });
     }
@@ -294,7 +299,13 @@ pub(super) fn check_capacity(
             let ([w, h], Reservation { width, height, .. }) =
                 ([frame.camera.width, frame.camera.height], reserved);
             let what = format!("camera: a picture of {w} x {h}, where {width} x {height} are reserved,");
-            return Err(Error::TooLarge { what, needed, unit, limit, limit_name: "reserved" });
+            return Err(Error::TooLarge {
+                what,
+                needed,
+                unit,
+                limit,
+                limit_name: "Reservation::width, height",
+            });
         }
     }
     // Where that is no more than is reserved, there is room for the gaps between scenes, too.

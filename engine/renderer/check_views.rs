@@ -2,7 +2,7 @@
 
 use super::check::field_of;
 use super::record::{RecordedFrame, Target};
-use super::reservation::Reservation;
+use super::reservation::{RESERVATION, Reservation, field_name};
 use crate::error::{Error, Result};
 
 /// Checks views beside each other, before each is checked alone.
@@ -15,7 +15,7 @@ pub(super) fn check_views(
         return Err(Error::argument("views", "there are none"));
     }
     if views.len() > reserved.views as usize {
-        let problem = format!("{} of them, {} are reserved", views.len(), reserved.views);
+        let problem = format!("{} of them, Reservation::views is {}", views.len(), reserved.views);
         return Err(Error::argument("views", problem));
     }
     if releases != views.len() {
@@ -36,7 +36,7 @@ fn check_beside(
     if matches!(frame.target, Target::Slot) {
         if reserved.images_only {
             let problem = "is reserved, and the frame has no image as its target";
-            return Err(Error::argument("images_only", problem));
+            return Err(Error::argument(field_name("images_only"), problem));
         }
         if views > 1 {
             let problem = "is the slot's own buffer, which holds one view: give an image";
@@ -74,9 +74,18 @@ pub(super) fn in_view(error: Error, index: usize, views: &[RecordedFrame<'_>]) -
     if views.len() == 1 {
         return error;
     }
-    match error.within(format_args!("views[{index}]")) {
+    let view = format!("views[{index}]");
+    match error {
+        // The field is the reservation's; the frame and its scenes are the view's.
+        Error::Argument { what, problem } if what.starts_with(RESERVATION) => {
+            let problem = problem.replace("the frame", &view).replace("scenes[", &format!("{view}.scenes["));
+            return Error::argument(what, problem);
+        }
+        _ => {}
+    }
+    match error.within(&view) {
         Error::TooLarge { what, needed, unit, limit, limit_name } => {
-            Error::TooLarge { what: format!("views[{index}].{what}"), needed, unit, limit, limit_name }
+            Error::TooLarge { what: format!("{view}.{what}"), needed, unit, limit, limit_name }
         }
         other => other,
     }

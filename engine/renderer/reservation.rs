@@ -26,7 +26,7 @@ pub struct Reservation {
     pub gaussians: u32,
     /// Scenes of a frame.
     pub scenes: u32,
-    /// Highest SH degree of the scenes.
+    /// Highest SH degree that frames evaluate. A frame that would evaluate a higher one of a scene is refused.
     pub sh_degree: u32,
     /// (tile, Gaussian) instances of a frame; 0 for an estimate. [`SlotReport`] has the number that a frame
     /// needs.
@@ -105,11 +105,14 @@ impl Reservation {
         u64::from(gaussians) * u64::from(crate::plan::parameter_planes(sh_degree)) * 16
     }
 
-    /// A copy of the reservation that fits what a frame needed; unchanged if the frame fitted.
+    /// A copy of the reservation that fits what a frame needed; unchanged if the frame fitted, and where no reservation would fit it
+    /// (`instances_needed` is `u32::MAX`: more than can be counted). Growing a copy, and keeping it once [`super::Renderer::grow`]
+    /// has succeeded, leaves the old one to go on with.
     pub fn grown(&self, report: &SlotReport) -> Self {
         let mut grown = *self;
         // A frame may have been recorded before the reservation has grown.
-        if report.instances_needed > report.instance_capacity.max(self.instances) {
+        let counted = report.instances_needed != u32::MAX;
+        if counted && report.instances_needed > report.instance_capacity.max(self.instances) {
             // With a reserve of half: the next frames will need a different number.
             grown.instances = report.instances_needed.saturating_add(report.instances_needed / 2);
         }
@@ -222,14 +225,14 @@ impl Reservation {
         ];
         let lacking = needs.into_iter().filter(|(_, needed, set)| *needed && !set).map(|(field, ..)| field);
         // Without a list in memory where nothing lacks.
-        lacking.map(str::to_owned).reduce(|all, field| all + ", " + &field)
+        lacking.map(field_name).reduce(|all, field| all + ", " + &field)
     }
 
     /// Checks that what a frame's scene has is reserved.
     #[inline]
     pub(super) fn check_scene(&self, index: usize, own: &SceneSettings) -> Result<()> {
         let lacks = |field: &str, what: &str| {
-            Err(Error::argument(field, format!("not reserved, and scenes[{index}] has {what}")))
+            Err(Error::argument(field_name(field), format!("not reserved, and scenes[{index}] has {what}")))
         };
         match () {
             () if own.is_tinted() && !self.tint => lacks("tint", "a tint or an opacity"),
@@ -282,3 +285,11 @@ impl Reservation {
         Ok(capacity)
     }
 }
+
+/// A field in messages of frames.
+pub(super) fn field_name(field: &str) -> String {
+    format!("{RESERVATION}{field}")
+}
+
+/// How the names of fields begin.
+pub(super) const RESERVATION: &str = "Reservation::";

@@ -103,7 +103,7 @@ impl CutOut {
         match self.volume {
             Volume::Box { half_size: size } | Volume::Ellipsoid { radii: size } => {
                 if !(size.is_finite() && size.cmpgt(Vec3::ZERO).all()) {
-                    return bad(format!("sizes of {:?} are not all positive and finite", size.to_array()));
+                    return bad(format!("a size of {:?} is not positive and finite", size.to_array()));
                 }
             }
             Volume::HalfSpace { normal, offset } => {

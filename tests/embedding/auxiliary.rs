@@ -372,8 +372,12 @@ fn bad_picks_and_motions_are_refused_by_name() {
             in_flight.destroy(host);
         };
         renderer.reserve(&plain).expect("memory");
-        refused(&mut renderer, &pick(screens.to(0)), "pick: not reserved, and the frame needs it");
-        refused(&mut renderer, &motion(usual), "motion: not reserved");
+        refused(
+            &mut renderer,
+            &pick(screens.to(0)),
+            "Reservation::pick: not reserved, and the frame needs it",
+        );
+        refused(&mut renderer, &motion(usual), "Reservation::motion: not reserved");
         renderer.reserve(&both(plain)).expect("memory");
         let bad = [
             (pick(screens.to(1)), "pick (image 'beside'): format R16G16_SFLOAT is not R32G32B32A32_UINT"),

@@ -225,6 +225,7 @@ fn bad_frames_are_refused_before_anything_is_recorded() {
         let mapping =
             ashsplat::scene::DepthMapping { scale: 1.0, offset: 0.0, clear_value: 0.0, linear: false };
         let unknown = ashsplat::scene::DepthMapping { scale: f32::NAN, ..mapping };
+        let flat = ashsplat::scene::DepthMapping { scale: 0.0, ..mapping };
         let never = ashsplat::scene::DepthMapping { clear_value: f32::NAN, ..mapping };
         let [large_scale, no_dilation, cut_wrong] = [
             RenderSettings { scale_modifier: f32::NAN, ..settings },
@@ -262,7 +263,7 @@ fn bad_frames_are_refused_before_anything_is_recorded() {
                 "scenes",
                 "the frame needs 201 Gaussians, more than 200 (Reservation::gaussians)",
             ),
-            (RecordedFrame { scenes: &two, ..good }, "scenes", "2 of them, 1 are reserved"),
+            (RecordedFrame { scenes: &two, ..good }, "scenes", "2 of them, Reservation::scenes is 1"),
             (RecordedFrame { scenes: &stretched, ..good }, "scenes[0].pose", "a uniform scale"),
             (
                 RecordedFrame { scenes: &inside_out, ..good },
@@ -271,7 +272,11 @@ fn bad_frames_are_refused_before_anything_is_recorded() {
             ),
             (RecordedFrame { scenes: &vanished, ..good }, "scenes[0].pose", "a scale of 0 is not possible"),
             (RecordedFrame { scenes: &nowhere, ..good }, "scenes[0].pose", "not finite"),
-            (RecordedFrame { settings: &depth_settings, ..good }, "inverse_depth", "not reserved"),
+            (
+                RecordedFrame { settings: &depth_settings, ..good },
+                "Reservation::inverse_depth",
+                "not reserved",
+            ),
             (
                 RecordedFrame { target: into(&images[0]), ..good },
                 target,
@@ -280,7 +285,8 @@ fn bad_frames_are_refused_before_anything_is_recorded() {
             (RecordedFrame { target: into(&images[1]), ..good }, target, "format R32_SFLOAT is not one of"),
             (RecordedFrame { target: into(&images[2]), ..good }, target, "another context"),
             (RecordedFrame { target: into(&images[3]), ..good }, target, "not adopted for Storage"),
-            (hidden(depth, mapping), "occlusion", "not reserved"),
+            (hidden(depth, mapping), "Reservation::occlusion", "not reserved"),
+            (hidden(depth, flat), "occluder.mapping", "a scale of 0"),
             (hidden(depth, unknown), "occluder.mapping", "not finite"),
             (hidden(depth, never), "occluder.mapping", "not finite"),
             (hidden(fresh_depth, mapping), "occluder (image 'target')", "UNDEFINED"),
@@ -303,9 +309,17 @@ fn bad_frames_are_refused_before_anything_is_recorded() {
             (RecordedFrame { settings: &cut_wrong, ..good }, "settings.cut.min_opacity", "2 is not"),
             (RecordedFrame { settings: &of_training, ..good }, "settings.dropout", "of training"),
             (RecordedFrame { depth: expected(f32::NAN), ..good }, "depth.min_weight", "NaN"),
-            (RecordedFrame { depth: expected(0.5), ..good }, "expected_depth", "not reserved"),
-            (RecordedFrame { settings: &both_settings, ..good }, "inverse_depth, filter_3d", "not reserved"),
-            (RecordedFrame { updates: &update, ..good }, "updates", "more than 0 (reserved staging_bytes)"),
+            (RecordedFrame { depth: expected(0.5), ..good }, "Reservation::expected_depth", "not reserved"),
+            (
+                RecordedFrame { settings: &both_settings, ..good },
+                "Reservation::inverse_depth, Reservation::filter_3d",
+                "not reserved",
+            ),
+            (
+                RecordedFrame { updates: &update, ..good },
+                "updates",
+                "more than 0 (Reservation::staging_bytes)",
+            ),
             (RecordedFrame { updates: &beyond, ..good }, "updates[1].first", "exceed the scene's"),
             (RecordedFrame { updates: &misshapen, ..good }, "updates[1].gaussians.quats", "0 entries"),
             (RecordedFrame { updates: &elsewhere, ..good }, "updates[1].scene", "another context"),

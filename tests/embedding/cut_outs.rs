@@ -195,8 +195,8 @@ fn bad_cut_outs_are_refused_by_name() {
                 .map(|pose| CutOut { pose, ..ball });
         let (seventeen, ten) = ([half; 17], [half; 11]);
         let bad: [(&[CutOut], &str); 7] = [
-            (&flat, "scenes[1].settings.cut_outs[1].volume: sizes of [1.0, 0.0, 1.0] are not all positive"),
-            (&unknown, "scenes[1].settings.cut_outs[1].volume: sizes of [1.0, NaN, 1.0]"),
+            (&flat, "scenes[1].settings.cut_outs[1].volume: a size of [1.0, 0.0, 1.0] is not positive"),
+            (&unknown, "scenes[1].settings.cut_outs[1].volume: a size of [1.0, NaN, 1.0]"),
             (&tiny, "it is too large or too small with its pose"),
             (&nowhere, "a normal of [0.0, 0.0, 0.0] has no direction"),
             (&endless, "an offset of inf is not finite"),

@@ -194,6 +194,10 @@ fn a_frame_without_room_says_what_it_needs() {
         let report = renderer.slot_report(0).expect("a report").expect("finished");
         assert!(!report.overflow, "{report:?}");
         assert_eq!(grown.grown(&report), grown);
+        // More than can be counted fits no reservation.
+        let mut uncounted = report;
+        (uncounted.overflow, uncounted.instances_needed) = (true, u32::MAX);
+        assert_eq!(small.grown(&uncounted), small);
     });
 }
 

@@ -211,7 +211,7 @@ fn an_orthographic_camera_is_reserved() {
         let commands = crate::stage::adopt(&context, &in_flight);
         let refused = renderer.record(commands, 0, &RecordedFrame::new(&placed, &camera, &settings));
         let error = refused.map_or_else(|error| error.to_string(), |_| "accepted".into());
-        assert!(error.contains("orthographic: not reserved"), "{error}");
+        assert!(error.contains("Reservation::orthographic: not reserved"), "{error}");
         in_flight.submit(host).expect("submitted");
         in_flight.wait(host).expect("done");
         in_flight.destroy(host);

@@ -197,11 +197,11 @@ fn bad_settings_of_a_scene_are_refused_by_name() {
             (SceneSettings { sh_degree: Some(4), ..USUAL }, "scenes[1].settings.sh_degree: 4"),
             (
                 SceneSettings { tint: [0.5; 3], ..USUAL },
-                "tint: not reserved, and scenes[1] has a tint or an opacity",
+                "Reservation::tint: not reserved, and scenes[1] has a tint or an opacity",
             ),
             (
                 SceneSettings { opacity: 0.5, ..USUAL },
-                "tint: not reserved, and scenes[1] has a tint or an opacity",
+                "Reservation::tint: not reserved, and scenes[1] has a tint or an opacity",
             ),
         ];
         for (settings, expected) in bad {

@@ -145,7 +145,10 @@ fn bad_selections_are_refused_by_name() {
         let unreserved = none.renderer.context().clone();
         let (third, mask_of_none) = mask(host, &unreserved, 100);
         let error = none.refused(&[USUAL, with(Selection { mask: &mask_of_none, ..good })]).to_string();
-        assert!(error.contains("selection: not reserved, and scenes[1] has a selection"), "{error}");
+        assert!(
+            error.contains("Reservation::selection: not reserved, and scenes[1] has a selection"),
+            "{error}"
+        );
         drop((stage, none, adopted, short, foreign, mask_of_none, unreserved, other));
         [own, elsewhere, third].into_iter().for_each(|buffer| buffer.destroy(host));
     });

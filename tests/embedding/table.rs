@@ -338,7 +338,7 @@ impl<'a> Everything<'a> {
         let used = |image, from| HostImage { image, from, offset: [0; 2] };
         // Nothing is ever drawn into the depth image: what it holds does not matter here.
         let mapping =
-            ashsplat::scene::DepthMapping { scale: 0.0, offset: 0.0, clear_value: 2.0, linear: false };
+            ashsplat::scene::DepthMapping { scale: 1e-9, offset: 0.0, clear_value: 2.0, linear: false };
         RecordedFrame {
             target: Target::Image {
                 to: used(&self.adopted[0], ImageState::UNDEFINED),

@@ -15,7 +15,7 @@ use ashsplat::scene::Gaussians;
 use ashsplat::vk::{Image, ImageState, ImageUse};
 use ashsplat::{
     Background, Camera, ColorEncoding, DepthTarget, DeviceScene, HostImage, Occluder, Placed, RecordedFrame,
-    Release, RenderSettings, Renderer, Reservation, Target, Update,
+    Release, RenderSettings, Renderer, Reservation, SceneSettings, Target, Update,
 };
 use glam::{Mat3, Vec3};
 
@@ -202,9 +202,24 @@ fn bad_views_are_refused_by_name() {
         let mapping =
             ashsplat::scene::DepthMapping { scale: 1.0, offset: 0.0, clear_value: 0.0, linear: false };
         let hides = RecordedFrame { occluder: Some(Occluder { depth: host_image(&read), mapping }), ..good };
-        let cases: [(&[RecordedFrame], usize, &str); 11] = [
+        let deep = RenderSettings { inverse_depth: true, ..settings };
+        let tinted = [Placed {
+            settings: SceneSettings { opacity: 0.5, ..SceneSettings::default() },
+            ..Placed::from(&scene)
+        }];
+        let cases: [(&[RecordedFrame], usize, &str); 13] = [
             (&[], 0, "views: there are none"),
-            (&[good; 3], 3, "views: 3 of them, 2 are reserved"),
+            (&[good; 3], 3, "views: 3 of them, Reservation::views is 2"),
+            (
+                &[good, RecordedFrame { settings: &deep, ..good }],
+                2,
+                "Reservation::inverse_depth: not reserved, and views[1] needs it",
+            ),
+            (
+                &[good, RecordedFrame { scenes: &tinted, ..good }],
+                2,
+                "Reservation::tint: not reserved, and views[1].scenes[0] has a tint",
+            ),
             (&[good; 2], 1, "releases: room for 1, there are 2 views"),
             (&[good, slot], 2, "views[1].target: is the slot's own buffer"),
             (&[slot, good], 2, "views[0].target: is the slot's own buffer"),

@@ -878,7 +878,8 @@ enum AshsplatStatus ashsplat_merge_features(void *vulkan12, void *vulkan13);
 enum AshsplatStatus ashsplat_context_from_foreign(const struct AshsplatForeignDevice *host,
                                                   struct AshsplatContext **context);
 
-// A view of a host's image for kernels: `purpose` is an AshsplatImageUse.
+// A view of a host's image for kernels: `purpose` is an AshsplatImageUse. Messages and debuggers call it after what its format is
+// for: 'color', 'depth', 'pick', 'motion', or 'occluder' where it is sampled.
 //
 // # Safety
 // The image is of the context's device, is what `host` says, is bound to memory, and outlives the view and

@@ -140,7 +140,8 @@ unsafe fn from_host(host: &AshsplatForeignDevice) -> Result<Context> {
     }
 }
 
-/// A view of a host's image for kernels: `purpose` is an AshsplatImageUse.
+/// A view of a host's image for kernels: `purpose` is an AshsplatImageUse. Messages and debuggers call it after what its format is
+/// for: 'color', 'depth', 'pick', 'motion', or 'occluder' where it is sampled.
 ///
 /// # Safety
 /// The image is of the context's device, is what `host` says, is bound to memory, and outlives the view and
@@ -155,11 +156,11 @@ pub unsafe extern "C" fn ashsplat_image_adopt(
     // SAFETY: as promised.
     guarded(|| unsafe {
         let (context, host) = (borrowed(context, "context")?, read(host, "host")?);
-        let uses = [("target", ImageUse::Storage), ("depth", ImageUse::Sampled)];
-        let (name, purpose) = settings::one_of("purpose", purpose, &uses)?;
+        let purpose = settings::one_of("purpose", purpose, &[ImageUse::Storage, ImageUse::Sampled])?;
+        let format = vk::Format::from_raw(host.format);
         let foreign = ForeignImage {
             image: vk::Image::from_raw(host.image),
-            format: vk::Format::from_raw(host.format),
+            format,
             usage: vk::ImageUsageFlags::from_raw(host.usage),
             size: [host.width, host.height],
             mip_level: host.mip_level,
@@ -167,8 +168,20 @@ pub unsafe extern "C" fn ashsplat_image_adopt(
             flags: vk::ImageCreateFlags::from_raw(host.flags),
             samples: vk::SampleCountFlags::from_raw(host.samples),
         };
+        let name = image_name(format, purpose);
         give(image, "image", || Image::adopt(&context.0, name, &foreign, purpose).map(AshsplatImage))
     })
+}
+
+/// What messages and debuggers call an image: after what its format is for.
+fn image_name(format: vk::Format, purpose: ImageUse) -> &'static str {
+    match (purpose, format) {
+        (ImageUse::Sampled, _) => "occluder",
+        (_, vk::Format::R32_SFLOAT) => "depth",
+        (_, vk::Format::R32G32B32A32_UINT) => "pick",
+        (_, vk::Format::R16G16_SFLOAT) => "motion",
+        _ => "color",
+    }
 }
 
 /// Says that queues of another family own the image between recordings. A recording acquires it from them and releases it to them; the
@@ -235,7 +248,12 @@ pub unsafe extern "C" fn ashsplat_camera_from_matrices(
             width,
             height,
         };
-        let (found, depth) = host.camera()?;
+        let (found, depth) = host.camera().map_err(|error| match error {
+            Error::Argument { what, problem } => {
+                Error::argument(what.replace("clip_y", "clip_y_up"), problem.replace("clip_y", "clip_y_up"))
+            }
+            other => other,
+        })?;
         write(camera, "camera", found.into())?;
         if let Some(mapping) = mapping.as_mut() {
             *mapping = depth.into();

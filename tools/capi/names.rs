@@ -4,10 +4,11 @@ use ashsplat::Error;
 
 /// Calls that messages advise, and what these are called here.
 #[doc(hidden)]
-pub const CALLS: [(&str, &str); 7] = [
+pub const CALLS: [(&str, &str); 8] = [
     ("Context::new", "ashsplat_context_new"),
     ("DeviceScene::in_context", "ashsplat_scene_in_context"),
     ("DeviceScene::plan_for", "ashsplat_scene_plan"),
+    ("HostView::camera", "ashsplat_camera_from_matrices"),
     ("Renderer::reserve", "ashsplat_reserve"),
     ("Trainer::maintain", "ashsplat_trainer_maintain"),
     ("Trainer::reserve_steps", "ashsplat_trainer_reserve"),

@@ -100,6 +100,13 @@ impl<'a> Copied<'a> {
     }
 }
 
+/// The fields of a selection.
+const SELECTION: [(&str, &str); 3] = [
+    (".selection.mask (buffer 'selection')", ".selection"),
+    (".selection.color", ".selection_color"),
+    (".selection.share", ".selection_share"),
+];
+
 /// Records frames as the views of one recording.
 ///
 /// # Safety
@@ -136,12 +143,16 @@ pub(super) unsafe fn record(
     }
 }
 
-/// An error of a frame with the names of the parameters of ashsplat_record and ashsplat_record_views; the fields have the same in both
-/// languages.
+/// An error of a frame with the names of the parameters of ashsplat_record and ashsplat_record_views. Most fields have the same in
+/// both languages. A pose is no field of its own here, and a selection has several.
 fn in_c(error: Error) -> Error {
-    let named = |what: &str| match what.strip_prefix("views") {
-        Some(rest) if rest.is_empty() || rest.starts_with('[') => format!("frames{rest}"),
-        _ => what.to_owned(),
+    let named = |what: &str| {
+        let what = match what.strip_prefix("views") {
+            Some(rest) if rest.is_empty() || rest.starts_with('[') => format!("frames{rest}"),
+            _ => what.to_owned(),
+        };
+        let what = what.strip_suffix(".pose").map(str::to_owned).unwrap_or(what);
+        SELECTION.iter().fold(what, |what, (rust, c)| what.replace(rust, c))
     };
     match error {
         // Some views are refused because of another.

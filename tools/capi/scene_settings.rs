@@ -125,7 +125,13 @@ pub(super) unsafe fn pointees(placed: &[AshsplatPlaced], context: &Context) -> R
         let mask = unsafe { settings.selection.as_ref() }.map(|mask| {
             let raw = vk::Buffer::from_raw(mask.buffer);
             // SAFETY: as promised.
-            unsafe { Buffer::adopt(context, "selection", raw, mask.offset, mask.bytes) }
+            let mask = unsafe { Buffer::adopt(context, "selection", raw, mask.offset, mask.bytes) };
+            mask.map_err(|error| match error {
+                Error::Argument { problem, .. } => {
+                    Error::argument(format!("scenes[{place}].settings.selection"), problem)
+                }
+                other => other,
+            })
         });
         Ok(Pointees { settings: Some(settings), cut_outs: cut_outs?, mask: mask.transpose()? })
     };

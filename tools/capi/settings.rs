@@ -67,13 +67,13 @@ impl AshsplatRenderSettings {
     /// As the library has them; on a black background.
     pub(super) fn checked(&self) -> Result<RenderSettings> {
         Ok(RenderSettings {
-            extent: one_of("extent", self.extent, &[Extent::Exact, Extent::Reference])?,
+            extent: one_of("settings.extent", self.extent, &[Extent::Exact, Extent::Reference])?,
             jacobian_limit: one_of(
-                "jacobian_limit",
+                "settings.jacobian_limit",
                 self.jacobian_limit,
                 &[JacobianLimit::Edge, JacobianLimit::Symmetric],
             )?,
-            shape: one_of("shape", self.shape, &[Shape::Gaussian, Shape::Ellipsoid, Shape::Point])?,
+            shape: one_of("settings.shape", self.shape, &[Shape::Gaussian, Shape::Ellipsoid, Shape::Point])?,
             sh_degree: Some(self.sh_degree),
             scale_modifier: self.scale_modifier,
             antialias: self.antialias,

@@ -110,7 +110,7 @@ fn an_orthographic_camera_before_is_reserved() {
         in_flight.begin(host).expect("recording");
         let refused = renderer.record(adopt(&context, &in_flight), 0, &frame);
         let error = refused.map_or_else(|error| error.to_string(), |_| "accepted".into());
-        assert_eq!(error, "orthographic: not reserved, and the frame needs it");
+        assert_eq!(error, "Reservation::orthographic: not reserved, and the frame needs it");
         in_flight.destroy(host);
         screens.destroy();
     });

@@ -197,17 +197,37 @@ fn host_in_c(name: &str, arguments: &[&Path]) -> String {
     host_with(name, "", arguments)
 }
 
-/// The same of a host that includes `included.c` with this text.
-fn host_with(name: &str, included: &str, arguments: &[&Path]) -> String {
+/// What a host says that includes `included.c` with this text, under validation where its layer is there.
+fn host_said(name: &str, included: &str, arguments: &[&Path]) -> String {
     let folder = tempfile::tempdir().expect("a folder");
     let program = folder.path().join(name);
     std::fs::write(folder.path().join("included.c"), included).expect("written");
     let link = [argument(&library(".so")), "-ldl".into(), "-I".into(), argument(folder.path())];
     compile(&self::folder().join(format!("tests/{name}.c")), &program, &link);
-    let output = run(&program, arguments);
+    let mut command = Command::new(&program);
+    validated(&mut command);
+    let output = command.args(arguments).output().expect("a program");
     let (said, failed) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
     assert!(output.status.success(), "{:?}: {said}{failed}", output.status);
     said.into_owned()
+}
+
+/// Turns validation and synchronisation validation on. Messages come among what the program says: nobody asks for them.
+fn validated(command: &mut Command) {
+    command
+        .env("VK_INSTANCE_LAYERS", "VK_LAYER_KHRONOS_validation")
+        .env("VK_LAYER_ENABLES", "VK_VALIDATION_FEATURE_ENABLE_SYNCHRONIZATION_VALIDATION_EXT")
+        .env("VK_VALIDATION_VALIDATE_SYNC", "1");
+}
+
+/// What the validation layer calls its messages.
+const MESSAGES: [&str; 2] = ["Validation Error", "Validation Warning"];
+
+/// What a host in C says, which makes no mistakes.
+fn host_with(name: &str, included: &str, arguments: &[&Path]) -> String {
+    let said = host_said(name, included, arguments);
+    assert!(!MESSAGES.iter().any(|message| said.contains(message)), "{said}");
+    said
 }
 
 #[test]
@@ -229,8 +249,13 @@ fn the_guides_guest_in_c_draws() {
     let guide = include_str!("../../../engine/guide/embedding.md");
     let (_, guest) = guide.split_once("```c\n/* guest.c").expect("the guest in the guide");
     let (guest, _) = guest.split_once("```").expect("its end");
-    let said = host_with("guide", &format!("/* guest.c{guest}"), &[&scene]);
+    let guest = format!("/* guest.c{guest}");
+    let said = host_with("guide", &guest, &[&scene]);
     assert!(said.contains("of 500 Gaussians visible"), "{said}");
+    // A mistake of the engine is heard.
+    let is_required = std::env::var_os("ASHSPLAT_REQUIRE_VALIDATION").is_some();
+    let said = host_said("guide", &guest, &[&scene, Path::new("wrong")]);
+    assert!(said.contains(MESSAGES[0]) || !is_required, "no validation layer: {said}");
 }
 
 #[test]

@@ -14,6 +14,7 @@ typedef Function (*GetProc)(void *, const char *);
 typedef struct { int type; const void *next; uint32_t flags, queue_family; } PoolInfo;
 typedef struct { int type; const void *next; uint64_t pool; int level; uint32_t count; } AllocateInfo;
 typedef struct { int type; const void *next; uint32_t flags; const void *inheritance; } BeginInfo;
+typedef struct { int type; const void *next; uint32_t flags; } FenceInfo;
 typedef struct {
     int type; const void *next;
     uint32_t wait_count; const uint64_t *waits; const uint32_t *stages;
@@ -66,6 +67,10 @@ enum {
     F(int, EndCommandBuffer, (void *)) \
     F(int, QueueSubmit, (void *, uint32_t, const SubmitInfo *, uint64_t)) \
     F(int, QueueWaitIdle, (void *)) \
+    F(int, CreateFence, (void *, const FenceInfo *, const void *, uint64_t *)) \
+    F(int, WaitForFences, (void *, uint32_t, const uint64_t *, uint32_t, uint64_t)) \
+    F(int, ResetFences, (void *, uint32_t, const uint64_t *)) \
+    F(void, DestroyFence, (void *, uint64_t, const void *)) \
     F(int, CreateBuffer, (void *, const BufferInfo *, const void *, uint64_t *)) \
     F(void, DestroyBuffer, (void *, uint64_t, const void *)) \
     F(int, CreateImage, (void *, const ImageInfo *, const void *, uint64_t *)) \

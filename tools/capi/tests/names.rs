@@ -8,6 +8,35 @@ const RUST_ALONE: [&str; 1] = ["Renderer::set_blending"];
 /// Fields that messages name as calls are written.
 const FIELDS: &str = "Reservation::";
 
+/// The names of the public fields of a struct in a source or a header, whose text begins behind `start` and ends with `end`.
+fn fields<'a>(
+    text: &'a str,
+    [start, end]: [&str; 2],
+    name: impl Fn(&'a str) -> Option<&'a str>,
+) -> Vec<&'a str> {
+    let (_, text) = text.split_once(start).expect("the struct");
+    let (text, _) = text.split_once(end).expect("its end");
+    text.lines().filter_map(|line| name(line.trim())).collect()
+}
+
+#[test]
+fn a_reservations_fields_have_their_names_in_c() {
+    let rust = include_str!("../../../engine/renderer/reservation.rs");
+    let rust = fields(rust, ["pub struct Reservation {", "\n}"], |line| {
+        Some(line.strip_prefix("pub ")?.split_once(':')?.0)
+    });
+    let c = fields(include_str!("../ashsplat.h"), ["typedef struct AshsplatReservation {", "\n}"], |line| {
+        Some(line.strip_suffix(';')?.rsplit_once(' ')?.1)
+    });
+    assert!(rust.len() > 20, "{rust:?}");
+    for field in rust {
+        assert!(
+            c.contains(&field),
+            "messages name AshsplatReservation.{field}, which the header does not have"
+        );
+    }
+}
+
 fn sources(folder: &Path) -> Vec<PathBuf> {
     let entries = std::fs::read_dir(folder).expect("a folder").map(|entry| entry.expect("an entry").path());
     entries

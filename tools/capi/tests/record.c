@@ -91,7 +91,7 @@ int main(int count, char **arguments) {
     frame.scenes = twice;
     frame.scene_count = 2;
     EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
-    EXPECT(strstr(ashsplat_last_error(), "scenes: 2 of them, 1 are reserved") == ashsplat_last_error());
+    EXPECT(strstr(ashsplat_last_error(), "scenes: 2 of them, AshsplatReservation.scenes is 1") == ashsplat_last_error());
     frame.scenes = &placed;
     frame.scene_count = 1;
     AshsplatRelease release = ASHSPLAT_INIT(AshsplatRelease);

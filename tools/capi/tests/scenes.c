@@ -166,7 +166,7 @@ int main(int count, char **arguments) {
     AshsplatForeignImage multisampled = depth.description;
     multisampled.samples = 4;
     EXPECT(ashsplat_image_adopt(context, &multisampled, AshsplatImageUse_Sampled, &wrong) == AshsplatStatus_Argument);
-    EXPECT(wrong == NULL && strstr(ashsplat_last_error(), "'depth': it has 4 samples per pixel") != NULL);
+    EXPECT(wrong == NULL && strstr(ashsplat_last_error(), "'occluder': it has 4 samples per pixel") != NULL);
     check(ashsplat_image_adopt(context, &color.description, AshsplatImageUse_Storage, &target), "adopting the target");
     check(ashsplat_image_adopt(context, &depth.description, AshsplatImageUse_Sampled, &walls), "adopting the depth");
     check(ashsplat_image_adopt(context, &expected.description, AshsplatImageUse_Storage, &distances), "adopting the expected depth");
@@ -330,10 +330,11 @@ int main(int count, char **arguments) {
     cut.cut_outs = &half;
     mask.buffer = 0;
     EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
+    EXPECT(strstr(ashsplat_last_error(), "scenes[3].settings.selection: the handle is null") != NULL);
     mask.buffer = bits.raw;
     cut.selection_share = -1;
     EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
-    EXPECT(strstr(ashsplat_last_error(), "scenes[3].settings.selection.share: -1") != NULL);
+    EXPECT(strstr(ashsplat_last_error(), "scenes[3].settings.selection_share: -1") != NULL);
     cut.selection_share = 0.75f;
     tinted.opacity = 1.5f;
     EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
@@ -344,7 +345,7 @@ int main(int count, char **arguments) {
     EXPECT(strstr(ashsplat_last_error(), "pick.to.image: the pointer is null") != NULL);
     pick.to.image = moved;
     EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
-    EXPECT(strstr(ashsplat_last_error(), "pick (image 'target'): format R16G16_SFLOAT is not") != NULL);
+    EXPECT(strstr(ashsplat_last_error(), "pick (image 'motion'): format R16G16_SFLOAT is not") != NULL);
     pick.to.image = picked;
     motion.to.image = NULL;
     EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
