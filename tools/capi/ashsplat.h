@@ -855,11 +855,13 @@ enum AshsplatStatus ashsplat_write_png(const char *path, uint32_t width, uint32_
 const char *ashsplat_requirements(void);
 
 // Turns on the required features in the structs with which a host will create its device, and does not
-// change the others: VkPhysicalDeviceVulkan12Features and VkPhysicalDeviceVulkan13Features.
+// change the others: VkPhysicalDeviceVulkan12Features and VkPhysicalDeviceVulkan13Features, with their sType set. What the host
+// needs besides it turns on in them itself.
 //
 // # Safety
 // Both pointers are valid for such structs.
-enum AshsplatStatus ashsplat_merge_features(void *vulkan12, void *vulkan13);
+enum AshsplatStatus ashsplat_merge_features(void *vulkan12,
+                                            void *vulkan13);
 
 // A context on a host's device. It never destroys objects of the host. Only the given queue is waited for,
 // and only by functions that submit.

@@ -31,7 +31,8 @@ pub extern "C" fn ashsplat_requirements() -> *const c_char {
 }
 
 /// Turns on the required features in the structs with which a host will create its device, and does not
-/// change the others: VkPhysicalDeviceVulkan12Features and VkPhysicalDeviceVulkan13Features.
+/// change the others: VkPhysicalDeviceVulkan12Features and VkPhysicalDeviceVulkan13Features, with their sType set. What the host
+/// needs besides it turns on in them itself.
 ///
 /// # Safety
 /// Both pointers are valid for such structs.

@@ -86,7 +86,17 @@ int main(int count, char **arguments) {
     EXPECT(ashsplat_record(renderer, commands, 0, NULL, NULL) == AshsplatStatus_Argument);
     placed.scale = 0;
     EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
+    EXPECT(strstr(ashsplat_last_error(), "scenes[0]: a scale of 0 is not possible") == ashsplat_last_error());
     placed.scale = 1;
+    AshsplatRenderSettings settings = ASHSPLAT_INIT(AshsplatRenderSettings);
+    settings.shape = 9;
+    frame.settings = &settings;
+    EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
+    EXPECT(strstr(ashsplat_last_error(), "settings.shape: 9, there are 0 to 2") == ashsplat_last_error());
+    frame.settings = NULL;
+    AshsplatCamera mirrored;
+    EXPECT(ashsplat_camera_from_matrices(view, projection, true, 160, 120, &mirrored, NULL) == AshsplatStatus_Argument);
+    EXPECT(strstr(ashsplat_last_error(), "check clip_y_up;") != NULL);
     AshsplatPlaced twice[2] = {placed, placed};
     frame.scenes = twice;
     frame.scene_count = 2;
@@ -119,11 +129,31 @@ int main(int count, char **arguments) {
 
     check(ashsplat_slot_report(renderer, 0, &report), "asking for the report");
     EXPECT(report.finished && !report.overflow);
+    uint64_t buffer = 0, offset = 1;
+    check(ashsplat_slot_pixels(renderer, 0, &buffer, &offset), "asking for the pixels");
+    EXPECT(buffer != 0 && offset % 256 == 0);
+    EXPECT(strstr(ashsplat_requirements(), "subgroupSizeControl") != NULL);
+    /* A second guest on the device shows the same scene. */
+    AshsplatContext *other = NULL;
+    AshsplatScene *shared = NULL;
+    check(ashsplat_context_from_foreign(&host.handles, &other), "being a guest twice");
+    check(ashsplat_scene_in_context(scene, other, &shared), "sharing the scene");
+    uint32_t gaussians = 0, degree = 0;
+    check(ashsplat_scene_size(shared, &gaussians, &degree), "asking for its size");
+    EXPECT(gaussians == wanted.gaussians && degree == wanted.sh_degree);
+    placed.scene = shared;
+    commands = host_begin(&host);
+    EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
+    EXPECT(strstr(ashsplat_last_error(), "scenes[0].scene: it belongs to another context") == ashsplat_last_error());
+    placed.scene = scene;
+    require(host.EndCommandBuffer(commands), "vkEndCommandBuffer");
+    ashsplat_scene_free(shared);
+    ashsplat_context_free(other);
     wanted.images_only = true;
     check(ashsplat_reserve(renderer, &wanted), "reserving without pixels");
     commands = host_begin(&host);
     EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
-    EXPECT(strstr(ashsplat_last_error(), "images_only: ") != NULL);
+    EXPECT(strstr(ashsplat_last_error(), "AshsplatReservation.images_only: ") == ashsplat_last_error());
     printf("%u of %u Gaussians visible, scale %.1f, offset %.1f\n", report.visible, report.gaussians,
            (double)mapping.scale, (double)mapping.offset);
     ashsplat_renderer_free(renderer);
