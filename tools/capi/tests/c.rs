@@ -1,5 +1,7 @@
 //! The header is what the sources say, and C programs that include it work.
 
+mod hosts;
+
 use ashsplat::scene::{Camera, Gaussians, Intrinsics, Similarity};
 use ashsplat::vk::{Context, ContextOptions};
 use ashsplat::{Frame, RenderSettings, Renderer};
@@ -7,12 +9,8 @@ use ashsplat_files::ply;
 use ashsplat_files::splats::{self, Format, ReadOptions, WriteOptions};
 use cbindgen::{Builder, Config, DocumentationStyle, EnumConfig, ExportConfig, Language};
 use glam::{DQuat, DVec3, Mat3, Vec3};
+use hosts::{MESSAGES, argument, compile, folder, host_in_c, host_said, host_with, library, run};
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
-
-fn folder() -> PathBuf {
-    PathBuf::from(env!("CARGO_MANIFEST_DIR"))
-}
 
 /// `ashsplat.h` as cbindgen makes it from the sources. With ASHSPLAT_BLESS it is written.
 #[test]
@@ -107,37 +105,6 @@ fn initialisers() -> String {
     text
 }
 
-/// The newest library with this ending that cargo has made.
-fn library(ending: &str) -> PathBuf {
-    let executable = std::env::current_exe().expect("a path");
-    let deps = executable.parent().expect("deps");
-    let places = [deps.parent().expect("the profile"), deps];
-    let files = places.iter().flat_map(|place| std::fs::read_dir(place).expect("a folder").flatten());
-    let ours = files.filter(|file| {
-        let name = file.file_name().to_string_lossy().into_owned();
-        name.starts_with("libashsplat_c") && name.ends_with(ending)
-    });
-    let newest = ours.max_by_key(|file| file.metadata().and_then(|m| m.modified()).expect("a time"));
-    newest.expect("a library: cargo build --release -p ashsplat-capi").path()
-}
-
-/// A path as an argument of the compiler.
-fn argument(path: &Path) -> String {
-    path.to_str().expect("UTF-8").to_owned()
-}
-
-fn compile(source: &Path, program: &Path, link: &[String]) {
-    let mut cc = Command::new(std::env::var_os("CC").unwrap_or_else(|| "cc".into()));
-    cc.args(["-std=c11", "-Wall", "-Wextra", "-Wredundant-decls", "-Werror", "-pedantic"]);
-    cc.arg("-I").arg(folder()).arg(source).arg("-o").arg(program).args(link);
-    let output = cc.output().expect("a C compiler");
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-}
-
-fn run(program: &Path, arguments: &[&Path]) -> Output {
-    Command::new(program).args(arguments).output().expect("a program")
-}
-
 fn cloud() -> Gaussians {
     let mut cloud = Gaussians { sh_degree: 1, ..Gaussians::default() };
     for i in 0..500u32 {
@@ -171,7 +138,7 @@ fn a_c_program_renders_what_rust_renders() {
         [vec![argument(&library(".so"))], [argument(&library(".a"))].into_iter().chain(system).collect()];
     for (number, link) in links.iter().enumerate() {
         let program = folder.path().join(format!("example{number}"));
-        compile(&self::folder().join("example.c"), &program, link);
+        compile(&hosts::folder().join("example.c"), &program, link);
         let output = run(&program, &[&scene, &picture]);
         assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
         assert!(String::from_utf8_lossy(&output.stdout).contains("500 Gaussians of degree 1"));
@@ -190,44 +157,6 @@ fn a_c_program_renders_what_rust_renders() {
         assert!(said.starts_with("error 2: loading the scene: /no/such.ply"), "{said}");
         assert_eq!(said.lines().count(), 1);
     }
-}
-
-/// Compiles and runs a host in C on the scene of these tests; what it says.
-fn host_in_c(name: &str, arguments: &[&Path]) -> String {
-    host_with(name, "", arguments)
-}
-
-/// What a host says that includes `included.c` with this text, under validation where its layer is there.
-fn host_said(name: &str, included: &str, arguments: &[&Path]) -> String {
-    let folder = tempfile::tempdir().expect("a folder");
-    let program = folder.path().join(name);
-    std::fs::write(folder.path().join("included.c"), included).expect("written");
-    let link = [argument(&library(".so")), "-ldl".into(), "-I".into(), argument(folder.path())];
-    compile(&self::folder().join(format!("tests/{name}.c")), &program, &link);
-    let mut command = Command::new(&program);
-    validated(&mut command);
-    let output = command.args(arguments).output().expect("a program");
-    let (said, failed) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
-    assert!(output.status.success(), "{:?}: {said}{failed}", output.status);
-    said.into_owned()
-}
-
-/// Turns validation and synchronisation validation on. Messages come among what the program says: nobody asks for them.
-fn validated(command: &mut Command) {
-    command
-        .env("VK_INSTANCE_LAYERS", "VK_LAYER_KHRONOS_validation")
-        .env("VK_LAYER_ENABLES", "VK_VALIDATION_FEATURE_ENABLE_SYNCHRONIZATION_VALIDATION_EXT")
-        .env("VK_VALIDATION_VALIDATE_SYNC", "1");
-}
-
-/// What the validation layer calls its messages.
-const MESSAGES: [&str; 2] = ["Validation Error", "Validation Warning"];
-
-/// What a host in C says, which makes no mistakes.
-fn host_with(name: &str, included: &str, arguments: &[&Path]) -> String {
-    let said = host_said(name, included, arguments);
-    assert!(!MESSAGES.iter().any(|message| said.contains(message)), "{said}");
-    said
 }
 
 #[test]
