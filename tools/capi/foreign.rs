@@ -2,7 +2,7 @@
 
 use super::allocator::Adapter;
 use super::queue_lock::Lock;
-use super::structs::{check_room, check_room_of_all, read, read_all, read_if, write, write_all_if, write_if};
+use super::structs::{check_room, check_room_of_all, read, read_if, write};
 use super::{
     AshsplatCamera, AshsplatContext, AshsplatDepthMapping, AshsplatForeignDevice, AshsplatForeignImage,
     AshsplatHostImage, AshsplatRecordedFrame, AshsplatRelease, AshsplatRenderer, AshsplatStatus, borrowed,
@@ -291,8 +291,7 @@ pub unsafe extern "C" fn ashsplat_record(
     guarded(|| unsafe {
         let (renderer, f) = (borrowed_mut(renderer, "renderer")?, read(frame, "frame")?);
         check_room(release, "release")?;
-        let left = recorded_frames::record(&mut renderer.0, (commands, slot), &[f])?;
-        left.first().map_or(Ok(()), |left| write_if(release, "release", left.into()))
+        recorded_frames::record(renderer, (commands, slot), (&raw const f, 1), release)
     })
 }
 
@@ -315,11 +314,8 @@ pub unsafe extern "C" fn ashsplat_record_views(
     // SAFETY: as promised.
     guarded(|| unsafe {
         let renderer = borrowed_mut(renderer, "renderer")?;
-        let frames = read_all(frames, frame_count, "frames")?;
         check_room_of_all(releases, frame_count, "releases")?;
-        let left = recorded_frames::record(&mut renderer.0, (commands, slot), &frames)?;
-        let left: Vec<AshsplatRelease> = left.iter().map(AshsplatRelease::from).collect();
-        write_all_if(releases, "releases", &left)
+        recorded_frames::record(renderer, (commands, slot), (frames, frame_count), releases)
     })
 }
 

@@ -14,6 +14,7 @@ mod queue_lock;
 mod recorded_frames;
 mod scene_settings;
 mod scenes;
+mod scratch;
 mod settings;
 mod slots;
 mod structs;
@@ -38,6 +39,7 @@ pub use trainers::*;
 pub use training::*;
 pub use types::*;
 
+use self::scratch::Scratch;
 use self::structs::{read, read_if, write};
 use ashsplat::vk::{Context, ContextOptions};
 use ashsplat::{DeviceScene, Error, RenderSettings, Renderer, Result};
@@ -71,7 +73,7 @@ impl AshsplatScene {
 }
 
 /// Renders scenes.
-pub struct AshsplatRenderer(Renderer);
+pub struct AshsplatRenderer(Renderer, Scratch);
 
 thread_local! {
     static LAST_ERROR: RefCell<CString> = RefCell::default();
@@ -316,7 +318,9 @@ pub unsafe extern "C" fn ashsplat_renderer_new(
     // SAFETY: as promised.
     guarded(|| unsafe {
         let context = borrowed(context, "context")?;
-        give(renderer, "renderer", || Renderer::new(&context.0).map(AshsplatRenderer))
+        give(renderer, "renderer", || {
+            Renderer::new(&context.0).map(|renderer| AshsplatRenderer(renderer, Scratch::new()))
+        })
     })
 }
 

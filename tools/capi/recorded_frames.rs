@@ -1,25 +1,27 @@
 //! Frames of a host in C, as the library records them.
 
 use super::foreign::used;
-use super::structs::{read, read_all, read_if, within};
+use super::scratch::{List, Scratch, collected};
+use super::structs::{read, read_all_in, read_if, within, write_all_if};
 use super::{
-    AshsplatDepthTarget, AshsplatOccluder, AshsplatPlaced, AshsplatPose, AshsplatRecordedFrame, auxiliary,
-    borrowed, frames, scene_settings, scenes,
+    AshsplatDepthTarget, AshsplatOccluder, AshsplatPlaced, AshsplatPose, AshsplatRecordedFrame,
+    AshsplatRelease, AshsplatRenderer, auxiliary, borrowed, frames, scene_settings, scenes,
 };
 use ashsplat::ash::{vk, vk::Handle};
 use ashsplat::scene::{Camera, Gaussians};
+use ashsplat::vk::Context;
 use ashsplat::{
-    DepthTarget, DeviceScene, Error, Occluder, Placed, RecordedFrame, Release, RenderSettings, Renderer,
-    Result, Target, Update,
+    DepthTarget, DeviceScene, Error, Occluder, Placed, RecordedFrame, Release, RenderSettings, Result,
+    Target, Update,
 };
 use std::ffi::c_void;
 
 /// A frame with copies of what it points to.
 struct Copied<'a> {
     frame: &'a AshsplatRecordedFrame,
-    placed: Vec<AshsplatPlaced>,
-    pointees: Vec<scene_settings::Pointees>,
-    updates: Vec<(&'a DeviceScene, u32, Gaussians)>,
+    placed: List<'a, AshsplatPlaced>,
+    pointees: List<'a, scene_settings::Pointees<'a>>,
+    updates: List<'a, (&'a DeviceScene, u32, Gaussians)>,
     camera: Camera,
     settings: RenderSettings,
     motion: Option<auxiliary::Motion>,
@@ -28,17 +30,18 @@ struct Copied<'a> {
 impl<'a> Copied<'a> {
     /// # Safety
     /// The frame is valid with all that it points to.
-    unsafe fn of(frame: &'a AshsplatRecordedFrame, renderer: &Renderer) -> Result<Self> {
+    unsafe fn of(frame: &'a AshsplatRecordedFrame, context: &Context, scratch: &'a Scratch) -> Result<Self> {
         // SAFETY: as promised.
         unsafe {
-            let placed = read_all(frame.scenes, frame.scene_count, "scenes")?;
-            let pointees = scene_settings::pointees(&placed, renderer.context())?;
+            let placed = read_all_in(scratch, frame.scenes, frame.scene_count, "scenes")?;
+            let pointees = scene_settings::pointees(&placed, context, scratch)?;
+            let updates = read_all_in(scratch, frame.updates, frame.update_count, "updates")?;
             let settings = read_if(frame.settings, "settings")?;
             Ok(Self {
                 frame,
                 placed,
                 pointees,
-                updates: scenes::copied(&read_all(frame.updates, frame.update_count, "updates")?)?,
+                updates: scenes::copied(&updates, scratch)?,
                 camera: read(frame.camera, "camera")?.known()?,
                 settings: settings.map_or(Ok(RenderSettings::default()), |settings| settings.checked())?,
                 motion: auxiliary::Motion::read(frame.motion)?,
@@ -48,8 +51,8 @@ impl<'a> Copied<'a> {
 
     /// # Safety
     /// As [`Copied::of`].
-    unsafe fn scenes(&self) -> Result<Vec<Placed<'_>>> {
-        let mut scenes = Vec::with_capacity(self.placed.len());
+    unsafe fn scenes<'b>(&'b self, scratch: &'b Scratch) -> Result<List<'b, Placed<'b>>> {
+        let mut scenes = List::with_capacity_in(self.placed.len(), scratch);
         for (place, (placed, own)) in self.placed.iter().zip(&self.pointees).enumerate() {
             // SAFETY: as promised.
             unsafe {
@@ -107,39 +110,46 @@ const SELECTION: [(&str, &str); 3] = [
     (".selection.share", ".selection_share"),
 ];
 
-/// Records frames as the views of one recording.
+/// Records frames as the views of one recording, and says in `releases` how it leaves their images: NULL, or room for as many.
+/// Takes nothing from the heap once the renderer has recorded such frames, but for what updates and masks copy.
 ///
 /// # Safety
 /// As ashsplat_record, for each.
 pub(super) unsafe fn record(
-    renderer: &mut Renderer,
+    AshsplatRenderer(renderer, scratch): &mut AshsplatRenderer,
     (commands, slot): (*mut c_void, u32),
-    frames: &[AshsplatRecordedFrame],
-) -> Result<Vec<Release>> {
-    let alone = frames.len() == 1;
+    (frames, count): (*const AshsplatRecordedFrame, u32),
+    releases: *mut AshsplatRelease,
+) -> Result<()> {
+    scratch.reset();
+    let scratch = &*scratch;
     let of_view = |index: usize| {
-        move |error: Error| if alone { error } else { within(format_args!("frames[{index}]"))(error) }
+        move |error: Error| if count == 1 { error } else { within(format_args!("frames[{index}]"))(error) }
     };
     // SAFETY: as promised.
     unsafe {
+        let frames = read_all_in(scratch, frames, count, "frames")?;
+        let context = renderer.context();
         let copied = frames.iter().enumerate();
-        let copied = copied.map(|(index, frame)| Copied::of(frame, renderer).map_err(of_view(index)));
-        let copied = copied.collect::<Result<Vec<_>>>()?;
+        let copied = copied.map(|(index, frame)| Copied::of(frame, context, scratch).map_err(of_view(index)));
+        let copied = collected(copied, scratch)?;
         let scenes = copied.iter().enumerate();
-        let scenes = scenes.map(|(index, own)| own.scenes().map_err(of_view(index)));
-        let scenes = scenes.collect::<Result<Vec<_>>>()?;
-        let updates: Vec<_> = copied.iter().map(|own| scenes::updates(&own.updates)).collect();
-        let mut views = Vec::with_capacity(frames.len());
+        let scenes = scenes.map(|(index, own)| own.scenes(scratch).map_err(of_view(index)));
+        let scenes = collected(scenes, scratch)?;
+        let updates = copied.iter().map(|own| scenes::updates(&own.updates, scratch));
+        let updates = List::from_iter_in(updates, scratch);
+        let mut views = List::with_capacity_in(frames.len(), scratch);
         for (index, own) in copied.iter().enumerate() {
             // Views of the same list have the same one here: that is how the library knows it.
             let list = |f: &AshsplatRecordedFrame| (f.scenes, f.scene_count);
             let first = frames.iter().position(|frame| list(frame) == list(own.frame)).unwrap_or(index);
             views.push(own.recorded(&scenes[first], &updates[index]).map_err(of_view(index))?);
         }
-        let commands = renderer.context().adopt_commands(vk::CommandBuffer::from_raw(commands as u64))?;
-        let mut releases = vec![Release::default(); views.len()];
-        renderer.record_views(commands, slot, &views, &mut releases).map_err(in_c)?;
-        Ok(releases)
+        let commands = context.adopt_commands(vk::CommandBuffer::from_raw(commands as u64))?;
+        let mut left = List::from_iter_in(views.iter().map(|_| Release::default()), scratch);
+        renderer.record_views(commands, slot, &views, &mut left).map_err(in_c)?;
+        let left = List::from_iter_in(left.iter().map(AshsplatRelease::from), scratch);
+        write_all_if(releases, "releases", &left)
     }
 }
 

@@ -1,7 +1,8 @@
 //! How one scene of a frame is drawn, in C.
 
+use super::scratch::{List, Scratch, collected};
 use super::settings::one_of;
-use super::structs::{read, read_all, read_if, within, write};
+use super::structs::{read, read_all_in, read_if, within, write};
 use super::{AshsplatHostBuffer, AshsplatPlaced, AshsplatStatus, guarded};
 use ashsplat::ash::{vk, vk::Handle};
 use ashsplat::scene::{CutOut, Inside, MAX_CUT_OUTS, Pose, Volume};
@@ -74,14 +75,14 @@ pub struct AshsplatSceneSettings {
 }
 
 /// The settings of a scene and what they point to, as the library has it.
-pub(super) struct Pointees {
+pub(super) struct Pointees<'b> {
     settings: Option<AshsplatSceneSettings>,
-    cut_outs: Vec<CutOut>,
+    cut_outs: List<'b, CutOut>,
     mask: Option<Buffer>,
 }
 
 impl AshsplatCutOut {
-    fn checked(&self, name: impl Fn() -> String) -> Result<CutOut> {
+    fn checked(&self, name: impl std::fmt::Display) -> Result<CutOut> {
         let size = Vec3::from(self.size);
         let volumes = [
             Volume::Box { half_size: size },
@@ -94,7 +95,7 @@ impl AshsplatCutOut {
             scale: self.scale,
         };
         let inside = if self.removes { Inside::Removed } else { Inside::Kept };
-        Ok(CutOut { volume: one_of(&format!("{}.volume", name()), self.volume, &volumes)?, pose, inside })
+        Ok(CutOut { volume: one_of(format_args!("{name}.volume"), self.volume, &volumes)?, pose, inside })
     }
 }
 
@@ -102,12 +103,16 @@ impl AshsplatCutOut {
 ///
 /// # Safety
 /// The settings are NULL or valid with all that they point to; masks are as [`Buffer::adopt`] says.
-pub(super) unsafe fn pointees(placed: &[AshsplatPlaced], context: &Context) -> Result<Vec<Pointees>> {
+pub(super) unsafe fn pointees<'b>(
+    placed: &[AshsplatPlaced],
+    context: &Context,
+    scratch: &'b Scratch,
+) -> Result<List<'b, Pointees<'b>>> {
     let of = |(place, placed): (usize, &AshsplatPlaced)| {
         // SAFETY: as promised.
         let settings = unsafe { read_if(placed.settings, "settings") };
         let Some(settings) = settings.map_err(within(format_args!("scenes[{place}]")))? else {
-            return Ok(Pointees { settings: None, cut_outs: Vec::new(), mask: None });
+            return Ok(Pointees { settings: None, cut_outs: List::new_in(scratch), mask: None });
         };
         let field = || format!("scenes[{place}].settings.cut_outs");
         let count = settings.cut_out_count as usize;
@@ -116,11 +121,12 @@ pub(super) unsafe fn pointees(placed: &[AshsplatPlaced], context: &Context) -> R
             return Err(Error::argument(field(), format!("{count} of them, there may be {MAX_CUT_OUTS}")));
         }
         // SAFETY: as promised.
-        let own = unsafe { read_all(settings.cut_outs, settings.cut_out_count, "cut_outs") };
+        let own = unsafe { read_all_in(scratch, settings.cut_outs, settings.cut_out_count, "cut_outs") };
         let own = own.map_err(within(format_args!("scenes[{place}].settings")))?;
-        let checked =
-            |(index, cut_out): (usize, &AshsplatCutOut)| cut_out.checked(|| format!("{}[{index}]", field()));
-        let cut_outs: Result<_> = own.iter().enumerate().map(checked).collect();
+        let mut cut_outs = List::with_capacity_in(own.len(), scratch);
+        for (index, cut_out) in own.iter().enumerate() {
+            cut_outs.push(cut_out.checked(format_args!("scenes[{place}].settings.cut_outs[{index}]"))?);
+        }
         // SAFETY: as promised.
         let mask = unsafe { settings.selection.as_ref() }.map(|mask| {
             let raw = vk::Buffer::from_raw(mask.buffer);
@@ -133,9 +139,9 @@ pub(super) unsafe fn pointees(placed: &[AshsplatPlaced], context: &Context) -> R
                 other => other,
             })
         });
-        Ok(Pointees { settings: Some(settings), cut_outs: cut_outs?, mask: mask.transpose()? })
+        Ok(Pointees { settings: Some(settings), cut_outs, mask: mask.transpose()? })
     };
-    placed.iter().enumerate().map(of).collect()
+    collected(placed.iter().enumerate().map(of), scratch)
 }
 
 /// Checks a pose that is a part of something.
@@ -144,7 +150,7 @@ fn check_pose(pose: &Pose, of: &str) -> Result<()> {
 }
 
 /// The settings of a scene with what they point to.
-pub(super) fn of(own: &Pointees) -> SceneSettings<'_> {
+pub(super) fn of<'a>(own: &'a Pointees<'_>) -> SceneSettings<'a> {
     own.settings.as_ref().map_or_else(SceneSettings::default, |settings| SceneSettings {
         visible: settings.visible,
         tint: settings.tint,
@@ -171,7 +177,7 @@ pub unsafe extern "C" fn ashsplat_cut_out_in_scene(
     // SAFETY: as promised.
     guarded(|| unsafe {
         let (own, scene) = (read(cut_out, "cut_out")?, read(placed, "placed")?.pose());
-        let in_world = own.checked(|| "cut_out".to_owned())?;
+        let in_world = own.checked("cut_out")?;
         check_pose(&in_world.pose, "cut_out")?;
         check_pose(&scene, "placed")?;
         let CutOut { pose, .. } = in_world.in_scene(&scene);

@@ -1,5 +1,6 @@
 //! Scenes that a host makes, changes and owns, in C.
 
+use super::scratch::{List, Scratch, collected};
 use super::structs::{read, read_all, within, write};
 use super::{
     AshsplatContext, AshsplatGaussians, AshsplatHostBuffer, AshsplatScene, AshsplatScenePlan, AshsplatStatus,
@@ -37,9 +38,10 @@ pub(super) unsafe fn gaussians(host: &AshsplatGaussians) -> Result<Gaussians> {
 ///
 /// # Safety
 /// As [`gaussians`], for each; the scenes are alive.
-pub(super) unsafe fn copied<'a>(
+pub(super) unsafe fn copied<'a, 'b>(
     updates: &[AshsplatUpdate],
-) -> Result<Vec<(&'a DeviceScene, u32, Gaussians)>> {
+    scratch: &'b Scratch,
+) -> Result<List<'b, (&'a DeviceScene, u32, Gaussians)>> {
     let copy = |(place, u): (usize, &AshsplatUpdate)| {
         // SAFETY: as promised.
         let copied = unsafe {
@@ -53,12 +55,16 @@ pub(super) unsafe fn copied<'a>(
         };
         copied.map_err(within(format_args!("updates[{place}]")))
     };
-    updates.iter().enumerate().map(copy).collect()
+    collected(updates.iter().enumerate().map(copy), scratch)
 }
 
 /// The same as the library sees them.
-pub(super) fn updates<'a>(copied: &'a [(&'a DeviceScene, u32, Gaussians)]) -> Vec<Update<'a>> {
-    copied.iter().map(|&(scene, first, ref gaussians)| Update { scene, first, gaussians }).collect()
+pub(super) fn updates<'a>(
+    copied: &'a [(&'a DeviceScene, u32, Gaussians)],
+    scratch: &'a Scratch,
+) -> List<'a, Update<'a>> {
+    let updates = copied.iter().map(|&(scene, first, ref gaussians)| Update { scene, first, gaussians });
+    List::from_iter_in(updates, scratch)
 }
 
 /// Uploads a scene from a host's arrays, with a capacity of at least `capacity` Gaussians: AshsplatUpdate and

@@ -58,9 +58,11 @@ pub struct AshsplatRenderSettings {
 }
 
 /// The meaning of a number that stands for one of an enumeration.
-pub(super) fn one_of<T: Copy>(what: &str, number: u32, values: &[T]) -> Result<T> {
+pub(super) fn one_of<T: Copy>(what: impl std::fmt::Display, number: u32, values: &[T]) -> Result<T> {
     let found = values.get(number as usize).copied();
-    found.ok_or_else(|| Error::argument(what, format!("{number}, there are 0 to {}", values.len() - 1)))
+    found.ok_or_else(|| {
+        Error::argument(what.to_string(), format!("{number}, there are 0 to {}", values.len() - 1))
+    })
 }
 
 impl AshsplatRenderSettings {

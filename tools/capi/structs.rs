@@ -6,6 +6,7 @@
 //! nothing is padded before them. Such a struct is never a part of another one, and in an array all have the size of the first. A size
 //! below that of the first header was not set: the error says how.
 
+use super::scratch::{List, Scratch};
 use super::{
     AshsplatAllocator, AshsplatCamera, AshsplatCutOut, AshsplatDepthTarget, AshsplatForeignDevice,
     AshsplatForeignImage, AshsplatGaussians, AshsplatMaintenance, AshsplatMotionTarget, AshsplatOccluder,
@@ -196,13 +197,41 @@ pub(super) unsafe fn read_if<T: Grows>(pointer: *const T, what: &str) -> Result<
 /// # Safety
 /// The pointer is valid for so many structs of that size, or the count is 0.
 pub(super) unsafe fn read_all<T: Grows>(pointer: *const T, count: u32, what: &str) -> Result<Vec<T>> {
+    let mut all = Vec::new();
+    // SAFETY: as promised.
+    unsafe { read_into(&mut all, Vec::reserve, (pointer, count), what) }.map(|()| all)
+}
+
+/// The same in memory that is used again.
+///
+/// # Safety
+/// As [`read_all`].
+pub(super) unsafe fn read_all_in<'b, T: Grows>(
+    scratch: &'b Scratch,
+    pointer: *const T,
+    count: u32,
+    what: &str,
+) -> Result<List<'b, T>> {
+    let mut all = List::new_in(scratch);
+    // SAFETY: as promised.
+    unsafe { read_into(&mut all, List::reserve, (pointer, count), what) }.map(|()| all)
+}
+
+/// # Safety
+/// As [`read_all`].
+unsafe fn read_into<T: Grows, L: Extend<T>>(
+    all: &mut L,
+    reserve: impl Fn(&mut L, usize),
+    (pointer, count): (*const T, u32),
+    what: &str,
+) -> Result<()> {
     if count == 0 {
-        return Ok(Vec::new());
+        return Ok(());
     }
     if pointer.is_null() {
         return Err(Error::argument(what, "the pointer is null"));
     }
-    let mut all = Vec::with_capacity(count as usize);
+    reserve(all, count as usize);
     // SAFETY: as promised.
     unsafe {
         // Names are needed for errors alone.
@@ -214,10 +243,10 @@ pub(super) unsafe fn read_all<T: Grows>(pointer: *const T, count: u32, what: &st
                 let problem = format!("struct_size is {size}, that of {what}[0] is {stride}");
                 return Err(Error::argument(format!("{what}[{index}]"), problem));
             }
-            all.push(read(at, what).map_err(element(index))?);
+            all.extend([read(at, what).map_err(element(index))?]);
         }
     }
-    Ok(all)
+    Ok(())
 }
 
 /// Gives a host's struct its values, as many as it has.

@@ -92,7 +92,7 @@ impl AshsplatCamera {
         let camera_from_world = Mat3::from_cols_array(&self.camera_from_world).transpose();
         let translation = Vec3::from(self.translation);
         let kinds = [Projection::Perspective, Projection::Orthographic];
-        let projection = one_of(&format!("{name}.projection"), self.projection, &kinds)?;
+        let projection = one_of(format_args!("{name}.projection"), self.projection, &kinds)?;
         Ok(Camera { camera_from_world, translation, fx, fy, cx, cy, width, height, projection })
     }
 }

@@ -1,0 +1,202 @@
+//! What recording in C takes from the heap.
+
+use ashsplat::ash::vk::Handle;
+use ashsplat::ash::{self, vk};
+use ashsplat_c::*;
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+use std::ffi::{CStr, c_void};
+use std::ptr::{null, null_mut};
+
+/// The system's allocator, which counts what each thread asks for.
+struct Counting;
+
+thread_local! {
+    static ASKED: Cell<u64> = const { Cell::new(0) };
+}
+
+fn note() {
+    // A thread that is ending has no counter any more.
+    let _ = ASKED.try_with(|asked| asked.set(asked.get() + 1));
+}
+
+// SAFETY: every call is passed on to the system's allocator as it is.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        note();
+        // SAFETY: as the caller promises.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn realloc(&self, at: *mut u8, layout: Layout, bytes: usize) -> *mut u8 {
+        note();
+        // SAFETY: as the caller promises.
+        unsafe { System.realloc(at, layout, bytes) }
+    }
+
+    unsafe fn dealloc(&self, at: *mut u8, layout: Layout) {
+        // SAFETY: as the caller promises.
+        unsafe { System.dealloc(at, layout) }
+    }
+}
+
+#[global_allocator]
+static COUNTING: Counting = Counting;
+
+fn check(status: AshsplatStatus) {
+    // SAFETY: the message ends with a zero, and lives until the next call.
+    let said = unsafe { CStr::from_ptr(ashsplat_last_error()) };
+    assert!(status == AshsplatStatus::Ok, "{said:?}");
+}
+
+/// A device that ashsplat has opened, lent back to it as a host's.
+struct Host {
+    owner: *mut AshsplatContext,
+    device: ash::Device,
+    queue: vk::Queue,
+    pool: vk::CommandPool,
+    commands: vk::CommandBuffer,
+    context: *mut AshsplatContext,
+}
+
+impl Host {
+    fn new() -> Self {
+        let (mut owner, mut context) = (null_mut(), null_mut());
+        let mut lent = AshsplatForeignDevice::default();
+        let mut v12 = vk::PhysicalDeviceVulkan12Features::default();
+        let mut v13 = vk::PhysicalDeviceVulkan13Features::default();
+        // SAFETY: all pointers are alive; the device lives until the host is closed.
+        unsafe {
+            let entry = ash::Entry::load().expect("a loader");
+            lent.get_instance_proc_addr = entry.static_fn().get_instance_proc_addr as *const c_void;
+            check(ashsplat_context_new(null(), &raw mut owner));
+            let handles = [&raw mut lent.instance, &raw mut lent.physical_device, &raw mut lent.device];
+            let [instance, physical, device] = handles;
+            check(ashsplat_context_handles(owner, instance, physical, device, &raw mut lent.queue_family));
+            check(ashsplat_merge_features((&raw mut v12).cast(), (&raw mut v13).cast()));
+            lent.vulkan12_features = (&raw const v12).cast();
+            lent.vulkan13_features = (&raw const v13).cast();
+            let instance =
+                ash::Instance::load(entry.static_fn(), vk::Instance::from_raw(lent.instance as u64));
+            let device = ash::Device::load(instance.fp_v1_0(), vk::Device::from_raw(lent.device as u64));
+            let queue = device.get_device_queue(lent.queue_family, 0);
+            lent.queue = queue.as_raw() as *mut c_void;
+            check(ashsplat_context_from_foreign(&raw const lent, &raw mut context));
+            let info = vk::CommandPoolCreateInfo::default()
+                .flags(vk::CommandPoolCreateFlags::RESET_COMMAND_BUFFER)
+                .queue_family_index(lent.queue_family);
+            let pool = device.create_command_pool(&info, None).expect("a pool");
+            let info = vk::CommandBufferAllocateInfo::default().command_pool(pool).command_buffer_count(1);
+            let commands = device.allocate_command_buffers(&info).expect("a command buffer")[0];
+            Self { owner, device, queue, pool, commands, context }
+        }
+    }
+
+    /// What a recording takes from the heap; it is submitted, and waited for.
+    fn recorded(&self, record: impl FnOnce(*mut c_void) -> AshsplatStatus) -> u64 {
+        let commands = self.commands;
+        let info = vk::CommandBufferBeginInfo::default().flags(vk::CommandBufferUsageFlags::ONE_TIME_SUBMIT);
+        // SAFETY: the command buffer is not in use: the queue was waited for.
+        unsafe { self.device.begin_command_buffer(commands, &info) }.expect("recording");
+        let before = ASKED.get();
+        let status = record(commands.as_raw() as *mut c_void);
+        let taken = ASKED.get() - before;
+        check(status);
+        // SAFETY: it is recorded.
+        unsafe {
+            self.device.end_command_buffer(commands).expect("recorded");
+            let commands = [commands];
+            let submits = [vk::SubmitInfo::default().command_buffers(&commands)];
+            self.device.queue_submit(self.queue, &submits, vk::Fence::null()).expect("submitted");
+            self.device.queue_wait_idle(self.queue).expect("executed");
+        }
+        taken
+    }
+
+    fn close(self) {
+        // SAFETY: nothing is in use any more.
+        unsafe {
+            ashsplat_context_free(self.context);
+            self.device.destroy_command_pool(self.pool, None);
+            ashsplat_context_free(self.owner);
+        }
+    }
+}
+
+#[test]
+fn recording_in_c_takes_nothing_from_the_heap() {
+    let host = Host::new();
+    let means: Vec<f32> = (0..300).map(|i| (i % 17) as f32 / 8.0 - 1.0).collect();
+    let (quats, scales) = ([1.0f32, 0.0, 0.0, 0.0].repeat(100), vec![-3.0f32; 300]);
+    let (opacities, sh) = (vec![1.0f32; 100], vec![0.5f32; 300]);
+    let cloud = AshsplatGaussians {
+        count: 100,
+        means: means.as_ptr(),
+        quats: quats.as_ptr(),
+        log_scales: scales.as_ptr(),
+        opacity_logits: opacities.as_ptr(),
+        sh: sh.as_ptr(),
+        ..AshsplatGaussians::default()
+    };
+    let (mut scene, mut renderer) = (null_mut(), null_mut());
+    let wanted = AshsplatReservation {
+        gaussians: 200,
+        scenes: 2,
+        width: 96,
+        height: 64,
+        tint: true,
+        cut_outs: 2,
+        ..AshsplatReservation::default()
+    };
+    // SAFETY: all pointers are alive.
+    unsafe {
+        check(ashsplat_scene_new(host.context, &raw const cloud, 0, &raw mut scene));
+        check(ashsplat_renderer_new(host.context, &raw mut renderer));
+        check(ashsplat_reserve(renderer, &raw const wanted));
+    }
+    let camera = AshsplatCamera {
+        translation: [0.0, 0.0, 4.0],
+        fx: 96.0,
+        fy: 96.0,
+        cx: 48.0,
+        cy: 32.0,
+        width: 96,
+        height: 64,
+        ..AshsplatCamera::default()
+    };
+    let cut_outs = [AshsplatCutOut { size: [0.5; 3], ..AshsplatCutOut::default() }; 2];
+    let own = AshsplatSceneSettings {
+        tint: [0.5, 1.0, 1.0],
+        cut_outs: cut_outs.as_ptr(),
+        cut_out_count: 2,
+        ..AshsplatSceneSettings::default()
+    };
+    let placed = AshsplatPlaced { scene, ..AshsplatPlaced::default() };
+    let scenes = [placed, AshsplatPlaced { settings: &raw const own, ..placed }];
+    let frame = AshsplatRecordedFrame {
+        scenes: scenes.as_ptr(),
+        scene_count: 2,
+        camera: &raw const camera,
+        ..AshsplatRecordedFrame::default()
+    };
+    let mut release = AshsplatRelease::default();
+    let mut taken = Vec::new();
+    for _ in 0..5 {
+        taken.push(host.recorded(|commands| {
+            // SAFETY: all pointers are alive; the slot's last frame has finished.
+            unsafe { ashsplat_record(renderer, commands, 0, &raw const frame, &raw mut release) }
+        }));
+        taken.push(host.recorded(|commands| {
+            // SAFETY: as above.
+            unsafe { ashsplat_record_views(renderer, commands, 0, &raw const frame, 1, &raw mut release) }
+        }));
+    }
+    assert!(taken[0] > 0, "nothing is counted");
+    assert_eq!(taken[4..], [0; 6], "{taken:?}");
+    // SAFETY: nothing is in use any more.
+    unsafe {
+        ashsplat_renderer_free(renderer);
+        ashsplat_scene_free(scene);
+    }
+    host.close();
+}
