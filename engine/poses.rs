@@ -4,6 +4,10 @@
 //! displacement in world units, ω a turn in radians, both in the camera's frame
 //! ([`Twist`](crate::scene::Twist)). The cameras live in device memory, where frames read them
 //! ([`FrameInputs::pose`]), so that recorded steps move them without the host.
+//!
+//! Steps turn a camera about a point before it, at the mean depth of what it sees, not about its centre. Both span the same
+//! poses. But about the centre a turn and a displacement move the picture nearly alike, and Adam, which scales each parameter by
+//! itself, does not tell them apart (Park et al. 2023, "CamP", precondition cameras for this reason).
 
 pub use crate::forward::pose_of;
 
@@ -67,7 +71,7 @@ impl PoseGradient {
 /// One step of the optimiser of poses.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PoseStep {
-    /// Learning rate: world units and radians.
+    /// Learning rate: radians; of displacements, times the depth about which the image turns (1 where there is none).
     pub rate: f64,
     /// Number of steps including this one, from 1.
     pub count: u64,
@@ -86,6 +90,8 @@ pub struct PoseBuffers {
     pub moments: Buffer,
     /// Four vec3 per image: the rows of the rotation of T₀, and its translation.
     pub starts: Buffer,
+    /// Per image: the depth of the point about which it turns in steps, world units; 0 for the camera's centre.
+    pub depths: Buffer,
     /// Four vec3 per image: the same of T(ξ), as [`FrameInputs::pose`] reads it.
     pub cameras: Buffer,
     /// See [`PoseGradient::record`].
@@ -96,12 +102,13 @@ pub struct PoseBuffers {
 
 impl PoseBuffers {
     /// Names and bytes of the buffers.
-    pub fn requests(images: u32) -> [(&'static str, u64); 6] {
+    pub fn requests(images: u32) -> [(&'static str, u64); 7] {
         let images = u64::from(images);
         [
             ("pose_parameters", images * PARAMETER_BYTES),
             ("pose_moments", images * 2 * PARAMETER_BYTES),
             ("pose_starts", images * POSE_BYTES),
+            ("pose_depths", images * 4),
             ("pose_cameras", images * POSE_BYTES),
             ("pose_gradient", GRADIENT_BYTES),
             ("pose_view_sums", images * PARAMETER_BYTES),
@@ -113,11 +120,12 @@ impl PoseBuffers {
     /// # Panics
     /// If there are others.
     pub fn from_allocated(images: u32, buffers: Vec<Buffer>) -> Self {
-        let Ok([parameters, moments, starts, cameras, gradient, sums]) = <[Buffer; 6]>::try_from(buffers)
+        let Ok([parameters, moments, starts, depths, cameras, gradient, sums]) =
+            <[Buffer; 7]>::try_from(buffers)
         else {
             panic!("one buffer per request");
         };
-        Self { images, parameters, moments, starts, cameras, gradient, sums }
+        Self { images, parameters, moments, starts, depths, cameras, gradient, sums }
     }
 }
 
@@ -182,6 +190,7 @@ impl PoseOptimizer {
             pose_cameras: &buffers.cameras,
             state,
             pose_view_sums: &buffers.sums,
+            pose_depths: &buffers.depths,
         };
         r.dispatch(&self.kernel, &bind, &push, blocks(buffers.images.into(), self.workgroup.into()));
     }

@@ -261,6 +261,7 @@ fn checkpoints_with_any_bit_flipped_are_refused() {
             parameters: vec![[0.1; 6]; 3],
             first_moments: vec![[0.2; 6]; 3],
             second_moments: vec![[0.3; 6]; 3],
+            depths: vec![0.4; 3],
         }),
         block: None,
         skipped: 2,

@@ -329,10 +329,16 @@ fn poses(tensors: &SafeTensors) -> Result<Option<PoseState>, String> {
     if tensors.tensor(parameters).is_err() {
         return Ok(None);
     }
+    // Older files have no depths.
+    let depths = match tensors.tensor(Checkpoint::POSE_DEPTHS) {
+        Ok(_) => values(tensors, Checkpoint::POSE_DEPTHS, &[])?,
+        Err(_) => Vec::new(),
+    };
     Ok(Some(PoseState {
         parameters: values(tensors, parameters, &[6])?,
         first_moments: values(tensors, first, &[6])?,
         second_moments: values(tensors, second, &[6])?,
+        depths,
     }))
 }
 

@@ -137,6 +137,9 @@ pub struct PoseState {
     pub first_moments: Vec<[f32; 6]>,
     /// Adam's second moments.
     pub second_moments: Vec<[f32; 6]>,
+    /// The depth of the point about which each camera turns in steps, world units; 0 for its centre. Older checkpoints have none:
+    /// all of theirs turn about their centres.
+    pub depths: Vec<f32>,
 }
 
 /// A part of a checkpoint.
@@ -240,10 +243,14 @@ impl Checkpoint {
                 bytes: bytemuck::cast_slice(set),
             }));
         }
-        if let Some(PoseState { parameters, first_moments, second_moments }) = &self.poses {
+        if let Some(PoseState { parameters, first_moments, second_moments, depths }) = &self.poses {
             for (name, rows) in Self::POSES.iter().zip([parameters, first_moments, second_moments]) {
                 let (name, shape) = ((*name).to_owned(), vec![rows.len(), 6]);
                 tensors.push(Tensor { name, shape, bytes: bytemuck::cast_slice(rows) });
+            }
+            if !depths.is_empty() {
+                let (name, shape) = (Self::POSE_DEPTHS.to_owned(), vec![depths.len()]);
+                tensors.push(Tensor { name, shape, bytes: bytemuck::cast_slice(depths) });
             }
         }
         if let Some(GradientSums { light, poses, .. }) = &self.gradient_sums {
@@ -277,6 +284,9 @@ impl Checkpoint {
 
     /// Names of the poses' tensors: parameters, first and second moments. Only of runs that optimise them.
     pub const POSES: [&str; 3] = ["pose", "first_moment.pose", "second_moment.pose"];
+
+    /// Name of the tensor of [`PoseState::depths`].
+    pub const POSE_DEPTHS: &str = "pose_depth";
 
     /// Prefix of the strategy's own statistics, and of its values in the metadata.
     pub const STRATEGY: &str = "strategy.";
@@ -335,6 +345,7 @@ impl Checkpoint {
             [&poses.parameters, &poses.first_moments, &poses.second_moments]
                 .iter()
                 .all(|rows| rows.len() as u64 == self.views)
+                && (poses.depths.is_empty() || poses.depths.len() as u64 == self.views)
         };
         if !self.poses.as_ref().is_none_or(views) {
             return Err(Error::argument("poses", "are of another number than the views"));

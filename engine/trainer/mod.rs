@@ -212,7 +212,7 @@ impl Trainer {
         let sizes: Vec<_> = cameras.iter().map(|camera| (camera.width, camera.height)).collect();
         let photos = Photos::new(context, &views, &photo_sizes, settings.seed)?;
         let maps = DepthMaps::new(context, &views, &photo_sizes)?;
-        let poses = Poses::new(context, &settings, &cameras, strategy.records().sums)?;
+        let poses = Poses::new(context, &settings, &cameras, initial, strategy.records().sums)?;
         let lenses = light::lenses_of(&views);
         let views_fingerprint = resume::fingerprint_of(&views, settings.lens_effects);
         drop(views);

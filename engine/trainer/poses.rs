@@ -6,8 +6,12 @@ use crate::error::{Error, Result};
 use crate::forward::{FrameInputs, POSE_BYTES};
 use crate::kernels::constants::STATE_WORDS;
 use crate::poses::{PoseBuffers, PoseGradient, PoseOptimizer, PoseStep, camera_at, pose_of};
-use crate::scene::Camera;
+use crate::scene::{Camera, Gaussians, NEAR_PLANE};
 use crate::vk::{Buffer, Context, MemoryKind, Recorder};
+use glam::Vec3;
+
+/// Most Gaussians that [`mean_depth`] looks at: a mean needs no more, and there is one per camera.
+const DEPTH_SAMPLES: usize = 1 << 16;
 
 /// The poses of a run that optimises them.
 pub(super) struct Poses {
@@ -33,6 +37,7 @@ impl Poses {
         context: &Context,
         settings: &TrainSettings,
         cameras: &[Camera],
+        initial: &Gaussians,
         sums: bool,
     ) -> Result<Option<Self>> {
         if !settings.pose_opt {
@@ -43,6 +48,8 @@ impl Poses {
         let buffers = PoseBuffers::from_allocated(images, buffers);
         let starts: Vec<[f32; 12]> = cameras.iter().map(pose_of).collect();
         context.upload(&buffers.starts, bytemuck::cast_slice(&starts))?;
+        let depths: Vec<f32> = cameras.iter().map(|camera| mean_depth(camera, &initial.means)).collect();
+        context.upload(&buffers.depths, bytemuck::cast_slice(&depths))?;
         let at = |view: usize| buffers.cameras.range(view as u64 * POSE_BYTES, POSE_BYTES);
         let poses = Self {
             gradient: PoseGradient::new(context)?,
@@ -118,6 +125,7 @@ impl Poses {
             parameters: bytemuck::pod_collect_to_vec(&parameters),
             first_moments: every_second(0),
             second_moments: every_second(1),
+            depths: bytemuck::pod_collect_to_vec(&context.download(&self.buffers.depths)?),
         })
     }
 
@@ -131,6 +139,23 @@ impl Poses {
             from.first_moments.iter().zip(&from.second_moments).map(|(&m, &v)| [m, v]).collect();
         context.upload(&self.buffers.parameters, bytemuck::cast_slice(&from.parameters))?;
         context.upload(&self.buffers.moments, bytemuck::cast_slice(&moments))?;
+        let mut depths = from.depths.clone();
+        depths.resize(self.cameras.len(), 0.0);
+        context.upload(&self.buffers.depths, bytemuck::cast_slice(&depths))?;
         self.make_cameras(context)
     }
+}
+
+/// Harmonic mean of the depth over the means that a camera sees, world units; 0 where it sees none. Of many, evenly spaced ones.
+fn mean_depth(camera: &Camera, means: &[[f32; 3]]) -> f32 {
+    let inverse = |&mean: &[f32; 3]| {
+        let p = camera.camera_from_world * Vec3::from_array(mean) + camera.translation;
+        let [x, y] = [camera.fx * p.x / p.z + camera.cx, camera.fy * p.y / p.z + camera.cy];
+        let inside = (0.0..camera.width as f32).contains(&x) && (0.0..camera.height as f32).contains(&y);
+        (inside && p.z > NEAR_PLANE).then(|| 1.0 / f64::from(p.z))
+    };
+    let every = means.len().div_ceil(DEPTH_SAMPLES).max(1);
+    let (seen, sum) = (means.iter().step_by(every).filter_map(inverse))
+        .fold((0_u32, 0.0), |(seen, sum), inverse| (seen + 1, sum + inverse));
+    if seen == 0 { 0.0 } else { (f64::from(seen) / sum) as f32 }
 }

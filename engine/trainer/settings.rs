@@ -139,7 +139,8 @@ options! {
         dropout: f64 = 0.0, Bounds::Share;
         /// Optimise the poses of the training views with the scene; held-out ones are aligned to it before they are measured
         pose_opt: bool = false, Bounds::None;
-        /// Learning rate of the poses at the start, world units and radians; a hundredth of it at the end
+        /// Learning rate of the poses at the start: of turns, radians; of displacements, times the mean depth of the Gaussians that the
+        /// camera sees at the start. A hundredth of it at the end
         pose_lr: f64 = 1e-5, Bounds::NotNegative;
         /// Adam on all Gaussians, or on those seen only
         optimizer_type: OptimizerType = OptimizerType::Default, Bounds::None;

@@ -1,17 +1,23 @@
 // Adam over the poses of all images as one tensor, and the cameras that follow:
 //
-//   g <- dL/d(xi) of the image that was seen, 0 for all others, + weight_decay xi
-//   m <- b1 m + (1 - b1) g,  v <- b2 v + (1 - b2) g^2,  xi <- xi - rate / (1 - b1^t) m / (sqrt(v / (1 - b2^t)) + eps)
+//   g <- P^T (dL/d(xi) of the image that was seen, 0 for all others, + weight_decay xi)
+//   m <- b1 m + (1 - b1) g,  v <- b2 v + (1 - b2) g^2,  xi <- xi - rate / (1 - b1^t) P m / (sqrt(v / (1 - b2^t)) + eps)
 //   T = exp(xi^) T_0, from world to camera: R = exp(omega^) R_0, t = exp(omega^) t_0 + V nu,
 //   exp(omega^) = I + a omega^ + b omega^ omega^,  V = I + b omega^ + c omega^ omega^,
 //   a = sin w / w,  b = (1 - cos w) / w^2,  c = (w - sin w) / w^3,  w = |omega|
+//
+// P takes steps from turns about a pivot, p = (0, 0, depth) of the camera, to turns about its centre: P (nu, omega) =
+// (s nu + p x omega, omega), the adjoint of a displacement. s is the depth: displacements learn at the rate times it. About
+// the centre a turn and a displacement look nearly the same, and Adam, which sees each parameter alone, does not tell them apart.
+// Without a pivot (depth 0) P is the identity.
 //
 // With SUMS a step follows several views: with `adds` the gradient of the image that was seen is added to pose_view_sums, and a
 // step takes what they have as well. With `starts` what they had before does not count. With neither `adds` nor `makes_step`
 // only the cameras are made. A gradient that is not finite counts as 0. If the frame overflowed, nothing changes.
 //
 // invocation: one image
-// in: pose_gradient (pose_gradient.comp), pose_starts (four vec3 per image: the rows of R_0, t_0), state
+// in: pose_gradient (pose_gradient.comp), pose_starts (four vec3 per image: the rows of R_0, t_0), pose_depths (one per image),
+//     state
 // in/out: pose_parameters (two vec3 per image: nu, omega), pose_moments (four: m of both, v of both), and with SUMS
 //     pose_view_sums (two vec3 per image)
 // out: pose_cameras (four vec3 per image: the rows of R, t)
@@ -33,6 +39,7 @@ layout(set = 0, binding = 3, scalar) buffer PoseMoments { vec3 pose_moments[]; }
 layout(set = 0, binding = 4, scalar) writeonly buffer PoseCameras { vec3 pose_cameras[]; };
 layout(set = 0, binding = 5, scalar) readonly buffer State { uint state[]; };
 layout(set = 0, binding = 6, scalar) buffer PoseViewSums { vec3 pose_view_sums[]; };
+layout(set = 0, binding = 7, scalar) readonly buffer PoseDepths { float pose_depths[]; };
 
 layout(push_constant, scalar) uniform Push {
     uint images;
@@ -73,13 +80,12 @@ vec3 gradient_of(uint image, uint part) {
 }
 
 // Of nu (part 0) or omega (part 1).
-vec3 stepped(uint image, uint part, vec3 parameters) {
-    vec3 g = gradient_of(image, part) + weight_decay * parameters;
+vec3 step_of(uint image, uint part, vec3 g) {
     vec3 m = beta_1 * pose_moments[4 * image + part] + one_minus_beta_1 * g;
     vec3 v = beta_2 * pose_moments[4 * image + 2 + part] + one_minus_beta_2 * g * g;
     pose_moments[4 * image + part] = m;
     pose_moments[4 * image + 2 + part] = v;
-    return parameters - rate * (m / (sqrt(v) * inverse_bias_2 + epsilon));
+    return rate * (m / (sqrt(v) * inverse_bias_2 + epsilon));
 }
 
 // (a, b, c) by their series, which need no sine: drivers' sines have 11 bits.
@@ -106,8 +112,14 @@ void main() {
     vec3 nu = pose_parameters[2 * image];
     vec3 omega = pose_parameters[2 * image + 1];
     if (makes_step != 0) {
-        nu = stepped(image, 0, nu);
-        omega = stepped(image, 1, omega);
+        float depth = pose_depths[image];
+        vec3 pivot = vec3(0.0, 0.0, depth);
+        float scale = depth > 0.0 ? depth : 1.0;
+        vec3 of_nu = gradient_of(image, 0) + weight_decay * nu;
+        vec3 of_omega = gradient_of(image, 1) + weight_decay * omega;
+        vec3 turn = step_of(image, 1, of_omega - cross(pivot, of_nu));
+        nu -= scale * step_of(image, 0, of_nu) + cross(pivot, turn);
+        omega -= turn;
         pose_parameters[2 * image] = nu;
         pose_parameters[2 * image + 1] = omega;
     }

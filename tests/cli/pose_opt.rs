@@ -12,7 +12,7 @@ use serde_json::Value;
 use std::path::Path;
 use tempfile::tempdir;
 
-const ITERATIONS: &str = "400";
+const ITERATIONS: &str = "800";
 
 /// Moves each camera of a COLMAP model by a degree about some axis and a hundredth of the extent in some direction.
 /// Returns the cameras before and after by the names of their photographs.
@@ -123,7 +123,7 @@ fn poses_of_the_demo_are_found_again() {
     let [true_ones, moved] = perturb(&data);
     let (off, on) = (folder.path().join("off"), folder.path().join("on"));
     let (_, without) = train(&data, &off, &[]);
-    let (stdout, with) = train(&data, &on, &["--pose-opt", "--pose-lr", "2e-3"]);
+    let (stdout, with) = train(&data, &on, &["--pose-opt", "--pose-lr", "1e-3"]);
     let number =
         |entry: &Value, name: &str| entry[name].as_f64().unwrap_or_else(|| panic!("{name}: {entry}"));
     let (psnr, aligned) = (number(&without, "PSNR"), number(&with, "PSNR_aligned"));
@@ -150,10 +150,10 @@ fn poses_of_the_demo_are_found_again() {
     let (before, after) = (apart(&before, &true_ones), apart(&cameras[5..], &true_ones));
     println!("degrees between neighbours, mean: {before:.4} before, {after:.4} after");
     println!("centres, shares of the extent, mean: {was:.5} before, {is:.5} after");
-    // So few iterations on such small photographs find about half of the turns: 0.67 of 1.39 degrees are left. Of the moves, for
-    // which a small turn can stand in, they find a fifth: 0.0077 of 0.0097 are left.
-    assert!(after < 0.78, "{before} degrees before, {after} after");
-    assert!(is < 0.0086, "{was} of the extent before, {is} after");
+    // So few iterations on such small photographs leave 0.48 of 1.39 degrees, and 0.0061 of 0.0097 of the moves; with turns about
+    // the cameras' centres 0.61 and 0.0068. More iterations on larger photographs leave less: tools/strategies.md.
+    assert!(after < 0.56, "{before} degrees before, {after} after");
+    assert!(is < 0.0066, "{was} of the extent before, {is} after");
 
     // What is said, and what is written.
     assert!(stdout.contains("poses turned by "), "{stdout}");

@@ -33,6 +33,8 @@ pub struct Poses {
     pub starts: Vec<[f32; 12]>,
     /// The same after ξ.
     pub cameras: Vec<[f32; 12]>,
+    /// Depth of the point about which each turns in steps; 0 for none.
+    pub depths: Vec<f32>,
 }
 
 /// One step: image, dL/dξ of it, rate, number from 1.
@@ -72,6 +74,7 @@ pub fn pose_view(
         pose_cameras: &cameras,
         state: &gpu.buffer("state", &state),
         pose_view_sums: view_sums,
+        pose_depths: &gpu.buffer("pose_depths", &poses.depths),
     };
     let correction = |beta: f64| 1.0 - beta.powi(count as i32);
     let push = pose_step::Push {
@@ -94,6 +97,7 @@ pub fn pose_view(
         parameters: gpu.read(&parameters, images),
         moments: gpu.read(&moments, images),
         starts: poses.starts.clone(),
+        depths: poses.depths.clone(),
         cameras: gpu.read(&cameras, images),
     }
 }

@@ -101,6 +101,8 @@ pub fn of_device(path: &Path) -> Result<(), String> {
         moments: vec![[[0.0; 6]; 2]; views.len()],
         starts: views.iter().map(|pair| start(&pair[0])).collect(),
         cameras: vec![[0.0; 12]; views.len()],
+        // The vectors have no pivot.
+        depths: vec![0.0; views.len()],
     };
     let cameras = pose_step(&gpu, &poses, None, 0).cameras;
     for (camera, pair) in cameras.iter().zip(&views) {

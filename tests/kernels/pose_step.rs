@@ -5,7 +5,7 @@ use crate::common::gpu::{Gpu, sizes};
 use crate::common::poses::{Poses, Step, pose_step, pose_view};
 use crate::common::scenes::{Random, rotation_about_y};
 use crate::reference::adam::Parameter;
-use crate::reference::pose_step::{moved, pose_step as twin};
+use crate::reference::pose_step::{moved, step_about};
 
 fn poses(random: &mut Random, images: usize, size: f64) -> Poses {
     let start = |random: &mut Random| {
@@ -20,6 +20,8 @@ fn poses(random: &mut Random, images: usize, size: f64) -> Poses {
         moments: vec![[[0.0; 6]; 2]; images],
         starts: (0..images).map(|_| start(random)).collect(),
         cameras: vec![[f32::NAN; 12]; images],
+        // Every third without a pivot.
+        depths: (0..images).map(|i| if i % 3 == 1 { 0.0 } else { (3.0 + random.signed()) as f32 }).collect(),
     }
 }
 
@@ -56,10 +58,8 @@ fn pose_step_equals_its_twin() {
                 gradient[3..].fill(0.0);
             }
             for (image, twins) in twins.iter_mut().enumerate() {
-                for (parameter, g) in twins.iter_mut().zip(gradient) {
-                    let g = if image as u32 == seen { f64::from(g) } else { 0.0 };
-                    twin(parameter, g, 1e-3, count);
-                }
+                let g = if image as u32 == seen { gradient.map(f64::from) } else { [0.0; 6] };
+                step_about(f64::from(device.depths[image]), twins, g, 1e-3, count);
             }
             let column = |of: fn(&Parameter) -> f64| twins.iter().flatten().map(of).collect::<Vec<f64>>();
             let flat = |values: &[f32]| values.iter().map(|&x| f64::from(x)).collect::<Vec<f64>>();
@@ -121,7 +121,7 @@ fn pose_step_adds_up_views() {
             assert!(at[1] || device == before, "a view before the step has moved something");
         }
         for (image, twins) in twins.iter_mut().enumerate() {
-            twins.iter_mut().zip(added[image]).for_each(|(parameter, g)| twin(parameter, g, 1e-3, count));
+            step_about(f64::from(device.depths[image]), twins, added[image], 1e-3, count);
         }
         let expected: Vec<f64> = twins.iter().flatten().map(|p| p.value).collect();
         let values: Vec<f64> = device.parameters.as_flattened().iter().map(|&x| f64::from(x)).collect();

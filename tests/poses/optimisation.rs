@@ -113,8 +113,9 @@ fn poses_are_found_again_on_a_scene_that_is_known() {
         trainer.step().expect("a step");
     }
     let (degrees, share) = apart(&trainer.cameras().expect("cameras"), &cameras());
+    // Turns about the cameras' centres leave 0.015 and 2.2e-4.
     println!("left of 1 degree: {degrees:.4}, of 0.01 of the extent: {share:.6}");
-    assert!(degrees < 0.06 && share < 8e-4, "{degrees} degrees, {share} of the extent");
+    assert!(degrees < 0.011 && share < 1.6e-4, "{degrees} degrees, {share} of the extent");
     assert!(trainer.gaussians().expect("Gaussians") == scene(), "the scene was to stay");
 }
 
@@ -256,6 +257,38 @@ fn poses_of_a_checkpoint_must_fit() {
     let mut short_one = sound.clone();
     short_one.poses.as_mut().expect("poses").parameters.pop();
     refuse(short(), &short_one, "another number than the views");
+    let mut short_one = sound.clone();
+    short_one.poses.as_mut().expect("poses").depths.pop();
+    refuse(short(), &short_one, "another number than the views");
+}
+
+/// Older checkpoints do not say about which points cameras turn: it was their centres, and stays so.
+#[test]
+fn poses_of_older_checkpoints_turn_about_the_cameras() {
+    let gpu = Gpu::new();
+    let mut trainer = new(&gpu, &short());
+    (0..9).for_each(|_| drop(trainer.step().expect("a step")));
+    let present = trainer.checkpoint().expect("a checkpoint");
+    let depths = &present.poses.as_ref().expect("poses").depths;
+    assert!(depths.len() == 5 && depths.iter().all(|&depth| depth > 1.0), "{depths:?}");
+    let mut older = present.clone();
+    older.poses.as_mut().expect("poses").depths.clear();
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = folder.path().join("c.safetensors");
+    older.write(&path).expect("written");
+    let bytes = std::fs::read(&path).expect("a file");
+    assert!(!String::from_utf8_lossy(&bytes).contains(Checkpoint::POSE_DEPTHS));
+    let read = Checkpoint::read(&path).expect("read");
+    assert!(read == older);
+    let next = |from: &Checkpoint| {
+        let views = checkpoints::views(5, 40);
+        let mut trainer = Trainer::resume(gpu.context, views, 5.0, short(), from).expect("resumed");
+        trainer.step().expect("a step");
+        trainer.checkpoint().expect("a checkpoint").poses.expect("poses")
+    };
+    let (older, present) = (next(&read), next(&present));
+    assert_eq!(older.depths, [0.0; 5]);
+    assert_ne!(older.parameters, present.parameters);
 }
 
 /// Without the option nothing is moved, kept or written.
@@ -315,6 +348,6 @@ fn poses_count_among_the_memory() {
         let poses = PoseBuffers::requests(photos as u32);
         let bytes: u64 = poses.iter().map(|(_, bytes)| bytes).sum();
         assert!((bytes..bytes + 4096).contains(&more), "{more} bytes more for {bytes}");
-        assert!(bytes >= 168 * photos as u64);
+        assert!(bytes >= 172 * photos as u64);
     }
 }

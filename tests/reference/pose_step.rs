@@ -1,7 +1,7 @@
 //! Adam over poses, and the cameras that follow (spec of training, §8): the twin of `poses/pose_step`.
 
 use super::adam::{BETA1, BETA2, Parameter};
-use super::linear::{Mat3, apply, multiply, rotation};
+use super::linear::{Mat3, apply, cross, multiply, rotation};
 use super::pose_gradient::left_jacobian;
 
 /// ε.
@@ -17,6 +17,31 @@ pub fn pose_step(parameter: &mut Parameter, gradient: f64, rate: f64, step: u32)
     let corrected1 = parameter.moment1 / (1.0 - BETA1.powi(step as i32));
     let corrected2 = parameter.moment2 / (1.0 - BETA2.powi(step as i32));
     parameter.value -= rate * corrected1 / (corrected2.sqrt() + EPSILON);
+}
+
+/// As [`pose_step`] on all of ξ, by turns about the point at `depth` before the camera: there the parameters are η, ξ = Ad η,
+/// ν = η_ν + p × η_ω. Displacements learn at the rate times the depth. 0 is no pivot.
+pub fn step_about(depth: f64, parameters: &mut [Parameter; 6], gradient: [f64; 6], rate: f64, step: u32) {
+    let pivot = [0.0, 0.0, depth];
+    let xi = parameters.map(|p| p.value);
+    let g: [f64; 6] = std::array::from_fn(|i| gradient[i] + WEIGHT_DECAY * xi[i]);
+    let of_nu = [g[0], g[1], g[2]];
+    let lever = cross(pivot, of_nu);
+    let mut steps = [0.0; 6];
+    for (i, parameter) in parameters.iter_mut().enumerate() {
+        let (g, rate) = match i {
+            0..3 => (of_nu[i], rate * if depth > 0.0 { depth } else { 1.0 }),
+            _ => (g[i] - lever[i - 3], rate),
+        };
+        // The decay is in the gradient: none of η.
+        parameter.value = 0.0;
+        pose_step(parameter, g, rate, step);
+        steps[i] = parameter.value;
+    }
+    let moved = cross(pivot, [steps[3], steps[4], steps[5]]);
+    for (i, parameter) in parameters.iter_mut().enumerate() {
+        parameter.value = xi[i] + steps[i] + if i < 3 { moved[i] } else { 0.0 };
+    }
 }
 
 /// exp(ξ^) T₀ of ξ = (ν, ω): the rotation by its quaternion, the translation through the upper left of the left Jacobian.
