@@ -26,8 +26,10 @@ pub struct LightStep {
     pub count: u64,
     /// Where the view is among those whose gradients add up.
     pub sum: ViewSum,
-    /// Times each value, a part of its gradient: pulls it to 0. None for exposures.
+    /// Times each value, a part of its gradient: pulls it to 0. Of exposures that are centred, not the diagonal.
     pub decay: f64,
+    /// Whether the second moments are those of all photographs together.
+    pub shares: bool,
 }
 
 /// Matrices and moments of some photographs, or [lenses](crate::lens_effects), on the device, and scratch memory. A matrix is
@@ -278,6 +280,7 @@ impl LightOptimizer {
             makes_step: step.sum.makes_step.into(),
             starts: step.sum.starts.into(),
             decay: step.decay as f32,
+            shares: step.shares.into(),
         };
         r.dispatch(&self.0, &bind, &push, 1);
     }

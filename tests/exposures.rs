@@ -147,11 +147,67 @@ fn exposures_are_recovered_and_the_scene_stays_as_it_is() {
     }
 }
 
+/// With a weight on all else, little but a gain per channel is left.
+#[test]
+fn exposures_are_pulled_to_gains() {
+    let gpu = Gpu::new();
+    let train = |exposure_reg: f64| {
+        let settings = TrainSettings { exposure: true, exposure_reg, ..small_settings() };
+        let mut trainer =
+            Trainer::new(gpu.context, views(3, 40), &start(), EXTENT, settings).expect("a trainer");
+        (0..40).for_each(|_| drop(trainer.step().expect("a step")));
+        let (mut gains, mut others) = (0.0, 0.0);
+        for exposure in trainer.exposures().expect("exposures") {
+            for (row, usual) in exposure.rows.iter().zip(Exposure::IDENTITY.rows) {
+                for (value, usual) in row.iter().zip(usual) {
+                    let sum = if usual == 1.0 { &mut gains } else { &mut others };
+                    *sum += (value - usual).abs();
+                }
+            }
+        }
+        (gains, others)
+    };
+    let ((free_gains, free), (gains, pulled)) = (train(0.0), train(100.0));
+    println!("gains {free_gains:.4}, pulled {gains:.4}; all else {free:.4}, pulled {pulled:.4}");
+    assert!(pulled < 0.2 * free, "{free}, pulled {pulled}");
+    assert!(gains > 0.5 * free_gains, "{free_gains}, pulled {gains}");
+}
+
+/// Settings that exposures do not use may be others: presets have changed theirs.
+#[test]
+fn exposures_that_are_not_learned_do_not_count_in_checkpoints() {
+    let gpu = Gpu::new();
+    let mut trainer =
+        Trainer::new(gpu.context, views(3, 40), &start(), EXTENT, small_settings()).expect("a trainer");
+    trainer.step().expect("a step");
+    let checkpoint = trainer.checkpoint().expect("a checkpoint");
+    let other = TrainSettings { exposure_reg: 0.1, exposure_shared: true, ..small_settings() };
+    let resume =
+        |settings, from: &Checkpoint| Trainer::resume(gpu.context, views(3, 40), EXTENT, settings, from);
+    resume(other.clone(), &checkpoint).expect("resumed");
+    let with = TrainSettings { exposure: true, ..small_settings() };
+    let mut trainer = Trainer::new(gpu.context, views(3, 40), &start(), EXTENT, with).expect("a trainer");
+    trainer.step().expect("a step");
+    let checkpoint = trainer.checkpoint().expect("a checkpoint");
+    let refused =
+        resume(TrainSettings { exposure: true, ..other }, &checkpoint).err().expect("refused").to_string();
+    assert!(refused.contains("exposure_reg was 0, is 0.1"), "{refused}");
+}
+
 #[test]
 fn exposures_resume_to_the_bit() {
     let gpu = Gpu::new();
     for optimizer_type in [OptimizerType::Default, OptimizerType::SparseAdam] {
-        let settings = TrainSettings { exposure: true, optimizer_type, ..small_settings() };
+        // The second of them as presets have it.
+        let exposure_shared = optimizer_type == OptimizerType::SparseAdam;
+        let exposure_reg = if exposure_shared { 0.1 } else { 0.0 };
+        let settings = TrainSettings {
+            exposure: true,
+            optimizer_type,
+            exposure_reg,
+            exposure_shared,
+            ..small_settings()
+        };
         let new = || {
             Trainer::new(gpu.context, views(3, 40), &start(), EXTENT, settings.clone()).expect("a trainer")
         };

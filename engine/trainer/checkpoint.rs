@@ -359,7 +359,12 @@ impl Checkpoint {
     /// Whether a run with these settings and views could have made the checkpoint.
     pub(super) fn check_fits(&self, wanted: &Wanted) -> Result<()> {
         let refuse = |problem: String| Err(Error::argument("checkpoint", problem));
-        let settings = TrainSettings { iterations: wanted.settings.iterations, ..self.settings.clone() };
+        let mut settings = TrainSettings { iterations: wanted.settings.iterations, ..self.settings.clone() };
+        if !settings.exposure {
+            // Of no effect, and presets came to set them.
+            settings.exposure_reg = wanted.settings.exposure_reg;
+            settings.exposure_shared = wanted.settings.exposure_shared;
+        }
         if let Some(difference) = difference(&settings, wanted.settings) {
             return refuse(format!("was made with other settings: {difference}"));
         }

@@ -102,6 +102,11 @@ options! {
         exposure_lr_delay_steps: u32 = 0, Bounds::None;
         /// Share of the exposures' learning rate at the start of that rise
         exposure_lr_delay_mult: f64 = 0.0, Bounds::Share;
+        /// Weight of the squares of what exposures have besides a gain per channel, mixtures of channels and offsets, in the loss
+        /// (presets: 0.1)
+        exposure_reg: f64 = 0.0, Bounds::NotNegative;
+        /// Scale steps of exposures by the gradients of all photos together, so that those that fit move little (presets: true)
+        exposure_shared: bool = false, Bounds::None;
         /// Learn vignetting and response of each camera, which change the rendered colours before they are compared
         lens_effects: bool = false, Bounds::None;
         /// Learning rate of the lens effects at the start; a tenth of it at the end
@@ -193,9 +198,15 @@ impl TrainSettings {
     }
 
     /// The defaults of a preset, by measurement (tools/strategies.md). All have the strategy budget and prune what is faint late;
-    /// they differ in the number of Gaussians, and in the warm-up.
+    /// they differ in the number of Gaussians, and in the warm-up. With [`exposure`](Self::exposure), exposures are nearly gains per
+    /// channel.
     pub fn of_preset(preset: Preset) -> Self {
-        let usual = Self { late_min_opacity: 0.1, ..Self::of_strategy(StrategyType::Budget) };
+        let usual = Self {
+            late_min_opacity: 0.1,
+            exposure_reg: 0.1,
+            exposure_shared: true,
+            ..Self::of_strategy(StrategyType::Budget)
+        };
         match preset {
             Preset::Fast => Self { cap_ratio: 8.0, warm_up: 500, ..usual },
             Preset::Default => usual,

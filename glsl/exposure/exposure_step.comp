@@ -1,9 +1,13 @@
 // Adam over the exposures of all photographs as one tensor, or over the effects of all lenses (lens_effects.glsl): also those
 // that the iteration does not see have their moments decay, and move. Only the view's own has a gradient: the sum of the
-// partials, or 0 where that is not finite. All have `decay` times their value besides.
+// partials, or 0 where that is not finite. All have `decay` times their value besides; with CENTER, of exposures, the diagonal
+// has not: it is a gain per channel, all else is pulled to 0.
 //
 // With SUMS a step follows several views: without `makes_step` the gradient of the view's photograph is added to `sums`, and a
 // step takes what they have as well. With `starts` what they had before does not count.
+//
+// With `shares` the second moments are those of all photographs together: their squared gradients add up, without the parts of
+// `decay`. Otherwise Adam moves photographs that fit as fast as those that do not.
 //
 // With CENTER, the mean over the photographs is then brought back to the identity: E <- E - mean(E) + [I | 0]. Otherwise the
 // scene could grow brighter while all exposures grow darker, and what is rendered without an exposure would drift.
@@ -51,6 +55,7 @@ layout(push_constant, scalar) uniform Push {
     uint starts;
     // Times each value, a part of its gradient.
     float decay;
+    uint shares;
 };
 
 #include "exposure_sums.glsl"
@@ -58,6 +63,12 @@ layout(push_constant, scalar) uniform Push {
 bool finite(vec4 g) {
     uvec4 exponent = floatBitsToUint(g) & 0x7F800000u;
     return all(notEqual(exponent, uvec4(0x7F800000u)));
+}
+
+// What the step takes of row k, without the part of `decay`.
+vec4 gradient_of(uint photograph, uint k, vec4 of_view) {
+    vec4 g = photograph == view ? of_view : vec4(0.0);
+    return SUMS && starts == 0 ? g + sums[3 * photograph + k] : g;
 }
 
 void main() {
@@ -69,23 +80,38 @@ void main() {
     }
     add_over_workgroup(gradient);
     bool sound = finite(gradient[0]) && finite(gradient[1]) && finite(gradient[2]);
+    for (uint k = 0; k < 3; ++k) {
+        gradient[k] = sound ? gradient[k] : vec4(0.0);
+    }
     uint end = state[STATE_OVERFLOW] == 0 ? photographs : 0;
+    vec4 squares[3] = vec4[3](vec4(0.0), vec4(0.0), vec4(0.0));
+    if (shares != 0) {
+        for (uint photograph = gl_LocalInvocationID.x; photograph < end; photograph += WORKGROUP_SIZE) {
+            for (uint k = 0; k < 3; ++k) {
+                vec4 g = gradient_of(photograph, k, gradient[k]);
+                squares[k] += g * g;
+            }
+        }
+        add_over_workgroup(squares);
+    }
     vec4 mean[3] = vec4[3](vec4(0.0), vec4(0.0), vec4(0.0));
     for (uint photograph = gl_LocalInvocationID.x; photograph < end; photograph += WORKGROUP_SIZE) {
         for (uint k = 0; k < 3; ++k) {
             uint at = 3 * photograph + k;
-            vec4 g = photograph == view && sound ? gradient[k] : vec4(0.0);
+            vec4 g = gradient_of(photograph, k, gradient[k]);
             if (SUMS) {
-                g += starts != 0 ? vec4(0.0) : sums[at];
                 sums[at] = g;
                 if (makes_step == 0) {
                     continue;
                 }
             }
             vec4 e = exposures[at];
-            g += decay * e;
+            vec4 pulled = e;
+            pulled[k] *= CENTER ? 0.0 : 1.0;
+            g += decay * pulled;
             vec4 m = beta_1 * moments_1[at] + one_minus_beta_1 * g;
-            vec4 v = beta_2 * moments_2[at] + one_minus_beta_2 * g * g;
+            vec4 square = shares != 0 ? squares[k] : g * g;
+            vec4 v = beta_2 * moments_2[at] + one_minus_beta_2 * square;
             moments_1[at] = m;
             moments_2[at] = v;
             e -= rate * (m / (sqrt(v) * inverse_bias_2 + epsilon));

@@ -13,6 +13,10 @@ fn train(data: &Path, model: &Path, more: &[&str]) -> String {
     succeed(&[&paths, FEW.as_slice(), more].concat())
 }
 
+fn report(model: &Path) -> String {
+    std::fs::read_to_string(model.join("report.html")).expect("a report")
+}
+
 fn picture(folder: &Path) -> Vec<u8> {
     std::fs::read(folder.join("00000.png")).expect("a picture")
 }
@@ -28,6 +32,10 @@ fn exposures_are_learnt_saved_and_asked_for() {
     let names: Vec<&str> = exposures.keys().map(String::as_str).collect();
     assert_eq!(names, ["02.png", "03.png", "04.png", "05.png", "06.png", "07.png", "08.png"]);
     assert!(exposures.values().all(|exposure| *exposure != Default::default()));
+    let page = report(&at("model"));
+    let gain = exposures["04.png"].of([0.5; 3])[0] / 0.5;
+    assert!(page.contains(&format!("04.png</td><td>{gain:.3}</td>")), "{page}");
+    assert!(!page.contains("<h2>Lens effects"), "{page}");
     let render = |out: &Path, more: &[&str]| {
         let model = at("model");
         succeed(&[&["render", text(&model), "-o", text(out), "--quiet"], more].concat());
@@ -63,6 +71,10 @@ fn lens_effects_are_learnt_saved_and_asked_for() {
     let learnt = lenses.of("01.png").expect("that of a held-out photo");
     assert!(learnt != Default::default() && lenses.of("none.png").is_none());
     assert!(!model.join("exposure.json").exists());
+    let page = report(&model);
+    let corner = learnt.vignetting(0, 1.0);
+    assert!(page.contains(&format!(">1</td><td>9</td><td>{corner:.3}</td>")), "{page}");
+    assert!(!page.contains("<h2>Exposures"), "{page}");
     // Evaluation finds what training did.
     let results = || std::fs::read_to_string(model.join("per_view.json")).expect("results");
     let trained = results();

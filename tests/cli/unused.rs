@@ -24,6 +24,7 @@ fn settings_without_effect_are_refused() {
     refused(&["--antialiasing-detached"], ["antialiasing_detached", "--antialiasing"]);
     refused(&["--pose-lr", "1e-3"], ["pose_lr", "--pose-opt"]);
     refused(&["--exposure-lr-final", "0.1"], ["exposure_lr_final", "--exposure"]);
+    refused(&["--exposure-reg", "0.1"], ["exposure_reg", "--exposure"]);
     refused(&["--lens-reg", "0.1"], ["lens_reg", "--lens-effects"]);
     refused(&["--depth-l1-weight-final", "0.1"], ["depth_l1_weight_final", "-d"]);
     refused(&["--strategy=mcmc", "--densify-grad-threshold=1e-4"], ["densify_grad_threshold", "reference"]);

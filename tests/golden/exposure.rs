@@ -182,6 +182,7 @@ fn adam_of_device(gpu: &Gpu, npz: &Npz, tolerance: f64) -> Result<(), String> {
             makes_step: 1,
             starts: 1,
             decay: 0.0,
+            shares: 0,
         };
         gpu.run(|r| r.dispatch(&kernel, &bind, &push, 1));
         let actual: Vec<Matrix> = gpu

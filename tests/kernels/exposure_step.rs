@@ -15,20 +15,30 @@ type Rows = [[f32; 4]; 3];
 /// A view, the parts of its gradient, and whether its frame overflowed.
 type Seen = (u32, Vec<Rows>, bool);
 
-/// Of those that are not brought back to the identity: lenses.
+/// Pulls all of lenses, and of exposures all but the diagonal.
 const DECAY: f32 = 0.125;
 
+/// Of exposures or lenses; for steps after several views or one; second moments of all photographs together or of each.
+#[derive(Clone, Copy, Debug)]
+struct Form {
+    center: bool,
+    sums: bool,
+    shares: bool,
+}
+
+const USUAL: Form = Form { center: true, sums: false, shares: false };
+
 /// Steps of the device; each with its view, the parts of its gradient, and whether its frame overflowed.
-fn run(gpu: &Gpu, photographs: usize, center: bool, steps: &[Seen]) -> [Vec<Rows>; 3] {
+fn run(gpu: &Gpu, photographs: usize, form: Form, steps: &[Seen]) -> [Vec<Rows>; 3] {
     let views: Vec<_> = steps.iter().cloned().map(|step| (step, [true, true])).collect();
-    run_views(gpu, photographs, (center, false), &views)
+    run_views(gpu, photographs, form, &views)
 }
 
 /// Views of steps: with whether it is the first of a step, and whether the step follows it.
 fn run_views(
     gpu: &Gpu,
     photographs: usize,
-    (center, sums): (bool, bool),
+    Form { center, sums, shares }: Form,
     views: &[(Seen, [bool; 2])],
 ) -> [Vec<Rows>; 3] {
     let spec = Spec { workgroup_size: gpu.workgroup(64), subgroup_size: gpu.subgroup(), center, sums };
@@ -66,7 +76,8 @@ fn run_views(
             inverse_bias_2: (1.0 - 0.999f64.powi(count)).sqrt().recip() as f32,
             makes_step: (*makes_step).into(),
             starts: (*starts).into(),
-            decay: if center { 0.0 } else { DECAY },
+            decay: DECAY,
+            shares: shares.into(),
         };
         gpu.run(|r| r.dispatch(&kernel, &bind, &push, 1));
     }
@@ -85,15 +96,17 @@ fn flat(all: &[Matrix]) -> Vec<f64> {
 fn exposure_step_equals_its_twin() {
     let gpu = Gpu::new();
     let workgroup = gpu.workgroup(64) as usize;
-    for (photographs, center) in
-        [1, 3, workgroup - 1, workgroup, 3 * workgroup + 5].into_iter().flat_map(|n| [(n, true), (n, false)])
+    let forms = [USUAL, Form { center: false, ..USUAL }, Form { shares: true, ..USUAL }];
+    for (photographs, form) in [1, 3, workgroup - 1, workgroup, 3 * workgroup + 5]
+        .into_iter()
+        .flat_map(|n| forms.map(|form| (n, form)))
     {
         let mut random = Random::new(photographs as u64);
         let steps: Vec<_> =
             (0..7).map(|step| ((5 * step % photographs) as u32, parts(&mut random), false)).collect();
-        let actual = run(&gpu, photographs, center, &steps);
-        let mut twin = Exposures::new(photographs);
-        twin.decay = if center { 0.0 } else { f64::from(DECAY) };
+        let actual = run(&gpu, photographs, form, &steps);
+        let twin = Exposures::new(photographs);
+        let mut twin = Exposures { decay: DECAY.into(), shares: form.shares, ..twin };
         for (step, (view, parts, _)) in steps.iter().enumerate() {
             let mut gradient = [[0.0; 4]; 3];
             for part in parts {
@@ -101,7 +114,7 @@ fn exposure_step_equals_its_twin() {
                     *sum += x;
                 }
             }
-            twin.step(*view as usize, &gradient, 0.01, step as i32 + 1, center);
+            twin.step(*view as usize, &gradient, 0.01, step as i32 + 1, form.center);
         }
         let expected = [&twin.values, &twin.first, &twin.second];
         for ((name, tolerance), (actual, expected)) in
@@ -111,7 +124,7 @@ fn exposure_step_equals_its_twin() {
         {
             let actual: Vec<Matrix> = actual.iter().map(wide).collect();
             elementwise(name, &flat(&actual), &flat(expected), tolerance, tolerance)
-                .unwrap_or_else(|e| panic!("{photographs}, {center}: {e}"));
+                .unwrap_or_else(|e| panic!("{photographs}, {form:?}: {e}"));
         }
     }
 }
@@ -120,10 +133,12 @@ fn exposure_step_equals_its_twin() {
 #[test]
 fn exposure_step_adds_up_views() {
     let gpu = Gpu::new();
-    for photographs in [2, gpu.workgroup(64) as usize + 3] {
+    let many = gpu.workgroup(64) as usize + 3;
+    for (photographs, shares) in [(2, false), (many, false), (2, true), (many, true)] {
         let mut random = Random::new(photographs as u64);
         let groups: [&[usize]; 4] = [&[0, 1, 0], &[1], &[photographs - 1, 0], &[0, 0]];
-        let (mut views, mut twin) = (vec![], Exposures::new(photographs));
+        let mut views = vec![];
+        let mut twin = Exposures { decay: DECAY.into(), shares, ..Exposures::new(photographs) };
         for (number, group) in groups.into_iter().enumerate() {
             for (place, &view) in group.iter().enumerate() {
                 let mut gradient = [[0.0; 4]; 3];
@@ -141,10 +156,10 @@ fn exposure_step_adds_up_views() {
             }
             twin.step_of_sums(0.01, number as i32 + 1, true);
         }
-        let actual = run_views(&gpu, photographs, (true, true), &views);
+        let actual = run_views(&gpu, photographs, Form { sums: true, shares, ..USUAL }, &views);
         let actual: Vec<Matrix> = actual[0].iter().map(wide).collect();
         elementwise("values", &flat(&actual), &flat(&twin.values), 2e-6, 2e-6)
-            .unwrap_or_else(|e| panic!("{photographs}: {e}"));
+            .unwrap_or_else(|e| panic!("{photographs}, {shares}: {e}"));
     }
 }
 
@@ -154,13 +169,13 @@ fn exposure_step_survives_overflow_and_infinity() {
     let gpu = Gpu::new();
     let mut random = Random::new(3);
     let first = (1, parts(&mut random), false);
-    let once = run(&gpu, 4, true, std::slice::from_ref(&first));
-    let again = run(&gpu, 4, true, &[first.clone(), (2, parts(&mut random), true)]);
+    let once = run(&gpu, 4, USUAL, std::slice::from_ref(&first));
+    let again = run(&gpu, 4, USUAL, &[first.clone(), (2, parts(&mut random), true)]);
     assert_eq!(once, again);
     let mut infinite = parts(&mut random);
     infinite[7][1][2] = f32::INFINITY;
     let none = vec![[[0.0; 4]; 3]; TERM_PARTIALS as usize];
-    let infinite = run(&gpu, 4, true, &[first.clone(), (2, infinite, false)]);
-    assert_eq!(infinite, run(&gpu, 4, true, &[first, (2, none, false)]));
+    let infinite = run(&gpu, 4, USUAL, &[first.clone(), (2, infinite, false)]);
+    assert_eq!(infinite, run(&gpu, 4, USUAL, &[first, (2, none, false)]));
     assert_ne!(infinite, once);
 }

@@ -10,8 +10,10 @@ pub struct Exposures {
     pub second: Vec<Matrix>,
     /// Gradients of the views since the last step.
     pub sums: Vec<Matrix>,
-    /// Times each value, a part of its gradient.
+    /// Times each value, a part of its gradient; with `center`, not on the diagonal.
     pub decay: f64,
+    /// Whether second moments are of the squares of all photographs' gradients, without the parts of `decay`.
+    pub shares: bool,
 }
 
 impl Exposures {
@@ -23,6 +25,7 @@ impl Exposures {
             second: none.clone(),
             sums: none,
             decay: 0.0,
+            shares: false,
         }
     }
 
@@ -48,12 +51,16 @@ impl Exposures {
         let photographs = self.values.len();
         for photograph in 0..photographs {
             for (row, column) in (0..3).flat_map(|row| (0..4).map(move |column| (row, column))) {
-                let g =
-                    self.sums[photograph][row][column] + self.decay * self.values[photograph][row][column];
+                let decay = if center && row == column { 0.0 } else { self.decay };
+                let g = self.sums[photograph][row][column] + decay * self.values[photograph][row][column];
                 let m = &mut self.first[photograph][row][column];
                 *m = 0.9 * *m + 0.1 * g;
+                let square = match self.shares {
+                    true => self.sums.iter().map(|sum| sum[row][column].powi(2)).sum(),
+                    false => g * g,
+                };
                 let v = &mut self.second[photograph][row][column];
-                *v = 0.999 * *v + 0.001 * g * g;
+                *v = 0.999 * *v + 0.001 * square;
                 let (m, v) = (*m / (1.0 - 0.9f64.powi(count)), *v / (1.0 - 0.999f64.powi(count)));
                 self.values[photograph][row][column] -= rate * m / (v.sqrt() + 1e-8);
             }

@@ -44,6 +44,8 @@ const USES: [Use; 10] = [
             "exposure_lr_final",
             "exposure_lr_delay_steps",
             "exposure_lr_delay_mult",
+            "exposure_reg",
+            "exposure_shared",
         ],
         is_used: |s| s.train.exposure,
         by: "--exposure",

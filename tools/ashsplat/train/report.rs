@@ -2,6 +2,7 @@
 
 mod curves;
 mod kernels;
+mod lights;
 mod views;
 
 use super::log::Rows;
@@ -131,6 +132,7 @@ fn page(run: &mut Run, rows: &Rows, interrupted: bool) -> Result<String> {
         }
     };
     let _ = writeln!(out, "<p class=\"note\">{note}</p>");
+    lights::sections(&mut out, &run.lights()?);
     histograms(&mut out, &gaussians);
     section(&mut out, "Kernels", &run.kernels.note());
     out.push_str(&run.kernels.table());

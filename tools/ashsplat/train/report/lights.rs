@@ -1,0 +1,121 @@
+//! What was learned of the photographs' light.
+
+use crate::html::{escape, section};
+use crate::light::Lights;
+use ashsplat::scene::{Exposure, LensEffects};
+use std::fmt::Write;
+
+/// A colour that no usual gain makes white.
+const GRAY: f32 = 0.5;
+/// Squared distance of a picture's corner from its middle.
+const CORNER: f32 = 1.0;
+
+/// Sections of exposures and lens effects; nothing of what was not learned.
+pub fn sections(out: &mut String, lights: &Lights) {
+    if !lights.exposures.is_empty() {
+        let note = "factors of a middle gray, from the darkest photograph to the brightest; the mean of all \
+                    exposures is none. exposure.json has the matrices";
+        section(out, "Exposures", note);
+        exposures(out, lights);
+    }
+    if !lights.lenses.cameras.is_empty() {
+        let note = "brightness of the corners as a share of the middle's, and exponents of the response; 1: no effect. \
+                    lens.json has all numbers";
+        section(out, "Lens effects", note);
+        lenses(out, lights);
+    }
+}
+
+/// What an exposure makes of a middle gray, as factors of the channels.
+fn gains(exposure: &Exposure) -> [f32; 3] {
+    exposure.of([GRAY; 3]).map(|c| c / GRAY)
+}
+
+fn exposures(out: &mut String, lights: &Lights) {
+    let mut all: Vec<(&str, [f32; 3])> =
+        lights.exposures.iter().map(|(name, exposure)| (name.as_str(), gains(exposure))).collect();
+    let mean = |gains: &[f32; 3]| gains.iter().sum::<f32>() / 3.0;
+    all.sort_by(|(_, a), (_, b)| mean(a).total_cmp(&mean(b)));
+    let most = all.iter().map(|(_, gains)| mean(gains)).fold(1.0, f32::max);
+    out.push_str(
+        "<table><tr><th class=\"name\">photo</th><th>red</th><th>green</th><th>blue</th><th>mean</th>\
+         <th class=\"name bar\"></th></tr>\n",
+    );
+    for (name, gains) in &all {
+        let mean = mean(gains);
+        let _ = writeln!(
+            out,
+            "<tr><td class=\"name\">{}</td>{}<td>{mean:.3}</td>\
+             <td class=\"name bar\"><i style=\"width:{:.1}%\"></i></td></tr>",
+            escape(name),
+            cells(gains),
+            100.0 * (mean / most).max(0.0)
+        );
+    }
+    out.push_str("</table>\n");
+}
+
+fn lenses(out: &mut String, lights: &Lights) {
+    out.push_str(
+        "<table><tr><th class=\"name\">camera</th><th>photos</th><th>corner red</th><th>green</th><th>blue</th>\
+         <th>response red</th><th>green</th><th>blue</th></tr>\n",
+    );
+    for (camera, effects) in &lights.lenses.cameras {
+        let photos = lights.lenses.photos.values().filter(|taker| *taker == camera).count();
+        let _ = writeln!(
+            out,
+            "<tr><td class=\"name\">{camera}</td><td>{photos}</td>{}{}</tr>",
+            cells(&corner(effects)),
+            cells(&effects.response())
+        );
+    }
+    out.push_str("</table>\n");
+}
+
+/// The channels' vignetting in the corners.
+fn corner(effects: &LensEffects) -> [f32; 3] {
+    [0, 1, 2].map(|channel| effects.vignetting(channel, CORNER))
+}
+
+fn cells(channels: &[f32; 3]) -> String {
+    channels.iter().map(|value| format!("<td>{value:.3}</td>")).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ashsplat_files::lens_json::LensFile;
+
+    #[test]
+    fn photographs_are_listed_from_the_darkest() {
+        let dimmed = |gain: [f32; 3], offset: f32| {
+            let mut rows = Exposure::IDENTITY.rows;
+            (0..3).for_each(|c| (rows[c][c], rows[c][3]) = (gain[c], offset));
+            Exposure { rows }
+        };
+        let named = [
+            ("bright <1>.png", dimmed([1.25, 1.0, 1.5], 0.0)),
+            ("dark.png", dimmed([0.5, 0.75, 0.25], 0.125)),
+        ];
+        let exposures = named.map(|(name, exposure)| (name.to_owned(), exposure)).into();
+        let effects = LensEffects { rows: [[-0.25, 0.0, 0.0, 0.0], [0.0; 4], [0.0, 0.0, 0.0, 2.0_f32.ln()]] };
+        let photos = [("a.png", 3), ("b.png", 3), ("c.png", 4)].map(|(name, id)| (name.to_owned(), id));
+        let lenses =
+            LensFile { cameras: [(3, effects), (4, Default::default())].into(), photos: photos.into() };
+        let mut out = String::new();
+        sections(&mut out, &Lights { exposures, lenses });
+        let at = |part: &str| out.find(part).unwrap_or_else(|| panic!("no '{part}' in {out}"));
+        // 0.125 is a quarter of the gray.
+        let dark = at("dark.png</td><td>0.750</td><td>1.000</td><td>0.500</td><td>0.750</td>");
+        let bright = at("bright &lt;1&gt;.png</td><td>1.250</td><td>1.000</td><td>1.500</td><td>1.250</td>");
+        assert!(dark < bright, "{out}");
+        at("width:60.0%");
+        at(
+            ">3</td><td>2</td><td>0.750</td><td>1.000</td><td>1.000</td><td>1.000</td><td>1.000</td><td>2.000</td>",
+        );
+        at(">4</td><td>1</td><td>1.000</td>");
+        let mut none = String::new();
+        sections(&mut none, &Lights { exposures: Default::default(), lenses: LensFile::default() });
+        assert_eq!(none, "");
+    }
+}
