@@ -72,9 +72,9 @@ fn settings(exposure: bool) -> TrainSettings {
         sh_degree: 0,
         feature_lr: 0.02,
         opacity_lr: 0.05,
-        // Slower than the defaults, which are for 30,000 iterations.
-        exposure_lr_init: 0.003,
-        exposure_lr_final: 1e-4,
+        // As presets have them.
+        exposure_reg: 0.1,
+        exposure_shared: true,
         densify_until_iter: 0,
         opacity_reset_interval: 100_000,
         exposure,
@@ -104,8 +104,9 @@ fn train(
     (quality, trainer.exposures().expect("exposures"))
 }
 
-/// Three photographs under known gains: what is learnt of them are these gains (1.1 % off at most), and a scene of 34 dB is as
-/// good as that of unchanged photographs. At 40 dB, with all Gaussians, what is left of the gains costs 0.56 dB. The exposures of the others are the measure: the mean of all is the identity.
+/// Three photographs under known gains: what is learnt of them are these gains (0.7 % off at most), and a scene of 34 dB is as good as
+/// that of unchanged photographs. With the reference's form, at slower rates, it is 1.1 % and 0.2 dB less. The exposures of the others
+/// are the measure: the mean of all is the identity.
 #[test]
 fn exposures_are_recovered_and_the_scene_stays_as_it_is() {
     let gpu = Gpu::unchecked();
@@ -135,8 +136,8 @@ fn exposures_are_recovered_and_the_scene_stays_as_it_is() {
     println!(
         "unchanged {unchanged:.2} dB, ignored {ignored:.2}, learnt {learnt:.2}; gains off by {worst:.4} at {best:.2} dB"
     );
-    assert!(worst < 0.02, "a gain is off by {worst}");
-    assert!(learnt > unchanged - 0.3 && ignored < learnt, "{learnt}, {ignored}: {unchanged}");
+    assert!(worst < 0.0105, "a gain is off by {worst}");
+    assert!(learnt > unchanged - 0.1 && ignored < learnt, "{learnt}, {ignored}: {unchanged}");
     let mut mean = [[0.0_f64; 4]; 3];
     for exposure in &exposures {
         let sums = mean.as_flattened_mut().iter_mut().zip(exposure.rows.as_flattened());

@@ -159,3 +159,28 @@ fn mean_depth(camera: &Camera, means: &[[f32; 3]]) -> f32 {
         .fold((0_u32, 0.0), |(seen, sum), inverse| (seen + 1, sum + inverse));
     if seen == 0 { 0.0 } else { (f64::from(seen) / sum) as f32 }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::Intrinsics;
+
+    #[test]
+    fn depths_are_of_what_a_camera_sees() {
+        let camera =
+            Camera::look_at(Vec3::NEG_Z, Vec3::ZERO, Vec3::NEG_Y, Intrinsics::from_fov_x(0.7, 40, 30));
+        let near = [0.0, 0.0, 1.0];
+        let far = [0.1, -0.1, 5.0];
+        assert_eq!(mean_depth(&camera, &[near]), 2.0);
+        // 2 / (1/2 + 1/6).
+        assert!((mean_depth(&camera, &[near, far]) - 3.0).abs() < 1e-6);
+        let unseen = [[0.0, 0.0, -3.0], [0.0, 0.0, -0.9], [9.0, 0.0, 1.0], [0.0, f32::NAN, 1.0]];
+        assert_eq!(mean_depth(&camera, &unseen), 0.0);
+        assert_eq!(mean_depth(&camera, &[&unseen[..], &[near]].concat()), 2.0);
+        assert_eq!(mean_depth(&camera, &[]), 0.0);
+        // Of three times too many, every third.
+        let many: Vec<[f32; 3]> =
+            (0..3 * DEPTH_SAMPLES).map(|i| if i % 3 == 0 { near } else { far }).collect();
+        assert_eq!(mean_depth(&camera, &many), 2.0);
+    }
+}
