@@ -120,12 +120,14 @@ impl Poses {
     pub fn state(&self, context: &Context) -> Result<PoseState> {
         let parameters = context.download(&self.buffers.parameters)?;
         let moments: Vec<[f32; 6]> = bytemuck::pod_collect_to_vec(&context.download(&self.buffers.moments)?);
+        // The buffer of a few is larger.
+        let depths = self.buffers.depths.range(0, 4 * self.cameras.len() as u64);
         let every_second = |first: usize| moments.iter().skip(first).step_by(2).copied().collect();
         Ok(PoseState {
             parameters: bytemuck::pod_collect_to_vec(&parameters),
             first_moments: every_second(0),
             second_moments: every_second(1),
-            depths: bytemuck::pod_collect_to_vec(&context.download(&self.buffers.depths)?),
+            depths: bytemuck::pod_collect_to_vec(&context.download(&depths)?),
         })
     }
 
