@@ -110,8 +110,8 @@ void main() {
             pulled[k] *= CENTER ? 0.0 : 1.0;
             g += decay * pulled;
             vec4 m = beta_1 * moments_1[at] + one_minus_beta_1 * g;
-            vec4 square = shares != 0 ? squares[k] : g * g;
-            vec4 v = beta_2 * moments_2[at] + one_minus_beta_2 * square;
+            vec4 square = shares != 0 ? one_minus_beta_2 * squares[k] : one_minus_beta_2 * g * g;
+            vec4 v = beta_2 * moments_2[at] + square;
             moments_1[at] = m;
             moments_2[at] = v;
             e -= rate * (m / (sqrt(v) * inverse_bias_2 + epsilon));
