@@ -17,6 +17,18 @@ pub const EPSILON: f64 = 1e-8;
 /// Bytes of a matrix.
 const MATRIX_BYTES: u64 = 48;
 
+/// Which optimiser of exposures, or of [lenses](crate::lens_effects).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct LightForm {
+    /// Whether each step brings the mean of all matrices back to the identity: otherwise scene and exposures could drift against
+    /// each other.
+    pub center: bool,
+    /// Whether steps may follow several views ([`ViewSum`]).
+    pub sums: bool,
+    /// Whether the second moments are those of all photographs together.
+    pub shares: bool,
+}
+
 /// One step of the optimiser of exposures, or of [lenses](crate::lens_effects).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LightStep {
@@ -28,8 +40,6 @@ pub struct LightStep {
     pub sum: ViewSum,
     /// Times each value, a part of its gradient: pulls it to 0. Of exposures that are centred, not the diagonal.
     pub decay: f64,
-    /// Whether the second moments are those of all photographs together.
-    pub shares: bool,
 }
 
 /// Matrices and moments of some photographs, or [lenses](crate::lens_effects), on the device, and scratch memory. A matrix is
@@ -164,13 +174,11 @@ pub struct Exposing {
 }
 
 impl Exposing {
-    /// Builds the kernels, with `sums` for steps that follow several views ([`ViewSum`]). With `center`, each step
-    /// of the optimiser brings the mean of all matrices back to the identity: otherwise scene and exposures could
-    /// drift against each other.
+    /// Builds the kernels.
     ///
     /// # Errors
     /// When the device refuses a pipeline.
-    pub fn new(context: &Context, center: bool, sums: bool) -> Result<Self> {
+    pub fn new(context: &Context, form: LightForm) -> Result<Self> {
         let sizes = LaunchSizes::new(context.limits());
         let (workgroup_size, strips) = (sizes.elementwise_workgroup, sizes.strips);
         let subgroup_size = context.limits().subgroup_size;
@@ -178,7 +186,7 @@ impl Exposing {
         Ok(Self {
             expose: Kernel::new(context, &expose::Spec { workgroup_size, strips })?,
             backward: Kernel::new(context, &backward)?,
-            step: LightOptimizer::new(context, center, sums)?,
+            step: LightOptimizer::new(context, form)?,
             sizes,
         })
     }
@@ -243,10 +251,11 @@ impl LightOptimizer {
     ///
     /// # Errors
     /// When the device refuses a pipeline.
-    pub(crate) fn new(context: &Context, center: bool, sums: bool) -> Result<Self> {
+    pub(crate) fn new(context: &Context, form: LightForm) -> Result<Self> {
         let workgroup_size = LaunchSizes::new(context.limits()).elementwise_workgroup;
         let subgroup_size = context.limits().subgroup_size;
-        let step = exposure_step::Spec { workgroup_size, subgroup_size, center, sums };
+        let LightForm { center, sums, shares } = form;
+        let step = exposure_step::Spec { workgroup_size, subgroup_size, center, sums, shares };
         Ok(Self(Kernel::new(context, &step)?))
     }
 
@@ -280,7 +289,6 @@ impl LightOptimizer {
             makes_step: step.sum.makes_step.into(),
             starts: step.sum.starts.into(),
             decay: step.decay as f32,
-            shares: step.shares.into(),
         };
         r.dispatch(&self.0, &bind, &push, 1);
     }

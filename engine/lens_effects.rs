@@ -5,7 +5,7 @@
 //! exposures, and have the same Adam.
 
 use crate::error::Result;
-use crate::exposure::{LightBuffers, LightOptimizer, LightStep};
+use crate::exposure::{LightBuffers, LightForm, LightOptimizer, LightStep};
 use crate::forward::FrameInputs;
 use crate::kernels::constants::TERM_PARTIALS;
 use crate::kernels::exposure::{lens_backward, lens_effects};
@@ -56,7 +56,7 @@ impl Lenses {
         Ok(Self {
             forward: Kernel::new(context, &lens_effects::Spec { workgroup_size, strips })?,
             backward: Kernel::new(context, &backward)?,
-            step: LightOptimizer::new(context, false, sums)?,
+            step: LightOptimizer::new(context, LightForm { sums, ..LightForm::default() })?,
             sizes,
         })
     }

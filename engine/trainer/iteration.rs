@@ -122,14 +122,12 @@ impl Schedule {
                 count: progress.steps + 1,
                 sum,
                 decay: 2.0 * s.exposure_reg,
-                shares: s.exposure_shared,
             },
             lens_step: LightStep {
                 rate: s.lens_lr(iteration),
                 count: progress.steps + 1,
                 sum,
                 decay: 2.0 * s.lens_reg,
-                shares: false,
             },
             // Where the Gaussians make a step, the poses do.
             pose_step: PoseStep { rate: pose_rate(s, iteration), count: progress.steps + 1, sum },

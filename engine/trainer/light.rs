@@ -6,7 +6,7 @@ use super::run::Run;
 use super::settings::TrainSettings;
 use super::{TrainView, Trainer};
 use crate::error::{Error, Result};
-use crate::exposure::{Exposing, LightBuffers};
+use crate::exposure::{Exposing, LightBuffers, LightForm};
 use crate::forward::FrameInputs;
 use crate::lens_effects::{self, LensInputs, Lenses};
 use crate::scene::{Exposure, LensEffects};
@@ -53,8 +53,9 @@ impl Light {
     /// # Errors
     /// When the device refuses a pipeline.
     pub fn new(context: &Context, settings: &TrainSettings, sums: bool) -> Result<Self> {
+        let form = LightForm { center: true, sums, shares: settings.exposure_shared };
         Ok(Self {
-            exposing: settings.exposure.then(|| Exposing::new(context, true, sums)).transpose()?,
+            exposing: settings.exposure.then(|| Exposing::new(context, form)).transpose()?,
             lenses: settings.lens_effects.then(|| Lenses::new(context, sums)).transpose()?,
         })
     }

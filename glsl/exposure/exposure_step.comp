@@ -6,7 +6,7 @@
 // With SUMS a step follows several views: without `makes_step` the gradient of the view's photograph is added to `sums`, and a
 // step takes what they have as well. With `starts` what they had before does not count.
 //
-// With `shares` the second moments are those of all photographs together: their squared gradients add up, without the parts of
+// With SHARES the second moments are those of all photographs together: their squared gradients add up, without the parts of
 // `decay`. Otherwise Adam moves photographs that fit as fast as those that do not.
 //
 // With CENTER, the mean over the photographs is then brought back to the identity: E <- E - mean(E) + [I | 0]. Otherwise the
@@ -29,6 +29,7 @@ layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
 layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
 layout(constant_id = 2) const bool CENTER = true;
 layout(constant_id = 3) const bool SUMS = false;
+layout(constant_id = 4) const bool SHARES = false;
 layout(local_size_x_id = 0) in;
 
 layout(set = 0, binding = 0, scalar) readonly buffer Partials { vec4 partials[]; };
@@ -55,7 +56,6 @@ layout(push_constant, scalar) uniform Push {
     uint starts;
     // Times each value, a part of its gradient.
     float decay;
-    uint shares;
 };
 
 #include "exposure_sums.glsl"
@@ -85,7 +85,7 @@ void main() {
     }
     uint end = state[STATE_OVERFLOW] == 0 ? photographs : 0;
     vec4 squares[3] = vec4[3](vec4(0.0), vec4(0.0), vec4(0.0));
-    if (shares != 0) {
+    if (SHARES) {
         for (uint photograph = gl_LocalInvocationID.x; photograph < end; photograph += WORKGROUP_SIZE) {
             for (uint k = 0; k < 3; ++k) {
                 vec4 g = gradient_of(photograph, k, gradient[k]);
@@ -110,7 +110,7 @@ void main() {
             pulled[k] *= CENTER ? 0.0 : 1.0;
             g += decay * pulled;
             vec4 m = beta_1 * moments_1[at] + one_minus_beta_1 * g;
-            vec4 square = shares != 0 ? one_minus_beta_2 * squares[k] : one_minus_beta_2 * g * g;
+            vec4 square = SHARES ? one_minus_beta_2 * squares[k] : one_minus_beta_2 * g * g;
             vec4 v = beta_2 * moments_2[at] + square;
             moments_1[at] = m;
             moments_2[at] = v;

@@ -41,7 +41,8 @@ fn run_views(
     Form { center, sums, shares }: Form,
     views: &[(Seen, [bool; 2])],
 ) -> [Vec<Rows>; 3] {
-    let spec = Spec { workgroup_size: gpu.workgroup(64), subgroup_size: gpu.subgroup(), center, sums };
+    let (workgroup_size, subgroup_size) = (gpu.workgroup(64), gpu.subgroup());
+    let spec = Spec { workgroup_size, subgroup_size, center, sums, shares };
     let kernel = gpu.kernel::<Interface>(&spec);
     let start: Vec<Rows> =
         Exposures::new(photographs).values.iter().map(|m| m.map(|row| row.map(|x| x as f32))).collect();
@@ -77,7 +78,6 @@ fn run_views(
             makes_step: (*makes_step).into(),
             starts: (*starts).into(),
             decay: DECAY,
-            shares: shares.into(),
         };
         gpu.run(|r| r.dispatch(&kernel, &bind, &push, 1));
     }
