@@ -15,8 +15,9 @@ use std::time::{Duration, Instant};
 use ashsplat::scene::{Camera, Exposure, Gaussians, Intrinsics};
 use ashsplat::vk::{Context, ContextOptions};
 use ashsplat_files::exposure_json::{self, EXPOSURE_FILE};
-use ashsplat_files::splats::{self, WriteOptions};
-use ashsplat_files::{Photo, PhotoFileFormat, cameras_json};
+use ashsplat_files::splats::{self, ReadOptions, WriteOptions};
+use ashsplat_files::tiles::{self, TileOptions};
+use ashsplat_files::{Photo, PhotoFileFormat, Progress, cameras_json};
 use glam::Vec3;
 use libtest_mimic::{Failed, Trial};
 use run::{finish, program, text};
@@ -65,6 +66,7 @@ fn main() -> ExitCode {
         }
     };
     trials.push(trial("window_shows_what_render_draws", shows_what_render_draws));
+    trials.push(trial("window_streams_a_tree", streams_a_tree));
     trials.push(trial("window_ends_in_every_way", ends_in_every_way));
     libtest_mimic::run(&arguments, trials).exit_code()
 }
@@ -128,8 +130,12 @@ fn pictures(folder: &Path) -> Vec<Photo> {
 
 /// Starts the window on a server.
 fn start(server: &Server, model: &Path, out: &Path) -> Running {
+    start_with(server, model, out, &[])
+}
+
+fn start_with(server: &Server, model: &Path, out: &Path, options: &[&str]) -> Running {
     let mut command = program();
-    command.args(["view", text(model), "--window", "--validation", "-o", text(out)]);
+    command.args(["view", text(model), "--window", "--validation", "-o", text(out)]).args(options);
     command.env("DISPLAY", &server.display).env_remove("WAYLAND_DISPLAY").env_remove("WAYLAND_SOCKET");
     Running::start(command.stdout(Stdio::piped()).stderr(Stdio::piped()))
 }
@@ -261,6 +267,69 @@ fn shows_what_render_draws() {
     let stderr = String::from_utf8_lossy(&output.stderr);
     assert_eq!((output.status.code(), stderr.as_ref()), (Some(0), ""));
     assert!(String::from_utf8_lossy(&output.stdout).starts_with("window on "));
+}
+
+/// What `render` draws of a tree within a budget, from where the window begins.
+fn rendered_tree(tree: &Path, budget: &str) -> Photo {
+    let out = tree.with_file_name(format!("budget{budget}"));
+    let size = ["--orbit", "1", "--width", "1280", "--height", "720", "--fov", "57.295779513"];
+    let run = finish(program().args(["render", text(tree), "--budget", budget, "-o", text(&out)]).args(size));
+    assert_eq!(run.code, Some(0), "{}", run.stderr);
+    pictures(&out).remove(0)
+}
+
+/// The picture becomes what `render --budget` draws, without an input; so it does again after the view has been elsewhere.
+fn streams_a_tree() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let [scene, tree, out] = ["scene.ply", "tree", "out"].map(|name| folder.path().join(name));
+    splats::write(&scene, &ball(), &WriteOptions::default()).expect("a PLY");
+    let options = TileOptions { most: 60, packed: false };
+    let mut measure = |_: &Gaussians, _: &Gaussians| Ok(0.1);
+    tiles::write(&scene, &tree, &options, &ReadOptions::default(), &mut measure, &Progress::NONE)
+        .expect("tiles");
+    let [coarse, fine] = ["60", "600"].map(|budget| rendered_tree(&tree, budget));
+    let server = Server::start();
+    let child = start_with(&server, &tree, &out, &["--budget", "600"]);
+    let desk = server.connect();
+    let window = desk.window("tree");
+    let wait =
+        |what: &str, is: &dyn Fn(&Screenshot) -> bool| wait_until(&desk, window, what, folder.path(), is);
+    // The text lies over the upper part.
+    let below = 3 * (1280 * 720 / 2) as usize;
+    let equals = |photo: &Photo, shown: &Screenshot, from: usize| {
+        shown.rgb.len() == photo.rgb.len()
+            && shown.rgb[from..].iter().zip(&photo.rgb[from..]).all(|(a, b)| a.abs_diff(*b) <= 2)
+    };
+    let shown = wait("tree", &|shown| equals(&fine, shown, below));
+    assert!(!equals(&coarse, &shown, below), "the coarsest tile looks the same");
+    desk.key(H);
+    wait("tree without text", &|shown| equals(&fine, shown, 0));
+    for _ in 0..3 {
+        desk.drag([300, 300], [800, 330]);
+        wait("turned", &|shown| difference(shown, &fine).is_some_and(|(_, mean)| mean > 1.0));
+    }
+    desk.key(DIGITS[3]);
+    desk.key(HOME);
+    wait("depth of a tree", &|shown| difference(shown, &fine).is_some_and(|(_, mean)| mean > 1.0));
+    desk.key(DIGITS[0]);
+    wait("tree again", &|shown| equals(&fine, shown, 0));
+    // Behind the camera no tile is in view.
+    wait("nothing", &|shown| {
+        desk.hold(W, Duration::from_secs(1));
+        shown.rgb.iter().all(|value| *value == 0)
+    });
+    desk.key(HOME);
+    wait("tree once more", &|shown| equals(&fine, shown, 0));
+    desk.key(P);
+    let start = Instant::now();
+    while !out.is_dir() || pictures(&out).is_empty() {
+        assert!(start.elapsed() < PATIENCE, "no screenshot");
+        std::thread::sleep(PAUSE);
+    }
+    assert!(pictures(&out)[0].rgb == fine.rgb);
+    desk.close(window);
+    let output = child.finish();
+    assert_eq!((output.status.code(), String::from_utf8_lossy(&output.stderr).as_ref()), (Some(0), ""));
 }
 
 fn ends_in_every_way() {

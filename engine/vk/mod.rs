@@ -92,6 +92,7 @@ mod guard_bands;
 #[cfg(feature = "testing")]
 mod guards;
 pub mod hazard;
+mod held_queues;
 mod image;
 mod image_owner;
 mod instance;
@@ -142,6 +143,7 @@ pub use executables::{CompileOnly, Executable, Statistic};
 pub use faults::{Fault, Faults};
 pub use foreign::{ForeignCommands, ForeignDevice, RecordSlot};
 pub use format::{COLOR_FORMATS, DEPTH_FORMAT, HOST_DEPTH_FORMATS, ImageUse, MOTION_FORMAT, PICK_FORMAT};
+pub use held_queues::HeldQueues;
 pub use image::{ForeignImage, Image, ImageState};
 pub use instance::validation_available;
 pub(crate) use kernel::sealed::Generated;

@@ -216,7 +216,7 @@ impl<'a> Stage<'a> {
     fn show(&self, subject: Subject, scenery: &mut Scenery, studio: &mut Studio) -> Result<()> {
         let mut greeting = subject.greeting(scenery.renderer.context().device_name(), None);
         greeting["open"] = self.openings.as_ref().map(|openings| openings.described()).into();
-        if let Err(error) = scenery.show(&subject.gaussians, subject.tree.as_ref(), &self.hub) {
+        if let Err(error) = scenery.show(&subject.gaussians, subject.tree.as_ref(), self.hub.clone()) {
             // The one before has gone already.
             self.show(Subject::nothing(), scenery, studio)?;
             return Err(error);

@@ -1,4 +1,4 @@
-//! What the page's thread draws: a scene, or a tree of tiles within a budget of Gaussians.
+//! What a page or a window draws: a scene, or a tree of tiles within a budget of Gaussians.
 
 mod loader;
 mod residency;
@@ -26,12 +26,30 @@ pub struct Scenery {
     streaming: Option<Streaming>,
 }
 
+/// Whoever shows a tree. It hears what happens to it, on any thread.
+pub trait Onlooker: Send + Sync {
+    /// A tile has come, or will not come: the picture is to be drawn again.
+    fn renew(&self);
+    /// What people are to be told.
+    fn tell(&self, problem: &str);
+}
+
+impl Onlooker for Hub {
+    fn renew(&self) {
+        Hub::renew(self);
+    }
+
+    fn tell(&self, problem: &str) {
+        self.broadcast(&ToPage::problem(problem));
+    }
+}
+
 /// A tree that is being looked at.
 struct Streaming {
     tree: Arc<Tree>,
     residency: Residency<DeviceScene>,
     loader: Loader,
-    hub: Arc<Hub>,
+    onlooker: Arc<dyn Onlooker>,
     /// Of the program.
     budget: usize,
     /// Of the viewer that is served.
@@ -49,7 +67,12 @@ impl Scenery {
     }
 
     /// Shows a scene, or the tree whose coarsest tile it is.
-    pub fn show(&mut self, gaussians: &Gaussians, tree: Option<&Streamed>, hub: &Arc<Hub>) -> Result<()> {
+    pub fn show(
+        &mut self,
+        gaussians: &Gaussians,
+        tree: Option<&Streamed>,
+        onlooker: Arc<dyn Onlooker>,
+    ) -> Result<()> {
         self.streaming = None;
         if !gaussians.is_empty() {
             self.renderer.upload(gaussians)?;
@@ -62,12 +85,12 @@ impl Scenery {
             within: streamed.within.clone(),
         };
         let context = self.renderer.context().clone();
-        let pages = hub.clone();
+        let waiting = onlooker.clone();
         self.streaming = Some(Streaming {
             tree: streamed.tree.clone(),
             residency: Residency::new(streamed.tree.clone(), coarsest),
-            loader: Loader::start(context, source, move || pages.renew())?,
-            hub: hub.clone(),
+            loader: Loader::start(context, source, move || waiting.renew())?,
+            onlooker,
             budget: streamed.budget,
             current: (Viewer::default(), streamed.budget),
             most: usize::MAX,
@@ -82,32 +105,63 @@ impl Scenery {
         loop {
             self.prepare(camera)?;
             let drawn = draw(&mut self.renderer);
-            let more = match (&drawn, &mut self.streaming) {
-                (Err(error), Some(streaming)) if is_memory(error) => streaming.make_room(error),
-                _ => false,
-            };
+            let more = drawn.as_ref().err().is_some_and(|error| self.make_room(error));
             if !more {
                 return drawn;
             }
         }
     }
 
-    /// Takes over what has come, asks for what is missing, and has the renderer draw what is there. Whether nothing is missing.
+    /// As [`Scenery::scenes`]. Whether nothing is missing.
     fn prepare(&mut self, camera: &Camera) -> Result<bool> {
-        let Some(streaming) = &mut self.streaming else { return Ok(true) };
+        if self.streaming.is_some() {
+            self.scenes(camera)?;
+        }
+        Ok(self.streaming.as_ref().is_none_or(|streaming| streaming.shown["missing"] == 0))
+    }
+
+    /// Takes over what has come, asks for what is missing, and has the renderer draw what is there: these scenes.
+    pub fn scenes(&mut self, camera: &Camera) -> Result<Vec<DeviceScene>> {
+        let Some(streaming) = &mut self.streaming else {
+            return Ok(self.renderer.scene().into_iter().collect());
+        };
         camera.check()?;
         let scenes = streaming.scenes(camera);
-        let is_whole = streaming.shown["missing"] == 0;
         self.renderer.set_scenes(&scenes)?;
-        Ok(is_whole)
+        Ok(scenes)
+    }
+
+    /// Gives memory back where the device has had none for a picture. Whether there was any to give.
+    pub fn make_room(&mut self, error: &Error) -> bool {
+        is_memory(error) && self.streaming.as_mut().is_some_and(|streaming| streaming.make_room(error))
+    }
+
+    /// Gaussians and tiles of a picture of the tree, at most; none of a scene that is loaded whole.
+    pub fn reach(&self) -> Option<[usize; 2]> {
+        self.streaming.as_ref().map(Streaming::reach)
     }
 }
 
 impl Streaming {
-    /// Says it on the terminal and on all pages.
+    /// Says it on the terminal and to whoever looks.
     fn say(&self, problem: &str) {
         tell!("{problem}");
-        self.hub.broadcast(&ToPage::problem(problem));
+        self.onlooker.tell(problem);
+    }
+
+    fn reach(&self) -> [usize; 2] {
+        let tiles = self.tree.tiles();
+        let most = self.budget.min(self.most).min(self.tree.gaussians()).max(tiles[0].gaussians);
+        // No tile of a picture is above another: as many as fit of the smallest.
+        let mut smallest: Vec<usize> = tiles.iter().map(|tile| tile.gaussians).collect();
+        smallest.sort_unstable();
+        let mut rest = most;
+        let fits = |gaussians: &usize| {
+            let left = rest.checked_sub(*gaussians);
+            rest = left.unwrap_or(rest);
+            left.is_some()
+        };
+        [most, smallest.into_iter().take_while(fits).count().max(1)]
     }
 
     /// Gives memory back for a picture that found none. Whether there was any to give.

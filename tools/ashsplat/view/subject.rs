@@ -94,7 +94,7 @@ impl Subject {
         }
     }
 
-    /// A tree of tiles: its coarsest one is read, the others as pages look at them.
+    /// A tree of tiles: its coarsest one is read, the others as they are looked at.
     fn of_tree(
         tree: Tree,
         path: &Path,

@@ -10,6 +10,7 @@ mod controls;
 mod display;
 mod keys;
 mod navigation;
+mod onlooker;
 mod pace;
 mod picture;
 mod present;
@@ -18,8 +19,10 @@ mod text;
 mod words;
 
 use super::Arguments;
+use super::streamed::{Onlooker, Scenery};
 use app::App;
 use ashsplat::{Error, Renderer, Result};
+use onlooker::Bell;
 use picture::Picture;
 use stage::Stage;
 use std::path::PathBuf;
@@ -32,10 +35,6 @@ pub fn run(arguments: &Arguments, out: PathBuf, stop: Arc<AtomicBool>) -> Result
     let events = display::open()?;
     let instance_extensions = present::instance_extensions(&events)?;
     let subject = arguments.subject(&stop)?;
-    if subject.tree.is_some() {
-        let problem = "trees of tiles are drawn on the page alone: leave it out, or give the scene that they were made of";
-        return Err(Error::argument("--window", problem));
-    }
     let opened = arguments.device.context_with(|options| {
         // What is recorded into a host's command buffers cannot read texels.
         options.texels = false;
@@ -50,12 +49,12 @@ pub fn run(arguments: &Arguments, out: PathBuf, stop: Arc<AtomicBool>) -> Result
         }
         _ => error,
     })?;
-    let mut renderer = Renderer::new(&context)?;
-    if !subject.gaussians.is_empty() {
-        renderer.upload(&subject.gaussians)?;
-    }
-    let picture = Picture::new(renderer, subject.gaussians.sh_degree)?;
-    let stage = Stage::new(subject, picture, context.device_name(), out)?;
+    let mut scenery = Scenery::new(Renderer::new(&context)?);
+    let bell = Arc::new(Bell::new(events.create_proxy()));
+    let onlooker: Arc<dyn Onlooker> = bell.clone();
+    scenery.show(&subject.gaussians, subject.tree.as_ref(), onlooker)?;
+    let picture = Picture::new(scenery, subject.gaussians.sh_degree)?;
+    let stage = Stage::new(subject, (picture, bell), context.device_name(), out)?;
     let mut app = App::new(stage, context.clone(), stop, !arguments.no_vsync);
     say!("window on {}; ? lists the keys", context.device_name());
     let ended = events.run_app(&mut app).map_err(|error| present::unfit(&error.to_string()));

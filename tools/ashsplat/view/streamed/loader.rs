@@ -28,7 +28,6 @@ pub struct Loader {
     shared: Arc<Shared>,
 }
 
-#[derive(Default)]
 struct Shared {
     state: Mutex<State>,
     news: Condvar,
@@ -40,9 +39,10 @@ struct State {
     /// What is being read.
     current: Option<usize>,
     arrivals: Vec<Arrival>,
+    /// What tiles are uploaded to; none at the end.
+    context: Option<Context>,
     /// Whether the device is in use.
     uploads: bool,
-    ended: bool,
 }
 
 impl Shared {
@@ -55,9 +55,7 @@ impl Shared {
     fn next(&self) -> Option<usize> {
         let mut state = self.lock();
         loop {
-            if state.ended {
-                return None;
-            }
+            state.context.as_ref()?;
             if let Some(tile) = state.wishes.pop_front() {
                 state.current = Some(tile);
                 return Some(tile);
@@ -66,11 +64,11 @@ impl Shared {
         }
     }
 
-    /// Whether the tile that was read is still wanted.
-    fn begin_upload(&self) -> bool {
+    /// Where the tile that was read is uploaded to, if it is still wanted.
+    fn begin_upload(&self) -> Option<Context> {
         let mut state = self.lock();
-        state.uploads = !state.ended;
-        state.uploads
+        state.uploads = state.context.is_some();
+        state.context.clone()
     }
 
     fn arrive(&self, arrival: Arrival) {
@@ -84,16 +82,16 @@ impl Shared {
 impl Loader {
     /// Begins; `arrived` is called after each tile.
     pub fn start(context: Context, source: Source, arrived: impl Fn() + Send + 'static) -> Result<Loader> {
-        let shared = Arc::<Shared>::default();
+        let state = Mutex::new(State { context: Some(context), ..State::default() });
+        let shared = Arc::new(Shared { state, news: Condvar::new() });
         let own = shared.clone();
         let work = move || {
             while let Some(tile) = own.next() {
                 let gaussians = guarded(|| source.read(tile));
-                if !own.begin_upload() {
-                    return;
-                }
-                // Whoever waits for the thread must hear of the tile, come what may.
+                let Some(context) = own.begin_upload() else { return };
+                // Whoever waits for the thread must hear of the tile, come what may; and it holds the device no longer then.
                 let scene = guarded(|| DeviceScene::upload(&context, &gaussians?, 0));
+                drop(context);
                 own.arrive((tile, scene));
                 arrived();
             }
@@ -121,14 +119,16 @@ impl Loader {
 }
 
 impl Drop for Loader {
-    /// Waits until the thread is done with the device, but not for a file: a network's may never come.
+    /// Waits until the thread is done with the device, but not for a file: a network's may never come. Whatever the thread does then,
+    /// nothing of the device is left with it.
     fn drop(&mut self) {
         let mut state = self.shared.lock();
-        state.ended = true;
+        state.context = None;
         self.shared.news.notify_all();
         while state.uploads {
             state = self.shared.news.wait(state).unwrap_or_else(PoisonError::into_inner);
         }
+        state.arrivals.clear();
     }
 }
 

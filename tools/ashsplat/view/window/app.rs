@@ -271,6 +271,13 @@ impl ApplicationHandler for App {
         }
     }
 
+    /// A tree has rung.
+    fn user_event(&mut self, _: &ActiveEventLoop, (): ()) {
+        if let Some(stage) = &mut self.stage {
+            stage.renew(self.controls.is_busy());
+        }
+    }
+
     fn about_to_wait(&mut self, events: &ActiveEventLoop) {
         if self.stop.load(Ordering::Relaxed) {
             events.exit();

@@ -3,6 +3,8 @@
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
+/// Smallest side of a coarse frame, pixels.
+const LEAST_SIDE: f64 = 16.0;
 /// Time that a frame may take while the view moves, ms.
 const GOAL: f64 = 55.0;
 /// Sides of coarse frames, as a share of the window's.
@@ -21,6 +23,14 @@ pub enum Due {
     Moving(f64),
     /// It rests.
     Still,
+}
+
+impl Due {
+    /// Sides of its picture in a window of a size, pixels.
+    pub fn sides(self, window: [u32; 2]) -> [u32; 2] {
+        let share = if let Due::Moving(share) = self { share } else { 1.0 };
+        window.map(f64::from).map(|side| (side * share).round().max(LEAST_SIDE).min(side) as u32)
+    }
 }
 
 /// Decides about frames.
@@ -45,6 +55,11 @@ impl Pace {
     /// It has changed once, not little by little: a sharp frame at once.
     pub fn leap(&mut self) {
         (self.dirty, self.sharp, self.changed) = (false, false, None);
+    }
+
+    /// The view is the same, and something has come that it shows: the next frame has it, a sharp one once the view rests.
+    pub fn renew(&mut self, busy: bool) {
+        (self.dirty, self.sharp) = (self.dirty || busy, false);
     }
 
     fn rests(&self, now: Instant, busy: bool) -> bool {
@@ -134,6 +149,23 @@ mod tests {
         assert_eq!(pace.next(start, false), Due::Still);
         (0..9).for_each(|_| pace.adapt(10_000.0, SCALES[pace.level]));
         assert_eq!(pace.level, SCALES.len() - 1);
+    }
+
+    #[test]
+    fn what_comes_is_drawn() {
+        let (mut pace, start) = (Pace::new(), Instant::now());
+        pace.drawn(Due::Still, start);
+        pace.renew(false);
+        assert_eq!(pace.next(start, false), Due::Still);
+        pace.drawn(Due::Still, start);
+        pace.renew(true);
+        assert_eq!(pace.next(start, true), Due::Moving(1.0), "a button is held");
+        // What comes while the view moves does not end its rest early.
+        pace.touch(start);
+        pace.drawn(Due::Moving(0.5), start);
+        pace.renew(false);
+        assert_eq!(pace.next(start + REST / 2, false), Due::Nothing);
+        assert_eq!(pace.next(start + 2 * REST, false), Due::Still);
     }
 
     #[test]

@@ -1,5 +1,7 @@
 //! One frame of the window: splats or a finished picture, text over it, all in the frame's command buffer.
 
+use super::super::draw::Painter;
+use super::super::streamed::Scenery;
 use super::present::{CANVAS, FRAMES_IN_FLIGHT, Present, Turn};
 use super::text::{Overlay, Text};
 use ashsplat::ash::vk;
@@ -8,9 +10,10 @@ use ashsplat::scene::Camera;
 use ashsplat::vk::{Buffer, Context, Image, ImageState, ImageUse, MemoryKind, RecordSlot};
 use ashsplat::{
     Background, ColorEncoding, DeviceScene, Error, HostImage, Placed, RecordedFrame, RenderSettings,
-    Renderer, Reservation, Result, SlotReport, Target,
+    Reservation, Result, SlotReport, Target,
 };
 use ashsplat_files::Photo;
+use serde_json::Value;
 use std::time::Instant;
 
 /// Dispatches of a recording of our own, at most.
@@ -52,9 +55,10 @@ struct Sheet {
 
 /// Draws frames.
 pub struct Picture {
-    renderer: Renderer,
+    scenery: Scenery,
     context: Context,
-    scene: Option<DeviceScene>,
+    /// What the scenery's pictures are drawn of.
+    scenes: Vec<DeviceScene>,
     sh_degree: u32,
     reserved: Option<Reservation>,
     compose: Compose,
@@ -66,9 +70,9 @@ pub struct Picture {
 }
 
 impl Picture {
-    /// Of the scene that the renderer has, if any.
-    pub fn new(renderer: Renderer, sh_degree: u32) -> Result<Picture> {
-        let context = renderer.context().clone();
+    /// Of what the scenery shows, if anything.
+    pub fn new(scenery: Scenery, sh_degree: u32) -> Result<Picture> {
+        let context = scenery.renderer.context().clone();
         let mut sheets = Vec::new();
         for _ in 0..FRAMES_IN_FLIGHT {
             let records = [RecordSlot::new(&context, DISPATCHES)?, RecordSlot::new(&context, DISPATCHES)?];
@@ -76,69 +80,107 @@ impl Picture {
         }
         Ok(Picture {
             compose: Compose::new(&context)?,
-            scene: renderer.scene(),
+            scenes: scenery.renderer.scene().into_iter().collect(),
             sh_degree,
             reserved: None,
             canvas: None,
             coarse: None,
             sheets,
             context,
-            renderer,
+            scenery,
         })
     }
 
     /// For pictures that are read back.
-    pub fn renderer(&mut self) -> &mut Renderer {
-        &mut self.renderer
+    pub fn painter(&mut self) -> &mut dyn Painter {
+        &mut self.scenery
     }
 
-    /// Whether there is a scene.
+    /// How much of a tree of tiles the last picture has.
+    pub fn tree(&self) -> Option<&Value> {
+        self.scenery.tree()
+    }
+
+    /// Whether there is a scene, or a tree of tiles, in view or not.
     pub fn has_scene(&self) -> bool {
-        self.scene.is_some()
+        self.scenery.reach().is_some() || !self.scenes.is_empty()
     }
 
-    /// Allocates what a frame of splats in a window of a size needs.
-    pub fn reserve(
+    /// Whether splats of it are in view, as far as that is known before they are drawn: no tile of a tree may be.
+    pub fn is_in_view(&self) -> bool {
+        !self.scenes.is_empty()
+    }
+
+    /// Takes over what of a tree has come, and allocates what a frame of splats in a window of a size needs. The camera's size is the
+    /// window's.
+    pub fn prepare(
         &mut self,
         present: &Present,
         size: [u32; 2],
         camera: &Camera,
         settings: &RenderSettings,
     ) -> Result<()> {
-        let Some(scene) = &self.scene else { return Ok(()) };
+        loop {
+            if self.scenery.reach().is_some() {
+                self.scenes = self.scenery.scenes(camera)?;
+            }
+            match self.reserve(present, size, camera, settings) {
+                Err(error) if self.scenery.make_room(&error) => {}
+                done => return done,
+            }
+        }
+    }
+
+    fn reserve(
+        &mut self,
+        present: &Present,
+        size: [u32; 2],
+        camera: &Camera,
+        settings: &RenderSettings,
+    ) -> Result<()> {
+        let Some(scene) = self.scenes.first() else { return Ok(()) };
         let before = self.reserved.as_ref();
         if before.is_some_and(|old| [old.width, old.height] == size) {
             return Ok(());
         }
+        // Of a tree as much as the budget allows: what comes later finds its place, and no frame waits for memory.
+        let [gaussians, scenes] = match self.scenery.reach() {
+            Some(reach) => reach.map(|most| u32::try_from(most).unwrap_or(u32::MAX)),
+            None => [scene.count(), 1],
+        };
         let wanted = Reservation {
             slots: FRAMES_IN_FLIGHT,
+            scenes,
             images_only: true,
             blend_passes: before.map_or(1, |old| old.blend_passes),
-            ..Reservation::new(scene.count(), self.sh_degree, size[0], size[1])
+            ..Reservation::new(gaussians, self.sh_degree, size[0], size[1])
         };
         present.idle()?;
         self.reserved = None;
-        let scenes = [Placed::from(scene)];
-        let frame = RecordedFrame::new(&scenes, camera, settings);
-        self.reserved = Some(self.renderer.reserve_for(&wanted, &frame)?);
+        let placed = [Placed::from(scene)];
+        let frame = RecordedFrame::new(&placed, camera, settings);
+        self.reserved = Some(self.scenery.renderer.reserve_for(&wanted, &frame)?);
         Ok(())
     }
 
     /// What the splats of a frame that is done needed. With too little room for them, there is more for the next.
     pub fn report(&mut self, present: &Present, slot: u32) -> Result<Option<SlotReport>> {
         let Some(reserved) = self.reserved else { return Ok(None) };
-        let report = self.renderer.slot_report(slot)?;
+        let report = self.scenery.renderer.slot_report(slot)?;
         let grown = report.as_ref().filter(|report| report.overflow).map(|report| reserved.grown(report));
         if let Some(grown) = grown.filter(|grown| *grown != reserved) {
             // Frames in flight go on with what they have.
-            if let Err(error) = self.renderer.grow(&grown) {
+            if let Err(error) = self.scenery.renderer.grow(&grown) {
                 if !matches!(error, Error::TooLarge { .. } | Error::Vulkan { .. }) {
                     return Err(error);
                 }
                 // Old and new do not fit beside each other.
                 present.idle()?;
                 self.reserved = None;
-                self.renderer.reserve(&grown)?;
+                if let Err(error) = self.scenery.renderer.reserve(&grown) {
+                    // The next frame is of less.
+                    return if self.scenery.make_room(&error) { Ok(report) } else { Err(error) };
+                }
             }
             self.reserved = Some(grown);
         }
@@ -183,10 +225,10 @@ impl Picture {
         camera: &Camera,
         content: &Content<'_>,
     ) -> Result<ImageState> {
-        match (content, &self.scene) {
-            (Content::Photo(photo), _) => self.record_photo(present, turn, target, photo),
-            (Content::Splats(settings), Some(scene)) => {
-                let scenes = [Placed::from(scene)];
+        match content {
+            Content::Photo(photo) => self.record_photo(present, turn, target, photo),
+            Content::Splats(settings) if self.is_in_view() => {
+                let scenes: Vec<Placed<'_>> = self.scenes.iter().map(Placed::from).collect();
                 let to = HostImage { image: target, from: USED, offset: [0; 2] };
                 let frame = RecordedFrame {
                     target: Target::Image {
@@ -196,10 +238,10 @@ impl Picture {
                     },
                     ..RecordedFrame::new(&scenes, camera, settings)
                 };
-                let release = self.renderer.record(present.commands(turn)?, turn.slot(), &frame)?;
+                let release = self.scenery.renderer.record(present.commands(turn)?, turn.slot(), &frame)?;
                 Ok(release.color.unwrap_or(USED))
             }
-            (Content::Splats(RenderSettings { background, .. }) | Content::Nothing(background), _) => {
+            Content::Splats(RenderSettings { background, .. }) | Content::Nothing(background) => {
                 Ok(present.clear(turn, target, USED, *background))
             }
         }

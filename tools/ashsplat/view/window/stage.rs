@@ -9,6 +9,7 @@ use super::super::subject::Subject;
 use super::comparison::Comparison;
 use super::keys::Action;
 use super::navigation::Navigation;
+use super::onlooker::Bell;
 use super::pace::{Due, Pace};
 use super::picture::{Content, Picture};
 use super::present::Present;
@@ -31,8 +32,6 @@ use std::time::{Duration, Instant, SystemTime};
 const MODES: [Mode; 5] = [Mode::Splats, Mode::Centres, Mode::Ellipsoids, Mode::Depth, Mode::Tiles];
 /// How long something is said.
 const SAID: Duration = Duration::from_secs(6);
-/// Smallest side of a coarse frame, pixels.
-const LEAST_SIDE: f64 = 16.0;
 /// Rows of pixels for each size of the letters.
 const ROWS_PER_DOT: u32 = 540;
 /// Distance of the text from the corner, pixels.
@@ -52,6 +51,7 @@ struct Pending {
 
 pub struct Stage {
     picture: Picture,
+    bell: Arc<Bell>,
     pub view: Navigation,
     pub pace: Pace,
     mode: usize,
@@ -87,7 +87,12 @@ pub struct Stage {
 }
 
 impl Stage {
-    pub fn new(subject: Subject, picture: Picture, device: &str, out: PathBuf) -> Result<Stage> {
+    pub fn new(
+        subject: Subject,
+        (picture, bell): (Picture, Arc<Bell>),
+        device: &str,
+        out: PathBuf,
+    ) -> Result<Stage> {
         let greeting = subject.greeting(device, None);
         let triple = |key: &str| {
             let values: Option<[f64; 3]> = serde_json::from_value(greeting[key].clone()).ok();
@@ -101,6 +106,7 @@ impl Stage {
         let view = Navigation::new(center, triple("up"), greeting["radius"].as_f64().unwrap_or(1.0));
         let mut stage = Stage {
             picture,
+            bell,
             view,
             pace: Pace::new(),
             mode: 0,
@@ -189,7 +195,7 @@ impl Stage {
     fn photo_light(&mut self) -> Result<Option<(Camera, Light)>> {
         let lit = self.lit && self.mode == 0 && self.view.is_photo();
         let photo = self.current.filter(|photo| lit && self.lights.has(*photo));
-        photo.map(|photo| self.lights.of(photo, self.picture.renderer())).transpose()
+        photo.map(|photo| self.lights.of(photo, self.picture.painter())).transpose()
     }
 
     /// Whether anything was open.
@@ -245,7 +251,7 @@ impl Stage {
         if !self.picture.has_scene() {
             return Ok(None);
         }
-        match self.picture.renderer().inspect(&camera, &settings, pixel) {
+        match self.picture.painter().inspect(&camera, &settings, pixel) {
             Ok(report) => Ok(Some((pixel, report))),
             Err(error) => {
                 self.say(error.to_string());
@@ -281,7 +287,7 @@ impl Stage {
             return Ok(());
         }
         let drawn = (self.photo_light())
-            .and_then(|light| draw::draw_as(self.picture.renderer(), &camera, &self.base, &look, light));
+            .and_then(|light| draw::draw_as(self.picture.painter(), &camera, &self.base, &look, light));
         match drawn.and_then(|drawn| output::write_png(&path, &drawn.photo)) {
             Ok(()) => self.say(format!("saved {}", path.display())),
             Err(error) => {
@@ -290,6 +296,14 @@ impl Stage {
             }
         }
         Ok(())
+    }
+
+    /// A tree has rung: a tile has come, or something is to be said about it.
+    pub fn renew(&mut self, busy: bool) {
+        if let Some(problem) = self.bell.said() {
+            self.say(problem);
+        }
+        self.pace.renew(busy);
     }
 
     /// What is due.
@@ -350,11 +364,7 @@ impl Stage {
         self.size = size;
         present.wait()?;
         self.poll(present)?;
-        let share = if let Due::Moving(share) = due { share } else { 1.0 };
-        let small = size.map(|side| {
-            let side = f64::from(side);
-            (side * share).round().max(LEAST_SIDE).min(side) as u32
-        });
+        let small = due.sides(size);
         let settled = std::mem::take(&mut self.settle) && due == Due::Still;
         let (camera, start) = (self.view.camera(small), Instant::now());
         let settings = draw::settings(&self.base, &self.look());
@@ -364,6 +374,7 @@ impl Stage {
         let content = match &prepared {
             Ok(_) if !self.picture.has_scene() => Content::Nothing(background),
             Ok(Some(photo)) => Content::Photo(photo),
+            Ok(None) if !self.picture.is_in_view() => Content::Nothing(background),
             Ok(None) => Content::Splats(&settings),
             Err(error) => {
                 self.message = Some((error.to_string(), Instant::now()));
@@ -406,20 +417,13 @@ impl Stage {
         let light = self.photo_light()?;
         if light.is_none() && matches!(MODES[self.mode], Mode::Splats | Mode::Centres) {
             let whole = self.view.camera(self.size);
-            self.picture.reserve(present, self.size, &whole, settings)?;
+            self.picture.prepare(present, self.size, &whole, settings)?;
             return Ok(None);
         }
         let look = self.look();
-        let drawn = draw::draw_as(self.picture.renderer(), camera, &self.base, &look, light)?;
-        let number = |key: &str| drawn.stats[key].as_u64().and_then(|n| u32::try_from(n).ok()).unwrap_or(0);
-        self.measured = Measured {
-            milliseconds: self.measured.milliseconds,
-            gaussians: number("gaussians"),
-            visible: number("visible"),
-            instances: number("instances"),
-            legend: drawn.legend,
-            ..Measured::default()
-        };
+        let drawn = draw::draw_as(self.picture.painter(), camera, &self.base, &look, light)?;
+        let (milliseconds, legend) = (self.measured.milliseconds, drawn.legend);
+        self.measured = Measured { milliseconds, legend, ..Measured::told(&drawn.stats) };
         Ok(Some(drawn.photo))
     }
 
@@ -428,6 +432,7 @@ impl Stage {
         if self.panel {
             let rate = self.pace.frames_per_second();
             lines = words::status(&self.name, &self.device, self.mode, rate, &self.measured);
+            lines.extend(self.picture.tree().and_then(words::tree));
             lines.extend(self.note.iter().flat_map(|note| words::wrapped(note)));
         }
         lines.extend(self.message.iter().flat_map(|(message, _)| words::wrapped(message)));

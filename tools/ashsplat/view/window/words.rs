@@ -3,6 +3,7 @@
 use super::keys::{HELP, ONLY_PAGE};
 use ashsplat::vk::ScopeTime;
 use ashsplat::{PixelReport, SlotReport};
+use serde_json::Value;
 
 /// Gaussians of a pixel that are listed.
 const LISTED: usize = 16;
@@ -29,6 +30,13 @@ pub struct Measured {
 }
 
 impl Measured {
+    /// What the processor's drawing tells of its picture.
+    pub fn told(stats: &Value) -> Measured {
+        let number = |key: &str| stats[key].as_u64().and_then(|n| u32::try_from(n).ok()).unwrap_or(0);
+        let [gaussians, visible, instances] = ["gaussians", "visible", "instances"].map(number);
+        Measured { gaussians, visible, instances, ..Measured::default() }
+    }
+
     pub fn take(&mut self, report: SlotReport) {
         (self.gaussians, self.visible) = (report.gaussians, report.visible);
         (self.instances, self.stages) = (report.instances_needed, report.scopes);
@@ -74,6 +82,16 @@ pub fn status(scene: &str, device: &str, mode: usize, rate: f64, frame: &Measure
     }
     lines.push(format!("{device} · ? lists the keys"));
     lines
+}
+
+/// How much of a tree the picture has, and what is still being read.
+pub fn tree(shown: &Value) -> Option<String> {
+    let number = |key: &str| shown[key].as_u64().map(|n| grouped(u32::try_from(n).unwrap_or(u32::MAX)));
+    let mut line = format!("{} tiles of a tree of {} Gaussians", number("drawn")?, number("of")?);
+    if let Some(missing) = number("missing").filter(|missing| missing != "0") {
+        line += &format!(", {missing} to come");
+    }
+    Some(line)
 }
 
 /// What is said when photos' views are to be drawn as photographed, or not any more.
@@ -164,6 +182,16 @@ mod tests {
         );
         frame.legend = Some([0.5, 7.0]);
         assert!(status("", "", 3, 0.0, &frame).iter().any(|line| line.starts_with("red 0.50 … blue 7.00")));
+    }
+
+    #[test]
+    fn a_tree_is_told() {
+        let mut shown = serde_json::json!({ "drawn": 12, "of": 1_234_567, "missing": 3 });
+        let line = "12 tiles of a tree of 1,234,567 Gaussians";
+        assert_eq!(tree(&shown), Some(format!("{line}, 3 to come")));
+        shown["missing"] = 0.into();
+        assert_eq!(tree(&shown).as_deref(), Some(line));
+        assert_eq!(tree(&Value::Null), None);
     }
 
     #[test]

@@ -93,7 +93,7 @@ pub struct Present {
 
 impl Present {
     /// The surface of a window. The context has the extensions that surfaces need ([`instance_extensions`],
-    /// [`DEVICE_EXTENSIONS`]), and no other thread submits to its queue.
+    /// [`DEVICE_EXTENSIONS`]).
     pub fn new(context: &Context, window: Arc<Window>, vsync: bool) -> Result<Present> {
         let (instance, physical, device, family) = context.handles();
         let display = window.display_handle().map_err(|error| unfit(&error.to_string()))?.as_raw();
@@ -226,7 +226,8 @@ impl Present {
 
     /// Waits until nothing runs any more.
     pub fn idle(&self) -> Result<()> {
-        // SAFETY: no other thread uses the device's queue.
+        let _held = self.context.hold_queues()?;
+        // SAFETY: the queues are held, so that no other thread uses them.
         unsafe { self.device.device_wait_idle() }.map_err(failed("vkDeviceWaitIdle"))
     }
 
@@ -311,13 +312,16 @@ impl Present {
             .wait_semaphores(&semaphores)
             .swapchains(&raw)
             .image_indices(&indices);
-        // SAFETY: recorded since `begin`; the fence is signalled and nobody waits for it; no other thread uses the queue.
+        let held = self.context.hold_queues()?;
+        // SAFETY: recorded since `begin`; the fence is signalled and nobody waits for it; the queues are held, so that no other
+        // thread uses them.
         let shown = unsafe {
             self.device.end_command_buffer(frame.commands).map_err(failed("vkEndCommandBuffer"))?;
             self.device.reset_fences(&[frame.done]).map_err(failed("vkResetFences"))?;
             self.device.queue_submit2(self.queue, &submits, frame.done).map_err(failed("vkQueueSubmit2"))?;
             self.swapchains.queue_present(self.queue, &info)
         };
+        drop(held);
         self.next = (self.next + 1) % self.frames.len();
         match shown {
             Ok(suboptimal) => self.stale |= suboptimal,

@@ -1,0 +1,34 @@
+//! What a tree of tiles tells the window, from the thread that reads it.
+
+use super::super::streamed::Onlooker;
+use std::sync::{Mutex, PoisonError};
+use winit::event_loop::EventLoopProxy;
+
+/// Wakes the window's loop, and keeps what is to be said until then.
+pub struct Bell {
+    wake: Mutex<EventLoopProxy<()>>,
+    said: Mutex<Option<String>>,
+}
+
+impl Bell {
+    pub fn new(wake: EventLoopProxy<()>) -> Bell {
+        Bell { wake: Mutex::new(wake), said: Mutex::default() }
+    }
+
+    /// What was said last, and not taken yet.
+    pub fn said(&self) -> Option<String> {
+        self.said.lock().unwrap_or_else(PoisonError::into_inner).take()
+    }
+}
+
+impl Onlooker for Bell {
+    fn renew(&self) {
+        // A loop that has ended needs no waking.
+        self.wake.lock().unwrap_or_else(PoisonError::into_inner).send_event(()).ok();
+    }
+
+    fn tell(&self, problem: &str) {
+        *self.said.lock().unwrap_or_else(PoisonError::into_inner) = Some(problem.to_owned());
+        self.renew();
+    }
+}
