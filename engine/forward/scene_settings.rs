@@ -159,7 +159,7 @@ mod tests {
         let bad = [
             (
                 SceneSettings { cut_outs: &degenerate, ..usual },
-                "cut_outs[1].volume: sizes of [1.0, 1.0, 0.0]",
+                "cut_outs[1].volume: a size of [1.0, 1.0, 0.0]",
             ),
             (SceneSettings { cut_outs: &many, ..usual }, "cut_outs: 17 of them, there may be 16"),
             (SceneSettings { tint: [1.0, f32::NAN, 1.0], ..usual }, "tint: [1.0, NaN, 1.0]"),
