@@ -158,6 +158,17 @@ impl Error {
         }
     }
 
+    /// Of what does not fit because of a setting, which comes before it.
+    #[must_use]
+    pub(crate) fn of_field(self, field: impl std::fmt::Display) -> Self {
+        match self {
+            Self::TooLarge { what, needed, unit, limit, limit_name } => {
+                Self::TooLarge { what: format!("{field}: {what}"), needed, unit, limit, limit_name }
+            }
+            other => other,
+        }
+    }
+
     /// Of an argument that is a part of another one, with both names.
     #[must_use]
     pub(crate) fn within(self, outer: impl std::fmt::Display) -> Self {

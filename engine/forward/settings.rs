@@ -125,6 +125,9 @@ impl RenderSettings {
             let problem = format!("is {}, must be finite and positive", self.dilation_px2);
             return Err(Error::argument("dilation_px2", problem));
         }
+        if let Some(degree) = self.sh_degree.filter(|degree| *degree > 3) {
+            return Err(Error::argument("sh_degree", format!("{degree} is above 3")));
+        }
         if self.background.iter().any(|channel| !channel.is_finite()) {
             return Err(Error::argument("background", format!("{:?} is not finite", self.background)));
         }

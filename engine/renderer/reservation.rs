@@ -13,7 +13,7 @@ pub struct Reservation {
     /// Frames in flight.
     pub slots: u32,
     /// Queues that frames are submitted to. What lives only while a frame is computed exists once for each queue:
-    /// slots whose numbers leave the same rest when divided by this share it. Their frames go to one queue, in any
+    /// slots share it whose `slot % queues` is the same. Their frames go to one queue, in any
     /// order, or are ordered by semaphores. With as many queues as slots nothing is shared.
     pub queues: u32,
     /// Views of a recording ([`Renderer::record_views`](super::Renderer::record_views)): they share the memory of one. Times
@@ -37,7 +37,7 @@ pub struct Reservation {
     /// Height of the largest picture, pixels: see [`Reservation::width`].
     pub height: u32,
     /// Passes of blending; 0 for an estimate: 1, or 2 where the driver bounds loops and a tile may have more entries than a pass
-    /// takes (there the second costs 2 % of a frame of 60,000 Gaussians at 640×480). [`SlotReport`] has the number that a frame needs.
+    /// takes (there the second costs 2 % of a frame of 60,000 Gaussians at 640×480: least of 25 in turn, 25 November 2026). [`SlotReport`] has the number that a frame needs.
     pub blend_passes: u32,
     /// Whether frames will render the sum of weights / z.
     pub inverse_depth: bool,
@@ -254,7 +254,8 @@ impl Reservation {
         const PER_FRAME: u32 = 48;
         // Scenes may be stored at a higher degree than the evaluated one, in more chunks.
         let plan = ScenePlan::new(context.limits(), self.gaussians, 3)
-            .or_else(|_| ScenePlan::new(context.limits(), self.gaussians, self.sh_degree))?;
+            .or_else(|_| ScenePlan::new(context.limits(), self.gaussians, self.sh_degree))
+            .map_err(|error| error.of_field(field_name("gaussians")))?;
         // Per chunk of parameters: culling, projection and motion. Per scene: the ranges of its chunks.
         let of_chunk = 2 + u32::from(self.motion);
         let projection = of_chunk * (plan.chunks + self.scenes) + self.scenes;
@@ -281,7 +282,8 @@ impl Reservation {
             backward: false,
             absolute: false,
         };
-        check_grids(context.limits(), &capacity, sizes)?;
+        check_grids(context.limits(), &capacity, sizes)
+            .map_err(|error| error.of_field(field_name("width, height, gaussians, instances")))?;
         Ok(capacity)
     }
 }

@@ -16,8 +16,8 @@ impl Renderer {
     ///
     /// # Errors
     /// [`Error::Argument`] for an invalid reservation or while a slot is in flight, [`Error::TooLarge`] if
-    /// the reservation exceeds the device; memory or device failures. After a memory failure no slot is
-    /// reserved.
+    /// the reservation exceeds the device, with the field that does; memory or device failures. The slots then are as before, but where
+    /// the device or the host had no memory: then none is reserved.
     pub fn reserve(&mut self, wanted: &Reservation) -> Result<()> {
         self.reserve_by(wanted, None)
     }

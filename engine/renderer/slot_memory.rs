@@ -4,10 +4,10 @@
 //! exists once for each queue, whatever the order in which frames are recorded and submitted. What is used before or
 //! behind the frame exists once for each slot: pixels that the host reads, staging memory that it writes, the counts.
 
-use super::reservation::Reservation;
+use super::reservation::{Reservation, field_name};
 use crate::error::{Error, Result};
 use crate::forward::{Auxiliary, CUT_OUT_BYTES, MotionBuffers, PickBuffers};
-use crate::plan::{FrameBuffers, FrameCapacity, LaunchSizes, frame_requests};
+use crate::plan::{FrameBuffers, FrameCapacity, LaunchSizes, PictureCapacity, frame_requests};
 use crate::vk::{Buffer, Context, MemoryKind, PLACEMENT_ALIGNMENT, pack};
 
 type Requests = Vec<(&'static str, u64)>;
@@ -72,19 +72,10 @@ impl<'a> Plan<'a> {
         wanted.check()?;
         let capacity = wanted.capacity(context, sizes)?;
         let dispatches = wanted.dispatches(context, &capacity)?;
+        check_bindings(context, (wanted, &capacity), sizes)?;
+        let frame = frame_requests(&capacity, sizes).len();
+        let scratch = scratch_requests(wanted, &capacity, sizes);
         let pixels = capacity.pictures.pixels;
-        let mut scratch = frame_requests(&capacity, sizes);
-        let frame = scratch.len();
-        scratch.extend(wanted.occlusion.then_some(("depth_limits", pixels * 4)));
-        scratch.extend(
-            (wanted.cut_outs > 0).then_some(("cut_outs", u64::from(wanted.cut_outs) * CUT_OUT_BYTES)),
-        );
-        if wanted.pick {
-            scratch.extend([("picks", pixels * 8), ("scene_firsts", u64::from(wanted.scenes) * 4)]);
-        }
-        if wanted.motion {
-            scratch.extend([("motions", u64::from(capacity.gaussians) * 8), ("motion_sums", pixels * 8)]);
-        }
         let has_depth = !wanted.images_only && (wanted.inverse_depth || wanted.expected_depth);
         let mut own = Vec::new();
         if !wanted.images_only {
@@ -175,6 +166,59 @@ impl<'a> Plan<'a> {
         }
         Ok(memory)
     }
+}
+
+/// What a frame of this capacity computes with, those of [`frame_requests`] first.
+fn scratch_requests(wanted: &Reservation, capacity: &FrameCapacity, sizes: &LaunchSizes) -> Requests {
+    let pixels = capacity.pictures.pixels;
+    let mut scratch = frame_requests(capacity, sizes);
+    scratch.extend(wanted.occlusion.then_some(("depth_limits", pixels * 4)));
+    scratch.extend((wanted.cut_outs > 0).then_some(("cut_outs", u64::from(wanted.cut_outs) * CUT_OUT_BYTES)));
+    if wanted.pick {
+        scratch.extend([("picks", pixels * 8), ("scene_firsts", u64::from(capacity.scenes) * 4)]);
+    }
+    if wanted.motion {
+        scratch.extend([("motions", u64::from(capacity.gaussians) * 8), ("motion_sums", pixels * 8)]);
+    }
+    scratch
+}
+
+/// Refuses a buffer that kernels cannot bind, and names the field that makes it so large: nothing is freed for what has no room anyway.
+fn check_bindings(
+    context: &Context,
+    (wanted, capacity): (&Reservation, &FrameCapacity),
+    sizes: &LaunchSizes,
+) -> Result<()> {
+    let limit = context.limits().max_storage_buffer_range;
+    let too_large = |field: String, needed| {
+        Err(Error::TooLarge {
+            what: field,
+            needed,
+            unit: "bytes",
+            limit,
+            limit_name: "maxStorageBufferRange",
+        })
+    };
+    if wanted.staging_bytes > limit {
+        return too_large(field_name("staging_bytes"), wanted.staging_bytes);
+    }
+    let requests = scratch_requests(wanted, capacity, sizes);
+    let Some(place) = requests.iter().position(|(_, bytes)| *bytes > limit) else { return Ok(()) };
+    let (name, needed) = requests[place];
+    if name == "cut_outs" {
+        return too_large(field_name("cut_outs"), needed);
+    }
+    // With which of them at the least it would be the smallest.
+    let pictures = PictureCapacity::of(1, 1).without_backward();
+    let without = [
+        ("width, height", FrameCapacity { pictures, ..*capacity }),
+        ("instances", FrameCapacity { instances: 1, ..*capacity }),
+        ("gaussians", FrameCapacity { gaussians: 1, ..*capacity }),
+        ("scenes, views", FrameCapacity { scenes: 1, ..*capacity }),
+    ];
+    let bytes = |(_, less): &(_, FrameCapacity)| scratch_requests(wanted, less, sizes)[place].1;
+    let field = without.iter().min_by_key(|less| bytes(less)).map_or("gaussians", |(field, _)| field);
+    too_large(format!("{}: buffer '{name}'", field_name(field)), needed)
 }
 
 /// Bytes of a group in one block.

@@ -101,6 +101,12 @@ impl Slots {
     /// Refuses a reservation that is no growth of the current one.
     pub fn check_growth(&self, wanted: &Reservation) -> Result<()> {
         let slots = self.slots.len();
+        if slots == 0 {
+            return Err(Error::argument(
+                "slots",
+                "none are reserved that could grow: call Renderer::reserve",
+            ));
+        }
         if wanted.slots as usize != slots {
             let problem =
                 format!("slots is {}, {slots} are reserved: growth keeps their number", wanted.slots);

@@ -99,8 +99,8 @@ impl Trainer {
     /// [`Error::Argument`] without slots, for photographs that lie in a file or while recorded steps are in
     /// flight, [`Error::TooLarge`] if it exceeds the device; memory or device failures.
     pub fn reserve_steps(&mut self, wanted: &StepReservation) -> Result<()> {
-        if wanted.slots == 0 {
-            return Err(Error::argument("reservation", "no slots for steps"));
+        if !(1..=1024).contains(&wanted.slots) {
+            return Err(Error::argument("slots", format!("is {}, it may be 1 to 1024", wanted.slots)));
         }
         if !self.photos.are_resident() {
             let problem = "lie in a file: recorded steps need all of them on the device";
@@ -143,7 +143,7 @@ impl Trainer {
             return Err(Error::argument("commands", "it belongs to another context"));
         }
         if self.recording.slots.is_empty() {
-            return Err(Error::argument("training steps", "none are reserved: call Trainer::reserve_steps"));
+            return Err(Error::argument("training steps", "are not reserved: call Trainer::reserve_steps"));
         }
         let index = self.slot_index(slot)?;
         self.recording.slots[index].record.check_free()?;

@@ -112,12 +112,15 @@ impl Image {
         }
         if foreign.samples != vk::SampleCountFlags::TYPE_1 {
             let samples = foreign.samples.as_raw();
+            if samples == 0 {
+                return bad("samples is 0: say how many samples per pixel it has, 1 for most".into());
+            }
             return bad(format!(
                 "it has {samples} samples per pixel, kernels see images of one: resolve it into such an image, and give that"
             ));
         }
         if !foreign.usage.contains(purpose.usage()) {
-            return bad(format!("its usage {:?} lacks {:?}", foreign.usage, purpose.usage()));
+            return bad(format!("its usage '{:?}' lacks {:?}", foreign.usage, purpose.usage()));
         }
         let (format, possible) = (foreign.format, purpose.formats());
         if !possible.contains(&format) {

@@ -134,7 +134,7 @@ fn null_handles_and_wrong_images_are_refused() {
                 "'target': it has 4 samples per pixel, kernels see images of one: resolve it",
             ),
             (&|f| f.samples = vk::SampleCountFlags::TYPE_2, ImageUse::Storage, "2 samples"),
-            (&|f| f.samples = vk::SampleCountFlags::empty(), ImageUse::Storage, "0 samples"),
+            (&|f| f.samples = vk::SampleCountFlags::empty(), ImageUse::Storage, "samples is 0"),
             (&|f| f.usage = vk::ImageUsageFlags::SAMPLED, ImageUse::Storage, "lacks STORAGE"),
             (&|_| (), ImageUse::Sampled, "lacks SAMPLED"),
             (&|f| f.format = vk::Format::D32_SFLOAT, ImageUse::Storage, "D32_SFLOAT"),
@@ -383,7 +383,29 @@ fn reservations_that_make_no_sense_are_refused() {
             let error = renderer.reserve(&bad).expect_err("refused");
             assert!(matches!(error, Error::Argument { .. } | Error::TooLarge { .. }), "{error}");
         }
+        let error = renderer.grow(&good).expect_err("nothing that could grow");
+        assert_eq!(error.to_string(), "slots: none are reserved that could grow: call Renderer::reserve");
         renderer.reserve(&good).expect("memory");
+        // What kernels cannot bind is refused by its field, and what was reserved stays.
+        let most = context.limits().max_storage_buffer_range;
+        let words = u32::try_from(most / 4 + 1).expect("a number of words");
+        for (field, bad) in [
+            ("width, height", Reservation { width: 65_535, height: 65_535, instances: 8, ..good }),
+            ("gaussians", Reservation { gaussians: words, instances: 8, ..good }),
+            ("instances", Reservation { instances: words, ..good }),
+            ("scenes, views", Reservation { scenes: 65_536, views: 1024, shared_sort: true, ..good }),
+            ("staging_bytes", Reservation { staging_bytes: most + 1, ..good }),
+        ] {
+            for error in [
+                renderer.reserve(&bad).expect_err(field),
+                renderer.reservation_bytes(&bad).map(|_| ()).expect_err(field),
+            ] {
+                assert!(error.to_string().starts_with(&format!("Reservation::{field}")), "{field}: {error}");
+            }
+            renderer.slot_report(0).expect("the slot is still there");
+        }
+        let error = renderer.grow(&Reservation { instances: words, ..good }).expect_err("too many");
+        assert!(error.to_string().starts_with("Reservation::instances: buffer"), "{error}");
 
         // More workgroups than the device's grids have.
         let lowered = LimitsOverride { max_workgroups_per_axis: Some(8), ..LimitsOverride::default() };

@@ -331,7 +331,7 @@ fn bad_steps_are_refused_before_anything_is_recorded() {
         };
         refused(&mut training, &context, 0, "reserve_steps");
         let none = training.reserve_steps(&StepReservation { slots: 0, instances: 0 }).expect_err("none");
-        assert!(none.to_string().contains("no slots"), "{none}");
+        assert!(none.to_string().contains("slots: is 0, it may be 1 to 1024"), "{none}");
         training.reserve_steps(&StepReservation::default()).expect("memory");
         refused(&mut training, &other, 0, "commands: it belongs to another context");
         refused(&mut training, &context, 2, "2: 2 are reserved");

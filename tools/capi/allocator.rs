@@ -37,7 +37,7 @@ pub struct AshsplatMemory {
 }
 
 /// A host's allocator, which provides the memory of all buffers. Functions that allocate or free call it,
-/// also from other threads. Recording never allocates. It frees memory that only the slot's last frame still
+/// also from other threads. Recording never allocates. But it frees memory that only the slot's last frame still
 /// used, unless ashsplat_slot_release has done so.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]

@@ -205,7 +205,7 @@ typedef struct AshsplatMemory {
 } AshsplatMemory;
 
 // A host's allocator, which provides the memory of all buffers. Functions that allocate or free call it,
-// also from other threads. Recording never allocates. It frees memory that only the slot's last frame still
+// also from other threads. Recording never allocates. But it frees memory that only the slot's last frame still
 // used, unless ashsplat_slot_release has done so.
 typedef struct AshsplatAllocator {
   // Set by ASHSPLAT_INIT.
@@ -232,9 +232,10 @@ typedef struct AshsplatForeignDevice {
   void *device;
   // The family of the queues that recordings are submitted to.
   uint32_t queue_family;
-  // VkQueue for functions that submit, or NULL. Without a queue a context records, and all functions that submit are refused: a
-  // scene is then made empty (ashsplat_scene_new) and filled by recorded updates, or is in the host's buffers
-  // (ashsplat_scene_from_buffers), and there is no training.
+  // VkQueue for functions that submit, or NULL. Without a queue a context records, and what has to submit is refused: rendering and
+  // training always, uploads (ashsplat_scene_load, ashsplat_scene_new with Gaussians) on devices whose memory the host cannot write.
+  // A scene is then made empty (ashsplat_scene_new) and filled by recorded updates, or is in the host's buffers
+  // (ashsplat_scene_from_buffers).
   void *queue;
   // The VkPhysicalDeviceVulkan12Features that the device was created with.
   const void *vulkan12_features;
@@ -407,7 +408,7 @@ typedef struct AshsplatImageState {
 
 // An image of a frame, and its previous use by the host.
 typedef struct AshsplatHostImage {
-  // The image. NULL is an error: a frame without this image has no struct that it is a part of.
+  // The image. NULL is an error: for a frame without it, the pointer to the struct that has this image is NULL.
   const struct AshsplatImage *image;
   // The host's use of it before the frame.
   struct AshsplatImageState from;
@@ -603,7 +604,7 @@ typedef struct AshsplatReservation {
   // Whether all frames go into images (AshsplatRecordedFrame.target). Slots then have no pixels of their own.
   bool images_only;
   // Queues that frames are submitted to. What lives only while a frame is computed exists once for each
-  // queue: slots whose numbers leave the same rest when divided by this share it. Their frames go to one queue, in
+  // queue: slots share it whose slot % queues is the same. Their frames go to one queue, in
   // any order, or are ordered by semaphores. With as many queues as slots nothing is shared.
   uint32_t queues;
   // Whether scenes of frames will have a tint or an opacity (AshsplatSceneSettings).

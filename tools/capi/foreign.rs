@@ -78,6 +78,10 @@ pub unsafe extern "C" fn ashsplat_context_from_foreign(
     })
 }
 
+fn null_name(place: usize) -> Error {
+    Error::argument(format!("extensions[{place}]"), "the pointer is null")
+}
+
 /// Checks that a struct of Vulkan's is the one that it should be.
 fn check_type(found: vk::StructureType, wanted: vk::StructureType, field: &str) -> Result<()> {
     let problem = || format!("sType is {}, it must be {} ({wanted:?})", found.as_raw(), wanted.as_raw());
@@ -119,8 +123,10 @@ unsafe fn from_host(host: &AshsplatForeignDevice) -> Result<Context> {
             ..features
         };
         let names = slice(host.extensions, host.extension_count as usize, "extensions")?;
-        let extensions: Vec<&CStr> =
-            names.iter().filter(|name| !name.is_null()).map(|&name| CStr::from_ptr(name)).collect();
+        if let Some(place) = names.iter().position(|name| name.is_null()) {
+            return Err(null_name(place));
+        }
+        let extensions: Vec<&CStr> = names.iter().map(|&name| CStr::from_ptr(name)).collect();
         let allocator = read_if(host.allocator, "allocator")?;
         let allocator = allocator.map(|allocator| Adapter::new(&allocator)).transpose()?;
         let allocator = allocator.map(|adapter| Arc::new(adapter) as Arc<dyn HostAllocator>);

@@ -353,6 +353,14 @@ pub unsafe extern "C" fn ashsplat_camera_look_at(
     guarded(|| unsafe {
         let vector = |v, what| Ok::<_, Error>(glam::Vec3::from_slice(slice(v, 3, what)?));
         let (eye, target, up) = (vector(eye, "eye")?, vector(target, "target")?, vector(up, "up")?);
+        if !(fov_x > 0.0 && fov_x < std::f32::consts::PI) {
+            return Err(Error::argument("fov_x", format!("is {fov_x}, must be above 0 and below pi")));
+        }
+        let forward = target - eye;
+        if !(forward.is_finite() && up.is_finite() && forward.cross(up).length_squared() > 0.0) {
+            let problem = "the camera looks nowhere or along up: give other points or another direction";
+            return Err(Error::argument("eye, target, up", problem));
+        }
         let intrinsics = ashsplat::scene::Intrinsics::from_fov_x(fov_x, width, height);
         let looking = ashsplat::Camera::look_at(eye, target, up, intrinsics);
         looking.check()?;

@@ -15,10 +15,26 @@ pub const CALLS: [(&str, &str); 8] = [
     ("Trainer::settle", "ashsplat_trainer_maintain"),
 ];
 
+/// Arguments that have other names here.
+const ARGUMENTS: [(&str, &str); 5] = [
+    ("reservation", "wanted"),
+    ("buffer 'frame slots'", "block"),
+    ("scene extent", "scene_extent"),
+    ("initial Gaussians", "point_count"),
+    ("camera poses", "cameras"),
+];
+
 /// A message with the names that a caller in C knows.
 pub(super) fn said_in_c(error: Error) -> String {
     let error = match error {
-        Error::Argument { what, problem } if what == "training steps" => Error::argument("trainer", problem),
+        Error::Argument { what, problem } if what == "training steps" => {
+            let of_all = problem.starts_with("are ");
+            Error::argument("trainer", if of_all { format!("its training steps {problem}") } else { problem })
+        }
+        Error::Argument { what, problem } => {
+            let named = ARGUMENTS.iter().find(|(rust, _)| *rust == what);
+            Error::argument(named.map_or(what.as_str(), |(_, c)| c), problem)
+        }
         other => other,
     };
     // A field of a reservation.

@@ -103,8 +103,10 @@ impl<'a> Copied<'a> {
     }
 }
 
-/// The fields of a selection.
-const SELECTION: [(&str, &str); 3] = [
+/// Fields that have other names here.
+const FIELDS: [(&str, &str); 5] = [
+    ("target.encoding.exposure", "target.exposure"),
+    ("target.behind", "target.background"),
     (".selection.mask (buffer 'selection')", ".selection"),
     (".selection.color", ".selection_color"),
     (".selection.share", ".selection_share"),
@@ -154,7 +156,7 @@ pub(super) unsafe fn record(
 }
 
 /// An error of a frame with the names of the parameters of ashsplat_record and ashsplat_record_views. Most fields have the same in
-/// both languages. A pose is no field of its own here, and a selection has several.
+/// both languages. A pose is no field of its own here, and a selection has several fields.
 fn in_c(error: Error) -> Error {
     let named = |what: &str| {
         let what = match what.strip_prefix("views") {
@@ -162,12 +164,18 @@ fn in_c(error: Error) -> Error {
             _ => what.to_owned(),
         };
         let what = what.strip_suffix(".pose").map(str::to_owned).unwrap_or(what);
-        SELECTION.iter().fold(what, |what, (rust, c)| what.replace(rust, c))
+        FIELDS.iter().fold(what, |what, (rust, c)| what.replace(rust, c))
     };
     match error {
-        // Some views are refused because of another.
         Error::Argument { what, problem } => {
-            Error::argument(named(&what), problem.replace("views[", "frames["))
+            let what = match what.strip_suffix(".volume") {
+                Some(cut_out) if problem.starts_with("an offset") => format!("{cut_out}.offset"),
+                Some(cut_out) if problem.starts_with("a ") => format!("{cut_out}.size"),
+                _ => what,
+            };
+            // Some views are refused because of another.
+            let problem = problem.replace("views[", "frames[");
+            Error::argument(named(&what), problem.replace("adopted for ", "adopted for AshsplatImageUse_"))
         }
         Error::TooLarge { what, needed, unit, limit, limit_name } => {
             Error::TooLarge { what: named(&what), needed, unit, limit, limit_name }

@@ -198,7 +198,13 @@ pub unsafe extern "C" fn ashsplat_scene_from_buffers(
             let adopt = |b: &AshsplatHostBuffer| {
                 Buffer::adopt(context, "host's planes", vk::Buffer::from_raw(b.buffer), b.offset, b.bytes)
             };
-            let chunks: Result<Vec<Buffer>> = buffers.iter().map(adopt).collect();
+            let adopt = |(place, b)| {
+                adopt(b).map_err(|error| match error {
+                    Error::Argument { problem, .. } => Error::argument(format!("buffers[{place}]"), problem),
+                    other => other,
+                })
+            };
+            let chunks: Result<Vec<Buffer>> = buffers.iter().enumerate().map(adopt).collect();
             let plan = DeviceScene::plan_for(context, capacity, sh_degree)?;
             let scene = DeviceScene::from_buffers(context, plan, chunks?, count)?;
             Ok(AshsplatScene::of(scene))

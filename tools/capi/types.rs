@@ -140,9 +140,10 @@ pub struct AshsplatForeignDevice {
     pub device: *mut c_void,
     /// The family of the queues that recordings are submitted to.
     pub queue_family: u32,
-    /// VkQueue for functions that submit, or NULL. Without a queue a context records, and all functions that submit are refused: a
-    /// scene is then made empty (ashsplat_scene_new) and filled by recorded updates, or is in the host's buffers
-    /// (ashsplat_scene_from_buffers), and there is no training.
+    /// VkQueue for functions that submit, or NULL. Without a queue a context records, and what has to submit is refused: rendering and
+    /// training always, uploads (ashsplat_scene_load, ashsplat_scene_new with Gaussians) on devices whose memory the host cannot write.
+    /// A scene is then made empty (ashsplat_scene_new) and filled by recorded updates, or is in the host's buffers
+    /// (ashsplat_scene_from_buffers).
     pub queue: *mut c_void,
     /// The VkPhysicalDeviceVulkan12Features that the device was created with.
     pub vulkan12_features: *const c_void,
@@ -230,7 +231,7 @@ pub struct AshsplatImageState {
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct AshsplatHostImage {
-    /// The image. NULL is an error: a frame without this image has no struct that it is a part of.
+    /// The image. NULL is an error: for a frame without it, the pointer to the struct that has this image is NULL.
     pub image: *const super::AshsplatImage,
     /// The host's use of it before the frame.
     pub from: AshsplatImageState,
@@ -275,7 +276,7 @@ pub struct AshsplatReservation {
     /// Whether all frames go into images (AshsplatRecordedFrame.target). Slots then have no pixels of their own.
     pub images_only: bool,
     /// Queues that frames are submitted to. What lives only while a frame is computed exists once for each
-    /// queue: slots whose numbers leave the same rest when divided by this share it. Their frames go to one queue, in
+    /// queue: slots share it whose slot % queues is the same. Their frames go to one queue, in
     /// any order, or are ordered by semaphores. With as many queues as slots nothing is shared.
     pub queues: u32,
     /// Whether scenes of frames will have a tint or an opacity (AshsplatSceneSettings).

@@ -316,7 +316,7 @@ int main(int count, char **arguments) {
     half.volume = AshsplatVolume_HalfSpace;
     half.size[0] = 0;
     EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
-    EXPECT(strstr(ashsplat_last_error(), "scenes[3].settings.cut_outs[0].volume: a normal") != NULL);
+    EXPECT(strstr(ashsplat_last_error(), "scenes[3].settings.cut_outs[0].size: a normal") != NULL);
     half.size[0] = -1;
     cut.cut_outs = NULL;
     EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);

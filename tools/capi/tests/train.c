@@ -138,7 +138,7 @@ int main(int count, char **arguments) {
     check(ashsplat_trainer_new(context, views, VIEWS, &start, 0, settings, &recorded), "a trainer");
 
     refused(ashsplat_trainer_record(recorded, NULL, 0, NULL), "commands: ");
-    refused(ashsplat_trainer_record(recorded, host_begin(&host), 0, NULL), "trainer: none are reserved: call ashsplat_trainer_reserve");
+    refused(ashsplat_trainer_record(recorded, host_begin(&host), 0, NULL), "trainer: its training steps are not reserved: call ashsplat_trainer_reserve");
     require(host.EndCommandBuffer(host.commands), "vkEndCommandBuffer");
     /* Too little room at first: the first step changes nothing, and is recorded again. */
     check(ashsplat_trainer_reserve(recorded, 1, 10), "reserving");
