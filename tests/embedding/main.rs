@@ -36,6 +36,7 @@ mod batches;
 mod blocks;
 mod colour;
 mod cost;
+mod counting;
 mod cut_outs;
 mod faults;
 mod frames;
@@ -61,4 +62,4 @@ mod warm_up;
 
 /// Counts heap allocations, for the tests that bound them.
 #[global_allocator]
-static ALLOCATOR: cost::Counting = cost::Counting;
+static ALLOCATOR: counting::Counting = counting::Counting;

@@ -2,7 +2,8 @@
 
 use super::{SIZE, render_views};
 use crate::auxiliary::truth::{Screens, WRITTEN};
-use crate::cost::{allocations, shipped};
+use crate::cost::shipped;
+use crate::counting::allocations;
 use crate::host::{Host, HostOptions, InFlight};
 use crate::memory::{HostBuffer, HostTexture};
 use crate::stage::{adopt, camera, cloud, guest, options, with_host};

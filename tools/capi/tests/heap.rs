@@ -1,44 +1,14 @@
 //! What recording in C takes from the heap.
 
+#[path = "../../../tests/embedding/counting.rs"]
+mod counting;
+
 use ashsplat::ash::vk::Handle;
 use ashsplat::ash::{self, vk};
 use ashsplat_c::*;
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
+use counting::{Counting, allocations};
 use std::ffi::{CStr, c_void};
 use std::ptr::{null, null_mut};
-
-/// The system's allocator, which counts what each thread asks for.
-struct Counting;
-
-thread_local! {
-    static ASKED: Cell<u64> = const { Cell::new(0) };
-}
-
-fn note() {
-    // A thread that is ending has no counter any more.
-    let _ = ASKED.try_with(|asked| asked.set(asked.get() + 1));
-}
-
-// SAFETY: every call is passed on to the system's allocator as it is.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        note();
-        // SAFETY: as the caller promises.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn realloc(&self, at: *mut u8, layout: Layout, bytes: usize) -> *mut u8 {
-        note();
-        // SAFETY: as the caller promises.
-        unsafe { System.realloc(at, layout, bytes) }
-    }
-
-    unsafe fn dealloc(&self, at: *mut u8, layout: Layout) {
-        // SAFETY: as the caller promises.
-        unsafe { System.dealloc(at, layout) }
-    }
-}
 
 #[global_allocator]
 static COUNTING: Counting = Counting;
@@ -98,9 +68,7 @@ impl Host {
         let info = vk::CommandBufferBeginInfo::default().flags(vk::CommandBufferUsageFlags::ONE_TIME_SUBMIT);
         // SAFETY: the command buffer is not in use: the queue was waited for.
         unsafe { self.device.begin_command_buffer(commands, &info) }.expect("recording");
-        let before = ASKED.get();
-        let status = record(commands.as_raw() as *mut c_void);
-        let taken = ASKED.get() - before;
+        let (taken, status) = allocations(|| record(commands.as_raw() as *mut c_void));
         check(status);
         // SAFETY: it is recorded.
         unsafe {
