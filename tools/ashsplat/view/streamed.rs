@@ -137,6 +137,7 @@ impl Scenery {
     }
 
     /// Gaussians and tiles of a picture of the tree, at most; none of a scene that is loaded whole.
+    #[cfg(feature = "window")]
     pub fn reach(&self) -> Option<[usize; 2]> {
         self.streaming.as_ref().map(Streaming::reach)
     }
@@ -149,6 +150,7 @@ impl Streaming {
         self.onlooker.tell(problem);
     }
 
+    #[cfg(feature = "window")]
     fn reach(&self) -> [usize; 2] {
         let tiles = self.tree.tiles();
         let most = self.budget.min(self.most).min(self.tree.gaussians()).max(tiles[0].gaussians);
