@@ -158,7 +158,9 @@ fn exposure_step_adds_up_views() {
         }
         let actual = run_views(&gpu, photographs, Form { sums: true, shares, ..USUAL }, &views);
         let actual: Vec<Matrix> = actual[0].iter().map(wide).collect();
-        elementwise("values", &flat(&actual), &flat(&twin.values), 2e-6, 2e-6)
+        // A thousandth of a step: where the steps of two photographs cancel in the mean, what is left is rounding, and the decay of
+        // that is all the gradient of those that are not seen.
+        elementwise("values", &flat(&actual), &flat(&twin.values), 1e-5, 1e-5)
             .unwrap_or_else(|e| panic!("{photographs}, {shares}: {e}"));
     }
 }
