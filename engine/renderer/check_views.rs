@@ -79,14 +79,11 @@ pub(super) fn in_view(error: Error, index: usize, views: &[RecordedFrame<'_>]) -
         // The field is the reservation's; the frame and its scenes are the view's.
         Error::Argument { what, problem } if what.starts_with(RESERVATION) => {
             let problem = problem.replace("the frame", &view).replace("scenes[", &format!("{view}.scenes["));
-            return Error::argument(what, problem);
+            Error::argument(what, problem)
         }
-        _ => {}
-    }
-    match error.within(&view) {
         Error::TooLarge { what, needed, unit, limit, limit_name } => {
             Error::TooLarge { what: format!("{view}.{what}"), needed, unit, limit, limit_name }
         }
-        other => other,
+        other => other.within(&view),
     }
 }

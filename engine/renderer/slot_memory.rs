@@ -72,9 +72,9 @@ impl<'a> Plan<'a> {
         wanted.check()?;
         let capacity = wanted.capacity(context, sizes)?;
         let dispatches = wanted.dispatches(context, &capacity)?;
-        check_bindings(context, (wanted, &capacity), sizes)?;
-        let frame = frame_requests(&capacity, sizes).len();
         let scratch = scratch_requests(wanted, &capacity, sizes);
+        check_bindings(context, &scratch, (wanted, &capacity), sizes)?;
+        let frame = frame_requests(&capacity, sizes).len();
         let pixels = capacity.pictures.pixels;
         let has_depth = !wanted.images_only && (wanted.inverse_depth || wanted.expected_depth);
         let mut own = Vec::new();
@@ -113,7 +113,7 @@ impl<'a> Plan<'a> {
                 None => context.allocate("frame slot", requests, MemoryKind::Device)?.into_iter(),
                 Some(block) => {
                     let bytes = group_bytes(requests);
-                    let group = place(context, &block.range(at, bytes), requests)?;
+                    let group = block.range(at, bytes).split(requests);
                     at += bytes;
                     group.into_iter()
                 }
@@ -186,6 +186,7 @@ fn scratch_requests(wanted: &Reservation, capacity: &FrameCapacity, sizes: &Laun
 /// Refuses a buffer that kernels cannot bind, and names the field that makes it so large: nothing is freed for what has no room anyway.
 fn check_bindings(
     context: &Context,
+    requests: &Requests,
     (wanted, capacity): (&Reservation, &FrameCapacity),
     sizes: &LaunchSizes,
 ) -> Result<()> {
@@ -202,7 +203,6 @@ fn check_bindings(
     if wanted.staging_bytes > limit {
         return too_large(field_name("staging_bytes"), wanted.staging_bytes);
     }
-    let requests = scratch_requests(wanted, capacity, sizes);
     let Some(place) = requests.iter().position(|(_, bytes)| *bytes > limit) else { return Ok(()) };
     let (name, needed) = requests[place];
     if name == "cut_outs" {
@@ -242,14 +242,4 @@ fn check_block(context: &Context, block: &Buffer, needed: u64) -> Result<()> {
         return Err(Error::TooLarge { what: what(), needed, unit: "bytes", limit, limit_name });
     }
     Ok(())
-}
-
-/// The buffers of a group in a part of a host's block.
-fn place(context: &Context, block: &Buffer, requests: &Requests) -> Result<Vec<Buffer>> {
-    let limit = context.limits().max_storage_buffer_range;
-    if let Some(&(name, needed)) = requests.iter().find(|(_, bytes)| *bytes > limit) {
-        let (what, limit_name) = (format!("buffer {}.{name}", block.name()), "maxStorageBufferRange");
-        return Err(Error::TooLarge { what, needed, unit: "bytes", limit, limit_name });
-    }
-    Ok(block.split(requests))
 }

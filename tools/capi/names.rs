@@ -16,12 +16,11 @@ pub const CALLS: [(&str, &str); 8] = [
 ];
 
 /// Arguments that have other names here.
-const ARGUMENTS: [(&str, &str); 5] = [
+const ARGUMENTS: [(&str, &str); 4] = [
     ("reservation", "wanted"),
     ("buffer 'frame slots'", "block"),
     ("scene extent", "scene_extent"),
     ("initial Gaussians", "point_count"),
-    ("camera poses", "cameras"),
 ];
 
 /// A message with the names that a caller in C knows.

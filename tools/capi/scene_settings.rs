@@ -2,7 +2,7 @@
 
 use super::scratch::{List, Scratch, collected};
 use super::settings::one_of;
-use super::structs::{read, read_all_in, read_if, within, write};
+use super::structs::{named, read, read_all_in, read_if, within, write};
 use super::{AshsplatHostBuffer, AshsplatPlaced, AshsplatStatus, guarded};
 use ashsplat::ash::{vk, vk::Handle};
 use ashsplat::scene::{CutOut, Inside, MAX_CUT_OUTS, Pose, Volume};
@@ -123,21 +123,16 @@ pub(super) unsafe fn pointees<'b>(
         // SAFETY: as promised.
         let own = unsafe { read_all_in(scratch, settings.cut_outs, settings.cut_out_count, "cut_outs") };
         let own = own.map_err(within(format_args!("scenes[{place}].settings")))?;
-        let mut cut_outs = List::with_capacity_in(own.len(), scratch);
-        for (index, cut_out) in own.iter().enumerate() {
-            cut_outs.push(cut_out.checked(format_args!("scenes[{place}].settings.cut_outs[{index}]"))?);
-        }
+        let checked = |(index, cut_out): (usize, &AshsplatCutOut)| {
+            cut_out.checked(format_args!("scenes[{place}].settings.cut_outs[{index}]"))
+        };
+        let cut_outs = collected(own.iter().enumerate().map(checked), scratch)?;
         // SAFETY: as promised.
         let mask = unsafe { settings.selection.as_ref() }.map(|mask| {
             let raw = vk::Buffer::from_raw(mask.buffer);
             // SAFETY: as promised.
             let mask = unsafe { Buffer::adopt(context, "selection", raw, mask.offset, mask.bytes) };
-            mask.map_err(|error| match error {
-                Error::Argument { problem, .. } => {
-                    Error::argument(format!("scenes[{place}].settings.selection"), problem)
-                }
-                other => other,
-            })
+            mask.map_err(named(format_args!("scenes[{place}].settings.selection")))
         });
         Ok(Pointees { settings: Some(settings), cut_outs, mask: mask.transpose()? })
     };

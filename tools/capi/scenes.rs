@@ -1,7 +1,7 @@
 //! Scenes that a host makes, changes and owns, in C.
 
 use super::scratch::{List, Scratch, collected};
-use super::structs::{read, read_all, within, write};
+use super::structs::{named, read, read_all, within, write};
 use super::{
     AshsplatContext, AshsplatGaussians, AshsplatHostBuffer, AshsplatScene, AshsplatScenePlan, AshsplatStatus,
     AshsplatUpdate, borrowed, borrowed_mut, give, guarded, slice,
@@ -198,12 +198,7 @@ pub unsafe extern "C" fn ashsplat_scene_from_buffers(
             let adopt = |b: &AshsplatHostBuffer| {
                 Buffer::adopt(context, "host's planes", vk::Buffer::from_raw(b.buffer), b.offset, b.bytes)
             };
-            let adopt = |(place, b)| {
-                adopt(b).map_err(|error| match error {
-                    Error::Argument { problem, .. } => Error::argument(format!("buffers[{place}]"), problem),
-                    other => other,
-                })
-            };
+            let adopt = |(place, b)| adopt(b).map_err(named(format_args!("buffers[{place}]")));
             let chunks: Result<Vec<Buffer>> = buffers.iter().enumerate().map(adopt).collect();
             let plan = DeviceScene::plan_for(context, capacity, sh_degree)?;
             let scene = DeviceScene::from_buffers(context, plan, chunks?, count)?;

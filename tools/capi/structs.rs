@@ -122,6 +122,14 @@ pub(super) fn within(outer: impl std::fmt::Display) -> impl FnOnce(Error) -> Err
     }
 }
 
+/// Names what has another name where the caller gives it.
+pub(super) fn named(name: impl std::fmt::Display) -> impl FnOnce(Error) -> Error {
+    move |error| match error {
+        Error::Argument { problem, .. } => Error::argument(name.to_string(), problem),
+        other => other,
+    }
+}
+
 /// Names the element of the list that an error names.
 fn element(index: usize) -> impl FnOnce(Error) -> Error {
     move |error| match error {

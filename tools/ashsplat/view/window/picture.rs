@@ -103,7 +103,7 @@ impl Picture {
 
     /// Whether there is a scene, or a tree of tiles, in view or not.
     pub fn has_scene(&self) -> bool {
-        self.scenery.reach().is_some() || !self.scenes.is_empty()
+        self.tree().is_some() || !self.scenes.is_empty()
     }
 
     /// Whether splats of it are in view, as far as that is known before they are drawn: no tile of a tree may be.
@@ -113,31 +113,20 @@ impl Picture {
 
     /// Takes over what of a tree has come, and allocates what a frame of splats in a window of a size needs. The camera's size is the
     /// window's.
-    pub fn prepare(
-        &mut self,
-        present: &Present,
-        size: [u32; 2],
-        camera: &Camera,
-        settings: &RenderSettings,
-    ) -> Result<()> {
+    pub fn prepare(&mut self, present: &Present, camera: &Camera, settings: &RenderSettings) -> Result<()> {
         loop {
-            if self.scenery.reach().is_some() {
+            if self.tree().is_some() {
                 self.scenes = self.scenery.scenes(camera)?;
             }
-            match self.reserve(present, size, camera, settings) {
+            match self.reserve(present, camera, settings) {
                 Err(error) if self.scenery.make_room(&error) => {}
                 done => return done,
             }
         }
     }
 
-    fn reserve(
-        &mut self,
-        present: &Present,
-        size: [u32; 2],
-        camera: &Camera,
-        settings: &RenderSettings,
-    ) -> Result<()> {
+    fn reserve(&mut self, present: &Present, camera: &Camera, settings: &RenderSettings) -> Result<()> {
+        let size = [camera.width, camera.height];
         let Some(scene) = self.scenes.first() else { return Ok(()) };
         let before = self.reserved.as_ref();
         if before.is_some_and(|old| [old.width, old.height] == size) {

@@ -417,7 +417,7 @@ impl Stage {
         let light = self.photo_light()?;
         if light.is_none() && matches!(MODES[self.mode], Mode::Splats | Mode::Centres) {
             let whole = self.view.camera(self.size);
-            self.picture.prepare(present, self.size, &whole, settings)?;
+            self.picture.prepare(present, &whole, settings)?;
             return Ok(None);
         }
         let look = self.look();

@@ -59,7 +59,7 @@ pub fn host_said(name: &str, included: &str, arguments: &[&Path]) -> String {
 }
 
 /// Turns validation and synchronisation validation on. Messages come among what the program says: nobody asks for them.
-pub fn validated(command: &mut Command) {
+fn validated(command: &mut Command) {
     command
         .env("VK_INSTANCE_LAYERS", "VK_LAYER_KHRONOS_validation")
         .env("VK_LAYER_ENABLES", "VK_VALIDATION_FEATURE_ENABLE_SYNCHRONIZATION_VALIDATION_EXT")
