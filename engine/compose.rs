@@ -56,14 +56,6 @@ pub struct Compose {
 /// `COMPOSE_LINEAR_IN_SRGB`.
 type ByEncoding<I> = Vec<Kernel<I>>;
 
-fn check_format(image: &Image, possible: &[vk::Format]) -> Result<()> {
-    if possible.contains(&image.format()) {
-        return Ok(());
-    }
-    let problem = format!("format {:?} is not one of {possible:?}", image.format());
-    Err(Error::argument(format!("image '{}'", image.name()), problem))
-}
-
 /// Whether the texels of a format are display-encoded for the host, which sees them decoded.
 fn is_srgb(format: vk::Format) -> bool {
     matches!(format, vk::Format::R8G8B8A8_SRGB | vk::Format::B8G8R8A8_SRGB)
@@ -118,21 +110,12 @@ impl Compose {
         })
     }
 
-    /// Checks that a colour image can be written.
+    /// Checks that a frame of an encoding can be written over this into a [target](crate::vk::ImageUse::Target).
     ///
     /// # Errors
-    /// [`Error::Argument`] for another format than [`Compose::COLOR_FORMATS`].
-    pub fn check_color(image: &Image) -> Result<()> {
-        check_format(image, &Self::COLOR_FORMATS)
-    }
-
-    /// Checks that a frame of an encoding can be written over this into a colour image.
-    ///
-    /// # Errors
-    /// As [`Compose::check_color`]; [`Error::Argument`] for numbers that are not finite, an exposure that is not positive,
+    /// [`Error::Argument`] for numbers that are not finite, an exposure that is not positive,
     /// and for premultiplied colours in a format without alpha.
     pub fn check_frame(image: &Image, behind: Background, encoding: ColorEncoding) -> Result<()> {
-        Self::check_color(image)?;
         encoding.check().map_err(|error| error.within("encoding"))?;
         match behind {
             Background::Color(color) if color.iter().any(|channel| !channel.is_finite()) => {
@@ -144,14 +127,6 @@ impl Compose {
             }
             _ => Ok(()),
         }
-    }
-
-    /// Checks that a host's depth image can be read.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] for a format without depth, or one that is not read as a float.
-    pub fn check_depth(image: &Image) -> Result<()> {
-        check_format(image, &Self::HOST_DEPTH_FORMATS)
     }
 
     fn workgroups(&self, [width, height]: [u32; 2]) -> u64 {

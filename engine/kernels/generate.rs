@@ -177,7 +177,7 @@ fn module(stem: &str, kernel: &Kernel) -> Result<String, String> {
     );
     let _ = writeln!(
         out,
-        "pub mod {stem} {{\nuse crate::vk::{{Access, BindingInfo, BindingKind, Buffer, ConstantInfo, ConstantKind, Form, Generated, Image, ImageInfo, ImageUse, KernelInterface, Limits, TexelFormat}};"
+        "pub mod {stem} {{\nuse crate::vk::{{Access, BindingInfo, BindingKind, Buffer, ConstantInfo, ConstantKind, Form, Generated, Image, ImageInfo, ImageKind, KernelInterface, Limits, TexelFormat}};"
     );
     out.push_str(&bind(kernel)?);
     out.push_str(&push(kernel)?);
@@ -308,11 +308,11 @@ fn interface(kernel: &Kernel) -> String {
     };
     let (mut image_infos, mut images) = (String::new(), String::new());
     for i in &shader.images {
-        let (b, purpose) = (&i.binding, if i.storage { "Storage" } else { "Sampled" });
+        let (b, kind) = (&i.binding, if i.storage { "Storage" } else { "Sampled" });
         let access = access_of(b.reads, b.writes);
         let _ = writeln!(
             image_infos,
-            "ImageInfo {{ name: {:?}, binding: {}, access: Access::{access}, purpose: ImageUse::{purpose} }},",
+            "ImageInfo {{ name: {:?}, binding: {}, access: Access::{access}, kind: ImageKind::{kind} }},",
             b.name, b.binding
         );
         let _ = write!(images, "bind.{}, ", b.name);

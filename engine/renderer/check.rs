@@ -104,7 +104,7 @@ impl Renderer {
                 return bad("it belongs to another context");
             }
             if host.image.purpose() != purpose {
-                return bad(&format!("it was not adopted for {purpose:?}"));
+                return bad(&format!("it was adopted for {:?}, not for {purpose:?}", host.image.purpose()));
             }
             if x.saturating_add(size[0]) > width || y.saturating_add(size[1]) > height {
                 let [w, h] = size;
@@ -113,31 +113,28 @@ impl Renderer {
             Ok(())
         };
         if let Target::Image { to, behind, encoding } = &frame.target {
-            check("target", to, ImageUse::Storage)?;
+            check("target", to, ImageUse::Target)?;
             in_field("target", Compose::check_frame(to.image, *behind, *encoding))?;
             if *behind == Background::Image && is_new(to) {
                 check_is_defined("target", to)?;
             }
         }
         if let Some(depth) = &frame.depth {
-            check("depth", &depth.to, ImageUse::Storage)?;
-            check_format("depth", &depth.to, Compose::DEPTH_FORMAT)?;
+            check("depth", &depth.to, ImageUse::Depth)?;
             if !depth.min_weight.is_finite() {
                 let problem = format!("{} is not finite", depth.min_weight);
                 return Err(Error::argument("depth.min_weight", problem));
             }
         }
         if let Some(PickTarget { to }) = &frame.pick {
-            check("pick", to, ImageUse::Storage)?;
-            check_format("pick", to, Compose::PICK_FORMAT)?;
+            check("pick", to, ImageUse::Pick)?;
         }
         if let Some(motion) = &frame.motion {
-            check("motion", &motion.to, ImageUse::Storage)?;
+            check("motion", &motion.to, ImageUse::Motion)?;
             check_motion(motion, size, is_new(&motion.to))?;
         }
         if let Some(occluder) = &frame.occluder {
-            check("occluder", &occluder.depth, ImageUse::Sampled)?;
-            in_field("occluder", Compose::check_depth(occluder.depth.image))?;
+            check("occluder", &occluder.depth, ImageUse::Occluder)?;
             if is_new(&occluder.depth) {
                 check_is_defined("occluder", &occluder.depth)?;
             }
@@ -176,18 +173,8 @@ fn in_field(field: &str, checked: Result<()>) -> Result<()> {
     })
 }
 
-/// The one format that an image may have.
-fn check_format(field: &str, host: &HostImage<'_>, format: vk::Format) -> Result<()> {
-    if host.image.format() == format {
-        return Ok(());
-    }
-    let problem = format!("format {:?} is not {format:?}", host.image.format());
-    Err(Error::argument(field_of(field, host), problem))
-}
-
 /// Motion into an image that is possible otherwise, of a frame of this size.
 fn check_motion(motion: &MotionTarget<'_>, size: [u32; 2], is_new: bool) -> Result<()> {
-    check_format("motion", &motion.to, Compose::MOTION_FORMAT)?;
     let camera = motion.previous_camera;
     camera.check().map_err(|error| error.of("motion.previous_camera"))?;
     if [camera.width, camera.height] != size {

@@ -48,7 +48,7 @@ impl Recorder {
         let mut images = [vk::DescriptorImageInfo::default(); MAX_IMAGES];
         for ((descriptor, info), image) in images.iter_mut().zip(pipeline.images).zip(bound.images) {
             let (kernel, name) = (pipeline.name, image.name());
-            assert!(image.purpose() == info.purpose, "{kernel}: image '{name}' is no {:?}", info.purpose);
+            assert!(image.purpose().kind() == info.kind, "{kernel}: image '{name}' is no {:?}", info.kind);
             self.keep_image(image);
             *descriptor = image.descriptor();
         }
@@ -66,7 +66,7 @@ impl Recorder {
         for ((write, info), descriptor) in rest.iter_mut().zip(pipeline.images).zip(&images) {
             *write = vk::WriteDescriptorSet::default()
                 .dst_binding(info.binding)
-                .descriptor_type(info.purpose.descriptor_type())
+                .descriptor_type(info.kind.descriptor_type())
                 .image_info(std::slice::from_ref(descriptor));
         }
         let mut count = bound.buffers.len() + bound.images.len();

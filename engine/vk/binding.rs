@@ -1,7 +1,7 @@
 //! The resources of a shader.
 
 use super::access::Access;
-use super::format::ImageUse;
+use super::format::ImageKind;
 use super::texels::TexelFormat;
 use ash::vk;
 
@@ -62,5 +62,5 @@ pub struct ImageInfo {
     /// How the shader accesses it.
     pub access: Access,
     /// How it is bound.
-    pub purpose: ImageUse,
+    pub kind: ImageKind,
 }

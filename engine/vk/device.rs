@@ -345,6 +345,7 @@ fn limits(
         max_texels: l.max_texel_buffer_elements.into(),
         texel_alignment: l.min_texel_buffer_offset_alignment.max(16),
         storage_alignment: l.min_storage_buffer_offset_alignment.max(4),
+        max_image_side: l.max_image_dimension2_d,
         max_uniform_range: l.max_uniform_buffer_range,
         uniform_alignment: l.min_uniform_buffer_offset_alignment.max(4),
         push_constant_bytes: l.max_push_constants_size,

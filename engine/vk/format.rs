@@ -2,9 +2,24 @@
 
 use ash::vk::{self, Format as F};
 
-/// How kernels use an image.
+/// What an image is in a frame: one variant for each field of a recorded frame. Each has formats of its own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ImageUse {
+    /// Colours are written into it.
+    Target,
+    /// A host's depth, which hides splats.
+    Occluder,
+    /// The expected depth is written into it.
+    Depth,
+    /// What is seen at each pixel is written into it.
+    Pick,
+    /// The motion of each pixel is written into it.
+    Motion,
+}
+
+/// How kernels bind an image.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ImageKind {
     /// Read and written as a storage image, in the layout GENERAL.
     Storage,
     /// Read by texel. The layout is DEPTH_STENCIL_READ_ONLY_OPTIMAL if the image is also a depth attachment,
@@ -13,6 +28,16 @@ pub enum ImageUse {
 }
 
 impl ImageUse {
+    /// How kernels bind it.
+    pub fn kind(self) -> ImageKind {
+        match self {
+            Self::Target | Self::Depth | Self::Pick | Self::Motion => ImageKind::Storage,
+            Self::Occluder => ImageKind::Sampled,
+        }
+    }
+}
+
+impl ImageKind {
     pub(super) fn usage(self) -> vk::ImageUsageFlags {
         match self {
             Self::Storage => vk::ImageUsageFlags::STORAGE,
@@ -71,12 +96,13 @@ pub const HOST_DEPTH_FORMATS: [F; 9] = [
 
 impl ImageUse {
     /// The formats of images with this use.
-    pub fn formats(self) -> Vec<F> {
+    pub fn formats(self) -> &'static [F] {
         match self {
-            Self::Storage => {
-                COLOR_FORMATS.into_iter().chain([DEPTH_FORMAT, PICK_FORMAT, MOTION_FORMAT]).collect()
-            }
-            Self::Sampled => HOST_DEPTH_FORMATS.to_vec(),
+            Self::Target => &COLOR_FORMATS,
+            Self::Occluder => &HOST_DEPTH_FORMATS,
+            Self::Depth => &[DEPTH_FORMAT],
+            Self::Pick => &[PICK_FORMAT],
+            Self::Motion => &[MOTION_FORMAT],
         }
     }
 
@@ -85,11 +111,14 @@ impl ImageUse {
     ///
     /// The formats of storage images in shaders are few. All devices have those of them that are named here.
     pub fn seen_as(self, format: F) -> F {
-        match (self, format) {
-            (Self::Storage, F::R8G8B8A8_SRGB | F::B8G8R8A8_UNORM | F::B8G8R8A8_SRGB) => F::R8G8B8A8_UNORM,
-            (Self::Storage, F::A2B10G10R10_UNORM_PACK32 | F::B10G11R11_UFLOAT_PACK32 | MOTION_FORMAT) => {
-                F::R32_UINT
+        match (self.kind(), format) {
+            (ImageKind::Storage, F::R8G8B8A8_SRGB | F::B8G8R8A8_UNORM | F::B8G8R8A8_SRGB) => {
+                F::R8G8B8A8_UNORM
             }
+            (
+                ImageKind::Storage,
+                F::A2B10G10R10_UNORM_PACK32 | F::B10G11R11_UFLOAT_PACK32 | MOTION_FORMAT,
+            ) => F::R32_UINT,
             _ => format,
         }
     }

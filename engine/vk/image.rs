@@ -4,7 +4,7 @@ use super::allocator::MemoryKind;
 use super::buffer::Buffer;
 use super::context::Context;
 use super::error::vk_error;
-use super::format::{ImageUse, aspect, has_stencil, texel_bytes};
+use super::format::{ImageKind, ImageUse, aspect, has_stencil, texel_bytes};
 use super::memory::NEXT_ID;
 use super::open_device::Device;
 use crate::{Error, Result};
@@ -107,8 +107,9 @@ impl Image {
         if foreign.image == vk::Image::null() {
             return bad("the handle is null".into());
         }
-        if foreign.size.contains(&0) {
-            return bad(format!("its size is {} x {}", foreign.size[0], foreign.size[1]));
+        let ([width, height], most) = (foreign.size, context.limits().max_image_side);
+        if foreign.size.contains(&0) || width.max(height) > most {
+            return bad(format!("its size is {width} x {height}, each must be from 1 to {most}"));
         }
         if foreign.samples != vk::SampleCountFlags::TYPE_1 {
             let samples = foreign.samples.as_raw();
@@ -119,8 +120,8 @@ impl Image {
                 "it has {samples} samples per pixel, kernels see images of one: resolve it into such an image, and give that"
             ));
         }
-        if !foreign.usage.contains(purpose.usage()) {
-            return bad(format!("its usage '{:?}' lacks {:?}", foreign.usage, purpose.usage()));
+        if !foreign.usage.contains(purpose.kind().usage()) {
+            return bad(format!("its usage '{:?}' lacks {:?}", foreign.usage, purpose.kind().usage()));
         }
         let (format, possible) = (foreign.format, purpose.formats());
         if !possible.contains(&format) {
@@ -151,12 +152,13 @@ impl Image {
         size: [u32; 2],
         purpose: ImageUse,
     ) -> Result<Self> {
-        if size.contains(&0) || !context.supports(purpose.seen_as(format), purpose) {
+        let possible = purpose.formats().contains(&format) && !size.contains(&0);
+        if !possible || !context.supports(purpose.seen_as(format), purpose) {
             let problem = format!("{format:?} of {} x {} is not possible as {purpose:?}", size[0], size[1]);
             return Err(Error::argument(format!("image '{name}'"), problem));
         }
         let transfer = vk::ImageUsageFlags::TRANSFER_SRC | vk::ImageUsageFlags::TRANSFER_DST;
-        let usage = purpose.usage() | transfer;
+        let usage = purpose.kind().usage() | transfer;
         let flags = context.flags_for(format, purpose);
         let info = vk::ImageCreateInfo::default()
             .flags(flags)
@@ -196,7 +198,7 @@ impl Image {
             base_array_layer: foreign.layer,
             layer_count: 1,
         };
-        let mut usage = vk::ImageViewUsageCreateInfo::default().usage(purpose.usage());
+        let mut usage = vk::ImageViewUsageCreateInfo::default().usage(purpose.kind().usage());
         let info = vk::ImageViewCreateInfo::default()
             .image(foreign.image)
             .view_type(vk::ImageViewType::TYPE_2D)
@@ -251,11 +253,11 @@ impl Image {
 
     /// The layout that kernels need it in.
     pub fn layout(&self) -> vk::ImageLayout {
-        match self.0.purpose {
-            ImageUse::Storage => vk::ImageLayout::GENERAL,
+        match self.0.purpose.kind() {
+            ImageKind::Storage => vk::ImageLayout::GENERAL,
             // The host may still test against it.
-            ImageUse::Sampled if self.0.is_attachment => vk::ImageLayout::DEPTH_STENCIL_READ_ONLY_OPTIMAL,
-            ImageUse::Sampled => vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL,
+            ImageKind::Sampled if self.0.is_attachment => vk::ImageLayout::DEPTH_STENCIL_READ_ONLY_OPTIMAL,
+            ImageKind::Sampled => vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL,
         }
     }
 
@@ -336,7 +338,7 @@ impl Context {
         let (instance, physical) = (self.device.owner.instance(), self.device.physical);
         // SAFETY: a plain query.
         let has = unsafe { instance.get_physical_device_format_properties(physical, format) };
-        has.optimal_tiling_features.contains(purpose.feature())
+        has.optimal_tiling_features.contains(purpose.kind().feature())
     }
 
     /// Memory for an image, bound to it, and its bytes.

@@ -42,6 +42,8 @@ pub struct Limits {
     pub texel_alignment: u64,
     /// minStorageBufferOffsetAlignment.
     pub storage_alignment: u64,
+    /// maxImageDimension2D.
+    pub max_image_side: u32,
     /// maxUniformBufferRange.
     pub max_uniform_range: u32,
     /// minUniformBufferOffsetAlignment.

@@ -142,7 +142,9 @@ pub use executables::{CompileOnly, Executable, Statistic};
 #[cfg(feature = "testing")]
 pub use faults::{Fault, Faults};
 pub use foreign::{ForeignCommands, ForeignDevice, RecordSlot};
-pub use format::{COLOR_FORMATS, DEPTH_FORMAT, HOST_DEPTH_FORMATS, ImageUse, MOTION_FORMAT, PICK_FORMAT};
+pub use format::{
+    COLOR_FORMATS, DEPTH_FORMAT, HOST_DEPTH_FORMATS, ImageKind, ImageUse, MOTION_FORMAT, PICK_FORMAT,
+};
 pub use held_queues::HeldQueues;
 pub use image::{ForeignImage, Image, ImageState};
 pub use instance::validation_available;

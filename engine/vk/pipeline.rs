@@ -174,7 +174,7 @@ impl Pipeline {
     fn create_layout(&mut self, push_bytes: u32) -> Result<()> {
         let device = &self.inner.device;
         let buffers = self.bindings.iter().map(|b| (b.binding, b.kind.descriptor_type()));
-        let images = self.images.iter().map(|i| (i.binding, i.purpose.descriptor_type()));
+        let images = self.images.iter().map(|i| (i.binding, i.kind.descriptor_type()));
         let all = buffers.chain(images);
         let bindings: Vec<_> = all.map(|(binding, kind)| layout_binding(binding, kind)).collect();
         let set = vk::DescriptorSetLayoutCreateInfo::default()

@@ -2,7 +2,7 @@
 
 use super::access::Access;
 use super::buffer::Buffer;
-use super::format::ImageUse;
+use super::format::ImageKind;
 use super::image::{Image, ImageState};
 use super::recorder::Recorder;
 use ash::vk;
@@ -11,11 +11,11 @@ impl Recorder {
     /// Makes an image ready for kernels: waits for the use `from`, and changes the layout to
     /// [`Image::layout`]. Returns the use by kernels.
     pub fn acquire_image(&mut self, image: &Image, from: ImageState) -> ImageState {
-        let accesses = match image.purpose() {
-            ImageUse::Storage => {
+        let accesses = match image.purpose().kind() {
+            ImageKind::Storage => {
                 vk::AccessFlags2::SHADER_STORAGE_READ | vk::AccessFlags2::SHADER_STORAGE_WRITE
             }
-            ImageUse::Sampled => vk::AccessFlags2::SHADER_SAMPLED_READ,
+            ImageKind::Sampled => vk::AccessFlags2::SHADER_SAMPLED_READ,
         };
         let stages = vk::PipelineStageFlags2::COMPUTE_SHADER;
         let to = ImageState { layout: image.layout(), stages, accesses };

@@ -46,7 +46,7 @@ pub fn composed_of(
     onto: (Background, ColorEncoding),
 ) -> Vec<u8> {
     let compose = Compose::new(gpu.context).expect("kernels");
-    let image = Image::new(gpu.context, "target", format, IMAGE, ImageUse::Storage).expect("an image");
+    let image = Image::new(gpu.context, "target", format, IMAGE, ImageUse::Target).expect("an image");
     Compose::check_frame(&image, onto.0, onto.1).expect("a possible format");
     let accumulated = gpu.buffer("accumulated", pixels);
     let (from, to) = (gpu.buffer("texels", texels), gpu.untouched::<u8>("texels", texels.len()));

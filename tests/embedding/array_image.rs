@@ -52,7 +52,7 @@ impl ArrayImage {
             layer,
         };
         // SAFETY: the image is as it says, and outlives the view in all tests.
-        unsafe { Image::adopt(context, "eye", &foreign, ImageUse::Storage) }.expect("adopted")
+        unsafe { Image::adopt(context, "eye", &foreign, ImageUse::Target) }.expect("adopted")
     }
 
     /// The texels of all layers, which the guest has written.

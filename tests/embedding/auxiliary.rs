@@ -155,7 +155,7 @@ fn picks_and_motion_of_random_scenes() {
             let wall = 4.1;
             let (texture, state) = depth_image(host, SIZE, 0.1 / wall);
             // SAFETY: the image is as it says, and outlives the frame.
-            let image = unsafe { Image::adopt(&context, "depth", &texture.foreign(), ImageUse::Sampled) };
+            let image = unsafe { Image::adopt(&context, "depth", &texture.foreign(), ImageUse::Occluder) };
             let image = image.expect("adopted");
             let depth = HostImage { image: &image, from: state, offset: [0; 2] };
             let mapping = DepthMapping { scale: 10.0, offset: 0.0, clear_value: 0.0, linear: false };
@@ -380,9 +380,9 @@ fn bad_picks_and_motions_are_refused_by_name() {
         refused(&mut renderer, &motion(usual), "Reservation::motion: not reserved");
         renderer.reserve(&both(plain)).expect("memory");
         let bad = [
-            (pick(screens.to(1)), "pick (image 'beside'): format R16G16_SFLOAT is not R32G32B32A32_UINT"),
+            (pick(screens.to(1)), "pick (image 'beside'): it was adopted for Motion, not for Pick"),
             (pick(small.to(0)), "pick (image 'beside'): 96 x 70 pixels at (0, 0) exceed its 96 x 69"),
-            (motion(MotionTarget { to: screens.to(0), ..usual }), "is not R16G16_SFLOAT"),
+            (motion(MotionTarget { to: screens.to(0), ..usual }), "it was adopted for Pick, not for Motion"),
             (motion(MotionTarget { to: small.to(1), ..usual }), "motion (image 'beside'): 96 x 70 pixels"),
             (
                 motion(MotionTarget { previous_camera: &wider, ..usual }),

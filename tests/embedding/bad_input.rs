@@ -111,7 +111,7 @@ fn null_handles_and_wrong_images_are_refused() {
             // SAFETY: as above; a view that is made is of the image as it is.
             unsafe { Image::adopt(&context, "target", &foreign, purpose) }
         };
-        assert!(adopt(&|_| (), ImageUse::Storage).is_ok());
+        assert!(adopt(&|_| (), ImageUse::Target).is_ok());
         type Change<'a> = &'a dyn Fn(&mut ashsplat::vk::ForeignImage);
         let sampled = |f: &mut ashsplat::vk::ForeignImage| {
             (f.format, f.usage) = (vk::Format::R32_UINT, vk::ImageUsageFlags::SAMPLED);
@@ -125,28 +125,34 @@ fn null_handles_and_wrong_images_are_refused() {
             (f.format, f.usage) = (vk::Format::D32_SFLOAT, usage);
             f.samples = vk::SampleCountFlags::TYPE_4;
         };
-        let refused: [(Change, ImageUse, &str); 16] = [
-            (&|f| f.image = vk::Image::null(), ImageUse::Storage, "null"),
-            (&|f| f.size = [0, 8], ImageUse::Storage, "0 x 8"),
+        let refused: [(Change, ImageUse, &str); 21] = [
+            (&|f| f.image = vk::Image::null(), ImageUse::Target, "null"),
+            (&|f| f.size = [0, 8], ImageUse::Target, "0 x 8"),
+            (&|f| f.size = [8, 1 << 30], ImageUse::Target, "8 x 1073741824, each must be from 1 to 1"),
             (
                 &depths,
-                ImageUse::Sampled,
+                ImageUse::Occluder,
                 "'target': it has 4 samples per pixel, kernels see images of one: resolve it",
             ),
-            (&|f| f.samples = vk::SampleCountFlags::TYPE_2, ImageUse::Storage, "2 samples"),
-            (&|f| f.samples = vk::SampleCountFlags::empty(), ImageUse::Storage, "samples is 0"),
-            (&|f| f.usage = vk::ImageUsageFlags::SAMPLED, ImageUse::Storage, "lacks STORAGE"),
-            (&|_| (), ImageUse::Sampled, "lacks SAMPLED"),
-            (&|f| f.format = vk::Format::D32_SFLOAT, ImageUse::Storage, "D32_SFLOAT"),
+            (&|f| f.samples = vk::SampleCountFlags::TYPE_2, ImageUse::Target, "2 samples"),
+            (&|f| f.samples = vk::SampleCountFlags::empty(), ImageUse::Target, "samples is 0"),
+            (&|f| f.usage = vk::ImageUsageFlags::SAMPLED, ImageUse::Target, "lacks STORAGE"),
+            (&|_| (), ImageUse::Occluder, "lacks SAMPLED"),
+            (&|f| f.format = vk::Format::D32_SFLOAT, ImageUse::Target, "D32_SFLOAT"),
             // What no frame can be recorded with.
-            (&|f| f.format = vk::Format::R32_UINT, ImageUse::Storage, "R32_UINT is not one of"),
-            (&|f| f.format = vk::Format::R8G8_UNORM, ImageUse::Storage, "R8G8_UNORM is not one of"),
-            (&sampled, ImageUse::Sampled, "R32_UINT is not one of"),
-            (&|f| f.format = vk::Format::B8G8R8A8_UNORM, ImageUse::Storage, "lack MUTABLE_FORMAT"),
-            (&|f| f.format = vk::Format::R16G16_SFLOAT, ImageUse::Storage, "lack MUTABLE_FORMAT"),
-            (&|f| f.format = vk::Format::R32G32_UINT, ImageUse::Storage, "R32G32_UINT is not one of"),
-            (&|f| f.format = vk::Format::R8G8B8A8_SRGB, ImageUse::Storage, "MUTABLE_FORMAT"),
-            (&only_mutable, ImageUse::Storage, "lack EXTENDED_USAGE"),
+            (&|f| f.format = vk::Format::R32_UINT, ImageUse::Target, "R32_UINT is not one of"),
+            (&|f| f.format = vk::Format::R8G8_UNORM, ImageUse::Target, "R8G8_UNORM is not one of"),
+            (&sampled, ImageUse::Occluder, "R32_UINT is not one of"),
+            (&|f| f.format = vk::Format::B8G8R8A8_UNORM, ImageUse::Target, "lack MUTABLE_FORMAT"),
+            (&|f| f.format = vk::Format::R16G16_SFLOAT, ImageUse::Motion, "lack MUTABLE_FORMAT"),
+            // Each field of a frame has formats of its own.
+            (&|f| f.format = vk::Format::R32_SFLOAT, ImageUse::Target, "R32_SFLOAT is not one of"),
+            (&|_| (), ImageUse::Depth, "R8G8B8A8_UNORM is not one of [R32_SFLOAT]"),
+            (&|_| (), ImageUse::Pick, "R8G8B8A8_UNORM is not one of [R32G32B32A32_UINT]"),
+            (&|_| (), ImageUse::Motion, "R8G8B8A8_UNORM is not one of [R16G16_SFLOAT]"),
+            (&|f| f.format = vk::Format::R32G32_UINT, ImageUse::Target, "R32G32_UINT is not one of"),
+            (&|f| f.format = vk::Format::R8G8B8A8_SRGB, ImageUse::Target, "MUTABLE_FORMAT"),
+            (&only_mutable, ImageUse::Target, "lack EXTENDED_USAGE"),
         ];
         for (change, purpose, expected) in refused {
             let error = adopt(change, purpose).expect_err(expected);
@@ -183,10 +189,10 @@ fn bad_frames_are_refused_before_anything_is_recorded() {
             Image::adopt(c, "target", &t.foreign(), purpose).expect("adopted")
         };
         let images = [
-            view(&context, &small, ImageUse::Storage),
-            view(&context, &single, ImageUse::Storage),
-            view(&other, &small, ImageUse::Storage),
-            view(&context, &single, ImageUse::Sampled),
+            view(&context, &small, ImageUse::Target),
+            view(&context, &single, ImageUse::Depth),
+            view(&other, &small, ImageUse::Target),
+            view(&context, &single, ImageUse::Occluder),
         ];
         let into = |image| Target::Image {
             to: HostImage { image, from: ImageState::UNDEFINED, offset: [0; 2] },
@@ -206,7 +212,7 @@ fn bad_frames_are_refused_before_anything_is_recorded() {
         let fresh_depth = HostImage { from: ImageState::UNDEFINED, ..depth };
         let whole_target =
             HostTexture::new(host, vk::Format::R8G8B8A8_UNORM, usage, [64, 48]).expect("an image");
-        let whole = view(&context, &whole_target, ImageUse::Storage);
+        let whole = view(&context, &whole_target, ImageUse::Target);
         let onto = |behind| Target::Image {
             to: HostImage { image: &whole, from: ImageState::UNDEFINED, offset: [0; 2] },
             behind,
@@ -219,7 +225,7 @@ fn bad_frames_are_refused_before_anything_is_recorded() {
         };
         let no_alpha = HostTexture::new(host, vk::Format::B10G11R11_UFLOAT_PACK32, usage, [64, 48]);
         let no_alpha = no_alpha.expect("an image");
-        let no_alpha_view = view(&context, &no_alpha, ImageUse::Storage);
+        let no_alpha_view = view(&context, &no_alpha, ImageUse::Target);
         let distances = HostImage { image: &images[1], from: ImageState::UNDEFINED, offset: [0; 2] };
         let expected = |min_weight| Some(DepthTarget { to: distances, min_weight, empty: f32::NAN });
         let mapping =
@@ -282,9 +288,13 @@ fn bad_frames_are_refused_before_anything_is_recorded() {
                 target,
                 "64 x 48 pixels at (0, 0) exceed its 40 x 48",
             ),
-            (RecordedFrame { target: into(&images[1]), ..good }, target, "format R32_SFLOAT is not one of"),
+            (RecordedFrame { target: into(&images[1]), ..good }, target, "adopted for Depth, not for Target"),
             (RecordedFrame { target: into(&images[2]), ..good }, target, "another context"),
-            (RecordedFrame { target: into(&images[3]), ..good }, target, "not adopted for Storage"),
+            (
+                RecordedFrame { target: into(&images[3]), ..good },
+                target,
+                "adopted for Occluder, not for Target",
+            ),
             (hidden(depth, mapping), "Reservation::occlusion", "not reserved"),
             (hidden(depth, flat), "occluder.mapping", "a scale of 0"),
             (hidden(depth, unknown), "occluder.mapping", "not finite"),

@@ -234,7 +234,10 @@ fn tables() {
 fn first_frame_table() {
     println!("threads | kernels ahead, ms | Renderer::new and reserve | first frame | second");
     for threads in [0, 1, 2] {
-        let [ahead, reserved, first, second] = first_frame(threads);
+        // The least of some runs: other programs only add to it.
+        let runs = (0..5).map(|_| first_frame(threads));
+        let least = runs.reduce(|least, run| std::array::from_fn(|i| least[i].min(run[i])));
+        let [ahead, reserved, first, second] = least.expect("a run");
         println!("{threads} | {ahead:.0} | {reserved:.0} | {first:.0} | {second:.0}");
     }
 }

@@ -24,7 +24,7 @@ fn frame(host: &Host, faults: &Faults) -> Result<u32> {
     let scene = DeviceScene::upload(&context, &cloud(60, 1), 0)?;
     let mut renderer = Renderer::new(&context)?;
     renderer.reserve(&Reservation::new(60, 1, 40, 30))?;
-    Image::new(&context, "own", vk::Format::R32_SFLOAT, [40, 30], ImageUse::Storage)?;
+    Image::new(&context, "own", vk::Format::R32_SFLOAT, [40, 30], ImageUse::Depth)?;
     let (scenes, camera, settings) = ([(&scene).into()], camera(0.3, 40, 30), RenderSettings::default());
     let in_flight = InFlight::new(host).expect("a command buffer");
     in_flight.begin(host).expect("recording");

@@ -79,7 +79,7 @@ fn an_orthographic_hosts_depth_hides_what_lies_behind_it() {
                 let (texture, state) = depth_image(host, SIZE, value);
                 // SAFETY: the image is as it says, and outlives the frame.
                 let image = unsafe {
-                    Image::adopt(renderer.context(), "depth", &texture.foreign(), ImageUse::Sampled)
+                    Image::adopt(renderer.context(), "depth", &texture.foreign(), ImageUse::Occluder)
                 };
                 let image = image.expect("adopted");
                 let depth = HostImage { image: &image, from: state, offset: [0; 2] };
@@ -158,7 +158,7 @@ fn expected_depth_of_parallel_rays_is_z() {
         let usage = vk::ImageUsageFlags::STORAGE | vk::ImageUsageFlags::TRANSFER_SRC;
         let texture = HostTexture::new(host, vk::Format::R32_SFLOAT, usage, SIZE).expect("an image");
         // SAFETY: the image is as it says, and outlives the frame.
-        let image = unsafe { Image::adopt(&context, "expected", &texture.foreign(), ImageUse::Storage) };
+        let image = unsafe { Image::adopt(&context, "expected", &texture.foreign(), ImageUse::Depth) };
         let image = image.expect("adopted");
         let placed = [Placed::at(&scene, Pose { scale: 2.0, ..Pose::IDENTITY })];
         let settings = RenderSettings::default();

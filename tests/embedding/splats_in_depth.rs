@@ -44,7 +44,7 @@ fn drawn(
     let usage = vk::ImageUsageFlags::DEPTH_STENCIL_ATTACHMENT | copies;
     let depth = HostTexture::new(host, vk::Format::D32_SFLOAT, usage, SIZE).expect("an image");
     // SAFETY: the image is as it says, and outlives the frame.
-    let image = unsafe { Image::adopt(renderer.context(), "z", &expected.foreign(), ImageUse::Storage) };
+    let image = unsafe { Image::adopt(renderer.context(), "z", &expected.foreign(), ImageUse::Depth) };
     let image = image.expect("adopted");
     let pass = SplatDepth::new(host, &expected, depth.format).expect("a pass");
     let [read_depth, read_z] =

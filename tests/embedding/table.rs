@@ -294,8 +294,8 @@ impl Images {
         // SAFETY: the images are as they say, and outlive the renderer.
         let adopted = unsafe {
             [
-                Image::adopt(context, "color", &color.foreign(), ImageUse::Storage).expect("adopted"),
-                Image::adopt(context, "depth", &depth.foreign(), ImageUse::Sampled).expect("adopted"),
+                Image::adopt(context, "color", &color.foreign(), ImageUse::Target).expect("adopted"),
+                Image::adopt(context, "depth", &depth.foreign(), ImageUse::Occluder).expect("adopted"),
             ]
         };
         let layout = vk::ImageLayout::DEPTH_STENCIL_READ_ONLY_OPTIMAL;

@@ -183,7 +183,7 @@ fn bad_views_are_refused_by_name() {
         let layers = [0, 1].map(|layer| array.adopt(&context, layer));
         let (storage, sampled) = (vk::ImageUsageFlags::STORAGE, vk::ImageUsageFlags::SAMPLED);
         let both = HostTexture::new(host, vk::Format::R32_SFLOAT, storage | sampled, SIZE).expect("an image");
-        let [read, write] = [ImageUse::Sampled, ImageUse::Storage].map(|purpose| {
+        let [read, write] = [ImageUse::Occluder, ImageUse::Depth].map(|purpose| {
             // SAFETY: the image is as it says, and outlives the view.
             unsafe { Image::adopt(&context, "both", &both.foreign(), purpose) }.expect("adopted")
         });

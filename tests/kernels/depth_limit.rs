@@ -21,7 +21,7 @@ fn depth_limit_equals_its_twin() {
     // Standard and reversed depth of parallel rays, and a near plane behind the camera.
     let parallel = [(99.5, 0.5, 1.0), (-99.5, 100.0, 0.0), (-20.0, 15.0, 0.0)].map(|m| (m, true));
     for format in [vk::Format::D32_SFLOAT, vk::Format::R32_SFLOAT] {
-        let image = Image::new(gpu.context, "depth", format, IMAGE, ImageUse::Sampled).expect("an image");
+        let image = Image::new(gpu.context, "depth", format, IMAGE, ImageUse::Occluder).expect("an image");
         let from = gpu.buffer("texels", &texels);
         for ((scale, offset, clear_value), linear) in perspectives.into_iter().chain(parallel) {
             let mapping = DepthMapping { scale, offset, clear_value, linear };

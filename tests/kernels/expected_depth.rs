@@ -11,7 +11,7 @@ use crate::reference::expected_depth::expected_depth;
 fn expected_depth_equals_its_twin() {
     let gpu = Gpu::new();
     let compose = Compose::new(gpu.context).expect("kernels");
-    let image = Image::new(gpu.context, "depth", Compose::DEPTH_FORMAT, IMAGE, ImageUse::Storage);
+    let image = Image::new(gpu.context, "depth", Compose::DEPTH_FORMAT, IMAGE, ImageUse::Depth);
     let image = image.expect("an image");
     let pixels = pixels();
     let sums: Vec<f32> = pixels.iter().enumerate().map(|(i, p)| (1.0 - p[3]) * (i + 1) as f32).collect();

@@ -23,7 +23,7 @@ fn mean_motion_equals_its_twin() {
     let gpu = Gpu::new();
     let mut compose = Compose::new(gpu.context).expect("kernels");
     compose.prepare(gpu.context, [false, true]).expect("a kernel");
-    let image = Image::new(gpu.context, "motion", Compose::MOTION_FORMAT, IMAGE, ImageUse::Storage);
+    let image = Image::new(gpu.context, "motion", Compose::MOTION_FORMAT, IMAGE, ImageUse::Motion);
     let image = image.expect("an image");
     let pixels = pixels();
     let sum = |i: usize, p: &[f32; 4]| {

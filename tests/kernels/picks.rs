@@ -23,7 +23,7 @@ fn picks_equal_their_twin() {
             })
             .collect();
         let texels = (IMAGE[0] * IMAGE[1]) as usize;
-        let image = Image::new(gpu.context, "picks", Compose::PICK_FORMAT, IMAGE, ImageUse::Storage);
+        let image = Image::new(gpu.context, "picks", Compose::PICK_FORMAT, IMAGE, ImageUse::Pick);
         let image = image.expect("an image");
         let (columns, rows) = (SIZE[0].div_ceil(16), SIZE[1].div_ceil(16));
         let tiles = columns * rows;

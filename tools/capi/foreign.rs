@@ -147,8 +147,8 @@ unsafe fn from_host(host: &AshsplatForeignDevice) -> Result<Context> {
     }
 }
 
-/// A view of a host's image for kernels: `purpose` is an AshsplatImageUse. Messages and debuggers call it after what its format is
-/// for: 'color', 'depth', 'pick', 'motion', or 'occluder' where it is sampled.
+/// A view of a host's image for kernels: `purpose` is an AshsplatImageUse. Messages and debuggers call it after that: 'target',
+/// 'occluder', 'depth', 'pick' or 'motion'.
 ///
 /// # Safety
 /// The image is of the context's device, is what `host` says, is bound to memory, and outlives the view and
@@ -163,11 +163,10 @@ pub unsafe extern "C" fn ashsplat_image_adopt(
     // SAFETY: as promised.
     guarded(|| unsafe {
         let (context, host) = (borrowed(context, "context")?, read(host, "host")?);
-        let purpose = settings::one_of("purpose", purpose, &[ImageUse::Storage, ImageUse::Sampled])?;
-        let format = vk::Format::from_raw(host.format);
+        let purpose = settings::one_of("purpose", purpose, &IMAGE_USES)?;
         let foreign = ForeignImage {
             image: vk::Image::from_raw(host.image),
-            format,
+            format: vk::Format::from_raw(host.format),
             usage: vk::ImageUsageFlags::from_raw(host.usage),
             size: [host.width, host.height],
             mip_level: host.mip_level,
@@ -175,19 +174,23 @@ pub unsafe extern "C" fn ashsplat_image_adopt(
             flags: vk::ImageCreateFlags::from_raw(host.flags),
             samples: vk::SampleCountFlags::from_raw(host.samples),
         };
-        let name = image_name(format, purpose);
+        let name = image_name(purpose);
         give(image, "image", || Image::adopt(&context.0, name, &foreign, purpose).map(AshsplatImage))
     })
 }
 
-/// What messages and debuggers call an image: after what its format is for.
-fn image_name(format: vk::Format, purpose: ImageUse) -> &'static str {
-    match (purpose, format) {
-        (ImageUse::Sampled, _) => "occluder",
-        (_, vk::Format::R32_SFLOAT) => "depth",
-        (_, vk::Format::R32G32B32A32_UINT) => "pick",
-        (_, vk::Format::R16G16_SFLOAT) => "motion",
-        _ => "color",
+/// By their numbers in C.
+const IMAGE_USES: [ImageUse; 5] =
+    [ImageUse::Target, ImageUse::Occluder, ImageUse::Depth, ImageUse::Pick, ImageUse::Motion];
+
+/// What messages and debuggers call an image: the field of a frame that it is for.
+fn image_name(purpose: ImageUse) -> &'static str {
+    match purpose {
+        ImageUse::Target => "target",
+        ImageUse::Occluder => "occluder",
+        ImageUse::Depth => "depth",
+        ImageUse::Pick => "pick",
+        ImageUse::Motion => "motion",
     }
 }
 

@@ -55,7 +55,7 @@ pub struct AshsplatTarget {
 pub struct AshsplatOccluder {
     /// Set by ASHSPLAT_INIT.
     pub struct_size: u32,
-    /// The depth image, adopted for AshsplatImageUse_Sampled.
+    /// The depth image, adopted for AshsplatImageUse_Occluder.
     pub depth: AshsplatHostImage,
     /// How to read it: ashsplat_camera_from_matrices.
     pub mapping: AshsplatDepthMapping,

@@ -8,6 +8,7 @@ mod allocator;
 mod auxiliary;
 mod foreign;
 mod frames;
+mod kept;
 mod kernels;
 mod names;
 mod queue_lock;
@@ -39,6 +40,7 @@ pub use trainers::*;
 pub use training::*;
 pub use types::*;
 
+use self::kept::Kept;
 use self::scratch::Scratch;
 use self::structs::{read, read_if, write};
 use ashsplat::vk::{Context, ContextOptions};
@@ -73,7 +75,7 @@ impl AshsplatScene {
 }
 
 /// Renders scenes.
-pub struct AshsplatRenderer(Renderer, Scratch);
+pub struct AshsplatRenderer(Renderer, Scratch, Kept);
 
 thread_local! {
     static LAST_ERROR: RefCell<CString> = RefCell::default();
@@ -319,7 +321,8 @@ pub unsafe extern "C" fn ashsplat_renderer_new(
     guarded(|| unsafe {
         let context = borrowed(context, "context")?;
         give(renderer, "renderer", || {
-            Renderer::new(&context.0).map(|renderer| AshsplatRenderer(renderer, Scratch::new()))
+            Renderer::new(&context.0)
+                .map(|renderer| AshsplatRenderer(renderer, Scratch::new(), Kept::default()))
         })
     })
 }

@@ -1,6 +1,7 @@
 //! Frames of a host in C, as the library records them.
 
 use super::foreign::used;
+use super::kept::Kept;
 use super::scratch::{List, Scratch, collected};
 use super::structs::{read, read_all_in, read_if, within, write_all_if};
 use super::{
@@ -8,11 +9,10 @@ use super::{
     AshsplatRelease, AshsplatRenderer, auxiliary, borrowed, frames, scene_settings, scenes,
 };
 use ashsplat::ash::{vk, vk::Handle};
-use ashsplat::scene::{Camera, Gaussians};
+use ashsplat::scene::Camera;
 use ashsplat::vk::Context;
 use ashsplat::{
-    DepthTarget, DeviceScene, Error, Occluder, Placed, RecordedFrame, Release, RenderSettings, Result,
-    Target, Update,
+    DepthTarget, Error, Occluder, Placed, RecordedFrame, Release, RenderSettings, Result, Target, Update,
 };
 use std::ffi::c_void;
 
@@ -21,7 +21,7 @@ struct Copied<'a> {
     frame: &'a AshsplatRecordedFrame,
     placed: List<'a, AshsplatPlaced>,
     pointees: List<'a, scene_settings::Pointees<'a>>,
-    updates: List<'a, (&'a DeviceScene, u32, Gaussians)>,
+    updates: List<'a, scenes::Copied<'a>>,
     camera: Camera,
     settings: RenderSettings,
     motion: Option<auxiliary::Motion>,
@@ -30,18 +30,22 @@ struct Copied<'a> {
 impl<'a> Copied<'a> {
     /// # Safety
     /// The frame is valid with all that it points to.
-    unsafe fn of(frame: &'a AshsplatRecordedFrame, context: &Context, scratch: &'a Scratch) -> Result<Self> {
+    unsafe fn of(
+        frame: &'a AshsplatRecordedFrame,
+        context: &Context,
+        (scratch, kept): (&'a Scratch, &'a Kept),
+    ) -> Result<Self> {
         // SAFETY: as promised.
         unsafe {
             let placed = read_all_in(scratch, frame.scenes, frame.scene_count, "scenes")?;
-            let pointees = scene_settings::pointees(&placed, context, scratch)?;
+            let pointees = scene_settings::pointees(&placed, context, (scratch, kept))?;
             let updates = read_all_in(scratch, frame.updates, frame.update_count, "updates")?;
             let settings = read_if(frame.settings, "settings")?;
             Ok(Self {
                 frame,
                 placed,
                 pointees,
-                updates: scenes::copied(&updates, scratch)?,
+                updates: scenes::copied(&updates, (scratch, kept))?,
                 camera: read(frame.camera, "camera")?.known()?,
                 settings: settings.map_or(Ok(RenderSettings::default()), |settings| settings.checked())?,
                 motion: auxiliary::Motion::read(frame.motion)?,
@@ -113,18 +117,19 @@ const FIELDS: [(&str, &str); 5] = [
 ];
 
 /// Records frames as the views of one recording, and says in `releases` how it leaves their images: NULL, or room for as many.
-/// Takes nothing from the heap once the renderer has recorded such frames, but for what updates and masks copy.
+/// Takes nothing from the heap once the renderer has recorded such frames.
 ///
 /// # Safety
 /// As ashsplat_record, for each.
 pub(super) unsafe fn record(
-    AshsplatRenderer(renderer, scratch): &mut AshsplatRenderer,
+    AshsplatRenderer(renderer, scratch, kept): &mut AshsplatRenderer,
     (commands, slot): (*mut c_void, u32),
     (frames, count): (*const AshsplatRecordedFrame, u32),
     releases: *mut AshsplatRelease,
 ) -> Result<()> {
     scratch.reset();
-    let scratch = &*scratch;
+    kept.begin();
+    let (scratch, kept) = (&*scratch, &*kept);
     let of_view = |index: usize| {
         move |error: Error| if count == 1 { error } else { within(format_args!("frames[{index}]"))(error) }
     };
@@ -133,7 +138,8 @@ pub(super) unsafe fn record(
         let frames = read_all_in(scratch, frames, count, "frames")?;
         let context = renderer.context();
         let copied = frames.iter().enumerate();
-        let copied = copied.map(|(index, frame)| Copied::of(frame, context, scratch).map_err(of_view(index)));
+        let copied =
+            copied.map(|(index, frame)| Copied::of(frame, context, (scratch, kept)).map_err(of_view(index)));
         let copied = collected(copied, scratch)?;
         let scenes = copied.iter().enumerate();
         let scenes = scenes.map(|(index, own)| own.scenes(scratch).map_err(of_view(index)));
@@ -175,7 +181,10 @@ fn in_c(error: Error) -> Error {
             };
             // Some views are refused because of another.
             let problem = problem.replace("views[", "frames[");
-            Error::argument(named(&what), problem.replace("adopted for ", "adopted for AshsplatImageUse_"))
+            let problem = ["adopted for ", ", not for "]
+                .into_iter()
+                .fold(problem, |said, words| said.replace(words, &format!("{words}AshsplatImageUse_")));
+            Error::argument(named(&what), problem)
         }
         Error::TooLarge { what, needed, unit, limit, limit_name } => {
             Error::TooLarge { what: named(&what), needed, unit, limit, limit_name }

@@ -1,10 +1,10 @@
 //! How one scene of a frame is drawn, in C.
 
+use super::kept::Kept;
 use super::scratch::{List, Scratch, collected};
 use super::settings::one_of;
 use super::structs::{named, read, read_all_in, read_if, within, write};
 use super::{AshsplatHostBuffer, AshsplatPlaced, AshsplatStatus, guarded};
-use ashsplat::ash::{vk, vk::Handle};
 use ashsplat::scene::{CutOut, Inside, MAX_CUT_OUTS, Pose, Volume};
 use ashsplat::vk::{Buffer, Context};
 use ashsplat::{Error, Result, SceneSettings, Selection};
@@ -106,7 +106,7 @@ impl AshsplatCutOut {
 pub(super) unsafe fn pointees<'b>(
     placed: &[AshsplatPlaced],
     context: &Context,
-    scratch: &'b Scratch,
+    (scratch, kept): (&'b Scratch, &Kept),
 ) -> Result<List<'b, Pointees<'b>>> {
     let of = |(place, placed): (usize, &AshsplatPlaced)| {
         // SAFETY: as promised.
@@ -129,9 +129,8 @@ pub(super) unsafe fn pointees<'b>(
         let cut_outs = collected(own.iter().enumerate().map(checked), scratch)?;
         // SAFETY: as promised.
         let mask = unsafe { settings.selection.as_ref() }.map(|mask| {
-            let raw = vk::Buffer::from_raw(mask.buffer);
             // SAFETY: as promised.
-            let mask = unsafe { Buffer::adopt(context, "selection", raw, mask.offset, mask.bytes) };
+            let mask = unsafe { kept.mask(context, *mask) };
             mask.map_err(named(format_args!("scenes[{place}].settings.selection")))
         });
         Ok(Pointees { settings: Some(settings), cut_outs, mask: mask.transpose()? })

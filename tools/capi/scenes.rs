@@ -1,5 +1,6 @@
 //! Scenes that a host makes, changes and owns, in C.
 
+use super::kept::{self, Kept};
 use super::scratch::{List, Scratch, collected};
 use super::structs::{named, read, read_all, within, write};
 use super::{
@@ -16,41 +17,56 @@ use ashsplat::{DeviceScene, Error, Reservation, Result, Update};
 /// # Safety
 /// The arrays have as many elements as the count and the degree say.
 pub(super) unsafe fn gaussians(host: &AshsplatGaussians) -> Result<Gaussians> {
+    let mut own = Gaussians::default();
+    // SAFETY: as promised.
+    unsafe { copy_into(&mut own, host) }.map(|()| own)
+}
+
+/// Copies a host's Gaussians over others, in the memory of these.
+///
+/// # Safety
+/// As [`gaussians`].
+unsafe fn copy_into(own: &mut Gaussians, host: &AshsplatGaussians) -> Result<()> {
     if host.sh_degree > 3 {
         return Err(Error::argument("sh_degree", format!("{} is above 3", host.sh_degree)));
     }
     let (count, coefficients) = (host.count as usize, (host.sh_degree as usize + 1).pow(2));
+    own.sh_degree = host.sh_degree;
     // SAFETY: as promised.
     unsafe {
         let floats = |pointer, per_gaussian: usize, what| slice(pointer, per_gaussian * count, what);
-        Ok(Gaussians {
-            sh_degree: host.sh_degree,
-            means: floats(host.means, 3, "means")?.as_chunks().0.to_vec(),
-            quats: floats(host.quats, 4, "quats")?.as_chunks().0.to_vec(),
-            log_scales: floats(host.log_scales, 3, "log_scales")?.as_chunks().0.to_vec(),
-            opacity_logits: floats(host.opacity_logits, 1, "opacity_logits")?.to_vec(),
-            sh: floats(host.sh, 3 * coefficients, "sh")?.as_chunks().0.to_vec(),
-        })
+        own.means.clear();
+        own.means.extend_from_slice(floats(host.means, 3, "means")?.as_chunks().0);
+        own.quats.clear();
+        own.quats.extend_from_slice(floats(host.quats, 4, "quats")?.as_chunks().0);
+        own.log_scales.clear();
+        own.log_scales.extend_from_slice(floats(host.log_scales, 3, "log_scales")?.as_chunks().0);
+        own.opacity_logits.clear();
+        own.opacity_logits.extend_from_slice(floats(host.opacity_logits, 1, "opacity_logits")?);
+        own.sh.clear();
+        own.sh.extend_from_slice(floats(host.sh, 3 * coefficients, "sh")?.as_chunks().0);
     }
+    Ok(())
 }
 
-/// A frame's updates, with the Gaussians that they copy.
+/// An update with the Gaussians that it copies.
+pub(super) type Copied<'a> = (&'a DeviceScene, u32, kept::Copy<'a>);
+
+/// A frame's updates.
 ///
 /// # Safety
 /// As [`gaussians`], for each; the scenes are alive.
-pub(super) unsafe fn copied<'a, 'b>(
+pub(super) unsafe fn copied<'a>(
     updates: &[AshsplatUpdate],
-    scratch: &'b Scratch,
-) -> Result<List<'b, (&'a DeviceScene, u32, Gaussians)>> {
+    (scratch, kept): (&'a Scratch, &'a Kept),
+) -> Result<List<'a, Copied<'a>>> {
     let copy = |(place, u): (usize, &AshsplatUpdate)| {
         // SAFETY: as promised.
         let copied = unsafe {
             borrowed(u.scene, "scene").and_then(|scene| {
-                Ok((
-                    &scene.scene,
-                    u.first,
-                    gaussians(&read(u.gaussians, "gaussians")?).map_err(within("gaussians"))?,
-                ))
+                let mut own = kept.gaussians();
+                copy_into(&mut own, &read(u.gaussians, "gaussians")?).map_err(within("gaussians"))?;
+                Ok((&scene.scene, u.first, own))
             })
         };
         copied.map_err(within(format_args!("updates[{place}]")))
@@ -59,11 +75,8 @@ pub(super) unsafe fn copied<'a, 'b>(
 }
 
 /// The same as the library sees them.
-pub(super) fn updates<'a>(
-    copied: &'a [(&'a DeviceScene, u32, Gaussians)],
-    scratch: &'a Scratch,
-) -> List<'a, Update<'a>> {
-    let updates = copied.iter().map(|&(scene, first, ref gaussians)| Update { scene, first, gaussians });
+pub(super) fn updates<'a>(copied: &'a [Copied<'a>], scratch: &'a Scratch) -> List<'a, Update<'a>> {
+    let updates = copied.iter().map(|(scene, first, own)| Update { scene, first: *first, gaussians: own });
     List::from_iter_in(updates, scratch)
 }
 

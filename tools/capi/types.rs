@@ -204,15 +204,22 @@ pub struct AshsplatForeignImage {
     pub image: u64,
 }
 
-/// What kernels do with an image.
+/// What an image is in a frame: one value for each field of AshsplatRecordedFrame. Each has formats of its own; others are refused.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AshsplatImageUse {
-    /// They write it: a target.
-    Storage = 0,
-    /// They read it: a depth image, of format D16_UNORM, X8_D24_UNORM_PACK32, D32_SFLOAT, D16_UNORM_S8_UINT, D24_UNORM_S8_UINT,
+    /// Colours are written into it. R8G8B8A8 or B8G8R8A8, UNORM or SRGB; A2B10G10R10_UNORM_PACK32, B10G11R11_UFLOAT_PACK32,
+    /// R16G16B16A16_SFLOAT or R32G32B32A32_SFLOAT.
+    Target = 0,
+    /// The host's depth, which hides splats. D16_UNORM, X8_D24_UNORM_PACK32, D32_SFLOAT, D16_UNORM_S8_UINT, D24_UNORM_S8_UINT,
     /// D32_SFLOAT_S8_UINT, R16_UNORM, R16_SFLOAT or R32_SFLOAT.
-    Sampled = 1,
+    Occluder = 1,
+    /// The expected depth is written into it. R32_SFLOAT.
+    Depth = 2,
+    /// What is seen at each pixel is written into it. R32G32B32A32_UINT.
+    Pick = 3,
+    /// The motion of each pixel is written into it. R16G16_SFLOAT.
+    Motion = 4,
 }
 
 /// How an image is being used at some point of a command buffer.
@@ -344,7 +351,7 @@ pub struct AshsplatScenePlan {
 
 /// A range of a host's buffer.
 #[repr(C)]
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct AshsplatHostBuffer {
     /// VkBuffer.
     pub buffer: u64,

@@ -220,9 +220,9 @@ impl Guest {
         // SAFETY: the images are the host's, created as they say, and outlive the guest.
         let (color, depth, expected) = unsafe {
             (
-                Image::adopt(&context, "picture", &color.foreign(), ImageUse::Storage)?,
-                Image::adopt(&context, "picture's depth", &depth.foreign(), ImageUse::Sampled)?,
-                Image::adopt(&context, "expected depth", &expected.foreign(), ImageUse::Storage)?,
+                Image::adopt(&context, "picture", &color.foreign(), ImageUse::Target)?,
+                Image::adopt(&context, "picture's depth", &depth.foreign(), ImageUse::Occluder)?,
+                Image::adopt(&context, "expected depth", &expected.foreign(), ImageUse::Depth)?,
             )
         };
         // 4. Everything that frames will need is built and allocated now.

@@ -23,7 +23,7 @@ impl HostTexture {
         let depth = format == vk::Format::D32_SFLOAT || format == vk::Format::D16_UNORM;
         let aspect = if depth { vk::ImageAspectFlags::DEPTH } else { vk::ImageAspectFlags::COLOR };
         // The guest sees the texels of some formats as those of another one.
-        let flags = match ImageUse::Storage.seen_as(format) != format && usage.contains(STORAGE) {
+        let flags = match ImageUse::Target.seen_as(format) != format && usage.contains(STORAGE) {
             true => vk::ImageCreateFlags::MUTABLE_FORMAT | vk::ImageCreateFlags::EXTENDED_USAGE,
             false => vk::ImageCreateFlags::empty(),
         };

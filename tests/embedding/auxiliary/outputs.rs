@@ -51,8 +51,9 @@ impl<'a> Outputs<'a> {
             .map(|format| HostTexture::new(host, format, usage, size).expect("an image"));
         let (depth, written) = depth_image(host, size, hides);
         let textures = [colors, distances, depth];
+        let purposes = [ImageUse::Target, ImageUse::Depth, ImageUse::Occluder];
         let views = [0, 1, 2].map(|which| {
-            let purpose = if which == 2 { ImageUse::Sampled } else { ImageUse::Storage };
+            let purpose = purposes[which];
             // SAFETY: the images are as they say, and outlive the views.
             unsafe { Image::adopt(context, "output", &textures[which].foreign(), purpose) }.expect("adopted")
         });

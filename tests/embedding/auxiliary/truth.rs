@@ -43,10 +43,10 @@ impl<'a> Screens<'a> {
         let textures = [vk::Format::R32G32B32A32_UINT, vk::Format::R16G16_SFLOAT]
             .map(|format| HostTexture::new(host, format, usage, size).expect("an image"));
         // SAFETY: the images are as they say, and outlive the views.
-        let view = |t: &HostTexture| unsafe {
-            Image::adopt(context, "beside", &t.foreign(), ImageUse::Storage).expect("adopted")
+        let view = |t: &HostTexture, purpose| unsafe {
+            Image::adopt(context, "beside", &t.foreign(), purpose).expect("adopted")
         };
-        let views = [view(&textures[0]), view(&textures[1])];
+        let views = [view(&textures[0], ImageUse::Pick), view(&textures[1], ImageUse::Motion)];
         Self { host, textures, views }
     }
 

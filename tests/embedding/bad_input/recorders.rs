@@ -12,7 +12,7 @@ fn a_recorder_takes_nothing_of_another_context() {
         };
         let (own, foreign) = (buffers(&context), buffers(&other));
         let image = |c: &Context| {
-            Image::new(c, "image", vk::Format::R32_SFLOAT, [4, 4], ImageUse::Storage).expect("an image")
+            Image::new(c, "image", vk::Format::R32_SFLOAT, [4, 4], ImageUse::Depth).expect("an image")
         };
         let (own_image, foreign_image) = (image(&context), image(&other));
         let kernel = |c: &Context| {
@@ -62,7 +62,7 @@ fn recorded_copies_stay_inside() {
         let context = guest(host);
         let requests = [("small", 60), ("large", 64)];
         let buffers = context.allocate("test", &requests, MemoryKind::Device).expect("memory");
-        let image = Image::new(&context, "image", vk::Format::R32_SFLOAT, [4, 4], ImageUse::Storage);
+        let image = Image::new(&context, "image", vk::Format::R32_SFLOAT, [4, 4], ImageUse::Depth);
         let image = image.expect("an image");
         type Use<'a> = &'a dyn Fn(&mut Recorder);
         let outside: [Use; 2] =

@@ -42,9 +42,9 @@ impl<'a> Split<'a> {
             unsafe { Image::adopt(context, "split", &texture.foreign(), purpose) }.expect("adopted")
         };
         let images = [
-            view(&textures[0], ImageUse::Storage),
-            view(&textures[1], ImageUse::Storage),
-            view(&textures[2], ImageUse::Sampled),
+            view(&textures[0], ImageUse::Target),
+            view(&textures[1], ImageUse::Depth),
+            view(&textures[2], ImageUse::Occluder),
         ];
         let split = Self { host, textures, images, beside: Screens::new(host, context, BOTH) };
         split.write_depth();

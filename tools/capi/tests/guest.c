@@ -74,9 +74,9 @@ int main(int count, char **arguments) {
     AshsplatImage *target = NULL;
     AshsplatForeignImage fixed = color.description;
     fixed.flags = 0;
-    EXPECT(ashsplat_image_adopt(context, &fixed, AshsplatImageUse_Storage, &target) == AshsplatStatus_Argument && target == NULL);
+    EXPECT(ashsplat_image_adopt(context, &fixed, AshsplatImageUse_Target, &target) == AshsplatStatus_Argument && target == NULL);
     EXPECT(strstr(ashsplat_last_error(), "MUTABLE_FORMAT") != NULL);
-    check(ashsplat_image_adopt(context, &color.description, AshsplatImageUse_Storage, &target), "adopting the target");
+    check(ashsplat_image_adopt(context, &color.description, AshsplatImageUse_Target, &target), "adopting the target");
     AshsplatRenderer *renderer = NULL;
     check(ashsplat_renderer_new(context, &renderer), "building the renderer");
     AshsplatReservation wanted = ASHSPLAT_INIT(AshsplatReservation);

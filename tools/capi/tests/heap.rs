@@ -81,6 +81,25 @@ impl Host {
         taken
     }
 
+    /// A buffer of so many bytes, which a scene's selection may lie in.
+    fn buffer(&self, bytes: u64) -> (vk::Buffer, vk::DeviceMemory) {
+        let usage = vk::BufferUsageFlags::STORAGE_BUFFER
+            | vk::BufferUsageFlags::TRANSFER_SRC
+            | vk::BufferUsageFlags::TRANSFER_DST;
+        let info = vk::BufferCreateInfo::default().size(bytes).usage(usage);
+        // SAFETY: valid create infos; the buffer is bound once, to memory of its own.
+        unsafe {
+            let buffer = self.device.create_buffer(&info, None).expect("a buffer");
+            let needs = self.device.get_buffer_memory_requirements(buffer);
+            let info = vk::MemoryAllocateInfo::default()
+                .allocation_size(needs.size)
+                .memory_type_index(needs.memory_type_bits.trailing_zeros());
+            let memory = self.device.allocate_memory(&info, None).expect("memory");
+            self.device.bind_buffer_memory(buffer, memory, 0).expect("bound");
+            (buffer, memory)
+        }
+    }
+
     fn close(self) {
         // SAFETY: nothing is in use any more.
         unsafe {
@@ -114,6 +133,8 @@ fn recording_in_c_takes_nothing_from_the_heap() {
         height: 64,
         tint: true,
         cut_outs: 2,
+        selection: true,
+        staging_bytes: 1 << 20,
         ..AshsplatReservation::default()
     };
     // SAFETY: all pointers are alive.
@@ -133,7 +154,10 @@ fn recording_in_c_takes_nothing_from_the_heap() {
         ..AshsplatCamera::default()
     };
     let cut_outs = [AshsplatCutOut { size: [0.5; 3], ..AshsplatCutOut::default() }; 2];
+    let (buffer, memory) = host.buffer(256);
+    let mask = AshsplatHostBuffer { buffer: buffer.as_raw(), offset: 0, bytes: 16 };
     let own = AshsplatSceneSettings {
+        selection: &raw const mask,
         tint: [0.5, 1.0, 1.0],
         cut_outs: cut_outs.as_ptr(),
         cut_out_count: 2,
@@ -141,7 +165,12 @@ fn recording_in_c_takes_nothing_from_the_heap() {
     };
     let placed = AshsplatPlaced { scene, ..AshsplatPlaced::default() };
     let scenes = [placed, AshsplatPlaced { settings: &raw const own, ..placed }];
+    let few = AshsplatGaussians { count: 30, ..cloud };
+    let update = AshsplatUpdate { scene, gaussians: &raw const few, ..AshsplatUpdate::default() };
+    let updates = [update, AshsplatUpdate { first: 40, ..update }];
     let frame = AshsplatRecordedFrame {
+        updates: updates.as_ptr(),
+        update_count: 2,
         scenes: scenes.as_ptr(),
         scene_count: 2,
         camera: &raw const camera,
@@ -165,6 +194,8 @@ fn recording_in_c_takes_nothing_from_the_heap() {
     unsafe {
         ashsplat_renderer_free(renderer);
         ashsplat_scene_free(scene);
+        host.device.destroy_buffer(buffer, None);
+        host.device.free_memory(memory, None);
     }
     host.close();
 }

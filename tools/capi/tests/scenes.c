@@ -156,20 +156,20 @@ int main(int count, char **arguments) {
     HostBuffer picks = host_buffer(&host, 16 * WIDTH * HEIGHT, USAGE_BUFFER_COPIES);
     HostBuffer motions = host_buffer(&host, 4 * WIDTH * HEIGHT, USAGE_BUFFER_COPIES);
     AshsplatImage *picked = NULL, *moved = NULL;
-    check(ashsplat_image_adopt(context, &who.description, AshsplatImageUse_Storage, &picked), "adopting the picks");
-    check(ashsplat_image_adopt(context, &speed.description, AshsplatImageUse_Storage, &moved), "adopting the motion");
+    check(ashsplat_image_adopt(context, &who.description, AshsplatImageUse_Pick, &picked), "adopting the picks");
+    check(ashsplat_image_adopt(context, &speed.description, AshsplatImageUse_Motion, &moved), "adopting the motion");
     AshsplatImage *target = NULL, *walls = NULL, *distances = NULL, *wrong = NULL;
-    EXPECT(ashsplat_image_adopt(context, &color.description, AshsplatImageUse_Sampled, &wrong) == AshsplatStatus_Argument && wrong == NULL);
-    EXPECT(ashsplat_image_adopt(context, &color.description, 2, &wrong) == AshsplatStatus_Argument);
+    EXPECT(ashsplat_image_adopt(context, &color.description, AshsplatImageUse_Occluder, &wrong) == AshsplatStatus_Argument && wrong == NULL);
+    EXPECT(ashsplat_image_adopt(context, &color.description, 5, &wrong) == AshsplatStatus_Argument);
     EXPECT(strstr(ashsplat_last_error(), "purpose: 2, there are 0 to 1") != NULL);
     /* Depth of several samples is resolved first. */
     AshsplatForeignImage multisampled = depth.description;
     multisampled.samples = 4;
-    EXPECT(ashsplat_image_adopt(context, &multisampled, AshsplatImageUse_Sampled, &wrong) == AshsplatStatus_Argument);
+    EXPECT(ashsplat_image_adopt(context, &multisampled, AshsplatImageUse_Occluder, &wrong) == AshsplatStatus_Argument);
     EXPECT(wrong == NULL && strstr(ashsplat_last_error(), "'occluder': it has 4 samples per pixel") != NULL);
-    check(ashsplat_image_adopt(context, &color.description, AshsplatImageUse_Storage, &target), "adopting the target");
-    check(ashsplat_image_adopt(context, &depth.description, AshsplatImageUse_Sampled, &walls), "adopting the depth");
-    check(ashsplat_image_adopt(context, &expected.description, AshsplatImageUse_Storage, &distances), "adopting the expected depth");
+    check(ashsplat_image_adopt(context, &color.description, AshsplatImageUse_Target, &target), "adopting the target");
+    check(ashsplat_image_adopt(context, &depth.description, AshsplatImageUse_Occluder, &walls), "adopting the depth");
+    check(ashsplat_image_adopt(context, &expected.description, AshsplatImageUse_Depth, &distances), "adopting the expected depth");
 
     AshsplatRenderer *renderer = NULL;
     check(ashsplat_renderer_new(context, &renderer), "building the renderer");

@@ -39,7 +39,7 @@ int main(int count, char **arguments) {
     HostTexture color = host_texture(&host, FORMAT_RGBA8_SRGB, USAGE_IMAGE_STORAGE | USAGE_IMAGE_COPY_FROM, 2 * WIDTH, HEIGHT);
     HostBuffer pixels = host_buffer(&host, 4 * 2 * WIDTH * HEIGHT, USAGE_BUFFER_COPIES);
     AshsplatImage *target = NULL;
-    check(ashsplat_image_adopt(context, &color.description, AshsplatImageUse_Storage, &target), "adopting the target");
+    check(ashsplat_image_adopt(context, &color.description, AshsplatImageUse_Target, &target), "adopting the target");
     /* The device has this family alone, which owns the image as it is. */
     int32_t layout = 0;
     EXPECT(ashsplat_image_of_family(target, 1000, &layout) == AshsplatStatus_Argument);
@@ -112,7 +112,7 @@ int main(int count, char **arguments) {
     left[1] = left[0];
     to[1].to.offset[0] = WIDTH + 1;
     EXPECT(ashsplat_record_views(renderer, commands, 0, views, 2, left) == AshsplatStatus_Argument);
-    EXPECT(strstr(ashsplat_last_error(), "frames[1].target (image 'color'): 96 x 64 pixels at (97, 0)") != NULL);
+    EXPECT(strstr(ashsplat_last_error(), "frames[1].target (image 'target'): 96 x 64 pixels at (97, 0)") != NULL);
     to[1].to.offset[0] = WIDTH;
     check(ashsplat_record_views(renderer, commands, 0, views, 2, left), "recording both eyes");
     EXPECT(left[0].color.layout == left[1].color.layout && left[1].struct_size == sizeof left[1]);

@@ -54,7 +54,7 @@ impl Guest {
             layer: 0,
         };
         // SAFETY: the caller's texture is as described and outlives the guest.
-        let target = unsafe { Image::adopt(context, "wgpu's texture", &foreign, ImageUse::Storage)? };
+        let target = unsafe { Image::adopt(context, "wgpu's texture", &foreign, ImageUse::Target)? };
         let scene = DeviceScene::upload(context, gaussians, 0)?;
         let mut renderer = Renderer::new(context)?;
         let wanted = Reservation {

@@ -293,7 +293,7 @@ fn image(context: &Context, name: &'static str, kept: &mut Option<Image>, size: 
     if let Some(image) = kept.as_ref().filter(|image| image.size() == size) {
         return Ok(image.clone());
     }
-    let image = Image::new(context, name, CANVAS, size, ImageUse::Storage)?;
+    let image = Image::new(context, name, CANVAS, size, ImageUse::Target)?;
     *kept = Some(image.clone());
     Ok(image)
 }
