@@ -67,7 +67,7 @@ impl Renderer {
             return Err(Error::TooLarge {
                 what: "scenes: the frame".to_owned(),
                 needed: placing.cut_outs.into(),
-                unit: "cut_outs",
+                unit: "cut-outs",
                 limit: reserved.cut_outs.into(),
                 limit_name: "Reservation::cut_outs",
             });

@@ -210,14 +210,14 @@ fn bad_cut_outs_are_refused_by_name() {
         }
         let eleven = SceneSettings { cut_outs: &ten, ..USUAL };
         let error = stage.refused(&[eleven, eleven]).to_string();
-        assert_eq!(error, "scenes: the frame needs 22 cut_outs, more than 20 (Reservation::cut_outs)");
+        assert_eq!(error, "scenes: the frame needs 22 cut-outs, more than 20 (Reservation::cut_outs)");
         // What is hidden has none.
         let hidden = SceneSettings { visible: false, ..eleven };
         let expected = owned(&filtered(&part, &ten), &stage.camera, &stage.frame);
         assert_same(&stage.pixels(&[hidden, eleven]), &expected, [0.0; 3]);
         let mut none = Stage::new(host, &[&part], &|wanted| wanted);
         let error = none.refused(&[eleven]).to_string();
-        assert_eq!(error, "scenes: the frame needs 11 cut_outs, more than 0 (Reservation::cut_outs)");
+        assert_eq!(error, "scenes: the frame needs 11 cut-outs, more than 0 (Reservation::cut_outs)");
         assert!(none.pixels(&[HIDDEN]).iter().all(|pixel| pixel[3] == 1.0));
     });
 }

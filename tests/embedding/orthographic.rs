@@ -9,10 +9,12 @@ use ashsplat::{
     Reservation,
 };
 
-use crate::host::Host;
+use crate::host::{Host, HostOptions, InFlight};
 use crate::memory::HostTexture;
 use crate::scenes::{assert_nearly_equal, depth_image};
-use crate::stage::{assert_same, cloud, guest, options, owned, read_texture, rendered, with_host};
+use crate::stage::{
+    adopt, assert_same, camera, cloud, guest, options, owned, read_texture, rendered, with_host,
+};
 
 pub const SIZE: [u32; 2] = [110, 70];
 
@@ -214,6 +216,56 @@ fn an_orthographic_camera_is_reserved() {
         assert!(error.contains("Reservation::orthographic: not reserved"), "{error}");
         in_flight.submit(host).expect("submitted");
         in_flight.wait(host).expect("done");
+        in_flight.destroy(host);
+    });
+}
+
+/// Milliseconds of a frame through parallel rays and through a pinhole, in turn.
+#[test]
+#[ignore = "prints numbers of the guide"]
+fn costs() {
+    with_host(&HostOptions::default(), |host| {
+        let context = crate::cost::shipped(host, true);
+        let scene = DeviceScene::upload(&context, &cloud(200_000, 1), 0).expect("a scene");
+        let mut renderer = Renderer::new(&context).expect("kernels");
+        let wanted = Reservation { orthographic: true, ..Reservation::new(200_000, 1, 640, 480) };
+        renderer.reserve(&wanted).expect("memory");
+        let pinhole = camera(0.7, 640, 480);
+        // As large as the pinhole shows the middle of the cloud.
+        let distance = pinhole.project(Vec3::ZERO).2;
+        let parallel =
+            Camera { fx: pinhole.fx / distance, fy: pinhole.fy / distance, ..pinhole.orthographic() };
+        let (placed, settings) = ([Placed::from(&scene)], RenderSettings::default());
+        let in_flight = InFlight::new(host).expect("a command buffer");
+        let mut times = [const { Vec::new() }; 2];
+        for round in 0..31 {
+            for (camera, times) in [&pinhole, &parallel].into_iter().zip(&mut times) {
+                let frame = RecordedFrame::new(&placed, camera, &settings);
+                in_flight.begin(host).expect("recording");
+                renderer.record(adopt(&context, &in_flight), 0, &frame).expect("a recording");
+                in_flight.submit(host).expect("a submission");
+                in_flight.wait(host).expect("done");
+                let report = renderer.slot_report(0).expect("a report").expect("finished");
+                let of = |name: &str| -> f64 {
+                    report.scopes.iter().filter(|s| s.name == name).map(|s| s.nanoseconds / 1e6).sum()
+                };
+                let all = report.scopes.iter().filter(|s| s.depth == 0).map(|s| s.nanoseconds / 1e6).sum();
+                match round {
+                    0 => println!("{} visible, {} instances", report.visible, report.instances_needed),
+                    _ => times.push([of("cull"), of("project"), of("blend"), all]),
+                }
+            }
+        }
+        println!("of | pinhole, ms | orthographic, ms | ratio of pairs");
+        for (stage, name) in ["cull", "project", "blend", "frame"].into_iter().enumerate() {
+            let ratios = times[0].iter().zip(&times[1]).map(|(one, other)| other[stage] / one[stage]);
+            let median = |mut values: Vec<f64>| {
+                values.sort_by(f64::total_cmp);
+                values[values.len() / 2]
+            };
+            let [one, other] = [0, 1].map(|case| median(times[case].iter().map(|t| t[stage]).collect()));
+            println!("{name} | {one:.1} | {other:.1} | {:.3}", median(ratios.collect()));
+        }
         in_flight.destroy(host);
     });
 }

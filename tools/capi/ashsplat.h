@@ -69,13 +69,20 @@ typedef enum AshsplatExtent {
   AshsplatExtent_Reference = 1,
 } AshsplatExtent;
 
-// What kernels do with an image.
+// What an image is in a frame: one value for each field of AshsplatRecordedFrame. Each has formats of its own; others are refused.
 typedef enum AshsplatImageUse {
-  // They write it: a target.
-  AshsplatImageUse_Storage = 0,
-  // They read it: a depth image, of format D16_UNORM, X8_D24_UNORM_PACK32, D32_SFLOAT, D16_UNORM_S8_UINT, D24_UNORM_S8_UINT,
+  // Colours are written into it. R8G8B8A8 or B8G8R8A8, UNORM or SRGB; A2B10G10R10_UNORM_PACK32, B10G11R11_UFLOAT_PACK32,
+  // R16G16B16A16_SFLOAT or R32G32B32A32_SFLOAT.
+  AshsplatImageUse_Target = 0,
+  // The host's depth, which hides splats. D16_UNORM, X8_D24_UNORM_PACK32, D32_SFLOAT, D16_UNORM_S8_UINT, D24_UNORM_S8_UINT,
   // D32_SFLOAT_S8_UINT, R16_UNORM, R16_SFLOAT or R32_SFLOAT.
-  AshsplatImageUse_Sampled = 1,
+  AshsplatImageUse_Occluder = 1,
+  // The expected depth is written into it. R32_SFLOAT.
+  AshsplatImageUse_Depth = 2,
+  // What is seen at each pixel is written into it. R32G32B32A32_UINT.
+  AshsplatImageUse_Pick = 3,
+  // The motion of each pixel is written into it. R16G16_SFLOAT.
+  AshsplatImageUse_Motion = 4,
 } AshsplatImageUse;
 
 // Directions within which the projection is linearised at the Gaussian itself. Outside, it is linearised at
@@ -436,7 +443,7 @@ typedef struct AshsplatTarget {
 typedef struct AshsplatOccluder {
   // Set by ASHSPLAT_INIT.
   uint32_t struct_size;
-  // The depth image, adopted for AshsplatImageUse_Sampled.
+  // The depth image, adopted for AshsplatImageUse_Occluder.
   struct AshsplatHostImage depth;
   // How to read it: ashsplat_camera_from_matrices.
   struct AshsplatDepthMapping mapping;
@@ -881,8 +888,8 @@ enum AshsplatStatus ashsplat_merge_features(void *vulkan12,
 enum AshsplatStatus ashsplat_context_from_foreign(const struct AshsplatForeignDevice *host,
                                                   struct AshsplatContext **context);
 
-// A view of a host's image for kernels: `purpose` is an AshsplatImageUse. Messages and debuggers call it after what its format is
-// for: 'color', 'depth', 'pick', 'motion', or 'occluder' where it is sampled.
+// A view of a host's image for kernels: `purpose` is an AshsplatImageUse. Messages and debuggers call it after that: 'target',
+// 'occluder', 'depth', 'pick' or 'motion'.
 //
 // # Safety
 // The image is of the context's device, is what `host` says, is bound to memory, and outlives the view and
@@ -1249,7 +1256,7 @@ enum AshsplatStatus ashsplat_trainer_new_from_points(const struct AshsplatContex
                                                      struct AshsplatTrainer **trainer);
 
 // Goes on from a file of ashsplat_trainer_checkpoint or of the program, to the same bits as a training that was never stopped. The
-// other arguments are those of the training that wrote it, except for the number of iterations.
+// other arguments are those of the training that wrote it, except for the number of iterations. `trainer` is NULL after an error.
 //
 // # Safety
 // As ashsplat_trainer_new; `path` is a C string.

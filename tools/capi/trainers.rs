@@ -101,7 +101,7 @@ pub unsafe extern "C" fn ashsplat_trainer_new_from_points(
 }
 
 /// Goes on from a file of ashsplat_trainer_checkpoint or of the program, to the same bits as a training that was never stopped. The
-/// other arguments are those of the training that wrote it, except for the number of iterations.
+/// other arguments are those of the training that wrote it, except for the number of iterations. `trainer` is NULL after an error.
 ///
 /// # Safety
 /// As ashsplat_trainer_new; `path` is a C string.

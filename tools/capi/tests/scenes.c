@@ -161,7 +161,7 @@ int main(int count, char **arguments) {
     AshsplatImage *target = NULL, *walls = NULL, *distances = NULL, *wrong = NULL;
     EXPECT(ashsplat_image_adopt(context, &color.description, AshsplatImageUse_Occluder, &wrong) == AshsplatStatus_Argument && wrong == NULL);
     EXPECT(ashsplat_image_adopt(context, &color.description, 5, &wrong) == AshsplatStatus_Argument);
-    EXPECT(strstr(ashsplat_last_error(), "purpose: 2, there are 0 to 1") != NULL);
+    EXPECT(strstr(ashsplat_last_error(), "purpose: 5, there are 0 to 4") != NULL);
     /* Depth of several samples is resolved first. */
     AshsplatForeignImage multisampled = depth.description;
     multisampled.samples = 4;
