@@ -345,7 +345,7 @@ int main(int count, char **arguments) {
     EXPECT(strstr(ashsplat_last_error(), "pick.to.image: the pointer is null") != NULL);
     pick.to.image = moved;
     EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
-    EXPECT(strstr(ashsplat_last_error(), "pick (image 'motion'): format R16G16_SFLOAT is not") != NULL);
+    EXPECT(strstr(ashsplat_last_error(), "pick (image 'motion'): it was adopted for AshsplatImageUse_Motion, not for AshsplatImageUse_Pick") != NULL);
     pick.to.image = picked;
     motion.to.image = NULL;
     EXPECT(ashsplat_record(renderer, commands, 0, &frame, NULL) == AshsplatStatus_Argument);
