@@ -40,6 +40,7 @@ mod counting;
 mod cut_outs;
 mod faults;
 mod frames;
+mod guides_guest;
 mod lifetimes;
 mod memory_of_hosts;
 mod orthographic;
