@@ -4,7 +4,7 @@
 //!
 //! - [program](guide::program), [data sets](guide::data_sets), [formats](guide::formats), [viewer](guide::viewer)
 //! - [first frame](guide::first_frame), [first training](guide::first_training), [parts](guide::parts)
-//! - [masks and memory](guide::masks_and_memory), [checkpoints](guide::checkpoints)
+//! - [masks and memory](guide::masks_and_memory), [checkpoints](guide::checkpoints), [blocks](guide::blocks), [tiles](guide::tiles)
 //! - [measuring](guide::measuring), [profiling](guide::profiling)
 //! - [determinism](guide::determinism), [faults](guide::faults)
 //! - [how it works](guide::how_it_works), [embedding](guide::embedding), [colour](guide::colour)

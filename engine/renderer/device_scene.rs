@@ -25,8 +25,8 @@ impl DeviceScene {
         Self { context: context.clone(), buffers, parameters }
     }
 
-    /// Uploads a scene with a capacity of at least `capacity` Gaussians. Submits and waits if the memory
-    /// cannot be mapped.
+    /// Uploads a scene with room for `capacity` Gaussians, or for as many as there are: 0 for no more than these. Where the memory
+    /// cannot be mapped it submits a copy and waits for that, which comes behind what the host has submitted to the queue before.
     ///
     /// # Errors
     /// [`Error::Argument`] when the vectors differ in length; allocation failures.

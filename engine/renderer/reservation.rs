@@ -22,7 +22,7 @@ pub struct Reservation {
     /// Whether views whose depths are the same, as those of two eyes side by side, are culled and sorted once: see
     /// [`Renderer::record_views`](super::Renderer::record_views). 256 bytes for each scene and view, and more kernels.
     pub shared_sort: bool,
-    /// Gaussians of all scenes of a frame together.
+    /// Gaussians of all scenes of a frame together, as many as are drawn ([`DeviceScene::count`](super::DeviceScene::count)).
     pub gaussians: u32,
     /// Scenes of a frame.
     pub scenes: u32,

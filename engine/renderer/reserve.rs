@@ -45,11 +45,11 @@ impl Renderer {
 
     /// As [`Renderer::reserve`], while frames are in flight: nobody waits. Every slot takes the new memory over with
     /// its next recording, with [`Reservation::images_only`] also with its release. The old memory is freed when no slot uses
-    /// it any more. Until then there is memory for both. The number of slots stays. What is reserved already is not reserved
+    /// it any more. Until then there is memory for both. The numbers of slots and of views stay. What is reserved already is not reserved
     /// again. What is wanted replaces what was reserved: less than before gives memory back.
     ///
     /// # Errors
-    /// As [`Renderer::reserve`]; [`Error::Argument`] without slots, or for another number of them. The slots then are as
+    /// As [`Renderer::reserve`]; [`Error::Argument`] without slots, or for another number of them or of views. The slots then are as
     /// before.
     pub fn grow(&mut self, wanted: &Reservation) -> Result<()> {
         self.grow_by(wanted, None)

@@ -283,8 +283,8 @@ impl Trainer {
         }
     }
 
-    /// Number of finished iterations. Recorded ones count once they have finished and [`Trainer::settle`] has
-    /// been called.
+    /// Number of finished iterations. Recorded ones count once they have finished and [`Trainer::settle`] or
+    /// [`Trainer::step_outcome`] has been called.
     pub fn iteration(&self) -> u32 {
         self.state.progress.iteration
     }

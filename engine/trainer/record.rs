@@ -128,8 +128,8 @@ impl Trainer {
     /// It only records: it neither submits nor waits, allocates or maps device memory, or reads anything
     /// back. Everything is checked before the first command. The slot is then in flight until the device has
     /// executed the recording. Recorded steps must be executed in the order of recording. Between them the
-    /// host may render [`Trainer::scene`] with [`Renderer::record`](crate::Renderer::record), after waiting
-    /// for the [`Release`].
+    /// host may render [`Trainer::scene`] with [`Renderer::record`](crate::Renderer::record): in the same queue without a
+    /// barrier, in another one behind a semaphore.
     ///
     /// # Errors
     /// [`Error::Argument`] for a slot that is not reserved or still in flight; for commands of another
@@ -401,8 +401,8 @@ impl Trainer {
     }
 
     /// The Gaussians on the device, for [`Renderer::record`](crate::Renderer::record) after recorded steps.
-    /// Valid until the next [`Trainer::maintain`] or [`Trainer::step`]. `RenderSettings::sh_degree` should be
-    /// [`Trainer::sh_degree`]. Of a block, without [`Trainer::surroundings`].
+    /// Valid until the next [`Trainer::maintain`] or [`Trainer::step`]. Its [`SceneSettings::sh_degree`](crate::SceneSettings::sh_degree)
+    /// should be [`Trainer::sh_degree`], which rises as it trains. Of a block, without [`Trainer::surroundings`].
     pub fn scene(&self) -> DeviceScene {
         DeviceScene::of(&self.context, self.state.model.scene.clone())
     }

@@ -258,6 +258,10 @@ impl fmt::Display for Requirements {
             writeln!(f, "{head:20} {name} (without: {without})")?;
             head = "";
         }
+        writeln!(
+            f,
+            "{head:20} robustBufferAccess (without: a host that records single stages sees to their counts)"
+        )?;
         for optional in self.optional_extensions.iter().chain(&self.optional_instance_extensions) {
             writeln!(f, "{head:20} {} (without: {})", optional.name.to_string_lossy(), optional.without)?;
             head = "";
