@@ -71,6 +71,9 @@ pub struct Reservation {
 }
 
 impl Reservation {
+    /// The most that [`Reservation::scenes`] may be.
+    pub const MAX_SCENES: u32 = 65_536;
+
     /// A reservation for one frame in flight of one scene, for one queue, with all options off.
     pub fn new(gaussians: u32, sh_degree: u32, width: u32, height: u32) -> Self {
         Self {
@@ -143,10 +146,10 @@ impl Reservation {
             ("slots", self.slots, 1..=1024),
             ("queues", self.queues, 1..=1024),
             ("views", self.views, 1..=1024),
-            ("scenes", self.scenes, 1..=65_536),
+            ("scenes", self.scenes, 1..=Self::MAX_SCENES),
             ("blend_passes", self.blend_passes, 0..=65_536),
             ("sh_degree", self.sh_degree, 0..=3),
-            ("cut_outs", self.cut_outs, 0..=65_536 * MAX_CUT_OUTS as u32),
+            ("cut_outs", self.cut_outs, 0..=Self::MAX_SCENES * MAX_CUT_OUTS as u32),
         ];
         match counts.into_iter().find(|(_, count, range)| !range.contains(count)) {
             Some((field, count, range)) => {

@@ -139,7 +139,8 @@ impl Picture {
         };
         let wanted = Reservation {
             slots: FRAMES_IN_FLIGHT,
-            scenes,
+            // A tree may have more tiles than a frame can draw.
+            scenes: scenes.min(Reservation::MAX_SCENES),
             images_only: true,
             blend_passes: before.map_or(1, |old| old.blend_passes),
             ..Reservation::new(gaussians, self.sh_degree, size[0], size[1])
