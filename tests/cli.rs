@@ -6,6 +6,7 @@ mod blocks;
 mod checkpoints;
 mod commands;
 mod convert;
+mod exchange;
 mod few_photos;
 mod init;
 mod inspect;

@@ -397,7 +397,7 @@ impl Checkpoint {
 }
 
 /// The settings that differ, each as "name was there, is here".
-fn difference(there: &TrainSettings, here: &TrainSettings) -> Option<String> {
+pub(super) fn difference(there: &TrainSettings, here: &TrainSettings) -> Option<String> {
     let (there, here) = (there.values(), here.values());
     let differing = there.iter().zip(&here).filter(|(there, here)| there != here);
     let said: Vec<String> =

@@ -11,6 +11,7 @@ mod budget;
 pub mod checkpoint;
 mod choices;
 mod depth_maps;
+mod exchange;
 mod forecast;
 mod iteration;
 mod light;

@@ -7,18 +7,18 @@ use ashsplat::scene::Bounds;
 use ashsplat_files::splats::{self, ReadOptions};
 use serde_json::Value;
 
-fn read(path: &Path) -> Gaussians {
+pub(super) fn read(path: &Path) -> Gaussians {
     splats::read(path, &ReadOptions::default()).expect("Gaussians").gaussians
 }
 
 /// A data set and a coarse model of it.
-fn place() -> Place {
+pub(super) fn place() -> Place {
     let place = Place::new();
     assert_trained(&place.train("coarse", &["--iterations", "12", "--eval"]));
     place
 }
 
-fn partition(place: &Place, file: &str, more: &[&str]) -> Finished {
+pub(super) fn partition(place: &Place, file: &str, more: &[&str]) -> Finished {
     let (coarse, out) = (place.model("coarse"), place.model(file));
     let given = ["partition", "--coarse", text(&coarse), "-o", text(&out), "--iterations", "14"];
     // Faint after so few steps.
@@ -27,30 +27,30 @@ fn partition(place: &Place, file: &str, more: &[&str]) -> Finished {
 }
 
 /// Of a few steps, with the few degrees of SH that the coarse model has.
-fn job(place: &Place, number: u32, more: &[&str]) -> Finished {
+pub(super) fn job(place: &Place, number: u32, more: &[&str]) -> Finished {
     let job = format!("{}:{number}", text(&place.model("blocks.json")));
     finish(program().args(["train", "--job", &job, "--quiet", "--sh-degree", "1"]).args(more))
 }
 
-fn merge(place: &Place, out: &str) -> Finished {
+pub(super) fn merge(place: &Place, out: &str) -> Finished {
     let (blocks, out) = (place.model("blocks.json"), place.model(out));
     finish(program().args(["merge", text(&blocks), "-o", text(&out)]))
 }
 
 /// Of each block how far it is, and how many are trained.
-fn status(place: &Place) -> (Vec<Value>, Value) {
+pub(super) fn status(place: &Place) -> (Vec<Value>, Value) {
     let told = succeed(&["blocks", text(&place.model("blocks.json")), "--json"]);
     let told: Value = serde_json::from_str(&told).expect("JSON");
     (told["blocks"].as_array().expect("blocks").clone(), told["trained"].clone())
 }
 
-fn division(place: &Place) -> Value {
+pub(super) fn division(place: &Place) -> Value {
     let text = std::fs::read_to_string(place.model("blocks.json")).expect("blocks.json");
     serde_json::from_str(&text).expect("JSON")
 }
 
 /// A cell; null is no border.
-fn core(block: &Value) -> Bounds {
+pub(super) fn core(block: &Value) -> Bounds {
     let corner = |name: &str, end: f32| {
         Vec3::from_array(
             [0, 1, 2].map(|axis| block["core"][name][axis].as_f64().map_or(end, |side| side as f32)),

@@ -71,6 +71,8 @@ enum State {
     /// By whom.
     Training(String),
     Stopped,
+    /// At the end of this round: it waits for the exchange.
+    Exchange(u32),
     Trained,
     /// Of another division.
     Other,
@@ -97,10 +99,13 @@ impl Status<'_> {
         let rows = Rows::read(&folder.join(LOG_FILE)).unwrap_or_default();
         let last = |column: &[f64]| column.iter().rev().copied().find(|value| value.is_finite());
         let iteration = last(&rows.iterations).unwrap_or(0.0) as u32;
+        let round = file.exchanges() + 1;
+        let waits = file.ended_own(block).is_some_and(|ended| ended.round == round);
         let state = match (result::noted(file, block), trainer(&folder)) {
             (_, Some(holder)) => State::Training(holder),
             (Some(true), None) => State::Trained,
             (Some(false), None) => State::Other,
+            (None, None) if waits => State::Exchange(round),
             (None, None) if iteration > 0 => State::Stopped,
             (None, None) => State::Waiting,
         };
@@ -120,6 +125,7 @@ impl Status<'_> {
 
     fn word(&self) -> &'static str {
         match self.state {
+            State::Exchange(_) => "waiting for an exchange",
             State::Waiting => "waiting",
             State::Training(_) => "training",
             State::Stopped => "stopped",
@@ -132,6 +138,9 @@ impl Status<'_> {
         let Status { block, iteration, .. } = self;
         let mut line = format!("block {}: {}, {iteration}/{}", block.number, self.word(), block.iterations);
         let mut add = |what: Option<String>| line.extend(what.map(|what| format!(", {what}")));
+        if let State::Exchange(round) = self.state {
+            add(Some(format!("round {round} done")));
+        }
         add(self.psnr.map(|psnr| format!("{psnr:.2} dB")));
         add(self.iterations_per_second.map(|speed| format!("{speed:.1} it/s")));
         add(self.gaussians.map(|count| format!("{} Gaussians", thousands(count))));

@@ -3,6 +3,7 @@
 pub mod job;
 pub mod places;
 pub mod result;
+pub mod rounds;
 
 use ashsplat::fingerprint::Fingerprint;
 use ashsplat::scene::{Bounds, Cells};
@@ -38,7 +39,18 @@ pub struct Division {
     pub max_gaussians: u64,
     /// Those that training the whole would take.
     pub iterations: u32,
+    /// In how many rounds each block is trained, with an exchange between them.
+    #[serde(default = "one", skip_serializing_if = "is_one")]
+    pub rounds: u32,
     pub blocks: Vec<Block>,
+}
+
+fn one() -> u32 {
+    1
+}
+
+fn is_one(rounds: &u32) -> bool {
+    *rounds == 1
 }
 
 /// What all blocks are trained on.
@@ -194,6 +206,7 @@ impl Division {
         if let Some(block) = self.blocks.iter().find(|block| block.photos.is_empty()) {
             return Err(format!("block {} has no photos to train on", block.number));
         }
+        self.check_rounds()?;
         self.cells().map(drop).map_err(|error| error.to_string())
     }
 }

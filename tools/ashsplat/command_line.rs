@@ -1,8 +1,8 @@
 //! The command line and how it is read.
 
 use crate::{
-    bench, block_status, convert, demo, devices, eval, info, inspect, merge, output, partition, poses,
-    profile, render, tiles, train, view,
+    bench, block_status, convert, demo, devices, eval, exchange, info, inspect, merge, output, partition,
+    poses, profile, render, tiles, train, view,
 };
 use ashsplat::Result;
 use clap::error::{ContextKind, ContextValue, ErrorKind};
@@ -42,6 +42,8 @@ pub enum Command {
     Partition(Box<partition::Arguments>),
     /// How far the training of each block is
     Blocks(block_status::Arguments),
+    /// Between two rounds of training in blocks: give each what its neighbours have trained
+    Exchange(exchange::Arguments),
     /// Merge trained blocks into one scene
     Merge(merge::Arguments),
     /// Write a scene as a tree of tiles for viewers that stream: 3D Tiles

@@ -27,6 +27,7 @@ mod cpu_time;
 mod demo;
 mod devices;
 mod eval;
+mod exchange;
 mod film_file;
 mod guarded;
 mod html;
@@ -97,6 +98,7 @@ fn run(command: command_line::Command) -> Result<ExitCode> {
         Command::Convert(arguments) => convert::run(&arguments),
         Command::Partition(arguments) => partition::run(&arguments),
         Command::Blocks(arguments) => block_status::run(&arguments),
+        Command::Exchange(arguments) => exchange::run(&arguments),
         Command::Merge(arguments) => merge::run(&arguments),
         Command::Tiles(arguments) => tiles::run(&arguments),
         Command::Inspect(arguments) => inspect::run(&arguments),

@@ -5,6 +5,7 @@ mod likeness;
 mod plan;
 
 use crate::args::{DeviceArguments, MAX_MEMORY_IN_PARTITION};
+use crate::blocks::rounds::MAX_ROUNDS;
 use crate::blocks::{
     self, Block, BlocksFile, Coarse, Core, DatasetOfBlocks, Division, MAX_BLOCKS, cameras_hash, stored,
 };
@@ -55,6 +56,10 @@ pub struct Arguments {
     /// at as often
     #[arg(long, value_name = "N", default_value_t = 30_000, value_parser = clap::value_parser!(u32).range(1..))]
     iterations: u32,
+    /// Train in so many rounds, with `ashsplat exchange` between two: a block's margin and what it sees around it are then what the
+    /// neighbours have trained there, not the coarse model; better seams
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=MAX_ROUNDS.into()))]
+    rounds: u32,
     /// Draw cells, seams, margins, cameras and Gaussians from above
     #[arg(long, value_name = "FILE.svg")]
     plot: Option<PathBuf>,
@@ -117,6 +122,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         cells: &cells,
         shares: &shares,
     })?;
+    division.check_rounds().map_err(|problem| Error::argument("--rounds", problem))?;
     session::check(&stop)?;
     output::in_folder(&arguments.out, |path| {
         let _lock = FolderLock::take(folder_of(path), &WORK)?;
@@ -290,6 +296,7 @@ impl Arguments {
             min_share: self.min_share,
             max_gaussians: self.max_gaussians,
             iterations: self.iterations,
+            rounds: self.rounds,
             blocks,
         })
     }
@@ -307,8 +314,12 @@ impl Arguments {
             );
         }
         let out = self.out.display();
+        let exchange = match division.rounds {
+            1 => String::new(),
+            rounds => format!(", and ashsplat exchange {out} after each of {rounds} rounds but the last"),
+        };
         say!(
-            "written to {out}; train each: ashsplat train --job {out}:1, and then: ashsplat merge {out} -o scene.ply"
+            "written to {out}; train each: ashsplat train --job {out}:1{exchange}, and then: ashsplat merge {out} -o scene.ply"
         );
     }
 }

@@ -1,5 +1,6 @@
 //! `ashsplat train`.
 
+mod accounting;
 mod allowance;
 mod checkpoints;
 mod folder;
@@ -10,6 +11,7 @@ mod outside;
 mod poses;
 mod prepared;
 mod report;
+mod rounds;
 mod saving;
 mod testing;
 #[cfg(test)]
@@ -20,11 +22,12 @@ mod verify;
 use crate::args::{DeviceArguments, MAX_MEMORY_IN_TRAINING, bytes};
 use crate::blocks::job::Job;
 use crate::blocks::result;
+use crate::blocks::rounds::Stage;
 use crate::config::{Overrides, Settings};
 use crate::eval::LpipsArguments;
 use crate::lock::FolderLock;
 use crate::measure::{Cost, Stopwatch};
-use crate::progress::{State, TrainProgress, thousands};
+use crate::progress::TrainProgress;
 use crate::session;
 use ashsplat::plan::to_u32;
 use ashsplat::scene::Camera;
@@ -33,6 +36,7 @@ use ashsplat::vk::Context;
 use ashsplat::{Error, Result};
 use ashsplat_files::{Dataset, View};
 use checkpoints::StartFrom;
+pub use checkpoints::path as checkpoint_path;
 use clap::{Args, value_parser};
 pub use folder::trainer;
 use live::{Live, LiveArguments};
@@ -126,13 +130,19 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     if writes && is_asked_again && job.as_ref().is_some_and(result::is_done) {
         return say_complete(&settings);
     }
+    let stage = rounds::stage(job.as_ref(), &settings)?;
+    if let Some(stage) = stage.as_ref().filter(|stage| writes && is_asked_again && stage.is_done) {
+        stage.say_done();
+        return Ok(());
+    }
+    let from = rounds::start(arguments.start_checkpoint.as_ref(), stage.as_ref(), model);
     let lpips = FinalLpips::read(&arguments.lpips, &arguments.device.host)?;
     let doors = if writes { arguments.live.open()? } else { None };
     // Open the device first, so that its absence is reported before the photos are loaded.
     let host = &arguments.device.host;
     let offload = arguments.offload.map(|size| size.unwrap_or_else(|| host.memory().limit()));
     let context = arguments.device.context_with(|options| options.offload = offload)?;
-    let origin = Origin::read(arguments.start_checkpoint.as_ref(), &settings, host)?;
+    let origin = Origin::read(from.as_ref(), &settings, stage.as_ref().and_then(Stage::surroundings), host)?;
     job.as_ref().map_or(Ok(()), |job| job.check_coarse(&settings.data.init))?;
     if writes && job.is_none() && origin.is_complete(&settings) {
         return say_complete(&settings);
@@ -171,16 +181,18 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     run.repeat(&arguments.device, arguments.photo_memory, arguments.offload);
     run.track_within(arguments.eval_share);
     run.lpips = lpips;
+    if let Some(stage) = &stage {
+        run.stop_at_end_of(stage);
+    }
     run.look_on(doors, &context, gallery)?;
     // Nothing is lost yet.
     session::check(&stop)?;
     let interrupted = run.train(&stop)?;
     run.report();
-    if let (Some(job), false) = (&job, interrupted) {
-        result::note(job, &folder, run.settings.train.iterations)?;
-    }
+    let ended = job.as_ref().zip(stage.as_ref()).filter(|_| !interrupted);
+    ended.map_or(Ok(()), |(job, stage)| run.note_end(job, stage))?;
     say!("written to {}", folder.display());
-    if !interrupted && !arguments.quiet {
+    if !interrupted && !arguments.quiet && stage.is_none_or(|stage| stage.is_last()) {
         say_what_next(&folder, run.held_out);
     }
     arguments.device.report_validation(&context);
@@ -228,6 +240,10 @@ pub struct Run {
     kernels: KernelTimes,
     /// What else to type to go on with the same bits.
     repeated: String,
+    /// The iteration that it stops at.
+    until: u32,
+    /// Whether it is one of several rounds.
+    is_in_rounds: bool,
     /// Who looks on.
     live: Option<Live>,
     /// Last, because it is given up last.
@@ -279,6 +295,7 @@ impl Run {
         quiet: bool,
     ) -> Run {
         let tracking = Tracking::new(&test, &settings.train, tracking::SHARE);
+        let until = settings.train.iterations;
         Run {
             progress: TrainProgress::new(trainer.iteration(), &settings.train, quiet),
             started: trainer.iteration(),
@@ -305,6 +322,8 @@ impl Run {
             unsaved: Unsaved::default(),
             kernels: KernelTimes::new(context),
             repeated: String::new(),
+            until,
+            is_in_rounds: false,
             live: None,
             _lock: lock,
         }
@@ -331,7 +350,7 @@ impl Run {
         }
         let interrupted = result?;
         log?;
-        if let Err(error) = report::write(self, interrupted) {
+        if let Err(error) = report::write(self, interrupted || self.until < self.settings.train.iterations) {
             self.progress.warn(&format!("warning: no report: {error}"));
         }
         Ok(interrupted)
@@ -351,7 +370,7 @@ impl Run {
             // All that is missing is what could not be saved.
             self.keep(self.started, false, watch)?;
         }
-        for _ in self.started..self.settings.train.iterations {
+        for _ in self.started..self.until {
             let report = self.timed_step()?;
             self.show(&report, stop, watch);
             let stopping = stop.load(Ordering::Relaxed);
@@ -380,52 +399,6 @@ impl Run {
             kept?;
         }
         Ok(false)
-    }
-
-    /// An iteration over nothing is the last.
-    fn check(&self, report: &StepReport) -> Result<()> {
-        if report.gaussians > 0 {
-            return Ok(());
-        }
-        let problem = format!(
-            "pruning left no Gaussians for iteration {}; lower --min-opacity (it is {}) or densify later",
-            report.iteration, self.settings.train.min_opacity
-        );
-        Err(Error::argument("training", problem))
-    }
-
-    /// Counts and shows an iteration.
-    fn account(&mut self, report: &StepReport) {
-        self.gaussians = report.gaussians;
-        self.non_finite += u64::from(report.skipped_non_finite);
-        if report.densified.is_some_and(|densified| densified.limited) && !self.limited {
-            self.limited = true;
-            let (count, used) = (thousands(u64::from(report.gaussians)), self.trainer.memory_bytes() >> 20);
-            self.progress.warn(&format!(
-                "warning: iteration {}: no room for all the Gaussians that densification would add to {count} \
-                 ({used} MiB in use, or the device's limits): those with the largest gradients are added, as far as \
-                 they fit",
-                report.iteration
-            ));
-        }
-        if report.skipped {
-            if self.skipped == 0 {
-                self.progress.warn(&format!(
-                    "warning: iteration {} is left out: its frame has {} (tile, Gaussian) instances, more than the device's \
-                     limits or the memory hold; densification adds nothing until there are fewer. Smaller photos (-r 2), \
-                     more --max-memory or a higher --densify-grad-threshold help",
-                    report.iteration,
-                    thousands(report.instances.into())
-                ));
-            }
-            self.skipped += 1;
-        }
-        self.progress.step(&State {
-            iteration: report.iteration,
-            loss: report.loss,
-            gaussians: report.gaussians,
-            memory_bytes: self.trainer.memory_bytes(),
-        });
     }
 
     /// The trained scene.

@@ -1,6 +1,7 @@
 //! What a block's training leaves for the merge: `block.json` in its model folder, written when all is done.
 
 use super::job::Job;
+use super::rounds::ROUND_FILE;
 use super::{Block, BlocksFile};
 use crate::{model, output};
 use ashsplat::{Error, Result};
@@ -36,9 +37,9 @@ pub fn is_done(job: &Job) -> bool {
     matches!(scene_of(&job.file, job.block()), Ok(Ok(_)))
 }
 
-/// Whether any training in a folder has been noted as being at its end.
+/// Whether any training in a folder has been noted as being at its end, or at that of a round.
 pub fn is_noted(folder: &Path) -> bool {
-    folder.join(RESULT_FILE).is_file()
+    [RESULT_FILE, ROUND_FILE].iter().any(|note| folder.join(note).is_file())
 }
 
 /// Whether the training of a block has been noted as being at its end for this division, and not for another one; None where there is

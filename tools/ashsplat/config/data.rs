@@ -1,5 +1,6 @@
 //! The data of a run.
 
+use ashsplat::trainer::SceneBlock;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
@@ -97,6 +98,28 @@ pub enum Outside {
     Drawn,
     /// It is left out, and pixels that show it do not count
     Masked,
+}
+
+impl Outside {
+    /// How far from a block's core Gaussians are drawn, trained or not; None for everywhere. Masked, what is trained is all that is
+    /// drawn at first. After an exchange its outermost Gaussians have been trained by neighbours, beside others of theirs: these are drawn,
+    /// as far again as the margin.
+    pub fn reach(self, margin: f32, exchanged: bool) -> Option<f32> {
+        match (self, exchanged) {
+            (Outside::Drawn, _) => None,
+            (Outside::Masked, true) => Some(2.0 * margin),
+            (Outside::Masked, false) => Some(margin),
+        }
+    }
+
+    /// The block with what is drawn around it, of all that lies there.
+    pub fn leave(self, block: SceneBlock, margin: f32, exchanged: bool) -> SceneBlock {
+        let SceneBlock { core, mut frozen } = block;
+        if let Some(reach) = self.reach(margin, exchanged) {
+            frozen.retain(|all, row| SceneBlock::contains(core, reach, all.means[row]));
+        }
+        SceneBlock { core, frozen }
+    }
 }
 
 /// Whether something is done; auto where it is known to help.

@@ -28,6 +28,8 @@ pub enum StartFrom {
     /// The same, or the beginning where there is none: for schedulers that try again.
     Auto,
     File(PathBuf),
+    /// What an exchange has made of the checkpoint at the end of a round.
+    Exchanged(PathBuf),
 }
 
 impl From<OsString> for StartFrom {
@@ -56,7 +58,7 @@ impl Start {
                 Some(path) => path,
                 None => return Ok(None),
             },
-            StartFrom::File(path) => path.clone(),
+            StartFrom::File(path) | StartFrom::Exchanged(path) => path.clone(),
         };
         let checkpoint = Checkpoint::read_within(&path, &host.memory())?;
         Ok(Some(Start { from: from.clone(), path, checkpoint }))
@@ -227,7 +229,7 @@ impl Run {
         let data = &self.settings.data;
         let (folder, iteration) = (&data.model_path, checkpoint.iteration);
         let path = match data.checkpoint_every {
-            0 => write(folder, checkpoint)?,
+            0 if !self.is_in_rounds => write(folder, checkpoint)?,
             _ => write_passing(folder, checkpoint, data.checkpoint_iterations.contains(&iteration))?,
         };
         self.checkpointed = Some(iteration);
@@ -271,14 +273,20 @@ pub fn names(folder: &Path) -> Vec<PathBuf> {
     let found = output::names(folder).into_iter();
     let notes = [LAST_FILE, PASSING_FILE];
     found
-        .filter(|name| notes.contains(&name.as_str()) || iteration_of(name).is_some())
+        .filter(|name| {
+            notes.contains(&name.as_str()) || iteration_of(name).or(number_of(name, "exchanged")).is_some()
+        })
         .map(PathBuf::from)
         .collect()
 }
 
 /// N of chkpntN.safetensors.
 fn iteration_of(name: &str) -> Option<u32> {
-    name.strip_prefix("chkpnt")?.strip_suffix(EXTENSION)?.strip_suffix('.')?.parse().ok()
+    number_of(name, "chkpnt")
+}
+
+fn number_of(name: &str, kind: &str) -> Option<u32> {
+    name.strip_prefix(kind)?.strip_suffix(EXTENSION)?.strip_suffix('.')?.parse().ok()
 }
 
 /// The checkpoint noted last, if it is there; else the one with the highest iteration.
@@ -290,6 +298,11 @@ fn newest(folder: &Path) -> Option<PathBuf> {
     }
     let highest = names(folder).iter().filter_map(|name| iteration_of(name.to_str()?)).max();
     highest.map(|iteration| path(folder, iteration))
+}
+
+/// The iteration of the newest checkpoint.
+pub fn newest_iteration(folder: &Path) -> Option<u32> {
+    iteration_of(newest(folder)?.file_name()?.to_str()?)
 }
 
 fn no_checkpoint(folder: &Path) -> Error {

@@ -4,6 +4,7 @@ use super::poses::POSES_FILE;
 use super::report::REPORT_FILE;
 use super::{LOG_FILE, checkpoints};
 use crate::blocks::result::RESULT_FILE;
+use crate::blocks::rounds::ROUND_FILE;
 use crate::config::{CAMERAS_FILE, CFG_ARGS_FILE, SETTINGS_FILE, Settings};
 use crate::lock::{self, FolderLock, Work};
 use crate::{eval, model, output};
@@ -76,7 +77,7 @@ fn remove_leftovers(folder: &Path) {
 }
 
 /// The files that a training leaves in its folder, beside the checkpoints.
-const LEFT: [&str; 13] = [
+const LEFT: [&str; 14] = [
     model::LAST_ITERATION_FILE,
     SETTINGS_FILE,
     CFG_ARGS_FILE,
@@ -90,6 +91,7 @@ const LEFT: [&str; 13] = [
     LENS_FILE,
     POSES_FILE,
     RESULT_FILE,
+    ROUND_FILE,
 ];
 
 /// Files that no data set has: where one of them is, a training was.

@@ -19,6 +19,8 @@ pub struct Origin {
     start: Option<Box<Start>>,
     /// The Gaussians of a file, `--init`.
     scene: Option<Gaussians>,
+    /// What an exchange has made of it, where the first one is needed too: for masks.
+    exchanged: Option<Gaussians>,
     /// Whether a checkpoint is of a block, among points.
     needs_points: bool,
 }
@@ -35,8 +37,13 @@ pub struct First {
 
 impl Origin {
     /// What was asked for; a checkpoint comes before `--init`, with which its training may have begun. Warns where a scene was
-    /// trained with another low-pass filter.
-    pub fn read(from: Option<&StartFrom>, settings: &Settings, host: &HostArguments) -> Result<Origin> {
+    /// trained with another low-pass filter. `exchanged`: the scene around a block after an exchange.
+    pub fn read(
+        from: Option<&StartFrom>,
+        settings: &Settings,
+        exchanged: Option<&Path>,
+        host: &HostArguments,
+    ) -> Result<Origin> {
         let data = &settings.data;
         let start = from.map(|from| Start::find(from, &data.model_path, host)).transpose()?.flatten();
         let start = start.map(Box::new);
@@ -52,7 +59,7 @@ impl Origin {
         }
         let (goes_on, has_block) = (start.is_some(), data.block()?.is_some());
         if data.init.as_os_str().is_empty() || goes_on && !has_block {
-            return Ok(Origin { start, scene: None, needs_points: !goes_on || has_block });
+            return Ok(Origin { start, needs_points: !goes_on || has_block, ..Origin::default() });
         }
         let whole = |path: &Path| path.canonicalize().ok();
         let (init, model) = (whole(&data.init), whole(&data.model_path));
@@ -60,19 +67,13 @@ impl Origin {
             let problem = "lies in the model folder (-m), from where an earlier training is moved";
             return Err(Error::input(&data.init, problem, "choose another model folder"));
         }
-        let scene = splats::read(&data.init, &host.reading(false))?;
-        if scene.gaussians.is_empty() {
-            let remedy = "give another file, or leave --init out and begin with points";
-            return Err(Error::input(&data.init, "has no Gaussians to begin with", remedy));
-        }
-        // Formats without the mark say that it is not.
-        if scene.header.antialiased && !settings.train.antialiasing {
-            tell!("warning: {}: was trained with --antialiasing; train with it, too", data.init.display());
-        }
-        for warning in &scene.warnings {
-            tell!("warning: {warning}");
-        }
-        Ok(Origin { start, scene: Some(scene.gaussians), needs_points: false })
+        let read = |path: &Path| scene_of(path, settings, host);
+        let masked = data.outside == Outside::Masked;
+        let (scene, exchanged) = match exchanged {
+            Some(exchanged) if masked => (read(&data.init)?, Some(read(exchanged)?)),
+            other => (read(other.unwrap_or(&data.init))?, None),
+        };
+        Ok(Origin { start, scene: Some(scene), exchanged, needs_points: false })
     }
 
     /// A training that begins with the data set's points.
@@ -108,18 +109,22 @@ impl Origin {
     /// How many Gaussians are trained, and how many lie around them, as far as that is known before the photos are read: of
     /// these `points`, or of so many that stand in for them.
     pub fn counts(&self, settings: &Settings, points: &PointCloud) -> Result<[usize; 2]> {
-        let means = match &self.scene {
+        let means = match self.exchanged.as_ref().or(self.scene.as_ref()) {
             Some(scene) => &scene.means,
             None => &points.positions,
         };
         let all = if means.is_empty() { settings.missing_points() } else { means.len() };
-        let inside = match settings.data.block()? {
+        let outside = settings.data.outside;
+        let [inside, drawn] = match settings.data.block()? {
             Some((core, margin)) if !means.is_empty() => {
-                means.iter().filter(|&&mean| SceneBlock::contains(core, margin, mean)).count()
+                let within =
+                    |reach| means.iter().filter(|&&mean| SceneBlock::contains(core, reach, mean)).count();
+                let inside = within(margin);
+                let reach = outside.reach(margin, self.exchanged.is_some());
+                [inside, reach.map_or(all, within) - inside]
             }
-            _ => all,
+            _ => [all, 0],
         };
-        let drawn = if settings.data.outside == Outside::Drawn { all - inside } else { 0 };
         match self.checkpoint() {
             Some(checkpoint) => Ok([checkpoint.gaussians.len(), drawn]),
             None if inside == 0 => Err(SceneBlock::nothing_inside(all)),
@@ -153,7 +158,7 @@ impl Origin {
         if goes_on && block.is_none() {
             return Ok(First { trained: None, block: None, points: None });
         }
-        let (whole, points) = match &self.scene {
+        let (whole, points) = match self.exchanged.as_ref().or(self.scene.as_ref()) {
             Some(gaussians) => (gaussians.with_sh_degree(train.sh_degree), None),
             None => {
                 let points = dataset.initial_points(u64::from(train.seed));
@@ -166,11 +171,7 @@ impl Origin {
             None => (whole, None),
             Some((core, margin)) => {
                 let (trained, block) = SceneBlock::divide(&whole, core, margin)?;
-                let block = match settings.data.outside {
-                    Outside::Drawn => block,
-                    Outside::Masked => SceneBlock { frozen: block.frozen.select(&[]), ..block },
-                };
-                (trained, Some(block))
+                (trained, Some(settings.data.outside.leave(block, margin, self.exchanged.is_some())))
             }
         };
         let beginning = (Some(trained), points);
@@ -198,4 +199,21 @@ impl Origin {
             (None, None) => unreachable!("without a checkpoint there are first Gaussians"),
         }
     }
+}
+
+/// The Gaussians of a file to begin with, with warnings.
+fn scene_of(path: &Path, settings: &Settings, host: &HostArguments) -> Result<Gaussians> {
+    let scene = splats::read(path, &host.reading(false))?;
+    if scene.gaussians.is_empty() {
+        let remedy = "give another file, or leave --init out and begin with points";
+        return Err(Error::input(path, "has no Gaussians to begin with", remedy));
+    }
+    // Formats without the mark say that it is not.
+    if scene.header.antialiased && !settings.train.antialiasing {
+        tell!("warning: {}: was trained with --antialiasing; train with it, too", path.display());
+    }
+    for warning in &scene.warnings {
+        tell!("warning: {warning}");
+    }
+    Ok(scene.gaussians)
 }

@@ -101,12 +101,13 @@ impl Run {
         let last = iteration == self.settings.train.iterations;
         let asked = self.settings.data.checkpoints_at(iteration, self.settings.train.iterations);
         let late = last && self.unsaved.checkpoint.is_some();
-        stopping || asked || late || self.unsaved.is_due(Kind::Checkpoint)
+        stopping || asked || late || self.ends_round(iteration) || self.unsaved.is_due(Kind::Checkpoint)
     }
 
     /// Writes a checkpoint now, or notes that it is to be written.
     pub(super) fn keep_checkpoint(&mut self, stopping: bool) -> Result<()> {
-        let ends = stopping || self.trainer.iteration() == self.settings.train.iterations;
+        let iteration = self.trainer.iteration();
+        let ends = stopping || iteration == self.settings.train.iterations || self.ends_round(iteration);
         self.persist(Kind::Checkpoint, ends, Run::write_checkpoint)
     }
 

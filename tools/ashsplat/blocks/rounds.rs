@@ -1,0 +1,183 @@
+//! Rounds: all blocks are trained to a share of their iterations, exchange what they have trained of each other's surroundings, and
+//! go on. This is what is noted of that, and where it lies.
+
+use super::job::Job;
+use super::{Block, BlocksFile, Division};
+use crate::config::Outside;
+use crate::output;
+use ashsplat::Result;
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+/// The note's name in a block's model folder, written at the end of a round that is not the last.
+pub const ROUND_FILE: &str = "round.json";
+/// More would be an exchange every few iterations.
+pub const MAX_ROUNDS: u32 = 100;
+/// A round ends at a multiple of this: late steps of the strategy `budget` add up the gradients of as many views, and none is to be
+/// left half made.
+const STEP: u32 = 20;
+
+/// A round that a block has come to the end of.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Ended {
+    /// Hash of the division's file.
+    pub blocks: String,
+    /// The block's number.
+    pub block: u32,
+    /// From 1.
+    pub round: u32,
+    /// That of its checkpoint.
+    pub iteration: u32,
+    /// Whether what lies around it was drawn.
+    pub outside: Outside,
+}
+
+/// An exchange that is complete.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Exchanged {
+    /// Hash of the division's file.
+    blocks: String,
+    /// The round that it came after.
+    round: u32,
+}
+
+impl Division {
+    /// The iteration at which a round (from 1) of a block ends.
+    pub fn round_end(&self, block: &Block, round: u32) -> u32 {
+        if round >= self.rounds {
+            return block.iterations;
+        }
+        let share = u64::from(block.iterations) * u64::from(round) / u64::from(self.rounds);
+        let share = share as u32;
+        if share < STEP { share } else { share / STEP * STEP }
+    }
+
+    /// Refuses rounds of which any block has one without an iteration.
+    pub fn check_rounds(&self) -> Result<(), String> {
+        let rounds = self.rounds;
+        if !(1..=MAX_ROUNDS).contains(&rounds) {
+            return Err(format!("its rounds are {rounds}, must be 1 to {MAX_ROUNDS}"));
+        }
+        for block in &self.blocks {
+            let ends: Vec<u32> = (1..=rounds).map(|round| self.round_end(block, round)).collect();
+            if ends[0] == 0 || ends.windows(2).any(|ends| ends[0] >= ends[1]) {
+                let Block { number, iterations, .. } = block;
+                return Err(format!(
+                    "block {number} has {iterations} iterations, too few for {rounds} rounds"
+                ));
+            }
+        }
+        Ok(())
+    }
+}
+
+impl BlocksFile {
+    /// Where the exchange after a round leaves the scene that the blocks are then.
+    pub fn exchanged_scene(&self, round: u32) -> PathBuf {
+        self.path.with_extension("").join(format!("round_{round}.ply"))
+    }
+
+    fn exchange_note(&self, round: u32) -> PathBuf {
+        self.path.with_extension("").join(format!("round_{round}.json"))
+    }
+
+    /// How many exchanges are complete.
+    pub fn exchanges(&self) -> u32 {
+        (1..self.division.rounds).rev().find(|&round| self.is_exchanged(round)).unwrap_or(0)
+    }
+
+    fn is_exchanged(&self, round: u32) -> bool {
+        let note = output::read_note(&self.exchange_note(round));
+        let note: Option<Exchanged> = note.and_then(|text| serde_json::from_str(&text).ok());
+        note == Some(Exchanged { blocks: self.hash.clone(), round })
+    }
+
+    /// Notes that an exchange is complete.
+    pub fn note_exchange(&self, round: u32) -> Result<()> {
+        output::write_json(&self.exchange_note(round), &Exchanged { blocks: self.hash.clone(), round })
+    }
+
+    /// The round of this division that a block has come to the end of last.
+    pub fn ended_own(&self, block: &Block) -> Option<Ended> {
+        self.ended(block).filter(|ended| ended.blocks == self.hash && ended.block == block.number)
+    }
+
+    /// The round that a block has come to the end of last, of whatever division.
+    pub fn ended(&self, block: &Block) -> Option<Ended> {
+        serde_json::from_str(&output::read_note(&self.at(&block.folder).join(ROUND_FILE))?).ok()
+    }
+}
+
+/// Where a block's training begins and ends now.
+pub struct Stage {
+    /// From 1.
+    pub round: u32,
+    pub rounds: u32,
+    /// The division's.
+    file: PathBuf,
+    /// The iteration that it ends at.
+    pub until: u32,
+    /// The iteration that it begins with.
+    pub from: u32,
+    /// The scene around the block, if it is not the coarse model.
+    surroundings: Option<PathBuf>,
+    /// Whether the round is at its end already.
+    pub is_done: bool,
+}
+
+impl Stage {
+    /// The round after all exchanges.
+    pub fn of(job: &Job) -> Stage {
+        let (file, block) = (&job.file, job.block());
+        let division = &file.division;
+        let before = file.exchanges();
+        let round = before + 1;
+        let end = |round: u32| if round > 0 { division.round_end(block, round) } else { 0 };
+        let ended = file.ended_own(block);
+        Stage {
+            round,
+            rounds: division.rounds,
+            file: file.path.clone(),
+            until: end(round),
+            from: end(before),
+            surroundings: (before > 0).then(|| file.exchanged_scene(before)),
+            is_done: round < division.rounds && ended.is_some_and(|ended| ended.round == round),
+        }
+    }
+
+    /// The scene around the block, if it is not the coarse model.
+    pub fn surroundings(&self) -> Option<&Path> {
+        self.surroundings.as_deref()
+    }
+
+    /// Whether the block is trained to its end then.
+    pub fn is_last(&self) -> bool {
+        self.round == self.rounds
+    }
+
+    /// Says that it is at its end, and what comes next.
+    pub fn say_done(&self) {
+        let Stage { round, rounds, .. } = self;
+        let file = self.file.display();
+        say!("round {round} of {rounds} is done; when it is for all blocks: ashsplat exchange {file}");
+    }
+
+    /// The checkpoint that an exchange has left in a model folder; None in the first round.
+    pub fn exchanged(&self, folder: &Path) -> Option<PathBuf> {
+        (self.round > 1).then(|| exchanged_checkpoint(folder, self.from))
+    }
+}
+
+/// Notes that a job's training is at the end of a round.
+pub fn note(job: &Job, folder: &Path, stage: &Stage, outside: Outside) -> Result<()> {
+    let (blocks, block) = (job.file.hash.clone(), job.block().number);
+    let ended = Ended { blocks, block, round: stage.round, iteration: stage.until, outside };
+    output::write_json(&folder.join(ROUND_FILE), &ended)
+}
+
+/// `exchangedN.safetensors` of a model folder.
+pub fn exchanged_checkpoint(folder: &Path, iteration: u32) -> PathBuf {
+    folder.join(format!("exchanged{iteration}.safetensors"))
+}

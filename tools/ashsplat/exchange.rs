@@ -1,0 +1,224 @@
+//! `ashsplat exchange`.
+
+use crate::args::HostArguments;
+use crate::blocks::rounds::{Ended, exchanged_checkpoint};
+use crate::blocks::{Block, BlocksFile};
+use crate::lock::{FolderLock, Work};
+use crate::output;
+use crate::progress::{counting, thousands};
+use crate::train::checkpoint_path;
+use ashsplat::scene::{Bounds, Gaussians};
+use ashsplat::trainer::{Checkpoint, SceneBlock};
+use ashsplat::{Error, Result};
+use ashsplat_files::splats::{self, WriteOptions};
+use ashsplat_files::{CheckpointFile, atomic};
+use clap::Args;
+use glam::Vec3;
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+/// Between two rounds of training in blocks (`partition --rounds`): give each block what its neighbours have trained.
+///
+/// Every block has come to the end of the round: `train --job` ends there. Its margin becomes what the neighbours have trained
+/// there, with all that training keeps of it, and what lies around is the scene that all blocks are now. Then `train --job` goes
+/// on. What was exchanged already is left as it is.
+#[derive(Args)]
+pub struct Arguments {
+    /// The file that `ashsplat partition` wrote
+    #[arg(value_name = "BLOCKS.json")]
+    blocks: PathBuf,
+    /// The round that all blocks have come to the end of [default: that of the block that is farthest]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    round: Option<u32>,
+    #[command(flatten)]
+    host: HostArguments,
+    /// Print only errors
+    #[arg(long)]
+    quiet: bool,
+}
+
+const WORK: Work = Work { file: ".exchange.lock", what: "exchange", option: "BLOCKS.json" };
+
+/// Runs the command.
+pub fn run(arguments: &Arguments) -> Result<()> {
+    let file = BlocksFile::read(&arguments.blocks)?;
+    let rounds = file.division.rounds;
+    if rounds < 2 {
+        let problem = "is of one round, without an exchange";
+        let remedy =
+            "make it anew: `ashsplat partition --rounds 4`, or merge its blocks when they are trained";
+        return Err(Error::input(&file.path, problem, remedy));
+    }
+    let blocks = &file.division.blocks;
+    let farthest =
+        || blocks.iter().filter_map(|block| file.ended(block)).filter(|ended| ended.blocks == file.hash);
+    let round = arguments.round.unwrap_or_else(|| farthest().map(|ended| ended.round).max().unwrap_or(1));
+    if round >= rounds {
+        let problem =
+            format!("is {round}, but after the last of {rounds} rounds there is nothing to exchange");
+        return Err(Error::argument("--round", problem + ": merge the blocks"));
+    }
+    let folder = file.path.with_extension("");
+    atomic::create_folder(&folder)?;
+    let _lock = FolderLock::take(&folder, &WORK)?;
+    if round <= file.exchanges() {
+        if !arguments.quiet {
+            say!("round {round} of {rounds} is exchanged already");
+        }
+        return Ok(());
+    }
+    output::remove_leftovers(&folder, 0);
+    Exchange::new(&file, round, arguments)?.run()
+}
+
+/// What is exchanged after a round.
+struct Exchange<'a> {
+    file: &'a BlocksFile,
+    round: u32,
+    arguments: &'a Arguments,
+    /// Of all blocks, in their order.
+    ended: Vec<Ended>,
+    /// The scene that all blocks are.
+    scene: Gaussians,
+}
+
+impl<'a> Exchange<'a> {
+    /// Refuses a division of which any block is not at the end of the round, and names them.
+    fn new(file: &'a BlocksFile, round: u32, arguments: &'a Arguments) -> Result<Self> {
+        let mut missing = BTreeMap::<&'static str, Vec<String>>::new();
+        let mut all = Vec::new();
+        for block in &file.division.blocks {
+            let folder = file.at(&block.folder);
+            let iteration = file.division.round_end(block, round);
+            let problem = match file.ended(block) {
+                None => "not trained to the end of the round",
+                Some(ended) if ended.blocks != file.hash || ended.block != block.number => {
+                    "trained for another division"
+                }
+                Some(ended) if ended.round != round || ended.iteration != iteration => {
+                    "at the end of another round"
+                }
+                Some(_) if !checkpoint_path(&folder, iteration).is_file() => {
+                    "without the checkpoint of the round's end"
+                }
+                Some(ended) => {
+                    all.push(ended);
+                    continue;
+                }
+            };
+            missing.entry(problem).or_default().push(block.number.to_string());
+        }
+        let Some(first) = missing.values().next().map(|numbers| numbers[0].clone()) else {
+            let scene = Gaussians::default();
+            return Ok(Exchange { file, round, arguments, ended: all, scene });
+        };
+        let told = missing.iter().map(|(why, numbers)| format!("{} {why}", numbers.join(", ")));
+        let told = told.collect::<Vec<_>>().join("; ");
+        let problem = format!("round {round}: of its {} blocks {told}", file.division.blocks.len());
+        let remedy = format!("train them: `ashsplat train --job {}:{first}`", file.path.display());
+        Err(Error::input(&file.path, problem, remedy))
+    }
+
+    fn checkpoint(&self, block: &Block) -> Result<Checkpoint> {
+        let iteration = self.file.division.round_end(block, self.round);
+        let path = checkpoint_path(&self.file.at(&block.folder), iteration);
+        Checkpoint::read_within(path, &self.arguments.host.memory())
+    }
+
+    /// Those of a checkpoint that lie in its own block's cell, and of them those in another box.
+    fn own(&self, block: &Block, within: impl Fn([f32; 3]) -> bool) -> Result<Checkpoint> {
+        let checkpoint = self.checkpoint(block)?;
+        let core = block.core.bounds();
+        let means = &checkpoint.gaussians.means;
+        let is_own = |&row: &usize| core.contains(Vec3::from_array(means[row])) && within(means[row]);
+        let rows: Vec<usize> = (0..means.len()).filter(is_own).collect();
+        Ok(checkpoint.select(&rows))
+    }
+
+    fn run(mut self) -> Result<()> {
+        let (file, round) = (self.file, self.round);
+        let blocks = &file.division.blocks;
+        // Before anything is written: damaged checkpoints and other settings are errors.
+        self.gather()?;
+        let bar = counting("blocks exchanged", blocks.len() as u64, self.arguments.quiet);
+        for (block, ended) in blocks.iter().zip(&self.ended) {
+            let (own, neighbours) = self.exchanged(block, ended)?;
+            bar.inc(1);
+            if !self.arguments.quiet {
+                let [own, neighbours] = [own, neighbours].map(|count| thousands(count as u64));
+                say!("block {}: {own} Gaussians of its own, {neighbours} of its neighbours", block.number);
+            }
+        }
+        bar.finish_and_clear();
+        file.note_exchange(round)?;
+        // Nothing goes on from there any more.
+        if round > 1 {
+            std::fs::remove_file(file.exchanged_scene(round - 1)).ok();
+            for block in blocks {
+                let iteration = file.division.round_end(block, round - 1);
+                std::fs::remove_file(exchanged_checkpoint(&file.at(&block.folder), iteration)).ok();
+            }
+        }
+        if !self.arguments.quiet {
+            let (rounds, path) = (file.division.rounds, file.path.display());
+            say!("round {round} of {rounds} is exchanged; go on with each: ashsplat train --job {path}:1");
+        }
+        Ok(())
+    }
+
+    /// Reads all checkpoints, and writes the scene that they are.
+    fn gather(&mut self) -> Result<()> {
+        let file = self.file;
+        let blocks = &file.division.blocks;
+        let bar = counting("blocks checked", blocks.len() as u64, self.arguments.quiet);
+        let mut first: Option<Checkpoint> = None;
+        for block in blocks {
+            let own = self.own(block, |_| true)?;
+            let settings = first.get_or_insert_with(|| own.select(&[]));
+            if let Some(difference) = settings.difference_of_settings(&own) {
+                let problem = format!(
+                    "block {} was trained with other settings than block 1: {difference}",
+                    block.number
+                );
+                return Err(Error::input(&file.path, problem, "train all blocks with the same"));
+            }
+            if own.gaussians.is_empty() {
+                let problem = format!("block {} has no Gaussians left in its cell", block.number);
+                return Err(Error::input(&file.path, problem, "divide the scene into fewer blocks"));
+            }
+            match self.scene.is_empty() {
+                true => self.scene = own.gaussians,
+                false => self.scene.append(&own.gaussians),
+            }
+            bar.inc(1);
+        }
+        bar.finish_and_clear();
+        let antialiased = first.is_some_and(|first| first.settings.antialiasing);
+        let options = WriteOptions { antialiased, ..WriteOptions::default() };
+        splats::write(file.exchanged_scene(self.round), &self.scene, &options)?;
+        Ok(())
+    }
+
+    /// Writes what a block goes on from. How many of its Gaussians are its own and its neighbours'.
+    fn exchanged(&self, block: &Block, ended: &Ended) -> Result<(usize, usize)> {
+        let file = self.file;
+        let (core, margin) = (block.core.bounds(), file.division.margin);
+        let mut checkpoint = self.own(block, |_| true)?;
+        let own = checkpoint.gaussians.len();
+        for other in &file.division.blocks {
+            if other.number != block.number && touches(other.core.bounds(), core, margin) {
+                checkpoint.append(&self.own(other, |mean| SceneBlock::contains(core, margin, mean))?)?;
+            }
+        }
+        let around = SceneBlock::divide(&self.scene, core, margin)?.1;
+        checkpoint.settle_in(&ended.outside.leave(around, margin, true));
+        let iteration = file.division.round_end(block, self.round);
+        checkpoint.write(exchanged_checkpoint(&file.at(&block.folder), iteration))?;
+        Ok((own, checkpoint.gaussians.len() - own))
+    }
+}
+
+/// Whether a cell has anything of a core grown by its margin.
+fn touches(cell: Bounds, core: Bounds, margin: f32) -> bool {
+    cell.min.cmple(core.max + margin).all() && cell.max.cmpge(core.min - margin).all()
+}
