@@ -22,6 +22,7 @@ fn help_names_every_command() {
         "bench",
         "profile",
         "partition",
+        "exchange",
         "merge",
     ] {
         assert!(help.contains(command), "{help}");

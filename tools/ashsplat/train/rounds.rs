@@ -30,6 +30,10 @@ pub fn stage(job: Option<&Job>, settings: &Settings) -> Result<Option<Stage>> {
         );
         return Err(Error::argument("--iterations", problem + ": leave it out, or divide again"));
     }
+    if stage.rounds > 1 && settings.train.pose_opt {
+        let problem = "does not go together with rounds: each block would move its cameras by itself";
+        return Err(Error::argument("pose_opt", problem));
+    }
     Ok(Some(stage))
 }
 
