@@ -2,8 +2,9 @@
 
 use ashsplat::renderer::Renderer;
 use ashsplat::scene::{Bounds, Intrinsics};
+use ashsplat::trainer::checkpoint::GradientSums;
 use ashsplat::trainer::{
-    Checkpoint, Forecast, PhotoSize, SceneBlock, StrategyType, TrainParts, TrainView, Trainer,
+    Checkpoint, Forecast, LightSums, PhotoSize, SceneBlock, StrategyType, TrainParts, TrainView, Trainer,
 };
 use ashsplat::vk::Context;
 use ashsplat::{Camera, Error, Gaussians, TrainSettings};
@@ -311,4 +312,66 @@ fn a_picture_of_what_lies_around_alone_is_drawn() {
     let settings = ashsplat::RenderSettings { sh_degree: Some(trainer.sh_degree()), ..settings };
     let theirs = renderer.render(&camera, &settings).expect("a picture");
     assert!(ours.color == theirs.color && theirs.stats.visible > 0);
+}
+
+/// What a checkpoint has of each Gaussian goes with it, whatever the strategy keeps.
+#[test]
+fn gaussians_go_from_one_checkpoint_to_another_with_all_that_is_kept_of_them() {
+    let gpu = Gpu::new();
+    let settings = TrainSettings {
+        strategy: StrategyType::Budget,
+        absgrad: true,
+        cap_max: 400,
+        filter_3d: true,
+        ..settings()
+    };
+    let mut trainer = trainer(gpu.context, &start(), None, &settings).expect("a trainer");
+    (0..12).for_each(|_| drop(trainer.step().expect("a step")));
+    let whole = trainer.checkpoint().expect("a checkpoint");
+    assert!(whole.filters.len() == whole.gaussians.len() && whole.strategy.statistics.len() == 1);
+    let kept = |of: &Checkpoint, rows: &[usize]| {
+        let mut kept = of.clone();
+        kept.keep(rows);
+        kept
+    };
+    let all: Vec<usize> = (0..whole.gaussians.len()).collect();
+    assert!(kept(&whole, &all) == whole);
+    let [even, odd]: [Vec<usize>; 2] =
+        [0, 1].map(|rest| all.iter().copied().filter(|row| row % 2 == rest).collect());
+    let mut joined = kept(&whole, &odd);
+    joined.append(&kept(&whole, &even)).expect("of the same settings");
+    joined.check_shapes().expect("whole");
+    assert!(joined == kept(&whole, &[&odd[..], &even[..]].concat()) && joined != whole);
+    // And training goes on with them, with room for as many as there are.
+    let (core, frozen) = (everything(), Gaussians::default());
+    joined.settle_in(&SceneBlock { core, frozen });
+    let mut resumed = resumed(gpu.context, None, &settings, &joined).expect("resumed");
+    assert_eq!(end(&mut resumed).iteration, settings.iterations);
+
+    let refused = |change: &dyn Fn(&mut Checkpoint)| {
+        let mut other = whole.clone();
+        change(&mut other);
+        whole.clone().append(&other).expect_err("refused").to_string()
+    };
+    let rate = |other: &mut Checkpoint| other.settings.opacity_lr = 0.5;
+    assert!(refused(&rate).contains("other settings: opacity_lr was 0.5, is "));
+    assert!(refused(&|other| other.strategy.name = "fixed".into()).contains("another strategy"));
+    assert!(refused(&|other| other.strategy.statistics.clear()).contains("another strategy"));
+    let summed = GradientSums {
+        views: 3,
+        sums: whole.gaussians.clone(),
+        light: LightSums::default(),
+        poses: Vec::new(),
+    };
+    let sums = |other: &mut Checkpoint| other.gradient_sums = Some(summed.clone());
+    assert!(refused(&sums).contains("gradients of 3 views, not of 0"));
+    let mut summed_up = whole.clone();
+    sums(&mut summed_up);
+    let mut both = kept(&summed_up, &odd);
+    both.append(&kept(&summed_up, &even)).expect("of the same settings");
+    assert!(both == kept(&summed_up, &[&odd[..], &even[..]].concat()));
+    // Only the number of iterations may differ.
+    let mut longer = whole.clone();
+    longer.settings.iterations += 7;
+    assert_eq!(whole.difference_of_settings(&longer.settings), None);
 }

@@ -1,32 +1,22 @@
 //! Checkpoints of neighbouring blocks exchange their Gaussians, with all that training keeps of each.
 
 use super::block::SceneBlock;
-use super::checkpoint::{Checkpoint, GradientSums, Room, StrategyStatistic, difference};
+use super::checkpoint::{Checkpoint, Room, StrategyStatistic, difference};
 use super::settings::TrainSettings;
 use crate::error::{Error, Result};
 
 impl Checkpoint {
-    /// The state with these Gaussians alone, in this order, with their moments and statistics. What is kept of views and of the
-    /// run stays.
-    pub fn select(&self, rows: &[usize]) -> Self {
-        let of_statistic = |statistic: &StrategyStatistic| {
-            let floats = statistic.floats as usize;
-            let values = rows.iter().flat_map(|row| &statistic.values[row * floats..][..floats]);
-            StrategyStatistic { values: values.copied().collect(), ..statistic.clone() }
-        };
-        let of_sums = |sums: &GradientSums| GradientSums { sums: sums.sums.select(rows), ..sums.clone() };
-        Self {
-            gaussians: self.gaussians.select(rows),
-            first_moments: self.first_moments.select(rows),
-            second_moments: self.second_moments.select(rows),
-            statistics: rows.iter().map(|&row| self.statistics[row]).collect(),
-            filters: rows.iter().filter_map(|&row| self.filters.get(row).copied()).collect(),
-            strategy: super::checkpoint::StrategyState {
-                statistics: self.strategy.statistics.iter().map(of_statistic).collect(),
-                ..self.strategy.clone()
-            },
-            gradient_sums: self.gradient_sums.as_ref().map(of_sums),
-            ..self.clone()
+    /// Leaves these Gaussians alone, in this order, with their moments and statistics. What is kept of views and of the run stays.
+    pub fn keep(&mut self, rows: &[usize]) {
+        let sums = self.gradient_sums.iter_mut().map(|sums| &mut sums.sums);
+        let sets = [&mut self.gaussians, &mut self.first_moments, &mut self.second_moments];
+        sets.into_iter().chain(sums).for_each(|set| *set = set.select(rows));
+        self.statistics = rows.iter().map(|&row| self.statistics[row]).collect();
+        // There are none without the 3D filter.
+        self.filters = rows.iter().filter_map(|&row| self.filters.get(row).copied()).collect();
+        for StrategyStatistic { floats, values, .. } in &mut self.strategy.statistics {
+            let floats = *floats as usize;
+            *values = rows.iter().flat_map(|row| &values[row * floats..][..floats]).copied().collect();
         }
     }
 
@@ -36,7 +26,7 @@ impl Checkpoint {
     /// [`Error::Argument`] naming the settings that differ, and where one of the two has added up gradients of more views.
     pub fn append(&mut self, other: &Self) -> Result<()> {
         let refuse = |problem: String| Err(Error::argument("checkpoint", problem));
-        if let Some(difference) = self.difference_of_settings(other) {
+        if let Some(difference) = self.difference_of_settings(&other.settings) {
             return refuse(format!("was made with other settings: {difference}"));
         }
         let names = |of: &Self| -> Vec<(String, u32)> {
@@ -63,9 +53,9 @@ impl Checkpoint {
         Ok(())
     }
 
-    /// The settings in which another run differs, but for the number of iterations; None if there are none.
-    pub fn difference_of_settings(&self, other: &Self) -> Option<String> {
-        let there = TrainSettings { iterations: self.settings.iterations, ..other.settings.clone() };
+    /// The settings in which another run's differ, but for the number of iterations; None if there are none.
+    pub fn difference_of_settings(&self, others: &TrainSettings) -> Option<String> {
+        let there = TrainSettings { iterations: self.settings.iterations, ..others.clone() };
         difference(&there, &self.settings)
     }
 

@@ -43,6 +43,12 @@ fn exchanged(place: &Place, blocks: &[Value]) -> Vec<PathBuf> {
     own.chain(["ply", "json"].map(|kind| place.model(&format!("blocks/round_1.{kind}")))).collect()
 }
 
+fn kept(of: &Checkpoint, rows: &[usize]) -> Checkpoint {
+    let mut kept = of.clone();
+    kept.keep(rows);
+    kept
+}
+
 fn contents(paths: &[PathBuf]) -> Vec<Option<Vec<u8>>> {
     paths.iter().map(|path| std::fs::read(path).ok()).collect()
 }
@@ -93,9 +99,9 @@ fn blocks_go_on_with_what_their_neighbours_have_trained() {
                 };
                 (0..means.len()).filter(wanted).collect()
             };
-            let mut wanted = before[index].select(&rows(index));
+            let mut wanted = kept(&before[index], &rows(index));
             for other in (0..blocks.len()).filter(|&other| other != index) {
-                wanted.append(&before[other].select(&rows(other))).expect("of the same settings");
+                wanted.append(&kept(&before[other], &rows(other))).expect("of the same settings");
             }
             let own = before[index].gaussians.len();
             assert!(wanted.gaussians.len() > 40 && wanted.gaussians != before[index].gaussians, "{own}");
@@ -195,7 +201,7 @@ fn what_cannot_be_exchanged_is_refused() {
     };
     refused(&["blocks.json", "1 not trained to the end of the round", "--job", "blocks.json:1"]);
     assert_trained(&train(&place, 1, &["--lambda-dssim", "0.3"]));
-    refused(&["block 2", "other settings than block 1", "lambda_dssim was 0.2, is 0.3"]);
+    refused(&["block 2", "other settings than block 1", "lambda_dssim was 0.3, is 0.2"]);
     assert_trained(&train(&place, 1, &[]));
     // Each is as it should be, but for one file.
     let changed = |name: &str, change: &dyn Fn(&[u8]) -> Vec<u8>, words: &[&str]| {
@@ -225,6 +231,9 @@ fn what_cannot_be_exchanged_is_refused() {
     };
     changed(&checkpoint, &flipped, &[&checkpoint, "damaged"]);
     changed(&checkpoint, &|bytes| bytes[..99].to_vec(), &[&checkpoint, "truncated"]);
+    let others = file_of(&place, &blocks[1], &format!("chkpnt{}.safetensors", end(&blocks[1], 1, 2)));
+    let others = std::fs::read(others).expect("a checkpoint");
+    changed(&checkpoint, &|_| others.clone(), &[&checkpoint, "is not that of iteration", "of block 1"]);
     let path = file_of(&place, &blocks[0], &checkpoint);
     std::fs::rename(&path, place.model("kept")).expect("moved");
     refused(&["1 without the checkpoint of the round's end"]);

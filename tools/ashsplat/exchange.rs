@@ -8,7 +8,7 @@ use crate::output;
 use crate::progress::{counting, thousands};
 use crate::train::checkpoint_path;
 use ashsplat::scene::{Bounds, Gaussians};
-use ashsplat::trainer::{Checkpoint, SceneBlock};
+use ashsplat::trainer::{BlockState, Checkpoint, SceneBlock, TrainSettings};
 use ashsplat::{Error, Result};
 use ashsplat_files::splats::{self, WriteOptions};
 use ashsplat_files::{CheckpointFile, atomic};
@@ -122,17 +122,25 @@ impl<'a> Exchange<'a> {
     fn checkpoint(&self, block: &Block) -> Result<Checkpoint> {
         let iteration = self.file.division.round_end(block, self.round);
         let path = checkpoint_path(&self.file.at(&block.folder), iteration);
-        Checkpoint::read_within(path, &self.arguments.host.memory())
+        let checkpoint = Checkpoint::read_within(&path, &self.arguments.host.memory())?;
+        let core = block.core.bounds();
+        let other_core = |state: &BlockState| state.core != [core.min.to_array(), core.max.to_array()];
+        if checkpoint.iteration == iteration && !checkpoint.block.as_ref().is_some_and(other_core) {
+            return Ok(checkpoint);
+        }
+        let problem = format!("is not that of iteration {iteration} of block {}", block.number);
+        Err(Error::input(path, problem, "train the block again"))
     }
 
     /// Those of a checkpoint that lie in its own block's cell, and of them those in another box.
     fn own(&self, block: &Block, within: impl Fn([f32; 3]) -> bool) -> Result<Checkpoint> {
-        let checkpoint = self.checkpoint(block)?;
+        let mut checkpoint = self.checkpoint(block)?;
         let core = block.core.bounds();
         let means = &checkpoint.gaussians.means;
         let is_own = |&row: &usize| core.contains(Vec3::from_array(means[row])) && within(means[row]);
         let rows: Vec<usize> = (0..means.len()).filter(is_own).collect();
-        Ok(checkpoint.select(&rows))
+        checkpoint.keep(&rows);
+        Ok(checkpoint)
     }
 
     fn run(mut self) -> Result<()> {
@@ -171,11 +179,11 @@ impl<'a> Exchange<'a> {
         let file = self.file;
         let blocks = &file.division.blocks;
         let bar = counting("blocks checked", blocks.len() as u64, self.arguments.quiet);
-        let mut first: Option<Checkpoint> = None;
+        let mut first: Option<TrainSettings> = None;
         for block in blocks {
             let own = self.own(block, |_| true)?;
-            let settings = first.get_or_insert_with(|| own.select(&[]));
-            if let Some(difference) = settings.difference_of_settings(&own) {
+            let settings = first.get_or_insert_with(|| own.settings.clone());
+            if let Some(difference) = own.difference_of_settings(settings) {
                 let problem = format!(
                     "block {} was trained with other settings than block 1: {difference}",
                     block.number
@@ -193,7 +201,7 @@ impl<'a> Exchange<'a> {
             bar.inc(1);
         }
         bar.finish_and_clear();
-        let antialiased = first.is_some_and(|first| first.settings.antialiasing);
+        let antialiased = first.is_some_and(|settings| settings.antialiasing);
         let options = WriteOptions { antialiased, ..WriteOptions::default() };
         splats::write(file.exchanged_scene(self.round), &self.scene, &options)?;
         Ok(())
