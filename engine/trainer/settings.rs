@@ -160,6 +160,8 @@ const INITIAL_OPACITY: f64 = 0.1;
 const FEW_PHOTOS_UNTIL: u32 = 1500;
 /// Share of the Gaussians that the last step leaves out with few photographs.
 const FEW_PHOTOS_DROPOUT: f64 = 0.2;
+/// Weight of the mean opacity in the loss with few photographs.
+const FEW_PHOTOS_OPACITY_REG: f64 = 0.01;
 /// Most Gaussians that are left out.
 const MOST_DROPOUT: f64 = 0.9;
 
@@ -218,15 +220,20 @@ impl TrainSettings {
     pub const FEW_PHOTOS: usize = 24;
 
     /// The defaults with a strategy for few photographs, by measurement (tools/strategies.md). Budget has fewer Gaussians,
-    /// and steps leave some out at random (DropGaussian), so that no photograph is fitted by what no other sees. The reference's
-    /// growth ends early, and with it its opacity resets. The other strategies keep their defaults.
+    /// and steps leave some out at random (DropGaussian), so that no photograph is fitted by what no other sees. The weight on
+    /// opacities clears the haze where no photograph shows that there is none. The reference's growth ends early, and with it its
+    /// opacity resets. The other strategies keep their defaults.
     pub fn of_few_photos(strategy: StrategyType) -> Self {
         let usual = Self::of_strategy(strategy);
         match strategy {
             StrategyType::Reference => Self { densify_until_iter: FEW_PHOTOS_UNTIL, ..usual },
-            StrategyType::Budget => {
-                Self { cap_ratio: 8.0, late_min_opacity: 0.1, dropout: FEW_PHOTOS_DROPOUT, ..usual }
-            }
+            StrategyType::Budget => Self {
+                cap_ratio: 8.0,
+                late_min_opacity: 0.1,
+                dropout: FEW_PHOTOS_DROPOUT,
+                opacity_reg: FEW_PHOTOS_OPACITY_REG,
+                ..usual
+            },
             StrategyType::Fixed | StrategyType::Mcmc => usual,
         }
     }

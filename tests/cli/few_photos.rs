@@ -63,7 +63,8 @@ fn few_photos_are_noticed_and_said() {
     let model = folder.path().join("auto");
     let said = lines(&train(&data, &model, &[]));
     assert_eq!(said.len(), 1, "{said:?}");
-    for part in ["only 9 photos", "--strategy budget", "--dropout 0.2", "--few-photos off"] {
+    let options = ["--strategy budget", "--dropout 0.2", "--opacity-reg 0.01", "--few-photos off"];
+    for part in options.into_iter().chain(["only 9 photos"]) {
         assert!(said[0].contains(part), "{}", said[0]);
     }
     assert_eq!(

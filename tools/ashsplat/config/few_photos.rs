@@ -24,7 +24,9 @@ impl Defaults {
             // A preset says how many Gaussians; what keeps them from fitting these photos only stays.
             (Defaults::FewPhotos(_), Some(preset)) => {
                 let preset = TrainSettings::of_preset(preset);
-                TrainSettings { dropout: TrainSettings::of_few_photos(preset.strategy).dropout, ..preset }
+                let TrainSettings { dropout, opacity_reg, .. } =
+                    TrainSettings::of_few_photos(preset.strategy);
+                TrainSettings { dropout, opacity_reg, ..preset }
             }
         }
     }
@@ -125,7 +127,9 @@ mod tests {
         let preset = Overrides { preset: Some("quality".into()), ..Overrides::default() };
         let preset = resolved(None, &preset);
         let quality = TrainSettings::of_preset(Preset::Quality);
-        assert_eq!(preset.expect("settings").train, TrainSettings { dropout: usual.dropout, ..quality });
+        let TrainSettings { dropout, opacity_reg, .. } = usual;
+        let expected = TrainSettings { dropout, opacity_reg, ..quality };
+        assert_eq!(preset.expect("settings").train, expected);
 
         let none = Table::new();
         assert_eq!(described(8, &none, (&usual, &usual)), None);
@@ -134,7 +138,7 @@ mod tests {
         let after = TrainSettings { iterations: 900, ..usual };
         let said = described(8, &given, (&before, &after)).expect("a line");
         assert!(said.starts_with("only 8 photos to train on: --strategy budget --"), "{said}");
-        for part in ["--few-photos off", "--dropout 0.2", "--cap-ratio 8"] {
+        for part in ["--few-photos off", "--dropout 0.2", "--cap-ratio 8", "--opacity-reg 0.01"] {
             assert!(said.contains(part), "{said}");
         }
         // Neither what was given, nor what comes with the strategy.
