@@ -11,7 +11,7 @@ use crate::kernels::compose::{
 use crate::kernels::constants as c;
 use crate::plan::blocks;
 use crate::scene::{ColorEncoding, DepthMapping};
-use crate::vk::{self as device, Buffer, Context, Image, Kernel, Recorder};
+use crate::vk::{self as device, Buffer, Context, Image, ImageUse, Kernel, Recorder};
 use ash::vk;
 
 /// What the splats are composited over.
@@ -113,9 +113,13 @@ impl Compose {
     /// Checks that a frame of an encoding can be written over this into a [target](crate::vk::ImageUse::Target).
     ///
     /// # Errors
-    /// [`Error::Argument`] for numbers that are not finite, an exposure that is not positive,
+    /// [`Error::Argument`] for an image with another purpose, numbers that are not finite, an exposure that is not positive,
     /// and for premultiplied colours in a format without alpha.
     pub fn check_frame(image: &Image, behind: Background, encoding: ColorEncoding) -> Result<()> {
+        if image.purpose() != ImageUse::Target {
+            let problem = format!("it was adopted for {:?}, not for Target", image.purpose());
+            return Err(Error::argument(format!("image '{}'", image.name()), problem));
+        }
         encoding.check().map_err(|error| error.within("encoding"))?;
         match behind {
             Background::Color(color) if color.iter().any(|channel| !channel.is_finite()) => {

@@ -87,7 +87,7 @@ impl Image {
     /// A view of a host's image, for kernels.
     ///
     /// # Errors
-    /// [`Error::Argument`] for a null handle, no size, more than one sample per pixel, a usage that lacks what `purpose` needs, a format that is not one
+    /// [`Error::Argument`] for a null handle, no size or one above maxImageDimension2D, more than one sample per pixel, a usage that lacks what `purpose` needs, a format that is not one
     /// of [`ImageUse::formats`] or that the device does not support, or flags that lack what the format needs
     /// ([`ForeignImage::flags`]).
     ///
@@ -152,7 +152,8 @@ impl Image {
         size: [u32; 2],
         purpose: ImageUse,
     ) -> Result<Self> {
-        let possible = purpose.formats().contains(&format) && !size.contains(&0);
+        let sides = 1..=context.limits().max_image_side;
+        let possible = purpose.formats().contains(&format) && size.iter().all(|side| sides.contains(side));
         if !possible || !context.supports(purpose.seen_as(format), purpose) {
             let problem = format!("{format:?} of {} x {} is not possible as {purpose:?}", size[0], size[1]);
             return Err(Error::argument(format!("image '{name}'"), problem));

@@ -1,6 +1,6 @@
 //! The guide's guest in Rust, which runs as it stands there.
 
-use crate::host::{Host, InFlight};
+use crate::host::{Host, HostOptions, InFlight};
 use crate::memory::{HostTexture, Use};
 use crate::scenes::depth_image;
 use crate::stage::{cloud, guest, options, read_texture, with_host};
@@ -133,6 +133,9 @@ fn the_guides_guest_draws_through_changes() {
                 gone.destroy(host);
             }
             match number {
+                // More than are reserved at first.
+                2 => (0..17).for_each(|seed| own.add(&cloud(5, seed), turned(0.5)).expect("a scene")),
+                3 => (0..17).for_each(|_| own.remove(1)),
                 4 => own.add(&cloud(700, 2), turned(1.0)).expect("a scene"),
                 6 => {
                     let new = Screen::new(host, large);
@@ -169,4 +172,43 @@ fn the_guides_guest_draws_through_changes() {
         frames.into_iter().for_each(|frame| frame.destroy(host));
         screen.destroy(host);
     });
+}
+
+/// What recording two scenes over an image and behind a host's depth takes the processor, microseconds: median and least.
+#[test]
+#[ignore = "prints numbers of the guide"]
+fn costs() {
+    for push_descriptors in [true, false] {
+        with_host(&HostOptions { push_descriptors, ..HostOptions::default() }, |host| {
+            let context = crate::cost::shipped(host, false);
+            let size = [96, 64];
+            let mut screen = Screen::new(host, size);
+            let mut own = Guest::new(&context, 2, screen.adopted(&context)).expect("a guest");
+            for seed in [1, 2] {
+                own.add(&cloud(8, seed), turned(0.2)).expect("a scene");
+            }
+            let frames = [0; 2].map(|_| InFlight::new(host).expect("a command buffer"));
+            let mut times = Vec::new();
+            for number in 0..204 {
+                let (slot, frame) = (number % 2, &frames[number % 2]);
+                own.finish(slot as u32).expect("finished");
+                frame.begin(host).expect("recording");
+                let drawn = screen.clear(host, frame.commands);
+                let start = std::time::Instant::now();
+                let release = own.draw(frame.commands, slot as u32, &view(size), drawn);
+                let time = start.elapsed().as_secs_f64() * 1e6;
+                screen.left(&release.expect("a recording").expect("there are scenes"));
+                frame.submit(host).expect("a submission");
+                // A device that is a processor would take the next recording's time.
+                frame.wait(host).expect("done");
+                times.push(time);
+            }
+            times.drain(..4);
+            times.sort_by(f64::total_cmp);
+            println!("push descriptors {push_descriptors}: {:.1} ({:.1})", times[times.len() / 2], times[0]);
+            frames.into_iter().for_each(|frame| frame.destroy(host));
+            drop(own);
+            screen.destroy(host);
+        });
+    }
 }

@@ -364,7 +364,8 @@ typedef struct AshsplatSceneSettings {
   // Volumes that keep or remove Gaussians.
   const struct AshsplatCutOut *cut_outs;
   // A bit per Gaussian of the scene, set where it has another colour: bit i % 32 of the word i / 32. A buffer with the usages
-  // STORAGE_BUFFER, TRANSFER_SRC and TRANSFER_DST, of whole words for all Gaussians; or NULL.
+  // STORAGE_BUFFER, TRANSFER_SRC and TRANSFER_DST, of whole words for all Gaussians; or NULL. It is destroyed after
+  // ashsplat_slot_release of every slot that was recorded with it.
   const struct AshsplatHostBuffer *selection;
   // The other colour, as trained, 0 to 65504 each.
   float selection_color[3];
@@ -1087,7 +1088,7 @@ enum AshsplatStatus ashsplat_reserve(struct AshsplatRenderer *renderer,
                                      const struct AshsplatReservation *wanted);
 
 // As ashsplat_reserve, while frames are in flight: nobody waits. Every slot takes the new memory over with its next
-// recording, with images_only also with its release; until then there is memory for both. The number of slots stays. What is wanted
+// recording, with images_only also with its release; until then there is memory for both. The numbers of slots and of views stay. What is wanted
 // replaces what was reserved: less than before gives memory back.
 //
 // # Safety

@@ -6,24 +6,22 @@ use ashsplat::ash::{vk, vk::Handle};
 use ashsplat::scene::Gaussians;
 use ashsplat::vk::{Buffer, Context};
 use std::cell::{Cell, RefCell};
+use std::collections::HashMap;
 use std::ops::{Deref, DerefMut};
 
-/// A mask that has not been used in so many recordings is let go. Slots take turns, each perhaps with masks of its own.
+/// What was not used in so many recordings is let go. Slots take turns, each perhaps with masks and updates of its own.
 const IDLE_RECORDINGS: u64 = 64;
 
 /// See the module.
 #[derive(Default)]
 pub(super) struct Kept {
-    gaussians: RefCell<Vec<Gaussians>>,
-    masks: RefCell<Vec<Mask>>,
+    /// Arrays of updates, by the update's place in a recording, with the recording that used them last.
+    copies: RefCell<Vec<(Gaussians, u64)>>,
+    /// Updates of this recording so far.
+    updates: Cell<usize>,
+    /// Masks as adopted, with the recording that used them last.
+    masks: RefCell<HashMap<AshsplatHostBuffer, (Buffer, u64)>>,
     recordings: Cell<u64>,
-}
-
-/// A host's buffer, as adopted.
-struct Mask {
-    host: AshsplatHostBuffer,
-    adopted: Buffer,
-    last_used: u64,
 }
 
 impl Kept {
@@ -31,28 +29,42 @@ impl Kept {
     pub fn begin(&self) {
         let now = self.recordings.get() + 1;
         self.recordings.set(now);
-        self.masks.borrow_mut().retain(|mask| now - mask.last_used <= IDLE_RECORDINGS);
+        self.updates.set(0);
+        if now.is_multiple_of(IDLE_RECORDINGS) {
+            let is_used = |last_used: u64| now - last_used <= IDLE_RECORDINGS;
+            self.masks.borrow_mut().retain(|_, (_, last_used)| is_used(*last_used));
+            let mut copies = self.copies.borrow_mut();
+            copies.iter_mut().filter(|copy| !is_used(copy.1)).for_each(|copy| copy.0 = Gaussians::default());
+        }
     }
 
-    /// Arrays for the copy of an update. They keep their memory when they are dropped.
+    /// Arrays for the copy of the recording's next update. They keep their memory when they are dropped.
     pub fn gaussians(&self) -> Copy<'_> {
-        Copy { own: self.gaussians.borrow_mut().pop().unwrap_or_default(), of: &self.gaussians }
+        let place = self.updates.replace(self.updates.get() + 1);
+        let mut copies = self.copies.borrow_mut();
+        if copies.len() <= place {
+            copies.resize(place + 1, Default::default());
+        }
+        let (own, last_used) = &mut copies[place];
+        *last_used = self.recordings.get();
+        Copy { own: std::mem::take(own), place, of: &self.copies }
     }
 
     /// A mask, adopted unless it has been.
     ///
     /// # Safety
-    /// As [`Buffer::adopt`] says.
+    /// The buffer is as [`Buffer::adopt`] says for as long as recordings use it. What is kept of it behind that is its handle, and
+    /// nobody asks the device about that: contexts in which views are made of buffers refuse adopted ones.
     pub unsafe fn mask(&self, context: &Context, host: AshsplatHostBuffer) -> Result<Buffer> {
         let (mut masks, now) = (self.masks.borrow_mut(), self.recordings.get());
-        if let Some(mask) = masks.iter_mut().find(|mask| mask.host == host) {
-            mask.last_used = now;
-            return Ok(mask.adopted.clone());
+        if let Some((adopted, last_used)) = masks.get_mut(&host) {
+            *last_used = now;
+            return Ok(adopted.clone());
         }
         let raw = vk::Buffer::from_raw(host.buffer);
         // SAFETY: as promised.
         let adopted = unsafe { Buffer::adopt(context, "selection", raw, host.offset, host.bytes) }?;
-        masks.push(Mask { host, adopted: adopted.clone(), last_used: now });
+        masks.insert(host, (adopted.clone(), now));
         Ok(adopted)
     }
 }
@@ -60,7 +72,8 @@ impl Kept {
 /// Gaussians that an update copies.
 pub(super) struct Copy<'a> {
     own: Gaussians,
-    of: &'a RefCell<Vec<Gaussians>>,
+    place: usize,
+    of: &'a RefCell<Vec<(Gaussians, u64)>>,
 }
 
 impl Deref for Copy<'_> {
@@ -79,6 +92,6 @@ impl DerefMut for Copy<'_> {
 
 impl Drop for Copy<'_> {
     fn drop(&mut self) {
-        self.of.borrow_mut().push(std::mem::take(&mut self.own));
+        self.of.borrow_mut()[self.place].0 = std::mem::take(&mut self.own);
     }
 }

@@ -117,7 +117,7 @@ const FIELDS: [(&str, &str); 5] = [
 ];
 
 /// Records frames as the views of one recording, and says in `releases` how it leaves their images: NULL, or room for as many.
-/// Takes nothing from the heap once the renderer has recorded such frames.
+/// Takes nothing from the heap once the renderer has recorded such frames, with these masks and updates no larger.
 ///
 /// # Safety
 /// As ashsplat_record, for each.

@@ -66,7 +66,8 @@ pub struct AshsplatSceneSettings {
     /// Volumes that keep or remove Gaussians.
     pub cut_outs: *const AshsplatCutOut,
     /// A bit per Gaussian of the scene, set where it has another colour: bit i % 32 of the word i / 32. A buffer with the usages
-    /// STORAGE_BUFFER, TRANSFER_SRC and TRANSFER_DST, of whole words for all Gaussians; or NULL.
+    /// STORAGE_BUFFER, TRANSFER_SRC and TRANSFER_DST, of whole words for all Gaussians; or NULL. It is destroyed after
+    /// ashsplat_slot_release of every slot that was recorded with it.
     pub selection: *const AshsplatHostBuffer,
     /// The other colour, as trained, 0 to 65504 each.
     pub selection_color: [f32; 3],

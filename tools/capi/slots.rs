@@ -53,7 +53,7 @@ pub unsafe extern "C" fn ashsplat_reserve(
 }
 
 /// As ashsplat_reserve, while frames are in flight: nobody waits. Every slot takes the new memory over with its next
-/// recording, with images_only also with its release; until then there is memory for both. The number of slots stays. What is wanted
+/// recording, with images_only also with its release; until then there is memory for both. The numbers of slots and of views stay. What is wanted
 /// replaces what was reserved: less than before gives memory back.
 ///
 /// # Safety

@@ -351,7 +351,7 @@ pub struct AshsplatScenePlan {
 
 /// A range of a host's buffer.
 #[repr(C)]
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct AshsplatHostBuffer {
     /// VkBuffer.
     pub buffer: u64,

@@ -39,11 +39,13 @@ impl Guest {
         Ok(())
     }
 
-    /// Uploads a scene. It waits for the copy alone, and needs the queue for it.
+    /// Uploads a scene. Where memory cannot be mapped it waits for the queue, and for the frames in it.
     fn add(&mut self, gaussians: &Gaussians, pose: Pose) -> Result<()> {
         let scene = DeviceScene::upload(self.renderer.context(), gaussians, 0)?;
         let all = scene.count() + self.scenes.iter().map(|(scene, _)| scene.count()).sum::<u32>();
-        self.grow(Reservation { gaussians: all.max(self.reserved.gaussians), ..self.reserved })?;
+        let reserved = self.reserved;
+        let scenes = reserved.scenes.max(self.scenes.len() as u32 + 1);
+        self.grow(Reservation { gaussians: all.max(reserved.gaussians), scenes, ..reserved })?;
         self.scenes.push((scene, pose));
         Ok(())
     }
@@ -53,8 +55,8 @@ impl Guest {
         self.scenes.remove(index);
     }
 
-    /// After a resize of the window: the engine has made and adopted new images. It destroys the old ones once every slot
-    /// that was in flight now has been through [`Guest::finish`].
+    /// After a resize of the window: the engine has made and adopted new images, both of one size. It destroys the old ones once
+    /// every slot that was recorded with them has been through [`Guest::finish`]. After an error the old ones stay in use.
     fn resize(&mut self, images: [Image; 2]) -> Result<()> {
         let [width, height] = images[0].size();
         self.grow(Reservation { width, height, ..self.reserved })?;
@@ -63,7 +65,7 @@ impl Guest {
     }
 
     /// Before a slot is recorded again, and at the end: after the fence of its last frame. A slot without a frame may be
-    /// given, too.
+    /// given, too. A frame that is never submitted is discarded first: `renderer.slot_recording(slot)?.discard()`.
     fn finish(&mut self, slot: u32) -> Result<()> {
         let report = self.renderer.slot_report(slot)?;
         self.renderer.release_slot(slot)?;

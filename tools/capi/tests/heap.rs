@@ -167,7 +167,9 @@ fn recording_in_c_takes_nothing_from_the_heap() {
     let scenes = [placed, AshsplatPlaced { settings: &raw const own, ..placed }];
     let few = AshsplatGaussians { count: 30, ..cloud };
     let update = AshsplatUpdate { scene, gaussians: &raw const few, ..AshsplatUpdate::default() };
-    let updates = [update, AshsplatUpdate { first: 40, ..update }];
+    // Of unlike sizes.
+    let fewer = AshsplatGaussians { count: 7, ..cloud };
+    let updates = [update, AshsplatUpdate { first: 40, gaussians: &raw const fewer, ..update }];
     let frame = AshsplatRecordedFrame {
         updates: updates.as_ptr(),
         update_count: 2,
