@@ -111,10 +111,8 @@ fn blocks_go_on_with_what_their_neighbours_have_trained() {
                 (wanted.iteration, wanted.optimizer_steps, wanted.due),
                 (after.iteration, after.optimizer_steps, after.due)
             );
-            let reach = if outside[1] == "drawn" { f32::INFINITY } else { 2.0 * margin };
-            let far = |mean: &[f32; 3], reach| SceneBlock::contains(box_of, reach, *mean);
-            let around =
-                read(&scene).means.iter().filter(|mean| far(mean, reach) && !far(mean, margin)).count();
+            let inside = |mean: &[f32; 3]| SceneBlock::contains(box_of, margin, *mean);
+            let around = read(&scene).means.iter().filter(|mean| !inside(mean)).count();
             assert_eq!(after.block.expect("a block").frozen, around as u64);
         }
 

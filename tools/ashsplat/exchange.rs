@@ -1,7 +1,7 @@
 //! `ashsplat exchange`.
 
 use crate::args::HostArguments;
-use crate::blocks::rounds::{Ended, exchanged_checkpoint};
+use crate::blocks::rounds::exchanged_checkpoint;
 use crate::blocks::{Block, BlocksFile};
 use crate::lock::{FolderLock, Work};
 use crate::output;
@@ -76,8 +76,6 @@ struct Exchange<'a> {
     file: &'a BlocksFile,
     round: u32,
     arguments: &'a Arguments,
-    /// Of all blocks, in their order.
-    ended: Vec<Ended>,
     /// The scene that all blocks are.
     scene: Gaussians,
 }
@@ -86,7 +84,6 @@ impl<'a> Exchange<'a> {
     /// Refuses a division of which any block is not at the end of the round, and names them.
     fn new(file: &'a BlocksFile, round: u32, arguments: &'a Arguments) -> Result<Self> {
         let mut missing = BTreeMap::<&'static str, Vec<String>>::new();
-        let mut all = Vec::new();
         for block in &file.division.blocks {
             let folder = file.at(&block.folder);
             let iteration = file.division.round_end(block, round);
@@ -101,16 +98,13 @@ impl<'a> Exchange<'a> {
                 Some(_) if !checkpoint_path(&folder, iteration).is_file() => {
                     "without the checkpoint of the round's end"
                 }
-                Some(ended) => {
-                    all.push(ended);
-                    continue;
-                }
+                Some(_) => continue,
             };
             missing.entry(problem).or_default().push(block.number.to_string());
         }
         let Some(first) = missing.values().next().map(|numbers| numbers[0].clone()) else {
             let scene = Gaussians::default();
-            return Ok(Exchange { file, round, arguments, ended: all, scene });
+            return Ok(Exchange { file, round, arguments, scene });
         };
         let told = missing.iter().map(|(why, numbers)| format!("{} {why}", numbers.join(", ")));
         let told = told.collect::<Vec<_>>().join("; ");
@@ -149,8 +143,8 @@ impl<'a> Exchange<'a> {
         // Before anything is written: damaged checkpoints and other settings are errors.
         self.gather()?;
         let bar = counting("blocks exchanged", blocks.len() as u64, self.arguments.quiet);
-        for (block, ended) in blocks.iter().zip(&self.ended) {
-            let (own, neighbours) = self.exchanged(block, ended)?;
+        for block in blocks {
+            let (own, neighbours) = self.exchanged(block)?;
             bar.inc(1);
             if !self.arguments.quiet {
                 let [own, neighbours] = [own, neighbours].map(|count| thousands(count as u64));
@@ -208,7 +202,7 @@ impl<'a> Exchange<'a> {
     }
 
     /// Writes what a block goes on from. How many of its Gaussians are its own and its neighbours'.
-    fn exchanged(&self, block: &Block, ended: &Ended) -> Result<(usize, usize)> {
+    fn exchanged(&self, block: &Block) -> Result<(usize, usize)> {
         let file = self.file;
         let (core, margin) = (block.core.bounds(), file.division.margin);
         let mut checkpoint = self.own(block, |_| true)?;
@@ -219,7 +213,7 @@ impl<'a> Exchange<'a> {
             }
         }
         let around = SceneBlock::divide(&self.scene, core, margin)?.1;
-        checkpoint.settle_in(&ended.outside.leave(around, margin, true));
+        checkpoint.settle_in(&around);
         let iteration = file.division.round_end(block, self.round);
         checkpoint.write(exchanged_checkpoint(&file.at(&block.folder), iteration))?;
         Ok((own, checkpoint.gaussians.len() - own))

@@ -3,7 +3,6 @@
 
 use super::job::Job;
 use super::{Block, BlocksFile, Division};
-use crate::config::Outside;
 use crate::output;
 use ashsplat::Result;
 use serde::{Deserialize, Serialize};
@@ -29,8 +28,6 @@ pub struct Ended {
     pub round: u32,
     /// That of its checkpoint.
     pub iteration: u32,
-    /// Whether what lies around it was drawn.
-    pub outside: Outside,
 }
 
 /// An exchange that is complete.
@@ -171,9 +168,9 @@ impl Stage {
 }
 
 /// Notes that a job's training is at the end of a round.
-pub fn note(job: &Job, folder: &Path, stage: &Stage, outside: Outside) -> Result<()> {
+pub fn note(job: &Job, folder: &Path, stage: &Stage) -> Result<()> {
     let (blocks, block) = (job.file.hash.clone(), job.block().number);
-    let ended = Ended { blocks, block, round: stage.round, iteration: stage.until, outside };
+    let ended = Ended { blocks, block, round: stage.round, iteration: stage.until };
     output::write_json(&folder.join(ROUND_FILE), &ended)
 }
 

@@ -30,7 +30,8 @@ pub struct BlockArguments {
     #[arg(long, value_name = "X", allow_hyphen_values = true)]
     margin: Option<f64>,
     /// What becomes of the rest of the start's scene: masked leaves it out, and pixels of the photos that show it by its depths do not
-    /// count, which takes less memory than drawing it [default: drawn]
+    /// count, which takes less memory than drawing it; after an exchange of blocks it is drawn, and pixels are masked still
+    /// [default: drawn]
     #[arg(long, value_enum)]
     outside: Option<Outside>,
     /// The extent that scales the means' learning rate and the thresholds of densification, world units: of a block, that of the

@@ -96,29 +96,23 @@ pub enum Outside {
     /// It is drawn and stays as it is
     #[default]
     Drawn,
-    /// It is left out, and pixels that show it do not count
+    /// It is left out until an exchange of blocks, and pixels that show it do not count
     Masked,
 }
 
 impl Outside {
-    /// How far from a block's core Gaussians are drawn, trained or not; None for everywhere. Masked, what is trained is all that is
-    /// drawn at first. After an exchange its outermost Gaussians have been trained by neighbours, beside others of theirs: these are drawn,
-    /// as far again as the margin.
-    pub fn reach(self, margin: f32, exchanged: bool) -> Option<f32> {
-        match (self, exchanged) {
-            (Outside::Drawn, _) => None,
-            (Outside::Masked, true) => Some(2.0 * margin),
-            (Outside::Masked, false) => Some(margin),
-        }
+    /// Whether what lies around a block is drawn. Masked, it is after an exchange: what the neighbours have trained beside a block's
+    /// Gaussians is what these were seen with, in front of them or behind.
+    pub fn is_drawn(self, exchanged: bool) -> bool {
+        exchanged || self == Outside::Drawn
     }
 
     /// The block with what is drawn around it, of all that lies there.
-    pub fn leave(self, block: SceneBlock, margin: f32, exchanged: bool) -> SceneBlock {
-        let SceneBlock { core, mut frozen } = block;
-        if let Some(reach) = self.reach(margin, exchanged) {
-            frozen.retain(|all, row| SceneBlock::contains(core, reach, all.means[row]));
+    pub fn leave(self, block: SceneBlock, exchanged: bool) -> SceneBlock {
+        match self.is_drawn(exchanged) {
+            true => block,
+            false => SceneBlock { frozen: block.frozen.select(&[]), ..block },
         }
-        SceneBlock { core, frozen }
     }
 }
 

@@ -114,17 +114,14 @@ impl Origin {
             None => &points.positions,
         };
         let all = if means.is_empty() { settings.missing_points() } else { means.len() };
-        let outside = settings.data.outside;
-        let [inside, drawn] = match settings.data.block()? {
+        let inside = match settings.data.block()? {
             Some((core, margin)) if !means.is_empty() => {
-                let within =
-                    |reach| means.iter().filter(|&&mean| SceneBlock::contains(core, reach, mean)).count();
-                let inside = within(margin);
-                let reach = outside.reach(margin, self.exchanged.is_some());
-                [inside, reach.map_or(all, within) - inside]
+                means.iter().filter(|&&mean| SceneBlock::contains(core, margin, mean)).count()
             }
-            _ => [all, 0],
+            _ => all,
         };
+        let is_drawn = settings.data.outside.is_drawn(self.exchanged.is_some());
+        let drawn = if is_drawn { all - inside } else { 0 };
         match self.checkpoint() {
             Some(checkpoint) => Ok([checkpoint.gaussians.len(), drawn]),
             None if inside == 0 => Err(SceneBlock::nothing_inside(all)),
@@ -171,7 +168,7 @@ impl Origin {
             None => (whole, None),
             Some((core, margin)) => {
                 let (trained, block) = SceneBlock::divide(&whole, core, margin)?;
-                (trained, Some(settings.data.outside.leave(block, margin, self.exchanged.is_some())))
+                (trained, Some(settings.data.outside.leave(block, self.exchanged.is_some())))
             }
         };
         let beginning = (Some(trained), points);

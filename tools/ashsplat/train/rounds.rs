@@ -44,7 +44,7 @@ impl Run {
         if stage.is_last() {
             return result::note(job, &data.model_path, self.settings.train.iterations);
         }
-        note(job, &data.model_path, stage, data.outside)?;
+        note(job, &data.model_path, stage)?;
         stage.say_done();
         Ok(())
     }
