@@ -46,7 +46,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     if rounds < 2 {
         let problem = "is of one round, without an exchange";
         let remedy =
-            "make it anew: `ashsplat partition --rounds 4`, or merge its blocks when they are trained";
+            "make it anew: `ashsplat partition --rounds 5`, or merge its blocks when they are trained";
         return Err(Error::input(&file.path, problem, remedy));
     }
     let blocks = &file.division.blocks;
