@@ -116,10 +116,7 @@ impl Compose {
     /// [`Error::Argument`] for an image with another purpose, numbers that are not finite, an exposure that is not positive,
     /// and for premultiplied colours in a format without alpha.
     pub fn check_frame(image: &Image, behind: Background, encoding: ColorEncoding) -> Result<()> {
-        if image.purpose() != ImageUse::Target {
-            let problem = format!("it was adopted for {:?}, not for Target", image.purpose());
-            return Err(Error::argument(format!("image '{}'", image.name()), problem));
-        }
+        image.check_purpose(ImageUse::Target)?;
         encoding.check().map_err(|error| error.within("encoding"))?;
         match behind {
             Background::Color(color) if color.iter().any(|channel| !channel.is_finite()) => {

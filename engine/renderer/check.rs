@@ -103,9 +103,7 @@ impl Renderer {
             if !host.image.belongs_to(context) {
                 return bad("it belongs to another context");
             }
-            if host.image.purpose() != purpose {
-                return bad(&format!("it was adopted for {:?}, not for {purpose:?}", host.image.purpose()));
-            }
+            in_field(field, host.image.check_purpose(purpose))?;
             if x.saturating_add(size[0]) > width || y.saturating_add(size[1]) > height {
                 let [w, h] = size;
                 return bad(&format!("{w} x {h} pixels at ({x}, {y}) exceed its {width} x {height}"));

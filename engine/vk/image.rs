@@ -107,8 +107,8 @@ impl Image {
         if foreign.image == vk::Image::null() {
             return bad("the handle is null".into());
         }
-        let ([width, height], most) = (foreign.size, context.limits().max_image_side);
-        if foreign.size.contains(&0) || width.max(height) > most {
+        if !context.has_images_of(foreign.size) {
+            let ([width, height], most) = (foreign.size, context.limits().max_image_side);
             return bad(format!("its size is {width} x {height}, each must be from 1 to {most}"));
         }
         if foreign.samples != vk::SampleCountFlags::TYPE_1 {
@@ -152,8 +152,7 @@ impl Image {
         size: [u32; 2],
         purpose: ImageUse,
     ) -> Result<Self> {
-        let sides = 1..=context.limits().max_image_side;
-        let possible = purpose.formats().contains(&format) && size.iter().all(|side| sides.contains(side));
+        let possible = purpose.formats().contains(&format) && context.has_images_of(size);
         if !possible || !context.supports(purpose.seen_as(format), purpose) {
             let problem = format!("{format:?} of {} x {} is not possible as {purpose:?}", size[0], size[1]);
             return Err(Error::argument(format!("image '{name}'"), problem));
@@ -252,6 +251,15 @@ impl Image {
         self.0.purpose
     }
 
+    /// Refuses an image that was adopted for another purpose.
+    pub(crate) fn check_purpose(&self, purpose: ImageUse) -> Result<()> {
+        if self.purpose() == purpose {
+            return Ok(());
+        }
+        let problem = format!("it was adopted for {:?}, not for {purpose:?}", self.purpose());
+        Err(Error::argument(format!("image '{}'", self.name()), problem))
+    }
+
     /// The layout that kernels need it in.
     pub fn layout(&self) -> vk::ImageLayout {
         match self.0.purpose.kind() {
@@ -333,6 +341,11 @@ impl Context {
             }
         }
         flags
+    }
+
+    fn has_images_of(&self, size: [u32; 2]) -> bool {
+        let sides = 1..=self.limits().max_image_side;
+        size.iter().all(|side| sides.contains(side))
     }
 
     fn supports(&self, format: vk::Format, purpose: ImageUse) -> bool {

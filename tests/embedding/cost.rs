@@ -33,6 +33,49 @@ fn reserved_bytes(context: &Context, wanted: &Reservation) -> u64 {
     context.memory_total().bytes - before - empty
 }
 
+/// Milliseconds of stages by their names, all stages for the empty one, of frames that take turns: `[frame][stage][round]`. A round
+/// before them does not count.
+pub fn in_turn<const STAGES: usize>(
+    host: &Host,
+    renderer: &mut Renderer,
+    frames: &[RecordedFrame<'_>],
+    stages: [&str; STAGES],
+    rounds: usize,
+) -> Vec<[Vec<f64>; STAGES]> {
+    let in_flight = InFlight::new(host).expect("a command buffer");
+    let mut times = vec![[const { Vec::new() }; STAGES]; frames.len()];
+    for round in 0..=rounds {
+        for (frame, times) in frames.iter().zip(&mut times) {
+            in_flight.begin(host).expect("recording");
+            renderer.record(adopt(renderer.context(), &in_flight), 0, frame).expect("a recording");
+            in_flight.submit(host).expect("a submission");
+            in_flight.wait(host).expect("done");
+            let report = renderer.slot_report(0).expect("a report").expect("finished");
+            if round > 0 {
+                for (times, stage) in times.iter_mut().zip(stages) {
+                    let is_own =
+                        |name: &str, depth| if stage.is_empty() { depth == 0 } else { name == stage };
+                    let own = report.scopes.iter().filter(|scope| is_own(&scope.name, scope.depth));
+                    times.push(own.map(|scope| scope.nanoseconds / 1e6).sum());
+                }
+            }
+        }
+    }
+    in_flight.destroy(host);
+    times
+}
+
+pub fn median(values: impl IntoIterator<Item = f64>) -> f64 {
+    let mut values: Vec<f64> = values.into_iter().collect();
+    values.sort_by(f64::total_cmp);
+    values[values.len() / 2]
+}
+
+/// The median of the ratios of pairs.
+pub fn ratio(own: &[f64], other: &[f64]) -> f64 {
+    median(own.iter().zip(other).map(|(own, other)| own / other))
+}
+
 fn memory_table(host: &Host) {
     let context = shipped(host, false);
     println!("Gaussians | picture | frames go into | one slot, MiB | two | three | three / one");

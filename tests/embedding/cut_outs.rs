@@ -2,10 +2,11 @@
 
 mod at_random;
 
-use crate::host::{HostOptions, InFlight};
+use crate::cost::{in_turn, median};
+use crate::host::HostOptions;
 use crate::scene_settings::{HIDDEN, Stage, USUAL};
 use crate::scenes::appended;
-use crate::stage::{adopt, assert_same, camera, cloud, options, owned, with_host};
+use crate::stage::{assert_same, camera, cloud, options, owned, with_host};
 use ashsplat::scene::{CutOut, Gaussians, Inside, Pose, Volume};
 use ashsplat::vk::MemoryKind;
 use ashsplat::{
@@ -146,35 +147,14 @@ fn costs() {
             ("not visible", HIDDEN),
         ];
         let (view, settings) = (camera(0.7, 640, 480), RenderSettings::default());
-        let in_flight = InFlight::new(host).expect("a command buffer");
-        let mut times = vec![[const { Vec::new() }; 3]; cases.len()];
-        for round in 0..11 {
-            for ((_, own), times) in cases.iter().zip(&mut times) {
-                let placed = [Placed { settings: *own, ..Placed::from(&scene) }];
-                in_flight.begin(host).expect("recording");
-                let frame = RecordedFrame::new(&placed, &view, &settings);
-                renderer.record(adopt(&context, &in_flight), 0, &frame).expect("a recording");
-                in_flight.submit(host).expect("a submission");
-                in_flight.wait(host).expect("done");
-                let report = renderer.slot_report(0).expect("a report").expect("finished");
-                let sum = |name: Option<&str>| -> f64 {
-                    let own =
-                        report.scopes.iter().filter(|s| name.map_or(s.depth == 0, |name| s.name == name));
-                    own.map(|s| s.nanoseconds / 1e6).sum()
-                };
-                if round > 0 {
-                    let all = [sum(Some("cull")), sum(Some("project")), sum(None)];
-                    times.iter_mut().zip(all).for_each(|(times, ms)| times.push(ms));
-                }
-            }
-        }
+        let placed = cases.map(|(_, settings)| [Placed { settings, ..Placed::from(&scene) }]);
+        let frames = placed.each_ref().map(|placed| RecordedFrame::new(placed, &view, &settings));
+        let times = in_turn(host, &mut renderer, &frames, ["cull", "project", ""], 10);
         println!("scene | cull, ms | project, ms | frame, ms");
-        for ((name, _), mut times) in cases.iter().zip(times) {
-            times.iter_mut().for_each(|times| times.sort_by(f64::total_cmp));
-            let [cull, project, all] = times.map(|times| times[times.len() / 2]);
+        for ((name, _), own) in cases.iter().zip(&times) {
+            let [cull, project, all] = [0, 1, 2].map(|stage| median(own[stage].iter().copied()));
             println!("{name} | {cull:.2} | {project:.2} | {all:.1}");
         }
-        in_flight.destroy(host);
     });
 }
 

@@ -9,12 +9,11 @@ use ashsplat::{
     Reservation,
 };
 
-use crate::host::{Host, HostOptions, InFlight};
+use crate::cost::{in_turn, median, ratio};
+use crate::host::{Host, HostOptions};
 use crate::memory::HostTexture;
 use crate::scenes::{assert_nearly_equal, depth_image};
-use crate::stage::{
-    adopt, assert_same, camera, cloud, guest, options, owned, read_texture, rendered, with_host,
-};
+use crate::stage::{assert_same, camera, cloud, guest, options, owned, read_texture, rendered, with_host};
 
 pub const SIZE: [u32; 2] = [110, 70];
 
@@ -236,36 +235,19 @@ fn costs() {
         let parallel =
             Camera { fx: pinhole.fx / distance, fy: pinhole.fy / distance, ..pinhole.orthographic() };
         let (placed, settings) = ([Placed::from(&scene)], RenderSettings::default());
-        let in_flight = InFlight::new(host).expect("a command buffer");
-        let mut times = [const { Vec::new() }; 2];
-        for round in 0..31 {
-            for (camera, times) in [&pinhole, &parallel].into_iter().zip(&mut times) {
-                let frame = RecordedFrame::new(&placed, camera, &settings);
-                in_flight.begin(host).expect("recording");
-                renderer.record(adopt(&context, &in_flight), 0, &frame).expect("a recording");
-                in_flight.submit(host).expect("a submission");
-                in_flight.wait(host).expect("done");
-                let report = renderer.slot_report(0).expect("a report").expect("finished");
-                let of = |name: &str| -> f64 {
-                    report.scopes.iter().filter(|s| s.name == name).map(|s| s.nanoseconds / 1e6).sum()
-                };
-                let all = report.scopes.iter().filter(|s| s.depth == 0).map(|s| s.nanoseconds / 1e6).sum();
-                match round {
-                    0 => println!("{} visible, {} instances", report.visible, report.instances_needed),
-                    _ => times.push([of("cull"), of("project"), of("blend"), all]),
-                }
-            }
+        let frames = [&pinhole, &parallel].map(|camera| RecordedFrame::new(&placed, camera, &settings));
+        let stages = ["cull", "project", "blend", ""];
+        let times = in_turn(host, &mut renderer, &frames, stages, 30);
+        for frame in &frames {
+            in_turn(host, &mut renderer, std::slice::from_ref(frame), stages, 0);
+            let report = renderer.slot_report(0).expect("a report").expect("finished");
+            println!("{} visible, {} instances", report.visible, report.instances_needed);
         }
         println!("of | pinhole, ms | orthographic, ms | ratio of pairs");
         for (stage, name) in ["cull", "project", "blend", "frame"].into_iter().enumerate() {
-            let ratios = times[0].iter().zip(&times[1]).map(|(one, other)| other[stage] / one[stage]);
-            let median = |mut values: Vec<f64>| {
-                values.sort_by(f64::total_cmp);
-                values[values.len() / 2]
-            };
-            let [one, other] = [0, 1].map(|case| median(times[case].iter().map(|t| t[stage]).collect()));
-            println!("{name} | {one:.1} | {other:.1} | {:.3}", median(ratios.collect()));
+            let [one, other] = [0, 1].map(|case| &times[case][stage]);
+            let medians = [one, other].map(|times| median(times.iter().copied()));
+            println!("{name} | {:.1} | {:.1} | {:.3}", medians[0], medians[1], ratio(other, one));
         }
-        in_flight.destroy(host);
     });
 }

@@ -51,7 +51,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 
 /// Prints all blocks; how many are trained.
 fn show(file: &BlocksFile, as_json: bool) -> usize {
-    let all: Vec<Status> = file.division.blocks.iter().map(|block| Status::of(file, block)).collect();
+    let round = file.exchanges() + 1;
+    let all: Vec<Status> = file.division.blocks.iter().map(|block| Status::of(file, block, round)).collect();
     let trained = all.iter().filter(|status| status.state == State::Trained).count();
     if as_json {
         let blocks: Vec<Value> = all.iter().map(Status::json).collect();
@@ -93,13 +94,13 @@ struct Status<'a> {
 }
 
 impl Status<'_> {
-    fn of<'a>(file: &BlocksFile, block: &'a Block) -> Status<'a> {
+    /// `round`: the one that all blocks are in.
+    fn of<'a>(file: &BlocksFile, block: &'a Block, round: u32) -> Status<'a> {
         let folder = file.at(&block.folder);
         // A training that has not begun, or is just replacing its log, has none.
         let rows = Rows::read(&folder.join(LOG_FILE)).unwrap_or_default();
         let last = |column: &[f64]| column.iter().rev().copied().find(|value| value.is_finite());
         let iteration = last(&rows.iterations).unwrap_or(0.0) as u32;
-        let round = file.exchanges() + 1;
         let waits = file.ended_own(block).is_some_and(|ended| ended.round == round);
         let state = match (result::noted(file, block), trainer(&folder)) {
             (_, Some(holder)) => State::Training(holder),

@@ -50,9 +50,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         return Err(Error::input(&file.path, problem, remedy));
     }
     let blocks = &file.division.blocks;
-    let farthest =
-        || blocks.iter().filter_map(|block| file.ended(block)).filter(|ended| ended.blocks == file.hash);
-    let round = arguments.round.unwrap_or_else(|| farthest().map(|ended| ended.round).max().unwrap_or(1));
+    let farthest = || blocks.iter().filter_map(|block| file.ended_own(block)).map(|ended| ended.round).max();
+    let round = arguments.round.or_else(farthest).unwrap_or(1);
     if round >= rounds {
         let problem =
             format!("is {round}, but after the last of {rounds} rounds there is nothing to exchange");
@@ -76,8 +75,6 @@ struct Exchange<'a> {
     file: &'a BlocksFile,
     round: u32,
     arguments: &'a Arguments,
-    /// The scene that all blocks are.
-    scene: Gaussians,
 }
 
 impl<'a> Exchange<'a> {
@@ -102,15 +99,8 @@ impl<'a> Exchange<'a> {
             };
             missing.entry(problem).or_default().push(block.number.to_string());
         }
-        let Some(first) = missing.values().next().map(|numbers| numbers[0].clone()) else {
-            let scene = Gaussians::default();
-            return Ok(Exchange { file, round, arguments, scene });
-        };
-        let told = missing.iter().map(|(why, numbers)| format!("{} {why}", numbers.join(", ")));
-        let told = told.collect::<Vec<_>>().join("; ");
-        let problem = format!("round {round}: of its {} blocks {told}", file.division.blocks.len());
-        let remedy = format!("train them: `ashsplat train --job {}:{first}`", file.path.display());
-        Err(Error::input(&file.path, problem, remedy))
+        file.check_none_missing(&format!("round {round}: "), &missing, |why| why)?;
+        Ok(Exchange { file, round, arguments })
     }
 
     fn checkpoint(&self, block: &Block) -> Result<Checkpoint> {
@@ -137,14 +127,14 @@ impl<'a> Exchange<'a> {
         Ok(checkpoint)
     }
 
-    fn run(mut self) -> Result<()> {
+    fn run(&self) -> Result<()> {
         let (file, round) = (self.file, self.round);
         let blocks = &file.division.blocks;
         // Before anything is written: damaged checkpoints and other settings are errors.
-        self.gather()?;
+        let scene = self.gather()?;
         let bar = counting("blocks exchanged", blocks.len() as u64, self.arguments.quiet);
         for block in blocks {
-            let (own, neighbours) = self.exchanged(block)?;
+            let (own, neighbours) = self.exchanged(block, &scene)?;
             bar.inc(1);
             if !self.arguments.quiet {
                 let [own, neighbours] = [own, neighbours].map(|count| thousands(count as u64));
@@ -168,12 +158,12 @@ impl<'a> Exchange<'a> {
         Ok(())
     }
 
-    /// Reads all checkpoints, and writes the scene that they are.
-    fn gather(&mut self) -> Result<()> {
+    /// Reads all checkpoints, and writes the scene that all blocks are.
+    fn gather(&self) -> Result<Gaussians> {
         let file = self.file;
         let blocks = &file.division.blocks;
         let bar = counting("blocks checked", blocks.len() as u64, self.arguments.quiet);
-        let mut first: Option<TrainSettings> = None;
+        let (mut first, mut scene) = (None::<TrainSettings>, Gaussians::default());
         for block in blocks {
             let own = self.own(block, |_| true)?;
             let settings = first.get_or_insert_with(|| own.settings.clone());
@@ -188,21 +178,21 @@ impl<'a> Exchange<'a> {
                 let problem = format!("block {} has no Gaussians left in its cell", block.number);
                 return Err(Error::input(&file.path, problem, "divide the scene into fewer blocks"));
             }
-            match self.scene.is_empty() {
-                true => self.scene = own.gaussians,
-                false => self.scene.append(&own.gaussians),
+            match scene.is_empty() {
+                true => scene = own.gaussians,
+                false => scene.append(&own.gaussians),
             }
             bar.inc(1);
         }
         bar.finish_and_clear();
         let antialiased = first.is_some_and(|settings| settings.antialiasing);
         let options = WriteOptions { antialiased, ..WriteOptions::default() };
-        splats::write(file.exchanged_scene(self.round), &self.scene, &options)?;
-        Ok(())
+        splats::write(file.exchanged_scene(self.round), &scene, &options)?;
+        Ok(scene)
     }
 
     /// Writes what a block goes on from. How many of its Gaussians are its own and its neighbours'.
-    fn exchanged(&self, block: &Block) -> Result<(usize, usize)> {
+    fn exchanged(&self, block: &Block, scene: &Gaussians) -> Result<(usize, usize)> {
         let file = self.file;
         let (core, margin) = (block.core.bounds(), file.division.margin);
         let mut checkpoint = self.own(block, |_| true)?;
@@ -212,7 +202,7 @@ impl<'a> Exchange<'a> {
                 checkpoint.append(&self.own(other, |mean| SceneBlock::contains(core, margin, mean))?)?;
             }
         }
-        let around = SceneBlock::divide(&self.scene, core, margin)?.1;
+        let around = SceneBlock::divide(scene, core, margin)?.1;
         checkpoint.settle_in(&around);
         let iteration = file.division.round_end(block, self.round);
         checkpoint.write(exchanged_checkpoint(&file.at(&block.folder), iteration))?;

@@ -9,7 +9,7 @@ use crate::blocks::result::{Missing, scene_of};
 use crate::lock::{FolderLock, Work};
 use crate::output;
 use crate::progress::{counting, thousands};
-use ashsplat::{Error, Result};
+use ashsplat::Result;
 use ashsplat_files::splats::{self, Format, Part, WriteOptions};
 use clap::Args;
 use report::Ready;
@@ -127,9 +127,6 @@ fn scenes(file: &BlocksFile, quiet: bool) -> Result<Vec<PathBuf>> {
         bar.inc(1);
     }
     bar.finish_and_clear();
-    let Some(first) = missing.values().next().map(|numbers| numbers[0].clone()) else { return Ok(scenes) };
-    let told = missing.iter().map(|(why, numbers)| format!("{} {}", numbers.join(", "), why.describe()));
-    let problem = format!("of its {} blocks {}", blocks.len(), told.collect::<Vec<_>>().join("; "));
-    let remedy = format!("train them: `ashsplat train --job {}:{first}`", file.path.display());
-    Err(Error::input(&file.path, problem, remedy))
+    file.check_none_missing("", &missing, Missing::describe)?;
+    Ok(scenes)
 }

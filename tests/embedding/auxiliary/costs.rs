@@ -1,9 +1,9 @@
 //! What picks and motion cost a frame.
 
 use super::truth::{Screens, both, shifted};
-use crate::cost::record_cost;
-use crate::host::{Host, HostOptions, InFlight};
-use crate::stage::{adopt, camera, cloud, with_host};
+use crate::cost::{in_turn, median, ratio, record_cost};
+use crate::host::{Host, HostOptions};
+use crate::stage::{camera, cloud, with_host};
 use ashsplat::{DeviceScene, PickTarget, Placed, RecordedFrame, RenderSettings, Renderer, Reservation};
 use std::time::Instant;
 
@@ -33,38 +33,14 @@ fn costs() {
             ("motion", RecordedFrame { motion, ..plain }),
             ("both", RecordedFrame { pick, motion, ..plain }),
         ];
-        let in_flight = InFlight::new(host).expect("a command buffer");
-        let mut times = vec![[const { Vec::new() }; 4]; cases.len()];
-        for round in 0..16 {
-            for ((_, frame), times) in cases.iter().zip(&mut times) {
-                in_flight.begin(host).expect("recording");
-                renderer.record(adopt(&context, &in_flight), 0, frame).expect("a recording");
-                in_flight.submit(host).expect("a submission");
-                in_flight.wait(host).expect("done");
-                let report = renderer.slot_report(0).expect("a report").expect("finished");
-                let sum = |name: Option<&str>| -> f64 {
-                    let own =
-                        report.scopes.iter().filter(|s| name.map_or(s.depth == 0, |name| s.name == name));
-                    own.map(|s| s.nanoseconds / 1e6).sum()
-                };
-                if round > 0 {
-                    let all = [sum(Some("project")), sum(Some("blend")), sum(Some("compose")), sum(None)];
-                    times.iter_mut().zip(all).for_each(|(times, ms)| times.push(ms));
-                }
-            }
-        }
+        let frames = cases.map(|(_, frame)| frame);
+        let times = in_turn(host, &mut renderer, &frames, ["project", "blend", "compose", ""], 15);
         println!("frame with | project, ms | blend, ms | compose, ms | frame, ms | ratio of pairs");
-        let without = times[0][3].clone();
-        for ((name, _), mut times) in cases.iter().zip(times) {
-            let mut ratios: Vec<f64> =
-                times[3].iter().zip(&without).map(|(own, other)| own / other).collect();
-            ratios.sort_by(f64::total_cmp);
-            times.iter_mut().for_each(|times| times.sort_by(f64::total_cmp));
-            let [project, blend, compose, all] = times.map(|times| times[times.len() / 2]);
-            let ratio = ratios[ratios.len() / 2];
+        for ((name, _), own) in cases.iter().zip(&times) {
+            let ratio = ratio(&own[3], &times[0][3]);
+            let [project, blend, compose, all] = [0, 1, 2, 3].map(|stage| median(own[stage].iter().copied()));
             println!("{name} | {project:.2} | {blend:.1} | {compose:.2} | {all:.1} | {ratio:.3}");
         }
-        in_flight.destroy(host);
         drop(renderer);
         screens.destroy();
     });

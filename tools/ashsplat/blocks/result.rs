@@ -7,6 +7,7 @@ use crate::{model, output};
 use ashsplat::{Error, Result};
 use ashsplat_files::file_hash;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// The note's name in the model folder.
@@ -72,6 +73,23 @@ impl Missing {
             Missing::OtherDivision => "trained for another division",
             Missing::Damaged => "damaged (its scene is not as training left it)",
         }
+    }
+}
+
+impl BlocksFile {
+    /// Refuses a division of which blocks are not as they should be, and names these by what is wrong. `before`: how the error begins.
+    pub fn check_none_missing<Why: Copy + Ord>(
+        &self,
+        before: &str,
+        missing: &BTreeMap<Why, Vec<String>>,
+        describe: impl Fn(Why) -> &'static str,
+    ) -> Result<()> {
+        let Some(first) = missing.values().next().map(|numbers| &numbers[0]) else { return Ok(()) };
+        let told = missing.iter().map(|(why, numbers)| format!("{} {}", numbers.join(", "), describe(*why)));
+        let told = told.collect::<Vec<_>>().join("; ");
+        let problem = format!("{before}of its {} blocks {told}", self.division.blocks.len());
+        let remedy = format!("train them: `ashsplat train --job {}:{first}`", self.path.display());
+        Err(Error::input(&self.path, problem, remedy))
     }
 }
 
