@@ -114,6 +114,7 @@ pub enum PhotoFormat {
 ///         height,
 ///         background: [0.0; 3],
 ///         lambda_dssim: 0.2,
+///         weight: 1.0,
 ///     };
 ///     context.run("loss", |recorder| {
 ///         loss.record(recorder, &inputs);
@@ -133,7 +134,7 @@ pub struct LossInputs<'a> {
     pub photo: &'a Buffer,
     /// The buffers of [`Loss::scratch_requests`], in its order.
     pub scratch: &'a [Buffer],
-    /// Out: vec4 (loss, L1, SSIM, 0) per row.
+    /// Out: vec4 (weighted loss, L1, SSIM, 0) per row.
     pub losses: &'a Buffer,
     /// The row of `losses` that is written.
     pub row: u32,
@@ -148,6 +149,9 @@ pub struct LossInputs<'a> {
     pub background: [f32; 3],
     /// λ.
     pub lambda_dssim: f32,
+    /// Factor of the loss and its gradient, not of the two means: 1, or the share of a part in its whole picture
+    /// ([`Camera::share_of_whole`](crate::scene::Camera::share_of_whole)).
+    pub weight: f32,
 }
 
 /// The colour channels of one dispatch.
@@ -291,6 +295,7 @@ impl Loss {
             background: i.background,
             first_channel: part.first,
             lambda_dssim: i.lambda_dssim,
+            weight: i.weight,
         };
         let (columns, rows) = tile_grid(i.width, i.height);
         r.dispatch_3d(kernel, &bind, &push, [columns, rows, part.count]);
@@ -308,6 +313,7 @@ impl Loss {
             loss_row: i.row,
             scale: 1.0 / (3.0 * i.width as f32 * i.height as f32),
             lambda_dssim: i.lambda_dssim,
+            weight: i.weight,
         };
         r.dispatch(kernel, &loss_reduce::Bind { loss_partials, losses: i.losses }, &push, 1);
     }
@@ -366,6 +372,7 @@ impl Loss {
             invocations,
             columns,
             lambda_dssim: i.lambda_dssim,
+            weight: i.weight,
             partials: if adds { 3 * per_channel } else { 0 },
             loss_row: i.row,
         };

@@ -167,6 +167,7 @@ impl Training {
             height: SIZE[1],
             background: [0.0; 3],
             lambda_dssim: 0.2,
+            weight: 1.0,
         };
         self.loss.record(recorder, &loss);
         recorder.barrier();

@@ -42,6 +42,7 @@ mod orientations;
 mod orthographic;
 mod parts;
 mod photos;
+mod picture_parts;
 mod poses;
 mod profile;
 mod properties;

@@ -8,9 +8,11 @@ mod lens_note;
 mod mask;
 mod photo_folder;
 mod plan;
+mod planned_view;
 mod scaling;
 mod tracks;
 mod unpacked;
+mod used_part;
 
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
@@ -222,20 +224,19 @@ impl Dataset {
             .map(|(index, ((planned, &held_out), map))| {
                 progress.check()?;
                 let mut view = planned.load(options)?;
-                let map_of =
-                    |photo: &StoredPhoto| map.as_ref().map(|map| map.load(photo, options)).transpose();
+                let map_of = |view: &View| map.as_ref().map(|map| map.load(view, options)).transpose();
                 let track = gallery.tracks.get(index).and_then(Option::as_ref);
                 let points_of =
                     |view: &View| track.map(|track| tracks::depth_points(view, track)).transpose();
                 let mut half = None;
                 if options.copies(held_out) > 1 {
                     let mut view = view.left_half()?;
-                    view.inverse_depth = map_of(&view.photo)?;
+                    view.inverse_depth = map_of(&view)?;
                     view.depth_points = points_of(&view)?;
                     half = Some(stored(view)?);
                 }
                 if !held_out {
-                    view.inverse_depth = map_of(&view.photo)?;
+                    view.inverse_depth = map_of(&view)?;
                     view.depth_points = points_of(&view)?;
                 }
                 let view = stored(view)?;

@@ -91,14 +91,17 @@ pub(super) fn record_blocks(r: &mut Recorder, inputs: &FrameInputs) {
 fn block_of_frame(camera: &Camera, settings: &RenderSettings) -> CameraBlock {
     let shape = DrawnShape::of(settings);
     let CutLimits { low, high, opacity_logit, log_density } = settings.cut.limits();
+    let whole = camera.whole();
     let dropout = settings.dropout.unwrap_or(Dropout { share: 0.0, seed: 0, iteration: 0 });
     CameraBlock {
         focal_px: [camera.fx, camera.fy],
         // COLMAP puts the centre of the first pixel at 0.5, the shaders at 0.
         center_px: [camera.cx - 0.5, camera.cy - 0.5],
-        jacobian_limits: jacobian_limits(camera, settings.jacobian_limit),
+        jacobian_limits: jacobian_limits(&whole, settings.jacobian_limit),
         image_width: camera.width,
         image_height: camera.height,
+        whole_width: whole.width,
+        whole_height: whole.height,
         shape_scale: shape.scale,
         shape_dilation_px2: shape.dilation_px2,
         shape_opacity: shape.opacity,

@@ -135,6 +135,7 @@ fn bounds_of(camera: &Camera) -> [f32; 4] {
         let (focal, center, size) = (f64::from(focal), f64::from(center), f64::from(size));
         [-MARGIN, 1.0 + MARGIN].map(|share| ((share * size - center) / focal) as f32)
     };
+    let camera = camera.whole();
     let [left, right] = bounds(camera.fx, camera.cx, camera.width);
     let [top, bottom] = bounds(camera.fy, camera.cy, camera.height);
     [left, right, top, bottom]

@@ -52,6 +52,7 @@ impl LossTerm for Photometric {
                 height: camera.height,
                 background: inputs.frame.settings.background,
                 lambda_dssim: self.lambda_dssim,
+                weight: camera.share_of_whole() as f32,
             },
         );
     }

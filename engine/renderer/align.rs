@@ -171,6 +171,7 @@ impl Aligner {
                     height,
                     background: settings.background,
                     lambda_dssim: alignment.lambda_dssim,
+                    weight: 1.0,
                 };
                 r.barrier();
                 r.fill(parameters, 0);

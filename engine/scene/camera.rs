@@ -2,6 +2,7 @@
 
 use glam::{DMat3, DQuat, DVec3, Mat3, Vec3};
 
+use super::PicturePart;
 use crate::{Error, Result};
 
 /// Largest accepted width or height of an image, pixels. It is JPEG's own limit; a larger value means a
@@ -60,6 +61,8 @@ pub struct Camera {
     pub height: u32,
     /// How its rays run.
     pub projection: Projection,
+    /// Which part of a larger picture its picture is: see [`Camera::part()`]. None if it is whole.
+    pub part: Option<PicturePart>,
 }
 
 /// A camera without its pose and projection: focal lengths, principal point and image size.
@@ -151,7 +154,7 @@ impl Camera {
     pub fn with_pose(camera_from_world: Mat3, translation: Vec3, intrinsics: Intrinsics) -> Self {
         let Intrinsics { fx, fy, cx, cy, width, height } = intrinsics;
         let projection = Projection::Perspective;
-        Self { camera_from_world, translation, fx, fy, cx, cy, width, height, projection }
+        Self { camera_from_world, translation, fx, fy, cx, cy, width, height, projection, part: None }
     }
 
     /// The camera with parallel rays in place of the pinhole's; its focal lengths now are pixels per world unit.
@@ -188,6 +191,7 @@ impl Camera {
     /// The same view at another size: focal lengths and principal point scale with each axis.
     pub fn scaled_to(&self, width: u32, height: u32) -> Self {
         let (sx, sy) = (width as f32 / self.width as f32, height as f32 / self.height as f32);
+        let part = self.part.map(|part| part.scaled_by([sx.into(), sy.into()], (width, height)));
         Self {
             fx: self.fx * sx,
             fy: self.fy * sy,
@@ -195,6 +199,7 @@ impl Camera {
             cy: self.cy * sy,
             width,
             height,
+            part,
             ..*self
         }
     }
@@ -241,6 +246,12 @@ impl Camera {
         let sides = 1..=MAX_IMAGE_SIDE;
         if !sides.contains(&width) || !sides.contains(&height) {
             return Some(format!("image size {width}x{height} is outside 1x1 to {MAX_IMAGE_SIDE} a side"));
+        }
+        if let Some(PicturePart { left, top, whole_width, whole_height }) =
+            self.part.filter(|part| !part.holds(width, height))
+        {
+            let from = format!("image of {width}x{height} from ({left}, {top})");
+            return Some(format!("{from} is no part of one of {whole_width}x{whole_height}"));
         }
         if !(fx.is_finite() && fy.is_finite() && fx > 0.0 && fy > 0.0) {
             return Some(format!("focal length ({fx}, {fy}) is not positive"));

@@ -44,7 +44,7 @@ impl LensEffects {
     /// As [`LensEffects::apply`], for the picture of a camera that stands where the photograph was `taken`, with
     /// another field of view. Beyond the photograph's corners the vignetting stays as it is there.
     pub fn apply_as_taken(&self, taken: &Camera, camera: &Camera, picture: &mut [[f32; 3]]) {
-        let plane = LensPlane::of(taken);
+        let plane = LensPlane::of(&taken.whole());
         let most = plane.corner();
         let scale = [taken.fx / camera.fx, taken.fy / camera.fy];
         let width = camera.width.max(1) as usize;
@@ -70,7 +70,8 @@ pub(crate) struct LensPlane {
 
 impl LensPlane {
     pub(crate) fn of(camera: &Camera) -> Self {
-        let [width, height] = [camera.width, camera.height].map(|side| side.max(1) as f32);
+        let whole = camera.whole();
+        let [width, height] = [whole.width, whole.height].map(|side| side.max(1) as f32);
         let inverse_square = 4.0 / (width * width + height * height);
         Self { center_px: [camera.cx - 0.5, camera.cy - 0.5], inverse_square, size_px: [width, height] }
     }

@@ -374,17 +374,19 @@ impl Checkpoint {
                 self.iteration, wanted.settings.iterations
             ));
         }
+        // Before the views: which photographs, and which parts of them, goes by the block.
+        if let Some(difference) = BlockState::difference(self.block.as_ref(), wanted.block.as_ref()) {
+            return refuse(difference);
+        }
         if self.views != wanted.views {
             return refuse(format!("was made with {} training views, here are {}", self.views, wanted.views));
         }
         if self.views_fingerprint != wanted.views_fingerprint {
             return refuse(
-                "was made with other photographs or cameras (of another data set, resolution, background or split)"
+                "was made with other photographs or cameras (of another data set, resolution, background, split, or parts of \
+                 photographs)"
                     .into(),
             );
-        }
-        if let Some(difference) = BlockState::difference(self.block.as_ref(), wanted.block.as_ref()) {
-            return refuse(difference);
         }
         if self.scene_extent.to_bits() != wanted.scene_extent.to_bits() {
             return refuse(format!(

@@ -9,7 +9,7 @@ use crate::fingerprint::Fingerprint;
 use crate::forward::SceneBuffers;
 use crate::plan::{FrameCapacity, PictureCapacity};
 use crate::planes;
-use crate::scene::Camera;
+use crate::scene::{Camera, PicturePart};
 use crate::vk::{Buffer, Context};
 
 impl Trainer {
@@ -245,12 +245,15 @@ impl Room {
 /// Identifies views, cameras and photographs in their order; `by_camera`: and which cameras took them.
 pub(super) fn fingerprint_of(views: &[TrainView], by_camera: bool) -> u64 {
     let of_view = |view: &TrainView| {
-        let Camera { camera_from_world, translation, fx, fy, cx, cy, width, height, .. } = view.camera;
+        let Camera { camera_from_world, translation, fx, fy, cx, cy, width, height, part, .. } = view.camera;
         let mut print = Fingerprint::new();
         print.add(bytemuck::cast_slice(&camera_from_world.to_cols_array()));
         print.add(bytemuck::cast_slice(&translation.to_array()));
         print.add(bytemuck::cast_slice(&[fx, fy, cx, cy]));
         print.add(bytemuck::cast_slice(&[width, height]));
+        if let Some(PicturePart { left, top, whole_width, whole_height }) = part {
+            print.add(bytemuck::cast_slice(&[left, top, whole_width, whole_height]));
+        }
         print.add(bytemuck::bytes_of(&view.photo.fingerprint()));
         view.inverse_depth.iter().for_each(|map| print.add(bytemuck::cast_slice(map)));
         if by_camera {

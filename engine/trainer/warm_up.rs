@@ -5,7 +5,7 @@ use crate::error::Result;
 use crate::kernels::pixels::photo_reduced;
 use crate::loss::{Windowing, photo_bytes};
 use crate::plan::{LaunchSizes, Strips, blocks};
-use crate::scene::Camera;
+use crate::scene::{Camera, PicturePart};
 use crate::vk::{Buffer, Context, Kernel, Recorder};
 
 /// The first and the last factor by which width and height are divided.
@@ -24,7 +24,14 @@ pub(super) struct WarmUp {
 /// over at the right and at the bottom is cut off.
 fn reduced(camera: &Camera, factor: u32) -> Camera {
     let by = factor as f32;
+    let part = camera.part.map(|part| PicturePart {
+        left: part.left / factor,
+        top: part.top / factor,
+        whole_width: part.whole_width / factor,
+        whole_height: part.whole_height / factor,
+    });
     Camera {
+        part,
         fx: camera.fx / by,
         fy: camera.fy / by,
         cx: camera.cx / by,
@@ -142,6 +149,9 @@ mod tests {
         }
         let drawn = settings.warm_up_camera(2, &camera);
         assert_eq!([drawn.fx, drawn.fy, drawn.cx, drawn.cy], [75.0, 77.5, 37.75, 24.75]);
+        let part = of(800, 640).part([160, 80], [400, 320]).expect("a part");
+        let whole = settings.warm_up_camera(2, &of(800, 640));
+        assert_eq!(settings.warm_up_camera(2, &part), whole.part([40, 20], [100, 80]).expect("its part"));
         // Small photographs are reduced less, or not at all.
         assert_eq!([size(2, &of(303, 255)), size(2, &of(400, 127))], [(151, 127), (400, 127)]);
         assert_eq!(size(1, &camera), (303, 259));

@@ -402,9 +402,9 @@ void main() {
         gradients[GRADIENT_COLOR * gradient_stride + visible] = vec4(d_color, d_mean2d.y);
 #endif
         if (accumulate != 0 && state[STATE_OVERFLOW] == 0) {
-            vec2 ndc = d_mean2d * 0.5 * vec2(image_width, image_height);
+            vec2 ndc = d_mean2d * 0.5 * vec2(whole_width, whole_height);
             float norm = length(ndc);
-            float absolute_norm = ABSOLUTE ? length(sums.absolute * 0.5 * vec2(image_width, image_height)) : 0.0;
+            float absolute_norm = ABSOLUTE ? length(sums.absolute * 0.5 * vec2(whole_width, whole_height)) : 0.0;
             // A norm that is not finite would spoil the statistics for good, so it is skipped.
             bool counts = is_finite(norm) && is_finite(absolute_norm);
             statistics[gaussian] += counts ? vec2(norm, 1.0) : vec2(0.0);

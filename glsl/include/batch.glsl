@@ -36,6 +36,8 @@ void load_block(uint scene) {
     jacobian_limits = scene_blocks[scene].jacobian_limits;
     image_width = scene_blocks[scene].image_width;
     image_height = scene_blocks[scene].image_height;
+    whole_width = scene_blocks[scene].whole_width;
+    whole_height = scene_blocks[scene].whole_height;
     inverse_scale_squared = scene_blocks[scene].inverse_scale_squared;
     shape_scale = scene_blocks[scene].shape_scale;
     shape_dilation_px2 = scene_blocks[scene].shape_dilation_px2;

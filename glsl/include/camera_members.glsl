@@ -10,6 +10,9 @@ vec2 center_px;
 vec4 jacobian_limits;
 uint image_width;
 uint image_height;
+// The size of the whole picture, of which this one may be a part (engine/scene/picture_part.rs).
+uint whole_width;
+uint whole_height;
 // 1 / scale^2.
 float inverse_scale_squared;
 // How Gaussians are drawn (engine/forward/shape.rs): a factor of the scales; a term added to both screen variances; an

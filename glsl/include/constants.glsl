@@ -94,7 +94,7 @@ const uint SORT_BINS = 256;
 
 // Words from one scene's camera block to the next (scene_blocks.glsl), and those that have a meaning.
 const uint CAMERA_BLOCK_WORDS = 64;
-const uint CAMERA_BLOCK_MEMBERS = 53;
+const uint CAMERA_BLOCK_MEMBERS = 55;
 // In place of a scene's batch: it is drawn alone.
 const uint NO_BATCH = 0xFFFFFFFF;
 

@@ -1,7 +1,7 @@
 // Adds the workgroups' sums in one fixed order: the loss of the iteration.
 //
 // invocation: every WORKGROUP_SIZE-th partial sum; one workgroup in all
-// in: loss_partials[partials]; out: losses[loss_row] = (L, mean |x - y|, mean SSIM, unused)
+// in: loss_partials[partials]; out: losses[loss_row] = (weight * L, mean |x - y|, mean SSIM, unused)
 // shared: one vec2 per subgroup; any subgroup size
 #version 460
 #extension GL_EXT_scalar_block_layout : require
@@ -22,6 +22,8 @@ layout(push_constant, scalar) uniform Push {
     // 1 / (3 W H).
     float scale;
     float lambda_dssim;
+    // Of the loss; the means are without it.
+    float weight;
 };
 
 #include "ssim.glsl"
@@ -44,6 +46,6 @@ void main() {
             total += subgroup_sums[k];
         }
         total *= scale;
-        losses[loss_row] = vec4(total_loss(total, lambda_dssim), total, 0.0);
+        losses[loss_row] = vec4(weight * total_loss(total, lambda_dssim), total, 0.0);
     }
 }

@@ -1,4 +1,4 @@
-// Gradient of L = (1 - lambda) mean |x - y| + lambda (1 - mean SSIM) with respect to the rendered image.
+// Gradient of L = weight ((1 - lambda) mean |x - y| + lambda (1 - mean SSIM)) with respect to the rendered image.
 //
 //   dSSIM/dx = window * by_mean + 2 x (window * by_square) + y (window * by_product)
 //
@@ -31,6 +31,7 @@ layout(push_constant, scalar) uniform Push {
     vec3 background;
     uint first_channel;
     float lambda_dssim;
+    float weight;
 };
 
 #include "ssim.glsl"
@@ -51,7 +52,7 @@ vec3 row_at(uint at) {
 
 void finish(vec3 windowed, uvec2 pixel, uint channel) {
     if (pixel.x < image_width && pixel.y < image_height) {
-        float scale = 1.0 / (3.0 * float(image_width) * float(image_height));
+        float scale = weight * (1.0 / (3.0 * float(image_width) * float(image_height)));
         uint index = pixel.y * image_width + pixel.x;
         vec2 value = rendered_and_photo(index, channel);
         float gradient = loss_gradient(windowed, value, scale, lambda_dssim);

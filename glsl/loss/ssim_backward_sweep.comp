@@ -43,6 +43,8 @@ layout(push_constant, scalar) uniform Push {
     // Partial sums of all channels; 0 if another dispatch adds them.
     uint partials;
     uint loss_row;
+    // Of the loss and its gradient; the means are without it.
+    float weight;
 };
 
 #define SWEPT vec3
@@ -76,7 +78,7 @@ void add_partials(float scale) {
     }
     sum = subgroupAdd(sum) * scale;
     if (gl_LocalInvocationID.x == 0) {
-        losses[loss_row] = vec4(total_loss(sum, lambda_dssim), sum, 0.0);
+        losses[loss_row] = vec4(weight * total_loss(sum, lambda_dssim), sum, 0.0);
     }
 }
 
@@ -119,7 +121,7 @@ void main() {
         if (MASKED) mask = photo_bytes(own_mask + own_x);
         float gradient[STRIP_ROWS];
         [[unroll]] for (uint row = 0; row < STRIP_ROWS; ++row) {
-            float d = loss_gradient(sweep_window(row), values[row], scale, lambda_dssim);
+            float d = loss_gradient(sweep_window(row), values[row], weight * scale, lambda_dssim);
             gradient[row] = MASKED && photo_byte(mask, row) == 0 ? 0.0 : d;
         }
         if (complete) {

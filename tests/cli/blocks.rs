@@ -82,6 +82,43 @@ fn a_block_is_trained_among_the_rest_of_its_scene() {
     assert!(inside > 20 && inside < all.len() - 20, "{inside} of {}", all.len());
 }
 
+/// Of each photo what shows the block is used; stopped and gone on with.
+#[test]
+fn a_block_is_trained_on_parts_of_photos() {
+    let place = Place::new();
+    assert_trained(&place.train("coarse", &["--iterations", "60", "--opacity-lr", "0.2"]));
+    let scene = place.model("coarse").join("point_cloud/iteration_60/point_cloud.ply");
+    let small = "--block=-inf,-inf,-inf,-0.4,inf,inf";
+    let begin = ["train", "-s", text(&place.model("data")), "--init", text(&scene), small].map(String::from);
+    let run = |model: &str, more: &[&str]| {
+        let out = place.model(model);
+        finish(
+            program().args(&begin).args(["-m", text(&out), "--few-photos", "off", "--iterations"]).args(more),
+        )
+    };
+    let whole = ["--photo-parts", "off"];
+    let of_parts = run("parts", &["30"]);
+    assert_trained(&of_parts);
+    let said = of_parts.stderr.clone();
+    assert!(said.contains("of the photos") && said.contains("--photo-parts"), "{said}");
+    assert_trained(&run("whole", &[&["30"][..], &whole].concat()));
+    assert!(place.ply("parts", 30) != place.ply("whole", 30), "it changes nothing");
+    assert_trained(&run("stopped", &["20", "--checkpoint_iterations", "20"]));
+    let goes_on = ["30", "--start_checkpoint", "latest"];
+    let refused = run("stopped", &[&goes_on[..], &whole].concat());
+    assert_refused(&refused, &["chkpnt20", "other photographs or cameras"]);
+    assert_trained(&run("stopped", &goes_on));
+    assert!(place.ply("stopped", 30) == place.ply("parts", 30), "other bits");
+    // Less of them is kept on the device.
+    let photos = |model: &str| -> f64 {
+        let report = std::fs::read_to_string(place.model(model).join("report.html")).expect("a report");
+        let row = report.split(">photos<").nth(1).expect("photos");
+        let number = row.split(|c: char| !c.is_ascii_digit() && c != '.').find(|n| n.parse::<f64>().is_ok());
+        number.and_then(|number| number.parse().ok()).expect("a number")
+    };
+    assert!(photos("parts") < photos("whole"), "{} {}", photos("parts"), photos("whole"));
+}
+
 /// The rest of the scene is left out, and pixels that show it do not count; stopped and gone on with.
 #[test]
 fn a_block_is_trained_with_the_rest_of_its_scene_masked() {
@@ -126,6 +163,8 @@ fn senseless_blocks_are_refused_before_the_work() {
         (&[LEFT, "--margin=nan"], &["margin", "0 or more"]),
         (&["--margin=1"], &["margin", "--block"]),
         (&["--outside=masked"], &["outside", "--block"]),
+        (&["--photo-parts=on"], &["photo_parts", "--block"]),
+        (&[LEFT, "--photo-parts=on"], &["photo_parts", "--init"]),
         (&[LEFT, "--outside=masked"], &["outside", "--init"]),
         (&["--scene-extent=-1"], &["scene_extent"]),
         (&["--scene-extent=inf"], &["scene_extent"]),

@@ -55,6 +55,7 @@ pub fn camera(view: &View) -> Camera {
             true => Projection::Orthographic,
             false => Projection::Perspective,
         },
+        part: None,
     }
 }
 

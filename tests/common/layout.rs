@@ -104,6 +104,8 @@ pub fn camera_block(view: &View) -> CameraBlock {
         jacobian_limits: [x0 as f32, x1 as f32, y0 as f32, y1 as f32],
         image_width: view.size_px[0],
         image_height: view.size_px[1],
+        whole_width: view.size_px[0],
+        whole_height: view.size_px[1],
         inverse_scale_squared: 1.0,
         shape_scale: view.drawn.scale_modifier as f32,
         shape_dilation_px2: view.drawn.dilation_px2 as f32,

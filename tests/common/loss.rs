@@ -232,7 +232,10 @@ pub fn forward(gpu: &Gpu, pictures: &Pictures, window: Window) -> (Buffer, Buffe
     (derivatives, loss_partials)
 }
 
-/// Runs the backward kernel; dL/d(r, g, b) and a fourth component that it does not write.
+/// Factor of the loss.
+pub const WEIGHT: f32 = 0.7;
+
+/// Runs the backward kernel; [`WEIGHT`] dL/d(r, g, b) and a fourth component that it does not write.
 pub fn backward(
     gpu: &Gpu,
     pictures: &Pictures,
@@ -258,8 +261,14 @@ pub fn backward(
                 derivatives,
                 image_gradient: &image_gradient,
             };
-            let push =
-                ssim_backward::Push { image_width, image_height, background, first_channel, lambda_dssim };
+            let push = ssim_backward::Push {
+                image_width,
+                image_height,
+                background,
+                first_channel,
+                lambda_dssim,
+                weight: WEIGHT,
+            };
             gpu.run(|recorder| recorder.dispatch_3d(&kernel, &bind, &push, pictures.grid()));
         }
         Window::Sweep { columns } => {
@@ -285,6 +294,7 @@ pub fn backward(
                 lambda_dssim,
                 partials: 0,
                 loss_row: 0,
+                weight: WEIGHT,
             };
             let workgroups = u64::from(invocations.div_ceil(workgroup_size));
             gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, workgroups));

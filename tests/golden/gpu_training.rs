@@ -69,6 +69,7 @@ pub(super) fn device_loss(
                 height,
                 background: [0.0; 3],
                 lambda_dssim: 0.2,
+                weight: 1.0,
             },
         );
     });

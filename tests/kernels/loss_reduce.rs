@@ -4,7 +4,7 @@ use ashsplat::kernels::loss::loss_reduce::{Bind, Interface, Push, Spec};
 
 use crate::common::compare::elementwise;
 use crate::common::gpu::{Gpu, UNTOUCHED, sizes};
-use crate::common::loss::{BACKGROUND, Pictures, Window, forward};
+use crate::common::loss::{BACKGROUND, Pictures, WEIGHT, Window, forward};
 use crate::common::scenes::Random;
 use crate::reference::loss_reduce::{LAMBDA_DSSIM, loss};
 
@@ -13,8 +13,8 @@ fn reduced(gpu: &Gpu, partials: &ashsplat::vk::Buffer, count: usize, scale: f64)
     let spec = Spec { workgroup_size: gpu.workgroup(64), subgroup_size: gpu.subgroup() };
     let losses = gpu.untouched::<[f32; 4]>("losses", 3);
     let bind = Bind { loss_partials: partials, losses: &losses };
-    let push =
-        Push { partials: count as u32, loss_row: 1, scale: scale as f32, lambda_dssim: LAMBDA_DSSIM as f32 };
+    let (scale, lambda_dssim) = (scale as f32, LAMBDA_DSSIM as f32);
+    let push = Push { partials: count as u32, loss_row: 1, scale, lambda_dssim, weight: WEIGHT };
     gpu.dispatch::<Interface>(&spec, &bind, &push, 1);
     let all = gpu.read::<[f32; 4]>(&losses, 3);
     assert!([all[0], all[2]].as_flattened().iter().all(|x| x.to_bits() == UNTOUCHED));
@@ -32,7 +32,8 @@ pub fn loss_reduce_equals_its_twin() {
         let scale = 1.0 / (256.0 * size.max(1) as f64);
         let sum = |k: usize| values.iter().map(|v| f64::from(v[k])).sum::<f64>() * scale;
         let (l1, ssim) = (sum(0), sum(1));
-        let expected = [(1.0 - LAMBDA_DSSIM) * l1 + LAMBDA_DSSIM * (1.0 - ssim), l1, ssim];
+        let loss = f64::from(WEIGHT) * ((1.0 - LAMBDA_DSSIM) * l1 + LAMBDA_DSSIM * (1.0 - ssim));
+        let expected = [loss, l1, ssim];
         elementwise("loss", &reduced(&gpu, &partials, size, scale), &expected, 1e-6, 2e-6).expect("losses");
     }
 }
@@ -52,5 +53,6 @@ pub fn loss_of_two_pictures() {
     };
     assert_ne!(BACKGROUND, [0.0; 3]);
     let twin = loss(&interleaved(0), &interleaved(1), 67, 41);
-    elementwise("loss", &actual, &[twin.loss, twin.l1, twin.ssim], 1e-6, 1e-5).expect("losses");
+    elementwise("loss", &actual, &[f64::from(WEIGHT) * twin.loss, twin.l1, twin.ssim], 1e-6, 1e-5)
+        .expect("losses");
 }

@@ -2,7 +2,7 @@
 
 use crate::common::compare::{GradientTolerance, gradient};
 use crate::common::gpu::{Gpu, UNTOUCHED};
-use crate::common::loss::{Pictures, SIZES, Window, backward};
+use crate::common::loss::{Pictures, SIZES, WEIGHT, Window, backward};
 use crate::reference::ssim_backward::ssim_backward;
 use crate::reference::ssim_forward::{SsimPlane, ssim_forward};
 
@@ -39,7 +39,8 @@ pub fn check(gpu: &Gpu, pictures: &Pictures, window: Window) {
         for channel in 0..3 {
             let [x, y] = pictures.planes(channel);
             let lambda = f64::from(lambda);
-            let mut expected = ssim_backward(&x, &y, &twins[channel], lambda, 3 * count);
+            let expected = ssim_backward(&x, &y, &twins[channel], lambda, 3 * count);
+            let mut expected: Vec<f64> = expected.iter().map(|d| f64::from(WEIGHT) * d).collect();
             let mut actual: Vec<f64> = actual.iter().map(|d| f64::from(d[channel])).collect();
             for i in 0..count {
                 if !pictures.counts(i) {

@@ -58,6 +58,7 @@ fn engine_loss(pictures: &Pictures, windowing: Windowing, largest: Option<u64>) 
         height,
         background: BACKGROUND.map(|x| x as f32),
         lambda_dssim: 0.2,
+        weight: 1.0,
     };
     let run = context.run("loss", |recorder| {
         recorder.fill(image_gradient, 0);

@@ -158,10 +158,16 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     origin.refuse_unused(&settings, given)?;
     let settings = origin.settle(settings);
     lpips.check(&gallery, &settings)?;
-    outside::hide(&context, &mut gallery, (origin.scene(), &settings), (arguments.quiet, &stop))?;
+    let used = outside::look(&context, &mut gallery, (origin.scene(), &settings), (arguments.quiet, &stop))?;
     check_fits(&context, &gallery, &settings, &origin)?;
     let mut dataset = session::load(&gallery, arguments.quiet, &stop)?;
-    gallery.notes().iter().chain(&few_photos).filter(|_| !arguments.quiet).for_each(|line| tell!("{line}"));
+    gallery
+        .notes()
+        .iter()
+        .chain(&few_photos)
+        .chain(&used)
+        .filter(|_| !arguments.quiet)
+        .for_each(|line| tell!("{line}"));
     let gallery = arguments.live.wants_photos().then_some(gallery);
     match origin.needs_points() {
         true => settings.settle_points(&mut dataset, &options.host_memory, arguments.quiet, &stop)?,

@@ -6,13 +6,15 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use super::DatasetOptions;
-use super::plan::PlannedView;
+use super::planned_view::PlannedView;
+use super::used_part::cut;
+use super::{DatasetOptions, View};
 use crate::colmap::{self, Model};
 use crate::depth_fit::{DEPTH_PARAMS_FILE, DepthFit};
-use crate::images::{DepthMap, StoredPhoto, header};
+use crate::images::{DepthMap, header};
 use crate::names::{plain, stays_inside};
 use crate::transforms;
+use ashsplat::scene::PicturePart;
 use ashsplat::{Error, Result};
 
 /// A map that is read with its photo.
@@ -163,10 +165,14 @@ fn fitted(
 }
 
 impl PlannedMap {
-    /// The inverse depths that the pixels of a photo should have: infinite where its mask says that they do not count.
-    pub(super) fn load(&self, photo: &StoredPhoto, options: &DatasetOptions) -> Result<Arc<[f32]>> {
+    /// The inverse depths that the pixels of a view's photo should have: infinite where its mask says that they do not count.
+    pub(super) fn load(&self, view: &View, options: &DatasetOptions) -> Result<Arc<[f32]>> {
         let map = DepthMap::read(&self.path, &options.host_memory)?;
-        let mut values = map.resized(photo.width, photo.height).values;
+        let (photo, whole) = (&view.photo, view.camera.whole());
+        let mut values = map.resized(whole.width, whole.height).values;
+        if let Some(PicturePart { left, top, .. }) = view.camera.part {
+            values = cut(&values, (whole.width, 1), [left, top], [photo.width, photo.height]);
+        }
         if let Some(DepthFit { scale, offset }) = self.fit {
             values.iter_mut().for_each(|value| *value = (scale * f64::from(*value) + offset) as f32);
         }

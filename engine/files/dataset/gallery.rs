@@ -1,12 +1,15 @@
 //! The photos of a data set one at a time, for applications that need only a few.
 
 use std::collections::BTreeSet;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use super::depths::{self, PlannedMap};
 use super::mask::Mask;
-use super::plan::{Plan, PlannedView};
+use super::plan::Plan;
+use super::planned_view::PlannedView;
 use super::tracks::Track;
+use super::used_part::UsedPart;
 use super::{Dataset, DatasetOptions, Unpacked, View, beyond_memory};
 use crate::cameras_json::NamedCamera;
 use crate::progress::Progress;
@@ -94,12 +97,37 @@ impl Gallery {
     /// [`Error::Argument`] for a view that does not exist, and a picture of another size.
     pub fn hide(&mut self, index: usize, (width, height): (u32, u32), counts: &[bool]) -> Result<()> {
         let mask = Mask::coarse(width, height, counts)?;
-        let count = self.views.len();
-        let Some(view) = self.views.get_mut(index) else {
-            return Err(Error::argument("view", format!("is {index}, there are {count}")));
-        };
-        view.coarse_mask = Some(mask);
+        self.planned(index)?.coarse_mask = Some(mask);
         Ok(())
+    }
+
+    /// Uses a part of a view's photo in place of the whole: these columns and rows of a coarse picture of this width and height over the
+    /// whole view, as much around them as SSIM's window sees, and what is missing of whole tiles of 16 pixels. Camera, masks, inverse-depth
+    /// maps and points are that part's ([`Camera::part()`](ashsplat::scene::Camera::part())).
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for a view that does not exist, and for columns or rows that the coarse picture does not have.
+    pub fn use_part(
+        &mut self,
+        index: usize,
+        coarse: (u32, u32),
+        columns: Range<u32>,
+        rows: Range<u32>,
+    ) -> Result<()> {
+        let part = UsedPart::of(coarse, columns, rows)?;
+        self.planned(index)?.part = Some(part);
+        Ok(())
+    }
+
+    /// The share of a view's photo that is used: 1 without [`Gallery::use_part`]. `None` beyond the last.
+    pub fn share_used(&self, index: usize) -> Option<f64> {
+        self.views.get(index).map(PlannedView::share_used)
+    }
+
+    fn planned(&mut self, index: usize) -> Result<&mut PlannedView> {
+        let count = self.views.len();
+        let missing = || Error::argument("view", format!("is {index}, there are {count}"));
+        self.views.get_mut(index).ok_or_else(missing)
     }
 
     /// The cameras by name, at the photos' own sizes.

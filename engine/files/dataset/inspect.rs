@@ -7,7 +7,8 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use rayon::prelude::*;
 
-use super::plan::{Plan, PlannedView, check_split};
+use super::plan::{Plan, check_split};
+use super::planned_view::PlannedView;
 use super::unpacked::Unpacked;
 use super::{DatasetOptions, may_lack_points, random_points_instead};
 use crate::progress::Progress;

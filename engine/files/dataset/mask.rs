@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use super::used_part::cut;
 use crate::host_memory::HostMemory;
 use crate::images::{Photo, Request, header, read_as, undistort};
 use crate::names::{Finder, plain};
@@ -109,6 +110,12 @@ impl Mask {
         let pixels = (0..height).flat_map(|y| (0..width).map(move |x| (x, y)));
         let values = pixels.map(|(x, y)| least(x, y).unwrap_or_default()).collect();
         Self { width, height, values }
+    }
+
+    /// A part of the mask.
+    pub(super) fn cut(&self, corner: [u32; 2], size: [u32; 2]) -> Self {
+        let values = cut(&self.values, (self.width, 1), corner, size);
+        Self { width: size[0], height: size[1], values }
     }
 
     /// 255 where a pixel counts, otherwise 0; None if all pixels count.

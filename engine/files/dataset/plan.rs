@@ -3,13 +3,14 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use glam::{Mat3, Vec3};
+use glam::Vec3;
 
 use super::exif_orientation::Turned;
-use super::mask::{Mask, mask_in_folder, mask_of};
-use super::{DatasetOptions, View, lens_note, photo_folder, scaling};
+use super::mask::{mask_in_folder, mask_of};
+use super::planned_view::PlannedView;
+use super::{DatasetOptions, lens_note, photo_folder, scaling};
 use crate::colmap::{self, ColmapImage, Model};
-use crate::images::{Decoded, Photo, PhotoFileFormat, Request, StoredPhoto, header, read_as, undistort};
+use crate::images::header;
 use crate::names::{Finder, plain};
 use crate::transforms::{self, Frame, Transforms};
 use ashsplat::scene::lens::Lens;
@@ -48,29 +49,6 @@ pub(super) struct Plan {
     pub(super) notes: Vec<String>,
     /// Which cameras have lens distortion.
     distorted: Option<String>,
-}
-
-/// A view whose photo is not loaded yet.
-pub(crate) struct PlannedView {
-    pub(crate) name: String,
-    pub(super) image_id: u32,
-    camera_id: u32,
-    camera_from_world: Mat3,
-    translation: Vec3,
-    /// The camera of the photo, with its lens.
-    pub(super) lens: Lens,
-    /// The pinhole camera that replaces it; the same without distortion.
-    pinhole: Intrinsics,
-    photo_path: PathBuf,
-    /// Whether the photo is rotated by its metadata.
-    turned: bool,
-    /// The photo's mask file, and what else is hidden.
-    mask_path: Option<PathBuf>,
-    pub(super) coarse_mask: Option<Mask>,
-    /// Whether transparent pixels of the photo do not count; otherwise they show the background.
-    alpha_is_mask: bool,
-    /// Whether the data set specifies that the view is held out.
-    pub(super) held_out: bool,
 }
 
 impl Plan {
@@ -185,6 +163,7 @@ impl Plan {
                 mask_path: mask_of(path, &options.images, &image.name, &mut finder),
                 alpha_is_mask: true,
                 coarse_mask: None,
+                part: None,
                 held_out: false,
             })
         };
@@ -309,6 +288,7 @@ impl Plan {
             mask_path: frame.mask_path.clone(),
             alpha_is_mask: false,
             coarse_mask: None,
+            part: None,
             held_out: frame.test,
         })
     }
@@ -344,107 +324,5 @@ fn photo_in_folder(path: &Path, frame: &Frame, images: &str, finder: &mut Finder
             finder.photo(&folder, rest).unwrap_or_else(|| folder.join(rest))
         }
         _ => frame.photo_path.clone(),
-    }
-}
-
-impl PlannedView {
-    /// The pinhole camera of the view at the size of its file, as far as the data set specifies it.
-    pub(crate) fn camera(&self) -> Camera {
-        Camera::with_pose(self.camera_from_world, self.translation, self.pinhole)
-    }
-
-    /// The undistorted and scaled photo, its mask at the file's size, and its camera there.
-    pub(super) fn read_photo(&self, options: &DatasetOptions) -> Result<(Photo, Option<Mask>, Camera)> {
-        let (lens, pinhole) = self.optics_of_file(options.divisor())?;
-        let memory = &options.host_memory;
-        let own = (lens.width, lens.height);
-        // One file at a time: who waits for memory must hold none.
-        let mask =
-            self.mask_path.as_ref().map(|path| Mask::read(path, self.turned, own, memory)).transpose()?;
-        let scaled = options.resolution.apply(pinhole.width, pinhole.height);
-        let bytes = |width: u32, height: u32| u64::from(width) * u64::from(height);
-        let (before, after) = (bytes(lens.width, lens.height), bytes(pinhole.width, pinhole.height));
-        let masks = if mask.is_some() { 2 * before } else { 0 };
-        let besides = match lens.is_distorted() {
-            false => masks,
-            true => masks + 3 * after + 3 * bytes(scaled.0, scaled.1) + 2 * masks,
-        };
-        let request = Request {
-            background: options.background(),
-            turned: self.turned,
-            size: Some(own),
-            // What is undistorted is scaled then.
-            scaled: (!lens.is_distorted()).then_some(scaled),
-            besides,
-            memory,
-        };
-        let Decoded { mut photo, alpha, lease, .. } = read_as(&self.photo_path, &request)?;
-        let alpha = alpha.filter(|_| self.alpha_is_mask).map(|alpha| Mask::of_alpha(own.0, own.1, alpha));
-        let mut mask = Mask::of_both(mask, alpha);
-        if lens.is_distorted() {
-            mask = mask.map(|mask| mask.undistorted(&lens, &pinhole));
-            photo = undistort(&photo, &lens, &pinhole).scaled_to(scaled.0, scaled.1)?;
-        }
-        drop(lease);
-        Ok((photo, mask, Camera::with_pose(self.camera_from_world, self.translation, pinhole)))
-    }
-
-    /// Lens and pinhole at the size of a photo that was divided by `divisor`, with any rounding of its sides.
-    fn optics_of_file(&self, divisor: u32) -> Result<(Lens, Intrinsics)> {
-        let Lens { width: w, height: h, .. } = self.lens;
-        if divisor == 1 {
-            return Ok((self.lens, self.pinhole));
-        }
-        let (width, height) = header(&self.photo_path)?.size(self.turned);
-        if (width, height) == (w, h) {
-            return Ok((self.lens, self.pinhole));
-        }
-        let fits = |photo: u32, camera: u32| photo == camera / divisor || photo == camera.div_ceil(divisor);
-        if !fits(width, w) || !fits(height, h) {
-            let problem =
-                format!("is {width}x{height} pixels, 1/{divisor} of its camera's {w}x{h} was expected");
-            let remedy = "use photos of that size, or another folder";
-            return Err(Error::input(&self.photo_path, problem, remedy));
-        }
-        let lens = self.lens.scaled_to(width, height);
-        // A lens that can be undistorted at one size can be at another.
-        Ok((lens, lens.inscribed_pinhole().unwrap_or(lens.intrinsics())))
-    }
-
-    /// The size at which the photo is used, before it is read.
-    pub(super) fn size(&self, options: &DatasetOptions) -> Result<(u32, u32)> {
-        let (_, pinhole) = self.optics_of_file(options.divisor())?;
-        Ok(options.resolution.apply(pinhole.width, pinhole.height))
-    }
-
-    /// Estimated bytes of the photo with its mask, before it is read. On a device it takes about the same.
-    pub(super) fn texel_bytes(&self, options: &DatasetOptions) -> u64 {
-        let (width, height) = self.expected_size(options);
-        let (width, height) = options.resolution.apply(width, height);
-        4 * u64::from(width) * u64::from(height)
-    }
-
-    /// The size of the undistorted photo before it is scaled, without a look at its file.
-    fn expected_size(&self, options: &DatasetOptions) -> (u32, u32) {
-        let divided = |side: u32| (side / options.divisor()).max(1);
-        (divided(self.pinhole.width), divided(self.pinhole.height))
-    }
-
-    pub(super) fn load(&self, options: &DatasetOptions) -> Result<View> {
-        let (photo, mask, original_camera) = self.read_photo(options)?;
-        let (width, height) = (photo.width, photo.height);
-        let coarse = self.coarse_mask.as_ref().map(|mask| mask.stretched_to(width, height));
-        let mask = Mask::of_both(mask.map(|mask| mask.scaled_to(width, height)), coarse);
-        let mask = mask.and_then(Mask::into_values);
-        Ok(View {
-            name: self.name.clone(),
-            image_id: self.image_id,
-            camera_id: self.camera_id,
-            camera: original_camera.scaled_to(width, height),
-            original_camera,
-            photo: StoredPhoto::new(photo, mask),
-            inverse_depth: None,
-            depth_points: None,
-        })
     }
 }

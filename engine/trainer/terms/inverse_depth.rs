@@ -56,6 +56,7 @@ impl LossTerm for InverseDepth {
         };
         let weight = self.settings.depth_l1_weight(inputs.iteration);
         let pixels = f64::from(frame.camera.width) * f64::from(frame.camera.height);
+        let share = frame.camera.share_of_whole();
         r.scope("inverse depth", |r| {
             let bind = inverse_depth_l1::Bind {
                 inverse_depth: &frame.frame.inverse_depth,
@@ -66,14 +67,14 @@ impl LossTerm for InverseDepth {
             let push = inverse_depth_l1::Push {
                 image_width: frame.camera.width,
                 image_height: frame.camera.height,
-                weight: (weight / pixels) as f32,
+                weight: (share * weight / pixels) as f32,
             };
             r.dispatch(&self.difference, &bind, &push, TERM_PARTIALS.into());
             r.barrier();
             let push = term_reduce::Push {
                 row: inputs.row,
                 values: [pixels as f32, 1.0],
-                weights: [weight as f32, 0.0],
+                weights: [(share * weight) as f32, 0.0],
             };
             r.dispatch(&self.reduce, &term_reduce::Bind { partials, losses: inputs.losses }, &push, 1);
         });

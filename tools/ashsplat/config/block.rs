@@ -1,6 +1,6 @@
 //! Which part of a scene is trained.
 
-use super::{DataSettings, Outside};
+use super::{DataSettings, Outside, When};
 use ashsplat::scene::Bounds;
 use ashsplat::trainer::SceneBlock;
 use ashsplat::{Error, Result};
@@ -34,10 +34,19 @@ pub struct BlockArguments {
     /// [default: drawn]
     #[arg(long, value_enum)]
     outside: Option<Outside>,
+    /// Use of each photo only the part that shows the block and its margin, by the depths of the scene that training begins with
+    /// (--init): the rest of it is not drawn and not kept in memory [default: auto: on for a block with such a scene]
+    #[arg(long, value_enum)]
+    photo_parts: Option<When>,
     /// The extent that scales the means' learning rate and the thresholds of densification, world units: of a block, that of the
     /// whole scene; 0 takes that of the training cameras [default: 0]
     #[arg(long, value_name = "X", allow_hyphen_values = true)]
     scene_extent: Option<f64>,
+}
+
+/// Whether anything lies beyond a core.
+fn has_side(core: Bounds) -> bool {
+    core.min.is_finite_mask().any() || core.max.is_finite_mask().any()
 }
 
 impl DataSettings {
@@ -80,12 +89,34 @@ impl DataSettings {
         Err(Error::argument("outside", problem))
     }
 
+    /// The block's core and margin, world units, if only parts of the photos are used.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] where that was asked for without a block, or without a scene whose depths tell what lies where.
+    pub fn block_of_parts(&self) -> Result<Option<(Bounds, f32)>> {
+        let (block, has_scene) = (self.block()?, !self.init.as_os_str().is_empty());
+        let problem = match (self.photo_parts, block) {
+            (When::On, None) => "are those that show a block: give --block or --job as well",
+            (When::On, Some(_)) if !has_scene => {
+                "are found by the depths of a scene: give one to begin with (--init)"
+            }
+            (When::Off, _) => return Ok(None),
+            (When::On | When::Auto, _) => return Ok(block.filter(|(core, _)| has_scene && has_side(*core))),
+        };
+        Err(Error::argument("photo_parts", problem))
+    }
+
+    /// Whether the depths of the scene that training begins with tell what photos show of a block.
+    pub fn looks_at_depths(&self) -> Result<bool> {
+        Ok(self.masked_block()?.or(self.block_of_parts()?).is_some())
+    }
+
     /// Refuses a senseless block or extent.
     pub fn check_block(&self) -> Result<()> {
         if !(self.scene_extent.is_finite() && self.scene_extent >= 0.0) {
             let problem = format!("is {}, must be positive, or 0 for that of the cameras", self.scene_extent);
             return Err(Error::argument("scene_extent", problem));
         }
-        self.masked_block().map(drop)
+        self.looks_at_depths().map(drop)
     }
 }

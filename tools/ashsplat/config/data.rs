@@ -40,6 +40,8 @@ pub struct DataSettings {
     pub margin: f64,
     /// What becomes of what lies beyond that.
     pub outside: Outside,
+    /// Whether of each photo only the part is used that shows the block.
+    pub photo_parts: When,
     /// World units; 0: that of the training cameras.
     pub scene_extent: f64,
     /// Iterations after which to test; the last is always one.
@@ -80,6 +82,7 @@ impl Default for DataSettings {
             block: Vec::new(),
             margin: 0.0,
             outside: Outside::Drawn,
+            photo_parts: When::Auto,
             scene_extent: 0.0,
             test_iterations: vec![7000, 30_000],
             save_iterations: vec![7000, 30_000],

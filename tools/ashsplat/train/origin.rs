@@ -3,7 +3,7 @@
 use super::checkpoints::{Start, StartFrom};
 use super::prepared::Data;
 use crate::args::HostArguments;
-use crate::config::{Outside, Overrides, Settings};
+use crate::config::{Overrides, Settings};
 use crate::model;
 use ashsplat::scene::{Gaussians, PointCloud};
 use ashsplat::trainer::{Checkpoint, SceneBlock, TrainParts, TrainSettings, Trainer};
@@ -19,7 +19,7 @@ pub struct Origin {
     start: Option<Box<Start>>,
     /// The Gaussians of a file, `--init`.
     scene: Option<Gaussians>,
-    /// What an exchange has made of it, where the first one is needed too: for masks.
+    /// What an exchange has made of it, where the depths of the first one are needed too.
     exchanged: Option<Gaussians>,
     /// Whether a checkpoint is of a block, among points.
     needs_points: bool,
@@ -68,9 +68,8 @@ impl Origin {
             return Err(Error::input(&data.init, problem, "choose another model folder"));
         }
         let read = |path: &Path| scene_of(path, settings, host);
-        let masked = data.outside == Outside::Masked;
         let (scene, exchanged) = match exchanged {
-            Some(exchanged) if masked => (read(&data.init)?, Some(read(exchanged)?)),
+            Some(exchanged) if data.looks_at_depths()? => (read(&data.init)?, Some(read(exchanged)?)),
             other => (read(other.unwrap_or(&data.init))?, None),
         };
         Ok(Origin { start, scene: Some(scene), exchanged, needs_points: false })
