@@ -46,7 +46,7 @@ pub struct Arguments {
     /// The new file
     #[arg(short, long, value_name = "FILE", default_value = "blocks.json")]
     out: PathBuf,
-    /// How far around its cell a block trains Gaussians too, world units [default: 0.15 of the usual cell's longest side]
+    /// How far around its cell a block trains Gaussians too, world units [default: 0.15 of the usual cell's longest side, in rounds 0.05]
     #[arg(long, value_name = "X")]
     margin: Option<f32>,
     /// The share of a picture that a cell must cover for the photo to be used for its block, above 0 and up to 1
@@ -76,6 +76,8 @@ const WORK: Work = Work { file: ".partition.lock", what: "partition", option: "-
 
 /// A margin in sides of the usual cell.
 const MARGIN: f32 = 0.15;
+/// The same in rounds: what lies beyond it is the neighbours' work, not the coarse model.
+const MARGIN_IN_ROUNDS: f32 = 0.05;
 /// What is said of an earlier model of the coarse model's cameras may differ by, in scene extents.
 const SAME_PLACE: f64 = 1e-3;
 /// Of the pictures, if a model is of the scene.
@@ -235,7 +237,8 @@ impl Arguments {
         let trained = (0..cameras.len()).filter(|&index| is_trained(index));
         let extent = scene_extent(trained.clone().map(|index| cameras[index].camera.position()));
         let scene_extent = if extent > 0.0 { extent } else { 1.0 };
-        let margin = self.margin.unwrap_or_else(|| MARGIN * usual_side(gaussians, cells));
+        let sides = if self.rounds > 1 { MARGIN_IN_ROUNDS } else { MARGIN };
+        let margin = self.margin.unwrap_or_else(|| sides * usual_side(gaussians, cells));
         let photos = trained.count();
         let mut blocks = Vec::new();
         for (index, &core) in cells.bounds().iter().enumerate() {
