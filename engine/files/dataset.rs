@@ -29,7 +29,7 @@ use crate::init::{RANDOM_POINTS, points_in_view, random_points, seen_box};
 use crate::photo_points::{PHOTO_POINTS, photo_points};
 use ashsplat::Result;
 use ashsplat::loss::DepthPoint;
-use ashsplat::scene::{Camera, Gaussians, PointCloud, scene_extent};
+use ashsplat::scene::{Camera, Gaussians, PointCloud};
 
 pub use gallery::Gallery;
 pub use inspect::DatasetReport;
@@ -258,7 +258,7 @@ impl Dataset {
             }
             train.extend(half);
         }
-        let mut extent = scene_extent(train.iter().map(|view: &View| view.camera.position()));
+        let mut extent = gallery.scene_extent();
         if extent == 0.0 {
             warnings.push("all training cameras are at one place; the scene extent is taken as 1".into());
             extent = 1.0;

@@ -162,8 +162,17 @@ const FEW_PHOTOS_UNTIL: u32 = 1500;
 const FEW_PHOTOS_DROPOUT: f64 = 0.2;
 /// Weight of the mean opacity in the loss with few photographs.
 const FEW_PHOTOS_OPACITY_REG: f64 = 0.01;
+/// Weight in the loss of the mean of scale over extent with few photographs.
+const FEW_PHOTOS_SCALE_REG: f64 = 0.045;
 /// Most Gaussians that are left out.
 const MOST_DROPOUT: f64 = 0.9;
+
+/// A weight over the scene's extent, in three digits, which can be read and typed; 0 for an extent that is none.
+fn per_extent(weight: f64, scene_extent: f32) -> f64 {
+    let weight = weight / f64::from(scene_extent);
+    let usable = scene_extent > 0.0 && weight.is_finite();
+    if usable { format!("{weight:.2e}").parse().unwrap_or(weight) } else { 0.0 }
+}
 
 impl TrainSettings {
     /// The defaults with a strategy. Those of 3DGS-MCMC differ in rates, initial values, regularisers and the end
@@ -221,9 +230,11 @@ impl TrainSettings {
 
     /// The defaults with a strategy for few photographs, by measurement (tools/strategies.md). Budget has fewer Gaussians,
     /// and steps leave some out at random (DropGaussian), so that no photograph is fitted by what no other sees. The weight on
-    /// opacities clears the haze where no photograph shows that there is none. The reference's growth ends early, and with it its
-    /// opacity resets. The other strategies keep their defaults.
-    pub fn of_few_photos(strategy: StrategyType) -> Self {
+    /// opacities clears the haze where no photograph shows that there is none. The weight on scales keeps Gaussians from growing
+    /// beyond the scene; it goes by the scene's extent (world units), so that a scene in other units trains alike, and is left out
+    /// where the extent is 0. The reference's growth ends early, and with it its opacity resets. The other strategies keep their
+    /// defaults.
+    pub fn of_few_photos(strategy: StrategyType, scene_extent: f32) -> Self {
         let usual = Self::of_strategy(strategy);
         match strategy {
             StrategyType::Reference => Self { densify_until_iter: FEW_PHOTOS_UNTIL, ..usual },
@@ -232,6 +243,7 @@ impl TrainSettings {
                 late_min_opacity: 0.1,
                 dropout: FEW_PHOTOS_DROPOUT,
                 opacity_reg: FEW_PHOTOS_OPACITY_REG,
+                scale_reg: per_extent(FEW_PHOTOS_SCALE_REG, scene_extent),
                 ..usual
             },
             StrategyType::Fixed | StrategyType::Mcmc => usual,

@@ -63,7 +63,8 @@ fn few_photos_are_noticed_and_said() {
     let model = folder.path().join("auto");
     let said = lines(&train(&data, &model, &[]));
     assert_eq!(said.len(), 1, "{said:?}");
-    let options = ["--strategy budget", "--dropout 0.2", "--opacity-reg 0.01", "--few-photos off"];
+    let options =
+        ["--strategy budget", "--dropout 0.2", "--opacity-reg 0.01", "--scale-reg ", "--few-photos off"];
     for part in options.into_iter().chain(["only 9 photos"]) {
         assert!(said[0].contains(part), "{}", said[0]);
     }
@@ -72,6 +73,10 @@ fn few_photos_are_noticed_and_said() {
         ("\"budget\"", "0.2")
     );
     assert_eq!(setting(&model, "few_photos"), "\"auto\"");
+    // The weight on scales goes by the extent that training has.
+    let extent = ashsplat::scene::scene_extent((0..VIEWS).map(|index| view(index).position()));
+    let weight: f64 = setting(&model, "scale_reg").parse().expect("a number");
+    assert!((weight * f64::from(extent) / 0.045 - 1.0).abs() < 0.006, "{weight} {extent}");
     // A run with its dump is the same run, and needs not be said anything about twice.
     let again = folder.path().join("again");
     let config = model.join("settings.toml");
@@ -119,7 +124,8 @@ fn few_photos_are_noticed_and_said() {
     );
     assert_eq!(setting(&begun, "strategy"), "\"reference\"");
     let quiet = folder.path().join("quiet");
-    assert!(lines(&train(&data, &quiet, &["--quiet"])).is_empty());
+    assert!(lines(&train(&data, &quiet, &["--quiet", "--scene-extent", "10"])).is_empty());
+    assert_eq!(setting(&quiet, "scale_reg"), "0.0045");
     refuse(&["train", "-s", text(&data), "-m", "x", "--few-photos", "maybe"], &["maybe", "few-photos"]);
 }
 

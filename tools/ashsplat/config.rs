@@ -65,8 +65,8 @@ pub struct Overrides {
     #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "true", value_name = "BOOL")]
     train_test_exp: Option<bool>,
     /// Settings for few photos: on, off, or on below 24 photos to train on (auto): without --strategy that is budget, with fewer
-    /// Gaussians, of which steps leave some out; a preset keeps its number of Gaussians. What is given otherwise wins
-    /// [default: auto]
+    /// Gaussians, of which steps leave some out, and weights on their opacities and on their scales, the latter by the scene's
+    /// extent; a preset keeps its number of Gaussians. What is given otherwise wins [default: auto]
     #[arg(long, value_name = "WHEN")]
     few_photos: Option<When>,
     #[command(flatten)]

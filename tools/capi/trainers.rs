@@ -148,20 +148,20 @@ impl Run {
                 train_view(view).map_err(within(format_args!("views[{place}]")))
             };
             let views = views.iter().enumerate().map(known).collect::<Result<Vec<_>>>()?;
-            let settings = match settings_json.is_null() {
-                true => TrainSettings::default(),
-                false => settings_of(text(settings_json, "settings_json")?)?,
-            };
             let extent = match extent {
                 0.0 => ashsplat::scene::scene_extent(views.iter().map(|view| view.camera.position())),
                 extent => extent,
+            };
+            let settings = match settings_json.is_null() {
+                true => TrainSettings::default(),
+                false => settings_of(text(settings_json, "settings_json")?, extent)?,
             };
             Ok(Self { views, settings, extent })
         }
     }
 }
 
-fn settings_of(json: &str) -> Result<TrainSettings> {
+fn settings_of(json: &str, extent: f32) -> Result<TrainSettings> {
     let problem = |error: serde_json::Error| Error::argument("settings_json", error.to_string());
     let refused = |problem: String| Error::argument("settings_json", problem);
     let given: Value = serde_json::from_str(json).map_err(problem)?;
@@ -190,7 +190,7 @@ fn settings_of(json: &str) -> Result<TrainSettings> {
         }
         (Some(preset), false) => TrainSettings::of_preset(preset),
         (Some(_), true) => return Err(refused("preset and few_photos: leave one of both out".into())),
-        (None, true) => TrainSettings::of_few_photos(strategy),
+        (None, true) => TrainSettings::of_few_photos(strategy, extent),
         (None, false) => TrainSettings::of_strategy(strategy),
     };
     let mut all = json!(usual);

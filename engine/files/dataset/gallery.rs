@@ -13,7 +13,7 @@ use super::used_part::UsedPart;
 use super::{Dataset, DatasetOptions, Unpacked, View, beyond_memory};
 use crate::cameras_json::NamedCamera;
 use crate::progress::Progress;
-use ashsplat::scene::PointCloud;
+use ashsplat::scene::{PointCloud, scene_extent};
 use ashsplat::trainer::PhotoSize;
 use ashsplat::{Error, Result};
 
@@ -159,6 +159,14 @@ impl Gallery {
                 })
             };
         train.map(size).collect()
+    }
+
+    /// 1.1 times the largest distance of a camera to train on to their mean, world units; 0 where all are at one place.
+    pub fn scene_extent(&self) -> f32 {
+        let halves = self.options.train_test_exp;
+        let all = self.views.iter().zip(&self.held_out);
+        let train = all.filter(|(_, held_out)| halves || !**held_out);
+        scene_extent(train.map(|(view, _)| view.camera().position()))
     }
 
     /// The bound of the photos' memory, if they exceed it and will be kept in a file.

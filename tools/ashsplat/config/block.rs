@@ -38,8 +38,8 @@ pub struct BlockArguments {
     /// (--init): the rest of it is not drawn and not kept in memory [default: auto: on for a block with such a scene]
     #[arg(long, value_enum)]
     photo_parts: Option<When>,
-    /// The extent that scales the means' learning rate and the thresholds of densification, world units: of a block, that of the
-    /// whole scene; 0 takes that of the training cameras [default: 0]
+    /// The extent that scales the means' learning rate and the thresholds of densification, and the weight on scales of few photos,
+    /// world units: of a block, that of the whole scene; 0 takes that of the training cameras [default: 0]
     #[arg(long, value_name = "X", allow_hyphen_values = true)]
     scene_extent: Option<f64>,
 }

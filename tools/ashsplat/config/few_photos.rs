@@ -11,8 +11,8 @@ use toml::Table;
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Defaults {
     Usual,
-    /// With the strategy where none is named.
-    FewPhotos(StrategyType),
+    /// With the strategy where none is named, and the scene's extent.
+    FewPhotos(StrategyType, f32),
 }
 
 impl Defaults {
@@ -20,13 +20,15 @@ impl Defaults {
         match (self, preset) {
             (Defaults::Usual, None) => TrainSettings::of_strategy(strategy.unwrap_or_default()),
             (Defaults::Usual, Some(preset)) => TrainSettings::of_preset(preset),
-            (Defaults::FewPhotos(usual), None) => TrainSettings::of_few_photos(strategy.unwrap_or(usual)),
+            (Defaults::FewPhotos(usual, extent), None) => {
+                TrainSettings::of_few_photos(strategy.unwrap_or(usual), extent)
+            }
             // A preset says how many Gaussians; what keeps them from fitting these photos only stays.
-            (Defaults::FewPhotos(_), Some(preset)) => {
+            (Defaults::FewPhotos(_, extent), Some(preset)) => {
                 let preset = TrainSettings::of_preset(preset);
-                let TrainSettings { dropout, opacity_reg, .. } =
-                    TrainSettings::of_few_photos(preset.strategy);
-                TrainSettings { dropout, opacity_reg, ..preset }
+                let TrainSettings { dropout, opacity_reg, scale_reg, .. } =
+                    TrainSettings::of_few_photos(preset.strategy, extent);
+                TrainSettings { dropout, opacity_reg, scale_reg, ..preset }
             }
         }
     }
@@ -64,7 +66,8 @@ impl Settings {
             None => StrategyType::Budget,
         };
         let given = Settings::given(file, overrides)?;
-        let settled = Settings::resolve_from(Defaults::FewPhotos(strategy), given.clone())?;
+        let extent = self.data.extent(gallery.scene_extent());
+        let settled = Settings::resolve_from(Defaults::FewPhotos(strategy, extent), given.clone())?;
         let line = described(photos, &given, (&self.train, &settled.train));
         Ok((settled, line))
     }
@@ -108,8 +111,24 @@ mod tests {
     use super::*;
     use ashsplat::trainer::StrategyType;
 
+    const EXTENT: f32 = 4.0;
+
     fn resolved(file: Option<&Path>, overrides: &Overrides) -> Result<Settings> {
-        Settings::resolve_from(Defaults::FewPhotos(StrategyType::Budget), Settings::given(file, overrides)?)
+        let defaults = Defaults::FewPhotos(StrategyType::Budget, EXTENT);
+        Settings::resolve_from(defaults, Settings::given(file, overrides)?)
+    }
+
+    /// A scene in other units is trained alike.
+    #[test]
+    fn the_weight_on_scales_goes_by_the_extent() {
+        let weight = |extent: f32| TrainSettings::of_few_photos(StrategyType::Budget, extent).scale_reg;
+        let weights = [0.045, 4.5, 45.0, 4.3277, 1e-3].map(weight);
+        assert_eq!(weights, [1.0, 0.01, 0.001, 0.0104, 45.0]);
+        // No extent, which the trainer refuses, is no reason for a senseless weight.
+        for extent in [0.0, -1.0, f32::NAN, f32::INFINITY] {
+            let settings = TrainSettings::of_few_photos(StrategyType::Budget, extent);
+            assert!(settings.scale_reg == 0.0 && settings.check().is_ok(), "{extent}");
+        }
     }
 
     #[test]
@@ -119,16 +138,17 @@ mod tests {
             overrides.train.0.extend(given.iter().map(|(key, value)| ((*key).to_owned(), value.clone())));
             resolved(None, &overrides).expect("settings").train
         };
-        let usual = TrainSettings::of_few_photos(StrategyType::Budget);
+        let usual = TrainSettings::of_few_photos(StrategyType::Budget, EXTENT);
         assert_eq!(settled(&[]), usual);
+        assert_eq!(settled(&[("scale_reg", 0.5.into())]), TrainSettings { scale_reg: 0.5, ..usual.clone() });
         assert_eq!(settled(&[("dropout", 0.0.into())]), TrainSettings { dropout: 0.0, ..usual.clone() });
-        let reference = TrainSettings::of_few_photos(StrategyType::Reference);
+        let reference = TrainSettings::of_few_photos(StrategyType::Reference, EXTENT);
         assert_eq!(settled(&[("strategy", "reference".into())]), reference);
         let preset = Overrides { preset: Some("quality".into()), ..Overrides::default() };
         let preset = resolved(None, &preset);
         let quality = TrainSettings::of_preset(Preset::Quality);
-        let TrainSettings { dropout, opacity_reg, .. } = usual;
-        let expected = TrainSettings { dropout, opacity_reg, ..quality };
+        let TrainSettings { dropout, opacity_reg, scale_reg, .. } = usual;
+        let expected = TrainSettings { dropout, opacity_reg, scale_reg, ..quality };
         assert_eq!(preset.expect("settings").train, expected);
 
         let none = Table::new();
@@ -138,7 +158,14 @@ mod tests {
         let after = TrainSettings { iterations: 900, ..usual };
         let said = described(8, &given, (&before, &after)).expect("a line");
         assert!(said.starts_with("only 8 photos to train on: --strategy budget --"), "{said}");
-        for part in ["--few-photos off", "--dropout 0.2", "--cap-ratio 8", "--opacity-reg 0.01"] {
+        let parts = [
+            "--few-photos off",
+            "--dropout 0.2",
+            "--cap-ratio 8",
+            "--opacity-reg 0.01",
+            "--scale-reg 0.0112",
+        ];
+        for part in parts {
             assert!(said.contains(part), "{said}");
         }
         // Neither what was given, nor what comes with the strategy.
@@ -154,7 +181,7 @@ mod tests {
     fn a_dump_settles_to_itself() {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let path = folder.path().join("settings.toml");
-        let few = TrainSettings::of_few_photos;
+        let few = |strategy| TrainSettings::of_few_photos(strategy, EXTENT);
         for train in [few(StrategyType::Reference), few(StrategyType::Budget), TrainSettings::default()] {
             let settings = Settings { train, ..Settings::default() };
             std::fs::write(&path, settings.to_toml().expect("a dump")).expect("written");
