@@ -96,18 +96,18 @@ fn a_block_is_trained_on_parts_of_photos() {
             program().args(&begin).args(["-m", text(&out), "--few-photos", "off", "--iterations"]).args(more),
         )
     };
-    let whole = ["--photo-parts", "off"];
-    let of_parts = run("parts", &["30"]);
+    let parts = ["--photo-parts", "auto"];
+    let of_parts = run("parts", &[&["30"][..], &parts].concat());
     assert_trained(&of_parts);
     let said = of_parts.stderr.clone();
     assert!(said.contains("of the photos") && said.contains("--photo-parts"), "{said}");
-    assert_trained(&run("whole", &[&["30"][..], &whole].concat()));
+    assert_trained(&run("whole", &["30"]));
     assert!(place.ply("parts", 30) != place.ply("whole", 30), "it changes nothing");
-    assert_trained(&run("stopped", &["20", "--checkpoint_iterations", "20"]));
+    assert_trained(&run("stopped", &[&["20", "--checkpoint_iterations", "20"][..], &parts].concat()));
     let goes_on = ["30", "--start_checkpoint", "latest"];
-    let refused = run("stopped", &[&goes_on[..], &whole].concat());
+    let refused = run("stopped", &goes_on);
     assert_refused(&refused, &["chkpnt20", "other photographs or cameras"]);
-    assert_trained(&run("stopped", &goes_on));
+    assert_trained(&run("stopped", &[&goes_on[..], &parts].concat()));
     assert!(place.ply("stopped", 30) == place.ply("parts", 30), "other bits");
     // Less of them is kept on the device.
     let photos = |model: &str| -> f64 {

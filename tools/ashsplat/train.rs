@@ -157,8 +157,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let (settings, few_photos) = settings.settle(&mut gallery, given, origin.checkpoint())?;
     origin.refuse_unused(&settings, given)?;
     let settings = origin.settle(settings);
-    lpips.check(&gallery, &settings)?;
     let used = outside::look(&context, &mut gallery, (origin.scene(), &settings), (arguments.quiet, &stop))?;
+    lpips.check(&gallery, &settings)?;
     check_fits(&context, &gallery, &settings, &origin)?;
     let mut dataset = session::load(&gallery, arguments.quiet, &stop)?;
     gallery
@@ -168,7 +168,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         .chain(&used)
         .filter(|_| !arguments.quiet)
         .for_each(|line| tell!("{line}"));
-    let gallery = arguments.live.wants_photos().then_some(gallery);
+    // Cameras that are looked through are whole.
+    let gallery = arguments.live.wants_photos().then(|| gallery.with_whole_photos());
     match origin.needs_points() {
         true => settings.settle_points(&mut dataset, &options.host_memory, arguments.quiet, &stop)?,
         false => dataset.needs_no_points(),

@@ -93,7 +93,7 @@ impl AshsplatCamera {
         let translation = Vec3::from(self.translation);
         let kinds = [Projection::Perspective, Projection::Orthographic];
         let projection = one_of(format_args!("{name}.projection"), self.projection, &kinds)?;
-        Ok(Camera { camera_from_world, translation, fx, fy, cx, cy, width, height, projection })
+        Ok(Camera { camera_from_world, translation, fx, fy, cx, cy, width, height, projection, part: None })
     }
 }
 

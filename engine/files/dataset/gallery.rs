@@ -102,7 +102,7 @@ impl Gallery {
     }
 
     /// Uses a part of a view's photo in place of the whole: these columns and rows of a coarse picture of this width and height over the
-    /// whole view, as much around them as SSIM's window sees, and what is missing of whole tiles of 16 pixels. Camera, masks, inverse-depth
+    /// whole view, as much around them as their gradients depend on, and what is missing of whole tiles of 16 pixels. Camera, masks, inverse-depth
     /// maps and points are that part's ([`Camera::part()`](ashsplat::scene::Camera::part())).
     ///
     /// # Errors
@@ -122,6 +122,13 @@ impl Gallery {
     /// The share of a view's photo that is used: 1 without [`Gallery::use_part`]. `None` beyond the last.
     pub fn share_used(&self, index: usize) -> Option<f64> {
         self.views.get(index).map(PlannedView::share_used)
+    }
+
+    /// The gallery with whole photos, whatever [`Gallery::use_part`] said.
+    #[must_use]
+    pub fn with_whole_photos(mut self) -> Self {
+        self.views.iter_mut().for_each(|view| view.part = None);
+        self
     }
 
     fn planned(&mut self, index: usize) -> Result<&mut PlannedView> {

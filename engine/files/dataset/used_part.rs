@@ -6,8 +6,8 @@ use std::ops::Range;
 
 /// Side of a tile, pixels.
 const TILE: u32 = 16;
-/// How far SSIM's window reaches, pixels.
-const WINDOW: u32 = 5;
+/// How far the gradient of a pixel reaches, pixels: windows of SSIM have the pixel in them, and reach as far again.
+const WINDOW: u32 = 10;
 
 /// The part of a photo that is used, whatever its size will be.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -34,7 +34,7 @@ impl UsedPart {
         Ok(Self { coarse, columns: (columns.start, columns.end), rows: (rows.start, rows.end) })
     }
 
-    /// Corner and size in the picture of this size: all that it covers, as much around it as SSIM looks at from there, and what is
+    /// Corner and size in the picture of this size: all that it covers, as much around it as its gradients depend on, and what is
     /// missing of whole tiles.
     pub(super) fn in_picture(self, (width, height): (u32, u32)) -> ([u32; 2], [u32; 2]) {
         let of = |(from, to): (u32, u32), coarse: u32, side: u32| {
@@ -79,12 +79,12 @@ mod tests {
     fn a_part_covers_what_is_wanted_in_whole_tiles() {
         let _turn = turn();
         let part = UsedPart::of((200, 150), 100..104, 0..150).expect("a part");
-        // From 640 to 666 of 1280 pixels, less and more 5.
-        assert_eq!(part.in_picture((1280, 960)), ([635, 0], [48, 960]));
-        // Pixels 50 and 51 of 100, from 45 to 57.
-        assert_eq!(part.in_picture((100, 75)), ([45, 0], [16, 75]));
+        // From 640 to 666 of 1280 pixels, less and more 10.
+        assert_eq!(part.in_picture((1280, 960)), ([630, 0], [48, 960]));
+        // Pixels 50 and 51 of 100, from 40 to 62.
+        assert_eq!(part.in_picture((100, 75)), ([40, 0], [32, 75]));
         let last = UsedPart::of((200, 150), 180..200, 149..150).expect("a part");
-        assert_eq!(last.in_picture((100, 75)), ([84, 59], [16, 16]));
+        assert_eq!(last.in_picture((100, 75)), ([68, 59], [32, 16]));
         let all = UsedPart::of((7, 5), 0..7, 0..5).expect("a part");
         assert_eq!(all.in_picture((123, 45)), ([0, 0], [123, 45]));
     }

@@ -71,7 +71,9 @@ impl LossTerm for SparseDepth {
         let Some(view) = inputs.depth_points else {
             return r.fill(&inputs.losses.range(16 * u64::from(inputs.row), 16), 0);
         };
-        let weight = self.settings.depth_points_weight(inputs.iteration) * f64::from(self.scene_extent);
+        let share = frame.camera.share_of_whole();
+        let weight =
+            share * self.settings.depth_points_weight(inputs.iteration) * f64::from(self.scene_extent);
         let (image_width, image_height) = (frame.camera.width, frame.camera.height);
         let (accumulated, depth_sums) = (&frame.frame.accumulated, &frame.frame.inverse_depth);
         r.scope("sparse depth", |r| {

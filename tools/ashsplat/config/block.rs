@@ -35,7 +35,8 @@ pub struct BlockArguments {
     #[arg(long, value_enum)]
     outside: Option<Outside>,
     /// Use of each photo only the part that shows the block and its margin, by the depths of the scene that training begins with
-    /// (--init): the rest of it is not drawn and not kept in memory [default: auto: on for a block with such a scene]
+    /// (--init): the rest of it is not drawn and not kept in memory. auto: where a block has such a scene. Go on with a training on the device
+    /// that it began on: another one may see other parts [default: off]
     #[arg(long, value_enum)]
     photo_parts: Option<When>,
     /// The extent that scales the means' learning rate and the thresholds of densification, and the weight on scales of few photos,

@@ -19,7 +19,7 @@ use std::sync::atomic::AtomicBool;
 const LEAST_OPACITY: f32 = 0.5;
 
 /// Chooses what is used of the photos that are trained on, as the settings want it. Photos that show nothing of the block are left
-/// out where others do not count. A line about it, if there is anything to say.
+/// out. A line about it, if there is anything to say.
 pub fn look(
     context: &Context,
     gallery: &mut Gallery,
@@ -40,16 +40,19 @@ pub fn look(
         let camera = small(&named.camera);
         let size = (camera.width, camera.height);
         let shown = Shown::of(&camera, &renderer.render(&camera, &look)?, (core, margin));
+        let part = shown.part();
+        let mut is_used = held_out || part.is_some();
         if masked.is_some() {
             let counts = shown.counting();
-            if counts.contains(&true) {
-                kept.insert(named.name.clone());
-            }
+            is_used = counts.contains(&true);
             gallery.hide(index, size, &counts)?;
         }
+        if is_used {
+            kept.insert(named.name.clone());
+        }
         // Held-out photos are tests, which stay as they are.
-        if !held_out {
-            if let Some([columns, rows]) = shown.part().filter(|_| parts.is_some()) {
+        if is_used && !held_out {
+            if let Some([columns, rows]) = part.filter(|_| parts.is_some()) {
                 gallery.use_part(index, size, columns, rows)?;
             }
             used += gallery.share_used(index).unwrap_or(1.0);
@@ -58,10 +61,10 @@ pub fn look(
         bar.inc(1);
     }
     bar.finish_and_clear();
-    if masked.is_some() && kept.is_empty() {
+    if kept.is_empty() || parts.is_some() && trained == 0 {
         return Err(Error::argument("block", "no photo shows any of it; give another box or margin"));
     }
-    let without = if masked.is_some() { cameras.len() - kept.len() } else { 0 };
+    let without = cameras.len() - kept.len();
     if without > 0 {
         tell!("{without} of {} photos show nothing of the block: left out", cameras.len());
         gallery.keep(&kept)?;
