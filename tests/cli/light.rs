@@ -253,9 +253,9 @@ fn depth_maps_are_scaled_and_trained_on() {
     };
     let data = mapped.data();
     // No term that few photos bring along.
-    let alone = "--opacity-reg=0";
-    train(&data, &at("plain"), &["--checkpoint-iterations=40", alone]);
-    train(&data, &at("fitted"), &["--checkpoint-iterations=40", "-d", "depths", alone]);
+    let [alone, too] = ["--opacity-reg=0", "--scale-reg=0"];
+    train(&data, &at("plain"), &["--checkpoint-iterations=40", alone, too]);
+    train(&data, &at("fitted"), &["--checkpoint-iterations=40", "-d", "depths", alone, too]);
     assert_eq!(losses(&at("plain")), ["photometric"]);
     assert_eq!(losses(&at("fitted")), ["photometric", "inverse_depth"]);
     assert_ne!(depth_of(&at("plain")), depth_of(&at("fitted")));
@@ -264,7 +264,7 @@ fn depth_maps_are_scaled_and_trained_on() {
         |index: u32| format!("\"{:02}\": {{\"scale\": {}, \"offset\": 0.1}}", index + 1, scale_of(index));
     let entries: Vec<String> = (0..VIEWS).map(entry).collect();
     std::fs::write(mapped.params(), format!("{{{}}}", entries.join(", "))).expect("written");
-    train(&data, &at("given"), &["--depths", "depths", alone]);
+    train(&data, &at("given"), &["--depths", "depths", alone, too]);
     let means = |model: &str| {
         let ply = at(model).join("point_cloud/iteration_40/point_cloud.ply");
         ashsplat_files::splats::read(ply, &Default::default()).expect("a scene").gaussians.means
