@@ -359,6 +359,13 @@ impl Checkpoint {
     /// Whether a run with these settings and views could have made the checkpoint.
     pub(super) fn check_fits(&self, wanted: &Wanted) -> Result<()> {
         let refuse = |problem: String| Err(Error::argument("checkpoint", problem));
+        // First: photographs go by the block, and settings by the photographs.
+        if let Some(difference) = BlockState::difference(self.block.as_ref(), wanted.block.as_ref()) {
+            return refuse(difference);
+        }
+        if self.views != wanted.views {
+            return refuse(format!("was made with {} training views, here are {}", self.views, wanted.views));
+        }
         let mut settings = TrainSettings { iterations: wanted.settings.iterations, ..self.settings.clone() };
         if !settings.exposure {
             // Of no effect, and presets came to set them.
@@ -373,13 +380,6 @@ impl Checkpoint {
                 "is of iteration {} already, the training ends at {}; raise iterations to go on",
                 self.iteration, wanted.settings.iterations
             ));
-        }
-        // Before the views: which photographs, and which parts of them, goes by the block.
-        if let Some(difference) = BlockState::difference(self.block.as_ref(), wanted.block.as_ref()) {
-            return refuse(difference);
-        }
-        if self.views != wanted.views {
-            return refuse(format!("was made with {} training views, here are {}", self.views, wanted.views));
         }
         if self.views_fingerprint != wanted.views_fingerprint {
             return refuse(
