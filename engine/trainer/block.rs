@@ -40,6 +40,11 @@ impl SceneBlock {
         mean.cmpge(core.min - margin).all() && mean.cmple(core.max + margin).all()
     }
 
+    /// Whether a core has no border.
+    pub fn is_everything(core: Bounds) -> bool {
+        core.min == Vec3::NEG_INFINITY && core.max == Vec3::INFINITY
+    }
+
     /// Checks a core and a margin as [`SceneBlock::divide`] does.
     ///
     /// # Errors
@@ -67,7 +72,7 @@ impl SceneBlock {
 
     /// What a checkpoint says of it; None if it is the whole scene.
     pub(super) fn state(&self) -> Option<BlockState> {
-        let whole = self.frozen.is_empty() && is_everything(self.core);
+        let whole = self.frozen.is_empty() && Self::is_everything(self.core);
         (!whole).then(|| BlockState {
             core: [self.core.min.to_array(), self.core.max.to_array()],
             frozen: self.frozen.len() as u64,
@@ -115,11 +120,6 @@ impl BlockState {
             _ => None,
         }
     }
-}
-
-/// Whether a core has no border.
-pub(super) fn is_everything(core: Bounds) -> bool {
-    core.min == Vec3::NEG_INFINITY && core.max == Vec3::INFINITY
 }
 
 fn fingerprint_of(gaussians: &Gaussians) -> u64 {

@@ -4,7 +4,7 @@
 //! nothing else: no moments, no statistics, no spare set.
 
 use super::Trainer;
-use super::block::{BlockState, SceneBlock, is_everything};
+use super::block::{BlockState, SceneBlock};
 use super::model::RowMemory;
 use super::settings::TrainSettings;
 use super::strategy::Strategy;
@@ -32,7 +32,7 @@ impl Block {
         let Some(block) = of else { return Ok(()) };
         SceneBlock::check_box(block.core, 0.0)?;
         block.frozen.check_shapes()?;
-        check_settings(settings, strategy, !is_everything(block.core), !block.frozen.is_empty())
+        check_settings(settings, strategy, !SceneBlock::is_everything(block.core), !block.frozen.is_empty())
     }
 
     /// Uploads what lies around. None of a block that is the whole scene.
@@ -46,7 +46,7 @@ impl Block {
             return Ok(None);
         };
         let absolute = rows.absolute().is_some();
-        let bordered = !is_everything(block.core);
+        let bordered = !SceneBlock::is_everything(block.core);
         let mask = bordered.then(|| MaskOutside::new(context, block.core, absolute)).transpose()?;
         let around = match block.frozen.len() {
             0 => None,

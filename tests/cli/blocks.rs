@@ -99,7 +99,7 @@ fn a_block_is_trained_on_parts_of_photos() {
     let parts = ["--photo-parts", "auto"];
     let of_parts = run("parts", &[&["30"][..], &parts].concat());
     assert_trained(&of_parts);
-    let said = of_parts.stderr.clone();
+    let said = &of_parts.stderr;
     assert!(said.contains("of the photos") && said.contains("--photo-parts"), "{said}");
     assert_trained(&run("whole", &["30"]));
     assert!(place.ply("parts", 30) != place.ply("whole", 30), "it changes nothing");

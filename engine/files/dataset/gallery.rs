@@ -131,6 +131,11 @@ impl Gallery {
         self
     }
 
+    /// Whether a view is trained on, as a whole or as a half.
+    pub(super) fn is_trained(&self, held_out: bool) -> bool {
+        !held_out || self.options.train_test_exp
+    }
+
     fn planned(&mut self, index: usize) -> Result<&mut PlannedView> {
         let count = self.views.len();
         let missing = || Error::argument("view", format!("is {index}, there are {count}"));
@@ -150,9 +155,8 @@ impl Gallery {
     /// As [`Gallery::open`], for a photo that has neither its camera's size nor the fraction of it that the folder's
     /// name says.
     pub fn train_photos(&self) -> Result<Vec<PhotoSize>> {
-        let halves = self.options.train_test_exp;
         let all = self.views.iter().zip(&self.held_out).zip(&self.maps).enumerate();
-        let train = all.filter(|(_, ((_, held_out), _))| halves || !**held_out);
+        let train = all.filter(|(_, ((_, held_out), _))| self.is_trained(**held_out));
         let size =
             |(index, ((view, held_out), map)): (usize, ((&PlannedView, &bool), &Option<PlannedMap>))| {
                 let (width, height) = view.size(&self.options).map_err(|error| self.unpacked.name(error))?;
@@ -170,9 +174,8 @@ impl Gallery {
 
     /// 1.1 times the largest distance of a camera to train on to their mean, world units; 0 where all are at one place.
     pub fn scene_extent(&self) -> f32 {
-        let halves = self.options.train_test_exp;
         let all = self.views.iter().zip(&self.held_out);
-        let train = all.filter(|(_, held_out)| halves || !**held_out);
+        let train = all.filter(|(_, held_out)| self.is_trained(**held_out));
         scene_extent(train.map(|(view, _)| view.camera().position()))
     }
 
@@ -185,8 +188,7 @@ impl Gallery {
     pub(super) fn map_bytes(&self) -> u64 {
         // A float per pixel is as much as a texel.
         let all = self.views.iter().zip(&self.held_out).zip(&self.maps);
-        let kept =
-            all.filter(|((_, held_out), map)| map.is_some() && (!**held_out || self.options.train_test_exp));
+        let kept = all.filter(|((_, held_out), map)| map.is_some() && self.is_trained(**held_out));
         kept.map(|((view, _), _)| view.texel_bytes(&self.options)).sum()
     }
 

@@ -133,12 +133,11 @@ impl PlannedView {
     }
 
     pub(super) fn load(&self, options: &DatasetOptions) -> Result<View> {
-        let (photo, mask, original_camera) = self.read_photo(options)?;
+        let (mut photo, mask, original_camera) = self.read_photo(options)?;
         let (width, height) = (photo.width, photo.height);
         let coarse = self.coarse_mask.as_ref().map(|mask| mask.stretched_to(width, height));
-        let mask = Mask::of_both(mask.map(|mask| mask.scaled_to(width, height)), coarse);
+        let mut mask = Mask::of_both(mask.map(|mask| mask.scaled_to(width, height)), coarse);
         let mut camera = original_camera.scaled_to(width, height);
-        let (mut photo, mut mask) = (photo, mask);
         if let Some((corner, size)) = self.part.map(|part| part.in_picture((width, height))) {
             camera = camera.part(corner, size)?;
             photo = cut_photo(&photo, corner, size);

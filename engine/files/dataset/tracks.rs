@@ -28,7 +28,7 @@ impl Gallery {
         let read = || colmap::tracks(&Model::of_dataset(folder)?);
         let mut shown = read().map_err(|error| self.unpacked.name(error))?;
         let of_view = |(view, held_out): (&super::planned_view::PlannedView, &bool)| -> Option<Track> {
-            let trained = !held_out || self.options.train_test_exp;
+            let trained = self.is_trained(*held_out);
             let points = shown.remove(&view.image_id).filter(|points| trained && !points.is_empty())?;
             Some(points.into())
         };

@@ -1,11 +1,10 @@
 //! A part of a photo in place of the whole.
 
 use crate::images::Photo;
+use ashsplat::kernels::constants::TILE_SIZE;
 use ashsplat::{Error, Result};
 use std::ops::Range;
 
-/// Side of a tile, pixels.
-const TILE: u32 = 16;
 /// How far the gradient of a pixel reaches, pixels: windows of SSIM have the pixel in them, and reach as far again.
 const WINDOW: u32 = 10;
 
@@ -41,7 +40,7 @@ impl UsedPart {
             let [from, to, coarse, wide] = [from, to, coarse, side].map(u64::from);
             let (first, end) = ((from * wide / coarse) as u32, (to * wide).div_ceil(coarse) as u32);
             let (first, end) = (first.saturating_sub(WINDOW), (end + WINDOW).min(side));
-            let size = (end - first).next_multiple_of(TILE).min(side);
+            let size = (end - first).next_multiple_of(TILE_SIZE).min(side);
             (first.min(side - size), size)
         };
         let (left, width) = of(self.columns, self.coarse.0, width);

@@ -45,11 +45,6 @@ pub struct BlockArguments {
     scene_extent: Option<f64>,
 }
 
-/// Whether anything lies beyond a core.
-fn has_side(core: Bounds) -> bool {
-    core.min.is_finite_mask().any() || core.max.is_finite_mask().any()
-}
-
 impl DataSettings {
     /// The block's core and margin, world units; None where the whole scene is trained.
     pub fn block(&self) -> Result<Option<(Bounds, f32)>> {
@@ -102,7 +97,9 @@ impl DataSettings {
                 "are found by the depths of a scene: give one to begin with (--init)"
             }
             (When::Off, _) => return Ok(None),
-            (When::On | When::Auto, _) => return Ok(block.filter(|(core, _)| has_scene && has_side(*core))),
+            (When::On | When::Auto, _) => {
+                return Ok(block.filter(|(core, _)| has_scene && !SceneBlock::is_everything(*core)));
+            }
         };
         Err(Error::argument("photo_parts", problem))
     }
