@@ -141,6 +141,38 @@ fn what_lies_around_stays_as_it_is() {
     assert!(parameters > 0 && moments == 2 * arena("scene"), "{parameters} {moments}");
 }
 
+/// Half of what lies around is where no view looks. Checkpoints with it and without go on with each other.
+#[test]
+fn what_no_view_sees_can_be_left_out() {
+    let gpu = Gpu::new();
+    let (initial, mut block) = divided();
+    block.frozen.means.iter_mut().step_by(2).for_each(|mean| mean[1] += 900.0);
+    let cameras: Vec<Camera> = views(3, 9).iter().map(|view| view.camera).collect();
+    for warm_up in [0, 8] {
+        let settings = TrainSettings { warm_up, filter_3d: true, ..settings() };
+        let left = block.clone().without_unseen(&cameras, &settings);
+        let [all, seen] = [&block, &left].map(|block| block.frozen.len());
+        assert!(2 * seen <= all && seen > 20, "{seen} of {all}");
+        assert_eq!(left.clone().without_unseen(&cameras, &settings), left);
+        let run = |block: &SceneBlock| {
+            let mut trainer =
+                trainer(gpu.context, &initial, Some(block.clone()), &settings).expect("a trainer");
+            (0..15).for_each(|_| drop(trainer.step().expect("a step")));
+            let middle = trainer.checkpoint().expect("a checkpoint");
+            (middle, end(&mut trainer))
+        };
+        let [(_, whole), (middle, less)] = [run(&block), run(&left)];
+        assert!(whole.gaussians.len() > initial.len() && whole.block == less.block);
+        let same = |a: &Checkpoint, b: &Checkpoint| Checkpoint { room: b.room, ..a.clone() } == *b;
+        assert!(same(&less, &whole), "warm-up {warm_up}: other bits");
+        let mut second = resumed(gpu.context, Some(block.clone()), &settings, &middle).expect("resumed");
+        assert!(same(&end(&mut second), &whole), "warm-up {warm_up}: other bits");
+    }
+    let nobody = block.without_unseen(&[], &settings());
+    assert!(nobody.frozen.is_empty());
+    end(&mut trainer(gpu.context, &initial, Some(nobody), &settings()).expect("a trainer"));
+}
+
 /// With rates of 0 a clone is its original once more, and an original that is split is gone.
 #[test]
 fn gaussians_are_added_in_the_core_only() {
@@ -344,7 +376,7 @@ fn gaussians_go_from_one_checkpoint_to_another_with_all_that_is_kept_of_them() {
     assert!(joined == kept(&whole, &[&odd[..], &even[..]].concat()) && joined != whole);
     // And training goes on with them, with room for as many as there are.
     let (core, frozen) = (everything(), Gaussians::default());
-    joined.settle_in(&SceneBlock { core, frozen });
+    joined.settle_in(&SceneBlock { core, frozen, chosen_from: None });
     let mut resumed = resumed(gpu.context, None, &settings, &joined).expect("resumed");
     assert_eq!(end(&mut resumed).iteration, settings.iterations);
 

@@ -61,6 +61,8 @@ pub struct EdgePhoto<'a> {
     pub size: (u32, u32),
     /// Whether it has masked pixels. They have no edges.
     pub masked: bool,
+    /// At which of its sides it is cut, if it is a part of a photograph: left, top, right, bottom. There it has no edges.
+    pub cut_sides: [bool; 4],
 }
 
 /// The kernels.
@@ -118,7 +120,9 @@ impl Importance {
                 responses: &buffers.responses,
                 ranges: &buffers.ranges,
             };
-            let push = edge_response::Push { image_width, image_height, masked: photo.masked.into() };
+            let cut_sides = (0..4).map(|side| u32::from(photo.cut_sides[side]) << side).sum();
+            let push =
+                edge_response::Push { image_width, image_height, masked: photo.masked.into(), cut_sides };
             r.dispatch(&self.response, &bind, &push, groups);
             r.barrier();
             let bind = edge_gradient::Bind {

@@ -60,6 +60,13 @@ impl Camera {
         Self { cx, cy, width: whole_width, height: whole_height, part: None, ..*self }
     }
 
+    /// At which sides the picture is cut out of a larger one: left, top, right, bottom.
+    pub(crate) fn cut_sides(&self) -> [bool; 4] {
+        self.part.map_or([false; 4], |PicturePart { left, top, whole_width, whole_height }| {
+            [left > 0, top > 0, left + self.width < whole_width, top + self.height < whole_height]
+        })
+    }
+
     /// The share of its pixels in those of the whole picture: 1 if it is whole.
     pub fn share_of_whole(&self) -> f64 {
         let pixels = |camera: &Self| f64::from(camera.width) * f64::from(camera.height);
@@ -107,6 +114,9 @@ mod tests {
         let smaller = part.part([16, 0], [16, 16]).expect("a part of it");
         assert_eq!(smaller, whole.part([48, 16], [16, 16]).expect("the same"));
         assert!(part.check().is_ok() && smaller.check().is_ok());
+        let corner = whole.part([80, 0], [48, 40]).expect("a part");
+        let cut = [whole, part, corner].map(|camera| camera.cut_sides());
+        assert_eq!(cut, [[false; 4], [true; 4], [true, false, false, true]]);
     }
 
     #[test]

@@ -1,8 +1,10 @@
 //! A block of a scene: what of it is trained, and what is only drawn.
 
+use super::settings::TrainSettings;
+use super::unseen;
 use crate::error::{Error, Result};
 use crate::fingerprint::Fingerprint;
-use crate::scene::{Bounds, Gaussians};
+use crate::scene::{Bounds, Camera, Gaussians};
 use glam::Vec3;
 
 /// A block of a scene, and what lies around it.
@@ -15,6 +17,17 @@ pub struct SceneBlock {
     pub core: Bounds,
     /// Gaussians that are drawn and stay as they are; there may be none. Degrees of SH above that of the settings are left out.
     pub frozen: Gaussians,
+    /// All that lay around, if [`SceneBlock::without_unseen`] left some of it out: that is what checkpoints are compared by.
+    pub chosen_from: Option<Surroundings>,
+}
+
+/// What lies around a block, by number and content.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Surroundings {
+    /// Number of Gaussians.
+    pub count: u64,
+    /// Their hash.
+    pub fingerprint: u64,
 }
 
 impl SceneBlock {
@@ -31,13 +44,36 @@ impl SceneBlock {
         if trained.is_empty() {
             return Err(Self::nothing_inside(scene.len()));
         }
-        Ok((scene.select(&trained), Self { core, frozen: scene.select(&frozen) }))
+        let frozen = scene.select(&frozen);
+        Ok((scene.select(&trained), Self { core, frozen, chosen_from: None }))
     }
 
     /// Whether [`SceneBlock::divide`] trains a Gaussian with this mean.
     pub fn contains(core: Bounds, margin: f32, mean: [f32; 3]) -> bool {
         let mean = Vec3::from_array(mean);
         mean.cmpge(core.min - margin).all() && mean.cmple(core.max + margin).all()
+    }
+
+    /// The block without what no picture of these cameras can show, at any size at which a training with these settings draws them. The
+    /// pictures are the same to the bit, and so is a training on these cameras, but for
+    /// [dropout](TrainSettings::dropout), which counts Gaussians. Its checkpoints go on with the block as it was, too.
+    #[must_use]
+    pub fn without_unseen(self, cameras: &[Camera], settings: &TrainSettings) -> Self {
+        let drawn: Vec<Camera> = cameras.iter().flat_map(|camera| settings.sizes_of_camera(camera)).collect();
+        let seen = unseen::seen(&self.frozen, &drawn);
+        let rows: Vec<usize> = (0..seen.len()).filter(|&row| seen[row]).collect();
+        if rows.len() == seen.len() {
+            return self;
+        }
+        let chosen_from = Some(self.surroundings());
+        Self { frozen: self.frozen.select(&rows), chosen_from, ..self }
+    }
+
+    /// All that lies around it, drawn or left out.
+    pub fn surroundings(&self) -> Surroundings {
+        let all =
+            || Surroundings { count: self.frozen.len() as u64, fingerprint: fingerprint_of(&self.frozen) };
+        self.chosen_from.unwrap_or_else(all)
     }
 
     /// Whether a core has no border.
@@ -72,12 +108,10 @@ impl SceneBlock {
 
     /// What a checkpoint says of it; None if it is the whole scene.
     pub(super) fn state(&self) -> Option<BlockState> {
-        let whole = self.frozen.is_empty() && Self::is_everything(self.core);
-        (!whole).then(|| BlockState {
-            core: [self.core.min.to_array(), self.core.max.to_array()],
-            frozen: self.frozen.len() as u64,
-            fingerprint: fingerprint_of(&self.frozen),
-        })
+        let Surroundings { count, fingerprint } = self.surroundings();
+        let whole = count == 0 && Self::is_everything(self.core);
+        let core = [self.core.min.to_array(), self.core.max.to_array()];
+        (!whole).then_some(BlockState { core, frozen: count, fingerprint })
     }
 }
 

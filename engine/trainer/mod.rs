@@ -34,12 +34,13 @@ mod strategies;
 pub mod strategy;
 mod surroundings;
 mod terms;
+mod unseen;
 pub mod verify;
 mod views;
 mod warm_up;
 mod work;
 
-pub use block::{BlockState, SceneBlock};
+pub use block::{BlockState, SceneBlock, Surroundings};
 pub use checkpoint::{Checkpoint, ExposureState, LightSums, PoseState, Room};
 pub use forecast::Forecast;
 pub use photos::PhotoSize;

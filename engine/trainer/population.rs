@@ -135,6 +135,7 @@ impl Population<'_> {
                 texels,
                 size: (camera.width, camera.height),
                 masked: self.photos.is_masked(view),
+                cut_sides: camera.cut_sides(),
             };
             let request = Request {
                 scene: &self.model.scene,

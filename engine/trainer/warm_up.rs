@@ -55,6 +55,14 @@ impl TrainSettings {
         let fits = |&factor: &u32| factor <= wanted && camera.width.min(camera.height) / factor >= LEAST_SIDE;
         FACTORS.into_iter().find(fits).map_or(*camera, |factor| reduced(camera, factor))
     }
+
+    /// A view's camera at all sizes at which it is drawn, its own first.
+    pub(super) fn sizes_of_camera(&self, camera: &Camera) -> Vec<Camera> {
+        let of = |iteration: u32| self.warm_up_camera(iteration, camera);
+        let mut sizes = vec![*camera, of(2), of(self.warm_up)];
+        sizes.dedup();
+        sizes
+    }
 }
 
 /// What a frame of `drawn` with these instances and visible Gaussians would have at the size of `camera`: an estimate, for square

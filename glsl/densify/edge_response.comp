@@ -3,7 +3,8 @@
 //
 //   gray = round((299 R + 587 G + 114 B) / 1000), halves to even;  response = clamp(8 centre - 8 neighbours, 0, 255)
 //
-// Outside the photograph gray is 0, so its border responds. Masked pixels have no response.
+// Outside the photograph gray is 0, so its border responds. Masked pixels have no response, nor have those at the sides of a part of
+// a photograph: what lies beyond is not known.
 //
 // invocation: one pixel
 // in: rows[y * image_width + x] = r | g << 8 | b << 16 | mask << 24
@@ -28,6 +29,8 @@ layout(push_constant, scalar) uniform Push {
     uint image_height;
     // 0: every pixel counts.
     uint masked;
+    // Sides at which the picture is cut: 1 left, 2 top, 4 right, 8 bottom.
+    uint cut_sides;
 };
 
 #include "dispatch.glsl"
@@ -54,7 +57,10 @@ void main() {
             sum += gray_at(at + ivec2(dx, dy));
         }
     }
-    bool counts = masked == 0 || rows[pixel] >> 24 != 0;
+    bvec4 at_side = bvec4(at.x == 0, at.y == 0, at.x + 1 == int(image_width), at.y + 1 == int(image_height));
+    bvec4 is_cut = notEqual(cut_sides & uvec4(1, 2, 4, 8), uvec4(0));
+    bool at_cut = any(notEqual(uvec4(at_side) & uvec4(is_cut), uvec4(0)));
+    bool counts = !at_cut && (masked == 0 || rows[pixel] >> 24 != 0);
     // The sum has the centre as well.
     uint response = counts ? uint(clamp(9 * gray_at(at) - sum, 0, 255)) : 0;
     uint low = subgroupMax(exists ? ~response : 0);

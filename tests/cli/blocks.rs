@@ -96,7 +96,7 @@ fn a_block_is_trained_on_parts_of_photos() {
             program().args(&begin).args(["-m", text(&out), "--few-photos", "off", "--iterations"]).args(more),
         )
     };
-    let parts = ["--photo-parts", "auto"];
+    let parts = ["--photo-parts", "on"];
     let of_parts = run("parts", &[&["30"][..], &parts].concat());
     assert_trained(&of_parts);
     let said = &of_parts.stderr;

@@ -241,6 +241,54 @@ fn blocks_are_trained_one_by_one_and_merged() {
 }
 
 #[cfg(unix)]
+/// What a block uses of its photos stands in the file.
+#[test]
+fn jobs_use_the_parts_of_photos_that_show_them() {
+    let place = place();
+    assert_trained(&partition(&place, "blocks.json", &["--max-gaussians", "300", "--margin", "0.02"]));
+    let mut division = division(&place);
+    let blocks = division["blocks"].as_array().expect("blocks");
+    let names = |block: &Value, kind: &str| -> Vec<String> {
+        let all = block[kind].as_array().expect("photos").iter();
+        all.map(|name| name.as_str().expect("a name").to_owned()).collect()
+    };
+    for block in blocks {
+        let own = [names(block, "photos"), names(block, "held_out")].concat();
+        let parts = block["parts"].as_object().expect("parts");
+        assert!(!parts.is_empty() && parts.keys().all(|name| own.contains(name)), "{block}");
+    }
+    let (block, number) = (&blocks[0], blocks[0]["number"].as_u64().expect("a number") as u32);
+    let loud = |more: &[&str]| {
+        let job = format!("{}:{number}", text(&place.model("blocks.json")));
+        finish(program().args(["train", "--job", &job, "--sh-degree", "1"]).args(more))
+    };
+    let iterations = block["iterations"].as_u64().expect("iterations");
+    let scene = || {
+        let folder = place.model(block["folder"].as_str().expect("a folder"));
+        std::fs::read(folder.join(format!("point_cloud/iteration_{iterations}/point_cloud.ply")))
+            .expect("a scene")
+    };
+    let of_parts = loud(&[]);
+    assert_trained(&of_parts);
+    assert!(
+        of_parts.stderr.contains("of the photos ") && of_parts.stderr.contains("--photo-parts"),
+        "{}",
+        of_parts.stderr
+    );
+    let ours = scene();
+    let whole = loud(&["--photo-parts", "off"]);
+    assert_trained(&whole);
+    assert!(!whole.stderr.contains("--photo-parts") && scene() != ours, "it changes nothing");
+    assert_trained(&loud(&["--photo-parts", "on"]));
+    assert!(scene() == ours, "other bytes");
+
+    let parts = division["blocks"][0]["parts"].as_object_mut().expect("parts");
+    let name = parts.keys().next().expect("a part").clone();
+    parts[&name]["columns"] = serde_json::json!([7, 7]);
+    std::fs::write(place.model("blocks.json"), division.to_string()).expect("written");
+    assert_refused(&loud(&[]), &["blocks.json", &name, "block 1", "ashsplat partition"]);
+}
+
 #[test]
 fn two_merges_at_once_are_refused() {
     use nix::fcntl::{Flock, FlockArg};

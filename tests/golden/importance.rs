@@ -120,7 +120,7 @@ fn edges_of_device<'a>(
     let windowing = Windowing::for_device(gpu.context.limits());
     let texels = photo_on_device(windowing, width, height, false, rgbm.collect());
     let texels = &gpu.buffer("photo", &texels);
-    let photo = EdgePhoto { texels, size: (width, height), masked: false };
+    let photo = EdgePhoto { texels, size: (width, height), masked: false, cut_sides: [false; 4] };
     let native = gpu.zeros::<u8>("native", PixelBorder::gradient_bytes(width, height) as usize);
     gpu.run(|r| kernels.record_edges(r, &photo, buffers, &native));
     let raw: Vec<f64> =

@@ -7,7 +7,7 @@ use crate::common::gpu::Gpu;
 use crate::common::scenes::Random;
 use crate::reference::edge_response::{gray, responses};
 
-/// Random colours, flat ones, and such that gray is a whole number and a half.
+/// Random colours, flat ones, and such that gray is a whole number and a half; random ones again, for parts.
 fn photos(pixels: usize) -> Vec<Vec<[u8; 4]>> {
     let mut random = Random::new(pixels as u64);
     let mut any = || [0; 3].map(|_| (random.unit() * 256.0) as u8);
@@ -31,6 +31,8 @@ fn photos(pixels: usize) -> Vec<Vec<[u8; 4]>> {
         with_mask(|i| if i % 3 == 0 { 0 } else { 200 }, &|i| colors[i]),
         with_mask(|_| 255, &|_| [7; 3]),
         with_mask(|_| 255, &|i| halves[i % halves.len()]),
+        with_mask(|i| if i % 5 == 0 { 0 } else { 200 }, &|i| colors[i]),
+        with_mask(|_| 255, &|i| colors[i]),
     ]
 }
 
@@ -41,18 +43,26 @@ fn edge_response_equals_its_twin() {
     let kernel = gpu.kernel::<Interface>(&spec);
     for [width, height] in SIZES {
         let pixels = (width * height) as usize;
-        for (rgbm, masked) in photos(pixels).into_iter().zip([false, true, false, false]) {
+        let kinds = [(false, 0), (true, 0), (false, 0), (false, 0), (true, 0b0001), (false, 0b1110)];
+        for (rgbm, (masked, cut_sides)) in photos(pixels).into_iter().zip(kinds) {
             let rows = gpu.buffer("rows", &rgbm);
             let out = gpu.untouched::<u32>("responses", pixels + 1);
             let ranges = gpu.zeros::<u32>("ranges", 4);
             let bind = Bind { rows: &rows, responses: &out, ranges: &ranges };
-            let push = Push { image_width: width, image_height: height, masked: masked.into() };
+            let push = Push { image_width: width, image_height: height, masked: masked.into(), cut_sides };
             let workgroups = pixels as u64 / u64::from(spec.workgroup_size) + 1;
             gpu.run(|r| r.dispatch(&kernel, &bind, &push, workgroups));
             let grays: Vec<i64> = rgbm.iter().map(|&[r, g, b, _]| gray([r, g, b])).collect();
             let mut expected = responses(&grays, [width as usize, height as usize]);
             let masks = rgbm.iter().filter(|_| masked).map(|pixel| pixel[3]);
             expected.iter_mut().zip(masks).filter(|(_, mask)| *mask == 0).for_each(|(value, _)| *value = 0);
+            for (pixel, value) in expected.iter_mut().enumerate() {
+                let (x, y) = (pixel as u32 % width, pixel as u32 / width);
+                let at_side = [x == 0, y == 0, x + 1 == width, y + 1 == height];
+                if (0..4).any(|side| at_side[side] && cut_sides >> side & 1 == 1) {
+                    *value = 0;
+                }
+            }
             let actual: Vec<i64> = gpu.read::<u32>(&out, pixels).into_iter().map(i64::from).collect();
             assert_eq!(actual, expected);
             let [low, high, ..] = gpu.read::<u32>(&ranges, 4)[..] else { unreachable!("four words") };

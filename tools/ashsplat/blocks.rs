@@ -1,6 +1,7 @@
 //! `blocks.json`: how a scene is divided into blocks that are trained one by one, wherever, and merged then.
 
 pub mod job;
+pub mod parts;
 pub mod places;
 pub mod result;
 pub mod rounds;
@@ -11,9 +12,10 @@ use ashsplat::{Error, Result};
 use ashsplat_files::Gallery;
 use ashsplat_files::cameras_json::NamedCamera;
 use glam::Vec3;
+use parts::Part;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Component, Path, PathBuf};
 
 /// Of the file's form.
@@ -94,6 +96,9 @@ pub struct Block {
     pub photos: Vec<String>,
     /// Held out.
     pub held_out: Vec<String>,
+    /// Of these photos, by name, the part that shows core and margin, where that is not all of it.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub parts: BTreeMap<String, Part>,
 }
 
 /// A box, world units; null for a side without an end. Least sides belong to it, greatest ones do not.
@@ -205,6 +210,14 @@ impl Division {
         }
         if let Some(block) = self.blocks.iter().find(|block| block.photos.is_empty()) {
             return Err(format!("block {} has no photos to train on", block.number));
+        }
+        let missing = |block: &Block| {
+            let mut parts = block.parts.iter();
+            let (name, _) = parts.find(|(_, part)| !part.exists())?;
+            Some(format!("the part of {name} for block {} is none of its picture", block.number))
+        };
+        if let Some(problem) = self.blocks.iter().find_map(missing) {
+            return Err(problem);
         }
         self.check_rounds()?;
         self.cells().map(drop).map_err(|error| error.to_string())

@@ -20,7 +20,7 @@ use std::time::Instant;
 ///
 /// The data set is a procedural scene, photographed by ray casting from 40 sides, with a sparse, noisy point cloud, as a
 /// COLMAP folder: `ashsplat train -s OUT/dataset` and every other program that reads COLMAP can use it too. With --scene city it
-/// is a city of many houses in 162 small photographs from above: to be trained in blocks.
+/// is a city of many houses in 162 small photographs from above: to be trained in blocks. --lots makes it larger.
 #[derive(Args)]
 #[command(mut_arg("max_memory", |argument| argument.help(MAX_MEMORY_IN_TRAINING)))]
 pub struct Arguments {
@@ -50,6 +50,7 @@ const ITERATIONS: u32 = 1200;
 
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<()> {
+    arguments.choices.check()?;
     let start = Instant::now();
     let folder = &arguments.out;
     let data = folder.join("dataset");

@@ -114,7 +114,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let antialias = look.antialias || scene.header.antialiased;
     let look = RenderSettings { inverse_depth: true, antialias, ..look };
     let cameras = gallery.cameras();
-    let shares = Shares::of(&mut renderer, &cameras, &cells, &look, (arguments.quiet, &stop))?;
+    let sides = if arguments.rounds > 1 { MARGIN_IN_ROUNDS } else { MARGIN };
+    let margin = arguments.margin.unwrap_or_else(|| sides * usual_side(&scene.gaussians, &cells));
+    let found = (&cells, margin, arguments.min_share);
+    let shares = Shares::of(&mut renderer, &cameras, found, &look, (arguments.quiet, &stop))?;
     check_likeness(&coarse, &gallery, &data, (&mut renderer, &shares, &look))?;
     let division = arguments.division(&Found {
         coarse: &coarse,
@@ -122,6 +125,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         data: &data,
         gallery: &gallery,
         cells: &cells,
+        margin,
         shares: &shares,
     })?;
     division.check_rounds().map_err(|problem| Error::argument("--rounds", problem))?;
@@ -148,6 +152,7 @@ struct Found<'a> {
     data: &'a DataSettings,
     gallery: &'a Gallery,
     cells: &'a Cells,
+    margin: f32,
     shares: &'a Shares,
 }
 
@@ -231,20 +236,18 @@ impl Arguments {
     }
 
     fn division(&self, found: &Found<'_>) -> Result<Division> {
-        let Found { coarse, gaussians, data, gallery, cells, shares } = found;
+        let &Found { coarse, gaussians, data, gallery, cells, margin, shares } = found;
         let cameras = gallery.cameras();
         let is_trained = |index: usize| !gallery.held_out()[index];
         let trained = (0..cameras.len()).filter(|&index| is_trained(index));
         let extent = scene_extent(trained.clone().map(|index| cameras[index].camera.position()));
         let scene_extent = if extent > 0.0 { extent } else { 1.0 };
-        let sides = if self.rounds > 1 { MARGIN_IN_ROUNDS } else { MARGIN };
-        let margin = self.margin.unwrap_or_else(|| sides * usual_side(gaussians, cells));
         let photos = trained.count();
         let mut blocks = Vec::new();
         for (index, &core) in cells.bounds().iter().enumerate() {
             let number = index as u32 + 1;
             let chosen: Vec<usize> =
-                (0..cameras.len()).filter(|&camera| shares.is_of(camera, index, self.min_share)).collect();
+                (0..cameras.len()).filter(|&camera| shares.is_of(camera, index)).collect();
             let named = |trained: bool| -> Vec<String> {
                 let all = chosen.iter().filter(|&&camera| is_trained(camera) == trained);
                 all.map(|&camera| cameras[camera].name.clone()).collect()
@@ -266,6 +269,9 @@ impl Arguments {
                 };
                 gaussians.means.iter().filter(inside).count() as u64
             };
+            let part_of_each = chosen
+                .iter()
+                .filter_map(|&camera| Some((cameras[camera].name.clone(), shares.part(camera, index)?)));
             let iterations = (u64::from(self.iterations) * own.len() as u64).div_ceil(photos as u64);
             let folder = self.out.with_extension("").join(format!("{number:03}"));
             blocks.push(Block {
@@ -277,6 +283,7 @@ impl Arguments {
                 folder: stored(&folder, &self.out),
                 photos: own,
                 held_out: named(false),
+                parts: part_of_each.collect(),
             });
         }
         Ok(Division {

@@ -142,7 +142,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let host = &arguments.device.host;
     let offload = arguments.offload.map(|size| size.unwrap_or_else(|| host.memory().limit()));
     let context = arguments.device.context_with(|options| options.offload = offload)?;
-    let origin = Origin::read(from.as_ref(), &settings, stage.as_ref().and_then(Stage::surroundings), host)?;
+    let mut origin =
+        Origin::read(from.as_ref(), &settings, stage.as_ref().and_then(Stage::surroundings), host)?;
     job.as_ref().map_or(Ok(()), |job| job.check_coarse(&settings.data.init))?;
     if writes && job.is_none() && origin.is_complete(&settings) {
         return say_complete(&settings);
@@ -157,7 +158,13 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let (settings, few_photos) = settings.settle(&mut gallery, given, origin.checkpoint())?;
     origin.refuse_unused(&settings, given)?;
     let settings = origin.settle(settings);
-    let used = outside::look(&context, &mut gallery, (origin.scene(), &settings), (arguments.quiet, &stop))?;
+    let used = outside::look(
+        &context,
+        &mut gallery,
+        (origin.scene(), &settings, job.as_ref()),
+        (arguments.quiet, &stop),
+    )?;
+    let unseen = origin.divide(&settings, &gallery.used_cameras()?)?;
     lpips.check(&gallery, &settings)?;
     check_fits(&context, &gallery, &settings, &origin)?;
     let mut dataset = session::load(&gallery, arguments.quiet, &stop)?;
@@ -166,6 +173,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         .iter()
         .chain(&few_photos)
         .chain(&used)
+        .chain(&unseen)
         .filter(|_| !arguments.quiet)
         .for_each(|line| tell!("{line}"));
     // Cameras that are looked through are whole.

@@ -1,44 +1,61 @@
 //! A city of many houses, photographed from above: a scene to be trained in blocks.
 //!
-//! World frame: z up, the ground at z = 0; eight by eight lots of 1.6 units, with houses of individual sizes, colours and textures,
-//! every seventh or so with trees instead. The cameras fly over it in a grid and look obliquely, so that each photograph shows
-//! a few lots and no photograph all of them.
+//! World frame: z up, the ground at z = 0; a square of lots of 1.6 units, usually eight by eight, with houses of individual sizes,
+//! colours and textures, every seventh or so with trees instead. The cameras fly over it in a grid and look obliquely, so that each
+//! photograph shows a few lots and no photograph all of them. A larger city has as many photographs per lot.
 
 use crate::scene::{Object, Scene, Shape, Texture, glossy, lattice_noise, matt};
 use ashsplat::scene::{Camera, Intrinsics};
 use glam::{Mat3, Vec3, vec3};
 
-/// Lots along a side.
-const LOTS: i32 = 8;
+/// Lots along a side of the usual city.
+const LOTS: u32 = 8;
 /// Length of a lot.
 const LOT: f32 = 1.6;
-/// Cameras along a side, each with two views.
+/// Cameras along a side of the usual city, each with two views.
 const CAMERAS: u32 = 9;
-/// Half the side of the square over which the cameras are, and their height.
+/// Half the side of the square over which these are, and the height of all.
 const FLIGHT: [f32; 2] = [5.8, 3.0];
-/// Size of the photographs, pixels.
-const SIZE: [u32; 2] = [128, 96];
+/// How far the terrace reaches beyond the middle, per lot along a side.
+const TERRACE: f32 = 1.25;
 /// Horizontal field of view, radians.
 const FOV_X: f32 = 0.96;
 
+/// How large a city is, and its photographs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct City {
+    /// Lots along a side.
+    pub lots: u32,
+    /// Width of the photographs, pixels; their height is three quarters of it.
+    pub width: u32,
+}
+
+impl Default for City {
+    fn default() -> Self {
+        Self { lots: LOTS, width: 128 }
+    }
+}
+
 /// The city.
-pub fn scene() -> Scene {
+pub fn scene(city: City) -> Scene {
+    let lots = city.lots as i32;
     let ground = Texture::Tiles {
         colors: [vec3(0.20, 0.20, 0.21), vec3(0.36, 0.35, 0.33)],
         joint: vec3(0.55, 0.54, 0.50),
         size: LOT,
     };
-    let mut objects = vec![Object { shape: Shape::Terrace { radius: 10.0 }, material: matt(ground) }];
-    for (i, j) in (0..LOTS).flat_map(|i| (0..LOTS).map(move |j| (i, j))) {
-        objects.extend(lot(i, j));
+    let mut objects =
+        vec![Object { shape: Shape::Terrace { radius: TERRACE * lots as f32 }, material: matt(ground) }];
+    for (i, j) in (0..lots).flat_map(|i| (0..lots).map(move |j| (i, j))) {
+        objects.extend(lot(i, j, lots));
     }
     Scene { objects, to_sun: vec3(0.45, -0.5, 0.74).normalize(), sun: vec3(1.05, 0.98, 0.86) }
 }
 
 /// What stands on a lot.
-fn lot(i: i32, j: i32) -> Vec<Object> {
+fn lot(i: i32, j: i32, lots: i32) -> Vec<Object> {
     let random = |what: i32| lattice_noise(i, j, 100 + what);
-    let middle = |index: i32| (index as f32 - 0.5 * (LOTS - 1) as f32) * LOT;
+    let middle = |index: i32| (index as f32 - 0.5 * (lots - 1) as f32) * LOT;
     let center = vec3(middle(i), middle(j), 0.0);
     if random(0) < 0.15 {
         return trees(center, &random);
@@ -84,21 +101,25 @@ fn trees(center: Vec3, random: &impl Fn(i32) -> f32) -> Vec<Object> {
 }
 
 /// The flight: to and fro, at each place a view ahead and one aside, which turn from place to place.
-pub fn cameras() -> Vec<Camera> {
-    let intrinsics = Intrinsics::from_fov_x(FOV_X, SIZE[0], SIZE[1]);
+pub fn cameras(city: City) -> Vec<Camera> {
+    let intrinsics = Intrinsics::from_fov_x(FOV_X, city.width, city.width * 3 / 4);
+    let half = FLIGHT[0] + 0.5 * LOT * (city.lots as f32 - LOTS as f32);
+    // As far from each other as over the usual city.
+    let between = 2.0 * FLIGHT[0] / (CAMERAS - 1) as f32;
+    let along = ((2.0 * half / between).round() as u32).max(1) + 1;
     let view = |index: u32| {
         let (place, aside) = (index / 2, index % 2);
-        let (row, column) = (place / CAMERAS, place % CAMERAS);
-        let column = if row.is_multiple_of(2) { column } else { CAMERAS - 1 - column };
-        let at = |step: u32| FLIGHT[0] * (2.0 * step as f32 / (CAMERAS - 1) as f32 - 1.0);
+        let (row, column) = (place / along, place % along);
+        let column = if row.is_multiple_of(2) { column } else { along - 1 - column };
+        let at = |step: u32| half * (2.0 * step as f32 / (along - 1) as f32 - 1.0);
         let eye = vec3(at(column), at(row), FLIGHT[1]);
         let azimuth = 2.4 * place as f32 + 1.7 * aside as f32;
         // Towards the middle at the rim, where there is nothing outside.
-        let inward = -0.12 * vec3(eye.x, eye.y, 0.0);
+        let inward = -0.12 * (FLIGHT[0] / half) * vec3(eye.x, eye.y, 0.0);
         let look = vec3(azimuth.cos(), azimuth.sin(), 0.0) + inward - 1.3 * Vec3::Z;
         Camera::look_at(eye, eye + look, Vec3::Z, intrinsics)
     };
-    (0..2 * CAMERAS * CAMERAS).map(view).collect()
+    (0..2 * along * along).map(view).collect()
 }
 
 #[cfg(test)]
@@ -108,12 +129,14 @@ mod tests {
 
     #[test]
     fn no_photograph_shows_more_than_a_part_of_it() {
-        let (scene, cameras) = (scene(), cameras());
+        const SIDE: usize = LOTS as usize;
+        let city = City::default();
+        let (scene, cameras) = (scene(city), cameras(city));
         assert!(cameras.len() == 162 && scene.objects.len() > 120, "{}", scene.objects.len());
-        let mut seen = [[false; LOTS as usize]; LOTS as usize];
+        let mut seen = [[false; SIDE]; SIDE];
         for camera in &cameras {
             let mut own = Vec::new();
-            for (x, y) in (4..SIZE[0]).step_by(8).flat_map(|x| (4..SIZE[1]).step_by(8).map(move |y| (x, y))) {
+            for (x, y) in (4..128).step_by(8).flat_map(|x| (4..96).step_by(8).map(move |y| (x, y))) {
                 let ray = Ray::through_pixel(camera, x as f32, y as f32);
                 let Some(hit) = first_hit(&scene, &ray) else { continue };
                 let lot = (ray.at(hit.distance) / LOT + 0.5 * LOTS as f32).floor();
@@ -128,5 +151,14 @@ mod tests {
             assert!((2..=40).contains(&own.len()), "{} of 64 lots", own.len());
         }
         assert!(seen.iter().flatten().all(|&seen| seen), "{seen:?}");
+    }
+    #[test]
+    fn a_larger_city_has_as_many_photographs_per_lot() {
+        let larger = City { lots: 16, width: 256 };
+        let (usual, cameras) = (cameras(City::default()), cameras(larger));
+        assert!(cameras.len() == 2 * 18 * 18 && (cameras[0].width, cameras[0].height) == (256, 192));
+        let between = |cameras: &[Camera]| cameras[2].position().distance(cameras[0].position());
+        assert!((between(&cameras) / between(&usual) - 1.0).abs() < 0.03);
+        assert!(scene(larger).objects.len() > 3 * scene(City::default()).objects.len());
     }
 }

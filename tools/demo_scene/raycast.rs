@@ -43,10 +43,11 @@ impl Ray {
         self.origin + self.direction * distance
     }
 
-    /// Distance to the sky's dome, for rays that start inside it.
+    /// Distance to the sky's dome, which is larger where a ray starts far out.
     pub fn sky_distance(&self) -> f32 {
         let b = self.origin.dot(self.direction);
-        -b + (b * b - self.origin.length_squared() + SKY_RADIUS * SKY_RADIUS).max(0.0).sqrt()
+        let radius = SKY_RADIUS.max(1.5 * self.origin.length());
+        -b + (b * b - self.origin.length_squared() + radius * radius).max(0.0).sqrt()
     }
 }
 
@@ -166,8 +167,15 @@ fn intersect(shape: &Shape, ray: &Ray) -> Option<(f32, Vec3)> {
             let (t, _) = sphere_roots(ray, *center, *radius)?;
             (t > SKIN).then(|| (t, (ray.at(t) - *center) / *radius))
         }
-        Shape::Box { center, half, local_from_world } => hit_box(ray, *center, *half, local_from_world),
-        Shape::Capsule { start, end, radius } => hit_capsule(ray, *start, *end, *radius),
+        Shape::Box { center, half, local_from_world } if may_meet(ray, *center, half.length()) => {
+            hit_box(ray, *center, *half, local_from_world)
+        }
+        Shape::Capsule { start, end, radius }
+            if may_meet(ray, start.midpoint(*end), 0.5 * start.distance(*end) + radius) =>
+        {
+            hit_capsule(ray, *start, *end, *radius)
+        }
+        Shape::Box { .. } | Shape::Capsule { .. } => None,
         Shape::Torus { center, local_from_world, major, minor } => {
             let origin = *local_from_world * (ray.origin - *center);
             let local = Ray { origin, direction: *local_from_world * ray.direction };
@@ -180,6 +188,13 @@ fn intersect(shape: &Shape, ray: &Ray) -> Option<(f32, Vec3)> {
             inside.then_some((t, Vec3::Z))
         }
     }
+}
+
+/// Whether a ray comes near a ball: most of a city's houses are told from that.
+fn may_meet(ray: &Ray, center: Vec3, radius: f32) -> bool {
+    let to_center = center - ray.origin;
+    let along = to_center.dot(ray.direction);
+    along > -radius && to_center.length_squared() - along * along <= 1.001 * radius * radius + 1e-4
 }
 
 /// Both distances at which a line meets a sphere.

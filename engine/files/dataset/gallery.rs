@@ -13,7 +13,7 @@ use super::used_part::UsedPart;
 use super::{Dataset, DatasetOptions, Unpacked, View, beyond_memory};
 use crate::cameras_json::NamedCamera;
 use crate::progress::Progress;
-use ashsplat::scene::{PointCloud, scene_extent};
+use ashsplat::scene::{Camera, PointCloud, scene_extent};
 use ashsplat::trainer::PhotoSize;
 use ashsplat::{Error, Result};
 
@@ -129,6 +129,16 @@ impl Gallery {
     pub fn with_whole_photos(mut self) -> Self {
         self.views.iter_mut().for_each(|view| view.part = None);
         self
+    }
+
+    /// The cameras of what is used of the photos, at the sizes that these will have when they are read.
+    ///
+    /// # Errors
+    /// As [`Gallery::train_photos`].
+    pub fn used_cameras(&self) -> Result<Vec<Camera>> {
+        let used =
+            |view: &PlannedView| view.used_camera(&self.options).map_err(|error| self.unpacked.name(error));
+        self.views.iter().map(used).collect()
     }
 
     /// Whether a view is trained on, as a whole or as a half.

@@ -107,6 +107,22 @@ impl PlannedView {
         Ok(self.used_of(options.resolution.apply(pinhole.width, pinhole.height)))
     }
 
+    /// The camera of what is used of the photo, at the size at which it is used.
+    pub(super) fn used_camera(&self, options: &DatasetOptions) -> Result<Camera> {
+        let (_, pinhole) = self.optics_of_file(options.divisor())?;
+        let (width, height) = options.resolution.apply(pinhole.width, pinhole.height);
+        let own = Camera::with_pose(self.camera_from_world, self.translation, pinhole);
+        self.part_of(own.scaled_to(width, height))
+    }
+
+    /// The camera of what is used of a picture.
+    fn part_of(&self, camera: Camera) -> Result<Camera> {
+        match self.part.map(|part| part.in_picture((camera.width, camera.height))) {
+            Some((corner, size)) => camera.part(corner, size),
+            None => Ok(camera),
+        }
+    }
+
     /// The share of the photo that is used, at the camera's own size.
     pub(super) fn share_used(&self) -> f64 {
         let pixels = |(width, height): (u32, u32)| f64::from(width) * f64::from(height);
@@ -137,9 +153,8 @@ impl PlannedView {
         let (width, height) = (photo.width, photo.height);
         let coarse = self.coarse_mask.as_ref().map(|mask| mask.stretched_to(width, height));
         let mut mask = Mask::of_both(mask.map(|mask| mask.scaled_to(width, height)), coarse);
-        let mut camera = original_camera.scaled_to(width, height);
+        let camera = self.part_of(original_camera.scaled_to(width, height))?;
         if let Some((corner, size)) = self.part.map(|part| part.in_picture((width, height))) {
-            camera = camera.part(corner, size)?;
             photo = cut_photo(&photo, corner, size);
             mask = mask.map(|mask| mask.cut(corner, size));
         }

@@ -34,9 +34,9 @@ pub struct BlockArguments {
     /// [default: drawn]
     #[arg(long, value_enum)]
     outside: Option<Outside>,
-    /// Use of each photo only the part that shows the block and its margin, by the depths of the scene that training begins with
-    /// (--init): the rest of it is not drawn and not kept in memory. auto: where a block has such a scene. Go on with a training on the device
-    /// that it began on: another one may see other parts [default: off]
+    /// Use of each photo only the part that shows the block and its margin: the rest of it is not drawn and not kept in memory. auto:
+    /// with --job, whose file says which part. on: of any block, by the depths of the scene that training begins with (--init); go on
+    /// with such a training on the device that it began on, for another one may see other parts [default: auto]
     #[arg(long, value_enum)]
     photo_parts: Option<When>,
     /// The extent that scales the means' learning rate and the thresholds of densification, and the weight on scales of few photos,
@@ -85,23 +85,27 @@ impl DataSettings {
         Err(Error::argument("outside", problem))
     }
 
-    /// The block's core and margin, world units, if only parts of the photos are used.
+    /// The block's core and margin, world units, if parts of the photos that show it are to be found by the depths of a scene.
     ///
     /// # Errors
-    /// [`Error::Argument`] where that was asked for without a block, or without a scene whose depths tell what lies where.
+    /// [`Error::Argument`] where that was asked for without a block, or without such a scene.
     pub fn block_of_parts(&self) -> Result<Option<(Bounds, f32)>> {
-        let (block, has_scene) = (self.block()?, !self.init.as_os_str().is_empty());
-        let problem = match (self.photo_parts, block) {
-            (When::On, None) => "are those that show a block: give --block or --job as well",
-            (When::On, Some(_)) if !has_scene => {
+        if self.photo_parts != When::On || self.uses_parts_of_job() {
+            return Ok(None);
+        }
+        let problem = match self.block()? {
+            None => "are those that show a block: give --block or --job as well",
+            Some(_) if self.init.as_os_str().is_empty() => {
                 "are found by the depths of a scene: give one to begin with (--init)"
             }
-            (When::Off, _) => return Ok(None),
-            (When::On | When::Auto, _) => {
-                return Ok(block.filter(|(core, _)| has_scene && !SceneBlock::is_everything(*core)));
-            }
+            block => return Ok(block.filter(|(core, _)| !SceneBlock::is_everything(*core))),
         };
         Err(Error::argument("photo_parts", problem))
+    }
+
+    /// Whether the parts of photos are used that the division's file names.
+    pub fn uses_parts_of_job(&self) -> bool {
+        self.photo_parts != When::Off && !self.job.is_empty()
     }
 
     /// Whether the depths of the scene that training begins with tell what photos show of a block.

@@ -82,7 +82,7 @@ impl Default for DataSettings {
             block: Vec::new(),
             margin: 0.0,
             outside: Outside::Drawn,
-            photo_parts: When::Off,
+            photo_parts: When::Auto,
             scene_extent: 0.0,
             test_iterations: vec![7000, 30_000],
             save_iterations: vec![7000, 30_000],

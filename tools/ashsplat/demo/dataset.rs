@@ -3,10 +3,11 @@
 
 use crate::output;
 use crate::progress::counting;
-use ashsplat::Result;
 use ashsplat::scene::{Camera, Intrinsics, PointCloud};
+use ashsplat::{Error, Result};
+use ashsplat_demo_scene::Scene;
+use ashsplat_demo_scene::city::{self, City};
 use ashsplat_demo_scene::raycast::{self, Ray};
-use ashsplat_demo_scene::{Scene, city};
 use ashsplat_files::colmap::{self, ColmapCamera, ColmapImage};
 use ashsplat_files::{Photo, ply};
 use clap::Args;
@@ -73,6 +74,12 @@ pub struct Choices {
     /// What is photographed
     #[arg(long, value_enum, default_value_t)]
     scene: Subject,
+    /// Lots along a side of the city, 8 to 32: 16 have four times the houses, points and photographs [default: 8]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(8..=32))]
+    lots: Option<u32>,
+    /// Width of the city's photographs, 64 to 1024 pixels; their height is three quarters of it [default: 128]
+    #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(64..=1024))]
+    photo_width: Option<u32>,
     /// How the data set lies on disk
     #[arg(long, value_enum, default_value_t)]
     layout: Layout,
@@ -85,6 +92,23 @@ pub struct Choices {
 }
 
 impl Choices {
+    /// Refuses what does not go together.
+    pub fn check(&self) -> Result<()> {
+        for (name, is_given) in
+            [("--lots", self.lots.is_some()), ("--photo-width", self.photo_width.is_some())]
+        {
+            if is_given && self.scene != Subject::City {
+                return Err(Error::argument(name, "is of the city: give --scene city as well"));
+            }
+        }
+        Ok(())
+    }
+
+    fn city(&self) -> City {
+        let usual = City::default();
+        City { lots: self.lots.unwrap_or(usual.lots), width: self.photo_width.unwrap_or(usual.width) }
+    }
+
     fn points(&self) -> Points {
         self.points.unwrap_or(match self.layout {
             Layout::Colmap => Points::Sparse,
@@ -98,7 +122,12 @@ impl Choices {
 pub fn write(folder: &Path, choices: &Choices, seed: u64, quiet: bool) -> Result<()> {
     let (scene, cameras, count) = match choices.scene {
         Subject::Terrace => (Scene::demo(), cameras(), POINTS),
-        Subject::City => (city::scene(), city::cameras(), CITY_POINTS),
+        Subject::City => {
+            let city = choices.city();
+            let (lots, usual) = (city.lots as usize, City::default().lots as usize);
+            let points = CITY_POINTS * lots * lots / (usual * usual);
+            (city::scene(city), city::cameras(city), points)
+        }
     };
     let sky = choices.layout == Layout::Colmap && !choices.without_sky;
     let points = match choices.points() {

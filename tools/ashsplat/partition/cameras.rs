@@ -4,58 +4,89 @@
 //! its opacity. That is one picture per photo however many cells there are; what each cell's Gaussians contribute would need
 //! one per photo and cell.
 
+use crate::blocks::parts::{Part, Shown};
 use crate::blocks::places::{places, small};
 use crate::progress::counting;
 use crate::session;
-use ashsplat::scene::{Camera, Cells};
+use ashsplat::scene::{Bounds, Camera, Cells};
+use ashsplat::trainer::SceneBlock;
 use ashsplat::{Frame, RenderSettings, Renderer, Result};
 use ashsplat_files::cameras_json::NamedCamera;
+use std::collections::BTreeMap;
 use std::sync::atomic::AtomicBool;
 
-/// Shares of the photos' pictures, by photo, then by cell, 0 to 1.
-pub struct Shares(Vec<Vec<f64>>);
+/// What the photos' pictures show of cells.
+pub struct Shares {
+    /// Their shares of each picture, by photo, then by cell, 0 to 1.
+    shares: Vec<Vec<f64>>,
+    /// By photo, then by those cells that it is used for: the part that shows the cell and its margin.
+    parts: Vec<BTreeMap<usize, Part>>,
+    /// The share of a picture that a cell must cover for the photo to be used for it.
+    least: f64,
+}
 
 impl Shares {
     pub fn of(
         renderer: &mut Renderer,
         cameras: &[NamedCamera],
-        cells: &Cells,
+        cells: (&Cells, f32, f64),
         look: &RenderSettings,
         (quiet, stop): (bool, &AtomicBool),
     ) -> Result<Shares> {
+        let (cells, margin, least) = cells;
         let bar = counting("views", cameras.len() as u64, quiet);
-        let mut shares = Vec::with_capacity(cameras.len());
+        let mut found = Shares { shares: Vec::new(), parts: Vec::new(), least };
         for NamedCamera { camera, .. } in cameras {
             session::check(stop)?;
             let camera = small(camera);
-            shares.push(covered(&camera, &renderer.render(&camera, look)?, cells));
+            found.add(&camera, &renderer.render(&camera, look)?, (cells, margin));
             bar.inc(1);
         }
         bar.finish_and_clear();
-        Ok(Shares(shares))
+        Ok(found)
+    }
+
+    /// The next photo: as small as it was drawn.
+    fn add(&mut self, camera: &Camera, frame: &Frame, (cells, margin): (&Cells, f32)) {
+        let photo = self.shares.len();
+        self.shares.push(covered(camera, frame, cells));
+        let own = cells.bounds().iter().enumerate().filter(|(cell, _)| self.is_of(photo, *cell));
+        // A block that is the whole scene is trained on what shows nothing, too: as the scene is.
+        let own = own.filter(|(_, core)| !SceneBlock::is_everything(**core));
+        let part = |(cell, &core): (usize, &Bounds)| {
+            let part = Shown::of(camera, frame, (core, margin)).part();
+            part.filter(|part| !part.is_whole()).map(|part| (cell, part))
+        };
+        let parts = own.filter_map(part).collect();
+        self.parts.push(parts);
     }
 
     /// Whether a photo is used for a cell.
-    pub fn is_of(&self, photo: usize, cell: usize, least: f64) -> bool {
-        let own = self.0[photo][cell];
-        own >= least || own > 0.0 && self.main_cell(photo) == Some(cell)
+    pub fn is_of(&self, photo: usize, cell: usize) -> bool {
+        let own = self.shares[photo][cell];
+        own >= self.least || own > 0.0 && self.main_cell(photo) == Some(cell)
+    }
+
+    /// The part of a photo that shows a cell, for which it is used, and its margin; None for all of it.
+    pub fn part(&self, photo: usize, cell: usize) -> Option<Part> {
+        self.parts[photo].get(&cell).copied()
     }
 
     /// The cell that a photo shows most of: the first of several. None where it shows nothing.
     pub fn main_cell(&self, photo: usize) -> Option<usize> {
-        let cells = self.0[photo].iter().enumerate().filter(|(_, share)| **share > 0.0);
+        let cells = self.shares[photo].iter().enumerate().filter(|(_, share)| **share > 0.0);
         cells.rev().max_by(|a, b| a.1.total_cmp(b.1)).map(|(cell, _)| cell)
     }
 
     /// The largest share of a cell in some of the photos.
     pub fn most(&self, cell: usize, counts: impl Fn(usize) -> bool) -> f64 {
-        let photos = self.0.iter().enumerate().filter(|(photo, _)| counts(*photo));
+        let photos = self.shares.iter().enumerate().filter(|(photo, _)| counts(*photo));
         photos.map(|(_, shares)| shares[cell]).fold(0.0, f64::max)
     }
 
     /// What cells cover of the pictures in the mean, all together.
     pub fn covered(&self) -> f64 {
-        self.0.iter().flatten().sum::<f64>() / self.0.len() as f64
+        self.shares.iter().flatten().sum::<f64>() / self.shares.len() as f64
     }
 }
 
@@ -95,12 +126,21 @@ mod tests {
         }
         // Halved where the camera looks.
         let cells = Cells::divide(&[[0.0; 3], [0.5, 0.0, 0.0]], 1).expect("cells");
-        let shares = Shares(vec![covered(&camera, &frame, &cells)]);
-        assert_eq!(shares.0[0], [0.25, 0.5]);
+        let found = |least: f64| {
+            let mut found = Shares { shares: Vec::new(), parts: Vec::new(), least };
+            found.add(&camera, &frame, (&cells, 0.1));
+            found
+        };
+        let shares = found(0.25);
+        assert_eq!(shares.shares[0], [0.25, 0.5]);
         assert_eq!((shares.main_cell(0), shares.covered()), (Some(1), 0.75));
-        assert!(shares.is_of(0, 0, 0.25) && !shares.is_of(0, 0, 0.26) && shares.is_of(0, 1, 0.9));
-        assert_eq!(Shares(vec![vec![0.0, 0.0], vec![0.3, 0.3]]).main_cell(0), None);
-        assert_eq!(Shares(vec![vec![0.3, 0.3]]).main_cell(0), Some(0));
+        assert!(shares.is_of(0, 0) && !found(0.26).is_of(0, 0) && found(0.9).is_of(0, 1));
+        // A column is 2 tan(0.5) 2 / 40 = 0.055 wide: two of the margin, and one more.
+        let part = |columns: [u32; 2]| Some(Part { of: [40, 20], columns, rows: [0, 20] });
+        assert_eq!([0, 1].map(|cell| shares.part(0, cell)), [part([0, 23]), part([17, 40])]);
+        let others = |own: Vec<f64>| Shares { shares: vec![own], parts: Vec::new(), least: 0.1 };
+        assert_eq!(others(vec![0.0, 0.0]).main_cell(0), None);
+        assert_eq!(others(vec![0.3, 0.3]).main_cell(0), Some(0));
         let tall = Camera { width: 100, height: 1000, ..camera };
         assert_eq!((small(&tall).width, small(&tall).height), (20, 200));
     }

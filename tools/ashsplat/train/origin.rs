@@ -5,7 +5,8 @@ use super::prepared::Data;
 use crate::args::HostArguments;
 use crate::config::{Overrides, Settings};
 use crate::model;
-use ashsplat::scene::{Gaussians, PointCloud};
+use crate::progress::thousands;
+use ashsplat::scene::{Camera, Gaussians, PointCloud};
 use ashsplat::trainer::{Checkpoint, SceneBlock, TrainParts, TrainSettings, Trainer};
 use ashsplat::vk::Context;
 use ashsplat::{Error, Result};
@@ -19,8 +20,10 @@ pub struct Origin {
     start: Option<Box<Start>>,
     /// The Gaussians of a file, `--init`.
     scene: Option<Gaussians>,
-    /// What an exchange has made of it, where the depths of the first one are needed too.
+    /// What an exchange has made of it, where the depths of the first one are needed too; only of blocks.
     exchanged: Option<Gaussians>,
+    /// What became of them, once they are divided: what is trained of a block, and the block.
+    divided: Option<(Gaussians, SceneBlock)>,
     /// Whether a checkpoint is of a block, among points.
     needs_points: bool,
 }
@@ -72,12 +75,33 @@ impl Origin {
             Some(exchanged) if data.looks_at_depths()? => (read(&data.init)?, Some(read(exchanged)?)),
             other => (read(other.unwrap_or(&data.init))?, None),
         };
-        Ok(Origin { start, scene: Some(scene), exchanged, needs_points: false })
+        Ok(Origin { start, scene: Some(scene), exchanged, ..Origin::default() })
     }
 
     /// A training that begins with the data set's points.
     pub fn points() -> Origin {
         Origin { needs_points: true, ..Origin::default() }
+    }
+
+    /// Divides a scene into what is trained of a block, and what of the rest these cameras see. A line about it, if some is not seen.
+    pub fn divide(&mut self, settings: &Settings, cameras: &[Camera]) -> Result<Option<String>> {
+        let (train, block) = (&settings.train, settings.data.block()?);
+        let Some(((core, margin), scene)) = block.zip(self.exchanged.as_ref().or(self.scene.as_ref())) else {
+            return Ok(None);
+        };
+        let (trained, block) = SceneBlock::divide(&scene.with_sh_degree(train.sh_degree), core, margin)?;
+        let block = settings.data.outside.leave(block, self.exchanged.is_some());
+        let around = block.frozen.len();
+        let block = block.without_unseen(cameras, train);
+        let unseen = around - block.frozen.len();
+        // Twice as much memory is not needed.
+        (self.scene, self.exchanged) = (None, None);
+        self.divided = Some((trained, block));
+        let [unseen_of, all] = [unseen, around].map(|count| thousands(count as u64));
+        let line = || {
+            format!("Gaussians around the block: {unseen_of} of {all} left out, which no photo of it shows")
+        };
+        Ok((unseen > 0).then(line))
     }
 
     /// The scene that training begins with, or began with, if it does not begin with points.
@@ -108,7 +132,11 @@ impl Origin {
     /// How many Gaussians are trained, and how many lie around them, as far as that is known before the photos are read: of
     /// these `points`, or of so many that stand in for them.
     pub fn counts(&self, settings: &Settings, points: &PointCloud) -> Result<[usize; 2]> {
-        let means = match self.exchanged.as_ref().or(self.scene.as_ref()) {
+        if let Some((trained, block)) = &self.divided {
+            let trained = self.checkpoint().map_or(trained, |checkpoint| &checkpoint.gaussians);
+            return Ok([trained.len(), block.frozen.len()]);
+        }
+        let means = match &self.scene {
             Some(scene) => &scene.means,
             None => &points.positions,
         };
@@ -119,7 +147,7 @@ impl Origin {
             }
             _ => all,
         };
-        let is_drawn = settings.data.outside.is_drawn(self.exchanged.is_some());
+        let is_drawn = settings.data.outside.is_drawn(false);
         let drawn = if is_drawn { all - inside } else { 0 };
         match self.checkpoint() {
             Some(checkpoint) => Ok([checkpoint.gaussians.len(), drawn]),
@@ -154,7 +182,11 @@ impl Origin {
         if goes_on && block.is_none() {
             return Ok(First { trained: None, block: None, points: None });
         }
-        let (whole, points) = match self.exchanged.as_ref().or(self.scene.as_ref()) {
+        if let Some((trained, block)) = &self.divided {
+            let trained = (!goes_on).then(|| trained.clone());
+            return Ok(First { trained, block: Some(block.clone()), points: None });
+        }
+        let (whole, points) = match &self.scene {
             Some(gaussians) => (gaussians.with_sh_degree(train.sh_degree), None),
             None => {
                 let points = dataset.initial_points(u64::from(train.seed));
@@ -167,7 +199,7 @@ impl Origin {
             None => (whole, None),
             Some((core, margin)) => {
                 let (trained, block) = SceneBlock::divide(&whole, core, margin)?;
-                (trained, Some(settings.data.outside.leave(block, self.exchanged.is_some())))
+                (trained, Some(settings.data.outside.leave(block, false)))
             }
         };
         let beginning = (Some(trained), points);

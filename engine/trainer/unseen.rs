@@ -1,0 +1,144 @@
+//! Which Gaussians no picture can show, found on the host: before any of them is on a device.
+//!
+//! A bound, not the projection itself: a Gaussian counts as seen if a ball of its largest axis may reach a pixel. So leaving out what is
+//! not seen changes no bit of any picture.
+
+use crate::scene::camera::NEAR_PLANE;
+use crate::scene::{Camera, Gaussians};
+use glam::{DMat3, DVec2, DVec3};
+
+/// Standard deviations beyond which alpha is below 1/255 whatever the opacity: even one that is raised by dropout.
+const REACH: f64 = 4.0;
+/// Variance that the low-pass filters add at most, px²: that of the screen, and the 3D one.
+const LOW_PASS_PX2: f64 = 0.6;
+/// Room for rounding, pixels, and as a share of a position.
+const ROUNDING: [f64; 2] = [1.0, 1e-5];
+
+/// A camera in double precision.
+struct Sight {
+    camera_from_world: DMat3,
+    translation: DVec3,
+    focal: DVec2,
+    center: DVec2,
+    size: DVec2,
+    is_orthographic: bool,
+}
+
+impl Sight {
+    fn of(camera: &Camera) -> Self {
+        Self {
+            camera_from_world: camera.camera_from_world.as_dmat3(),
+            translation: camera.translation.as_dvec3(),
+            focal: DVec2::new(camera.fx.into(), camera.fy.into()),
+            center: DVec2::new(camera.cx.into(), camera.cy.into()),
+            size: DVec2::new(camera.width.into(), camera.height.into()),
+            is_orthographic: camera.is_orthographic(),
+        }
+    }
+
+    /// Whether the picture may show a Gaussian with this mean and largest axis (a standard deviation), world units. True where a
+    /// number is none.
+    fn may_show(&self, mean: DVec3, axis: f64) -> bool {
+        let place = self.camera_from_world * mean + self.translation;
+        if place.z < 0.999 * f64::from(NEAR_PLANE) {
+            return false;
+        }
+        let (slope, per_unit) = match self.is_orthographic {
+            true => (DVec2::ZERO, self.focal),
+            false => (place.truncate() / place.z, self.focal / place.z),
+        };
+        let pixel = per_unit * place.truncate() + self.center;
+        // |row of J W R S|² is at most |row of J W|² times the square of the largest axis; a slope that is bounded makes it smaller.
+        let variance = per_unit * per_unit * (1.0 + slope * slope) * (axis * axis) + LOW_PASS_PX2;
+        let half = REACH * DVec2::new(variance.x.sqrt(), variance.y.sqrt())
+            + ROUNDING[0]
+            + ROUNDING[1] * pixel.abs();
+        !((pixel + half).cmplt(DVec2::ZERO).any() || (pixel - half).cmpgt(self.size).any())
+    }
+}
+
+/// Whether each Gaussian may be seen by any of the cameras.
+pub(super) fn seen(gaussians: &Gaussians, cameras: &[Camera]) -> Vec<bool> {
+    let sights: Vec<Sight> = cameras.iter().map(Sight::of).collect();
+    let threads = std::thread::available_parallelism().map_or(1, usize::from);
+    let each = gaussians.len().div_ceil(threads).max(1);
+    let mut seen = vec![false; gaussians.len()];
+    std::thread::scope(|scope| {
+        for (part, seen) in seen.chunks_mut(each).enumerate() {
+            let (first, sights) = (part * each, &sights);
+            scope.spawn(move || {
+                // Neighbours are seen by the same cameras.
+                let mut last = 0;
+                for (offset, seen) in seen.iter_mut().enumerate() {
+                    let index = first + offset;
+                    let [mean, scales] = [gaussians.means[index], gaussians.log_scales[index]];
+                    let axis = scales.into_iter().fold(f32::NEG_INFINITY, f32::max);
+                    let (mean, axis) = (DVec3::from_array(mean.map(f64::from)), f64::from(axis).exp());
+                    let order = (last..sights.len()).chain(0..last.min(sights.len()));
+                    let found = order.into_iter().find(|&sight| sights[sight].may_show(mean, axis));
+                    last = found.unwrap_or(last);
+                    *seen = found.is_some();
+                }
+            });
+        }
+    });
+    seen
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::Intrinsics;
+    use glam::{Vec3, vec3};
+
+    fn gaussians(means: &[[f32; 3]], log_scale: f32) -> Gaussians {
+        let count = means.len();
+        Gaussians {
+            sh_degree: 0,
+            means: means.to_vec(),
+            quats: vec![[1.0, 0.0, 0.0, 0.0]; count],
+            log_scales: vec![[log_scale, -9.0, -9.0]; count],
+            opacity_logits: vec![2.0; count],
+            sh: vec![[0.0; 3]; count],
+        }
+    }
+
+    fn camera() -> Camera {
+        let intrinsics = Intrinsics::from_fov_x(std::f32::consts::FRAC_PI_2, 200, 100);
+        Camera::look_at(vec3(0.0, 0.0, -5.0), Vec3::ZERO, Vec3::NEG_Y, intrinsics)
+    }
+
+    /// At the depth of 5, the picture is from -5 to 5 in x and -2.5 to 2.5 in y; a pixel is 0.05.
+    #[test]
+    fn what_lies_beside_or_behind_is_not_seen() {
+        let means = [
+            [0.0, 0.0, 0.0],
+            [5.5, 0.0, 0.0],
+            [-5.5, 0.0, 0.0],
+            [0.0, 3.0, 0.0],
+            [0.0, 0.0, -5.0],
+            [0.0, 0.0, -9.0],
+            [4.9, 2.4, 0.0],
+        ];
+        let small = seen(&gaussians(&means, -7.0), &[camera()]);
+        assert_eq!(small, [true, false, false, false, false, false, true]);
+        // An axis of 0.2: four of them reach 0.8, and more in the slope.
+        let large = seen(&gaussians(&means, 0.2_f32.ln()), &[camera()]);
+        assert_eq!(large, [true, true, true, true, false, false, true]);
+        assert_eq!(seen(&gaussians(&means, -7.0), &[]), [false; 7]);
+        assert!(seen(&gaussians(&[], 0.0), &[camera()]).is_empty());
+    }
+
+    #[test]
+    fn any_camera_counts_and_its_part_only() {
+        let left = camera().part([0, 0], [64, 100]).expect("a part");
+        let means = [[-3.0, 0.0, 0.0], [3.0, 0.0, 0.0]];
+        assert_eq!(seen(&gaussians(&means, -7.0), &[left]), [true, false]);
+        let right = camera().part([136, 0], [64, 100]).expect("a part");
+        assert_eq!(seen(&gaussians(&means, -7.0), &[left, right]), [true, true]);
+        // A unit is 100 pixels there, at any depth.
+        let near = [[0.5, 0.0, 0.0], [3.0, 0.0, 0.0]];
+        assert_eq!(seen(&gaussians(&near, -7.0), &[camera().orthographic()]), [true, false]);
+        assert_eq!(seen(&gaussians(&[[f32::NAN; 3]], -7.0), &[left]), [true]);
+    }
+}

@@ -1,0 +1,108 @@
+//! What the pixels of a photo show of a block: by the depths of a scene, which is drawn small.
+
+use super::places::places;
+use ashsplat::Frame;
+use ashsplat::scene::{Bounds, Camera};
+use ashsplat::trainer::SceneBlock;
+use serde::{Deserialize, Serialize};
+
+/// Less opaque pixels show nothing that could be told to lie outside.
+const LEAST_OPACITY: f32 = 0.5;
+
+/// The part of a photo that shows a block, whatever the photo's size will be.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Part {
+    /// Width and height of the small picture that says it, pixels.
+    pub of: [u32; 2],
+    /// The first of its columns there, and the first one behind it.
+    pub columns: [u32; 2],
+    /// The same of its rows.
+    pub rows: [u32; 2],
+}
+
+impl Part {
+    /// Whether it is the whole.
+    pub fn is_whole(&self) -> bool {
+        self.columns == [0, self.of[0]] && self.rows == [0, self.of[1]]
+    }
+
+    /// Whether it has pixels, and lies in its picture.
+    pub fn exists(&self) -> bool {
+        [self.columns, self.rows].iter().zip(self.of).all(|([from, to], side)| from < to && *to <= side)
+    }
+}
+
+/// What the pixels of a small picture show.
+pub struct Shown {
+    size: [usize; 2],
+    /// Whether that is the block, grown by its margin; None for nothing.
+    inside: Vec<Option<bool>>,
+}
+
+impl Shown {
+    pub fn of(camera: &Camera, frame: &Frame, (core, margin): (Bounds, f32)) -> Self {
+        let inside = |place: glam::Vec3| SceneBlock::contains(core, margin, place.to_array());
+        let pixels = places(camera, frame).into_iter().zip(&frame.transmittance);
+        let inside = pixels
+            .map(|(place, transmittance)| place.filter(|_| 1.0 - transmittance >= LEAST_OPACITY).map(inside));
+        Self { size: [frame.width, frame.height].map(|side| side as usize), inside: inside.collect() }
+    }
+
+    /// Whether each pixel counts: they show the block, or nothing, or lie next to such a pixel.
+    pub fn counting(&self) -> Vec<bool> {
+        let [width, height] = self.size;
+        let shown: Vec<bool> = self.inside.iter().map(|inside| *inside != Some(false)).collect();
+        let around = |at: usize, end: usize| at.saturating_sub(1)..(at + 2).min(end);
+        let any = |x: usize, y: usize| {
+            around(y, height).any(|row| shown[row * width..][..width][around(x, width)].contains(&true))
+        };
+        (0..height).flat_map(|y| (0..width).map(move |x| (x, y))).map(|(x, y)| any(x, y)).collect()
+    }
+
+    /// The columns and rows with all pixels that show the block, and those next to them. None without any.
+    pub fn part(&self) -> Option<Part> {
+        let [width, height] = self.size;
+        let shows = |pixel: &usize| self.inside[*pixel] == Some(true);
+        let shown = (0..self.inside.len()).filter(shows);
+        let grown = |places: &mut dyn Iterator<Item = usize>, end: usize| {
+            let (first, last) = places.fold((usize::MAX, 0), |(a, b), place| (a.min(place), b.max(place)));
+            (first <= last).then(|| [first.saturating_sub(1), (last + 2).min(end)].map(|end| end as u32))
+        };
+        let columns = grown(&mut shown.clone().map(|pixel| pixel % width), width)?;
+        let rows = grown(&mut shown.map(|pixel| pixel / width), height)?;
+        Some(Part { of: self.size.map(|side| side as u32), columns, rows })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ashsplat::scene::Intrinsics;
+    use glam::{Vec3, vec3};
+
+    /// A wall at depth 2, of which the left half is the block; there is nothing in front of its last columns.
+    #[test]
+    fn pixels_of_the_block_and_next_to_it_count_and_those_of_nothing() {
+        let intrinsics = Intrinsics::from_fov_x(1.0, 40, 20);
+        let camera = Camera::look_at(vec3(0.0, 0.0, -2.0), Vec3::ZERO, Vec3::NEG_Y, intrinsics);
+        let transmittance: Vec<f32> = (0..800).map(|pixel| if pixel % 40 < 35 { 0.0 } else { 0.9 }).collect();
+        let inverse_depth = Some(transmittance.iter().map(|t| (1.0 - t) / 2.0).collect());
+        let color = vec![[0.0; 3]; 800];
+        let frame = Frame { width: 40, height: 20, color, transmittance, inverse_depth, ..Frame::default() };
+        let everything = Vec3::splat(f32::INFINITY);
+        let core = Bounds { min: -everything, max: everything.with_x(0.0) };
+        let shown = |margin: f32| Shown::of(&camera, &frame, (core, margin));
+        let counts = shown(0.0).counting();
+        for (pixel, counts) in counts.iter().enumerate() {
+            assert_eq!(*counts, !(21..34).contains(&(pixel % 40)), "{pixel}");
+        }
+        // A column is 2 tan(0.5) 2 / 40 = 0.055 wide.
+        let wider = shown(0.1).counting();
+        assert!(wider[22] && !wider[23]);
+        let part = |columns: [u32; 2]| Some(Part { of: [40, 20], columns, rows: [0, 20] });
+        assert_eq!((shown(0.0).part(), shown(0.1).part()), (part([0, 21]), part([0, 23])));
+        let nothing = Bounds { min: Vec3::splat(9.0), max: everything };
+        assert_eq!(Shown::of(&camera, &frame, (nothing, 0.0)).part(), None);
+    }
+}
