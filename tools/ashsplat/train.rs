@@ -173,7 +173,6 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         .iter()
         .chain(&few_photos)
         .chain(&used)
-        .chain(&unseen)
         .filter(|_| !arguments.quiet)
         .for_each(|line| tell!("{line}"));
     // Cameras that are looked through are whole.
@@ -191,6 +190,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     }
     let folder = settings.data.model_path.clone();
     let mut run = Run::begin(&context, dataset, (settings, held), &origin, arguments.quiet)?;
+    unseen.iter().filter(|_| !arguments.quiet).for_each(|line| tell!("{line}"));
     // A checkpoint is as large as all that training keeps on the device.
     drop(origin);
     run.repeat(&arguments.device, arguments.photo_memory, arguments.offload);
