@@ -1,4 +1,8 @@
-//! Adam over all parameters in one pass.
+//! Adam over all parameters in one pass, and the mean of parameters over steps.
+
+mod average;
+
+pub use average::{Averaging, MeanStep};
 
 use crate::error::Result;
 use crate::forward::{FrameInputs, SceneBuffers, block_of};

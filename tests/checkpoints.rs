@@ -255,6 +255,7 @@ fn checkpoints_with_any_bit_flipped_are_refused() {
         statistics: vec![[0.5, 2.0]],
         filters: vec![0.25],
         gradient_sums: None,
+        means: None,
         exposures: Default::default(),
         lenses: Default::default(),
         poses: Some(PoseState {

@@ -5,6 +5,7 @@ extern crate ashsplat_reference as reference;
 mod absgrad;
 mod address_space;
 mod architecture;
+mod averages;
 mod backends;
 mod barriers;
 mod bench;

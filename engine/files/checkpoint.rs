@@ -7,8 +7,8 @@ use ashsplat::scene::Gaussians;
 use ashsplat::scene::gaussians::sh_coefficients;
 use ashsplat::trainer::BlockState;
 use ashsplat::trainer::checkpoint::{
-    Checkpoint, ExposureState, GradientSums, LightSums, PoseState, Room, StrategyState, StrategyStatistic,
-    Tensor,
+    Checkpoint, ExposureState, GradientSums, LightSums, MeanState, PoseState, Room, StrategyState,
+    StrategyStatistic, Tensor,
 };
 use ashsplat::trainer::strategy::Actions;
 use ashsplat::{Error, Result};
@@ -26,6 +26,7 @@ const FINGERPRINT: &str = "metadata_fingerprint";
 const MAX_MEMORY: &str = "room_max_memory";
 /// [`GradientSums::views`]. Present only if there are any.
 const SUMMED_VIEWS: &str = "gradient_sum_views";
+const AVERAGED_STEPS: &str = "mean_steps";
 /// [`Checkpoint::skipped`], under the name that files have had from the beginning. The oldest files lack it.
 const SKIPPED: &str = "left_out";
 /// The actions of [`Checkpoint::due`] that every version knows, each by its name.
@@ -142,6 +143,7 @@ fn metadata(checkpoint: &Checkpoint, data_fingerprint: u64) -> Result<BTreeMap<S
         ("view_order_position", (u64::from(checkpoint.iteration) % views).to_string()),
     ];
     let summed = checkpoint.gradient_sums.as_ref().map(|sums| (SUMMED_VIEWS, sums.views.to_string()));
+    let averaged = checkpoint.means.as_ref().map(|means| (AVERAGED_STEPS, means.steps.to_string()));
     let max_memory = max_memory.map(|bytes| (MAX_MEMORY, bytes.to_string()));
     let due = DUE.map(|(name, action)| (name, checkpoint.due.contains(action).to_string()));
     let others = DUE.iter().fold(checkpoint.due, |due, (_, action)| due.without(*action));
@@ -152,7 +154,7 @@ fn metadata(checkpoint: &Checkpoint, data_fingerprint: u64) -> Result<BTreeMap<S
         BLOCK.into_iter().zip([core.join(","), frozen.to_string(), format!("{fingerprint:016x}")])
     });
     let named = pairs.into_iter().chain(kernels).chain(due).chain(others).chain(max_memory).chain(summed);
-    let named = named.chain(block);
+    let named = named.chain(averaged).chain(block);
     let own = checkpoint.strategy.values.iter();
     let own = own.map(|(name, value)| (format!("{}{name}", Checkpoint::STRATEGY), value.clone()));
     Ok(named.map(|(name, value)| (name.to_owned(), value)).chain(own).collect())
@@ -218,11 +220,16 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
             Some(views) => Some(GradientSums {
                 views,
                 sums: gaussians(&tensors, Checkpoint::GRADIENT_SUMS)?,
-                light: LightSums {
-                    exposures: matrices(&tensors, Checkpoint::GRADIENT_SUMS, Checkpoint::EXPOSURES)?,
-                    lenses: matrices(&tensors, Checkpoint::GRADIENT_SUMS, Checkpoint::LENSES)?,
-                },
+                light: light_sums(&tensors, Checkpoint::GRADIENT_SUMS)?,
                 poses: pose_sums(&tensors)?,
+            }),
+        },
+        means: match metadata.optional(AVERAGED_STEPS)? {
+            None | Some(0) => None,
+            Some(steps) => Some(MeanState {
+                steps,
+                gaussians: gaussians(&tensors, Checkpoint::MEANS)?,
+                light: light_sums(&tensors, Checkpoint::MEANS)?,
             }),
         },
         exposures: light_state(&tensors, Checkpoint::EXPOSURES)?,
@@ -382,6 +389,11 @@ fn light_state(tensors: &SafeTensors, own: &str) -> Result<ExposureState, String
 }
 
 /// None where they are not learned, and in older files.
+fn light_sums(tensors: &SafeTensors, prefix: &str) -> Result<LightSums, String> {
+    let of = |own| matrices(tensors, prefix, own);
+    Ok(LightSums { exposures: of(Checkpoint::EXPOSURES)?, lenses: of(Checkpoint::LENSES)? })
+}
+
 fn matrices(tensors: &SafeTensors, prefix: &str, own: &str) -> Result<Vec<[[f32; 4]; 3]>, String> {
     let name = format!("{prefix}{own}");
     match tensors.tensor(&name) {

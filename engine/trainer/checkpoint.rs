@@ -55,6 +55,8 @@ pub struct Checkpoint {
     pub strategy: StrategyState,
     /// Gradients that were added up since the last step.
     pub gradient_sums: Option<GradientSums>,
+    /// Means of parameters over the last steps ([`TrainSettings::average_last`]).
+    pub means: Option<MeanState>,
     /// The exposures of the views' photographs, if they are learned.
     pub exposures: ExposureState,
     /// The effects of the lenses ([`LensEffects`](crate::scene::LensEffects)) in the order of the cameras' ids, if they
@@ -108,13 +110,24 @@ pub struct GradientSums {
     pub poses: Vec<[f32; 6]>,
 }
 
-/// Sums of the gradients of several views; empty where nothing is learned, and in older checkpoints.
+/// Sums of the gradients of several views, or means of the values; empty where nothing is learned, and in older checkpoints.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LightSums {
     /// Of the exposures.
     pub exposures: Vec<[[f32; 4]; 3]>,
     /// Of the lenses.
     pub lenses: Vec<[[f32; 4]; 3]>,
+}
+
+/// Means of parameters over steps.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MeanState {
+    /// Number of the steps.
+    pub steps: u32,
+    /// The means, shaped like the parameters.
+    pub gaussians: Gaussians,
+    /// Those of exposures and lenses.
+    pub light: LightSums,
 }
 
 /// A statistic of a strategy.
@@ -211,7 +224,8 @@ impl Checkpoint {
         let mut tensors = Vec::new();
         let sets = [&self.gaussians, &self.first_moments, &self.second_moments];
         let sums = self.gradient_sums.iter().map(|sums| (&Self::GRADIENT_SUMS, &sums.sums));
-        for (prefix, set) in Self::SETS.iter().zip(sets).chain(sums) {
+        let means = self.means.iter().map(|means| (&Self::MEANS, &means.gaussians));
+        for (prefix, set) in Self::SETS.iter().zip(sets).chain(sums).chain(means) {
             let (n, k) = (set.len(), sh_coefficients(set.sh_degree));
             let mut add = |name: &str, shape: &[usize], bytes| {
                 tensors.push(Tensor { name: format!("{prefix}{name}"), shape: shape.to_vec(), bytes });
@@ -253,16 +267,20 @@ impl Checkpoint {
                 tensors.push(Tensor { name, shape, bytes: bytemuck::cast_slice(depths) });
             }
         }
-        if let Some(GradientSums { light, poses, .. }) = &self.gradient_sums {
-            let LightSums { exposures, lenses } = light;
-            let named = |name: &str| format!("{}{name}", Self::GRADIENT_SUMS);
+        let sums = self.gradient_sums.iter().map(|sums| (Self::GRADIENT_SUMS, &sums.light, &sums.poses[..]));
+        let means = self.means.iter().map(|means| (Self::MEANS, &means.light, &[][..]));
+        for (prefix, LightSums { exposures, lenses }, poses) in sums.chain(means) {
             let sets = [
-                (named(Self::EXPOSURES), vec![exposures.len(), 3, 4], bytemuck::cast_slice(exposures)),
-                (named(Self::LENSES), vec![lenses.len(), 3, 4], bytemuck::cast_slice(lenses)),
-                (named(Self::POSES[0]), vec![poses.len(), 6], bytemuck::cast_slice(poses)),
+                (Self::EXPOSURES, vec![exposures.len(), 3, 4], bytemuck::cast_slice(exposures)),
+                (Self::LENSES, vec![lenses.len(), 3, 4], bytemuck::cast_slice(lenses)),
+                (Self::POSES[0], vec![poses.len(), 6], bytemuck::cast_slice(poses)),
             ];
-            let some = sets.into_iter().filter(|(.., bytes)| !bytes.is_empty());
-            tensors.extend(some.map(|(name, shape, bytes)| Tensor { name, shape, bytes }));
+            let some = sets.into_iter().filter(|(.., bytes): &(_, _, &[u8])| !bytes.is_empty());
+            tensors.extend(some.map(|(name, shape, bytes)| Tensor {
+                name: format!("{prefix}{name}"),
+                shape,
+                bytes,
+            }));
         }
         tensors
     }
@@ -275,6 +293,9 @@ impl Checkpoint {
 
     /// Prefix of the names of [`Checkpoint::gradient_sums`].
     pub const GRADIENT_SUMS: &str = "gradient_sum.";
+
+    /// Prefix of the names of [`Checkpoint::means`].
+    pub const MEANS: &str = "mean.";
 
     /// Name of the exposures' tensor, and of that of their moments behind the prefixes.
     pub const EXPOSURES: &str = "exposures";
@@ -306,7 +327,8 @@ impl Checkpoint {
         self.gaussians.check_shapes()?;
         let sums = self.gradient_sums.iter().map(|sums| ("gradient sums", &sums.sums));
         let moments = [("moments", &self.first_moments), ("moments", &self.second_moments)];
-        for (name, set) in moments.into_iter().chain(sums) {
+        let means = self.means.iter().map(|means| ("means", &means.gaussians));
+        for (name, set) in moments.into_iter().chain(sums).chain(means) {
             set.check_shapes()?;
             if (set.len(), set.sh_degree) != (self.gaussians.len(), self.gaussians.sh_degree) {
                 return Err(Error::argument(name, "are of another number or degree than the Gaussians"));
@@ -333,12 +355,14 @@ impl Checkpoint {
         if lenses != [lenses[0]; 3] || lenses[0] > most || (most > 0 && lenses[0] == 0) {
             return Err(Error::argument("lenses", format!("are not those of {most} photographs")));
         }
-        if let Some(GradientSums { light, poses, .. }) = &self.gradient_sums {
+        let sums = self.gradient_sums.iter().map(|sums| ("gradient sums", &sums.light, sums.poses.len()));
+        let means = self.means.iter().map(|means| ("means", &means.light, 0));
+        for (name, light, poses) in sums.chain(means) {
             let of = |count: usize, all: u64| count == 0 || count as u64 == all;
             let lenses = self.lenses.values.len() as u64;
             let sound = of(light.exposures.len(), self.views) && of(light.lenses.len(), lenses);
-            if !sound || !of(poses.len(), self.views) {
-                return Err(Error::argument("gradient sums", "are of another number than the views"));
+            if !sound || !of(poses, self.views) {
+                return Err(Error::argument(name, "are of another number than the views"));
             }
         }
         let views = |poses: &PoseState| {

@@ -11,6 +11,8 @@ impl Checkpoint {
         let sums = self.gradient_sums.iter_mut().map(|sums| &mut sums.sums);
         let sets = [&mut self.gaussians, &mut self.first_moments, &mut self.second_moments];
         sets.into_iter().chain(sums).for_each(|set| *set = set.select(rows));
+        // They begin anew.
+        self.means = None;
         self.statistics = rows.iter().map(|&row| self.statistics[row]).collect();
         // There are none without the 3D filter.
         self.filters = rows.iter().filter_map(|&row| self.filters.get(row).copied()).collect();
@@ -39,6 +41,7 @@ impl Checkpoint {
         if summed(self) != summed(other) {
             return refuse(format!("has gradients of {} views, not of {}", summed(other), summed(self)));
         }
+        self.means = None;
         self.gaussians.append(&other.gaussians);
         self.first_moments.append(&other.first_moments);
         self.second_moments.append(&other.second_moments);

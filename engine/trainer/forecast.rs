@@ -8,7 +8,7 @@ use super::poses;
 use super::settings::TrainSettings;
 use super::step_recorder::StepRecorder;
 use super::strategy::Strategy;
-use super::{InverseDepth, SparseDepth, TrainParts, TrainView, surroundings};
+use super::{InverseDepth, SparseDepth, TrainParts, TrainView, average, surroundings};
 use crate::error::{Error, Result};
 use crate::forward::Filter3d;
 use crate::loss::{LossTerm, Photometric};
@@ -70,6 +70,7 @@ impl Kit {
         photos: &[PhotoSize],
     ) -> Result<Self> {
         let TrainParts { mut strategy, terms, block: _ } = parts;
+        average::check(settings, &*strategy)?;
         let any_masked = photos.iter().any(|photo| photo.masked);
         let mut all: Vec<Box<dyn LossTerm>> =
             vec![Box::new(Photometric::new(context, any_masked, settings.lambda_dssim as f32)?)];

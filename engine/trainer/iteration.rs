@@ -8,7 +8,7 @@ use super::warm_up;
 use super::work::{Actions, Work};
 use crate::exposure::LightStep;
 use crate::forward::RenderSettings;
-use crate::optimizer::{Rates, Step, ViewSum};
+use crate::optimizer::{MeanStep, Rates, Step, ViewSum};
 use crate::poses::PoseStep;
 use crate::renderer::State;
 use crate::scene::Camera;
@@ -24,6 +24,8 @@ pub(super) struct Progress {
     pub opacity_steps: u64,
     /// Views whose gradients were added up since the last step.
     pub summed: u32,
+    /// Steps over which parameters were averaged since the set last changed.
+    pub averaged: u32,
     /// Work before the next iteration.
     pub due: Actions,
 }
@@ -37,6 +39,11 @@ impl Progress {
             steps: self.steps + u64::from(optimizes),
             opacity_steps: self.opacity_steps + u64::from(optimizes && optimizes_opacity),
             summed: if optimizes { 0 } else { self.summed + u32::from(sums_gradients) },
+            averaged: match plan.mean_step {
+                Some(MeanStep::Adds(steps)) => steps,
+                Some(MeanStep::Ends) => 0,
+                None => self.averaged,
+            },
             due: actions,
         }
     }
@@ -60,6 +67,8 @@ pub(super) struct IterationPlan {
     pub exposure: LightStep,
     /// Of the lenses, if their effects are learned.
     pub lens_step: LightStep,
+    /// Of the parameters' mean, if it is of this iteration.
+    pub mean_step: Option<MeanStep>,
     /// Of the poses, if they are optimised.
     pub pose_step: PoseStep,
 }
@@ -73,7 +82,7 @@ impl IterationPlan {
     /// A plan with the optimiser's step and the statistics, for some view: for a recording that is never executed.
     pub fn rehearsal(self, view: usize, camera: Camera, sums_gradients: bool) -> Self {
         let work = Work { optimizes: true, accumulates: true, sums_gradients, ..self.work };
-        Self { view, camera, work, ..self }
+        Self { view, camera, work, mean_step: Some(MeanStep::Adds(1)), ..self }
     }
 }
 
@@ -102,6 +111,7 @@ impl Schedule {
             true => ViewSum { starts: progress.summed == 0, makes_step: work.optimizes },
             false => ViewSum::ALONE,
         };
+        let mean_step = mean_step(s, iteration, progress, &work);
         let view = self.order.view(iteration);
         IterationPlan {
             iteration,
@@ -116,7 +126,10 @@ impl Schedule {
                 ..self.drawn
             },
             step: optimizer_step(run, iteration, progress, &work),
-            computes_filters: s.computes_filters_at(iteration),
+            // They follow the means.
+            computes_filters: s.computes_filters_at(iteration)
+                || (s.filter_3d && mean_step == Some(MeanStep::Ends)),
+            mean_step,
             exposure: LightStep {
                 rate: s.exposure_lr(iteration),
                 count: progress.steps + 1,
@@ -138,6 +151,15 @@ impl Schedule {
 /// Log-linear from `pose_lr` at 0 to a hundredth of it at the last iteration.
 fn pose_rate(s: &TrainSettings, iteration: u32) -> f64 {
     s.pose_lr * 0.01_f64.powf(f64::from(iteration) / f64::from(s.iterations))
+}
+
+/// Means are of steps one after the other: those of an earlier, shorter run do not count.
+fn mean_step(s: &TrainSettings, iteration: u32, progress: &Progress, work: &Work) -> Option<MeanStep> {
+    let before = if s.averages_at(iteration - 1) { progress.averaged } else { 0 };
+    match s.averages_at(iteration) {
+        true => work.optimizes.then_some(MeanStep::Adds(before + 1)),
+        false => (iteration == s.iterations && before > 0).then_some(MeanStep::Ends),
+    }
 }
 
 fn background(run: &Run, iteration: u32) -> [f32; 3] {

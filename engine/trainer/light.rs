@@ -9,6 +9,7 @@ use crate::error::{Error, Result};
 use crate::exposure::{Exposing, LightBuffers, LightForm};
 use crate::forward::FrameInputs;
 use crate::lens_effects::{self, LensInputs, Lenses};
+use crate::optimizer::{Averaging, MeanStep};
 use crate::scene::{Exposure, LensEffects};
 use crate::vk::{Buffer, Context, Recorder};
 use std::collections::{BTreeMap, BTreeSet};
@@ -127,6 +128,18 @@ impl Light {
 }
 
 impl LightMemory {
+    /// Records their means, which lie where steps of several views have sums.
+    pub fn record_means(&self, r: &mut Recorder, averaging: &Averaging, (state, step): (&Buffer, MeanStep)) {
+        for buffers in self.exposures.iter().chain(&self.lenses) {
+            averaging.record(r, [&buffers.values, &buffers.sums, state], step);
+        }
+    }
+
+    /// Copies of the means to what they are of.
+    pub fn record_end(&self, r: &mut Recorder) {
+        self.exposures.iter().chain(&self.lenses).for_each(|buffers| r.copy(&buffers.sums, &buffers.values));
+    }
+
     /// Exposures of all views, and the first `lenses` lenses.
     pub fn states(&self, context: &Context, lenses: usize) -> Result<[ExposureState; 2]> {
         let state = |buffers: &Option<LightBuffers>, count: usize| -> Result<ExposureState> {

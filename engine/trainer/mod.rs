@@ -6,6 +6,7 @@
 //! its buffers changes nothing, and is run again with a larger capacity.
 
 mod align;
+mod average;
 mod block;
 mod budget;
 pub mod checkpoint;
@@ -41,7 +42,7 @@ mod warm_up;
 mod work;
 
 pub use block::{BlockState, SceneBlock, Surroundings};
-pub use checkpoint::{Checkpoint, ExposureState, LightSums, PoseState, Room};
+pub use checkpoint::{Checkpoint, ExposureState, LightSums, MeanState, PoseState, Room};
 pub use forecast::Forecast;
 pub use photos::PhotoSize;
 pub use population::{Growth, Population};

@@ -397,7 +397,11 @@ impl Trainer {
         let frame = self.runner.capacity();
         let blending =
             LaunchSizes::new(self.context.limits()).blend_dispatches(frame.instances, frame.blend_passes);
-        (PER_STEP + 5 * self.state.model.scene.plan.chunks + around + 2 * blending) as usize
+        // The mean has one for the geometry and one for each SH degree.
+        let scene = &self.state.model.scene.plan;
+        let mean =
+            if self.run.settings.average_last > 0.0 { scene.chunks * (scene.sh_degree + 2) } else { 0 };
+        (PER_STEP + 5 * scene.chunks + mean + around + 2 * blending) as usize
     }
 
     /// The Gaussians on the device, for [`Renderer::record`](crate::Renderer::record) after recorded steps.

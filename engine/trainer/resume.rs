@@ -79,6 +79,7 @@ impl Trainer {
                     },
                 }),
             },
+            means: self.mean_state()?,
             exposures,
             lenses,
             poses: self.poses.as_ref().map(|poses| poses.state(&self.context)).transpose()?,
@@ -146,7 +147,8 @@ impl Trainer {
         if trainer.filter.is_some() {
             planes::upload_filters(context, &trainer.state.model.scene, &from.filters)?;
         }
-        let sums = from.gradient_sums.as_ref().map(|sums| sums.light.clone()).unwrap_or_default();
+        let means = from.means.as_ref().map(|means| &means.light);
+        let sums = from.gradient_sums.as_ref().map(|sums| &sums.light).or(means).cloned().unwrap_or_default();
         trainer.losses.light.restore(context, [&from.exposures, &from.lenses], &sums)?;
         if let Some(poses) = &trainer.poses {
             let lacks = || Error::argument("checkpoint", "lacks the poses of its views");
@@ -162,6 +164,7 @@ impl Trainer {
             steps: from.optimizer_steps,
             opacity_steps: from.opacity_steps,
             summed: from.gradient_sums.as_ref().map_or(0, |sums| sums.views),
+            averaged: from.means.as_ref().map_or(0, |means| means.steps),
             due: from.due,
         };
         let moments = [
@@ -169,7 +172,8 @@ impl Trainer {
             (&state.model.moments.second, &from.second_moments),
         ];
         let sums = from.gradient_sums.iter().map(|sums| (&state.model.spare, &sums.sums));
-        for (chunks, values) in moments.into_iter().chain(sums) {
+        let means = from.means.iter().map(|means| (&state.model.spare, &means.gaussians));
+        for (chunks, values) in moments.into_iter().chain(sums).chain(means) {
             let scene = SceneBuffers { chunks: chunks.clone(), ..state.model.scene.clone() };
             planes::fill(context, &scene, values)?;
         }

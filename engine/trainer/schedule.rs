@@ -136,6 +136,13 @@ impl TrainSettings {
             && iteration < self.iterations.saturating_sub(INTERVAL)
     }
 
+    /// Whether parameters after an iteration (1-based) belong to the mean of [`TrainSettings::average_last`]. Those after the last
+    /// iteration, which makes no step, are the mean.
+    pub fn averages_at(&self, iteration: u32) -> bool {
+        let averaged = (f64::from(self.iterations) * self.average_last).round() as u32;
+        iteration >= self.iterations - averaged && iteration < self.iterations
+    }
+
     /// Whether an iteration (1-based) ends with an opacity reset. Over white, the reference also resets once
     /// at `densify_from_iter`.
     pub fn resets_opacity_at(&self, iteration: u32) -> bool {

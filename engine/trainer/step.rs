@@ -7,6 +7,7 @@ use super::step_recorder::StepParts;
 use super::work::{Changes, Work};
 use super::{StepReport, Trainer};
 use crate::error::{Error, Result};
+use crate::optimizer::MeanStep;
 use crate::plan::ScenePlan;
 use crate::planes;
 use crate::renderer::{Failed, Ran, State};
@@ -154,6 +155,8 @@ impl Trainer {
                 summed: &mut self.state.progress.summed,
             };
             let changes = self.strategy.between_steps(&mut population, due.first())?;
+            // The means were those of other Gaussians.
+            self.state.progress.averaged = 0;
             if changes.densified.is_some() {
                 self.compute_filters()?;
             }
@@ -170,6 +173,15 @@ impl Trainer {
     /// The given error if it has another cause, if no step has succeeded yet, and if every view has been
     /// skipped since the last step that succeeded: a training that makes no progress must end.
     pub(super) fn skip(&mut self, plan: &IterationPlan, needed: &State, error: Error) -> Result<()> {
+        self.skip_parameters(plan, needed, error)?;
+        match plan.mean_step {
+            Some(MeanStep::Ends) => self.end_means(),
+            _ => Ok(()),
+        }
+    }
+
+    /// Skips what an iteration would do to the parameters.
+    fn skip_parameters(&mut self, plan: &IterationPlan, needed: &State, error: Error) -> Result<()> {
         let state = &mut self.state;
         // A view that fits may come first in one epoch and last in the next.
         let apart = 2 * (self.run.cameras.len() as u64 - 1);

@@ -16,7 +16,7 @@ use crate::backward::{Backward, BackwardVariant, Statistics};
 use crate::error::Result;
 use crate::forward::{Filter3d, FrameInputs, RenderSettings};
 use crate::loss::{LossTerm, Targets, TermInputs};
-use crate::optimizer::{GradientSums, Optimizer};
+use crate::optimizer::{Averaging, GradientSums, Optimizer};
 use crate::pixels::PixelBorder;
 use crate::plan::LaunchSizes;
 use crate::renderer::Request;
@@ -36,6 +36,8 @@ pub(super) struct StepRecorder {
     /// The place of the absolute statistic among the strategy's.
     absolute: Option<usize>,
     optimizer: Optimizer,
+    /// None unless parameters are averaged.
+    averaging: Option<Averaging>,
     poses: bool,
     warm_up: Option<WarmUp>,
 }
@@ -118,6 +120,7 @@ impl StepRecorder {
             false => Optimizer::new(context, sparse),
         };
         let optimizer = if sums { optimizer.with_sums() } else { optimizer };
+        let averages = settings.average_last > 0.0;
         let poses = settings.pose_opt;
         let optimizer = if poses { optimizer.with_moved_cameras() } else { optimizer };
         let mut sizes = LaunchSizes::new(context.limits());
@@ -134,6 +137,7 @@ impl StepRecorder {
             terms,
             targets,
             optimizer,
+            averaging: averages.then(|| Averaging::new(context)).transpose()?,
             poses,
         })
     }
@@ -309,6 +313,12 @@ impl StepRecorder {
             if let Some(poses) = parts.poses {
                 poses.record(r, inputs, plan.view, &plan.pose_step);
             }
+        }
+        if let Some((averaging, step)) = self.averaging.as_ref().zip(plan.mean_step) {
+            let state = &inputs.frame.state;
+            r.barrier();
+            averaging.record_scene(r, inputs.scene, (&model.spare, state), step);
+            parts.memory.light.record_means(r, averaging, (state, step));
         }
         if let Some(filter) = parts.filter.filter(|_| plan.computes_filters) {
             r.barrier();

@@ -142,7 +142,8 @@ fn recorded_training_is_the_owned_paths_to_the_bit() {
     let all = TrainSettings { lens_effects: true, pose_opt: true, pose_lr: 1e-3, ..exposed.clone() };
     let lit = TrainSettings { lens_effects: true, pose_opt: true, exposure: true, ..budget.clone() };
     let plain = [weighted, all, lit].map(|settings| (false, settings));
-    let usual = [settings(), mcmc, filtered, exposed, budget, few].map(|settings| (true, settings));
+    let averaged = TrainSettings { iterations: 62, average_last: 0.4, ..exposed.clone() };
+    let usual = [settings(), mcmc, filtered, exposed, averaged, budget, few].map(|settings| (true, settings));
     for (push_descriptors, settings) in usual.into_iter().chain(plain) {
         with_host(&HostOptions { push_descriptors, ..options() }, |host| train_recorded(host, &settings));
     }

@@ -50,6 +50,7 @@ fn checkpoint(count: usize, own: usize) -> Checkpoint {
             values: (0..own).map(|index| (format!("value {index:06}"), "1".into())).collect(),
         },
         gradient_sums: None,
+        means: None,
         exposures: Default::default(),
         lenses: Default::default(),
         poses: None,

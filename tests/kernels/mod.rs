@@ -4,6 +4,7 @@ mod adam;
 mod add_gradients;
 mod add_importance;
 mod add_noise;
+mod average;
 pub mod blend;
 mod blend_auxiliary;
 pub mod blend_backward;

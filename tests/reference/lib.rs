@@ -11,6 +11,7 @@ pub mod adam;
 pub mod add_gradients;
 pub mod add_importance;
 pub mod add_noise;
+pub mod average;
 pub mod blend;
 pub mod blend_backward;
 pub mod classify;

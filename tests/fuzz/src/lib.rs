@@ -79,6 +79,7 @@ pub fn checkpoint(gaussians: Gaussians, sh_degree: u32) -> Checkpoint {
         statistics: vec![[0.0; 2]; gaussians.len()],
         gaussians,
         gradient_sums: None,
+        means: None,
         exposures: Default::default(),
         lenses: Default::default(),
         poses: None,
