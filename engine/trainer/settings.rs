@@ -90,10 +90,10 @@ options! {
         growth_curve: bool = false, Bounds::None;
         /// Prune what does not recover from opacity resets, which are milder (budget: true)
         recovery: bool = false, Bounds::None;
-        /// Add up the gradients of several views before a step in the last third of the run (budget: true)
+        /// Add up the gradients of several views before a step in the last third of the run (budget: true, presets: false)
         multi_step: bool = false, Bounds::None;
         /// Share of the run, at its end, over whose steps parameters are averaged; the mean takes their place in the last iteration
-        /// (Polyak and Juditsky; stochastic weight averaging)
+        /// (Polyak and Juditsky; stochastic weight averaging). Without multi_step (presets: 0.05)
         average_last: f64 = 0.0, Bounds::Share;
         /// Learn the exposure of each photo: a 3x4 matrix that changes the rendered colours before they are compared
         exposure: bool = false, Bounds::None;
@@ -159,6 +159,8 @@ options! {
 
 /// Opacity of the first Gaussians in the reference.
 const INITIAL_OPACITY: f64 = 0.1;
+/// Share of a run over whose steps presets average parameters.
+const AVERAGED_SHARE: f64 = 0.05;
 /// End of the reference's densification with few photographs.
 const FEW_PHOTOS_UNTIL: u32 = 1500;
 /// Share of the Gaussians that the last step leaves out with few photographs.
@@ -211,12 +213,14 @@ impl TrainSettings {
         }
     }
 
-    /// The defaults of a preset, by measurement (tools/strategies.md). All have the strategy budget and prune what is faint late;
-    /// they differ in the number of Gaussians, and in the warm-up. With [`exposure`](Self::exposure), exposures are nearly gains per
+    /// The defaults of a preset, by measurement (tools/strategies.md). All have the strategy budget, prune what is faint late and
+    /// average parameters over the last steps, one view each; they differ in the number of Gaussians, and in the warm-up. With [`exposure`](Self::exposure), exposures are nearly gains per
     /// channel.
     pub fn of_preset(preset: Preset) -> Self {
         let usual = Self {
             late_min_opacity: 0.1,
+            multi_step: false,
+            average_last: AVERAGED_SHARE,
             exposure_reg: 0.1,
             exposure_shared: true,
             ..Self::of_strategy(StrategyType::Budget)
