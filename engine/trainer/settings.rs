@@ -214,13 +214,16 @@ impl TrainSettings {
     }
 
     /// The defaults of a preset, by measurement (tools/strategies.md). All have the strategy budget, prune what is faint late and
-    /// average parameters over the last steps, one view each; they differ in the number of Gaussians, and in the warm-up. With [`exposure`](Self::exposure), exposures are nearly gains per
+    /// average parameters over the last steps, one view each, which goes together with larger rates of scales, and of means at the
+    /// end; they differ in the number of Gaussians, and in the warm-up. With [`exposure`](Self::exposure), exposures are nearly gains per
     /// channel.
     pub fn of_preset(preset: Preset) -> Self {
         let usual = Self {
             late_min_opacity: 0.1,
             multi_step: false,
             average_last: AVERAGED_SHARE,
+            position_lr_final: 4e-6,
+            scaling_lr: 7.5e-3,
             exposure_reg: 0.1,
             exposure_shared: true,
             ..Self::of_strategy(StrategyType::Budget)
