@@ -148,8 +148,8 @@ fn what_no_view_sees_can_be_left_out() {
     let (initial, mut block) = divided();
     block.frozen.means.iter_mut().step_by(2).for_each(|mean| mean[1] += 900.0);
     let cameras: Vec<Camera> = views(3, 9).iter().map(|view| view.camera).collect();
-    for warm_up in [0, 8] {
-        let settings = TrainSettings { warm_up, filter_3d: true, ..settings() };
+    for (warm_up, kernel_size) in [(0, 0.3), (8, 3.0)] {
+        let settings = TrainSettings { warm_up, kernel_size, ..settings() };
         let left = block.clone().without_unseen(&cameras, &settings);
         let [all, seen] = [&block, &left].map(|block| block.frozen.len());
         assert!(2 * seen <= all && seen > 20, "{seen} of {all}");
@@ -168,7 +168,12 @@ fn what_no_view_sees_can_be_left_out() {
         let mut second = resumed(gpu.context, Some(block.clone()), &settings, &middle).expect("resumed");
         assert!(same(&end(&mut second), &whole), "warm-up {warm_up}: other bits");
     }
+    let filtered = TrainSettings { filter_3d: true, ..settings() };
+    assert!(block.clone().without_unseen(&cameras, &filtered) == block);
     let nobody = block.without_unseen(&[], &settings());
+    let poses = TrainSettings { pose_opt: true, ..settings() };
+    let refused = trainer(gpu.context, &initial, Some(nobody.clone()), &poses).err().expect("refused");
+    assert!(refused.to_string().contains("pose_opt"), "{refused}");
     assert!(nobody.frozen.is_empty());
     end(&mut trainer(gpu.context, &initial, Some(nobody), &settings()).expect("a trainer"));
 }

@@ -54,13 +54,18 @@ impl SceneBlock {
         mean.cmpge(core.min - margin).all() && mean.cmple(core.max + margin).all()
     }
 
-    /// The block without what no picture of these cameras can show, at any size at which a training with these settings draws them. The
-    /// pictures are the same to the bit, and so is a training on these cameras, but for
-    /// [dropout](TrainSettings::dropout), which counts Gaussians. Its checkpoints go on with the block as it was, too.
+    /// The block without the surroundings that no picture of these cameras can show, at any size at which a training with these
+    /// settings draws them. Its pictures are the same to the bit. So is a training on these cameras, with two exceptions:
+    /// [dropout](TrainSettings::dropout) draws its random numbers by place, and where memory limits growth there is more of it.
+    /// A checkpoint of either block can be resumed with the other. With [the 3D filter](TrainSettings::filter_3d) nothing is left out: its
+    /// sizes depend on all surroundings.
     #[must_use]
     pub fn without_unseen(self, cameras: &[Camera], settings: &TrainSettings) -> Self {
+        if settings.filter_3d {
+            return self;
+        }
         let drawn: Vec<Camera> = cameras.iter().flat_map(|camera| settings.sizes_of_camera(camera)).collect();
-        let seen = unseen::seen(&self.frozen, &drawn);
+        let seen = unseen::seen(&self.frozen, &drawn, settings.kernel_size);
         let rows: Vec<usize> = (0..seen.len()).filter(|&row| seen[row]).collect();
         if rows.len() == seen.len() {
             return self;

@@ -93,7 +93,7 @@ options! {
         /// Add up the gradients of several views before a step in the last third of the run (budget: true, presets: false)
         multi_step: bool = false, Bounds::None;
         /// Share of the run, at its end, over whose steps parameters are averaged; the mean takes their place in the last iteration
-        /// (Polyak and Juditsky; stochastic weight averaging). Without multi_step (presets: 0.05)
+        /// (Polyak and Juditsky; stochastic weight averaging). Not together with multi_step (presets: 0.05)
         average_last: f64 = 0.0, Bounds::Share;
         /// Learn the exposure of each photo: a 3x4 matrix that changes the rendered colours before they are compared
         exposure: bool = false, Bounds::None;

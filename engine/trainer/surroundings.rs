@@ -32,7 +32,9 @@ impl Block {
         let Some(block) = of else { return Ok(()) };
         SceneBlock::check_box(block.core, 0.0)?;
         block.frozen.check_shapes()?;
-        check_settings(settings, strategy, !SceneBlock::is_everything(block.core), !block.frozen.is_empty())
+        // Cameras that move may come to see what is left out.
+        let frozen = block.surroundings().count > 0;
+        check_settings(settings, strategy, !SceneBlock::is_everything(block.core), frozen)
     }
 
     /// Uploads what lies around. None of a block that is the whole scene.

@@ -214,7 +214,10 @@ impl Division {
         let missing = |block: &Block| {
             let mut parts = block.parts.iter();
             let (name, _) = parts.find(|(_, part)| !part.exists())?;
-            Some(format!("the part of {name} for block {} is none of its picture", block.number))
+            Some(format!(
+                "the part of {name} for block {} is empty or lies outside of its picture",
+                block.number
+            ))
         };
         if let Some(problem) = self.blocks.iter().find_map(missing) {
             return Err(problem);

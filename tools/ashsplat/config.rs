@@ -122,9 +122,18 @@ impl Settings {
         };
         let mut given = Table::try_from(overrides).map_err(|e| Error::argument("settings", e.to_string()))?;
         // What the file says would win over a preset, which is a set of defaults.
-        let chosen = ["strategy", "cap_ratio", "warm_up", "late_min_opacity"]
-            .into_iter()
-            .find(|&key| table.contains_key(key));
+        let chosen = [
+            "strategy",
+            "cap_ratio",
+            "warm_up",
+            "late_min_opacity",
+            "multi_step",
+            "average_last",
+            "scaling_lr",
+            "position_lr_final",
+        ]
+        .into_iter()
+        .find(|&key| table.contains_key(key));
         if let (Some(path), Some(key), true) = (file, chosen, given.contains_key("preset")) {
             let problem = format!("sets {key}, which --preset would set");
             return Err(Error::input(path, problem, "leave out one of them, or --preset"));

@@ -164,7 +164,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         (origin.scene(), &settings, job.as_ref()),
         (arguments.quiet, &stop),
     )?;
-    let unseen = origin.divide(&settings, &gallery.used_cameras()?)?;
+    let unseen = origin.divide(&settings, || gallery.used_cameras())?;
     lpips.check(&gallery, &settings)?;
     check_fits(&context, &gallery, &settings, &origin)?;
     let mut dataset = session::load(&gallery, arguments.quiet, &stop)?;

@@ -34,9 +34,10 @@ pub struct BlockArguments {
     /// [default: drawn]
     #[arg(long, value_enum)]
     outside: Option<Outside>,
-    /// Use of each photo only the part that shows the block and its margin: the rest of it is not drawn and not kept in memory. auto:
-    /// with --job, whose file says which part. on: of any block, by the depths of the scene that training begins with (--init); go on
-    /// with such a training on the device that it began on, for another one may see other parts [default: auto]
+    /// Use of each photo only the part that shows the block and its margin: the rest of it is not drawn and not kept in memory. With
+    /// --job its file says which part, for auto and on. Of another block auto uses whole photos, and on finds parts by the depths of the
+    /// scene that training begins with (--init); go on with such a training on the same device, for another one may see other parts
+    /// [default: auto]
     #[arg(long, value_enum)]
     photo_parts: Option<When>,
     /// The extent that scales the means' learning rate and the thresholds of densification, and the weight on scales of few photos,
@@ -118,6 +119,10 @@ impl DataSettings {
         if !(self.scene_extent.is_finite() && self.scene_extent >= 0.0) {
             let problem = format!("is {}, must be positive, or 0 for that of the cameras", self.scene_extent);
             return Err(Error::argument("scene_extent", problem));
+        }
+        if self.train_test_exp && (self.uses_parts_of_job() || self.block_of_parts()?.is_some()) {
+            let problem = "takes halves of whole photos: give --photo-parts off as well";
+            return Err(Error::argument("train_test_exp", problem));
         }
         self.looks_at_depths().map(drop)
     }

@@ -23,12 +23,20 @@ impl Defaults {
             (Defaults::FewPhotos(usual, extent), None) => {
                 TrainSettings::of_few_photos(strategy.unwrap_or(usual), extent)
             }
-            // A preset says how many Gaussians; what keeps them from fitting these photos only stays.
+            // A preset says how many Gaussians; what keeps them from fitting these photos only stays, steps of several views among it.
             (Defaults::FewPhotos(_, extent), Some(preset)) => {
                 let preset = TrainSettings::of_preset(preset);
-                let TrainSettings { dropout, opacity_reg, scale_reg, .. } =
-                    TrainSettings::of_few_photos(preset.strategy, extent);
-                TrainSettings { dropout, opacity_reg, scale_reg, ..preset }
+                let few = TrainSettings::of_few_photos(preset.strategy, extent);
+                TrainSettings {
+                    dropout: few.dropout,
+                    opacity_reg: few.opacity_reg,
+                    scale_reg: few.scale_reg,
+                    multi_step: few.multi_step,
+                    average_last: few.average_last,
+                    scaling_lr: few.scaling_lr,
+                    position_lr_final: few.position_lr_final,
+                    ..preset
+                }
             }
         }
     }
@@ -147,8 +155,11 @@ mod tests {
         let preset = Overrides { preset: Some("quality".into()), ..Overrides::default() };
         let preset = resolved(None, &preset);
         let quality = TrainSettings::of_preset(Preset::Quality);
-        let TrainSettings { dropout, opacity_reg, scale_reg, .. } = usual;
-        let expected = TrainSettings { dropout, opacity_reg, scale_reg, ..quality };
+        assert!(usual.multi_step && usual.average_last == 0.0 && quality.average_last > 0.0);
+        let TrainSettings { dropout, opacity_reg, scale_reg, multi_step, scaling_lr, .. } = usual;
+        let TrainSettings { average_last, position_lr_final, .. } = usual;
+        let keeps = TrainSettings { multi_step, scaling_lr, average_last, position_lr_final, ..quality };
+        let expected = TrainSettings { dropout, opacity_reg, scale_reg, ..keeps };
         assert_eq!(preset.expect("settings").train, expected);
 
         let none = Table::new();

@@ -67,7 +67,8 @@ impl Shares {
         own >= self.least || own > 0.0 && self.main_cell(photo) == Some(cell)
     }
 
-    /// The part of a photo that shows a cell, for which it is used, and its margin; None for all of it.
+    /// The part of a photo that shows a cell and its margin. None where that is all of it, and where nothing opaque shows them: then the
+    /// whole photo is used.
     pub fn part(&self, photo: usize, cell: usize) -> Option<Part> {
         self.parts[photo].get(&cell).copied()
     }

@@ -84,7 +84,11 @@ impl Origin {
     }
 
     /// Divides a scene into what is trained of a block, and what of the rest these cameras see. A line about it, if some is not seen.
-    pub fn divide(&mut self, settings: &Settings, cameras: &[Camera]) -> Result<Option<String>> {
+    pub fn divide(
+        &mut self,
+        settings: &Settings,
+        cameras: impl FnOnce() -> Result<Vec<Camera>>,
+    ) -> Result<Option<String>> {
         let (train, block) = (&settings.train, settings.data.block()?);
         let Some(((core, margin), scene)) = block.zip(self.exchanged.as_ref().or(self.scene.as_ref())) else {
             return Ok(None);
@@ -92,7 +96,7 @@ impl Origin {
         let (trained, block) = SceneBlock::divide(&scene.with_sh_degree(train.sh_degree), core, margin)?;
         let block = settings.data.outside.leave(block, self.exchanged.is_some());
         let around = block.frozen.len();
-        let block = block.without_unseen(cameras, train);
+        let block = block.without_unseen(&cameras()?, train);
         let unseen = around - block.frozen.len();
         // Twice as much memory is not needed.
         (self.scene, self.exchanged) = (None, None);
