@@ -383,7 +383,11 @@ fn gaussians_go_from_one_checkpoint_to_another_with_all_that_is_kept_of_them() {
     let (core, frozen) = (everything(), Gaussians::default());
     joined.settle_in(&SceneBlock { core, frozen, chosen_from: None });
     let mut resumed = resumed(gpu.context, None, &settings, &joined).expect("resumed");
-    assert_eq!(end(&mut resumed).iteration, settings.iterations);
+    let last = end(&mut resumed);
+    assert_eq!(last.iteration, settings.iterations);
+    // Frames are expected to be like those of before, not to show all Gaussians that there is room for.
+    assert!(last.room.frame_instances >= last.room.most_instances && joined.room.most_instances > 0);
+    assert!(last.room.frame_instances < 6 * last.room.gaussians, "{:?}", last.room);
 
     let refused = |change: &dyn Fn(&mut Checkpoint)| {
         let mut other = whole.clone();

@@ -62,8 +62,8 @@ impl Checkpoint {
         difference(&there, &self.settings)
     }
 
-    /// Goes on in this block, among what lies around it. The room that was allocated for other Gaussians is forgotten; as much is
-    /// allocated as at a start.
+    /// Goes on in this block, among what lies around it. The room that was allocated for other Gaussians is forgotten: as much is
+    /// allocated as at a start, but that frames are expected to be like those of before.
     pub fn settle_in(&mut self, block: &SceneBlock) {
         self.block = block.state();
         let Room { most_instances, max_memory, .. } = self.room;

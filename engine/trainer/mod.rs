@@ -58,7 +58,7 @@ pub use work::{Actions, Densified};
 use crate::error::{Error, Result};
 use crate::forward::{Blending, Filter3d, RenderSettings, SceneBuffers};
 use crate::loss::LossTerm;
-use crate::plan::PictureCapacity;
+use crate::plan::{PictureCapacity, gaussians_with};
 use crate::planes;
 use crate::renderer::{Aligner, Frame, FrameRunner, FrameStore, PixelReport, TileReport};
 use crate::scene::{Camera, Gaussians};
@@ -205,6 +205,7 @@ impl Trainer {
         let photo_memory = photos::memory_of_file(&views);
         let kit = Kit::new(context, (&settings, scene_extent), parts, &photo_sizes)?;
         let counts = (count, around);
+        let before = room;
         let (capacity, room) =
             kit.capacity(context, &settings, (&photo_sizes, photo_memory), counts, room)?;
         // It takes memory: what does not fit is refused before.
@@ -229,7 +230,9 @@ impl Trainer {
             runner.expect_absolute();
         }
         let scenes = 1 + u32::from(around > 0);
-        if let Some(frame) = room.and_then(|room| room.frame((pictures, scenes), absolute)) {
+        let pictures = (pictures, scenes);
+        let first = || before?.first_frame(context, gaussians_with(capacity, around), pictures, absolute);
+        if let Some(frame) = room.map_or_else(first, |room| room.frame(pictures, absolute)) {
             runner.restore(frame)?;
         }
         let run = Run { settings, scene_extent, cameras, lenses, views_fingerprint };

@@ -7,7 +7,7 @@ use super::{SceneBlock, TrainParts, TrainView, Trainer, strategies};
 use crate::error::{Error, Result};
 use crate::fingerprint::Fingerprint;
 use crate::forward::SceneBuffers;
-use crate::plan::{FrameCapacity, PictureCapacity};
+use crate::plan::{FrameCapacity, LEAST_INSTANCES, PictureCapacity, initial_instances};
 use crate::planes;
 use crate::scene::{Camera, PicturePart};
 use crate::vk::{Buffer, Context};
@@ -227,6 +227,30 @@ impl Trainer {
 }
 
 impl Room {
+    /// The capacity of a first frame of so many Gaussians, where the one of before is of no use, as after an exchange of blocks: twice the
+    /// instances that any frame had so far. The usual estimate goes by all Gaussians, of which a picture of a large scene shows few. None
+    /// if there was no frame.
+    pub(super) fn first_frame(
+        &self,
+        context: &Context,
+        gaussians: u32,
+        (pictures, scenes): (PictureCapacity, u32),
+        absolute: bool,
+    ) -> Option<FrameCapacity> {
+        let usual = initial_instances(context.limits(), gaussians, &pictures);
+        let instances = self.most_instances.saturating_mul(2).max(LEAST_INSTANCES).min(usual);
+        let frame = FrameCapacity {
+            gaussians,
+            instances,
+            scenes,
+            pictures,
+            blend_passes: 1,
+            backward: true,
+            absolute,
+        };
+        (self.most_instances > 0).then_some(frame)
+    }
+
     /// The capacity of a frame, for these pictures and so many scenes, with room for absolute gradients or not; None without a
     /// frame.
     pub(super) fn frame(
