@@ -152,6 +152,7 @@ mod tests {
         }
         assert!(seen.iter().flatten().all(|&seen| seen), "{seen:?}");
     }
+
     #[test]
     fn a_larger_city_has_as_many_photographs_per_lot() {
         let larger = City { lots: 16, width: 256 };

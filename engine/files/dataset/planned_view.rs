@@ -9,7 +9,7 @@ use super::used_part::{UsedPart, cut_photo};
 use super::{DatasetOptions, View};
 use crate::images::{Decoded, Photo, PhotoFileFormat, Request, StoredPhoto, header, read_as, undistort};
 use ashsplat::scene::lens::Lens;
-use ashsplat::scene::{Camera, Intrinsics};
+use ashsplat::scene::{Camera, Intrinsics, PicturePart};
 use ashsplat::{Error, Result};
 
 /// A view whose photo is not loaded yet.
@@ -154,7 +154,8 @@ impl PlannedView {
         let coarse = self.coarse_mask.as_ref().map(|mask| mask.stretched_to(width, height));
         let mut mask = Mask::of_both(mask.map(|mask| mask.scaled_to(width, height)), coarse);
         let camera = self.part_of(original_camera.scaled_to(width, height))?;
-        if let Some((corner, size)) = self.part.map(|part| part.in_picture((width, height))) {
+        if let Some(PicturePart { left, top, .. }) = camera.part {
+            let (corner, size) = ([left, top], [camera.width, camera.height]);
             photo = cut_photo(&photo, corner, size);
             mask = mask.map(|mask| mask.cut(corner, size));
         }
