@@ -15,13 +15,11 @@ use crate::forward::{FrameInputs, block_of, range_arguments, record_passes};
 use crate::kernels::backward::{
     blend_backward, blend_backward_subgroup_per_tile, expand_gradients, project_adam, project_backward,
 };
-use crate::plan::{BlendShape, LaunchSizes, blocks};
+use crate::plan::{BlendShape, LaunchSizes, POSE_SUM_BYTES, blocks};
 use crate::vk::{Buffer, Context, Kernel, Recorder};
 
 /// A Gaussian with more tiles has its instances added by a whole subgroup.
 const LANE_INSTANCES: u32 = 64;
-/// A subgroup's sums for the camera's pose: two vec3.
-const POSE_SUM_BYTES: u64 = 24;
 
 /// The kernels of the backward pass.
 pub struct Backward {
@@ -356,7 +354,7 @@ impl Backward {
                 chunk_gaussians: inputs.scene.plan.chunk_gaussians,
                 antialias: inputs.settings.antialias_bits(),
                 splat_stride: f.splats().stride,
-                gradient_stride: inputs.capacity.gaussians,
+                gradient_stride: inputs.capacity.visible,
                 accumulate: statistics.accumulate.into(),
             };
             let bind = project_backward::Bind {
@@ -412,7 +410,7 @@ impl Backward {
                 camera_position: inputs.camera.position().to_array(),
                 first: range.first,
                 count: range.count,
-                gradient_stride: inputs.capacity.gaussians,
+                gradient_stride: inputs.capacity.visible,
                 chunk_gaussians: inputs.scene.plan.chunk_gaussians,
                 planes: inputs.scene.plan.planes,
             };

@@ -233,12 +233,12 @@ impl Forward {
                 visible_list: &f.visible_list,
                 visible_index: &f.visible_index,
             },
-            &compact::Push { count },
+            &compact::Push { count, capacity: inputs.capacity.visible },
             // One block per subgroup.
             blocks(culled_blocks.into(), (self.sizes.elementwise_workgroup / subgroup_size).into()),
         );
         let counted =
-            [c::STATE_VISIBLE_NEEDED, inputs.capacity.gaussians, c::ARGUMENTS_VISIBLE, self.sizes.scan];
+            [c::STATE_VISIBLE_NEEDED, inputs.capacity.visible, c::ARGUMENTS_VISIBLE, self.sizes.scan];
         self.record_prepare(r, f, counted);
         r.barrier();
         let scenes = 1 + inputs.others.len() as u32;

@@ -229,7 +229,7 @@ impl Optimizer {
                     first: range.first,
                     count: range.count,
                     chunk_gaussians: scene.plan.chunk_gaussians,
-                    gradient_stride: inputs.capacity.gaussians,
+                    gradient_stride: inputs.capacity.visible,
                     planes: scene.plan.planes,
                     starts: to.starts.into(),
                 };
@@ -342,7 +342,7 @@ pub(crate) fn push(inputs: &FrameInputs, step: &Step, first: u32, count: u32) ->
         first,
         count,
         chunk_gaussians: inputs.scene.plan.chunk_gaussians,
-        gradient_stride: inputs.capacity.gaussians,
+        gradient_stride: inputs.capacity.visible,
         beta_1: BETA_1 as f32,
         beta_2: BETA_2 as f32,
         one_minus_beta_1: (1.0 - BETA_1) as f32,

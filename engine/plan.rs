@@ -12,7 +12,7 @@ mod sorting;
 mod strips;
 
 pub use crate::tuning::SortMethod;
-pub(crate) use frame_buffers::sorted_side;
+pub(crate) use frame_buffers::{POSE_SUM_BYTES, sorted_side};
 pub use frame_buffers::{CAMERA_BLOCK_BYTES, FrameBuffers, Splats, frame_bytes, frame_requests};
 pub use grids::check_grids;
 pub use launch_sizes::{BlendShape, LaunchSizes, region_height};
@@ -149,8 +149,10 @@ impl ScenePlan {
 /// Capacities of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FrameCapacity {
-    /// Gaussians. All of them may be visible.
+    /// Gaussians.
     pub gaussians: u32,
+    /// Those of them that the camera sees, at most. A frame that sees more overflows and is run again.
+    pub visible: u32,
     /// (tile, Gaussian) instances.
     pub instances: u32,
     /// Scenes, each with a camera block; of views with one order, those of all.
@@ -178,10 +180,19 @@ pub const fn tile_bits(tiles: u32) -> u32 {
 /// Bytes per element of the widest buffer per instance.
 const INSTANCE_BYTES: u64 = 16;
 
-/// First estimate of a frame's instances, at most what a binding and a grid can hold. A frame that needs more
-/// overflows and is run again.
-pub fn initial_instances(limits: &Limits, gaussians: u32, pictures: &PictureCapacity) -> u32 {
-    let guess = u64::from(gaussians) * 6 + pictures.tiles * 16;
+/// First estimate of how many Gaussians of a frame are visible. A frame that sees more overflows and is run again: a large scene is seen
+/// in part, and most of a frame's memory goes by what is visible.
+pub fn initial_visible(gaussians: u32) -> u32 {
+    gaussians.min(LEAST_VISIBLE.max(gaussians / 4))
+}
+
+/// No estimate of a frame's visible Gaussians is smaller, unless there are fewer Gaussians.
+pub const LEAST_VISIBLE: u32 = 1 << 12;
+
+/// First estimate of the instances of a frame of so many visible Gaussians, at most what a binding and a grid can hold. A frame that
+/// needs more overflows and is run again.
+pub fn initial_instances(limits: &Limits, visible: u32, pictures: &PictureCapacity) -> u32 {
+    let guess = u64::from(visible) * 6 + pictures.tiles * 16;
     guess.max(LEAST_INSTANCES.into()).min(max_trained_instances(limits).into()) as u32
 }
 

@@ -68,6 +68,7 @@ impl Training {
         let planes_of = |arena: &str| planes::allocate(&context, arena, &scene.plan).expect("planes");
         let capacity = FrameCapacity {
             gaussians: 1200,
+            visible: 1200,
             instances: 6000,
             scenes: 1,
             pictures: PictureCapacity::of(SIZE[0], SIZE[1]),

@@ -1,10 +1,11 @@
 //! First frames: nothing is known of them but an estimate of their instances, and they come out whole.
 
-use ashsplat::plan::{LEAST_INSTANCES, PictureCapacity, initial_instances};
+use ashsplat::plan::{LEAST_INSTANCES, LEAST_VISIBLE, PictureCapacity, initial_instances, initial_visible};
 use ashsplat::trainer::{TrainView, Trainer};
 use ashsplat::vk::Context;
-use ashsplat::{Error, Frame, Gaussians, RenderSettings, Renderer, Result, TrainSettings};
+use ashsplat::{Camera, Error, Frame, Gaussians, RenderSettings, Renderer, Result, TrainSettings};
 use ashsplat_files::Photo;
+use glam::Vec3;
 
 use crate::common::bounded;
 use crate::common::engine::{camera, gaussians};
@@ -48,10 +49,10 @@ fn a_first_frame_that_needs_more_than_estimated_is_whole() {
 /// The memory does not hold what is estimated. It holds what is needed.
 #[test]
 fn a_first_frame_that_needs_less_than_estimated_is_not_refused() {
-    let scene = scene(20_000, -3.0);
+    let scene = scene(4000, -3.0);
     let roomy = bounded(None);
     let expected = render(&roomy, &scene, None).expect("a frame");
-    let estimate = initial_instances(roomy.limits(), 20_000, &PictureCapacity::of(SIZE[0], SIZE[1]));
+    let estimate = initial_instances(roomy.limits(), 4000, &PictureCapacity::of(SIZE[0], SIZE[1]));
     assert!(4 * expected.stats.instances < estimate, "{} of {estimate}", expected.stats.instances);
     let with_estimate = roomy.memory().iter().map(|arena| arena.peak_bytes).sum::<u64>();
     drop(roomy);
@@ -64,6 +65,36 @@ fn a_first_frame_that_needs_less_than_estimated_is_not_refused() {
     let error = render(&least, &scene, None).expect_err("refused");
     assert!(matches!(error, Error::TooLarge { .. }), "{error}");
     assert!(LEAST_INSTANCES < estimate);
+}
+
+/// A camera that sees little of a scene, and then one that sees all.
+#[test]
+fn frames_have_room_for_what_is_visible_and_grow_when_more_is() {
+    let (context, scene) = (bounded(None), scene(20_000, -1.0));
+    let estimate = initial_visible(20_000);
+    assert_eq!((estimate, initial_visible(LEAST_VISIBLE), initial_visible(7)), (5000, LEAST_VISIBLE, 7));
+    let frame_bytes = || context.memory().iter().find(|arena| arena.name == "frame").map(|arena| arena.bytes);
+    let mut renderer = Renderer::new(&context).expect("a renderer");
+    renderer.upload(&scene).expect("upload");
+    let all = camera(&small_view(SIZE));
+    // Away from most of the scene.
+    let few = Camera { translation: all.translation + Vec3::X * 4.0, ..all };
+    let settings = RenderSettings::default();
+    let little = renderer.render(&few, &settings).expect("a frame");
+    assert!(little.stats.visible < estimate && little.stats.retries == 0, "{:?}", little.stats);
+    let before = frame_bytes();
+    let grown = renderer.render(&all, &settings).expect("a frame");
+    assert!(grown.stats.visible > 2 * estimate && grown.stats.retries > 0, "{:?}", grown.stats);
+    assert!(frame_bytes() > before);
+    // Both are whole: they come out alike where nothing has to grow.
+    for (camera, first) in [(&few, &little), (&all, &grown)] {
+        let again = renderer.render(camera, &settings).expect("a frame");
+        assert_eq!((again.stats.retries, again.stats.visible), (0, first.stats.visible));
+        assert!(again.color == first.color && again.transmittance == first.transmittance);
+    }
+    let fewest = Gaussians::default();
+    renderer.upload(&fewest).expect("upload");
+    assert_eq!(renderer.render(&all, &settings).expect("a frame").stats.visible, 0);
 }
 
 /// Memory for the first frame, but not beside the reserve of Gaussians that was planned with the estimate.

@@ -121,6 +121,7 @@ fn limits_of_images_are_those_of_the_picture_in_training_too() {
     for (width, height) in [(4096, 2048), (2048, 4096), (2896, 2896), (3840, 2160)] {
         let capacity = FrameCapacity {
             gaussians: 1000,
+            visible: 1000,
             instances: 5000,
             scenes: 1,
             pictures: PictureCapacity::of(width, height),

@@ -80,7 +80,7 @@ impl Backward {
                 chunk_gaussians: inputs.scene.plan.chunk_gaussians,
                 antialias: inputs.settings.antialias_bits(),
                 splat_stride: f.splats().stride,
-                gradient_stride: inputs.capacity.gaussians,
+                gradient_stride: inputs.capacity.visible,
                 accumulate: statistics.accumulate.into(),
                 push_camera_position: adam.camera_position,
                 beta_1: adam.beta_1,

@@ -24,6 +24,7 @@ const FORMAT: &str = "ashsplat-checkpoint/2";
 const FINGERPRINT: &str = "metadata_fingerprint";
 /// Present only if memory was bounded.
 const MAX_MEMORY: &str = "room_max_memory";
+const FRAME_VISIBLE: &str = "room_frame_visible";
 /// [`GradientSums::views`]. Present only if there are any.
 const SUMMED_VIEWS: &str = "gradient_sum_views";
 const AVERAGED_STEPS: &str = "mean_steps";
@@ -112,7 +113,7 @@ fn metadata(checkpoint: &Checkpoint, data_fingerprint: u64) -> Result<BTreeMap<S
         .map_err(|e| Error::argument("settings", format!("cannot be written: {e}")))?;
     let views = checkpoint.views.max(1);
     let Room { gaussians, frame_gaussians, frame_instances, frame_width, frame_height, .. } = checkpoint.room;
-    let Room { blend_passes, backward, most_instances, max_memory, .. } = checkpoint.room;
+    let Room { frame_visible, blend_passes, backward, most_instances, max_memory, .. } = checkpoint.room;
     let pairs = [
         ("format", FORMAT.to_owned()),
         ("version", checkpoint.version.clone()),
@@ -132,6 +133,7 @@ fn metadata(checkpoint: &Checkpoint, data_fingerprint: u64) -> Result<BTreeMap<S
         (SKIPPED, checkpoint.skipped.to_string()),
         ("room_gaussians", gaussians.to_string()),
         ("room_frame_gaussians", frame_gaussians.to_string()),
+        (FRAME_VISIBLE, frame_visible.to_string()),
         ("room_frame_instances", frame_instances.to_string()),
         ("room_frame_width", frame_width.to_string()),
         ("room_frame_height", frame_height.to_string()),
@@ -240,6 +242,10 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
         room: Room {
             gaussians: metadata.parsed("room_gaussians")?,
             frame_gaussians: metadata.parsed("room_frame_gaussians")?,
+            frame_visible: match metadata.optional(FRAME_VISIBLE)? {
+                Some(visible) => visible,
+                None => metadata.parsed("room_frame_gaussians")?,
+            },
             frame_instances: metadata.parsed("room_frame_instances")?,
             frame_width: metadata.parsed("room_frame_width")?,
             frame_height: metadata.parsed("room_frame_height")?,

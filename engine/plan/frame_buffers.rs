@@ -48,6 +48,7 @@ macro_rules! frame_requests {
 struct FrameSizes {
     scenes: u64,
     gaussians: u64,
+    visible: u64,
     gaussian_blocks: u64,
     scan_blocks: u64,
     instances: u64,
@@ -74,20 +75,22 @@ struct FrameSizes {
 impl FrameSizes {
     fn new(capacity: &FrameCapacity, block: &LaunchSizes) -> Self {
         let gaussians = u64::from(capacity.gaussians);
+        let visible = u64::from(capacity.visible);
         let instances = u64::from(capacity.instances);
         let PictureCapacity { pixels, tiles, strip_values, .. } = capacity.pictures;
         let backward = u64::from(capacity.backward);
         let tile_bits = tile_bits(tiles.min(u32::MAX.into()) as u32);
-        let depth_sort = block.sort_histogram_words(gaussians, u32::BITS);
+        let depth_sort = block.sort_histogram_words(visible, u32::BITS);
         // A smaller image may use longer digits in fewer passes.
         let tile_sort = (1..=tile_bits).map(|bits| block.sort_histogram_words(instances, bits)).max();
         let record = 16 * u64::from(SPLAT_PLANES);
-        let together = gaussians * record <= block.max_binding_bytes;
+        let together = visible * record <= block.max_binding_bytes;
         Self {
             scenes: capacity.scenes.into(),
             gaussians,
+            visible,
             gaussian_blocks: blocks(gaussians, block.elementwise_workgroup.into()),
-            scan_blocks: blocks(gaussians, block.scan.into()),
+            scan_blocks: blocks(visible, block.scan.into()),
             instances,
             histogram: tile_sort.map_or(depth_sort, |words| words.max(depth_sort)),
             digits: 1 << block.sort_digit_bits(),
@@ -119,32 +122,32 @@ frame_requests! {
     /// [`Self::visible_counts`], then [`Self::visible_offsets`].
     visible_blocks: |s| s.gaussian_blocks * 4;
     /// Per visible Gaussian: its Gaussian.
-    pub visible_list: |s| s.gaussians * 4;
+    pub visible_list: |s| s.visible * 4;
     /// Per Gaussian: its index among the visible ones.
     pub visible_index: |s| s.gaussians * 4;
     /// Per visible Gaussian: mean and half extents, px; or records of all four attributes, see
     /// [`FrameBuffers::splats`].
-    splats: |s| s.gaussians * 16 * s.splat_stride;
+    splats: |s| s.visible * 16 * s.splat_stride;
     /// Per visible Gaussian: conic and opacity.
-    conic_opacity: |s| s.apart * s.gaussians * 16;
+    conic_opacity: |s| s.apart * s.visible * 16;
     /// Per visible Gaussian: colour and 1/z.
-    color_inverse_depth: |s| s.apart * s.gaussians * 16;
+    color_inverse_depth: |s| s.apart * s.visible * 16;
     /// Per visible Gaussian: shape of its rows of tiles, number of tiles (tile_span.glsl).
-    footprints: |s| s.apart * s.gaussians * 16;
+    footprints: |s| s.apart * s.visible * 16;
     /// [`Self::tile_lists`], then [`Self::pose_sums`].
-    tile_lists: |s| (s.gaussians * 8).max(POSE_SUMS_LEAST);
+    tile_lists: |s| (s.visible * 8).max(s.backward * s.gaussians.div_ceil(4) * POSE_SUM_BYTES);
     /// [`Self::depth_keys`], [`Self::depth_sort_keys`], then [`Self::list_heads`].
-    depth_keys_a: |s| s.gaussians * 4;
+    depth_keys_a: |s| s.visible * 4;
     /// [`Self::depth_sort_keys`], then [`Self::list_rows`].
-    depth_keys_b: |s| s.gaussians * 4;
+    depth_keys_b: |s| s.visible * 4;
     /// [`Self::depth_sort_values`], then [`Self::depth_order`].
-    order_a: |s| s.gaussians * 4;
+    order_a: |s| s.visible * 4;
     /// [`Self::depth_sort_values`].
-    order_b: |s| s.gaussians * 4;
+    order_b: |s| s.visible * 4;
     /// Per rank: number of tiles touched.
-    pub tiles_touched: |s| s.gaussians * 4;
+    pub tiles_touched: |s| s.visible * 4;
     /// Per rank: first instance.
-    pub instance_offsets: |s| s.gaussians * 4;
+    pub instance_offsets: |s| s.visible * 4;
     /// Sums and offsets of the scan's blocks.
     pub scan_blocks: |s| s.scan_blocks * 4;
     /// Sorting scratch: counts per digit and block, and per digit and run.
@@ -165,7 +168,7 @@ frame_requests! {
     /// [`Self::sorted_visible`] with backward, as the ranges' kernel gathers it.
     pub gathered_visible: |s| s.backward_instances * 4;
     /// Per visible Gaussian: its first instance.
-    pub first_instances: |s| s.backward * s.gaussians * 4;
+    pub first_instances: |s| s.backward * s.visible * 4;
     /// Per tile: begin and end in the sorted instances.
     pub tile_ranges: |s| s.tiles * 8;
     /// Per pixel: premultiplied colour without background, transmittance. In a frame with backward in strips
@@ -191,13 +194,11 @@ frame_requests! {
     /// [`Self::absolute_gradients`].
     instance_gradients_d: |s| s.absolute_instances * 8;
     /// Per visible Gaussian: planes named GRADIENT_*.
-    pub gradients: |s| s.backward * s.gaussians * 16 * u64::from(GRADIENT_PLANES);
+    pub gradients: |s| s.backward * s.visible * 16 * u64::from(GRADIENT_PLANES);
 }
 
-/// Two vec3 per subgroup of four lanes or more fit into the lists of tiles of ten Gaussians or more. For fewer, this many bytes
-/// do, which the padding between buffers takes anyway.
-const POSE_SUMS_LEAST: u64 = 128;
-const _: () = assert!(10_u64.div_ceil(4) * 24 <= 80 && 16_u64.div_ceil(4) * 24 <= POSE_SUMS_LEAST);
+/// Bytes of the sums of a subgroup ([`FrameBuffers::pose_sums`]): two vec3. Subgroups have four lanes or more.
+pub(crate) const POSE_SUM_BYTES: u64 = 24;
 
 /// Bytes of all buffers of a frame, including the padding between them.
 pub fn frame_bytes(capacity: &FrameCapacity, block: &LaunchSizes) -> u64 {

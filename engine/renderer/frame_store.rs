@@ -4,8 +4,8 @@ use super::BlendSamples;
 use crate::error::{Error, Result};
 use crate::kernels::constants as c;
 use crate::plan::{
-    FrameBuffers, FrameCapacity, LEAST_INSTANCES, LaunchSizes, PictureCapacity, check_grids, frame_bytes,
-    frame_requests, initial_instances,
+    FrameBuffers, FrameCapacity, LEAST_INSTANCES, LEAST_VISIBLE, LaunchSizes, PictureCapacity, check_grids, frame_bytes,
+    frame_requests, initial_instances, initial_visible,
 };
 use crate::scene::Camera;
 use crate::vk::{Buffer, Context, MemoryKind, Recorder};
@@ -28,9 +28,12 @@ pub struct FrameStore {
 /// The counts that a frame reports.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct State {
-    /// Visible Gaussians.
+    /// Visible Gaussians that the frame has.
     pub visible: u32,
-    /// Instances that the frame needs. More than its capacity if it overflowed.
+    /// Visible Gaussians that the frame needs. More than its capacity if it overflowed.
+    pub visible_needed: u32,
+    /// Instances that the frame needs. More than its capacity if it overflowed. If there are more visible Gaussians than it has,
+    /// those of the ones that it has.
     pub instances: u32,
     /// Entries of the longest tile.
     pub longest_tile: u32,
@@ -49,6 +52,7 @@ impl State {
         let word = |index: u32| words[index as usize];
         Self {
             visible: word(c::STATE_VISIBLE),
+            visible_needed: word(c::STATE_VISIBLE_NEEDED),
             instances: word(c::STATE_INSTANCES_NEEDED),
             longest_tile: word(c::STATE_LONGEST_TILE),
             non_finite: word(c::STATE_NON_FINITE),
@@ -64,6 +68,7 @@ impl State {
 /// Capacity before the first frame.
 const NOTHING: FrameCapacity = FrameCapacity {
     gaussians: 0,
+    visible: 0,
     instances: 0,
     scenes: 1,
     pictures: PictureCapacity::NONE,
@@ -108,7 +113,7 @@ impl FrameStore {
 
     /// Buffers for some Gaussians of some scenes, and a camera. Reallocates them if the current ones are too small. If they then do not
     /// fit the memory because of what earlier frames needed, that is given up. The first ones have an estimated
-    /// number of instances, or a part of it if the memory holds no more.
+    /// number of visible Gaussians and of instances, or a part of it if the memory holds no more.
     ///
     /// # Errors
     /// When the memory or a limit of the device does not suffice: before any work.
@@ -122,9 +127,11 @@ impl FrameStore {
         let own = PictureCapacity::of_cameras([camera]);
         let wanted = own.and(self.expected);
         let pictures = if backward { wanted } else { wanted.without_backward() };
-        let instances = initial_instances(self.context.limits(), gaussians, &pictures);
+        let visible = initial_visible(gaussians);
+        let instances = initial_instances(self.context.limits(), visible, &pictures);
         let absolute = backward && self.absolute;
-        self.asked = FrameCapacity { gaussians, scenes, instances, pictures, backward, absolute, ..NOTHING };
+        self.asked =
+            FrameCapacity { gaussians, visible, scenes, instances, pictures, backward, absolute, ..NOTHING };
         let fits = gaussians <= old.gaussians
             && scenes <= old.scenes
             && old.pictures.holds(&pictures)
@@ -136,6 +143,7 @@ impl FrameStore {
         let mut capacity = FrameCapacity {
             gaussians: gaussians.max(old.gaussians),
             scenes: scenes.max(old.scenes),
+            visible: if old.visible > 0 { old.visible } else { visible },
             instances: if old.instances > 0 { old.instances } else { instances },
             pictures: pictures.and(old.pictures),
             backward: backward || old.backward,
@@ -150,7 +158,8 @@ impl FrameStore {
                     (capacity, estimated, own_alone) = (self.asked, true, true);
                 }
                 // The estimate may be what does not fit, and the frame may need less. If not, it says so.
-                Err(error) if is_memory(&error) && estimated && capacity.instances > LEAST_INSTANCES => {
+                Err(error) if is_memory(&error) && estimated && can_be_less(&capacity) => {
+                    capacity.visible = (capacity.visible / 4).max(capacity.visible.min(LEAST_VISIBLE));
                     capacity.instances = (capacity.instances / 4).max(LEAST_INSTANCES);
                 }
                 Err(error) => return Err(name_image(error, camera, wanted == own)),
@@ -254,8 +263,12 @@ impl FrameStore {
     /// When the memory or a limit of the device does not suffice.
     pub fn grow(&mut self, state: &State, sizes: &LaunchSizes) -> Result<bool> {
         let mut capacity = self.capacity;
+        // With a reserve: the next frames will need a different number.
+        if state.visible_needed > capacity.visible {
+            let reserve = state.visible_needed.saturating_add(state.visible_needed / 4);
+            capacity.visible = reserve.min(capacity.gaussians).max(state.visible_needed);
+        }
         if state.instances > capacity.instances {
-            // With a reserve of half: the next frames will need a different number.
             capacity.instances = state.instances.saturating_add(state.instances / 2);
         }
         let passes = state.longest_tile.div_ceil(sizes.entries_per_pass).max(1);
@@ -264,14 +277,24 @@ impl FrameStore {
             return Ok(false);
         }
         // What the frame itself needs, without what is left of earlier ones.
-        let own = FrameCapacity { instances: state.instances.max(1), blend_passes: passes, ..self.asked };
+        let own = FrameCapacity {
+            visible: state.visible_needed.max(1),
+            instances: state.instances.max(1),
+            blend_passes: passes,
+            ..self.asked
+        };
         let Err(error) = self.allocate(capacity) else { return Ok(true) };
+        let more_visible = state.visible_needed > self.capacity.visible;
         let more_instances = state.instances > self.capacity.instances;
+        // Retry without the reserves, which may be what did not fit.
+        if more_visible {
+            capacity.visible = state.visible_needed;
+        }
         if more_instances {
-            // Retry without the reserve, which may be what did not fit.
             capacity.instances = state.instances;
         }
-        let smaller = [more_instances.then_some(capacity), (own != capacity).then_some(own)];
+        let smaller =
+            [(more_visible || more_instances).then_some(capacity), (own != capacity).then_some(own)];
         let mut result = Err(error);
         for capacity in smaller.into_iter().flatten() {
             if result.is_err() {
@@ -280,10 +303,16 @@ impl FrameStore {
         }
         match result {
             Ok(_) => Ok(true),
+            Err(error) if more_visible => Err(name_visible(error, state.visible_needed)),
             Err(error) if more_instances => Err(name_instances(error, state.instances)),
             Err(error) => Err(error),
         }
     }
+}
+
+/// Whether an estimate is more than the least that there is.
+fn can_be_less(estimate: &FrameCapacity) -> bool {
+    estimate.instances > LEAST_INSTANCES || estimate.visible > LEAST_VISIBLE
 }
 
 /// Whether an allocation failed for want of memory.
@@ -303,18 +332,21 @@ fn name_image(error: Error, camera: &Camera, alone: bool) -> Error {
     }
 }
 
+/// Reports the number of visible Gaussians instead of the buffer that did not fit.
+fn name_visible(error: Error, visible: u32) -> Error {
+    name(error, format!("a frame of {visible} visible Gaussians"))
+}
+
 /// Reports the number of instances instead of the buffer that did not fit.
 fn name_instances(error: Error, instances: u32) -> Error {
+    name(error, format!("a frame of {instances} (tile, Gaussian) instances (a smaller image has fewer)"))
+}
+
+fn name(error: Error, frame: String) -> Error {
     match error {
-        Error::TooLarge { what, needed, unit, limit, limit_name } => Error::TooLarge {
-            what: format!(
-                "a frame of {instances} (tile, Gaussian) instances (a smaller image has fewer): {what}"
-            ),
-            needed,
-            unit,
-            limit,
-            limit_name,
-        },
+        Error::TooLarge { what, needed, unit, limit, limit_name } => {
+            Error::TooLarge { what: format!("{frame}: {what}"), needed, unit, limit, limit_name }
+        }
         other => other,
     }
 }

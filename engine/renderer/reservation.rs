@@ -275,6 +275,8 @@ impl Reservation {
         let pictures = PictureCapacity::of(self.width, self.height).without_backward();
         let capacity = FrameCapacity {
             gaussians,
+            // A recorded frame cannot be run again.
+            visible: gaussians,
             instances: match self.instances {
                 0 => initial_instances(context.limits(), gaussians, &pictures),
                 instances => instances,

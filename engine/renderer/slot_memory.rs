@@ -178,7 +178,7 @@ fn scratch_requests(wanted: &Reservation, capacity: &FrameCapacity, sizes: &Laun
         scratch.extend([("picks", pixels * 8), ("scene_firsts", u64::from(capacity.scenes) * 4)]);
     }
     if wanted.motion {
-        scratch.extend([("motions", u64::from(capacity.gaussians) * 8), ("motion_sums", pixels * 8)]);
+        scratch.extend([("motions", u64::from(capacity.visible) * 8), ("motion_sums", pixels * 8)]);
     }
     scratch
 }
@@ -213,7 +213,7 @@ fn check_bindings(
     let without = [
         ("width, height", FrameCapacity { pictures, ..*capacity }),
         ("instances", FrameCapacity { instances: 1, ..*capacity }),
-        ("gaussians", FrameCapacity { gaussians: 1, ..*capacity }),
+        ("gaussians", FrameCapacity { gaussians: 1, visible: 1, ..*capacity }),
         ("scenes, views", FrameCapacity { scenes: 1, ..*capacity }),
     ];
     let bytes = |(_, less): &(_, FrameCapacity)| scratch_requests(wanted, less, sizes)[place].1;

@@ -6,7 +6,7 @@ use super::photos::{PhotoBytes, PhotoSize};
 use crate::error::{Error, Result};
 use crate::plan::{
     FrameCapacity, LaunchSizes, PictureCapacity, ScenePlan, check_grids, frame_bytes, frame_requests,
-    gaussians_with, initial_instances, max_trained_among, max_trained_gaussians, max_trained_instances,
+    gaussians_with, initial_instances, initial_visible, max_trained_among, max_trained_gaussians, max_trained_instances,
 };
 use crate::planes;
 use crate::renderer::FrameStore;
@@ -75,10 +75,20 @@ impl Before<'_> {
     /// The first frame with this number of Gaussians that are trained, for these pictures.
     fn first_frame(&self, context: &Context, gaussians: u32, pictures: PictureCapacity) -> FrameCapacity {
         let gaussians = gaussians_with(gaussians, self.around);
-        let instances = initial_instances(context.limits(), gaussians, &pictures);
+        let visible = initial_visible(gaussians);
+        let instances = initial_instances(context.limits(), visible, &pictures);
         let absolute = self.rows.absolute().is_some();
         let scenes = self.scenes();
-        FrameCapacity { gaussians, instances, scenes, pictures, blend_passes: 1, backward: true, absolute }
+        FrameCapacity {
+            gaussians,
+            visible,
+            instances,
+            scenes,
+            pictures,
+            blend_passes: 1,
+            backward: true,
+            absolute,
+        }
     }
 
     /// Scenes of a frame.
@@ -261,7 +271,7 @@ pub(super) struct Present<'a> {
 
 impl Present<'_> {
     /// Whether planes for a plan and a frame of its capacity fit beside the current planes, and, once those
-    /// are freed, a frame with proportionally more instances.
+    /// are freed, a frame with proportionally more visible Gaussians and instances.
     pub fn has_room(&self, plan: &ScenePlan) -> bool {
         let Self { context, rows, plan: old, frame, frame_bytes: old_frame, around } = self;
         let limits = context.limits();
@@ -276,10 +286,16 @@ impl Present<'_> {
         let sizes = LaunchSizes::new(limits);
         let of = |plan: &ScenePlan| gaussians_with(plan.capacity, *around);
         let grown = FrameCapacity { gaussians: of(plan), ..*frame };
-        // The number of instances grows with the number of Gaussians.
-        let instances = u64::from(frame.instances) * u64::from(of(plan)) / u64::from(of(old).max(1));
-        let full =
-            FrameCapacity { instances: instances.min(max_trained_instances(limits).into()) as u32, ..grown };
+        // The numbers of visible ones and of instances grow with the number of Gaussians.
+        let grow = |n: u32, most: u32| {
+            let grown = u64::from(n) * u64::from(of(plan)) / u64::from(of(old).max(1));
+            grown.min(most.into()) as u32
+        };
+        let full = FrameCapacity {
+            visible: grow(frame.visible, of(plan)),
+            instances: grow(frame.instances, max_trained_instances(limits)),
+            ..grown
+        };
         let beside = (context.held_bytes() + new.device).saturating_sub(*old_frame);
         let during = beside + frame_bytes(&grown, &sizes);
         let after = (beside + frame_bytes(&full, &sizes)).saturating_sub(present.device);

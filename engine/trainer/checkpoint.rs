@@ -173,6 +173,8 @@ pub struct Room {
     pub gaussians: u32,
     /// Gaussians of a frame.
     pub frame_gaussians: u32,
+    /// Visible Gaussians of a frame. Files of earlier versions have none: all were.
+    pub frame_visible: u32,
     /// (tile, Gaussian) instances of a frame.
     pub frame_instances: u32,
     /// Largest width of the views, pixels; 0 without a frame. Earlier versions sized frames by this times

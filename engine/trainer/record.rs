@@ -220,10 +220,13 @@ impl Trainer {
             let state = slot.state()?;
             slot.outcome = Some(if state.overflow {
                 let [_, most] = self.recording.overflow.get_or_insert([state; 2]);
+                most.visible_needed = most.visible_needed.max(state.visible_needed);
                 most.instances = most.instances.max(state.instances);
                 most.longest_tile = most.longest_tile.max(state.longest_tile);
                 StepOutcome::Overflowed {
                     iteration: first.plan.iteration,
+                    visible_needed: state.visible_needed,
+                    visible_capacity: self.runner.capacity().visible,
                     instances_needed: state.instances,
                     instance_capacity: self.runner.capacity().instances,
                 }

@@ -56,7 +56,11 @@ pub enum StepOutcome {
     Overflowed {
         /// The iteration to be repeated.
         iteration: u32,
-        /// (tile, Gaussian) instances that the step needs.
+        /// Visible Gaussians that the step needs.
+        visible_needed: u32,
+        /// The step's capacity in visible Gaussians.
+        visible_capacity: u32,
+        /// (tile, Gaussian) instances that the step needs; those of as many visible Gaussians as the step has, if it needs more.
         instances_needed: u32,
         /// The step's capacity in instances.
         instance_capacity: u32,

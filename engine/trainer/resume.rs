@@ -7,7 +7,7 @@ use super::{SceneBlock, TrainParts, TrainView, Trainer, strategies};
 use crate::error::{Error, Result};
 use crate::fingerprint::Fingerprint;
 use crate::forward::SceneBuffers;
-use crate::plan::{FrameCapacity, LEAST_INSTANCES, PictureCapacity, initial_instances};
+use crate::plan::{FrameCapacity, LEAST_INSTANCES, PictureCapacity, initial_instances, initial_visible};
 use crate::planes;
 use crate::scene::{Camera, PicturePart};
 use crate::vk::{Buffer, Context};
@@ -215,6 +215,7 @@ impl Trainer {
         Room {
             gaussians: self.state.model.scene.plan.capacity,
             frame_gaussians: frame.gaussians,
+            frame_visible: frame.visible,
             frame_instances: frame.instances,
             frame_width: largest(|camera| camera.width),
             frame_height: largest(|camera| camera.height),
@@ -228,7 +229,7 @@ impl Trainer {
 
 impl Room {
     /// The capacity of a first frame of so many Gaussians, where the one of before is of no use, as after an exchange of blocks: twice the
-    /// instances that any frame had so far. The usual estimate goes by all Gaussians, of which a picture of a large scene shows few. None
+    /// instances that any frame had so far, and as many visible Gaussians as there was room for. None
     /// if there was no frame.
     pub(super) fn first_frame(
         &self,
@@ -237,10 +238,15 @@ impl Room {
         (pictures, scenes): (PictureCapacity, u32),
         absolute: bool,
     ) -> Option<FrameCapacity> {
+        let visible = match self.frame_visible {
+            0 => initial_visible(gaussians),
+            before => before.min(gaussians),
+        };
         let usual = initial_instances(context.limits(), gaussians, &pictures);
         let instances = self.most_instances.saturating_mul(2).max(LEAST_INSTANCES).min(usual);
         let frame = FrameCapacity {
             gaussians,
+            visible,
             instances,
             scenes,
             pictures,
@@ -260,6 +266,7 @@ impl Room {
     ) -> Option<FrameCapacity> {
         (self.frame_width > 0).then_some(FrameCapacity {
             gaussians: self.frame_gaussians,
+            visible: self.frame_visible,
             instances: self.frame_instances,
             scenes,
             pictures,

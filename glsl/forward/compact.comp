@@ -3,7 +3,8 @@
 // invocation: every SUBGROUP_SIZE-th Gaussian of a block; subgroup: one block of BLOCK Gaussians, the blocks of cull; it
 // keeps a running count, so no barrier is needed
 // in: visible_flags[Gaussian], block_offsets[block] (exclusive prefix sums)
-// out: visible_list[visible] = Gaussian, visible_index[Gaussian] = visible or NOT_VISIBLE
+// out: visible_list[visible] = Gaussian, visible_index[Gaussian] = visible or NOT_VISIBLE. Beyond the capacity of the visible ones
+// none is visible: the frame has overflowed then (write_indirect_args.comp) and is run again
 // shared: none; subgroup sizes 4 to 128
 #version 460
 #extension GL_EXT_scalar_block_layout : require
@@ -24,7 +25,11 @@ layout(set = 0, binding = 1, scalar) readonly buffer BlockOffsets { uint block_o
 layout(set = 0, binding = 2, scalar) writeonly buffer VisibleList { uint visible_list[]; };
 layout(set = 0, binding = 3, scalar) writeonly buffer VisibleIndex { uint visible_index[]; };
 
-layout(push_constant, scalar) uniform Push { uint count; };
+layout(push_constant, scalar) uniform Push {
+    uint count;
+    // Most visible Gaussians.
+    uint capacity;
+};
 
 #include "dispatch.glsl"
 
@@ -40,11 +45,12 @@ void main() {
         bool flag = exists && visible_flags[exists ? index : 0] != 0;
         uvec4 ballot = subgroupBallot(flag);
         uint place = visible + subgroupBallotExclusiveBitCount(ballot);
-        if (flag) {
+        bool fits = flag && place < capacity;
+        if (fits) {
             visible_list[place] = index;
         }
         if (exists) {
-            visible_index[index] = flag ? place : NOT_VISIBLE;
+            visible_index[index] = fits ? place : NOT_VISIBLE;
         }
         visible += subgroupBallotBitCount(ballot);
         index += SUBGROUP_SIZE;

@@ -55,6 +55,7 @@ impl<'a> Stages<'a> {
         let tiles = views.iter().map(|view| view.tiles()[0] * view.tiles()[1]).max().expect("a view");
         let capacity = FrameCapacity {
             gaussians: scene.plan.capacity,
+            visible: scene.plan.capacity,
             instances: tiles * set.len() as u32 + 64,
             scenes: 1,
             pictures,

@@ -22,20 +22,23 @@ pub fn compact_equals_its_twin() {
         let total = scan_spine(&mut offsets) as usize;
         let (input, block_offsets) =
             (gpu.buffer("visible_flags", &words), gpu.buffer("block_offsets", &offsets));
-        let list = gpu.untouched::<u32>("visible_list", total + 2);
-        let places = gpu.untouched::<u32>("visible_index", size + 2);
-        let bind = Bind {
-            visible_flags: &input,
-            block_offsets: &block_offsets,
-            visible_list: &list,
-            visible_index: &places,
-        };
-        let push = Push { count: size as u32 };
-        gpu.dispatch::<Interface>(&spec, &bind, &push, size.div_ceil(block) as u64 + 1);
-        let (mut expected_list, mut expected_places) = compact(&flags);
-        expected_list.extend([UNTOUCHED; 2]);
-        expected_places.extend([UNTOUCHED; 2]);
-        assert_eq!(gpu.read::<u32>(&list, total + 2), expected_list, "size {size}");
-        assert_eq!(gpu.read::<u32>(&places, size + 2), expected_places, "size {size}");
+        // Room for all, and for some.
+        for capacity in [total, total / 2] {
+            let list = gpu.untouched::<u32>("visible_list", total + 2);
+            let places = gpu.untouched::<u32>("visible_index", size + 2);
+            let bind = Bind {
+                visible_flags: &input,
+                block_offsets: &block_offsets,
+                visible_list: &list,
+                visible_index: &places,
+            };
+            let push = Push { count: size as u32, capacity: capacity as u32 };
+            gpu.dispatch::<Interface>(&spec, &bind, &push, size.div_ceil(block) as u64 + 1);
+            let (mut expected_list, mut expected_places) = compact(&flags, capacity);
+            expected_list.resize(total + 2, UNTOUCHED);
+            expected_places.extend([UNTOUCHED; 2]);
+            assert_eq!(gpu.read::<u32>(&list, total + 2), expected_list, "size {size} of {capacity}");
+            assert_eq!(gpu.read::<u32>(&places, size + 2), expected_places, "size {size} of {capacity}");
+        }
     }
 }

@@ -56,9 +56,12 @@ impl From<&StepOutcome> for AshsplatStep {
     fn from(outcome: &StepOutcome) -> Self {
         match outcome {
             StepOutcome::Done(report) => report.into(),
-            &StepOutcome::Overflowed { iteration, instances_needed: instances, .. } => {
-                Self { finished: true, overflow: true, iteration, instances, ..Self::default() }
-            }
+            &StepOutcome::Overflowed {
+                iteration,
+                visible_needed: visible,
+                instances_needed: instances,
+                ..
+            } => Self { finished: true, overflow: true, iteration, visible, instances, ..Self::default() },
         }
     }
 }

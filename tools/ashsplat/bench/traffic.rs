@@ -62,6 +62,7 @@ impl Traffic {
         let used = |gaussians: u32, instances: u32| {
             let capacity = FrameCapacity {
                 gaussians,
+                visible: gaussians,
                 instances,
                 scenes: 1,
                 pictures: PictureCapacity::of(counts.width, counts.height),
