@@ -12,8 +12,8 @@ mod sorting;
 mod strips;
 
 pub use crate::tuning::SortMethod;
-pub(crate) use frame_buffers::{POSE_SUM_BYTES, sorted_side};
 pub use frame_buffers::{CAMERA_BLOCK_BYTES, FrameBuffers, Splats, frame_bytes, frame_requests};
+pub(crate) use frame_buffers::{POSE_SUM_BYTES, sorted_side};
 pub use grids::check_grids;
 pub use launch_sizes::{BlendShape, LaunchSizes, region_height};
 pub use pictures::PictureCapacity;

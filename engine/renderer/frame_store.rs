@@ -4,8 +4,8 @@ use super::BlendSamples;
 use crate::error::{Error, Result};
 use crate::kernels::constants as c;
 use crate::plan::{
-    FrameBuffers, FrameCapacity, LEAST_INSTANCES, LEAST_VISIBLE, LaunchSizes, PictureCapacity, check_grids, frame_bytes,
-    frame_requests, initial_instances, initial_visible,
+    FrameBuffers, FrameCapacity, LEAST_INSTANCES, LEAST_VISIBLE, LaunchSizes, PictureCapacity, check_grids,
+    frame_bytes, frame_requests, initial_instances, initial_visible,
 };
 use crate::scene::Camera;
 use crate::vk::{Buffer, Context, MemoryKind, Recorder};
@@ -303,8 +303,8 @@ impl FrameStore {
         }
         match result {
             Ok(_) => Ok(true),
-            Err(error) if more_visible => Err(name_visible(error, state.visible_needed)),
             Err(error) if more_instances => Err(name_instances(error, state.instances)),
+            Err(error) if more_visible => Err(name_visible(error, state.visible_needed)),
             Err(error) => Err(error),
         }
     }

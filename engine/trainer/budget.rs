@@ -6,7 +6,8 @@ use super::photos::{PhotoBytes, PhotoSize};
 use crate::error::{Error, Result};
 use crate::plan::{
     FrameCapacity, LaunchSizes, PictureCapacity, ScenePlan, check_grids, frame_bytes, frame_requests,
-    gaussians_with, initial_instances, initial_visible, max_trained_among, max_trained_gaussians, max_trained_instances,
+    gaussians_with, initial_instances, initial_visible, max_trained_among, max_trained_gaussians,
+    max_trained_instances,
 };
 use crate::planes;
 use crate::renderer::FrameStore;

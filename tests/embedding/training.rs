@@ -243,7 +243,8 @@ fn steps_without_room_change_nothing() {
         frames.iter().for_each(|frame| frame.wait(host).expect("done"));
         for slot in 0..3 {
             let outcome = recorded.step_outcome(slot).expect("an outcome").expect("finished");
-            let StepOutcome::Overflowed { iteration, instances_needed, instance_capacity, .. } = outcome else {
+            let StepOutcome::Overflowed { iteration, instances_needed, instance_capacity, .. } = outcome
+            else {
                 panic!("{outcome:?}");
             };
             assert_eq!((iteration, instance_capacity), (slot + 1, 20));
