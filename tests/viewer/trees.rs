@@ -173,8 +173,8 @@ fn viewer_refuses_what_is_no_tree() {
 fn viewer_draws_fewer_tiles_where_a_picture_finds_no_memory() {
     let folder = tempdir().expect("a temporary folder");
     let (path, _) = written(folder.path());
-    // Enough for all tiles, but not for all tiles and a picture of them: 2 MiB would be.
-    let server = Server::view(&path, &["--budget", "100%", "--max-memory", "1M"]);
+    // Enough for all tiles, but not for all tiles and a picture of them: 1 MiB would be.
+    let server = Server::view(&path, &["--budget", "100%", "--max-memory", "750K"]);
     let mut page = server.page();
     for turn in [0.3, 1.9, 0.3] {
         let (_, shown, said) = settled(&mut page, &camera(turn), &json!({ "quality": 0 }));
