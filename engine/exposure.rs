@@ -27,6 +27,8 @@ pub struct LightForm {
     pub sums: bool,
     /// Whether the second moments are those of all photographs together.
     pub shares: bool,
+    /// Whether steps have a [`LightStep::sparsity`].
+    pub sparse: bool,
 }
 
 /// One step of the optimiser of exposures, or of [lenses](crate::lens_effects).
@@ -40,6 +42,9 @@ pub struct LightStep {
     pub sum: ViewSum,
     /// Times each value, a part of its gradient: pulls it to 0. Of exposures that are centred, not the diagonal.
     pub decay: f64,
+    /// How far a matrix comes closer to the identity after its step, as a share of the rate; less the farther it is away, nothing
+    /// at 0.05 (root of the sum of squares). Photographs without a clear change stay as they are: the minimax concave penalty (Zhang 2010).
+    pub sparsity: f64,
 }
 
 /// Matrices and moments of some photographs, or [lenses](crate::lens_effects), on the device, and scratch memory. A matrix is
@@ -254,8 +259,8 @@ impl LightOptimizer {
     pub(crate) fn new(context: &Context, form: LightForm) -> Result<Self> {
         let workgroup_size = LaunchSizes::new(context.limits()).elementwise_workgroup;
         let subgroup_size = context.limits().subgroup_size;
-        let LightForm { center, sums, shares } = form;
-        let step = exposure_step::Spec { workgroup_size, subgroup_size, center, sums, shares };
+        let LightForm { center, sums, shares, sparse } = form;
+        let step = exposure_step::Spec { workgroup_size, subgroup_size, center, sums, shares, sparse };
         Ok(Self(Kernel::new(context, &step)?))
     }
 
@@ -289,6 +294,7 @@ impl LightOptimizer {
             makes_step: step.sum.makes_step.into(),
             starts: step.sum.starts.into(),
             decay: step.decay as f32,
+            sparsity: step.sparsity as f32,
         };
         r.dispatch(&self.0, &bind, &push, 1);
     }

@@ -397,6 +397,7 @@ impl Checkpoint {
             // Of no effect, and presets came to set them.
             settings.exposure_reg = wanted.settings.exposure_reg;
             settings.exposure_shared = wanted.settings.exposure_shared;
+            settings.exposure_sparsity = wanted.settings.exposure_sparsity;
         }
         if let Some(difference) = difference(&settings, wanted.settings) {
             return refuse(format!("was made with other settings: {difference}"));

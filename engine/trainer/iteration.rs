@@ -135,12 +135,14 @@ impl Schedule {
                 count: progress.steps + 1,
                 sum,
                 decay: 2.0 * s.exposure_reg,
+                sparsity: s.exposure_sparsity,
             },
             lens_step: LightStep {
                 rate: s.lens_lr(iteration),
                 count: progress.steps + 1,
                 sum,
                 decay: 2.0 * s.lens_reg,
+                sparsity: 0.0,
             },
             // Where the Gaussians make a step, the poses do.
             pose_step: PoseStep { rate: pose_rate(s, iteration), count: progress.steps + 1, sum },

@@ -54,7 +54,8 @@ impl Light {
     /// # Errors
     /// When the device refuses a pipeline.
     pub fn new(context: &Context, settings: &TrainSettings, sums: bool) -> Result<Self> {
-        let form = LightForm { center: true, sums, shares: settings.exposure_shared };
+        let (shares, sparse) = (settings.exposure_shared, settings.exposure_sparsity > 0.0);
+        let form = LightForm { center: true, sums, shares, sparse };
         Ok(Self {
             exposing: settings.exposure.then(|| Exposing::new(context, form)).transpose()?,
             lenses: settings.lens_effects.then(|| Lenses::new(context, sums)).transpose()?,

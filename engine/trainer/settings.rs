@@ -110,6 +110,9 @@ options! {
         exposure_reg: f64 = 0.0, Bounds::NotNegative;
         /// Scale steps of exposures by the gradients of all photos together, so that those that fit move little (presets: true)
         exposure_shared: bool = false, Bounds::None;
+        /// How far each step brings an exposure closer to none, as a share of its learning rate; nothing for one that is farther than 0.05
+        /// away. Photos without a clear change keep none: the minimax concave penalty, Zhang 2010 (presets: 0.05)
+        exposure_sparsity: f64 = 0.0, Bounds::NotNegative;
         /// Learn vignetting and response of each camera, which change the rendered colours before they are compared
         lens_effects: bool = false, Bounds::None;
         /// Learning rate of the lens effects at the start; a tenth of it at the end
@@ -165,6 +168,8 @@ const AVERAGED_SHARE: f64 = 0.05;
 const FEW_PHOTOS_UNTIL: u32 = 1500;
 /// Share of the Gaussians that the last step leaves out with few photographs.
 const FEW_PHOTOS_DROPOUT: f64 = 0.2;
+/// Share of the run whose steps the parameters are averaged over: few photographs want a longer mean than many.
+const FEW_PHOTOS_AVERAGED: f64 = 0.25;
 /// Weight of the mean opacity in the loss with few photographs.
 const FEW_PHOTOS_OPACITY_REG: f64 = 0.01;
 /// Weight in the loss of the mean of scale over extent with few photographs.
@@ -226,6 +231,7 @@ impl TrainSettings {
             scaling_lr: 7.5e-3,
             exposure_reg: 0.1,
             exposure_shared: true,
+            exposure_sparsity: 0.05,
             ..Self::of_strategy(StrategyType::Budget)
         };
         match preset {
@@ -242,8 +248,8 @@ impl TrainSettings {
     /// and steps leave some out at random (DropGaussian), so that no photograph is fitted by what no other sees. The weight on
     /// opacities clears the haze where no photograph shows that there is none. The weight on scales keeps Gaussians from growing
     /// beyond the scene; it goes by the scene's extent (world units), so that a scene in other units trains alike, and is left out
-    /// where the extent is 0. The reference's growth ends early, and with it its opacity resets. The other strategies keep their
-    /// defaults.
+    /// where the extent is 0. The mean of the last quarter of the steps, one view each, does not fall where single steps do. The
+    /// reference's growth ends early, and with it its opacity resets. The other strategies keep their defaults.
     pub fn of_few_photos(strategy: StrategyType, scene_extent: f32) -> Self {
         let usual = Self::of_strategy(strategy);
         match strategy {
@@ -252,6 +258,8 @@ impl TrainSettings {
                 cap_ratio: 8.0,
                 late_min_opacity: 0.1,
                 dropout: FEW_PHOTOS_DROPOUT,
+                multi_step: false,
+                average_last: FEW_PHOTOS_AVERAGED,
                 opacity_reg: FEW_PHOTOS_OPACITY_REG,
                 scale_reg: per_extent(FEW_PHOTOS_SCALE_REG, scene_extent),
                 ..usual

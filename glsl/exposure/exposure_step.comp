@@ -9,6 +9,10 @@
 // With SHARES the second moments are those of all photographs together: their squared gradients add up, without the parts of
 // `decay`. Otherwise Adam moves photographs that fit as fast as those that do not.
 //
+// With SPARSE a matrix comes closer to the identity by `sparsity` of the rate after its step, by less the farther it is away, and at
+// FREE_DISTANCE by nothing: the minimax concave penalty (Zhang 2010). Photographs without a clear change stay as they are, and
+// the gains of those with one are not made smaller.
+//
 // With CENTER, the mean over the photographs is then brought back to the identity: E <- E - mean(E) + [I | 0]. Otherwise the
 // scene could grow brighter while all exposures grow darker, and what is rendered without an exposure would drift.
 // If the frame overflowed, nothing changes.
@@ -30,6 +34,7 @@ layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
 layout(constant_id = 2) const bool CENTER = true;
 layout(constant_id = 3) const bool SUMS = false;
 layout(constant_id = 4) const bool SHARES = false;
+layout(constant_id = 5) const bool SPARSE = false;
 layout(local_size_x_id = 0) in;
 
 layout(set = 0, binding = 0, scalar) readonly buffer Partials { vec4 partials[]; };
@@ -56,7 +61,12 @@ layout(push_constant, scalar) uniform Push {
     uint starts;
     // Times each value, a part of its gradient.
     float decay;
+    // With SPARSE, a share of the rate.
+    float sparsity;
 };
+
+// Between a matrix and the identity, the root of the sum of the squares of all twelve.
+const float FREE_DISTANCE = 0.05;
 
 #include "exposure_sums.glsl"
 
@@ -96,6 +106,7 @@ void main() {
     }
     vec4 mean[3] = vec4[3](vec4(0.0), vec4(0.0), vec4(0.0));
     for (uint photograph = gl_LocalInvocationID.x; photograph < end; photograph += WORKGROUP_SIZE) {
+        vec4 change[3] = vec4[3](vec4(0.0), vec4(0.0), vec4(0.0));
         for (uint k = 0; k < 3; ++k) {
             uint at = 3 * photograph + k;
             vec4 g = gradient_of(photograph, k, gradient[k]);
@@ -115,10 +126,29 @@ void main() {
             moments_1[at] = m;
             moments_2[at] = v;
             e -= rate * (m / (sqrt(v) * inverse_bias_2 + epsilon));
-            exposures[at] = e;
+            if (!SPARSE) {
+                exposures[at] = e;
+            }
             // The distance from the identity: small numbers add up with small errors.
             e[k] -= 1.0;
-            mean[k] += e;
+            change[k] = e;
+        }
+        if (SUMS && makes_step == 0) {
+            continue;
+        }
+        float keeps = 1.0;
+        if (SPARSE) {
+            float distance = sqrt(dot(change[0], change[0]) + dot(change[1], change[1]) + dot(change[2], change[2]));
+            float pull = rate * sparsity * max(0.0, 1.0 - distance / FREE_DISTANCE);
+            keeps = distance > pull ? 1.0 - pull / distance : 0.0;
+        }
+        for (uint k = 0; k < 3; ++k) {
+            vec4 kept = change[k] * keeps;
+            mean[k] += kept;
+            if (SPARSE) {
+                kept[k] += 1.0;
+                exposures[3 * photograph + k] = kept;
+            }
         }
     }
     if (CENTER && (!SUMS || makes_step != 0)) {

@@ -154,8 +154,14 @@ fn adam_of_device(gpu: &Gpu, npz: &Npz, tolerance: f64) -> Result<(), String> {
     let state = gpu.zeros::<u32>("state", STATE_WORDS as usize);
     let sums = gpu.zeros::<[[f32; 4]; 3]>("sums", photographs);
     let (workgroup_size, subgroup_size) = (gpu.workgroup(64), gpu.subgroup());
-    let spec =
-        exposure_step::Spec { workgroup_size, subgroup_size, center: false, sums: false, shares: false };
+    let spec = exposure_step::Spec {
+        workgroup_size,
+        subgroup_size,
+        center: false,
+        sums: false,
+        shares: false,
+        sparse: false,
+    };
     let kernel = gpu.kernel::<exposure_step::Interface>(&spec);
     for (step, (view, gradient, rate, after)) in steps.iter().enumerate() {
         let mut parts = vec![[[0.0; 4]; 3]; TERM_PARTIALS as usize];
@@ -183,6 +189,7 @@ fn adam_of_device(gpu: &Gpu, npz: &Npz, tolerance: f64) -> Result<(), String> {
             makes_step: 1,
             starts: 1,
             decay: 0.0,
+            sparsity: 0.0,
         };
         gpu.run(|r| r.dispatch(&kernel, &bind, &push, 1));
         let actual: Vec<Matrix> = gpu

@@ -18,15 +18,20 @@ type Seen = (u32, Vec<Rows>, bool);
 /// Pulls all of lenses, and of exposures all but the diagonal.
 const DECAY: f32 = 0.125;
 
-/// Of exposures or lenses; for steps after several views or one; second moments of all photographs together or of each.
+/// Such that some matrices come back to the identity, and some are out of its reach.
+const SPARSITY: f32 = 0.5;
+
+/// Of exposures or lenses; for steps after several views or one; second moments of all photographs together or of each; with a pull to
+/// the identity or not.
 #[derive(Clone, Copy, Debug)]
 struct Form {
     center: bool,
     sums: bool,
     shares: bool,
+    sparse: bool,
 }
 
-const USUAL: Form = Form { center: true, sums: false, shares: false };
+const USUAL: Form = Form { center: true, sums: false, shares: false, sparse: false };
 
 /// Steps of the device; each with its view, the parts of its gradient, and whether its frame overflowed.
 fn run(gpu: &Gpu, photographs: usize, form: Form, steps: &[Seen]) -> [Vec<Rows>; 3] {
@@ -38,11 +43,11 @@ fn run(gpu: &Gpu, photographs: usize, form: Form, steps: &[Seen]) -> [Vec<Rows>;
 fn run_views(
     gpu: &Gpu,
     photographs: usize,
-    Form { center, sums, shares }: Form,
+    Form { center, sums, shares, sparse }: Form,
     views: &[(Seen, [bool; 2])],
 ) -> [Vec<Rows>; 3] {
     let (workgroup_size, subgroup_size) = (gpu.workgroup(64), gpu.subgroup());
-    let spec = Spec { workgroup_size, subgroup_size, center, sums, shares };
+    let spec = Spec { workgroup_size, subgroup_size, center, sums, shares, sparse };
     let kernel = gpu.kernel::<Interface>(&spec);
     let start: Vec<Rows> =
         Exposures::new(photographs).values.iter().map(|m| m.map(|row| row.map(|x| x as f32))).collect();
@@ -78,6 +83,7 @@ fn run_views(
             makes_step: (*makes_step).into(),
             starts: (*starts).into(),
             decay: DECAY,
+            sparsity: SPARSITY,
         };
         gpu.run(|r| r.dispatch(&kernel, &bind, &push, 1));
     }
@@ -96,7 +102,8 @@ fn flat(all: &[Matrix]) -> Vec<f64> {
 fn exposure_step_equals_its_twin() {
     let gpu = Gpu::new();
     let workgroup = gpu.workgroup(64) as usize;
-    let forms = [USUAL, Form { center: false, ..USUAL }, Form { shares: true, ..USUAL }];
+    let sparse = Form { shares: true, sparse: true, ..USUAL };
+    let forms = [USUAL, Form { center: false, ..USUAL }, Form { shares: true, ..USUAL }, sparse];
     for (photographs, form) in [1, 3, workgroup - 1, workgroup, 3 * workgroup + 5]
         .into_iter()
         .flat_map(|n| forms.map(|form| (n, form)))
@@ -106,7 +113,8 @@ fn exposure_step_equals_its_twin() {
             (0..7).map(|step| ((5 * step % photographs) as u32, parts(&mut random), false)).collect();
         let actual = run(&gpu, photographs, form, &steps);
         let twin = Exposures::new(photographs);
-        let mut twin = Exposures { decay: DECAY.into(), shares: form.shares, ..twin };
+        let sparsity = if form.sparse { SPARSITY.into() } else { 0.0 };
+        let mut twin = Exposures { decay: DECAY.into(), shares: form.shares, sparsity, ..twin };
         for (step, (view, parts, _)) in steps.iter().enumerate() {
             let mut gradient = [[0.0; 4]; 3];
             for part in parts {
@@ -134,11 +142,14 @@ fn exposure_step_equals_its_twin() {
 fn exposure_step_adds_up_views() {
     let gpu = Gpu::new();
     let many = gpu.workgroup(64) as usize + 3;
-    for (photographs, shares) in [(2, false), (many, false), (2, true), (many, true)] {
+    for (photographs, shares, sparse) in
+        [(2, false, false), (many, false, false), (2, true, false), (many, true, false), (many, true, true)]
+    {
         let mut random = Random::new(photographs as u64);
         let groups: [&[usize]; 4] = [&[0, 1, 0], &[1], &[photographs - 1, 0], &[0, 0]];
         let mut views = vec![];
-        let mut twin = Exposures { decay: DECAY.into(), shares, ..Exposures::new(photographs) };
+        let sparsity = if sparse { SPARSITY.into() } else { 0.0 };
+        let mut twin = Exposures { decay: DECAY.into(), shares, sparsity, ..Exposures::new(photographs) };
         for (number, group) in groups.into_iter().enumerate() {
             for (place, &view) in group.iter().enumerate() {
                 let mut gradient = [[0.0; 4]; 3];
@@ -156,7 +167,7 @@ fn exposure_step_adds_up_views() {
             }
             twin.step_of_sums(0.01, number as i32 + 1, true);
         }
-        let actual = run_views(&gpu, photographs, Form { sums: true, shares, ..USUAL }, &views);
+        let actual = run_views(&gpu, photographs, Form { sums: true, shares, sparse, ..USUAL }, &views);
         let actual: Vec<Matrix> = actual[0].iter().map(wide).collect();
         // A thousandth of a step: where the steps of two photographs cancel in the mean, what is left is rounding, and the decay of
         // that is all the gradient of those that are not seen.

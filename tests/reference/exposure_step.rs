@@ -14,6 +14,9 @@ pub struct Exposures {
     pub decay: f64,
     /// Whether second moments are of the squares of all photographs' gradients, without the parts of `decay`.
     pub shares: bool,
+    /// How far a matrix comes closer to the identity after its step, as a share of the rate over 1 - b1^t, where it is there; nothing
+    /// at a distance of 0.05.
+    pub sparsity: f64,
 }
 
 impl Exposures {
@@ -26,6 +29,7 @@ impl Exposures {
             sums: none,
             decay: 0.0,
             shares: false,
+            sparsity: 0.0,
         }
     }
 
@@ -63,6 +67,23 @@ impl Exposures {
                 *v = 0.999 * *v + 0.001 * square;
                 let (m, v) = (*m / (1.0 - 0.9f64.powi(count)), *v / (1.0 - 0.999f64.powi(count)));
                 self.values[photograph][row][column] -= rate * m / (v.sqrt() + 1e-8);
+            }
+        }
+        let pull = self.sparsity * rate / (1.0 - 0.9f64.powi(count));
+        for matrix in &mut self.values {
+            let mut change = *matrix;
+            for (x, same) in change.as_flattened_mut().iter_mut().zip(IDENTITY.as_flattened()) {
+                *x -= same;
+            }
+            let distance = change.as_flattened().iter().map(|x| x * x).sum::<f64>().sqrt();
+            let pull = pull * (1.0 - distance / 0.05).max(0.0);
+            let keeps = if distance > pull { 1.0 - pull / distance } else { 0.0 };
+            for (x, (change, same)) in matrix
+                .as_flattened_mut()
+                .iter_mut()
+                .zip(change.as_flattened().iter().zip(IDENTITY.as_flattened()))
+            {
+                *x = same + keeps * change;
             }
         }
         if center {

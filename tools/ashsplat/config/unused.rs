@@ -46,6 +46,7 @@ const USES: [Use; 10] = [
             "exposure_lr_delay_mult",
             "exposure_reg",
             "exposure_shared",
+            "exposure_sparsity",
         ],
         is_used: |s| s.train.exposure,
         by: "--exposure",
