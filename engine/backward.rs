@@ -141,14 +141,12 @@ impl Backward {
         self.prepare_project(sh_degree, variant, [true, false])
     }
 
-    /// Builds the kernels of [`Backward::record_weights`], for any dilation, unless they exist.
+    /// Builds the kernel of [`Backward::record_weights`] for a variant unless it exists.
     ///
     /// # Errors
     /// When the device refuses a pipeline.
-    pub fn prepare_weights(&mut self) -> Result<()> {
-        [false, true].into_iter().try_for_each(|steep| {
-            self.prepare_blend(Sums::Weights, BackwardVariant { steep, ..BackwardVariant::default() })
-        })
+    pub fn prepare_weights(&mut self, variant: BackwardVariant) -> Result<()> {
+        self.prepare_blend(Sums::Weights, variant)
     }
 
     fn prepare_blend(&mut self, sums: Sums, variant: BackwardVariant) -> Result<()> {

@@ -33,7 +33,7 @@ impl Watching {
     fn parts(context: &Context, absolute: bool, every: u32) -> TrainParts {
         let kernels = (
             Densify::new(context).expect("kernels"),
-            Importance::new(context).expect("kernels"),
+            Importance::new(context, &settings().render_settings()).expect("kernels"),
             Selection::new(context).expect("kernels"),
         );
         TrainParts {
@@ -190,7 +190,7 @@ struct Asking {
 impl Asking {
     fn trainer(context: &Context, views_asked: &[usize]) -> (Trainer, Arc<Mutex<Vec<bool>>>) {
         let answers = Arc::default();
-        let kernels = Importance::new(context).expect("kernels");
+        let kernels = Importance::new(context, &settings().render_settings()).expect("kernels");
         let strategy = Asking { kernels, views: views_asked.to_vec(), answers: Arc::clone(&answers) };
         let parts = TrainParts { strategy: Box::new(strategy), terms: Vec::new(), block: None };
         let trainer = Trainer::with_parts(context, views(3, 9), &start(), EXTENT, settings(), parts);

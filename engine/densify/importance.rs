@@ -5,9 +5,9 @@
 //! red of the picture: the backward blending in the variant that adds up nothing else. The importance is the
 //! weight from 0 (the smallest of all Gaussians) to 1 (the largest), averaged over views.
 
-use crate::backward::Backward;
+use crate::backward::{Backward, BackwardVariant};
 use crate::error::Result;
-use crate::forward::FrameInputs;
+use crate::forward::{FrameInputs, RenderSettings};
 use crate::kernels::densify::{add_importance, edge_gradient, edge_response, sum_weights};
 use crate::pixels::PixelBorder;
 use crate::plan::{LaunchSizes, blocks};
@@ -77,16 +77,16 @@ pub struct Importance {
 }
 
 impl Importance {
-    /// Builds the kernels.
+    /// Builds the kernels for frames that are drawn in this way.
     ///
     /// # Errors
     /// When the device refuses a pipeline.
-    pub fn new(context: &Context) -> Result<Self> {
+    pub fn new(context: &Context, settings: &RenderSettings) -> Result<Self> {
         let sizes = LaunchSizes::new(context.limits());
         let workgroup_size = sizes.elementwise_workgroup;
         let subgroup_size = context.limits().subgroup_size;
         let mut backward = Backward::new(context);
-        backward.prepare_weights()?;
+        backward.prepare_weights(BackwardVariant::of(settings))?;
         let sum = sum_weights::Spec { workgroup_size, subgroup_size, lane_instances: LANE_INSTANCES };
         let strips = sizes.strips;
         Ok(Self {

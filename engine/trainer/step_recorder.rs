@@ -163,26 +163,39 @@ impl StepRecorder {
         RenderSettings { inverse_depth, linear_depth, ..self.drawn }
     }
 
-    /// Builds the kernels for an SH degree unless they exist.
+    /// Builds the kernels of any iteration at an SH degree unless they exist.
     pub fn prepare(&mut self, sh_degree: u32) -> Result<()> {
-        let (variant, absolute) = (BackwardVariant::of(&self.drawn()), self.absolute.is_some());
-        if self.poses {
-            // Statistics are not accumulated in every iteration.
-            self.backward.prepare_with_pose(sh_degree, variant, false)?;
-            if absolute {
-                self.backward.prepare_with_pose(sh_degree, variant, true)?;
-            }
-            return self.optimizer.prepare(sh_degree);
+        self.prepare_backward(sh_degree, false)?;
+        if self.absolute.is_some() {
+            self.prepare_backward(sh_degree, true)?;
         }
-        self.backward.prepare(sh_degree, variant)?;
-        if absolute {
-            self.backward.prepare_absolute(sh_degree, variant)?;
-        }
-        if self.sizes.fused_adam {
-            self.backward.prepare_with_step(sh_degree, variant)?;
-            self.optimizer.prepare_unseen(sh_degree)?;
+        if self.sizes.fused_adam && !self.poses {
+            self.prepare_fused(sh_degree)?;
         }
         self.optimizer.prepare(sh_degree)
+    }
+
+    /// Builds the kernels of this iteration unless they exist: a short or resumed run needs few of them.
+    pub fn prepare_for(&mut self, plan: &IterationPlan, hooks: Hooks) -> Result<()> {
+        if self.fuses(&plan.work, hooks) {
+            return self.prepare_fused(plan.sh_degree);
+        }
+        self.prepare_backward(plan.sh_degree, self.absolute.is_some() && plan.work.accumulates)?;
+        self.optimizer.prepare(plan.sh_degree)
+    }
+
+    fn prepare_backward(&mut self, sh_degree: u32, absolute: bool) -> Result<()> {
+        let variant = BackwardVariant::of(&self.drawn());
+        match (self.poses, absolute) {
+            (true, _) => self.backward.prepare_with_pose(sh_degree, variant, absolute),
+            (false, true) => self.backward.prepare_absolute(sh_degree, variant),
+            (false, false) => self.backward.prepare(sh_degree, variant),
+        }
+    }
+
+    fn prepare_fused(&mut self, sh_degree: u32) -> Result<()> {
+        self.backward.prepare_with_step(sh_degree, BackwardVariant::of(&self.drawn()))?;
+        self.optimizer.prepare_unseen(sh_degree)
     }
 
     /// Whether the backward pass of the projection makes the optimiser's step: where no one else needs the

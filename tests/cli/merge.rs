@@ -290,6 +290,14 @@ fn jobs_use_the_parts_of_photos_that_show_them() {
     assert_trained(&loud(&["--photo-parts", "on"]));
     assert!(scene() == ours, "other bytes");
 
+    let weights = place.model("alex.safetensors");
+    crate::common::lpips_files::write(&weights, &crate::common::lpips_files::alexnet(0));
+    let held_out = block["held_out"][0].as_str().expect("a photo").to_owned();
+    division["blocks"][0]["parts"][&held_out] = part(8);
+    write(&division);
+    let measured = loud(&["--lpips-weights", text(&weights)]);
+    assert_refused(&measured, &["the part that shows the block of photo", "--photo-parts off"]);
+
     division["blocks"][0]["parts"][&photo]["columns"] = serde_json::json!([7, 7]);
     write(&division);
     assert_refused(&loud(&[]), &["blocks.json", &photo, "block 1", "ashsplat partition"]);

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use ashsplat::RenderSettings;
 use ashsplat::densify::{
     Candidates, Chances, EdgePhoto, Importance, ImportanceBuffers, Selection, SelectionBuffers, SelectionDraw,
 };
@@ -73,7 +74,7 @@ pub fn of_device(path: &Path) -> Result<(), String> {
     let npz = Npz::read(path);
     let gpu = Gpu::new();
     let set = gaussians(&npz, "");
-    let kernels = Importance::new(gpu.context).expect("kernels");
+    let kernels = Importance::new(gpu.context, &RenderSettings::default()).expect("kernels");
     let border = PixelBorder::new(gpu.context).expect("kernels");
     for extent in [Extent::Exact, Extent::Reference] {
         let views = views(&npz, extent);

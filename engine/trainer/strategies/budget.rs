@@ -38,7 +38,7 @@ const RECOVERABLE_OPACITY: f64 = 0.05;
 pub struct Budget {
     kernels: Densify,
     selection: Selection,
-    /// Without [`ImportanceType::Edges`] there is none.
+    /// Built by the first densification, if it is [`ImportanceType::Edges`]: a resumed run may be past the last.
     importance: Option<Importance>,
     absolute: bool,
     sums: bool,
@@ -57,11 +57,10 @@ impl Budget {
     pub fn new(context: &Context, settings: &TrainSettings) -> Result<Self> {
         let form =
             DensifyForm { long_axis: settings.split == SplitType::LongAxis, criterion: Criterion::Selected };
-        let edges = settings.importance == ImportanceType::Edges;
         Ok(Self {
             kernels: Densify::with_form(context, form)?,
             selection: Selection::new(context)?,
-            importance: edges.then(|| Importance::new(context)).transpose()?,
+            importance: None,
             absolute: settings.absgrad,
             sums: settings.multi_step,
             start: None,
@@ -160,8 +159,13 @@ impl Strategy for Budget {
 impl Budget {
     /// Draws the Gaussians to split, within budget, memory and device, and gathers the new set. Without memory
     /// for it the set stays as it is.
-    fn densify(&self, population: &mut Population, start: u32) -> Result<Densified> {
+    fn densify(&mut self, population: &mut Population, start: u32) -> Result<Densified> {
         population.release_pictures();
+        let edges = population.settings().importance == ImportanceType::Edges;
+        if edges && self.importance.is_none() {
+            let drawn = population.settings().render_settings();
+            self.importance = Some(Importance::new(population.context(), &drawn)?);
+        }
         let before = population.count();
         let unchanged = Densified { before, kept: before, limited: true, ..Densified::default() };
         let schedule = GrowthSchedule::of(population.settings(), start);

@@ -47,10 +47,14 @@ pub fn check_sizes(weights: &[Weights], gallery: &Gallery, chosen: &[usize], hal
         if let Err(Error::Argument { problem, .. }) = network.check_size(width, height) {
             let name = gallery.cameras().swap_remove(index).name;
             let half = if halves { " (of held-out photos the right half counts)" } else { "" };
-            let remedy = "take larger photos (-r), or leave LPIPS out";
+            let is_part = gallery.share_used(index).is_some_and(|share| share < 1.0);
+            let (part, whole) = match is_part {
+                true => ("the part that shows the block of ", "--photo-parts off, "),
+                false => ("", ""),
+            };
             return Err(Error::argument(
                 "--lpips-weights",
-                format!("photo {name} {problem}{half}; {remedy}"),
+                format!("{part}photo {name} {problem}{half}; give {whole}larger photos (-r), or no LPIPS"),
             ));
         }
     }
