@@ -57,5 +57,6 @@ mod subgroup_widths;
 mod tile_lists;
 mod training;
 mod viewer;
+mod visible_memory;
 mod vk;
 mod warm_up;

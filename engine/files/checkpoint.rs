@@ -25,6 +25,7 @@ const FINGERPRINT: &str = "metadata_fingerprint";
 /// Present only if memory was bounded.
 const MAX_MEMORY: &str = "room_max_memory";
 const FRAME_VISIBLE: &str = "room_frame_visible";
+const MOST_VISIBLE: &str = "most_visible";
 /// [`GradientSums::views`]. Present only if there are any.
 const SUMMED_VIEWS: &str = "gradient_sum_views";
 const AVERAGED_STEPS: &str = "mean_steps";
@@ -113,7 +114,8 @@ fn metadata(checkpoint: &Checkpoint, data_fingerprint: u64) -> Result<BTreeMap<S
         .map_err(|e| Error::argument("settings", format!("cannot be written: {e}")))?;
     let views = checkpoint.views.max(1);
     let Room { gaussians, frame_gaussians, frame_instances, frame_width, frame_height, .. } = checkpoint.room;
-    let Room { frame_visible, blend_passes, backward, most_instances, max_memory, .. } = checkpoint.room;
+    let Room { frame_visible, blend_passes, backward, most_visible, most_instances, max_memory, .. } =
+        checkpoint.room;
     let pairs = [
         ("format", FORMAT.to_owned()),
         ("version", checkpoint.version.clone()),
@@ -139,6 +141,7 @@ fn metadata(checkpoint: &Checkpoint, data_fingerprint: u64) -> Result<BTreeMap<S
         ("room_frame_height", frame_height.to_string()),
         ("room_blend_passes", blend_passes.to_string()),
         ("room_backward", backward.to_string()),
+        (MOST_VISIBLE, most_visible.to_string()),
         ("most_instances", most_instances.to_string()),
         // For readers of the file: both follow from seed and iteration, which key all random numbers.
         ("view_order_epoch", (u64::from(checkpoint.iteration) / views).to_string()),
@@ -251,6 +254,7 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
             frame_height: metadata.parsed("room_frame_height")?,
             blend_passes: metadata.parsed("room_blend_passes")?,
             backward: metadata.parsed("room_backward")?,
+            most_visible: metadata.optional(MOST_VISIBLE)?.unwrap_or(0),
             most_instances: metadata.parsed("most_instances")?,
             max_memory: metadata.optional(MAX_MEMORY)?,
         },

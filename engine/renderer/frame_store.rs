@@ -46,6 +46,13 @@ pub struct State {
 }
 
 impl State {
+    /// Instances of all visible Gaussians: an estimate where there was no room for some of these.
+    pub fn all_instances(&self) -> u32 {
+        let all = u64::from(self.instances) * u64::from(self.visible_needed.max(self.visible))
+            / u64::from(self.visible.max(1));
+        all.max(self.instances.into()).min(u32::MAX.into()) as u32
+    }
+
     /// From the device's words.
     pub fn of(bytes: &[u8; c::STATE_WORDS as usize * 4]) -> Self {
         let words: Vec<u32> = bytemuck::pod_collect_to_vec(bytes);
@@ -211,6 +218,21 @@ impl FrameStore {
         self.allocate(capacity).map(drop)
     }
 
+    /// Allocates what frames are expected to need. Where the memory or the device's limits do not suffice, the next frame allocates
+    /// what it needs itself.
+    ///
+    /// # Errors
+    /// When the device is lost.
+    pub fn expect(&mut self, capacity: FrameCapacity) -> Result<()> {
+        match self.restore(capacity) {
+            Err(error) if is_memory(&error) => {
+                self.forget();
+                Ok(())
+            }
+            restored => restored,
+        }
+    }
+
     /// Frees the buffers. The next frame allocates the same capacity again.
     pub fn release(&mut self) {
         self.frame = None;
@@ -303,8 +325,9 @@ impl FrameStore {
         }
         match result {
             Ok(_) => Ok(true),
-            Err(error) if more_instances => Err(name_instances(error, state.instances)),
+            // The number of instances is not the whole one then.
             Err(error) if more_visible => Err(name_visible(error, state.visible_needed)),
+            Err(error) if more_instances => Err(name_instances(error, state.instances)),
             Err(error) => Err(error),
         }
     }

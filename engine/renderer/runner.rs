@@ -256,6 +256,11 @@ impl FrameRunner {
         self.store.restore(capacity)
     }
 
+    /// As [`FrameRunner::restore`], but for the memory: where it does not suffice, the first frame allocates an estimate.
+    pub fn expect(&mut self, capacity: FrameCapacity) -> Result<()> {
+        self.store.expect(capacity)
+    }
+
     /// Current bytes of the frame's buffers.
     pub fn frame_bytes(&self) -> u64 {
         self.store.bytes()

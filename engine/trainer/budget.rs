@@ -1,7 +1,7 @@
 //! Memory of a training run, computed before it is allocated.
 
 use super::checkpoint::Room;
-use super::model::{RowBytes, RowMemory};
+use super::model::{Needs, RowBytes, RowMemory};
 use super::photos::{PhotoBytes, PhotoSize};
 use crate::error::{Error, Result};
 use crate::plan::{
@@ -73,22 +73,29 @@ impl Before<'_> {
         each.fold(PictureCapacity::NONE, PictureCapacity::and)
     }
 
-    /// The first frame with this number of Gaussians that are trained, for these pictures.
-    fn first_frame(&self, context: &Context, gaussians: u32, pictures: PictureCapacity) -> FrameCapacity {
-        let gaussians = gaussians_with(gaussians, self.around);
-        let visible = initial_visible(gaussians);
-        let instances = initial_instances(context.limits(), visible, &pictures);
-        let absolute = self.rows.absolute().is_some();
-        let scenes = self.scenes();
+    /// All Gaussians at the start.
+    fn whole(&self) -> u32 {
+        gaussians_with(self.count, self.around)
+    }
+
+    /// A frame of these pictures with room for `capacity` Gaussians that are trained, and for so many visible ones.
+    fn frame(
+        &self,
+        context: &Context,
+        [capacity, visible]: [u32; 2],
+        pictures: PictureCapacity,
+    ) -> FrameCapacity {
+        let gaussians = gaussians_with(capacity, self.around);
+        let visible = visible.min(gaussians);
         FrameCapacity {
             gaussians,
             visible,
-            instances,
-            scenes,
+            instances: initial_instances(context.limits(), visible, &pictures),
+            scenes: self.scenes(),
             pictures,
             blend_passes: 1,
             backward: true,
-            absolute,
+            absolute: self.rows.absolute().is_some(),
         }
     }
 
@@ -136,7 +143,8 @@ impl Before<'_> {
     fn check_size(&self, context: &Context, size: (u32, u32)) -> Result<()> {
         let limits = context.limits();
         let count = self.count.min(max_trained_among(limits, self.around));
-        let frame = self.first_frame(context, count, PictureCapacity::of(size.0, size.1));
+        let visible = initial_visible(gaussians_with(count, self.around));
+        let frame = self.frame(context, [count, visible], PictureCapacity::of(size.0, size.1));
         let launches = LaunchSizes::new(limits);
         let named = |arena: &'static str, requests: Requests| {
             requests.into_iter().map(move |(name, bytes)| (arena, name, bytes))
@@ -163,7 +171,7 @@ impl Before<'_> {
     /// The initial capacity in Gaussians: with a reserve of half, or what the memory holds.
     ///
     /// # Errors
-    /// [`Error::TooLarge`] with the needed bytes, if even the initial Gaussians do not fit.
+    /// [`Error::TooLarge`] if even the initial Gaussians do not fit, with the bytes that suffice if pictures show all of them.
     pub fn initial_capacity(&self, context: &Context) -> Result<u32> {
         let Self { photos: all, ref photo_bytes, count, sh_degree, .. } = *self;
         let most = max_trained_among(context.limits(), self.around);
@@ -180,17 +188,21 @@ impl Before<'_> {
         let wanted = count.saturating_add(count / 2).max(1 << 12).min(most);
         let (limit, limit_name) = context.memory_limit().unwrap_or((u64::MAX, "no limit"));
         let free = limit.saturating_sub(context.held_bytes());
-        let buffers = |capacity: u32| -> Result<RowBytes> {
+        let buffers = |capacity: u32, visible: u32| -> Result<RowBytes> {
             let plan = ScenePlan::new(context.limits(), capacity, sh_degree)?;
-            Ok(self.buffer_bytes(context, &plan, Some(self.first_frame(context, capacity, self.pictures()))))
+            let frame = self.frame(context, [capacity, visible], self.pictures());
+            Ok(self.buffer_bytes(context, &plan, Some(frame)))
         };
         let photos = photo_bytes.held + photo_bytes.staging;
         let fits = |of: &RowBytes| of.device + photos <= free && of.is_offloadable(context);
-        if fits(&buffers(wanted)?) {
+        // A frame starts with room for a part of the Gaussians. A reserve must not be what it cannot grow for.
+        let whole = self.whole();
+        if fits(&buffers(wanted, whole)?) {
             return Ok(wanted);
         }
-        let least = buffers(count)?;
-        if fits(&least) {
+        let least = buffers(count, whole)?;
+        // Without room for all, perhaps no picture shows them.
+        if fits(&least) || fits(&buffers(count, initial_visible(whole))?) {
             return Ok(count);
         }
         if !least.is_offloadable(context) {
@@ -314,52 +326,59 @@ impl Present<'_> {
         Ok(fits)
     }
 
-    /// The most rows that a densification of `before` Gaussians may leave. Earlier frames had at most
-    /// `instances` instances, and later ones should stay within three quarters of what the device can hold,
-    /// because views differ. No row is added if the memory does not hold frames with `instances` instances.
-    pub fn most_rows_by_instances(&self, before: u32, instances: u32) -> u32 {
-        if !self.holds(instances) {
+    /// The most rows that a densification of `before` Gaussians may leave. Later frames should stay within three quarters of
+    /// the instances that the device can hold, because views differ. No row is added if the memory does not hold a frame with the
+    /// most that frames needed so far.
+    pub fn most_rows_by_frames(&self, before: u32, most: Needs) -> u32 {
+        if !self.holds(most) {
             return before;
         }
-        let most = u64::from(max_trained_instances(self.context.limits())) * 3 / 4;
+        let instances = u64::from(max_trained_instances(self.context.limits())) * 3 / 4;
         let around = u64::from(self.around);
-        let all = (u64::from(before) + around) * most / u64::from(instances.max(1));
+        let all = (u64::from(before) + around) * instances / u64::from(most.instances.max(1));
         all.saturating_sub(around).clamp(before.into(), u32::MAX.into()) as u32
     }
 
-    /// Whether the memory holds a frame with this number of instances.
-    fn holds(&self, instances: u32) -> bool {
+    /// Whether the memory holds such a frame.
+    fn holds(&self, most: Needs) -> bool {
         let Some((limit, _)) = self.context.memory_limit() else { return true };
-        let full = FrameCapacity { instances: instances.max(self.frame.instances), ..self.frame };
+        let visible = most.visible.min(self.frame.gaussians).max(self.frame.visible);
+        let full =
+            FrameCapacity { visible, instances: most.instances.max(self.frame.instances), ..self.frame };
         let beside = self.context.held_bytes().saturating_sub(self.frame_bytes);
-        instances <= self.frame.instances
-            || beside + frame_bytes(&full, &LaunchSizes::new(self.context.limits())) <= limit
+        full == self.frame || beside + frame_bytes(&full, &LaunchSizes::new(self.context.limits())) <= limit
     }
 }
 
-/// The remembered maximum of instances after a densification of a frame's `before` Gaussians has left `rows`: the same
-/// number per Gaussian, less a twentieth. After an opacity reset frames have few instances for a while, and
+/// What is remembered of the most that frames needed, after a densification of a frame's `before` Gaussians has left `rows`: the same
+/// numbers per Gaussian, less a twentieth. After an opacity reset frames have few instances for a while, and
 /// then as many as before.
-pub(super) fn remembered_instances(most: u32, before: u32, rows: u32) -> u32 {
-    let per_gaussian = u64::from(most) * u64::from(rows) / u64::from(before.max(1));
-    (per_gaussian * 19 / 20).min(u32::MAX.into()) as u32
+pub(super) fn remembered(most: Needs, before: u32, rows: u32) -> Needs {
+    let scaled = |most: u32| {
+        let per_gaussian = u64::from(most) * u64::from(rows) / u64::from(before.max(1));
+        (per_gaussian * 19 / 20).min(u32::MAX.into()) as u32
+    };
+    Needs { visible: scaled(most.visible), instances: scaled(most.instances) }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::remembered_instances;
+    use super::{Needs, remembered};
 
     #[test]
     fn what_frames_needed_before_a_reset_is_remembered_for_a_while() {
         // Five densifications, a twentieth each, while opacities recover: three quarters are remembered.
-        let (mut most, mut rows) = (1_000_000, 100_000);
+        let (mut most, mut rows) = (Needs { visible: 50_000, instances: 1_000_000 }, 100_000);
         for _ in 0..5 {
-            most = remembered_instances(most, rows, rows / 20 * 21);
+            most = remembered(most, rows, rows / 20 * 21);
             rows = rows / 20 * 21;
         }
-        let per_gaussian = f64::from(most) / f64::from(rows);
-        assert!((7.5..8.0).contains(&per_gaussian), "{per_gaussian}");
-        assert_eq!(remembered_instances(u32::MAX, 1, 2), u32::MAX);
-        assert_eq!(remembered_instances(7, 0, 0), 0);
+        for (most, range) in [(most.instances, 7.5..8.0), (most.visible, 0.375..0.4)] {
+            let per_gaussian = f64::from(most) / f64::from(rows);
+            assert!(range.contains(&per_gaussian), "{per_gaussian}");
+        }
+        let [least, largest] = [7, u32::MAX].map(|n| Needs { visible: n, instances: n });
+        assert_eq!(remembered(largest, 1, 2), largest);
+        assert_eq!(remembered(least, 0, 0), Needs::default());
     }
 }

@@ -186,6 +186,8 @@ pub struct Room {
     pub blend_passes: u32,
     /// Whether a frame has the buffers of the backward pass: 0 or 1.
     pub backward: u32,
+    /// Most visible Gaussians of a frame, kept as [`Room::most_instances`]. Files of earlier versions have none: 0.
+    pub most_visible: u32,
     /// Most instances of a frame. Each densification keeps the number per Gaussian, less a twentieth.
     pub most_instances: u32,
     /// [`crate::vk::ContextOptions::max_memory`], bytes.

@@ -66,7 +66,7 @@ impl Checkpoint {
     /// allocated as at a start, but that frames are expected to be like those of before.
     pub fn settle_in(&mut self, block: &SceneBlock) {
         self.block = block.state();
-        let Room { frame_visible, most_instances, max_memory, .. } = self.room;
-        self.room = Room { frame_visible, most_instances, max_memory, ..Room::default() };
+        let Room { frame_visible, most_visible, most_instances, max_memory, .. } = self.room;
+        self.room = Room { frame_visible, most_visible, most_instances, max_memory, ..Room::default() };
     }
 }

@@ -1,6 +1,7 @@
 //! The schedule of a run: what each iteration does. It depends on the settings, the seed, the iteration and
 //! the progress before it.
 
+use super::model::Needs;
 use super::random::{self, ViewOrder};
 use super::run::Run;
 use super::settings::{OptimizerType, TrainSettings};
@@ -74,9 +75,11 @@ pub(super) struct IterationPlan {
 }
 
 impl IterationPlan {
-    /// The instances of a frame of the whole picture, as far as the frame that was drawn tells.
-    pub fn whole_instances(&self, run: &Run, drawn: &State) -> u32 {
-        warm_up::whole_instances([&run.cameras[self.view], &self.camera], drawn.instances, drawn.visible)
+    /// What a frame of the whole picture needs, as far as the frame that was drawn tells.
+    pub fn needs(&self, run: &Run, drawn: &State) -> Needs {
+        let (visible, instances) = (drawn.visible_needed, drawn.all_instances());
+        let cameras = [&run.cameras[self.view], &self.camera];
+        Needs { visible, instances: warm_up::whole_instances(cameras, instances, visible) }
     }
 
     /// A plan with the optimiser's step and the statistics, for some view: for a recording that is never executed.

@@ -232,8 +232,10 @@ impl Trainer {
         let scenes = 1 + u32::from(around > 0);
         let pictures = (pictures, scenes);
         let first = || before?.first_frame(context, gaussians_with(capacity, around), pictures, absolute);
-        if let Some(frame) = room.map_or_else(first, |room| room.frame(pictures, absolute)) {
-            runner.restore(frame)?;
+        match room.map_or_else(first, |room| room.frame(pictures, absolute)) {
+            Some(frame) if room.is_some() => runner.restore(frame)?,
+            Some(frame) => runner.expect(frame)?,
+            None => {}
         }
         let run = Run { settings, scene_extent, cameras, lenses, views_fingerprint };
         let filter = run.settings.filter_3d.then(|| Filter3d::new(context, &run.cameras)).transpose()?;

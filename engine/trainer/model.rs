@@ -168,12 +168,24 @@ impl Model {
     }
 }
 
+/// The most that frames so far needed: see [`super::Room`].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Needs {
+    pub visible: u32,
+    pub instances: u32,
+}
+
+impl Needs {
+    pub fn max(self, other: Self) -> Self {
+        Self { visible: self.visible.max(other.visible), instances: self.instances.max(other.instances) }
+    }
+}
+
 /// The state of a run between two steps.
 pub(super) struct State {
     pub model: Model,
     pub progress: Progress,
-    /// Most instances of a frame so far; see [`super::Room::most_instances`].
-    pub most_instances: u32,
+    pub most: Needs,
     /// Number of consecutive skipped iterations.
     pub skipped: u32,
     /// Whether it is unknown if a submission that changes the scene was executed.
@@ -182,14 +194,14 @@ pub(super) struct State {
 
 impl State {
     pub fn new(model: Model) -> Self {
-        Self { model, progress: Progress::default(), most_instances: 0, skipped: 0, broken: false }
+        Self { model, progress: Progress::default(), most: Needs::default(), skipped: 0, broken: false }
     }
 
     /// An iteration's step has been executed.
-    pub fn done(&mut self, after: Progress, instances: u32) {
+    pub fn done(&mut self, after: Progress, needs: Needs) {
         self.progress = after;
         self.skipped = 0;
-        self.most_instances = self.most_instances.max(instances);
+        self.most = self.most.max(needs);
     }
 
     /// Whether the state of the scene is known.

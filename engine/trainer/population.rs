@@ -1,7 +1,7 @@
 //! The set of Gaussians between two steps, as a strategy sees and changes it.
 
 use super::budget;
-use super::model::{Model, RowMemory};
+use super::model::{Model, Needs, RowMemory};
 use super::photos::Photos;
 use super::poses::Poses;
 use super::run::Run;
@@ -28,7 +28,7 @@ pub struct Population<'a> {
     pub(super) photos: &'a Photos,
     /// None unless they are optimised.
     pub(super) poses: Option<&'a Poses>,
-    pub(super) most_instances: &'a mut u32,
+    pub(super) most: &'a mut Needs,
     pub(super) iteration: u32,
     /// See [`super::iteration::Progress::summed`].
     pub(super) summed: &'a mut u32,
@@ -167,7 +167,7 @@ impl Population<'_> {
     /// The most Gaussians that the set should grow to, so that frames stay within what the device and the
     /// memory hold.
     pub fn most_rows(&self) -> u32 {
-        self.present().most_rows_by_instances(self.count(), *self.most_instances)
+        self.present().most_rows_by_frames(self.count(), *self.most)
     }
 
     /// Planes and a frame for `rows` rows, if they exceed the capacity. Tries a reserve of half, then no
@@ -280,8 +280,7 @@ impl Population<'_> {
         // The sums are in the planes that are the spare set no longer, in the order of the old set.
         *self.summed = 0;
         let of_frame = |rows: u32| rows.saturating_add(self.runner.around());
-        *self.most_instances =
-            budget::remembered_instances(*self.most_instances, of_frame(before), of_frame(rows));
+        *self.most = budget::remembered(*self.most, of_frame(before), of_frame(rows));
         Ok(())
     }
 

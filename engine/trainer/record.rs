@@ -231,8 +231,7 @@ impl Trainer {
                     instance_capacity: self.runner.capacity().instances,
                 }
             } else {
-                let whole = first.plan.whole_instances(&self.run, &state);
-                self.state.done(first.after, whole);
+                self.state.done(first.after, first.plan.needs(&self.run, &state));
                 let losses = self.recorder.read_losses(&slot.losses)?;
                 StepOutcome::Done(StepReport::new(&first.plan, first.gaussians, &losses, &state))
             });

@@ -2,12 +2,15 @@
 
 use super::checkpoint::{Checkpoint, GradientSums, Room, StrategyState, StrategyStatistic, Wanted};
 use super::iteration::Progress;
+use super::model::{Model, Needs};
 use super::settings::TrainSettings;
 use super::{SceneBlock, TrainParts, TrainView, Trainer, strategies};
 use crate::error::{Error, Result};
 use crate::fingerprint::Fingerprint;
 use crate::forward::SceneBuffers;
-use crate::plan::{FrameCapacity, LEAST_INSTANCES, PictureCapacity, initial_instances, initial_visible};
+use crate::plan::{
+    FrameCapacity, LEAST_INSTANCES, PictureCapacity, ScenePlan, initial_instances, initial_visible,
+};
 use crate::planes;
 use crate::scene::{Camera, PicturePart};
 use crate::vk::{Buffer, Context};
@@ -143,10 +146,8 @@ impl Trainer {
             );
             return Err(Error::argument("checkpoint", problem));
         }
-        trainer.restore_statistics(from)?;
-        if trainer.filter.is_some() {
-            planes::upload_filters(context, &trainer.state.model.scene, &from.filters)?;
-        }
+        trainer.check_statistics(from)?;
+        trainer.restore_rows(from)?;
         let means = from.means.as_ref().map(|means| &means.light);
         let sums = from.gradient_sums.as_ref().map(|sums| &sums.light).or(means).cloned().unwrap_or_default();
         trainer.losses.light.restore(context, [&from.exposures, &from.lenses], &sums)?;
@@ -167,17 +168,7 @@ impl Trainer {
             averaged: from.means.as_ref().map_or(0, |means| means.steps),
             due: from.due,
         };
-        let moments = [
-            (&state.model.moments.first, &from.first_moments),
-            (&state.model.moments.second, &from.second_moments),
-        ];
-        let sums = from.gradient_sums.iter().map(|sums| (&state.model.spare, &sums.sums));
-        let means = from.means.iter().map(|means| (&state.model.spare, &means.gaussians));
-        for (chunks, values) in moments.into_iter().chain(sums).chain(means) {
-            let scene = SceneBuffers { chunks: chunks.clone(), ..state.model.scene.clone() };
-            planes::fill(context, &scene, values)?;
-        }
-        state.most_instances = from.room.most_instances;
+        state.most = from.room.most();
         state.skipped = from.skipped;
         if from.iteration > 0 && from.iteration == from.settings.iterations {
             trainer.finish_last_iteration()?;
@@ -185,23 +176,62 @@ impl Trainer {
         Ok(trainer)
     }
 
-    fn restore_statistics(&mut self, from: &Checkpoint) -> Result<()> {
-        let (rows, buffers) = (self.rows.statistics(), &self.state.model.statistics);
-        self.context.upload(&buffers[0], bytemuck::cast_slice(&from.statistics))?;
-        let own = &from.strategy.statistics;
+    fn check_statistics(&self, from: &Checkpoint) -> Result<()> {
         let names = |all: &mut dyn Iterator<Item = (&str, u32)>| -> Vec<String> {
             all.map(|(name, floats)| format!("{name}[{floats}]")).collect()
         };
+        let own = &from.strategy.statistics;
         let there = names(&mut own.iter().map(|statistic| (statistic.name.as_str(), statistic.floats)));
+        let rows = self.rows.statistics();
         let here = names(&mut rows[1..].iter().map(|statistic| (statistic.name, statistic.floats)));
-        if there != here {
-            let problem = format!("has the strategy's statistics {there:?}, this one has {here:?}");
-            return Err(Error::argument("checkpoint", problem));
+        if there == here {
+            return Ok(());
         }
-        for (statistic, buffer) in own.iter().zip(&buffers[1..]) {
-            self.context.upload(buffer, bytemuck::cast_slice(&statistic.values))?;
+        let problem = format!("has the strategy's statistics {there:?}, this one has {here:?}");
+        Err(Error::argument("checkpoint", problem))
+    }
+
+    /// Uploads what is kept of each Gaussian beside its parameters.
+    fn restore_rows(&self, from: &Checkpoint) -> Result<()> {
+        let (context, model) = (&self.context, &self.state.model);
+        context.upload(&model.statistics[0], bytemuck::cast_slice(&from.statistics))?;
+        for (statistic, buffer) in from.strategy.statistics.iter().zip(&model.statistics[1..]) {
+            context.upload(buffer, bytemuck::cast_slice(&statistic.values))?;
+        }
+        if self.filter.is_some() {
+            planes::upload_filters(context, &model.scene, &from.filters)?;
+        }
+        let moments =
+            [(&model.moments.first, &from.first_moments), (&model.moments.second, &from.second_moments)];
+        let sums = from.gradient_sums.iter().map(|sums| (&model.spare, &sums.sums));
+        let means = from.means.iter().map(|means| (&model.spare, &means.gaussians));
+        for (chunks, values) in moments.into_iter().chain(sums).chain(means) {
+            let scene = SceneBuffers { chunks: chunks.clone(), ..model.scene.clone() };
+            planes::fill(context, &scene, values)?;
         }
         Ok(())
+    }
+
+    /// Frees the reserve of Gaussians: a frame may need its memory. What is kept of each Gaussian goes through the host, for there
+    /// is no memory for a second copy. Returns whether there was a reserve.
+    pub(super) fn give_up_reserve(&mut self) -> Result<bool> {
+        let scene = &self.state.model.scene;
+        let plan = ScenePlan::new(self.context.limits(), scene.count, scene.plan.sh_degree)?;
+        let smaller = (plan.chunks, plan.chunk_gaussians) != (scene.plan.chunks, scene.plan.chunk_gaussians);
+        if !smaller {
+            return Ok(false);
+        }
+        let kept = self.checkpoint()?;
+        // Until all of it is there again.
+        self.state.broken = true;
+        self.state.model.release();
+        self.runner.forget();
+        let arena = ("scene", self.rows.planes());
+        let scene = planes::upload(&self.context, arena, &kept.gaussians, plan.capacity, plan.sh_degree)?;
+        self.state.model = Model::new(&self.context, scene, &self.rows)?;
+        self.restore_rows(&kept)?;
+        self.state.broken = false;
+        Ok(true)
     }
 }
 
@@ -221,13 +251,19 @@ impl Trainer {
             frame_height: largest(|camera| camera.height),
             blend_passes: frame.blend_passes,
             backward: frame.backward.into(),
-            most_instances: self.state.most_instances,
+            most_visible: self.state.most.visible,
+            most_instances: self.state.most.instances,
             max_memory: self.context.max_memory(),
         }
     }
 }
 
 impl Room {
+    /// The most that frames needed.
+    pub(super) fn most(&self) -> Needs {
+        Needs { visible: self.most_visible, instances: self.most_instances }
+    }
+
     /// The capacity of a first frame of so many Gaussians, where the one of before is of no use, as after an exchange of blocks: twice the
     /// instances that any frame had so far, and as many visible Gaussians as there was room for. None
     /// if there was no frame.

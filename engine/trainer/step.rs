@@ -1,20 +1,17 @@
 //! One iteration.
 
 use super::iteration::{IterationPlan, Progress};
-use super::model::Model;
 use super::population::Population;
 use super::step_recorder::StepParts;
 use super::work::{Changes, Work};
 use super::{StepReport, Trainer};
 use crate::error::{Error, Result};
 use crate::optimizer::MeanStep;
-use crate::plan::ScenePlan;
-use crate::planes;
 use crate::renderer::{Failed, Ran, State};
 
 impl Trainer {
-    /// Runs one iteration. If its frame has more instances than the device or the memory can hold, the
-    /// iteration is skipped: it changes nothing, but counts ([`StepReport::skipped`]).
+    /// Runs one iteration. If its frame has more visible Gaussians or instances than the device or the memory can hold, also
+    /// without the reserve of Gaussians, the iteration is skipped: it changes nothing, but counts ([`StepReport::skipped`]).
     ///
     /// # Errors
     /// When memory does not suffice, also if no view at all fits: the Gaussians are then as before the
@@ -84,7 +81,7 @@ impl Trainer {
             }
             ran => ran.map_err(Failed::error)?,
         };
-        self.state.done(progress.after(&plan), plan.whole_instances(&self.run, &ran.state));
+        self.state.done(progress.after(&plan), plan.needs(&self.run, &ran.state));
         let losses = self.recorder.read_losses(&self.losses.readback)?;
         Ok(StepReport {
             milliseconds: start.elapsed().as_secs_f64() * 1e3,
@@ -92,29 +89,6 @@ impl Trainer {
             scopes: ran.report.scopes,
             ..StepReport::new(&plan, self.state.model.scene.count, &losses, &ran.state)
         })
-    }
-
-    /// Frees the reserve of Gaussians of a run that has not begun: memory was planned with an estimate of the
-    /// first frame's instances, and it may need more of them. Returns whether there was a reserve.
-    fn give_up_reserve(&mut self) -> Result<bool> {
-        let scene = &self.state.model.scene;
-        let count = scene.count;
-        let plan = ScenePlan::new(self.context.limits(), count, scene.plan.sh_degree)?;
-        let smaller = (plan.chunks, plan.chunk_gaussians) != (scene.plan.chunks, scene.plan.chunk_gaussians);
-        if self.state.progress.iteration > 0 || !smaller {
-            return Ok(false);
-        }
-        let gaussians = planes::download(&self.context, scene)?;
-        // Until the Gaussians are there again.
-        self.state.broken = true;
-        self.state.model.release();
-        self.runner.forget();
-        let scene =
-            planes::upload(&self.context, ("scene", self.rows.planes()), &gaussians, count, plan.sh_degree)?;
-        self.state.model = Model::new(&self.context, scene, &self.rows)?;
-        self.compute_filters()?;
-        self.state.broken = false;
-        Ok(true)
     }
 
     /// Gives all Gaussians the sizes of the 3D filter, if there is one.
@@ -150,7 +124,7 @@ impl Trainer {
                 model: &mut self.state.model,
                 photos: &self.photos,
                 poses: self.poses.as_ref(),
-                most_instances: &mut self.state.most_instances,
+                most: &mut self.state.most,
                 iteration: self.state.progress.iteration,
                 summed: &mut self.state.progress.summed,
             };
@@ -166,8 +140,8 @@ impl Trainer {
         }
     }
 
-    /// Skips an iteration whose frame has too many instances for the device or the memory. The iteration
-    /// changes nothing, and densification adds no Gaussians until frames have fewer instances.
+    /// Skips an iteration whose frame has too many visible Gaussians or instances for the device or the memory. The iteration
+    /// changes nothing, and densification adds no Gaussians until frames have fewer.
     ///
     /// # Errors
     /// The given error if it has another cause, if no step has succeeded yet, and if every view has been
@@ -190,7 +164,7 @@ impl Trainer {
             return Err(error);
         }
         state.skipped += 1;
-        state.most_instances = state.most_instances.max(needed.instances);
+        state.most = state.most.max(plan.needs(&self.run, needed));
         state.progress = Progress { iteration: plan.iteration, due: plan.work.actions, ..state.progress };
         Ok(())
     }

@@ -35,10 +35,11 @@ impl Run {
         if report.skipped {
             if self.skipped == 0 {
                 self.progress.warn(&format!(
-                    "warning: iteration {} is left out: its frame has {} (tile, Gaussian) instances, more than the device's \
-                     limits or the memory hold; densification adds nothing until there are fewer. Smaller photos (-r 2), \
-                     more --max-memory or a higher --densify-grad-threshold help",
+                    "warning: iteration {} is left out: its frame has {} visible Gaussians and {} (tile, Gaussian) instances, \
+                     more than the device's limits or the memory hold; densification adds nothing until there are fewer. \
+                     Smaller photos (-r 2), more --max-memory or a higher --densify-grad-threshold help",
                     report.iteration,
+                    thousands(report.visible.into()),
                     thousands(report.instances.into())
                 ));
             }

@@ -1,0 +1,257 @@
+//! Training where memory goes by what is visible: photographs that show more than was estimated, within bounds.
+
+use ashsplat::plan::initial_visible;
+use ashsplat::trainer::{
+    Checkpoint, Forecast, PhotoSize, Room, SceneBlock, StepReport, StrategyType, TrainParts, TrainView,
+    Trainer,
+};
+use ashsplat::vk::{Context, MemoryKind};
+use ashsplat::{Camera, Error, Gaussians, Result, TrainSettings};
+use ashsplat_files::Photo;
+use glam::Vec3;
+
+use crate::common::bounded;
+use crate::common::engine::{camera, gaussians};
+use crate::common::gpu::Gpu;
+use crate::common::scenes::{Random, small_scene, small_view};
+
+const SIZE: [u32; 2] = [64, 48];
+const COUNT: u32 = 24_000;
+const MIB: u64 = 1 << 20;
+
+/// Small Gaussians, of which the one camera shows few and the other all.
+fn scene() -> Gaussians {
+    let mut scene = gaussians(&small_scene(&mut Random::new(78), COUNT as usize, 1));
+    scene.log_scales.iter_mut().flatten().for_each(|s| *s -= 2.0);
+    scene
+}
+
+fn views() -> Vec<TrainView> {
+    let all = camera(&small_view(SIZE));
+    let few = Camera { translation: all.translation + Vec3::X * 3.0, ..all };
+    let [width, height] = SIZE;
+    let photo =
+        |k: u32| Photo { width, height, rgb: (0..width * height * 3).map(|i| (i * k) as u8).collect() };
+    vec![TrainView::new(few, photo(7)), TrainView::new(all, photo(5))]
+}
+
+fn settings() -> TrainSettings {
+    TrainSettings { iterations: 8, sh_degree: 1, ..TrainSettings::of_strategy(StrategyType::Reference) }
+}
+
+fn trainer(context: &Context, settings: &TrainSettings) -> Result<Trainer> {
+    Trainer::new(context, views(), &scene(), 5.0, settings.clone())
+}
+
+fn steps(trainer: &mut Trainer, count: usize) -> Vec<StepReport> {
+    (0..count).map(|_| trainer.step().expect("a step")).collect()
+}
+
+/// What a training is said to need where it is refused.
+fn needed(settings: &TrainSettings) -> u64 {
+    let [width, height] = SIZE;
+    let photo =
+        PhotoSize { name: "a".into(), width, height, masked: false, inverse_depth: false, depth_points: 0 };
+    let forecast = Forecast {
+        settings,
+        photos: &vec![photo; 2],
+        photo_memory: None,
+        gaussians: COUNT,
+        frozen: 0,
+        room: None,
+    };
+    match forecast.check(&bounded(Some(1))) {
+        Err(Error::TooLarge { needed, .. }) => needed,
+        other => panic!("{other:?}"),
+    }
+}
+
+/// With the memory that the error names, and with more: also where a reserve of Gaussians would fit beside an estimated frame, and
+/// not beside the frame that shows all.
+#[test]
+fn every_view_is_trained_within_the_memory_that_is_asked_for() {
+    let settings = settings();
+    let expected = {
+        let context = bounded(None);
+        let mut trainer = trainer(&context, &settings).expect("a trainer");
+        let reports = steps(&mut trainer, 8);
+        let visible = |view: usize| reports.iter().filter(|r| r.view == view).map(|r| r.visible).max();
+        let [few, all] = [visible(0), visible(1)].map(|visible| visible.expect("both views"));
+        assert!((1..initial_visible(COUNT)).contains(&few) && all > COUNT / 4 * 3, "{few} {all}");
+        trainer.checkpoint().expect("a checkpoint").fingerprint()
+    };
+    let least = needed(&settings);
+    for more in 0..14 {
+        let context = bounded(Some(least + more * MIB));
+        let mut trainer = trainer(&context, &settings).expect("what is asked for suffices");
+        let skipped = steps(&mut trainer, 8).iter().filter(|report| report.skipped).count();
+        assert_eq!(skipped, 0, "{more} MiB more");
+        assert!(trainer.checkpoint().expect("a checkpoint").fingerprint() == expected, "{more} MiB more");
+    }
+}
+
+/// The same bits with frames that have room for all from the beginning, with what else goes by frames.
+#[test]
+fn steps_that_are_run_again_leave_the_bits_of_others() {
+    let gpu = Gpu::new();
+    let usual = TrainSettings { iterations: 12, ..settings() };
+    let growing = TrainSettings {
+        scale_schedule: false,
+        densify_from_iter: 2,
+        densification_interval: 3,
+        densify_until_iter: 9,
+        ..TrainSettings::of_strategy(StrategyType::Budget)
+    };
+    for settings in [
+        TrainSettings { exposure: true, pose_opt: true, filter_3d: true, ..usual.clone() },
+        TrainSettings {
+            iterations: 12,
+            sh_degree: 1,
+            average_last: 0.5,
+            multi_step: false,
+            dropout: 0.1,
+            ..growing
+        },
+    ] {
+        let mut started = trainer(gpu.context, &settings).expect("a trainer");
+        let mut from = started.checkpoint().expect("a checkpoint");
+        let room = Room {
+            frame_gaussians: from.room.gaussians,
+            frame_visible: from.room.gaussians,
+            frame_instances: 1 << 20,
+            frame_width: SIZE[0],
+            frame_height: SIZE[1],
+            blend_passes: 1,
+            backward: 1,
+            ..from.room
+        };
+        from.room = room;
+        let resumed = Trainer::resume(gpu.context, views(), 5.0, settings.clone(), &from);
+        let mut roomy = resumed.expect("a trainer");
+        for iteration in 1..=12 {
+            let [ours, theirs] = [&mut started, &mut roomy].map(|trainer| trainer.step().expect("a step"));
+            assert_eq!(
+                (ours.loss, ours.visible, ours.instances),
+                (theirs.loss, theirs.visible, theirs.instances)
+            );
+            let [ours, theirs] =
+                [&started, &roomy].map(|trainer| trainer.checkpoint().expect("a checkpoint"));
+            assert!(ours.fingerprint() == theirs.fingerprint(), "iteration {iteration}");
+        }
+    }
+}
+
+/// A seed with which the view that shows few Gaussians comes first, twice.
+fn few_first() -> TrainSettings {
+    let gpu = Gpu::new();
+    let first = |seed: u32| {
+        let settings = TrainSettings { seed, ..settings() };
+        let mut trainer = trainer(gpu.context, &settings).expect("a trainer");
+        steps(&mut trainer, 1)[0].view
+    };
+    let seed = (0..16).find(|&seed| first(seed) == 0).expect("one of 16");
+    TrainSettings { seed, ..settings() }
+}
+
+/// The reserve of Gaussians is given up in the middle of a run, too, with moments and statistics.
+#[test]
+fn a_reserve_gives_way_to_a_frame_in_the_middle_of_a_run() {
+    let settings = few_first();
+    let run = |ballast: Option<u64>| {
+        let context = bounded(Some(96 * MIB));
+        let mut trainer = trainer(&context, &settings).expect("a trainer");
+        let first = steps(&mut trainer, 1).remove(0);
+        assert!(first.view == 0 && first.visible < initial_visible(COUNT), "{first:?}");
+        let reserved = trainer.checkpoint().expect("a checkpoint").room.gaussians;
+        // Somebody else needs memory.
+        let held = ballast.map(|left| {
+            let bytes = 96 * MIB - context.memory_total().bytes - left;
+            context.allocate("ballast", &[("ballast", bytes)], MemoryKind::Device).expect("memory")
+        });
+        let reports = steps(&mut trainer, 5);
+        assert!(reports.iter().all(|report| !report.skipped), "{reports:?}");
+        let after = trainer.checkpoint().expect("a checkpoint");
+        drop(held);
+        (after.fingerprint(), reserved, after.room.gaussians)
+    };
+    let (expected, reserved, kept) = run(None);
+    assert!(reserved > COUNT && kept == reserved);
+    let (trained, _, kept) = run(Some(0));
+    assert_eq!(kept, COUNT, "the reserve was kept");
+    assert!(trained == expected, "other bits");
+}
+
+/// A view that no memory is left for is left out, its needs are told, and nothing is added as long as it does not fit.
+#[test]
+fn a_view_that_shows_too_much_stops_growth() {
+    let grows = TrainSettings {
+        scale_schedule: false,
+        densify_from_iter: 2,
+        densification_interval: 3,
+        densify_grad_threshold: 0.0,
+        ..few_first()
+    };
+    let run = |bound: Option<u64>| {
+        let context = bounded(bound);
+        let mut trainer = trainer(&context, &grows).expect("a trainer");
+        steps(&mut trainer, 6)
+    };
+    let free = run(None);
+    assert!(free.iter().all(|report| !report.skipped) && free[5].gaussians > COUNT, "{free:?}");
+    let all = free.iter().find(|report| report.view == 1).expect("the view");
+    // Enough for the estimate. What is asked for is of more instances than there are.
+    let least = needed(&grows);
+    let mut tight = (1..16).map(|less| run(Some(least - less * MIB / 2)));
+    let tight = tight.find(|reports| reports.iter().any(|report| report.skipped)).expect("a bound");
+    for report in &tight {
+        assert_eq!((report.skipped, report.gaussians), (report.view == 1, COUNT), "{report:?}");
+        let estimate = f64::from(report.instances) / f64::from(all.instances);
+        assert!(
+            !report.skipped || report.visible == all.visible && (0.5..2.0).contains(&estimate),
+            "{report:?}"
+        );
+    }
+}
+
+/// After an exchange a frame like those of before is expected. Where it does not fit, the training goes on without.
+#[test]
+fn what_is_expected_after_an_exchange_is_no_reason_to_refuse() {
+    let settings = settings();
+    let from = {
+        let gpu = Gpu::new();
+        let mut trainer = trainer(gpu.context, &settings).expect("a trainer");
+        steps(&mut trainer, 4);
+        let mut from = trainer.checkpoint().expect("a checkpoint");
+        let block = SceneBlock {
+            core: ashsplat::scene::Bounds { min: Vec3::NEG_INFINITY, max: Vec3::INFINITY },
+            frozen: Gaussians::default(),
+            chosen_from: None,
+        };
+        from.settle_in(&block);
+        from
+    };
+    assert!(from.room.frame_visible > COUNT / 2 && from.room.gaussians == 0);
+    let resumed = |context: &Context, from: &Checkpoint| -> Result<(u64, bool)> {
+        let parts = TrainParts::of_settings(context, &settings)?;
+        let given = (settings.clone(), 5.0);
+        let mut trainer = Trainer::resume_with_parts(context, views(), given, parts, from)?;
+        let skipped = steps(&mut trainer, 4).iter().any(|report| report.skipped);
+        Ok((trainer.checkpoint()?.fingerprint(), skipped))
+    };
+    let (expected, _) = resumed(&bounded(None), &from).expect("trained");
+    let least = needed(&settings);
+    for bound in [0, 1, 2, 3, 5, 8, 13].map(|more| least + more * MIB) {
+        assert_eq!(resumed(&bounded(Some(bound)), &from).expect("trained"), (expected, false), "{bound}");
+    }
+    // With less than what is asked for: as without what is expected.
+    let unknown = Checkpoint { room: Room::default(), ..from.clone() };
+    for bound in (1..12).map(|less| least - less * MIB) {
+        let [with, without] = [&from, &unknown].map(|from| {
+            let context = bounded(Some(bound));
+            let parts = TrainParts::of_settings(&context, &settings).expect("parts");
+            let given = (settings.clone(), 5.0);
+            Trainer::resume_with_parts(&context, views(), given, parts, from).map(drop).is_ok()
+        });
+        assert_eq!(with, without, "{bound}");
+    }
+}
