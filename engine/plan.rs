@@ -2,7 +2,7 @@
 //!
 //! A buffer has one element per Gaussian, per visible Gaussian, per instance (one (tile, Gaussian) pair), per
 //! tile or per pixel. Only the device knows how many Gaussians are visible and how many instances a frame
-//! has, so the sizes here are capacities. Buffers of visible Gaussians have the capacity of all Gaussians.
+//! has, so the sizes here are capacities.
 
 mod frame_buffers;
 mod grids;

@@ -89,11 +89,11 @@ fn train(
     gpu: &Gpu,
     start: &Gaussians,
     [taken, shown]: [&[Photo]; 2],
-    exposure: bool,
+    settings: &TrainSettings,
 ) -> (f64, Vec<Exposure>) {
     let views = cameras().into_iter().zip(taken).map(|(camera, photo)| TrainView::new(camera, photo.clone()));
-    let mut trainer =
-        Trainer::new(gpu.context, views.collect(), start, EXTENT, settings(exposure)).expect("a trainer");
+    let trainer = Trainer::new(gpu.context, views.collect(), start, EXTENT, settings.clone());
+    let mut trainer = trainer.expect("a trainer");
     let steps = trainer.settings().iterations;
     (0..steps).for_each(|_| assert!(trainer.step().expect("a step").loss.is_finite()));
     let render = trainer.render_settings();
@@ -118,11 +118,14 @@ fn exposures_are_recovered_and_the_scene_stays_as_it_is() {
         taken[view] = Photo::from_f32(64, 48, &pixels.collect::<Vec<_>>()).expect("a photograph");
     }
     let few = gray(3);
-    let (unchanged, none) = train(&gpu, &few, [&shown, &shown], false);
+    let [without, with] = [false, true].map(settings);
+    let (unchanged, none) = train(&gpu, &few, [&shown, &shown], &without);
     assert!(none.is_empty());
-    let (ignored, _) = train(&gpu, &few, [&taken, &shown], false);
-    let (learnt, _) = train(&gpu, &few, [&taken, &shown], true);
-    let (best, exposures) = train(&gpu, &gray(1), [&taken, &shown], true);
+    let (ignored, _) = train(&gpu, &few, [&taken, &shown], &without);
+    let (learnt, resting) = train(&gpu, &few, [&taken, &shown], &with);
+    let restless = TrainSettings { exposure_sparsity: 0.0, ..with.clone() };
+    let (_, moving) = train(&gpu, &few, [&taken, &shown], &restless);
+    let (best, exposures) = train(&gpu, &gray(1), [&taken, &shown], &with);
     // What the exposure makes of the photograph's mean colour.
     let mut worst: f32 = 0.0;
     for (view, gains) in CHANGED {
@@ -138,6 +141,18 @@ fn exposures_are_recovered_and_the_scene_stays_as_it_is() {
         "unchanged {unchanged:.2} dB, ignored {ignored:.2}, learnt {learnt:.2}; gains off by {worst:.4} at {best:.2} dB"
     );
     assert!(worst < 0.0105, "a gain is off by {worst}");
+    // How far the exposures of unchanged photographs are from none.
+    let [resting, moving] = [resting, moving].map(|exposures| {
+        let unchanged = (0..VIEWS).filter(|view| CHANGED.iter().all(|(changed, _)| changed != view));
+        let differences = unchanged.flat_map(|view| {
+            let none = Exposure::IDENTITY.rows;
+            let both = exposures[view].rows.as_flattened().iter().zip(none.as_flattened());
+            both.map(|(x, none)| f64::from(x - none).powi(2)).collect::<Vec<_>>()
+        });
+        differences.sum::<f64>().sqrt()
+    });
+    println!("unchanged photographs' exposures: {resting:.4}, {moving:.4} without sparsity");
+    assert!(resting < 0.5 * moving, "{resting}, {moving}");
     assert!(learnt > unchanged - 0.1 && ignored < learnt, "{learnt}, {ignored}: {unchanged}");
     let mut mean = [[0.0_f64; 4]; 3];
     for exposure in &exposures {

@@ -67,6 +67,33 @@ fn a_first_frame_that_needs_less_than_estimated_is_not_refused() {
     assert!(LEAST_INSTANCES < estimate);
 }
 
+/// The same of the number of visible Gaussians: a camera that shows a tenth of a scene, where a quarter is estimated.
+#[test]
+fn a_first_frame_that_shows_less_than_estimated_is_not_refused() {
+    const COUNT: usize = 100_000;
+    let scene = scene(COUNT, -3.0);
+    let all = camera(&small_view(SIZE));
+    let few = Camera { translation: all.translation + Vec3::X * 3.5, ..all };
+    let render = |context: &Context| -> Result<Frame> {
+        let mut renderer = Renderer::new(context)?;
+        renderer.upload(&scene)?;
+        renderer.render(&few, &RenderSettings::default())
+    };
+    let roomy = bounded(None);
+    let expected = render(&roomy).expect("a frame");
+    let (estimate, visible) = (initial_visible(COUNT as u32), expected.stats.visible);
+    assert!(
+        expected.stats.retries == 0 && 2 * visible < estimate && visible > 100,
+        "{visible} of {estimate}"
+    );
+    let with_estimate = roomy.memory().iter().map(|arena| arena.peak_bytes).sum::<u64>();
+    drop(roomy);
+    // Less than half of what a visible Gaussian takes in a frame without gradients.
+    let tight = bounded(Some(with_estimate - u64::from(estimate - 2 * visible) * 32));
+    let frame = render(&tight).expect("a frame");
+    assert!(frame.color == expected.color && frame.stats.visible == visible);
+}
+
 /// A camera that sees little of a scene, and then one that sees all.
 #[test]
 fn frames_have_room_for_what_is_visible_and_grow_when_more_is() {

@@ -150,7 +150,7 @@ impl FrameStore {
         let mut capacity = FrameCapacity {
             gaussians: gaussians.max(old.gaussians),
             scenes: scenes.max(old.scenes),
-            visible: if old.visible > 0 { old.visible } else { visible },
+            visible: if old.visible > 0 { old.visible.min(gaussians.max(old.gaussians)) } else { visible },
             instances: if old.instances > 0 { old.instances } else { instances },
             pictures: pictures.and(old.pictures),
             backward: backward || old.backward,
@@ -223,7 +223,7 @@ impl FrameStore {
     ///
     /// # Errors
     /// When the device is lost.
-    pub fn expect(&mut self, capacity: FrameCapacity) -> Result<()> {
+    pub fn restore_if_room(&mut self, capacity: FrameCapacity) -> Result<()> {
         match self.restore(capacity) {
             Err(error) if is_memory(&error) => {
                 self.forget();
@@ -252,6 +252,12 @@ impl FrameStore {
     /// Sets the capacity in instances, and forces a new allocation at the next frame.
     pub fn set_instances(&mut self, instances: u32) {
         self.capacity.instances = instances.max(1);
+        self.frame = None;
+    }
+
+    /// Sets the capacity in visible Gaussians, as [`FrameStore::set_instances`]. No frame has more than all Gaussians.
+    pub fn set_visible(&mut self, visible: u32) {
+        self.capacity.visible = visible;
         self.frame = None;
     }
 

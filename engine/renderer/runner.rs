@@ -257,8 +257,8 @@ impl FrameRunner {
     }
 
     /// As [`FrameRunner::restore`], but for the memory: where it does not suffice, the first frame allocates an estimate.
-    pub fn expect(&mut self, capacity: FrameCapacity) -> Result<()> {
-        self.store.expect(capacity)
+    pub fn restore_if_room(&mut self, capacity: FrameCapacity) -> Result<()> {
+        self.store.restore_if_room(capacity)
     }
 
     /// Current bytes of the frame's buffers.
@@ -271,8 +271,11 @@ impl FrameRunner {
         self.store.grow(needed, &self.forward.sizes)
     }
 
-    /// Raises the capacity in instances to at least this number.
-    pub fn set_instances_at_least(&mut self, instances: u32) {
+    /// Raises the capacity to at least these numbers of visible Gaussians and of instances.
+    pub fn set_at_least(&mut self, visible: u32, instances: u32) {
+        if visible > self.store.capacity().visible {
+            self.store.set_visible(visible);
+        }
         if instances > self.store.capacity().instances {
             self.store.set_instances(instances);
         }

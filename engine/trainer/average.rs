@@ -15,7 +15,7 @@ use crate::planes;
 pub(super) fn check(settings: &TrainSettings, strategy: &dyn Strategy) -> Result<()> {
     if settings.average_last > 0.0 && strategy.records().sums {
         let problem = format!(
-            "is {} (presets set it), which needs a step after each view; give 0, or multi_step = false",
+            "is {} (presets and few photos set it), which needs a step after each view; give 0, or multi_step = false",
             settings.average_last
         );
         return Err(Error::argument("average_last", problem));

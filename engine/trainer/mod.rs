@@ -234,7 +234,7 @@ impl Trainer {
         let first = || before?.first_frame(context, gaussians_with(capacity, around), pictures, absolute);
         match room.map_or_else(first, |room| room.frame(pictures, absolute)) {
             Some(frame) if room.is_some() => runner.restore(frame)?,
-            Some(frame) => runner.expect(frame)?,
+            Some(frame) => runner.restore_if_room(frame)?,
             None => {}
         }
         let run = Run { settings, scene_extent, cameras, lenses, views_fingerprint };

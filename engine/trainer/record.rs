@@ -22,14 +22,15 @@ pub struct StepReservation {
     /// Steps that may be recorded before the first of them has finished. They share the same memory, except
     /// for a few words each.
     pub slots: u32,
-    /// Least capacity in (tile, Gaussian) instances of a step; 0 for an estimate. [`Trainer::maintain`] grows
-    /// it.
+    /// Least capacity in (tile, Gaussian) instances of a step; 0 for an estimate. [`Trainer::maintain`] grows it.
     pub instances: u32,
+    /// The same in visible Gaussians; with that of all Gaussians no step has too little of it until there are more.
+    pub visible: u32,
 }
 
 impl Default for StepReservation {
     fn default() -> Self {
-        Self { slots: 2, instances: 0 }
+        Self { slots: 2, instances: 0, visible: 0 }
     }
 }
 
@@ -111,7 +112,7 @@ impl Trainer {
         }
         self.recording.slots.clear();
         self.recording.frame_is_ready = false;
-        self.runner.set_instances_at_least(wanted.instances);
+        self.runner.set_at_least(wanted.visible, wanted.instances);
         for sh_degree in 0..=self.run.settings.sh_degree {
             self.recorder.prepare(sh_degree)?;
         }
@@ -338,6 +339,7 @@ impl Trainer {
         };
         match grown {
             Ok(grown) => done.grown = grown,
+            Err(Error::TooLarge { .. }) if self.give_up_reserve()? => done.grown = true,
             Err(error) => {
                 let progress = self.state.progress;
                 let plan = self.plan_after(&progress);

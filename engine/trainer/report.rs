@@ -11,7 +11,7 @@ use crate::vk::ScopeTime;
 pub struct StepReport {
     /// Iteration, from 1.
     pub iteration: u32,
-    /// Whether the iteration was skipped, because its frame has more (tile, Gaussian) instances than the
+    /// Whether the iteration was skipped, because its frame has more visible Gaussians or (tile, Gaussian) instances than the
     /// device or the memory can hold. It has changed nothing, and its losses are NaN. See
     /// [`Trainer::step`](super::Trainer::step).
     pub skipped: bool,
@@ -77,7 +77,7 @@ pub struct Maintenance {
     pub opacities_reset: bool,
     /// Whether the capacity has grown after a step that overflowed.
     pub grown: bool,
-    /// The skipped iteration, whose instances exceed the largest possible capacity: see [`Trainer::step`](super::Trainer::step).
+    /// The skipped iteration, whose frame exceeds the largest possible capacity: see [`Trainer::step`](super::Trainer::step).
     pub skipped: Option<u32>,
 }
 

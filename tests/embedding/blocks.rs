@@ -25,7 +25,7 @@ fn recorded_training_of_a_block_is_the_owned_paths_to_the_bit() {
             let context = guest(host);
             let mut owned = trainer(own_device());
             let mut recorded = trainer(&context);
-            recorded.reserve_steps(&StepReservation { slots: 1, instances: 0 }).expect("memory");
+            recorded.reserve_steps(&StepReservation { slots: 1, instances: 0, visible: 0 }).expect("memory");
             let in_flight = InFlight::new(host).expect("a command buffer");
             let mut added = 0;
             for _ in 0..45 {

@@ -108,7 +108,7 @@ fn a_run_that_is_over_records_no_step() {
     with_host(&options(), |host| {
         let context = guest(host, &Faults::new()).expect("a context");
         let mut trainer = trainer(&context, TrainSettings { iterations: 3, ..TrainSettings::default() });
-        trainer.reserve_steps(&StepReservation { slots: 4, instances: 0 }).expect("memory");
+        trainer.reserve_steps(&StepReservation { slots: 4, instances: 0, visible: 0 }).expect("memory");
         let frames = [0; 4].map(|_| InFlight::new(host).expect("a command buffer"));
         for (slot, in_flight) in frames.iter().enumerate() {
             in_flight.begin(host).expect("recording");

@@ -234,7 +234,7 @@ fn training_steps(host: &Host, context: &Context, in_flight: &InFlight) {
         ..TrainSettings::default()
     };
     let mut trainer = crate::training::trainer(context, settings);
-    trainer.reserve_steps(&StepReservation { slots: 1, instances: 0 }).expect("memory");
+    trainer.reserve_steps(&StepReservation { slots: 1, instances: 0, visible: 0 }).expect("memory");
     let mut maintained = 0;
     for iteration in 1..=12 {
         take_calls();

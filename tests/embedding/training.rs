@@ -74,7 +74,9 @@ fn train_recorded(host: &Host, settings: &TrainSettings) {
     let mut owned = trainer(own_device(), settings.clone());
     let expected: Vec<StepReport> = (0..steps).map(|_| owned.step().expect("a step")).collect();
     let mut recorded = trainer(&context, settings.clone());
-    recorded.reserve_steps(&StepReservation { slots: SLOTS as u32, instances: 0 }).expect("memory");
+    recorded
+        .reserve_steps(&StepReservation { slots: SLOTS as u32, instances: 0, visible: 0 })
+        .expect("memory");
     let frames = [0; SLOTS].map(|_| InFlight::new(host).expect("a command buffer"));
     let (mut pending, mut densifications) = (Vec::<(usize, u32)>::new(), 0);
     let check = |trainer: &mut Trainer, (slot, iteration): (usize, u32)| {
@@ -158,7 +160,7 @@ fn another_form_of_blending_is_due_maintenance() {
         let own = Blending::of_device(context.limits());
         let other = Blending::ALL.into_iter().find(|&form| form != own).expect("two forms");
         let (mut recorded, mut expected) = (trainer(&context, settings()), trainer(&context, settings()));
-        recorded.reserve_steps(&StepReservation { slots: 1, instances: 0 }).expect("memory");
+        recorded.reserve_steps(&StepReservation { slots: 1, instances: 0, visible: 0 }).expect("memory");
         let frame = InFlight::new(host).expect("a command buffer");
         // Nothing is due where nothing changes.
         recorded.set_blending(own);
@@ -198,7 +200,7 @@ fn steps_that_see_more_than_estimated_are_repeated() {
             Trainer::new(&context, views(), &start, 4.0, settings()).expect("a trainer")
         };
         let (mut recorded, mut expected) = (trainer(), trainer());
-        recorded.reserve_steps(&StepReservation { slots: 1, instances: 0 }).expect("memory");
+        recorded.reserve_steps(&StepReservation { slots: 1, instances: 0, visible: 0 }).expect("memory");
         let frame = InFlight::new(host).expect("a command buffer");
         frame.begin(host).expect("recording");
         recorded.record_step(adopt(&context, &frame), 0).expect("a recording");
@@ -232,7 +234,7 @@ fn steps_without_room_change_nothing() {
     with_host(&options(), |host| {
         let context = guest(host);
         let (mut recorded, mut expected) = (trainer(&context, settings()), trainer(&context, settings()));
-        recorded.reserve_steps(&StepReservation { slots: 3, instances: 20 }).expect("memory");
+        recorded.reserve_steps(&StepReservation { slots: 3, instances: 20, visible: 0 }).expect("memory");
         let before = recorded.checkpoint().expect("a state");
         let frames = [0; 3].map(|_| InFlight::new(host).expect("a command buffer"));
         for (slot, frame) in (0..).zip(&frames) {
@@ -295,7 +297,7 @@ fn steps_that_no_room_suffices_for_are_left_out() {
         let seed = (0..20).find(|&seed| begin(seed).step().is_ok()).expect("a small view comes first");
         let (mut owned, mut recorded) = (begin(seed), begin(seed));
         let expected: Vec<StepReport> = (0..24).map(|_| owned.step().expect("a step")).collect();
-        recorded.reserve_steps(&StepReservation { slots: 1, instances: 0 }).expect("memory");
+        recorded.reserve_steps(&StepReservation { slots: 1, instances: 0, visible: 0 }).expect("memory");
         let in_flight = InFlight::new(host).expect("a command buffer");
         let mut skipped = Vec::new();
         while recorded.iteration() < 24 {
@@ -371,7 +373,9 @@ fn bad_steps_are_refused_before_anything_is_recorded() {
             assert!(error.to_string().contains(expected), "{error}");
         };
         refused(&mut training, &context, 0, "reserve_steps");
-        let none = training.reserve_steps(&StepReservation { slots: 0, instances: 0 }).expect_err("none");
+        let none = training
+            .reserve_steps(&StepReservation { slots: 0, instances: 0, visible: 0 })
+            .expect_err("none");
         assert!(none.to_string().contains("slots: is 0, it may be 1 to 1024"), "{none}");
         training.reserve_steps(&StepReservation::default()).expect("memory");
         refused(&mut training, &other, 0, "commands: it belongs to another context");

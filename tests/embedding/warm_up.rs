@@ -34,7 +34,7 @@ fn recorded_steps_of_a_warm_up_have_the_owned_paths_bits() {
             for trainer in [&mut owned, &mut recorded] {
                 (0..begun).for_each(|_| drop(trainer.step().expect("a step")));
             }
-            recorded.reserve_steps(&StepReservation { slots: 1, instances: 0 }).expect("memory");
+            recorded.reserve_steps(&StepReservation { slots: 1, instances: 0, visible: 0 }).expect("memory");
             let frame = InFlight::new(host).expect("a command buffer");
             for _ in begun..ITERATIONS {
                 let expected = owned.step().expect("a step");

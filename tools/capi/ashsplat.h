@@ -729,7 +729,7 @@ typedef struct AshsplatStep {
   uint32_t gaussians;
   // Gaussians visible in its view.
   uint32_t visible;
-  // (tile, Gaussian) instances that its view needs.
+  // (tile, Gaussian) instances that its view needs; after an overflow those of the visible Gaussians that there was room for.
   uint32_t instances;
   // Index of its view.
   uint32_t view;
@@ -1282,14 +1282,16 @@ void ashsplat_trainer_free(struct AshsplatTrainer *trainer);
 enum AshsplatStatus ashsplat_trainer_step(struct AshsplatTrainer *trainer, struct AshsplatStep *step);
 
 // Builds all kernels and allocates everything that recorded steps need. `slots` steps may be in flight, with
-// a capacity of at least `instances` (tile, Gaussian) pairs, or 0 for an estimate. Submits and waits.
+// a capacity of at least `instances` (tile, Gaussian) pairs and `visible` Gaussians that a view shows, or 0 for estimates. Submits
+// and waits.
 //
 // # Safety
 // `trainer` is alive; the whole command buffers of all recorded steps have finished: their fences were
 // waited for. A result of ashsplat_trainer_outcome is not enough.
 enum AshsplatStatus ashsplat_trainer_reserve(struct AshsplatTrainer *trainer,
                                              uint32_t slots,
-                                             uint32_t instances);
+                                             uint32_t instances,
+                                             uint32_t visible);
 
 // Records the next iteration into a VkCommandBuffer. It never submits, waits, allocates, maps or reads back.
 // Errors are reported before anything is recorded, including that maintenance is due. The slot is in flight

@@ -30,7 +30,7 @@ pub struct AshsplatStep {
     pub gaussians: u32,
     /// Gaussians visible in its view.
     pub visible: u32,
-    /// (tile, Gaussian) instances that its view needs.
+    /// (tile, Gaussian) instances that its view needs; after an overflow those of the visible Gaussians that there was room for.
     pub instances: u32,
     /// Index of its view.
     pub view: u32,
@@ -123,7 +123,8 @@ pub unsafe extern "C" fn ashsplat_trainer_step(
 }
 
 /// Builds all kernels and allocates everything that recorded steps need. `slots` steps may be in flight, with
-/// a capacity of at least `instances` (tile, Gaussian) pairs, or 0 for an estimate. Submits and waits.
+/// a capacity of at least `instances` (tile, Gaussian) pairs and `visible` Gaussians that a view shows, or 0 for estimates. Submits
+/// and waits.
 ///
 /// # Safety
 /// `trainer` is alive; the whole command buffers of all recorded steps have finished: their fences were
@@ -133,10 +134,12 @@ pub unsafe extern "C" fn ashsplat_trainer_reserve(
     trainer: *mut AshsplatTrainer,
     slots: u32,
     instances: u32,
+    visible: u32,
 ) -> AshsplatStatus {
     // SAFETY: as promised.
     guarded(|| unsafe {
-        borrowed_mut(trainer, "trainer")?.0.reserve_steps(&StepReservation { slots, instances })
+        let wanted = StepReservation { slots, instances, visible };
+        borrowed_mut(trainer, "trainer")?.0.reserve_steps(&wanted)
     })
 }
 

@@ -141,7 +141,7 @@ int main(int count, char **arguments) {
     refused(ashsplat_trainer_record(recorded, host_begin(&host), 0, NULL), "trainer: its training steps are not reserved: call ashsplat_trainer_reserve");
     require(host.EndCommandBuffer(host.commands), "vkEndCommandBuffer");
     /* Too little room at first: the first step changes nothing, and is recorded again. */
-    check(ashsplat_trainer_reserve(recorded, 1, 10), "reserving");
+    check(ashsplat_trainer_reserve(recorded, 1, 10, 0), "reserving");
     /* A step that is thrown away is recorded again. */
     AshsplatStep thrown = ASHSPLAT_INIT(AshsplatStep);
     check(ashsplat_trainer_record(recorded, host_begin(&host), 0, NULL), "recording a step");
