@@ -224,6 +224,19 @@ fn steps_that_see_more_than_estimated_are_repeated() {
         }
         (0..3).for_each(|_| assert!(!expected.step().expect("a step").skipped));
         assert!(recorded.gaussians().expect("Gaussians") == expected.gaussians().expect("Gaussians"));
+        // With room for all of them from the beginning no step is repeated.
+        let mut roomy = trainer();
+        let all = StepReservation { slots: 1, instances: 1 << 18, visible: 3 * LEAST_VISIBLE };
+        roomy.reserve_steps(&all).expect("memory");
+        for _ in 0..3 {
+            frame.begin(host).expect("recording");
+            roomy.record_step(adopt(&context, &frame), 0).expect("a recording");
+            frame.submit(host).expect("a submission");
+            frame.wait(host).expect("done");
+            let outcome = roomy.step_outcome(0).expect("an outcome").expect("finished");
+            assert!(matches!(outcome, StepOutcome::Done(_)), "{outcome:?}");
+        }
+        assert!(roomy.gaussians().expect("Gaussians") == expected.gaussians().expect("Gaussians"));
         frame.destroy(host);
     });
 }
