@@ -14,7 +14,7 @@ mod strips;
 pub use crate::tuning::SortMethod;
 pub use frame_buffers::{CAMERA_BLOCK_BYTES, FrameBuffers, Splats, frame_bytes, frame_requests};
 pub(crate) use frame_buffers::{POSE_SUM_BYTES, sorted_side};
-pub use grids::check_grids;
+pub use grids::{check_grids, frame_fits_device};
 pub use launch_sizes::{BlendShape, LaunchSizes, region_height};
 pub use pictures::PictureCapacity;
 pub use strips::{STRIP_ROWS, Strips};

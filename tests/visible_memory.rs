@@ -128,16 +128,19 @@ fn steps_that_are_run_again_leave_the_bits_of_others() {
         from.room = room;
         let resumed = Trainer::resume(gpu.context, views(), 5.0, settings.clone(), &from);
         let mut roomy = resumed.expect("a trainer");
+        let mut repeated = false;
         for iteration in 1..=12 {
             let [ours, theirs] = [&mut started, &mut roomy].map(|trainer| trainer.step().expect("a step"));
             assert_eq!(
                 (ours.loss, ours.visible, ours.instances),
                 (theirs.loss, theirs.visible, theirs.instances)
             );
+            repeated |= ours.visible > initial_visible(COUNT);
             let [ours, theirs] =
                 [&started, &roomy].map(|trainer| trainer.checkpoint().expect("a checkpoint"));
             assert!(ours.fingerprint() == theirs.fingerprint(), "iteration {iteration}");
         }
+        assert!(repeated, "no frame had less room than it needed");
     }
 }
 
@@ -156,10 +159,28 @@ fn few_first() -> TrainSettings {
 /// The reserve of Gaussians is given up in the middle of a run, too, with moments and statistics.
 #[test]
 fn a_reserve_gives_way_to_a_frame_in_the_middle_of_a_run() {
-    let settings = few_first();
+    let few_first = few_first();
+    let TrainSettings { seed, iterations, sh_degree, .. } = few_first;
+    let budget = TrainSettings {
+        seed,
+        iterations,
+        sh_degree,
+        scale_schedule: false,
+        filter_3d: true,
+        exposure: true,
+        ..TrainSettings::of_strategy(StrategyType::Budget)
+    };
+    let means = TrainSettings { average_last: 1.0, multi_step: false, ..budget.clone() };
+    let poses = TrainSettings { pose_opt: true, multi_step: false, ..budget };
+    for settings in [few_first, means, poses] {
+        a_reserve_gives_way(&settings);
+    }
+}
+
+fn a_reserve_gives_way(settings: &TrainSettings) {
     let run = |ballast: Option<u64>| {
         let context = bounded(Some(96 * MIB));
-        let mut trainer = trainer(&context, &settings).expect("a trainer");
+        let mut trainer = trainer(&context, settings).expect("a trainer");
         let first = steps(&mut trainer, 1).remove(0);
         assert!(first.view == 0 && first.visible < initial_visible(COUNT), "{first:?}");
         let reserved = trainer.checkpoint().expect("a checkpoint").room.gaussians;

@@ -77,7 +77,7 @@ pub struct Importance {
 }
 
 impl Importance {
-    /// Builds the kernels for frames that are drawn in this way.
+    /// Builds the kernels for frames that are drawn in this way, without inverse depth.
     ///
     /// # Errors
     /// When the device refuses a pipeline.
@@ -86,7 +86,8 @@ impl Importance {
         let workgroup_size = sizes.elementwise_workgroup;
         let subgroup_size = context.limits().subgroup_size;
         let mut backward = Backward::new(context);
-        backward.prepare_weights(BackwardVariant::of(settings))?;
+        backward
+            .prepare_weights(BackwardVariant { inverse_depth: false, ..BackwardVariant::of(settings) })?;
         let sum = sum_weights::Spec { workgroup_size, subgroup_size, lane_instances: LANE_INSTANCES };
         let strips = sizes.strips;
         Ok(Self {

@@ -1,6 +1,6 @@
 //! Grids of workgroups of a frame's dispatches.
 
-use super::{FrameCapacity, LaunchSizes, PictureCapacity, blocks};
+use super::{FrameCapacity, LaunchSizes, PictureCapacity, blocks, frame_requests};
 use crate::error::{Error, Result};
 use crate::vk::Limits;
 
@@ -33,4 +33,11 @@ pub fn check_grids(limits: &Limits, capacity: &FrameCapacity, block: &LaunchSize
             limit_name: "maxComputeWorkGroupCount",
         }),
     }
+}
+
+/// Whether a device's limits allow the buffers and grids of a frame, whatever the memory.
+pub fn frame_fits_device(limits: &Limits, capacity: &FrameCapacity, block: &LaunchSizes) -> bool {
+    let most = limits.max_storage_buffer_range.min(limits.max_allocation_bytes);
+    check_grids(limits, capacity, block).is_ok()
+        && frame_requests(capacity, block).iter().all(|(_, bytes)| *bytes <= most)
 }

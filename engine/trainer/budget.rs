@@ -1,13 +1,14 @@
 //! Memory of a training run, computed before it is allocated.
 
 use super::checkpoint::Room;
-use super::model::{Needs, RowBytes, RowMemory};
+use super::model::{RowBytes, RowMemory};
+use super::needs::Needs;
 use super::photos::{PhotoBytes, PhotoSize};
 use crate::error::{Error, Result};
 use crate::plan::{
-    FrameCapacity, LaunchSizes, PictureCapacity, ScenePlan, check_grids, frame_bytes, frame_requests,
-    gaussians_with, initial_instances, initial_visible, max_trained_among, max_trained_gaussians,
-    max_trained_instances,
+    FrameCapacity, LaunchSizes, PictureCapacity, ScenePlan, check_grids, frame_bytes, frame_fits_device,
+    frame_requests, gaussians_with, initial_instances, initial_visible, max_trained_among,
+    max_trained_gaussians, max_trained_instances,
 };
 use crate::planes;
 use crate::renderer::FrameStore;
@@ -247,12 +248,7 @@ impl Before<'_> {
         let Ok(plan) = ScenePlan::new(limits, room.gaussians, self.sh_degree) else { return false };
         let sizes = LaunchSizes::new(limits);
         let frame = room.frame((self.pictures(), self.scenes()), self.rows.absolute().is_some());
-        let fits = frame.is_none_or(|frame| {
-            let one = |(_, bytes): &(_, u64)| {
-                *bytes <= limits.max_storage_buffer_range.min(limits.max_allocation_bytes)
-            };
-            check_grids(limits, &frame, &sizes).is_ok() && frame_requests(&frame, &sizes).iter().all(one)
-        });
+        let fits = frame.is_none_or(|frame| frame_fits_device(limits, &frame, &sizes));
         if !fits || !(self.count..=max_trained_among(limits, self.around)).contains(&room.gaussians) {
             return false;
         }
@@ -347,38 +343,5 @@ impl Present<'_> {
             FrameCapacity { visible, instances: most.instances.max(self.frame.instances), ..self.frame };
         let beside = self.context.held_bytes().saturating_sub(self.frame_bytes);
         full == self.frame || beside + frame_bytes(&full, &LaunchSizes::new(self.context.limits())) <= limit
-    }
-}
-
-/// What is remembered of the most that frames needed, after a densification of a frame's `before` Gaussians has left `rows`: the same
-/// numbers per Gaussian, less a twentieth. After an opacity reset frames have few instances for a while, and
-/// then as many as before.
-pub(super) fn remembered(most: Needs, before: u32, rows: u32) -> Needs {
-    let scaled = |most: u32| {
-        let per_gaussian = u64::from(most) * u64::from(rows) / u64::from(before.max(1));
-        (per_gaussian * 19 / 20).min(u32::MAX.into()) as u32
-    };
-    Needs { visible: scaled(most.visible), instances: scaled(most.instances) }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::{Needs, remembered};
-
-    #[test]
-    fn what_frames_needed_before_a_reset_is_remembered_for_a_while() {
-        // Five densifications, a twentieth each, while opacities recover: three quarters are remembered.
-        let (mut most, mut rows) = (Needs { visible: 50_000, instances: 1_000_000 }, 100_000);
-        for _ in 0..5 {
-            most = remembered(most, rows, rows / 20 * 21);
-            rows = rows / 20 * 21;
-        }
-        for (most, range) in [(most.instances, 7.5..8.0), (most.visible, 0.375..0.4)] {
-            let per_gaussian = f64::from(most) / f64::from(rows);
-            assert!(range.contains(&per_gaussian), "{per_gaussian}");
-        }
-        let [least, largest] = [7, u32::MAX].map(|n| Needs { visible: n, instances: n });
-        assert_eq!(remembered(largest, 1, 2), largest);
-        assert_eq!(remembered(least, 0, 0), Needs::default());
     }
 }

@@ -1,7 +1,7 @@
 //! The schedule of a run: what each iteration does. It depends on the settings, the seed, the iteration and
 //! the progress before it.
 
-use super::model::Needs;
+use super::needs::Needs;
 use super::random::{self, ViewOrder};
 use super::run::Run;
 use super::settings::{OptimizerType, TrainSettings};

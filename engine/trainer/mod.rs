@@ -17,6 +17,7 @@ mod forecast;
 mod iteration;
 mod light;
 mod model;
+mod needs;
 pub mod options;
 mod photos;
 mod population;
@@ -24,6 +25,7 @@ mod poses;
 mod random;
 mod record;
 mod report;
+mod reserve;
 mod residency;
 mod resume;
 mod run;
@@ -46,8 +48,9 @@ pub use checkpoint::{Checkpoint, ExposureState, LightSums, MeanState, PoseState,
 pub use forecast::Forecast;
 pub use photos::PhotoSize;
 pub use population::{Growth, Population};
-pub use record::{RecordedStep, StepReservation};
+pub use record::RecordedStep;
 pub use report::{Maintenance, StepOutcome, StepReport};
+pub use reserve::StepReservation;
 pub use settings::{ImportanceType, OptimizerType, Preset, SplitType, StrategyType, TrainSettings};
 pub use strategies::{Budget, Fixed, GrowthSchedule, Mcmc, Reference, quantile};
 pub use strategy::Strategy;
@@ -232,11 +235,8 @@ impl Trainer {
         let scenes = 1 + u32::from(around > 0);
         let pictures = (pictures, scenes);
         let first = || before?.first_frame(context, gaussians_with(capacity, around), pictures, absolute);
-        match room.map_or_else(first, |room| room.frame(pictures, absolute)) {
-            Some(frame) if room.is_some() => runner.restore(frame)?,
-            Some(frame) => runner.restore_if_room(frame)?,
-            None => {}
-        }
+        let expected = if room.is_none() { first() } else { None };
+        room.and_then(|room| room.frame(pictures, absolute)).map_or(Ok(()), |frame| runner.restore(frame))?;
         let run = Run { settings, scene_extent, cameras, lenses, views_fingerprint };
         let filter = run.settings.filter_3d.then(|| Filter3d::new(context, &run.cameras)).transpose()?;
         let filter = match &poses {
@@ -245,7 +245,7 @@ impl Trainer {
         };
         let block = Block::new(context, block, (&rows, sh_degree), filter.as_ref())?;
         runner.surround(block.as_ref().and_then(Block::around).cloned().into_iter().collect());
-        let trainer = Self {
+        let mut trainer = Self {
             losses: recorder.allocate(context, &sizes)?,
             poses,
             aligner: None,
@@ -265,6 +265,8 @@ impl Trainer {
             recording: record::Recording::default(),
         };
         trainer.compute_filters()?;
+        // Last: what must be there comes before what is expected.
+        expected.map_or(Ok(()), |frame| trainer.runner.restore_if_room(frame))?;
         Ok(trainer)
     }
 

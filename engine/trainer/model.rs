@@ -1,7 +1,9 @@
 //! What a training run changes: on the device the Gaussians, their moments and statistics; on the host the
 //! progress.
 
+use super::checkpoint::Checkpoint;
 use super::iteration::Progress;
+use super::needs::Needs;
 use super::work::{ABSOLUTE_STATISTIC, GRADIENT_STATISTIC, Statistic};
 use crate::error::{Error, Result};
 use crate::forward::SceneBuffers;
@@ -168,19 +170,6 @@ impl Model {
     }
 }
 
-/// The most that frames so far needed: see [`super::Room`].
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) struct Needs {
-    pub visible: u32,
-    pub instances: u32,
-}
-
-impl Needs {
-    pub fn max(self, other: Self) -> Self {
-        Self { visible: self.visible.max(other.visible), instances: self.instances.max(other.instances) }
-    }
-}
-
 /// The state of a run between two steps.
 pub(super) struct State {
     pub model: Model,
@@ -190,11 +179,20 @@ pub(super) struct State {
     pub skipped: u32,
     /// Whether it is unknown if a submission that changes the scene was executed.
     pub broken: bool,
+    /// What there was before memory was given up that could not be had again.
+    pub rescued: Option<Box<Checkpoint>>,
 }
 
 impl State {
     pub fn new(model: Model) -> Self {
-        Self { model, progress: Progress::default(), most: Needs::default(), skipped: 0, broken: false }
+        Self {
+            model,
+            progress: Progress::default(),
+            most: Needs::default(),
+            skipped: 0,
+            broken: false,
+            rescued: None,
+        }
     }
 
     /// An iteration's step has been executed.

@@ -1,7 +1,8 @@
 //! The set of Gaussians between two steps, as a strategy sees and changes it.
 
 use super::budget;
-use super::model::{Model, Needs, RowMemory};
+use super::model::{Model, RowMemory};
+use super::needs::Needs;
 use super::photos::Photos;
 use super::poses::Poses;
 use super::run::Run;
@@ -280,7 +281,7 @@ impl Population<'_> {
         // The sums are in the planes that are the spare set no longer, in the order of the old set.
         *self.summed = 0;
         let of_frame = |rows: u32| rows.saturating_add(self.runner.around());
-        *self.most = budget::remembered(*self.most, of_frame(before), of_frame(rows));
+        *self.most = self.most.remembered(of_frame(before), of_frame(rows));
         Ok(())
     }
 

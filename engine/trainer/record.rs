@@ -6,6 +6,7 @@
 //! until then.
 
 use super::iteration::{IterationPlan, Progress};
+use super::reserve::StepReservation;
 use super::step_recorder::StepParts;
 use super::{Maintenance, StepOutcome, StepReport, Trainer};
 use crate::error::{Error, Result};
@@ -15,24 +16,6 @@ use crate::renderer::{DeviceScene, Release, State};
 use crate::vk::{Buffer, Context, ForeignCommands, MemoryKind, RecordSlot, Recorder, SlotRecording};
 use ash::vk;
 use std::collections::VecDeque;
-
-/// What is allocated in advance for recording steps: see [`Trainer::reserve_steps`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct StepReservation {
-    /// Steps that may be recorded before the first of them has finished. They share the same memory, except
-    /// for a few words each.
-    pub slots: u32,
-    /// Least capacity in (tile, Gaussian) instances of a step; 0 for an estimate. [`Trainer::maintain`] grows it.
-    pub instances: u32,
-    /// The same in visible Gaussians; with that of all Gaussians no step has too little of it until there are more.
-    pub visible: u32,
-}
-
-impl Default for StepReservation {
-    fn default() -> Self {
-        Self { slots: 2, instances: 0, visible: 0 }
-    }
-}
 
 /// A recorded step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -56,6 +39,12 @@ pub(super) struct Recording {
     overflow: Option<[State; 2]>,
     /// Whether the next recorded step may use the frame's buffers.
     pub frame_is_ready: bool,
+}
+
+impl Recording {
+    pub fn has_slots(&self) -> bool {
+        !self.slots.is_empty()
+    }
 }
 
 struct StepSlot {
@@ -319,6 +308,8 @@ impl Trainer {
     fn run_maintenance(&mut self) -> Result<Maintenance> {
         let mut done = Maintenance::default();
         self.recording.frame_is_ready = false;
+        // They hold the buffers that are replaced.
+        self.recording.slots.iter_mut().try_for_each(|slot| slot.record.release())?;
         if let Some(needed) = self.recording.overflow {
             self.make_room_for_steps(needed, &mut done)?;
             self.recording.overflow = None;
@@ -339,7 +330,6 @@ impl Trainer {
         };
         match grown {
             Ok(grown) => done.grown = grown,
-            Err(Error::TooLarge { .. }) if self.give_up_reserve()? => done.grown = true,
             Err(error) => {
                 let progress = self.state.progress;
                 let plan = self.plan_after(&progress);

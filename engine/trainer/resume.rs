@@ -2,15 +2,13 @@
 
 use super::checkpoint::{Checkpoint, GradientSums, Room, StrategyState, StrategyStatistic, Wanted};
 use super::iteration::Progress;
-use super::model::{Model, Needs};
+use super::needs::Needs;
 use super::settings::TrainSettings;
 use super::{SceneBlock, TrainParts, TrainView, Trainer, strategies};
 use crate::error::{Error, Result};
 use crate::fingerprint::Fingerprint;
 use crate::forward::SceneBuffers;
-use crate::plan::{
-    FrameCapacity, LEAST_INSTANCES, PictureCapacity, ScenePlan, initial_instances, initial_visible,
-};
+use crate::plan::{FrameCapacity, LEAST_INSTANCES, PictureCapacity, initial_instances, initial_visible};
 use crate::planes;
 use crate::scene::{Camera, PicturePart};
 use crate::vk::{Buffer, Context};
@@ -22,6 +20,9 @@ impl Trainer {
     /// [`crate::Error::Argument`] while recorded steps are in flight, and after a step with an unknown
     /// outcome; when the device is lost.
     pub fn checkpoint(&self) -> Result<Checkpoint> {
+        if let Some(rescued) = &self.state.rescued {
+            return Ok((**rescued).clone());
+        }
         self.check_readable()?;
         let (model, progress) = (&self.state.model, &self.state.progress);
         let planes_of = |chunks: &[Buffer]| {
@@ -192,7 +193,7 @@ impl Trainer {
     }
 
     /// Uploads what is kept of each Gaussian beside its parameters.
-    fn restore_rows(&self, from: &Checkpoint) -> Result<()> {
+    pub(super) fn restore_rows(&self, from: &Checkpoint) -> Result<()> {
         let (context, model) = (&self.context, &self.state.model);
         context.upload(&model.statistics[0], bytemuck::cast_slice(&from.statistics))?;
         for (statistic, buffer) in from.strategy.statistics.iter().zip(&model.statistics[1..]) {
@@ -210,28 +211,6 @@ impl Trainer {
             planes::fill(context, &scene, values)?;
         }
         Ok(())
-    }
-
-    /// Frees the reserve of Gaussians: a frame may need its memory. What is kept of each Gaussian goes through the host, for there
-    /// is no memory for a second copy. Returns whether there was a reserve.
-    pub(super) fn give_up_reserve(&mut self) -> Result<bool> {
-        let scene = &self.state.model.scene;
-        let plan = ScenePlan::new(self.context.limits(), scene.count, scene.plan.sh_degree)?;
-        let smaller = (plan.chunks, plan.chunk_gaussians) != (scene.plan.chunks, scene.plan.chunk_gaussians);
-        if !smaller {
-            return Ok(false);
-        }
-        let kept = self.checkpoint()?;
-        // Until all of it is there again.
-        self.state.broken = true;
-        self.state.model.release();
-        self.runner.forget();
-        let arena = ("scene", self.rows.planes());
-        let scene = planes::upload(&self.context, arena, &kept.gaussians, plan.capacity, plan.sh_degree)?;
-        self.state.model = Model::new(&self.context, scene, &self.rows)?;
-        self.restore_rows(&kept)?;
-        self.state.broken = false;
-        Ok(true)
     }
 }
 

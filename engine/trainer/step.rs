@@ -64,7 +64,9 @@ impl Trainer {
             self.photos.prefetch(&self.context)?;
         }
         let mut ran = self.run_step(&plan);
-        if matches!(ran, Err(Failed::TooLittleRoom(_))) && self.give_up_reserve()? {
+        if let Err(Failed::TooLittleRoom(why)) = &ran
+            && self.give_up_reserve(&why.0)?
+        {
             ran = self.run_step(&plan);
         }
         let ran = match ran {

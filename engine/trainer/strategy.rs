@@ -48,7 +48,8 @@ pub struct StepInputs<'a> {
 /// A strategy of density control.
 ///
 /// Everything random is keyed by the seed and the iteration, so that a run can be resumed with the same bits.
-/// Kernels are built when the strategy is made; recording neither allocates nor waits.
+/// Kernels are built when the strategy is made, or between two steps; recording neither allocates nor waits.
+/// The planes of the Gaussians may lie in other buffers, with another [`ScenePlan`](crate::plan::ScenePlan), in each step.
 pub trait Strategy: Send {
     /// Its name in messages.
     fn name(&self) -> &'static str;

@@ -37,7 +37,7 @@ impl Run {
                 self.progress.warn(&format!(
                     "warning: iteration {} is left out: its frame has {} visible Gaussians and {} (tile, Gaussian) instances, \
                      more than the device's limits or the memory hold; densification adds nothing until there are fewer. \
-                     Smaller photos (-r 2), more --max-memory or a higher --densify-grad-threshold help",
+                     More --max-memory, smaller photos (-r 2) or a higher --densify-grad-threshold help",
                     report.iteration,
                     thousands(report.visible.into()),
                     thousands(report.instances.into())
