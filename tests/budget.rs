@@ -312,6 +312,8 @@ fn budget_grows_as_far_as_the_memory_allows() {
 fn budget_refuses_what_contradicts_itself() {
     let mcmc = TrainSettings { cap_max: 0, ..TrainSettings::of_strategy(StrategyType::Mcmc) };
     assert!(refused(mcmc).contains("cap_max"));
+    let message = refused(TrainSettings { cap_max: 0, cap_ratio: 0.9, ..settings() });
+    assert!(message.contains("cap_ratio") && message.contains("1 or more"), "{message}");
     let message = refused(TrainSettings { cap_max: 149, ..settings() });
     assert!(message.contains("cap_max") && message.contains("149") && message.contains("150"), "{message}");
     let sparse = OptimizerType::SparseAdam;

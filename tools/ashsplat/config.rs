@@ -197,9 +197,12 @@ impl Settings {
         if preset.is_some() && strategy.is_some_and(|strategy| strategy != usual.strategy) {
             return Err("a preset has the strategy budget: leave out the preset, or another strategy".into());
         }
+        let data: DataSettings = data.try_into().map_err(message)?;
+        if data.train_test_exp && train.get("exposure").and_then(toml::Value::as_bool) == Some(false) {
+            return Err("train_test_exp measures under exposures: leave out that, or exposure = false".into());
+        }
         let mut all = Table::try_from(usual).map_err(|e| e.to_string())?;
         all.extend(train);
-        let data: DataSettings = data.try_into().map_err(message)?;
         if data.train_test_exp {
             all.insert("exposure".into(), true.into());
         }
@@ -295,6 +298,8 @@ mod tests {
         std::fs::write(&file, "strategy = 'budget'\n").expect("written");
         let refused = Settings::resolve(Some(&file), &fast).expect_err("the file has chosen").to_string();
         assert!(refused.contains("a.toml: sets strategy"), "{refused}");
+        let refused = resolved("train_test_exp = true\nexposure = false").expect_err("contradictory");
+        assert!(refused.contains("exposure = false"), "{refused}");
         let given =
             resolved("preset = 'fast'\nstrategy = 'budget'\ncap_ratio = 3.0").expect("settings").train;
         assert_eq!(given, TrainSettings { cap_ratio: 3.0, ..TrainSettings::of_preset(Preset::Fast) });

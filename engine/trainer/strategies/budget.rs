@@ -81,6 +81,13 @@ impl Strategy for Budget {
             );
             return Err(Error::argument("cap_max", problem));
         }
+        if cap == 0 && settings.cap_ratio < 1.0 {
+            let problem = format!(
+                "is {}, a cap below the Gaussians of the start; give 1 or more, or start from fewer",
+                settings.cap_ratio
+            );
+            return Err(Error::argument("cap_ratio", problem));
+        }
         if settings.multi_step && settings.optimizer_type == OptimizerType::SparseAdam {
             let problem =
                 "adds up views, and sparse_adam steps for what one view has seen; leave one of them out";

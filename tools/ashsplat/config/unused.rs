@@ -14,7 +14,7 @@ struct Use {
     by: &'static str,
 }
 
-const USES: [Use; 10] = [
+const USES: [Use; 12] = [
     Use {
         names: &["cap_max"],
         is_used: |s| matches!(s.train.strategy, StrategyType::Mcmc | StrategyType::Budget),
@@ -36,6 +36,16 @@ const USES: [Use; 10] = [
         is_used: |s| matches!(s.train.strategy, StrategyType::Reference | StrategyType::Budget),
         by: "--strategy reference or budget",
     },
+    Use {
+        names: &["densify_from_iter", "densify_until_iter", "densification_interval", "min_opacity"],
+        is_used: |s| s.train.strategy != StrategyType::Fixed,
+        by: "a strategy other than fixed",
+    },
+    Use {
+        names: &["exposure_lr_delay_mult"],
+        is_used: |s| s.train.exposure && s.train.exposure_lr_delay_steps > 0,
+        by: "--exposure with --exposure-lr-delay-steps",
+    },
     Use { names: &["antialiasing_detached"], is_used: |s| s.train.antialiasing, by: "--antialiasing" },
     Use { names: &["pose_lr"], is_used: |s| s.train.pose_opt, by: "--pose-opt" },
     Use {
@@ -43,7 +53,6 @@ const USES: [Use; 10] = [
             "exposure_lr_init",
             "exposure_lr_final",
             "exposure_lr_delay_steps",
-            "exposure_lr_delay_mult",
             "exposure_reg",
             "exposure_shared",
             "exposure_sparsity",
@@ -119,6 +128,29 @@ mod tests {
     fn every_name_is_that_of_a_setting() {
         for name in USES.iter().flat_map(|of| of.names) {
             assert!(TrainSettings::OPTIONS.iter().any(|option| option.name == *name), "{name}");
+        }
+    }
+
+    #[test]
+    fn what_has_no_effect_is_named_with_what_would_use_it() {
+        let refused = |given: &str| {
+            let given: Table = given.parse().expect("TOML");
+            let settings = Settings::from_table(given.clone()).expect("settings");
+            TrainOverrides(given).refuse_unused(&[settings]).err().map(|error| error.to_string())
+        };
+        for (given, by) in [
+            ("strategy = 'fixed'\ndensify_until_iter = 9", "other than fixed"),
+            ("strategy = 'fixed'\nmin_opacity = 0.1", "other than fixed"),
+            ("exposure = true\nexposure_lr_delay_mult = 0.5", "--exposure-lr-delay-steps"),
+        ] {
+            assert!(refused(given).is_some_and(|message| message.contains(by)), "{given}");
+        }
+        for given in [
+            "strategy = 'fixed'\nmin_opacity = 0.005",
+            "densify_until_iter = 9",
+            "exposure = true\nexposure_lr_delay_steps = 9\nexposure_lr_delay_mult = 0.5",
+        ] {
+            assert_eq!(refused(given), None, "{given}");
         }
     }
 }
