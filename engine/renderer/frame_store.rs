@@ -331,8 +331,9 @@ impl FrameStore {
         }
         match result {
             Ok(_) => Ok(true),
-            // The number of instances is not the whole one then.
-            Err(error) if more_visible => Err(name_visible(error, state.visible_needed)),
+            Err(error) if more_visible => {
+                Err(name_visible(error, state.visible_needed, more_instances.then_some(state.instances)))
+            }
             Err(error) if more_instances => Err(name_instances(error, state.instances)),
             Err(error) => Err(error),
         }
@@ -361,9 +362,12 @@ fn name_image(error: Error, camera: &Camera, alone: bool) -> Error {
     }
 }
 
-/// Reports the number of visible Gaussians instead of the buffer that did not fit.
-fn name_visible(error: Error, visible: u32) -> Error {
-    name(error, format!("a frame of {visible} visible Gaussians"))
+/// Reports the number of visible Gaussians instead of the buffer that did not fit, and that of the instances of those that had room.
+fn name_visible(error: Error, visible: u32, instances: Option<u32>) -> Error {
+    let instances = instances.map_or(String::new(), |instances| {
+        format!(" and more than {instances} (tile, Gaussian) instances (a smaller image has fewer)")
+    });
+    name(error, format!("a frame of {visible} visible Gaussians{instances}"))
 }
 
 /// Reports the number of instances instead of the buffer that did not fit.
