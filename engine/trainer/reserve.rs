@@ -1,7 +1,7 @@
 //! What a training has memory for in advance: recorded steps, and Gaussians to come, which give way to a frame.
 
-use super::Trainer;
 use super::model::Model;
+use super::{Checkpoint, Trainer};
 use crate::error::Result;
 use crate::plan::{FrameCapacity, LaunchSizes, ScenePlan, frame_bytes, frame_fits_device};
 use crate::planes;
@@ -45,17 +45,17 @@ impl Trainer {
         self.state.broken = true;
         self.state.model.release();
         self.runner.forget();
-        let kept = self.state.rescued.insert(kept);
+        let rebuilt = self.rebuild(&kept, &plan);
+        self.state.broken = rebuilt.is_err();
+        self.state.rescued = rebuilt.is_err().then_some(kept);
+        rebuilt.map(|()| true)
+    }
+
+    fn rebuild(&mut self, from: &Checkpoint, plan: &ScenePlan) -> Result<()> {
         let arena = ("scene", self.rows.planes());
-        let scene = planes::upload(&self.context, arena, &kept.gaussians, plan.capacity, plan.sh_degree)?;
+        let scene = planes::upload(&self.context, arena, &from.gaussians, plan.capacity, plan.sh_degree)?;
         self.state.model = Model::new(&self.context, scene, &self.rows)?;
-        let Some(kept) = self.state.rescued.take() else { unreachable!("it was put there") };
-        if let Err(error) = self.restore_rows(&kept) {
-            self.state.rescued = Some(kept);
-            return Err(error);
-        }
-        self.state.broken = false;
-        Ok(true)
+        self.restore_rows(from)
     }
 
     /// Whether the memory holds the frame beside planes of this plan, if nobody else holds the present ones.
