@@ -87,7 +87,8 @@ impl RadixSort {
     /// When the device refuses a pipeline.
     pub fn with_sizes(context: &Context, sizes: LaunchSizes) -> Result<Self> {
         let subgroup_size = context.limits().subgroup_size;
-        let scan = sort_spine::Spec { workgroup_size: sizes.elementwise_workgroup, subgroup_size };
+        let whole_rows = sizes.sort_method == SortMethod::Matching;
+        let scan = sort_spine::Spec { workgroup_size: sizes.elementwise_workgroup, subgroup_size, whole_rows };
         let alone = |identity_values| {
             let spec =
                 sort_single_subgroup::Spec { workgroup_size: subgroup_size, subgroup_size, identity_values };
@@ -100,7 +101,7 @@ impl RadixSort {
             },
             scan: Kernel::new(context, &scan)?,
             alone: if sizes.sort_single_subgroup { Some([alone(false)?, alone(true)?]) } else { None },
-            rows: sizes.elementwise_workgroup / subgroup_size,
+            rows: if whole_rows { 1 } else { sizes.elementwise_workgroup / subgroup_size },
             sizes,
         })
     }

@@ -94,6 +94,32 @@ fn bench_quality_measures_what_training_gives_and_goes_on() {
 }
 
 #[test]
+fn bench_quality_measures_presets_beside_strategies() {
+    let folder = tempdir().expect("a temporary folder");
+    let (data, out) = (folder.path().join("data"), folder.path().join("out"));
+    write_dataset(&data);
+    let short = ["--iterations", "12", "--densify-from-iter", "2", "--densification-interval", "3", "--quiet"];
+    let both = ["--presets", "fast,quality", "--strategies", "reference", "--points", "2"];
+    succeed(&[&["bench", "quality", text(&data), "-o", text(&out)], &both[..], &short].concat());
+    let report = json(&out.join("quality.json"));
+    let runs = report["runs"].as_array().expect("runs");
+    let names: Vec<_> = runs.iter().map(|run| run["strategy"].as_str().expect("a name")).collect();
+    assert_eq!(names, ["reference", "preset-fast", "preset-quality"]);
+    for (run, preset) in runs[1..].iter().zip(["fast", "quality"]) {
+        let model = folder.path().join(preset);
+        let train = ["train", "-s", text(&data), "-m", text(&model), "--eval", "--preset", preset];
+        succeed(&[&train[..], &["--few-photos", "off"], &short].concat());
+        let trained = &json(&model.join("results.json"))["ours_12"];
+        let end = &run["points"][1];
+        for (ours, theirs) in [("psnr", "PSNR"), ("ssim", "SSIM"), ("gaussians", "gaussians")] {
+            assert!((number(&end[ours]) - number(&trained[theirs])).abs() < 1e-9, "{preset}: {end} {trained}");
+        }
+    }
+    let plain = &runs[0]["points"][1]["psnr"];
+    assert!(runs[1..].iter().all(|run| run["points"][1]["psnr"] != *plain), "presets are no reference");
+}
+
+#[test]
 fn bench_quality_refuses_what_makes_no_sense() {
     let folder = tempdir().expect("a temporary folder");
     let (data, out) = (folder.path().join("data"), folder.path().join("out"));
@@ -109,6 +135,9 @@ fn bench_quality_refuses_what_makes_no_sense() {
     refused(&[], &["--strategies"]);
     refused(&with(&["--seeds", "3..3"]), &["--seeds", "0..3"]);
     refused(&["--strategies", "mcmc,mcmc"], &["--strategies", "twice"]);
+    refused(&["--presets", "fast,fast"], &["--presets", "'fast' twice"]);
+    refused(&["--presets", "faster"], &["faster", "quality"]);
+    refused(&["--presets", "fast", "--strategy", "mcmc"], &["--strategy", "--strategies"]);
     refused(&with(&["--seed", "3"]), &["--seed", "--seeds"]);
     refused(&with(&["--strategy", "mcmc"]), &["--strategy", "--strategies"]);
     refused(&with(&["--iterations", "0"]), &["iterations", "at least 1"]);

@@ -1,12 +1,13 @@
 // Stable scatter by one digit: last step of a radix sort pass.
 //
-// Each subgroup owns a contiguous run of its block's keys and counts its digits. Matching lanes, round by round, then gives the
-// places behind the run's first. Runs, blocks and digits are processed in order, so the pass is stable. Keys are read twice:
-// to keep them and their ranks takes 2 ITEMS registers, which one driver puts into memory (tools/gpu_static.md).
+// Each subgroup owns a contiguous run of its block's keys. Matching lanes, round by round, gives each key its rank among the run's
+// keys of its digit. Runs, blocks and digits are processed in order, so the pass is stable. The block's pairs are put into the order
+// of their digits in shared memory first, so that neighbouring lanes store to neighbouring places: on an H100 a pass over 2^25 pairs
+// took 1.66 ms without that.
 //
 // invocation: ITEMS keys; subgroup: a run of SUBGROUP_SIZE * ITEMS keys; workgroup: one block
 // in: keys[n], values[n], histogram (exclusive within a digit), digit_totals; out: sorted_keys[n], sorted_values[n]
-// shared: (subgroups + 1) * 2^bits words; subgroup sizes 4 to 128
+// shared: one word per key of the block, or per subgroup and digit, if those are more; one per digit; subgroup sizes 4 to 128
 #version 460
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_GOOGLE_include_directive : require
@@ -40,90 +41,126 @@ layout(push_constant, scalar) uniform Push {
 };
 
 #include "dispatch.glsl"
-#include "subgroup.glsl"
+#include "match_key.glsl"
 #include "workgroup_scan.glsl"
 
+const uint BLOCK = WORKGROUP_SIZE * ITEMS;
 const uint SUBGROUPS = WORKGROUP_SIZE / SUBGROUP_SIZE;
+const uint RUN_BINS = SUBGROUPS * SORT_BINS;
 
-// Per subgroup and digit: first the count within the run, then the output index of the run's next key with this digit.
-shared uint run_bins[SUBGROUPS * SORT_BINS];
+// First, per subgroup and digit: the count within the run, then the place within the block of the run's first key with this digit.
+// Then the block's keys in the order of their digits, then its values.
+shared uint scratch[RUN_BINS > BLOCK ? RUN_BINS : BLOCK];
+// Per digit: what a key's place within the block is added to, to give its place in the output. May wrap.
+shared uint digit_offsets[SORT_BINS];
 
 uint digit_of(uint key) {
     return (key >> shift) & ((1u << bits) - 1);
 }
 
 void main() {
-    const uint block_size = WORKGROUP_SIZE * ITEMS;
     uint n = counts[count_index];
-    uint blocks = n / block_size + (n % block_size != 0 ? 1 : 0);
+    uint blocks = n / BLOCK + (n % BLOCK != 0 ? 1 : 0);
     uint block = linear_workgroup();
     uint digits = 1u << bits;
     uint run_base = gl_SubgroupID * SORT_BINS;
-    uint first = block * block_size + gl_SubgroupID * SUBGROUP_SIZE * ITEMS + gl_SubgroupInvocationID;
+    uint first = block * BLOCK + gl_SubgroupID * SUBGROUP_SIZE * ITEMS + gl_SubgroupInvocationID;
+    // There may be workgroups behind the last block.
+    uint in_block = block < blocks ? min(n - block * BLOCK, BLOCK) : 0;
 
-    for (uint digit = gl_SubgroupInvocationID; digit < digits; digit += SUBGROUP_SIZE) {
-        run_bins[run_base + digit] = 0;
-    }
-    subgroupMemoryBarrierShared();
-    subgroupBarrier();
-
+    uint keys_of[ITEMS];
     [[unroll]] for (uint k = 0; k < ITEMS; ++k) {
         uint index = first + k * SUBGROUP_SIZE;
-        if (index < n) {
-            atomicAdd(run_bins[run_base + digit_of(keys[index])], 1);
-        }
+        keys_of[k] = keys[index < n ? index : 0];
     }
-    // For the lanes of one subgroup: if there are several, the prefix sum has a barrier.
+    for (uint digit = gl_SubgroupInvocationID; digit < digits; digit += SUBGROUP_SIZE) {
+        scratch[run_base + digit] = 0;
+    }
     subgroupMemoryBarrierShared();
     subgroupBarrier();
 
-    // Start of each digit: after all lower digits, all earlier blocks, and all earlier runs.
+    // Of each key: how many keys of its run and digit come before it, then its place within the block.
+    uint places[ITEMS];
+    [[unroll]] for (uint k = 0; k < ITEMS; ++k) {
+        bool valid = first + k * SUBGROUP_SIZE < n;
+        uint digit = digit_of(keys_of[k]);
+        uint below;
+        uint peers;
+        match_key(digit, bits, valid, below, peers);
+        uint before = scratch[run_base + digit];
+        subgroupMemoryBarrierShared();
+        subgroupBarrier();
+        // The last of the lanes with the same digit counts them.
+        if (valid && below + 1 == peers) {
+            scratch[run_base + digit] = before + peers;
+        }
+        subgroupMemoryBarrierShared();
+        subgroupBarrier();
+        places[k] = before + below;
+    }
+    barrier();
+
+    // Start of each digit within the block: after all lower digits, and all earlier runs. In the output: after all lower digits,
+    // and all earlier blocks.
     uint carry = 0;
+    uint block_carry = 0;
     for (uint low = 0; low < digits; low += WORKGROUP_SIZE) {
         uint digit = low + gl_LocalInvocationID.x;
         bool valid = digit < digits;
-        uint total;
-        uint start = carry + workgroup_exclusive_add(valid ? digit_totals[valid ? digit : 0] : 0, total);
-        carry += total;
-        if (valid && block < blocks) {
-            start += histogram[digit * blocks + block];
+        uint count = 0;
+        if (valid) {
             for (uint run = 0; run < SUBGROUPS; ++run) {
-                uint count = run_bins[run * SORT_BINS + digit];
-                run_bins[run * SORT_BINS + digit] = start;
-                start += count;
+                count += scratch[run * SORT_BINS + digit];
+            }
+        }
+        uint total;
+        uint block_total;
+        uint output_start = carry + workgroup_exclusive_add(valid ? digit_totals[valid ? digit : 0] : 0, total);
+        uint start = block_carry + workgroup_exclusive_add(count, block_total);
+        carry += total;
+        block_carry += block_total;
+        if (valid && block < blocks) {
+            digit_offsets[digit] = output_start + histogram[digit * blocks + block] - start;
+            for (uint run = 0; run < SUBGROUPS; ++run) {
+                uint of_run = scratch[run * SORT_BINS + digit];
+                scratch[run * SORT_BINS + digit] = start;
+                start += of_run;
             }
         }
     }
     barrier();
+    [[unroll]] for (uint k = 0; k < ITEMS; ++k) {
+        places[k] += scratch[run_base + digit_of(keys_of[k])];
+    }
+    barrier();
 
-    uint next_key = keys[first < n ? first : 0];
-    uint next_value = IDENTITY_VALUES ? first : values[first < n ? first : 0];
-    for (uint k = 0; k < ITEMS; ++k) {
-        uint index = first + k * SUBGROUP_SIZE;
-        bool valid = index < n;
-        uint key = next_key;
-        uint value = next_value;
-        // The next round's, so that they are there in time.
-        uint next = index + SUBGROUP_SIZE;
-        bool next_valid = k + 1 < ITEMS && next < n;
-        next_key = keys[next_valid ? next : 0];
-        next_value = IDENTITY_VALUES ? next : values[next_valid ? next : 0];
-        uint digit = digit_of(key);
-        uint below;
-        uint peers;
-        match_key(digit, bits, valid, below, peers);
-        uint before = run_bins[run_base + digit];
-        subgroupMemoryBarrierShared();
-        subgroupBarrier();
-        // The last of the lanes with the same digit moves the place on.
-        if (valid && below + 1 == peers) {
-            run_bins[run_base + digit] = before + peers;
+    [[unroll]] for (uint k = 0; k < ITEMS; ++k) {
+        if (first + k * SUBGROUP_SIZE < n) {
+            scratch[places[k]] = keys_of[k];
         }
-        subgroupMemoryBarrierShared();
-        subgroupBarrier();
-        if (valid) {
-            sorted_keys[before + below] = key;
-            sorted_values[before + below] = value;
+    }
+    barrier();
+    uint outputs[ITEMS];
+    [[unroll]] for (uint k = 0; k < ITEMS; ++k) {
+        uint place = k * WORKGROUP_SIZE + gl_LocalInvocationID.x;
+        if (place < in_block) {
+            uint key = scratch[place];
+            outputs[k] = digit_offsets[digit_of(key)] + place;
+            sorted_keys[outputs[k]] = key;
+        }
+    }
+    barrier();
+    [[unroll]] for (uint k = 0; k < ITEMS; ++k) {
+        uint index = first + k * SUBGROUP_SIZE;
+        if (index < n) {
+            scratch[places[k]] = IDENTITY_VALUES ? index : values[index];
+        }
+    }
+    barrier();
+    [[unroll]] for (uint k = 0; k < ITEMS; ++k) {
+        uint place = k * WORKGROUP_SIZE + gl_LocalInvocationID.x;
+        if (place < in_block) {
+            sorted_values[outputs[k]] = scratch[place];
         }
     }
 }

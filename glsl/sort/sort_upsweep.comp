@@ -7,6 +7,7 @@
 #version 460
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_GOOGLE_include_directive : require
+#extension GL_EXT_control_flow_attributes : require
 
 #include "constants.glsl"
 
@@ -38,7 +39,7 @@ void main() {
         bins[digit] = 0;
     }
     barrier();
-    for (uint k = 0; k < ITEMS; ++k) {
+    [[unroll]] for (uint k = 0; k < ITEMS; ++k) {
         uint index = block * block_size + k * WORKGROUP_SIZE + gl_LocalInvocationID.x;
         uint key = keys[index < n ? index : 0];
         if (index < n) {

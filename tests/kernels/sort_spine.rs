@@ -9,13 +9,21 @@ use crate::reference::sort_spine::sort_spine;
 #[test]
 pub fn sort_spine_equals_its_twin() {
     let gpu = Gpu::new();
-    let spec = Spec { workgroup_size: gpu.workgroup(64), subgroup_size: gpu.subgroup() };
+    for whole_rows in [false, true] {
+        check(&gpu, whole_rows);
+    }
+}
+
+fn check(gpu: &Gpu, whole_rows: bool) {
+    let spec = Spec { workgroup_size: gpu.workgroup(64), subgroup_size: gpu.subgroup(), whole_rows };
     let block_size = 8;
     // The last workgroup has rows to spare.
     let digits = 21;
-    let rows = spec.workgroup_size / spec.subgroup_size;
+    let rows = if whole_rows { 1 } else { spec.workgroup_size / spec.subgroup_size };
     let workgroups = u64::from(digits as u32 / rows + 1);
-    for blocks in sizes(spec.workgroup_size as usize) {
+    // Around a round of either form.
+    let of_rows = sizes(spec.workgroup_size as usize).into_iter().chain(sizes(4 * spec.workgroup_size as usize));
+    for blocks in of_rows {
         let mut random = Random::new(blocks as u64);
         let rows: Vec<u32> = (0..blocks * digits).map(|_| random.below(1000)).collect();
         let keys = if blocks == 0 { 0 } else { blocks as u32 * block_size - 3 };

@@ -10,7 +10,7 @@ mod unused;
 
 pub use data::{DataSettings, Outside, When};
 pub use missing_points::MissingPoints;
-pub use train_overrides::{TrainOverrides, strategies};
+pub use train_overrides::{Recipe, TrainOverrides, strategies};
 
 use crate::blocks::job::Job;
 use ashsplat::trainer::{Preset, StrategyType, TrainSettings};
@@ -22,6 +22,8 @@ use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use toml::Table;
 
+/// The names of the presets.
+pub const PRESETS: [&str; 3] = ["fast", "default", "quality"];
 /// Name of the dump that `--config` reads back.
 pub const SETTINGS_FILE: &str = "settings.toml";
 /// Name of the dump in the reference's format.
@@ -41,7 +43,7 @@ pub struct Overrides {
     model_path: Option<PathBuf>,
     /// Defaults for a purpose, with the strategy budget: fast (fewer Gaussians, small pictures first), default, quality (more
     /// Gaussians). What is given otherwise wins; without a preset they are the reference's
-    #[arg(long, value_parser = ["fast", "default", "quality"], value_name = "NAME")]
+    #[arg(long, value_parser = PRESETS, value_name = "NAME")]
     preset: Option<String>,
     /// Folder of the photos within the data set [default: images]
     #[arg(short, long, value_name = "NAME")]

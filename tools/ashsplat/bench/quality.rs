@@ -6,7 +6,7 @@ mod summary;
 
 use super::machine;
 use crate::args::{DeviceArguments, MAX_MEMORY_IN_TRAINING};
-use crate::config::{self, DataSettings, MissingPoints, Settings, TrainOverrides};
+use crate::config::{self, DataSettings, MissingPoints, Recipe, Settings, TrainOverrides};
 use crate::eval::{self, More, Protocol};
 use crate::lock::{FolderLock, Work};
 use crate::measure::Stopwatch;
@@ -32,12 +32,12 @@ const RESULT_FILE: &str = "quality.json";
 const TABLE_FILE: &str = "quality.csv";
 const PLOT_FILE: &str = "quality.svg";
 
-/// Train a data set with several strategies and seeds; PSNR and SSIM of all held-out views, Gaussians, processor seconds and
+/// Train a data set with several strategies, presets and seeds; PSNR and SSIM of all held-out views, Gaussians, processor seconds and
 /// seconds along each run.
 ///
 /// Runs take turns, seed by seed, so that a machine that becomes slower does so for all. Measuring does not count. Each
 /// run that is over stays in the folder: after Ctrl-C the same command goes on with the run that was stopped. All
-/// settings are those of `train`; what is given here holds for all strategies. Two things differ: settings for few photos are not
+/// settings are those of `train`; what is given here holds for all of them. Two things differ: settings for few photos are not
 /// taken (as `train --few-photos off`), and views are measured as the scene shows them, without lens effects and at the poses that
 /// were given.
 #[derive(Args)]
@@ -51,8 +51,12 @@ pub struct Arguments {
     #[arg(short, long, value_name = "FOLDER")]
     out: PathBuf,
     /// Strategies, by the names of `train --strategy`
-    #[arg(long, value_name = "NAME,NAME,...", value_delimiter = ',', required = true, value_parser = config::strategies())]
+    #[arg(long, value_name = "NAME,NAME,...", value_delimiter = ',', required_unless_present = "presets")]
+    #[arg(value_parser = config::strategies())]
     strategies: Vec<String>,
+    /// Presets besides, by the names of `train --preset`
+    #[arg(long, value_name = "NAME,NAME,...", value_delimiter = ',', value_parser = config::PRESETS)]
+    presets: Vec<String>,
     /// Seeds: A..B, without B, or one by one
     #[arg(long, value_name = "A..B", default_value = "0..1", value_parser = seeds)]
     seeds: Seeds,
@@ -107,6 +111,7 @@ fn seeds(text: &str) -> Result<Seeds, String> {
 
 /// A training that is to be measured.
 struct Job {
+    /// The strategy's name, or `preset-` and the preset's.
     strategy: String,
     seed: u32,
     settings: TrainSettings,
@@ -138,7 +143,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let setup = |job: &Job| Setup::new((&data, arguments.points), &job.settings, &context, &program);
     let folder = &arguments.out;
     let strategies: Vec<String> =
-        jobs.iter().take(arguments.strategies.len()).map(|job| job.strategy.clone()).collect();
+        jobs.iter().take(arguments.strategies.len() + arguments.presets.len()).map(|job| job.strategy.clone()).collect();
     let mut done: Vec<Run> = Vec::new();
     for job in &jobs {
         done.extend(runs::read(&runs::file(folder, &job.strategy, job.seed), &setup(job)?)?);
@@ -264,12 +269,18 @@ impl Arguments {
         }
         let mut jobs: Vec<Job> = Vec::new();
         for &seed in &self.seeds.0 {
-            for strategy in &self.strategies {
-                let settings = self.train.settings(strategy, seed)?;
-                // Not an earlier name.
-                let strategy = name_of(&settings);
+            let strategies = self.strategies.iter().map(|name| Recipe::Strategy(name));
+            let presets = self.presets.iter().map(|name| Recipe::Preset(name));
+            for recipe in strategies.chain(presets) {
+                let settings = self.train.settings(recipe, seed)?;
+                let (option, strategy) = match recipe {
+                    // Not an earlier name.
+                    Recipe::Strategy(_) => ("--strategies", name_of(&settings)),
+                    Recipe::Preset(name) => ("--presets", format!("preset-{name}")),
+                };
                 if jobs.iter().any(|job| job.strategy == strategy && job.seed == seed) {
-                    return Err(Error::argument("--strategies", format!("names '{strategy}' twice")));
+                    let name = strategy.trim_start_matches("preset-");
+                    return Err(Error::argument(option, format!("names '{name}' twice")));
                 }
                 jobs.push(Job { strategy, seed, settings });
             }

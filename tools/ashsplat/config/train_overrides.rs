@@ -15,6 +15,15 @@ use toml::{Table, Value};
 #[serde(transparent)]
 pub struct TrainOverrides(pub(super) Table);
 
+/// What a training's defaults follow from.
+#[derive(Clone, Copy)]
+pub enum Recipe<'a> {
+    /// A value of `--strategy`.
+    Strategy(&'a str),
+    /// A value of `--preset`.
+    Preset(&'a str),
+}
+
 /// Names of values in earlier versions: the option, the earlier name, the name.
 const EARLIER_NAMES: [(&str, &str, &str); 1] = [("strategy", "default", "reference")];
 
@@ -73,12 +82,18 @@ impl TrainOverrides {
         self.0.contains_key(name)
     }
 
-    /// The settings of a training with a strategy and a seed; checked.
-    pub fn settings(&self, strategy: &str, seed: u32) -> Result<TrainSettings> {
+    /// The settings of a training with this recipe and seed; checked.
+    pub fn settings(&self, recipe: Recipe<'_>, seed: u32) -> Result<TrainSettings> {
         let mut train = self.clone();
-        train.0.insert("strategy".into(), strategy.into());
         train.0.insert("seed".into(), i64::from(seed).into());
-        Ok(Settings::resolve(None, &Overrides { train, ..Overrides::default() })?.train)
+        let preset = match recipe {
+            Recipe::Strategy(name) => {
+                train.0.insert("strategy".into(), name.into());
+                None
+            }
+            Recipe::Preset(name) => Some(name.to_owned()),
+        };
+        Ok(Settings::resolve(None, &Overrides { preset, train, ..Overrides::default() })?.train)
     }
 }
 
