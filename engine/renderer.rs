@@ -281,6 +281,15 @@ impl Renderer {
         self.runner.render(scene, camera, settings)
     }
 
+    /// As [`Renderer::render`], without reading the picture back: what the device does for a frame, for measurements.
+    ///
+    /// # Errors
+    /// As [`Renderer::render`].
+    pub fn draw(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<FrameStats> {
+        let scene = self.scene.as_ref().ok_or_else(no_scene)?;
+        self.runner.draw(scene, camera, settings)
+    }
+
     /// Renders a scene on the device, and no others.
     ///
     /// # Errors

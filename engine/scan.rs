@@ -57,9 +57,14 @@ impl Scan {
         let (workgroup_size, items) = (sizes.scan_workgroup, sizes.scan_items);
         let reduce = scan_reduce::Spec { workgroup_size, subgroup_size, items };
         let apply = scan_apply::Spec { workgroup_size, subgroup_size, items };
+        let spine = scan_spine::Spec {
+            workgroup_size: sizes.scan_spine_workgroup,
+            subgroup_size,
+            items: limits.tuning.scan_spine_items,
+        };
         Ok(Self {
             reduce: Kernel::new(context, &reduce)?,
-            spine: Kernel::new(context, &scan_spine::Spec { workgroup_size, subgroup_size })?,
+            spine: Kernel::new(context, &spine)?,
             apply: Kernel::new(context, &apply)?,
             block: sizes.scan,
         })

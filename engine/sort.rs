@@ -88,7 +88,8 @@ impl RadixSort {
     pub fn with_sizes(context: &Context, sizes: LaunchSizes) -> Result<Self> {
         let subgroup_size = context.limits().subgroup_size;
         let whole_rows = sizes.sort_method == SortMethod::Matching;
-        let scan = sort_spine::Spec { workgroup_size: sizes.elementwise_workgroup, subgroup_size, whole_rows };
+        let scan =
+            sort_spine::Spec { workgroup_size: sizes.elementwise_workgroup, subgroup_size, whole_rows };
         let alone = |identity_values| {
             let spec =
                 sort_single_subgroup::Spec { workgroup_size: subgroup_size, subgroup_size, identity_values };

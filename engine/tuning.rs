@@ -85,6 +85,10 @@ pub struct Tuning {
     pub scan_items: u32,
     /// Workgroup of a prefix sum.
     pub scan_workgroup: WorkgroupRule,
+    /// Workgroup of the scan of a prefix sum's blocks, of which there is one; and block sums of an invocation in a round.
+    pub scan_spine_workgroup: WorkgroupRule,
+    /// See [`Self::scan_spine_workgroup`].
+    pub scan_spine_items: u32,
     /// Instances of one invocation of `duplicate_with_tiles`.
     pub duplicate_items: u32,
     /// The smallest subgroup that blends all regions of a tile, forward and backward; None: one region each.
@@ -132,6 +136,8 @@ impl Tuning {
         // Few invocations without barriers.
         scan_items: 256,
         scan_workgroup: WorkgroupRule::Subgroup,
+        scan_spine_workgroup: WorkgroupRule::Subgroup,
+        scan_spine_items: 1,
         // The search for the first Gaussian is shared by many instances.
         duplicate_items: 16,
         // A processor's pixels lie in memory anyway, and a Gaussian is fetched once in place of once per region. Below 8
@@ -166,6 +172,9 @@ impl Tuning {
         sort_method: SortMethod::Matching,
         scan_items: 4,
         scan_workgroup: WorkgroupRule::Elementwise,
+        // Rounds follow one another.
+        scan_spine_workgroup: WorkgroupRule::Invocations(1024),
+        scan_spine_items: 4,
         duplicate_items: 4,
         whole_tiles_from_lanes: None,
         // Four spill on Intel (tools/gpu_static.md), and small regions cull more.

@@ -98,7 +98,8 @@ fn bench_quality_measures_presets_beside_strategies() {
     let folder = tempdir().expect("a temporary folder");
     let (data, out) = (folder.path().join("data"), folder.path().join("out"));
     write_dataset(&data);
-    let short = ["--iterations", "12", "--densify-from-iter", "2", "--densification-interval", "3", "--quiet"];
+    let short =
+        ["--iterations", "12", "--densify-from-iter", "2", "--densification-interval", "3", "--quiet"];
     let both = ["--presets", "fast,quality", "--strategies", "reference", "--points", "2"];
     succeed(&[&["bench", "quality", text(&data), "-o", text(&out)], &both[..], &short].concat());
     let report = json(&out.join("quality.json"));
@@ -112,7 +113,10 @@ fn bench_quality_measures_presets_beside_strategies() {
         let trained = &json(&model.join("results.json"))["ours_12"];
         let end = &run["points"][1];
         for (ours, theirs) in [("psnr", "PSNR"), ("ssim", "SSIM"), ("gaussians", "gaussians")] {
-            assert!((number(&end[ours]) - number(&trained[theirs])).abs() < 1e-9, "{preset}: {end} {trained}");
+            assert!(
+                (number(&end[ours]) - number(&trained[theirs])).abs() < 1e-9,
+                "{preset}: {end} {trained}"
+            );
         }
     }
     let plain = &runs[0]["points"][1]["psnr"];

@@ -46,6 +46,8 @@ pub struct LaunchSizes {
     pub sort_single_subgroup: bool,
     /// Invocations of a scan's workgroup.
     pub scan_workgroup: u32,
+    /// Invocations of the one workgroup that scans the blocks' sums.
+    pub scan_spine_workgroup: u32,
     /// Values of one invocation of a scan.
     pub scan_items: u32,
     /// Values of a block of a scan.
@@ -137,6 +139,7 @@ impl LaunchSizes {
             sort: sort_workgroup * sort_items,
             sort_single_subgroup: sort_method == SortMethod::Serial,
             scan_workgroup,
+            scan_spine_workgroup: limits.workgroup_size(invocations(tuning.scan_spine_workgroup)),
             scan_items,
             scan: scan_workgroup * scan_items,
             duplicate_items: tuning.duplicate_items,

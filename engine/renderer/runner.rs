@@ -307,36 +307,17 @@ impl FrameRunner {
         self.store.capacity()
     }
 
-    /// Renders a scene and reads the image back.
-    pub fn render(
+    /// Renders a scene into the frame's buffers.
+    pub fn draw(
         &mut self,
         scene: &SceneBuffers,
         camera: &Camera,
         settings: &RenderSettings,
-    ) -> Result<Frame> {
+    ) -> Result<FrameStats> {
         let sh_degree = scene.active_degree(settings);
         let request = Request { scene, camera, pose: None, settings, sh_degree, backward: false };
         let ran = self.run(&request, |_, _| Ok(())).map_err(Failed::error)?;
-        let pixels = u64::from(camera.width) * u64::from(camera.height);
-        let frame = self.frame()?;
-        let [r, g, b] = settings.background;
-        let mut color = Vec::with_capacity(pixels as usize);
-        let mut transmittance = Vec::with_capacity(pixels as usize);
-        self.context.download_chunks(&frame.accumulated.range(0, pixels * 16), |bytes| {
-            for texel in bytes.chunks_exact(16) {
-                let [x, y, z, t]: [f32; 4] = bytemuck::pod_read_unaligned(texel);
-                color.push([x + t * r, y + t * g, z + t * b]);
-                transmittance.push(t);
-            }
-        })?;
-        let inverse_depth = match settings.inverse_depth {
-            false => None,
-            true => {
-                let bytes = self.context.download(&frame.inverse_depth.range(0, pixels * 4))?;
-                Some(bytemuck::pod_collect_to_vec(&bytes))
-            }
-        };
-        let stats = FrameStats {
+        Ok(FrameStats {
             gaussians: scene.count + self.around.iter().map(|scene| scene.count).sum::<u32>(),
             visible: ran.state.visible,
             instances: ran.state.instances,
@@ -344,6 +325,33 @@ impl FrameRunner {
             samples: ran.state.samples,
             scopes: ran.report.scopes,
             retries: ran.retries,
+        })
+    }
+
+    /// Renders a scene and reads the image back.
+    pub fn render(
+        &mut self,
+        scene: &SceneBuffers,
+        camera: &Camera,
+        settings: &RenderSettings,
+    ) -> Result<Frame> {
+        let stats = self.draw(scene, camera, settings)?;
+        let pixels = u64::from(camera.width) * u64::from(camera.height);
+        let frame = self.frame()?;
+        let [r, g, b] = settings.background;
+        let mut color = Vec::with_capacity(pixels as usize);
+        let mut transmittance = Vec::with_capacity(pixels as usize);
+        self.context.download_chunks(&frame.accumulated.range(0, pixels * 16), |bytes| {
+            let texels = bytes.chunks_exact(16).map(bytemuck::pod_read_unaligned::<[f32; 4]>);
+            color.extend(texels.clone().map(|[x, y, z, t]| [x + t * r, y + t * g, z + t * b]));
+            transmittance.extend(texels.map(|[.., t]| t));
+        })?;
+        let inverse_depth = match settings.inverse_depth {
+            false => None,
+            true => {
+                let bytes = self.context.download(&frame.inverse_depth.range(0, pixels * 4))?;
+                Some(bytemuck::pod_collect_to_vec(&bytes))
+            }
         };
         Ok(Frame { width: camera.width, height: camera.height, color, transmittance, inverse_depth, stats })
     }

@@ -188,7 +188,8 @@ impl Before<'_> {
         // A reserve: densification reallocates when it is used up.
         let wanted = count.saturating_add(count / 2).max(1 << 12).min(most);
         let (limit, limit_name) = context.memory_limit().unwrap_or((u64::MAX, "no limit"));
-        let free = limit.saturating_sub(context.held_bytes());
+        let held = context.held_bytes();
+        let free = limit.saturating_sub(held);
         let buffers = |capacity: u32, visible: u32| -> Result<RowBytes> {
             let plan = ScenePlan::new(context.limits(), capacity, sh_degree)?;
             let frame = self.frame(context, [capacity, visible], self.pictures());
@@ -235,9 +236,10 @@ impl Before<'_> {
         );
         Err(Error::TooLarge {
             what,
-            needed: least + with_more.max(photos),
+            // With what is held, so that a limit of that many bytes suffices.
+            needed: held + least + with_more.max(photos),
             unit: "bytes",
-            limit: free,
+            limit,
             limit_name,
         })
     }

@@ -11,9 +11,9 @@ pub(super) enum Calibrated {
 }
 
 impl Calibrated {
-    /// The newer extension if a device has both.
+    /// The older extension if a device has both: validation layers of 2023 warn of the newer one.
     pub(super) fn find(has: impl Fn(&CStr) -> bool) -> Option<Self> {
-        [Self::Khr, Self::Ext].into_iter().find(|kind| has(kind.extension()))
+        [Self::Ext, Self::Khr].into_iter().find(|kind| has(kind.extension()))
     }
 
     pub(super) fn extension(self) -> &'static CStr {

@@ -36,9 +36,13 @@ const float STEP = 0.25;
 const uint STEPS = 24;
 const float TWO_OVER_SQRT_PI = 1.1283791670955126;
 
-// log(1 + x) without cancellation near 0.
+// log(1 + x) = 2 artanh(x / (2 + x)), without cancellation near 0. GPUs' logarithms are exact to 2^-21 near 1, whatever its logarithm
+// is, so the series reaches far.
 float log1p(float x) {
-    return abs(x) < 0.01 ? x * (1.0 - x * (0.5 - x * (0.33333334 - x * (0.25 - x * 0.2)))) : log(1.0 + x);
+    float s = x / (2.0 + x);
+    float q = s * s;
+    float series = 2.0 * s * (1.0 + q * (0.33333334 + q * (0.2 + q * (0.14285715 + q * 0.11111111))));
+    return abs(x) < 0.3 ? series : log(1.0 + x);
 }
 
 // exp(x) - 1 without cancellation near 0.

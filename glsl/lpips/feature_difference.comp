@@ -51,7 +51,8 @@ void main() {
     vec2 scale = 1.0 / (sqrt(squares) + NORM_OFFSET);
     float sum = 0.0;
     for (uint i = 0; i < blocks; ++i) {
-        vec4 d = scale.x * VEC4_AT(features, a + i * plane) - scale.y * VEC4_AT(features, b + i * plane);
+        // `precise`: with one product rounded and the other not, features that are equal would differ.
+        precise vec4 d = scale.x * VEC4_AT(features, a + i * plane) - scale.y * VEC4_AT(features, b + i * plane);
         sum += dot(VEC4_AT(heads, i), d * d);
     }
     differences[index] = sum;

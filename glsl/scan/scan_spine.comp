@@ -1,17 +1,20 @@
 // Exclusive prefix sum of the block sums, in place, by a single workgroup: second step of reduce-then-scan.
 //
-// invocation: one block sum at a time; workgroup: loops over all of them with a carry
+// invocation: ITEMS block sums at a time; workgroup: loops over all of them with a carry
 // in/out: block_sums[first_sum ..][m], m = ceil(n / block_size); n = count, or totals[count] when from_totals is set
 // out: totals[total_index] = the total, or 0xFFFFFFFF if it exceeds 32 bits: a wrapped total would look like a small one
 // shared: one word per subgroup; any subgroup size
 #version 460
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_GOOGLE_include_directive : require
+#extension GL_EXT_control_flow_attributes : require
 #extension GL_KHR_shader_subgroup_basic : require
 #extension GL_KHR_shader_subgroup_arithmetic : require
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
 layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
+// The fewer rounds, the fewer barriers: an H100 took 32 µs for 17 rounds.
+layout(constant_id = 2) const uint ITEMS = 1;
 layout(local_size_x_id = 0) in;
 
 layout(set = 0, binding = 0, scalar) buffer BlockSums { uint block_sums[]; };
@@ -33,16 +36,28 @@ void main() {
     uint blocks = n / block_size + (n % block_size != 0 ? 1 : 0);
     uint carry = 0;
     bool saturated = false;
-    for (uint first = 0; first < blocks; first += WORKGROUP_SIZE) {
-        uint index = first + gl_LocalInvocationID.x;
-        uint value = index < blocks ? block_sums[first_sum + (index < blocks ? index : 0)] : 0;
+    for (uint first = 0; first < blocks; first += WORKGROUP_SIZE * ITEMS) {
+        uint index = first + gl_LocalInvocationID.x * ITEMS;
+        uint values[ITEMS];
         // Sums of 16-bit halves, which cannot wrap.
+        uint low_sum = 0;
+        uint high_sum = 0;
+        [[unroll]] for (uint k = 0; k < ITEMS; ++k) {
+            bool exists = index + k < blocks;
+            values[k] = exists ? block_sums[first_sum + (exists ? index + k : 0)] : 0;
+            low_sum += values[k] & 0xFFFF;
+            high_sum += values[k] >> 16;
+        }
         uint low_total;
         uint high_total;
-        uint low = workgroup_exclusive_add(value & 0xFFFF, low_total);
-        uint high = workgroup_exclusive_add(value >> 16, high_total);
-        if (index < blocks) {
-            block_sums[first_sum + index] = carry + (high << 16) + low;
+        uint low = workgroup_exclusive_add(low_sum, low_total);
+        uint high = workgroup_exclusive_add(high_sum, high_total);
+        [[unroll]] for (uint k = 0; k < ITEMS; ++k) {
+            if (index + k < blocks) {
+                block_sums[first_sum + index + k] = carry + (high << 16) + low;
+            }
+            low += values[k] & 0xFFFF;
+            high += values[k] >> 16;
         }
         uint next = carry + (high_total << 16) + low_total;
         saturated = saturated || high_total + (low_total >> 16) > 0xFFFF || next < carry;

@@ -71,6 +71,14 @@ pub fn bounded(max_memory: Option<u64>) -> Bounded {
     Bounded(context)
 }
 
+/// Fails unless all of this memory was used at some time, and no more. A card's ring for transfers may stay smaller than what is
+/// kept for it.
+pub fn assert_uses_all(context: &Context, bytes: u64) {
+    let peak = context.memory_total().peak_bytes;
+    let kept = if context.memory().iter().any(|arena| arena.name == "staging") { 1 << 18 } else { 0 };
+    assert!(peak <= bytes && peak + kept >= bytes, "all of {bytes}, and no more: {peak}");
+}
+
 impl Deref for Bounded {
     type Target = Context;
 

@@ -3,11 +3,18 @@
 use ashsplat::ash::vk;
 use ashsplat::compose::{Compose, Region};
 use ashsplat::scene::DepthMapping;
-use ashsplat::vk::{Image, ImageUse};
+use ashsplat::vk::{Context, Image, ImageUse};
 
 use crate::common::compose::{IMAGE, OFFSET, SIZE};
 use crate::common::gpu::Gpu;
 use crate::reference::depth_limit::depth_limit;
+
+fn draws(context: &Context) -> bool {
+    let (instance, physical, _, family) = context.handles();
+    // SAFETY: the physical device is of this instance.
+    let families = unsafe { instance.get_physical_device_queue_family_properties(physical) };
+    families[family as usize].queue_flags.contains(vk::QueueFlags::GRAPHICS)
+}
 
 #[test]
 fn depth_limit_equals_its_twin() {
@@ -20,7 +27,13 @@ fn depth_limit_equals_its_twin() {
     let perspectives = [(-9.98, 10.0, 1.0), (9.98, 0.02, 0.0), (10.0, 0.0, 0.0)].map(|m| (m, false));
     // Standard and reversed depth of parallel rays, and a near plane behind the camera.
     let parallel = [(99.5, 0.5, 1.0), (-99.5, 100.0, 0.0), (-20.0, 15.0, 0.0)].map(|m| (m, true));
-    for format in [vk::Format::D32_SFLOAT, vk::Format::R32_SFLOAT] {
+    let mut formats = vec![vk::Format::R32_SFLOAT];
+    // Only a queue that draws may copy depth. Hosts' trials have depth that was drawn.
+    match draws(gpu.context) {
+        true => formats.push(vk::Format::D32_SFLOAT),
+        false => eprintln!("skipped: depth formats: the queue does not draw"),
+    }
+    for format in formats {
         let image = Image::new(gpu.context, "depth", format, IMAGE, ImageUse::Occluder).expect("an image");
         let from = gpu.buffer("texels", &texels);
         for ((scale, offset, clear_value), linear) in perspectives.into_iter().chain(parallel) {

@@ -52,6 +52,7 @@ fn scan_of_more_than_65535_workgroups() {
     let reduce = gpu.kernel(&scan_reduce::Spec { workgroup_size, subgroup_size, items: 4 });
     let reduce: &ashsplat::vk::Kernel<scan_reduce::Interface> = &reduce;
     let spine = gpu.kernel::<scan_spine::Interface>(&scan_spine::Spec {
+        items: 1,
         workgroup_size: gpu.workgroup(256),
         subgroup_size,
     });

@@ -9,9 +9,15 @@ use crate::reference::scan_spine::scan_spine;
 #[test]
 pub fn scan_spine_equals_its_twin() {
     let gpu = Gpu::new();
-    let spec = Spec { workgroup_size: gpu.workgroup(64), subgroup_size: gpu.subgroup() };
+    for items in [1, 4] {
+        check(&gpu, items);
+    }
+}
+
+fn check(gpu: &Gpu, items: u32) {
+    let spec = Spec { workgroup_size: gpu.workgroup(64), subgroup_size: gpu.subgroup(), items };
     let block_size = 24;
-    for size in sizes(spec.workgroup_size as usize) {
+    for size in sizes((spec.workgroup_size * items) as usize) {
         for from_totals in [0, 1] {
             let mut random = Random::new(size as u64);
             // With few sums the total fits into 32 bits, with many it saturates.
@@ -44,8 +50,14 @@ pub fn scan_spine_equals_its_twin() {
 #[test]
 pub fn scan_spine_saturates_exactly_beyond_32_bits() {
     let gpu = Gpu::new();
-    let spec = Spec { workgroup_size: gpu.workgroup(64), subgroup_size: gpu.subgroup() };
-    let far = spec.workgroup_size as usize + 1;
+    for items in [1, 4] {
+        check_saturation(&gpu, items);
+    }
+}
+
+fn check_saturation(gpu: &Gpu, items: u32) {
+    let spec = Spec { workgroup_size: gpu.workgroup(64), subgroup_size: gpu.subgroup(), items };
+    let far = (spec.workgroup_size * items) as usize + 1;
     for (last, place) in [(0, 1), (1, 1), (2, 1), (0, far), (1, far), (2, far), (u32::MAX, far)] {
         let mut sums = vec![0; far + 1];
         sums[0] = u32::MAX - 1;

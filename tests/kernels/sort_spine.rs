@@ -22,7 +22,8 @@ fn check(gpu: &Gpu, whole_rows: bool) {
     let rows = if whole_rows { 1 } else { spec.workgroup_size / spec.subgroup_size };
     let workgroups = u64::from(digits as u32 / rows + 1);
     // Around a round of either form.
-    let of_rows = sizes(spec.workgroup_size as usize).into_iter().chain(sizes(4 * spec.workgroup_size as usize));
+    let of_rows =
+        sizes(spec.workgroup_size as usize).into_iter().chain(sizes(4 * spec.workgroup_size as usize));
     for blocks in of_rows {
         let mut random = Random::new(blocks as u64);
         let rows: Vec<u32> = (0..blocks * digits).map(|_| random.below(1000)).collect();

@@ -201,7 +201,12 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         return capture(arguments, &context, &scene);
     }
     let yardsticks = Yardsticks::measure(&context)?;
-    let iterations = Iterations { measured: arguments.frames(), warmup: arguments.warmup(), timed: true };
+    let iterations = Iterations {
+        measured: arguments.frames(),
+        warmup: arguments.warmup(),
+        timed: true,
+        reads_back: true,
+    };
     let seed = arguments.seed();
     let (copy, blending) = (yardsticks.copy.as_ref(), arguments.form.get());
     let job = frames::Job { context: &context, iterations, copy, scene: &scene, blending, seed };

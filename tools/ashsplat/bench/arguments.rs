@@ -30,7 +30,7 @@ pub struct IterationArguments {
 impl IterationArguments {
     /// Every second one timed command by command.
     pub fn get(self) -> Iterations {
-        Iterations { measured: self.iterations, warmup: self.warmup, timed: true }
+        Iterations { measured: self.iterations, warmup: self.warmup, timed: true, reads_back: true }
     }
 }
 
@@ -93,6 +93,22 @@ pub struct PrimitiveArguments {
     pub output: OutputArguments,
 }
 
+/// Whether frames end on the device.
+#[derive(Args, Clone, Copy)]
+pub struct ReadBackArguments {
+    /// Leave pictures on the device, as in an engine that draws into its own images. To copy a large one to the host and to compose it
+    /// there takes longer than to draw it, and a GPU slows down meanwhile
+    #[arg(long)]
+    pub no_read_back: bool,
+}
+
+impl ReadBackArguments {
+    /// With these iterations.
+    pub fn of(self, iterations: Iterations) -> Iterations {
+        Iterations { reads_back: !self.no_read_back, ..iterations }
+    }
+}
+
 /// `render` and `train-step`.
 #[derive(Args)]
 pub struct FrameArguments {
@@ -100,6 +116,8 @@ pub struct FrameArguments {
     pub scene: SceneArguments,
     #[command(flatten)]
     pub form: FormArguments,
+    #[command(flatten)]
+    pub read_back: ReadBackArguments,
     #[command(flatten)]
     pub iterations: IterationArguments,
     #[command(flatten)]
@@ -111,6 +129,8 @@ pub struct FrameArguments {
 pub struct BlendingArguments {
     #[command(flatten)]
     pub scene: SceneArguments,
+    #[command(flatten)]
+    pub read_back: ReadBackArguments,
     #[command(flatten)]
     pub iterations: IterationArguments,
     #[command(flatten)]
@@ -162,6 +182,8 @@ pub struct AllArguments {
     /// Where its measurements end; each covers a hundred iterations
     #[arg(long, value_name = "N,N,...", value_delimiter = ',', default_values_t = [100], requires = "dataset")]
     pub windows: Vec<u32>,
+    #[command(flatten)]
+    pub read_back: ReadBackArguments,
     #[command(flatten)]
     pub iterations: IterationArguments,
     #[command(flatten)]

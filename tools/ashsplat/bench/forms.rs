@@ -56,7 +56,10 @@ fn kernel(run: &Run) -> Option<(&KernelResult, Spread)> {
 /// One line for each frame that was blended in both forms: what shared memory takes, by what regions take. The two runs of a
 /// frame follow each other.
 pub fn ratios(runs: &[Run]) -> String {
-    let is_of = |run: &Run, form: Blending| run.name.starts_with(&format!("render-{}", name(form)));
+    let is_of = |run: &Run, form: Blending| {
+        let form_first = run.name.strip_prefix("render-").or(run.name.strip_prefix("draw-"));
+        form_first.is_some_and(|rest| rest.starts_with(name(form)))
+    };
     let lines = runs.windows(2).filter_map(|pair| {
         let (regions, shared) = match pair {
             [a, b] if is_of(a, Blending::Regions) && is_of(b, Blending::SharedMemory) => (a, b),

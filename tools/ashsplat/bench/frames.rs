@@ -80,7 +80,20 @@ pub fn result(
     measured.run(context, name, workload, (&traffic, copy))
 }
 
-/// A frame, read back, and how it was measured.
+/// A frame, as a run is called, by whether its picture is read back.
+fn frame_name(iterations: Iterations) -> &'static str {
+    if iterations.reads_back { "render" } else { "draw" }
+}
+
+fn frame(renderer: &mut Renderer, job: &Job, settings: &RenderSettings) -> Result<FrameStats> {
+    let camera = &job.scene.camera;
+    match job.iterations.reads_back {
+        true => renderer.render(camera, settings).map(|frame| frame.stats),
+        false => renderer.draw(camera, settings),
+    }
+}
+
+/// A frame, and how it was measured.
 pub fn render(job: &Job) -> Result<(Run, Measured)> {
     let mut renderer = Renderer::new(job.context)?;
     if let Some(form) = job.blending {
@@ -90,12 +103,15 @@ pub fn render(job: &Job) -> Result<(Run, Measured)> {
     let settings = RenderSettings::default();
     let mut stats = FrameStats::default();
     let iterate = || {
-        stats = renderer.render(&job.scene.camera, &settings)?.stats;
+        stats = frame(&mut renderer, job, &settings)?;
         Ok(())
     };
     let measured = measure(job.context, job.iterations, || Ok(()), iterate)?;
     let workload = job.scene.workload(&settings);
-    Ok((job.rendered("render", (&stats, workload), renderer.blending(), &measured)?, measured))
+    Ok((
+        job.rendered(frame_name(job.iterations), (&stats, workload), renderer.blending(), &measured)?,
+        measured,
+    ))
 }
 
 /// A frame in both forms of blending, in turn, the device's own first: on the same machine at the same time.
@@ -108,27 +124,27 @@ pub fn render_both(job: &Job) -> Result<Vec<Run>> {
     renderer.upload(&job.scene.gaussians)?;
     let settings = RenderSettings::default();
     let mut stats = FrameStats::default();
-    let mut frame = |blending: Blending| {
+    let mut blended = |blending: Blending| {
         renderer.set_blending(blending);
-        stats = renderer.render(&job.scene.camera, &settings)?.stats;
+        stats = frame(&mut renderer, job, &settings)?;
         Ok(())
     };
     job.context.reset_memory_peaks();
     let mut both = Vec::new();
     for form in forms {
-        let measurement = Measurement::begin(job.context, job.iterations, || Ok(()), || frame(form))?;
+        let measurement = Measurement::begin(job.context, job.iterations, || Ok(()), || blended(form))?;
         both.push((form, measurement));
     }
     for round in 0..job.iterations.measured.max(1) {
         // Neither always goes first.
         for turn in [round, round + 1] {
             let (form, measurement) = &mut both[turn as usize % 2];
-            measurement.round(|| Ok(()), || frame(*form))?;
+            measurement.round(|| Ok(()), || blended(*form))?;
         }
     }
     let workload = job.scene.workload(&settings);
     let run = |(form, measurement): (Blending, Measurement)| {
-        let name = format!("render-{}", forms::name(form));
+        let name = format!("{}-{}", frame_name(job.iterations), forms::name(form));
         job.rendered(&name, (&stats, workload.clone()), form, &measurement.end())
     };
     both.into_iter().map(run).collect()

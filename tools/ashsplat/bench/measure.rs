@@ -15,6 +15,8 @@ pub struct Iterations {
     pub warmup: u32,
     /// Whether every second iteration is timed command by command.
     pub timed: bool,
+    /// Whether a frame's picture is read back.
+    pub reads_back: bool,
 }
 
 /// One timed iteration.

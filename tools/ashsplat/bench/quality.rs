@@ -142,8 +142,11 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let program = machine::program();
     let setup = |job: &Job| Setup::new((&data, arguments.points), &job.settings, &context, &program);
     let folder = &arguments.out;
-    let strategies: Vec<String> =
-        jobs.iter().take(arguments.strategies.len() + arguments.presets.len()).map(|job| job.strategy.clone()).collect();
+    let strategies: Vec<String> = jobs
+        .iter()
+        .take(arguments.strategies.len() + arguments.presets.len())
+        .map(|job| job.strategy.clone())
+        .collect();
     let mut done: Vec<Run> = Vec::new();
     for job in &jobs {
         done.extend(runs::read(&runs::file(folder, &job.strategy, job.seed), &setup(job)?)?);

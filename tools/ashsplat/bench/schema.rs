@@ -108,8 +108,8 @@ pub struct ArithmeticRate {
 /// One workload.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Run {
-    /// "scan", "sort", "render", "train-step" or "train"; "render-regions" and "render-shared" where both forms of blending are
-    /// measured.
+    /// "scan", "sort", "render", "draw" (a frame that is not read back), "train-step" or "train"; "render-regions" and
+    /// "render-shared" ("draw-…") where both forms of blending are measured.
     pub name: String,
     pub workload: Workload,
     /// Measured iterations; 0 in files written before it was added.

@@ -47,7 +47,7 @@ pub fn of_sort(arguments: &PrimitiveArguments) -> Vec<Task> {
 /// One scene: synthetic, or what the arguments name.
 pub fn of_frames(arguments: &FrameArguments, train_step: bool) -> Result<Vec<Task>> {
     let scene = Rc::new(arguments.scene.load(train_step, &arguments.output.device.host)?);
-    let (iterations, form) = (arguments.iterations.get(), arguments.form.get());
+    let (iterations, form) = (arguments.read_back.of(arguments.iterations.get()), arguments.form.get());
     let task = if train_step { Task::TrainStep } else { Task::Render };
     Ok(vec![task(scene, iterations, form)])
 }
@@ -55,7 +55,7 @@ pub fn of_frames(arguments: &FrameArguments, train_step: bool) -> Result<Vec<Tas
 /// One scene in both forms of blending.
 pub fn of_blending(arguments: &BlendingArguments) -> Result<Vec<Task>> {
     let scene = arguments.scene.load(false, &arguments.output.device.host)?;
-    Ok(vec![Task::RenderBoth(Rc::new(scene), arguments.iterations.get())])
+    Ok(vec![Task::RenderBoth(Rc::new(scene), arguments.read_back.of(arguments.iterations.get()))])
 }
 
 /// Training of a data set.
@@ -79,7 +79,8 @@ pub fn of_all(arguments: &AllArguments, is_slow: bool) -> Result<Vec<Task>> {
     };
     arguments.frames.iter().try_for_each(|size| of_size(size).check())?;
     let synthetic = Rc::new(own.load()?);
-    let (few, iterations) = (arguments.elements.div_ceil(4), arguments.iterations.get());
+    let (few, iterations) =
+        (arguments.elements.div_ceil(4), arguments.read_back.of(arguments.iterations.get()));
     // So few pairs that timing each command would show, where a timestamp ends a batch of the driver's work.
     let smaller = Iterations { timed: !is_slow, ..iterations };
     let mut tasks = vec![

@@ -13,7 +13,8 @@ use std::path::Path;
 /// Iterations of a window. Every second one is timed kernel by kernel, the others not at all.
 const WINDOW: u32 = 100;
 /// One step goes before them, in which the profile's own memory is made.
-pub const ITERATIONS: Iterations = Iterations { measured: (WINDOW - 1) / 2, warmup: 0, timed: true };
+pub const ITERATIONS: Iterations =
+    Iterations { measured: (WINDOW - 1) / 2, warmup: 0, timed: true, reads_back: true };
 
 /// A data set that is trained with the reference's settings, every eighth view held out.
 pub struct Training {
