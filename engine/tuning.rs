@@ -81,6 +81,8 @@ pub struct Tuning {
     pub heavy_blending: bool,
     /// How keys are sorted.
     pub sort_method: SortMethod,
+    /// Keys of one invocation of a sort by matching.
+    pub sort_items: u32,
     /// Values of one invocation of a prefix sum; read in fours.
     pub scan_items: u32,
     /// Workgroup of a prefix sum.
@@ -97,6 +99,8 @@ pub struct Tuning {
     pub region_pixels: u32,
     /// Whether Gaussians are handed over a subgroup by broadcasts, in place of shuffles (splat_shuffle.glsl).
     pub broadcasts: bool,
+    /// Whether they are handed over in shared memory instead, where a kernel's region is a subgroup's own.
+    pub shared_splats: bool,
     /// Pixels of an invocation of a tile that is blended from shared memory: a column of them.
     pub shared_tile_pixels: u32,
     /// Strands of interleaved rows of tiles, a power of two (tile_order.glsl); 1: row by row.
@@ -133,6 +137,7 @@ impl Tuning {
         heavy_lanes: None,
         heavy_blending: false,
         sort_method: SortMethod::Serial,
+        sort_items: 16,
         // Few invocations without barriers.
         scan_items: 256,
         scan_workgroup: WorkgroupRule::Subgroup,
@@ -146,6 +151,7 @@ impl Tuning {
         // Registers are memory anyway.
         region_pixels: 16,
         broadcasts: false,
+        shared_splats: false,
         // Each column has a chain of opacities.
         shared_tile_pixels: 8,
         tile_row_interleave: 16,
@@ -163,13 +169,15 @@ impl Tuning {
         is_slow: true,
     };
 
-    /// By the structure of the kernels: no GPU has been measured yet.
+    /// By the structure of the kernels and estimates of compilers; by times where an H100 is named (tools/experiments.md). No other
+    /// GPU has been measured.
     pub const GPU: Self = Self {
         backend: Backend::Gpu,
         lanes: None,
         heavy_lanes: None,
         heavy_blending: false,
         sort_method: SortMethod::Matching,
+        sort_items: 16,
         scan_items: 4,
         scan_workgroup: WorkgroupRule::Elementwise,
         // Rounds follow one another.
@@ -181,6 +189,7 @@ impl Tuning {
         region_pixels: 2,
         // Up to a seventh fewer estimated cycles on Intel, the same code on AMD and NVK.
         broadcasts: true,
+        shared_splats: false,
         shared_tile_pixels: 1,
         tile_row_interleave: 1,
         // exp2 is one instruction.
@@ -201,18 +210,30 @@ impl Tuning {
 
     /// Its registers hold 16 lanes of most kernels, 32 of few, and 8 of the heaviest (tools/gpu_static.md). Xe2 has twice the
     /// registers and no 8 lanes; at 32 it spills in three kernels, at 16 in none. Two pixels in a row of the loss spill on some.
-    pub const INTEL: Self =
-        Self { lanes: Some(16), heavy_lanes: Some(8), heavy_blending: true, loss_strip: 1, ..Self::GPU };
+    pub const INTEL: Self = Self {
+        lanes: Some(16),
+        heavy_lanes: Some(8),
+        heavy_blending: true,
+        // Keys and their places are kept in registers.
+        sort_items: 8,
+        loss_strip: 1,
+        ..Self::GPU
+    };
 
     /// 64 lanes, the driver's size, take fewer estimated cycles per Gaussian in most kernels of RDNA. In the heaviest they take 1.2
     /// to 1.9 times as many as 32, per pixel or Gaussian (tools/gpu_static.md). GCN has 64 only.
-    pub const AMD: Self = Self { heavy_lanes: Some(32), heavy_blending: true, ..Self::GPU };
+    /// With 16 keys of a sort per invocation half as many subgroups fit as with 8.
+    pub const AMD: Self = Self { heavy_lanes: Some(32), heavy_blending: true, sort_items: 8, ..Self::GPU };
+
+    /// Measured on an H100 (tools/experiments.md).
+    pub const NVIDIA: Self = Self { shared_splats: true, ..Self::GPU };
 
     /// The row of a device that is no processor, by the PCI id of its vendor.
     pub(crate) const fn of_vendor(vendor: u32) -> &'static Self {
         match vendor {
             0x1002 => &Self::AMD,
             0x8086 => &Self::INTEL,
+            0x10DE => &Self::NVIDIA,
             _ => &Self::GPU,
         }
     }

@@ -31,12 +31,13 @@ impl Blending {
     pub const ALL: [Self; 2] = [Self::Regions, Self::SharedMemory];
 
     /// The measurements, each by `ashsplat bench blending` with its default scene (300,000 Gaussians at
-    /// 1920×1080). The guide's chapter `measuring`, "Two forms of blending", names the machines. Add a row for each
+    /// 1920×1080; of GPUs 1,100,000). The guide's chapter `measuring`, "Two forms of blending", names the machines. Add a row for each
     /// device that is measured.
     pub const MEASURED: &[BlendMeasurement] = &[
         BlendMeasurement { backend: Backend::Processor, subgroup_size: 4, shared_over_regions: 2.54 },
         BlendMeasurement { backend: Backend::Processor, subgroup_size: 8, shared_over_regions: 3.91 },
         BlendMeasurement { backend: Backend::Processor, subgroup_size: 16, shared_over_regions: 1.74 },
+        BlendMeasurement { backend: Backend::Gpu, subgroup_size: 32, shared_over_regions: 2.06 },
     ];
 
     /// The form for a device: the faster one in [`Blending::MEASURED`], see [`Blending::by`].

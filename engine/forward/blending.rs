@@ -223,7 +223,7 @@ impl Blend {
         }
         let BlendVariant { inverse_depth, linear_depth, depth_limit, steep, pick, motion, .. } = wanted;
         let (variant, strips) = (wanted.index(sizes), wanted.strips(sizes));
-        let broadcast = context.limits().broadcasts;
+        let (broadcast, shared_splats) = (context.limits().broadcasts, context.limits().tuning.shared_splats);
         let LaunchSizes { tile_shared, incremental_exp, regions_per_subgroup, .. } = *sizes;
         let incremental_exp = incremental_exp && !steep;
         let count_hits = false;
@@ -241,6 +241,7 @@ impl Blend {
                     strips,
                     region_height: $shape.region_height,
                     broadcast,
+                    shared_splats,
                     $($auxiliary,)*
                 }
             };

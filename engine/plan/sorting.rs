@@ -7,8 +7,6 @@ use crate::vk::Limits;
 
 /// Subgroups per sorting workgroup. Each has its own histogram in shared memory.
 const SORT_SUBGROUPS: u32 = 8;
-/// Keys per invocation of a sort by matching.
-const SORT_ITEMS: u32 = 16;
 /// Keys per invocation of a serial sort: enough keys that the run's own histogram costs little, few enough
 /// that the cache holds what a subgroup writes.
 const SORT_RUN: u32 = 1024;
@@ -34,7 +32,10 @@ pub(super) fn shape(
     match method {
         SortMethod::Matching => {
             let preferred = size("sort", "WORKGROUP_SIZE", SORT_SUBGROUPS * limits.subgroup_size);
-            (limits.workgroup_size(preferred.min(elementwise)), size("sort", "ITEMS", SORT_ITEMS))
+            (
+                limits.workgroup_size(preferred.min(elementwise)),
+                size("sort", "ITEMS", limits.tuning.sort_items),
+            )
         }
         // Keys are read in fours.
         SortMethod::Serial => (limits.subgroup_size, size("sort", "ITEMS", SORT_RUN).max(4)),

@@ -47,6 +47,8 @@ layout(constant_id = 7) const bool WEIGHTS = false;
 layout(constant_id = 8) const uint REGION_HEIGHT = 8;
 // See splat_shuffle.glsl.
 layout(constant_id = 9) const bool BROADCAST = false;
+// On an H100 shared memory takes 1.02 times as long: this kernel has enough to do for each splat.
+const bool SHARED_SPLATS = false;
 layout(local_size_x_id = 0) in;
 
 #define OWN_REGIONS 1
@@ -162,7 +164,7 @@ void main() {
                 if (bits != 0) for (;;) {
                     uint lane = findLSB(bits) + 32 * word;
                     bits &= bits - 1;
-                    Splat splat = shuffled(own, lane);
+                    Splat splat = handed(own, lane);
                     uint place = batch + step * SUBGROUP_SIZE + lane + 1;
                     Sums sums = blend_backward(splat, place, corner_px, 0);
                     uint base = ((step * SUBGROUP_SIZE + lane) * REGIONS + gl_SubgroupID) * SUMS;

@@ -34,6 +34,7 @@ layout(local_size_x_id = 0) in;
 
 const uint REGION_HEIGHT = SUBGROUP_SIZE <= 64 ? 8 : 16;
 const bool BROADCAST = false;
+const bool SHARED_SPLATS = false;
 
 #define OWN_REGIONS 4
 #include "blend_gradient.glsl"
@@ -70,7 +71,7 @@ void blend_region(Splat own, vec4 mean2d, bool exists, uvec2 origin, uint batch,
         if (bits != 0) for (;;) {
             uint lane = findLSB(bits) + 32 * word;
             bits &= bits - 1;
-            Splat splat = shuffled(own, lane);
+            Splat splat = handed(own, lane);
             Sums sums = blend_backward(splat, batch + lane + 1, corner_px, first);
             bool mine = gl_SubgroupInvocationID == lane;
             add_if(mine, own_sums.value.x, sums.value.x);

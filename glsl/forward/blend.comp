@@ -9,7 +9,7 @@
 // in: tile_ranges, sorted_visible, PerVisible attributes; with DEPTH_LIMIT, PerPixel: depth_limits
 // out, PerPixel: accumulated (r, g, b without background, T) or, with STRIPS, composited; inverse_depth, last_entries
 //     (1 + list index of the last blended entry of the tile, 0 if none); state[STATE_LONGEST_TILE]
-// shared: none; subgroup sizes 4 to 128
+// shared: see splat_shuffle.glsl; subgroup sizes 4 to 128
 //
 // A pass handles entries [first_entry, first_entry + max_entries) of each tile. With first_entry > 0 it continues where the
 // previous pass stopped: drivers that limit the iterations of an invocation need several passes for very long tiles. Frames
@@ -45,6 +45,7 @@ layout(constant_id = 8) const bool STRIPS = false;
 layout(constant_id = 9) const uint REGION_HEIGHT = 8;
 // See splat_shuffle.glsl.
 layout(constant_id = 10) const bool BROADCAST = false;
+layout(constant_id = 13) const bool SHARED_SPLATS = false;
 #ifdef AUXILIARY
 // See blend_auxiliary.glsl.
 layout(constant_id = 11) const bool PICK = false;
@@ -83,7 +84,7 @@ void blend_region(Splat own, vec4 mean2d, bool exists, uvec2 origin, uint batch,
         if (bits != 0) for (;;) {
             uint lane = findLSB(bits) + 32 * word;
             bits &= bits - 1;
-            Splat splat = shuffled(own, lane);
+            Splat splat = handed(own, lane);
 #ifdef AUXILIARY
             vec2 motion = MOTION ? vec2(lane_value(own_motion.x, lane), lane_value(own_motion.y, lane)) : vec2(0.0);
 #endif
@@ -164,6 +165,7 @@ void main() {
         vec4 conic = VEC4_AT(conic_opacity, splat_at(visible, SPLAT_CONIC_OPACITY));
         vec4 shade = VEC4_AT(color_inverse_depth, splat_at(visible, SPLAT_COLOR_INVERSE_DEPTH));
         Splat own = splat_of(mean2d.xy, conic, shade);
+        hand_over(own);
 #ifdef AUXILIARY
         own_motion = MOTION ? VEC2_AT(motions, visible) : vec2(0.0);
 #endif

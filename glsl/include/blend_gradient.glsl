@@ -3,7 +3,7 @@
 // derivative.
 //
 // Needs constants.glsl, buffers.glsl, SUBGROUP_SIZE, REGION_HEIGHT, INVERSE_DEPTH, INCREMENTAL_EXP, COUNT_HITS, STRIPS (see
-// blend_io.glsl), ABSOLUTE, WEIGHTS (see blend_backward.comp), BROADCAST, OWN_REGIONS: in how many regions a lane has pixels at most,
+// blend_io.glsl), ABSOLUTE, WEIGHTS (see blend_backward.comp), BROADCAST, SHARED_SPLATS, OWN_REGIONS: in how many regions a lane has pixels at most,
 // GL_KHR_shader_subgroup_basic, _ballot and _shuffle.
 
 // Training draws splats only, with inverse depth: no host depth image, no linear depth.

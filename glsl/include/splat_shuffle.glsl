@@ -1,12 +1,46 @@
 // Reads the splat of another lane, the same lane for the whole subgroup.
-// Needs blending.glsl, BROADCAST, GL_KHR_shader_subgroup_ballot and _shuffle.
+// Needs blending.glsl, WORKGROUP_SIZE, SUBGROUP_SIZE, BROADCAST, SHARED_SPLATS, GL_KHR_shader_subgroup_ballot and _shuffle.
+//
+// shared: with SHARED_SPLATS three vec4 per invocation
+
+// With SHARED_SPLATS. A literal for the same reason as MAX_COLUMN_ROWS.
+const uint SPLAT_WORDS = 3;
+shared vec4 shared_splats[SHARED_SPLATS ? SPLAT_WORDS * WORKGROUP_SIZE : 1];
 
 // Intel's compiler takes a broadcast for a scalar, a shuffle for a gather. llvmpipe takes a fifth longer for the former.
 float lane_value(float value, uint lane) {
     return BROADCAST ? subgroupBroadcast(value, lane) : subgroupShuffle(value, lane);
 }
 
-Splat shuffled(Splat splat, uint lane) {
+// Where a lane's splat begins; its words are SUBGROUP_SIZE apart.
+uint shared_place(uint lane) {
+    return gl_SubgroupID * SPLAT_WORDS * SUBGROUP_SIZE + lane;
+}
+
+// All lanes of a subgroup must call it before they read the splats of a batch. With SHARED_SPLATS it puts them where a read takes
+// four numbers at once: an NVIDIA multiprocessor does as many of those per clock as shuffles of one number.
+void hand_over(Splat splat) {
+    if (SHARED_SPLATS) {
+        uint place = shared_place(gl_SubgroupInvocationID);
+        // Until now those of the batch before may be read.
+        subgroupMemoryBarrierShared();
+        subgroupBarrier();
+        shared_splats[place] = vec4(splat.mean, splat.form.xy);
+        shared_splats[place + SUBGROUP_SIZE] = vec4(splat.form.z, splat.opacity, splat.inverse_z, splat.curvature);
+        shared_splats[place + 2 * SUBGROUP_SIZE] = vec4(splat.rgb, 0.0);
+        subgroupMemoryBarrierShared();
+        subgroupBarrier();
+    }
+}
+
+Splat handed(Splat splat, uint lane) {
+    if (SHARED_SPLATS) {
+        uint place = shared_place(lane);
+        vec4 a = shared_splats[place];
+        vec4 b = shared_splats[place + SUBGROUP_SIZE];
+        vec4 c = shared_splats[place + 2 * SUBGROUP_SIZE];
+        return Splat(a.xy, vec3(a.zw, b.x), b.y, c.xyz, b.z, b.w);
+    }
     return Splat(
         vec2(lane_value(splat.mean.x, lane), lane_value(splat.mean.y, lane)),
         vec3(lane_value(splat.form.x, lane), lane_value(splat.form.y, lane), lane_value(splat.form.z, lane)),

@@ -116,6 +116,8 @@ pub struct How {
     pub entries_per_pass: u32,
     /// REGION_HEIGHT: 4 in place of 8, where a subgroup is not higher. And BROADCAST.
     pub low_regions: bool,
+    /// SHARED_SPLATS.
+    pub shares: bool,
     /// STRIPS: pictures and gradients are planes in strips.
     pub strips: bool,
     pub sums: OtherSums,
@@ -139,6 +141,7 @@ pub const CHAINED: How = How {
     parts: 1,
     entries_per_pass: u32::MAX,
     low_regions: false,
+    shares: false,
     strips: false,
     sums: OtherSums::None,
 };
@@ -146,6 +149,8 @@ pub const CHAINED: How = How {
 pub const UNCHAINED: How = How { incremental_exp: false, ..CHAINED };
 /// The same with low regions.
 pub const LOW: How = How { low_regions: true, ..UNCHAINED };
+/// With splats in shared memory.
+pub const SHARED: How = How { shares: true, ..UNCHAINED };
 /// Chained, with planes in strips.
 pub const IN_STRIPS: How = How { strips: true, ..CHAINED };
 
@@ -153,8 +158,8 @@ pub const IN_STRIPS: How = How { strips: true, ..CHAINED };
 pub fn forms(gpu: &Gpu) -> Vec<How> {
     let in_strips = if has_strips(gpu) { vec![IN_STRIPS] } else { Vec::new() };
     match gpu.is_interpreted() {
-        true => vec![LOW],
-        false => [vec![UNCHAINED, CHAINED, LOW], in_strips].concat(),
+        true => vec![LOW, SHARED],
+        false => [vec![UNCHAINED, CHAINED, LOW, SHARED], in_strips].concat(),
     }
 }
 
@@ -184,6 +189,7 @@ pub fn forward_limited(
         strips,
         region_height: region_height(gpu, how),
         broadcast: how.low_regions,
+        shared_splats: how.shares,
     };
     blend_lists!(gpu, lists, blend, spec, entries_per_pass, limits)
 }
@@ -249,6 +255,7 @@ pub fn forward_auxiliary(
                 regions_per_subgroup: parts,
                 region_height: region_height(gpu, how),
                 broadcast: how.low_regions,
+                shared_splats: how.shares,
                 pick,
                 motion,
                 ..blend_auxiliary::Spec::default()

@@ -4,7 +4,9 @@ use ashsplat::kernels::constants::{STATE_LONGEST_TILE, STATE_OVERFLOW, STATE_WOR
 use ashsplat::kernels::forward::blend::{Bind, Interface, Push, Spec};
 use ashsplat::plan::LaunchSizes;
 
-use crate::common::blending::{CHAINED, How, LOW, UNCHAINED, forms, forward, forward_limited, strips_of};
+use crate::common::blending::{
+    CHAINED, How, LOW, SHARED, UNCHAINED, forms, forward, forward_limited, strips_of,
+};
 use crate::common::compare::{PixelTolerance, pixels};
 use crate::common::gpu::{Gpu, UNTOUCHED};
 use crate::common::scenes::small_view;
@@ -345,4 +347,5 @@ pub fn blend_of_several_regions_per_subgroup_is_the_same() {
     }
     // Nor does their height, where opacities do not follow from one another.
     assert!(words(LOW) == words(UNCHAINED), "low regions");
+    assert!(words(SHARED) == words(UNCHAINED), "splats in shared memory");
 }

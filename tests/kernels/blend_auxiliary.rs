@@ -2,7 +2,7 @@
 
 use ashsplat::vk::Buffer;
 
-use crate::common::blending::{Beside, CHAINED, How, LOW, UNCHAINED, forward, forward_auxiliary};
+use crate::common::blending::{Beside, CHAINED, How, LOW, SHARED, UNCHAINED, forward, forward_auxiliary};
 use crate::common::gpu::{Gpu, UNTOUCHED};
 use crate::common::scenes::small_view;
 use crate::common::tiles::Lists;
@@ -104,7 +104,7 @@ pub fn check_ties(gpu: &Gpu, how: How, shared: Option<u32>) {
 #[test]
 fn blend_auxiliary_picks_the_nearest_of_equal_weights() {
     let gpu = Gpu::new();
-    for how in [CHAINED, UNCHAINED, LOW, How { entries_per_pass: 2, ..CHAINED }] {
+    for how in [CHAINED, UNCHAINED, LOW, SHARED, How { entries_per_pass: 2, ..CHAINED }] {
         check_ties(&gpu, how, None);
     }
 }
@@ -112,7 +112,7 @@ fn blend_auxiliary_picks_the_nearest_of_equal_weights() {
 #[test]
 fn blend_auxiliary_equals_its_twin() {
     let gpu = Gpu::new();
-    for how in [CHAINED, UNCHAINED, LOW] {
+    for how in [CHAINED, UNCHAINED, LOW, SHARED] {
         for entries in [0, 33, 300] {
             check(&gpu, &Lists::long(&gpu, entries, [0.02, 0.6], &small_view([37, 21])), how, None);
         }

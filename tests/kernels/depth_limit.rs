@@ -3,18 +3,11 @@
 use ashsplat::ash::vk;
 use ashsplat::compose::{Compose, Region};
 use ashsplat::scene::DepthMapping;
-use ashsplat::vk::{Context, Image, ImageUse};
+use ashsplat::vk::{Image, ImageUse};
 
 use crate::common::compose::{IMAGE, OFFSET, SIZE};
 use crate::common::gpu::Gpu;
 use crate::reference::depth_limit::depth_limit;
-
-fn draws(context: &Context) -> bool {
-    let (instance, physical, _, family) = context.handles();
-    // SAFETY: the physical device is of this instance.
-    let families = unsafe { instance.get_physical_device_queue_family_properties(physical) };
-    families[family as usize].queue_flags.contains(vk::QueueFlags::GRAPHICS)
-}
 
 #[test]
 fn depth_limit_equals_its_twin() {
@@ -29,7 +22,7 @@ fn depth_limit_equals_its_twin() {
     let parallel = [(99.5, 0.5, 1.0), (-99.5, 100.0, 0.0), (-20.0, 15.0, 0.0)].map(|m| (m, true));
     let mut formats = vec![vk::Format::R32_SFLOAT];
     // Only a queue that draws may copy depth. Hosts' trials have depth that was drawn.
-    match draws(gpu.context) {
+    match gpu.context.draws() {
         true => formats.push(vk::Format::D32_SFLOAT),
         false => eprintln!("skipped: depth formats: the queue does not draw"),
     }
