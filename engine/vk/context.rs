@@ -11,6 +11,7 @@ use super::open_device::Device;
 use super::profile::{self, Profile};
 use super::staging::Staging;
 use crate::{Error, Result};
+use ash::vk;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError, Weak};
 
@@ -86,6 +87,16 @@ impl Context {
     /// The driver's description of the device. Its limits are without the changes of the options.
     pub fn description(&self) -> &DeviceDescription {
         &self.device.description
+    }
+
+    /// Whether the queue can draw as well (VK_QUEUE_GRAPHICS_BIT): only then may depth images be copied on it.
+    pub fn draws(&self) -> bool {
+        let inner = &self.device;
+        // SAFETY: the physical device is of this instance.
+        let families =
+            unsafe { inner.owner.instance().get_physical_device_queue_family_properties(inner.physical) };
+        let own = families.get(inner.queue_family as usize);
+        own.is_some_and(|family| family.queue_flags.contains(vk::QueueFlags::GRAPHICS))
     }
 
     /// All warnings and errors of the validation layers so far. Empty without

@@ -1,6 +1,5 @@
 //! Which of a device's queue families the engine's work goes to.
 
-use super::context::Context;
 use ash::vk;
 
 /// Families with compute, by place.
@@ -32,18 +31,6 @@ pub(super) fn compute_families(families: &[vk::QueueFamilyProperties]) -> Option
     };
     let copying = families.iter().position(only_copies).map(|index| index as u32);
     Some(ComputeFamilies { alone: alone as u32, presenting: presenting as u32, timed, copying })
-}
-
-impl Context {
-    /// Whether the queue can draw as well (VK_QUEUE_GRAPHICS_BIT): only then may depth images be copied on it.
-    pub fn draws(&self) -> bool {
-        let inner = &self.device;
-        // SAFETY: the physical device is of this instance.
-        let families =
-            unsafe { inner.owner.instance().get_physical_device_queue_family_properties(inner.physical) };
-        let own = families.get(inner.queue_family as usize);
-        own.is_some_and(|family| family.queue_flags.contains(vk::QueueFlags::GRAPHICS))
-    }
 }
 
 #[cfg(test)]
