@@ -177,7 +177,8 @@ impl Tuning {
         heavy_lanes: None,
         heavy_blending: false,
         sort_method: SortMethod::Matching,
-        sort_items: 16,
+        // Keys and their places are kept in registers, and a block of pairs in shared memory.
+        sort_items: 8,
         scan_items: 4,
         scan_workgroup: WorkgroupRule::Elementwise,
         // Rounds follow one another.
@@ -210,23 +211,15 @@ impl Tuning {
 
     /// Its registers hold 16 lanes of most kernels, 32 of few, and 8 of the heaviest (tools/gpu_static.md). Xe2 has twice the
     /// registers and no 8 lanes; at 32 it spills in three kernels, at 16 in none. Two pixels in a row of the loss spill on some.
-    pub const INTEL: Self = Self {
-        lanes: Some(16),
-        heavy_lanes: Some(8),
-        heavy_blending: true,
-        // Keys and their places are kept in registers.
-        sort_items: 8,
-        loss_strip: 1,
-        ..Self::GPU
-    };
+    pub const INTEL: Self =
+        Self { lanes: Some(16), heavy_lanes: Some(8), heavy_blending: true, loss_strip: 1, ..Self::GPU };
 
     /// 64 lanes, the driver's size, take fewer estimated cycles per Gaussian in most kernels of RDNA. In the heaviest they take 1.2
     /// to 1.9 times as many as 32, per pixel or Gaussian (tools/gpu_static.md). GCN has 64 only.
-    /// With 16 keys of a sort per invocation half as many subgroups fit as with 8.
-    pub const AMD: Self = Self { heavy_lanes: Some(32), heavy_blending: true, sort_items: 8, ..Self::GPU };
+    pub const AMD: Self = Self { heavy_lanes: Some(32), heavy_blending: true, ..Self::GPU };
 
     /// Measured on an H100 (tools/experiments.md).
-    pub const NVIDIA: Self = Self { shared_splats: true, ..Self::GPU };
+    pub const NVIDIA: Self = Self { sort_items: 16, shared_splats: true, ..Self::GPU };
 
     /// The row of a device that is no processor, by the PCI id of its vendor.
     pub(crate) const fn of_vendor(vendor: u32) -> &'static Self {

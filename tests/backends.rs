@@ -1,9 +1,10 @@
 //! Both rows of the tuning table on the device at hand: a GPU's kernels on a software driver, and the other way round.
 
-use ashsplat::plan::LaunchSizes;
+use ashsplat::kernels::sort::sort_downsweep;
+use ashsplat::plan::{LaunchSizes, SortMethod};
 use ashsplat::trainer::{StrategyType, Trainer};
 use ashsplat::tuning::{Backend, Tuning};
-use ashsplat::vk::{Context, ContextOptions, LimitsOverride, Requirements, SpecOverride};
+use ashsplat::vk::{Context, ContextOptions, KernelInterface, LimitsOverride, Requirements, SpecOverride};
 use ashsplat::{RenderSettings, Renderer, TrainSettings};
 
 use crate::checkpoints::{start, views};
@@ -71,9 +72,19 @@ fn backends_train_alike() {
 /// views (`multi_step`) are not among them: this driver rounds them otherwise in a loop.
 #[test]
 fn backends_of_both_kinds_of_loops_have_the_same_bits() {
+    compare_switched("SH_LOOPS");
+}
+
+#[test]
+fn backends_that_share_splats_have_the_same_bits() {
+    compare_switched("SHARED_SPLATS");
+}
+
+/// Pictures and trainings with a constant of kernels off and on.
+fn compare_switched(constant: &str) {
     let _gpu = Gpu::new();
-    let loops = |on: bool| {
-        let constant = "SH_LOOPS".to_owned();
+    let switched = |on: bool| {
+        let constant = constant.to_owned();
         context_with(vec![SpecOverride { kernel: String::new(), constant, bits: on.into() }])
     };
     let scene = gaussians(&mixed_scene(&mut Random::new(6), 300, 16));
@@ -88,8 +99,8 @@ fn backends_of_both_kinds_of_loops_have_the_same_bits() {
             pose_opt,
             ..TrainSettings::of_strategy(strategy)
         };
-        let [unrolled, looped] = [false, true].map(|on| {
-            let context = loops(on);
+        let [off, on] = [false, true].map(|on| {
+            let context = switched(on);
             let mut renderer = Renderer::new(&context).expect("kernels");
             renderer.upload(&scene).expect("a scene");
             let frame = renderer.render(&camera(&small_view([67, 43])), &RenderSettings::default());
@@ -99,8 +110,8 @@ fn backends_of_both_kinds_of_loops_have_the_same_bits() {
             assert_silent(&context);
             (frame.expect("a picture").color, trainer.checkpoint().expect("a state").fingerprint())
         });
-        assert!(unrolled.0.iter().flatten().any(|&x| x > 0.1), "the picture is black");
-        assert!(unrolled == looped, "{strategy:?}: other bits");
+        assert!(off.0.iter().flatten().any(|&x| x > 0.1), "the picture is black");
+        assert!(off == on, "{constant}, {strategy:?}: other bits");
     }
 }
 
@@ -140,16 +151,30 @@ fn backends_choose_the_lanes_that_blend() {
 /// The workgroups of tiles are no larger than what is asked of a device with such subgroups; more than 32 take more.
 #[test]
 fn backends_fit_into_the_workgroups_that_are_asked_of_devices() {
-    for tuning in [&Tuning::PROCESSOR, &Tuning::GPU, &Tuning::INTEL, &Tuning::AMD] {
+    for tuning in [&Tuning::PROCESSOR, &Tuning::GPU, &Tuning::INTEL, &Tuning::AMD, &Tuning::NVIDIA] {
         for lanes in [4, 8, 16, 32, 64, 128] {
             let mut limits = Gpu::new().context.limits().clone();
             let least = Requirements::workgroup_invocations(lanes);
             limits.tuning = tuning;
             limits.max_workgroup_invocations = least;
+            limits.shared_memory_bytes = Requirements::LEAST_SHARED_MEMORY;
             [limits.subgroup_size, limits.heavy_subgroup_size] = [lanes; 2];
             let sizes = LaunchSizes::new(&limits);
             let tiles = [sizes.blend, sizes.blend_auxiliary, sizes.blend_backward].map(|shape| shape.tile);
             assert!(tiles.iter().all(|tile| *tile <= least), "{:?}, {lanes}: {tiles:?}", tuning.backend);
+            let sort = sort_downsweep::Spec {
+                workgroup_size: sizes.sort_workgroup,
+                subgroup_size: lanes,
+                items: sizes.sort_items,
+                identity_values: false,
+            };
+            let shared = sort_downsweep::Interface::shared_bytes(&sort);
+            let sorts = sizes.sort_method == SortMethod::Serial || shared <= limits.shared_memory_bytes;
+            assert!(
+                sorts && sizes.sort_items > 1,
+                "{lanes} lanes: {shared} bytes, {} keys",
+                sizes.sort_items
+            );
         }
     }
     assert_eq!([32, 64].map(Requirements::workgroup_invocations), [128, 256]);

@@ -2,8 +2,9 @@
 
 use super::{LaunchSizes, blocks};
 use crate::kernels::constants::SORT_BINS;
+use crate::kernels::sort::sort_downsweep;
 use crate::tuning::SortMethod;
-use crate::vk::Limits;
+use crate::vk::{KernelInterface, Limits};
 
 /// Subgroups per sorting workgroup. Each has its own histogram in shared memory.
 const SORT_SUBGROUPS: u32 = 8;
@@ -32,10 +33,20 @@ pub(super) fn shape(
     match method {
         SortMethod::Matching => {
             let preferred = size("sort", "WORKGROUP_SIZE", SORT_SUBGROUPS * limits.subgroup_size);
-            (
-                limits.workgroup_size(preferred.min(elementwise)),
-                size("sort", "ITEMS", limits.tuning.sort_items),
-            )
+            let workgroup_size = limits.workgroup_size(preferred.min(elementwise));
+            let fits = |items: &u32| {
+                let spec = sort_downsweep::Spec {
+                    workgroup_size,
+                    subgroup_size: limits.subgroup_size,
+                    items: *items,
+                    ..sort_downsweep::Spec::default()
+                };
+                sort_downsweep::Interface::shared_bytes(&spec) <= limits.shared_memory_bytes
+            };
+            let wanted = size("sort", "ITEMS", limits.tuning.sort_items);
+            let items =
+                std::iter::successors(Some(wanted), |items| (*items > 1).then(|| items / 2)).find(fits);
+            (workgroup_size, items.unwrap_or(1))
         }
         // Keys are read in fours.
         SortMethod::Serial => (limits.subgroup_size, size("sort", "ITEMS", SORT_RUN).max(4)),

@@ -92,7 +92,7 @@ pub fn is_yardstick(kernel: &str) -> bool {
 
 /// Constants that the host uses to count workgroups and to choose kernels. It sets them itself (from
 /// [`Limits::overridden`]), so that shader and host cannot differ.
-pub(super) const CHOSEN_BY_HOST: [&str; 13] = [
+pub(super) const CHOSEN_BY_HOST: [&str; 14] = [
     "WORKGROUP_SIZE",
     "SUBGROUP_SIZE",
     "ITEMS",
@@ -106,6 +106,7 @@ pub(super) const CHOSEN_BY_HOST: [&str; 13] = [
     "STRIDE",
     "ROWS",
     "UNSEEN",
+    "WHOLE_ROWS",
 ];
 
 impl Limits {

@@ -112,7 +112,7 @@ pub(super) const SUBGROUP_OPERATIONS: [(vk::SubgroupFeatureFlags, &str); 6] = [
 /// Least values of limits.
 pub(super) const LEAST_LIMITS: [(&str, u64); 4] = [
     ("maxComputeWorkGroupInvocations", 128),
-    ("maxComputeSharedMemorySize", 16_384),
+    ("maxComputeSharedMemorySize", Requirements::LEAST_SHARED_MEMORY as u64),
     ("maxPushConstantsSize", 128),
     ("maxPerStageDescriptorStorageBuffers", BUFFERS as u64),
 ];
@@ -189,6 +189,9 @@ pub struct Requirements {
 }
 
 impl Requirements {
+    /// The maxComputeSharedMemorySize that a device has at least, bytes.
+    pub const LEAST_SHARED_MEMORY: u32 = 16_384;
+
     /// The maxComputeWorkGroupInvocations that kernels with subgroups of this size need: several subgroups share a workgroup,
     /// two of them at least where they are large.
     pub fn workgroup_invocations(subgroup_size: u32) -> u32 {

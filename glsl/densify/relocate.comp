@@ -36,8 +36,8 @@ const float STEP = 0.25;
 const uint STEPS = 24;
 const float TWO_OVER_SQRT_PI = 1.1283791670955126;
 
-// log(1 + x) = 2 artanh(x / (2 + x)), without cancellation near 0. GPUs' logarithms are exact to 2^-21 near 1, whatever its logarithm
-// is, so the series reaches far.
+// log(1 + x) = 2 artanh(x / (2 + x)), without cancellation near 0. Between 0.5 and 2 a GPU's logarithm may be off by 2^-21,
+// however small it is, so the series reaches far.
 float log1p(float x) {
     float s = x / (2.0 + x);
     float q = s * s;

@@ -4,7 +4,7 @@
 // invocation, subgroup, workgroup: as blend.comp
 // in: as blend.comp; with MOTION motions (PerVisible)
 // out: as blend.comp; PerPixel, with PICK picks, with MOTION motion_sums
-// shared: none; subgroup sizes 4 to 128
+// shared: see splat_shuffle.glsl; subgroup sizes 4 to 128
 #version 460
 #define AUXILIARY
 #include "blend.comp"

@@ -3,7 +3,7 @@
 //
 // shared: with SHARED_SPLATS three vec4 per invocation
 
-// With SHARED_SPLATS. A literal for the same reason as MAX_COLUMN_ROWS.
+// With SHARED_SPLATS: vec4 of a splat.
 const uint SPLAT_WORDS = 3;
 shared vec4 shared_splats[SHARED_SPLATS ? SPLAT_WORDS * WORKGROUP_SIZE : 1];
 

@@ -2,8 +2,8 @@
 //
 // Each subgroup owns a contiguous run of its block's keys. Matching lanes, round by round, gives each key its rank among the run's
 // keys of its digit. Runs, blocks and digits are processed in order, so the pass is stable. The block's pairs are put into the order
-// of their digits in shared memory first, so that neighbouring lanes store to neighbouring places: on an H100 a pass over 2^25 pairs
-// took 1.66 ms without that.
+// of their digits in shared memory first, so that neighbouring lanes store to neighbouring places: on an H100 a pass over 2^20 pairs
+// takes 17 µs, and 44 µs without that.
 //
 // invocation: ITEMS keys; subgroup: a run of SUBGROUP_SIZE * ITEMS keys; workgroup: one block
 // in: keys[n], values[n], histogram (exclusive within a digit), digit_totals; out: sorted_keys[n], sorted_values[n]

@@ -45,6 +45,14 @@ pub fn assert_same(context: &Context, a: &[f32], b: &[f32], (what, error): (&str
     assert!(a.len() == b.len() && a.iter().zip(b).all(same), "{what} differ");
 }
 
+/// What two variants of a kernel leave: to the bit on processors, elsewhere within this share of the largest value, for the same reason.
+pub fn assert_alike(context: &Context, a: &[f32], b: &[f32], (what, share): (&str, f32)) {
+    let exact = context.description().kind == "CPU";
+    let bound = share * b.iter().fold(0.0_f32, |most, x| most.max(x.abs()));
+    let same = |(a, b): (&f32, &f32)| a.to_bits() == b.to_bits() || (!exact && (a - b).abs() <= bound);
+    assert!(a.len() == b.len() && a.iter().zip(b).all(same), "{what} differ");
+}
+
 /// Rows of pixels of a region.
 fn region_height(gpu: &Gpu, how: How) -> u32 {
     (if how.low_regions { 4 } else { 8 }).max(gpu.subgroup() / 8)

@@ -65,6 +65,8 @@ pub fn sort_downsweep_equals_its_twin() {
     for identity_values in [false, true] {
         check_sizes(&gpu, spec(&gpu, identity_values));
     }
+    // A block of more pairs than there are counts of its subgroups' digits.
+    check_sizes(&gpu, Spec { workgroup_size: gpu.subgroup(), items: 128, ..spec(&gpu, false) });
 }
 
 /// Numbers of keys around blocks, random keys, digits of all kinds.

@@ -10,7 +10,7 @@ use super::training::Training;
 use super::workload::{Scene, SceneArguments, SyntheticArguments};
 use crate::args::HostArguments;
 use ashsplat::vk::Context;
-use ashsplat::{Blending, Result};
+use ashsplat::{Blending, Error, Result};
 use std::path::Path;
 use std::rc::Rc;
 
@@ -46,6 +46,12 @@ pub fn of_sort(arguments: &PrimitiveArguments) -> Vec<Task> {
 
 /// One scene: synthetic, or what the arguments name.
 pub fn of_frames(arguments: &FrameArguments, train_step: bool) -> Result<Vec<Task>> {
+    if train_step && arguments.read_back.no_read_back {
+        return Err(Error::argument(
+            "--no-read-back",
+            "is about frames: a training step reads no picture back",
+        ));
+    }
     let scene = Rc::new(arguments.scene.load(train_step, &arguments.output.device.host)?);
     let (iterations, form) = (arguments.read_back.of(arguments.iterations.get()), arguments.form.get());
     let task = if train_step { Task::TrainStep } else { Task::Render };

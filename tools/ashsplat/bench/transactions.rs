@@ -99,8 +99,11 @@ impl Counting {
     }
 }
 
-/// The stores of all passes of a stable radix sort: a subgroup takes consecutive pairs, and each lane stores its key and its value
-/// where they belong.
+/// Pairs of a workgroup of the sort: 256 invocations, 16 each.
+const SORT_BLOCK: usize = 4096;
+
+/// The stores of all passes of a stable radix sort: a workgroup puts its pairs into the order of their digits, and neighbouring lanes
+/// store neighbours in it.
 fn stores_of_sort(mut keys: Vec<u32>, key_bits: u32) -> Transactions {
     let passes = key_bits.div_ceil(c::SORT_BINS.ilog2());
     let digit_bits = key_bits.div_ceil(passes);
@@ -117,9 +120,12 @@ fn stores_of_sort(mut keys: Vec<u32>, key_bits: u32) -> Transactions {
             *place - 1
         };
         let targets: Vec<u64> = keys.iter().map(|&key| target(key)).collect();
+        let mut stores = targets.clone();
+        // In the order of digits, each behind those of lower ones.
+        stores.chunks_mut(SORT_BLOCK).for_each(<[u64]>::sort_unstable);
         // Keys and values lie in buffers of their own.
         for _ in 0..2 {
-            counting.access(targets.iter().map(|target| target * 4), 4);
+            counting.access(stores.iter().map(|target| target * 4), 4);
         }
         keys.iter().zip(&targets).for_each(|(&key, &target)| sorted[target as usize] = key);
         std::mem::swap(&mut keys, &mut sorted);

@@ -139,6 +139,7 @@ fn check_place(kernel: &str, name: &str) -> Result<(), String> {
         "ITEMS" => &["sort", "scan"],
         "STRIP" => &["loss"],
         "REGION_HEIGHT" => return Err("how high regions are follows from the device".into()),
+        "WHOLE_ROWS" => return Err("who scans a row follows from the device".into()),
         "STRIPS" => return Err("how kernels hand pictures on follows from the device".into()),
         _ => return Ok(()),
     };
