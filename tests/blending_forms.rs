@@ -3,16 +3,14 @@
 use ashsplat::trainer::{TrainView, Trainer};
 use ashsplat::tuning::Backend;
 use ashsplat::vk::{Context, ContextOptions};
-use ashsplat::{
-    BlendSamples, Blending, Frame, Gaussians, Gradients, RenderSettings, Renderer, TrainSettings,
-};
+use ashsplat::{BlendSamples, Blending, Frame, Gaussians, RenderSettings, Renderer, TrainSettings};
 use ashsplat_files::Photo;
 use serde_json::Value;
 use tempfile::tempdir;
 
 use crate::cli::{refuse, succeed, text};
 use crate::common::blending::assert_same;
-use crate::common::engine::{camera, gaussians, settings};
+use crate::common::engine::{camera, derivatives, gaussians, settings};
 use crate::common::scenes::{Random, mixed_scene, small_scene, small_view};
 use crate::common::{context, count_hits, options};
 
@@ -25,13 +23,6 @@ fn counting() -> Context {
 fn values(frame: &Frame) -> Vec<f32> {
     let depth = frame.inverse_depth.iter().flatten();
     frame.color.iter().flatten().chain(&frame.transmittance).chain(depth).copied().collect()
-}
-
-fn derivatives(gradients: &Gradients) -> Vec<f32> {
-    let Gaussians { means, quats, log_scales, opacity_logits, sh, .. } = &gradients.parameters;
-    let vectors = means.iter().chain(log_scales).chain(sh).flatten();
-    let rest = quats.iter().flatten().chain(opacity_logits).chain(gradients.mean2d_px.iter().flatten());
-    vectors.chain(rest).copied().collect()
 }
 
 #[test]
@@ -50,7 +41,8 @@ fn blending_forms_draw_the_same_picture_with_other_work() {
         });
         assert!(regions.0.color.iter().flatten().filter(|x| **x > 0.1).count() > 1000, "little to be seen");
         assert_same(&context, &values(&regions.0), &values(&shared.0), ("the pictures", 1e-5));
-        let [of_regions, of_shared] = [&regions.1, &shared.1].map(derivatives);
+        let [of_regions, of_shared] =
+            [&regions.1, &shared.1].map(|gradients| derivatives(gradients).concat());
         assert!(of_regions.iter().any(|d| *d != 0.0));
         assert_same(&context, &of_regions, &of_shared, ("the gradients", 1e-3));
         let samples = |frame: &Frame| frame.stats.samples.forward;

@@ -4,11 +4,11 @@
 mod optimisation;
 
 use ashsplat::vk::{Context, ContextOptions, LimitsOverride};
-use ashsplat::{Gaussians, Gradients, RenderSettings, Renderer};
+use ashsplat::{Gaussians, RenderSettings, Renderer};
 
 use crate::common::blending::assert_alike;
 use crate::common::compare::elementwise;
-use crate::common::engine::{self, camera, settings};
+use crate::common::engine::{self, camera, derivatives, settings};
 use crate::common::gpu::Gpu;
 use crate::common::options;
 use crate::common::scenes::{Random, small_scene, small_view};
@@ -93,19 +93,6 @@ fn stable_weights(random: &mut Random, scene: &[Gaussian], view: &View) -> Vec<P
     weights
 }
 
-/// All but the pose's.
-fn flat(gradients: &Gradients) -> [&[f32]; 6] {
-    let Gaussians { means, quats, log_scales, opacity_logits, sh, .. } = &gradients.parameters;
-    [
-        means.as_flattened(),
-        quats.as_flattened(),
-        log_scales.as_flattened(),
-        opacity_logits,
-        sh.as_flattened(),
-        gradients.mean2d_px.as_flattened(),
-    ]
-}
-
 fn compare_with_device(renderer: &mut Renderer, view: &View, (count, seed): (usize, u64)) {
     let mut random = Random::new(seed);
     let scene = small_scene(&mut random, count, 16);
@@ -125,7 +112,7 @@ fn compare_with_device(renderer: &mut Renderer, view: &View, (count, seed): (usi
     // All else is as without it.
     let plain = renderer.gradients(&camera, &settings, &color, Some(&inverse_depth)).expect("gradients");
     assert!(plain.pose.is_none());
-    for (a, b) in flat(&plain).into_iter().zip(flat(&first)) {
+    for (a, b) in derivatives(&plain).into_iter().zip(derivatives(&first)) {
         assert_alike(renderer.context(), a, b, ("gradients beside the pose's", 1e-5));
     }
 }

@@ -4,7 +4,7 @@ use std::sync::{Mutex, MutexGuard, OnceLock};
 
 use ashsplat::forward::Dropout;
 use ashsplat::scene::Projection;
-use ashsplat::{Camera, Gaussians, JacobianLimit, RenderSettings, Renderer};
+use ashsplat::{Camera, Gaussians, Gradients, JacobianLimit, RenderSettings, Renderer};
 use glam::{Mat3, Vec3};
 
 use super::context;
@@ -97,4 +97,17 @@ pub fn renderer() -> MutexGuard<'static, Renderer> {
 /// float32 to the twins' precision, flattened.
 pub fn widen<const N: usize>(values: &[[f32; N]]) -> Vec<f64> {
     values.as_flattened().iter().map(|&x| f64::from(x)).collect()
+}
+
+/// Gradients of each parameter and of the 2D means, without the pose's.
+pub fn derivatives(gradients: &Gradients) -> [&[f32]; 6] {
+    let Gaussians { means, quats, log_scales, opacity_logits, sh, .. } = &gradients.parameters;
+    [
+        means.as_flattened(),
+        quats.as_flattened(),
+        log_scales.as_flattened(),
+        opacity_logits,
+        sh.as_flattened(),
+        gradients.mean2d_px.as_flattened(),
+    ]
 }
