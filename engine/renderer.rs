@@ -305,6 +305,28 @@ impl Renderer {
         }
         self.runner.alone(|runner| runner.render(&scene.buffers, camera, settings))
     }
+
+    /// Does something with a scene on the device in place of what is loaded, which is loaded again afterwards: what is of one scene,
+    /// as [`Renderer::gradients`], [`Renderer::align`] and [`Renderer::compute_filters`]. Nothing is copied.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for a scene of another context; as what is done.
+    pub fn with_scene<T>(
+        &mut self,
+        scene: &DeviceScene,
+        act: impl FnOnce(&mut Self) -> Result<T>,
+    ) -> Result<T> {
+        if !scene.belongs_to(&self.context) {
+            return Err(Error::argument("scene", check::ELSEWHERE));
+        }
+        let loaded = self.scene.replace(scene.buffers.clone());
+        let around = self.runner.surroundings().to_vec();
+        self.runner.surround(Vec::new());
+        let done = act(self);
+        self.scene = loaded;
+        self.runner.surround(around);
+        done
+    }
 }
 
 /// What is of one scene alone.

@@ -1,11 +1,12 @@
 //! Finite differences of what may be added to the loss, and of what a frame passes through: regularisers, inverse depths of maps
-//! and of sparse points, exposures, the 3D filter. The golden vectors and the kernels' tests then prove the device.
+//! and of sparse points, exposures, the 3D filter, dropout. The golden vectors and the kernels' tests then prove the device.
 
 use super::{compare_with_differences, decisions, flat};
 use crate::common::scenes::{Random, scalars, small_scene, small_view};
 use crate::reference::blend_backward::PixelGradient;
 use crate::reference::expose::{Matrix, expose};
 use crate::reference::expose_backward::expose_backward;
+use crate::reference::exposure_step::Exposures;
 use crate::reference::inverse_depth_l1::inverse_depth_l1;
 use crate::reference::loss_reduce;
 use crate::reference::pipeline::{Frame, backward, pixels_of, render, tile_of};
@@ -13,7 +14,7 @@ use crate::reference::project_backward::project_backward;
 use crate::reference::regularize::regularize;
 use crate::reference::sparse_depth::{self, Point, depth_sums, expected};
 use crate::reference::sparse_depth_gather::{expected_depth_backward, gather};
-use crate::reference::types::{Gaussian, Gradient, Splat, SplatGradient, View};
+use crate::reference::types::{Drawn, Dropout, Gaussian, Gradient, Splat, SplatGradient, View};
 
 const STEP: f64 = 1e-6;
 
@@ -178,5 +179,52 @@ fn gradients_through_the_3d_filter_agree_with_finite_differences() {
         let view = View { filter_3d: 0.2, antialias, ..small_view([24, 16]) };
         let compared: usize = (40..42).map(|seed| compare_with_differences(&view, seed)).sum();
         assert!(compared > 260, "only {compared} derivatives could be compared");
+    }
+}
+
+/// The weight on exposures is the derivative of its penalty, the sum of squares: of all elements, or of all but the diagonal.
+#[test]
+fn gradients_of_the_weight_on_exposures_agree_with_finite_differences() {
+    let mut random = Random::new(35);
+    let reg = 0.3;
+    for center in [false, true] {
+        let mut exposures = Exposures { decay: 2.0 * reg, ..Exposures::new(2) };
+        exposures.values.as_flattened_mut().as_flattened_mut().fill_with(|| random.signed());
+        let values = exposures.values.clone();
+        let counts = |row: usize, column: usize| !(center && row == column);
+        let penalty = |of: &Matrix| -> f64 {
+            let squares = (0..3).flat_map(|row| (0..4).map(move |column| (row, column)));
+            reg * squares.filter(|&(i, j)| counts(i, j)).map(|(i, j)| of[i][j].powi(2)).sum::<f64>()
+        };
+        exposures.step(0, &[[0.0; 4]; 3], 0.01, 1, center);
+        for (matrix, first) in values.iter().zip(&exposures.first) {
+            for place in 0..12 {
+                let at = |by: f64| {
+                    let mut moved = *matrix;
+                    moved.as_flattened_mut()[place] += by;
+                    penalty(&moved)
+                };
+                let by = (at(STEP) - at(-STEP)) / (2.0 * STEP);
+                // The first moment after the first step is a tenth of the gradient.
+                let derivative = first.as_flattened()[place] / 0.1;
+                assert!((by - derivative).abs() < 1e-8, "E[{place}]: {derivative}, by differences {by}");
+            }
+        }
+    }
+}
+
+/// Some Gaussians are left out, the others' opacities are larger: also where the compensation of antialiasing makes them smaller.
+#[test]
+fn gradients_under_dropout_agree_with_finite_differences() {
+    for antialias in [false, true] {
+        let mut compared = 0;
+        for seed in 50..53 {
+            let dropout = Dropout { below: 1 << 22, seed: 7, iteration: seed as u32 };
+            let left_out = (0..6).filter(|&gaussian| dropout.drops(gaussian)).count();
+            assert!((1..6).contains(&left_out), "of six, {left_out} are left out");
+            let drawn = Drawn { dropout: Some(dropout), ..Drawn::AS_THEY_ARE };
+            compared += compare_with_differences(&View { drawn, antialias, ..small_view([24, 16]) }, seed);
+        }
+        assert!(compared > 400, "only {compared} derivatives could be compared");
     }
 }

@@ -131,6 +131,9 @@ typedef struct AshsplatImage AshsplatImage;
 // The kernels of a reservation, to be built on threads of the host's choice.
 typedef struct AshsplatKernels AshsplatKernels;
 
+// A network of LPIPS with its weights on a device.
+typedef struct AshsplatLpips AshsplatLpips;
+
 // Renders scenes.
 typedef struct AshsplatRenderer AshsplatRenderer;
 
@@ -183,7 +186,49 @@ typedef struct AshsplatRenderSettings {
   bool inverse_depth;
   // Factor of all scales: 1 for the scene as it is.
   float scale_modifier;
+  // The low-pass filter: variance that the projection adds along both axes, square pixels. 0 is as 0.3, the reference's;
+  // Mip-Splatting has 0.1.
+  float kernel_size;
+  // Not 0: gradients take the compensation of `antialias` as a constant.
+  uint32_t antialias_detached;
+  // Not 0: Gaussians are drawn with Mip-Splatting's 3D filter, whose sizes ashsplat_compute_filters gives them. Frames of such
+  // settings are reserved: AshsplatReservation.filter_3d.
+  uint32_t filter_3d;
 } AshsplatRenderSettings;
+
+// Where gradients go: arrays of the host's with an element for each of the scene's, in the shapes of AshsplatGaussians. NULL: that
+// one is not wanted.
+typedef struct AshsplatGradients {
+  // Set by ASHSPLAT_INIT.
+  uint32_t struct_size;
+  // By the means: three each, 1 / units of the scene.
+  float *means;
+  // By the quaternions as they are stored: four each.
+  float *quats;
+  // By the logarithms of the standard deviations: three each.
+  float *log_scales;
+  // By the opacities before the sigmoid.
+  float *opacity_logits;
+  // By the coefficients of all stored degrees: three for each of (sh_degree + 1)^2. Those of degrees that are not evaluated are 0.
+  float *sh;
+  // By the centres in the picture: two each, 1 / pixels. 0 for Gaussians that are not visible.
+  float *mean2d_px;
+  // By the camera's pose: six floats, dL/dδ at δ = 0 of the pose exp(δ^) T, T from world to camera. Three displacements along the
+  // camera's axes (x right, y down, z forward), world units, then three turns about them through its centre, radians.
+  float *pose;
+} AshsplatGradients;
+
+// How ashsplat_align moves a camera: by Adam.
+typedef struct AshsplatAlignment {
+  // Set by ASHSPLAT_INIT.
+  uint32_t struct_size;
+  // Number of steps; 100 reach about 2.5 degrees.
+  uint32_t steps;
+  // Learning rate at the beginning: of turns, radians; of displacements, times the mean depth. It falls log-linearly to a hundredth.
+  double lr;
+  // Weight of 1 - SSIM in the loss, 0 to 1; L1 takes the rest.
+  double lambda_dssim;
+} AshsplatAlignment;
 
 // What is to be allocated, for a buffer.
 typedef struct AshsplatMemoryRequest {
@@ -632,6 +677,10 @@ typedef struct AshsplatReservation {
   // Not 0: views whose depths are the same, as those of two eyes side by side, are culled and sorted once. Takes 256 bytes for each
   // scene and view, and more kernels.
   uint32_t shared_sort;
+  // Not 0: frames will draw scenes with a 3D filter (AshsplatRenderSettings.filter_3d).
+  uint32_t filter_3d;
+  // 0: room for a later field.
+  uint32_t later;
 } AshsplatReservation;
 
 // The layout of the parameters in a host's own buffers: planes of four floats. Plane 0 is the mean and the
@@ -860,6 +909,59 @@ enum AshsplatStatus ashsplat_shrink(struct AshsplatRenderer *renderer);
 // `path` is a C string, `rgb` has 3 * width * height floats.
 enum AshsplatStatus ashsplat_write_png(const char *path, uint32_t width, uint32_t height, const float *rgb);
 
+// Renders a scene and gives the gradient of L by all parameters, for dL/dimage: the exact derivative of the picture (paper,
+// appendix A). `image_gradient` has red, green and blue of each pixel, row by row; so does `inverse_depth_gradient`, a float each, by the
+// sum of weights / z (AshsplatRenderSettings.inverse_depth), or it is NULL. Submits and waits. Settings with another shape or a scale
+// modifier, and orthographic cameras, are refused.
+//
+// # Safety
+// `renderer`, `scene` and `camera` are alive, `settings` too, or NULL for the defaults; `background` has three floats,
+// `image_gradient` 3 width height, `inverse_depth_gradient` width height or is NULL; `gradients` is valid with arrays as long as the
+// scene (ashsplat_scene_size).
+enum AshsplatStatus ashsplat_gradients(struct AshsplatRenderer *renderer,
+                                       const struct AshsplatScene *scene,
+                                       const struct AshsplatCamera *camera,
+                                       const struct AshsplatRenderSettings *settings,
+                                       const float *background,
+                                       const float *image_gradient,
+                                       const float *inverse_depth_gradient,
+                                       const struct AshsplatGradients *gradients);
+
+// Moves a camera until the picture of a fixed scene agrees with a photograph, as views that were not trained on are aligned before they
+// are measured. Submits and waits. `rgb`: red, green and blue of each pixel, a byte each, row by row. `mask`: a byte per pixel, those
+// with 0 do not count, or NULL. `aligned` may be `camera`.
+//
+// # Safety
+// `renderer`, `scene` and `camera` are alive; `settings` and `alignment` too, or NULL for the defaults; `background` has three floats,
+// `rgb` 3 width height bytes, `mask` width height or is NULL; `aligned` is valid for a write.
+enum AshsplatStatus ashsplat_align(struct AshsplatRenderer *renderer,
+                                   const struct AshsplatScene *scene,
+                                   const struct AshsplatCamera *camera,
+                                   const struct AshsplatRenderSettings *settings,
+                                   const float *background,
+                                   const uint8_t *rgb,
+                                   const uint8_t *mask,
+                                   const struct AshsplatAlignment *alignment,
+                                   struct AshsplatCamera *aligned);
+
+// Gives a scene's Gaussians the sizes of Mip-Splatting's 3D filter (Yu et al. 2024, section 5.1), which follow from the cameras that
+// the scene was trained with: AshsplatRenderSettings.filter_3d draws with them. Submits and waits.
+//
+// # Safety
+// `renderer` and `scene` are alive, `cameras` is valid for `count` structs of one size. No recorded frame may use the scene meanwhile.
+enum AshsplatStatus ashsplat_compute_filters(struct AshsplatRenderer *renderer,
+                                             const struct AshsplatScene *scene,
+                                             const struct AshsplatCamera *cameras,
+                                             uint32_t count);
+
+// The sizes of the 3D filter, world units, one for each Gaussian; 0 where there is none. Submits and waits.
+//
+// # Safety
+// `renderer` and `scene` are alive, `sizes` has room for the scene's Gaussians.
+enum AshsplatStatus ashsplat_filters(struct AshsplatRenderer *renderer,
+                                     const struct AshsplatScene *scene,
+                                     float *sizes);
+
 // The features and extensions that a host has to enable, as readable text.
 const char *ashsplat_requirements(void);
 
@@ -1003,6 +1105,41 @@ enum AshsplatStatus ashsplat_kernels_build(const struct AshsplatKernels *kernels
 // # Safety
 // `kernels` is NULL or of this library and not used afterwards.
 void ashsplat_kernels_free(struct AshsplatKernels *kernels);
+
+// Reads the weights of LPIPS 0.1 with AlexNet or VGG16 from a safetensors file, which the caller has; tools/lpips_weights.py writes
+// it. The tensors' shapes say which network it is.
+//
+// # Safety
+// `context` is alive, `weights` is a C string, `lpips` is valid for a write.
+enum AshsplatStatus ashsplat_lpips_new(const struct AshsplatContext *context,
+                                       const char *weights,
+                                       struct AshsplatLpips **lpips);
+
+// Frees it.
+//
+// # Safety
+// `lpips` is NULL or of this library and not used afterwards.
+void ashsplat_lpips_free(struct AshsplatLpips *lpips);
+
+// What ashsplat_lpips_distance measures: "lpips_alex", of values from -1 to 1, as gsplat; or "lpips_vgg_unscaled", of values from 0 to
+// 1, as the reference implementation.
+//
+// # Safety
+// `lpips` is alive, `name` is valid for a write.
+enum AshsplatStatus ashsplat_lpips_name(const struct AshsplatLpips *lpips,
+                                        const char **name);
+
+// LPIPS of two pictures of one size, from red, green and blue of each pixel between 0 and 1, row by row: 0 for equal ones. Values
+// outside are clamped. Submits and waits.
+//
+// # Safety
+// `lpips` is alive, `a` and `b` have 3 width height floats, `distance` is valid for a write.
+enum AshsplatStatus ashsplat_lpips_distance(struct AshsplatLpips *lpips,
+                                            const float *a,
+                                            const float *b,
+                                            uint32_t width,
+                                            uint32_t height,
+                                            double *distance);
 
 // A cut-out whose pose is one in the world, for a scene that is placed there: `placed` needs no scene.
 //
@@ -1359,6 +1496,16 @@ enum AshsplatStatus ashsplat_trainer_scene(const struct AshsplatTrainer *trainer
 /* A struct that knows its size, with the defaults of its fields. */
 #define ASHSPLAT_INIT(Type) Type##_init()
 
+static inline AshsplatAlignment AshsplatAlignment_init(void) {
+  AshsplatAlignment it;
+  memset(&it, 0, sizeof it);
+  it.struct_size = (uint32_t)sizeof it;
+  it.steps = 100;
+  it.lr = 2e-3;
+  it.lambda_dssim = 2e-1;
+  return it;
+}
+
 static inline AshsplatAllocator AshsplatAllocator_init(void) {
   AshsplatAllocator it;
   memset(&it, 0, sizeof it);
@@ -1407,6 +1554,13 @@ static inline AshsplatForeignImage AshsplatForeignImage_init(void) {
 
 static inline AshsplatGaussians AshsplatGaussians_init(void) {
   AshsplatGaussians it;
+  memset(&it, 0, sizeof it);
+  it.struct_size = (uint32_t)sizeof it;
+  return it;
+}
+
+static inline AshsplatGradients AshsplatGradients_init(void) {
+  AshsplatGradients it;
   memset(&it, 0, sizeof it);
   it.struct_size = (uint32_t)sizeof it;
   return it;

@@ -6,10 +6,12 @@
 
 mod allocator;
 mod auxiliary;
+mod derivatives;
 mod foreign;
 mod frames;
 mod kept;
 mod kernels;
+mod measures;
 mod names;
 mod queue_lock;
 mod recorded_frames;
@@ -26,9 +28,11 @@ mod types;
 
 pub use allocator::{AshsplatAllocator, AshsplatMemory, AshsplatMemoryRequest};
 pub use auxiliary::*;
+pub use derivatives::*;
 pub use foreign::*;
 pub use frames::*;
 pub use kernels::*;
+pub use measures::*;
 pub use names::CALLS;
 pub use scene_settings::*;
 pub use scenes::*;

@@ -55,6 +55,14 @@ pub struct AshsplatRenderSettings {
     pub inverse_depth: bool,
     /// Factor of all scales: 1 for the scene as it is.
     pub scale_modifier: f32,
+    /// The low-pass filter: variance that the projection adds along both axes, square pixels. 0 is as 0.3, the reference's;
+    /// Mip-Splatting has 0.1.
+    pub kernel_size: f32,
+    /// Not 0: gradients take the compensation of `antialias` as a constant.
+    pub antialias_detached: u32,
+    /// Not 0: Gaussians are drawn with Mip-Splatting's 3D filter, whose sizes ashsplat_compute_filters gives them. Frames of such
+    /// settings are reserved: AshsplatReservation.filter_3d.
+    pub filter_3d: u32,
 }
 
 /// The meaning of a number that stands for one of an enumeration.
@@ -68,6 +76,7 @@ pub(super) fn one_of<T: Copy>(what: impl std::fmt::Display, number: u32, values:
 impl AshsplatRenderSettings {
     /// As the library has them; on a black background.
     pub(super) fn checked(&self) -> Result<RenderSettings> {
+        let standard = RenderSettings::default();
         Ok(RenderSettings {
             extent: one_of("settings.extent", self.extent, &[Extent::Exact, Extent::Reference])?,
             jacobian_limit: one_of(
@@ -80,7 +89,10 @@ impl AshsplatRenderSettings {
             scale_modifier: self.scale_modifier,
             antialias: self.antialias,
             inverse_depth: self.inverse_depth,
-            ..RenderSettings::default()
+            dilation_px2: if self.kernel_size == 0.0 { standard.dilation_px2 } else { self.kernel_size },
+            antialias_detached: self.antialias_detached != 0,
+            filter_3d: self.filter_3d != 0,
+            ..standard
         })
     }
 }

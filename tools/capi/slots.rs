@@ -30,6 +30,7 @@ impl From<&AshsplatReservation> for Reservation {
             staging_bytes: w.staging_bytes,
             views: w.views.max(1),
             shared_sort: w.shared_sort != 0,
+            filter_3d: w.filter_3d != 0,
             ..Self::new(w.gaussians, w.sh_degree, w.width, w.height)
         }
     }

@@ -8,11 +8,12 @@
 
 use super::scratch::{List, Scratch};
 use super::{
-    AshsplatAllocator, AshsplatCamera, AshsplatCutOut, AshsplatDepthTarget, AshsplatForeignDevice,
-    AshsplatForeignImage, AshsplatGaussians, AshsplatMaintenance, AshsplatMotionTarget, AshsplatOccluder,
-    AshsplatPickTarget, AshsplatPlaced, AshsplatPose, AshsplatRecordedFrame, AshsplatRelease,
-    AshsplatRenderSettings, AshsplatReservation, AshsplatScenePlan, AshsplatSceneSettings,
-    AshsplatSlotReport, AshsplatStep, AshsplatTarget, AshsplatTrainView, AshsplatUpdate,
+    AshsplatAlignment, AshsplatAllocator, AshsplatCamera, AshsplatCutOut, AshsplatDepthTarget,
+    AshsplatForeignDevice, AshsplatForeignImage, AshsplatGaussians, AshsplatGradients, AshsplatMaintenance,
+    AshsplatMotionTarget, AshsplatOccluder, AshsplatPickTarget, AshsplatPlaced, AshsplatPose,
+    AshsplatRecordedFrame, AshsplatRelease, AshsplatRenderSettings, AshsplatReservation, AshsplatScenePlan,
+    AshsplatSceneSettings, AshsplatSlotReport, AshsplatStep, AshsplatTarget, AshsplatTrainView,
+    AshsplatUpdate,
 };
 use ashsplat::{Error, Result};
 use std::mem::{MaybeUninit, offset_of, size_of};
@@ -83,6 +84,8 @@ macro_rules! structs {
 pub(super) const UPRIGHT: [f32; 9] = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
 
 structs! {
+    // As Alignment::default.
+    AshsplatAlignment, lambda_dssim..lambda_dssim, { steps: 100, lr: 2e-3, lambda_dssim: 2e-1 };
     AshsplatAllocator, free..free, {};
     AshsplatCamera, height..projection, { camera_from_world: UPRIGHT };
     AshsplatCutOut, scale..scale, { scene_from_volume: UPRIGHT, scale: 1.0 };
@@ -90,6 +93,7 @@ structs! {
     AshsplatForeignDevice, pipeline_cache..shader_subgroup_uniform_control_flow, {};
     AshsplatForeignImage, image..image, { samples: 1 };
     AshsplatGaussians, sh..sh, {};
+    AshsplatGradients, pose..pose, {};
     AshsplatMaintenance, skipped..skipped, {};
     AshsplatMotionTarget, to..to, {};
     AshsplatOccluder, mapping..mapping, {};
@@ -98,8 +102,8 @@ structs! {
     AshsplatPose, scale..scale, { world_from_object: UPRIGHT, scale: 1.0 };
     AshsplatRecordedFrame, motion..motion, {};
     AshsplatRelease, motion..motion, {};
-    AshsplatRenderSettings, scale_modifier..scale_modifier, { sh_degree: 3, scale_modifier: 1.0 };
-    AshsplatReservation, staging_bytes..shared_sort, { slots: 1, queues: 1, scenes: 1 };
+    AshsplatRenderSettings, scale_modifier..filter_3d, { sh_degree: 3, scale_modifier: 1.0 };
+    AshsplatReservation, staging_bytes..later, { slots: 1, queues: 1, scenes: 1 };
     AshsplatScenePlan, chunk_bytes..chunk_bytes, {};
     AshsplatSceneSettings, selection_share..selection_share, {
         visible: true, tint: [1.0, 1.0, 1.0], opacity: 1.0, sh_degree: 3, selection_color: [1.0, 1.0, 1.0], selection_share: 0.5

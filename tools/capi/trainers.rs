@@ -226,7 +226,7 @@ unsafe fn train_view(view: &AshsplatTrainView) -> Result<TrainView> {
 ///
 /// # Safety
 /// As [`slice`].
-unsafe fn slice_if<'a, T>(pointer: *const T, count: usize, what: &str) -> Result<Option<&'a [T]>> {
+pub(super) unsafe fn slice_if<'a, T>(pointer: *const T, count: usize, what: &str) -> Result<Option<&'a [T]>> {
     // SAFETY: as promised.
     if pointer.is_null() { Ok(None) } else { unsafe { slice(pointer, count, what) }.map(Some) }
 }

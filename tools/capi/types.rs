@@ -303,6 +303,10 @@ pub struct AshsplatReservation {
     /// Not 0: views whose depths are the same, as those of two eyes side by side, are culled and sorted once. Takes 256 bytes for each
     /// scene and view, and more kernels.
     pub shared_sort: u32,
+    /// Not 0: frames will draw scenes with a 3D filter (AshsplatRenderSettings.filter_3d).
+    pub filter_3d: u32,
+    /// 0: room for a later field.
+    pub later: u32,
 }
 
 /// Gaussians in a host's arrays, each as long as the count says. All but `means` are as in the reference

@@ -99,12 +99,17 @@ impl Counting {
     }
 }
 
-/// Pairs of a workgroup of the sort: 256 invocations, 16 each.
-const SORT_BLOCK: usize = 4096;
+/// Pairs of a workgroup of the sort on a GPU; NVIDIA's has twice as many.
+const SORT_BLOCK: usize = 256 * Tuning::GPU.sort_items as usize;
 
 /// The stores of all passes of a stable radix sort: a workgroup puts its pairs into the order of their digits, and neighbouring lanes
 /// store neighbours in it.
-fn stores_of_sort(mut keys: Vec<u32>, key_bits: u32) -> Transactions {
+fn stores_of_sort(keys: Vec<u32>, key_bits: u32) -> Transactions {
+    stores_of_blocks(keys, key_bits, SORT_BLOCK)
+}
+
+/// The same with blocks of so many pairs.
+fn stores_of_blocks(mut keys: Vec<u32>, key_bits: u32, block: usize) -> Transactions {
     let passes = key_bits.div_ceil(c::SORT_BINS.ilog2());
     let digit_bits = key_bits.div_ceil(passes);
     let mut counting = Counting::default();
@@ -122,7 +127,7 @@ fn stores_of_sort(mut keys: Vec<u32>, key_bits: u32) -> Transactions {
         let targets: Vec<u64> = keys.iter().map(|&key| target(key)).collect();
         let mut stores = targets.clone();
         // In the order of digits, each behind those of lower ones.
-        stores.chunks_mut(SORT_BLOCK).for_each(<[u64]>::sort_unstable);
+        stores.chunks_mut(block).for_each(<[u64]>::sort_unstable);
         // Keys and values lie in buffers of their own.
         for _ in 0..2 {
             counting.access(stores.iter().map(|target| target * 4), 4);
@@ -258,14 +263,15 @@ mod tests {
         assert_eq!(of(&counting.end(0), 32), [64; 3]);
     }
 
-    /// Sorted keys are stored side by side; with two digits in turn a subgroup stores two runs.
+    /// Sorted keys are stored side by side. Of two digits in turn each block stores two runs.
     #[test]
     fn stores_of_a_sort_follow_its_keys() {
         let equal = stores_of_sort(vec![7; 64], 8);
         assert_eq!((equal.bytes, equal.array_bytes, of(&equal, 32)), (512, 512, [16, 8, 4]));
-        let alternating = stores_of_sort((0..64).map(|k| k % 2).collect(), 8);
-        assert_eq!(of(&alternating, 64), [16, 8, 4]);
-        assert_eq!(of(&alternating, 32), [16, 8, 8]);
+        let alternating = |block| stores_of_blocks((0..64).map(|k| k % 2).collect(), 8, block);
+        assert_eq!([32, 64].map(|lanes| of(&alternating(64), lanes)), [[16, 8, 4]; 2]);
+        // A block of 32 has 16 of each: two runs of 64 bytes, 128 apart.
+        assert_eq!([32, 64].map(|lanes| of(&alternating(32), lanes)), [[16, 8, 8], [16, 8, 4]]);
         // Of 32 bits four passes, of 9 two.
         assert_eq!(stores_of_sort(vec![7; 64], 32).bytes, 4 * 512);
         assert_eq!(stores_of_sort(vec![7; 64], 9).bytes, 2 * 512);

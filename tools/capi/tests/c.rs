@@ -1,6 +1,7 @@
 //! The header is what the sources say, and C programs that include it work.
 
 mod hosts;
+mod measures;
 
 use ashsplat::scene::{Camera, Gaussians, Intrinsics, Similarity};
 use ashsplat::vk::{Context, ContextOptions};

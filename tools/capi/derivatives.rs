@@ -1,0 +1,215 @@
+//! What a renderer has of a scene besides its picture, in C: gradients, cameras that fit photographs, the 3D filter.
+
+use super::structs::{read, read_all, read_if, write};
+use super::trainers::slice_if;
+use super::{
+    AshsplatCamera, AshsplatRenderSettings, AshsplatRenderer, AshsplatScene, AshsplatStatus, borrowed,
+    borrowed_mut, guarded, slice,
+};
+use ashsplat::scene::{Camera, StoredPhoto};
+use ashsplat::{Alignment, Error, Gradients, RenderSettings, Result};
+use ashsplat_files::Photo;
+
+/// Where gradients go: arrays of the host's with an element for each of the scene's, in the shapes of AshsplatGaussians. NULL: that
+/// one is not wanted.
+#[repr(C)]
+#[derive(Clone, Copy, Debug)]
+pub struct AshsplatGradients {
+    /// Set by ASHSPLAT_INIT.
+    pub struct_size: u32,
+    /// By the means: three each, 1 / units of the scene.
+    pub means: *mut f32,
+    /// By the quaternions as they are stored: four each.
+    pub quats: *mut f32,
+    /// By the logarithms of the standard deviations: three each.
+    pub log_scales: *mut f32,
+    /// By the opacities before the sigmoid.
+    pub opacity_logits: *mut f32,
+    /// By the coefficients of all stored degrees: three for each of (sh_degree + 1)^2. Those of degrees that are not evaluated are 0.
+    pub sh: *mut f32,
+    /// By the centres in the picture: two each, 1 / pixels. 0 for Gaussians that are not visible.
+    pub mean2d_px: *mut f32,
+    /// By the camera's pose: six floats, dL/dδ at δ = 0 of the pose exp(δ^) T, T from world to camera. Three displacements along the
+    /// camera's axes (x right, y down, z forward), world units, then three turns about them through its centre, radians.
+    pub pose: *mut f32,
+}
+
+/// How ashsplat_align moves a camera: by Adam.
+#[repr(C)]
+#[derive(Clone, Copy, Debug)]
+pub struct AshsplatAlignment {
+    /// Set by ASHSPLAT_INIT.
+    pub struct_size: u32,
+    /// Number of steps; 100 reach about 2.5 degrees.
+    pub steps: u32,
+    /// Learning rate at the beginning: of turns, radians; of displacements, times the mean depth. It falls log-linearly to a hundredth.
+    pub lr: f64,
+    /// Weight of 1 - SSIM in the loss, 0 to 1; L1 takes the rest.
+    pub lambda_dssim: f64,
+}
+
+/// A frame's camera and settings.
+///
+/// # Safety
+/// The pointers are null or valid with what they point to.
+unsafe fn frame(
+    camera: *const AshsplatCamera,
+    settings: *const AshsplatRenderSettings,
+    background: *const f32,
+) -> Result<(Camera, RenderSettings)> {
+    // SAFETY: as promised.
+    unsafe {
+        let camera = read(camera, "camera")?.known()?;
+        camera.check()?;
+        let settings = read_if(settings, "settings")?.map(|settings| settings.checked()).transpose()?;
+        let mut settings: RenderSettings = settings.unwrap_or_default();
+        settings.background.copy_from_slice(slice(background, 3, "background")?);
+        Ok((camera, settings))
+    }
+}
+
+/// Renders a scene and gives the gradient of L by all parameters, for dL/dimage: the exact derivative of the picture (paper,
+/// appendix A). `image_gradient` has red, green and blue of each pixel, row by row; so does `inverse_depth_gradient`, a float each, by the
+/// sum of weights / z (AshsplatRenderSettings.inverse_depth), or it is NULL. Submits and waits. Settings with another shape or a scale
+/// modifier, and orthographic cameras, are refused.
+///
+/// # Safety
+/// `renderer`, `scene` and `camera` are alive, `settings` too, or NULL for the defaults; `background` has three floats,
+/// `image_gradient` 3 width height, `inverse_depth_gradient` width height or is NULL; `gradients` is valid with arrays as long as the
+/// scene (ashsplat_scene_size).
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_gradients(
+    renderer: *mut AshsplatRenderer,
+    scene: *const AshsplatScene,
+    camera: *const AshsplatCamera,
+    settings: *const AshsplatRenderSettings,
+    background: *const f32,
+    image_gradient: *const f32,
+    inverse_depth_gradient: *const f32,
+    gradients: *const AshsplatGradients,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        let (renderer, scene) = (borrowed_mut(renderer, "renderer")?, borrowed(scene, "scene")?);
+        let to = read(gradients, "gradients")?;
+        let (camera, settings) = frame(camera, settings, background)?;
+        let pixels = camera.width as usize * camera.height as usize;
+        let of_image = slice(image_gradient, 3 * pixels, "image_gradient")?.as_chunks().0;
+        let of_depth = slice_if(inverse_depth_gradient, pixels, "inverse_depth_gradient")?;
+        let found = renderer.0.with_scene(&scene.scene, |renderer| match to.pose.is_null() {
+            true => renderer.gradients(&camera, &settings, of_image, of_depth),
+            false => renderer.gradients_with_pose(&camera, &settings, of_image, of_depth),
+        })?;
+        to.fill(&found);
+        Ok(())
+    })
+}
+
+impl AshsplatGradients {
+    /// # Safety
+    /// The arrays are null or as long as the gradients.
+    unsafe fn fill(&self, found: &Gradients) {
+        let of = &found.parameters;
+        let fill = |to: *mut f32, from: &[f32]| {
+            if !to.is_null() {
+                // SAFETY: as promised.
+                unsafe { std::ptr::copy_nonoverlapping(from.as_ptr(), to, from.len()) };
+            }
+        };
+        fill(self.means, of.means.as_flattened());
+        fill(self.quats, of.quats.as_flattened());
+        fill(self.log_scales, of.log_scales.as_flattened());
+        fill(self.opacity_logits, &of.opacity_logits);
+        fill(self.sh, of.sh.as_flattened());
+        fill(self.mean2d_px, found.mean2d_px.as_flattened());
+        fill(self.pose, found.pose.as_ref().map_or(&[], |pose| pose));
+    }
+}
+
+/// Moves a camera until the picture of a fixed scene agrees with a photograph, as views that were not trained on are aligned before they
+/// are measured. Submits and waits. `rgb`: red, green and blue of each pixel, a byte each, row by row. `mask`: a byte per pixel, those
+/// with 0 do not count, or NULL. `aligned` may be `camera`.
+///
+/// # Safety
+/// `renderer`, `scene` and `camera` are alive; `settings` and `alignment` too, or NULL for the defaults; `background` has three floats,
+/// `rgb` 3 width height bytes, `mask` width height or is NULL; `aligned` is valid for a write.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_align(
+    renderer: *mut AshsplatRenderer,
+    scene: *const AshsplatScene,
+    camera: *const AshsplatCamera,
+    settings: *const AshsplatRenderSettings,
+    background: *const f32,
+    rgb: *const u8,
+    mask: *const u8,
+    alignment: *const AshsplatAlignment,
+    aligned: *mut AshsplatCamera,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        let (renderer, scene) = (borrowed_mut(renderer, "renderer")?, borrowed(scene, "scene")?);
+        let (camera, settings) = frame(camera, settings, background)?;
+        let alignment = read_if(alignment, "alignment")?.unwrap_or_default();
+        let alignment = Alignment {
+            steps: alignment.steps,
+            lr: alignment.lr,
+            lambda_dssim: alignment.lambda_dssim as f32,
+        };
+        let (width, height) = (camera.width, camera.height);
+        let pixels = width as usize * height as usize;
+        let rgb = slice(rgb, 3 * pixels, "rgb")?.to_vec();
+        let mask = slice_if(mask, pixels, "mask")?.map(<[u8]>::to_vec);
+        let photo = StoredPhoto::new(Photo { width, height, rgb }, mask);
+        let align =
+            |renderer: &mut ashsplat::Renderer| renderer.align(&camera, &photo, &settings, &alignment);
+        let moved = renderer.0.with_scene(&scene.scene, align)?;
+        write(aligned, "aligned", moved.into())
+    })
+}
+
+/// Gives a scene's Gaussians the sizes of Mip-Splatting's 3D filter (Yu et al. 2024, section 5.1), which follow from the cameras that
+/// the scene was trained with: AshsplatRenderSettings.filter_3d draws with them. Submits and waits.
+///
+/// # Safety
+/// `renderer` and `scene` are alive, `cameras` is valid for `count` structs of one size. No recorded frame may use the scene meanwhile.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_compute_filters(
+    renderer: *mut AshsplatRenderer,
+    scene: *const AshsplatScene,
+    cameras: *const AshsplatCamera,
+    count: u32,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        let (renderer, scene) = (borrowed_mut(renderer, "renderer")?, borrowed(scene, "scene")?);
+        let cameras = read_all(cameras, count, "cameras")?;
+        let known = |(index, camera): (usize, &AshsplatCamera)| {
+            let name = format!("cameras[{index}]");
+            let camera = camera.known_as(&name)?;
+            camera.check().map_err(super::structs::named(name))?;
+            Ok::<Camera, Error>(camera)
+        };
+        let cameras = cameras.iter().enumerate().map(known).collect::<Result<Vec<_>>>()?;
+        renderer.0.with_scene(&scene.scene, |renderer| renderer.compute_filters(&cameras))
+    })
+}
+
+/// The sizes of the 3D filter, world units, one for each Gaussian; 0 where there is none. Submits and waits.
+///
+/// # Safety
+/// `renderer` and `scene` are alive, `sizes` has room for the scene's Gaussians.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_filters(
+    renderer: *mut AshsplatRenderer,
+    scene: *const AshsplatScene,
+    sizes: *mut f32,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        let (renderer, scene) = (borrowed_mut(renderer, "renderer")?, borrowed(scene, "scene")?);
+        let first = borrowed_mut(sizes, "sizes")?;
+        let found = renderer.0.with_scene(&scene.scene, |renderer| renderer.filters())?;
+        std::ptr::copy_nonoverlapping(found.as_ptr(), first, found.len());
+        Ok(())
+    })
+}

@@ -1,0 +1,84 @@
+//! How much two pictures differ, in C: LPIPS.
+
+use super::{AshsplatContext, AshsplatStatus, borrowed, borrowed_mut, give, guarded, slice, take, text};
+use ashsplat::lpips::{Lpips, Network, Weights};
+use ashsplat_files::{HostMemory, WeightsFile};
+use std::ffi::{CStr, c_char};
+
+/// A network of LPIPS with its weights on a device.
+pub struct AshsplatLpips(Lpips);
+
+/// Reads the weights of LPIPS 0.1 with AlexNet or VGG16 from a safetensors file, which the caller has; tools/lpips_weights.py writes
+/// it. The tensors' shapes say which network it is.
+///
+/// # Safety
+/// `context` is alive, `weights` is a C string, `lpips` is valid for a write.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_lpips_new(
+    context: *const AshsplatContext,
+    weights: *const c_char,
+    lpips: *mut *mut AshsplatLpips,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        let (context, path) = (borrowed(context, "context")?, text(weights, "weights")?);
+        give(lpips, "lpips", || {
+            let weights = Weights::read(path, &HostMemory::default())?;
+            Lpips::new(&context.0, &weights).map(AshsplatLpips)
+        })
+    })
+}
+
+/// Frees it.
+///
+/// # Safety
+/// `lpips` is NULL or of this library and not used afterwards.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_lpips_free(lpips: *mut AshsplatLpips) {
+    // SAFETY: as promised.
+    unsafe { take(lpips) }
+}
+
+/// What ashsplat_lpips_distance measures: "lpips_alex", of values from -1 to 1, as gsplat; or "lpips_vgg_unscaled", of values from 0 to
+/// 1, as the reference implementation.
+///
+/// # Safety
+/// `lpips` is alive, `name` is valid for a write.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_lpips_name(
+    lpips: *const AshsplatLpips,
+    name: *mut *const c_char,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        let found: &'static CStr = match borrowed(lpips, "lpips")?.0.network() {
+            Network::AlexNet => c"lpips_alex",
+            Network::Vgg16 => c"lpips_vgg_unscaled",
+        };
+        *borrowed_mut(name, "name")? = found.as_ptr();
+        Ok(())
+    })
+}
+
+/// LPIPS of two pictures of one size, from red, green and blue of each pixel between 0 and 1, row by row: 0 for equal ones. Values
+/// outside are clamped. Submits and waits.
+///
+/// # Safety
+/// `lpips` is alive, `a` and `b` have 3 width height floats, `distance` is valid for a write.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_lpips_distance(
+    lpips: *mut AshsplatLpips,
+    a: *const f32,
+    b: *const f32,
+    width: u32,
+    height: u32,
+    distance: *mut f64,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        let (lpips, floats) = (borrowed_mut(lpips, "lpips")?, 3 * width as usize * height as usize);
+        let pictures = [slice(a, floats, "a")?.as_chunks().0, slice(b, floats, "b")?.as_chunks().0];
+        *borrowed_mut(distance, "distance")? = lpips.0.distance(pictures, (width, height))?;
+        Ok(())
+    })
+}

@@ -1,0 +1,163 @@
+//! Gradients, the 3D filter, alignment and LPIPS of a C program are those of Rust, to the bit.
+
+use crate::hosts::host_in_c;
+use ashsplat::lpips::{Lpips, Network, Weights};
+use ashsplat::scene::{Camera, Gaussians, Intrinsics, Photo};
+use ashsplat::vk::{Context, ContextOptions};
+use ashsplat::{Alignment, RenderSettings, Renderer};
+use ashsplat_files::{ply, splats};
+use glam::Vec3;
+use safetensors::tensor::{Dtype, TensorView};
+use std::path::Path;
+
+const SIZE: (u32, u32) = (64, 48);
+
+/// Numbers from -1 to 1.
+fn numbers(seed: u32) -> impl Iterator<Item = f32> {
+    (1..).map(move |i: u32| {
+        let mixed = (i ^ seed.wrapping_mul(0x9E37_79B9)).wrapping_mul(2_654_435_761);
+        (mixed ^ mixed >> 15).wrapping_mul(0x85EB_CA6B) as i32 as f32 / 2_147_483_648.0
+    })
+}
+
+fn cloud() -> Gaussians {
+    let mut cloud = Gaussians { sh_degree: 1, ..Gaussians::default() };
+    let mut random = numbers(1);
+    let mut next = || random.next().expect("a number");
+    for _ in 0..500 {
+        cloud.means.push([next(), next(), next()]);
+        cloud.quats.push([1.0, next(), next(), next()]);
+        cloud.log_scales.push([-2.8, -3.0 + 0.5 * next(), -2.5]);
+        cloud.opacity_logits.push(1.5 * next() + 1.0);
+        cloud.sh.extend([0; 4].map(|_| [next(), next(), next()]));
+    }
+    cloud
+}
+
+/// AlexNet with random weights, small enough that values stay near 1.
+fn weights() -> Weights {
+    let network = Network::AlexNet;
+    let convolution = |(seed, layer): (usize, &ashsplat::lpips::Layer)| {
+        let inputs = layer.inputs * layer.size * layer.size;
+        let scale = (6.0 / inputs as f32).sqrt();
+        let count = (layer.outputs * inputs) as usize;
+        let own = numbers(seed as u32 + 10).take(count).map(|x| x * scale).collect();
+        (own, numbers(seed as u32 + 30).take(layer.outputs as usize).map(|x| 0.1 * x).collect())
+    };
+    let head =
+        |layer: &ashsplat::lpips::Layer| numbers(50).take(layer.outputs as usize).map(f32::abs).collect();
+    Weights {
+        network,
+        convolutions: network.convolutions().enumerate().map(convolution).collect(),
+        heads: network.taps().map(head).collect(),
+    }
+}
+
+fn write(path: &Path, weights: &Weights) {
+    let mut tensors: Vec<(String, Vec<usize>, &[f32])> = vec![];
+    for (layer, (own, biases)) in weights.network.convolutions().zip(&weights.convolutions) {
+        let shape = [layer.outputs, layer.inputs, layer.size, layer.size].map(|n| n as usize).to_vec();
+        tensors.push((format!("net.{}.weight", layer.index), shape, own));
+        tensors.push((format!("net.{}.bias", layer.index), vec![biases.len()], biases));
+    }
+    for (k, head) in weights.heads.iter().enumerate() {
+        tensors.push((format!("lin{k}.model.1.weight"), vec![1, head.len(), 1, 1], head));
+    }
+    let bytes: Vec<Vec<u8>> =
+        tensors.iter().map(|(.., own)| own.iter().flat_map(|x| x.to_le_bytes()).collect()).collect();
+    let views = tensors.into_iter().zip(&bytes).map(|((name, shape, _), bytes)| {
+        (name, TensorView::new(Dtype::F32, shape, bytes).expect("a tensor"))
+    });
+    safetensors::serialize_to_file(views, None, path).expect("written");
+}
+
+/// What the program has written, from its beginning on.
+struct Results(std::vec::IntoIter<u8>);
+
+impl Results {
+    fn floats(&mut self, count: usize) -> Vec<f32> {
+        let bytes: Vec<u8> = self.0.by_ref().take(4 * count).collect();
+        let floats = bytes.as_chunks().0.iter().map(|b| f32::from_le_bytes(*b)).collect::<Vec<_>>();
+        assert_eq!(floats.len(), count);
+        floats
+    }
+}
+
+#[test]
+fn a_host_in_c_has_gradients_and_measures() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let [scene, network, results] =
+        ["scene.ply", "alex.safetensors", "results.bin"].map(|name| folder.path().join(name));
+    ply::write(&scene, &cloud()).expect("a PLY");
+    write(&network, &weights());
+    let said = host_in_c("measures", &[&scene, &network, &results]);
+    assert!(said.contains("lpips_alex 0."), "{said}");
+    let mut results = Results(std::fs::read(&results).expect("results").into_iter());
+
+    // As in a host's device, which has none.
+    let context =
+        Context::new(&ContextOptions { texels: false, ..ContextOptions::default() }).expect("a device");
+    let mut renderer = Renderer::new(&context).expect("kernels");
+    let read = splats::read(&scene, &splats::ReadOptions::default()).expect("a scene").gaussians;
+    renderer.upload(&read).expect("uploaded");
+    let intrinsics = Intrinsics::from_fov_x(0.7, SIZE.0, SIZE.1);
+    let cameras =
+        [0.0, 1.0].map(|x| Camera::look_at(Vec3::new(x, -1.0, -4.0), Vec3::ZERO, Vec3::NEG_Y, intrinsics));
+    let background = [0.1, 0.2, 0.3];
+    let plain = RenderSettings { background, ..RenderSettings::default() };
+    let settings = RenderSettings {
+        antialias: true,
+        antialias_detached: true,
+        dilation_px2: 0.1,
+        filter_3d: true,
+        inverse_depth: true,
+        ..plain
+    };
+    renderer.compute_filters(&cameras).expect("the filter");
+    assert_eq!(results.floats(500), renderer.filters().expect("its sizes"));
+    let frame = renderer.render(&cameras[0], &settings).expect("a frame");
+    let pixels = frame.color.len();
+    assert_eq!(results.floats(3 * pixels), frame.color.as_flattened());
+
+    let of_image: Vec<[f32; 3]> = (0..pixels)
+        .map(|p| [0, 1, 2].map(|c| ((3 * p + c) * 7 % 13) as f32 - 6.0).map(|x| x / 8.0))
+        .collect();
+    let of_depth: Vec<f32> = (0..pixels).map(|p| ((p * 5 % 11) as f32 - 5.0) / 16.0).collect();
+    let gradients = renderer.gradients_with_pose(&cameras[0], &settings, &of_image, Some(&of_depth));
+    let gradients = gradients.expect("gradients");
+    let of = &gradients.parameters;
+    let pose = gradients.pose.expect("the pose's");
+    let all: [(&str, &[f32]); 7] = [
+        ("means", of.means.as_flattened()),
+        ("quats", of.quats.as_flattened()),
+        ("log_scales", of.log_scales.as_flattened()),
+        ("opacity_logits", &of.opacity_logits),
+        ("sh", of.sh.as_flattened()),
+        ("mean2d_px", gradients.mean2d_px.as_flattened()),
+        ("pose", &pose),
+    ];
+    for (name, expected) in all {
+        assert_eq!(results.floats(expected.len()), expected, "{name}");
+        assert!(expected.iter().any(|x| *x != 0.0), "{name}");
+    }
+
+    let picture = renderer.render(&cameras[0], &plain).expect("a frame").color;
+    let rgb: Vec<u8> = results.0.by_ref().take(3 * pixels).collect();
+    let photo = Photo { width: SIZE.0, height: SIZE.1, rgb };
+    let away = |(byte, x): (&u8, &f32)| (f32::from(*byte) - 255.0 * x.clamp(0.0, 1.0)).abs();
+    assert!(photo.rgb.iter().zip(picture.as_flattened()).map(away).fold(0.0, f32::max) < 0.51);
+    let mut moved = cameras[0];
+    moved.translation.x += 0.03;
+    let alignment = Alignment { steps: 40, ..Alignment::default() };
+    let aligned = renderer.align(&moved, &photo.into(), &plain, &alignment).expect("aligned");
+    let rows = aligned.camera_from_world.transpose().to_cols_array();
+    assert_eq!(results.floats(9), rows);
+    assert_eq!(results.floats(3), aligned.translation.to_array());
+    let off = (aligned.translation - cameras[0].translation).length();
+    assert!(off < 0.01, "{off} of 0.03 are left");
+
+    let mut lpips = Lpips::new(&context, &weights()).expect("a network");
+    let expected = lpips.distance([&picture, &frame.color], SIZE).expect("a distance");
+    let bytes: Vec<u8> = results.0.by_ref().collect();
+    assert_eq!(bytes, expected.to_le_bytes(), "LPIPS {expected}");
+}
