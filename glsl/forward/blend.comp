@@ -63,10 +63,6 @@ layout(local_size_x_id = 0) in;
 // Most pixels of a lane in a region. A literal for the same reason as MAX_COLUMN_ROWS.
 const uint MAX_PIXELS = 16;
 
-// The lane's pixels, those of its first region first. Not parameters: compilers copy an array at each call, and getting rid
-// of these copies is a third of Mesa's time for this kernel.
-Pixel pixels[4 * MAX_PIXELS];
-
 // With COUNT_HITS: Gaussians blended over a region.
 uint hit_count = 0;
 #ifdef AUXILIARY
@@ -74,8 +70,10 @@ uint hit_count = 0;
 vec2 own_motion = vec2(0.0);
 #endif
 
-// Tests each lane's splat against a region, and blends the hits over its pixels from the index `first` on.
-void blend_region(Splat own, vec4 mean2d, bool exists, uvec2 origin, uint batch, uint first, inout bool alive) {
+// Tests each lane's splat against a region and blends the hits over it. The pixels are a parameter: in one array of all regions they
+// would lie in memory on llvmpipe, where blending takes three times as long.
+void blend_region(Splat own, vec4 mean2d, bool exists, uvec2 origin, uint batch, inout Pixel pixels[MAX_PIXELS],
+    inout bool alive) {
     vec2 corner_px = vec2(origin + lane_offset());
     uvec4 hits = subgroupBallot(exists && alive && meets_region(mean2d, own.form, own.opacity, origin));
     [[unroll]] for (uint word = 0; word < BALLOT_WORDS; ++word) {
@@ -92,9 +90,9 @@ void blend_region(Splat own, vec4 mean2d, bool exists, uvec2 origin, uint batch,
                 float alphas[MAX_COLUMN_ROWS];
                 column_alphas(splat, corner_px + vec2(column * LANES_X, 0), alphas);
                 [[unroll]] for (uint row = 0; row < ROWS; ++row) {
-                    float weight = blend_splat(splat, alphas[row], batch + lane + 1, pixels[first + column * ROWS + row]);
+                    float weight = blend_splat(splat, alphas[row], batch + lane + 1, pixels[column * ROWS + row]);
 #ifdef AUXILIARY
-                    note_splat(weight, motion, batch + lane + 1, pixels[first + column * ROWS + row]);
+                    note_splat(weight, motion, batch + lane + 1, pixels[column * ROWS + row]);
 #endif
                 }
             }
@@ -103,38 +101,38 @@ void blend_region(Splat own, vec4 mean2d, bool exists, uvec2 origin, uint batch,
             }
         }
     }
-    float brightest = pixels[first].transmittance;
+    float brightest = pixels[0].transmittance;
     [[unroll]] for (uint k = 1; k < PIXELS; ++k) {
-        brightest = max(brightest, pixels[first + k].transmittance);
+        brightest = max(brightest, pixels[k].transmittance);
     }
     alive = subgroupAny(brightest > 0.0);
 }
 
-void load_region(uvec2 corner, uint first) {
+void load_region(uvec2 corner, out Pixel pixels[MAX_PIXELS]) {
     [[unroll]] for (uint k = 0; k < PIXELS; ++k) {
-        pixels[first + k] = load_pixel(corner + pixel_step(k));
+        pixels[k] = load_pixel(corner + pixel_step(k));
     }
 }
 
-void store_region(uvec2 corner, uint first, bool more) {
+void store_region(uvec2 corner, Pixel pixels[MAX_PIXELS], bool more) {
     [[unroll]] for (uint k = 0; k < PIXELS; ++k) {
-        store_pixel(corner + pixel_step(k), pixels[first + k], more);
+        store_pixel(corner + pixel_step(k), pixels[k], more);
     }
     if (STRIPS && !more) {
         [[unroll]] for (uint k = 0; k + 3 < PIXELS; k += 4) {
-            uint i = first + k;
             store_composited(
-                corner + pixel_step(k), Pixel[](pixels[i], pixels[i + 1], pixels[i + 2], pixels[i + 3]));
+                corner + pixel_step(k), Pixel[](pixels[k], pixels[k + 1], pixels[k + 2], pixels[k + 3]));
         }
     }
 }
 
 #define DECLARE(K) \
     uvec2 origin_##K = region_origin(tile_xy, region + K); \
+    Pixel pixels_##K[MAX_PIXELS]; \
     bool alive_##K = REGIONS_PER_SUBGROUP > K;
-#define LOAD(K) load_region(origin_##K + lane_offset(), K * PIXELS);
-#define BLEND(K) blend_region(own, mean2d, exists, origin_##K, batch, K * PIXELS, alive_##K);
-#define STORE(K) store_region(origin_##K + lane_offset(), K * PIXELS, entries > end);
+#define LOAD(K) load_region(origin_##K + lane_offset(), pixels_##K);
+#define BLEND(K) blend_region(own, mean2d, exists, origin_##K, batch, pixels_##K, alive_##K);
+#define STORE(K) store_region(origin_##K + lane_offset(), pixels_##K, entries > end);
 
 void main() {
     uint tile = tile_of(linear_workgroup());
