@@ -307,7 +307,8 @@ impl Renderer {
     }
 
     /// Does something with a scene on the device in place of what is loaded, which is loaded again afterwards: what is of one scene,
-    /// as [`Renderer::gradients`], [`Renderer::align`] and [`Renderer::compute_filters`]. Nothing is copied.
+    /// as [`Renderer::gradients`], [`Renderer::align`] and [`Renderer::compute_filters`]. Nothing is copied. What `act` loads is dropped
+    /// at its end.
     ///
     /// # Errors
     /// [`Error::Argument`] for a scene of another context; as what is done.

@@ -55,6 +55,36 @@ fn several_scenes_are_drawn_as_one_to_the_bit() {
     assert!(renderer.render(&camera, &settings).expect("a frame").color == alone.color);
 }
 
+/// What is loaded is drawn again afterwards, also after an error.
+#[test]
+fn with_a_scene_several_others_stay_loaded() {
+    let all = ball(700);
+    let mut renderer = renderer();
+    let scenes = uploaded(renderer.context(), &parts(&all));
+    let (camera, settings) = (camera(0.3), RenderSettings::default());
+    renderer.set_scenes(&scenes).expect("scenes");
+    let expected = renderer.render(&camera, &settings).expect("a frame");
+    let ones = vec![[1.0; 3]; expected.color.len()];
+    let gradients = renderer
+        .with_scene(&scenes[2], |renderer| renderer.gradients_with_pose(&camera, &settings, &ones, None))
+        .expect("gradients");
+    assert_eq!(gradients.parameters.len(), 270);
+    let mut alone = self::renderer();
+    alone.upload(&parts(&all)[2]).expect("uploaded");
+    assert_eq!(alone.gradients_with_pose(&camera, &settings, &ones, None).expect("gradients"), gradients);
+    let none = renderer
+        .with_scene(&scenes[1], |renderer| renderer.gradients_with_pose(&camera, &settings, &ones, None))
+        .expect("no gradients");
+    assert_eq!((none.parameters.len(), none.pose), (0, Some([0.0; 6])));
+    let error = renderer.with_scene(&scenes[0], |renderer| renderer.gradients(&camera, &settings, &[], None));
+    assert!(error.expect_err("no pixels").to_string().starts_with("image gradient: "));
+    let other = self::renderer();
+    let elsewhere = DeviceScene::upload(other.context(), &all, 0).expect("uploaded");
+    let error = renderer.with_scene(&elsewhere, |_| Ok(())).expect_err("another context");
+    assert!(error.to_string().starts_with("scene: "), "{error}");
+    assert!(renderer.render(&camera, &settings).expect("a frame").color == expected.color);
+}
+
 #[test]
 fn several_scenes_have_one_degree_and_no_gradients() {
     let mut renderer = renderer();

@@ -77,7 +77,7 @@ struct GradientPixel {
     uint last;
 };
 
-// The lane's pixels, those of its first region first.
+// The lane's pixels, those of its first region first. Not parameters, which take Mesa longer to build: tools/experiments.md.
 GradientPixel pixels[OWN_REGIONS * MAX_PIXELS];
 
 // One instance's sums over the pixels, see blend_backward.comp.

@@ -182,7 +182,8 @@ fn gradients_through_the_3d_filter_agree_with_finite_differences() {
     }
 }
 
-/// The weight on exposures is the derivative of its penalty, the sum of squares: of all elements, or of all but the diagonal.
+/// The weight on exposures as the trainer sets it, twice `exposure_reg`, is the derivative of `exposure_reg` times the sum of squares: of
+/// all elements, or of all but the diagonal.
 #[test]
 fn gradients_of_the_weight_on_exposures_agree_with_finite_differences() {
     let mut random = Random::new(35);

@@ -213,8 +213,9 @@ typedef struct AshsplatGradients {
   float *sh;
   // By the centres in the picture: two each, 1 / pixels. 0 for Gaussians that are not visible.
   float *mean2d_px;
-  // By the camera's pose: six floats, dL/dδ at δ = 0 of the pose exp(δ^) T, T from world to camera. Three displacements along the
-  // camera's axes (x right, y down, z forward), world units, then three turns about them through its centre, radians.
+  // By the camera's pose: six floats, dL/dδ at δ = 0 of the pose exp(δ^) T, T from world to camera. By three displacements of what
+  // is seen along the camera's axes (x right, y down, z forward), 1 / world units, then by three turns of it about these axes,
+  // 1 / radians.
   float *pose;
 } AshsplatGradients;
 
@@ -536,7 +537,8 @@ typedef struct AshsplatUpdate {
   const struct AshsplatScene *scene;
   // Index of the first replaced Gaussian.
   uint32_t first;
-  // The new Gaussians. SH above the scene's degree is dropped, missing SH is zero.
+  // The new Gaussians. SH above the scene's degree is dropped, missing SH is zero. They have no 3D filter until
+  // ashsplat_compute_filters.
   const struct AshsplatGaussians *gaussians;
 } AshsplatUpdate;
 
@@ -678,13 +680,11 @@ typedef struct AshsplatReservation {
   // scene and view, and more kernels.
   uint32_t shared_sort;
   // Not 0: frames will draw scenes with a 3D filter (AshsplatRenderSettings.filter_3d).
-  uint32_t filter_3d;
-  // 0: room for a later field.
-  uint32_t later;
+  uint64_t filter_3d;
 } AshsplatReservation;
 
 // The layout of the parameters in a host's own buffers: planes of four floats. Plane 0 is the mean and the
-// opacity logit, 1 the quaternion (w, x, y, z), 2 the log-scales and 0. The others are the SH coefficients,
+// opacity logit, 1 the quaternion (w, x, y, z), 2 the log-scales and the size of the 3D filter, 0 without. The others are the SH coefficients,
 // red, green and blue one after the other, padded with zeros. The groups of planes are 0 to 2 (geometry), 3,
 // 4 and 5, 6 to 9, and 10 to 14 (one degree each). A group is contiguous for all Gaussians, in rows of
 // eight. In the group of planes `first` to `end` - 1, plane p of the i-th Gaussian of a chunk begins at byte
@@ -909,10 +909,10 @@ enum AshsplatStatus ashsplat_shrink(struct AshsplatRenderer *renderer);
 // `path` is a C string, `rgb` has 3 * width * height floats.
 enum AshsplatStatus ashsplat_write_png(const char *path, uint32_t width, uint32_t height, const float *rgb);
 
-// Renders a scene and gives the gradient of L by all parameters, for dL/dimage: the exact derivative of the picture (paper,
-// appendix A). `image_gradient` has red, green and blue of each pixel, row by row; so does `inverse_depth_gradient`, a float each, by the
-// sum of weights / z (AshsplatRenderSettings.inverse_depth), or it is NULL. Submits and waits. Settings with another shape or a scale
-// modifier, and orthographic cameras, are refused.
+// Renders a scene and gives the gradient of L by all parameters, for a given dL/dimage (paper, appendix A). It is exact, but for
+// AshsplatRenderSettings.antialias_detached. `image_gradient`: red, green and blue of each pixel, row by row. `inverse_depth_gradient`: a
+// float of each pixel, by the sum of weights / z (AshsplatRenderSettings.inverse_depth), or NULL. Submits and waits. Settings with
+// another shape or a scale modifier, and orthographic cameras, are refused.
 //
 // # Safety
 // `renderer`, `scene` and `camera` are alive, `settings` too, or NULL for the defaults; `background` has three floats,
@@ -929,7 +929,7 @@ enum AshsplatStatus ashsplat_gradients(struct AshsplatRenderer *renderer,
 
 // Moves a camera until the picture of a fixed scene agrees with a photograph, as views that were not trained on are aligned before they
 // are measured. Submits and waits. `rgb`: red, green and blue of each pixel, a byte each, row by row. `mask`: a byte per pixel, those
-// with 0 do not count, or NULL. `aligned` may be `camera`.
+// with 0 do not count, or NULL. `aligned` may be `camera`. What ashsplat_gradients refuses is refused here.
 //
 // # Safety
 // `renderer`, `scene` and `camera` are alive; `settings` and `alignment` too, or NULL for the defaults; `background` has three floats,
@@ -945,12 +945,14 @@ enum AshsplatStatus ashsplat_align(struct AshsplatRenderer *renderer,
                                    struct AshsplatCamera *aligned);
 
 // Gives a scene's Gaussians the sizes of Mip-Splatting's 3D filter (Yu et al. 2024, section 5.1), which follow from the cameras that
-// the scene was trained with: AshsplatRenderSettings.filter_3d draws with them. Submits and waits.
+// the scene was trained with: AshsplatRenderSettings.filter_3d draws with them. Submits and waits. Orthographic cameras are refused.
+// A PLY with sizes of its own has them in its scales and opacities already, and a trainer keeps those of its scene itself: not for
+// these. Updates and Gaussians that are added later have none.
 //
 // # Safety
 // `renderer` and `scene` are alive, `cameras` is valid for `count` structs of one size. No recorded frame may use the scene meanwhile.
 enum AshsplatStatus ashsplat_compute_filters(struct AshsplatRenderer *renderer,
-                                             const struct AshsplatScene *scene,
+                                             struct AshsplatScene *scene,
                                              const struct AshsplatCamera *cameras,
                                              uint32_t count);
 

@@ -1,10 +1,10 @@
 //! What a renderer has of a scene besides its picture, in C: gradients, cameras that fit photographs, the 3D filter.
 
-use super::structs::{read, read_all, read_if, write};
+use super::structs::{check_room, named, read, read_all, read_if, write};
 use super::trainers::slice_if;
 use super::{
     AshsplatCamera, AshsplatRenderSettings, AshsplatRenderer, AshsplatScene, AshsplatStatus, borrowed,
-    borrowed_mut, guarded, slice,
+    borrowed_mut, check_pointer, fill, guarded, slice,
 };
 use ashsplat::scene::{Camera, StoredPhoto};
 use ashsplat::{Alignment, Error, Gradients, RenderSettings, Result};
@@ -29,8 +29,9 @@ pub struct AshsplatGradients {
     pub sh: *mut f32,
     /// By the centres in the picture: two each, 1 / pixels. 0 for Gaussians that are not visible.
     pub mean2d_px: *mut f32,
-    /// By the camera's pose: six floats, dL/dδ at δ = 0 of the pose exp(δ^) T, T from world to camera. Three displacements along the
-    /// camera's axes (x right, y down, z forward), world units, then three turns about them through its centre, radians.
+    /// By the camera's pose: six floats, dL/dδ at δ = 0 of the pose exp(δ^) T, T from world to camera. By three displacements of what
+    /// is seen along the camera's axes (x right, y down, z forward), 1 / world units, then by three turns of it about these axes,
+    /// 1 / radians.
     pub pose: *mut f32,
 }
 
@@ -68,10 +69,10 @@ unsafe fn frame(
     }
 }
 
-/// Renders a scene and gives the gradient of L by all parameters, for dL/dimage: the exact derivative of the picture (paper,
-/// appendix A). `image_gradient` has red, green and blue of each pixel, row by row; so does `inverse_depth_gradient`, a float each, by the
-/// sum of weights / z (AshsplatRenderSettings.inverse_depth), or it is NULL. Submits and waits. Settings with another shape or a scale
-/// modifier, and orthographic cameras, are refused.
+/// Renders a scene and gives the gradient of L by all parameters, for a given dL/dimage (paper, appendix A). It is exact, but for
+/// AshsplatRenderSettings.antialias_detached. `image_gradient`: red, green and blue of each pixel, row by row. `inverse_depth_gradient`: a
+/// float of each pixel, by the sum of weights / z (AshsplatRenderSettings.inverse_depth), or NULL. Submits and waits. Settings with
+/// another shape or a scale modifier, and orthographic cameras, are refused.
 ///
 /// # Safety
 /// `renderer`, `scene` and `camera` are alive, `settings` too, or NULL for the defaults; `background` has three floats,
@@ -110,25 +111,25 @@ impl AshsplatGradients {
     /// The arrays are null or as long as the gradients.
     unsafe fn fill(&self, found: &Gradients) {
         let of = &found.parameters;
-        let fill = |to: *mut f32, from: &[f32]| {
-            if !to.is_null() {
-                // SAFETY: as promised.
-                unsafe { std::ptr::copy_nonoverlapping(from.as_ptr(), to, from.len()) };
-            }
-        };
-        fill(self.means, of.means.as_flattened());
-        fill(self.quats, of.quats.as_flattened());
-        fill(self.log_scales, of.log_scales.as_flattened());
-        fill(self.opacity_logits, &of.opacity_logits);
-        fill(self.sh, of.sh.as_flattened());
-        fill(self.mean2d_px, found.mean2d_px.as_flattened());
-        fill(self.pose, found.pose.as_ref().map_or(&[], |pose| pose));
+        let all: [(*mut f32, &[f32]); 7] = [
+            (self.means, of.means.as_flattened()),
+            (self.quats, of.quats.as_flattened()),
+            (self.log_scales, of.log_scales.as_flattened()),
+            (self.opacity_logits, &of.opacity_logits),
+            (self.sh, of.sh.as_flattened()),
+            (self.mean2d_px, found.mean2d_px.as_flattened()),
+            (self.pose, found.pose.as_ref().map_or(&[], |pose| pose)),
+        ];
+        for (to, from) in all.into_iter().filter(|(to, _)| !to.is_null()) {
+            // SAFETY: as promised.
+            unsafe { fill(to, from) };
+        }
     }
 }
 
 /// Moves a camera until the picture of a fixed scene agrees with a photograph, as views that were not trained on are aligned before they
 /// are measured. Submits and waits. `rgb`: red, green and blue of each pixel, a byte each, row by row. `mask`: a byte per pixel, those
-/// with 0 do not count, or NULL. `aligned` may be `camera`.
+/// with 0 do not count, or NULL. `aligned` may be `camera`. What ashsplat_gradients refuses is refused here.
 ///
 /// # Safety
 /// `renderer`, `scene` and `camera` are alive; `settings` and `alignment` too, or NULL for the defaults; `background` has three floats,
@@ -150,6 +151,8 @@ pub unsafe extern "C" fn ashsplat_align(
         let (renderer, scene) = (borrowed_mut(renderer, "renderer")?, borrowed(scene, "scene")?);
         let (camera, settings) = frame(camera, settings, background)?;
         let alignment = read_if(alignment, "alignment")?.unwrap_or_default();
+        check_pointer(aligned, "aligned")?;
+        check_room(aligned, "aligned")?;
         let alignment = Alignment {
             steps: alignment.steps,
             lr: alignment.lr,
@@ -168,14 +171,16 @@ pub unsafe extern "C" fn ashsplat_align(
 }
 
 /// Gives a scene's Gaussians the sizes of Mip-Splatting's 3D filter (Yu et al. 2024, section 5.1), which follow from the cameras that
-/// the scene was trained with: AshsplatRenderSettings.filter_3d draws with them. Submits and waits.
+/// the scene was trained with: AshsplatRenderSettings.filter_3d draws with them. Submits and waits. Orthographic cameras are refused.
+/// A PLY with sizes of its own has them in its scales and opacities already, and a trainer keeps those of its scene itself: not for
+/// these. Updates and Gaussians that are added later have none.
 ///
 /// # Safety
 /// `renderer` and `scene` are alive, `cameras` is valid for `count` structs of one size. No recorded frame may use the scene meanwhile.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ashsplat_compute_filters(
     renderer: *mut AshsplatRenderer,
-    scene: *const AshsplatScene,
+    scene: *mut AshsplatScene,
     cameras: *const AshsplatCamera,
     count: u32,
 ) -> AshsplatStatus {
@@ -186,8 +191,12 @@ pub unsafe extern "C" fn ashsplat_compute_filters(
         let known = |(index, camera): (usize, &AshsplatCamera)| {
             let name = format!("cameras[{index}]");
             let camera = camera.known_as(&name)?;
-            camera.check().map_err(super::structs::named(name))?;
-            Ok::<Camera, Error>(camera)
+            if camera.is_orthographic() {
+                let problem = "is orthographic: the 3D filter follows from pinholes";
+                return Err(Error::argument(format!("{name}.projection"), problem));
+            }
+            camera.check().map_err(named(name))?;
+            Ok(camera)
         };
         let cameras = cameras.iter().enumerate().map(known).collect::<Result<Vec<_>>>()?;
         renderer.0.with_scene(&scene.scene, |renderer| renderer.compute_filters(&cameras))
@@ -207,9 +216,8 @@ pub unsafe extern "C" fn ashsplat_filters(
     // SAFETY: as promised.
     guarded(|| unsafe {
         let (renderer, scene) = (borrowed_mut(renderer, "renderer")?, borrowed(scene, "scene")?);
-        let first = borrowed_mut(sizes, "sizes")?;
-        let found = renderer.0.with_scene(&scene.scene, |renderer| renderer.filters())?;
-        std::ptr::copy_nonoverlapping(found.as_ptr(), first, found.len());
+        check_pointer(sizes, "sizes")?;
+        fill(sizes, &renderer.0.with_scene(&scene.scene, |renderer| renderer.filters())?);
         Ok(())
     })
 }

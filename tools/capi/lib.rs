@@ -13,6 +13,7 @@ mod kept;
 mod kernels;
 mod measures;
 mod names;
+mod pointers;
 mod queue_lock;
 mod recorded_frames;
 mod scene_settings;
@@ -45,13 +46,14 @@ pub use training::*;
 pub use types::*;
 
 use self::kept::Kept;
+use self::pointers::{borrowed, borrowed_mut, check_pointer, fill, give, rgb_floats, slice, take, text};
 use self::scratch::Scratch;
 use self::structs::{read, read_if, write};
 use ashsplat::vk::{Context, ContextOptions};
 use ashsplat::{DeviceScene, Error, RenderSettings, Renderer, Result};
 use ashsplat_files::{Photo, PhotoFileFormat, splats};
 use std::cell::RefCell;
-use std::ffi::{CStr, CString, c_char};
+use std::ffi::{CString, c_char};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 /// A device that everything runs on.
@@ -114,73 +116,6 @@ fn status_of(error: &Error) -> AshsplatStatus {
         Error::DeviceLost { .. } => AshsplatStatus::DeviceLost,
         Error::Timeout { .. } => AshsplatStatus::Timeout,
         _ => AshsplatStatus::Internal,
-    }
-}
-
-/// The object behind a pointer.
-///
-/// # Safety
-/// The pointer is null or valid for the call.
-unsafe fn borrowed<'a, T>(pointer: *const T, what: &str) -> Result<&'a T> {
-    // SAFETY: as promised.
-    unsafe { pointer.as_ref() }.ok_or_else(|| Error::argument(what, "the pointer is null"))
-}
-
-/// The object behind a pointer, to change it.
-///
-/// # Safety
-/// The pointer is null or valid for the call, and the object has no other user meanwhile.
-unsafe fn borrowed_mut<'a, T>(pointer: *mut T, what: &str) -> Result<&'a mut T> {
-    // SAFETY: as promised.
-    unsafe { pointer.as_mut() }.ok_or_else(|| Error::argument(what, "the pointer is null"))
-}
-
-/// The objects behind a pointer and a count.
-///
-/// # Safety
-/// The pointer is valid for so many objects, or the count is 0.
-unsafe fn slice<'a, T>(pointer: *const T, count: usize, what: &str) -> Result<&'a [T]> {
-    match (pointer.is_null(), count) {
-        (_, 0) => Ok(&[]),
-        (true, _) => Err(Error::argument(what, "the pointer is null")),
-        // SAFETY: as promised.
-        (false, _) => Ok(unsafe { std::slice::from_raw_parts(pointer, count) }),
-    }
-}
-
-/// A C string in UTF-8.
-///
-/// # Safety
-/// The pointer is null or a C string.
-unsafe fn text<'a>(pointer: *const c_char, what: &str) -> Result<&'a str> {
-    if pointer.is_null() {
-        return Err(Error::argument(what, "the pointer is null"));
-    }
-    // SAFETY: as promised.
-    let text = unsafe { CStr::from_ptr(pointer) };
-    text.to_str().map_err(|_| Error::argument(what, "is not UTF-8"))
-}
-
-/// Gives an object away.
-///
-/// # Safety
-/// `to` is null or valid for a write.
-unsafe fn give<T>(to: *mut *mut T, what: &str, make: impl FnOnce() -> Result<T>) -> Result<()> {
-    // SAFETY: as promised.
-    let to = unsafe { borrowed_mut(to, what)? };
-    *to = std::ptr::null_mut();
-    *to = Box::into_raw(Box::new(make()?));
-    Ok(())
-}
-
-/// Takes an object back.
-///
-/// # Safety
-/// The pointer is null or came from `give`, and is not used afterwards.
-unsafe fn take<T>(pointer: *mut T) {
-    if !pointer.is_null() {
-        // SAFETY: as promised.
-        let _ = catch_unwind(AssertUnwindSafe(|| drop(unsafe { Box::from_raw(pointer) })));
     }
 }
 
@@ -397,10 +332,9 @@ pub unsafe extern "C" fn ashsplat_render(
         let settings = read_if(settings, "settings")?.map(|settings| settings.checked()).transpose()?;
         let mut settings: RenderSettings = settings.unwrap_or_default();
         settings.background.copy_from_slice(slice(background, 3, "background")?);
-        let first = borrowed_mut(rgb, "rgb")?;
+        check_pointer(rgb, "rgb")?;
         let frame = renderer.0.render_scene(&scene.scene, &camera, &settings)?;
-        let floats = frame.color.as_flattened();
-        std::slice::from_raw_parts_mut(first, floats.len()).copy_from_slice(floats);
+        fill(rgb, frame.color.as_flattened());
         Ok(())
     })
 }
@@ -432,7 +366,7 @@ pub unsafe extern "C" fn ashsplat_write_png(
 ) -> AshsplatStatus {
     // SAFETY: as promised.
     guarded(|| unsafe {
-        let floats = slice(rgb, 3 * width as usize * height as usize, "rgb")?;
+        let floats = slice(rgb, rgb_floats(width, height)?, "rgb")?;
         let (pixels, _) = floats.as_chunks::<3>();
         Photo::from_f32(width, height, pixels)?.write_png(text(path, "path")?)
     })

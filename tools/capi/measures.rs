@@ -1,6 +1,8 @@
 //! How much two pictures differ, in C: LPIPS.
 
-use super::{AshsplatContext, AshsplatStatus, borrowed, borrowed_mut, give, guarded, slice, take, text};
+use super::{
+    AshsplatContext, AshsplatStatus, borrowed, borrowed_mut, give, guarded, rgb_floats, slice, take, text,
+};
 use ashsplat::lpips::{Lpips, Network, Weights};
 use ashsplat_files::{HostMemory, WeightsFile};
 use std::ffi::{CStr, c_char};
@@ -76,9 +78,10 @@ pub unsafe extern "C" fn ashsplat_lpips_distance(
 ) -> AshsplatStatus {
     // SAFETY: as promised.
     guarded(|| unsafe {
-        let (lpips, floats) = (borrowed_mut(lpips, "lpips")?, 3 * width as usize * height as usize);
+        let (lpips, floats) = (borrowed_mut(lpips, "lpips")?, rgb_floats(width, height)?);
         let pictures = [slice(a, floats, "a")?.as_chunks().0, slice(b, floats, "b")?.as_chunks().0];
-        *borrowed_mut(distance, "distance")? = lpips.0.distance(pictures, (width, height))?;
+        let distance = borrowed_mut(distance, "distance")?;
+        *distance = lpips.0.distance(pictures, (width, height))?;
         Ok(())
     })
 }

@@ -16,11 +16,13 @@ pub const CALLS: [(&str, &str); 8] = [
 ];
 
 /// Arguments that have other names here.
-const ARGUMENTS: [(&str, &str); 4] = [
+const ARGUMENTS: [(&str, &str); 6] = [
     ("reservation", "wanted"),
     ("buffer 'frame slots'", "block"),
     ("scene extent", "scene_extent"),
     ("initial Gaussians", "point_count"),
+    ("inverse-depth gradient", "inverse_depth_gradient"),
+    ("picture for LPIPS", "width, height"),
 ];
 
 /// A message with the names that a caller in C knows.

@@ -77,6 +77,14 @@ impl AshsplatRenderSettings {
     /// As the library has them; on a black background.
     pub(super) fn checked(&self) -> Result<RenderSettings> {
         let standard = RenderSettings::default();
+        let dilation_px2 = match self.kernel_size {
+            0.0 => standard.dilation_px2,
+            own if own.is_finite() && own > 0.0 => own,
+            other => {
+                let problem = format!("is {other}, must be finite and positive, or 0 for the default");
+                return Err(Error::argument("settings.kernel_size", problem));
+            }
+        };
         Ok(RenderSettings {
             extent: one_of("settings.extent", self.extent, &[Extent::Exact, Extent::Reference])?,
             jacobian_limit: one_of(
@@ -89,7 +97,7 @@ impl AshsplatRenderSettings {
             scale_modifier: self.scale_modifier,
             antialias: self.antialias,
             inverse_depth: self.inverse_depth,
-            dilation_px2: if self.kernel_size == 0.0 { standard.dilation_px2 } else { self.kernel_size },
+            dilation_px2,
             antialias_detached: self.antialias_detached != 0,
             filter_3d: self.filter_3d != 0,
             ..standard

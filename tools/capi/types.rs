@@ -304,9 +304,7 @@ pub struct AshsplatReservation {
     /// scene and view, and more kernels.
     pub shared_sort: u32,
     /// Not 0: frames will draw scenes with a 3D filter (AshsplatRenderSettings.filter_3d).
-    pub filter_3d: u32,
-    /// 0: room for a later field.
-    pub later: u32,
+    pub filter_3d: u64,
 }
 
 /// Gaussians in a host's arrays, each as long as the count says. All but `means` are as in the reference
@@ -333,7 +331,7 @@ pub struct AshsplatGaussians {
 }
 
 /// The layout of the parameters in a host's own buffers: planes of four floats. Plane 0 is the mean and the
-/// opacity logit, 1 the quaternion (w, x, y, z), 2 the log-scales and 0. The others are the SH coefficients,
+/// opacity logit, 1 the quaternion (w, x, y, z), 2 the log-scales and the size of the 3D filter, 0 without. The others are the SH coefficients,
 /// red, green and blue one after the other, padded with zeros. The groups of planes are 0 to 2 (geometry), 3,
 /// 4 and 5, 6 to 9, and 10 to 14 (one degree each). A group is contiguous for all Gaussians, in rows of
 /// eight. In the group of planes `first` to `end` - 1, plane p of the i-th Gaussian of a chunk begins at byte
@@ -375,7 +373,8 @@ pub struct AshsplatUpdate {
     pub scene: *const super::AshsplatScene,
     /// Index of the first replaced Gaussian.
     pub first: u32,
-    /// The new Gaussians. SH above the scene's degree is dropped, missing SH is zero.
+    /// The new Gaussians. SH above the scene's degree is dropped, missing SH is zero. They have no 3D filter until
+    /// ashsplat_compute_filters.
     pub gaussians: *const AshsplatGaussians,
 }
 

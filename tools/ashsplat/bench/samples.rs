@@ -48,9 +48,10 @@ impl<'a> Counter<'a> {
             return Ok(Counted::new());
         }
         let (seed, none) = (self.seed, Counted::new());
+        let block = LaunchSizes::new(self.context()?.limits()).sort;
         let (scene, start) = match task {
             Task::Sort(elements, _) => {
-                return Ok(transactions::of_sort(&synthetic::keys(seed, *elements as usize)));
+                return Ok(transactions::of_sort(&synthetic::keys(seed, *elements as usize), block));
             }
             Task::Render(scene, ..) => (scene, None),
             Task::TrainStep(scene, ..) => (scene, Some(frames::start(scene, seed))),
@@ -60,7 +61,7 @@ impl<'a> Counter<'a> {
         renderer.upload(start.as_ref().unwrap_or(&scene.gaussians))?;
         let lists = renderer.tile_lists(&scene.camera, &RenderSettings::default())?;
         let size = (scene.camera.width, scene.camera.height);
-        Ok(transactions::of_frame(&lists, size, start.is_some()))
+        Ok(transactions::of_frame(&lists, size, block, start.is_some()))
     }
 
     fn context(&mut self) -> Result<&Context> {

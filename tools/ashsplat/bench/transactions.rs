@@ -32,21 +32,22 @@ pub fn enter(run: &mut Run, counted: &Counted) {
     }
 }
 
-/// Of a sort alone.
-pub fn of_sort(keys: &[u32]) -> Counted {
-    BTreeMap::from([(("sort", "sort/sort_downsweep"), stores_of_sort(keys.to_vec(), u32::BITS))])
+/// Of a sort alone, whose workgroups have `block` pairs.
+pub fn of_sort(keys: &[u32], block: u32) -> Counted {
+    BTreeMap::from([(("sort", "sort/sort_downsweep"), stores_of_sort(keys.to_vec(), u32::BITS, block))])
 }
 
-/// Of a frame; of a training step with the backward pass.
-pub fn of_frame(lists: &TileLists, (width, height): (u32, u32), backward: bool) -> Counted {
+/// Of a frame with such sorts; of a training step with the backward pass.
+pub fn of_frame(lists: &TileLists, size: (u32, u32), block: u32, backward: bool) -> Counted {
     let order = by_depth(lists);
     let mut gather = Counting::default();
     gather.access(order.iter().map(|&visible| u64::from(visible) * TILE_LIST), TILE_LIST);
     let depths = lists.splats.iter().map(|splat| splat.depth.to_bits()).collect();
-    let instances = stores_of_sort(unsorted_tiles(lists, &order), tile_bits(lists.ranges.len() as u32));
-    let [forward, behind] = fetches(lists, (width, height));
+    let instances =
+        stores_of_sort(unsorted_tiles(lists, &order), tile_bits(lists.ranges.len() as u32), block);
+    let [forward, behind] = fetches(lists, size);
     let mut counted = BTreeMap::from([
-        (("depth sort", "sort/sort_downsweep"), stores_of_sort(depths, u32::BITS)),
+        (("depth sort", "sort/sort_downsweep"), stores_of_sort(depths, u32::BITS, block)),
         (("tile sort", "sort/sort_downsweep"), instances),
         (("count", "forward/count"), gather.end(lists.splats.len() as u64 * TILE_LIST)),
         (("blend", "forward/blend"), forward),
@@ -99,17 +100,9 @@ impl Counting {
     }
 }
 
-/// Pairs of a workgroup of the sort on a GPU; NVIDIA's has twice as many.
-const SORT_BLOCK: usize = 256 * Tuning::GPU.sort_items as usize;
-
 /// The stores of all passes of a stable radix sort: a workgroup puts its pairs into the order of their digits, and neighbouring lanes
 /// store neighbours in it.
-fn stores_of_sort(keys: Vec<u32>, key_bits: u32) -> Transactions {
-    stores_of_blocks(keys, key_bits, SORT_BLOCK)
-}
-
-/// The same with blocks of so many pairs.
-fn stores_of_blocks(mut keys: Vec<u32>, key_bits: u32, block: usize) -> Transactions {
+fn stores_of_sort(mut keys: Vec<u32>, key_bits: u32, block: u32) -> Transactions {
     let passes = key_bits.div_ceil(c::SORT_BINS.ilog2());
     let digit_bits = key_bits.div_ceil(passes);
     let mut counting = Counting::default();
@@ -127,7 +120,7 @@ fn stores_of_blocks(mut keys: Vec<u32>, key_bits: u32, block: usize) -> Transact
         let targets: Vec<u64> = keys.iter().map(|&key| target(key)).collect();
         let mut stores = targets.clone();
         // In the order of digits, each behind those of lower ones.
-        stores.chunks_mut(block).for_each(<[u64]>::sort_unstable);
+        stores.chunks_mut(block as usize).for_each(<[u64]>::sort_unstable);
         // Keys and values lie in buffers of their own.
         for _ in 0..2 {
             counting.access(stores.iter().map(|target| target * 4), 4);
@@ -266,15 +259,15 @@ mod tests {
     /// Sorted keys are stored side by side. Of two digits in turn each block stores two runs.
     #[test]
     fn stores_of_a_sort_follow_its_keys() {
-        let equal = stores_of_sort(vec![7; 64], 8);
+        let equal = stores_of_sort(vec![7; 64], 8, 64);
         assert_eq!((equal.bytes, equal.array_bytes, of(&equal, 32)), (512, 512, [16, 8, 4]));
-        let alternating = |block| stores_of_blocks((0..64).map(|k| k % 2).collect(), 8, block);
+        let alternating = |block| stores_of_sort((0..64).map(|k| k % 2).collect(), 8, block);
         assert_eq!([32, 64].map(|lanes| of(&alternating(64), lanes)), [[16, 8, 4]; 2]);
         // A block of 32 has 16 of each: two runs of 64 bytes, 128 apart.
         assert_eq!([32, 64].map(|lanes| of(&alternating(32), lanes)), [[16, 8, 8], [16, 8, 4]]);
         // Of 32 bits four passes, of 9 two.
-        assert_eq!(stores_of_sort(vec![7; 64], 32).bytes, 4 * 512);
-        assert_eq!(stores_of_sort(vec![7; 64], 9).bytes, 2 * 512);
+        assert_eq!(stores_of_sort(vec![7; 64], 32, 64).bytes, 4 * 512);
+        assert_eq!(stores_of_sort(vec![7; 64], 9, 64).bytes, 2 * 512);
     }
 
     /// One tile with 40 Gaussians: all far too faint, or opaque ones, after a few of which every pixel stops.

@@ -7,8 +7,10 @@
 
 enum { WIDTH = 64, HEIGHT = 48, PIXELS = WIDTH * HEIGHT, COUNT = 500, COEFFICIENTS = 4 };
 
-static float means[3 * COUNT], quats[4 * COUNT], log_scales[3 * COUNT], logits[COUNT], sh[3 * COEFFICIENTS * COUNT], means2d[2 * COUNT];
-static float rgb[3 * PIXELS], other[3 * PIXELS], of_image[3 * PIXELS], of_depth[PIXELS], sizes[COUNT];
+/* One more than there is: nothing is written there. */
+static float means[3 * COUNT + 1], quats[4 * COUNT + 1], log_scales[3 * COUNT + 1], logits[COUNT + 1], sh[3 * COEFFICIENTS * COUNT + 1];
+static float means2d[2 * COUNT + 1], sizes[COUNT + 1];
+static float rgb[3 * PIXELS], other[3 * PIXELS], of_image[3 * PIXELS], of_depth[PIXELS];
 static uint8_t photo[3 * PIXELS];
 
 /* Refused, with these words in the message. */
@@ -51,11 +53,15 @@ int main(int count, char **arguments) {
     check(ashsplat_filters(renderer, scene, sizes), "its sizes");
     check(ashsplat_render(renderer, scene, &cameras[0], &settings, background, other), "rendering");
     EXPECT(memcmp(rgb, other, sizeof rgb) != 0);
-    EXPECT(fwrite(sizes, sizeof sizes, 1, out) == 1 && fwrite(other, sizeof other, 1, out) == 1);
+    EXPECT(sizes[COUNT - 1] > 0 && sizes[COUNT] == 0);
+    EXPECT(fwrite(sizes, 4, COUNT, out) == COUNT && fwrite(other, sizeof other, 1, out) == 1);
     settings.kernel_size = -1;
-    refused(ashsplat_render(renderer, scene, &cameras[0], &settings, background, rgb), "dilation_px2: is -1");
+    refused(ashsplat_render(renderer, scene, &cameras[0], &settings, background, rgb), "settings.kernel_size: is -1");
     settings.kernel_size = 0.1f;
     refused(ashsplat_compute_filters(renderer, scene, cameras, 0), "cameras");
+    cameras[1].projection = AshsplatProjection_Orthographic;
+    refused(ashsplat_compute_filters(renderer, scene, cameras, 2), "cameras[1].projection: is orthographic");
+    refused(ashsplat_filters(renderer, scene, NULL), "sizes: ");
 
     /* The same filter in a recorded frame: it is reserved. */
     AshsplatReservation wanted = ASHSPLAT_INIT(AshsplatReservation);
@@ -99,7 +105,7 @@ int main(int count, char **arguments) {
     for (int i = 0; i < 3 * PIXELS; ++i) of_image[i] = (float)(i * 7 % 13 - 6) / 8.0f;
     for (int i = 0; i < PIXELS; ++i) of_depth[i] = (float)(i * 5 % 11 - 5) / 16.0f;
     settings.inverse_depth = true;
-    float pose[6], again[3 * COUNT];
+    float pose[7] = {0}, again[3 * COUNT];
     AshsplatGradients gradients = ASHSPLAT_INIT(AshsplatGradients);
     gradients.means = means;
     gradients.quats = quats;
@@ -113,12 +119,14 @@ int main(int count, char **arguments) {
     some.means = again;
     check(ashsplat_gradients(renderer, scene, &cameras[0], &settings, background, of_image, of_depth, &some), "gradients of means");
     EXPECT(memcmp(means, again, sizeof again) == 0);
-    const struct { const void *from; size_t bytes; } all[] = {{means, sizeof means}, {quats, sizeof quats}, {log_scales, sizeof log_scales},
-                                                              {logits, sizeof logits}, {sh, sizeof sh}, {means2d, sizeof means2d}, {pose, sizeof pose}};
-    for (size_t i = 0; i < sizeof all / sizeof all[0]; ++i) EXPECT(fwrite(all[i].from, all[i].bytes, 1, out) == 1);
+    const struct { const float *from; size_t floats; } all[] = {{means, 3 * COUNT}, {quats, 4 * COUNT}, {log_scales, 3 * COUNT}, {logits, COUNT},
+                                                                {sh, 3 * COEFFICIENTS * COUNT}, {means2d, 2 * COUNT}, {pose, 6}};
+    for (size_t i = 0; i < sizeof all / sizeof all[0]; ++i) {
+        EXPECT(all[i].from[all[i].floats] == 0 && fwrite(all[i].from, 4, all[i].floats, out) == all[i].floats);
+    }
     refused(ashsplat_gradients(renderer, scene, &cameras[0], &settings, background, NULL, NULL, &gradients), "image_gradient: ");
     refused(ashsplat_gradients(renderer, scene, &cameras[0], &settings, background, of_image, NULL, NULL), "gradients: ");
-    refused(ashsplat_gradients(renderer, scene, &cameras[0], NULL, background, of_image, of_depth, &gradients), "inverse_depth");
+    refused(ashsplat_gradients(renderer, scene, &cameras[0], NULL, background, of_image, of_depth, &gradients), "inverse_depth_gradient: needs");
     settings.scale_modifier = 2;
     refused(ashsplat_gradients(renderer, scene, &cameras[0], &settings, background, of_image, NULL, &gradients), "scale modifier");
     settings.scale_modifier = 1;
@@ -137,6 +145,9 @@ int main(int count, char **arguments) {
     alignment.steps = 40;
     check(ashsplat_align(renderer, scene, &moved, NULL, background, photo, NULL, &alignment, &aligned), "aligning");
     EXPECT(fwrite(aligned.camera_from_world, 4, 9, out) == 9 && fwrite(aligned.translation, 4, 3, out) == 3);
+    check(ashsplat_align(renderer, scene, &moved, NULL, background, photo, NULL, &alignment, &moved), "aligning in place");
+    EXPECT(memcmp(&moved, &aligned, sizeof moved) == 0);
+    refused(ashsplat_align(renderer, scene, &moved, NULL, background, photo, NULL, &alignment, NULL), "aligned: ");
     alignment.lambda_dssim = 2;
     refused(ashsplat_align(renderer, scene, &moved, NULL, background, photo, NULL, &alignment, &aligned), "alignment: ");
     refused(ashsplat_align(renderer, scene, &moved, NULL, background, NULL, NULL, NULL, &aligned), "rgb: ");
@@ -153,7 +164,9 @@ int main(int count, char **arguments) {
     check(ashsplat_lpips_distance(lpips, rgb, other, WIDTH, HEIGHT, &distance), "a distance");
     EXPECT(none == 0 && distance > 0);
     EXPECT(fwrite(&distance, sizeof distance, 1, out) == 1);
-    refused(ashsplat_lpips_distance(lpips, rgb, other, 4, 4, &distance), "AlexNet needs");
+    refused(ashsplat_lpips_distance(lpips, rgb, other, 4, 4, &distance), "width, height: is 4x4 pixels, AlexNet needs");
+    refused(ashsplat_lpips_distance(lpips, rgb, other, UINT32_MAX, UINT32_MAX, &distance), "width, height: ");
+    refused(ashsplat_lpips_distance(lpips, rgb, other, WIDTH, HEIGHT, NULL), "distance: ");
     EXPECT(fclose(out) == 0);
     printf("%s %g\n", name, distance);
 

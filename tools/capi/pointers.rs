@@ -1,0 +1,93 @@
+//! What a host's pointers stand for.
+
+use ashsplat::{Error, Result};
+use std::ffi::{CStr, c_char};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
+/// The object behind a pointer.
+///
+/// # Safety
+/// The pointer is null or valid for the call.
+pub(super) unsafe fn borrowed<'a, T>(pointer: *const T, what: &str) -> Result<&'a T> {
+    // SAFETY: as promised.
+    unsafe { pointer.as_ref() }.ok_or_else(|| Error::argument(what, "the pointer is null"))
+}
+
+/// The object behind a pointer, to change it.
+///
+/// # Safety
+/// The pointer is null or valid for the call, and the object has no other user meanwhile.
+pub(super) unsafe fn borrowed_mut<'a, T>(pointer: *mut T, what: &str) -> Result<&'a mut T> {
+    // SAFETY: as promised.
+    unsafe { pointer.as_mut() }.ok_or_else(|| Error::argument(what, "the pointer is null"))
+}
+
+/// The objects behind a pointer and a count.
+///
+/// # Safety
+/// The pointer is valid for so many objects, or the count is 0.
+pub(super) unsafe fn slice<'a, T>(pointer: *const T, count: usize, what: &str) -> Result<&'a [T]> {
+    match (pointer.is_null(), count) {
+        (_, 0) => Ok(&[]),
+        (true, _) => Err(Error::argument(what, "the pointer is null")),
+        // SAFETY: as promised.
+        (false, _) => Ok(unsafe { std::slice::from_raw_parts(pointer, count) }),
+    }
+}
+
+/// Floats of a picture in red, green and blue.
+pub(super) fn rgb_floats(width: u32, height: u32) -> Result<usize> {
+    let floats = (width as usize).checked_mul(height as usize).and_then(|pixels| pixels.checked_mul(3));
+    let floats = floats.filter(|floats| *floats <= isize::MAX as usize / size_of::<f32>());
+    floats.ok_or_else(|| Error::argument("width, height", format!("{width}x{height} pixels are too many")))
+}
+
+/// Refuses a pointer that results cannot be written to, before the work.
+pub(super) fn check_pointer<T>(pointer: *mut T, what: &str) -> Result<()> {
+    if pointer.is_null() { Err(Error::argument(what, "the pointer is null")) } else { Ok(()) }
+}
+
+/// Writes numbers into an array of the host's.
+///
+/// # Safety
+/// `to` is valid for so many writes.
+pub(super) unsafe fn fill(to: *mut f32, from: &[f32]) {
+    // SAFETY: as promised.
+    unsafe { std::ptr::copy_nonoverlapping(from.as_ptr(), to, from.len()) }
+}
+
+/// A C string in UTF-8.
+///
+/// # Safety
+/// The pointer is null or a C string.
+pub(super) unsafe fn text<'a>(pointer: *const c_char, what: &str) -> Result<&'a str> {
+    if pointer.is_null() {
+        return Err(Error::argument(what, "the pointer is null"));
+    }
+    // SAFETY: as promised.
+    let text = unsafe { CStr::from_ptr(pointer) };
+    text.to_str().map_err(|_| Error::argument(what, "is not UTF-8"))
+}
+
+/// Gives an object away.
+///
+/// # Safety
+/// `to` is null or valid for a write.
+pub(super) unsafe fn give<T>(to: *mut *mut T, what: &str, make: impl FnOnce() -> Result<T>) -> Result<()> {
+    // SAFETY: as promised.
+    let to = unsafe { borrowed_mut(to, what)? };
+    *to = std::ptr::null_mut();
+    *to = Box::into_raw(Box::new(make()?));
+    Ok(())
+}
+
+/// Takes an object back.
+///
+/// # Safety
+/// The pointer is null or came from `give`, and is not used afterwards.
+pub(super) unsafe fn take<T>(pointer: *mut T) {
+    if !pointer.is_null() {
+        // SAFETY: as promised.
+        let _ = catch_unwind(AssertUnwindSafe(|| drop(unsafe { Box::from_raw(pointer) })));
+    }
+}
