@@ -1124,7 +1124,7 @@ enum AshsplatStatus ashsplat_lpips_new(const struct AshsplatContext *context,
 void ashsplat_lpips_free(struct AshsplatLpips *lpips);
 
 // What ashsplat_lpips_distance measures: "lpips_alex", of values from -1 to 1, as gsplat; or "lpips_vgg_unscaled", of values from 0 to
-// 1, as the reference implementation.
+// 1, as the reference implementation. The name lives as long as `lpips`.
 //
 // # Safety
 // `lpips` is alive, `name` is valid for a write.

@@ -1,14 +1,12 @@
 //! What a renderer has of a scene besides its picture, in C: gradients, cameras that fit photographs, the 3D filter.
 
 use super::structs::{check_room, named, read, read_all, read_if, write};
-use super::trainers::slice_if;
+use super::trainers::{photo, slice_if};
 use super::{
     AshsplatCamera, AshsplatRenderSettings, AshsplatRenderer, AshsplatScene, AshsplatStatus, borrowed,
-    borrowed_mut, check_pointer, fill, guarded, slice,
+    borrowed_mut, check_pointer, fill, frame, guarded, slice,
 };
-use ashsplat::scene::{Camera, StoredPhoto};
-use ashsplat::{Alignment, Error, Gradients, RenderSettings, Result};
-use ashsplat_files::Photo;
+use ashsplat::{Alignment, Error, Gradients, Result};
 
 /// Where gradients go: arrays of the host's with an element for each of the scene's, in the shapes of AshsplatGaussians. NULL: that
 /// one is not wanted.
@@ -47,26 +45,6 @@ pub struct AshsplatAlignment {
     pub lr: f64,
     /// Weight of 1 - SSIM in the loss, 0 to 1; L1 takes the rest.
     pub lambda_dssim: f64,
-}
-
-/// A frame's camera and settings.
-///
-/// # Safety
-/// The pointers are null or valid with what they point to.
-unsafe fn frame(
-    camera: *const AshsplatCamera,
-    settings: *const AshsplatRenderSettings,
-    background: *const f32,
-) -> Result<(Camera, RenderSettings)> {
-    // SAFETY: as promised.
-    unsafe {
-        let camera = read(camera, "camera")?.known()?;
-        camera.check()?;
-        let settings = read_if(settings, "settings")?.map(|settings| settings.checked()).transpose()?;
-        let mut settings: RenderSettings = settings.unwrap_or_default();
-        settings.background.copy_from_slice(slice(background, 3, "background")?);
-        Ok((camera, settings))
-    }
 }
 
 /// Renders a scene and gives the gradient of L by all parameters, for a given dL/dimage (paper, appendix A). It is exact, but for
@@ -158,11 +136,7 @@ pub unsafe extern "C" fn ashsplat_align(
             lr: alignment.lr,
             lambda_dssim: alignment.lambda_dssim as f32,
         };
-        let (width, height) = (camera.width, camera.height);
-        let pixels = width as usize * height as usize;
-        let rgb = slice(rgb, 3 * pixels, "rgb")?.to_vec();
-        let mask = slice_if(mask, pixels, "mask")?.map(<[u8]>::to_vec);
-        let photo = StoredPhoto::new(Photo { width, height, rgb }, mask);
+        let photo = photo(&camera, rgb, mask)?;
         let align =
             |renderer: &mut ashsplat::Renderer| renderer.align(&camera, &photo, &settings, &alignment);
         let moved = renderer.0.with_scene(&scene.scene, align)?;

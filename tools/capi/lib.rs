@@ -310,6 +310,26 @@ pub unsafe extern "C" fn ashsplat_camera_look_at(
     })
 }
 
+/// A picture's camera, and its settings with the background.
+///
+/// # Safety
+/// The pointers are null or valid with what they point to.
+unsafe fn frame(
+    camera: *const AshsplatCamera,
+    settings: *const AshsplatRenderSettings,
+    background: *const f32,
+) -> Result<(ashsplat::Camera, RenderSettings)> {
+    // SAFETY: as promised.
+    unsafe {
+        let camera = read(camera, "camera")?.known()?;
+        camera.check()?;
+        let settings = read_if(settings, "settings")?.map(|settings| settings.checked()).transpose()?;
+        let mut settings: RenderSettings = settings.unwrap_or_default();
+        settings.background.copy_from_slice(slice(background, 3, "background")?);
+        Ok((camera, settings))
+    }
+}
+
 /// Renders a scene, submits and waits: `rgb` receives red, green and blue of each pixel, row by row, on a
 /// background.
 ///
@@ -328,10 +348,7 @@ pub unsafe extern "C" fn ashsplat_render(
     // SAFETY: as promised.
     guarded(|| unsafe {
         let (renderer, scene) = (borrowed_mut(renderer, "renderer")?, borrowed(scene, "scene")?);
-        let camera = read(camera, "camera")?.known()?;
-        let settings = read_if(settings, "settings")?.map(|settings| settings.checked()).transpose()?;
-        let mut settings: RenderSettings = settings.unwrap_or_default();
-        settings.background.copy_from_slice(slice(background, 3, "background")?);
+        let (camera, settings) = frame(camera, settings, background)?;
         check_pointer(rgb, "rgb")?;
         let frame = renderer.0.render_scene(&scene.scene, &camera, &settings)?;
         fill(rgb, frame.color.as_flattened());

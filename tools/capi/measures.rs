@@ -3,12 +3,12 @@
 use super::{
     AshsplatContext, AshsplatStatus, borrowed, borrowed_mut, give, guarded, rgb_floats, slice, take, text,
 };
-use ashsplat::lpips::{Lpips, Network, Weights};
+use ashsplat::lpips::{Lpips, Weights};
 use ashsplat_files::{HostMemory, WeightsFile};
-use std::ffi::{CStr, c_char};
+use std::ffi::{CString, c_char};
 
 /// A network of LPIPS with its weights on a device.
-pub struct AshsplatLpips(Lpips);
+pub struct AshsplatLpips(Lpips, CString);
 
 /// Reads the weights of LPIPS 0.1 with AlexNet or VGG16 from a safetensors file, which the caller has; tools/lpips_weights.py writes
 /// it. The tensors' shapes say which network it is.
@@ -26,7 +26,8 @@ pub unsafe extern "C" fn ashsplat_lpips_new(
         let (context, path) = (borrowed(context, "context")?, text(weights, "weights")?);
         give(lpips, "lpips", || {
             let weights = Weights::read(path, &HostMemory::default())?;
-            Lpips::new(&context.0, &weights).map(AshsplatLpips)
+            let name = CString::new(weights.network.measure()).unwrap_or_default();
+            Ok(AshsplatLpips(Lpips::new(&context.0, &weights)?, name))
         })
     })
 }
@@ -42,7 +43,7 @@ pub unsafe extern "C" fn ashsplat_lpips_free(lpips: *mut AshsplatLpips) {
 }
 
 /// What ashsplat_lpips_distance measures: "lpips_alex", of values from -1 to 1, as gsplat; or "lpips_vgg_unscaled", of values from 0 to
-/// 1, as the reference implementation.
+/// 1, as the reference implementation. The name lives as long as `lpips`.
 ///
 /// # Safety
 /// `lpips` is alive, `name` is valid for a write.
@@ -53,11 +54,7 @@ pub unsafe extern "C" fn ashsplat_lpips_name(
 ) -> AshsplatStatus {
     // SAFETY: as promised.
     guarded(|| unsafe {
-        let found: &'static CStr = match borrowed(lpips, "lpips")?.0.network() {
-            Network::AlexNet => c"lpips_alex",
-            Network::Vgg16 => c"lpips_vgg_unscaled",
-        };
-        *borrowed_mut(name, "name")? = found.as_ptr();
+        *borrowed_mut(name, "name")? = borrowed(lpips, "lpips")?.1.as_ptr();
         Ok(())
     })
 }

@@ -1,7 +1,7 @@
 //! What a training in C has learned: the scene, cameras, exposures and lens effects, and a checkpoint of it all.
 
 use super::structs::{check_room_of_all, write_all_if};
-use super::{AshsplatCamera, AshsplatStatus, AshsplatTrainer, borrowed, guarded, text};
+use super::{AshsplatCamera, AshsplatStatus, AshsplatTrainer, borrowed, check_pointer, fill, guarded, text};
 use ashsplat::{Error, Result};
 use ashsplat_files::{CheckpointFile, ply, splats};
 use std::ffi::c_char;
@@ -63,9 +63,7 @@ pub unsafe extern "C" fn ashsplat_trainer_cameras(
     guarded(|| unsafe {
         let all = borrowed(trainer, "trainer")?.0.cameras()?;
         check_count(count, all.len())?;
-        if cameras.is_null() {
-            return Err(Error::argument("cameras", "the pointer is null"));
-        }
+        check_pointer(cameras, "cameras")?;
         check_room_of_all(cameras, count, "cameras")?;
         let all: Vec<AshsplatCamera> = all.into_iter().map(Into::into).collect();
         write_all_if(cameras, "cameras", &all)
@@ -130,11 +128,8 @@ unsafe fn give_rows(
         return Err(Error::argument(setting, "is not set: nothing of it is learned"));
     }
     check_count(count, rows.len())?;
-    if to.is_null() {
-        return Err(Error::argument(name, "the pointer is null"));
-    }
-    let floats = rows.as_flattened().as_flattened();
+    check_pointer(to, name)?;
     // SAFETY: as promised.
-    unsafe { std::ptr::copy_nonoverlapping(floats.as_ptr(), to, floats.len()) };
+    unsafe { fill(to, rows.as_flattened().as_flattened()) };
     Ok(())
 }

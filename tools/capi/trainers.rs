@@ -7,7 +7,7 @@ use super::{
     guarded, slice, text,
 };
 use ashsplat::loss::DepthPoint;
-use ashsplat::scene::{PointCloud, StoredPhoto};
+use ashsplat::scene::{Camera, PointCloud, StoredPhoto};
 use ashsplat::trainer::{Checkpoint, Preset};
 use ashsplat::{Error, Result, TrainSettings, TrainView, Trainer};
 use ashsplat_files::{CheckpointFile, Photo};
@@ -206,19 +206,31 @@ unsafe fn train_view(view: &AshsplatTrainView) -> Result<TrainView> {
     // SAFETY: as promised.
     let camera = unsafe { read(view.camera, "camera")? }.known()?;
     camera.check()?;
-    let (width, height) = (camera.width, camera.height);
-    let pixels = width as usize * height as usize;
+    let pixels = camera.width as usize * camera.height as usize;
     // SAFETY: as promised.
     unsafe {
-        let rgb = slice(view.rgb, 3 * pixels, "rgb")?.to_vec();
-        let mask = slice_if(view.mask, pixels, "mask")?.map(<[u8]>::to_vec);
-        let photo = StoredPhoto::new(Photo { width, height, rgb }, mask);
+        let photo = photo(&camera, view.rgb, view.mask)?;
         let points = slice_if(view.depth_points, 3 * view.depth_point_count as usize, "depth_points")?;
         let known = |&[x, y, inverse_z]: &[f32; 3]| DepthPoint { position_px: [x, y], inverse_z };
         Ok(TrainView::new(camera, photo)
             .taken_by(view.camera_id)
             .with_inverse_depth(slice_if(view.inverse_depth, pixels, "inverse_depth")?.map(Into::into))
             .with_depth_points(points.map(|points| points.as_chunks().0.iter().map(known).collect())))
+    }
+}
+
+/// A photograph of a camera's size, and its mask if there is one.
+///
+/// # Safety
+/// The pointers are null or valid for the camera's pixels.
+pub(super) unsafe fn photo(camera: &Camera, rgb: *const u8, mask: *const u8) -> Result<StoredPhoto> {
+    let (width, height) = (camera.width, camera.height);
+    let pixels = width as usize * height as usize;
+    // SAFETY: as promised.
+    unsafe {
+        let rgb = slice(rgb, 3 * pixels, "rgb")?.to_vec();
+        let mask = slice_if(mask, pixels, "mask")?.map(<[u8]>::to_vec);
+        Ok(StoredPhoto::new(Photo { width, height, rgb }, mask))
     }
 }
 
