@@ -300,15 +300,12 @@ impl Renderer {
         camera: &Camera,
         settings: &RenderSettings,
     ) -> Result<Frame> {
-        if !scene.belongs_to(&self.context) {
-            return Err(Error::argument("scene", check::ELSEWHERE));
-        }
-        self.runner.alone(|runner| runner.render(&scene.buffers, camera, settings))
+        self.with_scene(scene, |renderer| renderer.render(camera, settings))
     }
 
     /// Does something with a scene on the device in place of what is loaded, which is loaded again afterwards: what is of one scene,
     /// as [`Renderer::gradients`], [`Renderer::align`] and [`Renderer::compute_filters`]. Nothing is copied. What `act` loads is dropped
-    /// at its end.
+    /// at its end. A panic of `act` loads what was loaded, too.
     ///
     /// # Errors
     /// [`Error::Argument`] for a scene of another context; as what is done.
@@ -321,12 +318,23 @@ impl Renderer {
             return Err(Error::argument("scene", check::ELSEWHERE));
         }
         let loaded = self.scene.replace(scene.buffers.clone());
-        let around = self.runner.surroundings().to_vec();
-        self.runner.surround(Vec::new());
-        let done = act(self);
-        self.scene = loaded;
-        self.runner.surround(around);
-        done
+        let around = self.runner.surround(Vec::new());
+        let aside = SetAside { renderer: self, loaded, around };
+        act(aside.renderer)
+    }
+}
+
+/// A renderer whose scenes come back in the end.
+struct SetAside<'a> {
+    renderer: &'a mut Renderer,
+    loaded: Option<SceneBuffers>,
+    around: Vec<SceneBuffers>,
+}
+
+impl Drop for SetAside<'_> {
+    fn drop(&mut self) {
+        self.renderer.scene = self.loaded.take();
+        self.renderer.runner.surround(std::mem::take(&mut self.around));
     }
 }
 

@@ -50,6 +50,41 @@ fn few_photos_resume_to_the_bit() {
     }
 }
 
+/// The same three views with maps in place of points; the second has none.
+fn mapped() -> Vec<TrainView> {
+    let map =
+        |view: u32| (0..40 * 30).map(|k| 0.2 + 0.001 * ((k * (view + 3)) % 97) as f32).collect::<Vec<f32>>();
+    let with = |(index, view): (u32, TrainView)| match index {
+        1 => view,
+        _ => view.with_inverse_depth(Some(map(index).into())),
+    };
+    (0..).zip(views(3, 40)).map(with).collect()
+}
+
+#[test]
+fn inverse_depth_maps_resume_to_the_bit_and_are_within_the_memory() {
+    let gpu = Gpu::new();
+    let settings = TrainSettings { depth_points: 0.0, ..settings() };
+    let end = check_resumed_with(mapped, &settings, &[1, 15, 27]);
+    assert!(end_with(views(3, 40), &settings).gaussians != end.gaussians, "without effect");
+    // Other maps are other views.
+    let mut other = mapped();
+    other[0].inverse_depth = other[2].inverse_depth.clone();
+    let trainer = Trainer::new(gpu.context, mapped(), &start(), EXTENT, settings.clone());
+    let checkpoint = trainer.expect("a trainer").checkpoint().expect("a checkpoint");
+    let refused = Trainer::resume(gpu.context, other, EXTENT, settings.clone(), &checkpoint);
+    assert!(refused.is_err_and(|error| error.to_string().contains("other photographs")));
+    let peak = |views: Vec<TrainView>, max_memory: Option<u64>| -> ashsplat::Result<u64> {
+        let context = bounded(max_memory);
+        let mut trainer = Trainer::new(&context, views, &start(), EXTENT, settings.clone())?;
+        (0..3).try_for_each(|_| trainer.step().map(drop))?;
+        Ok(context.memory_total().peak_bytes)
+    };
+    let [without, with] = [views(3, 40), mapped()].map(|views| peak(views, None).expect("trained"));
+    assert!(with > without);
+    assert!(peak(mapped(), Some(with)).expect("trained") <= with);
+}
+
 /// Each changes what is learnt; without them points are not looked at.
 #[test]
 fn few_photos_settings_have_an_effect_each() {

@@ -1,7 +1,7 @@
 //! The backward pass of the projection with Adam's step in it: the same bits as with the step apart.
 
 use ashsplat::plan::LaunchSizes;
-use ashsplat::trainer::{Checkpoint, OptimizerType, StrategyType, Trainer};
+use ashsplat::trainer::{Checkpoint, OptimizerType, Preset, StrategyType, Trainer};
 use ashsplat::vk::{Context, ContextOptions, LimitsOverride, SpecOverride};
 use ashsplat::{TrainSettings, TrainView};
 
@@ -85,6 +85,32 @@ fn fused_adam_has_the_same_bits_in_chunks() {
     let settings = TrainSettings { strategy: StrategyType::Mcmc, cap_max: 400, ..long() };
     let limits = LimitsOverride { max_storage_buffer_range: Some(100_000), ..LimitsOverride::default() };
     check(&settings, limits);
+}
+
+/// Mip-Splatting's filters have variants of the kernel of their own.
+#[test]
+fn fused_adam_has_the_same_bits_with_filters() {
+    for antialiasing_detached in [false, true] {
+        let filters = TrainSettings { filter_3d: true, antialiasing: true, kernel_size: 0.1, ..long() };
+        check(&TrainSettings { antialiasing_detached, ..filters }, LimitsOverride::default());
+    }
+}
+
+/// What users have: growth within a budget, exposures, dropout, means of the last steps.
+#[test]
+fn fused_adam_has_the_same_bits_with_a_preset() {
+    let preset = TrainSettings {
+        iterations: ITERATIONS,
+        sh_degree: 2,
+        sh_degree_interval: 12,
+        densification_interval: 10,
+        densify_grad_threshold: 2e-5,
+        dropout: 0.2,
+        exposure: true,
+        lens_effects: true,
+        ..TrainSettings::of_preset(Preset::Default)
+    };
+    check(&preset, LimitsOverride::default());
 }
 
 /// Poses need the gradients, and sets without push descriptors have fewer buffers: there the step stays apart.

@@ -49,7 +49,9 @@ enum Kind {
     SparseDepth,
     Lpips,
     Poses,
-    Other,
+    /// Judged by `golden_host`.
+    Initial,
+    Unknown,
 }
 
 impl Kind {
@@ -76,7 +78,8 @@ impl Kind {
             () if has("alex_layers") && has("vgg_layers") => Kind::Lpips,
             () if has("d_pose") => Kind::Poses,
             () if has("logits") && has("out") => Kind::ResetOpacity,
-            () => Kind::Other,
+            () if has("dist2") => Kind::Initial,
+            () => Kind::Unknown,
         }
     }
 }
@@ -120,11 +123,7 @@ pub fn sets(shared: &Path) -> Vec<SetFile> {
     assert!(!sets.is_empty(), "no golden vectors in {}", own().display());
     let mut further = list(&shared.join("golden"));
     further.extend(list(&shared.join("golden/needles")));
-    // Of the sets of training features those whose feature exists.
-    let features = list(&shared.join("golden/training"));
-    // Kinds that older sets have too are those of features that wait.
-    let exists = |kind: Kind| !matches!(kind, Kind::Other | Kind::Rendering | Kind::Loss | Kind::Densify);
-    further.extend(features.into_iter().filter(|set| exists(set.kind)));
+    further.extend(list(&shared.join("golden/training")));
     further.retain(|set| sets.iter().all(|own| own.name != set.name));
     sets.append(&mut further);
     sets.sort_by(|a, b| a.name.cmp(&b.name));

@@ -98,7 +98,7 @@ fn bench_quality_measures_presets_beside_strategies() {
     let folder = tempdir().expect("a temporary folder");
     let (data, out) = (folder.path().join("data"), folder.path().join("out"));
     write_dataset(&data);
-    let growth = ["--densify-from-iter", "2", "--densification-interval", "3", "--warm-up", "0"];
+    let growth = ["--densify-from-iter", "2", "--densification-interval", "3"];
     let short = [&growth[..], &["--iterations", "12", "--quiet"]].concat();
     let both = ["--presets", "fast,quality", "--strategies", "reference", "--points", "2"];
     succeed(&[&["bench", "quality", text(&data), "-o", text(&out)], &both[..], &short].concat());

@@ -83,6 +83,11 @@ fn with_a_scene_several_others_stay_loaded() {
     let elsewhere = DeviceScene::upload(&other, &all, 0).expect("uploaded");
     let error = renderer.with_scene(&elsewhere, |_| Ok(())).expect_err("another context");
     assert!(error.to_string().starts_with("scene: "), "{error}");
+    let panics = || {
+        renderer
+            .with_scene(&scenes[0], |_| -> ashsplat::Result<()> { std::panic::resume_unwind(Box::new(())) })
+    };
+    assert!(std::panic::catch_unwind(std::panic::AssertUnwindSafe(panics)).is_err());
     assert!(renderer.render(&camera, &settings).expect("a frame").color == expected.color);
 }
 

@@ -123,9 +123,9 @@ impl FrameRunner {
     }
 
     /// From now on these scenes are drawn together with every scene, in the same axes. They are stored with the SH degree of
-    /// the scenes. Frames with a pose on the device ([`Request::pose`]) cannot have them.
-    pub fn surround(&mut self, around: Vec<SceneBuffers>) {
-        self.around = around;
+    /// the scenes. Frames with a pose on the device ([`Request::pose`]) cannot have them. Returns those until now.
+    pub fn surround(&mut self, around: Vec<SceneBuffers>) -> Vec<SceneBuffers> {
+        std::mem::replace(&mut self.around, around)
     }
 
     /// Room that is needed behind every scene: the Gaussians that are drawn together with it, and the gaps between their scenes.
@@ -137,14 +137,6 @@ impl FrameRunner {
     /// The scenes that are drawn together with every scene.
     pub fn surroundings(&self) -> &[SceneBuffers] {
         &self.around
-    }
-
-    /// Does something with frames of single scenes.
-    pub fn alone<T>(&mut self, act: impl FnOnce(&mut Self) -> T) -> T {
-        let around = std::mem::take(&mut self.around);
-        let done = act(self);
-        self.around = around;
-        done
     }
 
     fn scenes(&self) -> u32 {

@@ -395,7 +395,8 @@ impl Trainer {
         let scene = &self.state.model.scene.plan;
         let mean =
             if self.run.settings.average_last > 0.0 { scene.chunks * (scene.sh_degree + 2) } else { 0 };
-        (PER_STEP + 5 * scene.chunks + mean + around + 2 * blending) as usize
+        let filter = if self.run.settings.filter_3d { 2 * scene.chunks } else { 0 };
+        (PER_STEP + 5 * scene.chunks + mean + filter + around + 2 * blending) as usize
     }
 
     /// The Gaussians on the device, for [`Renderer::record`](crate::Renderer::record) after recorded steps.

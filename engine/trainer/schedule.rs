@@ -273,10 +273,11 @@ mod tests {
     }
 
     #[test]
-    fn the_weight_of_points_falls_to_a_hundredth() {
+    fn the_weights_of_depths_fall_to_a_hundredth() {
         let settings = TrainSettings { iterations: 400, depth_points: 0.5, ..TrainSettings::default() };
-        for (iteration, weight) in [(0, 0.5), (200, 0.05), (400, 0.005)] {
-            assert!((settings.depth_points_weight(iteration) / weight - 1.0).abs() < 1e-12);
+        for (iteration, share) in [(0, 1.0), (200, 0.1), (400, 0.01)] {
+            assert!((settings.depth_points_weight(iteration) / (0.5 * share) - 1.0).abs() < 1e-12);
+            assert!((settings.depth_l1_weight(iteration) / share - 1.0).abs() < 1e-12);
         }
     }
 }

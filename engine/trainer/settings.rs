@@ -143,8 +143,8 @@ options! {
         kernel_size: f64 = 0.3, Bounds::Positive;
         /// Widen Gaussians to what the nearest camera resolves (Mip-Splatting's 3D filter)
         filter_3d: bool = false, Bounds::None;
-        /// Draw at a quarter of the photos' width and height up to half of this iteration, at half of them up to it, never scaled; no
-        /// side gets fewer than 64 pixels (paper, section 7.1: 500)
+        /// Draw at a quarter of the photos' width and height up to half of this iteration, at half of them up to it, and whole in the
+        /// second half of the run in any case; never scaled, no side gets fewer than 64 pixels (paper, section 7.1: 500)
         warm_up: u32 = 0, Bounds::None;
         /// Share of the Gaussians that the last step leaves out at random; it rises from 0 at the start (DropGaussian: 0.2)
         dropout: f64 = 0.0, Bounds::Share;
@@ -305,13 +305,6 @@ impl TrainSettings {
         if self.dropout > MOST_DROPOUT {
             let problem = format!("is {}, must be at most {MOST_DROPOUT}", self.dropout);
             return Err(Error::argument("dropout", problem));
-        }
-        if self.warm_up > 0 && self.warm_up >= self.iterations {
-            let problem = format!(
-                "is {}, must be less than the {} iterations: no whole photo would be seen; take 0 for no warm-up",
-                self.warm_up, self.iterations
-            );
-            return Err(Error::argument("warm_up", problem));
         }
         if self.warm_up > 0 && self.depth_points > 0.0 {
             let problem =

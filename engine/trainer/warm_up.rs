@@ -43,13 +43,19 @@ fn reduced(camera: &Camera, factor: u32) -> Camera {
 }
 
 impl TrainSettings {
+    /// The last iteration of the warm-up: `warm_up`, but at most half of the iterations.
+    pub fn warm_up_end(&self) -> u32 {
+        self.warm_up.min(self.iterations / 2)
+    }
+
     /// The camera with which a view is drawn at an iteration (1-based): a quarter of its width and height up to half of
-    /// `warm_up`, half of them up to all of it; less reduced where a side would have fewer than 64 pixels. The first iteration
-    /// is whole: it shows what memory that takes.
+    /// [the warm-up](Self::warm_up_end), half of them up to its end; less reduced where a side would have fewer than 64 pixels.
+    /// The first iteration is whole: it shows what memory that takes.
     pub fn warm_up_camera(&self, iteration: u32, camera: &Camera) -> Camera {
+        let end = self.warm_up_end();
         let wanted = match iteration {
-            _ if iteration > self.warm_up || iteration <= 1 => 1,
-            _ if iteration > self.warm_up / 2 => FACTORS[1],
+            _ if iteration > end || iteration <= 1 => 1,
+            _ if iteration > end / 2 => FACTORS[1],
             _ => FACTORS[0],
         };
         let fits = |&factor: &u32| factor <= wanted && camera.width.min(camera.height) / factor >= LEAST_SIDE;
@@ -59,7 +65,7 @@ impl TrainSettings {
     /// A view's camera at all sizes at which it is drawn, its own first.
     pub(super) fn sizes_of_camera(&self, camera: &Camera) -> Vec<Camera> {
         let of = |iteration: u32| self.warm_up_camera(iteration, camera);
-        let mut sizes = vec![*camera, of(2), of(self.warm_up)];
+        let mut sizes = vec![*camera, of(2), of(self.warm_up_end())];
         sizes.dedup();
         sizes
     }

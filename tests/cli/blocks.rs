@@ -36,6 +36,11 @@ fn a_block_is_trained_among_the_rest_of_its_scene() {
         let run = |model: &str, more: &[&str]| place.train(model, &[&block, more, begin].concat());
         let names = [format!("whole{}", begin.len()), format!("parts{}", begin.len())];
         assert_trained(&run(&names[0], &["30"]));
+        // Rates and the limits of densification go by the extent.
+        let larger = [LEFT, "--margin", "0.1", "--scene-extent", "3", "--iterations", "30"];
+        assert_trained(&place.train("larger", &[&larger, begin].concat()));
+        assert!(place.ply(&names[0], 30) != place.ply("larger", 30), "the extent is not looked at");
+        std::fs::remove_dir_all(place.model("larger")).expect("removed");
         let counts = |gaussians: &Gaussians| {
             gaussians.means.iter().filter(|mean| mean[0] <= 0.3).count() as f64 / gaussians.len() as f64
         };

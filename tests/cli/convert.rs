@@ -25,6 +25,13 @@ fn converted_files_are_rendered_and_described() {
             ["render", text(&out), "--orbit", "1", "--width", "64", "--height", "48", "-o", text(&pictures)];
         assert!(succeed(&frames).contains("of 400 Gaussians visible"));
     }
+    // Version 2 is packed with gzip, 4 with zstd behind a header of its own.
+    for (version, begins) in [("2", [0x1f, 0x8b]), ("4", *b"NG")] {
+        let spz = place("version.spz");
+        succeed(&["convert", text(&place("in.ply")), text(&spz), "--spz-version", version]);
+        assert!(std::fs::read(&spz).expect("a file").starts_with(&begins), "version {version}");
+        assert!(succeed(&["info", text(&spz)]).contains("Gaussians  400"));
+    }
     let moved = place("moved.spz");
     let actions =
         ["--rotate", "0,90,0", "--scale", "2", "--translate=-1,0,0", "--sh-degree", "0", "--decimate", "50%"];

@@ -32,6 +32,26 @@ fn train(dataset: &Path, model: &Path, arguments: &[&str]) -> (f64, Vec<u8>) {
     (last["PSNR"].as_f64().expect("a number"), scene)
 }
 
+/// A field of photographs from above.
+#[test]
+fn the_city_is_a_data_set_of_many_photos() {
+    let folder = tempdir().expect("a temporary folder");
+    let at = |name: &str| folder.path().join(name);
+    let city =
+        ["demo", "--out", text(&at("city")), "--scene", "city", "--photo-width", "64"].map(String::from);
+    succeed(&city.iter().map(String::as_str).chain(["--dataset-only", "--quiet"]).collect::<Vec<_>>());
+    let dataset = load(&at("city/dataset"));
+    assert_eq!((dataset.train.len(), dataset.test.len()), (141, 21));
+    let camera = dataset.train[0].camera;
+    assert_eq!((camera.width, camera.height), (64, 48));
+    assert!(dataset.points.positions.len() > 1000);
+    for of_the_city in [["--lots", "12"], ["--photo-width", "64"]] {
+        let out = at("none");
+        refuse(&[&["demo", "--out", text(&out)][..], &of_the_city].concat(), &[of_the_city[0], "city"]);
+        assert!(!out.exists());
+    }
+}
+
 /// What is read of both layouts is the same, to the bit.
 fn assert_alike(nerf: &Dataset, colmap: &Dataset) {
     assert_eq!((nerf.train.len(), nerf.test.len()), (35, 5));

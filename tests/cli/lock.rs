@@ -39,3 +39,29 @@ fn one_training_at_a_time_writes_into_a_folder() {
     // Free again; so it is after a kill.
     assert!(!model.join(".training.lock").exists(), "{:?}", files_below(&model));
 }
+
+/// A scheduler that starts a job twice at once: one trains, and the others find it done.
+#[test]
+fn patient_trainings_of_a_new_folder_are_one() {
+    let place = Place::new();
+    let (data, model) = (place.model("data"), place.model("blocks/one"));
+    let train = ["train", "-s", text(&data), "-m", text(&model), "--wait", "--start-checkpoint", "auto"];
+    let command = || {
+        let mut command = program();
+        command.args(train).args(["--checkpoint-every", "10", "--iterations", "25", "--quiet"]);
+        command.stdout(Stdio::piped()).stderr(Stdio::piped());
+        command
+    };
+    let all: Vec<Running> = (0..3).map(|_| Running::start(&mut command())).collect();
+    let ends: Vec<_> = all.into_iter().map(Running::finish).collect();
+    let said = |output: &std::process::Output| String::from_utf8_lossy(&output.stdout).into_owned();
+    assert!(ends.iter().all(|end| end.status.code() == Some(0)), "{ends:?}");
+    let done = ends.iter().filter(|end| said(end).contains("is trained to its end already"));
+    assert_eq!(done.count(), 2, "{ends:?}");
+    assert!(!model.join("earlier_1").exists(), "{:?}", files_below(&model));
+    // What is refused leaves no folder behind.
+    let none = place.model("none/at/all");
+    let train = ["train", "-s", text(&data), "-m", text(&none), "--wait", "--few-photos", "off"];
+    refuse(&[&train[..], &["--strategy", "mcmc", "--cap-max", "7"]].concat(), &["cap_max"]);
+    assert!(!place.model("none").exists());
+}

@@ -2,7 +2,7 @@
 
 use super::training::trained;
 use super::*;
-use crate::common::lpips_files::{alexnet, vgg16, write};
+use crate::common::lpips_files::{Tensor, alexnet, vgg16, write};
 use crate::reference::lpips::{ALEXNET, Step, VGG16, Weights, formula, lpips};
 use serde_json::Value;
 use tempfile::tempdir;
@@ -54,6 +54,7 @@ fn lpips_of_eval_is_that_of_the_twin() {
     );
     let table = succeed(&[&eval[..], &weights[..2]].concat());
     assert!(table.contains("lpips_vgg_unscaled") && !table.contains("lpips_alex"), "{table}");
+    assert!(!table.contains("not measured") && succeed(&eval).contains("LPIPS is not measured"));
     assert!(table.contains("Gaussians, ") && table.contains("ms per frame on "), "{table}");
 }
 
@@ -128,6 +129,11 @@ fn lpips_weights_that_are_none_are_refused_before_the_work() {
     check(&["weights.safetensors: is truncated or no safetensors file"], &[]);
     write(&weights, &alexnet(0).into_iter().filter(|t| t.name != "lin4.model.1.weight").collect::<Vec<_>>());
     check(&["weights.safetensors: lacks the tensor 'lin4.model.1.weight'", "tools/lpips_weights.py"], &[]);
+    // Another network's, as ResNet begins.
+    let mut other = alexnet(0);
+    other[0] = Tensor::new("net.0.weight", &[64, 3, 7, 7], vec![0.0; 64 * 147]);
+    write(&weights, &other);
+    check(&["weights.safetensors: has a tensor 'net.0.weight' of [64, 3, 7, 7]", "of AlexNet or"], &[]);
     write(&weights, &alexnet(0));
     check(&["once more", "AlexNet"], &["--lpips-weights", text(&weights)]);
 }

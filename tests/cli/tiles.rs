@@ -41,6 +41,29 @@ fn a_scene_becomes_tiles_whose_errors_are_measured() {
     // Pictures of 20 units' width, each of whose channels differs by less than 1, and 3 levels.
     let error = document["root"]["geometricError"].as_f64().expect("an error");
     assert!((0.1..80.0).contains(&error), "{error}");
+    // Packed: the same tree in smaller files, which shows the same scene.
+    let packed = place.path().join("packed");
+    succeed(&["tiles", text(&scene), "-o", text(&packed), "--max-gaussians", "50", "--spz", "--quiet"]);
+    let own = std::fs::read_to_string(packed.join("tileset.json")).expect("a tileset");
+    assert!(own.contains("KHR_gaussian_splatting_compression_spz_2"), "{own}");
+    let own: Value = serde_json::from_str(&own).expect("JSON");
+    let (mut of_packed, mut tiles_of_packed) = (0, 0);
+    check(&own["root"], &mut of_packed, &mut tiles_of_packed);
+    assert_eq!((of_packed, tiles_of_packed), (gaussians, tiles));
+    let bytes = |folder: &Path| -> u64 {
+        let files = files_below(folder).into_iter().map(|file| folder.join(file));
+        files.map(|file| std::fs::metadata(file).expect("a file").len()).sum()
+    };
+    assert!(2 * bytes(&packed) < bytes(&out), "{} {}", bytes(&packed), bytes(&out));
+    let pictures = [&out, &packed].map(|tree| {
+        let picture = tree.with_extension("png");
+        let look = ["--orbit", "1", "--width", "96", "--height", "64", "--quiet"];
+        succeed(&[&["render", text(tree), "-o", text(&picture)][..], &look].concat());
+        image::open(picture).expect("a picture").to_rgb8().into_raw()
+    });
+    let far = pictures[0].iter().zip(&pictures[1]).map(|(a, b)| f64::from(a.abs_diff(*b)).powi(2));
+    let psnr = 10.0 * (255.0_f64.powi(2) * pictures[0].len() as f64 / far.sum::<f64>()).log10();
+    assert!(psnr > 30.0, "{psnr}");
     // The same scene of other sizes: lengths grow with it, also where all is nearer together than the near plane's z.
     for scale in ["0.01", "100"] {
         let [other, tiles] = ["other.ply", &format!("tiles{scale}")].map(|name| place.path().join(name));

@@ -363,10 +363,10 @@ fn ctrl_c_saves() {
     assert!(report().contains(&format!("\">{next} iterations</span>")) && report().contains(",1,\""));
 }
 
-/// What cannot be saved is a warning: the checkpoint has everything.
+/// What cannot be saved is a warning: the checkpoint has everything. A scheduler's signal does what Ctrl-C does.
 #[cfg(unix)]
 #[test]
-fn ctrl_c_writes_its_checkpoint_where_the_scene_cannot_be_saved() {
+fn sigterm_writes_its_checkpoint_where_the_scene_cannot_be_saved() {
     let folder = tempdir().expect("a temporary folder");
     let (data, out) = (folder.path().join("data"), folder.path().join("out"));
     write_dataset(&data);
@@ -377,7 +377,7 @@ fn ctrl_c_writes_its_checkpoint_where_the_scene_cannot_be_saved() {
     let mut child = Running::start(command.stdout(Stdio::null()).stderr(Stdio::piped()));
     let mut lines = BufReader::new(child.stderr.take().expect("its stderr")).lines().map_while(Result::ok);
     lines.find(|line| line.starts_with("100/1000000")).expect("progress after 100 iterations");
-    child.interrupt();
+    child.signal(nix::sys::signal::Signal::SIGTERM);
     let rest: Vec<String> = lines.collect();
     assert_eq!(child.wait().expect("it ends").code(), Some(130), "{rest:?}");
     assert!(

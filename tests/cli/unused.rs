@@ -29,6 +29,11 @@ fn settings_without_effect_are_refused() {
     refused(&["--depth-l1-weight-final", "0.1"], ["depth_l1_weight_final", "-d"]);
     refused(&["--strategy=mcmc", "--densify-grad-threshold=1e-4"], ["densify_grad_threshold", "reference"]);
     refused(&["--strategy", "mcmc", "--percent-dense", "0.1"], ["percent_dense", "reference"]);
+    refused(&["--strategy", "mcmc", "--min-opacity", "0.1"], ["min_opacity", "reference or budget"]);
+    let scene = folder.path().join("scene.ply");
+    let gaussians = ashsplat_files::initial_gaussians(&wall_points(), 0).expect("Gaussians");
+    ashsplat_files::ply::write(&scene, &gaussians).expect("written");
+    refused(&["--init", text(&scene), "--initial-scale", "0.5"], ["initial_scale", "--init"]);
     refused(&["--strategy=fixed", "--opacity-reset-interval=9"], ["opacity_reset_interval", "budget"]);
     std::fs::write(&file, "lens_lr = 0.5\n").expect("written");
     refused(&["--config", text(&file)], ["lens_lr: is 0.5", "--lens-effects"]);
@@ -60,5 +65,5 @@ fn settings_that_are_listed_without_effect_are_read() {
     assert!(dump.contains("pose_opt = false") && dump.contains("pose_lr = 0.0001"), "{dump}");
     std::fs::write(&own, "pose_opt = true\npose_lr = 0.0001\n").expect("written");
     train("own", &["--config", text(&own), "--pose-opt=false"]);
-    train("preset", &["--preset", "fast", "--warm-up", "0", "--cap-max", "500", "--pose-lr", "1e-5"]);
+    train("preset", &["--preset", "fast", "--cap-max", "500", "--pose-lr", "1e-5"]);
 }

@@ -6,7 +6,7 @@ use ashsplat::kernels::optimizer::adam::{self, Push};
 use ashsplat::vk::{Buffer, Kernel};
 
 use super::gpu::Gpu;
-use super::layout::{pack, planes, room, unpack};
+use super::layout::{pack, pack_filtered, planes, room, unpack};
 use crate::reference::types::Gaussian;
 
 /// Gradients of a visible Gaussian as the kernel reads them.
@@ -86,6 +86,13 @@ pub struct AdamState<'a> {
 }
 
 impl<'a> AdamState<'a> {
+    /// Uploads Gaussians with zero moments, all with a 3D filter of this size; 0 for none.
+    pub fn filtered(gpu: &'a Gpu, gaussians: &[Gaussian], sh_degree: u32, size: f64) -> AdamState<'a> {
+        let state = AdamState::new(gpu, gaussians, sh_degree, false);
+        let parameters = gpu.buffer("parameters", &pack_filtered(gaussians, state.room, size));
+        AdamState { parameters, ..state }
+    }
+
     /// Uploads Gaussians with zero moments.
     pub fn new(gpu: &'a Gpu, gaussians: &[Gaussian], sh_degree: u32, sparse: bool) -> AdamState<'a> {
         let (count, coefficients) = (gaussians.len(), gaussians[0].sh.len());

@@ -14,9 +14,13 @@ impl Running {
     /// What Ctrl-C does to it.
     #[cfg(unix)]
     pub fn interrupt(&self) {
-        use nix::sys::signal::{Signal, kill};
+        self.signal(nix::sys::signal::Signal::SIGINT);
+    }
+
+    #[cfg(unix)]
+    pub fn signal(&self, signal: nix::sys::signal::Signal) {
         let pid = self.id().try_into().expect("a process");
-        kill(nix::unistd::Pid::from_raw(pid), Signal::SIGINT).expect("a signal");
+        nix::sys::signal::kill(nix::unistd::Pid::from_raw(pid), signal).expect("a signal");
     }
 
     /// Waits for its end.

@@ -5,7 +5,9 @@ mod visible;
 
 use crate::host::{Host, HostOptions, InFlight};
 use crate::stage::{adopt, assert_same, camera, cloud, guest, options, own_device, rendered, with_host};
-use ashsplat::trainer::{SplitType, StepOutcome, StepReservation, StrategyType, Trainer};
+use ashsplat::trainer::{
+    OptimizerType, Preset, SplitType, StepOutcome, StepReservation, StrategyType, Trainer,
+};
 use ashsplat::vk::{Context, ContextOptions, ForeignDevice, LimitsOverride};
 use ashsplat::{
     Blending, Error, Placed, RecordedFrame, RenderSettings, Renderer, Reservation, StepReport, TrainSettings,
@@ -66,10 +68,19 @@ pub fn step(host: &Host, trainer: &mut Trainer, context: &Context, in_flight: &I
     done(trainer, 0)
 }
 
+/// Of a run of 440 iterations by a preset.
+const LATE_PRUNINGS: [usize; 2] = [300, 308];
+
 /// As many steps in flight as there are slots, and maintenance whenever it is due.
 fn train_recorded(host: &Host, settings: &TrainSettings) {
     const SLOTS: usize = 3;
-    let steps = if settings.strategy == StrategyType::Budget { 100 } else { 62 };
+    // Until what is particular to these settings has happened.
+    let steps = match settings {
+        s if s.late_min_opacity > 0.0 => 312,
+        s if s.filter_3d => 104,
+        s if s.strategy == StrategyType::Budget => 100,
+        _ => 62,
+    };
     let context = guest(host);
     let mut owned = trainer(own_device(), settings.clone());
     let expected: Vec<StepReport> = (0..steps).map(|_| owned.step().expect("a step")).collect();
@@ -109,6 +120,10 @@ fn train_recorded(host: &Host, settings: &TrainSettings) {
         check(&mut recorded, step);
     }
     assert!(densifications >= 3, "{densifications} densifications changed something");
+    if settings.late_min_opacity > 0.0 {
+        let pruned = |step: usize| expected[step - 1].densified.is_some_and(|d| d.kept < d.before);
+        assert!(LATE_PRUNINGS.iter().all(|&step| pruned(step)), "nothing was pruned late");
+    }
     assert_eq!(recorded.settle().expect("an answer"), 0);
     let (got, wanted) = (recorded.checkpoint().expect("a state"), owned.checkpoint().expect("a state"));
     assert!(got == wanted, "after {} iterations: other bits", got.iteration);
@@ -140,13 +155,27 @@ fn recorded_training_is_the_owned_paths_to_the_bit() {
         multi_step: true,
         ..settings()
     };
+    // As users have it, but for a longer mean: it prunes what is faint after 300 and 308, and averages from then on.
+    let preset = TrainSettings {
+        iterations: 440,
+        sh_degree: 2,
+        sh_degree_interval: 15,
+        densification_interval: 20,
+        densify_until_iter: 20_700,
+        densify_grad_threshold: 2e-5,
+        min_opacity: 0.0,
+        average_last: 0.3,
+        ..TrainSettings::of_preset(Preset::Default)
+    };
+    let sparse = TrainSettings { optimizer_type: OptimizerType::SparseAdam, ..settings() };
     let exposed = TrainSettings { exposure: true, ..settings() };
     let few = TrainSettings { dropout: 0.3, depth_points: 0.1, ..settings() };
     let all = TrainSettings { lens_effects: true, pose_opt: true, pose_lr: 1e-3, ..exposed.clone() };
     let lit = TrainSettings { lens_effects: true, pose_opt: true, exposure: true, ..budget.clone() };
     let plain = [weighted, all, lit].map(|settings| (false, settings));
     let averaged = TrainSettings { iterations: 62, average_last: 0.4, ..exposed.clone() };
-    let usual = [settings(), mcmc, filtered, exposed, averaged, budget, few].map(|settings| (true, settings));
+    let usual = [settings(), mcmc, filtered, exposed, averaged, budget, few, sparse, preset]
+        .map(|settings| (true, settings));
     for (push_descriptors, settings) in usual.into_iter().chain(plain) {
         with_host(&HostOptions { push_descriptors, ..options() }, |host| train_recorded(host, &settings));
     }

@@ -41,7 +41,7 @@ pub fn trials(set: &SetFile) -> Vec<Trial> {
         Kind::SparseDepth => vec![of_file(set, "sparse_depth", sparse_depth::of_device)],
         Kind::Lpips => vec![of_file(set, "distance", lpips::of_device)],
         Kind::Poses => vec![of_file(set, "poses", poses::of_device)],
-        Kind::Other => vec![],
+        Kind::Initial | Kind::Unknown => vec![],
     }
 }
 

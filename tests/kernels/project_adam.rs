@@ -10,7 +10,7 @@ use crate::common::blending::assert_same;
 use crate::common::gpu::{Gpu, sizes};
 use crate::common::layout::{antialias_word, camera_block};
 use crate::common::scenes::small_view;
-use crate::reference::types::{Drawn, Dropout, Gaussian, View};
+use crate::reference::types::{DILATION, Drawn, Dropout, Gaussian, View};
 
 const RATES: Rates =
     Rates { mean: 1e-3, opacity: 0.025, quat: 2e-3, log_scale: 5e-3, sh_dc: 2.5e-3, sh_rest: 1.25e-4 };
@@ -22,6 +22,8 @@ fn fused(gpu: &Gpu, scene: &Scene, state: &AdamState, step: &Step, overflow: boo
         workgroup_size: gpu.workgroup(64),
         subgroup_size: gpu.subgroup(),
         sh_degree: scene.view.sh_degree,
+        filter_3d: scene.view.filter_3d > 0.0,
+        own_dilation: scene.view.drawn.dilation_px2 != DILATION,
         dropout: scene.view.drawn.dropout.is_some(),
         z_record: scene.view.drawn.z_record,
         sh_loops: gpu.limits().tuning.sh_loops,
@@ -112,8 +114,8 @@ fn scalars(set: &[Gaussian]) -> Vec<f32> {
 /// Two steps by the fused kernel and the rest of the optimiser, and by both kernels apart.
 fn check(gpu: &Gpu, mut scene: Scene) {
     let sh_degree = scene.view.sh_degree;
-    let apart = AdamState::new(gpu, &scene.gaussians, sh_degree, false);
-    let mut together = AdamState::new(gpu, &scene.gaussians, sh_degree, false).of_unseen(sh_degree);
+    let state = || AdamState::filtered(gpu, &scene.gaussians, sh_degree, scene.view.filter_3d);
+    let (apart, mut together) = (state(), state().of_unseen(sh_degree));
     for count in 1..=2 {
         let step = Step { rates: RATES, count, camera_position: CAMERA };
         let (gradients, expected) = gradients(gpu, &scene);
@@ -164,6 +166,16 @@ fn project_adam_equals_both_kernels_apart_in_every_mode() {
     let Some(gpu) = device() else { return };
     for sh_degree in 0..=3 {
         let view = View { sh_degree, antialias: sh_degree % 2 == 1, ..small_view([53, 37]) };
+        check(&gpu, Scene::random(300, view, 50));
+    }
+}
+
+#[test]
+fn project_adam_equals_both_kernels_apart_with_filters() {
+    let Some(gpu) = device() else { return };
+    for (filter_3d, antialias_detached) in [(0.0, true), (0.0078125, false), (0.125, true)] {
+        let drawn = Drawn { dilation_px2: f64::from(0.1_f32), ..Drawn::AS_THEY_ARE };
+        let view = View { filter_3d, antialias: true, antialias_detached, drawn, ..small_view([53, 37]) };
         check(&gpu, Scene::random(300, view, 50));
     }
 }

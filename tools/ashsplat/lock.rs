@@ -5,6 +5,7 @@
 
 use crate::session;
 use ashsplat::{Error, Result};
+use ashsplat_files::atomic;
 use std::fs::{self, File};
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
@@ -32,6 +33,8 @@ pub struct FolderLock {
     path: PathBuf,
     /// None where files cannot be locked.
     held: Option<File>,
+    /// Folders that were made for it, the innermost first.
+    made: Vec<PathBuf>,
 }
 
 impl FolderLock {
@@ -77,6 +80,29 @@ impl FolderLock {
         Self::take(folder, work)
     }
 
+    /// As [`FolderLock::wait`] for a folder that need not be there: several that come at once wait for each other then, too. What
+    /// was made for it is removed with the lock, if nothing was written there.
+    ///
+    /// # Errors
+    /// As there; where the folder cannot be made.
+    pub fn wait_or_create(folder: &Path, work: &Work, stop: &AtomicBool) -> Result<Self> {
+        loop {
+            session::check(stop)?;
+            let is_missing = |path: &&Path| !path.as_os_str().is_empty() && !path.exists();
+            let missing = folder.ancestors().take_while(is_missing).map(Path::to_owned).collect();
+            atomic::create_folder(folder)?;
+            match Self::wait(folder, work, stop) {
+                Ok(mut lock) => {
+                    lock.made = missing;
+                    return Ok(lock);
+                }
+                // Who made it has removed it meanwhile.
+                Err(_) if !folder.is_dir() => {}
+                Err(error) => return Err(error),
+            }
+        }
+    }
+
     /// Locks the open file; none where its last holder has removed it since it was opened.
     fn take_open(folder: &Path, mut file: File, work: &Work) -> Result<Option<Self>> {
         let path = folder.join(work.file);
@@ -88,7 +114,7 @@ impl FolderLock {
                     "warning: {folder}: files cannot be locked here; see that no other {} writes into it",
                     work.what
                 );
-                return Ok(Some(Self { path, held: None }));
+                return Ok(Some(Self { path, held: None, made: Vec::new() }));
             }
             Locked::No => {
                 let mut holder = String::new();
@@ -106,7 +132,7 @@ impl FolderLock {
         }
         let written = file.set_len(0).and_then(|()| write!(file, "{}", own_name()));
         written.map_err(|e| Error::io(&path, "write", e))?;
-        Ok(Some(Self { path, held: Some(file) }))
+        Ok(Some(Self { path, held: Some(file), made: Vec::new() }))
     }
 }
 
@@ -140,6 +166,8 @@ impl Drop for FolderLock {
         if self.held.is_some() {
             fs::remove_file(&self.path).ok();
         }
+        // Those with something in them stay.
+        self.made.iter().for_each(|folder| drop(fs::remove_dir(folder)));
     }
 }
 

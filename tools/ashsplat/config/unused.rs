@@ -14,7 +14,7 @@ struct Use {
     by: &'static str,
 }
 
-const USES: [Use; 12] = [
+const USES: [Use; 13] = [
     Use {
         names: &["cap_max"],
         is_used: |s| matches!(s.train.strategy, StrategyType::Mcmc | StrategyType::Budget),
@@ -32,12 +32,12 @@ const USES: [Use; 12] = [
         by: "--strategy reference",
     },
     Use {
-        names: &["densify_grad_threshold", "opacity_reset_interval"],
+        names: &["densify_grad_threshold", "opacity_reset_interval", "min_opacity"],
         is_used: |s| matches!(s.train.strategy, StrategyType::Reference | StrategyType::Budget),
         by: "--strategy reference or budget",
     },
     Use {
-        names: &["densify_from_iter", "densify_until_iter", "densification_interval", "min_opacity"],
+        names: &["densify_from_iter", "densify_until_iter", "densification_interval"],
         is_used: |s| s.train.strategy != StrategyType::Fixed,
         by: "a strategy other than fixed",
     },
@@ -45,6 +45,11 @@ const USES: [Use; 12] = [
         names: &["exposure_lr_delay_mult"],
         is_used: |s| s.train.exposure && s.train.exposure_lr_delay_steps > 0,
         by: "--exposure with --exposure-lr-delay-steps",
+    },
+    Use {
+        names: &["initial_opacity", "initial_scale"],
+        is_used: |s| s.data.init.as_os_str().is_empty(),
+        by: "points, and a scene (--init) has its own",
     },
     Use { names: &["antialiasing_detached"], is_used: |s| s.train.antialiasing, by: "--antialiasing" },
     Use { names: &["pose_lr"], is_used: |s| s.train.pose_opt, by: "--pose-opt" },
@@ -140,7 +145,10 @@ mod tests {
         };
         for (given, by) in [
             ("strategy = 'fixed'\ndensify_until_iter = 9", "other than fixed"),
-            ("strategy = 'fixed'\nmin_opacity = 0.1", "other than fixed"),
+            ("strategy = 'fixed'\nmin_opacity = 0.1", "reference or budget"),
+            ("strategy = 'mcmc'\nmin_opacity = 0.1", "reference or budget"),
+            ("init = 'a.ply'\ninitial_scale = 0.5", "points"),
+            ("strategy = 'mcmc'\ninit = 'a.ply'\ninitial_opacity = 0.1", "points"),
             ("exposure = true\nexposure_lr_delay_mult = 0.5", "--exposure-lr-delay-steps"),
         ] {
             assert!(refused(given).is_some_and(|message| message.contains(by)), "{given}");
@@ -148,6 +156,8 @@ mod tests {
         for given in [
             "strategy = 'fixed'\nmin_opacity = 0.005",
             "densify_until_iter = 9",
+            "strategy = 'mcmc'\ninit = 'a.ply'",
+            "initial_scale = 0.5",
             "exposure = true\nexposure_lr_delay_steps = 9\nexposure_lr_delay_mult = 0.5",
         ] {
             assert_eq!(refused(given), None, "{given}");

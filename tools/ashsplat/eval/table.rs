@@ -45,6 +45,9 @@ pub fn print(json: bool, evaluation: &Evaluation, device: &str) {
         let time = evaluation.frame_ms().unwrap_or(f64::NAN);
         say!("{} Gaussians{file}, {time:.2} ms per frame on {device}", thousands(gaussians));
     }
+    if evaluation.measures.is_empty() {
+        say!("LPIPS is not measured: it needs the weights of a network (--lpips-weights FILE)");
+    }
 }
 
 fn json_of(view: &ViewResult, measures: &[&str]) -> Value {

@@ -32,7 +32,7 @@ pub struct TimeLeft {
 impl TimeLeft {
     /// Of a run from iteration `first` on.
     pub fn of(first: u32, settings: &TrainSettings) -> TimeLeft {
-        let small_until = settings.warm_up;
+        let small_until = settings.warm_up_end();
         TimeLeft { small_until, ..TimeLeft::new(first, settings.iterations, Growth::of(first, settings)) }
     }
 

@@ -23,17 +23,16 @@ const INPUT_FILE: &str = "input.ply";
 const TRAINING: Work = Work { file: ".training.lock", what: "training", option: "-m" };
 
 /// Holds the model folder, where there is one already, before it is asked for its checkpoints: another training would go on writing
-/// them. With `wait`, once that one is at its end.
+/// them. With `wait` once that one is at its end, and also a folder that is not there yet.
 ///
 /// # Errors
 /// Where another training writes into the folder.
 pub fn hold(folder: &Path, wait: bool, stop: &AtomicBool) -> Result<Option<FolderLock>> {
-    if !folder.is_dir() {
-        return Ok(None);
+    match wait {
+        true => FolderLock::wait_or_create(folder, &TRAINING, stop).map(Some),
+        false if !folder.is_dir() => Ok(None),
+        false => FolderLock::take(folder, &TRAINING).map(Some),
     }
-    let lock =
-        if wait { FolderLock::wait(folder, &TRAINING, stop) } else { FolderLock::take(folder, &TRAINING) };
-    lock.map(Some)
 }
 
 /// Who trains in a folder, in words.

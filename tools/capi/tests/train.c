@@ -72,7 +72,7 @@ static void learns(const AshsplatContext *context, const AshsplatTrainView *plai
     }
     ashsplat_trainer_free(second);
     /* A filter and a mark, which the file has; nothing is learned of light. */
-    const char *filtered = "{\"preset\": \"fast\", \"iterations\": 20, \"warm_up\": 0, \"filter_3d\": true, \"antialiasing\": true}";
+    const char *filtered = "{\"preset\": \"fast\", \"iterations\": 20, \"filter_3d\": true, \"antialiasing\": true}";
     check(ashsplat_trainer_new_from_points(context, plain, VIEWS, means[0], colors[0], COUNT, 0, filtered, &second), "a trainer");
     check(ashsplat_trainer_step(second, &step), "a step");
     refused(ashsplat_trainer_exposures(second, exposures[0][0], VIEWS), "exposure: is not set");
@@ -90,6 +90,41 @@ static void learns(const AshsplatContext *context, const AshsplatTrainView *plai
     }
     ashsplat_trainer_free(second);
     ashsplat_trainer_free(whole);
+}
+
+/* Losses of a training by 3DGS-MCMC on maps of inverse depth, with and without them. */
+static void learns_of_depths(const AshsplatContext *context, const AshsplatTrainView *plain) {
+    static uint8_t colors[COUNT][3];
+    static float map[WIDTH * HEIGHT];
+    const float point[3] = {10, 12, 0.25f};
+    memset(colors, 150, sizeof colors);
+    for (int k = 0; k < WIDTH * HEIGHT; ++k) map[k] = 0.2f + (float)(k % 17) / 100;
+    AshsplatTrainView views[VIEWS];
+    memcpy(views, plain, sizeof views);
+    for (int v = 0; v < VIEWS; ++v) views[v].inverse_depth = map;
+    const char *settings = "{\"strategy\": \"mcmc\", \"cap_max\": 300, \"iterations\": 20, \"densify_from_iter\": 2,"
+                           " \"densification_interval\": 4}";
+    AshsplatTrainer *none = NULL;
+    float losses[2];
+    for (int with = 0; with < 2; ++with) {
+        const AshsplatTrainView *used = with ? views : plain;
+        AshsplatTrainer *trainer = NULL;
+        AshsplatStep step = ASHSPLAT_INIT(AshsplatStep);
+        check(ashsplat_trainer_new_from_points(context, used, VIEWS, means[0], colors[0], COUNT, 0, settings, &trainer), "a trainer");
+        check(ashsplat_trainer_step(trainer, &step), "a step");
+        losses[with] = step.loss;
+        for (int i = 1; i < 12; ++i) check(ashsplat_trainer_step(trainer, &step), "a step");
+        EXPECT(step.gaussians > COUNT && step.gaussians <= 300);
+        ashsplat_trainer_free(trainer);
+    }
+    EXPECT(losses[1] > losses[0]);
+    const char *few = "{\"strategy\": \"mcmc\", \"cap_max\": 7}";
+    refused(ashsplat_trainer_new_from_points(context, plain, VIEWS, means[0], colors[0], COUNT, 0, few, &none), "cap_max: 7 is less");
+    views[0].depth_points = point;
+    views[0].depth_point_count = 1;
+    const char *both = "{\"depth_points\": 0.1}";
+    refused(ashsplat_trainer_new_from_points(context, views, VIEWS, means[0], colors[0], COUNT, 0, both, &none), "depth_points: ");
+    EXPECT(none == NULL);
 }
 
 int main(int count, char **arguments) {
@@ -179,6 +214,7 @@ int main(int count, char **arguments) {
     }
     EXPECT(densified >= 2 && overflowed >= 1);
     learns(context, views, arguments[1]);
+    learns_of_depths(context, views);
     AshsplatScene *scene = NULL;
     uint32_t gaussians = 0;
     check(ashsplat_trainer_scene(recorded, &scene), "the trained scene");

@@ -1,0 +1,118 @@
+//! Strategies and presets through the program: what they begin with, resumed, verified, and refused where settings contradict
+//! each other.
+
+use super::*;
+use ashsplat::Gaussians;
+use ashsplat_files::splats::{self, ReadOptions};
+use tempfile::tempdir;
+
+/// Ways to train, as users choose them.
+const WAYS: [&[&str]; 4] = [
+    &["--strategy", "budget", "--few-photos", "off"],
+    &["--strategy", "mcmc", "--few-photos", "off"],
+    &["--preset", "fast", "--few-photos", "off"],
+    // By itself with so few photos.
+    &["--exposure"],
+];
+
+const SHORT: [&str; 11] = [
+    "--quiet",
+    "--eval-share",
+    "0",
+    "--sh-degree",
+    "1",
+    "--sh-degree-interval",
+    "6",
+    "--densify-from-iter",
+    "5",
+    "--densification-interval",
+    "6",
+];
+
+fn ply(model: &Path, iteration: u32) -> PathBuf {
+    model.join(format!("point_cloud/iteration_{iteration}/point_cloud.ply"))
+}
+
+#[test]
+fn every_way_to_train_goes_on_and_is_verified() {
+    let folder = tempdir().expect("a temporary folder");
+    let data = folder.path().join("data");
+    write_dataset(&data);
+    let mut ends = Vec::new();
+    for (number, way) in WAYS.iter().enumerate() {
+        let model = folder.path().join(number.to_string());
+        let train = ["train", "-s", text(&data), "-m", text(&model), "--iterations", "40"];
+        let train = [&train[..], &SHORT, way].concat();
+        succeed(&[&train[..], &["--checkpoint-iterations", "13", "27"]].concat());
+        let whole = std::fs::read(ply(&model, 40)).expect("a PLY");
+        for iteration in [13, 27] {
+            std::fs::remove_dir_all(model.join("point_cloud")).expect("removed");
+            let checkpoint = model.join(format!("chkpnt{iteration}.safetensors"));
+            succeed(&[&train[..], &["--start-checkpoint", text(&checkpoint)]].concat());
+            let resumed = std::fs::read(ply(&model, 40)).expect("a PLY");
+            assert!(resumed == whole, "{way:?}: other bits from {iteration} on");
+        }
+        let said = succeed(&[&train[..], &["--verify-determinism", "20"]].concat());
+        assert!(said.starts_with("20 iterations twice on ") && said.contains("the same bits"), "{said}");
+        ends.push(whole);
+    }
+    ends.sort();
+    ends.dedup();
+    assert_eq!(ends.len(), WAYS.len(), "two ways do the same");
+}
+
+/// 3DGS-MCMC begins with more opaque, smaller Gaussians. A scene keeps its own.
+#[test]
+fn a_strategy_begins_with_its_own_values() {
+    let folder = tempdir().expect("a temporary folder");
+    let data = folder.path().join("data");
+    write_dataset(&data);
+    let begun = |name: &str, more: &[&str]| -> (PathBuf, Gaussians) {
+        let model = folder.path().join(name);
+        // The last iteration makes no step.
+        let train =
+            ["train", "-s", text(&data), "-m", text(&model), "--iterations", "1", "--few-photos", "off"];
+        succeed(&[&train[..], &SHORT, more].concat());
+        let path = ply(&model, 1);
+        let gaussians = splats::read(&path, &ReadOptions::default()).expect("a PLY").gaussians;
+        (path, gaussians)
+    };
+    let (path, reference) = begun("reference", &[]);
+    let (_, mcmc) = begun("mcmc", &["--strategy", "mcmc"]);
+    let (_, given) = begun("given", &["--initial-opacity", "0.9", "--initial-scale", "3"]);
+    let (_, scene) = begun("scene", &["--strategy", "mcmc", "--init", text(&path)]);
+    let check = |gaussians: &Gaussians, opacity: f32, scale: f32| {
+        let logit = (opacity / (1.0 - opacity)).ln();
+        assert!(gaussians.opacity_logits.iter().all(|&own| (own - logit).abs() < 1e-5), "{logit}");
+        let scales = gaussians.log_scales.iter().flatten().zip(reference.log_scales.iter().flatten());
+        let far = scales.map(|(own, usual)| (own - usual - scale.ln()).abs()).fold(0.0, f32::max);
+        assert!(far < 1e-5, "{far} off {scale}");
+    };
+    check(&reference, 0.1, 1.0);
+    check(&mcmc, 0.5, 0.1);
+    check(&given, 0.9, 3.0);
+    check(&scene, 0.1, 1.0);
+}
+
+#[test]
+fn contradictions_are_refused_before_the_work() {
+    let folder = tempdir().expect("a temporary folder");
+    let (data, model) = (folder.path().join("data"), folder.path().join("model"));
+    write_dataset(&data);
+    let train = ["train", "-s", text(&data), "-m", text(&model), "--iterations", "20", "--few-photos", "off"];
+    let cases: [(&[&str], [&str; 2]); 9] = [
+        (&["--preset", "fast", "--strategy", "mcmc"], ["a preset has the strategy budget", "leave out"]),
+        (&["--average-last", "0.1", "--strategy", "budget"], ["average_last: is 0.1", "multi_step = false"]),
+        (&["--optimizer-type", "sparse_adam", "--strategy", "budget"], ["multi_step", "sparse_adam"]),
+        (&["--strategy", "mcmc", "--cap-max", "7"], ["cap_max: 7 is less than the 400", "raise it"]),
+        (&["--strategy", "budget", "--cap-max", "7"], ["cap_max: 7 is less than the 400", "raise it"]),
+        (&["--strategy", "budget", "--cap-ratio", "0.5"], ["cap_ratio: is 0.5", "1 or more"]),
+        (&["--warm-up", "5", "--depth-points", "0.1"], ["warm_up: is 5", "depth_points"]),
+        (&["--strategy", "reference", "--recovery"], ["recovery: is true", "strategy reference"]),
+        (&["--strategy", "mcmc", "--multi-step"], ["multi_step: is true", "strategy mcmc"]),
+    ];
+    for (given, words) in cases {
+        refuse(&[&train[..], given].concat(), &words);
+        assert!(!model.exists(), "{given:?}");
+    }
+}
