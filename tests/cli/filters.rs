@@ -46,8 +46,7 @@ fn filters_go_from_training_into_files_and_pictures() {
         let out = at(name);
         let render = ["render", text(scene), "-s", text(&data), "-o", text(&out), "--quiet"];
         succeed(&[&render[..], more].concat());
-        let read = image::open(out.join("00000.png")).expect("a picture").to_rgb8().into_raw();
-        read
+        image::open(out.join("00000.png")).expect("a picture").to_rgb8().into_raw()
     };
     let whole = picture(&model, "whole", &[]);
     let differ = |other: &[u8]| whole.iter().zip(other).map(|(a, b)| a.abs_diff(*b)).max().expect("pixels");
