@@ -395,6 +395,7 @@ impl Trainer {
         let scene = &self.state.model.scene.plan;
         let mean =
             if self.run.settings.average_last > 0.0 { scene.chunks * (scene.sh_degree + 2) } else { 0 };
+        // Sizes of the 3D filter: the nearest depths, and what follows from them.
         let filter = if self.run.settings.filter_3d { 2 * scene.chunks } else { 0 };
         (PER_STEP + 5 * scene.chunks + mean + filter + around + 2 * blending) as usize
     }

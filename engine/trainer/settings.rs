@@ -143,8 +143,8 @@ options! {
         kernel_size: f64 = 0.3, Bounds::Positive;
         /// Widen Gaussians to what the nearest camera resolves (Mip-Splatting's 3D filter)
         filter_3d: bool = false, Bounds::None;
-        /// Draw at a quarter of the photos' width and height up to half of this iteration, at half of them up to it, and whole in the
-        /// second half of the run in any case; never scaled, no side gets fewer than 64 pixels (paper, section 7.1: 500)
+        /// Begin with small pictures up to this iteration, or up to half of the run if that is earlier: first a quarter of the photos'
+        /// width and height, then half of them. It is not scaled. No side gets fewer than 64 pixels (paper, section 7.1: 500)
         warm_up: u32 = 0, Bounds::None;
         /// Share of the Gaussians that the last step leaves out at random; it rises from 0 at the start (DropGaussian: 0.2)
         dropout: f64 = 0.0, Bounds::Share;

@@ -174,6 +174,13 @@ mod tests {
     }
 
     #[test]
+    fn short_runs_have_a_warm_up_of_their_half() {
+        let end =
+            |iterations| TrainSettings { warm_up: 500, iterations, ..TrainSettings::default() }.warm_up_end();
+        assert_eq!([0, 1, 2, 600, 1000, 2000].map(end), [0, 0, 1, 300, 500, 500]);
+    }
+
+    #[test]
     fn whole_pictures_have_more_instances() {
         let camera =
             |width| Camera::with_pose(Mat3::IDENTITY, Vec3::ZERO, Intrinsics::from_fov_x(1.0, width, width));

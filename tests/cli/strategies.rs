@@ -88,6 +88,8 @@ fn a_strategy_begins_with_its_own_values() {
         let far = scales.map(|(own, usual)| (own - usual - scale.ln()).abs()).fold(0.0, f32::max);
         assert!(far < 1e-5, "{far} off {scale}");
     };
+    let points = ashsplat_files::initial_gaussians(&wall_points(), 1).expect("Gaussians");
+    assert!(reference.log_scales == points.log_scales);
     check(&reference, 0.1, 1.0);
     check(&mcmc, 0.5, 0.1);
     check(&given, 0.9, 3.0);

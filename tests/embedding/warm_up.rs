@@ -7,7 +7,7 @@ use ashsplat::vk::Context;
 use ashsplat::{TrainSettings, TrainView};
 use ashsplat_files::Photo;
 
-const ITERATIONS: u32 = 12;
+const ITERATIONS: u32 = 16;
 
 fn trainer(context: &Context) -> Trainer {
     let (width, height) = (272, 260);

@@ -7,7 +7,7 @@ use crate::session;
 use ashsplat::{Error, Result};
 use ashsplat_files::atomic;
 use std::fs::{self, File};
-use std::io::{Read, Write};
+use std::io::{ErrorKind, Read, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
@@ -17,6 +17,8 @@ const WAIT: Duration = Duration::from_millis(500);
 /// How often, and after how long each, it is tried again before it is held.
 const GLANCES: u32 = 3;
 const GLANCE: Duration = Duration::from_millis(20);
+/// How often a folder may vanish that is being waited for.
+const MOST_VANISHED: u32 = 20;
 
 /// What is done in a locked folder.
 pub struct Work {
@@ -43,68 +45,69 @@ impl FolderLock {
     /// # Errors
     /// [`Error::Input`] naming the process that holds it; [`Error::Io`].
     pub fn take(folder: &Path, work: &Work) -> Result<Self> {
-        let path = folder.join(work.file);
         let mut glances = 0;
         loop {
-            let file = File::options()
-                .read(true)
-                .write(true)
-                .create(true)
-                .truncate(false)
-                .open(&path)
-                .map_err(|e| Error::io(&path, "open", e))?;
-            // One who asks whether a folder is held holds it for that moment.
-            if glances < GLANCES && matches!(try_lock(&file), Locked::No) {
-                glances += 1;
-                std::thread::sleep(GLANCE);
-                continue;
-            }
-            if let Some(lock) = Self::take_open(folder, file, work)? {
-                return Ok(lock);
+            match Self::try_take(folder, work)? {
+                Try::Locked(lock) => return Ok(lock),
+                // One who asks whether a folder is held holds it for that moment.
+                Try::Held(_) if glances < GLANCES => {
+                    glances += 1;
+                    std::thread::sleep(GLANCE);
+                }
+                Try::Held(by) => {
+                    let problem = format!("another {}{by} is writing into this folder", work.what);
+                    let remedy = format!("wait for its end, or choose another {}", work.option);
+                    return Err(Error::input(folder, problem, remedy));
+                }
             }
         }
     }
 
-    /// As [`FolderLock::take`], once nobody else holds it; says whom it waits for.
+    /// As [`FolderLock::take`], once nobody else holds it; says whom it waits for. The folder need not be there: several that come
+    /// at once wait for each other then, too. Folders that were made for it are removed with the lock, if nothing was written there.
     ///
     /// # Errors
-    /// Also [`Error::Interrupted`], when `stop` is set meanwhile.
+    /// Also [`Error::Interrupted`], when `stop` is set meanwhile; where the folder cannot be made.
     pub fn wait(folder: &Path, work: &Work, stop: &AtomicBool) -> Result<Self> {
-        if let Some(holder) = holder(folder, work) {
-            tell!("waiting for another {} ({holder}) that writes into {}", work.what, folder.display());
-        }
-        while holder(folder, work).is_some() {
-            session::check(stop)?;
-            std::thread::sleep(WAIT);
-        }
-        Self::take(folder, work)
-    }
-
-    /// As [`FolderLock::wait`] for a folder that need not be there: several that come at once wait for each other then, too. What
-    /// was made for it is removed with the lock, if nothing was written there.
-    ///
-    /// # Errors
-    /// As there; where the folder cannot be made.
-    pub fn wait_or_create(folder: &Path, work: &Work, stop: &AtomicBool) -> Result<Self> {
+        let (mut glances, mut told) = (0, false);
         loop {
-            session::check(stop)?;
             let is_missing = |path: &&Path| !path.as_os_str().is_empty() && !path.exists();
             let missing = folder.ancestors().take_while(is_missing).map(Path::to_owned).collect();
-            atomic::create_folder(folder)?;
-            match Self::wait(folder, work, stop) {
-                Ok(mut lock) => {
+            match atomic::create_folder(folder).and_then(|()| Self::try_take(folder, work)) {
+                Ok(Try::Locked(mut lock)) => {
                     lock.made = missing;
                     return Ok(lock);
                 }
+                Ok(Try::Held(by)) if glances >= GLANCES && !told => {
+                    told = true;
+                    tell!("waiting for another {}{by} that writes into {}", work.what, folder.display());
+                }
+                Ok(Try::Held(_)) => {}
                 // Who made it has removed it meanwhile.
-                Err(_) if !folder.is_dir() => {}
+                Err(Error::Io { source, .. })
+                    if source.kind() == ErrorKind::NotFound && glances < MOST_VANISHED => {}
                 Err(error) => return Err(error),
+            }
+            session::check(stop)?;
+            std::thread::sleep(if glances < GLANCES { GLANCE } else { WAIT });
+            glances += 1;
+        }
+    }
+
+    fn try_take(folder: &Path, work: &Work) -> Result<Try> {
+        let path = folder.join(work.file);
+        loop {
+            let mut options = File::options();
+            options.read(true).write(true).create(true).truncate(false);
+            let file = options.open(&path).map_err(|e| Error::io(&path, "open", e))?;
+            if let Some(tried) = Self::try_open(folder, file, work)? {
+                return Ok(tried);
             }
         }
     }
 
     /// Locks the open file; none where its last holder has removed it since it was opened.
-    fn take_open(folder: &Path, mut file: File, work: &Work) -> Result<Option<Self>> {
+    fn try_open(folder: &Path, mut file: File, work: &Work) -> Result<Option<Try>> {
         let path = folder.join(work.file);
         match try_lock(&file) {
             Locked::Yes => {}
@@ -114,7 +117,7 @@ impl FolderLock {
                     "warning: {folder}: files cannot be locked here; see that no other {} writes into it",
                     work.what
                 );
-                return Ok(Some(Self { path, held: None, made: Vec::new() }));
+                return Ok(Some(Try::Locked(Self { path, held: None, made: Vec::new() })));
             }
             Locked::No => {
                 let mut holder = String::new();
@@ -122,9 +125,7 @@ impl FolderLock {
                 file.read_to_string(&mut holder).ok();
                 let holder = holder.trim();
                 let by = if holder.is_empty() { String::new() } else { format!(" ({holder})") };
-                let problem = format!("another {}{by} is writing into this folder", work.what);
-                let remedy = format!("wait for its end, or choose another {}", work.option);
-                return Err(Error::input(folder, problem, remedy));
+                return Ok(Some(Try::Held(by)));
             }
         }
         if !is_at(&file, &path) {
@@ -132,8 +133,15 @@ impl FolderLock {
         }
         let written = file.set_len(0).and_then(|()| write!(file, "{}", own_name()));
         written.map_err(|e| Error::io(&path, "write", e))?;
-        Ok(Some(Self { path, held: Some(file), made: Vec::new() }))
+        Ok(Some(Try::Locked(Self { path, held: Some(file), made: Vec::new() })))
     }
+}
+
+/// What became of a try.
+enum Try {
+    Locked(FolderLock),
+    /// By another one: " (its name)", or nothing where that is not known.
+    Held(String),
 }
 
 /// Who holds a folder, in words; None where nobody does, and where that cannot be told.
@@ -163,9 +171,11 @@ fn own_name() -> String {
 
 impl Drop for FolderLock {
     fn drop(&mut self) {
-        if self.held.is_some() {
+        if self.held.is_some() || !self.made.is_empty() {
             fs::remove_file(&self.path).ok();
         }
+        // Network file systems keep what is open in its folder.
+        drop(self.held.take());
         // Those with something in them stay.
         self.made.iter().for_each(|folder| drop(fs::remove_dir(folder)));
     }
@@ -245,10 +255,33 @@ mod tests {
         let open = || File::options().read(true).write(true).open(folder.path().join(WORK.file));
         let [early, late] = [open(), open()].map(|file| file.expect("it is there"));
         drop(first);
-        assert!(FolderLock::take_open(folder.path(), early, &WORK).expect("no holder").is_none());
+        assert!(FolderLock::try_open(folder.path(), early, &WORK).expect("no holder").is_none());
         let third = FolderLock::take(folder.path(), &WORK).expect("free");
-        assert!(FolderLock::take_open(folder.path(), late, &WORK).expect("no holder").is_none());
+        assert!(FolderLock::try_open(folder.path(), late, &WORK).expect("no holder").is_none());
         assert!(FolderLock::take(folder.path(), &WORK).is_err());
         drop(third);
+    }
+    /// Of several that come at once for a folder that is not there, each has it once, and none is refused.
+    #[test]
+    fn all_who_wait_for_a_new_folder_come_to_hold_it() {
+        use std::sync::atomic::{AtomicU32, Ordering};
+        let place = tempfile::tempdir().expect("a temporary folder");
+        let folder = place.path().join("of/one");
+        let (inside, never) = (AtomicU32::new(0), AtomicBool::new(false));
+        std::thread::scope(|scope| {
+            for _ in 0..5 {
+                scope.spawn(|| {
+                    let lock = FolderLock::wait(&folder, &WORK, &never).expect("held");
+                    assert_eq!(inside.fetch_add(1, Ordering::SeqCst), 0, "two at once");
+                    std::thread::sleep(GLANCE);
+                    inside.fetch_sub(1, Ordering::SeqCst);
+                    drop(lock);
+                });
+            }
+        });
+        // What was made for one alone is gone with it.
+        let other = place.path().join("another/one");
+        drop(FolderLock::wait(&other, &WORK, &never).expect("held"));
+        assert!(!place.path().join("another").exists());
     }
 }

@@ -89,7 +89,8 @@ pub struct Arguments {
     /// time, 0.001 to 0.9; 0 measures only after --test-iterations
     #[arg(long, value_name = "SHARE", default_value_t = tracking::SHARE, value_parser = tracking::share)]
     eval_share: f64,
-    /// Wait while another training writes into the model folder, in place of an error: a scheduler's second try may meet its first
+    /// Wait while another training writes into the model folder, in place of an error: a scheduler's second try may meet its
+    /// first. The folder need not be there yet
     #[arg(long)]
     wait: bool,
     #[command(flatten)]

@@ -49,7 +49,7 @@ const USES: [Use; 13] = [
     Use {
         names: &["initial_opacity", "initial_scale"],
         is_used: |s| s.data.init.as_os_str().is_empty(),
-        by: "points, and a scene (--init) has its own",
+        by: "a training from points, without --init",
     },
     Use { names: &["antialiasing_detached"], is_used: |s| s.train.antialiasing, by: "--antialiasing" },
     Use { names: &["pose_lr"], is_used: |s| s.train.pose_opt, by: "--pose-opt" },
@@ -90,7 +90,7 @@ fn unused(given: &Table, trainings: &[Settings]) -> Vec<Unused> {
 fn refuse(first: Option<&Unused>, given: &Table) -> Result<()> {
     let Some((name, by)) = first else { return Ok(()) };
     let value = given.get(*name).map(toml::Value::to_string).unwrap_or_default();
-    let problem = format!("is {value}, which has no effect here: it is for {by}; leave it out, or add that");
+    let problem = format!("is {value}, which has no effect here: it is for {by}; leave it out, or train so");
     Err(Error::argument(*name, problem))
 }
 
@@ -147,8 +147,8 @@ mod tests {
             ("strategy = 'fixed'\ndensify_until_iter = 9", "other than fixed"),
             ("strategy = 'fixed'\nmin_opacity = 0.1", "reference or budget"),
             ("strategy = 'mcmc'\nmin_opacity = 0.1", "reference or budget"),
-            ("init = 'a.ply'\ninitial_scale = 0.5", "points"),
-            ("strategy = 'mcmc'\ninit = 'a.ply'\ninitial_opacity = 0.1", "points"),
+            ("init = 'a.ply'\ninitial_scale = 0.5", "from points"),
+            ("strategy = 'mcmc'\ninit = 'a.ply'\ninitial_opacity = 0.1", "from points"),
             ("exposure = true\nexposure_lr_delay_mult = 0.5", "--exposure-lr-delay-steps"),
         ] {
             assert!(refused(given).is_some_and(|message| message.contains(by)), "{given}");

@@ -23,13 +23,13 @@ const INPUT_FILE: &str = "input.ply";
 const TRAINING: Work = Work { file: ".training.lock", what: "training", option: "-m" };
 
 /// Holds the model folder, where there is one already, before it is asked for its checkpoints: another training would go on writing
-/// them. With `wait` once that one is at its end, and also a folder that is not there yet.
+/// them. With `wait` that one may come to its end first, and the folder need not be there yet.
 ///
 /// # Errors
 /// Where another training writes into the folder.
 pub fn hold(folder: &Path, wait: bool, stop: &AtomicBool) -> Result<Option<FolderLock>> {
     match wait {
-        true => FolderLock::wait_or_create(folder, &TRAINING, stop).map(Some),
+        true => FolderLock::wait(folder, &TRAINING, stop).map(Some),
         false if !folder.is_dir() => Ok(None),
         false => FolderLock::take(folder, &TRAINING).map(Some),
     }
