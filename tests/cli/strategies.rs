@@ -1,10 +1,10 @@
 //! Strategies and presets through the program: what they begin with, resumed, verified, and refused where settings contradict
 //! each other.
 
+use super::checkpoints::Place;
 use super::*;
 use ashsplat::Gaussians;
 use ashsplat_files::splats::{self, ReadOptions};
-use tempfile::tempdir;
 
 /// Ways to train, as users choose them.
 const WAYS: [&[&str]; 4] = [
@@ -29,28 +29,23 @@ const SHORT: [&str; 11] = [
     "6",
 ];
 
-fn ply(model: &Path, iteration: u32) -> PathBuf {
-    model.join(format!("point_cloud/iteration_{iteration}/point_cloud.ply"))
-}
-
 #[test]
 fn every_way_to_train_goes_on_and_is_verified() {
-    let folder = tempdir().expect("a temporary folder");
-    let data = folder.path().join("data");
-    write_dataset(&data);
+    let place = Place::new();
+    let data = place.model("data");
     let mut ends = Vec::new();
     for (number, way) in WAYS.iter().enumerate() {
-        let model = folder.path().join(number.to_string());
+        let name = number.to_string();
+        let model = place.model(&name);
         let train = ["train", "-s", text(&data), "-m", text(&model), "--iterations", "40"];
         let train = [&train[..], &SHORT, way].concat();
         succeed(&[&train[..], &["--checkpoint-iterations", "13", "27"]].concat());
-        let whole = std::fs::read(ply(&model, 40)).expect("a PLY");
+        let whole = place.ply(&name, 40);
         for iteration in [13, 27] {
             std::fs::remove_dir_all(model.join("point_cloud")).expect("removed");
             let checkpoint = model.join(format!("chkpnt{iteration}.safetensors"));
             succeed(&[&train[..], &["--start-checkpoint", text(&checkpoint)]].concat());
-            let resumed = std::fs::read(ply(&model, 40)).expect("a PLY");
-            assert!(resumed == whole, "{way:?}: other bits from {iteration} on");
+            assert!(place.ply(&name, 40) == whole, "{way:?}: other bits from {iteration} on");
         }
         let said = succeed(&[&train[..], &["--verify-determinism", "20"]].concat());
         assert!(said.starts_with("20 iterations twice on ") && said.contains("the same bits"), "{said}");
@@ -64,16 +59,15 @@ fn every_way_to_train_goes_on_and_is_verified() {
 /// 3DGS-MCMC begins with more opaque, smaller Gaussians. A scene keeps its own.
 #[test]
 fn a_strategy_begins_with_its_own_values() {
-    let folder = tempdir().expect("a temporary folder");
-    let data = folder.path().join("data");
-    write_dataset(&data);
+    let place = Place::new();
+    let data = place.model("data");
     let begun = |name: &str, more: &[&str]| -> (PathBuf, Gaussians) {
-        let model = folder.path().join(name);
+        let model = place.model(name);
         // The last iteration makes no step.
         let train =
             ["train", "-s", text(&data), "-m", text(&model), "--iterations", "1", "--few-photos", "off"];
         succeed(&[&train[..], &SHORT, more].concat());
-        let path = ply(&model, 1);
+        let path = model.join("point_cloud/iteration_1/point_cloud.ply");
         let gaussians = splats::read(&path, &ReadOptions::default()).expect("a PLY").gaussians;
         (path, gaussians)
     };
@@ -98,9 +92,8 @@ fn a_strategy_begins_with_its_own_values() {
 
 #[test]
 fn contradictions_are_refused_before_the_work() {
-    let folder = tempdir().expect("a temporary folder");
-    let (data, model) = (folder.path().join("data"), folder.path().join("model"));
-    write_dataset(&data);
+    let place = Place::new();
+    let (data, model) = (place.model("data"), place.model("model"));
     let train = ["train", "-s", text(&data), "-m", text(&model), "--iterations", "20", "--few-photos", "off"];
     let cases: [(&[&str], [&str; 2]); 9] = [
         (&["--preset", "fast", "--strategy", "mcmc"], ["a preset has the strategy budget", "leave out"]),

@@ -120,10 +120,7 @@ impl FolderLock {
                 return Ok(Some(Try::Locked(Self { path, held: None, made: Vec::new() })));
             }
             Locked::No => {
-                let mut holder = String::new();
-                // Its name only makes the message better.
-                file.read_to_string(&mut holder).ok();
-                let holder = holder.trim();
+                let holder = name_in(file);
                 let by = if holder.is_empty() { String::new() } else { format!(" ({holder})") };
                 return Ok(Some(Try::Held(by)));
             }
@@ -146,15 +143,18 @@ enum Try {
 
 /// Who holds a folder, in words; None where nobody does, and where that cannot be told.
 pub fn holder(folder: &Path, work: &Work) -> Option<String> {
-    let mut file = File::open(folder.join(work.file)).ok()?;
+    let file = File::open(folder.join(work.file)).ok()?;
     match try_lock(&file) {
         Locked::Yes | Locked::Unknown => None,
-        Locked::No => {
-            let mut name = String::new();
-            file.read_to_string(&mut name).ok();
-            Some(name.trim().to_owned())
-        }
+        Locked::No => Some(name_in(file)),
     }
+}
+
+/// What a holder has written of itself. It only makes messages better.
+fn name_in(mut file: File) -> String {
+    let mut name = String::new();
+    file.read_to_string(&mut name).ok();
+    name.trim().to_owned()
 }
 
 /// "process 12 on node7": the folder may be that of many machines.
