@@ -110,7 +110,19 @@ fn blocks_are_trained_one_by_one_and_merged() {
         let measured = ["gaussians", "psnr", "iterations_per_second", "peak_bytes"];
         assert!(measured.iter().all(|name| status[name].as_f64() > Some(1.0)), "{status}");
         assert!(status["trainer"].is_null());
+        let (begun, pixels) =
+            (block["trained"].as_u64().expect("a number"), block["pixels"].as_u64().expect("a number"));
+        let photos = ["photos", "held_out"]
+            .map(|name| block[name].as_array().map_or(0, Vec::len))
+            .iter()
+            .sum::<usize>();
+        assert!(pixels > 0 && pixels <= photos as u64 * u64::from(SIZE[0] * SIZE[1]), "{block}");
+        assert_eq!(status["memory_bytes"], 1_500_000_000 + 4 * pixels + 4 * 944 * begun);
     }
+    refuse(
+        &["blocks", text(&place.model("blocks.json")), "--json", "--growth", "0.5"],
+        &["--growth", "1 or more"],
+    );
     let told = succeed(&["blocks", text(&place.model("blocks.json"))]);
     for line in told.lines().take(blocks.len()) {
         assert!(

@@ -1,9 +1,11 @@
 //! A tree of tiles in a host's frames: each tile is a scene, read by a thread of the host and written by a recorded update.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::mpsc;
 
-use crate::stage::{assert_same, cloud, guest, options, owned, rendered, with_host};
+use crate::host::InFlight;
+use crate::memory::HostBuffer;
+use crate::stage::{adopt, assert_same, cloud, copy_pixels, guest, options, owned, with_host};
 use ashsplat::scene::Intrinsics;
 use ashsplat::{
     Camera, DeviceScene, Gaussians, Placed, RecordedFrame, RenderSettings, Renderer, Reservation, Update,
@@ -19,6 +21,10 @@ const MOST: usize = 20;
 const BUDGET: usize = 200;
 /// Scenes on the device: those of a picture, and those that take their place.
 const ROOM: usize = 32;
+/// Frames in flight.
+const SLOTS: usize = 2;
+/// Of the picture, pixels.
+const SIZE: [u32; 2] = [110, 70];
 
 fn written(folder: &std::path::Path) -> Tree {
     let (scene, tree) = (folder.join("scene.ply"), folder.join("tiles"));
@@ -33,11 +39,19 @@ fn written(folder: &std::path::Path) -> Tree {
 /// Looks out of the cloud from its middle, at a quarter of it.
 fn inside(turn: f32) -> Camera {
     let away = Vec3::new(turn.sin(), 0.0, -turn.cos());
-    Camera::look_at(-0.2 * away, away, Vec3::NEG_Y, Intrinsics::from_fov_x(1.2, 110, 70))
+    Camera::look_at(-0.2 * away, away, Vec3::NEG_Y, Intrinsics::from_fov_x(1.2, SIZE[0], SIZE[1]))
 }
 
-/// A camera turns round. What it wants is asked for and drawn some frames later; until then what is there covers the picture. No frame waits,
-/// and each is that of one scene with the same Gaussians, to the bit.
+/// A frame that has been submitted.
+struct Flying {
+    camera: Camera,
+    /// What it draws.
+    gaussians: Gaussians,
+}
+
+/// A camera turns round. What it wants is asked for and drawn some frames later; until then what is there covers the picture. Two frames
+/// fly: neither waits for the other, nothing that one of them reads is written, and each is that of one scene with the same
+/// Gaussians, to the bit.
 #[test]
 fn tiles_stream_into_recorded_frames() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -56,24 +70,50 @@ fn tiles_stream_into_recorded_frames() {
             let context = guest(host);
             let mut renderer = Renderer::new(&context).expect("kernels");
             let staging_bytes = Reservation::update_bytes(MOST as u32, 1);
-            let most = (ROOM * MOST) as u32;
-            let scenes = ROOM as u32;
-            let reservation = Reservation { scenes, staging_bytes, ..Reservation::new(most, 1, 110, 70) };
-            renderer.reserve(&reservation).expect("memory");
+            let wanted = Reservation::new((ROOM * MOST) as u32, 1, SIZE[0], SIZE[1]);
+            let (slots, scenes) = (SLOTS as u32, ROOM as u32);
+            renderer.reserve(&Reservation { slots, scenes, staging_bytes, ..wanted }).expect("memory");
+            let pixels = (SIZE[0] * SIZE[1]) as usize;
+            let commands = [0; SLOTS].map(|_| InFlight::new(host).expect("a command buffer"));
+            let pictures = [0; SLOTS].map(|_| HostBuffer::new(host, 16 * pixels as u64).expect("memory"));
+            let mut flying: [Option<Flying>; SLOTS] = [const { None }; SLOTS];
             let empty = || DeviceScene::empty(&context, MOST as u32, 1).expect("a scene");
             let mut free: Vec<DeviceScene> = (0..ROOM).map(|_| empty()).collect();
+            // Taken out of the picture, and the frame from which on no flying one reads them.
+            let mut leaving: VecDeque<(usize, DeviceScene)> = VecDeque::new();
             let mut there: BTreeMap<usize, (DeviceScene, Gaussians)> = BTreeMap::new();
             let mut wished = BTreeSet::from([0]);
             ask.send(0).expect("a loader");
             let settings = RenderSettings::default();
             let (mut covered, mut settled, mut replaced) = (0, 0, 0);
             for frame in 0..200 {
+                let slot = frame % SLOTS;
+                if let Some(done) = flying[slot].take() {
+                    commands[slot].wait(host).expect("done");
+                    let bytes = pictures[slot].read(host, 16 * pixels).expect("bytes");
+                    // Of both slots, in turn.
+                    if frame % 5 == 0 || frame > 190 {
+                        let shown: Vec<[f32; 4]> = bytemuck::pod_collect_to_vec(&bytes);
+                        assert_same(&shown, &owned(&done.gaussians, &done.camera, &settings), [0.0; 3]);
+                    }
+                }
+                while leaving.front().is_some_and(|(from, _)| *from <= frame) {
+                    free.extend(leaving.pop_front().map(|(_, scene)| scene));
+                }
                 // It stands still at the end, so that all arrives.
                 let camera = inside(0.06 * frame.min(100) as f32);
                 let ideal = tree.cut(&camera, BUDGET);
                 let wanted = tree.wanted(&Demand::of(&camera, BUDGET));
-                // One tile per frame, if one has arrived. The first is waited for, and those that are wished at the end.
-                let arrival = if there.is_empty() || frame > 100 && !wished.is_empty() {
+                let old = there.keys().copied().find(|other| !wanted.contains(other));
+                if let Some(old) = old.filter(|_| free.is_empty() && leaving.is_empty()) {
+                    // The frame before this one may draw it, and ends before the slot after this one's is used again.
+                    leaving.extend(there.remove(&old).map(|(scene, _)| (frame + SLOTS - 1, scene)));
+                    replaced += 1;
+                }
+                // One tile per frame, if one has arrived and there is room. The first is waited for, and those that are wished at the end.
+                let arrival = if free.is_empty() {
+                    None
+                } else if there.is_empty() || frame > 100 && !wished.is_empty() {
                     Some(arrived.recv().expect("a tile"))
                 } else {
                     arrived.try_recv().ok()
@@ -81,13 +121,6 @@ fn tiles_stream_into_recorded_frames() {
                 let arrival = arrival.filter(|(tile, _)| wished.remove(tile) && wanted.contains(tile));
                 let mut new = None;
                 if let Some((tile, own)) = arrival {
-                    // The place of one that is not wanted. No frame flies here; one that does may still read it.
-                    let unused = |other: &usize| !wanted.contains(other);
-                    if free.is_empty() {
-                        let old = there.keys().copied().find(unused).expect("room for more than a picture");
-                        free.extend(there.remove(&old).map(|(scene, _)| scene));
-                        replaced += 1;
-                    }
                     let mut scene = free.pop().expect("room");
                     scene.set_count(own.len() as u32).expect("room");
                     there.insert(tile, (scene, own));
@@ -99,6 +132,9 @@ fn tiles_stream_into_recorded_frames() {
                     }
                 }
                 let drawn = tree.cut_among(&Demand::of(&camera, BUDGET), |tile| there.contains_key(&tile));
+                assert!(!drawn.is_empty());
+                covered += usize::from(drawn != ideal);
+                settled += usize::from(drawn == ideal);
                 let update = |tile: usize| {
                     let (scene, gaussians) = &there[&tile];
                     Update { scene, first: 0, gaussians }
@@ -107,15 +143,19 @@ fn tiles_stream_into_recorded_frames() {
                 let placed: Vec<Placed> = drawn.iter().map(|tile| Placed::from(&there[tile].0)).collect();
                 let recorded =
                     RecordedFrame { updates: &updates, ..RecordedFrame::new(&placed, &camera, &settings) };
-                let pixels = rendered(host, &mut renderer, &recorded);
-                if frame % 20 == 0 || frame > 190 {
-                    let mut all = Gaussians { sh_degree: 1, ..Default::default() };
-                    drawn.iter().for_each(|tile| all.append(&there[tile].1));
-                    assert_same(&pixels, &owned(&all, &camera, &settings), [0.0; 3]);
-                }
-                assert!(!drawn.is_empty());
-                covered += usize::from(drawn != ideal);
-                settled += usize::from(drawn == ideal);
+                let in_flight = &commands[slot];
+                in_flight.begin(host).expect("recording");
+                renderer.record(adopt(&context, in_flight), slot as u32, &recorded).expect("a recording");
+                copy_pixels(host, &mut renderer, slot as u32, in_flight, &pictures[slot], pixels);
+                in_flight.submit(host).expect("a submission");
+                let mut gaussians = Gaussians { sh_degree: 1, ..Default::default() };
+                drawn.iter().for_each(|tile| gaussians.append(&there[tile].1));
+                flying[slot] = Some(Flying { camera, gaussians });
+            }
+            for (in_flight, picture) in commands.into_iter().zip(pictures) {
+                in_flight.wait(host).expect("done");
+                in_flight.destroy(host);
+                picture.destroy(host);
             }
             assert!(
                 covered > 5 && settled > 50 && replaced > 5,

@@ -1,10 +1,10 @@
 //! `ashsplat blocks`: how far the training of each block is.
 
-use crate::blocks::{Block, BlocksFile, result};
+use crate::blocks::{Block, BlocksFile, Division, result};
 use crate::progress::thousands;
 use crate::session;
 use crate::train::{LOG_FILE, Rows, trainer};
-use ashsplat::Result;
+use ashsplat::{Error, Result};
 use clap::Args;
 use serde_json::{Value, json};
 use std::path::PathBuf;
@@ -24,7 +24,19 @@ pub struct Arguments {
     /// Print JSON
     #[arg(long)]
     json: bool,
+    /// In JSON, the memory that a block needs if it ends with so many Gaussians for each that it begins with: `memory_bytes`
+    #[arg(long, value_name = "X", default_value_t = 4.0)]
+    growth: f64,
 }
+
+/// Of a Gaussian in training with SH of degree 3, bytes: parameters, gradients, moments, statistics.
+const TRAINED_BYTES: f64 = 944.0;
+/// Of one that is only drawn, bytes: after an exchange, the rest of the scene.
+const DRAWN_BYTES: f64 = 240.0;
+/// Of a photograph's pixel on the device.
+const PIXEL_BYTES: f64 = 4.0;
+/// Of what does not grow with them: the program, the driver, and frames of photographs of ten megapixels.
+const OTHER_BYTES: f64 = 1.5e9;
 
 /// Iterations whose time tells the speed.
 const RECENT: usize = 100;
@@ -33,13 +45,18 @@ const GLANCE: Duration = Duration::from_millis(100);
 
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<()> {
+    if !(arguments.growth.is_finite() && arguments.growth >= 1.0) {
+        let problem = format!("is {}, must be 1 or more", arguments.growth);
+        return Err(Error::argument("--growth", problem));
+    }
     let file = BlocksFile::read(&arguments.blocks)?;
+    let growth = arguments.json.then_some(arguments.growth);
     let Some(seconds) = arguments.watch else {
-        show(&file, arguments.json);
+        show(&file, growth);
         return Ok(());
     };
     let stop = session::stop_on_ctrl_c()?;
-    while show(&file, arguments.json) < file.division.blocks.len() {
+    while show(&file, growth) < file.division.blocks.len() {
         let shown = Instant::now();
         while shown.elapsed().as_secs() < seconds {
             session::check(&stop)?;
@@ -49,13 +66,23 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     Ok(())
 }
 
-/// Prints all blocks; how many are trained.
-fn show(file: &BlocksFile, as_json: bool) -> usize {
+/// What a training of the block may need of a machine, bytes, if its Gaussians grow by this factor. On a GPU that is the device's
+/// memory, and less than it is the host's.
+fn memory_bytes(file: &BlocksFile, block: &Block, growth: f64) -> u64 {
+    let Division { coarse, rounds, .. } = &file.division;
+    let around = if *rounds > 1 { coarse.gaussians - block.trained.min(coarse.gaussians) } else { 0 };
+    let growing = TRAINED_BYTES * block.trained as f64 + DRAWN_BYTES * around as f64;
+    (OTHER_BYTES + PIXEL_BYTES * block.pixels as f64 + growing * growth) as u64
+}
+
+/// Prints all blocks, as JSON if there is a growth; how many are trained.
+fn show(file: &BlocksFile, growth: Option<f64>) -> usize {
     let round = file.exchanges() + 1;
     let all: Vec<Status> = file.division.blocks.iter().map(|block| Status::of(file, block, round)).collect();
     let trained = all.iter().filter(|status| status.state == State::Trained).count();
-    if as_json {
-        let blocks: Vec<Value> = all.iter().map(Status::json).collect();
+    if let Some(growth) = growth {
+        let blocks: Vec<Value> =
+            all.iter().map(|status| status.json(memory_bytes(file, status.block, growth))).collect();
         say!("{:#}", json!({ "blocks": blocks, "trained": trained }));
         return trained;
     }
@@ -153,7 +180,7 @@ impl Status<'_> {
         line
     }
 
-    fn json(&self) -> Value {
+    fn json(&self, memory_bytes: u64) -> Value {
         let holder = match &self.state {
             State::Training(holder) => Some(holder),
             _ => None,
@@ -168,6 +195,7 @@ impl Status<'_> {
             "iterations_per_second": self.iterations_per_second,
             "peak_bytes": self.peak_bytes,
             "trainer": holder,
+            "memory_bytes": memory_bytes,
         })
     }
 }

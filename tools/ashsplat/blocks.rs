@@ -96,6 +96,9 @@ pub struct Block {
     pub photos: Vec<String>,
     /// Held out.
     pub held_out: Vec<String>,
+    /// Of all these photos, of each the part that shows the block. 0 in files of before.
+    #[serde(default)]
+    pub pixels: u64,
     /// Of these photos, by name, the part that shows core and margin, where that is not all of it.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub parts: BTreeMap<String, Part>,

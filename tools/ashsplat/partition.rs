@@ -272,6 +272,11 @@ impl Arguments {
             let part_of_each = chosen
                 .iter()
                 .filter_map(|&camera| Some((cameras[camera].name.clone(), shares.part(camera, index)?)));
+            let pixels = chosen.iter().map(|&camera| {
+                let Camera { width, height, .. } = cameras[camera].camera;
+                let all = u64::from(width) * u64::from(height);
+                shares.part(camera, index).map_or(all, |part| part.pixels(width, height))
+            });
             let iterations = (u64::from(self.iterations) * own.len() as u64).div_ceil(photos as u64);
             let folder = self.out.with_extension("").join(format!("{number:03}"));
             blocks.push(Block {
@@ -283,6 +288,7 @@ impl Arguments {
                 folder: stored(&folder, &self.out),
                 photos: own,
                 held_out: named(false),
+                pixels: pixels.sum(),
                 parts: part_of_each.collect(),
             });
         }

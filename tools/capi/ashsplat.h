@@ -140,8 +140,14 @@ typedef struct AshsplatRenderer AshsplatRenderer;
 // Gaussians on a device.
 typedef struct AshsplatScene AshsplatScene;
 
+// The Gaussians of a tile, in the host's memory.
+typedef struct AshsplatTileGaussians AshsplatTileGaussians;
+
 // Trains Gaussians on photographs.
 typedef struct AshsplatTrainer AshsplatTrainer;
+
+// A tree of tiles in a folder, as `ashsplat tiles` writes it. It does not change: all threads may use it at once.
+typedef struct AshsplatTree AshsplatTree;
 
 // A camera, x right, y down, z forward: x_camera = R x_world + t, pixel = (fx x/z + cx, fy y/z + cy), or (fx x + cx,
 // fy y + cy) if it is orthographic, where the centre of the first pixel is (0.5, 0.5).
@@ -798,6 +804,36 @@ typedef struct AshsplatMaintenance {
   // The next step is the iteration after it.
   uint32_t skipped;
 } AshsplatMaintenance;
+
+// What the description of a tree says of a tile.
+typedef struct AshsplatTile {
+  // Set by ASHSPLAT_INIT.
+  uint32_t struct_size;
+  // Its Gaussians.
+  uint32_t gaussians;
+  // How much its picture differs from that of the finest tiles, units of the scene: divided by the size of a pixel there, and
+  // squared, it is the squared difference from 0 to 1, summed over pixels.
+  double error;
+  // The least corner of what it and the tiles below it reach, units of the scene.
+  float min[3];
+  // The greatest corner.
+  float max[3];
+} AshsplatTile;
+
+// For what tiles are chosen.
+typedef struct AshsplatDemand {
+  // Set by ASHSPLAT_INIT.
+  uint32_t struct_size;
+  // How many cameras: two eyes, say.
+  uint32_t camera_count;
+  // Tiles are chosen that one of them sees, and by the largest error in any of their pictures.
+  const struct AshsplatCamera *cameras;
+  // Gaussians of all tiles that are drawn, at most.
+  uint64_t budget;
+  // What lies beyond a picture by less than so many of its widths and heights is drawn too, so that a camera that turns finds it
+  // there. It is refined after what lies in the picture. 0 draws the pictures alone.
+  double border;
+} AshsplatDemand;
 
 #ifdef __cplusplus
 extern "C" {
@@ -1491,6 +1527,80 @@ enum AshsplatStatus ashsplat_trainer_maintain(struct AshsplatTrainer *trainer,
 enum AshsplatStatus ashsplat_trainer_scene(const struct AshsplatTrainer *trainer,
                                            struct AshsplatScene **scene);
 
+// Reads the description of a tree, and no tile yet: `folder` has its tileset.json.
+//
+// # Safety
+// `folder` is a C string, `tree` is valid for a write.
+enum AshsplatStatus ashsplat_tree_open(const char *folder, struct AshsplatTree **tree);
+
+// Frees it. What was read of it stays.
+//
+// # Safety
+// `tree` is NULL or of this library and not used afterwards.
+void ashsplat_tree_free(struct AshsplatTree *tree);
+
+// The number of its tiles. They are numbered from 0, and tile 0 is the coarsest.
+//
+// # Safety
+// `tree` is alive, `tiles` is valid for a write.
+enum AshsplatStatus ashsplat_tree_size(const struct AshsplatTree *tree, uint32_t *tiles);
+
+// What the description says of a tile.
+//
+// # Safety
+// `tree` is alive, `told` begins with its size.
+enum AshsplatStatus ashsplat_tree_tile(const struct AshsplatTree *tree,
+                                       uint32_t tile,
+                                       struct AshsplatTile *told);
+
+// The tiles that a demand wants to be loaded, in this order: those that ashsplat_tree_cut would draw, and those on the way to them. A
+// tile comes after the one above it, and sooner where the error of that is larger in pixels. `possible` says of each tile of
+// the tree whether it can be loaded, false for a file that is damaged say; NULL: all can. Nothing is wanted that could only be drawn beside
+// or below one that cannot. `tiles` has room for as many numbers as the tree has tiles.
+//
+// # Safety
+// `tree` is alive, `demand` begins with its size and has as many cameras as it says, `possible` is NULL or has one value per tile,
+// `tiles` is valid for as many writes, `count` for one.
+enum AshsplatStatus ashsplat_tree_wanted(const struct AshsplatTree *tree,
+                                         const struct AshsplatDemand *demand,
+                                         const bool *possible,
+                                         uint32_t *tiles,
+                                         uint32_t *count);
+
+// The tiles to be drawn, ascending: of those that are `there`, as fine as so many Gaussians allow, and finest where the error is largest
+// in pixels. While one of the tiles that would take a tile's place is not there, the tile itself is drawn. `there` has a value
+// for each tile of the tree; NULL: all are there. The coarsest tile is drawn however many Gaussians it has; nothing, where it is not in the
+// pictures or not there. `tiles` has room for as many numbers as the tree has tiles.
+//
+// # Safety
+// As ashsplat_tree_wanted.
+enum AshsplatStatus ashsplat_tree_cut(const struct AshsplatTree *tree,
+                                      const struct AshsplatDemand *demand,
+                                      const bool *there,
+                                      uint32_t *tiles,
+                                      uint32_t *count);
+
+// Reads a tile's file: on a thread of the host's that may wait for a disk. Its Gaussians go to the device by AshsplatUpdate, in a frame.
+//
+// # Safety
+// `tree` is alive, `gaussians` is valid for a write.
+enum AshsplatStatus ashsplat_tree_read(const struct AshsplatTree *tree,
+                                       uint32_t tile,
+                                       struct AshsplatTileGaussians **gaussians);
+
+// The arrays of a tile's Gaussians, which live as long as `of` does.
+//
+// # Safety
+// `of` is alive, `gaussians` begins with its size.
+enum AshsplatStatus ashsplat_tile_gaussians(const struct AshsplatTileGaussians *of,
+                                            struct AshsplatGaussians *gaussians);
+
+// Frees them, once the call that has recorded their update has returned.
+//
+// # Safety
+// `gaussians` is NULL or of this library and not used afterwards.
+void ashsplat_tile_gaussians_free(struct AshsplatTileGaussians *gaussians);
+
 #ifdef __cplusplus
 }  // extern "C"
 #endif  // __cplusplus
@@ -1529,6 +1639,13 @@ static inline AshsplatCutOut AshsplatCutOut_init(void) {
   it.struct_size = (uint32_t)sizeof it;
   it.scene_from_volume[0] = it.scene_from_volume[4] = it.scene_from_volume[8] = 1.0f;
   it.scale = 1.0f;
+  return it;
+}
+
+static inline AshsplatDemand AshsplatDemand_init(void) {
+  AshsplatDemand it;
+  memset(&it, 0, sizeof it);
+  it.struct_size = (uint32_t)sizeof it;
   return it;
 }
 
@@ -1690,6 +1807,13 @@ static inline AshsplatTarget AshsplatTarget_init(void) {
   memset(&it, 0, sizeof it);
   it.struct_size = (uint32_t)sizeof it;
   it.exposure = 1.0f;
+  return it;
+}
+
+static inline AshsplatTile AshsplatTile_init(void) {
+  AshsplatTile it;
+  memset(&it, 0, sizeof it);
+  it.struct_size = (uint32_t)sizeof it;
   return it;
 }
 

@@ -25,6 +25,7 @@ mod structs;
 mod trained;
 mod trainers;
 mod training;
+mod trees;
 mod types;
 
 pub use allocator::{AshsplatAllocator, AshsplatMemory, AshsplatMemoryRequest};
@@ -43,6 +44,7 @@ pub use structs::{Defaults, STRUCTS};
 pub use trained::*;
 pub use trainers::*;
 pub use training::*;
+pub use trees::*;
 pub use types::*;
 
 use self::kept::Kept;

@@ -8,12 +8,12 @@
 
 use super::scratch::{List, Scratch};
 use super::{
-    AshsplatAlignment, AshsplatAllocator, AshsplatCamera, AshsplatCutOut, AshsplatDepthTarget,
-    AshsplatForeignDevice, AshsplatForeignImage, AshsplatGaussians, AshsplatGradients, AshsplatMaintenance,
-    AshsplatMotionTarget, AshsplatOccluder, AshsplatPickTarget, AshsplatPlaced, AshsplatPose,
-    AshsplatRecordedFrame, AshsplatRelease, AshsplatRenderSettings, AshsplatReservation, AshsplatScenePlan,
-    AshsplatSceneSettings, AshsplatSlotReport, AshsplatStep, AshsplatTarget, AshsplatTrainView,
-    AshsplatUpdate,
+    AshsplatAlignment, AshsplatAllocator, AshsplatCamera, AshsplatCutOut, AshsplatDemand,
+    AshsplatDepthTarget, AshsplatForeignDevice, AshsplatForeignImage, AshsplatGaussians, AshsplatGradients,
+    AshsplatMaintenance, AshsplatMotionTarget, AshsplatOccluder, AshsplatPickTarget, AshsplatPlaced,
+    AshsplatPose, AshsplatRecordedFrame, AshsplatRelease, AshsplatRenderSettings, AshsplatReservation,
+    AshsplatScenePlan, AshsplatSceneSettings, AshsplatSlotReport, AshsplatStep, AshsplatTarget, AshsplatTile,
+    AshsplatTrainView, AshsplatUpdate,
 };
 use ashsplat::{Error, Result};
 use std::mem::{MaybeUninit, offset_of, size_of};
@@ -89,6 +89,7 @@ structs! {
     AshsplatAllocator, free..free, {};
     AshsplatCamera, height..projection, { camera_from_world: UPRIGHT };
     AshsplatCutOut, scale..scale, { scene_from_volume: UPRIGHT, scale: 1.0 };
+    AshsplatDemand, border..border, {};
     AshsplatDepthTarget, to..to, {};
     AshsplatForeignDevice, pipeline_cache..shader_subgroup_uniform_control_flow, {};
     AshsplatForeignImage, image..image, { samples: 1 };
@@ -111,6 +112,7 @@ structs! {
     AshsplatSlotReport, visible..entries_per_pass, {};
     AshsplatStep, view..view, {};
     AshsplatTarget, to..to, { exposure: 1.0 };
+    AshsplatTile, max..max, {};
     AshsplatTrainView, rgb..camera_id, {};
     AshsplatUpdate, gaussians..gaussians, {};
 }

@@ -27,6 +27,14 @@ impl Part {
         self.columns == [0, self.of[0]] && self.rows == [0, self.of[1]]
     }
 
+    /// How many of a photo's pixels it has.
+    pub fn pixels(&self, width: u32, height: u32) -> u64 {
+        let sides = [self.columns, self.rows].into_iter().zip(self.of).zip([width, height]);
+        sides
+            .map(|(([from, to], of), side)| (u64::from(to - from) * u64::from(side)).div_ceil(of.into()))
+            .product()
+    }
+
     /// Whether it has pixels, and lies in its picture.
     pub fn exists(&self) -> bool {
         [self.columns, self.rows].iter().zip(self.of).all(|([from, to], side)| from < to && *to <= side)

@@ -6,8 +6,9 @@ mod measures;
 use ashsplat::scene::{Camera, Gaussians, Intrinsics, Similarity};
 use ashsplat::vk::{Context, ContextOptions};
 use ashsplat::{Frame, RenderSettings, Renderer};
-use ashsplat_files::ply;
 use ashsplat_files::splats::{self, Format, ReadOptions, WriteOptions};
+use ashsplat_files::tiles::{self, Demand, TileOptions, Tree};
+use ashsplat_files::{Progress, ply};
 use cbindgen::{Builder, Config, DocumentationStyle, EnumConfig, ExportConfig, Language};
 use glam::{DQuat, DVec3, Mat3, Vec3};
 use hosts::{MESSAGES, argument, compile, folder, host_in_c, host_said, host_with, library, run};
@@ -186,6 +187,38 @@ fn the_guides_guest_in_c_draws() {
     let is_required = std::env::var_os("ASHSPLAT_REQUIRE_VALIDATION").is_some();
     let said = host_said("guide", &guest, &[&scene, Path::new("wrong")]);
     assert!(said.contains(MESSAGES[0]) || !is_required, "no validation layer: {said}");
+}
+
+/// What is read, chosen and drawn of a tree is what Rust chooses and draws.
+#[test]
+fn a_host_in_c_streams_tiles() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (scene, tiles) = (folder.path().join("scene.ply"), folder.path().join("tiles"));
+    ply::write(&scene, &cloud()).expect("a PLY");
+    let mut measure = |_: &Gaussians, _: &Gaussians| Ok(0.1);
+    let options = TileOptions { most: 20, packed: false };
+    tiles::write(&scene, &tiles, &options, &ReadOptions::default(), &mut measure, &Progress::NONE)
+        .expect("tiles");
+    let said = host_in_c("tiles", &[&tiles]);
+    let numbers: Vec<usize> = said.split_whitespace().filter_map(|word| word.parse().ok()).collect();
+    let (&[frames, visible, instances], drawn) = numbers.split_first_chunk().expect("three numbers");
+
+    let tree = Tree::open(&tiles).expect("a tree");
+    let eye = Vec3::new(0.0, 0.0, 0.2);
+    let camera = Camera::look_at(eye, Vec3::NEG_Z, Vec3::NEG_Y, Intrinsics::from_fov_x(1.2, 110, 70));
+    assert_eq!(drawn, tree.cut(&camera, 200));
+    assert_eq!(frames, tree.wanted(&Demand::of(&camera, 200)).len() + 1);
+    assert!(drawn.len() > 3 && drawn.len() < tree.tiles().len(), "{drawn:?}");
+    let mut all = Gaussians { sh_degree: 1, ..Gaussians::default() };
+    for &tile in drawn {
+        all.append(&tree.read(tile, &ReadOptions::default()).expect("a tile").gaussians);
+    }
+    let context = Context::new(&ContextOptions::default()).expect("a device");
+    let mut renderer = Renderer::new(&context).expect("kernels");
+    renderer.upload(&all).expect("uploaded");
+    let stats = renderer.render(&camera, &RenderSettings::default()).expect("a frame").stats;
+    assert_eq!((visible, instances), (stats.visible as usize, stats.instances as usize));
+    assert!(visible > 50, "{said}");
 }
 
 #[test]

@@ -1,0 +1,151 @@
+//! Our trees of tiles, read by Cesium's 3D Tiles tools and Khronos' glTF validator; our levels, bundled for PlayCanvas by splat-transform.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use ashsplat::scene::Gaussians;
+use ashsplat_files::splats::{self, ConvertOptions, Format, Target, WriteOptions};
+use ashsplat_files::tiles::{self, TileOptions};
+use ashsplat_files::{Progress, metrics};
+use serde_json::Value;
+
+use super::playcanvas::{ball, camera, render};
+use super::text;
+
+pub const TRIALS: [(&str, super::Check); 3] = [
+    ("gltf_validator_accepts_our_tiles_ply", |modules, _| {
+        each_tree(|tree| the_validator_accepts(modules, tree))
+    }),
+    ("tiles_tools_read_our_tree_ply", |modules, _| each_tree(|tree| the_tools_read(modules, tree))),
+    ("splat_transform_bundles_our_levels_ply", |modules, _| it_bundles_our_levels(modules)),
+];
+
+/// A tree of plain tiles, and one of SPZ in them.
+fn each_tree(check: impl Fn(&Path)) {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = folder.path().join("scene.ply");
+    splats::write(&scene, &ball(), &WriteOptions { format: Some(Format::Ply), ..Default::default() })
+        .unwrap();
+    for packed in [false, true] {
+        let tree = folder.path().join(if packed { "packed" } else { "plain" });
+        let options = TileOptions { most: 1000, packed };
+        let mut measure = |_: &Gaussians, _: &Gaussians| Ok(0.05);
+        tiles::write(&scene, &tree, &options, &Default::default(), &mut measure, &Progress::NONE).unwrap();
+        check(&tree);
+    }
+}
+
+/// As the guide says for PlayCanvas' streaming: its `lod-meta.json` has our levels, and each one's compressed tiles look as ours do.
+fn it_bundles_our_levels(modules: &Path) {
+    let folder = tempfile::tempdir().unwrap();
+    let level = |number: usize| folder.path().join(format!("lod{number}.ply"));
+    // Without higher SH, whose codebooks take it minutes.
+    let smooth = ball().with_sh_degree(0);
+    splats::write(level(0), &smooth, &WriteOptions::default()).unwrap();
+    for (number, share) in [(1, 0.25), (2, 0.06)] {
+        let options = ConvertOptions { decimate: Some(Target::Share(share)), ..Default::default() };
+        splats::convert(&level(0), &level(number), &options).unwrap();
+    }
+    let meta = folder.path().join("out/lod-meta.json");
+    let paths = [0, 1, 2].map(level);
+    let [fine, middle, coarse] = paths.each_ref().map(|path| text(path));
+    super::splat_transform(
+        modules,
+        &["-g", "cpu", fine, "-l", "0", middle, "-l", "1", coarse, "-l", "2", text(&meta)],
+    );
+    let told: Value = serde_json::from_slice(&std::fs::read(&meta).unwrap()).unwrap();
+    assert_eq!(told["counts"], serde_json::json!([6000, 1500, 360]));
+    for (number, path) in paths.iter().enumerate() {
+        let back = folder.path().join("back.ply");
+        super::splat_transform(
+            modules,
+            &[text(&folder.path().join(format!("out/{number}_0/meta.json"))), text(&back)],
+        );
+        let [ours, theirs] = [path, &back]
+            .map(|path| render(&splats::read(path, &Default::default()).unwrap().gaussians, &camera()));
+        let psnr = metrics::psnr(&ours.to_f32(), &theirs.to_f32()).unwrap();
+        println!("level {number}: {psnr:.2} dB");
+        assert!(psnr > 30.0, "level {number}: {psnr:.2} dB");
+    }
+}
+
+/// The files below a folder with this ending, sorted.
+fn files(folder: &Path, ending: &str) -> Vec<PathBuf> {
+    let (mut found, mut open) = (Vec::new(), vec![folder.to_owned()]);
+    while let Some(next) = open.pop() {
+        for entry in std::fs::read_dir(next).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                open.push(path);
+            } else if path.extension().is_some_and(|own| own == ending) {
+                found.push(path);
+            }
+        }
+    }
+    found.sort();
+    found
+}
+
+fn the_validator_accepts(modules: &Path, tree: &Path) {
+    let tiles = files(tree, "glb");
+    assert!(tiles.len() >= 8, "{tiles:?}");
+    super::validate(modules, &tiles);
+}
+
+/// Packed into an archive and unpacked again, and put below another tree, for which they follow every tile: the same tree each time, and
+/// the same tiles.
+fn the_tools_read(modules: &Path, tree: &Path) {
+    let modules = super::tiles_tools(modules).unwrap();
+    let beside =
+        |name: &str| tree.with_file_name(format!("{}_{name}", tree.file_name().unwrap().to_str().unwrap()));
+    let (archive, back, below, whole) =
+        (tree.with_extension("3tz"), beside("back"), beside("below"), beside("whole"));
+    run(&modules, &["convert", "-i", text(&tree.join("tileset.json")), "-o", text(&archive)]);
+    run(&modules, &["convert", "-i", text(&archive), "-o", text(&back)]);
+    run(&modules, &["merge", "-i", text(tree), "-i", text(&back), "-o", text(&below)]);
+    run(&modules, &["combine", "-i", text(&below), "-o", text(&whole)]);
+    let ours = document(tree);
+    assert_eq!(document(&back), ours);
+    let all = document(&whole);
+    let trees = all["root"]["children"].as_array().unwrap();
+    for (read, folder) in trees.iter().zip([tree, &back]) {
+        let name = folder.file_name().unwrap().to_str().unwrap();
+        assert_eq!(as_said(read, name, &whole), as_said(&ours["root"], "", tree));
+    }
+    let tiles = files(tree, "glb");
+    assert!(trees.len() == 2 && tiles.len() >= 8, "{tiles:?}");
+    for copies in [&back, &whole.join(tree.file_name().unwrap()), &whole.join(back.file_name().unwrap())] {
+        assert_eq!(files(copies, "glb").len(), tiles.len());
+        for tile in &tiles {
+            let copy = copies.join(tile.strip_prefix(tree).unwrap());
+            assert!(std::fs::read(tile).unwrap() == std::fs::read(&copy).unwrap(), "{}", copy.display());
+        }
+    }
+}
+
+fn document(folder: &Path) -> Value {
+    serde_json::from_slice(&std::fs::read(folder.join("tileset.json")).unwrap()).unwrap()
+}
+
+/// Of each tile, depth first: the file's name below a folder of the tree, which has to be there; the error, and the numbers of the box.
+fn as_said(root: &Value, below: &str, tree: &Path) -> Vec<(String, f64, Vec<f64>)> {
+    let (mut said, mut open) = (Vec::new(), vec![root]);
+    while let Some(tile) = open.pop() {
+        let uri = tile["content"]["uri"].as_str().unwrap();
+        assert!(tree.join(uri).is_file(), "{uri}");
+        let name = Path::new(uri).strip_prefix(below).unwrap().to_str().unwrap().to_owned();
+        let sides = tile["boundingVolume"]["box"].as_array().unwrap();
+        let sides = sides.iter().map(|side| side.as_f64().unwrap()).collect();
+        said.push((name, tile["geometricError"].as_f64().unwrap(), sides));
+        open.extend(tile["children"].as_array().into_iter().flatten());
+    }
+    said
+}
+
+fn run(modules: &Path, arguments: &[&str]) {
+    let output = Command::new(modules.join(".bin/3d-tiles-tools")).args(arguments).output().expect("node");
+    let said =
+        [output.stdout, output.stderr].map(|said| String::from_utf8_lossy(&said).into_owned()).concat();
+    // It ends with 0 whatever happened.
+    assert!(output.status.success() && !said.contains("ERROR"), "{arguments:?}: {said}");
+}

@@ -1,0 +1,273 @@
+//! Trees of tiles that a host streams, in C: what is wanted, what is drawn, what a file has.
+
+use super::structs::{named, read, read_all, write};
+use super::{
+    AshsplatCamera, AshsplatGaussians, AshsplatStatus, borrowed, borrowed_mut, check_pointer, give, guarded,
+    slice, take, text,
+};
+use ashsplat::scene::{Camera, Gaussians};
+use ashsplat::{Error, Result};
+use ashsplat_files::splats::ReadOptions;
+use ashsplat_files::tiles::{Demand, Tree};
+use std::ffi::c_char;
+
+/// A tree of tiles in a folder, as `ashsplat tiles` writes it. It does not change: all threads may use it at once.
+pub struct AshsplatTree(Tree);
+
+/// The Gaussians of a tile, in the host's memory.
+pub struct AshsplatTileGaussians(Gaussians);
+
+/// What the description of a tree says of a tile.
+#[repr(C)]
+#[derive(Clone, Copy, Debug)]
+pub struct AshsplatTile {
+    /// Set by ASHSPLAT_INIT.
+    pub struct_size: u32,
+    /// Its Gaussians.
+    pub gaussians: u32,
+    /// How much its picture differs from that of the finest tiles, units of the scene: divided by the size of a pixel there, and
+    /// squared, it is the squared difference from 0 to 1, summed over pixels.
+    pub error: f64,
+    /// The least corner of what it and the tiles below it reach, units of the scene.
+    pub min: [f32; 3],
+    /// The greatest corner.
+    pub max: [f32; 3],
+}
+
+/// For what tiles are chosen.
+#[repr(C)]
+#[derive(Clone, Copy, Debug)]
+pub struct AshsplatDemand {
+    /// Set by ASHSPLAT_INIT.
+    pub struct_size: u32,
+    /// How many cameras: two eyes, say.
+    pub camera_count: u32,
+    /// Tiles are chosen that one of them sees, and by the largest error in any of their pictures.
+    pub cameras: *const AshsplatCamera,
+    /// Gaussians of all tiles that are drawn, at most.
+    pub budget: u64,
+    /// What lies beyond a picture by less than so many of its widths and heights is drawn too, so that a camera that turns finds it
+    /// there. It is refined after what lies in the picture. 0 draws the pictures alone.
+    pub border: f64,
+}
+
+/// Reads the description of a tree, and no tile yet: `folder` has its tileset.json.
+///
+/// # Safety
+/// `folder` is a C string, `tree` is valid for a write.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_tree_open(
+    folder: *const c_char,
+    tree: *mut *mut AshsplatTree,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        let folder = text(folder, "folder")?;
+        give(tree, "tree", || Tree::open(folder).map(AshsplatTree))
+    })
+}
+
+/// Frees it. What was read of it stays.
+///
+/// # Safety
+/// `tree` is NULL or of this library and not used afterwards.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_tree_free(tree: *mut AshsplatTree) {
+    // SAFETY: as promised.
+    unsafe { take(tree) }
+}
+
+/// The number of its tiles. They are numbered from 0, and tile 0 is the coarsest.
+///
+/// # Safety
+/// `tree` is alive, `tiles` is valid for a write.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_tree_size(tree: *const AshsplatTree, tiles: *mut u32) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        *borrowed_mut(tiles, "tiles")? = borrowed(tree, "tree")?.0.tiles().len() as u32;
+        Ok(())
+    })
+}
+
+/// What the description says of a tile.
+///
+/// # Safety
+/// `tree` is alive, `told` begins with its size.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_tree_tile(
+    tree: *const AshsplatTree,
+    tile: u32,
+    told: *mut AshsplatTile,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        let tiles = borrowed(tree, "tree")?.0.tiles();
+        let of_none = || Error::argument("tile", format!("{tile} is none of {}", tiles.len()));
+        let found = tiles.get(tile as usize).ok_or_else(of_none)?;
+        let known = AshsplatTile {
+            gaussians: found.gaussians as u32,
+            error: found.error,
+            min: found.bounds.min.to_array(),
+            max: found.bounds.max.to_array(),
+            ..AshsplatTile::default()
+        };
+        write(told, "told", known)
+    })
+}
+
+/// A host's demand as the library has it, less the number of Gaussians and the border.
+///
+/// # Safety
+/// The cameras are as many as it says.
+unsafe fn cameras(demand: &AshsplatDemand) -> Result<Vec<Camera>> {
+    // SAFETY: as promised.
+    let all = unsafe { read_all(demand.cameras, demand.camera_count, "demand.cameras") }?;
+    if all.is_empty() {
+        return Err(Error::argument("demand.cameras", "there are none"));
+    }
+    if !(demand.border.is_finite() && demand.border >= 0.0) {
+        return Err(Error::argument("demand.border", format!("is {}, must be 0 or more", demand.border)));
+    }
+    let known = |(index, camera): (usize, &AshsplatCamera)| {
+        let name = format!("demand.cameras[{index}]");
+        let camera = camera.known_as(&name)?;
+        camera.check().map(|()| camera).map_err(named(name))
+    };
+    all.iter().enumerate().map(known).collect()
+}
+
+/// Which of all tiles are there: all, without an array.
+///
+/// # Safety
+/// The pointer is null or valid for one of each tile.
+unsafe fn among<'a>(tree: &Tree, there: *const bool) -> Result<impl Fn(usize) -> bool + use<'a>> {
+    // SAFETY: as promised.
+    let there: Option<&[bool]> =
+        if there.is_null() { None } else { Some(unsafe { slice(there, tree.tiles().len(), "there") }?) };
+    Ok(move |tile: usize| there.is_none_or(|there| there[tile]))
+}
+
+/// Chooses tiles for a demand, and writes their numbers.
+///
+/// # Safety
+/// As [`ashsplat_tree_wanted`].
+unsafe fn chosen(
+    (tree, demand, there): (*const AshsplatTree, *const AshsplatDemand, *const bool),
+    (tiles, count): (*mut u32, *mut u32),
+    choose: impl FnOnce(&Tree, &Demand<'_>, &dyn Fn(usize) -> bool) -> Vec<usize>,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        let (tree, demand) = (&borrowed(tree, "tree")?.0, read(demand, "demand")?);
+        check_pointer(tiles, "tiles")?;
+        let count = borrowed_mut(count, "count")?;
+        let (cameras, there) = (cameras(&demand)?, among(tree, there)?);
+        let budget = usize::try_from(demand.budget).unwrap_or(usize::MAX);
+        let found = choose(tree, &Demand { cameras: &cameras, budget, border: demand.border }, &there);
+        for (place, tile) in found.iter().enumerate() {
+            tiles.add(place).write(*tile as u32);
+        }
+        *count = found.len() as u32;
+        Ok(())
+    })
+}
+
+/// The tiles that a demand wants to be loaded, in this order: those that ashsplat_tree_cut would draw, and those on the way to them. A
+/// tile comes after the one above it, and sooner where the error of that is larger in pixels. `possible` says of each tile of
+/// the tree whether it can be loaded, false for a file that is damaged say; NULL: all can. Nothing is wanted that could only be drawn beside
+/// or below one that cannot. `tiles` has room for as many numbers as the tree has tiles.
+///
+/// # Safety
+/// `tree` is alive, `demand` begins with its size and has as many cameras as it says, `possible` is NULL or has one value per tile,
+/// `tiles` is valid for as many writes, `count` for one.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_tree_wanted(
+    tree: *const AshsplatTree,
+    demand: *const AshsplatDemand,
+    possible: *const bool,
+    tiles: *mut u32,
+    count: *mut u32,
+) -> AshsplatStatus {
+    let wanted = |tree: &Tree, demand: &Demand<'_>, possible: &dyn Fn(usize) -> bool| {
+        tree.wanted_among(demand, possible)
+    };
+    // SAFETY: as promised.
+    unsafe { chosen((tree, demand, possible), (tiles, count), wanted) }
+}
+
+/// The tiles to be drawn, ascending: of those that are `there`, as fine as so many Gaussians allow, and finest where the error is largest
+/// in pixels. While one of the tiles that would take a tile's place is not there, the tile itself is drawn. `there` has a value
+/// for each tile of the tree; NULL: all are there. The coarsest tile is drawn however many Gaussians it has; nothing, where it is not in the
+/// pictures or not there. `tiles` has room for as many numbers as the tree has tiles.
+///
+/// # Safety
+/// As ashsplat_tree_wanted.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_tree_cut(
+    tree: *const AshsplatTree,
+    demand: *const AshsplatDemand,
+    there: *const bool,
+    tiles: *mut u32,
+    count: *mut u32,
+) -> AshsplatStatus {
+    let cut = |tree: &Tree, demand: &Demand<'_>, there: &dyn Fn(usize) -> bool| tree.cut_among(demand, there);
+    // SAFETY: as promised.
+    unsafe { chosen((tree, demand, there), (tiles, count), cut) }
+}
+
+/// Reads a tile's file: on a thread of the host's that may wait for a disk. Its Gaussians go to the device by AshsplatUpdate, in a frame.
+///
+/// # Safety
+/// `tree` is alive, `gaussians` is valid for a write.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_tree_read(
+    tree: *const AshsplatTree,
+    tile: u32,
+    gaussians: *mut *mut AshsplatTileGaussians,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        let tree = borrowed(tree, "tree")?;
+        give(gaussians, "gaussians", || {
+            let read = tree.0.read(tile as usize, &ReadOptions::default())?;
+            Ok(AshsplatTileGaussians(read.gaussians))
+        })
+    })
+}
+
+/// The arrays of a tile's Gaussians, which live as long as `of` does.
+///
+/// # Safety
+/// `of` is alive, `gaussians` begins with its size.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_tile_gaussians(
+    of: *const AshsplatTileGaussians,
+    gaussians: *mut AshsplatGaussians,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        let own = &borrowed(of, "of")?.0;
+        let told = AshsplatGaussians {
+            count: own.len() as u32,
+            sh_degree: own.sh_degree,
+            means: own.means.as_flattened().as_ptr(),
+            quats: own.quats.as_flattened().as_ptr(),
+            log_scales: own.log_scales.as_flattened().as_ptr(),
+            opacity_logits: own.opacity_logits.as_ptr(),
+            sh: own.sh.as_flattened().as_ptr(),
+            ..AshsplatGaussians::default()
+        };
+        write(gaussians, "gaussians", told)
+    })
+}
+
+/// Frees them, once the call that has recorded their update has returned.
+///
+/// # Safety
+/// `gaussians` is NULL or of this library and not used afterwards.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_tile_gaussians_free(gaussians: *mut AshsplatTileGaussians) {
+    // SAFETY: as promised.
+    unsafe { take(gaussians) }
+}
