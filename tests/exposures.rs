@@ -105,7 +105,7 @@ fn train(
     (quality, trainer.exposures().expect("exposures"))
 }
 
-/// Three photographs under known gains: what is learnt of them are these gains (0.5 % off at most), and a scene of 34 dB is as good as
+/// Three photographs under known gains: what is learnt of them are these gains (1 % off at most), and a scene of 34 dB is as good as
 /// that of unchanged photographs. With the reference's form, at slower rates, it is 1.1 % and 0.2 dB less. The exposures of the others
 /// are the measure: the mean of all is the identity.
 #[test]

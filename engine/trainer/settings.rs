@@ -268,6 +268,23 @@ impl TrainSettings {
         }
     }
 
+    /// A preset's settings for few photographs: it says how many Gaussians there are; what keeps them from fitting these photographs only
+    /// stays, the long mean among it.
+    pub fn of_preset_for_few_photos(preset: Preset, scene_extent: f32) -> Self {
+        let preset = Self::of_preset(preset);
+        let few = Self::of_few_photos(preset.strategy, scene_extent);
+        Self {
+            dropout: few.dropout,
+            opacity_reg: few.opacity_reg,
+            scale_reg: few.scale_reg,
+            multi_step: few.multi_step,
+            average_last: few.average_last,
+            scaling_lr: few.scaling_lr,
+            position_lr_final: few.position_lr_final,
+            ..preset
+        }
+    }
+
     /// Refuses options that the strategy does not have, where they differ from their defaults.
     pub(super) fn refuse(&self, strategy: &str, names: &[&str]) -> Result<()> {
         let usual = Self::default();

@@ -92,6 +92,11 @@ fn few_photos_are_noticed_and_said() {
         (setting(&off, "strategy").as_str(), setting(&off, "dropout").as_str()),
         ("\"reference\"", "0.0")
     );
+    for strategy in ["mcmc", "fixed"] {
+        let nothing =
+            train(&data, &folder.path().join("none"), &["--few-photos", "on", "--strategy", strategy]);
+        assert_refused(&nothing, &["--few-photos", "no settings for --strategy", strategy]);
+    }
     let given = folder.path().join("given");
     let reference = ["--few-photos", "on", "--strategy", "reference"];
     let said = lines(&train(&data, &given, &reference));

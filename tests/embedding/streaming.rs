@@ -45,6 +45,7 @@ fn inside(turn: f32) -> Camera {
 /// A frame that has been submitted.
 struct Flying {
     camera: Camera,
+    tiles: Vec<usize>,
     /// What it draws.
     gaussians: Gaussians,
 }
@@ -79,13 +80,13 @@ fn tiles_stream_into_recorded_frames() {
             let mut flying: [Option<Flying>; SLOTS] = [const { None }; SLOTS];
             let empty = || DeviceScene::empty(&context, MOST as u32, 1).expect("a scene");
             let mut free: Vec<DeviceScene> = (0..ROOM).map(|_| empty()).collect();
-            // Taken out of the picture, and the frame from which on no flying one reads them.
-            let mut leaving: VecDeque<(usize, DeviceScene)> = VecDeque::new();
+            // Taken out of the picture: the frame from which on no flying one reads them, and the tiles that they have.
+            let mut leaving: VecDeque<(usize, DeviceScene, usize)> = VecDeque::new();
             let mut there: BTreeMap<usize, (DeviceScene, Gaussians)> = BTreeMap::new();
             let mut wished = BTreeSet::from([0]);
             ask.send(0).expect("a loader");
             let settings = RenderSettings::default();
-            let (mut covered, mut settled, mut replaced) = (0, 0, 0);
+            let (mut covered, mut settled, mut replaced, mut overlapped) = (0, 0, 0, 0);
             for frame in 0..200 {
                 let slot = frame % SLOTS;
                 if let Some(done) = flying[slot].take() {
@@ -97,8 +98,15 @@ fn tiles_stream_into_recorded_frames() {
                         assert_same(&shown, &owned(&done.gaussians, &done.camera, &settings), [0.0; 3]);
                     }
                 }
-                while leaving.front().is_some_and(|(from, _)| *from <= frame) {
-                    free.extend(leaving.pop_front().map(|(_, scene)| scene));
+                while leaving.front().is_some_and(|(from, ..)| *from <= frame) {
+                    let (_, scene, tile) = leaving.pop_front().expect("the first");
+                    let flies = |other: &Flying| other.tiles.contains(&tile);
+                    assert!(
+                        !flying.iter().flatten().any(flies),
+                        "frame {frame} would write what another one draws"
+                    );
+                    overlapped += usize::from(flying.iter().flatten().count() > 0);
+                    free.push(scene);
                 }
                 // It stands still at the end, so that all arrives.
                 let camera = inside(0.06 * frame.min(100) as f32);
@@ -107,7 +115,7 @@ fn tiles_stream_into_recorded_frames() {
                 let old = there.keys().copied().find(|other| !wanted.contains(other));
                 if let Some(old) = old.filter(|_| free.is_empty() && leaving.is_empty()) {
                     // The frame before this one may draw it, and ends before the slot after this one's is used again.
-                    leaving.extend(there.remove(&old).map(|(scene, _)| (frame + SLOTS - 1, scene)));
+                    leaving.extend(there.remove(&old).map(|(scene, _)| (frame + SLOTS - 1, scene, old)));
                     replaced += 1;
                 }
                 // One tile per frame, if one has arrived and there is room. The first is waited for, and those that are wished at the end.
@@ -150,7 +158,7 @@ fn tiles_stream_into_recorded_frames() {
                 in_flight.submit(host).expect("a submission");
                 let mut gaussians = Gaussians { sh_degree: 1, ..Default::default() };
                 drawn.iter().for_each(|tile| gaussians.append(&there[tile].1));
-                flying[slot] = Some(Flying { camera, gaussians });
+                flying[slot] = Some(Flying { camera, tiles: drawn, gaussians });
             }
             for (in_flight, picture) in commands.into_iter().zip(pictures) {
                 in_flight.wait(host).expect("done");
@@ -158,8 +166,8 @@ fn tiles_stream_into_recorded_frames() {
                 picture.destroy(host);
             }
             assert!(
-                covered > 5 && settled > 50 && replaced > 5,
-                "{covered} covered, {settled} settled, {replaced} replaced"
+                covered > 5 && settled > 50 && replaced > 5 && overlapped > 5,
+                "{covered} covered, {settled} settled, {replaced} replaced, {overlapped} while a frame flew"
             );
         });
         drop(ask);

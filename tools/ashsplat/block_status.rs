@@ -24,11 +24,14 @@ pub struct Arguments {
     /// Print JSON
     #[arg(long)]
     json: bool,
-    /// In JSON, the memory that a block needs if it ends with so many Gaussians for each that it begins with: `memory_bytes`
-    #[arg(long, value_name = "X", default_value_t = 4.0)]
-    growth: f64,
+    /// With --json, the memory that a block needs if it ends with so many Gaussians for each that it begins with: `memory_bytes`
+    /// [default: 10, the most that --strategy budget makes]
+    #[arg(long, value_name = "X", requires = "json")]
+    growth: Option<f64>,
 }
 
+/// Gaussians at the end for each at the start: `--cap-ratio` of `--strategy budget`.
+const GROWTH: f64 = 10.0;
 /// Of a Gaussian in training with SH of degree 3, bytes: parameters, gradients, moments, statistics.
 const TRAINED_BYTES: f64 = 944.0;
 /// Of one that is only drawn, bytes: after an exchange, the rest of the scene.
@@ -45,12 +48,12 @@ const GLANCE: Duration = Duration::from_millis(100);
 
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<()> {
-    if !(arguments.growth.is_finite() && arguments.growth >= 1.0) {
-        let problem = format!("is {}, must be 1 or more", arguments.growth);
-        return Err(Error::argument("--growth", problem));
+    let growth = arguments.growth.unwrap_or(GROWTH);
+    if !(growth.is_finite() && growth >= 1.0) {
+        return Err(Error::argument("--growth", format!("is {growth}, must be 1 or more")));
     }
     let file = BlocksFile::read(&arguments.blocks)?;
-    let growth = arguments.json.then_some(arguments.growth);
+    let growth = arguments.json.then_some(growth);
     let Some(seconds) = arguments.watch else {
         show(&file, growth);
         return Ok(());
@@ -66,8 +69,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     Ok(())
 }
 
-/// What a training of the block may need of a machine, bytes, if its Gaussians grow by this factor. On a GPU that is the device's
-/// memory, and less than it is the host's.
+/// What a training of the block may need, bytes, if its Gaussians grow by this factor: on a processor all of the machine's memory, on a GPU
+/// the device's, while the host's needs less.
 fn memory_bytes(file: &BlocksFile, block: &Block, growth: f64) -> u64 {
     let Division { coarse, rounds, .. } = &file.division;
     let around = if *rounds > 1 { coarse.gaussians - block.trained.min(coarse.gaussians) } else { 0 };
@@ -197,5 +200,71 @@ impl Status<'_> {
             "trainer": holder,
             "memory_bytes": memory_bytes,
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::blocks::{Coarse, Core, DatasetOfBlocks, VERSION};
+    use ashsplat::scene::Bounds;
+    use glam::Vec3;
+
+    fn file(rounds: u32) -> BlocksFile {
+        let block = Block {
+            number: 1,
+            core: Core::of(Bounds { min: Vec3::NEG_INFINITY, max: Vec3::INFINITY }),
+            gaussians: 800,
+            trained: 1000,
+            iterations: 10,
+            folder: "001".into(),
+            photos: vec!["a".into()],
+            held_out: Vec::new(),
+            pixels: 5000,
+            parts: Default::default(),
+        };
+        let dataset = DatasetOfBlocks {
+            path: "data".into(),
+            cameras: String::new(),
+            images: String::new(),
+            resolution: 1,
+            orientation: String::new(),
+            eval: false,
+        };
+        let division = Division {
+            version: VERSION,
+            dataset,
+            coarse: Coarse { path: "coarse.ply".into(), hash: String::new(), gaussians: 3000 },
+            scene_extent: 1.0,
+            margin: 0.1,
+            min_share: 0.02,
+            max_gaussians: 1000,
+            iterations: 10,
+            rounds,
+            blocks: vec![block],
+        };
+        BlocksFile { path: "blocks.json".into(), division, hash: String::new() }
+    }
+
+    #[test]
+    fn rounds_need_memory_for_what_is_around() {
+        let needed = |rounds| {
+            let file = file(rounds);
+            memory_bytes(&file, &file.division.blocks[0], 2.0)
+        };
+        assert_eq!(needed(1), 1_500_000_000 + 4 * 5000 + 2 * 944 * 1000);
+        assert_eq!(needed(3), needed(1) + 2 * 240 * 2000);
+    }
+
+    /// A file of before pixels were counted stays as it is, and so do the trainings that know it by its hash.
+    #[test]
+    fn a_file_without_pixels_is_of_the_same_division() {
+        let mut old = file(1);
+        let new = old.division.clone();
+        assert!(old.is_of(&new));
+        old.division.blocks[0].pixels = 0;
+        assert!(old.is_of(&new));
+        old.division.blocks[0].trained += 1;
+        assert!(!old.is_of(&new));
     }
 }

@@ -96,7 +96,7 @@ pub struct Block {
     pub photos: Vec<String>,
     /// Held out.
     pub held_out: Vec<String>,
-    /// Of all these photos, of each the part that shows the block. 0 in files of before.
+    /// Pixels of all these photos, of each only its part. 0 in older files.
     #[serde(default)]
     pub pixels: u64,
     /// Of these photos, by name, the part that shows core and margin, where that is not all of it.
@@ -158,11 +158,20 @@ impl BlocksFile {
     pub fn check_replaced(&self, division: &Division) -> Result<()> {
         let is_trained = |block: &&Block| result::is_noted(&self.at(&block.folder));
         let trained = self.division.blocks.iter().filter(is_trained).count();
-        if self.division == *division || trained == 0 {
+        if self.is_of(division) || trained == 0 {
             return Ok(());
         }
         let problem = format!("is another division, for which {trained} blocks have been trained");
         Err(Error::input(&self.path, problem, "give another -o, or remove it if they are not needed"))
+    }
+
+    /// Whether the file has this division. Older ones do not count pixels, and stay as they are: trainings know a file by its hash.
+    pub fn is_of(&self, division: &Division) -> bool {
+        let mut other = division.clone();
+        for (block, own) in other.blocks.iter_mut().zip(&self.division.blocks) {
+            block.pixels = if own.pixels == 0 { 0 } else { block.pixels };
+        }
+        self.division == other
     }
 
     /// Refuses a data set, read from this path, with other cameras than the division was made for.

@@ -132,11 +132,12 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     session::check(&stop)?;
     output::in_folder(&arguments.out, |path| {
         let _lock = FolderLock::take(folder_of(path), &WORK)?;
-        BlocksFile::read(path).map_or(Ok(()), |old| old.check_replaced(&division))?;
+        let old = BlocksFile::read(path).ok();
+        old.as_ref().map_or(Ok(()), |old| old.check_replaced(&division))?;
         if let Some(plot) = &arguments.plot {
             output::write_text(plot, &plan::svg(&division, &scene.gaussians, &cameras, &shares)?)?;
         }
-        output::write_json(path, &division)
+        if old.is_some_and(|old| old.is_of(&division)) { Ok(()) } else { output::write_json(path, &division) }
     })?;
     if !arguments.quiet {
         arguments.describe(&division);

@@ -75,6 +75,29 @@ struct Told {
     warnings: CString,
 }
 
+impl Told {
+    /// What a file says.
+    fn of(file: &splats::Scene) -> Told {
+        let warnings: Vec<String> = file.warnings.iter().map(ToString::to_string).collect();
+        let warnings = CString::new(warnings.join("\n").replace('\0', " ")).unwrap_or_default();
+        Told { antialiased: file.header.antialiased, warnings }
+    }
+
+    /// # Safety
+    /// The pointers are null or valid for a write.
+    unsafe fn tell(&self, antialiased: *mut bool, warnings: *mut *const c_char) {
+        // SAFETY: as promised.
+        unsafe {
+            if !antialiased.is_null() {
+                antialiased.write(self.antialiased);
+            }
+            if !warnings.is_null() {
+                warnings.write(self.warnings.as_ptr());
+            }
+        }
+    }
+}
+
 impl AshsplatScene {
     /// A scene that no file says anything of.
     fn of(scene: DeviceScene) -> Self {
@@ -183,9 +206,7 @@ pub unsafe extern "C" fn ashsplat_scene_load(
         let (context, path) = (borrowed(context, "context")?, text(path, "path")?);
         give(scene, "scene", || {
             let file = splats::read(path, &splats::ReadOptions::default())?;
-            let warnings: Vec<String> = file.warnings.iter().map(ToString::to_string).collect();
-            let warnings = CString::new(warnings.join("\n").replace('\0', " ")).unwrap_or_default();
-            let told = Told { antialiased: file.header.antialiased, warnings };
+            let told = Told::of(&file);
             Ok(AshsplatScene { scene: DeviceScene::upload(&context.0, &file.gaussians, 0)?, told })
         })
     })
@@ -205,13 +226,7 @@ pub unsafe extern "C" fn ashsplat_scene_told(
 ) -> AshsplatStatus {
     // SAFETY: as promised.
     guarded(|| unsafe {
-        let told = &borrowed(scene, "scene")?.told;
-        if !antialiased.is_null() {
-            antialiased.write(told.antialiased);
-        }
-        if !warnings.is_null() {
-            warnings.write(told.warnings.as_ptr());
-        }
+        borrowed(scene, "scene")?.told.tell(antialiased, warnings);
         Ok(())
     })
 }

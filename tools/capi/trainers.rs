@@ -41,7 +41,7 @@ pub struct AshsplatTrainView {
 /// Uploads photographs and initial Gaussians, which are taken as they are: the settings initial_opacity and initial_scale are for
 /// ashsplat_trainer_new_from_points. The context needs a queue. `scene_extent` is 1.1 times the largest distance of a camera to their
 /// mean, or 0 to have it computed. `settings_json`: an object with the names of the reference implementation's settings,
-/// `{"iterations": 7000}`. It may have `"preset": "fast"`, `"default"` or `"quality"`, or `"few_photos": true`, whose settings the others
+/// `{"iterations": 7000}`. It may have `"preset": "fast"`, `"default"` or `"quality"`, and `"few_photos": true`, whose settings the others
 /// change. Missing settings have the defaults of the preset or of the strategy, and NULL keeps all defaults.
 ///
 /// # Safety
@@ -189,7 +189,7 @@ fn settings_of(json: &str, extent: f32) -> Result<TrainSettings> {
             return Err(refused(format!("preset: {preset:?} has a strategy; leave one of both out")));
         }
         (Some(preset), false) => TrainSettings::of_preset(preset),
-        (Some(_), true) => return Err(refused("preset and few_photos: leave one of both out".into())),
+        (Some(preset), true) => TrainSettings::of_preset_for_few_photos(preset, extent),
         (None, true) => TrainSettings::of_few_photos(strategy, extent),
         (None, false) => TrainSettings::of_strategy(strategy),
     };

@@ -2,8 +2,8 @@
 
 use super::structs::{named, read, read_all, write};
 use super::{
-    AshsplatCamera, AshsplatGaussians, AshsplatStatus, borrowed, borrowed_mut, check_pointer, give, guarded,
-    slice, take, text,
+    AshsplatCamera, AshsplatGaussians, AshsplatStatus, Told, borrowed, borrowed_mut, check_pointer, give,
+    guarded, slice, take, text,
 };
 use ashsplat::scene::{Camera, Gaussians};
 use ashsplat::{Error, Result};
@@ -15,7 +15,7 @@ use std::ffi::c_char;
 pub struct AshsplatTree(Tree);
 
 /// The Gaussians of a tile, in the host's memory.
-pub struct AshsplatTileGaussians(Gaussians);
+pub struct AshsplatTileGaussians(Gaussians, Told);
 
 /// What the description of a tree says of a tile.
 #[repr(C)]
@@ -137,15 +137,17 @@ unsafe fn cameras(demand: &AshsplatDemand) -> Result<Vec<Camera>> {
     all.iter().enumerate().map(known).collect()
 }
 
-/// Which of all tiles are there: all, without an array.
+/// Which of all tiles are there: all, without an array. Whatever is not 0 is true, for hosts fill memory as they like.
 ///
 /// # Safety
 /// The pointer is null or valid for one of each tile.
 unsafe fn among<'a>(tree: &Tree, there: *const bool) -> Result<impl Fn(usize) -> bool + use<'a>> {
     // SAFETY: as promised.
-    let there: Option<&[bool]> =
-        if there.is_null() { None } else { Some(unsafe { slice(there, tree.tiles().len(), "there") }?) };
-    Ok(move |tile: usize| there.is_none_or(|there| there[tile]))
+    let there: Option<&[u8]> = match there.is_null() {
+        true => None,
+        false => Some(unsafe { slice(there.cast(), tree.tiles().len(), "there") }?),
+    };
+    Ok(move |tile: usize| there.is_none_or(|there| there[tile] != 0))
 }
 
 /// Chooses tiles for a demand, and writes their numbers.
@@ -231,7 +233,8 @@ pub unsafe extern "C" fn ashsplat_tree_read(
         let tree = borrowed(tree, "tree")?;
         give(gaussians, "gaussians", || {
             let read = tree.0.read(tile as usize, &ReadOptions::default())?;
-            Ok(AshsplatTileGaussians(read.gaussians))
+            let told = Told::of(&read);
+            Ok(AshsplatTileGaussians(read.gaussians, told))
         })
     })
 }
@@ -259,6 +262,24 @@ pub unsafe extern "C" fn ashsplat_tile_gaussians(
             ..AshsplatGaussians::default()
         };
         write(gaussians, "gaussians", told)
+    })
+}
+
+/// What the file of a tile says, as ashsplat_scene_told; all tiles of a tree say the same of antialiasing. `warnings` lives as long as `of`
+/// does. Either pointer may be NULL.
+///
+/// # Safety
+/// `of` is alive; the pointers are NULL or valid for a write.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ashsplat_tile_told(
+    of: *const AshsplatTileGaussians,
+    antialiased: *mut bool,
+    warnings: *mut *const c_char,
+) -> AshsplatStatus {
+    // SAFETY: as promised.
+    guarded(|| unsafe {
+        borrowed(of, "of")?.1.tell(antialiased, warnings);
+        Ok(())
     })
 }
 

@@ -89,6 +89,15 @@ mod tests {
     use ashsplat::scene::Intrinsics;
     use glam::{Vec3, vec3};
 
+    #[test]
+    fn a_part_has_its_share_of_a_photos_pixels() {
+        let part = Part { of: [40, 20], columns: [10, 30], rows: [0, 5] };
+        assert_eq!(part.pixels(400, 200), 200 * 50);
+        // Rounded up.
+        assert_eq!(part.pixels(41, 21), 21 * 6);
+        assert_eq!(Part { of: [40, 20], columns: [0, 40], rows: [0, 20] }.pixels(333, 77), 333 * 77);
+    }
+
     /// A wall at depth 2, of which the left half is the block; there is nothing in front of its last columns.
     #[test]
     fn pixels_of_the_block_and_next_to_it_count_and_those_of_nothing() {

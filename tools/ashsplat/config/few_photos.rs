@@ -23,20 +23,8 @@ impl Defaults {
             (Defaults::FewPhotos(usual, extent), None) => {
                 TrainSettings::of_few_photos(strategy.unwrap_or(usual), extent)
             }
-            // A preset says how many Gaussians; what keeps them from fitting these photos only stays, the long mean among it.
             (Defaults::FewPhotos(_, extent), Some(preset)) => {
-                let preset = TrainSettings::of_preset(preset);
-                let few = TrainSettings::of_few_photos(preset.strategy, extent);
-                TrainSettings {
-                    dropout: few.dropout,
-                    opacity_reg: few.opacity_reg,
-                    scale_reg: few.scale_reg,
-                    multi_step: few.multi_step,
-                    average_last: few.average_last,
-                    scaling_lr: few.scaling_lr,
-                    position_lr_final: few.position_lr_final,
-                    ..preset
-                }
+                TrainSettings::of_preset_for_few_photos(preset, extent)
             }
         }
     }
@@ -76,6 +64,18 @@ impl Settings {
         let given = Settings::given(file, overrides)?;
         let extent = self.data.extent(gallery.scene_extent());
         let settled = Settings::resolve_from(Defaults::FewPhotos(strategy, extent), given.clone())?;
+        if self.data.few_photos == When::On
+            && matches!(settled.train.strategy, StrategyType::Fixed | StrategyType::Mcmc)
+        {
+            let strategy = toml::Value::try_from(settled.train.strategy)
+                .map(|name| name.to_string())
+                .unwrap_or_default();
+            let problem = format!(
+                "on has no settings for --strategy {}; leave one of both out",
+                strategy.trim_matches('"')
+            );
+            return Err(Error::argument("--few-photos", problem));
+        }
         let line = described(photos, &given, (&self.train, &settled.train));
         Ok((settled, line))
     }

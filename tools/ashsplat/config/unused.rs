@@ -94,10 +94,27 @@ fn refuse(first: Option<&Unused>, given: &Table) -> Result<()> {
     Err(Error::argument(*name, problem))
 }
 
+/// Growth that ends before it begins, where both are given: one alone switches it off, as with the reference.
+fn refuse_no_growth(given: &Table, trainings: &[Settings]) -> Result<()> {
+    let names = ["densify_from_iter", "densify_until_iter"];
+    let never = |s: &Settings| {
+        s.train.strategy != StrategyType::Fixed && s.train.densify_from_iter >= s.train.densify_until_iter
+    };
+    if !names.iter().all(|name| given.contains_key(*name)) || !trainings.iter().any(never) {
+        return Ok(());
+    }
+    let problem = format!(
+        "is {}, not below densify_until_iter ({}): nothing would ever grow; give others, or --strategy fixed",
+        given[names[0]], given[names[1]]
+    );
+    Err(Error::argument(names[0], problem))
+}
+
 impl TrainOverrides {
     /// Refuses what none of some trainings would use.
     pub fn refuse_unused(&self, trainings: &[Settings]) -> Result<()> {
-        refuse(unused(&self.0, trainings).first(), &self.0)
+        refuse(unused(&self.0, trainings).first(), &self.0)?;
+        refuse_no_growth(&self.0, trainings)
     }
 }
 
@@ -111,6 +128,7 @@ impl Settings {
             return Ok(());
         }
         let given = file::table(path)?;
+        refuse_no_growth(&given, std::slice::from_ref(self))?;
         let alone = Settings::from_table(given.clone()).map_err(|e| Error::argument("settings", e))?;
         let of_file = unused(&given, &[alone]);
         let here = unused(&given, std::slice::from_ref(self));
@@ -150,12 +168,17 @@ mod tests {
             ("init = 'a.ply'\ninitial_scale = 0.5", "from points"),
             ("strategy = 'mcmc'\ninit = 'a.ply'\ninitial_opacity = 0.1", "from points"),
             ("exposure = true\nexposure_lr_delay_mult = 0.5", "--exposure-lr-delay-steps"),
+            (
+                "strategy = 'budget'\ndensify_from_iter = 200\ndensify_until_iter = 100",
+                "nothing would ever grow",
+            ),
         ] {
             assert!(refused(given).is_some_and(|message| message.contains(by)), "{given}");
         }
         for given in [
             "strategy = 'fixed'\nmin_opacity = 0.005",
             "densify_until_iter = 9",
+            "densify_from_iter = 5\ndensify_until_iter = 9",
             "strategy = 'mcmc'\ninit = 'a.ply'",
             "initial_scale = 0.5",
             "exposure = true\nexposure_lr_delay_steps = 9\nexposure_lr_delay_mult = 0.5",

@@ -201,7 +201,9 @@ fn a_host_in_c_streams_tiles() {
         .expect("tiles");
     let said = host_in_c("tiles", &[&tiles]);
     let numbers: Vec<usize> = said.split_whitespace().filter_map(|word| word.parse().ok()).collect();
-    let (&[frames, visible, instances], drawn) = numbers.split_first_chunk().expect("three numbers");
+    let (&[frames, visible, instances], told) = numbers.split_first_chunk().expect("three numbers");
+    let told = told.as_chunks::<2>().0;
+    let drawn: Vec<usize> = told.iter().map(|[tile, _]| *tile).collect();
 
     let tree = Tree::open(&tiles).expect("a tree");
     let eye = Vec3::new(0.0, 0.0, 0.2);
@@ -210,8 +212,15 @@ fn a_host_in_c_streams_tiles() {
     assert_eq!(frames, tree.wanted(&Demand::of(&camera, 200)).len() + 1);
     assert!(drawn.len() > 3 && drawn.len() < tree.tiles().len(), "{drawn:?}");
     let mut all = Gaussians { sh_degree: 1, ..Gaussians::default() };
-    for &tile in drawn {
-        all.append(&tree.read(tile, &ReadOptions::default()).expect("a tile").gaussians);
+    for &[tile, print] in told {
+        let own = tree.read(tile, &ReadOptions::default()).expect("a tile").gaussians;
+        let geometry = [own.means.as_flattened(), own.quats.as_flattened(), own.log_scales.as_flattened()];
+        let numbers = [&geometry[..], &[&own.opacity_logits, own.sh.as_flattened()]].concat().concat();
+        let bytes = numbers.iter().flat_map(|number| number.to_ne_bytes());
+        let expected =
+            bytes.fold(2_166_136_261_u32, |print, byte| (print ^ u32::from(byte)).wrapping_mul(16_777_619));
+        assert_eq!(print, expected as usize, "the numbers of tile {tile}");
+        all.append(&own);
     }
     let context = Context::new(&ContextOptions::default()).expect("a device");
     let mut renderer = Renderer::new(&context).expect("kernels");

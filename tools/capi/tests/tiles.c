@@ -18,6 +18,15 @@ static AshsplatDemand demand_of(const AshsplatCamera *camera, uint64_t budget) {
     return demand;
 }
 
+/* FNV-1a of a tile's numbers. */
+static uint32_t print_of(uint32_t print, const float *numbers, uint32_t count) {
+    const unsigned char *bytes = (const unsigned char *)numbers;
+    for (uint32_t i = 0; i < 4 * count; ++i) {
+        print = (print ^ bytes[i]) * 16777619u;
+    }
+    return print;
+}
+
 static bool said(const char *text) { return strstr(ashsplat_last_error(), text) != NULL; }
 
 static void refusals(const AshsplatTree *tree, const AshsplatDemand *good, uint32_t tile_count) {
@@ -78,7 +87,7 @@ int main(int count, char **arguments) {
     check(ashsplat_renderer_new(context, &renderer), "building the renderer");
     AshsplatReservation wanted = ASHSPLAT_INIT(AshsplatReservation);
     AshsplatSlotReport report = ASHSPLAT_INIT(AshsplatSlotReport);
-    uint32_t drawn[TILES], drawn_count = 0, frames = 0;
+    uint32_t drawn[TILES], drawn_count = 0, frames = 0, prints[TILES] = {0};
     for (bool all_there = false; !all_there; ++frames) {
         uint32_t chosen[TILES], chosen_count = 0, next = TILES;
         check(ashsplat_tree_wanted(tree, &demand, NULL, chosen, &chosen_count), "asking what is wanted");
@@ -109,6 +118,15 @@ int main(int count, char **arguments) {
             update.scene = scenes[next];
             update.gaussians = &gaussians;
             there[next] = true;
+            uint32_t n = gaussians.count, terms = 3 * (degree + 1) * (degree + 1), print = 2166136261u;
+            print = print_of(print_of(print, gaussians.means, 3 * n), gaussians.quats, 4 * n);
+            print = print_of(print_of(print, gaussians.log_scales, 3 * n), gaussians.opacity_logits, n);
+            prints[next] = print_of(print, gaussians.sh, terms * n);
+            bool antialiased = true;
+            const char *warnings = NULL;
+            check(ashsplat_tile_told(read, &antialiased, &warnings), "what its file says");
+            EXPECT(!antialiased && warnings != NULL && warnings[0] == 0);
+            check(ashsplat_tile_told(read, NULL, NULL), "nothing of it");
         }
         check(ashsplat_tree_cut(tree, &demand, there, drawn, &drawn_count), "asking what is drawn");
         EXPECT(drawn_count > 0);
@@ -131,6 +149,12 @@ int main(int count, char **arguments) {
         check(ashsplat_slot_report(renderer, 0, &report), "asking for the report");
         EXPECT(report.finished && !report.overflow);
     }
+    /* Any number but 0 says that a tile is there. */
+    unsigned char all[TILES];
+    uint32_t again[TILES], again_count = 0;
+    memset(all, 0xff, sizeof all);
+    check(ashsplat_tree_cut(tree, &demand, (const bool *)all, again, &again_count), "asking with all there");
+    EXPECT(again_count == drawn_count && memcmp(again, drawn, 4 * drawn_count) == 0);
     /* Without the tiles below it, a tile is drawn itself; nothing is wanted below one that cannot be there. */
     bool only_root[TILES] = {true};
     uint32_t coarse[TILES], coarse_count = 0;
@@ -141,7 +165,7 @@ int main(int count, char **arguments) {
 
     printf("%u frames %u %u", frames, report.visible, report.instances_needed);
     for (uint32_t i = 0; i < drawn_count; ++i) {
-        printf(" %u", drawn[i]);
+        printf(" %u %u", drawn[i], prints[drawn[i]]);
     }
     printf("\n");
     ashsplat_renderer_free(renderer);
