@@ -1401,7 +1401,7 @@ enum AshsplatStatus ashsplat_trainer_lens_effects(const struct AshsplatTrainer *
 // Uploads photographs and initial Gaussians, which are taken as they are: the settings initial_opacity and initial_scale are for
 // ashsplat_trainer_new_from_points. The context needs a queue. `scene_extent` is 1.1 times the largest distance of a camera to their
 // mean, or 0 to have it computed. `settings_json`: an object with the names of the reference implementation's settings,
-// `{"iterations": 7000}`. It may have `"preset": "fast"`, `"default"` or `"quality"`, or `"few_photos": true`, whose settings the others
+// `{"iterations": 7000}`. It may have `"preset": "fast"`, `"default"` or `"quality"`, and `"few_photos": true`, whose settings the others
 // change. Missing settings have the defaults of the preset or of the strategy, and NULL keeps all defaults.
 //
 // # Safety
@@ -1594,6 +1594,15 @@ enum AshsplatStatus ashsplat_tree_read(const struct AshsplatTree *tree,
 // `of` is alive, `gaussians` begins with its size.
 enum AshsplatStatus ashsplat_tile_gaussians(const struct AshsplatTileGaussians *of,
                                             struct AshsplatGaussians *gaussians);
+
+// What the file of a tile says, as ashsplat_scene_told; all tiles of a tree say the same of antialiasing. `warnings` lives as long as `of`
+// does. Either pointer may be NULL.
+//
+// # Safety
+// `of` is alive; the pointers are NULL or valid for a write.
+enum AshsplatStatus ashsplat_tile_told(const struct AshsplatTileGaussians *of,
+                                       bool *antialiased,
+                                       const char **warnings);
 
 // Frees them, once the call that has recorded their update has returned.
 //
