@@ -142,9 +142,9 @@ unsafe fn cameras(demand: &AshsplatDemand) -> Result<Vec<Camera>> {
 /// # Safety
 /// The pointer is null or valid for one of each tile.
 unsafe fn among<'a>(tree: &Tree, there: *const bool) -> Result<impl Fn(usize) -> bool + use<'a>> {
-    // SAFETY: as promised.
     let there: Option<&[u8]> = match there.is_null() {
         true => None,
+        // SAFETY: as promised.
         false => Some(unsafe { slice(there.cast(), tree.tiles().len(), "there") }?),
     };
     Ok(move |tile: usize| there.is_none_or(|there| there[tile] != 0))
