@@ -4,14 +4,13 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use ashsplat::scene::{Camera, Gaussians};
-use ashsplat_files::splats::{self, Format, WriteOptions};
-use ashsplat_files::tiles::{self, TileOptions};
-use ashsplat_files::{Photo, PhotoFileFormat, Progress, metrics};
+use ashsplat_files::{Photo, PhotoFileFormat, metrics, splats};
 use glam::Vec3;
 use serde_json::Value;
 
 use super::once_more_with_patience;
-use super::playcanvas::{ball, camera, render, side_by_side};
+use super::playcanvas::{camera, render, side_by_side};
+use super::tiles::{document, tree_of_the_ball};
 
 /// dB between its picture and ours, of the same tiles.
 const LEAST_PSNR: f64 = 35.0;
@@ -22,15 +21,9 @@ pub const TRIALS: [(&str, super::Check); 1] =
 /// All of the finest tiles where no error is allowed, and the coarsest one where its own is.
 fn shows_the_tree(modules: &Path) {
     let folder = tempfile::tempdir().unwrap();
-    let scene = folder.path().join("scene.ply");
-    splats::write(&scene, &ball(), &WriteOptions { format: Some(Format::Ply), ..Default::default() })
-        .unwrap();
-    let tree = folder.path().join("tiles");
     // Some 20 pixels for the root at the eye's distance; nothing at all would be some 900.
-    let options = TileOptions { most: 1000, packed: true };
-    let mut measure = |_: &Gaussians, _: &Gaussians| Ok(0.05);
-    tiles::write(&scene, &tree, &options, &Default::default(), &mut measure, &Progress::NONE).unwrap();
-    let document: Value = serde_json::from_slice(&std::fs::read(tree.join("tileset.json")).unwrap()).unwrap();
+    let tree = tree_of_the_ball(folder.path(), true);
+    let document = document(&tree);
     let all = names(&document["root"], false);
     let finest = names(&document["root"], true);
     assert!(finest.len() >= 6 && all.len() > finest.len() + 1, "{all:?}");

@@ -23,16 +23,20 @@ pub const TRIALS: [(&str, super::Check); 3] = [
 /// A tree of plain tiles, and one of SPZ in them.
 fn each_tree(check: impl Fn(&Path, bool)) {
     let folder = tempfile::tempdir().unwrap();
-    let scene = folder.path().join("scene.ply");
+    for packed in [false, true] {
+        check(&tree_of_the_ball(folder.path(), packed), packed);
+    }
+}
+
+/// The ball as a tree in a folder, whose coarser tiles say an error of 0.05.
+pub fn tree_of_the_ball(folder: &Path, packed: bool) -> PathBuf {
+    let (scene, tree) = (folder.join("scene.ply"), folder.join(if packed { "packed" } else { "plain" }));
     splats::write(&scene, &ball(), &WriteOptions { format: Some(Format::Ply), ..Default::default() })
         .unwrap();
-    for packed in [false, true] {
-        let tree = folder.path().join(if packed { "packed" } else { "plain" });
-        let options = TileOptions { most: 1000, packed };
-        let mut measure = |_: &Gaussians, _: &Gaussians| Ok(0.05);
-        tiles::write(&scene, &tree, &options, &Default::default(), &mut measure, &Progress::NONE).unwrap();
-        check(&tree, packed);
-    }
+    let options = TileOptions { most: 1000, packed };
+    let mut measure = |_: &Gaussians, _: &Gaussians| Ok(0.05);
+    tiles::write(&scene, &tree, &options, &Default::default(), &mut measure, &Progress::NONE).unwrap();
+    tree
 }
 
 /// As the guide says for PlayCanvas' streaming: its `lod-meta.json` has our levels, and each one's compressed tiles look as ours do.
@@ -123,7 +127,8 @@ fn the_tools_read(modules: &Path, tree: &Path) {
     }
 }
 
-fn document(folder: &Path) -> Value {
+/// What a tree says of itself.
+pub fn document(folder: &Path) -> Value {
     serde_json::from_slice(&std::fs::read(folder.join("tileset.json")).unwrap()).unwrap()
 }
 

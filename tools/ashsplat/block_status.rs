@@ -24,14 +24,12 @@ pub struct Arguments {
     /// Print JSON
     #[arg(long)]
     json: bool,
-    /// With --json, the memory that a block needs if it ends with so many Gaussians for each that it begins with: `memory_bytes`
-    /// [default: 10, the most that --strategy budget makes]
-    #[arg(long, value_name = "X", requires = "json")]
-    growth: Option<f64>,
+    /// With --json, the memory that a block needs if it ends with so many Gaussians for each that it begins with: `memory_bytes`;
+    /// 10 is the most that --strategy budget makes
+    #[arg(long, value_name = "X", default_value_t = 10.0, requires = "json")]
+    growth: f64,
 }
 
-/// Gaussians at the end for each at the start: `--cap-ratio` of `--strategy budget`.
-const GROWTH: f64 = 10.0;
 /// Of a Gaussian in training with SH of degree 3, bytes: parameters, gradients, moments, statistics.
 const TRAINED_BYTES: f64 = 944.0;
 /// Of one that is only drawn, bytes: after an exchange, the rest of the scene.
@@ -48,18 +46,17 @@ const GLANCE: Duration = Duration::from_millis(100);
 
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<()> {
-    let growth = arguments.growth.unwrap_or(GROWTH);
+    let growth = arguments.growth;
     if !(growth.is_finite() && growth >= 1.0) {
         return Err(Error::argument("--growth", format!("is {growth}, must be 1 or more")));
     }
     let file = BlocksFile::read(&arguments.blocks)?;
-    let growth = arguments.json.then_some(growth);
     let Some(seconds) = arguments.watch else {
-        show(&file, growth);
+        show(&file, arguments);
         return Ok(());
     };
     let stop = session::stop_on_ctrl_c()?;
-    while show(&file, growth) < file.division.blocks.len() {
+    while show(&file, arguments) < file.division.blocks.len() {
         let shown = Instant::now();
         while shown.elapsed().as_secs() < seconds {
             session::check(&stop)?;
@@ -78,14 +75,14 @@ fn memory_bytes(file: &BlocksFile, block: &Block, growth: f64) -> u64 {
     (OTHER_BYTES + PIXEL_BYTES * block.pixels as f64 + growing * growth) as u64
 }
 
-/// Prints all blocks, as JSON if there is a growth; how many are trained.
-fn show(file: &BlocksFile, growth: Option<f64>) -> usize {
+/// Prints all blocks; how many are trained.
+fn show(file: &BlocksFile, arguments: &Arguments) -> usize {
     let round = file.exchanges() + 1;
     let all: Vec<Status> = file.division.blocks.iter().map(|block| Status::of(file, block, round)).collect();
     let trained = all.iter().filter(|status| status.state == State::Trained).count();
-    if let Some(growth) = growth {
-        let blocks: Vec<Value> =
-            all.iter().map(|status| status.json(memory_bytes(file, status.block, growth))).collect();
+    if arguments.json {
+        let needed = |block| memory_bytes(file, block, arguments.growth);
+        let blocks: Vec<Value> = all.iter().map(|status| status.json(needed(status.block))).collect();
         say!("{:#}", json!({ "blocks": blocks, "trained": trained }));
         return trained;
     }

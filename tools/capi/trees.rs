@@ -116,7 +116,7 @@ pub unsafe extern "C" fn ashsplat_tree_tile(
     })
 }
 
-/// A host's demand as the library has it, less the number of Gaussians and the border.
+/// The cameras of a host's demand.
 ///
 /// # Safety
 /// The cameras are as many as it says.
@@ -125,9 +125,6 @@ unsafe fn cameras(demand: &AshsplatDemand) -> Result<Vec<Camera>> {
     let all = unsafe { read_all(demand.cameras, demand.camera_count, "demand.cameras") }?;
     if all.is_empty() {
         return Err(Error::argument("demand.cameras", "there are none"));
-    }
-    if !(demand.border.is_finite() && demand.border >= 0.0) {
-        return Err(Error::argument("demand.border", format!("is {}, must be 0 or more", demand.border)));
     }
     let known = |(index, camera): (usize, &AshsplatCamera)| {
         let name = format!("demand.cameras[{index}]");
@@ -164,6 +161,9 @@ unsafe fn chosen(
         let (tree, demand) = (&borrowed(tree, "tree")?.0, read(demand, "demand")?);
         check_pointer(tiles, "tiles")?;
         let count = borrowed_mut(count, "count")?;
+        if !(demand.border.is_finite() && demand.border >= 0.0) {
+            return Err(Error::argument("demand.border", format!("is {}, must be 0 or more", demand.border)));
+        }
         let (cameras, there) = (cameras(&demand)?, among(tree, there)?);
         let budget = usize::try_from(demand.budget).unwrap_or(usize::MAX);
         let found = choose(tree, &Demand { cameras: &cameras, budget, border: demand.border }, &there);

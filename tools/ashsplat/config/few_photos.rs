@@ -64,16 +64,13 @@ impl Settings {
         let given = Settings::given(file, overrides)?;
         let extent = self.data.extent(gallery.scene_extent());
         let settled = Settings::resolve_from(Defaults::FewPhotos(strategy, extent), given.clone())?;
-        if self.data.few_photos == When::On
-            && matches!(settled.train.strategy, StrategyType::Fixed | StrategyType::Mcmc)
-        {
-            let strategy = toml::Value::try_from(settled.train.strategy)
-                .map(|name| name.to_string())
-                .unwrap_or_default();
-            let problem = format!(
-                "on has no settings for --strategy {}; leave one of both out",
-                strategy.trim_matches('"')
-            );
+        let without = match settled.train.strategy {
+            StrategyType::Fixed => Some("fixed"),
+            StrategyType::Mcmc => Some("mcmc"),
+            StrategyType::Reference | StrategyType::Budget => None,
+        };
+        if let Some(strategy) = without.filter(|_| self.data.few_photos == When::On) {
+            let problem = format!("on has no settings for --strategy {strategy}; leave one of both out");
             return Err(Error::argument("--few-photos", problem));
         }
         let line = described(photos, &given, (&self.train, &settled.train));

@@ -97,15 +97,16 @@ fn refuse(first: Option<&Unused>, given: &Table) -> Result<()> {
 /// Growth that ends before it begins, where both are given: one alone switches it off, as with the reference.
 fn refuse_no_growth(given: &Table, trainings: &[Settings]) -> Result<()> {
     let names = ["densify_from_iter", "densify_until_iter"];
-    let never = |s: &Settings| {
+    let never = |s: &&Settings| {
         s.train.strategy != StrategyType::Fixed && s.train.densify_from_iter >= s.train.densify_until_iter
     };
-    if !names.iter().all(|name| given.contains_key(*name)) || !trainings.iter().any(never) {
+    let is_given = names.iter().all(|name| given.contains_key(*name));
+    let Some(Settings { train, .. }) = trainings.iter().find(never).filter(|_| is_given) else {
         return Ok(());
-    }
+    };
     let problem = format!(
         "is {}, not below densify_until_iter ({}): nothing would ever grow; give others, or --strategy fixed",
-        given[names[0]], given[names[1]]
+        train.densify_from_iter, train.densify_until_iter
     );
     Err(Error::argument(names[0], problem))
 }
