@@ -9,6 +9,7 @@
 mod importance;
 mod mask;
 mod order;
+mod ranks;
 mod relocation;
 mod selection;
 

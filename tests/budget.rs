@@ -8,6 +8,8 @@ use ashsplat_files::CheckpointFile;
 
 use crate::checkpoints::{check_growth_in_bounded_memory, start, views};
 use crate::common::gpu::Gpu;
+use crate::reference::linear::sigmoid;
+use crate::reference::schedule::quantile;
 
 const EXTENT: f32 = 5.0;
 const CAP: u32 = 260;
@@ -205,6 +207,14 @@ fn budget_makes_one_step_of_several_views() {
     assert_eq!(steps, 41);
 }
 
+/// How many are not fainter than the faintest fifth of all.
+fn not_of_the_faintest_fifth(all: &Gaussians) -> usize {
+    let opacity = |&logit: &f32| sigmoid(logit.into());
+    let opacities: Vec<f64> = all.opacity_logits.iter().map(opacity).collect();
+    let least = quantile(&opacities, 0.2);
+    opacities.iter().filter(|&&opacity| opacity >= least).count()
+}
+
 /// Resets are milder with `recovery`, and what is faint after them is pruned.
 #[test]
 fn budget_prunes_what_does_not_recover() {
@@ -227,6 +237,8 @@ fn budget_prunes_what_does_not_recover() {
                 let checkpoint = trainer.checkpoint().expect("a checkpoint");
                 assert!(checkpoint.due == ashsplat::trainer::Actions::RESET_OPACITY);
             }
+            let due = recovery && [431, 561].contains(&iteration);
+            let before = due.then(|| trainer.gaussians().expect("Gaussians"));
             let report = trainer.step().expect("a step");
             if iteration == 131 {
                 let now = most(&trainer.gaussians().expect("Gaussians"));
@@ -236,6 +248,9 @@ fn budget_prunes_what_does_not_recover() {
             if let Some(densified) = report.densified {
                 assert_eq!((densified.cloned, densified.split), (0, 0));
                 counts.push((iteration - 1, densified.before, densified.kept));
+                if let Some(before) = before {
+                    assert_eq!(densified.kept as usize, not_of_the_faintest_fifth(&before));
+                }
             }
         }
         if !recovery {

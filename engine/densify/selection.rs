@@ -4,7 +4,7 @@
 
 use crate::error::Result;
 use crate::kernels::constants as c;
-use crate::kernels::densify::{draw_keys, mark_drawn};
+use crate::kernels::densify::{draw_keys, mark_drawn, opacity_keys};
 use crate::plan::{LaunchSizes, blocks};
 use crate::scan::Workgroups;
 use crate::sort::{RadixSort, SortBuffers, Values};
@@ -82,12 +82,30 @@ impl SelectionBuffers {
         };
         Self { selected, totals, keys: [keys_a, keys_b], gaussians: [a, b], histogram, digit_totals }
     }
+
+    /// One of the totals. Each can be filled in the same step as another.
+    pub(super) fn total(&self, word: u32) -> Buffer {
+        self.totals.range(u64::from(word) * 4, 4)
+    }
+
+    /// The keys with their Gaussians, to be sorted.
+    pub(super) fn pairs(&self) -> SortBuffers<'_> {
+        SortBuffers {
+            counts: &self.totals,
+            count_index: c::TOTAL_GAUSSIANS,
+            keys: [&self.keys[0], &self.keys[1]],
+            values: [&self.gaussians[0], &self.gaussians[1]],
+            histogram: &self.histogram,
+            digit_totals: &self.digit_totals,
+        }
+    }
 }
 
 /// The kernels.
 pub struct Selection {
-    sizes: LaunchSizes,
-    sort: RadixSort,
+    pub(super) sizes: LaunchSizes,
+    pub(super) sort: RadixSort,
+    pub(super) opacity_keys: Kernel<opacity_keys::Interface>,
     /// Of the signed and of the absolute statistic; each from the generator and from explicit numbers.
     keys: [[Kernel<draw_keys::Interface>; 2]; 2],
     mark: Kernel<mark_drawn::Interface>,
@@ -109,6 +127,7 @@ impl Selection {
             sort: RadixSort::new(context)?,
             keys: [[keys(false, false)?, keys(false, true)?], [keys(true, false)?, keys(true, true)?]],
             mark: Kernel::new(context, &mark_drawn::Spec { workgroup_size })?,
+            opacity_keys: Kernel::new(context, &opacity_keys::Spec { workgroup_size })?,
             sizes,
         })
     }
@@ -133,10 +152,8 @@ impl Selection {
         let SelectionDraw { count, candidates, chances, .. } = *draw;
         let groups = blocks(count.into(), self.sizes.elementwise_workgroup.into());
         r.scope("select", |r| {
-            // The words are apart, so that each can be filled in the same step.
-            let word = |word: u32, words: u64| buffers.totals.range(u64::from(word) * 4, words * 4);
-            r.fill(&word(c::TOTAL_GAUSSIANS, 1), count);
-            r.fill(&word(c::TOTAL_CANDIDATES, 3), 0);
+            r.fill(&buffers.total(c::TOTAL_GAUSSIANS), count);
+            r.fill(&buffers.totals.range(u64::from(c::TOTAL_CANDIDATES) * 4, 3 * 4), 0);
             r.barrier();
             let (chances, importance) = match chances {
                 Chances::Importance(importance) => (c::CHANCE_IMPORTANCE, importance),
@@ -163,16 +180,8 @@ impl Selection {
             };
             r.dispatch(kernel, &bind, &push, groups);
             r.barrier();
-            let pairs = SortBuffers {
-                counts: &buffers.totals,
-                count_index: c::TOTAL_GAUSSIANS,
-                keys: [&buffers.keys[0], &buffers.keys[1]],
-                values: [&buffers.gaussians[0], &buffers.gaussians[1]],
-                histogram: &buffers.histogram,
-                digit_totals: &buffers.digit_totals,
-            };
             let elements = Workgroups::Elements(count.into());
-            let end = self.sort.record(r, &pairs, Values::Positions, u32::BITS, elements);
+            let end = self.sort.record(r, &buffers.pairs(), Values::Positions, u32::BITS, elements);
             r.barrier();
             let bind = mark_drawn::Bind {
                 sorted: &buffers.gaussians[end],

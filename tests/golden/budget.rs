@@ -9,7 +9,7 @@ use ashsplat::densify::{
 use ashsplat::forward::SceneBuffers;
 use ashsplat::plan::LaunchSizes;
 use ashsplat::planes;
-use ashsplat::trainer::{GrowthSchedule, StrategyType, quantile};
+use ashsplat::trainer::{GrowthSchedule, StrategyType, quantile_place};
 
 use super::sets::gaussians;
 use super::training::FIELDS;
@@ -123,13 +123,18 @@ pub fn schedule_of_engine(path: &Path) -> Result<(), String> {
     let npz = Npz::read(path);
     let cap_max = npz.scalar("budget_final") as u32;
     let mut settings = TrainSettings { cap_max, ..TrainSettings::of_strategy(StrategyType::Budget) };
-    let of_device =
-        |values: &[f64], share: f64| quantile(&values.iter().map(|&x| x as f32).collect::<Vec<f32>>(), share);
+    let of_engine = |values: &[f64], share: f64| {
+        let mut sorted = values.to_vec();
+        sorted.sort_by(f64::total_cmp);
+        let (rank, rest) = quantile_place(sorted.len() as u32, share);
+        let below = sorted[rank as usize];
+        below + rest * (sorted[rank as usize + 1] - below)
+    };
     for scale_schedule in [true, false] {
         settings.scale_schedule = scale_schedule;
         let schedule = GrowthSchedule::of(&settings, 1);
         let budget = |i: u32| f64::from(schedule.budget(i));
-        compare_schedule(&npz, budget, |i| schedule.steps_at(i), of_device)?;
+        compare_schedule(&npz, budget, |i| schedule.steps_at(i), of_engine)?;
     }
     Ok(())
 }

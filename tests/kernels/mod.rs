@@ -49,6 +49,7 @@ mod max_pool;
 mod mean_motion;
 mod multiply_add;
 pub mod nearest_depths;
+mod opacity_keys;
 mod photo_reduced;
 mod photo_to_rows;
 mod picks;

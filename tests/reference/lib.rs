@@ -49,6 +49,7 @@ pub mod max_pool;
 pub mod mean_motion;
 pub mod multiply_add;
 pub mod nearest_depths;
+pub mod opacity_keys;
 pub mod photo_reduced;
 pub mod photo_to_rows;
 pub mod picks;

@@ -4,7 +4,7 @@
 
 mod schedule;
 
-pub use schedule::{GrowthSchedule, quantile};
+pub use schedule::{GrowthSchedule, quantile_place};
 
 use super::rebuild::{DecisionMemory, Decisions};
 use crate::densify::{
@@ -12,7 +12,6 @@ use crate::densify::{
     Selection, SelectionBuffers, SelectionDraw,
 };
 use crate::error::{Error, Result};
-use crate::planes;
 use crate::trainer::population::{Population, or_none};
 use crate::trainer::random::pool_views;
 use crate::trainer::settings::{ImportanceType, OptimizerType, SplitType, TrainSettings};
@@ -30,6 +29,15 @@ const PRUNE_LATE: Actions = Actions(1 << 4);
 const FAINT: f64 = 0.02;
 /// Share of the Gaussians that [`PRUNE_RANKS`] removes.
 const FAINTEST_SHARE: f64 = 0.2;
+/// What a pruning removes.
+#[derive(Clone, Copy)]
+enum Faint {
+    /// What is fainter than this opacity.
+    Below(f64),
+    /// What is fainter than the faintest share, between 0 and 1.
+    Share(f64),
+}
+
 /// Largest opacity after a reset that Gaussians are to recover from.
 const RECOVERABLE_OPACITY: f64 = 0.05;
 
@@ -128,12 +136,9 @@ impl Strategy for Budget {
         let start = *self.start.get_or_insert(population.count());
         let densified = match action {
             Actions::DENSIFY => self.densify(population, start)?,
-            PRUNE_FAINT => self.prune_below(population, |_| FAINT)?,
-            PRUNE_RANKS => self.prune_below(population, |opacities| quantile(opacities, FAINTEST_SHARE))?,
-            PRUNE_LATE => {
-                let least = population.settings().late_min_opacity;
-                self.prune_below(population, |_| least)?
-            }
+            PRUNE_FAINT => self.prune(population, Faint::Below(FAINT))?,
+            PRUNE_RANKS => self.prune(population, Faint::Share(FAINTEST_SHARE))?,
+            PRUNE_LATE => self.prune(population, Faint::Below(population.settings().late_min_opacity))?,
             _ => {
                 let recovery = population.settings().recovery;
                 let most = if recovery { RECOVERABLE_OPACITY } else { crate::densify::RESET_OPACITY };
@@ -199,7 +204,7 @@ impl Budget {
         let selection = SelectionBuffers::from_allocated(buffers);
         let mut decisions = Decisions {
             kernels: &self.kernels,
-            memory: match DecisionMemory::allocate(population, before)? {
+            memory: match DecisionMemory::for_growth(population)? {
                 Some(memory) => memory,
                 None => return Ok(unchanged),
             },
@@ -275,20 +280,64 @@ impl Budget {
         Ok(totals[2])
     }
 
-    /// Removes Gaussians below an opacity that follows from all opacities. Nothing is removed without memory for
-    /// it, and never all.
-    fn prune_below(&self, population: &mut Population, least: impl Fn(&[f32]) -> f64) -> Result<Densified> {
+    /// Removes what is faint. Nothing is removed without memory for it, and never all.
+    fn prune(&self, population: &mut Population, faint: Faint) -> Result<Densified> {
         population.release_pictures();
         let before = population.count();
-        let logits = planes::download_logits(population.context(), population.scene())?;
-        let opacity = |logit: f32| (1.0 / (1.0 + f64::from(-logit).exp())) as f32;
-        let opacities: Vec<f32> = logits.into_iter().map(opacity).collect();
-        let least = least(&opacities);
-        let faint = |index: &u32| f64::from(opacities[*index as usize]) < least;
-        let kept: Vec<u32> = (0..before).filter(|index| !faint(index)).collect();
-        let changes = !kept.is_empty() && kept.len() < opacities.len();
-        let pruned = changes && or_none(population.keep(&kept, &self.kernels))?.is_some();
-        let after = if pruned { kept.len() as u32 } else { before };
-        Ok(Densified { before, kept: after, limited: changes && !pruned, ..Densified::default() })
+        let unchanged = Densified { before, kept: before, ..Densified::default() };
+        let without_memory = Densified { limited: true, ..unchanged };
+        let least = match faint {
+            Faint::Below(opacity) => Some(opacity),
+            Faint::Share(share) => self.opacity_of_share(population, share)?,
+        };
+        let requests = [("selected", u64::from(before) * 4)];
+        let none = or_none(population.context().allocate("densify", &requests, MemoryKind::Device))?;
+        let (Some(least), Some(none)) = (least, none) else { return Ok(without_memory) };
+        let Some(memory) = DecisionMemory::for_pruning(population)? else { return Ok(without_memory) };
+        population.context().run("select none", |r| {
+            r.fill(&none[0], 0);
+            Ok(())
+        })?;
+        let settings = DensifySettings {
+            gradient_threshold: 0.0,
+            clone_scale: 0.0,
+            min_opacity: not_below(least),
+            max_scale: 0.0,
+        };
+        let decisions = Decisions { kernels: &self.kernels, memory, settings };
+        let inputs = ClassifyInputs { statistics: &population.statistics()[0], criteria: Some(&none[0]) };
+        let pruned = decisions.classify(population, inputs)?;
+        if pruned.kept == 0 || pruned.kept == before {
+            return Ok(unchanged);
+        }
+        decisions.prune(population, pruned)?;
+        Ok(pruned)
     }
+
+    /// The opacity that a share of the Gaussians is fainter than. None without memory for their order.
+    fn opacity_of_share(&self, population: &Population, share: f64) -> Result<Option<f64>> {
+        let (context, count) = (population.context(), population.count());
+        let requests = self.selection.requests(count);
+        let buffers = or_none(context.allocate("densify", &requests, MemoryKind::Device))?;
+        let Some(buffers) = buffers.map(SelectionBuffers::from_allocated) else { return Ok(None) };
+        let mut sorted = None;
+        context.run("order opacities", |r| {
+            sorted = Some(self.selection.record_opacities(r, population.scene(), &buffers));
+            Ok(())
+        })?;
+        let Some(sorted) = sorted else { unreachable!("recorded") };
+        let (rank, rest) = quantile_place(count, share);
+        // The last has none above it.
+        let ranks = if rank + 1 < count { 2 } else { 1 };
+        let bytes = context.download(&sorted.range(u64::from(rank) * 4, ranks * 4))?;
+        let around: Vec<f32> = bytemuck::pod_collect_to_vec(&bytes);
+        let [below, above] = [around[0], around[around.len() - 1]].map(f64::from);
+        Ok(Some(below + rest * (above - below)))
+    }
+}
+
+/// The least f32 that is not below a number: an f32 is below both, or below neither.
+fn not_below(number: f64) -> f32 {
+    let nearest = number as f32;
+    if f64::from(nearest) < number { nearest.next_up() } else { nearest }
 }

@@ -14,11 +14,20 @@ pub(super) struct DecisionMemory {
 }
 
 impl DecisionMemory {
-    /// For a set that at most doubles. None without memory for it: the set then stays as it is.
-    pub fn allocate(population: &Population, before: u32) -> Result<Option<Self>> {
+    /// For a set that at most doubles: a Gaussian stays and is cloned, or is split into two. None without memory for it: the set
+    /// then stays as it is.
+    pub fn for_growth(population: &Population) -> Result<Option<Self>> {
+        Self::allocate(population, population.count().saturating_mul(2))
+    }
+
+    /// For a set that does not grow. None without memory for it: the set then stays as it is.
+    pub fn for_pruning(population: &Population) -> Result<Option<Self>> {
+        Self::allocate(population, population.count())
+    }
+
+    fn allocate(population: &Population, rows: u32) -> Result<Option<Self>> {
         let sizes = LaunchSizes::new(population.context().limits());
-        // At most two rows per Gaussian: it stays and is cloned, or it is split into two.
-        let requests = DensifyBuffers::requests(&sizes, before, before.saturating_mul(2));
+        let requests = DensifyBuffers::requests(&sizes, population.count(), rows);
         let buffers = or_none(population.context().allocate("densify", &requests, MemoryKind::Device))?;
         Ok(buffers.map(|buffers| Self { buffers: DensifyBuffers::from_allocated(buffers), order: None }))
     }
@@ -61,8 +70,7 @@ impl Decisions<'_> {
     pub fn rebuild(&self, population: &mut Population, densified: Densified, growth: Growth) -> Result<()> {
         let Some(order) = &self.memory.order else { unreachable!("room was made") };
         let (rows, buffers) = (densified.rows(), &self.memory.buffers);
-        let key =
-            RandomKey { seed: population.settings().seed, iteration: population.iteration(), explicit: None };
+        let key = random_key(population);
         let curve = population.curve();
         population.rebuild(rows, growth, self.kernels, &key, |r, scene| {
             self.kernels.record_scatter_sources(r, scene.count, rows, buffers);
@@ -70,6 +78,22 @@ impl Decisions<'_> {
             self.kernels.record_order(r, (scene, rows), buffers, order, &curve)
         })
     }
+
+    /// Removes what is not to stay, where nothing is cloned or split. The others keep their order.
+    pub fn prune(&self, population: &mut Population, densified: Densified) -> Result<()> {
+        let (rows, buffers) = (densified.rows(), &self.memory.buffers);
+        let (key, room) = (random_key(population), population.make_room(rows)?);
+        population.rebuild(rows, room, self.kernels, &key, |r, scene| {
+            self.kernels.record_scatter_sources(r, scene.count, rows, buffers);
+            r.barrier();
+            &buffers.sources
+        })
+    }
+}
+
+/// The key of the random numbers after an iteration.
+fn random_key(population: &Population) -> RandomKey<'static> {
+    RandomKey { seed: population.settings().seed, iteration: population.iteration(), explicit: None }
 }
 
 /// Buffers for sorting `rows` rows along the curve.

@@ -94,7 +94,7 @@ impl Reference {
         let before = population.count();
         population.release_pictures();
         let unchanged = Densified { before, kept: before, limited: true, ..Densified::default() };
-        let Some(memory) = DecisionMemory::allocate(population, before)? else { return Ok(unchanged) };
+        let Some(memory) = DecisionMemory::for_growth(population)? else { return Ok(unchanged) };
         let mut decisions = Decisions { kernels: &self.kernels, memory, settings };
         let wanted = decisions.classify(population, self.inputs(population))?;
         let most = population.most_rows();

@@ -124,14 +124,11 @@ impl<'a> GrowthSchedule<'a> {
     }
 }
 
-/// The quantile of some values by linear interpolation between ranks, as `torch.quantile` has it; 0 of none.
-pub fn quantile(values: &[f32], share: f64) -> f64 {
-    let mut sorted = values.to_vec();
-    sorted.sort_unstable_by(f32::total_cmp);
-    let place = share * sorted.len().saturating_sub(1) as f64;
-    let (below, rest) = (place.floor() as usize, place.fract());
-    let at = |rank: usize| sorted.get(rank).or(sorted.last()).map_or(0.0, |&value| f64::from(value));
-    at(below) + rest * (at(below + 1) - at(below))
+/// Where a quantile of sorted values lies, by linear interpolation between ranks as `torch.quantile` has it: the rank below it, from
+/// 0, and how far it is from there to the next one.
+pub fn quantile_place(values: u32, share: f64) -> (u32, f64) {
+    let place = share * f64::from(values.saturating_sub(1));
+    (place.floor() as u32, place.fract())
 }
 
 #[cfg(test)]
@@ -219,8 +216,7 @@ mod tests {
 
     #[test]
     fn quantiles_lie_between_ranks() {
-        assert_eq!(quantile(&[3.0, 1.0, 2.0], 0.5), 2.0);
-        assert_eq!(quantile(&[4.0, 0.0], 0.25), 1.0);
-        assert_eq!([quantile(&[5.0], 0.2), quantile(&[], 0.2), quantile(&[1.0, 2.0], 1.0)], [5.0, 0.0, 2.0]);
+        assert_eq!([quantile_place(3, 0.5), quantile_place(2, 0.25)], [(1, 0.0), (0, 0.25)]);
+        assert_eq!([quantile_place(1, 0.2), quantile_place(2, 1.0)], [(0, 0.0), (1, 0.0)]);
     }
 }
