@@ -106,15 +106,14 @@ pub fn download(context: &Context, scene: &SceneBuffers) -> Result<Gaussians> {
 /// # Errors
 /// When the device is lost.
 pub fn download_filters(context: &Context, scene: &SceneBuffers) -> Result<Vec<f32>> {
-    download_last(context, scene, c::PLANE_LOG_SCALE)
-}
-
-/// Downloads the opacity logits of a scene.
-///
-/// # Errors
-/// When the device is lost.
-pub fn download_logits(context: &Context, scene: &SceneBuffers) -> Result<Vec<f32>> {
-    download_last(context, scene, c::PLANE_MEAN_OPACITY)
+    let mut values = Vec::with_capacity(scene.count as usize);
+    for range in scene.plan.ranges(scene.count) {
+        let bytes = context.download(&geometry_of(scene, &range))?;
+        let words: &[[f32; 4]] = &bytemuck::pod_collect_to_vec::<u8, [f32; 4]>(&bytes);
+        let size = |i: usize| words[scene.plan.place(c::PLANE_LOG_SCALE, i)][3];
+        values.extend((0..range.count as usize).map(size));
+    }
+    Ok(values)
 }
 
 /// Uploads the sizes of the 3D filter, one per Gaussian.
@@ -131,17 +130,6 @@ pub fn upload_filters(context: &Context, scene: &SceneBuffers, filters: &[f32]) 
         context.upload(&geometry, bytemuck::cast_slice(&words))?;
     }
     Ok(())
-}
-
-/// The last component of a geometry plane, one per Gaussian.
-fn download_last(context: &Context, scene: &SceneBuffers, plane: u32) -> Result<Vec<f32>> {
-    let mut values = Vec::with_capacity(scene.count as usize);
-    for range in scene.plan.ranges(scene.count) {
-        let bytes = context.download(&geometry_of(scene, &range))?;
-        let words: &[[f32; 4]] = &bytemuck::pod_collect_to_vec::<u8, [f32; 4]>(&bytes);
-        values.extend((0..range.count as usize).map(|i| words[scene.plan.place(plane, i)][3]));
-    }
-    Ok(values)
 }
 
 /// The geometry planes of a range's Gaussians: they come first in a chunk, row by row.

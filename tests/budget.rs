@@ -294,9 +294,15 @@ fn budget_prunes_what_is_faint_late() {
         let (Some(densified), Some(before)) = (report.densified, before) else { continue };
         // The change comes before the step of the next iteration, from the Gaussians that the last one left.
         let faint = |logit: f32| 1.0 / (1.0 + f64::from(-logit).exp()) < 0.1;
-        let kept = before.opacity_logits.iter().filter(|&&logit| !faint(logit)).count();
-        assert_eq!((densified.before as usize, densified.kept as usize), (before.len(), kept));
-        pruned += before.len() - kept;
+        let kept: Vec<usize> = (0..before.len()).filter(|&i| !faint(before.opacity_logits[i])).collect();
+        assert_eq!((densified.before as usize, densified.kept as usize), (before.len(), kept.len()));
+        // In their order; one step moves them by less.
+        let after = whole.gaussians().expect("Gaussians");
+        for (&from, to) in kept.iter().zip(&after.means) {
+            let moved = before.means[from].iter().zip(to).map(|(from, to)| (from - to).abs());
+            assert!(moved.fold(0.0, f32::max) < 0.01, "{from}");
+        }
+        pruned += before.len() - kept.len();
     }
     let end = whole.gaussians().expect("Gaussians");
     assert!(pruned > 0 && !end.is_empty(), "{pruned}");

@@ -3,6 +3,7 @@
 
 mod panics;
 mod pipelines;
+mod prunings;
 
 use std::time::Duration;
 

@@ -101,7 +101,7 @@ impl SelectionBuffers {
     }
 }
 
-/// The kernels.
+/// The kernels of draws, and of opacities in their order.
 pub struct Selection {
     pub(super) sizes: LaunchSizes,
     pub(super) sort: RadixSort,

@@ -52,7 +52,7 @@ pub use record::RecordedStep;
 pub use report::{Maintenance, StepOutcome, StepReport};
 pub use reserve::StepReservation;
 pub use settings::{ImportanceType, OptimizerType, Preset, SplitType, StrategyType, TrainSettings};
-pub use strategies::{Budget, Fixed, GrowthSchedule, Mcmc, Reference, quantile_place};
+pub use strategies::{Budget, Fixed, GrowthSchedule, Mcmc, QuantilePlace, Reference};
 pub use strategy::Strategy;
 pub use terms::*;
 pub use views::TrainView;

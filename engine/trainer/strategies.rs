@@ -6,7 +6,7 @@ mod mcmc;
 mod rebuild;
 mod reference;
 
-pub use budget::{Budget, GrowthSchedule, quantile_place};
+pub use budget::{Budget, GrowthSchedule, QuantilePlace};
 pub use fixed::Fixed;
 pub use mcmc::Mcmc;
 pub use reference::Reference;

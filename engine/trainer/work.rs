@@ -84,8 +84,8 @@ pub struct Densified {
     pub cloned: u32,
     /// Gaussians that were replaced by two each.
     pub split: u32,
-    /// Whether memory or the device's limits did not suffice for all new Gaussians, so that only those with
-    /// the largest gradients were cloned or split.
+    /// Whether memory or the device's limits did not suffice for all of it: then only those with the largest gradients were
+    /// cloned or split, or nothing was pruned.
     pub limited: bool,
 }
 

@@ -45,6 +45,7 @@ layout(push_constant, scalar) uniform Push {
 
 #include "dispatch.glsl"
 #include "long_axis.glsl"
+#include "opacity.glsl"
 #include "planes.glsl"
 #include "workgroup_scan.glsl"
 
@@ -52,7 +53,7 @@ void main() {
     uint local = linear_invocation();
     bool exists = local < count;
     uint index = exists ? local : 0;
-    float opacity = 1.0 / (1.0 + exp(-parameters[geometry_at(PLANE_MEAN_OPACITY, index)].w));
+    float opacity = opacity_of(parameters[geometry_at(PLANE_MEAN_OPACITY, index)].w);
     vec3 scale = exp(parameters[geometry_at(PLANE_LOG_SCALE, index)].xyz);
     float largest = max(scale.x, max(scale.y, scale.z));
     vec2 statistic = statistics[first + index];

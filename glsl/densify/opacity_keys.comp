@@ -1,7 +1,7 @@
 // Opacities as keys of a sort, the faintest first: an opacity is not negative, so its bits have its order.
 //
 // invocation: one Gaussian of a chunk
-// in: parameters (PerGaussian planes); out: keys[Gaussian] = bits of the opacity, computed as in classify
+// in: parameters (PerGaussian planes); out: keys[Gaussian] = bits of the opacity
 // shared: none; any subgroup size
 #version 460
 #extension GL_EXT_scalar_block_layout : require
@@ -21,6 +21,7 @@ layout(push_constant, scalar) uniform Push {
 };
 
 #include "dispatch.glsl"
+#include "opacity.glsl"
 #include "planes.glsl"
 
 void main() {
@@ -28,6 +29,5 @@ void main() {
     if (index >= count) {
         return;
     }
-    float opacity = 1.0 / (1.0 + exp(-parameters[geometry_at(PLANE_MEAN_OPACITY, index)].w));
-    keys[first + index] = floatBitsToUint(opacity);
+    keys[first + index] = floatBitsToUint(opacity_of(parameters[geometry_at(PLANE_MEAN_OPACITY, index)].w));
 }

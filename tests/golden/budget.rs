@@ -9,7 +9,7 @@ use ashsplat::densify::{
 use ashsplat::forward::SceneBuffers;
 use ashsplat::plan::LaunchSizes;
 use ashsplat::planes;
-use ashsplat::trainer::{GrowthSchedule, StrategyType, quantile_place};
+use ashsplat::trainer::{GrowthSchedule, QuantilePlace, StrategyType};
 
 use super::sets::gaussians;
 use super::training::FIELDS;
@@ -126,9 +126,8 @@ pub fn schedule_of_engine(path: &Path) -> Result<(), String> {
     let of_engine = |values: &[f64], share: f64| {
         let mut sorted = values.to_vec();
         sorted.sort_by(f64::total_cmp);
-        let (rank, rest) = quantile_place(sorted.len() as u32, share);
-        let below = sorted[rank as usize];
-        below + rest * (sorted[rank as usize + 1] - below)
+        let place = QuantilePlace::new(sorted.len() as u32, share);
+        place.between(sorted[place.below as usize], sorted[place.above as usize])
     };
     for scale_schedule in [true, false] {
         settings.scale_schedule = scale_schedule;

@@ -4,7 +4,7 @@
 
 mod schedule;
 
-pub use schedule::{GrowthSchedule, quantile_place};
+pub use schedule::{GrowthSchedule, QuantilePlace};
 
 use super::rebuild::{DecisionMemory, Decisions};
 use crate::densify::{
@@ -29,17 +29,17 @@ const PRUNE_LATE: Actions = Actions(1 << 4);
 const FAINT: f64 = 0.02;
 /// Share of the Gaussians that [`PRUNE_RANKS`] removes.
 const FAINTEST_SHARE: f64 = 0.2;
-/// What a pruning removes.
-#[derive(Clone, Copy)]
-enum Faint {
-    /// What is fainter than this opacity.
-    Below(f64),
-    /// What is fainter than the faintest share, between 0 and 1.
-    Share(f64),
-}
-
 /// Largest opacity after a reset that Gaussians are to recover from.
 const RECOVERABLE_OPACITY: f64 = 0.05;
+
+/// What a pruning removes.
+#[derive(Clone, Copy)]
+enum Pruned {
+    /// What is fainter than this opacity.
+    Below(f64),
+    /// The faintest share, between 0 and 1.
+    Share(f64),
+}
 
 /// Budgeted growth to [`TrainSettings::cap_max`]. Each part has a switch: [`TrainSettings::absgrad`], `split`,
 /// `importance`, `growth_curve`, `recovery`, `multi_step`, `late_min_opacity`.
@@ -136,9 +136,9 @@ impl Strategy for Budget {
         let start = *self.start.get_or_insert(population.count());
         let densified = match action {
             Actions::DENSIFY => self.densify(population, start)?,
-            PRUNE_FAINT => self.prune(population, Faint::Below(FAINT))?,
-            PRUNE_RANKS => self.prune(population, Faint::Share(FAINTEST_SHARE))?,
-            PRUNE_LATE => self.prune(population, Faint::Below(population.settings().late_min_opacity))?,
+            PRUNE_FAINT => self.prune(population, Pruned::Below(FAINT))?,
+            PRUNE_RANKS => self.prune(population, Pruned::Share(FAINTEST_SHARE))?,
+            PRUNE_LATE => self.prune(population, Pruned::Below(population.settings().late_min_opacity))?,
             _ => {
                 let recovery = population.settings().recovery;
                 let most = if recovery { RECOVERABLE_OPACITY } else { crate::densify::RESET_OPACITY };
@@ -280,33 +280,33 @@ impl Budget {
         Ok(totals[2])
     }
 
-    /// Removes what is faint. Nothing is removed without memory for it, and never all.
-    fn prune(&self, population: &mut Population, faint: Faint) -> Result<Densified> {
+    /// Removes what is faint. Without memory for it the set stays as it is, and so it does where nothing would be left.
+    fn prune(&self, population: &mut Population, pruned: Pruned) -> Result<Densified> {
         population.release_pictures();
         let before = population.count();
         let unchanged = Densified { before, kept: before, ..Densified::default() };
         let without_memory = Densified { limited: true, ..unchanged };
-        let least = match faint {
-            Faint::Below(opacity) => Some(opacity),
-            Faint::Share(share) => self.opacity_of_share(population, share)?,
+        let least = match pruned {
+            Pruned::Below(opacity) => opacity,
+            Pruned::Share(share) => match self.opacity_of_share(population, share)? {
+                Some(opacity) => opacity,
+                None => return Ok(without_memory),
+            },
         };
-        let requests = [("selected", u64::from(before) * 4)];
-        let none = or_none(population.context().allocate("densify", &requests, MemoryKind::Device))?;
-        let (Some(least), Some(none)) = (least, none) else { return Ok(without_memory) };
-        let Some(memory) = DecisionMemory::for_pruning(population)? else { return Ok(without_memory) };
-        population.context().run("select none", |r| {
-            r.fill(&none[0], 0);
-            Ok(())
-        })?;
-        let settings = DensifySettings {
-            gradient_threshold: 0.0,
-            clone_scale: 0.0,
-            min_opacity: not_below(least),
-            max_scale: 0.0,
+        let decisions = Decisions {
+            kernels: &self.kernels,
+            memory: match DecisionMemory::for_pruning(population)? {
+                Some(memory) => memory,
+                None => return Ok(without_memory),
+            },
+            settings: DensifySettings {
+                gradient_threshold: 0.0,
+                clone_scale: 0.0,
+                min_opacity: not_below(least),
+                max_scale: 0.0,
+            },
         };
-        let decisions = Decisions { kernels: &self.kernels, memory, settings };
-        let inputs = ClassifyInputs { statistics: &population.statistics()[0], criteria: Some(&none[0]) };
-        let pruned = decisions.classify(population, inputs)?;
+        let pruned = decisions.classify_kept(population)?;
         if pruned.kept == 0 || pruned.kept == before {
             return Ok(unchanged);
         }
@@ -316,8 +316,8 @@ impl Budget {
 
     /// The opacity that a share of the Gaussians is fainter than. None without memory for their order.
     fn opacity_of_share(&self, population: &Population, share: f64) -> Result<Option<f64>> {
-        let (context, count) = (population.context(), population.count());
-        let requests = self.selection.requests(count);
+        let context = population.context();
+        let requests = self.selection.requests(population.count());
         let buffers = or_none(context.allocate("densify", &requests, MemoryKind::Device))?;
         let Some(buffers) = buffers.map(SelectionBuffers::from_allocated) else { return Ok(None) };
         let mut sorted = None;
@@ -326,13 +326,12 @@ impl Budget {
             Ok(())
         })?;
         let Some(sorted) = sorted else { unreachable!("recorded") };
-        let (rank, rest) = quantile_place(count, share);
-        // The last has none above it.
-        let ranks = if rank + 1 < count { 2 } else { 1 };
-        let bytes = context.download(&sorted.range(u64::from(rank) * 4, ranks * 4))?;
-        let around: Vec<f32> = bytemuck::pod_collect_to_vec(&bytes);
-        let [below, above] = [around[0], around[around.len() - 1]].map(f64::from);
-        Ok(Some(below + rest * (above - below)))
+        let place = QuantilePlace::new(population.count(), share);
+        let opacity = |rank: u32| -> Result<f64> {
+            let bytes = context.download(&sorted.range(u64::from(rank) * 4, 4))?;
+            Ok(f64::from(bytemuck::pod_read_unaligned::<f32>(&bytes)))
+        };
+        Ok(Some(place.between(opacity(place.below)?, opacity(place.above)?)))
     }
 }
 

@@ -54,6 +54,18 @@ impl Decisions<'_> {
         Ok(Densified { before, kept: totals[0], cloned: totals[1], split: totals[2], limited: false })
     }
 
+    /// Decides who stays, where nobody is cloned or split; by [`Criterion::Selected`](crate::densify::Criterion::Selected).
+    pub fn classify_kept(&self, population: &Population) -> Result<Densified> {
+        // Zeros until sources are written: nobody is selected.
+        let none = &self.memory.buffers.sources;
+        population.context().run("select none", |r| {
+            r.fill(none, 0);
+            Ok(())
+        })?;
+        let statistics = &population.statistics()[0];
+        self.classify(population, ClassifyInputs { statistics, criteria: Some(none) })
+    }
+
     /// Memory for a new set of up to `rows` rows, in its order along the curve. The room may fall short of them
     /// ([`Population::capacity_with`]). None without memory for the order: the set then stays as it is.
     pub fn make_room(&mut self, population: &mut Population, rows: u32) -> Result<Option<Growth>> {

@@ -26,9 +26,9 @@ impl Run {
             self.limited = true;
             let (count, used) = (thousands(u64::from(report.gaussians)), self.trainer.memory_bytes() >> 20);
             self.progress.warn(&format!(
-                "warning: iteration {}: no room for all the Gaussians that densification would add to {count} \
+                "warning: iteration {}: no room for all that densification would change of {count} Gaussians \
                  ({used} MiB in use, or the device's limits): those with the largest gradients are added, as far as \
-                 they fit",
+                 they fit, and a pruning is left out",
                 report.iteration
             ));
         }

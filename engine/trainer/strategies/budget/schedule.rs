@@ -124,11 +124,30 @@ impl<'a> GrowthSchedule<'a> {
     }
 }
 
-/// Where a quantile of sorted values lies, by linear interpolation between ranks as `torch.quantile` has it: the rank below it, from
-/// 0, and how far it is from there to the next one.
-pub fn quantile_place(values: u32, share: f64) -> (u32, f64) {
-    let place = share * f64::from(values.saturating_sub(1));
-    (place.floor() as u32, place.fract())
+/// Where a quantile of sorted values lies, by linear interpolation between ranks as `torch.quantile` has it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct QuantilePlace {
+    /// The rank below it, from 0.
+    pub below: u32,
+    /// The next one, if there is one.
+    pub above: u32,
+    /// How far it lies from the first to the second, at least 0 and less than 1.
+    pub rest: f64,
+}
+
+impl QuantilePlace {
+    /// Of so many values; `share`: of those that lie below, 0 to 1.
+    pub fn new(values: u32, share: f64) -> Self {
+        let last = values.saturating_sub(1);
+        let place = share * f64::from(last);
+        let below = place.floor() as u32;
+        Self { below, above: (below + 1).min(last), rest: place.fract() }
+    }
+
+    /// The quantile, from the values of both ranks.
+    pub fn between(&self, below: f64, above: f64) -> f64 {
+        below + self.rest * (above - below)
+    }
 }
 
 #[cfg(test)]
@@ -216,7 +235,15 @@ mod tests {
 
     #[test]
     fn quantiles_lie_between_ranks() {
-        assert_eq!([quantile_place(3, 0.5), quantile_place(2, 0.25)], [(1, 0.0), (0, 0.25)]);
-        assert_eq!([quantile_place(1, 0.2), quantile_place(2, 1.0)], [(0, 0.0), (1, 0.0)]);
+        let place = |below, above, rest| QuantilePlace { below, above, rest };
+        for (values, share, expected) in [
+            (3, 0.5, place(1, 2, 0.0)),
+            (2, 0.25, place(0, 1, 0.25)),
+            (1, 0.2, place(0, 0, 0.0)),
+            (2, 1.0, place(1, 1, 0.0)),
+        ] {
+            assert_eq!(QuantilePlace::new(values, share), expected);
+        }
+        assert_eq!(place(0, 1, 0.25).between(4.0, 0.0), 3.0);
     }
 }
