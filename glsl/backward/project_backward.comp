@@ -315,7 +315,7 @@ void main() {
         d_opacity *= dropout_factor;
     }
 
-    float opacity_raw = sigmoid(filtered.opacity_logit);
+    float opacity_raw = opacity_of(filtered.opacity_logit);
     bool compensated = (antialias & ANTIALIAS_COMPENSATED) != 0;
     float compensation = compensated ? sqrt(max(ANTIALIAS_MIN_RATIO, p.det_raw / p.det)) : 1.0;
     float d_logit = d_opacity * compensation * opacity_raw * (1.0 - opacity_raw);
@@ -330,7 +330,7 @@ void main() {
         vec3 share = 1.0 / (1.0 + ratio * ratio);
         float d_opacity_filtered = d_opacity * compensation;
         d_log_scale = d_log_scale * (1.0 - share) + d_opacity_filtered * opacity_raw * share;
-        float stored = sigmoid(mean_opacity.w);
+        float stored = opacity_of(mean_opacity.w);
         d_logit = d_opacity_filtered * filtered.shrink * stored * (1.0 - stored);
     }
 

@@ -27,6 +27,7 @@ layout(push_constant, scalar) uniform Push {
 };
 
 #include "dispatch.glsl"
+#include "opacity.glsl"
 #include "planes.glsl"
 
 void main() {
@@ -34,7 +35,7 @@ void main() {
     if (index >= count) {
         return;
     }
-    float opacity = 1.0 / (1.0 + exp(-parameters[geometry_at(PLANE_MEAN_OPACITY, index)].w));
+    float opacity = opacity_of(parameters[geometry_at(PLANE_MEAN_OPACITY, index)].w);
     weights[first + index] = opacity > least_opacity ? max(uint(opacity * unit), 1u) : 0;
     draws[first + index] = 0;
 }

@@ -29,6 +29,7 @@ layout(push_constant, scalar) uniform Push {
 };
 
 #include "dispatch.glsl"
+#include "opacity.glsl"
 #include "planes.glsl"
 
 // The trapezoid rule with this step, up to where the integrand is below 1e-14.
@@ -64,7 +65,7 @@ void main() {
     float n = float(min(drawn + 1, RELOCATION_MOST));
     uint at = geometry_at(PLANE_MEAN_OPACITY, row);
     float logit = parameters[at].w;
-    float opacity = 1.0 / (1.0 + exp(-logit));
+    float opacity = opacity_of(logit);
     // log(1 - o) of the logit itself: where o is close to 1, 1 - o has few digits.
     float log_transparency = logit > 0.0 ? -logit - log1p(exp(-logit)) : -log1p(exp(logit));
     float shared_opacity =

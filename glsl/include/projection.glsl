@@ -5,6 +5,8 @@
 // constant `extent`, DROPOUT (dropout.glsl), TINTED (whether the scene has factors of its own) and ORTHOGRAPHIC (whether the
 // camera's rays are parallel), and have footprint_of.
 
+#include "opacity.glsl"
+
 #ifdef DRAWS_SHAPES
 #define SCALE_MODIFIER shape_scale
 #define SCREEN_DILATION_PX2 shape_dilation_px2
@@ -89,10 +91,6 @@ Projection project_gaussian(vec3 mean, vec4 quat, vec3 log_scale) {
     return p;
 }
 
-float sigmoid(float logit) {
-    return 1.0 / (1.0 + exp(-logit));
-}
-
 // A Gaussian under its 3D filter. `shrink` is the factor of its opacity.
 struct Filtered {
     vec3 log_scale;
@@ -132,7 +130,7 @@ struct Footprint {
 Footprint footprint_of(Projection p, float opacity_logit) {
     Footprint f;
     float ratio = p.det_raw / p.det;
-    float opacity = sigmoid(opacity_logit);
+    float opacity = opacity_of(opacity_logit);
     bool compensated = (antialias & ANTIALIAS_COMPENSATED) != 0;
     f.opacity = opacity * (compensated ? sqrt(max(ANTIALIAS_MIN_RATIO, ratio)) : 1.0);
     if (TINTED) {

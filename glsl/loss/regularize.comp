@@ -31,6 +31,7 @@ layout(push_constant, scalar) uniform Push {
     float scale_weight;
 };
 
+#include "opacity.glsl"
 #include "planes.glsl"
 
 shared vec2 subgroup_sums[WORKGROUP_SIZE / SUBGROUP_SIZE];
@@ -41,7 +42,7 @@ void main() {
     for (uint index = gl_WorkGroupID.x * WORKGROUP_SIZE + gl_LocalInvocationID.x; index < count; index += stride) {
         uint opacity_at = geometry_at(PLANE_MEAN_OPACITY, index);
         uint scale_at = geometry_at(PLANE_LOG_SCALE, index);
-        float opacity = 1.0 / (1.0 + exp(-parameters[opacity_at].w));
+        float opacity = opacity_of(parameters[opacity_at].w);
         vec3 scale = exp(parameters[scale_at].xyz);
         parameter_gradients[opacity_at].w += opacity_weight * opacity * (1.0 - opacity);
         parameter_gradients[scale_at].xyz += scale_weight * scale;

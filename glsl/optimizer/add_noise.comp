@@ -29,6 +29,7 @@ layout(push_constant, scalar) uniform Push {
 };
 
 #include "dispatch.glsl"
+#include "opacity.glsl"
 #include "planes.glsl"
 #include "random.glsl"
 
@@ -42,7 +43,7 @@ void main() {
         return;
     }
     uint at = geometry_at(PLANE_MEAN_OPACITY, index);
-    float opacity = 1.0 / (1.0 + exp(-parameters[at].w));
+    float opacity = opacity_of(parameters[at].w);
     float gate = 1.0 / (1.0 + exp(SHARPNESS * (opacity - RELOCATION_LEAST_OPACITY)));
     vec4 quat = parameters[geometry_at(PLANE_QUAT, index)];
     vec3 scale = exp(parameters[geometry_at(PLANE_LOG_SCALE, index)].xyz);

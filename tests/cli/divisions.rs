@@ -1,7 +1,7 @@
 //! `partition`, `train --job`, `merge`: what cannot be divided, or is no longer what was divided.
 
 use super::checkpoints::assert_trained;
-use super::merge::{job, merge, partition, place, read};
+use super::merge::{division, job, merge, partition, place, read};
 use super::*;
 use ashsplat_files::splats;
 use serde_json::Value;
@@ -104,4 +104,37 @@ fn what_cannot_be_divided_or_trained_is_refused() {
     write_model(&data, &images(9, 1.0), &wall_points());
     assert_refused(&job(&place, 1, &[]), &["data: its cameras are not those that", "blocks.json"]);
     assert!(!place.model("blocks").exists());
+}
+
+/// Where all photos look at one thing, a part of it shows in whole photos.
+#[test]
+fn photos_of_a_single_object_are_used_whole() {
+    let place = place();
+    let divided = |more: &[&str]| {
+        let out = partition(&place, "blocks.json", &[&["--max-gaussians", "500"], more].concat());
+        assert_trained(&out);
+        let division = division(&place);
+        let blocks = division["blocks"].as_array().expect("blocks");
+        let (photos, parts): (Vec<usize>, Vec<bool>) = blocks
+            .iter()
+            .map(|block| {
+                let number = |list: &str| block[list].as_array().expect("photos").len();
+                (number("photos") + number("held_out"), block.get("parts").is_some())
+            })
+            .unzip();
+        let spread = photos.iter().sum::<usize>() as f64 / (9 * blocks.len()) as f64;
+        let margin = division["margin"].as_f64().expect("a margin");
+        (spread, out.stdout.contains("as of one object"), margin, parts.contains(&true))
+    };
+    let (spread, said, wide, parts) = divided(&[]);
+    assert!(spread >= 0.75 && said && !parts, "{spread} {said} {parts}");
+    assert_eq!(divided(&["--rounds", "2"]), (spread, true, wide, false));
+    assert_eq!(divided(&["--rounds", "2", "--photo-parts", "on"]), (spread, true, wide, true));
+    // Each photo for the block that it shows most of, and those for few more.
+    let (few, said, margin, parts) = divided(&["--rounds", "2", "--min-share", "0.33"]);
+    assert!(few < 0.75 && !said && parts, "{few} {said} {parts}");
+    assert!((margin - wide / 3.0).abs() < 1e-6 * wide, "{margin} {wide}");
+    assert!(!divided(&["--rounds", "2", "--min-share", "0.33", "--photo-parts", "off"]).3);
+    let given = divided(&["--rounds", "2", "--margin", "0.02"]).2;
+    assert_eq!(given as f32, 0.02);
 }

@@ -295,7 +295,8 @@ fn blocks_are_trained_one_by_one_and_merged() {
 #[test]
 fn jobs_use_the_parts_of_photos_that_show_them() {
     let place = place();
-    assert_trained(&partition(&place, "blocks.json", &["--max-gaussians", "300", "--margin", "0.02"]));
+    let parts = ["--max-gaussians", "300", "--margin", "0.02", "--photo-parts", "on"];
+    assert_trained(&partition(&place, "blocks.json", &parts));
     let mut division = division(&place);
     let blocks = division["blocks"].as_array().expect("blocks");
     let names = |block: &Value, kind: &str| -> Vec<String> {

@@ -9,7 +9,7 @@ use crate::blocks::rounds::MAX_ROUNDS;
 use crate::blocks::{
     self, Block, BlocksFile, Coarse, Core, DatasetOfBlocks, Division, MAX_BLOCKS, cameras_hash, stored,
 };
-use crate::config::{CAMERAS_FILE, DataSettings};
+use crate::config::{CAMERAS_FILE, DataSettings, When};
 use crate::lock::{FolderLock, Work};
 use crate::model::Model;
 use crate::progress::thousands;
@@ -46,9 +46,14 @@ pub struct Arguments {
     /// The new file
     #[arg(short, long, value_name = "FILE", default_value = "blocks.json")]
     out: PathBuf,
-    /// How far around its cell a block trains Gaussians too, world units [default: 0.15 of the usual cell's longest side, in rounds 0.05]
+    /// How far around its cell a block trains Gaussians too, world units [default: 0.15 of the usual cell's longest side; in rounds 0.05,
+    /// unless most photos show most of the blocks]
     #[arg(long, value_name = "X")]
     margin: Option<f32>,
+    /// Whether a block uses of each photo only the part that shows it and its margin; auto: unless most photos show most of the blocks,
+    /// as of a single object
+    #[arg(long, value_enum, default_value_t)]
+    photo_parts: When,
     /// The share of a picture that a cell must cover for the photo to be used for its block, above 0 and up to 1
     #[arg(long, value_name = "X", default_value_t = 0.02)]
     min_share: f64,
@@ -78,6 +83,9 @@ const WORK: Work = Work { file: ".partition.lock", what: "partition", option: "-
 const MARGIN: f32 = 0.15;
 /// The same in rounds: what lies beyond it is the neighbours' work, not the coarse model.
 const MARGIN_IN_ROUNDS: f32 = 0.05;
+/// Of all blocks, if photos show that many in the mean, there is one place that all of them look at. Each block then fits nearly
+/// whole photos, and its border shows in all of them.
+const ONE_PLACE: f64 = 0.75;
 /// What is said of an earlier model of the coarse model's cameras may differ by, in scene extents.
 const SAME_PLACE: f64 = 1e-3;
 /// Of the pictures, if a model is of the scene.
@@ -114,10 +122,29 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let antialias = look.antialias || scene.header.antialiased;
     let look = RenderSettings { inverse_depth: true, antialias, ..look };
     let cameras = gallery.cameras();
+    let side = usual_side(&scene.gaussians, &cells);
     let sides = if arguments.rounds > 1 { MARGIN_IN_ROUNDS } else { MARGIN };
-    let margin = arguments.margin.unwrap_or_else(|| sides * usual_side(&scene.gaussians, &cells));
-    let found = (&cells, margin, arguments.min_share);
-    let shares = Shares::of(&mut renderer, &cameras, found, &look, (arguments.quiet, &stop))?;
+    let mut margin = arguments.margin.unwrap_or(sides * side);
+    let shares_of = |margin: f32, renderer: &mut Renderer| {
+        let found = (&cells, margin, arguments.min_share);
+        Shares::of(renderer, &cameras, found, &look, (arguments.quiet, &stop))
+    };
+    let mut shares = shares_of(margin, &mut renderer)?;
+    let one_place = cells.bounds().len() > 1 && shares.spread() >= ONE_PLACE;
+    let of_parts = match arguments.photo_parts {
+        When::Auto => !one_place,
+        When::On => true,
+        When::Off => false,
+    };
+    if one_place && arguments.margin.is_none() && sides < MARGIN {
+        margin = MARGIN * side;
+        if of_parts {
+            shares = shares_of(margin, &mut renderer)?;
+        }
+    }
+    if !of_parts {
+        shares.use_whole();
+    }
     check_likeness(&coarse, &gallery, &data, (&mut renderer, &shares, &look))?;
     let division = arguments.division(&Found {
         coarse: &coarse,
@@ -140,7 +167,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         if old.is_some_and(|old| old.is_of(&division)) { Ok(()) } else { output::write_json(path, &division) }
     })?;
     if !arguments.quiet {
-        arguments.describe(&division);
+        arguments.describe(&division, one_place);
     }
     arguments.device.report_validation(&context);
     Ok(())
@@ -318,7 +345,7 @@ impl Arguments {
         })
     }
 
-    fn describe(&self, division: &Division) {
+    fn describe(&self, division: &Division, one_place: bool) {
         for block in &division.blocks {
             say!(
                 "block {}: {} Gaussians, {} with the margin; {} photos, {} held out; {} iterations",
@@ -328,6 +355,14 @@ impl Arguments {
                 block.photos.len(),
                 block.held_out.len(),
                 thousands(block.iterations.into())
+            );
+        }
+        let all: u64 = division.blocks.iter().map(|block| u64::from(block.iterations)).sum();
+        let times = all as f64 / f64::from(division.iterations);
+        say!("all blocks together: {} iterations, {times:.2} times those of the whole", thousands(all));
+        if one_place {
+            say!(
+                "most photos show most of the blocks, as of one object: training the whole takes less time where it fits"
             );
         }
         let out = self.out.display();

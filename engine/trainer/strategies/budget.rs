@@ -182,13 +182,7 @@ impl Budget {
         let unchanged = Densified { before, kept: before, limited: true, ..Densified::default() };
         let schedule = GrowthSchedule::of(population.settings(), start);
         let budget = schedule.budget(population.iteration());
-        let settings = DensifySettings {
-            // The criterion is the selection.
-            gradient_threshold: 0.0,
-            clone_scale: 0.0,
-            min_opacity: schedule.min_opacity(population.iteration()) as f32,
-            max_scale: 0.0,
-        };
+        let settings = pruning_below(schedule.min_opacity(population.iteration()) as f32);
         let most = population.most_rows();
         let wanted = budget.min(most).saturating_sub(before);
         let importance = match wanted {
@@ -299,12 +293,7 @@ impl Budget {
                 Some(memory) => memory,
                 None => return Ok(without_memory),
             },
-            settings: DensifySettings {
-                gradient_threshold: 0.0,
-                clone_scale: 0.0,
-                min_opacity: not_below(least),
-                max_scale: 0.0,
-            },
+            settings: pruning_below(not_below(least)),
         };
         let pruned = decisions.classify_kept(population)?;
         if pruned.kept == 0 || pruned.kept == before {
@@ -333,6 +322,11 @@ impl Budget {
         };
         Ok(Some(place.between(opacity(place.below)?, opacity(place.above)?)))
     }
+}
+
+/// What is fainter goes. The selection alone decides who is split.
+fn pruning_below(min_opacity: f32) -> DensifySettings {
+    DensifySettings { gradient_threshold: 0.0, clone_scale: 0.0, min_opacity, max_scale: 0.0 }
 }
 
 /// The least f32 that is not below a number: an f32 is below both, or below neither.

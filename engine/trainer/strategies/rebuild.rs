@@ -5,7 +5,7 @@ use crate::error::Result;
 use crate::plan::LaunchSizes;
 use crate::trainer::population::{Growth, Population, or_none};
 use crate::trainer::work::Densified;
-use crate::vk::{Context, MemoryKind};
+use crate::vk::{Context, MemoryKind, Recorder};
 
 /// Memory of a densification besides the planes.
 pub(super) struct DecisionMemory {
@@ -85,21 +85,25 @@ impl Decisions<'_> {
         let key = random_key(population);
         let curve = population.curve();
         population.rebuild(rows, growth, self.kernels, &key, |r, scene| {
-            self.kernels.record_scatter_sources(r, scene.count, rows, buffers);
-            r.barrier();
+            self.record_sources(r, scene.count, rows);
             self.kernels.record_order(r, (scene, rows), buffers, order, &curve)
         })
     }
 
     /// Removes what is not to stay, where nothing is cloned or split. The others keep their order.
     pub fn prune(&self, population: &mut Population, densified: Densified) -> Result<()> {
-        let (rows, buffers) = (densified.rows(), &self.memory.buffers);
+        let rows = densified.rows();
         let (key, room) = (random_key(population), population.make_room(rows)?);
         population.rebuild(rows, room, self.kernels, &key, |r, scene| {
-            self.kernels.record_scatter_sources(r, scene.count, rows, buffers);
-            r.barrier();
-            &buffers.sources
+            self.record_sources(r, scene.count, rows);
+            &self.memory.buffers.sources
         })
+    }
+
+    /// Records where each row of the new set comes from, of `count` Gaussians. Ends with a barrier.
+    fn record_sources(&self, r: &mut Recorder, count: u32, rows: u32) {
+        self.kernels.record_scatter_sources(r, count, rows, &self.memory.buffers);
+        r.barrier();
     }
 }
 

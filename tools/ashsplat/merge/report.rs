@@ -276,7 +276,7 @@ impl Results {
             "<!DOCTYPE html><html lang=\"en\"><meta charset=\"utf-8\"><title>{name}</title><style>{style}</style><h1>{name}</h1>\n"
         );
         let note = format!(
-            "PSNR in dB on {} held-out views: the mean over views, then over all their pixels together. Along seams: at most {} \
+            "PSNR in dB on {} held-out views: the mean over views, then over all their pixels together. Along seams: at most {:.3} \
              from one, {:.1} % of the pixels.",
             self.views,
             self.band,
