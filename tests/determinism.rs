@@ -1,5 +1,6 @@
 //! The same inputs on the same device give the same bits, in training too.
 
+use ashsplat::fingerprint::Fingerprint;
 use ashsplat::plan::LaunchSizes;
 use ashsplat::trainer::verify::{Verdict, verify_determinism};
 use ashsplat::trainer::{TrainView, Trainer};
@@ -65,6 +66,46 @@ fn determinism_of_training() {
     assert_ne!(first.len(), 200, "nothing was densified");
     let (_, other) = train(&gpu, 4);
     assert!(first != other, "the seed has no effect");
+}
+
+/// What [`train`] has given with the strategy `reference` since before there were others: by driver, for compilers round alike
+/// only where they are the same, and instructions.
+const REFERENCE: &[(&str, u64)] = &[
+    ("llvmpipe (LLVM 15.0.6, 128 bits), llvmpipe Mesa 22.3.6 (LLVM 15.0.6), FMA", 0x87a9_127a_28f3_5ac3),
+    ("llvmpipe (LLVM 15.0.6, 256 bits), llvmpipe Mesa 22.3.6 (LLVM 15.0.6), FMA", 0x742a_6caf_25a7_9d92),
+    ("llvmpipe (LLVM 15.0.6, 512 bits), llvmpipe Mesa 22.3.6 (LLVM 15.0.6), FMA", 0xd9c4_b828_1b8a_04f7),
+];
+
+fn compiler_and_instructions(gpu: &Gpu) -> String {
+    let description = gpu.context.description();
+    #[cfg(target_arch = "x86_64")]
+    let instructions = match (is_x86_feature_detected!("avx512f"), is_x86_feature_detected!("fma")) {
+        (true, _) => "AVX-512",
+        (false, true) => "FMA",
+        (false, false) => "SSE",
+    };
+    #[cfg(not(target_arch = "x86_64"))]
+    let instructions = std::env::consts::ARCH;
+    let backend = std::env::var("ASHSPLAT_BACKEND").map_or(String::new(), |backend| format!(", {backend}"));
+    format!("{}, {}, {instructions}{backend}", description.name, description.driver)
+}
+
+#[test]
+fn reference_keeps_its_bits() {
+    let gpu = Gpu::new();
+    let (losses, trained) = train(&gpu, 3);
+    let mut print = Fingerprint::new();
+    print.add(bytemuck::cast_slice(&losses));
+    print.add(bytemuck::cast_slice(&trained.means));
+    print.add(bytemuck::cast_slice(&trained.quats));
+    print.add(bytemuck::cast_slice(&trained.log_scales));
+    print.add(bytemuck::cast_slice(&trained.opacity_logits));
+    print.add(bytemuck::cast_slice(&trained.sh));
+    let (key, hash) = (compiler_and_instructions(&gpu), print.finish());
+    match REFERENCE.iter().find(|(known, _)| *known == key) {
+        Some(&(_, known)) => assert_eq!(hash, known, "training by the reference has other bits on {key}"),
+        None => eprintln!("skipped: no hash of \"{key}\"; this one is {hash:#x}"),
+    }
 }
 
 #[test]
