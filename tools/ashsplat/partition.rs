@@ -65,7 +65,7 @@ pub struct Arguments {
     /// neighbours have trained there, not the coarse model; better seams
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=MAX_ROUNDS.into()))]
     rounds: u32,
-    /// Draw cells, seams, margins, cameras and Gaussians from above
+    /// Draw cells, seams, margins, cameras and Gaussians from above; from the side as well, where cells lie one above another
     #[arg(long, value_name = "FILE.svg")]
     plot: Option<PathBuf>,
     #[command(flatten)]

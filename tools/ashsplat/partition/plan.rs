@@ -1,4 +1,4 @@
-//! Cells, seams, margins, cameras and Gaussians from above, as SVG.
+//! Cells, seams, margins, cameras and Gaussians from above, as SVG; from the side as well, where cells lie one above another.
 
 use super::cameras::Shares;
 use crate::bench::plot::COLORS;
@@ -6,7 +6,7 @@ use crate::blocks::Division;
 use crate::html::escape;
 use crate::progress::thousands;
 use ashsplat::Result;
-use ashsplat::scene::{Bounds, Gaussians};
+use ashsplat::scene::{Bounds, Cells, Gaussians, Seam};
 use ashsplat_files::cameras_json::NamedCamera;
 use glam::{Vec2, Vec3};
 use std::fmt::Write;
@@ -19,39 +19,73 @@ const DOTS: usize = 4000;
 
 /// From world to paper.
 struct Plan {
+    /// To the right and downwards.
     axes: [usize; 2],
+    /// Whether the second axis points upwards.
+    upwards: bool,
     min: Vec2,
     scale: f32,
     size: Vec2,
 }
 
 impl Plan {
-    /// Seen along the axis that is nearest to the cameras' common up.
-    fn new(gaussians: &Gaussians, cameras: &[NamedCamera]) -> Plan {
-        let up: Vec3 = cameras.iter().map(|named| -named.camera.camera_from_world.row(1)).sum();
-        let down = (0..3).max_by(|&a, &b| up[a].abs().total_cmp(&up[b].abs())).unwrap_or(1);
-        let axes = [(down + 1) % 3, (down + 2) % 3];
-        let seen = cameras.iter().map(|named| named.camera.position());
-        let middle = gaussians.statistics().central_bounds;
-        let corners = middle.into_iter().flat_map(|bounds| [bounds.min, bounds.max]);
-        let around = Bounds::of(seen.chain(corners)).unwrap_or(Bounds { min: Vec3::ZERO, max: Vec3::ONE });
+    fn new(around: Bounds, axes: [usize; 2], upwards: bool) -> Plan {
         let flat = |point: Vec3| Vec2::new(point[axes[0]], point[axes[1]]);
         let (min, extent) = (flat(around.min), flat(around.size()).max(Vec2::splat(1e-6)));
         let (min, extent) = (min - 0.05 * extent, 1.1 * extent);
         let scale = SIDE / extent.max_element();
-        Plan { axes, min, scale, size: scale * extent }
+        Plan { axes, upwards, min, scale, size: scale * extent }
+    }
+
+    /// Seen along the axis that is nearest to the cameras' common up; and, if cells lie one above another, from the side as well.
+    fn of(gaussians: &Gaussians, cameras: &[NamedCamera], seams: &[Seam]) -> Vec<Plan> {
+        let up: Vec3 = cameras.iter().map(|named| -named.camera.camera_from_world.row(1)).sum();
+        let down = (0..3).max_by(|&a, &b| up[a].abs().total_cmp(&up[b].abs())).unwrap_or(1);
+        let flat = [(down + 1) % 3, (down + 2) % 3];
+        let seen = cameras.iter().map(|named| named.camera.position());
+        let middle = gaussians.statistics().central_bounds;
+        let corners = middle.into_iter().flat_map(|bounds| [bounds.min, bounds.max]);
+        let around = Bounds::of(seen.chain(corners)).unwrap_or(Bounds { min: Vec3::ZERO, max: Vec3::ONE });
+        let across = |axis: usize| seams.iter().filter(|seam| seam.axis == axis).count();
+        let mut plans = vec![Plan::new(around, flat, false)];
+        if across(down) > 0 {
+            // Cells beside each other should not lie behind each other.
+            let right = flat.into_iter().max_by_key(|&axis| across(axis)).unwrap_or(flat[0]);
+            plans.push(Plan::new(around, [right, down], up[down] > 0.0));
+        }
+        plans
+    }
+
+    fn flat(&self, point: Vec3) -> Vec2 {
+        let flat = self.scale * (Vec2::new(point[self.axes[0]], point[self.axes[1]]) - self.min);
+        if self.upwards { Vec2::new(flat.x, self.size.y - flat.y) } else { flat }
     }
 
     /// Whether a point is on the paper.
     fn shows(&self, point: Vec3) -> bool {
-        let flat = self.scale * (Vec2::new(point[self.axes[0]], point[self.axes[1]]) - self.min);
+        let flat = self.flat(point);
         flat.cmpge(Vec2::ZERO).all() && flat.cmple(self.size).all()
     }
 
     fn at(&self, point: Vec3) -> Vec2 {
-        let flat = Vec2::new(point[self.axes[0]], point[self.axes[1]]);
-        (self.scale * (flat - self.min)).clamp(Vec2::ZERO, self.size) + MARGIN
+        self.flat(point).clamp(Vec2::ZERO, self.size) + MARGIN
     }
+
+    fn names(&self) -> String {
+        let [right, other] = self.axes.map(|axis| ["x", "y", "z"][axis]);
+        let way = if self.upwards { "upwards" } else { "downwards" };
+        format!("{right} to the right, {other} {way}")
+    }
+}
+
+/// What is drawn.
+struct Drawn<'a> {
+    division: &'a Division,
+    cells: Cells,
+    seams: Vec<Seam>,
+    gaussians: &'a Gaussians,
+    cameras: &'a [NamedCamera],
+    shares: &'a Shares,
 }
 
 /// The drawing.
@@ -61,75 +95,30 @@ pub fn svg(
     cameras: &[NamedCamera],
     shares: &Shares,
 ) -> Result<String> {
-    let plan = Plan::new(gaussians, cameras);
-    let [width, height] = (plan.size + 2.0 * MARGIN).to_array();
-    let names = ["x", "y", "z"];
-    let [across, down] = plan.axes.map(|axis| names[axis]);
+    let cells = division.cells()?;
+    let seams = cells.seams();
+    let plans = Plan::of(gaussians, cameras, &seams);
+    let drawn = Drawn { division, cells, seams, gaussians, cameras, shares };
+    let width: f32 = plans.iter().map(|plan| plan.size.x + 2.0 * MARGIN).sum();
+    let height = plans.iter().map(|plan| plan.size.y + 2.0 * MARGIN).fold(0.0, f32::max);
+    let legend = 20.0 * division.blocks.len() as f32;
     let mut out = format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width:.1} {:.1}\" font-family=\"sans-serif\" font-size=\"12\">\n\
-         <rect width=\"{width:.1}\" height=\"{:.1}\" fill=\"#ffffff\"/>\n\
-         <text x=\"{MARGIN}\" y=\"20\">{across} to the right, {down} downwards; margin {:.3}; lines: seams</text>\n",
-        height + 20.0 * (division.blocks.len() as f32),
-        height + 20.0 * (division.blocks.len() as f32),
-        division.margin
+         <rect width=\"{width:.1}\" height=\"{:.1}\" fill=\"#ffffff\"/>\n",
+        height + legend,
+        height + legend,
     );
-    let color = |block: usize| COLORS[1 + block % (COLORS.len() - 1)];
-    let cells = division.cells()?;
-    for (index, cell) in cells.bounds().iter().enumerate() {
-        let (a, b) = (plan.at(cell.min), plan.at(cell.max));
-        rectangle(&mut out, a, b, &format!("fill=\"{}\" fill-opacity=\"0.13\"", color(index)));
-    }
-    let step = gaussians.len().div_ceil(DOTS).max(1);
-    for (place, cell) in gaussians.means.iter().step_by(step).filter_map(|&mean| {
-        let mean = Vec3::from_array(mean);
-        plan.shows(mean).then(|| Some((plan.at(mean), cells.at(mean)?)))?
-    }) {
+    let mut left = 0.0;
+    for plan in &plans {
         let _ = writeln!(
             out,
-            "<circle cx=\"{:.1}\" cy=\"{:.1}\" r=\"0.9\" fill=\"{}\"/>",
-            place.x,
-            place.y,
-            color(cell)
+            "<g transform=\"translate({left:.1} 0)\"><text x=\"{MARGIN}\" y=\"20\">{}; margin {:.3}; lines: seams</text>",
+            plan.names(),
+            division.margin
         );
-    }
-    for seam in cells.seams() {
-        let margin =
-            Vec3::from_array([0, 1, 2].map(|axis| if axis == seam.axis { division.margin } else { 0.0 }));
-        let (a, b) = (plan.at(seam.bounds.min - margin), plan.at(seam.bounds.max + margin));
-        rectangle(&mut out, a, b, "fill=\"#000000\" fill-opacity=\"0.08\"");
-        if !plan.axes.contains(&seam.axis) {
-            continue;
-        }
-        let (a, b) = (plan.at(seam.bounds.min), plan.at(seam.bounds.max));
-        let style = "stroke=\"#222222\" stroke-width=\"1.5\"";
-        let _ = writeln!(out, "<path d=\"M{:.1} {:.1}L{:.1} {:.1}\" {style}/>", a.x, a.y, b.x, b.y);
-    }
-    for (index, NamedCamera { name, camera }) in cameras.iter().enumerate() {
-        let place = plan.at(camera.position());
-        let forward = camera.forward();
-        let look = Vec2::new(forward[plan.axes[0]], forward[plan.axes[1]]).normalize_or_zero();
-        let (tip, side) = (place + 9.0 * look, 3.5 * look.perp());
-        let (a, b) = (place + side, place - side);
-        let fill = shares.main_cell(index).map_or("#ffffff", color);
-        let of: Vec<String> = division
-            .blocks
-            .iter()
-            .filter(|block| block.photos.contains(name) || block.held_out.contains(name))
-            .map(|block| block.number.to_string())
-            .collect();
-        let _ = writeln!(
-            out,
-            "<path d=\"M{:.1} {:.1}L{:.1} {:.1}L{:.1} {:.1}Z\" fill=\"{fill}\" stroke=\"#222222\" stroke-width=\"0.6\">\
-             <title>{}: {}</title></path>",
-            a.x,
-            a.y,
-            b.x,
-            b.y,
-            tip.x,
-            tip.y,
-            escape(name),
-            of.join(", ")
-        );
+        drawn.on(plan, &mut out);
+        out.push_str("</g>\n");
+        left += plan.size.x + 2.0 * MARGIN;
     }
     for (index, block) in division.blocks.iter().enumerate() {
         let y = height + 20.0 * index as f32;
@@ -150,6 +139,77 @@ pub fn svg(
     }
     out.push_str("</svg>\n");
     Ok(out)
+}
+
+impl Drawn<'_> {
+    fn on(&self, plan: &Plan, out: &mut String) {
+        for (index, cell) in self.cells.bounds().iter().enumerate() {
+            let (a, b) = (plan.at(cell.min), plan.at(cell.max));
+            rectangle(out, a, b, &format!("fill=\"{}\" fill-opacity=\"0.13\"", color(index)));
+        }
+        let step = self.gaussians.len().div_ceil(DOTS).max(1);
+        for (place, cell) in self.gaussians.means.iter().step_by(step).filter_map(|&mean| {
+            let mean = Vec3::from_array(mean);
+            plan.shows(mean).then(|| Some((plan.at(mean), self.cells.at(mean)?)))?
+        }) {
+            let _ = writeln!(
+                out,
+                "<circle cx=\"{:.1}\" cy=\"{:.1}\" r=\"0.9\" fill=\"{}\"/>",
+                place.x,
+                place.y,
+                color(cell)
+            );
+        }
+        for seam in self.seams.iter().filter(|seam| plan.axes.contains(&seam.axis)) {
+            let margin = Vec3::from_array(
+                [0, 1, 2].map(|axis| if axis == seam.axis { self.division.margin } else { 0.0 }),
+            );
+            let (a, b) = (plan.at(seam.bounds.min - margin), plan.at(seam.bounds.max + margin));
+            rectangle(out, a, b, "fill=\"#000000\" fill-opacity=\"0.08\"");
+            let (a, b) = (plan.at(seam.bounds.min), plan.at(seam.bounds.max));
+            let style = "stroke=\"#222222\" stroke-width=\"1.5\"";
+            let _ = writeln!(out, "<path d=\"M{:.1} {:.1}L{:.1} {:.1}\" {style}/>", a.x, a.y, b.x, b.y);
+        }
+        for (index, named) in self.cameras.iter().enumerate() {
+            self.camera(plan, (index, named), out);
+        }
+    }
+
+    fn camera(
+        &self,
+        plan: &Plan,
+        (index, NamedCamera { name, camera }): (usize, &NamedCamera),
+        out: &mut String,
+    ) {
+        let place = plan.at(camera.position());
+        let ahead = plan.flat(camera.position() + camera.forward()) - plan.flat(camera.position());
+        let look = ahead.normalize_or_zero();
+        let (tip, side) = (place + 9.0 * look, 3.5 * look.perp());
+        let (a, b) = (place + side, place - side);
+        let fill = self.shares.main_cell(index).map_or("#ffffff", color);
+        let blocks = self.division.blocks.iter();
+        let of: Vec<String> = blocks
+            .filter(|block| block.photos.contains(name) || block.held_out.contains(name))
+            .map(|block| block.number.to_string())
+            .collect();
+        let _ = writeln!(
+            out,
+            "<path d=\"M{:.1} {:.1}L{:.1} {:.1}L{:.1} {:.1}Z\" fill=\"{fill}\" stroke=\"#222222\" stroke-width=\"0.6\">\
+             <title>{}: {}</title></path>",
+            a.x,
+            a.y,
+            b.x,
+            b.y,
+            tip.x,
+            tip.y,
+            escape(name),
+            of.join(", ")
+        );
+    }
+}
+
+fn color(block: usize) -> &'static str {
+    COLORS[1 + block % (COLORS.len() - 1)]
 }
 
 fn rectangle(out: &mut String, a: Vec2, b: Vec2, style: &str) {
