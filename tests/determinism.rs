@@ -68,8 +68,8 @@ fn determinism_of_training() {
     assert!(first != other, "the seed has no effect");
 }
 
-/// What [`train`] has given with the strategy `reference` since before there were others: by driver, for compilers round alike
-/// only where they are the same, and instructions.
+/// Hashes of what [`train`] gives, by driver and instructions: other compilers round otherwise. The program before there were other
+/// strategies gave the same bytes in longer trainings (tools/strategies.md).
 const REFERENCE: &[(&str, u64)] = &[
     ("llvmpipe (LLVM 15.0.6, 128 bits), llvmpipe Mesa 22.3.6 (LLVM 15.0.6), FMA", 0x87a9_127a_28f3_5ac3),
     ("llvmpipe (LLVM 15.0.6, 256 bits), llvmpipe Mesa 22.3.6 (LLVM 15.0.6), FMA", 0x742a_6caf_25a7_9d92),

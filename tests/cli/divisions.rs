@@ -113,28 +113,39 @@ fn photos_of_a_single_object_are_used_whole() {
     let divided = |more: &[&str]| {
         let out = partition(&place, "blocks.json", &[&["--max-gaussians", "500"], more].concat());
         assert_trained(&out);
-        let division = division(&place);
-        let blocks = division["blocks"].as_array().expect("blocks");
-        let (photos, parts): (Vec<usize>, Vec<bool>) = blocks
-            .iter()
-            .map(|block| {
-                let number = |list: &str| block[list].as_array().expect("photos").len();
-                (number("photos") + number("held_out"), block.get("parts").is_some())
-            })
-            .unzip();
-        let spread = photos.iter().sum::<usize>() as f64 / (9 * blocks.len()) as f64;
-        let margin = division["margin"].as_f64().expect("a margin");
-        (spread, out.stdout.contains("as of one object"), margin, parts.contains(&true))
+        (division(&place), out.stdout)
     };
-    let (spread, said, wide, parts) = divided(&[]);
-    assert!(spread >= 0.75 && said && !parts, "{spread} {said} {parts}");
-    assert_eq!(divided(&["--rounds", "2"]), (spread, true, wide, false));
-    assert_eq!(divided(&["--rounds", "2", "--photo-parts", "on"]), (spread, true, wide, true));
+    let blocks = |of: &Value| of["blocks"].as_array().expect("blocks").clone();
+    let parts =
+        |of: &Value| -> Vec<Value> { blocks(of).iter().map(|block| block["parts"].clone()).collect() };
+    let used = |of: &Value| -> usize {
+        let number = |block: &Value, list: &str| block[list].as_array().expect("photos").len();
+        blocks(of).iter().map(|block| number(block, "photos") + number(block, "held_out")).sum()
+    };
+    let (whole, said) = divided(&[]);
+    let margin = whole["margin"].as_f64().expect("a margin");
+    assert!(used(&whole) == 18 && said.contains("a single object: photos show 100 %"), "{said}");
+    assert!(said.contains("whole photos") && parts(&whole) == [Value::Null, Value::Null], "{whole}");
+    let (rounds, said) = divided(&["--rounds", "2"]);
+    assert!(said.contains("whole photos") && rounds["blocks"] == whole["blocks"], "{said}");
+    assert_eq!(rounds["margin"], whole["margin"]);
+    // Parts show the wide margin, too.
+    let (of_parts, said) = divided(&["--rounds", "2", "--photo-parts", "on"]);
+    assert!(said.contains("parts of photos") && of_parts["margin"] == whole["margin"], "{said}");
+    let wide = (margin as f32).to_string();
+    let (given, _) = divided(&["--rounds", "2", "--photo-parts", "on", "--margin", &wide]);
+    assert!(parts(&given) != [Value::Null, Value::Null] && given == of_parts, "{given}");
+    let (narrow, _) = divided(&["--rounds", "2", "--photo-parts", "on", "--margin", "0.001"]);
+    assert!(parts(&narrow) != parts(&given), "{narrow}");
+    assert_eq!(narrow["margin"].as_f64().map(|margin| margin as f32), Some(0.001));
+
     // Each photo for the block that it shows most of, and those for few more.
-    let (few, said, margin, parts) = divided(&["--rounds", "2", "--min-share", "0.33"]);
-    assert!(few < 0.75 && !said && parts, "{few} {said} {parts}");
-    assert!((margin - wide / 3.0).abs() < 1e-6 * wide, "{margin} {wide}");
-    assert!(!divided(&["--rounds", "2", "--min-share", "0.33", "--photo-parts", "off"]).3);
-    let given = divided(&["--rounds", "2", "--margin", "0.02"]).2;
-    assert_eq!(given as f32, 0.02);
+    let several = ["--rounds", "2", "--min-share", "0.33"];
+    let (several_places, said) = divided(&several);
+    assert!(used(&several_places) < 15 && !said.contains("single object"), "{said}");
+    assert!(parts(&several_places) != [Value::Null, Value::Null], "{several_places}");
+    let thin = several_places["margin"].as_f64().expect("a margin");
+    assert!((thin - margin / 3.0).abs() < 1e-6 * margin, "{thin} {margin}");
+    let (off, _) = divided(&[&several[..], &["--photo-parts", "off"]].concat());
+    assert_eq!(parts(&off), [Value::Null, Value::Null]);
 }

@@ -279,7 +279,7 @@ fn blocks_are_trained_one_by_one_and_merged() {
     assert_trained(&merge(&place, "new/scene.ply"));
     // Another division does not take the place of one that is trained; where it does, results are of another.
     let replaced = partition(&place, "blocks.json", &["--max-gaussians", "300", "--margin", "0.4"]);
-    assert_refused(&replaced, &["blocks.json", "blocks have been trained", "another -o"]);
+    assert_refused(&replaced, &["blocks.json", "blocks have been trained", "(now 0.4)", "another -o"]);
     std::fs::remove_file(&blocks_json).expect("removed");
     assert_trained(&partition(&place, "blocks.json", &["--max-gaussians", "300", "--margin", "0.4"]));
     assert_refused(&merge(&place, "other/scene.ply"), &["1, 2", "trained for another division"]);

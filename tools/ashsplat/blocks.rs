@@ -161,8 +161,13 @@ impl BlocksFile {
         if self.is_of(division) || trained == 0 {
             return Ok(());
         }
-        let problem = format!("is another division, for which {trained} blocks have been trained");
-        Err(Error::input(&self.path, problem, "give another -o, or remove it if they are not needed"))
+        let problem = format!(
+            "is another division, for which {trained} blocks have been trained; it is of {}",
+            self.division.differences(division)
+        );
+        let remedy =
+            "give the options that it was made with, or another -o; remove it if those blocks are not needed";
+        Err(Error::input(&self.path, problem, remedy))
     }
 
     /// Whether the file has this division. Older ones do not count pixels, and stay as they are: trainings know a file by its hash.
@@ -195,6 +200,31 @@ impl Division {
     pub fn cells(&self) -> Result<Cells> {
         let cores: Vec<Bounds> = self.blocks.iter().map(|block| block.core.bounds()).collect();
         Cells::of(&cores)
+    }
+
+    /// In which options another one differs: "--margin 0.2 (now 0.6)".
+    fn differences(&self, other: &Division) -> String {
+        let margin = |of: &Division| of.margin.to_string();
+        let parts = |of: &Division| {
+            let any = of.blocks.iter().any(|block| !block.parts.is_empty());
+            if any { "on" } else { "off" }.to_owned()
+        };
+        let options: [(&str, &dyn Fn(&Division) -> String); 7] = [
+            ("--margin", &margin),
+            ("--photo-parts", &parts),
+            ("--min-share", &|of| of.min_share.to_string()),
+            ("--max-gaussians", &|of| of.max_gaussians.to_string()),
+            ("--iterations", &|of| of.iterations.to_string()),
+            ("--rounds", &|of| of.rounds.to_string()),
+            ("--coarse of hash", &|of| of.coarse.hash.clone()),
+        ];
+        let differing: Vec<String> = options
+            .iter()
+            .map(|(name, of)| (name, of(self), of(other)))
+            .filter(|(_, own, theirs)| own != theirs)
+            .map(|(name, own, theirs)| format!("{name} {own} (now {theirs})"))
+            .collect();
+        if differing.is_empty() { "other photos or cells".into() } else { differing.join(", ") }
     }
 
     /// Refuses what no division is: a mistake of an editor, say.

@@ -12,7 +12,7 @@ use crate::blocks::{
 use crate::config::{CAMERAS_FILE, DataSettings, When};
 use crate::lock::{FolderLock, Work};
 use crate::model::Model;
-use crate::progress::thousands;
+use crate::progress::{significant, thousands};
 use crate::{output, render, session};
 use ashsplat::scene::{Camera, Cells, Gaussians, scene_extent};
 use ashsplat::trainer::SceneBlock;
@@ -47,11 +47,11 @@ pub struct Arguments {
     #[arg(short, long, value_name = "FILE", default_value = "blocks.json")]
     out: PathBuf,
     /// How far around its cell a block trains Gaussians too, world units [default: 0.15 of the usual cell's longest side; in rounds 0.05,
-    /// unless most photos show most of the blocks]
+    /// but of a single object 0.15]
     #[arg(long, value_name = "X")]
     margin: Option<f32>,
-    /// Whether a block uses of each photo only the part that shows it and its margin; auto: unless most photos show most of the blocks,
-    /// as of a single object
+    /// Whether a block uses of each photo only the part that shows it and its margin; auto: on, but off for a single object: where a
+    /// photo is used, in the mean, for two thirds of the blocks besides its main one
     #[arg(long, value_enum, default_value_t)]
     photo_parts: When,
     /// The share of a picture that a cell must cover for the photo to be used for its block, above 0 and up to 1
@@ -83,9 +83,9 @@ const WORK: Work = Work { file: ".partition.lock", what: "partition", option: "-
 const MARGIN: f32 = 0.15;
 /// The same in rounds: what lies beyond it is the neighbours' work, not the coarse model.
 const MARGIN_IN_ROUNDS: f32 = 0.05;
-/// Of all blocks, if photos show that many in the mean, there is one place that all of them look at. Each block then fits nearly
-/// whole photos, and its border shows in all of them.
-const ONE_PLACE: f64 = 0.75;
+/// Photos are of a single object if they are used for that share of the blocks besides their main one, in the mean. Each block then
+/// fits nearly whole photos, and its border shows in all of them. Objects have 0.84 and more, cities at most 0.5 (tools/blocks.md).
+const SINGLE_OBJECT: f64 = 2.0 / 3.0;
 /// What is said of an earlier model of the coarse model's cameras may differ by, in scene extents.
 const SAME_PLACE: f64 = 1e-3;
 /// Of the pictures, if a model is of the scene.
@@ -130,13 +130,13 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         Shares::of(renderer, &cameras, found, &look, (arguments.quiet, &stop))
     };
     let mut shares = shares_of(margin, &mut renderer)?;
-    let one_place = cells.bounds().len() > 1 && shares.spread() >= ONE_PLACE;
+    let is_object = cells.bounds().len() > 1 && shares.spread() >= SINGLE_OBJECT;
     let of_parts = match arguments.photo_parts {
-        When::Auto => !one_place,
+        When::Auto => !is_object,
         When::On => true,
         When::Off => false,
     };
-    if one_place && arguments.margin.is_none() && sides < MARGIN {
+    if is_object && arguments.margin.is_none() && sides < MARGIN {
         margin = MARGIN * side;
         if of_parts {
             shares = shares_of(margin, &mut renderer)?;
@@ -167,7 +167,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         if old.is_some_and(|old| old.is_of(&division)) { Ok(()) } else { output::write_json(path, &division) }
     })?;
     if !arguments.quiet {
-        arguments.describe(&division, one_place);
+        arguments.describe(&division, is_object.then(|| shares.spread()));
     }
     arguments.device.report_validation(&context);
     Ok(())
@@ -345,7 +345,7 @@ impl Arguments {
         })
     }
 
-    fn describe(&self, division: &Division, one_place: bool) {
+    fn describe(&self, division: &Division, object: Option<f64>) {
         for block in &division.blocks {
             say!(
                 "block {}: {} Gaussians, {} with the margin; {} photos, {} held out; {} iterations",
@@ -360,9 +360,14 @@ impl Arguments {
         let all: u64 = division.blocks.iter().map(|block| u64::from(block.iterations)).sum();
         let times = all as f64 / f64::from(division.iterations);
         say!("all blocks together: {} iterations, {times:.2} times those of the whole", thousands(all));
-        if one_place {
+        if let Some(spread) = object {
+            let parts = division.blocks.iter().any(|block| !block.parts.is_empty());
             say!(
-                "most photos show most of the blocks, as of one object: training the whole takes less time where it fits"
+                "a single object: photos show {:.0} % of the other blocks in the mean; blocks use {} and a margin of {}; \
+                 training the whole takes less processor time, where it fits",
+                100.0 * spread,
+                if parts { "parts of photos" } else { "whole photos" },
+                significant(division.margin)
             );
         }
         let out = self.out.display();

@@ -189,6 +189,12 @@ fn bar(total: u64, template: &str) -> ProgressBar {
     bar
 }
 
+/// A number in three digits: "0.562", "0.0000100".
+pub fn significant(number: f32) -> String {
+    let digits = (2.0 - number.abs().log10().floor()).clamp(0.0, 40.0);
+    if number == 0.0 { "0".into() } else { format!("{number:.*}", digits as usize) }
+}
+
 /// 1234567 as "1,234,567".
 pub fn thousands(value: u64) -> String {
     let digits = value.to_string();
@@ -216,6 +222,7 @@ mod tests {
     #[test]
     fn numbers_for_people() {
         assert_eq!([0, 999, 1000, 1_234_567].map(thousands), ["0", "999", "1,000", "1,234,567"]);
+        assert_eq!([0.0, 0.562_386_3, 12.345, 1e-5].map(significant), ["0", "0.562", "12.3", "0.0000100"]);
         assert_eq!([0.4, 59.6, 3723.0].map(clock), ["0:00", "1:00", "1:02:03"]);
     }
 }

@@ -6,7 +6,7 @@ use crate::blocks::BlocksFile;
 use crate::config::{DataSettings, Settings};
 use crate::html::{self, escape, section};
 use crate::model::Model;
-use crate::progress::{counting, thousands};
+use crate::progress::{counting, significant, thousands};
 use crate::{output, render, session};
 use ashsplat::vk::Context;
 use ashsplat::{Error, RenderSettings, Renderer, Result};
@@ -276,10 +276,10 @@ impl Results {
             "<!DOCTYPE html><html lang=\"en\"><meta charset=\"utf-8\"><title>{name}</title><style>{style}</style><h1>{name}</h1>\n"
         );
         let note = format!(
-            "PSNR in dB on {} held-out views: the mean over views, then over all their pixels together. Along seams: at most {:.3} \
+            "PSNR in dB on {} held-out views: the mean over views, then over all their pixels together. Along seams: at most {} \
              from one, {:.1} % of the pixels.",
             self.views,
-            self.band,
+            significant(self.band),
             100.0 * self.band_share
         );
         section(&mut page, "Quality", &note);

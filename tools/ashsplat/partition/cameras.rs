@@ -85,11 +85,13 @@ impl Shares {
         photos.map(|(_, shares)| shares[cell]).fold(0.0, f64::max)
     }
 
-    /// For how many cells a photo is used in the mean, of all.
+    /// For what share of the cells besides its main one a photo is used, in the mean: 0 to 1.
     pub fn spread(&self) -> f64 {
         let (photos, cells) = (self.shares.len(), self.shares.first().map_or(0, Vec::len));
-        let pairs = (0..photos).flat_map(|photo| (0..cells).map(move |cell| (photo, cell)));
-        pairs.filter(|&(photo, cell)| self.is_of(photo, cell)).count() as f64 / (photos * cells).max(1) as f64
+        let others =
+            |photo: usize| (0..cells).filter(|&cell| self.is_of(photo, cell)).count().saturating_sub(1);
+        let most = photos * cells.saturating_sub(1);
+        (0..photos).map(others).sum::<usize>() as f64 / most.max(1) as f64
     }
 
     /// Uses whole photos from now on.
@@ -151,10 +153,13 @@ mod tests {
         // A column is 2 tan(0.5) 2 / 40 = 0.055 wide: two of the margin, and one more.
         let part = |columns: [u32; 2]| Some(Part { of: [40, 20], columns, rows: [0, 20] });
         assert_eq!([0, 1].map(|cell| shares.part(0, cell)), [part([0, 23]), part([17, 40])]);
-        assert_eq!([0.25, 0.26].map(|least| found(least).spread()), [1.0, 0.5]);
+        assert_eq!([0.25, 0.26].map(|least| found(least).spread()), [1.0, 0.0]);
         let mut whole = found(0.25);
         whole.use_whole();
         assert_eq!([0, 1].map(|cell| whole.part(0, cell)), [None, None]);
+        // Half of the photos show both of two cells.
+        let shares = vec![vec![0.2, 0.2], vec![0.0, 0.4], vec![0.05, 0.1], vec![0.1, 0.3]];
+        assert_eq!(Shares { shares, parts: Vec::new(), least: 0.1 }.spread(), 0.5);
         let others = |own: Vec<f64>| Shares { shares: vec![own], parts: Vec::new(), least: 0.1 };
         assert_eq!(others(vec![0.0, 0.0]).main_cell(0), None);
         assert_eq!(others(vec![0.3, 0.3]).main_cell(0), Some(0));

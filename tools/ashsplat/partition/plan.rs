@@ -4,7 +4,7 @@ use super::cameras::Shares;
 use crate::bench::plot::COLORS;
 use crate::blocks::Division;
 use crate::html::escape;
-use crate::progress::thousands;
+use crate::progress::{significant, thousands};
 use ashsplat::Result;
 use ashsplat::scene::{Bounds, Cells, Gaussians, Seam};
 use ashsplat_files::cameras_json::NamedCamera;
@@ -14,6 +14,10 @@ use std::fmt::Write;
 /// The longer side of the drawing, pixels.
 const SIDE: f32 = 900.0;
 const MARGIN: f32 = 30.0;
+/// Room for the line above.
+const LEAST_WIDTH: f32 = 360.0;
+/// Of a unit vector on the paper, to be drawn as a direction.
+const LEAST_DIRECTION: f32 = 0.1;
 /// Gaussians that are drawn, about.
 const DOTS: usize = 4000;
 
@@ -47,9 +51,10 @@ impl Plan {
         let corners = middle.into_iter().flat_map(|bounds| [bounds.min, bounds.max]);
         let around = Bounds::of(seen.chain(corners)).unwrap_or(Bounds { min: Vec3::ZERO, max: Vec3::ONE });
         let across = |axis: usize| seams.iter().filter(|seam| seam.axis == axis).count();
-        let mut plans = vec![Plan::new(around, flat, false)];
+        // To the right, downwards and into the paper are three axes in the order x, y, z, x. Where that looks up, one is turned.
+        let mut plans = vec![Plan::new(around, flat, up[down] > 0.0)];
         if across(down) > 0 {
-            // Cells beside each other should not lie behind each other.
+            // To the right goes the axis with most seams: along the other one cells would hide each other.
             let right = flat.into_iter().max_by_key(|&axis| across(axis)).unwrap_or(flat[0]);
             plans.push(Plan::new(around, [right, down], up[down] > 0.0));
         }
@@ -61,6 +66,12 @@ impl Plan {
         if self.upwards { Vec2::new(flat.x, self.size.y - flat.y) } else { flat }
     }
 
+    /// A direction on the paper: as long as it does not point into it.
+    fn direction(&self, of: Vec3) -> Vec2 {
+        let [right, other] = self.axes.map(|axis| of[axis]);
+        Vec2::new(right, if self.upwards { -other } else { other })
+    }
+
     /// Whether a point is on the paper.
     fn shows(&self, point: Vec3) -> bool {
         let flat = self.flat(point);
@@ -69,6 +80,10 @@ impl Plan {
 
     fn at(&self, point: Vec3) -> Vec2 {
         self.flat(point).clamp(Vec2::ZERO, self.size) + MARGIN
+    }
+
+    fn width(&self) -> f32 {
+        (self.size.x + 2.0 * MARGIN).max(LEAST_WIDTH)
     }
 
     fn names(&self) -> String {
@@ -99,7 +114,7 @@ pub fn svg(
     let seams = cells.seams();
     let plans = Plan::of(gaussians, cameras, &seams);
     let drawn = Drawn { division, cells, seams, gaussians, cameras, shares };
-    let width: f32 = plans.iter().map(|plan| plan.size.x + 2.0 * MARGIN).sum();
+    let width: f32 = plans.iter().map(Plan::width).sum();
     let height = plans.iter().map(|plan| plan.size.y + 2.0 * MARGIN).fold(0.0, f32::max);
     let legend = 20.0 * division.blocks.len() as f32;
     let mut out = format!(
@@ -112,13 +127,13 @@ pub fn svg(
     for plan in &plans {
         let _ = writeln!(
             out,
-            "<g transform=\"translate({left:.1} 0)\"><text x=\"{MARGIN}\" y=\"20\">{}; margin {:.3}; lines: seams</text>",
+            "<g transform=\"translate({left:.1} 0)\"><text x=\"{MARGIN}\" y=\"20\">{}; margin {}; lines: seams</text>",
             plan.names(),
-            division.margin
+            significant(division.margin)
         );
         drawn.on(plan, &mut out);
         out.push_str("</g>\n");
-        left += plan.size.x + 2.0 * MARGIN;
+        left += plan.width();
     }
     for (index, block) in division.blocks.iter().enumerate() {
         let y = height + 20.0 * index as f32;
@@ -182,29 +197,28 @@ impl Drawn<'_> {
         out: &mut String,
     ) {
         let place = plan.at(camera.position());
-        let ahead = plan.flat(camera.position() + camera.forward()) - plan.flat(camera.position());
-        let look = ahead.normalize_or_zero();
-        let (tip, side) = (place + 9.0 * look, 3.5 * look.perp());
-        let (a, b) = (place + side, place - side);
+        let look = plan.direction(camera.forward());
         let fill = self.shares.main_cell(index).map_or("#ffffff", color);
         let blocks = self.division.blocks.iter();
         let of: Vec<String> = blocks
             .filter(|block| block.photos.contains(name) || block.held_out.contains(name))
             .map(|block| block.number.to_string())
             .collect();
-        let _ = writeln!(
-            out,
-            "<path d=\"M{:.1} {:.1}L{:.1} {:.1}L{:.1} {:.1}Z\" fill=\"{fill}\" stroke=\"#222222\" stroke-width=\"0.6\">\
-             <title>{}: {}</title></path>",
-            a.x,
-            a.y,
-            b.x,
-            b.y,
-            tip.x,
-            tip.y,
-            escape(name),
-            of.join(", ")
-        );
+        let style = format!("fill=\"{fill}\" stroke=\"#222222\" stroke-width=\"0.6\"");
+        // One that looks along the line of sight has no direction here.
+        let shape = if look.length() < LEAST_DIRECTION {
+            format!("<circle cx=\"{:.1}\" cy=\"{:.1}\" r=\"3.5\" {style}>", place.x, place.y)
+        } else {
+            let look = look.normalize();
+            let (tip, side) = (place + 9.0 * look, 3.5 * look.perp());
+            let (a, b) = (place + side, place - side);
+            format!(
+                "<path d=\"M{:.1} {:.1}L{:.1} {:.1}L{:.1} {:.1}Z\" {style}>",
+                a.x, a.y, b.x, b.y, tip.x, tip.y
+            )
+        };
+        let end = if look.length() < LEAST_DIRECTION { "circle" } else { "path" };
+        let _ = writeln!(out, "{shape}<title>{}: {}</title></{end}>", escape(name), of.join(", "));
     }
 }
 
@@ -219,4 +233,46 @@ fn rectangle(out: &mut String, a: Vec2, b: Vec2, style: &str) {
         "<rect x=\"{:.1}\" y=\"{:.1}\" width=\"{:.1}\" height=\"{:.1}\" {style}/>",
         min.x, min.y, size.x, size.y
     );
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ashsplat::scene::{Camera, Intrinsics};
+    use glam::vec3;
+
+    /// Up is +z, and the cells lie one above another.
+    #[test]
+    fn from_above_and_from_the_side_as_one_sees_it() {
+        let means = vec![[0.0, 0.0, 0.0], [1.0, 2.0, 1.0], [0.0, 0.0, 8.0], [1.0, 2.0, 9.0]];
+        let gaussians = Gaussians {
+            sh_degree: 0,
+            means: means.clone(),
+            quats: vec![[1.0, 0.0, 0.0, 0.0]; 4],
+            log_scales: vec![[-3.0; 3]; 4],
+            opacity_logits: vec![1.0; 4],
+            sh: vec![[0.0; 3]; 4],
+        };
+        let cells = Cells::divide(&means, 2).expect("cells");
+        let lens = Intrinsics::from_fov_x(1.0, 40, 20);
+        let camera = |eye: Vec3, to: Vec3, up: Vec3| NamedCamera {
+            name: "a".into(),
+            camera: Camera::look_at(eye, to, up, lens),
+        };
+        let level = camera(vec3(0.0, -4.0, 1.0), vec3(0.0, 0.0, 1.0), Vec3::Z);
+        let down = camera(vec3(0.0, 0.0, 20.0), Vec3::ZERO, Vec3::Y);
+        let plans = Plan::of(&gaussians, &[level.clone(), level.clone(), down.clone()], &cells.seams());
+        let [above, side] = &plans[..] else { panic!("{} plans", plans.len()) };
+        assert_eq!(
+            [above, side].map(Plan::names),
+            ["x to the right, y upwards", "y to the right, z upwards"]
+        );
+        assert_eq!(above.direction(level.camera.forward()), Vec2::NEG_Y);
+        assert!(above.direction(down.camera.forward()).length() < LEAST_DIRECTION);
+        assert_eq!(side.direction(down.camera.forward()), Vec2::Y);
+        assert!(above.at(vec3(0.0, 2.0, 0.0)).y < above.at(Vec3::ZERO).y);
+        // Cells beside each other need no view from the side.
+        let beside = Cells::divide(&[[0.0; 3], [9.0, 0.0, 0.0]], 1).expect("cells");
+        assert_eq!(Plan::of(&gaussians, &[level], &beside.seams()).len(), 1);
+    }
 }
