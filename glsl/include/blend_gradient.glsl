@@ -177,6 +177,13 @@ void store_pixels(uvec2 corner, bool tile_exists, uint first) {
     }
 }
 
+// Blends a Gaussian of this weight over a pixel.
+void blend_over(uint k, float alpha, float weight, inout vec4 sum_value) {
+    precise float next = pixels[k].transmittance * (1.0 - alpha);
+    pixels[k].transmittance = next;
+    sum_value += weight * pixels[k].gradient;
+}
+
 // Gradient of the Gaussian at list index `place` over the pixels of a lane in a region, from the index `first` on. Blends
 // the Gaussian over these pixels as it goes.
 Sums blend_backward(Splat splat, uint place, vec2 corner_px, uint first) {
@@ -197,10 +204,8 @@ Sums blend_backward(Splat splat, uint place, vec2 corner_px, uint first) {
             float alpha = min(ALPHA_MAX, unclamped);
             float transmittance = pixels[k].transmittance;
             float weight = alpha * transmittance;
-            precise float next = transmittance * (1.0 - alpha);
-            pixels[k].transmittance = next;
-            sum_value += weight * pixels[k].gradient;
             if (WEIGHTS) {
+                blend_over(k, alpha, weight, sum_value);
                 continue;
             }
             float shade_gradient = dot(pixels[k].gradient, value);
@@ -208,6 +213,8 @@ Sums blend_backward(Splat splat, uint place, vec2 corner_px, uint first) {
             pixels[k].rest = rest;
             float d_alpha = transmittance * shade_gradient - rest / (1.0 - alpha);
             float d_power = unclamped <= ALPHA_MAX ? alpha * d_alpha : 0.0;
+            // Not before: a processor runs out of registers then (tools/experiments.md).
+            blend_over(k, alpha, weight, sum_value);
             column_1 += d_power;
             column_y += d_power * dy;
             column_yy += d_power * dy * dy;
