@@ -204,27 +204,26 @@ impl Division {
 
     /// In which options another one differs: "--margin 0.2 (now 0.6)".
     fn differences(&self, other: &Division) -> String {
-        let margin = |of: &Division| of.margin.to_string();
-        let parts = |of: &Division| {
-            let any = of.blocks.iter().any(|block| !block.parts.is_empty());
-            if any { "on" } else { "off" }.to_owned()
-        };
-        let options: [(&str, &dyn Fn(&Division) -> String); 7] = [
-            ("--margin", &margin),
-            ("--photo-parts", &parts),
-            ("--min-share", &|of| of.min_share.to_string()),
-            ("--max-gaussians", &|of| of.max_gaussians.to_string()),
-            ("--iterations", &|of| of.iterations.to_string()),
-            ("--rounds", &|of| of.rounds.to_string()),
-            ("--coarse of hash", &|of| of.coarse.hash.clone()),
-        ];
-        let differing: Vec<String> = options
-            .iter()
-            .map(|(name, of)| (name, of(self), of(other)))
-            .filter(|(_, own, theirs)| own != theirs)
-            .map(|(name, own, theirs)| format!("{name} {own} (now {theirs})"))
+        let pairs = self.options().into_iter().zip(other.options());
+        let differing: Vec<String> = pairs
+            .filter(|(own, theirs)| own != theirs)
+            .map(|((name, own), (_, theirs))| format!("{name} {own} (now {theirs})"))
             .collect();
         if differing.is_empty() { "other photos or cells".into() } else { differing.join(", ") }
+    }
+
+    /// What it was made with, by the options' names.
+    fn options(&self) -> [(&'static str, String); 7] {
+        let parts = self.blocks.iter().any(|block| !block.parts.is_empty());
+        [
+            ("--margin", self.margin.to_string()),
+            ("--photo-parts", if parts { "on" } else { "off" }.to_owned()),
+            ("--min-share", self.min_share.to_string()),
+            ("--max-gaussians", self.max_gaussians.to_string()),
+            ("--iterations", self.iterations.to_string()),
+            ("--rounds", self.rounds.to_string()),
+            ("--coarse of hash", self.coarse.hash.clone()),
+        ]
     }
 
     /// Refuses what no division is: a mistake of an editor, say.
