@@ -202,6 +202,11 @@ impl Division {
         Cells::of(&cores)
     }
 
+    /// Whether blocks use of some photos only the part that shows them.
+    pub fn uses_parts(&self) -> bool {
+        self.blocks.iter().any(|block| !block.parts.is_empty())
+    }
+
     /// In which options another one differs: "--margin 0.2 (now 0.6)".
     fn differences(&self, other: &Division) -> String {
         let pairs = self.options().into_iter().zip(other.options());
@@ -214,10 +219,9 @@ impl Division {
 
     /// What it was made with, by the options' names.
     fn options(&self) -> [(&'static str, String); 7] {
-        let parts = self.blocks.iter().any(|block| !block.parts.is_empty());
         [
             ("--margin", self.margin.to_string()),
-            ("--photo-parts", if parts { "on" } else { "off" }.to_owned()),
+            ("--photo-parts", if self.uses_parts() { "on" } else { "off" }.to_owned()),
             ("--min-share", self.min_share.to_string()),
             ("--max-gaussians", self.max_gaussians.to_string()),
             ("--iterations", self.iterations.to_string()),

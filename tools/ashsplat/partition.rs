@@ -130,7 +130,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         Shares::of(renderer, &cameras, found, &look, (arguments.quiet, &stop))
     };
     let mut shares = shares_of(margin, &mut renderer)?;
-    let is_object = cells.bounds().len() > 1 && shares.spread() >= SINGLE_OBJECT;
+    let spread = shares.spread();
+    let is_object = cells.bounds().len() > 1 && spread >= SINGLE_OBJECT;
     let of_parts = match arguments.photo_parts {
         When::Auto => !is_object,
         When::On => true,
@@ -167,7 +168,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         if old.is_some_and(|old| old.is_of(&division)) { Ok(()) } else { output::write_json(path, &division) }
     })?;
     if !arguments.quiet {
-        arguments.describe(&division, is_object.then(|| shares.spread()));
+        arguments.describe(&division, is_object.then_some(spread));
     }
     arguments.device.report_validation(&context);
     Ok(())
@@ -361,12 +362,11 @@ impl Arguments {
         let times = all as f64 / f64::from(division.iterations);
         say!("all blocks together: {} iterations, {times:.2} times those of the whole", thousands(all));
         if let Some(spread) = object {
-            let parts = division.blocks.iter().any(|block| !block.parts.is_empty());
             say!(
                 "a single object: photos show {:.0} % of the other blocks in the mean; blocks use {} and a margin of {}; \
                  training the whole takes less processor time, where it fits",
                 100.0 * spread,
-                if parts { "parts of photos" } else { "whole photos" },
+                if division.uses_parts() { "parts of photos" } else { "whole photos" },
                 significant(division.margin)
             );
         }

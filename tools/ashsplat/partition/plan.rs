@@ -116,12 +116,10 @@ pub fn svg(
     let drawn = Drawn { division, cells, seams, gaussians, cameras, shares };
     let width: f32 = plans.iter().map(Plan::width).sum();
     let height = plans.iter().map(|plan| plan.size.y + 2.0 * MARGIN).fold(0.0, f32::max);
-    let legend = 20.0 * division.blocks.len() as f32;
+    let bottom = height + 20.0 * division.blocks.len() as f32;
     let mut out = format!(
-        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width:.1} {:.1}\" font-family=\"sans-serif\" font-size=\"12\">\n\
-         <rect width=\"{width:.1}\" height=\"{:.1}\" fill=\"#ffffff\"/>\n",
-        height + legend,
-        height + legend,
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width:.1} {bottom:.1}\" font-family=\"sans-serif\" font-size=\"12\">\n\
+         <rect width=\"{width:.1}\" height=\"{bottom:.1}\" fill=\"#ffffff\"/>\n"
     );
     let mut left = 0.0;
     for plan in &plans {
@@ -204,21 +202,23 @@ impl Drawn<'_> {
             .filter(|block| block.photos.contains(name) || block.held_out.contains(name))
             .map(|block| block.number.to_string())
             .collect();
-        let style = format!("fill=\"{fill}\" stroke=\"#222222\" stroke-width=\"0.6\"");
         // One that looks along the line of sight has no direction here.
-        let shape = if look.length() < LEAST_DIRECTION {
-            format!("<circle cx=\"{:.1}\" cy=\"{:.1}\" r=\"3.5\" {style}>", place.x, place.y)
+        let (element, shape) = if look.length() < LEAST_DIRECTION {
+            ("circle", format!("cx=\"{:.1}\" cy=\"{:.1}\" r=\"3.5\"", place.x, place.y))
         } else {
             let look = look.normalize();
             let (tip, side) = (place + 9.0 * look, 3.5 * look.perp());
             let (a, b) = (place + side, place - side);
-            format!(
-                "<path d=\"M{:.1} {:.1}L{:.1} {:.1}L{:.1} {:.1}Z\" {style}>",
-                a.x, a.y, b.x, b.y, tip.x, tip.y
-            )
+            let path =
+                format!("d=\"M{:.1} {:.1}L{:.1} {:.1}L{:.1} {:.1}Z\"", a.x, a.y, b.x, b.y, tip.x, tip.y);
+            ("path", path)
         };
-        let end = if look.length() < LEAST_DIRECTION { "circle" } else { "path" };
-        let _ = writeln!(out, "{shape}<title>{}: {}</title></{end}>", escape(name), of.join(", "));
+        let _ = writeln!(
+            out,
+            "<{element} {shape} fill=\"{fill}\" stroke=\"#222222\" stroke-width=\"0.6\"><title>{}: {}</title></{element}>",
+            escape(name),
+            of.join(", ")
+        );
     }
 }
 
