@@ -5,14 +5,14 @@ use ashsplat::Camera;
 use ashsplat::scene::{Similarity, Twist, scene_extent};
 use ashsplat_files::cameras_json::{self, NamedCamera};
 use ashsplat_files::colmap::{self, ColmapImage, Model};
-use glam::{DQuat, DVec3};
+use glam::{DMat3, DQuat, DVec3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde_json::Value;
 use std::path::Path;
 use tempfile::tempdir;
 
-const ITERATIONS: &str = "800";
+const ITERATIONS: &str = "2000";
 
 /// Moves each camera of a COLMAP model by a degree about some axis and a hundredth of the extent in some direction.
 /// Returns the cameras before and after by the names of their photographs.
@@ -49,27 +49,19 @@ fn json(path: &Path) -> Value {
 }
 
 fn train(data: &Path, model: &Path, more: &[&str]) -> (String, Value) {
-    let usual = ["train", "-s", text(data), "-m", text(model), "--eval", "-r", "4", "--quiet"];
-    let schedule = ["--iterations", ITERATIONS, "--position_lr_max_steps", ITERATIONS, "--sh_degree", "1"];
-    let rest = ["--sh-degree-interval", "150", "--eval-share", "0"];
+    let usual = ["train", "-s", text(data), "-m", text(model), "--eval", "-r", "2", "--quiet"];
+    // Nothing grows: what is new fits each photograph where it is thought to have been taken.
+    let schedule = ["--iterations", ITERATIONS, "--position_lr_max_steps", ITERATIONS, "--strategy", "fixed"];
+    let rest = ["--sh_degree", "0", "--eval-share", "0"];
     let stdout = succeed(&[usual.as_slice(), &schedule, &rest, more].concat());
     let results = json(&model.join("results.json"));
     (stdout, results[format!("ours_{ITERATIONS}")].clone())
 }
 
-/// Mean angle, degrees, between the turns from each camera to the next and the true ones: whatever the whole has turned by.
-fn apart(cameras: &[NamedCamera], true_ones: &[(String, Camera)]) -> f64 {
-    let rotation = |camera: &Camera| camera.camera_from_world.as_dmat3();
-    let of = |name: &str| &true_ones.iter().find(|(other, _)| other == name).expect("known").1;
-    let angles = cameras.windows(2).map(|pair| {
-        let [a, b] = [&pair[0], &pair[1]];
-        let found = rotation(&b.camera) * rotation(&a.camera).transpose();
-        let wanted = rotation(of(&b.name)) * rotation(of(&a.name)).transpose();
-        let turn = found * wanted.transpose();
-        let trace = turn.x_axis.x + turn.y_axis.y + turn.z_axis.z;
-        (0.5 * (trace - 1.0)).clamp(-1.0, 1.0).acos().to_degrees()
-    });
-    angles.sum::<f64>() / (cameras.len() - 1) as f64
+/// Of a rotation, degrees.
+fn angle_of(turn: &DMat3) -> f64 {
+    let trace = turn.x_axis.x + turn.y_axis.y + turn.z_axis.z;
+    (0.5 * (trace - 1.0)).clamp(-1.0, 1.0).acos().to_degrees()
 }
 
 /// What the true world is of the one that cameras stand in: the mean turn between their directions, then the scale and the move
@@ -103,15 +95,21 @@ fn pairs(cameras: &[NamedCamera], true_ones: &[(String, Camera)]) -> Vec<[Camera
     cameras.iter().map(|named| [named.camera, of(&named.name)]).collect()
 }
 
-/// Mean distance of the cameras' centres from the true ones, as a share of the extent, after both are aligned by a similarity.
-fn misplaced(cameras: &[NamedCamera], true_ones: &[(String, Camera)]) -> f64 {
+/// Means over the cameras, after both are aligned by a similarity: the angle from the true ones, degrees, and the distance of the
+/// centres, as a share of the extent.
+fn away(cameras: &[NamedCamera], true_ones: &[(String, Camera)]) -> [f64; 2] {
     let aligned = similarity(cameras, true_ones);
     let extent = scene_extent(true_ones.iter().map(|(_, c)| c.position()).collect::<Vec<_>>().into_iter());
     let pairs = pairs(cameras, true_ones);
-    let away = |[found, wanted]: &[Camera; 2]| {
+    let mean = |of: &dyn Fn(&[Camera; 2]) -> f64| pairs.iter().map(of).sum::<f64>() / pairs.len() as f64;
+    let angle = |[found, wanted]: &[Camera; 2]| {
+        let turn = wanted.camera_from_world.as_dmat3().transpose() * found.camera_from_world.as_dmat3();
+        angle_of(&(turn * DMat3::from_quat(aligned.rotation).transpose()))
+    };
+    let distance = |[found, wanted]: &[Camera; 2]| {
         aligned.apply(found.exact_position()).distance(wanted.exact_position())
     };
-    pairs.iter().map(away).sum::<f64>() / pairs.len() as f64 / f64::from(extent)
+    [mean(&angle), mean(&distance) / f64::from(extent)]
 }
 
 #[test]
@@ -146,14 +144,12 @@ fn poses_of_the_demo_are_found_again() {
     let before: Vec<NamedCamera> = (cameras[5..].iter())
         .map(|named| NamedCamera { camera: *given(&named.name), ..named.clone() })
         .collect();
-    let [was, is] = [&before[..], &cameras[5..]].map(|cameras| misplaced(cameras, &true_ones));
-    let (before, after) = (apart(&before, &true_ones), apart(&cameras[5..], &true_ones));
-    println!("degrees between neighbours, mean: {before:.4} before, {after:.4} after");
-    println!("centres, shares of the extent, mean: {was:.5} before, {is:.5} after");
-    // So few iterations on such small photographs leave 0.48 of 1.39 degrees, and 0.0061 of 0.0097 of the moves; with turns about
-    // the cameras' centres 0.61 and 0.0068. More iterations on larger photographs leave less: tools/strategies.md.
-    assert!(after < 0.56, "{before} degrees before, {after} after");
-    assert!(is < 0.0066, "{was} of the extent before, {is} after");
+    let [before, after] = [&before[..], &cameras[5..]].map(|cameras| away(cameras, &true_ones));
+    println!("degrees and shares of the extent from the true poses, mean: {before:.5?} before, {after:.5?} after");
+    // 0.11 of 0.99 degrees and 0.0016 of 0.0097 of the extent are left. True poses that are optimised end as far away
+    // (tools/strategies.md): the rest is what this scene of few Gaussians fits better.
+    assert!(after[0] < 0.15 * before[0], "{before:?} before, {after:?} after");
+    assert!(after[1] < 0.2 * before[1], "{before:?} before, {after:?} after");
 
     // What is said, and what is written.
     assert!(stdout.contains("poses turned by "), "{stdout}");
