@@ -113,7 +113,7 @@ void main() {
     if (!in_dispatch_range(range)) {
         return;
     }
-    uint entries = range.y - range.x;
+    uint entries = entries_with_gradient(range);
     uint begin = min(first_entry, entries);
     uint end = begin + min(entries - begin, max_entries);
     uvec2 tile_xy = uvec2(tile % tiles_per_row, tile / tiles_per_row);

@@ -4,7 +4,7 @@
 //
 // Needs constants.glsl, buffers.glsl, SUBGROUP_SIZE, REGION_HEIGHT, INVERSE_DEPTH, INCREMENTAL_EXP, COUNT_HITS, STRIPS (see
 // blend_io.glsl), ABSOLUTE, WEIGHTS (see blend_backward.comp), BROADCAST, SHARED_SPLATS, OWN_REGIONS: in how many regions a lane has pixels at most,
-// GL_KHR_shader_subgroup_basic, _ballot and _shuffle.
+// GL_KHR_shader_subgroup_basic, _arithmetic, _ballot and _shuffle.
 
 // Training draws splats only, with inverse depth: no host depth image, no linear depth.
 const bool DEPTH_LIMIT = false;
@@ -66,6 +66,25 @@ void note_hits() {
     if (COUNT_HITS && gl_SubgroupInvocationID == 0) {
         atomicAdd(state[STATE_BLEND_BACKWARD_HITS], hit_count * (REGION_HEIGHT / 4));
     }
+}
+
+// Entries of a tile's list up to the last one that has a gradient: of the first scene. What is behind it is not looked at again,
+// for front to back nothing depends on it.
+uint entries_with_gradient(uvec2 range) {
+    uint first_scene = state[STATE_FIRST_SCENE_VISIBLE];
+    uint entries = range.y - range.x;
+    // Where there is one scene, the last entry is of it. The loop tests at its end: see blend.comp.
+    if (entries > 0) for (;;) {
+        bool exists = gl_SubgroupInvocationID < entries;
+        uint entry = exists ? entries - 1 - gl_SubgroupInvocationID : 0;
+        bool counts = exists && UINT_AT(sorted_visible, range.x + entry) < first_scene;
+        uint behind = subgroupMin(counts ? gl_SubgroupInvocationID : SUBGROUP_SIZE);
+        entries -= min(behind, entries);
+        if (behind < SUBGROUP_SIZE || entries == 0) {
+            break;
+        }
+    }
+    return entries;
 }
 
 struct GradientPixel {

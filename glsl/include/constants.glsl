@@ -78,7 +78,9 @@ const uint STATE_OVERFLOW = 6;
 // With COUNT_HITS: Gaussians blended over 8 x 4 pixels, forward and backward.
 const uint STATE_BLEND_HITS = 7;
 const uint STATE_BLEND_BACKWARD_HITS = 8;
-const uint STATE_WORDS = 9;
+// Visible Gaussians of the first scene: the only ones that have gradients. They come first.
+const uint STATE_FIRST_SCENE_VISIBLE = 9;
+const uint STATE_WORDS = 10;
 
 // Indirect dispatch arguments, 16 bytes apart.
 const uint ARGUMENTS_VISIBLE = 0;

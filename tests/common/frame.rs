@@ -1,6 +1,6 @@
 //! Splats of a random scene as the kernels behind the projection find them.
 
-use ashsplat::kernels::constants::{STATE_INSTANCES, STATE_VISIBLE, STATE_WORDS};
+use ashsplat::kernels::constants::{STATE_FIRST_SCENE_VISIBLE, STATE_INSTANCES, STATE_VISIBLE, STATE_WORDS};
 use ashsplat::kernels::forward::project;
 use ashsplat::vk::Buffer;
 
@@ -212,6 +212,7 @@ pub fn touched_at_most(splat: &Splat, view: &View) -> Vec<u32> {
 pub fn state(gpu: &Gpu, visible: usize, instances: usize) -> Buffer {
     let mut words = vec![0; STATE_WORDS as usize];
     words[STATE_VISIBLE as usize] = visible as u32;
+    words[STATE_FIRST_SCENE_VISIBLE as usize] = visible as u32;
     words[STATE_INSTANCES as usize] = instances as u32;
     gpu.buffer("state", &words)
 }

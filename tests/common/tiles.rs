@@ -1,6 +1,5 @@
 //! Tile lists on the device, and the float64 truth about them.
 
-use ashsplat::kernels::constants::STATE_WORDS;
 use ashsplat::vk::Buffer;
 
 use super::gpu::Gpu;
@@ -36,6 +35,7 @@ impl Lists {
             ranges.push(if list.is_empty() { [0, 0] } else { [begin, sorted.len() as u32] });
         }
         let instances = super::frame::shuffled(sorted.len());
+        let state = super::frame::state(gpu, splats.len(), sorted.len());
         Lists {
             view: view.clone(),
             frame: Splats::new(gpu, splats),
@@ -44,7 +44,7 @@ impl Lists {
             sorted_visible: gpu.buffer("sorted_visible", &sorted),
             sorted_instances: gpu.buffer("sorted_instances", &instances),
             instances,
-            state: gpu.zeros::<u32>("state", STATE_WORDS as usize),
+            state,
         }
     }
 

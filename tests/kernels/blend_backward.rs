@@ -1,8 +1,11 @@
 //! `backward/blend_backward` against its twin.
 
+use ashsplat::kernels::constants::{STATE_FIRST_SCENE_VISIBLE, STATE_VISIBLE, STATE_WORDS};
+use ashsplat::vk::Buffer;
+
 use crate::common::blending::{Blended, CHAINED, How, OtherSums, SlotSums, backward, forms, forward};
 use crate::common::compare::{GradientTolerance, gradient};
-use crate::common::gpu::Gpu;
+use crate::common::gpu::{Gpu, UNTOUCHED};
 use crate::common::scenes::{Random, small_view};
 use crate::common::tiles::Lists;
 use crate::reference::blend_backward::{PixelGradient, blend_backward};
@@ -158,6 +161,59 @@ pub fn with_other_sums(kernel: Kernel) {
             gradient("weights", &of_instances, &twin, &skip, TOLERANCE).expect("weights");
         }
     }
+}
+
+/// Where other scenes are behind the first one: the same bits up to its last entry of a tile, and nothing behind it.
+pub fn of_the_first_scene(kernel: Kernel) {
+    let gpu = Gpu::new();
+    for (entries, size, entries_per_pass) in
+        [(7, [16, 16], u32::MAX), (300, [16, 16], 64), (70, [37, 21], 96)]
+    {
+        let mut lists = Lists::sorted(&gpu, entries, [0.02, 0.9], &small_view(size));
+        let d_pixels = image_gradient(&lists);
+        let visible = lists.frame.splats.len();
+        for first_scene in [0, 1, visible / 40, visible / 2, visible] {
+            lists.state = state_of_scenes(&gpu, first_scene, visible);
+            for how in forms(&gpu).into_iter().map(|how| How { entries_per_pass, ..how }) {
+                let blended = forward(&gpu, &lists, how);
+                let alone = kernel(&gpu, &lists, &blended, Some(&d_pixels), how);
+                lists.state = state_of_scenes(&gpu, visible, visible);
+                let all = kernel(&gpu, &lists, &blended, Some(&d_pixels), how);
+                lists.state = state_of_scenes(&gpu, first_scene, visible);
+                let mut instances = lists.instances.iter().map(|&at| at as usize);
+                for list in &lists.lists {
+                    let of_scene = |&visible: &u32| (visible as usize) < first_scene;
+                    let end = list.iter().rposition(of_scene).map_or(0, |last| last + 1);
+                    for (entry, at) in instances.by_ref().take(list.len()).enumerate() {
+                        let bits = |sums: &SlotSums| sums.sums[at].map(f64::to_bits);
+                        let what =
+                            format!("{how:?}, {first_scene} of {visible}: entry {entry} of {}", list.len());
+                        match entry < end {
+                            true => assert_eq!(bits(&alone), bits(&all), "{what}"),
+                            false => assert!(alone.sums[at] == untouched_sums(), "{what}"),
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Of a frame whose first scene has so many of the visible Gaussians.
+fn state_of_scenes(gpu: &Gpu, first_scene: usize, visible: usize) -> Buffer {
+    let mut words = vec![0_u32; STATE_WORDS as usize];
+    words[STATE_VISIBLE as usize] = visible as u32;
+    words[STATE_FIRST_SCENE_VISIBLE as usize] = first_scene as u32;
+    gpu.buffer("state", &words)
+}
+
+fn untouched_sums() -> [f64; 10] {
+    [f64::from(f32::from_bits(UNTOUCHED)); 10]
+}
+
+#[test]
+pub fn blend_backward_of_the_first_scene_alone() {
+    of_the_first_scene(backward);
 }
 
 #[test]

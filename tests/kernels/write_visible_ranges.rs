@@ -3,6 +3,7 @@
 use std::ops::Range;
 
 use ashsplat::kernels::blocks::CameraBlock;
+use ashsplat::kernels::constants::{STATE_FIRST_SCENE_VISIBLE, STATE_WORDS};
 use ashsplat::kernels::forward::write_visible_ranges::{Bind, Interface, Push, Spec};
 
 use crate::common::frame::state;
@@ -48,6 +49,10 @@ fn check(gpu: &Gpu, blocks: usize, scenes: &[(Range<usize>, usize)], most: u32) 
     };
     let count = scenes.len() as u64 / u64::from(spec.workgroup_size) + 1;
     gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, count));
+    let (first_scene, blocks_per_range) = &scenes[0];
+    let last = ranges(&offsets, visible, first_scene.clone(), *blocks_per_range).pop();
+    let words = gpu.read::<u32>(&state, STATE_WORDS as usize);
+    assert_eq!(words[STATE_FIRST_SCENE_VISIBLE as usize], last.map_or(0, |[_, end]| end), "{first_scene:?}");
     let mut actual = gpu.read::<[u32; 4]>(&visible_ranges, 2 * blocks + 1);
     for (own, blocks_per_range) in scenes {
         let expected = ranges(&offsets, visible, own.clone(), *blocks_per_range);
