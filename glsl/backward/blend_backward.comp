@@ -6,7 +6,7 @@
 //   sum p (1, dx, dy, dx^2, dx dy, dy^2), sum T alpha g (r, g, b, inverse depth).
 // With ABSOLUTE also the sum of |dL/d(mean2d)|, x and y, the absolute value taken for each pixel alone (AbsGS, Ye et al. 2024).
 // With WEIGHTS only the sum of T alpha dL/dr: the Gaussian's share of a picture whose pixels weigh dL/dr.
-// Entries behind the last one of the first scene, which alone has gradients, are not written.
+// Gradients are of the first scene. Behind its last entry of a tile they are zero.
 // project_backward turns the moments into gradients of mean, conic and opacity. The sums are stored at the instance's index
 // before the tile sort. These indices are contiguous per Gaussian, so the sum over tiles has one fixed order.
 //
@@ -124,7 +124,7 @@ void main() {
     uvec2 range = tile_exists ? tile_ranges[tile_exists ? tile : 0] : uvec2(0);
     tile_exists = tile_exists && in_dispatch_range(range);
     range = tile_exists ? range : uvec2(0);
-    uint entries = entries_with_gradient(range);
+    uint entries = range.y - range.x;
     uint begin = min(first_entry, entries);
     uint end = begin + min(entries - begin, max_entries);
     uvec2 origin = region_origin(uvec2(tile % tiles_per_row, tile / tiles_per_row), gl_SubgroupID);
@@ -141,7 +141,8 @@ void main() {
     [[unroll]] for (uint region = 0; region < REGIONS; ++region) {
         tile_last = max(tile_last, region_last[region]);
     }
-    uint work_end = min(end, tile_last);
+    // Of all passes, for a later one may need what this one leaves.
+    uint work_end = min(end, end_of_gradients(range.x, begin, max(min(entries, tile_last), begin)));
 
     for (uint batch = begin; batch < work_end; batch += BATCH) {
         for (uint step = 0; step < STEPS; ++step) {
@@ -201,7 +202,7 @@ void main() {
         barrier();
     }
 
-    // Entries after the last one that any pixel blended have zero gradients. project_backward still reads them, so they are
+    // Entries after the last one that any pixel blended, or that is of the first scene, have zero gradients. project_backward still reads them, so they are
     // written.
     uint batches = (max(work_end, begin) - begin + BATCH - 1) / BATCH;
     for (uint entry = begin + batches * BATCH + gl_LocalInvocationID.x; entry < end; entry += WORKGROUP_SIZE) {

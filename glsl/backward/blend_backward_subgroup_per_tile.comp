@@ -113,13 +113,14 @@ void main() {
     if (!in_dispatch_range(range)) {
         return;
     }
-    uint entries = entries_with_gradient(range);
+    uint entries = range.y - range.x;
     uint begin = min(first_entry, entries);
     uint end = begin + min(entries - begin, max_entries);
     uvec2 tile_xy = uvec2(tile % tiles_per_row, tile / tiles_per_row);
     FOUR_REGIONS(DECLARE)
     EACH_REGION(REGIONS, LOAD)
-    uint work_end = min(end, max(max(last_0, last_1), max(last_2, last_3)));
+    uint tile_last = max(max(last_0, last_1), max(last_2, last_3));
+    uint work_end = min(end, end_of_gradients(range.x, begin, max(min(entries, tile_last), begin)));
 
     uint batch = begin;
     if (batch < work_end) for (;;) {
@@ -141,7 +142,7 @@ void main() {
         }
     }
 
-    // Entries after the last one that any pixel blended have zero gradients. project_backward still reads them, so they are
+    // Entries after the last one that any pixel blended, or that is of the first scene, have zero gradients. project_backward still reads them, so they are
     // written.
     for (uint entry = batch + gl_SubgroupInvocationID; entry < end; entry += SUBGROUP_SIZE) {
         store_instance(range.x + entry, no_sums());

@@ -68,23 +68,22 @@ void note_hits() {
     }
 }
 
-// Entries of a tile's list up to the last one that has a gradient: of the first scene. What is behind it is not looked at again,
-// for front to back nothing depends on it.
-uint entries_with_gradient(uvec2 range) {
+// The end of what counts of the entries [begin, end) of a list that starts at `first`: behind the last one of the first scene, which
+// alone has gradients. Front to back these do not depend on what is behind.
+uint end_of_gradients(uint first, uint begin, uint end) {
     uint first_scene = state[STATE_FIRST_SCENE_VISIBLE];
-    uint entries = range.y - range.x;
     // Where there is one scene, the last entry is of it. The loop tests at its end: see blend.comp.
-    if (entries > 0) for (;;) {
-        bool exists = gl_SubgroupInvocationID < entries;
-        uint entry = exists ? entries - 1 - gl_SubgroupInvocationID : 0;
-        bool counts = exists && UINT_AT(sorted_visible, range.x + entry) < first_scene;
+    if (end > begin) for (;;) {
+        bool exists = gl_SubgroupInvocationID < end - begin;
+        uint entry = exists ? end - 1 - gl_SubgroupInvocationID : begin;
+        bool counts = exists && UINT_AT(sorted_visible, first + entry) < first_scene;
         uint behind = subgroupMin(counts ? gl_SubgroupInvocationID : SUBGROUP_SIZE);
-        entries -= min(behind, entries);
-        if (behind < SUBGROUP_SIZE || entries == 0) {
+        end -= min(behind, end - begin);
+        if (behind < SUBGROUP_SIZE || end == begin) {
             break;
         }
     }
-    return entries;
+    return end;
 }
 
 struct GradientPixel {
