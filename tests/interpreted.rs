@@ -119,7 +119,10 @@ fn wide_blend() {
 
 #[test]
 fn wide_blend_backward() {
-    on_wide_machines(blend_backward::blend_backward_equals_its_twin_on_images_of_all_sizes);
+    on_wide_machines(|| {
+        blend_backward::blend_backward_equals_its_twin_on_images_of_all_sizes();
+        blend_backward::blend_backward_of_the_first_scene_alone();
+    });
     on(AMD, || {
         blend_backward::blend_backward_equals_its_twin_on_lists_of_all_lengths();
         blend_backward::blend_backward_of_opaque_layers();

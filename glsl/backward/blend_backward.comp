@@ -6,13 +6,13 @@
 //   sum p (1, dx, dy, dx^2, dx dy, dy^2), sum T alpha g (r, g, b, inverse depth).
 // With ABSOLUTE also the sum of |dL/d(mean2d)|, x and y, the absolute value taken for each pixel alone (AbsGS, Ye et al. 2024).
 // With WEIGHTS only the sum of T alpha dL/dr: the Gaussian's share of a picture whose pixels weigh dL/dr.
-// Gradients are of the first scene. Behind its last entry of a tile they are zero.
+// Only the first scene has gradients: what lies behind its last entry of a tile need not be blended.
 // project_backward turns the moments into gradients of mean, conic and opacity. The sums are stored at the instance's index
 // before the tile sort. These indices are contiguous per Gaussian, so the sum over tiles has one fixed order.
 //
 // invocation: COLUMNS x ROWS pixels; subgroup: a region of the tile; it culls Gaussians and broadcasts the hits as blend
 // does, then adds over its lanes by a transposing butterfly; workgroup: one tile; it adds its regions in shared memory
-// in: tile_ranges, sorted_visible, sorted_instances, PerVisible attributes; PerPixel: accumulated, inverse_depth,
+// in: tile_ranges, sorted_visible, sorted_instances, PerVisible attributes, state[STATE_FIRST_SCENE_VISIBLE]; PerPixel: accumulated, inverse_depth,
 //     last_entries, image_gradient (dL/d(r, g, b), dL/dinverse_depth)
 // out, PerInstance: instance_gradients_a (1, dx, dy, dx dx), instance_gradients_b (dx dy, dy dy, r, g),
 //     instance_gradients_c (b, inverse depth), with ABSOLUTE instance_gradients_d; with WEIGHTS only
@@ -141,8 +141,10 @@ void main() {
     [[unroll]] for (uint region = 0; region < REGIONS; ++region) {
         tile_last = max(tile_last, region_last[region]);
     }
-    // Of all passes, for a later one may need what this one leaves.
-    uint work_end = min(end, end_of_gradients(range.x, begin, max(min(entries, tile_last), begin)));
+    // Where a later pass blends, it may need all that this one leaves; and a search through all passes would take too many rounds of a
+    // loop for drivers that limit these.
+    uint last = max(min(entries, tile_last), begin);
+    uint work_end = last > end ? end : end_of_gradients(range.x, begin, last);
 
     for (uint batch = begin; batch < work_end; batch += BATCH) {
         for (uint step = 0; step < STEPS; ++step) {
@@ -202,8 +204,8 @@ void main() {
         barrier();
     }
 
-    // Entries after the last one that any pixel blended, or that is of the first scene, have zero gradients. project_backward still reads them, so they are
-    // written.
+    // What is left of the list has zero gradients: no pixel blended it, or nothing of the first scene comes after. project_backward
+    // reads those of the first scene, so they are written.
     uint batches = (max(work_end, begin) - begin + BATCH - 1) / BATCH;
     for (uint entry = begin + batches * BATCH + gl_LocalInvocationID.x; entry < end; entry += WORKGROUP_SIZE) {
         store_instance(range.x + entry, no_sums());

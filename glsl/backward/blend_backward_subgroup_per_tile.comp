@@ -120,7 +120,8 @@ void main() {
     FOUR_REGIONS(DECLARE)
     EACH_REGION(REGIONS, LOAD)
     uint tile_last = max(max(last_0, last_1), max(last_2, last_3));
-    uint work_end = min(end, end_of_gradients(range.x, begin, max(min(entries, tile_last), begin)));
+    uint last = max(min(entries, tile_last), begin);
+    uint work_end = last > end ? end : end_of_gradients(range.x, begin, last);
 
     uint batch = begin;
     if (batch < work_end) for (;;) {
@@ -142,8 +143,7 @@ void main() {
         }
     }
 
-    // Entries after the last one that any pixel blended, or that is of the first scene, have zero gradients. project_backward still reads them, so they are
-    // written.
+    // See blend_backward.comp.
     for (uint entry = batch + gl_SubgroupInvocationID; entry < end; entry += SUBGROUP_SIZE) {
         store_instance(range.x + entry, no_sums());
     }

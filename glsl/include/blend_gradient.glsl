@@ -68,8 +68,8 @@ void note_hits() {
     }
 }
 
-// The end of what counts of the entries [begin, end) of a list that starts at `first`: behind the last one of the first scene, which
-// alone has gradients. Front to back these do not depend on what is behind.
+// The end of the entries [begin, end), of a list that starts at `first`, that gradients depend on: behind the last one of the first
+// scene, which alone has gradients. Front to back, these do not depend on what is behind.
 uint end_of_gradients(uint first, uint begin, uint end) {
     uint first_scene = state[STATE_FIRST_SCENE_VISIBLE];
     // Where there is one scene, the last entry is of it. The loop tests at its end: see blend.comp.

@@ -70,16 +70,17 @@ const uint GRADIENT_PLANES = 4;
 // Words of the frame state.
 const uint STATE_VISIBLE_NEEDED = 0;
 const uint STATE_VISIBLE = 1;
-const uint STATE_INSTANCES_NEEDED = 2;
-const uint STATE_INSTANCES = 3;
-const uint STATE_LONGEST_TILE = 4;
-const uint STATE_NON_FINITE = 5;
-const uint STATE_OVERFLOW = 6;
-// With COUNT_HITS: Gaussians blended over 8 x 4 pixels, forward and backward.
-const uint STATE_BLEND_HITS = 7;
-const uint STATE_BLEND_BACKWARD_HITS = 8;
 // Visible Gaussians of the first scene: the only ones that have gradients. They come first.
-const uint STATE_FIRST_SCENE_VISIBLE = 9;
+const uint STATE_FIRST_SCENE_VISIBLE = 2;
+// From here on, each view of several with one order has its own.
+const uint STATE_INSTANCES_NEEDED = 3;
+const uint STATE_INSTANCES = 4;
+const uint STATE_LONGEST_TILE = 5;
+const uint STATE_NON_FINITE = 6;
+const uint STATE_OVERFLOW = 7;
+// With COUNT_HITS: Gaussians blended over 8 x 4 pixels, forward and backward.
+const uint STATE_BLEND_HITS = 8;
+const uint STATE_BLEND_BACKWARD_HITS = 9;
 const uint STATE_WORDS = 10;
 
 // Indirect dispatch arguments, 16 bytes apart.

@@ -163,33 +163,53 @@ pub fn with_other_sums(kernel: Kernel) {
     }
 }
 
-/// Where a frame has other scenes besides the first one: the same bits for the first one, also in passes; zero for what is behind it.
+/// Where a frame has other scenes besides the first one: the same bits for the first one. In a single pass, nothing of what is a batch or
+/// more behind it is blended.
 pub fn of_the_first_scene(kernel: Kernel) {
     let gpu = Gpu::new();
-    for (entries, size, entries_per_pass) in
-        [(7, [16, 16], u32::MAX), (300, [16, 16], 64), (70, [37, 21], 96)]
-    {
-        let mut lists = Lists::sorted(&gpu, entries, [0.02, 0.9], &small_view(size));
+    let cases = [
+        (7, [16, 16], u32::MAX, OtherSums::None),
+        (300, [16, 16], 64, OtherSums::None),
+        (300, [16, 16], u32::MAX, OtherSums::Absolute),
+        (70, [37, 21], 96, OtherSums::Weights),
+    ];
+    for (entries, size, entries_per_pass, sums) in cases {
+        let mut lists = Lists::sorted(&gpu, entries, [0.02, 0.2], &small_view(size));
         let d_pixels = image_gradient(&lists);
         let visible = lists.frame.splats.len();
-        let order: Vec<u32> = lists.lists.concat();
-        for how in forms(&gpu).into_iter().map(|how| How { entries_per_pass, ..how }) {
-            let blended = forward(&gpu, &lists, how);
-            lists.state = state_of_scenes(&gpu, visible, visible);
-            let all = kernel(&gpu, &lists, &blended, Some(&d_pixels), how);
-            for first_scene in [0, 1, visible / 40, visible / 2, visible - 1] {
-                lists.state = state_of_scenes(&gpu, first_scene, visible);
-                let some = kernel(&gpu, &lists, &blended, Some(&d_pixels), how);
-                let what = format!("{how:?}, {first_scene} of {visible}");
-                for (&of, &at) in order.iter().zip(&lists.instances) {
-                    let [all, some] = [&all, &some].map(|sums| sums.sums[at as usize]);
-                    assert!(of as usize >= first_scene || some == all, "{what}");
-                    assert!(some == all || some == [0.0; 10], "{what}");
+        let (order, instances) = (lists.lists.clone(), lists.instances.clone());
+        let how = How { entries_per_pass, sums, inverse_depth: sums == OtherSums::None, ..CHAINED };
+        let blended = forward(&gpu, &lists, how);
+        // Weights are all that is written with them.
+        let first_sum = if sums == OtherSums::Weights { 8 } else { 0 };
+        let mut of_scenes = |first_scene: usize| -> Vec<Vec<f64>> {
+            lists.state = state_of_scenes(&gpu, first_scene, visible);
+            let SlotSums { sums: own, absolute } = kernel(&gpu, &lists, &blended, Some(&d_pixels), how);
+            let absolute = absolute
+                .into_iter()
+                .map(|own| own.map(|x| if sums == OtherSums::Absolute { x } else { 0.0 }));
+            own.iter().zip(absolute).map(|(own, absolute)| [&own[first_sum..], &absolute].concat()).collect()
+        };
+        let all = of_scenes(visible);
+        let is_nothing = |sums: &[f64]| sums.iter().all(|&sum| sum == 0.0);
+        let batch = gpu.subgroup().max(32) as usize;
+        let (single, mut spared) = (entries_per_pass == u32::MAX, 0);
+        for first_scene in [0, 1, visible / 40, visible / 2, visible - 1] {
+            let some = of_scenes(first_scene);
+            let mut instances = instances.iter().map(|&at| at as usize);
+            for list in &order {
+                let is_of_first = |&visible: &u32| (visible as usize) < first_scene;
+                let end = list.iter().rposition(is_of_first).map_or(0, |last| last + 1);
+                for (entry, at) in instances.by_ref().take(list.len()).enumerate() {
+                    let what = format!("{how:?}, {first_scene} of {visible}, entry {entry}, {end} count");
+                    assert!(entry >= end || some[at] == all[at], "{what}");
+                    let is_behind = single && entry >= end + batch;
+                    assert!(!is_behind || is_nothing(&some[at]), "{what}");
+                    spared += usize::from(is_behind && !is_nothing(&all[at]));
                 }
-                let nothing = some.sums.iter().all(|sums| *sums == [0.0; 10]);
-                assert!(first_scene > 0 || nothing, "{what}: gradients of nothing");
             }
         }
+        assert!(!single || entries <= batch || spared > 0, "{how:?}: nothing to spare");
     }
 }
 
