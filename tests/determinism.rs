@@ -72,8 +72,11 @@ fn determinism_of_training() {
 /// strategies gave the same bytes in longer trainings (tools/strategies.md).
 const REFERENCE: &[(&str, u64)] = &[
     ("llvmpipe (LLVM 15.0.6, 128 bits), llvmpipe Mesa 22.3.6 (LLVM 15.0.6), FMA", 0x87a9_127a_28f3_5ac3),
+    ("llvmpipe (LLVM 15.0.6, 128 bits), llvmpipe Mesa 22.3.6 (LLVM 15.0.6), AVX-512", 0x87a9_127a_28f3_5ac3),
     ("llvmpipe (LLVM 15.0.6, 256 bits), llvmpipe Mesa 22.3.6 (LLVM 15.0.6), FMA", 0x742a_6caf_25a7_9d92),
+    ("llvmpipe (LLVM 15.0.6, 256 bits), llvmpipe Mesa 22.3.6 (LLVM 15.0.6), AVX-512", 0x742a_6caf_25a7_9d92),
     ("llvmpipe (LLVM 15.0.6, 512 bits), llvmpipe Mesa 22.3.6 (LLVM 15.0.6), FMA", 0xd9c4_b828_1b8a_04f7),
+    ("llvmpipe (LLVM 15.0.6, 512 bits), llvmpipe Mesa 22.3.6 (LLVM 15.0.6), AVX-512", 0xd9c4_b828_1b8a_04f7),
 ];
 
 fn compiler_and_instructions(gpu: &Gpu) -> String {
