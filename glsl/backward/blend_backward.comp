@@ -12,8 +12,8 @@
 //
 // invocation: COLUMNS x ROWS pixels; subgroup: a region of the tile; it culls Gaussians and broadcasts the hits as blend
 // does, then adds over its lanes by a transposing butterfly; workgroup: one tile; it adds its regions in shared memory
-// in: tile_ranges, sorted_visible, sorted_instances, PerVisible attributes, state[STATE_FIRST_SCENE_VISIBLE]; PerPixel: accumulated, inverse_depth,
-//     last_entries, image_gradient (dL/d(r, g, b), dL/dinverse_depth)
+// in: tile_ranges, sorted_visible, sorted_instances, PerVisible attributes, state[STATE_FIRST_SCENE_VISIBLE];
+//     PerPixel: accumulated, inverse_depth, last_entries, image_gradient (dL/d(r, g, b), dL/dinverse_depth)
 // out, PerInstance: instance_gradients_a (1, dx, dy, dx dx), instance_gradients_b (dx dy, dy dy, r, g),
 //     instance_gradients_c (b, inverse depth), with ABSOLUTE instance_gradients_d; with WEIGHTS only
 //     instance_gradients_c (weight, 0)
@@ -141,10 +141,7 @@ void main() {
     [[unroll]] for (uint region = 0; region < REGIONS; ++region) {
         tile_last = max(tile_last, region_last[region]);
     }
-    // Where a later pass blends, it may need all that this one leaves; and a search through all passes would take too many rounds of a
-    // loop for drivers that limit these.
-    uint last = max(min(entries, tile_last), begin);
-    uint work_end = last > end ? end : end_of_gradients(range.x, begin, last);
+    uint work_end = blended_end(range, begin, end, tile_last);
 
     for (uint batch = begin; batch < work_end; batch += BATCH) {
         for (uint step = 0; step < STEPS; ++step) {
@@ -206,7 +203,7 @@ void main() {
 
     // What is left of the list has zero gradients: no pixel blended it, or nothing of the first scene comes after. project_backward
     // reads those of the first scene, so they are written.
-    uint batches = (max(work_end, begin) - begin + BATCH - 1) / BATCH;
+    uint batches = (work_end - begin + BATCH - 1) / BATCH;
     for (uint entry = begin + batches * BATCH + gl_LocalInvocationID.x; entry < end; entry += WORKGROUP_SIZE) {
         store_instance(range.x + entry, no_sums());
     }

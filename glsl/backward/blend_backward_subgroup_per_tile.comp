@@ -120,8 +120,7 @@ void main() {
     FOUR_REGIONS(DECLARE)
     EACH_REGION(REGIONS, LOAD)
     uint tile_last = max(max(last_0, last_1), max(last_2, last_3));
-    uint last = max(min(entries, tile_last), begin);
-    uint work_end = last > end ? end : end_of_gradients(range.x, begin, last);
+    uint work_end = blended_end(range, begin, end, tile_last);
 
     uint batch = begin;
     if (batch < work_end) for (;;) {

@@ -68,15 +68,21 @@ void note_hits() {
     }
 }
 
-// The end of the entries [begin, end), of a list that starts at `first`, that gradients depend on: behind the last one of the first
-// scene, which alone has gradients. Front to back, these do not depend on what is behind.
-uint end_of_gradients(uint first, uint begin, uint end) {
+// The end of what a pass over the entries [begin, pass_end) of a tile's list blends. `tile_last`: 1 + the last index of the list that any
+// pixel of the tile blended. What is behind the last entry of the first scene, which alone has gradients, does not count: front to
+// back, these do not depend on it. Where a later pass blends, it may need all that this one leaves; and a search through all passes
+// would take too many rounds of a loop for drivers that limit these.
+uint blended_end(uvec2 range, uint begin, uint pass_end, uint tile_last) {
+    uint end = max(min(range.y - range.x, tile_last), begin);
+    if (end > pass_end) {
+        return pass_end;
+    }
     uint first_scene = state[STATE_FIRST_SCENE_VISIBLE];
     // Where there is one scene, the last entry is of it. The loop tests at its end: see blend.comp.
     if (end > begin) for (;;) {
         bool exists = gl_SubgroupInvocationID < end - begin;
         uint entry = exists ? end - 1 - gl_SubgroupInvocationID : begin;
-        bool counts = exists && UINT_AT(sorted_visible, first + entry) < first_scene;
+        bool counts = exists && UINT_AT(sorted_visible, range.x + entry) < first_scene;
         uint behind = subgroupMin(counts ? gl_SubgroupInvocationID : SUBGROUP_SIZE);
         end -= min(behind, end - begin);
         if (behind < SUBGROUP_SIZE || end == begin) {

@@ -208,11 +208,16 @@ pub fn touched_at_most(splat: &Splat, view: &View) -> Vec<u32> {
     tiles
 }
 
-/// Frame state with these counts.
+/// Frame state of one scene with these counts.
 pub fn state(gpu: &Gpu, visible: usize, instances: usize) -> Buffer {
+    state_of_scenes(gpu, visible, visible, instances)
+}
+
+/// Frame state of several scenes, of which the first one has so many of the visible Gaussians.
+pub fn state_of_scenes(gpu: &Gpu, first_scene: usize, visible: usize, instances: usize) -> Buffer {
     let mut words = vec![0; STATE_WORDS as usize];
     words[STATE_VISIBLE as usize] = visible as u32;
-    words[STATE_FIRST_SCENE_VISIBLE as usize] = visible as u32;
+    words[STATE_FIRST_SCENE_VISIBLE as usize] = first_scene as u32;
     words[STATE_INSTANCES as usize] = instances as u32;
     gpu.buffer("state", &words)
 }

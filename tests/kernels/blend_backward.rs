@@ -1,10 +1,8 @@
 //! `backward/blend_backward` against its twin.
 
-use ashsplat::kernels::constants::{STATE_FIRST_SCENE_VISIBLE, STATE_VISIBLE, STATE_WORDS};
-use ashsplat::vk::Buffer;
-
 use crate::common::blending::{Blended, CHAINED, How, OtherSums, SlotSums, backward, forms, forward};
 use crate::common::compare::{GradientTolerance, gradient};
+use crate::common::frame::state_of_scenes;
 use crate::common::gpu::Gpu;
 use crate::common::scenes::{Random, small_view};
 use crate::common::tiles::Lists;
@@ -183,7 +181,7 @@ pub fn of_the_first_scene(kernel: Kernel) {
         // Weights are all that is written with them.
         let first_sum = if sums == OtherSums::Weights { 8 } else { 0 };
         let mut of_scenes = |first_scene: usize| -> Vec<Vec<f64>> {
-            lists.state = state_of_scenes(&gpu, first_scene, visible);
+            lists.state = state_of_scenes(&gpu, first_scene, visible, instances.len());
             let SlotSums { sums: own, absolute } = kernel(&gpu, &lists, &blended, Some(&d_pixels), how);
             let absolute = absolute
                 .into_iter()
@@ -211,14 +209,6 @@ pub fn of_the_first_scene(kernel: Kernel) {
         }
         assert!(!single || entries <= batch || spared > 0, "{how:?}: nothing to spare");
     }
-}
-
-/// Of a frame whose first scene has so many of the visible Gaussians.
-fn state_of_scenes(gpu: &Gpu, first_scene: usize, visible: usize) -> Buffer {
-    let mut words = vec![0_u32; STATE_WORDS as usize];
-    words[STATE_VISIBLE as usize] = visible as u32;
-    words[STATE_FIRST_SCENE_VISIBLE as usize] = first_scene as u32;
-    gpu.buffer("state", &words)
 }
 
 #[test]
