@@ -8,6 +8,7 @@ use ashsplat::vk::{Context, ContextOptions, KernelInterface, LimitsOverride, Req
 use ashsplat::{RenderSettings, Renderer, TrainSettings};
 
 use crate::checkpoints::{start, views};
+use crate::common::blending::assert_alike;
 use crate::common::engine::{camera, gaussians};
 use crate::common::gpu::Gpu;
 use crate::common::scenes::{Random, mixed_scene, small_view};
@@ -94,6 +95,7 @@ fn compare_switched(constant: &str) {
         let settings = TrainSettings {
             iterations: 20,
             sh_degree_interval: 2,
+            scale_sh_degree: false,
             strategy,
             multi_step: false,
             pose_opt,
@@ -108,10 +110,16 @@ fn compare_switched(constant: &str) {
                 Trainer::new(&context, views(2, 5), &scene, 5.0, settings.clone()).expect("a trainer");
             (0..20).for_each(|_| drop(trainer.step().expect("a step")));
             assert_silent(&context);
-            (frame.expect("a picture").color, trainer.checkpoint().expect("a state").fingerprint())
+            let color = frame.expect("a picture").color;
+            (context, color, trainer.checkpoint().expect("a state").fingerprint())
         });
-        assert!(off.0.iter().flatten().any(|&x| x > 0.1), "the picture is black");
-        assert!(off == on, "{constant}, {strategy:?}: other bits");
+        assert!(off.1.iter().flatten().any(|&x| x > 0.1), "the picture is black");
+        let what = format!("the pictures of {constant}, {strategy:?},");
+        assert_alike(&on.0, off.1.as_flattened(), on.1.as_flattened(), (&what, 1e-5));
+        // Another compiler may fuse other sums of products, and trainings go apart with the first bit.
+        if on.0.description().kind == "CPU" {
+            assert!(off.2 == on.2, "{constant}, {strategy:?}: other bits");
+        }
     }
 }
 

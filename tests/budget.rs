@@ -20,6 +20,7 @@ fn settings() -> TrainSettings {
         iterations: 60,
         sh_degree: 2,
         sh_degree_interval: 12,
+        scale_sh_degree: false,
         scale_schedule: false,
         densify_from_iter: 10,
         densification_interval: 5,
@@ -97,9 +98,10 @@ fn budget_has_a_switch_for_each_part() {
     // By the statistic, which all parts have an effect on.
     let by_statistic = || TrainSettings { importance: ImportanceType::Statistic, ..in_groups() };
     let whole = end(by_statistic());
-    let changes: [Change; 9] = [
+    let changes: [Change; 10] = [
         |s| s.absgrad = false,
         |s| s.scale_rates = false,
+        |s| s.scale_sh_degree = true,
         |s| s.cap_max = 0,
         |s| s.split = SplitType::Sample,
         |s| s.importance = ImportanceType::Edges,

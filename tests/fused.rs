@@ -103,6 +103,7 @@ fn fused_adam_has_the_same_bits_with_a_preset() {
         iterations: ITERATIONS,
         sh_degree: 2,
         sh_degree_interval: 12,
+        scale_sh_degree: false,
         densification_interval: 10,
         densify_grad_threshold: 2e-5,
         dropout: 0.2,

@@ -401,6 +401,7 @@ impl Checkpoint {
             settings.exposure_shared = wanted.settings.exposure_shared;
             settings.exposure_sparsity = wanted.settings.exposure_sparsity;
         }
+        wanted.settings.excuse_sh_degrees(&mut settings, &self.settings, self.iteration);
         if let Some(difference) = difference(&settings, wanted.settings) {
             return refuse(format!("was made with other settings: {difference}"));
         }

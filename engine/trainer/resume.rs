@@ -137,7 +137,8 @@ impl Trainer {
         }
         parts.strategy.restore(&from.strategy.values)?;
         let room = Some(&from.room);
-        let given = (settings, scene_extent);
+        let sh_degree_start = settings.sh_degree_start_after(&from.settings, from.iteration);
+        let given = (TrainSettings { sh_degree_start, ..settings }, scene_extent);
         let mut trainer = Trainer::build(context, views, &from.gaussians, given, parts, room)?;
         let here: Vec<&str> = trainer.recorder.terms().collect();
         if !from.strategy.terms.is_empty() && from.strategy.terms != here {

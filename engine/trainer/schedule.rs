@@ -18,12 +18,15 @@ fn log_linear([first, last]: [f64; 2], iteration: u32, steps: u32) -> f64 {
 
 impl TrainSettings {
     /// An iteration of the schedule in this run: the same, or with `scale_schedule` multiplied by `iterations`
-    /// / 30,000 and rounded, so that it keeps its share of the run. Intervals and what follows an opacity reset
-    /// are not scaled: statistics need as many views, and opacities as many steps, in a short run.
+    /// / 30,000 and rounded, so that it keeps its share of the run. What follows an opacity reset and
+    /// intervals, but that of the SH degree, are not scaled: statistics need as many views, and opacities as many steps, in a short
+    /// run.
     pub fn scaled(&self, iteration: u32) -> u32 {
-        if !self.scale_schedule {
-            return iteration;
-        }
+        if self.scale_schedule { self.share_of_run(iteration) } else { iteration }
+    }
+
+    /// An iteration, or a number of iterations, multiplied by `iterations` / 30,000 and rounded.
+    fn share_of_run(&self, iteration: u32) -> u32 {
         let whole = u64::from(SCHEDULE_ITERATIONS);
         let scaled = (u64::from(iteration) * u64::from(self.iterations) + whole / 2) / whole;
         scaled.min(u32::MAX.into()) as u32
@@ -102,9 +105,32 @@ impl TrainSettings {
     }
 
     /// The SH degree in use at an iteration (1-based): one more at every `sh_degree_interval`, up to `sh_degree`, and never below
-    /// `sh_degree_start`.
+    /// `sh_degree_start`. With `scale_sh_degree` the interval keeps its share of the run.
     pub fn sh_degree_at(&self, iteration: u32) -> u32 {
-        (iteration / self.sh_degree_interval).max(self.sh_degree_start).min(self.sh_degree)
+        let interval = self.sh_degree_interval;
+        let interval = if self.scale_sh_degree { self.share_of_run(interval).max(1) } else { interval };
+        (iteration / interval).max(self.sh_degree_start).min(self.sh_degree)
+    }
+
+    /// `sh_degree_start` of a run with these settings that goes on after an iteration of one with those of `before`. A longer run,
+    /// which would raise the degree later, keeps the one in use.
+    pub(super) fn sh_degree_start_after(&self, before: &Self, iteration: u32) -> u32 {
+        let start = self.sh_degree_start.max(before.sh_degree_start);
+        let other_length = self.iterations != before.iterations;
+        if self.scale_sh_degree && other_length { start.max(before.sh_degree_at(iteration)) } else { start }
+    }
+
+    /// Gives `there`, settings of a checkpoint that goes on with these, these values for what does not matter: the checkpoint is of
+    /// this iteration of a run with those of `before`.
+    pub(super) fn excuse_sh_degrees(&self, there: &mut Self, before: &Self, iteration: u32) {
+        if self.iterations == SCHEDULE_ITERATIONS && before.iterations == SCHEDULE_ITERATIONS {
+            // Presets came to set it.
+            there.scale_sh_degree = self.scale_sh_degree;
+        }
+        // Raised by `sh_degree_start_after`.
+        if self.scale_sh_degree && self.sh_degree_start <= before.sh_degree_at(iteration) {
+            there.sh_degree_start = self.sh_degree_start;
+        }
     }
 
     /// Whether statistics for densification are collected at an iteration (1-based).
@@ -168,6 +194,51 @@ mod tests {
         assert_eq!(degrees(settings(0, 3)), [0, 0, 1, 2, 2, 3, 3]);
         assert_eq!(degrees(settings(2, 3)), [2, 2, 2, 2, 2, 3, 3]);
         assert_eq!(degrees(settings(3, 1)), [1; 7]);
+    }
+
+    #[test]
+    fn the_sh_degree_rises_at_the_same_shares_of_a_run() {
+        let scaled =
+            |iterations| TrainSettings { iterations, scale_sh_degree: true, ..TrainSettings::default() };
+        let degrees = |iterations: u32, at: [u32; 5]| at.map(|i| scaled(iterations).sh_degree_at(i));
+        assert_eq!(degrees(30_000, [999, 1000, 2000, 3000, 30_000]), [0, 1, 2, 3, 3]);
+        // 1000 of 30,000 are 66.7 of 2000.
+        assert_eq!(degrees(2000, [66, 67, 134, 200, 201]), [0, 1, 2, 2, 3]);
+        assert_eq!(degrees(60_000, [1999, 2000, 4000, 5999, 6000]), [0, 1, 2, 2, 3]);
+        // Not even a run of one iteration divides by zero.
+        assert_eq!(degrees(1, [0, 1, 2, 3, 4]), [0, 1, 2, 3, 3]);
+    }
+
+    /// Of 2000 iterations with degree 3, then 30,000, which have degree 3 from iteration 3000 on.
+    #[test]
+    fn a_longer_run_keeps_the_sh_degree_in_use() {
+        let of = |iterations, sh_degree_start| TrainSettings {
+            iterations,
+            sh_degree_start,
+            scale_sh_degree: true,
+            ..TrainSettings::default()
+        };
+        let (short, longer) = (of(2000, 0), of(30_000, 0));
+        assert_eq!((longer.sh_degree_start_after(&short, 2000), longer.sh_degree_at(2001)), (3, 2));
+        assert_eq!(
+            [longer.sh_degree_start_after(&short, 100), short.sh_degree_start_after(&short, 2000)],
+            [1, 0]
+        );
+        // It goes on once more, with the settings that were given.
+        let raised = of(30_000, 3);
+        assert_eq!(longer.sh_degree_start_after(&raised, 2500), 3);
+        let mut there = raised.clone();
+        longer.excuse_sh_degrees(&mut there, &raised, 2500);
+        assert_eq!(there, longer);
+        // Where the degree is not in use yet, another start is another training.
+        let mut there = short.clone();
+        of(2000, 3).excuse_sh_degrees(&mut there, &short, 100);
+        assert_eq!(there, short);
+        // Checkpoints from before there was the setting.
+        let before = TrainSettings { scale_sh_degree: false, ..longer.clone() };
+        let mut there = before.clone();
+        longer.excuse_sh_degrees(&mut there, &before, 7);
+        assert_eq!(there, longer);
     }
 
     #[test]

@@ -23,7 +23,7 @@ options! {
         iterations: u32 = 30_000, Bounds::AtLeast(1);
         /// Highest degree of the spherical harmonics, 0 to 3
         sh_degree: u32 = 3, Bounds::AtMost(MAX_SH_DEGREE);
-        /// Iterations after which the SH degree in use rises by one
+        /// Iterations after which the SH degree in use rises by one; scale_sh_degree multiplies them
         sh_degree_interval: u32 = 1000, Bounds::AtLeast(1);
         /// SH degree in use at the start (of a scene that training begins with: its own)
         sh_degree_start: u32 = 0, Bounds::AtMost(MAX_SH_DEGREE);
@@ -74,6 +74,9 @@ options! {
         /// Larger learning rates in runs of fewer than 30,000 iterations: position_lr_init times 30000 / iterations, at most
         /// 10; those of scales, opacities and colours times its root, at most 2 (budget: true)
         scale_rates: bool = false, Bounds::None;
+        /// Raise the SH degree in use at the same shares of the run: sh_degree_interval is multiplied by iterations / 30000, and is
+        /// at least 1 (budget: true, but not with few photos)
+        scale_sh_degree: bool = false, Bounds::None;
         /// Densification starts after this iteration
         densify_from_iter: u32 = 500, Bounds::None;
         /// Densification, and the collection of its statistics, end before this iteration (mcmc: 25000)
@@ -199,6 +202,7 @@ impl TrainSettings {
                 cap_max: 0,
                 scale_schedule: true,
                 scale_rates: true,
+                scale_sh_degree: true,
                 absgrad: true,
                 split: SplitType::LongAxis,
                 growth_curve: true,
@@ -258,6 +262,7 @@ impl TrainSettings {
                 cap_ratio: 8.0,
                 late_min_opacity: 0.1,
                 dropout: FEW_PHOTOS_DROPOUT,
+                scale_sh_degree: false,
                 multi_step: false,
                 average_last: FEW_PHOTOS_AVERAGED,
                 opacity_reg: FEW_PHOTOS_OPACITY_REG,
@@ -275,6 +280,7 @@ impl TrainSettings {
         let few = Self::of_few_photos(preset.strategy, scene_extent);
         Self {
             dropout: few.dropout,
+            scale_sh_degree: few.scale_sh_degree,
             opacity_reg: few.opacity_reg,
             scale_reg: few.scale_reg,
             multi_step: few.multi_step,

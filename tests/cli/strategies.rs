@@ -15,7 +15,7 @@ const WAYS: [&[&str]; 4] = [
     &["--exposure"],
 ];
 
-const SHORT: [&str; 11] = [
+const SHORT: [&str; 12] = [
     "--quiet",
     "--eval-share",
     "0",
@@ -23,6 +23,7 @@ const SHORT: [&str; 11] = [
     "1",
     "--sh-degree-interval",
     "6",
+    "--scale-sh-degree=false",
     "--densify-from-iter",
     "5",
     "--densification-interval",

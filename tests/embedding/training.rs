@@ -160,6 +160,7 @@ fn recorded_training_is_the_owned_paths_to_the_bit() {
         iterations: 440,
         sh_degree: 2,
         sh_degree_interval: 15,
+        scale_sh_degree: false,
         densification_interval: 20,
         densify_until_iter: 20_700,
         densify_grad_threshold: 2e-5,
