@@ -335,7 +335,8 @@ impl Lpips {
         loop {
             let bands = Bands::new(self.network, size, band);
             let requests = self.requests(&bands);
-            let needed = context.allocation_bytes(&requests) + context.staging_bytes(bands.largest());
+            let needed = context.allocation_bytes(&requests)
+                + context.staging_bytes(bands.largest()).max(context.least_ring());
             let binds = bands.largest() <= binding;
             let axis = bands.most_grid(self.workgroup) <= limits.max_workgroups_per_axis;
             if binds && axis && (band == 1 || needed <= most && bands.most_work(self.network) <= MOST_WORK) {

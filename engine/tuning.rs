@@ -169,7 +169,7 @@ impl Tuning {
         is_slow: true,
     };
 
-    /// By the structure of the kernels and estimates of compilers; by times where an H100 is named (tools/experiments.md). No other
+    /// By the structure of the kernels and estimates of compilers; by times where an H100 or H200 is named (tools/experiments.md). No other
     /// GPU has been measured.
     pub const GPU: Self = Self {
         backend: Backend::Gpu,
@@ -177,7 +177,8 @@ impl Tuning {
         heavy_lanes: None,
         heavy_blending: false,
         sort_method: SortMethod::Matching,
-        // Keys and their places are kept in registers, and a block of pairs in shared memory.
+        // Keys and their places are kept in registers, and a block of pairs in shared memory. On an H200 16 make
+        // small steps slower by 2 %, and sorts of a million pairs and more faster by 5 to 8 % (tools/experiments.md).
         sort_items: 8,
         scan_items: 4,
         scan_workgroup: WorkgroupRule::Elementwise,
@@ -201,8 +202,9 @@ impl Tuning {
         // Wide enough to fill a workgroup.
         loss_strip: 2,
         reads_texels: false,
-        // A fifth of both kernels' traffic.
-        fused_adam: true,
+        // Where a part of the Gaussians is outside the view, both kernels of the fused form go through nearly all of the memory.
+        // On an H200 that is slower (tools/experiments.md); where all are visible it spares a tenth of both.
+        fused_adam: false,
         strips_up_to_lanes: None,
         runs_in_order: false,
         heap_is_bound: true,
@@ -218,8 +220,9 @@ impl Tuning {
     /// to 1.9 times as many as 32, per pixel or Gaussian (tools/gpu_static.md). GCN has 64 only.
     pub const AMD: Self = Self { heavy_lanes: Some(32), heavy_blending: true, ..Self::GPU };
 
-    /// Measured on an H100 (tools/experiments.md).
-    pub const NVIDIA: Self = Self { sort_items: 16, shared_splats: true, ..Self::GPU };
+    /// Measured on an H100 and an H200 (tools/experiments.md).
+    pub const NVIDIA: Self =
+        Self { shared_splats: true, loss_workgroup: WorkgroupRule::Invocations(128), ..Self::GPU };
 
     /// The row of a device that is no processor, by the PCI id of its vendor.
     pub(crate) const fn of_vendor(vendor: u32) -> &'static Self {

@@ -46,16 +46,16 @@ fn close(context: Context) {
         }
         std::thread::sleep(Duration::from_millis(10));
     }
-    assert_nothing_allocated(&context);
+    assert_nothing_allocated(&context, "all");
     std::thread::sleep(Duration::from_millis(50));
     let messages = context.close().expect("the last holder");
     assert!(messages.is_empty(), "validation messages:\n{}", messages.join("\n"));
 }
 
-fn assert_nothing_allocated(context: &Context) {
+fn assert_nothing_allocated(context: &Context, after: &str) {
     context.free_staging();
     for arena in context.memory() {
-        assert_eq!(arena.bytes, 0, "arena {} leaks", arena.name);
+        assert_eq!(arena.bytes, 0, "arena {} leaks after {after}", arena.name);
     }
 }
 
@@ -180,7 +180,8 @@ fn check_again_and_again<T: PartialEq>(
             }
         }
         assert_eq!(faults.injected(), matrix.injected, "{name}: {fault:?} {index} was not reached");
-        assert_nothing_allocated(&context);
+        let function = functions.get(index as usize).filter(|_| fault == Fault::Object);
+        assert_nothing_allocated(&context, &format!("{name}, {fault:?} {index}, {function:?}"));
         assert!(!context.is_lost());
     }
     faults.disarm();
@@ -424,7 +425,7 @@ fn faults_of_growth() {
             }
             trainer.step().expect("it goes on");
             drop(trainer);
-            assert_nothing_allocated(&context);
+            assert_nothing_allocated(&context, "the refusal");
         }
         eprintln!(
             "growth, {fault:?}: {same} with the same bits, {limited} within the planes, {refused} tried again"

@@ -148,10 +148,12 @@ fn a_first_frame_takes_the_place_of_the_reserve_of_a_training() {
                 rooms.push((middle, room));
                 enough = middle;
             }
-            Err(Error::TooLarge { .. }) => refused = middle,
+            Err(error @ Error::TooLarge { .. }) => {
+                eprintln!("{middle}: {error}");
+                refused = middle;
+            }
             Err(error) => panic!("{middle}: {error}"),
         }
     }
-    eprintln!("{rooms:?}");
     assert_eq!(rooms.last().map(|&(_, room)| room), Some(3000), "the reserve was kept: {rooms:?}");
 }

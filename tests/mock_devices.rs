@@ -38,6 +38,16 @@ const SHAPES: [&str; 4] = [
     "hard_cases::hard_case_images_of_odd_sizes",
 ];
 
+/// What it runs on cards: bounded memory, of which transfers take a part, and failing calls.
+const BOUNDED: [&str; 6] = [
+    "faults::faults_of_other_objects",
+    "limits::memory_that_cannot_suffice_is_said_before_any_work",
+    "limits::memory_budget_is_trainings_whoever_looks_on",
+    "orientations::orientations_need_the_memory_that_is_forecast",
+    "visible_memory::a_reserve_gives_way_to_a_frame_in_the_middle_of_a_run",
+    "visible_memory::a_view_that_shows_too_much_stops_growth",
+];
+
 /// An upload into what a submission reads still.
 const UPLOADS: &str = "vk::memory::uploads_run_after_what_was_submitted";
 /// Photographs that are uploaded while the main queue computes.
@@ -109,8 +119,13 @@ fn check(machine: &str) {
         return;
     }
     let folder = tempfile::tempdir().expect("a folder for results");
-    let shapes = if machine == "small-limits" { &SHAPES[..] } else { &[] };
-    let selection = [&SELECTION[..], shapes].concat();
+    let more = match machine {
+        "small-limits" => &SHAPES[..],
+        "discrete" => &BOUNDED,
+        "discrete-rebar" => &BOUNDED[..1],
+        _ => &[],
+    };
+    let selection = [&SELECTION[..], more].concat();
     child::run(&selection, selection.len(), |child| {
         claim(child, machine);
         child.env(RESULTS, folder.path());

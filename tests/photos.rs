@@ -104,9 +104,9 @@ fn photos_without_memory_to_read_ahead_are_refused() {
     let refused = Trainer::new(gpu.context, views, &checkpoints::start(), EXTENT, short()).err();
     let message = refused.expect("refused").to_string();
     let expected = match Windowing::for_device(gpu.context.limits()) {
-        Windowing::Blocks => "24000 bytes, more than 19200 (the memory for photographs)",
+        Windowing::Blocks => "24000 bytes, more than 19200 (the memory for photographs,",
         // Four planes of four strips, and the pixels of the one that is being read.
-        Windowing::Sweeps => "31680 bytes, more than 26304 (the memory for photographs)",
+        Windowing::Sweeps => "31680 bytes, more than 26304 (the memory for photographs,",
     };
     assert!(message.contains(expected), "{message}");
 }

@@ -11,6 +11,7 @@ use ashsplat_files::Photo;
 use glam::Vec3;
 
 use crate::common::bounded;
+use crate::common::device::kept_for_transfers;
 use crate::common::engine::{camera, gaussians};
 use crate::common::gpu::Gpu;
 use crate::common::scenes::{Random, small_scene, small_view};
@@ -186,7 +187,8 @@ fn a_reserve_gives_way(settings: &TrainSettings) {
         let reserved = trainer.checkpoint().expect("a checkpoint").room.gaussians;
         // Somebody else needs memory.
         let held = ballast.map(|left| {
-            let bytes = 96 * MIB - context.memory_total().bytes - left;
+            context.free_staging();
+            let bytes = 96 * MIB - context.memory_total().bytes - kept_for_transfers(&context) - left;
             context.allocate("ballast", &[("ballast", bytes)], MemoryKind::Device).expect("memory")
         });
         let reports = steps(&mut trainer, 5);

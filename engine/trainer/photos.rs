@@ -44,7 +44,7 @@ impl Residence {
                 needed: (ON_HOST + 1) * bytes + read,
                 unit: "bytes",
                 limit: memory,
-                limit_name: "the memory for photographs",
+                limit_name: "the memory for photographs, at most half of --max-host-memory",
             });
         }
         let count = usize::try_from(held - ON_HOST).unwrap_or(usize::MAX).min(photos.len());
@@ -173,7 +173,12 @@ impl Photos {
                 let begun = texels.iter().zip(views).try_for_each(begin);
                 // Also of those that were begun before one that cannot be read: they hold the memory.
                 let finished = context.finish_uploads();
-                begun.and(finished)?;
+                if let Err(error) = begun.and(finished) {
+                    // A queue for copies has some of them still.
+                    drop(texels);
+                    context.free_staging();
+                    return Err(error);
+                }
                 let masked = views.iter().map(|view| view.photo.is_masked()).collect();
                 return Ok(Self::Resident { texels, masked });
             }

@@ -55,12 +55,14 @@ impl Device {
         Some(self.offload.load(Ordering::Relaxed)).filter(|&bytes| bytes > 0)
     }
 
-    /// [`Context::allocate`](super::Context::allocate), without what tests and audits do with new memory.
+    /// [`Context::allocate`](super::Context::allocate), without what tests and audits do with new memory. `kept_free`: bytes
+    /// of the bound that the next transfer takes.
     pub(super) fn allocate(
         self: &Arc<Self>,
         arena: &str,
         requests: &[(&'static str, u64)],
         kind: MemoryKind,
+        kept_free: u64,
     ) -> Result<Vec<Buffer>> {
         let limits = &self.limits;
         let too_large = |what: String, needed, limit, limit_name| {
@@ -86,10 +88,13 @@ impl Device {
         }
         let (used, limit, limit_name) = match kind {
             MemoryKind::Offloaded => (self.registry.offloaded().bytes, self.offload(), OFFLOAD),
-            _ => (self.registry.total().bytes, self.max_memory(), MAX_MEMORY),
+            _ => (self.registry.total().bytes + kept_free, self.max_memory(), MAX_MEMORY),
         };
         if let Some(limit) = limit.filter(|&limit| used.saturating_add(total) > limit) {
-            let what = format!("arena {arena} (beside {used} bytes in use)");
+            let what = match kept_free {
+                0 => format!("arena {arena} (beside {used} bytes in use)"),
+                _ => format!("arena {arena} (beside {used} bytes in use and for transfers)"),
+            };
             return too_large(what, used.saturating_add(total), limit, limit_name);
         }
         let arena: Arc<str> = arena.into();

@@ -5,7 +5,7 @@ use super::allocator::MemoryKind;
 use super::arenas::ArenaMemory;
 use super::buffer::Buffer;
 use super::context::Context;
-use super::staging::LEAST_RING_BYTES;
+use super::staging;
 use crate::{Error, Result};
 use ash::vk;
 use std::sync::PoisonError;
@@ -19,7 +19,8 @@ impl Context {
     ///
     /// # Errors
     /// [`crate::Error::TooLarge`] for a request above maxStorageBufferRange or the largest allocation, or when all
-    /// together exceed the memory of a GPU or [`super::ContextOptions::max_memory`]; nothing is allocated then.
+    /// together exceed the memory of a GPU or [`super::ContextOptions::max_memory`], of which 256 KiB are left for transfers where
+    /// the host does not see device memory; nothing is allocated then.
     /// [`crate::Error::Vulkan`] when the device has no memory left.
     pub fn allocate(
         &self,
@@ -27,15 +28,29 @@ impl Context {
         requests: &[(&'static str, u64)],
         kind: MemoryKind,
     ) -> Result<Vec<Buffer>> {
-        let mut allocated = self.device.allocate(arena, requests, kind);
+        let mut allocated = self.device.allocate(arena, requests, kind, self.room_of_transfers(kind));
         if matches!(allocated, Err(Error::TooLarge { .. })) && self.free_staging() {
-            allocated = self.device.allocate(arena, requests, kind);
+            allocated = self.device.allocate(arena, requests, kind, self.room_of_transfers(kind));
         }
         let buffers = allocated?;
         #[cfg(feature = "testing")]
         self.raise_guards(&buffers)?;
         self.clear_if_audited(&buffers, kind)?;
         Ok(buffers)
+    }
+
+    /// What an allocation leaves free of bounded memory: the next transfer could not take place without.
+    fn room_of_transfers(&self, kind: MemoryKind) -> u64 {
+        // The ring is locked while a download runs.
+        if self.max_memory().is_none() || kind == MemoryKind::Offloaded || self.staging.lock().bytes() > 0 {
+            return 0;
+        }
+        self.least_ring()
+    }
+
+    /// The least that the ring of staging memory takes; 0 where there is none.
+    pub(crate) fn least_ring(&self) -> u64 {
+        if self.device.reads_mapped() { 0 } else { staging::least_room(&self.device) }
     }
 
     /// Frees the staging memory that transfers keep for the next ones, where device memory is not mapped. Waits for uploads in
@@ -48,7 +63,7 @@ impl Context {
     /// transfer needs, whatever it holds: it makes room. So a plan does not depend on what was transferred before.
     pub(crate) fn held_bytes(&self) -> u64 {
         let ring = self.staging.lock().bytes();
-        self.memory_total().bytes.saturating_sub(ring) + self.staging_bytes(LEAST_RING_BYTES)
+        self.memory_total().bytes.saturating_sub(ring) + self.least_ring()
     }
 
     /// Bytes that [`Context::allocate`] takes for these requests. For requests that it refuses, their sum.

@@ -158,7 +158,7 @@ impl Commands {
             Some(buffer) => buffer,
             None => {
                 let request = [("indirect_arguments", u64::from(MAX_COMMANDS) * GRID_BYTES)];
-                inner.allocate("profile", &request, MemoryKind::HostVisible)?.swap_remove(0)
+                inner.allocate("profile", &request, MemoryKind::HostVisible, 0)?.swap_remove(0)
             }
         };
         Ok(Self { log, records: Vec::new(), indirect: Vec::new(), readback, begun })

@@ -19,7 +19,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 /// Most bytes of the ring.
 const RING_BYTES: u64 = 32 << 20;
 /// Fewest, where memory is bounded: larger than an update that a recording holds itself.
-pub(super) const LEAST_RING_BYTES: u64 = 1 << 18;
+const LEAST_RING_BYTES: u64 = 1 << 18;
 /// Pieces that a ring holds at least: the host writes one while the others are copied.
 const PIECES: u64 = 4;
 
@@ -57,15 +57,14 @@ impl Staging {
 impl Ring {
     /// The ring's buffer: made now if there is none or if it is small. What is in flight keeps the old one.
     fn buffer(&mut self, device: &Arc<Device>, bytes: u64) -> Result<Buffer> {
-        let most = device.limits.max_storage_buffer_range.min(device.limits.max_allocation_bytes);
-        let least = LEAST_RING_BYTES.min(most / 2);
+        let (most, least) = (most_bytes(device), least_bytes(device));
         let mut wanted = (bytes * PIECES).clamp(LEAST_RING_BYTES, RING_BYTES).min(most);
         if let Some(buffer) = self.buffer.as_ref().filter(|buffer| buffer.bytes() >= wanted) {
             return Ok(buffer.clone());
         }
         // Of bounded memory it takes what is left.
         loop {
-            let made = device.allocate("staging", &[("ring", wanted)], MemoryKind::HostVisible);
+            let made = device.allocate("staging", &[("ring", wanted)], MemoryKind::HostVisible, 0);
             match (made, &self.buffer) {
                 (Ok(mut made), _) => {
                     let buffer = made.swap_remove(0);
@@ -196,13 +195,41 @@ impl Ring {
         self.buffer.as_ref().map_or(0, Buffer::bytes)
     }
 
+    /// Forgets what was copied into memory that nobody else holds any more: an upload before has failed. Nothing is in flight.
+    /// Returns whether there was any.
+    fn forget_dropped(&mut self) -> bool {
+        let (before, all) = (self.released.len(), self.released.clone());
+        self.released.retain(|of| {
+            // The ring's own references: one of `released` and one of `all` for each of its buffers.
+            let own = 2 * all.iter().filter(|other| Arc::ptr_eq(other.block(), of.block())).count();
+            Arc::strong_count(of.block()) > own
+        });
+        self.released.len() < before
+    }
+
     /// Frees the ring's memory, after its submissions. Returns whether there was any.
     pub(super) fn free(&mut self) -> bool {
         // Dropping them waits.
         self.running.clear();
+        let forgotten = self.forget_dropped();
         self.head = 0;
-        self.buffer.take().is_some()
+        self.buffer.take().is_some() || forgotten
     }
+}
+
+/// Most bytes of a ring on a device.
+fn most_bytes(device: &Device) -> u64 {
+    device.limits.max_storage_buffer_range.min(device.limits.max_allocation_bytes)
+}
+
+/// Fewest.
+fn least_bytes(device: &Device) -> u64 {
+    LEAST_RING_BYTES.min(most_bytes(device) / 2)
+}
+
+/// What the smallest ring takes of a device's memory.
+pub(super) fn least_room(device: &Device) -> u64 {
+    device.allocation_bytes(&[("ring", least_bytes(device))])
 }
 
 /// The part that both barriers of a change of owner share: from the queue for copies to the main one.

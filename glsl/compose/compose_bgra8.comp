@@ -13,6 +13,7 @@
 #include "constants.glsl"
 
 #define COMPOSE_FORMAT rgba8
+#define COMPOSE_STEPS 255.0
 #define COMPOSE_LOAD(texel) (texel).zyxw
 #define COMPOSE_STORE(color) (color).zyxw
 #include "compose.glsl"

@@ -12,4 +12,5 @@
 #include "constants.glsl"
 
 #define COMPOSE_FORMAT rgba8
+#define COMPOSE_STEPS 255.0
 #include "compose.glsl"

@@ -1,6 +1,7 @@
 // Writes a blended picture into a host's storage image, either replacing the image or composited over it. Each format has
 // its own kernel because the format is part of the image's type. Needs constants.glsl and COMPOSE_FORMAT. COMPOSE_LARGEST is
-// the format's largest number, where it is below that of the colours. Where texels are not colours, COMPOSE_IMAGE is the
+// the format's largest number, where it is below that of the colours. COMPOSE_STEPS is its number of steps between 0 and 1, where it
+// holds no others. Where texels are not colours, COMPOSE_IMAGE is the
 // image's type, COMPOSE_LOAD the colour of a texel and COMPOSE_STORE its inverse.
 //
 // Splats are trained, and blended, in display-encoded values. Linear light is made of what they have blended to:
@@ -71,6 +72,11 @@ void main() {
             picture.xyz = srgb_from_linear(picture.xyz);
         }
     }
+#ifdef COMPOSE_STEPS
+    // A store of what lies between two numbers of the format may become either (Vulkan prefers the nearer one): an H200 is off by
+    // up to 0.56 of their distance.
+    picture = floor(clamp(picture, 0.0, 1.0) * COMPOSE_STEPS + 0.5) / COMPOSE_STEPS;
+#endif
 #ifdef COMPOSE_LARGEST
     // The format rounds what is larger to infinity.
     picture = min(picture, vec4(COMPOSE_LARGEST));

@@ -71,11 +71,22 @@ pub fn bounded(max_memory: Option<u64>) -> Bounded {
     Bounded(context)
 }
 
-/// Fails unless all of this memory was used at some time, and no more. A card's ring for transfers may stay smaller than what is
-/// kept for it.
+/// Bytes that are kept for a card's ring for transfers, which may stay smaller.
+pub fn kept_for_transfers(context: &Context) -> u64 {
+    if context.transfers().reads_directly { 0 } else { 1 << 18 }
+}
+
+/// The most bytes that were used, with what is kept for a card's ring in its place.
+pub fn peak_beside_transfers(context: &Context) -> u64 {
+    let arenas = context.memory();
+    let ring =
+        arenas.iter().filter(|arena| arena.name == "staging").map(|arena| arena.peak_bytes).sum::<u64>();
+    context.memory_total().peak_bytes - ring + kept_for_transfers(context)
+}
+
+/// Fails unless all of this memory was used at some time, and no more.
 pub fn assert_uses_all(context: &Context, bytes: u64) {
-    let peak = context.memory_total().peak_bytes;
-    let kept = if context.memory().iter().any(|arena| arena.name == "staging") { 1 << 18 } else { 0 };
+    let (peak, kept) = (context.memory_total().peak_bytes, kept_for_transfers(context));
     assert!(peak <= bytes && peak + kept >= bytes, "all of {bytes}, and no more: {peak}");
 }
 

@@ -128,7 +128,7 @@ fn null_handles_and_wrong_images_are_refused() {
         let refused: [(Change, ImageUse, &str); 21] = [
             (&|f| f.image = vk::Image::null(), ImageUse::Target, "null"),
             (&|f| f.size = [0, 8], ImageUse::Target, "0 x 8"),
-            (&|f| f.size = [8, 1 << 30], ImageUse::Target, "8 x 1073741824, each must be from 1 to 1"),
+            (&|f| f.size = [8, 1 << 30], ImageUse::Target, "8 x 1073741824, each must be from 1 to "),
             (
                 &depths,
                 ImageUse::Occluder,

@@ -1,6 +1,9 @@
 //! What is written into a host's images: their formats, and linear light. Expected is what the twin of `compose` makes of the
 //! frame's own pixels.
 
+mod formats;
+
+use self::formats::{BELOW, cleared, is_srgb, rounding, unorm_steps};
 use crate::host::{Host, InFlight};
 use crate::memory::{HostBuffer, HostTexture, Use};
 use crate::stage::{adopt, camera, cloud, guest, options, rendered, with_host};
@@ -15,8 +18,6 @@ use ashsplat_reference::compose_rgba32f::{compose, compose_linear, decode, encod
 
 const SIZE: [u32; 2] = [64, 48];
 const PIXELS: usize = (SIZE[0] * SIZE[1]) as usize;
-/// What the host has in its image before, as it sees it.
-const BELOW: [f32; 4] = [0.25, 0.5, 0.75, 1.0];
 const WRITTEN: Use = (
     vk::ImageLayout::TRANSFER_DST_OPTIMAL,
     vk::PipelineStageFlags2::ALL_TRANSFER,
@@ -45,7 +46,7 @@ impl Scene {
         Self { context, renderer, scene, camera, blended }
     }
 
-    /// The texels of an image of a format in which the frame was composed over [`BELOW`], as the host reads them; in
+    /// The texels of an image of a format in which the frame was composed over what [`cleared`] names, as the host reads them; in
     /// linear floats, if the device converts them.
     fn composed(
         &mut self,
@@ -120,7 +121,7 @@ impl Scene {
 fn clear(host: &Host, in_flight: &InFlight, texture: &HostTexture) {
     let fresh = (vk::ImageLayout::UNDEFINED, vk::PipelineStageFlags2::NONE, vk::AccessFlags2::NONE);
     texture.barrier(host, in_flight.commands, fresh, WRITTEN);
-    let color = vk::ClearColorValue { float32: BELOW };
+    let color = vk::ClearColorValue { float32: cleared(texture.format) };
     let whole = vk::ImageSubresourceRange {
         aspect_mask: texture.aspect,
         level_count: 1,
@@ -195,25 +196,6 @@ fn texel_of(format: Format, bytes: &[u8]) -> [f64; 4] {
     }
 }
 
-fn is_srgb(format: Format) -> bool {
-    matches!(format, Format::R8G8B8A8_SRGB | Format::B8G8R8A8_SRGB)
-}
-
-/// How far a format's numbers may lie from what they stand for: half of their distance. The device's own conversion to
-/// 16-bit floats may also cut off.
-fn rounding(format: Format, channel: usize, value: f64) -> f64 {
-    let float =
-        |mantissa: i32| 2f64.powi(-mantissa - 1) * 2f64.powf(value.max(2f64.powi(-14)).log2().floor());
-    match format {
-        Format::R32G32B32A32_SFLOAT => 0.0,
-        Format::R16G16B16A16_SFLOAT => 2.0 * float(10),
-        Format::B10G11R11_UFLOAT_PACK32 => float(if channel == 2 { 5 } else { 6 }),
-        Format::A2B10G10R10_UNORM_PACK32 if channel == 3 => 0.5 / 3.0,
-        Format::A2B10G10R10_UNORM_PACK32 => 0.5 / 1023.0,
-        _ => 0.5 / 255.0,
-    }
-}
-
 fn assert_close(format: Format, what: &str, actual: &[[f64; 4]], expected: &[[f64; 4]]) {
     assert_eq!(actual.len(), expected.len());
     for (pixel, (actual, expected)) in actual.iter().zip(expected).enumerate() {
@@ -228,22 +210,13 @@ fn assert_close(format: Format, what: &str, actual: &[[f64; 4]], expected: &[[f6
     }
 }
 
-/// Steps between 0 and 1 of a format that has no more.
-fn unorm_steps(format: Format) -> Option<f64> {
-    match format {
-        Format::B10G11R11_UFLOAT_PACK32 | Format::R16G16B16A16_SFLOAT | Format::R32G32B32A32_SFLOAT => None,
-        Format::A2B10G10R10_UNORM_PACK32 => Some(1023.0),
-        _ => Some(255.0),
-    }
-}
-
 fn encoded([r, g, b, a]: [f64; 4]) -> [f64; 4] {
     [encode(r), encode(g), encode(b), a]
 }
 
-/// What [`BELOW`] is after the device has cleared an image with it, as the guest takes it: an sRGB format holds codes.
+/// What that is after the device has cleared an image with it, as the guest takes it: an sRGB format holds codes.
 fn below(format: Format, encoding: ColorEncoding) -> [f64; 4] {
-    let below = BELOW.map(f64::from);
+    let below = cleared(format).map(f64::from);
     let held = |x: f64| unorm_steps(format).map_or(x, |steps| (x * steps).round() / steps);
     match (is_srgb(format), encoding) {
         (false, _) => below.map(held),

@@ -52,7 +52,7 @@ fn faults_of_prunings() {
         }
         trainer.step().expect("it goes on");
         drop(trainer);
-        assert_nothing_allocated(&context);
+        assert_nothing_allocated(&context, "prunings");
     }
     // For the order of opacities, and for the decisions.
     assert!(left_out >= 2, "{left_out}");

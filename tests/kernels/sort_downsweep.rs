@@ -51,12 +51,9 @@ fn check(gpu: &Gpu, spec: Spec, keys: &[u32], [shift, bits]: [u32; 2]) {
     let (mut expected_keys, mut expected_values) = sort_downsweep(keys, &values, shift, bits);
     expected_keys.extend([UNTOUCHED; 2]);
     expected_values.extend([UNTOUCHED; 2]);
-    assert_eq!(gpu.read::<u32>(&sorted_keys, size + 2), expected_keys, "size {size}, {bits} bits at {shift}");
-    assert_eq!(
-        gpu.read::<u32>(&sorted_values, size + 2),
-        expected_values,
-        "size {size}, {bits} bits at {shift}"
-    );
+    let case = format!("size {size}, {bits} bits at {shift}, {spec:?}");
+    assert_eq!(gpu.read::<u32>(&sorted_keys, size + 2), expected_keys, "{case}");
+    assert_eq!(gpu.read::<u32>(&sorted_values, size + 2), expected_values, "{case}");
 }
 
 #[test]

@@ -153,13 +153,13 @@ pub fn unpaired(a: &Report, b: &Report) -> Vec<String> {
     }
     for (name, one, other) in [("A", a, b), ("B", b, a)] {
         for (one, other) in one.runs.iter().zip(&other.runs) {
-            let timed = one.kernels.iter().filter(|k| k.time_us.is_some());
-            let alone = timed.filter(|k| time_of_twin(k, &other.kernels).is_none());
             if one.cpu_seconds.is_some() && other.cpu_seconds.is_none() {
                 found.push(format!("only in {name}: {} processor time", one.name));
             }
-            found
-                .extend(alone.map(|k| format!("only in {name}: {} {} in '{}'", one.name, k.kernel, k.scope)));
+            let alone = alone(&one.kernels, &other.kernels);
+            found.extend(
+                alone.map(|(k, _)| format!("only in {name}: {} {} in '{}'", one.name, k.kernel, k.scope)),
+            );
         }
     }
     found
@@ -168,6 +168,15 @@ pub fn unpaired(a: &Report, b: &Report) -> Vec<String> {
 /// The time of the same kernel in the same stage.
 fn time_of_twin(kernel: &KernelResult, among: &[KernelResult]) -> Option<Spread> {
     among.iter().find(|k| (&k.scope, &k.kernel) == (&kernel.scope, &kernel.kernel))?.time_us
+}
+
+/// The kernels of one measurement whose time the other has not, and that time.
+pub fn alone<'a>(
+    one: &'a [KernelResult],
+    other: &'a [KernelResult],
+) -> impl Iterator<Item = (&'a KernelResult, Spread)> {
+    let timed = one.iter().filter_map(|kernel| Some((kernel, kernel.time_us?)));
+    timed.filter(|(kernel, _)| time_of_twin(kernel, other).is_none())
 }
 
 /// Pairs up the kernels of two measurements.

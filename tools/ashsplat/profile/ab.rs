@@ -34,13 +34,13 @@ pub fn run(arguments: &Arguments, settings: &[String], scene: &Scene) -> Result<
     let measured = iterations.map(measured);
     let mut kernels = [0, 1].map(|i: usize| measured[i].kernels(&Traffic::bound(), None));
     kernels.iter_mut().try_for_each(|kernels| super::only(arguments.kernel.as_deref(), kernels))?;
-    let mut lines = vec![Line::whole(
-        arguments.what().name(),
-        "wall",
-        measured[0].wall_ms().times(1e3),
-        measured[1].wall_ms().times(1e3),
-    )];
-    lines.extend(compare::kernels(arguments.what().name(), &kernels[0], &kernels[1]));
+    let name = arguments.what().name();
+    let [wall_a, wall_b] = [0, 1].map(|i: usize| measured[i].wall_ms().times(1e3));
+    let mut lines = vec![Line::whole(name, "wall", wall_a, wall_b)];
+    if let [Some(a), Some(b)] = [0, 1].map(|i: usize| measured[i].device_ms()) {
+        lines.push(Line::whole(name, "device", a.times(1e3), b.times(1e3)));
+    }
+    lines.extend(compare::kernels(name, &kernels[0], &kernels[1]));
     let both = if arguments.spec.is_empty() {
         String::new()
     } else {
@@ -48,6 +48,11 @@ pub fn run(arguments: &Arguments, settings: &[String], scene: &Scene) -> Result<
     };
     say!("A: {a}   B: {b}{both}   {} iterations each, in turn", arguments.frames());
     say!("{}", compare::table(&lines).trim_end());
+    for (name, one, other) in [("A", 0, 1), ("B", 1, 0)] {
+        for (kernel, time) in compare::alone(&kernels[one], &kernels[other]) {
+            say!("only in {name}: {:.1} µs, {} in '{}'", time.median, kernel.kernel, kernel.scope);
+        }
+    }
     say!("largest difference of the pictures: {difference}");
     for context in &contexts {
         super::print_messages(context);
