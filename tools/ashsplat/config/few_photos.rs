@@ -154,8 +154,9 @@ mod tests {
         let quality = TrainSettings::of_preset(Preset::Quality);
         assert!(!usual.multi_step && usual.average_last > quality.average_last);
         let TrainSettings { dropout, opacity_reg, scale_reg, multi_step, scaling_lr, .. } = usual;
-        let TrainSettings { average_last, position_lr_final, .. } = usual;
+        let TrainSettings { average_last, position_lr_final, scale_sh_degree, .. } = usual;
         let keeps = TrainSettings { multi_step, scaling_lr, average_last, position_lr_final, ..quality };
+        let keeps = TrainSettings { scale_sh_degree, ..keeps };
         let expected = TrainSettings { dropout, opacity_reg, scale_reg, ..keeps };
         assert_eq!(preset.expect("settings").train, expected);
 
@@ -173,12 +174,13 @@ mod tests {
             "--opacity-reg 0.01",
             "--scale-reg 0.0112",
             "--average-last 0.25",
+            "--scale-sh-degree false",
         ];
         for part in parts {
             assert!(said.contains(part), "{said}");
         }
         // Neither what was given, nor what comes with the strategy.
-        for part in ["iterations", "late-min-opacity", "absgrad", "position", "sh-degree"] {
+        for part in ["iterations", "late-min-opacity", "absgrad", "position", "--sh-degree"] {
             assert!(!said.contains(part), "{said}");
         }
         let said = described(8, &none, (&TrainSettings::default(), &reference)).expect("a line");
