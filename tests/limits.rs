@@ -10,7 +10,7 @@ use ashsplat_files::Photo;
 use glam::Vec3;
 
 use crate::checkpoints::{start, views};
-use crate::common::device::{Bounded, assert_uses_all, bounded, peak_beside_transfers};
+use crate::common::device::{Bounded, assert_uses_all, bounded, planned_peak};
 use crate::common::engine::{camera, gaussians};
 use crate::common::gpu::Gpu;
 use crate::common::scenes::{Random, small_scene, small_view};
@@ -406,7 +406,7 @@ fn memory_budget_is_trainings_whoever_looks_on() {
         drop(trainer);
         assert_silent(&context);
         let most = context.memory_total().peak_bytes;
-        (end, limited, [most, peak_beside_transfers(&context)], seen)
+        (end, limited, [most, planned_peak(&context)], seen)
     };
     let (free, none, [_, peak], _) = train(None, false);
     assert_eq!(none, 0);

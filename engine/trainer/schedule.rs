@@ -18,9 +18,9 @@ fn log_linear([first, last]: [f64; 2], iteration: u32, steps: u32) -> f64 {
 
 impl TrainSettings {
     /// An iteration of the schedule in this run: the same, or with `scale_schedule` multiplied by `iterations`
-    /// / 30,000 and rounded, so that it keeps its share of the run. What follows an opacity reset and
-    /// intervals, but that of the SH degree, are not scaled: statistics need as many views, and opacities as many steps, in a short
-    /// run.
+    /// / 30,000 and rounded, so that it keeps its share of the run. Intervals and what follows an opacity reset
+    /// are not scaled: statistics need as many views, and opacities as many steps, in a short run. That of the SH degree has a
+    /// switch of its own, `scale_sh_degree`.
     pub fn scaled(&self, iteration: u32) -> u32 {
         if self.scale_schedule { self.share_of_run(iteration) } else { iteration }
     }

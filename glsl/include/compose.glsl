@@ -1,8 +1,8 @@
 // Writes a blended picture into a host's storage image, either replacing the image or composited over it. Each format has
 // its own kernel because the format is part of the image's type. Needs constants.glsl and COMPOSE_FORMAT. COMPOSE_LARGEST is
 // the format's largest number, where it is below that of the colours. COMPOSE_STEPS is its number of steps between 0 and 1, where it
-// holds no others. Where texels are not colours, COMPOSE_IMAGE is the
-// image's type, COMPOSE_LOAD the colour of a texel and COMPOSE_STORE its inverse.
+// holds no others. Where texels are not colours, COMPOSE_IMAGE is the image's type, COMPOSE_LOAD the colour of a texel and
+// COMPOSE_STORE its inverse.
 //
 // Splats are trained, and blended, in display-encoded values. Linear light is made of what they have blended to:
 //

@@ -71,17 +71,19 @@ pub fn bounded(max_memory: Option<u64>) -> Bounded {
     Bounded(context)
 }
 
-/// Bytes that are kept for a card's ring for transfers, which may stay smaller.
+/// The smallest ring for transfers.
+const LEAST_RING_BYTES: u64 = 1 << 18;
+
+/// Bytes that are kept for a card's ring, which it need not have taken.
 pub fn kept_for_transfers(context: &Context) -> u64 {
-    if context.transfers().reads_directly { 0 } else { 1 << 18 }
+    if context.transfers().reads_directly { 0 } else { LEAST_RING_BYTES }
 }
 
-/// The most bytes that were used, with what is kept for a card's ring in its place.
-pub fn peak_beside_transfers(context: &Context) -> u64 {
+/// The most bytes that were used, with the least that transfers need in place of a card's ring, which makes room: what plans count.
+pub fn planned_peak(context: &Context) -> u64 {
     let arenas = context.memory();
-    let ring =
-        arenas.iter().filter(|arena| arena.name == "staging").map(|arena| arena.peak_bytes).sum::<u64>();
-    context.memory_total().peak_bytes - ring + kept_for_transfers(context)
+    let ring = arenas.iter().find(|arena| arena.name == "staging").map_or(0, |arena| arena.peak_bytes);
+    context.memory_total().peak_bytes - ring.saturating_sub(LEAST_RING_BYTES)
 }
 
 /// Fails unless all of this memory was used at some time, and no more.

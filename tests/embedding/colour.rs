@@ -214,7 +214,7 @@ fn encoded([r, g, b, a]: [f64; 4]) -> [f64; 4] {
     [encode(r), encode(g), encode(b), a]
 }
 
-/// What that is after the device has cleared an image with it, as the guest takes it: an sRGB format holds codes.
+/// What [`cleared`] names, after the device has cleared an image with it, as the guest takes it: an sRGB format holds codes.
 fn below(format: Format, encoding: ColorEncoding) -> [f64; 4] {
     let below = cleared(format).map(f64::from);
     let held = |x: f64| unorm_steps(format).map_or(x, |steps| (x * steps).round() / steps);
