@@ -1,7 +1,7 @@
 //! Training that learns the exposures of its photographs.
 
 use ashsplat::scene::Exposure;
-use ashsplat::trainer::{Checkpoint, OptimizerType, Trainer};
+use ashsplat::trainer::{Checkpoint, OptimizerType, Preset, Trainer};
 use ashsplat::{Camera, Gaussians, TrainSettings, TrainView};
 use ashsplat_files::{CheckpointFile, Photo, metrics};
 
@@ -72,15 +72,23 @@ fn settings(exposure: bool) -> TrainSettings {
         sh_degree: 0,
         feature_lr: 0.02,
         opacity_lr: 0.05,
-        // As presets have them.
-        exposure_reg: 0.1,
-        exposure_shared: true,
-        exposure_sparsity: 0.05,
         densify_until_iter: 0,
         opacity_reset_interval: 100_000,
         exposure,
         seed: 2,
-        ..TrainSettings::default()
+        ..with_exposures_of_presets(TrainSettings::default())
+    }
+}
+
+fn with_exposures_of_presets(settings: TrainSettings) -> TrainSettings {
+    let preset = TrainSettings::of_preset(Preset::Default);
+    TrainSettings {
+        exposure_lr_init: preset.exposure_lr_init,
+        exposure_lr_final: preset.exposure_lr_final,
+        exposure_reg: preset.exposure_reg,
+        exposure_shared: preset.exposure_shared,
+        exposure_sparsity: preset.exposure_sparsity,
+        ..settings
     }
 }
 
@@ -105,7 +113,7 @@ fn train(
     (quality, trainer.exposures().expect("exposures"))
 }
 
-/// Three photographs under known gains: what is learnt of them are these gains (1 % off at most), and a scene of 34 dB is as good as
+/// Three photographs under known gains: what is learnt of them are these gains (0.7 % off at most), and a scene of 34 dB is as good as
 /// that of unchanged photographs. With the reference's form, at slower rates, it is 1.1 % and 0.2 dB less. The exposures of the others
 /// are the measure: the mean of all is the identity.
 #[test]
@@ -140,7 +148,7 @@ fn exposures_are_recovered_and_the_scene_stays_as_it_is() {
     println!(
         "unchanged {unchanged:.2} dB, ignored {ignored:.2}, learnt {learnt:.2}; gains off by {worst:.4} at {best:.2} dB"
     );
-    assert!(worst < 0.0105, "a gain is off by {worst}");
+    assert!(worst < 0.007, "a gain is off by {worst}");
     // How far the exposures of unchanged photographs are from none.
     let [resting, moving] = [resting, moving].map(|exposures| {
         let unchanged = (0..VIEWS).filter(|view| CHANGED.iter().all(|(changed, _)| changed != view));
@@ -198,12 +206,7 @@ fn exposures_that_are_not_learned_do_not_count_in_checkpoints() {
         Trainer::new(gpu.context, views(3, 40), &start(), EXTENT, small_settings()).expect("a trainer");
     trainer.step().expect("a step");
     let checkpoint = trainer.checkpoint().expect("a checkpoint");
-    let other = TrainSettings {
-        exposure_reg: 0.1,
-        exposure_shared: true,
-        exposure_sparsity: 0.05,
-        ..small_settings()
-    };
+    let other = with_exposures_of_presets(small_settings());
     let resume =
         |settings, from: &Checkpoint| Trainer::resume(gpu.context, views(3, 40), EXTENT, settings, from);
     resume(other.clone(), &checkpoint).expect("resumed");

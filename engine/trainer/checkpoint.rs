@@ -397,6 +397,8 @@ impl Checkpoint {
         let mut settings = TrainSettings { iterations: wanted.settings.iterations, ..self.settings.clone() };
         if !settings.exposure {
             // Of no effect, and presets came to set them.
+            settings.exposure_lr_init = wanted.settings.exposure_lr_init;
+            settings.exposure_lr_final = wanted.settings.exposure_lr_final;
             settings.exposure_reg = wanted.settings.exposure_reg;
             settings.exposure_shared = wanted.settings.exposure_shared;
             settings.exposure_sparsity = wanted.settings.exposure_sparsity;

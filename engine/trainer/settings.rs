@@ -100,9 +100,9 @@ options! {
         average_last: f64 = 0.0, Bounds::Share;
         /// Learn the exposure of each photo: a 3x4 matrix that changes the rendered colours before they are compared
         exposure: bool = false, Bounds::None;
-        /// Learning rate of the exposures at the start
+        /// Learning rate of the exposures at the start (presets: 0.02)
         exposure_lr_init: f64 = 0.01, Bounds::Positive;
-        /// Learning rate of the exposures at the end
+        /// Learning rate of the exposures at the end (presets: 0.0005)
         exposure_lr_final: f64 = 0.001, Bounds::Positive;
         /// Iterations over which the exposures' learning rate rises from exposure_lr_delay_mult of it to all of it
         exposure_lr_delay_steps: u32 = 0, Bounds::None;
@@ -233,6 +233,8 @@ impl TrainSettings {
             average_last: AVERAGED_SHARE,
             position_lr_final: 4e-6,
             scaling_lr: 7.5e-3,
+            exposure_lr_init: 0.02,
+            exposure_lr_final: 5e-4,
             exposure_reg: 0.1,
             exposure_shared: true,
             exposure_sparsity: 0.05,
