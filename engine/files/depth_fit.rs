@@ -87,7 +87,7 @@ impl DepthFit {
     ///
     /// # Errors
     /// [`Error::Io`] when the file cannot be read, [`Error::Input`] when it is no such list or has a number that is not
-    /// finite.
+    /// finite, also as the 32-bit number that the device takes.
     pub fn read_all(path: impl AsRef<Path>) -> Result<BTreeMap<String, Self>> {
         let path = path.as_ref();
         host_memory::check_text_file(path)?;
@@ -98,12 +98,12 @@ impl DepthFit {
             .map_err(|e| Error::input(path, format!("is not a list of depth parameters: {e}"), remedy))?;
         let finite = |fit: &Self| {
             cost::step();
-            fit.scale.is_finite() && fit.offset.is_finite()
+            (fit.scale as f32).is_finite() && (fit.offset as f32).is_finite()
         };
         match fits.iter().find(|(_, fit)| !finite(fit)) {
             None => Ok(fits),
             Some((name, _)) => {
-                Err(Error::input(path, format!("{name} has a number that is not finite"), remedy))
+                Err(Error::input(path, format!("{name} has a number that is too large"), remedy))
             }
         }
     }

@@ -12,6 +12,9 @@ use safetensors::{Dtype, SafeTensors};
 const REMEDY: &str =
     "give the weights of LPIPS 0.1 with AlexNet or VGG16, as tools/lpips_weights.py writes them";
 
+/// No weight of a trained network is as large; a damaged one may be, and would make LPIPS 0 or not a number.
+const LARGEST: f32 = 1000.0;
+
 /// Weights as files: what this crate adds to [`Weights`].
 pub trait WeightsFile: Sized {
     /// Reads the weights of a network and of the heads of LPIPS. The shapes say which network it is.
@@ -25,7 +28,7 @@ pub trait WeightsFile: Sized {
     ///
     /// # Errors
     /// [`Error::Io`]; [`Error::Input`] with the tensor that is missing, given twice, of another shape or type, or that has a
-    /// value that is not finite; [`Error::TooLarge`] when the machine has too little memory.
+    /// value that is not finite or beyond 1000, or of a head one below 0; [`Error::TooLarge`] when the machine has too little memory.
     fn read(path: impl AsRef<Path>, memory: &HostMemory) -> Result<Self>;
 }
 
@@ -56,7 +59,17 @@ fn parse(bytes: &[u8]) -> Result<Weights, String> {
     let head = |(k, tap): (usize, &Layer)| {
         let name = format!("lin{k}.model.1.weight");
         match tensors.tensor(&name) {
-            Ok(_) => values(&tensors, &name, &[1, tap.outputs, 1, 1], network),
+            Ok(_) => {
+                let weights = values(&tensors, &name, &[1, tap.outputs, 1, 1], network)?;
+                // Section 3 of LPIPS: a distance, so its training keeps them from being negative.
+                match weights.iter().position(|&weight| weight < 0.0) {
+                    Some(at) => Err(format!(
+                        "tensor '{name}': value {at} is {}, no head of LPIPS has one below 0",
+                        weights[at]
+                    )),
+                    None => Ok(weights),
+                }
+            }
             Err(_) => Err(format!("lacks the tensor '{name}': LPIPS with {} has five", network.name())),
         }
     };
@@ -116,8 +129,10 @@ fn values(tensors: &SafeTensors, name: &str, shape: &[u32], network: Network) ->
         ));
     }
     let values: Vec<f32> = bytemuck::pod_collect_to_vec(tensor.data());
-    match values.iter().position(|value| !value.is_finite()) {
-        Some(at) => Err(format!("tensor '{name}': value {at} is {}", values[at])),
+    match values.iter().position(|value| value.is_nan() || value.abs() > LARGEST) {
+        Some(at) => {
+            Err(format!("tensor '{name}': value {at} is {:e}, more than any network has", values[at]))
+        }
         None => Ok(values),
     }
 }

@@ -153,7 +153,9 @@ fn check_warm_up(settings: &TrainSettings, terms: &[Box<dyn LossTerm>]) -> Resul
     match terms.iter().find(|term| term.targets().inverse_depth) {
         Some(term) if settings.warm_up > 0 => {
             let (until, name) = (settings.warm_up, term.name());
-            let problem = format!("is {until}, which does not go together with depths ({name}); take 0");
+            let problem = format!(
+                "is {until} (preset fast sets it), which does not go together with depths ({name}); give 0"
+            );
             Err(Error::argument("warm_up", problem))
         }
         _ => Ok(()),

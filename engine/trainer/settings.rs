@@ -332,8 +332,10 @@ impl TrainSettings {
             return Err(Error::argument("dropout", problem));
         }
         if self.warm_up > 0 && self.depth_points > 0.0 {
-            let problem =
-                format!("is {}, which does not go together with depth_points; take 0", self.warm_up);
+            let until = self.warm_up;
+            let problem = format!(
+                "is {until} (preset fast sets it), which does not go together with depth_points; give 0"
+            );
             return Err(Error::argument("warm_up", problem));
         }
         match self.initial_opacity > 0.0 && self.initial_opacity < 1.0 {

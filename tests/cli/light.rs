@@ -285,6 +285,16 @@ fn depth_maps_that_lack_something_are_refused() {
     mapped.refuses("depths", &["depth_params.json", "02.png"]);
     std::fs::write(mapped.params(), "{\"01\": {\"scale\": 1}}").expect("written");
     mapped.refuses("depths", &["depth_params.json", "offset"]);
+    // Beyond what the device takes; and of no use to any photograph, which the sparse points are not to blame for.
+    let all_of = |scale: &str| {
+        let entry = |index: u32| format!("\"{:02}\": {{\"scale\": {scale}, \"offset\": 0.1}}", index + 1);
+        let entries: Vec<String> = (0..VIEWS).map(entry).collect();
+        std::fs::write(mapped.params(), format!("{{{}}}", entries.join(", "))).expect("written");
+    };
+    all_of("1e300");
+    mapped.refuses("depths", &["depth_params.json", "01 has a number that is too large"]);
+    all_of("-1");
+    mapped.refuses("depths", &["depth_params.json: has no scale above 0 for any photo", "remove it"]);
     std::fs::remove_file(mapped.params()).expect("removed");
     std::fs::remove_file(mapped.map(4)).expect("removed");
     mapped.refuses("depths", &["05.png", "depth map", "missing"]);

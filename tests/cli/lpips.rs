@@ -96,13 +96,20 @@ fn lpips_of_training_is_in_its_results_and_its_report() {
         assert!(page.contains(words), "no '{words}'");
     }
     assert!(!page.contains("LPIPS is not computed"));
-    // The same scene as without.
-    let again = folder.path().join("again");
-    let train = ["train", "-s", text(data), "-m", text(&again), "--eval", "--iterations", "4", "--quiet"];
-    succeed(&train);
+    // The same scene as without, and the same measure by a file of settings.
+    let settings = folder.path().join("lpips.toml");
+    std::fs::write(&settings, format!("lpips_weights = [{:?}]\n", text(&weights))).expect("written");
+    let train = ["train", "-s", text(data), "--eval", "--iterations", "4", "--quiet"];
     let ply =
         |model: &Path| std::fs::read(model.join("point_cloud/iteration_4/point_cloud.ply")).expect("a PLY");
-    assert!(ply(&model) == ply(&again), "measuring changes nothing");
+    for more in [&[][..], &["--config", text(&settings)]] {
+        let again = folder.path().join(if more.is_empty() { "again" } else { "by_file" });
+        succeed(&[&train[..], &["-m", text(&again)], more].concat());
+        assert!(ply(&model) == ply(&again), "measuring changes nothing");
+        let results = std::fs::read_to_string(again.join("results.json")).expect("a file");
+        let results: Value = serde_json::from_str(&results).expect("JSON");
+        assert_eq!(results["ours_4"]["lpips_alex"].as_f64(), (!more.is_empty()).then_some(value));
+    }
 }
 
 #[test]
@@ -134,6 +141,17 @@ fn lpips_weights_that_are_none_are_refused_before_the_work() {
     other[0] = Tensor::new("net.0.weight", &[64, 3, 7, 7], vec![0.0; 64 * 147]);
     write(&weights, &other);
     check(&["weights.safetensors: has a tensor 'net.0.weight' of [64, 3, 7, 7]", "of AlexNet or"], &[]);
+    // Damaged ones: such numbers would measure 0 or nothing.
+    let damaged = |name: &str, value: f32| {
+        let mut tensors = alexnet(0);
+        let tensor = tensors.iter_mut().find(|tensor| tensor.name == name).expect("there");
+        tensor.values[2] = value;
+        write(&weights, &tensors);
+    };
+    damaged("net.3.weight", 2e20);
+    check(&["weights.safetensors: tensor 'net.3.weight': value 2 is 2e20, more than any network has"], &[]);
+    damaged("lin4.model.1.weight", -0.25);
+    check(&["tensor 'lin4.model.1.weight': value 2 is -0.25, no head of LPIPS has one below 0"], &[]);
     write(&weights, &alexnet(0));
     check(&["once more", "AlexNet"], &["--lpips-weights", text(&weights)]);
 }

@@ -83,6 +83,9 @@ pub struct Overrides {
     /// Test after these iterations, and after the last; -1 for the last only [default: 7000 30000]
     #[arg(long, num_args = 1.., value_name = "N", allow_negative_numbers = true, value_parser = iteration)]
     test_iterations: Option<Vec<u32>>,
+    /// Measure LPIPS too, in the last test, as `ashsplat eval` does: by the weights in this file; given twice, by both
+    #[arg(long, value_name = "FILE")]
+    lpips_weights: Option<Vec<PathBuf>>,
     /// Save a PLY after these iterations, and after the last; -1 for the last only [default: 7000 30000]
     #[arg(long, num_args = 1.., value_name = "N", allow_negative_numbers = true, value_parser = iteration)]
     save_iterations: Option<Vec<u32>>,

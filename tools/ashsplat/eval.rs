@@ -4,7 +4,7 @@ mod perceptual;
 mod protocol;
 mod table;
 
-pub use perceptual::{LpipsArguments, Perceptual, check_sizes};
+pub use perceptual::{LpipsArguments, Perceptual, check_sizes, read as read_weights};
 pub use protocol::Protocol;
 
 use crate::args::DeviceArguments;

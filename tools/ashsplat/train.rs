@@ -24,7 +24,6 @@ use crate::blocks::job::Job;
 use crate::blocks::result;
 use crate::blocks::rounds::Stage;
 use crate::config::{Overrides, Settings};
-use crate::eval::LpipsArguments;
 use crate::lock::FolderLock;
 use crate::measure::{Cost, Stopwatch};
 use crate::progress::TrainProgress;
@@ -94,8 +93,6 @@ pub struct Arguments {
     #[arg(long)]
     wait: bool,
     #[command(flatten)]
-    lpips: LpipsArguments,
-    #[command(flatten)]
     live: LiveArguments,
     #[command(flatten)]
     device: DeviceArguments,
@@ -137,7 +134,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         return Ok(());
     }
     let from = rounds::start(arguments.start_checkpoint.as_ref(), stage.as_ref(), model);
-    let lpips = FinalLpips::read(&arguments.lpips, &arguments.device.host)?;
+    let lpips = FinalLpips::read(&settings.data.lpips_weights, &arguments.device.host)?;
     let doors = if writes { arguments.live.open()? } else { None };
     // Open the device first, so that its absence is reported before the photos are loaded.
     let host = &arguments.device.host;

@@ -70,7 +70,8 @@ fn of_trained(
     }
     let model = Model::of_dataset(dataset)?;
     let file = model.source.folder.join(DEPTH_PARAMS_FILE);
-    let fits = match file.is_file() {
+    let is_given = file.is_file();
+    let fits = match is_given {
         true => given(&file, views)?,
         false => fitted(&model, views, &paths, options)?,
     };
@@ -82,13 +83,27 @@ fn of_trained(
     let maps: Vec<_> = maps.collect();
     let left_out = maps.iter().filter(|map| map.is_none()).count();
     if left_out == maps.len() && left_out > 0 {
-        let problem =
-            "none of the depth maps could be scaled: their photos show too few of the sparse points";
-        return Err(Error::input(folder, problem, format!("write {}, or train without -d", file.display())));
+        return Err(match is_given {
+            true => Error::input(
+                file,
+                "has no scale above 0 for any photo",
+                "correct it, or remove it: then all are fitted",
+            ),
+            false => {
+                let problem =
+                    "none of the depth maps could be scaled: their photos show too few of the sparse points";
+                Error::input(folder, problem, format!("write {}, or train without -d", file.display()))
+            }
+        });
     }
     if left_out > 0 {
+        let first = views.iter().zip(&maps).find(|(_, map)| map.is_none()).map_or("", |(view, _)| &view.name);
+        let why = match is_given {
+            true => format!("in {} their scale is not above 0, or far from the others'", file.display()),
+            false => "their scale is far from the others', or too few sparse points tell it".into(),
+        };
         warnings.push(format!(
-            "{}: {left_out} of {} depth maps are left out: their scale is far from the others', or too few sparse points tell it",
+            "{}: {left_out} of {} depth maps are left out, the first of photo {first}: {why}",
             folder.display(),
             maps.len()
         ));

@@ -64,7 +64,7 @@ pub struct Arguments {
     #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..=1000))]
     points: u32,
     /// Say when this PSNR is reached, dB; may be given again
-    #[arg(long, value_name = "DB")]
+    #[arg(long, value_name = "DB", allow_negative_numbers = true)]
     until: Vec<f64>,
     /// Folder of the photos within the data set
     #[arg(short, long, value_name = "NAME", default_value = "images")]

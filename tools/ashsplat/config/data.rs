@@ -46,6 +46,8 @@ pub struct DataSettings {
     pub scene_extent: f64,
     /// Iterations after which to test; the last is always one.
     pub test_iterations: Vec<u32>,
+    /// Weights of LPIPS, which the last test measures then.
+    pub lpips_weights: Vec<PathBuf>,
     /// Iterations after which to save; the last is always one.
     pub save_iterations: Vec<u32>,
     /// Iterations after which to write a checkpoint.
@@ -85,6 +87,7 @@ impl Default for DataSettings {
             photo_parts: When::Auto,
             scene_extent: 0.0,
             test_iterations: vec![7000, 30_000],
+            lpips_weights: Vec::new(),
             save_iterations: vec![7000, 30_000],
             checkpoint_iterations: Vec::new(),
             checkpoint_every: 0,

@@ -49,7 +49,12 @@ pub fn table(path: &Path) -> Result<Table> {
         let line = e.span().map_or(1, |span| 1 + text[..span.start].matches('\n').count());
         Error::input(path, format!("line {line}: {}", e.message()), remedy)
     })?;
-    Settings::from_table(table.clone()).map_err(|problem| Error::input(path, problem, remedy))?;
+    Settings::from_table(table.clone()).map_err(|problem| {
+        // What contradicts itself says what to leave out.
+        let remedy =
+            if problem.starts_with("unknown field") { remedy } else { "see `ashsplat train --help`" };
+        Error::input(path, problem, remedy)
+    })?;
     Ok(table)
 }
 

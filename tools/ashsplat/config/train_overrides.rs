@@ -61,8 +61,13 @@ impl TrainOverrides {
             None => argument,
         };
         match option.kind {
-            OptionKind::Integer => argument.value_name("N").value_parser(value_parser!(u32)),
-            OptionKind::Number => argument.value_name("X").value_parser(value_parser!(f64)),
+            // A negative number is named with what is right, and not taken for another option.
+            OptionKind::Integer => {
+                argument.value_name("N").allow_negative_numbers(true).value_parser(value_parser!(u32))
+            }
+            OptionKind::Number => {
+                argument.value_name("X").allow_negative_numbers(true).value_parser(value_parser!(f64))
+            }
             OptionKind::Choice(names) => {
                 argument.value_name("NAME").value_parser(choices(option.name, names))
             }

@@ -12,8 +12,7 @@ use std::path::PathBuf;
 #[derive(Args, Clone, Default)]
 pub struct LpipsArguments {
     /// Measure LPIPS too, by the weights in this file (safetensors, from tools/lpips_weights.py; nothing is downloaded): of AlexNet,
-    /// on values from -1 to 1, or of VGG16, on values from 0 to 1 as the reference does; given twice, both; in training the last test
-    /// measures it
+    /// on values from -1 to 1, or of VGG16, on values from 0 to 1 as the reference does; given twice, both
     #[arg(long, value_name = "FILE")]
     lpips_weights: Vec<PathBuf>,
 }
@@ -21,22 +20,22 @@ pub struct LpipsArguments {
 impl LpipsArguments {
     /// Reads the weights, before any work.
     pub fn read(&self, host: &HostArguments) -> Result<Vec<Weights>> {
-        let mut all: Vec<Weights> = Vec::new();
-        for path in &self.lpips_weights {
-            let weights = Weights::read(path, &host.memory())?;
-            if all.iter().any(|other| other.network == weights.network) {
-                let problem = format!("has the weights of {} once more", weights.network.name());
-                return Err(Error::input(path, problem, "give one file for each network"));
-            }
-            all.push(weights);
-        }
-        Ok(all)
+        read(&self.lpips_weights, host)
     }
+}
 
-    /// The files.
-    pub fn files(&self) -> &[PathBuf] {
-        &self.lpips_weights
+/// Reads the weights in these files.
+pub fn read(files: &[PathBuf], host: &HostArguments) -> Result<Vec<Weights>> {
+    let mut all: Vec<Weights> = Vec::new();
+    for path in files {
+        let weights = Weights::read(path, &host.memory())?;
+        if all.iter().any(|other| other.network == weights.network) {
+            let problem = format!("has the weights of {} once more", weights.network.name());
+            return Err(Error::input(path, problem, "give one file for each network"));
+        }
+        all.push(weights);
     }
+    Ok(all)
 }
 
 /// Refuses photos, by their indices, that are too small for a network; of held-out ones only the right half counts if `halves`.

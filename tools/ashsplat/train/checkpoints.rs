@@ -127,9 +127,11 @@ impl Start {
         let given = (settings.clone(), scene_extent);
         let trainer = Trainer::resume_with_parts(context, views, given, parts, &self.checkpoint);
         trainer.map_err(|error| match error {
-            Error::Argument { problem, .. } => {
-                Error::input(&self.path, problem, "or start anew without --start-checkpoint")
-            }
+            Error::Argument { problem, .. } => Error::input(
+                &self.path,
+                problem,
+                "give what it was made with, or start anew without --start-checkpoint",
+            ),
             other => other,
         })
     }

@@ -5,13 +5,14 @@ use super::prepared::stand_ins;
 use super::saving::attempt;
 use crate::args::HostArguments;
 use crate::config::Settings;
-use crate::eval::{self, Evaluation, LpipsArguments, More, Perceptual, Pictures, Protocol, SceneSize};
+use crate::eval::{self, Evaluation, More, Perceptual, Pictures, Protocol, SceneSize};
 use crate::model::point_cloud_path;
 use crate::progress::thousands;
 use ashsplat::lpips::Weights;
 use ashsplat::scene::Camera;
 use ashsplat::{Error, Result};
 use ashsplat_files::{Gallery, quoted};
+use std::path::PathBuf;
 
 /// The test after an iteration.
 pub struct Tested {
@@ -30,11 +31,10 @@ pub(super) struct FinalLpips {
 
 impl FinalLpips {
     /// Reads the weights.
-    pub fn read(arguments: &LpipsArguments, host: &HostArguments) -> Result<FinalLpips> {
-        let file =
-            |path: &std::path::PathBuf| format!(" --lpips-weights {}", quoted(&path.to_string_lossy()));
-        let typed = arguments.files().iter().map(file).collect();
-        Ok(FinalLpips { weights: arguments.read(host)?, typed })
+    pub fn read(files: &[PathBuf], host: &HostArguments) -> Result<FinalLpips> {
+        let file = |path: &PathBuf| format!(" --lpips-weights {}", quoted(&path.to_string_lossy()));
+        let typed = files.iter().map(file).collect();
+        Ok(FinalLpips { weights: eval::read_weights(files, host)?, typed })
     }
 
     /// Refuses photos to test on that are too small for the networks: they would fail after all the work.
