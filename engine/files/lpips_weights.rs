@@ -58,19 +58,17 @@ fn parse(bytes: &[u8]) -> Result<Weights, String> {
     let convolutions = network.convolutions().map(convolution).collect::<Result<_, String>>()?;
     let head = |(k, tap): (usize, &Layer)| {
         let name = format!("lin{k}.model.1.weight");
-        match tensors.tensor(&name) {
-            Ok(_) => {
-                let weights = values(&tensors, &name, &[1, tap.outputs, 1, 1], network)?;
-                // Section 3 of LPIPS: a distance, so its training keeps them from being negative.
-                match weights.iter().position(|&weight| weight < 0.0) {
-                    Some(at) => Err(format!(
-                        "tensor '{name}': value {at} is {}, no head of LPIPS has one below 0",
-                        weights[at]
-                    )),
-                    None => Ok(weights),
-                }
-            }
-            Err(_) => Err(format!("lacks the tensor '{name}': LPIPS with {} has five", network.name())),
+        if tensors.tensor(&name).is_err() {
+            return Err(format!("lacks the tensor '{name}': LPIPS with {} has five", network.name()));
+        }
+        let weights = values(&tensors, &name, &[1, tap.outputs, 1, 1], network)?;
+        // Section 3 of LPIPS: a distance, so its training keeps them from being negative.
+        match weights.iter().position(|&weight| weight < 0.0) {
+            Some(at) => Err(format!(
+                "tensor '{name}': value {at} is {}, no head of LPIPS has one below 0",
+                weights[at]
+            )),
+            None => Ok(weights),
         }
     };
     let heads = network.taps().enumerate().map(head).collect::<Result<_, String>>()?;

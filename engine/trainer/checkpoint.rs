@@ -405,7 +405,7 @@ impl Checkpoint {
         }
         wanted.settings.excuse_sh_degrees(&mut settings, &self.settings, self.iteration);
         if let Some(difference) = difference(&settings, wanted.settings) {
-            return refuse(format!("was made with other settings: {difference}"));
+            return refuse(format!("was made with other settings: {difference}; give what they were"));
         }
         if self.iteration > wanted.settings.iterations {
             return refuse(format!(

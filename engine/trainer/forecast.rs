@@ -151,14 +151,8 @@ fn check_depths(terms: &[Box<dyn LossTerm>]) -> Result<()> {
 /// Refuses a warm-up with depths, which are those of the photographs' pixels.
 fn check_warm_up(settings: &TrainSettings, terms: &[Box<dyn LossTerm>]) -> Result<()> {
     match terms.iter().find(|term| term.targets().inverse_depth) {
-        Some(term) if settings.warm_up > 0 => {
-            let (until, name) = (settings.warm_up, term.name());
-            let problem = format!(
-                "is {until} (preset fast sets it), which does not go together with depths ({name}); give 0"
-            );
-            Err(Error::argument("warm_up", problem))
-        }
-        _ => Ok(()),
+        Some(term) => settings.refuse_warm_up_with(&format!("depths ({})", term.name())),
+        None => Ok(()),
     }
 }
 

@@ -321,6 +321,17 @@ impl TrainSettings {
         }
     }
 
+    /// Refuses a warm-up, whose photographs are smaller, with these depths.
+    pub(super) fn refuse_warm_up_with(&self, depths: &str) -> Result<()> {
+        if self.warm_up == 0 {
+            return Ok(());
+        }
+        let until = self.warm_up;
+        let problem =
+            format!("is {until} (preset fast sets it), which does not go together with {depths}; give 0");
+        Err(Error::argument("warm_up", problem))
+    }
+
     /// Checks that every value is within its bounds; the trainer calls this before any work.
     ///
     /// # Errors
@@ -331,12 +342,8 @@ impl TrainSettings {
             let problem = format!("is {}, must be at most {MOST_DROPOUT}", self.dropout);
             return Err(Error::argument("dropout", problem));
         }
-        if self.warm_up > 0 && self.depth_points > 0.0 {
-            let until = self.warm_up;
-            let problem = format!(
-                "is {until} (preset fast sets it), which does not go together with depth_points; give 0"
-            );
-            return Err(Error::argument("warm_up", problem));
+        if self.depth_points > 0.0 {
+            self.refuse_warm_up_with("depth_points")?;
         }
         match self.initial_opacity > 0.0 && self.initial_opacity < 1.0 {
             true => Ok(()),

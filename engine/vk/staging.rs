@@ -198,13 +198,14 @@ impl Ring {
     /// Forgets what was copied into memory that nobody else holds any more: an upload before has failed. Nothing is in flight.
     /// Returns whether there was any.
     fn forget_dropped(&mut self) -> bool {
-        let (before, all) = (self.released.len(), self.released.clone());
-        self.released.retain(|of| {
-            // The ring's own references: one of `released` and one of `all` for each of its buffers.
-            let own = 2 * all.iter().filter(|other| Arc::ptr_eq(other.block(), of.block())).count();
+        let is_held = |of: &&Buffer| {
+            let own = self.released.iter().filter(|other| Arc::ptr_eq(other.block(), of.block())).count();
             Arc::strong_count(of.block()) > own
-        });
-        self.released.len() < before
+        };
+        // A copy counts as a holder only for what has one already.
+        let held: Vec<Buffer> = self.released.iter().filter(is_held).cloned().collect();
+        let all = std::mem::replace(&mut self.released, held);
+        self.released.len() < all.len()
     }
 
     /// Frees the ring's memory, after its submissions. Returns whether there was any.

@@ -1,6 +1,7 @@
 //! Checkpoints: written when asked for and on Ctrl-C, gone on from, refused with the reason, whole whatever happens.
 
 use super::*;
+use crate::common::lpips_files;
 use crate::common::running::Running;
 use ashsplat_files::{CheckpointFile, ply};
 use std::process::Stdio;
@@ -363,7 +364,10 @@ fn a_quiet_training_says_how_to_go_on() {
     let train = ["train", "-s", "data", "-m", "model", "--quiet", "--iterations", "1000000"];
     let mut command = program();
     command.current_dir(place.folder.path()).args(train).args(SCHEDULE);
-    let child = Running::start(command.stdout(Stdio::null()).stderr(Stdio::piped()));
+    lpips_files::write(&place.model("lpips"), &lpips_files::alexnet(0));
+    let child = Running::start(
+        command.args(["--lpips-weights", "lpips"]).stdout(Stdio::null()).stderr(Stdio::piped()),
+    );
     let log = place.model("model").join("train_log.csv");
     let start = std::time::Instant::now();
     while std::fs::read_to_string(&log).map_or(0, |text| text.lines().count()) < 100 {
@@ -383,7 +387,9 @@ fn a_quiet_training_says_how_to_go_on() {
     let elsewhere = tempdir().expect("a temporary folder");
     let mut again = program();
     again.current_dir(elsewhere.path()).args(typed).args(["--quiet", "--iterations", &next]);
-    assert_trained(&finish(&mut again));
+    let run = finish(&mut again);
+    assert_trained(&run);
+    assert!(run.stdout.contains("lpips_alex"), "{}", run.stdout);
     assert!(!place.ply("model", last + 2).is_empty());
 }
 

@@ -4,7 +4,7 @@ mod perceptual;
 mod protocol;
 mod table;
 
-pub use perceptual::{LpipsArguments, Perceptual, check_sizes, read as read_weights};
+pub use perceptual::{Perceptual, check_sizes, read_weights};
 pub use protocol::Protocol;
 
 use crate::args::DeviceArguments;
@@ -51,8 +51,10 @@ pub struct Arguments {
     /// Measure all views, not only those held out
     #[arg(long)]
     all: bool,
-    #[command(flatten)]
-    lpips: LpipsArguments,
+    /// Measure LPIPS too, by the weights in this file (safetensors, from tools/lpips_weights.py; nothing is downloaded): of AlexNet,
+    /// on values from -1 to 1, or of VGG16, on values from 0 to 1 as the reference does; given twice, both
+    #[arg(long, value_name = "FILE")]
+    lpips_weights: Vec<PathBuf>,
     #[command(flatten)]
     look: render::LookArguments,
     #[command(flatten)]
@@ -317,7 +319,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let mut data = arguments.data.applied_to(&model.settings.data)?;
     // A bare PLY does not record its split: use the default one.
     data.eval |= model.folder.is_none();
-    let weights = arguments.lpips.read(&arguments.device.host)?;
+    let weights = read_weights(&arguments.lpips_weights, &arguments.device.host)?;
     let bytes = std::fs::metadata(&model.ply).ok().map(|file| file.len());
     let scene = arguments.look.load(&model.ply, &arguments.device.host)?;
     let white = model.settings.train.white_background;

@@ -44,17 +44,12 @@ pub fn cfg_value<'a>(text: &'a str, key: &str) -> Option<&'a str> {
 pub fn table(path: &Path) -> Result<Table> {
     let text = text(path)?;
     let remedy =
-        "write lines such as `iterations = 7000`, with the names of `ashsplat train --help` and underscores";
+        "see `ashsplat train --help`; here names have underscores, and a line is such as `iterations = 7000`";
     let table: Table = text.parse().map_err(|e: toml::de::Error| {
         let line = e.span().map_or(1, |span| 1 + text[..span.start].matches('\n').count());
         Error::input(path, format!("line {line}: {}", e.message()), remedy)
     })?;
-    Settings::from_table(table.clone()).map_err(|problem| {
-        // What contradicts itself says what to leave out.
-        let remedy =
-            if problem.starts_with("unknown field") { remedy } else { "see `ashsplat train --help`" };
-        Error::input(path, problem, remedy)
-    })?;
+    Settings::from_table(table.clone()).map_err(|problem| Error::input(path, problem, remedy))?;
     Ok(table)
 }
 

@@ -5,27 +5,10 @@ use ashsplat::lpips::{Lpips, Weights};
 use ashsplat::vk::Context;
 use ashsplat::{Error, Frame, Result};
 use ashsplat_files::{Gallery, View, WeightsFile};
-use clap::Args;
 use std::path::PathBuf;
 
-/// Which networks measure.
-#[derive(Args, Clone, Default)]
-pub struct LpipsArguments {
-    /// Measure LPIPS too, by the weights in this file (safetensors, from tools/lpips_weights.py; nothing is downloaded): of AlexNet,
-    /// on values from -1 to 1, or of VGG16, on values from 0 to 1 as the reference does; given twice, both
-    #[arg(long, value_name = "FILE")]
-    lpips_weights: Vec<PathBuf>,
-}
-
-impl LpipsArguments {
-    /// Reads the weights, before any work.
-    pub fn read(&self, host: &HostArguments) -> Result<Vec<Weights>> {
-        read(&self.lpips_weights, host)
-    }
-}
-
-/// Reads the weights in these files.
-pub fn read(files: &[PathBuf], host: &HostArguments) -> Result<Vec<Weights>> {
+/// Reads the weights in these files, before any work.
+pub fn read_weights(files: &[PathBuf], host: &HostArguments) -> Result<Vec<Weights>> {
     let mut all: Vec<Weights> = Vec::new();
     for path in files {
         let weights = Weights::read(path, &host.memory())?;

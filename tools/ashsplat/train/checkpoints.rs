@@ -127,11 +127,9 @@ impl Start {
         let given = (settings.clone(), scene_extent);
         let trainer = Trainer::resume_with_parts(context, views, given, parts, &self.checkpoint);
         trainer.map_err(|error| match error {
-            Error::Argument { problem, .. } => Error::input(
-                &self.path,
-                problem,
-                "give what it was made with, or start anew without --start-checkpoint",
-            ),
+            Error::Argument { problem, .. } => {
+                Error::input(&self.path, problem, "or start anew without --start-checkpoint")
+            }
             other => other,
         })
     }
@@ -199,7 +197,13 @@ impl Run {
         };
         let relative = [("-s", &data.source_path), ("-m", &data.model_path)];
         let relative = relative.iter().filter(|(_, path)| path.is_relative());
-        let places: String = relative.map(|(option, path)| format!(" {option} {}", absolute(path))).collect();
+        let mut places: String =
+            relative.map(|(option, path)| format!(" {option} {}", absolute(path))).collect();
+        if data.lpips_weights.iter().any(|path| path.is_relative()) {
+            // Those that are given take the place of all.
+            places
+                .extend(data.lpips_weights.iter().map(|path| format!(" --lpips-weights {}", absolute(path))));
+        }
         let settings = absolute(&data.model_path.join(SETTINGS_FILE));
         format!("ashsplat train --config {settings}{places} --start-checkpoint {LATEST}{}", self.repeated)
     }

@@ -25,16 +25,12 @@ pub struct Tested {
 #[derive(Default)]
 pub(super) struct FinalLpips {
     weights: Vec<Weights>,
-    /// As they were typed, to type them again.
-    typed: String,
 }
 
 impl FinalLpips {
     /// Reads the weights.
     pub fn read(files: &[PathBuf], host: &HostArguments) -> Result<FinalLpips> {
-        let file = |path: &PathBuf| format!(" --lpips-weights {}", quoted(&path.to_string_lossy()));
-        let typed = files.iter().map(file).collect();
-        Ok(FinalLpips { weights: eval::read_weights(files, host)?, typed })
+        Ok(FinalLpips { weights: eval::read_weights(files, host)? })
     }
 
     /// Refuses photos to test on that are too small for the networks: they would fail after all the work.
@@ -92,10 +88,13 @@ impl Run {
         match measured {
             // Training has the memory. That is no reason to lose its results.
             Err(error @ (Error::TooLarge { .. } | Error::Vulkan { call: "vkAllocateMemory", .. })) => {
-                let (model, typed) = (&self.settings.data.model_path, &self.lpips.typed);
-                let model = quoted(&model.to_string_lossy());
+                let data = &self.settings.data;
+                let typed = |path: &PathBuf| quoted(&path.to_string_lossy());
+                let weights =
+                    data.lpips_weights.iter().map(|path| format!(" --lpips-weights {}", typed(path)));
+                let (model, weights) = (typed(&data.model_path), weights.collect::<String>());
                 self.progress.warn(&format!(
-                    "warning: LPIPS is not measured beside the training: {error}; measure it with: ashsplat eval {model}{typed}"
+                    "warning: LPIPS is not measured beside the training: {error}; measure it with: ashsplat eval {model}{weights}"
                 ));
                 self.evaluate_with(iteration, None)
             }
