@@ -10,9 +10,6 @@ use std::collections::HashMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Lines of a file at most.
-const LONGEST_FILE: usize = 450;
-
 /// A file of the repository: path from its root with forward slashes, and contents.
 struct Source {
     path: String,
@@ -293,17 +290,6 @@ fn architecture_errors_are_returned() {
     assert_eq!(panicking_calls(&tested).len(), 0);
     let sources = sources(&["engine", "tools"], &["rs"]);
     assert_none("unwrap or expect outside tests", sources.iter().flat_map(panicking_calls).collect());
-}
-
-#[test]
-fn architecture_files_are_short() {
-    let long = sources(&["engine", "glsl", "tools", "tests"], &["rs", "comp", "glsl"])
-        .into_iter()
-        .map(|source| (source.text.lines().count(), source.path))
-        .filter(|(lines, _)| *lines > LONGEST_FILE)
-        .map(|(lines, path)| format!("{path}: {lines} lines"))
-        .collect();
-    assert_none("files too long to be read", long);
 }
 
 /// Files whose contents equal a file of another folder.

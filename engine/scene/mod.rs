@@ -21,6 +21,7 @@ pub mod tour;
 pub mod transform;
 pub mod twist;
 pub mod view;
+pub mod world_frame;
 
 pub use camera::{Camera, Intrinsics, NEAR_PLANE, Projection, scene_extent};
 pub use cells::{Cells, Seam};
@@ -41,3 +42,4 @@ pub use tour::Motion;
 pub use transform::Similarity;
 pub use twist::Twist;
 pub use view::{ClipY, DepthMapping, HostView, Pose};
+pub use world_frame::WorldFrame;

@@ -1,0 +1,74 @@
+//! The frame in which a scene is held in single precision.
+
+use glam::{DVec3, Vec3};
+
+/// Distance of a scene's centre from the origin, in radii of the scene, from which on it gets an origin of its own: below, single
+/// precision resolves a 250,000th of the radius or finer.
+const FAR: f64 = 64.0;
+
+/// Least radius of a scene, source units, that keeps its unit: the near limit of 0.2 hides much of a smaller one.
+const SMALL: f64 = 1.0;
+
+/// Where a scene's world coordinates lie within the coordinates of the user's files, the source coordinates:
+/// `source = origin + unit * world`.
+///
+/// World coordinates are what the engine works in, in single precision, whose steps are 0.5 at 5e6: a scene in UTM
+/// coordinates needs an origin of its own, a tiny scene a unit of its own. Almost all scenes have the identity.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct WorldFrame {
+    /// The world's origin, source coordinates.
+    pub origin: DVec3,
+    /// Length of a world unit, source units; positive.
+    pub unit: f64,
+}
+
+impl Default for WorldFrame {
+    fn default() -> Self {
+        Self { origin: DVec3::ZERO, unit: 1.0 }
+    }
+}
+
+impl WorldFrame {
+    /// The frame for a scene of these points, source coordinates. Medians decide, so that outliers have no weight.
+    ///
+    /// Origin and unit are round decimal numbers. Data sets that were moved by such numbers get the world coordinates that they had.
+    pub fn around(points: &[DVec3]) -> Self {
+        let Some(center) = median_point(points) else { return Self::default() };
+        let radius = median(points.iter().map(|p| p.distance(center)).collect());
+        if !(radius > 0.0 && radius.is_finite()) {
+            return Self::default();
+        }
+        let unit = if radius < SMALL { 10f64.powf(radius.log10().floor()) } else { 1.0 };
+        let step = 10f64.powf(radius.log10().ceil());
+        let origin =
+            if center.length() > FAR * radius { (center / step).round() * step } else { DVec3::ZERO };
+        Self { origin, unit }
+    }
+
+    /// Whether world and source coordinates are the same.
+    pub fn is_identity(&self) -> bool {
+        *self == Self::default()
+    }
+
+    /// World coordinates of a point in source coordinates.
+    pub fn world(&self, source: DVec3) -> Vec3 {
+        ((source - self.origin) / self.unit).as_vec3()
+    }
+
+    /// Source coordinates of a point in world coordinates.
+    pub fn source(&self, world: Vec3) -> DVec3 {
+        self.origin + self.unit * world.as_dvec3()
+    }
+}
+
+/// The median of each axis; None without points.
+fn median_point(points: &[DVec3]) -> Option<DVec3> {
+    let axis = |axis: usize| median(points.iter().map(|p| p[axis]).collect());
+    (!points.is_empty()).then(|| DVec3::new(axis(0), axis(1), axis(2)))
+}
+
+/// The upper median; 0 without values.
+fn median(mut values: Vec<f64>) -> f64 {
+    let middle = values.len() / 2;
+    if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
+}
