@@ -4,6 +4,7 @@ use ashsplat::trainer::Trainer;
 
 use ashsplat::{Camera, RenderSettings, Renderer, TrainSettings};
 use ashsplat_files::ply;
+use ashsplat_files::splats::WriteOptions;
 use tempfile::tempdir;
 
 use crate::checkpoints::{end_of_run, start, views};
@@ -127,7 +128,7 @@ fn filters_are_baked_when_they_are_read() {
     let settings = RenderSettings { filter_3d: true, ..plain };
     let filtered = renderer.render(&camera, &settings).expect("a frame").color;
     assert!(filtered != before);
-    ply::write_filtered(&path, &gaussians, &sizes, true).expect("written");
+    ply::write_filtered(&path, &gaussians, &sizes, &WriteOptions { antialiased: true, ..Default::default() }).expect("written");
     let text = String::from_utf8_lossy(&std::fs::read(&path).expect("a file")[..2000]).into_owned();
     assert!(text.contains("property float filter_3D\nend_header") && text.contains("comment antialiased"));
     let read = ply::read(&path, &ply::PlyOptions::default()).expect("a scene").gaussians;
@@ -148,7 +149,7 @@ fn filters_need_cameras_and_one_size_each() {
     let message = renderer.compute_filters(&[]).expect_err("no cameras").to_string();
     assert!(message.contains("cameras"), "{message}");
     let path = tempdir().expect("a temporary folder").path().join("a.ply");
-    assert!(ply::write_filtered(path, &start(), &[1.0], false).is_err());
+    assert!(ply::write_filtered(path, &start(), &[1.0], &WriteOptions::default()).is_err());
     for dilation_px2 in [0.0, -1.0, f32::NAN] {
         let settings = RenderSettings { dilation_px2, ..RenderSettings::default() };
         assert!(renderer.render(&cameras()[0], &settings).is_err(), "{dilation_px2}");

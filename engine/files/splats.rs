@@ -12,6 +12,7 @@ mod gltf;
 mod gltf_packed;
 mod gltf_write;
 mod merge;
+mod origin_file;
 mod spz;
 mod spz_pack;
 mod spz_write;
@@ -21,15 +22,18 @@ mod validation;
 use std::path::Path;
 
 use super::ply;
-use ashsplat::scene::{Bounds, Cut, Gaussians};
+use ashsplat::scene::{Bounds, Cut, Gaussians, Similarity, WorldFrame};
 use ashsplat::{Error, Result};
 use glam::Vec3;
 
 pub use convert::{ConvertOptions, Converted, Target, convert};
+use convert::changed;
+pub(super) use convert::OriginSample;
 pub use format::Format;
+pub(crate) use origin_file::FARTHEST;
 pub(crate) use gltf::{EXTENSION, PACKED_EXTENSION};
 pub use merge::{Merged, Part, merge};
-pub(super) use stream::{BLOCK, Outline, Produce, Reader, Sink, Source, in_blocks, row_bytes};
+pub(super) use stream::{BLOCK, Outline, Produce, Reader, Sink, Source, in_blocks, in_source_units, row_bytes};
 pub use stream::{Header, ReadOptions, Scene};
 
 /// Reads a file of Gaussians. Its first bytes or its extension select the format.
@@ -63,8 +67,14 @@ pub fn write(path: impl AsRef<Path>, gaussians: &Gaussians, options: &WriteOptio
         Some(format) => format,
         None => Format::of_extension(path)?,
     };
-    let outline = Outline::of(gaussians, options.antialiased);
-    write_blocks(path, (format, options.spz_version), &outline, &mut |sink| in_blocks(gaussians, sink))
+    let outline = Outline::of(gaussians, options);
+    let to_source = Similarity { scale: options.frame.unit, ..Default::default() };
+    write_blocks(path, (format, options.spz_version), &outline, &mut |sink| {
+        in_blocks(gaussians, &mut |mut block| {
+            block.transform(&to_source);
+            sink(block)
+        })
+    })
 }
 
 /// As [`write()`], of the Gaussians that a cut leaves, in their order, with spherical harmonics up to a degree; needs the
@@ -85,7 +95,7 @@ pub fn write_cut(
         None => Format::of_extension(path)?,
     };
     let sh_degree = sh_degree.min(gaussians.sh_degree).min(format.max_sh_degree());
-    let change = ConvertOptions { cut: *cut, ..Default::default() };
+    let to_source = Similarity { scale: options.frame.unit, ..Default::default() };
     cut.check()?;
     let limits = cut.limits();
     let kept = |index: &usize| *cut == Cut::default() || limits.keeps(gaussians, *index);
@@ -94,15 +104,16 @@ pub fn write_cut(
         count += 1;
         Vec3::from_array(gaussians.means[index])
     }));
-    let outline = Outline { count, sh_degree, antialiased: options.antialiased, bounds };
+    let bounds = in_source_units(bounds, &options.frame);
+    let outline = Outline { count, sh_degree, bounds, ..Outline::of(gaussians, options) };
     write_blocks(path, (format, options.spz_version), &outline, &mut |sink| {
-        in_blocks(gaussians, &mut |block| sink(change.change(block, sh_degree)))
+        in_blocks(gaussians, &mut |block| sink(changed(block, sh_degree, cut, &to_source)))
     })?;
     Ok(count)
 }
 
 /// How to write Gaussians.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct WriteOptions {
     /// The format; none: that of the path's extension.
     pub format: Option<Format>,
@@ -111,6 +122,9 @@ pub struct WriteOptions {
     /// Version of SPZ. SPZ: 2 or 4; none: 4. GLB: 2 packs the attributes as `KHR_gaussian_splatting_compression_spz_2`; none: not
     /// packed. Other formats have none.
     pub spz_version: Option<u32>,
+    /// Where the Gaussians' coordinates lie within those of the file. They are written in source units, relative to the origin, which
+    /// the file names: a PLY as a comment, glTF as the node's translation, .splat and SPZ in a file `NAME.origin.json` beside it.
+    pub frame: WorldFrame,
 }
 
 /// Whether a format has a version of SPZ: [`WriteOptions::spz_version`].
@@ -134,7 +148,7 @@ fn write_blocks(
     produce: &mut Produce<'_>,
 ) -> Result<()> {
     check_spz_version(format, spz_version)?;
-    match format {
+    let written = match format {
         Format::Spz if spz_version == Some(2) => spz_write::write_old(path, outline, produce),
         Format::Glb if spz_version == Some(2) => gltf_packed::write(path, outline, produce),
         Format::Ply => ply::write_blocks(path, outline, produce),
@@ -142,6 +156,10 @@ fn write_blocks(
         Format::Splat => dot_splat::write(path, outline, produce),
         Format::Spz => spz_write::write(path, outline, produce),
         Format::Glb | Format::Gltf => gltf_write::write(path, format, outline, produce),
+    };
+    match written {
+        Ok(()) if format.has_origin_file() => origin_file::write(path, outline.frame.origin),
+        written => written,
     }
 }
 

@@ -7,13 +7,13 @@ use std::fs::{self, File};
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 
 use crate::Progress;
 use crate::decimate::{covariance_of, decimate};
-use crate::splats::{self, Format, ReadOptions, WriteOptions};
+use crate::splats::{self, Format, OriginSample, ReadOptions, WriteOptions};
 use ashsplat::scene::gaussians::sh_coefficients;
-use ashsplat::scene::{Bounds, Cells, Gaussians};
+use ashsplat::scene::{Bounds, Cells, Gaussians, Similarity, WorldFrame};
 use ashsplat::{Error, Result};
 use document::Tile;
 
@@ -112,7 +112,7 @@ pub fn write(
     let steps = steps(&rows.means, &writer.spill.cells, options.most)?;
     writer.done = Tiling { gaussians: rows.means.len() as u64, warnings: rows.warnings, ..Tiling::default() };
     let root = writer.write(&steps)?.ok_or_else(|| Error::argument("tiles", "there are none"))?;
-    document::write(&unfinished.path().join(TILESET_FILE), &root, options.packed)?;
+    document::write(&unfinished.path().join(TILESET_FILE), &root, rows.origin, options.packed)?;
     let done = Tiling { levels: root.levels, ..writer.done };
     fs::remove_dir(unfinished.path().join(ROWS)).map_err(|e| Error::io(folder, "write", e))?;
     let whole = unfinished.keep();
@@ -138,6 +138,8 @@ struct Spill {
 /// What of all rows is held.
 struct Rows {
     means: Vec<[f32; 3]>,
+    /// What they are relative to, source coordinates.
+    origin: DVec3,
     warnings: Vec<String>,
 }
 
@@ -151,11 +153,18 @@ impl Spill {
     ) -> Result<(Rows, Spill)> {
         let mut reader = splats::open(input, read)?;
         let header = reader.header().clone();
-        let mut means = Vec::new();
+        let (mut means, mut sample) = (Vec::new(), OriginSample::default());
+        let step = OriginSample::step(header.count);
         reader.blocks(&mut |block| {
+            sample.add(&block, step);
             means.extend(block.means);
             progress.check()
         })?;
+        let origin = sample.origin(header.origin);
+        let shift = Similarity { translation: header.origin - origin, ..Default::default() };
+        for mean in &mut means {
+            *mean = shift.apply(DVec3::from_array(mean.map(f64::from))).as_vec3().to_array();
+        }
         let warnings = header.warnings.iter().cloned().chain(reader.warning.take()).collect();
         if means.is_empty() {
             return Err(Error::input(input, "has no Gaussians", "give a trained scene"));
@@ -167,11 +176,12 @@ impl Spill {
         let folder = folder.join(ROWS);
         fs::create_dir(&folder).map_err(|e| Error::io(&folder, "create", e))?;
         let spill = Spill { folder, cells, sh_degree: header.sh_degree, antialiased: header.antialiased };
-        splats::open(input, read)?.blocks(&mut |block| {
+        splats::open(input, read)?.blocks(&mut |mut block| {
             progress.check()?;
+            block.transform(&shift);
             spill.add(&block)
         })?;
-        Ok((Rows { means, warnings }, spill))
+        Ok((Rows { means, origin, warnings }, spill))
     }
 
     fn path(&self, cell: usize) -> PathBuf {
@@ -323,6 +333,8 @@ impl TileWriter<'_, '_> {
             format: Some(Format::Glb),
             antialiased: self.spill.antialiased,
             spz_version: self.options.packed.then_some(2),
+            // The root's transform places all tiles.
+            frame: WorldFrame::default(),
         };
         splats::write(self.folder.join(&name), &gaussians, &write).map_err(|e| match e {
             // The folder has another name yet, and what is wrong is the scene's.

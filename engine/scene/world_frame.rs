@@ -1,6 +1,8 @@
 //! The frame in which a scene is held in single precision.
 
-use glam::{DVec3, Vec3};
+use glam::{DQuat, DVec3, Vec3};
+
+use super::{Camera, Similarity};
 
 /// Distance of a scene's centre from the origin, in radii of the scene, from which on it gets an origin of its own: below, single
 /// precision resolves a 250,000th of the radius or finer.
@@ -48,6 +50,32 @@ impl WorldFrame {
     /// Whether world and source coordinates are the same.
     pub fn is_identity(&self) -> bool {
         *self == Self::default()
+    }
+
+    /// What takes world coordinates of this frame to those of another.
+    pub fn to(&self, other: &Self) -> Similarity {
+        Similarity {
+            rotation: DQuat::IDENTITY,
+            scale: self.unit / other.unit,
+            translation: (self.origin - other.origin) / other.unit,
+        }
+    }
+
+    /// A camera of this frame in another.
+    pub fn camera_to(&self, other: &Self, camera: &Camera) -> Camera {
+        if self == other {
+            return *camera;
+        }
+        let to = self.to(other);
+        let rotation = camera.camera_from_world.as_dmat3();
+        let mut moved = *camera;
+        moved.translation = Camera::at(to.apply(camera.exact_position()), rotation, camera.intrinsics()).translation;
+        if camera.is_orthographic() {
+            // Their unit is pixels per world unit.
+            moved.fx = (f64::from(camera.fx) / to.scale) as f32;
+            moved.fy = (f64::from(camera.fy) / to.scale) as f32;
+        }
+        moved
     }
 
     /// World coordinates of a point in source coordinates.

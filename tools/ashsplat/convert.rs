@@ -3,12 +3,12 @@
 use crate::args::HostArguments;
 use crate::model::Model;
 use crate::progress::thousands;
-use crate::render::parse_vector;
-use ashsplat::scene::{Bounds, Cut, Similarity};
+use crate::render::parse_numbers;
+use ashsplat::scene::{Cut, Similarity};
 use ashsplat::{Error, Result};
 use ashsplat_files::splats::{self, ConvertOptions, Format, Target};
 use clap::Args;
-use glam::{DQuat, EulerRot, Vec3};
+use glam::{DQuat, DVec3, EulerRot};
 use std::path::PathBuf;
 
 /// Convert Gaussians between formats, and change them on the way.
@@ -39,16 +39,16 @@ pub struct Arguments {
     min_density: Option<f32>,
     /// Leave out Gaussians with centres outside this box: two opposite corners, in the input's axes; sides may be inf or -inf
     #[arg(long, value_name = "X,Y,Z,X,Y,Z", allow_hyphen_values = true, value_parser = parse_box)]
-    crop_box: Option<Bounds>,
+    crop_box: Option<[DVec3; 2]>,
     /// Rotate by these angles about the x, then the y, then the z axis, degrees
-    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, value_parser = parse_vector)]
-    rotate: Option<Vec3>,
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, value_parser = parse_point)]
+    rotate: Option<DVec3>,
     /// Scale by this factor, after the rotation
     #[arg(long, value_name = "X")]
     scale: Option<f64>,
     /// Move by this, after rotation and scaling
-    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, value_parser = parse_vector)]
-    translate: Option<Vec3>,
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, value_parser = parse_point)]
+    translate: Option<DVec3>,
     /// Merge neighbours until N, or N percent, are left
     #[arg(long, value_name = "N|N%", value_parser = parse_target)]
     decimate: Option<Target>,
@@ -66,14 +66,15 @@ pub struct Arguments {
     quiet: bool,
 }
 
-fn parse_box(text: &str) -> Result<Bounds, String> {
-    let numbers: Result<Vec<f32>, _> = text.split(',').map(|part| part.trim().parse()).collect();
-    match numbers.ok().and_then(|n| <[f32; 6]>::try_from(n).ok()) {
-        Some([a, b, c, x, y, z]) if ![a, b, c, x, y, z].iter().any(|v| v.is_nan()) => {
-            Ok(Bounds::between(Vec3::new(a, b, c), Vec3::new(x, y, z)))
-        }
-        _ => Err("expected six numbers with commas between them".into()),
-    }
+fn parse_box(text: &str) -> Result<[DVec3; 2], String> {
+    let corners = parse_numbers(text).filter(|numbers: &[f64; 6]| !numbers.iter().any(|v| v.is_nan()));
+    let [a, b, c, x, y, z] = corners.ok_or("expected six numbers with commas between them")?;
+    Ok([DVec3::new(a, b, c), DVec3::new(x, y, z)])
+}
+
+fn parse_point(text: &str) -> Result<DVec3, String> {
+    let point = parse_numbers(text).map(DVec3::from_array).filter(|point| point.is_finite());
+    point.ok_or_else(|| "expected three numbers with commas between them".into())
 }
 
 pub fn parse_target(text: &str) -> Result<Target, String> {
@@ -139,20 +140,21 @@ impl Arguments {
             Error::argument("--spz-version", "give 2 or 4 for .spz, 2 for .glb, none for others")
         })?;
         let [x, y, z] =
-            self.rotate.unwrap_or_default().to_array().map(|degrees| f64::from(degrees).to_radians());
+            self.rotate.unwrap_or_default().to_array().map(f64::to_radians);
         Ok(ConvertOptions {
             read: self.host.reading(self.drop_invalid),
             sh_degree: self.sh_degree,
             cut: Cut {
                 min_opacity: self.min_opacity.unwrap_or_default(),
-                bounds: self.crop_box,
                 min_density,
+                ..Cut::default()
             },
+            crop_box: self.crop_box,
             similarity: Similarity {
                 // The last is applied first.
                 rotation: DQuat::from_euler(EulerRot::ZYX, z, y, x),
                 scale,
-                translation: self.translate.unwrap_or_default().as_dvec3(),
+                translation: self.translate.unwrap_or_default(),
             },
             decimate: self.decimate,
             format: Some(format),
@@ -167,10 +169,8 @@ mod tests {
 
     #[test]
     fn boxes_and_targets() {
-        let bounds = parse_box("1,-2,3, -1,2,0").expect("a box");
-        assert_eq!((bounds.min, bounds.max), (Vec3::new(-1.0, -2.0, 0.0), Vec3::new(1.0, 2.0, 3.0)));
-        let half = parse_box("-inf,-2,3,inf,2,inf").expect("a box without some sides");
-        assert_eq!((half.min.x, half.max), (f32::NEG_INFINITY, Vec3::new(f32::INFINITY, 2.0, f32::INFINITY)));
+        let corners = parse_box("500000.125,-2,3, -inf,2,0").expect("a box");
+        assert_eq!(corners, [DVec3::new(500_000.125, -2.0, 3.0), DVec3::new(f64::NEG_INFINITY, 2.0, 0.0)]);
         assert!(parse_box("1,2,3").is_err() && parse_box("1,2,3,4,5,nan").is_err());
         assert_eq!(parse_target("12"), Ok(Target::Count(12)));
         assert_eq!(parse_target("12.5%"), Ok(Target::Share(0.125)));

@@ -25,7 +25,7 @@ pub unsafe extern "C" fn ashsplat_trainer_save(
         let filters = trainer.filters()?;
         match splats::Format::of_extension(path)? {
             splats::Format::Ply if !filters.is_empty() => {
-                ply::write_filtered(path, &trainer.gaussians()?, &filters, antialiased)
+                ply::write_filtered(path, &trainer.gaussians()?, &filters, &options)
             }
             _ => splats::write(path, &trainer.baked_gaussians()?, &options),
         }

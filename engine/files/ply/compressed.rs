@@ -80,11 +80,10 @@ impl<'a> CompressedPly<'a> {
         }
         let (sh_degree, sh) = read_sh(path, vertex.count)?;
         let header = Header {
-            format: Format::CompressedPly,
-            count: vertex.count,
-            sh_degree,
             antialiased: file.header.antialiased,
-            warnings: Vec::new(),
+            origin: file.header.origin,
+            unit: file.header.unit,
+            ..Header::new(Format::CompressedPly, vertex.count, sh_degree)
         };
         Ok(Self { file, vertex, chunks, sh, header })
     }

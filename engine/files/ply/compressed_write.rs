@@ -6,6 +6,7 @@ use std::path::Path;
 use super::compressed::{CHUNK, CHUNK_PROPERTIES, SH_RANGE, VERTEX_PROPERTIES};
 use super::header::ANTIALIASED;
 use super::morton;
+use super::write::write_frame;
 use crate::splats::{Outline, Produce, row_bytes};
 use crate::{atomic, host_memory};
 use ashsplat::scene::Gaussians;
@@ -27,7 +28,7 @@ pub(crate) fn write_blocks(path: &Path, outline: &Outline, produce: &mut Produce
     })?;
     let order = morton::order(&all.means);
     atomic::write_seekable(path, |mut writer| {
-        write_sorted(&mut writer, &all, &order, outline.antialiased).map_err(|e| Error::io(path, "write", e))
+        write_sorted(&mut writer, &all, &order, outline).map_err(|e| Error::io(path, "write", e))
     })
 }
 
@@ -35,10 +36,10 @@ fn write_sorted(
     writer: &mut impl Write,
     all: &Gaussians,
     order: &[usize],
-    antialiased: bool,
+    outline: &Outline,
 ) -> io::Result<()> {
     let higher = 3 * (sh_coefficients(all.sh_degree) - 1);
-    write_header(writer, all.len(), higher, antialiased)?;
+    write_header(writer, all.len(), higher, outline)?;
     let mut packed = Vec::with_capacity(order.len());
     for indices in order.chunks(CHUNK) {
         let chunk = Chunk::around(all, indices);
@@ -60,11 +61,12 @@ fn write_sorted(
     Ok(())
 }
 
-fn write_header(writer: &mut impl Write, count: usize, higher: usize, antialiased: bool) -> io::Result<()> {
+fn write_header(writer: &mut impl Write, count: usize, higher: usize, outline: &Outline) -> io::Result<()> {
     writeln!(writer, "ply\nformat binary_little_endian 1.0")?;
-    if antialiased {
+    if outline.antialiased {
         writeln!(writer, "comment {ANTIALIASED}")?;
     }
+    write_frame(writer, &outline.frame)?;
     writeln!(writer, "element chunk {}", count.div_ceil(CHUNK))?;
     CHUNK_PROPERTIES.iter().try_for_each(|name| writeln!(writer, "property float {name}"))?;
     writeln!(writer, "element vertex {count}")?;

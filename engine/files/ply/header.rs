@@ -5,6 +5,9 @@ use std::fmt::Display;
 use std::io::{BufRead, Read};
 use std::path::Path;
 
+use glam::DVec3;
+
+use crate::splats::FARTHEST;
 use crate::{cost, sniff};
 use ashsplat::{Error, Result};
 
@@ -96,7 +99,7 @@ impl Element {
     }
 }
 
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Header {
     pub(crate) encoding: Encoding,
     pub(crate) elements: Vec<Element>,
@@ -106,11 +109,19 @@ pub(crate) struct Header {
     pub(crate) lines: u64,
     /// Whether a comment marks the Gaussians as trained with antialiasing.
     pub(crate) antialiased: bool,
+    /// What the positions are relative to, source coordinates.
+    pub(crate) origin: DVec3,
+    /// World unit of the training, source units, if a comment names it.
+    pub(crate) unit: Option<f64>,
 }
 
 /// The comment that marks the Gaussians of this crate's files as trained with antialiasing. PLY has no field
 /// for it.
 pub(crate) const ANTIALIASED: &str = "antialiased";
+/// The comment that names the origin of the positions, `comment origin X Y Z`.
+pub(crate) const ORIGIN: &str = "origin";
+/// The comment that names the world unit of the training, `comment unit U`.
+pub(crate) const UNIT: &str = "unit";
 /// The property with the sizes of Mip-Splatting's 3D filter.
 pub(crate) const FILTER: &str = "filter_3D";
 
@@ -125,13 +136,15 @@ pub(crate) fn parse(reader: &mut impl BufRead, path: &Path) -> Result<Header> {
         lines: 0,
         text: Vec::new(),
         antialiased: false,
+        origin: DVec3::ZERO,
+        unit: None,
         element_names: HashSet::new(),
         property_names: HashSet::new(),
     };
     while !parser.line(reader)? {}
     let encoding = parser.encoding.ok_or_else(|| parser.error("the header has no format line"))?;
-    let Parser { elements, bytes, antialiased, .. } = parser;
-    Ok(Header { encoding, elements, bytes, lines: parser.lines as u64, antialiased })
+    let Parser { elements, bytes, antialiased, origin, unit, .. } = parser;
+    Ok(Header { encoding, elements, bytes, lines: parser.lines as u64, antialiased, origin, unit })
 }
 
 fn check_magic(reader: &mut impl BufRead, path: &Path) -> Result<()> {
@@ -153,6 +166,8 @@ struct Parser<'a> {
     lines: usize,
     text: Vec<u8>,
     antialiased: bool,
+    origin: DVec3,
+    unit: Option<f64>,
     /// Names of the elements, and of the last one's properties.
     element_names: HashSet<String>,
     property_names: HashSet<String>,
@@ -205,6 +220,16 @@ impl Parser<'_> {
             }
             ["end_header"] => return Ok(true),
             ["comment", ANTIALIASED] => self.antialiased = true,
+            ["comment", ORIGIN, x, y, z] => {
+                let numbers = [x, y, z].map(|number| number.parse().unwrap_or(f64::NAN));
+                // Another program's comment may begin with the same word.
+                if numbers.iter().all(|number| number.abs() <= FARTHEST) {
+                    self.origin = DVec3::from_array(numbers);
+                }
+            }
+            ["comment", UNIT, unit] => {
+                self.unit = unit.parse().ok().filter(|unit| (FARTHEST.recip()..=FARTHEST).contains(unit));
+            }
             ["comment" | "obj_info", ..] | [] => {}
             ["element", name] => return Err(self.error(format!("element {name} has no count"))),
             [word, ..] => return Err(self.error(format!("'{}' is not understood", shortened(word)))),

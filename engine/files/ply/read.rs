@@ -3,13 +3,14 @@
 use std::collections::HashSet;
 use std::path::Path;
 
-use super::header::{Element, FILTER};
+use super::header::{Element, FILTER, Kind, Property, Scalar};
 use super::rows::PlyFile;
 use crate::host_memory;
 use crate::splats::{BLOCK, Format, Header, ReadOptions, Reader, Sink, Source};
 use ashsplat::scene::gaussians::{MAX_SH_DEGREE, sh_coefficients};
-use ashsplat::scene::{Gaussians, PointCloud, filtered};
+use ashsplat::scene::{Gaussians, PointCloud, WorldFrame, filtered};
 use ashsplat::{Error, Result};
+use glam::DVec3;
 
 /// How to read Gaussians.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -63,6 +64,8 @@ pub(crate) struct GaussianRows<'a> {
     file: PlyFile<'a>,
     element: Element,
     layout: Layout,
+    /// What is subtracted from the file's positions.
+    shift: DVec3,
     header: Header,
 }
 
@@ -72,15 +75,31 @@ impl<'a> GaussianRows<'a> {
         let element = file.seek_element("vertex")?;
         let layout = Layout::new(path, &element)?;
         file.check_no_list(&element)?;
+        let is_double = |p: &Property| ["x", "y", "z"].contains(&p.name.as_str()) && p.kind == Kind::Scalar(Scalar::F64);
+        let double_positions = element.properties.iter().any(is_double);
+        let shift = if double_positions { origin_of_first(path)? } else { DVec3::ZERO };
         let header = Header {
-            format: Format::Ply,
-            count: element.count,
-            sh_degree: layout.sh_degree,
             antialiased: file.header.antialiased,
-            warnings: Vec::new(),
+            origin: file.header.origin + shift,
+            unit: file.header.unit,
+            double_positions,
+            ..Header::new(Format::Ply, element.count, layout.sh_degree)
         };
-        Ok(Self { file, element, layout, header })
+        Ok(Self { file, element, layout, shift, header })
     }
+}
+
+/// An origin for a file whose positions are doubles: that of its first rows.
+fn origin_of_first(path: &Path) -> Result<DVec3> {
+    let mut file = PlyFile::open(path)?;
+    let vertex = file.seek_element("vertex")?;
+    let first = Element { count: vertex.count.min(BLOCK as u64), ..vertex };
+    let mut points = Vec::new();
+    file.for_each_row(&first, &["x", "y", "z"].map(str::to_owned), |_, row| {
+        points.push(DVec3::new(row[0], row[1], row[2]));
+        Ok(())
+    })?;
+    Ok(WorldFrame::around(&points).origin)
 }
 
 impl Source for GaussianRows<'_> {
@@ -96,7 +115,7 @@ impl Source for GaussianRows<'_> {
         let empty = || Gaussians::with_capacity(self.layout.sh_degree, BLOCK.min(capacity(&self.element)));
         let mut block = empty();
         self.file.for_each_row(&self.element, &self.layout.names, |_, row| {
-            push(row, self.layout.filtered, &mut block);
+            push(row, (self.shift, self.layout.filtered), &mut block);
             if block.len() < BLOCK { Ok(()) } else { sink(std::mem::replace(&mut block, empty())) }
         })?;
         sink(block)
@@ -189,10 +208,10 @@ impl Layout {
 }
 
 /// Appends the Gaussian of a row; the names of its values are those of [`Layout`]. A 3D filter becomes a part of it.
-fn push(row: &[f64], with_filter: bool, gaussians: &mut Gaussians) {
+fn push(row: &[f64], (shift, with_filter): (DVec3, bool), gaussians: &mut Gaussians) {
     let (row, size) = row.split_at(row.len() - usize::from(with_filter));
     let at = |column: usize| row[column] as f32;
-    gaussians.means.push([at(0), at(1), at(2)]);
+    gaussians.means.push((DVec3::new(row[0], row[1], row[2]) - shift).as_vec3().to_array());
     let (log_scale, logit) = (std::array::from_fn(|axis| at(SCALE + axis)), at(OPACITY));
     let (log_scale, logit) = match size {
         [] => (log_scale, logit),

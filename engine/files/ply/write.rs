@@ -3,12 +3,13 @@
 use std::io::{self, Write};
 use std::path::Path;
 
-use super::header::{ANTIALIASED, FILTER};
+use super::header::{ANTIALIASED, FILTER, ORIGIN, UNIT};
 use crate::atomic;
-use crate::splats::{Outline, Produce, in_blocks};
+use crate::splats::{Outline, Produce, WriteOptions, in_blocks};
 use ashsplat::scene::gaussians::sh_coefficients;
-use ashsplat::scene::{Gaussians, PointCloud};
+use ashsplat::scene::{Gaussians, PointCloud, Similarity, WorldFrame};
 use ashsplat::{Error, Result};
+use glam::DVec3;
 
 /// Writes Gaussians in the layout of the reference implementation, at the SH degree that they have.
 ///
@@ -19,7 +20,7 @@ use ashsplat::{Error, Result};
 /// cannot be written; no partial file is left.
 pub fn write(path: impl AsRef<Path>, gaussians: &Gaussians) -> Result<()> {
     gaussians.check_shapes()?;
-    let outline = Outline::of(gaussians, false);
+    let outline = Outline::of(gaussians, &WriteOptions::default());
     write_blocks(path.as_ref(), &outline, &mut |sink| in_blocks(gaussians, sink))
 }
 
@@ -27,13 +28,19 @@ pub fn write(path: impl AsRef<Path>, gaussians: &Gaussians) -> Result<()> {
 pub(crate) fn write_blocks(path: &Path, outline: &Outline, produce: &mut Produce<'_>) -> Result<()> {
     let names = property_names(outline.sh_degree);
     let io = |source| Error::io(path, "write", source);
+    let is_double = |name: &str| outline.double_positions && ["x", "y", "z"].contains(&name);
+    // Doubles need no origin.
+    let doubles = outline.double_positions.then_some(outline.frame.origin);
+    let origin = if outline.double_positions { DVec3::ZERO } else { outline.frame.origin };
+    let frame = WorldFrame { origin, ..outline.frame };
     atomic::write_seekable(path, |mut writer| {
-        let floats = names.iter().map(|name| ("float", name.as_str()));
-        write_header(&mut writer, outline.count, outline.antialiased, floats).map_err(io)?;
+        let scalars =
+            names.iter().map(|name| (if is_double(name) { "double" } else { "float" }, name.as_str()));
+        write_header(&mut writer, outline.count, (outline.antialiased, &frame), scalars).map_err(io)?;
         let mut rows = Vec::new();
         produce(&mut |block| {
             rows.clear();
-            (0..block.len()).for_each(|index| gaussian_row(&block, index, &mut rows));
+            (0..block.len()).for_each(|index| gaussian_row(&block, index, doubles, &mut rows));
             writer.write_all(&rows).map_err(io)
         })
     })
@@ -48,7 +55,7 @@ pub fn write_filtered(
     path: impl AsRef<Path>,
     gaussians: &Gaussians,
     filters: &[f32],
-    antialiased: bool,
+    options: &WriteOptions,
 ) -> Result<()> {
     gaussians.check_shapes()?;
     if filters.len() != gaussians.len() {
@@ -57,17 +64,23 @@ pub fn write_filtered(
     }
     let mut names = property_names(gaussians.sh_degree);
     names.push(FILTER.to_owned());
-    atomic::write(path.as_ref(), |writer| {
+    let WriteOptions { antialiased, frame, .. } = options;
+    let to_source = Similarity { scale: frame.unit, ..Default::default() };
+    let path = path.as_ref();
+    let io = |source| Error::io(path, "write", source);
+    atomic::write_seekable(path, |mut writer| {
         let floats = names.iter().map(|name| ("float", name.as_str()));
-        write_header(&mut *writer, gaussians.len() as u64, antialiased, floats)?;
-        let mut row = Vec::new();
-        for (index, size) in filters.iter().enumerate() {
-            row.clear();
-            gaussian_row(gaussians, index, &mut row);
-            row.extend_from_slice(&size.to_le_bytes());
-            writer.write_all(&row)?;
-        }
-        Ok(())
+        write_header(&mut writer, gaussians.len() as u64, (*antialiased, frame), floats).map_err(io)?;
+        let (mut rows, mut sizes) = (Vec::new(), filters.iter());
+        in_blocks(gaussians, &mut |mut block| {
+            block.transform(&to_source);
+            rows.clear();
+            for (index, size) in (0..block.len()).zip(sizes.by_ref()) {
+                gaussian_row(&block, index, None, &mut rows);
+                rows.extend_from_slice(&((f64::from(*size) * frame.unit) as f32).to_le_bytes());
+            }
+            writer.write_all(&rows).map_err(io)
+        })
     })
 }
 
@@ -80,7 +93,8 @@ pub fn write_points(path: impl AsRef<Path>, points: &PointCloud) -> Result<()> {
     let floats = ["x", "y", "z", "nx", "ny", "nz"].map(|name| ("float", name));
     let bytes = ["red", "green", "blue"].map(|name| ("uchar", name));
     atomic::write(path, |writer| {
-        write_header(&mut *writer, points.len() as u64, false, floats.into_iter().chain(bytes))?;
+        let plain = (false, &WorldFrame::default());
+        write_header(&mut *writer, points.len() as u64, plain, floats.into_iter().chain(bytes))?;
         for (position, color) in points.positions.iter().zip(&points.colors) {
             for value in position.iter().chain(&[0.0; 3]) {
                 writer.write_all(&value.to_le_bytes())?;
@@ -94,18 +108,31 @@ pub fn write_points(path: impl AsRef<Path>, points: &PointCloud) -> Result<()> {
 fn write_header<'a>(
     mut writer: impl Write,
     count: u64,
-    antialiased: bool,
+    (antialiased, frame): (bool, &WorldFrame),
     properties: impl Iterator<Item = (&'a str, &'a str)>,
 ) -> io::Result<()> {
     write!(writer, "ply\nformat binary_little_endian 1.0\n")?;
     if antialiased {
         writeln!(writer, "comment {ANTIALIASED}")?;
     }
+    write_frame(&mut writer, frame)?;
     writeln!(writer, "element vertex {count}")?;
     for (kind, name) in properties {
         writeln!(writer, "property {kind} {name}")?;
     }
     writeln!(writer, "end_header")
+}
+
+/// The comments about the frame; none for the usual one.
+pub(super) fn write_frame(writer: &mut impl Write, frame: &WorldFrame) -> io::Result<()> {
+    let DVec3 { x, y, z } = frame.origin;
+    if frame.origin != DVec3::ZERO {
+        writeln!(writer, "comment {ORIGIN} {x} {y} {z}")?;
+    }
+    if frame.unit != 1.0 {
+        writeln!(writer, "comment {UNIT} {}", frame.unit)?;
+    }
+    Ok(())
 }
 
 fn property_names(sh_degree: u32) -> Vec<String> {
@@ -116,9 +143,16 @@ fn property_names(sh_degree: u32) -> Vec<String> {
     fixed.iter().map(|s| s.to_string()).chain(rest).chain(last.iter().map(|s| s.to_string())).collect()
 }
 
-fn gaussian_row(gaussians: &Gaussians, index: usize, row: &mut Vec<u8>) {
+/// `doubles`: the origin of positions that are written in double precision.
+fn gaussian_row(gaussians: &Gaussians, index: usize, doubles: Option<DVec3>, row: &mut Vec<u8>) {
+    let mean = gaussians.means[index];
+    if let Some(origin) = doubles {
+        let absolute = origin + DVec3::from_array(mean.map(f64::from));
+        absolute.to_array().iter().for_each(|v| row.extend_from_slice(&v.to_le_bytes()));
+    }
     let mut put = |value: f32| row.extend_from_slice(&value.to_le_bytes());
-    gaussians.means[index].iter().chain(&[0.0; 3]).for_each(|&v| put(v));
+    let floats = if doubles.is_some() { &[][..] } else { &mean };
+    floats.iter().chain(&[0.0; 3]).for_each(|&v| put(v));
     let sh = gaussians.sh_of(index);
     sh[0].iter().for_each(|&v| put(v));
     for channel in 0..3 {

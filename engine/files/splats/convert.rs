@@ -6,7 +6,14 @@ use super::{Format, Header, Outline, ReadOptions, open, row_bytes, write_blocks}
 use crate::decimate::decimate;
 use crate::host_memory;
 use ashsplat::Result;
-use ashsplat::scene::{Bounds, Cut, Gaussians, Similarity};
+use ashsplat::scene::{Bounds, Cut, Gaussians, Similarity, WorldFrame};
+use glam::{DVec3, Vec3};
+
+/// Share of the median Gaussian's size beyond which the steps of single precision are too coarse for absolute positions.
+const COARSE: f64 = 0.01;
+
+/// Gaussians that are enough for the choice of an origin.
+const ORIGIN_SAMPLE: u64 = 1 << 16;
 
 /// What is changed on the way, in this order: the SH degree, what is cut, place, number.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -15,9 +22,11 @@ pub struct ConvertOptions {
     pub read: ReadOptions,
     /// The highest SH degree that is kept; none: all that the output can hold.
     pub sh_degree: Option<u32>,
-    /// Which Gaussians are dropped; in the input's frame.
+    /// Which Gaussians are dropped; its box is relative to the input's origin ([`Header::origin`]).
     pub cut: Cut,
-    /// How everything is moved.
+    /// Two opposite corners of a box, source coordinates of the input; Gaussians with means outside are dropped, too.
+    pub crop_box: Option<[DVec3; 2]>,
+    /// How everything is moved, source coordinates.
     pub similarity: Similarity,
     /// How many Gaussians are to be left, at most; the others are merged into them.
     pub decimate: Option<Target>,
@@ -69,22 +78,38 @@ pub fn convert(input: &Path, output: &Path, options: &ConvertOptions) -> Result<
     let mut warnings = header.warnings.clone();
     let wanted_degree = header.sh_degree.min(options.sh_degree.unwrap_or(3));
     warnings.extend(format.losses(wanted_degree, header.antialiased));
-    let (mut count, mut bounds) = (0, None);
     if options.decimate.is_some() {
         // All of them, and those that are merged of them.
         let needed = header.count.saturating_mul(2 * row_bytes(sh_degree));
         host_memory::check(input, needed, options.read.max_host_memory)?;
     }
-    let mut kept = options.decimate.map(|_| Gaussians { sh_degree, ..Default::default() });
-    reader.blocks(&mut |block| {
-        let block = options.change(block, sh_degree);
-        count += block.len() as u64;
-        bounds = around(bounds, block.bounds());
-        if let Some(kept) = &mut kept {
-            kept.append(&block);
+    let cut = options.cut_of(&header);
+    let moved = Move { from: header.origin, similarity: options.similarity };
+    // What stays in place needs no other origin in a PLY, which has held these positions.
+    let stays = format == Format::Ply && options.similarity == Similarity::default();
+    let mut to = if header.origin == DVec3::ZERO { DVec3::ZERO } else { moved.similarity.apply(header.origin) };
+    let step = OriginSample::step(header.count);
+    let (mut count, mut bounds, mut kept) = loop {
+        let mut sample = OriginSample::default();
+        let (mut count, mut bounds) = (0, None);
+        let mut kept = options.decimate.map(|_| Gaussians { sh_degree, ..Default::default() });
+        reader.blocks(&mut |block| {
+            let block = changed(block, sh_degree, &cut, &moved.to(to));
+            count += block.len() as u64;
+            bounds = around(bounds, block.bounds());
+            sample.add(&block, step);
+            if let Some(kept) = &mut kept {
+                kept.append(&block);
+            }
+            Ok(())
+        })?;
+        let chosen = if stays { to } else { sample.origin(to) };
+        if chosen == to {
+            break (count, bounds, kept);
         }
-        Ok(())
-    })?;
+        // Once more, for the box around that origin.
+        (to, reader) = (chosen, open(input, &options.read)?);
+    };
     warnings.extend(reader.warning.take());
     if let (Some(all), Some(target)) = (&mut kept, options.decimate) {
         let target = match target {
@@ -97,29 +122,95 @@ pub fn convert(input: &Path, output: &Path, options: &ConvertOptions) -> Result<
     if count == 0 {
         warnings.push("no Gaussians are left".into());
     }
-    let outline = Outline { count, sh_degree, antialiased: header.antialiased, bounds };
+    let frame = WorldFrame { origin: to, unit: header.unit.unwrap_or(1.0) * options.similarity.scale };
+    let frame = if header.unit.is_some() { frame } else { WorldFrame { unit: 1.0, ..frame } };
+    let antialiased = header.antialiased;
+    let double_positions = header.double_positions && format == Format::Ply;
+    let outline = Outline { count, sh_degree, antialiased, bounds, frame, double_positions };
+    warnings.extend(format.origin_note(output, &outline));
     write_blocks(output, (format, options.spz_version), &outline, &mut |sink| match kept.take() {
         Some(all) => sink(all),
         None => open(input, &options.read)?
-            .blocks(&mut |block| sink(options.change(block, sh_degree)))
+            .blocks(&mut |block| sink(changed(block, sh_degree, &cut, &moved.to(to))))
             .map(|_| ()),
     })?;
     Ok(Converted { input: header, format, written: count, sh_degree, warnings })
 }
 
 impl ConvertOptions {
-    /// All but the decimation.
-    pub(super) fn change(&self, mut block: Gaussians, sh_degree: u32) -> Gaussians {
-        if sh_degree != block.sh_degree {
-            block = block.with_sh_degree(sh_degree);
-        }
-        if self.cut != Cut::default() {
-            let limits = self.cut.limits();
-            block.retain(|all, index| limits.keeps(all, index));
-        }
-        block.transform(&self.similarity);
-        block
+    /// The cut with the box of either kind, relative to the input's origin.
+    fn cut_of(&self, header: &Header) -> Cut {
+        let relative = |corner: DVec3| (corner - header.origin).as_vec3();
+        let corners = self.crop_box.map(|[one, other]| Bounds::between(relative(one), relative(other)));
+        Cut { bounds: corners.or(self.cut.bounds), ..self.cut }
     }
+}
+
+/// A similarity of source coordinates, for positions that are relative to an origin.
+struct Move {
+    from: DVec3,
+    similarity: Similarity,
+}
+
+impl Move {
+    /// That of the positions, which are relative to another origin afterwards.
+    fn to(&self, origin: DVec3) -> Similarity {
+        // Exact without an origin.
+        let translation = match self.from == DVec3::ZERO {
+            true => self.similarity.translation,
+            false => self.similarity.apply(self.from),
+        };
+        Similarity { translation: translation - origin, ..self.similarity }
+    }
+}
+
+/// Some of the Gaussians, which tell whether a scene needs an origin.
+#[derive(Default)]
+pub(crate) struct OriginSample {
+    means: Vec<Vec3>,
+    /// Largest standard deviations.
+    sizes: Vec<f32>,
+}
+
+impl OriginSample {
+    /// Every how many of a scene's Gaussians are enough.
+    pub(crate) fn step(count: u64) -> usize {
+        count.div_ceil(ORIGIN_SAMPLE).max(1) as usize
+    }
+
+    /// Adds every `step`th Gaussian of a block.
+    pub(crate) fn add(&mut self, block: &Gaussians, step: usize) {
+        self.means.extend(block.means.iter().step_by(step).map(|&mean| Vec3::from_array(mean)));
+        let largest = |[x, y, z]: &[f32; 3]| x.max(*y).max(*z).exp();
+        self.sizes.extend(block.log_scales.iter().step_by(step).map(largest));
+    }
+
+    /// The origin that the scene needs, of positions that are relative to one already: zero where single precision resolves
+    /// absolute positions well.
+    pub(crate) fn origin(mut self, from: DVec3) -> DVec3 {
+        let points: Vec<DVec3> = self.means.iter().map(|mean| from + mean.as_dvec3()).collect();
+        let middle = self.sizes.len() / 2;
+        if self.sizes.is_empty() {
+            return DVec3::ZERO;
+        }
+        let size = f64::from(*self.sizes.select_nth_unstable_by(middle, f32::total_cmp).1);
+        let origin = WorldFrame::around(&points).origin;
+        let step = origin.abs().max_element() * f64::from(f32::EPSILON);
+        if step > COARSE * size { origin } else { DVec3::ZERO }
+    }
+}
+
+/// A block at an SH degree, cut and moved.
+pub(super) fn changed(mut block: Gaussians, sh_degree: u32, cut: &Cut, similarity: &Similarity) -> Gaussians {
+    if sh_degree != block.sh_degree {
+        block = block.with_sh_degree(sh_degree);
+    }
+    if *cut != Cut::default() {
+        let limits = cut.limits();
+        block.retain(|all, index| limits.keeps(all, index));
+    }
+    block.transform(similarity);
+    block
 }
 
 /// The box around two.

@@ -7,7 +7,7 @@ use std::fs::File;
 use std::io::{BufReader, Read};
 use std::path::{Path, PathBuf};
 
-use super::{BLOCK, Format, Header, Outline, Produce, Sink, Source};
+use super::{BLOCK, Format, Header, Outline, Produce, Sink, Source, origin_file};
 use crate::{atomic, cost};
 use ashsplat::scene::Gaussians;
 use ashsplat::scene::sh::{rgb_to_sh_dc, sh_dc_to_rgb};
@@ -38,13 +38,8 @@ impl DotSplat {
             let problem = format!("has {rest} bytes after {count} Gaussians of {ROW} bytes");
             return Err(Error::input(path, problem, "it is cut short or no .splat: download it again"));
         }
-        let header = Header {
-            format: Format::Splat,
-            count: bytes / ROW as u64,
-            sh_degree: 0,
-            antialiased: false,
-            warnings: Vec::new(),
-        };
+        let origin = origin_file::read(path)?;
+        let header = Header { origin, ..Header::new(Format::Splat, bytes / ROW as u64, 0) };
         Ok(Self { path: path.to_owned(), file, header })
     }
 }

@@ -2,7 +2,9 @@
 
 use std::path::Path;
 
+use super::{Outline, origin_file};
 use ashsplat::{Error, Result};
+use glam::DVec3;
 
 /// A format of files of Gaussians.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -36,6 +38,24 @@ impl Format {
             losses.push(format!("{self} cannot say that the Gaussians want antialiasing"));
         }
         losses
+    }
+
+    /// Whether the origin of the positions stands in a file beside it: it has no place for one itself.
+    pub(super) fn has_origin_file(self) -> bool {
+        matches!(self, Self::Splat | Self::Spz)
+    }
+
+    /// Says what positions are relative to, where programs that do not know would place the scene elsewhere.
+    pub(super) fn origin_note(self, path: &Path, outline: &Outline) -> Option<String> {
+        let DVec3 { x, y, z } = outline.frame.origin;
+        let place = match self {
+            _ if outline.frame.origin == DVec3::ZERO => return None,
+            Self::Ply if outline.double_positions => return None,
+            Self::Glb | Self::Gltf => return None,
+            Self::Ply | Self::CompressedPly => "a comment in its header".to_owned(),
+            Self::Splat | Self::Spz => origin_file::path_of(path).display().to_string(),
+        };
+        Some(format!("positions are relative to {x},{y},{z}, which {place} names"))
     }
 
     /// The ending of a file's name, with the dot.

@@ -17,8 +17,9 @@ use packed::PackedRows;
 use super::{BLOCK, Format, Header, Sink, Source};
 use crate::cost;
 use ashsplat::scene::gaussians::{MAX_SH_DEGREE, sh_coefficients};
-use ashsplat::scene::{Gaussians, Similarity};
+use ashsplat::scene::{Gaussians, Similarity, WorldFrame};
 use ashsplat::{Error, Result};
+use glam::DVec3;
 
 /// Which axes of this crate's frame glTF has the other way round.
 pub(super) const MIRRORED: [bool; 3] = [true, true, false];
@@ -72,7 +73,7 @@ struct PlainRows {
 impl Gltf {
     pub(super) fn open(path: &Path, format: Format) -> Result<Self> {
         let (document, buffers) = Document::open(path, format)?;
-        let mut header = Header { format, count: 0, sh_degree: 0, antialiased: false, warnings: Vec::new() };
+        let mut header = Header::new(format, 0, 0);
         let mut parts = Vec::new();
         let (held, mut used) = (buffers.bytes(), 0_u64);
         let mut uses: BTreeMap<(usize, usize), u64> = BTreeMap::new();
@@ -133,8 +134,31 @@ impl Gltf {
             return Err(Error::input(path, problem, "is it a mesh?"));
         }
         header.sh_degree = parts.iter().map(|part| part.sh_degree).max().unwrap_or(0);
-        Ok(Self { buffers, parts, header })
+        let mut gltf = Self { buffers, parts, header };
+        gltf.header.origin = gltf.origin_of_nodes();
+        Ok(gltf)
     }
+
+    /// An origin for positions that nodes place far out: that of the first Gaussians.
+    fn origin_of_nodes(&mut self) -> DVec3 {
+        let Some(placed) = self.parts.iter().find(|part| part.placement.translation != DVec3::ZERO) else {
+            return DVec3::ZERO;
+        };
+        let near = mirrored(placed.placement.translation);
+        self.header.origin = near;
+        let mut points = Vec::new();
+        // An error ends the reading after the first block, and another one is found again by the reader.
+        drop(self.blocks(&mut |block| {
+            points = block.means.iter().map(|mean| near + DVec3::from_array(mean.map(f64::from))).collect();
+            Err(Error::Interrupted)
+        }));
+        WorldFrame::around(&points).origin
+    }
+}
+
+/// A point of glTF's axes in those of this crate, and the other way.
+pub(super) fn mirrored(point: DVec3) -> DVec3 {
+    DVec3::from_array(std::array::from_fn(|axis| if MIRRORED[axis] { -point[axis] } else { point[axis] }))
 }
 
 fn damaged(path: &Path, problem: impl Into<String>) -> Error {
@@ -226,9 +250,10 @@ impl Source for Gltf {
     }
 
     fn blocks(&mut self, sink: &mut Sink<'_>) -> Result<()> {
-        let (buffers, sh_degree) = (&mut self.buffers, self.header.sh_degree);
+        let (buffers, sh_degree, origin) = (&mut self.buffers, self.header.sh_degree, self.header.origin);
         for part in &mut self.parts {
-            let placement = part.placement;
+            let mut placement = part.placement;
+            placement.translation -= mirrored(origin);
             let mut placed = |mut block: Gaussians| {
                 block.transform(&placement);
                 block.mirror(MIRRORED);

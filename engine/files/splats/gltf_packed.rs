@@ -10,7 +10,7 @@ use std::path::Path;
 use serde_json::json;
 
 use super::gltf::{EXTENSION, MIRRORED, PACKED_EXTENSION};
-use super::gltf_write::{FLOAT, UNSIGNED_BYTE, bounds_of, glb_head, mirrored_corners};
+use super::gltf_write::{FLOAT, UNSIGNED_BYTE, bounds_of, glb_head, mirrored_corners, node};
 use super::{Outline, Produce, spz_write};
 use crate::atomic;
 use ashsplat::{Error, Result};
@@ -49,7 +49,7 @@ pub(super) fn write(path: &Path, outline: &Outline, produce: &mut Produce<'_>) -
             "extensionsRequired": [EXTENSION, PACKED_EXTENSION],
             "scene": 0,
             "scenes": [{ "nodes": [0] }],
-            "nodes": [{ "mesh": 0 }],
+            "nodes": [node(outline)],
             "buffers": [{ "byteLength": padded }],
             "bufferViews": [{ "buffer": 0, "byteLength": bytes }],
             "accessors": accessors,

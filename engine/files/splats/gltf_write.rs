@@ -5,13 +5,14 @@ use std::path::Path;
 
 use serde_json::{Value, json};
 
-use super::gltf::{EXTENSION, MIRRORED};
+use super::gltf::{EXTENSION, MIRRORED, mirrored};
 use super::{Format, Outline, Produce};
 use crate::atomic::{self, Output};
 use ashsplat::scene::gaussians::sh_coefficients;
 use ashsplat::scene::sh::sh_dc_to_rgb;
 use ashsplat::scene::{Bounds, Gaussians};
 use ashsplat::{Error, Result};
+use glam::DVec3;
 
 pub(super) const FLOAT: u32 = 5126;
 pub(super) const UNSIGNED_BYTE: u32 = 5121;
@@ -187,11 +188,20 @@ fn document(outline: &Outline, bounds: Bounds, planes: &[Plane]) -> Value {
         "extensionsUsed": [EXTENSION],
         "scene": 0,
         "scenes": [{ "nodes": [0] }],
-        "nodes": [{ "mesh": 0 }],
+        "nodes": [node(outline)],
         "bufferViews": views,
         "accessors": accessors,
         "meshes": [{ "primitives": [{ "mode": 0, "attributes": attributes, "extensions": { EXTENSION: extension } }] }],
     })
+}
+
+/// The node of the Gaussians: it lies at their origin.
+pub(super) fn node(outline: &Outline) -> Value {
+    let origin = mirrored(outline.frame.origin);
+    match outline.frame.origin == DVec3::ZERO {
+        true => json!({ "mesh": 0 }),
+        false => json!({ "mesh": 0, "translation": origin.to_array() }),
+    }
 }
 
 /// The smallest and the largest corner in glTF's axes. Where an axis is mirrored, the largest becomes the smallest.

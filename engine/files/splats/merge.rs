@@ -3,8 +3,8 @@
 use std::path::Path;
 
 use super::convert::around;
-use super::{Format, Outline, ReadOptions, Reader, WriteOptions, open, write_blocks};
-use ashsplat::scene::{Bounds, Gaussians};
+use super::{Format, Header, Outline, ReadOptions, Reader, WriteOptions, open, write_blocks};
+use ashsplat::scene::{Bounds, Gaussians, Similarity, WorldFrame};
 use ashsplat::{Error, Result};
 use glam::Vec3;
 
@@ -13,7 +13,7 @@ use glam::Vec3;
 pub struct Part<'a> {
     /// A file of any format.
     pub path: &'a Path,
-    /// Those with means in this box, world units: see [`Bounds::contains`].
+    /// Those with means in this box, source units, relative to the first part's origin: see [`Bounds::contains`].
     pub within: Bounds,
 }
 
@@ -66,7 +66,8 @@ pub fn merge(
         }
         warnings.extend(header.warnings.iter().cloned());
         let mut count = 0;
-        inside(&mut reader, part.within, &mut |block| {
+        let shift = shift(header, &of_first);
+        inside(&mut reader, (shift, part.within), &mut |block| {
             count += block.len() as u64;
             bounds = around(bounds, block.bounds());
             Ok(())
@@ -76,10 +77,15 @@ pub fn merge(
         warnings.extend(dropped.map(|warning| format!("{}: {warning}", part.path.display())));
     }
     let (count, antialiased) = (written.iter().sum(), of_first.antialiased);
-    let outline = Outline { count, sh_degree, antialiased, bounds };
+    let frame = WorldFrame { origin: of_first.origin, unit: of_first.unit.unwrap_or(1.0) };
+    let double_positions = of_first.double_positions && format == Format::Ply;
+    let outline = Outline { count, sh_degree, antialiased, bounds, frame, double_positions };
+    warnings.extend(format.origin_note(output, &outline));
     write_blocks(output, (format, options.spz_version), &outline, &mut |sink| {
         for part in parts {
-            inside(&mut open(part.path, read)?, part.within, &mut |block| {
+            let mut reader = open(part.path, read)?;
+            let shift = shift(reader.header(), &of_first);
+            inside(&mut reader, (shift, part.within), &mut |block| {
                 sink(if sh_degree == block.sh_degree { block } else { block.with_sh_degree(sh_degree) })
             })?;
         }
@@ -88,13 +94,19 @@ pub fn merge(
     Ok(Merged { format, written, sh_degree, warnings })
 }
 
-/// Passes on what lies in a box.
+/// What makes a part's positions relative to the first one's origin.
+fn shift(part: &Header, first: &Header) -> Similarity {
+    Similarity { translation: part.origin - first.origin, ..Default::default() }
+}
+
+/// Passes on what lies in a box, after a shift.
 fn inside(
     reader: &mut Reader<'_>,
-    within: Bounds,
+    (shift, within): (Similarity, Bounds),
     sink: &mut dyn FnMut(Gaussians) -> Result<()>,
 ) -> Result<()> {
     let read = reader.blocks(&mut |mut block| {
+        block.transform(&shift);
         block.retain(|all, index| within.contains(Vec3::from_array(all.means[index])));
         sink(block)
     });

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use flate2::bufread::GzDecoder;
 
 use super::spz_pack::{MIRRORED, PLANES, Packing};
-use super::{BLOCK, Format, Header, Sink, Source};
+use super::{BLOCK, Format, Header, Sink, Source, origin_file};
 use crate::cost;
 use ashsplat::{Error, Result};
 
@@ -60,7 +60,9 @@ impl Spz {
     pub(super) fn open(path: &Path) -> Result<Self> {
         let io = |source| Error::io(path, "read", source);
         let bytes = path.metadata().map_err(io)?.len();
-        Self::inside(path, 0, bytes)
+        let mut spz = Self::inside(path, 0, bytes)?;
+        spz.header.origin = origin_file::read(path)?;
+        Ok(spz)
     }
 
     /// Of a part of a file: so many bytes from an offset.
@@ -364,11 +366,9 @@ impl SpzFile {
                 .push(format!("{}: SH of degree 4 are left out, 3 is the highest here", self.path.display()));
         }
         let header = Header {
-            format: Format::Spz,
-            count: head.count,
-            sh_degree: head.packing.sh_degree.min(3),
             antialiased: head.flags & FLAG_ANTIALIASED != 0,
             warnings,
+            ..Header::new(Format::Spz, head.count, head.packing.sh_degree.min(3))
         };
         Ok(Spz { file: self, packing: head.packing, layout, mirrored, header })
     }

@@ -2,12 +2,14 @@
 
 use std::path::{Path, PathBuf};
 
+use super::WriteOptions;
 use super::format::Format;
 use super::validation::Unusable;
 use crate::host_memory;
 use ashsplat::scene::gaussians::sh_coefficients;
-use ashsplat::scene::{Bounds, Gaussians};
+use ashsplat::scene::{Bounds, Gaussians, WorldFrame};
 use ashsplat::{Error, Result};
+use glam::{DVec3, Vec3};
 
 /// Most Gaussians of a block.
 pub(crate) const BLOCK: usize = 16_384;
@@ -27,8 +29,29 @@ pub struct Header {
     /// Whether the Gaussians were trained with antialiasing (Mip-Splatting's opacity compensation) and need
     /// it.
     pub antialiased: bool,
+    /// What the positions are relative to, source coordinates: not zero for scenes far from the source's own origin.
+    pub origin: DVec3,
+    /// World unit of the training ([`WorldFrame::unit`]), if the file names one. Positions and sizes are in source units.
+    pub unit: Option<f64>,
+    /// Whether the file has its positions in double precision.
+    pub double_positions: bool,
     /// Parts of the file that are not used.
     pub warnings: Vec<String>,
+}
+
+impl Header {
+    pub(crate) fn new(format: Format, count: u64, sh_degree: u32) -> Self {
+        Self {
+            format,
+            count,
+            sh_degree,
+            antialiased: false,
+            origin: DVec3::ZERO,
+            unit: None,
+            double_positions: false,
+            warnings: Vec::new(),
+        }
+    }
 }
 
 /// How to read Gaussians.
@@ -47,10 +70,33 @@ pub struct Scene {
     pub gaussians: Gaussians,
     /// The file's header.
     pub header: Header,
+    /// Where the Gaussians' coordinates lie within those of the file.
+    pub frame: WorldFrame,
     /// Number of Gaussians that were dropped because of an unusable parameter.
     pub dropped: u64,
     /// Descriptions of the dropped Gaussians, and other warnings.
     pub warnings: Vec<String>,
+}
+
+/// Points that are enough for the frame of a scene.
+const FRAME_POINTS: usize = 1 << 16;
+
+impl Scene {
+    /// The scene in the frame in which it is drawn: a distant one around an origin of its own, a tiny one enlarged beyond the near
+    /// limit. What a training chose is kept; `unit` is the world unit of a file that names none, if it is known.
+    pub fn in_world_frame(mut self, unit: Option<f64>) -> Self {
+        let step = self.gaussians.len().div_ceil(FRAME_POINTS).max(1);
+        let means = self.gaussians.means.iter().step_by(step);
+        let points: Vec<DVec3> = means.map(|&mean| self.frame.source(Vec3::from_array(mean))).collect();
+        let around = WorldFrame::around(&points);
+        let frame = WorldFrame {
+            origin: if self.header.origin == DVec3::ZERO { around.origin } else { self.header.origin },
+            unit: self.header.unit.or(unit).unwrap_or(around.unit),
+        };
+        self.gaussians.transform(&self.frame.to(&frame));
+        self.frame = frame;
+        self
+    }
 }
 
 /// Properties of a scene that are needed before its first Gaussian is written.
@@ -61,20 +107,35 @@ pub(crate) struct Outline {
     pub(crate) antialiased: bool,
     /// Box around the means; none without Gaussians.
     pub(crate) bounds: Option<Bounds>,
+    /// What the means are relative to, source coordinates, and the unit of the training that the file names. The Gaussians are in
+    /// source units.
+    pub(crate) frame: WorldFrame,
+    /// Whether positions are written in double precision, where the format can: they are relative to nothing then.
+    pub(crate) double_positions: bool,
 }
 
 /// Passes all blocks of a scene, in order, to a sink.
 pub(crate) type Produce<'a> = dyn FnMut(&mut Sink<'_>) -> Result<()> + 'a;
 
 impl Outline {
-    pub(crate) fn of(gaussians: &Gaussians, antialiased: bool) -> Self {
+    /// Of Gaussians in the frame of the options, which are written in source units.
+    pub(crate) fn of(gaussians: &Gaussians, options: &WriteOptions) -> Self {
+        let WriteOptions { antialiased, frame, .. } = *options;
         Self {
             count: gaussians.len() as u64,
             sh_degree: gaussians.sh_degree,
             antialiased,
-            bounds: gaussians.bounds(),
+            bounds: in_source_units(gaussians.bounds(), &frame),
+            frame,
+            double_positions: false,
         }
     }
+}
+
+/// A box of world coordinates in source units, relative to the origin still.
+pub(crate) fn in_source_units(bounds: Option<Bounds>, frame: &WorldFrame) -> Option<Bounds> {
+    let scaled = |corner: Vec3| (frame.unit * corner.as_dvec3()).as_vec3();
+    bounds.map(|Bounds { min, max }| Bounds { min: scaled(min), max: scaled(max) })
 }
 
 /// Bytes of a Gaussian in memory.
@@ -169,6 +230,7 @@ impl<'a> Reader<'a> {
             Ok(())
         })?;
         let warnings = header.warnings.iter().cloned().chain(self.warning.take()).collect();
-        Ok(Scene { gaussians, header, dropped, warnings })
+        let frame = WorldFrame { origin: header.origin, unit: 1.0 };
+        Ok(Scene { gaussians, header, frame, dropped, warnings })
     }
 }

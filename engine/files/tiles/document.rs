@@ -5,7 +5,7 @@
 
 use std::path::Path;
 
-use glam::{Vec3, vec3};
+use glam::{DVec3, Vec3, dvec3, vec3};
 use serde_json::{Value, json};
 
 use crate::atomic;
@@ -53,6 +53,11 @@ pub(super) fn turned(point: Vec3) -> Vec3 {
     vec3(-point.x, -point.z, -point.y)
 }
 
+/// As [`turned`], in double precision.
+pub(super) fn turned_origin(point: DVec3) -> DVec3 {
+    dvec3(-point.x, -point.z, -point.y)
+}
+
 /// Centre and half axes.
 fn box_of(bounds: Bounds) -> [f64; 12] {
     let [a, b] = [bounds.min, bounds.max].map(|corner| turned(corner).as_dvec3());
@@ -60,8 +65,8 @@ fn box_of(bounds: Bounds) -> [f64; 12] {
     [centre.x, centre.y, centre.z, half.x, 0.0, 0.0, 0.0, half.y, 0.0, 0.0, 0.0, half.z]
 }
 
-/// Writes the description of a tree.
-pub(super) fn write(path: &Path, root: &Tile, packed: bool) -> Result<()> {
+/// Writes the description of a tree, whose tiles are relative to an origin.
+pub(super) fn write(path: &Path, root: &Tile, origin: DVec3, packed: bool) -> Result<()> {
     // Of drawing nothing at all.
     let nothing = root.bounds.max.as_dvec3().distance(root.bounds.min.as_dvec3()).max(root.error);
     // Viewers look here before the first tile is there.
@@ -70,12 +75,17 @@ pub(super) fn write(path: &Path, root: &Tile, packed: bool) -> Result<()> {
         let both = json!([EXTENSION, PACKED_EXTENSION]);
         used = json!({ "extensionsUsed": both, "extensionsRequired": both });
     }
-    let document = json!({
+    let mut document = json!({
         "asset": { "version": "1.1", "generator": concat!("ashsplat ", env!("CARGO_PKG_VERSION")) },
         "extensionsUsed": ["3DTILES_content_gltf"],
         "extensions": { "3DTILES_content_gltf": used },
         "geometricError": nothing,
         "root": root.json,
     });
+    if origin != DVec3::ZERO {
+        let DVec3 { x, y, z } = turned_origin(origin);
+        let columns = [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, x, y, z, 1.0];
+        document["root"]["transform"] = json!(columns);
+    }
     atomic::write(path, |writer| writer.write_all(format!("{document:#}\n").as_bytes()))
 }

@@ -4,14 +4,14 @@ use std::collections::{BTreeSet, BinaryHeap};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use glam::{DVec3, Vec3, vec3};
+use glam::{DMat4, DVec3, Vec3, vec3};
 use serde::Deserialize;
 use serde_json::Value;
 
-use super::document::turned;
+use super::document::{turned, turned_origin};
 use crate::host_memory;
-use crate::splats::{self, ReadOptions, Scene};
-use ashsplat::scene::{Bounds, Camera, NEAR_PLANE, Projection};
+use crate::splats::{self, FARTHEST, ReadOptions, Scene};
+use ashsplat::scene::{Bounds, Camera, NEAR_PLANE, Projection, WorldFrame};
 use ashsplat::{Error, Result};
 
 /// Beyond the box of a tile in a picture, pixels: the low-pass filter widens Gaussians.
@@ -25,6 +25,10 @@ pub const TILESET_FILE: &str = "tileset.json";
 pub struct Tree {
     folder: PathBuf,
     tiles: Vec<Tile>,
+    /// What the files' positions are relative to.
+    file_origin: DVec3,
+    /// Where bounds, errors and the Gaussians that are read lie.
+    frame: WorldFrame,
 }
 
 /// A tile.
@@ -47,7 +51,7 @@ pub struct Tile {
 struct TileJson {
     refine: String,
     #[serde(default)]
-    transform: Option<Value>,
+    transform: Option<[f64; 16]>,
     bounding_volume: BoxJson,
     geometric_error: f64,
     content: ContentJson,
@@ -87,12 +91,15 @@ impl Tree {
         };
         let mut document: Value = serde_json::from_slice(&text).map_err(|e| foreign(&e))?;
         let root = document.get_mut("root").map(Value::take).unwrap_or_default();
-        let (mut tiles, mut names) = (Vec::<Tile>::new(), BTreeSet::new());
+        let (mut tiles, mut names, mut origin) = (Vec::<Tile>::new(), BTreeSet::new(), DVec3::ZERO);
         // Those that are not in the list yet, each with the one above it; the next is the last.
         let mut open = vec![(None, root)];
         while let Some((above, mut value)) = open.pop() {
             let children = value.as_object_mut().and_then(|tile| tile.remove("children"));
-            let json: TileJson = serde_json::from_value(value).map_err(|e| foreign(&e))?;
+            let mut json: TileJson = serde_json::from_value(value).map_err(|e| foreign(&e))?;
+            if above.is_none() {
+                origin = moved(&path, json.transform.take())?;
+            }
             let index = tiles.len();
             tiles.push(checked(&path, &json)?);
             if let Some(above) = above {
@@ -111,7 +118,29 @@ impl Tree {
                 Some(_) => return Err(foreign(&"children are a list")),
             }
         }
-        Ok(Tree { folder: folder.to_owned(), tiles })
+        let frame = WorldFrame { origin, unit: 1.0 };
+        Ok(Tree { folder: folder.to_owned(), tiles, file_origin: origin, frame })
+    }
+
+    /// Where the tiles' coordinates lie within those of the scene's file.
+    pub fn frame(&self) -> WorldFrame {
+        self.frame
+    }
+
+    /// The tree in the frame in which it is drawn, as [`Scene::in_world_frame`].
+    pub fn in_world_frame(mut self) -> Tree {
+        let corners = |Bounds { min, max }: Bounds| [min, 0.5 * min + 0.5 * max, max];
+        let points = self.tiles.iter().flat_map(|tile| corners(tile.bounds));
+        let around = WorldFrame::around(&points.map(|point| self.frame.source(point)).collect::<Vec<_>>());
+        let own = self.frame.origin;
+        let frame = WorldFrame { origin: if own == DVec3::ZERO { around.origin } else { own }, ..around };
+        let to = self.frame.to(&frame);
+        for tile in &mut self.tiles {
+            let [min, max] = [tile.bounds.min, tile.bounds.max].map(|corner| to.apply(corner.as_dvec3()).as_vec3());
+            (tile.bounds, tile.error) = (Bounds { min, max }, to.scale * tile.error);
+        }
+        self.frame = frame;
+        self
     }
 
     /// All tiles; the first is the coarsest.
@@ -189,12 +218,15 @@ impl Tree {
         let (Some(path), Some(tile)) = (self.path(tile), self.tiles.get(tile)) else {
             return Err(Error::argument("tile", format!("{tile} is none of {}", self.tiles.len())));
         };
-        let scene = splats::read(&path, options)?;
+        let mut scene = splats::read(&path, options)?;
         let found = scene.header.count;
         if found != tile.gaussians as u64 {
             let problem = format!("has {found} Gaussians, {TILESET_FILE} says {}", tile.gaussians);
             return Err(Error::input(path, problem, "write the tree again with `ashsplat tiles`"));
         }
+        let from = WorldFrame { origin: self.file_origin + scene.frame.origin, ..scene.frame };
+        scene.gaussians.transform(&from.to(&self.frame));
+        scene.frame = self.frame;
         Ok(scene)
     }
 
@@ -297,6 +329,18 @@ fn sees(camera: &Camera, bounds: Bounds, border: f64) -> bool {
         &|p| (height - cy + down) * depth(p) - fy * p.y,
     ];
     inside.iter().all(|inside| corners.iter().any(|corner| inside(corner) >= 0.0))
+}
+
+/// Where the root's transform moves all tiles.
+fn moved(path: &Path, transform: Option<[f64; 16]>) -> Result<DVec3> {
+    let Some(columns) = transform else { return Ok(DVec3::ZERO) };
+    let matrix = DMat4::from_cols_array(&columns);
+    let origin = turned_origin(matrix.w_axis.truncate());
+    if matrix == DMat4::from_translation(matrix.w_axis.truncate()) && origin.abs().max_element() <= FARTHEST {
+        return Ok(origin);
+    }
+    let problem = "the root's transform does more than move the tiles, which is not read";
+    Err(Error::input(path, problem, "write the tree again with `ashsplat tiles`"))
 }
 
 fn checked(path: &Path, json: &TileJson) -> Result<Tile> {

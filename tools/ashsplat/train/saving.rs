@@ -151,7 +151,7 @@ impl Run {
         let filters = self.trainer.filters()?;
         output::in_folder(&path, |path| match filters.is_empty() {
             true => splats::write(path, &gaussians, &options),
-            false => ply::write_filtered(path, &gaussians, &filters, antialiased),
+            false => ply::write_filtered(path, &gaussians, &filters, &options),
         })?;
         let lights = self.lights()?;
         if !lights.exposures.is_empty() {
