@@ -26,14 +26,16 @@ use ashsplat::scene::{Bounds, Cut, Gaussians, Similarity, WorldFrame};
 use ashsplat::{Error, Result};
 use glam::Vec3;
 
-pub use convert::{ConvertOptions, Converted, Target, convert};
-use convert::changed;
 pub(super) use convert::OriginSample;
+use convert::changed;
+pub use convert::{ConvertOptions, Converted, Target, convert};
 pub use format::Format;
-pub(crate) use origin_file::FARTHEST;
 pub(crate) use gltf::{EXTENSION, PACKED_EXTENSION};
 pub use merge::{Merged, Part, merge};
-pub(super) use stream::{BLOCK, Outline, Produce, Reader, Sink, Source, in_blocks, in_source_units, row_bytes};
+pub(crate) use origin_file::FARTHEST;
+pub(super) use stream::{
+    BLOCK, Outline, Produce, Reader, Sink, Source, in_blocks, in_source_units, row_bytes,
+};
 pub use stream::{Header, ReadOptions, Scene};
 
 /// Reads a file of Gaussians. Its first bytes or its extension select the format.

@@ -2,7 +2,7 @@
 
 use glam::{DQuat, DVec3, Vec3};
 
-use super::{Camera, Similarity};
+use super::transform::Similarity;
 
 /// Distance of a scene's centre from the origin, in radii of the scene, from which on it gets an origin of its own: below, single
 /// precision resolves a 250,000th of the radius or finer.
@@ -52,32 +52,6 @@ impl WorldFrame {
         *self == Self::default()
     }
 
-    /// What takes world coordinates of this frame to those of another.
-    pub fn to(&self, other: &Self) -> Similarity {
-        Similarity {
-            rotation: DQuat::IDENTITY,
-            scale: self.unit / other.unit,
-            translation: (self.origin - other.origin) / other.unit,
-        }
-    }
-
-    /// A camera of this frame in another.
-    pub fn camera_to(&self, other: &Self, camera: &Camera) -> Camera {
-        if self == other {
-            return *camera;
-        }
-        let to = self.to(other);
-        let rotation = camera.camera_from_world.as_dmat3();
-        let mut moved = *camera;
-        moved.translation = Camera::at(to.apply(camera.exact_position()), rotation, camera.intrinsics()).translation;
-        if camera.is_orthographic() {
-            // Their unit is pixels per world unit.
-            moved.fx = (f64::from(camera.fx) / to.scale) as f32;
-            moved.fy = (f64::from(camera.fy) / to.scale) as f32;
-        }
-        moved
-    }
-
     /// World coordinates of a point in source coordinates.
     pub fn world(&self, source: DVec3) -> Vec3 {
         ((source - self.origin) / self.unit).as_vec3()
@@ -86,6 +60,15 @@ impl WorldFrame {
     /// Source coordinates of a point in world coordinates.
     pub fn source(&self, world: Vec3) -> DVec3 {
         self.origin + self.unit * world.as_dvec3()
+    }
+
+    /// The similarity from the world coordinates of another frame to those of this one.
+    pub fn similarity_from(&self, other: &Self) -> Similarity {
+        Similarity {
+            rotation: DQuat::IDENTITY,
+            scale: other.unit / self.unit,
+            translation: (other.origin - self.origin) / self.unit,
+        }
     }
 }
 

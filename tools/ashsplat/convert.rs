@@ -139,16 +139,11 @@ impl Arguments {
         splats::check_spz_version(format, self.spz_version).map_err(|_| {
             Error::argument("--spz-version", "give 2 or 4 for .spz, 2 for .glb, none for others")
         })?;
-        let [x, y, z] =
-            self.rotate.unwrap_or_default().to_array().map(f64::to_radians);
+        let [x, y, z] = self.rotate.unwrap_or_default().to_array().map(f64::to_radians);
         Ok(ConvertOptions {
             read: self.host.reading(self.drop_invalid),
             sh_degree: self.sh_degree,
-            cut: Cut {
-                min_opacity: self.min_opacity.unwrap_or_default(),
-                min_density,
-                ..Cut::default()
-            },
+            cut: Cut { min_opacity: self.min_opacity.unwrap_or_default(), min_density, ..Cut::default() },
             crop_box: self.crop_box,
             similarity: Similarity {
                 // The last is applied first.

@@ -75,7 +75,8 @@ impl<'a> GaussianRows<'a> {
         let element = file.seek_element("vertex")?;
         let layout = Layout::new(path, &element)?;
         file.check_no_list(&element)?;
-        let is_double = |p: &Property| ["x", "y", "z"].contains(&p.name.as_str()) && p.kind == Kind::Scalar(Scalar::F64);
+        let is_double =
+            |p: &Property| ["x", "y", "z"].contains(&p.name.as_str()) && p.kind == Kind::Scalar(Scalar::F64);
         let double_positions = element.properties.iter().any(is_double);
         let shift = if double_positions { origin_of_first(path)? } else { DVec3::ZERO };
         let header = Header {

@@ -87,7 +87,8 @@ pub fn convert(input: &Path, output: &Path, options: &ConvertOptions) -> Result<
     let moved = Move { from: header.origin, similarity: options.similarity };
     // What stays in place needs no other origin in a PLY, which has held these positions.
     let stays = format == Format::Ply && options.similarity == Similarity::default();
-    let mut to = if header.origin == DVec3::ZERO { DVec3::ZERO } else { moved.similarity.apply(header.origin) };
+    let mut to =
+        if header.origin == DVec3::ZERO { DVec3::ZERO } else { moved.similarity.apply(header.origin) };
     let step = OriginSample::step(header.count);
     let (mut count, mut bounds, mut kept) = loop {
         let mut sample = OriginSample::default();

@@ -93,7 +93,7 @@ impl Scene {
             origin: if self.header.origin == DVec3::ZERO { around.origin } else { self.header.origin },
             unit: self.header.unit.or(unit).unwrap_or(around.unit),
         };
-        self.gaussians.transform(&self.frame.to(&frame));
+        self.gaussians.transform(&frame.similarity_from(&self.frame));
         self.frame = frame;
         self
     }

@@ -134,9 +134,10 @@ impl Tree {
         let around = WorldFrame::around(&points.map(|point| self.frame.source(point)).collect::<Vec<_>>());
         let own = self.frame.origin;
         let frame = WorldFrame { origin: if own == DVec3::ZERO { around.origin } else { own }, ..around };
-        let to = self.frame.to(&frame);
+        let to = frame.similarity_from(&self.frame);
         for tile in &mut self.tiles {
-            let [min, max] = [tile.bounds.min, tile.bounds.max].map(|corner| to.apply(corner.as_dvec3()).as_vec3());
+            let [min, max] =
+                [tile.bounds.min, tile.bounds.max].map(|corner| to.apply(corner.as_dvec3()).as_vec3());
             (tile.bounds, tile.error) = (Bounds { min, max }, to.scale * tile.error);
         }
         self.frame = frame;
@@ -225,7 +226,7 @@ impl Tree {
             return Err(Error::input(path, problem, "write the tree again with `ashsplat tiles`"));
         }
         let from = WorldFrame { origin: self.file_origin + scene.frame.origin, ..scene.frame };
-        scene.gaussians.transform(&from.to(&self.frame));
+        scene.gaussians.transform(&self.frame.similarity_from(&from));
         scene.frame = self.frame;
         Ok(scene)
     }
