@@ -92,7 +92,8 @@ pub struct Frame {
     pub color: Vec<[f32; 3]>,
     /// Transmittance after the last Gaussian: 1 without any.
     pub transmittance: Vec<f32>,
-    /// Sum of weights / z, if requested.
+    /// Sum of weights / z, if requested; of weights * z with [`linear_depth`](RenderSettings::linear_depth). The expected depth is
+    /// the latter over 1 − transmittance.
     pub inverse_depth: Option<Vec<f32>>,
     /// Counts and times of the frame.
     pub stats: FrameStats,

@@ -188,7 +188,34 @@ impl Camera {
         self.camera_from_world.row(2)
     }
 
-    /// The same view at another size: focal lengths and principal point scale with each axis.
+    /// Whether a picture of this size has the camera's aspect, up to the rounding of a side.
+    pub fn keeps_aspect_at(&self, width: u32, height: u32) -> bool {
+        let [w, h, width, height] = [self.width, self.height, width, height].map(f64::from);
+        (w * height / h - width).abs() <= 0.5 || (h * width / w - height).abs() <= 0.5
+    }
+
+    /// The same view at another size, with pixels of the same shape. A picture of another aspect shows all that this one shows, in
+    /// its middle, and more at two of its sides. It is then no part of a larger picture.
+    pub fn fitted_to(&self, width: u32, height: u32) -> Self {
+        if self.keeps_aspect_at(width, height) {
+            return self.scaled_to(width, height);
+        }
+        let [w, h, wide, high] = [self.width, self.height, width, height].map(|side| side as f32);
+        let scale = (wide / w).min(high / h);
+        Self {
+            fx: self.fx * scale,
+            fy: self.fy * scale,
+            cx: self.cx * scale + 0.5 * (wide - w * scale),
+            cy: self.cy * scale + 0.5 * (high - h * scale),
+            width,
+            height,
+            part: None,
+            ..*self
+        }
+    }
+
+    /// The same view at another size: focal lengths and principal point scale with each axis. Another aspect stretches the
+    /// picture: see [`Camera::fitted_to`].
     pub fn scaled_to(&self, width: u32, height: u32) -> Self {
         let (sx, sy) = (width as f32 / self.width as f32, height as f32 / self.height as f32);
         let part = self.part.map(|part| part.scaled_by([sx.into(), sy.into()], (width, height)));

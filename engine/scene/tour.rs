@@ -23,6 +23,10 @@ const LONGEST_DETOUR: f64 = 2.0;
 /// only one camera saw is not drawn well from elsewhere.
 const MOST_INSET: f64 = 1.0 / 8.0;
 
+/// Most cameras that a motion goes by; of more, evenly spaced ones are taken. Beyond some hundreds, the smoothing no longer depends on
+/// their number, and the order from neighbour to neighbour takes steps in proportion to its square.
+const MOST_CAMERAS: usize = 4096;
+
 /// How a camera moves through a scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Motion {
@@ -48,19 +52,21 @@ impl Motion {
     /// `count` cameras that move so, in order. `looped`: the first follows the last, so an arc is walked from
     /// its middle to both ends and back; a path is always walked once. Empty without cameras.
     pub fn cameras(self, seen: &[Camera], count: u32, looped: bool, intrinsics: Intrinsics) -> Vec<Camera> {
+        let every = seen.len().div_ceil(MOST_CAMERAS).max(1);
+        let thinned: Vec<Camera> = seen.iter().step_by(every).copied().collect();
         let along = (0..count).map(|i| match (looped && self == Self::Arc, count) {
             // The first frame is what a film is known by.
             (true, _) => 0.5 + 0.5 * (TAU * f64::from(i) / f64::from(count)).sin(),
             (false, 1) => 0.5,
             (false, _) => f64::from(i) / f64::from(count - 1),
         });
-        let ring = || Ring::of(seen).filter(|_| self == Self::Arc);
+        let ring = || Ring::of(&thinned).filter(|_| self == Self::Arc);
         match (self, ring()) {
             (Self::Orbit, _) => Orbit::around(seen, count, intrinsics).map_or_else(Vec::new, |o| o.cameras()),
             (_, Some(ring)) => along.map(|share| ring.camera(share, intrinsics)).collect(),
             _ if seen.is_empty() => Vec::new(),
             _ => {
-                let way = Way::along(seen);
+                let way = Way::along(&thinned);
                 along.map(|share| way.camera(share, intrinsics)).collect()
             }
         }
@@ -68,11 +74,11 @@ impl Motion {
 }
 
 /// `count` cameras on a smooth curve through some keys: positions on a Catmull-Rom spline, rotations the shortest
-/// way, intrinsics in proportion, the size of the first key. An open curve begins and ends at a key; a closed
+/// way, intrinsics in proportion, the size of the first key ([`Camera::fitted_to`]). An open curve begins and ends at a key; a closed
 /// one ends a step before its first key. Empty without keys.
 pub fn through_keys(keys: &[Camera], count: u32, closed: bool) -> Vec<Camera> {
     let Some(first) = keys.first() else { return Vec::new() };
-    let keys: Vec<Camera> = keys.iter().map(|key| key.scaled_to(first.width, first.height)).collect();
+    let keys: Vec<Camera> = keys.iter().map(|key| key.fitted_to(first.width, first.height)).collect();
     let spans = if closed { keys.len() } else { keys.len() - 1 };
     let steps = if closed { count.max(1) } else { count.max(2) - 1 };
     let frame = |frame: u32| {

@@ -164,6 +164,137 @@ fn compare_exr_with_png(folder: &Path) {
     assert!((depth[middle] - 2.0).abs() < 0.01, "depth {}", depth[middle]);
 }
 
+/// A ball stays round in pictures of any shape, and in a curve through cameras of several.
+#[test]
+fn pictures_of_another_shape_show_more_and_stretch_nothing() {
+    let folder = tempdir().expect("a temporary folder");
+    let at = |name: &str| folder.path().join(name);
+    write_gaussians(&at("ball.ply"), &[([0.0, 0.0, 4.0], 5.0, 0.3)]);
+    let camera = |name: &str, [w, h]: [u32; 2]| {
+        format!(
+            r#"{{"id": 0, "img_name": "{name}", "width": {w}, "height": {h}, "position": [0, 0, 0],
+            "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "fx": 150, "fy": 150}}"#
+        )
+    };
+    std::fs::write(at("one.json"), format!("[{}]", camera("a", [160, 120]))).expect("written");
+    let two = [camera("a", [160, 120]), camera("b", [120, 160])].join(",");
+    std::fs::write(at("two.json"), format!("[{two}]")).expect("written");
+    // Standard deviations of the light in x and y, pixels.
+    let spread = |picture: &Path| {
+        let picture = image::open(picture).expect("a PNG").to_luma8();
+        let mut sums = [0.0; 5];
+        for (x, y, pixel) in picture.enumerate_pixels() {
+            let (x, y, light) = (f64::from(x), f64::from(y), f64::from(pixel[0]));
+            let terms = [light, light * x, light * y, light * x * x, light * y * y];
+            sums.iter_mut().zip(terms).for_each(|(sum, term)| *sum += term);
+        }
+        let [light, x, y, xx, yy] = sums;
+        let size = picture.dimensions();
+        ([(xx / light - (x / light).powi(2)).sqrt(), (yy / light - (y / light).powi(2)).sqrt()], size)
+    };
+    let drawn = |options: &[&str]| {
+        let (ply, out) = (at("ball.ply"), at("out.png"));
+        let said = succeed(&[&["render", text(&ply), "-o", text(&out)][..], options].concat());
+        let ([x, y], size) = spread(&out);
+        assert!((x / y - 1.0).abs() < 0.03, "{options:?}: {x} {y}");
+        (x, size, said)
+    };
+    let one = at("one.json");
+    let path = ["--path", text(&one)];
+    let (own, _, said) = drawn(&path);
+    assert!(!said.contains("shows more"), "{said}");
+    for (options, size, scale, words) in [
+        (
+            &["--width", "320", "--height", "120"][..],
+            (320, 120),
+            1.0,
+            "320x120 shows more at the left and right",
+        ),
+        (&["--width", "120", "--height", "240"], (120, 240), 0.75, "120x240 shows more above and below"),
+        (&["--width", "80"], (80, 60), 0.5, ""),
+        (&["--height", "61"], (81, 61), 0.507, ""),
+        (&["--width", "320", "--height", "120", "--fov", "90"], (320, 120), 160.0 / 150.0, ""),
+    ] {
+        let (x, drawn, said) = drawn(&[&path[..], options].concat());
+        assert_eq!(drawn, size, "{options:?}");
+        assert!((x / own / scale - 1.0).abs() < 0.1, "{options:?}: {x} for {own}");
+        assert_eq!(said.matches("shows more").count(), usize::from(!words.is_empty()), "{said}");
+        assert!(said.contains(words), "{said}");
+    }
+    let (two, ply, out) = (at("two.json"), at("ball.ply"), at("curve"));
+    succeed(&["render", text(&ply), "--path", text(&two), "--frames", "3", "-o", text(&out), "--quiet"]);
+    for picture in files_below(&out) {
+        let ([x, y], size) = spread(&out.join(&picture));
+        assert!(size == (160, 120) && (x / y - 1.0).abs() < 0.03, "{}: {x} {y}", picture.display());
+    }
+}
+
+/// One pixel before two Gaussians, at 2 (opacity 0.5) and 10 (0.99).
+#[test]
+fn an_exrs_depth_is_the_mean_or_the_harmonic_mean() {
+    use exr::prelude::*;
+    let folder = tempdir().expect("a temporary folder");
+    let at = |name: &str| folder.path().join(name);
+    write_gaussians(&at("two.ply"), &[([0.0, 0.0, 2.0], 0.0, 0.5), ([0.0, 0.0, 10.0], 9.0, 0.5)]);
+    let camera = r#"[{"id": 0, "img_name": "a", "width": 33, "height": 33, "position": [0, 0, 0],
+        "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "fx": 40, "fy": 40}]"#;
+    std::fs::write(at("path.json"), camera).expect("written");
+    let (ply, path, exr, png) = (at("two.ply"), at("path.json"), at("a.exr"), at("a.png"));
+    let render = ["render", text(&ply), "--path", text(&path), "--quiet", "-o"];
+    let depth = |options: &[&str]| {
+        succeed(&[&render[..], &[text(&exr)], options].concat());
+        let image = read_first_flat_layer_from_file(&exr).expect("an EXR");
+        let z = image.layer_data.channel_data.list.iter().find(|channel| channel.name.eq("Z")).expect("Z");
+        let values: Vec<f32> = z.sample_data.values_as_f32().collect();
+        values[16 * 33 + 16]
+    };
+    let [near, far] = [0.5, 0.5 * 0.99];
+    let mean = (near * 2.0 + far * 10.0) / (near + far);
+    let harmonic = (near + far) / (near / 2.0 + far / 10.0);
+    assert!((depth(&[]) - mean).abs() < 0.01, "{}", depth(&[]));
+    assert!((depth(&["--depth", "mean"]) - mean).abs() < 0.01);
+    assert!((depth(&["--depth", "harmonic"]) - harmonic).abs() < 0.01);
+    refuse(&[&render[..], &[text(&png), "--depth", "mean"]].concat(), &["--depth", "EXR"]);
+}
+
+/// White balls: position, opacity's logit, standard deviation.
+fn write_gaussians(path: &Path, balls: &[([f32; 3], f32, f32)]) {
+    let mut gaussians = ashsplat::scene::Gaussians { sh_degree: 0, ..Default::default() };
+    for &(mean, logit, deviation) in balls {
+        gaussians.means.push(mean);
+        gaussians.log_scales.push([deviation.ln(); 3]);
+        gaussians.quats.push([1.0, 0.0, 0.0, 0.0]);
+        gaussians.opacity_logits.push(logit);
+        gaussians.sh.push([0.5 / 0.282_094_8; 3]);
+    }
+    ashsplat_files::ply::write(path, &gaussians).expect("written");
+}
+
+#[test]
+fn views_that_cannot_be_meant_are_refused() {
+    let folder = tempdir().expect("a temporary folder");
+    let ply = folder.path().join("scene.ply");
+    write_gaussians(&ply, &[([0.0, 0.0, 4.0], 5.0, 0.3)]);
+    for (option, values) in [
+        ("--up", &["0,0,0", "nan,0,1", "1,2"][..]),
+        ("--fov", &["0", "180", "-60", "nan", "1e30"]),
+        ("--width", &["0", "70000", "-5"]),
+        ("--height", &["0"]),
+        ("--background", &["-1,0,0", "0,0,1e30"]),
+        ("--kernel-size", &["nan", "0", "1e30"]),
+    ] {
+        for value in values {
+            let run =
+                finish(program().args(["render", text(&ply), "--orbit", "1", &format!("{option}={value}")]));
+            assert!(
+                run.code == Some(2) && run.stderr.lines().count() == 1,
+                "{option} {value}: {}",
+                run.stderr
+            );
+        }
+    }
+}
+
 #[test]
 fn orbit_of_a_bare_ply_shows_the_scene() {
     let folder = tempdir().expect("a temporary folder");

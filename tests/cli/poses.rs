@@ -353,6 +353,48 @@ fn the_sharpest_frames_of_a_video_become_a_data_set() {
     );
 }
 
+/// What such a file names may lie anywhere.
+#[test]
+fn a_playlist_is_no_video() {
+    let place = Place::new("unused");
+    std::fs::write(place.at("fake/frames"), "").expect("written");
+    for (name, list) in [
+        ("walk.m3u8", "#EXTM3U\n#EXTINF:1.0,\n/home/other/film.ts\n"),
+        ("walk.mp4", "ffconcat version 1.0\nfile '/home/other/film.mp4'\n"),
+    ] {
+        std::fs::write(place.at(name), list).expect("written");
+        place.fails(&mut place.poses(&[name]), &[name, "playlist", "MP4"]);
+        assert!(!place.at("walk_dataset").exists());
+    }
+}
+
+/// A folder that says that it is unfinished work may be anybody's; and places are looked at before COLMAP works for hours.
+#[test]
+fn what_lies_in_the_data_sets_places_stays() {
+    let place = Place::new("photos");
+    let keep = "photos_dataset/images/keep.jpg";
+    for folder in ["photos_dataset/images", "photos_dataset/poses.unfinished", "elsewhere"] {
+        std::fs::create_dir_all(place.at(folder)).expect("a folder");
+    }
+    std::fs::write(place.at(keep), "mine").expect("written");
+    let state = r#"{"frames": null, "features": null, "images": true}"#;
+    std::fs::write(place.at("photos_dataset/poses.unfinished/state.json"), state).expect("written");
+    place.fails(&mut place.poses(&["photos"]), &["photos_dataset/images", "is there already"]);
+    assert!(place.at(keep).exists() && place.stages().is_empty());
+    std::fs::remove_dir_all(place.at("photos_dataset")).expect("removed");
+    for (name, words) in [("sparse", "a link"), ("images", "a link"), ("poses.log", "is a folder")] {
+        std::fs::create_dir_all(place.at("photos_dataset")).expect("a folder");
+        match name {
+            "poses.log" => std::fs::create_dir(place.at("photos_dataset/poses.log")).expect("a folder"),
+            _ => std::os::unix::fs::symlink("../elsewhere", place.at("photos_dataset").join(name))
+                .expect("a link"),
+        }
+        place.fails(&mut place.poses(&["photos"]), &[name, words, "another -o"]);
+        assert!(place.stages().is_empty(), "{name}");
+        std::fs::remove_dir_all(place.at("photos_dataset")).expect("removed");
+    }
+}
+
 #[test]
 fn what_is_missing_says_how_to_get_it() {
     let place = Place::new("photos");

@@ -56,6 +56,23 @@ fn scaling_keeps_the_picture() {
 }
 
 #[test]
+fn another_aspect_keeps_the_shape_of_pixels() {
+    let camera = Camera { fy: 70.0, ..oblique() };
+    // All of the picture, in the middle: wider, higher, and as it is but for rounding.
+    for (width, height) in [(128, 48), (64, 96), (33, 25), (21, 16)] {
+        let fitted = camera.fitted_to(width, height);
+        let scale = (width as f32 / 64.0).min(height as f32 / 48.0);
+        let bound = if camera.keeps_aspect_at(width, height) { 0.02 } else { 1e-5 };
+        assert!((fitted.fx / fitted.fy / (camera.fx / camera.fy) - 1.0).abs() < bound, "{width}x{height}");
+        let moved = |cx: f32, side: u32, own: f32| 0.5 * side as f32 + (cx - 0.5 * own) * scale;
+        assert!((fitted.cx - moved(camera.cx, width, 64.0)).abs() < 0.5);
+        assert!((fitted.cy - moved(camera.cy, height, 48.0)).abs() < 0.5);
+        assert_eq!((fitted.width, fitted.height), (width, height));
+    }
+    assert_eq!(camera.fitted_to(32, 24), camera.scaled_to(32, 24));
+}
+
+#[test]
 fn field_of_view() {
     let intrinsics = Intrinsics::from_fov_x(std::f32::consts::FRAC_PI_2, 200, 100);
     assert!((intrinsics.fx - 100.0).abs() < 1e-4 && intrinsics.fy == intrinsics.fx);

@@ -141,6 +141,30 @@ fn a_path_passes_along_the_cameras() {
     }
 }
 
+/// Steps between all pairs of so many would take hours.
+#[test]
+fn a_path_along_many_cameras_ends() {
+    let count = 200_000_u32;
+    // In no order: an odd multiplier visits each place once.
+    let place = |i: u32| (u64::from(i) * 77_773 % u64::from(count)) as f32 * 1e-3;
+    let cameras: Vec<Camera> = (0..count)
+        .map(|i| vec3(0.0, 0.0, place(i)))
+        .map(|eye| Camera::look_at(eye, eye + Vec3::Z, Vec3::NEG_Y, intrinsics()))
+        .collect();
+    for motion in [Motion::Path, Motion::Arc] {
+        let way = motion.cameras(&cameras, 100, false, intrinsics());
+        for pair in way.windows(2) {
+            assert!(pair[0].position().distance(pair[1].position()) < 10.0, "a jump");
+        }
+        let ends = [way[0], way[99]].map(|camera| camera.position().z);
+        assert!((ends[1] - ends[0]).abs() > 100.0, "{ends:?}");
+    }
+    assert_eq!(Motion::of(&cameras), Motion::Path);
+    let ring = ring((0..count).map(|i| TAU * place(i) / 200.0));
+    assert_eq!(Motion::of(&ring), Motion::Orbit);
+    assert_eq!(Motion::Arc.cameras(&ring, 1000, false, intrinsics()).len(), 1000);
+}
+
 #[test]
 fn curves_pass_through_their_keys() {
     let keys = ring([0.1, 0.9, 1.4].into_iter());

@@ -12,7 +12,7 @@ fn viewer_without_a_scene_says_what_to_do() {
     let server = Server::start(&["view", "--port", "0"]);
     let (code, head, body) = server.get("/", &[]);
     assert_eq!(code, 200, "{head}");
-    assert!(head.contains("text/html") && String::from_utf8_lossy(&body).contains("/main.js"), "{head}");
+    assert!(head.contains("text/html") && String::from_utf8_lossy(&body).contains("main.js"), "{head}");
     let (code, head, _) = server.get("/main.js", &[]);
     assert!(code == 200 && head.contains("text/javascript"), "{head}");
     assert_eq!(server.get("/nothing", &[]).0, 404);
@@ -51,8 +51,12 @@ fn viewer_lets_in_who_knows_the_token() {
         &["view", text(&path), "--port", "0", "-o", text(&path.join("below"))],
         &["ball.ply", "no folder"],
     );
-    let mut server = Server::view(&path, &["--host", "0.0.0.0", "--token", "sesame"]);
-    server.host = server.host.replace("0.0.0.0", "127.0.0.1");
+    let server = Server::view(&path, &["--host", "0.0.0.0", "--token", "sesame"]);
+    let said = &server.said[0];
+    assert!(
+        said.contains("localhost:") && said.contains("/?token=WORD") && !said.contains("0.0.0.0"),
+        "{said}"
+    );
     for (path, headers) in [
         ("/", vec![]),
         ("/?token=sesam", vec![]),
@@ -126,6 +130,67 @@ fn viewer_refuses_foreign_pages() {
         };
         assert_eq!(status.as_u16(), expected, "{origin}");
     }
+}
+
+/// A proxy at viewer.example gives the viewer its own name as the header Host, as nginx does by default.
+#[cfg(unix)]
+#[test]
+fn viewer_behind_a_proxy_says_what_to_do_and_can_be_told() {
+    let folder = tempdir().expect("a temporary folder");
+    let path = write_ball(folder.path(), 50);
+    let open = |server: &Server, origin: &str| {
+        let mut request = format!("ws://{}/socket", server.host).into_client_request().expect("a request");
+        request.headers_mut().insert("Origin", origin.parse().expect("a header"));
+        match tungstenite::client(request, server.connect()) {
+            Ok((_, answer)) => answer.status().as_u16(),
+            Err(HandshakeError::Failure(tungstenite::Error::Http(answer))) => answer.status().as_u16(),
+            Err(error) => panic!("{origin}: {error}"),
+        }
+    };
+    let (shown, evil) = ("https://viewer.example", "https://evil.example");
+    let server = Server::view(&path, &[]);
+    assert_eq!(open(&server, shown), 403);
+    // A page does not see that; it asks once more.
+    let asked = |server: &Server, headers: &[(&str, &str)]| {
+        let (code, _, body) = server.post("/socket", headers, &[]);
+        (code, String::from_utf8(body).expect("text"))
+    };
+    let (code, words) = asked(&server, &[("Origin", shown)]);
+    assert!(code == 403 && words.contains("--allow-origin"), "{code} {words}");
+    let (code, words) = asked(&server, &[("Host", "viewer.example")]);
+    assert!(code == 403 && words.contains("--allow-origin"), "{code} {words}");
+    let (code, words) = asked(&server, &[]);
+    assert!(code == 426 && words.contains("Upgrade"), "{code} {words}");
+    let (_, told) = server.end();
+    assert_eq!(told.matches("--allow-origin").count(), 1, "{told}");
+    assert!(told.contains(shown), "{told}");
+    let server = Server::view(&path, &["--allow-origin", "https://Viewer.example:443/"]);
+    assert_eq!([open(&server, shown), open(&server, evil)], [101, 403]);
+    for (headers, expected) in [
+        (&[("Host", "viewer.example"), ("Origin", shown)][..], 200),
+        (&[("Host", "viewer.example")], 200),
+        (&[("Host", "evil.example"), ("Origin", evil)], 403),
+        (&[("Host", "evil.example"), ("X-Forwarded-Host", "viewer.example")], 403),
+    ] {
+        assert_eq!(server.get("/", headers).0, expected, "{headers:?}");
+    }
+    refuse(&["view", text(&path), "--allow-origin", "viewer.example"], &["--allow-origin", "https://HOST"]);
+    // Others reach it: they name no paths here.
+    let server = Server::start_in(folder.path(), &[], &["view", "--port", "0", "--allow-origin", shown]);
+    assert!(server.page().greeting["open"]["folder"].is_null());
+}
+
+/// Up is a direction; the page turns around it.
+#[test]
+fn viewer_is_told_what_is_up() {
+    let folder = tempdir().expect("a temporary folder");
+    let path = write_ball(folder.path(), 50);
+    let page = Server::view(&path, &["--up", "0,0,2"]).page();
+    assert_eq!(page.greeting["up"], json!([0.0, 0.0, 1.0]));
+    let rows = &page.greeting["start"]["rotation"];
+    // The picture's down is the camera's second row.
+    assert!(rows[1][2].as_f64().expect("a number") < -0.9, "{rows}");
+    refuse(&["view", text(&path), "--up", "0,0,0"], &["--up", "not all 0"]);
 }
 
 #[test]

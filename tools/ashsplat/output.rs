@@ -1,8 +1,9 @@
 //! The files that commands leave: whole or not at all, in folders that are created as needed.
 
 use ashsplat::scene::{linear_from_premultiplied, linear_from_srgb};
-use ashsplat::{Error, Frame, Result};
+use ashsplat::{Error, Frame, RenderSettings, Result};
 use ashsplat_files::{Photo, PhotoFileFormat, atomic};
+use clap::ValueEnum;
 use exr::prelude::{
     AnyChannel, AnyChannels, Encoding, FlatSamples, Image, LineOrder, SmallVec, WritableImage,
 };
@@ -222,9 +223,9 @@ pub fn to_rgba(frame: &Frame) -> image::RgbaImage {
 }
 
 /// A 32-bit float EXR with the channels R G B (linear light: the sRGB curve of the photographs is undone), A
-/// (1 − transmittance) and Z (expected depth along the view axis, world units, see [`expected_depth`]). The colours are on the
+/// (1 − transmittance) and Z (depth along the view axis, world units). The colours are on the
 /// frame's background; those of a frame on black may also be premultiplied by alpha, as EXR has it for pictures without one.
-pub fn write_exr(path: &Path, frame: &Frame, premultiplied: bool) -> Result<()> {
+pub fn write_exr(path: &Path, frame: &Frame, premultiplied: bool, depth: Depth) -> Result<()> {
     let channel = |name: &str, samples: Vec<f32>| AnyChannel::new(name, FlatSamples::F32(samples));
     let pixels = frame.color.iter().zip(&frame.transmittance);
     let linear: Vec<[f32; 3]> = match premultiplied {
@@ -237,7 +238,7 @@ pub fn write_exr(path: &Path, frame: &Frame, premultiplied: bool) -> Result<()> 
         channel("G", color(1)),
         channel("B", color(2)),
         channel("A", frame.transmittance.iter().map(|t| 1.0 - t).collect()),
-        channel("Z", expected_depth(frame)),
+        channel("Z", depth.of(frame)),
     ]
     .into_iter()
     .collect();
@@ -253,14 +254,31 @@ pub fn write_exr(path: &Path, frame: &Frame, premultiplied: bool) -> Result<()> 
     write_whole(path, |out| out.write_all(bytes.get_ref()))
 }
 
-/// Depth of each pixel: the harmonic mean of the blended Gaussians' depths, `Σ αT / Σ (αT / z)` = (1 −
-/// transmittance) / inverse depth. Where nothing was blended: infinity.
-pub fn expected_depth(frame: &Frame) -> Vec<f32> {
-    let Some(inverse_depth) = &frame.inverse_depth else { return vec![f32::INFINITY; frame.color.len()] };
-    let depth = |(&inverse, &transmittance): (&f32, &f32)| {
-        if inverse > 0.0 { (1.0 - transmittance) / inverse } else { f32::INFINITY }
-    };
-    inverse_depth.iter().zip(&frame.transmittance).map(depth).collect()
+/// The depth of a pixel where Gaussians of depths z were blended with weights w.
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Depth {
+    /// Σ w z / Σ w, the expected depth, as images of a `DepthTarget` and gsplat have it
+    Mean,
+    /// Σ w / Σ (w / z), whose reciprocal training compares with depth maps: what lies far behind a surface hardly moves it
+    Harmonic,
+}
+
+impl Depth {
+    /// The settings for frames that have it.
+    pub fn requested(self, settings: RenderSettings) -> RenderSettings {
+        RenderSettings { inverse_depth: true, linear_depth: self == Self::Mean, ..settings }
+    }
+
+    /// Depth of each pixel of such a frame: infinite where nothing was blended.
+    pub fn of(self, frame: &Frame) -> Vec<f32> {
+        let Some(sums) = &frame.inverse_depth else { return vec![f32::INFINITY; frame.color.len()] };
+        let depth = |(&sum, &transmittance): (&f32, &f32)| match (sum > 0.0, self) {
+            (false, _) => f32::INFINITY,
+            (true, Self::Mean) => sum / (1.0 - transmittance),
+            (true, Self::Harmonic) => (1.0 - transmittance) / sum,
+        };
+        sums.iter().zip(&frame.transmittance).map(depth).collect()
+    }
 }
 
 /// `folder/00012.png`.

@@ -6,7 +6,7 @@ use crate::convert::parse_target;
 use crate::film_file::{self, Container, Frames};
 use crate::light::Light;
 use crate::model::Model;
-use crate::output;
+use crate::output::{self, Depth};
 use crate::progress::counting;
 use crate::tiles::Drawn;
 use ashsplat::scene::LensEffects;
@@ -33,7 +33,7 @@ pub use views::orbit_around;
 /// at it from one side, else a path along them (--motion).
 ///
 /// EXR files hold linear light (R G B: the sRGB curve of the photographs undone, on the background), A = 1 - transmittance,
-/// and Z = expected depth = (1 - transmittance) / sum(alpha T / z), infinite where nothing was blended. To be composed over
+/// and Z = depth along the view axis in the scene's units, infinite where nothing was blended (--depth). To be composed over
 /// something else, they are written with --transparent: R G B are then premultiplied by A, as compositors expect it.
 ///
 /// A camera path is a JSON list in the format of a model folder's cameras.json: [{"id", "img_name", "width",
@@ -72,6 +72,9 @@ pub struct Arguments {
     /// Which files to write; by default what --out names, and PNG into a folder
     #[arg(long, value_enum)]
     format: Option<Format>,
+    /// Z of an EXR [default: mean]
+    #[arg(long, value_enum)]
+    depth: Option<Depth>,
     /// Without a background: an EXR's colours are premultiplied by its alpha, and a PNG has opacity
     #[arg(long, conflicts_with_all = ["background", "exposure_of", "lens_of"])]
     transparent: bool,
@@ -102,7 +105,7 @@ pub struct LookArguments {
     #[arg(long)]
     pub drop_invalid: bool,
     /// Background colour, 0 to 1 [default: as in training, else black]
-    #[arg(long, value_name = "R,G,B", value_parser = parse_vector)]
+    #[arg(long, value_name = "R,G,B", allow_hyphen_values = true, value_parser = parse_color)]
     background: Option<Vec3>,
     /// SH degree to draw [default: all that the file has]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=3))]
@@ -146,13 +149,13 @@ impl LookArguments {
         settings.sh_degree = self.sh_degree;
         settings.antialias |= self.antialiasing || header.antialiased;
         if let Some(kernel_size) = self.kernel_size {
-            settings.dilation_px2 = kernel_size;
-            settings.check().map_err(|_| {
+            if !(kernel_size > 0.0 && kernel_size <= MOST_KERNEL_SIZE) {
                 let problem = format!(
-                    "{kernel_size} is not a positive number: the reference has 0.3, Mip-Splatting 0.1"
+                    "{kernel_size} is not a positive number up to {MOST_KERNEL_SIZE}: the reference has 0.3, Mip-Splatting 0.1"
                 );
-                Error::argument("--kernel-size", problem)
-            })?;
+                return Err(Error::argument("--kernel-size", problem));
+            }
+            settings.dilation_px2 = kernel_size;
         }
         settings.extent = match self.extent {
             ExtentName::Exact => Extent::Exact,
@@ -162,6 +165,8 @@ impl LookArguments {
     }
 }
 
+/// Largest accepted `--kernel-size`, square pixels.
+const MOST_KERNEL_SIZE: f32 = 1e4;
 /// Frames per second of a film.
 const FILM_RATE: u32 = 30;
 
@@ -186,6 +191,21 @@ pub fn parse_vector(text: &str) -> Result<Vec3, String> {
     }
 }
 
+/// A direction in the world: any three numbers but zeros.
+pub fn parse_direction(text: &str) -> Result<Vec3, String> {
+    match parse_vector(text)?.as_dvec3().try_normalize() {
+        Some(direction) => Ok(direction.as_vec3()),
+        None => Err("expected a direction: three numbers that are not all 0".into()),
+    }
+}
+
+/// A colour whose channels are 0 to 1.
+fn parse_color(text: &str) -> Result<Vec3, String> {
+    let color = parse_vector(text)?;
+    let sound = color.min_element() >= 0.0 && color.max_element() <= 1.0;
+    if sound { Ok(color) } else { Err("expected three numbers from 0 to 1".into()) }
+}
+
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<()> {
     let path = arguments.model.as_ref().or(arguments.model_path.as_ref());
@@ -204,11 +224,12 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         let problem = format!("is one picture, and there are {several} views");
         return Err(Error::input(&arguments.out, problem, "name a folder, or a film (.mp4, .webm, .gif)"));
     }
-    let with_depth = format != Format::Png;
-    let mut settings = RenderSettings {
-        inverse_depth: with_depth,
-        ..arguments.look.settings(&model.settings, &scene.header)?
-    };
+    let mut settings = arguments.look.settings(&model.settings, &scene.header)?;
+    if format != Format::Png {
+        settings = arguments.depth().requested(settings);
+    } else if arguments.depth.is_some() {
+        return Err(Error::argument("--depth", "is for EXR files: add --format exr"));
+    }
     if arguments.transparent {
         settings.background = [0.0; 3];
     }
@@ -419,6 +440,10 @@ impl Arguments {
         Ok(Some(format))
     }
 
+    fn depth(&self) -> Depth {
+        self.depth.unwrap_or(Depth::Mean)
+    }
+
     fn save(&self, path: &dyn Fn(&str) -> PathBuf, format: Format, frame: &Frame) -> Result<()> {
         match (format, self.transparent) {
             (Format::Exr, _) => {}
@@ -426,7 +451,7 @@ impl Arguments {
             (_, false) => output::write_png(&path("png"), &output::to_photo(frame)?)?,
         }
         if format != Format::Png {
-            output::write_exr(&path("exr"), frame, self.transparent)?;
+            output::write_exr(&path("exr"), frame, self.transparent, self.depth())?;
         }
         Ok(())
     }

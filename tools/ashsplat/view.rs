@@ -29,17 +29,19 @@ pub use subject::Subject;
 
 use crate::args::{DeviceArguments, MAX_MEMORY_IN_VIEWER};
 use crate::convert::parse_target;
-use crate::render::LookArguments;
+use crate::render::{LookArguments, parse_direction};
 use crate::{output, session};
 use ashsplat::{Error, RenderSettings, Renderer, Result};
 use ashsplat_files::splats::Target;
 use clap::Args;
+use glam::Vec3;
 use hub::Hub;
 use loading::Loading;
 use openings::{Openings, Wish};
 use protocol::ToPage;
 use server::{ServeArguments, Site};
-use std::net::{SocketAddr, TcpListener};
+use std::collections::BTreeSet;
+use std::net::{IpAddr, Ipv6Addr, SocketAddr, TcpListener, UdpSocket};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -73,10 +75,13 @@ pub struct Arguments {
     /// [default: 1000000; pages can change it]
     #[arg(long, value_name = "N|N%", value_parser = parse_target)]
     budget: Option<Target>,
+    /// Up in the pictures [default: as the cameras have it, without any 0,-1,0]
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, value_parser = parse_direction)]
+    up: Option<Vec3>,
     #[command(flatten)]
     serve: ServeArguments,
     /// In a window on this machine's screen instead of a page
-    #[arg(long, conflicts_with_all = ["host", "port", "token"])]
+    #[arg(long, conflicts_with_all = ["host", "port", "token", "allow_origin"])]
     window: bool,
     /// Frames of the window are shown as fast as they come, not in step with the screen
     #[arg(long, requires = "window")]
@@ -120,7 +125,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let hub = Arc::new(Hub::default());
     let name = arguments.path.as_ref().map(|path| path.display().to_string());
     hub.greet_with(loading::message(name.as_deref().unwrap_or_default()).to_string());
-    let site = Site::new(hub.clone(), out.clone(), arguments.serve.token.clone());
+    let site = Site::new(hub.clone(), out.clone(), arguments.serve.clone());
     let site = Arc::new(site.with_openings(openings.clone()));
     let server = server::start(listener, site.clone())?;
     announce(server.address, &arguments.serve);
@@ -241,13 +246,15 @@ impl Arguments {
         let source = self.source_path.as_deref();
         let (images, budget) = (self.images.as_deref(), self.budget);
         let wanted = Wanted { iteration: self.iteration, source, images, within, budget };
-        Subject::load(path, &wanted, &self.look, &self.device.host, stop)
+        let subject = Subject::load(path, &wanted, &self.look, &self.device.host, stop)?;
+        Ok(Subject { up: self.up, ..subject })
     }
 
     /// What pages may open: nothing where there is a scene from the beginning.
     fn openings(&self, listener: &TcpListener) -> Option<Arc<Openings>> {
         let most_bytes = self.device.host.memory().limit();
-        let open = || Openings::new(std::env::current_dir().ok(), server::reach(listener), most_bytes);
+        let open =
+            || Openings::new(std::env::current_dir().ok(), server::reach(listener, &self.serve), most_bytes);
         self.path.is_none().then(|| Arc::new(open()))
     }
 }
@@ -264,9 +271,33 @@ fn in_window(_: &Arguments, _: PathBuf, _: Arc<AtomicBool>) -> Result<()> {
     Err(Error::argument("--window", problem))
 }
 
-/// Says where the page is.
+/// Says where the page is: for all addresses, by what names this machine and others reach it.
 pub fn announce(address: SocketAddr, arguments: &ServeArguments) {
-    let name = if address.ip().is_loopback() { "localhost".into() } else { address.ip().to_string() };
     let word = if arguments.token.is_some() { "?token=WORD" } else { "" };
-    say!("viewer at http://{name}:{}/{word}", address.port());
+    let page = |place: String| format!("http://{place}/{word}");
+    let (ip, port) = (address.ip(), address.port());
+    let here = if ip.is_loopback() || ip.is_unspecified() {
+        format!("localhost:{port}")
+    } else {
+        address.to_string()
+    };
+    let others = if ip.is_unspecified() { outward_addresses(ip.is_ipv6()) } else { BTreeSet::new() };
+    let others: Vec<String> = others.iter().map(|ip| page(SocketAddr::new(*ip, port).to_string())).collect();
+    let others =
+        if others.is_empty() { String::new() } else { format!("; from elsewhere {}", others.join(", ")) };
+    say!("viewer at {}{others}", page(here));
+}
+
+/// This machine's addresses towards others, by its routes to the usual ranges. Connecting a datagram socket sends nothing.
+fn outward_addresses(with_ipv6: bool) -> BTreeSet<IpAddr> {
+    let ranges = ["192.0.2.1", "10.0.0.1", "172.16.0.1", "192.168.0.1", "2001:db8::1", "fd00::1"];
+    let towards = |range: IpAddr| {
+        let any = if range.is_ipv6() { Ipv6Addr::UNSPECIFIED.into() } else { IpAddr::from([0; 4]) };
+        let socket = UdpSocket::bind((any, 0)).ok()?;
+        socket.connect((range, 9)).ok()?;
+        Some(socket.local_addr().ok()?.ip())
+    };
+    let ranges = ranges.iter().filter_map(|range| range.parse().ok());
+    let ranges = ranges.filter(|range: &IpAddr| with_ipv6 || range.is_ipv4());
+    ranges.filter_map(towards).filter(|ip| !ip.is_loopback()).collect()
 }

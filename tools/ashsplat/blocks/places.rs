@@ -1,6 +1,6 @@
 //! Where pixels are in the world.
 
-use crate::output::expected_depth;
+use crate::output::Depth;
 use ashsplat::Frame;
 use ashsplat::scene::Camera;
 use glam::{Vec3, vec3};
@@ -18,7 +18,8 @@ pub fn small(camera: &Camera) -> Camera {
     camera.scaled_to(scaled(camera.width), scaled(camera.height))
 }
 
-/// Where the pixels of a frame are, in the order of rows, world; None where there is nothing. By the frame's expected depth.
+/// Where the pixels of a frame are, in the order of rows, world; None where there is nothing. By the frame's harmonic depth,
+/// which Gaussians far behind a surface hardly move.
 pub fn places(camera: &Camera, frame: &Frame) -> Vec<Option<Vec3>> {
     let world_from_camera = camera.camera_from_world.transpose();
     let place = |(pixel, z): (usize, f32)| {
@@ -26,5 +27,5 @@ pub fn places(camera: &Camera, frame: &Frame) -> Vec<Option<Vec3>> {
         let ray = vec3((x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, 1.0);
         z.is_finite().then(|| world_from_camera * (z * ray - camera.translation))
     };
-    expected_depth(frame).into_iter().enumerate().map(place).collect()
+    Depth::Harmonic.of(frame).into_iter().enumerate().map(place).collect()
 }

@@ -1,6 +1,6 @@
 //! What share of each photo a cell covers, by the depths of a coarse model.
 //!
-//! A picture is drawn small, each of its pixels is put where its expected depth says, and the pixel counts for the cell there by
+//! A picture is drawn small, each of its pixels is put where its harmonic depth says, and the pixel counts for the cell there by
 //! its opacity. That is one picture per photo however many cells there are; what each cell's Gaussians contribute would need
 //! one per photo and cell.
 

@@ -17,6 +17,10 @@ const CANDIDATES: usize = 8;
 const QUALITY: u8 = 95;
 /// Longest side of a frame, pixels: beyond, what says so is damaged.
 const MAX_SIDE: u32 = 16_384;
+/// The containers and streams that are read (ffmpeg's names of demuxers): each is one file. Playlists, lists of files and patterns
+/// would have ffmpeg open others.
+const FORMATS: &str = "mov,matroska,webm,avi,mpegts,mpeg,mpegvideo,asf,flv,ogg,gif,mxf,nut,ivf,dv,h264,hevc,m4v,mjpeg,\
+                       yuv4mpegpipe,wtv,rm";
 /// Most frames: names have five digits.
 const MOST: usize = 10_000;
 /// Frames per second by default, and the least and the most frames then.
@@ -127,6 +131,7 @@ impl Reader<'_> {
         command
             .args(["-nostdin", "-hide_banner", "-v", "error"])
             .args(global)
+            .args(["-protocol_whitelist", "file", "-format_whitelist", FORMATS])
             .arg("-i")
             .arg(as_file(self.path));
         command
@@ -163,6 +168,14 @@ impl Reader<'_> {
         if !status.success() {
             let mut text = String::new();
             said.rewind().and_then(|()| said.read_to_string(&mut text)).map_err(io)?;
+            if text.contains("not on whitelist") {
+                let problem = "is a playlist, a list of files or no usual video: only files that hold a video themselves are read";
+                return Err(Error::input(
+                    self.path,
+                    problem,
+                    "give an MP4, MOV, MKV, WebM or AVI, or a folder of photographs",
+                ));
+            }
             let line = text.lines().last().unwrap_or("it failed").trim().to_owned();
             return Err(self.refused(format!("ffmpeg: {line}")));
         }

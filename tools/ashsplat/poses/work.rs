@@ -22,8 +22,6 @@ struct State {
     frames: Option<String>,
     /// Features in COLMAP's database.
     features: Option<String>,
-    /// Whether the data set's folder `images` is ours.
-    images: bool,
 }
 
 /// The unfinished work.
@@ -55,11 +53,23 @@ impl Work {
             );
             return Err(Error::input(dataset.join("sparse"), "is there already", remedy));
         }
-        if linked && has_entries(&dataset.join("images")) && !state.is_some_and(|state| state.images) {
-            let remedy = "choose another -o";
+        if linked && has_entries(&dataset.join("images")) {
+            let remedy = "remove it if a killed run left it, or choose another -o";
+            return Err(Error::input(dataset.join("images"), "is there already, with photographs", remedy));
+        }
+        // Folders are renamed to these names at the end, and a file to the log's.
+        for name in if linked { &["sparse", "images"][..] } else { &["sparse"] } {
+            let place = dataset.join(name);
+            if place.is_symlink() || place.is_file() {
+                let remedy = "remove it, or choose another -o";
+                return Err(Error::input(place, "is a link or a file, and has to become a folder", remedy));
+            }
+        }
+        if dataset.join(LOG_FILE).is_dir() {
+            let remedy = "rename it, or choose another -o";
             return Err(Error::input(
-                dataset.join("images"),
-                "is there already, with other photographs",
+                dataset.join(LOG_FILE),
+                "is a folder, and has to become a file",
                 remedy,
             ));
         }
@@ -97,7 +107,7 @@ impl Work {
 
     /// Whether the frames of this video are there.
     pub fn has_frames(&self, key: &str) -> bool {
-        self.state.frames.as_deref() == Some(key)
+        self.state.frames.as_deref() == Some(key) && self.path("frames").is_dir()
     }
 
     /// Notes that they are, or that they are not.
@@ -137,24 +147,21 @@ impl Work {
     /// folder of this work.
     pub fn finish(mut self, model: &Path, images: Option<&Path>) -> Result<()> {
         let rename = |from: &Path, to: &Path| fs::rename(from, to).map_err(|e| Error::io(to, "create", e));
+        let place = |from: &Path, name: &str| {
+            let to = self.dataset.join(name);
+            if to.is_dir() {
+                // It was empty when this began.
+                fs::remove_dir(&to).map_err(|e| Error::io(&to, "replace", e))?;
+            }
+            rename(from, &to)
+        };
         // It names files that are about to go.
         remove(&model.join("project.ini"))?;
         let sparse = self.fresh_folder("placed")?;
         rename(model, &sparse.join("0"))?;
-        if let Some(images) = images {
-            let place = self.dataset.join("images");
-            self.state.images = true;
-            self.save()?;
-            remove(&place)?;
-            rename(images, &place)?;
-        }
+        images.map_or(Ok(()), |images| place(images, "images"))?;
         rename(&self.path(LOG_FILE), &self.dataset.join(LOG_FILE))?;
-        let place = self.dataset.join("sparse");
-        if place.is_dir() {
-            // It was empty when this began.
-            fs::remove_dir(&place).map_err(|e| Error::io(&place, "replace", e))?;
-        }
-        rename(&sparse, &place)?;
+        place(&sparse, "sparse")?;
         self.new.clear();
         remove(&self.folder)
     }

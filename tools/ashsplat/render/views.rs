@@ -1,6 +1,6 @@
 //! Which views `ashsplat render` renders.
 
-use super::parse_vector;
+use super::parse_direction;
 use crate::config::CAMERAS_FILE;
 use crate::film_file::Container;
 use crate::model::{Model, POINT_CLOUDS};
@@ -39,10 +39,17 @@ pub struct Arguments {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MOST_FRAMES))]
     frames: Option<u32>,
     /// Up in an orbit's pictures, for a PLY without cameras
-    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, value_parser = parse_vector, default_value = "0,-1,0")]
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, value_parser = parse_direction, default_value = "0,-1,0")]
     up: Vec3,
     #[command(flatten)]
     size: SizeArguments,
+}
+
+fn parse_fov(text: &str) -> Result<f32, String> {
+    match text.parse() {
+        Ok(degrees) if (0.01..=179.0).contains(&degrees) => Ok(degrees),
+        _ => Err("expected degrees, 0.01 to 179".into()),
+    }
 }
 
 /// [`Motion`] on the command line.
@@ -69,7 +76,7 @@ impl From<MotionName> for Motion {
 /// Size and field of view, where they differ from the cameras' own.
 #[derive(Args)]
 pub struct SizeArguments {
-    /// Width of the pictures, pixels [default: the cameras'; 1280 for an orbit, 640 as a GIF; 720 and 360 where most photographs
+    /// Width of the pictures, pixels; a picture of another aspect than its camera's shows more at two sides [default: the cameras'; 1280 for an orbit, 640 as a GIF; 720 and 360 where most photographs
     /// are upright]
     #[arg(long, value_name = "PIXELS")]
     width: Option<u32>,
@@ -78,7 +85,7 @@ pub struct SizeArguments {
     #[arg(long, value_name = "PIXELS")]
     height: Option<u32>,
     /// Horizontal field of view, degrees [default: the cameras'; for an orbit as much as they show, at most 60]
-    #[arg(long, value_name = "DEGREES")]
+    #[arg(long, value_name = "DEGREES", allow_hyphen_values = true, value_parser = parse_fov)]
     fov: Option<f32>,
 }
 
@@ -127,6 +134,7 @@ impl Arguments {
             let place = self.path.as_ref().or(self.source_path.as_ref()).unwrap_or(&model.ply);
             return Err(Error::input(place, "has no cameras", "give one with a view at least"));
         }
+        let note = self.widening(&cameras);
         for named in &mut cameras {
             named.camera = self.size.applied_to(&named.camera)?;
         }
@@ -136,7 +144,22 @@ impl Arguments {
             let problem = format!("the views of a film have one size: {w}x{h} and {x}x{y} ({})", other.name);
             return Err(Error::argument("--out", format!("{problem}; give --width and --height")));
         }
-        Ok(Views { cameras, note: None })
+        Ok(Views { cameras, note })
+    }
+
+    /// Says that pictures of another aspect than their cameras' show more than these.
+    fn widening(&self, cameras: &[NamedCamera]) -> Option<String> {
+        let (NamedCamera { name, camera }, [width, height]) = cameras.iter().find_map(|named| {
+            let size = self.size.of(&named.camera);
+            (!named.camera.keeps_aspect_at(size[0], size[1])).then_some((named, size))
+        })?;
+        let (w, h) = (camera.width, camera.height);
+        let wider = u64::from(width) * u64::from(h) > u64::from(height) * u64::from(w);
+        let sides = if wider { "at the left and right" } else { "above and below" };
+        // --fov says itself how much a picture shows.
+        self.size.fov.is_none().then(|| {
+            format!("{width}x{height} shows more {sides} than {w}x{h} ({name}): pixels keep their shape")
+        })
     }
 
     /// The views of a file, or those between them.
@@ -292,18 +315,23 @@ impl SizeArguments {
         Intrinsics::from_fov_x(self.fov.unwrap_or(usual).to_radians(), width, height)
     }
 
-    /// The camera at the size and field of view asked for; one of width and height alone keeps the aspect.
-    fn applied_to(&self, camera: &Camera) -> Result<Camera> {
+    /// Width and height of a camera's picture; one of them alone keeps the aspect.
+    fn of(&self, camera: &Camera) -> [u32; 2] {
         let scaled = |size: u32, by: u32, of: u32| {
             ((f64::from(size) * f64::from(by) / f64::from(of)).round() as u32).max(1)
         };
-        let (width, height) = match (self.width, self.height) {
-            (Some(width), Some(height)) => (width, height),
-            (Some(width), None) => (width, scaled(camera.height, width, camera.width)),
-            (None, Some(height)) => (scaled(camera.width, height, camera.height), height),
-            (None, None) => (camera.width, camera.height),
-        };
-        let mut camera = camera.scaled_to(width, height);
+        match (self.width, self.height) {
+            (Some(width), Some(height)) => [width, height],
+            (Some(width), None) => [width, scaled(camera.height, width, camera.width)],
+            (None, Some(height)) => [scaled(camera.width, height, camera.height), height],
+            (None, None) => [camera.width, camera.height],
+        }
+    }
+
+    /// The camera at the size and field of view asked for.
+    fn applied_to(&self, camera: &Camera) -> Result<Camera> {
+        let [width, height] = self.of(camera);
+        let mut camera = camera.fitted_to(width, height);
         if let Some(fov) = self.fov {
             if camera.is_orthographic() {
                 return Err(Error::argument(

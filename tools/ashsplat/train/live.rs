@@ -40,6 +40,9 @@ pub struct LiveArguments {
     /// Word that the page's address must contain: http://HOST:PORT/?token=WORD
     #[arg(long, value_name = "WORD", requires = "view")]
     view_token: Option<String>,
+    /// Address of that page where a proxy shows it: see --allow-origin of `ashsplat view`
+    #[arg(long, value_name = "ORIGIN", requires = "view", value_parser = server::origin)]
+    view_allow_origin: Option<String>,
     /// Largest share of training's time that all viewers together may take, 0.01 to 0.9
     #[arg(long, value_name = "SHARE", default_value_t = 0.2, value_parser = share)]
     view_share: f64,
@@ -120,9 +123,8 @@ impl Live {
         studio.show(subject.base, subject.lights);
         let mut server = None;
         if let Some((listener, serve)) = doors.page {
-            let (photos, token) = (subject.photos, serve.token.clone());
-            let site = Site::new(hub.clone(), films, token);
-            site.show_photos(photos);
+            let site = Site::new(hub.clone(), films, serve.clone());
+            site.show_photos(subject.photos);
             let started = server::start(listener, site)?;
             view::announce(started.address, &serve);
             server = Some(started);
@@ -269,6 +271,7 @@ impl Run {
         let learns = [train.exposure, train.lens_effects];
         let subject = Subject {
             tree: None,
+            up: None,
             name: data.model_path.display().to_string(),
             gaussians: self.trainer.gaussians()?,
             base: self.trainer.render_settings(),

@@ -5,7 +5,7 @@ use super::cut;
 use super::lights::{self, PhotoLights, Places};
 use super::protocol::{Look, Mode, ViewRequest};
 use crate::light::Light;
-use crate::output;
+use crate::output::{self, Depth};
 use ashsplat::kernels::constants::TILE_SIZE;
 use ashsplat::{
     Camera, Error, Frame, Gaussians, PixelReport, RenderSettings, Renderer, Result, TileReport, Trainer,
@@ -106,14 +106,15 @@ pub struct Drawn {
 
 /// How the scene is rendered for a look.
 pub fn settings(base: &RenderSettings, look: &Look) -> RenderSettings {
+    let has_depth = matches!(look.mode, Mode::Depth | Mode::Ellipsoids);
+    let base = if has_depth { Depth::Mean.requested(*base) } else { *base };
     RenderSettings {
         background: look.background.unwrap_or(base.background),
         sh_degree: look.sh_degree.or(base.sh_degree),
-        inverse_depth: matches!(look.mode, Mode::Depth | Mode::Ellipsoids),
         shape: look.mode.shape(),
         scale_modifier: look.scale,
         cut: look.cut.cut(),
-        ..*base
+        ..base
     }
 }
 
@@ -216,7 +217,7 @@ const OUTLINE_STEP: f32 = 0.008;
 /// Ellipsoids with dark outlines where one hides another: all of one have its mean's depth.
 fn outlined(frame: &Frame) -> Result<Photo> {
     let mut photo = output::to_photo(frame)?;
-    let depth = output::expected_depth(frame);
+    let depth = Depth::Mean.of(frame);
     let width = frame.width as usize;
     for index in 0..depth.len() {
         let (x, here) = (index % width, depth[index]);
@@ -240,7 +241,7 @@ const LEAST_OPACITY: f32 = 0.3;
 
 /// Expected depth as a colour: even steps of 1/z between the nearest and the farthest, but for one percent of either.
 fn depth_picture(frame: &Frame) -> Result<(Photo, Option<[f32; 2]>)> {
-    let depth = output::expected_depth(frame);
+    let depth = Depth::Mean.of(frame);
     let shown = |index: usize| depth[index].is_finite() && 1.0 - frame.transmittance[index] >= LEAST_OPACITY;
     let mut inverse: Vec<f32> =
         (0..depth.len()).filter(|&index| shown(index)).map(|index| depth[index].recip()).collect();

@@ -23,7 +23,7 @@ use clap::Args;
 use seats::{Limits, Seat};
 use std::net::{SocketAddr, TcpListener, ToSocketAddrs};
 use std::path::PathBuf;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, Once, PoisonError};
 use std::thread::JoinHandle;
 use tokio::sync::{Semaphore, oneshot};
 
@@ -39,9 +39,35 @@ pub struct ServeArguments {
     /// Word that the page's address must contain: http://HOST:PORT/?token=WORD
     #[arg(long, value_name = "WORD")]
     pub token: Option<String>,
+    /// Address of the page where a proxy shows it and changes the header Host, or no token is wanted there: https://HOST[:PORT]
+    #[arg(long, value_name = "ORIGIN", value_parser = origin)]
+    pub allow_origin: Option<String>,
     /// Whether these are the options of `train --view`, which have other names.
     #[arg(skip)]
     pub of_training: bool,
+}
+
+impl ServeArguments {
+    /// The names of --host, --port, --token and --allow-origin, and how another port is chosen.
+    fn names(&self) -> [&'static str; 5] {
+        match self.of_training {
+            true => ["--view-host", "--view", "--view-token", "--view-allow-origin", "--view=PORT"],
+            false => ["--host", "--port", "--token", "--allow-origin", "--port N"],
+        }
+    }
+}
+
+/// An origin as browsers name it: without the scheme's own port.
+pub fn origin(text: &str) -> std::result::Result<String, String> {
+    let origin = text.trim_end_matches('/').to_ascii_lowercase();
+    let host = |scheme: &str, port: &str| {
+        let host = origin.strip_prefix(scheme)?;
+        let host = host.strip_suffix(port).unwrap_or(host);
+        let is_name = !host.is_empty() && !host.contains(['/', '?', '#', '@', ' ']);
+        is_name.then(|| format!("{scheme}{host}"))
+    };
+    let origin = host("https://", ":443").or_else(|| host("http://", ":80"));
+    origin.ok_or_else(|| "expected http://HOST[:PORT] or https://HOST[:PORT]".into())
 }
 
 /// Threads that photos may use; exports have others.
@@ -53,7 +79,9 @@ pub struct Site {
     photos: Mutex<Option<Arc<Photos>>>,
     /// Where films lie.
     films: PathBuf,
-    token: Option<String>,
+    serve: ServeArguments,
+    /// So that refusals of foreign pages are said once.
+    refused: Once,
     /// None where pages may open nothing.
     openings: Option<Arc<Openings>>,
     exports: Arc<Semaphore>,
@@ -61,9 +89,9 @@ pub struct Site {
 
 impl Site {
     /// Films lie in a folder.
-    pub fn new(hub: Arc<Hub>, films: PathBuf, token: Option<String>) -> Site {
+    pub fn new(hub: Arc<Hub>, films: PathBuf, serve: ServeArguments) -> Site {
         let exports = Arc::new(Semaphore::new(export::MOST_EXPORTS));
-        Site { hub, photos: Mutex::default(), films, token, openings: None, exports }
+        Site { hub, photos: Mutex::default(), films, serve, refused: Once::new(), openings: None, exports }
     }
 
     /// Lets pages open scenes.
@@ -82,10 +110,10 @@ impl Site {
     }
 }
 
-/// Who reaches the port that is open.
-pub fn reach(listener: &TcpListener) -> Reach {
+/// Who reaches the port that is open, by a proxy too.
+pub fn reach(listener: &TcpListener, arguments: &ServeArguments) -> Reach {
     match listener.local_addr() {
-        Ok(address) if address.ip().is_loopback() => Reach::ThisMachine,
+        Ok(address) if address.ip().is_loopback() && arguments.allow_origin.is_none() => Reach::ThisMachine,
         _ => Reach::Others,
     }
 }
@@ -139,11 +167,8 @@ pub fn start(listener: TcpListener, site: impl Into<Arc<Site>>) -> Result<Server
 
 /// Opens the port; an address that others can reach wants a token.
 pub fn open(arguments: &ServeArguments) -> Result<TcpListener> {
-    let ServeArguments { host, port, token, of_training } = arguments;
-    let [host_option, port_option, token_option, other_port] = match of_training {
-        true => ["--view-host", "--view", "--view-token", "--view=PORT"],
-        false => ["--host", "--port", "--token", "--port N"],
-    };
+    let ServeArguments { host, port, token, .. } = arguments;
+    let [host_option, port_option, token_option, _, other_port] = arguments.names();
     let plain = |word: &str| word.chars().all(|c| c.is_ascii_alphanumeric() || "-_.".contains(c));
     if token.as_ref().is_some_and(|token| token.is_empty() || !plain(token)) {
         let problem = "must be of letters, digits, '-', '_' and '.', since it stands in the page's address";
@@ -174,7 +199,7 @@ pub fn open(arguments: &ServeArguments) -> Result<TcpListener> {
 
 fn router(site: Arc<Site>) -> Router {
     Router::new()
-        .route("/socket", get(page::socket))
+        .route("/socket", get(page::socket).post(page::explain))
         .route("/photo/{index}", get(|site, seat, index, uri| photo(Size::Full, site, seat, index, uri)))
         .route(
             "/thumbnail/{index}",
@@ -195,7 +220,11 @@ async fn asset(uri: Uri) -> Response {
         Some((kind, text)) => {
             ([(header::CONTENT_TYPE, kind), (header::CACHE_CONTROL, "no-cache")], text).into_response()
         }
-        None => (StatusCode::NOT_FOUND, "404: there is nothing of this name\n").into_response(),
+        None => (
+            StatusCode::NOT_FOUND,
+            "404: there is nothing of this name; a proxy must take its own path off\n",
+        )
+            .into_response(),
     }
 }
 
@@ -262,13 +291,17 @@ mod tests {
     use super::*;
     use std::time::{Duration, Instant};
 
+    fn serving(host: &str, of_training: bool) -> ServeArguments {
+        ServeArguments { host: host.into(), port: 0, token: None, allow_origin: None, of_training }
+    }
+
     /// One page reads, and so answers pings. The other is gone without having closed its connection.
     #[test]
     fn silent_pages_are_given_up() {
         let hub = Arc::new(Hub::default());
         hub.greet_with("{}".into());
-        let site = Site::new(hub.clone(), PathBuf::new(), None);
-        let serve = ServeArguments { host: "127.0.0.1".into(), port: 0, token: None, of_training: false };
+        let serve = serving("127.0.0.1", false);
+        let site = Site::new(hub.clone(), PathBuf::new(), serve.clone());
         let server = start(open(&serve).expect("a port"), site).expect("a server");
         let address = server.address;
         let page = || {
@@ -303,9 +336,8 @@ mod tests {
 
     #[test]
     fn options_have_the_commands_names() {
-        let serve =
-            |of_training| ServeArguments { host: "0.0.0.0".into(), port: 0, token: None, of_training };
-        let said = |of_training| open(&serve(of_training)).expect_err("open to others").to_string();
+        let said =
+            |of_training| open(&serving("0.0.0.0", of_training)).expect_err("open to others").to_string();
         assert!(said(true).contains("--view-token WORD") && said(false).contains(" --token WORD"));
     }
 }

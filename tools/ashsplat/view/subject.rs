@@ -47,6 +47,8 @@ pub struct Subject {
     pub file: Option<PathBuf>,
     /// The tree of tiles whose coarsest one the Gaussians are.
     pub tree: Option<Streamed>,
+    /// Up in the pictures, if not as the cameras have it.
+    pub up: Option<Vec3>,
 }
 
 /// A tree of tiles, of which the viewer holds what is looked at.
@@ -91,6 +93,7 @@ impl Subject {
             note: Some(note.into()),
             file: None,
             tree: None,
+            up: None,
         }
     }
 
@@ -139,6 +142,7 @@ impl Subject {
             )),
             file: None,
             tree: Some(streamed(tree)),
+            up: None,
         })
     }
 
@@ -199,6 +203,7 @@ impl Subject {
             note: model.folder.map(|(_, iteration)| format!("iteration {iteration}")),
             file: Some(file),
             tree: None,
+            up: None,
         })
     }
 
@@ -233,6 +238,7 @@ impl Subject {
             note: Some(note.into()),
             file: None,
             tree: None,
+            up: None,
         })
     }
 
@@ -246,8 +252,8 @@ impl Subject {
         let corners = |bounds: Bounds| json!([bounds.min.to_array(), bounds.max.to_array()]);
         let middle = statistics.central_bounds.map(|bounds| bounds.center());
         let orbit = Orbit::around_scene(&cameras, middle, 1, intrinsics);
-        let orbit =
-            orbit.unwrap_or_else(|| render::orbit_around(&self.gaussians, Vec3::NEG_Y, 1, intrinsics));
+        let up = self.up.unwrap_or(Vec3::NEG_Y);
+        let orbit = orbit.unwrap_or_else(|| render::orbit_around(&self.gaussians, up, 1, intrinsics));
         let start = cameras.first().copied().or_else(|| orbit.cameras().first().copied());
         let names: Vec<&str> = self.cameras.iter().map(|named| named.name.as_str()).collect();
         let photo = |(index, (named, label)): (usize, (&NamedCamera, String))| {
@@ -276,7 +282,7 @@ impl Subject {
             "has_photos": self.photos.is_some(),
             "start": start.map(|camera| CameraMessage::of(&camera)),
             "pivot": orbit.center.to_array(),
-            "up": orbit.up.to_array(),
+            "up": self.up.unwrap_or(orbit.up).to_array(),
             "radius": orbit.radius,
             "training": training,
         })

@@ -26,7 +26,8 @@ impl LiveArguments {
         }
         let page = self.view.map(|port| {
             let (host, token) = (self.view_host.clone(), self.view_token.clone());
-            let serve = ServeArguments { host, port, token, of_training: true };
+            let allow_origin = self.view_allow_origin.clone();
+            let serve = ServeArguments { host, port, token, allow_origin, of_training: true };
             Ok((server::open(&serve)?, serve))
         });
         let network_viewer = self.network_viewer_address().map(|address| sibr::open(address, self.port));

@@ -1,6 +1,6 @@
 //! Who is let in: who knows the token, and pages of this server, no others.
 
-use super::Site;
+use super::{Site, refusal};
 use axum::extract::{Request, State};
 use axum::http::{HeaderMap, StatusCode, Uri, header};
 use axum::middleware::Next;
@@ -8,25 +8,27 @@ use axum::response::{IntoResponse, Response};
 use std::net::IpAddr;
 use std::sync::Arc;
 
-/// Lets in who knows the token; without one, only pages that were opened under a name of this machine itself, so that
-/// no foreign page can have its name point here.
+/// Lets in who knows the token; without one, only pages that were opened under a name of this machine itself or that of
+/// `--allow-origin`, so that no foreign page can have its name point here.
 pub async fn guard(State(site): State<Arc<Site>>, request: Request, next: Next) -> Response {
     let headers = request.headers();
-    if let Some(token) = &site.token {
+    let allowed = site.serve.allow_origin.as_deref();
+    let allowed_host = allowed.and_then(|origin| Some(origin.split_once("://")?.1));
+    let host = header_text(headers, header::HOST);
+    if let Some(token) = &site.serve.token {
         let given = query_value(request.uri(), "token").or_else(|| cookie(headers, &cookie_name(headers)));
         if !given.is_some_and(|given| equal(given.as_bytes(), token.as_bytes())) {
             let text = "401: this viewer wants a token: open http://HOST:PORT/?token=WORD with the word that was given to --token\n";
             return (StatusCode::UNAUTHORIZED, text).into_response();
         }
-    } else if !header_text(headers, header::HOST).is_some_and(is_own_name) {
-        let text = "403: open this page as http://localhost:PORT/\n";
-        return (StatusCode::FORBIDDEN, text).into_response();
+    } else if !host.is_some_and(|host| is_own_name(host) || Some(host) == allowed_host) {
+        return foreign(&site, headers, "a name that is not this machine's: open http://localhost:PORT/");
     }
-    if !is_own_page(request.headers()) && !is_visit(&request) {
-        return (StatusCode::FORBIDDEN, "403: a page of another site\n").into_response();
+    if !is_own_page(headers, allowed) && !is_visit(&request) {
+        return foreign(&site, headers, "a page of another site");
     }
     let name = cookie_name(headers);
-    let from_query = query_value(request.uri(), "token").filter(|_| site.token.is_some());
+    let from_query = query_value(request.uri(), "token").filter(|_| site.serve.token.is_some());
     let mut response = next.run(request).await;
     let headers = response.headers_mut();
     let mut set = |name, value: &str| {
@@ -41,18 +43,34 @@ pub async fn guard(State(site): State<Arc<Site>>, request: Request, next: Next) 
         "default-src 'self'; img-src 'self' blob: data:; frame-ancestors 'none'",
     );
     if let Some(token) = from_query {
-        set(header::SET_COOKIE, &format!("{name}={token}; HttpOnly; SameSite=Strict; Path=/"));
+        // For the folder of the page: below another one, a proxy may show another viewer.
+        set(header::SET_COOKIE, &format!("{name}={token}; HttpOnly; SameSite=Strict"));
     }
     response
 }
 
+/// Refuses, and says how a proxy is let in: to the page, and once on stderr.
+fn foreign(site: &Site, headers: &HeaderMap, problem: &str) -> Response {
+    let [origin, host] =
+        [header::ORIGIN, header::HOST].map(|name| header_text(headers, name).unwrap_or("none"));
+    let [.., option, _] = site.serve.names();
+    let remedy = format!(
+        "if a proxy shows this page, start the viewer with {option} and the page's http(s)://HOST[:PORT]"
+    );
+    site.refused.call_once(|| {
+        tell!("warning: a request to the viewer was refused (Origin {origin:.100}, Host {host:.100}): {problem}; {remedy}");
+    });
+    refusal(StatusCode::FORBIDDEN, &format!("{problem}; {remedy}"))
+}
+
 /// Whether no page of another site asks: browsers say whose page it is, and other programs say nothing. What is no name of
 /// a page is foreign, an empty one too.
-fn is_own_page(headers: &HeaderMap) -> bool {
-    let host = headers.get(header::HOST).and_then(|host| host.to_str().ok());
+fn is_own_page(headers: &HeaderMap, allowed: Option<&str>) -> bool {
+    let host = header_text(headers, header::HOST);
     let own_origin = headers.get_all(header::ORIGIN).iter().all(|origin| {
-        let name = origin.to_str().ok().and_then(|origin| Some(origin.split_once("://")?.1));
-        name.is_some_and(|name| !name.is_empty() && Some(name) == host)
+        let origin = origin.to_str().ok();
+        let name = origin.and_then(|origin| Some(origin.split_once("://")?.1));
+        name.is_some_and(|name| !name.is_empty() && (Some(name) == host || origin == allowed))
     });
     let own_site =
         headers.get_all("sec-fetch-site").iter().all(|site| site == "same-origin" || site == "none");
@@ -154,12 +172,15 @@ mod tests {
             for (name, value) in headers {
                 all.append(*name, header::HeaderValue::from_bytes(value).expect("a header"));
             }
-            is_own_page(&all)
+            is_own_page(&all, Some("https://shown.example"))
         };
         let origin = "origin";
         for (headers, expected) in [
             (&[][..], true),
             (&[(origin, &b"http://localhost:8090"[..])], true),
+            (&[(origin, b"https://shown.example")], true),
+            (&[(origin, b"http://shown.example")], false),
+            (&[(origin, b"https://shown.example:8090")], false),
             (&[(origin, b"")], false),
             (&[(origin, b"null")], false),
             (&[(origin, b"http://")], false),

@@ -1,8 +1,8 @@
 //! A page's WebSocket, from its coming to its going. Replies leave before more is heard, and what is heard has its pace: a
 //! page that floods waits for itself, and takes neither memory nor time from the others.
 
-use super::Site;
 use super::seats::Seat;
+use super::{Site, refusal};
 use crate::view::hub::{Hub, Pick};
 use crate::view::pace::Pace;
 use crate::view::protocol::{FromPage, ToPage};
@@ -10,7 +10,7 @@ use axum::Extension;
 use axum::extract::State;
 use axum::extract::ws::{Message, WebSocket, WebSocketUpgrade};
 use axum::http::StatusCode;
-use axum::response::{IntoResponse, Response};
+use axum::response::Response;
 use serde_json::json;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -26,6 +26,8 @@ const LONGEST_MESSAGE: usize = 256 * 1024;
 /// While so many replies wait, nothing more is heard.
 const MOST_REPLIES: usize = 16;
 
+const TOO_MANY: &str = "too many pages look on already";
+
 /// Lets a page in.
 pub async fn socket(
     State(site): State<Arc<Site>>,
@@ -33,14 +35,22 @@ pub async fn socket(
     upgrade: WebSocketUpgrade,
 ) -> Response {
     if !site.hub.has_room() {
-        let text = "503: too many pages look on already\n";
-        return (StatusCode::SERVICE_UNAVAILABLE, text).into_response();
+        return refusal(StatusCode::SERVICE_UNAVAILABLE, TOO_MANY);
     }
     let upgrade = upgrade.max_message_size(LONGEST_MESSAGE).max_frame_size(LONGEST_MESSAGE);
     upgrade.on_upgrade(move |socket| {
         seat.becomes_page();
         converse(socket, site.hub.clone())
     })
+}
+
+/// Says why a page's WebSocket does not open: browsers do not tell a page how its handshake was answered.
+pub async fn explain(State(site): State<Arc<Site>>) -> Response {
+    if !site.hub.has_room() {
+        return refusal(StatusCode::SERVICE_UNAVAILABLE, TOO_MANY);
+    }
+    let problem = "WebSockets do not arrive here: a proxy must pass on the headers Upgrade and Connection";
+    refusal(StatusCode::UPGRADE_REQUIRED, problem)
 }
 
 /// A page that is there. It leaves with the value, also when a panic ends its conversation.

@@ -100,8 +100,8 @@ export class Film {
         this.bar(done, total, done === total && !files ? 'putting it together' : `frame ${done} of ${total}`);
         if (!files) return;
         this.stopped();
-        const saved = (name, text) => Object.assign(document.createElement('a'), { href: `/film/${name}`, download: name, textContent: text });
-        const picture = Object.assign(new Image(), { src: `/film/${files.gif}`, alt: 'the film' });
+        const saved = (name, text) => Object.assign(document.createElement('a'), { href: `film/${name}`, download: name, textContent: text });
+        const picture = Object.assign(new Image(), { src: `film/${files.gif}`, alt: 'the film' });
         const links = [saved(files.gif, 'GIF'), saved(files.path, 'path')];
         if (files.mp4) links.unshift(saved(files.mp4, 'MP4'));
         const note = Object.assign(document.createElement('p'), { textContent: `Frames in ${files.frames}${files.note ? `; ${files.note}` : ''}` });

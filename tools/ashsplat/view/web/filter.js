@@ -164,7 +164,7 @@ export class Filter {
     }
 
     async ask(address) {
-        const answer = await fetch(`/count?${address}`).catch(() => null);
+        const answer = await fetch(`count?${address}`).catch(() => null);
         if (address !== this.counted) return;
         // Busy with exports: later.
         if (answer?.status === 503) this.timer = setTimeout(() => this.ask(address), 5 * REST_MS);
@@ -191,7 +191,7 @@ export class Filter {
         if (this.shown === null || !this.scene || this.scene.empty) return;
         const cut = find('command').hidden ? '' : '_cut';
         const name = `${this.scene.stem}${cut}.${format}`;
-        download(`/export/${encodeURIComponent(name)}?${this.shown}`, name);
+        download(`export/${encodeURIComponent(name)}?${this.shown}`, name);
         this.say(`${name} is made; the browser saves it as it comes`);
     }
 }

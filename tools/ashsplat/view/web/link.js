@@ -8,6 +8,8 @@ export class Link {
         this.delay = FIRST_DELAY;
         this.socket = null;
         this.ended = false;
+        // Relative to the page, which a proxy may show below a path.
+        this.address = new URL(`socket${location.search}`, document.baseURI);
     }
 
     on(type, listener) {
@@ -20,11 +22,14 @@ export class Link {
     }
 
     open() {
-        const scheme = location.protocol === 'https:' ? 'wss:' : 'ws:';
-        const socket = new WebSocket(`${scheme}//${location.host}/socket${location.search}`);
+        const address = new URL(this.address);
+        address.protocol = location.protocol === 'https:' ? 'wss:' : 'ws:';
+        const socket = new WebSocket(address);
         socket.binaryType = 'arraybuffer';
         this.socket = socket;
+        let opened = false;
         socket.onopen = () => {
+            opened = true;
             this.delay = FIRST_DELAY;
             this.emit('open');
         };
@@ -40,9 +45,18 @@ export class Link {
             if (this.socket !== socket) return;
             this.socket = null;
             this.emit('close');
+            if (!opened) this.explain();
             setTimeout(() => this.open(), this.delay);
             this.delay = Math.min(2 * this.delay, LONGEST_DELAY);
         };
+    }
+
+    /** Tells why the socket did not open. A handshake's answer is not shown to pages; that to a POST is. */
+    async explain() {
+        const answer = await fetch(this.address, { method: 'POST' }).catch(() => null);
+        const words = answer?.headers.get('Content-Type')?.startsWith('text/plain') && (await answer.text()).trim();
+        const problem = words || (answer ? `${answer.status} at ${this.address.pathname}, which a proxy must lead to the viewer` : 'no answer: has the viewer ended, is its port still forwarded?');
+        if (!this.isOpen) this.emit('unreachable', problem);
     }
 
     frame(data) {

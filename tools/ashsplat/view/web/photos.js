@@ -42,7 +42,7 @@ export class Photos {
     }
 
     /** The run's name: of another scene they are others. The page's number: each page has its turn. */
-    address(kind, index) { return `/${kind}/${index}?run=${this.run}&page=${this.page}`; }
+    address(kind, index) { return `${kind}/${index}?run=${this.run}&page=${this.page}`; }
 
     step(by) {
         const { length } = this.entries;

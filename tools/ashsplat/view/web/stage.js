@@ -13,6 +13,7 @@ export class Stage {
         link.on('open', () => { if (this.waits && !this.failed) this.wait('waiting for the scene'); });
         link.on('scene', (scene) => this.open(scene));
         link.on('problem', ({ message }) => { if (!this.pictured && this.waits) this.fail(message); });
+        link.on('unreachable', (problem) => { if (!this.pictured) this.fail(`no connection, trying again: ${problem}`); });
         link.on('close', () => { if (!this.pictured && !this.failed) this.wait('no connection, trying again'); });
         find('opener').onsubmit = (event) => { event.preventDefault(); this.openPath(find('path').value.trim()); };
         find('choose').onclick = () => find('choose-file').click();
@@ -119,7 +120,7 @@ export class Stage {
         if (file.size > this.opens.bytes) return this.say(`${file.name} has ${size(file.size)}; reading may take ${size(this.opens.bytes)} here (--max-host-memory)`);
         // fetch() does not say how far it is.
         const request = new XMLHttpRequest();
-        request.open('POST', `/upload/${encodeURIComponent(file.name)}`);
+        request.open('POST', `upload/${encodeURIComponent(file.name)}`);
         request.setRequestHeader('Content-Type', 'application/octet-stream');
         request.upload.onprogress = ({ loaded, total }) => this.wait(`sending ${file.name}`, total ? loaded / total : null);
         request.onload = () => this.answered(request.status, request.responseText);
@@ -132,7 +133,7 @@ export class Stage {
         if (!path || !this.mayOpen()) return;
         this.wait(`opening ${path}`);
         try {
-            const answer = await fetch('/open', { method: 'POST', headers: { 'Content-Type': 'application/json' }, body: JSON.stringify({ path }) });
+            const answer = await fetch('open', { method: 'POST', headers: { 'Content-Type': 'application/json' }, body: JSON.stringify({ path }) });
             this.answered(answer.status, await answer.text());
         } catch {
             this.answered(0, `${path} could not be asked for`);

@@ -15,6 +15,7 @@ fn any_port() -> Doors {
         view: Some(0),
         view_host: "127.0.0.1".into(),
         view_token: None,
+        view_allow_origin: None,
         view_share: 0.2,
         ip: None,
         host: None,
