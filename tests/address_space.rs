@@ -6,7 +6,7 @@ use std::fs::{self, File};
 use std::path::Path;
 
 use ashsplat::Error;
-use ashsplat::scene::{Camera, Intrinsics, PointCloud};
+use ashsplat::scene::{Camera, Intrinsics, PointCloud, WorldFrame};
 use ashsplat::trainer::Checkpoint;
 use ashsplat_files::colmap::{self, ColmapCamera, ColmapImage, Model};
 use ashsplat_files::dataset::{Dataset, DatasetOptions};
@@ -136,7 +136,7 @@ fn readers_without_address_space() {
     refused("points3D.bin", Model::of_dataset(place("points")));
     refused("cameras.txt", Model::of_dataset(place("text")));
     refused("transforms.json", load("frames", Resolution::Auto));
-    refused("cameras.json", cameras_json::read(place("cameras.json")));
+    refused("cameras.json", cameras_json::read(place("cameras.json"), &WorldFrame::default()));
     refused("points.ply", ply::read_points(place("points.ply")));
     // What goes through by blocks needs no room; what is sorted or merged does.
     let convert =

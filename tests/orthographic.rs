@@ -1,7 +1,7 @@
 //! Orthographic cameras: what parallel rays show of known Gaussians, and of random ones what the twin shows.
 
 use ashsplat::forward::Filter3d;
-use ashsplat::scene::{Camera, Gaussians, HostView, Intrinsics, Photo};
+use ashsplat::scene::{Camera, Gaussians, HostView, Intrinsics, Photo, WorldFrame};
 use ashsplat::{RenderSettings, Shape, TrainSettings, TrainView, Trainer};
 use ashsplat_files::cameras_json;
 use glam::{Mat3, Vec3};
@@ -244,13 +244,18 @@ fn orthographic_cameras_come_back_from_their_file() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("cameras.json");
     let pinhole = Camera { projection: ashsplat::scene::Projection::Perspective, ..along_z() };
-    cameras_json::write(&path, [("parallel", &along_z()), ("pinhole", &pinhole)]).expect("written");
-    let read: Vec<Camera> =
-        cameras_json::read(&path).expect("cameras").iter().map(|named| named.camera).collect();
+    cameras_json::write(&path, [("parallel", &along_z()), ("pinhole", &pinhole)], &WorldFrame::default())
+        .expect("written");
+    let read: Vec<Camera> = cameras_json::read(&path, &WorldFrame::default())
+        .expect("cameras")
+        .iter()
+        .map(|named| named.camera)
+        .collect();
     assert_eq!(read, [along_z(), pinhole]);
     let text = std::fs::read_to_string(&path).expect("text");
     assert_eq!(text.matches("projection").count(), 1);
     std::fs::write(&path, text.replace("orthographic", "fisheye")).expect("written");
-    let error = cameras_json::read(&path).map_or_else(|error| error.to_string(), |_| "accepted".into());
+    let error = cameras_json::read(&path, &WorldFrame::default())
+        .map_or_else(|error| error.to_string(), |_| "accepted".into());
     assert!(error.contains("cameras.json") && error.contains("fisheye"), "{error}");
 }

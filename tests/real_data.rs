@@ -113,7 +113,7 @@ fn fox_text(path: &Path) {
     assert_eq!(sorted(&text), sorted(&binary));
     let mut points = [&text, &binary].map(|model| {
         let rows = model.points.positions.iter().zip(&model.points.colors);
-        rows.map(|(p, c)| (p.map(f32::to_bits), *c)).collect::<Vec<_>>()
+        rows.map(|(p, c)| (p.as_vec3().to_array().map(f32::to_bits), *c)).collect::<Vec<_>>()
     });
     points.iter_mut().for_each(|p| p.sort());
     assert!(points[0] == points[1], "points differ");

@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode, Stdio};
 use std::time::{Duration, Instant};
 
-use ashsplat::scene::{Camera, Exposure, Gaussians, Intrinsics};
+use ashsplat::scene::{Camera, Exposure, Gaussians, Intrinsics, WorldFrame};
 use ashsplat::vk::{Context, ContextOptions};
 use ashsplat_files::exposure_json::{self, EXPOSURE_FILE};
 use ashsplat_files::splats::{self, ReadOptions, WriteOptions};
@@ -96,7 +96,12 @@ fn model(folder: &Path) -> PathBuf {
     let first = Camera::look_at(Vec3::new(0.5, -1.0, -4.0), Vec3::ZERO, Vec3::NEG_Y, lens);
     let odd = Intrinsics { fx: 520.0, fy: 500.0, cx: 200.0, cy: 205.0, ..lens };
     let second = Camera::look_at(Vec3::new(-3.0, 0.5, 2.0), Vec3::new(0.2, 0.0, 0.0), Vec3::NEG_Y, odd);
-    cameras_json::write(model.join("cameras.json"), [("one", &first), ("two", &second)]).expect("cameras");
+    cameras_json::write(
+        model.join("cameras.json"),
+        [("one", &first), ("two", &second)],
+        &WorldFrame::default(),
+    )
+    .expect("cameras");
     // Training has learned how the second was exposed.
     let rows = [[0.6, 0.1, 0.0, 0.05], [0.0, 1.2, 0.0, 0.0], [0.1, 0.0, 0.8, 0.0]];
     exposure_json::write(model.join(EXPOSURE_FILE), [("two", &Exposure { rows })]).expect("exposures");
@@ -106,7 +111,7 @@ fn model(folder: &Path) -> PathBuf {
     let lens = Intrinsics { fx: f, fy: f, cx, cy, width: LARGER[0], height: LARGER[1] };
     let larger = Camera::with_pose(first.camera_from_world, first.translation, lens);
     let path = [("one", &first), ("two", &second), ("three", &larger)];
-    cameras_json::write(folder.join("path.json"), path).expect("cameras");
+    cameras_json::write(folder.join("path.json"), path, &WorldFrame::default()).expect("cameras");
     model
 }
 

@@ -7,7 +7,7 @@ use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 
 use super::{atomic, cost, host_memory};
-use ashsplat::scene::{Camera, Intrinsics};
+use ashsplat::scene::{Camera, Intrinsics, WorldFrame};
 use ashsplat::{Error, Result};
 
 /// One camera with the name of its picture.
@@ -19,7 +19,7 @@ pub struct NamedCamera {
     pub camera: Camera,
 }
 
-/// The file's own form: position and the rows of the rotation from camera to world.
+/// The file's own form: position in source units from `origin`, and the rows of the rotation from camera to world.
 #[derive(Serialize, Deserialize)]
 struct Entry {
     id: usize,
@@ -38,6 +38,9 @@ struct Entry {
     /// Only of an orthographic camera, whose fx and fy are pixels per unit.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     projection: Option<Rays>,
+    /// The origin that the position is relative to, source coordinates; only if it is not zero.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    origin: Option<[f64; 3]>,
 }
 
 #[derive(Clone, Copy, Serialize, Deserialize)]
@@ -48,62 +51,70 @@ enum Rays {
 }
 
 impl Entry {
-    fn new(id: usize, name: &str, camera: &Camera) -> Self {
+    fn new(id: usize, name: &str, camera: &Camera, frame: &WorldFrame) -> Self {
+        // An orthographic camera's focal lengths are pixels per unit.
+        let per_unit = if camera.is_orthographic() { (1.0 / frame.unit) as f32 } else { 1.0 };
         let world_from_camera = camera.camera_from_world.transpose();
         Self {
             id,
             img_name: name.to_owned(),
             width: camera.width,
             height: camera.height,
-            position: camera.exact_position().to_array(),
+            position: (frame.unit * camera.exact_position()).to_array(),
             rotation: [0, 1, 2].map(|row| world_from_camera.row(row).as_dvec3().to_array()),
-            fy: camera.fy,
-            fx: camera.fx,
+            fy: per_unit * camera.fy,
+            fx: per_unit * camera.fx,
             cx: Some(camera.cx),
             cy: Some(camera.cy),
             projection: camera.is_orthographic().then_some(Rays::Orthographic),
+            origin: (frame.origin != DVec3::ZERO).then(|| frame.origin.to_array()),
         }
     }
 
-    fn camera(&self) -> Camera {
+    fn camera(&self, frame: &WorldFrame) -> Camera {
         let camera_from_world = DMat3::from_cols_array_2d(&self.rotation);
+        let is_orthographic = matches!(self.projection, Some(Rays::Orthographic));
+        let per_unit = if is_orthographic { frame.unit as f32 } else { 1.0 };
         let intrinsics = Intrinsics {
-            fx: self.fx,
-            fy: self.fy,
+            fx: per_unit * self.fx,
+            fy: per_unit * self.fy,
             cx: self.cx.unwrap_or(0.5 * self.width as f32),
             cy: self.cy.unwrap_or(0.5 * self.height as f32),
             width: self.width,
             height: self.height,
         };
-        let camera = Camera::at(DVec3::from_array(self.position), camera_from_world, intrinsics);
-        match self.projection {
-            Some(Rays::Orthographic) => camera.orthographic(),
-            Some(Rays::Perspective) | None => camera,
-        }
+        // First the difference of the origins, so that positions near the frame's origin keep their bits.
+        let from_frame = DVec3::from_array(self.origin.unwrap_or_default()) - frame.origin;
+        let position = (DVec3::from_array(self.position) + from_frame) / frame.unit;
+        let camera = Camera::at(position, camera_from_world, intrinsics);
+        if is_orthographic { camera.orthographic() } else { camera }
     }
 }
 
 /// Writes cameras in the reference implementation's form: id, img_name, width, height, position and rotation
 /// (camera to world, rows), fy, fx. It adds cx and cy, which the reference's readers ignore, and for
-/// orthographic cameras `"projection": "orthographic"`.
+/// orthographic cameras `"projection": "orthographic"`. The cameras are in the world coordinates of `frame`. Positions are
+/// written in source units from its origin, which `"origin"` names if it is not zero: as in the PLY beside.
 ///
 /// # Errors
 /// [`Error::Io`] naming the file.
 pub fn write<'a>(
     path: impl AsRef<Path>,
     cameras: impl IntoIterator<Item = (&'a str, &'a Camera)>,
+    frame: &WorldFrame,
 ) -> Result<()> {
+    let cameras = cameras.into_iter().enumerate();
     let entries: Vec<Entry> =
-        cameras.into_iter().enumerate().map(|(id, (name, camera))| Entry::new(id, name, camera)).collect();
+        cameras.map(|(id, (name, camera))| Entry::new(id, name, camera, frame)).collect();
     atomic::write(path, |writer| Ok(serde_json::to_writer(writer, &entries)?))
 }
 
 /// Reads cameras that [`write()`] or the reference implementation wrote. Without cx and cy, the principal point is
-/// in the middle.
+/// in the middle. The cameras are returned in the world coordinates of `frame`.
 ///
 /// # Errors
 /// [`Error::Io`] when the file cannot be read, [`Error::Input`] when it is no such list or a camera is unusable.
-pub fn read(path: impl AsRef<Path>) -> Result<Vec<NamedCamera>> {
+pub fn read(path: impl AsRef<Path>, frame: &WorldFrame) -> Result<Vec<NamedCamera>> {
     let path = path.as_ref();
     host_memory::check_text_file(path)?;
     let text = fs::read(path).map_err(|source| Error::io(path, "read", source))?;
@@ -116,7 +127,7 @@ pub fn read(path: impl AsRef<Path>) -> Result<Vec<NamedCamera>> {
     })?;
     let check = |entry: &Entry| {
         cost::step();
-        let camera = entry.camera();
+        let camera = entry.camera(frame);
         if let Some(problem) = camera.problem() {
             return Err(Error::input(
                 path,

@@ -6,6 +6,7 @@ mod gallery;
 mod inspect;
 mod lens_note;
 mod mask;
+mod own_frame;
 mod photo_folder;
 mod plan;
 mod planned_view;
@@ -29,7 +30,7 @@ use crate::init::{RANDOM_POINTS, points_in_view, random_points, seen_box};
 use crate::photo_points::{PHOTO_POINTS, photo_points};
 use ashsplat::Result;
 use ashsplat::loss::DepthPoint;
-use ashsplat::scene::{Camera, Gaussians, PointCloud};
+use ashsplat::scene::{Camera, Gaussians, PointCloud, WorldFrame};
 
 pub use gallery::Gallery;
 pub use inspect::DatasetReport;
@@ -48,6 +49,8 @@ pub struct DatasetOptions {
     pub depths: Option<PathBuf>,
     /// Whether photos are rotated by their metadata.
     pub orientation: PhotoOrientation,
+    /// The frame of cameras and points, such as that of a scene which is drawn with them; None: one that suits the data set.
+    pub frame: Option<WorldFrame>,
     /// Whether every `test_every`-th view by name is held out.
     pub eval: bool,
     /// Whether the left half of held-out views (columns below ⌊width / 2⌋) is trained on as well. Their views are then in
@@ -72,6 +75,7 @@ impl Default for DatasetOptions {
             images: "images".into(),
             depths: None,
             orientation: PhotoOrientation::Auto,
+            frame: None,
             eval: false,
             train_test_exp: false,
             test_every: 8,
@@ -148,6 +152,8 @@ impl View {
 /// A data set in memory.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Dataset {
+    /// The frame of cameras and points.
+    pub frame: WorldFrame,
     /// Views to train on, by name.
     pub train: Vec<View>,
     /// Held-out views, by name; empty without [`DatasetOptions::eval`].
@@ -275,7 +281,8 @@ impl Dataset {
             };
             warnings.push(random_points_instead() + guessed);
         }
-        Self { train, test, points, scene_extent: extent, source: gallery.source.clone(), warnings }
+        let (frame, source) = (gallery.frame, gallery.source.clone());
+        Self { frame, train, test, points, scene_extent: extent, source, warnings }
     }
 
     /// All views by name, including held-out ones.
@@ -356,7 +363,8 @@ impl Dataset {
         let held_out: HashSet<&str> = self.test.iter().map(|view| view.name.as_str()).collect();
         let others = self.train.iter().filter(|view| !held_out.contains(view.name.as_str()));
         let views = self.test.iter().chain(others);
-        cameras_json::write(path, views.map(|view| (view.name.as_str(), &view.original_camera)))
+        let named = views.map(|view| (view.name.as_str(), &view.original_camera));
+        cameras_json::write(path, named, &self.frame)
     }
 
     /// Checks everything that training needs, without stopping at the first problem.

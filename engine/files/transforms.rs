@@ -9,12 +9,12 @@ mod split;
 
 use std::path::{Path, PathBuf};
 
-use glam::{Affine3A, Mat3, Vec3};
+use glam::{DAffine3, DMat3, DVec3};
 use serde_json::Value;
 
 use super::names::{ending, plain, stays_inside};
 use super::{host_memory, ply};
-use ashsplat::scene::PointCloud;
+use ashsplat::scene::SourcePoints;
 use ashsplat::{Error, Result};
 
 pub use frame::{Frame, Optics};
@@ -35,7 +35,7 @@ pub struct Transforms {
     /// Whether the files specify the held-out frames.
     pub has_split: bool,
     /// The points, if there are any.
-    pub points: PointCloud,
+    pub points: SourcePoints,
     /// All oddities that did not prevent reading.
     pub warnings: Vec<String>,
 }
@@ -62,7 +62,7 @@ impl Transforms {
             source: files.first().cloned().unwrap_or_default(),
             frames: Vec::new(),
             has_split: files.len() > 1,
-            points: PointCloud::default(),
+            points: SourcePoints::default(),
             warnings: Vec::new(),
         };
         let mut clouds = Vec::new();
@@ -83,20 +83,19 @@ impl Transforms {
 
     /// Older files of nerfstudio hold points in the frame before `applied_transform`. The frame in which the
     /// cameras see more of them is used.
-    fn place_points(&mut self, path: &Path, applied: Option<Affine3A>) {
+    fn place_points(&mut self, path: &Path, applied: Option<DAffine3>) {
         const SAMPLE: usize = 500;
-        let Some(applied) = applied.filter(|a| !a.abs_diff_eq(Affine3A::IDENTITY, 1e-6)) else { return };
+        let Some(applied) = applied.filter(|a| !a.abs_diff_eq(DAffine3::IDENTITY, 1e-6)) else { return };
         let step = self.points.len().div_ceil(SAMPLE).max(1);
-        let sample: Vec<Vec3> =
-            self.points.positions.iter().step_by(step).map(|&p| Vec3::from_array(p)).collect();
-        let seen = |place: &dyn Fn(Vec3) -> Vec3| -> usize {
-            let in_view = |frame: &Frame, point: Vec3| frame.sees(place(point));
+        let sample: Vec<DVec3> = self.points.positions.iter().copied().step_by(step).collect();
+        let seen = |place: &dyn Fn(DVec3) -> DVec3| -> usize {
+            let in_view = |frame: &Frame, point: DVec3| frame.sees(place(point));
             self.frames.iter().map(|frame| sample.iter().filter(|&&p| in_view(frame, p)).count()).sum()
         };
         let (as_stored, moved) = (seen(&|p| p), seen(&|p| applied.transform_point3(p)));
         if moved > as_stored + as_stored / 2 {
             for position in &mut self.points.positions {
-                *position = applied.transform_point3(Vec3::from_array(*position)).to_array();
+                *position = applied.transform_point3(*position);
             }
             self.warnings.push(format!(
                 "{}: the points lie in the frame before applied_transform, and were moved",
@@ -126,7 +125,7 @@ fn parse(path: &Path) -> Result<Value> {
 
 /// The point cloud that a file names, or that lies next to it, and the transform that was applied to the
 /// poses.
-fn cloud(path: &Path, document: &Value) -> Result<Option<(PathBuf, Option<Affine3A>)>> {
+fn cloud(path: &Path, document: &Value) -> Result<Option<(PathBuf, Option<DAffine3>)>> {
     let applied = match &document["applied_transform"] {
         Value::Null => None,
         value => {
@@ -137,11 +136,9 @@ fn cloud(path: &Path, document: &Value) -> Result<Option<(PathBuf, Option<Affine
                     "write it again",
                 )
             })?;
-            let axes = Mat3::from_cols_array_2d(&std::array::from_fn(|c| {
-                std::array::from_fn(|r| rows[r][c] as f32)
-            }));
-            let shift = Vec3::from_array(std::array::from_fn(|r| rows[r][3] as f32));
-            Some(Affine3A::from_mat3_translation(axes, shift))
+            let column = |c: usize| DVec3::from_array(std::array::from_fn(|r| rows[r][c]));
+            let axes = DMat3::from_cols(column(0), column(1), column(2));
+            Some(DAffine3::from_mat3_translation(axes, column(3)))
         }
     };
     let named = match &document["ply_file_path"] {
@@ -170,8 +167,8 @@ fn below(name: &str) -> Option<String> {
 }
 
 impl Frame {
-    fn sees(&self, point: Vec3) -> bool {
-        let p = self.camera_from_world * point + self.translation;
+    fn sees(&self, point: DVec3) -> bool {
+        let p = self.camera_from_source * point + self.translation;
         // About 30 degrees to each side, because the field of view is not known yet.
         p.z > 0.0 && p.x.abs() < p.z * 0.6 && p.y.abs() < p.z * 0.6
     }

@@ -36,7 +36,7 @@ pub(crate) use lens_effects::LensPlane;
 pub use orbit::Orbit;
 pub use photo::Photo;
 pub use picture_part::PicturePart;
-pub use points::{Bounds, PointCloud};
+pub use points::{Bounds, PointCloud, SourcePoints};
 pub use stored_photo::{PhotoFile, StoredPhoto};
 pub use tour::Motion;
 pub use transform::Similarity;

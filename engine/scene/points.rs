@@ -1,6 +1,8 @@
 //! Coloured points, and boxes around them.
 
-use glam::Vec3;
+use glam::{DVec3, Vec3};
+
+use super::world_frame::WorldFrame;
 
 /// A point cloud, structure of arrays: both vectors have `len()` entries.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -25,6 +27,33 @@ impl PointCloud {
     /// The smallest box around the points; `None` without points.
     pub fn bounds(&self) -> Option<Bounds> {
         Bounds::of(self.positions.iter().map(|&p| Vec3::from_array(p)))
+    }
+}
+
+/// A point cloud as files have it, in source coordinates: see [`WorldFrame`].
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct SourcePoints {
+    /// Positions, source units.
+    pub positions: Vec<DVec3>,
+    /// Colours (r, g, b), 0 to 255.
+    pub colors: Vec<[u8; 3]>,
+}
+
+impl SourcePoints {
+    /// Number of points.
+    pub fn len(&self) -> usize {
+        self.positions.len()
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.positions.is_empty()
+    }
+
+    /// The points in the world coordinates of a frame.
+    pub fn in_frame(self, frame: &WorldFrame) -> PointCloud {
+        let positions = self.positions.iter().map(|&position| frame.world(position).to_array()).collect();
+        PointCloud { positions, colors: self.colors }
     }
 }
 

@@ -1,6 +1,6 @@
 //! The frame in which a scene is held in single precision.
 
-use glam::{DQuat, DVec3, Vec3};
+use glam::{DMat3, DQuat, DVec3, Vec3};
 
 use super::transform::Similarity;
 
@@ -35,11 +35,7 @@ impl WorldFrame {
     ///
     /// Origin and unit are round decimal numbers. Data sets that were moved by such numbers get the world coordinates that they had.
     pub fn around(points: &[DVec3]) -> Self {
-        let Some(center) = median_point(points) else { return Self::default() };
-        let radius = median(points.iter().map(|p| p.distance(center)).collect());
-        if !(radius > 0.0 && radius.is_finite()) {
-            return Self::default();
-        }
+        let Some((center, radius)) = median_ball(points) else { return Self::default() };
         let unit = if radius < SMALL { 10f64.powf(radius.log10().floor()) } else { 1.0 };
         let step = 10f64.powf(radius.log10().ceil());
         let origin =
@@ -62,6 +58,15 @@ impl WorldFrame {
         self.origin + self.unit * world.as_dvec3()
     }
 
+    /// Translation from world to camera of a camera whose pose is in source coordinates. The identity keeps its bits.
+    pub fn translation(&self, camera_from_source: DMat3, translation: DVec3) -> Vec3 {
+        let at_origin = match self.origin == DVec3::ZERO {
+            true => translation,
+            false => translation + camera_from_source * self.origin,
+        };
+        (at_origin / self.unit).as_vec3()
+    }
+
     /// The similarity from the world coordinates of another frame to those of this one.
     pub fn similarity_from(&self, other: &Self) -> Similarity {
         Similarity {
@@ -72,10 +77,12 @@ impl WorldFrame {
     }
 }
 
-/// The median of each axis; None without points.
-fn median_point(points: &[DVec3]) -> Option<DVec3> {
+/// The median of each axis, and the median distance from there. None without points, and where that is not positive.
+pub fn median_ball(points: &[DVec3]) -> Option<(DVec3, f64)> {
     let axis = |axis: usize| median(points.iter().map(|p| p[axis]).collect());
-    (!points.is_empty()).then(|| DVec3::new(axis(0), axis(1), axis(2)))
+    let center = DVec3::new(axis(0), axis(1), axis(2));
+    let radius = median(points.iter().map(|p| p.distance(center)).collect());
+    (radius > 0.0 && radius.is_finite()).then_some((center, radius))
 }
 
 /// The upper median; 0 without values.

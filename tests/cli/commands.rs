@@ -1,6 +1,7 @@
 //! Commands that need no training.
 
 use super::*;
+use ashsplat::scene::WorldFrame;
 use serde_json::Value;
 use std::fs::File;
 use std::io::BufReader;
@@ -443,7 +444,8 @@ fn orbit_of_parallel_cameras_shows_the_scene() {
     };
     let cameras: Vec<(String, Camera)> = (0..3).map(named).collect();
     let named = cameras.iter().map(|(name, camera)| (name.as_str(), camera));
-    ashsplat_files::cameras_json::write(model.join("cameras.json"), named).expect("written");
+    ashsplat_files::cameras_json::write(model.join("cameras.json"), named, &WorldFrame::default())
+        .expect("written");
     std::fs::write(model.join("cfg_args"), "Namespace(sh_degree=0)").expect("written");
     let said = succeed(&["render", text(&model), "--orbit", "4", "--width", "64", "-o", text(&out)]);
     assert_eq!(said.matches(" 400 of 400 Gaussians visible").count(), 4, "{said}");
@@ -464,7 +466,8 @@ fn orbit_of_upright_photographs_is_upright() {
             Camera::look_at(vec3(0.0, 0.0, -3.0), Vec3::ZERO, Vec3::NEG_Y, intrinsics)
         });
         let named = named.iter().map(|camera| ("a.png", camera));
-        ashsplat_files::cameras_json::write(model.join("cameras.json"), named).expect("written");
+        ashsplat_files::cameras_json::write(model.join("cameras.json"), named, &WorldFrame::default())
+            .expect("written");
         let out = tempdir().expect("a temporary folder");
         succeed(&[&["render", text(&model), "--orbit", "1", "-o", text(out.path())], more].concat());
         let frame = std::fs::read_dir(out.path()).expect("a folder").next().expect("a picture");

@@ -2,7 +2,7 @@
 
 use super::{succeed, text, write_dataset};
 use ashsplat::Camera;
-use ashsplat::scene::{Similarity, Twist, scene_extent};
+use ashsplat::scene::{Similarity, Twist, WorldFrame, scene_extent};
 use ashsplat_files::cameras_json::{self, NamedCamera};
 use ashsplat_files::colmap::{self, ColmapImage, Model};
 use glam::{DMat3, DQuat, DVec3};
@@ -40,7 +40,8 @@ fn perturb(data: &Path) -> [Vec<(String, Camera)>; 2] {
         .map(|(image, (name, camera))| ColmapImage::posed(image.id, image.camera_id, name.clone(), camera))
         .collect();
     let lenses: Vec<_> = model.cameras.values().cloned().collect();
-    colmap::write(data.join("sparse/0"), &lenses, &images, &model.points).expect("written");
+    colmap::write(data.join("sparse/0"), &lenses, &images, &model.points.in_frame(&WorldFrame::default()))
+        .expect("written");
     [true_ones, moved]
 }
 
@@ -132,7 +133,7 @@ fn poses_of_the_demo_are_found_again() {
     assert!(number(&with, "SSIM_aligned") > number(&without, "SSIM"), "{with}");
 
     // Held-out cameras are the first eighth, as given; the others are elsewhere, and where they belong.
-    let cameras = cameras_json::read(on.join("cameras.json")).expect("cameras");
+    let cameras = cameras_json::read(on.join("cameras.json"), &WorldFrame::default()).expect("cameras");
     assert_eq!(cameras.len(), 40);
     let given = |name: &str| &moved.iter().find(|(other, _)| other == name).expect("known").1;
     let stayed = |named: &&NamedCamera| {
@@ -187,7 +188,7 @@ fn poses_of_halves_stand_under_their_names() {
     succeed(&[paths.as_slice(), &few].concat());
     let given = Model::read(&colmap::find(&data).expect("a folder")).expect("a model");
     let poses = json(&model.join("poses.json"));
-    let cameras = cameras_json::read(model.join("cameras.json")).expect("cameras");
+    let cameras = cameras_json::read(model.join("cameras.json"), &WorldFrame::default()).expect("cameras");
     assert_eq!((poses["xi"].as_object().expect("poses").len(), cameras.len()), (9, 9));
     for named in &cameras {
         let image = given.images.iter().find(|image| image.name == named.name).expect("known");

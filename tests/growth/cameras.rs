@@ -1,6 +1,6 @@
 //! Cameras from files: in double precision until they are stored.
 
-use ashsplat::scene::{Camera, Intrinsics};
+use ashsplat::scene::{Camera, Intrinsics, WorldFrame};
 use glam::{DMat3, DQuat, DVec3};
 
 use crate::cameras_json;
@@ -28,12 +28,12 @@ fn cameras_far_out_keep_their_place() {
             [row(0), row(1), row(2)]
         );
         std::fs::write(&path, text).unwrap();
-        let camera = cameras_json::read(&path).unwrap()[0].camera;
+        let camera = cameras_json::read(&path, &WorldFrame::default()).unwrap()[0].camera;
         let exact = -(camera.camera_from_world.as_dmat3() * position);
         assert_eq!(camera.translation, exact.as_vec3());
         // What is written gives the same camera again, to the bit.
-        cameras_json::write(&path, [("a", &camera)]).unwrap();
-        assert_eq!(cameras_json::read(&path).unwrap()[0].camera, camera);
+        cameras_json::write(&path, [("a", &camera)], &WorldFrame::default()).unwrap();
+        assert_eq!(cameras_json::read(&path, &WorldFrame::default()).unwrap()[0].camera, camera);
     }
 }
 

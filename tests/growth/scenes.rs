@@ -4,7 +4,7 @@ use std::io::Write;
 use std::ops::Add;
 use std::path::Path;
 
-use ashsplat::scene::{Camera, Gaussians, Intrinsics, PointCloud};
+use ashsplat::scene::{Camera, Gaussians, Intrinsics, PointCloud, WorldFrame};
 use glam::Vec3;
 use serde_json::{Value, json};
 
@@ -141,13 +141,17 @@ fn models_and_lists_of_cameras() {
         let points = PointCloud { positions: vec![[0.5; 3]; size], colors: vec![[9; 3]; size] };
         colmap::write(folder.join("sparse/0"), &cameras, &images, &points).unwrap();
         ply::write_points(folder.join("a.ply"), &points).unwrap();
-        cameras_json::write(folder.join("cameras.json"), images.iter().map(|i| (i.name.as_str(), &camera)))
-            .unwrap();
+        cameras_json::write(
+            folder.join("cameras.json"),
+            images.iter().map(|i| (i.name.as_str(), &camera)),
+            &WorldFrame::default(),
+        )
+        .unwrap();
     };
     assert_linear(2000, write, |folder| {
         let model = Model::of_dataset(folder).unwrap();
         assert!(model.images.iter().all(|image| model.camera_of(image).is_ok()));
-        cameras_json::read(folder.join("cameras.json")).unwrap();
+        cameras_json::read(folder.join("cameras.json"), &WorldFrame::default()).unwrap();
         ply::read_points(folder.join("a.ply")).unwrap();
     });
 }

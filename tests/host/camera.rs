@@ -1,8 +1,8 @@
 //! Cameras: poses, sizes, checks, orbits.
 
-use ashsplat::scene::{Camera, Intrinsics, Orbit, scene_extent};
+use ashsplat::scene::{Camera, Intrinsics, Orbit, WorldFrame, scene_extent};
 use ashsplat_files::cameras_json;
-use glam::{Mat3, Quat, Vec3};
+use glam::{DVec3, Mat3, Quat, Vec3};
 
 use super::files::names;
 
@@ -145,7 +145,7 @@ fn cameras_json_has_the_names_of_the_reference_and_reads_back() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("cameras.json");
     let camera = oblique();
-    cameras_json::write(&path, [("a.png", &camera), ("b.png", &camera)]).unwrap();
+    cameras_json::write(&path, [("a.png", &camera), ("b.png", &camera)], &WorldFrame::default()).unwrap();
     assert_eq!(names(folder.path()), ["cameras.json"]);
     let mut json: serde_json::Value = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
     let entry = &json[1];
@@ -156,7 +156,7 @@ fn cameras_json_has_the_names_of_the_reference_and_reads_back() {
         assert!((entry["rotation"][axis][2].as_f64().unwrap() as f32 - camera.forward()[axis]).abs() < 1e-6);
         assert!((entry["position"][axis].as_f64().unwrap() as f32 - camera.position()[axis]).abs() < 1e-6);
     }
-    let read = cameras_json::read(&path).unwrap();
+    let read = cameras_json::read(&path, &WorldFrame::default()).unwrap();
     assert_eq!(read[1].name, "b.png");
     assert!(read[1].camera.translation.abs_diff_eq(camera.translation, 1e-5));
     assert_eq!(read[1].camera.intrinsics(), camera.intrinsics());
@@ -167,10 +167,42 @@ fn cameras_json_has_the_names_of_the_reference_and_reads_back() {
     json[1]["fx"] = 0.into();
     let list = serde_json::Value::Array(vec![json[0].clone()]);
     std::fs::write(&path, list.to_string()).unwrap();
-    assert_eq!(cameras_json::read(&path).unwrap()[0].camera.cx, 32.0);
+    assert_eq!(cameras_json::read(&path, &WorldFrame::default()).unwrap()[0].camera.cx, 32.0);
     std::fs::write(&path, json.to_string()).unwrap();
-    let message = cameras_json::read(&path).unwrap_err().to_string();
+    let message = cameras_json::read(&path, &WorldFrame::default()).unwrap_err().to_string();
     assert!(message.contains("camera 1: focal length (0, 61)"), "{message}");
     std::fs::write(&path, "{}").unwrap();
-    assert!(cameras_json::read(&path).unwrap_err().to_string().contains("is not a list of cameras"));
+    assert!(
+        cameras_json::read(&path, &WorldFrame::default())
+            .unwrap_err()
+            .to_string()
+            .contains("is not a list of cameras")
+    );
+}
+
+/// Positions are those of the PLY beside: in source units from the origin, which is named.
+#[test]
+fn cameras_json_keeps_the_origin() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("cameras.json");
+    let parallel = oblique().orthographic();
+    let origin = DVec3::new(500_000.0, 5_000_000.0, 120.0);
+    let frame = WorldFrame { origin, unit: 0.01 };
+    cameras_json::write(&path, [("a", &oblique()), ("b", &parallel)], &frame).unwrap();
+    let json: serde_json::Value = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
+    assert_eq!(json[0]["origin"], serde_json::json!(origin.to_array()));
+    let x = json[0]["position"][0].as_f64().unwrap();
+    assert!((x - 0.01 * oblique().exact_position().x).abs() < 1e-9);
+    let read = |frame: &WorldFrame| -> Vec<Camera> {
+        cameras_json::read(&path, frame).unwrap().iter().map(|named| named.camera).collect()
+    };
+    let [pinhole, orthographic] = read(&frame)[..] else { panic!("two cameras") };
+    assert!(pinhole.translation.abs_diff_eq(oblique().translation, 1e-6));
+    assert!((orthographic.fx / parallel.fx - 1.0).abs() < 1e-6);
+    // In another frame the camera is at the same place of the source.
+    let other = WorldFrame { origin: origin + DVec3::X, unit: 0.1 };
+    let [pinhole, orthographic] = read(&other)[..] else { panic!("two cameras") };
+    let expected = other.world(frame.source(oblique().position()));
+    assert!(pinhole.position().abs_diff_eq(expected, 1e-5), "{} {expected}", pinhole.position());
+    assert!((orthographic.fx / parallel.fx - 10.0).abs() < 1e-4);
 }

@@ -4,12 +4,12 @@ use std::path::Path;
 use std::sync::Mutex;
 use std::sync::atomic::AtomicBool;
 
-use ashsplat::scene::{Camera, Intrinsics, PointCloud};
+use ashsplat::scene::{Camera, Intrinsics, PointCloud, WorldFrame};
 use ashsplat_files::colmap::{self, ColmapCamera, ColmapImage};
 use ashsplat_files::{
     Dataset, DatasetOptions, Gallery, Photo, PhotoFileFormat, Progress, Resolution, View, cameras_json,
 };
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 
 /// Pictures of 20×12 from a circle of radius 3 around the origin; every picture has its own grey.
 fn write(folder: &Path, count: u32, points: usize) -> Vec<Camera> {
@@ -80,7 +80,7 @@ fn every_eighth_view_is_held_out() {
     // The held-out views come first in cameras.json, at the size of their files.
     let path = folder.path().join("cameras.json");
     dataset.write_cameras_json(&path).unwrap();
-    let listed = cameras_json::read(&path).unwrap();
+    let listed = cameras_json::read(&path, &WorldFrame::default()).unwrap();
     assert_eq!(listed.len(), 18);
     assert_eq!((listed[1].name.as_str(), listed[3].name.as_str()), ("008.png", "001.png"));
 }
@@ -365,4 +365,80 @@ fn views_are_chosen_by_name() {
     assert_eq!(named(&dataset.train), ["002.png", "003.png"]);
     assert_eq!(named(&dataset.test), ["008.png"]);
     assert_eq!(dataset.train[1].photo.photo().unwrap().rgb[0], 3);
+}
+
+/// Writes a data set in text, moved by `offset` after it was scaled.
+fn write_moved(folder: &Path, scale: f64, offset: DVec3) {
+    let intrinsics = Intrinsics { fx: 21.0, fy: 22.0, cx: 10.5, cy: 6.0, width: 20, height: 12 };
+    let target = Vec3::new(0.3, -0.2, 0.1);
+    let (mut images, mut points) = (String::new(), String::new());
+    std::fs::create_dir_all(folder.join("images")).unwrap();
+    for i in 0..9 {
+        let (sin, cos) = (0.7 * i as f32).sin_cos();
+        let eye = 3.0 * Vec3::new(cos, 0.25, sin);
+        let camera = Camera::look_at(eye, target, Vec3::NEG_Y, intrinsics);
+        let image = ColmapImage::posed(i + 1, 1, format!("{i}.png"), &camera);
+        let [x, y, z] = (scale * DVec3::from_array(image.translation) - image.rotation() * offset).to_array();
+        let [qw, qx, qy, qz] = image.quat;
+        // Each photo shows all points.
+        images += &format!("{} {qw} {qx} {qy} {qz} {x} {y} {z} 1 {i}.png\n1 1 0 1 1 1 1 1 2\n", i + 1);
+        let photo = Photo { width: 20, height: 12, rgb: vec![i as u8; 20 * 12 * 3] };
+        photo.write_png(folder.join(format!("images/{i}.png"))).unwrap();
+    }
+    for id in 0..40_u32 {
+        let point =
+            Vec3::new(id as f32 * 0.03 - 0.5, (id % 7) as f32 * 0.11 - 0.3, (id % 5) as f32 * 0.2 - 0.4);
+        let [x, y, z] = (scale * point.as_dvec3() + offset).to_array();
+        points += &format!("{id} {x} {y} {z} 1 2 3 0.5\n");
+    }
+    std::fs::create_dir_all(folder.join("sparse/0")).unwrap();
+    for (part, text) in
+        [("cameras", "1 PINHOLE 20 12 21 22 10.5 6"), ("images", &images), ("points3D", &points)]
+    {
+        std::fs::write(folder.join(format!("sparse/0/{part}.txt")), text).unwrap();
+    }
+}
+
+/// Data sets in map coordinates or other units are trained as the same one at the origin.
+#[test]
+fn far_and_tiny_and_huge_data_sets_have_the_world_of_one_at_the_origin() {
+    let loaded = |scale: f64, offset: DVec3| {
+        let folder = tempfile::tempdir().unwrap();
+        write_moved(folder.path(), scale, offset);
+        let mut gallery = Gallery::open(folder.path(), &DatasetOptions::default(), Progress::NONE).unwrap();
+        gallery.read_tracks().unwrap();
+        (
+            gallery.load(Progress::NONE).unwrap(),
+            Dataset::inspect(folder.path(), &DatasetOptions::default(), Progress::NONE),
+        )
+    };
+    let (near, report) = loaded(1.0, DVec3::ZERO);
+    assert!(near.frame.is_identity() && !report.to_string().contains("frame"), "{report}");
+    let utm = DVec3::new(500_000.0, 5_000_000.0, 120.0);
+    let ecef = DVec3::new(4.2e6, 1.7e5, 4.78e6);
+    for (scale, offset) in
+        [(1.0, utm), (1.0, ecef), (1e-4, DVec3::ZERO), (1e-2, DVec3::ZERO), (1e4, DVec3::ZERO), (1e-2, utm)]
+    {
+        let (moved, report) = loaded(scale, offset);
+        assert_eq!(moved.frame, WorldFrame { origin: offset, unit: scale });
+        assert_eq!(moved.points, near.points, "{scale} {offset}");
+        assert_eq!(moved.scene_extent, near.scene_extent);
+        for (view, near) in moved.train.iter().zip(&near.train) {
+            assert_eq!(
+                (view.camera, &view.depth_points),
+                (near.camera, &near.depth_points),
+                "{scale} {offset}"
+            );
+        }
+        let line = format!("frame     origin {} {} {}, unit {scale}", offset.x, offset.y, offset.z);
+        assert!(report.to_string().contains(&line), "{report}");
+    }
+    // A scene's frame in place of the own one.
+    let folder = tempfile::tempdir().unwrap();
+    write_moved(folder.path(), 1.0, utm);
+    let frame = WorldFrame { origin: utm - DVec3::X, unit: 1.0 };
+    let options = DatasetOptions { frame: Some(frame), ..DatasetOptions::default() };
+    let cameras = Dataset::cameras(folder.path(), &options).unwrap();
+    let moved = cameras[3].camera.position() - near.train[3].camera.position();
+    assert!(moved.abs_diff_eq(Vec3::X, 1e-5), "{moved}");
 }

@@ -3,7 +3,7 @@
 use super::*;
 use crate::cli::succeed;
 use crate::common::engine::renderer;
-use ashsplat::scene::Intrinsics;
+use ashsplat::scene::{Intrinsics, WorldFrame};
 use ashsplat::{RenderSettings, Shape};
 use ashsplat_files::Photo;
 use glam::Vec3;
@@ -123,7 +123,8 @@ fn viewer_picks_what_inspect_lists() {
     page.send(&json!({ "type": "pick", "id": 5, "camera": message(&camera), "pixel": [48, 32] }));
     let picked = page.wait_for("picked");
     let cameras = folder.path().join("cameras.json");
-    ashsplat_files::cameras_json::write(&cameras, [("one", &camera)]).expect("written");
+    ashsplat_files::cameras_json::write(&cameras, [("one", &camera)], &WorldFrame::default())
+        .expect("written");
     let said = succeed(&["inspect", text(&path), "--path", text(&cameras), "--pixel", "48,32", "--json"]);
     let inspected: Value = serde_json::from_str(&said).expect("JSON");
     assert_eq!((&picked["id"], &picked["pixel"]), (&json!(5), &json!([48, 32])));

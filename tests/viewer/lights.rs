@@ -3,6 +3,7 @@
 use super::training::Training;
 use super::*;
 use crate::cli::{succeed, write_dataset};
+use ashsplat::scene::WorldFrame;
 use ashsplat_files::cameras_json;
 use tempfile::tempdir;
 
@@ -46,7 +47,7 @@ fn viewer_shows_views_as_they_were_photographed() {
     // As `render` has it.
     let named = ["--exposure-of", "03.png", "--lens-of", "03.png"];
     succeed(&[&["render", text(&model), "-o", text(&out), "--quiet"], named.as_slice()].concat());
-    let cameras = cameras_json::read(model.join("cameras.json")).expect("cameras");
+    let cameras = cameras_json::read(model.join("cameras.json"), &WorldFrame::default()).expect("cameras");
     let index = cameras.iter().position(|camera| camera.name == "03.png").expect("the photo");
     let rendered = image::open(out.join(format!("{index:05}.png"))).expect("a picture").to_rgb8().into_raw();
     let off = mean_difference(&rendered, &lit);

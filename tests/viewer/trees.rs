@@ -3,6 +3,7 @@
 use super::*;
 use crate::cli::{refuse, succeed};
 use crate::common::engine::renderer;
+use ashsplat::scene::WorldFrame;
 use ashsplat::{Gaussians, RenderSettings};
 use ashsplat_files::splats::ReadOptions;
 use ashsplat_files::tiles::{self, Demand, TileOptions, Tree};
@@ -65,7 +66,8 @@ fn viewer_streams_a_tree_until_it_is_what_render_draws() {
     assert_eq!(page.greeting["tree"], json!({ "budget": COUNT / 2, "least": tree.tiles()[0].gaussians }));
     let cameras: Vec<Camera> = [0.3, 1.9].map(camera).to_vec();
     let named = folder.path().join("cameras.json");
-    cameras_json::write(&named, ["a", "b"].into_iter().zip(&cameras)).expect("written");
+    cameras_json::write(&named, ["a", "b"].into_iter().zip(&cameras), &WorldFrame::default())
+        .expect("written");
     for (budget, look) in [("50%", json!({ "quality": 0 })), ("250", json!({ "quality": 0, "budget": 250 }))]
     {
         let out = folder.path().join(format!("out{}", budget.trim_end_matches('%')));

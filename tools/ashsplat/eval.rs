@@ -14,6 +14,7 @@ use crate::model::Model;
 use crate::progress::counting;
 use crate::{output, render, session};
 use ashsplat::lpips::Network;
+use ashsplat::scene::WorldFrame;
 use ashsplat::{Alignment, Camera, Error, Frame, RenderSettings, Renderer, Result, TrainSettings};
 use ashsplat_files::cameras_json::{self, NamedCamera};
 use ashsplat_files::exposure_json::{self, EXPOSURE_FILE};
@@ -338,7 +339,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     // Where poses were optimised, training views have their own; those that were held out are aligned.
     let pose_opt = model.settings.train.pose_opt;
     let moved = match (&model.folder, pose_opt) {
-        (Some((folder, _)), true) => by_name(cameras_json::read(folder.join(CAMERAS_FILE))?),
+        (Some((folder, _)), true) => {
+            by_name(cameras_json::read(folder.join(CAMERAS_FILE), &WorldFrame::default())?)
+        }
         _ => HashMap::new(),
     };
     let bar = counting("views", chosen.len() as u64 * if pose_opt { 2 } else { 1 }, arguments.quiet);

@@ -126,6 +126,8 @@ fn dataset_json(report: &DatasetReport) -> Value {
         "train_views": report.train_views,
         "test_views": report.test_views,
         "points": report.points,
+        "origin": report.frame.origin.to_array(),
+        "unit": report.frame.unit,
         "point_bounds": report.point_bounds.map(bounds_json),
         "camera_bounds": report.camera_bounds.map(bounds_json),
         "scene_extent": report.scene_extent,

@@ -5,7 +5,7 @@ use crate::config::CAMERAS_FILE;
 use crate::model::Model;
 use crate::render::LookArguments;
 use crate::session;
-use ashsplat::scene::{Camera, Intrinsics};
+use ashsplat::scene::{Camera, Intrinsics, WorldFrame};
 use ashsplat::{Error, PixelReport, Renderer, Result, Sample};
 use ashsplat_files::cameras_json;
 use clap::Args;
@@ -97,8 +97,8 @@ impl Arguments {
         let own = model.folder.as_ref().map(|(folder, _)| folder.join(CAMERAS_FILE));
         let own = own.filter(|path| self.fx.is_none() && path.is_file());
         let cameras = match (&self.source_path, self.path.as_ref().or(own.as_ref())) {
-            (Some(dataset), _) => session::cameras(dataset)?,
-            (None, Some(path)) => cameras_json::read(path)?,
+            (Some(dataset), _) => session::cameras(dataset, &WorldFrame::default())?,
+            (None, Some(path)) => cameras_json::read(path, &WorldFrame::default())?,
             (None, None) => return self.camera_at_origin(),
         };
         let by_number = || cameras.get(self.camera.parse::<usize>().ok()?);

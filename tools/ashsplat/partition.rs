@@ -14,7 +14,7 @@ use crate::lock::{FolderLock, Work};
 use crate::model::Model;
 use crate::progress::{significant, thousands};
 use crate::{output, render, session};
-use ashsplat::scene::{Camera, Cells, Gaussians, scene_extent};
+use ashsplat::scene::{Camera, Cells, Gaussians, WorldFrame, scene_extent};
 use ashsplat::trainer::SceneBlock;
 use ashsplat::{Error, RenderSettings, Renderer, Result};
 use ashsplat_files::cameras_json::{self, NamedCamera};
@@ -196,7 +196,7 @@ fn check_same_scene(coarse: &Model, gallery: &Gallery, data: &DataSettings) -> R
     if !file.is_file() {
         return Ok(());
     }
-    let own = cameras_json::read(&file)?;
+    let own = cameras_json::read(&file, &WorldFrame::default())?;
     let cameras = gallery.cameras();
     let by_name: BTreeMap<&str, &Camera> =
         cameras.iter().map(|named| (named.name.as_str(), &named.camera)).collect();

@@ -4,7 +4,7 @@ use crate::args::HostArguments;
 use crate::blocks::job::Job;
 use crate::config::DataSettings;
 use crate::progress::counting;
-use ashsplat::scene::PointCloud;
+use ashsplat::scene::{PointCloud, WorldFrame};
 use ashsplat::{Error, Result};
 use ashsplat_files::cameras_json::NamedCamera;
 use ashsplat_files::{Dataset, DatasetOptions, Gallery, HostMemory, Progress};
@@ -134,12 +134,13 @@ pub fn warn(warnings: &[String]) {
     }
 }
 
-/// The cameras of a data set by name, at the photos' own sizes; the photos are not looked at. Ctrl-C ends that, so that
+/// The cameras of a data set by name, in a frame, at the photos' own sizes; the photos are not looked at. Ctrl-C ends that, so that
 /// nothing of an unpacked ZIP is left; from then on it ends the program at once.
-pub fn cameras(dataset: &Path) -> Result<Vec<NamedCamera>> {
+pub fn cameras(dataset: &Path, frame: &WorldFrame) -> Result<Vec<NamedCamera>> {
     let stop = stop_on_ctrl_c()?;
     let progress = Progress { report: None, interrupted: Some(&stop) };
-    let cameras = Gallery::open(dataset, &DatasetOptions::default(), progress)?.cameras();
+    let options = DatasetOptions { frame: Some(*frame), ..Default::default() };
+    let cameras = Gallery::open(dataset, &options, progress)?.cameras();
     end_at_once(&stop)?;
     Ok(cameras)
 }

@@ -11,7 +11,7 @@ use crate::output;
 use crate::progress::{counting, thousands};
 use crate::render::{orbit_around, settings_of};
 use crate::session;
-use ashsplat::scene::{Camera, Gaussians, Intrinsics};
+use ashsplat::scene::{Camera, Gaussians, Intrinsics, WorldFrame};
 use ashsplat::vk::Context;
 use ashsplat::{Error, RenderSettings, Renderer, Result};
 use ashsplat_files::splats::{self, Header, ReadOptions};
@@ -150,7 +150,7 @@ impl Arguments {
 fn views(model: &Model, gaussians: &Gaussians) -> Result<Vec<Camera>> {
     let file = model.folder.as_ref().map(|(folder, _)| folder.join(CAMERAS_FILE));
     if let Some(file) = file.filter(|file| file.is_file()) {
-        let all = cameras_json::read(&file)?;
+        let all = cameras_json::read(&file, &WorldFrame::default())?;
         if all.is_empty() {
             return Err(Error::input(
                 file,

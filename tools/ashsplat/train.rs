@@ -29,7 +29,7 @@ use crate::measure::{Cost, Stopwatch};
 use crate::progress::TrainProgress;
 use crate::session;
 use ashsplat::plan::to_u32;
-use ashsplat::scene::Camera;
+use ashsplat::scene::{Camera, WorldFrame};
 use ashsplat::trainer::{StepReport, Trainer};
 use ashsplat::vk::Context;
 use ashsplat::{Error, Result};
@@ -221,6 +221,8 @@ pub struct Run {
     test: Vec<View>,
     /// Of all views as they were given, held-out ones first.
     cameras: Vec<(String, Camera)>,
+    /// The frame of cameras and Gaussians.
+    frame: WorldFrame,
     /// By the names of the photos, the ids of the cameras that took them.
     takers: BTreeMap<String, u32>,
     /// Whether `test` was held out, or is a sample of the training views.
@@ -283,12 +285,13 @@ impl Run {
         let trainer = origin.trainer(context, data, (&trained, block), &settings.train)?;
         let model = settings.data.model_path.clone();
         let Some(start) = origin.start() else {
-            let lock = folder::begin(&settings, held, &views.cameras, points.as_ref(), false)?;
+            let cameras = (&views.cameras[..], &views.frame);
+            let lock = folder::begin(&settings, held, cameras, points.as_ref(), false)?;
             let log = TrainLog::create(&model.join(LOG_FILE))?;
             return Ok(Run::new(context, settings, trainer, (log, lock), views, quiet));
         };
         let goes_on = start.is_of(&model);
-        let lock = folder::begin(&settings, held, &views.cameras, None, goes_on)?;
+        let lock = folder::begin(&settings, held, (&views.cameras, &views.frame), None, goes_on)?;
         if goes_on {
             start.keep(&model)?;
         }
@@ -304,7 +307,7 @@ impl Run {
         settings: Settings,
         trainer: Trainer,
         (log, lock): (TrainLog, FolderLock),
-        Views { trained, test, cameras, takers, held_out }: Views,
+        Views { trained, test, cameras, frame, takers, held_out }: Views,
         quiet: bool,
     ) -> Run {
         let tracking = Tracking::new(&test, &settings.train, tracking::SHARE);
@@ -319,6 +322,7 @@ impl Run {
             tracking,
             test,
             cameras,
+            frame,
             takers,
             held_out,
             first: None,

@@ -5,9 +5,11 @@ use std::fs::File;
 use std::io::{BufReader, Read};
 use std::path::Path;
 
+use glam::DVec3;
+
 use super::types::{CameraModel, ColmapCamera, ColmapImage, Observed};
 use crate::{cost, host_memory, sniff};
-use ashsplat::scene::PointCloud;
+use ashsplat::scene::SourcePoints;
 use ashsplat::{Error, Result};
 
 /// Smallest records: a camera without parameters, an image of one letter without observations, a point without
@@ -21,7 +23,7 @@ const TRACK_ENTRY_BYTES: u64 = 8;
 /// What is kept of each, bytes: with parameters, with a name.
 const CAMERA_ROOM: usize = size_of::<ColmapCamera>() + 16 * size_of::<f64>();
 const IMAGE_ROOM: usize = size_of::<ColmapImage>() + 64;
-const POINT_ROOM: usize = size_of::<[f32; 3]>() + size_of::<[u8; 3]>();
+const POINT_ROOM: usize = size_of::<DVec3>() + size_of::<[u8; 3]>();
 
 /// No file system has longer paths.
 const MAX_NAME_BYTES: usize = 4096;
@@ -107,14 +109,14 @@ pub(super) fn positions(path: &Path) -> Result<HashMap<u64, [f64; 3]>> {
     Ok(positions)
 }
 
-pub(super) fn points(path: &Path) -> Result<PointCloud> {
+pub(super) fn points(path: &Path) -> Result<SourcePoints> {
     let mut file = BinaryFile::open(path)?;
     let count = file.count("points", POINT_BYTES, POINT_ROOM)?;
-    let mut points = PointCloud { positions: Vec::with_capacity(count), colors: Vec::with_capacity(count) };
+    let mut points = SourcePoints { positions: Vec::with_capacity(count), colors: Vec::with_capacity(count) };
     file.record = format!("the {count} points");
     for _ in 0..count {
         let _id: [u8; 8] = file.take()?;
-        points.positions.push([file.double()? as f32, file.double()? as f32, file.double()? as f32]);
+        points.positions.push(DVec3::new(file.double()?, file.double()?, file.double()?));
         points.colors.push(file.take()?);
         let _reprojection_error = file.double()?;
         file.skip_list("track entries", TRACK_ENTRY_BYTES)?;

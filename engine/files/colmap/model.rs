@@ -10,7 +10,7 @@ use super::types::{ColmapCamera, ColmapImage};
 use super::{binary, text};
 use ashsplat::scene::camera::MAX_IMAGE_SIDE;
 use ashsplat::scene::lens::{Distortion, Lens};
-use ashsplat::scene::{Camera, PointCloud};
+use ashsplat::scene::{Camera, SourcePoints};
 use ashsplat::{Error, Result};
 
 /// A sparse model.
@@ -23,7 +23,7 @@ pub struct Model {
     /// Registered images, in the file's order.
     pub images: Vec<ColmapImage>,
     /// The points, in the file's order, without those at no finite position.
-    pub points: PointCloud,
+    pub points: SourcePoints,
     /// All oddities that did not prevent reading.
     pub warnings: Vec<String>,
 }
@@ -66,7 +66,7 @@ impl Model {
         points_file(&self.source)
     }
 
-    /// The camera with pose of an image, at the photo's size and without lens distortion.
+    /// The camera with pose of an image, at the photo's size and without lens distortion, in the file's coordinates.
     ///
     /// # Errors
     /// [`Error::Input`] naming file and id when the camera does not exist, has an unsupported lens, no usable
@@ -188,15 +188,15 @@ fn points_file(source: &ModelFolder) -> Option<PathBuf> {
     in_text.or_else(|| exists("bin")).or_else(|| exists("txt"))
 }
 
-fn points(source: &ModelFolder, warnings: &mut Vec<String>) -> Result<PointCloud> {
+fn points(source: &ModelFolder, warnings: &mut Vec<String>) -> Result<SourcePoints> {
     let Some(file) = points_file(source) else {
         warnings.push(format!("{}: has no points3D file; no points are known", source.folder.display()));
-        return Ok(PointCloud::default());
+        return Ok(SourcePoints::default());
     };
     let is_text = file.extension().is_some_and(|ending| ending == "txt");
     let mut points = if is_text { text::points(&file)? } else { binary::points(&file)? };
     let all = points.len();
-    let finite: Vec<bool> = points.positions.iter().map(|p| p.iter().all(|v| v.is_finite())).collect();
+    let finite: Vec<bool> = points.positions.iter().map(|p| p.as_vec3().is_finite()).collect();
     let mut keep = finite.iter().copied();
     points.positions.retain(|_| keep.next().unwrap_or(false));
     let mut keep = finite.iter().copied();

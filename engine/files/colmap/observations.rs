@@ -2,15 +2,15 @@
 
 use std::collections::HashMap;
 
-use glam::{DQuat, DVec3};
+use glam::{DMat3, DVec3};
 
 use super::model::Model;
-use super::types::Observed;
+use super::types::{ColmapImage, Observed};
 use super::{binary, text};
 use crate::depth_fit::DepthPoint;
 use ashsplat::Result;
 
-/// Positions of points by their ids, world units.
+/// Positions of points by their ids, the file's coordinates.
 type Positions = HashMap<u64, [f64; 3]>;
 
 /// What each image shows, and the points.
@@ -32,14 +32,8 @@ fn read(model: &Model) -> Result<(Vec<Observed>, Positions)> {
 /// As [`Model::read`].
 pub fn observations(model: &Model) -> Result<HashMap<u32, Vec<DepthPoint>>> {
     let (observed, positions) = read(model)?;
-    let poses: HashMap<u32, (DQuat, DVec3)> = model
-        .images
-        .iter()
-        .map(|image| {
-            let [w, x, y, z] = image.quat;
-            (image.id, (DQuat::from_xyzw(x, y, z, w).normalize(), DVec3::from_array(image.translation)))
-        })
-        .collect();
+    let pose = |image: &ColmapImage| (image.id, (image.rotation(), DVec3::from_array(image.translation)));
+    let poses: HashMap<u32, (DMat3, DVec3)> = model.images.iter().map(pose).collect();
     let of_image = |(id, places): Observed| {
         let pose = poses.get(&id);
         let point = |(position_px, point): ([f64; 2], Option<u64>)| {
@@ -53,7 +47,7 @@ pub fn observations(model: &Model) -> Result<HashMap<u32, Vec<DepthPoint>>> {
     Ok(observed.into_iter().map(of_image).collect())
 }
 
-/// The positions, world units, of the points that each image of a model shows, by the image's id: once each, in the order of the
+/// The positions, in the file's coordinates, of the points that each image of a model shows, by the image's id: once each, in the order of the
 /// points' ids.
 ///
 /// # Errors

@@ -6,9 +6,11 @@ use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::str::FromStr;
 
+use glam::DVec3;
+
 use super::types::{CameraModel, ColmapCamera, ColmapImage, Observed};
 use crate::{cost, host_memory};
-use ashsplat::scene::PointCloud;
+use ashsplat::scene::SourcePoints;
 use ashsplat::{Error, Result};
 
 pub(super) fn cameras(path: &Path) -> Result<Vec<ColmapCamera>> {
@@ -93,21 +95,21 @@ pub(super) fn positions(path: &Path) -> Result<HashMap<u64, [f64; 3]>> {
     Ok(positions)
 }
 
-pub(super) fn points(path: &Path) -> Result<PointCloud> {
+pub(super) fn points(path: &Path) -> Result<SourcePoints> {
     let mut file = TextFile::open(path)?;
-    let mut points = PointCloud::default();
+    let mut points = SourcePoints::default();
     while file.next_row()? {
         let mut words = file.words();
         let _id: u64 = words.number("point id")?;
         let mut position = [0.0; 3];
         for p in &mut position {
-            *p = words.number::<f64>("position")? as f32;
+            *p = words.number("position")?;
         }
         let mut color = [0; 3];
         for c in &mut color {
             *c = words.number("colour")?;
         }
-        points.positions.push(position);
+        points.positions.push(DVec3::from_array(position));
         points.colors.push(color);
     }
     Ok(points)

@@ -2,6 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
+use glam::{DMat3, DQuat};
+
 use crate::names::{MAX_PATH_BYTES, ending, plain, stays_inside};
 use ashsplat::{Error, Result};
 
@@ -87,7 +89,7 @@ pub struct ColmapImage {
     pub name: String,
     /// Rotation from world to camera as quaternion (w, x, y, z), not necessarily of unit length.
     pub quat: [f64; 4],
-    /// Translation from world to camera, world units.
+    /// Translation from the file's coordinates to the camera.
     pub translation: [f64; 3],
 }
 
@@ -95,6 +97,12 @@ pub struct ColmapImage {
 pub(super) type Observed = (u32, Vec<([f64; 2], Option<u64>)>);
 
 impl ColmapImage {
+    /// Rotation from the file's coordinates to the camera's axes.
+    pub fn rotation(&self) -> DMat3 {
+        let [w, x, y, z] = self.quat;
+        DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize())
+    }
+
     /// The photo's path below the images folder.
     ///
     /// # Errors

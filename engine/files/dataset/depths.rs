@@ -14,15 +14,15 @@ use crate::depth_fit::{DEPTH_PARAMS_FILE, DepthFit};
 use crate::images::{DepthMap, header};
 use crate::names::{plain, stays_inside};
 use crate::transforms;
-use ashsplat::scene::PicturePart;
+use ashsplat::scene::{PicturePart, WorldFrame};
 use ashsplat::{Error, Result};
 
 /// A map that is read with its photo.
 #[derive(Clone, Debug)]
 pub(super) struct PlannedMap {
     path: PathBuf,
-    /// None: the map's values are inverse depths.
-    fit: Option<DepthFit>,
+    /// What makes inverse depths of the map's values, 1 / world units.
+    fit: DepthFit,
 }
 
 /// The maps of the views, by their order; none for those that are left out, and for views that are not trained on: nothing
@@ -32,7 +32,7 @@ pub(super) struct PlannedMap {
 /// [`Error::Input`] naming the folder, the map or the parameters that are missing.
 pub(super) fn plan(
     dataset: &Path,
-    (views, held_out): (&[PlannedView], &[bool]),
+    (views, held_out, frame): (&[PlannedView], &[bool], &WorldFrame),
     options: &DatasetOptions,
     warnings: &mut Vec<String>,
 ) -> Result<Vec<Option<PlannedMap>>> {
@@ -44,18 +44,18 @@ pub(super) fn plan(
         .filter(|(_, held_out)| is_trained(held_out))
         .map(|(view, _)| view)
         .collect();
-    let mut maps = of_trained(dataset, folder, (&trained, options), warnings)?.into_iter();
+    let mut maps = of_trained(dataset, folder, (&trained, frame.unit, options), warnings)?.into_iter();
     Ok(held_out
         .iter()
         .map(|held_out| is_trained(held_out).then(|| maps.next()).flatten().flatten())
         .collect())
 }
 
-/// The maps of views that are trained on, by their order.
+/// The maps of views that are trained on, by their order. `unit`: of the frame, source units.
 fn of_trained(
     dataset: &Path,
     folder: &Path,
-    (views, options): (&[&PlannedView], &DatasetOptions),
+    (views, unit, options): (&[&PlannedView], f64, &DatasetOptions),
     warnings: &mut Vec<String>,
 ) -> Result<Vec<Option<PlannedMap>>> {
     let folder = dataset.join(folder);
@@ -66,19 +66,21 @@ fn of_trained(
     let paths: Vec<PathBuf> = views.iter().map(|view| map_of(&folder, view)).collect::<Result<_>>()?;
     let planned = |path: PathBuf, fit| Some(PlannedMap { path, fit });
     if transforms::find(dataset).is_some() && !colmap::exists(dataset) {
-        return Ok(paths.into_iter().map(|path| planned(path, None)).collect());
+        // Their values are inverse depths.
+        let fit = DepthFit { scale: unit, offset: 0.0 };
+        return Ok(paths.into_iter().map(|path| planned(path, fit)).collect());
     }
     let model = Model::of_dataset(dataset)?;
     let file = model.source.folder.join(DEPTH_PARAMS_FILE);
     let is_given = file.is_file();
     let fits = match is_given {
-        true => given(&file, views)?,
-        false => fitted(&model, views, &paths, options)?,
+        true => given(&file, views, unit)?,
+        false => fitted(&model, (views, unit), &paths, options)?,
     };
     let median = DepthFit::median_scale(&fits);
     let maps = paths.into_iter().zip(fits).map(|(path, fit)| {
         let fit = Some(fit).filter(|fit| fit.is_reliable(median))?;
-        planned(path, Some(fit))
+        planned(path, fit)
     });
     let maps: Vec<_> = maps.collect();
     let left_out = maps.iter().filter(|map| map.is_none()).count();
@@ -137,11 +139,12 @@ fn map_of(folder: &Path, view: &PlannedView) -> Result<PathBuf> {
     Ok(path)
 }
 
-/// The parameters of a file.
-fn given(file: &Path, views: &[&PlannedView]) -> Result<Vec<DepthFit>> {
+/// The parameters of a file, which are in 1 / source units, in 1 / world units.
+fn given(file: &Path, views: &[&PlannedView], unit: f64) -> Result<Vec<DepthFit>> {
     let all: BTreeMap<String, DepthFit> = DepthFit::read_all(file)?;
     let of = |view: &&PlannedView| {
-        all.get(&stem(&view.name)).copied().ok_or_else(|| {
+        let fit = all.get(&stem(&view.name));
+        fit.map(|fit| DepthFit { scale: unit * fit.scale, offset: unit * fit.offset }).ok_or_else(|| {
             let problem = format!("has no scale and offset for photo {}", view.name);
             Error::input(
                 file,
@@ -156,11 +159,12 @@ fn given(file: &Path, views: &[&PlannedView]) -> Result<Vec<DepthFit>> {
 /// Fits all maps to the sparse points that their photos show.
 fn fitted(
     model: &Model,
-    views: &[&PlannedView],
+    (views, unit): (&[&PlannedView], f64),
     paths: &[PathBuf],
     options: &DatasetOptions,
 ) -> Result<Vec<DepthFit>> {
-    let observed = colmap::observations(model)?;
+    let mut observed = colmap::observations(model)?;
+    observed.values_mut().flatten().for_each(|point| point.inverse_z *= unit);
     let sizes: HashMap<u32, (u32, u32)> = model
         .images
         .iter()
@@ -188,9 +192,8 @@ impl PlannedMap {
         if let Some(PicturePart { left, top, .. }) = view.camera.part {
             values = cut(&values, (whole.width, 1), [left, top], [photo.width, photo.height]);
         }
-        if let Some(DepthFit { scale, offset }) = self.fit {
-            values.iter_mut().for_each(|value| *value = (scale * f64::from(*value) + offset) as f32);
-        }
+        let DepthFit { scale, offset } = self.fit;
+        values.iter_mut().for_each(|value| *value = (scale * f64::from(*value) + offset) as f32);
         if let Some(mask) = photo.mask()? {
             let hidden = values.iter_mut().zip(mask.iter()).filter(|(_, counts)| **counts == 0);
             hidden.for_each(|(value, _)| *value = f32::INFINITY);

@@ -13,7 +13,7 @@ use super::used_part::UsedPart;
 use super::{Dataset, DatasetOptions, Unpacked, View, beyond_memory};
 use crate::cameras_json::NamedCamera;
 use crate::progress::Progress;
-use ashsplat::scene::{Camera, PointCloud, scene_extent};
+use ashsplat::scene::{Camera, PointCloud, WorldFrame, scene_extent};
 use ashsplat::trainer::PhotoSize;
 use ashsplat::{Error, Result};
 
@@ -26,6 +26,7 @@ pub struct Gallery {
     pub(super) maps: Vec<Option<PlannedMap>>,
     /// Per view; empty before [`Gallery::read_tracks`].
     pub(super) tracks: Vec<Option<Track>>,
+    pub(super) frame: WorldFrame,
     pub(super) points: PointCloud,
     pub(super) warnings: Vec<String>,
     pub(super) notes: Vec<String>,
@@ -46,17 +47,30 @@ impl Gallery {
         let plan = Plan::of(unpacked.folder(), options).map_err(|error| unpacked.name(error))?;
         let held_out: Vec<bool> = (0..plan.views.len()).map(|index| plan.is_test(index, options)).collect();
         plan.check_views().map_err(|error| unpacked.name(error))?;
-        let Plan { views, points, source, list, warnings, notes, .. } = plan;
+        let Plan { views, frame, points, source, list, warnings, notes, .. } = plan;
         let views: Vec<PlannedView> =
             views.into_iter().collect::<Result<_>>().map_err(|error| unpacked.name(error))?;
         let mut warnings = warnings;
-        let maps = depths::plan(unpacked.folder(), (&views, &held_out), options, &mut warnings);
+        let maps = depths::plan(unpacked.folder(), (&views, &held_out, &frame), options, &mut warnings);
         let maps = maps.map_err(|error| unpacked.name(error))?;
         let named = |lines: Vec<String>| lines.iter().map(|line| unpacked.name_in(line)).collect();
         let (warnings, notes) = (named(warnings), named(notes));
         let source = unpacked.named(&source);
         let (options, tracks) = (options.clone(), Vec::new());
-        Ok(Self { unpacked, options, views, held_out, maps, tracks, points, warnings, notes, source, list })
+        Ok(Self {
+            unpacked,
+            options,
+            views,
+            held_out,
+            maps,
+            tracks,
+            frame,
+            points,
+            warnings,
+            notes,
+            source,
+            list,
+        })
     }
 
     /// Reads all photos: the whole data set, in parallel.
@@ -223,6 +237,11 @@ impl Gallery {
     /// What is done with the photos, one line each, where that is nothing to worry about.
     pub fn notes(&self) -> &[String] {
         &self.notes
+    }
+
+    /// The frame of cameras and points.
+    pub fn frame(&self) -> &WorldFrame {
+        &self.frame
     }
 
     /// The data set's points. There may be none.

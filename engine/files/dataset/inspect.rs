@@ -13,7 +13,7 @@ use super::unpacked::Unpacked;
 use super::{DatasetOptions, may_lack_points, random_points_instead};
 use crate::progress::Progress;
 use crate::{colmap, cost};
-use ashsplat::scene::{Bounds, scene_extent};
+use ashsplat::scene::{Bounds, WorldFrame, scene_extent};
 use ashsplat::{Error, Result};
 
 /// Contents and problems of a data set.
@@ -33,6 +33,8 @@ pub struct DatasetReport {
     pub test_views: usize,
     /// Number of points.
     pub points: usize,
+    /// The frame of boxes and extent.
+    pub frame: WorldFrame,
     /// Box around the points, world units.
     pub point_bounds: Option<Bounds>,
     /// Box around the centres of the usable cameras, world units.
@@ -110,6 +112,7 @@ impl DatasetReport {
         self.cameras.clone_from(&plan.cameras);
         self.images = plan.registered;
         self.points = plan.points.len();
+        self.frame = plan.frame;
         self.point_bounds = plan.points.bounds();
         self.warnings.clone_from(&plan.warnings);
         self.notes.clone_from(&plan.notes);
@@ -161,12 +164,19 @@ impl fmt::Display for DatasetReport {
         writeln!(f, "images    {} registered, {} sound photos", self.images, self.sound_photos)?;
         writeln!(f, "views     {} for training, {} held out", self.train_views, self.test_views)?;
         writeln!(f, "points    {}", self.points)?;
+        let digits = 3 + (-self.frame.unit.log10()).max(0.0) as usize;
         for (what, bounds) in [("of the points", self.point_bounds), ("of the cameras", self.camera_bounds)] {
             if let Some(Bounds { min, max }) = bounds {
-                writeln!(f, "box       {what}: from {min:.3} to {max:.3}")?;
+                let [min, max] = [min, max].map(|corner| self.frame.source(corner));
+                writeln!(f, "box       {what}: from {min:.digits$} to {max:.digits$}")?;
             }
         }
-        writeln!(f, "extent    {:.4}", self.scene_extent)?;
+        let extent = self.frame.unit * f64::from(self.scene_extent);
+        writeln!(f, "extent    {extent:.*}", digits + 1)?;
+        if !self.frame.is_identity() {
+            let WorldFrame { origin, unit } = self.frame;
+            writeln!(f, "frame     origin {} {} {}, unit {unit}", origin.x, origin.y, origin.z)?;
+        }
         for note in &self.notes {
             writeln!(f, "note      {note}")?;
         }

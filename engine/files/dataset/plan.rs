@@ -3,10 +3,11 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 
 use super::exif_orientation::Turned;
 use super::mask::{mask_in_folder, mask_of};
+use super::own_frame::frame_of;
 use super::planned_view::PlannedView;
 use super::{DatasetOptions, lens_note, photo_folder, scaling};
 use crate::colmap::{self, ColmapImage, Model};
@@ -14,7 +15,7 @@ use crate::images::header;
 use crate::names::{Finder, plain};
 use crate::transforms::{self, Frame, Transforms};
 use ashsplat::scene::lens::Lens;
-use ashsplat::scene::{Camera, Intrinsics, PointCloud};
+use ashsplat::scene::{Camera, Intrinsics, PointCloud, SourcePoints, WorldFrame};
 use ashsplat::{Error, Result};
 
 /// A camera is a stray if its distance from the middle is this many times the median.
@@ -41,6 +42,8 @@ pub(super) struct Plan {
     pub(super) registered: usize,
     /// Whether the data set itself specifies the held-out views.
     pub(super) has_split: bool,
+    /// The frame of views and points.
+    pub(super) frame: WorldFrame,
     pub(super) points: PointCloud,
     /// Number of cameras by "MODEL WIDTHxHEIGHT".
     pub(super) cameras: BTreeMap<String, usize>,
@@ -55,10 +58,19 @@ impl Plan {
     /// Reads the contents of a data set. It looks for the photos, and opens those whose size is not known
     /// otherwise, but does not decode them.
     pub(super) fn of(path: &Path, options: &DatasetOptions) -> Result<Self> {
-        let mut plan = match transforms::find(path) {
-            Some(files) if !colmap::exists(path) => Self::of_transforms(path, &files, options)?,
-            _ => Self::of_model(path, &Model::of_dataset(path)?, options)?,
+        let (mut plan, points) = match transforms::find(path) {
+            Some(files) if !colmap::exists(path) => {
+                let mut transforms = Transforms::read(&files)?;
+                let points = std::mem::take(&mut transforms.points);
+                (Self::of_transforms(path, transforms, options)?, points)
+            }
+            _ => {
+                let mut model = Model::of_dataset(path)?;
+                let points = std::mem::take(&mut model.points);
+                (Self::of_model(path, &model, options)?, points)
+            }
         };
+        plan.settle_frame(options.frame, points);
         plan.warn_of_strays();
         let sizes: Vec<(u32, u32)> =
             plan.views.iter().flatten().map(|view| view.expected_size(options)).collect();
@@ -68,6 +80,14 @@ impl Plan {
         let note = lens_note::line(plan.distorted.as_deref(), &distorted, options.resolution);
         plan.notes.extend(note.or_else(|| scaling::note(&sizes, options.resolution)));
         Ok(plan)
+    }
+
+    /// Chooses the frame, unless it is given, and brings views and points into it.
+    fn settle_frame(&mut self, given: Option<WorldFrame>, points: SourcePoints) {
+        let views: Vec<&PlannedView> = self.views.iter().flatten().collect();
+        self.frame = given.unwrap_or_else(|| frame_of(&views, &points));
+        self.views.iter_mut().flatten().for_each(|view| view.frame = self.frame);
+        self.points = points.in_frame(&self.frame);
     }
 
     /// Warns of cameras that are so far from the others that they must be mistakes.
@@ -100,7 +120,8 @@ impl Plan {
             views: Vec::new(),
             registered: model.images.len(),
             has_split: false,
-            points: model.points.clone(),
+            frame: WorldFrame::default(),
+            points: PointCloud::default(),
             cameras: BTreeMap::new(),
             warnings: model.warnings.clone(),
             notes: Vec::new(),
@@ -139,7 +160,7 @@ impl Plan {
         // COLMAP itself never rotates photos, so there is nothing to warn of if no size shows otherwise.
         let turned = Turned::of(&asked.collect::<Vec<_>>(), options.orientation).photos;
         let mut view = |((image, photo_path), turned): ((&ColmapImage, Result<PathBuf>), bool)| {
-            let camera = model.camera_of(image)?;
+            model.camera_of(image)?;
             let Some(&(lens, Some(pinhole))) = lenses.get(&image.camera_id) else {
                 let problem = format!("camera {}: {NO_PINHOLE}", image.camera_id);
                 return Err(Error::input(model.file("cameras"), problem, NO_PINHOLE_REMEDY));
@@ -154,8 +175,9 @@ impl Plan {
                 name: image.name.clone(),
                 image_id: image.id,
                 camera_id: image.camera_id,
-                camera_from_world: camera.camera_from_world,
-                translation: camera.translation,
+                camera_from_source: image.rotation(),
+                translation: DVec3::from_array(image.translation),
+                frame: WorldFrame::default(),
                 lens,
                 pinhole,
                 photo_path,
@@ -180,8 +202,8 @@ impl Plan {
         Ok(plan)
     }
 
-    fn of_transforms(path: &Path, files: &[PathBuf], options: &DatasetOptions) -> Result<Self> {
-        let Transforms { source, mut frames, has_split, points, warnings } = Transforms::read(files)?;
+    fn of_transforms(path: &Path, transforms: Transforms, options: &DatasetOptions) -> Result<Self> {
+        let Transforms { source, mut frames, has_split, warnings, .. } = transforms;
         frames.sort_by(|a, b| a.name.cmp(&b.name));
         let mut plan = Self {
             list: source.clone(),
@@ -189,7 +211,8 @@ impl Plan {
             views: Vec::new(),
             registered: frames.len(),
             has_split,
-            points,
+            frame: WorldFrame::default(),
+            points: PointCloud::default(),
             cameras: BTreeMap::new(),
             warnings,
             notes: Vec::new(),
@@ -271,7 +294,8 @@ impl Plan {
         let kind = if lens.is_distorted() { "distorted" } else { "PINHOLE" };
         *self.cameras.entry(format!("{kind} {width}x{height}")).or_default() += 1;
         let pinhole = pinhole.ok_or_else(|| problem(format!("the camera {NO_PINHOLE}")))?;
-        let camera = Camera::with_pose(frame.camera_from_world, frame.translation, pinhole);
+        let camera =
+            Camera::with_pose(frame.camera_from_source.as_mat3(), frame.translation.as_vec3(), pinhole);
         if let Some(what) = camera.problem().or_else(|| camera.absurdity()) {
             return Err(problem(what));
         }
@@ -279,8 +303,9 @@ impl Plan {
             name: frame.name.clone(),
             image_id: 0,
             camera_id: 0,
-            camera_from_world: frame.camera_from_world,
+            camera_from_source: frame.camera_from_source,
             translation: frame.translation,
+            frame: WorldFrame::default(),
             lens,
             pinhole,
             photo_path,

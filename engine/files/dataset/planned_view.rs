@@ -2,14 +2,14 @@
 
 use std::path::PathBuf;
 
-use glam::{Mat3, Vec3};
+use glam::{DMat3, DVec3};
 
 use super::mask::Mask;
 use super::used_part::{UsedPart, cut_photo};
 use super::{DatasetOptions, View};
 use crate::images::{Decoded, Photo, PhotoFileFormat, Request, StoredPhoto, header, read_as, undistort};
 use ashsplat::scene::lens::Lens;
-use ashsplat::scene::{Camera, Intrinsics, PicturePart};
+use ashsplat::scene::{Camera, Intrinsics, PicturePart, WorldFrame};
 use ashsplat::{Error, Result};
 
 /// A view whose photo is not loaded yet.
@@ -17,8 +17,11 @@ pub(crate) struct PlannedView {
     pub(crate) name: String,
     pub(super) image_id: u32,
     pub(super) camera_id: u32,
-    pub(super) camera_from_world: Mat3,
-    pub(super) translation: Vec3,
+    /// Rotation and translation from source coordinates to the camera.
+    pub(super) camera_from_source: DMat3,
+    pub(super) translation: DVec3,
+    /// The frame of the cameras that are made of it.
+    pub(super) frame: WorldFrame,
     /// The camera of the photo, with its lens.
     pub(super) lens: Lens,
     /// The pinhole camera that replaces it; the same without distortion.
@@ -40,7 +43,28 @@ pub(crate) struct PlannedView {
 impl PlannedView {
     /// The pinhole camera of the view at the size of its file, as far as the data set specifies it.
     pub(crate) fn camera(&self) -> Camera {
-        Camera::with_pose(self.camera_from_world, self.translation, self.pinhole)
+        self.posed(self.pinhole)
+    }
+
+    /// A camera at the view's place, in world coordinates.
+    fn posed(&self, intrinsics: Intrinsics) -> Camera {
+        let translation = self.frame.translation(self.camera_from_source, self.translation);
+        Camera::with_pose(self.camera_from_source.as_mat3(), translation, intrinsics)
+    }
+
+    /// The camera's centre, source coordinates.
+    pub(super) fn source_position(&self) -> DVec3 {
+        -(self.camera_from_source.transpose() * self.translation)
+    }
+
+    /// Depth of a point in source coordinates, source units; None if the photo does not show its place.
+    pub(super) fn depth_of(&self, point: DVec3) -> Option<f64> {
+        let Intrinsics { fx, fy, cx, cy, width, height } = self.pinhole;
+        let p = self.camera_from_source * point + self.translation;
+        let inside = |pixel: f64, side: u32| (0.0..f64::from(side)).contains(&pixel);
+        let x = f64::from(fx) * p.x / p.z + f64::from(cx);
+        let y = f64::from(fy) * p.y / p.z + f64::from(cy);
+        (p.z > 0.0 && inside(x, width) && inside(y, height)).then_some(p.z)
     }
 
     /// The undistorted and scaled photo, its mask at the file's size, and its camera there.
@@ -76,7 +100,7 @@ impl PlannedView {
             photo = undistort(&photo, &lens, &pinhole).scaled_to(scaled.0, scaled.1)?;
         }
         drop(lease);
-        Ok((photo, mask, Camera::with_pose(self.camera_from_world, self.translation, pinhole)))
+        Ok((photo, mask, self.posed(pinhole)))
     }
 
     /// Lens and pinhole at the size of a photo that was divided by `divisor`, with any rounding of its sides.
@@ -111,8 +135,7 @@ impl PlannedView {
     pub(super) fn used_camera(&self, options: &DatasetOptions) -> Result<Camera> {
         let (_, pinhole) = self.optics_of_file(options.divisor())?;
         let (width, height) = options.resolution.apply(pinhole.width, pinhole.height);
-        let own = Camera::with_pose(self.camera_from_world, self.translation, pinhole);
-        self.part_of(own.scaled_to(width, height))
+        self.part_of(self.posed(pinhole).scaled_to(width, height))
     }
 
     /// The camera of what is used of a picture.

@@ -2,15 +2,15 @@
 
 use std::sync::Arc;
 
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 
 use super::{Gallery, View};
 use crate::colmap::{self, Model};
 use ashsplat::Result;
 use ashsplat::loss::DepthPoint;
 
-/// Positions of points, world units.
-pub(super) type Track = Arc<[[f64; 3]]>;
+/// Positions of points, world.
+pub(super) type Track = Arc<[Vec3]>;
 
 impl Gallery {
     /// Reads which of the model's points each photo shows, so that the views to train on have them
@@ -30,7 +30,7 @@ impl Gallery {
         let of_view = |(view, held_out): (&super::planned_view::PlannedView, &bool)| -> Option<Track> {
             let trained = self.is_trained(*held_out);
             let points = shown.remove(&view.image_id).filter(|points| trained && !points.is_empty())?;
-            Some(points.into())
+            Some(points.into_iter().map(|point| self.frame.world(DVec3::from_array(point))).collect())
         };
         self.tracks = self.views.iter().zip(&self.held_out).map(of_view).collect();
         Ok(self.tracks.iter().flatten().map(|track| track.len()).sum())
@@ -44,13 +44,13 @@ impl Gallery {
 }
 
 /// The points of a track that a view has in its picture, where its mask hides none.
-pub(super) fn depth_points(view: &View, track: &[[f64; 3]]) -> Result<Arc<[DepthPoint]>> {
+pub(super) fn depth_points(view: &View, track: &[Vec3]) -> Result<Arc<[DepthPoint]>> {
     let mask = view.photo.mask()?;
     let (width, height) = (view.photo.width, view.photo.height);
     // Half a pixel within the edges, so that there is something to interpolate between.
     let last = [width, height].map(|side| side as f32 - 1.0);
-    let point = |position: &[f64; 3]| {
-        let (x, y, z) = view.camera.project(Vec3::from_array(position.map(|p| p as f32)));
+    let point = |&position: &Vec3| {
+        let (x, y, z) = view.camera.project(position);
         let position_px = [x - 0.5, y - 0.5];
         let inside = (0..2).all(|axis| position_px[axis] >= 0.0 && position_px[axis] <= last[axis]);
         let inverse_z = 1.0 / z;

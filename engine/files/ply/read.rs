@@ -8,7 +8,7 @@ use super::rows::PlyFile;
 use crate::host_memory;
 use crate::splats::{BLOCK, Format, Header, ReadOptions, Reader, Sink, Source};
 use ashsplat::scene::gaussians::{MAX_SH_DEGREE, sh_coefficients};
-use ashsplat::scene::{Gaussians, PointCloud, WorldFrame, filtered};
+use ashsplat::scene::{Gaussians, SourcePoints, WorldFrame, filtered};
 use ashsplat::{Error, Result};
 use glam::DVec3;
 
@@ -128,21 +128,21 @@ impl Source for GaussianRows<'_> {
 /// # Errors
 /// [`Error::Io`] when the file cannot be read, [`Error::Input`] when it is no PLY file with points, is cut
 /// short or damaged, or has a position that is not finite.
-pub fn read_points(path: impl AsRef<Path>) -> Result<PointCloud> {
+pub fn read_points(path: impl AsRef<Path>) -> Result<SourcePoints> {
     let path = path.as_ref();
     let mut file = PlyFile::open(path)?;
     let element = file.seek_element("vertex")?;
     let coloured = ["red", "green", "blue"].iter().all(|name| element.has(name));
     let names = if coloured { &["x", "y", "z", "red", "green", "blue"][..] } else { &["x", "y", "z"] };
     let names: Vec<String> = names.iter().map(|name| name.to_string()).collect();
-    host_memory::check_free(path, element.count.saturating_mul(15))?;
-    let mut points = PointCloud::default();
+    host_memory::check_free(path, element.count.saturating_mul(27))?;
+    let mut points = SourcePoints::default();
     points.positions.reserve(capacity(&element));
     points.colors.reserve(capacity(&element));
     let mut bad = None;
     file.for_each_row(&element, &names, |index, row| {
-        let position = [row[0], row[1], row[2]].map(|v| v as f32);
-        if position.iter().any(|v| !v.is_finite()) {
+        let position = DVec3::new(row[0], row[1], row[2]);
+        if !position.as_vec3().is_finite() {
             bad.get_or_insert(index);
         }
         points.positions.push(position);

@@ -3,7 +3,7 @@
 use std::cell::RefCell;
 use std::path::{Path, PathBuf};
 
-use glam::{DMat3, DVec3, Mat3, Vec3, dvec2};
+use glam::{DMat3, DVec3, dvec2};
 use serde_json::Value;
 
 use super::below;
@@ -28,10 +28,10 @@ pub struct Frame {
     pub photo_path: PathBuf,
     /// The photo's mask (`mask_path`), if the file names one.
     pub mask_path: Option<PathBuf>,
-    /// Rotation from world to camera (x right, y down, z forward).
-    pub camera_from_world: Mat3,
-    /// Translation from world to camera, world units.
-    pub translation: Vec3,
+    /// Rotation from the file's coordinates to the camera's axes (x right, y down, z forward).
+    pub camera_from_source: DMat3,
+    /// Translation from the file's coordinates to the camera.
+    pub translation: DVec3,
     /// The frame's intrinsics.
     pub optics: Optics,
     /// Whether the frame is held out.
@@ -170,10 +170,10 @@ impl Reader<'_> {
             }
             None => None,
         };
-        let (camera_from_world, translation) = self.pose()?;
+        let (camera_from_source, translation) = self.pose()?;
         let optics = self.optics()?;
         let frame =
-            Frame { name, photo_path, mask_path, camera_from_world, translation, optics, test: false };
+            Frame { name, photo_path, mask_path, camera_from_source, translation, optics, test: false };
         Ok((frame, led_out))
     }
 
@@ -224,7 +224,7 @@ impl Reader<'_> {
         Ok((name, path, led_out))
     }
 
-    fn pose(&self) -> Result<(Mat3, Vec3)> {
+    fn pose(&self) -> Result<(DMat3, DVec3)> {
         let value = &self.frame["transform_matrix"];
         if value.is_null() {
             return Err(self.error("has no transform_matrix"));
@@ -243,10 +243,9 @@ impl Reader<'_> {
             return Err(self.error("transform_matrix is no rotation with a translation"));
         }
         // From y up, z backward to y down, z forward.
-        let camera_from_world = DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0)) * rotation.transpose();
+        let camera_from_source = DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0)) * rotation.transpose();
         // As in COLMAP's files: the same camera in either layout has the same bits.
-        let translation = -(camera_from_world * column(3));
-        Ok((camera_from_world.as_mat3(), translation.as_vec3()))
+        Ok((camera_from_source, -(camera_from_source * column(3))))
     }
 
     /// A number of the frame, or otherwise of the file. Other types are errors.

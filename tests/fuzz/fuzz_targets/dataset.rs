@@ -2,6 +2,7 @@
 //! depth_params.json.
 #![no_main]
 
+use ashsplat::scene::WorldFrame;
 use ashsplat_files::depth_fit::DepthFit;
 use ashsplat_files::lens_json::LensFile;
 use ashsplat_files::transforms::{self, Transforms};
@@ -54,7 +55,7 @@ fuzz_target!(init: seeds(), |data: &[u8]| {
     within(bytes.len(), |bound| {
         let options = DatasetOptions { host_memory: HostMemory::new(bound), ..DatasetOptions::default() };
         match name {
-            "cameras.json" => drop(in_one_line(cameras_json::read(&path))),
+            "cameras.json" => drop(in_one_line(cameras_json::read(&path, &WorldFrame::default()))),
             "exposure.json" => {
                 if let Some(all) = in_one_line(exposure_json::read(&path)) {
                     exposure_json::write(&path, all.iter().map(|(name, e)| (&**name, e))).expect("written");

@@ -4,7 +4,7 @@ use super::schema::Workload;
 use super::synthetic;
 use crate::args::HostArguments;
 use ashsplat::scene::gaussians::sh_coefficients;
-use ashsplat::scene::{Camera, Gaussians, Intrinsics, Orbit};
+use ashsplat::scene::{Camera, Gaussians, Intrinsics, Orbit, WorldFrame};
 use ashsplat::{Error, RenderSettings, Result, TrainView};
 use ashsplat_files::cameras_json;
 use ashsplat_files::{Dataset, DatasetOptions, Progress, splats};
@@ -217,7 +217,7 @@ fn named_camera(place: &str) -> Result<Camera> {
         }
         _ => (place, 0),
     };
-    let cameras = cameras_json::read(file)?;
+    let cameras = cameras_json::read(file, &WorldFrame::default())?;
     let found = cameras.get(index).map(|named| named.camera);
     found.ok_or_else(|| Error::input(file, format!("has {} cameras, not number {index}", cameras.len()), ""))
 }

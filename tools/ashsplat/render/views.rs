@@ -6,7 +6,7 @@ use crate::film_file::Container;
 use crate::model::{Model, POINT_CLOUDS};
 use crate::session;
 use ashsplat::kernels::constants::NEAR_PLANE;
-use ashsplat::scene::{Camera, Gaussians, Intrinsics, Motion, Orbit, tour};
+use ashsplat::scene::{Camera, Gaussians, Intrinsics, Motion, Orbit, WorldFrame, tour};
 use ashsplat::{Error, Result};
 use ashsplat_files::cameras_json::{self, NamedCamera};
 use clap::{Args, ValueEnum};
@@ -119,9 +119,9 @@ impl Arguments {
             return self.around(count, own.as_deref(), gaussians, film);
         }
         let mut cameras = match (&self.source_path, &self.path, own) {
-            (Some(dataset), _, _) => session::cameras(dataset)?,
+            (Some(dataset), _, _) => session::cameras(dataset, &WorldFrame::default())?,
             (None, Some(path), _) => self.along(path)?,
-            (None, None, Some(path)) => cameras_json::read(path)?,
+            (None, None, Some(path)) => cameras_json::read(path, &WorldFrame::default())?,
             (None, None, None) => {
                 return Err(Error::input(
                     &model.ply,
@@ -164,7 +164,7 @@ impl Arguments {
 
     /// The views of a file, or those between them.
     fn along(&self, path: &Path) -> Result<Vec<NamedCamera>> {
-        let mut keys = cameras_json::read(path)?;
+        let mut keys = cameras_json::read(path, &WorldFrame::default())?;
         let Some(count) = self.frames else { return Ok(keys) };
         // Training lists what it holds out first; names tell how the photographs follow each other.
         if is_of_model(path) {
@@ -194,7 +194,7 @@ impl Arguments {
         let seen: Vec<Camera> = match own {
             // What an orbit shows is an angle, which others have none of.
             Some(path) => {
-                let all = cameras_json::read(path)?;
+                let all = cameras_json::read(path, &WorldFrame::default())?;
                 all.iter().map(|named| named.camera).filter(|camera| !camera.is_orthographic()).collect()
             }
             None => Vec::new(),

@@ -8,7 +8,7 @@ use crate::blocks::rounds::ROUND_FILE;
 use crate::config::{CAMERAS_FILE, CFG_ARGS_FILE, SETTINGS_FILE, Settings};
 use crate::lock::{self, FolderLock, Work};
 use crate::{eval, model, output};
-use ashsplat::scene::{Camera, PointCloud};
+use ashsplat::scene::{Camera, PointCloud, WorldFrame};
 use ashsplat::{Error, Result};
 use ashsplat_files::exposure_json::EXPOSURE_FILE;
 use ashsplat_files::lens_json::LENS_FILE;
@@ -48,7 +48,7 @@ pub fn trainer(folder: &Path) -> Option<String> {
 pub fn begin(
     settings: &Settings,
     held: Option<FolderLock>,
-    cameras: &[(String, Camera)],
+    (cameras, frame): (&[(String, Camera)], &WorldFrame),
     points: Option<&PointCloud>,
     goes_on: bool,
 ) -> Result<FolderLock> {
@@ -63,7 +63,7 @@ pub fn begin(
     output::write_text(&folder.join(SETTINGS_FILE), &settings.to_toml()?)?;
     output::write_text(&folder.join(CFG_ARGS_FILE), &settings.to_cfg_args())?;
     let named = cameras.iter().map(|(name, camera)| (name.as_str(), camera));
-    cameras_json::write(folder.join(CAMERAS_FILE), named)?;
+    cameras_json::write(folder.join(CAMERAS_FILE), named, frame)?;
     points.map_or(Ok(()), |points| ply::write_points(folder.join(INPUT_FILE), points))?;
     Ok(lock)
 }

@@ -95,6 +95,7 @@ impl Run {
         cameras_json::write(
             folder.join(CAMERAS_FILE),
             cameras.iter().map(|named| (named.name.as_str(), &named.camera)),
+            &self.frame,
         )?;
         let poses: Map<_, _> = (self.trained.iter().zip(&changes))
             .map(|(name, change)| (name.clone(), json!(change.to_array())))

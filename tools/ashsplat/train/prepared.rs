@@ -4,7 +4,7 @@ use super::origin::Origin;
 use crate::config::Settings;
 use ashsplat::Result;
 use ashsplat::plan::to_u32;
-use ashsplat::scene::Camera;
+use ashsplat::scene::{Camera, WorldFrame};
 use ashsplat::trainer::{Forecast, TrainView};
 use ashsplat::vk::Context;
 use ashsplat_files::images::existing_folder;
@@ -36,6 +36,8 @@ pub struct Views {
     pub test: Vec<View>,
     /// As they were given, held-out ones first.
     pub cameras: Vec<(String, Camera)>,
+    /// That of the cameras.
+    pub frame: WorldFrame,
     /// By the names of the photos, the ids of the cameras that took them.
     pub takers: BTreeMap<String, u32>,
     /// Whether `test` was held out, or is a sample of the training views.
@@ -44,7 +46,7 @@ pub struct Views {
 
 impl Prepared {
     pub fn new(dataset: Dataset, settings: &Settings) -> Prepared {
-        let Dataset { train, test, scene_extent, .. } = dataset;
+        let Dataset { frame, train, test, scene_extent, .. } = dataset;
         let scene_extent = settings.data.extent(scene_extent);
         let own = |view: &View| (view.name.clone(), view.original_camera);
         // A view may be trained on and held out, each for one half.
@@ -56,7 +58,7 @@ impl Prepared {
         let held_out = !test.is_empty();
         let test = if held_out { test } else { sample(&train) };
         let train = train.into_iter().map(train_view).collect();
-        let views = Views { trained, test, cameras, takers, held_out };
+        let views = Views { trained, test, cameras, frame, takers, held_out };
         Prepared { data: Data { train, scene_extent }, views }
     }
 }

@@ -5,7 +5,7 @@ pub mod assembly;
 use super::draw::{self, Painter};
 use super::protocol::{CameraMessage, FilmRequest};
 use crate::output;
-use ashsplat::scene::{Camera, Intrinsics, tour};
+use ashsplat::scene::{Camera, Intrinsics, WorldFrame, tour};
 use ashsplat::{Error, RenderSettings, Result};
 use ashsplat_files::cameras_json;
 use assembly::Assembly;
@@ -39,7 +39,9 @@ impl Film {
         let name = film_name((1..).find(|number| !taken(number)).unwrap_or_default());
         let names: Vec<String> = (0..cameras.len()).map(|index| format!("{index:05}")).collect();
         let named = names.iter().map(String::as_str).zip(&cameras);
-        output::in_folder(&folder.join(Film::path_name(&name)), |path| cameras_json::write(path, named))?;
+        output::in_folder(&folder.join(Film::path_name(&name)), |path| {
+            cameras_json::write(path, named, &WorldFrame::default())
+        })?;
         Ok(Film { client, name, folder: folder.to_owned(), cameras, request, done: 0 })
     }
 

@@ -11,7 +11,7 @@ use crate::model::Model;
 use crate::progress::thousands;
 use crate::render::{self, LookArguments, gaussians_of, tree_of};
 use crate::{model, session};
-use ashsplat::scene::{Bounds, Camera, Gaussians, Intrinsics, Orbit};
+use ashsplat::scene::{Bounds, Camera, Gaussians, Intrinsics, Orbit, WorldFrame};
 use ashsplat::{Error, RenderSettings, Result};
 use ashsplat_files::cameras_json::{self, NamedCamera};
 use ashsplat_files::quoted;
@@ -321,7 +321,7 @@ fn run_name() -> String {
 
 /// The pinholes of a model's cameras; the viewer shows no others.
 fn pinholes(file: &Path) -> Result<Vec<NamedCamera>> {
-    let mut cameras = cameras_json::read(file)?;
+    let mut cameras = cameras_json::read(file, &WorldFrame::default())?;
     let all = cameras.len();
     cameras.retain(|named| !named.camera.is_orthographic());
     if cameras.len() < all {
