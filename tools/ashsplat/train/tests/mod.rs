@@ -18,6 +18,7 @@ pub(super) fn dataset(scene_extent: f32) -> Dataset {
     let (name, original_camera) = ("a.png".into(), camera);
     let positions = vec![[0.0; 3], [0.2, 0.0, 0.0], [0.0, 0.2, 0.0], [0.2; 3]];
     Dataset {
+        frame: WorldFrame::default(),
         train: vec![View {
             name,
             image_id: 1,
