@@ -1,12 +1,12 @@
 //! `cameras.json`, the list of cameras that the reference implementation writes next to a model.
 
-use std::fs;
 use std::path::Path;
 
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 
-use super::{atomic, cost, host_memory};
+use super::regular_file::{self, TEXT_GROWTH};
+use super::{atomic, cost};
 use ashsplat::scene::{Camera, Intrinsics, WorldFrame};
 use ashsplat::{Error, Result};
 
@@ -116,8 +116,7 @@ pub fn write<'a>(
 /// [`Error::Io`] when the file cannot be read, [`Error::Input`] when it is no such list or a camera is unusable.
 pub fn read(path: impl AsRef<Path>, frame: &WorldFrame) -> Result<Vec<NamedCamera>> {
     let path = path.as_ref();
-    host_memory::check_text_file(path)?;
-    let text = fs::read(path).map_err(|source| Error::io(path, "read", source))?;
+    let text = regular_file::read(path, TEXT_GROWTH)?;
     let entries: Vec<Entry> = serde_json::from_slice(&text).map_err(|e| {
         Error::input(
             path,

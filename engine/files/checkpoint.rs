@@ -1,7 +1,7 @@
 //! The checkpoint's file: safetensors, written whole or not at all.
 
 use crate::host_memory::HostMemory;
-use crate::{atomic, cost};
+use crate::{atomic, cost, regular_file};
 use ashsplat::fingerprint::Fingerprint;
 use ashsplat::scene::Gaussians;
 use ashsplat::scene::gaussians::sh_coefficients;
@@ -97,10 +97,8 @@ impl CheckpointFile for Checkpoint {
 
     fn read_within(path: impl AsRef<Path>, memory: &HostMemory) -> Result<Self> {
         let path = path.as_ref();
-        let file_bytes = std::fs::metadata(path).map_err(|e| Error::io(path, "read", e))?.len();
         // The file, and what it becomes.
-        let _lease = memory.take(path, file_bytes.saturating_mul(2))?;
-        let bytes = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
+        let (bytes, _lease) = regular_file::read_within(path, 2, memory)?;
         parse(&bytes).map_err(|problem| {
             let remedy = "start from another checkpoint, or anew";
             Error::input(path, problem, remedy)

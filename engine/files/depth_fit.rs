@@ -2,13 +2,13 @@
 //! reference implementation's `make_depth_scale.py` does.
 
 use std::collections::BTreeMap;
-use std::fs;
 use std::path::Path;
 
 use serde::Deserialize;
 
+use super::cost;
 use super::images::DepthMap;
-use super::{cost, host_memory};
+use super::regular_file::{self, TEXT_GROWTH};
 use ashsplat::{Error, Result};
 
 /// Name of the file with the parameters, beside a COLMAP model.
@@ -90,8 +90,7 @@ impl DepthFit {
     /// finite, also as the 32-bit number that the device takes.
     pub fn read_all(path: impl AsRef<Path>) -> Result<BTreeMap<String, Self>> {
         let path = path.as_ref();
-        host_memory::check_text_file(path)?;
-        let text = fs::read(path).map_err(|source| Error::io(path, "read", source))?;
+        let text = regular_file::read(path, TEXT_GROWTH)?;
         let remedy =
             "expected {\"photo\": {\"scale\": 1.5, \"offset\": 0.1}, …}; without the file, they are fitted";
         let fits: BTreeMap<String, Self> = serde_json::from_slice(&text)

@@ -2,10 +2,10 @@
 //! object from each photograph's name to three rows of four numbers.
 
 use std::collections::BTreeMap;
-use std::fs;
 use std::path::Path;
 
-use super::{atomic, cost, host_memory};
+use super::regular_file::{self, TEXT_GROWTH};
+use super::{atomic, cost};
 use ashsplat::scene::Exposure;
 use ashsplat::{Error, Result};
 
@@ -32,8 +32,7 @@ pub fn write<'a>(
 /// finite.
 pub fn read(path: impl AsRef<Path>) -> Result<BTreeMap<String, Exposure>> {
     let path = path.as_ref();
-    host_memory::check_text_file(path)?;
-    let text = fs::read(path).map_err(|source| Error::io(path, "read", source))?;
+    let text = regular_file::read(path, TEXT_GROWTH)?;
     let remedy = "expected {\"photo.jpg\": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]], …}";
     let rows: BTreeMap<String, [[f32; 4]; 3]> = serde_json::from_slice(&text)
         .map_err(|e| Error::input(path, format!("is not a list of exposures: {e}"), remedy))?;

@@ -1,9 +1,9 @@
 //! Hashes of files, which tell whether one is still what it was.
 
-use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
+use super::regular_file;
 use ashsplat::fingerprint::Fingerprint;
 use ashsplat::{Error, Result};
 
@@ -18,7 +18,8 @@ const PIECE: usize = 1 << 20;
 pub fn file_hash(path: impl AsRef<Path>) -> Result<String> {
     let path = path.as_ref();
     let io = |source| Error::io(path, "read", source);
-    let mut file = File::open(path).map_err(io)?;
+    let (file, length) = regular_file::open(path)?;
+    let mut file = file.take(length);
     let mut print = Fingerprint::new();
     let mut piece = Vec::with_capacity(PIECE);
     loop {

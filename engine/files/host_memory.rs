@@ -106,20 +106,6 @@ pub(crate) fn check_writing(path: &Path, bytes: u64) -> Result<()> {
     free.keep(&|| format!("{}: writing it", path.display()), bytes).map(drop)
 }
 
-/// Refuses a text (also JSON) of this size that the machine has too little memory for: for itself, and for what becomes of
-/// it.
-pub(crate) fn check_text(path: &Path, bytes: u64) -> Result<()> {
-    /// Bytes that one of a text becomes: words become strings, and numbers of two digits eight bytes.
-    const GROWTH: u64 = 6;
-    check_free(path, bytes.saturating_mul(GROWTH))
-}
-
-/// As [`check_text`], of a file by its path.
-pub(crate) fn check_text_file(path: &Path) -> Result<()> {
-    let metadata = std::fs::metadata(path).map_err(|source| Error::io(path, "read", source))?;
-    check_text(path, metadata.len())
-}
-
 /// An empty vector with room for so many bytes.
 ///
 /// # Errors

@@ -1,10 +1,10 @@
 //! `lens.json`, what a training has learned of its cameras: vignetting and response, and which camera took which photograph.
 
 use std::collections::BTreeMap;
-use std::fs;
 use std::path::Path;
 
-use super::{atomic, cost, host_memory};
+use super::regular_file::{self, TEXT_GROWTH};
+use super::{atomic, cost};
 use ashsplat::scene::LensEffects;
 use ashsplat::{Error, Result};
 use serde::{Deserialize, Serialize};
@@ -68,8 +68,7 @@ impl LensFile {
     /// has, or a photograph of a camera that it lacks.
     pub fn read(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref();
-        host_memory::check_text_file(path)?;
-        let text = fs::read(path).map_err(|source| Error::io(path, "read", source))?;
+        let text = regular_file::read(path, TEXT_GROWTH)?;
         let remedy = "expected {\"cameras\": {\"1\": {\"vignetting\": [[0, 0, 0], [0, 0, 0], [0, 0, 0]], \"response\": [1, 1, 1]}}, \
                       \"photos\": {\"photo.jpg\": 1}}";
         let problem = |problem: String| Error::input(path, problem, remedy);

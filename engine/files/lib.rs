@@ -24,6 +24,7 @@ mod names;
 pub mod photo_points;
 pub mod ply;
 mod progress;
+pub mod regular_file;
 mod sniff;
 pub mod splats;
 pub mod tiles;

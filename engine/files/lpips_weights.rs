@@ -3,8 +3,8 @@
 
 use std::path::Path;
 
-use crate::cost;
 use crate::host_memory::HostMemory;
+use crate::{cost, regular_file};
 use ashsplat::lpips::{Layer, Network, Weights};
 use ashsplat::{Error, Result};
 use safetensors::{Dtype, SafeTensors};
@@ -35,10 +35,8 @@ pub trait WeightsFile: Sized {
 impl WeightsFile for Weights {
     fn read(path: impl AsRef<Path>, memory: &HostMemory) -> Result<Self> {
         let path = path.as_ref();
-        let file_bytes = std::fs::metadata(path).map_err(|e| Error::io(path, "read", e))?.len();
         // The file, and what it becomes.
-        let _lease = memory.take(path, file_bytes.saturating_mul(2))?;
-        let bytes = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
+        let (bytes, _lease) = regular_file::read_within(path, 2, memory)?;
         parse(&bytes).map_err(|problem| Error::input(path, problem, REMEDY))
     }
 }

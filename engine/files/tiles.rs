@@ -4,14 +4,14 @@ mod document;
 mod tree;
 
 use std::fs::{self, File};
-use std::io::{Read, Write};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use glam::{DVec3, Vec3};
 
-use crate::Progress;
 use crate::decimate::{covariance_of, decimate};
 use crate::splats::{self, Format, OriginSample, ReadOptions, WriteOptions};
+use crate::{Progress, regular_file};
 use ashsplat::scene::gaussians::sh_coefficients;
 use ashsplat::scene::{Bounds, Cells, Gaussians, Similarity, WorldFrame};
 use ashsplat::{Error, Result};
@@ -212,9 +212,8 @@ impl Spill {
     /// A cell's rows, in the order of the scene; they are gone from the disk then.
     fn take(&self, cell: usize) -> Result<Gaussians> {
         let path = self.path(cell);
-        let mut bytes = Vec::new();
-        let read = File::open(&path).and_then(|mut file| file.read_to_end(&mut bytes));
-        read.and_then(|_| fs::remove_file(&path)).map_err(|e| Error::io(&path, "read", e))?;
+        let bytes = regular_file::read(&path, 3)?;
+        fs::remove_file(&path).map_err(|e| Error::io(&path, "remove", e))?;
         let floats: Vec<f32> = bytemuck::pod_collect_to_vec(&bytes);
         let width = 11 + 3 * sh_coefficients(self.sh_degree);
         let mut all = Gaussians::with_capacity(self.sh_degree, floats.len() / width);

@@ -13,7 +13,8 @@ use glam::{DAffine3, DMat3, DVec3};
 use serde_json::Value;
 
 use super::names::{ending, plain, stays_inside};
-use super::{host_memory, ply};
+use super::ply;
+use super::regular_file::{self, TEXT_GROWTH};
 use ashsplat::scene::SourcePoints;
 use ashsplat::{Error, Result};
 
@@ -107,8 +108,7 @@ impl Transforms {
 
 /// The JSON of a file, without a byte order mark.
 fn parse(path: &Path) -> Result<Value> {
-    host_memory::check_text_file(path)?;
-    let bytes = std::fs::read(path).map_err(|source| Error::io(path, "read", source))?;
+    let bytes = regular_file::read(path, TEXT_GROWTH)?;
     let text = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&bytes);
     if text.trim_ascii().is_empty() {
         return Err(Error::input(path, "is empty", "download or copy it again"));

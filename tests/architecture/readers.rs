@@ -1,4 +1,4 @@
-//! What files and pages say must not decide how deep the stack or how long a queue grows.
+//! What files and pages say must not decide how deep the stack or how long a queue grows, nor how long a reader waits.
 
 use super::{Source, assert_none, code_lines, has_word, sources};
 
@@ -127,5 +127,47 @@ fn architecture_channels_are_bounded() {
     assert_none(
         "a queue that nobody empties must not grow: give channels a bound",
         sources.iter().flat_map(unbounded_channels).collect(),
+    );
+}
+
+/// Ways to open a file that neither ask what it is nor how long.
+const UNCHECKED: [&str; 7] = [
+    "File::open",
+    "fs::read",
+    "fs::read_to_string",
+    "fs::copy",
+    "image::open",
+    "ImageReader::open",
+    ".read(true)",
+];
+
+/// Where they are used nevertheless.
+const MAY_OPEN: [(&str, &str); 6] = [
+    ("engine/files/regular_file.rs", "asks both"),
+    ("engine/files/atomic.rs", "opens a folder, to synchronise it"),
+    ("engine/files/host_memory.rs", "files of /proc and /sys"),
+    ("tools/ashsplat/cpu_time.rs", "files of /proc"),
+    ("tools/ashsplat/bench/machine.rs", "files of /proc"),
+    ("tools/ashsplat/lock.rs", "opens its lock for reading and writing, which waits for nobody"),
+];
+
+fn unchecked_opening(source: &Source) -> Vec<String> {
+    if MAY_OPEN.iter().any(|(path, _)| *path == source.path) || source.path.contains("/tests/") {
+        return Vec::new();
+    }
+    let opens = |line: &str| UNCHECKED.iter().any(|call| has_word(line, call));
+    let lines = code_lines(&source.text).filter(|(_, line)| opens(line));
+    lines.map(|(number, line)| format!("{}:{number}: {}", source.path, line.trim())).collect()
+}
+
+#[test]
+fn architecture_files_are_opened_in_one_way() {
+    let example = |text: &str| unchecked_opening(&Source { path: "a.rs".into(), text: text.into() }).len();
+    assert_eq!(example("std::fs::read(path)?;\nFile::open(path)?;\nfs::read_to_string(path)?;\n"), 3);
+    assert_eq!(example("fs::read_dir(path)?;\nPlyFile::open(path)?;\nregular_file::open(path)?;\n"), 0);
+    let sources = sources(&["engine/files", "tools/ashsplat", "tools/capi"], &["rs"]);
+    assert_none(
+        "regular_file::open refuses pipes and devices: readers use it",
+        sources.iter().flat_map(unchecked_opening).collect(),
     );
 }

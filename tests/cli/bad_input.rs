@@ -183,6 +183,48 @@ fn ply_is_an_lfs_pointer() {
     assert!(!out.exists());
 }
 
+/// A pipe would be waited for, and a device read without end.
+#[cfg(unix)]
+#[test]
+fn pipes_and_devices_are_no_files() {
+    let place = Place::new();
+    let at = |name: &str| place.folder.path().join(name);
+    let (data, out, scene, pipe) = (place.data(), place.out(), at("scene.ply"), at("pipe"));
+    let gaussians = ashsplat_files::initial_gaussians(&wall_points(), 0).expect("Gaussians");
+    ashsplat_files::splats::write(&scene, &gaussians, &Default::default()).expect("written");
+    let make_pipe = |path: &Path| nix::unistd::mkfifo(path, nix::sys::stat::Mode::S_IRWXU).expect("a pipe");
+    let refuse = |arguments: &[&str], words: &[&str]| {
+        let mut limited = std::process::Command::new("timeout");
+        assert_refused(&finish(limited.arg("20").arg(program().get_program()).args(arguments)), words);
+    };
+    make_pipe(&pipe);
+    let (data, out, scene) = (text(&data), text(&out), text(&scene));
+    for file in [text(&pipe), "/dev/zero"] {
+        let job = format!("{file}:1");
+        let commands: [&[&str]; 12] = [
+            &["info", file],
+            &["convert", file, out],
+            &["view", file],
+            &["render", scene, "--path", file, "-o", out],
+            &["inspect", scene, "--pixel", "1,1", "--path", file],
+            &["train", "-s", data, "-m", out, "--config", file],
+            &["train", "-s", data, "-m", out, "--start-checkpoint", file],
+            &["train", "--job", &job],
+            &["blocks", file],
+            &["exchange", file],
+            &["merge", file, "-o", out],
+            &["eval", scene, "-s", data, "--lpips-weights", file],
+        ];
+        for arguments in commands {
+            refuse(arguments, &[file, "is not a file but a device or a pipe"]);
+        }
+    }
+    let photo = at("data/images/04.png");
+    std::fs::remove_file(&photo).expect("removed");
+    make_pipe(&photo);
+    refuse(&["train", "-s", data, "-m", out, "--quiet"], &["04.png", "missing"]);
+}
+
 #[test]
 fn parameters_that_are_not_finite() {
     let folder = tempdir().expect("a temporary folder");

@@ -11,6 +11,7 @@ use ashsplat::scene::{Bounds, Cells};
 use ashsplat::{Error, Result};
 use ashsplat_files::Gallery;
 use ashsplat_files::cameras_json::NamedCamera;
+use ashsplat_files::regular_file::{self, JSON_VALUE_GROWTH};
 use glam::Vec3;
 use parts::Part;
 use serde::{Deserialize, Serialize};
@@ -137,7 +138,7 @@ impl BlocksFile {
     /// Reads and checks it.
     pub fn read(path: &Path) -> Result<BlocksFile> {
         let refuse = |problem: String| Error::input(path, problem, REMEDY);
-        let bytes = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
+        let bytes = regular_file::read(path, JSON_VALUE_GROWTH)?;
         let no_json = |e: serde_json::Error| refuse(format!("is no list of blocks: {e}"));
         let value: Value = serde_json::from_slice(&bytes).map_err(no_json)?;
         match value.get("version").and_then(Value::as_u64) {

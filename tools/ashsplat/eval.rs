@@ -19,6 +19,7 @@ use ashsplat::{Alignment, Camera, Error, Frame, RenderSettings, Renderer, Result
 use ashsplat_files::cameras_json::{self, NamedCamera};
 use ashsplat_files::exposure_json::{self, EXPOSURE_FILE};
 use ashsplat_files::metrics;
+use ashsplat_files::regular_file::{self, JSON_VALUE_GROWTH};
 use ashsplat_files::{Gallery, Photo, View};
 use clap::Args;
 use serde_json::{Map, Value, json};
@@ -300,11 +301,11 @@ pub fn write_results(folder: &Path, iteration: u32, evaluation: &Evaluation) -> 
     let key = format!("ours_{iteration}");
     for (file, entry) in [(RESULTS_FILE, evaluation.summary()), (PER_VIEW_FILE, evaluation.per_view())] {
         let path = folder.join(file);
-        let mut results = match std::fs::read_to_string(&path) {
-            Ok(text) => serde_json::from_str::<Map<String, Value>>(&text)
+        let mut results = match regular_file::read(&path, JSON_VALUE_GROWTH) {
+            Ok(text) => serde_json::from_slice::<Map<String, Value>>(&text)
                 .map_err(|e| Error::input(&path, e.to_string(), "remove the file and run again"))?,
-            Err(e) if e.kind() == std::io::ErrorKind::NotFound => Map::new(),
-            Err(e) => return Err(Error::io(&path, "read", e)),
+            Err(Error::Io { source, .. }) if source.kind() == std::io::ErrorKind::NotFound => Map::new(),
+            Err(error) => return Err(error),
         };
         results.insert(key.clone(), entry);
         output::write_json(&path, &results)?;

@@ -5,7 +5,7 @@
 
 use crate::session;
 use ashsplat::{Error, Result};
-use ashsplat_files::atomic;
+use ashsplat_files::{atomic, regular_file};
 use std::fs::{self, File};
 use std::io::{ErrorKind, Read, Write};
 use std::path::{Path, PathBuf};
@@ -143,7 +143,7 @@ enum Try {
 
 /// Who holds a folder, in words; None where nobody does, and where that cannot be told.
 pub fn holder(folder: &Path, work: &Work) -> Option<String> {
-    let file = File::open(folder.join(work.file)).ok()?;
+    let (file, _) = regular_file::open(folder.join(work.file)).ok()?;
     match try_lock(&file) {
         Locked::Yes | Locked::Unknown => None,
         Locked::No => Some(name_in(file)),
@@ -151,9 +151,9 @@ pub fn holder(folder: &Path, work: &Work) -> Option<String> {
 }
 
 /// What a holder has written of itself. It only makes messages better.
-fn name_in(mut file: File) -> String {
+fn name_in(file: File) -> String {
     let mut name = String::new();
-    file.read_to_string(&mut name).ok();
+    file.take(1024).read_to_string(&mut name).ok();
     name.trim().to_owned()
 }
 

@@ -2,14 +2,13 @@
 
 use ashsplat::scene::{linear_from_premultiplied, linear_from_srgb};
 use ashsplat::{Error, Frame, RenderSettings, Result};
-use ashsplat_files::{Photo, PhotoFileFormat, atomic};
+use ashsplat_files::{Photo, PhotoFileFormat, atomic, regular_file};
 use clap::ValueEnum;
 use exr::prelude::{
     AnyChannel, AnyChannels, Encoding, FlatSamples, Image, LineOrder, SmallVec, WritableImage,
 };
 use serde::Serialize;
-use std::fs::File;
-use std::io::{Cursor, ErrorKind, Read, Write};
+use std::io::{Cursor, ErrorKind, Write};
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
@@ -126,12 +125,9 @@ fn write_whole(path: &Path, fill: impl FnOnce(&mut dyn Write) -> std::io::Result
     in_folder(path, |path| atomic::write(path, fill))
 }
 
-/// The text of a note of ours, if there is one. What is no file is not opened: a pipe would be waited for.
+/// The text of a note of ours, if there is one.
 pub fn read_note(path: &Path) -> Option<String> {
-    let mut text = String::new();
-    let file = path.is_file().then(|| File::open(path).ok())??;
-    file.take(1024).read_to_string(&mut text).ok()?;
-    Some(text)
+    String::from_utf8(regular_file::read_at_most(path, 1024).ok()??).ok()
 }
 
 /// The names in a folder; none if it cannot be read.

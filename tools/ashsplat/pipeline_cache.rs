@@ -1,7 +1,7 @@
 //! The driver's compiled kernels, kept between runs of the program.
 
 use ashsplat::vk::{PipelineCacheKey, PipelineCacheStore};
-use ashsplat_files::atomic;
+use ashsplat_files::{atomic, regular_file};
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -28,9 +28,8 @@ pub fn kept() -> Option<Arc<dyn PipelineCacheStore>> {
 /// A file that cannot be read or written stops no run: kernels are compiled anew then.
 impl PipelineCacheStore for Folder {
     fn load(&self, key: &PipelineCacheKey) -> Vec<u8> {
-        let file = self.0.join(key.to_string());
-        let small = std::fs::metadata(&file).is_ok_and(|metadata| metadata.len() <= MOST_BYTES);
-        if small { std::fs::read(&file).unwrap_or_default() } else { Vec::new() }
+        let data = regular_file::read_at_most(self.0.join(key.to_string()), MOST_BYTES);
+        data.ok().flatten().unwrap_or_default()
     }
 
     fn save(&self, key: &PipelineCacheKey, data: &[u8]) {

@@ -8,7 +8,7 @@ use std::path::Path;
 use glam::DVec3;
 
 use super::types::{CameraModel, ColmapCamera, ColmapImage, Observed};
-use crate::{cost, host_memory, sniff};
+use crate::{cost, host_memory, regular_file, sniff};
 use ashsplat::scene::SourcePoints;
 use ashsplat::{Error, Result};
 
@@ -127,9 +127,9 @@ pub(super) fn points(path: &Path) -> Result<SourcePoints> {
 /// The count that a file starts with; 0 when it cannot be read.
 pub(super) fn claimed_count(path: &Path) -> u64 {
     let mut bytes = [0; 8];
-    match File::open(path).and_then(|mut file| file.read_exact(&mut bytes)) {
-        Ok(()) => u64::from_le_bytes(bytes),
-        Err(_) => 0,
+    match regular_file::open(path).map(|(mut file, _)| file.read_exact(&mut bytes)) {
+        Ok(Ok(())) => u64::from_le_bytes(bytes),
+        _ => 0,
     }
 }
 
@@ -146,8 +146,7 @@ struct BinaryFile<'a> {
 impl<'a> BinaryFile<'a> {
     fn open(path: &'a Path) -> Result<Self> {
         let io = |source| Error::io(path, "read", source);
-        let file = File::open(path).map_err(io)?;
-        let length = file.metadata().map_err(io)?.len();
+        let (file, length) = regular_file::open(path)?;
         let mut this = Self {
             path,
             reader: BufReader::new(file),

@@ -2,14 +2,14 @@
 
 use std::collections::HashMap;
 use std::fs::File;
-use std::io::{BufRead, BufReader};
+use std::io::{BufRead, BufReader, Read, Take};
 use std::path::Path;
 use std::str::FromStr;
 
 use glam::DVec3;
 
 use super::types::{CameraModel, ColmapCamera, ColmapImage, Observed};
-use crate::{cost, host_memory};
+use crate::{cost, host_memory, regular_file};
 use ashsplat::scene::SourcePoints;
 use ashsplat::{Error, Result};
 
@@ -141,18 +141,17 @@ pub(super) fn count_images(path: &Path) -> u64 {
 /// A text file, line by line.
 struct TextFile<'a> {
     path: &'a Path,
-    reader: BufReader<File>,
+    reader: BufReader<Take<File>>,
     text: String,
     line: u64,
 }
 
 impl<'a> TextFile<'a> {
     fn open(path: &'a Path) -> Result<Self> {
-        let file = File::open(path).map_err(|source| Error::io(path, "read", source))?;
-        let bytes = file.metadata().map_err(|source| Error::io(path, "read", source))?.len();
+        let (file, bytes) = regular_file::open(path)?;
         // Of long lines, those of observations and tracks, nothing is kept.
         host_memory::check_free(path, bytes.saturating_mul(2))?;
-        let mut this = Self { path, reader: BufReader::new(file), text: String::new(), line: 0 };
+        let mut this = Self { path, reader: BufReader::new(file.take(bytes)), text: String::new(), line: 0 };
         let start = this.reader.fill_buf().map_err(|source| Error::io(path, "read", source))?;
         match crate::sniff::recognise(&start[..start.len().min(512)]) {
             Some((problem, remedy)) => Err(Error::input(path, problem, remedy)),

@@ -2,8 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::colmap;
 use crate::names::{count_photos, count_photos_beside, has_photos};
+use crate::{colmap, regular_file};
 use ashsplat::{Error, Result};
 
 /// The folder that is named; or the data set itself if it has no `images` and photos lie beside the model.
@@ -33,7 +33,7 @@ pub(super) fn count<'n>(dataset: &Path, folder: &Path, names: impl Iterator<Item
 
 /// What may find cameras for the other photos of a data set.
 pub(super) fn advice_for_more(dataset: &Path) -> &'static str {
-    match std::fs::read(dataset.join(colmap::POSES_LOG)) {
+    match regular_file::read(dataset.join(colmap::POSES_LOG), 2) {
         Ok(log) if String::from_utf8_lossy(&log).contains(" exhaustive_matcher ") => {
             "all were compared with each other: photos that overlap more may register them"
         }

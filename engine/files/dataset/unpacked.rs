@@ -8,7 +8,7 @@ use zip::result::ZipError;
 
 use crate::names::{MAX_DEPTH, MAX_PATH_BYTES, ending, has_photos};
 use crate::progress::Progress;
-use crate::{colmap, cost, transforms};
+use crate::{colmap, cost, regular_file, transforms};
 use ashsplat::{Error, Result};
 
 /// No honest archive of photos unpacks to more than this many times its size.
@@ -80,12 +80,11 @@ impl Unpacked {
 /// Whether a file is a ZIP archive by its content, including an empty one.
 pub(super) fn starts_like_zip(path: &Path) -> bool {
     let mut start = [0; 4];
-    File::open(path).and_then(|mut file| file.read_exact(&mut start)).is_ok()
+    regular_file::open(path).is_ok_and(|(mut file, _)| file.read_exact(&mut start).is_ok())
         && (start == *b"PK\x03\x04" || start == *b"PK\x05\x06")
 }
 
 fn extract(path: &Path, target: &Path, progress: Progress<'_>) -> Result<()> {
-    let io = |source| Error::io(path, "read", source);
     let refused =
         |problem: String| Error::input(path, problem, "the archive is damaged: pack or download it again");
     let damaged = |place: String, error: ZipError| match error {
@@ -95,8 +94,8 @@ fn extract(path: &Path, target: &Path, progress: Progress<'_>) -> Result<()> {
         }
         error => refused(format!("{place}: {error}")),
     };
-    let file = File::open(path).map_err(io)?;
-    let mut left = file.metadata().map_err(io)?.len().saturating_mul(MAX_RATIO);
+    let (file, bytes) = regular_file::open(path)?;
+    let mut left = bytes.saturating_mul(MAX_RATIO);
     let mut archive =
         zip::ZipArchive::new(BufReader::new(file)).map_err(|e| refused(format!("is no whole ZIP: {e}")))?;
     if archive.is_empty() {

@@ -1,6 +1,5 @@
 //! Decoding JPEG and PNG files that may be damaged or lie about their size.
 
-use std::fs::{self, File};
 use std::io::{Cursor, Read, Seek};
 use std::path::Path;
 
@@ -10,7 +9,7 @@ use image::{ColorType, DynamicImage, GrayImage, ImageDecoder, ImageFormat, Image
 use super::scale::RowScaler;
 use super::{Photo, jpeg, png_rows};
 use crate::host_memory::{self, HostMemory, Lease};
-use crate::sniff;
+use crate::{regular_file, sniff};
 use ashsplat::scene::camera::MAX_IMAGE_SIDE;
 use ashsplat::{Error, Result};
 
@@ -62,11 +61,10 @@ impl Header {
 /// Reads as little of the file as possible.
 pub(crate) fn header(path: &Path) -> Result<Header> {
     let mut start = Vec::new();
-    File::open(path)
-        .and_then(|file| file.take(HEADER_BYTES).read_to_end(&mut start))
-        .map_err(|source| Error::io(path, "read", source))?;
+    let (file, _) = regular_file::open(path)?;
+    file.take(HEADER_BYTES).read_to_end(&mut start).map_err(|source| Error::io(path, "read", source))?;
     match Header::of(path, &start) {
-        Err(_) if start.len() as u64 == HEADER_BYTES => Header::of(path, &read_bytes(path)?),
+        Err(_) if start.len() as u64 == HEADER_BYTES => Header::of(path, &regular_file::read(path, 1)?),
         result => result,
     }
 }
@@ -183,9 +181,8 @@ impl Rows {
 /// as a whole.
 pub(super) fn read(path: &Path, request: &Request<'_>) -> Result<Decoded> {
     let io = |source| Error::io(path, "read", source);
-    let file_bytes = fs::metadata(path).map_err(io)?.len();
+    let (mut file, file_bytes) = regular_file::open(path)?;
     let mut start = Vec::new();
-    let mut file = File::open(path).map_err(io)?;
     file.by_ref().take(8).read_to_end(&mut start).map_err(io)?;
     if is_png(&start) {
         file.rewind().map_err(io)?;
@@ -197,9 +194,7 @@ pub(super) fn read(path: &Path, request: &Request<'_>) -> Result<Decoded> {
             return Ok(decoded);
         }
     }
-    let lease = request.memory.take(path, file_bytes)?;
-    let bytes = read_bytes(path)?;
-    drop(lease);
+    let (bytes, _) = regular_file::read_within(path, 1, request.memory)?;
     let (mut decoder, stored) = decoder(path, &bytes)?;
     let header = Header { stored, orientation: orientation(&mut decoder) };
     let size = header.size(request.turned);
@@ -283,17 +278,6 @@ pub(super) fn claims((width, height): (u32, u32), file_bytes: u64) -> String {
 /// The error for a picture that cannot be decoded.
 pub(super) fn damaged(path: &Path, problem: &dyn std::fmt::Display) -> Error {
     Error::input(path, format!("cannot be decoded: {problem}"), "copy or export the picture again")
-}
-
-/// A whole file, if the machine has the memory for it.
-pub(super) fn read_bytes(path: &Path) -> Result<Vec<u8>> {
-    let io = |source| Error::io(path, "read", source);
-    let metadata = fs::metadata(path).map_err(io)?;
-    if !metadata.is_file() {
-        return Err(Error::input(path, "is not a file", "put the picture itself in its place"));
-    }
-    host_memory::check_free(path, metadata.len())?;
-    fs::read(path).map_err(io)
 }
 
 /// A decoder chosen by the content instead of the file's name, and the picture's size.

@@ -5,9 +5,9 @@ use std::path::Path;
 
 use image::{ColorType, DynamicImage, ImageDecoder, Limits};
 
-use super::decode::{cannot_hold, claims, damaged, decoder, read_bytes};
-use crate::cost;
+use super::decode::{cannot_hold, claims, damaged, decoder};
 use crate::host_memory::HostMemory;
+use crate::{cost, regular_file};
 use ashsplat::scene::camera::MAX_IMAGE_SIDE;
 use ashsplat::{Error, Result};
 
@@ -33,7 +33,7 @@ impl DepthMap {
     /// [`Error::TooLarge`] when it does not fit into the memory.
     pub fn read(path: impl AsRef<Path>, memory: &HostMemory) -> Result<Self> {
         let path = path.as_ref();
-        let bytes = read_bytes(path)?;
+        let bytes = regular_file::read(path, 1)?;
         let (mut decoder, (width, height)) = decoder(path, &bytes)?;
         let color = decoder.color_type();
         if !matches!(color, ColorType::L16 | ColorType::La16 | ColorType::Rgb16 | ColorType::Rgba16) {

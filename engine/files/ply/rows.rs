@@ -5,7 +5,7 @@ use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 
 use super::header::{self, Element, Encoding, Header, Kind, Scalar, shortened};
-use crate::cost;
+use crate::{cost, regular_file};
 use ashsplat::{Error, Result};
 
 const BUFFER_BYTES: usize = 1 << 20;
@@ -35,15 +35,10 @@ struct Column {
 
 impl<'a> PlyFile<'a> {
     pub(crate) fn open(path: &'a Path) -> Result<Self> {
-        let io = |source| Error::io(path, "read", source);
-        let file = File::open(path).map_err(io)?;
-        let metadata = file.metadata().map_err(io)?;
-        if !metadata.is_file() {
-            return Err(Error::input(path, "is not a file", "give the path of a PLY file"));
-        }
+        let (file, length) = regular_file::open(path)?;
         let mut reader = BufReader::with_capacity(BUFFER_BYTES, file);
         let header = header::parse(&mut reader, path)?;
-        let (remaining, line) = (metadata.len().saturating_sub(header.bytes), header.lines);
+        let (remaining, line) = (length.saturating_sub(header.bytes), header.lines);
         Ok(Self { path, reader, header, remaining, line, next_element: 0 })
     }
 

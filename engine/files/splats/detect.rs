@@ -1,11 +1,10 @@
 //! Which format a file has.
 
-use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
 use super::format::Format;
-use crate::{ply, sniff};
+use crate::{ply, regular_file, sniff};
 use ashsplat::{Error, Result};
 
 impl Format {
@@ -40,12 +39,8 @@ fn ply_kind(path: &Path) -> Result<Format> {
 }
 
 fn first_bytes(path: &Path) -> Result<Vec<u8>> {
-    let io = |source| Error::io(path, "read", source);
-    let file = File::open(path).map_err(io)?;
-    if !file.metadata().map_err(io)?.is_file() {
-        return Err(Error::input(path, "is not a file", "give the path of a file of Gaussians"));
-    }
+    let (file, _) = regular_file::open(path)?;
     let mut start = Vec::new();
-    file.take(512).read_to_end(&mut start).map_err(io)?;
+    file.take(512).read_to_end(&mut start).map_err(|source| Error::io(path, "read", source))?;
     Ok(start)
 }

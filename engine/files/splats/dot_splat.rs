@@ -8,7 +8,7 @@ use std::io::{BufReader, Read};
 use std::path::{Path, PathBuf};
 
 use super::{BLOCK, Format, Header, Outline, Produce, Sink, Source, origin_file};
-use crate::{atomic, cost};
+use crate::{atomic, cost, regular_file};
 use ashsplat::scene::Gaussians;
 use ashsplat::scene::sh::{rgb_to_sh_dc, sh_dc_to_rgb};
 use ashsplat::{Error, Result};
@@ -27,9 +27,7 @@ pub(super) struct DotSplat {
 
 impl DotSplat {
     pub(super) fn open(path: &Path) -> Result<Self> {
-        let io = |source| Error::io(path, "read", source);
-        let file = File::open(path).map_err(io)?;
-        let bytes = file.metadata().map_err(io)?.len();
+        let (file, bytes) = regular_file::open(path)?;
         if bytes == 0 {
             return Err(Error::input(path, "is empty", "download or copy it again"));
         }

@@ -1,13 +1,13 @@
 //! `NAME.origin.json`, the origin of the positions of a file `NAME` whose format has no place for it.
 
-use std::fs::{self, File};
-use std::io::{ErrorKind, Read};
+use std::fs;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
-use crate::atomic;
+use crate::{atomic, regular_file};
 use ashsplat::{Error, Result};
 
 /// Farthest origin, source units: the square of a coordinate must not overflow in single precision.
@@ -34,9 +34,7 @@ pub(super) fn read(path: &Path) -> Result<DVec3> {
     if !path.is_file() {
         return Ok(DVec3::ZERO);
     }
-    let mut text = Vec::new();
-    let file = File::open(&path).map_err(|e| Error::io(&path, "read", e))?;
-    file.take(MOST_BYTES).read_to_end(&mut text).map_err(|e| Error::io(&path, "read", e))?;
+    let text = regular_file::read_at_most(&path, MOST_BYTES)?.unwrap_or_default();
     let json = serde_json::from_slice::<OriginJson>(&text).map_err(|e| e.to_string());
     let origin = json.and_then(|json| match DVec3::from_array(json.origin) {
         origin if origin.abs().max_element() <= FARTHEST => Ok(origin),

@@ -8,7 +8,7 @@ use flate2::bufread::GzDecoder;
 
 use super::spz_pack::{MIRRORED, PLANES, Packing};
 use super::{BLOCK, Format, Header, Sink, Source, origin_file};
-use crate::cost;
+use crate::{cost, regular_file};
 use ashsplat::{Error, Result};
 
 /// "NGSP" as a little-endian number.
@@ -58,8 +58,7 @@ struct Head {
 
 impl Spz {
     pub(super) fn open(path: &Path) -> Result<Self> {
-        let io = |source| Error::io(path, "read", source);
-        let bytes = path.metadata().map_err(io)?.len();
+        let (_, bytes) = regular_file::open(path)?;
         let mut spz = Self::inside(path, 0, bytes)?;
         spz.header.origin = origin_file::read(path)?;
         Ok(spz)
@@ -221,7 +220,7 @@ impl SpzFile {
     /// Its bytes from one on.
     fn from(&self, at: u64) -> Result<Bytes> {
         let io = |source| Error::io(&self.path, "read", source);
-        let mut file = File::open(&self.path).map_err(io)?;
+        let (mut file, _) = regular_file::open(&self.path)?;
         file.seek(SeekFrom::Start(self.offset + at)).map_err(io)?;
         Ok(BufReader::new(file.take(self.bytes.saturating_sub(at))))
     }

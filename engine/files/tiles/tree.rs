@@ -1,7 +1,6 @@
 //! Trees of tiles that [`super::write`] has written: which tiles a camera wants, within a number of Gaussians.
 
 use std::collections::{BTreeSet, BinaryHeap};
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use glam::{DMat4, DVec3, Vec3, vec3};
@@ -9,7 +8,7 @@ use serde::Deserialize;
 use serde_json::Value;
 
 use super::document::{turned, turned_origin};
-use crate::host_memory;
+use crate::regular_file::{self, TEXT_GROWTH};
 use crate::splats::{self, FARTHEST, ReadOptions, Scene};
 use ashsplat::scene::{Bounds, Camera, NEAR_PLANE, Projection, WorldFrame};
 use ashsplat::{Error, Result};
@@ -82,9 +81,7 @@ impl Tree {
     pub fn open(folder: impl AsRef<Path>) -> Result<Tree> {
         let folder = folder.as_ref();
         let path = folder.join(TILESET_FILE);
-        let io = |source| Error::io(&path, "read", source);
-        host_memory::check_text(&path, path.metadata().map_err(io)?.len())?;
-        let text = fs::read(&path).map_err(io)?;
+        let text = regular_file::read(&path, TEXT_GROWTH)?;
         let foreign = |problem: &dyn std::fmt::Display| {
             let problem = format!("is no tree of Gaussians: {problem}");
             Error::input(&path, problem, "give one that `ashsplat tiles` has written")

@@ -2,6 +2,7 @@
 
 use super::schema::{KernelResult, Report, Run, SCHEMA, Spread, Workload};
 use ashsplat::{Error, Result};
+use ashsplat_files::regular_file::{self, JSON_VALUE_GROWTH};
 use serde_json::Value;
 use std::path::Path;
 
@@ -60,8 +61,8 @@ impl Line {
 
 /// Reads a result file; one of another schema is refused.
 pub fn read(path: &Path) -> Result<Report> {
-    let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "read", e))?;
-    let value: Value = serde_json::from_str(&text).map_err(|e| {
+    let text = regular_file::read(path, JSON_VALUE_GROWTH)?;
+    let value: Value = serde_json::from_slice(&text).map_err(|e| {
         Error::input(path, format!("is no JSON: {e}"), "give a file that `ashsplat bench` wrote")
     })?;
     let schema = value.get("schema").and_then(Value::as_str).unwrap_or("none");

@@ -4,6 +4,7 @@
 use super::schema::{Device, Program};
 use ashsplat::vk::{ConstantKind, Executable, KernelInterface, KernelVisitor, PipelineStatistics};
 use ashsplat::{Error, Result};
+use ashsplat_files::regular_file::{self, JSON_VALUE_GROWTH, TEXT_GROWTH};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -172,16 +173,16 @@ fn value(kind: ConstantKind, bits: u32) -> String {
 
 /// Whether a file is of this schema; for what reads files of several.
 pub fn is_one(path: &Path) -> bool {
-    let text = std::fs::read_to_string(path).unwrap_or_default();
-    let value = serde_json::from_str::<serde_json::Value>(&text).unwrap_or_default();
+    let text = regular_file::read(path, JSON_VALUE_GROWTH).unwrap_or_default();
+    let value = serde_json::from_slice::<serde_json::Value>(&text).unwrap_or_default();
     value.get("schema").and_then(|schema| schema.as_str()) == Some(SCHEMA)
 }
 
 /// Reads a file; one of another schema is refused.
 pub fn read(path: &Path) -> Result<Compiled> {
-    let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "read", e))?;
+    let text = regular_file::read(path, TEXT_GROWTH)?;
     let remedy = "give a file that `ashsplat profile --static --json` wrote";
-    let compiled: Compiled = serde_json::from_str(&text)
+    let compiled: Compiled = serde_json::from_slice(&text)
         .map_err(|e| Error::input(path, format!("does not follow {SCHEMA}: {e}"), remedy))?;
     if compiled.schema != SCHEMA {
         let problem = format!("has schema '{}', this program reads '{SCHEMA}'", compiled.schema);

@@ -2,8 +2,7 @@
 
 use super::{SETTINGS_FILE, Settings};
 use ashsplat::{Error, Result};
-use std::fs::File;
-use std::io::Read;
+use ashsplat_files::regular_file;
 use std::path::Path;
 use toml::Table;
 
@@ -12,15 +11,11 @@ const MOST_BYTES: u64 = 1 << 20;
 
 /// The text of a file of settings.
 pub fn text(path: &Path) -> Result<String> {
-    let mut bytes = Vec::new();
-    let read = File::open(path).and_then(|file| file.take(MOST_BYTES + 1).read_to_end(&mut bytes));
-    let length = read.map_err(|e| Error::io(path, "read", e))? as u64;
     let refuse = |problem: String| {
         Error::input(path, problem, "give one that `ashsplat train` wrote, such as settings.toml")
     };
-    if length > MOST_BYTES {
-        return Err(refuse(format!("is longer than {MOST_BYTES} bytes: no file of settings")));
-    }
+    let bytes = regular_file::read_at_most(path, MOST_BYTES)?
+        .ok_or_else(|| refuse(format!("is longer than {MOST_BYTES} bytes: no file of settings")))?;
     String::from_utf8(bytes).map_err(|_| refuse("is not text".into()))
 }
 
@@ -56,6 +51,7 @@ pub fn table(path: &Path) -> Result<Table> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::fs::File;
 
     /// What the crate does inside is not seen; it takes memory for each name, value and level that it goes through.
     #[test]

@@ -2,7 +2,7 @@
 
 use ashsplat::{Error, Result};
 use ashsplat_files::images::existing_folder;
-use ashsplat_files::{Dataset, colmap, has_photo_ending, has_video_ending, quoted, transforms};
+use ashsplat_files::{Dataset, colmap, has_photo_ending, has_video_ending, quoted, regular_file, transforms};
 use std::collections::BTreeMap;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
@@ -55,6 +55,8 @@ impl Source {
         if Dataset::is_archive(path) {
             return Err(Error::input(path, "is a ZIP", "unpack it and give the folder"));
         }
+        // ffmpeg would wait for a pipe.
+        regular_file::open(path)?;
         let dataset = out.map_or_else(|| beside(path, path.file_stem()), Path::to_owned);
         Ok(Self::Video(path.to_owned(), dataset))
     }
@@ -234,7 +236,7 @@ impl Look {
     pub fn of(path: &Path, size: (u32, u32)) -> Self {
         use exif::{In, Reader, Tag};
         let read = |file| Reader::new().read_from_container(&mut std::io::BufReader::new(file)).ok();
-        let metadata = std::fs::File::open(path).ok().and_then(read);
+        let metadata = regular_file::open(path).ok().and_then(|(file, _)| read(file));
         let value =
             |tag| metadata.as_ref()?.get_field(tag, In::PRIMARY).map(|f| f.display_value().to_string());
         let parts: Vec<String> =

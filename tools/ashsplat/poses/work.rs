@@ -4,6 +4,7 @@ use crate::lock::{FolderLock, Work as Locked};
 use crate::output;
 use ashsplat::{Error, Result};
 use ashsplat_files::colmap::UNFINISHED_POSES as FOLDER;
+use ashsplat_files::regular_file::{self, TEXT_GROWTH};
 use ashsplat_files::{atomic, colmap};
 use serde::{Deserialize, Serialize};
 use std::fs;
@@ -176,8 +177,7 @@ impl Work {
 
 impl State {
     fn read(folder: &Path) -> Option<Self> {
-        let text = fs::read_to_string(folder.join(STATE_FILE)).ok()?;
-        serde_json::from_str(&text).ok()
+        serde_json::from_slice(&regular_file::read(folder.join(STATE_FILE), TEXT_GROWTH).ok()?).ok()
     }
 }
 
@@ -208,7 +208,8 @@ pub fn link_photos(from: &Path, names: &[String], to: &Path) -> Result<usize> {
         // A link to a link would hang on where that leads.
         let source = source.canonicalize().map_err(|e| Error::io(&source, "read", e))?;
         if fs::hard_link(&source, &target).is_err() {
-            fs::copy(&source, &target).map_err(|e| Error::io(&target, "write", e))?;
+            let (mut photo, _) = regular_file::open(&source)?;
+            atomic::write(&target, |out| std::io::copy(&mut photo, out).map(drop))?;
             copies += 1;
         }
     }

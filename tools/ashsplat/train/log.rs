@@ -4,6 +4,7 @@ use crate::output;
 use ashsplat::trainer::StepReport;
 use ashsplat::vk::ArenaMemory;
 use ashsplat::{Error, Result};
+use ashsplat_files::regular_file::{self, TEXT_GROWTH};
 use std::fs::File;
 use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
@@ -143,10 +144,8 @@ fn check(path: &Path) -> Result<()> {
 
 /// The text of a regular file.
 fn read(path: &Path) -> Result<String> {
-    match std::fs::metadata(path) {
-        Ok(found) if !found.is_file() => Err(Error::input(path, "is no regular file", "")),
-        _ => std::fs::read_to_string(path).map_err(|e| Error::io(path, "read", e)),
-    }
+    String::from_utf8(regular_file::read(path, TEXT_GROWTH)?)
+        .map_err(|_| Error::input(path, "is not text", ""))
 }
 
 /// The log as columns; where there is no number, NaN.

@@ -13,6 +13,7 @@ use serde_json::Value;
 
 use super::accessor::{Buffer, Buffers};
 use super::{Format, damaged};
+use crate::regular_file::{self, TEXT_GROWTH};
 use crate::{cost, host_memory};
 use ashsplat::scene::Similarity;
 use ashsplat::{Error, Result};
@@ -103,14 +104,13 @@ struct SceneJson {
 impl Document {
     pub(super) fn open(path: &Path, format: Format) -> Result<(Self, Buffers)> {
         let io = |source| Error::io(path, "read", source);
-        let mut file = File::open(path).map_err(io)?;
-        let bytes = file.metadata().map_err(io)?.len();
+        let (mut file, bytes) = regular_file::open(path)?;
         let (json, binary) = if format == Format::Glb {
             glb_chunks(path, &mut file, bytes)?
         } else {
-            host_memory::check_text(path, bytes)?;
+            host_memory::check_free(path, bytes.saturating_mul(TEXT_GROWTH))?;
             let mut json = Vec::new();
-            file.read_to_end(&mut json).map_err(io)?;
+            file.by_ref().take(bytes).read_to_end(&mut json).map_err(io)?;
             (json, None)
         };
         let document: Self = serde_json::from_slice(&json)
@@ -221,7 +221,7 @@ fn glb_chunks(path: &Path, file: &mut File, bytes: u64) -> Result<Chunks> {
     if json_kind != GLB_JSON {
         return Err(damaged(path, "its first chunk is not JSON"));
     }
-    host_memory::check_text(path, json_bytes.into())?;
+    host_memory::check_free(path, u64::from(json_bytes) * TEXT_GROWTH)?;
     let mut json = vec![0; json_bytes as usize];
     file.read_exact(&mut json).map_err(io)?;
     let at = 20 + u64::from(json_bytes);
@@ -256,9 +256,7 @@ fn open_uri(path: &Path, index: usize, uri: &str) -> Result<Buffer> {
         ));
     }
     let file_path: PathBuf = path.with_file_name(name);
-    let io = |source| Error::io(&file_path, "read", source);
-    let file = File::open(&file_path).map_err(io)?;
-    let bytes = file.metadata().map_err(io)?.len();
+    let (file, bytes) = regular_file::open(&file_path)?;
     Ok(Buffer::File { path: file_path.clone(), file, offset: 0, bytes })
 }
 

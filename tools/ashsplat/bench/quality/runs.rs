@@ -7,6 +7,7 @@ use crate::progress::thousands;
 use ashsplat::trainer::TrainSettings;
 use ashsplat::vk::Context;
 use ashsplat::{Error, Result};
+use ashsplat_files::regular_file::{self, TEXT_GROWTH};
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
 use std::fmt::Write;
@@ -114,16 +115,16 @@ pub fn file(folder: &Path, strategy: &str, seed: u32) -> PathBuf {
 /// # Errors
 /// Where it is damaged, or was made with another setup: both are not mixed.
 pub fn read(path: &Path, setup: &Setup) -> Result<Option<Run>> {
-    let text = match std::fs::read_to_string(path) {
+    let text = match regular_file::read(path, TEXT_GROWTH) {
         Ok(text) => text,
-        Err(e) if e.kind() == std::io::ErrorKind::NotFound => {
+        Err(Error::Io { source, .. }) if source.kind() == std::io::ErrorKind::NotFound => {
             output::remove_leftovers_of(path);
             return Ok(None);
         }
-        Err(e) => return Err(Error::io(path, "read", e)),
+        Err(error) => return Err(error),
     };
     let remedy = "choose another folder with -o, or remove the file to measure it anew";
-    let run: Run = serde_json::from_str(&text)
+    let run: Run = serde_json::from_slice(&text)
         .map_err(|e| Error::input(path, format!("is no run of {SCHEMA}: {e}"), remedy))?;
     if run.schema != SCHEMA || run.points.is_empty() {
         return Err(Error::input(path, format!("is no run of {SCHEMA}"), remedy));

@@ -1,5 +1,6 @@
 //! A file as an answer, read as it is sent: of a large film, a piece is in memory at a time.
 
+use ashsplat_files::regular_file;
 use axum::body::{Body, Bytes};
 use hyper::body::{Frame, SizeHint};
 use std::fs::File;
@@ -18,10 +19,7 @@ pub fn body(path: &Path) -> Option<Body> {
 
 /// The same; something is kept until all of it is sent, or nobody wants it any more.
 pub fn body_of<T: Send + Unpin + 'static>(path: &Path, kept: T) -> Option<Body> {
-    // Opening a pipe would wait for its writer.
-    std::fs::metadata(path).ok().filter(std::fs::Metadata::is_file)?;
-    let file = File::open(path).ok()?;
-    let left = file.metadata().ok()?.len();
+    let (file, left) = regular_file::open(path).ok()?;
     Some(Body::new(Pieces { file, left, _kept: kept }))
 }
 

@@ -1,0 +1,76 @@
+//! The one way to open a file for reading. A pipe would make its reader wait, and a device may have no end: both are refused.
+
+use std::fs::{self, File, Metadata};
+use std::io::Read;
+use std::path::Path;
+
+use super::host_memory::{self, HostMemory, Lease};
+use ashsplat::{Error, Result};
+
+/// Bytes that one byte of a text becomes, with itself: words become strings, and numbers of two digits eight bytes.
+pub const TEXT_GROWTH: u64 = 6;
+
+/// The same of a text that becomes a `serde_json::Value`: `[],` becomes a vector, and `"":{},` a map.
+pub const JSON_VALUE_GROWTH: u64 = 110;
+
+/// Opens a regular file. Returns it with its length in bytes.
+///
+/// # Errors
+/// [`Error::Io`]; [`Error::Input`] for a folder, a device, a pipe or a socket.
+pub fn open(path: impl AsRef<Path>) -> Result<(File, u64)> {
+    let path = path.as_ref();
+    let io = |source| Error::io(path, "read", source);
+    // Asked before opening, because opening a pipe waits for its writer.
+    check_kind(path, &fs::metadata(path).map_err(io)?)?;
+    let file = File::open(path).map_err(io)?;
+    // Another file may have taken the name meanwhile.
+    let metadata = file.metadata().map_err(io)?;
+    check_kind(path, &metadata)?;
+    Ok((file, metadata.len()))
+}
+
+fn check_kind(path: &Path, metadata: &Metadata) -> Result<()> {
+    if metadata.is_file() {
+        return Ok(());
+    }
+    let (kind, remedy) = match metadata.is_dir() {
+        true => ("a folder", "give the path of a file"),
+        false => ("a device or a pipe", "save its contents to a file, and give that"),
+    };
+    Err(Error::input(path, format!("is not a file but {kind}"), remedy))
+}
+
+/// The bytes of a file, if the machine has free memory for `growth` times as many.
+///
+/// # Errors
+/// As [`open`]; [`Error::TooLarge`].
+pub fn read(path: impl AsRef<Path>, growth: u64) -> Result<Vec<u8>> {
+    let path = path.as_ref();
+    let (file, length) = open(path)?;
+    host_memory::check_free(path, length.saturating_mul(growth))?;
+    contents(path, file, length)
+}
+
+/// As [`read`], within a bound. The lease holds the memory of what the bytes become.
+pub(crate) fn read_within(path: &Path, growth: u64, memory: &HostMemory) -> Result<(Vec<u8>, Lease)> {
+    let (file, length) = open(path)?;
+    let lease = memory.take(path, length.saturating_mul(growth))?;
+    Ok((contents(path, file, length)?, lease))
+}
+
+/// The bytes of a file; None if it has more than `most`.
+///
+/// # Errors
+/// As [`open`].
+pub fn read_at_most(path: impl AsRef<Path>, most: u64) -> Result<Option<Vec<u8>>> {
+    let path = path.as_ref();
+    let (file, length) = open(path)?;
+    (length <= most).then(|| contents(path, file, length)).transpose()
+}
+
+/// No more than the length at opening: some files of the system have none and do not end.
+fn contents(path: &Path, file: File, length: u64) -> Result<Vec<u8>> {
+    let mut bytes = host_memory::reserved(path, length)?;
+    file.take(length).read_to_end(&mut bytes).map_err(|source| Error::io(path, "read", source))?;
+    Ok(bytes)
+}
