@@ -109,7 +109,7 @@ fn readers_without_address_space() {
     fs::create_dir(place("frames")).expect("a folder");
     spaces(&place("frames/transforms.json"), 5);
     let points = PointCloud { positions: vec![[0.5; 3]; 1_500_000], colors: vec![[9; 3]; 1_500_000] };
-    ply::write_points(place("points.ply"), &points).expect("written");
+    ply::write_points(place("points.ply"), &points, &WorldFrame::default()).expect("written");
     drop(points);
     let load = |name: &str, resolution: Resolution| {
         // As under the limit: the default follows it.

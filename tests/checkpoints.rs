@@ -1,9 +1,11 @@
 //! A run that goes on from a checkpoint ends with the same bits as one that was never interrupted.
 
+use ashsplat::scene::WorldFrame;
 use ashsplat::trainer::{Checkpoint, OptimizerType, PoseState, Room, TrainView, Trainer};
 
 use ashsplat::{Gaussians, TrainSettings};
 use ashsplat_files::{CheckpointFile, Photo};
+use glam::DVec3;
 use std::path::Path;
 use tempfile::tempdir;
 
@@ -249,6 +251,7 @@ fn checkpoints_with_any_bit_flipped_are_refused() {
         views: 3,
         views_fingerprint: 77,
         scene_extent: 1.5,
+        frame: WorldFrame { origin: DVec3::new(500_000.1, -0.5, 120.0), unit: 0.01 },
         iteration: 9,
         optimizer_steps: 9,
         opacity_steps: 8,

@@ -18,6 +18,7 @@ mod light;
 mod lock;
 mod lpips;
 mod merge;
+mod moved;
 mod pose_opt;
 // The stand-ins are scripts of a shell.
 #[cfg(unix)]

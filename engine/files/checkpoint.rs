@@ -3,8 +3,8 @@
 use crate::host_memory::HostMemory;
 use crate::{atomic, cost, regular_file};
 use ashsplat::fingerprint::Fingerprint;
-use ashsplat::scene::Gaussians;
 use ashsplat::scene::gaussians::sh_coefficients;
+use ashsplat::scene::{Gaussians, WorldFrame};
 use ashsplat::trainer::BlockState;
 use ashsplat::trainer::checkpoint::{
     Checkpoint, ExposureState, GradientSums, LightSums, MeanState, PoseState, Room, StrategyState,
@@ -13,6 +13,7 @@ use ashsplat::trainer::checkpoint::{
 use ashsplat::trainer::strategy::Actions;
 use ashsplat::{Error, Result};
 use bytemuck::Pod;
+use glam::DVec3;
 use safetensors::{Dtype, SafeTensors};
 use serde_json::{Map, Value, json};
 use std::collections::BTreeMap;
@@ -45,6 +46,8 @@ const TERMS: &str = "loss_terms";
 /// [`Checkpoint::block`]: the bits of the core's corners, with commas between them; the number of Gaussians around; their hash.
 /// Present only with a block.
 const BLOCK: [&str; 3] = ["block_core_bits", "block_frozen", "block_fingerprint"];
+/// [`Checkpoint::frame`]: x, y, z of the origin and the unit, with commas between them. Present only if it is not the identity.
+const FRAME: &str = "frame";
 /// The data begin at a multiple of this.
 const ALIGNMENT: usize = 8;
 
@@ -156,8 +159,11 @@ fn metadata(checkpoint: &Checkpoint, data_fingerprint: u64) -> Result<BTreeMap<S
         let core: Vec<String> = core.as_flattened().iter().map(|x| format!("{:08x}", x.to_bits())).collect();
         BLOCK.into_iter().zip([core.join(","), frozen.to_string(), format!("{fingerprint:016x}")])
     });
+    let WorldFrame { origin, unit } = checkpoint.frame;
+    let frame = [origin.x, origin.y, origin.z, unit].map(|value| value.to_string()).join(",");
+    let frame = (!checkpoint.frame.is_identity()).then_some((FRAME, frame));
     let named = pairs.into_iter().chain(kernels).chain(due).chain(others).chain(max_memory).chain(summed);
-    let named = named.chain(averaged).chain(block);
+    let named = named.chain(averaged).chain(frame).chain(block);
     let own = checkpoint.strategy.values.iter();
     let own = own.map(|(name, value)| (format!("{}{name}", Checkpoint::STRATEGY), value.clone()));
     Ok(named.map(|(name, value)| (name.to_owned(), value)).chain(own).collect())
@@ -200,6 +206,7 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
         views: metadata.parsed("views")?,
         views_fingerprint: metadata.hexadecimal("views_fingerprint")?,
         scene_extent: f32::from_bits(metadata.hexadecimal("scene_extent_bits")? as u32),
+        frame: metadata.frame()?,
         iteration: metadata.parsed("iteration")?,
         optimizer_steps: metadata.parsed("optimizer_steps")?,
         opacity_steps: metadata.parsed("opacity_steps")?,
@@ -279,6 +286,23 @@ impl Metadata {
     /// None if it is missing.
     fn optional<T: std::str::FromStr>(&self, name: &str) -> Result<Option<T>, String> {
         self.0.contains_key(name).then(|| self.parsed(name)).transpose()
+    }
+
+    /// The identity in older files.
+    fn frame(&self) -> Result<WorldFrame, String> {
+        if !self.0.contains_key(FRAME) {
+            return Ok(WorldFrame::default());
+        }
+        let text = self.text(FRAME)?;
+        let values: Option<Vec<f64>> = text.split(',').map(|value| value.parse().ok()).collect();
+        match values.as_deref() {
+            Some(&[x, y, z, unit])
+                if x.is_finite() && y.is_finite() && z.is_finite() && unit > 0.0 && unit.is_finite() =>
+            {
+                Ok(WorldFrame { origin: DVec3::new(x, y, z), unit })
+            }
+            _ => Err(format!("has '{text}' as the metadata '{FRAME}'")),
+        }
     }
 
     /// None of a whole scene, and in older files.

@@ -9,8 +9,8 @@ use super::settings::TrainSettings;
 use super::work::Actions;
 use crate::error::{Error, Result};
 use crate::fingerprint::Fingerprint;
-use crate::scene::Gaussians;
 use crate::scene::gaussians::sh_coefficients;
+use crate::scene::{Gaussians, WorldFrame};
 
 /// The state of a training run after an iteration.
 #[derive(Clone, Debug, PartialEq)]
@@ -32,6 +32,8 @@ pub struct Checkpoint {
     pub views_fingerprint: u64,
     /// The scene's extent, world units.
     pub scene_extent: f32,
+    /// The frame of all lengths. A trainer does not know it: who writes its checkpoints sets it.
+    pub frame: WorldFrame,
     /// Iterations done.
     pub iteration: u32,
     /// Steps of the optimiser so far.

@@ -10,7 +10,7 @@ use crate::fingerprint::Fingerprint;
 use crate::forward::SceneBuffers;
 use crate::plan::{FrameCapacity, LEAST_INSTANCES, PictureCapacity, initial_instances, initial_visible};
 use crate::planes;
-use crate::scene::{Camera, PicturePart};
+use crate::scene::{Camera, PicturePart, WorldFrame};
 use crate::vk::{Buffer, Context};
 
 impl Trainer {
@@ -56,6 +56,7 @@ impl Trainer {
             views: self.run.cameras.len() as u64,
             views_fingerprint: self.run.views_fingerprint,
             scene_extent: self.run.scene_extent,
+            frame: WorldFrame::default(),
             iteration: progress.iteration,
             optimizer_steps: progress.steps,
             opacity_steps: progress.opacity_steps,

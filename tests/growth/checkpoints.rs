@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use ashsplat::TrainSettings;
-use ashsplat::scene::Gaussians;
+use ashsplat::scene::{Gaussians, WorldFrame};
 use ashsplat::trainer::checkpoint::{Checkpoint, Room, StrategyState, StrategyStatistic};
 use ashsplat::trainer::strategy::Actions;
 
@@ -34,6 +34,7 @@ fn checkpoint(count: usize, own: usize) -> Checkpoint {
         views: 3,
         views_fingerprint: 7,
         scene_extent: 2.0,
+        frame: WorldFrame::default(),
         iteration: 10,
         optimizer_steps: 10,
         opacity_steps: 10,

@@ -140,7 +140,7 @@ fn models_and_lists_of_cameras() {
         let cameras: Vec<_> = (0..size as u32).map(|id| ColmapCamera::pinhole(id, &camera)).collect();
         let points = PointCloud { positions: vec![[0.5; 3]; size], colors: vec![[9; 3]; size] };
         colmap::write(folder.join("sparse/0"), &cameras, &images, &points).unwrap();
-        ply::write_points(folder.join("a.ply"), &points).unwrap();
+        ply::write_points(folder.join("a.ply"), &points, &WorldFrame::default()).unwrap();
         cameras_json::write(
             folder.join("cameras.json"),
             images.iter().map(|i| (i.name.as_str(), &camera)),

@@ -1,7 +1,7 @@
 //! Valid files with random damage: the readers refuse or read, and never panic. A short form of the fuzzing in tests/fuzz.
 
 use crate::common::scenes::Random;
-use ashsplat::scene::PointCloud;
+use ashsplat::scene::{PointCloud, WorldFrame};
 use ashsplat::trainer::Checkpoint;
 use ashsplat_files::colmap::{self, Model};
 use ashsplat_files::{CheckpointFile, ply};
@@ -63,7 +63,7 @@ fn damaged_ply_files_are_read_or_refused() {
             read.gaussians.check_shapes().expect("shapes that fit together");
         }
     });
-    ply::write_points(&path, &points()).expect("written");
+    ply::write_points(&path, &points(), &WorldFrame::default()).expect("written");
     mutate(&path, 2, 300, |path| drop(ply::read_points(path)));
 }
 

@@ -293,7 +293,7 @@ fn points_round_trip_and_are_no_gaussians() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("input.ply");
     let points = PointCloud { positions: vec![[1.5, -2.0, 3e-8]; 100], colors: vec![[0, 127, 255]; 100] };
-    ply::write_points(&path, &points).unwrap();
+    ply::write_points(&path, &points, &WorldFrame::default()).unwrap();
     let read = || ply::read_points(&path).unwrap().in_frame(&WorldFrame::default());
     assert_eq!(read(), points);
     assert!(message(&path, &KEEP).contains("is a point cloud"));

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use ashsplat::scene::{Camera, Intrinsics, PointCloud};
+use ashsplat::scene::{Camera, Intrinsics, PointCloud, WorldFrame};
 use ashsplat_files::colmap::{self, ColmapCamera, ColmapImage};
 use ashsplat_files::{Dataset, DatasetOptions, Photo, PhotoFileFormat, Progress, ply};
 use glam::Vec3;
@@ -129,7 +129,7 @@ fn frames_may_have_their_own_lens_and_points() {
     write_json(&folder.path().join("transforms.json"), &document);
     assert!(refusal(folder.path()).contains("the point cloud of transforms.json is missing"));
     let points = PointCloud { positions: vec![[0.1, 0.2, 0.3]; 5], colors: vec![[1, 2, 3]; 5] };
-    ply::write_points(folder.path().join("sparse pc.ply"), &points).unwrap();
+    ply::write_points(folder.path().join("sparse pc.ply"), &points, &WorldFrame::default()).unwrap();
     let dataset = load(folder.path(), &DatasetOptions::default());
     assert_eq!(dataset.points, points);
     let focal: Vec<f32> = dataset.train.iter().map(|view| view.camera.fx).collect();
@@ -152,7 +152,7 @@ fn points_in_the_older_frame_are_moved() {
     write_json(&folder.path().join("transforms.json"), &document);
     let stored = |position: [f32; 3]| {
         let points = PointCloud { positions: vec![position; 4], colors: vec![[1; 3]; 4] };
-        ply::write_points(folder.path().join("a.ply"), &points).unwrap();
+        ply::write_points(folder.path().join("a.ply"), &points, &WorldFrame::default()).unwrap();
         load(folder.path(), &DatasetOptions::default())
     };
     let dataset = stored([0.1, 0.2, 0.0]);

@@ -204,13 +204,11 @@ impl Status<'_> {
 mod tests {
     use super::*;
     use crate::blocks::{Coarse, Core, DatasetOfBlocks, VERSION};
-    use ashsplat::scene::Bounds;
-    use glam::Vec3;
 
     fn file(rounds: u32) -> BlocksFile {
         let block = Block {
             number: 1,
-            core: Core::of(Bounds { min: Vec3::NEG_INFINITY, max: Vec3::INFINITY }),
+            core: Core { min: [None; 3], max: [None; 3] },
             gaussians: 800,
             trained: 1000,
             iterations: 10,
@@ -232,6 +230,8 @@ mod tests {
             version: VERSION,
             dataset,
             coarse: Coarse { path: "coarse.ply".into(), hash: String::new(), gaussians: 3000 },
+            origin: [0.0; 3],
+            unit: 1.0,
             scene_extent: 1.0,
             margin: 0.1,
             min_share: 0.02,

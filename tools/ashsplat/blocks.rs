@@ -7,12 +7,12 @@ pub mod result;
 pub mod rounds;
 
 use ashsplat::fingerprint::Fingerprint;
-use ashsplat::scene::{Bounds, Cells};
+use ashsplat::scene::{Bounds, Cells, WorldFrame};
 use ashsplat::{Error, Result};
 use ashsplat_files::Gallery;
 use ashsplat_files::cameras_json::NamedCamera;
 use ashsplat_files::regular_file::{self, JSON_VALUE_GROWTH};
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 use parts::Part;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -32,9 +32,14 @@ pub struct Division {
     pub version: u32,
     pub dataset: DatasetOfBlocks,
     pub coarse: Coarse,
-    /// That of the whole scene, world units.
+    /// The frame in which all blocks are trained: its origin, source coordinates; and its unit.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub origin: [f64; 3],
+    #[serde(default = "one", skip_serializing_if = "is_one")]
+    pub unit: f64,
+    /// That of the whole scene, source units.
     pub scene_extent: f32,
-    /// How far around its core Gaussians of a block are trained, world units.
+    /// How far around its core Gaussians of a block are trained, source units.
     pub margin: f32,
     /// The share of a picture that a block's core must cover.
     pub min_share: f64,
@@ -48,12 +53,16 @@ pub struct Division {
     pub blocks: Vec<Block>,
 }
 
-fn one() -> u32 {
-    1
+fn one<T: From<u8>>() -> T {
+    T::from(1)
 }
 
-fn is_one(rounds: &u32) -> bool {
-    *rounds == 1
+fn is_one<T: From<u8> + PartialEq>(value: &T) -> bool {
+    *value == one()
+}
+
+fn is_zero(origin: &[f64; 3]) -> bool {
+    *origin == [0.0; 3]
 }
 
 /// What all blocks are trained on.
@@ -105,23 +114,36 @@ pub struct Block {
     pub parts: BTreeMap<String, Part>,
 }
 
-/// A box, world units; null for a side without an end. Least sides belong to it, greatest ones do not.
+/// A box, source coordinates; null for a side without an end. Least sides belong to it, greatest ones do not.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Core {
-    pub min: [Option<f32>; 3],
-    pub max: [Option<f32>; 3],
+    pub min: [Option<f64>; 3],
+    pub max: [Option<f64>; 3],
 }
 
 impl Core {
-    pub fn of(bounds: Bounds) -> Core {
-        let sides = |corner: Vec3| corner.to_array().map(|side| Some(side).filter(|side| side.is_finite()));
+    /// Of a box in the world coordinates of a frame.
+    pub fn of(bounds: Bounds, frame: &WorldFrame) -> Core {
+        // Through the shortest decimal number, so that 0.1 stays 0.1.
+        let decimal = |side: f32| side.to_string().parse().unwrap_or(f64::from(side));
+        let sides = |corner: Vec3| {
+            let source = frame.origin + frame.unit * DVec3::from_array(corner.to_array().map(decimal));
+            source.to_array().map(|side| Some(side).filter(|side| side.is_finite()))
+        };
         Core { min: sides(bounds.min), max: sides(bounds.max) }
     }
 
-    pub fn bounds(&self) -> Bounds {
-        let corner = |sides: [Option<f32>; 3], end: f32| Vec3::from_array(sides.map(|s| s.unwrap_or(end)));
-        Bounds { min: corner(self.min, f32::NEG_INFINITY), max: corner(self.max, f32::INFINITY) }
+    /// The corners, source coordinates; infinite for sides without an end.
+    pub fn corners(&self) -> [DVec3; 2] {
+        let corner = |sides: [Option<f64>; 3], end: f64| DVec3::from_array(sides.map(|s| s.unwrap_or(end)));
+        [corner(self.min, f64::NEG_INFINITY), corner(self.max, f64::INFINITY)]
+    }
+
+    /// The box in the world coordinates of a frame.
+    pub fn bounds(&self, frame: &WorldFrame) -> Bounds {
+        let [min, max] = self.corners().map(|corner| frame.world(corner));
+        Bounds { min, max }
     }
 }
 
@@ -182,7 +204,7 @@ impl BlocksFile {
 
     /// Refuses a data set, read from this path, with other cameras than the division was made for.
     pub fn check_cameras(&self, path: &Path, gallery: &Gallery) -> Result<()> {
-        if cameras_hash(&gallery.cameras()) == self.division.dataset.cameras {
+        if cameras_hash(&gallery.cameras_in(&self.division.frame())) == self.division.dataset.cameras {
             return Ok(());
         }
         let problem = format!("its cameras are not those that {} was made for", self.path.display());
@@ -197,9 +219,25 @@ impl BlocksFile {
 }
 
 impl Division {
-    /// The blocks' cores.
+    /// The frame in which all blocks are trained.
+    pub fn frame(&self) -> WorldFrame {
+        WorldFrame { origin: DVec3::from_array(self.origin), unit: self.unit }
+    }
+
+    /// A block's core and margin in the world coordinates of the frame.
+    pub fn core_and_margin(&self, block: &Block) -> (Bounds, f32) {
+        (block.core.bounds(&self.frame()), self.margin_in_world())
+    }
+
+    /// The margin, world units.
+    pub fn margin_in_world(&self) -> f32 {
+        (f64::from(self.margin) / self.unit) as f32
+    }
+
+    /// The blocks' cores, world coordinates.
     pub fn cells(&self) -> Result<Cells> {
-        let cores: Vec<Bounds> = self.blocks.iter().map(|block| block.core.bounds()).collect();
+        let frame = self.frame();
+        let cores: Vec<Bounds> = self.blocks.iter().map(|block| block.core.bounds(&frame)).collect();
         Cells::of(&cores)
     }
 
@@ -247,6 +285,9 @@ impl Division {
         }
         if self.blocks.len() > MAX_BLOCKS {
             return Err(format!("it has {} blocks, more than {MAX_BLOCKS}", self.blocks.len()));
+        }
+        if !(self.unit.is_finite() && self.unit > 0.0 && self.origin.iter().all(|x| x.is_finite())) {
+            return Err(format!("its origin is {:?} and its unit {}", self.origin, self.unit));
         }
         if !(self.margin.is_finite() && self.margin >= 0.0) {
             return Err(format!("its margin is {}, must be 0 or more", self.margin));
@@ -312,11 +353,18 @@ mod tests {
 
     #[test]
     fn cores_come_back_to_the_bit() {
-        let (min, max) = (Vec3::new(-0.1, f32::NEG_INFINITY, 1e-30), Vec3::new(0.3, 7.25, f32::INFINITY));
-        let text = serde_json::to_string(&Core::of(Bounds { min, max })).expect("JSON");
-        assert!(text.contains("[-0.1,null,"), "{text}");
-        let read: Core = serde_json::from_str(&text).expect("a core");
-        assert_eq!((read.bounds().min, read.bounds().max), (min, max));
+        let (min, max) = (Vec3::new(-0.1, f32::NEG_INFINITY, 2.5), Vec3::new(0.3, 7.25, f32::INFINITY));
+        for (frame, start) in [
+            (WorldFrame::default(), "[-0.1,null,"),
+            (WorldFrame { origin: DVec3::splat(5e6), unit: 1.0 }, "[4999999.9,null,"),
+            (WorldFrame { origin: DVec3::ZERO, unit: 0.01 }, "[-0.001,null,"),
+        ] {
+            let text = serde_json::to_string(&Core::of(Bounds { min, max }, &frame)).expect("JSON");
+            assert!(text.contains(start), "{text}");
+            let read: Core = serde_json::from_str(&text).expect("a core");
+            let read = read.bounds(&frame);
+            assert_eq!((read.min, read.max), (min, max));
+        }
     }
 
     #[test]

@@ -14,7 +14,6 @@ use crate::model::Model;
 use crate::progress::counting;
 use crate::{output, render, session};
 use ashsplat::lpips::Network;
-use ashsplat::scene::WorldFrame;
 use ashsplat::{Alignment, Camera, Error, Frame, RenderSettings, Renderer, Result, TrainSettings};
 use ashsplat_files::cameras_json::{self, NamedCamera};
 use ashsplat_files::exposure_json::{self, EXPOSURE_FILE};
@@ -327,7 +326,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let white = model.settings.train.white_background;
     let context = arguments.device.context()?;
     let stop = session::stop_on_ctrl_c()?;
-    let options = session::options(&data, white, &arguments.device.host)?;
+    let mut options = session::options(&data, white, &arguments.device.host)?;
+    options.frame = Some(scene.frame);
     let gallery = session::open(&data, &options, &stop)?;
     session::warn(gallery.warnings());
     let chosen = chosen_views(&gallery, arguments.all, &data)?;
@@ -340,9 +340,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     // Where poses were optimised, training views have their own; those that were held out are aligned.
     let pose_opt = model.settings.train.pose_opt;
     let moved = match (&model.folder, pose_opt) {
-        (Some((folder, _)), true) => {
-            by_name(cameras_json::read(folder.join(CAMERAS_FILE), &WorldFrame::default())?)
-        }
+        (Some((folder, _)), true) => by_name(cameras_json::read(folder.join(CAMERAS_FILE), &scene.frame)?),
         _ => HashMap::new(),
     };
     let bar = counting("views", chosen.len() as u64 * if pose_opt { 2 } else { 1 }, arguments.quiet);

@@ -107,9 +107,11 @@ impl<'a> Exchange<'a> {
         let iteration = self.file.division.round_end(block, self.round);
         let path = checkpoint_path(&self.file.at(&block.folder), iteration);
         let checkpoint = Checkpoint::read_within(&path, &self.arguments.host.memory())?;
-        let core = block.core.bounds();
+        let (core, _) = self.file.division.core_and_margin(block);
         let other_core = |state: &BlockState| state.core != [core.min.to_array(), core.max.to_array()];
-        if checkpoint.iteration == iteration && !checkpoint.block.as_ref().is_some_and(other_core) {
+        let is_of_block = !checkpoint.block.as_ref().is_some_and(other_core);
+        if checkpoint.iteration == iteration && checkpoint.frame == self.file.division.frame() && is_of_block
+        {
             return Ok(checkpoint);
         }
         let problem = format!("is not that of iteration {iteration} of block {}", block.number);
@@ -119,7 +121,7 @@ impl<'a> Exchange<'a> {
     /// Those of a checkpoint that lie in its own block's cell, and of them those in another box.
     fn own(&self, block: &Block, within: impl Fn([f32; 3]) -> bool) -> Result<Checkpoint> {
         let mut checkpoint = self.checkpoint(block)?;
-        let core = block.core.bounds();
+        let (core, _) = self.file.division.core_and_margin(block);
         let means = &checkpoint.gaussians.means;
         let is_own = |&row: &usize| core.contains(Vec3::from_array(means[row])) && within(means[row]);
         let rows: Vec<usize> = (0..means.len()).filter(is_own).collect();
@@ -186,7 +188,7 @@ impl<'a> Exchange<'a> {
         }
         bar.finish_and_clear();
         let antialiased = first.is_some_and(|settings| settings.antialiasing);
-        let options = WriteOptions { antialiased, ..WriteOptions::default() };
+        let options = WriteOptions { antialiased, frame: file.division.frame(), ..WriteOptions::default() };
         splats::write(file.exchanged_scene(self.round), &scene, &options)?;
         Ok(scene)
     }
@@ -194,11 +196,11 @@ impl<'a> Exchange<'a> {
     /// Writes what a block goes on from. How many of its Gaussians are its own and its neighbours'.
     fn exchanged(&self, block: &Block, scene: &Gaussians) -> Result<(usize, usize)> {
         let file = self.file;
-        let (core, margin) = (block.core.bounds(), file.division.margin);
+        let (core, margin) = file.division.core_and_margin(block);
         let mut checkpoint = self.own(block, |_| true)?;
         let own = checkpoint.gaussians.len();
         for other in &file.division.blocks {
-            if other.number != block.number && touches(other.core.bounds(), core, margin) {
+            if other.number != block.number && touches(file.division.core_and_margin(other).0, core, margin) {
                 checkpoint.append(&self.own(other, |mean| SceneBlock::contains(core, margin, mean))?)?;
             }
         }

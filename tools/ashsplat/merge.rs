@@ -10,6 +10,7 @@ use crate::lock::{FolderLock, Work};
 use crate::output;
 use crate::progress::{counting, thousands};
 use ashsplat::Result;
+use ashsplat::scene::WorldFrame;
 use ashsplat_files::splats::{self, Format, Part, WriteOptions};
 use clap::Args;
 use report::Ready;
@@ -90,9 +91,11 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 impl Arguments {
     fn merge(&self, file: &BlocksFile, scenes: &[PathBuf], out: &Path) -> Result<()> {
         let blocks = &file.division.blocks;
+        // Positions in the files of blocks are in source units.
+        let frame = WorldFrame { unit: 1.0, ..file.division.frame() };
         let parts = scenes.iter().zip(blocks);
         let parts: Vec<Part<'_>> =
-            parts.map(|(path, block)| Part { path, within: block.core.bounds() }).collect();
+            parts.map(|(path, block)| Part { path, within: block.core.bounds(&frame) }).collect();
         let done = splats::merge(
             &parts,
             out,

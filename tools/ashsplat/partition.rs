@@ -14,7 +14,7 @@ use crate::lock::{FolderLock, Work};
 use crate::model::Model;
 use crate::progress::{significant, thousands};
 use crate::{output, render, session};
-use ashsplat::scene::{Camera, Cells, Gaussians, WorldFrame, scene_extent};
+use ashsplat::scene::{Camera, Cells, Gaussians, scene_extent};
 use ashsplat::trainer::SceneBlock;
 use ashsplat::{Error, RenderSettings, Renderer, Result};
 use ashsplat_files::cameras_json::{self, NamedCamera};
@@ -46,7 +46,7 @@ pub struct Arguments {
     /// The new file
     #[arg(short, long, value_name = "FILE", default_value = "blocks.json")]
     out: PathBuf,
-    /// How far around its cell a block trains Gaussians too, world units [default: 0.15 of the usual cell's longest side; in rounds 0.05,
+    /// How far around its cell a block trains Gaussians too, in the data set's units [default: 0.15 of the usual cell's longest side; in rounds 0.05,
     /// but of a single object 0.15]
     #[arg(long, value_name = "X")]
     margin: Option<f32>,
@@ -99,7 +99,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let coarse = Model::locate(&arguments.coarse, None)?;
     let data = arguments.data.applied_to_dataset(arguments.dataset.as_deref(), &coarse.settings.data)?;
     let host = &arguments.device.host;
-    let scene = splats::read(&coarse.ply, &host.reading(false))?;
+    let mut scene = splats::read(&coarse.ply, &host.reading(false))?;
     if scene.gaussians.is_empty() {
         return Err(Error::input(&coarse.ply, "has no Gaussians", "give a model of the whole scene"));
     }
@@ -108,6 +108,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let white = coarse.settings.train.white_background;
     let gallery = session::open(&data, &session::options(&data, white, host)?, &stop)?;
     session::warn(gallery.warnings());
+    scene.express_in(gallery.frame());
     check_same_scene(&coarse, &gallery, &data)?;
     let most = usize::try_from(arguments.max_gaussians).unwrap_or(usize::MAX);
     let cells = Cells::divide(&scene.gaussians.means, most)
@@ -124,7 +125,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let cameras = gallery.cameras();
     let side = usual_side(&scene.gaussians, &cells);
     let sides = if arguments.rounds > 1 { MARGIN_IN_ROUNDS } else { MARGIN };
-    let mut margin = arguments.margin.unwrap_or(sides * side);
+    let given = arguments.margin.map(|margin| (f64::from(margin) / gallery.frame().unit) as f32);
+    let mut margin = given.unwrap_or(sides * side);
     let shares_of = |margin: f32, renderer: &mut Renderer| {
         let found = (&cells, margin, arguments.min_share);
         Shares::of(renderer, &cameras, found, &look, (arguments.quiet, &stop))
@@ -196,7 +198,7 @@ fn check_same_scene(coarse: &Model, gallery: &Gallery, data: &DataSettings) -> R
     if !file.is_file() {
         return Ok(());
     }
-    let own = cameras_json::read(&file, &WorldFrame::default())?;
+    let own = cameras_json::read(&file, gallery.frame())?;
     let cameras = gallery.cameras();
     let by_name: BTreeMap<&str, &Camera> =
         cameras.iter().map(|named| (named.name.as_str(), &named.camera)).collect();
@@ -310,7 +312,7 @@ impl Arguments {
             let folder = self.out.with_extension("").join(format!("{number:03}"));
             blocks.push(Block {
                 number,
-                core: Core::of(core),
+                core: Core::of(core, gallery.frame()),
                 gaussians: count(None),
                 trained: count(Some(margin)),
                 iterations: iterations as u32,
@@ -321,6 +323,7 @@ impl Arguments {
                 parts: part_of_each.collect(),
             });
         }
+        let in_source = |length: f32| (gallery.frame().unit * f64::from(length)) as f32;
         Ok(Division {
             version: blocks::VERSION,
             dataset: DatasetOfBlocks {
@@ -336,8 +339,10 @@ impl Arguments {
                 hash: file_hash(&coarse.ply)?,
                 gaussians: gaussians.len() as u64,
             },
-            scene_extent,
-            margin,
+            origin: gallery.frame().origin.to_array(),
+            unit: gallery.frame().unit,
+            scene_extent: in_source(scene_extent),
+            margin: in_source(margin),
             min_share: self.min_share,
             max_gaussians: self.max_gaussians,
             iterations: self.iterations,

@@ -83,11 +83,14 @@ pub fn options(data: &DataSettings, white_background: bool, host: &HostArguments
 }
 
 /// Finds out what a data set consists of; a ZIP is unpacked for as long as the value lives. `stop` ends it. Of a block's
-/// training these are its photos only.
+/// training these are its photos only, in the frame of the division unless another one is given.
 pub fn open(data: &DataSettings, options: &DatasetOptions, stop: &AtomicBool) -> Result<Gallery> {
     let progress = Progress { report: None, interrupted: Some(stop) };
-    let mut gallery = Gallery::open(&data.source_path, options, progress)?;
-    if let Some(job) = Job::of(&data.job)? {
+    let job = Job::of(&data.job)?;
+    let of_division = job.as_ref().map(|job| job.file.division.frame());
+    let options = DatasetOptions { frame: options.frame.or(of_division), ..options.clone() };
+    let mut gallery = Gallery::open(&data.source_path, &options, progress)?;
+    if let Some(job) = job {
         job.choose_photos(&data.source_path, &mut gallery)?;
     }
     Ok(gallery)

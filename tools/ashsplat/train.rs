@@ -38,6 +38,7 @@ use checkpoints::StartFrom;
 pub use checkpoints::path as checkpoint_path;
 use clap::{Args, value_parser};
 pub use folder::trainer;
+use glam::DVec3;
 use live::{Live, LiveArguments};
 pub use log::Rows;
 use log::TrainLog;
@@ -150,8 +151,11 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let mut options = session::options(&settings.data, settings.train.white_background, host)?;
     // Only training looks at them.
     options.depths = Some(settings.data.depths.clone()).filter(|folder| !folder.as_os_str().is_empty());
+    // A training that goes on keeps its coordinates.
+    options.frame = origin.checkpoint().map(|checkpoint| checkpoint.frame);
     options.photo_memory = photo_memory(&context, arguments.photo_memory, &settings.data.model_path);
     let mut gallery = session::open(&settings.data, &options, &stop)?;
+    origin.express_in(gallery.frame());
     let given = (arguments.config.as_deref(), &arguments.overrides);
     let (settings, few_photos) = settings.settle(&mut gallery, given, origin.checkpoint())?;
     origin.refuse_unused(&settings, given)?;
@@ -162,7 +166,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         (origin.scene(), &settings, job.as_ref()),
         (arguments.quiet, &stop),
     )?;
-    let unseen = origin.divide(&settings, || gallery.used_cameras())?;
+    let unseen = origin.divide(&settings, &gallery)?;
     lpips.check(&gallery, &settings)?;
     check_fits(&context, &gallery, &settings, &origin)?;
     let mut dataset = session::load(&gallery, arguments.quiet, &stop)?;
@@ -205,6 +209,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let ended = job.as_ref().zip(stage.as_ref()).filter(|_| !interrupted);
     ended.map_or(Ok(()), |(job, stage)| run.note_end(job, stage))?;
     say!("written to {}", folder.display());
+    run.say_origin();
     if !interrupted && !arguments.quiet && stage.is_none_or(|stage| stage.is_last()) {
         say_what_next(&folder, run.held_out);
     }
@@ -416,6 +421,14 @@ impl Run {
             kept?;
         }
         Ok(false)
+    }
+
+    /// Says what the positions in the scene's file are relative to, if that is not the data set's own origin.
+    fn say_origin(&self) {
+        let DVec3 { x, y, z } = self.frame.origin;
+        if self.frame.origin != DVec3::ZERO {
+            say!("the scene's origin is {x} {y} {z}: positions in point_cloud.ply are relative to it");
+        }
     }
 
     /// The trained scene.

@@ -168,7 +168,13 @@ impl Gallery {
 
     /// The cameras by name, at the photos' own sizes.
     pub fn cameras(&self) -> Vec<NamedCamera> {
-        let named = |view: &PlannedView| NamedCamera { name: view.name.clone(), camera: view.camera() };
+        self.cameras_in(&self.frame)
+    }
+
+    /// The cameras by name, at the photos' own sizes, in the world coordinates of another frame.
+    pub fn cameras_in(&self, frame: &WorldFrame) -> Vec<NamedCamera> {
+        let named =
+            |view: &PlannedView| NamedCamera { name: view.name.clone(), camera: view.camera_in(frame) };
         self.views.iter().map(named).collect()
     }
 

@@ -43,13 +43,19 @@ pub(crate) struct PlannedView {
 impl PlannedView {
     /// The pinhole camera of the view at the size of its file, as far as the data set specifies it.
     pub(crate) fn camera(&self) -> Camera {
-        self.posed(self.pinhole)
+        self.camera_in(&self.frame)
     }
 
-    /// A camera at the view's place, in world coordinates.
+    /// The same in another frame.
+    pub(super) fn camera_in(&self, frame: &WorldFrame) -> Camera {
+        let translation = frame.translation(self.camera_from_source, self.translation);
+        Camera::with_pose(self.camera_from_source.as_mat3(), translation, self.pinhole)
+    }
+
+    /// The view's camera with other intrinsics.
     fn posed(&self, intrinsics: Intrinsics) -> Camera {
-        let translation = self.frame.translation(self.camera_from_source, self.translation);
-        Camera::with_pose(self.camera_from_source.as_mat3(), translation, intrinsics)
+        let Camera { camera_from_world, translation, .. } = self.camera();
+        Camera::with_pose(camera_from_world, translation, intrinsics)
     }
 
     /// The camera's centre, source coordinates.

@@ -136,12 +136,13 @@ pub fn read_points(path: impl AsRef<Path>) -> Result<SourcePoints> {
     let names = if coloured { &["x", "y", "z", "red", "green", "blue"][..] } else { &["x", "y", "z"] };
     let names: Vec<String> = names.iter().map(|name| name.to_string()).collect();
     host_memory::check_free(path, element.count.saturating_mul(27))?;
+    let file_origin = file.header.origin;
     let mut points = SourcePoints::default();
     points.positions.reserve(capacity(&element));
     points.colors.reserve(capacity(&element));
     let mut bad = None;
     file.for_each_row(&element, &names, |index, row| {
-        let position = DVec3::new(row[0], row[1], row[2]);
+        let position = file_origin + DVec3::new(row[0], row[1], row[2]);
         if !position.as_vec3().is_finite() {
             bad.get_or_insert(index);
         }

@@ -85,17 +85,18 @@ pub fn write_filtered(
 }
 
 /// Writes coloured points as the reference implementation's `input.ply`: `x y z nx ny nz` (float, normals 0)
-/// `red green blue` (uchar).
+/// `red green blue` (uchar). The points are in the world coordinates of `frame`; the file has source units from its origin, which
+/// its header names.
 ///
 /// # Errors
 /// [`ashsplat::Error::Io`] naming the file when it cannot be written; no partial file is left.
-pub fn write_points(path: impl AsRef<Path>, points: &PointCloud) -> Result<()> {
+pub fn write_points(path: impl AsRef<Path>, points: &PointCloud, frame: &WorldFrame) -> Result<()> {
     let floats = ["x", "y", "z", "nx", "ny", "nz"].map(|name| ("float", name));
     let bytes = ["red", "green", "blue"].map(|name| ("uchar", name));
     atomic::write(path, |writer| {
-        let plain = (false, &WorldFrame::default());
-        write_header(&mut *writer, points.len() as u64, plain, floats.into_iter().chain(bytes))?;
+        write_header(&mut *writer, points.len() as u64, (false, frame), floats.into_iter().chain(bytes))?;
         for (position, color) in points.positions.iter().zip(&points.colors) {
+            let position = position.map(|v| (frame.unit * f64::from(v)) as f32);
             for value in position.iter().chain(&[0.0; 3]) {
                 writer.write_all(&value.to_le_bytes())?;
             }

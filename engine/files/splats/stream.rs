@@ -93,9 +93,14 @@ impl Scene {
             origin: if self.header.origin == DVec3::ZERO { around.origin } else { self.header.origin },
             unit: self.header.unit.or(unit).unwrap_or(around.unit),
         };
-        self.gaussians.transform(&frame.similarity_from(&self.frame));
-        self.frame = frame;
+        self.express_in(&frame);
         self
+    }
+
+    /// Brings the Gaussians into another frame, such as that of a data set.
+    pub fn express_in(&mut self, frame: &WorldFrame) {
+        self.gaussians.transform(&frame.similarity_from(&self.frame));
+        self.frame = *frame;
     }
 }
 

@@ -2,7 +2,7 @@
 
 pub mod hostile;
 
-use ashsplat::scene::{Gaussians, PointCloud};
+use ashsplat::scene::{Gaussians, PointCloud, WorldFrame};
 use ashsplat::trainer::checkpoint::{Checkpoint, Room};
 use ashsplat::trainer::settings::TrainSettings;
 use cap::Cap;
@@ -68,6 +68,7 @@ pub fn checkpoint(gaussians: Gaussians, sh_degree: u32) -> Checkpoint {
         views: 3,
         views_fingerprint: 7,
         scene_extent: 2.0,
+        frame: WorldFrame::default(),
         iteration: 5,
         optimizer_steps: 5,
         opacity_steps: 5,

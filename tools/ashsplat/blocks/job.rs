@@ -50,8 +50,7 @@ impl Job {
             let path = self.file.at(path);
             std::path::absolute(&path).unwrap_or(path).to_string_lossy().into_owned()
         };
-        let core = block.core.bounds();
-        let sides = [core.min, core.max].map(|corner| corner.to_array()).concat();
+        let sides = block.core.corners().map(|corner| corner.to_array()).concat();
         let path = std::path::absolute(&self.file.path).unwrap_or_else(|_| self.file.path.clone());
         let mut table = Table::new();
         table.insert("job".into(), format!("{}:{}@{}", path.display(), block.number, self.file.hash).into());
@@ -64,7 +63,7 @@ impl Job {
         // A block is a part of a scene with many, and does not begin with points.
         table.insert("few_photos".into(), "off".into());
         table.insert("init".into(), absolute(&division.coarse.path).into());
-        table.insert("block".into(), sides.into_iter().map(f64::from).collect::<Vec<f64>>().into());
+        table.insert("block".into(), sides.into());
         table.insert("margin".into(), f64::from(division.margin).into());
         table.insert("scene_extent".into(), f64::from(division.scene_extent).into());
         table.insert("iterations".into(), i64::from(block.iterations).into());

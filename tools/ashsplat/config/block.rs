@@ -1,11 +1,11 @@
 //! Which part of a scene is trained.
 
 use super::{DataSettings, Outside, When};
-use ashsplat::scene::Bounds;
+use ashsplat::scene::{Bounds, WorldFrame};
 use ashsplat::trainer::SceneBlock;
 use ashsplat::{Error, Result};
 use clap::Args;
-use glam::Vec3;
+use glam::DVec3;
 use serde::Serialize;
 
 /// A block of a scene, in place of the whole.
@@ -22,11 +22,11 @@ pub struct BlockArguments {
         ]
     )]
     pub(super) job: Option<String>,
-    /// Train the Gaussians of the start with centres in this box, least and greatest corner; the others are drawn and stay as they
+    /// Train the Gaussians of the start with centres in this box, least and greatest corner, in the data set's coordinates; the others are drawn and stay as they
     /// are. Sides may be inf or -inf
     #[arg(long, value_name = "X,Y,Z,X,Y,Z", value_delimiter = ',', allow_hyphen_values = true)]
     block: Option<Vec<f64>>,
-    /// Train those this far around the block too, world units; none are added there [default: 0]
+    /// Train those this far around the block too, in the data set's units; none are added there [default: 0]
     #[arg(long, value_name = "X", allow_hyphen_values = true)]
     margin: Option<f64>,
     /// What becomes of the rest of the start's scene: masked leaves it out, and pixels of the photos that show it by its depths do not
@@ -41,38 +41,43 @@ pub struct BlockArguments {
     #[arg(long, value_enum)]
     photo_parts: Option<When>,
     /// The extent that scales the means' learning rate and the thresholds of densification, and the weight on scales of few photos,
-    /// world units: of a block, that of the whole scene; 0 takes that of the training cameras [default: 0]
+    /// in the data set's units: of a block, that of the whole scene; 0 takes that of the training cameras [default: 0]
     #[arg(long, value_name = "X", allow_hyphen_values = true)]
     scene_extent: Option<f64>,
 }
 
 impl DataSettings {
-    /// The block's core and margin, world units; None where the whole scene is trained.
-    pub fn block(&self) -> Result<Option<(Bounds, f32)>> {
-        let sides: Vec<f32> = self.block.iter().map(|&side| side as f32).collect();
-        match sides[..] {
-            [] if self.margin == 0.0 => Ok(None),
-            [] => Err(Error::argument("margin", "is that of a block: give --block as well")),
-            [a, b, c, x, y, z] => {
-                let core = Bounds { min: Vec3::new(a, b, c), max: Vec3::new(x, y, z) };
-                SceneBlock::check_box(core, self.margin as f32)?;
-                Ok(Some((core, self.margin as f32)))
-            }
-            _ => Err(Error::argument("block", "expected six numbers with commas between them")),
+    /// The block's core and margin in the world coordinates of a frame; None where the whole scene is trained.
+    pub fn block(&self, frame: &WorldFrame) -> Result<Option<(Bounds, f32)>> {
+        let [min, max] = match self.block[..] {
+            [] if self.margin == 0.0 => return Ok(None),
+            [] => return Err(Error::argument("margin", "is that of a block: give --block as well")),
+            [a, b, c, x, y, z] => [DVec3::new(a, b, c), DVec3::new(x, y, z)],
+            _ => return Err(Error::argument("block", "expected six numbers with commas between them")),
+        };
+        // In double precision: single precision may not tell the sides of a box far from the origin apart.
+        if !min.cmplt(max).all() {
+            let problem = format!("from {min} to {max}: each least side must be below the greatest");
+            return Err(Error::argument("block", problem));
         }
+        let margin = (self.margin / frame.unit) as f32;
+        if !(margin.is_finite() && margin >= 0.0) {
+            return Err(Error::argument("margin", format!("is {}, must be 0 or more", self.margin)));
+        }
+        Ok(Some((Bounds { min: frame.world(min), max: frame.world(max) }, margin)))
     }
 
-    /// The scene's extent, where that of the cameras is this.
-    pub fn extent(&self, of_cameras: f32) -> f32 {
-        if self.scene_extent > 0.0 { self.scene_extent as f32 } else { of_cameras }
+    /// The scene's extent in the world units of a frame, where that of the cameras is this.
+    pub fn extent(&self, of_cameras: f32, frame: &WorldFrame) -> f32 {
+        if self.scene_extent > 0.0 { (self.scene_extent / frame.unit) as f32 } else { of_cameras }
     }
 
-    /// The block's core and margin, world units, if what lies beyond is masked.
+    /// The block's core and margin, as [`DataSettings::block`], if what lies beyond is masked.
     ///
     /// # Errors
     /// [`Error::Argument`] without a block, and without a scene whose depths tell what lies where.
-    pub fn masked_block(&self) -> Result<Option<(Bounds, f32)>> {
-        let block = self.block()?;
+    pub fn masked_block(&self, frame: &WorldFrame) -> Result<Option<(Bounds, f32)>> {
+        let block = self.block(frame)?;
         if self.outside == Outside::Drawn {
             return Ok(None);
         }
@@ -86,15 +91,15 @@ impl DataSettings {
         Err(Error::argument("outside", problem))
     }
 
-    /// The block's core and margin, world units, if parts of the photos that show it are to be found by the depths of a scene.
+    /// The block's core and margin, as [`DataSettings::block`], if parts of the photos that show it are to be found by the depths of a scene.
     ///
     /// # Errors
     /// [`Error::Argument`] where that was asked for without a block, or without such a scene.
-    pub fn block_of_parts(&self) -> Result<Option<(Bounds, f32)>> {
+    pub fn block_of_parts(&self, frame: &WorldFrame) -> Result<Option<(Bounds, f32)>> {
         if self.photo_parts != When::On || self.uses_parts_of_job() {
             return Ok(None);
         }
-        let problem = match self.block()? {
+        let problem = match self.block(frame)? {
             None => "are those that show a block: give --block or --job as well",
             Some(_) if self.init.as_os_str().is_empty() => {
                 "are found by the depths of a scene: give one to begin with (--init)"
@@ -111,7 +116,8 @@ impl DataSettings {
 
     /// Whether the depths of the scene that training begins with tell what photos show of a block.
     pub fn looks_at_depths(&self) -> Result<bool> {
-        Ok(self.masked_block()?.or(self.block_of_parts()?).is_some())
+        let frame = WorldFrame::default();
+        Ok(self.masked_block(&frame)?.or(self.block_of_parts(&frame)?).is_some())
     }
 
     /// Refuses a senseless block or extent.
@@ -120,7 +126,9 @@ impl DataSettings {
             let problem = format!("is {}, must be positive, or 0 for that of the cameras", self.scene_extent);
             return Err(Error::argument("scene_extent", problem));
         }
-        if self.train_test_exp && (self.uses_parts_of_job() || self.block_of_parts()?.is_some()) {
+        if self.train_test_exp
+            && (self.uses_parts_of_job() || self.block_of_parts(&WorldFrame::default())?.is_some())
+        {
             let problem = "takes halves of whole photos: give --photo-parts off as well";
             return Err(Error::argument("train_test_exp", problem));
         }

@@ -34,15 +34,15 @@ pub struct DataSettings {
     pub job: String,
     /// Gaussians to begin with, in place of points; empty: none.
     pub init: PathBuf,
-    /// The corners of the block that is trained, world units; empty: the whole scene.
+    /// The corners of the block that is trained, source coordinates; empty: the whole scene.
     pub block: Vec<f64>,
-    /// How far around it Gaussians are trained too, world units.
+    /// How far around it Gaussians are trained too, source units.
     pub margin: f64,
     /// What becomes of what lies beyond that.
     pub outside: Outside,
     /// Whether of each photo only the part is used that shows the block.
     pub photo_parts: When,
-    /// World units; 0: that of the training cameras.
+    /// Source units; 0: that of the training cameras.
     pub scene_extent: f64,
     /// Iterations after which to test; the last is always one.
     pub test_iterations: Vec<u32>,

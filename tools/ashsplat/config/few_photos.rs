@@ -62,7 +62,7 @@ impl Settings {
             None => StrategyType::Budget,
         };
         let given = Settings::given(file, overrides)?;
-        let extent = self.data.extent(gallery.scene_extent());
+        let extent = self.data.extent(gallery.scene_extent(), gallery.frame());
         let settled = Settings::resolve_from(Defaults::FewPhotos(strategy, extent), given.clone())?;
         let without = match settled.train.strategy {
             StrategyType::Fixed => Some("fixed"),

@@ -3,7 +3,7 @@
 
 use crate::output;
 use crate::progress::counting;
-use ashsplat::scene::{Camera, Intrinsics, PointCloud};
+use ashsplat::scene::{Camera, Intrinsics, PointCloud, WorldFrame};
 use ashsplat::{Error, Result};
 use ashsplat_demo_scene::Scene;
 use ashsplat_demo_scene::city::{self, City};
@@ -183,7 +183,7 @@ fn write_nerf_synthetic(
         return Ok(());
     }
     // Where the reference leaves the points of such scenes.
-    ply::write_points(folder.join("points3d.ply"), points)
+    ply::write_points(folder.join("points3d.ply"), points, &WorldFrame::default())
 }
 
 /// Rotation and position of a camera in double precision, from which both layouts are written: then their readers, which

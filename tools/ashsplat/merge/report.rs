@@ -61,7 +61,7 @@ struct SeamQuality {
 #[derive(Serialize)]
 struct Results {
     views: usize,
-    /// What counts as along a seam: so far away at most, world units.
+    /// What counts as along a seam: so far away at most, source units.
     band: f32,
     /// Share of the pixels.
     band_share: f64,
@@ -97,14 +97,16 @@ impl Ready {
             ..DataSettings::default()
         };
         let stop = session::stop_on_ctrl_c()?;
-        let options = session::options(&data, settings.train.white_background, host)?;
+        let mut options = session::options(&data, settings.train.white_background, host)?;
+        options.frame = Some(division.frame());
         let gallery = session::open(&data, &options, &stop)?;
         file.check_cameras(&data.source_path, &gallery)?;
         Ok(Ready { page: page.to_owned(), gallery, context: arguments.device.context()?, settings, stop })
     }
 
     fn drawn(&self, path: &Path, settings: &Settings, arguments: &Arguments) -> Result<Drawn> {
-        let scene = splats::read(path, &arguments.device.host.reading(arguments.drop_invalid))?;
+        let mut scene = splats::read(path, &arguments.device.host.reading(arguments.drop_invalid))?;
+        scene.express_in(self.gallery.frame());
         let mut renderer = Renderer::new(&self.context)?;
         renderer.upload(&scene.gaussians)?;
         let look = render::settings_of(settings);
@@ -116,7 +118,7 @@ impl Ready {
     /// Measures the scene, and writes page and JSON.
     pub fn measure(self, arguments: &Arguments, file: &BlocksFile) -> Result<()> {
         let cells = file.division.cells()?;
-        let seams = Seams::of(&cells, file.division.margin);
+        let seams = Seams::of(&cells, file.division.margin_in_world());
         let mut scenes = vec![self.drawn(&arguments.out, &self.settings, arguments)?];
         if let Some(path) = &arguments.against {
             let model = Model::locate(path, None)?;

@@ -175,7 +175,7 @@ impl Drawn<'_> {
         }
         for seam in self.seams.iter().filter(|seam| plan.axes.contains(&seam.axis)) {
             let margin = Vec3::from_array(
-                [0, 1, 2].map(|axis| if axis == seam.axis { self.division.margin } else { 0.0 }),
+                [0, 1, 2].map(|axis| if axis == seam.axis { self.division.margin_in_world() } else { 0.0 }),
             );
             let (a, b) = (plan.at(seam.bounds.min - margin), plan.at(seam.bounds.max + margin));
             rectangle(out, a, b, "fill=\"#000000\" fill-opacity=\"0.08\"");

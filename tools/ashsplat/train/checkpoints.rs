@@ -227,10 +227,11 @@ impl Run {
 
     /// The log first: with the checkpoint, all its iterations are on disk.
     pub(super) fn write_checkpoint(&mut self) -> Result<()> {
-        self.write_that(&self.trainer.checkpoint()?)
+        self.write_that(self.trainer.checkpoint()?)
     }
 
-    fn write_that(&mut self, checkpoint: &Checkpoint) -> Result<()> {
+    fn write_that(&mut self, checkpoint: Checkpoint) -> Result<()> {
+        let checkpoint = &Checkpoint { frame: self.frame, ..checkpoint };
         self.log.flush();
         let data = &self.settings.data;
         let (folder, iteration) = (&data.model_path, checkpoint.iteration);
@@ -267,7 +268,7 @@ impl Run {
             }
         }
         if self.checkpointed != Some(iteration)
-            && let Err(error) = checkpoint.and_then(|checkpoint| self.write_that(&checkpoint))
+            && let Err(error) = checkpoint.and_then(|checkpoint| self.write_that(checkpoint))
         {
             tell!("warning: no checkpoint: {error}{}", self.older_checkpoint().unwrap_or_default());
         }

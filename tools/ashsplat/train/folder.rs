@@ -64,7 +64,7 @@ pub fn begin(
     output::write_text(&folder.join(CFG_ARGS_FILE), &settings.to_cfg_args())?;
     let named = cameras.iter().map(|(name, camera)| (name.as_str(), camera));
     cameras_json::write(folder.join(CAMERAS_FILE), named, frame)?;
-    points.map_or(Ok(()), |points| ply::write_points(folder.join(INPUT_FILE), points))?;
+    points.map_or(Ok(()), |points| ply::write_points(folder.join(INPUT_FILE), points, frame))?;
     Ok(lock)
 }
 

@@ -6,11 +6,12 @@ use crate::args::HostArguments;
 use crate::config::{Overrides, Settings};
 use crate::model;
 use crate::progress::thousands;
-use ashsplat::scene::{Camera, Gaussians, PointCloud};
+use ashsplat::scene::{Gaussians, PointCloud, WorldFrame};
 use ashsplat::trainer::{Checkpoint, SceneBlock, TrainParts, TrainSettings, Trainer};
 use ashsplat::vk::Context;
 use ashsplat::{Error, Result};
-use ashsplat_files::{Dataset, splats};
+use ashsplat_files::splats::{self, Scene};
+use ashsplat_files::{Dataset, Gallery};
 use std::path::Path;
 
 /// What a training begins with: a checkpoint, else a scene, else the points of the data set or what stands in for them. Around a
@@ -19,9 +20,9 @@ use std::path::Path;
 pub struct Origin {
     start: Option<Box<Start>>,
     /// The Gaussians of a file, `--init`.
-    scene: Option<Gaussians>,
+    scene: Option<Scene>,
     /// What an exchange has made of it, where the depths of the first one are needed too; only of blocks.
-    exchanged: Option<Gaussians>,
+    exchanged: Option<Scene>,
     /// What became of them, once they are divided: what is trained of a block, and the block.
     divided: Option<(Gaussians, SceneBlock)>,
     /// Whether a checkpoint is of a block, among points.
@@ -60,7 +61,7 @@ impl Origin {
                 return Err(Error::argument("checkpoint", problem + "; raise --iterations to go on"));
             }
         }
-        let (goes_on, has_block) = (start.is_some(), data.block()?.is_some());
+        let (goes_on, has_block) = (start.is_some(), data.block(&WorldFrame::default())?.is_some());
         if data.init.as_os_str().is_empty() || goes_on && !has_block {
             return Ok(Origin { start, needs_points: !goes_on || has_block, ..Origin::default() });
         }
@@ -83,20 +84,17 @@ impl Origin {
         Origin { needs_points: true, ..Origin::default() }
     }
 
-    /// Divides a scene into what is trained of a block, and what of the rest these cameras see. A line about it, if some is not seen.
-    pub fn divide(
-        &mut self,
-        settings: &Settings,
-        cameras: impl FnOnce() -> Result<Vec<Camera>>,
-    ) -> Result<Option<String>> {
-        let (train, block) = (&settings.train, settings.data.block()?);
+    /// Divides a scene into what is trained of a block, and what of the rest the cameras see. A line about it, if some is not seen.
+    pub fn divide(&mut self, settings: &Settings, gallery: &Gallery) -> Result<Option<String>> {
+        let (train, block) = (&settings.train, settings.data.block(gallery.frame())?);
         let Some(((core, margin), scene)) = block.zip(self.exchanged.as_ref().or(self.scene.as_ref())) else {
             return Ok(None);
         };
-        let (trained, block) = SceneBlock::divide(&scene.with_sh_degree(train.sh_degree), core, margin)?;
+        let (trained, block) =
+            SceneBlock::divide(&scene.gaussians.with_sh_degree(train.sh_degree), core, margin)?;
         let block = settings.data.outside.leave(block, self.exchanged.is_some());
         let around = block.frozen.len();
-        let block = block.without_unseen(&cameras()?, train);
+        let block = block.without_unseen(&gallery.used_cameras()?, train);
         let unseen = around - block.frozen.len();
         // Twice as much memory is not needed.
         (self.scene, self.exchanged) = (None, None);
@@ -110,7 +108,12 @@ impl Origin {
 
     /// The scene that training begins with, or began with, if it does not begin with points.
     pub fn scene(&self) -> Option<&Gaussians> {
-        self.scene.as_ref()
+        self.scene.as_ref().map(|scene| &scene.gaussians)
+    }
+
+    /// Brings the scenes that were read into the frame of the data set.
+    pub fn express_in(&mut self, frame: &WorldFrame) {
+        self.scene.iter_mut().chain(&mut self.exchanged).for_each(|scene| scene.express_in(frame));
     }
 
     /// Whether the points of the data set are used.
@@ -135,17 +138,21 @@ impl Origin {
 
     /// How many Gaussians are trained, and how many lie around them, as far as that is known before the photos are read: of
     /// these `points`, or of so many that stand in for them.
-    pub fn counts(&self, settings: &Settings, points: &PointCloud) -> Result<[usize; 2]> {
+    pub fn counts(
+        &self,
+        settings: &Settings,
+        (points, frame): (&PointCloud, &WorldFrame),
+    ) -> Result<[usize; 2]> {
         if let Some((trained, block)) = &self.divided {
             let trained = self.checkpoint().map_or(trained, |checkpoint| &checkpoint.gaussians);
             return Ok([trained.len(), block.frozen.len()]);
         }
-        let means = match &self.scene {
+        let means = match self.scene() {
             Some(scene) => &scene.means,
             None => &points.positions,
         };
         let all = if means.is_empty() { settings.missing_points() } else { means.len() };
-        let inside = match settings.data.block()? {
+        let inside = match settings.data.block(frame)? {
             Some((core, margin)) if !means.is_empty() => {
                 means.iter().filter(|&&mean| SceneBlock::contains(core, margin, mean)).count()
             }
@@ -169,7 +176,7 @@ impl Origin {
 
     /// The settings of a training that begins so: the SH degree of a scene is in use from its start.
     pub fn settle(&self, settings: Settings) -> Settings {
-        let degree = match (self.checkpoint(), &self.scene) {
+        let degree = match (self.checkpoint(), self.scene()) {
             (Some(checkpoint), _) => checkpoint.settings.sh_degree_start,
             (None, Some(scene)) => scene.sh_degree,
             (None, None) => 0,
@@ -181,7 +188,7 @@ impl Origin {
 
     /// The first Gaussians.
     pub fn first(&self, dataset: &Dataset, settings: &Settings) -> Result<First> {
-        let (train, block) = (&settings.train, settings.data.block()?);
+        let (train, block) = (&settings.train, settings.data.block(&dataset.frame)?);
         let goes_on = self.start.is_some();
         if goes_on && block.is_none() {
             return Ok(First { trained: None, block: None, points: None });
@@ -190,7 +197,7 @@ impl Origin {
             let trained = (!goes_on).then(|| trained.clone());
             return Ok(First { trained, block: Some(block.clone()), points: None });
         }
-        let (whole, points) = match &self.scene {
+        let (whole, points) = match self.scene() {
             Some(gaussians) => (gaussians.with_sh_degree(train.sh_degree), None),
             None => {
                 let points = dataset.initial_points(u64::from(train.seed));
@@ -234,7 +241,7 @@ impl Origin {
 }
 
 /// The Gaussians of a file to begin with, with warnings.
-fn scene_of(path: &Path, settings: &Settings, host: &HostArguments) -> Result<Gaussians> {
+fn scene_of(path: &Path, settings: &Settings, host: &HostArguments) -> Result<Scene> {
     let scene = splats::read(path, &host.reading(false))?;
     if scene.gaussians.is_empty() {
         let remedy = "give another file, or leave --init out and begin with points";
@@ -247,5 +254,5 @@ fn scene_of(path: &Path, settings: &Settings, host: &HostArguments) -> Result<Ga
     for warning in &scene.warnings {
         tell!("warning: {warning}");
     }
-    Ok(scene.gaussians)
+    Ok(scene)
 }

@@ -23,7 +23,8 @@ pub fn look(
     (scene, settings, job): (Option<&Gaussians>, &Settings, Option<&Job>),
     (quiet, stop): (bool, &AtomicBool),
 ) -> Result<Option<String>> {
-    let (masked, parts) = (settings.data.masked_block()?, settings.data.block_of_parts()?);
+    let frame = gallery.frame();
+    let (masked, parts) = (settings.data.masked_block(frame)?, settings.data.block_of_parts(frame)?);
     if let (Some(block), Some(scene)) = (masked.or(parts), scene) {
         let mut renderer = Renderer::new(context)?;
         renderer.upload(scene)?;

@@ -98,13 +98,16 @@ impl Run {
             &self.frame,
         )?;
         let poses: Map<_, _> = (self.trained.iter().zip(&changes))
-            .map(|(name, change)| (name.clone(), json!(change.to_array())))
+            .map(|(name, change)| {
+                let Twist { nu, omega } = *change;
+                (name.clone(), json!(Twist { nu: self.frame.unit * nu, omega }.to_array()))
+            })
             .collect();
         let summary = json!({
             "iteration": iteration,
-            "about": "exp(xi^) T: xi = (nu, omega) in the camera's frame (x right, y down, z forward), world units and \
-                      radians; T from world to camera as given",
-            "scene_extent": self.trainer.scene_extent(),
+            "about": "exp(xi^) T: xi = (nu, omega) in the camera's frame (x right, y down, z forward), the data \
+                      set's units and radians; T to the camera as given",
+            "scene_extent": (self.frame.unit * f64::from(self.trainer.scene_extent())) as f32,
             "degrees": { "mean": degrees[0], "largest": degrees[1] },
             "share_of_extent": { "mean": shares[0], "largest": shares[1] },
             "xi": poses,

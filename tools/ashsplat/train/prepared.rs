@@ -47,7 +47,7 @@ pub struct Views {
 impl Prepared {
     pub fn new(dataset: Dataset, settings: &Settings) -> Prepared {
         let Dataset { frame, train, test, scene_extent, .. } = dataset;
-        let scene_extent = settings.data.extent(scene_extent);
+        let scene_extent = settings.data.extent(scene_extent, &frame);
         let own = |view: &View| (view.name.clone(), view.original_camera);
         // A view may be trained on and held out, each for one half.
         let held_out: HashSet<&str> = test.iter().map(|view| view.name.as_str()).collect();
@@ -83,7 +83,7 @@ pub fn stand_ins(views: usize) -> impl Iterator<Item = usize> {
 
 /// Refuses what cannot be trained here, from the sizes of the photos: before they are read.
 pub fn check_fits(context: &Context, gallery: &Gallery, settings: &Settings, origin: &Origin) -> Result<()> {
-    let [gaussians, frozen] = origin.counts(settings, gallery.points())?;
+    let [gaussians, frozen] = origin.counts(settings, (gallery.points(), gallery.frame()))?;
     Forecast {
         settings: &settings.train,
         photos: &gallery.train_photos()?,

@@ -147,7 +147,7 @@ impl Run {
         let path = model::point_cloud_path(folder, iteration);
         let gaussians = self.trainer.gaussians()?;
         let antialiased = self.settings.train.antialiasing;
-        let options = splats::WriteOptions { antialiased, ..Default::default() };
+        let options = splats::WriteOptions { antialiased, frame: self.frame, ..Default::default() };
         let filters = self.trainer.filters()?;
         output::in_folder(&path, |path| match filters.is_empty() {
             true => splats::write(path, &gaussians, &options),

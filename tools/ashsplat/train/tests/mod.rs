@@ -5,7 +5,7 @@ mod following;
 use super::*;
 use crate::config::{CAMERAS_FILE, CFG_ARGS_FILE, SETTINGS_FILE};
 use crate::{eval, model};
-use ashsplat::scene::{Camera, Intrinsics, PointCloud};
+use ashsplat::scene::{Camera, Intrinsics, PointCloud, WorldFrame};
 use ashsplat::trainer::{Actions, Checkpoint};
 use ashsplat::vk::{ContextOptions, Fault, Faults};
 use ashsplat_files::CheckpointFile;

@@ -1,0 +1,148 @@
+//! Data sets in map coordinates and in other units: they train as at the origin, and coordinates are those of their files.
+
+use super::checkpoints::{Place, assert_trained};
+use super::merge::{core, division, job, merge, partition};
+use super::*;
+use ashsplat::scene::WorldFrame;
+use ashsplat::trainer::Checkpoint;
+use ashsplat_files::splats::{self, ReadOptions};
+use ashsplat_files::{CheckpointFile, cameras_json};
+use glam::DVec3;
+
+const UTM: DVec3 = DVec3::new(500_000.0, 5_000_000.0, 120.0);
+const OPTIONS: [&str; 3] = ["--iterations", "12", "--eval"];
+
+/// The data set of [`write_dataset`], scaled and then moved.
+fn moved(scale: f64, offset: DVec3) -> Place {
+    let place = Place::new();
+    let sparse = place.model("data/sparse/0");
+    let (mut images, mut points) = (String::new(), String::new());
+    for id in 1..=VIEWS {
+        let image = ColmapImage::posed(id, 1, format!("{id:02}.png"), &view(id - 1));
+        // Far from zero, where single precision is coarser than doubles at the offset.
+        let translation = DVec3::from_array(image.translation.map(|v| (v * 1024.0).round() / 1024.0 + 0.01));
+        let [x, y, z] = (scale * translation.as_vec3().as_dvec3() - image.rotation() * offset).to_array();
+        let [qw, qx, qy, qz] = image.quat;
+        images += &format!("{id} {qw} {qx} {qy} {qz} {x} {y} {z} 1 {}\n\n", image.name);
+    }
+    let PointCloud { positions, colors } = wall_points();
+    for (id, (position, [r, g, b])) in positions.iter().zip(colors).enumerate() {
+        let [x, y, z] = (scale * Vec3::from_array(*position).as_dvec3() + offset).to_array();
+        points += &format!("{id} {x} {y} {z} {r} {g} {b} 0.5\n");
+    }
+    let Camera { fx, fy, cx, cy, width, height, .. } = view(0);
+    let cameras = format!("1 PINHOLE {width} {height} {fx} {fy} {cx} {cy}\n");
+    for (part, text) in [("cameras", cameras), ("images", images), ("points3D", points)] {
+        std::fs::remove_file(sparse.join(format!("{part}.bin"))).expect("removed");
+        std::fs::write(sparse.join(format!("{part}.txt")), text).expect("written");
+    }
+    place
+}
+
+/// A PLY without the comment that names the origin.
+fn without_origin(ply: Vec<u8>) -> Vec<u8> {
+    let comment = b"comment origin 500000 5000000 120\n";
+    let at = ply.windows(comment.len()).position(|bytes| bytes == comment).expect("the origin");
+    [&ply[..at], &ply[at + comment.len()..]].concat()
+}
+
+fn means(place: &Place, model: &str) -> (Vec<[f32; 3]>, Option<f64>) {
+    let path = place.model(model).join("point_cloud/iteration_12/point_cloud.ply");
+    let scene = splats::read(path, &ReadOptions::default()).expect("a PLY");
+    (scene.gaussians.means, scene.header.unit)
+}
+
+#[test]
+fn a_far_data_set_trains_to_the_bits_of_one_at_the_origin() {
+    let (near, far) = (moved(1.0, DVec3::ZERO), moved(1.0, UTM));
+    let run = near.train("model", &OPTIONS);
+    assert_trained(&run);
+    let run_far = far.train("model", &[&OPTIONS[..], &["--checkpoint-iterations", "6"]].concat());
+    assert_trained(&run_far);
+    assert!(!run.stdout.contains("origin") && run_far.stdout.contains("origin is 500000 5000000 120"));
+    assert!(without_origin(far.ply("model", 12)) == near.ply("model", 12), "other bits");
+    let input = |place: &Place| std::fs::read(place.model("model/input.ply")).expect("points");
+    assert!(without_origin(input(&far)) == input(&near), "other points");
+    // Other programs read cameras.json and point_cloud.ply together.
+    let frame = WorldFrame { origin: UTM, unit: 1.0 };
+    let cameras = |place: &Place, frame: &WorldFrame| {
+        cameras_json::read(place.model("model/cameras.json"), frame).expect("cameras")
+    };
+    assert_eq!(cameras(&far, &frame), cameras(&near, &WorldFrame::default()));
+    let measured = |place: &Place| {
+        succeed(&["eval", text(&place.model("model")), "--quiet", "--json"]);
+        let results = std::fs::read_to_string(place.model("model/results.json")).expect("results");
+        serde_json::from_str::<serde_json::Value>(&results).expect("JSON")["ours_12"]["PSNR"].clone()
+    };
+    assert_eq!(measured(&far), measured(&near));
+
+    // Resumed in the frame of the checkpoint, and not on a data set that lies elsewhere.
+    let checkpoint = far.model("model/chkpnt6.safetensors");
+    assert_eq!(Checkpoint::read(&checkpoint).expect("a checkpoint").frame, frame);
+    let start = [&OPTIONS[..], &["--start-checkpoint", text(&checkpoint)]].concat();
+    assert_trained(&far.train("resumed", &start));
+    assert!(far.ply("resumed", 12) == far.ply("model", 12), "other bits");
+    assert_refused(&near.train("resumed", &start), &["chkpnt6", "other photographs or cameras"]);
+
+    // A block of the data set's coordinates.
+    let block = |x: f64| format!("--block=-inf,-inf,-inf,{x},inf,inf");
+    assert_trained(&near.train("block", &[&OPTIONS[..], &[&block(-0.2)]].concat()));
+    assert_trained(&far.train("block", &[&OPTIONS[..], &[&block(499_999.8)]].concat()));
+    assert!(without_origin(far.ply("block", 12)) == near.ply("block", 12), "another block");
+}
+
+#[test]
+fn a_data_set_in_other_units_trains_alike() {
+    let near = moved(1.0, DVec3::ZERO);
+    assert_trained(&near.train("model", &OPTIONS));
+    let (expected, unit) = means(&near, "model");
+    assert_eq!(unit, None);
+    for scale in [1e-4, 1e4] {
+        let place = moved(scale, DVec3::ZERO);
+        let margin = (0.3 * scale).to_string();
+        assert_trained(&place.train("model", &OPTIONS));
+        let (means, unit) = means(&place, "model");
+        assert_eq!((means.len(), unit), (expected.len(), Some(scale)));
+        // In the units of the data set.
+        let off = |(mean, expected): (&[f32; 3], &[f32; 3])| {
+            Vec3::from_array(*mean).distance(scale as f32 * Vec3::from_array(*expected)) / scale as f32
+        };
+        assert!(means.iter().zip(&expected).map(off).fold(0.0, f32::max) < 1e-5);
+        let block = |scale: f64| format!("--block=-inf,-inf,-inf,{},inf,inf", -0.5 * scale);
+        let trained = |place: &Place, options: &[&str]| {
+            assert_trained(&place.train("block", &[&OPTIONS[..], options].concat()));
+            self::means(place, "block").0.len()
+        };
+        let there = trained(&place, &[&block(scale), "--margin", &margin]);
+        assert_eq!(there, trained(&near, &[&block(1.0), "--margin", "0.3"]));
+    }
+}
+
+#[test]
+fn blocks_of_a_far_data_set_share_its_origin() {
+    let (near, far) = (moved(1.0, DVec3::ZERO), moved(1.0, UTM));
+    for place in [&near, &far] {
+        assert_trained(&place.train("coarse", &["--iterations", "12", "--eval"]));
+        assert_trained(&partition(place, "blocks.json", &["--max-gaussians", "300"]));
+    }
+    let (there, here) = (division(&near), division(&far));
+    assert!(there["origin"].is_null());
+    assert_eq!(here["origin"], serde_json::json!(UTM.to_array()));
+    for (there, here) in
+        there["blocks"].as_array().expect("blocks").iter().zip(here["blocks"].as_array().expect("blocks"))
+    {
+        let number = here["number"].as_u64().expect("a number") as u32;
+        assert_eq!((&there["photos"], &there["trained"]), (&here["photos"], &here["trained"]));
+        for axis in 0..3 {
+            let sides = [there, here].map(|block| block["core"]["max"][axis].as_f64());
+            let moved = sides[0].map(|side| side + UTM[axis]);
+            assert!(moved.zip(sides[1]).is_none_or(|(a, b)| (a - b).abs() < 1e-6), "{sides:?}");
+            assert_eq!(moved.is_some(), sides[1].is_some());
+        }
+        assert!(core(there) != core(here));
+        [&near, &far].iter().for_each(|place| assert_trained(&job(place, number, &[])));
+    }
+    [&near, &far].iter().for_each(|place| assert_trained(&merge(place, "merged.ply")));
+    let merged = |place: &Place| std::fs::read(place.model("merged.ply")).expect("a PLY");
+    assert!(without_origin(merged(&far)) == merged(&near), "other bits");
+}
