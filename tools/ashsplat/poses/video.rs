@@ -20,7 +20,7 @@ const MAX_SIDE: u32 = 16_384;
 /// The containers and streams that are read (ffmpeg's names of demuxers): each is one file. Playlists, lists of files and patterns
 /// would have ffmpeg open others.
 const FORMATS: &str = "mov,matroska,webm,avi,mpegts,mpeg,mpegvideo,asf,flv,ogg,gif,mxf,nut,ivf,dv,h264,hevc,m4v,mjpeg,\
-                       yuv4mpegpipe,wtv,rm";
+                       yuv4mpegpipe,wtv,rm,obu,apng";
 /// Most frames: names have five digits.
 const MOST: usize = 10_000;
 /// Frames per second by default, and the least and the most frames then.

@@ -76,8 +76,8 @@ impl From<MotionName> for Motion {
 /// Size and field of view, where they differ from the cameras' own.
 #[derive(Args)]
 pub struct SizeArguments {
-    /// Width of the pictures, pixels; a picture of another aspect than its camera's shows more at two sides [default: the cameras'; 1280 for an orbit, 640 as a GIF; 720 and 360 where most photographs
-    /// are upright]
+    /// Width of the pictures, pixels; a picture of another aspect than its camera's shows more at two sides [default: the cameras';
+    /// 1280 for an orbit, 640 as a GIF; 720 and 360 where most photographs are upright]
     #[arg(long, value_name = "PIXELS")]
     width: Option<u32>,
     /// Height of the pictures, pixels [default: the cameras', with --width in their aspect; for an orbit 9/16 of the width, 16/9
