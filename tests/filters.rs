@@ -128,10 +128,13 @@ fn filters_are_baked_when_they_are_read() {
     let settings = RenderSettings { filter_3d: true, ..plain };
     let filtered = renderer.render(&camera, &settings).expect("a frame").color;
     assert!(filtered != before);
-    ply::write_filtered(&path, &gaussians, &sizes, &WriteOptions { antialiased: true, ..Default::default() })
-        .expect("written");
+    let antialiased = WriteOptions { antialiased: true, ..Default::default() };
+    ply::write_filtered(&path, &gaussians, &sizes, &antialiased).expect("written");
     let text = String::from_utf8_lossy(&std::fs::read(&path).expect("a file")[..2000]).into_owned();
-    assert!(text.contains("property float filter_3D\nend_header") && text.contains("comment antialiased"));
+    assert!(
+        text.contains("property float filter_3D\nend_header")
+            && text.contains("comment SplatRenderMode: mip")
+    );
     let read = ply::read(&path, &ply::PlyOptions::default()).expect("a scene").gaussians;
     gaussians.bake_filters(&sizes).expect("one each");
     assert!(read == gaussians);

@@ -7,6 +7,7 @@
 mod convert;
 mod detect;
 mod dot_splat;
+mod foreign;
 mod format;
 mod gltf;
 mod gltf_packed;
@@ -23,18 +24,19 @@ use std::path::Path;
 
 use super::ply;
 use ashsplat::scene::{Bounds, Cut, Gaussians, Similarity, WorldFrame};
-use ashsplat::{Error, Result};
+use ashsplat::{Error, RenderSettings, Result};
 use glam::Vec3;
 
 pub(super) use convert::OriginSample;
 use convert::changed;
 pub use convert::{ConvertOptions, Converted, Target, convert};
+pub use foreign::foreign;
 pub use format::Format;
 pub(crate) use gltf::{EXTENSION, PACKED_EXTENSION};
 pub use merge::{Merged, Part, merge};
 pub(crate) use origin_file::FARTHEST;
 pub(super) use stream::{
-    BLOCK, Outline, Produce, Reader, Sink, Source, in_blocks, in_source_units, row_bytes,
+    BLOCK, Outline, Produce, Reader, Sink, Source, in_blocks, in_source_units, is_kernel_size, row_bytes,
 };
 pub use stream::{Header, ReadOptions, Scene};
 
@@ -83,7 +85,7 @@ pub fn write(path: impl AsRef<Path>, gaussians: &Gaussians, options: &WriteOptio
 /// memory of a block besides. Returns how many were written. The file has the bytes of the one that [`convert()`] makes.
 ///
 /// # Errors
-/// As [`write()`]; [`ashsplat::Error::Argument`] for a cut that makes no sense.
+/// As [`write()`]; [`ashsplat::Error::Argument`] for a cut that makes no sense; [`ashsplat::Error::Input`] for parameters that [`read`] refuses.
 pub fn write_cut(
     path: impl AsRef<Path>,
     gaussians: &Gaussians,
@@ -108,7 +110,7 @@ pub fn write_cut(
     }));
     let bounds = in_source_units(bounds, &options.frame);
     let outline = Outline { count, sh_degree, bounds, ..Outline::of(gaussians, options) };
-    write_blocks(path, (format, options.spz_version), &outline, &mut |sink| {
+    write_readable(path, (format, options.spz_version), &outline, &mut |sink| {
         in_blocks(gaussians, &mut |block| sink(changed(block, sh_degree, cut, &to_source)))
     })?;
     Ok(count)
@@ -121,12 +123,23 @@ pub struct WriteOptions {
     pub format: Option<Format>,
     /// Whether the Gaussians were trained with antialiasing.
     pub antialiased: bool,
+    /// As [`Header::kernel_size`]; kept in PLY and glTF.
+    pub kernel_size: Option<f32>,
     /// Version of SPZ. SPZ: 2 or 4; none: 4. GLB: 2 packs the attributes as `KHR_gaussian_splatting_compression_spz_2`; none: not
     /// packed. Other formats have none.
     pub spz_version: Option<u32>,
     /// Where the Gaussians' coordinates lie within those of the file. They are written in source units, relative to the origin, which
     /// the file names: a PLY as a comment, glTF as the node's translation, .splat and SPZ in a file `NAME.origin.json` beside it.
     pub frame: WorldFrame,
+}
+
+impl WriteOptions {
+    /// The marks of a scene that is drawn, or was trained, with these settings.
+    pub fn marking(settings: &RenderSettings) -> Self {
+        let usual = RenderSettings::default().dilation_px2;
+        let kernel_size = Some(settings.dilation_px2).filter(|size| *size != usual);
+        Self { antialiased: settings.antialias, kernel_size, ..Self::default() }
+    }
 }
 
 /// Whether a format has a version of SPZ: [`WriteOptions::spz_version`].
@@ -141,6 +154,21 @@ pub fn check_spz_version(format: Format, version: Option<u32>) -> Result<()> {
             Err(Error::argument("spz_version", problem))
         }
     }
+}
+
+/// As [`write_blocks`], of what was read and then changed: it can be read again, or is refused.
+fn write_readable(
+    path: &Path,
+    format: (Format, Option<u32>),
+    outline: &Outline,
+    produce: &mut Produce<'_>,
+) -> Result<()> {
+    write_blocks(path, format, outline, &mut |sink| {
+        produce(&mut |block| {
+            validation::check_readable(path, &block)?;
+            sink(block)
+        })
+    })
 }
 
 fn write_blocks(

@@ -13,7 +13,7 @@ use crate::decimate::{covariance_of, decimate};
 use crate::splats::{self, Format, OriginSample, ReadOptions, WriteOptions};
 use crate::{Progress, regular_file};
 use ashsplat::scene::gaussians::sh_coefficients;
-use ashsplat::scene::{Bounds, Cells, Gaussians, Similarity, WorldFrame};
+use ashsplat::scene::{Bounds, Cells, Cut, Gaussians, Similarity, WorldFrame};
 use ashsplat::{Error, Result};
 use document::Tile;
 
@@ -133,6 +133,7 @@ struct Spill {
     cells: Cells,
     sh_degree: u32,
     antialiased: bool,
+    kernel_size: Option<f32>,
 }
 
 /// What of all rows is held.
@@ -175,7 +176,8 @@ impl Spill {
         })?;
         let folder = folder.join(ROWS);
         fs::create_dir(&folder).map_err(|e| Error::io(&folder, "create", e))?;
-        let spill = Spill { folder, cells, sh_degree: header.sh_degree, antialiased: header.antialiased };
+        let splats::Header { sh_degree, antialiased, kernel_size, .. } = header;
+        let spill = Spill { folder, cells, sh_degree, antialiased, kernel_size };
         splats::open(input, read)?.blocks(&mut |mut block| {
             progress.check()?;
             block.transform(&shift);
@@ -331,11 +333,13 @@ impl TileWriter<'_, '_> {
         let write = WriteOptions {
             format: Some(Format::Glb),
             antialiased: self.spill.antialiased,
+            kernel_size: self.spill.kernel_size,
             spz_version: self.options.packed.then_some(2),
             // The root's transform places all tiles.
             frame: WorldFrame::default(),
         };
-        splats::write(self.folder.join(&name), &gaussians, &write).map_err(|e| match e {
+        let all = (&Cut::default(), gaussians.sh_degree);
+        splats::write_cut(self.folder.join(&name), &gaussians, all, &write).map_err(|e| match e {
             // The folder has another name yet, and what is wrong is the scene's.
             Error::Input { problem, remedy, .. } => {
                 Error::input(self.input, format!("{name}: {problem}"), remedy)

@@ -9,7 +9,7 @@ use tempfile::tempdir;
 use zip::write::SimpleFileOptions;
 
 /// Packs files.
-fn pack<'a>(archive: &Path, files: impl IntoIterator<Item = (String, &'a [u8])>) {
+pub(super) fn pack<'a>(archive: &Path, files: impl IntoIterator<Item = (String, &'a [u8])>) {
     let mut zip = zip::ZipWriter::new(std::fs::File::create(archive).expect("a file"));
     for (name, bytes) in files {
         zip.start_file(name, SimpleFileOptions::default()).expect("an entry");

@@ -79,10 +79,81 @@ fn convert_refuses_in_one_line() {
     std::fs::write(place("scene.bin"), "another program's").expect("written");
     let (ply, gltf) = (place("in.ply"), place("scene.gltf"));
     let run = ["convert", text(&ply), text(&gltf)];
-    refuse(&run, &["scene.bin", "something else's"]);
-    std::fs::remove_file(place("scene.bin")).expect("removed");
     succeed(&run);
     succeed(&run);
+    assert_eq!(std::fs::read(place("scene.bin")).expect("a file"), b"another program's");
+}
+
+/// One answer of all commands, with the command that helps.
+#[test]
+fn scenes_of_other_programs_are_named() {
+    let folder = tempdir().expect("a temporary folder");
+    let place = |name: &str| folder.path().join(name);
+    let write = |name: &str, bytes: &[u8]| {
+        std::fs::create_dir_all(place(name).parent().expect("a folder")).expect("created");
+        std::fs::write(place(name), bytes).expect("written");
+    };
+    let gaussians = ashsplat_files::initial_gaussians(&wall_points(), 0).expect("Gaussians");
+    ashsplat_files::ply::write(place("in.ply"), &gaussians).expect("written");
+    let ply = std::fs::read(place("in.ply")).expect("a file");
+    let mut gzip = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
+    std::io::Write::write_all(&mut gzip, &ply).expect("packed");
+    let gzip = gzip.finish().expect("packed");
+    let meta = br#"{"version":2,"means":{"files":["means_l.webp","means_u.webp"]}}"#;
+    archives::pack(&place("scene.sog"), [("meta.json".into(), &meta[..]), ("means_l.webp".into(), b"RIFF")]);
+    archives::pack(
+        &place("capture.zip"),
+        [("notes.txt".into(), &b""[..]), ("a/point_cloud.ply".into(), &ply)],
+    );
+    archives::pack(&place("model.ckpt"), [("archive/data.pkl".into(), &b""[..])]);
+    write("sog/meta.json", meta);
+    write("streamed/lod-meta.json", br#"{"lodLevels":4}"#);
+    write("foreign/tileset.json", br#"{"asset":{"version":"1.1"},"geometricError":9,"root":{}}"#);
+    write("scene.ply.gz", &gzip);
+    write("packed.ply", &gzip);
+    write("scene.ply.zst", b"\x28\xb5\x2f\xfd....");
+    write("scene.ksplat", &[0; 4096]);
+    write("scene.spx", b"spx\x01....");
+    let named = |name: &str| text(&place(name)).to_owned();
+    for (name, words) in [
+        (
+            "scene.sog",
+            &["is a SOG", &format!("`splat-transform {} {}`", named("scene.sog"), named("scene.ply"))][..],
+        ),
+        ("sog", &["is a SOG", "sog/meta.json", "splat-transform"]),
+        ("sog/meta.json", &["is a SOG", "sog/meta.json", "splat-transform"]),
+        ("streamed", &["is a streamed SOG", "splat-transform --select-lod 0"]),
+        ("foreign", &["is no tree of Gaussians", "one .glb of it"]),
+        ("foreign/tileset.json", &["is no tree of Gaussians", "one .glb of it"]),
+        ("capture.zip", &["is a ZIP with a scene, a/point_cloud.ply", "`unzip "]),
+        ("model.ckpt", &["is a checkpoint of PyTorch", "export a PLY"]),
+        (
+            "scene.ply.gz",
+            &["packed with gzip", &format!("`gzip -dc {} > {}`", named("scene.ply.gz"), named("scene.ply"))],
+        ),
+        ("packed.ply", &["packed with gzip", "unpacked.ply`"]),
+        ("scene.ply.zst", &["packed with zstd", "`zstd -dc "]),
+        ("scene.ksplat", &["is a .ksplat", "`splat-transform "]),
+        ("scene.spx", &["is an SPX scene", "`gsbox spx2ply -i "]),
+    ] {
+        let (path, out) = (named(name), named("out.ply"));
+        let mut answers = Vec::new();
+        for command in [
+            &["info", &path][..],
+            &["convert", &path, &out],
+            &["render", &path, "-o", &named("pictures")],
+            &["view", &path],
+        ] {
+            let run = finish(program().args(command));
+            assert_refused(&run, words);
+            answers.push(run.stderr);
+        }
+        answers.dedup();
+        assert_eq!(answers.len(), 1, "{answers:?}");
+    }
+    // A data set with points in it is none of them.
+    archives::pack(&place("set.zip"), [("points.ply".into(), &ply[..]), ("images/a.jpg".into(), b"")]);
+    assert!(!finish(program().args(["info", &named("set.zip")])).stderr.contains("ZIP with a scene"));
 }
 
 /// Limits of the system and of the command line are errors like others, and the file is named.

@@ -20,11 +20,11 @@ fn filters_go_from_training_into_files_and_pictures() {
         String::from_utf8_lossy(&bytes[..end]).into_owned()
     };
     assert!(header(&ply).contains("property float filter_3D\n"), "{}", header(&ply));
-    assert!(header(&ply).contains("comment antialiased"), "{}", header(&ply));
+    assert!(header(&ply).contains("comment SplatRenderMode: mip"), "{}", header(&ply));
     // Who converts has what the filter makes of the Gaussians, and the mark.
     let baked = at("baked.ply");
     succeed(&["convert", text(&ply), text(&baked)]);
-    assert!(!header(&baked).contains("filter_3D") && header(&baked).contains("comment antialiased"));
+    assert!(!header(&baked).contains("filter_3D") && header(&baked).contains("comment SplatRenderMode: mip"));
     // The folder's settings are the training's; of a file alone they are said.
     let measured = |scene: &Path, more: &[&str]| -> f64 {
         let eval = ["eval", text(scene), "-s", text(&data), "--eval", "--json", "--quiet"];
@@ -57,7 +57,7 @@ fn filters_go_from_training_into_files_and_pictures() {
     let train = ["train", "-s", text(&data), "-m", text(&plain), "--quiet", "--iterations", "2"];
     succeed(&train);
     let without = header(&plain.join("point_cloud/iteration_2/point_cloud.ply"));
-    assert!(!without.contains("filter_3D") && !without.contains("antialiased"), "{without}");
+    assert!(!without.contains("filter_3D") && !without.contains("mip"), "{without}");
     // What is no size.
     let none = at("none");
     let refused = ["train", "-s", text(&data), "-m", text(&none), "--kernel-size", "0"];

@@ -321,3 +321,100 @@ fn files_that_are_something_else_are_named() {
     assert!(message(folder.path(), &KEEP).contains("is not a file"));
     assert!(message(&folder.path().join("none.ply"), &KEEP).contains("cannot read: No such file"));
 }
+
+/// An ASCII file of one Gaussian with these comments and properties.
+fn ascii(comments: &[&str], properties: &[(&str, &str, f64)]) -> String {
+    let comments = comments.iter().map(|comment| format!("comment {comment}\n"));
+    let header = properties.iter().map(|(kind, name, _)| format!("property {kind} {name}\n"));
+    let values: Vec<String> = properties.iter().map(|(.., value)| value.to_string()).collect();
+    let [comments, header] = [comments.collect::<String>(), header.collect()];
+    format!("ply\nformat ascii 1.0\n{comments}element vertex 1\n{header}end_header\n{}\n", values.join(" "))
+}
+
+/// All that a Gaussian has but its colour.
+const WITHOUT_COLOUR: [(&str, &str, f64); 11] = [
+    ("float", "x", 1.0),
+    ("float", "y", 2.0),
+    ("float", "z", 3.0),
+    ("float", "opacity", 0.5),
+    ("float", "scale_0", -2.0),
+    ("float", "scale_1", -3.0),
+    ("float", "scale_2", -4.0),
+    ("float", "rot_0", 1.0),
+    ("float", "rot_1", 0.0),
+    ("float", "rot_2", 0.0),
+    ("float", "rot_3", 0.0),
+];
+
+fn with_colour(
+    kind: &'static str,
+    names: [&'static str; 3],
+    values: [f64; 3],
+) -> Vec<(&'static str, &'static str, f64)> {
+    WITHOUT_COLOUR.into_iter().chain((0..3).map(|i| (kind, names[i], values[i]))).collect()
+}
+
+#[test]
+fn colours_are_read_in_place_of_f_dc() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("rgb.ply");
+    for (kind, names, values, white) in [
+        ("uchar", ["red", "green", "blue"], [255.0, 51.0, 0.0], 255),
+        ("ushort", ["red", "green", "blue"], [65535.0, 13107.0, 0.0], 65535),
+        ("float", ["red", "green", "blue"], [1.0, 0.2, 0.0], 1),
+        ("double", ["r", "g", "b"], [255.0, 51.0, 0.0], 255),
+    ] {
+        std::fs::write(&path, ascii(&[], &with_colour(kind, names, values))).unwrap();
+        let scene = ply::read(&path, &KEEP).unwrap();
+        let colour = scene.gaussians.sh[0].map(ashsplat::scene::sh::sh_dc_to_rgb);
+        assert!((0..3).all(|i| (colour[i] - [1.0, 0.2, 0.0][i]).abs() < 1e-5), "{kind}: {colour:?}");
+        let line = format!("has no f_dc: its {} (0 to {white}) are used as colours", names.join(" "));
+        assert_eq!(scene.warning, Some(line));
+    }
+    // Where there is f_dc, colours are an addition for other programs.
+    let both: Vec<_> = with_colour("float", ["f_dc_0", "f_dc_1", "f_dc_2"], [0.1, 0.2, 0.3])
+        .into_iter()
+        .chain([("uchar", "red", 9.0), ("uchar", "green", 9.0), ("uchar", "blue", 9.0)])
+        .collect();
+    std::fs::write(&path, ascii(&[], &both)).unwrap();
+    let scene = ply::read(&path, &KEEP).unwrap();
+    assert_eq!((scene.gaussians.sh[0], scene.warning), ([0.1, 0.2, 0.3], None));
+}
+
+#[test]
+fn parts_that_are_missing_are_all_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("part.ply");
+    let whole = with_colour("float", ["f_dc_0", "f_dc_1", "f_dc_2"], [0.0; 3]);
+    for (missing, words) in [
+        (&["rot_3"][..], "property rot_3 of element vertex is missing"),
+        (&["scale_1", "scale_2"], "properties scale_1, scale_2 of element vertex are missing"),
+        (
+            &["opacity", "scale_2", "f_dc_1"],
+            "properties opacity, scale_2, f_dc_1 of element vertex are missing",
+        ),
+    ] {
+        let left: Vec<_> = whole.iter().copied().filter(|(_, name, _)| !missing.contains(name)).collect();
+        std::fs::write(&path, ascii(&[], &left)).unwrap();
+        assert!(message(&path, &KEEP).contains(words), "{}", message(&path, &KEEP));
+    }
+}
+
+/// Two scales: the disks of 2DGS.
+#[test]
+fn a_scene_of_2dgs_is_read_flat_and_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("2dgs.ply");
+    let whole = with_colour("float", ["f_dc_0", "f_dc_1", "f_dc_2"], [0.0; 3]);
+    let flat: Vec<_> = whole.iter().copied().filter(|(_, name, _)| *name != "scale_2").collect();
+    for (comments, properties) in
+        [(&[][..], &flat), (&["SplatRenderMode: mip"][..], &flat), (&["SplatRenderMode: 2dgs"], &whole)]
+    {
+        std::fs::write(&path, ascii(comments, properties)).unwrap();
+        let scene = ply::read(&path, &KEEP).unwrap();
+        assert!(scene.warning.is_some_and(|line| line.contains("2DGS")));
+        let thickness = if properties.len() == flat.len() { f32::MIN_POSITIVE.ln() } else { -4.0 };
+        assert_eq!(scene.gaussians.log_scales[0], [-2.0, -3.0, thickness]);
+        assert_eq!(scene.gaussians.quats[0], [1.0, 0.0, 0.0, 0.0]);
+    }
+}

@@ -249,6 +249,154 @@ fn merged_cells_are_the_scene() {
     );
 }
 
+/// The header as it is, with other comments.
+fn with_comments(bytes: &[u8], comments: &[&str]) -> Vec<u8> {
+    const FORMAT: &[u8] = b"ply\nformat binary_little_endian 1.0\n";
+    let own: Vec<u8> = comments.iter().flat_map(|line| format!("comment {line}\n").into_bytes()).collect();
+    [FORMAT, &own, &bytes[FORMAT.len()..]].concat()
+}
+
+/// Comments of Brush, gsplat, splat-transform, Postshot and web-splat; the last one counts.
+#[test]
+fn marks_of_other_programs_are_read_and_kept() {
+    let folder = tempfile::tempdir().unwrap();
+    for format in [Format::Ply, Format::CompressedPly] {
+        let path = folder.path().join(format!("scene{}", format.extension()));
+        splats::write(&path, &scene(9, 0), &WriteOptions::default()).unwrap();
+        let bytes = std::fs::read(&path).unwrap();
+        for (comments, antialiased, kernel_size, word) in [
+            (&["Exported from Brush", "SplatRenderMode: mip"][..], true, None, ""),
+            (&["  SPLATRENDERMODE:   Mip  "], true, None, ""),
+            (&["SplatRenderMode: default"], false, None, ""),
+            (&["antialiased 1"], true, None, ""),
+            (&["Antialiased 0"], false, None, ""),
+            (&["antialiased"], true, None, ""),
+            (&["mip=true", "kernel_size=0.1"], true, Some(0.1), ""),
+            (&["antialiased 1", "SplatRenderMode: default"], false, None, ""),
+            (&["SplatRenderMode: default", "antialiased 1"], true, None, ""),
+            (&["SplatRenderMode: 2dgs"], false, None, "2DGS"),
+            (&["SplatRenderMode: banana"], false, None, "'banana' is not known"),
+            (&["not antialiased at all", "kernel_size=many"], false, None, ""),
+        ] {
+            std::fs::write(&path, with_comments(&bytes, comments)).unwrap();
+            let read = splats::read(&path, &KEEP).unwrap();
+            let marks = (read.header.antialiased, read.header.kernel_size);
+            assert_eq!(marks, (antialiased, kernel_size), "{comments:?}");
+            assert_eq!(
+                read.warnings.concat().is_empty(),
+                word.is_empty(),
+                "{comments:?}: {:?}",
+                read.warnings
+            );
+            assert!(read.warnings.concat().contains(word), "{comments:?}: {:?}", read.warnings);
+            for to in Format::ALL {
+                let output = folder.path().join(format!("out{}", to.extension()));
+                let done = splats::convert(&path, &output, &ConvertOptions::default()).unwrap();
+                let keeps_size = !matches!(to, Format::Splat | Format::Spz);
+                let header = splats::header(&output, &KEEP).unwrap();
+                assert_eq!(header.antialiased, antialiased && to.keeps_antialiased(), "{to}");
+                assert_eq!(header.kernel_size, kernel_size.filter(|_| keeps_size), "{to}");
+                let is_told = done.warnings.iter().any(|line| line.ends_with("--kernel-size 0.1"));
+                assert_eq!(is_told, kernel_size.is_some() && !keeps_size, "{to}: {:?}", done.warnings);
+            }
+        }
+    }
+    // The form that Brush and splat-transform read.
+    let path = folder.path().join("own.ply");
+    let marks = WriteOptions { antialiased: true, kernel_size: Some(0.1), ..Default::default() };
+    splats::write(&path, &scene(1, 0), &marks).unwrap();
+    let header = String::from_utf8_lossy(&std::fs::read(&path).unwrap()).into_owned();
+    assert!(header.contains("\ncomment SplatRenderMode: mip\ncomment kernel_size=0.1\n"), "{header}");
+}
+
+/// A log-scale of -∞ in PLY, a 0 in .splat and glTF, a range without an end in compressed PLY.
+#[test]
+fn size_0_is_a_size() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut flat = scene(5, 0);
+    flat.log_scales.iter_mut().for_each(|log_scale| log_scale[2] = f32::NEG_INFINITY);
+    for format in [Format::Ply, Format::Splat, Format::Glb, Format::Gltf] {
+        let path = folder.path().join(format!("flat{}", format.extension()));
+        splats::write(&path, &flat, &WriteOptions::default()).unwrap();
+        let read = splats::read(&path, &KEEP).unwrap();
+        assert!(read.gaussians.log_scales.iter().all(|s| s[2] == f32::MIN_POSITIVE.ln() && s[0] > -6.0));
+        assert_eq!(splats::read(&path, &DROP).unwrap().dropped, 0, "{format}");
+    }
+    let path = folder.path().join("flat.compressed.ply");
+    splats::write(&path, &scene(5, 0), &WriteOptions::default()).unwrap();
+    let mut bytes = std::fs::read(&path).unwrap();
+    let chunk = bytes.windows(11).position(|w| w == b"end_header\n").unwrap() + 11;
+    bytes[chunk + 4 * 8..][..4].copy_from_slice(&f32::NEG_INFINITY.to_le_bytes());
+    std::fs::write(&path, bytes).unwrap();
+    let read = splats::read(&path, &KEEP).unwrap();
+    assert!(read.warnings.concat().contains("sizes are lost in 1 of 1 chunks"), "{:?}", read.warnings);
+    assert_eq!(read.gaussians.len(), 5);
+}
+
+/// Where nothing is usable, leaving out what is not leaves no scene.
+#[test]
+fn dropping_every_gaussian_is_an_error() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut broken = scene(3, 0);
+    broken.log_scales.as_flattened_mut().fill(f32::NAN);
+    for format in [Format::Ply, Format::Splat, Format::Glb] {
+        let path = folder.path().join(format!("broken{}", format.extension()));
+        splats::write(&path, &broken, &WriteOptions::default()).unwrap();
+        let error = splats::read(&path, &DROP).unwrap_err().to_string();
+        assert!(error.contains("3 of 3 Gaussians have") && error.contains("none is left"), "{error}");
+        let output = folder.path().join("out.ply");
+        let options = ConvertOptions { read: DROP, ..Default::default() };
+        assert!(splats::convert(&path, &output, &options).is_err() && !output.exists(), "{format}");
+    }
+}
+
+/// The `.gltf` cannot be written: the name of its temporary file is too long. The scene of before is whole.
+#[cfg(unix)]
+#[test]
+fn a_gltf_keeps_its_scene_until_the_new_one_is_there() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("scene.gltf");
+    let (old, new) = (scene(20, 0), scene(30, 1));
+    for (gaussians, binary) in [(&old, "scene.bin"), (&new, "scene.1.bin"), (&old, "scene.bin")] {
+        splats::write(&path, gaussians, &WriteOptions::default()).unwrap();
+        assert_eq!(names(folder.path()), [binary, "scene.gltf"]);
+        assert_eq!(splats::read(&path, &KEEP).unwrap().gaussians.len(), gaussians.len());
+    }
+    let target = "x".repeat(250);
+    std::fs::rename(&path, folder.path().join(&target)).unwrap();
+    std::os::unix::fs::symlink(folder.path().join(&target), &path).unwrap();
+    let error = splats::write(&path, &new, &WriteOptions::default()).unwrap_err().to_string();
+    assert!(error.starts_with(path.to_str().unwrap()) && error.contains("cannot write"), "{error}");
+    assert_eq!(names(folder.path()), ["scene.bin", "scene.gltf", &target]);
+    assert_eq!(splats::read(&path, &KEEP).unwrap().gaussians.len(), 20);
+}
+
+/// What reading would refuse is not written.
+#[test]
+fn what_cannot_be_read_again_is_not_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut edge = scene(300, 1);
+    edge.log_scales.as_flattened_mut().fill(87.9);
+    let input = folder.path().join("in.ply");
+    splats::write(&input, &edge, &WriteOptions::default()).unwrap();
+    let moved = |scale: f64, x: f64| ConvertOptions {
+        similarity: Similarity { scale, translation: DVec3::new(x, 0.0, 0.0), ..Default::default() },
+        ..Default::default()
+    };
+    let merged = ConvertOptions { decimate: Some(Target::Share(0.1)), ..Default::default() };
+    for format in Format::ALL {
+        let output = folder.path().join(format!("out{}", format.extension()));
+        for options in [&moved(1e38, 0.0), &moved(1e30, 0.0), &moved(2.0, 0.0), &moved(1.0, 3e38), &merged] {
+            let error = splats::convert(&input, &output, options).unwrap_err().to_string();
+            let is_said = error.contains("is not written: a Gaussian would have");
+            assert!(is_said || error.contains("too far out for SPZ"), "{error}");
+        }
+        assert_eq!(names(folder.path()), ["in.ply"], "{format}");
+    }
+    splats::convert(&input, &folder.path().join("out.ply"), &moved(1.0, 1e17)).unwrap();
+    splats::read(folder.path().join("out.ply"), &KEEP).unwrap();
+}
+
 #[test]
 fn refused_input_leaves_the_output_alone() {
     let folder = tempfile::tempdir().unwrap();
@@ -263,7 +411,7 @@ fn refused_input_leaves_the_output_alone() {
     assert_eq!(names(folder.path()), ["in.ply", "out.spz"]);
     let dropped = ConvertOptions { read: DROP, ..Default::default() };
     assert_eq!(splats::convert(&input, &output, &dropped).unwrap().written, 9);
-    let far = Similarity { translation: DVec3::new(1e7, 0.0, 0.0), ..Default::default() };
+    let far = Similarity { scale: 1e7, ..Default::default() };
     let options = ConvertOptions { read: DROP, similarity: far, ..Default::default() };
     let error = splats::convert(&input, &output, &options).unwrap_err().to_string();
     assert!(error.contains("too far out for SPZ"), "{error}");

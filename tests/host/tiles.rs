@@ -349,7 +349,10 @@ fn trees_of_others_are_refused() {
     refused(&|d| d["root"]["boundingVolume"]["box"][3] = (-1.0).into(), "not finite");
     refused(&|d| d["root"]["children"][1]["extras"] = Value::Null, "no tree of Gaussians");
     refused(&|d| *d = Value::Null, "no tree of Gaussians");
-    refused(&|d| d["root"]["transform"] = serde_json::json!([1]), "moved");
+    refused(
+        &|d| d["root"]["transform"] = serde_json::json!([2, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]),
+        "more than move",
+    );
     refused(&|d| d["root"]["children"][0]["refine"] = "ADD".into(), "add to those above");
     refused(&|d| d["root"]["boundingVolume"]["box"][4] = 0.5.into(), "turned");
     refused(&|d| d["root"]["children"][1] = d["root"]["children"][0].clone(), "twice");
@@ -365,7 +368,7 @@ fn trees_of_others_are_refused() {
 #[test]
 fn enormous_gaussians_have_finite_boxes() {
     let mut large = scene(90, 0);
-    large.log_scales.fill([88.0; 3]);
+    large.log_scales.fill([87.0; 3]);
     let place = Place::new(large);
     place.tiled("tiles", 40, &mut Vec::new()).unwrap();
     let text = fs::read_to_string(place.folder("tiles").join(TILESET_FILE)).unwrap();

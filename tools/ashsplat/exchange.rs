@@ -187,8 +187,8 @@ impl<'a> Exchange<'a> {
             bar.inc(1);
         }
         bar.finish_and_clear();
-        let antialiased = first.is_some_and(|settings| settings.antialiasing);
-        let options = WriteOptions { antialiased, frame: file.division.frame(), ..WriteOptions::default() };
+        let marks = first.map(|settings| WriteOptions::marking(&settings.render_settings()));
+        let options = WriteOptions { frame: file.division.frame(), ..marks.unwrap_or_default() };
         splats::write(file.exchanged_scene(self.round), &scene, &options)?;
         Ok(scene)
     }

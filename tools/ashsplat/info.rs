@@ -63,7 +63,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     }
     say!("file       {}", model.ply.display());
     let antialiased = if scene.header.antialiased { ", trained with antialiasing" } else { "" };
-    say!("format     {}{antialiased}", scene.header.format);
+    let kernel = scene.header.kernel_size.map_or_else(String::new, |size| format!(", kernel size {size}"));
+    say!("format     {}{antialiased}{kernel}", scene.header.format);
     summary.print();
     if scene.dropped > 0 {
         say!("dropped    {} that are not finite", thousands(scene.dropped));
@@ -193,6 +194,7 @@ impl Summary {
             "gaussians": self.count,
             "format": scene.header.format.to_string(),
             "antialiased": scene.header.antialiased,
+            "kernel_size": scene.header.kernel_size,
             "dropped": scene.dropped,
             "sh_degree": self.sh_degree,
             "bounds": self.bounds.map(bounds_json),

@@ -4,7 +4,8 @@ use crate::config::Settings;
 use crate::output;
 use ashsplat::{Error, Result};
 use ashsplat_files::Dataset;
-use ashsplat_files::tiles::TILESET_FILE;
+use ashsplat_files::splats;
+use ashsplat_files::tiles::{TILESET_FILE, Tree};
 use std::path::{Path, PathBuf};
 
 /// A trained scene.
@@ -20,11 +21,16 @@ pub struct Model {
 impl Model {
     /// Finds the PLY of a model folder (of the given iteration, else the newest) or takes a PLY as it is.
     pub fn locate(path: &Path, iteration: Option<u32>) -> Result<Model> {
+        let path = folder_of_tiles(path);
+        if let Some(error) = splats::foreign(path) {
+            return Err(error);
+        }
         if !path.is_dir() {
             std::fs::metadata(path).map_err(|e| Error::io(path, "read", e))?;
             return Ok(Model { ply: path.to_owned(), folder: None, settings: Settings::default() });
         }
         if is_tiles(path) {
+            Tree::open(path)?;
             let remedy = "give the scene that they were made of; `ashsplat render` draws the tiles";
             return Err(Error::input(path, "is a folder of tiles", remedy));
         }
@@ -54,11 +60,20 @@ fn is_tiles(path: &Path) -> bool {
     path.join(TILESET_FILE).is_file()
 }
 
+/// The folder of a tree that is named by its description; else the same.
+pub fn folder_of_tiles(path: &Path) -> &Path {
+    match path.parent().filter(|_| path.file_name().is_some_and(|name| name == TILESET_FILE)) {
+        Some(parent) if parent.as_os_str().is_empty() => Path::new("."),
+        parent => parent.unwrap_or(path),
+    }
+}
+
 /// Whether a path is taken for a data set, and not for a scene or a model folder.
 pub fn is_dataset(path: &Path) -> bool {
     let is_archive = path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("zip"))
         || Dataset::is_archive(path);
-    is_archive || path.is_dir() && !path.join(POINT_CLOUDS).is_dir() && !is_tiles(path)
+    let may_be = is_archive || path.is_dir() && !path.join(POINT_CLOUDS).is_dir() && !is_tiles(path);
+    may_be && splats::foreign(path).is_none()
 }
 
 /// The model folder that is proposed for a data set: `out/NAME`.

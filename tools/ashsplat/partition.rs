@@ -119,9 +119,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     }
     let mut renderer = Renderer::new(&context)?;
     renderer.upload(&scene.gaussians)?;
-    let look = render::settings_of(&coarse.settings);
-    let antialias = look.antialias || scene.header.antialiased;
-    let look = RenderSettings { inverse_depth: true, antialias, ..look };
+    let look = RenderSettings { inverse_depth: true, ..render::look_of(&coarse.settings, &scene.header) };
     let cameras = gallery.cameras();
     let side = usual_side(&scene.gaussians, &cells);
     let sides = if arguments.rounds > 1 { MARGIN_IN_ROUNDS } else { MARGIN };

@@ -5,7 +5,7 @@ use crate::config::Settings;
 use crate::convert::parse_target;
 use crate::film_file::{self, Container, Frames};
 use crate::light::Light;
-use crate::model::Model;
+use crate::model::{Model, folder_of_tiles};
 use crate::output::{self, Depth};
 use crate::progress::counting;
 use crate::tiles::Drawn;
@@ -116,7 +116,7 @@ pub struct LookArguments {
     /// Compensate the opacity for the screen-space dilation (Mip-Splatting) [default: as in training, or as the file says]
     #[arg(long)]
     antialiasing: bool,
-    /// Low-pass filter: variance added on the screen, square pixels [default: as in training, else 0.3]
+    /// Low-pass filter: variance added on the screen, square pixels [default: as in training, or as the file says, else 0.3]
     #[arg(long, value_name = "PX2")]
     kernel_size: Option<f32>,
 }
@@ -142,12 +142,12 @@ impl LookArguments {
 
     /// The settings: those of the training, changed by what the file says and what was given.
     pub fn settings(&self, trained: &Settings, header: &splats::Header) -> Result<RenderSettings> {
-        let mut settings = settings_of(trained);
+        let mut settings = look_of(trained, header);
         if let Some(background) = self.background {
             settings.background = background.to_array();
         }
         settings.sh_degree = self.sh_degree;
-        settings.antialias |= self.antialiasing || header.antialiased;
+        settings.antialias |= self.antialiasing;
         if let Some(kernel_size) = self.kernel_size {
             if !(kernel_size > 0.0 && kernel_size <= MOST_KERNEL_SIZE) {
                 let problem = format!(
@@ -180,6 +180,13 @@ pub fn settings_of(trained: &Settings) -> RenderSettings {
 pub fn parse_numbers<const N: usize>(text: &str) -> Option<[f64; N]> {
     let numbers: Result<Vec<f64>, _> = text.split(',').map(|part| part.trim().parse()).collect();
     numbers.ok()?.try_into().ok()
+}
+
+/// How a scene was drawn in its training, as its settings and its file say.
+pub fn look_of(trained: &Settings, header: &splats::Header) -> RenderSettings {
+    let look = settings_of(trained);
+    let dilation_px2 = header.kernel_size.unwrap_or(look.dilation_px2);
+    RenderSettings { antialias: look.antialias || header.antialiased, dilation_px2, ..look }
 }
 
 /// Three numbers with commas between them.
@@ -337,14 +344,6 @@ fn describe(index: usize, name: &str, milliseconds: f64, frame: &Frame) -> Strin
         "{index:05} {name} {}x{}: {milliseconds:.1} ms, {} of {} Gaussians visible, {} instances, longest tile {}",
         frame.width, frame.height, stats.visible, stats.gaussians, stats.instances, stats.longest_tile
     )
-}
-
-/// The folder of a tree that is named by its description; else the same.
-pub fn folder_of_tiles(path: &Path) -> &Path {
-    match path.parent().filter(|_| path.file_name().is_some_and(|name| name == TILESET_FILE)) {
-        Some(parent) if parent.as_os_str().is_empty() => Path::new("."),
-        parent => parent.unwrap_or(path),
-    }
 }
 
 /// The tree of tiles in a folder, if it is one: it must be where there is a budget.

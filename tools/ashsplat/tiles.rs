@@ -9,12 +9,12 @@ use crate::config::CAMERAS_FILE;
 use crate::model::Model;
 use crate::output;
 use crate::progress::{counting, thousands};
-use crate::render::{orbit_around, settings_of};
+use crate::render::{look_of, orbit_around};
 use crate::session;
 use ashsplat::scene::{Camera, Gaussians, Intrinsics, WorldFrame};
 use ashsplat::vk::Context;
-use ashsplat::{Error, RenderSettings, Renderer, Result};
-use ashsplat_files::splats::{self, Header, ReadOptions};
+use ashsplat::{Error, Renderer, Result};
+use ashsplat_files::splats::{self, ReadOptions};
 use ashsplat_files::tiles::{self, TILESET_FILE, TileOptions, Tree};
 use ashsplat_files::{Progress, cameras_json};
 use clap::Args;
@@ -77,7 +77,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let stop = session::stop_on_ctrl_c()?;
     let context = arguments.device.context()?;
     let read = arguments.device.host.reading(arguments.drop_invalid);
-    let look = look_of(&model, &splats::header(&model.ply, &read)?);
+    let look = look_of(&model.settings, &splats::header(&model.ply, &read)?);
     let mut likeness = Likeness::new(Renderer::new(&context)?, look);
     let bar = counting("tiles", 0, arguments.quiet);
     let report = |done: usize, total: usize| {
@@ -117,12 +117,6 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     Ok(())
 }
 
-/// How the scene is drawn.
-fn look_of(model: &Model, header: &Header) -> RenderSettings {
-    let trained = settings_of(&model.settings);
-    RenderSettings { antialias: trained.antialias || header.antialiased, ..trained }
-}
-
 /// Cameras of a measurement.
 const VIEWS: usize = 12;
 
@@ -135,7 +129,7 @@ impl Arguments {
         stop: &AtomicBool,
     ) -> Result<String> {
         let scene = splats::read(&model.ply, read)?;
-        let settings = look_of(model, &scene.header);
+        let settings = look_of(&model.settings, &scene.header);
         let (tree, whole) = (Tree::open(&self.out)?, &scene.gaussians);
         let cameras = views(model, whole)?;
         let measurement = Measurement { tree: &tree, whole, cameras: &cameras, settings, read: *read };

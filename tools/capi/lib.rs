@@ -78,7 +78,10 @@ struct Told {
 impl Told {
     /// What a file says.
     fn of(file: &splats::Scene) -> Told {
-        let warnings: Vec<String> = file.warnings.iter().map(ToString::to_string).collect();
+        let kernel =
+            |size: f32| format!("it was trained with the kernel size {size}: AshsplatRenderSettings has it");
+        let warnings: Vec<String> =
+            file.warnings.iter().cloned().chain(file.header.kernel_size.map(kernel)).collect();
         let warnings = CString::new(warnings.join("\n").replace('\0', " ")).unwrap_or_default();
         Told { antialiased: file.header.antialiased, warnings }
     }

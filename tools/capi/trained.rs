@@ -20,8 +20,7 @@ pub unsafe extern "C" fn ashsplat_trainer_save(
     // SAFETY: as promised.
     guarded(|| unsafe {
         let (trainer, path) = (&borrowed(trainer, "trainer")?.0, text(path, "path")?);
-        let antialiased = trainer.settings().antialiasing;
-        let options = splats::WriteOptions { antialiased, ..Default::default() };
+        let options = splats::WriteOptions::marking(&trainer.settings().render_settings());
         let filters = trainer.filters()?;
         match splats::Format::of_extension(path)? {
             splats::Format::Ply if !filters.is_empty() => {

@@ -79,10 +79,20 @@ impl<'a> CompressedPly<'a> {
             return Err(file.error(problem));
         }
         let (sh_degree, sh) = read_sh(path, vertex.count)?;
+        let mut warnings: Vec<String> = file.header.marks.warning().into_iter().collect();
+        let infinite = chunks.iter().filter(|chunk| chunk[6..12].iter().any(|v| v.is_infinite())).count();
+        if infinite > 0 {
+            warnings.push(format!(
+                "sizes are lost in {infinite} of {} chunks: their range is infinite",
+                chunks.len()
+            ));
+        }
         let header = Header {
-            antialiased: file.header.antialiased,
+            antialiased: file.header.marks.antialiased(),
+            kernel_size: file.header.marks.kernel_size,
             origin: file.header.origin,
             unit: file.header.unit,
+            warnings,
             ..Header::new(Format::CompressedPly, vertex.count, sh_degree)
         };
         Ok(Self { file, vertex, chunks, sh, header })
@@ -176,6 +186,10 @@ fn push(chunk: &Chunk, [position, rotation, scale, color]: [u32; 4], block: &mut
 }
 
 fn lerp(min: f32, max: f32, t: f64) -> f32 {
+    // An end may be infinite.
+    if t == 0.0 || t == 1.0 {
+        return if t == 0.0 { min } else { max };
+    }
     (f64::from(min) * (1.0 - t) + f64::from(max) * t) as f32
 }
 

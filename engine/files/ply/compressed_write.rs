@@ -4,7 +4,7 @@ use std::io::{self, Write};
 use std::path::Path;
 
 use super::compressed::{CHUNK, CHUNK_PROPERTIES, SH_RANGE, VERTEX_PROPERTIES};
-use super::header::ANTIALIASED;
+use super::header::Marks;
 use super::morton;
 use super::write::write_frame;
 use crate::splats::{Outline, Produce, row_bytes};
@@ -63,9 +63,7 @@ fn write_sorted(
 
 fn write_header(writer: &mut impl Write, count: usize, higher: usize, outline: &Outline) -> io::Result<()> {
     writeln!(writer, "ply\nformat binary_little_endian 1.0")?;
-    if outline.antialiased {
-        writeln!(writer, "comment {ANTIALIASED}")?;
-    }
+    Marks::write(writer, outline)?;
     write_frame(writer, &outline.frame)?;
     writeln!(writer, "element chunk {}", count.div_ceil(CHUNK))?;
     CHUNK_PROPERTIES.iter().try_for_each(|name| writeln!(writer, "property float {name}"))?;

@@ -2,12 +2,12 @@
 
 use std::collections::HashSet;
 use std::fmt::Display;
-use std::io::{BufRead, Read};
+use std::io::{self, BufRead, Read, Write};
 use std::path::Path;
 
 use glam::DVec3;
 
-use crate::splats::FARTHEST;
+use crate::splats::{FARTHEST, Outline, is_kernel_size};
 use crate::{cost, sniff};
 use ashsplat::{Error, Result};
 
@@ -107,21 +107,88 @@ pub(crate) struct Header {
     pub(crate) bytes: u64,
     /// Number of lines of the header.
     pub(crate) lines: u64,
-    /// Whether a comment marks the Gaussians as trained with antialiasing.
-    pub(crate) antialiased: bool,
+    pub(crate) marks: Marks,
     /// What the positions are relative to, source coordinates.
     pub(crate) origin: DVec3,
     /// World unit of the training, source units, if a comment names it.
     pub(crate) unit: Option<f64>,
 }
 
-/// The comment that marks the Gaussians of this crate's files as trained with antialiasing. PLY has no field
-/// for it.
-pub(crate) const ANTIALIASED: &str = "antialiased";
 /// The comment that names the origin of the positions, `comment origin X Y Z`.
 pub(crate) const ORIGIN: &str = "origin";
 /// The comment that names the world unit of the training, `comment unit U`.
 pub(crate) const UNIT: &str = "unit";
+
+/// What comments say about how the Gaussians are to be drawn. PLY has no field for it.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(crate) struct Marks {
+    pub(crate) mode: RenderMode,
+    /// Variance that training added on the screen, square pixels.
+    pub(crate) kernel_size: Option<f32>,
+}
+
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(crate) enum RenderMode {
+    #[default]
+    Default,
+    /// Trained with antialiasing.
+    Mip,
+    /// Flat disks (2D Gaussian Splatting).
+    Disks,
+    Unknown(String),
+}
+
+/// The line about a scene of 2DGS.
+pub(super) const DISKS: &str = "this is a 2DGS scene: its disks are used as 3D Gaussians without thickness, so pictures differ from 2DGS";
+
+impl Marks {
+    /// Takes a comment in as Brush, gsplat and splat-transform (`SplatRenderMode: mip`), Postshot (`antialiased 1`)
+    /// or web-splat (`mip=true`, `kernel_size=0.1`) write it. The last one counts.
+    fn comment(&mut self, text: &str) {
+        let text = text.to_ascii_lowercase().replace([':', '='], " ");
+        let is_mip = |mip: bool| if mip { RenderMode::Mip } else { RenderMode::Default };
+        match *text.split_ascii_whitespace().collect::<Vec<_>>() {
+            ["splatrendermode", "2dgs"] => self.mode = RenderMode::Disks,
+            ["splatrendermode", mode @ ("mip" | "default")] => self.mode = is_mip(mode == "mip"),
+            ["splatrendermode", mode] => self.mode = RenderMode::Unknown(shortened(mode)),
+            ["antialiased"] => self.mode = RenderMode::Mip,
+            ["antialiased" | "mip", value @ ("0" | "1" | "false" | "true")] => {
+                self.mode = is_mip(matches!(value, "1" | "true"));
+            }
+            ["kernel_size", size] => {
+                self.kernel_size = size.parse().ok().filter(is_kernel_size);
+            }
+            _ => {}
+        }
+    }
+
+    pub(crate) fn antialiased(&self) -> bool {
+        self.mode == RenderMode::Mip
+    }
+
+    /// What the user must know of them.
+    pub(crate) fn warning(&self) -> Option<String> {
+        match &self.mode {
+            RenderMode::Default | RenderMode::Mip => None,
+            RenderMode::Disks => Some(DISKS.into()),
+            RenderMode::Unknown(mode) => {
+                Some(format!("SplatRenderMode '{mode}' is not known: the scene is drawn as the default one"))
+            }
+        }
+    }
+
+    /// Writes them as other programs read them.
+    pub(super) fn write(writer: &mut impl Write, outline: &Outline) -> io::Result<()> {
+        if outline.antialiased {
+            writeln!(writer, "comment SplatRenderMode: mip")?;
+        }
+        match outline.kernel_size {
+            Some(size) => writeln!(writer, "comment kernel_size={size}"),
+            None => Ok(()),
+        }
+    }
+}
+
 /// The property with the sizes of Mip-Splatting's 3D filter.
 pub(crate) const FILTER: &str = "filter_3D";
 
@@ -135,7 +202,7 @@ pub(crate) fn parse(reader: &mut impl BufRead, path: &Path) -> Result<Header> {
         bytes: 0,
         lines: 0,
         text: Vec::new(),
-        antialiased: false,
+        marks: Marks::default(),
         origin: DVec3::ZERO,
         unit: None,
         element_names: HashSet::new(),
@@ -143,8 +210,8 @@ pub(crate) fn parse(reader: &mut impl BufRead, path: &Path) -> Result<Header> {
     };
     while !parser.line(reader)? {}
     let encoding = parser.encoding.ok_or_else(|| parser.error("the header has no format line"))?;
-    let Parser { elements, bytes, antialiased, origin, unit, .. } = parser;
-    Ok(Header { encoding, elements, bytes, lines: parser.lines as u64, antialiased, origin, unit })
+    let Parser { elements, bytes, marks, origin, unit, .. } = parser;
+    Ok(Header { encoding, elements, bytes, lines: parser.lines as u64, marks, origin, unit })
 }
 
 fn check_magic(reader: &mut impl BufRead, path: &Path) -> Result<()> {
@@ -165,7 +232,7 @@ struct Parser<'a> {
     bytes: u64,
     lines: usize,
     text: Vec<u8>,
-    antialiased: bool,
+    marks: Marks,
     origin: DVec3,
     unit: Option<f64>,
     /// Names of the elements, and of the last one's properties.
@@ -219,7 +286,6 @@ impl Parser<'_> {
                 self.property(kind, name)?;
             }
             ["end_header"] => return Ok(true),
-            ["comment", ANTIALIASED] => self.antialiased = true,
             ["comment", ORIGIN, x, y, z] => {
                 let numbers = [x, y, z].map(|number| number.parse().unwrap_or(f64::NAN));
                 // Another program's comment may begin with the same word.
@@ -230,7 +296,8 @@ impl Parser<'_> {
             ["comment", UNIT, unit] => {
                 self.unit = unit.parse().ok().filter(|unit| (FARTHEST.recip()..=FARTHEST).contains(unit));
             }
-            ["comment" | "obj_info", ..] | [] => {}
+            ["comment", ref words @ ..] => self.marks.comment(&words.join(" ")),
+            ["obj_info", ..] | [] => {}
             ["element", name] => return Err(self.error(format!("element {name} has no count"))),
             [word, ..] => return Err(self.error(format!("'{}' is not understood", shortened(word)))),
         }

@@ -3,11 +3,12 @@
 use std::collections::HashSet;
 use std::path::Path;
 
-use super::header::{Element, FILTER, Kind, Property, Scalar};
+use super::header::{DISKS, Element, FILTER, Kind, Property, Scalar};
 use super::rows::PlyFile;
 use crate::host_memory;
 use crate::splats::{BLOCK, Format, Header, ReadOptions, Reader, Sink, Source};
 use ashsplat::scene::gaussians::{MAX_SH_DEGREE, sh_coefficients};
+use ashsplat::scene::sh::rgb_to_sh_dc;
 use ashsplat::scene::{Gaussians, SourcePoints, WorldFrame, filtered};
 use ashsplat::{Error, Result};
 use glam::DVec3;
@@ -32,6 +33,7 @@ pub struct PlyScene {
 
 /// Reads Gaussians with any property order, encoding and scalar type. Additional properties and elements are
 /// ignored, but for `filter_3D`: Mip-Splatting's 3D filter becomes a part of scales and opacities. The SH degree follows from the number of `f_rest` properties.
+/// Colours may be `red green blue` in place of `f_dc`. Without `scale_2` (2DGS) the Gaussians have no thickness.
 /// [`splats::read`](crate::splats::read) reads the other formats too.
 ///
 /// A parameter is unusable if it is not finite, except an opacity logit of ±∞ (opacity 1 or 0), if a
@@ -73,17 +75,31 @@ impl<'a> GaussianRows<'a> {
     pub(crate) fn open(path: &'a Path) -> Result<Self> {
         let mut file = PlyFile::open(path)?;
         let element = file.seek_element("vertex")?;
-        let layout = Layout::new(path, &element)?;
+        let mut layout = Layout::new(path, &element)?;
         file.check_no_list(&element)?;
+        let marks = &file.header.marks;
+        let mut warnings: Vec<String> = marks.warning().into_iter().collect();
+        if layout.is_flat && warnings.is_empty() {
+            warnings.push(DISKS.into());
+        }
+        if let Some([red, green, blue]) = layout.rgb {
+            layout.white = Some(white(path, &element, [red, green, blue])?);
+            warnings.push(format!(
+                "has no f_dc: its {red} {green} {blue} (0 to {}) are used as colours",
+                layout.white.unwrap_or_default()
+            ));
+        }
         let is_double =
             |p: &Property| ["x", "y", "z"].contains(&p.name.as_str()) && p.kind == Kind::Scalar(Scalar::F64);
         let double_positions = element.properties.iter().any(is_double);
         let shift = if double_positions { origin_of_first(path)? } else { DVec3::ZERO };
         let header = Header {
-            antialiased: file.header.antialiased,
+            antialiased: marks.antialiased(),
+            kernel_size: marks.kernel_size,
             origin: file.header.origin + shift,
             unit: file.header.unit,
             double_positions,
+            warnings,
             ..Header::new(Format::Ply, element.count, layout.sh_degree)
         };
         Ok(Self { file, element, layout, shift, header })
@@ -116,7 +132,7 @@ impl Source for GaussianRows<'_> {
         let empty = || Gaussians::with_capacity(self.layout.sh_degree, BLOCK.min(capacity(&self.element)));
         let mut block = empty();
         self.file.for_each_row(&self.element, &self.layout.names, |_, row| {
-            push(row, (self.shift, self.layout.filtered), &mut block);
+            self.layout.push(row, self.shift, &mut block);
             if block.len() < BLOCK { Ok(()) } else { sink(std::mem::replace(&mut block, empty())) }
         })?;
         sink(block)
@@ -168,6 +184,11 @@ struct Layout {
     sh_degree: u32,
     /// Whether the size of a 3D filter is the row's last value.
     filtered: bool,
+    /// Properties that hold the colours in place of `f_dc`, and their value of white.
+    rgb: Option<[&'static str; 3]>,
+    white: Option<f64>,
+    /// Whether `scale_2` is missing; `scale_1` is in its column.
+    is_flat: bool,
 }
 
 const OPACITY: usize = 3;
@@ -179,11 +200,24 @@ const REQUIRED: [&str; SH_REST] = [
     "x", "y", "z", "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3", "f_dc_0",
     "f_dc_1", "f_dc_2",
 ];
+/// Names of colours in files without `f_dc`.
+const RGB: [[&str; 3]; 2] = [["red", "green", "blue"], ["r", "g", "b"]];
 
 impl Layout {
     fn new(path: &Path, element: &Element) -> Result<Self> {
-        if let Some(missing) = REQUIRED.iter().find(|name| !element.has(name)) {
-            return Err(missing_property(path, element, missing));
+        let mut fixed = REQUIRED;
+        let has_none = |names: &[&str]| !names.iter().any(|name| element.has(name));
+        let rgb = RGB.into_iter().find(|rgb| rgb.iter().all(|name| element.has(name)));
+        let rgb = rgb.filter(|_| has_none(&REQUIRED[SH_DC..]));
+        if let Some(rgb) = rgb {
+            fixed[SH_DC..].copy_from_slice(&rgb);
+        }
+        let is_flat = has_none(&["scale_2"]);
+        if is_flat {
+            fixed[SCALE + 2] = "scale_1";
+        }
+        if fixed.iter().any(|name| !element.has(name)) {
+            return Err(missing_properties(path, element, rgb.is_some()));
         }
         let names = element.properties.iter().map(|p| p.name.as_str());
         let rest: HashSet<&str> = names.filter(|name| name.starts_with("f_rest_")).collect();
@@ -194,8 +228,8 @@ impl Layout {
             (None, Some(sh_degree)) => {
                 let rest = (0..rest).map(|i| format!("f_rest_{i}"));
                 let filter = element.has(FILTER).then(|| FILTER.to_owned());
-                let names = REQUIRED.iter().map(|name| name.to_string()).chain(rest).chain(filter).collect();
-                Ok(Self { names, sh_degree, filtered: element.has(FILTER) })
+                let names = fixed.iter().map(|name| name.to_string()).chain(rest).chain(filter).collect();
+                Ok(Self { names, sh_degree, filtered: element.has(FILTER), rgb, white: None, is_flat })
             }
             (Some(gap), _) => {
                 let problem = format!("property f_rest_{gap} is missing, though there are {rest} of f_rest");
@@ -207,40 +241,67 @@ impl Layout {
             }
         }
     }
+
+    /// Appends the Gaussian of a row, after a shift. A 3D filter becomes a part of it.
+    fn push(&self, row: &[f64], shift: DVec3, gaussians: &mut Gaussians) {
+        let (row, size) = row.split_at(row.len() - usize::from(self.filtered));
+        let at = |column: usize| row[column] as f32;
+        gaussians.means.push((DVec3::new(row[0], row[1], row[2]) - shift).as_vec3().to_array());
+        let mut log_scale: [f32; 3] = std::array::from_fn(|axis| at(SCALE + axis));
+        if self.is_flat {
+            log_scale[2] = f32::NEG_INFINITY;
+        }
+        let (log_scale, logit) = match size {
+            [] => (log_scale, at(OPACITY)),
+            size => filtered(log_scale, at(OPACITY), size[0] as f32),
+        };
+        gaussians.opacity_logits.push(logit);
+        gaussians.log_scales.push(log_scale);
+        gaussians.quats.push(std::array::from_fn(|i| at(QUATERNION + i)));
+        gaussians.sh.push(std::array::from_fn(|channel| match self.white {
+            None => at(SH_DC + channel),
+            Some(white) => rgb_to_sh_dc((row[SH_DC + channel] / white) as f32),
+        }));
+        let per_channel = (row.len() - SH_REST) / 3;
+        let rest = |i: usize| std::array::from_fn(|channel| at(SH_REST + channel * per_channel + i));
+        gaussians.sh.extend((0..per_channel).map(rest));
+    }
 }
 
-/// Appends the Gaussian of a row; the names of its values are those of [`Layout`]. A 3D filter becomes a part of it.
-fn push(row: &[f64], (shift, with_filter): (DVec3, bool), gaussians: &mut Gaussians) {
-    let (row, size) = row.split_at(row.len() - usize::from(with_filter));
-    let at = |column: usize| row[column] as f32;
-    gaussians.means.push((DVec3::new(row[0], row[1], row[2]) - shift).as_vec3().to_array());
-    let (log_scale, logit) = (std::array::from_fn(|axis| at(SCALE + axis)), at(OPACITY));
-    let (log_scale, logit) = match size {
-        [] => (log_scale, logit),
-        size => filtered(log_scale, logit, size[0] as f32),
-    };
-    gaussians.opacity_logits.push(logit);
-    gaussians.log_scales.push(log_scale);
-    gaussians.quats.push(std::array::from_fn(|i| at(QUATERNION + i)));
-    gaussians.sh.push(std::array::from_fn(|channel| at(SH_DC + channel)));
-    let per_channel = (row.len() - SH_REST) / 3;
-    let rest = |i: usize| std::array::from_fn(|channel| at(SH_REST + channel * per_channel + i));
-    gaussians.sh.extend((0..per_channel).map(rest));
+/// The value of white: integers have that of their type, floats 255 if a colour is far above 1.
+fn white(path: &Path, element: &Element, names: [&str; 3]) -> Result<f64> {
+    let kind = element.properties.iter().find(|property| property.name == names[0]).map(|p| &p.kind);
+    match kind {
+        Some(Kind::Scalar(Scalar::U16)) => return Ok(65535.0),
+        Some(Kind::Scalar(Scalar::F32 | Scalar::F64)) => {}
+        _ => return Ok(255.0),
+    }
+    let mut file = PlyFile::open(path)?;
+    let element = file.seek_element(&element.name)?;
+    let mut brightest = 0.0_f64;
+    file.for_each_row(&element, &names.map(str::to_owned), |_, row| {
+        brightest = row.iter().fold(brightest, |most, &value| most.max(value));
+        Ok(())
+    })?;
+    Ok(if brightest > 2.0 { 255.0 } else { 1.0 })
 }
 
 /// The error for a file without Gaussians, with the kind of the file.
-fn missing_property(path: &Path, element: &Element, missing: &str) -> Error {
+fn missing_properties(path: &Path, element: &Element, has_rgb: bool) -> Error {
     if element.has("packed_position") {
         return Error::input(path, "is a compressed PLY (packed_position)", "read it with io::splats");
     }
+    let needed = if has_rgb { &REQUIRED[..SH_DC] } else { &REQUIRED };
+    let missing: Vec<&str> = needed.iter().copied().filter(|name| !element.has(name)).collect();
     let any_gaussian_property = REQUIRED[OPACITY..].iter().any(|name| element.has(name));
     if !any_gaussian_property && element.has("x") {
-        let problem = format!("is a point cloud or mesh, not Gaussians (property {missing} is missing)");
+        let problem = format!("is a point cloud or mesh, not Gaussians (property {} is missing)", missing[0]);
         return Error::input(path, problem, "give a point_cloud.ply that training wrote");
     }
+    let (noun, verb) = if missing.len() == 1 { ("property", "is") } else { ("properties", "are") };
     Error::input(
         path,
-        format!("property {missing} of element vertex is missing"),
+        format!("{noun} {} of element vertex {verb} missing", missing.join(", ")),
         "is it a file of Gaussians?",
     )
 }

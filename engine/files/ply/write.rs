@@ -3,7 +3,7 @@
 use std::io::{self, Write};
 use std::path::Path;
 
-use super::header::{ANTIALIASED, FILTER, ORIGIN, UNIT};
+use super::header::{FILTER, Marks, ORIGIN, UNIT};
 use crate::atomic;
 use crate::splats::{Outline, Produce, WriteOptions, in_blocks};
 use ashsplat::scene::gaussians::sh_coefficients;
@@ -36,7 +36,7 @@ pub(crate) fn write_blocks(path: &Path, outline: &Outline, produce: &mut Produce
     atomic::write_seekable(path, |mut writer| {
         let scalars =
             names.iter().map(|name| (if is_double(name) { "double" } else { "float" }, name.as_str()));
-        write_header(&mut writer, outline.count, (outline.antialiased, &frame), scalars).map_err(io)?;
+        write_header(&mut writer, &Outline { frame, ..*outline }, scalars).map_err(io)?;
         let mut rows = Vec::new();
         produce(&mut |block| {
             rows.clear();
@@ -64,13 +64,13 @@ pub fn write_filtered(
     }
     let mut names = property_names(gaussians.sh_degree);
     names.push(FILTER.to_owned());
-    let WriteOptions { antialiased, frame, .. } = options;
+    let frame = &options.frame;
     let to_source = Similarity { scale: frame.unit, ..Default::default() };
     let path = path.as_ref();
     let io = |source| Error::io(path, "write", source);
     atomic::write_seekable(path, |mut writer| {
         let floats = names.iter().map(|name| ("float", name.as_str()));
-        write_header(&mut writer, gaussians.len() as u64, (*antialiased, frame), floats).map_err(io)?;
+        write_header(&mut writer, &Outline::of(gaussians, options), floats).map_err(io)?;
         let (mut rows, mut sizes) = (Vec::new(), filters.iter());
         in_blocks(gaussians, &mut |mut block| {
             block.transform(&to_source);
@@ -93,8 +93,10 @@ pub fn write_filtered(
 pub fn write_points(path: impl AsRef<Path>, points: &PointCloud, frame: &WorldFrame) -> Result<()> {
     let floats = ["x", "y", "z", "nx", "ny", "nz"].map(|name| ("float", name));
     let bytes = ["red", "green", "blue"].map(|name| ("uchar", name));
+    let options = WriteOptions { frame: *frame, ..Default::default() };
+    let outline = Outline { count: points.len() as u64, ..Outline::of(&Gaussians::default(), &options) };
     atomic::write(path, |writer| {
-        write_header(&mut *writer, points.len() as u64, (false, frame), floats.into_iter().chain(bytes))?;
+        write_header(&mut *writer, &outline, floats.into_iter().chain(bytes))?;
         for (position, color) in points.positions.iter().zip(&points.colors) {
             let position = position.map(|v| (frame.unit * f64::from(v)) as f32);
             for value in position.iter().chain(&[0.0; 3]) {
@@ -108,16 +110,13 @@ pub fn write_points(path: impl AsRef<Path>, points: &PointCloud, frame: &WorldFr
 
 fn write_header<'a>(
     mut writer: impl Write,
-    count: u64,
-    (antialiased, frame): (bool, &WorldFrame),
+    outline: &Outline,
     properties: impl Iterator<Item = (&'a str, &'a str)>,
 ) -> io::Result<()> {
     write!(writer, "ply\nformat binary_little_endian 1.0\n")?;
-    if antialiased {
-        writeln!(writer, "comment {ANTIALIASED}")?;
-    }
-    write_frame(&mut writer, frame)?;
-    writeln!(writer, "element vertex {count}")?;
+    Marks::write(&mut writer, outline)?;
+    write_frame(&mut writer, &outline.frame)?;
+    writeln!(writer, "element vertex {}", outline.count)?;
     for (kind, name) in properties {
         writeln!(writer, "property {kind} {name}")?;
     }

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::{Format, Header, Outline, ReadOptions, open, row_bytes, write_blocks};
+use super::{Format, Header, Outline, ReadOptions, open, row_bytes, write_readable};
 use crate::decimate::decimate;
 use crate::host_memory;
 use ashsplat::Result;
@@ -65,7 +65,7 @@ pub struct Converted {
 /// The input is read twice where the output's beginning depends on its end (number and box of the Gaussians).
 ///
 /// # Errors
-/// As [`super::read`] and [`super::write`].
+/// As [`super::read`] and [`super::write`]; [`ashsplat::Error::Input`] for a change that leads to parameters that reading refuses.
 pub fn convert(input: &Path, output: &Path, options: &ConvertOptions) -> Result<Converted> {
     let format = match options.format {
         Some(format) => format,
@@ -77,7 +77,7 @@ pub fn convert(input: &Path, output: &Path, options: &ConvertOptions) -> Result<
     let sh_degree = header.sh_degree.min(format.max_sh_degree()).min(options.sh_degree.unwrap_or(3));
     let mut warnings = header.warnings.clone();
     let wanted_degree = header.sh_degree.min(options.sh_degree.unwrap_or(3));
-    warnings.extend(format.losses(wanted_degree, header.antialiased));
+    warnings.extend(format.losses(wanted_degree, &header));
     if options.decimate.is_some() {
         // All of them, and those that are merged of them.
         let needed = header.count.saturating_mul(2 * row_bytes(sh_degree));
@@ -125,11 +125,11 @@ pub fn convert(input: &Path, output: &Path, options: &ConvertOptions) -> Result<
     }
     let frame = WorldFrame { origin: to, unit: header.unit.unwrap_or(1.0) * options.similarity.scale };
     let frame = if header.unit.is_some() { frame } else { WorldFrame { unit: 1.0, ..frame } };
-    let antialiased = header.antialiased;
+    let Header { antialiased, kernel_size, .. } = header;
     let double_positions = header.double_positions && format == Format::Ply;
-    let outline = Outline { count, sh_degree, antialiased, bounds, frame, double_positions };
+    let outline = Outline { count, sh_degree, antialiased, kernel_size, bounds, frame, double_positions };
     warnings.extend(format.origin_note(output, &outline));
-    write_blocks(output, (format, options.spz_version), &outline, &mut |sink| match kept.take() {
+    write_readable(output, (format, options.spz_version), &outline, &mut |sink| match kept.take() {
         Some(all) => sink(all),
         None => open(input, &options.read)?
             .blocks(&mut |block| sink(changed(block, sh_degree, &cut, &moved.to(to))))

@@ -1,10 +1,10 @@
 //! Which format a file has.
 
-use std::io::Read;
 use std::path::Path;
 
+use super::foreign::{first_bytes, foreign};
 use super::format::Format;
-use crate::{ply, regular_file, sniff};
+use crate::{ply, sniff};
 use ashsplat::{Error, Result};
 
 impl Format {
@@ -15,6 +15,9 @@ impl Format {
     pub fn of_file(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref();
         let start = first_bytes(path)?;
+        if let Some(error) = foreign(path) {
+            return Err(error);
+        }
         let by_name = Self::by_name(path);
         let by_content = match start.as_slice() {
             [b'p', b'l', b'y', b'\n' | b'\r', ..] => Some(ply_kind(path)?),
@@ -36,11 +39,4 @@ impl Format {
 
 fn ply_kind(path: &Path) -> Result<Format> {
     Ok(if ply::is_compressed(path)? { Format::CompressedPly } else { Format::Ply })
-}
-
-fn first_bytes(path: &Path) -> Result<Vec<u8>> {
-    let (file, _) = regular_file::open(path)?;
-    let mut start = Vec::new();
-    file.take(512).read_to_end(&mut start).map_err(|source| Error::io(path, "read", source))?;
-    Ok(start)
 }

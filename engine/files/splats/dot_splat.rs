@@ -68,10 +68,8 @@ fn unpack(row: &[u8; ROW], block: &mut Gaussians) {
     cost::step();
     let float = |at: usize| f32::from_le_bytes([row[at], row[at + 1], row[at + 2], row[at + 3]]);
     block.means.push([float(0), float(4), float(8)]);
-    // What underflowed to 0 is a very small size; the logarithm of a negative one is NaN, and so unusable.
-    block
-        .log_scales
-        .push([float(12), float(16), float(20)].map(|s| if s == 0.0 { f32::MIN_POSITIVE } else { s }.ln()));
+    // The logarithm of a negative size is NaN, and so unusable.
+    block.log_scales.push([float(12), float(16), float(20)].map(f32::ln));
     block.sh.push([24, 25, 26].map(|at| rgb_to_sh_dc(f32::from(row[at]) / 255.0)));
     let opacity = (f64::from(row[27]) / 255.0).clamp(OPACITY_MARGIN, 1.0 - OPACITY_MARGIN);
     block.opacity_logits.push((opacity / (1.0 - opacity)).ln() as f32);

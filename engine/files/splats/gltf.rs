@@ -14,7 +14,7 @@ use accessor::{Accessor, Buffers};
 use document::Document;
 use packed::PackedRows;
 
-use super::{BLOCK, Format, Header, Sink, Source};
+use super::{BLOCK, Format, Header, Sink, Source, is_kernel_size};
 use crate::cost;
 use ashsplat::scene::gaussians::{MAX_SH_DEGREE, sh_coefficients};
 use ashsplat::scene::{Gaussians, Similarity, WorldFrame};
@@ -92,6 +92,8 @@ impl Gltf {
                     header.warnings.push(warning);
                 }
                 header.antialiased |= extension["extras"]["antialiased"] == true;
+                let kernel_size = extension["extras"]["kernel_size"].as_f64().map(|size| size as f32);
+                header.kernel_size = kernel_size.filter(is_kernel_size).or(header.kernel_size);
                 let packed = PackedRows::of(path, &place, (&document, &buffers), (primitive, extension))?;
                 let rows = if let Some(packed) = packed {
                     *uses.entry((mesh_index, index)).or_insert(0) += 1;
@@ -330,10 +332,9 @@ impl PlainRows {
             .iter()
             .map(|&[x, y, z, w]| [w, x, y, z])
             .collect();
-        // What underflowed to 0 is a very small size; the logarithm of a negative one is NaN, and so unusable.
-        let log = |s: f32| if s == 0.0 { f32::MIN_POSITIVE } else { s }.ln();
+        // The logarithm of a negative size is NaN, and so unusable.
         block.log_scales =
-            triples(&scale.read(buffers, rows.clone())?).into_iter().map(|s| s.map(log)).collect();
+            triples(&scale.read(buffers, rows.clone())?).into_iter().map(|s| s.map(f32::ln)).collect();
         let logit = |opacity: f32| {
             let opacity = f64::from(opacity).clamp(OPACITY_MARGIN, 1.0 - OPACITY_MARGIN);
             (opacity / (1.0 - opacity)).ln() as f32

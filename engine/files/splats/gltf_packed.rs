@@ -10,7 +10,7 @@ use std::path::Path;
 use serde_json::json;
 
 use super::gltf::{EXTENSION, MIRRORED, PACKED_EXTENSION};
-use super::gltf_write::{FLOAT, UNSIGNED_BYTE, bounds_of, glb_head, mirrored_corners, node};
+use super::gltf_write::{FLOAT, UNSIGNED_BYTE, bounds_of, glb_head, mark, mirrored_corners, node};
 use super::{Outline, Produce, spz_write};
 use crate::atomic;
 use ashsplat::{Error, Result};
@@ -38,9 +38,7 @@ pub(super) fn write(path: &Path, outline: &Outline, produce: &mut Produce<'_>) -
         accessors.push(json!({ "componentType": FLOAT, "type": "VEC3", "count": outline.count }));
     }
     let mut extension = json!({ "extensions": { PACKED_EXTENSION: { "bufferView": 0 } } });
-    if outline.antialiased {
-        extension["extras"] = json!({ "antialiased": true });
-    }
+    mark(&mut extension, outline);
     let padded = bytes.next_multiple_of(4);
     let head = glb_head(
         &json!({

@@ -1,13 +1,15 @@
 //! Writing glTF and GLB with `KHR_gaussian_splatting`: one primitive, one buffer view for each attribute.
 
+use std::fs;
 use std::io::SeekFrom;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use serde_json::{Value, json};
 
 use super::gltf::{EXTENSION, MIRRORED, mirrored};
 use super::{Format, Outline, Produce};
 use crate::atomic::{self, Output};
+use crate::regular_file;
 use ashsplat::scene::gaussians::sh_coefficients;
 use ashsplat::scene::sh::sh_dc_to_rgb;
 use ashsplat::scene::{Bounds, Gaussians};
@@ -42,24 +44,23 @@ impl Plane {
     }
 }
 
-/// Writes Gaussians as they come, each attribute at its place; a `.gltf` gets its `.bin` first.
+/// Writes Gaussians as they come, each attribute at its place; a `.gltf` gets its `.bin` first, and an earlier one's `.bin` goes last.
 pub(super) fn write(path: &Path, format: Format, outline: &Outline, produce: &mut Produce<'_>) -> Result<()> {
     let bounds = bounds_of(path, outline)?;
     let planes = planes(outline.sh_degree);
     let binary_bytes = planes.iter().map(|plane| plane.row_bytes()).sum::<u64>() * outline.count;
     let mut document = document(outline, bounds, &planes);
     if format == Format::Gltf {
-        let binary = path.with_extension("bin");
-        if binary.exists() && !path.exists() {
-            let problem = format!("is there, and {} is not: it is something else's", path.display());
-            return Err(Error::input(binary, problem, "give another name, or remove it"));
-        }
-        let name = binary.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        // The new name keeps an earlier scene whole until the .gltf is replaced.
+        let (old, new) = (named_binary(path), free_binary(path));
+        let name = new.file_name().unwrap_or_default().to_string_lossy().into_owned();
         document["buffers"] = json!([{ "uri": escaped(&name), "byteLength": binary_bytes }]);
-        atomic::write_seekable(&binary, |writer| {
-            write_planes(&binary, writer, 0, outline, &planes, produce)
-        })?;
-        return atomic::write(path, |writer| writer.write_all(document.to_string().as_bytes()));
+        atomic::write_seekable(&new, |writer| write_planes(&new, writer, 0, outline, &planes, produce))?;
+        let written = atomic::write(path, |writer| writer.write_all(document.to_string().as_bytes()));
+        if let Some(unused) = if written.is_ok() { old } else { Some(new) } {
+            fs::remove_file(unused).ok();
+        }
+        return written;
     }
     document["buffers"] = json!([{ "byteLength": binary_bytes }]);
     let head = glb_head(&document, binary_bytes)?;
@@ -67,6 +68,30 @@ pub(super) fn write(path: &Path, format: Format, outline: &Outline, produce: &mu
         writer.write_all(&head).map_err(|source| Error::io(path, "write", source))?;
         write_planes(path, writer, head.len() as u64, outline, &planes, produce)
     })
+}
+
+/// A name for the binary of a `.gltf` that no file has.
+fn free_binary(path: &Path) -> PathBuf {
+    let mut binary = path.with_extension("bin");
+    let mut number = 0;
+    while binary.symlink_metadata().is_ok() {
+        number += 1;
+        binary = path.with_extension(format!("{number}.bin"));
+    }
+    binary
+}
+
+/// The binary that an earlier `.gltf` of this crate names.
+fn named_binary(path: &Path) -> Option<PathBuf> {
+    /// Longer ones are not this crate's.
+    const MOST_BYTES: u64 = 1 << 16;
+    let text = regular_file::read_at_most(path, MOST_BYTES).ok()??;
+    let document: Value = serde_json::from_slice(&text).ok()?;
+    let is_own = document["asset"]["generator"].as_str()?.starts_with("ashsplat ");
+    let stem = path.file_stem()?.to_str()?;
+    let rest = document["buffers"][0]["uri"].as_str()?.strip_prefix(&escaped(stem))?.strip_suffix(".bin")?;
+    let is_numbered = rest.is_empty() || rest.strip_prefix('.')?.parse::<u32>().is_ok();
+    (is_own && is_numbered).then(|| path.with_file_name(format!("{stem}{rest}.bin")))
 }
 
 /// The box around the means, which an accessor needs.
@@ -180,9 +205,7 @@ fn document(outline: &Outline, bounds: Bounds, planes: &[Plane]) -> Value {
     let mut extension = json!({
         "kernel": "ellipse", "colorSpace": "srgb_rec709_display", "sortingMethod": "cameraDistance", "projection": "perspective",
     });
-    if outline.antialiased {
-        extension["extras"] = json!({ "antialiased": true });
-    }
+    mark(&mut extension, outline);
     json!({
         "asset": { "version": "2.0", "generator": concat!("ashsplat ", env!("CARGO_PKG_VERSION")) },
         "extensionsUsed": [EXTENSION],
@@ -201,6 +224,17 @@ pub(super) fn node(outline: &Outline) -> Value {
     match outline.frame.origin == DVec3::ZERO {
         true => json!({ "mesh": 0 }),
         false => json!({ "mesh": 0, "translation": origin.to_array() }),
+    }
+}
+
+/// Adds the marks that the extension has no fields for.
+pub(super) fn mark(extension: &mut Value, outline: &Outline) {
+    if outline.antialiased {
+        extension["extras"]["antialiased"] = json!(true);
+    }
+    if let Some(size) = outline.kernel_size {
+        // The shortest number that is the same f32.
+        extension["extras"]["kernel_size"] = json!(size.to_string().parse::<f64>().ok());
     }
 }
 

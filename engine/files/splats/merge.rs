@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use super::convert::around;
-use super::{Format, Header, Outline, ReadOptions, Reader, WriteOptions, open, write_blocks};
+use super::{Format, Header, Outline, ReadOptions, Reader, WriteOptions, open, write_readable};
 use ashsplat::scene::{Bounds, Gaussians, Similarity, WorldFrame};
 use ashsplat::{Error, Result};
 use glam::Vec3;
@@ -50,18 +50,14 @@ pub fn merge(
     let first = parts.first().ok_or_else(|| Error::argument("parts", "there are none to merge"))?;
     let of_first = open(first.path, read)?.header().clone();
     let sh_degree = of_first.sh_degree.min(format.max_sh_degree());
-    let mut warnings = format.losses(of_first.sh_degree, of_first.antialiased);
+    let mut warnings = format.losses(of_first.sh_degree, &of_first);
     let (mut written, mut bounds) = (Vec::new(), None);
     for part in parts {
         let mut reader = open(part.path, read)?;
         let header = reader.header();
-        let own = (header.sh_degree, header.antialiased);
-        if own != (of_first.sh_degree, of_first.antialiased) {
-            let words = |(degree, antialiased): (u32, bool)| {
-                format!("SH degree {degree}, {} antialiasing", if antialiased { "with" } else { "without" })
-            };
-            let there = words((of_first.sh_degree, of_first.antialiased));
-            let problem = format!("has {}, {} has {there}", words(own), first.path.display());
+        let (own, there) = (described(header), described(&of_first));
+        if own != there {
+            let problem = format!("has {own}, {} has {there}", first.path.display());
             return Err(Error::input(part.path, problem, "train all parts with the same settings"));
         }
         warnings.extend(header.warnings.iter().cloned());
@@ -76,12 +72,13 @@ pub fn merge(
         let dropped = reader.warning.take();
         warnings.extend(dropped.map(|warning| format!("{}: {warning}", part.path.display())));
     }
-    let (count, antialiased) = (written.iter().sum(), of_first.antialiased);
+    let count = written.iter().sum();
     let frame = WorldFrame { origin: of_first.origin, unit: of_first.unit.unwrap_or(1.0) };
+    let Header { antialiased, kernel_size, .. } = of_first;
     let double_positions = of_first.double_positions && format == Format::Ply;
-    let outline = Outline { count, sh_degree, antialiased, bounds, frame, double_positions };
+    let outline = Outline { count, sh_degree, antialiased, kernel_size, bounds, frame, double_positions };
     warnings.extend(format.origin_note(output, &outline));
-    write_blocks(output, (format, options.spz_version), &outline, &mut |sink| {
+    write_readable(output, (format, options.spz_version), &outline, &mut |sink| {
         for part in parts {
             let mut reader = open(part.path, read)?;
             let shift = shift(reader.header(), &of_first);
@@ -92,6 +89,13 @@ pub fn merge(
         Ok(())
     })?;
     Ok(Merged { format, written, sh_degree, warnings })
+}
+
+/// What parts must have in common.
+fn described(header: &Header) -> String {
+    let with = if header.antialiased { "with" } else { "without" };
+    let kernel = header.kernel_size.map_or_else(String::new, |size| format!(", kernel size {size}"));
+    format!("SH degree {}, {with} antialiasing{kernel}", header.sh_degree)
 }
 
 /// What makes a part's positions relative to the first one's origin.

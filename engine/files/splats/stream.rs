@@ -29,6 +29,8 @@ pub struct Header {
     /// Whether the Gaussians were trained with antialiasing (Mip-Splatting's opacity compensation) and need
     /// it.
     pub antialiased: bool,
+    /// Variance that training added on the screen, square pixels; none: the file does not say.
+    pub kernel_size: Option<f32>,
     /// What the positions are relative to, source coordinates: not zero for scenes far from the source's own origin.
     pub origin: DVec3,
     /// World unit of the training ([`WorldFrame::unit`]), if the file names one. Positions and sizes are in source units.
@@ -46,12 +48,18 @@ impl Header {
             count,
             sh_degree,
             antialiased: false,
+            kernel_size: None,
             origin: DVec3::ZERO,
             unit: None,
             double_positions: false,
             warnings: Vec::new(),
         }
     }
+}
+
+/// Whether a file's kernel size can be drawn with.
+pub(crate) fn is_kernel_size(size: &f32) -> bool {
+    *size > 0.0 && *size <= 1e4
 }
 
 /// How to read Gaussians.
@@ -110,6 +118,8 @@ pub(crate) struct Outline {
     pub(crate) count: u64,
     pub(crate) sh_degree: u32,
     pub(crate) antialiased: bool,
+    /// As [`Header::kernel_size`].
+    pub(crate) kernel_size: Option<f32>,
     /// Box around the means; none without Gaussians.
     pub(crate) bounds: Option<Bounds>,
     /// What the means are relative to, source coordinates, and the unit of the training that the file names. The Gaussians are in
@@ -125,11 +135,12 @@ pub(crate) type Produce<'a> = dyn FnMut(&mut Sink<'_>) -> Result<()> + 'a;
 impl Outline {
     /// Of Gaussians in the frame of the options, which are written in source units.
     pub(crate) fn of(gaussians: &Gaussians, options: &WriteOptions) -> Self {
-        let WriteOptions { antialiased, frame, .. } = *options;
+        let WriteOptions { antialiased, kernel_size, frame, .. } = *options;
         Self {
             count: gaussians.len() as u64,
             sh_degree: gaussians.sh_degree,
             antialiased,
+            kernel_size,
             bounds: in_source_units(gaussians.bounds(), &frame),
             frame,
             double_positions: false,
@@ -212,6 +223,10 @@ impl<'a> Reader<'a> {
             if unusable.count() == 0 || drop_invalid { sink(block) } else { Ok(()) }
         })?;
         self.warning = unusable.describe(count, row_name);
+        if drop_invalid && count > 0 && unusable.count() == count {
+            let problem = self.warning.take().unwrap_or_default();
+            return Err(Error::input(&self.path, problem, "none is left without them: write the file again"));
+        }
         match &self.warning {
             Some(problem) if !drop_invalid => {
                 Err(Error::input(&self.path, problem.clone(), "--drop-invalid leaves them out"))

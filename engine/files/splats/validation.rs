@@ -1,6 +1,9 @@
 //! Gaussians with parameters that nothing can be done with.
 
+use std::path::Path;
+
 use ashsplat::scene::Gaussians;
+use ashsplat::{Error, Result};
 
 /// Largest usable coordinate, of places and of quaternions: the square of a larger one overflows.
 const MAX_COORDINATE: f32 = 1e18;
@@ -26,9 +29,14 @@ impl Unusable {
         self.count
     }
 
-    /// Removes the unusable ones from the next block.
+    /// Removes the unusable ones from the next block. Size 0 (log-scale -∞) becomes a very small one.
     pub(super) fn look_through(&mut self, block: &mut Gaussians) {
         let rows = block.len();
+        for log_scale in block.log_scales.as_flattened_mut() {
+            if *log_scale == f32::NEG_INFINITY {
+                *log_scale = f32::MIN_POSITIVE.ln();
+            }
+        }
         if (0..rows).any(|index| parameter(block, index).is_some()) {
             for index in 0..rows {
                 if let Some((name, value)) = parameter(block, index) {
@@ -50,6 +58,19 @@ impl Unusable {
         Some(format!(
             "{bad} of {all} {have} unusable parameters; the first, {row_name} {row}: {name} = {value} is {kind}"
         ))
+    }
+}
+
+/// Refuses to write what reading would refuse.
+pub(super) fn check_readable(path: &Path, block: &Gaussians) -> Result<()> {
+    match (0..block.len()).find_map(|index| parameter(block, index)) {
+        None => Ok(()),
+        Some((name, value)) => {
+            let kind = if value.is_finite() { "too large" } else { "not finite" };
+            let problem =
+                format!("is not written: a Gaussian would have {} = {value}, which is {kind}", name());
+            Err(Error::input(path, problem, "scale, move or merge less"))
+        }
     }
 }
 

@@ -84,7 +84,7 @@ impl Tree {
         let text = regular_file::read(&path, TEXT_GROWTH)?;
         let foreign = |problem: &dyn std::fmt::Display| {
             let problem = format!("is no tree of Gaussians: {problem}");
-            Error::input(&path, problem, "give one that `ashsplat tiles` has written")
+            Error::input(&path, problem, "give one that `ashsplat tiles` has written, or one .glb of it")
         };
         let mut document: Value = serde_json::from_slice(&text).map_err(|e| foreign(&e))?;
         let root = document.get_mut("root").map(Value::take).unwrap_or_default();

@@ -109,9 +109,7 @@ impl Ready {
         scene.express_in(self.gallery.frame());
         let mut renderer = Renderer::new(&self.context)?;
         renderer.upload(&scene.gaussians)?;
-        let look = render::settings_of(settings);
-        let antialias = look.antialias || scene.header.antialiased;
-        let look = RenderSettings { inverse_depth: true, antialias, ..look };
+        let look = RenderSettings { inverse_depth: true, ..render::look_of(settings, &scene.header) };
         Ok(Drawn { renderer, look, gaussians: scene.gaussians.len() as u64 })
     }
 

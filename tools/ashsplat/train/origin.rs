@@ -251,6 +251,9 @@ fn scene_of(path: &Path, settings: &Settings, host: &HostArguments) -> Result<Sc
     if scene.header.antialiased && !settings.train.antialiasing {
         tell!("warning: {}: was trained with --antialiasing; train with it, too", path.display());
     }
+    if let Some(size) = scene.header.kernel_size.filter(|size| *size != settings.train.kernel_size as f32) {
+        tell!("warning: {}: was trained with --kernel-size {size}; train with it, too", path.display());
+    }
     for warning in &scene.warnings {
         tell!("warning: {warning}");
     }

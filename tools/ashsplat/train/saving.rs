@@ -146,8 +146,8 @@ impl Run {
         let folder = &self.settings.data.model_path;
         let path = model::point_cloud_path(folder, iteration);
         let gaussians = self.trainer.gaussians()?;
-        let antialiased = self.settings.train.antialiasing;
-        let options = splats::WriteOptions { antialiased, frame: self.frame, ..Default::default() };
+        let marks = splats::WriteOptions::marking(&self.settings.train.render_settings());
+        let options = splats::WriteOptions { frame: self.frame, ..marks };
         let filters = self.trainer.filters()?;
         output::in_folder(&path, |path| match filters.is_empty() {
             true => splats::write(path, &gaussians, &options),

@@ -10,6 +10,7 @@ mod turns;
 
 use super::protocol::{CameraMessage, Look, ToPage, TrainAction, ViewRequest};
 use ashsplat::Gaussians;
+use ashsplat_files::splats::WriteOptions;
 use outbox::Outbox;
 use serde_json::json;
 use std::collections::VecDeque;
@@ -58,8 +59,8 @@ pub struct SceneRequest {
 #[derive(Debug)]
 pub struct CurrentScene {
     pub gaussians: Gaussians,
-    /// Whether it wants antialiasing.
-    pub antialiased: bool,
+    /// How it is to be drawn.
+    pub marks: WriteOptions,
 }
 
 /// What the rendering thread is to do next.

@@ -9,6 +9,7 @@ use super::protocol::{self, Look, ToPage};
 use super::sizes::{Sizes, Sparing};
 use crate::output;
 use ashsplat::{Error, RenderSettings, Result};
+use ashsplat_files::splats::WriteOptions;
 use serde_json::{Value, json};
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -152,9 +153,9 @@ impl Studio {
         if request.answer.is_closed() {
             return Ok(());
         }
-        let antialiased = self.base.antialias;
+        let marks = WriteOptions::marking(&self.base);
         match painter.gaussians() {
-            Ok(gaussians) => drop(request.answer.send(Ok(CurrentScene { gaussians, antialiased }))),
+            Ok(gaussians) => drop(request.answer.send(Ok(CurrentScene { gaussians, marks }))),
             Err(error) => {
                 drop(request.answer.send(Err(error.to_string())));
                 fatal(error)?;

@@ -154,7 +154,7 @@ impl Subject {
         host: &HostArguments,
         stop: &AtomicBool,
     ) -> Result<Subject> {
-        let folder = render::folder_of_tiles(path);
+        let folder = model::folder_of_tiles(path);
         if let Some(tree) = tree_of(folder, wanted.budget.is_some())? {
             return Subject::of_tree(tree, path, wanted, (look, host));
         }

@@ -431,7 +431,7 @@ fn a_host_in_c_trains() {
     let filtered = std::fs::read(folder.path().join("result.ply.filtered.ply")).expect("a PLY");
     let header = String::from_utf8_lossy(&filtered[..2000.min(filtered.len())]).into_owned();
     assert!(
-        header.contains("property float filter_3D") && header.contains("comment antialiased"),
+        header.contains("property float filter_3D") && header.contains("comment SplatRenderMode: mip"),
         "{header}"
     );
 }

@@ -149,8 +149,7 @@ impl Export {
         let room = std::env::temp_dir();
         let folder = tempfile::tempdir().map_err(|e| Error::io(&room, "write a temporary file", e))?;
         let path = folder.path().join(format!("scene{}", format.extension()));
-        let options =
-            WriteOptions { format: Some(format), antialiased: scene.antialiased, ..Default::default() };
+        let options = WriteOptions { format: Some(format), ..scene.marks };
         splats::write_cut(&path, &scene.gaussians, (&self.cut.cut(), self.sh_degree), &options)?;
         Ok((folder, path))
     }
