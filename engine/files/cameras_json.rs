@@ -5,8 +5,7 @@ use std::path::Path;
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 
-use super::regular_file::{self, TEXT_GROWTH};
-use super::{atomic, cost};
+use super::{atomic, cost, text};
 use ashsplat::scene::{Camera, Intrinsics, WorldFrame};
 use ashsplat::{Error, Result};
 
@@ -116,8 +115,8 @@ pub fn write<'a>(
 /// [`Error::Io`] when the file cannot be read, [`Error::Input`] when it is no such list or a camera is unusable.
 pub fn read(path: impl AsRef<Path>, frame: &WorldFrame) -> Result<Vec<NamedCamera>> {
     let path = path.as_ref();
-    let text = regular_file::read(path, TEXT_GROWTH)?;
-    let entries: Vec<Entry> = serde_json::from_slice(&text).map_err(|e| {
+    let text = text::read(path)?;
+    let entries: Vec<Entry> = serde_json::from_str(&text).map_err(|e| {
         Error::input(
             path,
             format!("is not a list of cameras: {e}"),

@@ -1,6 +1,8 @@
 //! A data set to train on: photographs with their cameras, and initial points.
 
+mod companions;
 mod depths;
+mod doubtful_lens;
 mod exif_orientation;
 mod gallery;
 mod inspect;
@@ -8,6 +10,7 @@ mod lens_note;
 mod mask;
 mod own_frame;
 mod photo_folder;
+mod photo_sizes;
 mod plan;
 mod planned_view;
 mod scaling;

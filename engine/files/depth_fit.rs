@@ -6,9 +6,8 @@ use std::path::Path;
 
 use serde::Deserialize;
 
-use super::cost;
 use super::images::DepthMap;
-use super::regular_file::{self, TEXT_GROWTH};
+use super::{cost, text};
 use ashsplat::{Error, Result};
 
 /// Name of the file with the parameters, beside a COLMAP model.
@@ -90,10 +89,10 @@ impl DepthFit {
     /// finite, also as the 32-bit number that the device takes.
     pub fn read_all(path: impl AsRef<Path>) -> Result<BTreeMap<String, Self>> {
         let path = path.as_ref();
-        let text = regular_file::read(path, TEXT_GROWTH)?;
+        let text = text::read(path)?;
         let remedy =
             "expected {\"photo\": {\"scale\": 1.5, \"offset\": 0.1}, …}; without the file, they are fitted";
-        let fits: BTreeMap<String, Self> = serde_json::from_slice(&text)
+        let fits: BTreeMap<String, Self> = serde_json::from_str(&text)
             .map_err(|e| Error::input(path, format!("is not a list of depth parameters: {e}"), remedy))?;
         let finite = |fit: &Self| {
             cost::step();

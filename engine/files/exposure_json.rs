@@ -4,8 +4,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use super::regular_file::{self, TEXT_GROWTH};
-use super::{atomic, cost};
+use super::{atomic, cost, text};
 use ashsplat::scene::Exposure;
 use ashsplat::{Error, Result};
 
@@ -32,9 +31,9 @@ pub fn write<'a>(
 /// finite.
 pub fn read(path: impl AsRef<Path>) -> Result<BTreeMap<String, Exposure>> {
     let path = path.as_ref();
-    let text = regular_file::read(path, TEXT_GROWTH)?;
+    let text = text::read(path)?;
     let remedy = "expected {\"photo.jpg\": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]], …}";
-    let rows: BTreeMap<String, [[f32; 4]; 3]> = serde_json::from_slice(&text)
+    let rows: BTreeMap<String, [[f32; 4]; 3]> = serde_json::from_str(&text)
         .map_err(|e| Error::input(path, format!("is not a list of exposures: {e}"), remedy))?;
     let finite = |rows: &[[f32; 4]; 3]| {
         cost::step();

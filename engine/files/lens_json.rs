@@ -3,8 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use super::regular_file::{self, TEXT_GROWTH};
-use super::{atomic, cost};
+use super::{atomic, cost, text};
 use ashsplat::scene::LensEffects;
 use ashsplat::{Error, Result};
 use serde::{Deserialize, Serialize};
@@ -68,11 +67,11 @@ impl LensFile {
     /// has, or a photograph of a camera that it lacks.
     pub fn read(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref();
-        let text = regular_file::read(path, TEXT_GROWTH)?;
+        let text = text::read(path)?;
         let remedy = "expected {\"cameras\": {\"1\": {\"vignetting\": [[0, 0, 0], [0, 0, 0], [0, 0, 0]], \"response\": [1, 1, 1]}}, \
                       \"photos\": {\"photo.jpg\": 1}}";
         let problem = |problem: String| Error::input(path, problem, remedy);
-        let document: Document = serde_json::from_slice(&text)
+        let document: Document = serde_json::from_str(&text)
             .map_err(|e| problem(format!("is not a description of cameras' light: {e}")))?;
         let mut cameras = BTreeMap::new();
         for (id, Entry { vignetting, response }) in document.cameras {

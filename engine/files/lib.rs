@@ -27,6 +27,7 @@ mod progress;
 pub mod regular_file;
 mod sniff;
 pub mod splats;
+pub mod text;
 pub mod tiles;
 pub mod transforms;
 

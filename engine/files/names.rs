@@ -7,10 +7,16 @@ use std::path::{Component, Path, PathBuf};
 
 use unicode_normalization::UnicodeNormalization;
 
-use crate::cost;
+use crate::{cost, text};
 
 /// Endings of photos, the likelier one first.
 const ENDINGS: [&str; 3] = ["png", "jpg", "jpeg"];
+
+/// Endings of pictures that have to be converted.
+const OTHER_ENDINGS: [&str; 16] = [
+    "webp", "tif", "tiff", "heic", "heif", "avif", "bmp", "gif", "jxl", "jp2", "dng", "cr2", "cr3", "nef",
+    "arw", "raf",
+];
 
 /// Endings of videos.
 const VIDEO_ENDINGS: [&str; 11] =
@@ -52,6 +58,12 @@ pub fn has_photo_ending(name: &Path) -> bool {
     name.extension().is_some_and(|ending| ENDINGS.iter().any(|known| ending.eq_ignore_ascii_case(known)))
 }
 
+/// Whether a name ends as pictures do that have to be converted.
+fn has_other_ending(name: &str) -> bool {
+    let ending = Path::new(name).extension();
+    ending.is_some_and(|ending| OTHER_ENDINGS.iter().any(|known| ending.eq_ignore_ascii_case(known)))
+}
+
 /// Whether a name ends as videos do.
 pub fn has_video_ending(name: &Path) -> bool {
     name.extension()
@@ -89,15 +101,16 @@ pub(super) fn count_photos_beside<'n>(folder: &Path, names: impl Iterator<Item =
     let here = entries.filter(|entry| {
         cost::step();
         let path = entry.path();
-        !is_hidden(&entry.file_name()) && has_photo_ending(&path) && !path.is_dir()
+        let counts = !is_hidden(&entry.file_name()) && !is_companion(Path::new(&entry.file_name()));
+        counts && has_photo_ending(&path) && !path.is_dir()
     });
-    here.count() + folders.iter().map(|name| count_photos(&folder.join(name))).sum::<usize>()
+    here.count() + folders.iter().map(|name| photos_below(&folder.join(name)).len()).sum::<usize>()
 }
 
-/// How many photos lie in a folder and those below it.
-pub(super) fn count_photos(folder: &Path) -> usize {
+/// The pictures in a folder and those below it.
+pub(super) fn pictures_below(folder: &Path) -> Vec<PathBuf> {
     let mut open = vec![folder.to_owned()];
-    let mut photos = 0;
+    let mut pictures = Vec::new();
     while let Some(folder) = open.pop() {
         for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
             cost::step();
@@ -108,17 +121,44 @@ pub(super) fn count_photos(folder: &Path) -> usize {
             // A link may lead back.
             match path.is_dir() && !path.is_symlink() {
                 true => open.push(path),
-                false => photos += usize::from(has_photo_ending(&path)),
+                false if has_photo_ending(&path) => pictures.push(path),
+                false => {}
             }
         }
     }
+    pictures
+}
+
+/// The photos in a folder and those below it, without their masks, depth maps and smaller copies.
+pub(super) fn photos_below(folder: &Path) -> Vec<PathBuf> {
+    let mut photos = pictures_below(folder);
+    photos.retain(|photo| !is_companion(photo.strip_prefix(folder).unwrap_or(photo)));
     photos
+}
+
+/// Whether a path has a part that is named as masks, depth maps or smaller copies of photos are: `masks`, `a_mask.png`,
+/// `a.jpg.png`.
+pub(super) fn is_companion(path: &Path) -> bool {
+    const WORDS: [&str; 7] = ["mask", "masks", "segmentation", "segmentations", "depth", "depths", "normals"];
+    path.iter().any(|part| {
+        cost::step();
+        let name = part.to_string_lossy().to_lowercase();
+        let stem = Path::new(&name).file_stem().unwrap_or_default().to_string_lossy();
+        let mut words = stem.split(['_', '-', '.', ' ']);
+        let is_word = |word: &str| WORDS.contains(&word);
+        ["images_2", "images_4", "images_8"].contains(&&*name)
+            || has_photo_ending(Path::new(&*stem))
+            || words.next().is_some_and(is_word)
+            || words.next_back().is_some_and(is_word)
+    })
 }
 
 /// Looks files up, and keeps what lies in the folders that it had to look through.
 #[derive(Default)]
 pub(super) struct Finder {
     folders: HashMap<PathBuf, Listing>,
+    /// Photos in folders and those below, by the [`stem_key`] of their names.
+    trees: HashMap<PathBuf, HashMap<String, Vec<PathBuf>>>,
 }
 
 /// What lies in a folder.
@@ -135,16 +175,22 @@ impl Finder {
     /// The photo that a path below `folder` means: itself, or one whose name differs in case or in the form of its
     /// accents, lacks an ending, or has another one.
     pub(super) fn photo(&mut self, folder: &Path, name: &str) -> Option<PathBuf> {
-        self.file(folder, name).or_else(|| {
+        let found = self.file(folder, name);
+        // Of a photo that was converted, the original may still lie there.
+        if found.is_some() && !has_other_ending(name) {
+            return found;
+        }
+        let mut converted = || {
             let (folder, name) = self.parent(folder, name)?;
             let listing = self.listing(&folder);
             let key = key(name);
             let stem = Path::new(&key).file_stem()?.to_str()?;
+            let may_differ = has_photo_ending(Path::new(name)) || has_other_ending(name);
             let other = listing.photos.get(&key);
-            let other =
-                other.or_else(|| listing.photos.get(stem).filter(|_| has_photo_ending(Path::new(name))));
+            let other = other.or_else(|| listing.photos.get(stem).filter(|_| may_differ));
             other.map(|name| folder.join(name))
-        })
+        };
+        converted().or(found)
     }
 
     /// The file that a path below `folder` means: itself, or one whose name differs in case or in the form of its
@@ -162,20 +208,65 @@ impl Finder {
         self.within(&folder, name).filter(|found| found.is_file())
     }
 
-    /// The longest end of a path that means a photo below `folder`, and that photo. The whole path is not tried.
-    pub(super) fn photo_by_end<'n>(&mut self, folder: &Path, name: &'n str) -> Option<(&'n str, PathBuf)> {
+    /// The folder that a name means in another one.
+    pub(super) fn folder(&mut self, place: &Path, name: &str) -> Option<PathBuf> {
+        self.within(place, name).filter(|found| found.is_dir())
+    }
+
+    /// The file that the longest end of a path means below `folder`. The whole path is not tried.
+    pub(super) fn file_by_end(&mut self, folder: &Path, name: &str) -> Option<PathBuf> {
+        self.ends(folder, name).into_iter().find_map(|end| self.file(folder, end))
+    }
+
+    /// The ends of a path that may mean a file below `folder`, the longest first, without the whole path.
+    fn ends<'n>(&mut self, folder: &Path, name: &'n str) -> Vec<&'n str> {
         let starts: Vec<usize> = name.rmatch_indices('/').take(MAX_DEPTH).map(|(at, _)| at + 1).collect();
-        starts.into_iter().rev().find_map(|start| {
+        let mut ends: Vec<&str> = starts.into_iter().rev().map(|start| &name[start..]).collect();
+        ends.retain(|end| {
             cost::step();
-            let end = &name[start..];
-            // Most ends begin with a folder of another machine. Only those that begin with one of these are looked at.
+            // Most ends begin with a folder of another machine.
             let begins_here = match end.split_once('/') {
                 Some((first, _)) => stays_inside(first) && self.within(folder, first).is_some(),
                 None => true,
             };
-            let possible = begins_here && end.len() <= MAX_PATH_BYTES && stays_inside(end);
-            possible.then(|| self.photo(folder, end)).flatten().map(|photo| (end, photo))
-        })
+            begins_here && end.len() <= MAX_PATH_BYTES && stays_inside(end)
+        });
+        ends
+    }
+
+    /// The photo below `folder` that a path of another folder means, and its path from there: the longest end of the path
+    /// that means a photo, else the one photo in its folders whose path ends as this one. Two that do are an error.
+    pub(super) fn photo_by_end(
+        &mut self,
+        folder: &Path,
+        name: &str,
+    ) -> Result<Option<PathBuf>, [PathBuf; 2]> {
+        if let Some(photo) = self.ends(folder, name).into_iter().find_map(|end| self.photo(folder, end)) {
+            return Ok(Some(photo));
+        }
+        let parts: Vec<String> = name.split('/').rev().map(|part| stem_key(part)).collect();
+        let tree = self.trees.entry(folder.to_owned()).or_insert_with(|| {
+            let mut tree: HashMap<String, Vec<PathBuf>> = HashMap::new();
+            let mut photos = photos_below(folder);
+            photos.sort_unstable();
+            for photo in photos {
+                let name = stem_key(&photo.file_name().unwrap_or_default().to_string_lossy());
+                tree.entry(name).or_default().push(photo);
+            }
+            tree
+        });
+        let Some(candidates) = parts.first().and_then(|stem| tree.get(stem)) else { return Ok(None) };
+        let shared = |photo: &Path| {
+            cost::step();
+            let own = photo.iter().rev().map(|part| stem_key(&part.to_string_lossy()));
+            own.zip(&parts).take_while(|(own, part)| own == *part).count()
+        };
+        let most = candidates.iter().map(|photo| shared(photo)).max();
+        let mut best = candidates.iter().filter(|photo| Some(shared(photo)) == most);
+        match (best.next(), best.next()) {
+            (Some(first), Some(second)) => Err([first.clone(), second.clone()]),
+            (first, _) => Ok(first.cloned()),
+        }
     }
 
     /// The folder in which the last part of a path lies, as it is written on this disk, and that part.
@@ -224,6 +315,12 @@ fn key(name: &str) -> String {
     }
 }
 
+/// The [`key`] of a name without its ending.
+fn stem_key(name: &str) -> String {
+    let key = key(name);
+    Path::new(&key).file_stem().map_or_else(String::new, |stem| stem.to_string_lossy().into_owned())
+}
+
 impl Listing {
     fn of(folder: &Path) -> Self {
         let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
@@ -236,7 +333,7 @@ impl Listing {
         let (mut names, mut photos) = (HashMap::new(), HashMap::new());
         for name in &all {
             cost::step();
-            let key = key(&name.to_string_lossy());
+            let key = key(&text::decoded(name.as_encoded_bytes().to_vec()));
             if let Some(stem) = Path::new(&key).file_stem().filter(|_| has_photo_ending(Path::new(&key))) {
                 photos.entry(stem.to_string_lossy().into_owned()).or_insert_with(|| name.clone());
             }

@@ -19,7 +19,7 @@ pub(super) fn recognise(start: &[u8]) -> Option<(&'static str, &'static str)> {
     if start.starts_with(&[0x28, 0xb5, 0x2f, 0xfd]) {
         return Some(("is compressed with zstd", "unpack it with `unzstd` first"));
     }
-    if let Some(kind) = picture(start) {
+    if let Some(kind) = picture(start).or_else(|| utf16(start)) {
         return Some(kind);
     }
     if start.iter().all(|&byte| byte == 0) {
@@ -30,6 +30,12 @@ pub(super) fn recognise(start: &[u8]) -> Option<(&'static str, &'static str)> {
         return Some(("is a web page", "download the file itself (its raw or direct link)"));
     }
     None
+}
+
+/// Text in UTF-16, by its byte-order mark and a first letter of ASCII.
+pub(super) fn utf16(start: &[u8]) -> Option<(&'static str, &'static str)> {
+    let is_text = matches!(start, [0xff, 0xfe, 1..=255, 0, ..] | [0xfe, 0xff, 0, 1..=255, ..]);
+    is_text.then_some(("is text in UTF-16", "save it in UTF-8"))
 }
 
 /// Pictures that are no JPEG or PNG. The tools named here keep the size and names of phone photos; otherwise

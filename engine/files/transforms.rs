@@ -7,14 +7,15 @@
 mod frame;
 mod split;
 
+use std::ffi::OsStr;
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use glam::{DAffine3, DMat3, DVec3};
 use serde_json::Value;
 
-use super::names::{ending, plain, stays_inside};
-use super::ply;
-use super::regular_file::{self, TEXT_GROWTH};
+use super::names::{Finder, ending, plain, stays_inside};
+use super::{cost, ply, regular_file, text};
 use ashsplat::scene::SourcePoints;
 use ashsplat::{Error, Result};
 
@@ -41,15 +42,54 @@ pub struct Transforms {
     pub warnings: Vec<String>,
 }
 
-/// The files of a data set; None if it is not of this kind.
+/// The files of a data set; None if it is not of this kind, or if several may be meant. A file of another name is one of them if it
+/// has poses: `transform.json`, `transform_train.json`.
 pub fn find(dataset: &Path) -> Option<Vec<PathBuf>> {
-    let file = |name: &str| Some(dataset.join(name)).filter(|path| path.is_file());
-    if let Some(single) = file(SINGLE_FILE) {
+    if let Some(single) = Finder::default().file(dataset, SINGLE_FILE) {
         return Some(vec![single]);
     }
-    let train = file(SPLIT_FILES[0])?;
-    let held_out = SPLIT_FILES[1..].iter().find_map(|name| file(name));
-    Some([train].into_iter().chain(held_out).collect())
+    let mut files = files_with_poses(dataset);
+    let mut take = |word: &str, usual: &str| {
+        let is_usual = |file: &PathBuf| name_of(file).eq_ignore_ascii_case(usual);
+        let of_word = |file: &PathBuf| name_of(file).to_ascii_lowercase().contains(word);
+        let all: Vec<PathBuf> = files.extract_if(.., |file| is_usual(file) || of_word(file)).collect();
+        match (all.iter().find(|file| is_usual(file)), all.as_slice()) {
+            (Some(usual), _) | (None, [usual]) => Ok(Some(usual.clone())),
+            (None, []) => Ok(None),
+            (None, _) => Err(()),
+        }
+    };
+    let [train, test, val] = SPLIT_FILES.map(|usual| take(&usual[11..usual.len() - 5], usual));
+    let (train, test, val) = (train.ok()?, test.ok()?, val.ok()?);
+    match (train, files.as_slice(), test, val) {
+        (Some(train), _, test, val) => Some([train].into_iter().chain(test.or(val)).collect()),
+        (None, [only], None, None) => Some(vec![only.clone()]),
+        (None, [], Some(only), None) | (None, [], None, Some(only)) => Some(vec![only]),
+        _ => None,
+    }
+}
+
+/// JSON files in a folder that have poses, or a name that says so.
+pub(crate) fn files_with_poses(folder: &Path) -> Vec<PathBuf> {
+    /// Poses begin near the start of their file.
+    const START_BYTES: u64 = 1 << 20;
+    let has_poses = |path: &Path| {
+        cost::step();
+        let mut start = Vec::new();
+        let read = regular_file::open(path).map(|(file, _)| file.take(START_BYTES).read_to_end(&mut start));
+        read.is_ok() && String::from_utf8_lossy(&start).contains("\"transform_matrix\"")
+    };
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
+    let is_json = |path: &PathBuf| path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("json"));
+    let is_usual = |path: &Path| SPLIT_FILES.iter().any(|name| name_of(path).eq_ignore_ascii_case(name));
+    let of_poses = |path: &PathBuf| is_json(path) && path.is_file() && (is_usual(path) || has_poses(path));
+    let mut files: Vec<PathBuf> = entries.filter(of_poses).collect();
+    files.sort_unstable();
+    files
+}
+
+fn name_of(path: &Path) -> &str {
+    path.file_name().and_then(OsStr::to_str).unwrap_or_default()
 }
 
 impl Transforms {
@@ -66,6 +106,11 @@ impl Transforms {
             points: SourcePoints::default(),
             warnings: Vec::new(),
         };
+        if let [file, ..] = files
+            && ![SINGLE_FILE, SPLIT_FILES[0]].contains(&name_of(file))
+        {
+            all.warnings.push(format!("{}: taken for {SINGLE_FILE}, which is not there", file.display()));
+        }
         let mut clouds = Vec::new();
         for (index, path) in files.iter().enumerate() {
             let document = parse(path)?;
@@ -73,10 +118,10 @@ impl Transforms {
             all.warnings.extend(frame::read_all(path, &document, &mut all.frames)?);
             all.frames[before..].iter_mut().for_each(|frame| frame.test |= index > 0);
             all.has_split |= all.frames.iter().any(|frame| frame.test);
-            clouds.extend(cloud(path, &document)?);
+            clouds.extend(cloud(path, &document, &mut all.warnings)?);
         }
         if let Some((path, applied)) = clouds.into_iter().next() {
-            all.points = ply::read_points(&path)?;
+            all.points = ply::read_points_of(&path, &mut all.warnings)?;
             all.place_points(&path, applied);
         }
         Ok(all)
@@ -102,19 +147,28 @@ impl Transforms {
                 "{}: the points lie in the frame before applied_transform, and were moved",
                 path.display()
             ));
+        } else if as_stored < moved + moved / 2 {
+            self.warnings.push(format!(
+                "{}: the cameras see as many points before applied_transform as after it: the points stay where they are",
+                path.display()
+            ));
         }
     }
 }
 
-/// The JSON of a file, without a byte order mark.
+/// The JSON of a file.
 fn parse(path: &Path) -> Result<Value> {
-    let bytes = regular_file::read(path, TEXT_GROWTH)?;
-    let text = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&bytes);
+    let text = text::read(path)?;
     if text.trim_ascii().is_empty() {
         return Err(Error::input(path, "is empty", "download or copy it again"));
     }
-    let document: Value = serde_json::from_slice(text).map_err(|e| {
-        let remedy = "the file is damaged or cut short, or holds numbers that JSON does not have (NaN): write it again";
+    let document: Value = serde_json::from_str(&text).map_err(|e| {
+        let remedy = match has_decimal_comma(&text, &e) {
+            true => "a number there has a decimal comma: write it with a point",
+            false => {
+                "the file is damaged or cut short, or holds numbers that JSON does not have (NaN): write it again"
+            }
+        };
         Error::input(path, format!("is not JSON: {e}"), remedy)
     })?;
     if document.is_object() {
@@ -123,9 +177,21 @@ fn parse(path: &Path) -> Result<Value> {
     Err(Error::input(path, "the top value is not an object with frames", "is it another kind of JSON?"))
 }
 
+/// Whether an error of JSON lies behind a comma between digits.
+fn has_decimal_comma(text: &str, error: &serde_json::Error) -> bool {
+    let line = text.lines().nth(error.line().saturating_sub(1)).unwrap_or_default().as_bytes();
+    let before = &line[..error.column().min(line.len())];
+    let number = before.iter().rposition(|byte| !byte.is_ascii_digit()).filter(|&at| before[at] == b',');
+    number.is_some_and(|at| at + 1 < before.len() && before[..at].last().is_some_and(u8::is_ascii_digit))
+}
+
 /// The point cloud that a file names, or that lies next to it, and the transform that was applied to the
 /// poses.
-fn cloud(path: &Path, document: &Value) -> Result<Option<(PathBuf, Option<DAffine3>)>> {
+fn cloud(
+    path: &Path,
+    document: &Value,
+    warnings: &mut Vec<String>,
+) -> Result<Option<(PathBuf, Option<DAffine3>)>> {
     let applied = match &document["applied_transform"] {
         Value::Null => None,
         value => {
@@ -142,23 +208,73 @@ fn cloud(path: &Path, document: &Value) -> Result<Option<(PathBuf, Option<DAffin
         }
     };
     let named = match &document["ply_file_path"] {
-        Value::String(name) => {
-            let file = below(name).map(|name| path.parent().unwrap_or(Path::new("")).join(name));
-            let file = file.ok_or_else(|| {
-                let problem = format!("ply_file_path {:?} leads out of the folder", ending(name));
-                Error::input(path, problem, "copy the file into it")
-            })?;
-            if !file.is_file() {
-                let remedy =
-                    "copy it there, or remove ply_file_path: training then starts from random points";
-                return Err(Error::input(file, "the point cloud of transforms.json is missing", remedy));
-            }
-            Some(file)
-        }
-        // The path at which the reference reads and writes the points of the synthetic scenes.
-        _ => Some(path.with_file_name("points3d.ply")).filter(|file| file.is_file()),
+        Value::String(name) => Some(named_cloud(path, name, warnings)?),
+        _ => cloud_beside(path, warnings),
     };
     Ok(named.map(|file| (file, applied)))
+}
+
+/// The point cloud that a file names, or the one below its folder whose path ends so.
+fn named_cloud(path: &Path, named: &str, warnings: &mut Vec<String>) -> Result<PathBuf> {
+    let (folder, name, mut finder) =
+        (path.parent().unwrap_or(Path::new("")), plain(named), Finder::default());
+    let inside = below(named);
+    if let Some(file) = inside.as_deref().and_then(|name| finder.file(folder, name)) {
+        return Ok(file);
+    }
+    if let Some(file) = finder.file_by_end(folder, &name) {
+        let (path, named) = (path.display(), ending(named));
+        warnings.push(format!(
+            "{path}: ply_file_path {named:?} is not there; {} is taken for it",
+            file.display()
+        ));
+        return Ok(file);
+    }
+    match inside {
+        Some(name) => {
+            let remedy = "copy it there, or remove ply_file_path: training then starts from random points";
+            Err(Error::input(folder.join(name), "the point cloud of transforms.json is missing", remedy))
+        }
+        None => {
+            let problem = format!("ply_file_path {:?} leads out of the folder", ending(named));
+            Err(Error::input(path, problem, "copy the file into it"))
+        }
+    }
+}
+
+/// The point cloud beside a file that names none, if it has a usual name.
+fn cloud_beside(path: &Path, warnings: &mut Vec<String>) -> Option<PathBuf> {
+    /// The first is where the reference reads and writes the points of the synthetic scenes.
+    const USUAL: [&str; 8] = [
+        "points3d.ply",
+        "sparse_pc.ply",
+        "pointcloud.ply",
+        "point_cloud.ply",
+        "points.ply",
+        "sparse.ply",
+        "input.ply",
+        "pcd.ply",
+    ];
+    let folder = path.parent().unwrap_or(Path::new(""));
+    let mut finder = Finder::default();
+    let mut found = USUAL.into_iter().filter_map(|name| finder.file(folder, name));
+    if let Some(file) = found.next() {
+        let others: String = found.map(|other| format!(", {} is not", other.display())).collect();
+        if !file.ends_with(USUAL[0]) || !others.is_empty() {
+            let (path, file) = (path.display(), file.display());
+            warnings.push(format!("{path}: has no ply_file_path: the points of {file} are used{others}"));
+        }
+        return Some(file);
+    }
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
+    let is_ply = |path: &PathBuf| path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("ply"));
+    if let Some(other) = entries.filter(is_ply).min() {
+        let (path, other) = (path.display(), other.display());
+        warnings.push(format!(
+            "{path}: has no ply_file_path: {other} is not used; name it there if it has the points"
+        ));
+    }
+    None
 }
 
 /// A plain path below a folder; None if it leads out of the folder.

@@ -225,7 +225,9 @@ fn text_errors_name_the_line() {
         ("cameras", "# x\n1 PINHOLE 64 48 1 2 3 4 5", "line 2: has more values than its camera model"),
         ("cameras", "1 BALL 64 48 1", "line 1: unknown camera model \"BALL\""),
         ("cameras", "1 PINHOLE -64 48 1 2 3 4", "\"-64\" is no valid width"),
-        ("images", "1 1 0 0 0 0 0 0 7 a.png\n2 1 0 0 0 0 0 0 7 b.png\n", "line 2: expected the observations"),
+        ("images", "1 1 0 0 0 0 0 0 7 a.png\n1 2 3 4\n", "line 2: the quaternion is missing"),
+        ("images", "1 1 0 0 0 0 0 0 7 a.png\n1 2 3\n4 5 6\n", "line 3: the quaternion is missing"),
+        ("cameras", "1 PINHOLE 64 48 1,5 2 3 4", "\"1,5\" is no valid parameter (a decimal comma"),
         ("images", "1 1 0 0 0 0 0 0 7\n", "line 1: the image name is missing"),
         ("images", "1 1 0 0 0 0 0 0 7 a.png\n\n1 1 0 0 0 0 0 0 7 b.png\n", "image id 1 appears twice"),
         (
@@ -240,6 +242,67 @@ fn text_errors_name_the_line() {
         std::fs::write(model.join(part).with_extension("txt"), text).unwrap();
         assert!(error(folder.path()).contains(words), "{}", error(folder.path()));
     }
+}
+
+/// Other programs leave out the lines of observations, or put blank lines between all, whatever the names are.
+#[test]
+fn images_are_told_from_observations_by_their_words() {
+    let folder = tempfile::tempdir().unwrap();
+    let model = folder.path().join("sparse/0");
+    let parts = Parts { points: PointCloud::default(), ..parts() };
+    let three_words = ["one.png", "shot 2.png", "my shot 3.png"];
+    for between in ["", "\n", "\n\n", "1.5 2.5 -1\n", "\n1.5 2.5 -1 10 2e1 3\n\n"] {
+        write_text(&model, &parts);
+        let mut text = String::new();
+        for (id, name) in (1..).zip(three_words) {
+            text += &format!("{id} 1 0 0 0 0 0 0 7 {name}\n{between}");
+        }
+        std::fs::write(model.join("images.txt"), text).unwrap();
+        let read = Model::of_dataset(folder.path()).unwrap();
+        let names: Vec<&str> = read.images.iter().map(|image| image.name.as_str()).collect();
+        assert_eq!(names, three_words, "{between:?}");
+        assert_eq!(colmap::observations(&read).unwrap().len(), 3);
+    }
+}
+
+#[test]
+fn text_may_have_a_byte_order_mark_or_be_latin_1() {
+    let folder = tempfile::tempdir().unwrap();
+    let model = folder.path().join("sparse/0");
+    write_text(&model, &parts());
+    for part in ["cameras", "images", "points3D"] {
+        let path = model.join(part).with_extension("txt");
+        let text = std::fs::read(&path).unwrap();
+        std::fs::write(&path, [b"\xef\xbb\xbf", &*text].concat()).unwrap();
+    }
+    assert_same(&Model::of_dataset(folder.path()).unwrap(), &parts());
+    let images = std::fs::read_to_string(model.join("images.txt")).unwrap();
+    let latin_1: Vec<u8> = images.chars().skip(1).map(|c| u8::try_from(c).unwrap()).collect();
+    std::fs::write(model.join("images.txt"), latin_1).unwrap();
+    assert_same(&Model::of_dataset(folder.path()).unwrap(), &parts());
+    let utf_16: Vec<u8> = images.encode_utf16().flat_map(u16::to_le_bytes).collect();
+    std::fs::write(model.join("images.txt"), utf_16).unwrap();
+    assert!(error(folder.path()).contains("images.txt: is text in UTF-16; save it in UTF-8"));
+}
+
+/// The reference reads points3D.ply.
+#[test]
+fn points_may_be_a_ply() {
+    let folder = tempfile::tempdir().unwrap();
+    let model = folder.path().join("sparse/0");
+    write(folder.path(), "sparse/0", &parts());
+    let more = PointCloud { positions: vec![[1.0; 3]; 9], colors: vec![[7; 3]; 9] };
+    ashsplat_files::ply::write_points(model.join("points3D.ply"), &more, &WorldFrame::default()).unwrap();
+    let points = |read: &Model| read.points.clone().in_frame(&WorldFrame::default());
+    let read = Model::of_dataset(folder.path()).unwrap();
+    assert_eq!(points(&read), parts().points);
+    assert!(read.warnings[0].contains("points3D.ply: has other points than"), "{:?}", read.warnings);
+    std::fs::write(model.join("points3D.bin"), 0_u64.to_le_bytes()).unwrap();
+    assert_eq!(points(&Model::of_dataset(folder.path()).unwrap()), more);
+    std::fs::remove_file(model.join("points3D.bin")).unwrap();
+    let read = Model::of_dataset(folder.path()).unwrap();
+    assert_eq!((points(&read), read.warnings.len()), (more, 0));
+    assert!(colmap::observations(&read).is_ok());
 }
 
 #[test]

@@ -135,10 +135,94 @@ fn photos_in_a_folder_of_a_fraction_are_of_that_size() {
     assert_eq!((train[0].camera.width, train[0].camera.height), (2, 1));
     assert!((train[0].camera.fx - 2.1).abs() < 1e-5 && (train[1].camera.cy - 1.0).abs() < 1e-5);
     assert_eq!(train[1].original_camera.width, 3);
-    put("001.png", 4, 2);
+    assert!(load(folder.path(), &options).warnings.is_empty());
+    put("001.png", 9, 2);
     let message = Dataset::load(folder.path(), &options, Progress::NONE).unwrap_err().to_string();
-    assert!(message.contains("is 4x2 pixels, 1/8 of its camera's 20x12 was expected"), "{message}");
+    assert!(message.contains("is 9x2 pixels, its camera 20x12; use the pictures"), "{message}");
     assert_eq!(Dataset::inspect(folder.path(), &options, Progress::NONE).problems, [message]);
+}
+
+/// Photos that were scaled after COLMAP have their cameras scaled, with one line; others are refused.
+#[test]
+fn cameras_are_scaled_to_their_photos() {
+    let folder = tempfile::tempdir().unwrap();
+    let put = |index: u32, width: u32, height: u32| {
+        let rgb = vec![9; 3 * (width * height) as usize];
+        let path = folder.path().join("images").join(format!("{index:03}.png"));
+        Photo { width, height, rgb }.write_png(path).unwrap();
+    };
+    for (width, height) in [(10, 6), (40, 24), (20, 11), (7, 4)] {
+        write(folder.path(), 3, 1);
+        (0..3).for_each(|index| put(index, width, height));
+        let dataset = load(folder.path(), &DatasetOptions::default());
+        let (camera, scale) = (dataset.train[0].camera, [width as f32 / 20.0, height as f32 / 12.0]);
+        assert_eq!((camera.width, camera.height), (width, height));
+        let expected = [21.0 * scale[0], 22.0 * scale[1], 10.5 * scale[0], 6.0 * scale[1]];
+        for (value, expected) in [camera.fx, camera.fy, camera.cx, camera.cy].into_iter().zip(expected) {
+            assert!((value - expected).abs() < 1e-4, "{width}x{height}");
+        }
+        assert_eq!(dataset.warnings.len(), 1);
+        let said = format!("3 photos are not of their camera's size, {width}x{height} and 20x12");
+        assert!(dataset.warnings[0].contains(&said), "{:?}", dataset.warnings);
+        let report = Dataset::inspect(folder.path(), &DatasetOptions::default(), Progress::NONE);
+        assert_eq!((report.warnings, report.problems.len()), (dataset.warnings, 0));
+    }
+    let others = [
+        (20, 6, "or whole ones scaled"),
+        (12, 20, "turn it on its side"),
+        (10, 6, "all photos of this camera"),
+    ];
+    for (width, height, remedy) in others {
+        write(folder.path(), 3, 1);
+        put(1, width, height);
+        let report = Dataset::inspect(folder.path(), &DatasetOptions::default(), Progress::NONE);
+        assert!(report.problems.iter().any(|problem| problem.contains(remedy)), "{report}");
+    }
+}
+
+/// A camera of another size or in other units is named, with its value.
+#[test]
+fn doubtful_cameras_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let plain = Intrinsics { fx: 21.0, fy: 22.0, cx: 10.5, cy: 6.0, width: 20, height: 12 };
+    let warnings = |intrinsics: Intrinsics| {
+        let eye = |i: u32| Vec3::new(i as f32, 0.5, 3.0);
+        let cameras: Vec<Camera> =
+            (0..3).map(|i| Camera::look_at(eye(i), Vec3::ZERO, Vec3::NEG_Y, intrinsics)).collect();
+        write_with(folder.path(), &cameras, 0);
+        let report = Dataset::inspect(folder.path(), &DatasetOptions::default(), Progress::NONE);
+        report.warnings.into_iter().filter(|warning| warning.contains("camera 1 has")).collect::<Vec<_>>()
+    };
+    assert!(warnings(plain).is_empty());
+    for (doubtful, words) in [
+        (
+            Intrinsics { fx: 2100.0, fy: 2200.0, ..plain },
+            "view of 0.5 degrees (focal length 2100 for 20 pixels)",
+        ),
+        (Intrinsics { fx: 0.9, fy: 0.9, ..plain }, "a field of view of 169.7 degrees"),
+        (Intrinsics { cx: 21.0, cy: 12.0, ..plain }, "its principal point at 21 of 20 pixels"),
+        (Intrinsics { fy: 42.0, ..plain }, "focal lengths of 21 and 42 pixels"),
+    ] {
+        let said = warnings(doubtful);
+        assert!(said.len() == 1 && said[0].contains(words), "{said:?}");
+    }
+}
+
+#[test]
+fn points_that_no_camera_sees_are_told() {
+    let folder = tempfile::tempdir().unwrap();
+    write(folder.path(), 4, 30);
+    assert!(load(folder.path(), &DatasetOptions::default()).warnings.is_empty());
+    let far = PointCloud { positions: vec![[0.0, 90.0, 0.0]; 30], colors: vec![[9; 3]; 30] };
+    std::fs::remove_file(folder.path().join("sparse/0/points3D.bin")).unwrap();
+    ashsplat_files::ply::write_points(
+        folder.path().join("sparse/0/points3D.ply"),
+        &far,
+        &ashsplat::scene::WorldFrame::default(),
+    )
+    .unwrap();
+    let warnings = load(folder.path(), &DatasetOptions::default()).warnings;
+    assert!(warnings[0].contains("0 of 30 of its points (a sample) lie in the view"), "{warnings:?}");
 }
 
 #[test]
@@ -265,7 +349,9 @@ fn inspect_lists_every_problem() {
     let report = Dataset::inspect(folder.path(), &options, Progress::NONE);
     assert_eq!(report.sound_photos, 7);
     assert_eq!(report.problems.len(), 3, "{report}");
-    for (name, words) in [("001.png", "missing"), ("004.png", "not a JPEG"), ("007.png", "is 4x4 pixels")] {
+    for (name, words) in
+        [("001.png", "missing"), ("004.png", "not a JPEG"), ("007.png", "is 4x4 pixels, its camera 20x12")]
+    {
         assert!(report.problems.iter().any(|p| p.contains(name) && p.contains(words)), "{report}");
     }
     assert!(report.to_string().lines().filter(|line| line.starts_with("problem ")).count() == 3);
@@ -312,10 +398,10 @@ fn photos_have_the_points_that_they_show() {
     let options =
         DatasetOptions { eval: true, resolution: Resolution::Width(10), ..DatasetOptions::default() };
     let mut gallery = Gallery::open(folder.path(), &options, Progress::NONE).unwrap();
-    assert!(gallery.train_photos().unwrap().iter().all(|photo| photo.depth_points == 0));
+    assert!(gallery.train_photos().iter().all(|photo| photo.depth_points == 0));
     // 7 to train on, of which one shows none.
     assert_eq!(gallery.read_tracks().unwrap(), 6 * points.len());
-    let counts: Vec<u32> = gallery.train_photos().unwrap().iter().map(|photo| photo.depth_points).collect();
+    let counts: Vec<u32> = gallery.train_photos().iter().map(|photo| photo.depth_points).collect();
     assert_eq!(counts, [4, 4, 4, 4, 4, 4, 0]);
     let dataset = gallery.load(Progress::NONE).unwrap();
     assert!(dataset.test.iter().all(|view| view.depth_points.is_none()));

@@ -115,8 +115,8 @@ fn what_happens_to_distorted_photos_is_no_warning() {
         let options = DatasetOptions { resolution: resolution.parse().unwrap(), ..Default::default() };
         let gallery = Gallery::open(folder.path(), &options, Progress::NONE).unwrap();
         // Of cameras of several sizes.
-        let largest = gallery.train_photos().unwrap().iter().map(|photo| photo.width * photo.height).max();
-        let photos = gallery.train_photos().unwrap();
+        let largest = gallery.train_photos().iter().map(|photo| photo.width * photo.height).max();
+        let photos = gallery.train_photos();
         let size = photos.iter().find(|photo| Some(photo.width * photo.height) == largest).unwrap();
         let used = format!("used at up to {}x{} pixels{end}", size.width, size.height);
         let [note] = gallery.notes() else { panic!("{:?}", gallery.notes()) };

@@ -83,17 +83,161 @@ fn paths_that_lead_out_mean_photos_below() {
     assert!(message.contains("\"../secret.png\" leads out of the folder, and nothing in it"), "{message}");
 }
 
+/// A model with images of these names.
+fn model(folder: &Path, names: &[&str]) {
+    let intrinsics = Intrinsics { fx: 21.0, fy: 21.0, cx: 10.0, cy: 6.0, width: 20, height: 12 };
+    let camera = |id: u32| {
+        let eye = Vec3::new(id as f32, 0.0, -3.0);
+        Camera::look_at(eye, Vec3::ZERO, Vec3::NEG_Y, intrinsics)
+    };
+    let images: Vec<_> =
+        (1..).zip(names).map(|(id, name)| ColmapImage::posed(id, 1, *name, &camera(id))).collect();
+    let points = PointCloud { positions: vec![[0.0; 3]; 2], colors: vec![[9; 3]; 2] };
+    colmap::write(folder.join("sparse/0"), &[ColmapCamera::pinhole(1, &camera(1))], &images, &points)
+        .unwrap();
+}
+
+/// Names of a model with the folders of another machine, or of none here.
+#[test]
+fn models_name_photos_that_lie_elsewhere() {
+    for (names, there) in [
+        (["images/a.png", "images/b.png"], ["a.png", "b.png"]),
+        (["rig/cam0/a.png", "rig/cam0/b.png"], ["a.png", "b.png"]),
+        (["C:\\Users\\me\\a.png", "C:\\Users\\me\\b.png"], ["a.png", "b.png"]),
+        (["/home/me/x/a.png", "../b.png"], ["a.png", "x/y/b.png"]),
+        (["a.png", "b.jpg"], ["images/a.png", "images/b.png"]),
+        (["left/a.png", "right/a.png"], ["rig/left/a.png", "rig/right/a.png"]),
+        (["old/left/a.png", "old/a.png"], ["left/a.png", "a.png"]),
+    ] {
+        let folder = tempfile::tempdir().unwrap();
+        model(folder.path(), &names);
+        (0..2).for_each(|i| photo(&folder.path().join("images").join(there[i]), 5 + i as u8));
+        photo(&folder.path().join("masks").join(there[0]), 0);
+        let dataset = load(folder.path(), "images").unwrap();
+        let mut greys = greys(&dataset);
+        greys.sort();
+        assert_eq!(greys, [5, 6], "{names:?}");
+        assert_eq!(dataset.train.iter().filter(|view| view.photo.is_masked()).count(), 1, "{names:?}");
+        let said = dataset.warnings.iter().filter(|w| w.contains("2 of 2 photos do not lie where it says"));
+        assert_eq!(said.count(), 1, "{:?}", dataset.warnings);
+        // Names are shown and written.
+        assert!(dataset.train.iter().all(|view| !view.name.contains("..") && !view.name.starts_with('/')));
+    }
+}
+
+#[test]
+fn a_name_that_may_mean_two_photos_is_an_error() {
+    let folder = tempfile::tempdir().unwrap();
+    let refusal = || load(folder.path(), "images").unwrap_err();
+    model(folder.path(), &["a.png", "b.png"]);
+    for name in ["b.png", "left/a.png", "right/a.png"] {
+        photo(&folder.path().join("images").join(name), 1);
+    }
+    let message = refusal();
+    assert!(
+        message.contains("the photo of \"a.png\" may be ") && message.contains("left/a.png or "),
+        "{message}"
+    );
+    model(folder.path(), &["up/b.png", "down/b.png"]);
+    let message = refusal();
+    assert!(message.contains("down/b.png and up/b.png would both have the photo "), "{message}");
+    // What another image names is no stand-in for a photo that is missing.
+    model(folder.path(), &["left/a.png", "below/a.png"]);
+    std::fs::remove_dir_all(folder.path().join("images/right")).unwrap();
+    assert!(refusal().contains("below/a.png: the photo of image 2 is missing"));
+    // One mask for two photos of different cameras.
+    model(folder.path(), &["left/a.png", "right/a.png"]);
+    photo(&folder.path().join("images/right/a.png"), 1);
+    photo(&folder.path().join("masks/a.png"), 1);
+    assert!(refusal().contains("left/a.png and right/a.png would both have the mask "), "{}", refusal());
+}
+
+/// Photographs that were converted to PNG or JPEG, beside the originals or not.
+#[test]
+fn converted_photos_are_found() {
+    let folder = tempfile::tempdir().unwrap();
+    let names = ["a.webp", "b.TIFF", "c.heic", "d.jpg"];
+    model(folder.path(), &names);
+    std::fs::create_dir_all(folder.path().join("images")).unwrap();
+    std::fs::write(folder.path().join("images/a.webp"), b"RIFF\x10\0\0\0WEBPVP8 ").unwrap();
+    for (index, name) in ["a.png", "b.jpg", "c.PNG", "d.png"].into_iter().enumerate() {
+        photo(&folder.path().join("images").join(name), index as u8);
+    }
+    let dataset = load(folder.path(), "images").unwrap();
+    assert_eq!(greys(&dataset), [0, 1, 2, 3]);
+    assert_eq!(dataset.train[1].name, "b.TIFF");
+}
+
+/// Masks under the names of other programs are read, counted, and not taken for photos; others are told.
+#[test]
+fn masks_of_other_programs_are_found() {
+    let place = |folder: &Path, name: &str| folder.join(name);
+    for name in [
+        "masks/a.png",
+        "Masks/a.jpg.png",
+        "mask/a.png",
+        "segmentation/a.jpg.png",
+        "masks/a_mask.png",
+        "masks/mask_a.jpg",
+        "masks/a.mask.png",
+        "images/a_mask.png",
+        "images/mask_a.png",
+        "images/a.jpg.png",
+        "images/a.jpg.mask.png",
+        "images/masks/a.png",
+    ] {
+        let folder = tempfile::tempdir().unwrap();
+        model(folder.path(), &["a.jpg", "b.png"]);
+        photo(&place(folder.path(), "images/a.jpg"), 1);
+        photo(&place(folder.path(), "images/b.png"), 2);
+        photo(&place(folder.path(), name), 0);
+        let dataset = load(folder.path(), "images").unwrap();
+        let masked: Vec<bool> = dataset.train.iter().map(|view| view.photo.is_masked()).collect();
+        assert_eq!((masked, dataset.warnings.len()), (vec![true, false], 0), "{name} {:?}", dataset.warnings);
+        let report = Dataset::inspect(folder.path(), &DatasetOptions::default(), Progress::NONE);
+        assert!(
+            report.notes.iter().any(|note| note.contains("1 of 2 photos have a mask")),
+            "{name} {report}"
+        );
+        let stray = Path::new(name).with_file_name("c_mask.png");
+        photo(&folder.path().join(stray), 0);
+        let warnings = load(folder.path(), "images").unwrap().warnings;
+        assert!(warnings[0].contains("of no photo with a camera: 1 masks, "), "{name} {warnings:?}");
+        assert_eq!(warnings.len(), 1, "{warnings:?}");
+    }
+}
+
+/// Programs write 1 where pixels count, too.
+#[test]
+fn masks_of_ones_hide_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    model(folder.path(), &["a.png"]);
+    photo(&folder.path().join("images/a.png"), 9);
+    image::GrayImage::from_fn(20, 12, |x, _| image::Luma([u8::from(x < 10)]))
+        .save({
+            std::fs::create_dir_all(folder.path().join("masks")).unwrap();
+            folder.path().join("masks/a.png")
+        })
+        .unwrap();
+    let mask = load(folder.path(), "images").unwrap().train[0].photo.mask().unwrap().unwrap();
+    assert_eq!((mask[0], mask[19]), (255, 0));
+}
+
+#[test]
+fn depth_maps_that_are_not_used_are_told() {
+    let folder = tempfile::tempdir().unwrap();
+    model(folder.path(), &["a.jpg", "b.png"]);
+    for name in ["images/a.jpg", "images/b.png", "depth/a.png"] {
+        photo(&folder.path().join(name), 1);
+    }
+    let report = Dataset::inspect(folder.path(), &DatasetOptions::default(), Progress::NONE);
+    assert!(report.notes.iter().any(|n| n.contains("depth maps for 1 of 2 photos; only -d depth uses")));
+}
+
 #[test]
 fn models_name_photos_in_another_case_or_folder_of_another_ending() {
     let folder = tempfile::tempdir().unwrap();
-    let intrinsics = Intrinsics { fx: 21.0, fy: 21.0, cx: 10.0, cy: 6.0, width: 20, height: 12 };
-    let camera = Camera::look_at(Vec3::Z * -3.0, Vec3::ZERO, Vec3::NEG_Y, intrinsics);
-    let names = ["IMG_1.JPG", "left\\IMG_2.JPG"];
-    let images: Vec<_> =
-        (1..).zip(names).map(|(id, name)| ColmapImage::posed(id, 1, name.to_owned(), &camera)).collect();
-    let points = PointCloud { positions: vec![[0.0; 3]; 2], colors: vec![[9; 3]; 2] };
-    colmap::write(folder.path().join("sparse/0"), &[ColmapCamera::pinhole(1, &camera)], &images, &points)
-        .unwrap();
+    model(folder.path(), &["IMG_1.JPG", "left\\IMG_2.JPG"]);
     photo(&folder.path().join("images/img_1.jpg"), 5);
     photo(&folder.path().join("images/left/IMG_2.JPG"), 6);
     photo(&folder.path().join("other/IMG_1.png"), 7);

@@ -302,6 +302,27 @@ fn points_round_trip_and_are_no_gaussians() {
 }
 
 #[test]
+fn points_have_the_colours_that_their_file_means() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.ply");
+    let colors = |names: [&str; 3], kind: &str, rows: &str| {
+        let [a, b, c] = names.map(|name| format!("property {kind} {name}\n"));
+        let head =
+            "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n";
+        std::fs::write(&path, format!("{head}{a}{b}{c}end_header\n{rows}")).unwrap();
+        ply::read_points(&path).unwrap().colors
+    };
+    let rgb = ["red", "green", "blue"];
+    assert_eq!(colors(rgb, "float", "0 0 0 0 0.2 1\n0 0 0 1 0.5 0\n"), [[0, 51, 255], [255, 128, 0]]);
+    assert_eq!(colors(rgb, "double", "0 0 0 0 0.2 1\n0 0 0 1 200 0\n"), [[0, 0, 1], [1, 200, 0]]);
+    assert_eq!(colors(rgb, "uchar", "0 0 0 0 1 1\n0 0 0 1 0 0\n"), [[0, 1, 1], [1, 0, 0]]);
+    assert_eq!(colors(rgb, "ushort", "0 0 0 0 257 65535\n0 0 0 514 0 0\n"), [[0, 1, 255], [2, 0, 0]]);
+    assert_eq!(colors(["r", "g", "b"], "uchar", "0 0 0 3 4 5\n0 0 0 6 7 8\n"), [[3, 4, 5], [6, 7, 8]]);
+    let dc = colors(["f_dc_0", "f_dc_1", "f_dc_2"], "float", "0 0 0 0 9 -9\n0 0 0 0.7089816 0 0\n");
+    assert_eq!(dc, [[128, 255, 0], [179, 128, 128]]);
+}
+
+#[test]
 fn files_that_are_something_else_are_named() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.ply");

@@ -162,6 +162,115 @@ fn points_in_the_older_frame_are_moved() {
     assert!(dataset.warnings[0].contains("applied_transform"), "{:?}", dataset.warnings);
 }
 
+/// Where no placement is better, the points stay, with a line.
+#[test]
+fn points_that_fit_either_frame_are_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let applied = json!([[0.0, 1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0]]);
+    let document = json!({
+        "camera_angle_x": angle(), "applied_transform": applied, "ply_file_path": "/home/me/data/a.ply",
+        "frames": frames(folder.path(), "images", 0..6, ".png"),
+    });
+    write_json(&folder.path().join("transforms.json"), &document);
+    let points = PointCloud { positions: vec![[0.1, 0.2, 0.0]; 4], colors: vec![[1; 3]; 4] };
+    ply::write_points(folder.path().join("a.ply"), &points, &WorldFrame::default()).unwrap();
+    let dataset = load(folder.path(), &DatasetOptions::default());
+    assert_eq!(dataset.points, points);
+    let said = ["\"/home/me/data/a.ply\" is not there", "before applied_transform as after it"];
+    assert!(
+        said.iter().all(|words| dataset.warnings.iter().any(|w| w.contains(words))),
+        "{:?}",
+        dataset.warnings
+    );
+    assert_eq!(dataset.warnings.len(), 2);
+}
+
+/// Points without a `ply_file_path` are used under the usual names, else named.
+#[test]
+fn points_beside_the_file_are_used_or_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let document = json!({ "camera_angle_x": angle(), "frames": frames(folder.path(), "images", 0..3, "") });
+    write_json(&folder.path().join("transforms.json"), &document);
+    let points = PointCloud { positions: vec![[0.1, 0.2, 0.0]; 4], colors: vec![[1; 3]; 4] };
+    for (name, words) in [
+        ("mesh.ply", Some("mesh.ply is not used; name it there")),
+        ("sparse_pc.ply", Some("the points of ")),
+        ("points3D.ply", Some("sparse_pc.ply is not")),
+    ] {
+        ply::write_points(folder.path().join(name), &points, &WorldFrame::default()).unwrap();
+        let dataset = load(folder.path(), &DatasetOptions::default());
+        assert_eq!(dataset.points.is_empty(), name == "mesh.ply", "{name}");
+        let said = |words: &str| dataset.warnings.iter().filter(|w| w.contains(words)).count();
+        assert_eq!((said("has no ply_file_path"), words.map(said)), (1, Some(1)), "{:?}", dataset.warnings);
+    }
+}
+
+/// Gaussians are points as well.
+#[test]
+fn points_may_be_gaussians() {
+    let folder = tempfile::tempdir().unwrap();
+    let document = json!({
+        "camera_angle_x": angle(), "ply_file_path": "a.ply",
+        "frames": frames(folder.path(), "images", 0..3, ""),
+    });
+    write_json(&folder.path().join("transforms.json"), &document);
+    let points = PointCloud { positions: vec![[0.1, 0.2, 0.0]; 4], colors: vec![[10, 20, 30]; 4] };
+    let gaussians = ashsplat_files::initial_gaussians(&points, 1).unwrap();
+    ply::write(folder.path().join("a.ply"), &gaussians).unwrap();
+    let dataset = load(folder.path(), &DatasetOptions::default());
+    assert_eq!(dataset.points, points);
+    assert!(
+        dataset.warnings[0].contains("a.ply: holds Gaussians, taken as points"),
+        "{:?}",
+        dataset.warnings
+    );
+}
+
+#[test]
+fn files_of_other_names_are_taken_where_one_is_meant() {
+    let folder = tempfile::tempdir().unwrap();
+    let train = json!({ "camera_angle_x": angle(), "frames": frames(folder.path(), "train", 0..3, "") });
+    let test = json!({ "camera_angle_x": angle(), "frames": frames(folder.path(), "test", 3..5, "") });
+    let eval = DatasetOptions { eval: true, test_every: 2, ..Default::default() };
+    for (files, counts) in [
+        (&["transform.json"][..], (1, 2)),
+        (&["Transforms.JSON"], (1, 2)),
+        (&["cameras.json"], (1, 2)),
+        (&["transforms_test.json"], (1, 2)),
+        (&["transform_train.json"], (1, 2)),
+        (&["transform_train.json", "transform_test.json"], (3, 2)),
+        (&["transforms_train.json", "transform_val.json"], (3, 2)),
+    ] {
+        let place = |name: &str| folder.path().join(name);
+        std::fs::write(place("notes.json"), "[1, 2]").unwrap();
+        files.iter().zip([&train, &test]).for_each(|(name, document)| write_json(&place(name), document));
+        let dataset = load(folder.path(), &eval);
+        let said = dataset.warnings.iter().filter(|w| w.contains("taken for transforms.json")).count();
+        assert_eq!(said, usize::from(files[0] != "transforms_train.json"), "{:?}", dataset.warnings);
+        assert_eq!((dataset.train.len(), dataset.test.len()), counts, "{files:?}");
+        files.iter().for_each(|name| std::fs::remove_file(place(name)).unwrap());
+    }
+    write_json(&folder.path().join("one.json"), &train);
+    write_json(&folder.path().join("two.json"), &test);
+    let message = refusal(folder.path());
+    assert!(
+        message.contains("several files have poses (") && message.contains("two.json): call one"),
+        "{message}"
+    );
+}
+
+#[test]
+fn json_with_decimal_commas_or_in_utf_16_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("transforms.json");
+    let document = json!({ "fl_x": 21.5, "frames": frames(folder.path(), "images", 0..2, "") }).to_string();
+    std::fs::write(&path, document.replace("21.5", "21,5")).unwrap();
+    assert!(refusal(folder.path()).contains("has a decimal comma"), "{}", refusal(folder.path()));
+    let utf_16 = |text: &str| text.encode_utf16().flat_map(u16::to_le_bytes).collect::<Vec<u8>>();
+    std::fs::write(&path, utf_16(&format!("\u{feff}{document}"))).unwrap();
+    assert!(refusal(folder.path()).contains("is text in UTF-16"), "{}", refusal(folder.path()));
+}
+
 #[test]
 fn distorted_frames_are_undistorted() {
     let folder = tempfile::tempdir().unwrap();

@@ -103,6 +103,9 @@ fn dataset(arguments: &Arguments) -> Result<()> {
                 if report.train_views + report.test_views > 1 {
                     command += " --eval";
                 }
+                if report.needs_random_points() {
+                    command += " --random-points";
+                }
                 if arguments.images != "images" {
                     command += &format!(" --images {}", quoted(&arguments.images));
                 }

@@ -8,7 +8,7 @@ use std::path::Path;
 use glam::DVec3;
 
 use super::types::{CameraModel, ColmapCamera, ColmapImage, Observed};
-use crate::{cost, host_memory, regular_file, sniff};
+use crate::{cost, host_memory, regular_file, sniff, text};
 use ashsplat::scene::SourcePoints;
 use ashsplat::{Error, Result};
 
@@ -210,7 +210,7 @@ impl<'a> BinaryFile<'a> {
                 return Err(self.error("an image name has no end"));
             }
         }
-        String::from_utf8(bytes).map_err(|_| self.error("an image name is not UTF-8"))
+        Ok(text::decoded(bytes))
     }
 
     fn skip_list(&mut self, what: &str, entry_bytes: u64) -> Result<()> {

@@ -79,7 +79,14 @@ fn no_model(dataset: &Path) -> Error {
     let below: Vec<PathBuf> =
         subfolders(dataset).unwrap_or_default().into_iter().filter(is_data_set).collect();
     let photo_folders = [dataset.join("images"), dataset.join("input"), dataset.to_owned()];
-    let remedy = if let [only] = below.as_slice() {
+    let files: Vec<String> =
+        transforms::files_with_poses(dataset).iter().map(|file| file.display().to_string()).collect();
+    let remedy = if !files.is_empty() {
+        let files = files.join(", ");
+        format!(
+            "several files have poses ({files}): call one transforms.json, or transforms_train.json and transforms_test.json"
+        )
+    } else if let [only] = below.as_slice() {
         format!("give {}, which has one", only.display())
     } else if dataset.join("keyframes").is_dir() {
         format!(

@@ -1,6 +1,7 @@
 //! A sparse model in memory, and the cameras that can be trained on.
 
 use std::collections::{BTreeMap, HashSet};
+use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
 use glam::dvec2;
@@ -8,6 +9,7 @@ use glam::dvec2;
 use super::find::ModelFolder;
 use super::types::{ColmapCamera, ColmapImage};
 use super::{binary, text};
+use crate::ply;
 use ashsplat::scene::camera::MAX_IMAGE_SIDE;
 use ashsplat::scene::lens::{Distortion, Lens};
 use ashsplat::scene::{Camera, SourcePoints};
@@ -185,7 +187,7 @@ fn points_file(source: &ModelFolder) -> Option<PathBuf> {
     let exists =
         |ending: &str| Some(source.folder.join(format!("points3D.{ending}"))).filter(|p| p.is_file());
     let in_text = source.text.then(|| exists("txt")).flatten();
-    in_text.or_else(|| exists("bin")).or_else(|| exists("txt"))
+    in_text.or_else(|| exists("bin")).or_else(|| exists("txt")).or_else(|| exists("ply"))
 }
 
 fn points(source: &ModelFolder, warnings: &mut Vec<String>) -> Result<SourcePoints> {
@@ -193,9 +195,22 @@ fn points(source: &ModelFolder, warnings: &mut Vec<String>) -> Result<SourcePoin
         warnings.push(format!("{}: has no points3D file; no points are known", source.folder.display()));
         return Ok(SourcePoints::default());
     };
-    let is_text = file.extension().is_some_and(|ending| ending == "txt");
-    let mut points = if is_text { text::points(&file)? } else { binary::points(&file)? };
+    let mut points = match file.extension().and_then(OsStr::to_str) {
+        Some("txt") => text::points(&file)?,
+        Some("ply") => ply::read_points_of(&file, warnings)?,
+        _ => binary::points(&file)?,
+    };
+    // The reference keeps a copy of the points there.
+    let ply = file.with_extension("ply");
+    if points.is_empty() && ply.is_file() {
+        points = ply::read_points_of(&ply, warnings)?;
+    }
     let all = points.len();
+    if ply.is_file() && ply::claimed_points(&ply).is_ok_and(|count| count != all as u64) {
+        let (ply, file) = (ply.display(), file.display());
+        warnings
+            .push(format!("{ply}: has other points than {file}, which are used; remove that to use these"));
+    }
     let finite: Vec<bool> = points.positions.iter().map(|p| p.as_vec3().is_finite()).collect();
     let mut keep = finite.iter().copied();
     points.positions.retain(|_| keep.next().unwrap_or(false));

@@ -21,6 +21,8 @@ fn read(model: &Model) -> Result<(Vec<Observed>, Positions)> {
     let positions = match &points {
         None => HashMap::new(),
         Some(file) if file.extension().is_some_and(|ending| ending == "txt") => text::positions(file)?,
+        // Points of a PLY have no ids.
+        Some(file) if file.extension().is_some_and(|ending| ending == "ply") => HashMap::new(),
         Some(file) => binary::positions(file)?,
     };
     Ok((observed, positions))

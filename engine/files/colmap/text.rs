@@ -9,7 +9,7 @@ use std::str::FromStr;
 use glam::DVec3;
 
 use super::types::{CameraModel, ColmapCamera, ColmapImage, Observed};
-use crate::{cost, host_memory, regular_file};
+use crate::{cost, host_memory, regular_file, text};
 use ashsplat::scene::SourcePoints;
 use ashsplat::{Error, Result};
 
@@ -32,50 +32,45 @@ pub(super) fn cameras(path: &Path) -> Result<Vec<ColmapCamera>> {
 }
 
 pub(super) fn images(path: &Path) -> Result<Vec<ColmapImage>> {
-    let mut file = TextFile::open(path)?;
     let mut images = Vec::new();
-    while file.next_row()? {
-        let mut words = file.words();
-        let id = words.number("image id")?;
-        let mut quat = [0.0; 4];
-        for q in &mut quat {
-            *q = words.number("quaternion")?;
-        }
-        let mut translation = [0.0; 3];
-        for t in &mut translation {
-            *t = words.number("translation")?;
-        }
-        let camera_id = words.number("camera id")?;
-        let name = words.rest("image name")?.to_owned();
-        images.push(ColmapImage { id, camera_id, name, quat, translation });
-        // The line of observations may be empty, and missing after the last image.
-        if file.next_line()? && file.text.split_ascii_whitespace().count() % 3 != 0 {
-            return Err(file
-                .words()
-                .error("expected the observations (x y id, …) of the image above, or an empty line"));
-        }
-    }
+    each_image(path, |image, _| {
+        images.extend(image);
+        Ok(())
+    })?;
     Ok(images)
+}
+
+/// Calls `visit` with each image, and with the words of its observations, in the file's order. Some programs leave out the lines
+/// of observations, or put blank lines between all: a line of numbers after an image is its observations, any other is an image.
+fn each_image(
+    path: &Path,
+    mut visit: impl FnMut(Option<ColmapImage>, Words<'_>) -> Result<()>,
+) -> Result<()> {
+    let mut file = TextFile::open(path)?;
+    let mut after_image = false;
+    while file.next_row()? {
+        after_image = !(after_image && file.words().are_observations());
+        let mut words = file.words();
+        let image = after_image.then(|| words.image()).transpose()?;
+        visit(image, words)?;
+    }
+    Ok(())
 }
 
 /// What each image shows.
 pub(super) fn observations(path: &Path) -> Result<Vec<Observed>> {
-    let mut file = TextFile::open(path)?;
-    let mut images = Vec::new();
-    while file.next_row()? {
-        let id = file.words().number("image id")?;
-        let mut places = Vec::new();
-        if file.next_line()? {
-            let mut words = file.words();
-            while !words.rest.is_empty() {
-                let at = [words.number("position")?, words.number("position")?];
-                // -1 for none.
-                let point: i64 = words.number("point id")?;
-                places.push((at, u64::try_from(point).ok()));
-            }
+    let mut images: Vec<Observed> = Vec::new();
+    each_image(path, |image, mut words| {
+        images.extend(image.map(|image| (image.id, Vec::new())));
+        let Some((_, places)) = images.last_mut() else { return Ok(()) };
+        while !words.rest.is_empty() {
+            let at = [words.number("position")?, words.number("position")?];
+            // -1 for none.
+            let point: i64 = words.number("point id")?;
+            places.push((at, u64::try_from(point).ok()));
         }
-        images.push((id, places));
-    }
+        Ok(())
+    })?;
     Ok(images)
 }
 
@@ -127,15 +122,7 @@ pub(super) fn count_rows(path: &Path) -> u64 {
 
 /// Number of registered images; 0 when the file cannot be read.
 pub(super) fn count_images(path: &Path) -> u64 {
-    let Ok(mut file) = TextFile::open(path) else { return 0 };
-    let mut images = 0;
-    while let Ok(true) = file.next_row() {
-        images += 1;
-        if !file.next_line().unwrap_or(false) {
-            break;
-        }
-    }
-    images
+    images(path).map_or(0, |images| images.len() as u64)
 }
 
 /// A text file, line by line.
@@ -167,9 +154,10 @@ impl<'a> TextFile<'a> {
         let read = self.reader.read_until(b'\n', &mut bytes);
         let read = read.map_err(|source| Error::io(self.path, "read", source))?;
         self.line += 1;
-        self.text = String::from_utf8(bytes).map_err(|_| {
-            Error::input(self.path, format!("line {} is not text (UTF-8)", self.line), "copy the model again")
-        })?;
+        self.text = text::decoded(bytes);
+        if self.line == 1 && self.text.starts_with(text::MARK) {
+            self.text.remove(0);
+        }
         Ok(read > 0)
     }
 
@@ -219,8 +207,34 @@ impl<'a> Words<'a> {
         let word = self.word(what)?;
         word.parse().map_err(|_| {
             let start: String = word.chars().take(40).collect();
-            self.error(&format!("{start:?} is no valid {what}"))
+            self.error(&format!("{start:?} is no valid {what}{}", text::not_a_number(word)))
         })
+    }
+
+    /// Whether these are observations: x, y and the id of a point, any number of times.
+    fn are_observations(mut self) -> bool {
+        while !self.rest.is_empty() {
+            let numbers = (self.number::<f64>(""), self.number::<f64>(""), self.number::<i64>(""));
+            if !matches!(numbers, (Ok(_), Ok(_), Ok(_))) {
+                return false;
+            }
+        }
+        true
+    }
+
+    fn image(&mut self) -> Result<ColmapImage> {
+        let id = self.number("image id")?;
+        let mut quat = [0.0; 4];
+        for q in &mut quat {
+            *q = self.number("quaternion")?;
+        }
+        let mut translation = [0.0; 3];
+        for t in &mut translation {
+            *t = self.number("translation")?;
+        }
+        let camera_id = self.number("camera id")?;
+        let name = self.rest("image name")?.to_owned();
+        Ok(ColmapImage { id, camera_id, name, quat, translation })
     }
 
     /// Everything up to the end of the line, with spaces.

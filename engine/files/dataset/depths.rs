@@ -12,7 +12,7 @@ use super::{DatasetOptions, View};
 use crate::colmap::{self, Model};
 use crate::depth_fit::{DEPTH_PARAMS_FILE, DepthFit};
 use crate::images::{DepthMap, header};
-use crate::names::{plain, stays_inside};
+use crate::names::{Finder, plain, stays_inside};
 use crate::transforms;
 use ashsplat::scene::{PicturePart, WorldFrame};
 use ashsplat::{Error, Result};
@@ -63,7 +63,16 @@ fn of_trained(
         let remedy = "give -d the folder of the maps within the data set, or train without it";
         return Err(Error::input(folder, "is no folder with depth maps", remedy));
     }
-    let paths: Vec<PathBuf> = views.iter().map(|view| map_of(&folder, view)).collect::<Result<_>>()?;
+    let mut finder = Finder::default();
+    let paths = views.iter().map(|view| checked_map_of(&folder, view, &mut finder));
+    let paths: Vec<PathBuf> = paths.collect::<Result<_>>()?;
+    let mut known = HashMap::new();
+    if let Some((view, path, other)) =
+        views.iter().zip(&paths).find_map(|(view, path)| Some((view, path, known.insert(path, &view.name)?)))
+    {
+        let problem = format!("{other} and {} would both have the depth map {}", view.name, path.display());
+        return Err(Error::input(folder, problem, "give each a map whose path ends as its name does"));
+    }
     let planned = |path: PathBuf, fit| Some(PlannedMap { path, fit });
     if transforms::find(dataset).is_some() && !colmap::exists(dataset) {
         // Their values are inverse depths.
@@ -120,17 +129,28 @@ fn stem(name: &str) -> String {
     ending.map_or(name.clone(), |(stem, _)| stem.to_owned())
 }
 
-fn map_of(folder: &Path, view: &PlannedView) -> Result<PathBuf> {
-    let stem = stem(&view.name);
-    let stem = stem.strip_prefix("images/").unwrap_or(&stem);
-    let missing = |path: PathBuf| {
+/// The map of a photo of this name, or of one whose other folders the maps do not have.
+pub(super) fn map_of(folder: &Path, name: &str, finder: &mut Finder) -> Option<PathBuf> {
+    let (name, stem) = (plain(name), stem(name));
+    let (below, last) = stem.rsplit_once('/').map_or(("", &*stem), |(below, last)| (below, last));
+    let maps = [
+        format!("{stem}.png"),
+        format!("{name}.png"),
+        format!("{below}/{last}_depth.png"),
+        format!("{below}/depth_{last}.png"),
+    ];
+    let maps = || maps.iter().map(|map| map.trim_start_matches('/'));
+    let found = maps().find_map(|map| finder.file(folder, map).filter(|_| stays_inside(map)));
+    found.or_else(|| maps().find_map(|map| finder.file_by_end(folder, map)))
+}
+
+fn checked_map_of(folder: &Path, view: &PlannedView, finder: &mut Finder) -> Result<PathBuf> {
+    let name = view.name.strip_prefix("images/").unwrap_or(&view.name);
+    let Some(path) = map_of(folder, name, finder) else {
         let problem = format!("the depth map of photo {} is missing", view.name);
-        Err(Error::input(path, problem, "compute it, or train without -d"))
+        let path = folder.join(format!("{}.png", stem(name)));
+        return Err(Error::input(path, problem, "compute it, or train without -d"));
     };
-    let path = folder.join(format!("{stem}.png"));
-    if !stays_inside(stem) || !path.is_file() {
-        return missing(path);
-    }
     if view.lens.is_distorted() {
         let problem = format!("photo {} has lens distortion, which depth maps do not follow", view.name);
         return Err(Error::input(path, problem, "undistort the photos first: colmap image_undistorter"));

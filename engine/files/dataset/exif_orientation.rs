@@ -15,6 +15,8 @@ use crate::images::{Header, PhotoOrientation, header};
 pub(super) struct Turned {
     /// Whether each one is rotated.
     pub(super) photos: Vec<bool>,
+    /// Their sizes after that, pixels, of those that can be read.
+    pub(super) sizes: Vec<Option<(u32, u32)>>,
     /// Number of photos that are used as stored although their metadata ask for a rotation, because no size
     /// decides it.
     pub(super) untold: usize,
@@ -26,16 +28,20 @@ pub(super) type Sides = [f64; 2];
 impl Turned {
     /// Photos (if they exist) and the sides of their cameras (if they are known).
     pub(super) fn of(photos: &[(Option<&Path>, Option<Sides>)], choice: PhotoOrientation) -> Self {
-        if choice == PhotoOrientation::Stored {
-            return Self { photos: vec![false; photos.len()], untold: 0 };
-        }
         // A photo that cannot be read is reported when it is loaded.
         let asked = |&(path, sides): &(Option<&Path>, Option<Sides>)| Some((header(path?).ok()?, sides));
-        let photos: Vec<Option<(Header, Option<Sides>)>> = photos.par_iter().map(asked).collect();
+        let headers: Vec<Option<(Header, Option<Sides>)>> = photos.par_iter().map(asked).collect();
+        let with = |photos: Vec<bool>, untold: usize| {
+            let size = |(photo, &turned): (&Option<(Header, _)>, &bool)| Some(photo.as_ref()?.0.size(turned));
+            let sizes = headers.iter().zip(&photos).map(size).collect();
+            Self { photos, sizes, untold }
+        };
         let oriented: Vec<Option<(Header, Option<Sides>)>> =
-            photos.into_iter().map(|photo| photo.filter(|(header, _)| header.has_orientation())).collect();
-        if choice == PhotoOrientation::Upright {
-            return Self { photos: oriented.iter().map(Option::is_some).collect(), untold: 0 };
+            headers.iter().map(|photo| photo.filter(|(header, _)| header.has_orientation())).collect();
+        match choice {
+            PhotoOrientation::Stored => return with(vec![false; photos.len()], 0),
+            PhotoOrientation::Upright => return with(oriented.iter().map(Option::is_some).collect(), 0),
+            PhotoOrientation::Auto => {}
         }
         let told = |photo: &Option<(Header, Option<Sides>)>| photo.and_then(|(h, sides)| told_by(h, sides?));
         let [stored, turned] =
@@ -43,7 +49,7 @@ impl Turned {
         let (tells, others) = (stored != turned, turned && !stored);
         let untold = oriented.iter().filter(|photo| photo.is_some() && told(photo).is_none()).count();
         let turned = oriented.iter().map(|photo| photo.is_some() && told(photo).unwrap_or(others));
-        Self { photos: turned.collect(), untold: if tells { 0 } else { untold } }
+        with(turned.collect(), if tells { 0 } else { untold })
     }
 
     /// The warning if no size decides it.

@@ -148,7 +148,7 @@ impl Gallery {
     /// The cameras of what is used of the photos, at the sizes that these will have when they are read.
     ///
     /// # Errors
-    /// As [`Gallery::train_photos`].
+    /// As [`Camera::part()`](ashsplat::scene::Camera::part()).
     pub fn used_cameras(&self) -> Result<Vec<Camera>> {
         let used =
             |view: &PlannedView| view.used_camera(&self.options).map_err(|error| self.unpacked.name(error));
@@ -180,24 +180,20 @@ impl Gallery {
 
     /// The photos to train on, with the sizes that they will have when they are read. Whether masks or
     /// transparency hide pixels is not known before that.
-    ///
-    /// # Errors
-    /// As [`Gallery::open`], for a photo that has neither its camera's size nor the fraction of it that the folder's
-    /// name says.
-    pub fn train_photos(&self) -> Result<Vec<PhotoSize>> {
+    pub fn train_photos(&self) -> Vec<PhotoSize> {
         let all = self.views.iter().zip(&self.held_out).zip(&self.maps).enumerate();
         let train = all.filter(|(_, ((_, held_out), _))| self.is_trained(**held_out));
         let size =
             |(index, ((view, held_out), map)): (usize, ((&PlannedView, &bool), &Option<PlannedMap>))| {
-                let (width, height) = view.size(&self.options).map_err(|error| self.unpacked.name(error))?;
-                Ok(PhotoSize {
+                let (width, height) = view.size(&self.options);
+                PhotoSize {
                     name: view.name.clone(),
                     width,
                     height,
                     masked: *held_out || view.coarse_mask.is_some(),
                     inverse_depth: map.is_some(),
                     depth_points: self.track_length(index),
-                })
+                }
             };
         train.map(size).collect()
     }
@@ -256,12 +252,8 @@ impl Gallery {
     }
 
     /// The width and height in pixels that a photo will have when it is read; `None` beyond the last.
-    ///
-    /// # Errors
-    /// As [`Gallery::train_photos`].
-    pub fn size(&self, index: usize) -> Option<Result<(u32, u32)>> {
-        let view = self.views.get(index)?;
-        Some(view.size(&self.options).map_err(|error| self.unpacked.name(error)))
+    pub fn size(&self, index: usize) -> Option<(u32, u32)> {
+        Some(self.views.get(index)?.size(&self.options))
     }
 
     /// Reads a photo, undistorted and scaled as the options say; `None` beyond the last.

@@ -56,6 +56,11 @@ impl DatasetReport {
     pub fn is_sound(&self) -> bool {
         self.problems.is_empty()
     }
+
+    /// Whether training refuses it without being told where to start.
+    pub fn needs_random_points(&self) -> bool {
+        self.points == 0 && !self.model.as_deref().is_some_and(may_lack_points)
+    }
 }
 
 pub(super) fn inspect(path: &Path, options: &DatasetOptions, progress: Progress<'_>) -> DatasetReport {

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use super::used_part::cut;
 use crate::host_memory::HostMemory;
 use crate::images::{Photo, Request, header, read_as, undistort};
-use crate::names::{Finder, plain};
+use crate::names::Finder;
 use ashsplat::scene::camera::Intrinsics;
 use ashsplat::scene::lens::Lens;
 use ashsplat::{Error, Result};
@@ -68,12 +68,20 @@ impl Mask {
         let besides = 2 * u64::from(size.0) * u64::from(size.1);
         let request = Request { turned, size: Some(size), besides, ..Request::plain([0.0; 3], memory) };
         let grey = read_as(path, &request)?;
-        Ok(Self::of_grey(grey.photo).scaled_to(width, height))
+        Ok(Self::of_grey(grey.photo).of_bits().scaled_to(width, height))
     }
 
     fn of_grey(grey: Photo) -> Self {
         let values = grey.rgb.chunks_exact(3).map(|rgb| rgb[0]).collect();
         Self { width: grey.width, height: grey.height, values }
+    }
+
+    /// The mask of a program that writes 1 where pixels count, in place of 255.
+    fn of_bits(mut self) -> Self {
+        if self.values.iter().all(|&value| value <= 1) {
+            self.values.iter_mut().for_each(|value| *value *= 255);
+        }
+        self
     }
 
     /// The pixels that count in both masks, which have the same size. Without one all count.
@@ -126,6 +134,11 @@ impl Mask {
     }
 }
 
+/// Whether one of two sizes is the other one scaled, with sides that were rounded.
+pub(super) fn is_scaled(one: (u32, u32), other: (u32, u32)) -> bool {
+    is_enlarged(one, other) || is_enlarged(other, one)
+}
+
 /// Whether a picture has the size of another one, or of a larger version whose sides were rounded when it was
 /// scaled down.
 fn is_enlarged(size: (u32, u32), of: (u32, u32)) -> bool {
@@ -137,16 +150,64 @@ fn is_enlarged(size: (u32, u32), of: (u32, u32)) -> bool {
     size == of || (size.0 >= of.0 && size.1 >= of.1 && a.0 < b.1 && b.0 < a.1)
 }
 
-/// `NAME.png` or, as COLMAP names them, `NAME.jpg.png` in `masks`, or in the masks' folder that belongs to
-/// the photos': `masks_4` with `images_4`.
-pub(super) fn mask_of(dataset: &Path, images: &str, name: &str, finder: &mut Finder) -> Option<PathBuf> {
-    let name = plain(name);
-    let other = Path::new(&name).with_extension("png");
-    let mut in_folder = |folder: &str| {
-        let whole = finder.photo(dataset, &format!("{folder}/{name}.png"));
-        whole.or_else(|| finder.photo(dataset, &format!("{folder}/{}", other.to_str()?)))
-    };
-    in_folder(&beside(images)).or_else(|| in_folder("masks"))
+/// Names of folders with masks.
+const FOLDERS: [&str; 7] =
+    ["masks", "mask", "segmentation", "segmentations", "segmentation_masks", "image_masks", "images_masks"];
+
+/// The folders of a data set that hold masks: first those that belong to the photos' folder, `masks_4` with `images_4`.
+pub(super) fn folders_of_masks(dataset: &Path, images: &str, finder: &mut Finder) -> Vec<PathBuf> {
+    let ending = images.trim_end_matches('/').strip_prefix("images").unwrap_or_default();
+    let beside_photos = dataset.join(images).parent().map_or(dataset.to_owned(), Path::to_owned);
+    let mut folders = Vec::new();
+    for ending in [ending, ""] {
+        for place in [&*beside_photos, dataset] {
+            let found = FOLDERS.iter().filter_map(|name| finder.folder(place, &format!("{name}{ending}")));
+            folders.extend(found.collect::<Vec<_>>());
+        }
+    }
+    let mut known = std::collections::HashSet::new();
+    folders.retain(|folder| known.insert(folder.clone()));
+    folders
+}
+
+/// The mask of a photo, which has this path below the photos' folder: in a folder of masks below the same folders as the photo or
+/// fewer, or beside the photo.
+pub(super) fn mask_of(
+    folders: &[PathBuf],
+    name: &Path,
+    photo: &Path,
+    finder: &mut Finder,
+) -> Option<PathBuf> {
+    let whole = name.file_name()?.to_str()?;
+    let stem = name.file_stem()?.to_str()?;
+    // COLMAP's own name, then those of Metashape, 3DGRUT and RealityCapture.
+    let [own, plain] = [format!("{whole}.png"), format!("{stem}.png")];
+    let marked = [
+        format!("{stem}_mask.png"),
+        format!("{whole}_mask.png"),
+        format!("mask_{stem}.png"),
+        format!("{stem}.mask.png"),
+        format!("{whole}.mask.png"),
+        format!("{stem}-mask.png"),
+    ];
+    let in_folder = || [&own, &plain].into_iter().chain(&marked);
+    for folder in folders {
+        let below = name.parent().unwrap_or(Path::new(""));
+        let parts: Vec<_> = below.iter().collect();
+        for skipped in 0..=parts.len() {
+            let place = parts[skipped..].iter().collect::<PathBuf>();
+            for name in in_folder() {
+                let found = finder.photo(folder, place.join(name).to_str()?);
+                if found.is_some() {
+                    return found;
+                }
+            }
+        }
+    }
+    let beside = photo.parent()?;
+    let inner: Vec<PathBuf> = FOLDERS[..2].iter().filter_map(|name| finder.folder(beside, name)).collect();
+    let found = inner.iter().find_map(|folder| in_folder().find_map(|name| finder.photo(folder, name)));
+    found.or_else(|| [&own].into_iter().chain(&marked).find_map(|name| finder.photo(beside, name)))
 }
 
 /// The mask that a `transforms.json` names, or the one in the masks' folder that belongs to the photos'.

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::names::{count_photos, count_photos_beside, has_photos};
+use crate::names::{count_photos_beside, has_photos, photos_below};
 use crate::{colmap, regular_file};
 use ashsplat::{Error, Result};
 
@@ -15,9 +15,10 @@ pub(super) fn find(dataset: &Path, images: &str) -> Result<PathBuf> {
     if images == "images" && has_photos(dataset) {
         return Ok(dataset.to_owned());
     }
-    let remedy = match has_photos(&dataset.join("input")) {
-        true => "those in the folder input are used with --images input",
-        false => "put the photos there, or name their folder with --images",
+    let usual = ["input", "images_2", "images_4", "images_8", "image", "photos", "frames", "rgb"];
+    let remedy = match usual.iter().find(|name| has_photos(&dataset.join(name))) {
+        Some(name) => format!("those in the folder {name} are used with --images {name}"),
+        None => "put the photos there, or name their folder with --images".into(),
     };
     Err(Error::input(folder, "there is no folder with photos", remedy))
 }
@@ -27,7 +28,7 @@ pub(super) fn find(dataset: &Path, images: &str) -> Result<PathBuf> {
 pub(super) fn count<'n>(dataset: &Path, folder: &Path, names: impl Iterator<Item = &'n str>) -> usize {
     match (dataset.canonicalize(), folder.canonicalize()) {
         (Ok(dataset), Ok(same)) if dataset == same => count_photos_beside(folder, names),
-        _ => count_photos(folder),
+        _ => photos_below(folder).len(),
     }
 }
 

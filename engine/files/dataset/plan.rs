@@ -1,18 +1,18 @@
 //! The contents of a data set of any format before its photos are read.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashSet};
 use std::path::{Path, PathBuf};
 
 use glam::{DVec3, Vec3};
 
 use super::exif_orientation::Turned;
-use super::mask::{mask_in_folder, mask_of};
+use super::mask::mask_in_folder;
 use super::own_frame::frame_of;
 use super::planned_view::PlannedView;
-use super::{DatasetOptions, lens_note, photo_folder, scaling};
+use super::{DatasetOptions, doubtful_lens, lens_note, photo_folder, photo_sizes, scaling};
 use crate::colmap::{self, ColmapImage, Model};
 use crate::images::header;
-use crate::names::{Finder, plain};
+use crate::names::{Finder, ending, plain, stays_inside};
 use crate::transforms::{self, Frame, Transforms};
 use ashsplat::scene::lens::Lens;
 use ashsplat::scene::{Camera, Intrinsics, PointCloud, SourcePoints, WorldFrame};
@@ -70,13 +70,17 @@ impl Plan {
                 (Self::of_model(path, &model, options)?, points)
             }
         };
+        plan.warnings.extend(photo_sizes::fit(&mut plan.views, &plan.list, options.divisor()));
+        plan.find_companions(path, options);
         plan.settle_frame(options.frame, points);
         plan.warn_of_strays();
-        let sizes: Vec<(u32, u32)> =
-            plan.views.iter().flatten().map(|view| view.expected_size(options)).collect();
+        plan.warn_of_lenses();
+        plan.warn_of_points_out_of_view();
+        let size = |view: &PlannedView| (view.pinhole.width, view.pinhole.height);
+        let sizes: Vec<(u32, u32)> = plan.views.iter().flatten().map(size).collect();
         plan.warnings.extend(scaling::warning(&sizes, options.resolution));
         let distorted = plan.views.iter().flatten().filter(|view| view.lens.is_distorted());
-        let distorted: Vec<_> = distorted.map(|view| view.expected_size(options)).collect();
+        let distorted: Vec<_> = distorted.map(size).collect();
         let note = lens_note::line(plan.distorted.as_deref(), &distorted, options.resolution);
         plan.notes.extend(note.or_else(|| scaling::note(&sizes, options.resolution)));
         Ok(plan)
@@ -109,6 +113,43 @@ impl Plan {
                 "{list}: {count} of {} cameras, {name} for example, are more than {STRAY} times as far from the middle as \
                  most: if their poses are wrong, remove them",
                 positions.len()
+            ));
+        }
+    }
+
+    /// Warns of cameras that can hardly be those of their photos.
+    fn warn_of_lenses(&mut self) {
+        let of_model = self.source != self.list;
+        let mut known = HashSet::new();
+        let views = self.views.iter().flatten().filter(|view| known.insert(format!("{:?}", view.lens)));
+        let named = views.map(|view| match of_model {
+            true => (format!("camera {}", view.camera_id), &view.lens),
+            false => (format!("frame {}", view.name), &view.lens),
+        });
+        self.warnings.extend(doubtful_lens::warning(&self.list, named));
+    }
+
+    /// Warns of points that hardly any camera sees: they are of another frame, or of another scene.
+    fn warn_of_points_out_of_view(&mut self) {
+        const SAMPLE: usize = 500;
+        const LEAST_SEEN: f32 = 0.1;
+        let views = self.views.iter().flatten();
+        let cameras: Vec<Camera> =
+            views.step_by(self.views.len().div_ceil(SAMPLE).max(1)).map(PlannedView::camera).collect();
+        let step = self.points.len().div_ceil(SAMPLE).max(1);
+        let sample: Vec<Vec3> =
+            self.points.positions.iter().step_by(step).copied().map(Vec3::from_array).collect();
+        let sees = |camera: &Camera, point: Vec3| {
+            let (x, y, z) = camera.project(point);
+            let inside = |at: f32, side: u32| (0.0..side as f32).contains(&at);
+            z > 0.0 && inside(x, camera.width) && inside(y, camera.height)
+        };
+        let seen = sample.iter().filter(|&&p| cameras.iter().any(|camera| sees(camera, p))).count();
+        if !cameras.is_empty() && (seen as f32) < LEAST_SEEN * sample.len() as f32 {
+            self.warnings.push(format!(
+                "{}: {seen} of {} of its points (a sample) lie in the view of a camera: are they of another frame or scene?",
+                self.source.display(),
+                sample.len()
             ));
         }
     }
@@ -148,18 +189,18 @@ impl Plan {
             }
         };
         let mut finder = Finder::default();
-        let paths = images.iter().map(|image| {
-            let path = image.photo_path(&folder, &plan.list)?;
-            Ok(finder.photo(&folder, &plain(&image.name)).unwrap_or(path))
-        });
-        let paths: Vec<Result<PathBuf>> = paths.collect();
+        let paths = plan.photo_paths(&images, &folder, &mut finder);
         let asked = images.iter().zip(&paths).map(|(image, path)| {
             let camera = model.cameras.get(&image.camera_id);
             (path.as_deref().ok(), camera.map(|camera| [camera.width as f64, camera.height as f64]))
         });
         // COLMAP itself never rotates photos, so there is nothing to warn of if no size shows otherwise.
-        let turned = Turned::of(&asked.collect::<Vec<_>>(), options.orientation).photos;
-        let mut view = |((image, photo_path), turned): ((&ColmapImage, Result<PathBuf>), bool)| {
+        let Turned { photos: turned, sizes, .. } =
+            Turned::of(&asked.collect::<Vec<_>>(), options.orientation);
+        let mut view = |((image, photo_path), (turned, size)): (
+            (&ColmapImage, Result<PathBuf>),
+            (bool, Option<(u32, u32)>),
+        )| {
             model.camera_of(image)?;
             let Some(&(lens, Some(pinhole))) = lenses.get(&image.camera_id) else {
                 let problem = format!("camera {}: {NO_PINHOLE}", image.camera_id);
@@ -171,8 +212,15 @@ impl Plan {
                 let remedy = "copy it there, or remove the image from the model";
                 return Err(Error::input(photo_path, problem, remedy));
             }
+            // The path is shown and written; one of another machine is not.
+            let name = match stays_inside(&plain(&image.name)) {
+                true => image.name.clone(),
+                false => {
+                    photo_path.strip_prefix(&folder).unwrap_or(&photo_path).to_string_lossy().into_owned()
+                }
+            };
             Ok(PlannedView {
-                name: image.name.clone(),
+                name,
                 image_id: image.id,
                 camera_id: image.camera_id,
                 camera_from_source: image.rotation(),
@@ -182,7 +230,8 @@ impl Plan {
                 pinhole,
                 photo_path,
                 turned,
-                mask_path: mask_of(path, &options.images, &image.name, &mut finder),
+                file_size: size,
+                mask_path: None,
                 alpha_is_mask: true,
                 coarse_mask: None,
                 part: None,
@@ -198,8 +247,57 @@ impl Plan {
                 photo_folder::advice_for_more(path)
             ));
         }
-        plan.views = images.into_iter().zip(paths).zip(turned).map(&mut view).collect();
+        plan.views =
+            images.into_iter().zip(paths).zip(turned.into_iter().zip(sizes)).map(&mut view).collect();
         Ok(plan)
+    }
+
+    /// The photos of a model's images: by their names, else by the ends of these, of what no other image names.
+    fn photo_paths(
+        &mut self,
+        images: &[&ColmapImage],
+        folder: &Path,
+        finder: &mut Finder,
+    ) -> Vec<Result<PathBuf>> {
+        let list = self.list.clone();
+        let mut paths: Vec<Result<PathBuf>> = images
+            .iter()
+            .map(|image| {
+                let path = image.photo_path(folder, &list)?;
+                Ok(finder.photo(folder, &plain(&image.name)).unwrap_or(path))
+            })
+            .collect();
+        let is_there = |path: &&PathBuf| path.is_file();
+        let named: HashSet<PathBuf> = paths.iter().flatten().filter(is_there).cloned().collect();
+        let mut found = Vec::new();
+        for (image, path) in images.iter().zip(&mut paths) {
+            if path.as_ref().is_ok_and(|path| named.contains(path)) {
+                continue;
+            }
+            match finder.photo_by_end(folder, &plain(&image.name)) {
+                Ok(Some(photo)) if !named.contains(&photo) => {
+                    found.push(format!("{} for {:?}", photo.display(), ending(&image.name)));
+                    *path = Ok(photo);
+                }
+                Ok(_) => {}
+                Err(two) => {
+                    let [first, second] = two.map(|photo| photo.display().to_string());
+                    let problem =
+                        format!("the photo of {:?} may be {first} or {second}", ending(&image.name));
+                    *path =
+                        Err(Error::input(&list, problem, "put the photos into the folders that it names"));
+                }
+            }
+        }
+        if let Some(first) = found.first() {
+            self.warnings.push(format!(
+                "{}: {} of {} photos do not lie where it says: those whose paths end alike are taken, {first}",
+                list.display(),
+                found.len(),
+                images.len()
+            ));
+        }
+        paths
     }
 
     fn of_transforms(path: &Path, transforms: Transforms, options: &DatasetOptions) -> Result<Self> {
@@ -234,17 +332,11 @@ impl Plan {
         let turned = Turned::of(&asked.collect::<Vec<_>>(), options.orientation);
         plan.warnings.extend(turned.warning(&plan.list));
         let mut lenses = Lenses::new();
-        for (index, ((frame, photo_path), turned)) in frames.iter().zip(paths).zip(turned.photos).enumerate()
-        {
-            let view = plan.frame(frame, photo_path, turned, &mut lenses).map(|view| PlannedView {
+        let photos = turned.photos.into_iter().zip(turned.sizes);
+        for (index, ((frame, photo_path), photo)) in frames.iter().zip(paths).zip(photos).enumerate() {
+            let view = plan.frame(frame, photo_path, photo, &mut lenses).map(|view| PlannedView {
                 image_id: index as u32,
-                mask_path: match view.mask_path {
-                    Some(named) => Some(mask_in_folder(path, &options.images, &named)),
-                    None => {
-                        let name = frame.name.strip_prefix("images/").unwrap_or(&frame.name);
-                        mask_of(path, &options.images, name, &mut finder)
-                    }
-                },
+                mask_path: view.mask_path.map(|named| mask_in_folder(path, &options.images, &named)),
                 ..view
             });
             plan.views.push(view);
@@ -266,7 +358,7 @@ impl Plan {
         &mut self,
         frame: &Frame,
         photo_path: PathBuf,
-        turned: bool,
+        (turned, size): (bool, Option<(u32, u32)>),
         lenses: &mut Lenses,
     ) -> Result<PlannedView> {
         if !photo_path.is_file() {
@@ -277,9 +369,10 @@ impl Plan {
                 "copy it there, or remove the frame from the file",
             ));
         }
-        let (width, height) = match frame.optics.size {
-            Some([width, height]) => (width, height),
-            None => header(&photo_path)?.size(turned),
+        let (width, height) = match (frame.optics.size, size) {
+            (Some([width, height]), _) => (width, height),
+            (None, Some(size)) => size,
+            (None, None) => header(&photo_path)?.size(turned),
         };
         let problem = |problem: String| {
             Error::input(&self.list, format!("frame {}: {problem}", frame.name), "correct the file")
@@ -310,6 +403,7 @@ impl Plan {
             pinhole,
             photo_path,
             turned,
+            file_size: size,
             mask_path: frame.mask_path.clone(),
             alpha_is_mask: false,
             coarse_mask: None,

@@ -7,10 +7,10 @@ use glam::{DMat3, DVec3};
 use super::mask::Mask;
 use super::used_part::{UsedPart, cut_photo};
 use super::{DatasetOptions, View};
-use crate::images::{Decoded, Photo, PhotoFileFormat, Request, StoredPhoto, header, read_as, undistort};
+use crate::images::{Decoded, Photo, PhotoFileFormat, Request, StoredPhoto, read_as, undistort};
+use ashsplat::Result;
 use ashsplat::scene::lens::Lens;
 use ashsplat::scene::{Camera, Intrinsics, PicturePart, WorldFrame};
-use ashsplat::{Error, Result};
 
 /// A view whose photo is not loaded yet.
 pub(crate) struct PlannedView {
@@ -22,13 +22,15 @@ pub(crate) struct PlannedView {
     pub(super) translation: DVec3,
     /// The frame of the cameras that are made of it.
     pub(super) frame: WorldFrame,
-    /// The camera of the photo, with its lens.
+    /// The camera at the photo's size, with its lens.
     pub(super) lens: Lens,
     /// The pinhole camera that replaces it; the same without distortion.
     pub(super) pinhole: Intrinsics,
     pub(super) photo_path: PathBuf,
     /// Whether the photo is rotated by its metadata.
     pub(super) turned: bool,
+    /// The photo's width and height after that, if it can be read.
+    pub(super) file_size: Option<(u32, u32)>,
     /// The photo's mask file, and what else is hidden.
     pub(super) mask_path: Option<PathBuf>,
     pub(super) coarse_mask: Option<Mask>,
@@ -75,7 +77,7 @@ impl PlannedView {
 
     /// The undistorted and scaled photo, its mask at the file's size, and its camera there.
     pub(super) fn read_photo(&self, options: &DatasetOptions) -> Result<(Photo, Option<Mask>, Camera)> {
-        let (lens, pinhole) = self.optics_of_file(options.divisor())?;
+        let (lens, pinhole) = (self.lens, self.pinhole);
         let memory = &options.host_memory;
         let own = (lens.width, lens.height);
         // One file at a time: who waits for memory must hold none.
@@ -109,39 +111,15 @@ impl PlannedView {
         Ok((photo, mask, self.posed(pinhole)))
     }
 
-    /// Lens and pinhole at the size of a photo that was divided by `divisor`, with any rounding of its sides.
-    fn optics_of_file(&self, divisor: u32) -> Result<(Lens, Intrinsics)> {
-        let Lens { width: w, height: h, .. } = self.lens;
-        if divisor == 1 {
-            return Ok((self.lens, self.pinhole));
-        }
-        let (width, height) = header(&self.photo_path)?.size(self.turned);
-        if (width, height) == (w, h) {
-            return Ok((self.lens, self.pinhole));
-        }
-        let fits = |photo: u32, camera: u32| photo == camera / divisor || photo == camera.div_ceil(divisor);
-        if !fits(width, w) || !fits(height, h) {
-            let problem =
-                format!("is {width}x{height} pixels, 1/{divisor} of its camera's {w}x{h} was expected");
-            let remedy = "use photos of that size, or another folder";
-            return Err(Error::input(&self.photo_path, problem, remedy));
-        }
-        let lens = self.lens.scaled_to(width, height);
-        // A lens that can be undistorted at one size can be at another.
-        Ok((lens, lens.inscribed_pinhole().unwrap_or(lens.intrinsics())))
-    }
-
     /// The size at which the photo is used, before it is read: that of its part, if a part is used.
-    pub(super) fn size(&self, options: &DatasetOptions) -> Result<(u32, u32)> {
-        let (_, pinhole) = self.optics_of_file(options.divisor())?;
-        Ok(self.used_of(options.resolution.apply(pinhole.width, pinhole.height)))
+    pub(super) fn size(&self, options: &DatasetOptions) -> (u32, u32) {
+        self.used_of(options.resolution.apply(self.pinhole.width, self.pinhole.height))
     }
 
     /// The camera of what is used of the photo, at the size at which it is used.
     pub(super) fn used_camera(&self, options: &DatasetOptions) -> Result<Camera> {
-        let (_, pinhole) = self.optics_of_file(options.divisor())?;
-        let (width, height) = options.resolution.apply(pinhole.width, pinhole.height);
-        self.part_of(self.posed(pinhole).scaled_to(width, height))
+        let (width, height) = options.resolution.apply(self.pinhole.width, self.pinhole.height);
+        self.part_of(self.camera().scaled_to(width, height))
     }
 
     /// The camera of what is used of a picture.
@@ -166,15 +144,8 @@ impl PlannedView {
 
     /// Estimated bytes of the photo with its mask, before it is read. On a device it takes about the same.
     pub(super) fn texel_bytes(&self, options: &DatasetOptions) -> u64 {
-        let (width, height) = self.expected_size(options);
-        let (width, height) = self.used_of(options.resolution.apply(width, height));
+        let (width, height) = self.size(options);
         4 * u64::from(width) * u64::from(height)
-    }
-
-    /// The size of the undistorted photo before it is scaled, without a look at its file.
-    pub(super) fn expected_size(&self, options: &DatasetOptions) -> (u32, u32) {
-        let divided = |side: u32| (side / options.divisor()).max(1);
-        (divided(self.pinhole.width), divided(self.pinhole.height))
     }
 
     pub(super) fn load(&self, options: &DatasetOptions) -> Result<View> {

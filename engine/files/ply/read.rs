@@ -8,7 +8,7 @@ use super::rows::PlyFile;
 use crate::host_memory;
 use crate::splats::{BLOCK, Format, Header, ReadOptions, Reader, Sink, Source};
 use ashsplat::scene::gaussians::{MAX_SH_DEGREE, sh_coefficients};
-use ashsplat::scene::sh::rgb_to_sh_dc;
+use ashsplat::scene::sh::{rgb_to_sh_dc, sh_dc_to_rgb};
 use ashsplat::scene::{Gaussians, SourcePoints, WorldFrame, filtered};
 use ashsplat::{Error, Result};
 use glam::DVec3;
@@ -53,6 +53,11 @@ pub fn read(path: impl AsRef<Path>, options: &PlyOptions) -> Result<PlyScene> {
         dropped: scene.dropped,
         warning: scene.warnings.into_iter().next(),
     })
+}
+
+/// Number of the vertices that a PLY's header promises.
+pub(crate) fn claimed_points(path: &Path) -> Result<u64> {
+    Ok(PlyFile::open(path)?.header.elements.iter().find(|e| e.name == "vertex").map_or(0, |e| e.count))
 }
 
 /// Whether a PLY is PlayCanvas' compressed kind.
@@ -139,23 +144,46 @@ impl Source for GaussianRows<'_> {
     }
 }
 
-/// Reads coloured points: x y z and red green blue (0 to 255), by name; white if there are no colours.
+/// Names of a colour's properties; the last are those of Gaussians.
+const COLORS: [[&str; 3]; 4] = [
+    ["red", "green", "blue"],
+    ["r", "g", "b"],
+    ["diffuse_red", "diffuse_green", "diffuse_blue"],
+    ["f_dc_0", "f_dc_1", "f_dc_2"],
+];
+
+/// Reads coloured points: x y z and a colour, by name; white if there are no colours. Colours are 0 to 255; floats of at most 1
+/// are shares of 255, 16 bits above 255 shares of 65,535. Gaussians have the colours of their constant SH coefficients.
 ///
 /// # Errors
 /// [`Error::Io`] when the file cannot be read, [`Error::Input`] when it is no PLY file with points, is cut
 /// short or damaged, or has a position that is not finite.
 pub fn read_points(path: impl AsRef<Path>) -> Result<SourcePoints> {
-    let path = path.as_ref();
+    read_points_of(path.as_ref(), &mut Vec::new())
+}
+
+/// As [`read_points`], with warnings of points without colours and of Gaussians.
+pub(crate) fn read_points_of(path: &Path, warnings: &mut Vec<String>) -> Result<SourcePoints> {
     let mut file = PlyFile::open(path)?;
     let element = file.seek_element("vertex")?;
-    let coloured = ["red", "green", "blue"].iter().all(|name| element.has(name));
-    let names = if coloured { &["x", "y", "z", "red", "green", "blue"][..] } else { &["x", "y", "z"] };
-    let names: Vec<String> = names.iter().map(|name| name.to_string()).collect();
-    host_memory::check_free(path, element.count.saturating_mul(27))?;
+    if !element.has("x") {
+        return Err(missing_properties(path, &element, false));
+    }
+    let color = COLORS.into_iter().find(|names| names.iter().all(|name| element.has(name)));
+    let of_gaussians = color == Some(COLORS[3]);
+    if of_gaussians {
+        warnings.push(format!("{}: holds Gaussians, taken as points with their colours", path.display()));
+    }
+    if color.is_none() {
+        warnings.push(format!("{}: the points have no colours and start white", path.display()));
+    }
+    let names = ["x", "y", "z"].into_iter().chain(color.into_iter().flatten());
+    let names: Vec<String> = names.map(str::to_owned).collect();
+    host_memory::check_free(path, element.count.saturating_mul(39))?;
     let file_origin = file.header.origin;
     let mut points = SourcePoints::default();
     points.positions.reserve(capacity(&element));
-    points.colors.reserve(capacity(&element));
+    let mut colors: Vec<[f32; 3]> = Vec::with_capacity(capacity(&element));
     let mut bad = None;
     file.for_each_row(&element, &names, |index, row| {
         let position = file_origin + DVec3::new(row[0], row[1], row[2]);
@@ -163,10 +191,20 @@ pub fn read_points(path: impl AsRef<Path>) -> Result<SourcePoints> {
             bad.get_or_insert(index);
         }
         points.positions.push(position);
-        let color = if coloured { [row[3], row[4], row[5]] } else { [255.0; 3] };
-        points.colors.push(color.map(|c| c.round().clamp(0.0, 255.0) as u8));
+        colors
+            .push(row.get(3..6).map_or([255.0; 3], |color| [color[0], color[1], color[2]].map(|c| c as f32)));
         Ok(())
     })?;
+    let kind = color.and_then(|[first, ..]| element.properties.iter().find(|p| p.name == first));
+    let largest = colors.as_flattened().iter().copied().fold(0.0, f32::max);
+    let byte = |value: f32| match kind.map(|property| &property.kind) {
+        _ if of_gaussians => 255.0 * sh_dc_to_rgb(value),
+        Some(Kind::Scalar(Scalar::F32 | Scalar::F64)) if largest <= 1.0 => 255.0 * value,
+        Some(Kind::Scalar(Scalar::U16)) if largest > 255.0 => value / 257.0,
+        _ => value,
+    };
+    points.colors =
+        colors.iter().map(|color| color.map(|c| byte(c).round().clamp(0.0, 255.0) as u8)).collect();
     match bad {
         None => Ok(points),
         Some(index) => Err(Error::input(path, format!("vertex {index}: the position is not finite"), "")),
@@ -289,7 +327,8 @@ fn white(path: &Path, element: &Element, names: [&str; 3]) -> Result<f64> {
 /// The error for a file without Gaussians, with the kind of the file.
 fn missing_properties(path: &Path, element: &Element, has_rgb: bool) -> Error {
     if element.has("packed_position") {
-        return Error::input(path, "is a compressed PLY (packed_position)", "read it with io::splats");
+        let problem = "is a compressed PLY of Gaussians (packed_position)";
+        return Error::input(path, problem, "`ashsplat convert` makes a plain PLY of it");
     }
     let needed = if has_rgb { &REQUIRED[..SH_DC] } else { &REQUIRED };
     let missing: Vec<&str> = needed.iter().copied().filter(|name| !element.has(name)).collect();

@@ -5,7 +5,7 @@ use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 
 use super::header::{self, Element, Encoding, Header, Kind, Scalar, shortened};
-use crate::{cost, regular_file};
+use crate::{cost, regular_file, text};
 use ashsplat::{Error, Result};
 
 const BUFFER_BYTES: usize = 1 << 20;
@@ -187,8 +187,10 @@ impl<'a> PlyFile<'a> {
         for (word, property) in words.iter().zip(&element.properties) {
             cost::step();
             if word.parse::<f32>().is_err() {
-                let (word, name) = (shortened(word), &property.name);
-                return Err(self.error(format!("{}: '{word}' for {name} is not a number", place(self.line))));
+                let (word, name) = (&shortened(word), &property.name);
+                let why = text::not_a_number(word);
+                let problem = format!("{}: '{word}' for {name} is not a number{why}", place(self.line));
+                return Err(self.error(problem));
             }
         }
         for (value, column) in values.iter_mut().zip(columns) {

@@ -164,9 +164,15 @@ impl Reader<'_> {
         let mask_path = match self.frame["mask_path"].as_str() {
             Some(name) => {
                 self.check_length("mask_path", name)?;
-                let name = below(name).ok_or_else(|| self.leaves(name))?;
-                let found = self.finder.borrow_mut().file(self.folder(), &name);
-                Some(found.unwrap_or_else(|| self.folder().join(name)))
+                let mut finder = self.finder.borrow_mut();
+                let inside = below(name);
+                let found = inside.as_deref().and_then(|name| finder.file(self.folder(), name));
+                let found = found.or_else(|| finder.file_by_end(self.folder(), &plain(name)));
+                Some(match (found, inside) {
+                    (Some(found), _) => found,
+                    (None, Some(name)) => self.folder().join(name),
+                    (None, None) => return Err(self.leaves(name)),
+                })
             }
             None => None,
         };
@@ -207,9 +213,13 @@ impl Reader<'_> {
             false => finder.photo(self.folder(), &name).unwrap_or_else(|| self.folder().join(&name)),
             true => {
                 // A path from another machine or folder: the photos have the same names here.
-                let found = finder.photo_by_end(self.folder(), &name);
-                let (end, path) = found.ok_or_else(|| self.leaves(named))?;
-                name = end.to_owned();
+                let found = finder.photo_by_end(self.folder(), &name).map_err(|two| {
+                    let [first, second] = two.map(|photo| photo.display().to_string());
+                    self.error(format!("the path {:?} may mean {first} or {second}", ending(named)))
+                })?;
+                let path = found.ok_or_else(|| self.leaves(named))?;
+                let end = path.strip_prefix(self.folder()).unwrap_or(&path);
+                name = plain(&end.to_string_lossy());
                 path
             }
         };
@@ -296,10 +306,9 @@ impl Reader<'_> {
         }
         match self.number(angle)? {
             Some(value) if value > 0.0 && value < std::f64::consts::PI => Ok(Some(Focal::Angle(value))),
-            Some(value) => {
-                Err(self
-                    .error(format!("{angle} is {value} radians; more than 0 and less than pi are possible")))
-            }
+            Some(value) => Err(self.error(format!(
+                "{angle} is {value} radians; more than 0 and less than pi are possible (are these degrees?)"
+            ))),
             None => Ok(None),
         }
     }

@@ -205,7 +205,7 @@ fn train_view(view: &View) -> TrainView {
 
 /// Refuses what one of the trainings could not do, before the first begins.
 fn check_fits(context: &Context, gallery: &Gallery, (data, jobs): (&DataSettings, &[Job])) -> Result<()> {
-    let photos = gallery.train_photos()?;
+    let photos = gallery.train_photos();
     for job in jobs {
         let settings = Settings { data: data.clone(), train: job.settings.clone() };
         let points = gallery.points().positions.len();

@@ -39,7 +39,7 @@ impl Settings {
         (file, overrides): (Option<&Path>, &Overrides),
         start: Option<&Checkpoint>,
     ) -> Result<(Settings, Option<String>)> {
-        let photos = gallery.train_photos()?.len();
+        let photos = gallery.train_photos().len();
         let few = match self.data.few_photos {
             When::Auto => photos < TrainSettings::FEW_PHOTOS,
             When::On => true,

@@ -16,7 +16,7 @@ pub fn text(path: &Path) -> Result<String> {
     };
     let bytes = regular_file::read_at_most(path, MOST_BYTES)?
         .ok_or_else(|| refuse(format!("is longer than {MOST_BYTES} bytes: no file of settings")))?;
-    String::from_utf8(bytes).map_err(|_| refuse("is not text".into()))
+    ashsplat_files::text::from_bytes(path, bytes)
 }
 
 /// The first line of the settings that a run leaves.

@@ -24,7 +24,7 @@ pub fn read_weights(files: &[PathBuf], host: &HostArguments) -> Result<Vec<Weigh
 /// Refuses photos, by their indices, that are too small for a network; of held-out ones only the right half counts if `halves`.
 pub fn check_sizes(weights: &[Weights], gallery: &Gallery, chosen: &[usize], halves: bool) -> Result<()> {
     for (network, &index) in weights.iter().flat_map(|of| chosen.iter().map(|index| (of.network, index))) {
-        let Some((width, height)) = gallery.size(index).transpose()? else { continue };
+        let Some((width, height)) = gallery.size(index) else { continue };
         let width = if halves && gallery.held_out()[index] { width - width / 2 } else { width };
         if let Err(Error::Argument { problem, .. }) = network.check_size(width, height) {
             let name = gallery.cameras().swap_remove(index).name;

@@ -86,7 +86,7 @@ pub fn check_fits(context: &Context, gallery: &Gallery, settings: &Settings, ori
     let [gaussians, frozen] = origin.counts(settings, (gallery.points(), gallery.frame()))?;
     Forecast {
         settings: &settings.train,
-        photos: &gallery.train_photos()?,
+        photos: &gallery.train_photos(),
         photo_memory: gallery.file_memory(),
         gaussians: to_u32(gaussians as u64)?,
         frozen: to_u32(frozen as u64)?,

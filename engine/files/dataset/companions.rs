@@ -1,0 +1,114 @@
+//! What lies beside the photos of a data set: their masks and depth maps.
+
+use std::collections::{HashMap, HashSet};
+use std::path::{Path, PathBuf};
+
+use super::DatasetOptions;
+use super::depths::map_of;
+use super::mask::{folders_of_masks, mask_of};
+use super::plan::Plan;
+use crate::names::{Finder, is_companion, pictures_below};
+use ashsplat::Error;
+
+impl Plan {
+    /// Finds the masks of all views without one. Says how many have a mask, or could have a depth map, and what belongs to no photo.
+    /// Views that would share a photo or a mask because of a tolerant search become errors.
+    pub(super) fn find_companions(&mut self, dataset: &Path, options: &DatasetOptions) {
+        let images = dataset.join(&options.images);
+        let mut finder = Finder::default();
+        let folders = folders_of_masks(dataset, &options.images, &mut finder);
+        let (mut photos, mut masks) = (HashMap::new(), HashMap::new());
+        let mut names = Vec::new();
+        let list = self.list.clone();
+        let shared = |what: &str, path: &Path, names: [&str; 2]| {
+            let problem =
+                format!("{} and {} would both have the {what} {}", names[0], names[1], path.display());
+            Error::input(&list, problem, format!("give each a {what} whose path ends as its name does"))
+        };
+        for view in &mut self.views {
+            let Ok(found) = view else { continue };
+            if let Some(other) = photos.insert(found.photo_path.clone(), found.name.clone())
+                && other != found.name
+            {
+                *view = Err(shared("photo", &found.photo_path, [&other, &found.name]));
+                continue;
+            }
+            let below = |folder: &Path| found.photo_path.strip_prefix(folder).ok();
+            let name = below(&images).or_else(|| below(dataset)).unwrap_or(&found.photo_path).to_path_buf();
+            names.push(name);
+        }
+        let found = self.views.iter_mut().filter(|view| view.is_ok()).zip(&names);
+        for (view, name) in found {
+            let Ok(of_view) = view else { continue };
+            if of_view.mask_path.is_some() {
+                masks.insert(of_view.mask_path.clone().unwrap_or_default(), of_view.name.clone());
+                continue;
+            }
+            let mask = mask_of(&folders, name, &of_view.photo_path, &mut finder);
+            of_view.mask_path = mask.filter(|mask| !photos.contains_key(mask));
+            let Some(mask) = of_view.mask_path.clone() else { continue };
+            if let Some(other) = masks.insert(mask.clone(), of_view.name.clone()) {
+                *view = Err(shared("mask", &mask, [&other, &of_view.name]));
+            }
+        }
+        let used: HashSet<&Path> = photos.keys().chain(masks.keys()).map(PathBuf::as_path).collect();
+        self.tell_of_masks(&images, &folders, &used);
+        if options.depths.is_none() {
+            self.tell_of_depths(dataset, &names, &mut finder);
+        }
+    }
+
+    fn tell_of_masks(&mut self, images: &Path, folders: &[PathBuf], used: &HashSet<&Path>) {
+        let all = self.views.iter().flatten().count();
+        let masks: Vec<&Path> =
+            self.views.iter().flatten().filter_map(|view| view.mask_path.as_deref()).collect();
+        if let Some(folder) = masks.first().and_then(|mask| mask.parent()) {
+            self.notes.push(format!(
+                "{} of {all} photos have a mask, the first in {}",
+                masks.len(),
+                folder.display()
+            ));
+        }
+        let names_mask = |path: &Path| path.to_string_lossy().to_lowercase().contains("mask");
+        let mut unused: Vec<PathBuf> =
+            match folders.iter().find(|folder| masks.iter().any(|mask| mask.starts_with(folder))) {
+                Some(folder) => pictures_below(folder),
+                None => folders.iter().flat_map(|folder| pictures_below(folder)).collect(),
+            };
+        if images.is_dir() {
+            let below = |path: &PathBuf| {
+                path.strip_prefix(images).is_ok_and(|path| is_companion(path) && names_mask(path))
+            };
+            unused.extend(pictures_below(images).into_iter().filter(below));
+        }
+        unused.retain(|mask| !used.contains(mask.as_path()));
+        if let Some(first) = unused.iter().min() {
+            self.warnings.push(format!(
+                "not used, because of no photo with a camera: {} masks, {} for example; those of a.jpg are called a.png, \
+                 a.jpg.png, a_mask.png or mask_a.png",
+                unused.len(),
+                first.display()
+            ));
+        }
+    }
+
+    /// Depth maps are used on request only.
+    fn tell_of_depths(&mut self, dataset: &Path, names: &[PathBuf], finder: &mut Finder) {
+        let entries = std::fs::read_dir(dataset).into_iter().flatten().flatten();
+        let named = |name: &str| name.to_lowercase().contains("depth");
+        let mut folders: Vec<PathBuf> = entries
+            .filter(|entry| named(&entry.file_name().to_string_lossy()) && entry.path().is_dir())
+            .map(|entry| entry.path())
+            .collect();
+        folders.sort_unstable();
+        for folder in folders {
+            let has_map = |name: &&PathBuf| map_of(&folder, &name.to_string_lossy(), finder).is_some();
+            let (maps, all) = (names.iter().filter(has_map).count(), names.len());
+            let (place, name) = (folder.display(), folder.file_name().unwrap_or_default().to_string_lossy());
+            self.notes.push(match maps {
+                0 => format!("{place}: holds no depth maps that -d reads: 16-bit PNGs called after their photos"),
+                _ => format!("{place}: has depth maps for {maps} of {all} photos; only -d {name} uses them, as inverse depths"),
+            });
+        }
+    }
+}

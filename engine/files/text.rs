@@ -1,0 +1,45 @@
+//! Text as other programs write it: with a byte-order mark, in Latin-1, with decimal commas.
+
+use std::path::Path;
+
+use crate::regular_file::{self, TEXT_GROWTH};
+use crate::sniff;
+use ashsplat::{Error, Result};
+
+/// The text of a whole file, without its byte-order mark.
+///
+/// # Errors
+/// [`Error::Io`] when the file cannot be read, [`Error::TooLarge`] when the machine has too little memory for it,
+/// [`Error::Input`] when it is in UTF-16.
+pub(crate) fn read(path: &Path) -> Result<String> {
+    from_bytes(path, regular_file::read(path, TEXT_GROWTH)?)
+}
+
+/// The text of the bytes of a file, without its byte-order mark.
+///
+/// # Errors
+/// [`Error::Input`] when it is in UTF-16.
+pub fn from_bytes(path: &Path, bytes: Vec<u8>) -> Result<String> {
+    if let Some((problem, remedy)) = sniff::utf16(&bytes) {
+        return Err(Error::input(path, problem, remedy));
+    }
+    let text = decoded(bytes);
+    Ok(text.strip_prefix(MARK).map(str::to_owned).unwrap_or(text))
+}
+
+/// UTF-8's byte-order mark, which Windows' editors write.
+pub(crate) const MARK: char = '\u{feff}';
+
+/// UTF-8, or Latin-1 where it is none: names from older systems.
+pub(crate) fn decoded(bytes: Vec<u8>) -> String {
+    String::from_utf8(bytes)
+        .unwrap_or_else(|error| error.as_bytes().iter().copied().map(char::from).collect())
+}
+
+/// What is said of a word that is no number: whether it has a decimal comma.
+pub(crate) fn not_a_number(word: &str) -> &'static str {
+    match word.replacen(',', ".", 1).parse::<f64>() {
+        Ok(_) => " (a decimal comma: write numbers with a point)",
+        Err(_) => "",
+    }
+}
