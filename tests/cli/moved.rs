@@ -75,6 +75,13 @@ fn a_far_data_set_trains_to_the_bits_of_one_at_the_origin() {
         serde_json::from_str::<serde_json::Value>(&results).expect("JSON")["ours_12"]["PSNR"].clone()
     };
     assert_eq!(measured(&far), measured(&near));
+    // Gaussians to begin with are brought into the data set's frame.
+    let begun = |place: &Place| {
+        let scene = place.model("model/point_cloud/iteration_12/point_cloud.ply");
+        assert_trained(&place.train("init", &[&OPTIONS[..], &["--init", text(&scene)]].concat()));
+        place.ply("init", 12)
+    };
+    assert!(without_origin(begun(&far)) == begun(&near), "other bits");
 
     // Resumed in the frame of the checkpoint, and not on a data set that lies elsewhere.
     let checkpoint = far.model("model/chkpnt6.safetensors");
@@ -145,4 +152,18 @@ fn blocks_of_a_far_data_set_share_its_origin() {
     [&near, &far].iter().for_each(|place| assert_trained(&merge(place, "merged.ply")));
     let merged = |place: &Place| std::fs::read(place.model("merged.ply")).expect("a PLY");
     assert!(without_origin(merged(&far)) == merged(&near), "other bits");
+}
+
+#[test]
+fn blocks_in_other_units_go_on_after_an_exchange() {
+    let place = moved(1e4, DVec3::ZERO);
+    assert_trained(&place.train("coarse", &["--iterations", "12", "--eval"]));
+    assert_trained(&partition(&place, "blocks.json", &["--max-gaussians", "300", "--rounds", "2"]));
+    let division = division(&place);
+    assert_eq!(division["unit"], 1e4);
+    let blocks = division["blocks"].as_array().expect("blocks").len() as u32;
+    (1..=blocks).for_each(|number| assert_trained(&job(&place, number, &[])));
+    assert_trained(&finish(program().args(["exchange", text(&place.model("blocks.json"))])));
+    // What lies around it is the scene that the exchange has written, to the bit.
+    assert_trained(&job(&place, 1, &["--start-checkpoint", "auto"]));
 }

@@ -10,6 +10,7 @@ use ashsplat_files::{
     Dataset, DatasetOptions, Gallery, Photo, PhotoFileFormat, Progress, Resolution, View, cameras_json,
 };
 use glam::{DVec3, Vec3};
+use serde_json::{Map, Value, json};
 
 /// Pictures of 20×12 from a circle of radius 3 around the origin; every picture has its own grey.
 fn write(folder: &Path, count: u32, points: usize) -> Vec<Camera> {
@@ -457,8 +458,10 @@ fn views_are_chosen_by_name() {
 fn write_moved(folder: &Path, scale: f64, offset: DVec3) {
     let intrinsics = Intrinsics { fx: 21.0, fy: 22.0, cx: 10.5, cy: 6.0, width: 20, height: 12 };
     let target = Vec3::new(0.3, -0.2, 0.1);
-    let (mut images, mut points) = (String::new(), String::new());
-    std::fs::create_dir_all(folder.join("images")).unwrap();
+    let (mut images, mut points, mut fits) = (String::new(), String::new(), Map::new());
+    ["images", "depths", "sparse/0"]
+        .iter()
+        .for_each(|name| std::fs::create_dir_all(folder.join(name)).unwrap());
     for i in 0..9 {
         let (sin, cos) = (0.7 * i as f32).sin_cos();
         let eye = 3.0 * Vec3::new(cos, 0.25, sin);
@@ -466,6 +469,9 @@ fn write_moved(folder: &Path, scale: f64, offset: DVec3) {
         let image = ColmapImage::posed(i + 1, 1, format!("{i}.png"), &camera);
         let [x, y, z] = (scale * DVec3::from_array(image.translation) - image.rotation() * offset).to_array();
         let [qw, qx, qy, qz] = image.quat;
+        let map = image::ImageBuffer::from_pixel(20, 12, image::Luma([30_000_u16]));
+        map.save(folder.join(format!("depths/{i}.png"))).unwrap();
+        fits.insert(i.to_string(), json!({ "scale": 0.5 / scale, "offset": 0.1 / scale }));
         // Each photo shows all points.
         images += &format!("{} {qw} {qx} {qy} {qz} {x} {y} {z} 1 {i}.png\n1 1 0 1 1 1 1 1 2\n", i + 1);
         let photo = Photo { width: 20, height: 12, rgb: vec![i as u8; 20 * 12 * 3] };
@@ -477,7 +483,7 @@ fn write_moved(folder: &Path, scale: f64, offset: DVec3) {
         let [x, y, z] = (scale * point.as_dvec3() + offset).to_array();
         points += &format!("{id} {x} {y} {z} 1 2 3 0.5\n");
     }
-    std::fs::create_dir_all(folder.join("sparse/0")).unwrap();
+    std::fs::write(folder.join("sparse/0/depth_params.json"), Value::Object(fits).to_string()).unwrap();
     for (part, text) in
         [("cameras", "1 PINHOLE 20 12 21 22 10.5 6"), ("images", &images), ("points3D", &points)]
     {
@@ -491,7 +497,8 @@ fn far_and_tiny_and_huge_data_sets_have_the_world_of_one_at_the_origin() {
     let loaded = |scale: f64, offset: DVec3| {
         let folder = tempfile::tempdir().unwrap();
         write_moved(folder.path(), scale, offset);
-        let mut gallery = Gallery::open(folder.path(), &DatasetOptions::default(), Progress::NONE).unwrap();
+        let options = DatasetOptions { depths: Some("depths".into()), ..DatasetOptions::default() };
+        let mut gallery = Gallery::open(folder.path(), &options, Progress::NONE).unwrap();
         gallery.read_tracks().unwrap();
         (
             gallery.load(Progress::NONE).unwrap(),
@@ -511,6 +518,8 @@ fn far_and_tiny_and_huge_data_sets_have_the_world_of_one_at_the_origin() {
         for (view, near) in moved.train.iter().zip(&near.train) {
             assert_eq!(view.camera, near.camera, "{scale} {offset}");
             assert_eq!(view.depth_points, near.depth_points, "{scale} {offset}");
+            let [there, here] = [near, view].map(|view| view.inverse_depth.as_ref().unwrap()[0]);
+            assert!((there - here).abs() < 1e-6 && there > 0.1, "{there} {here}");
         }
         let line = format!("frame     origin {} {} {}, unit {scale}", offset.x, offset.y, offset.z);
         assert!(report.to_string().contains(&line), "{report}");
@@ -529,4 +538,8 @@ fn far_and_tiny_and_huge_data_sets_have_the_world_of_one_at_the_origin() {
     let cameras = Dataset::cameras(folder.path(), &options).unwrap();
     let moved = cameras[3].camera.position() - near.train[3].camera.position();
     assert!(moved.abs_diff_eq(Vec3::X, 1e-5), "{moved}");
+    // That of a checkpoint which is older than frames.
+    let options = DatasetOptions { frame: Some(WorldFrame::default()), ..DatasetOptions::default() };
+    let gallery = Gallery::open(folder.path(), &options, Progress::NONE).unwrap();
+    assert!(gallery.warnings()[0].contains("single precision rounds"), "{:?}", gallery.warnings());
 }

@@ -505,3 +505,34 @@ fn absurd_cameras_are_refused_or_named() {
     write(json!({ "fl_x": 21.0 }), moved(100.0));
     assert!(!stray(&load(folder.path(), &DatasetOptions::default())));
 }
+
+#[test]
+fn far_frames_and_points_keep_their_places() {
+    let loaded = |offset: [f64; 3]| {
+        let folder = tempfile::tempdir().unwrap();
+        let mut list = frames(folder.path(), "images", 0..6, ".png");
+        for frame in &mut list {
+            for (axis, offset) in offset.iter().enumerate() {
+                let value = &mut frame["transform_matrix"][axis][3];
+                *value = (value.as_f64().unwrap() + offset).into();
+            }
+        }
+        let point = [0.25, -0.5, 0.125].iter().zip(offset).map(|(v, offset)| (v + offset).to_string());
+        let point = point.collect::<Vec<_>>().join(" ");
+        let header = "ply\nformat ascii 1.0\nelement vertex 1\nproperty double x\nproperty double y\nproperty double z\n";
+        std::fs::write(folder.path().join("a.ply"), format!("{header}end_header\n{point}\n")).unwrap();
+        let document = json!({ "camera_angle_x": angle(), "ply_file_path": "a.ply", "frames": list });
+        write_json(&folder.path().join("transforms.json"), &document);
+        load(folder.path(), &DatasetOptions::default())
+    };
+    let (near, far) = (loaded([0.0; 3]), loaded([500_000.0, 5_000_000.0, 120.0]));
+    assert!(near.frame.is_identity() && far.frame.origin.y == 5e6);
+    assert_eq!(far.points, near.points);
+    for (far, near) in far.train.iter().zip(&near.train) {
+        assert!(
+            far.camera.translation.abs_diff_eq(near.camera.translation, 1e-6),
+            "{}",
+            far.camera.translation
+        );
+    }
+}

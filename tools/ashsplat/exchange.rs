@@ -160,7 +160,7 @@ impl<'a> Exchange<'a> {
         Ok(())
     }
 
-    /// Reads all checkpoints, and writes the scene that all blocks are.
+    /// Reads all checkpoints, and writes the scene that all blocks are; as it is read again.
     fn gather(&self) -> Result<Gaussians> {
         let file = self.file;
         let blocks = &file.division.blocks;
@@ -188,9 +188,13 @@ impl<'a> Exchange<'a> {
         }
         bar.finish_and_clear();
         let marks = first.map(|settings| WriteOptions::marking(&settings.render_settings()));
-        let options = WriteOptions { frame: file.division.frame(), ..marks.unwrap_or_default() };
-        splats::write(file.exchanged_scene(self.round), &scene, &options)?;
-        Ok(scene)
+        let (path, frame) = (file.exchanged_scene(self.round), file.division.frame());
+        let options = WriteOptions { frame, ..marks.unwrap_or_default() };
+        splats::write(&path, &scene, &options)?;
+        // As trainings will read it: in source units it is rounded.
+        let mut scene = splats::read(&path, &self.arguments.host.reading(false))?;
+        scene.express_in(&frame);
+        Ok(scene.gaussians)
     }
 
     /// Writes what a block goes on from. How many of its Gaussians are its own and its neighbours'.

@@ -17,23 +17,42 @@ const NEAR_SHARE: usize = 20;
 /// depths are too small for the losses that compare them.
 const KEPT: std::ops::Range<f64> = NEAR_PLANE as f64..1000.0;
 
+/// Distance from a frame's origin, in radii of the data set, at which single precision resolves a 16,000th of the radius.
+const FAR: f64 = 1000.0;
+
 /// The frame of a data set: its origin is that of points and cameras, and its unit puts the near points between 1 and 10.
 ///
 /// Without points in view, the median distance of the cameras from their middle takes the place of the near points' depth.
 pub(super) fn frame_of(views: &[&PlannedView], points: &SourcePoints) -> WorldFrame {
-    let sample = |count: usize, most: usize| count.div_ceil(most).max(1);
-    let points: Vec<DVec3> = points.positions.iter().copied().step_by(sample(points.len(), SAMPLE)).collect();
-    let centers: Vec<DVec3> = views.iter().map(|view| view.source_position()).collect();
-    let all: Vec<DVec3> = points.iter().chain(&centers).copied().collect();
     let mut depths: Vec<f64> = Vec::new();
-    for view in views.iter().step_by(sample(views.len(), VIEWS)) {
-        depths.extend(points.iter().filter_map(|&point| view.depth_of(point)));
+    for view in views.iter().step_by(views.len().div_ceil(VIEWS).max(1)) {
+        depths.extend(sample(points).filter_map(|point| view.depth_of(point)));
     }
     let near = match depths.len() / NEAR_SHARE {
-        0 => median_ball(&centers).map_or(0.0, |(_, radius)| radius),
+        0 => median_ball(&centers(views)).map_or(0.0, |(_, radius)| radius),
         rank => *depths.select_nth_unstable_by(rank, f64::total_cmp).1,
     };
     let decade = 10f64.powi(near.log10().floor() as i32);
     let keeps = KEPT.contains(&near) || !(decade > 0.0 && decade.is_finite());
-    WorldFrame { unit: if keeps { 1.0 } else { decade }, ..WorldFrame::around(&all) }
+    WorldFrame { unit: if keeps { 1.0 } else { decade }, ..WorldFrame::around(&all(views, points)) }
+}
+
+/// Whether single precision rounds a data set in a frame that was not chosen for it: that of a checkpoint which is older than
+/// frames, or of a scene elsewhere.
+pub(super) fn is_far(views: &[&PlannedView], points: &SourcePoints, frame: &WorldFrame) -> bool {
+    median_ball(&all(views, points))
+        .is_some_and(|(center, radius)| center.distance(frame.origin) > FAR * radius)
+}
+
+fn sample(points: &SourcePoints) -> impl Iterator<Item = DVec3> {
+    points.positions.iter().copied().step_by(points.len().div_ceil(SAMPLE).max(1))
+}
+
+fn centers(views: &[&PlannedView]) -> Vec<DVec3> {
+    views.iter().map(|view| view.source_position()).collect()
+}
+
+/// Some of the points, and all cameras.
+fn all(views: &[&PlannedView], points: &SourcePoints) -> Vec<DVec3> {
+    sample(points).chain(centers(views)).collect()
 }

@@ -7,7 +7,7 @@ use glam::{DVec3, Vec3};
 
 use super::exif_orientation::Turned;
 use super::mask::mask_in_folder;
-use super::own_frame::frame_of;
+use super::own_frame::{frame_of, is_far};
 use super::planned_view::PlannedView;
 use super::{DatasetOptions, doubtful_lens, lens_note, photo_folder, photo_sizes, scaling};
 use crate::colmap::{self, ColmapImage, Model};
@@ -90,6 +90,14 @@ impl Plan {
     fn settle_frame(&mut self, given: Option<WorldFrame>, points: SourcePoints) {
         let views: Vec<&PlannedView> = self.views.iter().flatten().collect();
         self.frame = given.unwrap_or_else(|| frame_of(&views, &points));
+        if is_far(&views, &points, &self.frame) {
+            self.warnings.push(format!(
+                "{}: the data set lies far from the origin of the scene or checkpoint that it is used with ({}), so that single \
+                 precision rounds its cameras",
+                self.list.display(),
+                self.frame.origin
+            ));
+        }
         self.views.iter_mut().flatten().for_each(|view| view.frame = self.frame);
         self.points = points.in_frame(&self.frame);
     }
