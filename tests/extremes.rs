@@ -192,7 +192,7 @@ fn extremes_in_files_are_refused_or_give_finite_pictures() {
             let place = format!("{name} {value:e} in {format}");
             let path = folder.path().join(format!("scene{}", format.extension()));
             let written = splats::write(&path, &scene, &WriteOptions::default());
-            let read = written.and_then(|()| splats::read(&path, &ReadOptions::default()));
+            let read = written.and_then(|_| splats::read(&path, &ReadOptions::default()));
             let scene = match read {
                 Ok(read) => read.gaussians,
                 Err(error) => {

@@ -13,6 +13,7 @@ use ashsplat::scene::camera::Camera;
 use ashsplat::scene::gaussians::{Gaussians, MAX_SH_DEGREE, sh_coefficients};
 use ashsplat::scene::points::{Bounds, PointCloud};
 use ashsplat::scene::sh::rgb_to_sh_dc;
+use ashsplat::scene::without_strays;
 use ashsplat::{Error, Result};
 
 /// Number of random points that replace a missing point cloud (reference implementation).
@@ -130,8 +131,9 @@ const SEEN_SHARE: f32 = 0.9;
 
 /// The cube that cameras around a scene look at. Its middle is the point nearest to all their axes, and its
 /// half edge a little less than what the typical camera sees to each side of it there. `None` if they do not
-/// look at one place: the middle is behind some of them, or it is no nearer than the cameras are spread.
+/// look at one place: the middle is behind more than a tenth of them, or their axes are parallel. Strays are left out.
 pub fn seen_box(cameras: &[Camera]) -> Option<Bounds> {
+    let cameras = &without_strays(cameras, Camera::position);
     let mut across = DMat3::ZERO;
     let mut sum = DVec3::ZERO;
     for camera in cameras {
@@ -150,10 +152,13 @@ pub fn seen_box(cameras: &[Camera]) -> Option<Bounds> {
     for camera in cameras {
         let depth = camera.forward().dot(center - camera.position());
         if depth <= 0.0 {
-            return None;
+            continue;
         }
         let half = (0.5 * camera.width as f32 / camera.fx).min(0.5 * camera.height as f32 / camera.fy);
         half_edges.push(depth * half);
+    }
+    if 10 * half_edges.len() < 9 * cameras.len() {
+        return None;
     }
     half_edges.sort_unstable_by(f32::total_cmp);
     let half_edge = SEEN_SHARE * *half_edges.get(half_edges.len() / 2)?;

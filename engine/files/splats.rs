@@ -14,6 +14,7 @@ mod gltf_packed;
 mod gltf_write;
 mod merge;
 mod origin_file;
+mod packing_loss;
 mod spz;
 mod spz_pack;
 mod spz_write;
@@ -35,6 +36,7 @@ pub use format::Format;
 pub(crate) use gltf::{EXTENSION, PACKED_EXTENSION};
 pub use merge::{Merged, Part, merge};
 pub(crate) use origin_file::FARTHEST;
+use packing_loss::PackingLoss;
 pub(super) use stream::{
     BLOCK, Outline, Produce, Reader, Sink, Source, in_blocks, in_source_units, is_kernel_size, row_bytes,
 };
@@ -58,13 +60,18 @@ pub fn header(path: impl AsRef<Path>, options: &ReadOptions) -> Result<Header> {
     Ok(open(path.as_ref(), options)?.header().clone())
 }
 
-/// Writes Gaussians in the format of the path's extension, or in a given one.
+/// Writes Gaussians in the format of the path's extension, or in a given one. Returns a line about what the format cannot hold,
+/// if that shows: positions' steps, sizes, colours.
 ///
 /// # Errors
 /// [`ashsplat::Error::Argument`] when the vectors do not fit together, and for an SPZ version that the format does not have; [`ashsplat::Error::Input`] for an unknown extension or for
 /// data that the format cannot hold; [`ashsplat::Error::Io`] naming the file when it cannot be written. No partial file
 /// remains.
-pub fn write(path: impl AsRef<Path>, gaussians: &Gaussians, options: &WriteOptions) -> Result<()> {
+pub fn write(
+    path: impl AsRef<Path>,
+    gaussians: &Gaussians,
+    options: &WriteOptions,
+) -> Result<Option<String>> {
     gaussians.check_shapes()?;
     let path = path.as_ref();
     let format = match options.format {
@@ -82,7 +89,8 @@ pub fn write(path: impl AsRef<Path>, gaussians: &Gaussians, options: &WriteOptio
 }
 
 /// As [`write()`], of the Gaussians that a cut leaves, in their order, with spherical harmonics up to a degree; needs the
-/// memory of a block besides. Returns how many were written. The file has the bytes of the one that [`convert()`] makes.
+/// memory of a block besides. Returns how many were written, and the
+/// line of [`write()`]. The file has the bytes of the one that [`convert()`] makes.
 ///
 /// # Errors
 /// As [`write()`]; [`ashsplat::Error::Argument`] for a cut that makes no sense; [`ashsplat::Error::Input`] for parameters that [`read`] refuses.
@@ -91,7 +99,7 @@ pub fn write_cut(
     gaussians: &Gaussians,
     (cut, sh_degree): (&Cut, u32),
     options: &WriteOptions,
-) -> Result<u64> {
+) -> Result<(u64, Option<String>)> {
     gaussians.check_shapes()?;
     let path = path.as_ref();
     let format = match options.format {
@@ -110,10 +118,38 @@ pub fn write_cut(
     }));
     let bounds = in_source_units(bounds, &options.frame);
     let outline = Outline { count, sh_degree, bounds, ..Outline::of(gaussians, options) };
-    write_readable(path, (format, options.spz_version), &outline, &mut |sink| {
+    let loss = write_readable(path, (format, options.spz_version), &outline, &mut |sink| {
         in_blocks(gaussians, &mut |block| sink(changed(block, sh_degree, cut, &to_source)))
     })?;
-    Ok(count)
+    Ok((count, loss))
+}
+
+/// What a file of [`write_cut()`] in a format does not hold of the Gaussians, one line each.
+///
+/// # Errors
+/// As [`write_cut()`], but for the file.
+pub fn cut_losses(
+    format: Format,
+    gaussians: &Gaussians,
+    (cut, sh_degree): (&Cut, u32),
+    options: &WriteOptions,
+) -> Result<Vec<String>> {
+    gaussians.check_shapes()?;
+    cut.check()?;
+    let sh_degree = sh_degree.min(gaussians.sh_degree);
+    let mut losses = format.losses(sh_degree, (options.antialiased, options.kernel_size));
+    if let Some(mut loss) = PackingLoss::of(format, options.spz_version) {
+        let to_source = Similarity { scale: options.frame.unit, ..Default::default() };
+        let mut outline = Outline { bounds: None, ..Outline::of(gaussians, options) };
+        in_blocks(gaussians, &mut |block| {
+            let block = changed(block, sh_degree, cut, &to_source);
+            outline.bounds = convert::around(outline.bounds, block.bounds());
+            loss.add(&block);
+            Ok(())
+        })?;
+        losses.extend(loss.line(format, &outline));
+    }
+    Ok(losses)
 }
 
 /// How to write Gaussians.
@@ -162,7 +198,7 @@ fn write_readable(
     format: (Format, Option<u32>),
     outline: &Outline,
     produce: &mut Produce<'_>,
-) -> Result<()> {
+) -> Result<Option<String>> {
     write_blocks(path, format, outline, &mut |sink| {
         produce(&mut |block| {
             validation::check_readable(path, &block)?;
@@ -171,13 +207,21 @@ fn write_readable(
     })
 }
 
+/// Writes a file of any format. Returns a line about what the format cannot hold.
 fn write_blocks(
     path: &Path,
     (format, spz_version): (Format, Option<u32>),
     outline: &Outline,
     produce: &mut Produce<'_>,
-) -> Result<()> {
+) -> Result<Option<String>> {
     check_spz_version(format, spz_version)?;
+    let mut loss = PackingLoss::of(format, spz_version);
+    let produce: &mut Produce<'_> = &mut |sink| {
+        produce(&mut |block| {
+            loss.iter_mut().for_each(|loss| loss.add(&block));
+            sink(block)
+        })
+    };
     let written = match format {
         Format::Spz if spz_version == Some(2) => spz_write::write_old(path, outline, produce),
         Format::Glb if spz_version == Some(2) => gltf_packed::write(path, outline, produce),
@@ -190,7 +234,8 @@ fn write_blocks(
     match written {
         Ok(()) if format.has_origin_file() => origin_file::write(path, outline.frame.origin),
         written => written,
-    }
+    }?;
+    Ok(loss.and_then(|loss| loss.line(format, outline)))
 }
 
 /// Opens a file of any format.

@@ -108,12 +108,17 @@ pub fn write(
         measure,
         progress,
         done: Tiling::default(),
+        loss: None,
     };
     let steps = steps(&rows.means, &writer.spill.cells, options.most)?;
     writer.done = Tiling { gaussians: rows.means.len() as u64, warnings: rows.warnings, ..Tiling::default() };
     let root = writer.write(&steps)?.ok_or_else(|| Error::argument("tiles", "there are none"))?;
     document::write(&unfinished.path().join(TILESET_FILE), &root, rows.origin, options.packed)?;
-    let done = Tiling { levels: root.levels, ..writer.done };
+    let mut done = Tiling { levels: root.levels, ..writer.done };
+    done.warnings.extend(writer.loss.map(|(line, others)| match others {
+        0 => line,
+        others => format!("{line}; the same for {others} other tiles"),
+    }));
     fs::remove_dir(unfinished.path().join(ROWS)).map_err(|e| Error::io(folder, "write", e))?;
     let whole = unfinished.keep();
     let renamed = if is_empty(folder) { fs::remove_dir(folder) } else { Ok(()) };
@@ -283,6 +288,8 @@ struct TileWriter<'a, 'm> {
     measure: &'a mut Measure<'m>,
     progress: &'a Progress<'a>,
     done: Tiling,
+    /// The first line about a tile whose format cannot hold it, and how many others have one.
+    loss: Option<(String, usize)>,
 }
 
 /// A tile that is written.
@@ -339,13 +346,18 @@ impl TileWriter<'_, '_> {
             frame: WorldFrame::default(),
         };
         let all = (&Cut::default(), gaussians.sh_degree);
-        splats::write_cut(self.folder.join(&name), &gaussians, all, &write).map_err(|e| match e {
+        let written = splats::write_cut(self.folder.join(&name), &gaussians, all, &write);
+        let (_, loss) = written.map_err(|e| match e {
             // The folder has another name yet, and what is wrong is the scene's.
             Error::Input { problem, remedy, .. } => {
                 Error::input(self.input, format!("{name}: {problem}"), remedy)
             }
             other => other,
         })?;
+        match &mut self.loss {
+            Some((_, others)) => *others += usize::from(loss.is_some()),
+            first => *first = loss.map(|line| (format!("{name}: {line}"), 0)),
+        }
         self.done.tiles += 1;
         self.done.leaves += usize::from(children.is_empty());
         self.done.written += gaussians.len() as u64;

@@ -3,6 +3,7 @@
 use glam::{DMat3, DQuat, DVec3, Mat3, Vec3};
 
 use super::PicturePart;
+use super::strays::without_strays;
 use crate::{Error, Result};
 
 /// Largest accepted width or height of an image, pixels. It is JPEG's own limit; a larger value means a
@@ -310,17 +311,22 @@ pub(super) fn is_rotation(r: Mat3) -> bool {
         & (x.cross(y).dot(z) > 0.0)
 }
 
-/// The mean of the cameras' positions, world; None without any.
+/// The mean of the cameras' positions but for [`strays`](super::strays()), world; None without any.
 pub fn middle(positions: impl Iterator<Item = Vec3>) -> Option<DVec3> {
-    let (sum, count) = positions.fold((DVec3::ZERO, 0.0), |(s, n), p| (s + p.as_dvec3(), n + 1.0));
+    mean(&without_strays(&positions.collect::<Vec<_>>(), |position| *position))
+}
+
+fn mean(positions: &[Vec3]) -> Option<DVec3> {
+    let (sum, count) = positions.iter().fold((DVec3::ZERO, 0.0), |(s, n), p| (s + p.as_dvec3(), n + 1.0));
     (count > 0.0).then(|| sum / count)
 }
 
 /// Scene extent: 1.1 × the largest distance of a camera to the cameras' mean, world units; 0 for no or one
 /// camera. Scales the learning rate of the positions and densification (reference implementation,
-/// `getNerfppNorm`).
-pub fn scene_extent(positions: impl Iterator<Item = Vec3> + Clone) -> f32 {
-    let Some(mean) = middle(positions.clone()) else { return 0.0 };
-    let largest = positions.map(|p| p.as_dvec3().distance(mean)).fold(0.0, f64::max);
+/// `getNerfppNorm`). [`strays`](super::strays()) are left out.
+pub fn scene_extent(positions: impl Iterator<Item = Vec3>) -> f32 {
+    let positions = without_strays(&positions.collect::<Vec<_>>(), |position| *position);
+    let Some(mean) = mean(&positions) else { return 0.0 };
+    let largest = positions.iter().map(|p| p.as_dvec3().distance(mean)).fold(0.0, f64::max);
     (1.1 * largest) as f32
 }

@@ -3,6 +3,7 @@
 use glam::{DMat3, DVec3, Vec3};
 
 use super::camera::{Camera, Intrinsics};
+use super::strays::without_strays;
 
 /// Steps of the iteration for the vertical; each gains three digits and more unless axes are nearly parallel.
 const INVERSE_ITERATIONS: u32 = 8;
@@ -43,7 +44,8 @@ impl Orbit {
     }
 
     /// An orbit that resembles existing cameras: their mean height above the point they look at, their mean
-    /// distance to it, the direction across their horizontal axes as up. `None` without cameras.
+    /// distance to it, the direction across their horizontal axes as up. `None` without cameras. [`strays`](super::strays()) are left
+    /// out.
     ///
     /// The centre is the point nearest to all optical axes (least squares). Parallel axes have no such point:
     /// the centre is then one world unit ahead of the cameras, see [`Orbit::around_scene`].
@@ -59,6 +61,7 @@ impl Orbit {
         count: u32,
         intrinsics: Intrinsics,
     ) -> Option<Self> {
+        let cameras = &without_strays(cameras, Camera::position)[..];
         if cameras.is_empty() {
             return None;
         }

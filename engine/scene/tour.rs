@@ -2,6 +2,7 @@
 
 use super::camera::{Camera, Intrinsics};
 use super::orbit::{Orbit, level_up, nearest_to_axes};
+use super::strays::without_strays;
 use glam::{DMat3, DQuat, DVec3};
 use std::f64::consts::{PI, TAU};
 
@@ -39,10 +40,10 @@ pub enum Motion {
 }
 
 impl Motion {
-    /// The motion that suits these cameras: an orbit if they surround one place, an arc if they look at it from
+    /// The motion that suits these cameras, but for [`strays`](super::strays()): an orbit if they surround one place, an arc if they look at it from
     /// one side, else a path.
     pub fn of(cameras: &[Camera]) -> Self {
-        match Ring::of(cameras) {
+        match Ring::of(&without_strays(cameras, Camera::position)) {
             Some(ring) if ring.inward >= INWARD_SHARE && ring.span >= TAU - WIDEST_GAP => Self::Orbit,
             Some(ring) if ring.inward >= INWARD_SHARE => Self::Arc,
             _ => Self::Path,
@@ -54,6 +55,7 @@ impl Motion {
     pub fn cameras(self, seen: &[Camera], count: u32, looped: bool, intrinsics: Intrinsics) -> Vec<Camera> {
         let every = seen.len().div_ceil(MOST_CAMERAS).max(1);
         let thinned: Vec<Camera> = seen.iter().step_by(every).copied().collect();
+        let thinned = without_strays(&thinned, Camera::position);
         let along = (0..count).map(|i| match (looped && self == Self::Arc, count) {
             // The first frame is what a film is known by.
             (true, _) => 0.5 + 0.5 * (TAU * f64::from(i) / f64::from(count)).sin(),

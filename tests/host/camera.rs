@@ -1,7 +1,8 @@
 //! Cameras: poses, sizes, checks, orbits.
 
-use ashsplat::scene::{Camera, Intrinsics, Orbit, WorldFrame, scene_extent};
+use ashsplat::scene::{Camera, Intrinsics, Motion, Orbit, WorldFrame, scene_extent, strays};
 use ashsplat_files::cameras_json;
+use ashsplat_files::init::seen_box;
 use glam::{DVec3, Mat3, Quat, Vec3};
 
 use super::files::names;
@@ -107,6 +108,46 @@ fn extent() {
     assert_eq!(scene_extent([Vec3::ONE].into_iter()), 0.0);
     let positions = [Vec3::ZERO, Vec3::X * 2.0, Vec3::X, Vec3::X];
     assert!((scene_extent(positions.into_iter()) - 1.1).abs() < 1e-6);
+}
+
+/// A camera that stands far away alone decides nothing. A far block, a corridor and a wall of cameras do.
+#[test]
+fn strays_decide_nothing() {
+    let camera = |eye: Vec3| Camera::look_at(eye, Vec3::ZERO, Vec3::NEG_Y, intrinsics());
+    let ring: Vec<Vec3> = (0..40)
+        .map(|i| f32::to_radians(9.0 * i as f32))
+        .map(|angle| Vec3::new(4.0 * angle.cos(), -1.0, 4.0 * angle.sin()))
+        .collect();
+    let cameras = |eyes: &[Vec3]| eyes.iter().map(|&eye| camera(eye)).collect::<Vec<_>>();
+    for (times, moved) in [(30.0, &[5][..]), (400.0, &[5]), (1e6, &[5, 6]), (50.0, &[0, 20, 21])] {
+        let (mut with, mut without) = (ring.clone(), ring.clone());
+        for &index in moved.iter().rev() {
+            with[index] *= times;
+            without.remove(index);
+        }
+        let found: Vec<usize> = (0..40).filter(|&index| strays(&with)[index].is_some()).collect();
+        assert_eq!(found, moved);
+        assert_eq!(scene_extent(with.iter().copied()), scene_extent(without.iter().copied()));
+        let [with, without] = [with, without].map(|eyes| cameras(&eyes));
+        assert_eq!(Orbit::around(&with, 8, intrinsics()), Orbit::around(&without, 8, intrinsics()));
+        assert_eq!((Motion::of(&with), seen_box(&with)), (Motion::Orbit, seen_box(&without)));
+    }
+    let corridor: Vec<Vec3> = (0..60).map(|i| Vec3::new(i as f32, 0.0, 0.0)).collect();
+    let wall: Vec<Vec3> = (0..9).map(|i| Vec3::new(0.1 * i as f32, 0.0, -5.0)).collect();
+    let block = |at: f32| (0..100).map(move |i| Vec3::new(at + (i % 10) as f32, 0.0, (i / 10) as f32));
+    let city: Vec<Vec3> = block(0.0).chain(block(1000.0).take(4)).collect();
+    let halves: Vec<Vec3> = block(0.0).chain(block(1e4)).collect();
+    let still: Vec<Vec3> = [Vec3::ZERO; 30].into_iter().chain(corridor[1..20].iter().copied()).collect();
+    for eyes in [corridor, wall, city, halves, still, ring[..4].to_vec(), vec![Vec3::ZERO, Vec3::ONE]] {
+        assert!(strays(&eyes).iter().all(Option::is_none), "{eyes:?}");
+        let mean = eyes.iter().map(|eye| eye.as_dvec3()).sum::<DVec3>() / eyes.len() as f64;
+        let largest = eyes.iter().map(|eye| eye.as_dvec3().distance(mean)).fold(0.0, f64::max);
+        assert_eq!(scene_extent(eyes.iter().copied()), (1.1 * largest) as f32);
+    }
+    // One that looks away does not hide from all others where the scene is.
+    let mut cameras = cameras(&ring);
+    cameras[3] = Camera::look_at(ring[3], 2.0 * ring[3], Vec3::NEG_Y, intrinsics());
+    assert!(seen_box(&cameras).is_some());
 }
 
 #[test]

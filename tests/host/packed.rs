@@ -34,7 +34,7 @@ fn spz_2_comes_back() {
         let mut head = [0; 16];
         flate2::read::GzDecoder::new(std::fs::File::open(&path).unwrap()).read_exact(&mut head).unwrap();
         assert_eq!(head[..8], [b'N', b'G', b'S', b'P', 2, 0, 0, 0]);
-        assert_eq!((&head[8..10], &head[12..]), (&[188, 2][..], &[degree as u8, 12, 1, 0][..]));
+        assert_eq!((&head[8..10], &head[12..]), (&[188, 2][..], &[degree as u8, 19, 1, 0][..]));
         let back = read(&path).unwrap();
         assert!(back.header.antialiased);
         assert_close(&back.gaussians, &expected, &tolerance_of_2());

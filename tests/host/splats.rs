@@ -167,7 +167,7 @@ fn a_cut_scene_is_written_as_a_conversion_writes_it() {
         let options = ConvertOptions { sh_degree: Some(2), cut, ..Default::default() };
         let done = splats::convert(&input, &converted, &options).unwrap();
         let antialiased = WriteOptions { antialiased: true, ..Default::default() };
-        let count = splats::write_cut(&written, &original, (&cut, 2), &antialiased).unwrap();
+        let (count, _) = splats::write_cut(&written, &original, (&cut, 2), &antialiased).unwrap();
         assert!(count > 1000 && count < 39_000 && count == done.written, "{format}: {count}");
         assert!(std::fs::read(&converted).unwrap() == std::fs::read(&written).unwrap(), "{format}");
     }
@@ -432,6 +432,69 @@ fn spz_holds_far_away_gaussians() {
     splats::write(&path, &expected, &WriteOptions::default()).unwrap();
     let actual = splats::read(&path, &KEEP).unwrap().gaussians;
     assert_close(&actual, &expected, &Tolerance { mean: 0.5 / 32.0, ..tolerance(Format::Spz) });
+}
+
+/// Outliers in position and colour have chunks of their own: the others keep their precision, and the file its count.
+#[test]
+fn outliers_do_not_coarsen_compressed_ply() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("scene.compressed.ply");
+    let plain = scene(700, 1);
+    splats::write(&path, &plain, &WriteOptions::default()).unwrap();
+    let bytes = std::fs::metadata(&path).unwrap().len();
+    let mut odd = plain.clone();
+    odd.means[3] = [2e5, 1.0, 0.0];
+    odd.means[4] = [-3e3, 0.0, 7.0];
+    odd.sh[350 * 4] = [800.0, 0.0, 0.0];
+    splats::write(&path, &odd, &WriteOptions::default()).unwrap();
+    assert!(std::fs::metadata(&path).unwrap().len() > bytes, "padded");
+    let read = splats::read(&path, &KEEP).unwrap();
+    assert_eq!((read.header.count, read.gaussians.len()), (700, 700));
+    let actual = in_order_of(&odd, &read.gaussians);
+    let others: Vec<usize> = (0..odd.len()).filter(|&index| odd.means[index] == plain.means[index]).collect();
+    assert_eq!(others.len(), 698);
+    let others: Vec<usize> = others.into_iter().filter(|&index| odd.sh_of(index)[0][0] < 100.0).collect();
+    assert_close(&actual.select(&others), &odd.select(&others), &tolerance(Format::CompressedPly));
+    assert!((actual.means[3][0] - 2e5).abs() < 1.0 && (actual.means[4][0] + 3e3).abs() < 1.0);
+    // Without the outliers, another conversion has no padding.
+    let converted = folder.path().join("scene.ply");
+    assert_eq!(splats::convert(&path, &converted, &ConvertOptions::default()).unwrap().written, 700);
+}
+
+/// SPZ has the bits that the scene leaves, and one line says what it cannot hold.
+#[test]
+fn spz_goes_by_the_size_of_the_scene() {
+    let folder = tempfile::tempdir().unwrap();
+    let place = |name: &str| folder.path().join(name);
+    let lines = |scene: &Gaussians, format: Format| {
+        splats::write(place("scene.ply"), scene, &WriteOptions::default()).unwrap();
+        let output = place(&format!("scene{}", format.extension()));
+        let done = splats::convert(&place("scene.ply"), &output, &ConvertOptions::default()).unwrap();
+        let every = (&Cut::default(), 3);
+        let losses = splats::cut_losses(format, scene, every, &WriteOptions::default()).unwrap();
+        assert_eq!(done.warnings, losses);
+        losses
+    };
+    let mut small = scene(300, 0);
+    small.transform(&Similarity { scale: 1e-3, ..Default::default() });
+    let told = lines(&small, Format::Spz);
+    assert!(told.len() == 1 && told[0].contains("are beyond 0.000045 to 379 and are cut"), "{told:?}");
+    let actual = splats::read(place("scene.spz"), &KEEP).unwrap().gaussians;
+    for (mean, expected) in actual.means.iter().zip(&small.means) {
+        assert!((0..3).all(|axis| (mean[axis] - expected[axis]).abs() < 1e-6), "{mean:?}, not {expected:?}");
+    }
+    let mut far = scene(300, 0);
+    assert_eq!(lines(&far, Format::Spz), [""; 0]);
+    far.means[7] = [0.0, 6e6, 0.0];
+    let told = lines(&far, Format::Spz);
+    assert!(
+        told.len() == 1 && told[0].contains("rounded to steps of 1.0, because one lies at 6000000 "),
+        "{told:?}"
+    );
+    far.log_scales[7] = [21.0; 3];
+    let told = lines(&far, Format::CompressedPly);
+    assert!(told.len() == 1 && told[0].contains("sizes of 1 of 300 Gaussians"), "{told:?}");
+    assert_eq!(lines(&far, Format::Glb), [""; 0]);
 }
 
 fn message(path: &Path) -> String {

@@ -209,6 +209,13 @@ fn tiles_that_fail_leave_nothing() {
     let told =
         tiles::write(&input, &folder, &packed, &KEEP, &mut measure, &Progress::NONE).unwrap_err().to_string();
     assert!(told.contains("scene.ply: ") && told.contains("too far out for SPZ"), "{told}");
+    // Coarse, which one line says.
+    far.means[3] = [6e6, 0.0, 0.0];
+    splats::write(&input, &far, &WriteOptions::default()).unwrap();
+    let coarse = place.folder("coarse");
+    let done = tiles::write(&input, &coarse, &packed, &KEEP, &mut measure, &Progress::NONE).unwrap();
+    assert!(done.warnings.len() == 1 && done.warnings[0].contains("rounded to steps of 1.0"), "{done:?}");
+    fs::remove_dir_all(coarse).unwrap();
     assert_eq!(place.names(), ["scene.ply"]);
     // A folder with something in it stays as it is.
     fs::create_dir(&folder).unwrap();

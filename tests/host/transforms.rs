@@ -500,9 +500,11 @@ fn absurd_cameras_are_refused_or_named() {
         assert!(message.contains(what), "{message}");
     }
     write(json!({ "fl_x": 21.0 }), moved(1e5));
-    let stray = |dataset: &Dataset| dataset.warnings.iter().any(|w| w.contains("images/r_2.png for example"));
+    let stray = |dataset: &Dataset| {
+        dataset.warnings.iter().any(|w| w.contains("the camera of images/r_2.png lies at"))
+    };
     assert!(stray(&load(folder.path(), &DatasetOptions::default())));
-    write(json!({ "fl_x": 21.0 }), moved(100.0));
+    write(json!({ "fl_x": 21.0 }), moved(6.0));
     assert!(!stray(&load(folder.path(), &DatasetOptions::default())));
 }
 

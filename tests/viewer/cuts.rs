@@ -73,7 +73,11 @@ fn viewer_cuts_as_convert_does() {
                 let left = read(&converted);
                 let (code, head, body) = server.get(&format!("/count?{address}"), &[]);
                 let counts: Value = serde_json::from_slice(&body).expect("JSON");
-                assert_eq!((code, counts), (200, json!({ "kept": left.len(), "of": COUNT })), "{head}");
+                assert_eq!(
+                    (code, counts),
+                    (200, json!({ "kept": left.len(), "of": COUNT, "losses": [] })),
+                    "{head}"
+                );
                 assert!(shown.rgb() == picture(&left, &camera), "{options}");
                 sizes.push(left.len());
             }

@@ -26,7 +26,7 @@ pub unsafe extern "C" fn ashsplat_trainer_save(
             splats::Format::Ply if !filters.is_empty() => {
                 ply::write_filtered(path, &trainer.gaussians()?, &filters, &options)
             }
-            _ => splats::write(path, &trainer.baked_gaussians()?, &options),
+            _ => splats::write(path, &trainer.baked_gaussians()?, &options).map(drop),
         }
     })
 }

@@ -15,11 +15,8 @@ use crate::images::header;
 use crate::names::{Finder, ending, plain, stays_inside};
 use crate::transforms::{self, Frame, Transforms};
 use ashsplat::scene::lens::Lens;
-use ashsplat::scene::{Camera, Intrinsics, PointCloud, SourcePoints, WorldFrame};
+use ashsplat::scene::{Camera, Intrinsics, PointCloud, SourcePoints, WorldFrame, strays};
 use ashsplat::{Error, Result};
-
-/// A camera is a stray if its distance from the middle is this many times the median.
-const STRAY: f32 = 1000.0;
 
 /// Lenses and the pinholes in their place, by what is printed of them: every number differently if it differs.
 type Lenses = BTreeMap<String, (Lens, Option<Intrinsics>)>;
@@ -102,25 +99,18 @@ impl Plan {
         self.points = points.in_frame(&self.frame);
     }
 
-    /// Warns of cameras that are so far from the others that they must be mistakes.
+    /// Names the cameras that the scene extent leaves out.
     fn warn_of_strays(&mut self) {
-        let views: Vec<&PlannedView> = self.views.iter().filter_map(|view| view.as_ref().ok()).collect();
+        let views: Vec<&PlannedView> = self.views.iter().flatten().collect();
         let positions: Vec<Vec3> = views.iter().map(|view| view.camera().position()).collect();
-        let median = |mut values: Vec<f32>| {
-            values.sort_unstable_by(f32::total_cmp);
-            values.get(values.len() / 2).copied().unwrap_or_default()
-        };
-        let axis = |axis: usize| median(positions.iter().map(|p| p[axis]).collect());
-        let center = Vec3::new(axis(0), axis(1), axis(2));
-        let distances: Vec<f32> = positions.iter().map(|p| p.distance(center)).collect();
-        let limit = STRAY * median(distances.clone());
-        let mut strays = views.iter().zip(&distances).filter(|&(_, &d)| limit > 0.0 && d > limit);
-        if let Some((first, _)) = strays.next() {
-            let (list, name, count) = (self.list.display(), &first.name, 1 + strays.count());
+        let strays = strays(&positions);
+        let mut strays = views.iter().zip(strays).filter_map(|(view, stray)| Some((&view.name, stray?)));
+        if let Some((name, times)) = strays.next() {
+            let (list, others) = (self.list.display(), strays.count());
+            let others = if others > 0 { format!(" (and {others} others)") } else { String::new() };
             self.warnings.push(format!(
-                "{list}: {count} of {} cameras, {name} for example, are more than {STRAY} times as far from the middle as \
-                 most: if their poses are wrong, remove them",
-                positions.len()
+                "{list}: the camera of {name}{others} lies at {times:.0} times the median distance from the cameras' middle, alone; \
+                 the scene extent leaves it out: if its pose is wrong, remove it"
             ));
         }
     }

@@ -87,13 +87,14 @@ impl<'a> CompressedPly<'a> {
                 chunks.len()
             ));
         }
+        let padding = file.header.padding.iter().map(|&(_, count)| count).fold(0, u64::saturating_add);
         let header = Header {
             antialiased: file.header.marks.antialiased(),
             kernel_size: file.header.marks.kernel_size,
             origin: file.header.origin,
             unit: file.header.unit,
             warnings,
-            ..Header::new(Format::CompressedPly, vertex.count, sh_degree)
+            ..Header::new(Format::CompressedPly, vertex.count.saturating_sub(padding), sh_degree)
         };
         Ok(Self { file, vertex, chunks, sh, header })
     }
@@ -155,7 +156,12 @@ impl Source for CompressedPly<'_> {
         let degree = self.header.sh_degree;
         let higher = sh_coefficients(degree) - 1;
         let mut block = Gaussians { sh_degree: degree, ..Default::default() };
+        let padding = self.file.header.padding.clone();
+        let is_padding = |row: u64| padding.iter().any(|&(first, count)| row >= first && row - first < count);
         self.file.for_each_row(&self.vertex, &names, |index, row| {
+            if is_padding(index) {
+                return Ok(());
+            }
             let index = index as usize;
             let packed = [row[0], row[1], row[2], row[3]].map(|value| value as u32);
             push(&chunks[index / CHUNK], packed, &mut block);

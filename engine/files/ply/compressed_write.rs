@@ -1,10 +1,11 @@
 //! Writing compressed PLY.
 
 use std::io::{self, Write};
+use std::ops::Range;
 use std::path::Path;
 
 use super::compressed::{CHUNK, CHUNK_PROPERTIES, SH_RANGE, VERTEX_PROPERTIES};
-use super::header::Marks;
+use super::header::{Marks, PADDING};
 use super::morton;
 use super::write::write_frame;
 use crate::splats::{Outline, Produce, row_bytes};
@@ -12,47 +13,61 @@ use crate::{atomic, host_memory};
 use ashsplat::scene::Gaussians;
 use ashsplat::scene::gaussians::sh_coefficients;
 use ashsplat::scene::sh::C0;
+use ashsplat::scene::world_frame::median_ball;
 use ashsplat::{Error, Result};
+use glam::{DVec3, Vec3};
+
+/// Distance of an outlier from the median, in median distances. In one chunk with it, the positions of the 255 others would have
+/// steps of this much of the scene's radius, divided by 1023.
+const OUTLIER: f64 = 8.0;
+
+/// As [`OUTLIER`], for colours, whose steps are a 255th.
+const COLOR_OUTLIER: f64 = 32.0;
+
+/// Most groups with chunks of their own; outliers may have outliers.
+const MAX_GROUPS: usize = 8;
 
 /// Log-scales are clamped to this on both sides, as the format's first writer does.
-const MAX_LOG_SCALE: f32 = 20.0;
+pub(crate) const MAX_LOG_SCALE: f32 = 20.0;
+
+/// The opacity in a packed colour.
+const OPACITY: u32 = 0xff;
 
 /// Writes Gaussians along a space-filling curve, so that the 256 of a chunk lie close together.
 pub(crate) fn write_blocks(path: &Path, outline: &Outline, produce: &mut Produce<'_>) -> Result<()> {
     // Beside the Gaussians, their order and what they are packed to.
-    host_memory::check_writing(path, outline.count.saturating_mul(row_bytes(outline.sh_degree) + 40))?;
+    host_memory::check_writing(path, outline.count.saturating_mul(row_bytes(outline.sh_degree) + 100))?;
     let mut all = Gaussians { sh_degree: outline.sh_degree, ..Default::default() };
     produce(&mut |block| {
         all.append(&block);
         Ok(())
     })?;
-    let order = morton::order(&all.means);
+    let rows = Rows::of(&all);
     atomic::write_seekable(path, |mut writer| {
-        write_sorted(&mut writer, &all, &order, outline).map_err(|e| Error::io(path, "write", e))
+        write_sorted(&mut writer, &all, &rows, outline).map_err(|e| Error::io(path, "write", e))
     })
 }
 
-fn write_sorted(
-    writer: &mut impl Write,
-    all: &Gaussians,
-    order: &[usize],
-    outline: &Outline,
-) -> io::Result<()> {
+fn write_sorted(writer: &mut impl Write, all: &Gaussians, rows: &Rows, outline: &Outline) -> io::Result<()> {
     let higher = 3 * (sh_coefficients(all.sh_degree) - 1);
-    write_header(writer, all.len(), higher, outline)?;
-    let mut packed = Vec::with_capacity(order.len());
-    for indices in order.chunks(CHUNK) {
+    write_header(writer, rows, higher, outline)?;
+    let mut packed = Vec::with_capacity(rows.order.len());
+    for indices in rows.order.chunks(CHUNK) {
         let chunk = Chunk::around(all, indices);
         for value in chunk.values().as_flattened() {
             writer.write_all(&value.to_le_bytes())?;
         }
         packed.extend(indices.iter().map(|&index| chunk.pack(all, index)));
     }
+    for row in rows.padding.iter().cloned().flatten() {
+        let [.., color] = &mut packed[row];
+        *color &= !OPACITY;
+    }
     for value in packed.as_flattened() {
         writer.write_all(&value.to_le_bytes())?;
     }
     let mut row = Vec::with_capacity(higher);
-    for &index in order {
+    for &index in &rows.order {
         row.clear();
         let sh = &all.sh_of(index)[1..];
         (0..3).for_each(|channel| row.extend(sh.iter().map(|coefficient| pack_sh(coefficient[channel]))));
@@ -61,10 +76,64 @@ fn write_sorted(
     Ok(())
 }
 
-fn write_header(writer: &mut impl Write, count: usize, higher: usize, outline: &Outline) -> io::Result<()> {
+/// The Gaussian of each row.
+struct Rows {
+    order: Vec<usize>,
+    /// Rows that only fill chunks: transparent copies of the row before.
+    padding: Vec<Range<usize>>,
+}
+
+impl Rows {
+    /// Each group along a space-filling curve, from the first row of a chunk on.
+    fn of(all: &Gaussians) -> Self {
+        let (mut order, mut padding) = (Vec::with_capacity(all.len()), Vec::new());
+        for group in groups(all) {
+            let filled = order.len();
+            if let Some(&last) = order.last().filter(|_| !filled.is_multiple_of(CHUNK)) {
+                order.resize(filled.next_multiple_of(CHUNK), last);
+                padding.push(filled..order.len());
+            }
+            let means: Vec<[f32; 3]> = group.iter().map(|&index| all.means[index]).collect();
+            order.extend(morton::order(&means).into_iter().map(|place| group[place]));
+        }
+        Self { order, padding }
+    }
+}
+
+/// Gaussians whose positions and colours are of one magnitude: first those near the median, then the outliers.
+fn groups(all: &Gaussians) -> Vec<Vec<usize>> {
+    let mean = |&index: &usize| Vec3::from_array(all.means[index]).as_dvec3();
+    let color = |&index: &usize| Vec3::from_array(color(all, index)).as_dvec3();
+    let mut groups = Vec::new();
+    let mut rest: Vec<usize> = (0..all.len()).collect();
+    while groups.len() + 1 < MAX_GROUPS {
+        let balls = [
+            (median_ball(&rest.iter().map(mean).collect::<Vec<_>>()), OUTLIER),
+            (median_ball(&rest.iter().map(color).collect::<Vec<_>>()), COLOR_OUTLIER),
+        ];
+        let is_beyond = |(ball, factor): (Option<(DVec3, f64)>, f64), value: DVec3| {
+            ball.is_some_and(|(center, radius)| value.distance(center) > factor * radius)
+        };
+        let is_near = |index: &usize| !is_beyond(balls[0], mean(index)) && !is_beyond(balls[1], color(index));
+        let (near, outliers): (Vec<usize>, Vec<usize>) = rest.into_iter().partition(is_near);
+        groups.push(near);
+        if outliers.is_empty() {
+            return groups;
+        }
+        rest = outliers;
+    }
+    groups.push(rest);
+    groups
+}
+
+fn write_header(writer: &mut impl Write, rows: &Rows, higher: usize, outline: &Outline) -> io::Result<()> {
+    let count = rows.order.len();
     writeln!(writer, "ply\nformat binary_little_endian 1.0")?;
     Marks::write(writer, outline)?;
     write_frame(writer, &outline.frame)?;
+    for rows in &rows.padding {
+        writeln!(writer, "comment {PADDING} {} {}", rows.start, rows.len())?;
+    }
     writeln!(writer, "element chunk {}", count.div_ceil(CHUNK))?;
     CHUNK_PROPERTIES.iter().try_for_each(|name| writeln!(writer, "property float {name}"))?;
     writeln!(writer, "element vertex {count}")?;

@@ -112,7 +112,13 @@ pub(crate) struct Header {
     pub(crate) origin: DVec3,
     /// World unit of the training, source units, if a comment names it.
     pub(crate) unit: Option<f64>,
+    /// Vertices that are no Gaussians: first and number.
+    pub(crate) padding: Vec<(u64, u64)>,
 }
+
+/// The comment of this crate's compressed PLY about rows that only fill a chunk.
+pub(crate) const PADDING: &str = "padding";
+const MAX_PADDING: usize = 16;
 
 /// The comment that names the origin of the positions, `comment origin X Y Z`.
 pub(crate) const ORIGIN: &str = "origin";
@@ -205,13 +211,14 @@ pub(crate) fn parse(reader: &mut impl BufRead, path: &Path) -> Result<Header> {
         marks: Marks::default(),
         origin: DVec3::ZERO,
         unit: None,
+        padding: Vec::new(),
         element_names: HashSet::new(),
         property_names: HashSet::new(),
     };
     while !parser.line(reader)? {}
     let encoding = parser.encoding.ok_or_else(|| parser.error("the header has no format line"))?;
-    let Parser { elements, bytes, marks, origin, unit, .. } = parser;
-    Ok(Header { encoding, elements, bytes, lines: parser.lines as u64, marks, origin, unit })
+    let Parser { elements, bytes, marks, origin, unit, padding, .. } = parser;
+    Ok(Header { encoding, elements, bytes, lines: parser.lines as u64, marks, origin, unit, padding })
 }
 
 fn check_magic(reader: &mut impl BufRead, path: &Path) -> Result<()> {
@@ -235,6 +242,7 @@ struct Parser<'a> {
     marks: Marks,
     origin: DVec3,
     unit: Option<f64>,
+    padding: Vec<(u64, u64)>,
     /// Names of the elements, and of the last one's properties.
     element_names: HashSet<String>,
     property_names: HashSet<String>,
@@ -295,6 +303,9 @@ impl Parser<'_> {
             }
             ["comment", UNIT, unit] => {
                 self.unit = unit.parse().ok().filter(|unit| (FARTHEST.recip()..=FARTHEST).contains(unit));
+            }
+            ["comment", PADDING, first, count] if self.padding.len() < MAX_PADDING => {
+                self.padding.extend(first.parse().ok().zip(count.parse().ok()));
             }
             ["comment", ref words @ ..] => self.marks.comment(&words.join(" ")),
             ["obj_info", ..] | [] => {}

@@ -77,7 +77,7 @@ pub fn convert(input: &Path, output: &Path, options: &ConvertOptions) -> Result<
     let sh_degree = header.sh_degree.min(format.max_sh_degree()).min(options.sh_degree.unwrap_or(3));
     let mut warnings = header.warnings.clone();
     let wanted_degree = header.sh_degree.min(options.sh_degree.unwrap_or(3));
-    warnings.extend(format.losses(wanted_degree, &header));
+    warnings.extend(format.losses(wanted_degree, (header.antialiased, header.kernel_size)));
     if options.decimate.is_some() {
         // All of them, and those that are merged of them.
         let needed = header.count.saturating_mul(2 * row_bytes(sh_degree));
@@ -129,12 +129,14 @@ pub fn convert(input: &Path, output: &Path, options: &ConvertOptions) -> Result<
     let double_positions = header.double_positions && format == Format::Ply;
     let outline = Outline { count, sh_degree, antialiased, kernel_size, bounds, frame, double_positions };
     warnings.extend(format.origin_note(output, &outline));
-    write_readable(output, (format, options.spz_version), &outline, &mut |sink| match kept.take() {
-        Some(all) => sink(all),
-        None => open(input, &options.read)?
-            .blocks(&mut |block| sink(changed(block, sh_degree, &cut, &moved.to(to))))
-            .map(|_| ()),
-    })?;
+    let loss =
+        write_readable(output, (format, options.spz_version), &outline, &mut |sink| match kept.take() {
+            Some(all) => sink(all),
+            None => open(input, &options.read)?
+                .blocks(&mut |block| sink(changed(block, sh_degree, &cut, &moved.to(to))))
+                .map(|_| ()),
+        })?;
+    warnings.extend(loss);
     Ok(Converted { input: header, format, written: count, sh_degree, warnings })
 }
 

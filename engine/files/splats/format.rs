@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::{Header, Outline, origin_file};
+use super::{Outline, origin_file};
 use ashsplat::{Error, Result};
 use glam::DVec3;
 
@@ -28,16 +28,20 @@ impl Format {
     pub const ALL: [Self; 6] =
         [Self::Ply, Self::CompressedPly, Self::Splat, Self::Spz, Self::Glb, Self::Gltf];
 
-    /// What Gaussians of this SH degree, with the marks of this header, lose in it, in words.
-    pub(super) fn losses(self, sh_degree: u32, header: &Header) -> Vec<String> {
+    /// What Gaussians of this SH degree, with these marks of a header, lose in it, in words.
+    pub(super) fn losses(
+        self,
+        sh_degree: u32,
+        (antialiased, kernel_size): (bool, Option<f32>),
+    ) -> Vec<String> {
         let mut losses = Vec::new();
         if sh_degree > self.max_sh_degree() {
             losses.push(format!("{self} holds no spherical harmonics: the view dependence is lost"));
         }
-        if header.antialiased && !self.keeps_antialiased() {
+        if antialiased && !self.keeps_antialiased() {
             losses.push(format!("{self} cannot say that the Gaussians want antialiasing"));
         }
-        if let (Some(size), Self::Splat | Self::Spz) = (header.kernel_size, self) {
+        if let (Some(size), Self::Splat | Self::Spz) = (kernel_size, self) {
             losses.push(format!("{self} cannot hold the kernel size: draw it with --kernel-size {size}"));
         }
         losses

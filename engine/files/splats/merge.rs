@@ -50,7 +50,7 @@ pub fn merge(
     let first = parts.first().ok_or_else(|| Error::argument("parts", "there are none to merge"))?;
     let of_first = open(first.path, read)?.header().clone();
     let sh_degree = of_first.sh_degree.min(format.max_sh_degree());
-    let mut warnings = format.losses(of_first.sh_degree, &of_first);
+    let mut warnings = format.losses(of_first.sh_degree, (of_first.antialiased, of_first.kernel_size));
     let (mut written, mut bounds) = (Vec::new(), None);
     for part in parts {
         let mut reader = open(part.path, read)?;
@@ -78,7 +78,7 @@ pub fn merge(
     let double_positions = of_first.double_positions && format == Format::Ply;
     let outline = Outline { count, sh_degree, antialiased, kernel_size, bounds, frame, double_positions };
     warnings.extend(format.origin_note(output, &outline));
-    write_readable(output, (format, options.spz_version), &outline, &mut |sink| {
+    let loss = write_readable(output, (format, options.spz_version), &outline, &mut |sink| {
         for part in parts {
             let mut reader = open(part.path, read)?;
             let shift = shift(reader.header(), &of_first);
@@ -88,6 +88,7 @@ pub fn merge(
         }
         Ok(())
     })?;
+    warnings.extend(loss);
     Ok(Merged { format, written, sh_degree, warnings })
 }
 

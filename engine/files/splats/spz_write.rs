@@ -18,8 +18,8 @@ const OLD_VERSION: u32 = 2;
 /// zstd's level in the format's first implementation.
 const LEVEL: i32 = 12;
 
-/// Fractional bits of a coordinate, if the scene is not too large for them (first implementation).
-const FRACTIONAL_BITS: u32 = 12;
+/// Most fractional bits of a coordinate. The first implementation always writes 12, and reads any number below 24.
+const MAX_FRACTIONAL_BITS: u32 = 23;
 
 /// Bits of a coordinate, including the sign.
 const COORDINATE_BITS: u32 = 24;
@@ -108,7 +108,14 @@ impl Packed {
                 limit_name: "its format",
             });
         };
-        let fractional_bits = fractional_bits(path, outline)?;
+        let fractional_bits = fractional_bits(outline).ok_or_else(|| {
+            let problem = format!("a mean lies at {}, too far out for SPZ", farthest(outline));
+            Error::input(
+                path,
+                problem,
+                "crop (--crop-box) or shrink (--scale) the scene, or choose another format",
+            )
+        })?;
         let packing = Packing { version, sh_degree: outline.sh_degree, fractional_bits };
         let mut files = (0..PLANES).map(|_| room_for_one()).collect::<Result<Vec<BufWriter<File>>>>()?;
         let mut planes: [Vec<u8>; PLANES] = Default::default();
@@ -142,18 +149,15 @@ fn from_the_start(file: BufWriter<File>) -> io::Result<File> {
     Ok(file)
 }
 
-/// The bits that the farthest coordinate leaves, at most 12.
-fn fractional_bits(path: &Path, outline: &Outline) -> Result<u32> {
-    let farthest = outline.bounds.map_or(0.0, |b| b.min.abs().max(b.max.abs()).max_element());
-    let fits = |bits: &u32| {
-        f64::from(farthest) * f64::from(1u32 << bits) < f64::from((1u32 << (COORDINATE_BITS - 1)) - 1)
-    };
-    (0..=FRACTIONAL_BITS).rev().find(fits).ok_or_else(|| {
-        let problem = format!("a mean lies at {farthest}, too far out for SPZ");
-        Error::input(
-            path,
-            problem,
-            "crop (--crop-box) or shrink (--scale) the scene, or choose another format",
-        )
-    })
+/// The largest coordinate, ignoring its sign.
+pub(super) fn farthest(outline: &Outline) -> f32 {
+    outline.bounds.map_or(0.0, |b| b.min.abs().max(b.max.abs()).max_element())
+}
+
+/// As many fractional bits as the farthest coordinate leaves; None where it has too many others.
+pub(super) fn fractional_bits(outline: &Outline) -> Option<u32> {
+    let farthest = f64::from(farthest(outline));
+    let fits =
+        |bits: &u32| farthest * f64::from(1u32 << bits) < f64::from((1u32 << (COORDINATE_BITS - 1)) - 1);
+    (0..=MAX_FRACTIONAL_BITS).rev().find(fits)
 }

@@ -6,7 +6,7 @@ use crate::blocks::Division;
 use crate::html::escape;
 use crate::progress::{significant, thousands};
 use ashsplat::Result;
-use ashsplat::scene::{Bounds, Cells, Gaussians, Seam};
+use ashsplat::scene::{Bounds, Cells, Gaussians, Seam, without_strays};
 use ashsplat_files::cameras_json::NamedCamera;
 use glam::{Vec2, Vec3};
 use std::fmt::Write;
@@ -46,7 +46,8 @@ impl Plan {
         let up: Vec3 = cameras.iter().map(|named| -named.camera.camera_from_world.row(1)).sum();
         let down = (0..3).max_by(|&a, &b| up[a].abs().total_cmp(&up[b].abs())).unwrap_or(1);
         let flat = [(down + 1) % 3, (down + 2) % 3];
-        let seen = cameras.iter().map(|named| named.camera.position());
+        let seen: Vec<Vec3> = cameras.iter().map(|named| named.camera.position()).collect();
+        let seen = without_strays(&seen, |position| *position).into_iter();
         let middle = gaussians.statistics().central_bounds;
         let corners = middle.into_iter().flat_map(|bounds| [bounds.min, bounds.max]);
         let around = Bounds::of(seen.chain(corners)).unwrap_or(Bounds { min: Vec3::ZERO, max: Vec3::ONE });

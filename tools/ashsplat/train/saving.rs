@@ -150,7 +150,7 @@ impl Run {
         let options = splats::WriteOptions { frame: self.frame, ..marks };
         let filters = self.trainer.filters()?;
         output::in_folder(&path, |path| match filters.is_empty() {
-            true => splats::write(path, &gaussians, &options),
+            true => splats::write(path, &gaussians, &options).map(drop),
             false => ply::write_filtered(path, &gaussians, &filters, &options),
         })?;
         let lights = self.lights()?;

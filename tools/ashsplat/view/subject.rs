@@ -11,7 +11,7 @@ use crate::model::Model;
 use crate::progress::thousands;
 use crate::render::{self, LookArguments, gaussians_of, tree_of};
 use crate::{model, session};
-use ashsplat::scene::{Bounds, Camera, Gaussians, Intrinsics, Orbit, WorldFrame};
+use ashsplat::scene::{Bounds, Camera, Gaussians, Intrinsics, Orbit, WorldFrame, without_strays};
 use ashsplat::{Error, RenderSettings, Result};
 use ashsplat_files::cameras_json::{self, NamedCamera};
 use ashsplat_files::quoted;
@@ -254,7 +254,10 @@ impl Subject {
         let orbit = Orbit::around_scene(&cameras, middle, 1, intrinsics);
         let up = self.up.unwrap_or(Vec3::NEG_Y);
         let orbit = orbit.unwrap_or_else(|| render::orbit_around(&self.gaussians, up, 1, intrinsics));
-        let start = cameras.first().copied().or_else(|| orbit.cameras().first().copied());
+        let start = without_strays(&cameras, Camera::position)
+            .first()
+            .copied()
+            .or_else(|| orbit.cameras().first().copied());
         let names: Vec<&str> = self.cameras.iter().map(|named| named.name.as_str()).collect();
         let photo = |(index, (named, label)): (usize, (&NamedCamera, String))| {
             let camera = CameraMessage::of(&named.camera);

@@ -66,7 +66,8 @@ pub async fn export(
     }
 }
 
-/// `/count?min_opacity=X&…`, as for an export: how many Gaussians it leaves, `{"kept":N,"of":N}`.
+/// `/count?min_opacity=X&…`, as for an export: how many Gaussians it leaves, `{"kept":N,"of":N,"losses":[]}`. With
+/// `format=spz`, what that format does not hold of them, in words.
 pub async fn count(
     State(site): State<Arc<Site>>,
     Extension(seat): Extension<Arc<Seat>>,
@@ -76,6 +77,8 @@ pub async fn count(
         Ok(wanted) => wanted,
         Err(error) => return refusal(StatusCode::BAD_REQUEST, &error.to_string()),
     };
+    let format =
+        query_value(&uri, "format").and_then(|ending| openings::format_of(&format!("scene.{ending}")));
     let (scene, turn) = match scene_of(&site, &seat).await {
         Ok(given) => given,
         Err(refused) => return refused,
@@ -84,7 +87,11 @@ pub async fn count(
         let _turn = turn;
         let (limits, all) = (wanted.cut.cut().limits(), scene.gaussians.len());
         let kept = (0..all).filter(|&index| limits.keeps(&scene.gaussians, index)).count();
-        json!({ "kept": kept, "of": all }).to_string()
+        let losses = format.map(|format| {
+            splats::cut_losses(format, &scene.gaussians, (&wanted.cut.cut(), wanted.sh_degree), &scene.marks)
+        });
+        let losses = losses.transpose().ok().flatten();
+        json!({ "kept": kept, "of": all, "losses": losses.unwrap_or_default() }).to_string()
     };
     match seat.waits_for(tokio::task::spawn_blocking(work)).await {
         Ok(counts) => {

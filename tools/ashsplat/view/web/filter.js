@@ -187,12 +187,15 @@ export class Filter {
     }
 
     /** The file is made of what was shown last, and saved by the browser as it comes. */
-    save(format) {
+    async save(format) {
         if (this.shown === null || !this.scene || this.scene.empty) return;
         const cut = find('command').hidden ? '' : '_cut';
         const name = `${this.scene.stem}${cut}.${format}`;
         download(`export/${encodeURIComponent(name)}?${this.shown}`, name);
         this.say(`${name} is made; the browser saves it as it comes`);
+        const answer = await fetch(`/count?${this.shown}&format=${format}`).catch(() => null);
+        const { losses } = answer?.ok ? await answer.json() : { losses: [] };
+        if (losses.length > 0) this.say(losses.join('; '));
     }
 }
 

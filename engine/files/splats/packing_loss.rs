@@ -1,0 +1,86 @@
+//! What a format with packed attributes cannot hold of a scene.
+
+use super::spz_write::{farthest, fractional_bits};
+use super::{Format, Outline};
+use crate::ply;
+use ashsplat::scene::Gaussians;
+
+/// Steps of positions are coarse from this share of a typical Gaussian's size on: pictures lose about 6 dB.
+const COARSE: f64 = 0.2;
+
+/// A Gaussian that is thinner than a format holds looks the same if it is this much longer, as a logarithm.
+const THIN: f32 = 3.0;
+
+/// Share of the colours that are cut in ordinary scenes.
+const USUALLY_CUT: f64 = 0.02;
+
+/// Gaussians of a scene against the limits of a format.
+pub(super) struct PackingLoss {
+    /// Smallest and largest log-scale.
+    log_scales: [f32; 2],
+    /// Largest coefficient of a base colour.
+    max_dc: f32,
+    count: u64,
+    /// Sum of each Gaussian's largest log-scale.
+    log_sizes: f64,
+    cut_scales: u64,
+    cut_colors: u64,
+}
+
+impl PackingLoss {
+    /// None for formats that hold all values in single precision.
+    pub(super) fn of(format: Format, spz_version: Option<u32>) -> Option<Self> {
+        let (log_scales, max_dc) = match (format, spz_version) {
+            (Format::Spz, _) | (Format::Glb, Some(_)) => ([-10.0, 5.9375], 0.5 / 0.15),
+            (Format::CompressedPly, _) => ([-ply::MAX_LOG_SCALE, ply::MAX_LOG_SCALE], f32::INFINITY),
+            _ => return None,
+        };
+        Some(Self { log_scales, max_dc, count: 0, log_sizes: 0.0, cut_scales: 0, cut_colors: 0 })
+    }
+
+    pub(super) fn add(&mut self, block: &Gaussians) {
+        let [least, most] = self.log_scales;
+        for (index, [x, y, z]) in block.log_scales.iter().enumerate() {
+            let (smallest, largest) = (x.min(*y).min(*z), x.max(*y).max(*z));
+            self.log_sizes += f64::from(largest.max(-100.0));
+            let is_cut = largest > most || (smallest < least && largest < least + THIN);
+            self.cut_scales += u64::from(is_cut);
+            self.cut_colors += u64::from(block.sh_of(index)[0].iter().any(|dc| dc.abs() > self.max_dc));
+        }
+        self.count += block.len() as u64;
+    }
+
+    /// One line, if it shows.
+    pub(super) fn line(&self, format: Format, outline: &Outline) -> Option<String> {
+        let mut losses = Vec::new();
+        let step = fractional_bits(outline).map_or(0.0, |bits| (-f64::from(bits)).exp2());
+        let typical = (self.log_sizes / self.count.max(1) as f64).exp();
+        if format != Format::CompressedPly && step > COARSE * typical {
+            losses.push(format!(
+                "positions are rounded to steps of {}, because one lies at {} (a typical size is {}): crop the scene for finer steps",
+                short(step),
+                short(farthest(outline).into()),
+                short(typical)
+            ));
+        }
+        let count = self.count;
+        if self.cut_scales > 0 {
+            let [least, most] = self.log_scales.map(|scale| short(f64::from(scale).exp()));
+            let cut = self.cut_scales;
+            losses.push(format!(
+                "sizes of {cut} of {count} Gaussians are beyond {least} to {most} and are cut"
+            ));
+        }
+        if self.cut_colors as f64 > USUALLY_CUT * count as f64 {
+            losses.push(format!("colours of {} of {count} Gaussians are cut", self.cut_colors));
+        }
+        (!losses.is_empty())
+            .then(|| format!("{format} does not hold the scene exactly: {}", losses.join("; ")))
+    }
+}
+
+/// A positive number with two significant digits, or as many as it has before the point.
+fn short(value: f64) -> String {
+    let digits = (1.0 - value.log10().floor()).clamp(0.0, 40.0) as usize;
+    format!("{value:.digits$}")
+}

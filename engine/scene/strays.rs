@@ -1,0 +1,56 @@
+//! Cameras that stand far from all others. Most often their poses are wrong: an extent, an orbit or a box that goes by the farthest
+//! camera is then that camera's, not the scene's.
+
+use glam::Vec3;
+
+use super::world_frame::median_ball;
+
+/// Distance of a stray from the median position, in median distances. Ordinary data sets stay below 2.4. As a part of the extent, one
+/// camera of 40 costs 0.1 dB at 5, 0.9 at 10 and 3.4 at 30.
+const FAR: f64 = 8.0;
+
+/// A far camera is none if so many others are less than [`FAR`] away: they are a part of the scene, as a block of a city.
+const COMPANIONS: usize = 3;
+
+/// Fewer cameras do not tell which of them is a stray.
+const LEAST_CAMERAS: usize = 5;
+
+/// Most strays, however many cameras there are: each is compared with all cameras.
+const MAX_STRAYS: usize = 1000;
+
+/// For each camera that is a stray, its distance from the median position in median distances. At most a tenth are strays, or one:
+/// where more stand apart, none is.
+pub fn strays(positions: &[Vec3]) -> Vec<Option<f64>> {
+    let count = positions.len();
+    let points: Vec<_> = positions.iter().map(|position| position.as_dvec3()).collect();
+    let none = || vec![None; count];
+    let Some((center, radius)) = median_ball(&points).filter(|_| count >= LEAST_CAMERAS) else {
+        return none();
+    };
+    let reach = FAR * radius;
+    // Neighbours in the list are neighbours in space most often.
+    let is_lonely = |index: usize| {
+        let others = (1..count).flat_map(|step| [index.checked_sub(step), Some(index + step)]);
+        let others = others.flatten().filter(|&other| other < count);
+        others.filter(|&other| points[other].distance(points[index]) < reach).take(COMPANIONS).count()
+            < COMPANIONS
+    };
+    let (mut found, mut strays) = (none(), 0);
+    for (index, point) in points.iter().enumerate() {
+        let distance = point.distance(center);
+        if distance > reach && is_lonely(index) {
+            found[index] = Some(distance / radius);
+            strays += 1;
+            if strays > (count / 10).clamp(1, MAX_STRAYS) {
+                return none();
+            }
+        }
+    }
+    found
+}
+
+/// All but the strays, in their order.
+pub fn without_strays<T: Copy>(all: &[T], position: impl Fn(&T) -> Vec3) -> Vec<T> {
+    let strays = strays(&all.iter().map(position).collect::<Vec<_>>());
+    all.iter().zip(strays).filter(|(_, stray)| stray.is_none()).map(|(&one, _)| one).collect()
+}
