@@ -2,6 +2,7 @@
 
 use glam::{DMat3, DQuat, DVec3, Vec3};
 
+use super::camera::NEAR_PLANE;
 use super::transform::Similarity;
 
 /// Distance of a scene's centre from the origin, in radii of the scene, from which on it gets an origin of its own: below, single
@@ -40,7 +41,17 @@ impl WorldFrame {
         let step = 10f64.powf(radius.log10().ceil());
         let origin =
             if center.length() > FAR * radius { (center / step).round() * step } else { DVec3::ZERO };
+        // Without negative zeros.
+        let origin = origin + DVec3::ZERO;
         Self { origin, unit }
+    }
+
+    /// The frame for drawing Gaussians at these points. Their unit stays, unless the near limit hides them: what lies nearer to a
+    /// training's cameras than its near limit was never trained.
+    pub fn around_gaussians(points: &[DVec3]) -> Self {
+        let is_hidden = median_ball(points).is_some_and(|(_, radius)| radius < f64::from(NEAR_PLANE));
+        let around = Self::around(points);
+        Self { unit: if is_hidden { around.unit } else { 1.0 }, ..around }
     }
 
     /// Whether world and source coordinates are the same.

@@ -205,3 +205,49 @@ fn limits_of_files_and_memory_are_told() {
     }
     assert!(!model.exists());
 }
+
+/// Single precision holds these positions exactly, at the origin and in UTM coordinates: only the camera's transform can differ.
+#[test]
+fn distant_and_tiny_scenes_look_as_others() {
+    let folder = tempdir().expect("a temporary folder");
+    let place = |name: &str| folder.path().join(name);
+    let mut gaussians = ashsplat_files::initial_gaussians(&wall_points(), 0).expect("Gaussians");
+    gaussians.opacity_logits.fill(2.0);
+    for mean in &mut gaussians.means {
+        *mean = mean.map(|v| (v * 8.0).round() / 2.0);
+    }
+    gaussians.log_scales.as_flattened_mut().fill(-1.0);
+    let offset = [500_000.0, 5_000_000.0, 120.0];
+    let picture = |name: &str, views: &[&str]| {
+        let out = place("picture.png");
+        let size = ["--width", "64", "--height", "48"];
+        succeed(&[&["render", text(&place(name)), "-o", text(&out), "--quiet"], views, &size].concat());
+        image::open(&out).expect("a picture").to_rgb8().into_raw()
+    };
+    let path = |name: &str, offset: [f64; 3]| {
+        let position = [0.5 + offset[0], -0.25 + offset[1], -9.0 + offset[2]];
+        let cameras = serde_json::json!([{
+            "id": 0, "img_name": "a", "width": 64, "height": 48, "position": position, "fx": 60.0, "fy": 60.0,
+            "rotation": [[0.8, 0.0, 0.6], [0.0, 1.0, 0.0], [-0.6, 0.0, 0.8]],
+        }]);
+        std::fs::write(place(name), cameras.to_string()).expect("a path");
+        text(&place(name)).to_owned()
+    };
+    ashsplat_files::ply::write(place("near.ply"), &gaussians).expect("written");
+    let near = picture("near.ply", &["--path", &path("near.json", [0.0; 3])]);
+    let orbit = ["--orbit", "1"];
+    let around = picture("near.ply", &orbit);
+    let alike = |a: &[u8], b: &[u8]| a.iter().zip(b).all(|(a, b)| a.abs_diff(*b) <= 1);
+    assert!(near.iter().any(|v| *v > 99) && around.iter().any(|v| *v > 99));
+    let mut far = gaussians.clone();
+    for mean in &mut far.means {
+        *mean = [0, 1, 2].map(|axis| (f64::from(mean[axis]) + offset[axis]) as f32);
+    }
+    ashsplat_files::ply::write(place("far.ply"), &far).expect("written");
+    assert!(alike(&near, &picture("far.ply", &["--path", &path("far.json", offset)])));
+    assert!(alike(&around, &picture("far.ply", &orbit)));
+    for scale in ["0.01", "0.0001", "10000"] {
+        succeed(&["convert", text(&place("near.ply")), text(&place("scaled.ply")), "--scale", scale]);
+        assert!(alike(&around, &picture("scaled.ply", &orbit)), "{scale}");
+    }
+}

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use ashsplat::scene::{Bounds, Cells, Cut, Gaussians, Similarity};
+use ashsplat::scene::{Bounds, Cells, Cut, Gaussians, Similarity, WorldFrame};
 use ashsplat_files::splats::{self, ConvertOptions, Format, ReadOptions, Target, WriteOptions};
 use glam::{DQuat, DVec3, Vec3};
 use serde_json::{Value, json};
@@ -565,5 +565,137 @@ fn gltf_places_its_gaussians_a_limited_number_of_times() {
         placed(count, nodes, primitives);
         let message = message(&path);
         assert!(message.contains("again and again") && message.contains("16 times"), "{message}");
+    }
+}
+
+/// A corner of a UTM zone. Single precision has steps of 0.5 there.
+const UTM: DVec3 = DVec3::new(500_000.3, 4_600_000.7, 120.0);
+
+/// A PLY whose positions are doubles, as programs for survey data write it.
+fn ply_of_doubles(path: &Path, gaussians: &Gaussians, offset: DVec3) {
+    let names = "f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3";
+    let mut bytes = format!("ply\nformat binary_little_endian 1.0\nelement vertex {}\n", gaussians.len());
+    ["x", "y", "z"].iter().for_each(|name| bytes += &format!("property double {name}\n"));
+    names.split(' ').for_each(|name| bytes += &format!("property float {name}\n"));
+    let mut bytes = (bytes + "end_header\n").into_bytes();
+    for index in 0..gaussians.len() {
+        let position = offset + DVec3::from_array(gaussians.means[index].map(f64::from));
+        bytes.extend(position.to_array().map(f64::to_le_bytes).as_flattened());
+        let rest = [
+            &gaussians.sh_of(index)[0][..],
+            &[gaussians.opacity_logits[index]],
+            &gaussians.log_scales[index],
+            &gaussians.quats[index],
+        ];
+        rest.concat().iter().for_each(|value| bytes.extend(value.to_le_bytes()));
+    }
+    std::fs::write(path, bytes).unwrap();
+}
+
+/// Positions relative to an offset; x in ascending order, since compressed PLY is sorted.
+fn positions(path: &Path, offset: DVec3) -> Vec<DVec3> {
+    let scene = splats::read(path, &KEEP).unwrap();
+    let mut all: Vec<DVec3> = scene
+        .gaussians
+        .means
+        .iter()
+        .map(|&mean| scene.frame.source(Vec3::from_array(mean)) - offset)
+        .collect();
+    all.sort_by(|a, b| a.x.total_cmp(&b.x));
+    all
+}
+
+#[test]
+fn scenes_far_from_the_origin_keep_their_positions_in_every_format() {
+    let folder = tempfile::tempdir().unwrap();
+    let place = |name: &str| folder.path().join(name);
+    let gaussians = scene(300, 0);
+    ply_of_doubles(&place("utm.ply"), &gaussians, UTM);
+    splats::write(place("near.ply"), &gaussians, &WriteOptions::default()).unwrap();
+    let expected = positions(&place("near.ply"), DVec3::ZERO);
+    for format in Format::ALL {
+        let (there, back) = (place(&format!("far{}", format.extension())), place("back.ply"));
+        let done = splats::convert(&place("utm.ply"), &there, &ConvertOptions::default()).unwrap();
+        splats::convert(&there, &back, &ConvertOptions::default()).unwrap();
+        for path in [&there, &back] {
+            let far = positions(path, UTM);
+            let off = far.iter().zip(&expected).map(|(a, b)| (a.x - b.x).abs()).fold(0.0, f64::max);
+            let most = f64::from(tolerance(format).mean.max(1e-5));
+            assert!(far.len() == 300 && off <= most, "{}: {off}", path.display());
+        }
+        // Where other programs would place it elsewhere, one line says so.
+        let known = matches!(format, Format::Ply | Format::Glb | Format::Gltf);
+        assert_eq!(done.warnings.len(), usize::from(!known), "{:?}", done.warnings);
+        assert!(known || done.warnings[0].contains("relative to 500000,4600000,"), "{:?}", done.warnings);
+    }
+    let text = String::from_utf8_lossy(&std::fs::read(place("far.ply")).unwrap()[..200]).into_owned();
+    assert!(text.contains("property double x") && !text.contains("comment origin"), "{text}");
+    // Another scene of the same name has no origin any more.
+    splats::convert(&place("near.ply"), &place("far.spz"), &ConvertOptions::default()).unwrap();
+    assert!(!place("far.spz.origin.json").exists() && place("far.splat.origin.json").exists());
+    std::fs::write(place("far.splat.origin.json"), r#"{"origin": [1, 2]}"#).unwrap();
+    let error = splats::read(place("far.splat"), &KEEP).unwrap_err().to_string();
+    assert!(error.contains("far.splat.origin.json: is no origin"), "{error}");
+}
+
+#[test]
+fn changes_of_distant_scenes_are_made_in_their_own_coordinates() {
+    let folder = tempfile::tempdir().unwrap();
+    let place = |name: &str| folder.path().join(name);
+    let gaussians = scene(500, 0);
+    splats::write(place("near.ply"), &gaussians, &WriteOptions::default()).unwrap();
+    let moved = |translation| Similarity { translation, ..Similarity::default() };
+    let there = ConvertOptions { similarity: moved(UTM), ..Default::default() };
+    splats::convert(&place("near.ply"), &place("far.ply"), &there).unwrap();
+    let expected = positions(&place("near.ply"), DVec3::ZERO);
+    let off = |path: &Path, offset: DVec3| {
+        let far = positions(path, offset);
+        far.iter().zip(&expected).map(|(a, b)| a.distance(*b)).fold(0.0, f64::max)
+    };
+    assert!(off(&place("far.ply"), UTM) < 1e-5);
+    // Back at the origin, it needs none.
+    let back = ConvertOptions { similarity: moved(-UTM), ..Default::default() };
+    splats::convert(&place("far.ply"), &place("back.ply"), &back).unwrap();
+    assert!(off(&place("back.ply"), DVec3::ZERO) < 1e-5);
+    assert_eq!(splats::header(place("back.ply"), &KEEP).unwrap().origin, DVec3::ZERO);
+    let corners = [UTM, UTM + DVec3::splat(20.0)];
+    let crop = ConvertOptions { crop_box: Some(corners), ..Default::default() };
+    let cropped = splats::convert(&place("far.ply"), &place("cropped.ply"), &crop).unwrap().written;
+    let inside = expected.iter().filter(|mean| mean.min_element() >= 0.0).count();
+    assert_eq!(cropped, inside as u64);
+    // What single precision holds in place stays in place, bit for bit.
+    let mut exact = gaussians;
+    for mean in &mut exact.means {
+        *mean = [0, 1, 2].map(|axis| (2.0 * mean[axis]).round() / 2.0 + UTM[axis].floor() as f32);
+    }
+    splats::write(place("exact.ply"), &exact, &WriteOptions::default()).unwrap();
+    splats::convert(&place("exact.ply"), &place("copy.ply"), &ConvertOptions::default()).unwrap();
+    assert!(std::fs::read(place("exact.ply")).unwrap() == std::fs::read(place("copy.ply")).unwrap());
+}
+
+/// A training writes its scene in the coordinates of its data set.
+#[test]
+fn scenes_are_written_in_source_units_and_drawn_in_their_frame() {
+    let folder = tempfile::tempdir().unwrap();
+    let gaussians = scene(200, 1);
+    let frame = WorldFrame { origin: DVec3::new(500_000.0, 0.0, 0.0), unit: 0.01 };
+    for format in [Format::Ply, Format::Glb, Format::Splat] {
+        let path = folder.path().join(format!("scene{}", format.extension()));
+        splats::write(&path, &gaussians, &WriteOptions { frame, ..Default::default() }).unwrap();
+        let read = splats::read(&path, &KEEP).unwrap();
+        let largest = read.gaussians.means.as_flattened().iter().fold(0.0, |most: f32, v| most.max(v.abs()));
+        assert!(largest <= 0.1, "{format}: {largest}");
+        assert_eq!(read.header.unit, (format == Format::Ply).then_some(0.01));
+        let drawn = read.in_world_frame();
+        // Other formats do not say what the training's unit was.
+        assert!(drawn.frame.unit <= if format == Format::Ply { 0.01 } else { 0.1 }, "{:?}", drawn.frame);
+        let expected = if format == Format::Splat { gaussians.with_sh_degree(0) } else { gaussians.clone() };
+        let mut moved = expected;
+        moved.transform(&drawn.frame.similarity_from(&frame));
+        assert_close(
+            &drawn.gaussians,
+            &moved,
+            &Tolerance { mean: 1e-4, log_scale: 1e-4, ..tolerance(format) },
+        );
     }
 }

@@ -4,12 +4,12 @@ use std::cell::Cell;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use ashsplat::scene::{Camera, Gaussians, Intrinsics, Projection};
+use ashsplat::scene::{Camera, Gaussians, Intrinsics, Projection, Similarity, WorldFrame};
 use ashsplat::{Error, Result};
 use ashsplat_files::Progress;
 use ashsplat_files::splats::{self, ReadOptions, WriteOptions};
 use ashsplat_files::tiles::{self, Demand, TILESET_FILE, TileOptions, Tiling, Tree};
-use glam::{Quat, Vec3, vec3};
+use glam::{DVec3, Quat, Vec3, vec3};
 use serde_json::Value;
 
 use crate::common::splats::scene;
@@ -428,4 +428,33 @@ fn a_cut_is_for_several_cameras_and_for_what_lies_beyond_their_pictures() {
     assert!(share(&inside) > 2.0 * share(&beside), "{} {}", share(&inside), share(&beside));
     assert!(short.len() < around.len());
     assert!(tree.cut_among(&Demand { cameras: &[], ..wide }, |_| true).is_empty());
+}
+
+#[test]
+fn trees_of_distant_scenes_have_an_origin() {
+    let place = Place::new(scene(900, 0));
+    let utm = DVec3::new(500_000.0, 4_600_000.0, 100.0);
+    let frame = WorldFrame { origin: utm, unit: 1.0 };
+    let near = place.tiled("near", 200, &mut Vec::new()).unwrap();
+    let options = WriteOptions { frame, ..Default::default() };
+    splats::write(place.folder("scene.ply"), &place.scene, &options).unwrap();
+    assert_eq!(place.tiled("far", 200, &mut Vec::new()).unwrap(), near);
+    let root = &tileset(&place.folder("far"))["root"];
+    assert_eq!(root["transform"][12], -500_000.0, "{root}");
+    let [near, far] = ["near", "far"].map(|name| Tree::open(place.folder(name)).unwrap());
+    assert_eq!((near.frame(), far.frame()), (WorldFrame::default(), frame));
+    for (tile, (a, b)) in near.tiles().iter().zip(far.tiles()).enumerate() {
+        assert!(a.bounds.min.distance(b.bounds.min) < 1e-3 && a.gaussians == b.gaussians, "{}", a.name);
+        let [a, b] = [&near, &far].map(|tree| tree.read(tile, &KEEP).unwrap().gaussians);
+        assert!(a.means.iter().zip(&b.means).all(|(a, b)| Vec3::from(*a).distance(Vec3::from(*b)) < 1e-4));
+    }
+    // A tiny one is drawn in a unit of its own.
+    let mut tiny = place.scene.clone();
+    tiny.transform(&Similarity { scale: 1e-3, ..Default::default() });
+    let place = Place::new(tiny);
+    place.tiled("tiny", 200, &mut Vec::new()).unwrap();
+    let tree = Tree::open(place.folder("tiny")).unwrap().in_world_frame();
+    assert!(tree.frame().unit <= 0.01, "{:?}", tree.frame());
+    let size = tree.tiles()[0].bounds.size().max_element();
+    assert!(size > 2.0 && tree.read(0, &KEEP).unwrap().frame == tree.frame(), "{size}");
 }

@@ -3,11 +3,11 @@
 use super::*;
 use crate::cli::{succeed, write_dataset};
 use crate::common::engine::renderer;
-use ashsplat::scene::{Bounds, Cut};
+use ashsplat::scene::{Bounds, Cut, WorldFrame};
 use ashsplat::{Gaussians, RenderSettings};
 use ashsplat_files::Photo;
 use ashsplat_files::splats::Format;
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 use tempfile::tempdir;
 
 const COUNT: usize = 900;
@@ -97,6 +97,31 @@ fn viewer_cuts_as_convert_does() {
         .map(|s| s["id"].as_u64().expect("a number") as usize)
         .collect();
     assert!(!ids.is_empty() && ids.iter().all(|&id| ball(COUNT).means[id][2] >= 0.0), "{ids:?}");
+}
+
+/// A tiny scene far from the origin: the page sees it as any other, and names its box in the coordinates of the file.
+#[test]
+fn viewer_cuts_distant_scenes_in_their_own_coordinates() {
+    let folder = tempdir().expect("a temporary folder");
+    let path = folder.path().join("ball.ply");
+    let frame = WorldFrame { origin: DVec3::new(500_000.0, 4_600_000.0, 100.0), unit: 0.01 };
+    let options = WriteOptions { frame, ..WriteOptions::default() };
+    splats::write(&path, &ball(COUNT), &options).expect("a PLY");
+    let server = Server::view(&path, &[]);
+    let mut page = server.page();
+    assert_eq!(page.greeting["frame"], json!({ "origin": frame.origin.to_array(), "unit": 0.01 }));
+    let cut = json!({ "min_density": 0.5, "low": [-0.25, null, null], "high": [null, 0.5, null] });
+    let shown = page.look(&camera(0.3), &json!({ "quality": 0, "cut": cut }));
+    assert!(shown.rgb().iter().any(|value| *value > 99));
+    let options = shown.header["convert"].as_str().expect("options").to_owned();
+    assert!(options.contains("--crop-box=499999.9975,-inf,-inf,inf,4600000.005,inf"), "{options}");
+    let converted = folder.path().join("cut.ply");
+    let words = ["convert", text(&path), text(&converted)].into_iter().chain(options.split_whitespace());
+    succeed(&words.collect::<Vec<_>>());
+    let address = shown.header["export"].as_str().expect("an address");
+    let (_, _, body) = server.get(&format!("/count?{address}"), &[]);
+    let counts: Value = serde_json::from_slice(&body).expect("JSON");
+    assert_eq!(counts["kept"], read(&converted).len());
 }
 
 /// A cut for each page.

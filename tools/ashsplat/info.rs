@@ -5,10 +5,11 @@ use crate::config::DataSettings;
 use crate::model::Model;
 use crate::progress::thousands;
 use crate::{model, session};
-use ashsplat::scene::{Bounds, Gaussians};
+use ashsplat::scene::{Bounds, Gaussians, WorldFrame};
 use ashsplat::{Error, Result};
 use ashsplat_files::{Dataset, DatasetReport, quoted, splats};
 use clap::Args;
+use glam::DVec3;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
@@ -56,7 +57,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     }
     let model = Model::locate(path, None)?;
     let scene = splats::read(&model.ply, &arguments.host.reading(arguments.drop_invalid))?;
-    let summary = Summary::of(&scene.gaussians);
+    let summary = Summary::of(&scene.gaussians, &scene.frame);
     if arguments.json {
         say!("{:#}", summary.json(&model.ply, &scene));
         return Ok(());
@@ -145,20 +146,25 @@ fn bounds_json(bounds: Bounds) -> Value {
     json!({ "min": bounds.min.to_array(), "max": bounds.max.to_array() })
 }
 
+fn corners_json([min, max]: [DVec3; 2]) -> Value {
+    json!({ "min": min.to_array(), "max": max.to_array() })
+}
+
 /// What there is to say about a set of Gaussians.
 struct Summary {
     count: usize,
     sh_degree: u32,
-    bounds: Option<Bounds>,
-    central: Option<Bounds>,
+    bounds: Option<[DVec3; 2]>,
+    central: Option<[DVec3; 2]>,
     scales: Histogram,
     opacities: Histogram,
     densities: Histogram,
 }
 
 impl Summary {
-    fn of(gaussians: &Gaussians) -> Summary {
+    fn of(gaussians: &Gaussians, frame: &WorldFrame) -> Summary {
         let statistics = gaussians.statistics();
+        let corners = |Bounds { min, max }: Bounds| [min, max].map(|corner| frame.source(corner));
         let opacities = gaussians.opacity_logits.iter().map(|logit| 1.0 / (1.0 + (-logit).exp()));
         // A Gaussian's size is its largest scale; its logarithm in base 10 spreads evenly.
         let largest = |scales: &[f32; 3]| scales.iter().copied().fold(f32::NEG_INFINITY, f32::max);
@@ -167,8 +173,8 @@ impl Summary {
         Summary {
             count: statistics.count,
             sh_degree: statistics.sh_degree,
-            bounds: statistics.bounds,
-            central: statistics.central_bounds,
+            bounds: statistics.bounds.map(corners),
+            central: statistics.central_bounds.map(corners),
             scales: Histogram::spanning(scales.collect()),
             opacities: Histogram::between(0.0, 1.0, opacities.collect()),
             densities: Histogram::spanning((0..gaussians.len()).map(density).collect()),
@@ -179,8 +185,10 @@ impl Summary {
         say!("Gaussians  {}", thousands(self.count as u64));
         say!("SH degree  {}", self.sh_degree);
         for (name, bounds) in [("extent", self.bounds), ("central", self.central)] {
-            if let Some(Bounds { min, max }) = bounds {
-                say!("{name:<10} from {min:.3} to {max:.3}");
+            if let Some([min, max]) = bounds {
+                // Three digits of what is smaller than a unit.
+                let digits = (2.0 - (max - min).max_element().log10().floor()).clamp(3.0, 12.0) as usize;
+                say!("{name:<10} from {min:.digits$} to {max:.digits$}");
             }
         }
         say!("largest scale (world units)");
@@ -200,8 +208,8 @@ impl Summary {
             "kernel_size": scene.header.kernel_size,
             "dropped": scene.dropped,
             "sh_degree": self.sh_degree,
-            "bounds": self.bounds.map(bounds_json),
-            "central_bounds": self.central.map(bounds_json),
+            "bounds": self.bounds.map(corners_json),
+            "central_bounds": self.central.map(corners_json),
             "log10_largest_scale": self.scales.json(),
             "opacity": self.opacities.json(),
             "log10_density": self.densities.json(),

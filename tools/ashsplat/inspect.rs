@@ -9,7 +9,7 @@ use ashsplat::scene::{Camera, Intrinsics, WorldFrame};
 use ashsplat::{Error, PixelReport, Renderer, Result, Sample};
 use ashsplat_files::cameras_json;
 use clap::Args;
-use glam::{Mat3, Vec3};
+use glam::{DVec3, Mat3};
 use serde_json::json;
 use std::path::PathBuf;
 
@@ -71,7 +71,7 @@ fn parse_pixel(text: &str) -> Result<[u32; 2], String> {
 pub fn run(arguments: &Arguments) -> Result<()> {
     let model = Model::locate(&arguments.model, None)?;
     let scene = arguments.look.load(&model.ply, &arguments.device.host)?;
-    let camera = arguments.camera(&model)?;
+    let camera = arguments.camera(&model, &scene.frame)?;
     let [x, y] = arguments.pixel;
     if x >= camera.width || y >= camera.height {
         let problem =
@@ -82,7 +82,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let context = arguments.device.context()?;
     let mut renderer = Renderer::new(&context)?;
     renderer.upload(&scene.gaussians)?;
-    let report = renderer.inspect(&camera, &settings, arguments.pixel)?;
+    let mut report = renderer.inspect(&camera, &settings, arguments.pixel)?;
+    // In source units.
+    report.samples.iter_mut().for_each(|sample| sample.depth *= scene.frame.unit as f32);
     if arguments.json {
         print_json(&report)
     } else {
@@ -93,13 +95,13 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 }
 
 impl Arguments {
-    fn camera(&self, model: &Model) -> Result<Camera> {
+    fn camera(&self, model: &Model, frame: &WorldFrame) -> Result<Camera> {
         let own = model.folder.as_ref().map(|(folder, _)| folder.join(CAMERAS_FILE));
         let own = own.filter(|path| self.fx.is_none() && path.is_file());
         let cameras = match (&self.source_path, self.path.as_ref().or(own.as_ref())) {
-            (Some(dataset), _) => session::cameras(dataset, &WorldFrame::default())?,
-            (None, Some(path)) => cameras_json::read(path, &WorldFrame::default())?,
-            (None, None) => return self.camera_at_origin(),
+            (Some(dataset), _) => session::cameras(dataset, frame)?,
+            (None, Some(path)) => cameras_json::read(path, frame)?,
+            (None, None) => return self.camera_at_origin(frame),
         };
         let by_number = || cameras.get(self.camera.parse::<usize>().ok()?);
         let found = cameras.iter().find(|named| named.name == self.camera).or_else(by_number);
@@ -110,7 +112,7 @@ impl Arguments {
         })
     }
 
-    fn camera_at_origin(&self) -> Result<Camera> {
+    fn camera_at_origin(&self, frame: &WorldFrame) -> Result<Camera> {
         let (Some(fx), Some(width), Some(height)) = (self.fx, self.width, self.height) else {
             let problem = "is not given: use -s DATASET, --path FILE, or --fx, --width and --height";
             return Err(Error::argument("camera", problem));
@@ -124,7 +126,7 @@ impl Arguments {
             width,
             height,
         };
-        let camera = Camera::with_pose(Mat3::IDENTITY, Vec3::ZERO, intrinsics);
+        let camera = Camera::with_pose(Mat3::IDENTITY, -frame.world(DVec3::ZERO), intrinsics);
         camera.check()?;
         Ok(camera)
     }

@@ -265,6 +265,12 @@ impl Depth {
         RenderSettings { inverse_depth: true, linear_depth: self == Self::Mean, ..settings }
     }
 
+    /// Multiplies the depths of a frame: from world to source units.
+    pub fn scale(self, frame: &mut Frame, factor: f32) {
+        let factor = if self == Self::Mean { factor } else { factor.recip() };
+        frame.inverse_depth.iter_mut().flatten().for_each(|sum| *sum *= factor);
+    }
+
     /// Depth of each pixel of such a frame: infinite where nothing was blended.
     pub fn of(self, frame: &Frame) -> Vec<f32> {
         let Some(sums) = &frame.inverse_depth else { return vec![f32::INFINITY; frame.color.len()] };

@@ -128,16 +128,10 @@ enum ExtentName {
 }
 
 impl LookArguments {
-    /// Reads the Gaussians; tells on stderr what was dropped or is odd.
+    /// Reads the Gaussians in the frame in which they are drawn; tells on stderr what was dropped or is odd.
     pub fn load(&self, path: &Path, host: &HostArguments) -> Result<splats::Scene> {
         let scene = splats::read(path, &host.reading(self.drop_invalid))?;
-        if scene.dropped > 0 {
-            tell!("{}: dropped {} Gaussians that are not finite", path.display(), scene.dropped);
-        }
-        for warning in &scene.warnings {
-            tell!("{}: {warning}", path.display());
-        }
-        Ok(scene)
+        Ok(told(path, scene.in_world_frame()))
     }
 
     /// The settings: those of the training, changed by what the file says and what was given.
@@ -167,6 +161,17 @@ impl LookArguments {
 
 /// Largest accepted `--kernel-size`, square pixels.
 const MOST_KERNEL_SIZE: f32 = 1e4;
+/// A scene, after a word on what was dropped or is odd.
+fn told(path: &Path, scene: splats::Scene) -> splats::Scene {
+    if scene.dropped > 0 {
+        tell!("{}: dropped {} Gaussians that are not finite", path.display(), scene.dropped);
+    }
+    for warning in &scene.warnings {
+        tell!("{}: {warning}", path.display());
+    }
+    scene
+}
+
 /// Frames per second of a film.
 const FILM_RATE: u32 = 30;
 
@@ -221,12 +226,18 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let film = arguments.film()?;
     let picture = arguments.picture()?;
     let format = picture.or(arguments.format).unwrap_or(Format::Png);
-    let tree = arguments.tree(path)?;
+    let tree = tree_of(path, arguments.budget.is_some())?;
     let model = Model::locate(&scene_of(path, tree.as_ref()), arguments.iteration)?;
     let light = arguments.light(&model)?;
-    let scene = arguments.look.load(&model.ply, &arguments.device.host)?;
-    let gaussians = &scene.gaussians;
-    let views = arguments.views.choose(&model, gaussians, film)?;
+    let host = &arguments.device.host;
+    let scene = match &tree {
+        Some(tree) => {
+            let coarsest = tree.read(0, &host.reading(arguments.look.drop_invalid))?;
+            told(&model.ply, coarsest)
+        }
+        None => arguments.look.load(&model.ply, host)?,
+    };
+    let views = arguments.views.choose(&model, &scene, film)?;
     if let (Some(_), several @ 2..) = (picture, views.cameras.len()) {
         let problem = format!("is one picture, and there are {several} views");
         return Err(Error::input(&arguments.out, problem, "name a folder, or a film (.mp4, .webm, .gif)"));
@@ -242,7 +253,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     }
     let context = arguments.device.context()?;
     let mut renderer = Renderer::new(&context)?;
-    renderer.upload(gaussians)?;
+    renderer.upload(&scene.gaussians)?;
     if let (Some(note), false) = (&views.note, arguments.quiet) {
         say!("{note}");
     }
@@ -259,6 +270,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         }
         let mut frame = renderer.render(&named.camera, &settings)?;
         light.apply(&named.camera, &mut frame);
+        arguments.depth().scale(&mut frame, scene.frame.unit as f32);
         let milliseconds = start.elapsed().as_secs_f64() * 1e3;
         total += milliseconds;
         bar.inc(1);
@@ -346,10 +358,10 @@ fn describe(index: usize, name: &str, milliseconds: f64, frame: &Frame) -> Strin
     )
 }
 
-/// The tree of tiles in a folder, if it is one: it must be where there is a budget.
+/// The tree of tiles in a folder in the frame in which it is drawn, if it is one: it must be where there is a budget.
 pub fn tree_of(folder: &Path, has_budget: bool) -> Result<Option<Tree>> {
     if folder.join(TILESET_FILE).is_file() {
-        return Tree::open(folder).map(Some);
+        return Tree::open(folder).map(|tree| Some(tree.in_world_frame()));
     }
     let problem = "is for folders of tiles, as `ashsplat tiles` writes them";
     if has_budget { Err(Error::argument("--budget", problem)) } else { Ok(None) }
@@ -369,11 +381,6 @@ fn scene_of(path: &Path, tree: Option<&Tree>) -> PathBuf {
 }
 
 impl Arguments {
-    /// The tree of tiles, if the scene is one.
-    fn tree(&self, path: &Path) -> Result<Option<Tree>> {
-        tree_of(path, self.budget.is_some())
-    }
-
     fn drawn(&self, tree: Tree) -> Drawn {
         let budget = self.budget.map_or(usize::MAX, |budget| gaussians_of(budget, &tree));
         Drawn::new(tree, budget, self.device.host.reading(self.look.drop_invalid))

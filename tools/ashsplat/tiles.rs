@@ -128,10 +128,12 @@ impl Arguments {
         read: &ReadOptions,
         stop: &AtomicBool,
     ) -> Result<String> {
-        let scene = splats::read(&model.ply, read)?;
+        let mut scene = splats::read(&model.ply, read)?;
         let settings = look_of(&model.settings, &scene.header);
-        let (tree, whole) = (Tree::open(&self.out)?, &scene.gaussians);
-        let cameras = views(model, whole)?;
+        let tree = Tree::open(&self.out)?.in_world_frame();
+        scene.express_in(&tree.frame());
+        let whole = &scene.gaussians;
+        let cameras = views(model, whole, &tree.frame())?;
         let measurement = Measurement { tree: &tree, whole, cameras: &cameras, settings, read: *read };
         measurement.table(&mut Renderer::new(context)?, &|| match stop.load(Ordering::Relaxed) {
             true => Err(Error::Interrupted),
@@ -141,10 +143,10 @@ impl Arguments {
 }
 
 /// Some of the training's cameras, or around the scene.
-fn views(model: &Model, gaussians: &Gaussians) -> Result<Vec<Camera>> {
+fn views(model: &Model, gaussians: &Gaussians, frame: &WorldFrame) -> Result<Vec<Camera>> {
     let file = model.folder.as_ref().map(|(folder, _)| folder.join(CAMERAS_FILE));
     if let Some(file) = file.filter(|file| file.is_file()) {
-        let all = cameras_json::read(&file, &WorldFrame::default())?;
+        let all = cameras_json::read(&file, frame)?;
         if all.is_empty() {
             return Err(Error::input(
                 file,

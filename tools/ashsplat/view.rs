@@ -226,7 +226,7 @@ impl<'a> Stage<'a> {
             self.show(Subject::nothing(), scenery, studio)?;
             return Err(error);
         }
-        studio.show(subject.base, subject.lights);
+        studio.show(subject.base, subject.lights, subject.frame);
         self.site.show_photos(subject.photos);
         let greeting = greeting.to_string();
         self.hub.greet_with(greeting.clone());

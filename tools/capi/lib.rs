@@ -80,8 +80,11 @@ impl Told {
     fn of(file: &splats::Scene) -> Told {
         let kernel =
             |size: f32| format!("it was trained with the kernel size {size}: AshsplatRenderSettings has it");
+        let [x, y, z] = file.frame.origin.to_array();
+        let is_distant = [x, y, z] != [0.0; 3];
+        let origin = is_distant.then(|| format!("positions are relative to {x},{y},{z}"));
         let warnings: Vec<String> =
-            file.warnings.iter().cloned().chain(file.header.kernel_size.map(kernel)).collect();
+            file.warnings.iter().cloned().chain(file.header.kernel_size.map(kernel)).chain(origin).collect();
         let warnings = CString::new(warnings.join("\n").replace('\0', " ")).unwrap_or_default();
         Told { antialiased: file.header.antialiased, warnings }
     }

@@ -25,6 +25,8 @@ pub struct PlyOptions {
 pub struct PlyScene {
     /// The usable Gaussians, in the file's order.
     pub gaussians: Gaussians,
+    /// Where their coordinates lie within those of the file.
+    pub frame: WorldFrame,
     /// Number of Gaussians that were dropped because of an unusable parameter.
     pub dropped: u64,
     /// Description of the dropped ones ("5 of 16 Gaussians have …, first vertex 0: x = NaN").
@@ -50,6 +52,7 @@ pub fn read(path: impl AsRef<Path>, options: &PlyOptions) -> Result<PlyScene> {
     let scene = Reader::new(path, source, &options).collect()?;
     Ok(PlyScene {
         gaussians: scene.gaussians,
+        frame: scene.frame,
         dropped: scene.dropped,
         warning: scene.warnings.into_iter().next(),
     })

@@ -91,15 +91,15 @@ const FRAME_POINTS: usize = 1 << 16;
 
 impl Scene {
     /// The scene in the frame in which it is drawn: a distant one around an origin of its own, a tiny one enlarged beyond the near
-    /// limit. What a training chose is kept; `unit` is the world unit of a file that names none, if it is known.
-    pub fn in_world_frame(mut self, unit: Option<f64>) -> Self {
+    /// limit. Origin and unit that the file names are kept.
+    pub fn in_world_frame(mut self) -> Self {
         let step = self.gaussians.len().div_ceil(FRAME_POINTS).max(1);
         let means = self.gaussians.means.iter().step_by(step);
         let points: Vec<DVec3> = means.map(|&mean| self.frame.source(Vec3::from_array(mean))).collect();
-        let around = WorldFrame::around(&points);
+        let around = WorldFrame::around_gaussians(&points);
         let frame = WorldFrame {
             origin: if self.header.origin == DVec3::ZERO { around.origin } else { self.header.origin },
-            unit: self.header.unit.or(unit).unwrap_or(around.unit),
+            unit: self.header.unit.unwrap_or(around.unit),
         };
         self.express_in(&frame);
         self

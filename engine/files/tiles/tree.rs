@@ -128,7 +128,8 @@ impl Tree {
     pub fn in_world_frame(mut self) -> Tree {
         let corners = |Bounds { min, max }: Bounds| [min, 0.5 * min + 0.5 * max, max];
         let points = self.tiles.iter().flat_map(|tile| corners(tile.bounds));
-        let around = WorldFrame::around(&points.map(|point| self.frame.source(point)).collect::<Vec<_>>());
+        let around =
+            WorldFrame::around_gaussians(&points.map(|point| self.frame.source(point)).collect::<Vec<_>>());
         let own = self.frame.origin;
         let frame = WorldFrame { origin: if own == DVec3::ZERO { around.origin } else { own }, ..around };
         let to = frame.similarity_from(&self.frame);

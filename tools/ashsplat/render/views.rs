@@ -9,6 +9,7 @@ use ashsplat::kernels::constants::NEAR_PLANE;
 use ashsplat::scene::{Camera, Gaussians, Intrinsics, Motion, Orbit, WorldFrame, tour};
 use ashsplat::{Error, Result};
 use ashsplat_files::cameras_json::{self, NamedCamera};
+use ashsplat_files::splats::Scene;
 use clap::{Args, ValueEnum};
 use glam::Vec3;
 use std::cmp::Ordering;
@@ -111,17 +112,17 @@ impl Arguments {
     }
 
     /// The views that are asked for.
-    pub fn choose(&self, model: &Model, gaussians: &Gaussians, film: Option<Container>) -> Result<Views> {
+    pub fn choose(&self, model: &Model, scene: &Scene, film: Option<Container>) -> Result<Views> {
         let own =
             model.folder.as_ref().map(|(folder, _)| folder.join(CAMERAS_FILE)).filter(|path| path.is_file());
         let unsaid = film.is_some() && self.source_path.is_none() && self.path.is_none();
         if let Some(count) = self.orbit.or_else(|| (unsaid || self.motion.is_some()).then_some(FILM_FRAMES)) {
-            return self.around(count, own.as_deref(), gaussians, film);
+            return self.around(count, own.as_deref(), scene, film);
         }
         let mut cameras = match (&self.source_path, &self.path, own) {
-            (Some(dataset), _, _) => session::cameras(dataset, &WorldFrame::default())?,
-            (None, Some(path), _) => self.along(path)?,
-            (None, None, Some(path)) => cameras_json::read(path, &WorldFrame::default())?,
+            (Some(dataset), _, _) => session::cameras(dataset, &scene.frame)?,
+            (None, Some(path), _) => self.along(path, &scene.frame)?,
+            (None, None, Some(path)) => cameras_json::read(path, &scene.frame)?,
             (None, None, None) => {
                 return Err(Error::input(
                     &model.ply,
@@ -163,8 +164,8 @@ impl Arguments {
     }
 
     /// The views of a file, or those between them.
-    fn along(&self, path: &Path) -> Result<Vec<NamedCamera>> {
-        let mut keys = cameras_json::read(path, &WorldFrame::default())?;
+    fn along(&self, path: &Path, frame: &WorldFrame) -> Result<Vec<NamedCamera>> {
+        let mut keys = cameras_json::read(path, frame)?;
         let Some(count) = self.frames else { return Ok(keys) };
         // Training lists what it holds out first; names tell how the photographs follow each other.
         if is_of_model(path) {
@@ -188,13 +189,13 @@ impl Arguments {
         &self,
         count: u32,
         own: Option<&Path>,
-        gaussians: &Gaussians,
+        scene: &Scene,
         film: Option<Container>,
     ) -> Result<Views> {
         let seen: Vec<Camera> = match own {
             // What an orbit shows is an angle, which others have none of.
             Some(path) => {
-                let all = cameras_json::read(path, &WorldFrame::default())?;
+                let all = cameras_json::read(path, &scene.frame)?;
                 all.iter().map(|named| named.camera).filter(|camera| !camera.is_orthographic()).collect()
             }
             None => Vec::new(),
@@ -212,6 +213,7 @@ impl Arguments {
                 motion.cameras(&seen, count, film.is_some(), intrinsics)
             }
             _ => {
+                let gaussians = &scene.gaussians;
                 let scene_center = gaussians.statistics().central_bounds.map(|bounds| bounds.center());
                 let orbit = Orbit::around_scene(&seen, scene_center, count, intrinsics);
                 orbit.unwrap_or_else(|| orbit_around(gaussians, self.up, count, intrinsics)).cameras()

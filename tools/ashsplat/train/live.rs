@@ -120,7 +120,7 @@ impl Live {
         });
         let films = model.join("films");
         let mut studio = Studio::new(hub.clone(), subject.base, films.clone());
-        studio.show(subject.base, subject.lights);
+        studio.show(subject.base, subject.lights, subject.frame);
         let mut server = None;
         if let Some((listener, serve)) = doors.page {
             let site = Site::new(hub.clone(), films, serve.clone());
@@ -274,6 +274,7 @@ impl Run {
             up: None,
             name: data.model_path.display().to_string(),
             gaussians: self.trainer.gaussians()?,
+            frame: self.frame,
             base: self.trainer.render_settings(),
             lights: PhotoLights::in_training(&cameras, &self.trained, &self.takers, learns),
             cameras,

@@ -1,7 +1,7 @@
 //! What a page leaves out of the scene, and how `ashsplat convert` is told the same.
 
 use ashsplat::RenderSettings;
-use ashsplat::scene::{Bounds, Cut};
+use ashsplat::scene::{Bounds, Cut, WorldFrame};
 use glam::Vec3;
 use serde::Deserialize;
 
@@ -30,9 +30,12 @@ impl CutMessage {
     }
 }
 
-/// The options of `ashsplat convert` that leave what these settings show; numbers are read back to the same bits.
-pub fn options(settings: &RenderSettings) -> String {
+/// The options of `ashsplat convert` that leave what these settings show of a scene in a frame. Without a frame of its own, numbers
+/// are read back to the same bits.
+pub fn options(settings: &RenderSettings, frame: &WorldFrame) -> String {
     let Cut { min_opacity, min_density, bounds } = settings.cut;
+    // The decimal number that single precision shows.
+    let decimal = |v: f32| v.to_string().parse::<f64>().unwrap_or_else(|_| v.into());
     let mut said = Vec::new();
     if let Some(degree) = settings.sh_degree {
         said.push(format!("--sh-degree {degree}"));
@@ -41,10 +44,12 @@ pub fn options(settings: &RenderSettings) -> String {
         said.push(format!("--min-opacity {min_opacity}"));
     }
     if min_density > 0.0 {
-        said.push(format!("--min-density {min_density}"));
+        said.push(format!("--min-density {}", decimal(min_density) / frame.unit));
     }
     if let Some(Bounds { min, max }) = bounds {
-        let sides: Vec<String> = min.to_array().iter().chain(&max.to_array()).map(f32::to_string).collect();
+        let source = |axis: usize, v: f32| (frame.origin[axis] + frame.unit * decimal(v)).to_string();
+        let corner = |corner: Vec3| [0, 1, 2].map(|axis| source(axis, corner[axis]));
+        let sides = [corner(min), corner(max)].concat();
         said.push(format!("--crop-box={}", sides.join(",")));
     }
     said.join(" ")
@@ -75,10 +80,17 @@ mod tests {
         let settings = RenderSettings { cut: message.cut(), sh_degree: Some(1), ..Default::default() };
         let expected =
             "--sh-degree 1 --min-opacity 0.05 --min-density 0.3 --crop-box=-inf,-1.5,-inf,inf,2,inf";
-        assert_eq!(options(&settings), expected);
+        let usual = WorldFrame::default();
+        assert_eq!(options(&settings, &usual), expected);
+        let frame = WorldFrame { origin: glam::DVec3::new(0.0, 4_600_000.0, 0.0), unit: 0.1 };
+        let far = "--sh-degree 1 --min-opacity 0.05 --min-density 3 --crop-box=-inf,4599999.85,-inf,inf,4600000.2,inf";
+        assert_eq!(options(&settings, &frame), far);
         let address = "min_opacity=0.05&min_density=0.3&low=,-1.5,&high=,2,&sh_degree=1";
         assert_eq!(query(&settings), address);
         let none: CutMessage = serde_json::from_str("{}").expect("none");
-        assert_eq!((none.cut(), options(&RenderSettings::default())), (Cut::default(), String::new()));
+        assert_eq!(
+            (none.cut(), options(&RenderSettings::default(), &usual)),
+            (Cut::default(), String::new())
+        );
     }
 }

@@ -7,6 +7,7 @@ use super::protocol::{Look, Mode, ViewRequest};
 use crate::light::Light;
 use crate::output::{self, Depth};
 use ashsplat::kernels::constants::TILE_SIZE;
+use ashsplat::scene::WorldFrame;
 use ashsplat::{
     Camera, Error, Frame, Gaussians, PixelReport, RenderSettings, Renderer, Result, TileReport, Trainer,
 };
@@ -167,7 +168,7 @@ pub fn draw_as(
 /// The answer to a request for a frame: header and bytes.
 pub fn answer(
     painter: &mut dyn Painter,
-    (base, lights): (&RenderSettings, &PhotoLights),
+    (base, lights, frame): (&RenderSettings, &PhotoLights, &WorldFrame),
     request: &ViewRequest,
 ) -> Result<(Value, Vec<u8>)> {
     let camera = request.camera.camera()?;
@@ -186,7 +187,7 @@ pub fn answer(
         "iteration": painter.iteration(),
         "tree": painter.tree(),
         // What makes the same cut of the file.
-        "convert": cut::options(&settings),
+        "convert": cut::options(&settings, frame),
         "export": cut::query(&settings),
     });
     Ok((header, bytes))

@@ -29,7 +29,7 @@ pub struct Film {
 
 impl Film {
     /// Checks what is asked for and writes the path, which `ashsplat render --path` reads.
-    pub fn begin(client: u64, request: FilmRequest, folder: &Path) -> Result<Film> {
+    pub fn begin(client: u64, request: FilmRequest, (folder, frame): (&Path, &WorldFrame)) -> Result<Film> {
         let cameras = cameras(&request)?;
         // Of an earlier film, nothing is overwritten, and nothing mixed with this one's.
         let taken = |number: &u32| {
@@ -40,7 +40,7 @@ impl Film {
         let names: Vec<String> = (0..cameras.len()).map(|index| format!("{index:05}")).collect();
         let named = names.iter().map(String::as_str).zip(&cameras);
         output::in_folder(&folder.join(Film::path_name(&name)), |path| {
-            cameras_json::write(path, named, &WorldFrame::default())
+            cameras_json::write(path, named, frame)
         })?;
         Ok(Film { client, name, folder: folder.to_owned(), cameras, request, done: 0 })
     }

@@ -59,7 +59,7 @@ pub struct SceneRequest {
 #[derive(Debug)]
 pub struct CurrentScene {
     pub gaussians: Gaussians,
-    /// How it is to be drawn.
+    /// How it is to be drawn, and where its coordinates lie.
     pub marks: WriteOptions,
 }
 

@@ -8,6 +8,7 @@ use super::lights::PhotoLights;
 use super::protocol::{self, Look, ToPage};
 use super::sizes::{Sizes, Sparing};
 use crate::output;
+use ashsplat::scene::WorldFrame;
 use ashsplat::{Error, RenderSettings, Result};
 use ashsplat_files::splats::WriteOptions;
 use serde_json::{Value, json};
@@ -32,6 +33,8 @@ pub struct Studio {
     base: RenderSettings,
     /// How its photos were exposed.
     lights: PhotoLights,
+    /// Where its coordinates lie within those of its files.
+    frame: WorldFrame,
     /// Where films are put.
     films: PathBuf,
     film: Option<Film>,
@@ -48,6 +51,7 @@ impl Studio {
             hub,
             base,
             lights: PhotoLights::default(),
+            frame: WorldFrame::default(),
             films,
             film: None,
             sizes: Sizes::default(),
@@ -57,8 +61,8 @@ impl Studio {
     }
 
     /// Shows another scene from now on, as it was trained.
-    pub fn show(&mut self, base: RenderSettings, lights: PhotoLights) {
-        (self.base, self.lights) = (base, lights);
+    pub fn show(&mut self, base: RenderSettings, lights: PhotoLights, frame: WorldFrame) {
+        (self.base, self.lights, self.frame) = (base, lights, frame);
     }
 
     /// Whether a film is being made or waits for its turn.
@@ -87,7 +91,7 @@ impl Studio {
         match task {
             Task::Frame { client, request } => {
                 self.attend(painter, client, &request.look);
-                let answer = draw::answer(painter, (&self.base, &self.lights), &request);
+                let answer = draw::answer(painter, (&self.base, &self.lights, &self.frame), &request);
                 let failed = answer.is_err();
                 self.reply(client, answer.map(|(header, bytes)| ToPage::frame(&header, &bytes)))?;
                 if failed {
@@ -136,7 +140,11 @@ impl Studio {
     fn answer_remotely(&self, painter: &mut dyn Painter, request: &RemoteRequest) -> Result<()> {
         self.attend(painter, REMOTE, &Look::default());
         let settings = RenderSettings { scale_modifier: request.scale, ..self.base };
-        let frame = painter.render(&request.camera, &settings).and_then(|frame| output::to_photo(&frame));
+        let mut camera = request.camera;
+        // That program knows the coordinates of the files.
+        let rotation = camera.camera_from_world.as_dmat3();
+        camera.translation = self.frame.translation(rotation, camera.translation.as_dvec3());
+        let frame = painter.render(&camera, &settings).and_then(|frame| output::to_photo(&frame));
         match frame {
             Ok(photo) => {
                 request.answer.try_send(photo.rgb).ok();
@@ -153,7 +161,7 @@ impl Studio {
         if request.answer.is_closed() {
             return Ok(());
         }
-        let marks = WriteOptions::marking(&self.base);
+        let marks = WriteOptions { frame: self.frame, ..WriteOptions::marking(&self.base) };
         match painter.gaussians() {
             Ok(gaussians) => drop(request.answer.send(Ok(CurrentScene { gaussians, marks }))),
             Err(error) => {
@@ -204,7 +212,7 @@ impl Studio {
         let Some((client, request)) = self.hub.take_film() else { return false };
         self.assembling.retain(|thread| !thread.is_finished());
         let begun = match self.assembling.len() < MOST_ASSEMBLED {
-            true => Film::begin(client, request, &self.films),
+            true => Film::begin(client, request, (&self.films, &self.frame)),
             false => Err(Error::argument("film", "others are being put together: ask again in a while")),
         };
         match begun {

@@ -34,6 +34,8 @@ const START_SIZE: [u32; 2] = [1280, 720];
 pub struct Subject {
     pub name: String,
     pub gaussians: Gaussians,
+    /// Where Gaussians and cameras lie within the coordinates of their files.
+    pub frame: WorldFrame,
     /// How it looks as it was trained.
     pub base: RenderSettings,
     /// Of the photos, where there are any.
@@ -86,6 +88,7 @@ impl Subject {
         Subject {
             name: "nothing".into(),
             gaussians: Gaussians::default(),
+            frame: WorldFrame::default(),
             base: RenderSettings::default(),
             cameras: Vec::new(),
             photos: None,
@@ -132,6 +135,7 @@ impl Subject {
             name: path.display().to_string(),
             base: look.settings(&Settings::default(), &scene.header)?,
             gaussians: scene.gaussians,
+            frame: scene.frame,
             cameras: Vec::new(),
             photos: None,
             lights: PhotoLights::default(),
@@ -175,7 +179,7 @@ impl Subject {
         if wanted.within.is_some_and(|folder| !lies_within(&data, folder)) {
             data.source_path = PathBuf::new();
         }
-        let gallery = match (asked, photos_of(&data, white, host, stop)) {
+        let gallery = match (asked, photos_of(&data, (white, &scene.frame), host, stop)) {
             (true, gallery) => Some(gallery?),
             (false, Err(Error::Interrupted)) => return Err(Error::Interrupted),
             // What the training had may have gone.
@@ -184,7 +188,7 @@ impl Subject {
         let own = model.folder.as_ref().map(|(folder, _)| folder.join(CAMERAS_FILE));
         let cameras = match (&gallery, own.filter(|own| own.is_file())) {
             (Some(gallery), _) => gallery.cameras(),
-            (None, Some(own)) => pinholes(&own)?,
+            (None, Some(own)) => pinholes(&own, &scene.frame)?,
             (None, None) => Vec::new(),
         };
         let lights = match &model.folder {
@@ -197,6 +201,7 @@ impl Subject {
             name: path.display().to_string(),
             base: look.settings(&model.settings, &scene.header)?,
             gaussians: scene.gaussians,
+            frame: scene.frame,
             lights: PhotoLights::kept(&cameras, &lights),
             cameras,
             photos: gallery.map(|gallery| Arc::new(Photos::new(gallery))),
@@ -231,6 +236,7 @@ impl Subject {
         Ok(Subject {
             name: path.display().to_string(),
             gaussians,
+            frame: *gallery.frame(),
             base: RenderSettings::default(),
             cameras: gallery.cameras(),
             lights: PhotoLights::default(),
@@ -269,6 +275,7 @@ impl Subject {
             "name": self.name,
             "run": run_name(),
             "note": self.note,
+            "frame": { "origin": self.frame.origin.to_array(), "unit": self.frame.unit },
             "empty": self.gaussians.is_empty(),
             "gaussians": tree.map_or(self.gaussians.len(), |tree| tree.tree.gaussians()),
             "tree": tree.map(|tree| json!({ "budget": tree.budget, "least": self.gaussians.len() })),
@@ -323,8 +330,8 @@ fn run_name() -> String {
 }
 
 /// The pinholes of a model's cameras; the viewer shows no others.
-fn pinholes(file: &Path) -> Result<Vec<NamedCamera>> {
-    let mut cameras = cameras_json::read(file, &WorldFrame::default())?;
+fn pinholes(file: &Path, frame: &WorldFrame) -> Result<Vec<NamedCamera>> {
+    let mut cameras = cameras_json::read(file, frame)?;
     let all = cameras.len();
     cameras.retain(|named| !named.camera.is_orthographic());
     if cameras.len() < all {
@@ -355,12 +362,13 @@ fn lies_within(data: &DataSettings, folder: &Path) -> bool {
 /// The photos of a training's data set, at the size at which it uses them.
 fn photos_of(
     data: &DataSettings,
-    white_background: bool,
+    (white_background, frame): (bool, &WorldFrame),
     host: &HostArguments,
     stop: &AtomicBool,
 ) -> Result<Gallery> {
     if data.source_path.as_os_str().is_empty() {
         return Err(Error::argument("data set", "is not known; name it with -s DATASET"));
     }
-    session::open(data, &session::options(data, white_background, host)?, stop)
+    let options = DatasetOptions { frame: Some(*frame), ..session::options(data, white_background, host)? };
+    session::open(data, &options, stop)
 }

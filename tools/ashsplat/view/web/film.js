@@ -2,17 +2,18 @@
 
 import { between } from './camera.js';
 import { download } from './frames.js';
+import { add, sub, times } from './maths.js';
 
 const find = (id) => document.getElementById(id);
 
 export class Film {
     constructor(link, camera, look) {
-        Object.assign(this, { link, camera, look, keys: [], playing: false, rendering: false });
+        Object.assign(this, { link, camera, look, keys: [], playing: false, rendering: false, frame: { origin: [0, 0, 0], unit: 1 } });
         find('film-add').onclick = () => this.add();
         find('film-clear').onclick = () => { this.keys = []; this.list(); };
         find('film-preview').onclick = () => this.preview();
         find('film-render').onclick = () => this.render();
-        find('film-save').onclick = () => download(new Blob([JSON.stringify({ ashsplat_path: 1, ...this.settings(), keys: this.keys }, null, 1)], { type: 'application/json' }), 'camera_path.json');
+        find('film-save').onclick = () => download(new Blob([JSON.stringify({ ashsplat_path: 1, ...this.settings(), keys: this.inFile() }, null, 1)], { type: 'application/json' }), 'camera_path.json');
         find('film-load').onclick = () => find('film-file').click();
         find('film-file').onchange = () => this.load();
         link.on('film', (progress) => this.progress(progress));
@@ -23,6 +24,12 @@ export class Film {
     settings() {
         const [width, height] = find('film-size').value.split('x').map(Number);
         return { seconds: Number(find('film-seconds').value), frames_per_second: Math.round(Number(find('film-fps').value)), closed: find('film-closed').checked, width, height };
+    }
+
+    /** The keys in the coordinates of the scene's file. */
+    inFile() {
+        const { origin, unit } = this.frame;
+        return this.keys.map((key) => ({ ...key, position: add(origin, times(key.position, unit)) }));
     }
 
     add() {
@@ -50,7 +57,8 @@ export class Film {
             const path = JSON.parse(await file.text());
             const sound = (key) => key.position.length === 3 && key.rotation.length === 3 && key.fov_y > 0;
             if (!path.keys.every(sound)) throw new Error('its keys are not whole');
-            this.keys = path.keys;
+            const { origin, unit } = this.frame;
+            this.keys = path.keys.map((key) => ({ ...key, position: times(sub(key.position, origin), 1 / unit) }));
             if (path.seconds) find('film-seconds').value = path.seconds;
             if (path.frames_per_second) find('film-fps').value = path.frames_per_second;
             find('film-closed').checked = Boolean(path.closed);

@@ -128,7 +128,9 @@ export class Filter {
         const sides = AXES.map((name, axis) => {
             const [low, high] = [0, 1].map((end) => this.side(axis, end));
             if (low === null && high === null) return '';
-            return `${name} ${low === null ? '' : `${short(low)} `}…${high === null ? '' : ` ${short(high)}`}`;
+            const { origin, unit } = this.scene.frame;
+            const source = (value) => String(origin[axis] + short(unit * value));
+            return `${name} ${low === null ? '' : `${source(low)} `}…${high === null ? '' : ` ${source(high)}`}`;
         }).filter(Boolean);
         find('box-text').hidden = !sides.length;
         find('box-text').textContent = sides.join(', ');
@@ -193,10 +195,12 @@ export class Filter {
         const name = `${this.scene.stem}${cut}.${format}`;
         download(`export/${encodeURIComponent(name)}?${this.shown}`, name);
         this.say(`${name} is made; the browser saves it as it comes`);
-        const answer = await fetch(`/count?${this.shown}&format=${format}`).catch(() => null);
+        const answer = await fetch(`count?${this.shown}&format=${format}`).catch(() => null);
         const { losses } = answer?.ok ? await answer.json() : { losses: [] };
+        const { origin } = this.scene.frame;
+        if (origin.some(Boolean)) losses.push(`positions are relative to ${origin.join(', ')}`);
         if (losses.length > 0) this.say(losses.join('; '));
     }
 }
 
-const short = (value) => String(Number(value.toPrecision(3)));
+const short = (value) => Number(value.toPrecision(3));

@@ -142,6 +142,8 @@ link.on('scene', (message) => {
     if (message.empty) find('welcome-note').replaceChildren(...marked(message.note ?? ''));
     // Tiles that come later belong to the picture, too.
     frames.follow = message.training !== null || Boolean(message.tree);
+    panel.unit = picker.unit = message.frame.unit;
+    film.frame = message.frame;
     panel.open(message);
     filter.open(message, first);
     detail.open(message, first);

@@ -1,7 +1,7 @@
 // The tools on the left, the appearance on the right, the line at the bottom.
 
 const find = (id) => document.getElementById(id);
-const UNITS = { depth: 'depth, world units', tiles: 'Gaussians per tile' };
+const UNITS = { depth: 'depth, units of the scene', tiles: 'Gaussians per tile' };
 
 export class Panel {
     constructor() {
@@ -91,10 +91,10 @@ export class Panel {
         const has = Array.isArray(legend) && this.mode in UNITS;
         find('legend').hidden = !has;
         if (!has) return;
-        const digits = this.mode === 'depth' ? 2 : 0;
         find('legend').classList.toggle('near', this.mode === 'depth');
-        find('legend-low').textContent = legend[0].toFixed(digits);
-        find('legend-high').textContent = legend[1].toFixed(digits);
+        const [low, high] = legend.map((end) => this.mode === 'depth' ? (end * this.unit).toPrecision(3) : end.toFixed(0));
+        find('legend-low').textContent = low;
+        find('legend-high').textContent = high;
         find('legend-unit').textContent = UNITS[this.mode];
     }
 }

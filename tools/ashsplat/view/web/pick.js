@@ -47,7 +47,7 @@ export class Picker {
         find('picked-where').textContent = `${pixel.join(', ')} · ${samples.length} Gaussians`;
         const swatch = Object.assign(document.createElement('i'), { className: 'swatch' });
         swatch.style.background = css(color);
-        const at = depth === null ? '' : `, half the light from before ${depth.toFixed(3)}`;
+        const at = depth === null ? '' : `, half the light from before ${(depth * this.unit).toPrecision(4)}`;
         find('picked-sum').replaceChildren(swatch, `${color.map((c) => c.toFixed(3)).join(' ')}, ${(100 * (1 - transmittance)).toFixed(1)} % opaque${at}`);
         const table = document.createElement('table');
         table.createTHead().innerHTML = '<tr><th></th><th>id</th><th>depth</th><th>alpha</th><th>weight</th><th>left</th></tr>';
@@ -57,7 +57,7 @@ export class Picker {
             const mark = Object.assign(document.createElement('i'), { className: 'swatch' });
             mark.style.background = css(s.color);
             row.insertCell().append(mark);
-            for (const text of [s.id, s.depth.toFixed(3), s.alpha.toFixed(3), s.weight.toFixed(4), s.transmittance_left.toFixed(4)]) row.insertCell().textContent = text;
+            for (const text of [s.id, (s.depth * this.unit).toPrecision(4), s.alpha.toFixed(3), s.weight.toFixed(4), s.transmittance_left.toFixed(4)]) row.insertCell().textContent = text;
             row.cells[4].className = 'weight';
             row.cells[4].style.setProperty('--share', `${100 * s.weight}%`);
         }

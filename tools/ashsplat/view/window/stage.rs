@@ -66,6 +66,8 @@ pub struct Stage {
     note: Option<String>,
     start: Option<Camera>,
     center: DVec3,
+    /// Source units of a world unit.
+    unit: f32,
     out: PathBuf,
     /// Of the window, pixels.
     pub size: [u32; 2],
@@ -120,6 +122,7 @@ impl Stage {
             note: subject.note,
             start: start.map(|message| message.camera()).transpose()?,
             center,
+            unit: subject.frame.unit as f32,
             out,
             size: [1, 1],
             scale_factor: 1.0,
@@ -262,7 +265,8 @@ impl Stage {
 
     /// Lists what is blended at a pixel.
     pub fn pick(&mut self, at: [f64; 2]) -> Result<()> {
-        if let Some((pixel, report)) = self.report(at)? {
+        if let Some((pixel, mut report)) = self.report(at)? {
+            report.samples.iter_mut().for_each(|sample| sample.depth *= self.unit);
             self.picked = words::picked(pixel, &report);
             self.pace.leap();
         }
@@ -422,7 +426,9 @@ impl Stage {
         }
         let look = self.look();
         let drawn = draw::draw_as(self.picture.painter(), camera, &self.base, &look, light)?;
-        let (milliseconds, legend) = (self.measured.milliseconds, drawn.legend);
+        let unit = if MODES[self.mode] == Mode::Depth { self.unit } else { 1.0 };
+        let legend = drawn.legend.map(|ends| ends.map(|end| end * unit));
+        let milliseconds = self.measured.milliseconds;
         self.measured = Measured { milliseconds, legend, ..Measured::told(&drawn.stats) };
         Ok(Some(drawn.photo))
     }

@@ -76,7 +76,7 @@ pub fn status(scene: &str, device: &str, mode: usize, rate: f64, frame: &Measure
     }
     if let Some([low, high]) = frame.legend {
         lines.push(match MODES[mode] {
-            "depth" => format!("red {low:.2} … blue {high:.2} world units"),
+            "depth" => format!("red {low:.3} … blue {high:.3} units of the scene"),
             _ => format!("blue {low:.0} … red {high:.0} Gaussians per tile"),
         });
     }
@@ -181,7 +181,7 @@ mod tests {
             ]
         );
         frame.legend = Some([0.5, 7.0]);
-        assert!(status("", "", 3, 0.0, &frame).iter().any(|line| line.starts_with("red 0.50 … blue 7.00")));
+        assert!(status("", "", 3, 0.0, &frame).iter().any(|line| line.starts_with("red 0.500 … blue 7.000")));
     }
 
     #[test]
