@@ -7,7 +7,7 @@ use ashsplat::scene::gaussians::sh_coefficients;
 use ashsplat::scene::{Camera, Gaussians, Intrinsics, Orbit, WorldFrame};
 use ashsplat::{Error, RenderSettings, Result, TrainView};
 use ashsplat_files::cameras_json;
-use ashsplat_files::{Dataset, DatasetOptions, Progress, splats};
+use ashsplat_files::{Dataset, DatasetOptions, Gallery, Progress, splats};
 use clap::Args;
 use glam::Vec3;
 use std::path::{Path, PathBuf};
@@ -128,9 +128,9 @@ impl SceneArguments {
         let mut scene = match (&self.dataset, &self.scene) {
             (Some(dataset), trained) => self.of_dataset(dataset, trained.as_deref(), training, host)?,
             (None, Some(trained)) => {
-                let gaussians = splats::read(trained, &host.reading(true))?.gaussians;
+                let splats::Scene { gaussians, frame, .. } = splats::read(trained, &host.reading(true))?;
                 let camera = match &self.camera {
-                    Some(place) => named_camera(place)?,
+                    Some(place) => named_camera(place, &frame)?,
                     None => overview(&gaussians),
                 };
                 let source = trained.display().to_string();
@@ -184,23 +184,26 @@ impl SceneArguments {
                 format!("the data set has {views} views, from 0"),
             )
         };
-        let (camera, view, points, scene_extent) = if photos || trained.is_none() {
+        let (camera, view, points, scene_extent, frame) = if photos || trained.is_none() {
             let options = DatasetOptions { host_memory: host.memory(), ..Default::default() };
             let loaded = Dataset::load(dataset, &options, Progress::default())?;
             let count = loaded.train.len();
             let view = loaded.train.into_iter().nth(self.view).ok_or_else(|| no_view(count))?;
             let camera = view.camera;
             let view = photos.then_some(TrainView::new(camera, view.photo));
-            (camera, view, Some(loaded.points), loaded.scene_extent)
+            (camera, view, Some(loaded.points), loaded.scene_extent, loaded.frame)
         } else {
-            let cameras = Dataset::cameras(dataset, &DatasetOptions::default())?;
+            let gallery = Gallery::open(dataset, &DatasetOptions::default(), Progress::default())?;
+            let cameras = gallery.cameras();
             let camera = cameras.get(self.view).ok_or_else(|| no_view(cameras.len()))?.camera;
-            (camera, None, None, 1.0)
+            (camera, None, None, 1.0, *gallery.frame())
         };
         let gaussians = match (trained, points) {
             (Some(trained), _) => {
                 source = format!("{} in {source}", trained.display());
-                splats::read(trained, &host.reading(true))?.gaussians
+                let mut scene = splats::read(trained, &host.reading(true))?;
+                scene.express_in(&frame);
+                scene.gaussians
             }
             (None, points) => {
                 ashsplat_files::initial_gaussians(&points.unwrap_or_default(), self.synthetic.sh_degree())?
@@ -210,14 +213,14 @@ impl SceneArguments {
     }
 }
 
-fn named_camera(place: &str) -> Result<Camera> {
+fn named_camera(place: &str, frame: &WorldFrame) -> Result<Camera> {
     let (file, index) = match place.rsplit_once(':') {
         Some((file, index)) if !index.is_empty() && index.bytes().all(|b| b.is_ascii_digit()) => {
             (file, index.parse().unwrap_or(usize::MAX))
         }
         _ => (place, 0),
     };
-    let cameras = cameras_json::read(file, &WorldFrame::default())?;
+    let cameras = cameras_json::read(file, frame)?;
     let found = cameras.get(index).map(|named| named.camera);
     found.ok_or_else(|| Error::input(file, format!("has {} cameras, not number {index}", cameras.len()), ""))
 }
