@@ -7,11 +7,9 @@ use std::path::Path;
 use super::host_memory::{self, HostMemory, Lease};
 use ashsplat::{Error, Result};
 
-/// Bytes that one byte of a text becomes, with itself: words become strings, and numbers of two digits eight bytes.
-pub const TEXT_GROWTH: u64 = 6;
-
-/// The same of a text that becomes a `serde_json::Value`: `[],` becomes a vector, and `"":{},` a map.
-pub const JSON_VALUE_GROWTH: u64 = 110;
+/// Most bytes that a list, an object or an element of one takes, for each comma or opening bracket of its JSON. A map with one key
+/// is the worst: it reserves 630 bytes, for three of these characters.
+const JSON_ITEM_BYTES: u64 = 210;
 
 /// Opens a regular file. Returns it with its length in bytes.
 ///
@@ -56,6 +54,22 @@ pub(crate) fn read_within(path: &Path, growth: u64, memory: &HostMemory) -> Resu
     let (file, length) = open(path)?;
     let lease = memory.take(path, length.saturating_mul(growth))?;
     Ok((contents(path, file, length)?, lease))
+}
+
+/// The text of a JSON file, if the machine has free memory for it and for what it becomes.
+///
+/// # Errors
+/// As [`read`].
+pub fn read_json(path: impl AsRef<Path>) -> Result<Vec<u8>> {
+    let text = read(&path, 1)?;
+    check_json(path.as_ref(), &text, None)?;
+    Ok(text)
+}
+
+/// Refuses a JSON text that becomes more than the bound allows.
+pub(crate) fn check_json(path: &Path, text: &[u8], limit: Option<u64>) -> Result<()> {
+    let items = text.iter().filter(|byte| b",[{".contains(byte)).count() as u64;
+    host_memory::check(path, 2 * text.len() as u64 + JSON_ITEM_BYTES * items, limit)
 }
 
 /// The bytes of a file; None if it has more than `most`.

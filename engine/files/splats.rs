@@ -245,7 +245,7 @@ pub(crate) fn open<'a>(path: &'a Path, options: &ReadOptions) -> Result<Reader<'
         Format::CompressedPly => Box::new(ply::CompressedPly::open(path)?),
         Format::Splat => Box::new(dot_splat::DotSplat::open(path)?),
         Format::Spz => Box::new(spz::Spz::open(path)?),
-        format @ (Format::Glb | Format::Gltf) => Box::new(gltf::Gltf::open(path, format)?),
+        format @ (Format::Glb | Format::Gltf) => Box::new(gltf::Gltf::open(path, format, options)?),
     };
     Ok(Reader::new(path, source, options))
 }

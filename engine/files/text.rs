@@ -2,17 +2,16 @@
 
 use std::path::Path;
 
-use crate::regular_file::{self, TEXT_GROWTH};
-use crate::sniff;
+use crate::{regular_file, sniff};
 use ashsplat::{Error, Result};
 
-/// The text of a whole file, without its byte-order mark.
+/// The text of a whole JSON file, without its byte-order mark.
 ///
 /// # Errors
 /// [`Error::Io`] when the file cannot be read, [`Error::TooLarge`] when the machine has too little memory for it,
 /// [`Error::Input`] when it is in UTF-16.
 pub(crate) fn read(path: &Path) -> Result<String> {
-    from_bytes(path, regular_file::read(path, TEXT_GROWTH)?)
+    from_bytes(path, regular_file::read_json(path)?)
 }
 
 /// The text of the bytes of a file, without its byte-order mark.

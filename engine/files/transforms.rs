@@ -5,6 +5,7 @@
 //! `camera_model`.
 
 mod frame;
+mod json;
 mod split;
 
 use std::ffi::OsStr;
@@ -113,9 +114,9 @@ impl Transforms {
         }
         let mut clouds = Vec::new();
         for (index, path) in files.iter().enumerate() {
-            let document = parse(path)?;
+            let (text, document) = parse(path)?;
             let before = all.frames.len();
-            all.warnings.extend(frame::read_all(path, &document, &mut all.frames)?);
+            all.warnings.extend(frame::read_all(path, (&text, &document), &mut all.frames)?);
             all.frames[before..].iter_mut().for_each(|frame| frame.test |= index > 0);
             all.has_split |= all.frames.iter().any(|frame| frame.test);
             clouds.extend(cloud(path, &document, &mut all.warnings)?);
@@ -156,25 +157,27 @@ impl Transforms {
     }
 }
 
-/// The JSON of a file.
-fn parse(path: &Path) -> Result<Value> {
+/// The JSON of a file, and the values of the file itself.
+fn parse(path: &Path) -> Result<(String, Value)> {
     let text = text::read(path)?;
     if text.trim_ascii().is_empty() {
         return Err(Error::input(path, "is empty", "download or copy it again"));
     }
-    let document: Value = serde_json::from_str(&text).map_err(|e| {
-        let remedy = match has_decimal_comma(&text, &e) {
-            true => "a number there has a decimal comma: write it with a point",
-            false => {
-                "the file is damaged or cut short, or holds numbers that JSON does not have (NaN): write it again"
-            }
-        };
-        Error::input(path, format!("is not JSON: {e}"), remedy)
-    })?;
+    let document = json::document(path, &text)?;
     if document.is_object() {
-        return Ok(document);
+        return Ok((text, document));
     }
     Err(Error::input(path, "the top value is not an object with frames", "is it another kind of JSON?"))
+}
+
+fn not_json(path: &Path, text: &str, error: &serde_json::Error) -> Error {
+    let remedy = match has_decimal_comma(text, error) {
+        true => "a number there has a decimal comma: write it with a point",
+        false => {
+            "the file is damaged or cut short, or holds numbers that JSON does not have (NaN): write it again"
+        }
+    };
+    Error::input(path, format!("is not JSON: {error}"), remedy)
 }
 
 /// Whether an error of JSON lies behind a comma between digits.

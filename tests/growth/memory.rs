@@ -15,6 +15,8 @@ use crate::dataset::{Dataset, DatasetOptions};
 use crate::images::{Photo, PhotoFileFormat, PhotoMemory, Resolution};
 use crate::progress::Progress;
 use crate::splats::{self, ConvertOptions, ReadOptions, WriteOptions};
+use crate::tiles::Tree;
+use crate::transforms::Transforms;
 
 /// A picture with much detail, as a baseline JPEG.
 fn jpeg(width: u32, height: u32) -> Vec<u8> {
@@ -139,6 +141,50 @@ fn scenes_beyond_the_bound_are_refused_before_they_are_read() {
         assert!(cost.bytes < 8 << 20, "{name}: {cost:?}");
         let options = ReadOptions { max_host_memory: Some(100 << 20), ..Default::default() };
         assert_eq!(splats::read(&path, &options).unwrap().gaussians.len(), count);
+    }
+}
+
+/// As many short values as fit in a file: each would be 24 to 630 bytes of a `serde_json::Value`.
+#[test]
+fn json_takes_little_memory() {
+    const BYTES: usize = 4 << 20;
+    let _turn = turn();
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let write = |name: &str, head: &str, unit: &str, tail: &str| {
+        let text = format!("{head}{}{tail}", unit.repeat(BYTES / unit.len()));
+        std::fs::write(path(name), text).unwrap();
+    };
+    let pose = "[[1,0,0,0],[0,1,0,0],[0,0,1,0]]";
+    let frame = format!("{{\"file_path\": \"a.png\", \"transform_matrix\": {pose}}}");
+    Photo { width: 4, height: 2, rgb: vec![9; 24] }.write_png(path("a.png")).unwrap();
+    let files = [path("transforms.json")];
+    let tile = "{\"refine\":\"REPLACE\",\"geometricError\":1,\"content\":{\"uri\":\"a.spz\"},\"extras\":{\"gaussians\":1},\
+                \"boundingVolume\":{\"box\":[0,0,0,1,0,0,0,1,0,0,0,1]}}";
+    for unit in ["[],", "{\"\":{}},", "0,"] {
+        write("transforms.json", "{\"fl_x\":9,\"x\":[", unit, &format!("0],\"frames\":[{frame}]}}"));
+        let peak = peak_mib(|| assert_eq!(Transforms::read(&files).unwrap().frames.len(), 1));
+        assert!(peak < 24, "a list of {unit} in the file: {peak} MiB");
+        let frame = format!("{},\"x\":[", frame.trim_end_matches('}'));
+        write("transforms.json", &format!("{{\"fl_x\":9,\"frames\":[{frame}"), unit, "0]}]}");
+        let peak = peak_mib(|| assert_eq!(Transforms::read(&files).unwrap().frames.len(), 1));
+        assert!(peak < 24, "a list of {unit} in a frame: {peak} MiB");
+        write("tileset.json", "{\"x\":[", unit, &format!("0],\"root\":{tile}}}"));
+        let peak = peak_mib(|| assert_eq!(Tree::open(folder.path()).unwrap().tiles().len(), 1));
+        assert!(peak < 24, "a tree with {unit}: {peak} MiB");
+    }
+    let read = |options: &ReadOptions| splats::read(path("a.gltf"), options).map(drop).unwrap_err();
+    for unit in ["{},", "{\"x\":[{}]},", "{\"children\":[]},"] {
+        write("a.gltf", "{\"nodes\":[", unit, "{}]}");
+        let peak = peak_mib(|| {
+            let message = read(&ReadOptions::default()).to_string();
+            assert!(message.contains("has no Gaussians"), "{message}");
+        });
+        assert!(peak < 64, "nodes {unit}: {peak} MiB");
+        let (cost, refused) =
+            Cost::of(|| read(&ReadOptions { max_host_memory: Some(20 << 20), ..Default::default() }));
+        assert!(matches!(refused, Error::TooLarge { limit: 20_971_520, .. }), "{refused}");
+        assert!(cost.bytes < 12 << 20, "{unit}: {cost:?}");
     }
 }
 

@@ -11,11 +11,10 @@ use ashsplat::scene::{Bounds, Cells, WorldFrame};
 use ashsplat::{Error, Result};
 use ashsplat_files::Gallery;
 use ashsplat_files::cameras_json::NamedCamera;
-use ashsplat_files::regular_file::{self, JSON_VALUE_GROWTH};
+use ashsplat_files::regular_file;
 use glam::{DVec3, Vec3};
 use parts::Part;
 use serde::{Deserialize, Serialize};
-use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Component, Path, PathBuf};
 
@@ -147,6 +146,12 @@ impl Core {
     }
 }
 
+/// What every version of the file has.
+#[derive(Deserialize)]
+struct Versioned {
+    version: Option<u64>,
+}
+
 /// A file with a division.
 #[derive(Clone)]
 pub struct BlocksFile {
@@ -160,17 +165,17 @@ impl BlocksFile {
     /// Reads and checks it.
     pub fn read(path: &Path) -> Result<BlocksFile> {
         let refuse = |problem: String| Error::input(path, problem, REMEDY);
-        let bytes = regular_file::read(path, JSON_VALUE_GROWTH)?;
+        let bytes = regular_file::read_json(path)?;
         let no_json = |e: serde_json::Error| refuse(format!("is no list of blocks: {e}"));
-        let value: Value = serde_json::from_slice(&bytes).map_err(no_json)?;
-        match value.get("version").and_then(Value::as_u64) {
+        let versioned: Versioned = serde_json::from_slice(&bytes).map_err(no_json)?;
+        match versioned.version {
             Some(version) if version == u64::from(VERSION) => {}
             Some(other) => {
                 return Err(refuse(format!("is of version {other}, this program reads version {VERSION}")));
             }
             None => return Err(refuse("is no list of blocks: it says no version".into())),
         }
-        let division: Division = serde_json::from_value(value).map_err(no_json)?;
+        let division: Division = serde_json::from_slice(&bytes).map_err(no_json)?;
         division.check().map_err(|problem| refuse(problem.to_string()))?;
         let mut print = Fingerprint::new();
         print.add(&bytes);

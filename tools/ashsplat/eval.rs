@@ -18,7 +18,7 @@ use ashsplat::{Alignment, Camera, Error, Frame, RenderSettings, Renderer, Result
 use ashsplat_files::cameras_json::{self, NamedCamera};
 use ashsplat_files::exposure_json::{self, EXPOSURE_FILE};
 use ashsplat_files::metrics;
-use ashsplat_files::regular_file::{self, JSON_VALUE_GROWTH};
+use ashsplat_files::regular_file;
 use ashsplat_files::{Gallery, Photo, View};
 use clap::Args;
 use serde_json::{Map, Value, json};
@@ -300,7 +300,7 @@ pub fn write_results(folder: &Path, iteration: u32, evaluation: &Evaluation) -> 
     let key = format!("ours_{iteration}");
     for (file, entry) in [(RESULTS_FILE, evaluation.summary()), (PER_VIEW_FILE, evaluation.per_view())] {
         let path = folder.join(file);
-        let mut results = match regular_file::read(&path, JSON_VALUE_GROWTH) {
+        let mut results = match regular_file::read_json(&path) {
             Ok(text) => serde_json::from_slice::<Map<String, Value>>(&text)
                 .map_err(|e| Error::input(&path, e.to_string(), "remove the file and run again"))?,
             Err(Error::Io { source, .. }) if source.kind() == std::io::ErrorKind::NotFound => Map::new(),

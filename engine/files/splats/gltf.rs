@@ -14,7 +14,7 @@ use accessor::{Accessor, Buffers};
 use document::Document;
 use packed::PackedRows;
 
-use super::{BLOCK, Format, Header, Sink, Source, is_kernel_size};
+use super::{BLOCK, Format, Header, ReadOptions, Sink, Source, is_kernel_size};
 use crate::cost;
 use ashsplat::scene::gaussians::{MAX_SH_DEGREE, sh_coefficients};
 use ashsplat::scene::{Gaussians, Similarity, WorldFrame};
@@ -71,8 +71,8 @@ struct PlainRows {
 }
 
 impl Gltf {
-    pub(super) fn open(path: &Path, format: Format) -> Result<Self> {
-        let (document, buffers) = Document::open(path, format)?;
+    pub(super) fn open(path: &Path, format: Format, options: &ReadOptions) -> Result<Self> {
+        let (document, buffers) = Document::open(path, format, options.max_host_memory)?;
         let mut header = Header::new(format, 0, 0);
         let mut parts = Vec::new();
         let (held, mut used) = (buffers.bytes(), 0_u64);
@@ -86,13 +86,13 @@ impl Gltf {
             for &Splats { index, primitive, extension } in mesh {
                 cost::step();
                 let place = format!("mesh {mesh_index}, primitive {index}");
-                if extension["colorSpace"] == "lin_rec709_display" {
+                if extension.color_space.as_deref() == Some("lin_rec709_display") {
                     let warning =
                         format!("{}: {place}: colours are linear; they are used as they are", path.display());
                     header.warnings.push(warning);
                 }
-                header.antialiased |= extension["extras"]["antialiased"] == true;
-                let kernel_size = extension["extras"]["kernel_size"].as_f64().map(|size| size as f32);
+                header.antialiased |= extension.extras.antialiased;
+                let kernel_size = extension.extras.kernel_size.map(|size| size as f32);
                 header.kernel_size = kernel_size.filter(is_kernel_size).or(header.kernel_size);
                 let packed = PackedRows::of(path, &place, (&document, &buffers), (primitive, extension))?;
                 let rows = if let Some(packed) = packed {
@@ -171,14 +171,14 @@ fn damaged(path: &Path, problem: impl Into<String>) -> Error {
 struct Splats<'a> {
     index: usize,
     primitive: &'a document::Primitive,
-    extension: &'a serde_json::Value,
+    extension: &'a document::SplatsExtension,
 }
 
 impl<'a> Splats<'a> {
     fn of(mesh: &'a document::Mesh) -> Vec<Self> {
         let own = |(index, primitive): (usize, &'a document::Primitive)| {
             cost::step();
-            Some(Self { index, primitive, extension: primitive.extensions.get(EXTENSION)? })
+            Some(Self { index, primitive, extension: primitive.extensions.splats.as_deref()? })
         };
         mesh.primitives.iter().enumerate().filter_map(own).collect()
     }
@@ -191,7 +191,7 @@ struct Attributes<'a> {
     document: &'a Document,
     buffers: &'a Buffers,
     primitive: &'a document::Primitive,
-    extension: &'a serde_json::Value,
+    extension: &'a document::SplatsExtension,
 }
 
 impl Attributes<'_> {
@@ -232,7 +232,7 @@ impl Attributes<'_> {
     fn required(&self, name: &str, components: usize) -> Result<Accessor> {
         let Some(&index) = self.primitive.attributes.get(name) else {
             let problem = format!("{}: has no attribute {name}", self.place);
-            let packed = self.extension["extensions"].as_object().and_then(|e| e.keys().next());
+            let packed = self.extension.extensions.keys().next();
             let remedy = match packed {
                 Some(packed) => {
                     format!("its compression {packed} is not read: unpack it with another program")

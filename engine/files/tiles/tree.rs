@@ -5,10 +5,9 @@ use std::path::{Path, PathBuf};
 
 use glam::{DMat4, DVec3, Vec3, vec3};
 use serde::Deserialize;
-use serde_json::Value;
 
 use super::document::{turned, turned_origin};
-use crate::regular_file::{self, TEXT_GROWTH};
+use crate::regular_file;
 use crate::splats::{self, FARTHEST, ReadOptions, Scene};
 use ashsplat::scene::{Bounds, Camera, NEAR_PLANE, Projection, WorldFrame};
 use ashsplat::{Error, Result};
@@ -55,6 +54,14 @@ struct TileJson {
     geometric_error: f64,
     content: ContentJson,
     extras: ExtrasJson,
+    #[serde(default)]
+    children: Vec<TileJson>,
+}
+
+/// The file.
+#[derive(Deserialize)]
+struct TilesetJson {
+    root: TileJson,
 }
 
 #[derive(Deserialize)]
@@ -81,19 +88,17 @@ impl Tree {
     pub fn open(folder: impl AsRef<Path>) -> Result<Tree> {
         let folder = folder.as_ref();
         let path = folder.join(TILESET_FILE);
-        let text = regular_file::read(&path, TEXT_GROWTH)?;
+        let text = regular_file::read_json(&path)?;
         let foreign = |problem: &dyn std::fmt::Display| {
             let problem = format!("is no tree of Gaussians: {problem}");
             Error::input(&path, problem, "give one that `ashsplat tiles` has written, or one .glb of it")
         };
-        let mut document: Value = serde_json::from_slice(&text).map_err(|e| foreign(&e))?;
-        let root = document.get_mut("root").map(Value::take).unwrap_or_default();
+        // A tile within a tile is two levels; the parser ends at 128.
+        let TilesetJson { root } = serde_json::from_slice(&text).map_err(|e| foreign(&e))?;
         let (mut tiles, mut names, mut origin) = (Vec::<Tile>::new(), BTreeSet::new(), DVec3::ZERO);
         // Those that are not in the list yet, each with the one above it; the next is the last.
         let mut open = vec![(None, root)];
-        while let Some((above, mut value)) = open.pop() {
-            let children = value.as_object_mut().and_then(|tile| tile.remove("children"));
-            let mut json: TileJson = serde_json::from_value(value).map_err(|e| foreign(&e))?;
+        while let Some((above, mut json)) = open.pop() {
             if above.is_none() {
                 origin = moved(&path, json.transform.take())?;
             }
@@ -107,13 +112,7 @@ impl Tree {
                 let problem = format!("names {} twice", json.content.uri);
                 return Err(Error::input(&path, problem, "write the tree again with `ashsplat tiles`"));
             }
-            match children {
-                None => {}
-                Some(Value::Array(children)) => {
-                    open.extend(children.into_iter().rev().map(|child| (Some(index), child)));
-                }
-                Some(_) => return Err(foreign(&"children are a list")),
-            }
+            open.extend(json.children.into_iter().rev().map(|child| (Some(index), child)));
         }
         let frame = WorldFrame { origin, unit: 1.0 };
         Ok(Tree { folder: folder.to_owned(), tiles, file_origin: origin, frame })

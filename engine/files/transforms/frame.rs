@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 use glam::{DMat3, DVec3, dvec2};
 use serde_json::Value;
 
-use super::below;
 use super::split::{Part, Split};
+use super::{below, json};
 use crate::names::{Finder, MAX_PATH_BYTES, ending, has_photo_ending, plain, stays_inside};
 use ashsplat::scene::camera::MAX_IMAGE_SIDE;
 use ashsplat::scene::lens::{Distortion, Lens};
@@ -92,7 +92,11 @@ pub(super) fn matrix(value: &Value) -> Option<[[f64; 4]; 3]> {
 }
 
 /// Appends the frames of a file. Returns the warnings.
-pub(super) fn read_all(path: &Path, document: &Value, frames: &mut Vec<Frame>) -> Result<Vec<String>> {
+pub(super) fn read_all(
+    path: &Path,
+    (text, document): (&str, &Value),
+    frames: &mut Vec<Frame>,
+) -> Result<Vec<String>> {
     let Some(list) = document["frames"].as_array() else {
         return Err(Error::input(path, "has no list `frames`", "is it a transforms.json?"));
     };
@@ -106,9 +110,10 @@ pub(super) fn read_all(path: &Path, document: &Value, frames: &mut Vec<Frame>) -
     let finder = RefCell::new(Finder::default());
     let split = Split::of(path, document)?;
     let mut warnings = Vec::new();
-    let (mut elsewhere, mut unused) = (0, 0);
-    for (index, value) in list.iter().enumerate() {
-        let reader = Reader { path, index, frame: value, document, finder: &finder };
+    let (mut count, mut elsewhere, mut unused) = (0, 0, 0);
+    json::each_frame(path, text, &mut |value| {
+        let reader = Reader { path, index: count, frame: &value, document, finder: &finder };
+        count += 1;
         let (mut frame, led_out) = reader.read()?;
         elsewhere += usize::from(led_out);
         match split.part_of(value["file_path"].as_str().unwrap_or_default(), &frame.name) {
@@ -118,20 +123,21 @@ pub(super) fn read_all(path: &Path, document: &Value, frames: &mut Vec<Frame>) -
                 frames.push(frame);
             }
         }
-    }
+        Ok(())
+    })?;
     split.check(path)?;
     if elsewhere > 0 {
         warnings.push(format!(
             "{}: {elsewhere} of {} paths lead out of its folder: the photos in it whose paths end as theirs are taken",
             path.display(),
-            list.len()
+            count
         ));
     }
     if unused > 0 {
         warnings.push(format!(
             "{}: {unused} of {} frames are in none of the lists {} and are not used",
             path.display(),
-            list.len(),
+            count,
             split.used_lists()
         ));
     }

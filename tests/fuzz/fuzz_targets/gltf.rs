@@ -10,6 +10,9 @@ use serde_json::Value;
 use std::path::PathBuf;
 use std::sync::LazyLock;
 
+/// Length of a file with a repeated node, bytes.
+const LONG: usize = 8 << 20;
+
 static FOLDER: LazyLock<PathBuf> = LazyLock::new(|| folder("gltf"));
 
 #[derive(Arbitrary, Debug)]
@@ -24,6 +27,28 @@ struct Gltf {
     patches: Vec<Patch>,
     /// The text alone, with its buffers in a file beside it.
     text: bool,
+    /// Nodes like this one make the JSON 8 MiB long.
+    node: Option<Node>,
+}
+
+#[derive(Arbitrary, Debug)]
+struct Node {
+    mesh: Option<u8>,
+    children: Vec<u32>,
+    unused: bool,
+}
+
+impl Node {
+    /// A glTF's text with nodes like this one.
+    fn repeated(&self, text: &str) -> Vec<u8> {
+        let keys = [
+            self.mesh.map(|mesh| format!("\"mesh\":{mesh}")),
+            (!self.children.is_empty()).then(|| format!("\"children\":{:?}", self.children)),
+            self.unused.then(|| "\"extras\":[{}]".to_owned()),
+        ];
+        let node = format!("{{{}}},", keys.into_iter().flatten().collect::<Vec<_>>().join(","));
+        format!("{{\"nodes\":[{}{{}}],{}", node.repeat(LONG / node.len()), &text[1..]).into_bytes()
+    }
 }
 
 fn number(bytes: &[u8], at: usize) -> usize {
@@ -39,7 +64,13 @@ impl Gltf {
         let length = number(&honest, 12);
         let mut json: Value = serde_json::from_slice(&honest[20..20 + length]).expect("JSON");
         spoil(&mut json, &self.changes);
-        let mut text = json.to_string().into_bytes();
+        let mut text = match (&self.node, json.as_object_mut()) {
+            (Some(node), Some(file)) => {
+                file.remove("nodes");
+                node.repeated(&json.to_string())
+            }
+            _ => json.to_string().into_bytes(),
+        };
         if self.text {
             patch(&mut text, &self.patches);
             return text;

@@ -2,7 +2,7 @@
 
 use super::schema::{KernelResult, Report, Run, SCHEMA, Spread, Workload};
 use ashsplat::{Error, Result};
-use ashsplat_files::regular_file::{self, JSON_VALUE_GROWTH};
+use ashsplat_files::regular_file;
 use serde_json::Value;
 use std::path::Path;
 
@@ -61,7 +61,7 @@ impl Line {
 
 /// Reads a result file; one of another schema is refused.
 pub fn read(path: &Path) -> Result<Report> {
-    let text = regular_file::read(path, JSON_VALUE_GROWTH)?;
+    let text = regular_file::read_json(path)?;
     let value: Value = serde_json::from_slice(&text).map_err(|e| {
         Error::input(path, format!("is no JSON: {e}"), "give a file that `ashsplat bench` wrote")
     })?;

@@ -4,7 +4,7 @@
 use super::schema::{Device, Program};
 use ashsplat::vk::{ConstantKind, Executable, KernelInterface, KernelVisitor, PipelineStatistics};
 use ashsplat::{Error, Result};
-use ashsplat_files::regular_file::{self, JSON_VALUE_GROWTH, TEXT_GROWTH};
+use ashsplat_files::regular_file;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -173,14 +173,14 @@ fn value(kind: ConstantKind, bits: u32) -> String {
 
 /// Whether a file is of this schema; for what reads files of several.
 pub fn is_one(path: &Path) -> bool {
-    let text = regular_file::read(path, JSON_VALUE_GROWTH).unwrap_or_default();
+    let text = regular_file::read_json(path).unwrap_or_default();
     let value = serde_json::from_slice::<serde_json::Value>(&text).unwrap_or_default();
     value.get("schema").and_then(|schema| schema.as_str()) == Some(SCHEMA)
 }
 
 /// Reads a file; one of another schema is refused.
 pub fn read(path: &Path) -> Result<Compiled> {
-    let text = regular_file::read(path, TEXT_GROWTH)?;
+    let text = regular_file::read_json(path)?;
     let remedy = "give a file that `ashsplat profile --static --json` wrote";
     let compiled: Compiled = serde_json::from_slice(&text)
         .map_err(|e| Error::input(path, format!("does not follow {SCHEMA}: {e}"), remedy))?;

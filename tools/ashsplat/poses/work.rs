@@ -4,7 +4,7 @@ use crate::lock::{FolderLock, Work as Locked};
 use crate::output;
 use ashsplat::{Error, Result};
 use ashsplat_files::colmap::UNFINISHED_POSES as FOLDER;
-use ashsplat_files::regular_file::{self, TEXT_GROWTH};
+use ashsplat_files::regular_file;
 use ashsplat_files::{atomic, colmap};
 use serde::{Deserialize, Serialize};
 use std::fs;
@@ -177,7 +177,7 @@ impl Work {
 
 impl State {
     fn read(folder: &Path) -> Option<Self> {
-        serde_json::from_slice(&regular_file::read(folder.join(STATE_FILE), TEXT_GROWTH).ok()?).ok()
+        serde_json::from_slice(&regular_file::read_json(folder.join(STATE_FILE)).ok()?).ok()
     }
 }
 

@@ -4,7 +4,7 @@ use crate::output;
 use ashsplat::trainer::StepReport;
 use ashsplat::vk::ArenaMemory;
 use ashsplat::{Error, Result};
-use ashsplat_files::regular_file::{self, TEXT_GROWTH};
+use ashsplat_files::regular_file;
 use std::fs::File;
 use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
@@ -144,8 +144,7 @@ fn check(path: &Path) -> Result<()> {
 
 /// The text of a regular file.
 fn read(path: &Path) -> Result<String> {
-    String::from_utf8(regular_file::read(path, TEXT_GROWTH)?)
-        .map_err(|_| Error::input(path, "is not text", ""))
+    String::from_utf8(regular_file::read(path, 2)?).map_err(|_| Error::input(path, "is not text", ""))
 }
 
 /// The log as columns; where there is no number, NaN.

@@ -68,6 +68,44 @@ pub fn deep_json(siege: &Siege) -> Result<Outcome> {
     refuse_to_train(siege, &folder)
 }
 
+/// Lists of millions of values that nobody has asked for.
+pub fn wide_json(siege: &Siege) -> Result<Outcome> {
+    const BYTES: usize = 16 << 20;
+    let folder = siege.new_folder("wide")?;
+    let list = |value: &str| format!("[{}{value}]", format!("{value},").repeat(BYTES / (value.len() + 1)));
+    let frames = "[{\"file_path\": \"none.png\"}]";
+    let cameras = format!("{{\"x\": {}, \"fl_x\": 9, \"frames\": {frames}}}", list("[]"));
+    std::fs::write(folder.join("transforms.json"), cameras)?;
+    refuse_to_train(siege, &folder)?;
+    let files = [
+        ("nodes.gltf", "info", format!("{{\"nodes\": {}}}", list("{}"))),
+        ("blocks.json", "blocks", format!("{{\"version\": 1, \"blocks\": {}}}", list("{}"))),
+    ];
+    for (name, command, text_of) in files {
+        let path = folder.join(name);
+        std::fs::write(&path, text_of)?;
+        refuse(siege, &[command, text(&path)?])?;
+    }
+    within_memory(siege, "each refused in one line")
+}
+
+/// A pipe that nobody writes to, and a device without an end, in the place of files.
+pub fn no_files(siege: &Siege) -> Result<Outcome> {
+    let folder = siege.new_folder("pipes")?;
+    data::write_small(&folder)?;
+    let (pipe, model) = (folder.join("pipe"), siege.place("refused"));
+    rustix::fs::mkfifoat(rustix::fs::CWD, &pipe, rustix::fs::Mode::RWXU)?;
+    for file in [text(&pipe)?, "/dev/zero"] {
+        for command in ["info", "blocks"] {
+            refuse(siege, &[command, file])?;
+        }
+        for option in ["--config", "--start-checkpoint"] {
+            refuse(siege, &["train", "-s", text(&folder)?, "-m", text(&model)?, option, file])?;
+        }
+    }
+    within_memory(siege, "each refused in one line")
+}
+
 pub fn claims(siege: &Siege) -> Result<Outcome> {
     let folder = siege.new_folder("bombs")?;
     std::fs::create_dir(folder.join("images"))?;

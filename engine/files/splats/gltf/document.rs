@@ -8,13 +8,12 @@ use std::path::{Component, Path, PathBuf};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use glam::{DMat4, DQuat, DVec3};
-use serde::Deserialize;
-use serde_json::Value;
+use serde::de::IgnoredAny;
+use serde::{Deserialize, Deserializer};
 
 use super::accessor::{Buffer, Buffers};
 use super::{Format, damaged};
-use crate::regular_file::{self, TEXT_GROWTH};
-use crate::{cost, host_memory};
+use crate::{cost, host_memory, regular_file};
 use ashsplat::scene::Similarity;
 use ashsplat::{Error, Result};
 
@@ -33,7 +32,7 @@ pub(super) struct Document {
     pub(super) buffer_views: Vec<BufferView>,
     pub(super) accessors: Vec<AccessorJson>,
     pub(super) meshes: Vec<Mesh>,
-    nodes: Vec<Node>,
+    nodes: Vec<NodeSlot>,
     scenes: Vec<SceneJson>,
     scene: Option<usize>,
 }
@@ -54,7 +53,7 @@ pub(super) struct BufferView {
     pub(super) byte_length: u64,
     pub(super) byte_stride: Option<u64>,
     #[serde(default)]
-    pub(super) extensions: BTreeMap<String, Value>,
+    pub(super) extensions: BTreeMap<String, IgnoredAny>,
 }
 
 #[derive(Deserialize)]
@@ -69,7 +68,7 @@ pub(super) struct AccessorJson {
     pub(super) count: u64,
     #[serde(rename = "type")]
     pub(super) kind: String,
-    pub(super) sparse: Option<Value>,
+    pub(super) sparse: Option<IgnoredAny>,
 }
 
 #[derive(Deserialize)]
@@ -81,18 +80,63 @@ pub(super) struct Mesh {
 pub(super) struct Primitive {
     pub(super) attributes: BTreeMap<String, usize>,
     #[serde(default)]
-    pub(super) extensions: BTreeMap<String, Value>,
+    pub(super) extensions: PrimitiveExtensions,
+}
+
+#[derive(Deserialize, Default)]
+pub(super) struct PrimitiveExtensions {
+    #[serde(rename = "KHR_gaussian_splatting")]
+    pub(super) splats: Option<Box<SplatsExtension>>,
+}
+
+#[derive(Deserialize, Default)]
+#[serde(rename_all = "camelCase", default)]
+pub(super) struct SplatsExtension {
+    pub(super) kernel: Option<IgnoredAny>,
+    pub(super) color_space: Option<String>,
+    pub(super) extras: SplatsExtras,
+    /// Compressions, by their names.
+    pub(super) extensions: BTreeMap<String, Compression>,
 }
 
 #[derive(Deserialize, Default)]
 #[serde(default)]
+pub(super) struct SplatsExtras {
+    pub(super) antialiased: bool,
+    pub(super) kernel_size: Option<f64>,
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(super) struct Compression {
+    pub(super) buffer_view: Option<usize>,
+}
+
+/// A node; None where it says nothing, so that millions of `{}` take little memory.
+struct NodeSlot(Option<Box<Node>>);
+
+impl<'de> Deserialize<'de> for NodeSlot {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let node = Node::deserialize(deserializer)?;
+        Ok(Self((node != Node::default()).then(|| Box::new(node))))
+    }
+}
+
+impl NodeSlot {
+    fn children(&self) -> &[usize] {
+        self.0.as_ref().map_or(&[], |node| &node.children)
+    }
+}
+
+#[derive(Deserialize, Default, PartialEq)]
+#[serde(default)]
 struct Node {
     mesh: Option<usize>,
     children: Vec<usize>,
-    matrix: Option<[f64; 16]>,
-    translation: Option<[f64; 3]>,
-    rotation: Option<[f64; 4]>,
-    scale: Option<[f64; 3]>,
+    matrix: Option<Box<[f64; 16]>>,
+    translation: Option<Box<[f64; 3]>>,
+    rotation: Option<Box<[f64; 4]>>,
+    scale: Option<Box<[f64; 3]>>,
 }
 
 #[derive(Deserialize)]
@@ -102,17 +146,18 @@ struct SceneJson {
 }
 
 impl Document {
-    pub(super) fn open(path: &Path, format: Format) -> Result<(Self, Buffers)> {
+    pub(super) fn open(path: &Path, format: Format, limit: Option<u64>) -> Result<(Self, Buffers)> {
         let io = |source| Error::io(path, "read", source);
         let (mut file, bytes) = regular_file::open(path)?;
         let (json, binary) = if format == Format::Glb {
-            glb_chunks(path, &mut file, bytes)?
+            glb_chunks(path, &mut file, bytes, limit)?
         } else {
-            host_memory::check_free(path, bytes.saturating_mul(TEXT_GROWTH))?;
-            let mut json = Vec::new();
+            host_memory::check(path, bytes, limit)?;
+            let mut json = host_memory::reserved(path, bytes)?;
             file.by_ref().take(bytes).read_to_end(&mut json).map_err(io)?;
             (json, None)
         };
+        regular_file::check_json(path, &json, limit)?;
         let document: Self = serde_json::from_slice(&json)
             .map_err(|e| damaged(path, format!("the JSON is not a glTF: {e}")))?;
         let mut binary =
@@ -138,25 +183,30 @@ impl Document {
             return Ok((0..self.meshes.len()).map(|mesh| (mesh, Similarity::default())).collect());
         }
         let mut is_child = vec![false; self.nodes.len()];
-        for &child in self.nodes.iter().flat_map(|node| &node.children) {
+        for &child in self.nodes.iter().flat_map(NodeSlot::children) {
             cost::step();
             is_child.get_mut(child).into_iter().for_each(|known| *known = true);
         }
-        let roots = match self.scenes.get(self.scene.unwrap_or(0)) {
+        let roots: Vec<usize> = match self.scenes.get(self.scene.unwrap_or(0)) {
             Some(scene) => scene.nodes.clone(),
             None => (0..self.nodes.len()).filter(|&index| !is_child[index]).collect(),
         };
         let mut placed = Vec::new();
-        let mut open: Vec<(usize, Similarity)> =
-            roots.iter().rev().map(|&root| (root, Similarity::default())).collect();
+        // For each node on the way to the present one: its children that are still to be visited, and its place.
+        let mut open = vec![(roots.iter(), Similarity::default())];
         let mut seen = vec![false; self.nodes.len()];
-        while let Some((index, parent)) = open.pop() {
+        while let Some((children, parent)) = open.last_mut() {
             cost::step();
-            let node =
+            let Some(&index) = children.next() else {
+                open.pop();
+                continue;
+            };
+            let NodeSlot(node) =
                 self.nodes.get(index).ok_or_else(|| damaged(path, format!("node {index} is missing")))?;
             if std::mem::replace(&mut seen[index], true) {
                 return Err(damaged(path, format!("node {index} has two parents, or is its own")));
             }
+            let Some(node) = node else { continue };
             let own = node.placement().ok_or_else(|| {
                 let problem =
                     format!("node {index}: its transform shears, mirrors, or scales the axes differently");
@@ -164,7 +214,7 @@ impl Document {
             })?;
             let place = parent.after(&own);
             placed.extend(node.mesh.map(|mesh| (mesh, place)));
-            open.extend(node.children.iter().rev().map(|&child| (child, place)));
+            open.push((node.children.iter(), place));
         }
         Ok(placed)
     }
@@ -173,13 +223,14 @@ impl Document {
 impl Node {
     /// The node's transform; `None` when it is not a similarity.
     fn placement(&self) -> Option<Similarity> {
-        let matrix = match self.matrix {
-            Some(columns) => DMat4::from_cols_array(&columns),
+        let matrix = match &self.matrix {
+            Some(columns) => DMat4::from_cols_array(columns),
             None => DMat4::from_scale_rotation_translation(
-                self.scale.map_or(DVec3::ONE, DVec3::from_array),
+                self.scale.as_deref().map_or(DVec3::ONE, |&scale| DVec3::from_array(scale)),
                 self.rotation
-                    .map_or(DQuat::IDENTITY, |[x, y, z, w]| DQuat::from_xyzw(x, y, z, w).normalize()),
-                self.translation.map_or(DVec3::ZERO, DVec3::from_array),
+                    .as_deref()
+                    .map_or(DQuat::IDENTITY, |&[x, y, z, w]| DQuat::from_xyzw(x, y, z, w).normalize()),
+                self.translation.as_deref().map_or(DVec3::ZERO, |&place| DVec3::from_array(place)),
             ),
         };
         if matrix == DMat4::IDENTITY {
@@ -203,7 +254,7 @@ impl Node {
 type Chunks = (Vec<u8>, Option<(u64, u64)>);
 
 /// Finds the chunks of a GLB.
-fn glb_chunks(path: &Path, file: &mut File, bytes: u64) -> Result<Chunks> {
+fn glb_chunks(path: &Path, file: &mut File, bytes: u64, limit: Option<u64>) -> Result<Chunks> {
     let io = |source| Error::io(path, "read", source);
     let mut head = [0; 20];
     if bytes < head.len() as u64 {
@@ -221,7 +272,7 @@ fn glb_chunks(path: &Path, file: &mut File, bytes: u64) -> Result<Chunks> {
     if json_kind != GLB_JSON {
         return Err(damaged(path, "its first chunk is not JSON"));
     }
-    host_memory::check_free(path, u64::from(json_bytes) * TEXT_GROWTH)?;
+    host_memory::check(path, json_bytes.into(), limit)?;
     let mut json = vec![0; json_bytes as usize];
     file.read_exact(&mut json).map_err(io)?;
     let at = 20 + u64::from(json_bytes);

@@ -2,10 +2,8 @@
 
 use std::path::Path;
 
-use serde_json::Value;
-
 use super::accessor::{Buffer, Buffers};
-use super::document::{Document, Primitive};
+use super::document::{Document, Primitive, SplatsExtension};
 use super::{PACKED_EXTENSION, damaged};
 use crate::splats::Source;
 use crate::splats::spz::Spz;
@@ -25,14 +23,13 @@ impl PackedRows {
         path: &Path,
         place: &str,
         (document, buffers): (&Document, &Buffers),
-        (primitive, extension): (&Primitive, &Value),
+        (primitive, extension): (&Primitive, &SplatsExtension),
     ) -> Result<Option<Self>> {
-        let Some(packed) = extension["extensions"].get(PACKED_EXTENSION) else {
+        let Some(packed) = extension.extensions.get(PACKED_EXTENSION) else {
             return Ok(None);
         };
         let wrong = |problem: &str| damaged(path, format!("{place}: {PACKED_EXTENSION}: {problem}"));
-        let index = packed["bufferView"].as_u64().and_then(|index| usize::try_from(index).ok());
-        let view = index.and_then(|index| document.buffer_views.get(index));
+        let view = packed.buffer_view.and_then(|index| document.buffer_views.get(index));
         let view = view.ok_or_else(|| wrong("its buffer view is missing"))?;
         let buffer = buffers.0.get(view.buffer).ok_or_else(|| wrong("its buffer is missing"))?;
         if view.byte_offset.checked_add(view.byte_length).is_none_or(|end| end > buffer.bytes()) {
@@ -48,7 +45,7 @@ impl PackedRows {
         if expected != spz.header().count {
             return Err(wrong(&format!("{} Gaussians, where {expected} are due", spz.header().count)));
         }
-        let has_own_axes = extension.get("kernel").is_some();
+        let has_own_axes = extension.kernel.is_some();
         let spz = if has_own_axes { spz } else { spz.without_axes() };
         Ok(Some(Self { spz, has_own_axes, bytes: view.byte_length }))
     }

@@ -7,7 +7,7 @@ use crate::progress::thousands;
 use ashsplat::trainer::TrainSettings;
 use ashsplat::vk::Context;
 use ashsplat::{Error, Result};
-use ashsplat_files::regular_file::{self, TEXT_GROWTH};
+use ashsplat_files::regular_file;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
 use std::fmt::Write;
@@ -115,7 +115,7 @@ pub fn file(folder: &Path, strategy: &str, seed: u32) -> PathBuf {
 /// # Errors
 /// Where it is damaged, or was made with another setup: both are not mixed.
 pub fn read(path: &Path, setup: &Setup) -> Result<Option<Run>> {
-    let text = match regular_file::read(path, TEXT_GROWTH) {
+    let text = match regular_file::read_json(path) {
         Ok(text) => text,
         Err(Error::Io { source, .. }) if source.kind() == std::io::ErrorKind::NotFound => {
             output::remove_leftovers_of(path);
