@@ -202,11 +202,13 @@ fn pipes_and_devices_are_no_files() {
     };
     make_pipe(&pipe);
     let (data, out, scene) = (text(&data), text(&out), text(&scene));
+    let converted = at("converted.ply");
+    let ply = text(&converted);
     for file in [text(&pipe), "/dev/zero"] {
         let job = format!("{file}:1");
         let commands: [&[&str]; 12] = [
             &["info", file],
-            &["convert", file, out],
+            &["convert", file, ply],
             &["view", file],
             &["render", scene, "--path", file, "-o", out],
             &["inspect", scene, "--pixel", "1,1", "--path", file],
@@ -215,7 +217,7 @@ fn pipes_and_devices_are_no_files() {
             &["train", "--job", &job],
             &["blocks", file],
             &["exchange", file],
-            &["merge", file, "-o", out],
+            &["merge", file, "-o", ply],
             &["eval", scene, "-s", data, "--lpips-weights", file],
         ];
         for arguments in commands {

@@ -74,7 +74,7 @@ pub fn wide_json(siege: &Siege) -> Result<Outcome> {
     let folder = siege.new_folder("wide")?;
     let list = |value: &str| format!("[{}{value}]", format!("{value},").repeat(BYTES / (value.len() + 1)));
     let frames = "[{\"file_path\": \"none.png\"}]";
-    let cameras = format!("{{\"x\": {}, \"fl_x\": 9, \"frames\": {frames}}}", list("[]"));
+    let cameras = format!("{{\"x\": {}, \"fl_x\": 9, \"frames\": {frames}}}", list("{\"\":0}"));
     std::fs::write(folder.join("transforms.json"), cameras)?;
     refuse_to_train(siege, &folder)?;
     let files = [
