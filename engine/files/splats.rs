@@ -24,13 +24,13 @@ mod validation;
 use std::path::Path;
 
 use super::ply;
-use ashsplat::scene::{Bounds, Cut, Gaussians, Similarity, WorldFrame};
-use ashsplat::{Error, RenderSettings, Result};
+use ashsplat::scene::{Bounds, Cut, Gaussians, Similarity};
+use ashsplat::{Error, Result};
 use glam::Vec3;
 
 pub(super) use convert::OriginSample;
 use convert::changed;
-pub use convert::{ConvertOptions, Converted, Target, convert};
+pub use convert::{ConvertOptions, Converted, Input, Target, convert, join};
 pub use foreign::foreign;
 pub use format::Format;
 pub(crate) use gltf::{EXTENSION, PACKED_EXTENSION};
@@ -40,7 +40,7 @@ use packing_loss::PackingLoss;
 pub(super) use stream::{
     BLOCK, Outline, Produce, Reader, Sink, Source, in_blocks, in_source_units, is_kernel_size, row_bytes,
 };
-pub use stream::{Header, ReadOptions, Scene};
+pub use stream::{Header, ReadOptions, Scene, WriteOptions};
 
 /// Reads a file of Gaussians. Its first bytes or its extension select the format.
 ///
@@ -150,32 +150,6 @@ pub fn cut_losses(
         losses.extend(loss.line(format, &outline));
     }
     Ok(losses)
-}
-
-/// How to write Gaussians.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct WriteOptions {
-    /// The format; none: that of the path's extension.
-    pub format: Option<Format>,
-    /// Whether the Gaussians were trained with antialiasing.
-    pub antialiased: bool,
-    /// As [`Header::kernel_size`]; kept in PLY and glTF.
-    pub kernel_size: Option<f32>,
-    /// Version of SPZ. SPZ: 2 or 4; none: 4. GLB: 2 packs the attributes as `KHR_gaussian_splatting_compression_spz_2`; none: not
-    /// packed. Other formats have none.
-    pub spz_version: Option<u32>,
-    /// Where the Gaussians' coordinates lie within those of the file. They are written in source units, relative to the origin, which
-    /// the file names: a PLY as a comment, glTF as the node's translation, .splat and SPZ in a file `NAME.origin.json` beside it.
-    pub frame: WorldFrame,
-}
-
-impl WriteOptions {
-    /// The marks of a scene that is drawn, or was trained, with these settings.
-    pub fn marking(settings: &RenderSettings) -> Self {
-        let usual = RenderSettings::default().dilation_px2;
-        let kernel_size = Some(settings.dilation_px2).filter(|size| *size != usual);
-        Self { antialiased: settings.antialias, kernel_size, ..Self::default() }
-    }
 }
 
 /// Whether a format has a version of SPZ: [`WriteOptions::spz_version`].

@@ -45,6 +45,39 @@ fn converted_files_are_rendered_and_described() {
     assert!(read.means.iter().all(|m| (m[0] + 1.0).abs() < 0.01 && (-2.01..1.1).contains(&m[2])));
 }
 
+/// A move belongs to the input before it, and after the output to everything.
+#[test]
+fn files_are_joined_each_with_its_move() {
+    let folder = tempdir().expect("a temporary folder");
+    let place = |name: &str| text(&folder.path().join(name)).to_owned();
+    let at = |x: f32| {
+        let points = PointCloud { positions: vec![[x, 0.0, 0.0]], colors: vec![[90; 3]] };
+        ashsplat_files::initial_gaussians(&points, 0).expect("a Gaussian")
+    };
+    let (a, b, c) = (place("a.ply"), place("b.ply"), place("c.ply"));
+    ashsplat_files::ply::write(&a, &at(1.0)).expect("written");
+    ashsplat_files::ply::write(&b, &at(2.0)).expect("written");
+    for (arguments, expected) in [
+        (&[&a[..], &b, &c][..], &[1.0, 2.0][..]),
+        (&[&a, &b, "-o", &c], &[1.0, 2.0]),
+        (&[&a, "--scale", "3", &b, "--translate=10,0,0", "--scale=2", &c], &[3.0, 14.0]),
+        (&["-o", &c, &a, &b, "--scale", "3"], &[1.0, 6.0]),
+        (&[&a, "--scale", "3", &b, &c, "--translate", "10,0,0"], &[13.0, 12.0]),
+        (&[&a, &b, "--scale=2", "--out", &c, "--scale=2"], &[2.0, 8.0]),
+        (&["--scale", "2", &a, &c, "--translate", "1,0,0"], &[3.0]),
+    ] {
+        succeed(&[&["convert"], arguments].concat());
+        let means = splats::read(&c, &Default::default()).expect("read").gaussians.means;
+        let x: Vec<f32> = means.iter().map(|mean| mean[0]).collect();
+        assert_eq!(x, expected, "{arguments:?}");
+        std::fs::remove_file(&c).expect("removed");
+    }
+    refuse(&["convert", "--scale", "2", &a, &b, &c], &["after the input that they move"]);
+    refuse(&["convert", &a, "--scale=2", "--scale=3", &b, &c], &["--scale is given twice"]);
+    refuse(&["convert", &a], &["OUT is missing"]);
+    refuse(&["convert", &a, &b, &a], &["is the input itself"]);
+}
+
 #[test]
 fn convert_refuses_in_one_line() {
     let folder = tempdir().expect("a temporary folder");

@@ -398,6 +398,72 @@ fn what_cannot_be_read_again_is_not_written() {
 }
 
 #[test]
+fn scenes_are_joined() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = |name: &str| folder.path().join(name);
+    let (mut first, mut second) = (scene(20_000, 0), scene(300, 2));
+    // Turned, they stay within the range of SPZ.
+    second.sh.as_flattened_mut().iter_mut().for_each(|value| *value *= 0.5);
+    splats::write(file("a.ply"), &first, &WriteOptions::default()).unwrap();
+    splats::write(file("b.glb"), &second, &WriteOptions::default()).unwrap();
+    let moved = Similarity {
+        rotation: DQuat::from_rotation_z(1.0),
+        scale: 2.0,
+        translation: DVec3::new(5.0, 0.0, 0.0),
+    };
+    let everything = Similarity { scale: 0.5, ..Default::default() };
+    let [a, b] = [file("a.ply"), file("b.glb")];
+    let inputs = [
+        splats::Input { path: &a, similarity: Similarity::default() },
+        splats::Input { path: &b, similarity: moved },
+    ];
+    first = first.with_sh_degree(2);
+    first.transform(&everything);
+    second.transform(&moved);
+    second.transform(&everything);
+    first.append(&second);
+    let options = ConvertOptions { similarity: everything, ..Default::default() };
+    for format in Format::ALL {
+        let output = file(&format!("out{}", format.extension()));
+        let done = splats::join(&inputs, &output, &options).unwrap();
+        let degree = 2.min(format.max_sh_degree());
+        assert_eq!((done.written, done.sh_degree), (20_300, degree), "{format}");
+        let read = splats::read(&output, &KEEP).unwrap().gaussians;
+        let expected = first.with_sh_degree(degree);
+        if format != Format::CompressedPly {
+            let least = Tolerance {
+                mean: 1e-5,
+                log_scale: 1e-5,
+                opacity: 1e-5,
+                rotation: 1e-5,
+                color: 1e-4,
+                sh: 1e-4,
+            };
+            let own = tolerance(format);
+            let tolerance = Tolerance {
+                mean: own.mean.max(least.mean),
+                log_scale: own.log_scale.max(least.log_scale),
+                opacity: own.opacity.max(least.opacity),
+                rotation: own.rotation.max(least.rotation),
+                color: own.color.max(least.color),
+                sh: own.sh.max(least.sh),
+            };
+            assert_close(&read, &expected, &tolerance);
+        }
+    }
+    let fewer = ConvertOptions { decimate: Some(Target::Count(200)), ..Default::default() };
+    let small = [splats::Input { path: &b, similarity: moved }; 2];
+    assert_eq!(splats::join(&small, &file("few.ply"), &fewer).unwrap().written, 200);
+    // What one file cannot say of both.
+    let antialiased = WriteOptions { antialiased: true, ..Default::default() };
+    splats::write(&b, &scene(300, 2), &antialiased).unwrap();
+    let output = file("none.ply");
+    let error = splats::join(&inputs, &output, &options).unwrap_err().to_string();
+    assert!(error.contains("b.glb: was trained with antialiasing, ") && !output.exists(), "{error}");
+    assert!(splats::join(&[], &output, &options).is_err());
+}
+
+#[test]
 fn refused_input_leaves_the_output_alone() {
     let folder = tempfile::tempdir().unwrap();
     let (input, output) = (folder.path().join("in.ply"), folder.path().join("out.spz"));

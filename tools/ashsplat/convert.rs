@@ -6,24 +6,21 @@ use crate::progress::thousands;
 use crate::render::parse_numbers;
 use ashsplat::scene::{Cut, Similarity};
 use ashsplat::{Error, Result};
-use ashsplat_files::splats::{self, ConvertOptions, Format, Target};
-use clap::Args;
+use ashsplat_files::splats::{self, ConvertOptions, Format, Header, Input, Target};
+use clap::{ArgMatches, Args, FromArgMatches};
 use glam::{DQuat, DVec3, EulerRot};
 use std::path::PathBuf;
 
-/// Convert Gaussians between formats, and change them on the way.
+/// Convert Gaussians between formats, change them on the way, and join several files into one.
 ///
 /// The formats are those of the extensions .ply (the reference's), .compressed.ply (PlayCanvas), .splat, .spz
 /// (version 4, or 2; 3 is read too), .glb and .gltf (KHR_gaussian_splatting). Changes are made in this order:
-/// --sh-degree, --min-opacity, --min-density, --crop-box, --rotate, --scale, --translate, --decimate.
+/// --sh-degree, --min-opacity, --min-density, --crop-box, --rotate, --scale, --translate, --decimate. With several inputs --rotate,
+/// --scale and --translate move the input before them, or everything where they come after OUT.
 #[derive(Args)]
 pub struct Arguments {
-    /// A file of Gaussians, or a model folder
-    #[arg(value_name = "IN")]
-    input: PathBuf,
-    /// The new file; its extension says the format
-    #[arg(value_name = "OUT")]
-    output: PathBuf,
+    #[command(flatten)]
+    inputs: Inputs,
     /// Iteration of the model folder's PLY [default: what was saved last]
     #[arg(long, value_name = "N")]
     iteration: Option<u32>,
@@ -40,15 +37,6 @@ pub struct Arguments {
     /// Leave out Gaussians with centres outside this box: two opposite corners, in the input's axes; sides may be inf or -inf
     #[arg(long, value_name = "X,Y,Z,X,Y,Z", allow_hyphen_values = true, value_parser = parse_box)]
     crop_box: Option<[DVec3; 2]>,
-    /// Rotate by these angles about the x, then the y, then the z axis, degrees
-    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, value_parser = parse_point)]
-    rotate: Option<DVec3>,
-    /// Scale by this factor, after the rotation
-    #[arg(long, value_name = "X")]
-    scale: Option<f64>,
-    /// Move by this, after rotation and scaling
-    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, value_parser = parse_point)]
-    translate: Option<DVec3>,
     /// Merge neighbours until N, or N percent, are left
     #[arg(long, value_name = "N|N%", value_parser = parse_target)]
     decimate: Option<Target>,
@@ -64,6 +52,116 @@ pub struct Arguments {
     /// Print only errors
     #[arg(long)]
     quiet: bool,
+}
+
+/// What is read, where it is written, and the moves, as they are given.
+#[derive(Args)]
+struct Given {
+    /// Files of Gaussians or model folders, and the new file, whose extension says the format
+    #[arg(value_name = "IN... OUT", required = true)]
+    paths: Vec<PathBuf>,
+    /// The new file, instead of the last of the paths
+    #[arg(short, long, value_name = "OUT")]
+    out: Option<PathBuf>,
+    /// Rotate by these angles about the x, then the y, then the z axis, degrees
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, value_parser = parse_point)]
+    rotate: Vec<DVec3>,
+    /// Scale by this factor, after the rotation
+    #[arg(long, value_name = "X")]
+    scale: Vec<f64>,
+    /// Move by this, after rotation and scaling
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, value_parser = parse_point)]
+    translate: Vec<DVec3>,
+}
+
+/// A move of `--rotate`, `--scale` or `--translate`.
+#[derive(Clone, Copy)]
+enum Step {
+    Rotate(DVec3),
+    Scale(f64),
+    Translate(DVec3),
+}
+
+/// The same, by what each move belongs to.
+struct Inputs {
+    inputs: Vec<(PathBuf, Similarity)>,
+    output: PathBuf,
+    /// How everything is moved.
+    similarity: Similarity,
+}
+
+impl Args for Inputs {
+    fn augment_args(command: clap::Command) -> clap::Command {
+        Given::augment_args(command)
+    }
+
+    fn augment_args_for_update(command: clap::Command) -> clap::Command {
+        Given::augment_args_for_update(command)
+    }
+}
+
+impl FromArgMatches for Inputs {
+    fn from_arg_matches(matches: &ArgMatches) -> Result<Self, clap::Error> {
+        let given = Given::from_arg_matches(matches)?;
+        let places = |name: &str| matches.indices_of(name).into_iter().flatten();
+        let mut paths: Vec<(usize, PathBuf)> = places("paths").zip(given.paths).collect();
+        let refused = |text: String| clap::Error::raw(clap::error::ErrorKind::ValueValidation, text + "\n");
+        let last = paths.last().map_or(0, |last| last.0);
+        let (place, output) = match given.out {
+            // Before an input it is not the end of the inputs.
+            Some(out) => (places("out").next().filter(|at| *at > last).unwrap_or(usize::MAX), out),
+            None if paths.len() > 1 => paths.remove(paths.len() - 1),
+            None => return Err(refused("OUT is missing: give the new file after the input".into())),
+        };
+        let rotate = places("rotate").zip(given.rotate.into_iter().map(Step::Rotate));
+        let scale = places("scale").zip(given.scale.into_iter().map(Step::Scale));
+        let translate = places("translate").zip(given.translate.into_iter().map(Step::Translate));
+        let mut steps: Vec<(usize, Step)> = rotate.chain(scale).chain(translate).collect();
+        let of = |steps: Vec<Step>| similarity(&steps).map_err(refused);
+        let everything = steps.extract_if(.., |(at, _)| *at > place || paths.len() == 1);
+        let everything = of(everything.map(|(_, step)| step).collect())?;
+        let mut inputs = Vec::new();
+        while let Some((start, path)) = paths.pop() {
+            let own = steps.extract_if(.., |(at, _)| *at > start).map(|(_, step)| step).collect();
+            inputs.insert(0, (path, of(own)?));
+        }
+        if !steps.is_empty() {
+            let problem = "--rotate, --scale and --translate come after the input that they move";
+            return Err(refused(problem.into()));
+        }
+        Ok(Self { inputs, output, similarity: everything })
+    }
+
+    fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), clap::Error> {
+        *self = Self::from_arg_matches(matches)?;
+        Ok(())
+    }
+}
+
+/// The move of one input: the rotation comes first, then the scale, then the translation.
+fn similarity(steps: &[Step]) -> Result<Similarity, String> {
+    let (mut rotate, mut scale, mut translate) = (None, None, None);
+    for step in steps {
+        let (earlier, name) = match *step {
+            Step::Rotate(angles) => (rotate.replace(angles).is_some(), "--rotate"),
+            Step::Scale(factor) => (scale.replace(factor).is_some(), "--scale"),
+            Step::Translate(by) => (translate.replace(by).is_some(), "--translate"),
+        };
+        if earlier {
+            return Err(format!("{name} is given twice for one scene"));
+        }
+    }
+    let scale = scale.unwrap_or(1.0);
+    if !(scale.is_finite() && scale > 0.0) {
+        return Err(format!("--scale {scale} is not a positive number"));
+    }
+    let [x, y, z] = rotate.unwrap_or_default().to_array().map(f64::to_radians);
+    Ok(Similarity {
+        // The last is applied first.
+        rotation: DQuat::from_euler(EulerRot::ZYX, z, y, x),
+        scale,
+        translation: translate.unwrap_or_default(),
+    })
 }
 
 fn parse_box(text: &str) -> Result<[DVec3; 2], String> {
@@ -93,30 +191,40 @@ pub fn parse_target(text: &str) -> Result<Target, String> {
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<()> {
     let options = arguments.options()?;
-    let input = Model::locate(&arguments.input, arguments.iteration)?.ply;
-    let same = |input: PathBuf| arguments.output.canonicalize().is_ok_and(|output| input == output);
-    if input.canonicalize().is_ok_and(same) {
-        let problem = format!("{} is the input itself; give another file", arguments.output.display());
+    let output = &arguments.inputs.output;
+    let located = |(path, _): &(PathBuf, Similarity)| Ok(Model::locate(path, arguments.iteration)?.ply);
+    let files = arguments.inputs.inputs.iter().map(located).collect::<Result<Vec<PathBuf>>>()?;
+    let replaced = output.canonicalize();
+    let is_output =
+        |file: &PathBuf| replaced.is_ok() && file.canonicalize().ok() == replaced.as_ref().ok().cloned();
+    if files.iter().any(is_output) {
+        let problem = format!("{} is the input itself; give another file", output.display());
         return Err(Error::argument("OUT", problem));
     }
-    let replaced = arguments.output.exists();
-    let done = splats::convert(&input, &arguments.output, &options)?;
+    let inputs: Vec<Input<'_>> = files
+        .iter()
+        .zip(&arguments.inputs.inputs)
+        .map(|(path, (_, similarity))| Input { path, similarity: *similarity })
+        .collect();
+    let done = splats::join(&inputs, output, &options)?;
     for warning in &done.warnings {
         tell!("warning: {warning}");
     }
     if !arguments.quiet {
-        let (from, to) = (input.display(), arguments.output.display());
-        let input = &done.input;
+        let described = |(file, input): (&PathBuf, &Header)| {
+            let (count, degree) = (thousands(input.count), input.sh_degree);
+            format!("{} ({}, {count} Gaussians, SH degree {degree})", file.display(), input.format)
+        };
+        let from: Vec<String> = files.iter().zip(&done.inputs).map(described).collect();
         say!(
-            "{from} ({}, {} Gaussians, SH degree {}) -> {to} ({}, {} Gaussians, SH degree {}){}{}",
-            input.format,
-            thousands(input.count),
-            input.sh_degree,
+            "{} -> {} ({}, {} Gaussians, SH degree {}){}{}",
+            from.join(" + "),
+            output.display(),
             done.format,
             thousands(done.written),
             done.sh_degree,
-            if input.antialiased { ", antialiased" } else { "" },
-            if replaced { ", in place of an earlier file" } else { "" },
+            if done.inputs.iter().any(|input| input.antialiased) { ", antialiased" } else { "" },
+            if replaced.is_ok() { ", in place of an earlier file" } else { "" },
         );
     }
     Ok(())
@@ -124,10 +232,6 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 
 impl Arguments {
     fn options(&self) -> Result<ConvertOptions> {
-        let scale = self.scale.unwrap_or(1.0);
-        if !(scale.is_finite() && scale > 0.0) {
-            return Err(Error::argument("--scale", format!("{scale} is not a positive number")));
-        }
         if let Some(opacity) = self.min_opacity.filter(|o| !(0.0..=1.0).contains(o)) {
             return Err(Error::argument("--min-opacity", format!("{opacity} is not between 0 and 1")));
         }
@@ -135,22 +239,16 @@ impl Arguments {
         if !(min_density.is_finite() && min_density >= 0.0) {
             return Err(Error::argument("--min-density", format!("{min_density} is not 0 or more")));
         }
-        let format = Format::of_extension(&self.output)?;
+        let format = Format::of_extension(&self.inputs.output)?;
         splats::check_spz_version(format, self.spz_version).map_err(|_| {
             Error::argument("--spz-version", "give 2 or 4 for .spz, 2 for .glb, none for others")
         })?;
-        let [x, y, z] = self.rotate.unwrap_or_default().to_array().map(f64::to_radians);
         Ok(ConvertOptions {
             read: self.host.reading(self.drop_invalid),
             sh_degree: self.sh_degree,
             cut: Cut { min_opacity: self.min_opacity.unwrap_or_default(), min_density, ..Cut::default() },
             crop_box: self.crop_box,
-            similarity: Similarity {
-                // The last is applied first.
-                rotation: DQuat::from_euler(EulerRot::ZYX, z, y, x),
-                scale,
-                translation: self.translate.unwrap_or_default(),
-            },
+            similarity: self.inputs.similarity,
             decimate: self.decimate,
             format: Some(format),
             spz_version: self.spz_version,

@@ -2,11 +2,11 @@
 
 use std::path::Path;
 
-use super::{Format, Header, Outline, ReadOptions, open, row_bytes, write_readable};
+use super::{Format, Header, Outline, ReadOptions, Sink, open, row_bytes, write_readable};
 use crate::decimate::decimate;
 use crate::host_memory;
-use ashsplat::Result;
 use ashsplat::scene::{Bounds, Cut, Gaussians, Similarity, WorldFrame};
+use ashsplat::{Error, Result};
 use glam::{DVec3, Vec3};
 
 /// Share of the median Gaussian's size beyond which the steps of single precision are too coarse for absolute positions.
@@ -45,11 +45,20 @@ pub enum Target {
     Share(f64),
 }
 
+/// A file of several that become one.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Input<'a> {
+    /// A file of any format.
+    pub path: &'a Path,
+    /// How it is moved before [`ConvertOptions::similarity`], source coordinates.
+    pub similarity: Similarity,
+}
+
 /// What a conversion did.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Converted {
-    /// What the input said of itself.
-    pub input: Header,
+    /// What the inputs said of themselves.
+    pub inputs: Vec<Header>,
     /// The output's format.
     pub format: Format,
     /// Number of Gaussians written.
@@ -67,35 +76,82 @@ pub struct Converted {
 /// # Errors
 /// As [`super::read`] and [`super::write`]; [`ashsplat::Error::Input`] for a change that leads to parameters that reading refuses.
 pub fn convert(input: &Path, output: &Path, options: &ConvertOptions) -> Result<Converted> {
+    join(&[Input { path: input, similarity: Similarity::default() }], output, options)
+}
+
+/// As [`convert`], of several files one after another. The highest SH degree of all is kept.
+///
+/// # Errors
+/// As [`convert`]; [`Error::Input`] for inputs of which only some were trained with antialiasing, or with different kernel sizes;
+/// [`Error::Argument`] without inputs.
+pub fn join(inputs: &[Input<'_>], output: &Path, options: &ConvertOptions) -> Result<Converted> {
     let format = match options.format {
         Some(format) => format,
         None => Format::of_extension(output)?,
     };
     options.cut.check()?;
-    let mut reader = open(input, &options.read)?;
-    let header = reader.header().clone();
-    let sh_degree = header.sh_degree.min(format.max_sh_degree()).min(options.sh_degree.unwrap_or(3));
-    let mut warnings = header.warnings.clone();
-    let wanted_degree = header.sh_degree.min(options.sh_degree.unwrap_or(3));
-    warnings.extend(format.losses(wanted_degree, (header.antialiased, header.kernel_size)));
+    let headers = inputs.iter().map(|input| Ok(open(input.path, &options.read)?.header().clone()));
+    let headers = headers.collect::<Result<Vec<Header>>>()?;
+    let (Some(first), Some(all)) = (headers.first(), inputs.first()) else {
+        return Err(Error::argument("inputs", "there are none"));
+    };
+    for (input, header) in inputs.iter().zip(&headers) {
+        let [own, there] = [header, first].map(Header::marks_in_words);
+        if own != there {
+            let problem =
+                format!("was trained {own}, {} {there}: one file cannot say both", all.path.display());
+            return Err(Error::input(input.path, problem, "join scenes that were trained alike"));
+        }
+    }
+    let highest = headers.iter().map(|header| header.sh_degree).max().unwrap_or(0);
+    let wanted_degree = highest.min(options.sh_degree.unwrap_or(3));
+    let sh_degree = wanted_degree.min(format.max_sh_degree());
+    let named = |input: &Input<'_>, warning: String| match inputs {
+        [_] => warning,
+        _ => format!("{}: {warning}", input.path.display()),
+    };
+    let own = |(input, header): (&Input<'_>, &Header)| -> Vec<String> {
+        header.warnings.iter().map(|warning| named(input, warning.clone())).collect()
+    };
+    let mut warnings: Vec<String> = inputs.iter().zip(&headers).flat_map(own).collect();
+    warnings.extend(format.losses(wanted_degree, (first.antialiased, first.kernel_size)));
+    let count = headers.iter().map(|header| header.count).fold(0, u64::saturating_add);
     if options.decimate.is_some() {
         // All of them, and those that are merged of them.
-        let needed = header.count.saturating_mul(2 * row_bytes(sh_degree));
-        host_memory::check(input, needed, options.read.max_host_memory)?;
+        let needed = count.saturating_mul(2 * row_bytes(sh_degree));
+        host_memory::check(all.path, needed, options.read.max_host_memory)?;
     }
-    let cut = options.cut_of(&header);
-    let moved = Move { from: header.origin, similarity: options.similarity };
+    let changes: Vec<(&Path, Cut, Move)> = inputs
+        .iter()
+        .zip(&headers)
+        .map(|(input, header)| {
+            let similarity = match input.similarity == Similarity::default() {
+                true => options.similarity,
+                false => options.similarity.after(&input.similarity),
+            };
+            (input.path, options.cut_of(header), Move { from: header.origin, similarity })
+        })
+        .collect();
+    let read = |to: DVec3, sink: &mut Sink<'_>, dropped: &mut dyn FnMut(usize, String)| {
+        for (index, (path, cut, moved)) in changes.iter().enumerate() {
+            let mut reader = open(path, &options.read)?;
+            reader.blocks(&mut |block| sink(changed(block, sh_degree, cut, &moved.to(to))))?;
+            if let Some(warning) = reader.warning.take() {
+                dropped(index, warning);
+            }
+        }
+        Ok(())
+    };
+    let moved = &changes[0].2;
     // What stays in place needs no other origin in a PLY, which has held these positions.
-    let stays = format == Format::Ply && options.similarity == Similarity::default();
-    let mut to =
-        if header.origin == DVec3::ZERO { DVec3::ZERO } else { moved.similarity.apply(header.origin) };
-    let step = OriginSample::step(header.count);
-    let (mut count, mut bounds, mut kept) = loop {
+    let stays = inputs.len() == 1 && format == Format::Ply && moved.similarity == Similarity::default();
+    let mut to = if first.origin == DVec3::ZERO { DVec3::ZERO } else { moved.similarity.apply(first.origin) };
+    let step = OriginSample::step(count);
+    let (mut count, mut bounds, mut kept, dropped) = loop {
         let mut sample = OriginSample::default();
-        let (mut count, mut bounds) = (0, None);
+        let (mut count, mut bounds, mut dropped) = (0, None, Vec::new());
         let mut kept = options.decimate.map(|_| Gaussians { sh_degree, ..Default::default() });
-        reader.blocks(&mut |block| {
-            let block = changed(block, sh_degree, &cut, &moved.to(to));
+        let mut take = |block: Gaussians| {
             count += block.len() as u64;
             bounds = around(bounds, block.bounds());
             sample.add(&block, step);
@@ -103,15 +159,16 @@ pub fn convert(input: &Path, output: &Path, options: &ConvertOptions) -> Result<
                 kept.append(&block);
             }
             Ok(())
-        })?;
+        };
+        read(to, &mut take, &mut |index, warning| dropped.push(named(&inputs[index], warning)))?;
         let chosen = if stays { to } else { sample.origin(to) };
         if chosen == to {
-            break (count, bounds, kept);
+            break (count, bounds, kept, dropped);
         }
         // Once more, for the box around that origin.
-        (to, reader) = (chosen, open(input, &options.read)?);
+        to = chosen;
     };
-    warnings.extend(reader.warning.take());
+    warnings.extend(dropped);
     if let (Some(all), Some(target)) = (&mut kept, options.decimate) {
         let target = match target {
             Target::Count(target) => target,
@@ -123,21 +180,20 @@ pub fn convert(input: &Path, output: &Path, options: &ConvertOptions) -> Result<
     if count == 0 {
         warnings.push("no Gaussians are left".into());
     }
-    let frame = WorldFrame { origin: to, unit: header.unit.unwrap_or(1.0) * options.similarity.scale };
-    let frame = if header.unit.is_some() { frame } else { WorldFrame { unit: 1.0, ..frame } };
-    let Header { antialiased, kernel_size, .. } = header;
-    let double_positions = header.double_positions && format == Format::Ply;
+    let unit = |index: usize| Some(headers[index].unit? * changes[index].2.similarity.scale);
+    let unit = unit(0).filter(|own| (1..inputs.len()).all(|index| unit(index) == Some(*own)));
+    let frame = WorldFrame { origin: to, unit: unit.unwrap_or(1.0) };
+    let Header { antialiased, kernel_size, .. } = *first;
+    let double_positions = headers.iter().any(|header| header.double_positions) && format == Format::Ply;
     let outline = Outline { count, sh_degree, antialiased, kernel_size, bounds, frame, double_positions };
     warnings.extend(format.origin_note(output, &outline));
     let loss =
         write_readable(output, (format, options.spz_version), &outline, &mut |sink| match kept.take() {
             Some(all) => sink(all),
-            None => open(input, &options.read)?
-                .blocks(&mut |block| sink(changed(block, sh_degree, &cut, &moved.to(to))))
-                .map(|_| ()),
+            None => read(to, sink, &mut |_, _| {}),
         })?;
     warnings.extend(loss);
-    Ok(Converted { input: header, format, written: count, sh_degree, warnings })
+    Ok(Converted { inputs: headers, format, written: count, sh_degree, warnings })
 }
 
 impl ConvertOptions {

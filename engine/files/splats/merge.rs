@@ -94,9 +94,7 @@ pub fn merge(
 
 /// What parts must have in common.
 fn described(header: &Header) -> String {
-    let with = if header.antialiased { "with" } else { "without" };
-    let kernel = header.kernel_size.map_or_else(String::new, |size| format!(", kernel size {size}"));
-    format!("SH degree {}, {with} antialiasing{kernel}", header.sh_degree)
+    format!("SH degree {}, {}", header.sh_degree, header.marks_in_words())
 }
 
 /// What makes a part's positions relative to the first one's origin.

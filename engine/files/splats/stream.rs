@@ -2,13 +2,12 @@
 
 use std::path::{Path, PathBuf};
 
-use super::WriteOptions;
 use super::format::Format;
 use super::validation::Unusable;
 use crate::host_memory;
 use ashsplat::scene::gaussians::sh_coefficients;
 use ashsplat::scene::{Bounds, Gaussians, WorldFrame};
-use ashsplat::{Error, Result};
+use ashsplat::{Error, RenderSettings, Result};
 use glam::{DVec3, Vec3};
 
 /// Most Gaussians of a block.
@@ -55,6 +54,13 @@ impl Header {
             warnings: Vec::new(),
         }
     }
+
+    /// How the Gaussians are to be drawn.
+    pub(crate) fn marks_in_words(&self) -> String {
+        let with = if self.antialiased { "with" } else { "without" };
+        let kernel = self.kernel_size.map_or_else(String::new, |size| format!(", kernel size {size}"));
+        format!("{with} antialiasing{kernel}")
+    }
 }
 
 /// Whether a file's kernel size can be drawn with.
@@ -69,6 +75,32 @@ pub struct ReadOptions {
     pub drop_invalid: bool,
     /// Bytes of memory that reading may take at most; none: three quarters of what the machine has left.
     pub max_host_memory: Option<u64>,
+}
+
+/// How to write Gaussians.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct WriteOptions {
+    /// The format; none: that of the path's extension.
+    pub format: Option<Format>,
+    /// Whether the Gaussians were trained with antialiasing.
+    pub antialiased: bool,
+    /// As [`Header::kernel_size`]; kept in PLY and glTF.
+    pub kernel_size: Option<f32>,
+    /// Version of SPZ. SPZ: 2 or 4; none: 4. GLB: 2 packs the attributes as `KHR_gaussian_splatting_compression_spz_2`; none: not
+    /// packed. Other formats have none.
+    pub spz_version: Option<u32>,
+    /// Where the Gaussians' coordinates lie within those of the file. They are written in source units, relative to the origin, which
+    /// the file names: a PLY as a comment, glTF as the node's translation, .splat and SPZ in a file `NAME.origin.json` beside it.
+    pub frame: WorldFrame,
+}
+
+impl WriteOptions {
+    /// The marks of a scene that is drawn, or was trained, with these settings.
+    pub fn marking(settings: &RenderSettings) -> Self {
+        let usual = RenderSettings::default().dilation_px2;
+        let kernel_size = Some(settings.dilation_px2).filter(|size| *size != usual);
+        Self { antialiased: settings.antialias, kernel_size, ..Self::default() }
+    }
 }
 
 /// Gaussians from a file, and the number of dropped ones.
