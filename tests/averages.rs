@@ -99,7 +99,7 @@ fn averages_go_on_from_checkpoints_to_the_bit() {
     // A checkpoint whose means are of other Gaussians.
     let mut broken = checkpoint;
     broken.means.as_mut().expect("means").gaussians = start();
-    assert!(broken.check_shapes().expect_err("refused").to_string().contains("means"));
+    assert!(broken.check().expect_err("refused").to_string().contains("means"));
 }
 
 #[test]

@@ -377,7 +377,7 @@ fn gaussians_go_from_one_checkpoint_to_another_with_all_that_is_kept_of_them() {
         [0, 1].map(|rest| all.iter().copied().filter(|row| row % 2 == rest).collect());
     let mut joined = kept(&whole, &odd);
     joined.append(&kept(&whole, &even)).expect("of the same settings");
-    joined.check_shapes().expect("whole");
+    joined.check().expect("whole");
     assert!(joined == kept(&whole, &[&odd[..], &even[..]].concat()) && joined != whole);
     // And training goes on with them, with room for as many as there are.
     let (core, frozen) = (everything(), Gaussians::default());

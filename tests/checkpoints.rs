@@ -1,7 +1,7 @@
 //! A run that goes on from a checkpoint ends with the same bits as one that was never interrupted.
 
 use ashsplat::scene::WorldFrame;
-use ashsplat::trainer::{Checkpoint, OptimizerType, PoseState, Room, TrainView, Trainer};
+use ashsplat::trainer::{Actions, Checkpoint, OptimizerType, PoseState, Room, TrainView, Trainer};
 
 use ashsplat::{Gaussians, TrainSettings};
 use ashsplat_files::{CheckpointFile, Photo};
@@ -73,6 +73,45 @@ pub fn end_with(views: Vec<TrainView>, settings: &TrainSettings) -> Checkpoint {
     let mut trainer = trainer.expect("a trainer");
     (0..settings.iterations).for_each(|_| drop(trainer.step().expect("a step")));
     trainer.checkpoint().expect("the end")
+}
+
+/// Numbers that no training can have are refused when a file is read, whatever its hashes say.
+#[test]
+fn numbers_out_of_their_range_are_refused() {
+    let whole = end_of_run(&start(), &settings(), 3, &[]);
+    let folder = tempdir().expect("a folder");
+    let path = folder.path().join("checkpoint.safetensors");
+    let read = |spoil: &dyn Fn(&mut Checkpoint)| {
+        let mut spoilt = whole.clone();
+        spoil(&mut spoilt);
+        spoilt.write(&path).expect("written");
+        Checkpoint::read(&path)
+    };
+    assert!(read(&|_| ()).expect("whole") == whole);
+    let kinds: &[(&str, &dyn Fn(&mut Checkpoint))] = &[
+        ("room_blend_passes: is 100000000", &|c| c.room.blend_passes = 100_000_000),
+        ("room_backward: is 2", &|c| c.room.backward = 2),
+        ("room_gaussians: is 4294967295", &|c| c.room.gaussians = u32::MAX),
+        ("room_frame_gaussians: is 0", &|c| c.room.frame_gaussians = 0),
+        ("room_frame_width: is 70000", &|c| c.room.frame_width = 70_000),
+        ("iteration: is 4294967295", &|c| c.iteration = u32::MAX),
+        ("optimizer_steps: is 4", &|c| c.optimizer_steps = 4),
+        ("opacity_steps: is 9", &|c| c.opacity_steps = 9),
+        ("left_out: is 5", &|c| c.skipped = 5),
+        ("scene_extent: is inf", &|c| c.scene_extent = f32::INFINITY),
+        ("sh_degree_interval: is 0", &|c| c.settings.sh_degree_interval = 0),
+        ("means: value 4 is NaN", &|c| c.gaussians.means[1][1] = f32::NAN),
+        ("second_moment.opacity_logits: value 2 is -1", &|c| c.second_moments.opacity_logits[2] = -1.0),
+    ];
+    for (words, spoil) in kinds {
+        let message = read(spoil).expect_err(words).to_string();
+        assert!(message.contains(words) && message.contains("checkpoint.safetensors"), "{message}");
+    }
+    // Work that the strategy does not have.
+    let unknown = read(&|c| c.due = Actions(1 << 9)).expect("read");
+    let resumed = Trainer::resume(Gpu::new().context, views(3, 9), EXTENT, settings(), &unknown);
+    let refused = resumed.expect("resumed").step().expect_err("refused").to_string();
+    assert!(refused.contains("has work (0x200)"), "{refused}");
 }
 
 /// Whether a run with these views has the same bits each time, also if it is interrupted once. Returns its end.
@@ -258,7 +297,7 @@ fn checkpoints_with_any_bit_flipped_are_refused() {
         due: ashsplat::trainer::Actions::RESET_OPACITY,
         strategy: Default::default(),
         first_moments: one.clone(),
-        second_moments: one.clone(),
+        second_moments: Gaussians { log_scales: vec![[1.0; 3]], ..one.clone() },
         gaussians: one,
         statistics: vec![[0.5, 2.0]],
         filters: vec![0.25],

@@ -104,9 +104,9 @@ fn photos_without_memory_to_read_ahead_are_refused() {
     let refused = Trainer::new(gpu.context, views, &checkpoints::start(), EXTENT, short()).err();
     let message = refused.expect("refused").to_string();
     let expected = match Windowing::for_device(gpu.context.limits()) {
-        Windowing::Blocks => "24000 bytes, more than 19200 (the memory for photographs,",
+        Windowing::Blocks => "24000 bytes, more than 19200 (--photo-memory,",
         // Four planes of four strips, and the pixels of the one that is being read.
-        Windowing::Sweeps => "31680 bytes, more than 26304 (the memory for photographs,",
+        Windowing::Sweeps => "31680 bytes, more than 26304 (--photo-memory,",
     };
     assert!(message.contains(expected), "{message}");
 }
@@ -186,6 +186,34 @@ fn training_in_strips_is_training_by_pixels() {
         [Gpu::new(), Gpu::without_texels()].map(|gpu| train(gpu.context, views.clone(), 9).1);
     for (i, (a, b)) in strips.iter().zip(&pixels).enumerate() {
         assert!((a - b).abs() <= 2e-5 * b, "iteration {}: {a} in strips, {b} by pixels", i + 1);
+    }
+}
+
+/// Where neither a photograph nor the scene shows anything, both show the background that is drawn: the loss is that of rounding.
+#[test]
+fn transparent_photographs_have_the_random_background() {
+    let mut out_of_view = checkpoints::start();
+    out_of_view.means.iter_mut().for_each(|mean| mean[1] += 1e5);
+    let kinds: [(fn() -> Gpu, bool); 3] = [(Gpu::new, false), (Gpu::new, true), (Gpu::without_texels, true)];
+    for (gpu, white_background) in kinds {
+        let gpu = gpu();
+        let views: Vec<TrainView> = (checkpoints::views(3, 9).into_iter().enumerate())
+            .map(|(i, view)| {
+                let rgb = vec![255 * u8::from(white_background); 40 * 30 * 3];
+                let mask = (i == 1).then(|| (0..40 * 30).map(|k| (k % 7 != 0).into()).collect());
+                let photo = Photo { width: 40, height: 30, rgb };
+                TrainView::new(view.camera, StoredPhoto::with_opacity(photo, &[0; 40 * 30], mask))
+            })
+            .collect();
+        for views in [in_a_file(&views, 8), views] {
+            let settings = TrainSettings { white_background, random_background: true, ..short() };
+            let trainer = Trainer::new(gpu.context, views, &out_of_view, EXTENT, settings);
+            let mut trainer = trainer.expect("a trainer");
+            for _ in 0..6 {
+                let report = trainer.step().expect("a step");
+                assert!(report.visible == 0 && report.loss < 0.004, "white {white_background}: {report:?}");
+            }
+        }
     }
 }
 

@@ -1,7 +1,8 @@
 //! The checkpoint's file: safetensors, written whole or not at all.
 
 use crate::host_memory::HostMemory;
-use crate::{atomic, cost, regular_file};
+use crate::splats::Format;
+use crate::{atomic, cost, regular_file, sniff};
 use ashsplat::fingerprint::Fingerprint;
 use ashsplat::scene::gaussians::sh_coefficients;
 use ashsplat::scene::{Gaussians, WorldFrame};
@@ -102,11 +103,27 @@ impl CheckpointFile for Checkpoint {
         let path = path.as_ref();
         // The file, and what it becomes.
         let (bytes, _lease) = regular_file::read_within(path, 2, memory)?;
-        parse(&bytes).map_err(|problem| {
-            let remedy = "start from another checkpoint, or anew";
-            Error::input(path, problem, remedy)
+        parse(&bytes).map_err(|problem| match other_file(path, &bytes) {
+            Some((problem, remedy)) => Error::input(path, problem, remedy),
+            None => Error::input(path, problem, "start from another checkpoint, or anew"),
         })
     }
+}
+
+/// What a file is that people take for a checkpoint, and what to do with it.
+fn other_file(path: &Path, bytes: &[u8]) -> Option<(String, &'static str)> {
+    if bytes.is_empty() || SafeTensors::read_metadata(bytes).is_ok() {
+        return None;
+    }
+    if path.extension().is_some_and(|ending| ["pth", "pt", "ckpt"].iter().any(|of| ending == *of)) {
+        let remedy = "train on with its program, or start from its scene: `--init point_cloud.ply`";
+        return Some(("is a checkpoint of PyTorch, not one of ashsplat".into(), remedy));
+    }
+    if let Ok(format) = Format::of_file(path) {
+        let remedy = "start a new training from it: `--init FILE` in place of `--start-checkpoint FILE`";
+        return Some((format!("is a scene ({format}), which has no state of a training"), remedy));
+    }
+    sniff::recognise(bytes.get(..512).unwrap_or(bytes)).map(|(what, remedy)| (what.into(), remedy))
 }
 
 /// The format supports text only.
@@ -267,7 +284,7 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
     if !cfg!(fuzzing) && checkpoint.fingerprint() != metadata.hexadecimal("data_fingerprint")? {
         return Err("is damaged: its contents do not have the fingerprint that they were written with".into());
     }
-    checkpoint.check_shapes().map_err(|e| e.to_string())?;
+    checkpoint.check().map_err(|e| e.to_string())?;
     Ok(checkpoint)
 }
 

@@ -37,6 +37,7 @@ use ashsplat::scene::{Camera, Gaussians, PointCloud, WorldFrame};
 
 pub use gallery::Gallery;
 pub use inspect::DatasetReport;
+use planned_view::PlannedView;
 use unpacked::Unpacked;
 
 /// How to load a data set.
@@ -63,6 +64,9 @@ pub struct DatasetOptions {
     pub test_every: u32,
     /// Whether transparent pixels of a photo become white instead of black.
     pub white_background: bool,
+    /// Whether transparent photos keep their opacity, so that training can compose them over random backgrounds:
+    /// [`StoredPhoto::with_opacity`].
+    pub keep_opacity: bool,
     /// Bound of the photos' memory. The photos beyond it stay in a file. None: all photos are held in memory.
     pub photo_memory: Option<PhotoMemory>,
     /// Bound of the memory that photos take, while they are decoded and where they are kept. If they can be kept in a file
@@ -83,6 +87,7 @@ impl Default for DatasetOptions {
             train_test_exp: false,
             test_every: 8,
             white_background: false,
+            keep_opacity: false,
             photo_memory: None,
             host_memory: HostMemory::default(),
         }
@@ -141,13 +146,8 @@ pub struct View {
 impl View {
     /// The view with a mask on its right half: on the columns from ⌊width / 2⌋ on.
     fn left_half(&self) -> Result<Self> {
-        let (width, pixels) =
-            (self.photo.width as usize, self.photo.width as usize * self.photo.height as usize);
-        let own = self.photo.mask()?;
-        let counts = |pixel: usize| own.as_ref().is_none_or(|mask| mask[pixel] != 0);
-        let mask = |pixel: usize| u8::from(pixel % width < width / 2 && counts(pixel)) * 255;
-        let photo = Arc::unwrap_or_clone(self.photo.photo()?);
-        let photo = StoredPhoto::new(photo, Some((0..pixels).map(mask).collect()));
+        let width = self.photo.width as usize;
+        let photo = self.photo.hiding(|pixel| pixel % width >= width / 2)?;
         Ok(Self { photo, ..self.clone() })
     }
 }
@@ -169,6 +169,8 @@ pub struct Dataset {
     pub source: PathBuf,
     /// Warnings that do not prevent training.
     pub warnings: Vec<String>,
+    /// What is done with the photos, one line each, besides [`Gallery::notes`].
+    pub notes: Vec<String>,
 }
 
 impl Dataset {
@@ -258,6 +260,10 @@ impl Dataset {
 
     /// `views`: each with the half that is trained on, if it is held out.
     fn assemble(gallery: &Gallery, views: Vec<(View, Option<View>)>, mut warnings: Vec<String>) -> Self {
+        let by_alpha = |((view, _), planned): &(&(View, _), &PlannedView)| {
+            view.photo.is_masked() && planned.is_masked_by_alpha()
+        };
+        let notes = alpha_note(views.iter().zip(&gallery.views).filter(by_alpha).count());
         let (mut train, mut test) = (Vec::new(), Vec::new());
         for ((view, half), held_out) in views.into_iter().zip(&gallery.held_out) {
             if *held_out {
@@ -284,8 +290,8 @@ impl Dataset {
             };
             warnings.push(random_points_instead() + guessed);
         }
-        let (frame, source) = (gallery.frame, gallery.source.clone());
-        Self { frame, train, test, points, scene_extent: extent, source, warnings }
+        let (source, notes) = (gallery.source.clone(), notes.into_iter().collect());
+        Self { frame: gallery.frame, train, test, points, scene_extent: extent, source, warnings, notes }
     }
 
     /// All views by name, including held-out ones.
@@ -406,6 +412,17 @@ fn beyond_memory(needed: u64, options: &DatasetOptions) -> Option<PhotoMemory> {
 /// Whether the data read from a model folder or a file with cameras may have no points.
 fn may_lack_points(source: &Path) -> bool {
     source.extension().is_some_and(|ending| ending == "json")
+}
+
+/// The line about photos whose transparency is taken as their mask.
+fn alpha_note(photos: usize) -> Option<String> {
+    let line = || {
+        format!(
+            "the alpha channel of {photos} photos is taken as their mask: what is transparent there does not count (with a \
+             transforms.json it shows the background)"
+        )
+    };
+    (photos > 0).then(line)
 }
 
 /// With fewer points in the photographs random ones are the better start.

@@ -51,7 +51,9 @@ fn parse(bytes: &[u8]) -> Result<Weights, String> {
             let name = named(&tensors, index, part)?.ok_or_else(|| missing(index, part, network))?;
             values(&tensors, &name, shape, network)
         };
-        Ok((of("weight", &[outputs, inputs, size, size])?, of("bias", &[outputs])?))
+        let weights = of("weight", &[outputs, inputs, size, size])?;
+        refuse_zeros(&weights, || format!("of convolution {index}"))?;
+        Ok((weights, of("bias", &[outputs])?))
     };
     let convolutions = network.convolutions().map(convolution).collect::<Result<_, String>>()?;
     let head = |(k, tap): (usize, &Layer)| {
@@ -60,6 +62,7 @@ fn parse(bytes: &[u8]) -> Result<Weights, String> {
             return Err(format!("lacks the tensor '{name}': LPIPS with {} has five", network.name()));
         }
         let weights = values(&tensors, &name, &[1, tap.outputs, 1, 1], network)?;
+        refuse_zeros(&weights, || format!("'{name}'"))?;
         // Section 3 of LPIPS: a distance, so its training keeps them from being negative.
         match weights.iter().position(|&weight| weight < 0.0) {
             Some(at) => Err(format!(
@@ -71,6 +74,14 @@ fn parse(bytes: &[u8]) -> Result<Weights, String> {
     };
     let heads = network.taps().enumerate().map(head).collect::<Result<_, String>>()?;
     Ok(Weights { network, convolutions, heads })
+}
+
+/// Refuses weights with which LPIPS would be the same for all pictures.
+fn refuse_zeros(weights: &[f32], which: impl Fn() -> String) -> Result<(), String> {
+    match weights.iter().all(|&weight| weight == 0.0) {
+        true => Err(format!("the weights {} are all 0, those of no trained network are", which())),
+        false => Ok(()),
+    }
 }
 
 /// The network whose first convolution the file has.

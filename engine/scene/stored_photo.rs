@@ -9,8 +9,10 @@ use super::photo::Photo;
 use crate::fingerprint::Fingerprint;
 use crate::{Error, Result};
 
-/// Bytes of a pixel in a file: r, g, b, mask.
+/// Bytes of a pixel in a file: r, g, b, coverage.
 pub(crate) const TEXEL_BYTES: u64 = 4;
+/// Coverage of an opaque pixel. That of a transparent one is 1; a pixel with 0 does not count.
+const OPAQUE: u8 = 255;
 
 /// A photo and its mask. Cheap to clone: the pixels are shared.
 #[derive(Clone, Debug, PartialEq)]
@@ -20,13 +22,22 @@ pub struct StoredPhoto {
     /// Height, pixels.
     pub height: u32,
     masked: bool,
+    transparent: bool,
     place: Place,
 }
 
 #[derive(Clone, Debug, PartialEq)]
 enum Place {
-    Memory { photo: Arc<Photo>, mask: Option<Arc<[u8]>> },
-    File { file: Arc<PhotoFile>, offset: u64, fingerprint: u64 },
+    /// The mask of a transparent photo holds its coverage.
+    Memory {
+        photo: Arc<Photo>,
+        mask: Option<Arc<[u8]>>,
+    },
+    File {
+        file: Arc<PhotoFile>,
+        offset: u64,
+        fingerprint: u64,
+    },
 }
 
 impl From<Photo> for StoredPhoto {
@@ -41,12 +52,45 @@ impl StoredPhoto {
     pub fn new(photo: Photo, mask: Option<Vec<u8>>) -> Self {
         let (width, height, masked) = (photo.width, photo.height, mask.is_some());
         let place = Place::Memory { photo: Arc::new(photo), mask: mask.map(Into::into) };
-        Self { width, height, masked, place }
+        Self { width, height, masked, transparent: false, place }
     }
 
-    /// Whether there are pixels that do not count.
+    /// As [`StoredPhoto::new`], of a photo that was composed over the background of the training. Its opacity, one byte per
+    /// pixel, lets [`TrainSettings::random_background`](crate::TrainSettings::random_background) compose it over others.
+    pub fn with_opacity(photo: Photo, opacity: &[u8], mask: Option<Vec<u8>>) -> Self {
+        let fits = mask.as_ref().is_none_or(|mask| mask.len() == opacity.len());
+        if !fits || opacity.iter().all(|&opacity| opacity == OPAQUE) {
+            return Self::new(photo, mask);
+        }
+        let counts = |pixel: usize| mask.as_ref().is_none_or(|mask| mask[pixel] != 0);
+        let covered = |(pixel, &opacity): (usize, &u8)| match counts(pixel) {
+            true => 1 + ((254 * u32::from(opacity) + 127) / 255) as u8,
+            false => 0,
+        };
+        let coverage = opacity.iter().enumerate().map(covered).collect();
+        Self { masked: mask.is_some(), transparent: true, ..Self::new(photo, Some(coverage)) }
+    }
+
+    /// The photo without the pixels that are `hidden`, by their indices: they do not count.
+    ///
+    /// # Errors
+    /// As [`StoredPhoto::photo`].
+    pub fn hiding(&self, hidden: impl Fn(usize) -> bool) -> Result<Self> {
+        let texels = self.texels()?;
+        let coverage = texels.as_chunks::<4>().0.iter().map(|texel| texel[3]).enumerate();
+        let coverage = coverage.map(|(pixel, coverage)| if hidden(pixel) { 0 } else { coverage }).collect();
+        let place = Place::Memory { photo: self.photo()?, mask: Some(coverage) };
+        Ok(Self { masked: true, place, ..self.clone() })
+    }
+
+    /// Whether some pixels do not count, or are transparent: the device then keeps their coverage.
     pub fn is_masked(&self) -> bool {
-        self.masked
+        self.masked || self.transparent
+    }
+
+    /// Whether it can be composed over another background: [`StoredPhoto::with_opacity`].
+    pub fn is_transparent(&self) -> bool {
+        self.transparent
     }
 
     /// Bytes of the photo in a file.
@@ -80,19 +124,23 @@ impl StoredPhoto {
     /// As [`StoredPhoto::photo`].
     pub fn mask(&self) -> Result<Option<Arc<[u8]>>> {
         match &self.place {
-            Place::Memory { mask, .. } => Ok(mask.clone()),
-            Place::File { .. } if !self.masked => Ok(None),
-            Place::File { .. } => Ok(Some(self.texels()?.as_chunks::<4>().0.iter().map(|t| t[3]).collect())),
+            _ if !self.masked => Ok(None),
+            Place::Memory { mask, .. } if !self.transparent => Ok(mask.clone()),
+            _ => {
+                let counts = |texel: &[u8; 4]| if texel[3] == 0 { 0 } else { OPAQUE };
+                Ok(Some(self.texels()?.as_chunks::<4>().0.iter().map(counts).collect()))
+            }
         }
     }
 
-    /// The photo and its mask: r, g, b and mask (255 without one) per pixel, row-major.
+    /// The photo and its coverage: r, g, b and, from 0 where the pixel does not count and 1 where it is transparent to 255
+    /// where it is opaque, coverage per pixel, row-major.
     ///
     /// # Errors
     /// As [`StoredPhoto::photo`].
     pub fn texels(&self) -> Result<Vec<u8>> {
         match &self.place {
-            Place::Memory { photo, mask } => Ok(texels(photo, mask.as_deref())),
+            Place::Memory { photo, mask } => Ok(self.texels_of(photo, mask.as_deref())),
             Place::File { file, offset, .. } => file.read(*offset, self.bytes()),
         }
     }
@@ -119,12 +167,15 @@ impl StoredPhoto {
             _ => Ok(()),
         }
     }
-}
 
-fn texels(photo: &Photo, mask: Option<&[u8]>) -> Vec<u8> {
-    let pixels = photo.rgb.as_chunks::<3>().0.iter().enumerate();
-    let counts = |i: usize| if mask.is_none_or(|mask| mask.get(i) != Some(&0)) { 255 } else { 0 };
-    pixels.flat_map(|(i, &[r, g, b])| [r, g, b, counts(i)]).collect()
+    fn texels_of(&self, photo: &Photo, mask: Option<&[u8]>) -> Vec<u8> {
+        let pixels = photo.rgb.as_chunks::<3>().0.iter().enumerate();
+        let coverage = |i: usize| match mask.and_then(|mask| mask.get(i)) {
+            Some(&coverage) if self.transparent || coverage == 0 => coverage,
+            _ => OPAQUE,
+        };
+        pixels.flat_map(|(i, &[r, g, b])| [r, g, b, coverage(i)]).collect()
+    }
 }
 
 fn fingerprint(photo: &Photo, mask: Option<&[u8]>) -> u64 {

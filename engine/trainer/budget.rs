@@ -250,7 +250,11 @@ impl Before<'_> {
         let Ok(plan) = ScenePlan::new(limits, room.gaussians, self.sh_degree) else { return false };
         let sizes = LaunchSizes::new(limits);
         let frame = room.frame((self.pictures(), self.scenes()), self.rows.absolute().is_some());
-        let fits = frame.is_none_or(|frame| frame_fits_device(limits, &frame, &sizes));
+        // No tile has more entries than there are instances.
+        let passes = |frame: &FrameCapacity| frame.instances.div_ceil(sizes.entries_per_pass).max(1);
+        let fits = frame.is_none_or(|frame| {
+            frame.blend_passes <= passes(&frame) && frame_fits_device(limits, &frame, &sizes)
+        });
         if !fits || !(self.count..=max_trained_among(limits, self.around)).contains(&room.gaussians) {
             return false;
         }

@@ -9,8 +9,12 @@ use super::settings::TrainSettings;
 use super::work::Actions;
 use crate::error::{Error, Result};
 use crate::fingerprint::Fingerprint;
+use crate::scene::camera::MAX_IMAGE_SIDE;
 use crate::scene::gaussians::sh_coefficients;
 use crate::scene::{Gaussians, WorldFrame};
+
+/// Most [`Room::blend_passes`].
+const MOST_BLEND_PASSES: u32 = 1 << 16;
 
 /// The state of a training run after an iteration.
 #[derive(Clone, Debug, PartialEq)]
@@ -325,11 +329,73 @@ impl Checkpoint {
         fingerprint.finish()
     }
 
-    /// Checks that all sets have the same number of Gaussians and the settings' SH degree.
+    /// Checks that all sets have the same number of Gaussians and the settings' SH degree, and that each number is one that a
+    /// training can have.
     ///
     /// # Errors
-    /// [`Error::Argument`] naming the set.
-    pub fn check_shapes(&self) -> Result<()> {
+    /// [`Error::Argument`] naming the set or the number.
+    pub fn check(&self) -> Result<()> {
+        self.check_shapes()?;
+        self.settings.check()?;
+        let extent = self.scene_extent;
+        if !(extent.is_finite() && extent > 0.0) {
+            return Err(Error::argument("scene_extent", format!("is {extent}, must be positive")));
+        }
+        let WorldFrame { origin, unit } = self.frame;
+        if !(origin.is_finite() && unit.is_finite() && unit > 0.0) {
+            return Err(Error::argument("frame", format!("has the origin {origin} and the unit {unit}")));
+        }
+        let (room, iteration) = (&self.room, u64::from(self.iteration));
+        let gaussians = self.gaussians.len() as u64;
+        let (least_frame, most_passes) = match room.frame_width {
+            0 => (0, 1),
+            _ => (gaussians, room.frame_instances.clamp(1, MOST_BLEND_PASSES)),
+        };
+        let summed = self.gradient_sums.as_ref().map_or(0, |sums| sums.views);
+        let averaged = self.means.as_ref().map_or(0, |means| means.steps);
+        let ranges = [
+            ("views", self.views, 1, u32::MAX.into()),
+            ("iteration", iteration, 0, u64::from(u32::MAX) - 1),
+            ("optimizer_steps", self.optimizer_steps, 0, iteration),
+            ("opacity_steps", self.opacity_steps, 0, self.optimizer_steps),
+            ("gradient_sum_views", summed.into(), 0, iteration),
+            ("mean_steps", averaged.into(), 0, iteration),
+            ("left_out", self.skipped.into(), 0, iteration),
+            ("room_gaussians", room.gaussians.into(), 0, 1 << 30),
+            ("room_frame_gaussians", room.frame_gaussians.into(), least_frame, u32::MAX.into()),
+            ("room_frame_width", room.frame_width.into(), 0, MAX_IMAGE_SIDE.into()),
+            ("room_frame_height", room.frame_height.into(), 0, MAX_IMAGE_SIDE.into()),
+            ("room_blend_passes", room.blend_passes.into(), 0, most_passes.into()),
+            ("room_backward", room.backward.into(), 0, 1),
+        ];
+        if let Some((name, value, least, most)) =
+            ranges.into_iter().find(|(_, value, least, most)| !(least..=most).contains(&value))
+        {
+            return Err(Error::argument(name, format!("is {value}, not {least} to {most}")));
+        }
+        self.check_values()
+    }
+
+    /// Statistics and sums of gradients may be anything: what is not finite there changes no parameter.
+    fn check_values(&self) -> Result<()> {
+        let free = ["statistics", Self::STRATEGY, Self::GRADIENT_SUMS];
+        for Tensor { name, bytes, .. } in self.tensors() {
+            if free.iter().any(|prefix| name.starts_with(prefix)) {
+                continue;
+            }
+            let least = if name.starts_with(Self::SETS[2]) { 0.0 } else { f32::NEG_INFINITY };
+            let values: &[f32] = bytemuck::cast_slice(bytes);
+            if let Some(at) = values.iter().position(|&value| value.is_nan() || value < least) {
+                return Err(Error::argument(
+                    name,
+                    format!("value {at} is {}, which no training has", values[at]),
+                ));
+            }
+        }
+        Ok(())
+    }
+
+    fn check_shapes(&self) -> Result<()> {
         self.gaussians.check_shapes()?;
         let sums = self.gradient_sums.iter().map(|sums| ("gradient sums", &sums.sums));
         let moments = [("moments", &self.first_moments), ("moments", &self.second_moments)];

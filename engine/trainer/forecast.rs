@@ -3,7 +3,7 @@
 use super::budget::Before;
 use super::checkpoint::Room;
 use super::model::RowMemory;
-use super::photos::{self, PhotoSize};
+use super::photos::{self, PhotoBytes, PhotoSize};
 use super::poses;
 use super::settings::TrainSettings;
 use super::step_recorder::StepRecorder;
@@ -108,9 +108,17 @@ impl Kit {
         (count, around): (u32, u32),
         room: Option<&'a Room>,
     ) -> Result<(u32, Option<&'a Room>)> {
+        let photo_bytes = photos::device_bytes(context, photos, photo_memory);
+        let (photo_bytes, refused) = match photo_bytes {
+            Ok(bytes) => (bytes, None),
+            Err(Error::TooLarge { needed, .. }) => {
+                (PhotoBytes::reading_ahead(context, photos, (needed, photo_memory)), photo_bytes.err())
+            }
+            Err(error) => return Err(error),
+        };
         let before = Before {
             photos,
-            photo_bytes: photos::device_bytes(context, photos, photo_memory)?,
+            photo_bytes,
             rows: &self.rows,
             loss: &|sizes| {
                 let mut requests = self.recorder.device_requests(sizes);
@@ -126,6 +134,11 @@ impl Kit {
             sh_degree: settings.sh_degree,
         };
         before.check_photos(context)?;
+        if let Some(error) = refused {
+            // Without memory for the whole training, that of the photographs is the lesser problem.
+            before.initial_capacity(context)?;
+            return Err(error);
+        }
         match room.filter(|room| before.has_room(context, room)) {
             Some(room) => Ok((room.gaussians, Some(room))),
             None => Ok((before.initial_capacity(context)?, None)),

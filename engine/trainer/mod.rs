@@ -304,6 +304,13 @@ impl Trainer {
         self.strategy.work(&self.run.settings, iteration).actions
     }
 
+    /// The last opacity reset, if the scene has not recovered from it: [`TrainSettings::reset_recovery`].
+    pub fn recent_reset(&self) -> Option<u32> {
+        let (now, recovery) = (self.iteration(), self.run.settings.reset_recovery());
+        let resets = |&iteration: &u32| self.actions_at(iteration).contains(Actions::RESET_OPACITY);
+        (now.saturating_sub(recovery) + 1..now).rev().find(resets)
+    }
+
     /// The SH degree of this iteration.
     pub fn sh_degree(&self) -> u32 {
         self.run.settings.sh_degree_at(self.state.progress.iteration)

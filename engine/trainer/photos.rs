@@ -18,7 +18,7 @@ const ON_HOST: u64 = AHEAD + 2;
 
 /// The views' photographs in the layout of [`photo_on_device`].
 pub(super) enum Photos {
-    Resident { texels: Vec<Buffer>, masked: Vec<bool> },
+    Resident { texels: Vec<Buffer>, masked: Vec<bool>, transparent: Vec<bool> },
     Streamed(Box<Stream>),
 }
 
@@ -44,7 +44,7 @@ impl Residence {
                 needed: (ON_HOST + 1) * bytes + read,
                 unit: "bytes",
                 limit: memory,
-                limit_name: "the memory for photographs, at most half of --max-host-memory",
+                limit_name: "--photo-memory, or half of --max-memory or --max-host-memory",
             });
         }
         let count = usize::try_from(held - ON_HOST).unwrap_or(usize::MAX).min(photos.len());
@@ -89,6 +89,18 @@ pub(super) struct PhotoBytes {
     pub all: u64,
     /// The budget of photographs in a file.
     pub budget: Option<u64>,
+}
+
+impl PhotoBytes {
+    /// Where reading ahead needs more than its budget.
+    pub fn reading_ahead(
+        context: &Context,
+        photos: &[PhotoSize],
+        (needed, budget): (u64, Option<u64>),
+    ) -> Self {
+        let all = context.allocation_bytes(&requests(context, photos));
+        Self { held: needed, staging: 0, all, budget }
+    }
 }
 
 /// The bound of the views' photographs in a file.
@@ -180,7 +192,8 @@ impl Photos {
                     return Err(error);
                 }
                 let masked = views.iter().map(|view| view.photo.is_masked()).collect();
-                return Ok(Self::Resident { texels, masked });
+                let transparent = views.iter().map(|view| view.photo.is_transparent()).collect();
+                return Ok(Self::Resident { texels, masked, transparent });
             }
         };
         let places = context.allocate("photos", &vec![("photo", bytes); count], MemoryKind::Device)?;
@@ -242,11 +255,19 @@ impl Photos {
         }
     }
 
-    /// Whether a view has masked pixels.
+    /// Whether a view has masked or transparent pixels.
     pub fn is_masked(&self, view: usize) -> bool {
         match self {
             Self::Resident { masked, .. } => masked[view],
             Self::Streamed(stream) => stream.photos[view].is_masked(),
+        }
+    }
+
+    /// Whether a view can be composed over another background.
+    pub fn is_transparent(&self, view: usize) -> bool {
+        match self {
+            Self::Resident { transparent, .. } => transparent[view],
+            Self::Streamed(stream) => stream.photos[view].is_transparent(),
         }
     }
 }

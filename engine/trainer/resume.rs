@@ -4,6 +4,7 @@ use super::checkpoint::{Checkpoint, GradientSums, Room, StrategyState, StrategyS
 use super::iteration::Progress;
 use super::needs::Needs;
 use super::settings::TrainSettings;
+use super::work::Actions;
 use super::{SceneBlock, TrainParts, TrainView, Trainer, strategies};
 use crate::error::{Error, Result};
 use crate::fingerprint::Fingerprint;
@@ -123,7 +124,7 @@ impl Trainer {
         mut parts: TrainParts,
         from: &Checkpoint,
     ) -> Result<Self> {
-        from.check_shapes()?;
+        from.check()?;
         from.check_fits(&Wanted {
             settings: &settings,
             views: views.len() as u64,
@@ -162,6 +163,12 @@ impl Trainer {
                 poses.restore_sums(context, sums)?;
             }
         }
+        // The shorter run left out a reset that this one makes.
+        let recovery = from.settings.reset_recovery();
+        let made_up = (from.iteration.saturating_sub(recovery) + 1..=from.iteration).any(|iteration| {
+            let here = trainer.actions_at(iteration).contains(Actions::RESET_OPACITY);
+            here && from.settings.left_out_reset_at(iteration)
+        });
         let state = &mut trainer.state;
         state.progress = Progress {
             iteration: from.iteration,
@@ -169,7 +176,7 @@ impl Trainer {
             opacity_steps: from.opacity_steps,
             summed: from.gradient_sums.as_ref().map_or(0, |sums| sums.views),
             averaged: from.means.as_ref().map_or(0, |means| means.steps),
-            due: from.due,
+            due: from.due.and(Actions::RESET_OPACITY.when(made_up)),
         };
         state.most = from.room.most();
         state.skipped = from.skipped;

@@ -66,7 +66,7 @@ options! {
         initial_scale: f64 = 1.0, Bounds::Positive;
         /// Iterations between densifications
         densification_interval: u32 = 100, Bounds::AtLeast(1);
-        /// Iterations between opacity resets
+        /// Iterations between opacity resets; none in the last 1000 of a run, from which it would not recover
         opacity_reset_interval: u32 = 3000, Bounds::AtLeast(1);
         /// Count what concerns the whole run in shares of 30,000 iterations: position_lr_max_steps, densify_from_iter,
         /// densify_until_iter, the groups of multi_step and late prunings are multiplied by iterations / 30000 (budget: true)
@@ -136,7 +136,8 @@ options! {
         late_min_opacity: f64 = 0.0, Bounds::Share;
         /// White background instead of black
         white_background: bool = false, Bounds::None;
-        /// A new random background colour in every iteration, so that no Gaussian paints the background
+        /// A new random background colour in every iteration, behind the scene and behind transparent photos, so that no Gaussian
+        /// paints the background
         random_background: bool = false, Bounds::None;
         /// Compensate the opacity for the screen-space dilation (Mip-Splatting's 2D filter)
         antialiasing: bool = false, Bounds::None;

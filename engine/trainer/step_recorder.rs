@@ -10,7 +10,7 @@ use super::poses::Poses;
 use super::run::Run;
 use super::settings::{OptimizerType, TrainSettings};
 use super::strategy::{Hooks, StepInputs, Strategy};
-use super::warm_up::WarmUp;
+use super::warm_up::{PhotoInputs, PhotoPreparation};
 use super::work::{Actions, Work};
 use crate::backward::{Backward, BackwardVariant, Statistics};
 use crate::error::Result;
@@ -39,7 +39,7 @@ pub(super) struct StepRecorder {
     /// None unless parameters are averaged.
     averaging: Option<Averaging>,
     poses: bool,
-    warm_up: Option<WarmUp>,
+    preparation: Option<PhotoPreparation>,
 }
 
 /// The memory of the loss.
@@ -51,8 +51,8 @@ pub(super) struct LossMemory {
     image_gradient: Option<Buffer>,
     /// For terms that read pictures by rows.
     rows: Option<PixelRows>,
-    /// The photograph of a frame that is smaller than it.
-    reduced: Option<Buffer>,
+    /// The photograph of a frame that is smaller than it or has another background.
+    prepared: Option<Buffer>,
     pub light: LightMemory,
     pub readback: Buffer,
 }
@@ -127,7 +127,7 @@ impl StepRecorder {
         // It has more buffers than a set of ours, where there are no push descriptors.
         sizes.fused_adam &= Backward::can_step(context.limits());
         Ok(Self {
-            warm_up: WarmUp::new(context, settings)?,
+            preparation: PhotoPreparation::new(context, settings)?,
             border: targets.rows().then(|| PixelBorder::new(context)).transpose()?,
             sizes,
             light: Light::new(context, settings, sums)?,
@@ -229,7 +229,7 @@ impl StepRecorder {
                 ("photo_rows", 4 * pixels),
             ]);
         }
-        requests.extend(self.warm_up.iter().map(|warm_up| warm_up.request(sizes)));
+        requests.extend(self.preparation.iter().map(|preparation| preparation.request(sizes)));
         requests.extend(self.light.requests(sizes));
         requests
     }
@@ -257,9 +257,9 @@ impl StepRecorder {
                 let rows = if self.targets.rows() { buffers(3) } else { Vec::new() };
                 let rows = <[Buffer; 3]>::try_from(rows).ok();
                 let rows = rows.map(|[picture, gradient, photo]| PixelRows { picture, gradient, photo });
-                let reduced = self.warm_up.as_ref().and_then(|_| device.next());
+                let prepared = self.preparation.as_ref().and_then(|_| device.next());
                 let light = self.light.allocated(context, device)?;
-                Ok(LossMemory { scratch, losses, image_gradient, rows, reduced, light, readback })
+                Ok(LossMemory { scratch, losses, image_gradient, rows, prepared, light, readback })
             }
             _ => unreachable!("one buffer per request"),
         }
@@ -343,7 +343,7 @@ impl StepRecorder {
     fn record_loss(&self, r: &mut Recorder, inputs: &FrameInputs, parts: &StepParts, gradient: &Buffer) {
         let StepParts { model, photos, memory, plan, .. } = *parts;
         let (photo, photo_is_masked) = (photos.of(plan.view), photos.is_masked(plan.view));
-        let photo = self.record_warm_up(r, parts).unwrap_or(photo);
+        let photo = self.record_preparation(r, parts).unwrap_or(photo);
         let rows = self.border.as_ref().zip(memory.rows.as_ref());
         if self.targets.inverse_depth {
             r.fill(gradient, 0);
@@ -402,18 +402,25 @@ impl StepRecorder {
         }
     }
 
-    /// Records the photograph of a frame that is smaller than it, with a barrier; None if it is not.
-    fn record_warm_up<'a>(&self, r: &mut Recorder, parts: &StepParts<'a>) -> Option<&'a Buffer> {
+    /// Records the photograph at the frame's size and over its background, with a barrier; None if it is as it is stored.
+    fn record_preparation<'a>(&self, r: &mut Recorder, parts: &StepParts<'a>) -> Option<&'a Buffer> {
         let StepParts { run, photos, memory, plan, .. } = *parts;
         let camera = &run.cameras[plan.view];
-        let (warm_up, reduced) = self.warm_up.as_ref().zip(memory.reduced.as_ref())?;
-        if plan.camera.width == camera.width {
+        let transparent = run.settings.random_background && photos.is_transparent(plan.view);
+        let (preparation, prepared) = self.preparation.as_ref().zip(memory.prepared.as_ref())?;
+        if plan.camera.width == camera.width && !transparent {
             return None;
         }
-        let (photo, masked) = (photos.of(plan.view), photos.is_masked(plan.view));
-        warm_up.record(r, [camera, &plan.camera], masked, [photo, reduced]);
+        let (drawn, composed) = (plan.settings.background, run.render_settings().background);
+        let inputs = PhotoInputs {
+            cameras: [camera, &plan.camera],
+            photo: photos.of(plan.view),
+            masked: photos.is_masked(plan.view),
+            background_change: transparent.then(|| [0, 1, 2].map(|c| drawn[c] - composed[c])),
+        };
+        preparation.record(r, &inputs, prepared);
         r.barrier();
-        Some(reduced)
+        Some(prepared)
     }
 
     fn light_inputs<'a>(&self, frame: &'a FrameInputs<'a>, parts: &StepParts<'a>) -> LightInputs<'a> {

@@ -13,7 +13,8 @@ pub use reference::Reference;
 
 use super::settings::{StrategyType, TrainSettings};
 use super::strategy::Strategy;
-use crate::error::Result;
+use super::work::Actions;
+use crate::error::{Error, Result};
 use crate::vk::Context;
 
 /// Options of densification by gradients, which other strategies do not have.
@@ -39,6 +40,12 @@ pub(super) fn of_settings(context: &Context, settings: &TrainSettings) -> Result
         StrategyType::Mcmc => Box::new(Mcmc::new(context)?),
         StrategyType::Budget => Box::new(Budget::new(context, settings)?),
     })
+}
+
+/// Work of a checkpoint that the strategy does not have.
+fn unknown(strategy: &str, action: Actions) -> Error {
+    let problem = format!("has work ({:#x}) that the strategy {strategy} does not know", action.0);
+    Error::argument("checkpoint", problem)
 }
 
 /// The name of a strategy that a checkpoint names: earlier versions called the reference's `default`.

@@ -1,4 +1,5 @@
-//! Frames at a quarter and at half of the photographs' size, with which a run may begin (paper, section 7.1).
+//! Frames at a quarter and at half of the photographs' size, with which a run may begin (paper, section 7.1), and the
+//! photographs to compare them with. These also get the random background of an iteration.
 
 use super::settings::TrainSettings;
 use crate::error::Result;
@@ -13,11 +14,23 @@ const FACTORS: [u32; 2] = [4, 2];
 /// Least width and height of a reduced picture, pixels: four tiles by four.
 const LEAST_SIDE: u32 = 64;
 
-/// The kernels that reduce photographs.
-pub(super) struct WarmUp {
+/// The kernels that reduce photographs, and compose transparent ones over random backgrounds.
+pub(super) struct PhotoPreparation {
     sizes: LaunchSizes,
-    /// Without and with a mask.
-    kernels: [Kernel<photo_reduced::Interface>; 2],
+    /// Whether photographs may keep their size.
+    whole: bool,
+    /// Of opaque, of masked and of transparent photographs.
+    kernels: [Kernel<photo_reduced::Interface>; 3],
+}
+
+/// A photograph to prepare.
+pub(super) struct PhotoInputs<'a> {
+    /// Its camera, and the camera of the frame.
+    pub cameras: [&'a Camera; 2],
+    pub photo: &'a Buffer,
+    pub masked: bool,
+    /// The change of the background (r, g, b) of a transparent photograph; None of others.
+    pub background_change: Option<[f32; 3]>,
 }
 
 /// The camera of pictures with 1 / `factor` of the width and height: their pixels are squares of `factor` pixels. What is left
@@ -80,39 +93,38 @@ pub(super) fn whole_instances([camera, drawn]: [&Camera; 2], instances: u32, vis
     (f64::from(visible) * side * side).max(f64::from(instances)).min(f64::from(u32::MAX)) as u32
 }
 
-impl WarmUp {
-    /// None unless the settings have a warm-up.
+impl PhotoPreparation {
+    /// None unless the settings have a warm-up or random backgrounds.
     ///
     /// # Errors
     /// When the device refuses a pipeline.
     pub fn new(context: &Context, settings: &TrainSettings) -> Result<Option<Self>> {
-        if settings.warm_up == 0 {
+        let whole = settings.random_background;
+        if settings.warm_up == 0 && !whole {
             return Ok(None);
         }
         let sizes = LaunchSizes::new(context.limits());
         let (workgroup_size, strips) = (sizes.elementwise_workgroup, sizes.strips);
-        let kernel = |masked| Kernel::new(context, &photo_reduced::Spec { workgroup_size, strips, masked });
-        Ok(Some(Self { kernels: [kernel(false)?, kernel(true)?], sizes }))
+        let kernel = |masked, transparent| {
+            Kernel::new(context, &photo_reduced::Spec { workgroup_size, strips, masked, transparent })
+        };
+        let kernels = [kernel(false, false)?, kernel(true, false)?, kernel(true, true)?];
+        Ok(Some(Self { sizes, whole, kernels }))
     }
 
-    /// Name and bytes of a reduced photograph, for photographs of these sizes (width, height).
+    /// Name and bytes of a prepared photograph, for photographs of these sizes (width, height).
     pub fn request(&self, sizes: &[(u32, u32)]) -> (&'static str, u64) {
         let windowing = if self.sizes.strips { Windowing::Sweeps } else { Windowing::Blocks };
-        let bytes = |&(width, height): &(u32, u32)| {
-            photo_bytes(windowing, width / FACTORS[1], height / FACTORS[1], true)
-        };
-        ("reduced_photo", sizes.iter().map(bytes).max().unwrap_or(0).max(4))
+        let factor = if self.whole { 1 } else { FACTORS[1] };
+        let bytes =
+            |&(width, height): &(u32, u32)| photo_bytes(windowing, width / factor, height / factor, true);
+        ("prepared_photo", sizes.iter().map(bytes).max().unwrap_or(0).max(4))
     }
 
-    /// Records the photograph of `camera` for pictures of `drawn`, one of [`TrainSettings::warm_up_camera`]. The caller
+    /// Records the photograph for a frame of its camera, or of a smaller one of [`TrainSettings::warm_up_camera`]. The caller
     /// places barriers before and after.
-    pub fn record(
-        &self,
-        r: &mut Recorder,
-        [camera, drawn]: [&Camera; 2],
-        masked: bool,
-        [photo, reduced]: [&Buffer; 2],
-    ) {
+    pub fn record(&self, r: &mut Recorder, inputs: &PhotoInputs, prepared: &Buffer) {
+        let PhotoInputs { cameras: [camera, drawn], photo, masked, background_change } = *inputs;
         let Camera { width, height, .. } = *drawn;
         let words = match self.sizes.strips {
             true => (if masked { 4 } else { 3 }) * Strips { width, height }.values() / 4,
@@ -122,14 +134,12 @@ impl WarmUp {
             image_width: camera.width,
             image_height: camera.height,
             factor: camera.width / width,
+            background_change: background_change.unwrap_or_default(),
         };
+        let form = if background_change.is_some() { 2 } else { usize::from(masked) };
         let groups = blocks(words, self.sizes.elementwise_workgroup.into());
-        r.dispatch(
-            &self.kernels[usize::from(masked)],
-            &photo_reduced::Bind { photo, reduced },
-            &push,
-            groups,
-        );
+        let bind = photo_reduced::Bind { photo, reduced: prepared };
+        r.dispatch(&self.kernels[form], &bind, &push, groups);
     }
 }
 

@@ -1,10 +1,12 @@
 // A photograph with 8 bits per channel at 1 / `factor` of its width and height, in the layout in which it is stored: the
-// means of squares of `factor` pixels, rounded. Columns and rows beyond the last whole square are left out.
+// means of squares of `factor` pixels, rounded. Columns and rows beyond the last whole square are left out. With TRANSPARENT
+// the colour behind the photograph changes by `background_change`: C' = C + (1 - opacity) change.
 //
 // invocation: with STRIPS four rows of a column of a plane of the result, otherwise a pixel of it
-// in: photo, with STRIPS planes of bytes in strips (strips.glsl): three, and with MASKED a fourth with the mask; otherwise
-//   r | g << 8 | b << 16 | mask << 24 per pixel, where the mask counts with MASKED
-// out: reduced, the same of the result; padding is 0
+// in: photo, with STRIPS planes of bytes in strips (strips.glsl): three, and with MASKED a fourth with the coverage; otherwise
+//   r | g << 8 | b << 16 | coverage << 24 per pixel, where the coverage counts with MASKED: 0 of a pixel that does not count;
+//   with TRANSPARENT, which needs MASKED, 1 + 254 opacity of all others
+// out: reduced, the same of the result, with a coverage of 0 or 255; padding is 0
 // shared: none; any subgroup size
 #version 460
 #extension GL_EXT_scalar_block_layout : require
@@ -13,16 +15,18 @@
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
 layout(constant_id = 2) const bool STRIPS = false;
 layout(constant_id = 3) const bool MASKED = false;
+layout(constant_id = 4) const bool TRANSPARENT = false;
 layout(local_size_x_id = 0) in;
 
 layout(set = 0, binding = 0, scalar) readonly buffer Photo { uint photo[]; };
 layout(set = 0, binding = 1, scalar) writeonly buffer Reduced { uint reduced[]; };
 
-// image_width, image_height: of the photograph.
+// image_width, image_height: of the photograph. background_change: r, g, b, 1 for white instead of black.
 layout(push_constant, scalar) uniform Push {
     uint image_width;
     uint image_height;
     uint factor;
+    vec3 background_change;
 };
 
 #include "constants.glsl"
@@ -41,14 +45,24 @@ uint byte_at(uint plane, uvec2 at) {
 // all planes.
 uint mean(uint plane, uvec2 from) {
     uint sum = 0;
+    uint opacities = 0;
     bool counts = true;
     for (uint y = from.y; y < from.y + factor; ++y) {
         for (uint x = from.x; x < from.x + factor; ++x) {
             sum += byte_at(plane, uvec2(x, y));
-            counts = counts && (!MASKED || byte_at(3, uvec2(x, y)) != 0);
+            if (MASKED) {
+                uint coverage = byte_at(3, uvec2(x, y));
+                counts = counts && coverage != 0;
+                opacities += max(coverage, 1) - 1;
+            }
         }
     }
     uint squares = factor * factor;
+    if (TRANSPARENT && plane < 3) {
+        float through = float(squares) - float(opacities) / 254.0;
+        float shown = (float(sum) + 255.0 * through * background_change[plane]) / float(squares);
+        return counts ? uint(clamp(shown, 0.0, 255.0) + 0.5) : 0;
+    }
     uint rounded = MASKED && plane == 3 ? 255 : (sum + squares / 2) / squares;
     return counts ? rounded : 0;
 }

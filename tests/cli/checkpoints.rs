@@ -21,7 +21,7 @@ const SCHEDULE: [&str; 12] = [
     "--densify_until_iter",
     "35",
     "--opacity_reset_interval",
-    "22",
+    "11",
 ];
 
 pub(super) struct Place {
@@ -64,8 +64,8 @@ pub(super) fn assert_trained(run: &Finished) {
 fn a_resumed_training_equals_one_that_was_never_stopped() {
     let place = Place::new();
     assert_trained(&place.train("whole", &["--iterations", "40"]));
-    // Stopped right before a densification and after an opacity reset.
-    assert_trained(&place.train("parts", &["--iterations", "30", "--checkpoint_iterations", "20", "23"]));
+    // Stopped right before a densification and after an opacity reset, which a run of 33 recovers from too.
+    assert_trained(&place.train("parts", &["--iterations", "33", "--checkpoint_iterations", "20", "23"]));
     for (number, kept) in [("20", 1 + 20), ("23", 1 + 23)] {
         let file = place.model("parts").join(format!("chkpnt{number}.safetensors"));
         let log = || std::fs::read_to_string(place.model("parts").join("train_log.csv")).expect("the log");
@@ -75,6 +75,17 @@ fn a_resumed_training_equals_one_that_was_never_stopped() {
         assert_eq!(log().lines().count(), 41);
         assert!(log().lines().take(kept).eq(before), "the log's beginning has changed");
     }
+    // A run that ends at a reset leaves it out, and a longer one from there on makes it up.
+    assert_trained(&place.train("short", &["--iterations", "22", "--checkpoint_iterations", "22"]));
+    let longer = ["--iterations", "40", "--start_checkpoint", "latest", "--save-iterations", "24"];
+    let run = place.train("short", &longer);
+    assert_trained(&run);
+    assert!(place.ply("short", 40) == place.ply("whole", 40), "other bits");
+    assert!(run.stderr.contains("iteration_24/point_cloud.ply: saved 2 iterations after an opacity reset"));
+    assert!(!run.stderr.contains("iteration_40"), "{}", run.stderr);
+    let scene = place.model("whole").join("point_cloud/iteration_40/point_cloud.ply");
+    let started = place.train("none", &["--iterations", "40", "--start_checkpoint", text(&scene)]);
+    assert_refused(&started, &["is a scene (PLY)", "--init"]);
     let latest = place.train("parts", &["--iterations", "40", "--start_checkpoint", "latest", "--seed", "1"]);
     assert_refused(&latest, &["chkpnt23.safetensors", "seed was 0, is 1"]);
     let over = place.train("parts", &["--iterations", "23", "--start_checkpoint", "latest"]);
@@ -157,6 +168,21 @@ fn another_bound_of_memory_is_a_warning() {
         let warned = other.stderr.lines().any(|line| line.contains("--max-memory") && line.contains(words));
         assert!(warned && other.stderr.contains("chkpnt4"), "{}", other.stderr);
     }
+}
+
+/// What is needed in all, though photographs read ahead are what does not fit first.
+#[test]
+fn too_little_memory_is_told_how_much_would_do() {
+    let place = Place::new();
+    let refused = place.train("model", &["--max-memory", "1K"]);
+    assert!(
+        refused.code == Some(2) && refused.stderr.contains("more than 1024 (--max-memory)"),
+        "{}",
+        refused.stderr
+    );
+    let needed =
+        refused.stderr.split("needs ").nth(1).and_then(|rest| rest.split(' ').next()).expect("bytes");
+    assert_trained(&place.train("model", &["--max-memory", needed, "--iterations", "2"]));
 }
 
 /// In the machine's memory a training is what it is in the device's, also if it goes on there.
@@ -326,7 +352,8 @@ fn what_cannot_be_saved_is_tried_again() {
     for name in ["point_cloud", "test"] {
         std::fs::write(model.join(name), "in the way").expect("written");
     }
-    let mut asked = vec!["--eval", "--iterations", "1000000"];
+    // Nothing is pruned, so that something is left to save.
+    let mut asked = vec!["--eval", "--iterations", "1000000", "--min_opacity", "0"];
     asked.extend(
         ["--save_iterations", "--test_iterations", "--checkpoint_iterations"].map(|o| [o, "5"]).concat(),
     );

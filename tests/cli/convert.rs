@@ -230,7 +230,7 @@ fn limits_of_files_and_memory_are_told() {
         // A card trains on photographs in a file: half of the memory is for those that are read ahead.
         let read_ahead = &[
             "reading ahead (5 of",
-            "more than 512 (the memory for photographs, at most half of --max-host-memory)",
+            "more than 512 (--photo-memory, or half of --max-memory or --max-host-memory)",
         ];
         let kept = &[word, "more than 1024 (--max-host-memory)"];
         let is_card = crate::common::context().description().kind != "CPU";

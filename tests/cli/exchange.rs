@@ -189,6 +189,8 @@ fn what_cannot_be_exchanged_is_refused() {
         &exchange(&place, &[]),
         &["blocks.json", "round 1", "1, 2", "not trained to the end of the round"],
     );
+    // No output where nothing was exchanged.
+    assert!(!place.model("blocks").exists());
     for number in 2..=blocks.len() {
         assert_trained(&train(&place, number, &[]));
     }

@@ -40,7 +40,7 @@ fn checkpoint(count: usize, own: usize) -> Checkpoint {
         opacity_steps: 10,
         due: Actions::NONE,
         first_moments: gaussians.clone(),
-        second_moments: gaussians.clone(),
+        second_moments: Gaussians { log_scales: vec![[3.0; 3]; count], ..gaussians.clone() },
         gaussians,
         statistics: vec![[0.0; 2]; count],
         filters: Vec::new(),

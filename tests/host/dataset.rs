@@ -113,6 +113,12 @@ fn another_images_folder_and_background() {
     let message =
         Dataset::load(folder.path(), &DatasetOptions::default(), Progress::NONE).unwrap_err().to_string();
     assert!(message.contains("images: there is no folder with photos"), "{message}");
+    // Beside a COLMAP model, alpha is a mask, and that is said.
+    let said = |notes: &[String]| notes.iter().any(|note| note.contains("alpha channel of 1 photos"));
+    options.keep_opacity = true;
+    let dataset = load(folder.path(), &options);
+    assert!(said(&dataset.notes) && !dataset.train[0].photo.is_transparent(), "{:?}", dataset.notes);
+    assert!(said(&Dataset::inspect(folder.path(), &options, Progress::NONE).notes));
     // Without photographs the images still have cameras.
     let report = Dataset::inspect(folder.path(), &DatasetOptions::default(), Progress::NONE);
     assert_eq!((report.images, report.sound_photos, report.problems), (2, 0, vec![message]));

@@ -76,7 +76,7 @@ fn lpips_weights_that_are_no_such_are_named() {
     );
     // Another network: that of SqueezeNet begins as VGG16 does, that of ResNet as neither.
     check(
-        &of("net.0.weight", |t| *t = Tensor::new(&t.name, &[64, 3, 3, 3], vec![0.0; 1728])),
+        &of("net.0.weight", |t| *t = Tensor::new(&t.name, &[64, 3, 3, 3], vec![0.1; 1728])),
         &["'net.2.weight'", "not the weights of VGG16"],
     );
     check(
@@ -84,6 +84,8 @@ fn lpips_weights_that_are_no_such_are_named() {
         &["[64, 3, 7, 7]", "[64, 3, 11, 11] of AlexNet", "[64, 3, 3, 3] of VGG16"],
     );
     check(&of("net.8.bias", |t| t.values[17] = f32::NAN), &["'net.8.bias': value 17 is NaN"]);
+    check(&of("net.8.weight", |t| t.values.fill(0.0)), &["of convolution 8 are all 0"]);
+    check(&of("lin2.model.1.weight", |t| t.values.fill(0.0)), &["'lin2.model.1.weight' are all 0"]);
     check(&of("net.8.bias", |t| t.kind = "I32"), &["'net.8.bias' of I32 [256]"]);
 }
 

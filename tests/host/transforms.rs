@@ -4,7 +4,7 @@ use std::path::Path;
 
 use ashsplat::scene::{Camera, Intrinsics, PointCloud, WorldFrame};
 use ashsplat_files::colmap::{self, ColmapCamera, ColmapImage};
-use ashsplat_files::{Dataset, DatasetOptions, Photo, PhotoFileFormat, Progress, ply};
+use ashsplat_files::{Dataset, DatasetOptions, Photo, PhotoFileFormat, Progress, Resolution, ply};
 use glam::Vec3;
 use serde_json::{Value, json};
 
@@ -114,6 +114,18 @@ fn transparent_photos_show_the_background() {
     };
     assert_eq!(first(false), [40, 20, 0]);
     assert_eq!(first(true), [244, 224, 204]);
+    // Training on random backgrounds has the same photo, and its opacity: here 0.2 of 254 steps.
+    for resolution in [Resolution::Auto, Resolution::Width(10)] {
+        let options = DatasetOptions { keep_opacity: true, resolution, ..Default::default() };
+        let train = load(folder.path(), &options).train;
+        let [clear, opaque] = [0, 1].map(|index| &train[index].photo);
+        assert!(clear.is_transparent() && clear.mask().unwrap().is_none() && !opaque.is_masked());
+        assert!(clear.texels().unwrap().as_chunks::<4>().0.iter().all(|texel| *texel == [40, 20, 0, 52]));
+        // The right half hidden, as with train_test_exp.
+        let half = clear.hiding(|pixel| pixel % 2 == 1).unwrap();
+        assert_eq!(half.mask().unwrap().unwrap()[..4], [255, 0, 255, 0]);
+        assert_eq!(half.texels().unwrap()[..8], [40, 20, 0, 52, 40, 20, 0, 0]);
+    }
 }
 
 #[test]

@@ -1,20 +1,27 @@
 //! A photograph at a fraction of its size, the twin of `pixels/photo_reduced`.
 
 /// (r, g, b, mask) per pixel of the means of squares of `factor` pixels, rounded. With `masked` a square counts, with mask 255,
-/// if all of its pixels do, and has zeros otherwise.
+/// if all of its pixels do, and has zeros otherwise. `change` is that of the background of transparent photographs, whose
+/// fourth byte is 1 + 254 opacity where a pixel counts.
 pub fn photo_reduced(
     rows: &[[u8; 4]],
     [width, height]: [usize; 2],
     factor: usize,
     masked: bool,
+    change: Option<[f32; 3]>,
 ) -> Vec<[u8; 4]> {
     let mean = |x: usize, y: usize| {
         let square: Vec<[u8; 4]> = (0..factor * factor)
             .map(|k| rows[(factor * y + k / factor) * width + factor * x + k % factor])
             .collect();
         let mean = |channel: usize| {
-            let sum: f64 = square.iter().map(|pixel| f64::from(pixel[channel])).sum();
-            (sum / square.len() as f64 + 0.5).floor() as u8
+            let shown = |pixel: &[u8; 4]| {
+                let through = 1.0 - (f64::from(pixel[3]) - 1.0) / 254.0;
+                let change = change.map_or(0.0, |change| f64::from(change[channel]));
+                f64::from(pixel[channel]) + 255.0 * change * through
+            };
+            let sum: f64 = square.iter().map(shown).sum();
+            ((sum / square.len() as f64).clamp(0.0, 255.0) + 0.5).floor() as u8
         };
         match masked {
             true if square.iter().any(|pixel| pixel[3] == 0) => [0; 4],

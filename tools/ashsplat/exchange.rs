@@ -10,8 +10,8 @@ use crate::train::checkpoint_path;
 use ashsplat::scene::{Bounds, Gaussians};
 use ashsplat::trainer::{BlockState, Checkpoint, SceneBlock, TrainSettings};
 use ashsplat::{Error, Result};
+use ashsplat_files::CheckpointFile;
 use ashsplat_files::splats::{self, WriteOptions};
-use ashsplat_files::{CheckpointFile, atomic};
 use clap::Args;
 use glam::Vec3;
 use std::collections::BTreeMap;
@@ -58,8 +58,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         return Err(Error::argument("--round", problem + ": merge the blocks"));
     }
     let folder = file.path.with_extension("");
-    atomic::create_folder(&folder)?;
-    let _lock = FolderLock::take(&folder, &WORK)?;
+    let _lock = FolderLock::make(&folder, &WORK)?;
     if round <= file.exchanges() {
         if !arguments.quiet {
             say!("round {round} of {rounds} is exchanged already");

@@ -63,6 +63,18 @@ impl FolderLock {
         }
     }
 
+    /// As [`FolderLock::take`], of a folder that need not exist. One that was made for it goes with it, if nothing was written there.
+    ///
+    /// # Errors
+    /// Also where the folder cannot be made.
+    pub fn make(folder: &Path, work: &Work) -> Result<Self> {
+        let made = missing(folder);
+        atomic::create_folder(folder)?;
+        let mut lock = Self::take(folder, work)?;
+        lock.made = made;
+        Ok(lock)
+    }
+
     /// As [`FolderLock::take`], once nobody else holds it; says whom it waits for. The folder need not be there: several that come
     /// at once wait for each other then, too. Folders that were made for it are removed with the lock, if nothing was written there.
     ///
@@ -71,11 +83,10 @@ impl FolderLock {
     pub fn wait(folder: &Path, work: &Work, stop: &AtomicBool) -> Result<Self> {
         let (mut glances, mut told) = (0, false);
         loop {
-            let is_missing = |path: &&Path| !path.as_os_str().is_empty() && !path.exists();
-            let missing = folder.ancestors().take_while(is_missing).map(Path::to_owned).collect();
+            let made = missing(folder);
             match atomic::create_folder(folder).and_then(|()| Self::try_take(folder, work)) {
                 Ok(Try::Locked(mut lock)) => {
-                    lock.made = missing;
+                    lock.made = made;
                     return Ok(lock);
                 }
                 Ok(Try::Held(by)) if glances >= GLANCES && !told => {
@@ -167,6 +178,12 @@ fn own_name() -> String {
     }
     #[cfg(not(unix))]
     format!("process {process}")
+}
+
+/// The folders of a path that do not exist, the innermost first.
+fn missing(folder: &Path) -> Vec<PathBuf> {
+    let is_missing = |path: &&Path| !path.as_os_str().is_empty() && !path.exists();
+    folder.ancestors().take_while(is_missing).map(Path::to_owned).collect()
 }
 
 impl Drop for FolderLock {

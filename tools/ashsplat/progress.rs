@@ -63,7 +63,8 @@ pub struct TrainProgress {
     window: (Instant, u32),
     iterations_per_second: f64,
     mean_loss: MeanLoss,
-    psnr: Option<f64>,
+    /// The last measurement, and its iteration.
+    psnr: Option<(f64, u32)>,
 }
 
 impl TrainProgress {
@@ -113,8 +114,8 @@ impl TrainProgress {
     }
 
     /// After a test.
-    pub fn tested(&mut self, psnr: f64) {
-        self.psnr = Some(psnr).filter(|psnr| !psnr.is_nan());
+    pub fn tested(&mut self, psnr: f64, iteration: u32) {
+        self.psnr = Some((psnr, iteration)).filter(|_| !psnr.is_nan());
     }
 
     /// A line above the bar.
@@ -144,7 +145,7 @@ impl TrainProgress {
     }
 
     fn describe(&self, state: &State) -> String {
-        let psnr = self.psnr.map_or_else(|| "-".into(), |psnr| format!("{psnr:.2}"));
+        let psnr = self.psnr.map_or_else(|| "-".into(), |(psnr, at)| format!("{psnr:.2} at {at}"));
         let left = match self.foretold {
             _ if state.iteration == self.iterations => String::new(),
             Some((left, when)) => {

@@ -28,6 +28,7 @@ use crate::lock::FolderLock;
 use crate::measure::{Cost, Stopwatch};
 use crate::progress::TrainProgress;
 use crate::session;
+use accounting::Effect;
 use ashsplat::plan::to_u32;
 use ashsplat::scene::{Camera, WorldFrame};
 use ashsplat::trainer::{StepReport, Trainer};
@@ -153,6 +154,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     options.depths = Some(settings.data.depths.clone()).filter(|folder| !folder.as_os_str().is_empty());
     // A training that goes on keeps its coordinates.
     options.frame = origin.checkpoint().map(|checkpoint| checkpoint.frame);
+    options.keep_opacity = settings.train.random_background;
     options.photo_memory = photo_memory(&context, arguments.photo_memory, &settings.data.model_path);
     let mut gallery = session::open(&settings.data, &options, &stop)?;
     origin.express_in(gallery.frame());
@@ -173,6 +175,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     gallery
         .notes()
         .iter()
+        .chain(&dataset.notes)
         .chain(&few_photos)
         .chain(&used)
         .filter(|_| !arguments.quiet)
@@ -245,6 +248,7 @@ pub struct Run {
     lpips: FinalLpips,
     gaussians: u32,
     non_finite: u64,
+    effect: Effect,
     /// Whether it was said that there is no more room.
     limited: bool,
     /// Iterations that were skipped because their frames were too large.
@@ -337,6 +341,7 @@ impl Run {
             lpips: FinalLpips::default(),
             gaussians: 0,
             non_finite: 0,
+            effect: Effect::default(),
             limited: false,
             skipped: 0,
             saved: None,

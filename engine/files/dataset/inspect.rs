@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use super::plan::{Plan, check_split};
 use super::planned_view::PlannedView;
 use super::unpacked::Unpacked;
-use super::{DatasetOptions, may_lack_points, random_points_instead};
+use super::{DatasetOptions, alpha_note, may_lack_points, random_points_instead};
 use crate::progress::Progress;
 use crate::{colmap, cost};
 use ashsplat::scene::{Bounds, WorldFrame, scene_extent};
@@ -146,14 +146,15 @@ impl DatasetReport {
         named: &dyn Fn(Error) -> String,
     ) {
         let done = AtomicUsize::new(0);
-        let check = |(view, _): &(PlannedView, bool)| -> Result<()> {
+        let check = |(view, _): &(PlannedView, bool)| -> Result<bool> {
             progress.check()?;
             let result = view.read_photo(options);
             progress.step(done.fetch_add(1, Ordering::Relaxed) + 1, views.len());
-            result.map(drop)
+            Ok(result?.mask.is_some_and(|mask| mask.hides()) && view.is_masked_by_alpha())
         };
         let results: Vec<_> = views.par_iter().map(check).collect();
         self.sound_photos = results.iter().filter(|result| result.is_ok()).count();
+        self.notes.extend(alpha_note(results.iter().flatten().filter(|&&by_alpha| by_alpha).count()));
         results.into_iter().filter_map(Result::err).for_each(|e| self.problem(named(e)));
     }
 }

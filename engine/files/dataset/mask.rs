@@ -96,8 +96,7 @@ impl Mask {
 
     /// The mask for the pinhole camera that replaces a lens.
     pub(super) fn undistorted(&self, lens: &Lens, pinhole: &Intrinsics) -> Self {
-        let rgb = self.values.iter().flat_map(|&m| [m; 3]).collect();
-        Self::of_grey(undistort(&Photo { width: self.width, height: self.height, rgb }, lens, pinhole))
+        Self::of_grey(undistort(&grey((self.width, self.height), &self.values), lens, pinhole))
     }
 
     /// Scales the mask. A pixel counts if all pixels that it covers do, since its colour is a mean of all of
@@ -128,10 +127,19 @@ impl Mask {
 
     /// 255 where a pixel counts, otherwise 0; None if all pixels count.
     pub(super) fn into_values(self) -> Option<Vec<u8>> {
-        let counts = |&value: &u8| value >= COUNTS;
-        let hides = !self.values.iter().all(counts);
-        hides.then(|| self.values.iter().map(|value| if counts(value) { 255 } else { 0 }).collect())
+        let value_of = |value: &u8| if *value >= COUNTS { 255 } else { 0 };
+        self.hides().then(|| self.values.iter().map(value_of).collect())
     }
+
+    /// Whether some pixels do not count.
+    pub(super) fn hides(&self) -> bool {
+        self.values.iter().any(|&value| value < COUNTS)
+    }
+}
+
+/// A grey picture of these values.
+pub(super) fn grey((width, height): (u32, u32), values: &[u8]) -> Photo {
+    Photo { width, height, rgb: values.iter().flat_map(|&value| [value; 3]).collect() }
 }
 
 /// Whether one of two sizes is the other one scaled, with sides that were rounded.

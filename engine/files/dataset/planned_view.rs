@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use glam::{DMat3, DVec3};
 
-use super::mask::Mask;
+use super::mask::{Mask, grey};
 use super::used_part::{UsedPart, cut_photo};
 use super::{DatasetOptions, View};
 use crate::images::{Decoded, Photo, PhotoFileFormat, Request, StoredPhoto, read_as, undistort};
@@ -42,6 +42,18 @@ pub(crate) struct PlannedView {
     pub(super) held_out: bool,
 }
 
+/// What was read of a view.
+pub(super) struct ReadPhoto {
+    /// The photo, undistorted and scaled.
+    pub(super) photo: Photo,
+    /// Its opacity, in grey, with [`DatasetOptions::keep_opacity`].
+    opacity: Option<Photo>,
+    /// Its mask at the file's size.
+    pub(super) mask: Option<Mask>,
+    /// Its camera at the file's size.
+    camera: Camera,
+}
+
 impl PlannedView {
     /// The pinhole camera of the view at the size of its file, as far as the data set specifies it.
     pub(crate) fn camera(&self) -> Camera {
@@ -75,8 +87,7 @@ impl PlannedView {
         (p.z > 0.0 && inside(x, width) && inside(y, height)).then_some(p.z)
     }
 
-    /// The undistorted and scaled photo, its mask at the file's size, and its camera there.
-    pub(super) fn read_photo(&self, options: &DatasetOptions) -> Result<(Photo, Option<Mask>, Camera)> {
+    pub(super) fn read_photo(&self, options: &DatasetOptions) -> Result<ReadPhoto> {
         let (lens, pinhole) = (self.lens, self.pinhole);
         let memory = &options.host_memory;
         let own = (lens.width, lens.height);
@@ -87,10 +98,13 @@ impl PlannedView {
         let bytes = |width: u32, height: u32| u64::from(width) * u64::from(height);
         let (before, after) = (bytes(lens.width, lens.height), bytes(pinhole.width, pinhole.height));
         let masks = if mask.is_some() { 2 * before } else { 0 };
-        let besides = match lens.is_distorted() {
-            false => masks,
-            true => masks + 3 * after + 3 * bytes(scaled.0, scaled.1) + 2 * masks,
-        };
+        let keeps_opacity = options.keep_opacity && !self.alpha_is_mask;
+        let opacity = if keeps_opacity { 3 * (before + after + bytes(scaled.0, scaled.1)) } else { 0 };
+        let besides = opacity
+            + match lens.is_distorted() {
+                false => masks,
+                true => masks + 3 * after + 3 * bytes(scaled.0, scaled.1) + 2 * masks,
+            };
         let request = Request {
             background: options.background(),
             turned: self.turned,
@@ -101,14 +115,22 @@ impl PlannedView {
             memory,
         };
         let Decoded { mut photo, alpha, lease, .. } = read_as(&self.photo_path, &request)?;
+        let mut opacity = alpha.as_ref().filter(|_| keeps_opacity).map(|alpha| grey(own, alpha));
         let alpha = alpha.filter(|_| self.alpha_is_mask).map(|alpha| Mask::of_alpha(own.0, own.1, alpha));
         let mut mask = Mask::of_both(mask, alpha);
         if lens.is_distorted() {
             mask = mask.map(|mask| mask.undistorted(&lens, &pinhole));
+            opacity = opacity.map(|opacity| undistort(&opacity, &lens, &pinhole));
             photo = undistort(&photo, &lens, &pinhole).scaled_to(scaled.0, scaled.1)?;
         }
+        let opacity = opacity.map(|opacity| opacity.scaled_to(scaled.0, scaled.1)).transpose()?;
         drop(lease);
-        Ok((photo, mask, self.posed(pinhole)))
+        Ok(ReadPhoto { photo, opacity, mask, camera: self.posed(pinhole) })
+    }
+
+    /// Whether a photo whose pixels do not all count has that from its own transparency.
+    pub(super) fn is_masked_by_alpha(&self) -> bool {
+        self.alpha_is_mask && self.mask_path.is_none() && self.coarse_mask.is_none()
     }
 
     /// The size at which the photo is used, before it is read: that of its part, if a part is used.
@@ -149,7 +171,7 @@ impl PlannedView {
     }
 
     pub(super) fn load(&self, options: &DatasetOptions) -> Result<View> {
-        let (mut photo, mask, original_camera) = self.read_photo(options)?;
+        let ReadPhoto { mut photo, mut opacity, mask, camera: original_camera } = self.read_photo(options)?;
         let (width, height) = (photo.width, photo.height);
         let coarse = self.coarse_mask.as_ref().map(|mask| mask.stretched_to(width, height));
         let mut mask = Mask::of_both(mask.map(|mask| mask.scaled_to(width, height)), coarse);
@@ -157,16 +179,24 @@ impl PlannedView {
         if let Some(PicturePart { left, top, .. }) = camera.part {
             let (corner, size) = ([left, top], [camera.width, camera.height]);
             photo = cut_photo(&photo, corner, size);
+            opacity = opacity.map(|opacity| cut_photo(&opacity, corner, size));
             mask = mask.map(|mask| mask.cut(corner, size));
         }
         let mask = mask.and_then(Mask::into_values);
+        let photo = match opacity {
+            None => StoredPhoto::new(photo, mask),
+            Some(grey) => {
+                let opacity: Vec<u8> = grey.rgb.into_iter().step_by(3).collect();
+                StoredPhoto::with_opacity(photo, &opacity, mask)
+            }
+        };
         Ok(View {
             name: self.name.clone(),
             image_id: self.image_id,
             camera_id: self.camera_id,
             camera,
             original_camera,
-            photo: StoredPhoto::new(photo, mask),
+            photo,
             inverse_depth: None,
             depth_points: None,
         })

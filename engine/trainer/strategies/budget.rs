@@ -7,6 +7,7 @@ mod schedule;
 pub use schedule::{GrowthSchedule, QuantilePlace};
 
 use super::rebuild::{DecisionMemory, Decisions};
+use super::unknown;
 use crate::densify::{
     Candidates, Chances, ClassifyInputs, Criterion, Densify, DensifyForm, DensifySettings, Importance,
     Selection, SelectionBuffers, SelectionDraw,
@@ -139,7 +140,7 @@ impl Strategy for Budget {
             PRUNE_FAINT => self.prune(population, Pruned::Below(FAINT))?,
             PRUNE_RANKS => self.prune(population, Pruned::Share(FAINTEST_SHARE))?,
             PRUNE_LATE => self.prune(population, Pruned::Below(population.settings().late_min_opacity))?,
-            _ => {
+            Actions::RESET_OPACITY => {
                 let recovery = population.settings().recovery;
                 let most = if recovery { RECOVERABLE_OPACITY } else { crate::densify::RESET_OPACITY };
                 population.context().run("reset opacity", |r| {
@@ -148,6 +149,7 @@ impl Strategy for Budget {
                 })?;
                 return Ok(Changes { opacities_reset: true, ..Changes::default() });
             }
+            _ => return Err(unknown(self.name(), action)),
         };
         Ok(Changes { densified: Some(densified), ..Changes::default() })
     }

@@ -2,6 +2,7 @@
 //! 2D mean is large, prune what is transparent or too large, reset opacities.
 
 use super::rebuild::{DecisionMemory, Decisions};
+use super::unknown;
 use crate::densify::{ClassifyInputs, Criterion, Densify, DensifyForm, DensifySettings};
 use crate::error::Result;
 use crate::trainer::population::Population;
@@ -77,6 +78,9 @@ impl Strategy for Reference {
     fn between_steps(&mut self, population: &mut Population, action: Actions) -> Result<Changes> {
         if action == Actions::DENSIFY {
             return Ok(Changes { densified: Some(self.densify(population)?), ..Changes::default() });
+        }
+        if action != Actions::RESET_OPACITY {
+            return Err(unknown(self.name(), action));
         }
         population.context().run("reset opacity", |r| {
             self.kernels.record_reset(r, population.scene(), population.moments());

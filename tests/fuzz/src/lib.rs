@@ -59,6 +59,15 @@ pub fn gaussians(count: usize, sh_degree: u32) -> Gaussians {
 
 /// A sound checkpoint of some Gaussians.
 pub fn checkpoint(gaussians: Gaussians, sh_degree: u32) -> Checkpoint {
+    let count = gaussians.len();
+    let ones = Gaussians {
+        sh_degree: gaussians.sh_degree,
+        means: vec![[1.0; 3]; count],
+        quats: vec![[1.0; 4]; count],
+        log_scales: vec![[1.0; 3]; count],
+        opacity_logits: vec![1.0; count],
+        sh: vec![[1.0; 3]; gaussians.sh.len()],
+    };
     Checkpoint {
         version: "0.1.0".into(),
         device: "a device".into(),
@@ -76,7 +85,7 @@ pub fn checkpoint(gaussians: Gaussians, sh_degree: u32) -> Checkpoint {
         filters: Vec::new(),
         strategy: Default::default(),
         first_moments: gaussians.clone(),
-        second_moments: gaussians.clone(),
+        second_moments: ones,
         statistics: vec![[0.0; 2]; gaussians.len()],
         gaussians,
         gradient_sums: None,

@@ -4,6 +4,51 @@ use super::Run;
 use crate::progress::{State, thousands};
 use ashsplat::trainer::StepReport;
 use ashsplat::{Error, Result};
+use std::collections::BTreeMap;
+
+/// Iterations after which a training without effect is noticed.
+const WITHOUT_EFFECT: u32 = 300;
+/// Share of a view's loss that a loss which does not move stays within.
+const SAME_LOSS: f32 = 1e-4;
+
+/// Notices that training has no effect: no view shows a Gaussian, or no view's loss moves.
+#[derive(Default)]
+pub struct Effect {
+    /// Consecutive iterations without a visible Gaussian.
+    empty: u32,
+    /// Consecutive iterations whose views had the losses that they had when these began.
+    still: u32,
+    /// These losses, by view.
+    losses: BTreeMap<usize, f32>,
+    said: bool,
+}
+
+impl Effect {
+    /// Takes in an iteration of a run of `iterations` with so many views. A warning, once.
+    fn after(&mut self, report: &StepReport, views: u32, iterations: u32) -> Option<String> {
+        if report.skipped || self.said {
+            return None;
+        }
+        self.empty = if report.visible == 0 { self.empty + 1 } else { 0 };
+        let first = *self.losses.entry(report.view).or_insert(report.loss);
+        if (report.loss - first).abs() <= SAME_LOSS * first {
+            self.still += 1;
+        } else {
+            self.losses = [(report.view, report.loss)].into();
+            self.still = 1;
+        }
+        let advice = "check the poses, the scale and the points of the data set (`ashsplat info DATASET`)";
+        let warning = if self.empty >= WITHOUT_EFFECT.max(views).min(iterations) {
+            format!("warning: no view showed a Gaussian in the last {} iterations: {advice}", self.empty)
+        } else if self.still >= WITHOUT_EFFECT.max(views.saturating_mul(2)) {
+            format!("warning: the loss of no view has moved in the last {} iterations: {advice}", self.still)
+        } else {
+            return None;
+        };
+        self.said = true;
+        Some(warning)
+    }
+}
 
 impl Run {
     /// An iteration over nothing is the last.
@@ -45,11 +90,50 @@ impl Run {
             }
             self.skipped += 1;
         }
+        let (views, iterations) = (self.trained.len() as u32, self.until - self.started);
+        if let Some(warning) = self.effect.after(report, views, iterations) {
+            self.progress.warn(&warning);
+        }
         self.progress.step(&State {
             iteration: report.iteration,
             loss: report.loss,
             gaussians: report.gaussians,
             memory_bytes: self.trainer.memory_bytes(),
         });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The iterations whose reports make a run warn: of two views, which see this many Gaussians, with this loss.
+    fn warned(iterations: u32, report: impl Fn(u32) -> (u32, f32)) -> Vec<(u32, String)> {
+        let mut effect = Effect::default();
+        let mut after = |iteration: u32| {
+            let (visible, loss) = report(iteration);
+            let view = iteration as usize % 2;
+            let report = StepReport { iteration, view, visible, loss, ..StepReport::default() };
+            effect.after(&report, 2, iterations)
+        };
+        (1..=iterations).filter_map(|iteration| Some((iteration, after(iteration)?))).collect()
+    }
+
+    #[test]
+    fn training_without_effect_is_said_once() {
+        let empty = warned(1000, |i| (0, i as f32));
+        assert!(
+            matches!(&empty[..], [(300, line)] if line.contains("no view showed a Gaussian")),
+            "{empty:?}"
+        );
+        // The whole run, if it is shorter.
+        assert_eq!(warned(40, |i| (0, i as f32))[0].0, 40);
+        let still = warned(1000, |i| (9, 0.5 + (i % 2) as f32));
+        assert!(
+            matches!(&still[..], [(300, line)] if line.contains("loss of no view has moved")),
+            "{still:?}"
+        );
+        assert_eq!(warned(1000, |i| (9, 0.5 + 1e-6 * i as f32)), []);
+        assert_eq!(warned(1000, |i| (i % 100, 1.0 / i as f32)), []);
     }
 }

@@ -165,6 +165,14 @@ impl Run {
         model::note_saved(folder, iteration)?;
         self.saved = Some(iteration);
         self.progress.note(&format!("{reason}saved {}", path.display()));
+        if let Some(reset) = self.trainer.recent_reset() {
+            self.progress.warn(&format!(
+                "warning: {}: saved {} iterations after an opacity reset, from which a scene takes up to {} to recover",
+                path.display(),
+                iteration - reset,
+                self.settings.train.reset_recovery()
+            ));
+        }
         Ok(())
     }
 }

@@ -158,7 +158,7 @@ impl Run {
             }
             None => None,
         }?;
-        self.progress.tested(psnr);
+        self.progress.tested(psnr, iteration);
         self.show_psnr(iteration, psnr);
         Some(psnr)
     }

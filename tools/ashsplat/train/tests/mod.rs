@@ -19,6 +19,7 @@ pub(super) fn dataset(scene_extent: f32) -> Dataset {
     let positions = vec![[0.0; 3], [0.2, 0.0, 0.0], [0.0, 0.2, 0.0], [0.2; 3]];
     Dataset {
         frame: WorldFrame::default(),
+        notes: Vec::new(),
         train: vec![View {
             name,
             image_id: 1,
