@@ -353,11 +353,13 @@ fn what_cannot_be_saved_is_tried_again() {
         std::fs::write(model.join(name), "in the way").expect("written");
     }
     // Nothing is pruned, so that something is left to save.
-    let mut asked = vec!["--eval", "--iterations", "1000000", "--min_opacity", "0"];
+    let mut asked = vec!["--strategy", "fixed", "--eval", "--iterations", "1000000", "--quiet"];
     asked.extend(
         ["--save_iterations", "--test_iterations", "--checkpoint_iterations"].map(|o| [o, "5"]).concat(),
     );
-    let mut command = place.command("model", &asked);
+    let data = place.folder.path().join("data");
+    let mut command = program();
+    command.args(["train", "-s", text(&data), "-m", text(&model)]).args(asked);
     let mut child = Running::start(command.stdout(Stdio::null()).stderr(Stdio::piped()));
     let mut lines = BufReader::new(child.stderr.take().expect("its stderr")).lines().map_while(Result::ok);
     for what in ["point_cloud", "test/ours_5", "chkpnt5"] {
