@@ -277,6 +277,15 @@ fn cloud_beside(path: &Path, warnings: &mut Vec<String>) -> Option<PathBuf> {
             "{path}: has no ply_file_path: {other} is not used; name it there if it has the points"
         ));
     }
+    let of_colmap = ["colmap/sparse/0", "sparse/0"].map(|place| folder.join(place));
+    if let Some(model) = of_colmap.iter().find(|model| model.join("points3D.bin").is_file()) {
+        let (model, points) = (model.display(), folder.join("points3D.ply"));
+        warnings.push(format!(
+            "{model}: its points are not used; `colmap model_converter --input_path {model} --output_path {} --output_type PLY` \
+             puts them where they are",
+            points.display()
+        ));
+    }
     None
 }
 

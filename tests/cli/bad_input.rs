@@ -104,6 +104,8 @@ fn zero_points_are_refused_unless_random_ones_are_wanted() {
     write_model(&place.data(), &images, &PointCloud::default());
     place.training_refuses(&["no points", "--random-points"]);
     let (data, out) = (place.data(), place.out());
+    let told = succeed(&["info", text(&data)]);
+    assert!(told.contains("next ") && told.trim_end().ends_with(" --eval --random-points"), "{told}");
     let run = finish(program().args([
         "train",
         "-s",

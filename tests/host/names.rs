@@ -202,7 +202,7 @@ fn masks_of_other_programs_are_found() {
         let stray = Path::new(name).with_file_name("c_mask.png");
         photo(&folder.path().join(stray), 0);
         let warnings = load(folder.path(), "images").unwrap().warnings;
-        assert!(warnings[0].contains("of no photo with a camera: 1 masks, "), "{name} {warnings:?}");
+        assert!(warnings[0].contains("no photo with a camera are not used (1, "), "{name} {warnings:?}");
         assert_eq!(warnings.len(), 1, "{warnings:?}");
     }
 }

@@ -204,6 +204,9 @@ fn points_beside_the_file_are_used_or_named() {
     let document = json!({ "camera_angle_x": angle(), "frames": frames(folder.path(), "images", 0..3, "") });
     write_json(&folder.path().join("transforms.json"), &document);
     let points = PointCloud { positions: vec![[0.1, 0.2, 0.0]; 4], colors: vec![[1; 3]; 4] };
+    colmap::write(folder.path().join("colmap/sparse/0"), &[], &[], &points).unwrap();
+    let dataset = load(folder.path(), &DatasetOptions::default());
+    assert!(dataset.warnings[0].contains("colmap/sparse/0: its points are not used; `colmap model_conv"));
     for (name, words) in [
         ("mesh.ply", Some("mesh.ply is not used; name it there")),
         ("sparse_pc.ply", Some("the points of ")),

@@ -84,7 +84,7 @@ impl Plan {
         unused.retain(|mask| !used.contains(mask.as_path()));
         if let Some(first) = unused.iter().min() {
             self.warnings.push(format!(
-                "not used, because of no photo with a camera: {} masks, {} for example; those of a.jpg are called a.png, \
+                "masks that belong to no photo with a camera are not used ({}, {} for example); that of a.jpg is called a.png, \
                  a.jpg.png, a_mask.png or mask_a.png",
                 unused.len(),
                 first.display()

@@ -53,6 +53,16 @@ mod tests {
     use super::*;
     use std::fs::File;
 
+    #[test]
+    fn settings_may_have_a_byte_order_mark() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let path = folder.path().join("settings.toml");
+        std::fs::write(&path, b"\xef\xbb\xbfiterations = 5\n").expect("written");
+        assert_eq!(table(&path).expect("settings")["iterations"].as_integer(), Some(5));
+        std::fs::write(&path, b"\xff\xfei\0t\0").expect("written");
+        assert!(text(&path).expect_err("refused").to_string().contains("is text in UTF-16"));
+    }
+
     /// What the crate does inside is not seen; it takes memory for each name, value and level that it goes through.
     #[test]
     fn settings_cost_as_much_as_they_are_long() {
