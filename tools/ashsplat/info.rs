@@ -123,6 +123,9 @@ fn dataset(arguments: &Arguments) -> Result<()> {
 }
 
 fn dataset_json(report: &DatasetReport) -> Value {
+    let frame = &report.frame;
+    let in_source =
+        |bounds: Bounds| corners_json([bounds.min, bounds.max].map(|corner| frame.source(corner)));
     json!({
         "model": report.model,
         "cameras": report.cameras,
@@ -131,19 +134,15 @@ fn dataset_json(report: &DatasetReport) -> Value {
         "train_views": report.train_views,
         "test_views": report.test_views,
         "points": report.points,
-        "origin": report.frame.origin.to_array(),
-        "unit": report.frame.unit,
-        "point_bounds": report.point_bounds.map(bounds_json),
-        "camera_bounds": report.camera_bounds.map(bounds_json),
-        "scene_extent": report.scene_extent,
+        "origin": frame.origin.to_array(),
+        "unit": frame.unit,
+        "point_bounds": report.point_bounds.map(in_source),
+        "camera_bounds": report.camera_bounds.map(in_source),
+        "scene_extent": (frame.unit * f64::from(report.scene_extent)) as f32,
         "problems": report.problems,
         "warnings": report.warnings,
         "notes": report.notes,
     })
-}
-
-fn bounds_json(bounds: Bounds) -> Value {
-    json!({ "min": bounds.min.to_array(), "max": bounds.max.to_array() })
 }
 
 fn corners_json([min, max]: [DVec3; 2]) -> Value {
