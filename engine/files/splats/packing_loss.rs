@@ -1,6 +1,6 @@
 //! What a format with packed attributes cannot hold of a scene.
 
-use super::spz_write::{farthest, fractional_bits};
+use super::spz_write::{MAX_FRACTIONAL_BITS, farthest, fractional_bits};
 use super::{Format, Outline};
 use crate::ply;
 use ashsplat::scene::Gaussians;
@@ -54,12 +54,19 @@ impl PackingLoss {
     pub(super) fn line(&self, format: Format, outline: &Outline) -> Option<String> {
         let mut losses = Vec::new();
         let step = fractional_bits(outline).map_or(0.0, |bits| (-f64::from(bits)).exp2());
+        let finest = (-f64::from(MAX_FRACTIONAL_BITS)).exp2();
         let typical = (self.log_sizes / self.count.max(1) as f64).exp();
         if format != Format::CompressedPly && step > COARSE * typical {
+            let reason = match step == finest {
+                true => "the finest that SPZ has: scale the scene up".into(),
+                false => {
+                    let farthest = short(farthest(outline).into());
+                    format!("because one lies at {farthest}: crop the scene for finer steps")
+                }
+            };
             losses.push(format!(
-                "positions are rounded to steps of {}, because one lies at {} (a typical size is {}): crop the scene for finer steps",
+                "positions are rounded to steps of {} (a typical size is {}), {reason}",
                 short(step),
-                short(farthest(outline).into()),
                 short(typical)
             ));
         }

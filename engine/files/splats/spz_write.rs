@@ -19,7 +19,7 @@ const OLD_VERSION: u32 = 2;
 const LEVEL: i32 = 12;
 
 /// Most fractional bits of a coordinate. The first implementation always writes 12, and reads any number below 24.
-const MAX_FRACTIONAL_BITS: u32 = 23;
+pub(super) const MAX_FRACTIONAL_BITS: u32 = 23;
 
 /// Bits of a coordinate, including the sign.
 const COORDINATE_BITS: u32 = 24;
