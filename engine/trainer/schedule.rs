@@ -177,10 +177,10 @@ impl TrainSettings {
         self.is_reset_planned_at(iteration) && !self.is_too_late_for_reset(iteration)
     }
 
-    /// Iterations after an opacity reset in which a scene is worse than before it: 1000, or the interval between resets if that
-    /// is shorter.
+    /// Iterations after an opacity reset in which a scene is worse than before it: 1000, or half of the interval between
+    /// resets if that is shorter.
     pub fn reset_recovery(&self) -> u32 {
-        RESET_RECOVERY.min(self.opacity_reset_interval)
+        RESET_RECOVERY.min(self.opacity_reset_interval / 2)
     }
 
     /// Whether a run with these settings left out the reset of an iteration only because it was near its end.
