@@ -244,7 +244,7 @@ impl Finder {
         if let Some(photo) = self.ends(folder, name).into_iter().find_map(|end| self.photo(folder, end)) {
             return Ok(Some(photo));
         }
-        let parts: Vec<String> = name.split('/').rev().map(|part| stem_key(part)).collect();
+        let parts: Vec<String> = name.split('/').rev().map(stem_key).collect();
         let tree = self.trees.entry(folder.to_owned()).or_insert_with(|| {
             let mut tree: HashMap<String, Vec<PathBuf>> = HashMap::new();
             let mut photos = photos_below(folder);

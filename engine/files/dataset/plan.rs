@@ -195,47 +195,45 @@ impl Plan {
         // COLMAP itself never rotates photos, so there is nothing to warn of if no size shows otherwise.
         let Turned { photos: turned, sizes, .. } =
             Turned::of(&asked.collect::<Vec<_>>(), options.orientation);
-        let mut view = |((image, photo_path), (turned, size)): (
-            (&ColmapImage, Result<PathBuf>),
-            (bool, Option<(u32, u32)>),
-        )| {
-            model.camera_of(image)?;
-            let Some(&(lens, Some(pinhole))) = lenses.get(&image.camera_id) else {
-                let problem = format!("camera {}: {NO_PINHOLE}", image.camera_id);
-                return Err(Error::input(model.file("cameras"), problem, NO_PINHOLE_REMEDY));
-            };
-            let photo_path = photo_path?;
-            if !photo_path.is_file() {
-                let problem = format!("the photo of image {} is missing", image.id);
-                let remedy = "copy it there, or remove the image from the model";
-                return Err(Error::input(photo_path, problem, remedy));
-            }
-            // The path is shown and written; one of another machine is not.
-            let name = match stays_inside(&plain(&image.name)) {
-                true => image.name.clone(),
-                false => {
-                    photo_path.strip_prefix(&folder).unwrap_or(&photo_path).to_string_lossy().into_owned()
+        let view =
+            |image: &ColmapImage, photo_path: Result<PathBuf>, turned: bool, size: Option<(u32, u32)>| {
+                model.camera_of(image)?;
+                let Some(&(lens, Some(pinhole))) = lenses.get(&image.camera_id) else {
+                    let problem = format!("camera {}: {NO_PINHOLE}", image.camera_id);
+                    return Err(Error::input(model.file("cameras"), problem, NO_PINHOLE_REMEDY));
+                };
+                let photo_path = photo_path?;
+                if !photo_path.is_file() {
+                    let problem = format!("the photo of image {} is missing", image.id);
+                    let remedy = "copy it there, or remove the image from the model";
+                    return Err(Error::input(photo_path, problem, remedy));
                 }
+                // The path is shown and written; one of another machine is not.
+                let name = match stays_inside(&plain(&image.name)) {
+                    true => image.name.clone(),
+                    false => {
+                        photo_path.strip_prefix(&folder).unwrap_or(&photo_path).to_string_lossy().into_owned()
+                    }
+                };
+                Ok(PlannedView {
+                    name,
+                    image_id: image.id,
+                    camera_id: image.camera_id,
+                    camera_from_source: image.rotation(),
+                    translation: DVec3::from_array(image.translation),
+                    frame: WorldFrame::default(),
+                    lens,
+                    pinhole,
+                    photo_path,
+                    turned,
+                    file_size: size,
+                    mask_path: None,
+                    alpha_is_mask: true,
+                    coarse_mask: None,
+                    part: None,
+                    held_out: false,
+                })
             };
-            Ok(PlannedView {
-                name,
-                image_id: image.id,
-                camera_id: image.camera_id,
-                camera_from_source: image.rotation(),
-                translation: DVec3::from_array(image.translation),
-                frame: WorldFrame::default(),
-                lens,
-                pinhole,
-                photo_path,
-                turned,
-                file_size: size,
-                mask_path: None,
-                alpha_is_mask: true,
-                coarse_mask: None,
-                part: None,
-                held_out: false,
-            })
-        };
         let names = images.iter().map(|image| image.name.as_str());
         let (photos, registered) = (photo_folder::count(path, &folder, names), images.len());
         if photos > registered {
@@ -245,8 +243,12 @@ impl Plan {
                 photo_folder::advice_for_more(path)
             ));
         }
-        plan.views =
-            images.into_iter().zip(paths).zip(turned.into_iter().zip(sizes)).map(&mut view).collect();
+        plan.views = images
+            .into_iter()
+            .zip(paths)
+            .zip(turned.into_iter().zip(sizes))
+            .map(|((image, path), (turned, size))| view(image, path, turned, size))
+            .collect();
         Ok(plan)
     }
 
