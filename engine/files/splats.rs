@@ -33,6 +33,7 @@ use convert::changed;
 pub use convert::{ConvertOptions, Converted, Input, Target, convert, join};
 pub use foreign::foreign;
 pub use format::Format;
+pub(crate) use format::MAX_COMPRESSED_LOG_SCALE;
 pub(crate) use gltf::{EXTENSION, PACKED_EXTENSION};
 pub use merge::{Merged, Part, merge};
 pub(crate) use origin_file::FARTHEST;

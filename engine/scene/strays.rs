@@ -3,7 +3,7 @@
 
 use glam::Vec3;
 
-use super::world_frame::median_ball;
+use super::median_ball::median_ball;
 
 /// Distance of a stray from the median position, in median distances. Ordinary data sets stay below 2.4. As a part of the extent, one
 /// camera of 40 costs 0.1 dB at 5, 0.9 at 10 and 3.4 at 30.

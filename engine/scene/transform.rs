@@ -5,6 +5,7 @@ use glam::{DQuat, DVec3};
 use super::gaussians::{Gaussians, sh_coefficients};
 use super::points::Bounds;
 use super::sh_rotation::{ShRotation, mirror_signs};
+use super::world_frame::WorldFrame;
 
 /// A similarity: `x_new = scale * (rotation * x) + translation`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -24,6 +25,15 @@ impl Default for Similarity {
 }
 
 impl Similarity {
+    /// From the world coordinates of one frame to those of another.
+    pub fn between(from: &WorldFrame, to: &WorldFrame) -> Self {
+        Self {
+            rotation: DQuat::IDENTITY,
+            scale: from.unit / to.unit,
+            translation: (from.origin - to.origin) / to.unit,
+        }
+    }
+
     /// The place of a point after the move.
     pub fn apply(&self, point: DVec3) -> DVec3 {
         self.scale * (self.rotation * point) + self.translation

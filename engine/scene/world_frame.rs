@@ -1,9 +1,9 @@
 //! The frame in which a scene is held in single precision.
 
-use glam::{DMat3, DQuat, DVec3, Vec3};
+use glam::{DMat3, DVec3, Vec3};
 
 use super::camera::NEAR_PLANE;
-use super::transform::Similarity;
+use super::median_ball::median_ball;
 
 /// Distance of a scene's centre from the origin, in radii of the scene, from which on it gets an origin of its own: below, single
 /// precision resolves a 250,000th of the radius or finer.
@@ -77,27 +77,4 @@ impl WorldFrame {
         };
         (at_origin / self.unit).as_vec3()
     }
-
-    /// The similarity from the world coordinates of another frame to those of this one.
-    pub fn similarity_from(&self, other: &Self) -> Similarity {
-        Similarity {
-            rotation: DQuat::IDENTITY,
-            scale: other.unit / self.unit,
-            translation: (other.origin - self.origin) / self.unit,
-        }
-    }
-}
-
-/// The median of each axis, and the median distance from there. None without points, and where that is not positive.
-pub fn median_ball(points: &[DVec3]) -> Option<(DVec3, f64)> {
-    let axis = |axis: usize| median(points.iter().map(|p| p[axis]).collect());
-    let center = DVec3::new(axis(0), axis(1), axis(2));
-    let radius = median(points.iter().map(|p| p.distance(center)).collect());
-    (radius > 0.0 && radius.is_finite()).then_some((center, radius))
-}
-
-/// The upper median; 0 without values.
-fn median(mut values: Vec<f64>) -> f64 {
-    let middle = values.len() / 2;
-    if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
 }

@@ -754,7 +754,7 @@ fn scenes_are_written_in_source_units_and_drawn_in_their_frame() {
         assert!(drawn.frame.unit <= if format == Format::Ply { 0.01 } else { 0.1 }, "{:?}", drawn.frame);
         let expected = if format == Format::Splat { gaussians.with_sh_degree(0) } else { gaussians.clone() };
         let mut moved = expected;
-        moved.transform(&drawn.frame.similarity_from(&frame));
+        moved.transform(&Similarity::between(&frame, &drawn.frame));
         assert_close(
             &drawn.gaussians,
             &moved,

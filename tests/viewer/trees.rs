@@ -142,27 +142,6 @@ fn viewer_names_tiles_that_cannot_be_read() {
     }
 }
 
-/// A tile that never comes delays no frame, and not the end of the program.
-#[cfg(unix)]
-#[test]
-fn viewer_waits_for_no_tile() {
-    let folder = tempdir().expect("a temporary folder");
-    let (path, tree) = written(folder.path());
-    let camera = camera(0.3);
-    let first = tree.wanted(&Demand::of(&camera, COUNT))[1];
-    let file = tree.path(first).expect("a tile");
-    std::fs::remove_file(&file).expect("removed");
-    // Whoever opens a pipe waits for its writer.
-    nix::unistd::mkfifo(&file, nix::sys::stat::Mode::S_IRWXU).expect("a pipe");
-    let server = Server::view(&path, &["--budget", "100%"]);
-    let mut page = server.page();
-    for _ in 0..5 {
-        let shown = page.look(&camera, &json!({ "quality": 0 }));
-        assert_eq!(shown.header["tree"]["drawn"], 1);
-    }
-    assert_eq!(server.end().0, Some(0));
-}
-
 #[test]
 fn viewer_refuses_what_is_no_tree() {
     let folder = tempdir().expect("a temporary folder");

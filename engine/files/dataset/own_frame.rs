@@ -3,7 +3,7 @@
 use glam::DVec3;
 
 use super::planned_view::PlannedView;
-use ashsplat::scene::world_frame::median_ball;
+use ashsplat::scene::median_ball;
 use ashsplat::scene::{NEAR_PLANE, SourcePoints, WorldFrame};
 
 /// Points and views that are looked at, at most.

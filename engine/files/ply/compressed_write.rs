@@ -8,12 +8,12 @@ use super::compressed::{CHUNK, CHUNK_PROPERTIES, SH_RANGE, VERTEX_PROPERTIES};
 use super::header::{Marks, PADDING};
 use super::morton;
 use super::write::write_frame;
-use crate::splats::{Outline, Produce, row_bytes};
+use crate::splats::{MAX_COMPRESSED_LOG_SCALE, Outline, Produce, row_bytes};
 use crate::{atomic, host_memory};
 use ashsplat::scene::Gaussians;
 use ashsplat::scene::gaussians::sh_coefficients;
+use ashsplat::scene::median_ball;
 use ashsplat::scene::sh::C0;
-use ashsplat::scene::world_frame::median_ball;
 use ashsplat::{Error, Result};
 use glam::{DVec3, Vec3};
 
@@ -26,9 +26,6 @@ const COLOR_OUTLIER: f64 = 32.0;
 
 /// Most groups with chunks of their own; outliers may have outliers.
 const MAX_GROUPS: usize = 8;
-
-/// Log-scales are clamped to this on both sides, as the format's first writer does.
-pub(crate) const MAX_LOG_SCALE: f32 = 20.0;
 
 /// The opacity in a packed colour.
 const OPACITY: u32 = 0xff;
@@ -157,7 +154,7 @@ impl Chunk {
         Self {
             mean: extremes(indices.iter().map(|&i| all.means[i])),
             log_scale: extremes(indices.iter().map(|&i| all.log_scales[i]))
-                .map(|corner| corner.map(|v| v.clamp(-MAX_LOG_SCALE, MAX_LOG_SCALE))),
+                .map(|corner| corner.map(|v| v.clamp(-MAX_COMPRESSED_LOG_SCALE, MAX_COMPRESSED_LOG_SCALE))),
             color: extremes(indices.iter().map(|&i| color(all, i))),
         }
     }

@@ -6,6 +6,9 @@ use super::{Outline, origin_file};
 use ashsplat::{Error, Result};
 use glam::DVec3;
 
+/// Log-scales are clamped to this on both sides, as the format's first writer does.
+pub(crate) const MAX_COMPRESSED_LOG_SCALE: f32 = 20.0;
+
 /// A format of files of Gaussians.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Format {

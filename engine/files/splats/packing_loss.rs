@@ -1,8 +1,7 @@
 //! What a format with packed attributes cannot hold of a scene.
 
 use super::spz_write::{MAX_FRACTIONAL_BITS, farthest, fractional_bits};
-use super::{Format, Outline};
-use crate::ply;
+use super::{Format, MAX_COMPRESSED_LOG_SCALE, Outline};
 use ashsplat::scene::Gaussians;
 
 /// Steps of positions are coarse from this share of a typical Gaussian's size on: pictures lose about 6 dB.
@@ -32,7 +31,9 @@ impl PackingLoss {
     pub(super) fn of(format: Format, spz_version: Option<u32>) -> Option<Self> {
         let (log_scales, max_dc) = match (format, spz_version) {
             (Format::Spz, _) | (Format::Glb, Some(_)) => ([-10.0, 5.9375], 0.5 / 0.15),
-            (Format::CompressedPly, _) => ([-ply::MAX_LOG_SCALE, ply::MAX_LOG_SCALE], f32::INFINITY),
+            (Format::CompressedPly, _) => {
+                ([-MAX_COMPRESSED_LOG_SCALE, MAX_COMPRESSED_LOG_SCALE], f32::INFINITY)
+            }
             _ => return None,
         };
         Some(Self { log_scales, max_dc, count: 0, log_sizes: 0.0, cut_scales: 0, cut_colors: 0 })

@@ -6,7 +6,7 @@ use super::format::Format;
 use super::validation::Unusable;
 use crate::host_memory;
 use ashsplat::scene::gaussians::sh_coefficients;
-use ashsplat::scene::{Bounds, Gaussians, WorldFrame};
+use ashsplat::scene::{Bounds, Gaussians, Similarity, WorldFrame};
 use ashsplat::{Error, RenderSettings, Result};
 use glam::{DVec3, Vec3};
 
@@ -139,7 +139,7 @@ impl Scene {
 
     /// Brings the Gaussians into another frame, such as that of a data set.
     pub fn express_in(&mut self, frame: &WorldFrame) {
-        self.gaussians.transform(&frame.similarity_from(&self.frame));
+        self.gaussians.transform(&Similarity::between(&self.frame, frame));
         self.frame = *frame;
     }
 }

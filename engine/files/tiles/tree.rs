@@ -9,7 +9,7 @@ use serde::Deserialize;
 use super::document::{turned, turned_origin};
 use crate::regular_file;
 use crate::splats::{self, FARTHEST, ReadOptions, Scene};
-use ashsplat::scene::{Bounds, Camera, NEAR_PLANE, Projection, WorldFrame};
+use ashsplat::scene::{Bounds, Camera, NEAR_PLANE, Projection, Similarity, WorldFrame};
 use ashsplat::{Error, Result};
 
 /// Beyond the box of a tile in a picture, pixels: the low-pass filter widens Gaussians.
@@ -131,7 +131,7 @@ impl Tree {
             WorldFrame::around_gaussians(&points.map(|point| self.frame.source(point)).collect::<Vec<_>>());
         let own = self.frame.origin;
         let frame = WorldFrame { origin: if own == DVec3::ZERO { around.origin } else { own }, ..around };
-        let to = frame.similarity_from(&self.frame);
+        let to = Similarity::between(&self.frame, &frame);
         for tile in &mut self.tiles {
             let [min, max] =
                 [tile.bounds.min, tile.bounds.max].map(|corner| to.apply(corner.as_dvec3()).as_vec3());
@@ -223,7 +223,7 @@ impl Tree {
             return Err(Error::input(path, problem, "write the tree again with `ashsplat tiles`"));
         }
         let from = WorldFrame { origin: self.file_origin + scene.frame.origin, ..scene.frame };
-        scene.gaussians.transform(&self.frame.similarity_from(&from));
+        scene.gaussians.transform(&Similarity::between(&from, &self.frame));
         scene.frame = self.frame;
         Ok(scene)
     }
