@@ -44,7 +44,7 @@ pub fn options(settings: &RenderSettings, frame: &WorldFrame) -> String {
         said.push(format!("--min-opacity {min_opacity}"));
     }
     if min_density > 0.0 {
-        said.push(format!("--min-density {}", decimal(min_density) / frame.unit));
+        said.push(format!("--min-density {}", min_density / frame.unit as f32));
     }
     if let Some(Bounds { min, max }) = bounds {
         let source = |axis: usize, v: f32| (frame.origin[axis] + frame.unit * decimal(v)).to_string();
