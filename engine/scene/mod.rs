@@ -41,7 +41,7 @@ pub use photo::Photo;
 pub use picture_part::PicturePart;
 pub use points::{Bounds, PointCloud, SourcePoints};
 pub use stored_photo::{PhotoFile, StoredPhoto};
-pub use strays::{strays, without_strays};
+pub use strays::{far_camera, strays, without_strays};
 pub use tour::Motion;
 pub use transform::Similarity;
 pub use twist::Twist;

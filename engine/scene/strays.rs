@@ -18,7 +18,7 @@ const LEAST_CAMERAS: usize = 5;
 /// Most strays, however many cameras there are: each is compared with all cameras.
 const MAX_STRAYS: usize = 1000;
 
-/// For each camera that is a stray, its distance from the median position in median distances. At most a tenth are strays, or one:
+/// For each camera that is a stray, its distance from the median position in median distances. At most a fifth are strays, or one:
 /// where more stand apart, none is.
 pub fn strays(positions: &[Vec3]) -> Vec<Option<f64>> {
     let count = positions.len();
@@ -41,7 +41,7 @@ pub fn strays(positions: &[Vec3]) -> Vec<Option<f64>> {
         if distance > reach && is_lonely(index) {
             found[index] = Some(distance / radius);
             strays += 1;
-            if strays > (count / 10).clamp(1, MAX_STRAYS) {
+            if strays > (count / 5).clamp(1, MAX_STRAYS) {
                 return none();
             }
         }
@@ -53,4 +53,12 @@ pub fn strays(positions: &[Vec3]) -> Vec<Option<f64>> {
 pub fn without_strays<T: Copy>(all: &[T], position: impl Fn(&T) -> Vec3) -> Vec<T> {
     let strays = strays(&all.iter().map(position).collect::<Vec<_>>());
     all.iter().zip(strays).filter(|(_, stray)| stray.is_none()).map(|(&one, _)| one).collect()
+}
+
+/// Index of the farthest camera and its distance from the median position in median distances, if that is beyond all usual ones.
+pub fn far_camera(positions: &[Vec3]) -> Option<(usize, f64)> {
+    let points: Vec<_> = positions.iter().map(|position| position.as_dvec3()).collect();
+    let (center, radius) = median_ball(&points).filter(|_| points.len() >= LEAST_CAMERAS)?;
+    let distances = points.iter().map(|point| point.distance(center) / radius).enumerate();
+    distances.max_by(|one, other| one.1.total_cmp(&other.1)).filter(|far| far.1 > FAR)
 }

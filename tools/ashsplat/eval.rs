@@ -351,7 +351,15 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let mut lpips = Perceptual::new(&context, &weights)?;
     let views = chosen.iter().filter_map(view).inspect(|_| bar.inc(1));
     let more = More { lpips: lpips.as_mut(), frame_times: true, ..Default::default() };
-    let mut evaluation = evaluate(views, &protocol, more, |camera| renderer.render(camera, &settings))?;
+    let mut shows_any = false;
+    let mut evaluation = evaluate(views, &protocol, more, |camera| {
+        let frame = renderer.render(camera, &settings)?;
+        shows_any |= frame.stats.visible > 0;
+        Ok(frame)
+    })?;
+    if !shows_any && !evaluation.views.is_empty() {
+        tell!("warning: {}", render::NOTHING_SHOWN);
+    }
     if pose_opt {
         let renderer = RefCell::new(renderer);
         let alignment = alignment_of(&model.settings.train);

@@ -260,7 +260,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let count = views.cameras.len();
     // A film's frames are no results of their own: a bar suffices.
     let bar = counting("frames", if film.is_some() { count as u64 } else { 0 }, arguments.quiet);
-    let mut total = 0.0;
+    let (mut total, mut shows_any) = (0.0, false);
     let mut tiles = tree.map(|tree| arguments.drawn(tree));
     let mut render = |index: usize| {
         let start = Instant::now();
@@ -273,6 +273,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         arguments.depth().scale(&mut frame, scene.frame.unit as f32);
         let milliseconds = start.elapsed().as_secs_f64() * 1e3;
         total += milliseconds;
+        shows_any |= frame.stats.visible > 0;
         bar.inc(1);
         if !arguments.quiet && film.is_none() {
             say!("{}", describe(index, &named.name, milliseconds, &frame));
@@ -307,6 +308,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         }
     }
     bar.finish_and_clear();
+    if !shows_any {
+        tell!("warning: {NOTHING_SHOWN}");
+    }
     if !arguments.quiet {
         let mean = total / count as f64;
         let size = std::fs::metadata(&arguments.out).ok().filter(|_| film.is_some());
@@ -349,6 +353,10 @@ fn lenses_by_photo(file: &Path) -> Result<BTreeMap<String, LensEffects>> {
     let lenses = LensFile::read(file)?;
     Ok(lenses.photos.keys().filter_map(|name| Some((name.clone(), lenses.of(name)?))).collect())
 }
+
+/// The warning where cameras and scene have nothing in common.
+pub const NOTHING_SHOWN: &str =
+    "no picture shows a Gaussian: do scene and cameras have the same coordinates?";
 
 fn describe(index: usize, name: &str, milliseconds: f64, frame: &Frame) -> String {
     let stats = &frame.stats;

@@ -18,7 +18,7 @@ impl Plan {
         let mut finder = Finder::default();
         let folders = folders_of_masks(dataset, &options.images, &mut finder);
         let (mut photos, mut masks) = (HashMap::new(), HashMap::new());
-        let mut names = Vec::new();
+        let (mut names, mut twice) = (Vec::new(), Vec::new());
         let list = self.list.clone();
         let shared = |what: &str, path: &Path, names: [&str; 2]| {
             let problem =
@@ -27,15 +27,22 @@ impl Plan {
         };
         for view in &mut self.views {
             let Ok(found) = view else { continue };
-            if let Some(other) = photos.insert(found.photo_path.clone(), found.name.clone())
-                && other != found.name
-            {
-                *view = Err(shared("photo", &found.photo_path, [&other, &found.name]));
-                continue;
+            if let Some(other) = photos.insert(found.photo_path.clone(), found.name.clone()) {
+                if other != found.name {
+                    *view = Err(shared("photo", &found.photo_path, [&other, &found.name]));
+                    continue;
+                }
+                twice.push(other);
             }
             let below = |folder: &Path| found.photo_path.strip_prefix(folder).ok();
             let name = below(&images).or_else(|| below(dataset)).unwrap_or(&found.photo_path).to_path_buf();
             names.push(name);
+        }
+        if let Some(first) = twice.first() {
+            let (list, count) = (list.display(), twice.len());
+            self.warnings.push(format!(
+                "{list}: {count} photos have more than one pose, {first} for example: all are used"
+            ));
         }
         let found = self.views.iter_mut().filter(|view| view.is_ok()).zip(&names);
         for (view, name) in found {

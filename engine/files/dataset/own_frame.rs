@@ -17,7 +17,8 @@ const NEAR_SHARE: usize = 20;
 /// depths are too small for the losses that compare them.
 const KEPT: std::ops::Range<f64> = NEAR_PLANE as f64..1000.0;
 
-/// Distance from a frame's origin, in radii of the data set, at which single precision resolves a 16,000th of the radius.
+/// Distance from a frame's origin, in radii of the data set, at which single precision resolves a 16,000th of the radius. Nearer data
+/// sets keep the origin of their files, so that a model's PLY has their coordinates.
 const FAR: f64 = 1000.0;
 
 /// The frame of a data set: its origin is that of points and cameras, and its unit puts the near points between 1 and 10.
@@ -34,7 +35,10 @@ pub(super) fn frame_of(views: &[&PlannedView], points: &SourcePoints) -> WorldFr
     };
     let decade = 10f64.powi(near.log10().floor() as i32);
     let keeps = KEPT.contains(&near) || !(decade > 0.0 && decade.is_finite());
-    WorldFrame { unit: if keeps { 1.0 } else { decade }, ..WorldFrame::around(&all(views, points)) }
+    let usual = WorldFrame::default();
+    let is_far = is_far(views, points, &usual);
+    let around = if is_far { WorldFrame::around(&all(views, points)) } else { usual };
+    WorldFrame { unit: if keeps { 1.0 } else { decade }, ..around }
 }
 
 /// Whether single precision rounds a data set in a frame that was not chosen for it: that of a checkpoint which is older than

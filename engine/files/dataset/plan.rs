@@ -15,7 +15,7 @@ use crate::images::header;
 use crate::names::{Finder, ending, plain, stays_inside};
 use crate::transforms::{self, Frame, Transforms};
 use ashsplat::scene::lens::Lens;
-use ashsplat::scene::{Camera, Intrinsics, PointCloud, SourcePoints, WorldFrame, strays};
+use ashsplat::scene::{Camera, Intrinsics, PointCloud, SourcePoints, WorldFrame, far_camera, strays};
 use ashsplat::{Error, Result};
 
 /// Lenses and the pinholes in their place, by what is printed of them: every number differently if it differs.
@@ -99,7 +99,7 @@ impl Plan {
         self.points = points.in_frame(&self.frame);
     }
 
-    /// Names the cameras that the scene extent leaves out.
+    /// Names the cameras that the scene extent leaves out, or the farthest one that decides it.
     fn warn_of_strays(&mut self) {
         let views: Vec<&PlannedView> = self.views.iter().flatten().collect();
         let positions: Vec<Vec3> = views.iter().map(|view| view.camera().position()).collect();
@@ -111,6 +111,13 @@ impl Plan {
             self.warnings.push(format!(
                 "{list}: the camera of {name}{others} lies at {times:.0} times the median distance from the cameras' middle, alone; \
                  the scene extent leaves it out: if its pose is wrong, remove it"
+            ));
+        } else if let Some((index, times)) = far_camera(&positions) {
+            self.warnings.push(format!(
+                "{}: the camera of {} lies at {times:.0} times the median distance from the cameras' middle, with others, and decides the \
+                 scene extent: if their poses are wrong, remove them",
+                self.list.display(),
+                views[index].name
             ));
         }
     }

@@ -97,6 +97,8 @@ impl<'a> GaussianRows<'a> {
                 layout.white.unwrap_or_default()
             ));
         }
+        warnings.extend(unused_properties(&element));
+        warnings.extend(activated_opacities(path)?);
         let is_double =
             |p: &Property| ["x", "y", "z"].contains(&p.name.as_str()) && p.kind == Kind::Scalar(Scalar::F64);
         let double_positions = element.properties.iter().any(is_double);
@@ -112,6 +114,43 @@ impl<'a> GaussianRows<'a> {
         };
         Ok(Self { file, element, layout, shift, header })
     }
+}
+
+/// Names properties that no scene at rest has, such as those of moving Gaussians.
+fn unused_properties(element: &Element) -> Option<String> {
+    let usual = |name: &str| {
+        REQUIRED.contains(&name)
+            || RGB.as_flattened().contains(&name)
+            || ["nx", "ny", "nz", "alpha", FILTER].contains(&name)
+            || name.starts_with("f_rest_")
+    };
+    let names =
+        || element.properties.iter().map(|property| property.name.as_str()).filter(|name| !usual(name));
+    let first = names().next()?;
+    let others = match names().count() - 1 {
+        0 => String::new(),
+        others => format!(" and {others} others"),
+    };
+    Some(format!("property {first}{others}: not used; what they say of time, motion or shape is lost"))
+}
+
+/// Names opacities that look as if the sigmoid had been applied to them already.
+fn activated_opacities(path: &Path) -> Result<Option<String>> {
+    let mut file = PlyFile::open(path)?;
+    let vertex = file.seek_element("vertex")?;
+    let first = Element { count: vertex.count.min(BLOCK as u64), ..vertex };
+    let (mut least, mut most) = (f64::INFINITY, f64::NEG_INFINITY);
+    // Damaged rows are reported when all are read.
+    drop(file.for_each_row(&first, &["opacity".to_owned()], |_, row| {
+        (least, most) = (least.min(row[0]), most.max(row[0]));
+        Ok(())
+    }));
+    // Logits of trained scenes go far beyond 0 and 1.
+    let is_likely = first.count >= 16 && least >= 0.0 && most <= 1.0 && most - least > 0.5;
+    Ok(is_likely.then(|| {
+        "opacities all lie between 0 and 1, but are taken as logits, as scales are as logarithms: if they are not, export raw values"
+            .into()
+    }))
 }
 
 /// An origin for a file whose positions are doubles: that of its first rows.
