@@ -107,7 +107,7 @@ fn readers_without_address_space() {
     spaces(&place("text/sparse/0/images.txt"), 12);
     spaces(&place("cameras.json"), 5);
     fs::create_dir(place("frames")).expect("a folder");
-    spaces(&place("frames/transforms.json"), 5);
+    spaces(&place("frames/transforms.json"), 20);
     let points = PointCloud { positions: vec![[0.5; 3]; 1_500_000], colors: vec![[9; 3]; 1_500_000] };
     ply::write_points(place("points.ply"), &points, &WorldFrame::default()).expect("written");
     drop(points);

@@ -118,6 +118,9 @@ fn call_graph_of_the_readers_has_no_circles() {
     // What goes down three levels of folders, so that it is known to be seen.
     let all = in_circles(graph, "ashsplat");
     assert!(all.iter().any(|name| name.contains("remove_leftovers_named")), "{all:#?}");
-    let readers: Vec<_> = all.iter().filter(|name| name.contains("ashsplat_files")).collect();
+    // serde_json refuses texts of more than 128 levels before these are called as deep.
+    let is_bounded = |name: &str| name.contains("TileJson") || name.contains("transforms..json..Pruned");
+    let readers = all.iter().filter(|name| name.contains("ashsplat_files") && !is_bounded(name));
+    let readers: Vec<_> = readers.collect();
     assert!(readers.is_empty(), "{readers:#?}");
 }
