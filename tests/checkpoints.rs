@@ -88,7 +88,8 @@ fn numbers_out_of_their_range_are_refused() {
         Checkpoint::read(&path)
     };
     assert!(read(&|_| ()).expect("whole") == whole);
-    let kinds: &[(&str, &dyn Fn(&mut Checkpoint))] = &[
+    type Spoil<'a> = &'a dyn Fn(&mut Checkpoint);
+    let kinds: &[(&str, Spoil)] = &[
         ("room_blend_passes: is 100000000", &|c| c.room.blend_passes = 100_000_000),
         ("room_backward: is 2", &|c| c.room.backward = 2),
         ("room_gaussians: is 4294967295", &|c| c.room.gaussians = u32::MAX),
