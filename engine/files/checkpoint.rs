@@ -110,7 +110,7 @@ impl CheckpointFile for Checkpoint {
     }
 }
 
-/// What a file is that people take for a checkpoint, and what to do with it.
+/// Names a file that is commonly mistaken for a checkpoint, with the remedy.
 fn other_file(path: &Path, bytes: &[u8]) -> Option<(String, &'static str)> {
     if bytes.is_empty() || SafeTensors::read_metadata(bytes).is_ok() {
         return None;

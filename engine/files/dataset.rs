@@ -169,7 +169,7 @@ pub struct Dataset {
     pub source: PathBuf,
     /// Warnings that do not prevent training.
     pub warnings: Vec<String>,
-    /// What is done with the photos, one line each, besides [`Gallery::notes`].
+    /// Treatment of the photos, one line each, besides [`Gallery::notes`].
     pub notes: Vec<String>,
 }
 

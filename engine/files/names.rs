@@ -58,7 +58,7 @@ pub fn has_photo_ending(name: &Path) -> bool {
     name.extension().is_some_and(|ending| ENDINGS.iter().any(|known| ending.eq_ignore_ascii_case(known)))
 }
 
-/// Whether a name ends as pictures do that have to be converted.
+/// True for the extension of a picture that must be converted first.
 fn has_other_ending(name: &str) -> bool {
     let ending = Path::new(name).extension();
     ending.is_some_and(|ending| OTHER_ENDINGS.iter().any(|known| ending.eq_ignore_ascii_case(known)))
@@ -176,7 +176,7 @@ impl Finder {
     /// accents, lacks an ending, or has another one.
     pub(super) fn photo(&mut self, folder: &Path, name: &str) -> Option<PathBuf> {
         let found = self.file(folder, name);
-        // Of a photo that was converted, the original may still lie there.
+        // The original of a converted photo may still lie there.
         if found.is_some() && !has_other_ending(name) {
             return found;
         }
@@ -208,7 +208,7 @@ impl Finder {
         self.within(&folder, name).filter(|found| found.is_file())
     }
 
-    /// The folder that a name means in another one.
+    /// The folder that `name` means in `place`.
     pub(super) fn folder(&mut self, place: &Path, name: &str) -> Option<PathBuf> {
         self.within(place, name).filter(|found| found.is_dir())
     }

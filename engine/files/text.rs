@@ -35,7 +35,7 @@ pub(crate) fn decoded(bytes: Vec<u8>) -> String {
         .unwrap_or_else(|error| error.as_bytes().iter().copied().map(char::from).collect())
 }
 
-/// What is said of a word that is no number: whether it has a decimal comma.
+/// Hint about a word that is no number, if it has a decimal comma.
 pub(crate) fn not_a_number(word: &str) -> &'static str {
     match word.replacen(',', ".", 1).parse::<f64>() {
         Ok(_) => " (a decimal comma: write numbers with a point)",

@@ -180,7 +180,7 @@ fn not_json(path: &Path, text: &str, error: &serde_json::Error) -> Error {
     Error::input(path, format!("is not JSON: {error}"), remedy)
 }
 
-/// Whether an error of JSON lies behind a comma between digits.
+/// True if an error of JSON lies behind a comma between digits.
 fn has_decimal_comma(text: &str, error: &serde_json::Error) -> bool {
     let line = text.lines().nth(error.line().saturating_sub(1)).unwrap_or_default().as_bytes();
     let before = &line[..error.column().min(line.len())];

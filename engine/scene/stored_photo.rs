@@ -83,12 +83,12 @@ impl StoredPhoto {
         Ok(Self { masked: true, place, ..self.clone() })
     }
 
-    /// Whether some pixels do not count, or are transparent: the device then keeps their coverage.
+    /// True if some pixels do not count, or are transparent: the device then keeps their coverage.
     pub fn is_masked(&self) -> bool {
         self.masked || self.transparent
     }
 
-    /// Whether it can be composed over another background: [`StoredPhoto::with_opacity`].
+    /// True if it can be composed over another background: [`StoredPhoto::with_opacity`].
     pub fn is_transparent(&self) -> bool {
         self.transparent
     }

@@ -9,7 +9,7 @@ use super::median_ball::median_ball;
 /// camera of 40 costs 0.1 dB at 5, 0.9 at 10 and 3.4 at 30.
 const FAR: f64 = 8.0;
 
-/// A far camera is none if so many others are less than [`FAR`] away: they are a part of the scene, as a block of a city.
+/// A far camera with this many others nearer than [`FAR`] is no stray: they are a block of a city, say.
 const COMPANIONS: usize = 3;
 
 /// Fewer cameras do not tell which of them is a stray.

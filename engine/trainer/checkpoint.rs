@@ -36,7 +36,7 @@ pub struct Checkpoint {
     pub views_fingerprint: u64,
     /// The scene's extent, world units.
     pub scene_extent: f32,
-    /// The frame of all lengths. A trainer does not know it: who writes its checkpoints sets it.
+    /// The frame of all lengths. The caller that writes a trainer's checkpoint sets it.
     pub frame: WorldFrame,
     /// Iterations done.
     pub iteration: u32,

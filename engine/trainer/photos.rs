@@ -255,7 +255,7 @@ impl Photos {
         }
     }
 
-    /// Whether a view has masked or transparent pixels.
+    /// True if a view has masked or transparent pixels.
     pub fn is_masked(&self, view: usize) -> bool {
         match self {
             Self::Resident { masked, .. } => masked[view],
@@ -263,7 +263,7 @@ impl Photos {
         }
     }
 
-    /// Whether a view can be composed over another background.
+    /// True if a view can be composed over another background.
     pub fn is_transparent(&self, view: usize) -> bool {
         match self {
             Self::Resident { transparent, .. } => transparent[view],

@@ -353,7 +353,7 @@ mod tests {
         assert_eq!([resets(3030, 3000), resets(3999, 3000)], [[], []]);
         assert_eq!([resets(4000, 3000), resets(6500, 3000)], [[3000], [3000]]);
         assert_eq!(resets(7000, 3000), [3000, 6000]);
-        // Who asks for short intervals says how long a recovery may be.
+        // Short intervals shorten the recovery.
         assert_eq!(resets(650, 200), [200, 400]);
         let white = |iterations| TrainSettings { iterations, white_background: true, ..Default::default() };
         assert!(!white(1499).resets_opacity_at(500) && white(1500).resets_opacity_at(500));

@@ -42,7 +42,7 @@ pub(super) fn of_settings(context: &Context, settings: &TrainSettings) -> Result
     })
 }
 
-/// Work of a checkpoint that the strategy does not have.
+/// The error for a checkpoint's work that the strategy does not have.
 fn unknown(strategy: &str, action: Actions) -> Error {
     let problem = format!("has work ({:#x}) that the strategy {strategy} does not know", action.0);
     Error::argument("checkpoint", problem)

@@ -17,9 +17,9 @@ const LEAST_SIDE: u32 = 64;
 /// The kernels that reduce photographs, and compose transparent ones over random backgrounds.
 pub(super) struct PhotoPreparation {
     sizes: LaunchSizes,
-    /// Whether photographs may keep their size.
+    /// True if photographs may keep their size.
     whole: bool,
-    /// Of opaque, of masked and of transparent photographs.
+    /// For opaque, masked and transparent photographs.
     kernels: [Kernel<photo_reduced::Interface>; 3],
 }
 

@@ -164,6 +164,6 @@ fn blocks_in_other_units_go_on_after_an_exchange() {
     let blocks = division["blocks"].as_array().expect("blocks").len() as u32;
     (1..=blocks).for_each(|number| assert_trained(&job(&place, number, &[])));
     assert_trained(&finish(program().args(["exchange", text(&place.model("blocks.json"))])));
-    // What lies around it is the scene that the exchange has written, to the bit.
+    // The frozen neighbours are the exchange's scene, to the bit.
     assert_trained(&job(&place, 1, &["--start-checkpoint", "auto"]));
 }

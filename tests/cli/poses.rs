@@ -353,7 +353,7 @@ fn the_sharpest_frames_of_a_video_become_a_data_set() {
     );
 }
 
-/// What such a file names may lie anywhere.
+/// Such a file may name others anywhere.
 #[test]
 fn a_playlist_is_no_video() {
     let place = Place::new("unused");

@@ -141,7 +141,7 @@ fn a_name_that_may_mean_two_photos_is_an_error() {
     model(folder.path(), &["up/b.png", "down/b.png"]);
     let message = refusal();
     assert!(message.contains("down/b.png and up/b.png would both have the photo "), "{message}");
-    // What another image names is no stand-in for a photo that is missing.
+    // A photo that another image names does not replace a missing one.
     model(folder.path(), &["left/a.png", "below/a.png"]);
     std::fs::remove_dir_all(folder.path().join("images/right")).unwrap();
     assert!(refusal().contains("below/a.png: the photo of image 2 is missing"));

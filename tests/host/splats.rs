@@ -371,7 +371,7 @@ fn a_gltf_keeps_its_scene_until_the_new_one_is_there() {
     assert_eq!(splats::read(&path, &KEEP).unwrap().gaussians.len(), 20);
 }
 
-/// What reading would refuse is not written.
+/// Writing refuses the same values as reading.
 #[test]
 fn what_cannot_be_read_again_is_not_written() {
     let folder = tempfile::tempdir().unwrap();
@@ -454,7 +454,7 @@ fn scenes_are_joined() {
     let fewer = ConvertOptions { decimate: Some(Target::Count(200)), ..Default::default() };
     let small = [splats::Input { path: &b, similarity: moved }; 2];
     assert_eq!(splats::join(&small, &file("few.ply"), &fewer).unwrap().written, 200);
-    // What one file cannot say of both.
+    // Marks that one file cannot have for both.
     let antialiased = WriteOptions { antialiased: true, ..Default::default() };
     splats::write(&b, &scene(300, 2), &antialiased).unwrap();
     let output = file("none.ply");
@@ -726,7 +726,7 @@ fn changes_of_distant_scenes_are_made_in_their_own_coordinates() {
     let cropped = splats::convert(&place("far.ply"), &place("cropped.ply"), &crop).unwrap().written;
     let inside = expected.iter().filter(|mean| mean.min_element() >= 0.0).count();
     assert_eq!(cropped, inside as u64);
-    // What single precision holds in place stays in place, bit for bit.
+    // Positions that single precision holds keep their bits.
     let mut exact = gaussians;
     for mean in &mut exact.means {
         *mean = [0, 1, 2].map(|axis| (2.0 * mean[axis]).round() / 2.0 + UTM[axis].floor() as f32);

@@ -36,9 +36,9 @@ pub struct Division {
     pub origin: [f64; 3],
     #[serde(default = "one", skip_serializing_if = "is_one")]
     pub unit: f64,
-    /// That of the whole scene, source units.
+    /// Extent of the whole scene, source units.
     pub scene_extent: f32,
-    /// How far around its core Gaussians of a block are trained, source units.
+    /// Distance around a core within which a block's Gaussians are trained, source units.
     pub margin: f32,
     /// The share of a picture that a block's core must cover.
     pub min_share: f64,
@@ -146,7 +146,7 @@ impl Core {
     }
 }
 
-/// What every version of the file has.
+/// The fields that every version of the file has.
 #[derive(Deserialize)]
 struct Versioned {
     version: Option<u64>,

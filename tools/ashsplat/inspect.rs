@@ -83,7 +83,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let mut renderer = Renderer::new(&context)?;
     renderer.upload(&scene.gaussians)?;
     let mut report = renderer.inspect(&camera, &settings, arguments.pixel)?;
-    // In source units.
+    // Depths in source units.
     report.samples.iter_mut().for_each(|sample| sample.depth *= scene.frame.unit as f32);
     if arguments.json {
         print_json(&report)

@@ -181,7 +181,7 @@ pub fn settings_of(trained: &Settings) -> RenderSettings {
     RenderSettings { filter_3d: false, ..trained.train.render_settings() }
 }
 
-/// So many numbers with commas between them.
+/// Parses `N` numbers with commas between them.
 pub fn parse_numbers<const N: usize>(text: &str) -> Option<[f64; N]> {
     let numbers: Result<Vec<f64>, _> = text.split(',').map(|part| part.trim().parse()).collect();
     numbers.ok()?.try_into().ok()

@@ -1,4 +1,4 @@
-//! What lies beside the photos of a data set: their masks and depth maps.
+//! Companion files of a data set's photos: masks and depth maps.
 
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};

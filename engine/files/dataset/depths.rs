@@ -21,7 +21,7 @@ use ashsplat::{Error, Result};
 #[derive(Clone, Debug)]
 pub(super) struct PlannedMap {
     path: PathBuf,
-    /// What makes inverse depths of the map's values, 1 / world units.
+    /// Maps the values to inverse depths, 1 / world units.
     fit: DepthFit,
 }
 

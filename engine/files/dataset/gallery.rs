@@ -148,7 +148,7 @@ impl Gallery {
     /// The cameras of what is used of the photos, at the sizes that these will have when they are read.
     ///
     /// # Errors
-    /// As [`Camera::part()`](ashsplat::scene::Camera::part()).
+    /// See [`Camera::part()`](ashsplat::scene::Camera::part()).
     pub fn used_cameras(&self) -> Result<Vec<Camera>> {
         let used =
             |view: &PlannedView| view.used_camera(&self.options).map_err(|error| self.unpacked.name(error));

@@ -57,7 +57,7 @@ impl DatasetReport {
         self.problems.is_empty()
     }
 
-    /// Whether training refuses it without being told where to start.
+    /// True if training refuses it without an explicit start.
     pub fn needs_random_points(&self) -> bool {
         self.points == 0 && !self.model.as_deref().is_some_and(may_lack_points)
     }

@@ -131,7 +131,7 @@ impl Mask {
         self.hides().then(|| self.values.iter().map(value_of).collect())
     }
 
-    /// Whether some pixels do not count.
+    /// True if some pixels do not count.
     pub(super) fn hides(&self) -> bool {
         self.values.iter().any(|&value| value < COUNTS)
     }
@@ -142,7 +142,7 @@ pub(super) fn grey((width, height): (u32, u32), values: &[u8]) -> Photo {
     Photo { width, height, rgb: values.iter().flat_map(|&value| [value; 3]).collect() }
 }
 
-/// Whether one of two sizes is the other one scaled, with sides that were rounded.
+/// True if one size is the other one scaled, with rounded sides.
 pub(super) fn is_scaled(one: (u32, u32), other: (u32, u32)) -> bool {
     is_enlarged(one, other) || is_enlarged(other, one)
 }

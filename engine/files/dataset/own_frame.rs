@@ -6,7 +6,7 @@ use super::planned_view::PlannedView;
 use ashsplat::scene::median_ball;
 use ashsplat::scene::{NEAR_PLANE, SourcePoints, WorldFrame};
 
-/// Points and views that are looked at, at most.
+/// Most points and views that are sampled.
 const SAMPLE: usize = 2000;
 const VIEWS: usize = 200;
 

@@ -42,7 +42,7 @@ pub(crate) struct PlannedView {
     pub(super) held_out: bool,
 }
 
-/// What was read of a view.
+/// A view's decoded files.
 pub(super) struct ReadPhoto {
     /// The photo, undistorted and scaled.
     pub(super) photo: Photo,
@@ -60,7 +60,7 @@ impl PlannedView {
         self.camera_in(&self.frame)
     }
 
-    /// The same in another frame.
+    /// The camera in another frame.
     pub(super) fn camera_in(&self, frame: &WorldFrame) -> Camera {
         let translation = frame.translation(self.camera_from_source, self.translation);
         Camera::with_pose(self.camera_from_source.as_mat3(), translation, self.pinhole)
@@ -128,7 +128,7 @@ impl PlannedView {
         Ok(ReadPhoto { photo, opacity, mask, camera: self.posed(pinhole) })
     }
 
-    /// Whether a photo whose pixels do not all count has that from its own transparency.
+    /// True if the photo's masked pixels come from its own transparency.
     pub(super) fn is_masked_by_alpha(&self) -> bool {
         self.alpha_is_mask && self.mask_path.is_none() && self.coarse_mask.is_none()
     }

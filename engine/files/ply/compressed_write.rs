@@ -21,7 +21,7 @@ use glam::{DVec3, Vec3};
 /// steps of this much of the scene's radius, divided by 1023.
 const OUTLIER: f64 = 8.0;
 
-/// As [`OUTLIER`], for colours, whose steps are a 255th.
+/// [`OUTLIER`] for colours, whose steps are a 255th.
 const COLOR_OUTLIER: f64 = 32.0;
 
 /// Most groups with chunks of their own; outliers may have outliers.

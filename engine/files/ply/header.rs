@@ -108,7 +108,7 @@ pub(crate) struct Header {
     /// Number of lines of the header.
     pub(crate) lines: u64,
     pub(crate) marks: Marks,
-    /// What the positions are relative to, source coordinates.
+    /// Origin of the positions, source coordinates.
     pub(crate) origin: DVec3,
     /// World unit of the training, source units, if a comment names it.
     pub(crate) unit: Option<f64>,
@@ -172,7 +172,7 @@ impl Marks {
         self.mode == RenderMode::Mip
     }
 
-    /// What the user must know of them.
+    /// A warning to the user, if any.
     pub(crate) fn warning(&self) -> Option<String> {
         match &self.mode {
             RenderMode::Default | RenderMode::Mip => None,

@@ -74,7 +74,7 @@ pub(crate) struct GaussianRows<'a> {
     file: PlyFile<'a>,
     element: Element,
     layout: Layout,
-    /// What is subtracted from the file's positions.
+    /// Origin that is subtracted from the file's positions.
     shift: DVec3,
     header: Header,
 }

@@ -143,7 +143,7 @@ pub fn join(inputs: &[Input<'_>], output: &Path, options: &ConvertOptions) -> Re
         Ok(())
     };
     let moved = &changes[0].2;
-    // What stays in place needs no other origin in a PLY, which has held these positions.
+    // A PLY that is not moved keeps its origin.
     let stays = inputs.len() == 1 && format == Format::Ply && moved.similarity == Similarity::default();
     let mut to = if first.origin == DVec3::ZERO { DVec3::ZERO } else { moved.similarity.apply(first.origin) };
     let step = OriginSample::step(count);
@@ -212,7 +212,7 @@ struct Move {
 }
 
 impl Move {
-    /// That of the positions, which are relative to another origin afterwards.
+    /// Similarity of the positions, with the result relative to `origin`.
     fn to(&self, origin: DVec3) -> Similarity {
         // Exact without an origin.
         let translation = match self.from == DVec3::ZERO {
@@ -232,7 +232,7 @@ pub(crate) struct OriginSample {
 }
 
 impl OriginSample {
-    /// Every how many of a scene's Gaussians are enough.
+    /// Stride that samples enough of a scene's Gaussians.
     pub(crate) fn step(count: u64) -> usize {
         count.div_ceil(ORIGIN_SAMPLE).max(1) as usize
     }

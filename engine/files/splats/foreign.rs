@@ -10,10 +10,10 @@ use crate::names::{has_photo_ending, quoted};
 use crate::regular_file;
 use ashsplat::{Error, Result};
 
-/// Of a JSON, the bytes that are searched.
+/// Bytes of a JSON that are searched.
 const SEARCHED_BYTES: u64 = 64 * 1024;
 
-/// What packs one file: its first bytes, its name, and the command that unpacks to the standard output.
+/// Packers of one file: first bytes, name, and the command that unpacks to the standard output.
 const PACKERS: [(&[u8], &str, &str); 5] = [
     (b"\x1f\x8b", "gzip", "gzip -dc"),
     (b"\x28\xb5\x2f\xfd", "zstd", "zstd -dc"),

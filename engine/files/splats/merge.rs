@@ -92,12 +92,12 @@ pub fn merge(
     Ok(Merged { format, written, sh_degree, warnings })
 }
 
-/// What parts must have in common.
+/// The properties that all parts must share.
 fn described(header: &Header) -> String {
     format!("SH degree {}, {}", header.sh_degree, header.marks_in_words())
 }
 
-/// What makes a part's positions relative to the first one's origin.
+/// Makes a part's positions relative to the first one's origin.
 fn shift(part: &Header, first: &Header) -> Similarity {
     Similarity { translation: part.origin - first.origin, ..Default::default() }
 }

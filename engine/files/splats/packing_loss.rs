@@ -1,4 +1,4 @@
-//! What a format with packed attributes cannot hold of a scene.
+//! Losses of a scene in a format with packed attributes.
 
 use super::spz_write::{MAX_FRACTIONAL_BITS, farthest, fractional_bits};
 use super::{Format, MAX_COMPRESSED_LOG_SCALE, Outline};

@@ -154,7 +154,7 @@ pub(super) fn farthest(outline: &Outline) -> f32 {
     outline.bounds.map_or(0.0, |b| b.min.abs().max(b.max.abs()).max_element())
 }
 
-/// As many fractional bits as the farthest coordinate leaves; None where it has too many others.
+/// Fractional bits that the farthest coordinate leaves; None if it is too large.
 pub(super) fn fractional_bits(outline: &Outline) -> Option<u32> {
     let farthest = f64::from(farthest(outline));
     let fits =

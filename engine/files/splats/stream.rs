@@ -34,7 +34,7 @@ pub struct Header {
     pub origin: DVec3,
     /// World unit of the training ([`WorldFrame::unit`]), if the file names one. Positions and sizes are in source units.
     pub unit: Option<f64>,
-    /// Whether the file has its positions in double precision.
+    /// True if the file's positions are in double precision.
     pub double_positions: bool,
     /// Parts of the file that are not used.
     pub warnings: Vec<String>,
@@ -63,7 +63,7 @@ impl Header {
     }
 }
 
-/// Whether a file's kernel size can be drawn with.
+/// True if a file's kernel size can be drawn with.
 pub(crate) fn is_kernel_size(size: &f32) -> bool {
     *size > 0.0 && *size <= 1e4
 }
@@ -165,7 +165,7 @@ pub(crate) struct Outline {
 pub(crate) type Produce<'a> = dyn FnMut(&mut Sink<'_>) -> Result<()> + 'a;
 
 impl Outline {
-    /// Of Gaussians in the frame of the options, which are written in source units.
+    /// Outline of Gaussians in the options' frame; they are written in source units.
     pub(crate) fn of(gaussians: &Gaussians, options: &WriteOptions) -> Self {
         let WriteOptions { antialiased, kernel_size, frame, .. } = *options;
         Self {
@@ -180,7 +180,7 @@ impl Outline {
     }
 }
 
-/// A box of world coordinates in source units, relative to the origin still.
+/// Scales a box from world to source units; it stays relative to the origin.
 pub(crate) fn in_source_units(bounds: Option<Bounds>, frame: &WorldFrame) -> Option<Bounds> {
     let scaled = |corner: Vec3| (frame.unit * corner.as_dvec3()).as_vec3();
     bounds.map(|Bounds { min, max }| Bounds { min: scaled(min), max: scaled(max) })

@@ -23,7 +23,7 @@ pub const TILESET_FILE: &str = "tileset.json";
 pub struct Tree {
     folder: PathBuf,
     tiles: Vec<Tile>,
-    /// What the files' positions are relative to.
+    /// Origin of the files' positions.
     file_origin: DVec3,
     /// Where bounds, errors and the Gaussians that are read lie.
     frame: WorldFrame,

@@ -40,7 +40,7 @@ fn read<'de, S: DeserializeSeed<'de>>(path: &Path, text: &'de str, seed: S) -> R
 #[derive(Clone, Copy)]
 struct Pruned {
     depth: u32,
-    /// Whether lists of strings keep all of them.
+    /// True if lists of strings keep all elements.
     keeps_names: bool,
 }
 
@@ -114,7 +114,7 @@ impl<'de> Visitor<'de> for Pruned {
     }
 }
 
-/// Takes frames, and says whether to go on.
+/// Takes a frame; false ends the reading.
 type Pass<'a> = dyn FnMut(Value) -> bool + 'a;
 
 /// Reads the object around the frames.

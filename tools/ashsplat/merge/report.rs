@@ -61,7 +61,7 @@ struct SeamQuality {
 #[derive(Serialize)]
 struct Results {
     views: usize,
-    /// What counts as along a seam: so far away at most, source units.
+    /// Largest distance from a seam that counts as along it, source units.
     band: f32,
     /// Share of the pixels.
     band_share: f64,

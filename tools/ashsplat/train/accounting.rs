@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 
 /// Iterations after which a training without effect is noticed.
 const WITHOUT_EFFECT: u32 = 300;
-/// Share of a view's loss that a loss which does not move stays within.
+/// Change of a view's loss, as a share of it, that counts as none.
 const SAME_LOSS: f32 = 1e-4;
 
 /// Notices that training has no effect: no view shows a Gaussian, or no view's loss moves.
@@ -24,7 +24,7 @@ pub struct Effect {
 }
 
 impl Effect {
-    /// Takes in an iteration of a run of `iterations` with so many views. A warning, once.
+    /// Counts an iteration of a run of `iterations` with `views`. Returns the warning once.
     fn after(&mut self, report: &StepReport, views: u32, iterations: u32) -> Option<String> {
         if report.skipped || self.said {
             return None;

@@ -36,7 +36,7 @@ pub struct Views {
     pub test: Vec<View>,
     /// As they were given, held-out ones first.
     pub cameras: Vec<(String, Camera)>,
-    /// That of the cameras.
+    /// The cameras' frame.
     pub frame: WorldFrame,
     /// By the names of the photos, the ids of the cameras that took them.
     pub takers: BTreeMap<String, u32>,

@@ -80,7 +80,7 @@ pub struct Site {
     /// Where films lie.
     films: PathBuf,
     serve: ServeArguments,
-    /// So that refusals of foreign pages are said once.
+    /// Limits the message about refused foreign pages to one.
     refused: Once,
     /// None where pages may open nothing.
     openings: Option<Arc<Openings>>,
@@ -110,7 +110,7 @@ impl Site {
     }
 }
 
-/// Who reaches the port that is open, by a proxy too.
+/// Machines that reach the open port, by a proxy too.
 pub fn reach(listener: &TcpListener, arguments: &ServeArguments) -> Reach {
     match listener.local_addr() {
         Ok(address) if address.ip().is_loopback() && arguments.allow_origin.is_none() => Reach::ThisMachine,

@@ -33,7 +33,7 @@ pub struct Studio {
     base: RenderSettings,
     /// How its photos were exposed.
     lights: PhotoLights,
-    /// Where its coordinates lie within those of its files.
+    /// Frame of its coordinates within those of its files.
     frame: WorldFrame,
     /// Where films are put.
     films: PathBuf,

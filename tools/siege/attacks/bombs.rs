@@ -68,7 +68,7 @@ pub fn deep_json(siege: &Siege) -> Result<Outcome> {
     refuse_to_train(siege, &folder)
 }
 
-/// Lists of millions of values that nobody has asked for.
+/// Lists of millions of values that no reader uses.
 pub fn wide_json(siege: &Siege) -> Result<Outcome> {
     const BYTES: usize = 16 << 20;
     let folder = siege.new_folder("wide")?;
@@ -89,7 +89,7 @@ pub fn wide_json(siege: &Siege) -> Result<Outcome> {
     within_memory(siege, "each refused in one line")
 }
 
-/// A pipe that nobody writes to, and a device without an end, in the place of files.
+/// A pipe without a writer, and a device without an end, in the place of files.
 pub fn no_files(siege: &Siege) -> Result<Outcome> {
     let folder = siege.new_folder("pipes")?;
     data::write_small(&folder)?;
