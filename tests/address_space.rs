@@ -105,7 +105,7 @@ fn readers_without_address_space() {
     }
     spaces(&place("text/sparse/0/cameras.txt"), 12);
     spaces(&place("text/sparse/0/images.txt"), 12);
-    spaces(&place("cameras.json"), 5);
+    spaces(&place("cameras.json"), 20);
     fs::create_dir(place("frames")).expect("a folder");
     spaces(&place("frames/transforms.json"), 20);
     let points = PointCloud { positions: vec![[0.5; 3]; 1_500_000], colors: vec![[9; 3]; 1_500_000] };

@@ -211,7 +211,7 @@ fn pipes_and_devices_are_no_files() {
         let commands: [&[&str]; 12] = [
             &["info", file],
             &["convert", file, ply],
-            &["view", file],
+            &["view", file, "--port", "0"],
             &["render", scene, "--path", file, "-o", out],
             &["inspect", scene, "--pixel", "1,1", "--path", file],
             &["train", "-s", data, "-m", out, "--config", file],

@@ -175,7 +175,7 @@ fn scenes_of_other_programs_are_named() {
             &["info", &path][..],
             &["convert", &path, &out],
             &["render", &path, "-o", &named("pictures")],
-            &["view", &path],
+            &["view", &path, "--port", "0"],
         ] {
             let run = finish(program().args(command));
             assert_refused(&run, words);
@@ -211,7 +211,7 @@ fn limits_of_files_and_memory_are_told() {
         &["render", text(&ply), "-o", text(&place("out"))],
         &["inspect", text(&ply), "--pixel", "0,0"],
         &["eval", text(&ply), "-s", text(&data)],
-        &["view", text(&ply)],
+        &["view", text(&ply), "--port", "0"],
         &["convert", text(&ply), text(&place("out.splat")), "--decimate", "50%"],
         &["profile", "--scene", text(&ply)],
         &["bench", "render", "--scene", text(&ply)],

@@ -190,7 +190,7 @@ fn viewer_is_told_what_is_up() {
     let rows = &page.greeting["start"]["rotation"];
     // The picture's down is the camera's second row.
     assert!(rows[1][2].as_f64().expect("a number") < -0.9, "{rows}");
-    refuse(&["view", text(&path), "--up", "0,0,0"], &["--up", "not all 0"]);
+    refuse(&["view", text(&path), "--up", "0,0,0", "--port", "0"], &["--up", "not all 0"]);
 }
 
 #[test]
@@ -214,7 +214,7 @@ fn viewer_names_a_busy_port() {
 /// Before a page is promised.
 #[test]
 fn viewer_of_a_missing_file_says_only_so() {
-    let run = finish(program().args(["view", "nosuch.ply"]));
+    let run = finish(program().args(["view", "nosuch.ply", "--port", "0"]));
     assert_refused(&run, &["nosuch.ply", "No such file"]);
     assert_eq!(run.stdout, "");
 }

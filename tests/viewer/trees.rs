@@ -146,7 +146,7 @@ fn viewer_names_tiles_that_cannot_be_read() {
 fn viewer_refuses_what_is_no_tree() {
     let folder = tempdir().expect("a temporary folder");
     let scene = write_ball(folder.path(), 50);
-    refuse(&["view", text(&scene), "--budget", "10"], &["--budget", "folders of tiles"]);
+    refuse(&["view", text(&scene), "--budget", "10", "--port", "0"], &["--budget", "folders of tiles"]);
 }
 
 /// Where tiles leave no memory for a picture, they make room for it, and that is said once.
