@@ -116,22 +116,18 @@ impl<'a> GaussianRows<'a> {
     }
 }
 
-/// Names properties that no scene at rest has, such as those of moving Gaussians.
+/// Names properties of Gaussians that move or have another shape.
 fn unused_properties(element: &Element) -> Option<String> {
-    let usual = |name: &str| {
-        REQUIRED.contains(&name)
-            || RGB.as_flattened().contains(&name)
-            || ["nx", "ny", "nz", "alpha", FILTER].contains(&name)
-            || name.starts_with("f_rest_")
+    let changes = |name: &&str| {
+        ["trbf_", "motion_", "omega_", "rot_r", "quadrant_", "f_offset_", "f_anchor_"]
+            .iter()
+            .any(|start| name.starts_with(start))
+            || ["t", "scale_t", "scale_3"].contains(name)
     };
-    let names =
-        || element.properties.iter().map(|property| property.name.as_str()).filter(|name| !usual(name));
-    let first = names().next()?;
-    let others = match names().count() - 1 {
-        0 => String::new(),
-        others => format!(" and {others} others"),
-    };
-    Some(format!("property {first}{others}: not used; what they say of time, motion or shape is lost"))
+    let first = element.properties.iter().map(|property| property.name.as_str()).find(changes)?;
+    Some(format!(
+        "property {first} is not used: Gaussians that move or have another shape are drawn as if at rest"
+    ))
 }
 
 /// Names opacities that look as if the sigmoid had been applied to them already.
