@@ -98,7 +98,7 @@ impl<'a> GaussianRows<'a> {
             ));
         }
         warnings.extend(unused_properties(&element));
-        warnings.extend(activated_opacities(path)?);
+        warnings.extend(activated_opacities(path));
         let is_double =
             |p: &Property| ["x", "y", "z"].contains(&p.name.as_str()) && p.kind == Kind::Scalar(Scalar::F64);
         let double_positions = element.properties.iter().any(is_double);
@@ -130,35 +130,36 @@ fn unused_properties(element: &Element) -> Option<String> {
     ))
 }
 
-/// Names opacities that look as if the sigmoid had been applied to them already.
-fn activated_opacities(path: &Path) -> Result<Option<String>> {
+/// Calls `visit` with these properties of the first vertices: enough of them to judge the whole file by.
+fn first_rows(path: &Path, names: &[&str], mut visit: impl FnMut(&[f64])) -> Result<()> {
     let mut file = PlyFile::open(path)?;
     let vertex = file.seek_element("vertex")?;
     let first = Element { count: vertex.count.min(BLOCK as u64), ..vertex };
-    let (mut least, mut most) = (f64::INFINITY, f64::NEG_INFINITY);
-    // Damaged rows are reported when all are read.
-    drop(file.for_each_row(&first, &["opacity".to_owned()], |_, row| {
-        (least, most) = (least.min(row[0]), most.max(row[0]));
+    let names: Vec<String> = names.iter().map(|&name| name.to_owned()).collect();
+    file.for_each_row(&first, &names, |_, row| {
+        visit(row);
         Ok(())
-    }));
+    })
+}
+
+/// Names opacities that look as if the sigmoid had been applied to them already.
+fn activated_opacities(path: &Path) -> Option<String> {
+    let (mut count, mut least, mut most) = (0, f64::INFINITY, f64::NEG_INFINITY);
+    let opacity = |row: &[f64]| (count, least, most) = (count + 1, least.min(row[0]), most.max(row[0]));
+    // The reader of all rows reports damaged ones.
+    first_rows(path, &["opacity"], opacity).ok()?;
     // Logits of trained scenes go far beyond 0 and 1.
-    let is_likely = first.count >= 16 && least >= 0.0 && most <= 1.0 && most - least > 0.5;
-    Ok(is_likely.then(|| {
+    let is_likely = count >= 16 && least >= 0.0 && most <= 1.0 && most - least > 0.5;
+    is_likely.then(|| {
         "opacities all lie between 0 and 1, but are taken as logits, as scales are as logarithms: if they are not, export raw values"
             .into()
-    }))
+    })
 }
 
 /// An origin for a file whose positions are doubles: that of its first rows.
 fn origin_of_first(path: &Path) -> Result<DVec3> {
-    let mut file = PlyFile::open(path)?;
-    let vertex = file.seek_element("vertex")?;
-    let first = Element { count: vertex.count.min(BLOCK as u64), ..vertex };
     let mut points = Vec::new();
-    file.for_each_row(&first, &["x", "y", "z"].map(str::to_owned), |_, row| {
-        points.push(DVec3::new(row[0], row[1], row[2]));
-        Ok(())
-    })?;
+    first_rows(path, &["x", "y", "z"], |row| points.push(DVec3::new(row[0], row[1], row[2])))?;
     Ok(WorldFrame::around(&points).origin)
 }
 
