@@ -1,7 +1,7 @@
 // The tools on the left, the appearance on the right, the line at the bottom.
 
 const find = (id) => document.getElementById(id);
-const UNITS = { depth: 'depth, units of the scene', tiles: 'Gaussians per tile' };
+const UNITS = { depth: 'depth, scene units', tiles: 'Gaussians per tile' };
 
 export class Panel {
     constructor() {
