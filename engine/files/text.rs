@@ -37,8 +37,8 @@ pub(crate) fn decoded(bytes: Vec<u8>) -> String {
 
 /// Hint about a word that is no number, if it has a decimal comma.
 pub(crate) fn not_a_number(word: &str) -> &'static str {
-    match word.replacen(',', ".", 1).parse::<f64>() {
-        Ok(_) => " (a decimal comma: write numbers with a point)",
-        Err(_) => "",
+    match word.contains(',') && word.replacen(',', ".", 1).parse::<f64>().is_ok() {
+        true => " (a decimal comma: write numbers with a point)",
+        false => "",
     }
 }

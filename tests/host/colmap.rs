@@ -228,6 +228,7 @@ fn text_errors_name_the_line() {
         ("images", "1 1 0 0 0 0 0 0 7 a.png\n1 2 3 4\n", "line 2: the quaternion is missing"),
         ("images", "1 1 0 0 0 0 0 0 7 a.png\n1 2 3\n4 5 6\n", "line 3: the quaternion is missing"),
         ("cameras", "1 PINHOLE 64 48 1,5 2 3 4", "\"1,5\" is no valid parameter (a decimal comma"),
+        ("images", "1.5 1 0 0 0 0 0 0 7 a.png\n", "\"1.5\" is no valid image id; the file"),
         ("images", "1 1 0 0 0 0 0 0 7\n", "line 1: the image name is missing"),
         ("images", "1 1 0 0 0 0 0 0 7 a.png\n\n1 1 0 0 0 0 0 0 7 b.png\n", "image id 1 appears twice"),
         (
