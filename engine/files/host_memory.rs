@@ -1,6 +1,7 @@
 //! How much host memory reading may take at a time, and what the machine has.
 
 use std::path::Path;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 
 use ashsplat::{Error, Result};
@@ -10,6 +11,10 @@ const UNKNOWN: u64 = 4 << 30;
 
 /// Share of the machine's free memory that reading may take: other programs, and what is kept, need some too.
 const SHARE: (u64, u64) = (3, 4);
+
+/// The bound of readers that are given none, bytes: see [`HostMemory::set_default`].
+static DEFAULT: AtomicU64 = AtomicU64::new(UNSET);
+const UNSET: u64 = u64::MAX;
 
 /// A bound of the host memory that files take while they are decoded. Clones share it: what one thread uses, the others
 /// cannot.
@@ -32,9 +37,12 @@ impl PartialEq for HostMemory {
 }
 
 impl Default for HostMemory {
-    /// Three quarters of what the machine has left.
+    /// The bound of [`HostMemory::set_default`], or three quarters of what the machine has left.
     fn default() -> Self {
-        Self::named(available(), "--max-host-memory, by default three quarters of what is free")
+        match DEFAULT.load(Ordering::Relaxed) {
+            UNSET => Self::named(available(), "--max-host-memory, by default three quarters of what is free"),
+            limit => Self::new(limit),
+        }
     }
 }
 
@@ -42,6 +50,21 @@ impl HostMemory {
     /// A bound of so many bytes.
     pub fn new(limit: u64) -> Self {
         Self::named(limit, "--max-host-memory")
+    }
+
+    /// Bounds every reader of this process that is given no bound of its own, those of JSON and COLMAP among them.
+    pub fn set_default(limit: u64) {
+        DEFAULT.store(limit, Ordering::Relaxed);
+    }
+
+    /// What the machine has left, or the bound of [`HostMemory::set_default`] if that is less.
+    fn free() -> Self {
+        let (set, machine) = (DEFAULT.load(Ordering::Relaxed), Self::machine());
+        if set < machine.limit() { Self::new(set) } else { machine }
+    }
+
+    fn machine() -> Self {
+        Self::named(available(), "three quarters of what is free")
     }
 
     fn named(limit: u64, limit_name: &'static str) -> Self {
@@ -95,15 +118,14 @@ pub(crate) fn check(path: &Path, bytes: u64, limit: Option<u64>) -> Result<()> {
     limit.map_or_else(HostMemory::default, HostMemory::new).take(path, bytes).map(drop)
 }
 
-/// Refuses a file that the machine has too little memory for, whatever the bound.
+/// Refuses a file that the process has too little memory for.
 pub(crate) fn check_free(path: &Path, bytes: u64) -> Result<()> {
-    HostMemory::named(available(), "three quarters of what is free").take(path, bytes).map(drop)
+    HostMemory::free().take(path, bytes).map(drop)
 }
 
-/// The same of something that is written from memory.
+/// Refuses to write something that the machine has too little memory for, whatever the bound of reading.
 pub(crate) fn check_writing(path: &Path, bytes: u64) -> Result<()> {
-    let free = HostMemory::named(available(), "three quarters of what is free");
-    free.keep(&|| format!("{}: writing it", path.display()), bytes).map(drop)
+    HostMemory::machine().keep(&|| format!("{}: writing it", path.display()), bytes).map(drop)
 }
 
 /// An empty vector with room for so many bytes.

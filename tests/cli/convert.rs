@@ -218,6 +218,23 @@ fn limits_of_files_and_memory_are_told() {
     ] {
         refuse(&[command, &["--max-host-memory", "1K"]].concat(), &words);
     }
+    let (frames, one) = (place("frames"), place("one.ply"));
+    std::fs::create_dir(&frames).expect("a folder");
+    let point = PointCloud { positions: vec![[0.0; 3]], colors: vec![[9; 3]] };
+    ashsplat_files::ply::write(&one, &ashsplat_files::initial_gaussians(&point, 0).expect("one"))
+        .expect("written");
+    for name in ["frames/transforms.json", "tileset.json", "blocks.json", "cameras.json"] {
+        std::fs::write(place(name), " ".repeat(2000)).expect("written");
+    }
+    for (command, name) in [
+        (&["info", text(&frames)][..], "transforms.json"),
+        (&["info", text(&place("tileset.json"))], "tileset.json"),
+        (&["blocks", text(&place("blocks.json"))], "blocks.json"),
+        (&["render", text(&one), "--path", text(&place("cameras.json")), "-o", "out"], "cameras.json"),
+    ] {
+        let needed = format!("{name}: reading it needs 2000 bytes of host memory, more than 1024 (--max");
+        refuse(&[command, &["--max-host-memory", "1K"]].concat(), &[&needed]);
+    }
     super::write_dataset(&data);
     let model = place("model");
     for (command, word) in [
@@ -226,13 +243,13 @@ fn limits_of_files_and_memory_are_told() {
         (&["bench", "train", "--dataset", text(&data)], "keeping its 9 photos in memory"),
         (&["profile", "train-step", "--dataset", text(&data)], "keeping its 9 photos in memory"),
     ] {
-        let run = finish(program().args(command).args(["--max-host-memory", "1K"]));
+        let run = finish(program().args(command).args(["--max-host-memory", "24K"]));
         // A card trains on photographs in a file: half of the memory is for those that are read ahead.
         let read_ahead = &[
             "reading ahead (5 of",
-            "more than 512 (--photo-memory, or half of --max-memory or --max-host-memory)",
+            "more than 12288 (--photo-memory, or half of --max-memory or --max-host-memory)",
         ];
-        let kept = &[word, "more than 1024 (--max-host-memory)"];
+        let kept = &[word, "more than 24576 (--max-host-memory)"];
         let is_card = crate::common::context().description().kind != "CPU";
         assert_refused(&run, if is_card { read_ahead } else { kept });
     }

@@ -55,8 +55,8 @@ pub const MAX_MEMORY_IN_MERGE: &str = "Most device memory to use, with a unit: 8
 /// How much memory of the machine itself is used.
 #[derive(Args, Clone, Copy, Default)]
 pub struct HostArguments {
-    /// Most memory of the machine for reading a scene or a checkpoint, and for photos while they are decoded or kept, with a
-    /// unit: 800M, 6G; what needs more is refused before it is read [default: three quarters of what is free]
+    /// Most memory of the machine for reading a file, and for photos while they are decoded or kept, with a unit: 800M, 6G; what needs
+    /// more is refused before it is read [default: three quarters of what is free]
     #[arg(long, value_name = "SIZE", value_parser = bytes)]
     pub max_host_memory: Option<u64>,
 }

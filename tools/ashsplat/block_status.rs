@@ -1,5 +1,6 @@
 //! `ashsplat blocks`: how far the training of each block is.
 
+use crate::args::HostArguments;
 use crate::blocks::{Block, BlocksFile, Division, result};
 use crate::progress::thousands;
 use crate::session;
@@ -28,6 +29,8 @@ pub struct Arguments {
     /// 10 is the most that --strategy budget makes
     #[arg(long, value_name = "X", default_value_t = 10.0, requires = "json")]
     growth: f64,
+    #[command(flatten)]
+    _host: HostArguments,
 }
 
 /// Of a Gaussian in training with SH of degree 3, bytes: parameters, gradients, moments, statistics.

@@ -5,8 +5,9 @@ use crate::{
     poses, profile, render, tiles, train, view,
 };
 use ashsplat::Result;
+use ashsplat_files::HostMemory;
 use clap::error::{ContextKind, ContextValue, ErrorKind};
-use clap::{CommandFactory, Parser, Subcommand};
+use clap::{ArgMatches, CommandFactory, FromArgMatches, Parser, Subcommand};
 use std::ffi::OsString;
 use std::process::ExitCode;
 
@@ -63,7 +64,13 @@ pub enum Command {
 /// Reads the command line; the error is the exit code of a run that is over already (`--help`, or a mistake,
 /// which has been printed as one line).
 pub fn parse(arguments: impl Iterator<Item = OsString>) -> Result<Command, ExitCode> {
-    match CommandLine::try_parse_from(arguments.map(hyphenated)) {
+    let mut definition = CommandLine::command();
+    let read = definition.try_get_matches_from_mut(arguments.map(hyphenated)).and_then(|mut matches| {
+        // Readers of small files take no bound from their callers, so it is the process'.
+        max_host_memory(&matches).into_iter().for_each(HostMemory::set_default);
+        CommandLine::from_arg_matches_mut(&mut matches)
+    });
+    match read.map_err(|error| error.format(&mut definition)) {
         Ok(line) => Ok(line.command),
         Err(error) if is_request(error.kind()) => {
             // A closed pipe (`ashsplat --help | head`) is no failure.
@@ -81,6 +88,12 @@ pub fn parse(arguments: impl Iterator<Item = OsString>) -> Result<Command, ExitC
             Err(ExitCode::from(crate::FAILURE))
         }
     }
+}
+
+/// The option's value, in whatever command.
+fn max_host_memory(matches: &ArgMatches) -> Option<u64> {
+    let own = matches.try_get_one::<u64>("max_host_memory").ok().flatten().copied();
+    own.or_else(|| max_host_memory(matches.subcommand()?.1))
 }
 
 fn is_request(kind: ErrorKind) -> bool {

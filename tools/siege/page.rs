@@ -47,6 +47,22 @@ pub fn get(host: &str, path: &str, headers: &str, longest: Duration) -> Result<(
     Ok((code, answer.split_off(end + 4)))
 }
 
+/// Sends a file, which must be accepted.
+pub fn post(host: &str, path: &str, bytes: &[u8], longest: Duration) -> Result<()> {
+    let mut stream = connect(host, longest)?;
+    let length = bytes.len();
+    write!(
+        stream,
+        "POST {path} HTTP/1.1\r\nHost: {host}\r\nContent-Type: application/octet-stream\r\n\
+         Content-Length: {length}\r\nConnection: close\r\n\r\n"
+    )?;
+    stream.write_all(bytes)?;
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer)?;
+    ensure!(answer.starts_with("HTTP/1.1 202"), "{path} is not taken: {answer:.200}");
+    Ok(())
+}
+
 impl Page {
     pub fn open(host: &str) -> Result<Page> {
         let (socket, _) = tungstenite::client(format!("ws://{host}/socket"), connect(host, PATIENCE)?)
@@ -84,10 +100,15 @@ impl Page {
 
     /// The next message of a type.
     pub fn wait_for(&mut self, kind: &str) -> Result<Value> {
+        self.until_message(kind, |_| true)
+    }
+
+    /// The next message of a type for which something holds.
+    pub fn until_message(&mut self, kind: &str, holds: impl Fn(&Value) -> bool) -> Result<Value> {
         let start = Instant::now();
         loop {
             let message = self.next(kind, start)?;
-            if message["type"] == kind {
+            if message["type"] == kind && holds(&message) {
                 return Ok(message);
             }
         }

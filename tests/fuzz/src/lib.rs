@@ -5,6 +5,7 @@ pub mod hostile;
 use ashsplat::scene::{Gaussians, PointCloud, WorldFrame};
 use ashsplat::trainer::checkpoint::{Checkpoint, Room};
 use ashsplat::trainer::settings::TrainSettings;
+use ashsplat_files::HostMemory;
 use cap::Cap;
 use std::alloc::System;
 use std::path::PathBuf;
@@ -24,7 +25,9 @@ pub fn allowance(bytes: usize) -> usize {
 pub fn within<T>(bytes: usize, read: impl FnOnce(u64) -> T) -> T {
     let allowance = allowance(bytes);
     MEMORY.set_limit(MEMORY.allocated() + allowance).expect("more than is in use");
-    let result = read((allowance - allowance / 8) as u64);
+    let bound = (allowance - allowance / 8) as u64;
+    HostMemory::set_default(bound);
+    let result = read(bound);
     MEMORY.set_limit(usize::MAX).expect("no bound");
     result
 }

@@ -1,6 +1,7 @@
 //! Small files that would take a stack, hours or all memory: each must be refused in one line.
 
 use crate::data;
+use crate::page::{self, Page};
 use crate::program::{Limits, Program};
 use crate::siege::{Outcome, Result, Siege, ensure, text};
 use serde_json::{Value, json};
@@ -19,8 +20,14 @@ fn deep_name() -> String {
 
 /// A command that must refuse.
 fn refuse(siege: &Siege, arguments: &[&str]) -> Result<()> {
+    refusal(siege, arguments).map(drop)
+}
+
+/// What it says.
+fn refusal(siege: &Siege, arguments: &[&str]) -> Result<String> {
     let mut program = Program::start(&siege.program, &Limits::default(), &siege.peak, arguments)?;
-    program.end(LONGEST)?.check_refused()
+    let ending = program.end(LONGEST)?;
+    ending.check_refused().map(|()| ending.errors)
 }
 
 /// Training on a data set, which must be refused and leave nothing.
@@ -87,6 +94,71 @@ pub fn wide_json(siege: &Siege) -> Result<Outcome> {
         refuse(siege, &[command, text(&path)?])?;
     }
     within_memory(siege, "each refused in one line")
+}
+
+/// JSON files of 64 MiB beyond `--max-host-memory`.
+pub fn bounded_json(siege: &Siege) -> Result<Outcome> {
+    /// What the program takes by itself is two thirds of this, MiB.
+    const MOST: u64 = 120;
+    let folder = siege.new_folder("bounded")?;
+    data::write_small(&folder)?;
+    let [tiles, blocks, model] = ["tileset.json", "blocks.json", "refused"].map(|name| folder.join(name));
+    let spaces = vec![b' '; 64 << 20];
+    for name in ["transforms/transforms.json", "tileset.json", "blocks.json", "cameras.json"] {
+        let path = folder.join(name);
+        std::fs::create_dir_all(path.parent().unwrap_or(&folder))?;
+        std::fs::write(&path, &spaces)?;
+    }
+    let (data, cameras) = (folder.join("transforms"), folder.join("cameras.json"));
+    let ply = folder.join("scene.ply");
+    // One Gaussian without rotation, all other values 0.
+    let mut values = [[0; 4]; data::PLY_BYTES as usize / 4];
+    values[10] = 1.0_f32.to_le_bytes();
+    std::fs::write(&ply, [data::ply_header(1).as_bytes(), values.as_flattened()].concat())?;
+    let job = format!("{}:1", text(&blocks)?);
+    let commands: [&[&str]; 5] = [
+        &["train", "-s", text(&data)?, "-m", text(&model)?],
+        &["info", text(&tiles)?],
+        &["blocks", text(&blocks)?],
+        &["train", "--job", &job],
+        &["render", text(&ply)?, "--path", text(&cameras)?, "-o", text(&model)?],
+    ];
+    for command in commands {
+        let said = refusal(siege, &[command, &["--max-host-memory", "16M"]].concat())?;
+        ensure!(said.contains("more than 16777216 (--max-host-memory)"), "{command:?}: {said}");
+    }
+    let peak = siege.peak.mib();
+    ensure!(peak < MOST, "takes {peak} MiB");
+    Ok(Outcome::Withstood("each refused by the option's name".into()))
+}
+
+/// A page sends a GLB whose JSON is short as a file and long in memory.
+pub fn upload(siege: &Siege) -> Result<Outcome> {
+    const BYTES: usize = 60 << 20;
+    const BOUND: u64 = 100;
+    let list = "{},".repeat(BYTES / 3);
+    let json = format!("{{\"asset\": {{\"version\": \"2.0\"}}, \"nodes\": [{list}{{}}]}}");
+    let json = format!("{json}{}", " ".repeat(json.len().next_multiple_of(4) - json.len()));
+    let length = json.len() as u32;
+    let head =
+        [&b"glTF"[..], &2_u32.to_le_bytes(), &(20 + length).to_le_bytes(), &length.to_le_bytes(), b"JSON"]
+            .concat();
+    let glb = [&head, json.as_bytes()].concat();
+    drop((list, json));
+    let bound = format!("{BOUND}M");
+    let arguments = ["view", "--port", "0", "--max-host-memory", &bound];
+    let mut program = Program::start(&siege.program, &Limits::default(), &siege.peak, &arguments)?;
+    let said = program.wait_for("viewer at http://")?;
+    let host = said.split('/').next().unwrap_or_default();
+    let mut page = Page::open(host)?;
+    let before = program.memory();
+    page::post(host, "/upload/wide.glb", &glb, LONGEST)?;
+    let loading = page.until_message("loading", |message| message["failed"].is_string())?;
+    let failed = loading["failed"].as_str().unwrap_or_default();
+    ensure!(failed.contains("--max-host-memory"), "{failed}");
+    let more = siege.peak.mib().saturating_sub(before);
+    ensure!(more <= BOUND, "takes {more} MiB more, --max-host-memory {bound}");
+    Ok(Outcome::Withstood(format!("{more} MiB more of {BOUND}; the page is told the option")))
 }
 
 /// A pipe without a writer, and a device without an end, in the place of files.
