@@ -174,6 +174,7 @@ fn write_readable(
     outline: &Outline,
     produce: &mut Produce<'_>,
 ) -> Result<Option<String>> {
+    validation::check_origin(path, outline.frame.origin)?;
     write_blocks(path, format, outline, &mut |sink| {
         produce(&mut |block| {
             validation::check_readable(path, &block)?;

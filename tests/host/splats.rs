@@ -393,6 +393,18 @@ fn what_cannot_be_read_again_is_not_written() {
         }
         assert_eq!(names(folder.path()), ["in.ply"], "{format}");
     }
+    // A fine scene moves to an origin of its own, which has a limit, too.
+    let near = folder.path().join("near.ply");
+    splats::write(&near, &scene(20, 0), &WriteOptions::default()).unwrap();
+    for format in Format::ALL {
+        let output = folder.path().join(format!("out{}", format.extension()));
+        let error = splats::convert(&near, &output, &moved(1.0, 3e38)).unwrap_err().to_string();
+        assert!(
+            error.contains("is not written: its positions would lie 3e38 from zero"),
+            "{format}: {error}"
+        );
+    }
+    assert_eq!(names(folder.path()), ["in.ply", "near.ply"]);
     splats::convert(&input, &folder.path().join("out.ply"), &moved(1.0, 1e17)).unwrap();
     splats::read(folder.path().join("out.ply"), &KEEP).unwrap();
 }

@@ -2,8 +2,10 @@
 
 use std::path::Path;
 
+use super::FARTHEST;
 use ashsplat::scene::Gaussians;
 use ashsplat::{Error, Result};
+use glam::DVec3;
 
 /// Largest usable coordinate, of places and of quaternions: the square of a larger one overflows.
 const MAX_COORDINATE: f32 = 1e18;
@@ -72,6 +74,17 @@ pub(super) fn check_readable(path: &Path, block: &Gaussians) -> Result<()> {
             Err(Error::input(path, problem, "scale, move or merge less"))
         }
     }
+}
+
+/// As [`check_readable`], for the origin of the positions.
+pub(super) fn check_origin(path: &Path, origin: DVec3) -> Result<()> {
+    let farthest = origin.abs().max_element();
+    if farthest <= FARTHEST {
+        return Ok(());
+    }
+    let problem =
+        format!("is not written: its positions would lie {farthest:e} from zero, more than {FARTHEST:e}");
+    Err(Error::input(path, problem, "scale or move less"))
 }
 
 /// The first unusable parameter of a Gaussian: its name in a PLY, and its value.
