@@ -81,7 +81,11 @@ pub(crate) fn files_with_poses(folder: &Path) -> Vec<PathBuf> {
         read.is_ok() && String::from_utf8_lossy(&start).contains("\"transform_matrix\"")
     };
     let entries = std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
-    let is_json = |path: &PathBuf| path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("json"));
+    // Editors on Windows may add `.txt`, which is then hidden there.
+    let is_json = |path: &PathBuf| {
+        let name = name_of(path).to_ascii_lowercase();
+        name.strip_suffix(".txt").unwrap_or(&name).ends_with(".json")
+    };
     let is_usual = |path: &Path| SPLIT_FILES.iter().any(|name| name_of(path).eq_ignore_ascii_case(name));
     let of_poses = |path: &PathBuf| is_json(path) && path.is_file() && (is_usual(path) || has_poses(path));
     let mut files: Vec<PathBuf> = entries.filter(of_poses).collect();

@@ -260,10 +260,13 @@ fn what_is_no_data_set_says_what_to_do() {
     photo(&place("phone/images/a.jpg"), 1);
     photo(&place("loose/a.JPG"), 1);
     std::fs::create_dir_all(place("polycam/keyframes/images")).unwrap();
+    photo(&place("metashape/a.jpg"), 1);
+    std::fs::write(place("metashape/cameras.xml"), "<document/>").unwrap();
     for (name, words) in [
         ("phone", "phone` finds their cameras"),
         ("loose", "photos alone are not enough: `ashsplat poses "),
         ("polycam", "`ns-process-data polycam --data "),
+        ("metashape", "cameras.xml has the cameras of Metashape, which is not read"),
     ] {
         assert!(refusal(&place(name)).contains(words), "{}", refusal(&place(name)));
     }

@@ -251,6 +251,7 @@ fn files_of_other_names_are_taken_where_one_is_meant() {
         (&["transform.json"][..], (1, 2)),
         (&["Transforms.JSON"], (1, 2)),
         (&["cameras.json"], (1, 2)),
+        (&["transforms.json.txt"], (1, 2)),
         (&["transforms_test.json"], (1, 2)),
         (&["transform_train.json"], (1, 2)),
         (&["transform_train.json", "transform_test.json"], (3, 2)),

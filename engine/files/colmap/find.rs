@@ -71,6 +71,17 @@ pub fn exists(dataset: impl AsRef<Path>) -> bool {
     below.iter().chain([&sparse, &dataset.to_owned()]).any(|folder| has_model(folder))
 }
 
+/// Files of cameras that other programs write, and these programs.
+const FOREIGN_CAMERAS: [(&str, &str); 7] = [
+    ("cameras.xml", "Metashape"),
+    ("reconstruction.json", "OpenSfM"),
+    ("opensfm/reconstruction.json", "OpenSfM"),
+    ("sfm_data.json", "OpenMVG"),
+    ("bundle.out", "Bundler"),
+    ("poses_bounds.npy", "LLFF"),
+    ("cameras.json", "a trained model"),
+];
+
 /// The error names a remedy that depends on what the folder holds instead of a model.
 fn no_model(dataset: &Path) -> Error {
     let problem = "has no COLMAP model (sparse/0/cameras.bin or .txt) and no transforms.json";
@@ -94,6 +105,12 @@ fn no_model(dataset: &Path) -> Error {
         )
     } else if dataset.join(UNFINISHED_POSES).is_dir() {
         "its cameras are not found yet: run the same `ashsplat poses` once more, it goes on from there".into()
+    } else if let Some((file, program)) =
+        FOREIGN_CAMERAS.iter().find(|(file, _)| dataset.join(file).is_file())
+    {
+        format!(
+            "{file} has the cameras of {program}, which is not read: export them for COLMAP, or as transforms.json"
+        )
     } else if photo_folders.iter().any(|folder| has_photos(folder)) {
         format!("photos alone are not enough: {} finds their cameras", poses(dataset))
     } else {
