@@ -395,6 +395,27 @@ fn what_lies_in_the_data_sets_places_stays() {
     }
 }
 
+/// A run is killed before the first of its last moves, or after one of them.
+#[test]
+fn a_second_run_completes_what_a_killed_one_was_moving() {
+    let place = Place::new("photos");
+    place.succeed(&["photos", "--quiet"]);
+    let (whole, work) = (files_below(&place.at("photos_dataset")), "photos_dataset/poses.unfinished");
+    place.stages();
+    for moved in 0..=3 {
+        std::fs::create_dir_all(place.at(work).join("ready")).expect("a folder");
+        std::fs::write(place.at(work).join("state.json"), "{}").expect("written");
+        for name in &["images", "poses.log", "sparse"][moved..] {
+            let ready = place.at(work).join("ready").join(name);
+            std::fs::rename(place.at("photos_dataset").join(name), ready).expect("moved");
+        }
+        let [said, _] = place.succeed(&["photos"]);
+        assert!(said.contains("photos_dataset: is complete now"), "{said}");
+        assert_eq!((files_below(&place.at("photos_dataset")), place.stages().len()), (whole.clone(), 0));
+    }
+    place.fails(&mut place.poses(&["photos"]), &["photos_dataset/sparse", "is there already"]);
+}
+
 #[test]
 fn what_is_missing_says_how_to_get_it() {
     let place = Place::new("photos");

@@ -115,9 +115,17 @@ pub fn run(arguments: &Arguments) -> Result<()> {
             "rename it: COLMAP's lists are text",
         ));
     }
+    let dataset = source.dataset();
+    if let Some(work) = Work::ready(dataset)? {
+        work.place()?;
+        say!(
+            "{}: is complete now: an earlier run was killed while it moved the files there",
+            dataset.display()
+        );
+        return Ok(());
+    }
     let colmap = Colmap::find(&arguments.colmap)?;
     let stop = session::stop_on_ctrl_c()?;
-    let dataset = source.dataset();
     let linked = !matches!(&source, Source::Photos(photos) if photos.in_place);
     Work::check(dataset, linked)?;
     let prepared = arguments.prepare(&source, &stop)?;

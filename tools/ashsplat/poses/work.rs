@@ -11,6 +11,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 const STATE_FILE: &str = "state.json";
+/// Folder of a data set that only has to be moved to its place.
+const READY: &str = "ready";
 /// What COLMAP was asked and what it said, in the end beside the data set.
 pub use ashsplat_files::colmap::POSES_LOG as LOG_FILE;
 
@@ -41,11 +43,6 @@ impl Work {
         output::check_folder(dataset).map_err(|e| {
             Error::input(dataset, format!("cannot be written: {e}"), "name another folder with -o")
         })?;
-        let state = State::read(&dataset.join(FOLDER));
-        if dataset.join(FOLDER).is_dir() && state.is_none() && has_entries(&dataset.join(FOLDER)) {
-            let remedy = "remove it, or choose another -o";
-            return Err(Error::input(dataset.join(FOLDER), "is not from `ashsplat poses`", remedy));
-        }
         if colmap::exists(dataset) || has_entries(&dataset.join("sparse")) {
             let all = if linked { dataset.to_owned() } else { dataset.join("sparse") };
             let remedy = format!(
@@ -54,8 +51,13 @@ impl Work {
             );
             return Err(Error::input(dataset.join("sparse"), "is there already", remedy));
         }
+        let state = State::read(&dataset.join(FOLDER));
+        if dataset.join(FOLDER).is_dir() && state.is_none() && has_entries(&dataset.join(FOLDER)) {
+            let remedy = "remove it, or choose another -o";
+            return Err(Error::input(dataset.join(FOLDER), "is not from `ashsplat poses`", remedy));
+        }
         if linked && has_entries(&dataset.join("images")) {
-            let remedy = "remove it if a killed run left it, or choose another -o";
+            let remedy = "rename it, or choose another -o";
             return Err(Error::input(dataset.join("images"), "is there already, with photographs", remedy));
         }
         // Folders are renamed to these names at the end, and a file to the log's.
@@ -144,25 +146,40 @@ impl Work {
         Ok(self.path(name))
     }
 
-    /// Gives photographs and model their places, the model last: without it nothing looks like a data set. `images`: a
-    /// folder of this work.
-    pub fn finish(mut self, model: &Path, images: Option<&Path>) -> Result<()> {
-        let rename = |from: &Path, to: &Path| fs::rename(from, to).map_err(|e| Error::io(to, "create", e));
-        let place = |from: &Path, name: &str| {
-            let to = self.dataset.join(name);
-            if to.is_dir() {
-                // It was empty when this began.
-                fs::remove_dir(&to).map_err(|e| Error::io(&to, "replace", e))?;
-            }
-            rename(from, &to)
-        };
+    /// Gives photographs and model their places. `images`: a folder of this work.
+    pub fn finish(self, model: &Path, images: Option<&Path>) -> Result<()> {
         // It names files that are about to go.
         remove(&model.join("project.ini"))?;
-        let sparse = self.fresh_folder("placed")?;
-        rename(model, &sparse.join("0"))?;
-        images.map_or(Ok(()), |images| place(images, "images"))?;
-        rename(&self.path(LOG_FILE), &self.dataset.join(LOG_FILE))?;
-        place(&sparse, "sparse")?;
+        let ready = self.fresh_folder("readying")?;
+        atomic::create_folder(ready.join("sparse"))?;
+        rename(model, &ready.join("sparse/0"))?;
+        images.map_or(Ok(()), |images| rename(images, &ready.join("images")))?;
+        rename(&self.path(LOG_FILE), &ready.join(LOG_FILE))?;
+        self.remove(READY)?;
+        rename(&ready, &self.path(READY))?;
+        self.place()
+    }
+
+    /// The work of a run that was killed while it placed a data set that was ready.
+    pub fn ready(dataset: &Path) -> Result<Option<Self>> {
+        let folder = dataset.join(FOLDER);
+        let is_ready = folder.join(READY).is_dir() && State::read(&folder).is_some();
+        is_ready.then(|| Self::open(dataset)).transpose()
+    }
+
+    /// Moves what is ready to the data set, the model last: without it nothing looks like one.
+    pub fn place(mut self) -> Result<()> {
+        for name in ["images", LOG_FILE, "sparse"] {
+            let (from, to) = (self.path(READY).join(name), self.dataset.join(name));
+            if !from.exists() {
+                continue;
+            }
+            if to.is_dir() {
+                // It was empty when the run began.
+                fs::remove_dir(&to).map_err(|e| Error::io(&to, "replace", e))?;
+            }
+            rename(&from, &to)?;
+        }
         self.new.clear();
         remove(&self.folder)
     }
@@ -179,6 +196,10 @@ impl State {
     fn read(folder: &Path) -> Option<Self> {
         serde_json::from_slice(&regular_file::read_json(folder.join(STATE_FILE)).ok()?).ok()
     }
+}
+
+fn rename(from: &Path, to: &Path) -> Result<()> {
+    fs::rename(from, to).map_err(|e| Error::io(to, "create", e))
 }
 
 fn has_entries(folder: &Path) -> bool {
