@@ -71,7 +71,7 @@ macro_rules! remapped {
 }
 
 /// A slice of a caller's.
-unsafe fn slice<'a, T>(pointer: *const T, count: u32) -> &'a [T] {
+pub(crate) unsafe fn slice<'a, T>(pointer: *const T, count: u32) -> &'a [T] {
     // SAFETY: the caller's array has as many elements; without any the address may be null.
     if count == 0 { &[] } else { unsafe { std::slice::from_raw_parts(pointer, count as usize) } }
 }
@@ -105,6 +105,7 @@ pub(crate) unsafe extern "system" fn barrier2(
     // SAFETY: as above.
     unsafe {
         let info = &*dependency;
+        super::trace::barrier(commands, info);
         let buffers = slice(info.p_buffer_memory_barriers, info.buffer_memory_barrier_count);
         let buffers: Vec<_> = remapped!(buffers.iter().copied()).collect();
         let images = slice(info.p_image_memory_barriers, info.image_memory_barrier_count);

@@ -20,5 +20,6 @@ mod memory;
 mod queues;
 mod semaphores;
 mod state;
+mod trace;
 
 pub use machine::{FORGETTING, MACHINES, Machine, VARIABLE};

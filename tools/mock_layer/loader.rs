@@ -2,7 +2,7 @@
 
 use super::held::Want;
 use super::state::{DeviceState, InstanceState};
-use super::{answers, families, memory, queues, semaphores};
+use super::{answers, families, memory, queues, semaphores, trace};
 use ash::vk;
 use std::ffi::{CStr, c_char, c_void};
 use std::ptr::null_mut;
@@ -222,6 +222,17 @@ fn of_device(name: &CStr) -> vk::PFN_vkVoidFunction {
         c"vkCmdPipelineBarrier" => families::barrier, PFN_vkCmdPipelineBarrier;
         c"vkCmdPipelineBarrier2" => families::barrier2, PFN_vkCmdPipelineBarrier2;
         c"vkCmdPipelineBarrier2KHR" => families::barrier2, PFN_vkCmdPipelineBarrier2;
+        c"vkCreateShaderModule" => trace::create_shader_module, PFN_vkCreateShaderModule;
+        c"vkCreateComputePipelines" => trace::create_compute_pipelines, PFN_vkCreateComputePipelines;
+        c"vkBeginCommandBuffer" => trace::begin, PFN_vkBeginCommandBuffer;
+        c"vkEndCommandBuffer" => trace::end, PFN_vkEndCommandBuffer;
+        c"vkCmdBindPipeline" => trace::bind_pipeline, PFN_vkCmdBindPipeline;
+        c"vkCmdPushConstants" => trace::push_constants, PFN_vkCmdPushConstants;
+        c"vkCmdDispatch" => trace::dispatch, PFN_vkCmdDispatch;
+        c"vkCmdDispatchIndirect" => trace::dispatch_indirect, PFN_vkCmdDispatchIndirect;
+        c"vkCmdCopyBuffer" => trace::copy_buffer, PFN_vkCmdCopyBuffer;
+        c"vkCmdFillBuffer" => trace::fill_buffer, PFN_vkCmdFillBuffer;
+        c"vkCmdUpdateBuffer" => trace::update_buffer, PFN_vkCmdUpdateBuffer;
         c"vkGetDeviceQueue" => queues::get, PFN_vkGetDeviceQueue;
         c"vkGetDeviceQueue2" => queues::get2, PFN_vkGetDeviceQueue2;
         c"vkQueueSubmit" => queues::submit, PFN_vkQueueSubmit;
