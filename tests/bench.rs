@@ -271,7 +271,21 @@ fn bench_measures_files_and_refuses_bad_ones() {
     let small = ["--width", "64", "--height", "48", "--iterations", "1", "--warmup", "1"];
     let table = succeed(&[&["bench", "render", "--scene", text(&ply)], &small[..]].concat());
     assert!(table.contains("60 Gaussians of SH degree 1, 64x48") && table.contains("scene.ply"), "{table}");
+    // Pixels keep their shape: a wider picture has the same instances in its middle.
     let cameras = folder.path().join("cameras.json");
+    let intrinsics = ashsplat::scene::Intrinsics::from_fov_x(0.8, 64, 48);
+    let (eye, target) = (glam::Vec3::new(3.5, 3.5, -24.0), glam::Vec3::new(3.5, 3.5, 0.0));
+    let camera = ashsplat::scene::Camera::look_at(eye, target, glam::Vec3::NEG_Y, intrinsics);
+    ashsplat_files::cameras_json::write(&cameras, [("a", &camera)], &Default::default()).expect("written");
+    let instances = |width: &str| {
+        let json = folder.path().join("frame.json");
+        let place = text(&cameras);
+        let one = ["bench", "render", "--scene", text(&ply), "--camera", place, "--json", text(&json)];
+        let size = ["--width", width, "--height", "192", "--iterations", "1", "--warmup", "0"];
+        succeed(&[&one[..], &size].concat());
+        runs(&read(&json))[0]["workload"]["instances"].as_u64().expect("instances")
+    };
+    assert_eq!(instances("256"), instances("1024"));
     std::fs::write(&cameras, "[]").expect("written");
     let place = format!("{}:3", text(&cameras));
     refuse(&["bench", "render", "--scene", text(&ply), "--camera", &place], &["cameras.json"]);

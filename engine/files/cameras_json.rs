@@ -5,6 +5,7 @@ use std::path::Path;
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 
+use super::splats::FARTHEST;
 use super::{atomic, cost, text};
 use ashsplat::scene::{Camera, Intrinsics, WorldFrame};
 use ashsplat::{Error, Result};
@@ -40,6 +41,18 @@ struct Entry {
     /// The origin that the position is relative to, source coordinates; only if it is not zero.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     origin: Option<[f64; 3]>,
+    /// The world unit of the training, source units; only if it is not 1.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    unit: Option<f64>,
+}
+
+/// Only the frame of an [`Entry`].
+#[derive(Deserialize)]
+struct Named {
+    #[serde(default)]
+    origin: Option<[f64; 3]>,
+    #[serde(default)]
+    unit: Option<f64>,
 }
 
 #[derive(Clone, Copy, Serialize, Deserialize)]
@@ -67,6 +80,7 @@ impl Entry {
             cy: Some(camera.cy),
             projection: camera.is_orthographic().then_some(Rays::Orthographic),
             origin: (frame.origin != DVec3::ZERO).then(|| frame.origin.to_array()),
+            unit: (frame.unit != 1.0).then_some(frame.unit),
         }
     }
 
@@ -93,7 +107,8 @@ impl Entry {
 /// Writes cameras in the reference implementation's form: id, img_name, width, height, position and rotation
 /// (camera to world, rows), fy, fx. It adds cx and cy, which the reference's readers ignore, and for
 /// orthographic cameras `"projection": "orthographic"`. The cameras are in the world coordinates of `frame`. Positions are
-/// written in source units from its origin, which `"origin"` names if it is not zero: as in the PLY beside.
+/// written in source units from its origin, which `"origin"` names if it is not zero: as in the PLY beside. `"unit"` is
+/// the frame's, if it is not 1.
 ///
 /// # Errors
 /// [`Error::Io`] naming the file.
@@ -136,4 +151,14 @@ pub fn read(path: impl AsRef<Path>, frame: &WorldFrame) -> Result<Vec<NamedCamer
         Ok(NamedCamera { name: entry.img_name.clone(), camera })
     };
     entries.iter().map(check).collect()
+}
+
+/// The frame that the first camera of a list names. None without one, and for what is no list of cameras.
+pub(crate) fn frame_of(path: &Path) -> Option<WorldFrame> {
+    let entries: Vec<Named> = serde_json::from_str(&text::read(path).ok()?).ok()?;
+    let &Named { origin, unit } = entries.first()?;
+    let frame = WorldFrame { origin: origin.unwrap_or_default().into(), unit: unit.unwrap_or(1.0) };
+    let is_sound =
+        frame.origin.abs().max_element() <= FARTHEST && (FARTHEST.recip()..=FARTHEST).contains(&frame.unit);
+    (is_sound && !frame.is_identity()).then_some(frame)
 }

@@ -7,6 +7,7 @@
 mod convert;
 mod detect;
 mod dot_splat;
+mod doubtful;
 mod foreign;
 mod format;
 mod gltf;
@@ -138,7 +139,7 @@ pub fn cut_losses(
     gaussians.check_shapes()?;
     cut.check()?;
     let sh_degree = sh_degree.min(gaussians.sh_degree);
-    let mut losses = format.losses(sh_degree, (options.antialiased, options.kernel_size));
+    let mut losses = format.losses(sh_degree, (options.antialiased, options.kernel_size, options.is_2dgs));
     if let Some(mut loss) = PackingLoss::of(format, options.spz_version) {
         let to_source = Similarity { scale: options.frame.unit, ..Default::default() };
         let mut outline = Outline { bounds: None, ..Outline::of(gaussians, options) };

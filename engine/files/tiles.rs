@@ -171,7 +171,7 @@ impl Spill {
         for mean in &mut means {
             *mean = shift.apply(DVec3::from_array(mean.map(f64::from))).as_vec3().to_array();
         }
-        let warnings = header.warnings.iter().cloned().chain(reader.warning.take()).collect();
+        let warnings = header.warnings.iter().cloned().chain(reader.warnings.drain(..)).collect();
         if means.is_empty() {
             return Err(Error::input(input, "has no Gaussians", "give a trained scene"));
         }
@@ -341,6 +341,7 @@ impl TileWriter<'_, '_> {
             format: Some(Format::Glb),
             antialiased: self.spill.antialiased,
             kernel_size: self.spill.kernel_size,
+            is_2dgs: false,
             spz_version: self.options.packed.then_some(2),
             // The root's transform places all tiles.
             frame: WorldFrame::default(),

@@ -1,7 +1,8 @@
 //! The Gaussians of a scene, as raw (unactivated) parameters.
 
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 
+use super::median_ball::median_ball;
 use super::points::Bounds;
 use crate::{Error, Result};
 
@@ -123,7 +124,8 @@ pub struct GaussianStatistics {
     pub sh_degree: u32,
     /// Box around all means; `None` without Gaussians.
     pub bounds: Option<Bounds>,
-    /// Box from the 5th to the 95th percentile of the means on each axis: where the scene is, without floaters.
+    /// Box from the 5th to the 95th percentile of the means on each axis: where the scene is, without floaters. Where that is far
+    /// larger than the middle half of the means, only those near to these count.
     pub central_bounds: Option<Bounds>,
     /// Standard deviations (all three axes) at 0, 5, 25, 50, 75, 95 and 100 %, world units.
     pub scale_percentiles: Option<[f32; 7]>,
@@ -141,7 +143,22 @@ pub fn percentiles(values: impl Iterator<Item = f32>) -> Option<[f32; 7]> {
     Some([0, 5, 25, 50, 75, 95, 100].map(|percent| sorted[(last * percent + 50) / 100]))
 }
 
+/// Half the diagonal of the central box, and reach of the means that count in a larger one, in median distances from the median.
+/// Ordinary scenes stay below 3.
+const CENTRAL_REACH: f64 = 8.0;
+
 fn central_bounds(means: impl Iterator<Item = Vec3> + Clone) -> Option<Bounds> {
+    let bounds = nine_tenths(means.clone())?;
+    let points: Vec<DVec3> = means.clone().map(|mean| mean.as_dvec3()).collect();
+    let Some((center, radius)) = median_ball(&points) else { return Some(bounds) };
+    let reach = CENTRAL_REACH * radius;
+    match 0.5 * bounds.size().as_dvec3().length() > reach {
+        true => nine_tenths(means.filter(|mean| mean.as_dvec3().distance(center) <= reach)),
+        false => Some(bounds),
+    }
+}
+
+fn nine_tenths(means: impl Iterator<Item = Vec3> + Clone) -> Option<Bounds> {
     let axis = |axis: usize| percentiles(means.clone().map(|p| p[axis]));
     let (x, y, z) = (axis(0)?, axis(1)?, axis(2)?);
     let at = |rank: usize| Vec3::new(x[rank], y[rank], z[rank]);

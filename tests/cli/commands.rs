@@ -230,6 +230,45 @@ fn pictures_of_another_shape_show_more_and_stretch_nothing() {
     }
 }
 
+/// Cameras that look elsewhere make black pictures: a line says so, in `eval` too.
+#[test]
+fn pictures_that_show_nothing_are_told() {
+    let folder = tempdir().expect("a temporary folder");
+    let at = |name: &str| folder.path().join(name);
+    let (ply, data, out) = (at("ball.ply"), at("data"), at("out"));
+    write_dataset(&data);
+    for (z, told) in [(0.0, 0), (-90.0, 1)] {
+        write_gaussians(&ply, &[([0.0, 0.0, z], 5.0, 0.3)]);
+        for command in [&["render", text(&ply), "-o", text(&out)][..], &["eval", text(&ply)]] {
+            let run = finish(program().args(command).args(["-s", text(&data), "--quiet"]));
+            assert_eq!(run.code, Some(0), "{}", run.stderr);
+            let line =
+                "warning: no picture shows a Gaussian: do scene and cameras have the same coordinates?";
+            assert_eq!(run.stderr.matches(line).count(), told, "{command:?}: {}", run.stderr);
+        }
+    }
+}
+
+/// A sixth of the Gaussians far away, as floaters or a sky: an orbit shows the others.
+#[test]
+fn an_orbit_does_not_go_by_far_gaussians() {
+    let folder = tempdir().expect("a temporary folder");
+    let (ply, out) = (folder.path().join("scene.ply"), folder.path().join("out.png"));
+    let lit = |far: f32| {
+        let ball = |i: u32| {
+            let place = vec3((i % 6) as f32, (i / 6 % 6) as f32, (i / 36) as f32) - 2.5;
+            let far = if i % 6 == 0 { far } else { 0.0 };
+            ([place.x + far, place.y, place.z], 5.0, 0.3)
+        };
+        write_gaussians(&ply, &(0..216).map(ball).collect::<Vec<_>>());
+        succeed(&["render", text(&ply), "--orbit", "1", "--width", "96", "-o", text(&out), "--quiet"]);
+        let picture = image::open(&out).expect("a PNG").to_luma8();
+        picture.pixels().filter(|pixel| pixel[0] > 40).count()
+    };
+    let whole = lit(0.0);
+    assert!(lit(800.0) > whole / 2, "{} of {whole} pixels", lit(800.0));
+}
+
 /// One pixel before two Gaussians, at 2 (opacity 0.5) and 10 (0.99).
 #[test]
 fn an_exrs_depth_is_the_mean_or_the_harmonic_mean() {

@@ -98,6 +98,37 @@ fn a_far_data_set_trains_to_the_bits_of_one_at_the_origin() {
     assert!(without_origin(far.ply("block", 12)) == near.ply("block", 12), "another block");
 }
 
+/// A scene that an editor saved without the origin is black for all cameras, unless its model's cameras.json tells it.
+#[test]
+fn an_origin_that_a_scene_has_lost_is_found_or_told() {
+    let place = moved(1.0, UTM);
+    assert_trained(&place.train("model", &OPTIONS));
+    let ply = place.model("model/point_cloud/iteration_12/point_cloud.ply");
+    let measured = || {
+        let run = finish(program().args(["eval", text(&place.model("model")), "--quiet", "--json"]));
+        assert_trained(&run);
+        let results = std::fs::read_to_string(place.model("model/results.json")).expect("results");
+        let results: serde_json::Value = serde_json::from_str(&results).expect("JSON");
+        (results["ours_12"]["PSNR"].clone(), run.stderr)
+    };
+    let (whole, said) = measured();
+    assert!(!said.contains("origin"), "{said}");
+    let lost = without_origin(place.ply("model", 12));
+    std::fs::write(&ply, &lost).expect("written");
+    let (restored, said) = measured();
+    assert_eq!(restored, whole);
+    assert!(said.contains("names no origin 500000,5000000,120: ") && said.contains("cameras.json"), "{said}");
+    // Elsewhere nothing tells it.
+    let scene = place.model("lost.ply");
+    std::fs::write(&scene, &lost).expect("written");
+    let begin = |scene: &Path| {
+        let run = place.train("begun", &[&OPTIONS[..], &["--init", text(scene)]].concat());
+        assert_trained(&run);
+        run.stderr.contains("no photograph shows a Gaussian of it")
+    };
+    assert!(begin(&scene) && !begin(&ply));
+}
+
 #[test]
 fn a_data_set_in_other_units_trains_alike() {
     let near = moved(1.0, DVec3::ZERO);

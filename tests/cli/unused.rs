@@ -1,6 +1,7 @@
 //! Settings of training that would have no effect.
 
 use super::*;
+use ashsplat::scene::WorldFrame;
 use tempfile::tempdir;
 
 const FEW: [&str; 6] = ["--iterations", "2", "--sh-degree", "0", "--eval-share", "0"];
@@ -42,6 +43,40 @@ fn settings_without_effect_are_refused() {
     let bench = ["bench", "quality", text(&data), "-o", text(&out), both];
     refuse(&[&bench[..], &["--pose-lr", "1e-3"]].concat(), &["pose_lr", "no effect"]);
     refuse(&[&bench[..], &["--cap-max", "7"]].concat(), &["cap_max", "400 Gaussians"]);
+}
+
+/// Options of `render`, `eval` and `convert` that could change nothing.
+#[test]
+fn options_without_effect_are_refused() {
+    let folder = tempdir().expect("a temporary folder");
+    let at = |name: &str| folder.path().join(name);
+    let (scene, data, model, out) = (at("scene.ply"), at("data"), at("model"), at("out"));
+    write_dataset(&data);
+    let gaussians = ashsplat_files::initial_gaussians(&wall_points(), 0).expect("Gaussians");
+    let saved = model.join("point_cloud/iteration_7/point_cloud.ply");
+    std::fs::create_dir_all(saved.parent().expect("a folder")).expect("created");
+    for path in [&scene, &saved] {
+        ashsplat_files::ply::write(path, &gaussians).expect("written");
+    }
+    let named: Vec<(String, Camera)> = (0..VIEWS).map(|index| (index.to_string(), view(index))).collect();
+    let named = named.iter().map(|(name, camera)| (name.as_str(), camera));
+    ashsplat_files::cameras_json::write(model.join("cameras.json"), named, &WorldFrame::default())
+        .expect("written");
+    let render = |more: &[&str], words: &[&str]| {
+        refuse(&[&["render", "-o", text(&out)], more].concat(), words);
+        assert!(!out.exists(), "{more:?}");
+    };
+    let up = ["--up", "0,0,1"];
+    render(&[&[text(&model), "--orbit", "3"][..], &up].concat(), &["--up", "cameras.json says where up is"]);
+    render(&[&[text(&model)][..], &up].concat(), &["--up", "--orbit"]);
+    render(&[&[text(&scene), "-s", text(&data)][..], &up].concat(), &["--up", "--orbit"]);
+    let of_file = ["--iteration", "model folders", "scene.ply is a file"];
+    render(&[text(&scene), "--iteration", "7", "--orbit", "3"], &of_file);
+    refuse(&["eval", text(&scene), "-s", text(&data), "--iteration", "7"], &of_file);
+    refuse(&["convert", text(&scene), text(&at("a.spz")), "--iteration", "7"], &of_file);
+    // Files may be joined with a model.
+    let joined = at("a.spz");
+    succeed(&["convert", text(&scene), text(&model), "-o", text(&joined), "--iteration", "7"]);
 }
 
 /// Defaults that are typed out, settings that a run has left, and what a file switches on itself.

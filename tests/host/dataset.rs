@@ -215,6 +215,28 @@ fn doubtful_cameras_are_named() {
     }
 }
 
+/// Three of nine are no strays; a line names the farthest.
+#[test]
+fn far_cameras_that_decide_the_extent_are_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let intrinsics = Intrinsics { fx: 21.0, fy: 21.0, cx: 10.0, cy: 6.0, width: 20, height: 12 };
+    let warnings = |far: f32| {
+        let eye = |i: u32| Vec3::new(i as f32 + if i > 5 { far } else { 0.0 }, 0.5, 3.0);
+        let cameras: Vec<Camera> =
+            (0..9).map(|i| Camera::look_at(eye(i), eye(i) - Vec3::Z, Vec3::NEG_Y, intrinsics)).collect();
+        write_with(folder.path(), &cameras, 0);
+        let report = Dataset::inspect(folder.path(), &DatasetOptions::default(), Progress::NONE);
+        report.warnings.into_iter().filter(|warning| warning.contains("scene extent")).collect::<Vec<_>>()
+    };
+    assert_eq!(warnings(0.0), [""; 0]);
+    let said = warnings(100.0);
+    let words = [
+        "images",
+        "times the median distance from the cameras' middle, with others, and decides the scene extent",
+    ];
+    assert!(said.len() == 1 && words.iter().all(|word| said[0].contains(word)), "{said:?}");
+}
+
 #[test]
 fn points_that_no_camera_sees_are_told() {
     let folder = tempfile::tempdir().unwrap();

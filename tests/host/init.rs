@@ -122,8 +122,13 @@ fn statistics() {
     let empty = Gaussians::default().statistics();
     assert_eq!((empty.count, empty.bounds, empty.scale_percentiles), (0, None, None));
     let points = random_points(1000, Bounds { min: Vec3::ZERO, max: Vec3::ONE }, 0);
-    let statistics = ashsplat_files::initial_gaussians(&points, 1).unwrap().statistics();
+    let mut gaussians = ashsplat_files::initial_gaussians(&points, 1).unwrap();
+    let statistics = gaussians.statistics();
     let central = statistics.central_bounds.unwrap();
+    assert!((central.size() - 0.9).abs().max_element() < 0.05, "{central:?}");
+    // A sixth of all lies far away.
+    gaussians.means.iter_mut().step_by(6).for_each(|mean| mean[0] += 500.0);
+    let central = gaussians.statistics().central_bounds.unwrap();
     assert!((central.size() - 0.9).abs().max_element() < 0.05, "{central:?}");
     assert!(statistics.opacity_percentiles.unwrap().iter().all(|o| (o - 0.1).abs() < 1e-6));
 }

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use ashsplat::scene::{Bounds, Cells, Cut, Gaussians, Similarity, WorldFrame};
+use ashsplat::scene::{Bounds, Camera, Cells, Cut, Gaussians, Intrinsics, Similarity, WorldFrame};
 use ashsplat_files::splats::{self, ConvertOptions, Format, ReadOptions, Target, WriteOptions};
 use glam::{DQuat, DVec3, Vec3};
 use serde_json::{Value, json};
@@ -307,6 +307,139 @@ fn marks_of_other_programs_are_read_and_kept() {
     splats::write(&path, &scene(1, 0), &marks).unwrap();
     let header = String::from_utf8_lossy(&std::fs::read(&path).unwrap()).into_owned();
     assert!(header.contains("\ncomment SplatRenderMode: mip\ncomment kernel_size=0.1\n"), "{header}");
+}
+
+/// PLYs keep the mark of 2DGS; what it was is said where other formats lose it.
+#[test]
+fn a_scene_of_2dgs_stays_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("disks.ply");
+    let marked = WriteOptions { is_2dgs: true, ..Default::default() };
+    splats::write(&path, &scene(9, 0), &marked).unwrap();
+    for to in Format::ALL {
+        let output = folder.path().join(format!("out{}", to.extension()));
+        let done = splats::convert(&path, &output, &ConvertOptions::default()).unwrap();
+        let keeps = matches!(to, Format::Ply | Format::CompressedPly);
+        assert_eq!(splats::header(&output, &KEEP).unwrap().is_2dgs, keeps, "{to}");
+        let is_told = done.warnings.iter().any(|line| line.contains("cannot say that this is a 2DGS scene"));
+        assert_eq!(is_told, !keeps, "{:?}", done.warnings);
+    }
+}
+
+/// No rotation, which a move turns as others.
+#[test]
+fn quaternions_of_zeros_are_counted() {
+    let folder = tempfile::tempdir().unwrap();
+    let turned = DQuat::from_rotation_x(0.5);
+    for format in [Format::Ply, Format::Splat] {
+        let [path, output] =
+            ["in", "out"].map(|name| folder.path().join(format!("{name}{}", format.extension())));
+        let mut gaussians = scene(9, 0);
+        gaussians.quats[4] = [0.0; 4];
+        splats::write(&path, &gaussians, &WriteOptions::default()).unwrap();
+        if format == Format::Splat {
+            // Its writer leaves no zeros.
+            let mut bytes = std::fs::read(&path).unwrap();
+            bytes[32 * 4 + 28..32 * 5].fill(128);
+            std::fs::write(&path, bytes).unwrap();
+        }
+        let read = splats::read(&path, &KEEP).unwrap();
+        assert_eq!(read.gaussians.quats[4], [1.0, 0.0, 0.0, 0.0]);
+        let line = "1 of 9 Gaussians have a quaternion of zeros and are used without rotation";
+        assert_eq!(read.warnings, [line], "{format}");
+        let similarity = Similarity { rotation: turned, ..Default::default() };
+        let options = ConvertOptions { similarity, ..Default::default() };
+        let done = splats::convert(&path, &output, &options).unwrap();
+        assert!(done.warnings.iter().any(|warning| warning == line), "{:?}", done.warnings);
+        let quat = splats::read(&output, &KEEP).unwrap().gaussians.quats[4];
+        assert!((f64::from(quat[0]) - turned.w).abs() < 0.01 && (f64::from(quat[1]) - turned.x).abs() < 0.01);
+    }
+}
+
+/// Floats at UTM have steps of 0.5. Doubles and larger Gaussians have none that show.
+#[test]
+fn positions_that_single_precision_has_rounded_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut gaussians = scene(300, 0);
+    gaussians.log_scales.as_flattened_mut().fill(-4.0);
+    for mean in &mut gaussians.means {
+        mean[1] += 5_000_000.0;
+    }
+    let warnings = |format: Format, gaussians: &Gaussians| {
+        let path = folder.path().join(format!("scene{}", format.extension()));
+        splats::write(&path, gaussians, &WriteOptions::default()).unwrap();
+        splats::read(&path, &KEEP).unwrap().warnings
+    };
+    for format in [Format::Ply, Format::CompressedPly, Format::Splat, Format::Glb] {
+        let said = warnings(format, &gaussians);
+        let words = "positions are rounded to steps of about 0.50 (a typical size is 0.018)";
+        assert!(said.len() == 1 && said[0].starts_with(words), "{format}: {said:?}");
+        let mut large = gaussians.clone();
+        large.log_scales.as_flattened_mut().fill(1.0);
+        assert_eq!(warnings(format, &large), [""; 0], "{format}");
+    }
+}
+
+/// SPZ holds -1 to 1, compressed PLY -4 to 4.
+#[test]
+fn spherical_harmonics_that_are_cut_are_counted() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut gaussians = scene(100, 1);
+    for index in 0..30 {
+        gaussians.sh[4 * index + 2][1] = if index < 10 { 5.0 } else { -1.5 };
+    }
+    for (name, words) in [
+        ("a.spz", "SH coefficients above degree 0 of 30 of 100 Gaussians are beyond -1 to 1 and are cut"),
+        ("a.compressed.ply", "of 10 of 100 Gaussians are beyond -4 to 4 and are cut"),
+        ("a.ply", ""),
+    ] {
+        let loss = splats::write(folder.path().join(name), &gaussians, &WriteOptions::default()).unwrap();
+        assert_eq!(loss.is_some(), !words.is_empty(), "{loss:?}");
+        assert!(loss.is_none_or(|line| line.contains(words)), "{name}");
+    }
+    let few = scene(100, 1);
+    assert_eq!(splats::write(folder.path().join("a.spz"), &few, &WriteOptions::default()).unwrap(), None);
+}
+
+/// An editor has dropped the comments of a model folder's PLY; its cameras.json still has the frame.
+#[test]
+fn a_models_cameras_tell_the_frame_that_a_ply_has_lost() {
+    let folder = tempfile::tempdir().unwrap();
+    let model = folder.path().join("model");
+    let ply = model.join("point_cloud/iteration_7/point_cloud.ply");
+    std::fs::create_dir_all(ply.parent().unwrap()).unwrap();
+    let frame = WorldFrame { origin: DVec3::new(500_000.0, 5_000_000.0, 120.0), unit: 100.0 };
+    let intrinsics = Intrinsics::from_fov_x(0.8, 64, 48);
+    let camera = Camera::look_at(Vec3::new(0.0, 0.0, -9.0), Vec3::ZERO, Vec3::NEG_Y, intrinsics);
+    let cameras = model.join("cameras.json");
+    ashsplat_files::cameras_json::write(&cameras, [("a", &camera)], &frame).unwrap();
+    let write = |format: Format, frame: WorldFrame, gaussians: &Gaussians| {
+        let options = WriteOptions { format: Some(format), frame, ..Default::default() };
+        splats::write(&ply, gaussians, &options).unwrap();
+        let read = splats::read(&ply, &KEEP).unwrap();
+        ((read.header.origin, read.header.unit), read.warnings)
+    };
+    let gaussians = scene(300, 0);
+    for format in [Format::Ply, Format::CompressedPly] {
+        let (whole, said) = write(format, frame, &gaussians);
+        assert_eq!((whole, said), ((frame.origin, Some(100.0)), Vec::new()));
+        let (restored, said) = write(format, WorldFrame::default(), &gaussians);
+        assert_eq!(restored, whole, "{format}");
+        let words = ["names no origin 500000,5000000,120 and unit 100: ", "cameras.json"];
+        assert!(said.len() == 1 && words.iter().all(|word| said[0].contains(word)), "{said:?}");
+        // Absolute positions, of Gaussians so large that single precision suffices.
+        let mut absolute = gaussians.clone();
+        absolute.log_scales.as_flattened_mut().fill(2.0);
+        for mean in &mut absolute.means {
+            *mean = [0, 1, 2].map(|axis| mean[axis] + frame.origin[axis] as f32);
+        }
+        let (kept, said) = write(format, WorldFrame::default(), &absolute);
+        assert!(kept.0 == DVec3::ZERO && said.concat().contains("names no unit 100"), "{said:?}");
+    }
+    // Cameras around zero have no frame.
+    ashsplat_files::cameras_json::write(&cameras, [("a", &camera)], &WorldFrame::default()).unwrap();
+    let plain = write(Format::Ply, WorldFrame::default(), &gaussians);
+    assert_eq!(plain, ((DVec3::ZERO, None), Vec::new()));
 }
 
 /// A log-scale of -∞ in PLY, a 0 in .splat and glTF, a range without an end in compressed PLY.

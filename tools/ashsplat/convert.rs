@@ -192,8 +192,12 @@ pub fn parse_target(text: &str) -> Result<Target, String> {
 pub fn run(arguments: &Arguments) -> Result<()> {
     let options = arguments.options()?;
     let output = &arguments.inputs.output;
-    let located = |(path, _): &(PathBuf, Similarity)| Ok(Model::locate(path, arguments.iteration)?.ply);
-    let files = arguments.inputs.inputs.iter().map(located).collect::<Result<Vec<PathBuf>>>()?;
+    let inputs = &arguments.inputs.inputs;
+    let has_folder = inputs.iter().any(|(path, _)| path.is_dir());
+    // Files may be among model folders.
+    let iteration_of = |path: &PathBuf| arguments.iteration.filter(|_| path.is_dir() || !has_folder);
+    let located = |(path, _): &(PathBuf, Similarity)| Ok(Model::locate(path, iteration_of(path))?.ply);
+    let files = inputs.iter().map(located).collect::<Result<Vec<PathBuf>>>()?;
     let replaced = output.canonicalize();
     let is_output =
         |file: &PathBuf| replaced.is_ok() && file.canonicalize().ok() == replaced.as_ref().ok().cloned();

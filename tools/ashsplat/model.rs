@@ -27,6 +27,10 @@ impl Model {
         }
         if !path.is_dir() {
             std::fs::metadata(path).map_err(|e| Error::io(path, "read", e))?;
+            if iteration.is_some() {
+                let problem = format!("is for model folders; {} is a file", path.display());
+                return Err(Error::argument("--iteration", problem));
+            }
             return Ok(Model { ply: path.to_owned(), folder: None, settings: Settings::default() });
         }
         if is_tiles(path) {

@@ -162,6 +162,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let (settings, few_photos) = settings.settle(&mut gallery, given, origin.checkpoint())?;
     origin.refuse_unused(&settings, given)?;
     let settings = origin.settle(settings);
+    origin.warn_if_out_of_view(&settings, &gallery)?;
     let used = outside::look(
         &context,
         &mut gallery,

@@ -144,12 +144,7 @@ impl Plan {
         let step = self.points.len().div_ceil(SAMPLE).max(1);
         let sample: Vec<Vec3> =
             self.points.positions.iter().step_by(step).copied().map(Vec3::from_array).collect();
-        let sees = |camera: &Camera, point: Vec3| {
-            let (x, y, z) = camera.project(point);
-            let inside = |at: f32, side: u32| (0.0..side as f32).contains(&at);
-            z > 0.0 && inside(x, camera.width) && inside(y, camera.height)
-        };
-        let seen = sample.iter().filter(|&&p| cameras.iter().any(|camera| sees(camera, p))).count();
+        let seen = sample.iter().filter(|&&p| cameras.iter().any(|camera| camera.sees(p))).count();
         if !cameras.is_empty() && (seen as f32) < LEAST_SEEN * sample.len() as f32 {
             self.warnings.push(format!(
                 "{}: {seen} of {} of its points (a sample) lie in the view of a camera: are they of another frame or scene?",

@@ -6,6 +6,7 @@
 use std::path::Path;
 
 use super::header::Element;
+use super::read::restore_frame;
 use super::rows::PlyFile;
 use crate::host_memory;
 use crate::splats::{BLOCK, Format, Header, Sink, Source};
@@ -13,6 +14,7 @@ use ashsplat::scene::Gaussians;
 use ashsplat::scene::gaussians::{MAX_SH_DEGREE, sh_coefficients};
 use ashsplat::scene::sh::C0;
 use ashsplat::{Error, Result};
+use glam::DVec3;
 
 /// Gaussians that share one box.
 pub(super) const CHUNK: usize = 256;
@@ -79,7 +81,10 @@ impl<'a> CompressedPly<'a> {
             return Err(file.error(problem));
         }
         let (sh_degree, sh) = read_sh(path, vertex.count)?;
+        let corners = |chunk: &Chunk| DVec3::new(chunk[0].into(), chunk[1].into(), chunk[2].into());
+        let restored = restore_frame(path, &mut file.header, || Ok(chunks.iter().map(corners).collect()))?;
         let mut warnings: Vec<String> = file.header.marks.warning().into_iter().collect();
+        warnings.extend(restored);
         let infinite = chunks.iter().filter(|chunk| chunk[6..12].iter().any(|v| v.is_infinite())).count();
         if infinite > 0 {
             warnings.push(format!(
@@ -91,6 +96,7 @@ impl<'a> CompressedPly<'a> {
         let header = Header {
             antialiased: file.header.marks.antialiased(),
             kernel_size: file.header.marks.kernel_size,
+            is_2dgs: file.header.marks.is_2dgs(),
             origin: file.header.origin,
             unit: file.header.unit,
             warnings,

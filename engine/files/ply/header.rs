@@ -172,6 +172,10 @@ impl Marks {
         self.mode == RenderMode::Mip
     }
 
+    pub(crate) fn is_2dgs(&self) -> bool {
+        self.mode == RenderMode::Disks
+    }
+
     /// A warning to the user, if any.
     pub(crate) fn warning(&self) -> Option<String> {
         match &self.mode {
@@ -187,6 +191,8 @@ impl Marks {
     pub(super) fn write(writer: &mut impl Write, outline: &Outline) -> io::Result<()> {
         if outline.antialiased {
             writeln!(writer, "comment SplatRenderMode: mip")?;
+        } else if outline.is_2dgs {
+            writeln!(writer, "comment SplatRenderMode: 2dgs")?;
         }
         match outline.kernel_size {
             Some(size) => writeln!(writer, "comment kernel_size={size}"),

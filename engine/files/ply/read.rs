@@ -5,11 +5,11 @@ use std::path::Path;
 
 use super::header::{DISKS, Element, FILTER, Kind, Property, Scalar};
 use super::rows::PlyFile;
-use crate::host_memory;
 use crate::splats::{BLOCK, Format, Header, ReadOptions, Reader, Sink, Source};
+use crate::{cameras_json, host_memory};
 use ashsplat::scene::gaussians::{MAX_SH_DEGREE, sh_coefficients};
 use ashsplat::scene::sh::{rgb_to_sh_dc, sh_dc_to_rgb};
-use ashsplat::scene::{Gaussians, SourcePoints, WorldFrame, filtered};
+use ashsplat::scene::{Gaussians, SourcePoints, WorldFrame, filtered, median_ball};
 use ashsplat::{Error, Result};
 use glam::DVec3;
 
@@ -85,11 +85,13 @@ impl<'a> GaussianRows<'a> {
         let element = file.seek_element("vertex")?;
         let mut layout = Layout::new(path, &element)?;
         file.check_no_list(&element)?;
+        let restored = restore_frame(path, &mut file.header, || first_positions(path))?;
         let marks = &file.header.marks;
         let mut warnings: Vec<String> = marks.warning().into_iter().collect();
         if layout.is_flat && warnings.is_empty() {
             warnings.push(DISKS.into());
         }
+        warnings.extend(restored);
         if let Some([red, green, blue]) = layout.rgb {
             layout.white = Some(white(path, &element, [red, green, blue])?);
             warnings.push(format!(
@@ -106,6 +108,7 @@ impl<'a> GaussianRows<'a> {
         let header = Header {
             antialiased: marks.antialiased(),
             kernel_size: marks.kernel_size,
+            is_2dgs: marks.is_2dgs() || layout.is_flat,
             origin: file.header.origin + shift,
             unit: file.header.unit,
             double_positions,
@@ -156,11 +159,51 @@ fn activated_opacities(path: &Path) -> Option<String> {
     })
 }
 
-/// An origin for a file whose positions are doubles: that of its first rows.
-fn origin_of_first(path: &Path) -> Result<DVec3> {
+fn first_positions(path: &Path) -> Result<Vec<DVec3>> {
     let mut points = Vec::new();
     first_rows(path, &["x", "y", "z"], |row| points.push(DVec3::new(row[0], row[1], row[2])))?;
-    Ok(WorldFrame::around(&points).origin)
+    Ok(points)
+}
+
+/// Takes origin and unit from the cameras.json of a model folder, for a `point_cloud/iteration_N/point_cloud.ply` whose comments an
+/// editor has dropped. Positions that lie nearer to the origin than to zero are absolute and keep none. A line about it, if any is used.
+pub(super) fn restore_frame(
+    path: &Path,
+    header: &mut super::header::Header,
+    positions: impl FnOnce() -> Result<Vec<DVec3>>,
+) -> Result<Option<String>> {
+    if header.origin != DVec3::ZERO || header.unit.is_some() {
+        return Ok(None);
+    }
+    let model = || {
+        let file = path.canonicalize().ok()?;
+        let saved = file.ancestors().nth(2).filter(|saved| saved.ends_with("point_cloud"))?;
+        Some(saved.parent()?.join("cameras.json"))
+    };
+    let Some((cameras, frame)) =
+        model().and_then(|file| Some((file.clone(), cameras_json::frame_of(&file)?)))
+    else {
+        return Ok(None);
+    };
+    let DVec3 { x, y, z } = frame.origin;
+    let is_relative = median_ball(&positions()?)
+        .is_some_and(|(center, _)| center.length() <= center.distance(frame.origin));
+    let mut used = Vec::new();
+    if is_relative && frame.origin != DVec3::ZERO {
+        header.origin = frame.origin;
+        used.push(format!("origin {x},{y},{z}"));
+    }
+    if frame.unit != 1.0 {
+        header.unit = Some(frame.unit);
+        used.push(format!("unit {}", frame.unit));
+    }
+    let line = || format!("names no {}: {} has it", used.join(" and "), cameras.display());
+    Ok((!used.is_empty()).then(line))
+}
+
+/// An origin for a file whose positions are doubles: that of its first rows.
+fn origin_of_first(path: &Path) -> Result<DVec3> {
+    Ok(WorldFrame::around(&first_positions(path)?).origin)
 }
 
 impl Source for GaussianRows<'_> {

@@ -114,7 +114,9 @@ pub fn join(inputs: &[Input<'_>], output: &Path, options: &ConvertOptions) -> Re
         header.warnings.iter().map(|warning| named(input, warning.clone())).collect()
     };
     let mut warnings: Vec<String> = inputs.iter().zip(&headers).flat_map(own).collect();
-    warnings.extend(format.losses(wanted_degree, (first.antialiased, first.kernel_size)));
+    let Header { antialiased, kernel_size, .. } = *first;
+    let is_2dgs = headers.iter().any(|header| header.is_2dgs);
+    warnings.extend(format.losses(wanted_degree, (antialiased, kernel_size, is_2dgs)));
     let count = headers.iter().map(|header| header.count).fold(0, u64::saturating_add);
     if options.decimate.is_some() {
         // All of them, and those that are merged of them.
@@ -132,13 +134,11 @@ pub fn join(inputs: &[Input<'_>], output: &Path, options: &ConvertOptions) -> Re
             (input.path, options.cut_of(header), Move { from: header.origin, similarity })
         })
         .collect();
-    let read = |to: DVec3, sink: &mut Sink<'_>, dropped: &mut dyn FnMut(usize, String)| {
+    let read = |to: DVec3, sink: &mut Sink<'_>, told: &mut dyn FnMut(usize, String)| {
         for (index, (path, cut, moved)) in changes.iter().enumerate() {
             let mut reader = open(path, &options.read)?;
             reader.blocks(&mut |block| sink(changed(block, sh_degree, cut, &moved.to(to))))?;
-            if let Some(warning) = reader.warning.take() {
-                dropped(index, warning);
-            }
+            reader.warnings.drain(..).for_each(|warning| told(index, warning));
         }
         Ok(())
     };
@@ -147,9 +147,9 @@ pub fn join(inputs: &[Input<'_>], output: &Path, options: &ConvertOptions) -> Re
     let stays = inputs.len() == 1 && format == Format::Ply && moved.similarity == Similarity::default();
     let mut to = if first.origin == DVec3::ZERO { DVec3::ZERO } else { moved.similarity.apply(first.origin) };
     let step = OriginSample::step(count);
-    let (mut count, mut bounds, mut kept, dropped) = loop {
+    let (mut count, mut bounds, mut kept, told) = loop {
         let mut sample = OriginSample::default();
-        let (mut count, mut bounds, mut dropped) = (0, None, Vec::new());
+        let (mut count, mut bounds, mut told) = (0, None, Vec::new());
         let mut kept = options.decimate.map(|_| Gaussians { sh_degree, ..Default::default() });
         let mut take = |block: Gaussians| {
             count += block.len() as u64;
@@ -160,15 +160,15 @@ pub fn join(inputs: &[Input<'_>], output: &Path, options: &ConvertOptions) -> Re
             }
             Ok(())
         };
-        read(to, &mut take, &mut |index, warning| dropped.push(named(&inputs[index], warning)))?;
+        read(to, &mut take, &mut |index, warning| told.push(named(&inputs[index], warning)))?;
         let chosen = if stays { to } else { sample.origin(to) };
         if chosen == to {
-            break (count, bounds, kept, dropped);
+            break (count, bounds, kept, told);
         }
         // Once more, for the box around that origin.
         to = chosen;
     };
-    warnings.extend(dropped);
+    warnings.extend(told);
     if let (Some(all), Some(target)) = (&mut kept, options.decimate) {
         let target = match target {
             Target::Count(target) => target,
@@ -183,9 +183,9 @@ pub fn join(inputs: &[Input<'_>], output: &Path, options: &ConvertOptions) -> Re
     let unit = |index: usize| Some(headers[index].unit? * changes[index].2.similarity.scale);
     let unit = unit(0).filter(|own| (1..inputs.len()).all(|index| unit(index) == Some(*own)));
     let frame = WorldFrame { origin: to, unit: unit.unwrap_or(1.0) };
-    let Header { antialiased, kernel_size, .. } = *first;
     let double_positions = headers.iter().any(|header| header.double_positions) && format == Format::Ply;
-    let outline = Outline { count, sh_degree, antialiased, kernel_size, bounds, frame, double_positions };
+    let outline =
+        Outline { count, sh_degree, antialiased, kernel_size, is_2dgs, bounds, frame, double_positions };
     warnings.extend(format.origin_note(output, &outline));
     let loss =
         write_readable(output, (format, options.spz_version), &outline, &mut |sink| match kept.take() {

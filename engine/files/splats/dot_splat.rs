@@ -75,7 +75,7 @@ fn unpack(row: &[u8; ROW], block: &mut Gaussians) {
     block.opacity_logits.push((opacity / (1.0 - opacity)).ln() as f32);
     let quat = [28, 29, 30, 31].map(|at| (f32::from(row[at]) - 128.0) / 128.0);
     let length = quat.iter().map(|q| q * q).sum::<f32>().sqrt();
-    block.quats.push(if length > 0.0 { quat.map(|q| q / length) } else { [1.0, 0.0, 0.0, 0.0] });
+    block.quats.push(if length > 0.0 { quat.map(|q| q / length) } else { quat });
 }
 
 /// Writes Gaussians as they come.

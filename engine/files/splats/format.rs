@@ -35,7 +35,7 @@ impl Format {
     pub(super) fn losses(
         self,
         sh_degree: u32,
-        (antialiased, kernel_size): (bool, Option<f32>),
+        (antialiased, kernel_size, is_2dgs): (bool, Option<f32>, bool),
     ) -> Vec<String> {
         let mut losses = Vec::new();
         if sh_degree > self.max_sh_degree() {
@@ -46,6 +46,9 @@ impl Format {
         }
         if let (Some(size), Self::Splat | Self::Spz) = (kernel_size, self) {
             losses.push(format!("{self} cannot hold the kernel size: draw it with --kernel-size {size}"));
+        }
+        if is_2dgs && !matches!(self, Self::Ply | Self::CompressedPly) {
+            losses.push(format!("{self} cannot say that this is a 2DGS scene"));
         }
         losses
     }

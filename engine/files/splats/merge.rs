@@ -50,7 +50,8 @@ pub fn merge(
     let first = parts.first().ok_or_else(|| Error::argument("parts", "there are none to merge"))?;
     let of_first = open(first.path, read)?.header().clone();
     let sh_degree = of_first.sh_degree.min(format.max_sh_degree());
-    let mut warnings = format.losses(of_first.sh_degree, (of_first.antialiased, of_first.kernel_size));
+    let Header { antialiased, kernel_size, is_2dgs, .. } = of_first;
+    let mut warnings = format.losses(of_first.sh_degree, (antialiased, kernel_size, is_2dgs));
     let (mut written, mut bounds) = (Vec::new(), None);
     for part in parts {
         let mut reader = open(part.path, read)?;
@@ -69,14 +70,14 @@ pub fn merge(
             Ok(())
         })?;
         written.push(count);
-        let dropped = reader.warning.take();
-        warnings.extend(dropped.map(|warning| format!("{}: {warning}", part.path.display())));
+        let own = reader.warnings.drain(..);
+        warnings.extend(own.map(|warning| format!("{}: {warning}", part.path.display())));
     }
     let count = written.iter().sum();
     let frame = WorldFrame { origin: of_first.origin, unit: of_first.unit.unwrap_or(1.0) };
-    let Header { antialiased, kernel_size, .. } = of_first;
     let double_positions = of_first.double_positions && format == Format::Ply;
-    let outline = Outline { count, sh_degree, antialiased, kernel_size, bounds, frame, double_positions };
+    let outline =
+        Outline { count, sh_degree, antialiased, kernel_size, is_2dgs, bounds, frame, double_positions };
     warnings.extend(format.origin_note(output, &outline));
     let loss = write_readable(output, (format, options.spz_version), &outline, &mut |sink| {
         for part in parts {

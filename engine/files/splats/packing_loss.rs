@@ -1,16 +1,14 @@
 //! Losses of a scene in a format with packed attributes.
 
+use super::doubtful::{COARSE, short};
 use super::spz_write::{MAX_FRACTIONAL_BITS, farthest, fractional_bits};
 use super::{Format, MAX_COMPRESSED_LOG_SCALE, Outline};
 use ashsplat::scene::Gaussians;
 
-/// Steps of positions are coarse from this share of a typical Gaussian's size on: pictures lose about 6 dB.
-const COARSE: f64 = 0.2;
-
 /// A Gaussian that is thinner than a format holds looks the same if it is this much longer, as a logarithm.
 const THIN: f32 = 3.0;
 
-/// Share of the colours that are cut in ordinary scenes.
+/// Share of the Gaussians whose colours or SH coefficients are cut in ordinary scenes.
 const USUALLY_CUT: f64 = 0.02;
 
 /// Gaussians of a scene against the limits of a format.
@@ -19,24 +17,28 @@ pub(super) struct PackingLoss {
     log_scales: [f32; 2],
     /// Largest coefficient of a base colour.
     max_dc: f32,
+    /// Largest higher SH coefficient.
+    max_sh: f32,
     count: u64,
     /// Sum of each Gaussian's largest log-scale.
     log_sizes: f64,
     cut_scales: u64,
     cut_colors: u64,
+    cut_sh: u64,
 }
 
 impl PackingLoss {
     /// None for formats that hold all values in single precision.
     pub(super) fn of(format: Format, spz_version: Option<u32>) -> Option<Self> {
-        let (log_scales, max_dc) = match (format, spz_version) {
-            (Format::Spz, _) | (Format::Glb, Some(_)) => ([-10.0, 5.9375], 0.5 / 0.15),
+        let (log_scales, max_dc, max_sh) = match (format, spz_version) {
+            (Format::Spz, _) | (Format::Glb, Some(_)) => ([-10.0, 5.9375], 0.5 / 0.15, 1.0),
             (Format::CompressedPly, _) => {
-                ([-MAX_COMPRESSED_LOG_SCALE, MAX_COMPRESSED_LOG_SCALE], f32::INFINITY)
+                ([-MAX_COMPRESSED_LOG_SCALE, MAX_COMPRESSED_LOG_SCALE], f32::INFINITY, 4.0)
             }
             _ => return None,
         };
-        Some(Self { log_scales, max_dc, count: 0, log_sizes: 0.0, cut_scales: 0, cut_colors: 0 })
+        let (count, log_sizes) = (0, 0.0);
+        Some(Self { log_scales, max_dc, max_sh, count, log_sizes, cut_scales: 0, cut_colors: 0, cut_sh: 0 })
     }
 
     pub(super) fn add(&mut self, block: &Gaussians) {
@@ -46,7 +48,9 @@ impl PackingLoss {
             self.log_sizes += f64::from(largest.max(-100.0));
             let is_cut = largest > most || (smallest < least && largest < least + THIN);
             self.cut_scales += u64::from(is_cut);
-            self.cut_colors += u64::from(block.sh_of(index)[0].iter().any(|dc| dc.abs() > self.max_dc));
+            let (dc, higher) = block.sh_of(index).split_at(1);
+            self.cut_colors += u64::from(dc[0].iter().any(|dc| dc.abs() > self.max_dc));
+            self.cut_sh += u64::from(higher.as_flattened().iter().any(|sh| sh.abs() > self.max_sh));
         }
         self.count += block.len() as u64;
     }
@@ -82,13 +86,13 @@ impl PackingLoss {
         if self.cut_colors as f64 > USUALLY_CUT * count as f64 {
             losses.push(format!("colours of {} of {count} Gaussians are cut", self.cut_colors));
         }
+        if self.cut_sh as f64 > USUALLY_CUT * count as f64 {
+            let (cut, most) = (self.cut_sh, self.max_sh);
+            losses.push(format!(
+                "SH coefficients above degree 0 of {cut} of {count} Gaussians are beyond -{most} to {most} and are cut"
+            ));
+        }
         (!losses.is_empty())
             .then(|| format!("{format} does not hold the scene exactly: {}", losses.join("; ")))
     }
-}
-
-/// A positive number with two significant digits, or as many as it has before the point.
-fn short(value: f64) -> String {
-    let digits = (1.0 - value.log10().floor()).clamp(0.0, 40.0) as usize;
-    format!("{value:.digits$}")
 }

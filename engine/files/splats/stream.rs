@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use super::doubtful::Doubtful;
 use super::format::Format;
 use super::validation::Unusable;
 use crate::host_memory;
@@ -30,6 +31,8 @@ pub struct Header {
     pub antialiased: bool,
     /// Variance that training added on the screen, square pixels; none: the file does not say.
     pub kernel_size: Option<f32>,
+    /// Whether it is a scene of 2DGS, whose disks are used as Gaussians without thickness.
+    pub is_2dgs: bool,
     /// What the positions are relative to, source coordinates: not zero for scenes far from the source's own origin.
     pub origin: DVec3,
     /// World unit of the training ([`WorldFrame::unit`]), if the file names one. Positions and sizes are in source units.
@@ -48,6 +51,7 @@ impl Header {
             sh_degree,
             antialiased: false,
             kernel_size: None,
+            is_2dgs: false,
             origin: DVec3::ZERO,
             unit: None,
             double_positions: false,
@@ -86,6 +90,8 @@ pub struct WriteOptions {
     pub antialiased: bool,
     /// As [`Header::kernel_size`]; kept in PLY and glTF.
     pub kernel_size: Option<f32>,
+    /// As [`Header::is_2dgs`]; kept in PLY.
+    pub is_2dgs: bool,
     /// Version of SPZ. SPZ: 2 or 4; none: 4. GLB: 2 packs the attributes as `KHR_gaussian_splatting_compression_spz_2`; none: not
     /// packed. Other formats have none.
     pub spz_version: Option<u32>,
@@ -152,6 +158,8 @@ pub(crate) struct Outline {
     pub(crate) antialiased: bool,
     /// As [`Header::kernel_size`].
     pub(crate) kernel_size: Option<f32>,
+    /// As [`Header::is_2dgs`].
+    pub(crate) is_2dgs: bool,
     /// Box around the means; none without Gaussians.
     pub(crate) bounds: Option<Bounds>,
     /// What the means are relative to, source coordinates, and the unit of the training that the file names. The Gaussians are in
@@ -167,12 +175,13 @@ pub(crate) type Produce<'a> = dyn FnMut(&mut Sink<'_>) -> Result<()> + 'a;
 impl Outline {
     /// Outline of Gaussians in the options' frame; they are written in source units.
     pub(crate) fn of(gaussians: &Gaussians, options: &WriteOptions) -> Self {
-        let WriteOptions { antialiased, kernel_size, frame, .. } = *options;
+        let WriteOptions { antialiased, kernel_size, is_2dgs, frame, .. } = *options;
         Self {
             count: gaussians.len() as u64,
             sh_degree: gaussians.sh_degree,
             antialiased,
             kernel_size,
+            is_2dgs,
             bounds: in_source_units(gaussians.bounds(), &frame),
             frame,
             double_positions: false,
@@ -231,13 +240,13 @@ pub(crate) struct Reader<'a> {
     path: PathBuf,
     source: Box<dyn Source + 'a>,
     options: ReadOptions,
-    /// Description of the dropped Gaussians.
-    pub(crate) warning: Option<String>,
+    /// Descriptions of the dropped Gaussians and of doubtful ones.
+    pub(crate) warnings: Vec<String>,
 }
 
 impl<'a> Reader<'a> {
     pub(crate) fn new(path: &Path, source: Box<dyn Source + 'a>, options: &ReadOptions) -> Self {
-        Self { path: path.to_owned(), source, options: *options, warning: None }
+        Self { path: path.to_owned(), source, options: *options, warnings: Vec::new() }
     }
 
     pub(crate) fn header(&self) -> &Header {
@@ -248,22 +257,28 @@ impl<'a> Reader<'a> {
     pub(crate) fn blocks(&mut self, sink: &mut Sink<'_>) -> Result<u64> {
         let (count, row_name) = (self.header().count, self.source.row_name());
         let drop_invalid = self.options.drop_invalid;
-        let mut unusable = Unusable::default();
+        let (mut unusable, mut doubtful) = (Unusable::default(), Doubtful::default());
         self.source.blocks(&mut |mut block| {
             unusable.look_through(&mut block);
+            doubtful.look_through(&mut block);
             // After the first unusable Gaussian, a file that is refused is only counted.
             if unusable.count() == 0 || drop_invalid { sink(block) } else { Ok(()) }
         })?;
-        self.warning = unusable.describe(count, row_name);
-        if drop_invalid && count > 0 && unusable.count() == count {
-            let problem = self.warning.take().unwrap_or_default();
-            return Err(Error::input(&self.path, problem, "none is left without them: write the file again"));
-        }
-        match &self.warning {
-            Some(problem) if !drop_invalid => {
-                Err(Error::input(&self.path, problem.clone(), "--drop-invalid leaves them out"))
+        let problem = unusable.describe(count, row_name);
+        let remedy = match drop_invalid {
+            true if unusable.count() == count => "none is left without them: write the file again",
+            true => {
+                self.warnings = problem.into_iter().chain(doubtful.lines()).collect();
+                return Ok(unusable.count());
             }
-            _ => Ok(unusable.count()),
+            false => "--drop-invalid leaves them out",
+        };
+        match problem {
+            Some(problem) => Err(Error::input(&self.path, problem, remedy)),
+            None => {
+                self.warnings = doubtful.lines();
+                Ok(0)
+            }
         }
     }
 
@@ -281,7 +296,7 @@ impl<'a> Reader<'a> {
             gaussians.append(&block);
             Ok(())
         })?;
-        let warnings = header.warnings.iter().cloned().chain(self.warning.take()).collect();
+        let warnings = header.warnings.iter().cloned().chain(self.warnings.drain(..)).collect();
         let frame = WorldFrame { origin: header.origin, unit: 1.0 };
         Ok(Scene { gaussians, header, frame, dropped, warnings })
     }

@@ -144,7 +144,7 @@ impl SceneArguments {
         if scene.view.is_some() && (width, height) != (own_width, own_height) {
             return Err(Error::argument("--width/--height", "cannot change a data set's photos"));
         }
-        scene.camera = scene.camera.scaled_to(width, height);
+        scene.camera = scene.camera.fitted_to(width, height);
         scene.checked()
     }
 

@@ -39,9 +39,9 @@ pub struct Arguments {
     /// through another file in its own
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MOST_FRAMES))]
     frames: Option<u32>,
-    /// Up in an orbit's pictures, for a PLY without cameras
-    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, value_parser = parse_direction, default_value = "0,-1,0")]
-    up: Vec3,
+    /// Up in an orbit's pictures, for a PLY without cameras [default: 0,-1,0]
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, value_parser = parse_direction)]
+    up: Option<Vec3>,
     #[command(flatten)]
     size: SizeArguments,
 }
@@ -118,6 +118,9 @@ impl Arguments {
         let unsaid = film.is_some() && self.source_path.is_none() && self.path.is_none();
         if let Some(count) = self.orbit.or_else(|| (unsaid || self.motion.is_some()).then_some(FILM_FRAMES)) {
             return self.around(count, own.as_deref(), scene, film);
+        }
+        if self.up.is_some() {
+            return Err(Error::argument("--up", "is for orbits (--orbit N): these cameras have their own"));
         }
         let mut cameras = match (&self.source_path, &self.path, own) {
             (Some(dataset), _, _) => session::cameras(dataset, &scene.frame)?,
@@ -207,6 +210,11 @@ impl Arguments {
                 "needs the training's cameras: a model folder with cameras.json",
             ));
         }
+        if self.up.is_some() && !seen.is_empty() {
+            let cameras = own.unwrap_or(Path::new(CAMERAS_FILE)).display();
+            let problem = format!("is for files without cameras: {cameras} says where up is");
+            return Err(Error::argument("--up", problem));
+        }
         let motion = self.motion.map_or_else(|| Motion::of(&seen), Motion::from);
         let cameras = match motion {
             Motion::Arc | Motion::Path if !seen.is_empty() => {
@@ -216,7 +224,11 @@ impl Arguments {
                 let gaussians = &scene.gaussians;
                 let scene_center = gaussians.statistics().central_bounds.map(|bounds| bounds.center());
                 let orbit = Orbit::around_scene(&seen, scene_center, count, intrinsics);
-                orbit.unwrap_or_else(|| orbit_around(gaussians, self.up, count, intrinsics)).cameras()
+                orbit
+                    .unwrap_or_else(|| {
+                        orbit_around(gaussians, self.up.unwrap_or(Vec3::NEG_Y), count, intrinsics)
+                    })
+                    .cameras()
             }
         };
         let note = match motion {

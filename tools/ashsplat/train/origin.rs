@@ -12,6 +12,7 @@ use ashsplat::vk::Context;
 use ashsplat::{Error, Result};
 use ashsplat_files::splats::{self, Scene};
 use ashsplat_files::{Dataset, Gallery};
+use glam::Vec3;
 use std::path::Path;
 
 /// What a training begins with: a checkpoint, else a scene, else the points of the data set or what stands in for them. Around a
@@ -114,6 +115,21 @@ impl Origin {
     /// Brings the scenes that were read into the frame of the data set.
     pub fn express_in(&mut self, frame: &WorldFrame) {
         self.scene.iter_mut().chain(&mut self.exchanged).for_each(|scene| scene.express_in(frame));
+    }
+
+    /// Warns where no photo shows a Gaussian of the scene that training begins with.
+    pub fn warn_if_out_of_view(&self, settings: &Settings, gallery: &Gallery) -> Result<()> {
+        const SAMPLE: usize = 4096;
+        let Some(scene) = self.scene().filter(|_| self.start.is_none()) else { return Ok(()) };
+        let cameras = gallery.used_cameras()?;
+        let mut sample = scene.means.iter().step_by(scene.len().div_ceil(SAMPLE).max(1));
+        if !sample.any(|&mean| cameras.iter().any(|camera| camera.sees(Vec3::from_array(mean)))) {
+            tell!(
+                "warning: {}: no photograph shows a Gaussian of it (a sample): do scene and data set have the same coordinates?",
+                settings.data.init.display()
+            );
+        }
+        Ok(())
     }
 
     /// Whether the points of the data set are used.
