@@ -190,7 +190,7 @@ impl Summary {
                 say!("{name:<10} from {min:.digits$} to {max:.digits$}");
             }
         }
-        say!("largest scale (world units)");
+        say!("largest scale (the file's units)");
         self.scales.print(|edge| format!("{:.2e}", 10f32.powf(edge)));
         say!("opacity");
         self.opacities.print(|edge| format!("{edge:.2}"));

@@ -223,17 +223,8 @@ impl Plan {
                     camera_id: image.camera_id,
                     camera_from_source: image.rotation(),
                     translation: DVec3::from_array(image.translation),
-                    frame: WorldFrame::default(),
-                    lens,
-                    pinhole,
-                    photo_path,
-                    turned,
-                    file_size: size,
-                    mask_path: None,
                     alpha_is_mask: true,
-                    coarse_mask: None,
-                    part: None,
-                    held_out: false,
+                    ..PlannedView::of((lens, pinhole), photo_path, (turned, size))
                 })
             };
         let names = images.iter().map(|image| image.name.as_str());
@@ -396,21 +387,11 @@ impl Plan {
         }
         Ok(PlannedView {
             name: frame.name.clone(),
-            image_id: 0,
-            camera_id: 0,
             camera_from_source: frame.camera_from_source,
             translation: frame.translation,
-            frame: WorldFrame::default(),
-            lens,
-            pinhole,
-            photo_path,
-            turned,
-            file_size: size,
             mask_path: frame.mask_path.clone(),
-            alpha_is_mask: false,
-            coarse_mask: None,
-            part: None,
             held_out: frame.test,
+            ..PlannedView::of((lens, pinhole), photo_path, (turned, size))
         })
     }
 

@@ -55,6 +55,32 @@ pub(super) struct ReadPhoto {
 }
 
 impl PlannedView {
+    /// A view without a name and at the origin, of which all is used.
+    pub(super) fn of(
+        (lens, pinhole): (Lens, Intrinsics),
+        photo_path: PathBuf,
+        (turned, file_size): (bool, Option<(u32, u32)>),
+    ) -> Self {
+        Self {
+            name: String::new(),
+            image_id: 0,
+            camera_id: 0,
+            camera_from_source: DMat3::IDENTITY,
+            translation: DVec3::ZERO,
+            frame: WorldFrame::default(),
+            lens,
+            pinhole,
+            photo_path,
+            turned,
+            file_size,
+            mask_path: None,
+            coarse_mask: None,
+            part: None,
+            alpha_is_mask: false,
+            held_out: false,
+        }
+    }
+
     /// The pinhole camera of the view at the size of its file, as far as the data set specifies it.
     pub(crate) fn camera(&self) -> Camera {
         self.camera_in(&self.frame)

@@ -14,7 +14,7 @@ use crate::html::{self, escape, section};
 use crate::output;
 use crate::progress::thousands;
 use ashsplat::Result;
-use ashsplat::scene::Gaussians;
+use ashsplat::scene::{Gaussians, WorldFrame};
 use ashsplat_files::{View, quoted};
 use std::fmt::Write;
 use std::path::Path;
@@ -133,7 +133,7 @@ fn page(run: &mut Run, rows: &Rows, interrupted: bool) -> Result<String> {
     };
     let _ = writeln!(out, "<p class=\"note\">{note}</p>");
     lights::sections(&mut out, &run.lights()?);
-    histograms(&mut out, &gaussians);
+    histograms(&mut out, &gaussians, &run.frame);
     section(&mut out, "Kernels", &run.kernels.note());
     out.push_str(&run.kernels.table());
     memory(&mut out, run);
@@ -252,11 +252,11 @@ fn sheet(out: &mut String, run: &mut Run, evaluation: &Evaluation, all: &[View])
     Ok(())
 }
 
-fn histograms(out: &mut String, gaussians: &Gaussians) {
-    section(out, "Gaussians", "how many have which opacity, size (σ, world units) and shape");
+fn histograms(out: &mut String, gaussians: &Gaussians, frame: &WorldFrame) {
+    section(out, "Gaussians", "how many have which opacity, size (σ, the data set's units) and shape");
     let opacities: Vec<f64> =
         gaussians.opacity_logits.iter().map(|&o| 1.0 / (1.0 + (-f64::from(o)).exp())).collect();
-    let log10 = |log: f32| f64::from(log) / std::f64::consts::LN_10;
+    let log10 = |log: f32| f64::from(log) / std::f64::consts::LN_10 + frame.unit.log10();
     let ends = |s: &[f32; 3]| (s[0].min(s[1]).min(s[2]), s[0].max(s[1]).max(s[2]));
     let largest: Vec<f64> = gaussians.log_scales.iter().map(|s| log10(ends(s).1)).collect();
     let smallest: Vec<f64> = gaussians.log_scales.iter().map(|s| log10(ends(s).0)).collect();
@@ -330,5 +330,21 @@ pub fn say_what_next(model: &Path, measured: bool) {
     say!("the report      {}", model.join(REPORT_FILE).display());
     if !measured {
         say!("how good it is  train with --eval: every eighth photograph is held out, and measured");
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sizes_are_in_the_units_of_the_data_set() {
+        let of = |log_scales: Vec<[f32; 3]>, unit: f64| {
+            let (gaussians, mut out) = (Gaussians { log_scales, ..Gaussians::default() }, String::new());
+            histograms(&mut out, &gaussians, &WorldFrame { unit, ..WorldFrame::default() });
+            out
+        };
+        let log = |size: f32| [size.ln(); 3];
+        assert_eq!(of(vec![log(1.0), log(10.0)], 0.01), of(vec![log(0.01), log(0.1)], 1.0));
     }
 }

@@ -50,7 +50,7 @@ pub fn histograms(tiles: &TileReport, gaussians: &Gaussians) -> String {
         ("entries of a tile", counts(&tiles.entries)),
         ("blended of a tile", counts(&tiles.blended)),
         ("opacity of a Gaussian", opacities),
-        ("log10 of its largest σ", largest.collect()),
+        ("log10 of its largest σ, world units", largest.collect()),
     ];
     let mut out = String::from("<div class=\"row\">");
     for (name, values) in charts {
