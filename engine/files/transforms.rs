@@ -132,10 +132,11 @@ impl Transforms {
         Ok(all)
     }
 
-    /// Older files of nerfstudio hold points in the frame before `applied_transform`. The frame in which the
-    /// cameras see more of them is used.
+    /// Older files of nerfstudio hold points in the frame before `applied_transform` and `applied_scale`. The frame in
+    /// which the cameras see more of them is used.
     fn place_points(&mut self, path: &Path, applied: Option<DAffine3>) {
         const SAMPLE: usize = 500;
+        const APPLIED: &str = "applied_transform (with applied_scale)";
         let Some(applied) = applied.filter(|a| !a.abs_diff_eq(DAffine3::IDENTITY, 1e-6)) else { return };
         let step = self.points.len().div_ceil(SAMPLE).max(1);
         let sample: Vec<DVec3> = self.points.positions.iter().copied().step_by(step).collect();
@@ -149,12 +150,12 @@ impl Transforms {
                 *position = applied.transform_point3(*position);
             }
             self.warnings.push(format!(
-                "{}: the points lie in the frame before applied_transform, and were moved",
+                "{}: the points lie in the frame before {APPLIED}, and were moved",
                 path.display()
             ));
         } else if as_stored < moved + moved / 2 {
             self.warnings.push(format!(
-                "{}: the cameras see as many points before applied_transform as after it: the points stay where they are",
+                "{}: the cameras see as many points before {APPLIED} as after it: the points stay where they are",
                 path.display()
             ));
         }
@@ -192,28 +193,29 @@ fn has_decimal_comma(text: &str, error: &serde_json::Error) -> bool {
     number.is_some_and(|at| at + 1 < before.len() && before[..at].last().is_some_and(u8::is_ascii_digit))
 }
 
-/// The point cloud that a file names, or that lies next to it, and the transform that was applied to the
-/// poses.
+/// The point cloud that a file names, or that lies next to it, and the transform and scale that were applied to
+/// the poses.
 fn cloud(
     path: &Path,
     document: &Value,
     warnings: &mut Vec<String>,
 ) -> Result<Option<(PathBuf, Option<DAffine3>)>> {
-    let applied = match &document["applied_transform"] {
+    let error = |problem: &str| Error::input(path, problem, "write it again");
+    let mut applied = match &document["applied_transform"] {
         Value::Null => None,
         value => {
-            let rows = frame::matrix(value).ok_or_else(|| {
-                Error::input(
-                    path,
-                    "applied_transform is not a matrix of 3 or 4 rows of 4 numbers",
-                    "write it again",
-                )
-            })?;
+            let rows = frame::matrix(value)
+                .ok_or_else(|| error("applied_transform is not a matrix of 3 or 4 rows of 4 numbers"))?;
             let column = |c: usize| DVec3::from_array(std::array::from_fn(|r| rows[r][c]));
             let axes = DMat3::from_cols(column(0), column(1), column(2));
             Some(DAffine3::from_mat3_translation(axes, column(3)))
         }
     };
+    if !document["applied_scale"].is_null() {
+        let scale = document["applied_scale"].as_f64().filter(|scale| *scale > 0.0);
+        let scale = scale.ok_or_else(|| error("applied_scale is not a number above 0"))?;
+        applied = Some(DAffine3::from_scale(DVec3::splat(scale)) * applied.unwrap_or_default());
+    }
     let named = match &document["ply_file_path"] {
         Value::String(name) => Some(named_cloud(path, name, warnings)?),
         _ => cloud_beside(path, warnings),

@@ -174,6 +174,69 @@ fn points_in_the_older_frame_are_moved() {
     assert!(dataset.warnings[0].contains("applied_transform"), "{:?}", dataset.warnings);
 }
 
+/// The poses were multiplied by the scale after the transform.
+#[test]
+fn points_from_before_the_scale_are_moved() {
+    let folder = tempfile::tempdir().unwrap();
+    let place = |name: &str| folder.path().join(name);
+    let list = frames(folder.path(), "images", 0..6, ".png");
+    let mut document = json!({
+        "camera_angle_x": angle(), "applied_scale": 0.1, "ply_file_path": "a.ply", "frames": list,
+        "applied_transform": [[0.0, 1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, -8.0]],
+    });
+    write_json(&place("transforms.json"), &document);
+    let points = PointCloud { positions: vec![[1.0, 2.0, -8.0]; 4], colors: vec![[1; 3]; 4] };
+    ply::write_points(place("a.ply"), &points, &WorldFrame::default()).unwrap();
+    let dataset = load(folder.path(), &DatasetOptions::default());
+    assert_eq!(dataset.points.positions[0], [0.2, 0.1, 0.0]);
+    assert!(dataset.warnings[0].contains("applied_scale"), "{:?}", dataset.warnings);
+    document["applied_scale"] = json!("0.1");
+    write_json(&place("transforms.json"), &document);
+    assert!(refusal(folder.path()).contains("applied_scale is not a number above 0"));
+}
+
+/// Keys of a lens that have no effect here are named unless they are 0.
+#[test]
+fn lens_keys_that_are_not_used_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let warnings = |keys: Value, of_frame: Value| {
+        let mut list = frames(folder.path(), "images", 0..3, ".png");
+        list[1].as_object_mut().unwrap().extend(of_frame.as_object().unwrap().clone());
+        let mut document = json!({ "fl_x": 21.0, "w": 20, "h": 12, "frames": list });
+        document.as_object_mut().unwrap().extend(keys.as_object().unwrap().clone());
+        write_json(&folder.path().join("transforms.json"), &document);
+        let mut lines = load(folder.path(), &DatasetOptions::default()).warnings;
+        lines.retain(|line| line.contains("lens"));
+        lines
+    };
+    let none =
+        json!({ "b1": 0, "b2": 0.0, "distortion_params": [0, 0, 0, 0, 0, 0], "distortion": [0, 0], "k1": 0 });
+    assert_eq!(warnings(none, json!({})), [""; 0]);
+    let lines =
+        warnings(json!({ "b1": 2, "ftheta_p0": 0.1, "distortion": { "k1": 1 } }), json!({ "k6": 0.1 }));
+    assert!(lines.len() == 1 && lines[0].contains("b1, distortion, ftheta_p0, k6 are"), "{lines:?}");
+    let lines = warnings(json!({ "distortion_params": [0.1, 0.2] }), json!({}));
+    assert!(lines.len() == 1 && lines[0].contains("distortion_params is"), "{lines:?}");
+    let lines = warnings(json!({ "camera_model": "OPENCV_FISHEYE", "k1": 0.01, "p2": 0.01 }), json!({}));
+    assert!(lines.len() == 1 && lines[0].contains(": p2 is"), "{lines:?}");
+}
+
+/// The list of nerfstudio has the meaning of the keys k1, k2, k3, k4, p1 and p2.
+#[test]
+fn distortion_params_are_used() {
+    let folder = tempfile::tempdir().unwrap();
+    let sizes = |keys: Value| {
+        let mut document =
+            json!({ "fl_x": 21.0, "w": 20, "h": 12, "frames": frames(folder.path(), "images", 0..2, "") });
+        document.as_object_mut().unwrap().extend(keys.as_object().unwrap().clone());
+        write_json(&folder.path().join("transforms.json"), &document);
+        let dataset = load(folder.path(), &DatasetOptions::default());
+        dataset.train.iter().map(|view| (view.camera, view.photo.clone())).collect::<Vec<_>>()
+    };
+    let by_list = sizes(json!({ "distortion_params": [-0.2, 0, 0, 0, 0.01, 0] }));
+    assert!(by_list == sizes(json!({ "k1": -0.2, "p1": 0.01 })) && by_list[0].0.width < 20);
+}
+
 /// Where no placement is better, the points stay, with a line.
 #[test]
 fn points_that_fit_either_frame_are_told() {
@@ -188,7 +251,7 @@ fn points_that_fit_either_frame_are_told() {
     ply::write_points(folder.path().join("a.ply"), &points, &WorldFrame::default()).unwrap();
     let dataset = load(folder.path(), &DatasetOptions::default());
     assert_eq!(dataset.points, points);
-    let said = ["\"/home/me/data/a.ply\" is not there", "before applied_transform as after it"];
+    let said = ["\"/home/me/data/a.ply\" is not there", "as many points before applied_transform"];
     assert!(
         said.iter().all(|words| dataset.warnings.iter().any(|w| w.contains(words))),
         "{:?}",

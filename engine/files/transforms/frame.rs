@@ -1,6 +1,7 @@
 //! One frame of a `transforms.json`.
 
 use std::cell::RefCell;
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use glam::{DMat3, DVec3, dvec2};
@@ -111,11 +112,20 @@ pub(super) fn read_all(
     let split = Split::of(path, document)?;
     let mut warnings = Vec::new();
     let (mut count, mut elsewhere, mut unused) = (0, 0, 0);
+    let mut lens_keys = BTreeSet::new();
+    unused_lens_keys(document, &mut lens_keys);
     json::each_frame(path, text, &mut |value| {
         let reader = Reader { path, index: count, frame: &value, document, finder: &finder };
         count += 1;
         let (mut frame, led_out) = reader.read()?;
         elsewhere += usize::from(led_out);
+        unused_lens_keys(&value, &mut lens_keys);
+        if matches!(frame.optics.distortion, Distortion::Fisheye { .. }) {
+            let (_, p) = reader.coefficients()?;
+            lens_keys.extend(
+                ["p1", "p2"].into_iter().zip(p).filter(|(_, p)| *p != 0.0).map(|(key, _)| key.into()),
+            );
+        }
         match split.part_of(value["file_path"].as_str().unwrap_or_default(), &frame.name) {
             Part::None => unused += 1,
             part => {
@@ -133,6 +143,16 @@ pub(super) fn read_all(
             count
         ));
     }
+    if !lens_keys.is_empty() {
+        warnings.push(format!(
+            "{}: {} of the lens not used, and the photos are taken as if it were 0: undistort them first if they show it",
+            path.display(),
+            match Vec::from_iter(lens_keys).as_slice() {
+                [key] => format!("{key} is"),
+                keys => format!("{} are", keys.join(", ")),
+            }
+        ));
+    }
     if unused > 0 {
         warnings.push(format!(
             "{}: {unused} of {} frames are in none of the lists {} and are not used",
@@ -142,6 +162,52 @@ pub(super) fn read_all(
         ));
     }
     Ok(warnings)
+}
+
+/// Adds the keys of a lens that other programs use, and that have an effect there.
+fn unused_lens_keys(holder: &Value, keys: &mut BTreeSet<String>) {
+    /// Skew and affinity of Metashape, further coefficients of OpenCV, and keys of nerfstudio and instant-ngp.
+    const KEYS: [&str; 17] = [
+        "b1",
+        "b2",
+        "k5",
+        "k6",
+        "p3",
+        "p4",
+        "s1",
+        "s2",
+        "s3",
+        "s4",
+        "skew",
+        "sk_x",
+        "sk_y",
+        "distortion",
+        DISTORTION_PARAMS,
+        "fisheye_crop_radius",
+        "rolling_shutter",
+    ];
+    fn is_set(value: &Value) -> bool {
+        match value {
+            Value::Number(number) => number.as_f64() != Some(0.0),
+            Value::Array(values) => values.iter().any(is_set),
+            Value::Object(_) => true,
+            _ => false,
+        }
+    }
+    let is_used = |key: &str, value: &Value| key == DISTORTION_PARAMS && numbers_of(value).is_some();
+    let all = holder.as_object().into_iter().flatten();
+    let unused = all.filter(|(key, value)| {
+        (KEYS.contains(&key.as_str()) || key.starts_with("ftheta_")) && is_set(value) && !is_used(key, value)
+    });
+    keys.extend(unused.map(|(key, _)| key.clone()));
+}
+
+/// The list of nerfstudio for k1, k2, k3, k4, p1 and p2, which comes before these keys.
+const DISTORTION_PARAMS: &str = "distortion_params";
+
+fn numbers_of(params: &Value) -> Option<[f64; 6]> {
+    let numbers: Option<Vec<f64>> = params.as_array()?.iter().map(Value::as_f64).collect();
+    numbers?.try_into().ok()
 }
 
 struct Reader<'a> {
@@ -319,12 +385,21 @@ impl Reader<'_> {
         }
     }
 
-    fn distortion(&self) -> Result<Distortion> {
+    /// The coefficients k1 to k4, p1 and p2.
+    fn coefficients(&self) -> Result<([f64; 4], [f64; 2])> {
+        let lists = [&self.frame[DISTORTION_PARAMS], &self.document[DISTORTION_PARAMS]];
+        if let Some([k1, k2, k3, k4, p1, p2]) = lists.into_iter().find_map(numbers_of) {
+            return Ok(([k1, k2, k3, k4], [p1, p2]));
+        }
         let mut k = [0.0; 4];
         for (k, key) in k.iter_mut().zip(["k1", "k2", "k3", "k4"]) {
             *k = self.number(key)?.unwrap_or(0.0);
         }
-        let p = [self.number("p1")?.unwrap_or(0.0), self.number("p2")?.unwrap_or(0.0)];
+        Ok((k, [self.number("p1")?.unwrap_or(0.0), self.number("p2")?.unwrap_or(0.0)]))
+    }
+
+    fn distortion(&self) -> Result<Distortion> {
+        let (k, p) = self.coefficients()?;
         let model =
             [&self.frame["camera_model"], &self.document["camera_model"]].into_iter().find_map(Value::as_str);
         let fisheye = self.frame["is_fisheye"] == true || self.document["is_fisheye"] == true;
