@@ -11,6 +11,7 @@ mod mask;
 mod own_frame;
 mod photo_folder;
 mod photo_sizes;
+mod photo_use;
 mod plan;
 mod planned_view;
 mod scaling;
@@ -37,7 +38,7 @@ use ashsplat::scene::{Camera, Gaussians, PointCloud, WorldFrame};
 
 pub use gallery::Gallery;
 pub use inspect::DatasetReport;
-use planned_view::PlannedView;
+use photo_use::PhotoUse;
 use unpacked::Unpacked;
 
 /// How to load a data set.
@@ -234,7 +235,9 @@ impl Dataset {
             .enumerate()
             .map(|(index, ((planned, &held_out), map))| {
                 progress.check()?;
-                let mut view = planned.load(options)?;
+                let read = planned.read_photo(options)?;
+                let photo_use = PhotoUse::of(&read);
+                let mut view = planned.view_of(read)?;
                 let map_of = |view: &View| map.as_ref().map(|map| map.load(view, options)).transpose();
                 let track = gallery.tracks.get(index).and_then(Option::as_ref);
                 let points_of =
@@ -252,20 +255,21 @@ impl Dataset {
                 }
                 let view = stored(view)?;
                 progress.step(done.fetch_add(1, Ordering::Relaxed) + 1, total);
-                Ok((view, half))
+                Ok((view, half, photo_use))
             })
             .collect::<Result<Vec<_>>>()?;
         Ok(Self::assemble(gallery, views, warnings))
     }
 
     /// `views`: each with the half that is trained on, if it is held out.
-    fn assemble(gallery: &Gallery, views: Vec<(View, Option<View>)>, mut warnings: Vec<String>) -> Self {
-        let by_alpha = |((view, _), planned): &(&(View, _), &PlannedView)| {
-            view.photo.is_masked() && planned.is_masked_by_alpha()
-        };
-        let notes = alpha_note(views.iter().zip(&gallery.views).filter(by_alpha).count());
-        let (mut train, mut test) = (Vec::new(), Vec::new());
-        for ((view, half), held_out) in views.into_iter().zip(&gallery.held_out) {
+    fn assemble(
+        gallery: &Gallery,
+        views: Vec<(View, Option<View>, PhotoUse)>,
+        mut warnings: Vec<String>,
+    ) -> Self {
+        let (mut train, mut test, mut uses) = (Vec::new(), Vec::new(), Vec::new());
+        for ((view, half, photo_use), held_out) in views.into_iter().zip(&gallery.held_out) {
+            uses.push(photo_use);
             if *held_out {
                 test.push(view)
             } else {
@@ -273,6 +277,8 @@ impl Dataset {
             }
             train.extend(half);
         }
+        let (notes, hidden) = photo_use::lines(gallery.views.iter().zip(uses));
+        warnings.extend(hidden);
         let mut extent = gallery.scene_extent();
         if extent == 0.0 {
             warnings.push("all training cameras are at one place; the scene extent is taken as 1".into());
@@ -290,7 +296,7 @@ impl Dataset {
             };
             warnings.push(random_points_instead() + guessed);
         }
-        let (source, notes) = (gallery.source.clone(), notes.into_iter().collect());
+        let source = gallery.source.clone();
         Self { frame: gallery.frame, train, test, points, scene_extent: extent, source, warnings, notes }
     }
 
@@ -412,17 +418,6 @@ fn beyond_memory(needed: u64, options: &DatasetOptions) -> Option<PhotoMemory> {
 /// Whether the data read from a model folder or a file with cameras may have no points.
 fn may_lack_points(source: &Path) -> bool {
     source.extension().is_some_and(|ending| ending == "json")
-}
-
-/// The line about photos whose transparency is taken as their mask.
-fn alpha_note(photos: usize) -> Option<String> {
-    let line = || {
-        format!(
-            "the alpha channel of {photos} photos is taken as their mask: what is transparent there does not count (with a \
-             transforms.json it shows the background)"
-        )
-    };
-    (photos > 0).then(line)
 }
 
 /// With fewer points in the photographs random ones are the better start.

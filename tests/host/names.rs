@@ -168,6 +168,77 @@ fn converted_photos_are_found() {
     assert_eq!(dataset.train[1].name, "b.TIFF");
 }
 
+/// A mask of the left half.
+fn half_mask(path: &Path) {
+    std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+    image::GrayImage::from_fn(20, 12, |x, _| image::Luma([if x < 10 { 255 } else { 0 }])).save(path).unwrap();
+}
+
+/// Photos of which nothing counts, and folders of masks that are not used, are told: when training and by `info`.
+#[test]
+fn masks_that_hide_everything_are_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let place = |name: &str| folder.path().join(name);
+    let warnings = || {
+        let report = Dataset::inspect(folder.path(), &DatasetOptions::default(), Progress::NONE);
+        let warnings = load(folder.path(), "images").unwrap().warnings;
+        assert_eq!(warnings, report.warnings);
+        warnings
+    };
+    model(folder.path(), &["a.png", "b.png"]);
+    ["images/a.png", "images/b.png"].iter().for_each(|name| photo(&place(name), 9));
+    half_mask(&place("masks/a.png"));
+    half_mask(&place("masks/b.png"));
+    assert_eq!(warnings(), [""; 0]);
+    photo(&place("masks/b.png"), 0);
+    let lines = warnings();
+    assert!(lines.len() == 1 && lines[0].starts_with("1 of 2 photos, b.png for example"), "{lines:?}");
+    photo(&place("masks/a.png"), 0);
+    let lines = warnings();
+    assert!(lines.len() == 1 && lines[0].starts_with("2 of 2 photos, a.png for example"), "{lines:?}");
+    half_mask(&place("masks/a.png"));
+    half_mask(&place("masks/b.png"));
+    half_mask(&place("masks_2/b.png"));
+    half_mask(&place("dynamic_masks/a.png"));
+    half_mask(&place("sky_masks/a.png"));
+    let lines = warnings();
+    assert!(lines.len() == 2 && lines[0].contains("dynamic_masks: its 1 pictures are not used"), "{lines:?}");
+    assert!(lines[1].contains("sky_masks: its 1 pictures are not used"), "{lines:?}");
+}
+
+/// A photo with a mask file and an alpha channel: one line says which of them hides.
+#[test]
+fn alpha_beside_a_mask_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let place = |name: &str| folder.path().join(name);
+    let notes = || {
+        let report = Dataset::inspect(folder.path(), &DatasetOptions::default(), Progress::NONE);
+        let mut lines = load(folder.path(), "images").unwrap().notes;
+        lines.retain(|line| line.contains("alpha"));
+        assert!(lines.iter().all(|line| report.notes.contains(line)), "{lines:?} {report}");
+        lines
+    };
+    model(folder.path(), &["a.png"]);
+    half_mask(&place("masks/a.png"));
+    std::fs::create_dir_all(place("images")).unwrap();
+    let transparent_below = |row: u32| {
+        let alpha = |y| image::Rgba([9, 9, 9, if y < row { 255 } else { 0 }]);
+        image::RgbaImage::from_fn(20, 12, |_, y| alpha(y)).save(place("images/a.png")).unwrap();
+    };
+    transparent_below(12);
+    assert_eq!(notes(), [""; 0]);
+    transparent_below(6);
+    assert_eq!(notes(), ["1 photos have a mask and an alpha channel: what either hides does not count"]);
+    let counting = load(folder.path(), "images").unwrap().train[0].photo.mask().unwrap().unwrap();
+    assert_eq!(counting.iter().filter(|&&value| value > 0).count(), 60);
+    std::fs::remove_dir_all(place("sparse")).unwrap();
+    let frame = serde_json::json!({ "file_path": "images/a.png", "transform_matrix": pose(0) });
+    let document = serde_json::json!({ "camera_angle_x": 1.0, "frames": [frame] });
+    std::fs::write(place("transforms.json"), document.to_string()).unwrap();
+    let lines = notes();
+    assert!(lines.len() == 1 && lines[0].contains("what is transparent shows the background"), "{lines:?}");
+}
+
 /// Masks under the names of other programs are read, counted, and not taken for photos; others are told.
 #[test]
 fn masks_of_other_programs_are_found() {
@@ -190,7 +261,7 @@ fn masks_of_other_programs_are_found() {
         model(folder.path(), &["a.jpg", "b.png"]);
         photo(&place(folder.path(), "images/a.jpg"), 1);
         photo(&place(folder.path(), "images/b.png"), 2);
-        photo(&place(folder.path(), name), 0);
+        half_mask(&place(folder.path(), name));
         let dataset = load(folder.path(), "images").unwrap();
         let masked: Vec<bool> = dataset.train.iter().map(|view| view.photo.is_masked()).collect();
         assert_eq!((masked, dataset.warnings.len()), (vec![true, false], 0), "{name} {:?}", dataset.warnings);

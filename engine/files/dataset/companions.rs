@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use super::DatasetOptions;
 use super::depths::map_of;
-use super::mask::{folders_of_masks, mask_of};
+use super::mask::{folders_of_masks, mask_of, unused_folders};
 use super::plan::Plan;
 use crate::names::{Finder, is_companion, pictures_below};
 use ashsplat::Error;
@@ -60,6 +60,15 @@ impl Plan {
         }
         let used: HashSet<&Path> = photos.keys().chain(masks.keys()).map(PathBuf::as_path).collect();
         self.tell_of_masks(&images, &folders, &used);
+        for folder in unused_folders(dataset) {
+            let pictures = pictures_below(&folder).len();
+            if pictures > 0 && !used.iter().any(|file| file.starts_with(&folder)) {
+                self.warnings.push(format!(
+                    "{}: its {pictures} pictures are not used; masks that are to count lie in masks/, white where pixels count",
+                    folder.display()
+                ));
+            }
+        }
         if options.depths.is_none() {
             self.tell_of_depths(dataset, &names, &mut finder);
         }

@@ -8,9 +8,10 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use rayon::prelude::*;
 
 use super::plan::{Plan, check_split};
+use super::photo_use::{self, PhotoUse};
 use super::planned_view::PlannedView;
 use super::unpacked::Unpacked;
-use super::{DatasetOptions, alpha_note, may_lack_points, random_points_instead};
+use super::{DatasetOptions, may_lack_points, random_points_instead};
 use crate::progress::Progress;
 use crate::{colmap, cost};
 use ashsplat::scene::{Bounds, WorldFrame, scene_extent};
@@ -146,16 +147,24 @@ impl DatasetReport {
         named: &dyn Fn(Error) -> String,
     ) {
         let done = AtomicUsize::new(0);
-        let check = |(view, _): &(PlannedView, bool)| -> Result<bool> {
+        let check = |(view, _): &(PlannedView, bool)| -> Result<PhotoUse> {
             progress.check()?;
             let result = view.read_photo(options);
             progress.step(done.fetch_add(1, Ordering::Relaxed) + 1, views.len());
-            Ok(result?.mask.is_some_and(|mask| mask.hides()) && view.is_masked_by_alpha())
+            result.map(|photo| PhotoUse::of(&photo))
         };
         let results: Vec<_> = views.par_iter().map(check).collect();
         self.sound_photos = results.iter().filter(|result| result.is_ok()).count();
-        self.notes.extend(alpha_note(results.iter().flatten().filter(|&&by_alpha| by_alpha).count()));
-        results.into_iter().filter_map(Result::err).for_each(|e| self.problem(named(e)));
+        let mut uses = Vec::new();
+        for ((view, _), result) in views.iter().zip(results) {
+            match result {
+                Ok(photo) => uses.push((view, photo)),
+                Err(e) => self.problem(named(e)),
+            }
+        }
+        let (notes, hidden) = photo_use::lines(uses.into_iter());
+        self.notes.extend(notes);
+        self.warnings.extend(hidden);
     }
 }
 

@@ -131,6 +131,11 @@ impl Mask {
         self.hides().then(|| self.values.iter().map(value_of).collect())
     }
 
+    /// True if no pixel counts.
+    pub(super) fn hides_all(&self) -> bool {
+        self.values.iter().all(|&value| value < COUNTS)
+    }
+
     /// True if some pixels do not count.
     pub(super) fn hides(&self) -> bool {
         self.values.iter().any(|&value| value < COUNTS)
@@ -175,6 +180,24 @@ pub(super) fn folders_of_masks(dataset: &Path, images: &str, finder: &mut Finder
     }
     let mut known = std::collections::HashSet::new();
     folders.retain(|folder| known.insert(folder.clone()));
+    folders
+}
+
+/// Folders of a data set that are named as masks, but are not used: `sky_masks`, which other programs combine with others.
+pub(super) fn unused_folders(dataset: &Path) -> Vec<PathBuf> {
+    let is_known = |name: &str| {
+        let stem = name.trim_end_matches(|c: char| c.is_ascii_digit()).trim_end_matches('_');
+        FOLDERS.contains(&stem)
+    };
+    let entries = std::fs::read_dir(dataset).into_iter().flatten().flatten();
+    let mut folders: Vec<PathBuf> = entries
+        .filter(|entry| {
+            let name = entry.file_name().to_string_lossy().to_lowercase();
+            name.contains("mask") && !is_known(&name) && !name.starts_with('.') && entry.path().is_dir()
+        })
+        .map(|entry| entry.path())
+        .collect();
+    folders.sort_unstable();
     folders
 }
 

@@ -50,6 +50,8 @@ pub(super) struct ReadPhoto {
     opacity: Option<Photo>,
     /// Its mask at the file's size.
     pub(super) mask: Option<Mask>,
+    /// Whether its alpha channel has transparent pixels.
+    pub(super) is_transparent: bool,
     /// Its camera at the file's size.
     camera: Camera,
 }
@@ -142,8 +144,9 @@ impl PlannedView {
         };
         let Decoded { mut photo, alpha, lease, .. } = read_as(&self.photo_path, &request)?;
         let mut opacity = alpha.as_ref().filter(|_| keeps_opacity).map(|alpha| grey(own, alpha));
-        let alpha = alpha.filter(|_| self.alpha_is_mask).map(|alpha| Mask::of_alpha(own.0, own.1, alpha));
-        let mut mask = Mask::of_both(mask, alpha);
+        let alpha = alpha.map(|alpha| Mask::of_alpha(own.0, own.1, alpha));
+        let is_transparent = alpha.as_ref().is_some_and(Mask::hides);
+        let mut mask = Mask::of_both(mask, alpha.filter(|_| self.alpha_is_mask));
         if lens.is_distorted() {
             mask = mask.map(|mask| mask.undistorted(&lens, &pinhole));
             opacity = opacity.map(|opacity| undistort(&opacity, &lens, &pinhole));
@@ -151,12 +154,7 @@ impl PlannedView {
         }
         let opacity = opacity.map(|opacity| opacity.scaled_to(scaled.0, scaled.1)).transpose()?;
         drop(lease);
-        Ok(ReadPhoto { photo, opacity, mask, camera: self.posed(pinhole) })
-    }
-
-    /// True if the photo's masked pixels come from its own transparency.
-    pub(super) fn is_masked_by_alpha(&self) -> bool {
-        self.alpha_is_mask && self.mask_path.is_none() && self.coarse_mask.is_none()
+        Ok(ReadPhoto { photo, opacity, mask, is_transparent, camera: self.posed(pinhole) })
     }
 
     /// The size at which the photo is used, before it is read: that of its part, if a part is used.
@@ -197,7 +195,12 @@ impl PlannedView {
     }
 
     pub(super) fn load(&self, options: &DatasetOptions) -> Result<View> {
-        let ReadPhoto { mut photo, mut opacity, mask, camera: original_camera } = self.read_photo(options)?;
+        self.view_of(self.read_photo(options)?)
+    }
+
+    /// The view of its photo.
+    pub(super) fn view_of(&self, read: ReadPhoto) -> Result<View> {
+        let ReadPhoto { mut photo, mut opacity, mask, camera: original_camera, .. } = read;
         let (width, height) = (photo.width, photo.height);
         let coarse = self.coarse_mask.as_ref().map(|mask| mask.stretched_to(width, height));
         let mut mask = Mask::of_both(mask.map(|mask| mask.scaled_to(width, height)), coarse);

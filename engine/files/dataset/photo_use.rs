@@ -1,0 +1,68 @@
+//! Lines about what masks and alpha channels hide of photos.
+
+use super::mask::Mask;
+use super::planned_view::{PlannedView, ReadPhoto};
+
+/// What is said of a photo that has been read.
+pub(super) struct PhotoUse {
+    /// Whether none of its pixels counts.
+    is_hidden: bool,
+    is_transparent: bool,
+}
+
+impl PhotoUse {
+    pub(super) fn of(photo: &ReadPhoto) -> Self {
+        let is_hidden = photo.mask.as_ref().is_some_and(Mask::hides_all);
+        Self { is_hidden, is_transparent: photo.is_transparent }
+    }
+}
+
+/// The notes and the warning about photos.
+pub(super) fn lines<'v>(
+    photos: impl Iterator<Item = (&'v PlannedView, PhotoUse)>,
+) -> (Vec<String>, Option<String>) {
+    let (mut all, mut by_alpha, mut by_both, mut beside_mask) = (0, 0, 0, 0);
+    let mut hidden: Vec<&PlannedView> = Vec::new();
+    for (view, photo) in photos {
+        all += 1;
+        if photo.is_hidden {
+            hidden.push(view);
+        }
+        // A block's own mask says nothing about the photo.
+        if photo.is_transparent && view.coarse_mask.is_none() {
+            *match (view.mask_path.is_some(), view.alpha_is_mask) {
+                (true, true) => &mut by_both,
+                (true, false) => &mut beside_mask,
+                (false, true) => &mut by_alpha,
+                (false, false) => continue,
+            } += 1;
+        }
+    }
+    let notes = [
+        (
+            by_alpha,
+            "the alpha channel of {} photos is taken as their mask: what is transparent there does not count (with a \
+             transforms.json it shows the background)",
+        ),
+        (
+            by_both,
+            "{} photos have a mask and an alpha channel: what either hides does not count",
+        ),
+        (
+            beside_mask,
+            "{} photos have a mask and an alpha channel: the mask says what counts, and what is transparent shows the \
+             background",
+        ),
+    ];
+    let notes = notes.into_iter().filter(|(count, _)| *count > 0);
+    let notes = notes.map(|(count, line)| line.replace("{}", &count.to_string())).collect();
+    let warning = hidden.first().map(|view| {
+        format!(
+            "{} of {all} photos, {} for example, are hidden as a whole by their mask or alpha channel and teach nothing; pixels \
+             count where a mask is white: is it inverted?",
+            hidden.len(),
+            view.name
+        )
+    });
+    (notes, warning)
+}
