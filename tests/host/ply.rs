@@ -305,6 +305,26 @@ fn points_round_trip_and_are_no_gaussians() {
     assert_eq!(read(), PointCloud { positions: vec![[1.0, 2.0, 3.0]], colors: vec![[255; 3]] });
 }
 
+/// Points without a place are left out; a file without any other is refused, as is one with a byte-order mark.
+#[test]
+fn points_without_a_place_are_left_out() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.ply");
+    let write = |mark: &str, rows: &str| {
+        let columns = "property float x\nproperty float y\nproperty float z\nproperty uchar red\nproperty uchar green\nproperty uchar blue";
+        let head = format!("ply\nformat ascii 1.0\nelement vertex 2\n{columns}\nend_header");
+        std::fs::write(&path, format!("{mark}{head}\n{rows}")).unwrap();
+    };
+    write("", "nan 0 0 1 2 3\n4 5 6 7 8 9\n");
+    let points = ply::read_points(&path).unwrap().in_frame(&WorldFrame::default());
+    assert_eq!(points, PointCloud { positions: vec![[4.0, 5.0, 6.0]], colors: vec![[7, 8, 9]] });
+    write("", "nan 0 0 1 2 3\n4 5 inf 7 8 9\n");
+    let refusal = || ply::read_points(&path).unwrap_err().to_string();
+    assert!(refusal().contains("none of its 2 points has a finite position"), "{}", refusal());
+    write("\u{feff}", "1 2 3 1 2 3\n4 5 6 7 8 9\n");
+    assert!(refusal().contains("begins with a byte-order mark"), "{}", refusal());
+}
+
 #[test]
 fn points_have_the_colours_that_their_file_means() {
     let folder = tempfile::tempdir().unwrap();

@@ -260,6 +260,31 @@ fn points_that_fit_either_frame_are_told() {
     assert_eq!(dataset.warnings.len(), 2);
 }
 
+/// Points without a place, and files of points that are not read, are told.
+#[test]
+fn points_that_cannot_be_used_are_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let place = |name: &str| folder.path().join(name);
+    let document = json!({ "camera_angle_x": angle(), "frames": frames(folder.path(), "images", 0..3, "") });
+    write_json(&place("transforms.json"), &document);
+    let warnings = |said: &str| {
+        let mut lines = load(folder.path(), &DatasetOptions::default()).warnings;
+        lines.retain(|line| line.contains(said));
+        lines
+    };
+    for name in ["points.las", "Scan.LAZ", "a.e57", "b.pts", "c.xyz"] {
+        std::fs::write(place(name), "").unwrap();
+        let lines = warnings("its points are not used");
+        assert!(lines.len() == 1 && lines[0].contains(name) && lines[0].contains("points3d.ply"), "{lines:?}");
+        std::fs::remove_file(place(name)).unwrap();
+    }
+    std::fs::write(place("points.las"), "").unwrap();
+    let points = PointCloud { positions: vec![[0.0; 3], [f32::NAN; 3], [0.0; 3]], colors: vec![[9; 3]; 3] };
+    ply::write_points(place("points3d.ply"), &points, &WorldFrame::default()).unwrap();
+    assert_eq!(warnings("its points are not used"), [""; 0]);
+    assert_eq!(warnings("1 of 3 points have a position that is not finite").len(), 1);
+}
+
 /// Points without a `ply_file_path` are used under the usual names, else named.
 #[test]
 fn points_beside_the_file_are_used_or_named() {

@@ -108,6 +108,28 @@ impl Plan {
         }
     }
 
+    /// Names files of points that are not read, where there are no others.
+    pub(super) fn tell_of_points(&mut self, dataset: &Path) {
+        const ENDINGS: [&str; 8] = ["las", "laz", "e57", "pts", "ptx", "xyz", "pcd", "ply"];
+        // Beside a transforms.json, any PLY is used or named already.
+        let endings = if self.source == self.list { &ENDINGS[..7] } else { &ENDINGS[..] };
+        let is_points = |path: &PathBuf| {
+            path.extension().is_some_and(|own| endings.iter().any(|ending| own.eq_ignore_ascii_case(ending)))
+        };
+        let entries = std::fs::read_dir(dataset).into_iter().flatten().flatten().map(|entry| entry.path());
+        if let Some(file) = entries.filter(is_points).min() {
+            let target = match self.source == self.list {
+                true => dataset.join("points3d.ply"),
+                false => self.source.join("points3D.ply"),
+            };
+            self.warnings.push(format!(
+                "{}: its points are not used; save them in the cameras' coordinates as {} (CloudCompare and PDAL write PLY)",
+                file.display(),
+                target.display()
+            ));
+        }
+    }
+
     /// Depth maps are used on request only.
     fn tell_of_depths(&mut self, dataset: &Path, names: &[PathBuf], finder: &mut Finder) {
         let entries = std::fs::read_dir(dataset).into_iter().flatten().flatten();

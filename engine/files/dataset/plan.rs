@@ -69,6 +69,9 @@ impl Plan {
         };
         plan.warnings.extend(photo_sizes::fit(&mut plan.views, &plan.list, options.divisor()));
         plan.find_companions(path, options);
+        if points.is_empty() {
+            plan.tell_of_points(path);
+        }
         plan.settle_frame(options.frame, points);
         plan.warn_of_strays();
         plan.warn_of_lenses();

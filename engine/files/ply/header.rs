@@ -233,6 +233,10 @@ fn check_magic(reader: &mut impl BufRead, path: &Path) -> Result<()> {
     if start.starts_with(b"ply\n") || start.starts_with(b"ply\r") || start == b"ply" {
         return Ok(());
     }
+    if start.starts_with("\u{feff}ply".as_bytes()) {
+        let remedy = "save it in UTF-8 without that mark; a binary PLY that an editor saved is lost: take the original";
+        return Err(Error::input(path, "begins with a byte-order mark, as text editors write it", remedy));
+    }
     let (problem, remedy) = sniff::recognise(start)
         .unwrap_or(("is not a PLY file (its first line is not `ply`)", "give the path of a PLY file"));
     Err(Error::input(path, problem, remedy))

@@ -239,12 +239,12 @@ const COLORS: [[&str; 3]; 4] = [
 ///
 /// # Errors
 /// [`Error::Io`] when the file cannot be read, [`Error::Input`] when it is no PLY file with points, is cut
-/// short or damaged, or has a position that is not finite.
+/// short or damaged, or has points, but none with a finite position. Others are left out.
 pub fn read_points(path: impl AsRef<Path>) -> Result<SourcePoints> {
     read_points_of(path.as_ref(), &mut Vec::new())
 }
 
-/// As [`read_points`], with warnings of points without colours and of Gaussians.
+/// As [`read_points`], with warnings of points without colours or finite positions and of Gaussians.
 pub(crate) fn read_points_of(path: &Path, warnings: &mut Vec<String>) -> Result<SourcePoints> {
     let mut file = PlyFile::open(path)?;
     let element = file.seek_element("vertex")?;
@@ -266,11 +266,12 @@ pub(crate) fn read_points_of(path: &Path, warnings: &mut Vec<String>) -> Result<
     let mut points = SourcePoints::default();
     points.positions.reserve(capacity(&element));
     let mut colors: Vec<[f32; 3]> = Vec::with_capacity(capacity(&element));
-    let mut bad = None;
-    file.for_each_row(&element, &names, |index, row| {
+    let mut dropped = 0;
+    file.for_each_row(&element, &names, |_, row| {
         let position = file_origin + DVec3::new(row[0], row[1], row[2]);
         if !position.as_vec3().is_finite() {
-            bad.get_or_insert(index);
+            dropped += 1;
+            return Ok(());
         }
         points.positions.push(position);
         colors
@@ -287,10 +288,18 @@ pub(crate) fn read_points_of(path: &Path, warnings: &mut Vec<String>) -> Result<
     };
     points.colors =
         colors.iter().map(|color| color.map(|c| byte(c).round().clamp(0.0, 255.0) as u8)).collect();
-    match bad {
-        None => Ok(points),
-        Some(index) => Err(Error::input(path, format!("vertex {index}: the position is not finite"), "")),
+    if dropped > 0 && points.is_empty() {
+        let problem = format!("none of its {dropped} points has a finite position");
+        return Err(Error::input(path, problem, "export it again"));
     }
+    if dropped > 0 {
+        warnings.push(format!(
+            "{}: {dropped} of {} points have a position that is not finite, and are left out",
+            path.display(),
+            element.count
+        ));
+    }
+    Ok(points)
 }
 
 /// Number of rows to reserve. The header's count was checked against the file's size.
