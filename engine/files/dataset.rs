@@ -277,8 +277,8 @@ impl Dataset {
             }
             train.extend(half);
         }
-        let (notes, hidden) = photo_use::lines(gallery.views.iter().zip(uses));
-        warnings.extend(hidden);
+        let (notes, doubts) = photo_use::lines(gallery.views.iter().zip(uses));
+        warnings.extend(doubts);
         let mut extent = gallery.scene_extent();
         if extent == 0.0 {
             warnings.push("all training cameras are at one place; the scene extent is taken as 1".into());

@@ -39,6 +39,8 @@ pub struct Transforms {
     pub has_split: bool,
     /// The points, if there are any.
     pub points: SourcePoints,
+    /// Number of frames that name a depth map. These are not read.
+    pub depth_maps: usize,
     /// All oddities that did not prevent reading.
     pub warnings: Vec<String>,
 }
@@ -109,6 +111,7 @@ impl Transforms {
             frames: Vec::new(),
             has_split: files.len() > 1,
             points: SourcePoints::default(),
+            depth_maps: 0,
             warnings: Vec::new(),
         };
         if let [file, ..] = files
@@ -120,7 +123,9 @@ impl Transforms {
         for (index, path) in files.iter().enumerate() {
             let (text, document) = parse(path)?;
             let before = all.frames.len();
-            all.warnings.extend(frame::read_all(path, (&text, &document), &mut all.frames)?);
+            let (warnings, depth_maps) = frame::read_all(path, (&text, &document), &mut all.frames)?;
+            all.warnings.extend(warnings);
+            all.depth_maps += depth_maps;
             all.frames[before..].iter_mut().for_each(|frame| frame.test |= index > 0);
             all.has_split |= all.frames.iter().any(|frame| frame.test);
             clouds.extend(cloud(path, &document, &mut all.warnings)?);

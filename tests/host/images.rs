@@ -60,20 +60,19 @@ fn every_colour_type_is_read() {
     }
 }
 
+/// A chunk of a PNG.
+pub(super) fn png_chunk(kind: &[u8], data: &[u8]) -> Vec<u8> {
+    let body = [kind, data].concat();
+    let crc = !body.iter().fold(!0u32, |crc, &byte| {
+        (0..8).fold(crc ^ u32::from(byte), |c, _| (c >> 1) ^ (0xedb8_8320 & 0u32.wrapping_sub(c & 1)))
+    });
+    [&(data.len() as u32).to_be_bytes(), &*body, &crc.to_be_bytes()].concat()
+}
+
 /// A PNG of 2×1 pixels with a palette and transparency.
 fn with_palette(palette: &[u8], interlaced: bool) -> Vec<u8> {
-    let crc = |bytes: &[u8]| {
-        !bytes.iter().fold(!0u32, |crc, &byte| {
-            (0..8).fold(crc ^ u32::from(byte), |c, _| (c >> 1) ^ (0xedb8_8320 & 0u32.wrapping_sub(c & 1)))
-        })
-    };
     let mut png = b"\x89PNG\r\n\x1a\n".to_vec();
-    let mut chunk = |kind: &[u8], data: &[u8]| {
-        let body = [kind, data].concat();
-        png.extend((data.len() as u32).to_be_bytes());
-        png.extend(&body);
-        png.extend(crc(&body).to_be_bytes());
-    };
+    let mut chunk = |kind: &[u8], data: &[u8]| png.extend(png_chunk(kind, data));
     chunk(b"IHDR", &[0, 0, 0, 2, 0, 0, 0, 1, 8, 3, 0, 0, u8::from(interlaced)]);
     chunk(b"PLTE", palette);
     chunk(b"tRNS", &[255, 51]);
@@ -156,10 +155,8 @@ fn sizes_that_the_file_cannot_hold_are_refused() {
         claim[16..20].copy_from_slice(&side.to_be_bytes());
         claim[20..24].copy_from_slice(&side.to_be_bytes());
         // Whether the checksum is looked at before the size does not matter here: both must be refused fast.
-        let crc = claim[12..29].iter().fold(!0u32, |crc, &byte| {
-            (0..8).fold(crc ^ u32::from(byte), |c, _| (c >> 1) ^ (0xedb8_8320 & 0u32.wrapping_sub(c & 1)))
-        });
-        claim[29..33].copy_from_slice(&(!crc).to_be_bytes());
+        let header = png_chunk(b"IHDR", &claim[16..29]);
+        claim[8..33].copy_from_slice(&header);
         std::fs::write(&path, &claim).unwrap();
         assert!(error(&path).contains(words), "{side}: {}", error(&path));
     }

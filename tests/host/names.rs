@@ -8,6 +8,8 @@ use ashsplat_files::{Dataset, DatasetOptions, Photo, PhotoFileFormat, Progress};
 use glam::Vec3;
 use serde_json::json;
 
+use super::images::png_chunk;
+
 fn photo(path: &Path, grey: u8) {
     std::fs::create_dir_all(path.parent().unwrap()).unwrap();
     Photo { width: 20, height: 12, rgb: vec![grey; 720] }.write_png(path).unwrap();
@@ -232,11 +234,81 @@ fn alpha_beside_a_mask_is_told() {
     let counting = load(folder.path(), "images").unwrap().train[0].photo.mask().unwrap().unwrap();
     assert_eq!(counting.iter().filter(|&&value| value > 0).count(), 60);
     std::fs::remove_dir_all(place("sparse")).unwrap();
-    let frame = serde_json::json!({ "file_path": "images/a.png", "transform_matrix": pose(0) });
-    let document = serde_json::json!({ "camera_angle_x": 1.0, "frames": [frame] });
+    let frame = json!({ "file_path": "images/a.png", "transform_matrix": pose(0) });
+    let document = json!({ "camera_angle_x": 1.0, "frames": [frame] });
     std::fs::write(place("transforms.json"), document.to_string()).unwrap();
     let lines = notes();
     assert!(lines.len() == 1 && lines[0].contains("what is transparent shows the background"), "{lines:?}");
+}
+
+/// A PNG of linear light says so; its values are used as others.
+#[test]
+fn png_gamma_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    model(folder.path(), &["a.png", "b.png"]);
+    photo(&folder.path().join("images/b.png"), 9);
+    let path = folder.path().join("images/a.png");
+    photo(&path, 9);
+    let png = std::fs::read(&path).unwrap();
+    let warnings = |gamma: Option<u32>, is_srgb: bool| {
+        let gamma = gamma.map(|gamma| png_chunk(b"gAMA", &gamma.to_be_bytes())).unwrap_or_default();
+        let srgb = if is_srgb { png_chunk(b"sRGB", &[0]) } else { Vec::new() };
+        // The chunks follow the first, which has the size.
+        std::fs::write(&path, [&png[..33], &gamma, &srgb, &png[33..]].concat()).unwrap();
+        let report = Dataset::inspect(folder.path(), &DatasetOptions::default(), Progress::NONE);
+        let dataset = load(folder.path(), "images").unwrap();
+        assert_eq!((greys(&dataset), &dataset.warnings), (vec![9, 9], &report.warnings));
+        dataset.warnings
+    };
+    for (gamma, is_srgb) in [(None, false), (Some(45455), false), (Some(100_000), true)] {
+        assert_eq!(warnings(gamma, is_srgb), [""; 0]);
+    }
+    let lines = warnings(Some(100_000), false);
+    assert!(
+        lines.len() == 1 && lines[0].contains("1 photos are PNGs that name a gamma of 1, a.png for example"),
+        "{lines:?}"
+    );
+}
+
+/// A photo with two poses is used twice, with a line.
+#[test]
+fn photos_with_several_poses_are_told() {
+    let folder = tempfile::tempdir().unwrap();
+    photo(&folder.path().join("images/a.png"), 5);
+    photo(&folder.path().join("images/b.png"), 6);
+    let frame = |name: &str, index| json!({ "file_path": name, "transform_matrix": pose(index) });
+    let frames = [frame("images/a.png", 0), frame("images/a.png", 1), frame("images/b.png", 2)];
+    let document = json!({ "camera_angle_x": 1.0, "frames": frames });
+    std::fs::write(folder.path().join("transforms.json"), document.to_string()).unwrap();
+    let dataset = load(folder.path(), "images").unwrap();
+    assert_eq!(greys(&dataset), [5, 5, 6]);
+    let mut lines = dataset.warnings;
+    lines.retain(|line| {
+        line.contains("1 photos have more than one pose, images/a.png for example: all are used")
+    });
+    assert_eq!(lines.len(), 1);
+}
+
+/// nerfstudio's depth maps are no inverse depths: they are named, unless others are given.
+#[test]
+fn named_depth_maps_are_told() {
+    let folder = tempfile::tempdir().unwrap();
+    photo(&folder.path().join("images/a.png"), 5);
+    let map = image::ImageBuffer::<image::Luma<u16>, _>::from_pixel(20, 12, image::Luma([2000]));
+    std::fs::create_dir_all(folder.path().join("depths")).unwrap();
+    map.save(folder.path().join("depths/a.png")).unwrap();
+    let frame = json!({ "file_path": "images/a.png", "depth_file_path": "depths/a.png", "transform_matrix": pose(0) });
+    let document = json!({ "camera_angle_x": 1.0, "frames": [frame] });
+    std::fs::write(folder.path().join("transforms.json"), document.to_string()).unwrap();
+    let depth_notes = |depths: Option<&str>| {
+        let options = DatasetOptions { depths: depths.map(Into::into), ..Default::default() };
+        let mut lines = Dataset::inspect(folder.path(), &options, Progress::NONE).notes;
+        lines.retain(|line| line.contains("depth"));
+        lines
+    };
+    let lines = depth_notes(None);
+    assert!(lines.len() == 1 && lines[0].contains("its 1 depth_file_path are not used"), "{lines:?}");
+    assert_eq!(depth_notes(Some("depths")), [""; 0]);
 }
 
 /// Masks under the names of other programs are read, counted, and not taken for photos; others are told.

@@ -275,7 +275,10 @@ fn points_that_cannot_be_used_are_told() {
     for name in ["points.las", "Scan.LAZ", "a.e57", "b.pts", "c.xyz"] {
         std::fs::write(place(name), "").unwrap();
         let lines = warnings("its points are not used");
-        assert!(lines.len() == 1 && lines[0].contains(name) && lines[0].contains("points3d.ply"), "{lines:?}");
+        assert!(
+            lines.len() == 1 && lines[0].contains(name) && lines[0].contains("points3d.ply"),
+            "{lines:?}"
+        );
         std::fs::remove_file(place(name)).unwrap();
     }
     std::fs::write(place("points.las"), "").unwrap();

@@ -132,6 +132,15 @@ impl Plan {
 
     /// Depth maps are used on request only.
     fn tell_of_depths(&mut self, dataset: &Path, names: &[PathBuf], finder: &mut Finder) {
+        if self.named_depth_maps > 0 {
+            self.notes.push(format!(
+                "{}: the depth maps of its {} depth_file_path are not used: -d reads inverse depths, 65536 / depth in 16 bits, which is \
+                 65536000 / value for maps in mm where the unit is 1 m",
+                self.list.display(),
+                self.named_depth_maps
+            ));
+            return;
+        }
         let entries = std::fs::read_dir(dataset).into_iter().flatten().flatten();
         let named = |name: &str| name.to_lowercase().contains("depth");
         let mut folders: Vec<PathBuf> = entries

@@ -7,8 +7,8 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use rayon::prelude::*;
 
-use super::plan::{Plan, check_split};
 use super::photo_use::{self, PhotoUse};
+use super::plan::{Plan, check_split};
 use super::planned_view::PlannedView;
 use super::unpacked::Unpacked;
 use super::{DatasetOptions, may_lack_points, random_points_instead};
@@ -162,9 +162,9 @@ impl DatasetReport {
                 Err(e) => self.problem(named(e)),
             }
         }
-        let (notes, hidden) = photo_use::lines(uses.into_iter());
+        let (notes, warnings) = photo_use::lines(uses.into_iter());
         self.notes.extend(notes);
-        self.warnings.extend(hidden);
+        self.warnings.extend(warnings);
     }
 }
 

@@ -8,23 +8,28 @@ pub(super) struct PhotoUse {
     /// Whether none of its pixels counts.
     is_hidden: bool,
     is_transparent: bool,
+    gamma: Option<f32>,
 }
 
 impl PhotoUse {
     pub(super) fn of(photo: &ReadPhoto) -> Self {
         let is_hidden = photo.mask.as_ref().is_some_and(Mask::hides_all);
-        Self { is_hidden, is_transparent: photo.is_transparent }
+        Self { is_hidden, is_transparent: photo.is_transparent, gamma: photo.gamma }
     }
 }
 
-/// The notes and the warning about photos.
+/// The notes and warnings about photos.
 pub(super) fn lines<'v>(
     photos: impl Iterator<Item = (&'v PlannedView, PhotoUse)>,
-) -> (Vec<String>, Option<String>) {
+) -> (Vec<String>, Vec<String>) {
+    /// Values of 1 / 2.2 and of older screens, which look as sRGB does.
+    const USUAL_GAMMA: std::ops::RangeInclusive<f32> = 0.4..=0.6;
     let (mut all, mut by_alpha, mut by_both, mut beside_mask) = (0, 0, 0, 0);
     let mut hidden: Vec<&PlannedView> = Vec::new();
+    let mut unusual: Vec<(&PlannedView, f32)> = Vec::new();
     for (view, photo) in photos {
         all += 1;
+        unusual.extend(photo.gamma.filter(|gamma| !USUAL_GAMMA.contains(gamma)).map(|gamma| (view, gamma)));
         if photo.is_hidden {
             hidden.push(view);
         }
@@ -44,10 +49,7 @@ pub(super) fn lines<'v>(
             "the alpha channel of {} photos is taken as their mask: what is transparent there does not count (with a \
              transforms.json it shows the background)",
         ),
-        (
-            by_both,
-            "{} photos have a mask and an alpha channel: what either hides does not count",
-        ),
+        (by_both, "{} photos have a mask and an alpha channel: what either hides does not count"),
         (
             beside_mask,
             "{} photos have a mask and an alpha channel: the mask says what counts, and what is transparent shows the \
@@ -56,7 +58,7 @@ pub(super) fn lines<'v>(
     ];
     let notes = notes.into_iter().filter(|(count, _)| *count > 0);
     let notes = notes.map(|(count, line)| line.replace("{}", &count.to_string())).collect();
-    let warning = hidden.first().map(|view| {
+    let hidden = hidden.first().map(|view| {
         format!(
             "{} of {all} photos, {} for example, are hidden as a whole by their mask or alpha channel and teach nothing; pixels \
              count where a mask is white: is it inverted?",
@@ -64,5 +66,13 @@ pub(super) fn lines<'v>(
             view.name
         )
     });
-    (notes, warning)
+    let unusual = unusual.first().map(|(view, gamma)| {
+        format!(
+            "{} photos are PNGs that name a gamma of {gamma}, {} for example (linear light has 1, sRGB about 0.45): their values are \
+             used as sRGB; convert them if they look too dark",
+            unusual.len(),
+            view.name
+        )
+    });
+    (notes, hidden.into_iter().chain(unusual).collect())
 }

@@ -47,6 +47,8 @@ pub(super) struct Plan {
     pub(super) warnings: Vec<String>,
     /// What is done with the photos, where that is nothing to worry about.
     pub(super) notes: Vec<String>,
+    /// Number of depth maps that a transforms.json names.
+    pub(super) named_depth_maps: usize,
     /// Which cameras have lens distortion.
     distorted: Option<String>,
 }
@@ -169,6 +171,7 @@ impl Plan {
             cameras: BTreeMap::new(),
             warnings: model.warnings.clone(),
             notes: Vec::new(),
+            named_depth_maps: 0,
             distorted: None,
         };
         let mut images: Vec<&ColmapImage> = model.images.iter().collect();
@@ -297,7 +300,7 @@ impl Plan {
     }
 
     fn of_transforms(path: &Path, transforms: Transforms, options: &DatasetOptions) -> Result<Self> {
-        let Transforms { source, mut frames, has_split, warnings, .. } = transforms;
+        let Transforms { source, mut frames, has_split, warnings, depth_maps, .. } = transforms;
         frames.sort_by(|a, b| a.name.cmp(&b.name));
         let mut plan = Self {
             list: source.clone(),
@@ -310,6 +313,7 @@ impl Plan {
             cameras: BTreeMap::new(),
             warnings,
             notes: Vec::new(),
+            named_depth_maps: depth_maps,
             distorted: None,
         };
         let mut finder = Finder::default();

@@ -52,6 +52,8 @@ pub(super) struct ReadPhoto {
     pub(super) mask: Option<Mask>,
     /// Whether its alpha channel has transparent pixels.
     pub(super) is_transparent: bool,
+    /// See [`Decoded::gamma`].
+    pub(super) gamma: Option<f32>,
     /// Its camera at the file's size.
     camera: Camera,
 }
@@ -142,7 +144,7 @@ impl PlannedView {
             besides,
             memory,
         };
-        let Decoded { mut photo, alpha, lease, .. } = read_as(&self.photo_path, &request)?;
+        let Decoded { mut photo, alpha, gamma, lease } = read_as(&self.photo_path, &request)?;
         let mut opacity = alpha.as_ref().filter(|_| keeps_opacity).map(|alpha| grey(own, alpha));
         let alpha = alpha.map(|alpha| Mask::of_alpha(own.0, own.1, alpha));
         let is_transparent = alpha.as_ref().is_some_and(Mask::hides);
@@ -154,7 +156,7 @@ impl PlannedView {
         }
         let opacity = opacity.map(|opacity| opacity.scaled_to(scaled.0, scaled.1)).transpose()?;
         drop(lease);
-        Ok(ReadPhoto { photo, opacity, mask, is_transparent, camera: self.posed(pinhole) })
+        Ok(ReadPhoto { photo, opacity, mask, is_transparent, gamma, camera: self.posed(pinhole) })
     }
 
     /// The size at which the photo is used, before it is read: that of its part, if a part is used.

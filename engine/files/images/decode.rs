@@ -116,6 +116,8 @@ pub(crate) struct Decoded {
     pub(crate) photo: Photo,
     /// The alpha channel of a picture that has one, one byte per pixel, not scaled.
     pub(crate) alpha: Option<Vec<u8>>,
+    /// The exponent of its values, if it is a PNG that names one and is not marked as sRGB. It is not applied.
+    pub(crate) gamma: Option<f32>,
     /// What it takes, while the caller works on it.
     pub(crate) lease: Lease,
 }
@@ -184,13 +186,14 @@ pub(super) fn read(path: &Path, request: &Request<'_>) -> Result<Decoded> {
     let (mut file, file_bytes) = regular_file::open(path)?;
     let mut start = Vec::new();
     file.by_ref().take(8).read_to_end(&mut start).map_err(io)?;
+    let mut gamma = None;
     if is_png(&start) {
         file.rewind().map_err(io)?;
-        png_rows::check_palette(path, &file, request.memory)?;
+        gamma = png_rows::checked_gamma(path, &file, request.memory)?;
     }
     if is_png(&start) && !(request.turned && header(path)?.has_orientation()) {
         file.rewind().map_err(io)?;
-        if let Some(decoded) = png_rows::read(path, file, request)? {
+        if let Some(decoded) = png_rows::read(path, file, (gamma, request))? {
             return Ok(decoded);
         }
     }
@@ -247,12 +250,12 @@ pub(super) fn read(path: &Path, request: &Request<'_>) -> Result<Decoded> {
     }
     if request.scaled_of(size).is_none() {
         let (rgb, alpha) = composite(image, request.background);
-        return Ok(Decoded { photo: Photo { width: size.0, height: size.1, rgb }, alpha, lease });
+        return Ok(Decoded { photo: Photo { width: size.0, height: size.1, rgb }, alpha, gamma, lease });
     }
     let mut rows = Rows::new(path, request, size, color.has_alpha())?;
     rows.push(image);
     let (photo, alpha) = rows.finish();
-    Ok(Decoded { photo, alpha, lease })
+    Ok(Decoded { photo, alpha, gamma, lease })
 }
 
 /// Refuses a picture of another size than is wanted.

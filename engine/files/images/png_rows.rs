@@ -21,12 +21,16 @@ const DECODER_BYTES: u64 = 1 << 20;
 /// Rows that the decoder holds.
 const DECODER_ROWS: u64 = 8;
 
-/// Refuses a palette of which an entry is cut, or of more entries than there may be: the decoder takes them on trust.
-pub(super) fn check_palette(path: &Path, file: &File, memory: &HostMemory) -> Result<()> {
+/// The exponent of its values, if it names one and is not marked as sRGB. Refuses a palette of which an entry is cut, or of more
+/// entries than there may be: the decoder takes them on trust.
+pub(super) fn checked_gamma(path: &Path, file: &File, memory: &HostMemory) -> Result<Option<f32>> {
     let reader = reader(file, memory).read_info().map_err(|e| damaged(path, &e))?;
     let bytes = reader.info().palette.as_ref().map_or(0, |palette| palette.len());
     match bytes.is_multiple_of(3) && bytes <= 3 * 256 {
-        true => Ok(()),
+        true => {
+            let gamma = reader.info().gama_chunk.filter(|_| reader.info().srgb.is_none());
+            Ok(gamma.map(png::ScaledFloat::into_value).filter(|gamma| *gamma > 0.0))
+        }
         false => {
             Err(damaged(path, &format!("its palette has {bytes} bytes; up to 256 entries of 3 are possible")))
         }
@@ -46,7 +50,11 @@ fn reader<R: Read + Seek>(file: R, memory: &HostMemory) -> png::Decoder<BufReade
 }
 
 /// The picture as it is wanted; none if its rows do not come in order.
-pub(super) fn read(path: &Path, file: File, request: &Request<'_>) -> Result<Option<Decoded>> {
+pub(super) fn read(
+    path: &Path,
+    file: File,
+    (gamma, request): (Option<f32>, &Request<'_>),
+) -> Result<Option<Decoded>> {
     let damaged = |e: &dyn std::fmt::Display| damaged(path, e);
     let file_bytes = file.metadata().map_err(|source| Error::io(path, "read", source))?.len();
     let mut reader = reader(file, request.memory).read_info().map_err(|e| damaged(&e))?;
@@ -76,7 +84,7 @@ pub(super) fn read(path: &Path, file: File, request: &Request<'_>) -> Result<Opt
         rows.push(row.ok_or_else(|| damaged(&"its colours are of a kind that is not read"))?);
     }
     let (photo, alpha) = rows.finish();
-    Ok(Some(Decoded { photo, alpha, lease }))
+    Ok(Some(Decoded { photo, alpha, gamma, lease }))
 }
 
 /// A row as a picture of its own.

@@ -92,12 +92,12 @@ pub(super) fn matrix(value: &Value) -> Option<[[f64; 4]; 3]> {
     rows?.get(..3)?.try_into().ok()
 }
 
-/// Appends the frames of a file. Returns the warnings.
+/// Appends the frames of a file. Returns the warnings, and the number of frames that name a depth map.
 pub(super) fn read_all(
     path: &Path,
     (text, document): (&str, &Value),
     frames: &mut Vec<Frame>,
-) -> Result<Vec<String>> {
+) -> Result<(Vec<String>, usize)> {
     let Some(list) = document["frames"].as_array() else {
         return Err(Error::input(path, "has no list `frames`", "is it a transforms.json?"));
     };
@@ -111,7 +111,7 @@ pub(super) fn read_all(
     let finder = RefCell::new(Finder::default());
     let split = Split::of(path, document)?;
     let mut warnings = Vec::new();
-    let (mut count, mut elsewhere, mut unused) = (0, 0, 0);
+    let (mut count, mut elsewhere, mut unused, mut depth_maps) = (0, 0, 0, 0);
     let mut lens_keys = BTreeSet::new();
     unused_lens_keys(document, &mut lens_keys);
     json::each_frame(path, text, &mut |value| {
@@ -120,6 +120,7 @@ pub(super) fn read_all(
         let (mut frame, led_out) = reader.read()?;
         elsewhere += usize::from(led_out);
         unused_lens_keys(&value, &mut lens_keys);
+        depth_maps += usize::from(value["depth_file_path"].is_string());
         if matches!(frame.optics.distortion, Distortion::Fisheye { .. }) {
             let (_, p) = reader.coefficients()?;
             lens_keys.extend(
@@ -161,7 +162,7 @@ pub(super) fn read_all(
             split.used_lists()
         ));
     }
-    Ok(warnings)
+    Ok((warnings, depth_maps))
 }
 
 /// Adds the keys of a lens that other programs use, and that have an effect there.
