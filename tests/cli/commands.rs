@@ -257,7 +257,7 @@ fn an_orbit_does_not_go_by_far_gaussians() {
     let lit = |far: f32| {
         let ball = |i: u32| {
             let place = vec3((i % 6) as f32, (i / 6 % 6) as f32, (i / 36) as f32) - 2.5;
-            let far = if i % 6 == 0 { far } else { 0.0 };
+            let far = if i.is_multiple_of(6) { far } else { 0.0 };
             ([place.x + far, place.y, place.z], 5.0, 0.3)
         };
         write_gaussians(&ply, &(0..216).map(ball).collect::<Vec<_>>());

@@ -842,6 +842,10 @@ extern "C" {
 // The message of this thread's last failure: one line, valid until the next.
 const char *ashsplat_last_error(void);
 
+// What the file of this thread's last ashsplat_trainer_save does not hold: one line each, an empty text where it holds all; valid
+// until the next.
+const char *ashsplat_last_loss(void);
+
 // The version of the library, "0.1.0".
 const char *ashsplat_version(void);
 
@@ -1356,7 +1360,7 @@ enum AshsplatStatus ashsplat_slot_discard(struct AshsplatRenderer *renderer, uin
 
 // Reads the Gaussians back and writes them, in the format that the name's ending says: PLY in the reference implementation's layout,
 // .compressed.ply, .splat, SPZ, or GLB. The sizes of the 3D filter are in PLY only; in other formats they are a part of scales and
-// opacities. Submits and waits.
+// opacities. ashsplat_last_loss says what the format does not hold. Submits and waits.
 //
 // # Safety
 // `trainer` is alive, `path` is a C string.

@@ -116,6 +116,7 @@ pub struct AshsplatRenderer(Renderer, Scratch, Kept);
 
 thread_local! {
     static LAST_ERROR: RefCell<CString> = RefCell::default();
+    static LAST_LOSS: RefCell<CString> = RefCell::default();
 }
 
 /// Runs a function; notes its error.
@@ -154,6 +155,13 @@ fn status_of(error: &Error) -> AshsplatStatus {
 #[unsafe(no_mangle)]
 pub extern "C" fn ashsplat_last_error() -> *const c_char {
     LAST_ERROR.with(|last| last.borrow().as_ptr())
+}
+
+/// What the file of this thread's last ashsplat_trainer_save does not hold: one line each, an empty text where it holds all; valid
+/// until the next.
+#[unsafe(no_mangle)]
+pub extern "C" fn ashsplat_last_loss() -> *const c_char {
+    LAST_LOSS.with(|last| last.borrow().as_ptr())
 }
 
 /// The version of the library, "0.1.0".

@@ -1,14 +1,17 @@
 //! What a training in C has learned: the scene, cameras, exposures and lens effects, and a checkpoint of it all.
 
 use super::structs::{check_room_of_all, write_all_if};
-use super::{AshsplatCamera, AshsplatStatus, AshsplatTrainer, borrowed, check_pointer, fill, guarded, text};
+use super::{
+    AshsplatCamera, AshsplatStatus, AshsplatTrainer, LAST_LOSS, borrowed, check_pointer, fill, guarded, text,
+};
+use ashsplat::scene::Cut;
 use ashsplat::{Error, Result};
 use ashsplat_files::{CheckpointFile, ply, splats};
-use std::ffi::c_char;
+use std::ffi::{CString, c_char};
 
 /// Reads the Gaussians back and writes them, in the format that the name's ending says: PLY in the reference implementation's layout,
 /// .compressed.ply, .splat, SPZ, or GLB. The sizes of the 3D filter are in PLY only; in other formats they are a part of scales and
-/// opacities. Submits and waits.
+/// opacities. ashsplat_last_loss says what the format does not hold. Submits and waits.
 ///
 /// # Safety
 /// `trainer` is alive, `path` is a C string.
@@ -22,12 +25,21 @@ pub unsafe extern "C" fn ashsplat_trainer_save(
         let (trainer, path) = (&borrowed(trainer, "trainer")?.0, text(path, "path")?);
         let options = splats::WriteOptions::marking(&trainer.settings().render_settings());
         let filters = trainer.filters()?;
-        match splats::Format::of_extension(path)? {
+        let losses = match splats::Format::of_extension(path)? {
             splats::Format::Ply if !filters.is_empty() => {
-                ply::write_filtered(path, &trainer.gaussians()?, &filters, &options)
+                ply::write_filtered(path, &trainer.gaussians()?, &filters, &options)?;
+                Vec::new()
             }
-            _ => splats::write(path, &trainer.baked_gaussians()?, &options).map(drop),
-        }
+            format => {
+                let gaussians = trainer.baked_gaussians()?;
+                let all = (&Cut::default(), gaussians.sh_degree);
+                splats::write(path, &gaussians, &options)?;
+                splats::cut_losses(format, &gaussians, all, &options)?
+            }
+        };
+        let losses = CString::new(losses.join("\n")).unwrap_or_default();
+        LAST_LOSS.with(|last| *last.borrow_mut() = losses);
+        Ok(())
     })
 }
 

@@ -79,6 +79,7 @@ static void learns(const AshsplatContext *context, const AshsplatTrainView *plai
     for (int i = 0; i < 2; ++i) {
         snprintf(checkpoint, sizeof checkpoint, "%s.%s", path, endings[i]);
         check(ashsplat_trainer_save(second, checkpoint), "saving");
+        EXPECT(!*ashsplat_last_loss());
         AshsplatScene *scene = NULL;
         bool antialiased = false;
         const char *warnings = NULL;
@@ -87,6 +88,9 @@ static void learns(const AshsplatContext *context, const AshsplatTrainView *plai
         EXPECT(antialiased && warnings && !*warnings);
         ashsplat_scene_free(scene);
     }
+    snprintf(checkpoint, sizeof checkpoint, "%s.filtered.splat", path);
+    check(ashsplat_trainer_save(second, checkpoint), "saving");
+    EXPECT(strstr(ashsplat_last_loss(), "cannot say that the Gaussians want antialiasing"));
     ashsplat_trainer_free(second);
     ashsplat_trainer_free(whole);
 }
