@@ -456,3 +456,47 @@ fn a_full_standard_output_is_a_failure_and_a_closed_one_is_not() {
         assert!(output.status.success() && output.stderr.is_empty(), "{arguments:?}");
     }
 }
+
+/// A report says whose kernels ran, which of them wait, and how much memory those that gather and scatter touch.
+#[test]
+fn bench_counts_waits_and_transactions() {
+    let folder = tempdir().expect("a temporary folder");
+    let path = folder.path().join("gpu.json");
+    measure("train-step", &["--backend", "gpu", "--json", text(&path)]);
+    let report = read(&path);
+    let device = &report["device"];
+    assert_eq!(device["backend"], "gpu");
+    assert!(number(&device["heavy_subgroup_size"]) >= 4.0);
+    let run = &runs(&report)[0];
+    let kernels = run["kernels"].as_array().expect("kernels");
+    for kernel in kernels {
+        assert!(number(&kernel["waits"]) <= number(&kernel["calls"]), "{kernel}");
+    }
+    let of = |scope: &str, name: &str| {
+        let found = kernels.iter().find(|kernel| kernel["scope"] == scope && kernel["kernel"] == name);
+        found.unwrap_or_else(|| panic!("no {name} in {scope}"))
+    };
+    // Each pass of a sort waits for the one before.
+    let scatter = of("depth sort", "sort/sort_downsweep");
+    assert_eq!([number(&scatter["calls"]), number(&scatter["waits"])], [4.0, 4.0]);
+    let visible = number(&run["workload"]["visible"]);
+    assert_eq!(number(&scatter["transactions"]["bytes"]), 4.0 * 8.0 * visible);
+    let gathers = [
+        ("tile sort", "sort/sort_downsweep"),
+        ("count", "forward/count"),
+        ("blend", "forward/blend"),
+        ("blend backward", "backward/blend_backward"),
+    ];
+    for (scope, name) in gathers {
+        let counted = &of(scope, name)["transactions"];
+        assert!(number(&counted["array_bytes"]) > 0.0, "{name}");
+        for segments in counted["by_lanes"].as_array().expect("sizes of subgroups") {
+            let [a, b, c] = ["of_32", "of_64", "of_128"].map(|size| number(&segments[size]));
+            assert!(
+                a >= b && b >= c && c > 0.0 && 32.0 * a >= number(&counted["bytes"]) / 4.0,
+                "{name}: {segments}"
+            );
+        }
+    }
+    assert!(of("cull", "forward/cull")["transactions"].is_null());
+}

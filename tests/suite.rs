@@ -9,7 +9,6 @@ mod averages;
 mod backends;
 mod barriers;
 mod bench;
-mod bench_model;
 mod blending_forms;
 mod blocks;
 mod budget;

@@ -1,6 +1,7 @@
 //! COLMAP models: round trips, text against binary, the choice among several, damage.
 
 use std::path::Path;
+use std::time::{Duration, SystemTime};
 
 use ashsplat::scene::{Camera, Intrinsics, PointCloud, WorldFrame};
 use ashsplat_files::colmap::{self, CameraModel, ColmapCamera, ColmapImage, Model};
@@ -127,6 +128,12 @@ fn binary_is_preferred_to_text_and_folders_without_model_are_passed_over() {
     let model = Model::of_dataset(folder.path()).unwrap();
     assert_same(&model, &all);
     assert!(model.warnings.is_empty());
+    // Edited after the conversion.
+    let images =
+        std::fs::File::options().append(true).open(folder.path().join("sparse/1/images.txt")).unwrap();
+    images.set_modified(SystemTime::now() + Duration::from_secs(9)).unwrap();
+    let model = Model::of_dataset(folder.path()).unwrap();
+    assert!(model.warnings[0].contains("images.txt is newer than images.bin, which is used"));
 }
 
 #[test]

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use ashsplat::scene::{Camera, Intrinsics, PointCloud};
+use ashsplat::scene::{Camera, Intrinsics, PointCloud, WorldFrame};
 use ashsplat_files::colmap::{self, ColmapCamera, ColmapImage};
 use ashsplat_files::{Dataset, DatasetOptions, Photo, PhotoFileFormat, Progress};
 use glam::Vec3;
@@ -446,4 +446,39 @@ fn pictures_of_other_kinds_are_named() {
         let message = Photo::read(&path, [0.0; 3]).unwrap_err().to_string();
         assert!(message.contains(words) && !message.contains('\n'), "{message}");
     }
+}
+
+/// Of several data sets in one folder one is used, and the others are named.
+#[test]
+fn other_poses_beside_those_in_use_are_told() {
+    let folder = tempfile::tempdir().unwrap();
+    photo(&folder.path().join("images/a.png"), 10);
+    let frames = json!([{ "file_path": "images/a.png", "transform_matrix": pose(0) }]);
+    let document = json!({ "fl_x": 21, "w": 20, "h": 12, "frames": frames }).to_string();
+    let said = || load(folder.path(), "images").unwrap().warnings.join("\n");
+    std::fs::write(folder.path().join("transforms.json"), &document).unwrap();
+    assert!(!said().contains("not used"), "{}", said());
+    std::fs::write(folder.path().join("transforms_train.json"), &document).unwrap();
+    assert!(said().contains("transforms_train.json: not used, because transforms.json is"), "{}", said());
+    model(folder.path(), &["a.png"]);
+    let both = "transforms.json, transforms_train.json: not used, because the COLMAP model is";
+    assert!(said().contains(both), "{}", said());
+}
+
+/// Gaussians take their size from the distance of their neighbours, which is 0 between copies.
+#[test]
+fn points_at_one_place_count_once() {
+    let folder = tempfile::tempdir().unwrap();
+    photo(&folder.path().join("images/a.png"), 10);
+    let frames = json!([{ "file_path": "images/a.png", "transform_matrix": pose(0) }]);
+    let document = json!({ "fl_x": 21, "w": 20, "h": 12, "frames": frames, "ply_file_path": "points.ply" });
+    std::fs::write(folder.path().join("transforms.json"), document.to_string()).unwrap();
+    let positions: Vec<[f32; 3]> = (0..400).map(|index| [(index / 4) as f32, 0.0, -3.0]).collect();
+    let points = PointCloud { colors: vec![[9; 3]; positions.len()], positions };
+    ashsplat_files::ply::write_points(folder.path().join("points.ply"), &points, &WorldFrame::default())
+        .unwrap();
+    let dataset = load(folder.path(), "images").unwrap();
+    assert_eq!((dataset.points.positions.len(), dataset.points.colors.len()), (100, 100));
+    let line = "300 of 400 points lie exactly where others do and are left out";
+    assert!(dataset.warnings.iter().any(|warning| warning.contains(line)), "{:?}", dataset.warnings);
 }

@@ -445,20 +445,19 @@ fn parts_that_are_missing_are_all_named() {
     }
 }
 
-/// Opacities after the sigmoid, and properties of Gaussians that move or have another shape.
+/// Opacities after the sigmoid, colours, sizes, and properties that are not read.
 #[test]
 fn what_is_taken_otherwise_than_it_may_be_meant_is_named() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("scene.ply");
-    let said = |opacities: [f64; 2], count: usize, property: &str| {
+    let said_of = |name: &str, values: [f64; 2], count: usize, property: &str| {
         let mut properties = with_colour("float", ["f_dc_0", "f_dc_1", "f_dc_2"], [0.0; 3]);
         if !property.is_empty() {
             properties.push(("float", property, 0.0));
         }
         let rows = (0..count).map(|row| {
-            let value = |(_, name, value): &(&str, &str, f64)| match *name {
-                "opacity" => opacities[row % 2].to_string(),
-                _ => value.to_string(),
+            let value = |(_, own, usual): &(&str, &str, f64)| {
+                (if own.starts_with(name) { values[row % 2] } else { *usual }).to_string()
             };
             properties.iter().map(value).collect::<Vec<_>>().join(" ") + "\n"
         });
@@ -468,6 +467,7 @@ fn what_is_taken_otherwise_than_it_may_be_meant_is_named() {
         std::fs::write(&path, header + &rows.collect::<String>()).unwrap();
         ply::read(&path, &KEEP).unwrap().warning.unwrap_or_default()
     };
+    let said = |opacities, count, property| said_of("opacity", opacities, count, property);
     assert!(said([0.1, 0.9], 20, "").contains("opacities all lie between 0 and 1, but are taken as logits"));
     for (opacities, count) in [([0.1, 0.9], 4), ([-0.1, 0.9], 20), ([0.1, 1.9], 20), ([0.4, 0.5], 20)] {
         assert_eq!(said(opacities, count, ""), "", "{opacities:?}, {count} rows");
@@ -476,9 +476,35 @@ fn what_is_taken_otherwise_than_it_may_be_meant_is_named() {
         let words = format!("property {property} is not used: Gaussians that move or have another shape");
         assert!(said([-2.0, 2.0], 9, property).contains(&words), "{property}");
     }
-    for property in ["nx", "label", "confidence"] {
-        assert_eq!(said([-2.0, 2.0], 9, property), "", "{property}");
+    assert_eq!(said([-2.0, 2.0], 9, "nx"), "");
+    assert!(said([-2.0, 2.0], 9, "nu_degree").contains("nu_degree: such properties are not used"));
+    let colors =
+        "f_dc looks like colours, but is taken as SH coefficients: if that is wrong, export raw values";
+    for (name, values, line) in [
+        ("f_dc", [0.1, 0.9], colors),
+        ("f_dc", [12.0, 240.0], colors),
+        ("scale", [0.01, 0.2], "scales look like sizes, but are taken as their logarithms"),
+    ] {
+        assert!(said_of(name, values, 20, "").contains(line), "{name} {values:?}");
     }
+    for (name, values) in
+        [("f_dc", [-0.1, 0.9]), ("f_dc", [0.5, 3.0]), ("scale", [-1.0, 2.0]), ("scale", [1.5, 6.0])]
+    {
+        assert_eq!(said_of(name, values, 20, ""), "", "{name} {values:?}");
+    }
+}
+
+#[test]
+fn bytes_behind_the_gaussians_are_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("two.ply");
+    let scene = numbered(5, 0);
+    ply::write(&path, &scene).unwrap();
+    let one = std::fs::read(&path).unwrap();
+    std::fs::write(&path, [&one[..], &one].concat()).unwrap();
+    let read = ply::read(&path, &KEEP).unwrap();
+    let line = format!("{} bytes behind the 5 Gaussians of its header are not read", one.len());
+    assert!(read.warning.unwrap().contains(&line));
 }
 
 /// Two scales: the disks of 2DGS.

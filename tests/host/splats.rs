@@ -776,6 +776,49 @@ fn gltf_places_its_gaussians_a_limited_number_of_times() {
     }
 }
 
+#[test]
+fn a_gltf_of_other_programs_is_read_as_it_says_or_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("scene.gltf");
+    let written = |change: &dyn Fn(&mut Value)| {
+        splats::write(&path, &scene(5, 0), &WriteOptions::default()).unwrap();
+        let mut document: Value = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
+        change(&mut document);
+        std::fs::write(&path, document.to_string()).unwrap();
+    };
+    let said = |change: &dyn Fn(&mut Value)| {
+        written(change);
+        splats::header(&path, &ReadOptions::default()).unwrap().warnings.join("\n")
+    };
+    let extension = |document: &mut Value, key: &str, value: &str| {
+        document["meshes"][0]["primitives"][0]["extensions"]["KHR_gaussian_splatting"][key] = value.into();
+    };
+    assert_eq!(said(&|_| {}), "");
+    let instances = said(&|document| document["extensionsRequired"] = json!(["EXT_mesh_gpu_instancing"]));
+    assert!(instances.contains("requires EXT_mesh_gpu_instancing, which is not read"), "{instances}");
+    assert!(
+        said(&|document| extension(document, "kernel", "student"))
+            .contains("\"student\" is drawn as an ellipse")
+    );
+    assert!(
+        said(&|document| extension(document, "colorSpace", "wide")).contains("\"wide\" are used as sRGB")
+    );
+
+    // Logits in place of opacities: scales are larger than 1 here.
+    written(&|document| {
+        let attributes = &document["meshes"][0]["primitives"][0]["attributes"];
+        let position = attributes["POSITION"].as_u64().unwrap() as usize;
+        let accessors = document["accessors"].as_array_mut().unwrap();
+        let mut first = accessors[position].clone();
+        first["type"] = json!("SCALAR");
+        accessors.push(first);
+        let last = accessors.len() - 1;
+        document["meshes"][0]["primitives"][0]["attributes"]["KHR_gaussian_splatting:OPACITY"] = json!(last);
+    });
+    let message = message(&path);
+    assert!(message.contains("OPACITY has values outside of 0 to 1"), "{message}");
+}
+
 /// A corner of a UTM zone. Single precision has steps of 0.5 there.
 const UTM: DVec3 = DVec3::new(500_000.3, 4_600_000.7, 120.0);
 

@@ -6,10 +6,8 @@ pub mod compiled;
 mod cpu_sorts;
 pub mod forms;
 pub mod frames;
-mod gpus;
 pub mod machine;
 pub mod measure;
-mod model;
 pub mod plot;
 mod primitives;
 mod quality;
@@ -76,8 +74,6 @@ enum What {
     Quality(quality::Arguments),
     /// How each stage grows with the Gaussians and the pixels
     Scaling(scaling::Arguments),
-    /// The least time of each kernel of a result on a GPU that is not at hand, from its data sheet: a model
-    Model(model::Arguments),
 }
 
 /// Which files, and when their difference is a failure.
@@ -120,7 +116,6 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
         What::Compare(files) => return compare_files(files),
         What::Quality(a) => quality::run(a),
         What::Scaling(sweep) => scaling::run(sweep),
-        What::Model(arguments) => model::run(arguments),
     }?;
     Ok(ExitCode::SUCCESS)
 }

@@ -2,6 +2,7 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use super::model::Model;
 use super::{binary, text};
@@ -71,6 +72,9 @@ pub fn exists(dataset: impl AsRef<Path>) -> bool {
     below.iter().chain([&sparse, &dataset.to_owned()]).any(|folder| has_model(folder))
 }
 
+/// Programs that write both forms of a model do so within this time.
+const CONVERSION: Duration = Duration::from_secs(5);
+
 /// Files of cameras that other programs write, and these programs.
 const FOREIGN_CAMERAS: [(&str, &str); 7] = [
     ("cameras.xml", "Metashape"),
@@ -135,6 +139,15 @@ fn describe(folder: PathBuf, warning: Option<String>) -> Result<ModelFolder> {
             return Err(Error::input(&folder, problem, "copy the whole model of COLMAP"));
         }
     };
+    // Programs that write one form leave the other as it was.
+    let changed =
+        |ending| fs::metadata(folder.join(format!("images.{ending}"))).and_then(|file| file.modified()).ok();
+    let unused = || {
+        let later = changed("bin").map(|time| time + CONVERSION);
+        let is_newer = !text && missing("txt").is_none() && changed("txt") > later;
+        is_newer.then(|| format!("{}: images.txt is newer than images.bin, which is used", folder.display()))
+    };
+    let warning = warning.or_else(unused);
     Ok(ModelFolder { folder, text, warning })
 }
 

@@ -57,7 +57,9 @@ impl Plan {
     /// Reads the contents of a data set. It looks for the photos, and opens those whose size is not known
     /// otherwise, but does not decode them.
     pub(super) fn of(path: &Path, options: &DatasetOptions) -> Result<Self> {
-        let (mut plan, points) = match transforms::find(path) {
+        let files = transforms::find(path);
+        let unused = transforms::unused(path, if colmap::exists(path) { None } else { files.as_deref() });
+        let (mut plan, points) = match files {
             Some(files) if !colmap::exists(path) => {
                 let mut transforms = Transforms::read(&files)?;
                 let points = std::mem::take(&mut transforms.points);
@@ -70,6 +72,7 @@ impl Plan {
             }
         };
         plan.warnings.extend(photo_sizes::fit(&mut plan.views, &plan.list, options.divisor()));
+        plan.warnings.extend(unused);
         plan.find_companions(path, options);
         if points.is_empty() {
             plan.tell_of_points(path);
@@ -89,7 +92,8 @@ impl Plan {
     }
 
     /// Chooses the frame, unless it is given, and brings views and points into it.
-    fn settle_frame(&mut self, given: Option<WorldFrame>, points: SourcePoints) {
+    fn settle_frame(&mut self, given: Option<WorldFrame>, mut points: SourcePoints) {
+        self.leave_out_copies(&mut points);
         let views: Vec<&PlannedView> = self.views.iter().flatten().collect();
         self.frame = given.unwrap_or_else(|| frame_of(&views, &points));
         if is_far(&views, &points, &self.frame) {
@@ -102,6 +106,26 @@ impl Plan {
         }
         self.views.iter_mut().flatten().for_each(|view| view.frame = self.frame);
         self.points = points.in_frame(&self.frame);
+    }
+
+    /// Leaves out points that lie exactly where others do, if they are many: Gaussians take their size from the distance of
+    /// their neighbours.
+    fn leave_out_copies(&mut self, points: &mut SourcePoints) {
+        let mut seen = HashSet::new();
+        let is_first: Vec<bool> =
+            points.positions.iter().map(|point| seen.insert(point.to_array().map(f64::to_bits))).collect();
+        let (count, copies) = (points.len(), points.len() - seen.len());
+        if copies < 100 || copies * 100 <= count {
+            return;
+        }
+        let mut keep = is_first.iter();
+        points.positions.retain(|_| keep.next() == Some(&true));
+        let mut keep = is_first.iter();
+        points.colors.retain(|_| keep.next() == Some(&true));
+        self.warnings.push(format!(
+            "{}: {copies} of {count} points lie exactly where others do and are left out",
+            self.list.display()
+        ));
     }
 
     /// Names the cameras that the scene extent leaves out, or the farthest one that decides it.

@@ -99,8 +99,14 @@ impl<'a> GaussianRows<'a> {
                 layout.white.unwrap_or_default()
             ));
         }
-        warnings.extend(unused_properties(&element));
-        warnings.extend(activated_opacities(path));
+        warnings.extend(unused_properties(&element, &layout));
+        warnings.extend(raw_values_doubtful(path, layout.rgb.is_none() && !layout.is_flat));
+        warnings.extend(file.bytes_behind(&element).map(|bytes| {
+            format!(
+                "{bytes} bytes behind the {} Gaussians of its header are not read: are two files joined?",
+                element.count
+            )
+        }));
         let is_double =
             |p: &Property| ["x", "y", "z"].contains(&p.name.as_str()) && p.kind == Kind::Scalar(Scalar::F64);
         let double_positions = element.properties.iter().any(is_double);
@@ -119,18 +125,28 @@ impl<'a> GaussianRows<'a> {
     }
 }
 
-/// Names properties of Gaussians that move or have another shape.
-fn unused_properties(element: &Element) -> Option<String> {
+/// Names properties that are not read, such as those of Gaussians that move or have another shape.
+fn unused_properties(element: &Element, layout: &Layout) -> Option<String> {
     let changes = |name: &&str| {
         ["trbf_", "motion_", "omega_", "rot_r", "quadrant_", "f_offset_", "f_anchor_"]
             .iter()
             .any(|start| name.starts_with(start))
             || ["t", "scale_t", "scale_3"].contains(name)
     };
-    let first = element.properties.iter().map(|property| property.name.as_str()).find(changes)?;
-    Some(format!(
-        "property {first} is not used: Gaussians that move or have another shape are drawn as if at rest"
-    ))
+    // Viewers of points take normals and colours that stand beside `f_dc`.
+    const FOR_POINTS: [&str; 10] = ["nx", "ny", "nz", "red", "green", "blue", "alpha", "r", "g", "b"];
+    let is_unused = |name: &&str| !FOR_POINTS.contains(name) && !layout.names.iter().any(|own| own == name);
+    let names = element.properties.iter().map(|property| property.name.as_str());
+    let unused: Vec<&str> = names.filter(is_unused).collect();
+    if let Some(first) = unused.iter().find(|name| changes(name)) {
+        return Some(format!(
+            "property {first} is not used: Gaussians that move or have another shape are drawn as if at rest"
+        ));
+    }
+    let rest = unused.len().saturating_sub(3);
+    let more = if rest > 0 { format!(" and {rest} more") } else { String::new() };
+    let named = unused.iter().take(3).copied().collect::<Vec<_>>().join(", ");
+    (!unused.is_empty()).then(|| format!("{named}{more}: such properties are not used"))
 }
 
 /// Calls `visit` with these properties of the first vertices: enough of them to judge the whole file by.
@@ -145,18 +161,39 @@ fn first_rows(path: &Path, names: &[&str], mut visit: impl FnMut(&[f64])) -> Res
     })
 }
 
-/// Names opacities that look as if the sigmoid had been applied to them already.
-fn activated_opacities(path: &Path) -> Option<String> {
-    let (mut count, mut least, mut most) = (0, f64::INFINITY, f64::NEG_INFINITY);
-    let opacity = |row: &[f64]| (count, least, most) = (count + 1, least.min(row[0]), most.max(row[0]));
+/// Names values that look as if a program had applied sigmoid, exponential or SH to them already.
+fn raw_values_doubtful(path: &Path, has_all: bool) -> Option<String> {
+    const NAMES: [&str; 7] = ["opacity", "f_dc_0", "f_dc_1", "f_dc_2", "scale_0", "scale_1", "scale_2"];
+    let names = if has_all { &NAMES[..] } else { &NAMES[..1] };
+    let groups = [0..1, 1..4, 4..7].map(|group| group.start.min(names.len())..group.end.min(names.len()));
+    let (mut count, mut ranges, mut scales) = (0_u64, [[f64::INFINITY, f64::NEG_INFINITY]; 3], 0.0);
+    let visit = |row: &[f64]| {
+        count += 1;
+        for (range, group) in ranges.iter_mut().zip(&groups) {
+            for &value in &row[group.clone()] {
+                *range = [range[0].min(value), range[1].max(value)];
+            }
+        }
+        scales += row[groups[2].clone()].iter().sum::<f64>();
+    };
     // The reader of all rows reports damaged ones.
-    first_rows(path, &["opacity"], opacity).ok()?;
-    // Logits of trained scenes go far beyond 0 and 1.
-    let is_likely = count >= 16 && least >= 0.0 && most <= 1.0 && most - least > 0.5;
-    is_likely.then(|| {
-        "opacities all lie between 0 and 1, but are taken as logits, as scales are as logarithms: if they are not, export raw values"
-            .into()
-    })
+    first_rows(path, names, visit).ok()?;
+    let [opacity, color, scale] = ranges;
+    // Logits and SH coefficients of trained scenes go far beyond 0 and 1.
+    let is_share = |[least, most]: [f64; 2]| least >= 0.0 && most <= 1.0 && most - least > 0.5;
+    let mut found = Vec::new();
+    if is_share(opacity) {
+        found.push("opacities all lie between 0 and 1, but are taken as logits");
+    }
+    if is_share(color) || color[0] >= 0.0 && color[1] > 10.0 {
+        found.push("f_dc looks like colours, but is taken as SH coefficients");
+    }
+    // Gaussians of which none is smaller than a unit, and most are hardly larger.
+    if scale[0] >= 0.0 && scale[1] > scale[0] && scales < count as f64 * 3.0 {
+        found.push("scales look like sizes, but are taken as their logarithms");
+    }
+    let is_likely = count >= 16 && !found.is_empty();
+    is_likely.then(|| format!("{}: if that is wrong, export raw values", found.join("; ")))
 }
 
 fn first_positions(path: &Path) -> Result<Vec<DVec3>> {

@@ -61,6 +61,13 @@ impl<'a> PlyFile<'a> {
         Err(Error::input(self.path, format!("has no element '{name}' (elements: {names})"), ""))
     }
 
+    /// Bytes behind the last element, if that is `element` and its rows have one size.
+    pub(crate) fn bytes_behind(&self, element: &Element) -> Option<u64> {
+        let row = element.row_bytes().filter(|_| self.header.encoding != Encoding::Ascii)?;
+        let behind = self.remaining.checked_sub(element.count.checked_mul(row as u64)?)?;
+        (behind > 0 && self.next_element == self.header.elements.len()).then_some(behind)
+    }
+
     /// Compares what the header promises with what the file can hold, before memory is reserved for it.
     fn check_size(&self, element: &Element) -> Result<()> {
         let needed = match (self.header.encoding, element.row_bytes()) {

@@ -8,7 +8,7 @@ mod document;
 mod packed;
 
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use accessor::{Accessor, Buffers};
 use document::Document;
@@ -33,6 +33,9 @@ pub(crate) const PACKED_EXTENSION: &str = "KHR_gaussian_splatting_compression_sp
 /// How close to 0 and 1 a stored opacity is taken for: the logits of these are infinite.
 const OPACITY_MARGIN: f64 = 3e-8;
 
+/// How far beyond 0 and 1 rounding may put an opacity.
+const OPACITY_SLACK: f32 = 1e-3;
+
 /// Placed primitives, at most.
 const MOST_PARTS: usize = 1 << 16;
 /// Gaussians that may lie at any number of places, however few they are in the file.
@@ -45,6 +48,7 @@ pub(super) struct Gltf {
     buffers: Buffers,
     parts: Vec<Part>,
     header: Header,
+    path: PathBuf,
 }
 
 /// One primitive at one node.
@@ -74,6 +78,9 @@ impl Gltf {
     pub(super) fn open(path: &Path, format: Format, options: &ReadOptions) -> Result<Self> {
         let (document, buffers) = Document::open(path, format, options.max_host_memory)?;
         let mut header = Header::new(format, 0, 0);
+        for name in document.unread_extensions() {
+            header.warnings.push(format!("{}: requires {name}, which is not read", path.display()));
+        }
         let mut parts = Vec::new();
         let (held, mut used) = (buffers.bytes(), 0_u64);
         let mut uses: BTreeMap<(usize, usize), u64> = BTreeMap::new();
@@ -86,10 +93,17 @@ impl Gltf {
             for &Splats { index, primitive, extension } in mesh {
                 cost::step();
                 let place = format!("mesh {mesh_index}, primitive {index}");
-                if extension.color_space.as_deref() == Some("lin_rec709_display") {
-                    let warning =
-                        format!("{}: {place}: colours are linear; they are used as they are", path.display());
-                    header.warnings.push(warning);
+                let mut warn =
+                    |what: String| header.warnings.push(format!("{}: {place}: {what}", path.display()));
+                match extension.color_space.as_deref() {
+                    None | Some("srgb_rec709_display") => {}
+                    Some("lin_rec709_display") => {
+                        warn("colours are linear; they are used as they are".into())
+                    }
+                    Some(other) => warn(format!("colours of the space {other:?} are used as sRGB")),
+                }
+                if let Some(kernel) = extension.kernel.as_deref().filter(|&kernel| kernel != "ellipse") {
+                    warn(format!("the kernel {kernel:?} is drawn as an ellipse"));
                 }
                 header.antialiased |= extension.extras.antialiased;
                 let kernel_size = extension.extras.kernel_size.map(|size| size as f32);
@@ -136,7 +150,7 @@ impl Gltf {
             return Err(Error::input(path, problem, "is it a mesh?"));
         }
         header.sh_degree = parts.iter().map(|part| part.sh_degree).max().unwrap_or(0);
-        let mut gltf = Self { buffers, parts, header };
+        let mut gltf = Self { buffers, parts, header, path: path.to_owned() };
         gltf.header.origin = gltf.origin_of_nodes();
         Ok(gltf)
     }
@@ -267,7 +281,13 @@ impl Source for Gltf {
             match &mut part.rows {
                 Rows::Plain(rows) => {
                     for start in (0..rows.count).step_by(BLOCK) {
-                        placed(rows.read(buffers, start..(start + BLOCK).min(rows.count))?)?;
+                        let block = rows.read(buffers, start..(start + BLOCK).min(rows.count))?;
+                        if block.opacity_logits.iter().any(|logit| logit.is_nan()) {
+                            let problem = format!("{EXTENSION}:OPACITY has values outside of 0 to 1");
+                            let remedy = "write opacities, not their logits, as the extension says";
+                            return Err(Error::input(&self.path, problem, remedy));
+                        }
+                        placed(block)?;
                     }
                 }
                 Rows::Packed(rows) => {
@@ -336,6 +356,9 @@ impl PlainRows {
         block.log_scales =
             triples(&scale.read(buffers, rows.clone())?).into_iter().map(|s| s.map(f32::ln)).collect();
         let logit = |opacity: f32| {
+            if !(-OPACITY_SLACK..=1.0 + OPACITY_SLACK).contains(&opacity) {
+                return f32::NAN;
+            }
             let opacity = f64::from(opacity).clamp(OPACITY_MARGIN, 1.0 - OPACITY_MARGIN);
             (opacity / (1.0 - opacity)).ln() as f32
         };

@@ -28,6 +28,7 @@ const GLB_BINARY: u32 = 0x004e_4942;
 #[serde(rename_all = "camelCase", default)]
 #[derive(Default)]
 pub(super) struct Document {
+    extensions_required: Vec<String>,
     buffers: Vec<BufferJson>,
     pub(super) buffer_views: Vec<BufferView>,
     pub(super) accessors: Vec<AccessorJson>,
@@ -92,7 +93,7 @@ pub(super) struct PrimitiveExtensions {
 #[derive(Deserialize, Default)]
 #[serde(rename_all = "camelCase", default)]
 pub(super) struct SplatsExtension {
-    pub(super) kernel: Option<IgnoredAny>,
+    pub(super) kernel: Option<String>,
     pub(super) color_space: Option<String>,
     pub(super) extras: SplatsExtras,
     /// Compressions, by their names.
@@ -175,6 +176,15 @@ impl Document {
             buffers.push(buffer);
         }
         Ok((document, Buffers(buffers)))
+    }
+
+    /// Extensions that are required and change what is drawn here.
+    pub(super) fn unread_extensions(&self) -> impl Iterator<Item = &String> {
+        let is_read = |name: &&String| {
+            [super::EXTENSION, super::PACKED_EXTENSION].contains(&name.as_str())
+                || ["KHR_materials_", "KHR_texture_"].iter().any(|start| name.starts_with(start))
+        };
+        self.extensions_required.iter().filter(move |name| !is_read(name))
     }
 
     /// The meshes of the scene, each with its place in the world.
