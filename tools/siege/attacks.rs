@@ -17,7 +17,7 @@ pub struct Attack {
 }
 
 /// In the order in which they are made.
-pub const ATTACKS: [Attack; 22] = [
+pub const ATTACKS: [Attack; 23] = [
     Attack { name: "connections that say nothing, to a training", run: connections::silent },
     Attack { name: "WebSockets whose hand-shake never ends", run: connections::unfinished },
     Attack { name: "SIBR clients that say nothing", run: connections::network_viewer },
@@ -31,6 +31,7 @@ pub const ATTACKS: [Attack; 22] = [
     Attack { name: "JSON 100,000 levels deep", run: bombs::deep_json },
     Attack { name: "JSON with lists of millions", run: bombs::wide_json },
     Attack { name: "JSON beyond --max-host-memory", run: bombs::bounded_json },
+    Attack { name: "blocks.json with other values", run: bombs::damaged_blocks },
     Attack { name: "a GLB of 60 MiB from a page", run: bombs::upload },
     Attack { name: "pipes and devices for files", run: bombs::no_files },
     Attack { name: "photos, PLY and SPZ that claim to be huge", run: bombs::claims },

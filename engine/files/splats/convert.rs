@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use super::{Format, Header, Outline, ReadOptions, Sink, open, row_bytes, write_readable};
-use crate::decimate::decimate;
+use crate::decimate::{self, decimate};
 use crate::host_memory;
 use ashsplat::scene::{Bounds, Cut, Gaussians, Similarity, WorldFrame};
 use ashsplat::{Error, Result};
@@ -119,8 +119,8 @@ pub fn join(inputs: &[Input<'_>], output: &Path, options: &ConvertOptions) -> Re
     warnings.extend(format.losses(wanted_degree, (antialiased, kernel_size, is_2dgs)));
     let count = headers.iter().map(|header| header.count).fold(0, u64::saturating_add);
     if options.decimate.is_some() {
-        // All of them, and those that are merged of them.
-        let needed = count.saturating_mul(2 * row_bytes(sh_degree));
+        // All of them, those that are merged of them, and what finds the pairs.
+        let needed = count.saturating_mul(2 * row_bytes(sh_degree) + decimate::BYTES);
         host_memory::check(all.path, needed, options.read.max_host_memory)?;
     }
     let changes: Vec<(&Path, Cut, Move)> = inputs

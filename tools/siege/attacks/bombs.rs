@@ -161,6 +161,60 @@ pub fn upload(siege: &Siege) -> Result<Outcome> {
     Ok(Outcome::Withstood(format!("{more} MiB more of {BOUND}; the page is told the option")))
 }
 
+/// A sound blocks.json in which one value after the other is something else: each is read or refused.
+pub fn damaged_blocks(siege: &Siege) -> Result<Outcome> {
+    let block = |number: u32, core: Value| {
+        json!({
+            "number": number, "core": core, "gaussians": 9, "trained": 9, "iterations": 9, "photos": ["0.png"],
+            "folder": format!("block_{number}"), "held_out": [], "pixels": 9,
+        })
+    };
+    let sound = json!({
+        "version": 1, "origin": [5e6, 0, 0], "unit": 0.1, "scene_extent": 2, "margin": 0.5, "min_share": 0.1,
+        "max_gaussians": 9, "iterations": 9, "rounds": 2, "coarse": { "path": "a.ply", "hash": "0", "gaussians": 9 },
+        "dataset": {
+            "path": "data", "cameras": "0", "images": "images", "resolution": 1, "orientation": "auto", "eval": true,
+        },
+        "blocks": [
+            block(1, json!({ "min": [null, null, null], "max": [0, null, null] })),
+            block(2, json!({ "min": [0, null, null], "max": [null, null, null] })),
+        ],
+    });
+    let path = siege.new_folder("damaged")?.join("blocks.json");
+    let read = |json: &str| {
+        std::fs::write(&path, json)?;
+        let arguments = ["blocks", text(&path)?];
+        Program::start(&siege.program, &Limits::default(), &siege.peak, &arguments)?.end(LONGEST)
+    };
+    let ending = read(&sound.to_string())?;
+    ensure!(ending.code == Some(0), "the sound one is refused: {ending}");
+    let others = ["-1", "0", "1e300", "18446744073709551615", "null", "\"../../x\"", "[[]]", "{\"min\": 9}"];
+    let (mut open, mut places) = (vec![String::new()], Vec::new());
+    while let Some(place) = open.pop() {
+        let below: Vec<String> = match sound.pointer(&place) {
+            Some(Value::Object(object)) => object.keys().cloned().collect(),
+            Some(Value::Array(list)) => (0..list.len()).map(|index| index.to_string()).collect(),
+            _ => Vec::new(),
+        };
+        open.extend(below.iter().map(|name| format!("{place}/{name}")));
+        places.push(place);
+    }
+    let (mut refused, mut taken) = (0, 0);
+    let damages = places.iter().flat_map(|place| others.iter().map(move |other| (place, other)));
+    for (place, other) in damages.step_by(siege.choose(5, 1)) {
+        let mut damaged = sound.clone();
+        damaged.pointer_mut(place).ok_or("no such place")?.clone_from(&serde_json::from_str(other)?);
+        let ending = read(&damaged.to_string())?;
+        if ending.code == Some(0) {
+            taken += 1;
+        } else {
+            ending.check_refused().map_err(|error| format!("{place} {other}: {error}"))?;
+            refused += 1;
+        }
+    }
+    within_memory(siege, &format!("{refused} refused in one line, {taken} read"))
+}
+
 /// A pipe without a writer, and a device without an end, in the place of files.
 pub fn no_files(siege: &Siege) -> Result<Outcome> {
     let folder = siege.new_folder("pipes")?;

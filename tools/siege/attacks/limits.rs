@@ -30,11 +30,23 @@ pub fn descriptors(siege: &Siege) -> Result<Outcome> {
 /// A scene of more bytes than there may be: all of them are zeros that take no disk.
 pub fn memory(siege: &Siege) -> Result<Outcome> {
     const GAUSSIANS: u64 = 10_000_000;
+    const FEW: u64 = 200_000;
     let path = siege.place("large.ply");
     let header = data::ply_header(GAUSSIANS);
     std::fs::write(&path, &header)?;
     let bytes = header.len() as u64 + GAUSSIANS * data::PLY_BYTES;
     std::fs::OpenOptions::new().write(true).open(&path)?.set_len(bytes)?;
+    // Decimation takes several times what its Gaussians do.
+    let (few, fewer) = (siege.place("few.ply"), siege.place("fewer.ply"));
+    let header = data::ply_header(FEW);
+    std::fs::write(&few, &header)?;
+    let length = header.len() as u64 + FEW * data::PLY_BYTES;
+    std::fs::OpenOptions::new().write(true).open(&few)?.set_len(length)?;
+    let limits = Limits { memory: Some(250 << 10), ..Limits::default() };
+    let arguments = ["convert", text(&few)?, text(&fewer)?, "--decimate", "50%"];
+    let ending = Program::start(&siege.program, &limits, &siege.peak, &arguments)?.end(LONGEST)?;
+    ending.check_refused()?;
+    ensure!(ending.errors.contains("bytes of host memory"), "{ending}");
     let (bytes, limit) = (bytes >> 20, 400);
     let limits = Limits { memory: Some(limit << 10), ..Limits::default() };
     let arguments = ["info", text(&path)?];
