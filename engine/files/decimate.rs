@@ -11,7 +11,7 @@ use ashsplat::scene::sh::C0;
 /// Neighbours that each Gaussian may be merged with.
 const NEIGHBOURS: usize = 8;
 
-/// What a round takes beside the Gaussians, bytes for each of them. Pairs are in memory three times, as they are collected and sorted; a
+/// Bytes that a round takes beside the Gaussians, for each of them. Pairs are in memory three times, as they are collected and sorted; a
 /// tree has 64 bytes for each Gaussian.
 pub(crate) const BYTES: u64 = (3 * NEIGHBOURS * size_of::<Pair>() + size_of::<Brief>() + 64) as u64;
 

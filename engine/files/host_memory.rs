@@ -57,7 +57,7 @@ impl HostMemory {
         DEFAULT.store(limit, Ordering::Relaxed);
     }
 
-    /// What the machine has left, or the bound of [`HostMemory::set_default`] if that is less.
+    /// Memory that the machine has left, or the bound of [`HostMemory::set_default`] if that is less.
     fn free() -> Self {
         let (set, machine) = (DEFAULT.load(Ordering::Relaxed), Self::machine());
         if set < machine.limit() { Self::new(set) } else { machine }

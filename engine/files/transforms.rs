@@ -100,7 +100,7 @@ pub(crate) fn unused(dataset: &Path, used: Option<&[PathBuf]>) -> Option<String>
     let usual = [SINGLE_FILE].into_iter().chain(SPLIT_FILES).map(|name| dataset.join(name));
     let is_unused = |file: &PathBuf| file.is_file() && !used.is_some_and(|used| used.contains(file));
     let names: Vec<String> = usual.filter(is_unused).map(|file| name_of(&file).to_owned()).collect();
-    // Of a split, the photographs for validation are left out without a word, as others do.
+    // Other programs leave out a split's photographs for validation too, so these need no line.
     let has_news = names.iter().any(|name| name != SPLIT_FILES[2]);
     let instead = used.map_or("the COLMAP model", |files| files.first().map_or("", |file| name_of(file)));
     has_news.then(|| format!("{}: not used, because {instead} is", names.join(", ")))

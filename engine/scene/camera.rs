@@ -245,7 +245,7 @@ impl Camera {
         (self.fx * p.x / distance + self.cx, self.fy * p.y / distance + self.cy, p.z)
     }
 
-    /// Whether a world point lies before it and within its picture.
+    /// True for a world point in front of the camera and within its picture.
     pub fn sees(&self, world: Vec3) -> bool {
         let (x, y, z) = self.project(world);
         let inside = |at: f32, side: u32| (0.0..side as f32).contains(&at);

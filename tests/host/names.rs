@@ -448,7 +448,7 @@ fn pictures_of_other_kinds_are_named() {
     }
 }
 
-/// Of several data sets in one folder one is used, and the others are named.
+/// A folder may hold several data sets: one is used, and the others are named.
 #[test]
 fn other_poses_beside_those_in_use_are_told() {
     let folder = tempfile::tempdir().unwrap();

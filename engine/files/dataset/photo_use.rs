@@ -3,9 +3,9 @@
 use super::mask::Mask;
 use super::planned_view::{PlannedView, ReadPhoto};
 
-/// What is said of a photo that has been read.
+/// Findings in the pixels of a photo.
 pub(super) struct PhotoUse {
-    /// Whether none of its pixels counts.
+    /// True if none of its pixels counts.
     is_hidden: bool,
     is_transparent: bool,
     gamma: Option<f32>,

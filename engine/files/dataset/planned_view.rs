@@ -50,7 +50,7 @@ pub(super) struct ReadPhoto {
     opacity: Option<Photo>,
     /// Its mask at the file's size.
     pub(super) mask: Option<Mask>,
-    /// Whether its alpha channel has transparent pixels.
+    /// True if its alpha channel has transparent pixels.
     pub(super) is_transparent: bool,
     /// See [`Decoded::gamma`].
     pub(super) gamma: Option<f32>,

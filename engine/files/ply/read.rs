@@ -281,7 +281,7 @@ pub fn read_points(path: impl AsRef<Path>) -> Result<SourcePoints> {
     read_points_of(path.as_ref(), &mut Vec::new())
 }
 
-/// As [`read_points`], with warnings of points without colours or finite positions and of Gaussians.
+/// Reads points like [`read_points`], and returns warnings of points without colours or finite positions and of Gaussians.
 pub(crate) fn read_points_of(path: &Path, warnings: &mut Vec<String>) -> Result<SourcePoints> {
     let mut file = PlyFile::open(path)?;
     let element = file.seek_element("vertex")?;

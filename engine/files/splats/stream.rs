@@ -31,7 +31,7 @@ pub struct Header {
     pub antialiased: bool,
     /// Variance that training added on the screen, square pixels; none: the file does not say.
     pub kernel_size: Option<f32>,
-    /// Whether it is a scene of 2DGS, whose disks are used as Gaussians without thickness.
+    /// True for a scene of 2DGS, whose disks are used as Gaussians without thickness.
     pub is_2dgs: bool,
     /// What the positions are relative to, source coordinates: not zero for scenes far from the source's own origin.
     pub origin: DVec3,
@@ -90,7 +90,7 @@ pub struct WriteOptions {
     pub antialiased: bool,
     /// As [`Header::kernel_size`]; kept in PLY and glTF.
     pub kernel_size: Option<f32>,
-    /// As [`Header::is_2dgs`]; kept in PLY.
+    /// Marks a scene of 2DGS ([`Header::is_2dgs`]); PLY keeps it.
     pub is_2dgs: bool,
     /// Version of SPZ. SPZ: 2 or 4; none: 4. GLB: 2 packs the attributes as `KHR_gaussian_splatting_compression_spz_2`; none: not
     /// packed. Other formats have none.
@@ -158,7 +158,7 @@ pub(crate) struct Outline {
     pub(crate) antialiased: bool,
     /// As [`Header::kernel_size`].
     pub(crate) kernel_size: Option<f32>,
-    /// As [`Header::is_2dgs`].
+    /// See [`Header::is_2dgs`].
     pub(crate) is_2dgs: bool,
     /// Box around the means; none without Gaussians.
     pub(crate) bounds: Option<Bounds>,

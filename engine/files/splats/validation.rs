@@ -76,7 +76,7 @@ pub(super) fn check_readable(path: &Path, block: &Gaussians) -> Result<()> {
     }
 }
 
-/// As [`check_readable`], for the origin of the positions.
+/// Does the same as [`check_readable`] for the origin of the positions.
 pub(super) fn check_origin(path: &Path, origin: DVec3) -> Result<()> {
     let farthest = origin.abs().max_element();
     if farthest <= FARTHEST {

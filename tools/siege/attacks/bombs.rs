@@ -23,7 +23,7 @@ fn refuse(siege: &Siege, arguments: &[&str]) -> Result<()> {
     refusal(siege, arguments).map(drop)
 }
 
-/// What it says.
+/// Words of its refusal.
 fn refusal(siege: &Siege, arguments: &[&str]) -> Result<String> {
     let mut program = Program::start(&siege.program, &Limits::default(), &siege.peak, arguments)?;
     let ending = program.end(LONGEST)?;
@@ -98,7 +98,7 @@ pub fn wide_json(siege: &Siege) -> Result<Outcome> {
 
 /// JSON files of 64 MiB beyond `--max-host-memory`.
 pub fn bounded_json(siege: &Siege) -> Result<Outcome> {
-    /// What the program takes by itself is two thirds of this, MiB.
+    /// MiB; the program takes two thirds of this by itself.
     const MOST: u64 = 120;
     let folder = siege.new_folder("bounded")?;
     data::write_small(&folder)?;
