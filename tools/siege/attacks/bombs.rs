@@ -23,7 +23,7 @@ fn refuse(siege: &Siege, arguments: &[&str]) -> Result<()> {
     refusal(siege, arguments).map(drop)
 }
 
-/// Words of its refusal.
+/// Runs a command that must refuse, and returns what it says.
 fn refusal(siege: &Siege, arguments: &[&str]) -> Result<String> {
     let mut program = Program::start(&siege.program, &Limits::default(), &siege.peak, arguments)?;
     let ending = program.end(LONGEST)?;
