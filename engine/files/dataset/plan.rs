@@ -108,14 +108,14 @@ impl Plan {
         self.points = points.in_frame(&self.frame);
     }
 
-    /// Leaves out points that lie exactly where others do, if they are many: Gaussians take their size from the distance of
-    /// their neighbours.
+    /// Leaves out points that lie exactly where others do, if these are more than half: Gaussians take their size from the
+    /// distance of their neighbours. COLMAP's own models have up to a tenth of such points.
     fn leave_out_copies(&mut self, points: &mut SourcePoints) {
         let mut seen = HashSet::new();
         let is_first: Vec<bool> =
             points.positions.iter().map(|point| seen.insert(point.to_array().map(f64::to_bits))).collect();
         let (count, copies) = (points.len(), points.len() - seen.len());
-        if copies < 100 || copies * 100 <= count {
+        if copies < 100 || 2 * copies <= count {
             return;
         }
         let mut keep = is_first.iter();
