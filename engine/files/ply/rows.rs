@@ -64,7 +64,7 @@ impl<'a> PlyFile<'a> {
     /// Bytes behind the last element, if that is `element` and its rows have one size.
     pub(crate) fn bytes_behind(&self, element: &Element) -> Option<u64> {
         let row = element.row_bytes().filter(|_| self.header.encoding != Encoding::Ascii)?;
-        let behind = self.remaining.checked_sub(element.count.checked_mul(row as u64)?)?;
+        let behind = self.remaining.checked_sub(element.count.checked_mul(row)?)?;
         (behind > 0 && self.next_element == self.header.elements.len()).then_some(behind)
     }
 
