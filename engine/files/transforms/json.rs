@@ -26,7 +26,7 @@ pub(super) fn document(path: &Path, text: &str) -> Result<Value> {
 pub(super) fn each_frame(path: &Path, text: &str, each: &mut dyn FnMut(Value) -> Result<()>) -> Result<()> {
     let mut failed = None;
     let mut pass = |frame| each(frame).map_err(|error| failed = Some(error)).is_ok();
-    let result = read(path, text, Frames { pass: &mut pass, is_list: false });
+    let result = read(path, text, Document(&mut pass));
     failed.map_or(result, Err)
 }
 
@@ -117,28 +117,25 @@ impl<'de> Visitor<'de> for Pruned {
 /// Takes a frame; false ends the reading.
 type Pass<'a> = dyn FnMut(Value) -> bool + 'a;
 
-/// Reads the object around the frames, or their list.
-struct Frames<'a, 'p> {
-    pass: &'a mut Pass<'p>,
-    is_list: bool,
-}
+/// Reads the object around the frames.
+struct Document<'a>(&'a mut Pass<'a>);
 
-impl<'de> DeserializeSeed<'de> for Frames<'_, '_> {
+/// Reads the list of frames.
+struct Frames<'a, 'p>(&'a mut Pass<'p>);
+
+impl<'de> DeserializeSeed<'de> for Document<'_> {
     type Value = ();
 
     fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<(), D::Error> {
-        match self.is_list {
-            false => deserializer.deserialize_map(self),
-            true => deserializer.deserialize_seq(self),
-        }
+        deserializer.deserialize_map(self)
     }
 }
 
-impl<'de> Visitor<'de> for Frames<'_, '_> {
+impl<'de> Visitor<'de> for Document<'_> {
     type Value = ();
 
     fn expecting(&self, f: &mut Formatter<'_>) -> std::fmt::Result {
-        f.write_str(if self.is_list { "a list" } else { "an object" })
+        f.write_str("an object")
     }
 
     fn visit_map<A: MapAccess<'de>>(self, mut object: A) -> Result<(), A::Error> {
@@ -149,15 +146,31 @@ impl<'de> Visitor<'de> for Frames<'_, '_> {
             } else if std::mem::replace(&mut is_read, true) {
                 return Err(A::Error::custom("the key `frames` comes twice"));
             } else {
-                object.next_value_seed(Frames { pass: &mut *self.pass, is_list: true })?;
+                object.next_value_seed(Frames(&mut *self.0))?;
             }
         }
         Ok(())
     }
+}
+
+impl<'de> DeserializeSeed<'de> for Frames<'_, '_> {
+    type Value = ();
+
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<(), D::Error> {
+        deserializer.deserialize_seq(self)
+    }
+}
+
+impl<'de> Visitor<'de> for Frames<'_, '_> {
+    type Value = ();
+
+    fn expecting(&self, f: &mut Formatter<'_>) -> std::fmt::Result {
+        f.write_str("a list")
+    }
 
     fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<(), A::Error> {
         while let Some(frame) = list.next_element_seed(Pruned { depth: 0, keeps_names: false })? {
-            if !(self.pass)(frame) {
+            if !(self.0)(frame) {
                 return Err(A::Error::custom("stopped"));
             }
         }
