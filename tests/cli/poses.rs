@@ -197,7 +197,7 @@ fn photographs_in_a_data_set_are_used_where_they_are() {
     let info = || finish(flat.command(env!("CARGO_BIN_EXE_ashsplat")).args(["info", "flat"]));
     assert!(info().stdout.contains("9 registered, 9 sound photos"), "{}", info().stderr);
     // What lies beside the photographs is none of them, but one more of them is.
-    for folder in ["flat/masks_of_mine", "flat/stereo/deep"] {
+    for folder in ["flat/thumbnails", "flat/stereo/deep"] {
         std::fs::create_dir_all(flat.at(folder)).expect("a folder");
         std::fs::copy(flat.at("flat/01.png"), flat.at(folder).join("01.png")).expect("copied");
     }
