@@ -153,7 +153,7 @@ pub fn read(path: impl AsRef<Path>, frame: &WorldFrame) -> Result<Vec<NamedCamer
     entries.iter().map(check).collect()
 }
 
-/// The frame that the first camera of a list names. None without one, and for what is no list of cameras.
+/// Reads the frame that the first camera of a list names. None if it names none, or if the file is no list of cameras.
 pub(crate) fn frame_of(path: &Path) -> Option<WorldFrame> {
     let entries: Vec<Named> = serde_json::from_str(&text::read(path).ok()?).ok()?;
     let &Named { origin, unit } = entries.first()?;

@@ -842,7 +842,7 @@ extern "C" {
 // The message of this thread's last failure: one line, valid until the next.
 const char *ashsplat_last_error(void);
 
-// What the file of this thread's last ashsplat_trainer_save does not hold: one line each, an empty text where it holds all; valid
+// Returns what the file of this thread's last ashsplat_trainer_save cannot hold, a line each; empty where it holds all. The text is valid
 // until the next.
 const char *ashsplat_last_loss(void);
 

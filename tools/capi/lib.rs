@@ -157,7 +157,7 @@ pub extern "C" fn ashsplat_last_error() -> *const c_char {
     LAST_ERROR.with(|last| last.borrow().as_ptr())
 }
 
-/// What the file of this thread's last ashsplat_trainer_save does not hold: one line each, an empty text where it holds all; valid
+/// Returns what the file of this thread's last ashsplat_trainer_save cannot hold, a line each; empty where it holds all. The text is valid
 /// until the next.
 #[unsafe(no_mangle)]
 pub extern "C" fn ashsplat_last_loss() -> *const c_char {

@@ -1,5 +1,5 @@
-//! With `ASHSPLAT_TRACE=FILE`, every command buffer's commands as text, without handles and addresses: two versions of the
-//! program record the same where these texts are the same. `tools/proof` compares them.
+//! With `ASHSPLAT_TRACE=FILE` this module writes the commands of every command buffer as text, without handles and addresses.
+//! Two versions of the program record the same where these texts are the same. `tools/proof` compares them.
 
 use super::families::slice;
 use super::state::DeviceState;

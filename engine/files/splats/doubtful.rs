@@ -1,12 +1,10 @@
 //! Gaussians that are used, though their values can hardly be what was meant.
 
+use ashsplat::kernels::constants::QUAT_NORM_MIN;
 use ashsplat::scene::Gaussians;
 
 /// Steps of positions are coarse from this share of a typical Gaussian's size on: pictures lose about 6 dB.
 pub(super) const COARSE: f64 = 0.2;
-
-/// Shortest quaternion that gives a rotation, as in the projection.
-const QUAT_NORM_MIN: f32 = 1e-12;
 
 /// Gaussians of a file with such values.
 #[derive(Default)]
