@@ -12,6 +12,7 @@ mod write;
 
 pub use find::{ModelFolder, POSES_LOG, UNFINISHED_POSES, exists, find};
 pub use model::{Model, undistort_command};
+pub(crate) use observations::contradiction;
 pub use observations::{observations, tracks};
 pub use types::{CameraModel, ColmapCamera, ColmapImage};
 pub use write::write;

@@ -137,7 +137,7 @@ pub(super) fn photos_below(folder: &Path) -> Vec<PathBuf> {
 }
 
 /// Whether a path has a part that is named as masks, depth maps or smaller copies of photos are: `masks`, `a_mask.png`,
-/// `a.jpg.png`.
+/// `a.jpg.png`, `dynamic_mask_a.png`.
 pub(super) fn is_companion(path: &Path) -> bool {
     const WORDS: [&str; 7] = ["mask", "masks", "segmentation", "segmentations", "depth", "depths", "normals"];
     path.iter().any(|part| {
@@ -147,6 +147,7 @@ pub(super) fn is_companion(path: &Path) -> bool {
         let mut words = stem.split(['_', '-', '.', ' ']);
         let is_word = |word: &str| WORDS.contains(&word);
         ["images_2", "images_4", "images_8"].contains(&&*name)
+            || name.starts_with("dynamic_mask_")
             || has_photo_ending(Path::new(&*stem))
             || words.next().is_some_and(is_word)
             || words.next_back().is_some_and(is_word)

@@ -173,6 +173,17 @@ fn eval_agrees_with_training() {
     }
     let table = succeed(&["eval", "-m", text(model), "--quiet"]);
     assert!(table.contains("01.png") && table.contains("09.png") && table.contains("mean of 2"), "{table}");
+
+    // A model of all views measures nothing that it has not seen.
+    let folder = tempdir().expect("a temporary folder");
+    let saved = "point_cloud/iteration_30/point_cloud.ply";
+    std::fs::create_dir_all(folder.path().join(saved).parent().expect("a folder")).expect("created");
+    std::fs::copy(&ply, folder.path().join(saved)).expect("copied");
+    let settings = std::fs::read_to_string(model.join("settings.toml")).expect("the dump");
+    let settings = settings.replace("eval = true", "eval = false");
+    std::fs::write(folder.path().join("settings.toml"), settings).expect("written");
+    let run = finish(program().args(["eval", text(folder.path()), "--eval", "--quiet"]));
+    assert!(run.code == Some(0) && run.stderr.contains("was trained on all views"), "{}", run.stderr);
 }
 
 /// Photos are read one at a time, and only those that are measured.

@@ -231,11 +231,12 @@ fn text_errors_name_the_line() {
         ("cameras", "1 PINHOLE 64 48 1 2 3", "cameras.txt: line 1: the parameter is missing"),
         ("cameras", "# x\n1 PINHOLE 64 48 1 2 3 4 5", "line 2: has more values than its camera model"),
         ("cameras", "1 BALL 64 48 1", "line 1: unknown camera model \"BALL\""),
+        ("cameras", "1 SPHERE 64 48 1", "unknown camera model \"SPHERE\"; cut the panoramas"),
         ("cameras", "1 PINHOLE -64 48 1 2 3 4", "\"-64\" is no valid width"),
         ("images", "1 1 0 0 0 0 0 0 7 a.png\n1 2 3 4\n", "line 2: the quaternion is missing"),
         ("images", "1 1 0 0 0 0 0 0 7 a.png\n1 2 3\n4 5 6\n", "line 3: the quaternion is missing"),
         ("cameras", "1 PINHOLE 64 48 1,5 2 3 4", "\"1,5\" is no valid parameter (a decimal comma"),
-        ("images", "1.5 1 0 0 0 0 0 0 7 a.png\n", "\"1.5\" is no valid image id; the file"),
+        ("images", "1.5 1 0 0 0 0 0 0 7 a.png\n", "\"1.5\" is no valid image id; correct"),
         ("images", "1 1 0 0 0 0 0 0 7\n", "line 1: the image name is missing"),
         ("images", "1 1 0 0 0 0 0 0 7 a.png\n\n1 1 0 0 0 0 0 0 7 b.png\n", "image id 1 appears twice"),
         (
@@ -291,6 +292,8 @@ fn text_may_have_a_byte_order_mark_or_be_latin_1() {
     let utf_16: Vec<u8> = images.encode_utf16().flat_map(u16::to_le_bytes).collect();
     std::fs::write(model.join("images.txt"), utf_16).unwrap();
     assert!(error(folder.path()).contains("images.txt: is text in UTF-16; save it in UTF-8"));
+    std::fs::write(model.join("images.txt"), images.replace('\n', "\r")).unwrap();
+    assert!(error(folder.path()).contains("images.txt: ends its lines with CR alone"));
 }
 
 /// The reference reads points3D.ply.

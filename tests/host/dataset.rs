@@ -330,6 +330,65 @@ fn photos_without_a_camera_are_counted() {
     assert!(dataset.warnings[0].contains("only 3 of its 5 photos have a camera"), "{:?}", dataset.warnings);
 }
 
+/// Files and values that other programs give a meaning.
+#[test]
+fn what_other_programs_leave_beside_a_model_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let cameras = write(folder.path(), 4, 4);
+    let options = DatasetOptions { eval: true, ..DatasetOptions::default() };
+    assert_eq!(load(folder.path(), &options).warnings, [""; 0]);
+    for name in ["test_list.txt", "init.ply", "images/dynamic_mask_000.png"] {
+        std::fs::copy(folder.path().join("images/000.png"), folder.path().join(name)).unwrap();
+    }
+    let said = load(folder.path(), &options).warnings.join("\n");
+    for line in ["test_list.txt: not used; one in 8", "init.ply: not used", "masks that belong to no photo"] {
+        assert!(said.contains(line), "{said}");
+    }
+    let image = ColmapImage::posed(1, 1, "000.png", &cameras[0]);
+    let points = PointCloud { positions: vec![[0.5, 0.0, -0.5]; 3], colors: vec![[0; 3]; 3] };
+    let model = folder.path().join("sparse/0");
+    colmap::write(model, &[ColmapCamera::pinhole(1, &cameras[0])], &[image], &points).unwrap();
+    let dataset = load(folder.path(), &DatasetOptions::default());
+    assert_eq!(dataset.points.colors, [[127; 3]; 3]);
+    assert!(dataset.warnings.join("\n").contains("all its points are black"), "{:?}", dataset.warnings);
+}
+
+/// Poses of another convention, or points that were scaled or turned alone.
+#[test]
+fn points_that_do_not_lie_where_photos_show_them_are_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let cameras = write(folder.path(), 4, 0);
+    let sparse = folder.path().join("sparse/0");
+    let place = |k: u32| Vec3::new(k as f32 * 0.01 - 0.3, (k % 7) as f32 * 0.05 - 0.1, (k % 5) as f32 * 0.04);
+    let mut images = String::new();
+    for (i, camera) in cameras.iter().enumerate() {
+        let image = ColmapImage::posed(i as u32 + 1, 1, format!("{i:03}.png"), camera);
+        let numbers =
+            image.quat.iter().chain(&image.translation).map(|x| format!("{x} ")).collect::<String>();
+        let seen = |k: u32| {
+            let (x, y, _) = camera.project(place(k));
+            format!("{x} {y} {k} ")
+        };
+        images +=
+            &format!("{} {numbers}1 {}\n{}\n", image.id, image.name, (0..60).map(seen).collect::<String>());
+    }
+    std::fs::write(sparse.join("images.txt"), images).unwrap();
+    std::fs::write(sparse.join("cameras.txt"), "1 PINHOLE 20 12 21 22 10.5 6\n").unwrap();
+    ["images", "cameras", "points3D"].iter().for_each(|part| {
+        std::fs::remove_file(sparse.join(format!("{part}.bin"))).unwrap();
+    });
+    let told = |scale: f32| {
+        let line = |k: u32| {
+            let [x, y, z] = (scale * place(k)).to_array();
+            format!("{k} {x} {y} {z} 1 2 3 0.5\n")
+        };
+        std::fs::write(sparse.join("points3D.txt"), (0..60).map(line).collect::<String>()).unwrap();
+        let warnings = load(folder.path(), &DatasetOptions::default()).warnings;
+        warnings.iter().any(|warning| warning.contains("do not lie where its photos show them"))
+    };
+    assert!(!told(1.0) && told(10.0) && told(-1.0));
+}
+
 #[test]
 fn one_camera_has_an_extent() {
     let folder = tempfile::tempdir().unwrap();

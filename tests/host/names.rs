@@ -473,12 +473,17 @@ fn points_at_one_place_count_once() {
     let frames = json!([{ "file_path": "images/a.png", "transform_matrix": pose(0) }]);
     let document = json!({ "fl_x": 21, "w": 20, "h": 12, "frames": frames, "ply_file_path": "points.ply" });
     std::fs::write(folder.path().join("transforms.json"), document.to_string()).unwrap();
-    let positions: Vec<[f32; 3]> = (0..400).map(|index| [(index / 4) as f32, 0.0, -3.0]).collect();
-    let points = PointCloud { colors: vec![[9; 3]; positions.len()], positions };
-    ashsplat_files::ply::write_points(folder.path().join("points.ply"), &points, &WorldFrame::default())
-        .unwrap();
-    let dataset = load(folder.path(), "images").unwrap();
-    assert_eq!((dataset.points.positions.len(), dataset.points.colors.len()), (100, 100));
-    let line = "300 of 400 points lie exactly where others do and are left out";
-    assert!(dataset.warnings.iter().any(|warning| warning.contains(line)), "{:?}", dataset.warnings);
+    let cases = [
+        (200, 200, "200 of 400 points lie exactly where others do and are left out"),
+        (300, 400, "100 of 400 points lie exactly where others do: their Gaussians begin smaller"),
+    ];
+    for (places, used, line) in cases {
+        let positions: Vec<[f32; 3]> = (0..400).map(|index| [(index % places) as f32, 0.0, -3.0]).collect();
+        let points = PointCloud { colors: vec![[9; 3]; positions.len()], positions };
+        ashsplat_files::ply::write_points(folder.path().join("points.ply"), &points, &WorldFrame::default())
+            .unwrap();
+        let dataset = load(folder.path(), "images").unwrap();
+        assert_eq!((dataset.points.positions.len(), dataset.points.colors.len()), (used, used));
+        assert!(dataset.warnings.iter().any(|warning| warning.contains(line)), "{:?}", dataset.warnings);
+    }
 }

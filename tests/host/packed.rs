@@ -1,6 +1,6 @@
 //! SPZ of version 2, alone and as the attributes of a GLB.
 
-use std::io::Read;
+use std::io::{Read, Write};
 use std::path::Path;
 
 use ashsplat::scene::Gaussians;
@@ -39,6 +39,30 @@ fn spz_2_comes_back() {
         assert!(back.header.antialiased);
         assert_close(&back.gaussians, &expected, &tolerance_of_2());
     }
+}
+
+/// What is not known of a sound file is named: flags that change which Gaussians there are, and extensions.
+#[test]
+fn unknown_parts_of_an_spz_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("scene.spz");
+    write(&path, &scene(20, 0));
+    let mut bytes = Vec::new();
+    flate2::read::GzDecoder::new(std::fs::File::open(&path).unwrap()).read_to_end(&mut bytes).unwrap();
+    let packed = |flags: u8, behind: &[u8]| {
+        let mut changed = bytes.clone();
+        changed[14] = flags;
+        changed.extend(behind);
+        let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
+        encoder.write_all(&changed).unwrap();
+        std::fs::write(&path, encoder.finish().unwrap()).unwrap();
+        read(&path)
+    };
+    let error = packed(0x81, &[]).unwrap_err().to_string();
+    assert!(error.contains("has flags that are not known (0x80)"), "{error}");
+    let georeference = [0x01, 0, 0x53, 0x4e, 4, 0, 0, 0, 1, 2, 3, 4];
+    let warnings = packed(2, &georeference).unwrap().warnings;
+    assert!(warnings[0].ends_with("the extension 0x4e530001 is not used"), "{warnings:?}");
 }
 
 #[test]

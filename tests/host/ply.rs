@@ -507,6 +507,25 @@ fn bytes_behind_the_gaussians_are_told() {
     assert!(read.warning.unwrap().contains(&line));
 }
 
+/// Names and comments of other programs, each with its line.
+#[test]
+fn names_and_comments_of_other_programs_are_used_or_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.ply");
+    let whole = with_colour("float", ["f_dc_0", "f_dc_1", "f_dc_2"], [0.0; 3]);
+    let line = |comments: &[&str], properties: &[_]| {
+        std::fs::write(&path, ascii(comments, properties)).unwrap();
+        ply::read(&path, &KEEP).unwrap().warning.unwrap_or_default()
+    };
+    let filtered = [whole.as_slice(), &[("float", "filter_3D", 0.1)]].concat();
+    assert!(line(&[], &filtered).contains("needs `--antialiasing --kernel-size 0.1`"));
+    assert_eq!(line(&["SplatRenderMode: mip"], &filtered), "");
+    assert!(line(&["Vertical Axis: z"], &whole).contains("`--up 0,0,1`"));
+    let of_cloud_compare = ascii(&[], &whole).replace("float opacity", "float scalar_opacity");
+    std::fs::write(&path, of_cloud_compare.replace("float scale_", "float scalar_scale_")).unwrap();
+    assert_eq!(ply::read(&path, &KEEP).unwrap().gaussians.log_scales[0], [-2.0, -3.0, -4.0]);
+}
+
 /// Two scales: the disks of 2DGS.
 #[test]
 fn a_scene_of_2dgs_is_read_flat_and_named() {

@@ -703,6 +703,14 @@ fn spz_goes_by_the_size_of_the_scene() {
     let told = lines(&far, Format::CompressedPly);
     assert!(told.len() == 1 && told[0].contains("sizes of 1 of 300 Gaussians"), "{told:?}");
     assert_eq!(lines(&far, Format::Glb), [""; 0]);
+    let mut bright = scene(300, 0);
+    bright.sh[..20].fill([4.0; 3]);
+    for format in [Format::Spz, Format::Splat] {
+        let told = lines(&bright, format);
+        assert!(told.len() == 1 && told[0].contains("colours of 20 of 300 Gaussians are cut"), "{told:?}");
+    }
+    bright.sh.fill([-2.0; 3]);
+    assert_eq!(lines(&bright, Format::Splat), [""; 0], "black either way");
 }
 
 fn message(path: &Path) -> String {
@@ -804,7 +812,18 @@ fn a_gltf_of_other_programs_is_read_as_it_says_or_named() {
         said(&|document| extension(document, "colorSpace", "wide")).contains("\"wide\" are used as sRGB")
     );
 
-    // Logits in place of opacities: scales are larger than 1 here.
+    let with_a_mesh = said(&|document| {
+        let primitives = document["meshes"][0]["primitives"].as_array_mut().unwrap();
+        primitives.push(json!({ "attributes": {} }));
+    });
+    assert!(with_a_mesh.ends_with("1 primitives that are no Gaussians are not used"), "{with_a_mesh}");
+
+    // Logarithms in place of sizes, and logits in place of opacities: some positions are negative and far from 0.
+    written(&|document| {
+        let attributes = &mut document["meshes"][0]["primitives"][0]["attributes"];
+        attributes["KHR_gaussian_splatting:SCALE"] = attributes["POSITION"].clone();
+    });
+    assert!(message(&path).contains("SCALE has values below 0"), "{}", message(&path));
     written(&|document| {
         let attributes = &document["meshes"][0]["primitives"][0]["attributes"];
         let position = attributes["POSITION"].as_u64().unwrap() as usize;

@@ -195,23 +195,26 @@ fn points_from_before_the_scale_are_moved() {
     assert!(refusal(folder.path()).contains("applied_scale is not a number above 0"));
 }
 
-/// Keys of a lens that have no effect here are named unless they are 0.
+/// Keys without effect here are named unless they are 0.
 #[test]
-fn lens_keys_that_are_not_used_are_named() {
+fn keys_that_are_not_used_are_named() {
     let folder = tempfile::tempdir().unwrap();
     let warnings = |keys: Value, of_frame: Value| {
         let mut list = frames(folder.path(), "images", 0..3, ".png");
+        list[0]["time"] = json!(0);
         list[1].as_object_mut().unwrap().extend(of_frame.as_object().unwrap().clone());
         let mut document = json!({ "fl_x": 21.0, "w": 20, "h": 12, "frames": list });
         document.as_object_mut().unwrap().extend(keys.as_object().unwrap().clone());
         write_json(&folder.path().join("transforms.json"), &document);
         let mut lines = load(folder.path(), &DatasetOptions::default()).warnings;
-        lines.retain(|line| line.contains("lens"));
+        lines.retain(|line| !line.contains("point"));
         lines
     };
     let none =
         json!({ "b1": 0, "b2": 0.0, "distortion_params": [0, 0, 0, 0, 0, 0], "distortion": [0, 0], "k1": 0 });
     assert_eq!(warnings(none, json!({})), [""; 0]);
+    let lines = warnings(json!({ "test_frames": [{}] }), json!({ "sky_mask": "a.png", "is_bad": true }));
+    assert!(lines.len() == 1 && lines[0].contains("is_bad, sky_mask, test_frames: such keys"), "{lines:?}");
     let lines =
         warnings(json!({ "b1": 2, "ftheta_p0": 0.1, "distortion": { "k1": 1 } }), json!({ "k6": 0.1 }));
     assert!(lines.len() == 1 && lines[0].contains("b1, distortion, ftheta_p0, k6 are"), "{lines:?}");
@@ -219,6 +222,10 @@ fn lens_keys_that_are_not_used_are_named() {
     assert!(lines.len() == 1 && lines[0].contains("distortion_params is"), "{lines:?}");
     let lines = warnings(json!({ "camera_model": "OPENCV_FISHEYE", "k1": 0.01, "p2": 0.01 }), json!({}));
     assert!(lines.len() == 1 && lines[0].contains(": p2 is"), "{lines:?}");
+    let lines = warnings(json!({ "camera_angle_x": 0.8886 }), json!({ "time": 0.5 }));
+    assert!(lines.len() == 1 && lines[0].contains("are of times from 0 to 0.5"), "{lines:?}");
+    let lines = warnings(json!({ "camera_angle_x": 1.2 }), json!({ "fl_x": 40 }));
+    assert!(lines.len() == 1 && lines[0].contains("camera_angle_x means 14.6: fl_x is used"), "{lines:?}");
 }
 
 /// The list of nerfstudio has the meaning of the keys k1, k2, k3, k4, p1 and p2.

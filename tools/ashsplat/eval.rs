@@ -331,6 +331,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let gallery = session::open(&data, &options, &stop)?;
     session::warn(gallery.warnings());
     let chosen = chosen_views(&gallery, arguments.all, &data)?;
+    if data.eval && !arguments.all && model.folder.is_some() && !model.settings.data.eval {
+        tell!("warning: the model was trained on all views, so also on those that are measured");
+    }
     let protocol = protocol(&model, &gallery)?;
     check_sizes(&weights, &gallery, &chosen, !protocol.halves.is_empty())?;
     let mut renderer = Renderer::new(&context)?;
@@ -430,11 +433,7 @@ fn chosen_views(gallery: &Gallery, all: bool, data: &DataSettings) -> Result<Vec
     if chosen.is_empty() {
         let problem =
             if data.eval { "has no views to hold out" } else { "was trained on all views of this data set" };
-        return Err(Error::input(
-            &data.source_path,
-            problem,
-            "measure on all views with --all, or hold out with --eval",
-        ));
+        return Err(Error::input(&data.source_path, problem, "measure on all views with --all"));
     }
     Ok(chosen)
 }

@@ -140,12 +140,16 @@ fn describe(folder: PathBuf, warning: Option<String>) -> Result<ModelFolder> {
         }
     };
     // Programs that write one form leave the other as it was.
-    let changed =
-        |ending| fs::metadata(folder.join(format!("images.{ending}"))).and_then(|file| file.modified()).ok();
+    let changed = |part: &str, ending| {
+        fs::metadata(folder.join(format!("{part}.{ending}"))).and_then(|file| file.modified()).ok()
+    };
     let unused = || {
-        let later = changed("bin").map(|time| time + CONVERSION);
-        let is_newer = !text && missing("txt").is_none() && changed("txt") > later;
-        is_newer.then(|| format!("{}: images.txt is newer than images.bin, which is used", folder.display()))
+        let is_newer = |part: &&&str| {
+            let later = changed(part, "bin").map(|time| time + CONVERSION);
+            !text && later.is_some() && changed(part, "txt") > later
+        };
+        let part = PARTS.iter().find(is_newer)?;
+        Some(format!("{}: {part}.txt is newer than {part}.bin, which is used", folder.display()))
     };
     let warning = warning.or_else(unused);
     Ok(ModelFolder { folder, text, warning })

@@ -229,7 +229,11 @@ fn by_id(file: &Path, cameras: Vec<ColmapCamera>) -> Result<BTreeMap<u32, Colmap
     for camera in cameras {
         let id = camera.id;
         if by_id.insert(id, camera).is_some() {
-            return Err(Error::input(file, format!("camera id {id} appears twice"), "copy the model again"));
+            return Err(Error::input(
+                file,
+                format!("camera id {id} appears twice"),
+                "export the model again",
+            ));
         }
     }
     Ok(by_id)
@@ -243,7 +247,8 @@ fn check_unique(file: &Path, images: &[ColmapImage]) -> Result<()> {
             (false, _) => format!("image id {}", image.id),
             (_, false) => format!("image name {:?}", image.name),
         };
-        return Err(Error::input(file, format!("{what} appears twice"), "copy the model again"));
+        let remedy = "give each image its own, with the folder of its camera before the name";
+        return Err(Error::input(file, format!("{what} appears twice"), remedy));
     }
     Ok(())
 }

@@ -1,14 +1,16 @@
 //! Where the photos of a model show its points.
 
 use std::collections::HashMap;
+use std::path::PathBuf;
 
-use glam::{DMat3, DVec3};
+use glam::{DMat3, DVec2, DVec3};
 
 use super::model::Model;
 use super::types::{ColmapImage, Observed};
 use super::{binary, text};
 use crate::depth_fit::DepthPoint;
 use ashsplat::Result;
+use ashsplat::scene::lens::Distortion;
 
 /// Positions of points by their ids, the file's coordinates.
 type Positions = HashMap<u64, [f64; 3]>;
@@ -63,4 +65,46 @@ pub fn tracks(model: &Model) -> Result<HashMap<u32, Vec<[f64; 3]>>> {
         (id, points.iter().filter_map(|point| positions.get(point).copied()).collect())
     };
     Ok(observed.into_iter().map(of_image).collect())
+}
+
+/// A line about a model whose points do not lie where its photos show them: poses, points or cameras have been changed apart.
+pub(crate) fn contradiction(model: &Model) -> Option<String> {
+    /// Reading the observations of larger models would take too long.
+    const MOST_BYTES: u64 = 32 << 20;
+    const SAMPLE: usize = 1000;
+    const LEAST: usize = 100;
+    /// Share of the photo's larger side. Distortion, which is left out here, is less in the median.
+    const FAR: f64 = 0.05;
+    let bytes = |file: PathBuf| std::fs::metadata(file).map_or(u64::MAX, |file| file.len());
+    if bytes(model.file("images")).saturating_add(bytes(model.points_file()?)) > MOST_BYTES {
+        return None;
+    }
+    let (observed, positions) = read(model).ok()?;
+    let images: HashMap<u32, &ColmapImage> = model.images.iter().map(|image| (image.id, image)).collect();
+    let all: Vec<_> = observed
+        .into_iter()
+        .flat_map(|(id, places)| places.into_iter().filter_map(move |(at, point)| Some((id, at, point?))))
+        .collect();
+    let error = |&(id, at, point): &(u32, [f64; 2], u64)| -> Option<f64> {
+        let image = images.get(&id)?;
+        let lens = model.lens(model.cameras.get(&image.camera_id)?).ok()?;
+        let is_plane = !matches!(lens.distortion, Distortion::Fisheye { .. });
+        let position = DVec3::from_array(*positions.get(&point)?);
+        let p = image.rotation() * position + DVec3::from_array(image.translation);
+        let there = lens.focal_px * (p.truncate() / p.z) + lens.center_px;
+        let side = f64::from(lens.width.max(lens.height));
+        is_plane.then(|| if p.z > 0.0 { there.distance(DVec2::from_array(at)) / side } else { f64::INFINITY })
+    };
+    let mut errors: Vec<f64> =
+        all.iter().step_by(all.len().div_ceil(SAMPLE).max(1)).filter_map(error).collect();
+    errors.sort_unstable_by(f64::total_cmp);
+    let median = *errors.get(errors.len() / 2).filter(|_| errors.len() >= LEAST)?;
+    (median > FAR).then(|| {
+        format!(
+            "{}: its points do not lie where its photos show them (in the median {:.0} % of a photo's side away): poses and points do \
+             not belong together",
+            model.source.folder.display(),
+            (100.0 * median).min(999.0)
+        )
+    })
 }

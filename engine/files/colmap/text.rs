@@ -21,7 +21,12 @@ pub(super) fn cameras(path: &Path) -> Result<Vec<ColmapCamera>> {
         let id = words.number("camera id")?;
         let name = words.word("camera model")?;
         let Some(model) = CameraModel::from_name(name) else {
-            return Err(words.error(&format!("unknown camera model {name:?}")));
+            let problem = format!("unknown camera model {name:?}");
+            if name.contains("SPHER") || name.contains("EQUIRECT") {
+                let remedy = "cut the panoramas into views of pinhole cameras first";
+                return Err(Error::input(path, problem, remedy));
+            }
+            return Err(words.error(&problem));
         };
         let (width, height) = (words.number("width")?, words.number("height")?);
         let parameters = (0..model.parameters()).map(|_| words.number("parameter")).collect::<Result<_>>()?;
@@ -140,7 +145,9 @@ impl<'a> TextFile<'a> {
         host_memory::check_free(path, bytes.saturating_mul(2))?;
         let mut this = Self { path, reader: BufReader::new(file.take(bytes)), text: String::new(), line: 0 };
         let start = this.reader.fill_buf().map_err(|source| Error::io(path, "read", source))?;
-        match crate::sniff::recognise(&start[..start.len().min(512)]) {
+        let one_line = start.contains(&b'\r') && !start.contains(&b'\n');
+        let unusual = one_line.then_some(("ends its lines with CR alone", "save it with LF or CR LF"));
+        match crate::sniff::recognise(&start[..start.len().min(512)]).or(unusual) {
             Some((problem, remedy)) => Err(Error::input(path, problem, remedy)),
             None => Ok(this),
         }
@@ -189,7 +196,7 @@ impl<'a> Words<'a> {
         Error::input(
             self.path,
             format!("line {}: {problem}", self.line),
-            "the file is damaged: copy the model again",
+            "correct the line, or export the model again",
         )
     }
 

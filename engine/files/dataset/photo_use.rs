@@ -61,7 +61,7 @@ pub(super) fn lines<'v>(
     let hidden = hidden.first().map(|view| {
         format!(
             "{} of {all} photos, {} for example, are hidden as a whole by their mask or alpha channel and teach nothing; pixels \
-             count where a mask is white: is it inverted?",
+             count where a mask is brighter than half: is it inverted, or does it hold labels?",
             hidden.len(),
             view.name
         )

@@ -12,7 +12,7 @@ use super::planned_view::PlannedView;
 use super::{DatasetOptions, doubtful_lens, lens_note, photo_folder, photo_sizes, scaling};
 use crate::colmap::{self, ColmapImage, Model};
 use crate::images::header;
-use crate::names::{Finder, ending, plain, stays_inside};
+use crate::names::{Finder, ending, photos_below, plain, stays_inside};
 use crate::transforms::{self, Frame, Transforms};
 use ashsplat::scene::lens::Lens;
 use ashsplat::scene::{Camera, Intrinsics, PointCloud, SourcePoints, WorldFrame, far_camera, strays};
@@ -68,6 +68,7 @@ impl Plan {
             _ => {
                 let mut model = Model::of_dataset(path)?;
                 let points = std::mem::take(&mut model.points);
+                model.warnings.extend(colmap::contradiction(&model));
                 (Self::of_model(path, &model, options)?, points)
             }
         };
@@ -78,6 +79,7 @@ impl Plan {
             plan.tell_of_points(path);
         }
         plan.settle_frame(options.frame, points);
+        plan.tell_of_unused_files(path, options);
         plan.warn_of_strays();
         plan.warn_of_lenses();
         plan.warn_of_points_out_of_view();
@@ -94,6 +96,7 @@ impl Plan {
     /// Chooses the frame, unless it is given, and brings views and points into it.
     fn settle_frame(&mut self, given: Option<WorldFrame>, mut points: SourcePoints) {
         self.leave_out_copies(&mut points);
+        self.lighten_black(&mut points);
         let views: Vec<&PlannedView> = self.views.iter().flatten().collect();
         self.frame = given.unwrap_or_else(|| frame_of(&views, &points));
         if is_far(&views, &points, &self.frame) {
@@ -108,24 +111,55 @@ impl Plan {
         self.points = points.in_frame(&self.frame);
     }
 
-    /// Leaves out points that lie exactly where others do, if these are more than half: Gaussians take their size from the
+    /// Leaves out points that lie exactly where others do, if these are half or more: Gaussians take their size from the
     /// distance of their neighbours. COLMAP's own models have up to a tenth of such points.
     fn leave_out_copies(&mut self, points: &mut SourcePoints) {
         let mut seen = HashSet::new();
         let is_first: Vec<bool> =
             points.positions.iter().map(|point| seen.insert(point.to_array().map(f64::to_bits))).collect();
         let (count, copies) = (points.len(), points.len() - seen.len());
-        if copies < 100 || 2 * copies <= count {
+        if copies < 100 || 5 * copies < count {
+            return;
+        }
+        let (list, what) = (self.list.display(), "points lie exactly where others do");
+        if 2 * copies < count {
+            self.warnings.push(format!("{list}: {copies} of {count} {what}: their Gaussians begin smaller"));
             return;
         }
         let mut keep = is_first.iter();
         points.positions.retain(|_| keep.next() == Some(&true));
         let mut keep = is_first.iter();
         points.colors.retain(|_| keep.next() == Some(&true));
-        self.warnings.push(format!(
-            "{}: {copies} of {count} points lie exactly where others do and are left out",
-            self.list.display()
-        ));
+        self.warnings.push(format!("{list}: {copies} of {count} {what} and are left out"));
+    }
+
+    /// Makes points grey if all are black: programs write that for points without colours, and black Gaussians hardly learn, because
+    /// colours below 0 have no gradient.
+    fn lighten_black(&mut self, points: &mut SourcePoints) {
+        if !points.is_empty() && points.colors.iter().all(|color| *color == [0; 3]) {
+            points.colors.fill([127; 3]);
+            self.warnings.push(format!("{}: all its points are black and start grey", self.source.display()));
+        }
+    }
+
+    /// Names files that other programs use and this one does not.
+    fn tell_of_unused_files(&mut self, dataset: &Path, options: &DatasetOptions) {
+        let there = |names: &[&str]| -> Vec<String> {
+            let folders = [dataset, &self.source];
+            let files = folders.iter().flat_map(|folder| names.iter().map(move |name| folder.join(name)));
+            files.filter(|file| file.is_file()).map(|file| file.display().to_string()).collect()
+        };
+        if options.eval && !self.has_split {
+            let lists = there(&["train_list.txt", "test_list.txt", "val_list.txt", "test.txt"]);
+            if !lists.is_empty() {
+                let (lists, every) = (lists.join(", "), options.test_every);
+                self.warnings.push(format!("{lists}: not used; one in {every} views is held out"));
+            }
+        }
+        if let Some(start) = there(&["init.ply"]).first().filter(|_| !self.points.is_empty()) {
+            self.warnings
+                .push(format!("{start}: not used, because there are other points; `--init` takes Gaussians"));
+        }
     }
 
     /// Names the cameras that the scene extent leaves out, or the farthest one that decides it.
@@ -258,14 +292,7 @@ impl Plan {
                 })
             };
         let names = images.iter().map(|image| image.name.as_str());
-        let (photos, registered) = (photo_folder::count(path, &folder, names), images.len());
-        if photos > registered {
-            plan.warnings.push(format!(
-                "{}: only {registered} of its {photos} photos have a camera in the model: the others are not used ({})",
-                folder.display(),
-                photo_folder::advice_for_more(path)
-            ));
-        }
+        plan.tell_of_photos_without_camera(photo_folder::count(path, &folder, names), path, &folder);
         plan.views = images
             .into_iter()
             .zip(paths)
@@ -273,6 +300,17 @@ impl Plan {
             .map(|((image, path), (turned, size))| view(image, path, turned, size))
             .collect();
         Ok(plan)
+    }
+
+    fn tell_of_photos_without_camera(&mut self, photos: usize, dataset: &Path, folder: &Path) {
+        let registered = self.registered;
+        if photos > registered {
+            self.warnings.push(format!(
+                "{}: only {registered} of its {photos} photos have a camera: the others are not used ({})",
+                folder.display(),
+                photo_folder::advice_for_more(dataset)
+            ));
+        }
     }
 
     /// The photos of a model's images: by their names, else by the ends of these, of what no other image names.
@@ -375,6 +413,10 @@ impl Plan {
         }
         let known = lenses.values().map(|(lens, pinhole)| (lens, *pinhole));
         plan.distorted = lens_note::of(&plan.list, known);
+        if !plan.has_split && frames.iter().all(|frame| frame.name.starts_with("images/")) {
+            let folder = path.join(&options.images);
+            plan.tell_of_photos_without_camera(photos_below(&folder).len(), path, &folder);
+        }
         Ok(plan)
     }
 

@@ -131,6 +131,8 @@ pub(crate) struct Marks {
     pub(crate) mode: RenderMode,
     /// Variance that training added on the screen, square pixels.
     pub(crate) kernel_size: Option<f32>,
+    /// The axis that points up, as nerfstudio names it.
+    pub(crate) up: Option<&'static str>,
 }
 
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -163,6 +165,11 @@ impl Marks {
             }
             ["kernel_size", size] => {
                 self.kernel_size = size.parse().ok().filter(is_kernel_size);
+            }
+            ["vertical", "axis", axis] => {
+                self.up = [("x", "1,0,0"), ("y", "0,1,0"), ("z", "0,0,1")]
+                    .into_iter()
+                    .find_map(|(name, up)| (name == axis).then_some(up));
             }
             _ => {}
         }
@@ -350,6 +357,11 @@ impl Parser<'_> {
 
     fn property(&mut self, kind: Kind, name: &str) -> Result<()> {
         cost::step();
+        // CloudCompare writes every field but positions, normals and colours under such a name.
+        let own = name.strip_prefix("scalar_").filter(|own| {
+            ["opacity", "f_dc_", "f_rest_", "scale_", "rot_"].iter().any(|start| own.starts_with(start))
+        });
+        let name = own.unwrap_or(name);
         let new = self.property_names.insert(name.to_owned());
         match self.elements.last_mut() {
             None => Err(self.error(format!("property {name} stands before any element"))),

@@ -3,7 +3,7 @@
 use std::collections::HashSet;
 use std::path::Path;
 
-use super::header::{DISKS, Element, FILTER, Kind, Property, Scalar};
+use super::header::{DISKS, Element, FILTER, Kind, Property, RenderMode, Scalar};
 use super::rows::PlyFile;
 use crate::splats::{BLOCK, Format, Header, ReadOptions, Reader, Sink, Source};
 use crate::{cameras_json, host_memory};
@@ -92,6 +92,17 @@ impl<'a> GaussianRows<'a> {
             warnings.push(DISKS.into());
         }
         warnings.extend(restored);
+        if layout.filtered && marks.mode == RenderMode::Default && marks.kernel_size.is_none() {
+            warnings.push(format!(
+                "{FILTER} is applied, but nothing says how the scene was antialiased: one of Mip-Splatting needs `--antialiasing \
+                 --kernel-size 0.1`"
+            ));
+        }
+        warnings.extend(
+            marks.up.map(|up| {
+                format!("names its vertical axis: `--up {up}` makes orbits and the page follow it")
+            }),
+        );
         if let Some([red, green, blue]) = layout.rgb {
             layout.white = Some(white(path, &element, [red, green, blue])?);
             warnings.push(format!(
@@ -400,6 +411,10 @@ impl Layout {
             (Some(gap), _) => {
                 let problem = format!("property f_rest_{gap} is missing, though there are {rest} of f_rest");
                 Err(Error::input(path, problem, "write the file again with all of them"))
+            }
+            (None, None) if rest == 72 => {
+                let remedy = "export it with degree 3 at most";
+                Err(Error::input(path, "has SH of degree 4 (72 f_rest properties)", remedy))
             }
             (None, None) => {
                 let problem = format!("{rest} f_rest properties fit no SH degree");

@@ -85,11 +85,13 @@ impl Gltf {
         let (held, mut used) = (buffers.bytes(), 0_u64);
         let mut uses: BTreeMap<(usize, usize), u64> = BTreeMap::new();
         let splats: Vec<Vec<Splats<'_>>> = document.meshes.iter().map(Splats::of).collect();
+        let mut others = 0;
         for (mesh_index, placement) in document.placed_meshes(path)? {
             let Some(mesh) = splats.get(mesh_index) else {
                 let problem = format!("a node has mesh {mesh_index}, there are {}", document.meshes.len());
                 return Err(damaged(path, problem));
             };
+            others += document.meshes[mesh_index].primitives.len() - mesh.len();
             for &Splats { index, primitive, extension } in mesh {
                 cost::step();
                 let place = format!("mesh {mesh_index}, primitive {index}");
@@ -148,6 +150,10 @@ impl Gltf {
         if parts.is_empty() {
             let problem = format!("has no Gaussians (no placed primitive with {EXTENSION})");
             return Err(Error::input(path, problem, "is it a mesh?"));
+        }
+        if others > 0 {
+            let path = path.display();
+            header.warnings.push(format!("{path}: {others} primitives that are no Gaussians are not used"));
         }
         header.sh_degree = parts.iter().map(|part| part.sh_degree).max().unwrap_or(0);
         let mut gltf = Self { buffers, parts, header, path: path.to_owned() };
@@ -281,13 +287,8 @@ impl Source for Gltf {
             match &mut part.rows {
                 Rows::Plain(rows) => {
                     for start in (0..rows.count).step_by(BLOCK) {
-                        let block = rows.read(buffers, start..(start + BLOCK).min(rows.count))?;
-                        if block.opacity_logits.iter().any(|logit| logit.is_nan()) {
-                            let problem = format!("{EXTENSION}:OPACITY has values outside of 0 to 1");
-                            let remedy = "write opacities, not their logits, as the extension says";
-                            return Err(Error::input(&self.path, problem, remedy));
-                        }
-                        placed(block)?;
+                        let end = (start + BLOCK).min(rows.count);
+                        placed(rows.read(&self.path, buffers, start..end)?)?;
                     }
                 }
                 Rows::Packed(rows) => {
@@ -340,7 +341,7 @@ impl PlainRows {
         all.map(Accessor::bytes).sum()
     }
 
-    fn read(&self, buffers: &mut Buffers, rows: std::ops::Range<usize>) -> Result<Gaussians> {
+    fn read(&self, path: &Path, buffers: &mut Buffers, rows: std::ops::Range<usize>) -> Result<Gaussians> {
         let coefficients = self.sh.len();
         let mut block = Gaussians::with_capacity(self.sh_degree(), rows.len());
         let [mean, rotation, scale, opacity] = [&self.position, &self.rotation, &self.scale, &self.opacity];
@@ -352,9 +353,16 @@ impl PlainRows {
             .iter()
             .map(|&[x, y, z, w]| [w, x, y, z])
             .collect();
-        // The logarithm of a negative size is NaN, and so unusable.
-        block.log_scales =
-            triples(&scale.read(buffers, rows.clone())?).into_iter().map(|s| s.map(f32::ln)).collect();
+        let sizes = scale.read(buffers, rows.clone())?;
+        if sizes.iter().any(|&size| size < 0.0) {
+            let problem = format!("{EXTENSION}:SCALE has values below 0");
+            return Err(Error::input(
+                path,
+                problem,
+                "write sizes, not their logarithms, as the extension says",
+            ));
+        }
+        block.log_scales = triples(&sizes).into_iter().map(|s| s.map(f32::ln)).collect();
         let logit = |opacity: f32| {
             if !(-OPACITY_SLACK..=1.0 + OPACITY_SLACK).contains(&opacity) {
                 return f32::NAN;
@@ -363,6 +371,11 @@ impl PlainRows {
             (opacity / (1.0 - opacity)).ln() as f32
         };
         block.opacity_logits = opacity.read(buffers, rows.clone())?.into_iter().map(logit).collect();
+        if block.opacity_logits.iter().any(|logit| logit.is_nan()) {
+            let problem = format!("{EXTENSION}:OPACITY has values outside of 0 to 1");
+            let remedy = "write opacities, not their logits, as the extension says";
+            return Err(Error::input(path, problem, remedy));
+        }
         block.sh = vec![[0.0; 3]; rows.len() * coefficients];
         for (k, accessor) in self.sh.iter().enumerate() {
             let values = triples(&accessor.read(buffers, rows.clone())?);

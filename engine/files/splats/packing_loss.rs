@@ -4,6 +4,7 @@ use super::doubtful::{COARSE, short};
 use super::spz_write::{MAX_FRACTIONAL_BITS, farthest, fractional_bits};
 use super::{Format, MAX_COMPRESSED_LOG_SCALE, Outline};
 use ashsplat::scene::Gaussians;
+use ashsplat::scene::sh::rgb_to_sh_dc;
 
 /// A Gaussian that is thinner than a format holds looks the same if it is this much longer, as a logarithm.
 const THIN: f32 = 3.0;
@@ -15,8 +16,8 @@ const USUALLY_CUT: f64 = 0.02;
 pub(super) struct PackingLoss {
     /// Smallest and largest log-scale.
     log_scales: [f32; 2],
-    /// Largest coefficient of a base colour.
-    max_dc: f32,
+    /// Smallest and largest coefficient of a base colour.
+    dc: [f32; 2],
     /// Largest higher SH coefficient.
     max_sh: f32,
     count: u64,
@@ -30,15 +31,16 @@ pub(super) struct PackingLoss {
 impl PackingLoss {
     /// None for formats that hold all values in single precision.
     pub(super) fn of(format: Format, spz_version: Option<u32>) -> Option<Self> {
-        let (log_scales, max_dc, max_sh) = match (format, spz_version) {
-            (Format::Spz, _) | (Format::Glb, Some(_)) => ([-10.0, 5.9375], 0.5 / 0.15, 1.0),
-            (Format::CompressedPly, _) => {
-                ([-MAX_COMPRESSED_LOG_SCALE, MAX_COMPRESSED_LOG_SCALE], f32::INFINITY, 4.0)
-            }
+        let any = [f32::NEG_INFINITY, f32::INFINITY];
+        let (log_scales, dc, max_sh) = match (format, spz_version) {
+            (Format::Spz, _) | (Format::Glb, Some(_)) => ([-10.0, 5.9375], [-0.5 / 0.15, 0.5 / 0.15], 1.0),
+            (Format::CompressedPly, _) => ([-MAX_COMPRESSED_LOG_SCALE, MAX_COMPRESSED_LOG_SCALE], any, 4.0),
+            // Without view dependence, colours below 0 are drawn as 0.
+            (Format::Splat, _) => (any, [f32::NEG_INFINITY, rgb_to_sh_dc(1.0)], f32::INFINITY),
             _ => return None,
         };
         let (count, log_sizes) = (0, 0.0);
-        Some(Self { log_scales, max_dc, max_sh, count, log_sizes, cut_scales: 0, cut_colors: 0, cut_sh: 0 })
+        Some(Self { log_scales, dc, max_sh, count, log_sizes, cut_scales: 0, cut_colors: 0, cut_sh: 0 })
     }
 
     pub(super) fn add(&mut self, block: &Gaussians) {
@@ -49,7 +51,8 @@ impl PackingLoss {
             let is_cut = largest > most || (smallest < least && largest < least + THIN);
             self.cut_scales += u64::from(is_cut);
             let (dc, higher) = block.sh_of(index).split_at(1);
-            self.cut_colors += u64::from(dc[0].iter().any(|dc| dc.abs() > self.max_dc));
+            let [least, most] = self.dc;
+            self.cut_colors += u64::from(dc[0].iter().any(|dc| !(least..=most).contains(dc)));
             self.cut_sh += u64::from(higher.as_flattened().iter().any(|sh| sh.abs() > self.max_sh));
         }
         self.count += block.len() as u64;
@@ -61,7 +64,7 @@ impl PackingLoss {
         let step = fractional_bits(outline).map_or(0.0, |bits| (-f64::from(bits)).exp2());
         let finest = (-f64::from(MAX_FRACTIONAL_BITS)).exp2();
         let typical = (self.log_sizes / self.count.max(1) as f64).exp();
-        if format != Format::CompressedPly && step > COARSE * typical {
+        if matches!(format, Format::Spz | Format::Glb) && step > COARSE * typical {
             let reason = match step == finest {
                 true => "the finest that SPZ has: scale the scene up".into(),
                 false => {

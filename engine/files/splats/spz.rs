@@ -27,6 +27,8 @@ const MAX_FRACTIONAL_BITS: u32 = 24;
 const MAX_EXTENSION_BYTES: u64 = 1 << 20;
 /// The extension that names the axes (Adobe).
 const EXTENSION_AXES: u32 = 0xadbe_0003;
+/// Limits of a viewer's orbit, which change no picture.
+const EXTENSION_ORBIT: u32 = 0xadbe_0002;
 
 /// An open SPZ. Each plane has a stream of its own, so that no more than a block is in memory.
 pub(super) struct Spz {
@@ -248,6 +250,12 @@ impl SpzFile {
         if sh_degree > 4 {
             return Err(self.damaged(format!("the header says SH degree {sh_degree}; 0 to 4 are possible")));
         }
+        let unknown = bytes[14] & !(FLAG_ANTIALIASED | FLAG_EXTENSIONS);
+        if unknown != 0 {
+            let problem = format!("has flags that are not known ({unknown:#04x})");
+            let remedy = "save it as plain SPZ, without levels of detail";
+            return Err(Error::input(&self.path, problem, remedy));
+        }
         if fractional_bits > MAX_FRACTIONAL_BITS {
             return Err(self.damaged(format!("the header says {fractional_bits} fractional bits")));
         }
@@ -353,13 +361,19 @@ impl SpzFile {
 
     fn finish(self, head: Head, layout: Layout, extensions: &[u8]) -> Result<Spz> {
         let mut warnings = Vec::new();
-        let mirrored = match axes(extensions) {
-            Ok(mirrored) => mirrored,
-            Err(problem) => {
-                let remedy = "write it again with the axes right, up, back";
-                return Err(Error::input(&self.path, problem, remedy));
-            }
-        };
+        let mirrored =
+            match axes(extensions) {
+                Ok((mirrored, unused)) => {
+                    warnings.extend(unused.into_iter().map(|kind| {
+                        format!("{}: the extension {kind:#010x} is not used", self.path.display())
+                    }));
+                    mirrored
+                }
+                Err(problem) => {
+                    let remedy = "write it again with the axes right, up, back";
+                    return Err(Error::input(&self.path, problem, remedy));
+                }
+            };
         if head.packing.sh_degree > 3 {
             warnings
                 .push(format!("{}: SH of degree 4 are left out, 3 is the highest here", self.path.display()));
@@ -376,8 +390,10 @@ impl SpzFile {
 /// Names of the planes.
 const NAMES: [&str; PLANES] = ["means", "opacities", "colours", "scales", "rotations", "spherical harmonics"];
 
-/// The axes to mirror: those of the format, unless an extension declares others.
-fn axes(mut extensions: &[u8]) -> Result<[bool; 3], String> {
+/// The axes to mirror: those of the format, unless an extension declares others. And the extensions that change the scene and are
+/// not known.
+fn axes(mut extensions: &[u8]) -> Result<([bool; 3], Vec<u32>), String> {
+    let (mut mirrored, mut unused) = (MIRRORED, Vec::new());
     while let Some((head, rest)) = extensions.split_first_chunk::<8>() {
         let [kind, length] =
             [0, 4].map(|at| u32::from_le_bytes([head[at], head[at + 1], head[at + 2], head[at + 3]]));
@@ -386,15 +402,15 @@ fn axes(mut extensions: &[u8]) -> Result<[bool; 3], String> {
         };
         if kind == EXTENSION_AXES {
             // 1 to 8 are {left, right} × {down, up} × {back, forward}; 0 is unspecified; others exchange axes.
-            return match *value {
-                [0, 0, 0, 0] => Ok(MIRRORED),
-                [code @ 1..=8, 0, 0, 0] => {
-                    Ok([(code - 1) & 1 == 0, (code - 1) & 2 != 0, (code - 1) & 4 == 0])
-                }
-                _ => Err("its axes are exchanged (extension SPZ_ADOBE_coordinate_system)".into()),
+            mirrored = match *value {
+                [0, 0, 0, 0] => MIRRORED,
+                [code @ 1..=8, 0, 0, 0] => [(code - 1) & 1 == 0, (code - 1) & 2 != 0, (code - 1) & 4 == 0],
+                _ => return Err("its axes are exchanged (extension SPZ_ADOBE_coordinate_system)".into()),
             };
+        } else if kind != EXTENSION_ORBIT {
+            unused.push(kind);
         }
         extensions = rest;
     }
-    Ok(MIRRORED)
+    Ok((mirrored, unused))
 }

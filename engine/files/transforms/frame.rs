@@ -114,13 +114,27 @@ pub(super) fn read_all(
     let (mut count, mut elsewhere, mut unused, mut depth_maps) = (0, 0, 0, 0);
     let mut lens_keys = BTreeSet::new();
     unused_lens_keys(document, &mut lens_keys);
+    let mut unused_keys = BTreeSet::new();
+    if document["test_frames"].as_array().is_some_and(|frames| !frames.is_empty()) {
+        unused_keys.insert("test_frames".to_owned());
+    }
+    let (mut times, mut contradiction) = (f64::INFINITY..f64::NEG_INFINITY, None);
     json::each_frame(path, text, &mut |value| {
         let reader = Reader { path, index: count, frame: &value, document, finder: &finder };
         count += 1;
         let (mut frame, led_out) = reader.read()?;
         elsewhere += usize::from(led_out);
         unused_lens_keys(&value, &mut lens_keys);
-        depth_maps += usize::from(value["depth_file_path"].is_string());
+        contradiction = contradiction.take().or_else(|| reader.contradiction(frame.optics.size));
+        if let Some(time) = value["time"].as_f64() {
+            times = times.start.min(time)..times.end.max(time);
+        }
+        depth_maps += usize::from(DEPTH_KEYS.iter().any(|key| value[key].is_string()));
+        unused_keys.extend(value.as_object().into_iter().flatten().filter_map(|(key, value)| {
+            let is_known = MASK_KEYS.contains(&key.as_str()) || DEPTH_KEYS.contains(&key.as_str());
+            let names_file = value.is_string() && (key.contains("mask") || key.contains("depth"));
+            (names_file && !is_known || key == "is_bad" && *value == true).then(|| key.clone())
+        }));
         if matches!(frame.optics.distortion, Distortion::Fisheye { .. }) {
             let (_, p) = reader.coefficients()?;
             lens_keys.extend(
@@ -152,6 +166,19 @@ pub(super) fn read_all(
                 [key] => format!("{key} is"),
                 keys => format!("{} are", keys.join(", ")),
             }
+        ));
+    }
+    warnings.extend(contradiction);
+    if !unused_keys.is_empty() {
+        let keys = Vec::from_iter(unused_keys).join(", ");
+        warnings.push(format!("{}: {keys}: such keys are not used", path.display()));
+    }
+    if times.start < times.end {
+        warnings.push(format!(
+            "{}: its frames are of times from {} to {}: the scene is taken as one that does not move",
+            path.display(),
+            times.start,
+            times.end
         ));
     }
     if unused > 0 {
@@ -203,6 +230,12 @@ fn unused_lens_keys(holder: &Value, keys: &mut BTreeSet<String>) {
     keys.extend(unused.map(|(key, _)| key.clone()));
 }
 
+/// Keys with the path of a frame's mask; the first is nerfstudio's.
+const MASK_KEYS: [&str; 3] = ["mask_path", "mask_file_path", "mask_filename"];
+
+/// Keys with the path of a frame's depth map, of nerfstudio and instant-ngp.
+const DEPTH_KEYS: [&str; 2] = ["depth_file_path", "depth_path"];
+
 /// The list of nerfstudio for k1, k2, k3, k4, p1 and p2, which comes before these keys.
 const DISTORTION_PARAMS: &str = "distortion_params";
 
@@ -234,9 +267,10 @@ impl Reader<'_> {
             return Err(self.error("has no file_path"));
         };
         let (name, photo_path, led_out) = self.photo(file_path)?;
-        let mask_path = match self.frame["mask_path"].as_str() {
-            Some(name) => {
-                self.check_length("mask_path", name)?;
+        let mask = MASK_KEYS.iter().find_map(|&key| Some((key, self.frame[key].as_str()?)));
+        let mask_path = match mask {
+            Some((key, name)) => {
+                self.check_length(key, name)?;
                 let mut finder = self.finder.borrow_mut();
                 let inside = below(name);
                 let found = inside.as_deref().and_then(|name| finder.file(self.folder(), name));
@@ -367,6 +401,25 @@ impl Reader<'_> {
         }
         let center = [self.number("cx")?, self.number("cy")?];
         Ok(Optics { size, focal, center, distortion: self.distortion()? })
+    }
+
+    /// The line about a focal length and an angle of one place that say different things.
+    fn contradiction(&self, size: Option<[u32; 2]>) -> Option<String> {
+        /// Ratio from which pictures show it.
+        const SHOWS: f64 = 1.02;
+        let ways = [("fl_x", "camera_angle_x"), ("fl_y", "camera_angle_y")];
+        size?.into_iter().zip(ways).find_map(|(side, (pixels, angle))| {
+            let holder = if self.frame[pixels].is_null() { self.document } else { self.frame };
+            let (focal, radians) = (holder[pixels].as_f64()?, holder[angle].as_f64()?);
+            let other = 0.5 * f64::from(side) / (0.5 * radians).tan();
+            let ratio = focal / other;
+            (ratio.max(ratio.recip()) > SHOWS).then(|| {
+                let (path, index) = (self.path.display(), self.index);
+                format!(
+                    "{path}: frame {index}: {pixels} is {focal}, {angle} means {other:.1}: {pixels} is used"
+                )
+            })
+        })
     }
 
     fn focal(&self, pixels: &str, angle: &str) -> Result<Option<Focal>> {
