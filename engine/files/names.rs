@@ -89,22 +89,21 @@ fn is_hidden(name: &OsStr) -> bool {
     name.as_encoded_bytes().starts_with(b".")
 }
 
-/// How many photos lie in a folder itself and in those folders of it that `names` begin with: not in other folders
-/// beside them.
-pub(super) fn count_photos_beside<'n>(folder: &Path, names: impl Iterator<Item = &'n str>) -> usize {
+/// The photos in a folder itself and in those folders of it that `names` begin with: not in other folders beside them.
+pub(super) fn photos_beside<'n>(folder: &Path, names: impl Iterator<Item = &'n str>) -> Vec<PathBuf> {
     let first = |name: &'n str| {
         cost::step();
         Some(name.trim_start_matches("./").split_once('/')?.0)
     };
     let folders: HashSet<&str> = names.filter_map(first).filter(|name| stays_inside(name)).collect();
     let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
-    let here = entries.filter(|entry| {
+    let here = entries.filter_map(|entry| {
         cost::step();
         let path = entry.path();
         let counts = !is_hidden(&entry.file_name()) && !is_companion(Path::new(&entry.file_name()));
-        counts && has_photo_ending(&path) && !path.is_dir()
+        (counts && has_photo_ending(&path) && !path.is_dir()).then_some(path)
     });
-    here.count() + folders.iter().map(|name| photos_below(&folder.join(name)).len()).sum::<usize>()
+    here.chain(folders.iter().flat_map(|name| photos_below(&folder.join(name)))).collect()
 }
 
 /// The pictures in a folder and those below it.

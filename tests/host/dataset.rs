@@ -328,6 +328,10 @@ fn photos_without_a_camera_are_counted() {
     let dataset = load(folder.path(), &DatasetOptions::default());
     assert_eq!(dataset.warnings.len(), 1);
     assert!(dataset.warnings[0].contains("only 3 of its 5 photos have a camera"), "{:?}", dataset.warnings);
+    std::fs::write(folder.path().join("images/000.jpg"), "").unwrap();
+    let dataset = load(folder.path(), &DatasetOptions::default());
+    assert!(dataset.warnings.join("\n").contains("1 of its photos have the name of another one"));
+    assert!(dataset.warnings.join("\n").contains("only 3 of its 5 photos have a camera"));
 }
 
 /// Files and values that other programs give a meaning.

@@ -190,6 +190,12 @@ fn points_from_before_the_scale_are_moved() {
     let dataset = load(folder.path(), &DatasetOptions::default());
     assert_eq!(dataset.points.positions[0], [0.2, 0.1, 0.0]);
     assert!(dataset.warnings[0].contains("applied_scale"), "{:?}", dataset.warnings);
+    document["frames"][1]["transform_matrix"][3] = json!([0.1, 0, 0, 1]);
+    write_json(&place("transforms.json"), &document);
+    assert!(
+        refusal(folder.path()).contains("frame 1: the last row of transform_matrix is [0.1, 0.0, 0.0, 1.0]")
+    );
+    document["frames"][1]["transform_matrix"][3] = json!([0, 0, 0, 1]);
     document["applied_scale"] = json!("0.1");
     write_json(&place("transforms.json"), &document);
     assert!(refusal(folder.path()).contains("applied_scale is not a number above 0"));

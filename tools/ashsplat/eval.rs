@@ -68,6 +68,9 @@ pub struct Arguments {
     quiet: bool,
 }
 
+/// Pictures of no structure in common have about this PSNR, dB.
+const UNLIKE_DB: f64 = 10.0;
+
 /// Means over the held-out views, by iteration.
 pub const RESULTS_FILE: &str = "results.json";
 /// The same for each view.
@@ -362,6 +365,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     })?;
     if !shows_any && !evaluation.views.is_empty() {
         tell!("warning: {}", render::NOTHING_SHOWN);
+    } else if evaluation.psnr() < UNLIKE_DB {
+        tell!(
+            "warning: the pictures have hardly anything in common with the photos: is the scene in the coordinates of this data set?"
+        );
     }
     if pose_opt {
         let renderer = RefCell::new(renderer);

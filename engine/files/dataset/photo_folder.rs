@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::names::{count_photos_beside, has_photos, photos_below};
+use crate::names::{has_photos, photos_below, photos_beside};
 use crate::{colmap, regular_file};
 use ashsplat::{Error, Result};
 
@@ -23,12 +23,12 @@ pub(super) fn find(dataset: &Path, images: &str) -> Result<PathBuf> {
     Err(Error::input(folder, "there is no folder with photos", remedy))
 }
 
-/// How many photos the folder has, whether or not they are in the model. In that of the data set itself other pictures
-/// may lie beside them, masks for example: only the folders with photos of the model (`names`) are counted.
-pub(super) fn count<'n>(dataset: &Path, folder: &Path, names: impl Iterator<Item = &'n str>) -> usize {
+/// The photos that the folder has, whether or not they are in the model. In that of the data set itself other pictures
+/// may lie beside them, masks for example: only the folders with photos of the model (`names`) are looked through.
+pub(super) fn found<'n>(dataset: &Path, folder: &Path, names: impl Iterator<Item = &'n str>) -> Vec<PathBuf> {
     match (dataset.canonicalize(), folder.canonicalize()) {
-        (Ok(dataset), Ok(same)) if dataset == same => count_photos_beside(folder, names),
-        _ => photos_below(folder).len(),
+        (Ok(dataset), Ok(same)) if dataset == same => photos_beside(folder, names),
+        _ => photos_below(folder),
     }
 }
 

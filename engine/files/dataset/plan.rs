@@ -292,7 +292,7 @@ impl Plan {
                 })
             };
         let names = images.iter().map(|image| image.name.as_str());
-        plan.tell_of_photos_without_camera(photo_folder::count(path, &folder, names), path, &folder);
+        plan.tell_of_photos_without_camera(photo_folder::found(path, &folder, names), path, &folder);
         plan.views = images
             .into_iter()
             .zip(paths)
@@ -302,8 +302,17 @@ impl Plan {
         Ok(plan)
     }
 
-    fn tell_of_photos_without_camera(&mut self, photos: usize, dataset: &Path, folder: &Path) {
+    fn tell_of_photos_without_camera(&mut self, photos: Vec<PathBuf>, dataset: &Path, folder: &Path) {
         let registered = self.registered;
+        let stems: HashSet<PathBuf> = photos.iter().map(|photo| photo.with_extension("")).collect();
+        let (alike, photos) = (photos.len() - stems.len(), stems.len());
+        if alike > 0 && photos + alike > registered {
+            self.warnings.push(format!(
+                "{}: {alike} of its photos have the name of another one but for the ending: those that {} names are used",
+                folder.display(),
+                self.list.display()
+            ));
+        }
         if photos > registered {
             self.warnings.push(format!(
                 "{}: only {registered} of its {photos} photos have a camera: the others are not used ({})",
@@ -415,7 +424,7 @@ impl Plan {
         plan.distorted = lens_note::of(&plan.list, known);
         if !plan.has_split && frames.iter().all(|frame| frame.name.starts_with("images/")) {
             let folder = path.join(&options.images);
-            plan.tell_of_photos_without_camera(photos_below(&folder).len(), path, &folder);
+            plan.tell_of_photos_without_camera(photos_below(&folder), path, &folder);
         }
         Ok(plan)
     }

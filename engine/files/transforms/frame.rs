@@ -81,7 +81,7 @@ impl Optics {
     }
 }
 
-/// Rows of a matrix of 3 or 4 rows of 4 finite numbers. The fourth row is ignored.
+/// Rows of a matrix of 3 or 4 rows of 4 finite numbers, without the fourth.
 pub(super) fn matrix(value: &Value) -> Option<[[f64; 4]; 3]> {
     let rows = value.as_array().filter(|rows| matches!(rows.len(), 3 | 4))?;
     let row = |row: &Value| -> Option<[f64; 4]> {
@@ -349,6 +349,13 @@ impl Reader<'_> {
         let Some(rows) = matrix(value) else {
             return Err(self.error("transform_matrix is not of 3 or 4 rows of 4 finite numbers"));
         };
+        let last: Vec<f64> = value[3].as_array().into_iter().flatten().filter_map(Value::as_f64).collect();
+        if last.iter().zip([0.0, 0.0, 0.0, 1.0]).any(|(given, right)| (given - right).abs() > SCALE_ROUNDING)
+        {
+            let problem =
+                format!("the last row of transform_matrix is {last:?} and not 0, 0, 0, 1: is it transposed?");
+            return Err(self.error(problem));
+        }
         let column = |c: usize| DVec3::from_array(std::array::from_fn(|r| rows[r][c]));
         let axes = DMat3::from_cols(column(0), column(1), column(2));
         let scale = axes.determinant().cbrt();
