@@ -5,7 +5,6 @@
 //! sums, and project_backward adds a Gaussian's instances in order. The same inputs on the same device give
 //! the same bits.
 
-mod step;
 mod variant;
 
 pub use variant::BackwardVariant;
@@ -13,7 +12,7 @@ pub use variant::BackwardVariant;
 use crate::error::Result;
 use crate::forward::{FrameInputs, block_of, range_arguments, record_passes};
 use crate::kernels::backward::{
-    blend_backward, blend_backward_subgroup_per_tile, expand_gradients, project_adam, project_backward,
+    blend_backward, blend_backward_subgroup_per_tile, expand_gradients, project_backward,
 };
 use crate::plan::{BlendShape, LaunchSizes, POSE_SUM_BYTES, blocks};
 use crate::vk::{Buffer, Context, Kernel, Recorder};
@@ -29,8 +28,6 @@ pub struct Backward {
     blend: [[Option<Blend>; 4]; 3],
     /// By [`BackwardVariant::of_project`], by SH degree.
     project: [[Option<Kernel<project_backward::Interface>>; 4]; 64],
-    /// By [`BackwardVariant::of_splats`], by SH degree.
-    project_adam: [[Option<Kernel<project_adam::Interface>>; 4]; 16],
     expand: [Option<Kernel<expand_gradients::Interface>>; 4],
 }
 
@@ -118,7 +115,6 @@ impl Backward {
             sizes: LaunchSizes::new(context.limits()),
             blend: Default::default(),
             project: std::array::from_fn(|_| Default::default()),
-            project_adam: Default::default(),
             expand: Default::default(),
         }
     }

@@ -76,8 +76,6 @@ pub struct Optimizer {
     parameter_gradients: bool,
     moved_cameras: bool,
     adam: [Option<Kernel<adam::Interface>>; 4],
-    /// Of Gaussians outside the view alone.
-    unseen: [Option<Kernel<adam::Interface>>; 4],
     /// Kernels of steps from sums.
     sums: Option<[Option<SumKernels>; 4]>,
 }
@@ -101,18 +99,8 @@ impl Optimizer {
     /// Prepares for a device. Sparse Adam does not change Gaussians outside the view, and corrects no bias.
     pub fn new(context: &Context, sparse: bool) -> Self {
         let sizes = LaunchSizes::new(context.limits());
-        let context = context.clone();
-        let (adam, unseen) = Default::default();
-        Self {
-            context,
-            sizes,
-            sparse,
-            parameter_gradients: false,
-            moved_cameras: false,
-            adam,
-            unseen,
-            sums: None,
-        }
+        let (context, adam) = (context.clone(), Default::default());
+        Self { context, sizes, sparse, parameter_gradients: false, moved_cameras: false, adam, sums: None }
     }
 
     /// As [`Optimizer::new`], for a loss with terms that depend on the parameters directly: their gradient is
@@ -137,7 +125,7 @@ impl Optimizer {
     /// # Errors
     /// When the device refuses a pipeline.
     pub fn prepare(&mut self, sh_degree: u32) -> Result<()> {
-        let spec = self.spec(sh_degree, false);
+        let spec = self.spec(sh_degree);
         let slot = &mut self.adam[sh_degree as usize];
         if slot.is_none() {
             *slot = Some(Kernel::new(&self.context, &spec)?);
@@ -160,20 +148,7 @@ impl Optimizer {
         Ok(())
     }
 
-    /// Builds the variant of [`Optimizer::record_unseen`] for an SH degree unless it exists.
-    ///
-    /// # Errors
-    /// When the device refuses a pipeline.
-    pub fn prepare_unseen(&mut self, sh_degree: u32) -> Result<()> {
-        let spec = self.spec(sh_degree, true);
-        let slot = &mut self.unseen[sh_degree as usize];
-        if slot.is_none() && !self.sparse {
-            *slot = Some(Kernel::new(&self.context, &spec)?);
-        }
-        Ok(())
-    }
-
-    fn spec(&self, sh_degree: u32, unseen: bool) -> adam::Spec {
+    fn spec(&self, sh_degree: u32) -> adam::Spec {
         let Self { sparse, parameter_gradients, moved_cameras: moved_camera, .. } = *self;
         let workgroup_size = self.sizes.elementwise_workgroup;
         adam::Spec {
@@ -182,7 +157,6 @@ impl Optimizer {
             sparse,
             parameter_gradients,
             sums: false,
-            unseen,
             moved_camera,
             sh_loops: self.sizes.sh_loops,
         }
@@ -271,19 +245,6 @@ impl Optimizer {
         self.record_adam(r, kernel, inputs, moments, direct, step);
     }
 
-    /// Records the part of a step that [`Backward::record_with_step`](crate::backward::Backward::record_with_step)
-    /// leaves: Gaussians outside the view, which move with a gradient of 0. None with sparse Adam. The caller
-    /// places barriers before and after.
-    pub fn record_unseen(&self, r: &mut Recorder, inputs: &FrameInputs, moments: &Moments, step: &Step) {
-        if self.sparse {
-            return;
-        }
-        let Some(kernel) = &self.unseen[inputs.sh_degree as usize] else {
-            panic!("Optimizer::prepare_unseen was not called for SH degree {}", inputs.sh_degree);
-        };
-        self.record_adam(r, kernel, inputs, moments, None, step);
-    }
-
     /// `direct`: gradients in the layout of the scene's planes, if the kernel reads any.
     fn record_adam(
         &self,
@@ -329,7 +290,7 @@ impl Optimizer {
     }
 }
 
-pub(crate) fn push(inputs: &FrameInputs, step: &Step, first: u32, count: u32) -> adam::Push {
+fn push(inputs: &FrameInputs, step: &Step, first: u32, count: u32) -> adam::Push {
     let correction = |beta: f64, steps: u64| match steps {
         0 => 1.0,
         steps => 1.0 - beta.powf(steps as f64),

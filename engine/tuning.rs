@@ -75,7 +75,7 @@ pub struct Tuning {
     pub backend: Backend,
     /// Size of subgroups, where the device has it and lets it be chosen; None: the device's own.
     pub lanes: Option<u32>,
-    /// The same for the kernels with the most registers: the backward pass of the projection, with Adam's step or without.
+    /// The same for the kernels with the most registers: the backward pass of the projection.
     pub heavy_lanes: Option<u32>,
     /// Whether the backward pass of blending and the blending of picks and motions are among these.
     pub heavy_blending: bool,
@@ -115,9 +115,6 @@ pub struct Tuning {
     pub loss_strip: u32,
     /// Whether kernels that exist in both forms read texels (buffers.glsl), where buffers have few enough texels.
     pub reads_texels: bool,
-    /// Whether the backward pass of the projection makes Adam's step on the visible Gaussians, where nobody else needs their
-    /// gradients.
-    pub fused_adam: bool,
     /// Largest subgroup with which pictures between blending and loss lie in strips; None: row by row.
     pub strips_up_to_lanes: Option<u32>,
     /// Whether commands of a recording run one after the other, so that the top of the pipe is the end of all commands before.
@@ -162,7 +159,6 @@ impl Tuning {
         loss_workgroup: WorkgroupRule::Invocations(64),
         loss_strip: 4,
         reads_texels: true,
-        fused_adam: false,
         strips_up_to_lanes: Some(16),
         runs_in_order: true,
         heap_is_bound: false,
@@ -202,9 +198,6 @@ impl Tuning {
         // Wide enough to fill a workgroup.
         loss_strip: 2,
         reads_texels: false,
-        // Where a part of the Gaussians is outside the view, both kernels of the fused form go through nearly all of the memory.
-        // On an H200 that is slower (tools/experiments.md); where all are visible it spares a tenth of both.
-        fused_adam: false,
         strips_up_to_lanes: None,
         runs_in_order: false,
         heap_is_bound: true,

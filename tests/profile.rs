@@ -129,18 +129,6 @@ fn profile_compares_two_settings() {
     assert!(difference > 0.0, "{last}");
 }
 
-/// Kernels that only one of the settings has.
-#[test]
-fn profile_compares_other_kernels() {
-    let table = profile(&["train-step", "--ab", "optimizer.UNSEEN=1", "optimizer.UNSEEN=0"]);
-    let only = |name: &str, kernel: &str| {
-        let start = format!("only in {name}: ");
-        table.lines().any(|line| line.starts_with(&start) && line.contains(&format!(" µs, {kernel} in '")))
-    };
-    assert!(only("A", "backward/project_adam") && only("B", "backward/project_backward"), "{table}");
-    assert!(table.lines().any(|line| line.starts_with("train-step") && line.contains(" device ")), "{table}");
-}
-
 #[test]
 fn profile_dumps_modules_with_their_instructions() {
     let folder = tempdir().expect("a temporary folder");

@@ -25,7 +25,6 @@ mod faults;
 mod few_photos;
 mod filters;
 mod first_frames;
-mod fused;
 mod gradients;
 mod hard_cases;
 mod host;

@@ -34,16 +34,13 @@ impl BackwardVariant {
         }
     }
 
-    /// The place of what concerns the projection of a splat.
-    pub(super) fn of_splats(self) -> usize {
+    pub(super) fn of_project(self, absolute: bool, pose_gradient: bool) -> usize {
         usize::from(self.filter_3d)
             | usize::from(self.own_dilation) << 1
             | usize::from(self.dropout) << 2
             | usize::from(self.z_record) << 3
-    }
-
-    pub(super) fn of_project(self, absolute: bool, pose_gradient: bool) -> usize {
-        self.of_splats() | usize::from(absolute) << 4 | usize::from(pose_gradient) << 5
+            | usize::from(absolute) << 4
+            | usize::from(pose_gradient) << 5
     }
 
     pub(super) fn index(self, sizes: &LaunchSizes) -> usize {

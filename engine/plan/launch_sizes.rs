@@ -80,8 +80,6 @@ pub struct LaunchSizes {
     pub loss_sweep: u32,
     /// Whether blending, the loss and the backward pass exchange pictures in strips ([`Strips`]).
     pub strips: bool,
-    /// Whether the backward pass of the projection makes Adam's step on the visible Gaussians.
-    pub fused_adam: bool,
     /// Largest size of a buffer, bytes.
     pub max_binding_bytes: u64,
     /// Most entries of a tile per blending pass.
@@ -158,7 +156,6 @@ impl LaunchSizes {
             // Few and long invocations: small workgroups spread them evenly.
             loss_sweep: limits.workgroup_size(size("loss", "WORKGROUP_SIZE", limits.subgroup_size)),
             strips: Strips::suit(limits),
-            fused_adam: limits.overridden("optimizer", "UNSEEN").map_or(tuning.fused_adam, |bits| bits != 0),
             max_binding_bytes: limits.max_storage_buffer_range.min(limits.max_allocation_bytes),
             // For drivers that limit the loop iterations of an invocation. An entry costs one iteration in
             // each region of its subgroup, and at any subgroup size from 4 a fraction of an iteration for its

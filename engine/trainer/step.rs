@@ -173,7 +173,7 @@ impl Trainer {
 
     /// Runs forward, loss, backward and the optimiser's step in one submission.
     fn run_step(&mut self, plan: &IterationPlan) -> Result<Ran, Failed> {
-        self.recorder.prepare_for(plan, self.strategy.records())?;
+        self.recorder.prepare_for(plan)?;
         let (run, model, strategy) = (&self.run, &self.state.model, &*self.strategy);
         let (photos, maps, memory) = (&self.photos, &self.maps, &self.losses);
         let (filter, poses) = (self.filter.as_ref(), self.poses.as_ref());

@@ -9,9 +9,8 @@ use super::photos::Photos;
 use super::poses::Poses;
 use super::run::Run;
 use super::settings::{OptimizerType, TrainSettings};
-use super::strategy::{Hooks, StepInputs, Strategy};
+use super::strategy::{StepInputs, Strategy};
 use super::warm_up::{PhotoInputs, PhotoPreparation};
-use super::work::{Actions, Work};
 use crate::backward::{Backward, BackwardVariant, Statistics};
 use crate::error::Result;
 use crate::forward::{Filter3d, FrameInputs, RenderSettings};
@@ -123,13 +122,10 @@ impl StepRecorder {
         let averages = settings.average_last > 0.0;
         let poses = settings.pose_opt;
         let optimizer = if poses { optimizer.with_moved_cameras() } else { optimizer };
-        let mut sizes = LaunchSizes::new(context.limits());
-        // It has more buffers than a set of ours, where there are no push descriptors.
-        sizes.fused_adam &= Backward::can_step(context.limits());
         Ok(Self {
             preparation: PhotoPreparation::new(context, settings)?,
             border: targets.rows().then(|| PixelBorder::new(context)).transpose()?,
-            sizes,
+            sizes: LaunchSizes::new(context.limits()),
             light: Light::new(context, settings, sums)?,
             backward: Backward::new(context),
             drawn: RenderSettings { dropout: settings.dropout_at(0), ..settings.render_settings() },
@@ -169,17 +165,11 @@ impl StepRecorder {
         if self.absolute.is_some() {
             self.prepare_backward(sh_degree, true)?;
         }
-        if self.sizes.fused_adam && !self.poses {
-            self.prepare_fused(sh_degree)?;
-        }
         self.optimizer.prepare(sh_degree)
     }
 
     /// Builds the kernels of this iteration unless they exist: a short or resumed run needs few of them.
-    pub fn prepare_for(&mut self, plan: &IterationPlan, hooks: Hooks) -> Result<()> {
-        if self.fuses(&plan.work, hooks) {
-            return self.prepare_fused(plan.sh_degree);
-        }
+    pub fn prepare_for(&mut self, plan: &IterationPlan) -> Result<()> {
         self.prepare_backward(plan.sh_degree, self.absolute.is_some() && plan.work.accumulates)?;
         self.optimizer.prepare(plan.sh_degree)
     }
@@ -191,24 +181,6 @@ impl StepRecorder {
             (false, true) => self.backward.prepare_absolute(sh_degree, variant),
             (false, false) => self.backward.prepare(sh_degree, variant),
         }
-    }
-
-    fn prepare_fused(&mut self, sh_degree: u32) -> Result<()> {
-        self.backward.prepare_with_step(sh_degree, BackwardVariant::of(&self.drawn()))?;
-        self.optimizer.prepare_unseen(sh_degree)
-    }
-
-    /// Whether the backward pass of the projection makes the optimiser's step: where no one else needs the
-    /// gradients. Not in an iteration that densifies, in which the reference makes no step.
-    fn fuses(&self, work: &Work, hooks: Hooks) -> bool {
-        self.sizes.fused_adam
-            && !self.poses
-            && work.optimizes
-            && !work.sums_gradients
-            && !work.actions.contains(Actions::DENSIFY)
-            && !hooks.statistics
-            && !self.targets.parameters
-            && !(work.accumulates && self.absolute.is_some())
     }
 
     /// The loss's buffers on the device for views of these sizes, one per view: scratch of the terms, the losses,
@@ -277,14 +249,9 @@ impl StepRecorder {
         let absolute = self.absolute.filter(|_| accumulate).map(|place| &model.statistics[place]);
         let statistics = Statistics { buffer: &model.statistics[0], accumulate, absolute };
         let hooks = parts.strategy.records();
-        let fuses = self.fuses(&plan.work, hooks);
-        match fuses {
-            _ if parts.poses.is_some() => self.backward.record_with_pose(r, inputs, gradient, statistics),
-            true => {
-                let moved = (&model.moments, &plan.step);
-                self.backward.record_with_step(r, inputs, gradient, statistics, moved);
-            }
-            false => self.backward.record(r, inputs, gradient, statistics),
+        match parts.poses {
+            Some(_) => self.backward.record_with_pose(r, inputs, gradient, statistics),
+            None => self.backward.record(r, inputs, gradient, statistics),
         }
         let step = StepInputs {
             frame: inputs,
@@ -307,10 +274,9 @@ impl StepRecorder {
         }
         if plan.work.optimizes {
             r.barrier();
-            match (fuses, plan.work.sums_gradients) {
-                (true, _) => self.optimizer.record_unseen(r, inputs, &model.moments, &plan.step),
-                (false, true) => self.optimizer.record_sums(r, inputs, &model.moments, sums, &plan.step),
-                (false, false) => {
+            match plan.work.sums_gradients {
+                true => self.optimizer.record_sums(r, inputs, &model.moments, sums, &plan.step),
+                false => {
                     let direct = &model.parameter_gradients;
                     self.optimizer.record(r, inputs, &model.moments, direct, &plan.step);
                 }

@@ -19,8 +19,7 @@ use crate::vk::{Buffer, Context, Recorder};
 pub struct Hooks {
     /// Whether [`Strategy::record_statistics`] is called.
     pub statistics: bool,
-    /// Whether [`Strategy::record_update`] is called, after steps of the optimiser. The gradients of the step are
-    /// then not there on every device ([`Tuning::fused_adam`](crate::tuning::Tuning::fused_adam)).
+    /// Whether [`Strategy::record_update`] is called, after steps of the optimiser.
     pub update: bool,
     /// Whether [`Work::sums_gradients`] may be set. The sums take no memory of their own, but kernels.
     pub sums: bool,

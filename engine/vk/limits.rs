@@ -92,7 +92,7 @@ pub fn is_yardstick(kernel: &str) -> bool {
 
 /// Constants that the host uses to count workgroups and to choose kernels. It sets them itself (from
 /// [`Limits::overridden`]), so that shader and host cannot differ.
-pub(super) const CHOSEN_BY_HOST: [&str; 14] = [
+pub(super) const CHOSEN_BY_HOST: [&str; 13] = [
     "WORKGROUP_SIZE",
     "SUBGROUP_SIZE",
     "ITEMS",
@@ -105,7 +105,6 @@ pub(super) const CHOSEN_BY_HOST: [&str; 14] = [
     "SIZE",
     "STRIDE",
     "ROWS",
-    "UNSEEN",
     "WHOLE_ROWS",
 ];
 

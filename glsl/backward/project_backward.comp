@@ -31,14 +31,10 @@ layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
 layout(constant_id = 2) const uint SH_DEGREE = 3;
 // A Gaussian with more instances is summed by its whole subgroup.
 layout(constant_id = 3) const uint LANE_INSTANCES = 64;
-#ifdef ADAM
-const bool ABSOLUTE = false;
-#else
 // Also the statistic of the absolute gradients of the 2D mean.
 layout(constant_id = 4) const bool ABSOLUTE = false;
 // Whether the camera's pose has a gradient.
 layout(constant_id = 6) const bool POSE_GRADIENT = false;
-#endif
 // Whether Gaussians have a 3D filter: see projection.glsl.
 layout(constant_id = 5) const bool FILTER_3D = false;
 // Whether the dilation is another than DILATION_PX2. That one is a constant: a driver may compute with constants in another
@@ -52,13 +48,8 @@ layout(constant_id = 9) const bool Z_RECORD = false;
 layout(constant_id = 10) const bool SH_LOOPS = false;
 layout(local_size_x_id = 0) in;
 
-#ifdef ADAM
-ALIASED VEC4_READS(0, Parameters, parameters);
-layout(set = 0, binding = 1, scalar) buffer State { uint state[]; };
-#else
 VEC4_READS(0, Parameters, parameters);
 layout(set = 0, binding = 1, scalar) readonly buffer State { uint state[]; };
-#endif
 UINT_READS(2, VisibleList, visible_list);
 UVEC4_READS(3, Footprints, footprints);
 UINT_READS(4, FirstInstances, first_instances);
@@ -68,20 +59,11 @@ VEC4_READS(7, InstanceGradientsB, instance_gradients_b);
 VEC2_READS(8, InstanceGradientsC, instance_gradients_c);
 layout(set = 0, binding = 10, scalar) buffer Statistics { vec2 statistics[]; };
 UVEC4_READS(11, VisibleRanges, visible_ranges);
-#ifdef ADAM
-// The same memory as `parameters` and the moments that are read. Each invocation reads its own elements before it writes them.
-ALIASED VEC4_WRITES(9, NewParameters, new_parameters);
-ALIASED VEC4_WRITES(12, Moments1, moments_1);
-ALIASED VEC4_WRITES(13, Moments2, moments_2);
-ALIASED VEC4_READS(14, OldMoments1, old_moments_1);
-ALIASED VEC4_READS(15, OldMoments2, old_moments_2);
-#else
 layout(set = 0, binding = 9, scalar) writeonly buffer Gradients { vec4 gradients[]; };
 // Only used with ABSOLUTE.
 VEC2_READS(12, InstanceGradientsD, instance_gradients_d);
 layout(set = 0, binding = 13, scalar) buffer AbsoluteStatistics { float absolute_statistics[]; };
 layout(set = 0, binding = 14, scalar) writeonly buffer PoseSums { vec3 pose_sums[]; };
-#endif
 
 layout(push_constant, scalar) uniform Push {
     // First Gaussian of the bound parameter range, and capacity of the range.
@@ -93,23 +75,6 @@ layout(push_constant, scalar) uniform Push {
     // Stride of the gradient planes, and whether to update the statistics.
     uint gradient_stride;
     uint accumulate;
-#ifdef ADAM
-    // As in adam.comp.
-    vec3 push_camera_position;
-    float beta_1;
-    float beta_2;
-    float one_minus_beta_1;
-    float one_minus_beta_2;
-    float epsilon;
-    float rate_mean;
-    float rate_opacity;
-    float rate_quat;
-    float rate_log_scale;
-    float rate_sh_dc;
-    float rate_sh_rest;
-    float inverse_bias_2;
-    float inverse_bias_2_opacity;
-#endif
 };
 
 #include "camera_block.glsl"
@@ -121,14 +86,6 @@ layout(push_constant, scalar) uniform Push {
 #include "projection.glsl"
 #include "sh.glsl"
 #include "sh_planes.glsl"
-#ifdef ADAM
-#include "sh_gradient.glsl"
-#define OLD_PARAMETERS parameters
-#define NEW_PARAMETERS new_parameters
-#define SH_GRADIENT(PLANE, AT) sh_plane_gradient(PLANE, basis, d_color)
-#include "finite.glsl"
-#include "adam_step.glsl"
-#endif
 
 struct Sums {
     vec4 a;
@@ -145,11 +102,9 @@ void add_instance(inout Sums sums, uint at) {
     sums.a += VEC4_AT(instance_gradients_a, at);
     sums.b += VEC4_AT(instance_gradients_b, at);
     sums.c += VEC2_AT(instance_gradients_c, at);
-#ifndef ADAM
     if (ABSOLUTE) {
         sums.absolute += VEC2_AT(instance_gradients_d, at);
     }
-#endif
 }
 
 Sums subgroup_sum(Sums sums) {
@@ -255,7 +210,6 @@ vec3 sh_direction_gradient(uint index, vec3 direction, vec3 d_color) {
     return d_direction;
 }
 
-#ifndef ADAM
 bool all_finite(vec3 v) {
     return is_finite(v.x) && is_finite(v.y) && is_finite(v.z);
 }
@@ -273,7 +227,6 @@ void write_pose_sums(vec3 d_moved, vec3 d_turned, bool exists, uint end) {
         pose_sums[2 * at + 1] = turned;
     }
 }
-#endif
 
 void main() {
     // A workgroup has the size of a culling block.
@@ -369,7 +322,6 @@ void main() {
 
     d_mean += d_towards;
 
-#ifndef ADAM
     if (POSE_GRADIENT) {
         vec3 d_turned = cross(p.mean_camera, d_camera);
         for (uint axis = 0; axis < 3; ++axis) {
@@ -377,30 +329,15 @@ void main() {
         }
         write_pose_sums(d_camera + to_camera(d_towards), d_turned, exists, visible_range.y - visible_range.x);
     }
-#endif
     if (SH_LOOPS) {
         // After the pose, which is the last to need the axes.
         d_quat = axes_backward(p, d_axes);
     }
-#ifdef ADAM
-    if (exists && state[STATE_OVERFLOW] == 0) {
-        vec4 d_mean_opacity = vec4(d_mean, d_logit);
-        if (finite(d_mean_opacity) && finite(d_quat) && finite(vec4(d_log_scale, 0.0)) && finite(vec4(d_color, 0.0))) {
-            // As adam.comp computes it.
-            vec3 step_direction = normalize(mean_opacity.xyz - push_camera_position);
-            update_all(index, d_mean_opacity, d_quat, vec4(d_log_scale, 0.0), d_color, step_direction);
-        } else {
-            atomicAdd(state[STATE_NON_FINITE], 1);
-        }
-    }
-#endif
     if (exists) {
-#ifndef ADAM
         gradients[GRADIENT_MEAN_OPACITY * gradient_stride + visible] = vec4(d_mean, d_logit);
         gradients[GRADIENT_QUAT * gradient_stride + visible] = d_quat;
         gradients[GRADIENT_LOG_SCALE * gradient_stride + visible] = vec4(d_log_scale, d_mean2d.x);
         gradients[GRADIENT_COLOR * gradient_stride + visible] = vec4(d_color, d_mean2d.y);
-#endif
         if (accumulate != 0 && state[STATE_OVERFLOW] == 0) {
             vec2 ndc = d_mean2d * 0.5 * vec2(whole_width, whole_height);
             float norm = length(ndc);
@@ -408,11 +345,9 @@ void main() {
             // A norm that is not finite would spoil the statistics for good, so it is skipped.
             bool counts = is_finite(norm) && is_finite(absolute_norm);
             statistics[gaussian] += counts ? vec2(norm, 1.0) : vec2(0.0);
-#ifndef ADAM
             if (ABSOLUTE) {
                 absolute_statistics[gaussian] += counts ? absolute_norm : 0.0;
             }
-#endif
         }
     }
 }

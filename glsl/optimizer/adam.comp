@@ -26,8 +26,6 @@ layout(constant_id = 2) const uint SH_DEGREE = 3;
 layout(constant_id = 3) const bool SPARSE = false;
 layout(constant_id = 4) const bool PARAMETER_GRADIENTS = false;
 layout(constant_id = 5) const bool SUMS = false;
-// Only Gaussians outside the view: project_adam.comp has done the others.
-layout(constant_id = 6) const bool UNSEEN = false;
 // The camera is where the camera block says, and not where the push constants do: the device has moved it.
 layout(constant_id = 7) const bool MOVED_CAMERA = false;
 layout(constant_id = 8) const bool SH_LOOPS = false;
@@ -76,11 +74,40 @@ layout(push_constant, scalar) uniform Push {
 #include "sh.glsl"
 #include "sh_gradient.glsl"
 
-#define OLD_PARAMETERS old_parameters
-#define NEW_PARAMETERS parameters
-#define SH_GRADIENT(PLANE, AT) (SUMS ? VEC4_AT(parameter_gradients, AT) : sh_plane_gradient(PLANE, basis, d_color))
 #include "finite.glsl"
-#include "adam_step.glsl"
+
+void update(uint at, vec4 g, vec4 rate, vec4 inverse_bias) {
+    vec4 m = beta_1 * VEC4_AT(old_moments_1, at) + one_minus_beta_1 * g;
+    vec4 v = beta_2 * VEC4_AT(old_moments_2, at) + one_minus_beta_2 * g * g;
+    VEC4_PUT(moments_1, at, m);
+    VEC4_PUT(moments_2, at, v);
+    vec4 p = VEC4_AT(old_parameters, at) - rate * (m / (sqrt(v) * inverse_bias + epsilon));
+    VEC4_PUT(parameters, at, p);
+}
+
+void update_group(uint group, uint index, vec3 d_color, vec3 direction) {
+    vec4 basis = sh_basis_group(group, direction);
+    [[unroll]] for (uint k = 0; k < 3; ++k) {
+        uint plane = 3 * group + k;
+        vec4 rate = plane == 0 ? vec4(vec3(rate_sh_dc), rate_sh_rest) : vec4(rate_sh_rest);
+        uint at = plane_at(PLANE_SH + plane, index, chunk_gaussians);
+        if (plane < SH_PLANES) {
+            vec4 g = SUMS ? VEC4_AT(parameter_gradients, at) : sh_plane_gradient(k, basis, d_color);
+            update(at, g, rate, vec4(inverse_bias_2));
+        }
+    }
+}
+
+// `direction` is that of the forward pass.
+void update_all(uint index, vec4 d_mean_opacity, vec4 d_quat, vec4 d_log_scale, vec3 d_color, vec3 direction) {
+    vec4 bias = vec4(inverse_bias_2);
+    update(plane_at(PLANE_MEAN_OPACITY, index, chunk_gaussians), d_mean_opacity, vec4(vec3(rate_mean), rate_opacity),
+        vec4(bias.xyz, inverse_bias_2_opacity));
+    update(plane_at(PLANE_QUAT, index, chunk_gaussians), d_quat, vec4(rate_quat), bias);
+    update(plane_at(PLANE_LOG_SCALE, index, chunk_gaussians), d_log_scale, vec4(vec3(rate_log_scale), 0.0), bias);
+#define UPDATE_GROUP(GROUP) update_group(GROUP, index, d_color, direction)
+    EACH_SH_GROUP(SH_GROUPS, UPDATE_GROUP)
+}
 
 void main() {
     uint index = linear_invocation();
@@ -89,7 +116,7 @@ void main() {
     }
     uint visible = UINT_AT(visible_index, first + index);
     bool seen = visible != NOT_VISIBLE;
-    if ((SPARSE && !seen) || (UNSEEN && seen)) {
+    if (SPARSE && !seen) {
         return;
     }
     uint row = seen ? visible : 0;

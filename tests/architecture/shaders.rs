@@ -141,7 +141,7 @@ fn architecture_trainings_of_gpus_are_trials() {
 }
 
 /// Kernels that compute what another one computes, in another way: they share its twin.
-const ALIKE: [(&str, &str); 13] = [
+const ALIKE: [(&str, &str); 12] = [
     ("blend_auxiliary", "blend"),
     ("blend_backward_subgroup_per_tile", "blend_backward"),
     ("blend_shared", "blend"),
@@ -151,7 +151,6 @@ const ALIKE: [(&str, &str); 13] = [
     ("compose_rgb10a2", "compose_rgba8"),
     ("compose_rgba16f", "compose_rgba32f"),
     ("cull_scenes", "cull"),
-    ("project_adam", "project_backward"),
     ("project_scenes", "project"),
     ("ssim_backward_sweep", "ssim_backward"),
     ("ssim_forward_sweep", "ssim_forward"),

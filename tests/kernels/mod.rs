@@ -57,7 +57,6 @@ mod picture_to_rows;
 pub mod pose_gradient;
 mod pose_step;
 mod project;
-mod project_adam;
 pub mod project_backward;
 mod project_scenes;
 mod ranges;
