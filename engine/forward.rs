@@ -8,7 +8,6 @@
 mod arguments;
 mod auxiliary;
 mod batches;
-mod blend_forms;
 mod blending;
 mod camera_block;
 mod cut_outs;
@@ -25,9 +24,8 @@ use arguments::arguments;
 pub(crate) use arguments::range_arguments;
 pub use auxiliary::{Auxiliary, Before, MotionBuffers, PickBuffers, Seen};
 pub(crate) use batches::LEAST_SCENES;
-pub use blend_forms::{BlendMeasurement, Blending};
-pub use blending::BlendVariant;
 pub(crate) use blending::record_passes;
+pub use blending::{BlendVariant, Blending};
 pub(crate) use camera_block::block_of;
 pub use camera_block::{POSE_BYTES, pose_of};
 pub(crate) use cut_outs::CUT_OUT_BYTES;
@@ -115,7 +113,7 @@ impl Forward {
             )?,
             duplicate: [duplicate(false)?, duplicate(true)?],
             ranges: [ranges(false)?, ranges(true)?],
-            blend: blending::Blend::new(limits),
+            blend: blending::Blend::new(),
             screen_motion: screen_motion::ScreenMotion::default(),
         })
     }
@@ -159,7 +157,7 @@ impl Forward {
             && self.blend.is_prepared(&self.sizes, variant)
     }
 
-    /// Sets the form of blending, instead of [`Blending::of_device`]. Call it before [`Forward::prepare`].
+    /// Sets the form of blending. Call it before [`Forward::prepare`].
     /// Returns whether the form has changed.
     pub fn set_blending(&mut self, blending: Blending) -> bool {
         self.blend.choose(blending)

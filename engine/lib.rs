@@ -65,9 +65,7 @@ pub mod vk;
 pub use ash;
 pub use compose::Background;
 pub use error::{Error, Result};
-pub use forward::{
-    BlendMeasurement, Blending, Extent, JacobianLimit, RenderSettings, SceneSettings, Selection, Shape,
-};
+pub use forward::{Blending, Extent, JacobianLimit, RenderSettings, SceneSettings, Selection, Shape};
 /// The vectors and matrices whose types the API shows.
 pub use glam;
 pub use renderer::{

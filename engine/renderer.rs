@@ -248,7 +248,7 @@ impl Renderer {
         self.runner.blending()
     }
 
-    /// Sets the form of blending, instead of [`Blending::of_device`]. Frames that are recorded into a host's
+    /// Sets the form of blending. Frames that are recorded into a host's
     /// command buffer then need [`Renderer::reserve`] again, once none is in flight: it builds the kernels.
     pub fn set_blending(&mut self, blending: Blending) {
         self.runner.set_blending(blending);

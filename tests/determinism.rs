@@ -183,11 +183,7 @@ fn determinism_verification_says_so_without_memory_for_more() {
         contexts += 1;
         let overrides = match contexts {
             2 => {
-                vec![SpecOverride {
-                    kernel: "optimizer/adam".into(),
-                    constant: "SH_DEGREE".into(),
-                    bits: 0,
-                }]
+                vec![SpecOverride { kernel: "optimizer/adam".into(), constant: "SH_DEGREE".into(), bits: 0 }]
             }
             _ => Vec::new(),
         };

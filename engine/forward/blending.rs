@@ -1,6 +1,5 @@
 //! Blending, in two forms.
 
-use super::blend_forms::Blending;
 use super::{FrameInputs, RenderSettings, SceneSettings};
 use crate::error::Result;
 use crate::kernels::forward::{
@@ -8,7 +7,25 @@ use crate::kernels::forward::{
 };
 use crate::plan::{LaunchSizes, tile_grid};
 use crate::scene::Camera;
-use crate::vk::{Context, Kernel, Limits, Recorder};
+use crate::vk::{Context, Kernel, Recorder};
+
+/// How a tile is blended: the same picture, at a cost that depends on the device. The pictures agree to the
+/// bit if the driver's compiler fuses sums of products alike in both kernels, as llvmpipe's does. `precise`
+/// arithmetic decides which Gaussians count.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Blending {
+    /// Each subgroup culls against its own region of the tile and hands Gaussians over by shuffles or broadcasts. It is the
+    /// faster form on all devices that have been measured.
+    #[default]
+    Regions,
+    /// The paper's form: batches in shared memory, and every invocation loops over the whole batch.
+    SharedMemory,
+}
+
+impl Blending {
+    /// Both forms.
+    pub const ALL: [Self; 2] = [Self::Regions, Self::SharedMemory];
+}
 
 /// The variant of a frame's kernels: what is blended in addition to colours, and how.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -199,9 +216,9 @@ macro_rules! blend_bind {
 }
 
 impl Blend {
-    pub fn new(limits: &Limits) -> Self {
+    pub fn new() -> Self {
         Self {
-            blending: Blending::of_device(limits),
+            blending: Blending::default(),
             regions: [const { None }; 32],
             shared: [const { None }; 32],
             regions_auxiliary: [const { None }; 96],

@@ -285,7 +285,7 @@ impl Trainer {
         self.runner.blending()
     }
 
-    /// Sets the form of blending, instead of [`Blending::of_device`]. Steps that are already recorded keep
+    /// Sets the form of blending. Steps that are already recorded keep
     /// their form. Another step can be recorded after [`Trainer::maintain`] only.
     pub fn set_blending(&mut self, blending: Blending) {
         if self.runner.set_blending(blending) {

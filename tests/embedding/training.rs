@@ -187,8 +187,7 @@ fn recorded_training_is_the_owned_paths_to_the_bit() {
 fn another_form_of_blending_is_due_maintenance() {
     with_host(&options(), |host| {
         let context = guest(host);
-        let own = Blending::of_device(context.limits());
-        let other = Blending::ALL.into_iter().find(|&form| form != own).expect("two forms");
+        let [own, other] = Blending::ALL;
         let (mut recorded, mut expected) = (trainer(&context, settings()), trainer(&context, settings()));
         recorded.reserve_steps(&StepReservation { slots: 1, instances: 0, visible: 0 }).expect("memory");
         let frame = InFlight::new(host).expect("a command buffer");

@@ -114,13 +114,9 @@ pub fn render(job: &Job) -> Result<(Run, Measured)> {
     ))
 }
 
-/// A frame in both forms of blending, in turn, the device's own first: on the same machine at the same time.
+/// A frame in both forms of blending, in turn: on the same machine at the same time.
 pub fn render_both(job: &Job) -> Result<Vec<Run>> {
     let mut renderer = Renderer::new(job.context)?;
-    let mut forms = Blending::ALL;
-    if forms[0] != renderer.blending() {
-        forms.reverse();
-    }
     renderer.upload(&job.scene.gaussians)?;
     let settings = RenderSettings::default();
     let mut stats = FrameStats::default();
@@ -131,7 +127,7 @@ pub fn render_both(job: &Job) -> Result<Vec<Run>> {
     };
     job.context.reset_memory_peaks();
     let mut both = Vec::new();
-    for form in forms {
+    for form in Blending::ALL {
         let measurement = Measurement::begin(job.context, job.iterations, || Ok(()), || blended(form))?;
         both.push((form, measurement));
     }
