@@ -1,17 +1,16 @@
 //! Progress on stderr: a bar on a terminal, plain lines elsewhere, nothing with `--quiet`.
 
-mod time_left;
-
 use ashsplat::trainer::TrainSettings;
 use indicatif::{ProgressBar, ProgressStyle};
 use std::io::IsTerminal;
 use std::time::{Duration, Instant};
-use time_left::{Left, TimeLeft};
 
 /// Iterations between two plain lines.
 const LINE_INTERVAL: u32 = 100;
 /// Weight of the newest loss in the running mean, as in the reference.
 const LOSS_WEIGHT: f64 = 0.4;
+/// Weight of the newest measurement in the speed that the time left follows from.
+const SPEED_WEIGHT: f64 = 0.3;
 
 /// What is known after an iteration.
 pub struct State {
@@ -54,14 +53,13 @@ pub struct TrainProgress {
     /// Done before the start.
     first: u32,
     iterations: u32,
-    /// When the last iteration ended.
-    last: Instant,
-    time_left: TimeLeft,
-    /// What was foretold, and when.
-    foretold: Option<(Left, Instant)>,
+    /// The last densification, or the end of the warm-up: iterations after it take equally long.
+    settled_from: u32,
     /// When and at which iteration the present speed's measurement began.
     window: (Instant, u32),
     iterations_per_second: f64,
+    /// Seconds of an iteration: a running mean, 0 before the first measurement.
+    mean_seconds: f64,
     mean_loss: MeanLoss,
     /// The last measurement, and its iteration.
     psnr: Option<(f64, u32)>,
@@ -78,11 +76,14 @@ impl TrainProgress {
             lines: !terminal && !quiet,
             first,
             iterations,
-            last: Instant::now(),
-            time_left: TimeLeft::of(first, settings),
-            foretold: None,
+            settled_from: (1..=iterations)
+                .rev()
+                .find(|&iteration| settings.densifies_at(iteration))
+                .unwrap_or(0)
+                .max(settings.warm_up_end()),
             window: (Instant::now(), first),
             iterations_per_second: 0.0,
+            mean_seconds: 0.0,
             mean_loss: MeanLoss::new(LOSS_WEIGHT),
             psnr: None,
         }
@@ -98,10 +99,9 @@ impl TrainProgress {
         } else if seconds > 1.0 || self.iterations_per_second == 0.0 {
             self.iterations_per_second = f64::from(state.iteration - self.window.1) / seconds.max(1e-9);
             self.window = (Instant::now(), state.iteration);
-        }
-        let spent = std::mem::replace(&mut self.last, Instant::now()).elapsed().as_secs_f64();
-        if self.time_left.step(state.iteration, state.gaussians, spent) {
-            self.foretold = self.time_left.after(state.iteration).map(|left| (left, Instant::now()));
+            let newest = self.iterations_per_second.recip();
+            let weight = if self.mean_seconds == 0.0 { 1.0 } else { SPEED_WEIGHT };
+            self.mean_seconds += weight * (newest - self.mean_seconds);
         }
         if let Some(bar) = &self.bar {
             bar.set_position(u64::from(state.iteration));
@@ -146,13 +146,13 @@ impl TrainProgress {
 
     fn describe(&self, state: &State) -> String {
         let psnr = self.psnr.map_or_else(|| "-".into(), |(psnr, at)| format!("{psnr:.2} at {at}"));
-        let left = match self.foretold {
-            _ if state.iteration == self.iterations => String::new(),
-            Some((left, when)) => {
-                let seconds = left.seconds - when.elapsed().as_secs_f64();
-                format!("  {}{} left", if left.at_least { "more than " } else { "" }, clock(seconds))
+        let left = match self.iterations - state.iteration {
+            0 => String::new(),
+            _ if self.mean_seconds == 0.0 => String::new(),
+            left => {
+                let more = if state.iteration < self.settled_from { "more than " } else { "" };
+                format!("  {more}{} left", clock(f64::from(left) * self.mean_seconds))
             }
-            None => String::new(),
         };
         format!(
             "{:.1} it/s  loss {:.4}  PSNR {psnr}  {} Gaussians  {} MiB{left}",
