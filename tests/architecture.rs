@@ -1,7 +1,5 @@
 //! The rules of the house that a machine can check. Each rule also has an example that it must reject.
 
-mod circles;
-mod dependencies;
 mod links;
 mod readers;
 mod shaders;
@@ -326,25 +324,4 @@ fn architecture_nothing_is_copied_from_the_shared_folder() {
     files_below(&shared, &mut theirs);
     assert_none("copied", copies(&ours, &theirs));
     assert_eq!(copies(&ours[..1], &ours[..1]).len(), 1, "a copy would be found");
-}
-
-// ---- tests that count what their process reserves ------------------------------------------------------------------
-
-fn tests_out_of_turn(source: &Source) -> Vec<String> {
-    let turns = ["turn()", "assert_linear(", "on_a_small_stack("];
-    let tests = source.text.split(concat!("#[", "test]")).skip(1);
-    tests
-        .filter(|test| !turns.iter().any(|turn| test.contains(turn)))
-        .filter_map(|test| Some(format!("{}: {}", source.path, test.trim().lines().next()?)))
-        .collect()
-}
-
-#[test]
-fn architecture_tests_of_counted_costs_take_turns() {
-    let text =
-        concat!("#[", "test]\nfn a() { read(); }\n#[", "test]\nfn b() { let _turn = turn(); }\n").into();
-    let example = Source { path: "tests/growth/a.rs".into(), text };
-    assert_eq!(tests_out_of_turn(&example), ["tests/growth/a.rs: fn a() { read(); }"]);
-    let sources = sources(&["engine/files", "tests/growth"], &["rs"]);
-    assert_none("one test at a time", sources.iter().flat_map(tests_out_of_turn).collect());
 }

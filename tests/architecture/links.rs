@@ -98,15 +98,3 @@ fn architecture_links_of_documents_lead_somewhere() {
     assert!(checked > 150, "{checked} links");
     assert!(headings > 0, "no link to a heading");
 }
-
-#[test]
-fn architecture_anchors_are_those_of_github() {
-    let text = "# A `b_c`: d, e\n## [F](g.md) — h\n```\n# code\n```\n#no heading\n### F  — h\n## 1. Two's\n# F — h\n";
-    assert_eq!(anchors(text), ["a-b_c-d-e", "f--h", "f---h", "1-twos", "f--h-1"]);
-}
-
-#[test]
-fn architecture_links_are_found() {
-    let text = "[a](b.md#c) and [d](e)\n[`F`]: ../f.rs \"crate::F\"\n```\n[x](y)\n```\n";
-    assert_eq!(links(text), [("b.md#c", None), ("e", None), ("../f.rs", Some("crate::F"))]);
-}
