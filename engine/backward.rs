@@ -15,7 +15,7 @@ use crate::kernels::backward::{
     blend_backward, blend_backward_subgroup_per_tile, expand_gradients, project_backward,
 };
 use crate::plan::{BlendShape, LaunchSizes, POSE_SUM_BYTES, blocks};
-use crate::vk::{Buffer, Context, Kernel, Recorder};
+use crate::vk::{Buffer, Context, KernelSet, Recorder};
 
 /// A Gaussian with more tiles has its instances added by a whole subgroup.
 const LANE_INSTANCES: u32 = 64;
@@ -24,17 +24,12 @@ const LANE_INSTANCES: u32 = 64;
 pub struct Backward {
     context: Context,
     sizes: LaunchSizes,
-    /// By [`Sums`] and variant.
-    blend: [[Option<Blend>; 4]; 3],
-    /// By [`BackwardVariant::of_project`], by SH degree.
-    project: [[Option<Kernel<project_backward::Interface>>; 4]; 64],
-    expand: [Option<Kernel<expand_gradients::Interface>>; 4],
-}
-
-/// The kernel of the backward blending: one subgroup per region of a tile, or one per tile.
-enum Blend {
-    Regions(Kernel<blend_backward::Interface>),
-    Alone(Kernel<blend_backward_subgroup_per_tile::Interface>),
+    /// One subgroup per region of a tile.
+    blend_regions: KernelSet<blend_backward::Interface>,
+    /// One subgroup per tile.
+    blend_tiles: KernelSet<blend_backward_subgroup_per_tile::Interface>,
+    project: KernelSet<project_backward::Interface>,
+    expand: KernelSet<expand_gradients::Interface>,
 }
 
 /// What the backward blending sums up per (tile, Gaussian) instance.
@@ -113,9 +108,10 @@ impl Backward {
         Self {
             context: context.clone(),
             sizes: LaunchSizes::new(context.limits()),
-            blend: Default::default(),
-            project: std::array::from_fn(|_| Default::default()),
-            expand: Default::default(),
+            blend_regions: KernelSet::default(),
+            blend_tiles: KernelSet::default(),
+            project: KernelSet::default(),
+            expand: KernelSet::default(),
         }
     }
 
@@ -146,48 +142,44 @@ impl Backward {
     }
 
     fn prepare_blend(&mut self, sums: Sums, variant: BackwardVariant) -> Result<()> {
-        let BackwardVariant { inverse_depth, steep, .. } = variant;
-        let built = &mut self.blend[sums as usize][variant.index(&self.sizes)];
-        let (absolute, weights) = (sums == Sums::Absolute, sums == Sums::Weights);
-        if built.is_none() {
-            let LaunchSizes {
-                blend_backward: BlendShape { lanes: subgroup_size, region_height, tile },
-                incremental_exp,
-                blend_backward_subgroup_per_tile: alone,
-                strips,
-                ..
-            } = self.sizes;
-            let incremental_exp = incremental_exp && !steep;
-            *built = Some(if alone {
-                let workgroup_size = subgroup_size;
-                let spec = blend_backward_subgroup_per_tile::Spec {
-                    workgroup_size,
-                    subgroup_size,
-                    inverse_depth,
-                    incremental_exp,
-                    count_hits: false,
-                    strips,
-                    absolute,
-                    weights,
-                };
-                Blend::Alone(Kernel::new(&self.context, &spec)?)
-            } else {
-                let spec = blend_backward::Spec {
-                    workgroup_size: tile,
-                    subgroup_size,
-                    inverse_depth,
-                    incremental_exp,
-                    count_hits: false,
-                    strips,
-                    absolute,
-                    weights,
-                    region_height,
-                    broadcast: self.context.limits().broadcasts,
-                };
-                Blend::Regions(Kernel::new(&self.context, &spec)?)
-            });
+        match self.sizes.blend_backward_subgroup_per_tile {
+            true => self.blend_tiles.prepare(&self.context, self.blend_tiles_spec(sums, variant)),
+            false => self.blend_regions.prepare(&self.context, self.blend_regions_spec(sums, variant)),
         }
-        Ok(())
+    }
+
+    fn blend_regions_spec(&self, sums: Sums, variant: BackwardVariant) -> blend_backward::Spec {
+        let BlendShape { lanes: subgroup_size, region_height, tile } = self.sizes.blend_backward;
+        blend_backward::Spec {
+            workgroup_size: tile,
+            subgroup_size,
+            inverse_depth: variant.inverse_depth,
+            incremental_exp: self.sizes.incremental_exp && !variant.steep,
+            count_hits: false,
+            strips: self.sizes.strips,
+            absolute: sums == Sums::Absolute,
+            weights: sums == Sums::Weights,
+            region_height,
+            broadcast: self.context.limits().broadcasts,
+        }
+    }
+
+    fn blend_tiles_spec(
+        &self,
+        sums: Sums,
+        variant: BackwardVariant,
+    ) -> blend_backward_subgroup_per_tile::Spec {
+        let subgroup_size = self.sizes.blend_backward.lanes;
+        blend_backward_subgroup_per_tile::Spec {
+            workgroup_size: subgroup_size,
+            subgroup_size,
+            inverse_depth: variant.inverse_depth,
+            incremental_exp: self.sizes.incremental_exp && !variant.steep,
+            count_hits: false,
+            strips: self.sizes.strips,
+            absolute: sums == Sums::Absolute,
+            weights: sums == Sums::Weights,
+        }
     }
 
     /// As [`Backward::prepare`], for [`Backward::record_with_pose`], without and with [`Statistics::absolute`].
@@ -210,28 +202,32 @@ impl Backward {
         variant: BackwardVariant,
         [absolute, pose_gradient]: [bool; 2],
     ) -> Result<()> {
+        let spec = self.project_spec(sh_degree, variant, [absolute, pose_gradient]);
+        self.project.prepare(&self.context, spec)
+    }
+
+    fn project_spec(
+        &self,
+        sh_degree: u32,
+        variant: BackwardVariant,
+        [absolute, pose_gradient]: [bool; 2],
+    ) -> project_backward::Spec {
         let BackwardVariant { filter_3d, own_dilation, dropout, z_record, .. } = variant;
-        let place = variant.of_project(absolute, pose_gradient);
-        let built = &mut self.project[place][sh_degree as usize];
-        if built.is_none() {
-            let spec = project_backward::Spec {
-                // The indirect dispatch over the visible Gaussians counts blocks of the elementwise
-                // workgroup's size.
-                workgroup_size: self.sizes.elementwise_workgroup,
-                subgroup_size: self.context.limits().heavy_subgroup_size,
-                sh_degree,
-                lane_instances: LANE_INSTANCES,
-                filter_3d,
-                own_dilation,
-                dropout,
-                z_record,
-                absolute,
-                pose_gradient,
-                sh_loops: self.sizes.sh_loops,
-            };
-            *built = Some(Kernel::new(&self.context, &spec)?);
+        project_backward::Spec {
+            // The indirect dispatch over the visible Gaussians counts blocks of the elementwise
+            // workgroup's size.
+            workgroup_size: self.sizes.elementwise_workgroup,
+            subgroup_size: self.context.limits().heavy_subgroup_size,
+            sh_degree,
+            lane_instances: LANE_INSTANCES,
+            filter_3d,
+            own_dilation,
+            dropout,
+            z_record,
+            absolute,
+            pose_gradient,
+            sh_loops: self.sizes.sh_loops,
         }
-        Ok(())
     }
 
     /// Builds the kernel of [`Backward::record_expand_gradients`].
@@ -239,16 +235,12 @@ impl Backward {
     /// # Errors
     /// When the device refuses a pipeline.
     pub fn prepare_expand(&mut self, sh_degree: u32) -> Result<()> {
-        let built = &mut self.expand[sh_degree as usize];
-        if built.is_none() {
-            let spec = expand_gradients::Spec {
-                workgroup_size: self.sizes.elementwise_workgroup,
-                sh_degree,
-                sh_loops: self.sizes.sh_loops,
-            };
-            *built = Some(Kernel::new(&self.context, &spec)?);
-        }
-        Ok(())
+        self.expand.prepare(&self.context, self.expand_spec(sh_degree))
+    }
+
+    fn expand_spec(&self, sh_degree: u32) -> expand_gradients::Spec {
+        let LaunchSizes { elementwise_workgroup: workgroup_size, sh_loops, .. } = self.sizes;
+        expand_gradients::Spec { workgroup_size, sh_degree, sh_loops }
     }
 
     /// Records the backward pass of the frame that was recorded into the same buffers: from `image_gradient`
@@ -311,34 +303,29 @@ impl Backward {
 
     fn record_blend(&self, r: &mut Recorder, inputs: &FrameInputs, image_gradient: &Buffer, sums: Sums) {
         let variant = BackwardVariant::of(inputs.settings);
-        let Some(kernel) = &self.blend[sums as usize][variant.index(&self.sizes)] else {
-            panic!("Backward: the kernels of {sums:?} for {variant:?} were not prepared");
-        };
-        record_passes(r, inputs, &self.sizes, |r, pass, tiles| match kernel {
-            Blend::Regions(kernel) => {
-                let (bind, push) =
-                    blend_backward_arguments!(blend_backward, self, inputs, image_gradient, pass);
-                r.dispatch(kernel, &bind, &push, tiles);
+        macro_rules! passes {
+            ($kernels:ident, $spec:expr, $kernel:ident) => {{
+                let Some(kernel) = self.$kernels.get(r, $spec) else { return };
+                record_passes(r, inputs, &self.sizes, |r, pass, tiles| {
+                    let (bind, push) = blend_backward_arguments!($kernel, self, inputs, image_gradient, pass);
+                    r.dispatch(kernel, &bind, &push, tiles);
+                });
+            }};
+        }
+        match self.sizes.blend_backward_subgroup_per_tile {
+            true => {
+                let spec = self.blend_tiles_spec(sums, variant);
+                passes!(blend_tiles, &spec, blend_backward_subgroup_per_tile);
             }
-            Blend::Alone(kernel) => {
-                let (bind, push) = blend_backward_arguments!(
-                    blend_backward_subgroup_per_tile,
-                    self,
-                    inputs,
-                    image_gradient,
-                    pass
-                );
-                r.dispatch(kernel, &bind, &push, tiles);
-            }
-        });
+            false => passes!(blend_regions, &self.blend_regions_spec(sums, variant), blend_backward),
+        }
     }
 
     fn record_project(&self, r: &mut Recorder, inputs: &FrameInputs, statistics: Statistics, pose: bool) {
         let f = inputs.frame;
-        let place = BackwardVariant::of(inputs.settings).of_project(statistics.absolute.is_some(), pose);
-        let Some(kernel) = &self.project[place][inputs.sh_degree as usize] else {
-            panic!("Backward::prepare was not called for SH degree {}", inputs.sh_degree);
-        };
+        let variant = BackwardVariant::of(inputs.settings);
+        let spec = self.project_spec(inputs.sh_degree, variant, [statistics.absolute.is_some(), pose]);
+        let Some(kernel) = self.project.get(r, &spec) else { return };
         for range in inputs.scene.plan.ranges(inputs.scene.count) {
             if range.chunk > 0 {
                 r.barrier();
@@ -386,9 +373,7 @@ impl Backward {
         mean2d_gradients: &Buffer,
     ) {
         let f = inputs.frame;
-        let Some(kernel) = &self.expand[inputs.sh_degree as usize] else {
-            panic!("Backward::prepare_expand was not called for SH degree {}", inputs.sh_degree);
-        };
+        let Some(kernel) = self.expand.get(r, &self.expand_spec(inputs.sh_degree)) else { return };
         for range in inputs.scene.plan.ranges(inputs.scene.count) {
             if range.chunk > 0 {
                 r.barrier();

@@ -14,8 +14,8 @@ mod cut_outs;
 mod filter_3d;
 mod inputs;
 mod instances;
+mod motion;
 mod scene_settings;
-mod screen_motion;
 mod settings;
 mod shape;
 mod views;
@@ -39,13 +39,13 @@ pub use shape::{ELLIPSOID_SIGMAS, POINT_RADIUS_PX, Shape};
 use crate::error::Result;
 use crate::kernels::constants as c;
 use crate::kernels::forward::{
-    compact, count, cull, cull_scenes, duplicate_with_tiles, project, project_scenes, ranges,
+    compact, count, cull, cull_scenes, duplicate_with_tiles, project, project_scenes, ranges, screen_motion,
     write_indirect_args, write_visible_ranges,
 };
 use crate::plan::{FrameBuffers, GaussianRange, LaunchSizes, blocks};
 use crate::scan::{Scan, ScanBuffers, Workgroups};
 use crate::sort::{RadixSort, SortBuffers, Values};
-use crate::vk::{Context, Kernel, Recorder};
+use crate::vk::{Context, Kernel, KernelSet, Recorder};
 
 /// The kernels of the forward pass.
 pub struct Forward {
@@ -53,23 +53,19 @@ pub struct Forward {
     pub(crate) sizes: LaunchSizes,
     scan: Scan,
     sort: RadixSort,
-    /// By [`BlendVariant::of_cull`].
-    cull: [Option<Kernel<cull::Interface>>; 64],
-    /// Of batches, by the same.
-    cull_scenes: [Option<Kernel<cull_scenes::Interface>>; 64],
+    cull: KernelSet<cull::Interface>,
+    cull_scenes: KernelSet<cull_scenes::Interface>,
     compact: Kernel<compact::Interface>,
     write_indirect_args: Kernel<write_indirect_args::Interface>,
     write_visible_ranges: Kernel<write_visible_ranges::Interface>,
-    /// By [`BlendVariant::of_project`], by SH degree.
-    project: [[Option<Kernel<project::Interface>>; 4]; 128],
-    /// Of batches, by the same.
-    project_scenes: [[Option<Kernel<project_scenes::Interface>>; 4]; 128],
+    project: KernelSet<project::Interface>,
+    project_scenes: KernelSet<project_scenes::Interface>,
     count: Kernel<count::Interface>,
     /// For rendering alone, and for frames with backward.
     duplicate: [Kernel<duplicate_with_tiles::Interface>; 2],
     ranges: [Kernel<ranges::Interface>; 2],
     blend: blending::Blend,
-    screen_motion: screen_motion::ScreenMotion,
+    screen_motion: KernelSet<screen_motion::Interface>,
 }
 
 impl Forward {
@@ -96,8 +92,8 @@ impl Forward {
             sizes,
             scan: Scan::new(context)?,
             sort: RadixSort::new(context)?,
-            cull: [const { None }; 64],
-            cull_scenes: [const { None }; 64],
+            cull: KernelSet::default(),
+            cull_scenes: KernelSet::default(),
             // Its blocks are the culling blocks.
             compact: Kernel::new(
                 context,
@@ -105,16 +101,16 @@ impl Forward {
             )?,
             write_indirect_args: Kernel::new(context, &write_indirect_args::Spec::default())?,
             write_visible_ranges: Kernel::new(context, &write_visible_ranges::Spec { workgroup_size })?,
-            project: std::array::from_fn(|_| Default::default()),
-            project_scenes: std::array::from_fn(|_| Default::default()),
+            project: KernelSet::default(),
+            project_scenes: KernelSet::default(),
             count: Kernel::new(
                 context,
                 &count::Spec { workgroup_size: sizes.scan_workgroup, subgroup_size, items: sizes.scan_items },
             )?,
             duplicate: [duplicate(false)?, duplicate(true)?],
             ranges: [ranges(false)?, ranges(true)?],
-            blend: blending::Blend::new(),
-            screen_motion: screen_motion::ScreenMotion::default(),
+            blend: blending::Blend::new(limits),
+            screen_motion: KernelSet::default(),
         })
     }
 
@@ -131,30 +127,24 @@ impl Forward {
     /// # Errors
     /// When the device refuses a pipeline.
     pub fn prepare_variant(&mut self, sh_degree: u32, variant: BlendVariant) -> Result<()> {
-        let cull = &mut self.cull[variant.of_cull()];
-        if cull.is_none() {
-            let spec = variant.cull_spec(&self.sizes, self.context.limits().subgroup_size);
-            *cull = Some(Kernel::new(&self.context, &spec)?);
-        }
-        let project = &mut self.project[variant.of_project()][sh_degree as usize];
-        if project.is_none() {
-            let spec = variant.project_spec(&self.sizes, sh_degree);
-            *project = Some(Kernel::new(&self.context, &spec)?);
-        }
-        if variant.motion {
-            let workgroup = self.sizes.elementwise_workgroup;
-            self.screen_motion.prepare(&self.context, workgroup, variant.orthographic)?;
+        self.cull.prepare(&self.context, self.cull_spec(variant))?;
+        self.project.prepare(&self.context, variant.project_spec(&self.sizes, sh_degree))?;
+        for spec in self.motion_specs(variant).collect::<Vec<_>>() {
+            self.screen_motion.prepare(&self.context, spec)?;
         }
         self.blend.prepare(&self.context, &self.sizes, variant)
     }
 
     /// Whether all kernels for an SH degree and a variant of blending are built.
     pub fn is_prepared(&self, sh_degree: u32, variant: BlendVariant) -> bool {
-        let built = &self.project[variant.of_project()][sh_degree as usize];
-        built.is_some()
-            && self.cull[variant.of_cull()].is_some()
-            && (!variant.motion || self.screen_motion.is_prepared(variant.orthographic))
+        self.project.contains(&variant.project_spec(&self.sizes, sh_degree))
+            && self.cull.contains(&self.cull_spec(variant))
+            && self.motion_specs(variant).all(|spec| self.screen_motion.contains(&spec))
             && self.blend.is_prepared(&self.sizes, variant)
+    }
+
+    fn cull_spec(&self, variant: BlendVariant) -> cull::Spec {
+        variant.cull_spec(&self.sizes, self.context.limits().subgroup_size)
     }
 
     /// Sets the form of blending. Call it before [`Forward::prepare`].
@@ -180,9 +170,7 @@ impl Forward {
         }
         for part in inputs.parts() {
             let variant = of_frame.of_scene(part.settings);
-            let Some(kernel) = &self.cull[variant.of_cull()] else {
-                panic!("Forward::prepare was not called for this variant");
-            };
+            let Some(kernel) = self.cull.get(r, &self.cull_spec(variant)) else { return };
             let GaussianRange { chunk, first, count } = part.range;
             let chunk_gaussians = part.scene.plan.chunk_gaussians;
             let push = cull::Push {
@@ -293,9 +281,8 @@ impl Forward {
         }
         for part in inputs.parts() {
             let variant = inputs.blend_variant().of_scene(part.settings);
-            let Some(kernel) = &self.project[variant.of_project()][part.sh_degree as usize] else {
-                panic!("Forward::prepare was not called for SH degree {}", part.sh_degree);
-            };
+            let spec = variant.project_spec(&self.sizes, part.sh_degree);
+            let Some(kernel) = self.project.get(r, &spec) else { return };
             let range = part.range;
             let push = project::Push {
                 first: range.first,
@@ -323,7 +310,7 @@ impl Forward {
                 r.barrier();
             }
             r.dispatch_indirect(kernel, &bind, &push, &range_arguments(f, &self.sizes, range));
-            self.screen_motion.record(r, (inputs, &part), &self.sizes);
+            self.record_screen_motion(r, inputs, &part);
         }
         r.barrier();
     }

@@ -8,7 +8,7 @@ use crate::error::Result;
 use crate::forward::{FrameInputs, SceneBuffers, block_of};
 use crate::kernels::optimizer::{adam, add_gradients};
 use crate::plan::{LaunchSizes, blocks};
-use crate::vk::{Buffer, Context, Kernel, Recorder};
+use crate::vk::{Buffer, Context, KernelSet, Recorder};
 
 /// Adam's constants in the reference: β₁, β₂, ε.
 pub const BETA_1: f64 = 0.9;
@@ -75,15 +75,10 @@ pub struct Optimizer {
     sparse: bool,
     parameter_gradients: bool,
     moved_cameras: bool,
-    adam: [Option<Kernel<adam::Interface>>; 4],
-    /// Kernels of steps from sums.
-    sums: Option<[Option<SumKernels>; 4]>,
-}
-
-/// The kernels for an SH degree of steps from sums of several views' gradients.
-struct SumKernels {
-    add: Kernel<add_gradients::Interface>,
-    adam: Kernel<adam::Interface>,
+    /// True if steps from sums of several views' gradients may be recorded.
+    sums: bool,
+    adam: KernelSet<adam::Interface>,
+    add: KernelSet<add_gradients::Interface>,
 }
 
 /// A view's place in a sum of gradients.
@@ -99,8 +94,16 @@ impl Optimizer {
     /// Prepares for a device. Sparse Adam does not change Gaussians outside the view, and corrects no bias.
     pub fn new(context: &Context, sparse: bool) -> Self {
         let sizes = LaunchSizes::new(context.limits());
-        let (context, adam) = (context.clone(), Default::default());
-        Self { context, sizes, sparse, parameter_gradients: false, moved_cameras: false, adam, sums: None }
+        Self {
+            context: context.clone(),
+            sizes,
+            sparse,
+            parameter_gradients: false,
+            moved_cameras: false,
+            sums: false,
+            adam: KernelSet::default(),
+            add: KernelSet::default(),
+        }
     }
 
     /// As [`Optimizer::new`], for a loss with terms that depend on the parameters directly: their gradient is
@@ -111,7 +114,7 @@ impl Optimizer {
 
     /// Also builds the kernels for [`Optimizer::record_add`] and [`Optimizer::record_sums`].
     pub fn with_sums(self) -> Self {
-        Self { sums: Some(Default::default()), ..self }
+        Self { sums: true, ..self }
     }
 
     /// For frames whose cameras the device has moved: [`FrameInputs::pose`].
@@ -125,48 +128,24 @@ impl Optimizer {
     /// # Errors
     /// When the device refuses a pipeline.
     pub fn prepare(&mut self, sh_degree: u32) -> Result<()> {
-        let spec = self.spec(sh_degree);
-        let slot = &mut self.adam[sh_degree as usize];
-        if slot.is_none() {
-            *slot = Some(Kernel::new(&self.context, &spec)?);
-        }
-        if let Some(slot @ None) = self.sums.as_mut().map(|sums| &mut sums[sh_degree as usize]) {
-            let adam::Spec { workgroup_size, parameter_gradients, moved_camera, sh_loops, .. } = spec;
-            let add = add_gradients::Spec {
-                workgroup_size,
-                sh_degree,
-                parameter_gradients,
-                moved_camera,
-                sh_loops,
-            };
-            let adam = adam::Spec { sums: true, ..spec };
-            *slot = Some(SumKernels {
-                add: Kernel::new(&self.context, &add)?,
-                adam: Kernel::new(&self.context, &adam)?,
-            });
+        self.adam.prepare(&self.context, self.adam_spec(sh_degree, false))?;
+        if self.sums {
+            self.add.prepare(&self.context, self.add_spec(sh_degree))?;
+            self.adam.prepare(&self.context, self.adam_spec(sh_degree, true))?;
         }
         Ok(())
     }
 
-    fn spec(&self, sh_degree: u32) -> adam::Spec {
+    fn adam_spec(&self, sh_degree: u32, sums: bool) -> adam::Spec {
         let Self { sparse, parameter_gradients, moved_cameras: moved_camera, .. } = *self;
-        let workgroup_size = self.sizes.elementwise_workgroup;
-        adam::Spec {
-            workgroup_size,
-            sh_degree,
-            sparse,
-            parameter_gradients,
-            sums: false,
-            moved_camera,
-            sh_loops: self.sizes.sh_loops,
-        }
+        let LaunchSizes { elementwise_workgroup: workgroup_size, sh_loops, .. } = self.sizes;
+        adam::Spec { workgroup_size, sh_degree, sparse, parameter_gradients, sums, moved_camera, sh_loops }
     }
 
-    fn sum_kernels(&self, sh_degree: u32) -> &SumKernels {
-        match self.sums.as_ref().map(|sums| &sums[sh_degree as usize]) {
-            Some(Some(kernels)) => kernels,
-            _ => panic!("Optimizer::prepare was not called for sums at SH degree {sh_degree}"),
-        }
+    fn add_spec(&self, sh_degree: u32) -> add_gradients::Spec {
+        let adam::Spec { workgroup_size, parameter_gradients, moved_camera, sh_loops, .. } =
+            self.adam_spec(sh_degree, true);
+        add_gradients::Spec { workgroup_size, sh_degree, parameter_gradients, moved_camera, sh_loops }
     }
 
     /// Records the addition of `frame.gradients`, and of `parameter_gradients` as in [`Optimizer::record`], to
@@ -178,7 +157,7 @@ impl Optimizer {
         parameter_gradients: &[Buffer],
         to: GradientSums,
     ) {
-        let kernel = &self.sum_kernels(inputs.sh_degree).add;
+        let Some(kernel) = self.add.get(r, &self.add_spec(inputs.sh_degree)) else { return };
         let scene: &SceneBuffers = inputs.scene;
         r.scope("add gradients", |r| {
             for range in scene.plan.ranges(scene.count) {
@@ -223,8 +202,7 @@ impl Optimizer {
         sums: &[Buffer],
         step: &Step,
     ) {
-        let kernel = &self.sum_kernels(inputs.sh_degree).adam;
-        self.record_adam(r, kernel, inputs, moments, Some(sums), step);
+        self.record_adam(r, self.adam_spec(inputs.sh_degree, true), inputs, moments, Some(sums), step);
     }
 
     /// Records one step from `frame.gradients`, and from `parameter_gradients`
@@ -238,23 +216,21 @@ impl Optimizer {
         parameter_gradients: &[Buffer],
         step: &Step,
     ) {
-        let Some(kernel) = &self.adam[inputs.sh_degree as usize] else {
-            panic!("Optimizer::prepare was not called for SH degree {}", inputs.sh_degree);
-        };
         let direct = self.parameter_gradients.then_some(parameter_gradients);
-        self.record_adam(r, kernel, inputs, moments, direct, step);
+        self.record_adam(r, self.adam_spec(inputs.sh_degree, false), inputs, moments, direct, step);
     }
 
     /// `direct`: gradients in the layout of the scene's planes, if the kernel reads any.
     fn record_adam(
         &self,
         r: &mut Recorder,
-        kernel: &Kernel<adam::Interface>,
+        spec: adam::Spec,
         inputs: &FrameInputs,
         moments: &Moments,
         direct: Option<&[Buffer]>,
         step: &Step,
     ) {
+        let Some(kernel) = self.adam.get(r, &spec) else { return };
         let scene: &SceneBuffers = inputs.scene;
         r.scope("adam", |r| {
             for range in scene.plan.ranges(scene.count) {

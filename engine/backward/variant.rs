@@ -2,7 +2,6 @@
 
 use crate::forward::RenderSettings;
 use crate::kernels::constants::DILATION_PX2;
-use crate::plan::LaunchSizes;
 
 /// What the backward pass of a frame needs besides gradients of the colours.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -32,18 +31,5 @@ impl BackwardVariant {
             dropout: settings.dropout.is_some(),
             z_record: settings.has_z_record(),
         }
-    }
-
-    pub(super) fn of_project(self, absolute: bool, pose_gradient: bool) -> usize {
-        usize::from(self.filter_3d)
-            | usize::from(self.own_dilation) << 1
-            | usize::from(self.dropout) << 2
-            | usize::from(self.z_record) << 3
-            | usize::from(absolute) << 4
-            | usize::from(pose_gradient) << 5
-    }
-
-    pub(super) fn index(self, sizes: &LaunchSizes) -> usize {
-        usize::from(self.inverse_depth) | usize::from(self.steep && sizes.incremental_exp) << 1
     }
 }

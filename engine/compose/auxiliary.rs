@@ -6,13 +6,13 @@ use crate::forward::{MotionBuffers, PickBuffers};
 use crate::kernels::compose::{mean_motion, picks};
 use crate::plan::{FrameBuffers, LaunchSizes, tile_grid};
 use crate::scene::Camera;
-use crate::vk::{Buffer, Context, Kernel, Recorder};
+use crate::vk::{Buffer, Context, KernelSet, Recorder};
 
 /// The kernels, built where a host asks for them.
 #[derive(Default)]
 pub(super) struct Kernels {
-    picks: Option<Kernel<picks::Interface>>,
-    mean_motion: Option<Kernel<mean_motion::Interface>>,
+    picks: KernelSet<picks::Interface>,
+    mean_motion: KernelSet<mean_motion::Interface>,
 }
 
 impl Compose {
@@ -22,21 +22,17 @@ impl Compose {
     /// When the device refuses a pipeline.
     pub fn prepare(&mut self, context: &Context, [pick, motion]: [bool; 2]) -> Result<()> {
         let workgroup_size = self.workgroup;
-        let Kernels { picks, mean_motion } = &mut self.auxiliary;
-        if pick && picks.is_none() {
-            *picks = Some(Kernel::new(context, &picks::Spec { workgroup_size })?);
+        if pick {
+            self.auxiliary.picks.prepare(context, picks::Spec { workgroup_size })?;
         }
-        if motion && mean_motion.is_none() {
-            *mean_motion = Some(Kernel::new(context, &mean_motion::Spec { workgroup_size })?);
+        if motion {
+            self.auxiliary.mean_motion.prepare(context, mean_motion::Spec { workgroup_size })?;
         }
         Ok(())
     }
 
     /// Records what is picked at each pixel of a frame without backward that was blended with picks, into an image of
     /// [`Compose::PICK_FORMAT`] that is ready for kernels: the Gaussian, its scene, the bits of its depth and of its weight.
-    ///
-    /// # Panics
-    /// Without [`Compose::prepare`].
     pub fn record_picks(
         &self,
         r: &mut Recorder,
@@ -44,7 +40,8 @@ impl Compose {
         (camera, scenes): (&Camera, u32),
         region: Region<'_>,
     ) {
-        let Some(kernel) = &self.auxiliary.picks else { panic!("Compose::prepare was not called for picks") };
+        let spec = picks::Spec { workgroup_size: self.workgroup };
+        let Some(kernel) = self.auxiliary.picks.get(r, &spec) else { return };
         let splats = frame.splats();
         let [offset_x, offset_y] = region.offset;
         let bind = picks::Bind {
@@ -71,9 +68,6 @@ impl Compose {
     /// Records the mean motion sum(w m) / sum(w) of a frame that was blended with motion, px, into an image of
     /// [`Compose::MOTION_FORMAT`] that is ready for kernels. Pixels whose sum of weights is below `min_weight` receive
     /// `empty`; without it they stay as they are.
-    ///
-    /// # Panics
-    /// Without [`Compose::prepare`].
     pub fn record_motion(
         &self,
         r: &mut Recorder,
@@ -82,9 +76,8 @@ impl Compose {
         region: Region<'_>,
         (min_weight, empty): (f32, Option<[f32; 2]>),
     ) {
-        let Some(kernel) = &self.auxiliary.mean_motion else {
-            panic!("Compose::prepare was not called for motion");
-        };
+        let spec = mean_motion::Spec { workgroup_size: self.workgroup };
+        let Some(kernel) = self.auxiliary.mean_motion.get(r, &spec) else { return };
         let ([image_width, image_height], [offset_x, offset_y]) = (size, region.offset);
         let bind = mean_motion::Bind { accumulated, motion_sums: own.sums, target: region.image };
         let push = mean_motion::Push {

@@ -9,7 +9,7 @@ use super::{BlendVariant, Forward, FrameInputs, camera_block};
 use crate::error::Result;
 use crate::kernels::constants as c;
 use crate::kernels::forward::{cull_scenes, project_scenes};
-use crate::vk::{Kernel, Recorder};
+use crate::vk::Recorder;
 
 /// A frame of fewer scenes has no batches, and no batch has fewer.
 pub(crate) const LEAST_SCENES: u32 = 8;
@@ -133,17 +133,12 @@ impl Forward {
         if !variant.may_be_batched() {
             return Ok(());
         }
-        let cull = &mut self.cull_scenes[variant.of_cull()];
-        if cull.is_none() {
-            let spec = variant.cull_scenes_spec(&self.sizes, self.context.limits().subgroup_size);
-            *cull = Some(Kernel::new(&self.context, &spec)?);
-        }
-        let project = &mut self.project_scenes[variant.of_project()][sh_degree as usize];
-        if project.is_none() {
-            *project =
-                Some(Kernel::new(&self.context, &variant.project_scenes_spec(&self.sizes, sh_degree))?);
-        }
-        Ok(())
+        self.cull_scenes.prepare(&self.context, self.cull_scenes_spec(variant))?;
+        self.project_scenes.prepare(&self.context, variant.project_scenes_spec(&self.sizes, sh_degree))
+    }
+
+    fn cull_scenes_spec(&self, variant: BlendVariant) -> cull_scenes::Spec {
+        variant.cull_scenes_spec(&self.sizes, self.context.limits().subgroup_size)
     }
 
     /// Culls the batch whose first scene this is.
@@ -154,9 +149,7 @@ impl Forward {
         first: &PlacedScene<'_>,
         variant: BlendVariant,
     ) {
-        let Some(kernel) = &self.cull_scenes[variant.of_cull()] else {
-            panic!("Forward::prepare_batches was not called for this variant");
-        };
+        let Some(kernel) = self.cull_scenes.get(r, &self.cull_scenes_spec(variant)) else { return };
         let ([extent, antialias], f) = (inputs.settings.modes(), inputs.frame);
         let [first_block, end_block] = first.batch_blocks(self.sizes.elementwise_workgroup);
         let parameters = first.scene.chunks[0].whole();
@@ -188,9 +181,8 @@ impl Forward {
         first: &PlacedScene<'_>,
         variant: BlendVariant,
     ) {
-        let Some(kernel) = &self.project_scenes[variant.of_project()][first.sh_degree as usize] else {
-            panic!("Forward::prepare_batches was not called for SH degree {}", first.sh_degree);
-        };
+        let spec = variant.project_scenes_spec(&self.sizes, first.sh_degree);
+        let Some(kernel) = self.project_scenes.get(r, &spec) else { return };
         let ([extent, antialias], f) = (inputs.settings.modes(), inputs.frame);
         let [first_block, end_block] = first.batch_blocks(self.sizes.elementwise_workgroup);
         let splats = f.splats();

@@ -7,7 +7,7 @@ use crate::kernels::forward::{
 };
 use crate::plan::{LaunchSizes, tile_grid};
 use crate::scene::Camera;
-use crate::vk::{Context, Kernel, Recorder};
+use crate::vk::{Context, KernelSet, Limits, Recorder};
 
 /// How a tile is blended: the same picture, at a cost that depends on the device. The pictures agree to the
 /// bit if the driver's compiler fuses sums of products alike in both kernels, as llvmpipe's does. `precise`
@@ -84,26 +84,6 @@ impl BlendVariant {
         Self { tinted, cut_outs, selection, ..self }
     }
 
-    fn of_shape(self) -> usize {
-        usize::from(self.filter_3d)
-            | usize::from(self.dropout) << 1
-            | usize::from(self.tinted) << 2
-            | usize::from(self.orthographic) << 3
-    }
-
-    /// The place of its kernel of culling.
-    pub(super) fn of_cull(self) -> usize {
-        self.of_shape() | usize::from(self.cut_outs) << 4 | usize::from(self.shared_order) << 5
-    }
-
-    /// The place of its kernels of projection.
-    pub(super) fn of_project(self) -> usize {
-        self.of_shape()
-            | usize::from(self.z_record) << 4
-            | usize::from(self.selection) << 5
-            | usize::from(self.shared_order) << 6
-    }
-
     /// With a camera.
     pub(crate) fn of_camera(self, camera: &Camera) -> Self {
         Self { orthographic: camera.is_orthographic(), ..self }
@@ -158,33 +138,25 @@ impl BlendVariant {
     fn strips(self, sizes: &LaunchSizes) -> bool {
         self.backward && sizes.strips
     }
-
-    fn index(self, sizes: &LaunchSizes) -> usize {
-        usize::from(self.inverse_depth)
-            | usize::from(self.linear_depth) << 1
-            | usize::from(self.depth_limit) << 2
-            | usize::from(self.strips(sizes)) << 3
-            | usize::from(self.steep && sizes.incremental_exp) << 4
-    }
-
-    /// The place of its kernels of blending beside those without; they have no strips.
-    fn of_auxiliary(self, sizes: &LaunchSizes) -> Option<usize> {
-        let own = usize::from(self.pick) | usize::from(self.motion) << 1;
-        (own > 0).then(|| (own - 1) * 32 + self.index(sizes))
-    }
 }
 
-/// Kernels by variant, built on first use.
-type Built<I, const COUNT: usize> = [Option<Kernel<I>>; COUNT];
-
-/// The blending kernels by variant: those of the picture alone by [`BlendVariant::index`], the others by
-/// [`BlendVariant::of_auxiliary`].
+/// The blending kernels.
 pub(super) struct Blend {
     blending: Blending,
-    regions: Built<blend::Interface, 32>,
-    shared: Built<blend_shared::Interface, 32>,
-    regions_auxiliary: Built<blend_auxiliary::Interface, 96>,
-    shared_auxiliary: Built<blend_shared_auxiliary::Interface, 96>,
+    broadcast: bool,
+    shared_splats: bool,
+    regions: KernelSet<blend::Interface>,
+    shared: KernelSet<blend_shared::Interface>,
+    regions_auxiliary: KernelSet<blend_auxiliary::Interface>,
+    shared_auxiliary: KernelSet<blend_shared_auxiliary::Interface>,
+}
+
+/// One of the blending kernels. Those of frames with picks or motions have further outputs.
+enum BlendKey {
+    Regions(blend::Spec),
+    Shared(blend_shared::Spec),
+    RegionsAuxiliary(blend_auxiliary::Spec),
+    SharedAuxiliary(blend_shared_auxiliary::Spec),
 }
 
 /// The buffers of blend_io.glsl, for all kernels; and those of blend_auxiliary.glsl, which are bound also where they are
@@ -216,13 +188,15 @@ macro_rules! blend_bind {
 }
 
 impl Blend {
-    pub fn new() -> Self {
+    pub fn new(limits: &Limits) -> Self {
         Self {
             blending: Blending::default(),
-            regions: [const { None }; 32],
-            shared: [const { None }; 32],
-            regions_auxiliary: [const { None }; 96],
-            shared_auxiliary: [const { None }; 96],
+            broadcast: limits.broadcasts,
+            shared_splats: limits.tuning.shared_splats,
+            regions: KernelSet::default(),
+            shared: KernelSet::default(),
+            regions_auxiliary: KernelSet::default(),
+            shared_auxiliary: KernelSet::default(),
         }
     }
 
@@ -234,15 +208,11 @@ impl Blend {
         std::mem::replace(&mut self.blending, blending) != blending
     }
 
-    pub fn prepare(&mut self, context: &Context, sizes: &LaunchSizes, wanted: BlendVariant) -> Result<()> {
-        if self.is_prepared(sizes, wanted) {
-            return Ok(());
-        }
-        let BlendVariant { inverse_depth, linear_depth, depth_limit, steep, pick, motion, .. } = wanted;
-        let (variant, strips) = (wanted.index(sizes), wanted.strips(sizes));
-        let (broadcast, shared_splats) = (context.limits().broadcasts, context.limits().tuning.shared_splats);
+    fn key(&self, sizes: &LaunchSizes, variant: BlendVariant) -> BlendKey {
+        let BlendVariant { inverse_depth, linear_depth, depth_limit, steep, pick, motion, .. } = variant;
+        let Self { broadcast, shared_splats, .. } = *self;
         let LaunchSizes { tile_shared, incremental_exp, regions_per_subgroup, .. } = *sizes;
-        let incremental_exp = incremental_exp && !steep;
+        let (incremental_exp, strips) = (incremental_exp && !steep, variant.strips(sizes));
         let count_hits = false;
         macro_rules! regions {
             ($kernel:ident, $shape:expr $(, $auxiliary:ident)*) => {
@@ -278,59 +248,54 @@ impl Blend {
                 }
             };
         }
-        match (self.blending, wanted.of_auxiliary(sizes)) {
-            (Blending::Regions, None) => {
-                self.regions[variant] = Some(Kernel::new(context, &regions!(blend, sizes.blend))?);
+        match (self.blending, pick || motion) {
+            (Blending::Regions, false) => BlendKey::Regions(regions!(blend, sizes.blend)),
+            (Blending::SharedMemory, false) => BlendKey::Shared(shared!(blend_shared)),
+            (Blending::Regions, true) => {
+                BlendKey::RegionsAuxiliary(regions!(blend_auxiliary, sizes.blend_auxiliary, pick, motion))
             }
-            (Blending::SharedMemory, None) => {
-                self.shared[variant] = Some(Kernel::new(context, &shared!(blend_shared))?);
-            }
-            (Blending::Regions, Some(own)) => {
-                let spec = regions!(blend_auxiliary, sizes.blend_auxiliary, pick, motion);
-                self.regions_auxiliary[own] = Some(Kernel::new(context, &spec)?);
-            }
-            (Blending::SharedMemory, Some(own)) => {
-                let spec = shared!(blend_shared_auxiliary, pick, motion);
-                self.shared_auxiliary[own] = Some(Kernel::new(context, &spec)?);
+            (Blending::SharedMemory, true) => {
+                BlendKey::SharedAuxiliary(shared!(blend_shared_auxiliary, pick, motion))
             }
         }
-        Ok(())
     }
 
-    pub fn is_prepared(&self, sizes: &LaunchSizes, wanted: BlendVariant) -> bool {
-        let variant = wanted.index(sizes);
-        match (self.blending, wanted.of_auxiliary(sizes)) {
-            (Blending::Regions, None) => self.regions[variant].is_some(),
-            (Blending::SharedMemory, None) => self.shared[variant].is_some(),
-            (Blending::Regions, Some(own)) => self.regions_auxiliary[own].is_some(),
-            (Blending::SharedMemory, Some(own)) => self.shared_auxiliary[own].is_some(),
+    pub fn prepare(&mut self, context: &Context, sizes: &LaunchSizes, variant: BlendVariant) -> Result<()> {
+        match self.key(sizes, variant) {
+            BlendKey::Regions(spec) => self.regions.prepare(context, spec),
+            BlendKey::Shared(spec) => self.shared.prepare(context, spec),
+            BlendKey::RegionsAuxiliary(spec) => self.regions_auxiliary.prepare(context, spec),
+            BlendKey::SharedAuxiliary(spec) => self.shared_auxiliary.prepare(context, spec),
+        }
+    }
+
+    pub fn is_prepared(&self, sizes: &LaunchSizes, variant: BlendVariant) -> bool {
+        match self.key(sizes, variant) {
+            BlendKey::Regions(spec) => self.regions.contains(&spec),
+            BlendKey::Shared(spec) => self.shared.contains(&spec),
+            BlendKey::RegionsAuxiliary(spec) => self.regions_auxiliary.contains(&spec),
+            BlendKey::SharedAuxiliary(spec) => self.shared_auxiliary.contains(&spec),
         }
     }
 
     /// Records the blending: colour and transmittance of each pixel.
-    ///
-    /// # Panics
-    /// Without the kernel.
     pub fn record(&self, r: &mut Recorder, inputs: &FrameInputs, sizes: &LaunchSizes) {
-        let (wanted, auxiliary) = (inputs.blend_variant(), inputs.auxiliary);
-        let variant = wanted.index(sizes);
+        let auxiliary = inputs.auxiliary;
         macro_rules! passes {
-            ($kernels:ident[$at:expr], $kernel:ident $(, $auxiliary:ident)?) => {{
-                let Some(kernel) = &self.$kernels[$at] else {
-                    panic!("Forward::prepare was not called for {wanted:?}");
-                };
+            ($kernels:ident, $spec:expr, $kernel:ident $(, $auxiliary:ident)?) => {{
+                let Some(kernel) = self.$kernels.get(r, $spec) else { return };
                 record_passes(r, inputs, sizes, |r, push, tiles| {
                     let bind = blend_bind!($kernel, inputs, sizes $(, $auxiliary)?);
                     r.dispatch(kernel, &bind, &bytemuck::cast(push), tiles);
                 });
             }};
         }
-        match (self.blending, wanted.of_auxiliary(sizes)) {
-            (Blending::Regions, None) => passes!(regions[variant], blend),
-            (Blending::SharedMemory, None) => passes!(shared[variant], blend_shared),
-            (Blending::Regions, Some(own)) => passes!(regions_auxiliary[own], blend_auxiliary, auxiliary),
-            (Blending::SharedMemory, Some(own)) => {
-                passes!(shared_auxiliary[own], blend_shared_auxiliary, auxiliary);
+        match &self.key(sizes, inputs.blend_variant()) {
+            BlendKey::Regions(spec) => passes!(regions, spec, blend),
+            BlendKey::Shared(spec) => passes!(shared, spec, blend_shared),
+            BlendKey::RegionsAuxiliary(spec) => passes!(regions_auxiliary, spec, blend_auxiliary, auxiliary),
+            BlendKey::SharedAuxiliary(spec) => {
+                passes!(shared_auxiliary, spec, blend_shared_auxiliary, auxiliary);
             }
         }
     }

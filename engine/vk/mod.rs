@@ -149,7 +149,7 @@ pub use held_queues::HeldQueues;
 pub use image::{ForeignImage, Image, ImageState};
 pub use instance::validation_available;
 pub(crate) use kernel::sealed::Generated;
-pub use kernel::{ConstantInfo, ConstantKind, Form, Kernel, KernelInterface, KernelVisitor};
+pub use kernel::{ConstantInfo, ConstantKind, Form, Kernel, KernelInterface, KernelSet, KernelVisitor};
 pub use kernel_job::KernelJob;
 pub use limits::{Limits, SpecOverride, is_kernel_of, is_yardstick};
 #[cfg(feature = "testing")]

@@ -253,18 +253,23 @@ impl Recorder {
         self.profiler.commands = Some(profiled);
     }
 
-    /// The first error of the recording so far: the driver had no memory for descriptors or views.
+    /// Makes the recording fail with this error, unless it has failed already. Nothing more is dispatched.
+    pub(super) fn fail(&mut self, error: Error) {
+        self.failed.get_or_insert(error);
+    }
+
+    /// The first error of the recording so far: the driver had no memory for descriptors or views, or a kernel was not built.
     /// [`super::Context::submit`] checks this itself.
     ///
     /// # Errors
-    /// [`Error::Vulkan`]
+    /// [`Error::Vulkan`], [`Error::Argument`]
     pub(crate) fn check(&mut self) -> Result<()> {
         self.failed.take().map_or(Ok(()), Err)
     }
 
     /// Declares the accesses of a dispatch to the hazard checker.
     fn declare(&mut self, pipeline: &Pipeline, bound: &Bound<'_>, arguments: Option<&Buffer>) {
-        let Some(hazards) = &mut self.hazards else { return };
+        let Some(hazards) = self.hazards.as_mut().filter(|_| self.failed.is_none()) else { return };
         for (info, buffer) in pipeline.bindings.iter().zip(bound.buffers) {
             hazards.add_binding(buffer, info);
         }

@@ -42,14 +42,13 @@ pub struct Step {
 
 fn kernel(gpu: &Gpu, sh_degree: u32, sparse: bool, parameter_gradients: bool) -> Kernel<adam::Interface> {
     let workgroup_size = gpu.workgroup(64);
-    let (sums, unseen, moved_camera) = (false, false, false);
+    let (sums, moved_camera) = (false, false);
     gpu.kernel(&adam::Spec {
         workgroup_size,
         sh_degree,
         sparse,
         parameter_gradients,
         sums,
-        unseen,
         moved_camera,
         sh_loops: gpu.context.limits().tuning.sh_loops,
     })
@@ -124,25 +123,6 @@ impl<'a> AdamState<'a> {
         }
     }
 
-    /// As the variant that leaves Gaussians within the view alone.
-    pub fn of_unseen(self, sh_degree: u32) -> AdamState<'a> {
-        let workgroup_size = self.gpu.workgroup(64);
-        let (sparse, parameter_gradients) = (false, false);
-        let (sums, unseen, moved_camera) = (false, true, false);
-        let sh_loops = self.gpu.context.limits().tuning.sh_loops;
-        let spec = adam::Spec {
-            workgroup_size,
-            sh_degree,
-            sparse,
-            parameter_gradients,
-            sums,
-            unseen,
-            moved_camera,
-            sh_loops,
-        };
-        AdamState { kernel: self.gpu.kernel(&spec), ..self }
-    }
-
     /// With gradients of the parameters themselves: means, quaternions, scales and opacities of `direct`.
     pub fn with_parameter_gradients(
         self,
@@ -160,7 +140,7 @@ impl<'a> AdamState<'a> {
     /// With the camera's position in the camera block only.
     pub fn with_moved_camera(self, sh_degree: u32, sparse: bool) -> AdamState<'a> {
         let (workgroup_size, parameter_gradients) = (self.workgroup, self.parameter_gradients.is_some());
-        let (sums, unseen, moved_camera) = (false, false, true);
+        let (sums, moved_camera) = (false, true);
         let sh_loops = self.gpu.context.limits().tuning.sh_loops;
         let spec = adam::Spec {
             workgroup_size,
@@ -168,7 +148,6 @@ impl<'a> AdamState<'a> {
             sparse,
             parameter_gradients,
             sums,
-            unseen,
             moved_camera,
             sh_loops,
         };
