@@ -36,9 +36,15 @@ impl DeviceScene {
         Ok(Self::new(context, buffers))
     }
 
-    /// Uploads several scenes into as few buffers as kernels can bind, each with room for its own Gaussians. Frames draw small scenes of
-    /// one buffer by one dispatch in place of one each: see the [guide](crate::guide::embedding). The memory of a buffer is freed
-    /// with the last of its scenes.
+    /// Uploads several scenes into as few buffers as kernels can bind, each with room for its own Gaussians. The memory of a buffer is
+    /// freed with the last of its scenes.
+    ///
+    /// Frames cull and project small scenes of one buffer together, as a batch, to the same bits. A batch has 8 scenes or more, each of
+    /// at most 16 culling blocks (4096 Gaussians on usual devices). They share the evaluated SH degree, and whether they have a tint or an
+    /// opacity and cut-outs. Scenes with a selection or of a frame with motion are drawn alone. Between two scenes of a batch at most 32
+    /// culling blocks of other scenes may lie, so frames of scenes in an order by kind have the fewest dispatches.
+    /// A host's own buffer is adopted once ([`Buffer::adopt`]), and each scene gets a range of it: scenes that are adopted one by one are
+    /// drawn alone.
     ///
     /// # Errors
     /// As [`DeviceScene::upload`].

@@ -122,8 +122,9 @@ pub struct MotionTarget<'a> {
     /// A storage image of format [`Compose::MOTION_FORMAT`](crate::compose::Compose::MOTION_FORMAT), rg16f: the place now less the place before, in pixels, x right, y
     /// down. What is at pixel p now was at p - motion.
     pub to: HostImage<'a>,
-    /// The camera of the frame before, of the same width and height. The motion counts from its own principal point to that of
-    /// the frame's camera: see the [guide](crate::guide::embedding) for jitter. Poses before are in [`Placed::previous_pose`].
+    /// The camera of the frame before, of the same width and height; the frame's own camera where there is none before. The motion counts
+    /// from its own principal point to that of the frame's camera. For motion without jitter, give it the `cx` and `cy` of the frame's
+    /// camera. Poses before are in [`Placed::previous_pose`].
     pub previous_camera: &'a Camera,
     /// A pixel whose sum of weights is smaller is empty.
     pub min_weight: f32,

@@ -27,6 +27,15 @@ impl Renderer {
     ///
     /// [`RecordedFrame::updates`] are those of the first view, and all see them.
     ///
+    /// [`Reservation::shared_sort`](super::Reservation::shared_sort) lets views that follow each other be culled and sorted once:
+    ///
+    /// - They have the same slice of scenes and equal settings. Targets may differ.
+    /// - Their cameras are all pinholes or all orthographic.
+    /// - Their depths are the same to the bit: the third row of `camera_from_world` and `translation.z`, under each scene's pose.
+    ///
+    /// So the second eye is made from the first by [`Camera::moved_aside`](crate::Camera::moved_aside). View matrices that are
+    /// multiplied for each eye differ in last bits. Other views sort alone.
+    ///
     /// # Errors
     /// As [`Renderer::record`], with `views[i]` before the field. [`Error::Argument`] also for no views, for more than
     /// [`Reservation::views`](super::Reservation::views), for another number of releases, for several views without images, for
