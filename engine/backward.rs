@@ -273,7 +273,7 @@ impl Backward {
         statistics: Statistics,
     ) {
         // Subgroups without a visible Gaussian write no sum.
-        let sums = inputs.scene.count.div_ceil(self.context.limits().heavy_subgroup_size);
+        let sums = inputs.scene().count.div_ceil(self.context.limits().heavy_subgroup_size);
         r.fill(&inputs.frame.pose_sums().range(0, u64::from(sums) * POSE_SUM_BYTES), 0);
         self.record_all(r, inputs, image_gradient, statistics, true);
     }
@@ -324,22 +324,22 @@ impl Backward {
     fn record_project(&self, r: &mut Recorder, inputs: &FrameInputs, statistics: Statistics, pose: bool) {
         let f = inputs.frame;
         let variant = BackwardVariant::of(inputs.settings);
-        let spec = self.project_spec(inputs.sh_degree, variant, [statistics.absolute.is_some(), pose]);
+        let spec = self.project_spec(inputs.sh_degree(), variant, [statistics.absolute.is_some(), pose]);
         let Some(kernel) = self.project.get(r, &spec) else { return };
-        for range in inputs.scene.plan.ranges(inputs.scene.count) {
+        for range in inputs.scene().plan.ranges(inputs.scene().count) {
             if range.chunk > 0 {
                 r.barrier();
             }
             let push = project_backward::Push {
                 first: range.first,
-                chunk_gaussians: inputs.scene.plan.chunk_gaussians,
+                chunk_gaussians: inputs.scene().plan.chunk_gaussians,
                 antialias: inputs.settings.antialias_bits(),
                 splat_stride: f.splats().stride,
                 gradient_stride: inputs.capacity.visible,
                 accumulate: statistics.accumulate.into(),
             };
             let bind = project_backward::Bind {
-                parameters: &inputs.scene.chunks[range.chunk],
+                parameters: &inputs.scene().chunks[range.chunk],
                 state: &f.state,
                 visible_ranges: &f.visible_ranges,
                 visible_list: &f.visible_list,
@@ -373,13 +373,13 @@ impl Backward {
         mean2d_gradients: &Buffer,
     ) {
         let f = inputs.frame;
-        let Some(kernel) = self.expand.get(r, &self.expand_spec(inputs.sh_degree)) else { return };
-        for range in inputs.scene.plan.ranges(inputs.scene.count) {
+        let Some(kernel) = self.expand.get(r, &self.expand_spec(inputs.sh_degree())) else { return };
+        for range in inputs.scene().plan.ranges(inputs.scene().count) {
             if range.chunk > 0 {
                 r.barrier();
             }
             let bind = expand_gradients::Bind {
-                parameters: &inputs.scene.chunks[range.chunk],
+                parameters: &inputs.scene().chunks[range.chunk],
                 visible_index: &f.visible_index,
                 gradients: &f.gradients,
                 parameter_gradients: &parameter_gradients[range.chunk],
@@ -390,8 +390,8 @@ impl Backward {
                 first: range.first,
                 count: range.count,
                 gradient_stride: inputs.capacity.visible,
-                chunk_gaussians: inputs.scene.plan.chunk_gaussians,
-                planes: inputs.scene.plan.planes,
+                chunk_gaussians: inputs.scene().plan.chunk_gaussians,
+                planes: inputs.scene().plan.planes,
             };
             r.dispatch(
                 kernel,

@@ -166,7 +166,7 @@ impl Forward {
         for (place, first) in inputs.batches() {
             let variant = of_frame.of_scene(first.settings);
             r.barrier();
-            self.record_batch_flags(r, (inputs, place), &first, variant);
+            self.record_batch_flags(r, (inputs, place), first, variant);
         }
         for part in inputs.parts() {
             let variant = of_frame.of_scene(part.settings);
@@ -227,7 +227,7 @@ impl Forward {
             [c::STATE_VISIBLE_NEEDED, inputs.capacity.visible, c::ARGUMENTS_VISIBLE, self.sizes.scan];
         self.record_prepare(r, f, counted);
         r.barrier();
-        let scenes = 1 + inputs.others.len() as u32;
+        let scenes = inputs.scenes.len() as u32;
         r.dispatch(
             &self.write_visible_ranges,
             &write_visible_ranges::Bind {
@@ -277,7 +277,7 @@ impl Forward {
                 r.barrier();
             }
             let variant = inputs.blend_variant().of_scene(first.settings);
-            self.record_batch_project(r, (inputs, place), &first, variant);
+            self.record_batch_project(r, (inputs, place), first, variant);
         }
         for part in inputs.parts() {
             let variant = inputs.blend_variant().of_scene(part.settings);

@@ -157,8 +157,8 @@ impl Optimizer {
         parameter_gradients: &[Buffer],
         to: GradientSums,
     ) {
-        let Some(kernel) = self.add.get(r, &self.add_spec(inputs.sh_degree)) else { return };
-        let scene: &SceneBuffers = inputs.scene;
+        let Some(kernel) = self.add.get(r, &self.add_spec(inputs.sh_degree())) else { return };
+        let scene: &SceneBuffers = inputs.scene();
         r.scope("add gradients", |r| {
             for range in scene.plan.ranges(scene.count) {
                 if range.chunk > 0 {
@@ -202,7 +202,7 @@ impl Optimizer {
         sums: &[Buffer],
         step: &Step,
     ) {
-        self.record_adam(r, self.adam_spec(inputs.sh_degree, true), inputs, moments, Some(sums), step);
+        self.record_adam(r, self.adam_spec(inputs.sh_degree(), true), inputs, moments, Some(sums), step);
     }
 
     /// Records one step from `frame.gradients`, and from `parameter_gradients`
@@ -217,7 +217,7 @@ impl Optimizer {
         step: &Step,
     ) {
         let direct = self.parameter_gradients.then_some(parameter_gradients);
-        self.record_adam(r, self.adam_spec(inputs.sh_degree, false), inputs, moments, direct, step);
+        self.record_adam(r, self.adam_spec(inputs.sh_degree(), false), inputs, moments, direct, step);
     }
 
     /// `direct`: gradients in the layout of the scene's planes, if the kernel reads any.
@@ -231,7 +231,7 @@ impl Optimizer {
         step: &Step,
     ) {
         let Some(kernel) = self.adam.get(r, &spec) else { return };
-        let scene: &SceneBuffers = inputs.scene;
+        let scene: &SceneBuffers = inputs.scene();
         r.scope("adam", |r| {
             for range in scene.plan.ranges(scene.count) {
                 if range.chunk > 0 {
@@ -278,7 +278,7 @@ fn push(inputs: &FrameInputs, step: &Step, first: u32, count: u32) -> adam::Push
         camera_position: inputs.camera.position().to_array(),
         first,
         count,
-        chunk_gaussians: inputs.scene.plan.chunk_gaussians,
+        chunk_gaussians: inputs.scene().plan.chunk_gaussians,
         gradient_stride: inputs.capacity.visible,
         beta_1: BETA_1 as f32,
         beta_2: BETA_2 as f32,

@@ -63,7 +63,7 @@ impl PoseGradient {
             pose_parameters: parameters,
             pose_gradient: gradient,
         };
-        let sums = inputs.scene.count.div_ceil(self.sum_gaussians);
+        let sums = inputs.scene().count.div_ceil(self.sum_gaussians);
         r.dispatch(&self.kernel, &bind, &pose_gradient::Push { sums, image }, 1);
     }
 }

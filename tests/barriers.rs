@@ -2,7 +2,7 @@
 
 use ashsplat::backward::{Backward, BackwardVariant, Statistics};
 use ashsplat::forward::{
-    Auxiliary, Batch, BlendVariant, Forward, FrameInputs, POSE_BYTES, SceneBuffers, SceneSettings,
+    Auxiliary, BlendVariant, Forward, FrameInputs, POSE_BYTES, PlacedScene, SceneBuffers,
 };
 use ashsplat::loss::{Loss, LossInputs, PhotoFormat, Windowing, photo_bytes};
 use ashsplat::optimizer::{Moments, Optimizer, Rates, Step, ViewSum};
@@ -124,24 +124,18 @@ impl Training {
     fn record(&self, recorder: &mut Recorder, kind: Kind) {
         let first_pose = self.poses.cameras.range(0, POSE_BYTES);
         let inputs = FrameInputs {
-            scene: &self.scene,
+            scenes: &[PlacedScene::alone(&self.scene, &self.camera, SH_DEGREE)],
             frame: &self.frame,
             capacity: &self.capacity,
             camera: &self.camera,
             pose: (kind == Kind::Poses).then_some(&first_pose),
             settings: &self.settings,
-            sh_degree: SH_DEGREE,
-            scene_settings: &SceneSettings::USUAL,
-            batch: Batch::ALONE,
-            others: &[],
             depth_limits: None,
             cut_outs: None,
             linear_depth: false,
             backward: true,
             keeps_overflow: false,
-            scale: 1.0,
             auxiliary: Auxiliary::default(),
-            previous: None,
             view: None,
         };
         let [photo, losses, statistics, mean2d_gradients, image_gradient, scratch @ ..] = &self.others[..]

@@ -58,7 +58,7 @@ impl Strategy for RandomPrune {
     }
 
     fn record_update(&self, _: &mut Recorder, step: &StepInputs) {
-        assert!(step.step.rates.mean > 0.0 && step.frame.scene.count > 0);
+        assert!(step.step.rates.mean > 0.0 && step.frame.scene().count > 0);
     }
 
     fn between_steps(&mut self, population: &mut Population, action: Actions) -> Result<Changes> {

@@ -147,7 +147,7 @@ impl Importance {
         buffers: &ImportanceBuffers,
         (importance, share): (&Buffer, f32),
     ) {
-        let (f, count) = (inputs.frame, inputs.scene.count);
+        let (f, count) = (inputs.frame, inputs.scene().count);
         self.backward.record_weights(r, inputs, image_gradient);
         r.scope("importance", |r| {
             r.barrier();

@@ -64,7 +64,7 @@ const FIRSTS_AT_ONCE: usize = 1024;
 /// Without room for them.
 pub(super) fn record_firsts(r: &mut Recorder, inputs: &FrameInputs) {
     let Some(PickBuffers { scene_firsts, .. }) = inputs.auxiliary.picks else { return };
-    let (mut placed, mut first, mut words) = (inputs.placed(), 0, [0u32; FIRSTS_AT_ONCE]);
+    let (mut placed, mut first, mut words) = (inputs.scenes.iter(), 0, [0u32; FIRSTS_AT_ONCE]);
     loop {
         let mut count = 0;
         for (word, placed) in words.iter_mut().zip(&mut placed) {

@@ -156,7 +156,7 @@ impl Forward {
         let push = cull_scenes::Push {
             first_block,
             end_block,
-            scenes: 1 + inputs.others.len() as u32,
+            scenes: inputs.scenes.len() as u32,
             batch: place,
             index_count: inputs.index_count(),
             extent,
@@ -189,7 +189,7 @@ impl Forward {
         let push = project_scenes::Push {
             first_block,
             end_block,
-            scenes: 1 + inputs.others.len() as u32,
+            scenes: inputs.scenes.len() as u32,
             batch: place,
             blocks: inputs.index_count().div_ceil(self.sizes.elementwise_workgroup),
             extent,

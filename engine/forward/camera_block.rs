@@ -43,7 +43,7 @@ pub fn pose_of(camera: &Camera) -> [f32; 12] {
 
 /// The blocks of all scenes of a frame.
 pub(super) fn blocks_of(inputs: &FrameInputs) -> Buffer {
-    let scenes = 1 + inputs.others.len() as u64;
+    let scenes = inputs.scenes.len() as u64;
     let first = inputs.first_block() as u64 * CAMERA_BLOCK_BYTES;
     inputs.frame.camera_blocks.range(first, scenes * CAMERA_BLOCK_BYTES)
 }
@@ -67,8 +67,7 @@ pub(super) fn record_blocks(r: &mut Recorder, inputs: &FrameInputs) {
     // The scenes have most of a block in common: it is written once.
     let of_frame = Block { values: block_of_frame(inputs.camera, inputs.settings), ..Block::zeroed() };
     let mut blocks = [of_frame; BLOCKS_PER_UPDATE];
-    let first = inputs.first();
-    let (mut scenes, mut written) = (std::iter::once(&first).chain(inputs.others), 0);
+    let (mut scenes, mut written) = (inputs.scenes.iter(), 0);
     if let Some(pose) = inputs.pose {
         r.copy(pose, &all.range(0, POSE_BYTES));
     }

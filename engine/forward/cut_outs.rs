@@ -17,9 +17,7 @@ pub(crate) const CUT_OUT_BYTES: u64 = size_of::<Words>() as u64;
 /// Without room for them.
 pub(super) fn record(r: &mut Recorder, inputs: &FrameInputs) {
     // The last scene's lie behind all others'.
-    let end = inputs.others.last().map_or(inputs.scene_settings.cut_out_count(), |last| {
-        last.first_cut_out + last.settings.cut_out_count()
-    });
+    let end = inputs.scenes.last().map_or(0, |last| last.first_cut_out + last.settings.cut_out_count());
     let needed = u64::from(end) * CUT_OUT_BYTES;
     if needed == 0 {
         return;
@@ -27,7 +25,7 @@ pub(super) fn record(r: &mut Recorder, inputs: &FrameInputs) {
     let Some(buffer) = inputs.cut_outs.filter(|buffer| buffer.bytes() >= needed) else {
         panic!("FrameInputs::cut_outs has no room for {end} cut-outs, which take {needed} bytes");
     };
-    for (_, placed) in inputs.placed_where(|_, placed| placed.settings.cut_out_count() > 0) {
+    for placed in inputs.scenes.iter().filter(|placed| placed.settings.cut_out_count() > 0) {
         let mut words = [Words::default(); MAX_CUT_OUTS];
         let own = placed.settings.cut_outs;
         for (words, cut_out) in words.iter_mut().zip(own) {

@@ -28,44 +28,32 @@ impl SceneBuffers {
 /// One frame to record.
 #[derive(Clone, Copy)]
 pub struct FrameInputs<'a> {
-    /// The scene.
-    pub scene: &'a SceneBuffers,
+    /// The scenes, one behind the other in the frame's index space; at least one. A backward pass differentiates the first.
+    pub scenes: &'a [PlacedScene<'a>],
     /// The frame's buffers.
     pub frame: &'a FrameBuffers,
     /// Their capacity.
     pub capacity: &'a FrameCapacity,
-    /// The camera.
+    /// The camera in the axes of the first scene.
     pub camera: &'a Camera,
-    /// Where the camera of `scene` is, if the device knows better than `camera` ([`POSE_BYTES`](super::POSE_BYTES)): the
-    /// rows of the rotation from world to camera, then the translation, with `scale` 1.
+    /// Where the camera of the first scene is, if the device knows better than `camera` ([`POSE_BYTES`](super::POSE_BYTES)): the
+    /// rows of the rotation from world to camera, then the translation, with the scale 1.
     pub pose: Option<&'a Buffer>,
     /// How to render.
     pub settings: &'a RenderSettings,
-    /// World units per unit of the scene.
-    pub scale: f32,
-    /// Evaluated SH degree.
-    pub sh_degree: u32,
-    /// How `scene` is drawn; its SH degree is in `sh_degree`. The backward pass knows nothing of a tint, an opacity and a
-    /// selection: with `backward` no scene has any.
-    pub scene_settings: &'a SceneSettings<'a>,
-    /// Which others the dispatches of `scene` draw, too.
-    pub batch: Batch,
-    /// Scenes that are rendered together with `scene`, each with its own transform.
-    pub others: &'a [PlacedScene<'a>],
     /// Per pixel of the image: 1/z of the opaque surface that hides splats, 0 for none.
     pub depth_limits: Option<&'a Buffer>,
     /// Room for the cut-outs of all scenes, 64 bytes each; may be `None` if there are none.
     pub cut_outs: Option<&'a Buffer>,
     /// Sum weights * z instead of weights / z.
     pub linear_depth: bool,
-    /// A backward pass follows: store the picture in its layout, see [`FrameBuffers::rendered`].
+    /// A backward pass follows: store the picture in its layout, see [`FrameBuffers::rendered`]. No scene has a tint, an opacity
+    /// or a selection then.
     pub backward: bool,
     /// Keep the previous frame's STATE_OVERFLOW: all frames after one that overflowed are invalid too.
     pub keeps_overflow: bool,
     /// What is left beside the picture; nothing with `backward`.
     pub auxiliary: Auxiliary<'a>,
-    /// How `scene` was seen in the frame before, for its motion; as now if `None`.
-    pub previous: Option<Before<'a>>,
     /// Which of some views with one order it is ([`Forward::record_first`](super::Forward::record_first)); `None` alone.
     pub view: Option<u32>,
 }
@@ -148,7 +136,7 @@ impl Batch {
     }
 }
 
-/// An additional scene of a frame. It is small, for there may be thousands: what it refers to is read where it is needed.
+/// A scene of a frame. It is small, because a frame may have thousands: what it refers to is read where it is needed.
 #[derive(Clone, Copy)]
 pub struct PlacedScene<'a> {
     /// The scene.
@@ -173,7 +161,22 @@ pub struct PlacedScene<'a> {
     pub batch: Batch,
 }
 
-impl PlacedScene<'_> {
+impl<'a> PlacedScene<'a> {
+    /// The first scene of a frame, in the camera's axes, as it is.
+    pub fn alone(scene: &'a SceneBuffers, camera: &Camera, sh_degree: u32) -> Self {
+        Self {
+            scene,
+            camera: *camera,
+            scale: 1.0,
+            sh_degree,
+            settings: &SceneSettings::USUAL,
+            first: 0,
+            first_cut_out: 0,
+            previous: None,
+            batch: Batch::ALONE,
+        }
+    }
+
     /// Number of Gaussians that take part in the frame.
     #[inline]
     pub fn drawn(&self) -> u32 {
@@ -207,19 +210,14 @@ pub(super) struct Part<'a> {
 }
 
 impl<'a> FrameInputs<'a> {
-    pub(super) fn first(&self) -> PlacedScene<'a> {
-        let &Self { scene, camera, scale, sh_degree, scene_settings, previous, batch, .. } = self;
-        PlacedScene {
-            scene,
-            camera: *camera,
-            scale,
-            sh_degree,
-            settings: scene_settings,
-            first: 0,
-            first_cut_out: 0,
-            previous,
-            batch,
-        }
+    /// The parameters of the first scene, which a backward pass differentiates.
+    pub fn scene(&self) -> &'a SceneBuffers {
+        self.scenes[0].scene
+    }
+
+    /// The evaluated SH degree of the first scene.
+    pub fn sh_degree(&self) -> u32 {
+        self.scenes[0].sh_degree
     }
 
     /// # Panics
@@ -227,7 +225,7 @@ impl<'a> FrameInputs<'a> {
     pub(super) fn assert_differentiable(&self) {
         let colored = |own: &SceneSettings| own.is_tinted() || own.mask().is_some();
         assert!(
-            !(self.backward && self.placed().any(|placed| colored(placed.settings))),
+            !(self.backward && self.scenes.iter().any(|placed| colored(placed.settings))),
             "no backward pass can follow a frame with a tint, an opacity or a selection"
         );
         let Auxiliary { picks, motion } = self.auxiliary;
@@ -241,46 +239,28 @@ impl<'a> FrameInputs<'a> {
         );
     }
 
-    /// The scenes, each with its transform.
-    pub(super) fn placed(&self) -> impl Iterator<Item = PlacedScene<'a>> + use<'a> {
-        std::iter::once(self.first()).chain(self.others.iter().copied())
-    }
-
     /// The place of the camera block of its first scene. Views with one order have their blocks behind each other.
     pub(super) fn first_block(&self) -> usize {
-        self.view.unwrap_or(0) as usize * (1 + self.others.len())
-    }
-
-    /// The scenes that `keep` wants, with their places. The others are not copied: there may be thousands.
-    pub(super) fn placed_where<F: Fn(u32, &PlacedScene<'a>) -> bool>(
-        &self,
-        keep: F,
-    ) -> impl Iterator<Item = (u32, PlacedScene<'a>)> + use<'a, F> {
-        let first = Some((0, self.first())).filter(|(place, placed)| keep(*place, placed));
-        let others = (1..).zip(self.others).filter(move |(place, placed)| keep(*place, placed));
-        first.into_iter().chain(others.map(|(place, placed)| (place, *placed)))
+        self.view.unwrap_or(0) as usize * self.scenes.len()
     }
 
     /// The first scenes of batches, with their places.
-    pub(super) fn batches(&self) -> impl Iterator<Item = (u32, PlacedScene<'a>)> + use<'a> {
-        let (first, others) = (self.first(), self.others);
-        let at = move |place: u32| match place.checked_sub(1) {
-            None => Some((place, first)),
-            Some(other) => others.get(other as usize).map(|placed| (place, *placed)),
-        };
-        std::iter::successors(at(self.batch.frame.head), move |(_, placed)| at(placed.batch.next))
+    pub(super) fn batches(&self) -> impl Iterator<Item = (u32, &'a PlacedScene<'a>)> + use<'a> {
+        let scenes = self.scenes;
+        let at = move |place: u32| Some((place, scenes.get(place as usize)?));
+        std::iter::successors(at(scenes[0].batch.frame.head), move |(_, placed)| at(placed.batch.next))
     }
 
     /// The dispatches over parameters of scenes that are drawn alone: chunk by chunk, scene by scene.
     pub(super) fn parts(&self) -> impl Iterator<Item = Part<'a>> + use<'a> {
-        let (first_block, end) = (self.first_block(), self.index_count());
-        let others = if self.batch.frame.all { &[] } else { self.others };
-        let alone = Self { others, ..*self }.placed_where(|_, placed| placed.batch.first == NO_BATCH);
+        let (first_block, end, scenes) = (self.first_block(), self.index_count(), self.scenes);
+        // Where batches draw everything, nobody looks through thousands of scenes.
+        let count = if scenes[0].batch.frame.all { 1 } else { scenes.len() };
+        let alone = scenes[..count].iter().enumerate().filter(|(_, placed)| placed.batch.first == NO_BATCH);
         alone.flat_map(move |(place, placed)| {
-            let place = place as usize;
             let block = first_block + place;
-            let PlacedScene { scene, sh_degree, settings, first, first_cut_out, .. } = placed;
-            let next = others.get(place).map_or(end, |next| next.first);
+            let PlacedScene { scene, sh_degree, settings, first, first_cut_out, .. } = *placed;
+            let next = scenes.get(place + 1).map_or(end, |next| next.first);
             let now = Seen { camera: placed.camera, scale: placed.scale };
             let previous = placed.previous.map_or(now, |before| before.seen());
             let ranges = scene.plan.ranges(placed.drawn());
@@ -306,6 +286,6 @@ impl<'a> FrameInputs<'a> {
 
     /// Number of indices of all scenes together, including the gaps between them.
     pub(super) fn index_count(&self) -> u32 {
-        self.others.last().map_or(self.first().drawn(), |last| last.first + last.drawn())
+        self.scenes.last().map_or(0, |last| last.first + last.drawn())
     }
 }

@@ -45,9 +45,8 @@ impl Renderer {
         let forward = &self.runner.forward;
         let slot = self.slots.get(0)?;
         check_capacity((frame, &placed), &slot.upcoming().capacity, reserved)?;
-        let Some((first, others)) = placed.split_first() else { unreachable!("checked") };
         let settings = RenderSettings { inverse_depth: false, ..*frame.settings };
-        let inputs = inputs_of(first, others, &slot.memory, &settings);
+        let inputs = inputs_of(&placed, &slot.memory, &settings);
         self.context.run("count", |r| {
             forward.record(r, &inputs);
             r.barrier();

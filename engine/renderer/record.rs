@@ -276,30 +276,23 @@ fn behind((first, drawn): (u32, u32), alignment: u32) -> u32 {
 
 /// A frame of some scenes in the buffers of a slot, without occluder and depth.
 pub(super) fn inputs_of<'a>(
-    first: &'a PlacedScene<'a>,
-    others: &'a [PlacedScene<'a>],
+    scenes: &'a [PlacedScene<'a>],
     memory: &'a SlotMemory,
     settings: &'a RenderSettings,
 ) -> FrameInputs<'a> {
     FrameInputs {
-        scene: first.scene,
+        scenes,
         frame: &memory.frame,
         capacity: &memory.capacity,
-        camera: &first.camera,
+        camera: &scenes[0].camera,
         pose: None,
         settings,
-        scale: first.scale,
-        sh_degree: first.sh_degree,
-        scene_settings: first.settings,
-        batch: first.batch,
-        others,
         depth_limits: None,
         cut_outs: memory.cut_outs.as_ref(),
         linear_depth: false,
         backward: false,
         keeps_overflow: false,
         auxiliary: Auxiliary::default(),
-        previous: first.previous,
         view: None,
     }
 }

@@ -4,12 +4,12 @@ use super::frame_store::{FrameStore, State};
 use super::{Frame, FrameStats};
 use crate::error::{Error, Result};
 use crate::forward::{
-    Auxiliary, Batch, BlendVariant, Blending, Forward, FrameInputs, PlacedScene, RenderSettings,
-    SceneBuffers, SceneSettings,
+    Auxiliary, BlendVariant, Blending, Forward, FrameInputs, PlacedScene, RenderSettings, SceneBuffers,
 };
 use crate::plan::{FrameBuffers, FrameCapacity, PictureCapacity, first_around, gaussians_with};
 use crate::scene::Camera;
 use crate::vk::{Buffer, Context, Recorder, RunReport};
+use std::borrow::Cow;
 
 /// The forward pass with its own frame buffers.
 pub(crate) struct FrameRunner {
@@ -35,52 +35,44 @@ pub(crate) struct Request<'a> {
 }
 
 impl<'a> Request<'a> {
-    /// What lies around the scene, each behind the one before it in the frame's index space.
-    fn placed(&self, around: &'a [SceneBuffers]) -> Vec<PlacedScene<'a>> {
+    fn placed(&self) -> PlacedScene<'a> {
+        PlacedScene::alone(self.scene, self.camera, self.sh_degree)
+    }
+
+    /// The scene and those around it, each behind the one before it in the frame's index space. Without any around it, it is
+    /// `alone`, and nothing is allocated.
+    fn scenes(&self, alone: &'a PlacedScene<'a>, around: &'a [SceneBuffers]) -> Cow<'a, [PlacedScene<'a>]> {
+        if around.is_empty() {
+            return Cow::Borrowed(std::slice::from_ref(alone));
+        }
         let mut end = self.scene.count;
         let placed = around.iter().map(|scene| {
             let first = first_around(end);
             end = first.saturating_add(scene.count);
-            PlacedScene {
-                scene,
-                camera: *self.camera,
-                scale: 1.0,
-                sh_degree: self.sh_degree,
-                settings: &SceneSettings::USUAL,
-                first,
-                first_cut_out: 0,
-                previous: None,
-                batch: Batch::ALONE,
-            }
+            PlacedScene { scene, first, ..*alone }
         });
-        placed.collect()
+        Cow::Owned(std::iter::once(*alone).chain(placed).collect())
     }
 
     fn inputs(
         &self,
         frame: &'a FrameBuffers,
         capacity: &'a FrameCapacity,
-        others: &'a [PlacedScene<'a>],
+        scenes: &'a [PlacedScene<'a>],
     ) -> FrameInputs<'a> {
         FrameInputs {
-            scene: self.scene,
+            scenes,
             frame,
             capacity,
             camera: self.camera,
             pose: self.pose,
             settings: self.settings,
-            scale: 1.0,
-            sh_degree: self.sh_degree,
-            scene_settings: &SceneSettings::USUAL,
-            batch: Batch::ALONE,
-            others,
             depth_limits: None,
             cut_outs: None,
             linear_depth: false,
             backward: self.backward,
             keeps_overflow: false,
             auxiliary: Auxiliary::default(),
-            previous: None,
             view: None,
         }
     }
@@ -174,11 +166,12 @@ impl FrameRunner {
         let gaussians = [self.gaussians_with(scene.plan.capacity), self.scenes()];
         let Self { context, forward, store, around } = self;
         forward.prepare_variant(sh_degree, BlendVariant::of(settings, backward).of_camera(camera))?;
-        let others = request.placed(around);
+        let alone = request.placed();
+        let scenes = request.scenes(&alone, around);
         let mut retries = 0;
         loop {
             let (frame, capacity) = store.ensure(gaussians, camera, backward)?;
-            let inputs = request.inputs(&frame, &capacity, &others);
+            let inputs = request.inputs(&frame, &capacity, &scenes);
             let report = context.run("frame", |r| {
                 forward.record(r, &inputs);
                 record_more(r, &inputs)?;
@@ -282,8 +275,9 @@ impl FrameRunner {
         record_more: impl FnOnce(&mut Recorder, &FrameInputs),
     ) -> Result<()> {
         let (frame, capacity) = (self.store.current()?, self.store.capacity());
-        let others = request.placed(&self.around);
-        let inputs = FrameInputs { keeps_overflow: true, ..request.inputs(frame, &capacity, &others) };
+        let alone = request.placed();
+        let scenes = request.scenes(&alone, &self.around);
+        let inputs = FrameInputs { keeps_overflow: true, ..request.inputs(frame, &capacity, &scenes) };
         self.forward.record(r, &inputs);
         record_more(r, &inputs);
         Ok(())

@@ -191,13 +191,12 @@ impl Recording<'_> {
         let scenes = frame.scenes.len();
         let view = |number: u32| {
             let own = &placed[(number - order.number) as usize * scenes..][..scenes];
-            let Some((first, others)) = own.split_first() else { unreachable!("checked") };
             FrameInputs {
                 depth_limits: frame.occluder.as_ref().and(memory.depth_limits.as_ref()),
                 linear_depth: frame.depth.is_some(),
                 auxiliary: memory.auxiliary([frame.pick.is_some(), frame.motion.is_some()]),
                 view: (order.views > 1).then_some(number),
-                ..inputs_of(first, others, memory, &settings)
+                ..inputs_of(own, memory, &settings)
             }
         };
         let inputs = view(order.number);

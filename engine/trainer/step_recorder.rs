@@ -296,12 +296,12 @@ impl StepRecorder {
         if let Some((averaging, step)) = self.averaging.as_ref().zip(plan.mean_step) {
             let state = &inputs.frame.state;
             r.barrier();
-            averaging.record_scene(r, inputs.scene, (&model.spare, state), step);
+            averaging.record_scene(r, inputs.scene(), (&model.spare, state), step);
             parts.memory.light.record_means(r, averaging, (state, step));
         }
         if let Some(filter) = parts.filter.filter(|_| plan.computes_filters) {
             r.barrier();
-            filter.record(r, inputs.scene, &inputs.frame.state);
+            filter.record(r, inputs.scene(), &inputs.frame.state);
         }
         r.copy(&parts.memory.losses, losses);
     }

@@ -1,7 +1,7 @@
 //! Frames with backward by the engine's stages, without a renderer: for what it does not hand out.
 
 use ashsplat::backward::{Backward, BackwardVariant};
-use ashsplat::forward::{Auxiliary, Batch, BlendVariant, Forward, FrameInputs, SceneBuffers, SceneSettings};
+use ashsplat::forward::{Auxiliary, BlendVariant, Forward, FrameInputs, PlacedScene, SceneBuffers};
 use ashsplat::kernels::constants::{STATE_OVERFLOW, STATE_WORDS};
 use ashsplat::plan::{FrameBuffers, FrameCapacity, LaunchSizes, PictureCapacity, frame_requests};
 use ashsplat::vk::{MemoryKind, Recorder};
@@ -80,25 +80,20 @@ impl<'a> Stages<'a> {
     pub fn run(&self, view: &View, record: impl FnOnce(&mut Recorder, &FrameInputs, &Backward)) {
         let linear_depth = self.linear_depth;
         let settings = RenderSettings { inverse_depth: linear_depth, linear_depth, ..settings(view) };
+        let camera = camera(view);
         let inputs = FrameInputs {
-            scene: &self.scene,
+            scenes: &[PlacedScene::alone(&self.scene, &camera, view.sh_degree)],
             frame: &self.frame,
             capacity: &self.capacity,
-            camera: &camera(view),
+            camera: &camera,
             pose: None,
             settings: &settings,
-            scale: 1.0,
-            sh_degree: view.sh_degree,
-            scene_settings: &SceneSettings::USUAL,
-            batch: Batch::ALONE,
-            others: &[],
             depth_limits: None,
             cut_outs: None,
             linear_depth: false,
             backward: true,
             keeps_overflow: false,
             auxiliary: Auxiliary::default(),
-            previous: None,
             view: None,
         };
         self.gpu.run(|r| {

@@ -70,7 +70,7 @@ impl Strategy for Mcmc {
         let rate = (step.step.rates.mean * step.settings.noise_lr) as f32;
         if rate > 0.0 {
             let key = (step.settings.seed, step.iteration, rate);
-            let drawn = (step.frame.scene, &step.frame.frame.state);
+            let drawn = (step.frame.scene(), &step.frame.frame.state);
             self.relocation.record_noise(r, drawn, key, None);
         }
     }

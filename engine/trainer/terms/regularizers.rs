@@ -47,7 +47,7 @@ impl LossTerm for Regularizers {
     }
 
     fn record(&self, r: &mut Recorder, inputs: &TermInputs) {
-        let (scene, [partials]) = (inputs.frame.scene, inputs.scratch) else {
+        let (scene, [partials]) = (inputs.frame.scene(), inputs.scratch) else {
             panic!("one scratch buffer of the regularisers");
         };
         let count = f64::from(scene.count.max(1));
