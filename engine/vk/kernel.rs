@@ -6,8 +6,7 @@ use super::context::Context;
 use super::image::Image;
 use super::limits::{CHOSEN_BY_HOST, Limits};
 use super::pipeline::{Demands, Pipeline, check};
-use super::recorder::Recorder;
-use crate::{Error, Result};
+use crate::Result;
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::marker::PhantomData;
 use std::sync::Arc;
@@ -158,44 +157,6 @@ impl<K: KernelInterface> Kernel<K> {
     /// Invocations of a workgroup on each axis.
     pub fn workgroup_size(&self) -> [u32; 3] {
         self.pipeline.workgroup_size
-    }
-}
-
-/// The kernels of one shader by their specialization constants. They are built before recording.
-pub struct KernelSet<K: KernelInterface>(Vec<(K::Spec, Kernel<K>)>);
-
-impl<K: KernelInterface> Default for KernelSet<K> {
-    fn default() -> Self {
-        Self(Vec::new())
-    }
-}
-
-impl<K: KernelInterface> KernelSet<K> {
-    /// Builds the kernel with these constants unless it exists.
-    ///
-    /// # Errors
-    /// As [`Kernel::new`].
-    pub fn prepare(&mut self, context: &Context, spec: K::Spec) -> Result<()> {
-        if !self.contains(&spec) {
-            let kernel = Kernel::new(context, &spec)?;
-            self.0.push((spec, kernel));
-        }
-        Ok(())
-    }
-
-    /// True if the kernel with these constants is built.
-    pub fn contains(&self, spec: &K::Spec) -> bool {
-        self.0.iter().any(|(built, _)| built == spec)
-    }
-
-    /// The kernel with these constants. If it is not built, the recording fails with an error that names it.
-    pub fn get(&self, r: &mut Recorder, spec: &K::Spec) -> Option<&Kernel<K>> {
-        let found = self.0.iter().find(|(built, _)| built == spec);
-        if found.is_none() {
-            let problem = format!("{spec:?} is not built: prepare it before recording");
-            r.fail(Error::argument(format!("kernel {}", K::NAME), problem));
-        }
-        found.map(|(_, kernel)| kernel)
     }
 }
 

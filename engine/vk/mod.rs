@@ -98,6 +98,7 @@ mod image_owner;
 mod instance;
 mod kernel;
 mod kernel_job;
+mod kernel_set;
 mod limits;
 #[cfg(feature = "testing")]
 mod limits_override;
@@ -149,8 +150,9 @@ pub use held_queues::HeldQueues;
 pub use image::{ForeignImage, Image, ImageState};
 pub use instance::validation_available;
 pub(crate) use kernel::sealed::Generated;
-pub use kernel::{ConstantInfo, ConstantKind, Form, Kernel, KernelInterface, KernelSet, KernelVisitor};
+pub use kernel::{ConstantInfo, ConstantKind, Form, Kernel, KernelInterface, KernelVisitor};
 pub use kernel_job::KernelJob;
+pub use kernel_set::KernelSet;
 pub use limits::{Limits, SpecOverride, is_kernel_of, is_yardstick};
 #[cfg(feature = "testing")]
 pub use limits_override::LimitsOverride;
