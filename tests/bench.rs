@@ -2,7 +2,7 @@
 
 use crate::cli::{finish, program, refuse, succeed, text};
 use crate::common;
-use crate::common::running::Running;
+use crate::program::running::Running;
 use ashsplat::plan::max_trained_gaussians;
 use serde_json::Value;
 use std::path::Path;

@@ -10,6 +10,7 @@ mod gpu_training;
 mod importance;
 mod lpips;
 mod mcmc;
+pub mod npz;
 mod poses;
 mod rendering;
 mod sets;
@@ -23,8 +24,8 @@ use std::path::{Path, PathBuf};
 use libtest_mimic::{Failed, Trial};
 
 use crate::absent_data;
-use crate::common::npz::Npz;
 use crate::common::root;
+use crate::golden::npz::Npz;
 
 /// What a set is about, by the names of its fields.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

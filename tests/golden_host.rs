@@ -10,7 +10,7 @@ use ashsplat_files::init::mean_squared_neighbour_distances;
 use glam::Vec3;
 use libtest_mimic::Trial;
 
-use crate::common::npz::Npz;
+use crate::golden::npz::Npz;
 
 /// One trial per set that has the fields.
 pub fn trials(shared: &Path) -> Vec<Trial> {

@@ -3,7 +3,7 @@
 
 #[path = "cli/run.rs"]
 mod run;
-#[path = "common/running.rs"]
+#[path = "program/running.rs"]
 #[allow(dead_code)]
 mod running;
 

@@ -7,7 +7,7 @@ use glam::Vec3;
 
 use crate::common::engine::renderer;
 use crate::common::gpu::Gpu;
-use crate::common::page::{ball, camera};
+use crate::common::splats::{ball, camera};
 
 /// Corners and sizes: by tiles, across them, at the far edges, a single pixel.
 const PARTS: [([u32; 2], [u32; 2]); 4] =

@@ -17,9 +17,9 @@ use serde_json::json;
 mod run;
 
 use crate::absent;
-use crate::common::cinema::{Cinema, film, pixels};
 use crate::common::corner;
 use crate::common::lenses::write;
+use crate::program::cinema::{Cinema, film, pixels};
 use run::{finish, program};
 
 /// One trial per program.

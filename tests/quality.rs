@@ -8,7 +8,7 @@ use serde_json::Value;
 use tempfile::tempdir;
 
 use crate::cli::{assert_refused, finish, program, succeed, text, write_dataset};
-use crate::common::running::Running;
+use crate::program::running::Running;
 
 /// The default strategy's name, and another's.
 fn strategies() -> [&'static str; 2] {

@@ -5,7 +5,7 @@ use ashsplat::{Camera, DeviceScene, Gaussians, RenderSettings};
 
 use crate::common::engine::renderer;
 use crate::common::options;
-use crate::common::page::{ball, camera};
+use crate::common::splats::{ball, camera};
 
 /// Ends of the parts: one without Gaussians, and none a multiple of a block.
 const ENDS: [usize; 5] = [0, 130, 130, 400, 700];

@@ -12,6 +12,7 @@ mod ecosystem;
 mod golden;
 mod golden_host;
 mod malformed;
+mod program;
 mod programs;
 mod real_data;
 

@@ -1,5 +1,5 @@
 //! Many small steps and frames: neither memory nor results drift. Not part of CI:
-//! `cargo test --release --test suite -- --ignored soak --nocapture`.
+//! `cargo test --release --test engine -- --ignored soak --nocapture`.
 
 use std::time::Instant;
 

@@ -25,4 +25,4 @@ use serde_json::{Value, json};
 use tungstenite::Message;
 
 use crate::cli::text;
-pub use crate::common::page::*;
+pub use crate::program::page::*;

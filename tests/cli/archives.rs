@@ -1,7 +1,7 @@
 //! Data sets in a ZIP: what is unpacked, and that nothing of it is left.
 
 use super::*;
-use crate::common::running::Running;
+use crate::program::running::Running;
 use std::io::{BufRead, BufReader, Write};
 use std::process::Stdio;
 use std::time::{Duration, Instant};

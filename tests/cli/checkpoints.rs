@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::common::lpips_files;
-use crate::common::running::Running;
+use crate::program::running::Running;
 use ashsplat_files::{CheckpointFile, ply};
 use std::process::Stdio;
 use std::time::Duration;

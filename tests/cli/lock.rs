@@ -2,7 +2,7 @@
 
 use super::checkpoints::Place;
 use super::*;
-use crate::common::running::Running;
+use crate::program::running::Running;
 use std::io::{BufRead, BufReader};
 use std::process::Stdio;
 

@@ -7,7 +7,7 @@ use std::process::Stdio;
 use std::time::{Duration, Instant};
 use tempfile::{TempDir, tempdir};
 
-use crate::common::running::Running;
+use crate::program::running::Running;
 
 /// Photographs without cameras, and the model that the stand-in finds for them.
 struct Place {

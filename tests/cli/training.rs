@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::common::gpu::Gpu;
-use crate::common::running::Running;
+use crate::program::running::Running;
 use ashsplat::loss::Windowing;
 use ashsplat::trainer::Checkpoint;
 use ashsplat_files::CheckpointFile;

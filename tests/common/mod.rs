@@ -6,7 +6,6 @@
 pub mod adam;
 pub mod blending;
 pub mod child;
-pub mod cinema;
 pub mod compare;
 pub mod compose;
 pub mod corner;
@@ -25,17 +24,14 @@ pub mod lenses;
 pub mod loss;
 pub mod lpips_files;
 pub mod machine;
-pub mod npz;
-pub mod page;
 pub mod poses;
 pub mod regularizers;
-pub mod running;
 pub mod scenes;
 pub mod splats;
 pub mod tiles;
 
 pub use device::{assert_silent, bounded, context, count_hits, options};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Where the golden vectors and data sets are: `$ASHSPLAT_SHARED`, else next to the repository.
 pub fn shared_folder() -> PathBuf {
@@ -44,5 +40,7 @@ pub fn shared_folder() -> PathBuf {
 
 /// The project's top folder.
 pub fn root() -> PathBuf {
-    PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../.."))
+    let package = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let is_root = |folder: &&Path| folder.join("glsl").is_dir();
+    package.ancestors().find(is_root).expect("packages lie within the project").to_owned()
 }

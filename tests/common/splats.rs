@@ -1,7 +1,8 @@
 //! Gaussians for the tests of files, and how near what is read must be to what was written.
 
-use ashsplat::scene::Gaussians;
+use ashsplat::scene::{Camera, Gaussians, Intrinsics};
 use ashsplat_files::splats::Format;
+use glam::Vec3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -122,4 +123,18 @@ pub fn in_order_of(expected: &Gaussians, actual: &Gaussians) -> Gaussians {
         })
         .collect();
     actual.select(&order)
+}
+
+/// A camera before the scene, turned a little.
+pub fn camera(turn: f32) -> Camera {
+    let eye = Vec3::new(4.0 * turn.sin(), -1.0, -4.0 * turn.cos());
+    Camera::look_at(eye, Vec3::ZERO, Vec3::NEG_Y, Intrinsics::from_fov_x(0.9, 96, 64))
+}
+
+/// A ball of Gaussians of soft colours.
+pub fn ball(count: usize) -> Gaussians {
+    let mut gaussians = scene(count, 1);
+    gaussians.means.as_flattened_mut().iter_mut().for_each(|v| *v *= 0.12);
+    gaussians.log_scales.as_flattened_mut().iter_mut().for_each(|s| *s = 0.5 * *s - 2.2);
+    gaussians
 }

@@ -10,7 +10,7 @@ use super::sets::gaussians;
 use super::stages::{Stages, field, views};
 use crate::common::compare::{GradientTolerance, elementwise, equal, gradient};
 use crate::common::gpu::Gpu;
-use crate::common::npz::Npz;
+use crate::golden::npz::Npz;
 use crate::reference::blend_backward::PixelGradient;
 use crate::reference::pipeline::{backward, render};
 use crate::reference::project_backward::mean2d_statistic;

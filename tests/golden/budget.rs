@@ -16,7 +16,7 @@ use super::training::FIELDS;
 use crate::common::compare::{elementwise, equal};
 use crate::common::engine;
 use crate::common::gpu::Gpu;
-use crate::common::npz::Npz;
+use crate::golden::npz::Npz;
 use crate::reference::gather::long_axis_child;
 use crate::reference::linear::sigmoid;
 use crate::reference::schedule;

@@ -12,7 +12,7 @@ use crate::common::compare::{elementwise, equal, gradient, pixels};
 use crate::common::engine;
 use crate::common::gpu::Gpu;
 use crate::common::inverse_depth::inverse_depth_l1;
-use crate::common::npz::Npz;
+use crate::golden::npz::Npz;
 use crate::reference::blend_backward::PixelGradient;
 use crate::reference::inverse_depth_l1::inverse_depth_l1 as twin;
 use crate::reference::pipeline::{backward, render};

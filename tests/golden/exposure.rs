@@ -11,7 +11,7 @@ use super::rendering::SINGLE;
 use crate::common::compare::{GradientTolerance, elementwise, gradient};
 use crate::common::exposures::{colors, place, values};
 use crate::common::gpu::Gpu;
-use crate::common::npz::{Npz, rows};
+use crate::golden::npz::{Npz, rows};
 use crate::reference::expose::{Matrix, expose as expose_twin};
 use crate::reference::expose_backward::expose_backward as backward_twin;
 use crate::reference::exposure_step::Exposures;

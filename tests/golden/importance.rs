@@ -14,7 +14,7 @@ use super::sets::gaussians;
 use super::stages::{Stages, field, views};
 use crate::common::compare::{elementwise, equal};
 use crate::common::gpu::Gpu;
-use crate::common::npz::{Npz, rows};
+use crate::golden::npz::{Npz, rows};
 use crate::reference::add_importance::importance;
 use crate::reference::blend_backward::PixelGradient;
 use crate::reference::draw_keys::key;

@@ -6,7 +6,7 @@ use ashsplat::lpips::{InputRange, Lpips, Network, Weights};
 
 use crate::common::compare::elementwise;
 use crate::common::gpu::Gpu;
-use crate::common::npz::Npz;
+use crate::golden::npz::Npz;
 use crate::reference::lpips::{ALEXNET, Step, VGG16, formula, lpips};
 
 const TWIN: f64 = 1e-6;

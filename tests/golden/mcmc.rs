@@ -13,7 +13,7 @@ use super::sets::gaussians;
 use crate::common::compare::{elementwise, equal};
 use crate::common::engine;
 use crate::common::gpu::Gpu;
-use crate::common::npz::Npz;
+use crate::golden::npz::Npz;
 use crate::reference::add_noise::noise;
 use crate::reference::linear::sigmoid;
 use crate::reference::relocate::relocate;

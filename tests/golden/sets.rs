@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use crate::common::npz::{Npz, rows};
+use crate::golden::npz::{Npz, rows};
 use crate::reference::types::{Drawn, Extent, Gaussian, View};
 
 /// A rendering set.

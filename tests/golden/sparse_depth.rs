@@ -15,7 +15,7 @@ use crate::common::compare::{GradientTolerance, elementwise, gradient};
 use crate::common::depth_points::points as engine_points;
 use crate::common::engine::twins;
 use crate::common::gpu::Gpu;
-use crate::common::npz::Npz;
+use crate::golden::npz::Npz;
 use crate::reference::pipeline::{pixels_of, render, tile_of};
 use crate::reference::project_backward::project_backward;
 use crate::reference::sparse_depth::{Point, corners, depth_sums, expected, loss};

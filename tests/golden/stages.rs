@@ -10,7 +10,7 @@ use ashsplat::{RenderSettings, planes};
 use super::sets;
 use crate::common::engine::{camera, gaussians, settings};
 use crate::common::gpu::Gpu;
-use crate::common::npz::Npz;
+use crate::golden::npz::Npz;
 use crate::reference::types::{Extent, Gaussian, View};
 
 /// The cameras of an archive with a row per view.

@@ -5,7 +5,7 @@ use std::path::Path;
 use super::report;
 use super::sets::{gaussians, view};
 use crate::common::compare::{GradientTolerance, PixelTolerance, elementwise, equal, gradient, pixels};
-use crate::common::npz::Npz;
+use crate::golden::npz::Npz;
 use crate::reference::adam::{Parameter, adam as adam_step, adam_sparse};
 use crate::reference::blend_backward::PixelGradient;
 use crate::reference::classify::{Decision, Statistic, decide};

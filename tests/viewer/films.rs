@@ -3,7 +3,7 @@
 use super::training::Training;
 use super::*;
 use crate::cli::succeed;
-use crate::common::cinema::{Cinema, film, pixels};
+use crate::program::cinema::{Cinema, film, pixels};
 
 #[test]
 fn viewer_makes_films() {

@@ -6,13 +6,13 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use ashsplat::scene::{Camera, Gaussians, Intrinsics};
+use ashsplat::scene::Camera;
 use ashsplat_files::splats::{self, WriteOptions};
-use glam::Vec3;
 use serde_json::{Value, json};
 use tungstenite::{Message, WebSocket};
 
 use super::running::Running;
+pub use crate::common::splats::{ball, camera};
 
 /// Longest that anything may take.
 pub const PATIENCE: Duration = Duration::from_secs(120);
@@ -256,20 +256,6 @@ pub fn message(camera: &Camera) -> Value {
         "rotation": rows, "translation": camera.translation.to_array(), "fx": camera.fx, "fy": camera.fy,
         "cx": camera.cx, "cy": camera.cy, "width": camera.width, "height": camera.height,
     })
-}
-
-/// A camera before the scene, turned a little.
-pub fn camera(turn: f32) -> Camera {
-    let eye = Vec3::new(4.0 * turn.sin(), -1.0, -4.0 * turn.cos());
-    Camera::look_at(eye, Vec3::ZERO, Vec3::NEG_Y, Intrinsics::from_fov_x(0.9, 96, 64))
-}
-
-/// A ball of Gaussians of soft colours.
-pub fn ball(count: usize) -> Gaussians {
-    let mut gaussians = super::splats::scene(count, 1);
-    gaussians.means.as_flattened_mut().iter_mut().for_each(|v| *v *= 0.12);
-    gaussians.log_scales.as_flattened_mut().iter_mut().for_each(|s| *s = 0.5 * *s - 2.2);
-    gaussians
 }
 
 /// Writes a ball as a PLY.
