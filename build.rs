@@ -1,7 +1,7 @@
 //! Compiles every `glsl/**/*.comp` to SPIR-V, reflects it, and generates the typed host side of each kernel.
 //!
-//! All failing shaders are reported at once, with file and line. Compiled modules are kept in OUT_DIR under the hash
-//! of everything that went into them, so that only what changed is compiled again.
+//! All failing shaders are reported at once, with file and line. OUT_DIR caches each compiled module under the hash of its
+//! sources, so that only changed shaders are compiled again.
 #![allow(clippy::unwrap_used)]
 
 #[path = "engine/kernels/compile.rs"]
@@ -54,9 +54,9 @@ fn main() {
     }
 }
 
-/// The guide's chapters for rustdoc. As files they link to each other and to sources, so that they can be read where the project
-/// is browsed; as modules they are each other's neighbours, a link to a source has its item's path as its title, and pictures are
-/// part of the page.
+/// Writes the guide's chapters for rustdoc. As files, chapters link to each other and to sources, so that they can be read
+/// where the project is browsed. In rustdoc, chapters are sibling modules, a link to a source becomes the item in its
+/// title, and pictures are embedded.
 fn guide(root: &Path, out: &Path) {
     println!("cargo:rerun-if-changed=engine/guide");
     fs::create_dir_all(out.join("guide")).unwrap();
@@ -81,7 +81,7 @@ fn guide(root: &Path, out: &Path) {
     }
 }
 
-/// As RFC 4648 has it.
+/// Base64 of RFC 4648.
 fn base64(bytes: &[u8]) -> String {
     const LETTERS: &[u8] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
     let quartet = |three: &[u8]| {
@@ -92,7 +92,7 @@ fn base64(bytes: &[u8]) -> String {
     bytes.chunks(3).map(quartet).collect()
 }
 
-/// The graphics shaders of the example that embeds ashsplat, as `embed_NAME.spv`.
+/// Compiles the graphics shaders of the embedding example to `embed_NAME.spv`.
 fn embed(root: &Path, glsl: &Path, out: &Path) -> Result<(), String> {
     let names = ["cube.vert", "cube.frag", "splat_depth.frag", "tonemap.vert", "tonemap.frag"];
     for name in names {
@@ -150,7 +150,7 @@ fn compile_all(root: &Path, glsl: &Path, out: &Path, shaders: &[PathBuf]) -> Vec
     results.into_iter().map(|(_, result)| result).collect()
 }
 
-/// A shader in all of its forms.
+/// Compiles a shader in all of its forms.
 fn kernel(glsl: &Path, out: &Path, path: &Path, display: &str, validator: bool) -> Compiled {
     let name = display.trim_start_matches("glsl/").trim_end_matches(".comp").to_owned();
     let source = fs::read_to_string(path).map_err(|e| format!("{display}: cannot read: {e}"))?;
@@ -167,14 +167,14 @@ fn kernel(glsl: &Path, out: &Path, path: &Path, display: &str, validator: bool) 
     Ok(generate::Kernel { name, source, shader: plain, spirv_file, texels })
 }
 
-/// A shader as written.
+/// Source of a shader.
 struct Source<'a> {
     glsl: &'a Path,
     out: &'a Path,
     path: &'a Path,
     display: &'a str,
     text: &'a str,
-    /// Of everything that goes into it.
+    /// Hash of all files and options that the compiled module depends on.
     hash: u64,
     validator: bool,
 }

@@ -1,17 +1,17 @@
-//! The highest arithmetic rate of the device's shaders: chains of multiply-adds on registers.
+//! Measures the highest arithmetic rate of the device's shaders: chains of multiply-adds on registers.
 
 use crate::error::Result;
 use crate::kernels::arithmetic::multiply_add;
 use crate::kernels::constants as c;
 use crate::vk::{Buffer, Context, Kernel, Recorder};
 
-/// Rounds per invocation: enough that the start of an invocation does not matter.
+/// Rounds per invocation: enough that the start of an invocation takes a negligible part.
 const ROUNDS: u32 = 1024;
-/// Factor of a step whose values stay finite for any number of steps: its fixed point is 2.
+/// Factor of a step. Values stay finite for any number of steps, because the fixed point is 2.
 const FACTOR: f32 = 0.75;
 const TERM: f32 = 0.5;
 
-/// The kernel of the measurement.
+/// Kernel of the measurement.
 pub struct Arithmetic {
     kernel: Kernel<multiply_add::Interface>,
     workgroup_size: u32,

@@ -7,16 +7,16 @@ use std::path::{Path, PathBuf};
 /// `Result` with [`Error`].
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
-/// All errors, each with a one-line message.
+/// Errors of the crate, each with a one-line message.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// A file or folder that cannot be used as it is.
+    /// A file or folder cannot be used as it is.
     #[error("{}: {}{}", OneLine(path.display()), OneLine(problem), Remedy(remedy))]
     Input {
         /// The file or folder.
         path: PathBuf,
-        /// Where in it, and what is wrong there ("vertex 12: property x is NaN").
+        /// Place in the file and what is wrong there ("vertex 12: property x is NaN").
         problem: String,
         /// What to do about it; may be empty.
         remedy: String,
@@ -31,21 +31,21 @@ pub enum Error {
         /// The operating system's reason.
         source: std::io::Error,
     },
-    /// An argument of the API, or a setting, that makes no sense.
+    /// An argument of the API, or a setting, is invalid.
     #[error("{}: {}", OneLine(what), OneLine(problem))]
     Argument {
-        /// Which argument.
+        /// Name of the argument.
         what: String,
         /// What is wrong with it and what would be right.
         problem: String,
     },
-    /// No Vulkan loader on this machine.
+    /// There is no Vulkan loader on this machine.
     #[error(
         "no Vulkan loader found ({reason}); install one with a driver: on Debian or Ubuntu \
          `apt-get install libvulkan1 mesa-vulkan-drivers`, or run tools/setup"
     )]
     NoLoader {
-        /// What the system said.
+        /// The system's reason.
         reason: String,
     },
     /// There is a loader, but no usable device.
@@ -53,15 +53,15 @@ pub enum Error {
         "no usable Vulkan device: {reason}; `ashsplat devices` lists what there is (a software driver: mesa-vulkan-drivers)"
     )]
     NoDevice {
-        /// The devices found, and why each is not usable.
+        /// Devices found, and why each is not usable.
         reason: String,
     },
     /// No device matches `--device`.
     #[error("no Vulkan device matches '{}'; there are: {}", OneLine(asked), OneLine(available))]
     UnknownDevice {
-        /// What was asked for.
+        /// Device that was requested.
         asked: String,
-        /// What there is, with indices.
+        /// Available devices, with indices.
         available: String,
     },
     /// The device lacks a required feature.
@@ -75,13 +75,13 @@ pub enum Error {
     /// An object exceeds a limit of the device or a budget.
     #[error("{} needs {needed} {unit}, more than {limit} ({limit_name})", OneLine(what))]
     TooLarge {
-        /// What does not fit.
+        /// Object that does not fit.
         what: String,
-        /// How much it needs.
+        /// Amount that it needs.
         needed: u64,
         /// "bytes", "workgroups", …
         unit: &'static str,
-        /// How much there may be.
+        /// Largest allowed amount.
         limit: u64,
         /// Vulkan's name of the limit, or the setting's.
         limit_name: &'static str,
@@ -89,9 +89,9 @@ pub enum Error {
     /// A Vulkan call failed.
     #[error("{call} failed: {result}{}", Remedy(remedy))]
     Vulkan {
-        /// The function.
+        /// Vulkan function.
         call: &'static str,
-        /// Its result code in words.
+        /// Result code in words.
         result: String,
         /// What to do about it; may be empty.
         remedy: String,
@@ -99,24 +99,24 @@ pub enum Error {
     /// The driver has given up the device. The context is unusable; a new context may work.
     #[error("{call} failed: the device is lost; the driver has reset it: see the system's log. Open it anew")]
     DeviceLost {
-        /// The function that said so.
+        /// Vulkan function that reported it.
         call: &'static str,
     },
-    /// A submission took longer than [`crate::vk::ContextOptions::timeout`] allows. It is still running: what
-    /// it writes is undefined, and its memory is in use until it ends.
+    /// A submission took longer than [`crate::vk::ContextOptions::timeout`] allows. It is still running. Its outputs are
+    /// undefined, and its memory is in use until it ends.
     #[error(
         "a submission is not over after {seconds:.1} s; raise the timeout, or use a smaller scene or resolution"
     )]
     Timeout {
-        /// Time waited for it, seconds.
+        /// Time waited, seconds.
         seconds: f64,
     },
-    /// The user asked to stop.
+    /// The user requested a stop.
     #[error("interrupted")]
     Interrupted,
 }
 
-/// Names, and what a reader quotes of a file, may have line breaks: each becomes a space, as other control characters do.
+/// Displays text in one line: each control character, such as a line break in a quoted name, becomes a space.
 struct OneLine<T>(T);
 
 impl<T: std::fmt::Display> std::fmt::Display for OneLine<T> {
@@ -134,22 +134,22 @@ impl std::fmt::Display for Remedy<'_> {
 }
 
 impl Error {
-    /// A problem in a file, with what to do about it.
+    /// Returns an [`Error::Input`].
     pub fn input(path: impl AsRef<Path>, problem: impl Into<String>, remedy: impl Into<String>) -> Self {
         Self::Input { path: path.as_ref().to_owned(), problem: problem.into(), remedy: remedy.into() }
     }
 
-    /// A failed operation of the file system.
+    /// Returns an [`Error::Io`].
     pub fn io(path: impl AsRef<Path>, action: &'static str, source: std::io::Error) -> Self {
         Self::Io { path: path.as_ref().to_owned(), action, source }
     }
 
-    /// A bad argument or setting.
+    /// Returns an [`Error::Argument`].
     pub fn argument(what: impl Into<String>, problem: impl Into<String>) -> Self {
         Self::Argument { what: what.into(), problem: problem.into() }
     }
 
-    /// Of an argument that has another name where the caller gives it.
+    /// Renames the argument to the caller's name for it.
     #[must_use]
     pub(crate) fn of(self, name: impl Into<String>) -> Self {
         match self {
@@ -158,7 +158,7 @@ impl Error {
         }
     }
 
-    /// Of what does not fit because of a setting, which comes before it.
+    /// Names the setting that caused a [`Error::TooLarge`].
     #[must_use]
     pub(crate) fn of_field(self, field: impl std::fmt::Display) -> Self {
         match self {
@@ -169,7 +169,7 @@ impl Error {
         }
     }
 
-    /// Of an argument that is a part of another one, with both names.
+    /// Prefixes the argument with the name of the outer argument that contains it.
     #[must_use]
     pub(crate) fn within(self, outer: impl std::fmt::Display) -> Self {
         match self {

@@ -1,10 +1,9 @@
 //! A 64-bit hash that distinguishes data. It gives no protection against forgery.
 
-/// An odd number: the multiplication is invertible, so that a change of a single word always changes the
-/// hash.
+/// Odd, so that the multiplication is invertible and a change of a single word always changes the hash.
 const FACTOR: u64 = 0x9E37_79B9_7F4A_7C15;
 
-/// A hash of bytes in the order in which they are added.
+/// Hash of bytes in the order in which they are added.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Fingerprint(u64);
 
@@ -15,7 +14,7 @@ impl Default for Fingerprint {
 }
 
 impl Fingerprint {
-    /// The hash of no bytes.
+    /// Hash of no bytes.
     pub fn new() -> Self {
         Self(FACTOR)
     }
@@ -24,7 +23,7 @@ impl Fingerprint {
         self.0 = (self.0.rotate_left(23) ^ word).wrapping_mul(FACTOR);
     }
 
-    /// Adds bytes and their number.
+    /// Adds the bytes, then their number.
     pub fn add(&mut self, bytes: &[u8]) {
         let (words, rest) = bytes.as_chunks::<8>();
         for word in words {
@@ -36,7 +35,7 @@ impl Fingerprint {
         self.word(bytes.len() as u64);
     }
 
-    /// The hash of all bytes added.
+    /// Returns the hash of all bytes added.
     pub fn finish(self) -> u64 {
         self.0 ^ (self.0 >> 32)
     }

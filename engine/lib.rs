@@ -1,6 +1,6 @@
 //! 3D Gaussian Splatting (Kerbl et al., SIGGRAPH 2023) on raw Vulkan compute: rendering, differentiation, training.
 //!
-//! The [`guide`] has a chapter for each subject, with examples that compile:
+//! The [`guide`] has a chapter for each task, with examples that compile:
 //!
 //! - [program](guide::program), [data sets](guide::data_sets), [formats](guide::formats), [viewer](guide::viewer)
 //! - [first frame](guide::first_frame), [first training](guide::first_training), [parts](guide::parts)
@@ -9,8 +9,8 @@
 //! - [determinism](guide::determinism), [faults](guide::faults)
 //! - [how it works](guide::how_it_works), [embedding](guide::embedding), [colour](guide::colour)
 //!
-//! Files, photographs and data sets are the crate `ashsplat-files`. The program is the crate `ashsplat-cli`, the C
-//! interface `ashsplat-capi`.
+//! The crate `ashsplat-files` reads and writes files, photographs and data sets. The program is the crate `ashsplat-cli`,
+//! the C interface `ashsplat-capi`.
 //!
 //! # Overview
 //!
@@ -22,17 +22,17 @@
 //! ```
 //!
 //! - [`Renderer`] and [`Trainer`] own their submissions: they record, submit, wait and read back.
-//! - [`Renderer::record`] and [`Trainer::record_step`] are the doors for a host engine: its device, its command buffer,
-//!   its images.
+//! - [`Renderer::record`] and [`Trainer::record_step`] record into a host engine's command buffer, on its device, with its
+//!   images.
 //! - [`forward`], [`backward`], [`loss`], [`exposure`], [`lens_effects`], [`optimizer`], [`densify`] only *record*, into a
 //!   [`vk::Recorder`].
 //! - [`sort`] and [`scan`] are usable alone, as is every kernel in [`kernels`]; [`arithmetic`] measures a device.
-//! - [`lpips`] measures how different two pictures look, by the features of a network.
+//! - [`lpips`] measures how different two pictures look, by the features of a neural network.
 //! - [`scene`] knows no Vulkan; [`vk`] knows no splats and holds all of the `unsafe`.
 //!
-//! Sizes are planned in [`plan`] as pure arithmetic. How many Gaussians are visible and how many instances they make is
-//! known only on the device: dispatches over them are indirect, buffers have capacities, and a frame that needs more
-//! says so and is run again. The same inputs on the same device give the same bits, in training too.
+//! [`plan`] computes all sizes as pure arithmetic. Only the device knows how many Gaussians are visible and how many
+//! instances they make. So dispatches over them are indirect, and buffers have capacities. A frame that needs more reports
+//! it and is run again. The same inputs on the same device give the same bits, in training too.
 
 pub mod arithmetic;
 pub mod backward;

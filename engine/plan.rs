@@ -1,8 +1,8 @@
-//! Every size, capacity and block count of a frame, as pure arithmetic on the device's limits.
+//! Sizes, capacities and block counts of a frame, as pure arithmetic on the device's limits.
 //!
-//! A buffer has one element per Gaussian, per visible Gaussian, per instance (one (tile, Gaussian) pair), per
-//! tile or per pixel. Only the device knows how many Gaussians are visible and how many instances a frame
-//! has, so the sizes here are capacities.
+//! A buffer has one element per Gaussian, per visible Gaussian, per instance (one (tile, Gaussian) pair), per tile or per
+//! pixel. Only the device knows the numbers of visible Gaussians and instances of a frame, so the sizes here are
+//! capacities.
 
 mod frame_buffers;
 mod grids;
@@ -33,7 +33,7 @@ pub const fn blocks(n: u64, d: u64) -> u64 {
     n.div_ceil(d)
 }
 
-/// Planes of parameters of a Gaussian with SH up to `sh_degree`: three of geometry, the rest SH.
+/// Number of parameter planes of a Gaussian with SH up to `sh_degree`: three of geometry, the rest SH.
 pub const fn parameter_planes(sh_degree: u32) -> u32 {
     PLANE_SH
         + match sh_degree {
@@ -44,7 +44,7 @@ pub const fn parameter_planes(sh_degree: u32) -> u32 {
         }
 }
 
-/// The group of planes that lie together with `plane`: the geometry, or one SH degree.
+/// Returns the planes stored together with `plane`: the geometry, or one SH degree.
 pub(crate) fn plane_group(plane: u32) -> Range<u32> {
     const ENDS: [u32; 5] = [
         PLANE_SH,
@@ -60,7 +60,7 @@ pub(crate) fn plane_group(plane: u32) -> Range<u32> {
     }
 }
 
-/// A range of Gaussians whose parameter planes lie in one buffer.
+/// Range of Gaussians whose parameter planes are in one buffer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct GaussianRange {
     /// Index of the buffer.
@@ -71,7 +71,7 @@ pub struct GaussianRange {
     pub count: u32,
 }
 
-/// How the parameters of up to `capacity` Gaussians are split into buffers that fit a binding.
+/// Split of the parameters of up to `capacity` Gaussians into buffers that fit a binding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ScenePlan {
     /// Capacity in Gaussians.
@@ -90,7 +90,7 @@ impl ScenePlan {
     /// Plans for `capacity` Gaussians with SH up to `sh_degree`.
     ///
     /// # Errors
-    /// [`Error::TooLarge`] when the count exceeds what 30 bits can index.
+    /// [`Error::TooLarge`] when the count exceeds 30-bit indices.
     pub fn new(limits: &Limits, capacity: u32, sh_degree: u32) -> Result<Self> {
         const MAX_GAUSSIANS: u32 = 1 << 30;
         if capacity > MAX_GAUSSIANS {
@@ -118,10 +118,10 @@ impl ScenePlan {
         u64::from(self.chunk_gaussians) * u64::from(self.planes) * 16
     }
 
-    /// Index, in vec4, of plane `plane` of Gaussian `index` in a chunk. The groups of planes are 0 to 2
-    /// (geometry), 3, 4 and 5, 6 to 9, and 10 to 14 (one SH degree each). A group is contiguous for all
-    /// Gaussians, in rows of eight Gaussians: planes `first` to `end - 1` lie at `first * chunk_gaussians +
-    /// (index / 8 * (end - first) + plane - first) * 8 + index % 8`.
+    /// Returns the index, in vec4, of plane `plane` of Gaussian `index` in a chunk. The groups of planes are 0 to 2
+    /// (geometry), 3, 4 and 5, 6 to 9, and 10 to 14 (one SH degree each). A group is contiguous for all Gaussians, in rows
+    /// of eight Gaussians. Planes `first` to `end - 1` begin at `first * chunk_gaussians + (index / 8 * (end - first) +
+    /// plane - first) * 8 + index % 8`.
     ///
     /// # Panics
     /// If `plane` is not below `planes`, or `index`, which counts from the chunk's first Gaussian, is not
@@ -135,7 +135,7 @@ impl ScenePlan {
             + index % row
     }
 
-    /// The chunks that `count` Gaussians occupy.
+    /// Returns the chunks that `count` Gaussians occupy.
     pub fn ranges(&self, count: u32) -> impl Iterator<Item = GaussianRange> + use<> {
         let own = self.chunk_gaussians;
         (0..count.div_ceil(own)).map(move |chunk| GaussianRange {
@@ -151,23 +151,23 @@ impl ScenePlan {
 pub struct FrameCapacity {
     /// Gaussians.
     pub gaussians: u32,
-    /// Those of them that the camera sees, at most. A frame that sees more overflows and is run again.
+    /// Visible Gaussians. A frame with more overflows and is run again.
     pub visible: u32,
     /// (tile, Gaussian) instances.
     pub instances: u32,
-    /// Scenes, each with a camera block; of views with one order, those of all.
+    /// Scenes, each with a camera block. Views that share one depth order count the scenes of all views.
     pub scenes: u32,
     /// Pictures.
     pub pictures: PictureCapacity,
     /// Passes of blending. Each handles [`LaunchSizes::entries_per_pass`] entries of a tile.
     pub blend_passes: u32,
-    /// Whether the frame has the buffers of the backward pass.
+    /// True if the frame has the buffers of the backward pass.
     pub backward: bool,
-    /// Whether these have room for the absolute gradients of the 2D means.
+    /// True if these include the absolute gradients of the 2D means.
     pub absolute: bool,
 }
 
-/// Number of tiles of an image: (per row, rows).
+/// Returns the size of an image in tiles: (columns, rows).
 pub const fn tile_grid(width: u32, height: u32) -> (u32, u32) {
     (width.div_ceil(TILE_SIZE), height.div_ceil(TILE_SIZE))
 }
@@ -180,26 +180,26 @@ pub const fn tile_bits(tiles: u32) -> u32 {
 /// Bytes per element of the widest buffer per instance.
 const INSTANCE_BYTES: u64 = 16;
 
-/// First estimate of how many Gaussians of a frame are visible. A frame that sees more overflows and is run again: a large scene is seen
-/// in part, and most of a frame's memory goes by what is visible.
+/// First estimate of the visible Gaussians of a frame; a frame with more overflows and is run again. A camera sees only
+/// part of a large scene, and most of a frame's memory is per visible Gaussian.
 pub fn initial_visible(gaussians: u32) -> u32 {
     gaussians.min(LEAST_VISIBLE.max(gaussians / 4))
 }
 
-/// No estimate of a frame's visible Gaussians is smaller, unless there are fewer Gaussians.
+/// Lower bound of the estimate, unless the scene has fewer Gaussians.
 pub const LEAST_VISIBLE: u32 = 1 << 12;
 
-/// First estimate of the instances of a frame of so many visible Gaussians, at most what a binding and a grid can hold. A frame that
-/// needs more overflows and is run again.
+/// First estimate of the instances of a frame with `visible` visible Gaussians, bounded by a binding and a grid. A frame
+/// with more overflows and is run again.
 pub fn initial_instances(limits: &Limits, visible: u32, pictures: &PictureCapacity) -> u32 {
     let guess = u64::from(visible) * 6 + pictures.tiles * 16;
     guess.max(LEAST_INSTANCES.into()).min(max_trained_instances(limits).into()) as u32
 }
 
-/// No estimate of a frame's instances is smaller.
+/// Lower bound of the estimate of a frame's instances.
 pub const LEAST_INSTANCES: u32 = 1 << 12;
 
-/// Most instances that a training step's frame can have on a device, by the limits of a binding and a grid.
+/// Returns the most instances of a training step's frame, as the limits of a binding and a grid allow.
 pub fn max_trained_instances(limits: &Limits) -> u32 {
     let axis = u64::from(limits.max_workgroups_per_axis);
     let bytes = limits.max_storage_buffer_range.min(limits.max_allocation_bytes);
@@ -207,19 +207,19 @@ pub fn max_trained_instances(limits: &Limits) -> u32 {
     most.clamp(1, u32::MAX.into()) as u32
 }
 
-/// Most Gaussians that can be trained on a device: their gradients lie in one buffer.
+/// Returns the most Gaussians that can be trained on a device: their gradients are in one buffer.
 pub fn max_trained_gaussians(limits: &Limits) -> u32 {
     let bytes = limits.max_storage_buffer_range.min(limits.max_allocation_bytes);
     (bytes / (16 * u64::from(GRADIENT_PLANES))).min(u32::MAX.into()) as u32
 }
 
-/// Index of the first Gaussian that lies around a scene of `count` Gaussians, in a frame of both: a culling block belongs to one
-/// scene.
+/// Index of the first frozen neighbour of a scene with `count` Gaussians, in a frame of both. It begins a culling block,
+/// because a culling block belongs to one scene.
 pub const fn first_around(count: u32) -> u32 {
     count.next_multiple_of(ELEMENTWISE_WORKGROUP)
 }
 
-/// Gaussians of a frame of a scene with a capacity of `capacity`, and of `around` that lie around it.
+/// Number of Gaussians in a frame of a scene with this capacity and `around` frozen neighbours.
 pub const fn gaussians_with(capacity: u32, around: u32) -> u32 {
     match around {
         0 => capacity,
@@ -227,7 +227,7 @@ pub const fn gaussians_with(capacity: u32, around: u32) -> u32 {
     }
 }
 
-/// Most Gaussians that can be trained on a device with so many around them.
+/// Returns the most Gaussians that can be trained on a device beside `around` frozen neighbours.
 pub fn max_trained_among(limits: &Limits, around: u32) -> u32 {
     match (max_trained_gaussians(limits), around) {
         (most, 0) => most,
@@ -235,7 +235,7 @@ pub fn max_trained_among(limits: &Limits, around: u32) -> u32 {
     }
 }
 
-/// `n` as u32.
+/// Converts `n` to u32.
 ///
 /// # Errors
 /// [`Error::TooLarge`] when it does not fit.

@@ -1,4 +1,4 @@
-//! Whether subgroups are what the kernels take them for.
+//! Checks that subgroups have the size and order that the kernels assume.
 
 use crate::error::{Error, Result};
 use crate::kernels::subgroups::subgroup_probe;
@@ -6,20 +6,21 @@ use crate::tuning::ELEMENTWISE_WORKGROUP;
 use crate::vk::{Context, Kernel, Limits, MemoryKind};
 use std::sync::atomic::Ordering;
 
-/// Subgroups that are looked at.
+/// Number of subgroups that the probe inspects.
 const SUBGROUPS: u32 = 8;
 
-/// Checks on the device that subgroups have the size that kernels are built for and hold neighbouring invocations: subgroup
-/// `k` of a workgroup the invocations from `k` times the size on, in the order of their lanes. Kernels take that for granted,
-/// and Vulkan does not promise it. On a host's device without a queue, and where nothing runs, nothing is done.
+/// Checks on the device that subgroups have the size that kernels are built for and hold neighbouring invocations. Subgroup
+/// `k` of a workgroup must hold the invocations from `k` times the size on, in lane order. Kernels depend on that, and
+/// Vulkan does not promise it. Does nothing on a host's device without a queue, or on a compile-only device.
 ///
-/// Where the size can be required ([`Limits::subgroup_size_selectable`]), one small kernel runs for each size in use. Where it
-/// cannot, kernels are built so that the size may not vary (SPIR-V below 1.6, Vulkan's `VkPipelineShaderStageCreateFlagBits`),
-/// and a few run in workgroups of several sizes. This finds drivers that choose another one all the same.
+/// If pipelines can require the size ([`Limits::subgroup_size_selectable`]), one small kernel runs for each size in use.
+/// Otherwise kernels are built so that the size may not vary (SPIR-V below 1.6, Vulkan's
+/// `VkPipelineShaderStageCreateFlagBits`). A few then run in workgroups of several sizes, to find drivers that vary it
+/// nevertheless.
 ///
-/// [`Renderer::new`](crate::Renderer::new) and [`Trainer::new`](crate::Trainer::new) call it on devices of our own, where it
-/// runs once. It submits and waits: hosts call it themselves, and who uses [`crate::sort`] or [`crate::scan`] alone calls it
-/// once. It looks at its own kernel only.
+/// [`Renderer::new`](crate::Renderer::new) and [`Trainer::new`](crate::Trainer::new) call it once per device that ashsplat
+/// opened. It submits and waits, so hosts call it themselves, as do callers that use only [`crate::sort`] or
+/// [`crate::scan`]. It checks only its own kernel.
 ///
 /// # Errors
 /// [`Error::MissingFeature`] with the sizes; when the device refuses the pipeline.
@@ -30,12 +31,12 @@ pub fn check(context: &Context) -> Result<()> {
     }
     let limits = context.limits();
     probed(limits).into_iter().try_for_each(|shape| probe(context, shape))?;
-    // Not again for every renderer.
+    // Later renderers on this device skip the check.
     sound.store(true, Ordering::Relaxed);
     Ok(())
 }
 
-/// Subgroups and workgroups of the kernels that are run.
+/// Returns the (subgroup size, workgroup size) pairs to probe.
 fn probed(limits: &Limits) -> Vec<[u32; 2]> {
     let largest = |size: u32| {
         [size, Limits { subgroup_size: size, ..limits.clone() }.workgroup_size(ELEMENTWISE_WORKGROUP)]
@@ -43,7 +44,7 @@ fn probed(limits: &Limits) -> Vec<[u32; 2]> {
     let size = limits.subgroup_size;
     let mut shapes = match limits.subgroup_size_selectable {
         true => vec![largest(size), largest(limits.heavy_subgroup_size)],
-        // Drivers may choose by the workgroup.
+        // Drivers may choose the subgroup size by the workgroup size.
         false => vec![[size, size], [size, limits.workgroup_size(SUBGROUPS * size)], largest(size)],
     };
     shapes.dedup();

@@ -1,9 +1,9 @@
-//! What is chosen differently for processors and for GPUs: kernels, sizes and layouts, in one table.
+//! Table of the kernels, sizes and layouts that differ between processors and GPUs.
 //!
 //! A device's [`Tuning`] is a row of this table. The row is set once, when the device is opened
-//! ([`Limits::tuning`](crate::vk::Limits::tuning)); no other file asks what kind of device it is. Bounds that a device reports
-//! are facts and stand in [`Limits`](crate::vk::Limits); what a driver does against the specification stands in
-//! [`Workarounds`](crate::vk::Workarounds).
+//! ([`Limits::tuning`](crate::vk::Limits::tuning)); no other file asks what kind of device it is.
+//! [`Limits`](crate::vk::Limits) holds the bounds that a device reports, [`Workarounds`](crate::vk::Workarounds) the faults
+//! of drivers.
 //!
 //! [`ContextOptions::backend`](crate::vk::ContextOptions::backend) overrides the row: a GPU's kernels and layouts then run on a
 //! software driver, where they can be tested and debugged without a GPU.
@@ -12,10 +12,10 @@ use std::fmt;
 use std::ops::RangeInclusive;
 use std::str::FromStr;
 
-/// Invocations of an elementwise workgroup, if the device allows it; the heaviest kernels have these.
+/// Default number of invocations of an elementwise workgroup; the device's limits may lower it.
 pub(crate) const ELEMENTWISE_WORKGROUP: u32 = 256;
 
-/// The class of devices that a row of the table is for.
+/// Class of devices, which selects a row of the table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Backend {
     /// A driver that runs shaders on the processor, such as Mesa's llvmpipe.
@@ -51,78 +51,78 @@ pub enum SortMethod {
     /// A subgroup takes consecutive keys side by side and matches their digits. Accesses are coalesced, histograms lie in
     /// shared memory.
     Matching,
-    /// Each invocation takes a run of consecutive keys, one after the other, with its own histogram in device memory. For
-    /// processors: coalescing and the number of invocations do not count there, every memory access and barrier does.
+    /// Each invocation takes a run of consecutive keys, one after the other, with its own histogram in device memory. Suits
+    /// processors: they gain nothing from coalescing or more invocations, and every memory access and barrier costs time.
     Serial,
 }
 
-/// Workgroup sizes that follow from the subgroup or from the elementwise workgroup.
+/// Rule for the size of a workgroup.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum WorkgroupRule {
     /// One subgroup.
     Subgroup,
-    /// As elementwise kernels have.
+    /// Same as elementwise kernels.
     Elementwise,
-    /// So many invocations, where the device allows it.
+    /// This number of invocations, if the device allows it.
     Invocations(u32),
 }
 
-/// One row of the table. Numbers are the values before limits and overrides bound them.
+/// One row of the table. Values before limits and overrides bound them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Tuning {
-    /// The class of devices.
+    /// Class of devices.
     pub backend: Backend,
-    /// Size of subgroups, where the device has it and lets it be chosen; None: the device's own.
+    /// Subgroup size, if the device has it and lets it be chosen. None: the device's default.
     pub lanes: Option<u32>,
-    /// The same for the kernels with the most registers: the backward pass of the projection.
+    /// Same as [`Self::lanes`], but for the kernels with the most registers, such as the backward projection.
     pub heavy_lanes: Option<u32>,
-    /// Whether the backward pass of blending and the blending of picks and motions are among these.
+    /// True if blending of picks and motions, and backward blending, use [`Self::heavy_lanes`].
     pub heavy_blending: bool,
     /// How keys are sorted.
     pub sort_method: SortMethod,
-    /// Keys of one invocation of a sort by matching.
+    /// Keys per invocation of a sort by matching.
     pub sort_items: u32,
-    /// Values of one invocation of a prefix sum; read in fours.
+    /// Values per invocation of a prefix sum, which reads them in fours.
     pub scan_items: u32,
     /// Workgroup of a prefix sum.
     pub scan_workgroup: WorkgroupRule,
-    /// Workgroup of the scan of a prefix sum's blocks, of which there is one; and block sums of an invocation in a round.
+    /// Workgroup of the single scan over the block sums of a prefix sum.
     pub scan_spine_workgroup: WorkgroupRule,
-    /// See [`Self::scan_spine_workgroup`].
+    /// Block sums per invocation and round of that scan.
     pub scan_spine_items: u32,
-    /// Instances of one invocation of `duplicate_with_tiles`.
+    /// Instances per invocation of `duplicate_with_tiles`.
     pub duplicate_items: u32,
-    /// The smallest subgroup that blends all regions of a tile, forward and backward; None: one region each.
+    /// Smallest subgroup that blends all regions of a tile, forward and backward. None: one region per subgroup.
     pub whole_tiles_from_lanes: Option<u32>,
-    /// Pixels of an invocation in a region: regions have 4 to 8 rows, 16 for subgroups of 128.
+    /// Pixels per invocation in a region. Regions have 4 to 8 rows, 16 for subgroups of 128.
     pub region_pixels: u32,
-    /// Whether Gaussians are handed over a subgroup by broadcasts, in place of shuffles (splat_shuffle.glsl).
+    /// True if subgroups share Gaussians by broadcasts, not by shuffles (splat_shuffle.glsl).
     pub broadcasts: bool,
-    /// Whether they are handed over in shared memory instead, where a kernel's region is a subgroup's own.
+    /// True if Gaussians are shared in shared memory instead, in kernels whose region belongs to one subgroup.
     pub shared_splats: bool,
-    /// Pixels of an invocation of a tile that is blended from shared memory: a column of them.
+    /// Pixels per invocation, in a column, when a tile is blended from shared memory.
     pub shared_tile_pixels: u32,
-    /// Strands of interleaved rows of tiles, a power of two (tile_order.glsl); 1: row by row.
+    /// Number of interleaved strands of tile rows, a power of two (tile_order.glsl). 1: row by row.
     pub tile_row_interleave: u32,
-    /// Whether opacities follow from one another along a column of pixels, in place of an exponential each.
+    /// True if opacities along a column of pixels follow from one another, without an exponential each.
     pub incremental_exp: bool,
-    /// Whether loops over groups of SH coefficients stay loops (sh.glsl).
+    /// True if loops over groups of SH coefficients are not unrolled (sh.glsl).
     pub sh_loops: bool,
     /// Workgroup of the loss by blocks.
     pub loss_workgroup: WorkgroupRule,
-    /// Pixels in a row of one invocation of the loss by blocks.
+    /// Pixels per invocation, in a row, of the loss by blocks.
     pub loss_strip: u32,
-    /// Whether kernels that exist in both forms read texels (buffers.glsl), where buffers have few enough texels.
+    /// True if kernels with both forms read texels (buffers.glsl), if the buffer has few enough texels.
     pub reads_texels: bool,
-    /// Largest subgroup with which pictures between blending and loss lie in strips; None: row by row.
+    /// Largest subgroup with which pictures between blending and loss are stored in strips. None: row by row.
     pub strips_up_to_lanes: Option<u32>,
-    /// Whether commands of a recording run one after the other, so that the top of the pipe is the end of all commands before.
-    /// On llvmpipe such a timestamp takes 2 µs, one after all commands 30 µs.
+    /// True if the commands of a recording run one after the other, so that a top-of-pipe timestamp marks the end of all
+    /// earlier commands. On llvmpipe such a timestamp takes 2 µs, a timestamp after all commands 30 µs.
     pub runs_in_order: bool,
-    /// Whether the device-local heap bounds what can be allocated. A processor's heap is main memory, which can be swapped.
+    /// True if the device-local heap bounds allocations. A processor's heap is main memory, which can be swapped.
     pub heap_is_bound: bool,
-    /// Whether benchmarks have to do with few iterations and invocations.
+    /// True if benchmarks must use few iterations and invocations.
     pub is_slow: bool,
 }
 
@@ -135,26 +135,26 @@ impl Tuning {
         heavy_blending: false,
         sort_method: SortMethod::Serial,
         sort_items: 16,
-        // Few invocations without barriers.
+        // Few invocations need no barriers.
         scan_items: 256,
         scan_workgroup: WorkgroupRule::Subgroup,
         scan_spine_workgroup: WorkgroupRule::Subgroup,
         scan_spine_items: 1,
-        // The search for the first Gaussian is shared by many instances.
+        // Many instances share the search for the first Gaussian.
         duplicate_items: 16,
-        // A processor's pixels lie in memory anyway, and a Gaussian is fetched once in place of once per region. Below 8
-        // lanes the code would be too long to compile.
+        // A processor's pixels are in memory anyway, and each Gaussian is fetched once, not once per region. Below 8 lanes
+        // the code would be too long to compile.
         whole_tiles_from_lanes: Some(8),
-        // Registers are memory anyway.
+        // Registers are memory on a processor.
         region_pixels: 16,
         broadcasts: false,
         shared_splats: false,
-        // Each column has a chain of opacities.
+        // Each column has its own chain of opacities.
         shared_tile_pixels: 8,
         tile_row_interleave: 16,
-        // exp2 takes some twenty instructions.
+        // exp2 takes about twenty instructions.
         incremental_exp: true,
-        // Registers are memory anyway, and a loop's branches take time.
+        // Registers are memory on a processor, and a loop's branches take time.
         sh_loops: false,
         loss_workgroup: WorkgroupRule::Invocations(64),
         loss_strip: 4,
@@ -165,37 +165,37 @@ impl Tuning {
         is_slow: true,
     };
 
-    /// By the structure of the kernels and estimates of compilers; by times where an H100 or H200 is named (tools/experiments.md). No other
-    /// GPU has been measured.
+    /// From the kernels' structure and compilers' estimates. Where an H100 or H200 is named, from measured times
+    /// (tools/experiments.md). No other GPU has been measured.
     pub const GPU: Self = Self {
         backend: Backend::Gpu,
         lanes: None,
         heavy_lanes: None,
         heavy_blending: false,
         sort_method: SortMethod::Matching,
-        // Keys and their places are kept in registers, and a block of pairs in shared memory. On an H200 16 make
-        // small steps slower by 2 %, and sorts of a million pairs and more faster by 5 to 8 % (tools/experiments.md).
+        // Keys and their ranks stay in registers, a block of pairs in shared memory. On an H200, 16 items slow small steps
+        // by 2 % and speed up sorts of a million pairs and more by 5 to 8 % (tools/experiments.md).
         sort_items: 8,
         scan_items: 4,
         scan_workgroup: WorkgroupRule::Elementwise,
-        // Rounds follow one another.
+        // Few rounds: they run one after the other.
         scan_spine_workgroup: WorkgroupRule::Invocations(1024),
         scan_spine_items: 4,
         duplicate_items: 4,
         whole_tiles_from_lanes: None,
-        // Four spill on Intel (tools/gpu_static.md), and small regions cull more.
+        // Four pixels spill on Intel (tools/gpu_static.md), and small regions cull more.
         region_pixels: 2,
-        // Up to a seventh fewer estimated cycles on Intel, the same code on AMD and NVK.
+        // Up to a seventh fewer estimated cycles on Intel; the same code on AMD and NVK.
         broadcasts: true,
         shared_splats: false,
         shared_tile_pixels: 1,
         tile_row_interleave: 1,
         // exp2 is one instruction.
         incremental_exp: false,
-        // Room for twice as many subgroups where parameters are read and written.
+        // Twice as many subgroups fit where parameters are read and written.
         sh_loops: true,
         loss_workgroup: WorkgroupRule::Invocations(256),
-        // Wide enough to fill a workgroup.
+        // Narrow enough to fill a workgroup.
         loss_strip: 2,
         reads_texels: false,
         strips_up_to_lanes: None,
@@ -204,20 +204,21 @@ impl Tuning {
         is_slow: false,
     };
 
-    /// Its registers hold 16 lanes of most kernels, 32 of few, and 8 of the heaviest (tools/gpu_static.md). Xe2 has twice the
-    /// registers and no 8 lanes; at 32 it spills in three kernels, at 16 in none. Two pixels in a row of the loss spill on some.
+    /// Registers hold 16 lanes of most kernels, 32 of few, and 8 of the heaviest (tools/gpu_static.md). Xe2 has twice the
+    /// registers and no subgroups of 8. It spills in three kernels at 32 lanes, in none at 16. Two loss pixels per
+    /// invocation spill on some devices.
     pub const INTEL: Self =
         Self { lanes: Some(16), heavy_lanes: Some(8), heavy_blending: true, loss_strip: 1, ..Self::GPU };
 
-    /// 64 lanes, the driver's size, take fewer estimated cycles per Gaussian in most kernels of RDNA. In the heaviest they take 1.2
-    /// to 1.9 times as many as 32, per pixel or Gaussian (tools/gpu_static.md). GCN has 64 only.
+    /// 64 lanes, the driver's default, take fewer estimated cycles per Gaussian in most kernels of RDNA. In the heaviest
+    /// they take 1.2 to 1.9 times as many as 32 lanes, per pixel or Gaussian (tools/gpu_static.md). GCN has only 64.
     pub const AMD: Self = Self { heavy_lanes: Some(32), heavy_blending: true, ..Self::GPU };
 
     /// Measured on an H100 and an H200 (tools/experiments.md).
     pub const NVIDIA: Self =
         Self { shared_splats: true, loss_workgroup: WorkgroupRule::Invocations(128), ..Self::GPU };
 
-    /// The row of a device that is no processor, by the PCI id of its vendor.
+    /// Returns the row of a GPU, by the PCI id of its vendor.
     pub(crate) const fn of_vendor(vendor: u32) -> &'static Self {
         match vendor {
             0x1002 => &Self::AMD,
@@ -227,8 +228,9 @@ impl Tuning {
         }
     }
 
-    /// The size of subgroups, and that of the heaviest kernels, on a device with its own size, those that may be required (None:
-    /// none may be), and so many subgroups of a workgroup at most.
+    /// Returns the subgroup sizes of usual and of the heaviest kernels. `own` is the device's default. `selectable` are the
+    /// sizes that a pipeline may require, None if it may require none. `max_workgroup_subgroups` bounds the subgroups of a
+    /// workgroup.
     pub fn subgroup_sizes(
         &self,
         own: u32,
@@ -241,7 +243,7 @@ impl Tuning {
         [usual, self.heavy_lanes.filter(required).filter(fits).unwrap_or(usual)]
     }
 
-    /// The row of a class of devices.
+    /// Returns the row of a class of devices.
     pub const fn of(backend: Backend) -> &'static Self {
         match backend {
             Backend::Processor => &Self::PROCESSOR,

@@ -1,4 +1,4 @@
-//! GLSL to SPIR-V. Used by build.rs, and by programs built with the feature `hot-reload`.
+//! Compiles GLSL to SPIR-V. Used by build.rs, and by programs built with the feature `hot-reload`.
 
 use glslang::include::{IncludeHandler, IncludeResult, IncludeType};
 use glslang::{
@@ -22,17 +22,16 @@ pub const EXTENSIONS: &str = "\
 #extension GL_KHR_shader_subgroup_shuffle_relative : enable
 ";
 
-/// The macro of the form of a shader that reads texels: see [`has_texel_form`].
+/// Macro that selects the texel form of a shader: see [`has_texel_form`].
 const TEXELS: &str = "#define TEXELS\n";
 
-/// Whether a shader with these files has two forms, one that reads storage buffers and one that reads texels.
+/// True if a shader with these files has two forms: one reads storage buffers, the other reads texels.
 pub fn has_texel_form(files: &[PathBuf]) -> bool {
     files.iter().any(|file| file.ends_with("include/buffers.glsl"))
 }
 
-/// Compiles a shader for Vulkan 1.3, in its texel form if `texels` is set. The file's extension selects the
-/// stage. `display` is the file's name in errors. The error has one line "error: path:line: message" for each
-/// mistake.
+/// Compiles a shader for Vulkan 1.3, in its texel form if `texels` is set. The file's extension selects the stage.
+/// `display` is the file's name in errors. The error has one line "error: path:line: message" for each mistake.
 pub fn compile(
     glsl: &Path,
     path: &Path,
@@ -56,7 +55,7 @@ pub fn compile(
     shader.compile().map_err(|e| report(&e, display))
 }
 
-/// Compute, but for the stages of the example's own graphics pass.
+/// Returns Compute, except for the graphics shaders of the embedding example.
 fn stage_of(path: &Path) -> ShaderStage {
     match path.extension().and_then(|e| e.to_str()) {
         Some("vert") => ShaderStage::Vertex,
@@ -65,7 +64,7 @@ fn stage_of(path: &Path) -> ShaderStage {
     }
 }
 
-/// The source with [`EXTENSIONS`] and `macros` after its `#version`, its line numbers kept.
+/// Returns the source with [`EXTENSIONS`] and `macros` after its `#version`; line numbers stay the same.
 fn with_prelude(source: &str, macros: &str) -> String {
     let Some(at) = source.find("#version") else { return source.to_owned() };
     let end = source[at..].find('\n').map_or(source.len(), |n| at + n + 1);
@@ -73,7 +72,7 @@ fn with_prelude(source: &str, macros: &str) -> String {
     format!("{}{EXTENSIONS}{macros}#line {line}\n{}", &source[..end], &source[end..])
 }
 
-/// glslang's log as "path:line: message". glslang calls the file itself 0, and includes by their names.
+/// Formats glslang's log as "path:line: message". glslang calls the file itself 0, and includes by their names.
 fn report(error: &dyn std::fmt::Display, display: &str) -> String {
     let log = error.to_string();
     let lines = log.lines().filter(|l| l.contains("ERROR: ") && !l.contains("compilation errors"));
@@ -91,7 +90,7 @@ struct Includer<'a> {
     file: &'a Path,
 }
 
-/// An include is looked for next to the shader, then in glsl/include, then below glsl.
+/// Looks for an include next to the shader, then in glsl/include, then below glsl.
 fn resolve(glsl: &Path, file: &Path, name: &str) -> Option<PathBuf> {
     let candidates = [file.parent()?.join(name), glsl.join("include").join(name), glsl.join(name)];
     candidates.into_iter().find(|p| p.is_file())
@@ -99,18 +98,18 @@ fn resolve(glsl: &Path, file: &Path, name: &str) -> Option<PathBuf> {
 
 impl IncludeHandler for Includer<'_> {
     fn include(&mut self, _: IncludeType, name: &str, includer: &str, _: usize) -> Option<IncludeResult> {
-        // Includes are named by their path from the crate's root, which errors then show.
+        // Includes are named by their path from the crate's root, which errors show.
         let root = self.glsl.parent()?;
         let from = if includer.is_empty() { self.file.to_owned() } else { root.join(includer) };
         let path = resolve(self.glsl, &from, name).or_else(|| resolve(self.glsl, self.file, name))?;
         let shown = path.strip_prefix(root).unwrap_or(&path).display().to_string().replace('\\', "/");
-        // A shader may be another one with a macro: its own version comes first.
+        // A shader may include another shader after a macro. Only the outer `#version` may remain.
         let data = fs::read_to_string(path).ok()?.replacen("#version 460\n", "\n", 1);
         Some(IncludeResult { name: shown, data })
     }
 }
 
-/// A shader and all of its direct and indirect includes, each once.
+/// Returns a shader and all of its direct and indirect includes, each once.
 pub fn files_with_includes(glsl: &Path, path: &Path) -> Vec<PathBuf> {
     fn visit(glsl: &Path, path: &Path, seen: &mut BTreeSet<PathBuf>, files: &mut Vec<PathBuf>) {
         if !seen.insert(path.to_owned()) {

@@ -1,4 +1,4 @@
-//! Writes the Rust side of each shader from what [`super::reflect`] found. Used by build.rs.
+//! Writes the Rust side of each shader from its reflection ([`super::reflect`]). Used by build.rs.
 
 use super::reflect::{BindingKind, Block, Field, Shader};
 use std::collections::{BTreeMap, BTreeSet};
@@ -8,17 +8,17 @@ use std::fmt::Write;
 pub struct Kernel {
     /// Path below glsl/ without extension, "sort/sort_upsweep".
     pub name: String,
-    /// Its source, for the comments.
+    /// Its source, from which documentation comments are copied.
     pub source: String,
     /// Its interface.
     pub shader: Shader,
-    /// The file with its SPIR-V as a Rust array.
+    /// File with its SPIR-V as a Rust array.
     pub spirv_file: String,
-    /// The SPIR-V file and the interface of its texel form.
+    /// SPIR-V file and interface of its texel form.
     pub texels: Option<(String, Shader)>,
 }
 
-/// The text of `kernels.rs`: modules that mirror glsl/'s folders.
+/// Returns the text of `kernels.rs`: modules that mirror the folders of glsl/.
 pub fn kernels(kernels: &[Kernel], constants: &str) -> Result<String, String> {
     let mut tree: BTreeMap<&str, Vec<(&str, &Kernel)>> = BTreeMap::new();
     let mut errors = Vec::new();
@@ -60,7 +60,7 @@ pub fn kernels(kernels: &[Kernel], constants: &str) -> Result<String, String> {
     if errors.is_empty() { Ok(out) } else { Err(errors.join("\n")) }
 }
 
-/// The uniform blocks of all kernels, one struct each.
+/// Returns the module of uniform blocks, one struct for all kernels that share a block.
 fn blocks(kernels: &[Kernel]) -> Result<String, String> {
     let mut all: BTreeMap<&str, (&Block, &Kernel)> = BTreeMap::new();
     let mut out = String::from(
@@ -88,12 +88,12 @@ fn blocks(kernels: &[Kernel]) -> Result<String, String> {
     Ok(out)
 }
 
-/// The end of the last member of a block.
+/// Returns the end of a block's last member, bytes.
 fn end_of(members: &[Field]) -> u32 {
     members.last().map_or(0, |m| m.offset + m.bytes)
 }
 
-/// A struct of a block's layout, with asserted offsets.
+/// Returns a struct with a block's layout and asserted offsets.
 fn host_struct(name: &str, members: &[Field], source: &str) -> Result<String, String> {
     let mut out = format!(
         "#[repr(C)]\n#[derive(Clone, Copy, Debug, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]\npub struct {name} {{\n"
@@ -114,7 +114,7 @@ fn host_struct(name: &str, members: &[Field], source: &str) -> Result<String, St
     Ok(out)
 }
 
-/// Mirrors `const uint NAME = 16;` lines (and float, int, bool) with their comments.
+/// Mirrors lines `const uint NAME = 16;` (and float, int, bool) with their comments.
 pub fn constants(source: &str) -> Result<String, String> {
     let mut out =
         String::from("/// Constants that host and shaders share, from `glsl/include/constants.glsl`.\n");
@@ -264,7 +264,7 @@ fn spec(kernel: &Kernel) -> Result<String, String> {
     ))
 }
 
-/// A constructor of `Spec` that fits a device.
+/// Returns a constructor of `Spec` that fits a device.
 fn for_device(shader: &Shader) -> String {
     let has = |name: &str| shader.spec.iter().any(|c| c.name == name && c.rust_type == "u32");
     let mut body = String::from("let mut spec = Self::default();\n");
@@ -374,7 +374,7 @@ fn interface(kernel: &Kernel) -> String {
     )
 }
 
-/// A module as a Rust array.
+/// Returns an expression that includes a module as a Rust array.
 fn included(file: &str) -> String {
     format!("include!(concat!(env!(\"OUT_DIR\"), \"/\", {file:?}))")
 }
@@ -405,13 +405,13 @@ fn access_of(reads: bool, writes: bool) -> &'static str {
     }
 }
 
-/// The first block of `//` lines, before or after `#version` and extensions.
+/// Returns the first block of `//` lines, before or after `#version` and extensions.
 fn leading_comment(source: &str) -> Vec<&str> {
     let lines = source.lines().map(str::trim).skip_while(|l| l.is_empty() || l.starts_with('#'));
     lines.map_while(|l| l.strip_prefix("//")).map(|l| l.strip_prefix(' ').unwrap_or(l)).collect()
 }
 
-/// The comment after the declaration of a name, with a space before it; empty without one.
+/// Returns the comment after the declaration of a name, with a space before it; empty without one.
 fn comment_of(source: &str, name: &str) -> String {
     let declares = |code: &str| {
         let mut words = code.split(|c: char| !(c.is_ascii_alphanumeric() || c == '_'));

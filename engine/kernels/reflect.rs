@@ -1,10 +1,9 @@
-//! Reads from a shader's SPIR-V what its host side must agree with: bindings, push constants, specialization
-//! constants, workgroup size and shared memory.
+//! Reads from a shader's SPIR-V its bindings, push constants, specialization constants, workgroup size and shared memory.
 //!
-//! build.rs uses it to generate the typed interface of each kernel. It supports what the compute shaders of
-//! this crate use; anything more is an error that names it.
+//! build.rs generates the typed interface of each kernel from them. Only SPIR-V that this crate's compute shaders use is
+//! supported; an error names anything else.
 
-// A module of `vk` as well, which build.rs does not have.
+// Also a module of `vk`, which build.rs does not compile.
 #[allow(clippy::duplicate_mod)]
 #[path = "../vk/binding_numbers.rs"]
 mod binding_numbers;
@@ -96,8 +95,7 @@ pub fn reflect(spirv: &[u32]) -> Result<Shader, String> {
     let module = Module::parse(spirv)?;
     let spec = module.spec_constants()?;
     if module.uses_subgroups && !spec.iter().any(|c| c.name == "SUBGROUP_SIZE") {
-        // Without the constant the pipeline's subgroup size is not fixed, and some drivers vary it between
-        // pipelines.
+        // Without the constant the pipeline's subgroup size is not fixed, and some drivers vary it between pipelines.
         return Err("subgroup operations without `layout(constant_id = 1) const uint SUBGROUP_SIZE`".into());
     }
     let mut shader = Shader { spec, ..Shader::default() };
@@ -128,7 +126,7 @@ pub fn reflect(spirv: &[u32]) -> Result<Shader, String> {
     Ok(shader)
 }
 
-/// `CameraBlock` as `camera_block`.
+/// Converts `CameraBlock` to `camera_block`.
 fn with_underscores(name: &str) -> String {
     let mut words = String::new();
     for (place, letter) in name.char_indices() {
@@ -295,7 +293,7 @@ impl Module {
         })
     }
 
-    /// The members of a block, for a host struct without padding. `what` is their name in errors.
+    /// Returns the members of a block, for a host struct without padding. `what` names a member in errors.
     fn members(&self, block: u32, what: &str) -> Result<Vec<Field>, String> {
         let Some(Type::Struct(members)) = self.types.get(&block) else {
             return Err(format!("'{}' is not a block", self.name(block)));
@@ -385,7 +383,7 @@ impl Module {
         Ok(size.map(|n| n.to_string()))
     }
 
-    /// The value of a constant, as a u32 expression over `spec`.
+    /// Returns the value of a constant, as a u32 expression over `spec`.
     fn expression(&self, id: u32, spec: &[SpecConstant]) -> Result<String, String> {
         if let Some(spec_id) = self.decorations.get(&(id, SPEC_ID))
             && let Some(constant) = spec.iter().find(|c| c.id == *spec_id)

@@ -1,4 +1,4 @@
-//! Recompiles kernels while a program runs: the feature `hot-reload`.
+//! Recompiles kernels while a program runs (feature `hot-reload`).
 
 use super::compile;
 use super::reflect::reflect;
@@ -7,7 +7,7 @@ use crate::{Error, Result};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// The source files of a kernel: its own, then its includes. `glsl` is the folder of all shaders.
+/// Returns the source files of a kernel: its own, then its includes. `glsl` is the folder of all shaders.
 pub fn files(glsl: &Path, kernel: &str) -> Vec<PathBuf> {
     compile::files_with_includes(glsl, &source(glsl, kernel))
 }
@@ -16,12 +16,11 @@ fn source(glsl: &Path, kernel: &str) -> PathBuf {
     glsl.join(format!("{kernel}.comp"))
 }
 
-/// Compiles the current source of a kernel, in its form for a device, for
-/// [`crate::vk::Context::replace_shader`].
+/// Compiles the current source of a kernel, in its form for a device, for [`crate::vk::Context::replace_shader`].
 ///
 /// # Errors
-/// [`Error::Input`] with the compiler's messages, each "file:line: message"; for a shader whose buffers, push
-/// constants, specialization constants or workgroup differ from those that the program was built with.
+/// [`Error::Input`] with the compiler's messages, each "file:line: message". Also when buffers, push constants,
+/// specialization constants or workgroup differ from the built program's.
 pub fn compile(glsl: &Path, kernel: &str, limits: &Limits) -> Result<Vec<u32>> {
     let path = source(glsl, kernel);
     let text = fs::read_to_string(&path).map_err(|e| Error::io(&path, "read", e))?;
@@ -42,7 +41,7 @@ pub fn compile(glsl: &Path, kernel: &str, limits: &Limits) -> Result<Vec<u32>> {
     }
 }
 
-/// The interface of a kernel when the program was built.
+/// Finds the form of a kernel that the program was built with.
 struct Built<'a> {
     kernel: &'a str,
     limits: &'a Limits,

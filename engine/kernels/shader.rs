@@ -1,6 +1,6 @@
-//! What a shader declares.
+//! Interface that a shader declares.
 
-/// What a shader declares.
+/// Interface that a shader declares.
 #[derive(Debug, Default, PartialEq)]
 pub struct Shader {
     /// Buffers by binding.
@@ -18,8 +18,8 @@ pub struct Shader {
 }
 
 impl Shader {
-    /// The first part of the interface that differs from another shader's. `forms`: whether both may be two
-    /// forms of one shader, which read the same buffers in different ways.
+    /// Returns the first part of the interface that differs from another shader's. With `forms`, the two may be forms of
+    /// one shader, which read the same buffers in different ways.
     pub fn difference(&self, other: &Self, forms: bool) -> Option<&'static str> {
         let same = |(a, b): (&Binding, &Binding)| {
             let access = |binding: &Binding| (binding.reads, binding.writes, binding.aliased);
@@ -43,16 +43,15 @@ impl Shader {
 /// A buffer, or the common part of an image.
 #[derive(Debug, PartialEq)]
 pub struct Binding {
-    /// Name of a storage buffer's first member, of a texel buffer or image, or of a uniform block with
-    /// underscores.
+    /// First member of a storage buffer, name of a texel buffer or image, or name of a uniform block with underscores.
     pub name: String,
     /// Number of the binding in set 0.
     pub binding: u32,
-    /// Whether the shader may read it.
+    /// True if the shader may read it.
     pub reads: bool,
-    /// Whether the shader may write it.
+    /// True if the shader may write it.
     pub writes: bool,
-    /// Whether another one of the shader's may be the same memory, one of them written.
+    /// True if another binding of the shader may be the same memory while one of them is written.
     pub aliased: bool,
     /// How it is bound.
     pub kind: BindingKind,
@@ -67,11 +66,11 @@ impl Binding {
 /// How a buffer is bound.
 #[derive(Debug, PartialEq)]
 pub enum BindingKind {
-    /// As a storage buffer.
+    /// Storage buffer.
     Storage,
-    /// As texels, through this variant of `TexelFormat`.
+    /// Texel buffer, of this variant of `TexelFormat`.
     Texels(&'static str),
-    /// As a uniform block.
+    /// Uniform block.
     Uniform(Block),
 }
 
@@ -89,7 +88,7 @@ pub struct Block {
 pub struct ImageBinding {
     /// Its name, number and use.
     pub binding: Binding,
-    /// Whether it is a storage image.
+    /// True for a storage image.
     pub storage: bool,
 }
 

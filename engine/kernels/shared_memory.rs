@@ -1,8 +1,8 @@
-//! The bytes of shared memory that a shader takes at most.
+//! Upper bound of the shared memory that a shader takes.
 //!
 //! Vulkan leaves the layout to the driver, and counts its padding against maxComputeSharedMemorySize
-//! (VUID-RuntimeSpirv-Workgroup-06530). Some drivers lay a `vec3` out as GLSL's std430 does, with four components. So this
-//! is std430, and each variable and each member of a struct is padded as the one with the widest alignment.
+//! (VUID-RuntimeSpirv-Workgroup-06530). Some drivers pad a `vec3` to four components, like GLSL's std430. So this follows
+//! std430, and pads each variable and struct member to the widest alignment.
 
 use super::{Module, SpecConstant, Type};
 
@@ -12,7 +12,7 @@ pub struct Layout {
     alignment: u32,
 }
 
-/// Of variables, or members of a struct, in any order.
+/// Returns the layout of variables, or of a struct's members, in any order.
 pub fn total(parts: Vec<Layout>) -> Layout {
     let alignment = parts.iter().map(|part| part.alignment).max().unwrap_or(1);
     let padded = |part: &Layout| match part.alignment == alignment {
@@ -24,7 +24,7 @@ pub fn total(parts: Vec<Layout>) -> Layout {
 }
 
 impl Module {
-    /// The layout of a type.
+    /// Returns the layout of a type.
     pub fn shared_layout(&self, ty: u32, spec: &[SpecConstant]) -> Result<Layout, String> {
         let times = |count: &str, of: u32| {
             let Layout { bytes, alignment } = self.shared_layout(of, spec)?;

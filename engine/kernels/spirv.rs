@@ -1,6 +1,6 @@
-//! Operations of SPIR-V as Rust, and its strings. Used by `reflect`.
+//! Translates SPIR-V operations to Rust, and reads SPIR-V strings. Used by `reflect`.
 
-/// The expression over the operands' expressions that a SPIR-V opcode stands for.
+/// Returns the Rust expression of a SPIR-V opcode over its operands' expressions.
 pub fn operation(opcode: u32, v: &[String]) -> Result<String, String> {
     let binary = |op: &str| Ok(format!("(({}) {op} ({}))", v[0], v[1]));
     let compare = |op: &str| Ok(format!("((({}) {op} ({})) as u32)", v[0], v[1]));
@@ -28,7 +28,7 @@ pub fn operation(opcode: u32, v: &[String]) -> Result<String, String> {
     }
 }
 
-/// The string that words hold.
+/// Returns the string stored in words.
 pub fn text(words: &[u32]) -> String {
     let bytes: Vec<u8> = words.iter().flat_map(|w| w.to_le_bytes()).take_while(|&b| b != 0).collect();
     String::from_utf8_lossy(&bytes).into_owned()

@@ -1,4 +1,4 @@
-//! The buffers of a frame: what each is, its bytes, and what some become in the middle of a frame.
+//! Buffers of a frame: their contents, their bytes, and which are reused for other contents within a frame.
 
 use super::{FrameCapacity, LaunchSizes, PictureCapacity, blocks, tile_bits, tile_grid};
 use crate::kernels::blocks::CameraBlock;
@@ -8,9 +8,9 @@ use crate::kernels::constants::{
 use crate::scene::Camera;
 use crate::vk::{Buffer, PLACEMENT_ALIGNMENT, pack};
 
-/// Bytes from one scene's camera block to the next, with room for more members: a multiple of what devices
-/// require of the offset of a uniform block, and far below what they allow as its size. Not more than that: a frame of
-/// thousands of scenes writes as many blocks.
+/// Bytes from one scene's camera block to the next. It leaves space for more members, meets the required offset alignment
+/// of uniform blocks, and is far below their size limit. It is no larger because a frame of thousands of scenes writes as
+/// many blocks.
 pub const CAMERA_BLOCK_BYTES: u64 = CAMERA_BLOCK_WORDS as u64 * 4;
 const _: () = assert!(
     size_of::<CameraBlock>() == CAMERA_BLOCK_MEMBERS as usize * 4
@@ -20,12 +20,12 @@ const _: () = assert!(
 
 macro_rules! frame_requests {
     ($($(#[$doc:meta])* $vis:vis $name:ident: $bytes:expr;)*) => {
-        /// Buffers of a frame. A buffer that keeps its meaning is a field. A buffer that changes it in the middle
-        /// of the frame has a method for each meaning, which says when it holds.
+        /// Buffers of a frame. A buffer with one content is a field. A buffer that is reused within the frame has a method
+        /// for each content, which says when it is valid.
         #[derive(Clone)]
         pub struct FrameBuffers { $($(#[$doc])* $vis $name: Buffer,)* }
 
-        /// Names and bytes of [`FrameBuffers`], in order.
+        /// Returns names and bytes of [`FrameBuffers`], in order.
         pub fn frame_requests(capacity: &FrameCapacity, block: &LaunchSizes) -> Vec<(&'static str, u64)> {
             let sizes = FrameSizes::new(capacity, block);
             vec![$((stringify!($name), { let f: fn(&FrameSizes) -> u64 = $bytes; f(&sizes) }),)*]
@@ -55,20 +55,20 @@ struct FrameSizes {
     histogram: u64,
     digits: u64,
     tiles: u64,
-    /// vec4 from the attributes of one visible Gaussian to those of the next.
+    /// Distance, in vec4, between the attributes of successive visible Gaussians.
     splat_stride: u64,
     /// 1 if each attribute has a buffer of its own, otherwise 0.
     apart: u64,
-    /// Capacity in instances of the buffers for the backward pass; 0 without it.
+    /// Capacity in instances of the buffers of the backward pass; 0 without it.
     backward_instances: u64,
-    /// The same of what the absolute gradients need.
+    /// Capacity in instances of the absolute gradients; 0 without them.
     absolute_instances: u64,
     pixels: u64,
     /// Values of one plane in strips; 0 without strips.
     strips: u64,
     /// 1 with backward, 0 without.
     backward: u64,
-    /// 1 when very long tiles need several passes backward.
+    /// 1 if very long tiles need several backward passes.
     passes: u64,
 }
 
@@ -112,21 +112,20 @@ frame_requests! {
     pub state: |_| u64::from(STATE_WORDS) * 4;
     /// Indirect arguments, named ARGUMENTS_*.
     pub arguments: |_| u64::from(ARGUMENTS_COUNT) * 16;
-    /// Per scene: its camera and how it is drawn, see camera_block.glsl.
+    /// Per scene: its camera and draw settings, see camera_block.glsl.
     pub camera_blocks: |s| s.scenes * CAMERA_BLOCK_BYTES;
-    /// Per range of parameters: indirect arguments, and its range of visible Gaussians. There are fewer
-    /// ranges than blocks.
+    /// Per range of parameters: indirect arguments, and its range of visible Gaussians. There are fewer ranges than culling
+    /// blocks.
     pub visible_ranges: |s| s.gaussian_blocks.max(1) * 32;
     /// Per Gaussian: 1 if visible.
     pub visible_flags: |s| s.gaussians * 4;
     /// [`Self::visible_counts`], then [`Self::visible_offsets`].
     visible_blocks: |s| s.gaussian_blocks * 4;
-    /// Per visible Gaussian: its Gaussian.
+    /// Per visible Gaussian: index of the Gaussian.
     pub visible_list: |s| s.visible * 4;
-    /// Per Gaussian: its index among the visible ones.
+    /// Per Gaussian: its index among the visible Gaussians.
     pub visible_index: |s| s.gaussians * 4;
-    /// Per visible Gaussian: mean and half extents, px; or records of all four attributes, see
-    /// [`FrameBuffers::splats`].
+    /// Per visible Gaussian: mean and half extents, px. Or records of all four attributes, see [`FrameBuffers::splats`].
     splats: |s| s.visible * 16 * s.splat_stride;
     /// Per visible Gaussian: conic and opacity.
     conic_opacity: |s| s.apart * s.visible * 16;
@@ -158,21 +157,21 @@ frame_requests! {
     tiles_a: |s| s.instances * 4;
     /// [`Self::tile_sort_keys`], then perhaps [`Self::sorted_tiles`].
     tiles_b: |s| s.instances * 4;
-    /// Without backward [`Self::instance_visible`]; [`Self::tile_sort_values`], then perhaps
+    /// Without backward, first [`Self::instance_visible`]. Then [`Self::tile_sort_values`], then perhaps
     /// [`Self::sorted_instances`].
     sorted_a: |s| s.instances * 4;
     /// [`Self::tile_sort_values`], then perhaps [`Self::sorted_instances`].
     sorted_b: |s| s.instances * 4;
     /// [`Self::instance_visible`] with backward.
     instance_visible: |s| s.backward_instances * 4;
-    /// [`Self::sorted_visible`] with backward, as the ranges' kernel gathers it.
+    /// [`Self::sorted_visible`] with backward, gathered by the kernel that finds the ranges.
     pub gathered_visible: |s| s.backward_instances * 4;
     /// Per visible Gaussian: its first instance.
     pub first_instances: |s| s.backward * s.visible * 4;
     /// Per tile: begin and end in the sorted instances.
     pub tile_ranges: |s| s.tiles * 8;
-    /// Per pixel: premultiplied colour without background, transmittance. In a frame with backward in strips
-    /// it is written between passes, and with the inverse depth, only.
+    /// Per pixel: premultiplied colour without background, transmittance. With backward in strips it is written only
+    /// between passes, and with the inverse depth.
     pub accumulated: |s| s.pixels * 16;
     /// The composited picture as three planes in strips, if the backward pass reads strips.
     pub composited: |s| 3 * s.strips * 4;
@@ -200,7 +199,7 @@ frame_requests! {
 /// Bytes of the sums of a subgroup ([`FrameBuffers::pose_sums`]): two vec3. Subgroups have four lanes or more.
 pub(crate) const POSE_SUM_BYTES: u64 = 24;
 
-/// Bytes of all buffers of a frame, including the padding between them.
+/// Returns the bytes of all buffers of a frame, including the padding between them.
 pub fn frame_bytes(capacity: &FrameCapacity, block: &LaunchSizes) -> u64 {
     let sizes: Vec<u64> = frame_requests(capacity, block).iter().map(|(_, bytes)| *bytes).collect();
     pack(&sizes, u64::MAX).map_or(u64::MAX, |packing| packing.blocks.iter().sum())
@@ -217,97 +216,97 @@ pub struct Splats<'a> {
     pub color_inverse_depth: &'a Buffer,
     /// Shape of the rows of tiles, number of tiles.
     pub footprints: &'a Buffer,
-    /// vec4 from one visible Gaussian to the next. With [`SPLAT_PLANES`] all four are the same buffer.
+    /// Distance, in vec4, between successive visible Gaussians. If it is [`SPLAT_PLANES`], all four are the same buffer.
     pub stride: u32,
 }
 
 impl FrameBuffers {
-    /// Per culling block: its number of visible Gaussians. From culling to the scan of these numbers.
+    /// Per culling block: number of visible Gaussians. Valid from culling to the scan of these numbers.
     pub fn visible_counts(&self) -> &Buffer {
         &self.visible_blocks
     }
 
-    /// Per culling block: the index of its first visible Gaussian. From the scan on.
+    /// Per culling block: index of its first visible Gaussian. Valid from the scan on.
     pub fn visible_offsets(&self) -> &Buffer {
         &self.visible_blocks
     }
 
-    /// Per visible Gaussian: the bits of its depth. From projection to the depth sort.
+    /// Per visible Gaussian: bits of its depth. Valid from projection to the depth sort.
     pub fn depth_keys(&self) -> &Buffer {
         &self.depth_keys_a
     }
 
-    /// Keys of the depth sort, in turn read and written. Until its end.
+    /// Keys of the depth sort, alternately read and written. Valid until its end.
     pub fn depth_sort_keys(&self) -> [&Buffer; 2] {
         [&self.depth_keys_a, &self.depth_keys_b]
     }
 
-    /// Values of the depth sort, in turn read and written. Until its end.
+    /// Values of the depth sort, alternately read and written. Valid until its end.
     pub fn depth_sort_values(&self) -> [&Buffer; 2] {
         [&self.order_a, &self.order_b]
     }
 
-    /// Per depth rank: the visible Gaussian. From the depth sort on, which has an even number of passes.
+    /// Per depth rank: the visible Gaussian. Valid from the depth sort on, which has an even number of passes.
     pub fn depth_order(&self) -> &Buffer {
         &self.order_a
     }
 
-    /// Per visible Gaussian: the list of its tiles if they are few, otherwise their number (tile_list.glsl). From projection
-    /// to duplication.
+    /// Per visible Gaussian: the list of its tiles if they are few, otherwise their number (tile_list.glsl). Valid from
+    /// projection to duplication.
     pub fn tile_lists(&self) -> &Buffer {
         &self.tile_lists
     }
 
-    /// Per subgroup of visible Gaussians, by its place among subgroups of all Gaussians: sums of dL/dν and dL/dω of the
-    /// camera's pose, two vec3. From the backward projection on, if it has them.
+    /// Per subgroup of visible Gaussians, indexed as subgroups of all Gaussians: sums of dL/dν and dL/dω of the camera's
+    /// pose, two vec3. Valid from the backward projection on, if it writes them.
     pub fn pose_sums(&self) -> &Buffer {
         &self.tile_lists
     }
 
-    /// Per depth rank: the first word of the Gaussian's list of tiles. From counting to duplication, when the
-    /// sorted depths are not needed any more.
+    /// Per depth rank: first word of the Gaussian's list of tiles. Valid from counting to duplication; the sorted depths
+    /// are not needed then.
     pub fn list_heads(&self) -> &Buffer {
         &self.depth_keys_a
     }
 
-    /// Per depth rank: the second word of the list. As [`Self::list_heads`].
+    /// Per depth rank: second word of the list. Valid as long as [`Self::list_heads`].
     pub fn list_rows(&self) -> &Buffer {
         &self.depth_keys_b
     }
 
-    /// Per instance: its tile. From duplication to the tile sort.
+    /// Per instance: its tile. Valid from duplication to the tile sort.
     pub fn instance_tiles(&self) -> &Buffer {
         &self.tiles_a
     }
 
-    /// Per instance before the tile sort: the visible Gaussian. From duplication to the tile sort, which then
-    /// carries them along; in a frame with backward, from duplication on.
+    /// Per instance before the tile sort: the visible Gaussian. Valid from duplication on with backward; otherwise until
+    /// the tile sort, which reorders it.
     pub fn instance_visible(&self, backward: bool) -> &Buffer {
         if backward { &self.instance_visible } else { &self.sorted_a }
     }
 
-    /// Keys of the tile sort, in turn read and written. Until its end.
+    /// Keys of the tile sort, alternately read and written. Valid until its end.
     pub fn tile_sort_keys(&self) -> [&Buffer; 2] {
         [&self.tiles_a, &self.tiles_b]
     }
 
-    /// Values of the tile sort, in turn read and written. Until its end.
+    /// Values of the tile sort, alternately read and written. Valid until its end.
     pub fn tile_sort_values(&self) -> [&Buffer; 2] {
         [&self.sorted_a, &self.sorted_b]
     }
 
-    /// Per sorted instance: its tile. From the tile sort on.
+    /// Per sorted instance: its tile. Valid from the tile sort on.
     pub fn sorted_tiles(&self, block: &LaunchSizes, camera: &Camera) -> &Buffer {
         self.tile_sort_keys()[sorted_side(block, camera)]
     }
 
-    /// Per sorted instance: its index before the tile sort; without backward, the visible Gaussian. From the
-    /// tile sort on.
+    /// Per sorted instance: its index before the tile sort; without backward, the visible Gaussian. Valid from the tile
+    /// sort on.
     pub fn sorted_instances(&self, block: &LaunchSizes, camera: &Camera) -> &Buffer {
         self.tile_sort_values()[sorted_side(block, camera)]
     }
 
-    /// Per sorted instance: the visible Gaussian. From the ranges on; without backward, from the tile sort on.
+    /// Per sorted instance: the visible Gaussian. Valid from the ranges on; without backward, from the tile sort on.
     pub fn sorted_visible(&self, block: &LaunchSizes, backward: bool, camera: &Camera) -> &Buffer {
         if backward { &self.gathered_visible } else { self.sorted_instances(block, camera) }
     }
@@ -318,8 +317,8 @@ impl FrameBuffers {
         if block.strips { &self.composited } else { &self.accumulated }
     }
 
-    /// Per instance before the tile sort: absolute gradients of the 2D mean. Without room for them another buffer
-    /// that nothing is read from or written to in its place.
+    /// Per instance before the tile sort: absolute gradients of the 2D mean. Unless `absolute`, another buffer, which is
+    /// bound but neither read nor written.
     pub fn absolute_gradients(&self, absolute: bool) -> &Buffer {
         if absolute { &self.instance_gradients_d } else { &self.instance_gradients_c }
     }
@@ -346,7 +345,7 @@ impl FrameBuffers {
     }
 }
 
-/// Which of the tile sort's two buffers holds its result, for an image of this size.
+/// Index of the tile sort's buffer that holds its result, for an image of this size.
 pub(crate) fn sorted_side(block: &LaunchSizes, camera: &Camera) -> usize {
     let (columns, rows) = tile_grid(camera.width, camera.height);
     (block.sort_passes(tile_bits(columns * rows)) % 2) as usize

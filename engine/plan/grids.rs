@@ -1,4 +1,4 @@
-//! Grids of workgroups of a frame's dispatches.
+//! Checks of the workgroup grids of a frame's dispatches.
 
 use super::{FrameCapacity, LaunchSizes, PictureCapacity, blocks, frame_requests};
 use crate::error::{Error, Result};
@@ -35,7 +35,7 @@ pub fn check_grids(limits: &Limits, capacity: &FrameCapacity, block: &LaunchSize
     }
 }
 
-/// Whether a device's limits allow the buffers and grids of a frame, whatever the memory.
+/// True if a device's limits allow the buffers and grids of a frame, regardless of memory.
 pub fn frame_fits_device(limits: &Limits, capacity: &FrameCapacity, block: &LaunchSizes) -> bool {
     let most = limits.max_storage_buffer_range.min(limits.max_allocation_bytes);
     check_grids(limits, capacity, block).is_ok()

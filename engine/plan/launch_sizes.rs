@@ -1,4 +1,4 @@
-//! How work is cut into workgroups and blocks on a device.
+//! Sizes of workgroups and blocks on a device.
 
 use super::sorting;
 use super::strips::Strips;
@@ -6,19 +6,19 @@ use crate::kernels::constants::TILE_SIZE;
 use crate::tuning::{ELEMENTWISE_WORKGROUP, SortMethod, Tuning, WorkgroupRule};
 use crate::vk::Limits;
 
-/// Most entries of a tile per blending dispatch, on any device. It bounds the time of a dispatch, so that a
-/// desktop's watchdog does not reset the device: one invocation blends this many entries, while every other
-/// dispatch touches each Gaussian, instance or pixel a constant number of times.
+/// Most entries of a tile per blending dispatch, on any device. It bounds the time of a dispatch, so that a desktop's
+/// watchdog does not reset the device. One invocation blends this many entries; every other dispatch touches each Gaussian,
+/// instance or pixel a constant number of times.
 const MAX_ENTRIES_PER_PASS: u32 = 1 << 18;
 
-/// The regions of tiles that subgroups blend.
+/// Regions of tiles that subgroups blend.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BlendShape {
-    /// Size of subgroups.
+    /// Subgroup size.
     pub lanes: u32,
-    /// Rows of pixels of a region.
+    /// Rows of pixels per region.
     pub region_height: u32,
-    /// Invocations of a tile: one subgroup per region.
+    /// Invocations per tile: one subgroup per region.
     pub tile: u32,
 }
 
@@ -32,79 +32,79 @@ impl BlendShape {
 /// Sizes of workgroups and blocks on a device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LaunchSizes {
-    /// Invocations of an elementwise workgroup, and size of a block of culling and densification.
+    /// Invocations of an elementwise workgroup, and size of a block in culling and densification.
     pub elementwise_workgroup: u32,
     /// How keys are sorted.
     pub sort_method: SortMethod,
     /// Invocations of a sorting workgroup.
     pub sort_workgroup: u32,
-    /// Keys of one invocation of a sort.
+    /// Keys per invocation of a sort.
     pub sort_items: u32,
-    /// Keys of a block of a sort.
+    /// Keys per block of a sort.
     pub sort: u32,
-    /// Whether a single subgroup sorts few pairs: see [`LaunchSizes::sorts_in_single_subgroup`].
+    /// True if a single subgroup sorts few pairs: see [`LaunchSizes::sorts_in_single_subgroup`].
     pub sort_single_subgroup: bool,
     /// Invocations of a scan's workgroup.
     pub scan_workgroup: u32,
-    /// Invocations of the one workgroup that scans the blocks' sums.
+    /// Invocations of the single workgroup that scans the block sums.
     pub scan_spine_workgroup: u32,
-    /// Values of one invocation of a scan.
+    /// Values per invocation of a scan.
     pub scan_items: u32,
-    /// Values of a block of a scan.
+    /// Values per block of a scan.
     pub scan: u32,
     /// Instances per invocation of duplicate_with_tiles.
     pub duplicate_items: u32,
-    /// How tiles are blended.
+    /// Regions of forward blending.
     pub blend: BlendShape,
-    /// The same where blending leaves more than the picture: picks and motions.
+    /// Regions of blending that also writes picks or motions.
     pub blend_auxiliary: BlendShape,
-    /// The same in the backward pass.
+    /// Regions of backward blending.
     pub blend_backward: BlendShape,
     /// Regions of a tile per subgroup in forward blending.
     pub regions_per_subgroup: u32,
-    /// Whether one subgroup blends all regions of a tile in the backward pass.
+    /// True if one subgroup blends all regions of a tile in the backward pass.
     pub blend_backward_subgroup_per_tile: bool,
     /// Invocations of a tile's workgroup in blend_shared: at most one per pixel, or per column of pixels.
     pub tile_shared: u32,
     /// Interleaving of the rows of tiles over consecutive workgroups (tile_order.glsl); a power of two.
     pub tile_row_interleave: u32,
-    /// Whether opacities along a column of pixels use the incremental exponential.
+    /// True if opacities along a column of pixels use the incremental exponential.
     pub incremental_exp: bool,
-    /// Whether loops over groups of SH coefficients stay loops.
+    /// True if loops over groups of SH coefficients are not unrolled.
     pub sh_loops: bool,
-    /// Invocations of the loss' workgroups.
+    /// Invocations of a workgroup of the loss.
     pub loss: u32,
-    /// Pixels in a row per invocation of the loss.
+    /// Pixels per invocation, in a row, of the loss.
     pub loss_strip: u32,
-    /// Invocations of the loss' workgroups in the sweeping form, which shares no memory.
+    /// Invocations of a workgroup of the sweeping loss, which uses no shared memory.
     pub loss_sweep: u32,
-    /// Whether blending, the loss and the backward pass exchange pictures in strips ([`Strips`]).
+    /// True if blending, the loss and the backward pass exchange pictures in strips ([`Strips`]).
     pub strips: bool,
     /// Largest size of a buffer, bytes.
     pub max_binding_bytes: u64,
     /// Most entries of a tile per blending pass.
     pub entries_per_pass: u32,
-    /// Instances of all tiles per blending dispatch, not counting the rest of its last tile.
+    /// Instances of all tiles per blending dispatch; it may exceed this to complete its last tile.
     pub instances_per_dispatch: u32,
 }
 
-/// Rows of the regions of a tile, 8 pixels wide, that subgroups of this size blend.
+/// Returns the rows of a tile's regions, 8 pixels wide, that subgroups of this size blend.
 pub fn region_height(tuning: &Tuning, subgroup_size: u32) -> u32 {
-    // Rows that a subgroup has at least.
+    // Fewest rows of a subgroup.
     let least = (subgroup_size / 8).max(4);
     (tuning.region_pixels * subgroup_size / 8).clamp(least, least.max(8))
 }
 
 impl LaunchSizes {
-    /// Sizes for a device, with those that its [`Limits::overrides`] set.
+    /// Computes the sizes for a device, with its [`Limits::overrides`].
     pub fn new(limits: &Limits) -> Self {
         Self::with_sort_method(limits, limits.tuning.sort_method)
     }
 
-    /// The same with a given sorting method.
+    /// Same as [`Self::new`], but with a given sorting method.
     pub fn with_sort_method(limits: &Limits, sort_method: SortMethod) -> Self {
         let tuning = limits.tuning;
-        // Blocks nest in each other and in tiles, so that only powers of two will do.
+        // Blocks nest in each other and in tiles, so every size is a power of two.
         let size = |folder: &str, constant: &str, usual: u32| {
             let asked = limits.overridden(folder, constant).unwrap_or(usual).max(1);
             1 << asked.ilog2()
@@ -153,13 +153,12 @@ impl LaunchSizes {
             sh_loops: tuning.sh_loops,
             loss: limits.workgroup_size(size("loss", "WORKGROUP_SIZE", invocations(tuning.loss_workgroup))),
             loss_strip: size("loss", "STRIP", tuning.loss_strip).min(TILE_SIZE),
-            // Few and long invocations: small workgroups spread them evenly.
+            // There are few, long invocations: small workgroups spread them evenly.
             loss_sweep: limits.workgroup_size(size("loss", "WORKGROUP_SIZE", limits.subgroup_size)),
             strips: Strips::suit(limits),
             max_binding_bytes: limits.max_storage_buffer_range.min(limits.max_allocation_bytes),
-            // For drivers that limit the loop iterations of an invocation. An entry costs one iteration in
-            // each region of its subgroup, and at any subgroup size from 4 a fraction of an iteration for its
-            // batch.
+            // Some drivers limit the loop iterations of an invocation. An entry costs one iteration in each region of its
+            // subgroup. It also costs a fraction of an iteration for its batch, at any subgroup size from 4.
             entries_per_pass: limits
                 .max_loop_iterations()
                 .map_or(MAX_ENTRIES_PER_PASS, |n| n / (regions_per_subgroup + 1))
@@ -170,7 +169,7 @@ impl LaunchSizes {
 }
 
 impl LaunchSizes {
-    /// Dispatches of blending, forward or backward, for frames with up to `instances` instances.
+    /// Number of dispatches of blending, forward or backward, for frames with up to `instances` instances.
     pub fn blend_dispatches(&self, instances: u32, passes: u32) -> u32 {
         instances.div_ceil(self.instances_per_dispatch).max(1).saturating_mul(passes)
     }

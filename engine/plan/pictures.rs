@@ -1,29 +1,28 @@
-//! How large the pictures of a frame may be.
+//! Capacities of a frame for its pictures.
 
 use super::{Strips, tile_grid};
 use crate::kernels::constants::TILE_SIZE;
 use crate::scene::Camera;
 
-/// Sizes of the pictures that a frame's buffers hold. Each is the largest over the pictures, so that wide and high ones
-/// need the memory of one of them, not of a picture that is both wide and high.
+/// Sizes of the pictures that a frame's buffers hold. Each field is the largest over the pictures, so that no memory is
+/// planned for a picture that is both wide and high.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct PictureCapacity {
     /// Pixels.
     pub pixels: u64,
     /// Tiles.
     pub tiles: u64,
-    /// Values of a plane in [`Strips`], for any picture with the same grid of tiles. Only frames with backward have
-    /// strips.
+    /// Values per plane in [`Strips`], for any picture with the same grid of tiles. Only frames with backward use them.
     pub strip_values: u64,
-    /// Tiles along the longer side. Only backward's loss has a grid of workgroups with these sides.
+    /// Tiles along the longer side. Only the loss of backward frames has a grid of workgroups with these sides.
     pub side_tiles: u32,
 }
 
 impl PictureCapacity {
-    /// For no picture.
+    /// Capacity for no picture.
     pub const NONE: Self = Self { pixels: 0, tiles: 0, strip_values: 0, side_tiles: 0 };
 
-    /// For pictures of one size, px.
+    /// Returns the capacity for pictures of one size, px.
     pub fn of(width: u32, height: u32) -> Self {
         let (columns, rows) = tile_grid(width, height);
         let strips =
@@ -36,18 +35,18 @@ impl PictureCapacity {
         }
     }
 
-    /// For the picture of each camera.
+    /// Returns the capacity for the picture of each camera.
     pub fn of_cameras<'a>(cameras: impl IntoIterator<Item = &'a Camera>) -> Self {
         cameras.into_iter().map(|camera| Self::of(camera.width, camera.height)).fold(Self::NONE, Self::and)
     }
 
-    /// The same without what only frames with backward need.
+    /// Same capacity, without the sizes that only frames with backward need.
     #[must_use]
     pub fn without_backward(self) -> Self {
         Self { strip_values: 0, side_tiles: 0, ..self }
     }
 
-    /// For the pictures of both.
+    /// Returns the capacity for the pictures of both.
     #[must_use]
     pub fn and(self, other: Self) -> Self {
         Self {
@@ -58,7 +57,7 @@ impl PictureCapacity {
         }
     }
 
-    /// Whether the pictures of the other fit.
+    /// True if the pictures of `other` fit.
     pub fn holds(&self, other: &Self) -> bool {
         self.and(*other) == *self
     }

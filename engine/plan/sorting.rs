@@ -8,21 +8,19 @@ use crate::vk::{KernelInterface, Limits};
 
 /// Subgroups per sorting workgroup. Each has its own histogram in shared memory.
 const SORT_SUBGROUPS: u32 = 8;
-/// Keys per invocation of a serial sort: enough keys that the run's own histogram costs little, few enough
-/// that the cache holds what a subgroup writes.
+/// Keys per invocation of a serial sort: enough to amortize the run's own histogram, few enough for the cache.
 const SORT_RUN: u32 = 1024;
-/// Bits of a digit of a serial sort: with ten, the tiles of a small image need one pass.
+/// Bits per digit of a serial sort: with ten, the tiles of a small image need one pass.
 const SORT_RUN_DIGIT_BITS: u32 = 10;
-/// Most pairs times passes that a single subgroup sorts on a processor. Above it, a second core saves more
-/// than the dispatches cost. (The loops of an invocation stay within [`Limits::max_loop_iterations`], with
-/// four lanes as well.)
+/// Most pairs times passes that a single subgroup sorts on a processor. Above it, a second core saves more than the
+/// dispatches cost. An invocation's loops stay within [`Limits::max_loop_iterations`], even with four lanes.
 const SORT_SINGLE_SUBGROUP: u64 = 1 << 18;
 /// Most pairs of a sort in a single subgroup, for any number of passes.
 const SORT_SINGLE_SUBGROUP_PAIRS: u64 = 1 << 17;
 /// Largest buffer alignment within one allocation that a device requires, bytes.
 const BUFFER_ALIGNMENT: u64 = 256;
 
-/// Invocations of a sorting workgroup, and keys per invocation. `size` returns a constant's default or its
+/// Returns the invocations of a sorting workgroup and the keys per invocation. `size` returns a constant's default or its
 /// override.
 pub(super) fn shape(
     limits: &Limits,
@@ -54,7 +52,7 @@ pub(super) fn shape(
 }
 
 impl LaunchSizes {
-    /// Whether a single subgroup sorts up to `capacity` keys below 2^`key_bits`.
+    /// True if a single subgroup sorts up to `capacity` keys below 2^`key_bits`.
     pub fn sorts_in_single_subgroup(&self, capacity: u64, key_bits: u32) -> bool {
         let passes = u64::from(self.sort_passes(key_bits));
         self.sort_single_subgroup
@@ -70,12 +68,12 @@ impl LaunchSizes {
         }
     }
 
-    /// Passes of a sort of keys below 2^`key_bits`.
+    /// Number of passes of a sort of keys below 2^`key_bits`.
     pub const fn sort_passes(&self, key_bits: u32) -> u32 {
         key_bits.div_ceil(self.sort_digit_bits())
     }
 
-    /// Words of a sort's histograms, for `n` keys below 2^`key_bits`: those of the blocks and of their runs.
+    /// Words of a sort's histograms, for `n` keys below 2^`key_bits`: one per block, and one per run of a serial sort.
     pub fn sort_histogram_words(&self, n: u64, key_bits: u32) -> u64 {
         let histograms = match self.sort_method {
             SortMethod::Matching => 1,
@@ -85,14 +83,13 @@ impl LaunchSizes {
         blocks(n, self.sort.into()).max(1) * histograms * self.sort_digits(key_bits) + padding
     }
 
-    /// Digits of a sort of keys below 2^`key_bits`. At least four, because runs are counted in fours.
+    /// Number of digits of a sort of keys below 2^`key_bits`. At least four, because runs are counted in fours.
     pub const fn sort_digits(&self, key_bits: u32) -> u64 {
         let digits = 1 << key_bits.div_ceil(self.sort_passes(key_bits));
         if digits < 4 { 4 } else { digits }
     }
 
-    /// Offset, in bytes, of the runs' histograms in a sort's histograms, after `bytes` bytes of blocks'
-    /// histograms.
+    /// Byte offset of the runs' histograms, after `bytes` bytes of the blocks' histograms.
     pub(crate) const fn sort_runs_offset(bytes: u64) -> u64 {
         bytes.next_multiple_of(BUFFER_ALIGNMENT)
     }

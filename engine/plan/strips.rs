@@ -4,8 +4,8 @@
 pub use crate::kernels::constants::STRIP_ROWS;
 use crate::vk::Limits;
 
-/// Layout of an image's planes: the values of a strip's column are contiguous; columns, strips and planes
-/// follow in this order.
+/// Layout of an image's planes. The values of a strip's column are contiguous; columns, strips and planes follow in this
+/// order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Strips {
     /// Width of the image, pixels.
@@ -15,19 +15,18 @@ pub struct Strips {
 }
 
 impl Strips {
-    /// Whether a device uses planes in strips: it reads by texels, and its subgroups have lanes with four or
-    /// eight rows of a column.
+    /// True if a device uses planes in strips: it reads texels, and its subgroups are small enough.
     pub fn suit(limits: &Limits) -> bool {
         let lanes = limits.tuning.strips_up_to_lanes;
         limits.prefers_texels() && lanes.is_some_and(|lanes| limits.subgroup_size <= lanes)
     }
 
-    /// Strips of the image.
+    /// Number of strips of the image.
     pub fn count(self) -> u32 {
         self.height.div_ceil(STRIP_ROWS)
     }
 
-    /// Columns from one strip to the next, as `strip_pitch` of the shaders.
+    /// Columns from one strip to the next. Same as `strip_pitch` in strips.glsl.
     pub fn pitch(self) -> u32 {
         self.width.saturating_add(1) / 4 * 4 + 2
     }
@@ -47,7 +46,7 @@ impl Strips {
     /// Converts the image's pixels, row by row, to planes. Padding is `T::default()`.
     ///
     /// # Panics
-    /// If the number of pixels is not that of the image.
+    /// If the number of pixels differs from the image's.
     pub fn planes<T: Copy + Default, const N: usize>(
         self,
         pixels: impl IntoIterator<Item = [T; N]>,
