@@ -12,7 +12,7 @@ pub enum Access {
 }
 
 impl Access {
-    /// Whether it writes.
+    /// True if it writes.
     pub fn writes(self) -> bool {
         self != Self::Read
     }

@@ -1,4 +1,4 @@
-//! Buffers of a host.
+//! Adopts buffers of a host.
 
 use super::buffer::Buffer;
 use super::context::Context;
@@ -8,11 +8,11 @@ use ash::vk;
 use std::sync::Arc;
 
 impl Buffer {
-    /// A range of a host's buffer.
+    /// Adopts a range of a host's buffer.
     ///
     /// # Errors
-    /// [`Error::Argument`] for a null handle, no bytes, an offset that is no multiple of 256 or a size that
-    /// is no multiple of 4; and in a context of our own that reads texels
+    /// [`Error::Argument`] for a null handle, no bytes, an offset that is no multiple of 256 or a size that is no multiple
+    /// of 4. Also if the context opened its own device and reads texels
     /// ([`ContextOptions::texels`](super::ContextOptions::texels)).
     ///
     /// # Safety
@@ -41,12 +41,12 @@ impl Buffer {
         Ok(Self::new(Arc::new(Block::foreign(&context.device, raw, end)), offset, bytes, name))
     }
 
-    /// The same range in another context on the same VkDevice. It keeps the memory alive; uses in both contexts are uses of one buffer,
-    /// which the host orders: those of one queue are in order, those of several by semaphores.
+    /// Returns the same range for another context on the same VkDevice; it keeps the memory alive. Both contexts then use
+    /// one buffer, and the host orders the uses: within one queue they are in order, across queues by semaphores.
     ///
     /// # Errors
-    /// [`Error::Argument`] for a context of another device or whose queues are of another family: the buffer is owned by one. Also as for
-    /// [`Buffer::adopt`].
+    /// [`Error::Argument`] for a context on another device, or whose queues are of another family than the one that owns
+    /// the buffer. Also the errors of [`Buffer::adopt`].
     pub fn in_context(&self, context: &Context) -> Result<Self> {
         if self.belongs_to(context) {
             return Ok(self.clone());
@@ -67,7 +67,7 @@ impl Buffer {
         Ok(Self::new(block, self.offset(), self.bytes(), self.static_name()))
     }
 
-    /// Buffers of these names and sizes, bytes, one behind the other as [`pack`] places them.
+    /// Splits the buffer into buffers of these names and sizes, bytes, placed by [`pack`].
     ///
     /// # Panics
     /// When they do not fit.
@@ -82,7 +82,7 @@ impl Buffer {
         places.map(part).collect()
     }
 
-    /// Whether it belongs to this context's device.
+    /// True if it belongs to this context's device.
     pub fn belongs_to(&self, context: &Context) -> bool {
         self.block().is_of(&context.device)
     }

@@ -1,4 +1,4 @@
-//! Allocation: requests are packed into blocks, and the limits are respected.
+//! Allocates memory: packs requests into blocks and checks the limits.
 
 use super::allocator::MemoryKind;
 use super::buffer::Buffer;
@@ -10,53 +10,53 @@ use crate::{Error, Result};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
-/// The user's name for [`ContextOptions::max_memory`](super::ContextOptions::max_memory).
+/// Setting that messages name for [`ContextOptions::max_memory`](super::ContextOptions::max_memory).
 pub(super) const MAX_MEMORY: &str = "--max-memory";
 
-/// The user's name for [`ContextOptions::offload`](super::ContextOptions::offload).
+/// Setting that messages name for [`ContextOptions::offload`](super::ContextOptions::offload).
 pub(super) const OFFLOAD: &str = "--offload";
 
-/// The bound where there is none.
+/// Value of the bound when memory is unbounded.
 pub(super) const UNBOUNDED: u64 = u64::MAX;
 
 impl Device {
-    /// Bytes of the bands around each buffer.
+    /// Bytes of each guard band.
     #[cfg(not(feature = "testing"))]
     fn guard(&self) -> u64 {
         0
     }
 
-    /// Bytes of the bands around each buffer.
+    /// Bytes of each guard band.
     #[cfg(feature = "testing")]
     fn guard(&self) -> u64 {
         if self.guard_bands { GUARD_BYTES } else { 0 }
     }
 
-    /// Bytes of each buffer with its guard bands.
+    /// Returns the bytes of each buffer with its guard bands.
     fn sizes(&self, requests: &[(&'static str, u64)]) -> Vec<u64> {
         let guarded = |bytes: u64| bytes.max(SMALLEST_BUFFER).next_multiple_of(4) + 2 * self.guard();
         requests.iter().map(|(_, bytes)| guarded(*bytes)).collect()
     }
 
-    /// Bytes that [`Device::allocate`] takes for these requests. For requests that it refuses, their sum.
+    /// Returns the bytes that [`Device::allocate`] takes for these requests. If it would refuse them, returns their sum.
     pub(super) fn allocation_bytes(&self, requests: &[(&'static str, u64)]) -> u64 {
         let sizes = self.sizes(requests);
         let blocks = pack(&sizes, self.limits.max_allocation_bytes).map_or(sizes, |packing| packing.blocks);
         blocks.iter().sum()
     }
 
-    /// [`Context::max_memory`](super::Context::max_memory).
+    /// Same as [`Context::max_memory`](super::Context::max_memory).
     pub(super) fn max_memory(&self) -> Option<u64> {
         Some(self.max_memory.load(Ordering::Relaxed)).filter(|&bytes| bytes != UNBOUNDED)
     }
 
-    /// [`Context::offload`](super::Context::offload).
+    /// Same as [`Context::offload`](super::Context::offload).
     pub(super) fn offload(&self) -> Option<u64> {
         Some(self.offload.load(Ordering::Relaxed)).filter(|&bytes| bytes > 0)
     }
 
-    /// [`Context::allocate`](super::Context::allocate), without what tests and audits do with new memory. `kept_free`: bytes
-    /// of the bound that the next transfer takes.
+    /// Same as [`Context::allocate`](super::Context::allocate), but without guard bands' contents and audits. `kept_free`:
+    /// bytes below the bound that remain for the next transfer.
     pub(super) fn allocate(
         self: &Arc<Self>,
         arena: &str,

@@ -12,18 +12,19 @@ pub enum MemoryKind {
     /// Mapped, coherent and, where possible, cached: [`Buffer::write`](super::Buffer::write) and
     /// [`Buffer::read`](super::Buffer::read).
     HostVisible,
-    /// The host's memory, which kernels reach over the bus: for what device memory is too small for. Filled and read as
-    /// [`MemoryKind::Device`]. It counts for [`ContextOptions::offload`](super::ContextOptions::offload) and not for
+    /// The host's memory, which kernels reach over the bus. Holds data that does not fit into device memory. Uploads and
+    /// downloads work as for [`MemoryKind::Device`]. It counts for
+    /// [`ContextOptions::offload`](super::ContextOptions::offload) and not for
     /// [`ContextOptions::max_memory`](super::ContextOptions::max_memory).
     Offloaded,
 }
 
-/// What is to be allocated.
+/// A request to a host's allocator.
 #[derive(Clone, Copy, Debug)]
 pub struct MemoryRequest<'a> {
-    /// What it is for, for debugging.
+    /// Name of the block, for debugging.
     pub name: &'a str,
-    /// Size, alignment and allowed memory types, for a buffer.
+    /// Size, alignment and allowed memory types of the buffer.
     pub requirements: vk::MemoryRequirements,
     /// How the memory is used. [`MemoryKind::HostVisible`] must be mapped.
     pub kind: MemoryKind,
@@ -47,13 +48,11 @@ unsafe impl Send for HostMemory {}
 // SAFETY: as above; a shared reference gives no access to the memory.
 unsafe impl Sync for HostMemory {}
 
-/// A host's allocator, which provides the memory of all buffers of a context: see
-/// [`super::ForeignDevice::allocator`].
+/// A host's allocator, which provides the memory of all buffers of a context: see [`super::ForeignDevice::allocator`].
 ///
-/// It is called by operations that allocate ([`super::Context::allocate`], uploads, `Renderer::reserve`),
-/// never while a frame is recorded. It is also called when the last holder of a buffer is dropped, on the
-/// thread of that drop. A slot through which a frame was recorded is such a holder, until it is recorded
-/// again or released ([`super::RecordSlot::release`]).
+/// Operations that allocate call it ([`super::Context::allocate`], uploads, `Renderer::reserve`); recording a frame never
+/// does. It is also called when the last owner of a buffer is dropped, on the thread of that drop. A slot owns the buffers
+/// of its last recording, until it is recorded again or released ([`super::RecordSlot::release`]).
 ///
 /// # Safety
 /// - [`HostAllocator::allocate`] returns memory of the context's device, of one of the requested types and
@@ -64,7 +63,7 @@ pub unsafe trait HostAllocator: Send + Sync {
     /// Allocates a piece of memory.
     ///
     /// # Errors
-    /// Why it cannot, in one line.
+    /// The reason, in one line.
     fn allocate(&self, request: &MemoryRequest<'_>) -> Result<HostMemory, String>;
 
     /// Frees a piece that is not in use any more.

@@ -15,7 +15,7 @@ pub struct ArenaMemory {
     pub peak_bytes: u64,
 }
 
-/// Current and peak bytes.
+/// (current bytes, peak bytes).
 type Amount = (u64, u64);
 
 /// Bytes per arena and in total.
@@ -25,13 +25,13 @@ pub(super) struct Registry(Mutex<Amounts>);
 #[derive(Default)]
 struct Amounts {
     arenas: BTreeMap<Arc<str>, Amount>,
-    /// Without what is offloaded.
+    /// Excludes offloaded memory.
     total: Amount,
     offloaded: Amount,
 }
 
 impl Amounts {
-    /// The amounts that memory of an arena and a kind counts for.
+    /// Returns the amounts that memory of this arena and kind counts for.
     fn of(&mut self, arena: &Arc<str>, kind: MemoryKind) -> [&mut Amount; 2] {
         let all = if kind == MemoryKind::Offloaded { &mut self.offloaded } else { &mut self.total };
         [self.arenas.entry(arena.clone()).or_default(), all]
@@ -58,7 +58,7 @@ impl Registry {
 
     pub(super) fn reset_peaks(&self) {
         let Amounts { arenas, total, offloaded } = &mut *self.lock();
-        // Living blocks have bytes in their arena, so no arena is removed that a block still needs.
+        // Living blocks have bytes in their arena, so this removes no arena of a living block.
         arenas.retain(|_, (now, _)| *now > 0);
         arenas.values_mut().chain([total, offloaded]).for_each(|(now, peak)| *peak = *now);
     }
@@ -67,12 +67,12 @@ impl Registry {
         self.lock().arenas.iter().map(|(name, amount)| memory(name, *amount)).collect()
     }
 
-    /// All arenas together, without what is offloaded.
+    /// Memory of all arenas, without offloaded memory.
     pub(super) fn total(&self) -> ArenaMemory {
         memory("total", self.lock().total)
     }
 
-    /// What is offloaded, of all arenas.
+    /// Offloaded memory of all arenas.
     pub(super) fn offloaded(&self) -> ArenaMemory {
         memory("offloaded", self.lock().offloaded)
     }

@@ -1,9 +1,9 @@
-//! The opt-in audit of a context: a hash of the output of every command. Two audited runs of the same work
-//! show which command was the first with different bits.
+//! Opt-in audit of a context: hashes the output of every command. Comparing two audited runs of the same work shows the
+//! first command whose bits differ.
 //!
-//! Each command is surrounded by barriers and followed by a copy of its output. So an audited recording is
-//! slow and hides races between commands. It is submitted in pieces, so that only a few copies exist at a
-//! time. New device memory is cleared, so that bytes that no command writes are equal too.
+//! Each command is surrounded by barriers and followed by a copy of its output. So an audited recording is slow and hides
+//! races between commands. It is submitted in pieces, so that only a few copies exist at a time. New device memory is
+//! cleared, so that unwritten bytes are equal too.
 
 use super::allocator::MemoryKind;
 use super::buffer::Buffer;
@@ -12,10 +12,10 @@ use crate::fingerprint::Fingerprint;
 use crate::{Error, Result};
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Bytes of snapshots after which a recording is submitted. A single snapshot may be larger.
+/// Bytes of snapshots that trigger a submission. A single snapshot may be larger.
 const MOST_BYTES: u64 = 64 << 20;
 
-/// While it exists, the output of every command of its context is hashed.
+/// Hashes the output of every command of its context, until it is dropped.
 pub struct Audit {
     pub(super) log: Arc<Log>,
 }
@@ -39,7 +39,7 @@ pub struct AuditRecord {
 #[derive(Default)]
 pub(super) struct Log(Mutex<Vec<AuditRecord>>);
 
-/// The outputs of a recording's commands.
+/// Outputs of a recording's commands.
 pub(super) struct Commands {
     log: Arc<Log>,
     submission: String,
@@ -60,12 +60,12 @@ impl Commands {
         &self.submission
     }
 
-    /// Whether its snapshots take so much memory that they have to be hashed.
+    /// True if the snapshots take so much memory that they must be hashed.
     pub(super) fn is_full(&self) -> bool {
         self.bytes > MOST_BYTES
     }
 
-    /// The copies of a command's outputs: (from, to), of equal sizes.
+    /// Returns the copies of a command's outputs: (from, to), of equal sizes.
     pub(super) fn snapshot<'a>(
         &mut self,
         inner: &Arc<Device>,
@@ -92,7 +92,7 @@ impl Commands {
         copies
     }
 
-    /// After the submission: hashes the copies.
+    /// Hashes the copies, after the submission.
     pub(super) fn log(&mut self) -> Result<()> {
         if let Some(error) = self.failure.take() {
             return Err(error);
@@ -112,7 +112,7 @@ impl Commands {
 }
 
 impl Audit {
-    /// The records since the last call, oldest first.
+    /// Returns the records since the last call, oldest first.
     pub fn take(&self) -> Vec<AuditRecord> {
         std::mem::take(&mut *self.log.0.lock().unwrap_or_else(PoisonError::into_inner))
     }

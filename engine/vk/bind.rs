@@ -1,4 +1,4 @@
-//! Binds the resources of a dispatch: by push descriptors, or by a preallocated set.
+//! Binds the resources of a dispatch, by push descriptors or by a preallocated set.
 
 use super::binding::{BindingInfo, BindingKind};
 use super::binding_numbers::BUFFERS;
@@ -86,20 +86,20 @@ impl Recorder {
         self.bind(pipeline, &mut writes[..count], push)
     }
 
-    /// Keeps a buffer's memory alive for the recording. The buffer must be of the recording's device.
+    /// Keeps a buffer's memory alive for the recording. The buffer must belong to the recording's device.
     pub(super) fn keep(&mut self, buffer: &Buffer) {
         let block = buffer.block();
         assert!(block.is_of(&self.inner), "buffer '{}' is of another context", buffer.name());
         self.kept.block(block);
     }
 
-    /// The same for an image.
+    /// Same as [`Self::keep`], but for an image.
     pub(super) fn keep_image(&mut self, image: &Image) {
         assert!(image.is_of(&self.inner), "image '{}' is of another context", image.name());
         self.kept.image(image);
     }
 
-    /// Fails for a buffer that cannot be bound.
+    /// Panics for a buffer that cannot be bound.
     fn check_binding(&self, pipeline: &Pipeline, info: &BindingInfo, buffer: &Buffer) {
         let limits = &self.inner.limits;
         let (kernel, role, name, bytes) = (pipeline.name, info.name, buffer.name(), buffer.bytes());
@@ -118,7 +118,7 @@ impl Recorder {
         );
     }
 
-    /// A buffer as texels. Fails for a buffer that cannot be bound as such.
+    /// Returns a texel view of a buffer. Panics for a buffer that cannot be bound as texels.
     fn texel_view(
         &self,
         pipeline: &Pipeline,
@@ -183,14 +183,14 @@ impl Recorder {
     }
 }
 
-/// Bytes of a buffer that are bound.
+/// Returns the number of bound bytes.
 #[cfg(not(feature = "testing"))]
 fn bound_bytes(buffer: &Buffer) -> u64 {
     buffer.bytes()
 }
 
-/// Bytes of a buffer that are bound: with the guard band behind it. Drivers drop writes outside of the bound range, so
-/// that without it no breach would be visible.
+/// Returns the number of bound bytes, including the guard band behind the buffer. Drivers drop writes outside the bound
+/// range, so a shorter range would hide breaches.
 #[cfg(feature = "testing")]
 fn bound_bytes(buffer: &Buffer) -> u64 {
     buffer.bytes() + buffer.guard_behind()

@@ -1,4 +1,4 @@
-//! The resources of a shader.
+//! Resources of a shader.
 
 use super::access::Access;
 use super::format::ImageKind;
@@ -8,13 +8,13 @@ use ash::vk;
 /// A buffer of a shader.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BindingInfo {
-    /// Its name, also that of the field in `Bind`.
+    /// Its name, and the name of the field in `Bind`.
     pub name: &'static str,
     /// Its number in set 0.
     pub binding: u32,
     /// How the shader accesses it.
     pub access: Access,
-    /// Whether another one of the shader's may be the same memory, one of them written.
+    /// True if another binding of the shader may be the same memory while one of them is written.
     pub aliased: bool,
     /// How it is bound.
     pub kind: BindingKind,
@@ -23,11 +23,11 @@ pub struct BindingInfo {
 /// How a buffer is bound.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BindingKind {
-    /// As a storage buffer.
+    /// Storage buffer.
     Storage,
-    /// As texels.
+    /// Texel buffer.
     Texels(TexelFormat),
-    /// As a uniform block.
+    /// Uniform block.
     Uniform {
         /// Size of the block.
         bytes: u32,
@@ -43,7 +43,7 @@ impl BindingKind {
         }
     }
 
-    /// Size of the uniform block; 0 for other buffers.
+    /// Returns the size of the uniform block; 0 for other buffers.
     pub(super) fn uniform_bytes(self) -> u64 {
         match self {
             Self::Uniform { bytes } => bytes.into(),
@@ -55,7 +55,7 @@ impl BindingKind {
 /// An image of a shader.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ImageInfo {
-    /// Its name, also that of the field in `Bind`.
+    /// Its name, and the name of the field in `Bind`.
     pub name: &'static str,
     /// Its number in set 0.
     pub binding: u32,

@@ -1,4 +1,4 @@
-//! Allocation in a context, and how much memory there is and may be.
+//! Allocates memory in a context, and reports how much exists and is allowed.
 
 use super::allocate::{MAX_MEMORY, UNBOUNDED};
 use super::allocator::MemoryKind;
@@ -12,15 +12,15 @@ use std::sync::PoisonError;
 use std::sync::atomic::Ordering;
 
 impl Context {
-    /// Allocates buffers of one lifetime; all of them are named `arena.request` in messages.
+    /// Allocates buffers of one lifetime. Messages name each as `arena.request`.
     ///
     /// The requests (name, bytes) are packed into as few blocks as the device allows. Every buffer has at least 16
     /// bytes and a multiple of 4, and begins at a multiple of 256. The contents are undefined.
     ///
     /// # Errors
-    /// [`crate::Error::TooLarge`] for a request above maxStorageBufferRange or the largest allocation, or when all
-    /// together exceed the memory of a GPU or [`super::ContextOptions::max_memory`], of which 256 KiB are left for transfers where
-    /// the host does not see device memory; nothing is allocated then.
+    /// [`crate::Error::TooLarge`] for a request above maxStorageBufferRange or the largest allocation. Also if all requests
+    /// together exceed the memory of a GPU or [`super::ContextOptions::max_memory`]. If the host does not see device
+    /// memory, 256 KiB of that bound remain for transfers. Nothing is allocated in these cases.
     /// [`crate::Error::Vulkan`] when the device has no memory left.
     pub fn allocate(
         &self,
@@ -39,39 +39,39 @@ impl Context {
         Ok(buffers)
     }
 
-    /// What an allocation leaves free of bounded memory: the next transfer could not take place without.
+    /// Returns the bytes of bounded memory that an allocation leaves free for the next transfer.
     fn room_of_transfers(&self, kind: MemoryKind) -> u64 {
-        // The ring is locked while a download runs.
+        // A running download holds the ring's lock.
         if self.max_memory().is_none() || kind == MemoryKind::Offloaded || self.staging.lock().bytes() > 0 {
             return 0;
         }
         self.least_ring()
     }
 
-    /// The least that the ring of staging memory takes; 0 where there is none.
+    /// Returns the fewest bytes of the staging ring; 0 without a ring.
     pub(crate) fn least_ring(&self) -> u64 {
         if self.device.reads_mapped() { 0 } else { staging::least_room(&self.device) }
     }
 
-    /// Frees the staging memory that transfers keep for the next ones, where device memory is not mapped. Waits for uploads in
-    /// flight. Returns whether there was any. Allocations that would not fit do so themselves.
+    /// Frees the staging memory kept for later transfers, if device memory is not mapped. Waits for uploads in flight.
+    /// Returns true if there was any. Allocations that would not fit call this themselves.
     pub fn free_staging(&self) -> bool {
         self.staging.lock().free()
     }
 
-    /// Bytes of all arenas, for plans of what may be allocated beside them. The ring of staging memory counts with the least that a
-    /// transfer needs, whatever it holds: it makes room. So a plan does not depend on what was transferred before.
+    /// Bytes of all arenas, for planning further allocations. The staging ring counts with its smallest size, because it
+    /// can shrink to it. So a plan does not depend on earlier transfers.
     pub(crate) fn held_bytes(&self) -> u64 {
         let ring = self.staging.lock().bytes();
         self.memory_total().bytes.saturating_sub(ring) + self.least_ring()
     }
 
-    /// Bytes that [`Context::allocate`] takes for these requests. For requests that it refuses, their sum.
+    /// Returns the bytes that [`Context::allocate`] takes for these requests. If it would refuse them, returns their sum.
     pub(crate) fn allocation_bytes(&self, requests: &[(&'static str, u64)]) -> u64 {
         self.device.allocation_bytes(requests)
     }
 
-    /// With an audit, clears new memory.
+    /// Clears new memory if an audit exists.
     fn clear_if_audited(&self, buffers: &[Buffer], kind: MemoryKind) -> Result<()> {
         let audited = self.logs.audit.lock().unwrap_or_else(PoisonError::into_inner).strong_count() > 0;
         if !audited || kind == MemoryKind::HostVisible {
@@ -84,26 +84,26 @@ impl Context {
         Ok(())
     }
 
-    /// Resets the peaks of [`Context::memory`] and [`Context::memory_total`] to the current bytes, and
-    /// forgets empty arenas. For measurements of several pieces of work on the same context.
+    /// Resets the peaks of [`Context::memory`] and [`Context::memory_total`] to the current bytes, and forgets empty
+    /// arenas. Lets one context measure several pieces of work.
     pub fn reset_memory_peaks(&self) {
         self.device.registry.reset_peaks();
     }
 
-    /// Current and peak bytes of each arena. The peak counts from [`Context::reset_memory_peaks`] on.
+    /// Returns current and peak bytes of each arena. The peak counts from [`Context::reset_memory_peaks`] on.
     pub fn memory(&self) -> Vec<ArenaMemory> {
         self.device.registry.all()
     }
 
-    /// Current and peak bytes of all arenas together, without what is [offloaded](Context::memory_offloaded) (peak as in
-    /// [`Context::memory`]).
+    /// Returns current and peak bytes of all arenas together, without [offloaded](Context::memory_offloaded) memory (peak
+    /// as in [`Context::memory`]).
     pub fn memory_total(&self) -> ArenaMemory {
         self.device.registry.total()
     }
 
-    /// The most bytes that may be allocated at a time by all arenas together, and the limit's name. It is the
-    /// least of [`super::ContextOptions::max_memory`], the driver's current budget (VK_EXT_memory_budget) and
-    /// a GPU's largest device-local heap. None: unknown.
+    /// Returns the most bytes that all arenas together may have allocated at a time, and the limit's name. It is the
+    /// smallest of [`super::ContextOptions::max_memory`], the driver's current budget (VK_EXT_memory_budget) and a GPU's
+    /// largest device-local heap. None: unknown.
     pub fn memory_limit(&self) -> Option<(u64, &'static str)> {
         let heap =
             self.limits().tuning.heap_is_bound.then_some((self.limits().heap_bytes, "device-local heap"));
@@ -112,40 +112,40 @@ impl Context {
         [asked, driver, heap].into_iter().flatten().min_by_key(|(bytes, _)| *bytes)
     }
 
-    /// [`super::ContextOptions::max_memory`], or what [`Context::set_max_memory`] has made of it.
+    /// Returns [`super::ContextOptions::max_memory`], or the value that [`Context::set_max_memory`] set.
     pub fn max_memory(&self) -> Option<u64> {
         self.device.max_memory()
     }
 
-    /// Changes [`super::ContextOptions::max_memory`], for a host whose own need changes. What is allocated stays, even
-    /// above the bound; what is asked for from now on must fit below it. Call it between pieces of work: a trainer whose bound
-    /// changes grows differently, and so has other bits.
+    /// Changes [`super::ContextOptions::max_memory`], for a host whose own need changes. Existing allocations stay, even
+    /// above the bound; later ones must fit below it. Call it between pieces of work: a trainer whose bound changes grows
+    /// differently, so its results have other bits.
     pub fn set_max_memory(&self, bytes: Option<u64>) {
         self.device.max_memory.store(bytes.unwrap_or(UNBOUNDED), Ordering::Relaxed);
     }
 
-    /// [`super::ContextOptions::offload`], or what [`Context::set_offload`] has made of it.
+    /// Returns [`super::ContextOptions::offload`], or the value that [`Context::set_offload`] set.
     pub fn offload(&self) -> Option<u64> {
         self.device.offload()
     }
 
-    /// Changes [`super::ContextOptions::offload`] for the trainers that are made from now on.
+    /// Changes [`super::ContextOptions::offload`] for trainers made later.
     pub fn set_offload(&self, bytes: Option<u64>) {
         self.device.offload.store(bytes.unwrap_or(0), Ordering::Relaxed);
     }
 
-    /// The memory of what a trainer keeps per Gaussian and a step needs of few Gaussians only.
+    /// Returns the memory kind of per-Gaussian data that a step needs for only a few Gaussians.
     pub(crate) fn planes_memory(&self) -> MemoryKind {
         self.offload().map_or(MemoryKind::Device, |_| MemoryKind::Offloaded)
     }
 
-    /// Current and peak bytes of what is offloaded, which [`Context::memory_total`] leaves out (peak as in
+    /// Returns current and peak bytes of offloaded memory, which [`Context::memory_total`] excludes (peak as in
     /// [`Context::memory`]).
     pub fn memory_offloaded(&self) -> ArenaMemory {
         self.device.registry.offloaded()
     }
 
-    /// The driver's budget for this context in the largest device-local heap, including its current bytes.
+    /// Returns the driver's budget for this context in the largest device-local heap, including its current bytes.
     fn driver_budget(&self) -> Option<u64> {
         let physical = self.device.budget?;
         let mut budget = vk::PhysicalDeviceMemoryBudgetPropertiesEXT::default();
@@ -162,8 +162,8 @@ impl Context {
     }
 }
 
-/// This context's share of a heap: its own bytes, and the part of the budget that is free. Other users in
-/// this process, for example a host's engine, may use the heap as well.
+/// Returns this context's share of a heap: its own bytes, and the free part of the budget. Other users in this process,
+/// such as a host's engine, may use the heap too.
 fn of_driver(heap_budget: u64, heap_usage: u64, ours: u64) -> u64 {
     heap_budget.saturating_sub(heap_usage).saturating_add(ours)
 }

@@ -27,17 +27,17 @@ impl Buffer {
         (self.raw(), self.offset)
     }
 
-    /// Its size.
+    /// Size, bytes.
     pub fn bytes(&self) -> u64 {
         self.bytes
     }
 
-    /// The name from its request.
+    /// Name in the allocation request.
     pub fn name(&self) -> &str {
         self.name
     }
 
-    /// A part of the buffer under the same name.
+    /// Returns a part of the buffer, under the same name.
     ///
     /// # Panics
     /// If the part does not lie inside.
@@ -47,22 +47,22 @@ impl Buffer {
         Buffer { offset: self.offset + offset, bytes, ..self.clone() }
     }
 
-    /// All of the VkBuffer that it is a part of, under the same name.
+    /// Returns the whole VkBuffer that contains it, under the same name.
     pub(crate) fn whole(&self) -> Buffer {
         Buffer { offset: 0, bytes: self.block.bytes(), ..self.clone() }
     }
 
-    /// Whether [`Buffer::whole`] can be bound.
+    /// True if [`Buffer::whole`] can be bound.
     pub(crate) fn whole_is_bindable(&self, limits: &Limits) -> bool {
         self.block.bytes() <= limits.max_storage_buffer_range
     }
 
-    /// Whether its VkBuffer has no room for another one of its size.
+    /// True if its VkBuffer could not hold another buffer of its size.
     pub(crate) fn fills_its_memory(&self) -> bool {
         self.block.bytes() < 2 * self.bytes
     }
 
-    /// A number of the VkBuffer that it is a part of, not 0.
+    /// Number of the VkBuffer that contains it, never 0.
     pub(crate) fn memory_id(&self) -> u64 {
         self.block.id
     }
@@ -81,7 +81,7 @@ impl Buffer {
     /// Reads from a [`MemoryKind::HostVisible`] buffer.
     ///
     /// # Errors
-    /// As [`Buffer::write`].
+    /// Same as [`Buffer::write`].
     pub fn read(&self, offset: u64, bytes: &mut [u8]) -> Result<()> {
         self.check_host("read", offset, bytes.len())?;
         self.block.read_mapped(self.offset + offset, bytes);

@@ -1,5 +1,5 @@
-//! The pipelines that a device has built, for all that use them: a driver takes a hundred times longer to build one than to
-//! bind it, and renderers and trainers on one device need the same ones.
+//! Pipelines that a device has built, shared by its renderers and trainers. Building one takes a driver a hundred times
+//! longer than binding it.
 
 use super::raw_device::RawDevice;
 use crate::Result;
@@ -7,13 +7,12 @@ use ash::vk;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// What tells one pipeline of a device from another. Kernels have no constants but flags, sizes and numbers of things of
-/// a few kinds, so that there are not many.
+/// Identifies a pipeline of a device. Kernels' constants are flags, sizes and small counts, so there are few keys.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub(super) struct PipelineKey {
     pub(super) name: &'static str,
     pub(super) texels: bool,
-    /// Of its SPIR-V, where that is not the kernel's own.
+    /// Hash of the replacement SPIR-V, if it is not the kernel's own.
     pub(super) replaced: Option<u64>,
     pub(super) subgroup_size: Option<u32>,
     pub(super) workgroup_size: [u32; 3],
@@ -21,14 +20,14 @@ pub(super) struct PipelineKey {
     pub(super) constants: Vec<(u32, u32)>,
 }
 
-/// The handles of a pipeline.
+/// Handles of a pipeline.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct PipelineHandles {
     pub(super) raw: vk::Pipeline,
     pub(super) layout: vk::PipelineLayout,
     /// Null if all kernels share a layout.
     pub(super) set_layout: vk::DescriptorSetLayout,
-    /// The kind of its sets without push descriptors.
+    /// Kind of its descriptor sets, without push descriptors.
     pub(super) set_kind: usize,
 }
 
@@ -45,16 +44,16 @@ impl PipelineHandles {
     }
 }
 
-/// One pipeline's place, empty until it is built. A thread that builds it holds the lock.
+/// Entry of one pipeline, empty until it is built. The thread that builds it holds the lock.
 type Place = Arc<Mutex<Option<PipelineHandles>>>;
 
-/// The pipelines of a device, until it is closed.
+/// Pipelines of a device, until it is closed.
 #[derive(Debug, Default)]
 pub(super) struct BuiltPipelines(Mutex<HashMap<PipelineKey, Place>>);
 
 impl BuiltPipelines {
-    /// The pipeline of a key. Whoever asks while another thread builds it waits for that one, and threads that build other
-    /// pipelines do not wait for each other.
+    /// Returns the pipeline of a key, and builds it if necessary. A caller waits while another thread builds the same
+    /// pipeline; threads that build different pipelines do not wait for each other.
     pub(super) fn get_or_build(
         &self,
         key: PipelineKey,
@@ -68,7 +67,7 @@ impl BuiltPipelines {
         }
     }
 
-    /// All that have been built.
+    /// Returns all pipelines that have been built.
     pub(super) fn all(&self) -> Vec<(PipelineKey, PipelineHandles)> {
         let places: Vec<(PipelineKey, Place)> = (self.0.lock().unwrap_or_else(PoisonError::into_inner))
             .iter()
@@ -116,7 +115,7 @@ mod tests {
         let (built, builds) = (BuiltPipelines::default(), AtomicU32::new(0));
         let build = || {
             builds.fetch_add(1, Ordering::Relaxed);
-            // Long enough for the others to come.
+            // Long enough for the other threads to arrive.
             std::thread::sleep(std::time::Duration::from_millis(50));
             Ok(PipelineHandles { set_kind: 7, ..PipelineHandles::default() })
         };

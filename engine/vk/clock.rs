@@ -1,9 +1,9 @@
-//! The device's clock, read at a known time of the host's clock.
+//! Reads the device's clock at a known time of the host's clock.
 
 use ash::vk;
 use std::ffi::CStr;
 
-/// The extension by which a device has calibrated timestamps.
+/// Extension that provides calibrated timestamps.
 #[derive(Clone, Copy)]
 pub(super) enum Calibrated {
     Khr,
@@ -11,7 +11,7 @@ pub(super) enum Calibrated {
 }
 
 impl Calibrated {
-    /// The older extension if a device has both: validation layers of 2023 warn of the newer one.
+    /// Returns the older extension if a device has both: validation layers of 2023 warn about the newer one.
     pub(super) fn find(has: impl Fn(&CStr) -> bool) -> Option<Self> {
         [Self::Ext, Self::Khr].into_iter().find(|kind| has(kind.extension()))
     }
@@ -24,7 +24,7 @@ impl Calibrated {
     }
 }
 
-/// The functions of the extension that is enabled.
+/// Functions of the enabled extension.
 pub(super) enum Clock {
     Khr(ash::khr::calibrated_timestamps::Device),
     Ext(ash::ext::calibrated_timestamps::Device),
@@ -42,7 +42,7 @@ impl Clock {
         })
     }
 
-    /// The device's current clock, ticks; None if the driver fails.
+    /// Returns the device's current clock, ticks; None if the driver fails.
     pub(super) fn ticks(&self) -> Option<u64> {
         let info = [vk::CalibratedTimestampInfoKHR::default().time_domain(vk::TimeDomainKHR::DEVICE)];
         // SAFETY: the extension is enabled, and every implementation of it has the device's time domain.

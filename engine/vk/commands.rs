@@ -1,4 +1,4 @@
-//! Command buffers: recorded, submitted, waited for and used again.
+//! Records, submits, awaits and reuses command buffers.
 
 use super::copy_queue::Point;
 use super::descriptors::DescriptorSets;
@@ -11,7 +11,7 @@ use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-/// The Vulkan objects of one recording, reused after it.
+/// Vulkan objects of one recording, reused for later ones.
 #[derive(Clone, Copy)]
 struct Slot {
     pool: vk::CommandPool,
@@ -21,7 +21,7 @@ struct Slot {
 }
 
 impl Slot {
-    /// With timestamps if `timed`.
+    /// Creates timestamp queries if `timed`.
     fn new(inner: &Device, family: u32, timed: bool) -> Result<Self> {
         let null = Self {
             pool: vk::CommandPool::null(),
@@ -75,13 +75,13 @@ impl Slot {
     }
 }
 
-/// Idle objects of recordings. Whoever records holds the pools.
+/// Idle objects of recordings. Every recording keeps the pools alive.
 pub(super) struct Pools {
     inner: Arc<Device>,
     slots: Mutex<Vec<Slot>>,
-    /// Those of the queue for copies.
+    /// Slots of the copy queue.
     copying: Mutex<Vec<Slot>>,
-    /// Descriptor sets, where there are no push descriptors.
+    /// Descriptor sets, on devices without push descriptors.
     descriptors: Mutex<Vec<DescriptorSets>>,
 }
 
@@ -97,7 +97,7 @@ impl Pools {
 
 impl Drop for Pools {
     fn drop(&mut self) {
-        // All of them are idle: whoever gave them back has waited for its submission.
+        // All slots are idle: `Commands` waits for its submission before it returns a slot.
         let slots = self.slots.get_mut().unwrap_or_else(PoisonError::into_inner);
         slots.iter().for_each(|slot| slot.destroy(&self.inner));
         let slots = self.copying.get_mut().unwrap_or_else(PoisonError::into_inner);
@@ -107,19 +107,19 @@ impl Drop for Pools {
     }
 }
 
-/// A command buffer in the recording state or submitted. Returns to its pools when dropped.
+/// A command buffer, being recorded or submitted. Dropping it returns it to its pools.
 pub(super) struct Commands {
     pub(super) pools: Arc<Pools>,
     pub(super) inner: Arc<Device>,
     slot: Slot,
-    /// Whether they are for the queue for copies.
+    /// True for the copy queue.
     copies: bool,
     pub(super) submitted: bool,
     pub(super) descriptors: Option<DescriptorSets>,
 }
 
 impl Commands {
-    /// With `every_command`, there are queries for each command too.
+    /// Begins a recording. With `every_command`, it has queries for each command.
     pub(super) fn begin(pools: &Arc<Pools>, label: &str, every_command: bool) -> Result<Self> {
         let inner = &pools.inner;
         let free = pools.slots.lock().unwrap_or_else(PoisonError::into_inner).pop();
@@ -132,7 +132,7 @@ impl Commands {
         Self::on(pools, slot, descriptors, false).begun(label, every_command)
     }
 
-    /// For the queue for copies, or the main one where there is none.
+    /// Begins a recording for the copy queue, or for the main queue if there is none.
     pub(super) fn begin_copies(pools: &Arc<Pools>, label: &str) -> Result<Self> {
         let inner = &pools.inner;
         let Some(queue) = &inner.copying else { return Self::begin(pools, label, false) };
@@ -162,7 +162,7 @@ impl Commands {
                 inner.device.cmd_reset_query_pool(slot.commands, slot.queries, 0, count);
             }
         }
-        // Makes the writes of earlier submissions visible, including those that were not waited for.
+        // Makes the writes of all earlier submissions visible, including those not waited for.
         let earlier = vk::MemoryBarrier2::default()
             .src_stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)
             .src_access_mask(vk::AccessFlags2::MEMORY_WRITE)
@@ -176,7 +176,7 @@ impl Commands {
         self.slot.commands
     }
 
-    /// Null without timestamps, or if none are requested.
+    /// Returns the query pool; null if the device has no timestamps or they are turned off.
     pub(super) fn queries(&self) -> vk::QueryPool {
         let wanted = self.inner.timestamps.load(Ordering::Relaxed);
         if wanted { self.slot.queries } else { vk::QueryPool::null() }
@@ -189,7 +189,7 @@ impl Commands {
         unsafe { self.inner.device.cmd_pipeline_barrier2(self.slot.commands, &dependency) }
     }
 
-    /// Orders a range of a buffer, or hands it to another queue family.
+    /// Orders accesses to a range of a buffer, or transfers it to another queue family.
     pub(super) fn buffer_barrier(&mut self, barrier: vk::BufferMemoryBarrier2<'_>) {
         let barriers = [barrier];
         let dependency = vk::DependencyInfo::default().buffer_memory_barriers(&barriers);
@@ -201,7 +201,7 @@ impl Commands {
         self.submit_after(None)
     }
 
-    /// Submits them to run after a point of the other queue's.
+    /// Submits, to run after a point of the other queue's timeline.
     pub(super) fn submit_after(&mut self, after: Option<Point>) -> Result<()> {
         // A fence alone does not make writes visible to the host.
         let to_host = vk::MemoryBarrier2::default()
@@ -247,7 +247,7 @@ impl Commands {
         Ok(())
     }
 
-    /// Sleeps until the submission has finished, or until the timeout.
+    /// Waits until the submission has finished, or until the timeout.
     pub(super) fn wait(&mut self, timeout: Option<Duration>) -> Result<()> {
         const ROUND: Duration = Duration::from_secs(60);
         let mut waited = Duration::ZERO;
@@ -274,12 +274,12 @@ impl Commands {
         Ok(())
     }
 
-    /// Waits until nothing of the submission runs any more, also after errors.
+    /// Waits until nothing of the submission runs any more, even after errors.
     pub(super) fn settle(&mut self) {
         if self.wait(None).is_err() && self.submitted {
             let copying = self.inner.copying.as_ref().filter(|_| self.copies);
             if let Ok(queue) = copying.map_or_else(|| self.inner.lock_queue(), |copying| Ok(copying.lock())) {
-                // The queue alone: of a host's device, others are in use by other threads.
+                // Waits for this queue only: other threads may use other queues of a host's device.
                 // SAFETY: the lock gives the queue to this thread. When this fails, the device is lost.
                 let _ = unsafe { self.inner.device.queue_wait_idle(*queue) };
             }

@@ -1,8 +1,8 @@
-//! A device that compiles and runs nothing, for what compilers say of kernels ([`Context::pipeline_statistics`]).
+//! A device that compiles kernels and runs nothing, for compiler statistics ([`Context::pipeline_statistics`]).
 //!
-//! Its table of functions has the driver's own for shaders, layouts and pipelines. In place of all others it has functions of
-//! this file: memory is the host's and begins as zeros, commands are dropped, submissions are done at once. So a run takes its
-//! usual way on drivers that have a compiler and no device, as Mesa's with RADV_FORCE_FAMILY.
+//! Its function table has the driver's functions for shaders, layouts and pipelines, and this file's for all others. Memory
+//! is host memory that begins as zeros, commands are dropped, and submissions finish at once. So a run takes its usual path
+//! on drivers that have a compiler and no device, such as Mesa with RADV_FORCE_FAMILY.
 //!
 //! [`Context::pipeline_statistics`]: super::Context::pipeline_statistics
 
@@ -11,14 +11,14 @@ use std::alloc::{Layout, alloc_zeroed, dealloc};
 use std::ffi::{CStr, c_char, c_void};
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Memory of the device: what is reported in place of the driver's, which may have none.
+/// Reported size of device memory. The driver may have none.
 const HEAP_BYTES: u64 = 1 << 40;
-/// Of all memory and buffers.
+/// Alignment of all memory and buffers.
 const ALIGNMENT: u64 = 256;
-/// Of the memory behind it. Up to this much the system hands out zeros without writing them.
+/// Alignment of the host memory. Up to this alignment the system provides zeros without writing them.
 const HOST_ALIGNMENT: usize = 16;
 
-/// One heap with one type of memory, which the host sees.
+/// Returns one heap with one host-visible memory type.
 pub(super) fn memory_properties() -> vk::PhysicalDeviceMemoryProperties {
     let mut memory = vk::PhysicalDeviceMemoryProperties {
         memory_type_count: 1,
@@ -32,7 +32,7 @@ pub(super) fn memory_properties() -> vk::PhysicalDeviceMemoryProperties {
     memory
 }
 
-/// The driver's functions that such a device has. All others are of this file, or absent: a call of these ends the program.
+/// Functions taken from the driver. All others are of this file, or absent: calling an absent one ends the program.
 const OF_THE_DRIVER: [&CStr; 12] = [
     c"vkCreateComputePipelines",
     c"vkCreateDescriptorSetLayout",
@@ -48,7 +48,7 @@ const OF_THE_DRIVER: [&CStr; 12] = [
     c"vkGetDeviceQueue",
 ];
 
-/// The device with such a table.
+/// Returns the device with this function table.
 ///
 /// # Safety
 /// The device is of this instance.
@@ -63,7 +63,7 @@ pub(super) unsafe fn table(instance: &ash::Instance, device: &ash::Device) -> as
     unsafe { ash::Device::load_with(load, device.handle()) }
 }
 
-/// VK_KHR_push_descriptor whose commands are dropped.
+/// Returns VK_KHR_push_descriptor with commands that are dropped.
 pub(super) fn push_descriptor(device: &ash::Device) -> ash::khr::push_descriptor::Device {
     unsafe extern "system" fn address(_: vk::Device, name: *const c_char) -> vk::PFN_vkVoidFunction {
         // SAFETY: a name of the crate ash; the address is null or a function's.
@@ -80,13 +80,13 @@ pub(super) fn push_descriptor(device: &ash::Device) -> ash::khr::push_descriptor
     }
 }
 
-/// Handles of things that are nothing but their number.
+/// Returns a unique number for a handle without contents.
 fn number() -> u64 {
     static NEXT: AtomicU64 = AtomicU64::new(1);
     NEXT.fetch_add(1, Ordering::Relaxed)
 }
 
-/// A thing that is nothing but its number.
+/// Writes a handle without contents.
 ///
 /// # Safety
 /// `out` can be written.
@@ -95,7 +95,7 @@ unsafe fn make<T: Handle>(out: *mut T) {
     unsafe { out.write(T::from_raw(number())) };
 }
 
-/// What a handle of memory points to.
+/// Memory that a handle points to.
 struct Memory {
     start: *mut u8,
     layout: Layout,
@@ -103,7 +103,7 @@ struct Memory {
 
 type Callbacks = *const vk::AllocationCallbacks<'static>;
 
-/// Functions with their Vulkan names. With `out`, the last argument is where a handle goes.
+/// Defines functions with their Vulkan names. The last parameter of `make` functions receives the handle.
 macro_rules! functions {
     (@body done) => { vk::Result::SUCCESS };
     (@body nothing) => { {} };
@@ -122,7 +122,7 @@ macro_rules! functions {
         })*
         $(unsafe extern "system" fn $destroy(_: vk::Device, _: $gone, _: Callbacks) {})*
         $(unsafe extern "system" fn $function($(_: $type),*) -> functions!(@type $kind) { functions!(@body $kind) })*
-        /// This file's function of a name; null without one.
+        /// Returns this file's function of a name; null without one.
         fn own(name: &CStr) -> *const c_void {
             match name.to_bytes() {
                 $($own_name => $own as *const c_void,)*
@@ -290,7 +290,7 @@ unsafe extern "system" fn buffer_requirements(
     unsafe { out.write(requirements(*(buffer.as_raw() as *const u64))) };
 }
 
-/// Nothing reads an image.
+/// Nothing reads an image, so any size suffices.
 unsafe extern "system" fn image_requirements(_: vk::Device, _: vk::Image, out: *mut vk::MemoryRequirements) {
     // SAFETY: the caller's pointer.
     unsafe { out.write(requirements(ALIGNMENT)) };

@@ -1,4 +1,4 @@
-//! The context: the open device as its user sees it, with what watches over its recordings.
+//! The context: an open device, with the logs that observe its recordings.
 
 use super::audit::{self, Audit};
 use super::commands::Pools;
@@ -34,13 +34,13 @@ pub struct Context {
     /// Idle command buffers.
     pub(super) pools: Arc<Pools>,
     pub(super) logs: Arc<Logs>,
-    /// For transfers where device memory is not mapped.
+    /// Staging memory of transfers, if device memory is not mapped.
     pub(super) staging: Arc<Staging>,
-    /// Kernels are noted here in place of being built, if there is such a list.
+    /// If present, kernels are added to this list instead of being built.
     pub(super) jobs: Option<Jobs>,
 }
 
-/// What watches over a context.
+/// Logs that observe a context.
 #[derive(Default)]
 pub(super) struct Logs {
     /// The profile that records every command, if one exists.
@@ -53,43 +53,43 @@ pub(super) struct Logs {
 }
 
 impl Context {
-    /// The context of a device that was just opened.
+    /// Returns the context of a device that was just opened.
     pub(super) fn on(device: Arc<Device>) -> Self {
         let pools = Arc::new(Pools::new(device.clone()));
         Self { pools, logs: Arc::default(), staging: Arc::default(), jobs: None, device }
     }
 
-    /// The device's limits, with the changes of the options.
+    /// Returns the device's limits, as changed by the options.
     pub fn limits(&self) -> &Limits {
         &self.device.limits
     }
 
-    /// Whether the device is ours, and not a host's.
+    /// True if ashsplat opened the device.
     pub(crate) fn owns_device(&self) -> bool {
         !self.device.is_foreign()
     }
 
-    /// Set once subgroups were found to be what the device reports.
+    /// Set after the check of [`crate::subgroups`] has passed.
     pub(crate) fn subgroups_are_sound(&self) -> &AtomicBool {
         &self.device.subgroups_are_sound
     }
 
-    /// Whether anything that is submitted here runs: a host may keep its queue to itself, and what only compiles runs nothing.
+    /// True if submissions run: a host may keep its queue to itself, and a compile-only device runs nothing.
     pub(crate) fn can_run(&self) -> bool {
         self.device.queue.is_some() && self.device.executables.is_none()
     }
 
-    /// The driver's name of the device.
+    /// Returns the driver's name of the device.
     pub fn device_name(&self) -> &str {
         &self.device.description.name
     }
 
-    /// The driver's description of the device. Its limits are without the changes of the options.
+    /// Returns the driver's description of the device. Its limits are not changed by the options.
     pub fn description(&self) -> &DeviceDescription {
         &self.device.description
     }
 
-    /// Whether the queue can draw as well (VK_QUEUE_GRAPHICS_BIT): only then may depth images be copied on it.
+    /// True if the queue can also draw (VK_QUEUE_GRAPHICS_BIT). Copying depth images requires this.
     pub fn draws(&self) -> bool {
         let inner = &self.device;
         // SAFETY: the physical device is of this instance.
@@ -99,19 +99,19 @@ impl Context {
         own.is_some_and(|family| family.queue_flags.contains(vk::QueueFlags::GRAPHICS))
     }
 
-    /// All warnings and errors of the validation layers so far. Empty without
+    /// Returns all warnings and errors of the validation layers so far. Empty without
     /// [`ContextOptions::validation`](super::ContextOptions::validation).
     pub fn validation_messages(&self) -> Vec<String> {
         self.device.owner.messages().map_or_else(Vec::new, |messages| messages.all())
     }
 
-    /// Whether the device is lost, which makes this context unusable.
+    /// True if the device is lost, which makes this context unusable.
     pub fn is_lost(&self) -> bool {
         self.device.lost.load(Ordering::Relaxed)
     }
 
-    /// Drops this handle. If it was the last holder of the device, the device is destroyed, and all messages
-    /// of the validation layers are returned, including leaks.
+    /// Drops this handle. If it was the last owner of the device, destroys the device and returns all messages of the
+    /// validation layers, including leaks.
     pub fn close(self) -> Option<Vec<String>> {
         let Self { device, pools, logs, staging, jobs } = self;
         drop((jobs, staging, pools, logs));
@@ -120,19 +120,18 @@ impl Context {
         Some(messages.map_or_else(Vec::new, |messages| messages.all()))
     }
 
-    /// What shaders printed since the last call. Empty without
+    /// Returns what shaders printed since the last call. Empty without
     /// [`ContextOptions::debug_printf`](super::ContextOptions::debug_printf).
     pub fn printed(&self) -> Vec<String> {
         self.device.owner.messages().map_or_else(Vec::new, |messages| messages.take_printed())
     }
 
-    /// Runs `work` between the two queue labels by which RenderDoc's layer begins and ends a capture. Without
-    /// a window there are no frames that the layer could detect. Without such a layer the labels have no
-    /// effect.
+    /// Runs `work` between the two queue labels by which RenderDoc's layer begins and ends a capture. Without a window
+    /// there are no frames that the layer could detect. Without such a layer the labels have no effect.
     ///
     /// # Errors
-    /// [`Error::MissingFeature`] without VK_EXT_debug_utils, [`Error::Argument`] without a queue, both before
-    /// any work; errors of `work`, after which the capture ends as well.
+    /// [`Error::MissingFeature`] without VK_EXT_debug_utils and [`Error::Argument`] without a queue, both before any work.
+    /// Errors of `work`, after the capture has ended.
     pub fn capture<T>(&self, work: impl FnOnce() -> Result<T>) -> Result<T> {
         let insert = |label| {
             let queue = self.device.lock_queue()?;
@@ -147,8 +146,7 @@ impl Context {
         result
     }
 
-    /// Records every submission from now on, until the profile is dropped. A newer profile replaces an older
-    /// one.
+    /// Profiles every submission from now on, until the profile is dropped. A newer profile replaces an older one.
     pub fn profile(&self) -> Profile {
         let profile = Profile { log: Arc::default() };
         self.set_profile(Some(&profile));
@@ -166,7 +164,7 @@ impl Context {
         self.device.timestamps.store(on, Ordering::Relaxed);
     }
 
-    /// Whether the device has timestamps.
+    /// True if the device has timestamps.
     pub fn has_timestamps(&self) -> bool {
         self.device.timestamp_bits > 0
     }

@@ -1,7 +1,7 @@
-//! A queue for copies alone, where the device has a family of such queues: uploads run beside what the main queue computes.
+//! A queue for copies only, on devices with such a queue family: uploads run beside the main queue's work.
 //!
-//! Each of the two queues counts its submissions in a timeline semaphore. A copy that must not overtake the main queue's work
-//! waits for that count; the main queue acquires what was copied by waiting for the other.
+//! Each of the two queues counts its submissions in a timeline semaphore. A copy that must not overtake the main queue's
+//! work waits for that count. The main queue waits for the copy queue's count to acquire the copied data.
 
 use super::error::vk_error;
 use super::queue_lock::LockedQueue;
@@ -11,10 +11,10 @@ use ash::vk;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
 
-/// A semaphore that counts the submissions to a queue.
+/// Semaphore that counts the submissions to a queue.
 pub(super) struct Timeline {
     pub(super) semaphore: vk::Semaphore,
-    /// Submissions so far. Changed with the queue's lock held.
+    /// Submissions so far. Changed only under the queue's lock.
     count: AtomicU64,
 }
 
@@ -34,12 +34,12 @@ impl Timeline {
         Ok(Self { semaphore: semaphore.map_err(vk_error("vkCreateSemaphore"))?, count: AtomicU64::new(0) })
     }
 
-    /// All submissions so far.
+    /// Returns the point after all submissions so far.
     pub(super) fn last(&self) -> Point {
         Point { semaphore: self.semaphore, value: self.count.load(Ordering::Acquire) }
     }
 
-    /// What the next submission signals.
+    /// Returns the point that the next submission signals.
     pub(super) fn next(&self) -> Point {
         let last = self.last();
         Point { value: last.value + 1, ..last }
@@ -51,13 +51,13 @@ impl Timeline {
     }
 }
 
-/// The queue for copies, with the timelines of both queues.
+/// The copy queue, with the timelines of both queues.
 pub(super) struct CopyQueue {
     queue: Mutex<vk::Queue>,
     pub(super) family: u32,
-    /// Of the main queue.
+    /// Timeline of the main queue.
     pub(super) worked: Timeline,
-    /// Of this queue.
+    /// Timeline of this queue.
     pub(super) copied: Timeline,
 }
 

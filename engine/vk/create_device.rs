@@ -1,4 +1,4 @@
-//! Creation of a device of our own.
+//! Creates a device of our own.
 
 use super::device::Candidate;
 use super::error::vk_error;
@@ -7,16 +7,17 @@ use crate::{Error, Result};
 use ash::vk;
 use std::ffi::CStr;
 
-/// What is asked for beyond that.
+/// Optional requests beyond the required features.
 pub(super) struct Wishes<'a> {
     /// Shaders may print.
     pub printf: bool,
-    /// What compilers say of pipelines.
+    /// Pipelines report compiler statistics.
     pub executables: bool,
     pub extensions: &'a [&'a CStr],
 }
 
-/// A device with a queue, another for copies where there is a family for them, the required features, the optional features that it has, and what is asked for.
+/// Creates a device with the required features, its optional features and the wishes. It has a main queue, and a copy queue
+/// if there is a family for copies.
 pub(super) fn create_device(
     instance: &ash::Instance,
     candidate: &Candidate,
@@ -70,9 +71,9 @@ pub(super) fn create_device(
         vk::DeviceQueueCreateInfo::default().queue_family_index(family).queue_priorities(&priorities)
     };
     let queues: Vec<_> = families.map(queue).collect();
-    // Without them the layer refuses to print.
+    // Without these features the layer refuses to print.
     let printing = wishes.printf && optional.graphics_stores;
-    // Every device has it: what a kernel is told by its push constants is not checked here.
+    // Every device has robustBufferAccess. It is needed because counts in push constants are not checked here.
     let core = vk::PhysicalDeviceFeatures::default()
         .robust_buffer_access(true)
         .shader_int64(optional.int64)

@@ -35,8 +35,8 @@ impl Messages {
     }
 }
 
-/// The shader's output in a message, if it has any: the layer puts its own text and a number before it, each
-/// with a bar.
+/// Returns the shader's output in a message, if any. The layer puts its own text and a number before it, each followed by a
+/// bar.
 fn printed(message: &str) -> Option<&str> {
     let own = message.contains(PRINTF_ID) || message.contains("DEBUG-PRINTF");
     own.then(|| message.splitn(3, " | ").last().unwrap_or(message).trim())
@@ -50,8 +50,8 @@ pub(super) struct Messenger {
 }
 
 impl Messenger {
-    /// The instance must have been created with VK_EXT_debug_utils and must outlive the messenger. `printf`:
-    /// also collect shader output.
+    /// The instance must have been created with VK_EXT_debug_utils and must outlive the messenger. `printf` also collects
+    /// shader output.
     pub(super) fn new(
         entry: &ash::Entry,
         instance: &ash::Instance,
@@ -146,7 +146,7 @@ impl Names {
     }
 }
 
-/// A label that is not long, without memory for it: recordings have many.
+/// Calls `f` with a label. Short labels need no allocation: recordings have many.
 fn with_c_string(text: &str, f: impl FnOnce(&CStr)) {
     let mut bytes = [0; 64];
     match bytes.get_mut(..text.len()).filter(|bytes| bytes.len() < 64) {

@@ -1,4 +1,4 @@
-//! What a recording's commands declare to the hazard checker.
+//! Accesses that a recording's commands declare to the hazard checker.
 
 use super::access::Access;
 use super::binding::BindingInfo;
@@ -6,7 +6,7 @@ use super::buffer::Buffer;
 use super::hazard::{HazardTracker, Use, undeclared_alias};
 use super::image::Image;
 
-/// The accesses of the command at hand, and those before it.
+/// Accesses of the current command, and earlier ones.
 #[derive(Default)]
 pub(super) struct Hazards {
     pub(super) tracker: HazardTracker,

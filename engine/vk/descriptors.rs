@@ -1,9 +1,9 @@
-//! Descriptor sets for devices without push descriptors. Kernels share a few layouts, so that sets can be
-//! preallocated before it is known which kernels need them.
+//! Descriptor sets for devices without push descriptors. Kernels share a few layouts, so that sets can be preallocated
+//! without knowing which kernels use them.
 //!
-//! All descriptors of a set are written at each use, including those that the kernel does not have. Resources
-//! of an earlier use may no longer exist, and drivers access descriptors that no shader uses (lavapipe counts
-//! references to the buffers of the whole set).
+//! Each use writes all descriptors of a set, including those that the kernel does not have. Resources of an earlier use may
+//! no longer exist, and drivers access descriptors that no shader uses. For example, lavapipe counts references to all
+//! buffers of a set.
 
 use super::binding_numbers::{BUFFERS, SAMPLED_IMAGE, STORAGE_IMAGE, UNIFORM_BLOCK};
 use super::error::vk_error;
@@ -12,10 +12,10 @@ use crate::Result;
 use ash::vk;
 use std::sync::Arc;
 
-/// Sets per pool: for kernels with storage buffers only, and for the others.
+/// Sets per pool: for kernels with only storage buffers, and for the others.
 const POOL_SETS: [u32; 2] = [128, 16];
 
-/// One resource of a kernel in the layout of its set.
+/// Returns the layout binding of one resource.
 pub(super) fn layout_binding(
     binding: u32,
     kind: vk::DescriptorType,
@@ -27,19 +27,19 @@ pub(super) fn layout_binding(
         .stage_flags(vk::ShaderStageFlags::COMPUTE)
 }
 
-/// The kinds of sets: what they have beside [`BUFFERS`] storage buffers, with its binding.
+/// Kinds of sets: the resource that each has beside [`BUFFERS`] storage buffers, with its binding.
 const KINDS: [Option<(u32, vk::DescriptorType)>; 4] = [
     None,
     Some((UNIFORM_BLOCK, vk::DescriptorType::UNIFORM_BUFFER)),
     Some((STORAGE_IMAGE, vk::DescriptorType::STORAGE_IMAGE)),
     Some((SAMPLED_IMAGE, vk::DescriptorType::SAMPLED_IMAGE)),
 ];
-/// The kinds that most dispatches of a recording may use.
+/// Number of kinds that most dispatches use; they come first.
 const FREQUENT_KINDS: usize = 2;
-/// Of so many dispatches at most one has an image: a view has 48 or more, and writes four images.
+/// At most one in this many dispatches has an image: a view has 48 or more dispatches, and writes four images.
 const DISPATCHES_PER_IMAGE: usize = 12;
 
-/// The kind of set for a kernel with these resources; None if there is none.
+/// Returns the kind of set for a kernel with these resources; None if no kind fits.
 pub(super) fn kind_of(bindings: &[vk::DescriptorSetLayoutBinding<'_>]) -> Option<usize> {
     let storage = vk::DescriptorType::STORAGE_BUFFER;
     let mut others = bindings.iter().filter(|binding| binding.descriptor_type != storage);
@@ -50,7 +50,7 @@ pub(super) fn kind_of(bindings: &[vk::DescriptorSetLayoutBinding<'_>]) -> Option
     }
 }
 
-/// Makes the layouts that kernels share, for a device without push descriptors.
+/// Creates the layouts that kernels share, for a device without push descriptors.
 pub(super) fn add_shared_layouts(open: &mut Device) -> Result<()> {
     let layouts = open.shared_layouts.insert(Vec::with_capacity(KINDS.len()));
     for other in KINDS {
@@ -74,7 +74,7 @@ pub(super) struct DescriptorSets {
 }
 
 impl DescriptorSets {
-    /// None with push descriptors.
+    /// Returns None with push descriptors.
     pub(super) fn new(inner: &Device) -> Option<Self> {
         let none = Self { pools: Vec::new(), sets: Default::default(), used: Default::default() };
         inner.shared_layouts.is_some().then_some(none)
@@ -85,7 +85,7 @@ impl DescriptorSets {
         self.used = Default::default();
     }
 
-    /// Allocates at least this number of sets of each frequent kind for one recording, and some with images.
+    /// Allocates at least `count` sets of each frequent kind for one recording, and some with images.
     pub(super) fn reserve(&mut self, inner: &Device, count: usize) -> Result<()> {
         for kind in 0..KINDS.len() {
             let count = match kind < FREQUENT_KINDS {
@@ -104,7 +104,7 @@ impl DescriptorSets {
         Ok(())
     }
 
-    /// An unused set of a kind, allocated if necessary.
+    /// Returns an unused set of a kind, and allocates it if necessary.
     pub(super) fn next(&mut self, inner: &Device, kind: usize) -> Result<vk::DescriptorSet> {
         self.reserve_kind(inner, kind, self.used[kind] + 1)?;
         self.used[kind] += 1;
@@ -148,7 +148,7 @@ impl DescriptorSets {
 pub(super) struct OwnedSets(Option<(Arc<Device>, DescriptorSets)>);
 
 impl OwnedSets {
-    /// Sets for recordings of up to `count` dispatches.
+    /// Allocates sets for recordings of up to `count` dispatches.
     pub(super) fn new(inner: &Arc<Device>, count: usize) -> Result<Self> {
         let mut owned = Self(DescriptorSets::new(inner).map(|sets| (inner.clone(), sets)));
         match &mut owned.0 {
@@ -157,12 +157,12 @@ impl OwnedSets {
         }
     }
 
-    /// Whether a recording that was leaked has taken them along.
+    /// True if a leaked recording still owns the sets.
     pub(super) fn are_lost(&self, inner: &Device) -> bool {
         self.0.is_none() && inner.shared_layouts.is_some()
     }
 
-    /// The sets themselves.
+    /// Returns the sets; None with push descriptors.
     pub(super) fn sets(&mut self) -> Option<&mut DescriptorSets> {
         self.0.as_mut().map(|(_, sets)| sets)
     }

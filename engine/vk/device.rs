@@ -19,19 +19,19 @@ const INSTANCES_PER_DISPATCH: u32 = 1 << 25;
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub struct DeviceDescription {
-    /// Its index, as `--device` and `ASHSPLAT_DEVICE` take it.
+    /// Index, for `--device` and `ASHSPLAT_DEVICE`.
     pub index: usize,
-    /// Its name, as the driver gives it.
+    /// The driver's name of the device.
     pub name: String,
     /// "discrete GPU", "integrated GPU", "virtual GPU", "CPU" or "other".
     pub kind: &'static str,
-    /// The driver's name and version.
+    /// Name and version of the driver.
     pub driver: String,
     /// The Vulkan version that it implements.
     pub api_version: String,
     /// Its limits; None if the device is too old to be queried.
     pub limits: Option<Limits>,
-    /// Why it cannot be used; None if it can.
+    /// Reason why it cannot be used; None if it can.
     pub problem: Option<String>,
 }
 
@@ -50,16 +50,16 @@ pub(super) struct Candidate {
     pub(super) description: DeviceDescription,
     pub(super) device_type: vk::PhysicalDeviceType,
     pub(super) queue_family: u32,
-    /// For a device that shows pictures on a screen, too.
+    /// Queue family of a device that also presents to a screen.
     pub(super) presenting_family: u32,
-    /// For copies alone, on a device of our own.
+    /// Queue family for copies only, on a device of our own.
     pub(super) copying_family: Option<u32>,
     pub(super) features: OptionalFeatures,
     pub(super) missing: Option<String>,
 }
 
 impl Candidate {
-    /// All that it lacks, and what else a host has not enabled; None if nothing is missing.
+    /// Returns all that the device lacks and a host has not enabled; None if nothing is missing.
     pub(super) fn lacks(&self, enabled: &Features) -> Option<String> {
         let own = self.missing.as_deref();
         let is_there =
@@ -71,13 +71,13 @@ impl Candidate {
         (!all.is_empty()).then(|| all.join(", "))
     }
 
-    /// Whether device memory is the host's memory, so that mapping it is the fastest way in and out.
+    /// True if device memory is host memory, so that mapping is the fastest way to transfer data.
     pub(super) fn has_unified_memory(&self) -> bool {
         matches!(self.device_type, vk::PhysicalDeviceType::CPU | vk::PhysicalDeviceType::INTEGRATED_GPU)
     }
 }
 
-/// Features that are turned on if they exist.
+/// Features that are turned on if the device has them.
 #[derive(Clone, Copy, Default)]
 pub(super) struct OptionalFeatures {
     pub(super) int8: bool,
@@ -98,12 +98,12 @@ pub(super) struct OptionalFeatures {
     pub(super) uniform_control_flow: bool,
     /// robustBufferAccess2 of VK_EXT_robustness2.
     pub(super) robust_buffers2: bool,
-    /// fragmentStoresAndAtomics and vertexPipelineStoresAndAtomics, which the layer's debugPrintf asks for.
+    /// fragmentStoresAndAtomics and vertexPipelineStoresAndAtomics, which the layer's debugPrintf requires.
     pub(super) graphics_stores: bool,
 }
 
 impl OptionalFeatures {
-    /// Turns off those of subgroups that a host has not enabled.
+    /// Turns off the subgroup features that a host has not enabled.
     pub(super) fn keep_enabled(&mut self, told: &Features, extensions: &[&CStr]) {
         let enabled = |name: &CStr| extensions.contains(&name);
         self.dynamic_broadcasts &= told.subgroup_broadcast_dynamic_id;
@@ -115,7 +115,7 @@ impl OptionalFeatures {
     }
 }
 
-/// All devices, in the loader's order. Those that report an older Vulkan are unusable.
+/// Returns all devices, in the loader's order. Those with an older Vulkan are unusable.
 fn candidates(instance: &ash::Instance, least_version: u32) -> Result<Vec<Candidate>> {
     // SAFETY: the instance is alive.
     let physical = unsafe { instance.enumerate_physical_devices() };
@@ -127,8 +127,8 @@ fn candidates(instance: &ash::Instance, least_version: u32) -> Result<Vec<Candid
     physical.map(|(index, physical)| describe(instance, index, physical, least_version)).collect()
 }
 
-/// The device requested by index or by part of its name, or otherwise the best: discrete, integrated,
-/// virtual, processor, in this order.
+/// Returns the device requested by index or by part of its name, or otherwise the best. Discrete, integrated, virtual and
+/// processor are preferred in this order.
 pub(super) fn choose(instance: &ash::Instance, asked: Option<&str>, least_version: u32) -> Result<Candidate> {
     let mut all = candidates(instance, least_version)?;
     if let Some(asked) = asked {
@@ -160,7 +160,7 @@ pub(super) fn choose(instance: &ash::Instance, asked: Option<&str>, least_versio
     usable.min_by_key(rank).ok_or(Error::NoDevice { reason })
 }
 
-/// Index of the device named by `asked`: a number, the whole name, or part of a name in any case.
+/// Returns the index of the device named by `asked`: a number, the whole name, or part of a name in any case.
 fn find<'a>(names: impl Iterator<Item = &'a str> + Clone, asked: &str) -> Option<usize> {
     let asked = asked.trim().to_lowercase();
     if let Ok(index) = asked.parse::<usize>() {
@@ -215,7 +215,7 @@ pub(super) fn describe(
     Ok(candidate)
 }
 
-/// Fills in limits, queue and features. Returns what the device lacks.
+/// Fills in limits, queue families and features. Returns what the device lacks.
 fn examine(
     instance: &ash::Instance,
     physical: vk::PhysicalDevice,
@@ -386,7 +386,7 @@ mod tests {
         assert_eq!(find(""), None);
     }
 
-    /// What the device has counts as far as the host has enabled the feature, together with its extension.
+    /// A device's feature is used only if the host has enabled it together with its extension.
     #[test]
     fn a_hosts_optional_features_are_those_that_it_has_enabled() {
         let (maximal, uniform) = (
@@ -413,7 +413,7 @@ mod tests {
         assert_eq!(kept(&Features::REQUIRED, &[maximal, uniform]), [false; 3]);
         assert_eq!(kept(&told, &[]), [true, false, false]);
         assert_eq!(kept(&told, &[uniform]), [true, false, true]);
-        // The stronger one is enough.
+        // Maximal reconvergence includes uniform control flow.
         assert_eq!(kept(&told, &[maximal, uniform]), [true, true, false]);
     }
 }

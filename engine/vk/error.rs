@@ -1,9 +1,9 @@
-//! The error for a failed Vulkan call.
+//! Converts the result of a failed Vulkan call to an error.
 
 use crate::Error;
 use ash::vk::Result as R;
 
-/// The error for a failed Vulkan call.
+/// Returns the conversion for calls of this function.
 pub(super) fn vk_error(call: &'static str) -> impl Fn(R) -> Error {
     move |result| {
         let remedy = match result {

@@ -1,14 +1,14 @@
-//! What a driver's compiler says of a pipeline: VK_KHR_pipeline_executable_properties.
+//! Reads compiler statistics of pipelines: VK_KHR_pipeline_executable_properties.
 
 use super::error::vk_error;
 use crate::Result;
 use ash::vk;
 use std::ffi::{CStr, c_char};
 
-/// What [`ContextOptions::compile_only`](super::ContextOptions::compile_only) asks compilers for.
+/// Options of [`ContextOptions::compile_only`](super::ContextOptions::compile_only).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct CompileOnly {
-    /// The compilers' texts, machine code among them.
+    /// True to collect the compilers' texts, which include machine code.
     pub texts: bool,
 }
 
@@ -19,20 +19,20 @@ pub struct Executable {
     pub name: String,
     /// Its subgroup size; 0: unknown to the driver.
     pub subgroup_size: u32,
-    /// Its figures, in the driver's order and words.
+    /// Its statistics, in the driver's order and words.
     pub statistics: Vec<Statistic>,
-    /// With [`CompileOnly::texts`]: (name, text), machine code among them.
+    /// With [`CompileOnly::texts`]: (name, text), including machine code.
     pub texts: Vec<(String, String)>,
 }
 
-/// A figure of a compiler.
+/// A statistic of a compiler.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Statistic {
-    /// As the driver calls it.
+    /// The driver's name for it.
     pub name: String,
-    /// What it is, in the driver's words.
+    /// Its meaning, in the driver's words.
     pub description: String,
-    /// The figure. Drivers give integers but for estimates.
+    /// Value. Drivers give integers, except for estimates.
     pub value: f64,
 }
 
@@ -47,7 +47,7 @@ impl Executables {
         Self { functions: ash::khr::pipeline_executable_properties::Device::new(instance, device), asked }
     }
 
-    /// What pipelines are created with.
+    /// Returns the flags for the creation of pipelines.
     pub(super) fn flags(&self) -> vk::PipelineCreateFlags {
         let texts = match self.asked.texts {
             true => vk::PipelineCreateFlags::CAPTURE_INTERNAL_REPRESENTATIONS_KHR,
@@ -120,7 +120,7 @@ impl Executables {
     }
 }
 
-/// A driver's text, to its first zero.
+/// Returns a driver's text up to its first zero.
 fn text(characters: &[c_char]) -> String {
     let bytes: Vec<u8> = characters.iter().map(|&c| c as u8).collect();
     CStr::from_bytes_until_nul(&bytes).unwrap_or_default().to_string_lossy().into_owned()

@@ -1,4 +1,4 @@
-//! For tests: the calls of a device that fail on demand. These functions hide those of `ash::Device` with the same names.
+//! For tests: device calls that fail on demand. These functions hide the functions of `ash::Device` with the same names.
 
 use super::faults::Fault;
 use super::raw_device::RawDevice;
@@ -30,7 +30,7 @@ macro_rules! objects {
         impl RawDevice {
             $(
                 /// # Safety
-                /// As the function that it hides.
+                /// Same as the function that it hides.
                 pub(super) unsafe fn $function(&self, $($argument: $type),*) -> VkResult<objects!(@result $($out)?)> {
                     self.object(stringify!($function))?;
                     // SAFETY: the caller's arguments, passed on as they are.
@@ -70,7 +70,7 @@ objects! {
 
 impl RawDevice {
     /// # Safety
-    /// As the function that it hides.
+    /// Same as the function that it hides.
     pub(super) unsafe fn create_compute_pipelines(
         &self,
         cache: vk::PipelineCache,
@@ -83,7 +83,7 @@ impl RawDevice {
     }
 
     /// # Safety
-    /// As the function that it hides.
+    /// Same as the function that it hides.
     pub(super) unsafe fn allocate_memory(
         &self,
         info: &vk::MemoryAllocateInfo<'_>,
@@ -97,7 +97,7 @@ impl RawDevice {
     }
 
     /// # Safety
-    /// As the function that it hides.
+    /// Same as the function that it hides.
     pub(super) unsafe fn queue_submit2(
         &self,
         queue: vk::Queue,
@@ -114,7 +114,7 @@ impl RawDevice {
     }
 
     /// # Safety
-    /// As the function that it hides.
+    /// Same as the function that it hides.
     pub(super) unsafe fn wait_for_fences(
         &self,
         fences: &[vk::Fence],
@@ -128,7 +128,7 @@ impl RawDevice {
             return Err(vk::Result::ERROR_OUT_OF_HOST_MEMORY);
         }
         let lost = self.strikes(Fault::WaitLost) || self.is_lost();
-        // A lost device runs nothing any more, but this one still does: wait for it.
+        // A lost device runs nothing any more. This one still does, so wait for it.
         let timeout = if lost { u64::MAX } else { timeout };
         // SAFETY: the caller's arguments, passed on as they are, but for the timeout.
         let result = unsafe { self.raw.wait_for_fences(fences, all, timeout) };

@@ -1,5 +1,4 @@
-//! A guest on a host's device: a context from the host's handles, and recording into the host's command
-//! buffers.
+//! Contexts on a host's device, and recording into the host's command buffers.
 
 use super::allocator::HostAllocator;
 use super::context::Context;
@@ -21,7 +20,7 @@ use ash::vk;
 use std::ffi::CStr;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// A host's device, and the features that were enabled at its creation.
+/// A host's device, and the features enabled at its creation.
 #[derive(Clone)]
 pub struct ForeignDevice<'a> {
     /// The instance with its functions.
@@ -30,38 +29,37 @@ pub struct ForeignDevice<'a> {
     pub physical_device: vk::PhysicalDevice,
     /// The device with its functions.
     pub device: &'a ash::Device,
-    /// The family of the queues that recordings are submitted to.
+    /// Family of the queues to which recordings are submitted.
     pub queue_family: u32,
-    /// A queue of that family for operations that submit and wait themselves: [`Context::run`],
-    /// [`Context::upload`], [`crate::Renderer::render`]. None: they are refused, and only recording works.
+    /// Queue of that family for operations that submit and wait themselves: [`Context::run`], [`Context::upload`],
+    /// [`crate::Renderer::render`]. None: these are refused, and only recording works.
     pub queue: Option<vk::Queue>,
-    /// The host's lock around that queue; `None` if no other thread submits to it while an operation does.
+    /// The host's lock of that queue. `None` if no other thread submits to it during such an operation.
     pub queue_lock: Option<Arc<dyn QueueLock>>,
-    /// The features that the device was created with: see [`Features::of`]. Optional ones that are not set are not used.
+    /// Features enabled at the device's creation: see [`Features::of`]. Optional ones that are not set are not used.
     pub features: Features,
-    /// The device extensions that it was created with.
+    /// Device extensions enabled at its creation.
     pub extensions: &'a [&'a CStr],
-    /// Whether the instance was created with VK_EXT_debug_utils.
+    /// True if the instance was created with VK_EXT_debug_utils.
     pub debug_utils: bool,
-    /// Allocator of the buffers' memory; None: the device itself.
+    /// Allocator of the buffers' memory. None: the device itself.
     pub allocator: Option<Arc<dyn HostAllocator>>,
-    /// The host's cache that kernels are built with; null: none. The host keeps and destroys it.
+    /// The host's pipeline cache; null: none. The host keeps and destroys it.
     pub pipeline_cache: vk::PipelineCache,
 }
 
 impl Context {
-    /// A context on a host's device. It never destroys objects of the host: dropping it destroys only its own
-    /// objects. Only the given queue is waited for, and only by operations that submit. After
-    /// [`Error::Timeout`] a thread waits for the late submission: device and queue must live until it has
-    /// finished.
+    /// Creates a context on a host's device. It never destroys objects of the host: dropping it destroys only its own. Only
+    /// operations that submit wait for a queue, and only for the given one. After [`Error::Timeout`] a thread waits for the
+    /// late submission: device and queue must live until it has finished.
     ///
     /// `options` has the same meaning as for [`Context::new`], except for the choice of the device and the
     /// layers, which are the host's.
     ///
     /// # Errors
-    /// [`Error::MissingFeature`] with all of [`Context::requirements`] that the device lacks or that were
-    /// not enabled, [`Error::Argument`] for a null handle, a queue family without compute, or
-    /// [`ContextOptions::compile_only`], which takes a device of our own.
+    /// [`Error::MissingFeature`] with all of [`Context::requirements`] that the device lacks or the host has not enabled.
+    /// [`Error::Argument`] for a null handle, a queue family without compute, or [`ContextOptions::compile_only`], which
+    /// needs a device of our own.
     ///
     /// # Safety
     /// - `instance` and `device` are alive, were created for Vulkan 1.3 or later, and outlive the context and
@@ -122,15 +120,15 @@ impl Context {
         })
     }
 
-    /// The requirements of [`Context::from_foreign`].
+    /// Returns the requirements of [`Context::from_foreign`].
     pub fn requirements() -> Requirements {
         Requirements::of_all()
     }
 
-    /// A host's command buffer, to record into through a slot.
+    /// Adopts a host's command buffer, to record into it through a slot.
     ///
     /// # Errors
-    /// [`Error::Argument`] for a null handle, and in a context of our own that reads texels
+    /// [`Error::Argument`] for a null handle. Also if the context opened its own device and reads texels
     /// ([`ContextOptions::texels`]).
     ///
     /// # Safety
@@ -139,18 +137,17 @@ impl Context {
     /// - it is submitted at most once before it is recorded again, to a queue of the context's queue family;
     ///   if there are   several queues, the host orders submissions that use the same buffers or images by
     ///   semaphores;
-    /// - before the slot that it is recorded through is recorded through again, released or dropped, the host
-    ///   knows that the   execution of the whole command buffer has finished, by a fence, a timeline
-    ///   semaphore or an idle queue, or has made   sure that it never begins ([`RecordSlot::discard`]).
-    ///   [`RecordSlot::finished`] is not enough: it covers the guest's   own commands only, not those that
-    ///   the host has recorded after them;
+    /// - before the slot of this recording is recorded through again, released or dropped, the host knows, by a fence, a
+    ///   timeline semaphore or an idle queue, that the whole command buffer has finished. Or it has ensured that execution
+    ///   never begins ([`RecordSlot::discard`]). [`RecordSlot::finished`] is not enough: it covers only the guest's
+    ///   commands, not those that the host recorded after them;
     /// - until then the host neither writes nor reads buffers that the recording uses
     ///   ([`Buffer::write`](super::Buffer::write), [`Context::upload`], [`Context::download`]).
     ///
     /// Until then the slot keeps all resources of the recording alive. Resources that are dropped meanwhile
     /// are destroyed with the slot's next recording, or by [`RecordSlot::release`].
     ///
-    /// Afterwards pipeline, descriptors and push constants of the compute bind point have changed.
+    /// Afterwards the pipeline, descriptors and push constants of the compute bind point are changed.
     pub unsafe fn adopt_commands(&self, commands: vk::CommandBuffer) -> Result<ForeignCommands> {
         if commands == vk::CommandBuffer::null() {
             return Err(Error::argument("commands", "the handle is null"));
@@ -159,17 +156,17 @@ impl Context {
         Ok(ForeignCommands { inner: self.device.clone(), raw: commands })
     }
 
-    /// Whether the instance and the device are a host's.
+    /// True if the instance and the device are a host's.
     pub fn is_foreign(&self) -> bool {
         self.device.is_foreign()
     }
 
-    /// Whether two contexts are the same.
+    /// True if two contexts are the same.
     pub fn is(&self, other: &Context) -> bool {
         Arc::ptr_eq(&self.device, &other.device)
     }
 
-    /// The Vulkan objects of the context, for a host that shares a device of ours.
+    /// Returns the Vulkan objects of the context, for a host that shares a device of ours.
     pub fn handles(&self) -> (ash::Instance, vk::PhysicalDevice, ash::Device, u32) {
         let inner = &self.device;
         (inner.owner.instance().clone(), inner.physical, inner.device.raw.clone(), inner.queue_family)
@@ -183,22 +180,21 @@ pub struct ForeignCommands {
 }
 
 impl ForeignCommands {
-    /// Whether it belongs to this context.
+    /// True if it belongs to this context.
     pub fn belongs_to(&self, context: &Context) -> bool {
         Arc::ptr_eq(&self.inner, &context.device)
     }
 }
 
-/// The preallocated objects of a recording into a host's command buffer: one slot for each frame in flight.
-/// Between [`RecordSlot::begin`] and [`RecordSlot::end`] nothing is created, allocated, mapped, submitted or
-/// waited for.
+/// Preallocated objects of a recording into a host's command buffer: one slot for each frame in flight. Between
+/// [`RecordSlot::begin`] and [`RecordSlot::end`] nothing is created, allocated, mapped, submitted or waited for.
 ///
 /// The device signals an event at the end of the recording, so that the host can query whether it has
 /// finished.
 ///
-/// A slot that is leaked ([`std::mem::forget`]) keeps its context and the resources of its last recording for
-/// ever. Nothing waits for it. A recorder that is leaked leaves its slot in flight until
-/// [`RecordSlot::discard`]; the next recording makes the objects anew that it has taken along.
+/// A leaked slot ([`std::mem::forget`]) keeps its context and the resources of its last recording forever. Nothing waits
+/// for it. A leaked recorder leaves its slot in flight until [`RecordSlot::discard`]; the next recording recreates the
+/// leaked objects.
 pub struct RecordSlot {
     inner: Arc<Device>,
     event: vk::Event,
@@ -207,18 +203,18 @@ pub struct RecordSlot {
     /// The resources of the last recording.
     kept: Pool<Kept>,
     profiler: Option<Profiler>,
-    /// One that was asked for its times, or not wanted any more: its memory.
+    /// An idle profiler, whose memory is reused.
     spare: Option<Profiler>,
-    /// Whether a recording was begun and not discarded.
+    /// True if a recording was begun and not discarded.
     recorded: bool,
-    /// Whether the last discarded recording had been executed after all.
+    /// True if the last discarded recording had been executed.
     discarded_late: bool,
-    /// That it was made for.
+    /// Number of dispatches that the slot was made for.
     dispatches: usize,
 }
 
 impl RecordSlot {
-    /// A slot for recordings of up to `dispatches` dispatches.
+    /// Creates a slot for recordings of up to `dispatches` dispatches.
     ///
     /// # Errors
     /// [`Error::Vulkan`] when the driver has no memory left.
@@ -259,10 +255,10 @@ impl RecordSlot {
         Ok(())
     }
 
-    /// Makes room for recordings of up to `dispatches` dispatches from the next one on, also while one is in flight.
+    /// Allocates for recordings of up to `dispatches` dispatches, from the next one on. Allowed while one is in flight.
     ///
     /// # Errors
-    /// As [`RecordSlot::new`].
+    /// Same as [`RecordSlot::new`].
     pub(crate) fn reserve(&mut self, dispatches: usize) -> Result<()> {
         let mut descriptors = self.descriptors.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(sets) = descriptors.sets() {
@@ -272,9 +268,8 @@ impl RecordSlot {
         Ok(())
     }
 
-    /// Whether the commands that were recorded through the slot have finished. True for a slot that was never
-    /// used; false while the command buffer has not been submitted. Commands that the host has recorded after
-    /// them may still run. Never waits.
+    /// True if the commands recorded through the slot have finished. True for a slot that was never used; false while the
+    /// command buffer has not been submitted. Commands that the host recorded after them may still run. Never waits.
     ///
     /// # Errors
     /// [`Error::Vulkan`] when the device is lost.
@@ -287,7 +282,8 @@ impl RecordSlot {
         status.map_err(|error| self.inner.failed("vkGetEventStatus", error))
     }
 
-    /// Fails while the last recording is in flight. The rest of its command buffer has finished then, as its adopter has promised.
+    /// Fails while the last recording is in flight. Otherwise the rest of its command buffer has finished too, as its
+    /// adopter has promised.
     pub(crate) fn check_free(&self) -> Result<()> {
         match self.finished()? {
             true => Ok(()),
@@ -297,12 +293,12 @@ impl RecordSlot {
         }
     }
 
-    /// Whether a recording was made through the slot and not discarded.
+    /// True if a recording was made through the slot and not discarded.
     pub fn is_recorded(&self) -> bool {
         self.recorded
     }
 
-    /// Whether the recording that was discarded last had been executed after all.
+    /// True if the last discarded recording had been executed.
     pub(crate) fn was_discarded_late(&self) -> bool {
         self.discarded_late
     }
@@ -319,8 +315,8 @@ impl RecordSlot {
         self.clear();
     }
 
-    /// Releases all resources of the last recording, once its command buffer has finished. Scenes and image
-    /// views that were dropped meanwhile are destroyed now instead of by the next recording.
+    /// Releases all resources of the last recording, once its command buffer has finished. Scenes and image views dropped
+    /// meanwhile are destroyed now, not by the next recording.
     ///
     /// # Errors
     /// [`Error::Argument`] while the recording is in flight.
@@ -338,13 +334,12 @@ impl RecordSlot {
         self.kept.lock().unwrap_or_else(PoisonError::into_inner).clear();
     }
 
-    /// Begins a recording. On the device, it waits for the writes of earlier compute shaders and transfers in
-    /// the queue. The slot is in flight from now on, even if the recorder is dropped, because its commands
-    /// may be executed.
+    /// Begins a recording. On the device, it waits for the writes of earlier compute shaders and transfers in the queue.
+    /// The slot is in flight from now on, even if the recorder is dropped, because its commands may be executed.
     ///
     /// # Errors
-    /// [`Error::Argument`] if the previous recording has not finished, or if the commands are of another
-    /// context: nothing is recorded then.
+    /// [`Error::Argument`] if the previous recording has not finished, or if the commands belong to another context.
+    /// Nothing is recorded then.
     pub fn begin(&mut self, commands: ForeignCommands, label: &str) -> Result<Recorder> {
         if !Arc::ptr_eq(&commands.inner, &self.inner) {
             return Err(Error::argument("commands", "it belongs to another context"));
@@ -400,7 +395,7 @@ impl RecordSlot {
             .dst_stage_mask(Stage::HOST | Stage::ALL_COMMANDS)
             .dst_access_mask(vk::AccessFlags2::HOST_READ)];
         let writes = vk::DependencyInfo::default().memory_barriers(&barriers);
-        // Events do not take the host's stage; what the barrier has made visible comes before this.
+        // Events do not accept the host stage. The barrier before has already made the writes visible.
         let order = [vk::MemoryBarrier2::default()
             .src_stage_mask(Stage::ALL_COMMANDS)
             .dst_stage_mask(Stage::ALL_COMMANDS)];
@@ -414,15 +409,15 @@ impl RecordSlot {
         whole
     }
 
-    /// Whether [`RecordSlot::times`] is complete. On llvmpipe, whose queries wait for the whole device, this
-    /// call waits too.
+    /// True if [`RecordSlot::times`] is complete. llvmpipe's queries wait for the whole device, so there this call waits
+    /// too.
     pub(crate) fn has_times(&self) -> Result<bool> {
         let timed = |profiler: &Profiler| profiler.is_ready(&self.inner);
         Ok(self.finished()? && self.profiler.as_ref().map_or(Ok(true), timed)?)
     }
 
-    /// The time of each scope of the last recording. Empty until it has finished and the device has written
-    /// the times, without timestamps, and at a second call.
+    /// Returns the time of each scope of the last recording. Empty before it has finished and the device has written the
+    /// times, without timestamps, and at a second call.
     ///
     /// # Errors
     /// [`Error::Vulkan`] when the device is lost.

@@ -2,18 +2,18 @@
 
 use ash::vk::{self, Format as F};
 
-/// What an image is in a frame: one variant for each field of a recorded frame. Each has formats of its own.
+/// Purpose of an image in a frame: one variant for each field of a recorded frame. Each has its own formats.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ImageUse {
-    /// Colours are written into it.
+    /// Kernels write colours.
     Target,
     /// A host's depth, which hides splats.
     Occluder,
-    /// The expected depth is written into it.
+    /// Kernels write the expected depth.
     Depth,
-    /// What is seen at each pixel is written into it.
+    /// Kernels write what is seen at each pixel.
     Pick,
-    /// The motion of each pixel is written into it.
+    /// Kernels write the motion of each pixel.
     Motion,
 }
 
@@ -72,13 +72,13 @@ pub const COLOR_FORMATS: [F; 8] = [
     F::R32G32B32A32_SFLOAT,
 ];
 
-/// Format of an image of depth that kernels write.
+/// Format of depth images that kernels write.
 pub const DEPTH_FORMAT: F = F::R32_SFLOAT;
 
-/// Format of an image of what is picked, which kernels write.
+/// Format of pick images that kernels write.
 pub const PICK_FORMAT: F = F::R32G32B32A32_UINT;
 
-/// Format of an image of motion, which kernels write.
+/// Format of motion images that kernels write.
 pub const MOTION_FORMAT: F = F::R16G16_SFLOAT;
 
 /// Formats of a host's depth image, each read as one float.
@@ -95,7 +95,7 @@ pub const HOST_DEPTH_FORMATS: [F; 9] = [
 ];
 
 impl ImageUse {
-    /// The formats of images with this use.
+    /// Returns the formats of images with this use.
     pub fn formats(self) -> &'static [F] {
         match self {
             Self::Target => &COLOR_FORMATS,
@@ -106,10 +106,10 @@ impl ImageUse {
         }
     }
 
-    /// The format in which kernels see an image's texels. Where it is another one than the image's, the image was created
+    /// Returns the format in which kernels see an image's texels. If it differs from the image's, the image was created
     /// with MUTABLE_FORMAT.
     ///
-    /// The formats of storage images in shaders are few. All devices have those of them that are named here.
+    /// Shaders know few formats of storage images. All devices support those that are named here.
     pub fn seen_as(self, format: F) -> F {
         match (self.kind(), format) {
             (ImageKind::Storage, F::R8G8B8A8_SRGB | F::B8G8R8A8_UNORM | F::B8G8R8A8_SRGB) => {
@@ -124,7 +124,7 @@ impl ImageUse {
     }
 }
 
-/// The aspect that kernels see.
+/// Returns the aspect that kernels see.
 pub(super) fn aspect(format: vk::Format) -> vk::ImageAspectFlags {
     match format {
         F::D16_UNORM | F::X8_D24_UNORM_PACK32 | F::D32_SFLOAT => vk::ImageAspectFlags::DEPTH,
@@ -133,7 +133,7 @@ pub(super) fn aspect(format: vk::Format) -> vk::ImageAspectFlags {
     }
 }
 
-/// Bytes of a texel of the aspect that kernels see, in a copy.
+/// Returns the bytes per texel, in a copy, of the aspect that kernels see.
 pub(super) fn texel_bytes(format: vk::Format) -> u64 {
     match format {
         F::D16_UNORM | F::D16_UNORM_S8_UINT | F::R16_UNORM | F::R16_SFLOAT => 2,
@@ -143,7 +143,7 @@ pub(super) fn texel_bytes(format: vk::Format) -> u64 {
     }
 }
 
-/// Whether the format has stencil as well as depth.
+/// True if the format has both depth and stencil.
 pub(super) fn has_stencil(format: vk::Format) -> bool {
     matches!(format, F::D16_UNORM_S8_UINT | F::D24_UNORM_S8_UINT | F::D32_SFLOAT_S8_UINT)
 }

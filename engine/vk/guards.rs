@@ -1,4 +1,4 @@
-//! For tests: guard bands around every buffer, which detect writes outside of it.
+//! For tests: guard bands around every buffer, which detect writes outside it.
 
 use super::buffer::Buffer;
 use super::context::Context;
@@ -32,7 +32,7 @@ impl Context {
         Ok(())
     }
 
-    /// For tests of the guards: writes directly after a buffer.
+    /// For tests of the guards: writes directly behind a buffer.
     ///
     /// # Errors
     /// When the band cannot be written.
@@ -41,7 +41,7 @@ impl Context {
         self.upload(&behind, &vec![0; behind.bytes().min(4) as usize])
     }
 
-    /// The names of living buffers with writes outside of them; see [`super::ContextOptions::guard_bands`].
+    /// Returns the names of living buffers with writes outside them; see [`super::ContextOptions::guard_bands`].
     ///
     /// # Errors
     /// When a band cannot be read.

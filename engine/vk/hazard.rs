@@ -1,10 +1,10 @@
 //! Finds missing barriers from the declared reads and writes of a recording's commands.
 //!
-//! Since the last barrier it keeps every range that was read or written, and the command. A hazard is a
-//! command that touches a range that an earlier one wrote, or writes a range that an earlier one read,
-//! without a barrier between them. A command may read and write its own buffers, by one binding or by two that are ALIASED.
+//! It keeps every range that was read or written since the last barrier, and the command. A hazard is a command that
+//! touches a range that an earlier one wrote, or writes a range that an earlier one read. One command may read and write
+//! its own buffers, by one binding or by two that are ALIASED.
 //!
-//! It does not use Vulkan: a block of memory is a number, so it is tested without a device.
+//! It does not use Vulkan: a block of memory is a number, so tests need no device.
 
 use super::access::Access;
 use std::fmt;
@@ -19,15 +19,15 @@ pub struct Use {
     pub bytes: Range<u64>,
     /// The buffer's name.
     pub buffer: &'static str,
-    /// Its role in the command: the binding's name, "destination", …
+    /// Role in the command: the binding's name, "destination", …
     pub role: &'static str,
-    /// Whether it is read, written, or both.
+    /// Read, written, or both.
     pub access: Access,
-    /// Whether the command's other accesses may be of the same bytes.
+    /// True if the command's other accesses may touch the same bytes.
     pub aliased: bool,
 }
 
-/// Two commands that touch the same bytes with no barrier between them, at least one of them writing.
+/// Two commands that touch the same bytes without a barrier between them; at least one writes.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Hazard {
     /// The earlier command and its access.
@@ -85,7 +85,7 @@ impl HazardTracker {
         Self::default()
     }
 
-    /// Adds a command. Returns the hazards with earlier ones, the first for each of its accesses.
+    /// Adds a command. Returns its hazards with earlier commands, the first for each of its accesses.
     pub fn command(&mut self, name: &'static str, uses: &[Use]) -> Vec<Hazard> {
         let mut hazards = Vec::new();
         for later in uses {
@@ -98,15 +98,15 @@ impl HazardTracker {
         hazards
     }
 
-    /// Orders everything before it before everything after it.
+    /// Orders all earlier commands before all later ones.
     pub fn barrier(&mut self) {
         self.since_barrier.clear();
     }
 }
 
-/// What is wrong with a command that reads bytes by one of its bindings and writes them by another. A compiler takes two buffers
-/// of a shader for different memory unless both are decorated `Aliased` (SPIR-V, 2.18.2). Two that both write are no such pair:
-/// they write in different places, or one of them stands for a buffer that this variant of the kernel does not touch.
+/// Describes the mistake of a command that reads bytes by one of its bindings and writes them by another. Compilers assume
+/// that two buffers of a shader are different memory unless both are decorated `Aliased` (SPIR-V, 2.18.2). Two bindings
+/// that both write are allowed: they write different places, or this variant of the kernel does not touch one of them.
 pub fn undeclared_alias(command: &str, uses: &[Use]) -> Option<String> {
     let mut pairs = uses.iter().enumerate().flat_map(|(k, a)| uses[k + 1..].iter().map(move |b| (a, b)));
     let is_alias =

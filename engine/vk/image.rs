@@ -12,7 +12,7 @@ use ash::vk;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
-/// Own images, in [`Context::memory`].
+/// Arena of own images, in [`Context::memory`].
 const ARENA: &str = "images";
 
 /// A host's image, as it was created.
@@ -22,31 +22,31 @@ pub struct ForeignImage {
     pub image: vk::Image,
     /// Its format.
     pub format: vk::Format,
-    /// Its flags. Kernels see the texels of some formats as another one ([`ImageUse::seen_as`]): such an image has
-    /// MUTABLE_FORMAT, and EXTENDED_USAGE where its own format cannot be a storage image on the device. If it was created
-    /// with a list of formats, that has the other one.
+    /// Its flags. Kernels see the texels of some formats in another format ([`ImageUse::seen_as`]). Such an image needs
+    /// MUTABLE_FORMAT, and EXTENDED_USAGE if its own format cannot be a storage image on the device. If it was created with
+    /// a list of formats, the list contains the other format.
     pub flags: vk::ImageCreateFlags,
     /// Its usage.
     pub usage: vk::ImageUsageFlags,
-    /// Its samples per pixel: kernels see images of one. A host that draws with more resolves them before: depth into a depth
+    /// Its samples per pixel; kernels require one. A host that draws with more resolves them first: depth into a depth
     /// image of one sample, by `resolve_mode` MIN, MAX or SAMPLE_ZERO of its attachment.
     pub samples: vk::SampleCountFlags,
     /// Width and height of the mip level, pixels.
     pub size: [u32; 2],
-    /// Which mip level.
+    /// Index of the mip level.
     pub mip_level: u32,
-    /// Which layer.
+    /// Index of the array layer.
     pub layer: u32,
 }
 
-/// The use of an image at a point in a command buffer.
+/// Use of an image at a point in a command buffer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ImageState {
     /// Its layout.
     pub layout: vk::ImageLayout,
-    /// The stages that use it.
+    /// Stages that use it.
     pub stages: vk::PipelineStageFlags2,
-    /// What they do with it.
+    /// Accesses of these stages.
     pub accesses: vk::AccessFlags2,
 }
 
@@ -63,7 +63,7 @@ impl ImageState {
 #[derive(Clone)]
 pub struct Image(
     Arc<View>,
-    /// The queue family that owns it between recordings: see [`Image::of_family`].
+    /// Queue family that owns it between recordings: see [`Image::of_family`].
     pub(super) u32,
 );
 
@@ -87,16 +87,19 @@ impl Image {
     /// A view of a host's image, for kernels.
     ///
     /// # Errors
-    /// [`Error::Argument`] for a null handle, no size or one above maxImageDimension2D, more than one sample per pixel, a usage that lacks what `purpose` needs, a format that is not one
-    /// of [`ImageUse::formats`] or that the device does not support, or flags that lack what the format needs
-    /// ([`ForeignImage::flags`]).
+    /// [`Error::Argument`] for:
+    /// - a null handle, no size, or one above maxImageDimension2D;
+    /// - more than one sample per pixel;
+    /// - a usage that lacks what `purpose` needs;
+    /// - a format that is not one of [`ImageUse::formats`] or that the device does not support;
+    /// - flags that lack what the format needs ([`ForeignImage::flags`]).
     ///
     /// # Safety
     /// - the image is of the context's device, was created as `foreign` describes and is bound to memory;
     /// - it lives until the last recording that uses it has finished and this view and its clones are
     ///   dropped;
-    /// - the context's queue family owns it when recordings use it, or it was created for concurrent use; or another family does
-    ///   that [`Image::of_family`] names.
+    /// - the context's queue family owns it when recordings use it, or it was created for concurrent use, or the family
+    ///   named by [`Image::of_family`] owns it.
     pub unsafe fn adopt(
         context: &Context,
         name: &'static str,
@@ -141,10 +144,10 @@ impl Image {
         Self::view(context, name, foreign, (vk::DeviceMemory::null(), 0), purpose)
     }
 
-    /// An image of our own.
+    /// Creates an image of our own.
     ///
     /// # Errors
-    /// As [`Image::adopt`]; [`Error::Vulkan`] when the memory does not suffice.
+    /// Same as [`Image::adopt`]; [`Error::Vulkan`] when the memory does not suffice.
     pub fn new(
         context: &Context,
         name: &'static str,
@@ -241,17 +244,16 @@ impl Image {
         self.0.size
     }
 
-    /// Its format, as it was created.
+    /// Its format at creation.
     pub fn format(&self) -> vk::Format {
         self.0.format
     }
 
-    /// Its purpose.
     pub fn purpose(&self) -> ImageUse {
         self.0.purpose
     }
 
-    /// Refuses an image that was adopted for another purpose.
+    /// Returns an error for an image that was adopted for another purpose.
     pub(crate) fn check_purpose(&self, purpose: ImageUse) -> Result<()> {
         if self.purpose() == purpose {
             return Ok(());
@@ -260,11 +262,11 @@ impl Image {
         Err(Error::argument(format!("image '{}'", self.name()), problem))
     }
 
-    /// The layout that kernels need it in.
+    /// Returns the layout that kernels require.
     pub fn layout(&self) -> vk::ImageLayout {
         match self.0.purpose.kind() {
             ImageKind::Storage => vk::ImageLayout::GENERAL,
-            // The host may still test against it.
+            // The host may still test depth against it.
             ImageKind::Sampled if self.0.is_attachment => vk::ImageLayout::DEPTH_STENCIL_READ_ONLY_OPTIMAL,
             ImageKind::Sampled => vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL,
         }
@@ -275,7 +277,7 @@ impl Image {
         self.raw()
     }
 
-    /// Whether it belongs to this context's device.
+    /// True if it belongs to this context's device.
     pub fn belongs_to(&self, context: &Context) -> bool {
         self.is_of(&context.device)
     }
@@ -288,7 +290,7 @@ impl Image {
         &self.0.inner
     }
 
-    /// Whether both are views of the same texels.
+    /// True if both are views of the same texels.
     pub(crate) fn is_same_as(&self, other: &Self) -> bool {
         let place = |view: &View| (view.image, view.range.base_mip_level, view.range.base_array_layer);
         place(&self.0) == place(&other.0)
@@ -331,7 +333,7 @@ impl Drop for View {
 }
 
 impl Context {
-    /// The flags that an image needs so that kernels see its texels.
+    /// Returns the flags that an image needs so that kernels see its texels.
     fn flags_for(&self, format: vk::Format, purpose: ImageUse) -> vk::ImageCreateFlags {
         let mut flags = vk::ImageCreateFlags::empty();
         if purpose.seen_as(format) != format {
@@ -355,7 +357,7 @@ impl Context {
         has.optimal_tiling_features.contains(purpose.kind().feature())
     }
 
-    /// Memory for an image, bound to it, and its bytes.
+    /// Allocates memory for an image and binds it. Returns the memory and its bytes.
     fn image_memory(&self, image: vk::Image) -> Result<(vk::DeviceMemory, u64)> {
         let device = &self.device.device;
         // SAFETY: the image is of this device and not bound yet; memory that cannot be bound is freed.
@@ -376,7 +378,7 @@ impl Context {
 }
 
 impl Image {
-    /// Including the stencil, whose layout changes together with the depth's.
+    /// Returns the range including the stencil, whose layout changes together with the depth's.
     pub(super) fn whole_range(&self) -> vk::ImageSubresourceRange {
         let mut range = self.0.range;
         if has_stencil(self.0.format) {

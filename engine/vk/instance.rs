@@ -12,7 +12,7 @@ pub(super) const VALIDATION_LAYER: &CStr = c"VK_LAYER_KHRONOS_validation";
 pub(super) struct Instance {
     pub(super) messenger: Option<Messenger>,
     pub(super) has_debug_utils: bool,
-    /// The version of Vulkan that the validation layer knows, where it is on.
+    /// Vulkan version of the validation layer, if it is on.
     layer: Option<u32>,
     pub(super) raw: ash::Instance,
     // Unloads the library when dropped: keep it last.
@@ -20,8 +20,8 @@ pub(super) struct Instance {
 }
 
 impl Instance {
-    /// With `validation`, turns on the Khronos layer with synchronization validation, and collects its
-    /// messages. With `printf`, turns on the layer for shader output. All `extensions` are enabled, too.
+    /// With `validation`, turns on the Khronos layer with synchronization validation, and collects its messages. With
+    /// `printf`, turns on the layer for shader output. Also enables all `extensions`.
     pub(super) fn new(validation: bool, printf: bool, extensions: &[&CStr]) -> Result<Self> {
         // SAFETY: loading the system's Vulkan loader runs its initialisers, which are sound for a proper install.
         let entry = unsafe { ash::Entry::load() }
@@ -64,7 +64,7 @@ impl Instance {
 }
 
 impl Instance {
-    /// Whether VK_KHR_shader_maximal_reconvergence can be used: a validation layer that is older calls its SPIR-V wrong.
+    /// True if VK_KHR_shader_maximal_reconvergence can be used: older validation layers reject its SPIR-V.
     pub(super) fn knows_reconvergence(&self) -> bool {
         self.layer.is_none_or(|version| version >= vk::make_api_version(0, 1, 3, 280))
     }
@@ -78,13 +78,13 @@ impl Drop for Instance {
     }
 }
 
-/// Whether the Khronos validation layer is installed (false without a loader).
+/// True if the Khronos validation layer is installed; false without a loader.
 pub fn validation_available() -> bool {
     // SAFETY: as in `Instance::new`.
     unsafe { ash::Entry::load() }.is_ok_and(|entry| layer_version(&entry).is_ok_and(|v| v.is_some()))
 }
 
-/// The checks of the layer; None without the layer.
+/// Returns the checks of the layer; None without the layer.
 fn checks(layer: bool, validation: bool, printf: bool) -> Option<Vec<vk::ValidationFeatureEnableEXT>> {
     let wanted = [
         (validation, vk::ValidationFeatureEnableEXT::SYNCHRONIZATION_VALIDATION),
