@@ -1,13 +1,13 @@
 //! For tests: Vulkan calls that fail on demand.
 //!
-//! With [`super::ContextOptions::faults`], the functions of the device that may fail are counted: see the module
-//! `failing_calls`. A call is either passed on or answered with an error, as by a driver. Code above cannot tell the
-//! difference. The validation layer is below and sees a program that handles the error.
+//! [`super::ContextOptions::faults`] counts the calls that may fail (see the module `failing_calls`). A call is either
+//! passed on or answered with an error, like a driver's. Code above cannot tell the difference. The validation layer is
+//! below and sees a program that handles the error.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// The function that fails, and its result.
+/// A function that fails, and its result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Fault {
     /// vkAllocateMemory: out of device memory.
@@ -20,24 +20,24 @@ pub enum Fault {
     Timeout,
     /// vkWaitForFences: out of host memory.
     WaitMemory,
-    /// vkQueueSubmit2: no failure of the call, but a panic, for those who catch one.
+    /// vkQueueSubmit2: a panic instead of an error, for callers that catch panics.
     Panic,
     /// Any other call that may fail (creation, binding, mapping, resetting, recording, submission): out of host memory.
     Object,
 }
 
-/// The number of calls of one kind, and which of them fail.
+/// Number of calls of one kind, and which of them fail.
 #[derive(Clone, Copy, Debug, Default)]
 struct Counter {
     calls: u64,
-    /// The first call that fails, and the number of calls from it on that fail.
+    /// Index of the first failing call, and the number of failing calls from there.
     fails: Option<(u64, u64)>,
 }
 
 #[derive(Default)]
 struct State {
     counters: HashMap<Fault, Counter>,
-    /// The functions of [`Fault::Object`] in the order of their calls.
+    /// Functions of [`Fault::Object`] in the order of their calls.
     objects: Vec<&'static str>,
     injected: u64,
     lost: bool,
@@ -54,7 +54,7 @@ impl std::fmt::Debug for Faults {
 }
 
 impl Faults {
-    /// Nothing fails yet.
+    /// Creates faults that do not fail any call yet.
     pub fn new() -> Self {
         Self::default()
     }
@@ -68,7 +68,7 @@ impl Faults {
         self.arm_many(fault, index, 1);
     }
 
-    /// Like [`Faults::arm`], for `count` calls from there on.
+    /// Same as [`Faults::arm`], but for `count` calls from there on.
     pub fn arm_many(&self, fault: Fault, index: u64, count: u64) {
         self.with(|state| {
             state.objects.clear();
@@ -84,22 +84,22 @@ impl Faults {
         });
     }
 
-    /// Calls of a kind since [`Faults::arm`] or [`Faults::disarm`].
+    /// Returns the number of calls of a kind since [`Faults::arm`] or [`Faults::disarm`].
     pub fn calls(&self, fault: Fault) -> u64 {
         self.with(|state| state.counters.get(&fault).map_or(0, |counter| counter.calls))
     }
 
-    /// The functions that [`Fault::Object`] counts, call by call since [`Faults::arm`] or [`Faults::disarm`].
+    /// Returns the functions that [`Fault::Object`] counts, in call order, since [`Faults::arm`] or [`Faults::disarm`].
     pub fn objects(&self) -> Vec<&'static str> {
         self.with(|state| state.objects.clone())
     }
 
-    /// Number of calls made to fail, except those on a lost device.
+    /// Returns the number of failed calls, except those on a lost device.
     pub fn injected(&self) -> u64 {
         self.with(|state| state.injected)
     }
 
-    /// Counts a call. Returns whether it fails.
+    /// Counts a call. Returns true if it fails.
     pub(super) fn strikes(&self, fault: Fault) -> bool {
         self.with(|state| {
             let counter = state.counters.entry(fault).or_default();
@@ -113,7 +113,7 @@ impl Faults {
         })
     }
 
-    /// Counts a call of one of the many functions. Returns whether it fails.
+    /// Counts a call for [`Fault::Object`]. Returns true if it fails.
     pub(super) fn strikes_object(&self, function: &'static str) -> bool {
         self.with(|state| state.objects.push(function));
         self.strikes(Fault::Object)

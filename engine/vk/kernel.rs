@@ -36,7 +36,7 @@ pub enum ConstantKind {
 }
 
 pub(super) mod sealed {
-    /// Of the kernels of this crate only: a driver takes SPIR-V on trust.
+    /// Implemented only for kernels of this crate: drivers do not check SPIR-V.
     pub trait Generated {}
 }
 
@@ -48,7 +48,7 @@ pub trait KernelInterface: sealed::Generated {
     const SPIRV: &'static [u32];
     /// Its buffers.
     const BINDINGS: &'static [BindingInfo];
-    /// Its texel form, if it has one, with the same results to the bit.
+    /// Its texel form, if any, with bit-identical results.
     const TEXELS: Option<Form>;
     /// Its images.
     const IMAGES: &'static [ImageInfo];
@@ -56,29 +56,29 @@ pub trait KernelInterface: sealed::Generated {
     const CONSTANTS: &'static [ConstantInfo];
     /// Size of `Push`.
     const PUSH_BYTES: u32;
-    /// The buffers and images of a dispatch.
+    /// Buffers and images of a dispatch.
     type Bind<'a>;
-    /// The push constants of a dispatch.
+    /// Push constants of a dispatch.
     type Push: Copy;
-    /// The specialization constants of a pipeline.
+    /// Specialization constants of a pipeline.
     type Spec: Clone + std::fmt::Debug + PartialEq;
-    /// The buffers in the order of `BINDINGS`.
+    /// Returns the buffers in the order of `BINDINGS`.
     fn buffers<'a>(bind: &Self::Bind<'a>) -> impl AsRef<[&'a Buffer]>;
-    /// The images in the order of `IMAGES`.
+    /// Returns the images in the order of `IMAGES`.
     fn images<'a>(bind: &Self::Bind<'a>) -> impl AsRef<[&'a Image]>;
-    /// The push constants as bytes.
+    /// Returns the push constants as bytes.
     fn push_bytes(push: &Self::Push) -> &[u8];
-    /// (constant_id, bits) of each specialization constant.
+    /// Returns (constant_id, bits) of each specialization constant.
     fn spec_entries(spec: &Self::Spec) -> Vec<(u32, u32)>;
-    /// The subgroup size that the kernel is built for, if it uses subgroups.
+    /// Returns the subgroup size that the kernel is built for, if it uses subgroups.
     fn subgroup_size(spec: &Self::Spec) -> Option<u32>;
-    /// Invocations of a workgroup on each axis.
+    /// Returns the invocations of a workgroup on each axis.
     fn workgroup_size(spec: &Self::Spec) -> [u32; 3];
-    /// Bytes of shared memory.
+    /// Returns the bytes of shared memory.
     fn shared_bytes(spec: &Self::Spec) -> u32;
-    /// The shader's own constants, with subgroup and workgroup size for a device.
+    /// Returns the shader's default constants, with subgroup and workgroup size for a device.
     fn spec_for(limits: &Limits) -> Self::Spec;
-    /// The form for a device: see [`Limits::prefers_texels`].
+    /// Returns the form for a device: see [`Limits::prefers_texels`].
     fn form(limits: &Limits) -> Form {
         let plain = Form { spirv: Self::SPIRV, bindings: Self::BINDINGS, texels: false };
         Self::TEXELS.filter(|_| limits.prefers_texels()).unwrap_or(plain)
@@ -92,11 +92,11 @@ pub struct Form {
     pub spirv: &'static [u32],
     /// Its buffers. Names, numbers and accesses are the same in all forms.
     pub bindings: &'static [BindingInfo],
-    /// Whether it reads texels instead of storage buffers.
+    /// True if it reads texels instead of storage buffers.
     pub texels: bool,
 }
 
-/// For code that visits all kernels: see [`crate::kernels::visit_all`].
+/// Visitor of all kernels: see [`crate::kernels::visit_all`].
 pub trait KernelVisitor {
     /// Called once for each kernel.
     fn visit<K: KernelInterface>(&mut self);
@@ -115,12 +115,12 @@ impl<K> Clone for Kernel<K> {
 }
 
 impl<K: KernelInterface> Kernel<K> {
-    /// Compiles the kernel, or takes what the device has compiled before. If `Spec` has a `subgroup_size`, the pipeline has exactly that size and full
-    /// subgroups only.
+    /// Compiles the kernel, or shares the device's existing pipeline. If `Spec` has a `subgroup_size`, the pipeline has
+    /// exactly that size and full subgroups only.
     ///
     /// # Errors
     /// [`crate::Error::TooLarge`] if workgroup, shared memory, bindings or push constants exceed the device's limits
-    /// (drivers accept such pipelines and fail later), [`crate::Error::Argument`] for an unsupported subgroup size,
+    /// (drivers accept such pipelines and fail later). [`crate::Error::Argument`] for an unsupported subgroup size.
     /// [`crate::Error::Vulkan`] if the driver refuses.
     pub fn new(context: &Context, spec: &K::Spec) -> Result<Self> {
         let form = K::form(context.limits());
@@ -136,7 +136,7 @@ impl<K: KernelInterface> Kernel<K> {
         check(&demands, context.limits())?;
         let constants = overridden::<K>(context.limits(), K::spec_entries(spec));
         let pipeline = match context.replaced_shader(K::NAME) {
-            // What runs nothing keeps all that it builds.
+            // A compile-only device keeps all that it builds, for its statistics.
             Some(spirv) if context.device.executables.is_some() => {
                 let mut hash = DefaultHasher::new();
                 spirv.hash(&mut hash);
@@ -154,7 +154,7 @@ impl<K: KernelInterface> Kernel<K> {
         Ok(Self { pipeline: Arc::new(pipeline), interface: PhantomData })
     }
 
-    /// Invocations of a workgroup on each axis.
+    /// Returns the invocations of a workgroup on each axis.
     pub fn workgroup_size(&self) -> [u32; 3] {
         self.pipeline.workgroup_size
     }
@@ -172,8 +172,8 @@ fn overridden<K: KernelInterface>(limits: &Limits, mut entries: Vec<(u32, u32)>)
 }
 
 impl Context {
-    /// Replaces the SPIR-V of a kernel in every [`Kernel`] that is built from now on; None restores its own.
-    /// It must have the kernel's interface: see [`crate::kernels::compile`].
+    /// Replaces the SPIR-V of a kernel in every [`Kernel`] built later; None restores its own. It must have the kernel's
+    /// interface: see [`crate::kernels::compile`].
     #[cfg(feature = "hot-reload")]
     pub fn replace_shader(&self, kernel: &str, spirv: Option<Vec<u32>>) {
         let mut replaced = self.device.replaced.lock().unwrap_or_else(std::sync::PoisonError::into_inner);

@@ -1,4 +1,4 @@
-//! Kernels that are built ahead, on threads of the host's choice.
+//! Kernels that are built ahead, on the host's threads.
 
 use super::context::Context;
 use super::open_device::Device;
@@ -6,8 +6,8 @@ use super::pipeline::{Demands, Pipeline};
 use crate::Result;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// A kernel that is not built yet. Any thread may build it, several threads several at once: what is built serves all that
-/// use the device.
+/// A kernel that is not built yet. Any thread may build it, and threads may build several at once. All users of the device
+/// share the built pipeline.
 #[derive(Clone)]
 pub struct KernelJob {
     device: Arc<Device>,
@@ -17,16 +17,16 @@ pub struct KernelJob {
     pub(super) constants: Vec<(u32, u32)>,
 }
 
-/// Jobs that are collected in place of being done.
+/// Jobs that are collected instead of being built.
 pub(super) type Jobs = Arc<Mutex<Vec<KernelJob>>>;
 
 impl KernelJob {
-    /// Path of its shader below glsl/ without extension, "sort/sort_upsweep". Several kernels may be of one shader.
+    /// Path of its shader below glsl/ without extension, "sort/sort_upsweep". Several kernels may have the same shader.
     pub fn name(&self) -> &'static str {
         self.demands.name
     }
 
-    /// Builds it, or waits for the thread that does.
+    /// Builds it, or waits for the thread that builds it.
     ///
     /// # Errors
     /// When the driver refuses it.
@@ -42,7 +42,7 @@ impl KernelJob {
 }
 
 impl Context {
-    /// The kernels that `build` would build with the context that it is given. It may use nothing of that but kernels.
+    /// Returns the kernels that `build` would build. `build` may use its context only to build kernels.
     pub(crate) fn kernel_jobs(&self, build: impl FnOnce(&Context) -> Result<()>) -> Result<Vec<KernelJob>> {
         let jobs = Jobs::default();
         build(&Context { jobs: Some(jobs.clone()), ..self.clone() })?;
@@ -50,7 +50,7 @@ impl Context {
         Ok(std::mem::take(&mut *list))
     }
 
-    /// Takes note of a kernel if jobs are collected: None if it is to be built now.
+    /// Adds a kernel to the jobs if they are collected. None: the caller builds it now.
     pub(super) fn collect_job(
         &self,
         demands: &Demands,

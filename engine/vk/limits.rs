@@ -1,4 +1,4 @@
-//! The limits of a device, read once.
+//! Limits of a device, read once.
 
 use super::texels::TexelFormat;
 use super::workarounds::Workarounds;
@@ -8,17 +8,17 @@ use crate::tuning::Tuning;
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Limits {
-    /// Invocations of a subgroup in every kernel with a `subgroup_size` constant, but for the heaviest.
+    /// Invocations of a subgroup in every kernel with a `subgroup_size` constant, except for the heaviest.
     pub subgroup_size: u32,
-    /// The same in the kernels with the most registers ([`Tuning::heavy_lanes`]).
+    /// Same as [`Self::subgroup_size`], but for the kernels with the most registers ([`Tuning::heavy_lanes`]).
     pub heavy_subgroup_size: u32,
-    /// subgroupSize: what the driver chooses where nothing is required.
+    /// subgroupSize: the driver's choice when a pipeline requires none.
     pub own_subgroup_size: u32,
-    /// Smallest subgroup size that may be chosen.
+    /// Smallest subgroup size that a pipeline may require.
     pub min_subgroup_size: u32,
-    /// Largest subgroup size that may be chosen.
+    /// Largest subgroup size that a pipeline may require.
     pub max_subgroup_size: u32,
-    /// Whether a pipeline's subgroup size may be required; otherwise it is `subgroup_size` in all of them.
+    /// True if pipelines may require a subgroup size; otherwise all have `subgroup_size`.
     pub subgroup_size_selectable: bool,
     /// maxComputeWorkGroupInvocations.
     pub max_workgroup_invocations: u32,
@@ -30,7 +30,7 @@ pub struct Limits {
     pub max_workgroups_per_axis: u32,
     /// maxComputeSharedMemorySize.
     pub shared_memory_bytes: u32,
-    /// maxStorageBufferRange: a single buffer never has more bytes.
+    /// maxStorageBufferRange, also the most bytes of a single buffer.
     pub max_storage_buffer_range: u64,
     /// The smaller of maxMemoryAllocationSize and maxBufferSize.
     pub max_allocation_bytes: u64,
@@ -52,17 +52,17 @@ pub struct Limits {
     pub push_constant_bytes: u32,
     /// maxPushDescriptors; without VK_KHR_push_descriptor, the descriptors of one of our sets.
     pub max_push_descriptors: u32,
-    /// Nanoseconds of a timestamp tick; 0 where the queue has no timestamps.
+    /// Nanoseconds per timestamp tick; 0 if the queue has no timestamps.
     pub timestamp_period_ns: f64,
-    /// Which kernels, sizes and layouts the device gets.
+    /// Kernels, sizes and layouts for the device.
     pub tuning: &'static Tuning,
-    /// Whether kernels hand values over by broadcasts from a lane that is known at run time only: where the tuning says so and
-    /// subgroupBroadcastDynamicId is on, as hosts say of theirs.
+    /// True if kernels broadcast from a lane that is known only at run time. The tuning must choose it and
+    /// subgroupBroadcastDynamicId must be on; a host reports its device's.
     pub broadcasts: bool,
-    /// What its driver does against the specification.
+    /// Faults of the driver against the specification.
     pub workarounds: Workarounds,
-    /// (tile, Gaussian) instances per dispatch of blending, not counting the rest of its last tile. A limit
-    /// of ours, so that no desktop's watchdog resets the device during a long dispatch.
+    /// (tile, Gaussian) instances per dispatch of blending; it may exceed this to complete its last tile. This limit is
+    /// ours: it prevents a desktop's watchdog from resetting the device during a long dispatch.
     pub instances_per_dispatch: u32,
     /// Overrides of specialization constants, from the context's options.
     pub overrides: Vec<SpecOverride>,
@@ -71,27 +71,27 @@ pub struct Limits {
 /// An override of a specialization constant, to measure its effect on a kernel's speed.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SpecOverride {
-    /// The kernel, "backward/project_backward", or a folder of kernels, "sort"; empty: all.
+    /// A kernel, "backward/project_backward", or a folder of kernels, "sort"; empty: all.
     pub kernel: String,
     /// The constant's name in GLSL.
     pub constant: String,
-    /// Its value's 32 bits.
+    /// The value's 32 bits.
     pub bits: u32,
 }
 
-/// Whether a kernel has this name, "sort/sort_spine", or lies in the folder with this name, "sort".
+/// True if a kernel has this name, "sort/sort_spine", or is in the folder with this name, "sort".
 pub fn is_kernel_of(kernel: &str, named: &str) -> bool {
     kernel.strip_prefix(named).is_some_and(|rest| rest.is_empty() || rest.starts_with('/'))
 }
 
-/// Whether this is the kernel, or its folder, that measures the device's arithmetic rate. Overrides do not
-/// apply to it, because its operations are counted with its own constants.
+/// True for the kernels, or their folder, that measure the device's arithmetic rate. Overrides do not apply to them,
+/// because their operations are counted with their own constants.
 pub fn is_yardstick(kernel: &str) -> bool {
     is_kernel_of(kernel, "arithmetic")
 }
 
-/// Constants that the host uses to count workgroups and to choose kernels. It sets them itself (from
-/// [`Limits::overridden`]), so that shader and host cannot differ.
+/// Constants with which the host counts workgroups and chooses kernels. It sets them itself, from [`Limits::overridden`],
+/// so that shader and host cannot differ.
 pub(super) const CHOSEN_BY_HOST: [&str; 13] = [
     "WORKGROUP_SIZE",
     "SUBGROUP_SIZE",
@@ -109,7 +109,7 @@ pub(super) const CHOSEN_BY_HOST: [&str; 13] = [
 ];
 
 impl Limits {
-    /// With this row of the table, and the subgroup size that it asks for where the device lets it be required.
+    /// Returns the limits with this row of the table, and the row's subgroup sizes if the device lets them be required.
     pub(super) fn tuned(mut self, tuning: &'static Tuning) -> Self {
         let sizes = self.min_subgroup_size..=self.max_subgroup_size;
         let sizes = self.subgroup_size_selectable.then_some(sizes);
@@ -119,8 +119,8 @@ impl Limits {
         self
     }
 
-    /// Which forms of the kernels run: their backend and the sizes of subgroups, "gpu, subgroups of 16, of 8 in the heaviest".
-    /// With other ones the bits of a result differ.
+    /// Describes the kernels' forms: their backend and subgroup sizes, "gpu, subgroups of 16, of 8 in the heaviest". Other
+    /// forms give results with other bits.
     pub fn kernel_forms(&self) -> String {
         let Self { subgroup_size, heavy_subgroup_size, .. } = self;
         let heaviest = match heavy_subgroup_size == subgroup_size {
@@ -130,8 +130,8 @@ impl Limits {
         format!("{}, subgroups of {subgroup_size}{heaviest}", self.tuning.backend)
     }
 
-    /// The largest workgroup size up to `preferred` on this device: a multiple of the subgroup size, within
-    /// the limits of invocations and subgroups, and at least one subgroup.
+    /// Returns the largest workgroup size up to `preferred` on this device: a multiple of the subgroup size, within the
+    /// limits of invocations and subgroups, and at least one subgroup.
     pub fn workgroup_size(&self, preferred: u32) -> u32 {
         let most = preferred
             .min(self.max_workgroup_invocations)
@@ -140,19 +140,19 @@ impl Limits {
         (most / self.subgroup_size * self.subgroup_size).max(self.subgroup_size)
     }
 
-    /// Most loop iterations of one invocation, all loops together, before the loops stop silently; None: no limit.
+    /// Most loop iterations of an invocation, all loops together, before its loops stop silently. None: no limit.
     pub fn max_loop_iterations(&self) -> Option<u32> {
         self.workarounds.contains(Workarounds::LOOPS_STOP_AT_65535).then_some(65_535)
     }
 
-    /// Whether kernels that exist in both forms read texels (see [`super::TexelFormat`]): where the tuning says so and no
-    /// buffer that can be bound has more texels than may be read.
+    /// True if kernels with both forms read texels (see [`super::TexelFormat`]). The tuning must choose it, and every
+    /// bindable buffer must have few enough texels.
     pub fn prefers_texels(&self) -> bool {
         self.tuning.reads_texels
             && self.max_storage_buffer_range / TexelFormat::R32Uint.bytes() <= self.max_texels
     }
 
-    /// The value in [`Limits::overrides`] for a constant of a kernel or of a folder of kernels; the last one
+    /// Returns the value in [`Limits::overrides`] for a constant of a kernel or of a folder of kernels; the last match
     /// counts. The measurement of the arithmetic rate, [`crate::arithmetic`], has no overrides.
     pub fn overridden(&self, kernel: &str, constant: &str) -> Option<u32> {
         let meant = |o: &&SpecOverride| {
@@ -164,9 +164,9 @@ impl Limits {
         self.overrides.iter().rev().find(meant).map(|o| o.bits)
     }
 
-    /// Turns a count of workgroups into a grid: one row if it fits, otherwise rows of the largest width, the
-    /// last one partly unused. Kernels number workgroups as `gl_WorkGroupID.y * gl_NumWorkGroups.x +
-    /// gl_WorkGroupID.x` and ignore those past the end.
+    /// Converts a count of workgroups to a grid: one row if it fits, otherwise rows of the largest width, the last one
+    /// partly unused. Kernels number workgroups as `gl_WorkGroupID.y * gl_NumWorkGroups.x + gl_WorkGroupID.x` and ignore
+    /// those past the end.
     ///
     /// # Panics
     /// If the count exceeds the square of [`Limits::max_workgroups_per_axis`].

@@ -2,7 +2,7 @@
 
 use super::limits::Limits;
 
-/// Stricter limits than the device's, for tests: `None` keeps the device's.
+/// Stricter limits than the device's; `None` keeps the device's.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LimitsOverride {
     /// For [`Limits::max_storage_buffer_range`].
@@ -23,14 +23,14 @@ pub struct LimitsOverride {
     pub max_push_descriptors: Option<u32>,
     /// For [`Limits::max_texels`].
     pub max_texels: Option<u64>,
-    /// For [`Limits::subgroup_size`]: as on a device that reports this size, and lets none be required.
+    /// For [`Limits::subgroup_size`]: emulates a device with this size that does not let it be required.
     pub fixed_subgroup_size: Option<u32>,
     /// For [`Limits::instances_per_dispatch`].
     pub instances_per_dispatch: Option<u32>,
 }
 
 impl Limits {
-    /// The limits with each value lowered to the override's. An override never raises a limit; a fixed subgroup size may be any.
+    /// Lowers each limit to the override's value. An override never raises a limit, except the fixed subgroup size.
     pub fn lowered(mut self, to: &LimitsOverride) -> Self {
         fn lower<T: Ord + Copy>(limit: &mut T, to: Option<T>) {
             *limit = to.map_or(*limit, |to| to.min(*limit));

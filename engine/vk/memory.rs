@@ -11,21 +11,21 @@ use std::ptr::NonNull;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Every buffer begins at a multiple of this in its block. No device requires more.
+/// Alignment of every buffer in its block. No device requires more.
 pub const PLACEMENT_ALIGNMENT: u64 = 256;
-/// No buffer is smaller.
+/// Smallest size of a buffer, bytes.
 pub const SMALLEST_BUFFER: u64 = 16;
 
-/// Buffers whose distance is a multiple of this, bytes, begin in the same sets of a processor's caches. The
-/// scattered keys and values of a sort then evict each other: 1.38 times the time at 2^22 pairs.
+/// Buffers whose distance is a multiple of this, bytes, begin in the same cache sets of a processor. The scattered keys and
+/// values of a sort then evict each other: 1.38 times the time at 2^22 pairs.
 const CACHE_WAY: u64 = 64 << 10;
-/// Smallest size, bytes, at which this matters.
+/// Smallest size, bytes, of buffers that are staggered.
 const STAGGERED: u64 = 1 << 20;
-/// Offset of each buffer in those sets from the one before, bytes: larger than the distance of one digit's
-/// keys from their expected position. The keys and values that a sort writes are two such offsets apart.
+/// Offset of each buffer in those sets from the previous buffer, bytes. It exceeds the distance of one digit's keys from
+/// their expected position. The keys and values that a sort writes are two such offsets apart.
 const STAGGER: u64 = 33 * PLACEMENT_ALIGNMENT;
 
-/// Padding after a buffer of this size, bytes, before the next one begins.
+/// Returns the padding after a buffer of this size, bytes.
 const fn stagger_behind(bytes: u64) -> u64 {
     let apart = bytes.next_multiple_of(PLACEMENT_ALIGNMENT) % CACHE_WAY;
     if bytes < STAGGERED { 0 } else { (CACHE_WAY + STAGGER - apart) % CACHE_WAY }
@@ -43,7 +43,7 @@ pub struct Packing {
 /// Packs buffers of the given sizes into blocks of at most `largest_block` bytes, in order.
 ///
 /// # Errors
-/// The index of the first request that is larger than a block.
+/// Index of the first request that is larger than a block.
 pub fn pack(sizes: &[u64], largest_block: u64) -> Result<Packing, usize> {
     let mut packing = Packing { blocks: Vec::new(), places: Vec::with_capacity(sizes.len()) };
     let mut stagger = 0;
@@ -70,12 +70,12 @@ pub fn pack(sizes: &[u64], largest_block: u64) -> Result<Packing, usize> {
     Ok(packing)
 }
 
-/// Flags of a memory type that is mapped: nothing is flushed by hand.
+/// Flags of a memory type that is mapped, and needs no flushes.
 const MAPPABLE: vk::MemoryPropertyFlags = vk::MemoryPropertyFlags::from_raw(
     vk::MemoryPropertyFlags::HOST_VISIBLE.as_raw() | vk::MemoryPropertyFlags::HOST_COHERENT.as_raw(),
 );
 
-/// The address of a mapped block. Accessed only with the block's lock held.
+/// Address of a mapped block. Accessed only under the block's lock.
 struct Mapping(NonNull<u8>);
 
 // SAFETY: an address of mapped device memory is valid on every thread; the lock around it orders host accesses.
@@ -87,31 +87,31 @@ pub(super) struct Block {
     pub(super) raw: vk::Buffer,
     /// Null if the memory is a host's.
     memory: vk::DeviceMemory,
-    /// The piece from the host's allocator.
+    /// Memory from the host's allocator.
     hosted: Option<HostMemory>,
     mapping: Option<Mutex<Mapping>>,
     bytes: u64,
     arena: Arc<str>,
     pub(super) kind: MemoryKind,
-    /// Whether reading the mapping is fast: the processor's caches hold it.
+    /// True if the processor caches the mapping, so that reading it is fast.
     cached: bool,
-    /// Identifies the block in the hazard checker.
+    /// Id of the block in the hazard checker.
     pub(super) id: u64,
-    /// Whether buffer and memory belong to the context.
+    /// True if the context owns the buffer and its memory.
     owned: bool,
-    /// The same buffer in another context, whose it is: kept for as long.
+    /// Block of the owning context, if another context lent this buffer; kept alive.
     lender: Option<Arc<Block>>,
-    /// The recording that has kept the block last: see [`super::resources::Kept`].
+    /// The recording that kept the block last: see [`super::resources::Kept`].
     pub(super) kept_by: AtomicU64,
-    /// Submissions that use the block and have not been waited for.
+    /// Submissions that use the block and were not waited for.
     pub(super) in_flight: AtomicU32,
     pub(super) texels: TexelViews,
-    /// Offset, size and name of the buffers with guard bands.
+    /// Offset, size and name of each buffer with guard bands.
     #[cfg(feature = "testing")]
     pub(super) guarded: Mutex<Vec<(u64, u64, &'static str)>>,
 }
 
-/// Identifies blocks and images in the hazard checker.
+/// Next id of a block or image.
 pub(super) static NEXT_ID: AtomicU64 = AtomicU64::new(1);
 
 impl Block {
@@ -125,7 +125,7 @@ impl Block {
         Self::of_types(inner, (arena, number), bytes, kind, u32::MAX)
     }
 
-    /// In one of the allowed memory types.
+    /// Allocates in one of the allowed memory types.
     pub(super) fn of_types(
         inner: &Arc<Device>,
         (arena, number): (&Arc<str>, usize),
@@ -170,7 +170,7 @@ impl Block {
         Ok(block)
     }
 
-    /// A buffer of a host's.
+    /// Wraps a host's buffer.
     pub(super) fn foreign(inner: &Arc<Device>, raw: vk::Buffer, bytes: u64) -> Self {
         Self {
             inner: inner.clone(),
@@ -193,7 +193,7 @@ impl Block {
         }
     }
 
-    /// A buffer of another context on the same VkDevice.
+    /// Wraps a buffer of another context on the same VkDevice.
     pub(super) fn lent(inner: &Arc<Device>, lender: &Arc<Block>) -> Self {
         let mut lent = Self::foreign(inner, lender.raw, lender.bytes);
         lent.lender = Some(lender.clone());
@@ -266,7 +266,7 @@ impl Block {
         Ok(())
     }
 
-    /// The error of a failed allocation, with its purpose.
+    /// Returns the error of a failed allocation, with its purpose.
     fn out_of_memory(&self, result: vk::Result) -> Error {
         match vk_error("vkAllocateMemory")(result) {
             Error::Vulkan { call, result, remedy } => {
@@ -281,15 +281,15 @@ impl Block {
         self.mapping.is_some()
     }
 
-    /// Whether the mapping is the way to read. Uncached memory is read word by word; memory for the host has no faster kind.
+    /// True if reads use the mapping. Uncached memory is read word by word; for host-visible memory there is no faster way.
     pub(super) fn is_read_mapped(&self) -> bool {
         self.is_mapped() && (self.cached || self.kind != MemoryKind::Device)
     }
 
-    /// Copies into the block. False when it is not mapped.
+    /// Copies into the block. Returns false if it is not mapped.
     ///
     /// # Panics
-    /// Outside of the block.
+    /// If the range exceeds the block.
     pub(super) fn write_mapped(&self, offset: u64, bytes: &[u8]) -> bool {
         let Some(mapping) = &self.mapping else { return false };
         assert!(offset + bytes.len() as u64 <= self.bytes, "write outside of a block");
@@ -303,10 +303,10 @@ impl Block {
         true
     }
 
-    /// Copies out of the block. False when it is not mapped.
+    /// Copies out of the block. Returns false if it is not mapped.
     ///
     /// # Panics
-    /// Outside of the block.
+    /// If the range exceeds the block.
     pub(super) fn read_mapped(&self, offset: u64, bytes: &mut [u8]) -> bool {
         let Some(mapping) = &self.mapping else { return false };
         assert!(offset + bytes.len() as u64 <= self.bytes, "read outside of a block");
@@ -348,17 +348,17 @@ impl Device {
         flags.contains(vk::MemoryPropertyFlags::HOST_CACHED)
     }
 
-    /// Whether device memory is read and written where it is, without staging.
+    /// True if the host reads and writes device memory in place, without staging.
     pub(super) fn reads_mapped(&self) -> bool {
         let of_type = |index: u32| self.memory.memory_types_as_slice()[index as usize].property_flags;
         let best = self.memory_type(u32::MAX, MemoryKind::Device).map(of_type);
-        // What a host's allocator gives is known only when it is there.
+        // The memory of a host's allocator is known only after it is allocated.
         let direct = self.allocator.is_some()
             || best.is_ok_and(|flags| flags.contains(MAPPABLE) && self.caches(flags));
         self.place == Place::Unified && direct
     }
 
-    /// The best of the allowed memory types.
+    /// Returns the best of the allowed memory types.
     pub(super) fn memory_type(&self, allowed: u32, kind: MemoryKind) -> Result<u32> {
         memory_types::best(&self.memory, allowed, kind, self.place).ok_or_else(|| {
             let device = self.description.name.clone();

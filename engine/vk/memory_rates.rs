@@ -1,4 +1,4 @@
-//! How fast the host writes and reads each kind of memory, and how fast the device copies to and from it.
+//! Measures how fast the host writes and reads each kind of memory, and how fast the device copies to and from it.
 
 use super::allocator::MemoryKind;
 use super::buffer::Buffer;
@@ -9,50 +9,50 @@ use ash::vk;
 use std::sync::Arc;
 use std::time::Instant;
 
-/// Of each rate the best of so many is taken.
+/// Number of measurements per rate; the best one counts.
 const ROUNDS: usize = 3;
-/// Most bytes that the host reads: without a cache it reads a few MB a millisecond at best.
+/// Most bytes that the host reads: without a cache it reads a few MB per millisecond at best.
 const MOST_READ: u64 = 8 << 20;
 
-/// What [`Context::measure_memory`] found of a memory type that the host sees. Rates in bytes per second.
+/// Rates of a host-visible memory type, from [`Context::measure_memory`]. Bytes per second.
 #[derive(Clone, Copy, Debug)]
 #[non_exhaustive]
 pub struct MemoryRates {
-    /// Its index.
+    /// Index of the memory type.
     pub memory_type: u32,
-    /// Whether it is the device's own (of a card: seen through the bus).
+    /// True if it is device-local (for a card: seen over the bus).
     pub device_local: bool,
-    /// Whether the host reads it through its caches.
+    /// True if the host reads it through its caches.
     pub cached: bool,
-    /// Whether arenas of the device lie in it: uploads then write it directly.
+    /// True if the device's arenas are in it: uploads then write it directly.
     pub holds_arenas: bool,
-    /// Size of its heap.
+    /// Bytes of its heap.
     pub heap_bytes: u64,
-    /// The host writes.
+    /// Rate of host writes.
     pub write: f64,
-    /// The host reads.
+    /// Rate of host reads.
     pub read: f64,
-    /// The device copies from it into its own memory.
+    /// Rate of device copies from it into device memory.
     pub to_device: f64,
-    /// The device copies from its own memory into it.
+    /// Rate of device copies from device memory into it.
     pub from_device: f64,
 }
 
-/// How contents come into the device's memory and back, by its memory types and queues.
+/// Paths of uploads and downloads, by the device's memory types and queues.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Transfers {
-    /// Uploads are written into the device's memory itself: it is the host's, or the host sees all of it (resizable BAR).
+    /// True if uploads write device memory directly: it is host memory, or the host sees all of it (resizable BAR).
     /// Otherwise they are copied from a ring of staging memory.
     pub writes_directly: bool,
-    /// Downloads are read from the device's memory itself: it is the host's, and cached. Otherwise they are copied first.
+    /// True if downloads read device memory directly: it is host memory, and cached. Otherwise they are copied first.
     pub reads_directly: bool,
-    /// Staged uploads are copied by a queue of their own, beside the main queue's work. So are photographs that training reads from a
-    /// file, unless the device's memory is the host's.
+    /// True if a separate queue copies staged uploads, beside the main queue's work. It also copies photographs that
+    /// training reads from a file, unless device memory is host memory.
     pub copy_queue: bool,
 }
 
 impl Context {
-    /// How contents come into the device's memory and back.
+    /// Returns the paths of uploads and downloads.
     pub fn transfers(&self) -> Transfers {
         Transfers {
             writes_directly: self.device.place.is_mapped(),
@@ -61,10 +61,10 @@ impl Context {
         }
     }
 
-    /// Measures every memory type that the host sees, with buffers of this many bytes. A type whose heap has no room is left out.
+    /// Measures every host-visible memory type, with buffers of this many bytes. Omits a type whose heap is too full.
     ///
     /// # Errors
-    /// [`Error::Argument`] for no bytes, as [`Context::allocate`] and [`Context::run`].
+    /// [`Error::Argument`] for no bytes. Same as [`Context::allocate`] and [`Context::run`].
     pub fn measure_memory(&self, bytes: u64) -> Result<Vec<MemoryRates>> {
         if bytes == 0 {
             return Err(Error::argument("bytes", "a measurement needs some"));
@@ -76,7 +76,7 @@ impl Context {
         for (index, of) in memory.memory_types_as_slice().iter().enumerate() {
             type Flags = vk::MemoryPropertyFlags;
             let (flags, index) = (of.property_flags, index as u32);
-            // The same rule as for memory that is used.
+            // Same rule as for memory in use.
             let Ok(found) = self.device.memory_type(1 << index, MemoryKind::HostVisible) else { continue };
             let Some(host) = self.of_type(found, device.bytes())? else { continue };
             let (write, read) = host_rates(&host);
@@ -95,7 +95,7 @@ impl Context {
         Ok(all)
     }
 
-    /// A buffer in a memory type; None where it does not fit or no buffer may lie there.
+    /// Allocates a buffer in a memory type. None if it does not fit, or no buffer may use this type.
     fn of_type(&self, index: u32, bytes: u64) -> Result<Option<Buffer>> {
         let kind = MemoryKind::HostVisible;
         let block = Block::of_types(&self.device, (&"measurement".into(), 0), bytes, kind, 1 << index);
@@ -122,7 +122,7 @@ impl Context {
     }
 }
 
-/// Bytes per second that the host writes and reads.
+/// Measures the bytes per second that the host writes and reads.
 fn host_rates(buffer: &Buffer) -> (f64, f64) {
     let written = vec![0x5A; buffer.bytes() as usize];
     let mut back = vec![0; buffer.bytes().min(MOST_READ) as usize];
@@ -136,7 +136,7 @@ fn host_rates(buffer: &Buffer) -> (f64, f64) {
         write = write.min(timed(&mut || _ = buffer.block().write_mapped(buffer.offset(), &written)));
         read = read.min(timed(&mut || _ = buffer.block().read_mapped(buffer.offset(), &mut back)));
     }
-    // What was read is looked at, so that it is read.
+    // Uses the result, so that the reads are not optimized away.
     assert!(back.iter().all(|&byte| byte == 0x5A), "memory does not hold what was written");
     (written.len() as f64 / write.max(1e-9), back.len() as f64 / read.max(1e-9))
 }

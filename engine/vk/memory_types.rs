@@ -1,26 +1,26 @@
-//! Which of a device's memory types holds what.
+//! Chooses the memory type for each kind of memory.
 
 use super::allocator::MemoryKind;
 use ash::vk;
 
-/// Where device memory lies, as the host sees it.
+/// Location of device memory, as the host sees it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Place {
-    /// It is the host's.
+    /// Host memory.
     Unified,
-    /// A card's, all of which the host can write (resizable BAR).
+    /// Memory of a card, all of which the host can write (resizable BAR).
     Window,
-    /// A card's.
+    /// Memory of a card.
     Card,
 }
 
 impl Place {
-    /// Whether the host writes device memory directly.
+    /// True if the host writes device memory directly.
     pub(super) fn is_mapped(self) -> bool {
         self != Self::Card
     }
 
-    /// Of a card: [`Place::Window`] if the host sees all of its memory, not the 256 MiB of old.
+    /// Returns the location for a card: [`Place::Window`] if the host sees all of its memory, not only a window of 256 MiB.
     pub(super) fn of_card(memory: &vk::PhysicalDeviceMemoryProperties) -> Self {
         const OLD_WINDOW: u64 = 256 << 20;
         type Flags = vk::MemoryPropertyFlags;
@@ -39,15 +39,15 @@ impl Place {
     }
 }
 
-/// Types that need special treatment.
+/// Flags of types that need special treatment.
 const SPECIAL: vk::MemoryPropertyFlags = vk::MemoryPropertyFlags::from_raw(
     vk::MemoryPropertyFlags::PROTECTED.as_raw()
         | vk::MemoryPropertyFlags::LAZILY_ALLOCATED.as_raw()
         | vk::MemoryPropertyFlags::DEVICE_COHERENT_AMD.as_raw(),
 );
 
-/// The best memory type for a kind: the first whose flags contain a wish, wishes in order. Of types with the same flags the one
-/// in the largest heap.
+/// Returns the best memory type for a kind: the first whose flags match a wish, wishes in order. Among types with the same
+/// flags, the one in the largest heap.
 pub(super) fn best(
     memory: &vk::PhysicalDeviceMemoryProperties,
     allowed: u32,
@@ -75,7 +75,7 @@ pub(super) fn best(
             (Flags::DEVICE_LOCAL, Flags::empty()),
             (Flags::empty(), Flags::empty()),
         ],
-        // All memory is the host's: none is better than the device's.
+        // All memory is host memory, so no type is better than the device's.
         (MemoryKind::Offloaded, Place::Unified) => return best(memory, allowed, MemoryKind::Device, place),
         (MemoryKind::Offloaded, _) => vec![
             (coherent | Flags::HOST_CACHED, Flags::DEVICE_LOCAL),
@@ -99,9 +99,9 @@ pub(super) fn best(
     };
     let size = |index: usize| heaps.get(types[index].heap_index as usize).map_or(0, |heap| heap.size);
     let mut found = wishes.iter().filter_map(|&(with, without)| {
-        // The first of the largest: `max_by_key` gives the last.
+        // Reversed, because `max_by_key` returns the last maximum and the first type is wanted.
         (0..types.len()).rev().filter(|&i| fits(i, with, without)).max_by_key(|&i| {
-            // A window of 256 MiB is no place for arenas, and staging memory is as good in any heap.
+            // A window of 256 MiB is too small for arenas; staging memory may be in any heap.
             if kind == MemoryKind::HostVisible { 0 } else { size(i) }
         })
     });
@@ -118,7 +118,7 @@ mod tests {
     const CACHED: Flags = Flags::from_raw(SEEN.as_raw() | Flags::HOST_CACHED.as_raw());
     const LOCAL: Flags = Flags::DEVICE_LOCAL;
 
-    /// Types with their heaps; heaps in MiB, and whether they are the device's.
+    /// Builds a table of types with their heaps. Heaps are (MiB, true if device-local).
     fn memory(types: &[(Flags, u32)], heaps: &[(u64, bool)]) -> vk::PhysicalDeviceMemoryProperties {
         let mut memory = vk::PhysicalDeviceMemoryProperties::default();
         (memory.memory_type_count, memory.memory_heap_count) = (types.len() as u32, heaps.len() as u32);
@@ -141,7 +141,7 @@ mod tests {
         [MemoryKind::Device, MemoryKind::HostVisible].map(|kind| best(&types(flags), u32::MAX, kind, place))
     }
 
-    /// The tables of cards as drivers give them (vulkan.gpuinfo.org), shortened by types for images.
+    /// Tables of cards as drivers report them (vulkan.gpuinfo.org), without types for images.
     #[test]
     fn all_of_a_cards_memory_is_written_directly_where_the_host_sees_it() {
         let chosen = |types: &[(Flags, u32)], heaps: &[(u64, bool)]| {
@@ -149,17 +149,17 @@ mod tests {
             let place = Place::of_card(&memory);
             let kinds = [MemoryKind::Device, MemoryKind::HostVisible, MemoryKind::Offloaded];
             let [device, host, offloaded] = kinds.map(|kind| best(&memory, u32::MAX, kind, place));
-            // The host's cached memory is where read-back is, too.
+            // Offloaded memory and read-back use the same cached host memory.
             assert_eq!(offloaded, host);
             (place, [device, host])
         };
-        // NVIDIA, RTX 30 and later without and with resizable BAR: the window is a heap of its own, or it is gone.
+        // NVIDIA, RTX 30 and later, without and with resizable BAR. The window is a separate heap, or absent.
         let nvidia = [(Flags::empty(), 1), (LOCAL, 0), (SEEN, 1), (CACHED, 1), (LOCAL | SEEN, 2)];
         let window = chosen(&nvidia, &[(24_576, true), (32_768, false), (246, true)]);
         assert_eq!(window, (Place::Card, [Some(1), Some(3)]));
         let whole = [(Flags::empty(), 1), (LOCAL, 0), (SEEN, 1), (CACHED, 1), (LOCAL | SEEN, 0)];
         assert_eq!(chosen(&whole, &[(24_576, true), (32_768, false)]), (Place::Window, [Some(4), Some(3)]));
-        // AMD by Mesa: without, with the old window, and with all of it. Its coherent types come last.
+        // AMD by Mesa: with the old window, and with all memory visible. Its coherent types come last.
         let amd =
             [(LOCAL, 0), (SEEN, 1), (LOCAL | SEEN, 2), (CACHED, 1), (LOCAL | Flags::DEVICE_COHERENT_AMD, 0)];
         let window = chosen(&amd, &[(7_936, true), (16_000, false), (256, true)]);
@@ -169,14 +169,15 @@ mod tests {
         // Intel's Arc.
         let arc = [(LOCAL, 0), (SEEN, 1), (CACHED, 1), (LOCAL | SEEN, 0)];
         assert_eq!(chosen(&arc, &[(16_256, true), (31_900, false)]), (Place::Window, [Some(3), Some(2)]));
-        // A card whose memory no host sees.
+        // A card whose memory the host does not see.
         assert_eq!(chosen(&[(LOCAL, 0), (SEEN, 1)], &[(8_192, true), (8_192, false)]).0, Place::Card);
-        // What only special types show is not seen.
+        // Memory that only special types expose does not count as visible.
         let special = [(LOCAL, 0), (LOCAL | SEEN | Flags::DEVICE_COHERENT_AMD, 0), (CACHED, 1)];
         assert_eq!(chosen(&special, &[(8_192, true), (8_192, false)]), (Place::Card, [Some(0), Some(2)]));
     }
 
-    /// A card with a window of its memory on the bus: parameters stay where the host does not see them, read-back is cached.
+    /// A card with a window of its memory on the bus: parameters stay where the host does not see them, read-back is
+    /// cached.
     #[test]
     fn a_card_keeps_its_memory_and_reads_back_through_the_cache() {
         let card = [
@@ -192,7 +193,7 @@ mod tests {
         assert_eq!(of(&card[..3], false), [Some(1), Some(2)]);
         // All of the card's memory on the bus.
         assert_eq!(of(&[Flags::DEVICE_LOCAL | SEEN, SEEN], false), [Some(0), Some(1)]);
-        // What is offloaded leaves the card, even where the host does not see it.
+        // Offloaded memory leaves the card, even if the host cannot see it.
         let offloaded = |flags: &[Flags]| best(&types(flags), u32::MAX, MemoryKind::Offloaded, Place::Card);
         assert_eq!(offloaded(&card), Some(3));
         assert_eq!(offloaded(&[Flags::DEVICE_LOCAL, Flags::DEVICE_LOCAL | SEEN, Flags::empty()]), Some(2));
@@ -208,7 +209,7 @@ mod tests {
             best(&types(&[LOCAL | SEEN, all]), u32::MAX, MemoryKind::Offloaded, Place::Unified),
             Some(1)
         );
-        // A part of main memory is the device's, and the host does not see it.
+        // A part of main memory belongs to the device, invisible to the host.
         assert_eq!(of(&[Flags::DEVICE_LOCAL, SEEN | Flags::HOST_CACHED], true), [Some(0), Some(1)]);
     }
 

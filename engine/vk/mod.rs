@@ -1,32 +1,33 @@
-//! The Vulkan layer: everything that touches the device, and the only place with `unsafe`. Knows no splats.
+//! The Vulkan layer: everything that touches the device, and the only place with `unsafe`. It knows nothing of splats.
 //!
-//! From the ground up; a file imports only files that stand below it.
+//! From the bottom up: a file imports only files above it in this table.
 //!
 //! | module | what |
 //! |---|---|
-//! | `error`, `access`, `format`, `texels`, `clock`, `pool`, `arenas` | what all others share |
-//! | `limits`, `workarounds`, `requirements` | [`Limits`], read once; [`Workarounds`] by driver; what a host enables |
+//! | `error`, `access`, `format`, `texels`, `clock`, `pool`, `arenas` | shared by all others |
+//! | `limits`, `workarounds`, `requirements` | [`Limits`], read once; [`Workarounds`] by driver; features that a host
+//! enables |
 //! | `allocator` | [`MemoryKind`]; [`HostAllocator`]: memory from a host |
-//! | `pipeline_cache` | a host's VkPipelineCache, or one that is kept between runs |
+//! | `pipeline_cache` | a host's VkPipelineCache, or our own, kept between runs |
 //! | `debug`, `raw_device` | names, labels and validation messages; the device's functions |
 //! | `instance`, `device`, `create_device` | the loader, devices and their choice |
-//! | `compile_only`, `executables` | a device that runs nothing; what compilers say of a pipeline |
+//! | `compile_only`, `executables` | a device that runs nothing; compiler statistics of a pipeline |
 //! | `copy_queue` | a queue for copies beside the main one, and the semaphores between both |
-//! | `open_device` | the open device, which everything made from it keeps open |
+//! | `open_device` | the open device; everything made from it keeps it open |
 //! | `memory`, `buffer`, `allocate` | requests packed into blocks; a [`Buffer`] is a named range of one |
-//! | `descriptors` | descriptor sets where push descriptors are missing |
+//! | `descriptors` | descriptor sets for devices without push descriptors |
 //! | `profile`, `profiler`, `audit` | [`Context::profile`] and [`Context::audit`]: time and output of every command |
 //! | `commands` | command buffers: recorded, submitted, waited for |
 //! | `staging` | the ring of staging memory of uploads and downloads |
-//! | `queues`, `queue_lock` | families of queues; the queue for one thread, under a host's [`QueueLock`] too |
+//! | `queues`, `queue_lock` | queue families; the lock of a queue, including a host's [`QueueLock`] |
 //! | `context`, `open` | the open [`Context`]; [`Context::new`] and its options |
-//! | `pipeline_statistics` | [`Context::pipeline_statistics`]: what compilers say of all kernels |
-//! | `budget` | [`Context::allocate`], and how much memory there may be |
+//! | `pipeline_statistics` | [`Context::pipeline_statistics`]: compiler statistics of all kernels |
+//! | `budget` | [`Context::allocate`], and limits of memory |
 //! | `image`, `adopt` | [`Image`]: a host's or our own; buffers of a host |
 //! | `image_owner` | images that another queue family owns between recordings |
-//! | `kernel`, `resources` | [`Kernel`]: a pipeline with the typed interface that build.rs generated; what it binds |
-//! | `pipeline` | a pipeline as Vulkan has it, and what it demands of the device |
-//! | `kernel_job` | [`KernelJob`]: a kernel to be built ahead, on any thread |
+//! | `kernel`, `resources` | [`Kernel`]: a pipeline with the typed interface that build.rs generated; its resources |
+//! | `pipeline` | the Vulkan pipeline, and its demands on the device |
+//! | `kernel_job` | [`KernelJob`]: a kernel that any thread can build ahead |
 //! | `hazard` | finds missing barriers while recording |
 //! | `recorder` | [`Recorder`]: dispatch, fill, copy, barrier, scope |
 //! | `bind`, `record_image`, `record_audit` | further parts of the recorder |
@@ -38,22 +39,21 @@
 //! # Ownership
 //! A [`Context`] is a counted reference to the open device. Buffers, kernels, recorders and pending submissions hold
 //! one, so the device outlives them all. A recorder also holds the memory and the pipelines of every command in it,
-//! and hands them to its [`Pending`], which lets go once the device is done: dropping a buffer or a kernel is safe at
-//! any time. Dropping a recorder discards the recording; dropping a pending submission waits for it.
+//! and passes them to its [`Pending`], which drops them once the device is done. So dropping a buffer or a kernel is safe
+//! at any time. Dropping a recorder discards the recording; dropping a pending submission waits for it.
 //!
 //! # Synchronisation
-//! Inside a recording, commands may overlap until a [`Recorder::barrier`] stands between them. There is one kind,
-//! compute and transfer to compute, transfer and indirect arguments, placed by hand where a stage needs it, like a
-//! `__syncthreads` of the whole device. The hazard checker knows what each command reads and writes and panics, with
-//! the names of both ends, where a barrier is missing. Between recordings nothing is needed: each begins with a full
-//! barrier, and ends with one towards the host. The queue is guarded by a lock, so a context may be used from several
-//! threads.
+//! Inside a recording, commands may overlap unless a [`Recorder::barrier`] separates them. There is one kind of barrier:
+//! from compute and transfer to compute, transfer and indirect arguments. It is placed by hand where a stage needs it, like
+//! a `__syncthreads` of the whole device. The hazard checker knows the reads and writes of each command. It panics, and
+//! names both commands, if a barrier is missing. Between recordings no barrier is needed: each begins with a full barrier,
+//! and ends with one towards the host. A lock guards the queue, so several threads may use a context.
 //!
-//! Host access to memory that a submission uses is refused with an error until the submission has been waited for.
+//! Host access to memory that a submission uses is an error until the submission has been waited for.
 //!
 //! # Subgroups
-//! A kernel whose `Spec` has a `subgroup_size` runs with exactly that size and full subgroups;
-//! [`Limits::subgroup_size`] and [`Limits::heavy_subgroup_size`] say which to take, and [`Limits::workgroup_size`] which workgroup fits it.
+//! A kernel whose `Spec` has a `subgroup_size` runs with exactly that size and full subgroups. [`Limits::subgroup_size`]
+//! and [`Limits::heavy_subgroup_size`] give the size, [`Limits::workgroup_size`] a workgroup that fits it.
 
 #![allow(unsafe_code)]
 

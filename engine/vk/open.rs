@@ -1,4 +1,4 @@
-//! Opening a device: the options, and the context of our own device or of a host's.
+//! Opens a device: the options, and the context of our own device or of a host's.
 
 use super::allocate::UNBOUNDED;
 use super::allocator::HostAllocator;
@@ -35,25 +35,26 @@ use std::sync::atomic::{AtomicBool, AtomicU64};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-/// How to open a device.
+/// Options for opening a device.
 #[derive(Clone, Debug)]
 pub struct ContextOptions {
     /// Index of the device or part of its name. None: the environment variable `ASHSPLAT_DEVICE`, or
     /// otherwise the best device.
     pub device: Option<String>,
-    /// Turn on the Khronos validation layer with synchronization validation. It is an error if the layer is
-    /// not installed. With a layer of 2023, open and close such devices only while no other thread uses
-    /// another one: its table of devices has no lock.
+    /// Turn on the Khronos validation layer with synchronization validation. It is an error if the layer is not installed.
+    /// Layers of 2023 have a device table without a lock: open and close such devices only while no other thread uses a
+    /// device.
     pub validation: bool,
-    /// Panic if a recording lacks a barrier. Default: in debug builds.
+    /// Panic if a recording lacks a barrier. Default: true in debug builds.
     pub hazard_check: bool,
-    /// Time scopes if the device can. Default: yes.
+    /// Time scopes if the device can. Default: true.
     pub timestamps: bool,
-    /// Subgroup size of all kernels, if the device supports the choice. None: [`Tuning::lanes`](crate::tuning::Tuning::lanes) and
-    /// [`Tuning::heavy_lanes`](crate::tuning::Tuning::heavy_lanes), else the device's own.
+    /// Subgroup size of all kernels, if the device supports the choice. None:
+    /// [`Tuning::lanes`](crate::tuning::Tuning::lanes) and [`Tuning::heavy_lanes`](crate::tuning::Tuning::heavy_lanes), or
+    /// the device's default.
     pub subgroup_size: Option<u32>,
-    /// The kernels, sizes and layouts of this class of devices ([`Tuning`]), whatever the device is. None: the environment
-    /// variable `ASHSPLAT_BACKEND` (`gpu` or `processor`), or otherwise what the device is.
+    /// Use the kernels, sizes and layouts of this class of devices ([`Tuning`]) on any device. None: the environment
+    /// variable `ASHSPLAT_BACKEND` (`gpu` or `processor`), or the device's own class.
     pub backend: Option<Backend>,
     /// For tests: stricter limits than the device's.
     #[cfg(feature = "testing")]
@@ -66,56 +67,54 @@ pub struct ContextOptions {
     /// For tests: transfer through staging memory, as on a discrete GPU, even if device memory can be mapped.
     #[cfg(feature = "testing")]
     pub force_staging: bool,
-    /// For tests: device memory that the host sees without a cache.
+    /// For tests: treat device memory as not cached by the host.
     #[cfg(feature = "testing")]
     pub force_uncached: bool,
-    /// For a capture by RenderDoc: accept Vulkan 1.2. Its layer reports this version for every driver without
-    /// bufferDeviceAddressCaptureReplay, for example llvmpipe, although it passes 1.3 on.
+    /// For a capture by RenderDoc: accept Vulkan 1.2. RenderDoc's layer reports 1.2 for every driver without
+    /// bufferDeviceAddressCaptureReplay, such as llvmpipe, but passes 1.3 through.
     pub capture: bool,
-    /// Longest wait for a submission before it is an error. None: no limit. The driver resets a device that
-    /// hangs, and reports it.
+    /// Longest wait for a submission; a longer one is an error. None: no limit. The driver resets a device that hangs, and
+    /// reports it.
     pub timeout: Option<Duration>,
     /// Most bytes of device and staging memory, all arenas together. None: the device's memory.
     pub max_memory: Option<u64>,
-    /// Train scenes that are larger than device memory: parameters, moments and the target of densification lie in the host's
-    /// memory, at most so many bytes. Kernels reach them over the bus, for the Gaussians that they need. Results have the same bits.
-    /// Default: None, they lie in device memory.
+    /// Train scenes that are larger than device memory. Parameters, moments and the target of densification are in host
+    /// memory, at most this many bytes. Kernels reach them over the bus, for the Gaussians that they need. Results have the
+    /// same bits. Default: None, everything is in device memory.
     pub offload: Option<u64>,
-    /// For tests: guard bands around every buffer that detect writes outside of it; see
-    /// [`Context::breached_guards`].
+    /// For tests: guard bands around every buffer that detect writes outside it; see [`Context::breached_guards`].
     #[cfg(feature = "testing")]
     pub guard_bands: bool,
     /// For tests: Vulkan calls that fail on demand.
     #[cfg(feature = "testing")]
     pub faults: Option<Faults>,
-    /// Run nothing: kernels are compiled, memory is the host's and begins as zeros, commands are dropped and results are what
-    /// that memory holds. For [`Context::pipeline_statistics`], also on drivers without hardware. It is an error if the device
-    /// lacks VK_KHR_pipeline_executable_properties. Default: None, everything runs.
+    /// Compile kernels, but run nothing. Memory is host memory that begins as zeros, commands are dropped, and results are
+    /// the contents of that memory. For [`Context::pipeline_statistics`], also on drivers without hardware. It is an error
+    /// if the device lacks VK_KHR_pipeline_executable_properties. Default: None, everything runs.
     pub compile_only: Option<CompileOnly>,
-    /// Write a card's memory directly where the host sees all of it (resizable BAR), instead of by copies. It is read by copies all
-    /// the same. Default: yes; never on a host's device. `ashsplat devices --measure` says what both are worth.
+    /// Write a card's memory directly if the host sees all of it (resizable BAR), not by copies. Reads still use copies.
+    /// Default: true; never on a host's device. `ashsplat devices --measure` shows the rates of both.
     pub direct_writes: bool,
-    /// Use VK_KHR_push_descriptor if the device has it. Default: yes.
+    /// Use VK_KHR_push_descriptor if the device has it. Default: true.
     pub push_descriptors: bool,
-    /// Let kernels read buffers as texels on processors, where that is faster. The views are made while
-    /// recording, so buffers and command buffers of a host cannot be adopted then. Default: yes; never on a
-    /// host's device.
+    /// Let kernels read buffers as texels on processors, where that is faster. The views are made while recording, so a
+    /// host's buffers and command buffers cannot be adopted then. Default: true; never on a host's device.
     pub texels: bool,
-    /// Further instance extensions, for a host that shares the device ([`Context::handles`]): those of a window's
-    /// surface, say.
+    /// Further instance extensions, for a host that shares the device ([`Context::handles`]); for example, those of a
+    /// window's surface.
     pub instance_extensions: Vec<&'static CStr>,
-    /// Further device extensions, likewise: VK_KHR_swapchain, say.
+    /// Further device extensions, for such a host; for example, VK_KHR_swapchain.
     pub device_extensions: Vec<&'static CStr>,
-    /// Build kernels with a VkPipelineCache that is kept between runs. Default: none; on a host's device see
+    /// Build kernels with a VkPipelineCache that is kept between runs. Default: none. For a host's device see
     /// [`ForeignDevice::pipeline_cache`](super::ForeignDevice::pipeline_cache).
     pub pipeline_cache: Option<Arc<dyn PipelineCacheStore>>,
 }
 
 impl ContextOptions {
-    /// The class of devices that is asked for: [`ContextOptions::backend`], or the environment variable `ASHSPLAT_BACKEND`.
+    /// Returns the requested class of devices: [`ContextOptions::backend`], or the environment variable `ASHSPLAT_BACKEND`.
     ///
     /// # Errors
-    /// [`Error::Argument`] when the variable names none.
+    /// [`Error::Argument`] when the variable has another value.
     pub fn asked_backend(&self) -> Result<Option<Backend>> {
         let named = std::env::var_os("ASHSPLAT_BACKEND").filter(|name| !name.is_empty());
         let named = named.map(|name| {
@@ -165,9 +164,9 @@ impl Default for ContextOptions {
     }
 }
 
-/// The parts of an open device: see [`Context::assemble`].
+/// Parts of an open device: see [`Context::assemble`].
 pub(super) struct Parts<'a> {
-    // In this order: the device goes before its instance.
+    // Field order matters: the device is dropped before its instance.
     pub(super) device: RawDevice,
     pub(super) owner: Owner,
     pub(super) candidate: Candidate,
@@ -177,7 +176,7 @@ pub(super) struct Parts<'a> {
     pub(super) queue_lock: Option<Arc<dyn QueueLock>>,
     pub(super) debug_utils: bool,
     pub(super) allocator: Option<Arc<dyn HostAllocator>>,
-    /// A host's; null: none.
+    /// A host's cache; null: none.
     pub(super) pipeline_cache: vk::PipelineCache,
     pub(super) options: &'a ContextOptions,
 }
@@ -186,8 +185,8 @@ impl Context {
     /// Opens a device.
     ///
     /// # Errors
-    /// [`Error::NoLoader`], [`Error::NoDevice`], [`Error::UnknownDevice`], [`Error::MissingFeature`] (also for the
-    /// validation layer and further extensions), [`Error::Argument`] for a subgroup size that the device does not have.
+    /// [`Error::NoLoader`], [`Error::NoDevice`], [`Error::UnknownDevice`]. [`Error::MissingFeature`], also for the
+    /// validation layer and further extensions. [`Error::Argument`] for a subgroup size that the device does not have.
     pub fn new(options: &ContextOptions) -> Result<Self> {
         let instance = Instance::new(options.validation, options.debug_printf, &options.instance_extensions)?;
         let from_environment = std::env::var("ASHSPLAT_DEVICE").ok().filter(|d| !d.trim().is_empty());
@@ -198,14 +197,14 @@ impl Context {
             candidate.queue_family = candidate.presenting_family;
         }
         if candidate.has_unified_memory() || options.compile_only.is_some() {
-            // Memory that the host sees is written directly.
+            // Host-visible memory is written directly, without copies.
             candidate.copying_family = None;
         }
         candidate.features.reconverges &= instance.knows_reconvergence();
         candidate.features.uniform_control_flow &= !candidate.features.reconverges;
         let mut limits = effective_limits(&candidate, options)?;
         if options.compile_only.is_some() {
-            // Of what does not run there are no times and no budget.
+            // A compile-only device has no times and no budget.
             candidate.features.memory_budget = false;
             candidate.features.calibrated_timestamps = None;
             limits.heap_bytes = compile_only::memory_properties().memory_heaps[0].size;
@@ -240,7 +239,7 @@ impl Context {
         Ok(context)
     }
 
-    /// A context from a device that fulfils the requirements. On failure it destroys a device of its own.
+    /// Assembles a context from a device that fulfils the requirements. On failure it destroys a device of our own.
     pub(super) fn assemble(parts: Parts<'_>) -> Result<Self> {
         let Parts {
             owner,
@@ -267,8 +266,8 @@ impl Context {
         let push = candidate.features.push_descriptor;
         let foreign = !matches!(owner, Owner::Us(_));
         if foreign || !push || !options.texels || !candidate.features.int64 {
-            // Views of buffers are made while recording, and a host's buffers may lack the usage. Kernels that read
-            // texels write integers of 64 bits.
+            // Buffer views are made while recording, and a host's buffers may lack the usage. Kernels that read texels
+            // write 64-bit integers.
             limits.max_texels = 0;
         }
         limits.broadcasts = limits.tuning.broadcasts && candidate.features.dynamic_broadcasts;
@@ -286,7 +285,7 @@ impl Context {
         };
         #[cfg(feature = "testing")]
         let place = if options.force_staging { Place::Card } else { place };
-        // From here on, dropping it destroys whatever there is.
+        // From here on, dropping `open` destroys everything created so far.
         let mut open = Device {
             push_descriptor: push.then(|| match runs {
                 true => ash::khr::push_descriptor::Device::new(instance, &device),
@@ -346,7 +345,7 @@ impl Context {
     }
 }
 
-/// The device's limits, with the changes of the options.
+/// Returns the device's limits, as changed by the options.
 pub(super) fn effective_limits(candidate: &Candidate, options: &ContextOptions) -> Result<Limits> {
     let device = &candidate.description;
     let Some(limits) = device.limits.clone() else {
@@ -381,7 +380,7 @@ pub(super) fn effective_limits(candidate: &Candidate, options: &ContextOptions) 
     }
     let largest = limits.subgroup_size.max(limits.heavy_subgroup_size);
     let (needed, has) = (Requirements::workgroup_invocations(largest), limits.max_workgroup_invocations);
-    // With small subgroups, smaller workgroups than a device must have are a test's.
+    // Workgroups below the required minimum occur only in tests; small subgroups still fit them.
     if needed > Requirements::workgroup_invocations(1) && has < needed {
         let problem = format!("takes workgroups of {needed} invocations; '{}' has {has}", device.name);
         return Err(Error::argument(format!("subgroup size {largest}"), problem));

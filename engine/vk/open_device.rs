@@ -1,5 +1,5 @@
-//! The open device: its functions, properties and settings, and what is kept for all that is made from it. It knows
-//! nothing of buffers, kernels or recordings: they stand on it.
+//! The open device: its functions, properties and settings, and state shared by everything made from it. It knows nothing
+//! of buffers, kernels or recordings, which depend on it.
 
 use super::allocator::HostAllocator;
 use super::arenas::Registry;
@@ -24,71 +24,71 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-/// An open device, which everything made from it keeps open.
+/// An open device. Everything made from it keeps it open.
 pub(super) struct Device {
     /// Its functions.
     pub(super) device: RawDevice,
-    /// None: descriptor sets of `shared_layouts` are bound.
+    /// None: sets of `shared_layouts` are bound instead.
     pub(super) push_descriptor: Option<ash::khr::push_descriptor::Device>,
-    /// With [`super::ContextOptions::compile_only`].
+    /// Present with [`super::ContextOptions::compile_only`].
     pub(super) executables: Option<Executables>,
     /// Present without push descriptors: the layouts of the module `descriptors`.
     pub(super) shared_layouts: Option<Vec<vk::DescriptorSetLayout>>,
     pub(super) names: Names,
-    /// None on a host's device whose host keeps the queue to itself.
+    /// None if a host keeps its queue to itself.
     pub(super) queue: Option<Mutex<vk::Queue>>,
-    /// A host's lock around it.
+    /// A host's lock of the queue.
     pub(super) queue_lock: Option<Arc<dyn QueueLock>>,
     pub(super) queue_family: u32,
-    /// Uploads run there where device memory is not mapped. None on a host's device, and without such a family.
+    /// Runs uploads if device memory is not mapped. None on a host's device, or without such a queue family.
     pub(super) copying: Option<CopyQueue>,
     pub(super) physical: vk::PhysicalDevice,
     pub(super) limits: Limits,
-    /// Of kernels that use subgroups.
+    /// Rules for kernels that use subgroups.
     pub(super) subgroup_rules: SubgroupRules,
     pub(super) memory: vk::PhysicalDeviceMemoryProperties,
-    /// Where device memory lies: whether mapping is the fastest way in.
+    /// Location of device memory, which decides between mapping and staging.
     pub(super) place: Place,
     #[cfg(feature = "testing")]
     pub(super) force_uncached: bool,
     pub(super) timestamp_bits: u32,
-    /// Whether timestamps are currently written.
+    /// True while timestamps are written.
     pub(super) timestamps: AtomicBool,
     /// Reads the device's clock, if it can be compared with the host's.
     pub(super) clock: Option<Clock>,
     pub(super) hazard_check: bool,
     pub(super) timeout: Option<Duration>,
-    /// Of all arenas together, bytes; [`UNBOUNDED`] for none.
+    /// Most bytes of all arenas together; [`UNBOUNDED`] for no bound.
     pub(super) max_memory: AtomicU64,
-    /// Most bytes that are offloaded; 0 if nothing is.
+    /// Most bytes that may be offloaded; 0 for no offloading.
     pub(super) offload: AtomicU64,
     #[cfg(feature = "testing")]
     pub(super) guard_bands: bool,
-    /// The physical device for budget queries: VK_EXT_memory_budget.
+    /// Physical device for budget queries (VK_EXT_memory_budget).
     pub(super) budget: Option<vk::PhysicalDevice>,
-    /// Whether the device is lost.
+    /// True if the device is lost.
     pub(super) lost: AtomicBool,
     pub(super) description: DeviceDescription,
     pub(super) registry: Registry,
     /// SPIR-V that replaces a kernel's own.
     pub(super) replaced: Mutex<HashMap<String, Arc<Vec<u32>>>>,
-    /// The allocator of the buffers' memory; None: the device.
+    /// Allocator of the buffers' memory; None: the device.
     pub(super) allocator: Option<Arc<dyn HostAllocator>>,
-    /// The kernels that have been built.
+    /// Kernels that have been built.
     pub(super) built: BuiltPipelines,
-    /// Whether subgroups were found to be what the device reports.
+    /// True after the check of [`crate::subgroups`] has passed.
     pub(super) subgroups_are_sound: AtomicBool,
-    /// What kernels are built with.
+    /// Cache with which kernels are built.
     pub(super) pipeline_cache: PipelineCache,
-    // Destroyed after the device: keep it last.
+    // Destroyed after the device, so it must be the last field.
     pub(super) owner: Owner,
 }
 
 /// Owner of the instance and the device.
 pub(super) enum Owner {
-    /// We, who destroy them.
+    /// Ours; they are destroyed with this value.
     Us(Instance),
-    /// A host. They are neither destroyed nor waited for.
+    /// A host's; they are neither destroyed nor waited for.
     Host(ash::Instance),
 }
 
@@ -109,19 +109,18 @@ impl Owner {
 }
 
 impl Device {
-    /// Whether the instance and the device are a host's.
+    /// True if the instance and the device are a host's.
     pub(super) fn is_foreign(&self) -> bool {
         matches!(self.owner, Owner::Host(_))
     }
 
-    /// The error of a failed call. Remembers a lost device.
+    /// Returns the error of a failed call. Remembers a lost device.
     pub(super) fn failed(&self, call: &'static str, result: vk::Result) -> Error {
         self.lost.fetch_or(result == vk::Result::ERROR_DEVICE_LOST, Ordering::Relaxed);
         vk_error(call)(result)
     }
 
-    /// Fails if kernels read texels: the views are made while recording, and a host's buffers may lack the
-    /// usage.
+    /// Fails if kernels read texels: the views are made while recording, and a host's buffers may lack the usage.
     pub(super) fn check_adoption(&self) -> Result<()> {
         if !self.limits.prefers_texels() {
             return Ok(());

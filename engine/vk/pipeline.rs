@@ -1,4 +1,4 @@
-//! Compute pipelines as Vulkan has them: what they demand of the device, and how they are made.
+//! Vulkan compute pipelines: their demands on the device, and their creation.
 
 use super::binding::{BindingInfo, BindingKind, ImageInfo};
 use super::built::{PipelineHandles, PipelineKey};
@@ -11,7 +11,7 @@ use crate::{Error, Result};
 use ash::vk;
 use std::sync::Arc;
 
-/// Requirements of a pipeline.
+/// Demands of a pipeline on the device.
 #[derive(Clone, Debug)]
 pub(super) struct Demands {
     pub(super) name: &'static str,
@@ -24,13 +24,13 @@ pub(super) struct Demands {
 }
 
 impl Demands {
-    /// What tells kernels of one device apart, beside their form and constants.
+    /// Key that distinguishes kernels of one device, together with form and constants.
     pub(super) fn key(&self) -> (&'static str, Option<u32>, [u32; 3]) {
         (self.name, self.subgroup_size, self.workgroup_size)
     }
 }
 
-/// Fails for a kernel that exceeds the device.
+/// Fails for a kernel that exceeds the device's limits.
 pub(super) fn check(d: &Demands, limits: &Limits) -> Result<()> {
     let argument = |problem| Err(Error::argument(format!("kernel {}", d.name), problem));
     let [x, y, z] = d.workgroup_size;
@@ -92,27 +92,27 @@ pub(super) fn check(d: &Demands, limits: &Limits) -> Result<()> {
 /// Most buffers of one kernel.
 pub(super) const MAX_BINDINGS: usize = 32;
 
-/// The Vulkan objects of a [`super::Kernel`].
+/// Vulkan objects of a [`super::Kernel`].
 pub(super) struct Pipeline {
     inner: Arc<Device>,
     pub(super) name: &'static str,
     pub(super) bindings: &'static [BindingInfo],
     pub(super) images: &'static [ImageInfo],
     pub(super) handles: PipelineHandles,
-    /// Whether the handles are the device's, which destroys them.
+    /// True if the device owns the handles and destroys them.
     shared: bool,
     pub(super) workgroup_size: [u32; 3],
 }
 
 impl Pipeline {
-    /// One that no recording can use.
+    /// Returns a placeholder that no recording can use.
     pub(super) fn never_built(inner: &Arc<Device>, demands: &Demands) -> Self {
         let mut pipeline = Self::unbuilt(inner, demands);
         pipeline.shared = true;
         pipeline
     }
 
-    /// The device's own, which it builds if it has none.
+    /// Returns the device's shared pipeline, and builds it if there is none.
     pub(super) fn shared(
         inner: &Arc<Device>,
         demands: &Demands,

@@ -1,4 +1,4 @@
-//! The VkPipelineCache that kernels are built with: a host's, our own, or none.
+//! The VkPipelineCache with which kernels are built: a host's, our own, or none.
 
 use super::error::vk_error;
 use crate::Result;
@@ -6,10 +6,10 @@ use ash::vk;
 use std::fmt;
 use std::sync::Arc;
 
-/// Bytes of the header of version one: its length, its version, vendor, device, UUID of the cache.
+/// Bytes of a version-one header: length, version, vendor, device, UUID of the cache.
 const HEADER_BYTES: usize = 32;
 
-/// Identifies the device and driver version that the data of a pipeline cache belong to.
+/// Identifies the device and driver version to which a pipeline cache's data belong.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PipelineCacheKey {
     header: [u8; HEADER_BYTES],
@@ -25,30 +25,30 @@ impl PipelineCacheKey {
         Self { header }
     }
 
-    /// Whether data belong to this device. Not every driver checks.
+    /// True if the data belong to this device. Not every driver checks this.
     fn fits(&self, data: &[u8]) -> bool {
         data.starts_with(&self.header)
     }
 }
 
-/// Hexadecimal digits, fit for a file's name.
+/// Hexadecimal digits, usable as a file name.
 impl fmt::Display for PipelineCacheKey {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        // The first words are the same on all devices.
+        // The first two words are the same on all devices.
         self.header[8..].iter().try_for_each(|byte| write!(f, "{byte:02x}"))
     }
 }
 
 /// Keeps the data of pipeline caches between runs.
 pub trait PipelineCacheStore: fmt::Debug + Send + Sync {
-    /// The data of an earlier run; empty if there are none. Data of another device are not used.
+    /// Returns the data of an earlier run; empty if there are none. Data of another device are ignored.
     fn load(&self, key: &PipelineCacheKey) -> Vec<u8>;
 
-    /// Called when the context ends, if the data have changed.
+    /// Saves the data. Called when the context ends, if they have changed.
     fn save(&self, key: &PipelineCacheKey, data: &[u8]);
 }
 
-/// The cache of an open device.
+/// Cache of an open device.
 #[derive(Default)]
 pub(super) struct PipelineCache {
     pub(super) raw: vk::PipelineCache,
@@ -59,17 +59,17 @@ pub(super) struct PipelineCache {
 struct Own {
     store: Arc<dyn PipelineCacheStore>,
     key: PipelineCacheKey,
-    /// The data that it began with.
+    /// Data loaded at the beginning.
     data: Vec<u8>,
 }
 
 impl PipelineCache {
-    /// A host's, which stays the host's.
+    /// Uses a host's cache, which the host still owns.
     pub(super) fn of_host(raw: vk::PipelineCache) -> Self {
         Self { raw, own: None }
     }
 
-    /// Our own, from the data of an earlier run with the same device and driver.
+    /// Creates our own cache, from the data of an earlier run with the same device and driver.
     pub(super) fn of_store(
         device: &ash::Device,
         properties: &vk::PhysicalDeviceProperties,
@@ -86,7 +86,7 @@ impl PipelineCache {
         Ok(Self { raw: raw.map_err(vk_error("vkCreatePipelineCache"))?, own: Some(Own { store, key, data }) })
     }
 
-    /// Hands out the data and destroys the cache, if it is ours.
+    /// Saves the data and destroys the cache, if it is ours.
     pub(super) fn close(&mut self, device: &ash::Device) {
         let Some(own) = self.own.take() else { return };
         // SAFETY: the cache is ours, and no pipeline is being built any more. Pipelines do not refer to it.
@@ -96,7 +96,7 @@ impl PipelineCache {
             data
         };
         self.raw = vk::PipelineCache::null();
-        // A lost device has none; the next run then begins with what there was.
+        // A lost device returns no data; the next run then begins with the old data.
         if let Ok(data) = data
             && data != own.data
         {

@@ -1,28 +1,28 @@
-//! What a driver's compiler says of all pipelines that were built.
+//! Compiler statistics of all pipelines that were built.
 
 use super::context::Context;
 use super::executables::Executable;
 use crate::Result;
 
-/// A pipeline as its compiler describes it.
+/// Compiler statistics of a pipeline.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PipelineStatistics {
-    /// The kernel.
+    /// Name of the kernel.
     pub kernel: &'static str,
-    /// Whether it is the form that reads texels.
+    /// True for the form that reads texels.
     pub texels: bool,
-    /// The subgroup size that was required; None: the driver's choice.
+    /// Required subgroup size; None: the driver's choice.
     pub subgroup_size: Option<u32>,
     /// Invocations of a workgroup on each axis.
     pub workgroup_size: [u32; 3],
-    /// Its specialization constants: (constant_id, bits).
+    /// Specialization constants: (constant_id, bits).
     pub constants: Vec<(u32, u32)>,
-    /// What was compiled of it: one for most drivers, one per subgroup size where the driver chooses.
+    /// Its compiled programs: usually one, or one per subgroup size if the driver chooses the size.
     pub executables: Vec<Executable>,
 }
 
 impl Context {
-    /// What the driver says of every pipeline built so far, sorted by kernel and constants. Empty without
+    /// Returns the compiler's statistics of every pipeline built so far, sorted by kernel and constants. Empty without
     /// [`ContextOptions::compile_only`](super::ContextOptions::compile_only).
     ///
     /// # Errors

@@ -1,4 +1,4 @@
-//! Objects that a recording borrows and returns when it ends, also by a panic.
+//! Objects that a recording borrows and returns when it ends, even by a panic.
 
 use std::ops::{Deref, DerefMut};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -9,7 +9,7 @@ pub(super) type Pool<T> = Arc<Mutex<T>>;
 /// A value that returns to its pool when it is dropped.
 pub(super) struct PoolGuard<T: Default> {
     value: T,
-    /// None: it is dropped.
+    /// None: the value is dropped, not returned.
     pool: Option<Pool<T>>,
 }
 
@@ -20,13 +20,13 @@ impl<T: Default> PoolGuard<T> {
         Self { value, pool: Some(pool.clone()) }
     }
 
-    /// Returns the value, which no longer returns to the pool.
+    /// Takes the value out of the guard; it does not return to the pool.
     pub(super) fn keep(mut self) -> T {
         self.pool = None;
         std::mem::take(&mut self.value)
     }
 
-    /// Whether this is the pool that it goes back to.
+    /// True if this is the pool to which the value returns.
     pub(super) fn is_from(&self, pool: &Pool<T>) -> bool {
         self.pool.as_ref().is_some_and(|own| Arc::ptr_eq(own, pool))
     }
