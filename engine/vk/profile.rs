@@ -1,4 +1,4 @@
-//! The opt-in profile of a context: every command of every submission, with its resources and its time.
+//! Opt-in profile of a context: every command of every submission, with its resources and its time.
 
 use super::access::Access;
 use super::allocator::MemoryKind;
@@ -11,23 +11,23 @@ use std::time::{Duration, Instant};
 /// Most timed commands of one profiled recording.
 pub(super) const MAX_COMMANDS: u32 = 1024;
 
-/// How often both clocks are read for each submission.
+/// Number of readings of both clocks per submission.
 const CLOCK_READINGS: u32 = 3;
 
-/// While it exists, all submissions of its context are recorded command by command. It costs a timestamp per
-/// command; without a profile there is no cost.
+/// Records all submissions of its context, command by command, until it is dropped. It costs a timestamp per command;
+/// without a profile there is no cost.
 pub struct Profile {
     pub(super) log: Arc<Log>,
 }
 
-/// How long the commands of a scope took on the device.
+/// Device time of a scope's commands.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ScopeTime {
     /// The name given to [`super::Recorder::scope`].
     pub name: String,
     /// Its nesting depth.
     pub depth: u32,
-    /// From the end of the previous work to the end of its own commands.
+    /// Time from the end of the previous work to the end of the scope's own commands.
     pub nanoseconds: f64,
 }
 
@@ -35,29 +35,29 @@ pub struct ScopeTime {
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub struct Submission {
-    /// The label given to [`Context::begin`](super::Context::begin) or [`Context::run`](super::Context::run).
+    /// Label given to [`Context::begin`](super::Context::begin) or [`Context::run`](super::Context::run).
     pub label: String,
-    /// Its commands in the order of recording.
+    /// Commands in recording order.
     pub commands: Vec<CommandRecord>,
-    /// Its scopes, as in [`super::RunReport`].
+    /// Scopes, same as in [`super::RunReport`].
     pub scopes: Vec<ScopeTime>,
-    /// Its time on the device; None without timestamps.
+    /// Time on the device; None without timestamps.
     pub nanoseconds: Option<f64>,
-    /// When the recording began, on the host.
+    /// Host time when the recording began.
     pub begun: Instant,
-    /// When recording had ended and submitting began.
+    /// Host time when recording ended and submitting began.
     pub submitting: Instant,
-    /// When the driver had accepted it.
+    /// Host time when the driver had accepted it.
     pub submitted: Instant,
-    /// When the host knew that it had finished.
+    /// Host time when its end was known.
     pub done: Instant,
-    /// When the device began it, on the host's clock; None without timestamps.
+    /// Host time when the device began it; None without timestamps.
     pub device_begun: Option<Instant>,
-    /// Whether `device_begun` comes from calibrated timestamps. Otherwise the device is assumed to have
-    /// finished at `done`, which is late by the time it takes to wake the host.
+    /// True if `device_begun` comes from calibrated timestamps. Otherwise the device is assumed to have finished at `done`,
+    /// which is late by the time it takes to wake the host.
     pub calibrated: bool,
-    /// How far `device_begun` may be off where it is calibrated: half of the time that reading both clocks took.
-    /// Zero where it is not.
+    /// Error bound of a calibrated `device_begun`: half of the time that reading both clocks took. Zero if it is not
+    /// calibrated.
     pub calibration_error: Duration,
 }
 
@@ -67,22 +67,22 @@ pub struct Submission {
 pub struct CommandRecord {
     /// The kernel's name, or "fill", "copy" or "update".
     pub name: &'static str,
-    /// The innermost scope around it; empty without a scope.
+    /// Innermost scope around it; empty without a scope.
     pub scope: String,
-    /// The grid of a dispatch. For an indirect dispatch: its arguments at the end of the recording.
+    /// Grid of a dispatch. For an indirect dispatch: its arguments at the end of the recording.
     pub workgroups: Option<[u32; 3]>,
     /// Its buffers.
     pub buffers: Vec<BoundBuffer>,
-    /// Barriers recorded since the command before it: with any, it waits for all commands before them.
+    /// Number of barriers since the previous command. If there are any, the command waits for all commands before them.
     pub barriers: u32,
-    /// Its begin, nanoseconds from the recording's begin on the device; None without timestamps.
+    /// Begin, nanoseconds from the recording's begin on the device; None without timestamps.
     pub begin_ns: Option<f64>,
-    /// From the end of the previous command to its own end, including the barrier between them; None without
+    /// Time from the end of the previous command to its own end, including the barrier between them. None without
     /// timestamps.
     pub nanoseconds: Option<f64>,
 }
 
-/// A buffer as a command sees it.
+/// A buffer bound to a command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BoundBuffer {
     /// Its name in the kernel.
@@ -91,7 +91,7 @@ pub struct BoundBuffer {
     pub name: &'static str,
     /// How the command may access it.
     pub access: Access,
-    /// Bytes bound: its capacity, not the bytes accessed.
+    /// Bytes bound: the capacity, not the bytes accessed.
     pub bytes: u64,
 }
 
@@ -119,31 +119,31 @@ impl BoundBuffer {
     }
 }
 
-/// The device times of a recording.
+/// Device times of a recording.
 #[derive(Default)]
 pub(super) struct Collected {
-    /// The whole recording; None without timestamps.
+    /// Time of the whole recording; None without timestamps.
     pub(super) nanoseconds: Option<f64>,
     pub(super) scopes: Vec<ScopeTime>,
     pub(super) commands: Vec<CommandRecord>,
-    /// The device's clock at the recording's begin, ticks.
+    /// Device clock at the recording's begin, ticks.
     pub(super) begin_ticks: u64,
 }
 
-/// The log of submissions, and memory for the arguments of indirect dispatches.
+/// Log of submissions, and memory for the arguments of indirect dispatches.
 #[derive(Default)]
 pub(super) struct Log {
     submissions: Mutex<Vec<Submission>>,
     spare: Mutex<Vec<Buffer>>,
 }
 
-/// The commands of a current recording.
+/// Commands of a current recording.
 pub(super) struct Commands {
     log: Arc<Log>,
     records: Vec<CommandRecord>,
-    /// For each indirect dispatch its record and its arguments.
+    /// Index of the record and arguments of each indirect dispatch.
     indirect: Vec<(usize, Buffer)>,
-    /// Three words for each of `indirect`.
+    /// Three words per element of `indirect`.
     readback: Buffer,
     begun: Instant,
 }
@@ -164,7 +164,7 @@ impl Commands {
         Ok(Self { log, records: Vec::new(), indirect: Vec::new(), readback, begun })
     }
 
-    /// The index of the new record.
+    /// Adds a record and returns its index.
     pub(super) fn push(&mut self, record: CommandRecord) -> u32 {
         self.records.push(record);
         self.records.len() as u32 - 1
@@ -179,7 +179,7 @@ impl Commands {
         }
     }
 
-    /// Copies to record after all other commands, so that they do not count in any command's time.
+    /// Returns the copies to record after all other commands, so that no command's time includes them.
     pub(super) fn copies(&self) -> impl Iterator<Item = (&Buffer, Buffer)> {
         self.indirect
             .iter()
@@ -187,7 +187,7 @@ impl Commands {
             .map(|(i, (_, from))| (from, self.readback.range(i as u64 * GRID_BYTES, GRID_BYTES)))
     }
 
-    /// The records, with the grids of indirect dispatches. The submission must have been waited for.
+    /// Returns the records, with the grids of indirect dispatches. The submission must have been waited for.
     pub(super) fn take(&mut self) -> Vec<CommandRecord> {
         let mut records = std::mem::take(&mut self.records);
         for (i, (record, _)) in self.indirect.iter().enumerate() {
@@ -201,7 +201,7 @@ impl Commands {
         records
     }
 
-    /// Writes the submission into the log.
+    /// Adds the submission to the log.
     pub(super) fn log(self, inner: &Device, label: String, host: HostTimes, collected: Collected) {
         let HostTimes { submitting, submitted, done } = host;
         let calibrated = inner.now_on_both_clocks();
@@ -232,7 +232,7 @@ impl Commands {
     }
 }
 
-/// The device's clock, and the host's at the same moment but for an error.
+/// Device clock and host clock at the same moment, within an error.
 #[derive(Clone, Copy)]
 struct Clocks {
     ticks: u64,
@@ -244,7 +244,7 @@ fn nanoseconds(n: f64) -> Duration {
     Duration::from_nanos(n.max(0.0) as u64)
 }
 
-/// The host's times of a submission.
+/// Host times of a submission.
 #[derive(Clone, Copy)]
 pub(super) struct HostTimes {
     pub(super) submitting: Instant,
@@ -260,10 +260,10 @@ impl Device {
         (end.wrapping_sub(begin) & mask) as f64 * self.limits.timestamp_period_ns
     }
 
-    /// Both clocks at one moment; None if timestamps cannot be calibrated.
+    /// Reads both clocks at one moment; None if timestamps cannot be calibrated.
     fn now_on_both_clocks(&self) -> Option<Clocks> {
         let clock = self.clock.as_ref()?;
-        // A thread that is interrupted between the readings would make them differ by milliseconds: the closest counts.
+        // An interruption between two readings would offset them by milliseconds, so the closest pair counts.
         let readings = (0..CLOCK_READINGS).map(|_| {
             let before = Instant::now();
             let ticks = clock.ticks()?;
@@ -275,7 +275,7 @@ impl Device {
 }
 
 impl Profile {
-    /// The submissions that ended since the last call, oldest first.
+    /// Returns the submissions that ended since the last call, oldest first.
     pub fn take(&self) -> Vec<Submission> {
         std::mem::take(&mut *self.log.submissions.lock().unwrap_or_else(PoisonError::into_inner))
     }

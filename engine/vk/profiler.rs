@@ -11,25 +11,25 @@ pub(super) const MAX_SCOPES: u32 = 256;
 /// Queries of a recording: two for each scope, then one for each command.
 pub(super) const QUERIES: u32 = 2 * MAX_SCOPES + MAX_COMMANDS;
 
-/// The scopes of a recording. Scope 0 is the whole recording.
+/// Scopes of a recording. Scope 0 is the whole recording.
 pub(super) struct Profiler {
     pool: vk::QueryPool,
-    /// Those of this recording are the first [`Profiler::used`]. The others lend their names' memory.
+    /// The first [`Profiler::used`] belong to this recording. The others keep their names' memory for reuse.
     scopes: Vec<Scope>,
     used: usize,
     open: Vec<Option<usize>>,
-    /// Timestamps written so far: they take the pool's queries in order.
+    /// Number of timestamps written so far; they take the pool's queries in order.
     written: u32,
-    /// Whether nothing was recorded since the last timestamp, so that it can be reused.
+    /// True if nothing was recorded since the last timestamp, so that it can be reused.
     fresh: bool,
-    /// Whether the recording lies behind commands of a host's. After a render pass, llvmpipe writes a timestamp like what is
-    /// drawn, with the next flush: a dispatch behind it may run before. A barrier flushes.
+    /// True if the recording follows a host's commands. After a render pass, llvmpipe writes a timestamp with the next
+    /// flush, as it does for draws. A dispatch recorded after it may run before. A barrier flushes.
     pub(super) behind_host: bool,
     /// Present while a profile is held.
     pub(super) commands: Option<Commands>,
-    /// The timestamp after each timed command.
+    /// Timestamp after each timed command.
     command_ends: Vec<u32>,
-    /// Barriers of the recording up to the last command that was noted.
+    /// Barriers of the recording up to the last command that was added.
     barriers: u32,
 }
 
@@ -57,7 +57,7 @@ impl Profiler {
         }
     }
 
-    /// The same for another recording, in the memory of one that is over.
+    /// Same as [`Self::new`], but reuses the memory of a finished recording.
     pub(super) fn again(self, pool: vk::QueryPool) -> Self {
         let Self { scopes, mut open, mut command_ends, .. } = self;
         open.clear();
@@ -85,7 +85,7 @@ impl Profiler {
         self.open.push(timed.then_some(index));
     }
 
-    /// The name of the whole recording.
+    /// Returns the name of the whole recording; empty without a profile.
     pub(super) fn label(&self) -> String {
         let wanted = self.commands.is_some();
         self.scopes[..self.used]
@@ -101,7 +101,7 @@ impl Profiler {
         inner.names.end_label(commands);
     }
 
-    /// Notes a command that was just recorded, and its end. `barriers`: those of the recording so far.
+    /// Adds a command that was just recorded, and its end. `barriers`: number of barriers in the recording so far.
     pub(super) fn command(
         &mut self,
         inner: &Device,
@@ -121,8 +121,8 @@ impl Profiler {
         }
     }
 
-    /// The timestamp of the end of everything recorded so far. It is a new one only if commands came since
-    /// the last, because each timestamp stalls the device.
+    /// Returns a timestamp after everything recorded so far. Writes a new one only if commands followed the last one,
+    /// because each timestamp stalls the device.
     fn now(&mut self, inner: &Device, commands: vk::CommandBuffer) -> u32 {
         if self.fresh {
             return self.written - 1;
@@ -130,7 +130,7 @@ impl Profiler {
         if self.pool != vk::QueryPool::null() {
             // SAFETY: `commands` is in the recording state; the query was reset and is written once.
             unsafe {
-                // Where commands run in order, the top of the pipe is also the end of all commands before.
+                // If commands run in order, a top-of-pipe timestamp marks the end of all earlier commands.
                 let stage = match inner.limits.tuning.runs_in_order {
                     true => vk::PipelineStageFlags2::TOP_OF_PIPE,
                     false => vk::PipelineStageFlags2::ALL_COMMANDS,
@@ -149,7 +149,7 @@ impl Profiler {
         self.written - 1
     }
 
-    /// Whether all timestamps are available. Never waits.
+    /// True if all timestamps are available. Never waits.
     pub(super) fn is_ready(&self, inner: &Device) -> Result<bool> {
         if self.written == 0 || self.pool == vk::QueryPool::null() {
             return Ok(true);
@@ -161,7 +161,8 @@ impl Profiler {
         }
     }
 
-    /// The times of the whole recording, of each scope and of each command. The submission must have been waited for.
+    /// Returns the times of the whole recording, of each scope and of each command. The submission must have been waited
+    /// for.
     pub(super) fn collect(&mut self, inner: &Device) -> Result<Collected> {
         let mut commands = self.commands.as_mut().map_or_else(Vec::new, Commands::take);
         if self.used == 0 || self.pool == vk::QueryPool::null() {

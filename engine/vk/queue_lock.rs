@@ -1,4 +1,4 @@
-//! The queue, locked for one thread; and a host's own lock around it.
+//! A queue locked for one thread, together with a host's lock of it.
 
 use super::open_device::Device;
 use crate::{Error, Result};
@@ -9,9 +9,9 @@ use std::sync::{MutexGuard, PoisonError};
 /// A host's lock of the queue that it gives to a context, for hosts whose other threads submit to that queue: see
 /// [`super::ForeignDevice::queue_lock`].
 ///
-/// It is taken around each `vkQueueSubmit2`, by operations that submit, and not while the host's work or the guest's is waited
-/// for. Only after a wait has failed, around a `vkQueueWaitIdle`. Recording never takes it. A thread that holds it must not call
-/// what submits: it would wait for itself.
+/// Operations that submit take it around each `vkQueueSubmit2`, and around a `vkQueueWaitIdle` after a wait has failed.
+/// They do not hold it while waiting for the device, and recording never takes it. A thread that holds it must not call
+/// anything that submits: it would deadlock.
 ///
 /// # Safety
 /// From the return of [`QueueLock::lock`] to the call of [`QueueLock::unlock`], on the same thread, nobody else uses the queue.
@@ -19,18 +19,18 @@ pub unsafe trait QueueLock: Send + Sync {
     /// Waits for the lock and takes it.
     fn lock(&self);
 
-    /// Gives it back.
+    /// Releases the lock.
     fn unlock(&self);
 }
 
-/// The queue, for this thread alone.
+/// A queue, locked for this thread.
 pub(super) struct LockedQueue<'a> {
     queue: MutexGuard<'a, vk::Queue>,
     host: Option<&'a dyn QueueLock>,
 }
 
 impl<'a> LockedQueue<'a> {
-    /// Takes the host's lock behind our own, so that our threads wait for each other without it.
+    /// Takes the host's lock after our own, so that our threads wait for each other without holding it.
     pub(super) fn new(queue: MutexGuard<'a, vk::Queue>, host: Option<&'a dyn QueueLock>) -> Self {
         if let Some(host) = host {
             host.lock();

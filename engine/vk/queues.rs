@@ -1,21 +1,21 @@
-//! Which of a device's queue families the engine's work goes to.
+//! Chooses the queue families for the engine's work.
 
 use ash::vk;
 
-/// Families with compute, by place.
+/// Indices of queue families with compute.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct ComputeFamilies {
-    /// For work alone. A family without graphics where there is one: its queue does not wait for what else is drawn.
+    /// For work without presentation. A family without graphics if there is one: its queue does not wait for other draws.
     pub(super) alone: u32,
-    /// For work beside pictures that go to a screen.
+    /// For work beside presentation to a screen.
     pub(super) presenting: u32,
-    /// Whether both have timestamps.
+    /// True if both have timestamps.
     pub(super) timed: bool,
-    /// For copies alone: its queue runs beside the others. None where there is no such family.
+    /// For copies only: its queue runs beside the others. None if there is no such family.
     pub(super) copying: Option<u32>,
 }
 
-/// None without compute. Families with timestamps come first.
+/// Returns None without compute. Prefers families with timestamps.
 pub(super) fn compute_families(families: &[vk::QueueFamilyProperties]) -> Option<ComputeFamilies> {
     let is_timed = |f: &vk::QueueFamilyProperties| f.timestamp_valid_bits > 0;
     let compute = |f: &vk::QueueFamilyProperties| f.queue_flags.contains(vk::QueueFlags::COMPUTE);
@@ -24,7 +24,7 @@ pub(super) fn compute_families(families: &[vk::QueueFamilyProperties]) -> Option
     let presenting = families.iter().position(fits)?;
     let apart = |f: &vk::QueueFamilyProperties| fits(f) && !f.queue_flags.contains(vk::QueueFlags::GRAPHICS);
     let alone = families.iter().position(apart).unwrap_or(presenting);
-    // Families for films copy too, but are there for other things.
+    // Video families can copy too, but have another purpose.
     let copies = vk::QueueFlags::TRANSFER | vk::QueueFlags::SPARSE_BINDING | vk::QueueFlags::PROTECTED;
     let only_copies = |f: &vk::QueueFamilyProperties| {
         f.queue_flags.contains(vk::QueueFlags::TRANSFER) && copies.contains(f.queue_flags)
@@ -62,7 +62,7 @@ mod tests {
             };
             compute_families(&flags.iter().map(family).collect::<Vec<_>>()).and_then(|found| found.copying)
         };
-        // NVIDIA's order, AMD's, and cards without.
+        // NVIDIA's order, AMD's order, and cards without a copy family.
         assert_eq!(found(&[all, copies, Flags::COMPUTE | copies, films]), Some(1));
         assert_eq!(found(&[all, Flags::COMPUTE | copies, films, copies]), Some(3));
         assert_eq!(found(&[all, Flags::COMPUTE | copies, films]), None);
@@ -72,12 +72,12 @@ mod tests {
     fn families_without_graphics_come_first_for_work_alone() {
         let all = Flags::GRAPHICS | Flags::COMPUTE | Flags::TRANSFER;
         let apart = Flags::COMPUTE | Flags::TRANSFER;
-        // As cards have them, one with a family for copies before that for compute.
+        // Orders of real cards, one with a copy family before the compute family.
         assert_eq!(of(&[(all, 64), (Flags::TRANSFER, 64), (apart, 64)]), Some((2, 0, true)));
         assert_eq!(of(&[(all, 64), (apart, 64)]), Some((1, 0, true)));
         // One family for everything.
         assert_eq!(of(&[(all, 36)]), Some((0, 0, true)));
-        // Times are worth more than a queue of one's own.
+        // Timestamps are preferred to a separate queue.
         assert_eq!(of(&[(all, 36), (apart, 0)]), Some((0, 0, true)));
         assert_eq!(of(&[(all, 0), (apart, 0)]), Some((1, 0, false)));
         assert_eq!(of(&[(Flags::TRANSFER, 64), (Flags::GRAPHICS, 64)]), None);

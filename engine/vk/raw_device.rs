@@ -1,10 +1,10 @@
-//! The functions of a device, ours or a host's.
+//! Functions of a device, ours or a host's.
 
 #[cfg(feature = "testing")]
 use super::faults::Faults;
 use std::ops::Deref;
 
-/// A device's functions. A device of ours is destroyed with this value.
+/// A device's functions. Destroys the device when dropped, if it is ours.
 pub(super) struct RawDevice {
     pub(super) raw: ash::Device,
     ours: bool,
@@ -14,14 +14,14 @@ pub(super) struct RawDevice {
 }
 
 impl RawDevice {
-    /// A device that we have created, and that nothing else destroys.
+    /// Wraps a device that we created, and that nothing else destroys.
     pub(super) fn ours(raw: ash::Device) -> Self {
         let mut device = Self::of_host(raw);
         device.ours = true;
         device
     }
 
-    /// A host's, which stays the host's.
+    /// Wraps a host's device, which the host destroys.
     pub(super) fn of_host(raw: ash::Device) -> Self {
         Self {
             raw,

@@ -1,4 +1,4 @@
-//! What an audit adds to a recording: a copy of the output of every command.
+//! Audit of a recording: copies the output of every command.
 
 use super::access::Access;
 use super::buffer::Buffer;
@@ -8,7 +8,7 @@ use crate::Result;
 use ash::vk;
 
 impl Recorder {
-    /// With an audit, copies the outputs of a command.
+    /// Copies the outputs of a command, if there is an audit.
     pub(super) fn audit<'a>(
         &mut self,
         command: &'static str,

@@ -8,8 +8,8 @@ use super::recorder::Recorder;
 use ash::vk;
 
 impl Recorder {
-    /// Makes an image ready for kernels: waits for the use `from`, and changes the layout to
-    /// [`Image::layout`]. Returns the use by kernels.
+    /// Makes an image ready for kernels: waits for the use `from`, and changes the layout to [`Image::layout`]. Returns the
+    /// kernels' use.
     pub fn acquire_image(&mut self, image: &Image, from: ImageState) -> ImageState {
         let accesses = match image.purpose().kind() {
             ImageKind::Storage => {

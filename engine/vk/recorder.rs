@@ -21,12 +21,12 @@ use std::sync::Arc;
 /// Most bytes of [`Recorder::update`].
 pub const MAX_UPDATE_BYTES: usize = 65_536;
 
-/// A recording in progress. Commands run in the order of recording; those between two barriers may overlap.
+/// A recording in progress. Commands run in recording order, but those between two barriers may overlap.
 ///
-/// Push constants say how much a kernel reads and writes, and nobody compares that with the sizes of its
-/// buffers. A device of our own has robustBufferAccess, and robustBufferAccess2 where there is such a thing: what
-/// lies outside of a buffer is not written, and reads give zero (with robustBufferAccess alone, other values
-/// of the same allocation). A host's device: see [`super::Context::from_foreign`].
+/// Push constants determine how much a kernel reads and writes; nothing compares that with the sizes of its buffers. A
+/// device of our own has robustBufferAccess, and robustBufferAccess2 if available. Accesses outside a buffer then write
+/// nothing and read zero (with robustBufferAccess alone, other values of the same allocation). For a host's device see
+/// [`super::Context::from_foreign`].
 ///
 /// Nothing is executed before [`super::Context::submit`]. In debug builds, and with
 /// [`super::ContextOptions::hazard_check`], a missing barrier panics with the names of both commands.
@@ -39,12 +39,12 @@ pub struct Recorder {
     pub(super) bound: vk::Pipeline,
     pub(super) hazards: Option<Hazards>,
     pub(super) barriers: u32,
-    /// For tests: barriers that are left out.
+    /// For tests: barriers to omit.
     #[cfg(feature = "testing")]
     pub(super) omitted: Vec<u32>,
-    /// Present with an audit.
+    /// Present if there is an audit.
     pub(super) audit: Option<audit::Commands>,
-    /// The first call that failed. No dispatch is recorded after it, and the recording cannot be submitted.
+    /// Error of the first call that failed. No dispatch is recorded after it, and the recording cannot be submitted.
     pub(super) failed: Option<Error>,
 }
 
@@ -53,7 +53,7 @@ pub(super) enum Target {
     Foreign(ForeignTarget),
 }
 
-/// A host's command buffer, and the objects that a [`super::RecordSlot`] lends to the recording.
+/// A host's command buffer, and the objects that the recording borrows from a [`super::RecordSlot`].
 pub(super) struct ForeignTarget {
     pub(super) raw: vk::CommandBuffer,
     pub(super) descriptors: PoolGuard<OwnedSets>,
@@ -75,7 +75,7 @@ impl Recorder {
         profiled: Option<Profiled>,
         audit: Option<audit::Commands>,
     ) -> Self {
-        // An audited recording may take several command buffers.
+        // An audited recording may use several command buffers.
         let queries = if audit.is_some() { vk::QueryPool::null() } else { commands.queries() };
         let inner = commands.inner.clone();
         let mut recorder = Self::with_target(Target::Owned(commands), inner, Profiler::new(queries, None));
@@ -100,8 +100,7 @@ impl Recorder {
         recorder
     }
 
-    /// Ends a recording into a host's command buffer. Borrowed objects return to their pools when they are
-    /// dropped.
+    /// Ends a recording into a host's command buffer. Borrowed objects return to their pools when they are dropped.
     pub(super) fn finish_foreign(mut self) -> (ForeignTarget, Profiler, PoolGuard<Kept>) {
         self.profiler.end(&self.inner, self.raw());
         match self.commands {
@@ -142,12 +141,11 @@ impl Recorder {
         }
     }
 
-    /// Dispatches a number of workgroups, in two dimensions if one is not enough: see
-    /// [`super::Limits::grid`].
+    /// Dispatches a number of workgroups, in two dimensions if one is too small: see [`super::Limits::grid`].
     ///
     /// # Panics
-    /// When a buffer cannot be bound, when a resource is of another context, or when a barrier is missing
-    /// (see [`Recorder`]).
+    /// When a buffer cannot be bound, when a resource belongs to another context, or when a barrier is missing (see
+    /// [`Recorder`]).
     pub fn dispatch<K: KernelInterface>(
         &mut self,
         kernel: &Kernel<K>,
@@ -162,7 +160,7 @@ impl Recorder {
     /// Dispatches a grid of workgroups. An empty grid records nothing.
     ///
     /// # Panics
-    /// As [`Recorder::dispatch`], and when the grid exceeds the device's limit.
+    /// Same as [`Recorder::dispatch`], and when the grid exceeds the device's limit.
     pub fn dispatch_3d<K: KernelInterface>(
         &mut self,
         kernel: &Kernel<K>,
@@ -189,7 +187,7 @@ impl Recorder {
     /// Dispatches the grid that `arguments` holds when the command runs: x, y, z as u32, in its first 12 bytes.
     ///
     /// # Panics
-    /// As [`Recorder::dispatch`], and when `arguments` is too small.
+    /// Same as [`Recorder::dispatch`], and when `arguments` is too small.
     pub fn dispatch_indirect<K: KernelInterface>(
         &mut self,
         kernel: &Kernel<K>,
@@ -253,13 +251,13 @@ impl Recorder {
         self.profiler.commands = Some(profiled);
     }
 
-    /// Makes the recording fail with this error, unless it has failed already. Nothing more is dispatched.
+    /// Makes the recording fail with this error, unless it has failed already. Nothing is dispatched after it.
     pub(super) fn fail(&mut self, error: Error) {
         self.failed.get_or_insert(error);
     }
 
-    /// The first error of the recording so far: the driver had no memory for descriptors or views, or a kernel was not built.
-    /// [`super::Context::submit`] checks this itself.
+    /// Returns the first error of the recording so far: the driver had no memory for descriptors or views, or a kernel was
+    /// not built. [`super::Context::submit`] checks this itself.
     ///
     /// # Errors
     /// [`Error::Vulkan`], [`Error::Argument`]
@@ -300,7 +298,7 @@ impl Recorder {
         self.profile_transfer("fill", &[(buffer, "destination", Access::Write)]);
     }
 
-    /// Copies a buffer onto another of at least its size.
+    /// Copies a buffer to the start of another one.
     ///
     /// # Panics
     /// When the destination is smaller or the two overlap, or a barrier is missing.
@@ -321,7 +319,7 @@ impl Recorder {
         self.profile_transfer("copy", &uses);
     }
 
-    /// Writes bytes that are stored in the recording itself into the start of a buffer.
+    /// Writes bytes, stored in the recording itself, to the start of a buffer.
     ///
     /// # Panics
     /// With more than [`MAX_UPDATE_BYTES`], more than the buffer holds, a length that is no multiple of 4, or when a
@@ -352,8 +350,8 @@ impl Recorder {
         }
     }
 
-    /// Orders everything before it before everything after it: compute and transfer writes become visible to
-    /// compute, transfers and indirect arguments. It is the only kind of barrier.
+    /// Orders all earlier commands before all later ones: compute and transfer writes become visible to compute, transfers
+    /// and indirect arguments. It is the only kind of barrier.
     pub fn barrier(&mut self) {
         #[cfg(feature = "testing")]
         if self.omits_barrier() {
@@ -369,7 +367,7 @@ impl Recorder {
     pub(super) fn record_barrier(&self) {
         type Stage = vk::PipelineStageFlags2;
         type Flags = vk::AccessFlags2;
-        // All stages on both sides: a write must also wait for reads before it.
+        // All stages on both sides: a write must also wait for earlier reads.
         let stages = Stage::COMPUTE_SHADER | Stage::ALL_TRANSFER | Stage::DRAW_INDIRECT;
         let writes = Flags::SHADER_WRITE | Flags::TRANSFER_WRITE;
         let shader_reads = Flags::SHADER_READ | Flags::UNIFORM_READ;
@@ -384,7 +382,7 @@ impl Recorder {
         unsafe { self.inner.device.cmd_pipeline_barrier2(self.raw(), &dependency) }
     }
 
-    /// Labels and times what `f` records.
+    /// Labels and times the commands that `f` records.
     pub fn scope<T>(&mut self, name: &str, f: impl FnOnce(&mut Self) -> T) -> T {
         self.profiler.begin(&self.inner, self.raw(), name);
         let result = f(self);
@@ -392,12 +390,12 @@ impl Recorder {
         result
     }
 
-    /// The device's limits.
+    /// Returns the device's limits.
     pub fn limits(&self) -> &Limits {
         &self.inner.limits
     }
 
-    /// How many times [`Recorder::barrier`] was called.
+    /// Returns the number of calls of [`Recorder::barrier`].
     pub fn barriers(&self) -> u32 {
         self.barriers
     }

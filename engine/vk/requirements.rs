@@ -1,12 +1,12 @@
-//! Required device properties and features as values: the one list for choosing and opening a device of our
-//! own, and for checking a host's device.
+//! Required device properties and features, in one list: for choosing and opening a device of our own, and for checking a
+//! host's device.
 
 use super::binding_numbers::BUFFERS;
 use ash::vk;
 use std::ffi::CStr;
 use std::fmt;
 
-/// The relevant device features, by their Vulkan names.
+/// Relevant device features, by their Vulkan names.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Features {
     /// scalarBlockLayout, Vulkan 1.2.
@@ -19,18 +19,18 @@ pub struct Features {
     pub subgroup_size_control: bool,
     /// computeFullSubgroups, Vulkan 1.3.
     pub compute_full_subgroups: bool,
-    /// subgroupBroadcastDynamicId, Vulkan 1.2. Optional: kernels hand values over by broadcasts where that is faster.
+    /// subgroupBroadcastDynamicId, Vulkan 1.2. Optional: kernels share values by broadcasts where that is faster.
     pub subgroup_broadcast_dynamic_id: bool,
-    /// shaderMaximalReconvergence of VK_KHR_shader_maximal_reconvergence. Optional: the invocations of a subgroup are together
-    /// again after a branch, as kernels take for granted.
+    /// shaderMaximalReconvergence of VK_KHR_shader_maximal_reconvergence. Optional: a subgroup's invocations reconverge
+    /// after a branch, as kernels assume.
     pub shader_maximal_reconvergence: bool,
-    /// shaderSubgroupUniformControlFlow of VK_KHR_shader_subgroup_uniform_control_flow. Optional: the same where the whole
-    /// subgroup was together before, on devices that do not have the other one.
+    /// shaderSubgroupUniformControlFlow of VK_KHR_shader_subgroup_uniform_control_flow. Optional: invocations reconverge if
+    /// the whole subgroup was converged before. Used if shaderMaximalReconvergence is missing.
     pub shader_subgroup_uniform_control_flow: bool,
 }
 
 impl Features {
-    /// Features that every device must have. The optional ones are not among them.
+    /// Features that every device must have; the optional ones are false.
     pub const REQUIRED: Self = Self {
         scalar_block_layout: true,
         synchronization2: true,
@@ -42,7 +42,8 @@ impl Features {
         shader_subgroup_uniform_control_flow: false,
     };
 
-    /// Reads the features' structs of a device (or of its creation). Those of extensions are not in them: they are off.
+    /// Reads the feature structs of a device, or of its creation. They contain no features of extensions, which become
+    /// false.
     pub fn of(
         v12: &vk::PhysicalDeviceVulkan12Features<'_>,
         v13: &vk::PhysicalDeviceVulkan13Features<'_>,
@@ -59,10 +60,10 @@ impl Features {
         }
     }
 
-    /// Turns on these features in the structs for the creation of a device, and does not change the others.
+    /// Turns on these features in the structs for the creation of a device, and leaves the others unchanged.
     ///
-    /// A host that chains the structs of single features instead sets the fields of the same names there, as those of
-    /// extensions always are.
+    /// A host that chains structs of single features sets the fields of the same names in those. Features of extensions are
+    /// always set that way.
     pub fn merge_into(
         &self,
         v12: &mut vk::PhysicalDeviceVulkan12Features<'_>,
@@ -77,7 +78,7 @@ impl Features {
         add(&mut v13.compute_full_subgroups, self.compute_full_subgroups);
     }
 
-    /// Names and values.
+    /// Returns names and values.
     pub fn all(&self) -> [(&'static str, bool); 8] {
         [
             ("scalarBlockLayout", self.scalar_block_layout),
@@ -91,7 +92,7 @@ impl Features {
         ]
     }
 
-    /// All features of [`Features::REQUIRED`] that are not set.
+    /// Returns all features of [`Features::REQUIRED`] that are not set.
     pub fn missing(&self) -> Vec<&'static str> {
         let required = Self::REQUIRED.all().into_iter().zip(self.all());
         let missing = required.filter(|((_, required), (_, has))| *required && !has);
@@ -109,7 +110,7 @@ pub(super) const SUBGROUP_OPERATIONS: [(vk::SubgroupFeatureFlags, &str); 6] = [
     (vk::SubgroupFeatureFlags::SHUFFLE_RELATIVE, "shuffle relative"),
 ];
 
-/// Least values of limits.
+/// Smallest allowed values of limits.
 pub(super) const LEAST_LIMITS: [(&str, u64); 4] = [
     ("maxComputeWorkGroupInvocations", 128),
     ("maxComputeSharedMemorySize", Requirements::LEAST_SHARED_MEMORY as u64),
@@ -117,10 +118,10 @@ pub(super) const LEAST_LIMITS: [(&str, u64); 4] = [
     ("maxPerStageDescriptorStorageBuffers", BUFFERS as u64),
 ];
 
-/// The largest subgroups that need no more than the least workgroup.
+/// Largest subgroup size for which the smallest allowed workgroup suffices.
 const FEW_LANES: u32 = 32;
 
-/// All of [`LEAST_LIMITS`] that a device with subgroups of this size does not reach.
+/// Returns all of [`LEAST_LIMITS`] that a device with subgroups of this size does not meet.
 pub(super) fn low_limits(l: &vk::PhysicalDeviceLimits, subgroup_size: u32) -> impl Iterator<Item = String> {
     let invocations = u64::from(Requirements::workgroup_invocations(subgroup_size));
     let least = LEAST_LIMITS.map(|(name, least)| match name == LEAST_LIMITS[0].0 {
@@ -142,16 +143,16 @@ pub(super) fn low_limits(l: &vk::PhysicalDeviceLimits, subgroup_size: u32) -> im
 pub struct OptionalExtension {
     /// Its name.
     pub name: &'static CStr,
-    /// The substitute without it.
+    /// Substitute if it is not enabled.
     pub without: &'static str,
 }
 
-/// A feature that is used if it is enabled, for those of an extension together with it.
+/// A feature that is used if it is enabled. A feature of an extension also needs the extension.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct OptionalFeature {
-    /// Its Vulkan name, as in [`Features::all`].
+    /// Vulkan name, same as in [`Features::all`].
     pub name: &'static str,
-    /// The substitute without it.
+    /// Substitute if it is not enabled.
     pub without: &'static str,
 }
 
@@ -164,13 +165,13 @@ const OPTIONAL_FEATURES: [OptionalFeature; 3] = [
     },
 ];
 
-/// Required and optional properties of a host's device. The `Display` is a readable list.
+/// Required and optional properties of a host's device. `Display` formats a readable list.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Requirements {
-    /// Version of instance and device, as in `vk::API_VERSION_1_3`.
+    /// Version of instance and device, for example `vk::API_VERSION_1_3`.
     pub api_version: u32,
-    /// The queue that frames are submitted to.
+    /// Capabilities of the queue to which frames are submitted.
     pub queue: vk::QueueFlags,
     /// Features to enable: see [`Features::merge_into`].
     pub features: Features,
@@ -184,21 +185,21 @@ pub struct Requirements {
     pub optional_instance_extensions: Vec<OptionalExtension>,
     /// Subgroup operations in compute shaders.
     pub subgroup_operations: vk::SubgroupFeatureFlags,
-    /// Least values of limits, by their Vulkan names.
+    /// Smallest allowed values of limits, by their Vulkan names.
     pub limits: Vec<(&'static str, u64)>,
 }
 
 impl Requirements {
-    /// The maxComputeSharedMemorySize that a device has at least, bytes.
+    /// Smallest allowed maxComputeSharedMemorySize, bytes.
     pub const LEAST_SHARED_MEMORY: u32 = 16_384;
 
-    /// The maxComputeWorkGroupInvocations that kernels with subgroups of this size need: several subgroups share a workgroup,
-    /// two of them at least where they are large.
+    /// Returns the maxComputeWorkGroupInvocations that kernels with subgroups of this size need. Several subgroups share a
+    /// workgroup, at least two if they are large.
     pub fn workgroup_invocations(subgroup_size: u32) -> u32 {
         if subgroup_size > FEW_LANES { 256 } else { 128 }
     }
 
-    /// Of every device.
+    /// Returns the requirements of every device.
     pub(super) fn of_all() -> Self {
         let operations = SUBGROUP_OPERATIONS.iter().map(|(flag, _)| *flag);
         Self {

@@ -1,4 +1,4 @@
-//! The resources of a dispatch, and of a whole recording.
+//! Resources of a dispatch, and of a whole recording.
 
 use super::buffer::Buffer;
 use super::image::Image;
@@ -7,7 +7,7 @@ use super::pipeline::Pipeline;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// The resources of a dispatch.
+/// Resources of a dispatch.
 pub(super) struct Bound<'a> {
     pub(super) buffers: &'a [&'a Buffer],
     pub(super) images: &'a [&'a Image],
@@ -15,7 +15,7 @@ pub(super) struct Bound<'a> {
 
 /// All resources of a recording.
 pub(super) struct Kept {
-    /// Of this recording alone. Every block is marked with the last one that keeps it, so that nobody searches for it.
+    /// Unique id of this recording. Every block stores the id of the last recording that keeps it, which avoids searches.
     id: u64,
     pub(super) blocks: Vec<Arc<Block>>,
     pipelines: Vec<Arc<Pipeline>>,
@@ -35,7 +35,7 @@ fn next_id() -> u64 {
 
 impl Kept {
     pub(super) fn block(&mut self, block: &Arc<Block>) {
-        // Where two threads record with the same block, each may keep it more than once.
+        // If two threads record with the same block, each may keep it more than once.
         if block.kept_by.swap(self.id, Ordering::Relaxed) != self.id {
             self.blocks.push(block.clone());
         }
@@ -47,8 +47,7 @@ impl Kept {
         }
     }
 
-    /// Releases all resources, and keeps the lists' own memory. Resources without another holder are
-    /// destroyed.
+    /// Releases all resources, but keeps the lists' memory. Resources without another owner are destroyed.
     pub(super) fn clear(&mut self) {
         self.id = next_id();
         self.blocks.clear();

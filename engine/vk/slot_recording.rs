@@ -1,10 +1,10 @@
-//! The state of a recording whose slot belongs to a renderer or a trainer.
+//! Recording state of a slot that belongs to a renderer or a trainer.
 
 use super::foreign::RecordSlot;
 use crate::Result;
 
-/// The recording state of a slot that belongs to a renderer or a trainer. It is no `&mut RecordSlot`: such a
-/// one could be exchanged for another slot, which knows nothing of the frame in flight.
+/// Recording state of a slot that belongs to a renderer or a trainer. It is not a `&mut RecordSlot`: a caller could swap
+/// that for another slot, which does not track the frame in flight.
 pub struct SlotRecording<'a>(&'a mut RecordSlot);
 
 impl<'a> SlotRecording<'a> {
@@ -28,7 +28,7 @@ impl<'a> SlotRecording<'a> {
     /// See [`RecordSlot::discard`].
     ///
     /// # Safety
-    /// As there.
+    /// Same as [`RecordSlot::discard`].
     pub unsafe fn discard(&mut self) {
         // SAFETY: as promised.
         unsafe { self.0.discard() }

@@ -1,4 +1,4 @@
-//! Changes to compiled shaders that depend on the device. They concern how subgroups behave, and nothing that is computed.
+//! Adapts compiled shaders to the device. The changes affect how subgroups behave, not what shaders compute.
 
 use super::device::OptionalFeatures;
 use std::borrow::Cow;
@@ -15,12 +15,12 @@ const OP_BROADCAST: u32 = 337;
 const OP_SHUFFLE: u32 = 345;
 const CAPABILITY_SHUFFLE: u32 = 65;
 
-/// How the invocations of a subgroup are together again after a branch or a loop, as the shaders take for granted.
+/// Guarantee that the invocations of a subgroup reconverge after a branch or a loop, as the shaders assume.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Reconvergence {
-    /// Those that took the same way before: VK_KHR_shader_maximal_reconvergence.
+    /// Invocations that took the same path before reconverge: VK_KHR_shader_maximal_reconvergence.
     Maximal,
-    /// All of them where all were together before: VK_KHR_shader_subgroup_uniform_control_flow.
+    /// All invocations reconverge if all were converged before: VK_KHR_shader_subgroup_uniform_control_flow.
     Uniform,
 }
 
@@ -33,7 +33,7 @@ impl Reconvergence {
         }
     }
 
-    /// The extension of SPIR-V, and its execution mode.
+    /// Returns the SPIR-V extension and its execution mode.
     const fn words(self) -> (&'static [u8], u32) {
         match self {
             Self::Maximal => (b"SPV_KHR_maximal_reconvergence", 6023),
@@ -42,27 +42,27 @@ impl Reconvergence {
     }
 }
 
-/// What a device asks of modules that use subgroups.
+/// Requirements of a device on modules that use subgroups.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct SubgroupRules {
-    /// The subgroup size cannot be required, so that it must be the one the device reports. From SPIR-V 1.6 on a driver may
-    /// choose another one for each pipeline; before, only where a flag allows it (VkPipelineShaderStageCreateFlagBits).
+    /// The subgroup size cannot be required, so it must be the reported one. From SPIR-V 1.6 on a driver may choose another
+    /// size for each pipeline; before, only if a flag allows it (VkPipelineShaderStageCreateFlagBits).
     pub(super) fixed_size: bool,
-    /// What is asked of the driver.
+    /// Reconvergence to request from the driver.
     pub(super) reconvergence: Option<Reconvergence>,
-    /// subgroupBroadcastDynamicId is on. Without it, a broadcast from a lane that is known at run time only may not even stand
-    /// where it never runs (VUID-RuntimeSpirv-subgroupBroadcastDynamicId-06276).
+    /// True if subgroupBroadcastDynamicId is on. Without it, a module may not even contain a broadcast from a lane known
+    /// only at run time (VUID-RuntimeSpirv-subgroupBroadcastDynamicId-06276).
     pub(super) broadcasts: bool,
 }
 
 impl SubgroupRules {
-    /// The module as the device needs it.
+    /// Returns the module, adapted to the device.
     pub(super) fn apply(self, module: &[u32]) -> Cow<'_, [u32]> {
         let mut module = Cow::Borrowed(module);
         if self.fixed_size
             && let Some(version) = module.to_mut().get_mut(1)
         {
-            // The kernels have nothing of 1.6; LocalSizeId is older.
+            // The kernels use nothing of 1.6; LocalSizeId is older.
             *version = VERSION_1_5.min(*version);
         }
         if let Some((extension, mode)) = self.reconvergence.map(Reconvergence::words)
@@ -73,7 +73,7 @@ impl SubgroupRules {
         if !self.broadcasts {
             let places = dynamic_broadcasts(&module);
             for at in places {
-                // The operands are the same.
+                // Both instructions have the same operands.
                 let head = &mut module.to_mut()[at];
                 *head = *head & 0xFFFF_0000 | OP_SHUFFLE;
             }
@@ -82,7 +82,7 @@ impl SubgroupRules {
     }
 }
 
-/// The module with an execution mode of an extension; None where the words are no module.
+/// Returns the module with an execution mode of an extension; None if the words are not a module.
 fn with_mode(module: &[u32], extension: &[u8], mode: u32) -> Option<Vec<u32>> {
     let mut out = module.get(..HEADER)?.to_vec();
     let (mut at, mut has_extension, mut entry) = (HEADER, false, None);
@@ -90,7 +90,7 @@ fn with_mode(module: &[u32], extension: &[u8], mode: u32) -> Option<Vec<u32>> {
         let word = module[at];
         let (opcode, count) = (word & 0xFFFF, (word >> 16) as usize);
         let instruction = module.get(at..at + count.max(1))?;
-        // Capabilities come first, extensions follow them; execution modes follow the entry points.
+        // Capabilities come first, extensions follow them. Execution modes follow the entry points.
         if !has_extension && opcode != OP_CAPABILITY {
             out.extend(extension_words(extension));
             has_extension = true;
@@ -109,7 +109,7 @@ fn with_mode(module: &[u32], extension: &[u8], mode: u32) -> Option<Vec<u32>> {
     Some(out)
 }
 
-/// Where broadcasts from a lane that is no constant begin, in a module that may shuffle as well.
+/// Returns the positions of broadcasts from a lane that is no constant; empty if the module may not shuffle.
 fn dynamic_broadcasts(module: &[u32]) -> Vec<usize> {
     let (mut constants, mut shuffles, mut found) = (BTreeSet::new(), false, Vec::new());
     let mut at = HEADER;
@@ -128,7 +128,7 @@ fn dynamic_broadcasts(module: &[u32]) -> Vec<usize> {
     if shuffles { found } else { Vec::new() }
 }
 
-/// OpExtension: the name's bytes, ended by a zero, in whole words.
+/// Encodes OpExtension: the name's bytes with a terminating zero, in whole words.
 fn extension_words(extension: &[u8]) -> Vec<u32> {
     let mut name = extension.to_vec();
     name.resize((name.len() + 1).next_multiple_of(4), 0);
@@ -145,7 +145,7 @@ mod tests {
     use std::path::Path;
     use std::process::{Command, Stdio};
 
-    /// Instructions of an opcode with these operands.
+    /// Encodes an instruction.
     fn instruction(opcode: u32, operands: &[u32]) -> Vec<u32> {
         [&[(operands.len() as u32 + 1) << 16 | opcode], operands].concat()
     }
@@ -175,14 +175,14 @@ mod tests {
             let both = rules(true, Some(kind)).apply(&module);
             assert_eq!(both, parts.map(Vec::as_slice).concat());
         }
-        // What is no module stays as it is.
+        // Words that are not a module stay unchanged.
         let reconverging = rules(false, Some(Reconvergence::Maximal));
         assert_eq!(reconverging.apply(&module[..3]), &module[..3]);
         let cut = &module[..module.len() - 1];
         assert_eq!(reconverging.apply(cut), cut);
     }
 
-    /// What spirv-val says against a module; None: nothing.
+    /// Returns spirv-val's message about an invalid module; None if it is valid.
     fn refused(module: &[u32]) -> Option<String> {
         let mut validator = Command::new("spirv-val")
             .args(["--target-env", "vulkan1.3", "--scalar-block-layout", "-"])
@@ -192,14 +192,14 @@ mod tests {
             .spawn()
             .expect("spirv-val starts");
         let bytes: Vec<u8> = module.iter().flat_map(|word| word.to_le_bytes()).collect();
-        // It may refuse before it has read all.
+        // It may refuse the module before it has read all of it.
         let _ = validator.stdin.take().expect("a pipe").write_all(&bytes);
         let output = validator.wait_with_output().expect("spirv-val ends");
         let said = String::from_utf8_lossy(&output.stdout) + String::from_utf8_lossy(&output.stderr);
         (!output.status.success()).then(|| said.trim().to_owned())
     }
 
-    /// Every module that build.rs made, in each of its forms.
+    /// Returns every module that build.rs made, in each of its forms.
     fn modules() -> Vec<(String, Vec<u32>)> {
         let mut found = Vec::new();
         for entry in std::fs::read_dir(Path::new(env!("OUT_DIR"))).expect("what build.rs made") {
@@ -213,7 +213,7 @@ mod tests {
         found
     }
 
-    /// A broadcast from a lane that the compiler does not know is a shuffle where the feature is off, and nothing else changes.
+    /// Without the feature, a broadcast from a lane unknown to the compiler becomes a shuffle, and nothing else changes.
     #[test]
     fn dynamic_broadcasts_are_shuffles_where_they_may_not_be() {
         let rules = SubgroupRules::default();
@@ -230,7 +230,7 @@ mod tests {
             assert!(*on.apply(&module) == *module);
         }
         assert!(found > 3, "{found} broadcasts");
-        // From a constant lane, and in a module that may not shuffle.
+        // A constant lane, and a module that may not shuffle.
         let module = |capability, lane| {
             let parts = [
                 vec![0x0723_0203, 0x0001_0600, 0, 9, 0],
@@ -245,8 +245,8 @@ mod tests {
         assert!(!is_changed(module(CAPABILITY_SHUFFLE, 2)) && !is_changed(module(64, 3)));
     }
 
-    /// The changed modules are valid. A validator from before 2024 does not know maximal reconvergence. It knows subgroup uniform
-    /// control flow, whose words stand in the same places.
+    /// Changed modules are valid. Validators from before 2024 do not know maximal reconvergence. They know subgroup uniform
+    /// control flow, whose words have the same positions.
     #[test]
     fn changed_modules_are_valid() {
         if Command::new("spirv-val").arg("--version").output().is_err() {
@@ -270,7 +270,7 @@ mod tests {
                 assert_eq!(refused(&form), None, "{name}");
             }
         }
-        // Words in a wrong place are seen: a mode before the entry point that it is of.
+        // spirv-val detects words in a wrong place: a mode before its entry point.
         let (name, module) = &modules[0];
         let (extension, mode) = Reconvergence::Uniform.words();
         let mut wrong = with_mode(module, extension, mode).expect("a module");

@@ -1,8 +1,9 @@
-//! The ring of staging memory through which transfers go where the host does not see device memory.
+//! The ring of staging memory, for transfers when the host does not see device memory.
 //!
-//! One buffer per context, made at the first such transfer. An upload writes a piece of it and submits a copy, without
-//! waiting: the host writes the next piece meanwhile. It waits when the ring is full, for the oldest copy. On devices with a
-//! queue for copies (module `copy_queue`) uploads run there, and the main queue takes over what was copied before it goes on.
+//! Each context has one buffer, allocated at the first such transfer. An upload writes a piece of it and submits a copy,
+//! without waiting: the host writes the next piece meanwhile. If the ring is full, it waits for the oldest copy. On devices
+//! with a copy queue (module `copy_queue`) uploads run there. The main queue then acquires the copied data before its next
+//! work.
 
 use super::allocator::MemoryKind;
 use super::buffer::Buffer;
@@ -18,32 +19,32 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// Most bytes of the ring.
 const RING_BYTES: u64 = 32 << 20;
-/// Fewest, where memory is bounded: larger than an update that a recording holds itself.
+/// Fewest bytes, if memory is bounded: larger than an update that a recording stores itself.
 const LEAST_RING_BYTES: u64 = 1 << 18;
-/// Pieces that a ring holds at least: the host writes one while the others are copied.
+/// Fewest pieces of a ring: the host writes one while the others are copied.
 const PIECES: u64 = 4;
 
-/// The ring of a context.
+/// Ring of a context.
 #[derive(Default)]
 pub(super) struct Staging(Mutex<Ring>);
 
-/// The ring's buffer and the copies in flight.
+/// Buffer of the ring and the copies in flight.
 #[derive(Default)]
 pub(super) struct Ring {
     buffer: Option<Buffer>,
-    /// Where the next piece begins.
+    /// Offset of the next piece.
     head: u64,
-    /// Oldest first.
+    /// Submissions in flight, oldest first.
     running: VecDeque<Piece>,
-    /// What the queue for copies has released, and the main queue has not taken over yet.
+    /// Buffers that the copy queue has released, and the main queue has not acquired yet.
     released: Vec<Buffer>,
 }
 
 /// A submission in flight.
 struct Piece {
-    // Dropped first: that waits.
+    // Dropped first: its drop waits.
     commands: Commands,
-    /// Of the ring; empty for what takes over.
+    /// Byte range in the ring; empty for an acquisition.
     bytes: Range<u64>,
     _kept: Vec<Buffer>,
 }
@@ -55,20 +56,20 @@ impl Staging {
 }
 
 impl Ring {
-    /// The ring's buffer: made now if there is none or if it is small. What is in flight keeps the old one.
+    /// Returns the ring's buffer; allocates it if there is none or it is too small. Pieces in flight keep the old one.
     fn buffer(&mut self, device: &Arc<Device>, bytes: u64) -> Result<Buffer> {
         let (most, least) = (most_bytes(device), least_bytes(device));
         let mut wanted = (bytes * PIECES).clamp(LEAST_RING_BYTES, RING_BYTES).min(most);
         if let Some(buffer) = self.buffer.as_ref().filter(|buffer| buffer.bytes() >= wanted) {
             return Ok(buffer.clone());
         }
-        // Of bounded memory it takes what is left.
+        // If memory is bounded, use what is left.
         loop {
             let made = device.allocate("staging", &[("ring", wanted)], MemoryKind::HostVisible, 0);
             match (made, &self.buffer) {
                 (Ok(mut made), _) => {
                     let buffer = made.swap_remove(0);
-                    // A place in the old one says nothing of the new one.
+                    // Offsets in the old buffer do not apply to the new one.
                     self.settle(device)?;
                     self.head = 0;
                     self.buffer = Some(buffer.clone());
@@ -83,7 +84,7 @@ impl Ring {
         }
     }
 
-    /// Room for a piece of at most so many bytes: the ring's buffer and a range of it that nothing in flight uses.
+    /// Reserves a piece of at most `bytes` bytes: the ring's buffer and a range of it that nothing in flight uses.
     pub(super) fn reserve(&mut self, device: &Arc<Device>, bytes: u64) -> Result<(Buffer, Range<u64>)> {
         let ring = self.buffer(device, bytes)?;
         let most = ring.bytes() / PIECES / PLACEMENT_ALIGNMENT * PLACEMENT_ALIGNMENT;
@@ -97,8 +98,8 @@ impl Ring {
         Ok((ring, place))
     }
 
-    /// Copies bytes to the start of a buffer, as many as fit a piece; returns how many. The copy runs after all earlier
-    /// submissions if `after_work`, otherwise beside them.
+    /// Copies bytes to the start of a buffer, as many as fit a piece, and returns their number. The copy runs after all
+    /// earlier submissions if `after_work`, otherwise beside them.
     pub(super) fn copy(
         &mut self,
         pools: &Arc<Pools>,
@@ -138,8 +139,8 @@ impl Ring {
         Ok(length as usize)
     }
 
-    /// Lets the main queue take over what the queue for copies has written: submissions after this one see it, once all of it
-    /// is written. The host does not wait.
+    /// Makes the main queue acquire the data that the copy queue has written. Submissions after this one wait for the
+    /// copies and see the data. The host does not wait.
     pub(super) fn take_over(&mut self, pools: &Arc<Pools>) -> Result<()> {
         let device = pools.device();
         let Some(queue) = device.copying.as_ref().filter(|_| !self.released.is_empty()) else {
@@ -147,7 +148,7 @@ impl Ring {
         };
         let mut commands = Commands::begin(pools, "take over uploads", false)?;
         for to in &self.released {
-            // The stages are those that wait for the semaphore.
+            // Uses the stages in which the submission waits for the semaphore.
             let acquire = owner_change(queue, device, to)
                 .src_stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)
                 .dst_stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)
@@ -155,20 +156,19 @@ impl Ring {
             commands.buffer_barrier(acquire);
         }
         commands.submit_after(Some(queue.copied.last()))?;
-        // Not before: after an error a second attempt takes over the same.
+        // Cleared only after success, so that a second attempt acquires the same buffers.
         let released = std::mem::take(&mut self.released);
         self.running.push_back(Piece { commands, bytes: 0..0, _kept: released });
         Ok(())
     }
 
-    /// Forgets what was copied into a buffer: the upload has failed.
+    /// Forgets the copies into a buffer after a failed upload.
     pub(super) fn forget(&mut self, to: &Buffer) {
         let end = to.offset() + to.bytes();
         self.released.retain(|of| of.raw() != to.raw() || of.offset() < to.offset() || of.offset() >= end);
     }
 
-    /// Leaves its memory to a submission of somebody else's that has failed and may still run; the next transfer takes other
-    /// memory.
+    /// Leaves the buffer to a failed submission that may still run; the next transfer allocates another one.
     pub(super) fn abandon(&mut self) {
         self.buffer = None;
         self.head = 0;
@@ -182,7 +182,7 @@ impl Ring {
         Ok(())
     }
 
-    /// Waits for all of them.
+    /// Waits for all submissions.
     pub(super) fn settle(&mut self, device: &Device) -> Result<()> {
         while !self.running.is_empty() {
             self.wait_oldest(device)?;
@@ -190,27 +190,27 @@ impl Ring {
         Ok(())
     }
 
-    /// Its size now.
+    /// Returns the current size.
     pub(super) fn bytes(&self) -> u64 {
         self.buffer.as_ref().map_or(0, Buffer::bytes)
     }
 
-    /// Forgets what was copied into memory that nobody else holds any more: an upload before has failed. Nothing is in flight.
-    /// Returns whether there was any.
+    /// Forgets copies into memory that nothing else owns any more, after a failed upload. Nothing is in flight. Returns
+    /// true if there were any.
     fn forget_dropped(&mut self) -> bool {
         let is_held = |of: &&Buffer| {
             let own = self.released.iter().filter(|other| Arc::ptr_eq(other.block(), of.block())).count();
             Arc::strong_count(of.block()) > own
         };
-        // A copy counts as a holder only for what has one already.
+        // A copied `Buffer` counts as an owner only of memory that has another owner.
         let held: Vec<Buffer> = self.released.iter().filter(is_held).cloned().collect();
         let all = std::mem::replace(&mut self.released, held);
         self.released.len() < all.len()
     }
 
-    /// Frees the ring's memory, after its submissions. Returns whether there was any.
+    /// Frees the ring's memory, after its submissions. Returns true if there was any.
     pub(super) fn free(&mut self) -> bool {
-        // Dropping them waits.
+        // Dropping them waits for them.
         self.running.clear();
         let forgotten = self.forget_dropped();
         self.head = 0;
@@ -218,22 +218,22 @@ impl Ring {
     }
 }
 
-/// Most bytes of a ring on a device.
+/// Returns the most bytes of a ring on a device.
 fn most_bytes(device: &Device) -> u64 {
     device.limits.max_storage_buffer_range.min(device.limits.max_allocation_bytes)
 }
 
-/// Fewest.
+/// Returns the fewest bytes of a ring on a device.
 fn least_bytes(device: &Device) -> u64 {
     LEAST_RING_BYTES.min(most_bytes(device) / 2)
 }
 
-/// What the smallest ring takes of a device's memory.
+/// Returns the device memory of the smallest ring.
 pub(super) fn least_room(device: &Device) -> u64 {
     device.allocation_bytes(&[("ring", least_bytes(device))])
 }
 
-/// The part that both barriers of a change of owner share: from the queue for copies to the main one.
+/// Returns the common part of both barriers of an ownership transfer, from the copy queue to the main queue.
 fn owner_change(queue: &CopyQueue, device: &Device, to: &Buffer) -> vk::BufferMemoryBarrier2<'static> {
     vk::BufferMemoryBarrier2::default()
         .src_queue_family_index(queue.family)

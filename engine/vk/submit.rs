@@ -1,4 +1,4 @@
-//! Submission and waiting.
+//! Submits recordings and waits for them.
 
 use super::audit;
 use super::commands::Commands;
@@ -16,16 +16,16 @@ use std::time::Instant;
 #[derive(Clone, Debug, Default)]
 #[non_exhaustive]
 pub struct RunReport {
-    /// Each [`Recorder::scope`] in the order of recording. Empty without timestamps.
+    /// Time of each [`Recorder::scope`] in recording order. Empty without timestamps.
     pub scopes: Vec<ScopeTime>,
-    /// The whole recording on the device, nanoseconds. 0 without timestamps.
+    /// Time of the whole recording on the device, nanoseconds. 0 without timestamps.
     pub nanoseconds: f64,
 }
 
-/// A running submission. Dropping it waits as well.
+/// A running submission. Dropping it also waits.
 #[must_use = "the results are there only after wait()"]
 pub struct Pending {
-    // Dropped in this order: the wait must come before the memory is freed.
+    // Drop order matters: the wait must come before the memory is freed.
     commands: Commands,
     profiler: Option<Profiler>,
     audit: Option<audit::Commands>,
@@ -36,11 +36,11 @@ pub struct Pending {
 }
 
 impl Pending {
-    /// Sleeps until the device has finished; then its results may be read.
+    /// Waits until the device has finished; then its results may be read.
     ///
     /// # Errors
-    /// [`Error::DeviceLost`]; [`Error::Timeout`] after [`super::ContextOptions::timeout`]: a thread then
-    /// waits for the submission, and its resources remain in use until it has finished.
+    /// [`Error::DeviceLost`]. [`Error::Timeout`] after [`super::ContextOptions::timeout`]: a thread then waits for the
+    /// submission, and its resources remain in use until it has finished.
     pub fn wait(mut self) -> Result<RunReport> {
         let timeout = self.commands.inner.timeout;
         if let Err(error) = self.commands.wait(timeout) {
@@ -80,7 +80,7 @@ impl Drop for Pending {
 }
 
 impl Context {
-    /// Fails on a lost device.
+    /// Fails if the device is lost.
     pub(crate) fn check_alive(&self) -> Result<()> {
         if self.is_lost() { Err(Error::DeviceLost { call: "an earlier call" }) } else { Ok(()) }
     }
@@ -102,7 +102,7 @@ impl Context {
     /// Submits a recording. Wait for the [`Pending`] before using its results.
     ///
     /// # Errors
-    /// [`Error::DeviceLost`], [`Error::Vulkan`] when out of memory, also if that happened while recording.
+    /// [`Error::DeviceLost`]. [`Error::Vulkan`] when out of memory, even if that happened while recording.
     ///
     /// # Panics
     /// When the recorder records into a foreign command buffer.
@@ -131,7 +131,7 @@ impl Context {
     /// Records, submits and waits.
     ///
     /// # Errors
-    /// What `record` returns (nothing is submitted then), and as [`Context::submit`] and [`Pending::wait`].
+    /// Errors of `record` (nothing is submitted then), of [`Context::submit`] and of [`Pending::wait`].
     pub fn run(&self, label: &str, record: impl FnOnce(&mut Recorder) -> Result<()>) -> Result<RunReport> {
         let mut recorder = self.begin(label)?;
         record(&mut recorder)?;

@@ -1,9 +1,9 @@
 //! Buffers that kernels read as texels.
 //!
-//! A shader declares `uniform textureBuffer name;` (vec4 of f32) or `uniform utextureBuffer name;` (u32),
-//! reads with `texelFetch(name, index)`, and is bound to an ordinary [`super::Buffer`]. On a GPU this is
-//! equivalent to a storage buffer. llvmpipe fetches a texel for all lanes by vector instructions, while it
-//! reads every component of a storage buffer in a loop over the lanes: a vec4 by texel costs a quarter.
+//! A shader declares `uniform textureBuffer name;` (vec4 of f32) or `uniform utextureBuffer name;` (u32), reads with
+//! `texelFetch(name, index)`, and is bound to an ordinary [`super::Buffer`]. On a GPU this is equivalent to a storage
+//! buffer. llvmpipe fetches a texel for all lanes by vector instructions. It reads every component of a storage buffer in a
+//! loop over the lanes: a vec4 by texel costs a quarter.
 
 use super::error::vk_error;
 use super::raw_device::RawDevice;
@@ -38,7 +38,7 @@ impl TexelFormat {
     }
 }
 
-/// A range of a block as texels.
+/// A range of a block, read as texels.
 #[derive(Clone, Copy, PartialEq, Eq, Hash)]
 pub(super) struct TexelRange {
     pub offset: u64,
@@ -46,12 +46,12 @@ pub(super) struct TexelRange {
     pub format: TexelFormat,
 }
 
-/// The views of a block, made on first use. The block calls [`TexelViews::destroy`] at its end.
+/// Texel views of a block, created on first use. The block calls [`TexelViews::destroy`] at its end.
 #[derive(Default)]
 pub(super) struct TexelViews(Mutex<HashMap<TexelRange, vk::BufferView>>);
 
 impl TexelViews {
-    /// The view of a range of a buffer. Its offset must be aligned and its texels within the limit.
+    /// Returns the view of a range of a buffer. Its offset must be aligned and its texels within the limit.
     pub fn of(&self, device: &RawDevice, buffer: vk::Buffer, range: TexelRange) -> Result<vk::BufferView> {
         let mut views = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(view) = views.get(&range) {

@@ -1,4 +1,4 @@
-//! Transfers to and from device memory.
+//! Uploads to and downloads from device memory.
 
 use super::buffer::Buffer;
 use super::context::Context;
@@ -9,12 +9,12 @@ use std::sync::PoisonError;
 
 /// Most bytes of a download at a time.
 const CHUNK_BYTES: u64 = 16 << 20;
-/// Size of the chunks in which mapped memory is read: they stay in the cache.
+/// Chunk size when reading mapped memory: chunks stay in the cache.
 const MAPPED_CHUNK_BYTES: u64 = 256 << 10;
 
 impl Context {
-    /// Copies bytes into the start of a buffer and waits: directly if the memory is mapped, otherwise by
-    /// copies from a ring of staging memory that the context keeps ([`Context::free_staging`]).
+    /// Copies bytes to the start of a buffer and waits. Writes directly if the memory is mapped, otherwise copies from a
+    /// ring of staging memory that the context keeps ([`Context::free_staging`]).
     ///
     /// # Errors
     /// [`crate::Error::Argument`] when the bytes do not fit, or while a submission that uses the buffer's
@@ -40,18 +40,18 @@ impl Context {
         }
         let copied = self.upload_staged(buffer, bytes);
         if self.is_foreign() {
-            // A host's memory goes back.
+            // A host gets its memory back.
             self.free_staging();
         }
         copied
     }
 
-    /// As [`Context::upload`], without waiting: the bytes are taken over into staging memory, and what is submitted after
-    /// [`Context::take_over_uploads`] sees them in the buffer. The caller writes nothing else to the buffer's bytes until then,
-    /// and nothing in flight uses them: on a device with a queue for copies they may be written at once.
+    /// Same as [`Context::upload`], but without waiting: the bytes are copied to staging memory. Submissions after
+    /// [`Context::take_over_uploads`] see them in the buffer. Until then the caller must not write these bytes otherwise,
+    /// and nothing in flight may use them: a copy queue may write them at once.
     ///
     /// # Errors
-    /// As [`Context::upload`]. Failures of the copy itself are those of a later transfer or of [`Context::finish_uploads`].
+    /// Same as [`Context::upload`]. A later transfer or [`Context::finish_uploads`] reports failures of the copy itself.
     pub(crate) fn begin_upload(&self, buffer: &Buffer, bytes: &[u8]) -> Result<()> {
         if buffer.block().is_mapped() || self.is_foreign() || self.is_watched() {
             return self.upload(buffer, bytes);
@@ -60,12 +60,12 @@ impl Context {
         self.copy_staged(buffer, bytes, false)
     }
 
-    /// As [`Context::begin_upload`], by the queue for copies also where the host sees a card's memory (resizable BAR): writing it
-    /// would have to wait for the main queue's work. All uploads to a buffer go this way or none, since the host writes only what no
-    /// copy is known to use.
+    /// Same as [`Context::begin_upload`], but uses the copy queue even if the host sees a card's memory (resizable BAR).
+    /// Writing that memory would have to wait for the main queue's work. All uploads to a buffer use this function or none:
+    /// the host writes only memory that no copy is known to use.
     ///
     /// # Errors
-    /// As [`Context::begin_upload`].
+    /// Same as [`Context::begin_upload`].
     pub(crate) fn begin_upload_beside(&self, buffer: &Buffer, bytes: &[u8]) -> Result<()> {
         if self.device.place != Place::Window || self.device.copying.is_none() {
             return self.begin_upload(buffer, bytes);
@@ -78,7 +78,7 @@ impl Context {
         self.copy_staged(buffer, bytes, false)
     }
 
-    /// Lets all that is submitted from now on see what was uploaded.
+    /// Makes all later submissions see the uploaded data.
     ///
     /// # Errors
     /// When the device is lost or has no memory left.
@@ -86,14 +86,14 @@ impl Context {
         self.staging.lock().take_over(&self.pools)
     }
 
-    /// Whether a profile or an audit wants to see every command.
+    /// True if a profile or an audit observes every command.
     fn is_watched(&self) -> bool {
         let profile = &self.logs.profile.lock().unwrap_or_else(PoisonError::into_inner);
         let audit = &self.logs.audit.lock().unwrap_or_else(PoisonError::into_inner);
         profile.strong_count() > 0 || audit.strong_count() > 0
     }
 
-    /// Copies all bytes by way of the ring, and waits.
+    /// Copies all bytes through the ring, and waits.
     fn upload_staged(&self, buffer: &Buffer, bytes: &[u8]) -> Result<()> {
         if self.is_watched() {
             return self.upload_watched(buffer, bytes);
@@ -102,10 +102,10 @@ impl Context {
         self.finish_uploads()
     }
 
-    /// Waits for all uploads that were begun.
+    /// Waits for all uploads in flight.
     ///
     /// # Errors
-    /// Those of the copies.
+    /// Errors of the copies.
     pub(crate) fn finish_uploads(&self) -> Result<()> {
         self.take_over_uploads()?;
         self.staging.lock().settle(&self.device)
@@ -126,7 +126,7 @@ impl Context {
         Ok(())
     }
 
-    /// Piece by piece, as a command that a profile times and an audit hashes.
+    /// Uploads piece by piece, each as a command that a profile times and an audit hashes.
     fn upload_watched(&self, buffer: &Buffer, bytes: &[u8]) -> Result<()> {
         let mut ring = self.staging.lock();
         let mut offset = 0;
@@ -147,7 +147,7 @@ impl Context {
         Ok(())
     }
 
-    /// The bytes of a buffer, after all earlier submissions.
+    /// Returns the bytes of a buffer, after all earlier submissions.
     ///
     /// # Errors
     /// [`crate::Error::Argument`] while a submission that uses the buffer's arena is running.
@@ -157,11 +157,11 @@ impl Context {
         Ok(bytes)
     }
 
-    /// Passes the contents of a buffer to `take` in order, chunk by chunk, so that they need not be held
-    /// twice. All chunks except the last have a multiple of 256 bytes.
+    /// Passes the contents of a buffer to `take` in order, chunk by chunk, so that they are not held twice. All chunks
+    /// except the last have a multiple of 256 bytes.
     ///
     /// # Errors
-    /// As [`Context::download`].
+    /// Same as [`Context::download`].
     pub fn download_chunks(&self, buffer: &Buffer, take: impl FnMut(&[u8])) -> Result<()> {
         let downloaded = self.download_pieces(buffer, take);
         if self.is_foreign() && !buffer.block().is_read_mapped() {
@@ -197,7 +197,7 @@ impl Context {
         Ok(())
     }
 
-    /// Reads as much of a buffer as fits a piece of the ring; returns how much.
+    /// Reads as many bytes of a buffer as fit a piece of the ring, and returns their number.
     fn download_staged(&self, from: &Buffer, bytes: &mut [u8]) -> Result<usize> {
         let mut ring = self.staging.lock();
         let (staging, place) = ring.reserve(&self.device, from.bytes())?;
@@ -211,7 +211,7 @@ impl Context {
         Ok(length as usize)
     }
 
-    /// Most bytes of temporary memory for an upload of `bytes` bytes.
+    /// Returns the most bytes of temporary memory for an upload of `bytes` bytes.
     pub(crate) fn staging_bytes(&self, bytes: u64) -> u64 {
         if self.device.reads_mapped() { 0 } else { bytes.min(CHUNK_BYTES) }
     }

@@ -1,19 +1,20 @@
-//! What drivers do against the specification, or beyond it, and what is done about it: one flag for each, by driver and version.
+//! Faults of drivers against the specification, one flag each, by driver and version.
 
 use ash::vk;
 use std::ops::{BitOr, BitOrAssign};
 
-/// Flags: see the constants.
+/// Set of flags; see the constants.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Workarounds(u32);
 
 impl Workarounds {
-    /// An invocation's loops stop silently after 65,535 rounds, all loops together. llvmpipe of Mesa before 25
-    /// (LP_MAX_TGSI_LOOP_ITERATIONS in gallivm's lp_bld_limits.h). Blending hands fewer entries of a tile to a dispatch.
+    /// An invocation's loops stop silently after 65,535 iterations, all loops together. llvmpipe of Mesa before 25
+    /// (LP_MAX_TGSI_LOOP_ITERATIONS in gallivm's lp_bld_limits.h). Blending then processes fewer entries of a tile per
+    /// dispatch.
     pub const LOOPS_STOP_AT_65535: Self = Self(1 << 0);
 
-    /// Of a driver, by its id and its `driverInfo`: Mesa's begins with `Mesa 22.3.6`. (llvmpipe's `driverVersion` says nothing:
-    /// that is 1 in all of them.)
+    /// Returns the flags of a driver, by its id and its `driverInfo`, such as `Mesa 22.3.6`. (llvmpipe's `driverVersion` is
+    /// 1 in all versions.)
     pub fn of_driver(id: vk::DriverId, info: &str) -> Self {
         let mut all = Self::default();
         let version = info.strip_prefix("Mesa ").and_then(|rest| rest.split('.').next()?.parse::<u32>().ok());
@@ -23,7 +24,7 @@ impl Workarounds {
         all
     }
 
-    /// Whether all flags of another set are set.
+    /// True if all flags of another set are set.
     pub const fn contains(self, other: Self) -> bool {
         self.0 & other.0 == other.0
     }
