@@ -1,5 +1,5 @@
-//! Rendering. `Renderer::render` records a frame, submits it, waits and reads it back. `Renderer::record`
-//! only records into a host's command buffer.
+//! Rendering. [`Renderer::render`] records a frame, submits it, waits and reads it back. [`Renderer::record`] only records
+//! into a host's command buffer.
 
 mod align;
 mod check;
@@ -61,22 +61,22 @@ use crate::vk::{Context, ScopeTime};
 /// }
 /// ```
 ///
-/// The [guide](crate::guide::first_frame) has more; [`Renderer::record`] is for a host's command buffer.
+/// The [guide](crate::guide::first_frame) has more examples; [`Renderer::record`] is for a host's command buffer.
 pub struct Renderer {
     context: Context,
     runner: FrameRunner,
     backward: Backward,
     scene: Option<SceneBuffers>,
-    /// Built with the first reservation.
+    /// Built by the first reservation.
     compose: Option<Compose>,
-    /// Built with the first gradients.
+    /// Built by the first gradients.
     border: Option<PixelBorder>,
-    /// Built with the first alignment.
+    /// Built by the first alignment.
     aligner: Option<Aligner>,
     slots: slots::Slots,
-    /// Memory of recordings.
+    /// Reused list of a recording's scenes.
     placed: Vec<PlacedScene<'static>>,
-    /// The same for updates.
+    /// Reused lists of a recording's updates.
     staged: updates::Staged,
 }
 
@@ -87,20 +87,20 @@ pub struct Frame {
     pub width: u32,
     /// Height, pixels.
     pub height: u32,
-    /// Row-major colours on the background, display-encoded as the photographs of the training were, not clamped.
-    /// [`linear_from_srgb`](crate::scene::linear_from_srgb) makes linear light of them.
+    /// Row-major colours on the background, not clamped, display-encoded like the training photographs.
+    /// [`linear_from_srgb`](crate::scene::linear_from_srgb) converts them to linear light.
     pub color: Vec<[f32; 3]>,
     /// Transmittance after the last Gaussian: 1 without any.
     pub transmittance: Vec<f32>,
-    /// Sum of weights / z, if requested; of weights * z with [`linear_depth`](RenderSettings::linear_depth). The expected depth is
-    /// the latter over 1 − transmittance.
+    /// Sum of weights / z, if requested; with [`linear_depth`](RenderSettings::linear_depth), sum of weights * z. The
+    /// expected depth is the latter over 1 − transmittance.
     pub inverse_depth: Option<Vec<f32>>,
     /// Counts and times of the frame.
     pub stats: FrameStats,
 }
 
-/// Samples, each one Gaussian at one pixel, that the blending kernels compute, including those that do not
-/// count. 0 unless the context's overrides set `COUNT_HITS` (see [`crate::vk::SpecOverride`]).
+/// Number of samples (one Gaussian at one pixel) that the blending kernels compute, including those without effect. 0
+/// unless the context's overrides set `COUNT_HITS` (see [`crate::vk::SpecOverride`]).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct BlendSamples {
     /// Samples of the forward pass.
@@ -132,8 +132,8 @@ impl Renderer {
     /// Builds the kernels. No scene is loaded yet.
     ///
     /// # Errors
-    /// When the device refuses a pipeline; [`Error::MissingFeature`] where subgroups are not what it reports
-    /// ([`subgroups::check`](crate::subgroups::check)).
+    /// When the device refuses a pipeline; [`Error::MissingFeature`] if subgroups fail the check of
+    /// [`subgroups::check`](crate::subgroups::check).
     pub fn new(context: &Context) -> Result<Self> {
         if context.owns_device() {
             crate::subgroups::check(context)?;
@@ -152,7 +152,7 @@ impl Renderer {
         })
     }
 
-    /// The device that it renders on.
+    /// Returns the device on which it renders.
     pub fn context(&self) -> &Context {
         &self.context
     }
@@ -169,12 +169,12 @@ impl Renderer {
         Ok(())
     }
 
-    /// Draws these scenes together, in the same axes, from the next frame on: they replace what was loaded before. A frame is the
-    /// same to the bit as that of one scene with all their Gaussians in this order. Nothing is copied. Without any, pictures are
-    /// empty.
+    /// Draws these scenes together, in the same axes, from the next frame on; replaces what was loaded before. A frame is
+    /// bit-identical to that of one scene with all their Gaussians in this order. Nothing is copied. With no scenes,
+    /// pictures are empty.
     ///
     /// # Errors
-    /// [`Error::Argument`] for scenes of another context and for different SH degrees; allocation failures.
+    /// [`Error::Argument`] for scenes of another context or with different SH degrees; allocation failures.
     pub fn set_scenes(&mut self, scenes: &[DeviceScene]) -> Result<()> {
         if let Some(index) = scenes.iter().position(|scene| !scene.belongs_to(&self.context)) {
             return Err(Error::argument(format!("scenes[{index}]"), check::ELSEWHERE));
@@ -196,13 +196,13 @@ impl Renderer {
         Ok(())
     }
 
-    /// All scenes that are drawn.
+    /// Returns all scenes that are drawn.
     fn scenes(&self) -> Result<impl Iterator<Item = &SceneBuffers>> {
         let first = self.scene.as_ref().ok_or_else(no_scene)?;
         Ok(std::iter::once(first).chain(self.runner.surroundings()))
     }
 
-    /// Downloads the scene's Gaussians; of several scenes, one after another.
+    /// Downloads the scene's Gaussians; several scenes are concatenated.
     ///
     /// # Errors
     /// [`Error::Argument`] without a scene; when the device is lost.
@@ -218,56 +218,56 @@ impl Renderer {
         Ok(all.unwrap_or_default())
     }
 
-    /// The scene on the device, for [`Renderer::record`]: None before [`Renderer::upload`], and with several scenes.
+    /// Returns the scene on the device, for [`Renderer::record`]. None before [`Renderer::upload`], or if there are several
+    /// scenes.
     pub fn scene(&self) -> Option<DeviceScene> {
         let scene = self.scene.as_ref().filter(|_| self.runner.surroundings().is_empty())?;
         Some(DeviceScene::of(&self.context, scene.clone()))
     }
 
-    /// Sets the initial capacity in (tile, Gaussian) instances, instead of an estimate. Frames that need more
-    /// are run again with a larger capacity.
+    /// Sets the initial capacity in (tile, Gaussian) instances, instead of an estimate. Frames that need more are run again
+    /// with a larger capacity.
     pub fn set_instance_capacity(&mut self, instances: u32) {
         self.runner.store.set_instances(instances);
     }
 
-    /// Frees the buffers of frames. They grow to what the largest frame has needed, and stay; after this, the next
-    /// frame allocates what it needs itself, and a capacity of [`Renderer::set_instance_capacity`] is forgotten. A
-    /// frame for which there is no memory beside what earlier ones needed does the same. The slots of
-    /// [`Renderer::reserve`] and the scene stay.
+    /// Frees the buffers of frames. They grow to the needs of the largest frame, and stay. After this, the next frame
+    /// allocates only what it needs, and a capacity of [`Renderer::set_instance_capacity`] is forgotten. The same happens
+    /// if a frame does not fit beside the needs of earlier ones. The slots of [`Renderer::reserve`] and the scene stay.
     pub fn shrink(&mut self) {
         self.runner.store.forget();
     }
 
-    /// Bytes that the buffers of frames take, without the slots of [`Renderer::reserve`].
+    /// Returns the bytes of the buffers of frames, without the slots of [`Renderer::reserve`].
     pub fn frame_bytes(&self) -> u64 {
         self.runner.frame_bytes()
     }
 
-    /// The form of blending.
+    /// Returns the form of blending.
     pub fn blending(&self) -> Blending {
         self.runner.blending()
     }
 
-    /// Sets the form of blending. Frames that are recorded into a host's
-    /// command buffer then need [`Renderer::reserve`] again, once none is in flight: it builds the kernels.
+    /// Sets the form of blending. Before frames are recorded into a host's command buffer again, call
+    /// [`Renderer::reserve`], once none is in flight: it builds the kernels.
     pub fn set_blending(&mut self, blending: Blending) {
         self.runner.set_blending(blending);
     }
 
-    /// Gives the scene's Gaussians the sizes of Mip-Splatting's 3D filter (Yu et al. 2024, section 5.1), which follow from
-    /// the cameras that the scene is trained with. [`RenderSettings::filter_3d`] draws with them.
+    /// Computes the sizes of Mip-Splatting's 3D filter (Yu et al. 2024, section 5.1) for the scene's Gaussians, from the
+    /// training cameras. [`RenderSettings::filter_3d`] draws with them.
     ///
     /// # Errors
-    /// [`Error::Argument`] without a scene or cameras; memory or device failures.
+    /// [`Error::Argument`] if there is no scene or no camera; memory or device failures.
     pub fn compute_filters(&mut self, cameras: &[Camera]) -> Result<()> {
         let filter = Filter3d::new(&self.context, cameras)?;
         self.scenes()?.try_for_each(|scene| filter.run(&self.context, scene))
     }
 
-    /// The sizes of the 3D filter, world units, one per Gaussian; 0 where there is none.
+    /// Returns the sizes of the 3D filter, world units, one per Gaussian; 0 without a filter.
     ///
     /// # Errors
-    /// As [`Renderer::gaussians`].
+    /// Same as [`Renderer::gaussians`].
     pub fn filters(&self) -> Result<Vec<f32>> {
         let of_scenes = self.scenes()?.map(|scene| planes::download_filters(&self.context, scene));
         Ok(of_scenes.collect::<Result<Vec<_>>>()?.concat())
@@ -282,16 +282,16 @@ impl Renderer {
         self.runner.render(scene, camera, settings)
     }
 
-    /// As [`Renderer::render`], without reading the picture back: what the device does for a frame, for measurements.
+    /// Same as [`Renderer::render`], but does not read the picture back. For measurements of the device's work.
     ///
     /// # Errors
-    /// As [`Renderer::render`].
+    /// Same as [`Renderer::render`].
     pub fn draw(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<FrameStats> {
         let scene = self.scene.as_ref().ok_or_else(no_scene)?;
         self.runner.draw(scene, camera, settings)
     }
 
-    /// Renders a scene on the device, and no others.
+    /// Renders this scene on the device, instead of the loaded ones.
     ///
     /// # Errors
     /// [`Error::Argument`] for a scene of another context or an invalid camera; memory or device failures.
@@ -304,12 +304,12 @@ impl Renderer {
         self.with_scene(scene, |renderer| renderer.render(camera, settings))
     }
 
-    /// Does something with a scene on the device in place of what is loaded, which is loaded again afterwards: what is of one scene,
-    /// as [`Renderer::gradients`], [`Renderer::align`] and [`Renderer::compute_filters`]. Nothing is copied. What `act` loads is dropped
-    /// at its end. A panic of `act` loads what was loaded, too.
+    /// Calls `act` with this scene on the device in place of the loaded scenes, which are restored afterwards, even after a
+    /// panic. For operations on one scene: [`Renderer::gradients`], [`Renderer::align`], [`Renderer::compute_filters`].
+    /// Nothing is copied. Scenes that `act` loads are dropped at its end.
     ///
     /// # Errors
-    /// [`Error::Argument`] for a scene of another context; as what is done.
+    /// [`Error::Argument`] for a scene of another context; errors of `act`.
     pub fn with_scene<T>(
         &mut self,
         scene: &DeviceScene,
@@ -325,7 +325,7 @@ impl Renderer {
     }
 }
 
-/// A renderer whose scenes come back in the end.
+/// Restores the renderer's scenes when dropped.
 struct SetAside<'a> {
     renderer: &'a mut Renderer,
     loaded: Option<SceneBuffers>,
@@ -339,7 +339,7 @@ impl Drop for SetAside<'_> {
     }
 }
 
-/// What is of one scene alone.
+/// Returns an error if several scenes are loaded.
 fn check_one(runner: &FrameRunner, what: &str) -> Result<()> {
     match runner.surroundings().len() {
         0 => Ok(()),

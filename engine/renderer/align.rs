@@ -12,25 +12,25 @@ use crate::scene::{Camera, StoredPhoto, Twist};
 use crate::vk::{Context, MemoryKind};
 use glam::DVec3;
 
-/// How a camera is aligned: photometric optimisation of its pose with the scene fixed, as BARF (Lin et al. 2021,
-/// section 4.2) and later work without poses do with held-out views.
+/// Settings of a camera alignment: photometric optimisation of its pose with the scene fixed. BARF (Lin et al. 2021,
+/// section 4.2) and later methods without poses do the same with held-out views.
 ///
-/// Adam (ε 1e-8, no weight decay) on the six parameters of a [`Twist`], from 0, with the loss of training. Its turns are
-/// about the point in the middle of the picture at the mean depth of what is seen: about the camera's centre, a turn and a
-/// displacement look nearly the same, and Adam would take many more steps to tell them apart.
+/// Adam (ε 1e-8, no weight decay) optimises the six parameters of a [`Twist`], from 0, with the training loss. The pivot of
+/// its rotations is the picture's centre at the mean depth of the visible scene. Rotations about the camera's centre look
+/// nearly like displacements, so Adam would need many more steps.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Alignment {
     /// Number of steps; each takes about as long as an iteration of training.
     pub steps: u32,
-    /// Learning rate at the beginning: of turns, radians; of displacements, times the mean depth. It falls log-linearly to a
+    /// Initial learning rate: of rotations in radians, of displacements times the mean depth. It falls log-linearly to a
     /// hundredth at the last step.
     pub lr: f64,
-    /// Weight of 1 - SSIM in the loss; L1 takes the rest.
+    /// Weight of 1 - SSIM in the loss; L1 has the rest.
     pub lambda_dssim: f32,
 }
 
 impl Default for Alignment {
-    /// 100 steps, which reach about 2.5 degrees.
+    /// 100 steps, which correct about 2.5 degrees.
     fn default() -> Self {
         Self { steps: 100, lr: 2e-3, lambda_dssim: 0.2 }
     }
@@ -44,7 +44,7 @@ impl Alignment {
         Err(Error::argument("alignment", "its rate must be finite and not negative, lambda_dssim 0 to 1"))
     }
 
-    /// One step of Adam; `gradient` is about the camera's centre.
+    /// Takes one step of Adam; `gradient` is about the camera's centre.
     fn step(&self, adam: &mut Adam, gradient: Twist) {
         adam.steps += 1;
         let progress = f64::from(adam.steps) / f64::from(self.steps.max(1));
@@ -66,14 +66,14 @@ impl Alignment {
     }
 }
 
-/// The state of an alignment.
+/// State of an alignment.
 struct Adam {
-    /// About the pivot.
+    /// Motion about the pivot.
     moved: Twist,
     first: Twist,
     second: Twist,
     steps: u32,
-    /// Of the pivot, world units.
+    /// Depth of the pivot, world units.
     depth: f64,
 }
 
@@ -93,17 +93,17 @@ impl Adam {
     }
 }
 
-/// The kernels of an alignment.
+/// Kernels of an alignment.
 pub(crate) struct Aligner {
     context: Context,
     sizes: LaunchSizes,
     backward: Backward,
     gradient: PoseGradient,
-    /// For photographs without and with a mask.
+    /// For photographs without a mask, and with one.
     losses: [Option<Loss>; 2],
 }
 
-/// What a camera is aligned to.
+/// Inputs of an alignment.
 #[derive(Clone, Copy)]
 pub(crate) struct AlignRequest<'a> {
     pub scene: &'a SceneBuffers,
@@ -125,7 +125,7 @@ impl Aligner {
         })
     }
 
-    /// The camera after all steps. A step whose gradient is not finite moves nothing.
+    /// Returns the camera after all steps. Ignores a step whose gradient is not finite.
     pub fn align(&mut self, runner: &mut FrameRunner, request: &AlignRequest) -> Result<Camera> {
         let AlignRequest { scene, camera, photo, settings, sh_degree, alignment } = *request;
         check(request)?;
@@ -195,7 +195,7 @@ impl Aligner {
     }
 }
 
-/// Harmonic mean of the depth over what is seen, world units; 1 where nothing is.
+/// Returns the harmonic mean of the visible scene's depth, world units; 1 if nothing is visible.
 fn mean_depth(runner: &mut FrameRunner, request: &AlignRequest) -> Result<f64> {
     let AlignRequest { scene, camera, settings, sh_degree, .. } = *request;
     let settings = RenderSettings { inverse_depth: true, sh_degree: Some(sh_degree), ..*settings };
@@ -225,12 +225,12 @@ fn check(request: &AlignRequest) -> Result<()> {
 }
 
 impl Renderer {
-    /// Moves a camera until the picture of the scene agrees with a photograph, and returns it. The scene stays as
-    /// it is.
+    /// Aligns a camera to a photograph, so that the scene's picture agrees with it, and returns the moved camera. The scene
+    /// does not change.
     ///
     /// # Errors
-    /// [`Error::Argument`] without a scene, for a photograph of another size than the camera's, rates that are not finite,
-    /// and settings that are not [faithful](RenderSettings::is_faithful); as [`Renderer::render`].
+    /// [`Error::Argument`] without a scene, for a photograph of another size than the camera's, or for rates that are not
+    /// finite. Also for settings that are not [faithful](RenderSettings::is_faithful), and errors of [`Renderer::render`].
     pub fn align(
         &mut self,
         camera: &Camera,
@@ -254,7 +254,7 @@ impl Renderer {
 mod tests {
     use super::*;
 
-    /// The minimum of a quadratic function is found, within the reach of the rates.
+    /// Adam finds the minimum of a quadratic function, within the reach of the rates.
     #[test]
     fn adam_finds_a_minimum() {
         let alignment = Alignment { steps: 300, ..Alignment::default() };
@@ -262,7 +262,7 @@ mod tests {
         let mut adam = Adam::new(3.0);
         for _ in 0..300 {
             let (nu, omega) = (adam.moved.nu - wanted.nu, adam.moved.omega - wanted.omega);
-            // About the camera's centre.
+            // Converts it to the camera's centre.
             let omega = omega + DVec3::new(0.0, 0.0, 3.0).cross(nu);
             alignment.step(&mut adam, Twist { nu, omega });
         }

@@ -13,12 +13,12 @@ use crate::scene::{Camera, DepthMapping};
 use crate::vk::{Buffer, Context, ImageUse};
 use ash::vk;
 
-/// Scenes that are checked and then placed, which finds them in the processor's first cache.
+/// Number of scenes that are checked and then placed together, so that they stay in the processor's first cache.
 const SCENES_AT_ONCE: usize = 32;
 
 impl Renderer {
     /// Checks a frame before anything is recorded, adds its scenes to `all`, and returns how many Gaussians they draw.
-    /// `earlier`: the views before it in the recording.
+    /// `earlier`: earlier views of the recording.
     pub(super) fn check_frame<'a>(
         &self,
         (frame, earlier): (&RecordedFrame<'a>, &[RecordedFrame<'_>]),
@@ -26,7 +26,7 @@ impl Renderer {
         all: &mut Vec<PlacedScene<'a>>,
     ) -> Result<u64> {
         frame.camera.check()?;
-        // Their background is none of the frame's.
+        // The target has its own background, so the settings' one is not checked.
         let settings = RenderSettings { background: [0.0; 3], ..*frame.settings };
         settings.check().map_err(|error| error.within("settings"))?;
         let context = &self.context;
@@ -46,7 +46,7 @@ impl Renderer {
             motion: frame.motion.is_some(),
             ..BlendVariant::of(frame.settings, false).of_camera(frame.camera)
         };
-        // One walk over the scenes: there may be thousands. Most are of the same kind as the one before.
+        // One pass over the scenes, because there may be thousands. Most have the same kind as the previous one.
         let (mut gaussians, mut known, mut are_prepared) = (0, None, true);
         let mut placing = Placing::new(frame, self.runner.forward.sizes.elementwise_workgroup);
         for (number, scenes) in frame.scenes.chunks(SCENES_AT_ONCE).enumerate() {
@@ -156,12 +156,12 @@ impl Renderer {
     }
 }
 
-/// The field of a frame, and the name of its image.
+/// Names a field of a frame and its image.
 pub(super) fn field_of(field: &str, host: &HostImage<'_>) -> String {
     format!("{field} (image '{}')", host.image.name())
 }
 
-/// Names the field of an image's error, and that of another field beside the image.
+/// Prefixes an error with the field, whether it names the image or another field.
 fn in_field(field: &str, checked: Result<()>) -> Result<()> {
     checked.map_err(|error| match error {
         Error::Argument { what, problem } if what.starts_with("image '") => {
@@ -171,7 +171,7 @@ fn in_field(field: &str, checked: Result<()>) -> Result<()> {
     })
 }
 
-/// Motion into an image that is possible otherwise, of a frame of this size.
+/// Checks motion into an image that is valid otherwise, for a frame of this size.
 fn check_motion(motion: &MotionTarget<'_>, size: [u32; 2], is_new: bool) -> Result<()> {
     let camera = motion.previous_camera;
     camera.check().map_err(|error| error.of("motion.previous_camera"))?;
@@ -193,7 +193,7 @@ fn check_motion(motion: &MotionTarget<'_>, size: [u32; 2], is_new: bool) -> Resu
     }
 }
 
-/// Refuses an image whose contents the frame needs and that it would find in the layout UNDEFINED: they are lost then.
+/// Returns an error if the frame needs the image's contents but the layout UNDEFINED discards them.
 fn check_is_defined(field: &str, host: &HostImage<'_>) -> Result<()> {
     if host.from.layout != vk::ImageLayout::UNDEFINED {
         return Ok(());
@@ -202,11 +202,11 @@ fn check_is_defined(field: &str, host: &HostImage<'_>) -> Result<()> {
     Err(Error::argument(field_of(field, host), problem))
 }
 
-/// What is said of a scene that does not belong to the renderer's context.
+/// Problem of a scene that does not belong to the renderer's context.
 pub(super) const ELSEWHERE: &str =
     "it belongs to another context: on the same VkDevice, DeviceScene::in_context gives one of this";
 
-/// Checks a scene of a frame, which evaluates this SH degree of it.
+/// Checks a scene of a frame that evaluates it with this SH degree.
 #[inline]
 fn check_scene(
     (index, placed): (usize, &Placed<'_>),
@@ -233,7 +233,7 @@ fn check_scene(
     reserved.check_scene(index, &placed.settings)
 }
 
-/// A mask has a bit for each of the scene's Gaussians.
+/// Checks that a mask has a bit for each of the scene's Gaussians.
 fn check_mask(mask: &Buffer, gaussians: u32, context: &Context) -> Result<()> {
     let bad = |problem| Err(Error::argument(format!("selection.mask (buffer '{}')", mask.name()), problem));
     if !mask.belongs_to(context) {
@@ -271,7 +271,7 @@ fn check_updates(updates: &[Update<'_>], context: &Context, reserved: &Reservati
     Ok(())
 }
 
-/// Checks that there is room for a frame and its scenes, as they are placed.
+/// Checks that the capacity suffices for a frame and its placed scenes.
 pub(super) fn check_capacity(
     (frame, placed): (&RecordedFrame<'_>, &[PlacedScene<'_>]),
     capacity: &FrameCapacity,
@@ -293,7 +293,7 @@ pub(super) fn check_capacity(
             });
         }
     }
-    // Where that is no more than is reserved, there is room for the gaps between scenes, too.
+    // If the last scene ends within the reserved Gaussians, the gaps between scenes fit too.
     let end = placed.last().map_or(0, |last| u64::from(last.first) + u64::from(last.drawn()));
     if end > u64::from(capacity.gaussians) {
         let needed = frame.scenes.iter().map(|s| u64::from(s.drawn())).sum();

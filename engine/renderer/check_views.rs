@@ -1,11 +1,11 @@
-//! Checks of what the views of a recording have in common, and whose view an error is.
+//! Checks the views of a recording against each other, and names the view of an error.
 
 use super::check::field_of;
 use super::record::{RecordedFrame, Target};
 use super::reservation::{RESERVATION, Reservation, field_name};
 use crate::error::{Error, Result};
 
-/// Checks views beside each other, before each is checked alone.
+/// Checks views against each other, before each is checked alone.
 pub(super) fn check_views(
     views: &[RecordedFrame<'_>],
     releases: usize,
@@ -69,14 +69,14 @@ fn check_beside(
     Ok(())
 }
 
-/// Names the view of an error, where there are several.
+/// Names the view of an error, if there are several views.
 pub(super) fn in_view(error: Error, index: usize, views: &[RecordedFrame<'_>]) -> Error {
     if views.len() == 1 {
         return error;
     }
     let view = format!("views[{index}]");
     match error {
-        // The field is the reservation's; the frame and its scenes are the view's.
+        // The field belongs to the reservation; the frame and its scenes belong to the view.
         Error::Argument { what, problem } if what.starts_with(RESERVATION) => {
             let problem = problem.replace("the frame", &view).replace("scenes[", &format!("{view}.scenes["));
             Error::argument(what, problem)

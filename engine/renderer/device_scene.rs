@@ -9,9 +9,9 @@ use crate::vk::{Buffer, Context, MemoryKind};
 
 /// Gaussians on the device, for [`super::Renderer::record`]. A frame can have any number of scenes.
 ///
-/// The parameters lie in chunks, one buffer each, as vec4 planes (`PLANE_*` in `glsl/include/constants.glsl`)
-/// in rows of eight Gaussians. Geometry and each SH degree are separate. [`ScenePlan::place`] is the address;
-/// the plan's fields are the numbers of chunks, planes and Gaussians.
+/// The parameters are in chunks, one buffer each, as vec4 planes (`PLANE_*` in `glsl/include/constants.glsl`) in rows of
+/// eight Gaussians. Geometry and each SH degree are separate. [`ScenePlan::place`] returns a plane's address; the plan's
+/// fields give the numbers of chunks, planes and Gaussians.
 #[derive(Clone)]
 pub struct DeviceScene {
     context: Context,
@@ -25,8 +25,8 @@ impl DeviceScene {
         Self { context: context.clone(), buffers, parameters }
     }
 
-    /// Uploads a scene with room for `capacity` Gaussians, or for as many as there are: 0 for no more than these. Where the memory
-    /// cannot be mapped it submits a copy and waits for that, which comes behind what the host has submitted to the queue before.
+    /// Uploads a scene with a capacity of `capacity` Gaussians, but at least for the given ones. If the memory cannot be
+    /// mapped, submits a copy and waits for it. The copy runs after the host's earlier submissions to the queue.
     ///
     /// # Errors
     /// [`Error::Argument`] when the vectors differ in length; allocation failures.
@@ -36,18 +36,19 @@ impl DeviceScene {
         Ok(Self::new(context, buffers))
     }
 
-    /// Uploads several scenes into as few buffers as kernels can bind, each with room for its own Gaussians. The memory of a buffer is
-    /// freed with the last of its scenes.
+    /// Uploads several scenes into as few buffers as kernels can bind. The capacity of each is its number of Gaussians.
+    /// Dropping the last scene of a buffer frees the buffer's memory.
     ///
-    /// Frames cull and project small scenes of one buffer together, as a batch, to the same bits. A batch has 8 scenes or more, each of
-    /// at most 16 culling blocks (4096 Gaussians on usual devices). They share the evaluated SH degree, and whether they have a tint or an
-    /// opacity and cut-outs. Scenes with a selection or of a frame with motion are drawn alone. Between two scenes of a batch at most 32
-    /// culling blocks of other scenes may lie, so frames of scenes in an order by kind have the fewest dispatches.
-    /// A host's own buffer is adopted once ([`Buffer::adopt`]), and each scene gets a range of it: scenes that are adopted one by one are
-    /// drawn alone.
+    /// Frames cull and project small scenes of one buffer together, as a batch, with the same bits. A batch has 8 scenes or
+    /// more, each of at most 16 culling blocks (4096 Gaussians on usual devices). Its scenes have the same evaluated SH
+    /// degree, and all or none have a tint or opacity, and cut-outs. Scenes with a selection, or of a frame with motion,
+    /// are drawn alone. At most 32 culling blocks of other scenes may separate two scenes of a batch, so scenes ordered by
+    /// kind need the fewest dispatches.
+    /// To batch scenes in a host's buffer, adopt it once ([`Buffer::adopt`]) and give each scene a range of it. Scenes
+    /// adopted one by one are drawn alone.
     ///
     /// # Errors
-    /// As [`DeviceScene::upload`].
+    /// Same as [`DeviceScene::upload`].
     pub fn upload_all(context: &Context, scenes: &[&Gaussians]) -> Result<Vec<Self>> {
         let plan = |(index, gaussians): (usize, &&Gaussians)| {
             gaussians.check_shapes().map_err(|error| error.within(format_args!("scenes[{index}]")))?;
@@ -65,13 +66,13 @@ impl DeviceScene {
         scenes.iter().zip(plans).map(upload).collect()
     }
 
-    /// The same scene in another context on the same VkDevice, with the same Gaussians in memory: several parts of an engine, each with a
-    /// context of its own, draw it. It keeps the memory alive. Uses in both contexts are uses of the same buffers, which the host orders:
-    /// those of one queue are in order, those of several by semaphores.
+    /// Returns the same scene for another context on the same VkDevice, with the same Gaussians in memory. Several parts of
+    /// an engine, each with its own context, can draw it. It keeps the memory alive. Both contexts then use the same
+    /// buffers, and the host orders the uses: within one queue they are in order, across queues by semaphores.
     ///
     /// # Errors
-    /// [`Error::Argument`] for a context of another device, whose queues are of another family, whose limits ask for another plan, or whose
-    /// kernels read texels.
+    /// [`Error::Argument`] for a context of another device, whose queues are of another family, whose limits give another
+    /// plan, or whose kernels read texels.
     pub fn in_context(&self, context: &Context) -> Result<Self> {
         let plan = self.buffers.plan;
         let shared = |chunk: &Buffer| chunk.in_context(context).map_err(|error| error.of("scene"));
@@ -83,8 +84,8 @@ impl DeviceScene {
         Ok(Self::new(context, SceneBuffers { chunks, ..self.buffers }))
     }
 
-    /// An empty scene with a capacity of `capacity` Gaussians with SH up to `sh_degree`. [`super::Update`]s
-    /// fill it.
+    /// Allocates an empty scene with a capacity of `capacity` Gaussians with SH up to `sh_degree`. [`super::Update`]s fill
+    /// it.
     ///
     /// # Errors
     /// [`Error::TooLarge`] or an allocation's failure.
@@ -94,18 +95,19 @@ impl DeviceScene {
         Ok(Self::new(context, SceneBuffers { chunks, plan, count: 0 }))
     }
 
-    /// A scene in the host's own buffers ([`Buffer::adopt`]), one for each chunk of
-    /// [`DeviceScene::plan_for`], with `count` Gaussians. Only the first [`ScenePlan::chunk_bytes`] of each
-    /// buffer are used. A host that writes the buffers synchronises the writes as for any buffer that compute
-    /// shaders read.
+    /// Creates a scene in the host's own buffers ([`Buffer::adopt`]), one for each chunk of [`DeviceScene::plan_for`], with
+    /// `count` Gaussians. Only the first [`ScenePlan::chunk_bytes`] of each buffer are used. A host that writes the buffers
+    /// synchronises the writes as for any buffer that compute shaders read.
     ///
     /// # Errors
-    /// [`Error::Argument`] for a plan that is not [`DeviceScene::plan_for`] this device; for too few or too
-    /// small buffers; for buffers of another context, with an unaligned offset, or that overlap; for more
-    /// Gaussians than the plan's capacity.
+    /// [`Error::Argument`] for:
+    /// - a plan that is not [`DeviceScene::plan_for`] this device;
+    /// - too few or too small buffers;
+    /// - buffers of another context, with an unaligned offset, or that overlap;
+    /// - more Gaussians than the plan's capacity.
     pub fn from_buffers(context: &Context, plan: ScenePlan, chunks: Vec<Buffer>, count: u32) -> Result<Self> {
         let bad = |field: &str, problem: String| Err(Error::argument(field, problem));
-        // A plan depends on the device's limits. A plan of another device would be bound and indexed wrongly.
+        // A plan depends on the device's limits. Another device's plan would be bound and indexed wrongly.
         let own = Self::plan_for(context, plan.capacity, plan.sh_degree);
         if plan != own.map_err(|error| error.within("plan"))? {
             return bad("plan", "it is not the one that DeviceScene::plan_for makes on this device".into());
@@ -144,15 +146,15 @@ impl DeviceScene {
         Self::new(context, buffers)
     }
 
-    /// The layout of the parameters of `capacity` Gaussians on this device.
+    /// Returns the layout of the parameters of `capacity` Gaussians on this device.
     ///
     /// # Errors
-    /// [`Error::TooLarge`] above the range of the indices, [`Error::Argument`] for an SH degree above 3.
+    /// [`Error::TooLarge`] for a capacity above the range of indices, [`Error::Argument`] for an SH degree above 3.
     pub fn plan_for(context: &Context, capacity: u32, sh_degree: u32) -> Result<ScenePlan> {
         ScenePlan::new(context.limits(), capacity, check_degree(sh_degree)?)
     }
 
-    /// The layout of the parameters.
+    /// Returns the layout of the parameters.
     pub fn plan(&self) -> &ScenePlan {
         &self.buffers.plan
     }
@@ -162,10 +164,10 @@ impl DeviceScene {
         self.buffers.count
     }
 
-    /// Renders only the first `count` from the next recording on.
+    /// Renders only the first `count` Gaussians from the next recording on.
     ///
     /// # Errors
-    /// [`Error::Argument`] above the capacity.
+    /// [`Error::Argument`] for a count above the capacity.
     pub fn set_count(&mut self, count: u32) -> Result<()> {
         if count > self.buffers.plan.capacity {
             let problem = format!("{count}, there is room for {}", self.buffers.plan.capacity);
@@ -175,8 +177,7 @@ impl DeviceScene {
         Ok(())
     }
 
-    /// Reads the Gaussians back. Submits and waits if the memory cannot be mapped. No submission may write
-    /// them meanwhile.
+    /// Reads the Gaussians back. Submits and waits if the memory cannot be mapped. No submission may write them meanwhile.
     ///
     /// # Errors
     /// When the device is lost.
@@ -184,7 +185,7 @@ impl DeviceScene {
         planes::download(&self.context, &self.buffers)
     }
 
-    /// Whether it belongs to this context's device.
+    /// True if it belongs to this context's device.
     pub fn belongs_to(&self, context: &Context) -> bool {
         self.context.is(context)
     }

@@ -1,4 +1,4 @@
-//! Frame slots that hold a host's first frame whole, before it is recorded.
+//! Reserves frame slots that are large enough for a host's first frame, before it is recorded.
 
 use super::Renderer;
 use super::check::check_capacity;
@@ -9,14 +9,13 @@ use crate::error::{Error, Result};
 use crate::forward::RenderSettings;
 
 impl Renderer {
-    /// As [`Renderer::reserve`], with room for this frame: without
-    /// [`instances`](Reservation::instances) a reservation is an estimate, and a first frame that needs more
-    /// lacks what lies farthest back. Counts what the frame needs, without its targets, occluder and updates.
-    /// Where scenes are shown, hidden or cut in turn, give the frame that shows most. Submits to the context's queue, and waits.
-    /// Returns what is reserved.
+    /// Same as [`Renderer::reserve`], but large enough for this frame. Without [`instances`](Reservation::instances) a
+    /// reservation is an estimate, and a first frame that needs more lacks its farthest Gaussians. Counts the needs of the
+    /// frame, without its targets, occluder and updates. If scenes are shown, hidden or cut at different times, give the
+    /// frame that shows most. Submits to the context's queue, and waits. Returns the reservation.
     ///
     /// # Errors
-    /// As [`Renderer::reserve`] and [`Renderer::record`]; on a host's device that was given without a queue.
+    /// Errors of [`Renderer::reserve`] and [`Renderer::record`]; [`Error::Argument`] for a host's device without a queue.
     pub fn reserve_for(&mut self, wanted: &Reservation, frame: &RecordedFrame<'_>) -> Result<Reservation> {
         let mut reserved = *wanted;
         self.reserve(&reserved)?;
@@ -26,7 +25,7 @@ impl Renderer {
             if grown == reserved {
                 return Ok(reserved);
             }
-            // The reserve may be what does not fit.
+            // The reserve of half may be what does not fit.
             let exact = Reservation { instances: grown.instances.min(report.instances_needed), ..grown };
             reserved = match self.reserve(&grown) {
                 Err(Error::TooLarge { .. } | Error::Vulkan { .. }) if exact != grown => {
@@ -38,7 +37,7 @@ impl Renderer {
         }
     }
 
-    /// Executes a frame in the first slot, which is free, up to its counts.
+    /// Runs a frame, up to its counts, in the first slot, which must be free.
     fn count(&mut self, frame: &RecordedFrame<'_>, reserved: &Reservation) -> Result<SlotReport> {
         let mut placed = Vec::new();
         self.check_frame((frame, &[]), reserved, &mut placed)?;

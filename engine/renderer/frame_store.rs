@@ -1,4 +1,4 @@
-//! The buffers of a frame, and how they grow.
+//! Buffers of a frame, and their growth.
 
 use super::BlendSamples;
 use crate::error::{Error, Result};
@@ -15,45 +15,45 @@ pub struct FrameStore {
     context: Context,
     sizes: LaunchSizes,
     readback: Buffer,
-    /// Pictures that the buffers hold in any case.
+    /// Pictures for which the buffers are always large enough.
     expected: PictureCapacity,
-    /// Whether frames with backward have room for absolute gradients.
+    /// True if frames with backward include absolute gradients.
     absolute: bool,
-    /// What the last frame asked for. Earlier ones may have needed more.
+    /// Capacity that the last frame requested. Earlier frames may have needed more.
     asked: FrameCapacity,
     capacity: FrameCapacity,
     frame: Option<FrameBuffers>,
 }
 
-/// The counts that a frame reports.
+/// Counts that a frame reports.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct State {
-    /// Visible Gaussians that the frame has.
+    /// Visible Gaussians that the frame stores.
     pub visible: u32,
     /// Visible Gaussians that the frame needs. More than its capacity if it overflowed.
     pub visible_needed: u32,
-    /// Instances that the frame needs. More than its capacity if it overflowed. If there are more visible Gaussians than it has,
-    /// those of the ones that it has.
+    /// Instances that the frame needs. More than its capacity if it overflowed. If visible Gaussians overflowed, counts
+    /// only the instances of the stored ones.
     pub instances: u32,
     /// Entries of the longest tile.
     pub longest_tile: u32,
     /// Gaussians whose gradient was not finite.
     pub non_finite: u32,
-    /// Whether a capacity was too small, which makes the frame invalid.
+    /// True if a capacity was too small, which makes the frame invalid.
     pub overflow: bool,
     /// Samples of the blending kernels, if counted.
     pub samples: BlendSamples,
 }
 
 impl State {
-    /// Instances of all visible Gaussians: an estimate where there was no room for some of these.
+    /// Returns the instances of all visible Gaussians. An estimate if visible Gaussians overflowed.
     pub fn all_instances(&self) -> u32 {
         let all = u64::from(self.instances) * u64::from(self.visible_needed.max(self.visible))
             / u64::from(self.visible.max(1));
         all.max(self.instances.into()).min(u32::MAX.into()) as u32
     }
 
-    /// From the device's words.
+    /// Decodes the device's words.
     pub fn of(bytes: &[u8; c::STATE_WORDS as usize * 4]) -> Self {
         let words: Vec<u32> = bytemuck::pod_collect_to_vec(bytes);
         let word = |index: u32| words[index as usize];
@@ -85,10 +85,10 @@ const NOTHING: FrameCapacity = FrameCapacity {
 };
 
 impl FrameStore {
-    /// The buffer through which the counts are read back.
+    /// Buffer through which the counts are read back.
     pub const READBACK: [(&str, u64); 1] = [("state_readback", c::STATE_WORDS as u64 * 4)];
 
-    /// Allocates only the buffer for reading the counts back.
+    /// Creates a store that has only the readback buffer.
     ///
     /// # Errors
     /// When the memory does not suffice.
@@ -108,22 +108,22 @@ impl FrameStore {
         })
     }
 
-    /// From now on buffers are allocated for these pictures at once, and not only when their frames come.
+    /// Makes later allocations large enough for these pictures, before their frames come.
     pub fn expect_pictures(&mut self, pictures: PictureCapacity) {
         self.expected = pictures;
     }
 
-    /// From now on frames with backward have room for absolute gradients.
+    /// Makes later frames with backward include absolute gradients.
     pub fn expect_absolute(&mut self) {
         self.absolute = true;
     }
 
-    /// Buffers for some Gaussians of some scenes, and a camera. Reallocates them if the current ones are too small. If they then do not
-    /// fit the memory because of what earlier frames needed, that is given up. The first ones have an estimated
-    /// number of visible Gaussians and of instances, or a part of it if the memory holds no more.
+    /// Returns buffers for these numbers of Gaussians and scenes, and a camera. Reallocates them if the current ones are
+    /// too small. If they then do not fit beside the needs of earlier frames, drops those needs. The first buffers have
+    /// estimated numbers of visible Gaussians and instances, or a part of them if memory is short.
     ///
     /// # Errors
-    /// When the memory or a limit of the device does not suffice: before any work.
+    /// When the memory or a limit of the device does not suffice, before any work.
     pub fn ensure(
         &mut self,
         [gaussians, scenes]: [u32; 2],
@@ -164,7 +164,7 @@ impl FrameStore {
                 Err(error) if is_memory(&error) && !own_alone => {
                     (capacity, estimated, own_alone) = (self.asked, true, true);
                 }
-                // The estimate may be what does not fit, and the frame may need less. If not, it says so.
+                // The estimate may be what does not fit, and the frame may need less. If it needs more, it overflows.
                 Err(error) if is_memory(&error) && estimated && can_be_less(&capacity) => {
                     capacity.visible = (capacity.visible / 4).max(capacity.visible.min(LEAST_VISIBLE));
                     capacity.instances = (capacity.instances / 4).max(LEAST_INSTANCES);
@@ -174,7 +174,7 @@ impl FrameStore {
         }
     }
 
-    /// The capacities of the frame's buffers.
+    /// Returns the capacities of the frame's buffers.
     pub fn capacity(&self) -> FrameCapacity {
         self.capacity
     }
@@ -201,7 +201,7 @@ impl FrameStore {
     /// Grows the capacity for more Gaussians, ahead of the frames that will need it.
     ///
     /// # Errors
-    /// As [`FrameStore::ensure`]; the next frame then allocates the previous capacity.
+    /// Same as [`FrameStore::ensure`]; the next frame then allocates the previous capacity.
     pub fn make_room(&mut self, gaussians: u32) -> Result<()> {
         if self.frame.is_none() || gaussians <= self.capacity.gaussians {
             return Ok(());
@@ -212,14 +212,14 @@ impl FrameStore {
     /// Allocates the capacity of an earlier run.
     ///
     /// # Errors
-    /// As [`FrameStore::ensure`].
+    /// Same as [`FrameStore::ensure`].
     pub fn restore(&mut self, capacity: FrameCapacity) -> Result<()> {
         self.asked = capacity;
         self.allocate(capacity).map(drop)
     }
 
-    /// Allocates what frames are expected to need. Where the memory or the device's limits do not suffice, the next frame allocates
-    /// what it needs itself.
+    /// Allocates the expected capacity. If the memory or the device's limits do not suffice, the next frame allocates only
+    /// what it needs.
     ///
     /// # Errors
     /// When the device is lost.
@@ -238,7 +238,7 @@ impl FrameStore {
         self.frame = None;
     }
 
-    /// Frees the buffers and resets the capacity. The next frame allocates what it needs itself.
+    /// Frees the buffers and resets the capacity. The next frame allocates only what it needs.
     pub fn forget(&mut self) {
         self.frame = None;
         self.capacity = NOTHING;
@@ -255,13 +255,13 @@ impl FrameStore {
         self.frame = None;
     }
 
-    /// Sets the capacity in visible Gaussians, as [`FrameStore::set_instances`]. No frame has more than all Gaussians.
+    /// Sets the capacity in visible Gaussians, and forces a new allocation. No frame has more than all Gaussians.
     pub fn set_visible(&mut self, visible: u32) {
         self.capacity.visible = visible;
         self.frame = None;
     }
 
-    /// The buffers of the last frame.
+    /// Returns the buffers of the last frame.
     ///
     /// # Errors
     /// [`Error::Argument`] without a frame.
@@ -275,7 +275,7 @@ impl FrameStore {
         r.copy(&frame.state, &self.readback);
     }
 
-    /// The counts, after the frame has finished.
+    /// Returns the counts, after the frame has finished.
     ///
     /// # Errors
     /// When the memory cannot be read.
@@ -291,7 +291,7 @@ impl FrameStore {
     /// When the memory or a limit of the device does not suffice.
     pub fn grow(&mut self, state: &State, sizes: &LaunchSizes) -> Result<bool> {
         let mut capacity = self.capacity;
-        // With a reserve: the next frames will need a different number.
+        // With a reserve, because later frames will need other numbers.
         if state.visible_needed > capacity.visible {
             let reserve = state.visible_needed.saturating_add(state.visible_needed / 4);
             capacity.visible = reserve.min(capacity.gaussians).max(state.visible_needed);
@@ -304,7 +304,7 @@ impl FrameStore {
         if capacity == self.capacity {
             return Ok(false);
         }
-        // What the frame itself needs, without what is left of earlier ones.
+        // Needs of this frame alone, without those of earlier ones.
         let own = FrameCapacity {
             visible: state.visible_needed.max(1),
             instances: state.instances.max(1),
@@ -340,17 +340,17 @@ impl FrameStore {
     }
 }
 
-/// Whether an estimate is more than the least that there is.
+/// True if an estimate exceeds the smallest capacity.
 fn can_be_less(estimate: &FrameCapacity) -> bool {
     estimate.instances > LEAST_INSTANCES || estimate.visible > LEAST_VISIBLE
 }
 
-/// Whether an allocation failed for want of memory.
+/// True if an allocation failed for lack of memory.
 fn is_memory(error: &Error) -> bool {
     matches!(error, Error::TooLarge { .. } | Error::Vulkan { call: "vkAllocateMemory", .. })
 }
 
-/// Adds the image's size to an error; `alone`: the buffers are for this image, not for larger ones that will come.
+/// Adds the image's size to an error. `alone`: the buffers are for this image only, not for expected larger ones.
 fn name_image(error: Error, camera: &Camera, alone: bool) -> Error {
     match error {
         Error::TooLarge { what, needed, unit, limit, limit_name } => {
@@ -362,7 +362,7 @@ fn name_image(error: Error, camera: &Camera, alone: bool) -> Error {
     }
 }
 
-/// Reports the number of visible Gaussians instead of the buffer that did not fit, and that of the instances of those that had room.
+/// Names the number of visible Gaussians instead of the buffer that did not fit, and the instances of those that fitted.
 fn name_visible(error: Error, visible: u32, instances: Option<u32>) -> Error {
     let instances = instances.map_or(String::new(), |instances| {
         format!(" and more than {instances} (tile, Gaussian) instances (a smaller image has fewer)")
@@ -370,7 +370,7 @@ fn name_visible(error: Error, visible: u32, instances: Option<u32>) -> Error {
     name(error, format!("a frame of {visible} visible Gaussians{instances}"))
 }
 
-/// Reports the number of instances instead of the buffer that did not fit.
+/// Names the number of instances instead of the buffer that did not fit.
 fn name_instances(error: Error, instances: u32) -> Error {
     name(error, format!("a frame of {instances} (tile, Gaussian) instances (a smaller image has fewer)"))
 }

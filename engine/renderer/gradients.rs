@@ -17,21 +17,21 @@ pub struct Gradients {
     pub parameters: Gaussians,
     /// With respect to the 2D means, pixels; 0 for Gaussians that are not visible.
     pub mean2d_px: Vec<[f32; 2]>,
-    /// With respect to the camera's pose: dL/dδ at δ = 0 of the pose `exp(δ^) T`, T from world to camera. δ = (ν, ω) is in the
-    /// camera's frame (x right, y down, z forward): three displacements in world units, then three turns in radians
-    /// about the camera's centre. See [`Twist`](crate::scene::Twist). Only of [`Renderer::gradients_with_pose`].
+    /// With respect to the camera's pose: dL/dδ at δ = 0 of the pose `exp(δ^) T`, T from world to camera. δ = (ν, ω) is in
+    /// the camera's frame (x right, y down, z forward). ν are three displacements in world units, ω three rotations in
+    /// radians about the camera's centre. See [`Twist`](crate::scene::Twist). Only from [`Renderer::gradients_with_pose`].
     pub pose: Option<[f32; 6]>,
 }
 
 impl Renderer {
     /// Renders the scene and returns the gradient of `sum(image * image_gradient)` (plus `sum(inverse_depth *
-    /// inverse_depth_gradient)`). With `image_gradient` = dL/dimage this is the gradient of L. It is the
-    /// exact derivative of the forward pass (paper, appendix A).
+    /// inverse_depth_gradient)`). With `image_gradient` = dL/dimage this is the gradient of L. It is the exact derivative
+    /// of the forward pass (paper, appendix A).
     ///
     /// # Errors
-    /// [`Error::Argument`] when a gradient does not have one entry per pixel, for an inverse-depth gradient
-    /// without `settings.inverse_depth`, for an orthographic camera, and for settings that are not
-    /// [faithful](RenderSettings::is_faithful); as [`Renderer::render`].
+    /// [`Error::Argument`] when a gradient does not have one entry per pixel, for an inverse-depth gradient without
+    /// `settings.inverse_depth`, or for an orthographic camera. Also for settings that are not
+    /// [faithful](RenderSettings::is_faithful), and errors of [`Renderer::render`].
     pub fn gradients(
         &mut self,
         camera: &Camera,
@@ -42,12 +42,12 @@ impl Renderer {
         self.differentiate(camera, settings, (image_gradient, inverse_depth_gradient), false)
     }
 
-    /// As [`Renderer::gradients`], with the gradient with respect to the camera's pose ([`Gradients::pose`]). It sums over all
-    /// visible Gaussians, in one fixed order (the same bits each time), how their means, covariances and directions of
-    /// view change with the pose.
+    /// Same as [`Renderer::gradients`], but also returns the gradient with respect to the camera's pose
+    /// ([`Gradients::pose`]). It sums over all visible Gaussians how their means, covariances and view directions change
+    /// with the pose. The order of the sum is fixed, so its bits are always the same.
     ///
     /// # Errors
-    /// As [`Renderer::gradients`].
+    /// Same as [`Renderer::gradients`].
     pub fn gradients_with_pose(
         &mut self,
         camera: &Camera,

@@ -11,15 +11,15 @@ use crate::vk::Buffer;
 /// One Gaussian blended at a pixel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sample {
-    /// Index in the scene; of several scenes, each is counted behind the one before it.
+    /// Index in the scene. Indices of several scenes continue from one to the next.
     pub gaussian: u32,
     /// Depth (z in the camera's frame), world units.
     pub depth: f32,
     /// Alpha at the pixel.
     pub alpha: f32,
-    /// Transmittance in front of it.
+    /// Transmittance before it.
     pub transmittance_before: f32,
-    /// Its weight: alpha times the transmittance in front.
+    /// Blending weight: alpha times the transmittance before it.
     pub weight: f32,
     /// Transmittance after it.
     pub transmittance_after: f32,
@@ -30,21 +30,21 @@ pub struct Sample {
 /// The Gaussians blended at a pixel, front to back, and their sum.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PixelReport {
-    /// Front to back.
+    /// Blended Gaussians, front to back.
     pub samples: Vec<Sample>,
-    /// The pixel on the background.
+    /// Colour of the pixel on the background.
     pub color: [f32; 3],
-    /// Transmittance after the last.
+    /// Transmittance after the last Gaussian.
     pub transmittance: f32,
 }
 
 impl Renderer {
-    /// Renders a frame and lists what is blended at one pixel (column, row). It reads the tile's sorted list
-    /// and the projected attributes back from the frame. The host blends the pixel again from them, equal to
-    /// the device's result up to rounding.
+    /// Renders a frame and lists what is blended at one pixel (column, row). Reads the tile's sorted list and the projected
+    /// attributes back from the frame. The host blends the pixel from them again; its result equals the device's up to
+    /// rounding.
     ///
     /// # Errors
-    /// [`Error::Argument`] when the pixel lies outside the image; as [`Renderer::render`].
+    /// [`Error::Argument`] when the pixel is outside the image; errors of [`Renderer::render`].
     pub fn inspect(
         &mut self,
         camera: &Camera,
@@ -126,7 +126,7 @@ impl FrameRunner {
         Ok(report)
     }
 
-    /// The index of a Gaussian of a frame where scenes lie behind each other without gaps.
+    /// Converts a frame's Gaussian index to an index without the gaps between scenes.
     pub(super) fn without_gaps(&self, scene: &SceneBuffers, gaussian: u32) -> u32 {
         let (mut first, mut end, mut before) = (0, scene.count, 0);
         for next in self.surroundings() {

@@ -11,34 +11,34 @@ use crate::scene::{Camera, ColorEncoding, DepthMapping, Pose};
 use crate::vk::{ForeignCommands, Image, ImageState};
 use ash::vk;
 
-/// A scene, its pose, and how it is drawn.
+/// A scene with its pose and draw settings.
 #[derive(Clone, Copy)]
 pub struct Placed<'a> {
     /// The scene.
     pub scene: &'a DeviceScene,
-    /// Its pose in the world.
+    /// Pose in the world.
     pub pose: Pose,
-    /// How it is drawn.
+    /// Draw settings.
     pub settings: SceneSettings<'a>,
-    /// Its pose in the frame before, for [`RecordedFrame::motion`]. `None`: the same as now, for scenes that stand still and
-    /// for those that were not there.
+    /// Pose in the previous frame, for [`RecordedFrame::motion`]. `None`: same as now, for scenes that do not move or are
+    /// new.
     pub previous_pose: Option<Pose>,
 }
 
 impl<'a> Placed<'a> {
-    /// A scene as it is, in some pose.
+    /// Places a scene with default settings.
     pub fn at(scene: &'a DeviceScene, pose: Pose) -> Self {
         Self { scene, pose, settings: SceneSettings::default(), previous_pose: None }
     }
 
-    /// The evaluated SH degree: what is stored, up to the frame's and the scene's own limits.
+    /// Returns the evaluated SH degree: the stored one, up to the frame's and the scene's own limits.
     #[inline]
     pub(super) fn active_degree(&self, frame: &RenderSettings) -> u32 {
         let stored = self.scene.buffers.active_degree(frame);
         self.settings.sh_degree.map_or(stored, |degree| degree.min(stored))
     }
 
-    /// Gaussians that take part in the frame.
+    /// Returns the number of Gaussians that take part in the frame.
     #[inline]
     pub(super) fn drawn(&self) -> u32 {
         if self.settings.draws() { self.scene.count() } else { 0 }
@@ -51,39 +51,40 @@ impl<'a> From<&'a DeviceScene> for Placed<'a> {
     }
 }
 
-/// A host's image, its previous use by the host, and the part of it that is the frame.
+/// A host's image, its previous use by the host, and the rectangle of it that receives the frame.
 #[derive(Clone, Copy)]
 pub struct HostImage<'a> {
     /// The image.
     pub image: &'a Image,
-    /// The host's use of it before the frame. The recording waits for that use and changes the layout from
-    /// this one. From [`ImageState::UNDEFINED`] the image's contents are discarded.
+    /// The host's use of it before the frame. The recording waits for that use and changes the layout from its layout. From
+    /// [`ImageState::UNDEFINED`] the image's contents are discarded.
     pub from: ImageState,
     /// Texel of the image that receives the frame's pixel (0, 0).
     pub offset: [u32; 2],
 }
 
-/// The target of the colours.
+/// Target of the colours.
 #[derive(Clone, Copy)]
 pub enum Target<'a> {
-    /// The slot's own buffer, [`Renderer::slot_pixels`], unless the reservation is for [`images_only`](super::Reservation::images_only): per pixel, row by row, premultiplied r, g, b, display-encoded as
-    /// trained, and the transmittance, each an f32. The host may use it after the recording, behind a barrier from
-    /// [`Release::stages`] and [`Release::accesses`], until the slot is recorded again. The next recording
-    /// waits for compute and transfer commands that read the buffer. A host that reads it in other stages, in
-    /// a later command buffer than the frame's, must wait for those stages first.
+    /// The slot's own buffer, [`Renderer::slot_pixels`], unless the reservation has
+    /// [`images_only`](super::Reservation::images_only). Per pixel, row by row: premultiplied r, g, b, display-encoded as
+    /// trained, and the transmittance, each an f32.
+    /// The host may use it after the recording, behind a barrier from [`Release::stages`] and [`Release::accesses`], until
+    /// the slot is recorded again. The next recording waits for compute and transfer commands that read the buffer. A host
+    /// that reads it in other stages, in a later command buffer than the frame's, must wait for those stages first.
     Slot,
     /// A storage image of a format of [`Compose::COLOR_FORMATS`](crate::compose::Compose::COLOR_FORMATS).
     Image {
         /// The image.
         to: HostImage<'a>,
-        /// What the splats are composited over.
+        /// Background behind the splats.
         behind: Background,
-        /// What the image's colours are: see the [guide](crate::guide::colour).
+        /// Encoding of the image's colours: see the [guide](crate::guide::colour).
         encoding: ColorEncoding,
     },
 }
 
-/// A host's depth image. It hides the splats that are farther away.
+/// A host's depth image. It hides splats that are farther away.
 #[derive(Clone, Copy)]
 pub struct Occluder<'a> {
     /// The depth image, for sampling.
@@ -92,71 +93,75 @@ pub struct Occluder<'a> {
     pub mapping: DepthMapping,
 }
 
-/// An image of expected depth: sum(w z) / sum(w), world units.
+/// Target image of expected depth: sum(w z) / sum(w), world units.
 #[derive(Clone, Copy)]
 pub struct DepthTarget<'a> {
     /// A storage image of format r32f.
     pub to: HostImage<'a>,
-    /// A pixel whose sum of weights is smaller is empty.
+    /// Pixels with a smaller sum of weights are empty.
     pub min_weight: f32,
-    /// The depth of empty pixels.
+    /// Depth of empty pixels.
     pub empty: f32,
 }
 
-/// An image of what is picked at each pixel: the Gaussian with the largest blending weight alpha T, the nearest of equal ones.
+/// Target image of the pick at each pixel: the Gaussian with the largest blending weight alpha T; of equal ones, the
+/// nearest.
 #[derive(Clone, Copy)]
 pub struct PickTarget<'a> {
-    /// A storage image of format [`Compose::PICK_FORMAT`](crate::compose::Compose::PICK_FORMAT), rgba32ui. A texel is the index of the Gaussian in its scene, the
-    /// index of the scene in [`RecordedFrame::scenes`], the bits of the f32 of the Gaussian's depth z in the camera's frame (world
-    /// units), and the bits of the f32 of its weight. Where nothing is blended, the first two are
-    /// [`NOT_PICKED`](crate::kernels::constants::NOT_PICKED), the others 0.
+    /// A storage image of format [`Compose::PICK_FORMAT`](crate::compose::Compose::PICK_FORMAT), rgba32ui. A texel holds:
+    /// - the index of the Gaussian in its scene;
+    /// - the index of the scene in [`RecordedFrame::scenes`];
+    /// - the f32 bits of the Gaussian's depth z in the camera's frame, world units;
+    /// - the f32 bits of its weight.
+    ///
+    /// Where nothing is blended, the first two are [`NOT_PICKED`](crate::kernels::constants::NOT_PICKED), the others 0.
     pub to: HostImage<'a>,
 }
 
-/// An image of motion: for each pixel the mean motion on the screen of what is blended there, from the frame before to this one,
-/// weighted as in blending. A Gaussian moves as its mean does, at most by the picture's width and height. It counts with a motion of
-/// 0 where its earlier place is unknown: where its mean did not lie in front of the earlier camera (z above 0.2), or lay too far
-/// away for an f32. How [`Update`]s move Gaussians is not known.
+/// Target image of motion: per pixel, the mean screen motion of the blended Gaussians since the previous frame, weighted as
+/// in blending. A Gaussian moves like its mean, at most by the picture's width and height. Its motion counts as 0 if its
+/// mean was not in front of the previous camera (z above 0.2), or too far away for an f32. Motion caused by [`Update`]s is
+/// not included.
 #[derive(Clone, Copy)]
 pub struct MotionTarget<'a> {
-    /// A storage image of format [`Compose::MOTION_FORMAT`](crate::compose::Compose::MOTION_FORMAT), rg16f: the place now less the place before, in pixels, x right, y
-    /// down. What is at pixel p now was at p - motion.
+    /// A storage image of format [`Compose::MOTION_FORMAT`](crate::compose::Compose::MOTION_FORMAT), rg16f: the current
+    /// position minus the previous one, in pixels, x right, y down. The content of pixel p was at p - motion.
     pub to: HostImage<'a>,
-    /// The camera of the frame before, of the same width and height; the frame's own camera where there is none before. The motion counts
-    /// from its own principal point to that of the frame's camera. For motion without jitter, give it the `cx` and `cy` of the frame's
-    /// camera. Poses before are in [`Placed::previous_pose`].
+    /// Camera of the previous frame, of the same width and height; the frame's own camera if there is no previous frame.
+    /// The motion counts from its principal point to that of the frame's camera. For motion without jitter, give it the
+    /// `cx` and `cy` of the frame's camera. [`Placed::previous_pose`] holds previous poses.
     pub previous_camera: &'a Camera,
-    /// A pixel whose sum of weights is smaller is empty.
+    /// Pixels with a smaller sum of weights are empty.
     pub min_weight: f32,
-    /// The motion of empty pixels, px; `None`: they keep what is in the image.
+    /// Motion of empty pixels, px; `None`: they keep the image's contents.
     pub empty: Option<[f32; 2]>,
 }
 
 /// A frame to record.
 #[derive(Clone, Copy)]
 pub struct RecordedFrame<'a> {
-    /// The scenes: at least one. Their Gaussians are sorted together.
+    /// At least one scene. Gaussians of all scenes are sorted together.
     pub scenes: &'a [Placed<'a>],
-    /// The camera; its width and height are the frame's.
+    /// Camera; its width and height are the frame's.
     pub camera: &'a Camera,
     /// Render settings. Their background is ignored: the target has its own.
     pub settings: &'a RenderSettings,
-    /// The target of the colours.
+    /// Target of the colours.
     pub target: Target<'a>,
-    /// The depth image that hides splats.
+    /// Depth image that hides splats.
     pub occluder: Option<Occluder<'a>>,
-    /// The target of the expected depth.
+    /// Target of the expected depth.
     pub depth: Option<DepthTarget<'a>>,
-    /// Parameter updates before the frame.
+    /// Parameter updates, applied before the frame.
     pub updates: &'a [Update<'a>],
-    /// The target of what is picked.
+    /// Target of the picks.
     pub pick: Option<PickTarget<'a>>,
-    /// The target of the motion.
+    /// Target of the motion.
     pub motion: Option<MotionTarget<'a>>,
 }
 
 impl<'a> RecordedFrame<'a> {
-    /// A frame of scenes that is rendered into the slot's own buffer.
+    /// Creates a frame of scenes that renders into the slot's own buffer.
     pub fn new(scenes: &'a [Placed<'a>], camera: &'a Camera, settings: &'a RenderSettings) -> Self {
         let target = Target::Slot;
         Self {
@@ -173,14 +178,14 @@ impl<'a> RecordedFrame<'a> {
     }
 }
 
-/// The state after a recording. The next user of its results waits for these stages and accesses, and finds
-/// the images in these layouts.
+/// State after a recording. The next user of its results waits for these stages and accesses, and finds the images in these
+/// layouts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Release {
-    /// The stages that write results, including those in the slot's own buffers.
+    /// Stages that write results, including those in the slot's own buffers.
     pub stages: vk::PipelineStageFlags2,
-    /// The accesses of these writes.
+    /// Accesses of these writes.
     pub accesses: vk::AccessFlags2,
     /// Last use of the target image.
     pub color: Option<ImageState>,
@@ -188,21 +193,20 @@ pub struct Release {
     pub occluder: Option<ImageState>,
     /// Last use of the image of expected depth.
     pub depth: Option<ImageState>,
-    /// Last use of the image of what is picked.
+    /// Last use of the pick image.
     pub pick: Option<ImageState>,
-    /// Last use of the image of motion.
+    /// Last use of the motion image.
     pub motion: Option<ImageState>,
 }
 
 impl Renderer {
     /// Records a frame into a host's command buffer.
     ///
-    /// It only records: it neither submits nor waits, allocates or maps device memory, or reads anything
-    /// back. Everything is checked before the first command is recorded. The slot is then in flight until the
-    /// device has executed the recording. It may be recorded again once the whole command buffer has
-    /// finished, as [`Context::adopt_commands`](crate::vk::Context::adopt_commands) requires. The slot keeps
-    /// scenes and image views alive that are dropped meanwhile. [`Renderer::release_slot`] or the next
-    /// recording destroys them.
+    /// It only records: it neither submits nor waits, allocates or maps device memory, or reads anything back. Everything
+    /// is checked before the first command is recorded. The slot is then in flight until the device has executed the
+    /// recording. It may be recorded again once the whole command buffer has finished, as
+    /// [`Context::adopt_commands`](crate::vk::Context::adopt_commands) requires. The slot keeps scenes and image views
+    /// alive that are dropped meanwhile. [`Renderer::release_slot`] or the next recording destroys them.
     ///
     /// Updates are applied in order: where two overlap, the later one wins.
     ///
@@ -210,10 +214,14 @@ impl Renderer {
     /// and for the previous uses in [`HostImage::from`].
     ///
     /// # Errors
-    /// [`Error::Argument`](crate::Error::Argument) for a slot that is not reserved or still in flight; for commands,
-    /// scenes or images of another context; for an invalid camera or pose; for images with a wrong format, usage, size
-    /// or layout; for numbers that are not finite; and for kernels that [`Renderer::reserve`] has not built.
-    /// [`Error::TooLarge`](crate::Error::TooLarge) for what exceeds the reservation;
+    /// [`Error::Argument`](crate::Error::Argument) for:
+    /// - a slot that is not reserved or still in flight;
+    /// - commands, scenes or images of another context;
+    /// - an invalid camera or pose, or numbers that are not finite;
+    /// - images with a wrong format, usage, size or layout;
+    /// - kernels that [`Renderer::reserve`] has not built.
+    ///
+    /// [`Error::TooLarge`](crate::Error::TooLarge) for a frame that exceeds the reservation.
     /// [`Error::DeviceLost`](crate::Error::DeviceLost) after a loss that the context has noticed.
     pub fn record(
         &mut self,
@@ -228,14 +236,14 @@ impl Renderer {
     }
 }
 
-/// Places scenes, each after the one before it in the frame's index space.
+/// Places scenes one after the other in the frame's index space.
 pub(super) struct Placing<'a, 'b> {
     frame: &'b RecordedFrame<'a>,
-    /// Each begins at a multiple of it.
+    /// Every scene begins at a multiple of it.
     alignment: u32,
-    /// Where the next one begins.
+    /// Begin of the next scene.
     first: u32,
-    /// Cut-outs so far.
+    /// Number of cut-outs so far.
     pub cut_outs: u32,
 }
 
@@ -244,7 +252,7 @@ impl<'a, 'b> Placing<'a, 'b> {
         Self { frame, alignment, first: 0, cut_outs: 0 }
     }
 
-    /// The next scene.
+    /// Places the next scene.
     #[inline]
     pub fn place(&mut self, placed: &'a Placed<'a>) -> PlacedScene<'a> {
         let (frame, first, first_cut_out) = (self.frame, self.first, self.cut_outs);
@@ -267,14 +275,14 @@ impl<'a, 'b> Placing<'a, 'b> {
     }
 }
 
-/// Where a scene begins behind one with its first Gaussian and their number; `u32::MAX` beyond what can be indexed, which is beyond any
-/// capacity. Nothing is checked yet.
+/// Returns the begin of the scene after one with this first Gaussian and number of Gaussians. `u32::MAX` for a begin beyond
+/// all indices, which exceeds any capacity; the capacity is checked later.
 #[inline]
 fn behind((first, drawn): (u32, u32), alignment: u32) -> u32 {
     first.saturating_add(drawn).checked_next_multiple_of(alignment).unwrap_or(u32::MAX)
 }
 
-/// A frame of some scenes in the buffers of a slot, without occluder and depth.
+/// Returns the inputs of a frame of some scenes in a slot's buffers, without occluder and depth.
 pub(super) fn inputs_of<'a>(
     scenes: &'a [PlacedScene<'a>],
     memory: &'a SlotMemory,

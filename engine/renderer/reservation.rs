@@ -1,4 +1,4 @@
-//! What a host reserves for frames in flight.
+//! Reservations of a host for frames in flight.
 
 use super::slots::SlotReport;
 use crate::error::{Error, Result};
@@ -7,71 +7,70 @@ use crate::plan::{FrameCapacity, LaunchSizes, PictureCapacity, ScenePlan, check_
 use crate::scene::MAX_CUT_OUTS;
 use crate::vk::Context;
 
-/// What is allocated in advance for recording: see [`super::Renderer::reserve`].
+/// Memory and kernels to prepare for recording: see [`super::Renderer::reserve`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Reservation {
     /// Frames in flight.
     pub slots: u32,
-    /// Queues that frames are submitted to. What lives only while a frame is computed exists once for each queue:
-    /// slots share it whose `slot % queues` is the same. Their frames go to one queue, in any
-    /// order, or are ordered by semaphores. With as many queues as slots nothing is shared.
+    /// Queues to which frames are submitted. Scratch memory of a frame exists once for each queue: slots with the same
+    /// `slot % queues` share it. Submit their frames to one queue, in any order, or order them by semaphores. With as many
+    /// queues as slots nothing is shared.
     pub queues: u32,
-    /// Views of a recording ([`Renderer::record_views`](super::Renderer::record_views)): they share the memory of one. Times
-    /// are of 255 stages of a recording at most ([`SlotReport::scopes`]).
+    /// Views per recording ([`Renderer::record_views`](super::Renderer::record_views)): they share the memory of one. At
+    /// most 255 stages of a recording are timed ([`SlotReport::scopes`]).
     pub views: u32,
-    /// Whether views whose depths are the same, as those of two eyes side by side, are culled and sorted once: see
-    /// [`Renderer::record_views`](super::Renderer::record_views). 256 bytes for each scene and view, and more kernels.
+    /// True if views with the same depths, such as two eyes side by side, are culled and sorted once: see
+    /// [`Renderer::record_views`](super::Renderer::record_views). Costs 256 bytes for each scene and view, and more
+    /// kernels.
     pub shared_sort: bool,
-    /// Gaussians of all scenes of a frame together, as many as are drawn ([`DeviceScene::count`](super::DeviceScene::count)).
+    /// Gaussians drawn in all scenes of a frame together ([`DeviceScene::count`](super::DeviceScene::count)).
     pub gaussians: u32,
-    /// Scenes of a frame.
+    /// Scenes per frame.
     pub scenes: u32,
-    /// Highest SH degree that frames evaluate. A frame that would evaluate a higher one of a scene is refused.
+    /// Highest SH degree that frames evaluate. A frame with a higher one is refused.
     pub sh_degree: u32,
-    /// (tile, Gaussian) instances of a frame; 0 for an estimate. [`SlotReport`] has the number that a frame
-    /// needs.
+    /// (tile, Gaussian) instances of a frame; 0 for an estimate. [`SlotReport`] reports how many a frame needs.
     pub instances: u32,
-    /// Width of the largest picture, pixels. Pictures of any shape fit that need no more pixels and no more tiles
-    /// of 16×16 pixels, for example the same size turned by 90 degrees.
+    /// Width of the largest picture, pixels. Pictures of any shape fit if they have no more pixels and no more tiles of
+    /// 16×16 pixels; for example, the same size turned by 90 degrees.
     pub width: u32,
     /// Height of the largest picture, pixels: see [`Reservation::width`].
     pub height: u32,
-    /// Passes of blending; 0 for an estimate: 1, or 2 where the driver bounds loops and a tile may have more entries than a pass
-    /// takes (there the second costs 2 % of a frame of 60,000 Gaussians at 640×480: least of 25 in turn, 25 November 2026). [`SlotReport`] has the number that a frame needs.
+    /// Passes of blending. 0 for an estimate: 2 if the driver bounds loops and a tile may have more entries than a pass
+    /// handles, otherwise 1. [`SlotReport`] reports how many a frame needs.
     pub blend_passes: u32,
-    /// Whether frames will render the sum of weights / z.
+    /// True if frames will render the sum of weights / z.
     pub inverse_depth: bool,
-    /// Whether frames will render expected depth.
+    /// True if frames will render expected depth.
     pub expected_depth: bool,
-    /// Whether frames will read a host's depth image.
+    /// True if frames will read a host's depth image.
     pub occlusion: bool,
-    /// Whether frames will draw scenes with a 3D filter ([`RenderSettings::filter_3d`](crate::RenderSettings::filter_3d)).
+    /// True if frames will draw scenes with a 3D filter ([`RenderSettings::filter_3d`](crate::RenderSettings::filter_3d)).
     pub filter_3d: bool,
-    /// Whether scenes of frames will have a tint or an opacity ([`SceneSettings`](crate::SceneSettings)).
+    /// True if scenes of frames will have a tint or an opacity ([`SceneSettings`](crate::SceneSettings)).
     pub tint: bool,
     /// Cut-outs of all scenes of a frame together ([`SceneSettings::cut_outs`](crate::SceneSettings::cut_outs)).
     pub cut_outs: u32,
-    /// Whether scenes of frames will have a selection ([`SceneSettings::selection`](crate::SceneSettings::selection)).
+    /// True if scenes of frames will have a selection ([`SceneSettings::selection`](crate::SceneSettings::selection)).
     pub selection: bool,
-    /// Whether frames will have what is picked at each pixel ([`RecordedFrame::pick`](super::RecordedFrame::pick)): 8 bytes of
-    /// memory per pixel.
+    /// True if frames will write picks ([`RecordedFrame::pick`](super::RecordedFrame::pick)), which take 8 bytes per pixel.
     pub pick: bool,
-    /// Whether frames will have motion ([`RecordedFrame::motion`](super::RecordedFrame::motion)): 8 bytes of memory per pixel
-    /// and 8 per Gaussian.
+    /// True if frames will write motion ([`RecordedFrame::motion`](super::RecordedFrame::motion)), which takes 8 bytes per
+    /// pixel and 8 per Gaussian.
     pub motion: bool,
-    /// Whether frames will have orthographic cameras ([`Projection::Orthographic`](crate::scene::Projection::Orthographic)),
-    /// beside pinholes; also those of the frame before
+    /// True if frames will have orthographic cameras
+    /// ([`Projection::Orthographic`](crate::scene::Projection::Orthographic)), beside pinholes. Includes previous cameras
     /// ([`MotionTarget::previous_camera`](super::MotionTarget::previous_camera)).
     pub orthographic: bool,
-    /// Whether all frames go into images, and none into its slot ([`Target::Slot`](super::Target::Slot)). Slots then have
-    /// no pixels of their own ([`Renderer::slot_pixels`](super::Renderer::slot_pixels), `slot_inverse_depth`).
+    /// True if all frames render into images, and none into its slot ([`Target::Slot`](super::Target::Slot)). Slots then
+    /// have no pixels of their own ([`Renderer::slot_pixels`](super::Renderer::slot_pixels), `slot_inverse_depth`).
     pub images_only: bool,
     /// Bytes of staging memory for the [`super::Update`]s of a frame: see [`Reservation::update_bytes`].
     pub staging_bytes: u64,
 }
 
 impl Reservation {
-    /// The most that [`Reservation::scenes`] may be.
+    /// Largest value of [`Reservation::scenes`].
     pub const MAX_SCENES: u32 = 65_536;
 
     /// A reservation for one frame in flight of one scene, for one queue, with all options off.
@@ -103,20 +102,20 @@ impl Reservation {
         }
     }
 
-    /// Staging bytes of an update of `gaussians` Gaussians of a scene of this degree.
+    /// Returns the staging bytes of an update of `gaussians` Gaussians of a scene with this SH degree.
     pub fn update_bytes(gaussians: u32, sh_degree: u32) -> u64 {
         u64::from(gaussians) * u64::from(crate::plan::parameter_planes(sh_degree)) * 16
     }
 
-    /// A copy of the reservation that fits what a frame needed; unchanged if the frame fitted, and where no reservation would fit it
-    /// (`instances_needed` is `u32::MAX`: more than can be counted). Growing a copy, and keeping it once [`super::Renderer::grow`]
-    /// has succeeded, leaves the old one to go on with.
+    /// Returns a copy that fits the needs of a frame. Unchanged if the frame fitted, or if it needs more than can be
+    /// counted (`instances_needed` is `u32::MAX`). Keep the copy only after [`super::Renderer::grow`] has succeeded;
+    /// otherwise continue with the old one.
     pub fn grown(&self, report: &SlotReport) -> Self {
         let mut grown = *self;
-        // A frame may have been recorded before the reservation has grown.
+        // The frame may have been recorded before the reservation grew.
         let counted = report.instances_needed != u32::MAX;
         if counted && report.instances_needed > report.instance_capacity.max(self.instances) {
-            // With a reserve of half: the next frames will need a different number.
+            // With a reserve of half, because later frames will need other numbers.
             grown.instances = report.instances_needed.saturating_add(report.instances_needed / 2);
         }
         if report.blend_passes_needed > report.blend_passes.max(self.blend_passes) {
@@ -125,7 +124,7 @@ impl Reservation {
         grown
     }
 
-    /// Whether frames may have so many scenes that some are drawn by one dispatch.
+    /// True if frames may have enough scenes for batches, which one dispatch draws.
     pub(super) fn has_batches(&self) -> bool {
         self.scenes >= LEAST_SCENES
     }
@@ -141,7 +140,7 @@ impl Reservation {
             );
             return Err(Error::argument("reservation", problem));
         }
-        // The most are above the instances of any device.
+        // The upper bounds exceed what any device can hold.
         let counts = [
             ("slots", self.slots, 1..=1024),
             ("queues", self.queues, 1..=1024),
@@ -160,7 +159,7 @@ impl Reservation {
         }
     }
 
-    /// The variants of blending that frames may use.
+    /// Returns the variants of blending that frames may use.
     pub(super) fn variants(&self) -> Vec<BlendVariant> {
         let mut variants = vec![BlendVariant::default()];
         if self.inverse_depth {
@@ -215,7 +214,7 @@ impl Reservation {
         variants
     }
 
-    /// The fields that a frame of this variant takes and that are not set, with commas; None if there are none.
+    /// Returns the fields that a frame of this variant needs and that are not set, with commas; None if there are none.
     pub(super) fn lacks(&self, frame: BlendVariant) -> Option<String> {
         let needs = [
             ("occlusion", frame.depth_limit, self.occlusion),
@@ -227,11 +226,11 @@ impl Reservation {
             ("orthographic", frame.orthographic, self.orthographic),
         ];
         let lacking = needs.into_iter().filter(|(_, needed, set)| *needed && !set).map(|(field, ..)| field);
-        // Without a list in memory where nothing lacks.
+        // Allocates no list, so that the usual case costs nothing.
         lacking.map(field_name).reduce(|all, field| all + ", " + &field)
     }
 
-    /// Checks that what a frame's scene has is reserved.
+    /// Checks that the features of a frame's scene are reserved.
     #[inline]
     pub(super) fn check_scene(&self, index: usize, own: &SceneSettings) -> Result<()> {
         let lacks = |field: &str, what: &str| {
@@ -244,7 +243,7 @@ impl Reservation {
         }
     }
 
-    /// Passes of blending of each frame. A tile has no more entries than there are Gaussians.
+    /// Returns the passes of blending of each frame. A tile has no more entries than there are Gaussians.
     fn passes(&self, sizes: &LaunchSizes) -> u32 {
         match self.blend_passes {
             0 => self.gaussians.div_ceil(sizes.entries_per_pass).clamp(1, 2),
@@ -252,10 +251,10 @@ impl Reservation {
         }
     }
 
-    /// Most dispatches of a recording of frames of this capacity.
+    /// Returns the most dispatches of a recording of frames of this capacity.
     pub(super) fn dispatches(&self, context: &Context, capacity: &FrameCapacity) -> Result<usize> {
         const PER_FRAME: u32 = 48;
-        // Scenes may be stored at a higher degree than the evaluated one, in more chunks.
+        // Scenes may be stored with a higher degree than the evaluated one, in more chunks.
         let plan = ScenePlan::new(context.limits(), self.gaussians, 3)
             .or_else(|_| ScenePlan::new(context.limits(), self.gaussians, self.sh_degree))
             .map_err(|error| error.of_field(field_name("gaussians")))?;
@@ -267,7 +266,7 @@ impl Reservation {
         Ok((PER_FRAME + blending + projection) as usize * self.views as usize)
     }
 
-    /// The capacity of each frame, if the device has grids for it.
+    /// Returns the capacity of each frame, if it fits the device's grids.
     pub(super) fn capacity(&self, context: &Context, sizes: &LaunchSizes) -> Result<FrameCapacity> {
         // Gaps between scenes are smaller than a block.
         let gaps = (self.scenes - 1).saturating_mul(sizes.elementwise_workgroup);
@@ -293,10 +292,10 @@ impl Reservation {
     }
 }
 
-/// A field in messages of frames.
+/// Names a field in messages about frames.
 pub(super) fn field_name(field: &str) -> String {
     format!("{RESERVATION}{field}")
 }
 
-/// How the names of fields begin.
+/// Prefix of field names.
 pub(super) const RESERVATION: &str = "Reservation::";

@@ -1,4 +1,4 @@
-//! Reserves frame slots, and what a host asks of them.
+//! Reserves frame slots, and answers a host's queries about them.
 
 use super::Renderer;
 use super::reservation::Reservation;
@@ -15,26 +15,26 @@ impl Renderer {
     /// ([`Context::adopt_commands`](crate::vk::Context::adopt_commands)). Neither submits nor waits.
     ///
     /// # Errors
-    /// [`Error::Argument`] for an invalid reservation or while a slot is in flight, [`Error::TooLarge`] if
-    /// the reservation exceeds the device, with the field that does; memory or device failures. The slots then are as before, but where
-    /// the device or the host had no memory: then none is reserved.
+    /// [`Error::Argument`] for an invalid reservation or while a slot is in flight. [`Error::TooLarge`] if the reservation
+    /// exceeds the device; it names the field. Memory or device failures. The slots stay as before, except after a lack of
+    /// device or host memory: then none is reserved.
     pub fn reserve(&mut self, wanted: &Reservation) -> Result<()> {
         self.reserve_by(wanted, None)
     }
 
-    /// As [`Renderer::reserve`], with all memory of the device in one block of the host's
-    /// ([`Buffer::adopt`]), of at least [`Renderer::reservation_bytes`]. Beside it there are, for each slot, 36 bytes for each
-    /// view that the host can read, and [`Reservation::staging_bytes`]. The block has the usages STORAGE_BUFFER,
-    /// UNIFORM_BUFFER, INDIRECT_BUFFER, TRANSFER_SRC and TRANSFER_DST.
+    /// Same as [`Renderer::reserve`], but all device memory comes from one block of the host ([`Buffer::adopt`]), of at
+    /// least [`Renderer::reservation_bytes`]. In addition, each slot allocates [`Reservation::staging_bytes`] and 36
+    /// host-readable bytes for each view. The block has the usages STORAGE_BUFFER, UNIFORM_BUFFER, INDIRECT_BUFFER,
+    /// TRANSFER_SRC and TRANSFER_DST.
     ///
     /// # Errors
-    /// As [`Renderer::reserve`]; for a block of another context, or one that is too small.
+    /// Same as [`Renderer::reserve`]; also for a block of another context, or one that is too small.
     pub fn reserve_in(&mut self, wanted: &Reservation, block: &Buffer) -> Result<()> {
         self.reserve_by(wanted, Some(block))
     }
 
     fn reserve_by(&mut self, wanted: &Reservation, block: Option<&Buffer>) -> Result<()> {
-        // What is refused is refused before kernels are built, which may take seconds.
+        // Refuses before kernels are built, which may take seconds.
         wanted.check()?;
         self.slots.check_free()?;
         let context = self.context.clone();
@@ -43,23 +43,22 @@ impl Renderer {
         self.slots.reserve(&plan)
     }
 
-    /// As [`Renderer::reserve`], while frames are in flight: nobody waits. Every slot takes the new memory over with
-    /// its next recording, with [`Reservation::images_only`] also with its release. The old memory is freed when no slot uses
-    /// it any more. Until then there is memory for both. The numbers of slots and of views stay. What is reserved already is not reserved
-    /// again. What is wanted replaces what was reserved: less than before gives memory back.
-    ///
+    /// Same as [`Renderer::reserve`], but allowed while frames are in flight, and without waiting. Every slot switches to
+    /// the new memory with its next recording; with [`Reservation::images_only`] also when it is released. The old memory
+    /// is freed when the last slot has switched, so until then both exist. The numbers of slots and of views must stay the
+    /// same. An unchanged reservation allocates nothing; a smaller one frees memory.
     /// # Errors
-    /// As [`Renderer::reserve`]; [`Error::Argument`] without slots, or for another number of them or of views. The slots then are as
-    /// before.
+    /// Same as [`Renderer::reserve`]; [`Error::Argument`] without slots, or for another number of slots or views. The slots
+    /// then stay as before.
     pub fn grow(&mut self, wanted: &Reservation) -> Result<()> {
         self.grow_by(wanted, None)
     }
 
-    /// As [`Renderer::grow`], in a block of the host's, as for [`Renderer::reserve_in`]. The old block is free once every
-    /// slot has taken the new one over, and the frames before have finished.
+    /// Same as [`Renderer::grow`], but in a block of the host, as for [`Renderer::reserve_in`]. The old block is unused
+    /// once every slot has switched to the new one, and earlier frames have finished.
     ///
     /// # Errors
-    /// As [`Renderer::grow`] and [`Renderer::reserve_in`].
+    /// Same as [`Renderer::grow`] and [`Renderer::reserve_in`].
     pub fn grow_in(&mut self, wanted: &Reservation, block: &Buffer) -> Result<()> {
         self.grow_by(wanted, Some(block))
     }
@@ -76,17 +75,17 @@ impl Renderer {
         self.slots.grow(&plan)
     }
 
-    /// Bytes of the block that a reservation takes: [`Renderer::reserve_in`].
+    /// Returns the bytes of a reservation's block for [`Renderer::reserve_in`].
     ///
     /// # Errors
-    /// As [`Renderer::reserve`], without allocating anything.
+    /// Same as [`Renderer::reserve`], without allocating anything.
     pub fn reservation_bytes(&self, wanted: &Reservation) -> Result<u64> {
         let plan = Plan::new(&self.context, &self.runner.forward.sizes, wanted, None)?;
         Ok(plan.block_bytes())
     }
 
-    /// The kernels that [`Renderer::new`] and [`Renderer::reserve`] build, to build them before on threads of the host's
-    /// choice: both then build none. With the device's own form of blending.
+    /// Returns the kernels that [`Renderer::new`] and [`Renderer::reserve`] build. A host can build them ahead on its own
+    /// threads; both then build none. Assumes the device's default form of blending.
     ///
     /// # Errors
     /// [`Error::Argument`] for an invalid reservation; [`Error::TooLarge`] for kernels that exceed the device.
@@ -108,8 +107,8 @@ impl Renderer {
         prepare_variants(&mut self.runner.forward, wanted)
     }
 
-    /// The report of a slot's last frame: None while it is in flight, and without a frame. Never waits,
-    /// except on llvmpipe, where reading timestamps waits for the whole device
+    /// Returns the report of a slot's last frame. None while it is in flight, or without a frame. Never waits, except on
+    /// llvmpipe, where reading timestamps waits for the whole device
     /// ([`ContextOptions::timestamps`](crate::vk::ContextOptions::timestamps)).
     ///
     /// # Errors
@@ -119,17 +118,17 @@ impl Renderer {
         self.slots.get(slot)?.report(&sizes)
     }
 
-    /// Whether the last frame of a slot has finished. Never waits. Commands that the host recorded after the
-    /// frame may still run: see [`Context::adopt_commands`](crate::vk::Context::adopt_commands).
+    /// True if the last frame of a slot has finished. Never waits. Commands that the host recorded after the frame may
+    /// still run: see [`Context::adopt_commands`](crate::vk::Context::adopt_commands).
     ///
     /// # Errors
-    /// As [`Renderer::slot_report`].
+    /// Same as [`Renderer::slot_report`].
     pub fn slot_finished(&mut self, slot: u32) -> Result<bool> {
         self.slots.get(slot)?.record.finished()
     }
 
-    /// Releases what the last frame of a slot used, once its command buffer has finished. Scenes and image
-    /// views that were dropped meanwhile are destroyed now instead of at the slot's next recording.
+    /// Releases the resources of a slot's last frame, once its command buffer has finished. Scenes and image views dropped
+    /// meanwhile are destroyed now, not at the slot's next recording.
     ///
     /// # Errors
     /// [`Error::Argument`] for a slot that is not reserved or still in flight.
@@ -143,9 +142,9 @@ impl Renderer {
         Ok(())
     }
 
-    /// The buffer that [`Target::Slot`](super::Target::Slot) fills: premultiplied r, g, b (display-encoded, as trained) and transmittance per
-    /// pixel, row by row, f32. Usable as a storage buffer and a source of transfers. [`Renderer::reserve`] replaces it, and after
-    /// [`Renderer::grow`] the slot's next recording does.
+    /// Returns the buffer that [`Target::Slot`](super::Target::Slot) fills. Per pixel, row by row, f32: premultiplied r, g,
+    /// b (display-encoded, as trained) and transmittance. Usable as a storage buffer and a source of transfers.
+    /// [`Renderer::reserve`] replaces it; after [`Renderer::grow`], the slot's next recording replaces it.
     ///
     /// # Errors
     /// [`Error::Argument`] for a slot that is not reserved, or with [`Reservation::images_only`].
@@ -153,12 +152,12 @@ impl Renderer {
         Ok(self.slot_with_pixels(slot)?.memory.frame.accumulated.clone())
     }
 
-    /// The buffer of [`RenderSettings::inverse_depth`](crate::RenderSettings::inverse_depth): the sum of weights / z per pixel, row by row, f32;
-    /// otherwise as [`Renderer::slot_pixels`]. With an expected depth ([`RecordedFrame::depth`](super::RecordedFrame::depth)) it holds the
-    /// sum of weights * z.
+    /// Returns the buffer of [`RenderSettings::inverse_depth`](crate::RenderSettings::inverse_depth): the sum of weights /
+    /// z per pixel, row by row, f32. With an expected depth ([`RecordedFrame::depth`](super::RecordedFrame::depth)) it
+    /// holds the sum of weights * z. Otherwise same as [`Renderer::slot_pixels`].
     ///
     /// # Errors
-    /// As [`Renderer::slot_pixels`].
+    /// Same as [`Renderer::slot_pixels`].
     pub fn slot_inverse_depth(&mut self, slot: u32) -> Result<Buffer> {
         let memory = &self.slot_with_pixels(slot)?.memory;
         match memory.keeps_depth {
@@ -167,7 +166,7 @@ impl Renderer {
         }
     }
 
-    /// The slot's recording state, for a host that has discarded its command buffer or caught a panic: see
+    /// Returns the slot's recording state, for a host that has discarded its command buffer or caught a panic: see
     /// [`SlotRecording::discard`].
     ///
     /// # Errors

@@ -16,7 +16,7 @@ pub(crate) struct FrameRunner {
     pub(super) context: Context,
     pub(super) forward: Forward,
     pub(super) store: FrameStore,
-    /// Drawn together with every scene, in the same axes.
+    /// Frozen neighbours: drawn together with every scene, in the same axes.
     around: Vec<SceneBuffers>,
 }
 
@@ -30,7 +30,7 @@ pub(crate) struct Request<'a> {
     pub settings: &'a RenderSettings,
     /// Evaluated SH degree.
     pub sh_degree: u32,
-    /// Whether the frame has the buffers of the backward pass.
+    /// True if the frame has the buffers of the backward pass.
     pub backward: bool,
 }
 
@@ -86,7 +86,7 @@ pub(crate) struct Ran {
     pub retries: u32,
 }
 
-/// Why a run failed.
+/// Reason why a run failed.
 pub(crate) enum Failed {
     /// The frame exceeds the available memory: its counts, and the error.
     TooLittleRoom(Box<(State, Error)>),
@@ -114,19 +114,20 @@ impl FrameRunner {
         Ok(Self { context: context.clone(), forward, store, around: Vec::new() })
     }
 
-    /// From now on these scenes are drawn together with every scene, in the same axes. They are stored with the SH degree of
-    /// the scenes. Frames with a pose on the device ([`Request::pose`]) cannot have them. Returns those until now.
+    /// Draws these scenes, from now on, together with every scene, in the same axes. They have the SH degree of the scenes.
+    /// Frames with a pose on the device ([`Request::pose`]) cannot have them. Returns the previous ones.
     pub fn surround(&mut self, around: Vec<SceneBuffers>) -> Vec<SceneBuffers> {
         std::mem::replace(&mut self.around, around)
     }
 
-    /// Room that is needed behind every scene: the Gaussians that are drawn together with it, and the gaps between their scenes.
+    /// Returns the capacity needed behind every scene: for the Gaussians drawn together with it, and the gaps between
+    /// scenes.
     pub fn around(&self) -> u32 {
         let join = |behind: u32, scene: &SceneBuffers| gaussians_with(scene.count, behind);
         self.around.iter().rev().fold(0, join)
     }
 
-    /// The scenes that are drawn together with every scene.
+    /// Returns the scenes that are drawn together with every scene.
     pub fn surroundings(&self) -> &[SceneBuffers] {
         &self.around
     }
@@ -135,7 +136,7 @@ impl FrameRunner {
         1 + self.around.len() as u32
     }
 
-    /// Gaussians of a frame with a scene of this capacity.
+    /// Returns the Gaussians of a frame with a scene of this capacity.
     pub fn gaussians_with(&self, capacity: u32) -> u32 {
         gaussians_with(capacity, self.around())
     }
@@ -150,8 +151,8 @@ impl FrameRunner {
         self.forward.set_blending(blending)
     }
 
-    /// Runs a frame. `record_more` records the work after the blending. A frame that overflows is run again
-    /// with a larger capacity, so that work must not change persistent state if `STATE_OVERFLOW` is set.
+    /// Runs a frame. `record_more` records the work after the blending. A frame that overflows is run again with a larger
+    /// capacity, so that work must not change persistent state if `STATE_OVERFLOW` is set.
     pub fn run(
         &mut self,
         request: &Request,
@@ -189,7 +190,7 @@ impl FrameRunner {
         }
     }
 
-    /// Exchanges its frame buffers with `store`.
+    /// Swaps its frame buffers with `store`.
     pub fn exchange(&mut self, store: &mut FrameStore) {
         std::mem::swap(&mut self.store, store);
     }
@@ -214,8 +215,8 @@ impl FrameRunner {
         self.store.expect_absolute();
     }
 
-    /// Allocates buffers with backward for a scene of this capacity, a camera and the expected pictures, and builds the kernels of these settings up
-    /// to an SH degree, for [`FrameRunner::record`].
+    /// Prepares for [`FrameRunner::record`]: allocates buffers with backward for a scene of this capacity, a camera and the
+    /// expected pictures. Also builds the kernels of these settings up to an SH degree.
     pub fn reserve(
         &mut self,
         gaussians: u32,
@@ -241,7 +242,7 @@ impl FrameRunner {
         self.store.restore(capacity)
     }
 
-    /// As [`FrameRunner::restore`], but for the memory: where it does not suffice, the first frame allocates an estimate.
+    /// Same as [`FrameRunner::restore`], but if memory does not suffice, the first frame allocates an estimate.
     pub fn restore_if_room(&mut self, capacity: FrameCapacity) -> Result<()> {
         self.store.restore_if_room(capacity)
     }
@@ -251,7 +252,7 @@ impl FrameRunner {
         self.store.bytes()
     }
 
-    /// Grows the capacity to the counts that a frame needed. Returns whether it was too small.
+    /// Grows the capacity to the counts that a frame needed. Returns true if it was too small.
     pub fn grow(&mut self, needed: &State) -> Result<bool> {
         self.store.grow(needed, &self.forward.sizes)
     }
@@ -266,8 +267,8 @@ impl FrameRunner {
         }
     }
 
-    /// Records a frame into the existing buffers, prepared by [`FrameRunner::reserve`], and does nothing
-    /// more. Keeps an overflow of an earlier frame.
+    /// Only records a frame, into the existing buffers, prepared by [`FrameRunner::reserve`]. Keeps the overflow flag of an
+    /// earlier frame.
     pub fn record(
         &self,
         r: &mut Recorder,
@@ -283,12 +284,12 @@ impl FrameRunner {
         Ok(())
     }
 
-    /// The buffers of the last frame.
+    /// Returns the buffers of the last frame.
     pub fn frame(&self) -> Result<&FrameBuffers> {
         self.store.current()
     }
 
-    /// The capacities of the last frame's buffers.
+    /// Returns the capacities of the last frame's buffers.
     pub fn capacity(&self) -> FrameCapacity {
         self.store.capacity()
     }

@@ -1,8 +1,8 @@
-//! The device memory of frames in flight.
+//! Device memory of frames in flight.
 //!
-//! A frame begins with a barrier behind all earlier commands of its queue. So what is written and read within a frame
-//! exists once for each queue, whatever the order in which frames are recorded and submitted. What is used before or
-//! behind the frame exists once for each slot: pixels that the host reads, staging memory that it writes, the counts.
+//! A frame begins with a barrier after all earlier commands of its queue. So scratch memory, used only within a frame,
+//! exists once for each queue, in any order of recording and submission. Memory used before or after the frame exists once
+//! for each slot: pixels that the host reads, staging memory that it writes, the counts.
 
 use super::reservation::{Reservation, field_name};
 use crate::error::{Error, Result};
@@ -12,7 +12,7 @@ use crate::vk::{Buffer, Context, MemoryKind, PLACEMENT_ALIGNMENT, pack};
 
 type Requests = Vec<(&'static str, u64)>;
 
-/// What the frames of a slot are recorded with.
+/// Memory with which the frames of a slot are recorded.
 #[derive(Clone)]
 pub(super) struct SlotMemory {
     pub frame: FrameBuffers,
@@ -25,14 +25,14 @@ pub(super) struct SlotMemory {
     /// Per visible Gaussian, and per pixel: see [`MotionBuffers`].
     motion: Option<[Buffer; 2]>,
     pub staging: Option<Buffer>,
-    /// Whether the pixels of a frame stay until the slot is recorded again.
+    /// True if the pixels of a frame stay until the slot is recorded again.
     pub keeps_pixels: bool,
-    /// The same of the inverse or expected depth.
+    /// True if the inverse or expected depth stays too.
     pub keeps_depth: bool,
 }
 
 impl SlotMemory {
-    /// The buffers of what a frame leaves beside the picture, as it asks for picks and for motion.
+    /// Returns the buffers of picks and of motion, if the frame writes them.
     pub fn auxiliary(&self, [pick, motion]: [bool; 2]) -> Auxiliary<'_> {
         let picks = self.picks.as_ref().filter(|_| pick);
         let motion = self.motion.as_ref().filter(|_| motion);
@@ -51,18 +51,18 @@ pub(super) struct Plan<'a> {
     /// Most dispatches of a recording.
     pub dispatches: usize,
     capacity: FrameCapacity,
-    /// Once for each queue, and last what some frames have alone.
+    /// Once for each queue: the frame's requests, then optional ones.
     scratch: Requests,
-    /// How many the last ones are.
+    /// Number of the optional ones.
     extra: usize,
-    /// Of each slot but the first of a queue, which keeps its pixels in the scratch.
+    /// For each slot except the first of a queue, which keeps its pixels in the scratch.
     pixels: Requests,
-    /// Whether they have a depth.
+    /// True if they include a depth.
     has_depth: bool,
 }
 
 impl<'a> Plan<'a> {
-    /// Refuses what [`Plan::allocate`] would, but for a lack of memory.
+    /// Returns the errors of [`Plan::allocate`] in advance, except a lack of memory.
     pub fn new(
         context: &'a Context,
         sizes: &LaunchSizes,
@@ -89,7 +89,7 @@ impl<'a> Plan<'a> {
         Ok(plan)
     }
 
-    /// The groups that are allocated, in order.
+    /// Returns the groups to allocate, in order.
     fn groups(&self) -> impl Iterator<Item = &Requests> {
         let wanted = self.wanted;
         let queues = wanted.queues.min(wanted.slots);
@@ -98,12 +98,12 @@ impl<'a> Plan<'a> {
         scratch.chain(std::iter::repeat_n(&self.pixels, own as usize))
     }
 
-    /// Bytes of a block for all of it.
+    /// Returns the bytes of a block for all groups.
     pub fn block_bytes(&self) -> u64 {
         self.groups().map(group_bytes).fold(0, u64::saturating_add)
     }
 
-    /// Memory for all slots.
+    /// Allocates the memory of all slots.
     pub fn allocate(&self) -> Result<Vec<SlotMemory>> {
         let Self { context, wanted, block, .. } = *self;
         let mut at = 0;
@@ -168,7 +168,7 @@ impl<'a> Plan<'a> {
     }
 }
 
-/// What a frame of this capacity computes with, those of [`frame_requests`] first.
+/// Returns the scratch requests of a frame of this capacity; those of [`frame_requests`] come first.
 fn scratch_requests(wanted: &Reservation, capacity: &FrameCapacity, sizes: &LaunchSizes) -> Requests {
     let pixels = capacity.pictures.pixels;
     let mut scratch = frame_requests(capacity, sizes);
@@ -183,7 +183,7 @@ fn scratch_requests(wanted: &Reservation, capacity: &FrameCapacity, sizes: &Laun
     scratch
 }
 
-/// Refuses a buffer that kernels cannot bind, and names the field that makes it so large: nothing is freed for what has no room anyway.
+/// Refuses a buffer that kernels cannot bind, and names the field that makes it too large. Runs before any memory is freed.
 fn check_bindings(
     context: &Context,
     requests: &Requests,
@@ -208,7 +208,7 @@ fn check_bindings(
     if name == "cut_outs" {
         return too_large(field_name("cut_outs"), needed);
     }
-    // With which of them at the least it would be the smallest.
+    // Names the field that would shrink the buffer most at its smallest value.
     let pictures = PictureCapacity::of(1, 1).without_backward();
     let without = [
         ("width, height", FrameCapacity { pictures, ..*capacity }),
@@ -221,7 +221,7 @@ fn check_bindings(
     too_large(format!("{}: buffer '{name}'", field_name(field)), needed)
 }
 
-/// Bytes of a group in one block.
+/// Returns the bytes of a group in one block.
 fn group_bytes(requests: &Requests) -> u64 {
     let sizes: Vec<u64> = requests.iter().map(|(_, bytes)| *bytes).collect();
     let bytes: u64 = pack(&sizes, u64::MAX).map_or(u64::MAX, |packing| packing.blocks.iter().sum());

@@ -1,4 +1,4 @@
-//! Frames in flight. The memory of each is planned and allocated in advance.
+//! Frames in flight. Their memory is planned and allocated in advance.
 
 use super::frame_store::State;
 use super::reservation::Reservation;
@@ -11,38 +11,38 @@ use crate::vk::{Buffer, Context, ForeignCommands, MemoryKind, RecordSlot, Record
 /// Bytes of a view's counts.
 const STATE_BYTES: u64 = c::STATE_WORDS as u64 * 4;
 
-/// The counts of a recorded frame that has finished. Of several views ([`Renderer::record_views`](super::Renderer::record_views)) the
-/// largest of each.
+/// Counts of a recorded frame that has finished. For several views
+/// ([`Renderer::record_views`](super::Renderer::record_views)), the largest of each count.
 #[derive(Clone, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct SlotReport {
-    /// Gaussians in the frame's scenes, but for those that are not drawn.
+    /// Gaussians in the frame's scenes, without hidden scenes.
     pub gaussians: u32,
-    /// Visible Gaussians; where views share a sort, those that any of them shows.
+    /// Visible Gaussians. If views share a sort, those that any of them shows.
     pub visible: u32,
     /// (tile, Gaussian) instances that the picture needs.
     pub instances_needed: u32,
-    /// The frame's capacity in instances.
+    /// Capacity in instances.
     pub instance_capacity: u32,
     /// Entries of the longest tile.
     pub longest_tile: u32,
     /// Passes of blending that the longest tile needs.
     pub blend_passes_needed: u32,
-    /// Passes of blending that the frame was recorded with.
+    /// Passes of blending with which the frame was recorded.
     pub blend_passes: u32,
-    /// Entries of a tile that a pass of blending takes.
+    /// Entries of a tile that a pass of blending handles.
     pub entries_per_pass: u32,
-    /// Whether more instances or passes of blending are needed than there were. The picture then lacks the Gaussians farthest away,
-    /// or all of them if `instances_needed` is `u32::MAX`. [`Reservation::grown`] fixes the first case.
+    /// True if the frame needed more instances or passes of blending than it had. The picture then lacks the farthest
+    /// Gaussians, or all of them if `instances_needed` is `u32::MAX`. [`Reservation::grown`] fixes the first case.
     pub overflow: bool,
-    /// How often the recording sorts by depth: once for each view, or for each run of views that share it
+    /// Number of depth sorts of the recording: one per view, or per run of views that share one
     /// ([`Reservation::shared_sort`]).
     pub sorts: u32,
-    /// Scenes of the recording that are drawn together with others, by the same dispatches (see
-    /// [`DeviceScene::upload_all`](super::DeviceScene::upload_all)); those of all views.
+    /// Scenes, of all views, that are drawn in batches, by shared dispatches (see
+    /// [`DeviceScene::upload_all`](super::DeviceScene::upload_all)).
     pub batched_scenes: u32,
-    /// Device time per stage, view by view; empty without timestamps. Of a recording of many views it has the
-    /// first 255 stages.
+    /// Device time per stage, view by view; empty without timestamps. A recording of many views has only its first 255
+    /// stages.
     pub scopes: Vec<ScopeTime>,
 }
 
@@ -50,20 +50,20 @@ pub struct SlotReport {
 pub(super) struct Slot {
     pub record: RecordSlot,
     pub memory: SlotMemory,
-    /// Of a reservation since the last recording.
+    /// Memory reserved since the last recording.
     next: Option<SlotMemory>,
     readback: Buffer,
     /// Gaussians of the last recording.
     gaussians: u32,
-    /// Its views.
+    /// Views of the last recording.
     views: u32,
-    /// How often it sorts by depth.
+    /// Depth sorts of the last recording.
     pub sorts: u32,
-    /// Its scenes that are drawn together with others.
+    /// Scenes of the last recording drawn in batches.
     pub batched_scenes: u32,
-    /// Its capacity.
+    /// Capacity of the last recording.
     capacity: FrameCapacity,
-    /// The report of the last recording, once it has been requested.
+    /// Report of the last recording, once it has been requested.
     report: Option<SlotReport>,
 }
 
@@ -75,7 +75,7 @@ pub(super) struct Slots {
 }
 
 impl Slots {
-    /// Refuses while a frame is in flight.
+    /// Returns an error while a frame is in flight.
     pub fn check_free(&self) -> Result<()> {
         for slot in &self.slots {
             if !slot.record.finished()? {
@@ -85,7 +85,7 @@ impl Slots {
         Ok(())
     }
 
-    /// Allocates a reservation, which replaces the current one, while no frame is in flight.
+    /// Allocates a reservation, which replaces the current one. No frame may be in flight.
     pub fn reserve(&mut self, plan: &Plan<'_>) -> Result<()> {
         // The old memory is freed first: both at once might not fit.
         self.slots.clear();
@@ -98,7 +98,7 @@ impl Slots {
         Ok(())
     }
 
-    /// Refuses a reservation that is no growth of the current one.
+    /// Returns an error for a reservation to which the current one cannot grow.
     pub fn check_growth(&self, wanted: &Reservation) -> Result<()> {
         let slots = self.slots.len();
         if slots == 0 {
@@ -121,7 +121,7 @@ impl Slots {
         Ok(())
     }
 
-    /// Allocates another reservation of as many slots, each of which takes it over with its next recording.
+    /// Allocates another reservation with as many slots. Each slot switches to it with its next recording.
     pub fn grow(&mut self, plan: &Plan<'_>) -> Result<()> {
         let memory = plan.allocate()?;
         for slot in &mut self.slots {
@@ -134,7 +134,7 @@ impl Slots {
         Ok(())
     }
 
-    /// The slot with an index.
+    /// Returns the slot with an index.
     pub fn get(&mut self, index: u32) -> Result<&mut Slot> {
         let count = self.slots.len();
         self.slots.get_mut(index as usize).ok_or_else(|| {
@@ -164,19 +164,19 @@ impl Slot {
         })
     }
 
-    /// The memory of the next recording.
+    /// Returns the memory of the next recording.
     pub fn upcoming(&self) -> &SlotMemory {
         self.next.as_ref().unwrap_or(&self.memory)
     }
 
-    /// Takes over what was reserved since the last recording, whose command buffer has finished.
+    /// Switches to the memory reserved since the last recording, whose command buffer has finished.
     pub fn take_over(&mut self) {
         if let Some(next) = self.next.take() {
             self.memory = next;
         }
     }
 
-    /// Begins a recording of some views with up to so many Gaussians.
+    /// Begins a recording of `views` views with up to `gaussians` Gaussians.
     pub fn begin(&mut self, commands: ForeignCommands, (gaussians, views): (u32, u32)) -> Result<Recorder> {
         let recorder = self.record.begin(commands, "ashsplat")?;
         (self.gaussians, self.views, self.sorts) = (gaussians, views, 0);
@@ -190,7 +190,7 @@ impl Slot {
         self.record.end(recorder)
     }
 
-    /// The report of the last recording: None while it is in flight, and without a recording.
+    /// Returns the report of the last recording. None while it is in flight, or without a recording.
     pub fn report(&mut self, sizes: &LaunchSizes) -> Result<Option<SlotReport>> {
         if !self.record.is_recorded() || !self.record.finished()? {
             return Ok(None);
@@ -208,7 +208,7 @@ impl Slot {
         recorder.copy(&self.memory.frame.state, &to);
     }
 
-    /// The counts of so many views that have finished: of each the largest.
+    /// Returns the counts of `views` finished views, the largest of each count.
     pub fn counts(&self, sizes: &LaunchSizes, views: u32) -> Result<SlotReport> {
         let mut state = State::default();
         for view in 0..views {

@@ -1,4 +1,4 @@
-//! From a frame's buffers into the host's images, and how the images are used within a recording.
+//! Writes a frame's buffers into the host's images, and tracks the images' uses within a recording.
 
 use super::record::{HostImage, PickTarget, RecordedFrame, Release, Target};
 use crate::compose::Compose;
@@ -8,7 +8,7 @@ use crate::vk::{Image, ImageState, Recorder};
 use ash::vk;
 
 impl<'a> RecordedFrame<'a> {
-    /// The host's images that the frame uses, by their fields.
+    /// Returns the host's images that the frame uses, by field.
     pub(super) fn images(&self) -> [(&'static str, Option<&HostImage<'a>>); 5] {
         let target = match &self.target {
             Target::Image { to, .. } => Some(to),
@@ -23,13 +23,13 @@ impl<'a> RecordedFrame<'a> {
         ]
     }
 
-    /// Whether the frame uses this image.
+    /// True if the frame uses this image.
     pub(super) fn uses(&self, image: &Image) -> bool {
         self.images().iter().any(|(_, host)| host.is_some_and(|host| host.image.is_same_as(image)))
     }
 }
 
-/// The views of a recording before one of them, and what was left of their images.
+/// The earlier views of a recording, and the last uses of their images.
 #[derive(Clone, Copy)]
 pub(super) struct Earlier<'a> {
     pub frames: &'a [RecordedFrame<'a>],
@@ -37,7 +37,7 @@ pub(super) struct Earlier<'a> {
 }
 
 impl Earlier<'_> {
-    /// The last use of an image in the recording.
+    /// Returns the last use of an image in the recording.
     fn last_use(&self, image: &Image) -> Option<ImageState> {
         let views = self.frames.iter().zip(self.releases).rev();
         views
@@ -45,14 +45,15 @@ impl Earlier<'_> {
             .find_map(|((_, host), last)| host.filter(|host| host.image.is_same_as(image)).and(last))
     }
 
-    /// Makes an image ready for kernels. One that an earlier view has used is: the barrier between two views orders all kernels.
+    /// Makes an image ready for kernels. An image of an earlier view is already ready: the barrier between two views orders
+    /// all kernels.
     pub fn acquire(&self, r: &mut Recorder, host: &HostImage<'_>) -> ImageState {
         self.last_use(host.image).unwrap_or_else(|| r.acquire_image(host.image, host.from))
     }
 }
 
 impl Release {
-    /// The last uses of [`RecordedFrame::images`].
+    /// Returns the last uses of [`RecordedFrame::images`].
     fn uses(&self) -> [Option<ImageState>; 5] {
         [self.color, self.occluder, self.depth, self.pick, self.motion]
     }
@@ -62,7 +63,7 @@ impl Release {
     }
 }
 
-/// Gives images back to the queue families that own them, each behind its last use.
+/// Releases images to the queue families that own them, each after its last use.
 pub(super) fn release_images(r: &mut Recorder, frames: &[RecordedFrame<'_>], releases: &mut [Release]) {
     for (index, frame) in frames.iter().enumerate() {
         let (earlier, own) = (&frames[..index], &mut releases[index]);
@@ -76,7 +77,7 @@ pub(super) fn release_images(r: &mut Recorder, frames: &[RecordedFrame<'_>], rel
     }
 }
 
-/// Records what a frame leaves in the host's images.
+/// Records the writes of a frame into the host's images.
 pub(super) fn record_targets(
     r: &mut Recorder,
     (compose, sizes): (&Compose, &LaunchSizes),

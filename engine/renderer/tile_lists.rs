@@ -1,4 +1,4 @@
-//! What each tile of a frame blends, read back.
+//! Reads back the Gaussians that each tile of a frame blends.
 
 use super::{FrameRunner, Renderer, no_scene};
 use crate::error::Result;
@@ -7,40 +7,39 @@ use crate::kernels::constants as c;
 use crate::plan::tile_grid;
 use crate::scene::Camera;
 
-/// A visible Gaussian as it is blended.
+/// A visible Gaussian, as projected for blending.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ProjectedSplat {
-    /// Index in the scene; of several scenes, each is counted behind the one before it.
+    /// Index in the scene. Indices of several scenes continue from one to the next.
     pub gaussian: u32,
-    /// Where its middle lies, pixels.
+    /// 2D mean, pixels.
     pub mean2d_px: [f32; 2],
     /// (A, B, C) of exp(−(A dx² + C dy²) / 2 − B dx dy), 1/px².
     pub conic: [f32; 3],
-    /// Its opacity.
     pub opacity: f32,
     /// Depth (z in the camera's frame), world units.
     pub depth: f32,
 }
 
-/// The lists of a frame's tiles.
+/// Lists of Gaussians per tile of a frame.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TileLists {
-    /// Tiles in a row.
+    /// Tiles per row.
     pub tiles_per_row: u32,
-    /// Of each tile, row by row: begin and end in `entries`.
+    /// Begin and end in `entries` of each tile, row by row.
     pub ranges: Vec<[u32; 2]>,
     /// Indices into `splats`, tile by tile, each front to back.
     pub entries: Vec<u32>,
-    /// The visible Gaussians in the scene's order.
+    /// Visible Gaussians in the scene's order.
     pub splats: Vec<ProjectedSplat>,
 }
 
 impl Renderer {
-    /// Renders a frame and reads back what each tile blends, for studies of how much work a frame is and what its kernels read
-    /// where. It takes the host some 40 bytes per visible Gaussian and 4 per instance.
+    /// Renders a frame and reads back what each tile blends, for studies of a frame's work and its kernels' memory
+    /// accesses. Takes about 40 bytes of host memory per visible Gaussian and 4 per instance.
     ///
     /// # Errors
-    /// As [`Renderer::render`].
+    /// Same as [`Renderer::render`].
     pub fn tile_lists(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<TileLists> {
         let scene = self.scene.as_ref().ok_or_else(no_scene)?;
         self.runner.tile_lists(scene, camera, settings)

@@ -1,4 +1,4 @@
-//! Number of Gaussians per tile of a frame.
+//! Reads back the number of Gaussians per tile of a frame.
 
 use super::{Frame, FrameRunner, Renderer, no_scene};
 use crate::error::Result;
@@ -16,7 +16,7 @@ pub struct TileReport {
     pub rows: u32,
     /// (tile, Gaussian) instances of each tile.
     pub entries: Vec<u32>,
-    /// How far blending went into each tile's list: the last entry that any of its pixels blended.
+    /// Per tile: the last list entry that any of its pixels blended.
     pub blended: Vec<u32>,
 }
 
@@ -24,15 +24,15 @@ impl Renderer {
     /// Renders a frame and reads back the number of Gaussians in its tiles.
     ///
     /// # Errors
-    /// As [`Renderer::render`].
+    /// Same as [`Renderer::render`].
     pub fn tiles(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<TileReport> {
         Ok(self.render_with_tiles(camera, settings)?.1)
     }
 
-    /// [`Renderer::render`] and [`Renderer::tiles`] for the same frame.
+    /// Same as [`Renderer::render`] and [`Renderer::tiles`], for the same frame.
     ///
     /// # Errors
-    /// As [`Renderer::render`].
+    /// Same as [`Renderer::render`].
     pub fn render_with_tiles(
         &mut self,
         camera: &Camera,
@@ -55,7 +55,7 @@ impl FrameRunner {
         Ok((frame, self.tiles(camera)?))
     }
 
-    /// The report of the tiles of the last frame, which was rendered with this camera.
+    /// Returns the report of the last frame's tiles. The frame must have been rendered with this camera.
     fn tiles(&self, camera: &Camera) -> Result<TileReport> {
         let frame = self.frame()?;
         let (columns, rows) = tile_grid(camera.width, camera.height);

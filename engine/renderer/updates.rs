@@ -21,7 +21,7 @@ pub struct Update<'a> {
 }
 
 impl Update<'_> {
-    /// Whether both replace some of the same Gaussians. Clones of a scene share its buffers.
+    /// True if both replace some of the same Gaussians. Clones of a scene share its buffers.
     fn overlaps(&self, other: &Self) -> bool {
         let range = |u: &Self| (u64::from(u.first), u64::from(u.first) + u.gaussians.len() as u64);
         let ((first, end), (other_first, other_end)) = (range(self), range(other));
@@ -32,23 +32,23 @@ impl Update<'_> {
     }
 }
 
-/// The copies of a frame's updates. Its memory serves the next frame.
+/// Copies of a frame's updates. The next frame reuses its memory.
 #[derive(Default)]
 pub(super) struct Staged {
     words: Vec<[f32; 4]>,
     copies: Vec<StagedCopy>,
 }
 
-/// From the staging memory to the scene.
+/// A copy from staging memory to a scene.
 struct StagedCopy {
-    /// Whether it needs a barrier: an update since the last barrier writes some of the same Gaussians.
+    /// True if it needs a barrier: an update since the last barrier writes some of the same Gaussians.
     behind_barrier: bool,
     from: Buffer,
     to: Buffer,
 }
 
 impl Staged {
-    /// Writes new parameters into the slot's staging memory, which is not in use, and notes the copies from it.
+    /// Writes new parameters into the slot's staging memory, which must not be in use, and lists the copies from it.
     pub(super) fn stage(&mut self, staging: Option<&Buffer>, updates: &[Update<'_>]) -> Result<()> {
         self.copies.clear();
         let Some(staging) = staging else { return Ok(()) };
@@ -73,7 +73,7 @@ impl Staged {
         Ok(())
     }
 
-    /// Records the copies, and lets go of the buffers.
+    /// Records the copies, and drops the buffers.
     pub(super) fn record(&mut self, r: &mut Recorder) {
         if self.copies.is_empty() {
             return;
@@ -104,7 +104,7 @@ fn each_piece(
             continue;
         }
         let own = (begin - first) as usize..(stop - first) as usize;
-        // Packed as a chunk that consists of the touched rows only.
+        // Packs them as a chunk of only the touched rows.
         let (begin, stop) = (begin - range.first, stop - range.first);
         let rows = begin / PLANE_ROW..stop.div_ceil(PLANE_ROW);
         let skipped = rows.start * PLANE_ROW;
@@ -117,7 +117,8 @@ fn each_piece(
     Ok(())
 }
 
-/// Ranges of Gaussians `begin` to `stop` in a chunk (where they begin), and in a chunk that consists of their rows only.
+/// Calls `run` for contiguous ranges of Gaussians `begin` to `stop`: index in their chunk, and range in a chunk of only
+/// their rows.
 fn each_run(
     plan: &ScenePlan,
     packed: &ScenePlan,

@@ -1,6 +1,6 @@
 //! Frames of several views in one recording: the eyes of a headset, a split screen, a picture in a picture.
 //!
-//! They follow each other in the memory of one frame, with one barrier between two.
+//! Views run one after the other in the memory of one frame, separated by one barrier.
 
 use super::Renderer;
 use super::check::check_capacity;
@@ -15,31 +15,35 @@ use crate::scene::Camera;
 use crate::vk::{ForeignCommands, Recorder};
 
 impl Renderer {
-    /// Records several frames, one after the other, in one slot: views of the same moment, each with its own camera, scenes,
-    /// settings and images. As [`Renderer::record`] for each, with the same bits; but one recording's barriers, timestamps
-    /// and event, and one slot's memory and report. `releases` has a place for each view, which is filled.
+    /// Records several frames, one after the other, in one slot: views of the same moment, each with its own camera,
+    /// scenes, settings and images. Same bits as [`Renderer::record`] for each, but with one recording's barriers,
+    /// timestamps and event, and one slot's memory and report. `releases` has an element for each view, which is
+    /// overwritten.
     ///
-    /// A view's pixels go into images: a layer of an array for each ([`ForeignImage::layer`](crate::vk::ForeignImage::layer)), or a
-    /// rectangle of one image ([`HostImage::offset`](super::HostImage::offset)). What lies outside of a rectangle stays as it is. An
-    /// image may be used by several views: in their order, which counts where rectangles overlap. Its
-    /// [`HostImage::from`](super::HostImage::from) is what the host did with it before the recording, and only that of the first view
+    /// Each view's pixels go into an image: a layer of an array ([`ForeignImage::layer`](crate::vk::ForeignImage::layer)),
+    /// or a rectangle of a shared image ([`HostImage::offset`](super::HostImage::offset)). Texels outside a rectangle do
+    /// not change. Several views may use an image; they write it in order, which matters if rectangles overlap.
+    /// [`HostImage::from`](super::HostImage::from) is the host's use before the recording; only the first view's value
     /// counts.
     ///
-    /// [`RecordedFrame::updates`] are those of the first view, and all see them.
+    /// The first view holds the [`RecordedFrame::updates`], and all views see them.
     ///
-    /// [`Reservation::shared_sort`](super::Reservation::shared_sort) lets views that follow each other be culled and sorted once:
+    /// With [`Reservation::shared_sort`](super::Reservation::shared_sort), consecutive views are culled and sorted once if:
     ///
     /// - They have the same slice of scenes and equal settings. Targets may differ.
     /// - Their cameras are all pinholes or all orthographic.
-    /// - Their depths are the same to the bit: the third row of `camera_from_world` and `translation.z`, under each scene's pose.
+    /// - Their depths are bit-identical: the third row of `camera_from_world` and `translation.z`, under each scene's pose.
     ///
-    /// So the second eye is made from the first by [`Camera::moved_aside`](crate::Camera::moved_aside). View matrices that are
-    /// multiplied for each eye differ in last bits. Other views sort alone.
+    /// So create the second eye from the first by [`Camera::moved_aside`](crate::Camera::moved_aside). View matrices that
+    /// are multiplied separately for each eye differ in their last bits. Other views sort alone.
     ///
     /// # Errors
-    /// As [`Renderer::record`], with `views[i]` before the field. [`Error::Argument`] also for no views, for more than
-    /// [`Reservation::views`](super::Reservation::views), for another number of releases, for several views without images, for
-    /// updates in another view than the first, and for an image that one view samples and another one writes.
+    /// Same as [`Renderer::record`], with `views[i]` before the field. Also [`Error::Argument`] for:
+    /// - no views, or more than [`Reservation::views`](super::Reservation::views);
+    /// - another number of releases;
+    /// - several views without images;
+    /// - updates in another view than the first;
+    /// - an image that one view samples and another one writes.
     pub fn record_views(
         &mut self,
         commands: ForeignCommands,
@@ -50,7 +54,7 @@ impl Renderer {
         self.record_frames(commands, slot, (views, releases))
     }
 
-    /// Of one view or of several.
+    /// Records one view or several.
     pub(super) fn record_frames(
         &mut self,
         commands: ForeignCommands,
@@ -63,7 +67,7 @@ impl Renderer {
         recorded
     }
 
-    /// The same with an empty list for the scenes of all views.
+    /// Same as [`Self::record_frames`], with an empty list for the scenes of all views.
     fn record_placed<'a>(
         &mut self,
         commands: ForeignCommands,
@@ -92,7 +96,7 @@ impl Renderer {
             let own = rest.split_off_mut(..frame.scenes.len()).unwrap_or_default();
             let checked = check_capacity((frame, own), &slot.upcoming().capacity, &reserved);
             checked.map_err(|error| in_view(error, index, views))?;
-            // Motion is a dispatch of each scene in any case.
+            // Motion needs a dispatch per scene, so its scenes are not batched.
             if reserved.has_batches() && frame.motion.is_none() {
                 batched_scenes += forward.form_batches(own);
             }
@@ -100,7 +104,7 @@ impl Renderer {
         let Some(compose) = &self.compose else { unreachable!("built by reserve") };
         slot.take_over();
         self.staged.stage(slot.memory.staging.as_ref(), views[0].updates)?;
-        // No more than the capacity.
+        // At most the capacity, so the cast is exact.
         let mut recorder = slot.begin(commands, (gaussians as u32, views.len() as u32))?;
         let (r, memory) = (&mut recorder, &slot.memory);
         self.staged.record(r);
@@ -129,8 +133,8 @@ impl Renderer {
     }
 }
 
-/// How many of the views from the first one on can have one order: they have its scenes, its settings, and its depths to the
-/// bit. `placed`: the scenes of all.
+/// Returns how many views, from the first on, can share one order. They have its scenes, its settings, and bit-identical
+/// depths. `placed`: scenes of all views.
 fn with_one_order(views: &[RecordedFrame<'_>], placed: &[PlacedScene<'_>]) -> usize {
     let Some((first, others)) = views.split_first() else { return 0 };
     let scenes = first.scenes.len();
@@ -145,21 +149,21 @@ fn with_one_order(views: &[RecordedFrame<'_>], placed: &[PlacedScene<'_>]) -> us
     1 + others.iter().zip(own).take_while(has_order).count()
 }
 
-/// All that the depth of a scene's Gaussians comes from, beside the scene and its scale.
+/// Returns the bits that determine the depth of a scene's Gaussians, beside the scene and its scale.
 fn depth_bits(placed: &PlacedScene<'_>) -> [u32; 4] {
     let Camera { camera_from_world, translation, .. } = placed.camera;
     let row = camera_from_world.row(2);
     [row.x, row.y, row.z, translation.z].map(f32::to_bits)
 }
 
-/// Which of some views with one order a view is.
+/// Position of a view among views that share an order.
 #[derive(Clone, Copy)]
 struct Order {
     views: u32,
     number: u32,
 }
 
-/// What the views of a recording have in common.
+/// Resources that the views of a recording share.
 struct Recording<'a> {
     forward: &'a Forward,
     compose: &'a Compose,
@@ -167,8 +171,8 @@ struct Recording<'a> {
 }
 
 impl Recording<'_> {
-    /// Records a frame, up to its images. Its scenes are the first of `placed`, and those of the views with its order follow. Ends
-    /// without a barrier.
+    /// Records a frame, including its images. `placed` begins with its scenes, followed by those of the views with its
+    /// order. Ends without a barrier.
     fn record(
         &self,
         r: &mut Recorder,
@@ -210,8 +214,8 @@ impl Recording<'_> {
     }
 }
 
-/// An empty list in the memory of another one, whose scenes may be gone: a list is collected in place of one of the same
-/// type. A test counts what is allocated.
+/// Returns an empty list that reuses the memory of another one, whose scenes may be gone. Collecting into a list of the
+/// same type reuses it; a test counts allocations.
 fn emptied<'a>(mut placed: Vec<PlacedScene<'_>>) -> Vec<PlacedScene<'a>> {
     placed.clear();
     placed.into_iter().map(|_| unreachable!("it is empty")).collect()
