@@ -16,11 +16,10 @@ impl Buffer {
     /// ([`ContextOptions::texels`](super::ContextOptions::texels)).
     ///
     /// # Safety
-    /// - `raw` is of the context's device, bound to memory, has at least `offset + bytes` bytes and the
-    ///   usages STORAGE_BUFFER, TRANSFER_SRC and TRANSFER_DST, and UNIFORM_BUFFER if a kernel reads it as a
+    /// - `raw` belongs to the context's device, is bound to memory and has at least `offset + bytes` bytes;
+    /// - it has the usages STORAGE_BUFFER, TRANSFER_SRC and TRANSFER_DST, and UNIFORM_BUFFER if a kernel reads it as a
     ///   uniform block;
-    /// - it lives until the last recording that uses it has finished and the buffer and its clones are
-    ///   dropped;
+    /// - it lives until the last recording that uses it has finished, and the buffer and its clones are dropped;
     /// - no two adopted buffers overlap.
     pub unsafe fn adopt(
         context: &Context,

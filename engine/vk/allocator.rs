@@ -55,8 +55,9 @@ unsafe impl Sync for HostMemory {}
 /// of its last recording, until it is recorded again or released ([`super::RecordSlot::release`]).
 ///
 /// # Safety
-/// - [`HostAllocator::allocate`] returns memory of the context's device, of one of the requested types and
-///   with the   requested size and alignment, and the piece has no other user before it is freed;
+/// - [`HostAllocator::allocate`] returns memory of the context's device, of a requested type, with the requested size and
+///   alignment;
+/// - the piece has no other user before it is freed;
 /// - if the piece is mapped, it is mapped at the given address until it is freed, and the memory type is
 ///   host-coherent.
 pub unsafe trait HostAllocator: Send + Sync {

@@ -64,10 +64,10 @@ impl Context {
     /// # Safety
     /// - `instance` and `device` are alive, were created for Vulkan 1.3 or later, and outlive the context and
     ///   everything made from it;
-    /// - `physical_device` is the one that `device` was created from, `queue_family` one that it was created with;
+    /// - `device` was created from `physical_device`, with queues of `queue_family`;
     /// - `features` and `extensions` were enabled at its creation, and VK_EXT_debug_utils if `debug_utils` is set;
-    /// - `queue`, if given, is one of `device` and of that family, and is not used elsewhere during a call
-    ///   that submits, or only under `queue_lock`;
+    /// - `queue`, if given, belongs to `device` and that family. During a call that submits, others use it only under
+    ///   `queue_lock`, or not at all;
     /// - `device` was created with robustBufferAccess, or the push constants of all [`Recorder::dispatch`]es and
     ///   the counts given to stages ([`crate::scan`], [`crate::sort`], …) fit their buffers. Renderer and trainer
     ///   see to that themselves;
@@ -132,13 +132,12 @@ impl Context {
     /// ([`ContextOptions::texels`]).
     ///
     /// # Safety
-    /// - `commands` is of the context's device and queue family, in the recording state, outside of a render
-    ///   pass, and not   recorded into elsewhere until the recording that is begun with it has ended;
-    /// - it is submitted at most once before it is recorded again, to a queue of the context's queue family;
-    ///   if there are   several queues, the host orders submissions that use the same buffers or images by
-    ///   semaphores;
-    /// - before the slot of this recording is recorded through again, released or dropped, the host knows, by a fence, a
-    ///   timeline semaphore or an idle queue, that the whole command buffer has finished. Or it has ensured that execution
+    /// - `commands` belongs to the context's device and queue family, and is in the recording state, outside a render pass;
+    /// - nothing else records into it until the recording that begins with it has ended;
+    /// - it is submitted at most once before it is recorded again, to a queue of the context's queue family. If there are
+    ///   several queues, the host orders submissions that use the same buffers or images by semaphores;
+    /// - before the slot of this recording is recorded through again, released or dropped, the whole command buffer has
+    ///   finished. The host knows this by a fence, a timeline semaphore or an idle queue. Or it has ensured that execution
     ///   never begins ([`RecordSlot::discard`]). [`RecordSlot::finished`] is not enough: it covers only the guest's
     ///   commands, not those that the host recorded after them;
     /// - until then the host neither writes nor reads buffers that the recording uses

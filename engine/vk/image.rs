@@ -95,11 +95,10 @@ impl Image {
     /// - flags that lack what the format needs ([`ForeignImage::flags`]).
     ///
     /// # Safety
-    /// - the image is of the context's device, was created as `foreign` describes and is bound to memory;
-    /// - it lives until the last recording that uses it has finished and this view and its clones are
-    ///   dropped;
-    /// - the context's queue family owns it when recordings use it, or it was created for concurrent use, or the family
-    ///   named by [`Image::of_family`] owns it.
+    /// - the image belongs to the context's device, was created as `foreign` describes and is bound to memory;
+    /// - it lives until the last recording that uses it has finished, and this view and its clones are dropped;
+    /// - recordings use it while the context's queue family owns it, or the family named by [`Image::of_family`], or it was
+    ///   created for concurrent use.
     pub unsafe fn adopt(
         context: &Context,
         name: &'static str,

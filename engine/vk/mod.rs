@@ -38,8 +38,8 @@
 //!
 //! # Ownership
 //! A [`Context`] is a counted reference to the open device. Buffers, kernels, recorders and pending submissions hold
-//! one, so the device outlives them all. A recorder also holds the memory and the pipelines of every command in it,
-//! and passes them to its [`Pending`], which drops them once the device is done. So dropping a buffer or a kernel is safe
+//! one, so the device outlives them all. A recorder also holds the memory and the pipelines of its commands. It
+//! passes them to its [`Pending`], which drops them once the device is done. So dropping a buffer or a kernel is safe
 //! at any time. Dropping a recorder discards the recording; dropping a pending submission waits for it.
 //!
 //! # Synchronisation
