@@ -1,4 +1,4 @@
-//! Converts Gaussians to and from the device's layout: vec4 planes split into chunks.
+//! Gaussians in the device's layout: vec4 planes split into chunks. Conversion in both directions.
 
 use crate::error::{Error, Result};
 use crate::forward::SceneBuffers;
@@ -8,12 +8,12 @@ use crate::scene::Gaussians;
 use crate::scene::gaussians::sh_coefficients;
 use crate::vk::{Buffer, Context, MemoryKind};
 
-/// Requests of a plan's planes, one buffer per chunk.
+/// The buffers of a plan's planes, one per chunk.
 pub(crate) fn requests(plan: &ScenePlan) -> Vec<(&'static str, u64)> {
     vec![("planes", plan.chunk_bytes()); plan.chunks as usize]
 }
 
-/// An arena and its kind of memory; device memory by default.
+/// An arena, in device memory or in that of a kind.
 pub struct Place<'a> {
     arena: &'a str,
     kind: MemoryKind,
@@ -132,7 +132,7 @@ pub fn upload_filters(context: &Context, scene: &SceneBuffers, filters: &[f32]) 
     Ok(())
 }
 
-/// Returns the geometry planes of a range's Gaussians: they come first in a chunk, row by row.
+/// The geometry planes of a range's Gaussians: they come first in a chunk, row by row.
 fn geometry_of(scene: &SceneBuffers, range: &GaussianRange) -> Buffer {
     let rows = u64::from(range.count.div_ceil(c::PLANE_ROW));
     scene.chunks[range.chunk].range(0, rows * u64::from(c::PLANE_ROW) * u64::from(c::PLANE_SH) * 16)
@@ -150,7 +150,7 @@ pub(crate) fn pack(
     planes
 }
 
-/// Same as [`pack`], but into existing memory.
+/// The same in memory that is there already.
 pub(crate) fn pack_into(
     planes: &mut Vec<[f32; 4]>,
     g: &Gaussians,
