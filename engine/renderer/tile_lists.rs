@@ -16,6 +16,7 @@ pub struct ProjectedSplat {
     pub mean2d_px: [f32; 2],
     /// (A, B, C) of exp(−(A dx² + C dy²) / 2 − B dx dy), 1/px².
     pub conic: [f32; 3],
+    /// Opacity.
     pub opacity: f32,
     /// Depth (z in the camera's frame), world units.
     pub depth: f32,

@@ -248,6 +248,7 @@ impl Image {
         self.0.format
     }
 
+    /// The use that it was made for.
     pub fn purpose(&self) -> ImageUse {
         self.0.purpose
     }
