@@ -95,19 +95,19 @@ pub struct Arguments {
     device: DeviceArguments,
 }
 
-/// How long a thread that has nothing to do waits before it looks whether it is to end.
+/// Interval at which an idle thread checks whether it should end.
 const REST: Duration = Duration::from_millis(200);
-/// How long pages have to hear why the program ends.
+/// Time for pages to receive the reason why the program ends.
 const LAST_WORDS: Duration = Duration::from_millis(300);
 
 /// Runs the command until Ctrl-C.
 pub fn run(arguments: &Arguments) -> Result<()> {
-    // Where nothing can be written in the usual place, one can look all the same.
+    // The default folder may be read-only: looking needs no files.
     arguments.out.as_deref().map(output::check_folder).transpose()?;
     let out = arguments.out.clone().unwrap_or_else(|| "out/view".into());
-    // From now on: a ZIP is unpacked, and nothing of it may be left.
+    // From here on Ctrl-C only stops the loading: an unpacked ZIP must be removed.
     let stop = session::stop_on_ctrl_c()?;
-    // What is not there is said before an address is.
+    // Report a missing file before any address.
     if let Some(path) = &arguments.path {
         std::fs::metadata(path).map_err(|e| Error::io(path, "read", e))?;
     }
@@ -119,7 +119,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         }
         return in_window(arguments, out, stop);
     }
-    // Before anything is loaded: a port in use costs no time.
+    // Report a port in use before anything is loaded.
     let listener = server::open(&arguments.serve)?;
     let openings = arguments.openings(&listener);
     let hub = Arc::new(Hub::default());
@@ -139,7 +139,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     std::thread::scope(|threads| {
         let stage = Stage { arguments, openings, hub: hub.clone(), site, stop: &stop };
         let ended = stage.play(threads, name, out);
-        // What is being read is wanted no more.
+        // Stops a scene that is still being read.
         stop.store(true, Ordering::Relaxed);
         if let Err(error) = &ended {
             hub.broadcast(&loading::failure("", error, None));
@@ -149,7 +149,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     })
 }
 
-/// What a viewer shows, from the first scene to the last.
+/// The viewer's scenes, from the first to the last.
 struct Stage<'a> {
     arguments: &'a Arguments,
     openings: Option<Arc<Openings>>,
@@ -159,7 +159,7 @@ struct Stage<'a> {
 }
 
 impl<'a> Stage<'a> {
-    /// `name`: of the scene to begin with.
+    /// `name`: name of the first scene.
     fn play<'scope>(
         &self,
         threads: &'scope Scope<'scope, 'a>,
@@ -177,7 +177,7 @@ impl<'a> Stage<'a> {
             }
             _ => None,
         };
-        // Meanwhile.
+        // The device opens while the scene is read.
         let context = arguments.device.context()?;
         let mut scenery = Scenery::new(Renderer::new(&context)?);
         let mut studio = Studio::new(hub.clone(), RenderSettings::default(), out);
@@ -190,10 +190,10 @@ impl<'a> Stage<'a> {
             if let Some(read) = loading.take_if(|loading| loading.is_finished()) {
                 let (name, room) = (read.name().to_owned(), read.room());
                 let failed = match read.finish() {
-                    // What was shown before stays.
+                    // The previous scene stays.
                     Err(error) => Some(error),
                     Ok(subject) => {
-                        // Commands are for the file that the page has sent, not for what was kept of it here.
+                        // Commands name the file that the page has sent, not its copy here.
                         let file = if room.is_some() { Some(PathBuf::from(&name)) } else { subject.file };
                         let subject = Subject { name: name.clone(), file, ..subject };
                         self.show(subject, &mut scenery, &mut studio).err()
@@ -217,12 +217,11 @@ impl<'a> Stage<'a> {
         Ok(())
     }
 
-    /// Shows a scene to all pages.
     fn show(&self, subject: Subject, scenery: &mut Scenery, studio: &mut Studio) -> Result<()> {
         let mut greeting = subject.greeting(scenery.renderer.context().device_name(), None);
         greeting["open"] = self.openings.as_ref().map(|openings| openings.described()).into();
         if let Err(error) = scenery.show(&subject.gaussians, subject.tree.as_ref(), self.hub.clone()) {
-            // The one before has gone already.
+            // The previous scene is already gone.
             self.show(Subject::nothing(), scenery, studio)?;
             return Err(error);
         }
@@ -236,7 +235,7 @@ impl<'a> Stage<'a> {
 }
 
 impl Arguments {
-    /// What is looked at.
+    /// Loads the scene that the arguments name.
     #[cfg(feature = "window")]
     fn subject(&self, stop: &AtomicBool) -> Result<Subject> {
         self.path.as_ref().map_or_else(|| Ok(Subject::nothing()), |path| self.load(path, None, stop))
@@ -250,7 +249,7 @@ impl Arguments {
         Ok(Subject { up: self.up, ..subject })
     }
 
-    /// What pages may open: nothing where there is a scene from the beginning.
+    /// Limits of what pages may open; none if the viewer was started with a scene.
     fn openings(&self, listener: &TcpListener) -> Option<Arc<Openings>> {
         let most_bytes = self.device.host.memory().limit();
         let open =
@@ -271,7 +270,7 @@ fn in_window(_: &Arguments, _: PathBuf, _: Arc<AtomicBool>) -> Result<()> {
     Err(Error::argument("--window", problem))
 }
 
-/// Says where the page is: for all addresses, by what names this machine and others reach it.
+/// Prints the page's address. If the server listens at all addresses, prints one for this machine and those for others.
 pub fn announce(address: SocketAddr, arguments: &ServeArguments) {
     let word = if arguments.token.is_some() { "?token=WORD" } else { "" };
     let page = |place: String| format!("http://{place}/{word}");
@@ -288,7 +287,7 @@ pub fn announce(address: SocketAddr, arguments: &ServeArguments) {
     say!("viewer at {}{others}", page(here));
 }
 
-/// This machine's addresses towards others, by its routes to the usual ranges. Connecting a datagram socket sends nothing.
+/// This machine's outward addresses, by its routes to common ranges. Connecting a datagram socket sends nothing.
 fn outward_addresses(with_ipv6: bool) -> BTreeSet<IpAddr> {
     let ranges = ["192.0.2.1", "10.0.0.1", "172.16.0.1", "192.168.0.1", "2001:db8::1", "fd00::1"];
     let towards = |range: IpAddr| {

@@ -1,4 +1,4 @@
-//! The page's files, which are part of the program: it loads nothing from elsewhere.
+//! The page's files, compiled into the program: the page loads nothing from elsewhere.
 
 macro_rules! files {
     ($($name:literal: $kind:literal),* $(,)?) => {
@@ -30,7 +30,7 @@ const FILES: &[(&str, &str, &str)] = files! {
     "training.js": "text/javascript; charset=utf-8",
 };
 
-/// MIME type and contents of what lies under a path.
+/// Returns the MIME type and contents of the file at a path.
 pub fn find(path: &str) -> Option<(&'static str, &'static str)> {
     let path = if path == "/" { HTML } else { path };
     FILES.iter().find(|(name, ..)| *name == path).map(|&(_, kind, text)| (kind, text))
@@ -40,7 +40,7 @@ pub fn find(path: &str) -> Option<(&'static str, &'static str)> {
 mod tests {
     use super::*;
 
-    /// Every file that a page names is an asset too.
+    /// Every file that a page names is an asset.
     #[test]
     fn nothing_is_loaded_from_elsewhere() {
         for (name, _, text) in FILES {
@@ -50,7 +50,7 @@ mod tests {
                     assert!(find(&format!("/{target}")).is_some(), "{name} names {target}");
                 }
             }
-            // Below a path of a proxy, a name from the root leads elsewhere.
+            // Behind a proxy that serves the viewer below a path, an address from the root leads elsewhere.
             for start in ["=\"/", "`/", "fetch('/", "'POST', '/"] {
                 assert!(!text.contains(start), "{name}: {start}");
             }

@@ -1,17 +1,17 @@
-//! For whom pictures are drawn.
+//! The viewer for whom pictures are drawn.
 
-/// Who looks: a page by its number, or its film.
+/// A page by its number, or its film.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Viewer {
     pub page: u64,
     pub films: bool,
 }
 
-/// For whom the next pictures are.
+/// The viewer of the next pictures.
 pub struct Audience<'a> {
     pub viewer: Viewer,
-    /// Gaussians of a picture of a tree of tiles, at most; none: as the program was told.
+    /// Most Gaussians of a picture of a tree of tiles. None: the program's own setting.
     pub budget: Option<u64>,
-    /// Who is still there.
+    /// True if that viewer is still connected.
     pub is_there: &'a dyn Fn(&Viewer) -> bool,
 }

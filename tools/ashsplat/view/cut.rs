@@ -1,23 +1,22 @@
-//! What a page leaves out of the scene, and how `ashsplat convert` is told the same.
+//! A page's cut of the scene, and the same cut as options of `ashsplat convert`.
 
 use ashsplat::RenderSettings;
 use ashsplat::scene::{Bounds, Cut, WorldFrame};
 use glam::Vec3;
 use serde::Deserialize;
 
-/// What a page leaves out: see [`Cut`].
+/// A page's cut as JSON: see [`Cut`].
 #[derive(Clone, Copy, Debug, Default, Deserialize, PartialEq)]
 #[serde(default)]
 pub struct CutMessage {
     pub min_opacity: Option<f32>,
     pub min_density: Option<f32>,
-    /// The box's sides; none where it has none.
+    /// Sides of the box; none for an open side.
     pub low: [Option<f32>; 3],
     pub high: [Option<f32>; 3],
 }
 
 impl CutMessage {
-    /// As the engine takes it.
     pub fn cut(&self) -> Cut {
         let boxed = self.low.iter().chain(&self.high).any(Option::is_some);
         let side = |values: [Option<f32>; 3], none: f32| Vec3::from_array(values.map(|v| v.unwrap_or(none)));
@@ -30,11 +29,11 @@ impl CutMessage {
     }
 }
 
-/// The options of `ashsplat convert` that leave what these settings show of a scene in a frame. Without a frame of its own, numbers
-/// are read back to the same bits.
+/// Options of `ashsplat convert` that make the same cut and keep the same SH degree. In the default frame, `convert` parses the
+/// numbers to the same bits.
 pub fn options(settings: &RenderSettings, frame: &WorldFrame) -> String {
     let Cut { min_opacity, min_density, bounds } = settings.cut;
-    // The decimal number that single precision shows.
+    // The decimal number that single precision prints.
     let decimal = |v: f32| v.to_string().parse::<f64>().unwrap_or_else(|_| v.into());
     let mut said = Vec::new();
     if let Some(degree) = settings.sh_degree {
@@ -55,8 +54,7 @@ pub fn options(settings: &RenderSettings, frame: &WorldFrame) -> String {
     said.join(" ")
 }
 
-/// The same for an address: `min_opacity=X&min_density=X&low=X,X,X&high=X,X,X&sh_degree=N`, with nothing for a side that
-/// is open.
+/// The same cut as an address's query: `min_opacity=X&min_density=X&low=X,X,X&high=X,X,X&sh_degree=N`. An open side is empty.
 pub fn query(settings: &RenderSettings) -> String {
     let Cut { min_opacity, min_density, bounds } = settings.cut;
     let mut said = vec![format!("min_opacity={min_opacity}&min_density={min_density}")];

@@ -18,7 +18,7 @@ use image::{ExtendedColorType, ImageEncoder};
 use serde_json::{Value, json};
 use std::time::Instant;
 
-/// What can be looked at: a scene, or one that is being trained.
+/// A scene to look at: finished, or in training.
 pub trait Painter {
     fn render(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<Frame>;
     fn render_with_tiles(
@@ -28,27 +28,27 @@ pub trait Painter {
     ) -> Result<(Frame, TileReport)>;
     fn inspect(&mut self, camera: &Camera, settings: &RenderSettings, pixel: [u32; 2])
     -> Result<PixelReport>;
-    /// The Gaussians as they stand.
+    /// Returns the current Gaussians.
     fn gaussians(&self) -> Result<Gaussians>;
-    /// Frees the memory of pictures. The next one takes what it needs.
+    /// Frees the memory of pictures. The next picture allocates what it needs.
     fn shrink(&mut self);
     /// Iterations of training so far.
     fn iteration(&self) -> Option<u32>;
-    /// The light of photos that a training learns, as it is now.
+    /// Returns the current exposure and lens effects of a training view.
     fn light(&self, places: Places) -> Result<Light>;
-    /// For whom the next pictures are.
+    /// Sets the viewer of the next pictures.
     fn attend(&mut self, _: &Audience<'_>) {}
-    /// Whether all of the scene is there that a camera's picture wants; what is not is asked for.
+    /// True if all parts of the scene that this camera needs are loaded; requests those that are missing.
     fn is_ready(&mut self, _: &Camera) -> Result<bool> {
         Ok(true)
     }
-    /// How much of a tree of tiles the last picture has.
+    /// How complete the last picture of a tree of tiles is.
     fn tree(&self) -> Option<&Value> {
         None
     }
 }
 
-/// A painter whose methods of the same names draw.
+/// Implements [`Painter`] for a type that has methods of the same names.
 macro_rules! painter {
     ($kind:ident, $gaussians:expr, $shrink:expr, $iteration:expr, $light:expr) => {
         impl Painter for $kind {
@@ -97,15 +97,14 @@ painter!(
     lights::of_training
 );
 
-/// A picture, and what there is to say about it.
 pub struct Drawn {
     pub photo: Photo,
-    /// What the colours mean: low and high, in the mode's unit.
+    /// Values of the lowest and the highest colour, in the mode's unit.
     pub legend: Option<[f32; 2]>,
     pub stats: Value,
 }
 
-/// How the scene is rendered for a look.
+/// Render settings for a look.
 pub fn settings(base: &RenderSettings, look: &Look) -> RenderSettings {
     let has_depth = matches!(look.mode, Mode::Depth | Mode::Ellipsoids);
     let base = if has_depth { Depth::Mean.requested(*base) } else { *base };
@@ -119,12 +118,11 @@ pub fn settings(base: &RenderSettings, look: &Look) -> RenderSettings {
     }
 }
 
-/// Draws a picture.
 pub fn draw(painter: &mut dyn Painter, camera: &Camera, base: &RenderSettings, look: &Look) -> Result<Drawn> {
     draw_as(painter, camera, base, look, None)
 }
 
-/// As [`draw`]; the picture itself in the light of a photo that the camera given with it has taken.
+/// Same as [`draw`], but in [`Mode::Splats`] also applies a photo's exposure and lens effects. The photo's camera comes with them.
 pub fn draw_as(
     painter: &mut dyn Painter,
     camera: &Camera,
@@ -165,7 +163,7 @@ pub fn draw_as(
     Ok(Drawn { photo, legend, stats })
 }
 
-/// The answer to a request for a frame: header and bytes.
+/// Answers a request for a frame: header and bytes.
 pub fn answer(
     painter: &mut dyn Painter,
     (base, lights, frame): (&RenderSettings, &PhotoLights, &WorldFrame),
@@ -186,14 +184,14 @@ pub fn answer(
         "render_ms": render_ms, "encode_ms": encode_ms, "stats": drawn.stats, "legend": drawn.legend,
         "iteration": painter.iteration(),
         "tree": painter.tree(),
-        // What makes the same cut of the file.
+        // Options and address that make the same cut of the file.
         "convert": cut::options(&settings, frame),
         "export": cut::query(&settings),
     });
     Ok((header, bytes))
 }
 
-/// JPEG of a quality (1 to 100), or PNG (0).
+/// Encodes a JPEG of quality 1 to 100, or a PNG for 0.
 pub fn encode(photo: &Photo, quality: u8) -> Result<Vec<u8>> {
     let mut bytes = Vec::new();
     let (width, height) = (photo.width, photo.height);
@@ -215,7 +213,7 @@ pub fn encode(photo: &Photo, quality: u8) -> Result<Vec<u8>> {
 /// Relative step of depth between neighbours at which an ellipsoid's outline is drawn.
 const OUTLINE_STEP: f32 = 0.008;
 
-/// Ellipsoids with dark outlines where one hides another: all of one have its mean's depth.
+/// Draws dark outlines where one ellipsoid hides another. All pixels of an ellipsoid have the depth of its mean.
 fn outlined(frame: &Frame) -> Result<Photo> {
     let mut photo = output::to_photo(frame)?;
     let depth = Depth::Mean.of(frame);
@@ -237,10 +235,10 @@ fn outlined(frame: &Frame) -> Result<Photo> {
     Ok(photo)
 }
 
-/// Pixels of a lower opacity have no depth to show.
+/// Pixels of lower opacity show no depth.
 const LEAST_OPACITY: f32 = 0.3;
 
-/// Expected depth as a colour: even steps of 1/z between the nearest and the farthest, but for one percent of either.
+/// Expected depth as a colour, in even steps of 1/z. The range leaves out the nearest and the farthest percent.
 fn depth_picture(frame: &Frame) -> Result<(Photo, Option<[f32; 2]>)> {
     let depth = Depth::Mean.of(frame);
     let shown = |index: usize| depth[index].is_finite() && 1.0 - frame.transmittance[index] >= LEAST_OPACITY;
@@ -262,7 +260,7 @@ fn depth_picture(frame: &Frame) -> Result<(Photo, Option<[f32; 2]>)> {
     Ok((Photo::from_f32(frame.width, frame.height, &color)?, Some([near.recip(), far.recip()])))
 }
 
-/// Each tile in the colour of its number of entries (logarithmic), over a dark picture.
+/// Colours each tile by its number of entries (logarithmic), over a dark picture.
 fn tile_picture(frame: &Frame, tiles: &TileReport) -> Result<(Photo, [f32; 2])> {
     let most = tiles.entries.iter().copied().max().unwrap_or(0).max(1);
     let scale = 1.0 / (1.0 + most as f32).ln();

@@ -1,4 +1,4 @@
-//! A camera path as a film: its frames; [`assembly`] puts them together.
+//! A camera path rendered to frames; [`assembly`] makes the film of them.
 
 pub mod assembly;
 
@@ -23,15 +23,15 @@ pub struct Film {
     folder: PathBuf,
     cameras: Vec<Camera>,
     request: FilmRequest,
-    /// Frames done.
+    /// Number of frames rendered.
     done: usize,
 }
 
 impl Film {
-    /// Checks what is asked for and writes the path, which `ashsplat render --path` reads.
+    /// Checks the request and writes the camera path, which `ashsplat render --path` reads.
     pub fn begin(client: u64, request: FilmRequest, (folder, frame): (&Path, &WorldFrame)) -> Result<Film> {
         let cameras = cameras(&request)?;
-        // Of an earlier film, nothing is overwritten, and nothing mixed with this one's.
+        // A number is free if no earlier film wrote files of that name.
         let taken = |number: &u32| {
             let name = film_name(*number);
             folder.join(Film::path_name(&name)).exists() || folder.join(name).exists()
@@ -50,12 +50,12 @@ impl Film {
         format!("{name}.json")
     }
 
-    /// Who asked for it.
+    /// Page that requested the film.
     pub fn client(&self) -> u64 {
         self.client
     }
 
-    /// What to put together, when all frames are there.
+    /// Returns the work that remains once all frames are rendered.
     pub fn assembly(&self) -> Option<Assembly> {
         (self.done == self.cameras.len()).then(|| Assembly {
             name: self.name.clone(),
@@ -65,12 +65,12 @@ impl Film {
         })
     }
 
-    /// Gaussians of a frame of a tree of tiles, at most.
+    /// Most Gaussians of a frame of a tree of tiles.
     pub fn budget(&self) -> Option<u64> {
         self.request.look.budget
     }
 
-    /// Renders the next frame; what to tell the page. None while a part of the scene that it wants is not there yet.
+    /// Renders the next frame and returns the message for the page. None while a part of the scene that the frame needs is not loaded.
     pub fn advance(&mut self, painter: &mut dyn Painter, base: &RenderSettings) -> Result<Option<Value>> {
         if let Some(camera) = self.cameras.get(self.done) {
             if !painter.is_ready(camera)? {
@@ -84,7 +84,7 @@ impl Film {
         Ok(Some(json!({ "type": "film", "done": self.done, "total": self.cameras.len() })))
     }
 
-    /// Removes what has been written of it.
+    /// Removes the files that this film wrote.
     pub fn discard(self) {
         std::fs::remove_dir_all(self.folder.join(&self.name)).ok();
         std::fs::remove_file(self.folder.join(Film::path_name(&self.name))).ok();

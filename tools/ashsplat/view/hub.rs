@@ -1,8 +1,8 @@
-//! Where the pages' wishes wait for the one thread that renders.
+//! Requests of the pages, waiting for the one thread that renders.
 //!
-//! Of each page only the newest camera is kept, and a page has at most one frame on the way: the next is rendered when it
-//! has said that the last has come. So a slow page gets fewer frames, and never old ones. Pages, the film that is being made
-//! and the program that speaks the reference's protocol take turns.
+//! Each page has one waiting camera, its newest, and at most one frame under way. The next frame is rendered after the page has
+//! confirmed the last, so a slow page gets fewer frames, but never old ones. Pages, the film in progress and programs that
+//! speak the reference's protocol take turns.
 
 mod films;
 mod outbox;
@@ -19,18 +19,18 @@ use std::time::{Duration, Instant};
 use tokio::sync::oneshot;
 use turns::{Client, State};
 
-/// Pages that may look on; more are refused.
+/// Most pages; more are refused.
 const MOST_PAGES: usize = 24;
-/// Pictures for programs of the reference's protocol that may wait; more are refused.
+/// Most waiting pictures for programs of the reference's protocol; more are refused.
 const MOST_REMOTE: usize = 8;
-/// Requests for the scene itself that may wait; more are refused.
+/// Most waiting requests for the scene itself; more are refused.
 const MOST_SCENES: usize = 2;
-/// Picks of one page that may wait; more are refused.
+/// Most waiting picks of one page; more are refused.
 const MOST_PICKS: usize = 4;
-/// Actions that may wait for training to take them; more are refused.
+/// Most waiting training actions; more are refused.
 const MOST_ACTIONS: usize = 64;
 
-/// Which pixel of which picture a page asks about.
+/// The pixel, and its picture, that a page asks about.
 #[derive(Clone, Copy, Debug)]
 pub struct Pick {
     pub id: u64,
@@ -44,26 +44,26 @@ pub struct Pick {
 pub struct RemoteRequest {
     pub camera: ashsplat::Camera,
     pub scale: f32,
-    /// Has room for one.
+    /// Channel of capacity one.
     pub answer: std::sync::mpsc::SyncSender<Vec<u8>>,
 }
 
-/// The Gaussians as they stand, for who writes them to a file.
+/// A request for the current Gaussians, to write them to a file.
 #[derive(Debug)]
 pub struct SceneRequest {
-    /// Why there are none, in words, otherwise.
+    /// An error says in words why there are none.
     pub answer: oneshot::Sender<Result<CurrentScene, String>>,
 }
 
-/// The scene as it stands.
+/// The scene now.
 #[derive(Debug)]
 pub struct CurrentScene {
     pub gaussians: Gaussians,
-    /// How it is to be drawn, and where its coordinates lie.
+    /// Shape and coordinate frame.
     pub marks: WriteOptions,
 }
 
-/// What the rendering thread is to do next.
+/// Next task of the rendering thread.
 #[derive(Debug)]
 pub enum Task {
     Frame {
@@ -74,7 +74,7 @@ pub enum Task {
         client: u64,
         pick: Pick,
     },
-    /// The next frame of the film that is being made, or the beginning of one.
+    /// The next frame of the film in progress, or the first of a new film.
     Film,
     Remote(RemoteRequest),
     Scene(SceneRequest),
@@ -89,7 +89,7 @@ pub struct Hub {
 
 impl Hub {
     fn lock(&self) -> MutexGuard<'_, State> {
-        // A panic of another thread leaves nothing half-done here.
+        // A thread that panics leaves no half-made change here.
         self.state.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
     }
 
@@ -99,22 +99,22 @@ impl Hub {
         result
     }
 
-    /// What every page is told first.
+    /// Sets the first message to every page.
     pub fn greet_with(&self, greeting: String) {
         self.change(|state| state.greeting = greeting);
     }
 
-    /// How to answer a page that asks how training goes, from an iteration on.
+    /// Sets the function that describes training's progress from an iteration on.
     pub fn set_status(&self, status: impl Fn(u32) -> String + Send + 'static) {
         self.change(|state| state.status = Some(Box::new(status)));
     }
 
-    /// Whether another page may come.
+    /// True if another page may join.
     pub fn has_room(&self) -> bool {
         self.pages() < MOST_PAGES
     }
 
-    /// A page has come: its number and what waits for it, if there is room.
+    /// Adds a page. Returns its number and outbox, or none if there are too many.
     pub fn join(&self) -> Option<(u64, Arc<Outbox>)> {
         self.change(|state| {
             if state.clients.len() >= MOST_PAGES {
@@ -122,7 +122,7 @@ impl Hub {
             }
             state.next_client += 1;
             let outbox = Arc::new(Outbox::default());
-            // It says so where it asks for photos.
+            // The page sends this number with its requests for photos.
             outbox.put(ToPage::json(&json!({ "type": "page", "page": state.next_client })));
             outbox.put(ToPage::Text(state.greeting.clone()));
             let client = Client {
@@ -138,7 +138,7 @@ impl Hub {
         })
     }
 
-    /// A page has gone.
+    /// Removes a page.
     pub fn leave(&self, client: u64) {
         self.change(|state| {
             state.clients.remove(&client);
@@ -146,17 +146,17 @@ impl Hub {
         });
     }
 
-    /// Pages that are there.
+    /// Number of connected pages.
     pub fn pages(&self) -> usize {
         self.lock().clients.len()
     }
 
-    /// Whether a page of this number is there.
+    /// True if a page of this number is connected.
     pub fn has_page(&self, client: u64) -> bool {
         self.lock().clients.contains_key(&client)
     }
 
-    /// The newest camera of a page.
+    /// Sets the newest camera of a page.
     pub fn set_view(&self, client: u64, view: ViewRequest) {
         self.change(|state| {
             if let Some(client) = state.clients.get_mut(&client) {
@@ -166,7 +166,7 @@ impl Hub {
         });
     }
 
-    /// A page's frame has come.
+    /// Confirms that a page's frame has arrived.
     pub fn acknowledge(&self, client: u64) {
         self.change(|state| {
             if let Some(client) = state.clients.get_mut(&client) {
@@ -175,7 +175,7 @@ impl Hub {
         });
     }
 
-    /// A page asks about a pixel; false when it has asked too much already.
+    /// Queues a page's question about a pixel; false if too many of its picks wait.
     pub fn pick(&self, client: u64, pick: Pick) -> bool {
         self.change(|state| match state.clients.get_mut(&client) {
             Some(client) if client.picks.len() < MOST_PICKS => {
@@ -186,7 +186,7 @@ impl Hub {
         })
     }
 
-    /// Another program asks for a picture; false when too many wait.
+    /// Queues another program's request for a picture; false if too many wait.
     pub fn ask_remotely(&self, request: RemoteRequest) -> bool {
         self.change(|state| {
             let taken = state.remote.len() < MOST_REMOTE;
@@ -197,7 +197,7 @@ impl Hub {
         })
     }
 
-    /// Asks for the Gaussians; false when others wait for them.
+    /// Queues a request for the Gaussians; false if too many wait.
     pub fn ask_for_scene(&self, request: SceneRequest) -> bool {
         self.change(|state| {
             let taken = state.scenes.len() < MOST_SCENES;
@@ -208,7 +208,7 @@ impl Hub {
         })
     }
 
-    /// The scene has changed: pages that follow it need a new frame.
+    /// Requests new frames for the pages that follow the scene's changes.
     pub fn renew(&self) {
         self.change(|state| {
             for client in state.clients.values_mut() {
@@ -217,7 +217,7 @@ impl Hub {
         });
     }
 
-    /// What training is to do; false where nothing is trained, or too much waits already.
+    /// Queues a training action; false if nothing is trained or too many wait.
     pub fn act(&self, action: TrainAction) -> bool {
         self.change(|state| {
             let heard = state.status.is_some() && state.actions.len() < MOST_ACTIONS;
@@ -228,7 +228,7 @@ impl Hub {
         })
     }
 
-    /// What training was told since it last asked.
+    /// Takes all queued training actions.
     pub fn actions(&self) -> Vec<TrainAction> {
         self.lock().actions.drain(..).collect()
     }
@@ -247,12 +247,12 @@ impl Hub {
         }
     }
 
-    /// How training goes, for a page; none where nothing is being trained.
+    /// Describes training's progress to a page; none if nothing is trained.
     pub fn status(&self, since: u32) -> Option<String> {
         self.lock().status.as_ref().map(|status| status(since))
     }
 
-    /// Whether any request is waiting.
+    /// True if any request is waiting.
     pub fn is_wanted(&self) -> bool {
         let state = self.lock();
         !state.remote.is_empty()
@@ -261,7 +261,7 @@ impl Hub {
             || state.clients.values().any(Client::waits)
     }
 
-    /// The next task; waits for one at most so long.
+    /// Returns the next task; waits at most this long.
     pub fn next(&self, longest: Duration) -> Option<Task> {
         let end = Instant::now() + longest;
         let mut state = self.lock();
@@ -338,7 +338,7 @@ mod tests {
         let hub = Hub::default();
         let [a, b, c] = [(); 3].map(|()| join(&hub));
         let mut served = Vec::new();
-        // The first is quick and asks for ten frames while the others ask for two.
+        // Page a asks for ten frames; the others ask for two.
         for round in 0..10 {
             hub.set_view(a, view(round));
             if round < 2 {
@@ -381,7 +381,7 @@ mod tests {
     #[test]
     fn training_hears_a_bounded_number_of_actions() {
         let hub = Hub::default();
-        // Without training no page would ever fetch them.
+        // Without training, nothing would ever fetch the actions.
         assert!(!hub.act(TrainAction::Pause) && hub.actions().is_empty());
         hub.set_status(|_| String::new());
         let taken = (0..1000).filter(|_| hub.act(TrainAction::Step)).count();

@@ -1,4 +1,4 @@
-//! Short names of photos that differ: what all names share says nothing.
+//! Short names of photos, without what all names share.
 
 use std::collections::HashSet;
 
@@ -6,11 +6,11 @@ use std::collections::HashSet;
 const FIT: usize = 9;
 const DOTS: char = '…';
 
-/// A label for each name, in their order: no two are alike, unless the names are.
+/// A label for each name, in the same order: labels differ wherever the names do.
 pub fn labels(names: &[&str]) -> Vec<String> {
     let last = |name: &&str| name.rsplit('/').next().unwrap_or_default().to_owned();
     let files: Vec<String> = names.iter().map(last).collect();
-    // Folders are left out where the files' names differ without.
+    // Drops folders if the file names differ without them.
     let whole = if differ(&files) { files } else { names.iter().map(|name| (*name).to_owned()).collect() };
     let whole = without_ending(whole);
     let letters: Vec<Vec<char>> = whole.iter().map(|name| name.chars().collect()).collect();
@@ -34,7 +34,7 @@ fn differ(names: &[String]) -> bool {
     names.iter().collect::<HashSet<_>>().len() == names.len()
 }
 
-/// Without `.jpg`, if all have it.
+/// Removes the ending (`.jpg`) if all names have the same one.
 fn without_ending(names: Vec<String>) -> Vec<String> {
     let ending = |name: &String| name.rsplit_once('.').map(|(stem, ending)| (stem.len(), ending.to_owned()));
     let Some((_, first)) = names.first().and_then(ending) else { return names };
@@ -45,7 +45,7 @@ fn without_ending(names: Vec<String>) -> Vec<String> {
     names.iter().map(|name| name[..name.len() - first.len() - 1].to_owned()).collect()
 }
 
-/// Letters at the beginning of all names, as far as whole words and numbers go.
+/// Number of letters that begin all names; splits no word or number.
 fn shared_beginning(names: &[Vec<char>]) -> usize {
     let Some((first, others)) = names.split_first().filter(|(_, others)| !others.is_empty()) else {
         return 0;
@@ -55,7 +55,7 @@ fn shared_beginning(names: &[Vec<char>]) -> usize {
     let kind = |c: char| if c.is_ascii_digit() { 1 } else { u8::from(c.is_alphabetic()) * 2 };
     let splits = |shared: usize| {
         let before = kind(first[shared - 1]);
-        // One that ends here would be left without a label.
+        // A name that ends here would have no label.
         names.iter().any(|name| name.get(shared).is_none_or(|&c| before != 0 && kind(c) == before))
     };
     while shared > 0 && splits(shared) {

@@ -1,4 +1,4 @@
-//! The light of the photos: a view can be drawn as its photo was exposed, through the lens that took it.
+//! Exposure and lens effects of the photos: a view can be drawn as its photo was exposed, through the lens that took it.
 
 use super::draw::Painter;
 use crate::light::{Light, Lights};
@@ -7,22 +7,22 @@ use ashsplat::{Error, Result, Trainer};
 use ashsplat_files::cameras_json::NamedCamera;
 use std::collections::BTreeMap;
 
-/// The light of a scene's photos, by their places among its cameras. By default there are none.
+/// Exposure and lens effects of a scene's photos, by camera index. Empty by default.
 #[derive(Default)]
 pub struct PhotoLights {
     photos: Vec<(Camera, Source)>,
 }
 
-/// Where a photo's light comes from.
+/// Where a photo's exposure and lens effects come from.
 #[derive(Clone, Copy)]
 enum Source {
-    /// As a training has left it.
+    /// Saved by a finished training.
     Kept(Light),
-    /// A training that runs.
+    /// Learned by the running training.
     Training(Places),
 }
 
-/// Indices of the training's views that have a photo's exposure, and its lens.
+/// Indices of the training views that have a photo's exposure and its lens.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Places {
     pub exposure: Option<usize>,
@@ -30,13 +30,13 @@ pub struct Places {
 }
 
 impl PhotoLights {
-    /// As a training has left them.
+    /// Takes what a finished training has saved.
     pub fn kept(cameras: &[NamedCamera], lights: &Lights) -> PhotoLights {
         let photo = |named: &NamedCamera| (named.camera, Source::Kept(lights.of(&named.name)));
         PhotoLights { photos: cameras.iter().map(photo).collect() }
     }
 
-    /// Of a training that runs: `trained` are the names of its views, `takers` the cameras of all photos.
+    /// Takes a running training: `trained` are the names of its views, `takers` the cameras of all photos.
     pub fn in_training(
         cameras: &[NamedCamera],
         trained: &[String],
@@ -52,7 +52,7 @@ impl PhotoLights {
         PhotoLights { photos: cameras.iter().map(photo).collect() }
     }
 
-    /// Whether a photo has one.
+    /// True if the photo has an exposure or lens effects.
     pub fn has(&self, photo: usize) -> bool {
         self.photos.get(photo).is_some_and(|(_, source)| match source {
             Source::Kept(light) => !light.is_none(),
@@ -60,7 +60,7 @@ impl PhotoLights {
         })
     }
 
-    /// The light of a photo, and the camera at which it was taken.
+    /// Returns a photo's exposure and lens effects, and the camera at which it was taken.
     ///
     /// # Errors
     /// [`Error::Argument`] for a photo that does not exist; when the device is lost.
@@ -77,7 +77,7 @@ impl PhotoLights {
     }
 }
 
-/// As it is now.
+/// Reads the current exposure and lens effects of a training view.
 pub fn of_training(trainer: &Trainer, places: Places) -> Result<Light> {
     let Places { exposure, lens } = places;
     Ok(Light {

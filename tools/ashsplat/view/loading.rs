@@ -1,4 +1,4 @@
-//! Scenes are read on a thread of their own: pages are served meanwhile, and told what is going on.
+//! Scenes are read on their own thread. Meanwhile pages are served, and get a message that something is read.
 
 use super::hub::Hub;
 use super::openings::Turn;
@@ -9,16 +9,14 @@ use serde_json::{Value, json};
 use std::thread::{Scope, ScopedJoinHandle};
 use tempfile::TempDir;
 
-/// A scene that is being read.
 pub struct Loading<'scope> {
     name: String,
     thread: ScopedJoinHandle<'scope, Result<Subject>>,
-    /// Of what a page opened: kept until it is read.
+    /// A page's right to open a scene, and the file that it sent: kept until the scene is read.
     opened: Option<(Turn, Option<TempDir>)>,
 }
 
 impl<'scope> Loading<'scope> {
-    /// Begins to read.
     pub fn begin(
         threads: &'scope Scope<'scope, '_>,
         hub: &Hub,
@@ -31,40 +29,39 @@ impl<'scope> Loading<'scope> {
         Ok(Loading { name, thread, opened: None })
     }
 
-    /// Keeps what belongs to a page's wish until the end.
+    /// Keeps a page's right and its file until the scene is read.
     pub fn keeping(self, turn: Turn, upload: Option<TempDir>) -> Loading<'scope> {
         Loading { opened: Some((turn, upload)), ..self }
     }
 
-    /// What is read.
+    /// Name of the scene.
     pub fn name(&self) -> &str {
         &self.name
     }
 
-    /// Whether [`Loading::finish`] waits no more.
+    /// True if [`Loading::finish`] would not wait.
     pub fn is_finished(&self) -> bool {
         self.thread.is_finished()
     }
 
-    /// What was read.
     pub fn finish(self) -> Result<Subject> {
         let read = self.thread.join();
         read.unwrap_or_else(|_| Err(Error::argument("viewer", format!("reading {} has failed", self.name))))
     }
 
-    /// The folder of a file that a page has sent, which says nothing to people.
+    /// Folder of a file that a page has sent: its path means nothing to people.
     pub fn room(&self) -> Option<String> {
         let (_, upload) = self.opened.as_ref()?;
         Some(format!("{}{}", upload.as_ref()?.path().display(), std::path::MAIN_SEPARATOR))
     }
 }
 
-/// What a page is told while something is read.
+/// Message to pages while a scene is read.
 pub fn message(name: &str) -> Value {
     json!({ "type": "loading", "name": name })
 }
 
-/// What it is told when that has failed. Of a file that it has sent, not in which folder that was.
+/// Message to pages when reading has failed, without the path of the uploaded file's folder.
 pub fn failure(name: &str, error: &Error, room: Option<&str>) -> ToPage {
     let said = error.to_string();
     let said = room.map_or(said.clone(), |room| said.replace(room, ""));

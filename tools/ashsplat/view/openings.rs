@@ -1,5 +1,5 @@
-//! Scenes that pages bring or name while the viewer runs: one at a time, within bounds, and only where the viewer was
-//! started without one.
+//! Scenes that pages send or name while the viewer runs. One opens at a time, within bounds, and only if the viewer was started
+//! without a scene.
 
 use ashsplat_files::splats::Format;
 use serde_json::{Value, json};
@@ -8,41 +8,41 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tempfile::TempDir;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
-/// Who reaches the viewer's port.
+/// The machines that reach the viewer's port.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reach {
     ThisMachine,
     Others,
 }
 
-/// What pages may open.
+/// The scenes that pages may open.
 pub struct Openings {
-    /// They may name what lies here or below; none: they may name nothing.
+    /// Pages may name paths in this folder or below; none: no paths.
     folder: Option<PathBuf>,
-    /// Most bytes of a file that they send.
+    /// Largest file that a page may send, bytes.
     most_bytes: u64,
     turn: Arc<Semaphore>,
     wish: Mutex<Option<Wish>>,
 }
 
-/// The right to open something: until it is dropped, nobody else has it.
+/// The exclusive right to open a scene, until it is dropped.
 pub struct Turn(#[allow(dead_code)] OwnedSemaphorePermit);
 
-/// Something that a page wants opened.
+/// A scene that a page wants opened.
 pub struct Wish {
     pub path: PathBuf,
-    /// How it is called.
+    /// Name for people.
     pub name: String,
-    /// Where all that is read for it must lie.
+    /// Folder in which all files that are read for it must lie.
     pub within: Option<PathBuf>,
-    /// Its file goes with it.
+    /// Folder of an uploaded file, removed when this is dropped.
     pub upload: Option<TempDir>,
     pub turn: Turn,
 }
 
 impl Openings {
-    /// Paths below `folder` are for a viewer that this machine alone reaches. A file that is larger than the host memory
-    /// that reading may take could not be read.
+    /// Paths below `folder` may be opened only if no other machine reaches the viewer. `most_bytes` is the host memory that
+    /// reading may take: a larger file could not be read.
     pub fn new(folder: Option<PathBuf>, reach: Reach, most_bytes: u64) -> Openings {
         let folder =
             folder.filter(|_| reach == Reach::ThisMachine).and_then(|folder| folder.canonicalize().ok());
@@ -50,11 +50,11 @@ impl Openings {
     }
 
     fn lock(&self) -> MutexGuard<'_, Option<Wish>> {
-        // A panic of another thread leaves nothing half-done here.
+        // A thread that panics leaves no half-made change here.
         self.wish.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// What a page is told of it.
+    /// Describes the limits to a page.
     pub fn described(&self) -> Value {
         json!({ "folder": self.folder, "bytes": self.most_bytes, "formats": FORMATS.map(Format::extension) })
     }
@@ -63,23 +63,22 @@ impl Openings {
         self.most_bytes
     }
 
-    /// None while another page's is sent or read.
+    /// Takes the right to open a scene. None while another page has it.
     pub fn turn(&self) -> Option<Turn> {
         self.turn.clone().try_acquire_owned().ok().map(Turn)
     }
 
-    /// Asks for something to be opened.
     pub fn ask(&self, wish: Wish) {
         *self.lock() = Some(wish);
     }
 
-    /// What is to be opened, once.
+    /// Takes the scene to open, if any.
     pub fn take(&self) -> Option<Wish> {
         self.lock().take()
     }
 
-    /// Where a path that a page names leads: also by links no farther than the folder. What lies elsewhere and what does
-    /// not exist are answered alike.
+    /// Resolves a path that a page names; links may not lead out of the folder either. A path outside gets the same error as a
+    /// missing one.
     pub fn find(&self, name: &str) -> Result<(PathBuf, &Path), String> {
         let Some(folder) = &self.folder else {
             return Err("this viewer opens no paths: other machines reach it, or its folder has gone".into());
@@ -92,10 +91,10 @@ impl Openings {
     }
 }
 
-/// Formats of a single file.
+/// Formats that consist of one file.
 const FORMATS: [Format; 5] = [Format::Ply, Format::CompressedPly, Format::Splat, Format::Spz, Format::Glb];
 
-/// The format that a file has by its name, if it consists of one file.
+/// The format that a file's name says, if it consists of one file.
 pub fn format_of(name: &str) -> Option<Format> {
     Format::of_extension(name).ok().filter(|format| FORMATS.contains(format))
 }

@@ -1,16 +1,14 @@
-//! How fast a page may talk: a bucket of tokens, which a message empties and time fills.
+//! Limits how fast a page may talk: a bucket of tokens, which messages empty and time fills.
 
 use std::time::{Duration, Instant};
 
-/// Tokens that come back in a second. A page moves its camera with the screen, at most 240 times a second, and confirms
-/// each frame.
+/// Tokens added per second. A page sends its camera once per screen refresh, at most 240 times a second, and confirms each frame.
 const PER_SECOND: f64 = 600.0;
-/// Tokens of a page that has been silent.
+/// Most tokens, which a silent page has.
 const MOST: f64 = 1200.0;
-/// Bytes, heard or said, that cost as much as a message.
+/// Bytes, received or sent, that cost as much as one message.
 const BYTES: f64 = 1024.0;
 
-/// The tokens of a page.
 pub struct Pace {
     tokens: f64,
     at: Instant,
@@ -21,12 +19,12 @@ impl Pace {
         Pace { tokens: MOST, at: Instant::now() }
     }
 
-    /// Takes the price of a message of so many bytes.
+    /// Takes the price of a message of this many bytes.
     pub fn spend(&mut self, bytes: usize) {
         self.tokens -= 1.0 + bytes as f64 / BYTES;
     }
 
-    /// How long the next message must wait.
+    /// Time until the next message may come.
     pub fn wait(&mut self) -> Duration {
         self.wait_at(Instant::now())
     }

@@ -1,4 +1,4 @@
-//! The photos of the data set as the page gets them: however many are asked for, they take a bounded memory.
+//! Photos of the data set for the page, in bounded memory.
 
 mod queue;
 
@@ -14,26 +14,26 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 pub use queue::Asker;
 
-/// Bytes of encoded photos that are kept, and of thumbnails.
+/// Bytes of encoded photos, and of thumbnails, to keep.
 const KEPT_BYTES: usize = 64 << 20;
 const KEPT_THUMBNAIL_BYTES: usize = 16 << 20;
 const QUALITY: u8 = 92;
 const THUMBNAIL_QUALITY: u8 = 75;
 /// Width of a thumbnail, pixels.
 const THUMBNAIL_WIDTH: u32 = 140;
-/// Memory that photos may take while they are decoded, MiB. One that takes more is decoded alone.
+/// Memory for decoding photos, MiB. A photo that takes more is decoded alone.
 const DECODING_MIB: u32 = 512;
-/// Photos that are decoded at once, at most.
+/// Most photos that are decoded at once.
 const DECODERS: u32 = 2;
-/// Bytes that a pixel takes while it is decoded, scaled and encoded.
+/// Bytes per pixel while a photo is decoded, scaled and encoded.
 const BYTES_PER_PIXEL: u64 = 8;
-/// Memory of photos that are being sent, MiB: a page that does not read holds its own.
+/// Memory of photos that are being sent, MiB. A page that does not read occupies its share.
 const SENDING_MIB: u32 = 128;
 
-/// How large a photo is wanted.
+/// Requested size of a photo.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Size {
-    /// As training uses it.
+    /// The size that training uses.
     Full,
     Thumbnail,
 }
@@ -41,9 +41,9 @@ pub enum Size {
 /// Why there is no photo.
 #[derive(Debug)]
 pub enum Refusal {
-    /// There is none of this number.
+    /// No photo has this number.
     Unknown,
-    /// Too many are asked for.
+    /// Too many requests.
     Busy,
     /// It cannot be read.
     Problem(String),
@@ -55,7 +55,7 @@ impl From<Busy> for Refusal {
     }
 }
 
-/// What was encoded last, newest at the end.
+/// The photos encoded last, newest at the end.
 struct Kept {
     most_bytes: usize,
     photos: VecDeque<(usize, Arc<Vec<u8>>)>,
@@ -81,10 +81,10 @@ impl Kept {
     }
 }
 
-/// Photos as JPEG, the newest kept.
+/// Photos as JPEG; the newest stay in memory.
 pub struct Photos {
     gallery: Gallery,
-    /// What decoding each takes, MiB.
+    /// Memory that decoding each photo takes, MiB.
     costs: Vec<u32>,
     full: Mutex<Kept>,
     thumbnails: Mutex<Kept>,
@@ -106,19 +106,19 @@ impl Photos {
             full: Kept::new(KEPT_BYTES),
             thumbnails: Kept::new(KEPT_THUMBNAIL_BYTES),
             decoding: Queue::new(DECODING_MIB, DECODING_MIB),
-            // Who does not read leaves room for the others.
+            // An asker that does not read leaves half to the others.
             sending: Queue::new(SENDING_MIB, SENDING_MIB / 2),
         }
     }
 
-    /// A photo, when the turn of who asks has come.
+    /// Returns a photo once the asker's turn has come.
     pub async fn jpeg(self: &Arc<Photos>, index: usize, size: Size, asker: Asker) -> Result<Bytes, Refusal> {
         let cost = *self.costs.get(index).ok_or(Refusal::Unknown)?;
         let bytes = match self.kept(index, size) {
             Some(bytes) => bytes,
             None => {
                 let turn = self.decoding.turn(asker, cost).await?;
-                // Another request may have been for the same.
+                // Another request may have decoded the same photo meanwhile.
                 match self.kept(index, size) {
                     Some(bytes) => bytes,
                     None => self.decoded(index, size, turn).await?,
@@ -130,7 +130,7 @@ impl Photos {
         Ok(Bytes::from_owner(Lent { bytes, _sent: sent }))
     }
 
-    /// A photo as it is, decoded here and now.
+    /// Decodes a photo on this thread.
     #[cfg(feature = "window")]
     pub fn decoded_now(&self, index: usize) -> Result<Photo> {
         let view = self.gallery.view(index).ok_or_else(|| Error::argument("photo", "there is none"))?;
@@ -156,7 +156,7 @@ impl Photos {
     ) -> Result<Arc<Vec<u8>>, Refusal> {
         let photos = self.clone();
         let work = move || {
-            // It counts to the end, also when the page that asked has gone.
+            // The turn lasts until decoding ends, even if the page has gone.
             let _turn = turn;
             let view = photos.gallery.view(index).ok_or(Refusal::Unknown)?;
             let encoded = view.and_then(|view| encode(&*view.photo.photo()?, size));
@@ -202,7 +202,7 @@ mod tests {
         (0..50).for_each(|index| kept.add(index, Arc::new(vec![0; 300])));
         assert_eq!(kept.photos.iter().map(|(index, _)| *index).collect::<Vec<_>>(), [47, 48, 49]);
         assert!(kept.find(49).is_some() && kept.find(0).is_none());
-        // One that is larger than all is kept alone.
+        // A photo larger than the limit is kept alone.
         kept.add(50, Arc::new(vec![0; 5000]));
         assert!(kept.find(50).is_some() && kept.photos.len() == 1);
     }

@@ -1,5 +1,5 @@
-//! What page and program say to each other over the WebSocket: JSON, but for frames, which are binary: the length of a
-//! JSON header (u32, little-endian), the header, the encoded picture.
+//! Messages between page and program over the WebSocket: JSON, except frames. A frame is binary: the length of a JSON header
+//! (u32, little-endian), the header, the encoded picture.
 
 use super::cut::CutMessage;
 use ashsplat::scene::{Camera, Intrinsics};
@@ -8,10 +8,10 @@ use glam::{Mat3, Vec3};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-/// Most pixels of a picture that a page may ask for.
+/// Most pixels of a picture that a page requests.
 const MOST_PIXELS: u64 = 3840 * 2400;
 
-/// A camera as the page has it: x right, y down, z forward.
+/// The page's camera: x right, y down, z forward.
 #[derive(Clone, Copy, Debug, Deserialize, Serialize)]
 pub struct CameraMessage {
     /// Rows of the rotation from world to camera.
@@ -29,7 +29,6 @@ pub struct CameraMessage {
 }
 
 impl CameraMessage {
-    /// Checked.
     pub fn camera(&self) -> Result<Camera> {
         let Self { fx, fy, cx, cy, width, height, .. } = *self;
         let intrinsics = Intrinsics { fx, fy, cx, cy, width, height };
@@ -43,7 +42,6 @@ impl CameraMessage {
         Ok(camera)
     }
 
-    /// Of a camera.
     pub fn of(camera: &Camera) -> Self {
         let rows = camera.camera_from_world.transpose().to_cols_array_2d();
         let Intrinsics { fx, fy, cx, cy, width, height } = camera.intrinsics();
@@ -51,11 +49,10 @@ impl CameraMessage {
     }
 }
 
-/// What is shown of the scene.
+/// The page's view modes.
 #[derive(Clone, Copy, Debug, Default, Deserialize, PartialEq, Eq)]
 #[serde(rename_all = "lowercase")]
 pub enum Mode {
-    /// The picture.
     #[default]
     Splats,
     /// A dot at each mean.
@@ -64,7 +61,7 @@ pub enum Mode {
     Ellipsoids,
     /// Expected depth in colours, near is red.
     Depth,
-    /// How many Gaussians each tile has, in colours.
+    /// Number of Gaussians in each tile, in colours.
     Tiles,
 }
 
@@ -78,21 +75,20 @@ impl Mode {
     }
 }
 
-/// How a page wants the scene to look.
+/// The page's render settings.
 #[derive(Clone, Copy, Debug, Deserialize)]
 #[serde(default)]
 pub struct Look {
     pub mode: Mode,
-    /// None: as the scene was trained.
+    /// None: the background of the training.
     pub background: Option<[f32; 3]>,
-    /// None: all that there is.
+    /// None: the scene's own degree.
     pub sh_degree: Option<u32>,
     pub scale: f32,
-    /// JPEG's quality, 1 to 100; 0 for PNG.
+    /// JPEG quality, 1 to 100; 0 for PNG.
     pub quality: u8,
-    /// What is left out.
     pub cut: CutMessage,
-    /// Of a tree of tiles: Gaussians of a picture, at most. None: as the program was told.
+    /// Most Gaussians of a picture of a tree of tiles. None: the program's own setting.
     pub budget: Option<u64>,
 }
 
@@ -110,23 +106,22 @@ impl Default for Look {
     }
 }
 
-/// A picture that a page asks for.
 #[derive(Clone, Copy, Debug, Deserialize)]
 pub struct ViewRequest {
-    /// Comes back with the frame.
+    /// Returned with the frame.
     pub seq: u64,
     pub camera: CameraMessage,
     #[serde(default)]
     pub look: Look,
-    /// Whether the frame is to be renewed as training goes on.
+    /// True if the frame is to be renewed while training continues.
     #[serde(default)]
     pub follow: bool,
-    /// The photo, by its place among the scene's cameras, as whose picture it is to be exposed.
+    /// Camera index of the photo whose exposure and lens effects are applied.
     #[serde(default)]
     pub as_photo: Option<usize>,
 }
 
-/// A key of a camera path.
+/// A key camera of a path.
 #[derive(Clone, Copy, Debug, Deserialize, Serialize)]
 pub struct PathKey {
     pub position: [f32; 3],
@@ -136,13 +131,12 @@ pub struct PathKey {
     pub fov_y: f32,
 }
 
-/// A film to make.
 #[derive(Clone, Debug, Deserialize)]
 pub struct FilmRequest {
     pub keys: Vec<PathKey>,
     pub seconds: f32,
     pub frames_per_second: u32,
-    /// Whether the path goes back to its first key.
+    /// True if the path returns to its first key.
     #[serde(default)]
     pub closed: bool,
     pub width: u32,
@@ -151,15 +145,15 @@ pub struct FilmRequest {
     pub look: Look,
 }
 
-/// What a page says.
+/// A message from a page.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(tag = "type", rename_all = "lowercase")]
 pub enum FromPage {
-    /// The newest camera; older ones that are still waiting are forgotten.
+    /// The newest camera. It replaces one that still waits.
     View(ViewRequest),
-    /// A frame has come; the next may be sent.
+    /// The frame has arrived; the next may be sent.
     Ack {},
-    /// Which Gaussians make up a pixel, (column, row).
+    /// Asks which Gaussians make up a pixel, (column, row).
     Pick {
         id: u64,
         camera: CameraMessage,
@@ -167,32 +161,32 @@ pub enum FromPage {
         look: Look,
         pixel: [u32; 2],
     },
-    /// How training goes: the curves from this iteration on.
+    /// Asks for training's progress, with curves from this iteration on.
     Status {
         #[serde(default)]
         since: u32,
     },
-    /// What training is to do.
+    /// Controls training.
     Train { action: TrainAction },
-    /// A film along a path.
+    /// Requests a film along a path.
     Film(FilmRequest),
-    /// No film after all.
+    /// Cancels the film.
     Cancel,
 }
 
-/// What a page can make training do.
+/// Controls of training.
 #[derive(Clone, Copy, Debug, Deserialize, PartialEq, Eq)]
 #[serde(rename_all = "lowercase")]
 pub enum TrainAction {
     Pause,
     Resume,
-    /// One iteration, and pause again.
+    /// Runs one iteration, then pauses.
     Step,
     Save,
     Stop,
 }
 
-/// What is sent to a page.
+/// A message to a page.
 #[derive(Clone, Debug)]
 pub enum ToPage {
     Text(String),
@@ -204,20 +198,20 @@ impl ToPage {
         Self::Text(value.to_string())
     }
 
-    /// A frame.
+    /// Packs header and picture.
     pub fn frame(header: &Value, picture: &[u8]) -> Self {
         let header = header.to_string();
         let length = u32::try_from(header.len()).unwrap_or_default();
         Self::Binary([&length.to_le_bytes(), header.as_bytes(), picture].concat())
     }
 
-    /// What could not be done, for people.
+    /// An error message for people.
     pub fn problem(message: &str) -> Self {
         Self::json(&json!({ "type": "problem", "message": message }))
     }
 }
 
-/// The answer to a pick; `depth` is where half of the light is blocked, none where nothing is hit.
+/// Answers a pick. `depth` is where half of the light is blocked, or none if too little is.
 pub fn picked(id: u64, pixel: [u32; 2], report: &PixelReport) -> Value {
     let samples: Vec<Value> = report
         .samples
@@ -236,7 +230,7 @@ pub fn picked(id: u64, pixel: [u32; 2], report: &PixelReport) -> Value {
     })
 }
 
-/// Where the transmittance falls below one half of what is blocked in all, if that is worth mentioning.
+/// Depth at which half of the blocked light is blocked. None if less than a tenth is blocked in all.
 pub fn pivot_depth(report: &PixelReport) -> Option<f32> {
     let blocked = 1.0 - report.transmittance;
     if blocked < 0.1 {

@@ -1,4 +1,4 @@
-//! The page and its WebSocket, over HTTP: on threads of its own, which never touch the device.
+//! The page and its WebSocket over HTTP, on their own threads. They never use the device.
 
 mod connections;
 mod door;
@@ -42,13 +42,13 @@ pub struct ServeArguments {
     /// Address of the page where a proxy shows it and changes the header Host, or no token is wanted there: https://HOST[:PORT]
     #[arg(long, value_name = "ORIGIN", value_parser = origin)]
     pub allow_origin: Option<String>,
-    /// Whether these are the options of `train --view`, which have other names.
+    /// True for the options of `train --view`, which have other names.
     #[arg(skip)]
     pub of_training: bool,
 }
 
 impl ServeArguments {
-    /// The names of --host, --port, --token and --allow-origin, and how another port is chosen.
+    /// Names of --host, --port, --token and --allow-origin, and the option that chooses another port.
     fn names(&self) -> [&'static str; 5] {
         match self.of_training {
             true => ["--view-host", "--view", "--view-token", "--view-allow-origin", "--view=PORT"],
@@ -57,7 +57,7 @@ impl ServeArguments {
     }
 }
 
-/// An origin as browsers name it: without the scheme's own port.
+/// Parses an origin in the browsers' form: without the scheme's default port.
 pub fn origin(text: &str) -> std::result::Result<String, String> {
     let origin = text.trim_end_matches('/').to_ascii_lowercase();
     let host = |scheme: &str, port: &str| {
@@ -70,25 +70,25 @@ pub fn origin(text: &str) -> std::result::Result<String, String> {
     origin.ok_or_else(|| "expected http://HOST[:PORT] or https://HOST[:PORT]".into())
 }
 
-/// Threads that photos may use; exports have others.
+/// Threads for photos; exports have their own.
 const WORKERS: usize = 2;
 
-/// What requests are answered from.
+/// State that requests are answered from.
 pub struct Site {
     hub: Arc<Hub>,
     photos: Mutex<Option<Arc<Photos>>>,
-    /// Where films lie.
+    /// Folder of the films.
     films: PathBuf,
     serve: ServeArguments,
     /// Limits the message about refused foreign pages to one.
     refused: Once,
-    /// None where pages may open nothing.
+    /// None if pages may open nothing.
     openings: Option<Arc<Openings>>,
     exports: Arc<Semaphore>,
 }
 
 impl Site {
-    /// Films lie in a folder.
+    /// `films`: folder of the films.
     pub fn new(hub: Arc<Hub>, films: PathBuf, serve: ServeArguments) -> Site {
         let exports = Arc::new(Semaphore::new(export::MOST_EXPORTS));
         Site { hub, photos: Mutex::default(), films, serve, refused: Once::new(), openings: None, exports }
@@ -99,9 +99,9 @@ impl Site {
         Site { openings, ..self }
     }
 
-    /// Shows these photos from now on.
+    /// Replaces the photos.
     pub fn show_photos(&self, photos: Option<Arc<Photos>>) {
-        // A panic of another thread leaves nothing half-done here.
+        // A thread that panics leaves no half-made change here.
         *self.photos.lock().unwrap_or_else(PoisonError::into_inner) = photos;
     }
 
@@ -110,7 +110,7 @@ impl Site {
     }
 }
 
-/// Machines that reach the open port, by a proxy too.
+/// The machines that reach the open port, also through a proxy.
 pub fn reach(listener: &TcpListener, arguments: &ServeArguments) -> Reach {
     match listener.local_addr() {
         Ok(address) if address.ip().is_loopback() && arguments.allow_origin.is_none() => Reach::ThisMachine,
@@ -118,9 +118,9 @@ pub fn reach(listener: &TcpListener, arguments: &ServeArguments) -> Reach {
     }
 }
 
-/// What serves, as long as the value lives: with it goes all that the site holds, an unpacked data set, say.
+/// The running server. Dropping it also drops what the site holds, such as an unpacked data set.
 pub struct Server {
-    /// Where the page is.
+    /// Address of the page.
     pub address: SocketAddr,
     stop: Option<oneshot::Sender<()>>,
     thread: Option<JoinHandle<()>>,
@@ -165,7 +165,7 @@ pub fn start(listener: TcpListener, site: impl Into<Arc<Site>>) -> Result<Server
     Ok(Server { address, stop: Some(stop), thread: Some(thread) })
 }
 
-/// Opens the port; an address that others can reach wants a token.
+/// Opens the port. An address that other machines can reach requires a token.
 pub fn open(arguments: &ServeArguments) -> Result<TcpListener> {
     let ServeArguments { host, port, token, .. } = arguments;
     let [host_option, port_option, token_option, _, other_port] = arguments.names();
@@ -228,12 +228,12 @@ async fn asset(uri: Uri) -> Response {
     }
 }
 
-/// An answer in words.
+/// A refusal with a text.
 fn refusal(code: StatusCode, problem: &str) -> Response {
     (code, format!("{}: {problem}\n", code.as_u16())).into_response()
 }
 
-/// A photo of the data set as JPEG.
+/// Answers with a photo of the data set as JPEG.
 async fn photo(
     size: Size,
     State(site): State<Arc<Site>>,
@@ -245,7 +245,7 @@ async fn photo(
     send_photo(site, index, size, asker).await
 }
 
-/// Who asks for a photo. Pages say which they are: one that asks for many does not delay the others.
+/// Identifies the asker of a photo. Pages send their number, so that one with many requests does not delay the others.
 fn asker(site: &Site, seat: &Seat, uri: &Uri) -> Asker {
     let page = door::query_value(uri, "page").and_then(|page| page.parse().ok());
     Asker { peer: seat.peer(), page: page.filter(|page| site.hub.has_page(*page)) }
@@ -253,7 +253,7 @@ fn asker(site: &Site, seat: &Seat, uri: &Uri) -> Asker {
 
 async fn send_photo(site: Arc<Site>, index: usize, size: Size, asker: Asker) -> Response {
     let Some(photos) = site.photos() else { return StatusCode::NOT_FOUND.into_response() };
-    // The page's addresses of photos carry the run's name: of another scene at this port they are others.
+    // Photo addresses carry the run's name, so another scene at this port has different ones.
     match photos.jpeg(index, size, asker).await {
         Ok(bytes) => {
             let kind = [(header::CONTENT_TYPE, "image/jpeg"), (header::CACHE_CONTROL, "max-age=3600")];
@@ -268,7 +268,7 @@ async fn send_photo(site: Arc<Site>, index: usize, size: Size, asker: Asker) -> 
     }
 }
 
-/// A file that a film of this run left: what else lies in the folder is none of the page's.
+/// Answers with a film's file of this run; other files in the folder are not served.
 async fn film(State(site): State<Arc<Site>>, UrlPath(name): UrlPath<String>) -> Response {
     if !site.hub.has_film_file(&name) {
         return StatusCode::NOT_FOUND.into_response();
@@ -295,7 +295,7 @@ mod tests {
         ServeArguments { host: host.into(), port: 0, token: None, allow_origin: None, of_training }
     }
 
-    /// One page reads, and so answers pings. The other is gone without having closed its connection.
+    /// One page reads, and so answers pings. The other has gone without closing its connection.
     #[test]
     fn silent_pages_are_given_up() {
         let hub = Arc::new(Hub::default());

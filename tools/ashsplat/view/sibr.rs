@@ -1,9 +1,9 @@
 //! The protocol of the reference implementation's network viewer (SIBR's remote viewer, `network_gui.py`), so that it can
 //! look at a training.
 //!
-//! The viewer sends a length (4 bytes, little-endian) and so much JSON: the camera's matrices as OpenGL has them (row
-//! vectors, y up, z backward), the size of the picture, whether training is to go on. It gets the picture's RGB bytes, if
-//! the size is not 0, then a length and so many bytes with the data set's path.
+//! The viewer sends a length (4 bytes, little-endian) and a JSON text of that length. The text has the camera's matrices in
+//! OpenGL's form (row vectors, y up, z backward), the picture's size, and whether training may continue. The answer is the
+//! picture's RGB bytes, unless the size is 0, then a length and the data set's path.
 
 mod viewers;
 
@@ -21,14 +21,13 @@ use viewers::Viewer;
 
 pub use viewers::Wishes;
 
-/// Longest message that is taken for one.
+/// Longest accepted message.
 const LONGEST_MESSAGE: u32 = 1 << 20;
-/// A viewer that says nothing for so long is gone: SIBR's asks for the next picture as soon as it has one, and it comes
-/// again.
+/// A viewer that is silent this long is given up. SIBR's asks for the next picture as soon as it has one, and reconnects.
 const SILENCE: Duration = if cfg!(test) { Duration::from_millis(200) } else { Duration::from_secs(10) };
-/// Longest that a viewer waits for a picture.
+/// Longest wait for a picture.
 const PATIENCE: Duration = Duration::from_secs(60);
-/// Pause when no connection can be accepted, for want of descriptors say.
+/// Pause when no connection can be accepted, for example because there are no free descriptors.
 const PAUSE: Duration = Duration::from_millis(100);
 /// Most pixels of a picture.
 const MOST_PIXELS: u64 = 3840 * 2400;
@@ -60,7 +59,7 @@ fn one() -> f32 {
     1.0
 }
 
-/// `true`, or a number that is not 0: the viewer sends 0 and 1.
+/// Accepts `true`, or a number other than 0: the viewer sends 0 and 1.
 fn truth<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<bool, D::Error> {
     match serde_json::Value::deserialize(deserializer)? {
         serde_json::Value::Bool(value) => Ok(value),
@@ -70,7 +69,7 @@ fn truth<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<bool, D::E
 }
 
 impl Message {
-    /// The camera, in our frame; none where no picture is asked for.
+    /// The camera in the engine's frame; none if no picture is requested.
     fn camera(&self) -> io::Result<Option<Camera>> {
         let (width, height) = (self.resolution_x, self.resolution_y);
         if width == 0 || height == 0 {
@@ -78,7 +77,7 @@ impl Message {
         }
         let m: &[f32; 16] =
             self.view_matrix.as_slice().try_into().map_err(|_| bad("view_matrix: not 16 numbers"))?;
-        // Its rows are our columns; y and z point the other way.
+        // Its rows are the engine's columns; y and z point the other way.
         let row = |i: usize, sign: f32| sign * Vec3::new(m[i], m[4 + i], m[8 + i]);
         let rotation = Mat3::from_cols(row(0, 1.0), row(1, -1.0), row(2, -1.0)).transpose();
         let translation = Vec3::new(m[12], -m[13], -m[14]);
@@ -104,7 +103,7 @@ fn bad(problem: &str) -> io::Error {
     io::Error::new(io::ErrorKind::InvalidData, problem)
 }
 
-/// What cannot be had of a port.
+/// Error of a port that cannot be used.
 fn refused(problem: impl std::fmt::Display) -> Error {
     Error::argument("--port", problem.to_string())
 }
@@ -128,8 +127,8 @@ pub fn open(ip: &str, port: u16) -> Result<TcpListener> {
     Ok(listener)
 }
 
-/// Serves at an open port; pictures are asked of the hub, and what else the viewers want is in the answer. `source` is the
-/// data set's path as they are told it.
+/// Serves at an open port. Pictures are requested from the hub; the viewers' other requests are returned. `source` is the data
+/// set's path that viewers get.
 pub fn serve(listener: TcpListener, hub: Arc<Hub>, source: String) -> Result<(SocketAddr, Arc<Wishes>)> {
     let address = listener.local_addr().map_err(refused)?;
     let wishes = Arc::new(Wishes::default());
@@ -137,7 +136,7 @@ pub fn serve(listener: TcpListener, hub: Arc<Hub>, source: String) -> Result<(So
     let serve = move || {
         for stream in listener.incoming() {
             let admitted = stream.and_then(|stream| admit(stream, &hub, &source, &shared));
-            // The viewer that came is lost, and nothing else.
+            // Only this connection is lost.
             if admitted.is_err() {
                 std::thread::sleep(PAUSE);
             }
@@ -147,12 +146,12 @@ pub fn serve(listener: TcpListener, hub: Arc<Hub>, source: String) -> Result<(So
     Ok((address, wishes))
 }
 
-/// Serves a viewer on a thread of its own, so that it waits for no other.
+/// Serves a viewer on its own thread, so that it waits for no other.
 fn admit(stream: TcpStream, hub: &Arc<Hub>, source: &str, wishes: &Arc<Wishes>) -> io::Result<()> {
     let Some(viewer) = wishes.admit(stream) else { return Ok(()) };
     let (hub, source, shared, own) = (hub.clone(), source.to_owned(), wishes.clone(), viewer.clone());
     let serve = move || {
-        // Its going, and nonsense, end the connection and nothing else.
+        // A closed or malformed connection ends itself only.
         converse(&own, &hub, &source).ok();
         shared.leave(&own);
     };
@@ -186,7 +185,7 @@ fn converse(viewer: &Viewer, hub: &Hub, source: &str) -> io::Result<()> {
     }
 }
 
-/// A message, which must be whole before it is too late.
+/// Reads a message, which must be complete in time.
 fn read_message(stream: &TcpStream) -> io::Result<Message> {
     let end = Instant::now() + SILENCE;
     let mut length = [0; 4];
@@ -200,7 +199,7 @@ fn read_message(stream: &TcpStream) -> io::Result<Message> {
     serde_json::from_slice(&text).map_err(io::Error::from)
 }
 
-/// Fills a buffer; a peer that sends byte by byte has no more time than others.
+/// Fills a buffer before `end`, also from a peer that sends byte by byte.
 fn read_until(mut stream: &TcpStream, mut buffer: &mut [u8], end: Instant) -> io::Result<()> {
     while !buffer.is_empty() {
         let left = end.saturating_duration_since(Instant::now());
@@ -220,7 +219,7 @@ fn read_until(mut stream: &TcpStream, mut buffer: &mut [u8], end: Instant) -> io
 mod tests {
     use super::*;
 
-    /// What SIBR's viewer sends of a camera is that camera again.
+    /// SIBR's form of a camera gives the same camera again.
     #[test]
     fn cameras_arrive() {
         let intrinsics = Intrinsics::from_fov_x(0.9, 64, 48);
@@ -242,7 +241,7 @@ mod tests {
         assert!((arrived.fx - camera.fx).abs() < 1e-3 && (arrived.fy - camera.fy).abs() < 1e-3);
     }
 
-    /// One that holds the training and is there no more lets it go on, and the next one in.
+    /// A silent viewer that has paused the training is given up: training continues, and the next viewer is admitted.
     #[test]
     fn silent_viewers_are_given_up() {
         let (address, wishes) =
@@ -265,7 +264,7 @@ mod tests {
             assert_eq!(&answer[4..], b"data");
             stream
         };
-        // Those that have said nothing hold none up, however many there are.
+        // Viewers that have sent nothing pause no training, however many there are.
         let mute: Vec<TcpStream> = (0..50).map(|_| TcpStream::connect(address).expect("connected")).collect();
         assert!(wishes.may_train());
         let asleep = connect();
@@ -274,7 +273,7 @@ mod tests {
         drop((connect(), asleep, mute));
     }
 
-    /// One that sends its message byte by byte has no more time than others.
+    /// A viewer that sends byte by byte gets no more time than others.
     #[test]
     fn slow_viewers_are_given_up() {
         let (address, _wishes) =

@@ -1,4 +1,4 @@
-//! Gives memory back after pictures that are much larger than those that follow.
+//! Frees memory after pictures that are much larger than the next ones.
 
 use super::audience::Audience;
 use super::draw::Painter;
@@ -9,22 +9,21 @@ use serde_json::Value;
 
 /// A picture is much smaller than another with less than 1/MUCH of its pixels.
 const MUCH: u64 = 4;
-/// So many much smaller pictures in a row show that the large one was an exception.
+/// After this many much smaller pictures in a row, the large one counts as an exception.
 const IN_A_ROW: u32 = 16;
 
-/// The sizes of the last pictures.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Sizes {
-    /// Pixels of the largest picture since memory was given back.
+    /// Pixels of the largest picture since memory was freed.
     largest: u64,
-    /// Much smaller pictures in a row.
+    /// Number of much smaller pictures in a row.
     small: u32,
     /// Pixels of the largest of these.
     largest_small: u64,
 }
 
 impl Sizes {
-    /// Notes a picture. Whether memory is to be given back.
+    /// Records a picture. True if memory should be freed.
     fn note(&mut self, pixels: u64) -> bool {
         if pixels.saturating_mul(MUCH) >= self.largest {
             *self = Self { largest: self.largest.max(pixels), ..Self::default() };
@@ -40,7 +39,7 @@ impl Sizes {
     }
 }
 
-/// A painter that gives memory back.
+/// A painter that frees memory.
 pub struct Sparing<'a> {
     pub painter: &'a mut dyn Painter,
     pub sizes: Sizes,
@@ -113,7 +112,7 @@ mod tests {
     use ashsplat::Error;
     use ashsplat::scene::Intrinsics;
 
-    /// Draws nothing, and counts how often it gives memory back.
+    /// Draws nothing, and counts how often it frees memory.
     struct Counter(u32);
 
     impl Painter for Counter {
@@ -140,7 +139,7 @@ mod tests {
         }
     }
 
-    /// One very large picture, then usual ones: the painter is told once.
+    /// One very large picture, then usual ones: the painter frees memory once.
     #[test]
     fn a_painter_is_told_to_give_memory_back() {
         let mut counter = Counter(0);

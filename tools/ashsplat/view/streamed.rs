@@ -1,4 +1,4 @@
-//! What a page or a window draws: a scene, or a tree of tiles within a budget of Gaussians.
+//! The scene that a page or a window draws: loaded whole, or a tree of tiles within a budget of Gaussians.
 
 mod loader;
 mod residency;
@@ -20,17 +20,17 @@ use residency::{Residency, is_memory};
 use serde_json::{Value, json};
 use std::sync::Arc;
 
-/// Draws a scene that is loaded whole, or a tree of which it holds what is looked at.
+/// Draws a scene that is loaded whole, or a tree whose visible tiles are loaded.
 pub struct Scenery {
     pub renderer: Renderer,
     streaming: Option<Streaming>,
 }
 
-/// Whoever shows a tree. It hears what happens to it, on any thread.
+/// Receives events of a tree, on any thread.
 pub trait Onlooker: Send + Sync {
-    /// A tile has come, or will not come: the picture is to be drawn again.
+    /// A tile was loaded or has failed: draw the picture again.
     fn renew(&self);
-    /// What people are to be told.
+    /// Shows a message to people.
     fn tell(&self, problem: &str);
 }
 
@@ -44,24 +44,24 @@ impl Onlooker for Hub {
     }
 }
 
-/// A tree that is being looked at.
+/// The displayed tree.
 struct Streaming {
     tree: Arc<Tree>,
     residency: Residency<DeviceScene>,
     loader: Loader,
     onlooker: Arc<dyn Onlooker>,
-    /// Of the program.
+    /// The program's budget, Gaussians.
     budget: usize,
-    /// Of the viewer that is served.
+    /// The current viewer and its budget.
     current: (Viewer, usize),
-    /// What the device has had memory for, whatever viewers ask for.
+    /// Most Gaussians that the device has had memory for; caps every viewer's budget.
     most: usize,
-    /// Of the last picture.
+    /// Figures of the last picture.
     shown: Value,
 }
 
 impl Scenery {
-    /// Of what the renderer has.
+    /// Shows the renderer's scene.
     pub fn new(renderer: Renderer) -> Scenery {
         Scenery { renderer, streaming: None }
     }
@@ -99,8 +99,8 @@ impl Scenery {
         Ok(())
     }
 
-    /// Draws what is there. Where the device has no memory for the picture, tiles make room: those that nobody wants, then the
-    /// finest of what is wanted.
+    /// Draws the loaded parts. If the device has no memory for the picture, tiles are removed: first those that nobody wants,
+    /// then the finest wanted ones.
     fn draw<T>(&mut self, camera: &Camera, draw: impl Fn(&mut Renderer) -> Result<T>) -> Result<T> {
         loop {
             self.prepare(camera)?;
@@ -112,7 +112,7 @@ impl Scenery {
         }
     }
 
-    /// As [`Scenery::scenes`]. Whether nothing is missing.
+    /// Same as [`Scenery::scenes`], but returns true if nothing is missing.
     fn prepare(&mut self, camera: &Camera) -> Result<bool> {
         if self.streaming.is_some() {
             self.scenes(camera)?;
@@ -120,7 +120,7 @@ impl Scenery {
         Ok(self.streaming.as_ref().is_none_or(|streaming| streaming.shown["missing"] == 0))
     }
 
-    /// Takes over what has come, asks for what is missing, and has the renderer draw what is there: these scenes.
+    /// Takes loaded tiles, requests missing ones, and makes the renderer draw those that are there. Returns these scenes.
     pub fn scenes(&mut self, camera: &Camera) -> Result<Vec<DeviceScene>> {
         let Some(streaming) = &mut self.streaming else {
             return Ok(self.renderer.scene().into_iter().collect());
@@ -131,12 +131,12 @@ impl Scenery {
         Ok(scenes)
     }
 
-    /// Gives memory back where the device has had none for a picture. Whether there was any to give.
+    /// Frees memory after a failed allocation for a picture. True if anything was freed.
     pub fn make_room(&mut self, error: &Error) -> bool {
         is_memory(error) && self.streaming.as_mut().is_some_and(|streaming| streaming.make_room(error))
     }
 
-    /// Gaussians and tiles of a picture of the tree, at most; none of a scene that is loaded whole.
+    /// Most Gaussians and tiles of a picture of the tree; none for a scene that is loaded whole.
     #[cfg(feature = "window")]
     pub fn reach(&self) -> Option<[usize; 2]> {
         self.streaming.as_ref().map(Streaming::reach)
@@ -144,7 +144,7 @@ impl Scenery {
 }
 
 impl Streaming {
-    /// Says it on the terminal and to whoever looks.
+    /// Prints a message, and shows it to the viewers.
     fn say(&self, problem: &str) {
         tell!("{problem}");
         self.onlooker.tell(problem);
@@ -154,7 +154,7 @@ impl Streaming {
     fn reach(&self) -> [usize; 2] {
         let tiles = self.tree.tiles();
         let most = self.budget.min(self.most).min(self.tree.gaussians()).max(tiles[0].gaussians);
-        // No tile of a picture is above another: as many as fit of the smallest.
+        // No tile of a picture is an ancestor of another, so count the smallest tiles that fit.
         let mut smallest: Vec<usize> = tiles.iter().map(|tile| tile.gaussians).collect();
         smallest.sort_unstable();
         let mut rest = most;
@@ -166,7 +166,7 @@ impl Streaming {
         [most, smallest.into_iter().take_while(fits).count().max(1)]
     }
 
-    /// Gives memory back for a picture that found none. Whether there was any to give.
+    /// Frees memory for a picture whose allocation failed. True if anything was freed.
     fn make_room(&mut self, error: &Error) -> bool {
         if self.residency.make_room() {
             return true;

@@ -1,4 +1,4 @@
-//! The one thread that renders: does the hub's tasks one by one.
+//! The rendering thread: serves the hub's tasks one by one.
 
 use super::audience::{Audience, Viewer};
 use super::draw::{self, Painter};
@@ -18,30 +18,30 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-/// Films that are put together at once: each takes a processor, descriptors and a frame's memory.
+/// Most films that are encoded at once: each takes a processor, descriptors and a frame's memory.
 const MOST_ASSEMBLED: usize = 2;
 
-/// How long a film waits before it looks whether its next frame's tiles are there: pages are served in between.
+/// Pause before a film checks again for its next frame's tiles: pages are served meanwhile.
 const SHORTLY: Duration = Duration::from_millis(5);
-/// Number of the program that speaks the reference's protocol; pages have others.
+/// Page number of programs that speak the reference's protocol; real pages have others.
 const REMOTE: u64 = 0;
 
-/// Serves pages with pictures of any subject.
+/// Serves pages with pictures of any painter.
 pub struct Studio {
     hub: Arc<Hub>,
-    /// How the scene looks as it was trained.
+    /// Render settings that the scene was trained with.
     base: RenderSettings,
-    /// How its photos were exposed.
+    /// Exposure and lens effects of its photos.
     lights: PhotoLights,
-    /// Frame of its coordinates within those of its files.
+    /// Coordinate frame of the scene within its files' coordinates.
     frame: WorldFrame,
-    /// Where films are put.
+    /// Folder of the films.
     films: PathBuf,
     film: Option<Film>,
     sizes: Sizes,
-    /// Films whose frames are there, each on a thread of its own: neither frames nor training wait for them.
+    /// Finished films being encoded, each on its own thread: neither frames nor training wait for them.
     assembling: Vec<JoinHandle<()>>,
-    /// Whether no page needs these any more.
+    /// True if no page needs these any more.
     abandoned: Arc<AtomicBool>,
 }
 
@@ -60,22 +60,22 @@ impl Studio {
         }
     }
 
-    /// Shows another scene from now on, as it was trained.
+    /// Switches to another scene, drawn as it was trained.
     pub fn show(&mut self, base: RenderSettings, lights: PhotoLights, frame: WorldFrame) {
         (self.base, self.lights, self.frame) = (base, lights, frame);
     }
 
-    /// Whether a film is being made or waits for its turn.
+    /// True if a film is in progress or waits.
     pub fn has_films(&self) -> bool {
         self.film.is_some() || self.hub.has_films()
     }
 
-    /// Whether there is anything to do.
+    /// True if any task is waiting.
     pub fn is_wanted(&self) -> bool {
         self.film.is_some() || self.hub.is_wanted()
     }
 
-    /// Does one task, if one comes in time. Whether anything was done.
+    /// Does one task, if one arrives in time. True if it did.
     ///
     /// # Errors
     /// When the device is lost. Other errors are reported to the page that made the request.
@@ -95,7 +95,7 @@ impl Studio {
                 let failed = answer.is_err();
                 self.reply(client, answer.map(|(header, bytes)| ToPage::frame(&header, &bytes)))?;
                 if failed {
-                    // No frame, and so no word that it has come.
+                    // No frame was sent, so the page will not confirm one.
                     self.hub.acknowledge(client);
                 }
             }
@@ -113,7 +113,7 @@ impl Studio {
         Ok(true)
     }
 
-    /// Whose picture is the next.
+    /// Tells the painter the viewer of the next picture.
     fn attend(&self, painter: &mut dyn Painter, page: u64, look: &Look) {
         painter.attend(&Audience {
             viewer: Viewer { page, films: false },
@@ -125,7 +125,7 @@ impl Studio {
         });
     }
 
-    /// Sends an answer, or why there is none.
+    /// Sends an answer, or its error.
     fn reply(&self, client: u64, answer: Result<ToPage>) -> Result<()> {
         match answer {
             Ok(message) => self.hub.send(client, message),
@@ -141,7 +141,7 @@ impl Studio {
         self.attend(painter, REMOTE, &Look::default());
         let settings = RenderSettings { scale_modifier: request.scale, ..self.base };
         let mut camera = request.camera;
-        // That program knows the coordinates of the files.
+        // The program sends coordinates of the files.
         let rotation = camera.camera_from_world.as_dmat3();
         camera.translation = self.frame.translation(rotation, camera.translation.as_dvec3());
         let frame = painter.render(&camera, &settings).and_then(|frame| output::to_photo(&frame));
@@ -150,14 +150,14 @@ impl Studio {
                 request.answer.try_send(photo.rgb).ok();
                 Ok(())
             }
-            // Without an answer the connection is closed.
+            // Without an answer, the connection closes.
             Err(error) => fatal(error),
         }
     }
 
-    /// Gives the scene to who writes it to a file.
+    /// Sends the scene to the thread that writes it to a file.
     fn hand_over(&self, painter: &dyn Painter, request: SceneRequest) -> Result<()> {
-        // Who asked may have gone.
+        // The requester may have gone.
         if request.answer.is_closed() {
             return Ok(());
         }
@@ -172,7 +172,7 @@ impl Studio {
         Ok(())
     }
 
-    /// One frame of the film that is being made, or the beginning of the next.
+    /// Renders one frame of the film in progress, or begins the next film.
     fn go_on_filming(&mut self, painter: &mut dyn Painter) -> Result<bool> {
         let Some(mut film) = self.film.take() else { return Ok(self.begin_film()) };
         let client = film.client();
@@ -189,7 +189,7 @@ impl Studio {
                 self.end_film(client, json!({ "type": "film", "cancelled": true }));
                 self.reply(client, Err(error))?;
             }
-            // What its next frame wants is being read.
+            // The tiles of its next frame are still being read.
             Ok(None) => {
                 std::thread::sleep(SHORTLY);
                 self.film = Some(film);
@@ -225,13 +225,13 @@ impl Studio {
         true
     }
 
-    /// Tells the page, and lets the next one begin.
+    /// Notifies the page and lets the next film begin.
     fn end_film(&self, client: u64, message: Value) {
         self.hub.film_ended();
         self.hub.send(client, ToPage::json(&message));
     }
 
-    /// Puts a film together and tells the page, while others are served.
+    /// Encodes a film on its own thread, then notifies the page.
     fn assemble(&mut self, client: u64, film: assembly::Assembly, mut progress: Value) {
         let (hub, abandoned) = (self.hub.clone(), self.abandoned.clone());
         let work = move || {
@@ -255,7 +255,7 @@ impl Studio {
         }
     }
 
-    /// Waits for the films whose frames are there.
+    /// Waits for the films that are being encoded.
     pub fn finish(&mut self) {
         // A panic has been reported already.
         self.assembling.drain(..).for_each(|thread| drop(thread.join()));
@@ -263,7 +263,7 @@ impl Studio {
 }
 
 impl Drop for Studio {
-    /// Nothing half-done is left.
+    /// Leaves no half-made files.
     fn drop(&mut self) {
         self.abandoned.store(true, Ordering::Relaxed);
         self.finish();
@@ -273,7 +273,7 @@ impl Drop for Studio {
     }
 }
 
-/// What must end the program.
+/// Returns errors that must end the program.
 pub fn fatal(error: Error) -> Result<()> {
     match error {
         Error::DeviceLost { .. } | Error::Timeout { .. } => Err(error),

@@ -1,4 +1,4 @@
-//! What is looked at: Gaussians, how they look, and the cameras and photos that belong to them.
+//! The scene to look at: Gaussians, render settings, cameras and photos.
 
 use super::labels::labels;
 use super::lights::PhotoLights;
@@ -27,61 +27,59 @@ use std::time::SystemTime;
 
 /// SH degree of a data set's points: they have one colour each.
 const POINTS_SH_DEGREE: u32 = 0;
-/// Where a page begins to look, before it asks for its own size.
+/// Size of the first picture, before the page requests its own.
 const START_SIZE: [u32; 2] = [1280, 720];
 
-/// Something to look at.
+/// A scene to look at.
 pub struct Subject {
     pub name: String,
     pub gaussians: Gaussians,
-    /// Where Gaussians and cameras lie within the coordinates of their files.
+    /// Coordinate frame of Gaussians and cameras within their files' coordinates.
     pub frame: WorldFrame,
-    /// How it looks as it was trained.
+    /// Render settings that it was trained with.
     pub base: RenderSettings,
-    /// Of the photos, where there are any.
+    /// Cameras of the photos, if there are any.
     pub cameras: Vec<NamedCamera>,
     pub photos: Option<Arc<Photos>>,
-    /// How they were exposed.
+    /// Exposure and lens effects of the photos.
     pub lights: PhotoLights,
-    /// What the page says when there is nothing to see, and below the name otherwise.
+    /// Text on the page: instead of an empty scene, otherwise below the name.
     pub note: Option<String>,
-    /// Its file or folder, for commands; none where there is none.
+    /// Its file or folder, for commands; none if there is none.
     pub file: Option<PathBuf>,
-    /// The tree of tiles whose coarsest one the Gaussians are.
+    /// Tree of tiles; the Gaussians are its coarsest tile.
     pub tree: Option<Streamed>,
-    /// Up in the pictures, if not as the cameras have it.
+    /// Up direction, if it differs from the cameras'.
     pub up: Option<Vec3>,
 }
 
-/// A tree of tiles, of which the viewer holds what is looked at.
+/// A tree of tiles, of which the viewer loads the visible ones.
 pub struct Streamed {
     pub tree: Arc<Tree>,
     pub read: ReadOptions,
-    /// Gaussians of a picture, at most.
+    /// Most Gaussians of a picture.
     pub budget: usize,
-    /// Tiles that links lead out of this folder are left out.
+    /// Tiles whose links lead out of this folder are not read.
     pub within: Option<PathBuf>,
 }
 
-/// What of a scene is wanted, other than by default.
+/// Options that select parts of a scene.
 pub struct Wanted<'a> {
-    /// Of a model folder.
+    /// Iteration of a model folder.
     pub iteration: Option<u32>,
-    /// The data set.
     pub source: Option<&'a Path>,
-    /// The folder of its photos.
     pub images: Option<&'a str>,
-    /// Photos of elsewhere are left out: a model names its data set and their folder.
+    /// Photos outside this folder are not read: a model may name any folder.
     pub within: Option<&'a Path>,
-    /// Of a tree of tiles: Gaussians of a picture, at most.
+    /// Most Gaussians of a picture of a tree of tiles.
     pub budget: Option<Target>,
 }
 
-/// Gaussians of a picture of a tree, where nothing else is said.
+/// Default budget of a tree, Gaussians.
 const BUDGET: usize = 1_000_000;
 
 impl Subject {
-    /// Before anything is chosen.
+    /// The subject before any scene is chosen.
     pub fn nothing() -> Subject {
         let note = "No scene is open. Start the viewer with something to look at: `ashsplat view scene.ply`, \
                     `ashsplat view MODEL` (a folder as `ashsplat train -m` leaves it) or `ashsplat view DATASET`.";
@@ -100,7 +98,7 @@ impl Subject {
         }
     }
 
-    /// A tree of tiles: its coarsest one is read, the others as they are looked at.
+    /// A tree of tiles: reads only its coarsest tile.
     fn of_tree(
         tree: Tree,
         path: &Path,
@@ -150,7 +148,7 @@ impl Subject {
         })
     }
 
-    /// A file of Gaussians, a model folder, a tree of tiles, or a data set, of which the points are shown.
+    /// Loads a file of Gaussians, a model folder, a tree of tiles, or the points of a data set.
     pub fn load(
         path: &Path,
         wanted: &Wanted<'_>,
@@ -182,7 +180,7 @@ impl Subject {
         let gallery = match (asked, photos_of(&data, (white, &scene.frame), host, stop)) {
             (true, gallery) => Some(gallery?),
             (false, Err(Error::Interrupted)) => return Err(Error::Interrupted),
-            // What the training had may have gone.
+            // The training's data set may be gone.
             (false, gallery) => gallery.ok(),
         };
         let own = model.folder.as_ref().map(|(folder, _)| folder.join(CAMERAS_FILE));
@@ -248,7 +246,7 @@ impl Subject {
         })
     }
 
-    /// What a page is told first.
+    /// First message to a page.
     pub fn greeting(&self, device: &str, training: Option<u32>) -> Value {
         let [width, height] = START_SIZE;
         let intrinsics = Intrinsics::from_fov_x(1.0, width, height);
@@ -300,14 +298,14 @@ impl Subject {
 }
 
 impl Streamed {
-    /// What all of it reaches.
+    /// Bounds of the whole tree.
     fn bounds(&self) -> Option<Bounds> {
         self.tree.tiles().first().map(|tile| tile.bounds)
     }
 }
 
 impl Subject {
-    /// What its files are called, without an ending.
+    /// The scene's name without its ending, for new files.
     fn stem(&self) -> String {
         let name = Path::new(&self.name).file_name().unwrap_or_default().to_string_lossy().into_owned();
         let ending = Format::of_extension(&name).map_or(0, |format| format.extension().len());
@@ -315,7 +313,7 @@ impl Subject {
         if stem.is_empty() { "scene".into() } else { stem.into() }
     }
 
-    /// The beginning of a command that cuts it.
+    /// Start of a command that cuts the scene.
     fn convert_command(&self) -> Option<String> {
         let file = self.file.as_ref()?.to_string_lossy().into_owned();
         let cut = format!("{}_cut.ply", self.stem());
@@ -323,13 +321,13 @@ impl Subject {
     }
 }
 
-/// A word of this run's own, so that no browser takes another run's photos for its.
+/// A word unique to this run, so that no browser reuses another run's photos.
 fn run_name() -> String {
     let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
     format!("{:x}", now.as_nanos())
 }
 
-/// The pinholes of a model's cameras; the viewer shows no others.
+/// The pinhole cameras of a model; the viewer shows no others.
 fn pinholes(file: &Path, frame: &WorldFrame) -> Result<Vec<NamedCamera>> {
     let mut cameras = cameras_json::read(file, frame)?;
     let all = cameras.len();
@@ -344,22 +342,21 @@ fn pinholes(file: &Path, frame: &WorldFrame) -> Result<Vec<NamedCamera>> {
     Ok(cameras)
 }
 
-/// Whether a data set and the folder of its photos lie in a folder, which is given without links. Both names may come with
-/// a model of a stranger's.
+/// True if a data set and its photos lie in `folder`, a path without links. A stranger's model may name any path.
 fn lies_within(data: &DataSettings, folder: &Path) -> bool {
     let Ok(source) = data.source_path.canonicalize() else { return false };
     let images = Path::new(&data.images);
-    // The masks' folder is named after that of the photos, and leads out by the same `..`.
+    // The masks' folder is named after the photos' folder, so a `..` would lead it out too.
     let climbs = images.components().any(|part| part == Component::ParentDir);
     let photos_lie_within = match source.join(images).canonicalize() {
         Ok(photos) => photos.starts_with(folder),
-        // It does not exist, or lies in a ZIP, which is unpacked elsewhere.
+        // The folder does not exist, or lies in a ZIP, which is unpacked elsewhere.
         Err(_) => !images.has_root() && !images.is_absolute(),
     };
     source.starts_with(folder) && !climbs && photos_lie_within
 }
 
-/// The photos of a training's data set, at the size at which it uses them.
+/// The photos of a training's data set, at the size that training uses.
 fn photos_of(
     data: &DataSettings,
     (white_background, frame): (bool, &WorldFrame),

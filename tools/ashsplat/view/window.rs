@@ -1,8 +1,8 @@
-//! `ashsplat view --window`: a window on this machine's screen, drawn on the same device, and no page.
+//! `ashsplat view --window`: a window on this machine's screen instead of a page, drawn by the same device.
 //!
-//! The engine's context has the extensions of a window; the window is a host that shares its device. Frames are recorded
-//! into the window's command buffers and copied to its images on the device. The modes whose colours the processor makes
-//! (ellipsoids, depth, tiles) are drawn as for the page, and uploaded.
+//! The window is a host that shares the engine's device, whose context has the window's extensions. Frames are recorded into
+//! the window's command buffers and copied to its images on the device. The modes that the processor colours (ellipsoids,
+//! depth, tiles) are drawn as for the page, and uploaded.
 
 mod app;
 mod comparison;
@@ -31,12 +31,12 @@ use std::sync::atomic::AtomicBool;
 
 /// Runs the command until its window is closed, or Ctrl-C.
 pub fn run(arguments: &Arguments, out: PathBuf, stop: Arc<AtomicBool>) -> Result<()> {
-    // Before anything is loaded: where there is no display, that costs no time.
+    // A missing display is reported before anything is loaded.
     let events = display::open()?;
     let instance_extensions = present::instance_extensions(&events)?;
     let subject = arguments.subject(&stop)?;
     let opened = arguments.device.context_with(|options| {
-        // What is recorded into a host's command buffers cannot read texels.
+        // Frames recorded into a host's command buffers cannot read texels.
         options.texels = false;
         options.instance_extensions = instance_extensions;
         options.device_extensions = present::DEVICE_EXTENSIONS.to_vec();
@@ -60,7 +60,7 @@ pub fn run(arguments: &Arguments, out: PathBuf, stop: Arc<AtomicBool>) -> Result
     let ended = events.run_app(&mut app).map_err(|error| present::unfit(&error.to_string()));
     let failed = app.close();
     drop(app);
-    // With the last objects of the device goes the device: what is left of them is told, too.
+    // The last objects take the device with them; report what validation says of that.
     let left = || vec!["the window is closed, and something of it still holds the device".to_owned()];
     for message in context.close().unwrap_or_else(left) {
         tell!("validation: {message}");

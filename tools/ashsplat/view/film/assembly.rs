@@ -9,10 +9,10 @@ use serde_json::{Value, json};
 use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
 
-/// Widest GIF; 8 bits of colour are no better at more.
+/// Widest GIF, pixels: 8 bits of colour look no better in a larger one.
 const GIF_WIDTH: u32 = 640;
 
-/// Frames that lie in a folder, and what is to become of them.
+/// Frames in a folder, to be made into a film.
 pub struct Assembly {
     pub(super) name: String,
     pub(super) folder: PathBuf,
@@ -21,7 +21,7 @@ pub struct Assembly {
 }
 
 impl Assembly {
-    /// Puts the film together; names of its files, and why there is no MP4. What is `abandoned` ends early.
+    /// Writes the films. Returns their names, and why there is no MP4. Stops early if `abandoned` is set.
     pub fn run(&self, abandoned: &AtomicBool) -> Result<Value> {
         let gif = self.write(Container::Gif, GIF_WIDTH, abandoned)?;
         let (mp4, note) = match self.write(Container::Mp4, u32::MAX, abandoned) {
@@ -54,7 +54,7 @@ impl Assembly {
     }
 }
 
-/// A film that could not be put together, for people.
+/// Message for people about a film that could not be written.
 pub fn problem(error: &Error) -> String {
     format!("the film's frames are there, but the film is not: {error}")
 }

@@ -1,10 +1,10 @@
-//! Films that pages want: they wait for their turn, and end when they are wanted no longer.
+//! Films that pages request. They wait in order, and a page can cancel its own.
 
 use super::Hub;
 use crate::view::protocol::FilmRequest;
 
 impl Hub {
-    /// Asks for a film: how many come before it, or none when the page has one already.
+    /// Requests a film. Returns the number of films before it, or none if the page has one already.
     pub fn film(&self, client: u64, request: FilmRequest) -> Option<usize> {
         self.change(|state| {
             let has = state.filming == Some(client) || state.films.iter().any(|(owner, _)| *owner == client);
@@ -16,13 +16,13 @@ impl Hub {
         })
     }
 
-    /// No film for this page after all; whether one was waiting, which is over now. One that is being made is over when
-    /// [`Hub::film_is_called_off`] has been asked.
+    /// Cancels a page's film. True if the film was still waiting. A film in progress ends once its maker calls
+    /// [`Hub::film_is_called_off`].
     pub fn cancel_film(&self, client: u64) -> bool {
         self.change(|state| state.call_off(client))
     }
 
-    /// The film that has waited for longest; from now on it is the one that is being made.
+    /// Takes the film that has waited longest; it is now in progress.
     pub fn take_film(&self) -> Option<(u64, FilmRequest)> {
         self.change(|state| {
             let next = state.films.pop_front()?;
@@ -31,27 +31,27 @@ impl Hub {
         })
     }
 
-    /// Whether the film that is being made is wanted no longer: its page has said so, or has gone.
+    /// True if the film in progress is cancelled: by its page, or because the page has left.
     pub fn film_is_called_off(&self) -> bool {
         self.lock().called_off
     }
 
-    /// The film that was being made no longer is.
+    /// Marks the film in progress as ended.
     pub fn film_ended(&self) {
         self.change(|state| (state.filming, state.called_off) = (None, false));
     }
 
-    /// Files of a film are there: from now on pages may fetch them.
+    /// Lets pages fetch these files of a film.
     pub fn publish_film(&self, files: impl IntoIterator<Item = String>) {
         self.change(|state| state.film_files.extend(files));
     }
 
-    /// Whether a file is one of a film of this run.
+    /// True if the file belongs to a film of this run of the program.
     pub fn has_film_file(&self, name: &str) -> bool {
         self.lock().film_files.contains(name)
     }
 
-    /// Whether a film is being made or waits.
+    /// True if a film is in progress or waits.
     pub fn has_films(&self) -> bool {
         self.lock().has_films()
     }
@@ -84,7 +84,7 @@ pub(super) mod tests {
         assert_eq!(hub.film(a, film()), None, "one of each page");
         assert_eq!(hub.take_film().map(|(owner, _)| owner), Some(a));
         assert_eq!((hub.film(c, film()), hub.film(a, film())), (Some(2), None));
-        // One that waits goes at once, and not the one that is being made.
+        // A waiting film goes at once; the film in progress stays.
         assert!(hub.cancel_film(b) && !hub.film_is_called_off());
         assert!(!hub.cancel_film(b), "it has none any more");
         // A film in progress stays cancelled when another page requests one.
@@ -94,7 +94,7 @@ pub(super) mod tests {
         hub.film_ended();
         assert_eq!(hub.take_film().map(|(owner, _)| owner), Some(c));
         assert!(!hub.film_is_called_off(), "that was another");
-        // A page that leaves takes its films along.
+        // A page that leaves cancels its films.
         hub.leave(b);
         hub.leave(c);
         assert!(hub.film_is_called_off());

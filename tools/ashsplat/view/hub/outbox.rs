@@ -1,13 +1,13 @@
-//! What waits to be sent to one page: of pictures only the newest, of words a bounded number.
+//! Messages that wait to be sent to one page: only the newest picture, and a bounded number of texts.
 
 use crate::view::protocol::ToPage;
 use std::collections::VecDeque;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use tokio::sync::Notify;
 
-/// Words that may wait. A page that lets more come together does not read, and is given up.
+/// Most waiting texts. A page that lets more pile up does not read, and is given up.
 const MOST_WORDS: usize = 256;
-/// Bytes of them, beside the first: a greeting lists all cameras.
+/// Most bytes of waiting texts, unless the first is longer: a greeting lists all cameras.
 const MOST_BYTES: usize = 8 << 20;
 
 /// See the module.
@@ -33,11 +33,11 @@ impl Waiting {
 
 impl Outbox {
     fn lock(&self) -> MutexGuard<'_, Waiting> {
-        // A panic of another thread leaves nothing half-done here.
+        // A thread that panics leaves no half-made change here.
         self.waiting.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Adds a message. An older picture that still waits goes.
+    /// Adds a message. A new picture replaces a waiting one.
     pub fn put(&self, message: ToPage) {
         let mut waiting = self.lock();
         match message {
@@ -52,12 +52,12 @@ impl Outbox {
         self.news.notify_one();
     }
 
-    /// Words that wait.
+    /// Number of waiting texts.
     pub fn words(&self) -> usize {
         self.lock().words.len()
     }
 
-    /// The next message, when there is one; none when the page is given up. Cancelling it loses nothing.
+    /// Waits for the next message; none if the page is given up. Cancelling it loses nothing.
     pub async fn take(&self) -> Option<ToPage> {
         loop {
             {
@@ -102,7 +102,7 @@ mod tests {
         assert!(outbox.words() == MOST_WORDS && !outbox.lock().given_up);
         (0..10 * MOST_WORDS).for_each(|_| outbox.put(ToPage::Text("words".into())));
         assert!(now(&outbox).is_none() && outbox.words() == 0);
-        // A long greeting is no reason; more of its kind are.
+        // One long greeting is accepted; a second one is not.
         let outbox = Outbox::default();
         (0..2).for_each(|_| outbox.put(ToPage::Text("w".repeat(MOST_BYTES))));
         assert!(now(&outbox).is_none());

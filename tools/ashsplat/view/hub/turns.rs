@@ -1,4 +1,4 @@
-//! Who waits for the thread that renders, and whose turn it is.
+//! Waiting requests for the rendering thread, and the order in which it serves them.
 
 use super::{Outbox, Pick, RemoteRequest, SceneRequest, Task};
 use crate::view::protocol::{FilmRequest, TrainAction, ViewRequest};
@@ -10,12 +10,12 @@ pub(super) struct Client {
     pub(super) out: Arc<Outbox>,
     /// The newest camera.
     pub(super) view: Option<ViewRequest>,
-    /// Whether it has not been rendered since it, or the scene, changed.
+    /// True if the camera or the scene has changed since the last frame.
     pub(super) stale: bool,
-    /// Whether a frame is on the way.
+    /// True if a frame is under way.
     pub(super) on_the_way: bool,
     pub(super) picks: VecDeque<Pick>,
-    /// Counts turns.
+    /// Turn in which it was served last.
     pub(super) served: u64,
 }
 
@@ -30,17 +30,17 @@ pub(super) struct State {
     pub(super) film_served: u64,
     pub(super) remote_served: u64,
     pub(super) actions: VecDeque<TrainAction>,
-    /// Films that wait for their turn, at most one of each page.
+    /// Waiting films, at most one of each page.
     pub(super) films: VecDeque<(u64, FilmRequest)>,
-    /// Whose film is being made.
+    /// Page whose film is in progress.
     pub(super) filming: Option<u64>,
-    /// Whether that one is to end.
+    /// True if the film in progress is cancelled.
     pub(super) called_off: bool,
-    /// Names of the files of the films that were made.
+    /// Names of the files of finished films.
     pub(super) film_files: BTreeSet<String>,
-    /// The message that every page gets first.
+    /// First message to every page.
     pub(super) greeting: String,
-    /// How training goes; see [`super::Hub::set_status`].
+    /// Describes training's progress; see [`super::Hub::set_status`].
     pub(super) status: Option<Box<dyn Fn(u32) -> String + Send>>,
 }
 
@@ -51,7 +51,7 @@ impl Client {
 }
 
 impl State {
-    /// A page's film is not wanted; whether it was still waiting.
+    /// Cancels a page's film; true if it was still waiting.
     pub(super) fn call_off(&mut self, client: u64) -> bool {
         self.called_off |= self.filming == Some(client);
         let before = self.films.len();
@@ -63,9 +63,9 @@ impl State {
         self.filming.is_some() || !self.films.is_empty()
     }
 
-    /// The request of the page that has waited longest for a turn.
+    /// Takes the request of the page that has waited longest for a turn.
     pub(super) fn take_task(&mut self) -> Option<Task> {
-        // Few, and each is written and sent before its page asks again.
+        // Scene requests are few: each is written and sent before its page asks again.
         if let Some(request) = self.scenes.pop_front() {
             return Some(Task::Scene(request));
         }
@@ -110,7 +110,7 @@ mod tests {
         let (answer, _answers) = std::sync::mpsc::sync_channel(1);
         let served: String = (0..12)
             .map(|round| {
-                // All of them always want something.
+                // Each always has a request.
                 [a, b].iter().for_each(|&page| hub.set_view(page, view(round)));
                 hub.film(b, film());
                 if hub.lock().remote.is_empty() {

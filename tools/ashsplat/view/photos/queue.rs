@@ -1,4 +1,4 @@
-//! Turns at a budget: who asks for much waits behind itself, and delays the others by what is being done already.
+//! Turns at a budget. An asker with many requests delays mostly itself: others wait only for work already under way.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::net::IpAddr;
@@ -6,31 +6,31 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use tokio::sync::oneshot;
 
-/// Requests of one asker that may wait; more are refused.
+/// Most waiting requests of one asker; more are refused.
 const MOST_WAITING: usize = 24;
-/// Askers whose turns are remembered while they ask for nothing.
+/// Idle askers whose last turn is remembered.
 const MOST_REMEMBERED: usize = 64;
-/// Longest that a request waits.
+/// Longest wait of a request.
 const PATIENCE: Duration = Duration::from_secs(20);
 
-/// Who asks: a page that looks on, or what else comes from an address.
+/// A page, or any other client at an address.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Asker {
     pub peer: IpAddr,
     pub page: Option<u64>,
 }
 
-/// Too much is asked for.
+/// Too many requests.
 #[derive(Debug, PartialEq, Eq)]
 pub struct Busy;
 
-/// A budget, and those who wait for a share of it.
+/// A budget and its waiting askers.
 #[derive(Clone)]
 pub struct Queue(Arc<Mutex<State>>);
 
 struct State {
     free: u32,
-    /// Share that one asker may have at a time.
+    /// Largest share of one asker.
     most_of_one: u32,
     lines: BTreeMap<Asker, Line>,
     turns: u64,
@@ -40,13 +40,13 @@ struct State {
 #[derive(Default)]
 struct Line {
     waiting: VecDeque<(u32, oneshot::Sender<Turn>)>,
-    /// What it has of the budget.
+    /// Its current share of the budget.
     has: u32,
-    /// The turn in which it was served last.
+    /// Turn in which it was served last.
     served: u64,
 }
 
-/// A share of the budget, as long as the value lives.
+/// A share of the budget, until it is dropped.
 pub struct Turn {
     queue: Queue,
     asker: Asker,
@@ -54,17 +54,17 @@ pub struct Turn {
 }
 
 impl Queue {
-    /// Of so many units, and as many of them at most that one asker may have at a time.
+    /// A queue with this budget. `most_of_one` is the largest share of one asker.
     pub fn new(budget: u32, most_of_one: u32) -> Queue {
         Queue(Arc::new(Mutex::new(State { free: budget, most_of_one, lines: BTreeMap::new(), turns: 0 })))
     }
 
     fn lock(&self) -> MutexGuard<'_, State> {
-        // A panic of another thread leaves nothing half-done here.
+        // A thread that panics leaves no half-made change here.
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// A share, at most what one asker may have, when it is the asker's turn.
+    /// Waits for the asker's turn and takes a share, capped at one asker's largest.
     pub async fn turn(&self, asker: Asker, share: u32) -> Result<Turn, Busy> {
         let turn = {
             let mut state = self.lock();
@@ -82,11 +82,11 @@ impl Queue {
         tokio::time::timeout(PATIENCE, turn).await.ok().and_then(Result::ok).ok_or(Busy)
     }
 
-    /// Gives away what is free.
+    /// Gives the free budget to waiting askers.
     fn serve(&self) {
         loop {
             let Some((grant, turn)) = self.next() else { return };
-            // Of one who has gone it comes back at once.
+            // If the receiver has gone, the dropped turn frees its share at once.
             drop(grant.send(turn));
         }
     }
@@ -100,7 +100,7 @@ impl Queue {
         };
         let next = lines.iter_mut().filter(|(_, line)| ready(line)).min_by_key(|(_, line)| line.served);
         let (asker, line) = next?;
-        // Small ones do not pass a large one for ever.
+        // Small requests must not overtake a large one for ever.
         if line.waiting.front()?.0 > *free {
             return None;
         }
@@ -113,7 +113,7 @@ impl Queue {
 }
 
 impl State {
-    /// Whose connection is closed does not wait any more.
+    /// Removes requests whose connection is closed.
     fn forget_the_gone(&mut self) {
         for line in self.lines.values_mut() {
             line.waiting.retain(|(_, grant)| !grant.is_closed());
@@ -151,7 +151,7 @@ mod tests {
 
     type Waiting = Pin<Box<dyn Future<Output = Result<Turn, Busy>>>>;
 
-    /// Requests of one page: what they got, and those that wait.
+    /// Requests of one page: granted, waiting and refused.
     #[derive(Default)]
     struct Page {
         turns: Vec<Turn>,
@@ -200,7 +200,7 @@ mod tests {
         (0..2).for_each(|_| b.ask(&queue, 2, 1));
         c.ask(&queue, 3, 1);
         assert_eq!([b.counts(), c.counts()], [[0, 2, 0], [0, 1, 0]]);
-        // Each of them comes before the next of the first.
+        // Each of them is served before the next request of the first.
         a.turns.clear();
         assert_eq!([a.counts()[0], b.counts()[0], c.counts()[0]], [0, 1, 1]);
         b.turns.clear();
@@ -208,7 +208,7 @@ mod tests {
         assert_eq!([a.counts()[0], b.counts()[0], c.counts()[0]], [1, 1, 0]);
     }
 
-    /// One who asks anew whenever it was served has no more turns than those whose requests wait.
+    /// An asker that asks anew each time it is served gets no more turns than those whose requests wait.
     #[test]
     fn turns_are_remembered() {
         let clock = clock();

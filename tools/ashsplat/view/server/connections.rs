@@ -1,4 +1,4 @@
-//! Connections, from their coming to their going: each within its limits, whatever it does or does not do.
+//! Connections, each within its limits from opening to closing.
 
 use super::seats::{Limits, Seat, Seats};
 use axum::Router;
@@ -15,9 +15,9 @@ use std::time::Duration;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::{TcpListener, TcpStream};
 
-/// Pause when no connection can be accepted, for want of descriptors say.
+/// Pause when no connection can be accepted, for example because there are no free descriptors.
 const PAUSE: Duration = Duration::from_millis(100);
-/// Bytes of a request's headers.
+/// Most bytes of a request's headers.
 const MOST_HEADERS: usize = 64 << 10;
 
 /// Serves for ever.
@@ -33,7 +33,7 @@ pub async fn serve(listener: TcpListener, router: Router, limits: Limits) {
             }
             Err(_) => tokio::time::sleep(PAUSE).await,
         }
-        // Who has to make way for this one goes before the next comes.
+        // A connection that makes way for this one closes before the next is accepted.
         tokio::task::yield_now().await;
     }
 }
@@ -57,13 +57,13 @@ async fn attend(stream: Watched, router: Router) {
     http.timer(TokioTimer::new()).header_read_timeout(limits.headers).max_buf_size(MOST_HEADERS);
     let connection = http.serve_connection(TokioIo::new(stream), service).with_upgrades();
     tokio::select! {
-        // A peer that goes, and nonsense, end the connection and nothing else.
+        // A closed or malformed connection ends itself only.
         ended = connection => drop(ended),
         () = seat.must_go(limits.stall) => {}
     }
 }
 
-/// A stream whose seat knows when something moves, and is free when it is closed.
+/// A stream that reports its traffic to its seat, and frees the seat when it closes.
 struct Watched {
     stream: TcpStream,
     seat: Arc<Seat>,
@@ -132,7 +132,7 @@ mod tests {
     use std::net::TcpStream as Client;
     use std::time::Instant;
 
-    /// A server with small limits, which ends with the program.
+    /// A server with small limits, which runs until the program ends.
     fn server(limits: Limits) -> std::net::SocketAddr {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");
         let listener = runtime.block_on(TcpListener::bind("127.0.0.1:0")).expect("a port");
@@ -167,7 +167,7 @@ mod tests {
         let address = server(limits(60_000, 60_000));
         let silent: Vec<Client> = (0..200).map(|_| connect(address)).collect();
         assert!(ask(address).ends_with("here"));
-        // The first ones have been closed to make way.
+        // The first connections were closed to make way.
         assert!(matches!((&silent[0]).read(&mut [0]), Ok(0) | Err(_)));
         silent[199].set_read_timeout(Some(Duration::from_millis(100))).expect("a timeout");
         assert!((&silent[199]).read(&mut [0]).is_err_and(|e| e.kind() == std::io::ErrorKind::WouldBlock));
@@ -176,7 +176,7 @@ mod tests {
     #[test]
     fn headers_must_come_in_time() {
         let address = server(limits(200, 60_000));
-        // The last but one begins a WebSocket's hand-shake.
+        // The third one begins a WebSocket handshake.
         for begun in [
             "",
             "GET / HTTP/1.1\r\nHost: loc",

@@ -1,4 +1,4 @@
-//! Who is let in: who knows the token, and pages of this server, no others.
+//! Access control: requests with the token, and this server's own pages.
 
 use super::{Site, refusal};
 use axum::extract::{Request, State};
@@ -8,8 +8,8 @@ use axum::response::{IntoResponse, Response};
 use std::net::IpAddr;
 use std::sync::Arc;
 
-/// Lets in who knows the token; without one, only pages that were opened under a name of this machine itself or that of
-/// `--allow-origin`, so that no foreign page can have its name point here.
+/// Admits requests with the token. Without a token, admits only pages opened under a name of this machine or that of
+/// `--allow-origin`: a foreign site could point its name here.
 pub async fn guard(State(site): State<Arc<Site>>, request: Request, next: Next) -> Response {
     let headers = request.headers();
     let allowed = site.serve.allow_origin.as_deref();
@@ -43,13 +43,13 @@ pub async fn guard(State(site): State<Arc<Site>>, request: Request, next: Next) 
         "default-src 'self'; img-src 'self' blob: data:; frame-ancestors 'none'",
     );
     if let Some(token) = from_query {
-        // For the folder of the page: below another one, a proxy may show another viewer.
+        // The cookie is for the page's own folder: a proxy may show another viewer below another path.
         set(header::SET_COOKIE, &format!("{name}={token}; HttpOnly; SameSite=Strict"));
     }
     response
 }
 
-/// Refuses, and says how a proxy is let in: to the page, and once on stderr.
+/// Refuses, and says how to admit a proxy: to the page, and once on stderr.
 fn foreign(site: &Site, headers: &HeaderMap, problem: &str) -> Response {
     let [origin, host] =
         [header::ORIGIN, header::HOST].map(|name| header_text(headers, name).unwrap_or("none"));
@@ -63,8 +63,8 @@ fn foreign(site: &Site, headers: &HeaderMap, problem: &str) -> Response {
     refusal(StatusCode::FORBIDDEN, &format!("{problem}; {remedy}"))
 }
 
-/// Whether no page of another site asks: browsers say whose page it is, and other programs say nothing. What is no name of
-/// a page is foreign, an empty one too.
+/// True if no foreign page makes the request: browsers name the page's origin, other programs send none. An origin that names
+/// no page counts as foreign, even an empty one.
 fn is_own_page(headers: &HeaderMap, allowed: Option<&str>) -> bool {
     let host = header_text(headers, header::HOST);
     let own_origin = headers.get_all(header::ORIGIN).iter().all(|origin| {
@@ -77,7 +77,7 @@ fn is_own_page(headers: &HeaderMap, allowed: Option<&str>) -> bool {
     own_origin && own_site
 }
 
-/// Whether a person follows a link to the page: what links to it learns nothing of it.
+/// True if a person follows a link to the page. The linking page learns nothing of the answer.
 fn is_visit(request: &Request) -> bool {
     let headers = request.headers();
     let says = |name: &str, value: &str| headers.get(name).is_some_and(|said| said == value);
@@ -85,7 +85,7 @@ fn is_visit(request: &Request) -> bool {
     request.uri().path() == "/" && navigates && !headers.contains_key(header::ORIGIN)
 }
 
-/// Whether a Host header names this machine from within.
+/// True if a Host header names this machine from within.
 fn is_own_name(host: &str) -> bool {
     let name = match host.rsplit_once(':') {
         Some((name, port)) if port.chars().all(|c| c.is_ascii_digit()) => name,
@@ -99,8 +99,8 @@ fn header_text(headers: &HeaderMap, name: header::HeaderName) -> Option<&str> {
     headers.get(name)?.to_str().ok()
 }
 
-/// Browsers send a host's cookies to all its ports: those of several viewers must have several names. The port is the one
-/// that the browser sees, which another may forward.
+/// Name of the token's cookie. Browsers send a host's cookies to all its ports, so viewers need different names. The port is
+/// the one that the browser sees, which may be forwarded.
 fn cookie_name(headers: &HeaderMap) -> String {
     let port =
         header_text(headers, header::HOST).and_then(|host| host.rsplit_once(':')?.1.parse::<u16>().ok());
@@ -113,13 +113,13 @@ fn cookie(headers: &HeaderMap, name: &str) -> Option<String> {
     all.split(';').find_map(find)
 }
 
-/// A value of an address's query.
+/// Returns a value of an address's query.
 pub fn query_value(uri: &Uri, name: &str) -> Option<String> {
     let find = |part: &str| Some(part.strip_prefix(name)?.strip_prefix('=')?.to_owned());
     uri.query()?.split('&').find_map(find)
 }
 
-/// Takes as long for a wrong word as for the right one.
+/// Takes the same time for any wrong word of the right length.
 fn equal(a: &[u8], b: &[u8]) -> bool {
     a.len() == b.len() && a.iter().zip(b).fold(0, |differs, (a, b)| differs | (a ^ b)) == 0
 }

@@ -1,4 +1,4 @@
-//! The scene as a file: written beside the thread that renders, and sent as it is read. And how much of it a cut leaves.
+//! The scene as a file: written on a thread of its own, sent while it is read. Also counts how many Gaussians a cut leaves.
 
 use super::door::query_value;
 use super::seats::Seat;
@@ -19,12 +19,12 @@ use std::time::Duration;
 use tempfile::TempDir;
 use tokio::sync::{OwnedSemaphorePermit, oneshot};
 
-/// Exports that are written or sent at once: each takes the scene's memory, then its file's room.
+/// Most exports that are written or sent at once: each takes the scene's memory, then its file's disk space.
 pub(super) const MOST_EXPORTS: usize = 2;
-/// How long the thread that renders may take until its turn comes.
+/// Longest wait for the rendering thread.
 const PATIENCE: Duration = Duration::from_secs(120);
 
-/// What a page wants written.
+/// The cut and SH degree that a page wants.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Export {
     cut: CutMessage,
@@ -47,7 +47,7 @@ pub async fn export(
         Ok(given) => given,
         Err(refused) => return refused,
     };
-    // It counts to the end, also when the page that asked has gone.
+    // The turn lasts until the file is written, even if the page has gone.
     let work = move || wanted.write(&scene, format).map(|(folder, path)| (path, (folder, turn)));
     match seat.waits_for(tokio::task::spawn_blocking(work)).await {
         Ok(Ok((path, kept))) => match files::body_of(&path, kept) {
@@ -66,8 +66,8 @@ pub async fn export(
     }
 }
 
-/// `/count?min_opacity=X&…`, as for an export: how many Gaussians it leaves, `{"kept":N,"of":N,"losses":[]}`. With
-/// `format=spz`, what that format does not hold of them, in words.
+/// `/count?min_opacity=X&…`, same as for an export: counts the Gaussians that remain, `{"kept":N,"of":N,"losses":[]}`. With
+/// `format=spz`, `losses` says in words what that format cannot hold.
 pub async fn count(
     State(site): State<Arc<Site>>,
     Extension(seat): Extension<Arc<Seat>>,
@@ -102,7 +102,7 @@ pub async fn count(
     }
 }
 
-/// The scene as it stands, and the turn that it takes until it is dropped; or what the page is told instead.
+/// Returns the current scene and its turn, held until it is dropped; or the answer that refuses the page.
 async fn scene_of(
     site: &Site,
     seat: &Seat,
@@ -151,7 +151,7 @@ impl Export {
         Ok(Export { cut, sh_degree })
     }
 
-    /// Writes a file in a folder of its own.
+    /// Writes a file into a new temporary folder.
     fn write(&self, scene: &CurrentScene, format: Format) -> Result<(TempDir, PathBuf)> {
         let room = std::env::temp_dir();
         let folder = tempfile::tempdir().map_err(|e| Error::io(&room, "write a temporary file", e))?;

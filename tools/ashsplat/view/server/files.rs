@@ -1,4 +1,4 @@
-//! A file as an answer, read as it is sent: of a large film, a piece is in memory at a time.
+//! A file as an answer, read while it is sent: only one piece of a large film is in memory.
 
 use ashsplat_files::regular_file;
 use axum::body::{Body, Bytes};
@@ -9,15 +9,15 @@ use std::path::Path;
 use std::pin::Pin;
 use std::task::{Context, Poll};
 
-/// Bytes of a piece.
+/// Largest piece, bytes.
 const PIECE: u64 = 256 << 10;
 
-/// The contents of a regular file; none where there is no such.
+/// The contents of a regular file; none if there is no such file.
 pub fn body(path: &Path) -> Option<Body> {
     body_of(path, ())
 }
 
-/// The same; something is kept until all of it is sent, or nobody wants it any more.
+/// Same as [`body`], but keeps a value until all is sent or the receiver has gone.
 pub fn body_of<T: Send + Unpin + 'static>(path: &Path, kept: T) -> Option<Body> {
     let (file, left) = regular_file::open(path).ok()?;
     Some(Body::new(Pieces { file, left, _kept: kept }))
@@ -43,7 +43,7 @@ impl<T: Unpin> hyper::body::Body for Pieces<T> {
         let mut piece = Vec::new();
         let read = (&self.file).take(self.left.min(PIECE)).read_to_end(&mut piece);
         Poll::Ready(Some(read.and_then(|bytes| match bytes {
-            // It was promised longer.
+            // The file is shorter than announced.
             0 => Err(std::io::ErrorKind::UnexpectedEof.into()),
             _ => {
                 self.left -= bytes as u64;

@@ -1,4 +1,4 @@
-//! Files that pages bring, and paths that they name: see [`Openings`].
+//! Files that pages send, and paths that they name: see [`Openings`].
 
 use super::{Site, refusal};
 use crate::view::openings::{self, Openings, Wish};
@@ -17,17 +17,17 @@ use std::pin::Pin;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// Bytes of a message that names a path.
+/// Longest message that names a path, bytes.
 const LONGEST_MESSAGE: usize = 64 << 10;
-/// A file has this long,
+/// Time for an upload: this long,
 const GRACE: Duration = if cfg!(test) { Duration::from_millis(200) } else { Duration::from_secs(60) };
-/// and a second more for so many bytes that have come: who sends more slowly keeps others from sending.
+/// and one second more for this many received bytes. A slower sender would keep others from sending.
 const BYTES_PER_SECOND: u64 = 256 << 10;
-/// Of what is refused so many bytes are still taken,
+/// Most bytes of a refused upload that are still read,
 const MOST_DRAINED: usize = 16 << 20;
-/// for so long.
+/// and the longest time for it.
 const LINGER: Duration = Duration::from_secs(1);
-/// Letters of a file's name that are kept,
+/// Letters of a file's name that are kept on disk,
 const LONGEST_STEM: usize = 60;
 /// and that are shown.
 const LONGEST_NAME: usize = 200;
@@ -46,10 +46,10 @@ pub async fn upload(
     answer
 }
 
-/// Of what is refused the body may be left.
+/// On refusal, part of the body may be left unread.
 async fn take_in(site: &Site, name: &str, headers: &HeaderMap, body: &mut Body) -> Response {
     let Some(openings) = &site.openings else { return not_here() };
-    // Of this kind, foreign pages cannot send without asking first.
+    // Foreign pages cannot send this content type without a preflight request.
     if !is_kind(headers, "application/octet-stream") {
         return refusal(StatusCode::UNSUPPORTED_MEDIA_TYPE, "send a file as application/octet-stream");
     }
@@ -86,7 +86,7 @@ async fn take_in(site: &Site, name: &str, headers: &HeaderMap, body: &mut Body) 
     StatusCode::ACCEPTED.into_response()
 }
 
-/// A file's name that is one in any folder: of the name that a page gives, letters and digits, and the ending.
+/// A file name that is valid in any folder: letters and digits of the page's name, and the ending.
 fn plain(name: &str, format: Format) -> String {
     let stem = &name[..name.len() - format.extension().len()];
     let letter = |c: char| if c.is_ascii_alphanumeric() || "-_".contains(c) { c } else { '_' };
@@ -120,7 +120,7 @@ pub async fn open(State(site): State<Arc<Site>>, request: Request) -> Response {
     }
 }
 
-/// What a page names, or why it cannot be opened; without a reason where another is being opened.
+/// Resolves the path that a page names. The error says why not, or is none if another page is opening a scene.
 fn name_for(openings: &Openings, name: &str) -> Result<Wish, Option<String>> {
     let (path, folder) = openings.find(name).map_err(Some)?;
     let within = Some(folder.to_owned());
@@ -128,19 +128,19 @@ fn name_for(openings: &Openings, name: &str) -> Result<Wish, Option<String>> {
     Ok(Wish { path, name: name.to_owned(), within, upload: None, turn })
 }
 
-/// Why a file has not come.
+/// Reasons why an upload failed.
 enum Failed {
     Sender,
     Slow,
     Disk(std::io::Error),
 }
 
-/// The next piece of what is sent.
+/// Waits for the next piece of an upload.
 async fn next(body: &mut Body) -> Option<Result<Frame<Bytes>, axum::Error>> {
     poll_fn(|context| Pin::new(&mut *body).poll_frame(context)).await
 }
 
-/// Writes what comes, no more than was promised. Time is given for what has come: a promise costs nothing.
+/// Writes the received bytes, at most `length`. Time grows with bytes received, not with bytes announced.
 async fn receive(body: &mut Body, path: &Path, length: u64) -> Result<(), Failed> {
     let mut file = File::create(path).map_err(Failed::Disk)?;
     let begun = Instant::now();
@@ -157,7 +157,7 @@ async fn receive(body: &mut Body, path: &Path, length: u64) -> Result<(), Failed
     if left == 0 { Ok(()) } else { Err(Failed::Sender) }
 }
 
-/// Takes some of what is still sent: a browser that is cut off while it sends may not show why it was refused.
+/// Reads some of what is still sent: a browser that is cut off while sending may not show the refusal.
 async fn drain(body: &mut Body) {
     let rest = async {
         let mut left = MOST_DRAINED;
@@ -224,7 +224,7 @@ mod tests {
         assert!(begun.elapsed() < Duration::from_secs(60));
         assert!(got(&mut Body::from("ply"), 3).is_ok());
         assert!(matches!(got(&mut Body::from("ply"), 4), Err(Failed::Sender)));
-        // Nor is there an end to wait for.
+        // Draining does not wait for its end either.
         runtime.block_on(drain(&mut silent));
     }
 

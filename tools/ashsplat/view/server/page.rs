@@ -1,5 +1,5 @@
-//! A page's WebSocket, from its coming to its going. Replies leave before more is heard, and what is heard has its pace: a
-//! page that floods waits for itself, and takes neither memory nor time from the others.
+//! A page's WebSocket. Replies go out before more is read, and reading is rate-limited: a page that floods delays only itself,
+//! and takes no memory or time from the others.
 
 use super::seats::Seat;
 use super::{Site, refusal};
@@ -17,18 +17,18 @@ use std::time::{Duration, Instant};
 
 /// A page that does not take a message within this time is given up.
 const PATIENCE: Duration = Duration::from_secs(30);
-/// So often a page is asked whether it is still there,
+/// Interval of the pings to a page,
 const PING: Duration = if cfg!(test) { Duration::from_millis(100) } else { Duration::from_secs(15) };
-/// and it is given up when nothing has come of it for so long: a laptop asleep never says that it goes.
+/// and the silence after which it is given up: a laptop that falls asleep never says that it leaves.
 pub(super) const SILENCE: Duration = PING.saturating_mul(3);
 /// Longest message of a page.
 const LONGEST_MESSAGE: usize = 256 * 1024;
-/// While so many replies wait, nothing more is heard.
+/// Nothing more is read while this many replies wait.
 const MOST_REPLIES: usize = 16;
 
 const TOO_MANY: &str = "too many pages look on already";
 
-/// Lets a page in.
+/// Opens a page's WebSocket.
 pub async fn socket(
     State(site): State<Arc<Site>>,
     Extension(seat): Extension<Arc<Seat>>,
@@ -44,7 +44,7 @@ pub async fn socket(
     })
 }
 
-/// Says why a page's WebSocket does not open: browsers do not tell a page how its handshake was answered.
+/// Says why a page's WebSocket does not open: browsers hide the handshake's answer from the page.
 pub async fn explain(State(site): State<Arc<Site>>) -> Response {
     if !site.hub.has_room() {
         return refusal(StatusCode::SERVICE_UNAVAILABLE, TOO_MANY);
@@ -53,7 +53,7 @@ pub async fn explain(State(site): State<Arc<Site>>) -> Response {
     refusal(StatusCode::UPGRADE_REQUIRED, problem)
 }
 
-/// A page that is there. It leaves with the value, also when a panic ends its conversation.
+/// A connected page. It leaves the hub when this is dropped, also by a panic.
 struct Visit {
     hub: Arc<Hub>,
     client: u64,
@@ -65,7 +65,7 @@ impl Drop for Visit {
     }
 }
 
-/// One page, from its coming to its going.
+/// Serves one page until it leaves.
 async fn converse(mut socket: WebSocket, hub: Arc<Hub>) {
     let Some((client, outbox)) = hub.join() else { return };
     let _visit = Visit { hub: hub.clone(), client };
@@ -76,7 +76,7 @@ async fn converse(mut socket: WebSocket, hub: Arc<Hub>) {
         let wait = pace.wait();
         let listens = wait.is_zero() && outbox.words() < MOST_REPLIES;
         let message = tokio::select! {
-            // Replies first; what has come counts before the clock.
+            // Replies first; received messages count before the clock.
             biased;
             message = outbox.take() => match message {
                 Some(ToPage::Text(text)) => {
@@ -105,7 +105,7 @@ async fn converse(mut socket: WebSocket, hub: Arc<Hub>) {
                 Message::Ping(Default::default())
             }
             () = tokio::time::sleep(wait), if !wait.is_zero() => {
-                // It was not listened to.
+                // The page was not read meanwhile.
                 heard = Instant::now();
                 continue;
             }
@@ -116,7 +116,7 @@ async fn converse(mut socket: WebSocket, hub: Arc<Hub>) {
     }
 }
 
-/// Does what a page says, or notes it for the thread that renders.
+/// Handles a page's message, or queues it for the rendering thread.
 fn heed(hub: &Hub, client: u64, text: &str) {
     let refuse = |message: &str| hub.send(client, ToPage::problem(message));
     match serde_json::from_str(text) {

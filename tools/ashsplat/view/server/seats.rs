@@ -1,6 +1,6 @@
-//! Connections: how many there may be, in all and from one place, and who makes way for a new one.
+//! Connections: how many may be open, in all and from one address, and which one makes way for a new one.
 //!
-//! A connection costs a descriptor of the program, which saving needs too: so there are few, and what does nothing goes
+//! A connection takes a descriptor of the program, which saving needs too. So there are few, and idle ones close
 //! first.
 
 use std::net::IpAddr;
@@ -10,16 +10,16 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 use tokio::sync::Notify;
 
-/// Most connections in all; a page has one for good, and a browser opens six more.
+/// Most connections in all. A page keeps one open, and a browser opens six more.
 const MOST: usize = 96;
-/// Descriptors that are left to the rest of the program, for saving say.
+/// Descriptors reserved for the rest of the program, such as saving.
 const RESERVE: usize = 64;
-/// What a small table of descriptors leaves the viewer nevertheless.
+/// Connections that the viewer gets even with few descriptors.
 const LEAST: usize = 8;
-/// So often a connection that waits for the program is noted: much sooner than one that stands still is ended.
+/// Interval at which a connection that waits for the program counts as active; much shorter than the stall limit.
 const NOTE: Duration = if cfg!(test) { Duration::from_millis(20) } else { Duration::from_secs(10) };
 
-/// How many connections there may be, and how long they may take.
+/// Limits of number and time.
 #[derive(Clone, Copy, Debug)]
 pub struct Limits {
     pub total: usize,
@@ -27,12 +27,12 @@ pub struct Limits {
     pub per_peer: usize,
     /// For the headers of a request, also of the first.
     pub headers: Duration,
-    /// For anything else to move on.
+    /// For any other progress.
     pub stall: Duration,
 }
 
 impl Limits {
-    /// As the descriptors that this process may have allow.
+    /// Limits that fit the process's free descriptors.
     pub fn of_process() -> Limits {
         Limits::within(free_descriptors())
     }
@@ -44,7 +44,7 @@ impl Limits {
     }
 }
 
-/// Descriptors that the process may still open.
+/// Number of descriptors that the process may still open.
 fn free_descriptors() -> usize {
     #[cfg(unix)]
     {
@@ -57,7 +57,7 @@ fn free_descriptors() -> usize {
     usize::MAX
 }
 
-/// The connections that there are.
+/// All open connections.
 pub struct Seats {
     limits: Limits,
     taken: Mutex<Vec<Arc<Seat>>>,
@@ -68,13 +68,13 @@ pub struct Seats {
 pub struct Seat {
     peer: IpAddr,
     start: Instant,
-    /// When something moved last, milliseconds since the start.
+    /// Time of the last traffic, milliseconds since the start.
     moved: AtomicU64,
-    /// Requests that are being answered.
+    /// Number of requests that are being answered.
     requests: AtomicUsize,
-    /// Whether it is a page's WebSocket, which has a watch of its own.
+    /// True for a page's WebSocket, which is watched elsewhere.
     page: AtomicBool,
-    /// Whether it is to make way.
+    /// True if it must make way.
     goes: AtomicBool,
     signal: Notify,
 }
@@ -89,12 +89,11 @@ impl Seats {
     }
 
     fn lock(&self) -> MutexGuard<'_, Vec<Arc<Seat>>> {
-        // A panic of another thread leaves nothing half-done here.
+        // A thread that panics leaves no half-made change here.
         self.taken.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// A seat for a newcomer. Where all are taken, the one that has been idle for longest makes way; where none is idle,
-    /// there is none.
+    /// Takes a seat for a new connection. If none is free, the longest idle connection makes way. None if none is idle.
     pub fn take(&self, peer: IpAddr) -> Option<Arc<Seat>> {
         let mut taken = self.lock();
         let staying = |seat: &&Arc<Seat>| !seat.goes.load(Ordering::Relaxed);
@@ -102,7 +101,7 @@ impl Seats {
         let full = taken.iter().filter(staying).count() >= self.limits.total;
         if of_peer >= self.limits.per_peer || full {
             let idle = taken.iter().filter(staying).filter(|seat| seat.is_idle());
-            // A place that has its share makes way for itself.
+            // An address that has used up its share gives up one of its own.
             let idle = idle.filter(|seat| of_peer < self.limits.per_peer || seat.peer == peer);
             idle.min_by_key(|seat| seat.moved.load(Ordering::Relaxed))?.dismiss();
         }
@@ -120,7 +119,7 @@ impl Seats {
         Some(seat)
     }
 
-    /// Its connection is closed.
+    /// Frees the seat of a closed connection.
     pub fn leave(&self, seat: &Arc<Seat>) {
         self.lock().retain(|taken| !Arc::ptr_eq(taken, seat));
     }
@@ -132,18 +131,17 @@ impl Seats {
 }
 
 impl Seat {
-    /// Where it comes from.
     pub fn peer(&self) -> IpAddr {
         self.peer
     }
 
-    /// Something came or went.
+    /// Records traffic.
     pub fn has_moved(&self) {
         let now = u64::try_from(self.start.elapsed().as_millis()).unwrap_or(u64::MAX);
         self.moved.store(now, Ordering::Relaxed);
     }
 
-    /// Waits for what the program itself does: meanwhile the connection stands still through no fault of its peer.
+    /// Waits for the program's own work. Meanwhile the connection counts as active, since its peer is not at fault.
     pub async fn waits_for<T>(&self, work: impl Future<Output = T>) -> T {
         let mut work = pin!(work);
         loop {
@@ -158,13 +156,13 @@ impl Seat {
         self.start.elapsed().saturating_sub(Duration::from_millis(self.moved.load(Ordering::Relaxed)))
     }
 
-    /// A request has come; it is being answered as long as the value lives.
+    /// Counts a request as being answered until the value is dropped.
     pub fn begin(self: &Arc<Seat>) -> Answering {
         self.requests.fetch_add(1, Ordering::Relaxed);
         Answering(self.clone())
     }
 
-    /// From now on it is a page's WebSocket.
+    /// Marks the connection as a page's WebSocket.
     pub fn becomes_page(&self) {
         self.page.store(true, Ordering::Relaxed);
     }
@@ -178,7 +176,7 @@ impl Seat {
         self.signal.notify_one();
     }
 
-    /// Waits until it has to make way, or has stood still for too long.
+    /// Waits until the connection must make way, or has stalled.
     pub async fn must_go(&self, stall: Duration) {
         loop {
             if self.goes.load(Ordering::Relaxed) {
@@ -228,7 +226,7 @@ mod tests {
             }
         });
         assert!(stays);
-        // When nothing is done for it any more, its time runs again.
+        // When the work is done, its time runs again.
         runtime.block_on(seat.must_go(stall));
     }
 
@@ -244,7 +242,7 @@ mod tests {
         all[2].moved.store(3, Ordering::Relaxed);
         let other = seats.take(there).expect("a seat");
         other.moved.store(0, Ordering::Relaxed);
-        // Its own share is used up: its own idle connection goes, not another place's.
+        // The address has used up its share: its own idle connection goes, not another address's.
         let next = seats.take(here).expect("a seat");
         assert!(goes(&all[2]) && !goes(&all[1]) && !goes(&other));
         seats.leave(&all[2]);
@@ -253,7 +251,7 @@ mod tests {
         assert!(seats.take(here).is_none(), "none of them is idle");
         let last = seats.take(there).expect("a seat");
         last.becomes_page();
-        // All are taken: one of the other place makes way for it, and so in turn.
+        // All are taken: the other address's idle connection makes way, and then one of this address.
         assert!(seats.take(there).is_some() && goes(&other));
         seats.leave(&other);
         drop(answering);

@@ -1,19 +1,18 @@
-//! The viewers that speak the protocol, and what they want of the training.
+//! The viewers that speak the protocol, and whether they let training continue.
 
 use std::net::{Shutdown, TcpStream};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
-/// Viewers that are served at once. For one more, the one that has been silent for longest goes.
+/// Most viewers at once. For one more, the longest silent viewer goes.
 const MOST: usize = 4;
 
-/// What the viewers want of the training.
+/// Requests of the connected viewers about the training.
 #[derive(Debug, Default)]
 pub struct Wishes {
     viewers: Mutex<Vec<Arc<Viewer>>>,
 }
 
-/// A connection.
 #[derive(Debug)]
 pub struct Viewer {
     stream: TcpStream,
@@ -22,32 +21,32 @@ pub struct Viewer {
 
 #[derive(Clone, Copy, Debug)]
 struct Said {
-    /// When it spoke, or was answered, last.
+    /// Time of its last message or answer.
     at: Instant,
-    /// Whether it waits for an answer.
+    /// True if it waits for an answer.
     waits: bool,
-    /// Whether training may go on.
+    /// True if training may continue.
     train: bool,
     keep_alive: bool,
 }
 
 impl Wishes {
     fn lock(&self) -> MutexGuard<'_, Vec<Arc<Viewer>>> {
-        // A panic of another thread leaves nothing half-done here.
+        // A thread that panics leaves no half-made change here.
         self.viewers.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Whether training may go on. One that has said nothing yet does not mind.
+    /// True if training may continue. A viewer that has sent nothing yet does not pause it.
     pub fn may_train(&self) -> bool {
         self.lock().iter().all(|viewer| viewer.said().train)
     }
 
-    /// Whether one wants to look on when training is over.
+    /// True if a viewer wants to keep looking after training ends.
     pub fn wants_to_stay(&self) -> bool {
         self.lock().iter().any(|viewer| viewer.said().keep_alive)
     }
 
-    /// A viewer has come; none where all the others are being answered.
+    /// Adds a viewer; none if all others are being answered.
     pub fn admit(&self, stream: TcpStream) -> Option<Arc<Viewer>> {
         let mut viewers = self.lock();
         if viewers.len() >= MOST {
@@ -61,7 +60,7 @@ impl Wishes {
         Some(viewer)
     }
 
-    /// A viewer has gone.
+    /// Removes a viewer.
     pub fn leave(&self, viewer: &Arc<Viewer>) {
         self.lock().retain(|other| !Arc::ptr_eq(other, viewer));
     }
@@ -80,12 +79,12 @@ impl Viewer {
         *self.lock()
     }
 
-    /// It has said what it wants, and waits for an answer.
+    /// Records a message that waits for an answer.
     pub fn speaks(&self, train: bool, keep_alive: bool) {
         *self.lock() = Said { at: Instant::now(), waits: true, train, keep_alive };
     }
 
-    /// It has its answer.
+    /// Records that the answer was sent.
     pub fn is_answered(&self) {
         let mut said = self.lock();
         (said.at, said.waits) = (Instant::now(), false);

@@ -10,17 +10,17 @@ use std::collections::VecDeque;
 use std::path::PathBuf;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 
-/// From where tiles are read.
+/// Where tiles are read from.
 pub struct Source {
     pub tree: Arc<Tree>,
     pub read: ReadOptions,
     /// SH degree at which all tiles are stored.
     pub sh_degree: u32,
-    /// No tile that is a link out of this folder is read.
+    /// Tiles whose links lead out of this folder are not read.
     pub within: Option<PathBuf>,
 }
 
-/// A tile, and its Gaussians on the device, or why there are none.
+/// A tile and its Gaussians on the device, or the error.
 pub type Arrival = (usize, Result<DeviceScene>);
 
 /// See the module.
@@ -36,22 +36,22 @@ struct Shared {
 #[derive(Default)]
 struct State {
     wishes: VecDeque<usize>,
-    /// What is being read.
+    /// The tile being read.
     current: Option<usize>,
     arrivals: Vec<Arrival>,
-    /// What tiles are uploaded to; none at the end.
+    /// Context for uploads; none once the loader ends.
     context: Option<Context>,
-    /// Whether the device is in use.
+    /// True while the thread uses the device.
     uploads: bool,
 }
 
 impl Shared {
     fn lock(&self) -> MutexGuard<'_, State> {
-        // A panic of another thread leaves nothing half-done here.
+        // A thread that panics leaves no half-made change here.
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The next tile to be read; none at the end.
+    /// Waits for the next tile to read; none once the loader ends.
     fn next(&self) -> Option<usize> {
         let mut state = self.lock();
         loop {
@@ -64,7 +64,7 @@ impl Shared {
         }
     }
 
-    /// Where the tile that was read is uploaded to, if it is still wanted.
+    /// Returns the context for an upload, unless the loader ends.
     fn begin_upload(&self) -> Option<Context> {
         let mut state = self.lock();
         state.uploads = state.context.is_some();
@@ -80,7 +80,7 @@ impl Shared {
 }
 
 impl Loader {
-    /// Begins; `arrived` is called after each tile.
+    /// Starts the thread; `arrived` is called after each tile.
     pub fn start(context: Context, source: Source, arrived: impl Fn() + Send + 'static) -> Result<Loader> {
         let state = Mutex::new(State { context: Some(context), ..State::default() });
         let shared = Arc::new(Shared { state, news: Condvar::new() });
@@ -89,7 +89,7 @@ impl Loader {
             while let Some(tile) = own.next() {
                 let gaussians = guarded(|| source.read(tile));
                 let Some(context) = own.begin_upload() else { return };
-                // Whoever waits for the thread must hear of the tile, come what may; and it holds the device no longer then.
+                // The waiting side must get a result for each tile, even after a panic. By then the thread no longer holds the device.
                 let scene = guarded(|| DeviceScene::upload(&context, &gaussians?, 0));
                 drop(context);
                 own.arrive((tile, scene));
@@ -101,7 +101,7 @@ impl Loader {
         Ok(Loader { shared })
     }
 
-    /// What is to be read from now on, the most urgent first: wishes that are not repeated are forgotten.
+    /// Replaces the list of tiles to read, most urgent first. Earlier entries that are not repeated are dropped.
     pub fn ask(&self, tiles: impl IntoIterator<Item = usize>) {
         let mut state = self.shared.lock();
         let known = |tile: &usize| {
@@ -112,15 +112,15 @@ impl Loader {
         self.shared.news.notify_one();
     }
 
-    /// What has come since this was last asked.
+    /// Takes the tiles that have arrived since the last call.
     pub fn arrivals(&self) -> Vec<Arrival> {
         std::mem::take(&mut self.shared.lock().arrivals)
     }
 }
 
 impl Drop for Loader {
-    /// Waits until the thread is done with the device, but not for a file: a network's may never come. Whatever the thread does then,
-    /// nothing of the device is left with it.
+    /// Waits until the thread is done with the device, but not for a file, since a network's may never come. Afterwards the
+    /// thread holds nothing of the device.
     fn drop(&mut self) {
         let mut state = self.shared.lock();
         state.context = None;

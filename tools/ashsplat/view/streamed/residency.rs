@@ -1,4 +1,4 @@
-//! Which tiles of a tree are there, which are wanted, and which go.
+//! Which tiles of a tree are loaded, which are wanted, and which are removed.
 
 use crate::view::audience::Viewer;
 use ashsplat::Error;
@@ -6,47 +6,45 @@ use ashsplat_files::tiles::{Demand, Tree};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-/// The tiles that are there. All that somebody wants stay; of those that nobody wants any more, the latest stay, as many as one
-/// picture may have.
+/// The loaded tiles. All wanted tiles stay. Of the others the most recent stay, with at most one picture's Gaussians.
 pub struct Residency<T> {
     tree: Arc<Tree>,
     there: BTreeMap<usize, Held<T>>,
     wanted: BTreeMap<Viewer, Vec<usize>>,
-    /// Why tiles cannot be read.
+    /// Errors of tiles that cannot be read.
     failed: BTreeMap<usize, String>,
-    /// Tiles for which the device had no memory. They are asked for again when somebody wants something else.
+    /// Tiles for which the device had no memory. They are requested again once some viewer wants other tiles.
     refused: BTreeSet<usize>,
-    /// Whether it has been said that there is no memory.
+    /// True once the lack of memory was reported.
     said: bool,
     frames: u64,
 }
 
 struct Held<T> {
     scene: T,
-    /// The frame that wanted it last.
+    /// Last frame that wanted it.
     frame: u64,
 }
 
-/// What one picture has.
+/// The tiles of one picture.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Cut {
-    /// Tiles that are drawn, ascending.
     pub drawn: Vec<usize>,
-    /// Those that are to be read for it, the most urgent first.
+    /// Tiles that must be read for it, most urgent first.
     pub missing: Vec<usize>,
-    /// How many it wants in all.
+    /// Number of all wanted tiles.
     pub wanted: usize,
 }
 
 impl<T> Residency<T> {
-    /// Begins with the coarsest tile, which stays.
+    /// Starts with the coarsest tile, which always stays.
     pub fn new(tree: Arc<Tree>, coarsest: T) -> Self {
         let there = BTreeMap::from([(0, Held { scene: coarsest, frame: 0 })]);
         let (wanted, failed, refused) = (BTreeMap::new(), BTreeMap::new(), BTreeSet::new());
         Self { tree, there, wanted, failed, refused, said: false, frames: 0 }
     }
 
-    /// What a viewer's next picture has. Tiles that are wanted no more go, beyond the budget.
+    /// Returns the tiles of a viewer's next picture. Removes unwanted tiles beyond the budget.
     pub fn cut(&mut self, viewer: Viewer, demand: &Demand<'_>) -> Cut {
         self.frames += 1;
         let possible = |tile: usize| !self.failed.contains_key(&tile);
@@ -69,7 +67,7 @@ impl<T> Residency<T> {
         Cut { drawn, missing, wanted: count }
     }
 
-    /// Forgets viewers that have gone.
+    /// Drops viewers that have left.
     pub fn keep_viewers(&mut self, is_there: impl Fn(&Viewer) -> bool) {
         self.wanted.retain(|viewer, _| is_there(viewer));
     }
@@ -82,18 +80,18 @@ impl<T> Residency<T> {
         self.there.get(&tile).map(|held| &held.scene)
     }
 
-    /// A tile has come.
+    /// Adds a loaded tile.
     pub fn add(&mut self, tile: usize, scene: T) {
         self.there.insert(tile, Held { scene, frame: self.frames });
     }
 
-    /// A tile has not come. What is to be said about it, if anything.
+    /// Records a tile that failed. Returns the message to show, if any.
     pub fn fail(&mut self, tile: usize, error: &Error) -> Option<String> {
         if !is_memory(error) {
             let problem = error.to_string();
             return self.failed.insert(tile, problem.clone()).is_none().then_some(problem);
         }
-        // The tile is tried again then.
+        // The tile is then tried again.
         if self.make_room() {
             return None;
         }
@@ -102,7 +100,7 @@ impl<T> Residency<T> {
         (!said).then(|| format!("no memory for finer tiles, a smaller budget needs less: {error}"))
     }
 
-    /// Lets go of all tiles that nobody wants. Whether there were any.
+    /// Removes all tiles that nobody wants. True if there were any.
     pub fn make_room(&mut self) -> bool {
         let gone = self.evict(0) > 0;
         if gone {
@@ -111,12 +109,12 @@ impl<T> Residency<T> {
         gone
     }
 
-    /// Tiles that are there, and their Gaussians.
+    /// Number of loaded tiles, and of their Gaussians.
     pub fn resident(&self) -> (usize, usize) {
         (self.there.len(), self.there.keys().map(|&tile| self.gaussians(tile)).sum())
     }
 
-    /// Why tiles cannot be read.
+    /// Errors of tiles that cannot be read.
     pub fn problems(&self) -> impl Iterator<Item = &str> {
         self.failed.values().map(String::as_str)
     }
@@ -125,13 +123,13 @@ impl<T> Residency<T> {
         self.tree.tiles().get(tile).map_or(0, |tile| tile.gaussians)
     }
 
-    /// Lets go of tiles that nobody wants, the longest unwanted first, until they have no more than so many Gaussians. How many
-    /// have gone.
+    /// Removes unwanted tiles, longest unwanted first, until the others have at most `most` Gaussians. Returns the number
+    /// removed.
     fn evict(&mut self, most: usize) -> usize {
         let wanted: BTreeSet<usize> = self.wanted.values().flatten().copied().chain([0]).collect();
         let unwanted = self.there.iter().filter(|(tile, _)| !wanted.contains(tile));
         let mut unwanted: Vec<(u64, usize)> = unwanted.map(|(&tile, held)| (held.frame, tile)).collect();
-        // The latest first; of these the coarser, which cover more.
+        // Latest first; among these the coarser ones, which cover more.
         unwanted.sort_unstable_by_key(|&(frame, tile)| (std::cmp::Reverse(frame), tile));
         let (mut kept, before) = (0, self.there.len());
         for (_, tile) in unwanted {
@@ -144,7 +142,7 @@ impl<T> Residency<T> {
     }
 }
 
-/// Whether it is the device's memory that does not suffice.
+/// True if the device's memory does not suffice.
 pub fn is_memory(error: &Error) -> bool {
     matches!(error, Error::TooLarge { .. } | Error::Vulkan { .. })
 }
@@ -187,7 +185,7 @@ mod tests {
         Camera::look_at(Vec3::ZERO, Vec3::new(turn.sin(), 0.0, turn.cos()), Vec3::NEG_Y, lens)
     }
 
-    /// The cut when all that it asks for has come at once.
+    /// The cut after all missing tiles were loaded at once.
     fn loaded(residency: &mut Residency<()>, viewer: Viewer, turn: f32) -> Cut {
         let camera = looking(turn);
         let demand = Demand::of(&camera, BUDGET);
@@ -218,7 +216,7 @@ mod tests {
             most = most.max(residency.resident().0);
         }
         assert!(2 * most < tree.tiles().len(), "{most} of {}", tree.tiles().len());
-        // Another page looks the other way, and neither takes the other's tiles.
+        // Another page looks the other way; neither removes the other's tiles.
         let both = [0.0, 3.1].map(looking);
         for (page, turn) in [(0, 0.0), (1, 3.1), (1, 3.1), (0, 0.0), (1, 3.1)] {
             loaded(&mut residency, PAGES[page], turn);
@@ -226,7 +224,7 @@ mod tests {
         for (page, camera) in PAGES.into_iter().zip(&both) {
             assert!(residency.cut(page, &Demand::of(camera, BUDGET)).missing.is_empty());
         }
-        // It goes, and so do its tiles when others come.
+        // The page leaves, and its tiles go when others come.
         residency.keep_viewers(|viewer| *viewer == PAGES[0]);
         residency.evict(0);
         assert!(!residency.cut(PAGES[1], &Demand::of(&both[1], BUDGET)).missing.is_empty());
@@ -248,13 +246,13 @@ mod tests {
         assert!(cut.missing.is_empty() && !cut.drawn.contains(&lost), "{cut:?}");
         assert_eq!(cut.drawn, tree.cut_among(&demand, |tile| tile != lost));
         assert!(residency.problems().next().is_some_and(|problem| problem.contains("7.glb")));
-        // Without memory, what nobody wants goes first.
+        // Without memory, unwanted tiles go first.
         loaded(&mut residency, PAGES[0], 1.0);
         let before = residency.resident().0;
         let next = residency.cut(PAGES[0], &Demand::of(&looking(2.0), BUDGET)).missing[0];
         assert_eq!(residency.fail(next, &memory()), None);
         assert!(residency.resident().0 < before);
-        // If that is not enough, it is said, and not asked for again until something else is wanted.
+        // If that is not enough, a message says so, and the tile is not requested until other tiles are wanted.
         let asked = |residency: &mut Residency<()>, turn: f32| {
             residency.cut(PAGES[0], &Demand::of(&looking(turn), BUDGET)).missing.contains(&next)
         };

@@ -17,24 +17,24 @@ use winit::event_loop::{ActiveEventLoop, ControlFlow};
 use winit::keyboard::{Key, PhysicalKey};
 use winit::window::{Fullscreen, Window, WindowId};
 
-/// Size of the window at first, logical pixels.
+/// First size of the window, logical pixels.
 const SIZE: LogicalSize<u32> = LogicalSize::new(1280, 720);
 const LEAST_SIZE: LogicalSize<u32> = LogicalSize::new(64, 64);
-/// How long to sleep: with nothing to do, until Ctrl-C is looked for; while the device works; while the window is not ready.
+/// Sleep times: when idle, until Ctrl-C is checked; while the device works; while the window is not ready.
 const IDLE: Duration = Duration::from_millis(100);
 const WORKING: Duration = Duration::from_millis(2);
 const NOT_READY: Duration = Duration::from_millis(30);
-/// Distance at which the line between photo and render is grasped, logical pixels.
+/// Distance at which the pointer grasps the line between photo and render, logical pixels.
 const GRASP: f64 = 8.0;
 
-/// The window, in this order: the stage goes before what shows it.
+/// The window. Fields drop in this order: the stage before what shows it.
 pub struct App {
     stage: Option<Stage>,
     present: Option<Present>,
     window: Option<Arc<Window>>,
     context: Option<Context>,
     controls: Controls,
-    /// Whether the line between photo and render is being dragged.
+    /// True while the line between photo and render is dragged.
     wiping: bool,
     vsync: bool,
     stop: Arc<AtomicBool>,
@@ -59,10 +59,10 @@ impl App {
         }
     }
 
-    /// Destroys everything of the device; what has ended the window, if it was a failure.
+    /// Destroys everything on the device. Returns the error that ended the window, if any.
     pub fn close(&mut self) -> Option<Error> {
         if let Some(present) = &self.present {
-            // A failure is the device's loss, which has been told.
+            // It fails only if the device is lost, which is already reported.
             present.idle().ok();
         }
         (self.stage, self.present, self.window, self.context) = (None, None, None, None);
@@ -89,7 +89,7 @@ impl App {
             WindowEvent::CloseRequested | WindowEvent::Destroyed => events.exit(),
             WindowEvent::RedrawRequested => {
                 let due = stage.due(now, self.controls.is_busy());
-                // The system asks, too: what was shown is gone.
+                // The system also asks when the window's contents are lost.
                 let due = if due == Due::Nothing { Due::Still } else { due };
                 let shown = stage.draw(present, due)?;
                 self.not_before = (!shown).then(|| now + NOT_READY);
@@ -137,7 +137,7 @@ impl App {
         Ok(())
     }
 
-    /// A key is pressed or released. Whether the window is to be closed.
+    /// Handles a pressed or released key. True if the window should close.
     fn key(&mut self, event: &KeyEvent) -> Result<bool> {
         let Some(stage) = &mut self.stage else { return Ok(false) };
         let PhysicalKey::Code(code) = event.physical_key else { return Ok(false) };
@@ -204,7 +204,7 @@ impl App {
         if std::mem::take(&mut self.wiping) {
             return Ok(());
         }
-        // At rest again: a sharp frame.
+        // The view rests again: draw a sharp frame.
         let moved = self.controls.is_busy();
         let click = self.controls.release(button, Instant::now());
         if moved {
@@ -219,7 +219,7 @@ impl App {
         }
     }
 
-    /// Before the loop sleeps: steers, asks for a frame, says how long to sleep.
+    /// Runs before the loop sleeps: steers, requests a frame, sets the sleep time.
     fn rest(&mut self, events: &ActiveEventLoop) -> Result<()> {
         let (Some(stage), Some(present), Some(window)) = (&mut self.stage, &self.present, &self.window)
         else {
@@ -271,7 +271,7 @@ impl ApplicationHandler for App {
         }
     }
 
-    /// A tree has rung.
+    /// The bell of a tree has rung.
     fn user_event(&mut self, _: &ActiveEventLoop, (): ()) {
         if let Some(stage) = &mut self.stage {
             stage.renew(self.controls.is_busy());
@@ -288,7 +288,7 @@ impl ApplicationHandler for App {
     }
 
     fn exiting(&mut self, _: &ActiveEventLoop) {
-        // While the connection to the display is open.
+        // Here the connection to the display is still open.
         self.failed = self.close();
     }
 }

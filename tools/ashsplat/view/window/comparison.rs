@@ -1,17 +1,17 @@
-//! A photo that lies over the left part of its view.
+//! A photo over the left part of its view.
 
 use super::navigation::Navigation;
 use super::text::{Overlay, Text};
 use ashsplat::scene::Camera;
 use ashsplat_files::{Photo, PhotoFileFormat};
 
-/// A photo, and what of it is shown.
+/// A photo and its visible part.
 pub struct Comparison {
     photo: Photo,
-    /// Scaled to a window, and cut.
+    /// The visible part, scaled to the window.
     shown: Text,
     corner: [u32; 2],
-    /// The window's size, and the share of the photo's width that is shown.
+    /// Size of the window and visible share of the photo's width, for which `shown` was made.
     made_for: Option<([u32; 2], f64)>,
 }
 
@@ -20,7 +20,7 @@ impl Comparison {
         Comparison { photo, shown: Text::default(), corner: [0; 2], made_for: None }
     }
 
-    /// Makes what is shown in a window of a size.
+    /// Makes the visible part for a window of this size.
     pub fn fit(&mut self, lens: &Camera, size: [u32; 2], share: f64) {
         if self.made_for == Some((size, share)) {
             return;

@@ -1,4 +1,4 @@
-//! Mouse and held keys: what `web/controls.js` does on the page. Lengths are logical pixels.
+//! Mouse and held keys: the same as `web/controls.js` on the page. Lengths are logical pixels.
 
 use super::keys::Action;
 use super::navigation::Navigation;
@@ -14,7 +14,7 @@ const CLICK: f64 = 4.0;
 /// A second click is a double click within this time and distance (pixels).
 const DOUBLE: Duration = Duration::from_millis(400);
 const DOUBLE_DISTANCE: f64 = 12.0;
-/// A wheel's notch, pixels, as browsers have it, and the most that counts at once.
+/// Pixels of a wheel's notch, as in browsers, and the most that counts at once.
 pub const NOTCH: f64 = 100.0;
 const MOST_WHEEL: f64 = 240.0;
 
@@ -32,21 +32,21 @@ pub struct Modifiers {
     pub alt: bool,
 }
 
-/// What a press and release without a movement between is.
+/// A press and release without movement in between.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Click {
     Single([f64; 2]),
     Double([f64; 2]),
 }
 
-/// What is pressed.
+/// Pressed buttons and keys.
 #[derive(Default)]
 pub struct Controls {
     pub flying: bool,
     pub modifiers: Modifiers,
-    /// Keys that steer.
+    /// Held keys that steer.
     held: Vec<Action>,
-    /// When they steered last.
+    /// Time when they last steered.
     steered: Option<Instant>,
     pressed: Vec<Button>,
     at: [f64; 2],
@@ -55,22 +55,22 @@ pub struct Controls {
 }
 
 impl Controls {
-    /// Where the pointer is.
+    /// Position of the pointer.
     pub fn pointer(&self) -> [f64; 2] {
         self.at
     }
 
-    /// The pointer is somewhere else, to no effect.
+    /// Moves the pointer without any effect.
     pub fn place(&mut self, at: [f64; 2]) {
         self.at = at;
     }
 
-    /// Whether the view is being moved.
+    /// True while the view is moved.
     pub fn is_busy(&self) -> bool {
         !self.held.is_empty() || !self.pressed.is_empty() && self.moved >= CLICK
     }
 
-    /// Nothing is pressed any more: the window has lost the keyboard.
+    /// Releases everything: the window has lost the keyboard.
     pub fn forget(&mut self) {
         self.held.clear();
         self.pressed.clear();
@@ -83,7 +83,7 @@ impl Controls {
         self.pressed.push(button);
     }
 
-    /// A button is released: whether that was a click.
+    /// Releases a button. Returns the click, if it was one.
     pub fn release(&mut self, button: Button, now: Instant) -> Option<Click> {
         let was_pressed = self.pressed.contains(&button);
         self.pressed.retain(|pressed| *pressed != button);
@@ -100,7 +100,7 @@ impl Controls {
         }
     }
 
-    /// The pointer moves, over a picture of a height. Whether that moved the view.
+    /// Moves the pointer over a picture of this height. True if that moved the view.
     pub fn drag(&mut self, to: [f64; 2], height: f64, view: &mut Navigation) -> bool {
         let [dx, dy] = [to[0] - self.at[0], to[1] - self.at[1]];
         self.at = to;
@@ -123,7 +123,7 @@ impl Controls {
         true
     }
 
-    /// The wheel is turned by pixels, down is positive.
+    /// Turns the wheel by pixels; down is positive.
     pub fn wheel(&self, pixels: f64, view: &mut Navigation) {
         let amount = pixels.clamp(-MOST_WHEEL, MOST_WHEEL);
         match self.flying {
@@ -132,7 +132,7 @@ impl Controls {
         }
     }
 
-    /// A key that steers is pressed: it counts at once, however short.
+    /// Presses a key that steers. Even a short press counts.
     pub fn hold(&mut self, action: Action, now: Instant, view: &mut Navigation) {
         if self.held.contains(&action) {
             return;
@@ -148,7 +148,7 @@ impl Controls {
         self.held.retain(|held| *held != action);
     }
 
-    /// Once per frame: held keys steer. Whether any did.
+    /// Steers by the held keys, once per frame. True if any key is held.
     pub fn tick(&mut self, now: Instant, view: &mut Navigation) -> bool {
         let seconds = self.steered.map_or(0.0, |then| now.duration_since(then).as_secs_f64());
         self.steered = Some(now);

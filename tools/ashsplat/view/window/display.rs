@@ -9,9 +9,9 @@ use winit::event_loop::EventLoop;
 /// Connects to the display of this session.
 ///
 /// # Errors
-/// One line, where there is none.
+/// One line, if there is no display.
 pub fn open() -> Result<EventLoop<()>> {
-    // Where a library of the display or an extension of its server is missing, winit panics.
+    // winit panics if a display library or an extension of the server is missing.
     let before = panic::take_hook();
     panic::set_hook(Box::new(|_| {}));
     let opened = panic::catch_unwind(|| EventLoop::builder().build());

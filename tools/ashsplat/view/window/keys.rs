@@ -1,6 +1,6 @@
-//! The keys of the window: those of the viewer's page, by their names in the web's standard, which winit has, too.
+//! The keys of the window: the same as on the page. Their names are those of the web standard, which winit shares.
 
-/// What a key does.
+/// Action of a key.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Action {
     /// While it is held, moves along the camera's axes: right, down, forward.
@@ -9,7 +9,7 @@ pub enum Action {
     Turn([f64; 2]),
     /// While it is held, goes closer (-1) or farther (1).
     Zoom(f64),
-    /// Chooses a mode by its place on the page.
+    /// Chooses a mode by its position on the page.
     Mode(usize),
     /// Dragging looks around instead of orbiting.
     FlyMode,
@@ -18,19 +18,19 @@ pub enum Action {
     /// Shows or hides the text.
     Panel,
     Screenshot,
-    /// Faces the pivot of the scene.
+    /// Turns to the scene's pivot.
     Face,
-    /// The first view.
+    /// Returns to the first view.
     Home,
-    /// The photo before (-1) or after (1).
+    /// Previous (-1) or next (1) photo.
     Photo(isize),
-    /// Draws a photo's view as it was photographed, or not any more.
+    /// Switches a photo's exposure and lens effects on or off in its view.
     PhotoLight,
-    /// Closes what is open; with nothing open, the window.
+    /// Closes what is open; if nothing is, the window.
     Close,
 }
 
-/// The keys that the page has, too.
+/// The keys that the page has too.
 pub const KEYS: [(&str, Action); 34] = [
     ("KeyW", Action::Fly([0.0, 0.0, 1.0])),
     ("KeyS", Action::Fly([0.0, 0.0, -1.0])),
@@ -68,7 +68,7 @@ pub const KEYS: [(&str, Action); 34] = [
     ("Escape", Action::Close),
 ];
 
-/// Keys of the page that the window has not, and why.
+/// Keys of the page that the window lacks, and why.
 pub const ONLY_PAGE: [(&str, &str); 5] = [
     ("KeyC", "cameras are not drawn"),
     ("KeyK", "films are made on the page"),
@@ -77,7 +77,7 @@ pub const ONLY_PAGE: [(&str, &str); 5] = [
     ("Space", "no training runs"),
 ];
 
-/// The list of keys, as the page has it where both have the same; "?" shows it.
+/// The list of keys, in the page's words where both have the key; "?" shows it.
 pub const HELP: [(&str, &str); 19] = [
     ("left or middle drag", "orbit (look around in fly mode)"),
     ("right, Shift or Shift-middle drag", "pan"),
@@ -100,7 +100,7 @@ pub const HELP: [(&str, &str); 19] = [
     ("Ctrl Q", "close the window"),
 ];
 
-/// What a key does, by its name.
+/// Returns the action of a key's name.
 pub fn action(code: &str) -> Option<Action> {
     KEYS.iter().find(|(name, _)| *name == code).map(|(_, action)| *action)
 }

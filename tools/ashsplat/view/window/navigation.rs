@@ -1,27 +1,27 @@
-//! The camera that is moved: what `web/camera.js` does on the page. x right, y down, z forward, as the engine's.
+//! The moving camera: the same as `web/camera.js` on the page. Axes are the engine's: x right, y down, z forward.
 
 use ashsplat::scene::{Camera, Intrinsics};
 use glam::{DVec3, Mat3};
 
-/// How near the poles an orbit may come, radians.
+/// Smallest angle between view and pole, radians.
 const POLE: f64 = 0.02;
-/// Nearest that the pivot comes, world units; with the scene's size, its share.
+/// Least distance to the pivot, world units; also a share of the scene's size.
 const NEAREST: f64 = 1e-4;
 const NEAREST_SHARE: f64 = 1e-3;
 
-/// Where one looks from, and around what.
+/// Camera pose, and the pivot that it turns around.
 #[derive(Clone, Copy, Debug)]
 pub struct Navigation {
     pub position: DVec3,
-    /// Right, down, forward.
+    /// Rows: right, down, forward.
     rotation: [DVec3; 3],
     /// Vertical field of view, radians.
     fov_y: f64,
     pub pivot: DVec3,
     pub up: DVec3,
-    /// World units of a stride.
+    /// Length of a stride, world units.
     pub radius: f64,
-    /// A photo's own camera while the view is exactly its.
+    /// A photo's camera, while the view is exactly the photo's.
     lens: Option<Camera>,
 }
 
@@ -41,29 +41,29 @@ impl Navigation {
         (self.pivot - self.position).length().max(NEAREST)
     }
 
-    /// The camera of a photo while the view is exactly its.
+    /// Camera of a photo, while the view is exactly the photo's.
     pub fn lens(&self) -> Option<&Camera> {
         self.lens.as_ref()
     }
 
-    /// Whether the view is exactly a photo's.
+    /// True if the view is exactly a photo's.
     pub fn is_photo(&self) -> bool {
         self.lens.is_some()
     }
 
-    /// The view is no photo's any more.
+    /// Marks the view as no photo's any more.
     pub fn touch(&mut self) {
         self.lens = None;
         self.rotation = orthonormal(self.rotation);
     }
 
-    /// Takes over a camera; with `photo`, its lens is kept until the view changes.
+    /// Takes a camera's pose. With `photo`, its lens is kept until the view changes.
     pub fn take(&mut self, camera: &Camera, photo: bool) {
         let rows = camera.camera_from_world.transpose();
         self.rotation = [rows.x_axis, rows.y_axis, rows.z_axis].map(|row| row.as_dvec3());
         self.position = -self.to_world(camera.translation.as_dvec3());
         self.fov_y = 2.0 * (0.5 * f64::from(camera.height) / f64::from(camera.fy)).atan();
-        // Turning goes on around what the axis passes nearest to.
+        // Turning continues around the axis' nearest point to the old pivot.
         let ahead = (self.pivot - self.position).dot(self.forward());
         let ahead = if ahead > 0.05 * self.radius { ahead } else { self.radius };
         self.pivot = self.position + self.forward() * ahead;
@@ -74,12 +74,12 @@ impl Navigation {
         self.rotation[0] * v.x + self.rotation[1] * v.y + self.rotation[2] * v.z
     }
 
-    /// Around the pivot: `yaw` about up, `pitch` about the camera's right, radians.
+    /// Turns around the pivot: `yaw` about up, `pitch` about the camera's right, radians.
     pub fn orbit(&mut self, yaw: f64, pitch: f64) {
         self.turn_about(self.pivot, yaw, pitch);
     }
 
-    /// Looks around where it stands.
+    /// Turns around the camera's own position.
     pub fn look(&mut self, yaw: f64, pitch: f64) {
         let distance = self.distance();
         self.turn_about(self.position, yaw, pitch);
@@ -99,7 +99,7 @@ impl Navigation {
         self.touch();
     }
 
-    /// By pixels of a picture of a height, so that what the pivot shows follows the pointer.
+    /// Shifts by pixels of a picture of this height: the pivot follows the pointer.
     pub fn pan(&mut self, x: f64, y: f64, height: f64) {
         let scale = 2.0 * self.distance() * (0.5 * self.fov_y).tan() / height;
         self.shift(self.rotation[0] * (-x * scale) + self.rotation[1] * (-y * scale));
@@ -111,7 +111,7 @@ impl Navigation {
         self.touch();
     }
 
-    /// Closer to the pivot by a factor.
+    /// Scales the distance to the pivot by a factor.
     pub fn dolly(&mut self, factor: f64) {
         let arm = (self.position - self.pivot) * factor.clamp(0.2, 5.0);
         let nearest = NEAREST_SHARE * self.radius;
@@ -121,19 +121,19 @@ impl Navigation {
         self.touch();
     }
 
-    /// Along its own axes, world units.
+    /// Moves along the camera's axes, world units.
     pub fn fly(&mut self, v: DVec3) {
         self.shift(self.to_world(v));
     }
 
-    /// Looks at a point, which becomes the pivot.
+    /// Turns to a point, which becomes the pivot.
     pub fn face(&mut self, point: DVec3) {
         self.pivot = point;
         self.rotation = looking(point - self.position, self.up);
         self.touch();
     }
 
-    /// Where a photo lies in a picture of a size: scale and corner, pixels.
+    /// Scale and corner (pixels) of a photo within a picture of this size.
     pub fn frame(lens: &Camera, [width, height]: [u32; 2]) -> (f64, [f64; 2]) {
         let (w, h) = (f64::from(lens.width), f64::from(lens.height));
         let (width, height) = (f64::from(width), f64::from(height));
@@ -141,7 +141,7 @@ impl Navigation {
         (scale, [0.5 * (width - w * scale), 0.5 * (height - h * scale)])
     }
 
-    /// The engine's camera, for a picture of a size.
+    /// The engine's camera for a picture of this size.
     pub fn camera(&self, size: [u32; 2]) -> Camera {
         let [width, height] = size;
         let rows = self.rotation.map(|row| row.as_vec3().to_array());
@@ -163,7 +163,7 @@ impl Navigation {
         Camera::with_pose(rotation, translation, intrinsics)
     }
 
-    /// The point at a depth (z) under a pixel.
+    /// Returns the point at a depth (z) under a pixel.
     pub fn unproject(&self, [x, y]: [f64; 2], depth: f64, size: [u32; 2]) -> DVec3 {
         let camera = self.camera(size);
         let [fx, fy, cx, cy] = [camera.fx, camera.fy, camera.cx, camera.cy].map(f64::from);
@@ -171,19 +171,19 @@ impl Navigation {
     }
 }
 
-/// `v` turned by an angle (radians) about a unit vector.
+/// Turns `v` by an angle (radians) about a unit vector.
 fn turned(v: DVec3, axis: DVec3, angle: f64) -> DVec3 {
     let (s, c) = angle.sin_cos();
     v * c + axis.cross(v) * s + axis * (axis.dot(v) * (1.0 - c))
 }
 
-/// Any direction across `a`.
+/// Some direction perpendicular to `a`.
 fn across(a: DVec3) -> DVec3 {
     let other = if a.x.abs() < 0.6 { DVec3::X } else { DVec3::Y };
     a.cross(other).try_normalize().unwrap_or(DVec3::X)
 }
 
-/// The axes of a camera that looks along `forward`.
+/// Axes of a camera that looks along `forward`.
 fn looking(forward: DVec3, up: DVec3) -> [DVec3; 3] {
     let z = forward.try_normalize().unwrap_or(DVec3::Z);
     let x = z.cross(up);
@@ -191,7 +191,7 @@ fn looking(forward: DVec3, up: DVec3) -> [DVec3; 3] {
     [x, z.cross(x), z]
 }
 
-/// Axes made orthonormal again: turning them again and again adds up errors.
+/// Makes axes orthonormal again, because repeated turns add up errors.
 fn orthonormal([_, y, z]: [DVec3; 3]) -> [DVec3; 3] {
     let forward = z.try_normalize().unwrap_or(DVec3::Z);
     let right = y.cross(forward).try_normalize().unwrap_or_else(|| across(forward));
@@ -202,7 +202,7 @@ fn orthonormal([_, y, z]: [DVec3; 3]) -> [DVec3; 3] {
 mod tests {
     use super::*;
 
-    /// As `web/camera.js` has it after the same moves: run under Node.
+    /// Expected values come from `web/camera.js` after the same moves, run under Node.
     #[test]
     fn moves_are_those_of_the_page() {
         let mut view = Navigation::new(DVec3::new(0.5, -0.25, 1.0), DVec3::new(0.0, -1.0, 0.0), 3.0);
@@ -247,7 +247,7 @@ mod tests {
                 "{value} {expected}"
             );
         }
-        // Poles are not passed.
+        // The view cannot pass a pole.
         (0..50).for_each(|_| view.orbit(0.0, 0.5));
         assert!(view.forward().dot(view.up).abs() < 1.0);
         view.face(DVec3::ZERO);

@@ -1,10 +1,10 @@
-//! What a tree of tiles tells the window, from the thread that reads it.
+//! Events of a tree of tiles, passed from its reading thread to the window.
 
 use super::super::streamed::Onlooker;
 use std::sync::{Mutex, PoisonError};
 use winit::event_loop::EventLoopProxy;
 
-/// Wakes the window's loop, and keeps what is to be said until then.
+/// Wakes the window's loop, and keeps the latest message for it.
 pub struct Bell {
     wake: Mutex<EventLoopProxy<()>>,
     said: Mutex<Option<String>>,
@@ -15,7 +15,7 @@ impl Bell {
         Bell { wake: Mutex::new(wake), said: Mutex::default() }
     }
 
-    /// What was said last, and not taken yet.
+    /// Takes the latest message, if any.
     pub fn said(&self) -> Option<String> {
         self.said.lock().unwrap_or_else(PoisonError::into_inner).take()
     }

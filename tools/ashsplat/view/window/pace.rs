@@ -1,39 +1,38 @@
-//! When a frame is drawn, and how coarse: coarse while the view moves, sharp when it rests, as `web/frames.js` has it.
+//! Decides when to draw a frame, and how coarse: coarse while the view moves, sharp when it rests. `web/frames.js` does the same.
 
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
 /// Smallest side of a coarse frame, pixels.
 const LEAST_SIDE: f64 = 16.0;
-/// Time that a frame may take while the view moves, ms.
+/// Frame time to reach while the view moves, ms.
 const GOAL: f64 = 55.0;
-/// Sides of coarse frames, as a share of the window's.
+/// Sides of coarse frames, as shares of the window's.
 const SCALES: [f64; 6] = [1.0, 0.75, 0.5, 0.375, 0.25, 0.1875];
-/// The view rests when it has not changed for so long.
+/// The view rests after this time without a change.
 const REST: Duration = Duration::from_millis(140);
-/// What the rate of frames is the mean of.
+/// Limits of the frames that the frame rate is averaged over.
 const RATE_TIME: Duration = Duration::from_secs(2);
 const RATE_FRAMES: usize = 40;
 
-/// The frame that is due.
+/// Next frame to draw.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Due {
     Nothing,
-    /// The view moves: at a share of the window's size.
+    /// The view moves: draw at this share of the window's size.
     Moving(f64),
-    /// It rests.
+    /// The view rests.
     Still,
 }
 
 impl Due {
-    /// Sides of its picture in a window of a size, pixels.
+    /// Sides of the frame in a window of this size, pixels.
     pub fn sides(self, window: [u32; 2]) -> [u32; 2] {
         let share = if let Due::Moving(share) = self { share } else { 1.0 };
         window.map(f64::from).map(|side| (side * share).round().max(LEAST_SIDE).min(side) as u32)
     }
 }
 
-/// Decides about frames.
 pub struct Pace {
     level: usize,
     changed: Option<Instant>,
@@ -47,17 +46,17 @@ impl Pace {
         Pace { level: 0, changed: None, dirty: false, sharp: false, shown: VecDeque::new() }
     }
 
-    /// The view has changed.
+    /// Records that the view has changed.
     pub fn touch(&mut self, now: Instant) {
         (self.dirty, self.sharp, self.changed) = (true, false, Some(now));
     }
 
-    /// It has changed once, not little by little: a sharp frame at once.
+    /// Records a jump rather than a gradual change: the next frame is sharp.
     pub fn leap(&mut self) {
         (self.dirty, self.sharp, self.changed) = (false, false, None);
     }
 
-    /// The view is the same, and something has come that it shows: the next frame has it, a sharp one once the view rests.
+    /// Records new contents in an unchanged view: the next frame shows them, sharp once the view rests.
     pub fn renew(&mut self, busy: bool) {
         (self.dirty, self.sharp) = (self.dirty || busy, false);
     }
@@ -66,7 +65,7 @@ impl Pace {
         !busy && self.changed.is_none_or(|changed| now.duration_since(changed) > REST)
     }
 
-    /// What is due, without taking it.
+    /// Returns the next frame to draw, without marking it as drawn.
     pub fn next(&self, now: Instant, busy: bool) -> Due {
         match (self.dirty, self.sharp) {
             (true, _) => Due::Moving(SCALES[self.level]),
@@ -75,15 +74,15 @@ impl Pace {
         }
     }
 
-    /// When something is due by itself.
+    /// Time at which a sharp frame becomes due without further events.
     pub fn wakes(&self) -> Option<Instant> {
         self.changed.filter(|_| !self.sharp).map(|changed| changed + REST + Duration::from_millis(1))
     }
 
-    /// A frame was shown.
+    /// Records that a frame was shown.
     pub fn drawn(&mut self, due: Due, now: Instant) {
         match due {
-            // A frame of the full size is as sharp as one at rest.
+            // A full-size frame is as sharp as one at rest.
             Due::Moving(scale) => (self.dirty, self.sharp) = (false, scale == 1.0),
             _ => (self.dirty, self.sharp) = (false, true),
         }
@@ -95,8 +94,7 @@ impl Pace {
         }
     }
 
-    /// A moving frame of a share of the size took so many milliseconds: late ones become coarser, and finer again when
-    /// there is time.
+    /// Adapts the coarseness to a moving frame's time: slow frames become coarser, fast ones finer again.
     pub fn adapt(&mut self, milliseconds: f64, scale: f64) {
         let Some(level) = SCALES.iter().position(|s| *s == scale) else { return };
         let wanted = scale * (GOAL / milliseconds.max(1.0)).sqrt();
@@ -109,7 +107,7 @@ impl Pace {
         }
     }
 
-    /// Frames per second of late; 0 for single frames.
+    /// Recent frames per second; 0 for single frames.
     pub fn frames_per_second(&self) -> f64 {
         match (self.shown.front(), self.shown.back()) {
             (Some(first), Some(last)) if self.shown.len() > 2 => {
@@ -160,7 +158,7 @@ mod tests {
         pace.drawn(Due::Still, start);
         pace.renew(true);
         assert_eq!(pace.next(start, true), Due::Moving(1.0), "a button is held");
-        // What comes while the view moves does not end its rest early.
+        // New contents while the view moves do not make it rest early.
         pace.touch(start);
         pace.drawn(Due::Moving(0.5), start);
         pace.renew(false);

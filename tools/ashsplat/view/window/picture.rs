@@ -1,4 +1,4 @@
-//! One frame of the window: splats or a finished picture, text over it, all in the frame's command buffer.
+//! One frame of the window: splats or a finished picture, with text over it, all in the frame's command buffer.
 
 use super::super::draw::Painter;
 use super::super::streamed::Scenery;
@@ -16,9 +16,9 @@ use ashsplat_files::Photo;
 use serde_json::Value;
 use std::time::Instant;
 
-/// Dispatches of a recording of our own, at most.
+/// Most dispatches of a recording by the window.
 const DISPATCHES: usize = 8;
-/// An image of the frame before: its contents are not needed, but that frame's commands must be done with it.
+/// An image of the previous frame: its contents are not needed, but that frame's commands must have finished.
 const USED: ImageState = ImageState {
     layout: vk::ImageLayout::UNDEFINED,
     stages: vk::PipelineStageFlags2::from_raw(
@@ -26,7 +26,7 @@ const USED: ImageState = ImageState {
     ),
     accesses: vk::AccessFlags2::NONE,
 };
-/// An image that kernels or copies of ours have left ready for kernels.
+/// An image that the window's kernels or copies have left ready for kernels.
 const READY: ImageState = ImageState {
     layout: vk::ImageLayout::GENERAL,
     stages: vk::PipelineStageFlags2::COMPUTE_SHADER,
@@ -35,19 +35,19 @@ const READY: ImageState = ImageState {
     ),
 };
 
-/// What a frame shows.
+/// Contents of a frame.
 pub enum Content<'a> {
     /// One colour.
     Nothing([f32; 3]),
     /// The scene, drawn on the device.
     Splats(&'a RenderSettings),
-    /// A picture that is there.
+    /// A finished picture.
     Photo(&'a Photo),
 }
 
-/// What belongs to one frame in flight.
+/// Objects of one frame in flight.
 struct Sheet {
-    /// Recordings of a picture that is there, and of what lies over the frame.
+    /// Recordings of a finished picture, and of the overlays.
     records: [RecordSlot; 2],
     photo: Option<Buffer>,
     overlays: Vec<Option<Buffer>>,
@@ -57,20 +57,20 @@ struct Sheet {
 pub struct Picture {
     scenery: Scenery,
     context: Context,
-    /// What the scenery's pictures are drawn of.
+    /// Scenes that the next frame draws.
     scenes: Vec<DeviceScene>,
     sh_degree: u32,
     reserved: Option<Reservation>,
     compose: Compose,
-    /// Of the window's size.
+    /// Image of the window's size.
     canvas: Option<Image>,
-    /// Of a frame that is coarser.
+    /// Image of a coarser frame.
     coarse: Option<Image>,
     sheets: Vec<Sheet>,
 }
 
 impl Picture {
-    /// Of what the scenery shows, if anything.
+    /// Draws what the scenery shows, if anything.
     pub fn new(scenery: Scenery, sh_degree: u32) -> Result<Picture> {
         let context = scenery.renderer.context().clone();
         let mut sheets = Vec::new();
@@ -91,27 +91,27 @@ impl Picture {
         })
     }
 
-    /// For pictures that are read back.
+    /// Painter for pictures that are read back.
     pub fn painter(&mut self) -> &mut dyn Painter {
         &mut self.scenery
     }
 
-    /// How much of a tree of tiles the last picture has.
+    /// How complete the last picture of a tree of tiles is.
     pub fn tree(&self) -> Option<&Value> {
         self.scenery.tree()
     }
 
-    /// Whether there is a scene, or a tree of tiles, in view or not.
+    /// True if there is a scene or a tree of tiles, in view or not.
     pub fn has_scene(&self) -> bool {
         self.tree().is_some() || !self.scenes.is_empty()
     }
 
-    /// Whether splats of it are in view, as far as that is known before they are drawn: no tile of a tree may be.
+    /// True if splats may be in view. False if no tile of a tree is.
     pub fn is_in_view(&self) -> bool {
         !self.scenes.is_empty()
     }
 
-    /// Takes over what of a tree has come, and allocates what a frame of splats in a window of a size needs. The camera's size is the
+    /// Takes the loaded tiles, and allocates what a frame of splats needs. The camera's size is the
     /// window's.
     pub fn prepare(&mut self, present: &Present, camera: &Camera, settings: &RenderSettings) -> Result<()> {
         loop {
@@ -132,7 +132,7 @@ impl Picture {
         if before.is_some_and(|old| [old.width, old.height] == size) {
             return Ok(());
         }
-        // Of a tree as much as the budget allows: what comes later finds its place, and no frame waits for memory.
+        // For a tree, reserves the whole budget: later tiles fit, and no frame waits for memory.
         let [gaussians, scenes] = match self.scenery.reach() {
             Some(reach) => reach.map(|most| u32::try_from(most).unwrap_or(u32::MAX)),
             None => [scene.count(), 1],
@@ -153,22 +153,22 @@ impl Picture {
         Ok(())
     }
 
-    /// What the splats of a frame that is done needed. With too little room for them, there is more for the next.
+    /// Reads the report of a finished frame's splats. If they did not fit, the next frame gets more memory.
     pub fn report(&mut self, present: &Present, slot: u32) -> Result<Option<SlotReport>> {
         let Some(reserved) = self.reserved else { return Ok(None) };
         let report = self.scenery.renderer.slot_report(slot)?;
         let grown = report.as_ref().filter(|report| report.overflow).map(|report| reserved.grown(report));
         if let Some(grown) = grown.filter(|grown| *grown != reserved) {
-            // Frames in flight go on with what they have.
+            // Frames in flight keep their memory.
             if let Err(error) = self.scenery.renderer.grow(&grown) {
                 if !matches!(error, Error::TooLarge { .. } | Error::Vulkan { .. }) {
                     return Err(error);
                 }
-                // Old and new do not fit beside each other.
+                // Old and new memory do not fit at the same time.
                 present.idle()?;
                 self.reserved = None;
                 if let Err(error) = self.scenery.renderer.reserve(&grown) {
-                    // The next frame is of less.
+                    // The next frame draws fewer tiles.
                     return if self.scenery.make_room(&error) { Ok(report) } else { Err(error) };
                 }
             }
@@ -177,8 +177,8 @@ impl Picture {
         Ok(report)
     }
 
-    /// Draws and shows a frame. The camera's size is the picture's; the window may be larger. Its place among the frames in
-    /// flight, and when it was begun; None: now and then a window is not ready.
+    /// Draws and shows a frame. The camera's size is the picture's; the window may be larger. Returns the frame's slot and its
+    /// start time, or none if the window is not ready.
     pub fn draw(
         &mut self,
         present: &mut Present,
@@ -289,7 +289,7 @@ impl Picture {
     }
 }
 
-/// The image of a size that is there, or a new one. Frames in flight keep the old one alive.
+/// Returns the image if it has this size, or makes a new one. Frames in flight keep the old one alive.
 fn image(context: &Context, name: &'static str, kept: &mut Option<Image>, size: [u32; 2]) -> Result<Image> {
     if let Some(image) = kept.as_ref().filter(|image| image.size() == size) {
         return Ok(image.clone());
@@ -299,13 +299,13 @@ fn image(context: &Context, name: &'static str, kept: &mut Option<Image>, size: 
     Ok(image)
 }
 
-/// A buffer with these bytes: the one that is there, if it is large enough.
+/// Writes bytes to the buffer if it is large enough, or to a new one.
 fn filled(context: &Context, kept: &mut Option<Buffer>, bytes: &[u8]) -> Result<Buffer> {
     let needed = bytes.len() as u64;
     let buffer = match kept.as_ref().filter(|buffer| buffer.bytes() >= needed) {
         Some(buffer) => buffer.clone(),
         None => {
-            // A reserve: numbers in a text change their widths.
+            // Allocates a reserve: numbers in the text change their widths.
             let request = [("window", needed + needed / 4)];
             let mut made = context.allocate("window", &request, MemoryKind::HostVisible)?;
             let Some(buffer) = made.pop() else { unreachable!("one buffer per request") };

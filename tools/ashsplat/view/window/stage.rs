@@ -1,4 +1,4 @@
-//! What the window shows, and what it takes to show it: view, mode, photo, text.
+//! State of the window: view, mode, photo, text.
 
 use super::super::draw;
 use super::super::lights::PhotoLights;
@@ -28,24 +28,24 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime};
 
-/// The modes by their places on the page; the colours of the last three are made by the processor.
+/// Modes in the page's order; the processor colours the last three.
 const MODES: [Mode; 5] = [Mode::Splats, Mode::Centres, Mode::Ellipsoids, Mode::Depth, Mode::Tiles];
-/// How long something is said.
+/// Display time of a message.
 const SAID: Duration = Duration::from_secs(6);
-/// Rows of pixels for each size of the letters.
+/// Window rows per unit of text scale.
 const ROWS_PER_DOT: u32 = 540;
 /// Distance of the text from the corner, pixels.
 const CORNER: u32 = 8;
 
-/// A frame that the device works on.
+/// A frame that the device still works on.
 struct Pending {
     slot: u32,
     due: Due,
     begun: Instant,
-    /// Time that its picture took before, ms.
+    /// Time that its picture took before submission, ms.
     before: f64,
     splats: bool,
-    /// Whether it was drawn to show the numbers of the one before.
+    /// True if it was drawn only to show the previous frame's figures.
     settled: bool,
 }
 
@@ -59,7 +59,7 @@ pub struct Stage {
     cameras: Vec<NamedCamera>,
     photos: Option<Arc<Photos>>,
     lights: PhotoLights,
-    /// Whether a photo's view has its light.
+    /// True if photos' views are drawn with their exposure and lens effects.
     lit: bool,
     name: String,
     device: String,
@@ -69,7 +69,7 @@ pub struct Stage {
     /// Source units of a world unit.
     unit: f32,
     out: PathBuf,
-    /// Of the window, pixels.
+    /// Size of the window, pixels.
     pub size: [u32; 2],
     /// Pixels per logical pixel.
     pub scale_factor: f64,
@@ -79,7 +79,7 @@ pub struct Stage {
     settle: bool,
     current: Option<usize>,
     comparison: Option<Comparison>,
-    /// Where photo and render meet, share of the photo's width.
+    /// Border between photo and render, share of the photo's width.
     share: f64,
     pub inspecting: bool,
     panel: bool,
@@ -160,13 +160,13 @@ impl Stage {
         Look { mode: MODES[self.mode], quality: 0, ..Look::default() }
     }
 
-    /// Says something for a while.
+    /// Shows a message for a while.
     pub fn say(&mut self, text: String) {
         self.message = Some((text, Instant::now()));
         self.pace.leap();
     }
 
-    /// What a key does that does not steer. Whether the window is to be closed.
+    /// Performs a key's action that does not steer. True if the window should close.
     pub fn act(&mut self, action: Action) -> Result<bool> {
         match action {
             Action::Mode(mode) => (self.mode, self.measured.legend) = (mode, None),
@@ -194,14 +194,14 @@ impl Stage {
         (0..self.cameras.len()).any(|photo| self.lights.has(photo))
     }
 
-    /// The photo whose light the picture is to have: that of the view, while it is exactly its own.
+    /// Exposure and lens effects for the picture, if the view is exactly a photo's.
     fn photo_light(&mut self) -> Result<Option<(Camera, Light)>> {
         let lit = self.lit && self.mode == 0 && self.view.is_photo();
         let photo = self.current.filter(|photo| lit && self.lights.has(*photo));
         photo.map(|photo| self.lights.of(photo, self.picture.painter())).transpose()
     }
 
-    /// Whether anything was open.
+    /// Closes help, photo and list of Gaussians. True if any was open.
     fn close_something(&mut self) -> bool {
         let compares = self.comparison.take().is_some() && self.view.is_photo();
         let open = self.help || compares || !self.picked.is_empty();
@@ -210,7 +210,7 @@ impl Stage {
         open
     }
 
-    /// The next photo, or the one before.
+    /// Goes to the next or the previous photo.
     fn step(&mut self, by: isize) {
         let count = self.cameras.len() as isize;
         if count == 0 {
@@ -232,14 +232,14 @@ impl Stage {
         self.say(problem.unwrap_or(name));
     }
 
-    /// Where photo and render meet, pixels from the left; None where no photo is shown.
+    /// Border between photo and render, pixels from the left; none if no photo is shown.
     pub fn wipe(&self) -> Option<f64> {
         let lens = self.view.lens().filter(|_| self.comparison.is_some())?;
         let (scale, [x, _]) = Navigation::frame(lens, self.size);
         Some(x + self.share * f64::from(lens.width) * scale)
     }
 
-    /// Moves that place.
+    /// Moves the border between photo and render.
     pub fn move_wipe(&mut self, x: f64) {
         let Some(lens) = self.view.lens() else { return };
         let (scale, [left, _]) = Navigation::frame(lens, self.size);
@@ -263,7 +263,7 @@ impl Stage {
         }
     }
 
-    /// Lists what is blended at a pixel.
+    /// Lists the Gaussians blended at a pixel.
     pub fn pick(&mut self, at: [f64; 2]) -> Result<()> {
         if let Some((pixel, mut report)) = self.report(at)? {
             report.samples.iter_mut().for_each(|sample| sample.depth *= self.unit);
@@ -273,7 +273,7 @@ impl Stage {
         Ok(())
     }
 
-    /// Turns around what is at a pixel.
+    /// Moves the pivot to the point at a pixel.
     pub fn set_pivot(&mut self, at: [f64; 2]) -> Result<()> {
         let depth = self.report(at)?.and_then(|(_, report)| protocol::pivot_depth(&report));
         if let Some(depth) = depth {
@@ -302,7 +302,7 @@ impl Stage {
         Ok(())
     }
 
-    /// A tree has rung: a tile has come, or something is to be said about it.
+    /// Handles the bell: a tile has arrived, or there is a message.
     pub fn renew(&mut self, busy: bool) {
         if let Some(problem) = self.bell.said() {
             self.say(problem);
@@ -310,7 +310,7 @@ impl Stage {
         self.pace.renew(busy);
     }
 
-    /// What is due.
+    /// Returns the next frame to draw.
     pub fn due(&mut self, now: Instant, busy: bool) -> Due {
         if self.message.as_ref().is_some_and(|(_, since)| now.duration_since(*since) > SAID) {
             self.message = None;
@@ -322,12 +322,12 @@ impl Stage {
         }
     }
 
-    /// Whether the device works on a frame.
+    /// True if the device works on a frame.
     pub fn is_waiting(&self) -> bool {
         !self.pending.is_empty()
     }
 
-    /// Takes note of frames that are done.
+    /// Records finished frames.
     pub fn poll(&mut self, present: &Present) -> Result<()> {
         while let Some(first) = self.pending.front() {
             if !present.is_done(first.slot)? {
@@ -362,7 +362,7 @@ impl Stage {
         Ok(())
     }
 
-    /// Draws and shows a frame. False where the window is not ready.
+    /// Draws and shows a frame. False if the window is not ready.
     pub fn draw(&mut self, present: &mut Present, due: Due) -> Result<bool> {
         let Some(size) = present.size()? else { return Ok(false) };
         self.size = size;
@@ -407,7 +407,7 @@ impl Stage {
         Ok(true)
     }
 
-    /// What must be there before a frame is begun; the picture itself, where the processor colours it.
+    /// Allocates what the frame needs. Returns the picture in a mode that the processor colours.
     fn prepare(
         &mut self,
         present: &Present,

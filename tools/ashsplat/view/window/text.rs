@@ -1,19 +1,19 @@
-//! Lines of text as a picture that is blended over another: letters of 8 by 8 dots on a dark ground.
+//! Lines of text as a picture to blend over another: letters of 8 by 8 dots on a dark ground.
 
 use font8x8::{BASIC_FONTS, GREEK_FONTS, LATIN_FONTS, UnicodeFonts};
 
-/// Dots of a letter, across and down.
+/// Width and height of a letter, dots.
 const LETTER: u32 = 8;
-/// Dots from one line to the next, and around all lines.
+/// Distance between lines, and margin around all lines, dots.
 const LINE: u32 = 11;
 const MARGIN: u32 = 5;
-/// Premultiplied colour, and how much of what lies behind is left.
+/// Premultiplied colour, and transmittance.
 const GROUND: [f32; 4] = [0.02, 0.025, 0.035, 0.42];
 const LETTERS: [f32; 4] = [0.93, 0.95, 0.97, 0.0];
-/// Letters of the page that the font has not.
+/// Replacements of letters that the font lacks.
 const SIMILAR: [(char, char); 4] = [('−', '-'), ('…', '-'), ('–', '-'), ('’', '\'')];
 
-/// A picture of text: what the engine's frames hold per pixel, premultiplied colour and transmittance.
+/// A picture of text. Texels are those of the engine's frames: premultiplied colour and transmittance.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Text {
     pub width: u32,
@@ -33,7 +33,7 @@ fn dots(letter: char) -> [u8; 8] {
     found.or_else(|| GREEK_FONTS.get(similar)).or_else(|| BASIC_FONTS.get('?')).unwrap_or_default()
 }
 
-/// Lines of text, each dot of so many pixels; what exceeds `most` pixels is cut off.
+/// Draws lines of text, `scale` pixels per dot, and cuts off what exceeds `most` pixels.
 pub fn text(lines: &[String], scale: u32, most: [u32; 2]) -> Text {
     let columns = lines.iter().map(|line| line.chars().count() as u32).max().unwrap_or(0);
     if columns == 0 {
@@ -93,7 +93,7 @@ mod tests {
             assert_eq!(a, &b[..20]);
         }
         assert_eq!(text(&[], 2, [1000; 2]), Text::default());
-        // Letters that no font has are question marks.
+        // Letters that no font has become question marks.
         assert_eq!(text(&["€".into()], 1, [100; 2]), text(&["?".into()], 1, [100; 2]));
     }
 }

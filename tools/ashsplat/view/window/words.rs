@@ -1,36 +1,36 @@
-//! What the window says, line by line.
+//! Texts of the window, line by line.
 
 use super::keys::{HELP, ONLY_PAGE};
 use ashsplat::vk::ScopeTime;
 use ashsplat::{PixelReport, SlotReport};
 use serde_json::Value;
 
-/// Gaussians of a pixel that are listed.
+/// Most Gaussians listed for a pixel.
 const LISTED: usize = 16;
-/// Letters of a line of running text, at most.
+/// Most letters of a line of running text.
 const WIDEST: usize = 64;
 
 /// Modes as the page names them.
 pub const MODES: [&str; 5] = ["splats", "centres", "ellipsoids", "depth", "tiles"];
 
-/// What is known of a frame.
+/// Figures of a frame.
 #[derive(Clone, Debug, Default)]
 pub struct Measured {
     /// Size of the picture, pixels.
     pub size: [u32; 2],
-    /// From its beginning, or from the end of the frame before, to its end, ms.
+    /// Time from its start, or from the end of the previous frame if later, to its end, ms.
     pub milliseconds: f64,
     pub gaussians: u32,
     pub visible: u32,
     pub instances: u32,
     /// Time of each stage on the device.
     pub stages: Vec<ScopeTime>,
-    /// What the colours mean: low and high.
+    /// Values of the lowest and the highest colour.
     pub legend: Option<[f32; 2]>,
 }
 
 impl Measured {
-    /// What the processor's drawing tells of its picture.
+    /// Reads the statistics of a picture that the processor coloured.
     pub fn told(stats: &Value) -> Measured {
         let number = |key: &str| stats[key].as_u64().and_then(|n| u32::try_from(n).ok()).unwrap_or(0);
         let [gaussians, visible, instances] = ["gaussians", "visible", "instances"].map(number);
@@ -56,7 +56,7 @@ fn grouped(number: u32) -> String {
     text
 }
 
-/// What is always there: scene, frame, stages, device.
+/// Permanent text: scene, frame, stages, device.
 pub fn status(scene: &str, device: &str, mode: usize, rate: f64, frame: &Measured) -> Vec<String> {
     let [width, height] = frame.size;
     let rate = if rate > 0.0 { format!(" · {rate:.1} frames/s") } else { String::new() };
@@ -84,7 +84,7 @@ pub fn status(scene: &str, device: &str, mode: usize, rate: f64, frame: &Measure
     lines
 }
 
-/// How much of a tree the picture has, and what is still being read.
+/// How complete a tree's picture is, and what is still being read.
 pub fn tree(shown: &Value) -> Option<String> {
     let number = |key: &str| shown[key].as_u64().map(|n| grouped(u32::try_from(n).unwrap_or(u32::MAX)));
     let mut line = format!("{} tiles of a tree of {} Gaussians", number("drawn")?, number("of")?);
@@ -94,7 +94,7 @@ pub fn tree(shown: &Value) -> Option<String> {
     Some(line)
 }
 
-/// What is said when photos' views are to be drawn as photographed, or not any more.
+/// Message when exposure and lens effects of photos are switched on or off.
 pub fn photo_light(on: bool, known: bool) -> &'static str {
     match (on, known) {
         (_, false) => "as photographed: training has learned no exposures and no lens effects",
@@ -103,14 +103,14 @@ pub fn photo_light(on: bool, known: bool) -> &'static str {
     }
 }
 
-/// Why no display can be opened, as winit says it, without the place in its sources.
+/// Message that no display can be opened: winit's words without the place in its sources.
 pub fn no_display(said: &str) -> String {
     let place = said.starts_with("os error at ").then(|| said.split_once(": ")).flatten();
     let said = place.map_or(said, |(_, rest)| rest).trim_end_matches('.');
     format!("no display can be opened ({said})")
 }
 
-/// Text in lines of a bounded width.
+/// Breaks a text into lines of bounded width.
 pub fn wrapped(text: &str) -> Vec<String> {
     let mut lines = vec![String::new()];
     for word in text.split_whitespace() {
@@ -125,7 +125,7 @@ pub fn wrapped(text: &str) -> Vec<String> {
     lines
 }
 
-/// The keys.
+/// Lines of help.
 pub fn help() -> Vec<String> {
     let widest = HELP.iter().map(|(key, _)| key.chars().count()).max().unwrap_or(0);
     let mut lines: Vec<_> = HELP.iter().map(|(key, meaning)| format!("{key:widest$}  {meaning}")).collect();
@@ -136,7 +136,7 @@ pub fn help() -> Vec<String> {
     lines
 }
 
-/// What is blended at a pixel.
+/// Lines about the Gaussians blended at a pixel.
 pub fn picked([x, y]: [u32; 2], report: &PixelReport) -> Vec<String> {
     let [r, g, b] = report.color;
     let opaque = 100.0 * (1.0 - report.transmittance);

@@ -1,9 +1,8 @@
-//! What of a surface is chosen.
+//! Choice of a surface's format, size and mode.
 
 use ashsplat::ash::vk;
 
-/// Formats of a window's images, the best first. Pictures are display-encoded already: a format with a curve of its own
-/// would encode them twice.
+/// Formats of a window's images, best first. Pictures are display-encoded already: an sRGB format would encode them twice.
 const FORMATS: [vk::Format; 5] = [
     vk::Format::B8G8R8A8_UNORM,
     vk::Format::R8G8B8A8_UNORM,
@@ -12,7 +11,7 @@ const FORMATS: [vk::Format; 5] = [
     vk::Format::A2R10G10B10_UNORM_PACK32,
 ];
 
-/// The surface's size, or the window's where the surface takes that of its images.
+/// The surface's size, or the window's if the swapchain determines the surface's.
 pub fn extent(can: &vk::SurfaceCapabilitiesKHR, [width, height]: [u32; 2]) -> vk::Extent2D {
     if can.current_extent.width != u32::MAX {
         return can.current_extent;
@@ -32,7 +31,7 @@ pub fn format(there: &[vk::SurfaceFormatKHR]) -> Option<vk::Format> {
     FORMATS.into_iter().find(usual)
 }
 
-/// In step with the display, or as fast as frames come.
+/// Presents in step with the display, or as fast as frames come.
 pub fn mode(there: &[vk::PresentModeKHR], vsync: bool) -> vk::PresentModeKHR {
     type Mode = vk::PresentModeKHR;
     let fast = [Mode::MAILBOX, Mode::IMMEDIATE];

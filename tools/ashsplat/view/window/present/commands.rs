@@ -26,27 +26,26 @@ const WRITTEN: ImageState = ImageState {
     stages: vk::PipelineStageFlags2::ALL_TRANSFER,
     accesses: vk::AccessFlags2::TRANSFER_WRITE,
 };
-/// An image that was acquired: the semaphore is waited for in this stage. What it shows is overwritten.
+/// An acquired image: the semaphore is waited for in this stage, and the old contents are overwritten.
 const ACQUIRED: ImageState = ImageState {
     layout: vk::ImageLayout::UNDEFINED,
     stages: vk::PipelineStageFlags2::ALL_TRANSFER,
     accesses: vk::AccessFlags2::NONE,
 };
-/// The semaphore that presentation waits for does the rest.
+/// An image to present. The semaphore of the presentation does the rest.
 const SHOWN: ImageState = ImageState {
     layout: vk::ImageLayout::PRESENT_SRC_KHR,
     stages: vk::PipelineStageFlags2::NONE,
     accesses: vk::AccessFlags2::NONE,
 };
 
-/// A command buffer that is being recorded, outside of a render pass.
 pub struct Images<'a> {
     pub device: &'a ash::Device,
     pub commands: vk::CommandBuffer,
 }
 
 impl Images<'_> {
-    /// Waits for a use and makes the image ready for another.
+    /// Waits for one use and prepares the image for the next.
     fn barrier(&self, image: vk::Image, from: ImageState, to: ImageState) {
         let barriers = [vk::ImageMemoryBarrier2::default()
             .src_stage_mask(from.stages)
@@ -105,7 +104,7 @@ impl Images<'_> {
         WRITTEN
     }
 
-    /// Copies a picture into an image of the swapchain that was acquired, and makes that ready to be shown.
+    /// Copies a picture into an acquired image of the swapchain, and makes that image ready to present.
     pub fn show(&self, picture: &Image, used: ImageState, image: vk::Image, extent: [u32; 2]) {
         self.barrier(picture.handle(), used, READ);
         self.barrier(image, ACQUIRED, WRITTEN);

@@ -1,5 +1,5 @@
-//! A window's surface on the engine's device: swapchain, frames in flight, and the commands that the engine has not. The
-//! window is a host in raw Vulkan here, and the only part of the program that is.
+//! A window's surface on the engine's device: swapchain, frames in flight, and commands that the engine lacks. The window is a
+//! raw Vulkan host, the only part of the program that is one.
 
 mod choice;
 mod commands;
@@ -16,12 +16,12 @@ use swapchain::{Choice, Swapchain};
 use winit::raw_window_handle::{HasDisplayHandle, HasWindowHandle};
 use winit::window::Window;
 
-/// Frames that the device works on at once.
+/// Most frames that the device works on at once.
 pub const FRAMES_IN_FLIGHT: u32 = 2;
-/// Longest wait for an image of the swapchain, ns: of a window that nobody sees, there may be none.
+/// Longest wait for an image of the swapchain, ns: an invisible window may get none.
 const LONGEST_WAIT: u64 = 250_000_000;
 
-/// The error of a failed call.
+/// Converts the result of a failed call.
 fn failed(call: &'static str) -> impl Fn(vk::Result) -> Error {
     move |result| match result {
         vk::Result::ERROR_DEVICE_LOST => Error::DeviceLost { call },
@@ -29,12 +29,12 @@ fn failed(call: &'static str) -> impl Fn(vk::Result) -> Error {
     }
 }
 
-/// Why a device or a display cannot be used for a window.
+/// Error of a device or a display that cannot be used for a window.
 pub fn unfit(problem: &str) -> Error {
     Error::argument("--window", format!("{problem}; without --window the viewer is a page in a browser"))
 }
 
-/// Extensions of the instance that surfaces of a display need.
+/// Instance extensions that surfaces of a display need.
 pub fn instance_extensions(display: &impl HasDisplayHandle) -> Result<Vec<&'static CStr>> {
     let handle = display.display_handle().map_err(|error| unfit(&error.to_string()))?;
     let names = ash_window::enumerate_required_extensions(handle.as_raw());
@@ -43,35 +43,33 @@ pub fn instance_extensions(display: &impl HasDisplayHandle) -> Result<Vec<&'stat
     Ok(names.iter().map(|&name| unsafe { CStr::from_ptr(name) }).collect())
 }
 
-/// Extensions of the device that a window needs.
+/// Device extensions that a window needs.
 pub const DEVICE_EXTENSIONS: [&CStr; 1] = [khr::swapchain::NAME];
 
-/// A command buffer with what orders it.
+/// A command buffer with its synchronization.
 struct InFlight {
     pool: vk::CommandPool,
     commands: vk::CommandBuffer,
     /// Signalled when the image of the swapchain may be written.
     acquired: vk::Semaphore,
-    /// Signalled when the commands are done; signalled before the first, too.
+    /// Signalled when the commands are done, and before the first use.
     done: vk::Fence,
 }
 
-/// A frame that is being recorded.
+/// A frame being recorded.
 pub struct Turn {
-    /// Of the frames in flight.
+    /// Index among the frames in flight.
     slot: u32,
-    /// Of the swapchain.
+    /// Index among the swapchain's images.
     image: u32,
 }
 
 impl Turn {
-    /// Its place among the frames in flight.
     pub fn slot(&self) -> u32 {
         self.slot
     }
 }
 
-/// Shows pictures in a window.
 pub struct Present {
     device: ash::Device,
     queue: vk::Queue,
@@ -80,26 +78,26 @@ pub struct Present {
     swapchains: khr::swapchain::Device,
     physical: vk::PhysicalDevice,
     swapchain: Option<Swapchain>,
-    /// Whether the swapchain does not fit the surface any more.
+    /// True if the swapchain no longer fits the surface.
     stale: bool,
     vsync: bool,
     frames: Vec<InFlight>,
     next: usize,
-    // Alive until all the above is destroyed.
+    // Must outlive all objects above.
     window: Arc<Window>,
     context: Context,
     _entry: ash::Entry,
 }
 
 impl Present {
-    /// The surface of a window. The context has the extensions that surfaces need ([`instance_extensions`],
+    /// Creates a window's surface. The context must have the extensions that surfaces need ([`instance_extensions`],
     /// [`DEVICE_EXTENSIONS`]).
     pub fn new(context: &Context, window: Arc<Window>, vsync: bool) -> Result<Present> {
         let (instance, physical, device, family) = context.handles();
         let display = window.display_handle().map_err(|error| unfit(&error.to_string()))?.as_raw();
         let handle = window.window_handle().map_err(|error| unfit(&error.to_string()))?.as_raw();
-        // SAFETY: the loader is there already: the context uses it. All handles are alive, and stay so: the value holds
-        // window, context and loader, and destroys what it makes of them before.
+        // SAFETY: the context already uses the loader. All handles outlive this value: it holds window, context and loader, and
+        // destroys its objects before them.
         unsafe {
             let entry = ash::Entry::load().map_err(|e| Error::NoLoader { reason: e.to_string() })?;
             let surface = ash_window::create_surface(&entry, &instance, display, handle, None)
@@ -128,7 +126,7 @@ impl Present {
         }
     }
 
-    /// Refuses a device that cannot show pictures in this window.
+    /// Refuses a device that cannot present to this window.
     fn check(&self, instance: &ash::Instance, family: u32) -> Result<()> {
         let (physical, name) = (self.physical, self.context.device_name());
         // SAFETY: plain queries on live handles.
@@ -163,7 +161,7 @@ impl Present {
             acquired: vk::Semaphore::null(),
             done: vk::Fence::null(),
         };
-        // SAFETY: valid create infos for this device; what exists is destroyed with the value.
+        // SAFETY: valid create infos for this device; existing objects are destroyed with the value.
         let made = unsafe {
             let pool = vk::CommandPoolCreateInfo::default().queue_family_index(family);
             let fence = vk::FenceCreateInfo::default().flags(vk::FenceCreateFlags::SIGNALED);
@@ -187,7 +185,7 @@ impl Present {
         made
     }
 
-    /// The size of the surface, for which there is a swapchain then; None where there is nothing to see: a minimised
+    /// Returns the surface's size, after recreating a swapchain that does not fit. None if there are no pixels: a minimised
     /// window.
     pub fn size(&mut self) -> Result<Option<[u32; 2]>> {
         let size = self.window.inner_size();
@@ -196,7 +194,7 @@ impl Present {
         if self.stale || self.swapchain.as_ref().is_none_or(|old| old.extent != choice.extent) {
             self.idle()?;
             let old = self.swapchain.take();
-            // SAFETY: nothing runs any more that uses the old one's images and semaphores.
+            // SAFETY: the device is idle, so nothing uses the old one's images and semaphores.
             unsafe {
                 let new = Swapchain::new(&self.device, &self.swapchains, self.surface, &choice, old.as_ref());
                 if let Some(old) = old {
@@ -209,7 +207,7 @@ impl Present {
         Ok(Some([choice.extent.width, choice.extent.height]))
     }
 
-    /// Waits until the frame is done whose place is taken next.
+    /// Waits until the next slot is free. Returns the slot.
     pub fn wait(&self) -> Result<u32> {
         // SAFETY: the fence is alive; it is signalled or its submission runs.
         let waited = unsafe { self.device.wait_for_fences(&[self.frames[self.next].done], true, u64::MAX) };
@@ -217,27 +215,27 @@ impl Present {
         Ok(self.next as u32)
     }
 
-    /// Whether the frame that was submitted last in a place is done.
+    /// True if the last frame submitted in a slot is done.
     pub fn is_done(&self, slot: u32) -> Result<bool> {
         // SAFETY: the fence is alive.
         let done = unsafe { self.device.get_fence_status(self.frames[slot as usize].done) };
         done.map_err(failed("vkGetFenceStatus"))
     }
 
-    /// Waits until nothing runs any more.
+    /// Waits until the device is idle.
     pub fn idle(&self) -> Result<()> {
         let _held = self.context.hold_queues()?;
-        // SAFETY: the queues are held, so that no other thread uses them.
+        // SAFETY: the queues are held: no other thread uses them.
         unsafe { self.device.device_wait_idle() }.map_err(failed("vkDeviceWaitIdle"))
     }
 
-    /// Begins a frame, when the one before in its place is done. None: not now.
+    /// Waits for the next slot and begins a frame. None if no image is available.
     pub fn begin(&mut self) -> Result<Option<Turn>> {
         let slot = self.wait()?;
         let Some(swapchain) = &self.swapchain else { return Ok(None) };
         let frame = &self.frames[self.next];
-        // SAFETY: the semaphore is not waited for any more: the fence of the submission that did is signalled. The pool's
-        // command buffer is executed no more.
+        // SAFETY: the fence of the submission that waited for the semaphore is signalled. No command buffer of the pool is
+        // executing.
         unsafe {
             let acquired = self.swapchains.acquire_next_image(
                 swapchain.raw,
@@ -270,9 +268,9 @@ impl Present {
     /// The frame's command buffer, for the engine.
     pub fn commands(&self, turn: &Turn) -> Result<ForeignCommands> {
         let commands = self.frames[turn.slot as usize].commands;
-        // SAFETY: it is being recorded, outside of a render pass, and submitted once, by `finish`. `begin` has waited for
-        // the fence of what was recorded before in this place, whose number is that of the slots it is recorded through.
-        // The host does not touch what is recorded until then.
+        // SAFETY: it is being recorded, outside of a render pass, and `finish` submits it once. `begin` has waited for the
+        // fence of the slot's previous recording, and the slots have the same numbers. The host leaves the recorded contents
+        // alone until then.
         unsafe { self.context.adopt_commands(commands) }
     }
 
@@ -280,17 +278,17 @@ impl Present {
         Images { device: &self.device, commands: self.frames[turn.slot as usize].commands }
     }
 
-    /// Records a fill with one colour. The answer is the image's use then.
+    /// Records a fill with one colour. Returns the image's new state.
     pub fn clear(&self, turn: &Turn, image: &Image, from: ImageState, color: [f32; 3]) -> ImageState {
         self.images(turn).clear(image, from, color)
     }
 
-    /// Records a copy of an image of another size. The answer is the use of the second then.
+    /// Records a copy of an image to one of another size. Returns the second image's new state.
     pub fn enlarge(&self, turn: &Turn, [from, to]: [&Image; 2], uses: [ImageState; 2]) -> ImageState {
         self.images(turn).scale([from, to], uses)
     }
 
-    /// Copies the picture to the window's image, submits the frame and shows it. The picture has the surface's size.
+    /// Copies the picture to the window's image, submits the frame and presents it. The picture has the surface's size.
     pub fn finish(&mut self, turn: Turn, picture: &Image, used: ImageState) -> Result<()> {
         let Some(swapchain) = &self.swapchain else { return Ok(()) };
         let (image, presented) = swapchain.image(turn.image);
@@ -313,7 +311,7 @@ impl Present {
             .swapchains(&raw)
             .image_indices(&indices);
         let held = self.context.hold_queues()?;
-        // SAFETY: recorded since `begin`; the fence is signalled and nobody waits for it; the queues are held, so that no other
+        // SAFETY: recorded since `begin`; the fence is signalled and nobody waits for it; the queues are held, so no other
         // thread uses them.
         let shown = unsafe {
             self.device.end_command_buffer(frame.commands).map_err(failed("vkEndCommandBuffer"))?;
@@ -334,9 +332,9 @@ impl Present {
 
 impl Drop for Present {
     fn drop(&mut self) {
-        // A lost device has nothing to wait for.
+        // Waiting fails only for a lost device, which needs no wait.
         self.idle().ok();
-        // SAFETY: nothing runs any more; null handles are allowed; the surface goes after its swapchain.
+        // SAFETY: the device is idle; null handles are allowed; the surface goes after its swapchain.
         unsafe {
             for frame in &self.frames {
                 self.device.destroy_fence(frame.done, None);

@@ -1,14 +1,14 @@
-//! The images of a window, and how they are chosen.
+//! The images of a window, and their choice.
 
 use super::choice::{extent, format, mode};
 use super::{failed, unfit};
 use ashsplat::Result;
 use ashsplat::ash::{self, khr, vk};
 
-/// Format of the pictures that are shown: one that the engine writes.
+/// Format of the displayed pictures, one that the engine writes.
 pub const CANVAS: vk::Format = vk::Format::R8G8B8A8_UNORM;
 
-/// What a swapchain is made of.
+/// Parameters of a swapchain.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Choice {
     pub format: vk::Format,
@@ -20,7 +20,7 @@ pub struct Choice {
 }
 
 impl Choice {
-    /// What fits the surface of a window of a size; None if that has no pixels.
+    /// Chooses parameters for the surface of a window of this size; none if it has no pixels.
     pub fn of(
         surfaces: &khr::surface::Instance,
         physical: vk::PhysicalDevice,
@@ -67,12 +67,12 @@ impl Choice {
 pub struct Swapchain {
     pub raw: vk::SwapchainKHR,
     pub extent: vk::Extent2D,
-    /// Each with the semaphore that its presentation waits for: it is free again when the image is.
+    /// Images with the semaphore that each presentation waits for: it is free again when its image is.
     images: Vec<(vk::Image, vk::Semaphore)>,
 }
 
 impl Swapchain {
-    /// In place of an old one.
+    /// Replaces an old swapchain, if there is one.
     ///
     /// # Safety
     /// Device, surface and the old one are alive and belong together; the device supports presentation to the surface.
@@ -97,7 +97,7 @@ impl Swapchain {
             .present_mode(choice.mode)
             .clipped(true)
             .old_swapchain(old.map_or(vk::SwapchainKHR::null(), |old| old.raw));
-        // SAFETY: as promised; what was made is destroyed where the rest fails.
+        // SAFETY: as promised; on failure, objects made so far are destroyed.
         unsafe {
             let raw = loader.create_swapchain(&info, None).map_err(failed("vkCreateSwapchainKHR"))?;
             let mut swapchain = Swapchain { raw, extent: choice.extent, images: Vec::new() };
@@ -118,7 +118,7 @@ impl Swapchain {
         }
     }
 
-    /// An image, and what its presentation waits for.
+    /// Returns an image and the semaphore that its presentation waits for.
     pub fn image(&self, index: u32) -> (vk::Image, vk::Semaphore) {
         self.images[index as usize]
     }
