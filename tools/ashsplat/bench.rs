@@ -1,4 +1,4 @@
-//! `ashsplat bench`: the time of every kernel, against the device's own copy bandwidth; and what quality costs.
+//! `ashsplat bench`: measures every kernel beside the device's own copy bandwidth, and the cost of quality.
 
 mod arguments;
 pub mod compare;
@@ -37,7 +37,7 @@ use std::process::ExitCode;
 use tasks::Task;
 use workload::SceneArguments;
 
-/// Exit code of a comparison that found what --fail-above looks for, apart from that of every failure.
+/// Exit code of a comparison that --fail-above fails. Other failures have another.
 const REGRESSION: u8 = 1;
 
 /// Measure: every kernel's time, workgroups and bytes, beside what this device copies per second.
@@ -120,7 +120,7 @@ pub fn run(arguments: &Arguments) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// What all workloads of a report share.
+/// Parameters shared by all workloads of a report.
 #[derive(Clone, Copy)]
 struct Plan {
     iterations: Iterations,
@@ -213,7 +213,7 @@ fn measure_all(
     tasks: impl FnOnce(&Context) -> Result<Vec<Task>>,
 ) -> Result<()> {
     output.check(&[])?;
-    // Before the scenes, which may have many photos: a missing device is reported at once.
+    // A missing device is reported before the scenes, which may have many photos, are read.
     let context = output.context()?;
     let tasks = tasks(&context)?;
     let yardsticks = Yardsticks::measure(&context)?;
@@ -244,7 +244,7 @@ fn measure_all(
     Ok(())
 }
 
-/// Where several runs have the same name, all but the first get their size behind it.
+/// Appends the size to the names of runs that repeat an earlier name.
 fn name_apart(runs: &mut [Run]) {
     let mut seen: Vec<String> = Vec::new();
     for run in runs {
@@ -266,7 +266,7 @@ fn name_apart(runs: &mut [Run]) {
     }
 }
 
-/// A report of runs that were measured on a context.
+/// Makes the report of runs measured on a context.
 pub fn assemble(
     context: &Context,
     iterations: Iterations,

@@ -1,4 +1,4 @@
-//! What the sub-commands of `bench` take: each only what it uses.
+//! Arguments of the sub-commands of `bench`.
 
 use super::forms::FormArguments;
 use super::measure::Iterations;
@@ -28,7 +28,7 @@ pub struct IterationArguments {
 }
 
 impl IterationArguments {
-    /// Every second one timed command by command.
+    /// Times every second iteration command by command.
     pub fn get(self) -> Iterations {
         Iterations { measured: self.iterations, warmup: self.warmup, timed: true, reads_back: true }
     }
@@ -60,7 +60,7 @@ impl OutputArguments {
         self.device.context_with(|options| options.timestamps = !self.host_clock)
     }
 
-    /// Refuses files that cannot be written, before anything is measured. `more`: a sub-command's other files.
+    /// Refuses files that cannot be written, before anything is measured. `more`: the sub-command's further files.
     pub fn check(&self, more: &[(&'static str, Option<&Path>)]) -> Result<()> {
         let own = [("--json", self.json.as_deref()), ("--csv", self.csv.as_deref())];
         output::check(&[&own, more].concat())
@@ -103,7 +103,7 @@ pub struct ReadBackArguments {
 }
 
 impl ReadBackArguments {
-    /// With these iterations.
+    /// Applies the choice to these iterations.
     pub fn of(self, iterations: Iterations) -> Iterations {
         Iterations { reads_back: !self.no_read_back, ..iterations }
     }

@@ -6,13 +6,12 @@ use ashsplat_files::regular_file;
 use serde_json::Value;
 use std::path::Path;
 
-/// Times that differ by less than this share count as equal for any spread, because clocks and frequencies
-/// drift.
+/// Relative difference of times that counts as equal whatever their spread, because clocks and frequencies drift.
 const DRIFT: f64 = 0.10;
-/// Times that differ by less per call are the same: the cost of a dispatch jitters by this much.
+/// Difference per call that counts as equal: the cost of a dispatch jitters by this much.
 const JITTER_US: f64 = 10.0;
 
-/// One kernel, or the whole, in both files.
+/// One kernel, or a whole iteration, in both files.
 pub struct Line {
     pub run: String,
     pub scope: String,
@@ -22,7 +21,7 @@ pub struct Line {
     pub b_us: Spread,
 }
 
-/// How B's time stands to A's.
+/// Judgement of B's time against A's.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
     Same,
@@ -31,7 +30,7 @@ pub enum Verdict {
 }
 
 impl Line {
-    /// A time of a whole iteration.
+    /// A line for the time of a whole iteration.
     pub fn whole(run: &str, what: &str, a_us: Spread, b_us: Spread) -> Self {
         Self { run: run.to_owned(), scope: String::new(), kernel: what.to_owned(), calls: 1, a_us, b_us }
     }
@@ -46,7 +45,7 @@ impl Line {
         (self.b_us.min / self.a_us.p90.max(1e-9), self.b_us.p90 / self.a_us.min.max(1e-9))
     }
 
-    /// Same where the spreads (least to 90th percentile, widened by drift and jitter) overlap.
+    /// Returns `Same` if the spreads overlap. A spread goes from the least to the 90th percentile, widened by drift and jitter.
     pub fn verdict(&self) -> Verdict {
         let slack = |time: f64| time * DRIFT + JITTER_US * f64::from(self.calls);
         if self.b_us.min > self.a_us.p90 + slack(self.a_us.p90) {
@@ -59,7 +58,7 @@ impl Line {
     }
 }
 
-/// Reads a result file; one of another schema is refused.
+/// Reads a result file; refuses one of another schema.
 pub fn read(path: &Path) -> Result<Report> {
     let text = regular_file::read_json(path)?;
     let value: Value = serde_json::from_slice(&text).map_err(|e| {
@@ -82,7 +81,7 @@ pub fn read(path: &Path) -> Result<Report> {
     }
 }
 
-/// A spread of a run that no measurement gives, named; none where all are well.
+/// Names a spread of a run that no measurement can give; none if all are plausible.
 fn broken_spread(run: &Run) -> Option<String> {
     let cost = run.cost_of_measuring;
     let whole = [
@@ -105,7 +104,7 @@ fn broken_spread(run: &Run) -> Option<String> {
     ))
 }
 
-/// Pairs two reports up; those of different workloads are refused.
+/// Pairs up two reports; refuses those of different workloads.
 pub fn compare(a: &Report, b: &Report) -> Result<Vec<Line>> {
     let names = |report: &Report| report.runs.iter().map(|r| r.name.clone()).collect::<Vec<_>>().join(", ");
     if names(a) != names(b) {
@@ -141,8 +140,8 @@ pub fn compare(a: &Report, b: &Report) -> Result<Vec<Line>> {
     Ok(lines)
 }
 
-/// Kernels whose time only one of the reports has, and processor times: "only in A: ..."; and runs that are blended in another
-/// form.
+/// Lists times that only one report has ("only in A: ..."), of kernels and of the processor. Also lists runs blended in
+/// different forms.
 pub fn unpaired(a: &Report, b: &Report) -> Vec<String> {
     let mut found = Vec::new();
     for (a, b) in a.runs.iter().zip(&b.runs) {
@@ -166,12 +165,12 @@ pub fn unpaired(a: &Report, b: &Report) -> Vec<String> {
     found
 }
 
-/// The time of the same kernel in the same stage.
+/// Returns the time of the same kernel in the same stage.
 fn time_of_twin(kernel: &KernelResult, among: &[KernelResult]) -> Option<Spread> {
     among.iter().find(|k| (&k.scope, &k.kernel) == (&kernel.scope, &kernel.kernel))?.time_us
 }
 
-/// The kernels of one measurement whose time the other has not, and that time.
+/// Returns the kernels that have a time in one measurement only, with that time.
 pub fn alone<'a>(
     one: &'a [KernelResult],
     other: &'a [KernelResult],
@@ -194,7 +193,7 @@ pub fn kernels(run: &str, a: &[KernelResult], b: &[KernelResult]) -> Vec<Line> {
 
 fn check_workloads(a: &Run, b: &Run) -> Result<()> {
     let (wa, wb) = (&a.workload, &b.workload);
-    // Training from points ends with as many Gaussians as it makes.
+    // Training from points ends with as many Gaussians as it makes, so their number is no part of the workload.
     let grows = a.name.starts_with("train") && !a.name.starts_with("train-step");
     let gaussians = |w: &Workload| if grows { None } else { w.gaussians };
     let size = |w: &Workload| (w.elements, gaussians(w), w.sh_degree, w.width, w.height);
@@ -210,7 +209,6 @@ fn check_workloads(a: &Run, b: &Run) -> Result<()> {
     Err(Error::argument(format!("the workloads of {} differ", a.name), problem))
 }
 
-/// The comparison as a table.
 pub fn table(lines: &[Line]) -> String {
     let mut out = format!(
         "{:<11} {:<16} {:<26} {:>11} {:>11} {:>7}  {:<16} {}\n",
@@ -237,7 +235,7 @@ pub fn table(lines: &[Line]) -> String {
     out
 }
 
-/// The kernels that became slower than `limit` times, beyond their spread: "sort sort/sort_upsweep in 'sort' 2.00 times".
+/// Lists kernels that became more than `limit` times slower, beyond their spread: "sort sort/sort_upsweep in 'sort' 2.00 times".
 pub fn slower(lines: &[Line], limit: f64) -> Vec<String> {
     let slow = lines.iter().filter(|line| line.verdict() == Verdict::Slower && line.ratio() > limit);
     let named = slow.map(|line| {

@@ -1,5 +1,5 @@
-//! What a compiler says of kernels: the schema `ashsplat-static/1`, which `profile --static` writes, its table, and two such
-//! files compared.
+//! A compiler's figures of kernels: the schema `ashsplat-static/1`, which `profile --static` writes, its table, and the
+//! comparison of two files.
 
 use super::schema::{Device, Program};
 use ashsplat::vk::{ConstantKind, Executable, KernelInterface, KernelVisitor, PipelineStatistics};
@@ -12,14 +12,14 @@ use std::path::Path;
 /// The schema's name and version, first field of every file.
 pub const SCHEMA: &str = "ashsplat-static/1";
 
-/// What one device's compiler makes of the kernels.
+/// Figures of the kernels from one device's compiler.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Compiled {
     /// [`SCHEMA`].
     pub schema: String,
     pub program: Program,
     pub device: Device,
-    /// "render", "train-step" or "all": whose pipelines these are.
+    /// Which pipelines these are: "render", "train-step" or "all".
     pub what: String,
     pub pipelines: Vec<Pipeline>,
 }
@@ -28,48 +28,48 @@ pub struct Compiled {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Pipeline {
     pub kernel: String,
-    /// Whether it is the form that reads texels.
+    /// True for the form that reads texels.
     pub texels: bool,
-    /// The subgroup size that was compiled for; 0: the driver does not say.
+    /// Subgroup size of the compilation; 0 if the driver does not say.
     pub subgroup_size: u32,
     pub workgroup_size: [u32; 3],
     /// Specialization constants by name.
     pub constants: BTreeMap<String, String>,
     pub figures: Figures,
-    /// All figures in the driver's words.
+    /// All figures, under the driver's names.
     pub statistics: BTreeMap<String, f64>,
 }
 
-/// Figures that several drivers give, under one name. Null where the driver does not give them.
+/// Figures that several drivers give, under common names. Null where the driver does not give them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Figures {
-    /// Registers of an invocation: AMD's VGPRs, NVIDIA's GPRs, Intel's most live ones.
+    /// Registers of an invocation: VGPRs (AMD), GPRs (NVIDIA), most live registers (Intel).
     pub registers: Option<f64>,
-    /// AMD's SGPRs.
+    /// SGPRs (AMD).
     pub scalar_registers: Option<f64>,
-    /// Registers that were written to memory for lack of room, and read back. AMD's compiler does not tell the two apart.
+    /// Registers that were written to memory because there were too few, and read back. AMD's compiler gives only their sum.
     pub spills: Option<f64>,
     pub fills: Option<f64>,
-    /// Bytes of memory of an invocation: arrays, and what was spilled, which NVIDIA's drivers may tell only here.
+    /// Bytes of memory of an invocation: arrays and spills. NVIDIA's drivers may report spills only here.
     pub scratch_bytes: Option<f64>,
     /// Shared memory of a workgroup.
     pub shared_bytes: Option<f64>,
-    /// Subgroups that fit on a SIMD at a time; of NVIDIA a quarter of the warps that fit on an SM.
+    /// Subgroups that fit on a SIMD at a time; for NVIDIA, a quarter of the warps that fit on an SM.
     pub subgroups_per_simd: Option<f64>,
-    /// The compiler's estimate, cycles.
+    /// Estimate of the compiler, cycles.
     pub latency: Option<f64>,
-    /// Cycles per subgroup with all others beside it, estimated.
+    /// Estimated cycles per subgroup when the machine is full.
     pub inverse_throughput: Option<f64>,
     pub instructions: Option<f64>,
     pub code_bytes: Option<f64>,
 }
 
-/// An SM of NVIDIA has four partitions, each with a scheduler and registers of its own, as a SIMD of AMD has.
+/// An NVIDIA SM has four partitions with their own scheduler and registers, like AMD's SIMDs.
 const SIMDS_PER_SM: f64 = 4.0;
 
 impl Figures {
     fn of(executable: &Executable) -> Self {
-        // As Mesa's drivers for AMD, Intel and NVIDIA call them, small letters.
+        // Names in Mesa's drivers for AMD, Intel and NVIDIA, in lower case.
         let any = |names: &[&str]| {
             let known = |name: &str| names.contains(&name.to_lowercase().as_str());
             let found: Vec<f64> =
@@ -89,7 +89,7 @@ impl Figures {
             fills: any(&["fill count", "fills from memory", "num fills from memory"]),
             scratch_bytes: any(&["scratch size", "scratch memory size", "slm size", "local memory size"]),
             shared_bytes: any(&["lds size", "workgroup memory size", "shared memory size"]),
-            // Warps are counted per SM: divided, the figure compares with those of other drivers.
+            // Warps are counted per SM: the quotient compares with other drivers' figures.
             subgroups_per_simd: any(&["subgroups per simd", "max waves"])
                 .or_else(|| any(&["max warps/sm"]).map(|warps| warps / SIMDS_PER_SM)),
             latency: any(&["latency", "cycle count", "static cycle count"]),
@@ -99,13 +99,13 @@ impl Figures {
         }
     }
 
-    /// Whether anything had no room in registers.
+    /// True if any register was spilled.
     pub fn has_spilled(&self) -> bool {
         [self.spills, self.fills].into_iter().flatten().any(|count| count > 0.0)
     }
 }
 
-/// The constants' names and kinds of a kernel.
+/// Collects names and kinds of a kernel's constants.
 struct Constants<'a> {
     kernel: &'a str,
     found: BTreeMap<u32, (&'static str, ConstantKind)>,
@@ -120,7 +120,7 @@ impl KernelVisitor for Constants<'_> {
 }
 
 impl Pipeline {
-    /// Of a pipeline's largest program: drivers that compile several choose among them when it runs.
+    /// Figures of a pipeline's largest program. Drivers that compile several choose among them at run time.
     pub fn of(statistics: &PipelineStatistics) -> Self {
         let mut constants = Constants { kernel: statistics.kernel, found: BTreeMap::new() };
         ashsplat::kernels::visit_all(&mut constants);
@@ -143,13 +143,13 @@ impl Pipeline {
         }
     }
 
-    /// The workgroup's size: "16x16", "256".
+    /// Size of the workgroup: "16x16", "256".
     fn workgroup(&self) -> String {
         let size = self.workgroup_size.iter().map(u32::to_string).collect::<Vec<_>>();
         size.join("x").trim_end_matches("x1").to_owned()
     }
 
-    /// The constants but for the sizes, which have columns of their own: "SH_DEGREE=3 ANTIALIAS".
+    /// Constants without the sizes, which have their own columns: "SH_DEGREE=3 ANTIALIAS".
     pub fn variant(&self) -> String {
         let sizes = ["WORKGROUP_SIZE", "SUBGROUP_SIZE"];
         let shown = self.constants.iter().filter(|(name, _)| !sizes.contains(&name.as_str()));
@@ -171,14 +171,14 @@ fn value(kind: ConstantKind, bits: u32) -> String {
     }
 }
 
-/// Whether a file is of this schema; for what reads files of several.
+/// True if a file has this schema.
 pub fn is_one(path: &Path) -> bool {
     let text = regular_file::read_json(path).unwrap_or_default();
     let value = serde_json::from_slice::<serde_json::Value>(&text).unwrap_or_default();
     value.get("schema").and_then(|schema| schema.as_str()) == Some(SCHEMA)
 }
 
-/// Reads a file; one of another schema is refused.
+/// Reads a file; refuses one of another schema.
 pub fn read(path: &Path) -> Result<Compiled> {
     let text = regular_file::read_json(path)?;
     let remedy = "give a file that `ashsplat profile --static --json` wrote";
@@ -191,8 +191,8 @@ pub fn read(path: &Path) -> Result<Compiled> {
     Ok(compiled)
 }
 
-/// The heaviest variant of each kernel, and how many it has: that with the most spills; among equals that with the most scratch
-/// memory, then registers, then instructions, or bytes of code where the driver does not count instructions.
+/// Returns the heaviest variant of each kernel, and the number of its variants. Order: spills, scratch memory, registers, then
+/// instructions, or bytes of code if the driver does not count instructions.
 pub fn heaviest(compiled: &Compiled) -> BTreeMap<&str, (&Pipeline, usize)> {
     let weight = |p: &Pipeline| {
         let f = &p.figures;
@@ -210,7 +210,7 @@ pub fn heaviest(compiled: &Compiled) -> BTreeMap<&str, (&Pipeline, usize)> {
     kernels
 }
 
-/// A figure that may be missing.
+/// Formats a figure that may be missing.
 pub fn shown(figure: Option<f64>) -> String {
     match figure {
         None => "-".to_owned(),
@@ -220,10 +220,10 @@ pub fn shown(figure: Option<f64>) -> String {
     }
 }
 
-/// A figure that is compared: its name, where it is, and whether more of it is better.
+/// A compared figure: its name, its getter, and true if more is better.
 type Compared = (&'static str, fn(&Figures) -> Option<f64>, bool);
 
-/// Registers and instructions are no fault by themselves.
+/// Compared figures. More registers or instructions alone are no fault.
 const COMPARED: [Compared; 7] = [
     ("spills", |f| f.spills, false),
     ("fills", |f| f.fills, false),
@@ -234,25 +234,25 @@ const COMPARED: [Compared; 7] = [
     ("subgroups per SIMD", |f| f.subgroups_per_simd, true),
 ];
 
-/// Two files, A and B, beside each other.
+/// Comparison of two files, A and B.
 #[derive(Default)]
 pub struct Comparison {
-    /// What has become worse from A to B, a line each.
+    /// Figures that are worse in B, a line each.
     pub worse: Vec<String>,
-    /// Variants that only one of them has, a line each.
+    /// Variants that only one file has, a line each.
     pub variants: Vec<String>,
-    /// Kernels that only one of them has, a line each.
+    /// Kernels that only one file has, a line each.
     pub kernels: Vec<String>,
-    /// Pipelines that both have.
+    /// Number of pipelines in both files.
     pub pairs: usize,
-    /// Kernels of both that were compared by the worst figures of variants that only one of them has.
+    /// Number of kernels compared by the worst figures of their unpaired variants.
     pub groups: usize,
-    /// Figures that both have.
+    /// Number of figures in both files.
     pub figures: usize,
 }
 
 impl Comparison {
-    /// Enters the worst figures of some pipelines of A and of B.
+    /// Compares the worst figures of some pipelines of A and of B.
     fn enter(&mut self, name: &str, a: &[&Pipeline], b: &[&Pipeline], limit: f64) {
         for (figure, of, is_more_better) in COMPARED {
             let worst = |all: &[&Pipeline]| {
@@ -270,11 +270,11 @@ impl Comparison {
     }
 }
 
-/// Pipelines with the same sizes and constants are compared one by one. Where a kernel has others in both files, say because a
-/// constant was added, it is compared by the worst of these.
+/// Compares pipelines with the same sizes and constants one by one. If both files have other variants of a kernel, for example
+/// after a constant was added, compares the worst of these.
 ///
 /// # Errors
-/// Where nothing can be compared, named by B's path.
+/// If nothing can be compared. The error names B's path.
 pub fn compare(a: &Compiled, b: &Compiled, path: &Path, limit: f64) -> Result<Comparison> {
     if a.what != b.what {
         let problem =
@@ -286,7 +286,7 @@ pub fn compare(a: &Compiled, b: &Compiled, path: &Path, limit: f64) -> Result<Co
     let key =
         |p: &Pipeline| (p.kernel.clone(), p.texels, p.subgroup_size, p.workgroup_size, p.constants.clone());
     let mut of_a: BTreeMap<_, &Pipeline> = a.pipelines.iter().map(|p| (key(p), p)).collect();
-    // Kernel → what only A has of it, what only B has.
+    // Kernel → variants that only A has, variants that only B has.
     let mut others: BTreeMap<&str, [Vec<&Pipeline>; 2]> = BTreeMap::new();
     for new in &b.pipelines {
         if let Some(old) = of_a.remove(&key(new)) {
@@ -314,7 +314,7 @@ pub fn compare(a: &Compiled, b: &Compiled, path: &Path, limit: f64) -> Result<Co
                 }
             }
         }
-        // New variants of a kernel whose others are paired are held to all that A has of it.
+        // If A has no unpaired variants, new variants of B are compared with all of A's.
         let of_kernel: Vec<&Pipeline> = a.pipelines.iter().filter(|p| p.kernel == *kernel).collect();
         let with = if only_a.is_empty() { &of_kernel } else { only_a };
         if !with.is_empty() && !only_b.is_empty() {
@@ -329,7 +329,7 @@ pub fn compare(a: &Compiled, b: &Compiled, path: &Path, limit: f64) -> Result<Co
     Ok(found)
 }
 
-/// One device: a row per kernel, or per variant.
+/// Table of one device: a row per kernel, or per variant.
 pub fn table(compiled: &Compiled, variants: bool) -> String {
     let names =
         ["registers", "scalar", "spills", "fills", "scratch", "shared", "per SIMD", "latency", "code"];
@@ -365,8 +365,8 @@ pub fn table(compiled: &Compiled, variants: bool) -> String {
     text
 }
 
-/// Several devices beside each other: registers, subgroups per SIMD, latency, spills and fills, and scratch memory of each
-/// kernel's heaviest variant.
+/// Table of several devices: registers, subgroups per SIMD, latency, spills and fills, and scratch memory of each kernel's
+/// heaviest variant.
 pub fn beside(all: &[Compiled]) -> String {
     let each: Vec<_> = all.iter().map(heaviest).collect();
     let kernels: std::collections::BTreeSet<&str> = each.iter().flat_map(|e| e.keys().copied()).collect();

@@ -3,7 +3,7 @@
 use super::schema::{CpuResult, Spread};
 use std::time::Instant;
 
-/// Runs of each.
+/// Runs of each algorithm.
 const RUNS: usize = 5;
 
 /// A (key, value) pair as the device sorts it; the value is the key's position.
@@ -19,7 +19,7 @@ pub fn prefix_sums(values: &[u32]) -> Vec<u32> {
     values.iter().scan(0, next).collect()
 }
 
-/// The scan of one thread.
+/// Times the scan on one thread.
 pub fn scans(values: &[u32]) -> Vec<CpuResult> {
     let mut prefix = vec![0; values.len()];
     let time = time(
@@ -36,7 +36,7 @@ pub fn scans(values: &[u32]) -> Vec<CpuResult> {
     vec![CpuResult { name: "plain loop".into(), threads: 1, time_ms: time }]
 }
 
-/// The standard library's sorts, and that of rdst where the program was built with them.
+/// Times the standard library's sorts, and rdst's if the program was built with it.
 pub fn sorts(keys: &[u32]) -> Vec<CpuResult> {
     let pairs = || -> Vec<Pair> { keys.iter().zip(0..).map(|(&key, value)| Pair { key, value }).collect() };
     let result = |name: &str, threads, sort: &dyn Fn(&mut [Pair])| CpuResult {
@@ -65,7 +65,7 @@ pub fn sorts(keys: &[u32]) -> Vec<CpuResult> {
     results
 }
 
-/// Times of a task on fresh input.
+/// Measures a task on fresh input.
 fn time<T>(input: impl Fn() -> T, mut task: impl FnMut(T)) -> Spread {
     let mut one = || {
         let input = input();

@@ -24,7 +24,6 @@ pub struct FormArguments {
 }
 
 impl FormArguments {
-    /// What was asked for.
     pub fn get(self) -> Option<Blending> {
         self.blending.map(|form| match form {
             Form::Regions => Blending::Regions,
@@ -33,7 +32,7 @@ impl FormArguments {
     }
 }
 
-/// A form's name in results, as on the command line.
+/// A form's name in results and on the command line.
 pub fn name(blending: Blending) -> &'static str {
     match blending {
         Blending::Regions => "regions",
@@ -41,20 +40,19 @@ pub fn name(blending: Blending) -> &'static str {
     }
 }
 
-/// The form of a name.
 pub fn of_name(named: &str) -> Option<Blending> {
     Blending::ALL.into_iter().find(|&form| name(form) == named)
 }
 
-/// A run's kernel that blends forward, where it has a time.
+/// Returns a run's forward blending kernel and its time, if it has one.
 fn kernel(run: &Run) -> Option<(&KernelResult, Spread)> {
     let own = |k: &&KernelResult| k.kernel.starts_with("forward/blend");
     let kernel = run.kernels.iter().find(own)?;
     Some((kernel, kernel.time_us.filter(|time| time.min > 0.0)?))
 }
 
-/// One line for each frame that was blended in both forms: what shared memory takes, by what regions take. The two runs of a
-/// frame follow each other.
+/// One line for each frame blended in both forms: the time of shared memory over that of regions. The two runs of a frame are
+/// neighbours.
 pub fn ratios(runs: &[Run]) -> String {
     let is_of = |run: &Run, form: Blending| {
         let form_first = run.name.strip_prefix("render-").or(run.name.strip_prefix("draw-"));
@@ -103,7 +101,7 @@ mod tests {
         Run { name: name.into(), workload, kernels: vec![kernel], ..Run::default() }
     }
 
-    /// The same frame twice, as where a size is asked for twice: each ratio is of runs that were measured in turn.
+    /// The same frame twice, because its size was given twice: each ratio is that of neighbouring runs.
     #[test]
     fn forms_are_paired_with_their_neighbours() {
         let runs = [

@@ -14,14 +14,14 @@ use ashsplat::{
 };
 use ashsplat_files::Photo;
 
-/// What both are given.
+/// Parameters of both commands.
 #[derive(Clone, Copy)]
 pub struct Job<'a> {
     pub context: &'a Context,
     pub iterations: Iterations,
     pub copy: Option<&'a CopyBandwidth>,
     pub scene: &'a Scene,
-    /// None: the device's.
+    /// None: the device's default.
     pub blending: Option<Blending>,
     pub seed: u64,
 }
@@ -54,7 +54,7 @@ impl Job<'_> {
     }
 }
 
-/// What a frame of this size is made of, but for what is seen. `gaussians`: how many, and room for how many.
+/// Counts of a frame of this size, without its visible Gaussians and instances. `gaussians`: number and capacity.
 pub fn counts(
     context: &Context,
     (gaussians, capacity): (u32, u32),
@@ -66,7 +66,6 @@ pub fn counts(
     Ok(Counts { gaussians, visible: 0, instances: 0, width, height, sh_degree, chunks })
 }
 
-/// A result from what was measured.
 pub fn result(
     context: &Context,
     name: &str,
@@ -80,7 +79,7 @@ pub fn result(
     measured.run(context, name, workload, (&traffic, copy))
 }
 
-/// A frame, as a run is called, by whether its picture is read back.
+/// Name of a frame's run, by whether its picture is read back.
 fn frame_name(iterations: Iterations) -> &'static str {
     if iterations.reads_back { "render" } else { "draw" }
 }
@@ -93,7 +92,7 @@ fn frame(renderer: &mut Renderer, job: &Job, settings: &RenderSettings) -> Resul
     }
 }
 
-/// A frame, and how it was measured.
+/// Measures a frame. Returns the run and its measurement.
 pub fn render(job: &Job) -> Result<(Run, Measured)> {
     let mut renderer = Renderer::new(job.context)?;
     if let Some(form) = job.blending {
@@ -114,7 +113,7 @@ pub fn render(job: &Job) -> Result<(Run, Measured)> {
     ))
 }
 
-/// A frame in both forms of blending, in turn: on the same machine at the same time.
+/// Measures a frame in both forms of blending, in turn.
 pub fn render_both(job: &Job) -> Result<Vec<Run>> {
     let mut renderer = Renderer::new(job.context)?;
     renderer.upload(&job.scene.gaussians)?;
@@ -132,7 +131,7 @@ pub fn render_both(job: &Job) -> Result<Vec<Run>> {
         both.push((form, measurement));
     }
     for round in 0..job.iterations.measured.max(1) {
-        // Neither always goes first.
+        // The two forms take turns at being first.
         for turn in [round, round + 1] {
             let (form, measurement) = &mut both[turn as usize % 2];
             measurement.round(|| Ok(()), || blended(*form))?;
@@ -158,7 +157,7 @@ pub fn steady_settings(sh_degree: u32, seed: u64) -> TrainSettings {
     }
 }
 
-/// What the training of a scene starts from.
+/// Gaussians that the training of a scene starts from.
 pub fn start(scene: &Scene, seed: u64) -> Gaussians {
     match &scene.view {
         Some(_) => scene.gaussians.clone(),
@@ -166,7 +165,7 @@ pub fn start(scene: &Scene, seed: u64) -> Gaussians {
     }
 }
 
-/// The trainer of a scene. A synthetic scene is trained, from a disturbed state, on a picture of itself.
+/// The trainer of a scene. A synthetic scene starts disturbed, and is trained on its own picture.
 pub fn trainer(context: &Context, scene: &Scene, seed: u64) -> Result<Trainer> {
     let view = match &scene.view {
         Some(view) => view.clone(),
@@ -190,7 +189,7 @@ pub fn reach_full_degree(trainer: &mut Trainer) -> Result<()> {
     Ok(())
 }
 
-/// A training step (forward, loss, backward, Adam), and how it was measured.
+/// Measures a training step (forward, loss, backward, Adam). Returns the run and its measurement.
 pub fn train_step(job: &Job) -> Result<(Run, Measured)> {
     let mut trainer = trainer(job.context, job.scene, job.seed)?;
     if let Some(form) = job.blending {

@@ -1,4 +1,4 @@
-//! What a measurement was made on.
+//! Program, machine and device of a measurement.
 
 use super::schema::{Device, Host, Program};
 use ashsplat::vk::Context;
@@ -16,7 +16,6 @@ const VARIABLES: [&str; 6] = [
     "VK_DRIVER_FILES",
 ];
 
-/// The program.
 pub fn program() -> Program {
     Program {
         version: env!("CARGO_PKG_VERSION").to_owned(),
@@ -25,7 +24,7 @@ pub fn program() -> Program {
     }
 }
 
-/// The commit of the checkout that the program was built in, as it stands now; None where the program is older than it.
+/// Current commit of the checkout in which the program was built; none if the program is older than the commit.
 fn commit() -> Option<String> {
     let git = |arguments: &[&str]| {
         let output = Command::new("git").arg("-C").arg(env!("CARGO_MANIFEST_DIR")).args(arguments).output();
@@ -42,7 +41,6 @@ fn commit() -> Option<String> {
     Some(if dirty.is_empty() { commit } else { format!("{commit}-dirty") })
 }
 
-/// The machine.
 pub fn host() -> Host {
     let info = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
     let model = info.lines().find_map(|line| line.strip_prefix("model name")?.split_once(": "));
@@ -53,7 +51,6 @@ pub fn host() -> Host {
     }
 }
 
-/// The device.
 pub fn device(context: &Context) -> Device {
     let (description, l) = (context.description(), context.limits());
     let limits = [
@@ -74,14 +71,14 @@ pub fn device(context: &Context) -> Device {
         subgroup_size: l.subgroup_size,
         heavy_subgroup_size: Some(l.heavy_subgroup_size),
         backend: Some(l.tuning.backend.to_string()),
-        // A driver without hardware gives a period that is no number.
+        // A software driver gives a timestamp period that is no number.
         limits: (limits.into_iter().filter(|(_, value)| value.is_finite()))
             .map(|(name, value)| (name.to_owned(), value))
             .collect(),
     }
 }
 
-/// Those of [`VARIABLES`] that are set.
+/// The [`VARIABLES`] that are set.
 pub fn environment() -> BTreeMap<String, String> {
     let set = |name: &&str| Some(((*name).to_owned(), std::env::var(name).ok()?));
     VARIABLES.iter().filter_map(set).collect()

@@ -1,4 +1,4 @@
-//! Runs a workload again and again and sorts out where its time goes.
+//! Runs a workload repeatedly and splits its time.
 
 use super::schema::{Arena, ArithmeticRate, CopyBandwidth, Cost, KernelResult, Run, Split, Spread, Workload};
 use super::traffic::Traffic;
@@ -13,9 +13,9 @@ use std::time::{Duration, Instant};
 pub struct Iterations {
     pub measured: u32,
     pub warmup: u32,
-    /// Whether every second iteration is timed command by command.
+    /// True if every second iteration is timed command by command.
     pub timed: bool,
-    /// Whether a frame's picture is read back.
+    /// True if a frame's picture is read back.
     pub reads_back: bool,
 }
 
@@ -26,20 +26,20 @@ pub struct Iteration {
     pub submissions: Vec<Submission>,
 }
 
-/// What came of a workload.
+/// Measurements of a workload.
 pub struct Measured {
-    /// With every command timed.
+    /// Iterations with every command timed.
     pub iterations: Vec<Iteration>,
-    /// Wall time per iteration, nothing being timed.
+    /// Wall time of untimed iterations.
     pub untimed_ms: Option<Spread>,
-    /// Processor seconds per iteration, nothing being timed.
+    /// Processor seconds of untimed iterations.
     pub cpu_seconds: Option<Spread>,
-    /// Timed over untimed iterations in turn.
+    /// Ratio of timed to untimed iterations.
     pub cost: Option<Cost>,
 }
 
-/// Runs `iterate` with and without timestamps in turn; `prepare` before each, which does not count. The peaks of memory
-/// begin anew: those of [`Measured::run`] are this workload's own.
+/// Runs `iterate` with and without timestamps in turn, each after an uncounted `prepare`. Memory peaks start anew, so
+/// [`Measured::run`] reports this workload's own.
 pub fn measure(
     context: &Context,
     iterations: Iterations,
@@ -54,7 +54,7 @@ pub fn measure(
     Ok(measurement.end())
 }
 
-/// A workload's rounds. Those of several workloads may be measured in turn.
+/// Rounds of a workload. Several workloads may take turns.
 pub struct Measurement<'a> {
     context: &'a Context,
     timed: bool,
@@ -67,7 +67,6 @@ pub struct Measurement<'a> {
 }
 
 impl<'a> Measurement<'a> {
-    /// Warms up.
     pub fn begin(
         context: &'a Context,
         iterations: Iterations,
@@ -79,7 +78,7 @@ impl<'a> Measurement<'a> {
             iterate()?;
         }
         let profile = context.profile();
-        // Its own memory is not what is measured.
+        // The profile's own memory is allocated here, so that it is not measured.
         prepare()?;
         iterate()?;
         context.set_profile(None);
@@ -95,7 +94,7 @@ impl<'a> Measurement<'a> {
         })
     }
 
-    /// One iteration without timestamps, one with.
+    /// Runs one iteration without timestamps and one with.
     pub fn round(
         &mut self,
         mut prepare: impl FnMut() -> Result<()>,
@@ -133,7 +132,7 @@ impl<'a> Measurement<'a> {
         Ok(())
     }
 
-    /// What came of all rounds.
+    /// Returns the measurements of all rounds.
     pub fn end(self) -> Measured {
         let ratios = if self.timed { self.ratios } else { Vec::new() };
         let processor = self.cpu_ratios.and_then(Spread::of);
@@ -146,13 +145,12 @@ impl<'a> Measurement<'a> {
     }
 }
 
-/// The clock knows living threads only: it goes back when one ends.
+/// The clock counts living threads only: it goes back when one ends.
 fn spent_between((before, now): (f64, f64)) -> f64 {
     (now - before).max(0.0)
 }
 
 impl Measured {
-    /// The entry of a result file.
     pub fn run(
         &self,
         context: &Context,
@@ -189,7 +187,7 @@ impl Measured {
         })
     }
 
-    /// Host time between the submissions of an iteration; None where there is but one.
+    /// Host time between the submissions of an iteration; none if there is only one.
     pub fn between_submissions_ms(&self) -> Option<Spread> {
         self.spread(|iteration| {
             let pairs = iteration.submissions.windows(2);
@@ -202,7 +200,7 @@ impl Measured {
         Spread::of(self.iterations.iter().map(of).collect::<Option<Vec<_>>>()?)
     }
 
-    /// Mean parts of an iteration's wall time.
+    /// Means of the parts of an iteration's wall time.
     pub fn split(&self) -> Split {
         let n = self.iterations.len().max(1) as f64;
         let ms = |duration: Duration| duration.as_secs_f64() * 1e3 / n;
@@ -215,7 +213,7 @@ impl Measured {
                 let device = device.map(|ns| ns * 1e-6 / n);
                 split.kernels_ms = split.kernels_ms.zip(device).map(|(sum, device)| sum + device);
                 split.recording_ms += ms(s.submitting - s.begun);
-                // What a driver executes while it takes a submission is the device's time, not its own.
+                // Work that a driver executes while it takes a submission counts as the device's time.
                 let taking = ms(s.submitted - s.submitting);
                 let waiting = ms(s.done - s.submitted) - device.unwrap_or(0.0);
                 split.submitting_ms += taking + waiting.min(0.0);
@@ -280,25 +278,24 @@ fn key(command: &ashsplat::vk::CommandRecord) -> (&str, &str) {
     (&command.scope, command.name)
 }
 
-/// What a device reaches at best, measured in the same run.
+/// Best rates of the device, measured in the same run.
 pub struct Yardsticks {
     pub copy: Option<CopyBandwidth>,
     pub arithmetic: Option<ArithmeticRate>,
 }
 
 impl Yardsticks {
-    /// Measures both.
     pub fn measure(context: &Context) -> Result<Self> {
         Ok(Self { copy: copy_bandwidth(context)?, arithmetic: arithmetic_rate(context)? })
     }
 }
 
-/// Size of the buffers that are copied, where the device allows it: larger than any cache.
+/// Size of the copied buffers, if the device allows it: larger than any cache.
 const COPY_BYTES: u64 = 64 << 20;
 const COPIES: u32 = 9;
 
-/// Times of submissions of one command each, and by which clock: the device's where it has timestamps, else the host's from
-/// submitting until it knew that all was over.
+/// Times of submissions with one command each, and their clock. That is the device's if it has timestamps, otherwise the
+/// host's, from submission until the host knows that all is done.
 fn single_commands(submissions: &[Submission]) -> Option<(Spread, String)> {
     let device = |s: &Submission| Some(s.commands.first()?.nanoseconds? * 1e-6);
     let host = |s: &Submission| (s.done - s.submitting).as_secs_f64() * 1e3;
@@ -310,7 +307,7 @@ fn single_commands(submissions: &[Submission]) -> Option<(Spread, String)> {
     Spread::of(times).filter(|time| time.min > 0.0).map(|time| (time, clock.to_owned()))
 }
 
-/// Measures `vkCmdCopyBuffer`; None where the clock did not move.
+/// Measures `vkCmdCopyBuffer`; none if the clock did not move.
 pub fn copy_bandwidth(context: &Context) -> Result<Option<CopyBandwidth>> {
     let limits = context.limits();
     let bytes = COPY_BYTES.min(limits.max_storage_buffer_range).min(limits.max_allocation_bytes) / 256 * 256;
@@ -339,14 +336,14 @@ pub fn copy_bandwidth(context: &Context) -> Result<Option<CopyBandwidth>> {
     }))
 }
 
-/// Invocations of the measurement of arithmetic: a large device's lanes many times over, a processor's for some 30 ms.
+/// Invocations of the arithmetic measurement: many times a large device's lanes, or about 30 ms on a processor.
 fn arithmetic_results(context: &Context) -> u64 {
     if context.limits().tuning.is_slow { 1 << 15 } else { 1 << 20 }
 }
 
 const ARITHMETIC_RUNS: u32 = 3;
 
-/// Measures multiply-adds on registers; None where the clock did not move.
+/// Measures multiply-adds on registers; none if the clock did not move.
 fn arithmetic_rate(context: &Context) -> Result<Option<ArithmeticRate>> {
     let arithmetic = Arithmetic::new(context)?;
     let count = arithmetic_results(context);
@@ -371,7 +368,7 @@ fn arithmetic_rate(context: &Context) -> Result<Option<ArithmeticRate>> {
     }))
 }
 
-/// The arenas of a context, with the most that each held since the measurement began.
+/// The arenas of a context, with the peak of each since the measurement began.
 fn memory(context: &Context) -> Vec<Arena> {
     let arenas = context
         .memory()

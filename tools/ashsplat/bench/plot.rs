@@ -11,7 +11,7 @@ pub struct Series {
 /// One pair of axes.
 pub struct Panel {
     pub title: String,
-    /// What lies along x; y is milliseconds.
+    /// Quantity along x; y is milliseconds.
     pub axis: String,
     pub series: Vec<Series>,
 }
@@ -26,7 +26,7 @@ const MARGIN: f64 = 60.0;
 const LEGEND_WIDTH: f64 = 150.0;
 const PANELS_PER_ROW: usize = 2;
 
-/// The panels, two in a row, with one legend for all.
+/// Draws the panels, two in a row, with one legend for all.
 pub fn svg(subtitle: &str, panels: &[Panel]) -> String {
     let names = names(panels);
     let columns = panels.len().min(PANELS_PER_ROW) as f64;
@@ -72,7 +72,7 @@ fn names(panels: &[Panel]) -> Vec<&str> {
     names
 }
 
-/// Smallest and largest, as powers of ten around the values.
+/// Powers of ten around all values.
 fn decades(values: impl Iterator<Item = f64>) -> (i32, i32) {
     let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
     for value in values.filter(|v| *v > 0.0) {
@@ -131,7 +131,7 @@ fn one_panel(out: &mut String, panel: &Panel, names: &[&str]) {
             let _ = write!(path, "{}{x:.1} {y:.1}", if path.is_empty() { "M" } else { "L" });
             let _ = writeln!(out, "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"2.5\" fill=\"{color}\"/>");
         }
-        // The first of a panel is the whole.
+        // The first curve of a panel is the total.
         let thick = if number == 0 { 3.0 } else { 1.5 };
         let _ = writeln!(
             out,
@@ -141,7 +141,7 @@ fn one_panel(out: &mut String, panel: &Panel, names: &[&str]) {
     }
 }
 
-/// A power of ten as people write it.
+/// Formats a power of ten for people.
 fn power(decade: i32) -> String {
     match decade {
         0..=2 => 10i32.pow(decade as u32).to_string(),
@@ -152,7 +152,7 @@ fn power(decade: i32) -> String {
     }
 }
 
-/// Text for XML and HTML.
+/// Escapes text for XML and HTML.
 pub fn escape(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }

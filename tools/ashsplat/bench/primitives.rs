@@ -1,4 +1,4 @@
-//! `bench scan` and `bench sort`: the primitives alone, checked and beside the processor's.
+//! `bench scan` and `bench sort`: the primitives alone, checked, beside the processor's.
 
 use super::measure::{Iterations, Measured, measure};
 use super::schema::{CopyBandwidth, CpuResult, Run, Workload};
@@ -10,13 +10,13 @@ use ashsplat::sort::{RadixSort, SortBuffers, Values};
 use ashsplat::vk::{Buffer, Context, MemoryKind};
 use ashsplat::{Error, Result};
 
-/// What both primitives are given.
+/// Parameters of both primitives.
 #[derive(Clone, Copy)]
 pub struct Job<'a> {
     pub context: &'a Context,
     pub iterations: Iterations,
     pub copy: Option<&'a CopyBandwidth>,
-    /// Values or pairs.
+    /// Number of values or pairs.
     pub elements: u32,
     pub seed: u64,
 }
@@ -40,7 +40,7 @@ impl Job<'_> {
     }
 }
 
-/// Exclusive prefix sum.
+/// Measures the exclusive prefix sum.
 pub fn scan(job: &Job) -> Result<Run> {
     let scan = Scan::new(job.context)?;
     let values = synthetic::counts(job.seed, job.elements as usize);
@@ -74,7 +74,7 @@ pub fn scan(job: &Job) -> Result<Run> {
     Ok(job.run("scan", &values, &measured, cpu_sorts::scans(&values)))
 }
 
-/// Stable sort of (u32 key, u32 value) pairs.
+/// Measures the stable sort of (u32 key, u32 value) pairs.
 pub fn sort(job: &Job) -> Result<Run> {
     let sort = RadixSort::new(job.context)?;
     let keys = synthetic::keys(job.seed, job.elements as usize);

@@ -1,4 +1,4 @@
-//! `bench quality`: how good scenes become, and what that costs, along trainings with several strategies and seeds.
+//! `bench quality`: how good scenes become, and at what cost, in trainings with several strategies and seeds.
 
 mod plot;
 mod runs;
@@ -27,7 +27,7 @@ use std::sync::atomic::AtomicBool;
 use summary::Summary;
 
 const MEASURING: Work = Work { file: ".quality.lock", what: "measurement", option: "-o" };
-/// What the folder holds, beside `runs/`.
+/// Files in the folder, beside `runs/`.
 const RESULT_FILE: &str = "quality.json";
 const TABLE_FILE: &str = "quality.csv";
 const PLOT_FILE: &str = "quality.svg";
@@ -89,7 +89,6 @@ pub struct Arguments {
 #[derive(Clone)]
 struct Seeds(Vec<u32>);
 
-/// The name of the strategy.
 fn name_of(settings: &TrainSettings) -> String {
     let mut values = settings.values().into_iter();
     values.find(|(name, _)| *name == "strategy").map_or_else(String::new, |(_, value)| value.to_string())
@@ -109,15 +108,15 @@ fn seeds(text: &str) -> Result<Seeds, String> {
     if seeds.is_empty() { Err("expected 0..3, or 0,1,2".into()) } else { Ok(Seeds(seeds)) }
 }
 
-/// A training that is to be measured.
+/// A training to measure.
 struct Job {
-    /// The strategy's name, or `preset-` and the preset's.
+    /// Name of the strategy, or `preset-` and the preset's name.
     strategy: String,
     seed: u32,
     settings: TrainSettings,
 }
 
-/// What all trainings share.
+/// Inputs shared by all trainings.
 struct Shared<'a> {
     context: &'a Context,
     dataset: &'a Dataset,
@@ -138,7 +137,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let stop = session::stop_on_ctrl_c()?;
     let context = arguments.device.context()?;
     let data = arguments.data();
-    // What is found is of these photos, this device and this program.
+    // Runs in the folder count only if they used these photos, this device and this program.
     let program = machine::program();
     let setup = |job: &Job| Setup::new((&data, arguments.points), &job.settings, &context, &program);
     let folder = &arguments.out;
@@ -173,7 +172,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
             quiet: arguments.quiet,
             stop: &stop,
         };
-        // Nothing but the device or the disk can fail any more.
+        // From here on only the device or the disk can fail.
         atomic::create_folder(folder)?;
         let _lock = FolderLock::take(folder, &MEASURING)?;
         for job in &jobs {
@@ -203,7 +202,7 @@ fn train_view(view: &View) -> TrainView {
         .with_depth_points(view.depth_points.clone())
 }
 
-/// Refuses what one of the trainings could not do, before the first begins.
+/// Refuses settings that one of the trainings could not use, before the first begins.
 fn check_fits(context: &Context, gallery: &Gallery, (data, jobs): (&DataSettings, &[Job])) -> Result<()> {
     let photos = gallery.train_photos();
     for job in jobs {
@@ -230,7 +229,7 @@ fn check(dataset: &Dataset, path: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Everything that is there so far, in the order of the strategies.
+/// Finished runs, in the order of the strategies.
 #[derive(Serialize)]
 struct Report<'a> {
     schema: &'static str,
@@ -241,7 +240,7 @@ struct Report<'a> {
     runs: &'a [Run],
 }
 
-/// Writes the results of the runs that are over.
+/// Writes the results of the finished runs.
 fn write(arguments: &Arguments, context: &Context, strategies: &[String], runs: &[Run]) -> Result<Summary> {
     let summary = Summary::new(strategies, runs, &arguments.until);
     let report = Report {
@@ -263,7 +262,7 @@ fn write(arguments: &Arguments, context: &Context, strategies: &[String], runs: 
 }
 
 impl Arguments {
-    /// Seed by seed, so that what changes on the machine changes for all strategies.
+    /// Lists the trainings seed by seed, so that changes of the machine affect all strategies.
     fn jobs(&self) -> Result<Vec<Job>> {
         for (name, instead) in [("strategy", "--strategies"), ("seed", "--seeds")] {
             if self.train.has(name) {
@@ -277,7 +276,7 @@ impl Arguments {
             for recipe in strategies.chain(presets) {
                 let settings = self.train.settings(recipe, seed)?;
                 let (option, strategy) = match recipe {
-                    // Not an earlier name.
+                    // The strategy's current name, also if an earlier one was given.
                     Recipe::Strategy(_) => ("--strategies", name_of(&settings)),
                     Recipe::Preset(name) => ("--presets", format!("preset-{name}")),
                 };
@@ -321,7 +320,6 @@ impl Shared<'_> {
         Ok(dataset.initial_points(seed))
     }
 
-    /// Trains once.
     fn measure(&self, job: &Job, setup: Setup) -> Result<Run> {
         let settings = &job.settings;
         let mut watch = Stopwatch::start();
@@ -358,7 +356,7 @@ impl Shared<'_> {
     }
 }
 
-/// PSNR and SSIM of the scene as it stands, means over the views.
+/// Mean PSNR and SSIM of the current scene over the views.
 fn quality(trainer: &mut Trainer, views: &[View]) -> Result<(f64, f64)> {
     let settings = RenderSettings { inverse_depth: false, ..trainer.render_settings() };
     let draw = |camera: &ashsplat::Camera| trainer.render(camera, &settings);

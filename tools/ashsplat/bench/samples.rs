@@ -1,4 +1,4 @@
-//! How much of the device's arithmetic the blending kernels reach: their samples are counted, in a run of its own, and the
+//! Share of the device's arithmetic rate that the blending kernels reach. Their samples are counted in a separate run; the
 //! operations of a sample are known.
 
 use super::schema::{ArithmeticRate, Run};
@@ -12,7 +12,7 @@ use ashsplat::tuning::Backend;
 use ashsplat::vk::{Context, Limits, SpecOverride};
 use ashsplat::{BlendSamples, Blending, RenderSettings, Renderer, Result};
 
-/// Counts on a context of its own, which is opened when a task first needs it.
+/// Counts on its own context, which opens when a task first needs it.
 pub struct Counter<'a> {
     device: &'a DeviceArguments,
     seed: u64,
@@ -20,13 +20,12 @@ pub struct Counter<'a> {
 }
 
 impl<'a> Counter<'a> {
-    /// Opens nothing yet.
     pub fn new(device: &'a DeviceArguments, seed: u64) -> Self {
         Self { device, seed, context: None }
     }
 
-    /// The samples of a task's frame, for each of its runs; none for tasks that blend nothing, and for training, which blends
-    /// something else in each iteration.
+    /// Counts the samples of a task's frame, for each of its runs. None for tasks that blend nothing, and for training, which
+    /// blends differently in each iteration.
     pub fn count(&mut self, task: &Task, runs: &[Run]) -> Result<Vec<BlendSamples>> {
         let form = |run: &Run| forms::of_name(run.workload.blending.as_deref()?);
         let forms: Vec<Blending> = runs.iter().filter_map(form).collect();
@@ -41,7 +40,7 @@ impl<'a> Counter<'a> {
         }
     }
 
-    /// The memory transactions of a task's runs, of kernels for GPUs; none for processors, whose lanes share a cache line anyway,
+    /// Counts the memory transactions of a task's runs, for GPU kernels. None for processors, whose lanes share a cache line anyway,
     /// and for tasks that are measured elsewhere as well.
     pub fn transactions(&mut self, task: &Task, backend: Backend) -> Result<Counted> {
         if backend != Backend::Gpu {
@@ -75,7 +74,7 @@ impl<'a> Counter<'a> {
         }
     }
 
-    /// Prints what the validation layer said of the counting.
+    /// Prints the messages of the validation layer during counting.
     pub fn report_validation(&self) {
         self.context.iter().for_each(|context| self.device.report_validation(context));
     }
@@ -98,8 +97,8 @@ fn of_step(context: &Context, scene: &Scene, form: Blending, seed: u64) -> Resul
     Ok(trainer.step()?.samples)
 }
 
-/// Additions, subtractions, multiplications and divisions of a sample in glsl/include/blending.glsl (comparisons, minima,
-/// selections, shuffles and exp2 do not count): what follows from the opacity, and the opacity itself.
+/// Additions, subtractions, multiplications and divisions of a sample in glsl/include/blending.glsl, for the opacity and all
+/// that follows. Comparisons, minima, selections, shuffles and exp2 do not count.
 struct Operations {
     regions: f64,
     shared: f64,
@@ -107,9 +106,9 @@ struct Operations {
 }
 
 impl Operations {
-    /// Where opacities are chained or not, at a subgroup size.
+    /// Operations with or without chained opacities, at a subgroup size.
     fn of(chained: bool, subgroup_size: u32, region_height: u32) -> Self {
-        // Pixels of a lane in one column: region_shape.glsl.
+        // Pixels of a lane in one column; see region_shape.glsl.
         let rows = f64::from(region_height / (subgroup_size / subgroup_size.min(8)).max(1));
         let opacity = |rows: f64| {
             if chained && rows > 2.0 {
@@ -125,12 +124,12 @@ impl Operations {
         // 1 - alpha, the weight, g . c (5), the rest (2), dL/dalpha (3), dL/dpower, T, three colours (6), dy and the column's
         // moments (6); dx and the sums over columns, 10 a column.
         let backward = opacity(rows) + 26.0 + 10.0 / rows;
-        // Without chains an invocation of blend_shared.comp has pixels here and there.
+        // Without chains, the pixels of an invocation of blend_shared.comp are scattered.
         Self { regions: forward(rows), shared: forward(if chained { rows } else { 1.0 }), backward }
     }
 }
 
-/// Enters the samples and operations of the blending kernels into a task's results.
+/// Enters samples and operations of the blending kernels into a run.
 pub fn enter(run: &mut Run, samples: BlendSamples, limits: &Limits, arithmetic: Option<&ArithmeticRate>) {
     let LaunchSizes { incremental_exp, blend, .. } = LaunchSizes::new(limits);
     let operations = Operations::of(incremental_exp, blend.lanes, blend.region_height);
@@ -157,7 +156,7 @@ pub fn enter(run: &mut Run, samples: BlendSamples, limits: &Limits, arithmetic: 
 #[cfg(test)]
 mod tests {
     use super::Operations;
-    /// By hand from blending.glsl: a GPU's lanes have two pixels of a column at 32, one at 64; shared memory always one.
+    /// By hand from blending.glsl: a GPU's lane has two pixels of a column at 32 lanes, one at 64; shared memory always has one.
     #[test]
     fn operations_of_a_sample_follow_its_columns() {
         let of = |chained, subgroup_size| {

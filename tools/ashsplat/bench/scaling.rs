@@ -1,4 +1,4 @@
-//! `bench scaling`: how each stage and kernel grows with the Gaussians and with the pixels.
+//! `bench scaling`: how the time of each stage and kernel grows with the Gaussians and with the pixels.
 
 use super::arguments::{IterationArguments, OutputArguments};
 use super::frames;
@@ -57,7 +57,7 @@ pub struct Arguments {
     output: OutputArguments,
 }
 
-/// Points of one sweep: how large, and what was measured.
+/// Points of a sweep: its size and its run.
 type Sweep = Vec<(f64, Run)>;
 
 /// Runs the command.
@@ -107,12 +107,12 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 }
 
 impl Arguments {
-    /// All numbers of Gaussians that are measured.
+    /// All measured numbers of Gaussians.
     fn all_counts(&self) -> impl Iterator<Item = u32> {
         self.counts.iter().copied().chain([self.gaussians])
     }
 
-    /// Refuses steps of more Gaussians than the device trains, before frames are measured for nothing.
+    /// Refuses steps of more Gaussians than the device can train, before frames are measured in vain.
     fn check_trained(&self, most: u32) -> Result<()> {
         let largest = self.all_counts().max().unwrap_or(0);
         if largest <= most || !self.of.contains(&Task::Steps) {
@@ -136,7 +136,7 @@ impl Arguments {
         }
     }
 
-    /// A frame, or a step, of so many Gaussians and so wide.
+    /// Measures a frame or a step.
     fn measure(
         &self,
         task: Task,
@@ -177,7 +177,7 @@ fn height_of(width: u32) -> u32 {
     if width <= 512 { width } else { width * 9 / 16 }
 }
 
-/// Device time of each stage, milliseconds; the wall time first.
+/// Device time of each stage, milliseconds; wall time first.
 fn series(task: Task, sweep: &Sweep) -> Vec<Series> {
     let wall = sweep.iter().map(|(x, r)| (*x, r.wall_ms.median)).collect();
     let whole = Series { name: task.singular().into(), points: wall };
@@ -189,7 +189,7 @@ fn kernel_series(sweep: &Sweep) -> Vec<Series> {
     grouped(sweep, |kernel| format!("{}: {}", stage_of(&kernel.scope), kernel.kernel))
 }
 
-/// Device time of the kernels of the same name, milliseconds, in the order of their first appearance.
+/// Device time of kernels grouped by name, milliseconds, in order of first appearance.
 fn grouped(sweep: &Sweep, name_of: impl Fn(&KernelResult) -> String) -> Vec<Series> {
     let mut names: Vec<String> = Vec::new();
     for name in sweep.iter().flat_map(|(_, run)| &run.kernels).map(&name_of) {
@@ -212,7 +212,7 @@ fn stage_of(scope: &str) -> String {
     if scope.is_empty() { "read-back".to_owned() } else { scope.to_owned() }
 }
 
-/// Slope of the least-squares line through (ln x, ln y); None with fewer than two points.
+/// Slope of the least-squares line through (ln x, ln y); none with fewer than two points.
 pub fn exponent(points: &[(f64, f64)]) -> Option<f64> {
     let logs: Vec<(f64, f64)> =
         points.iter().filter(|(x, y)| *x > 0.0 && *y > 0.0).map(|(x, y)| (x.ln(), y.ln())).collect();
@@ -227,7 +227,7 @@ pub fn exponent(points: &[(f64, f64)]) -> Option<f64> {
     (below > 1e-12).then(|| above / below)
 }
 
-/// A table of groups of series over the same places.
+/// A table of groups of series over the same x values.
 fn exponents(axis: &str, groups: &[&[Series]]) -> String {
     let width = groups.iter().flat_map(|group| group.iter()).map(|series| series.name.len()).max();
     let width = width.unwrap_or(0).max(axis.len());
@@ -240,7 +240,7 @@ fn exponents(axis: &str, groups: &[&[Series]]) -> String {
         for series in *group {
             out += &format!("{:<width$}", series.name);
             for (_, y) in &series.points {
-                // A sum of nothing: the kernel does not run at this size.
+                // Zero means that the kernel does not run at this size.
                 out += &if *y > 0.0 { format!("{y:>12.3}") } else { format!("{:>12}", "-") };
             }
             out += &exponent(&series.points).map_or_else(String::new, |e| format!("{e:>11.2}"));

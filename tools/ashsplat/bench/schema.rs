@@ -1,4 +1,4 @@
-//! What a benchmark's result file holds: the schema `ashsplat-bench/1`, described in tools/bench.md.
+//! Contents of a benchmark's result file: the schema `ashsplat-bench/1`, described in tools/bench.md.
 //!
 //! A field that was not measured is null. Times name their unit; a [`Spread`] is over the measured iterations.
 
@@ -17,7 +17,7 @@ pub struct Report {
     pub program: Program,
     pub host: Host,
     pub device: Device,
-    /// Variables that change what a driver does, where they are set.
+    /// Variables that change a driver's behaviour, if set.
     pub environment: BTreeMap<String, String>,
     pub settings: Settings,
     pub copy_bandwidth: Option<CopyBandwidth>,
@@ -30,14 +30,14 @@ pub struct Report {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Program {
     pub version: String,
-    /// Commit of the checkout it was built in, with "-dirty" behind it where files differ; null outside of one, and where the
+    /// Commit of the checkout in which it was built, with "-dirty" appended if files differ. Null outside a checkout, and if the
     /// program is older than the commit.
     pub commit: Option<String>,
     /// "release" or "debug".
     pub build: String,
 }
 
-/// The machine around the device.
+/// The machine that holds the device.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Host {
     pub system: String,
@@ -45,7 +45,6 @@ pub struct Host {
     pub threads: usize,
 }
 
-/// The device.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Device {
     pub name: String,
@@ -53,63 +52,63 @@ pub struct Device {
     pub driver: String,
     pub api_version: String,
     pub subgroup_size: u32,
-    /// The same in the heaviest kernels; null in files written before it was added.
+    /// Subgroup size of the heaviest kernels; null in files written before it was added.
     #[serde(default)]
     pub heavy_subgroup_size: Option<u32>,
-    /// Whose forms of the kernels ran, "gpu" or "processor"; null in files written before it was added.
+    /// Form of the kernels that ran, "gpu" or "processor"; null in files written before it was added.
     #[serde(default)]
     pub backend: Option<String>,
     pub limits: BTreeMap<String, f64>,
 }
 
-/// How it was measured.
+/// Settings of the measurement.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Settings {
-    /// Measured iterations that were asked for.
+    /// Requested number of measured iterations.
     pub iterations: u32,
-    /// Iterations before them that do not count.
+    /// Uncounted iterations before them.
     pub warmup: u32,
     pub seed: u64,
-    /// "timestamps": the device's own; "host": kernels have no times. The device has none, or --host-clock was given.
+    /// "timestamps": the device's clock; "host": kernels have no times, because the device has no clock or --host-clock was given.
     pub clock: String,
 }
 
-/// What the device copies, measured in the same run: the yardstick of every kernel.
+/// Copy bandwidth of the device, measured in the same run: the yardstick of every kernel.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct CopyBandwidth {
-    /// Size of the buffer that was copied; as many were read as written.
+    /// Size of the copied buffer, read once and written once.
     pub bytes: u64,
-    /// Bytes read plus bytes written by the median time.
+    /// Bytes read plus bytes written over the median time.
     pub gigabytes_per_second: f64,
     pub time_ms: Spread,
-    /// "timestamps", or "host": from submitting until the host knew, which is later.
+    /// "timestamps", or "host": from submission until the host knows, which is later.
     #[serde(default = "timestamps")]
     pub clock: String,
 }
 
-/// The clock of files written before it was said.
+/// Clock of files written before the field was added.
 fn timestamps() -> String {
     "timestamps".to_owned()
 }
 
-/// What the device's shaders compute, measured in the same run by multiply-adds on registers.
+/// Arithmetic rate of the device, measured in the same run by multiply-adds on registers.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ArithmeticRate {
-    /// Operations of the dispatch, multiplications and additions counted one each.
+    /// Operations of the dispatch; a multiply-add counts as two.
     pub operations: u64,
-    /// By the least time: the most that was ever reached.
+    /// By the least time: the highest rate reached.
     pub gigaoperations_per_second: f64,
     pub time_ms: Spread,
-    /// As of [`CopyBandwidth`].
+    /// Same as in [`CopyBandwidth`].
     #[serde(default = "timestamps")]
     pub clock: String,
 }
 
-/// One workload.
+/// Results of one workload.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Run {
-    /// "scan", "sort", "render", "draw" (a frame that is not read back), "train-step" or "train"; "render-regions" and
-    /// "render-shared" ("draw-…") where both forms of blending are measured.
+    /// "scan", "sort", "render", "draw" (a frame that is not read back), "train-step" or "train". "render-regions" and
+    /// "render-shared" ("draw-…") if both forms of blending are measured.
     pub name: String,
     pub workload: Workload,
     /// Measured iterations; 0 in files written before it was added.
@@ -119,14 +118,14 @@ pub struct Run {
     pub wall_ms: Spread,
     /// Time of an iteration's submissions on the device.
     pub device_ms: Option<Spread>,
-    /// Where the wall time of an iteration goes.
+    /// Parts of the wall time of an iteration.
     pub split: Split,
-    /// Host time from the end of a submission to the begin of the next one on the device's queue.
+    /// Host time between the end of a submission and the start of the next one on the device's queue.
     pub between_submissions_ms: Option<Spread>,
     /// Wall time of an iteration with nothing timed.
     #[serde(default)]
     pub untimed_ms: Option<Spread>,
-    /// Processor time of the whole process per iteration, nothing being timed: on a software device the honest cost.
+    /// Processor time of the whole process per untimed iteration: the true cost on a software device.
     pub cpu_seconds: Option<Spread>,
     pub cost_of_measuring: Option<Cost>,
     pub kernels: Vec<KernelResult>,
@@ -145,28 +144,28 @@ pub struct Split {
     pub kernels_ms: Option<f64>,
     /// Recording commands.
     pub recording_ms: f64,
-    /// Handing them to the driver.
+    /// Handing commands to the driver.
     pub submitting_ms: f64,
-    /// Waiting for the device beyond its commands: until it begins, and until the host wakes.
+    /// Waiting for the device beyond its commands: until it starts, and until the host wakes.
     pub waiting_ms: f64,
-    /// The rest of the host's work: reading back, composing pictures.
+    /// Other host work: reading back, composing pictures.
     pub host_ms: f64,
 }
 
-/// Times with every command timed over times without any timestamp, of iterations in turn.
+/// Times with every command timed over times without timestamps; the iterations take turns.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Cost {
     pub wall: Spread,
-    /// Of the process' processor time.
+    /// Ratio of the process' processor time.
     pub processor: Option<Spread>,
 }
 
-/// What was run.
+/// Inputs of a run.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Workload {
     /// "synthetic", or the files.
     pub source: String,
-    /// FNV-1a over everything that goes in: Gaussians, camera, keys. Results compare only if it agrees.
+    /// FNV-1a over all inputs: Gaussians, camera, keys. Results compare only if it agrees.
     pub hash: String,
     /// Values of a scan, pairs of a sort.
     pub elements: Option<u64>,
@@ -178,64 +177,63 @@ pub struct Workload {
     pub instances: Option<u32>,
     /// Entries of the fullest tile.
     pub longest_tile: Option<u32>,
-    /// How its frames are blended, "regions" or "shared"; null where nothing is, and in files written before it was added.
+    /// Form of blending, "regions" or "shared"; null if nothing is blended, and in files written before it was added.
     #[serde(default)]
     pub blending: Option<String>,
 }
 
-/// A kernel within a stage; all of its dispatches there together.
+/// A kernel within a stage, all of its dispatches together.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct KernelResult {
-    /// The stage.
     pub scope: String,
     /// "sort/sort_upsweep", or "fill", "copy", "update".
     pub kernel: String,
     /// Dispatches per iteration.
     pub calls: u32,
-    /// Those of them that wait for what came before, behind a barrier; null in files written before it was added.
+    /// Dispatches that wait behind a barrier for earlier work; null in files written before it was added.
     #[serde(default)]
     pub waits: Option<u32>,
     /// Workgroups per iteration, indirect dispatches included; null for transfers.
     pub workgroups: Option<u64>,
     /// Device time per iteration; null without timestamps.
     pub time_us: Option<Spread>,
-    /// Bytes that it must read, each element once, from the memory plan and the workload's counts.
+    /// Bytes that it must read, each element once, by the memory plan and the workload's counts.
     pub bytes_read: u64,
-    /// Bytes that it must write, likewise.
+    /// Bytes that it must write, each element once.
     pub bytes_written: u64,
-    /// Both by the median time.
+    /// Bytes read and written over the median time.
     pub gigabytes_per_second: Option<f64>,
-    /// That over the device's own copy bandwidth.
+    /// Bandwidth over the device's own copy bandwidth.
     pub share_of_copy_bandwidth: Option<f64>,
-    /// Accesses to places that are not neighbours; null where none were counted.
+    /// Accesses to scattered addresses; null if none were counted.
     #[serde(default)]
     pub transactions: Option<Transactions>,
-    /// Gaussians at pixels that a blending kernel computes per iteration; null for others, and in files written before it was added.
+    /// Gaussian-pixel pairs that a blending kernel computes per iteration; null for others, and in files written before it was added.
     #[serde(default)]
     pub samples: Option<u64>,
-    /// Additions, multiplications and divisions per iteration, of the blending kernels; null for others.
+    /// Additions, multiplications and divisions of a blending kernel per iteration; null for others.
     #[serde(default)]
     pub operations: Option<u64>,
-    /// That by the median time.
+    /// Operations over the median time.
     #[serde(default)]
     pub gigaoperations_per_second: Option<f64>,
-    /// That over the device's own rate of multiplications and additions.
+    /// Arithmetic rate over the device's own.
     #[serde(default)]
     pub share_of_arithmetic: Option<f64>,
 }
 
-/// What a kernel's subgroups touch at once where their lanes do not access neighbouring places, per iteration.
+/// Memory that a kernel's subgroups touch at once where lanes access scattered addresses, per iteration.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Transactions {
-    /// Bytes that these accesses are for.
+    /// Bytes of these accesses.
     pub bytes: u64,
-    /// Bytes of the arrays that they go to.
+    /// Bytes of the accessed arrays.
     pub array_bytes: u64,
-    /// For subgroups of several sizes.
+    /// Counts for several subgroup sizes.
     pub by_lanes: Vec<Segments>,
 }
 
-/// Aligned segments of memory of 32, 64 and 128 bytes that subgroups touch: an access of a subgroup counts each once.
+/// Aligned memory segments of 32, 64 and 128 bytes that subgroups touch. Each access of a subgroup counts a segment once.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Segments {
     pub lanes: u32,
@@ -251,7 +249,7 @@ pub struct Arena {
     pub peak_bytes: u64,
 }
 
-/// A sort or scan of the processor.
+/// A sort or scan on the processor.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct CpuResult {
     pub name: String,
@@ -259,13 +257,13 @@ pub struct CpuResult {
     pub time_ms: Spread,
 }
 
-/// Least, median (of an even number, the mean of the two in the middle), 90th percentile by nearest rank, and mean.
+/// Minimum, median (of an even number, the mean of the middle two), 90th percentile by nearest rank, and mean.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Spread {
     pub min: f64,
     pub median: f64,
     pub p90: f64,
-    /// What a sum over many iterations is made of; 0 in files written before it was added.
+    /// For sums over many iterations; 0 in files written before it was added.
     #[serde(default)]
     pub mean: f64,
 }
@@ -276,19 +274,19 @@ impl Spread {
         values.sort_unstable_by(f64::total_cmp);
         let n = values.len();
         let min = *values.first()?;
-        // The same value twice where their number is odd.
+        // The same value twice if their number is odd.
         let median = 0.5 * (values[(n - 1) / 2] + values[n / 2]);
         let p90 = values[(9 * n).div_ceil(10) - 1];
         Some(Self { min, median, p90, mean: values.iter().sum::<f64>() / n as f64 })
     }
 
-    /// Whether times can have it: finite, not negative, in order.
+    /// True if a measurement can give it: finite, not negative, in order.
     pub fn is_plausible(&self) -> bool {
         let Self { min, median, p90, mean } = *self;
         0.0 <= min && min <= median && median <= p90 && p90.is_finite() && mean.is_finite() && mean >= 0.0
     }
 
-    /// Every value times a factor.
+    /// Multiplies every value by a factor.
     pub fn times(self, factor: f64) -> Self {
         Self {
             min: self.min * factor,

@@ -1,6 +1,6 @@
 //! Seeded scenes with the statistics of trained ones.
 //!
-//! How the numbers were chosen, with the statistics of the trained scenes that were measured: tools/bench.md.
+//! tools/bench.md says how the numbers were chosen, with the statistics of the measured trained scenes.
 
 use ashsplat::scene::gaussians::sh_coefficients;
 use ashsplat::scene::{Camera, Gaussians, Intrinsics};
@@ -30,7 +30,7 @@ struct Object {
 pub fn scene(seed: u64, count: usize, sh_degree: u32) -> Gaussians {
     let mut random = Random(ChaCha8Rng::seed_from_u64(seed));
     let objects: Vec<Object> = (0..OBJECTS).map(|_| random.object()).collect();
-    // Few objects get much of the detail: Zipf's law.
+    // A few objects get much of the detail: Zipf's law.
     let weights: Vec<f32> = (0..OBJECTS).map(|rank| 1.0 / (rank as f32 + 2.0)).collect();
     let total: f32 = weights.iter().sum();
     let mean_side = 2.0 * (HALF_SIDES.x + HALF_SIDES.y + HALF_SIDES.z) / 3.0;
@@ -57,7 +57,7 @@ pub fn scene(seed: u64, count: usize, sh_degree: u32) -> Gaussians {
     scene
 }
 
-/// Looks at the scene from outside, a little from above, so that nearly all of it is in the picture.
+/// A camera outside the scene, a little above, that sees nearly all of it.
 pub fn camera(width: u32, height: u32) -> Camera {
     let eye = vec3(0.4, -0.9, -2.2);
     Camera::look_at(eye, vec3(0.0, 0.05, 0.0), Vec3::NEG_Y, Intrinsics::from_fov_x(0.9, width, height))
@@ -80,7 +80,7 @@ impl Random {
         vec3(self.normal(), self.normal(), self.normal())
     }
 
-    /// Gamma with a shape in halves: a sum of exponentials, and half a squared normal.
+    /// Samples a gamma distribution whose shape is a multiple of 1/2: a sum of exponentials, and half a squared normal.
     fn gamma(&mut self, shape: f32, scale: f32) -> f32 {
         let whole = shape.floor();
         let mut sum: f32 = (0..whole as usize).map(|_| -self.uniform().max(1e-12).ln()).sum();
@@ -101,7 +101,7 @@ impl Random {
         Object { center: vec3(x, HALF_SIDES.y - 0.8 * half_axes.y, z), half_axes, color: self.color() }
     }
 
-    /// Where a Gaussian lies, its surface's normal and colour.
+    /// Samples a Gaussian's position, its surface's normal and its colour.
     fn place(&mut self, objects: &[Object], weights: &[f32], total: f32) -> (Vec3, Vec3, Vec3) {
         let kind = self.uniform();
         if kind < FLOATER_SHARE {
@@ -110,7 +110,7 @@ impl Random {
         }
         if kind < FLOATER_SHARE + GROUND_SHARE {
             let (x, z) = (2.0 * self.uniform() - 1.0, 2.0 * self.uniform() - 1.0);
-            // Stripes, so that there is something to see.
+            // Stripes, to give the ground some detail.
             let shade = 0.5 * (9.0 * x).sin() * (9.0 * z).sin();
             return (vec3(x, HALF_SIDES.y + 0.01 * self.normal(), z), Vec3::NEG_Y, Vec3::splat(shade));
         }
@@ -136,12 +136,12 @@ pub fn keys(seed: u64, count: usize) -> Vec<u32> {
     (0..count).map(|_| random.random()).collect()
 }
 
-/// Small counts, as a frame's prefix sums add up: tiles touched by each Gaussian.
+/// Small counts, like the tiles per Gaussian that a frame's prefix sums add up.
 pub fn counts(seed: u64, count: usize) -> Vec<u32> {
     keys(seed, count).into_iter().map(|key| key % 8).collect()
 }
 
-/// A scene as training might have it a little earlier: every parameter disturbed.
+/// A scene like one slightly earlier in training: every parameter is disturbed.
 pub fn disturbed(scene: &Gaussians, seed: u64) -> Gaussians {
     let mut random = Random(ChaCha8Rng::seed_from_u64(seed ^ 0x5eed));
     let mut scene = scene.clone();

@@ -3,7 +3,7 @@
 use super::schema::{Report, Run, Spread, Workload};
 use std::fmt::Write;
 
-/// Thousands with commas.
+/// Separates thousands with commas.
 pub fn grouped(n: u64) -> String {
     let digits = n.to_string();
     let mut out = String::new();
@@ -16,7 +16,7 @@ pub fn grouped(n: u64) -> String {
     out
 }
 
-/// A workload in one line.
+/// Describes a workload in one line.
 pub fn describe(w: &Workload) -> String {
     let mut text = String::new();
     if let Some(elements) = w.elements {
@@ -78,7 +78,7 @@ pub fn render(report: &Report) -> String {
     out
 }
 
-/// What a figure holds besides the device's work.
+/// Note that host times contain more than the device's work.
 fn by_host(clock: &str) -> &'static str {
     if clock == "host" { "; by the host's clock, submitting and waiting included" } else { "" }
 }
@@ -147,7 +147,7 @@ fn one_run(out: &mut String, run: &Run) {
     let _ = writeln!(out, "  peak device memory, MiB: {}", arenas.collect::<Vec<_>>().join(", "));
 }
 
-/// What is done per second.
+/// Work per second.
 fn rate(run: &Run, seconds: f64) -> String {
     match run.workload.elements {
         Some(elements) => format!("{:.1} million elements/s", elements as f64 / seconds * 1e-6),

@@ -1,4 +1,4 @@
-//! What a sub-command measures, one task after another.
+//! Tasks of a sub-command, measured one after another.
 
 use super::arguments::{AllArguments, BlendingArguments, FrameArguments, PrimitiveArguments};
 use super::frames::{self, Job};
@@ -14,7 +14,7 @@ use ashsplat::{Blending, Error, Result};
 use std::path::Path;
 use std::rc::Rc;
 
-/// One entry of the result.
+/// A task, which makes one or more runs of the result.
 pub enum Task {
     Scan(u32, Iterations),
     Sort(u32, Iterations),
@@ -25,26 +25,24 @@ pub enum Task {
     Train(Box<Training>),
 }
 
-/// Default number of pairs of the sort.
+/// Default number of pairs to sort.
 const PAIRS: u32 = 1 << 22;
-/// Values of the scan for each pair of the sort: it takes so little time that fewer would be lost in the cost of timing.
+/// Values to scan for each pair to sort: the scan is so fast that fewer would vanish in the cost of timing.
 const VALUES_PER_PAIR: u32 = 4;
 /// Gaussians above which a frame is measured less often.
 const MANY: u32 = 500_000;
-/// Iterations of such a frame at most, on a processor.
+/// Most iterations of such a frame on a processor.
 const FEW_ITERATIONS: u32 = 5;
 
-/// The prefix sum.
 pub fn of_scan(arguments: &PrimitiveArguments) -> Vec<Task> {
     vec![Task::Scan(arguments.elements.unwrap_or(VALUES_PER_PAIR * PAIRS), arguments.iterations.get())]
 }
 
-/// The sort.
 pub fn of_sort(arguments: &PrimitiveArguments) -> Vec<Task> {
     vec![Task::Sort(arguments.elements.unwrap_or(PAIRS), arguments.iterations.get())]
 }
 
-/// One scene: synthetic, or what the arguments name.
+/// One scene: synthetic, or given by the arguments.
 pub fn of_frames(arguments: &FrameArguments, train_step: bool) -> Result<Vec<Task>> {
     if train_step && arguments.read_back.no_read_back {
         return Err(Error::argument(
@@ -64,7 +62,6 @@ pub fn of_blending(arguments: &BlendingArguments) -> Result<Vec<Task>> {
     Ok(vec![Task::RenderBoth(Rc::new(scene), arguments.read_back.of(arguments.iterations.get()))])
 }
 
-/// Training of a data set.
 pub fn of_training(
     dataset: &Path,
     windows: &[u32],
@@ -74,7 +71,7 @@ pub fn of_training(
     Ok(vec![Task::Train(Box::new(Training::load(dataset, windows, sh_degree, host)?))])
 }
 
-/// The primitives at two sizes, synthetic frames and steps, and the trained scene and the data sets where given.
+/// The primitives at two sizes, synthetic frames and steps, and the given trained scene and data sets.
 pub fn of_all(arguments: &AllArguments, is_slow: bool) -> Result<Vec<Task>> {
     let own = &arguments.synthetic;
     let of_size = |&FrameSize { gaussians, width, height }: &FrameSize| SyntheticArguments {
@@ -87,7 +84,7 @@ pub fn of_all(arguments: &AllArguments, is_slow: bool) -> Result<Vec<Task>> {
     let synthetic = Rc::new(own.load()?);
     let (few, iterations) =
         (arguments.elements.div_ceil(4), arguments.read_back.of(arguments.iterations.get()));
-    // So few pairs that timing each command would show, where a timestamp ends a batch of the driver's work.
+    // With so few pairs, timing each command would show on a driver whose timestamps end a batch of work.
     let smaller = Iterations { timed: !is_slow, ..iterations };
     let mut tasks = vec![
         Task::Scan(arguments.elements.saturating_mul(VALUES_PER_PAIR).min(1 << 28), iterations),
@@ -100,13 +97,13 @@ pub fn of_all(arguments: &AllArguments, is_slow: bool) -> Result<Vec<Task>> {
         warmup: iterations.warmup.min(1),
         ..iterations
     };
-    // A ratio of the two, beside what was measured above, takes few.
+    // Few iterations suffice for their ratio.
     tasks.push(Task::RenderBoth(synthetic.clone(), few));
     for size in &arguments.frames {
         let scene = Rc::new(of_size(size).load()?);
         let iterations = if is_slow && size.gaussians > MANY { few } else { iterations };
         tasks.push(Task::Render(scene.clone(), iterations, None));
-        // A processor takes seconds for them, and its table of forms is made from the frame above.
+        // A processor takes seconds for them; the frame above suffices for its table of forms.
         if !is_slow {
             tasks.push(Task::RenderBoth(scene, few));
         }
@@ -130,7 +127,6 @@ pub fn of_all(arguments: &AllArguments, is_slow: bool) -> Result<Vec<Task>> {
 }
 
 impl Task {
-    /// Measures it.
     pub fn run(&self, context: &Context, seed: u64, copy: Option<&CopyBandwidth>) -> Result<Vec<Run>> {
         let primitive =
             |&elements, &iterations| primitives::Job { context, iterations, copy, elements, seed };

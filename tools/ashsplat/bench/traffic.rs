@@ -1,9 +1,8 @@
-//! The bytes that a kernel must move: every element of its inputs and outputs once ("compulsory traffic").
+//! The bytes that a kernel must move: each element of its inputs and outputs once ("compulsory traffic").
 //!
-//! The recorder knows the capacity that was bound; how much of it a frame uses follows from the memory plan
-//! (`ashsplat::plan`) at the frame's own counts instead of its capacities. A kernel that reads elements several times,
-//! such as the blending, moves more than this through its caches; one at 100 % of the device's copy bandwidth cannot
-//! become faster but by moving less.
+//! The recorder knows the bound capacity. The part that a frame uses follows from the memory plan (`ashsplat::plan`) at the
+//! frame's own counts. A kernel that reads elements several times, such as blending, moves more than this through its caches. A
+//! kernel at 100 % of the device's copy bandwidth can become faster only by moving less.
 
 use ashsplat::plan::{FrameCapacity, LaunchSizes, PictureCapacity, frame_requests, parameter_planes};
 use ashsplat::vk::{Access, BoundBuffer, CommandRecord, Limits, SMALLEST_BUFFER};
@@ -14,10 +13,10 @@ const VEC4: u64 = 16;
 /// Planes of a Gaussian that culling reads: mean and opacity, rotation, scales.
 const GEOMETRY_PLANES: u64 = 3;
 
-/// Attributes of the visible, which may lie in one buffer bound to all of them.
+/// Attributes of visible Gaussians, all of which may share one buffer.
 const SPLAT_ROLES: [&str; 4] = ["mean2d_extent", "conic_opacity", "color_inverse_depth", "footprints"];
 
-/// What a frame was made of.
+/// Counts of a frame.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Counts {
     pub gaussians: u32,
@@ -25,24 +24,24 @@ pub struct Counts {
     pub instances: u32,
     pub width: u32,
     pub height: u32,
-    /// SH degree that is evaluated.
+    /// Evaluated SH degree.
     pub sh_degree: u32,
-    /// Dispatches that the Gaussians' planes are spread over.
+    /// Number of dispatches that share the Gaussians' planes.
     pub chunks: u64,
 }
 
 impl Counts {
-    /// With what a camera saw.
+    /// Adds the counts that a camera saw.
     pub fn seen(self, visible: u32, instances: u32) -> Self {
         Self { visible, instances, ..self }
     }
 }
 
-/// Bytes by buffer at a workload's counts. Without counts, everything that is bound is touched.
+/// Bytes by buffer at a workload's counts. Without counts, kernels touch everything that is bound.
 pub struct Traffic {
     counts: Option<Counts>,
-    /// Used bytes of a frame's buffers when all Gaussians count, only the visible, nothing but them, nothing but
-    /// instances.
+    /// Used bytes of a frame's buffers, sized by all Gaussians, by the visible ones, by these alone (depth sort), or by
+    /// instances alone (tile sort).
     all: HashMap<&'static str, u64>,
     visible: HashMap<&'static str, u64>,
     depth_sort: HashMap<&'static str, u64>,
@@ -50,13 +49,13 @@ pub struct Traffic {
 }
 
 impl Traffic {
-    /// For kernels whose buffers are used whole.
+    /// Traffic of kernels that use their buffers whole.
     pub fn bound() -> Self {
         let none = HashMap::new;
         Self { counts: None, all: none(), visible: none(), depth_sort: none(), tile_sort: none() }
     }
 
-    /// For the kernels of a frame.
+    /// Traffic of a frame's kernels.
     pub fn of_frame(limits: &Limits, counts: Counts) -> Self {
         let blocks = LaunchSizes::new(limits);
         let used = |gaussians: u32, instances: u32| {
@@ -81,14 +80,14 @@ impl Traffic {
         }
     }
 
-    /// (read, written) bytes of a command. `first`: whether it is the first of its kernel in its scope, where a
-    /// sort makes its values up instead of reading them.
+    /// Returns the (read, written) bytes of a command. `first`: true if it is the first of its kernel in its scope, where a
+    /// sort generates its values instead of reading them.
     pub fn of(&self, command: &CommandRecord, first: bool) -> (u64, u64) {
         let made_up =
             |b: &BoundBuffer| first && command.name.starts_with("sort/sort_downsweep") && b.role == "values";
-        // Blending reads its outputs only where a tile takes several passes.
+        // Blending reads its outputs only if a tile takes several passes.
         let outputs_only = first && command.name.starts_with("forward/blend");
-        // Blending that leaves the picture composited for backward leaves nothing else of it (FrameBuffers::rendered).
+        // Blending that composites the picture for the backward pass leaves no other output (FrameBuffers::rendered).
         let composites = command.buffers.iter().any(|b| b.role == "composited" && b.bytes > SMALLEST_BUFFER);
         let instead = |b: &BoundBuffer| composites && b.role == "accumulated";
         let (mut read, mut written) = (0, 0);
@@ -112,20 +111,20 @@ impl Traffic {
         if matches!(command.name, "fill" | "copy" | "update") {
             return buffer.bytes;
         }
-        // Those that read parameters do so in a dispatch for each chunk of them.
+        // Kernels that read parameters have one dispatch for each chunk.
         let planes = self.planes(command.name, counts);
         let dispatches = planes.map_or(1, |_| counts.chunks.max(1));
         let used = match (buffer.name, command.scope.as_str()) {
-            // Off in what is measured, with some other buffer in their place.
+            // Off in measured workloads; some other buffer is bound instead.
             _ if ["cut_outs", "selection"].contains(&buffer.role) => Some(0),
             ("planes", _) => planes,
-            // Off in what is measured: densification's statistics and the inverse depth.
+            // Densification's statistics and the inverse depth are off in measured workloads.
             ("statistics" | "inverse_depth", _) => Some(0),
             // Expansion reads attributes only of Gaussians with more tiles than a list holds.
             _ if command.name == "forward/duplicate_with_tiles" && SPLAT_ROLES.contains(&buffer.role) => {
                 Some(0)
             }
-            // One buffer may be bound to several of these.
+            // One buffer may be bound to several of these roles.
             _ if SPLAT_ROLES.contains(&buffer.role) => Some(u64::from(counts.visible) * VEC4),
             ("visible_flags" | "visible_blocks" | "visible_index", _) => self.all.get(buffer.name).copied(),
             (name, "depth sort") => self.depth_sort.get(name).copied(),

@@ -1,4 +1,4 @@
-//! `bench train`: real training of a data set from its points, in windows of its iterations.
+//! `bench train`: training of a data set from its points, measured in windows of iterations.
 
 use super::measure::{Iterations, measure};
 use super::schema::{CopyBandwidth, Run, Workload};
@@ -10,13 +10,13 @@ use ashsplat::{Error, Gaussians, Result, StepReport, TrainSettings, TrainView, T
 use ashsplat_files::{Dataset, DatasetOptions, Progress};
 use std::path::Path;
 
-/// Iterations of a window. Every second one is timed kernel by kernel, the others not at all.
+/// Iterations of a window. Every second one is timed kernel by kernel.
 const WINDOW: u32 = 100;
-/// One step goes before them, in which the profile's own memory is made.
+/// One more step precedes them, in which the profile allocates its memory.
 pub const ITERATIONS: Iterations =
     Iterations { measured: (WINDOW - 1) / 2, warmup: 0, timed: true, reads_back: true };
 
-/// A data set that is trained with the reference's settings, every eighth view held out.
+/// A data set to train with the reference's settings; every eighth view is held out.
 pub struct Training {
     source: String,
     views: Vec<TrainView>,
@@ -97,7 +97,7 @@ impl Training {
         hash.gaussians(&self.initial);
         for view in &self.views {
             hash.camera(&view.camera);
-            // In memory: it cannot fail.
+            // The photo is in memory, so this cannot fail.
             if let Ok(photo) = view.photo.photo() {
                 hash.add(&photo.rgb);
             }

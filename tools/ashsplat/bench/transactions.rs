@@ -1,8 +1,8 @@
-//! Memory transactions: how many segments of memory a subgroup touches at once where its lanes do not access neighbouring places.
+//! Memory transactions: memory segments that a subgroup touches at once where its lanes access scattered addresses.
 //!
-//! They are counted on the host, on the workload's own data: the keys of a sort, the lists of a frame's tiles
+//! They are counted on the host from the workload's own data: the keys of a sort, the lists of a frame's tiles
 //! ([`Renderer::tile_lists`](ashsplat::Renderer::tile_lists)). Counted are the stores of sort_downsweep, and the gathers of count,
-//! blend and blend_backward. All other kernels' lanes access neighbouring places: bytes over the segment's size.
+//! blend and blend_backward. In all other kernels, lanes access neighbouring addresses: bytes over the segment's size.
 
 use super::schema::{Run, Segments, Transactions};
 use ashsplat::TileLists;
@@ -11,11 +11,11 @@ use ashsplat::plan::{region_height, tile_bits};
 use ashsplat::tuning::Tuning;
 use std::collections::BTreeMap;
 
-/// Sizes of subgroups that are counted for: those of GPUs.
+/// Counted subgroup sizes: those of GPUs.
 const LANES: [u32; 3] = [16, 32, 64];
-/// Entries of tiles whose pixels are blended on the host, about: every so-manieth tile is taken.
+/// Approximate number of tile entries to blend on the host: only every nth tile is blended.
 const SAMPLED_ENTRIES: usize = 1 << 18;
-/// Bytes of a Gaussian's record, and how many of its planes blending reads.
+/// Bytes of a Gaussian's record, and the planes that blending reads.
 const RECORD: u64 = 16 * c::SPLAT_PLANES as u64;
 const PLANES: [u32; 3] = [c::SPLAT_MEAN2D_EXTENT, c::SPLAT_CONIC_OPACITY, c::SPLAT_COLOR_INVERSE_DEPTH];
 /// Bytes of a Gaussian's list of tiles.
@@ -24,7 +24,7 @@ const TILE_LIST: u64 = 8;
 /// Transactions by stage and kernel.
 pub type Counted = BTreeMap<(&'static str, &'static str), Transactions>;
 
-/// Enters them into a result.
+/// Enters the transactions into a run.
 pub fn enter(run: &mut Run, counted: &Counted) {
     for kernel in &mut run.kernels {
         let place = (kernel.scope.as_str(), kernel.kernel.as_str());
@@ -32,12 +32,12 @@ pub fn enter(run: &mut Run, counted: &Counted) {
     }
 }
 
-/// Of a sort alone, whose workgroups have `block` pairs.
+/// Counts a sort alone, whose workgroups have `block` pairs.
 pub fn of_sort(keys: &[u32], block: u32) -> Counted {
     BTreeMap::from([(("sort", "sort/sort_downsweep"), stores_of_sort(keys.to_vec(), u32::BITS, block))])
 }
 
-/// Of a frame with such sorts; of a training step with the backward pass.
+/// Counts a frame, or a training step if `backward`.
 pub fn of_frame(lists: &TileLists, size: (u32, u32), block: u32, backward: bool) -> Counted {
     let order = by_depth(lists);
     let mut gather = Counting::default();
@@ -62,13 +62,13 @@ pub fn of_frame(lists: &TileLists, size: (u32, u32), block: u32, backward: bool)
 #[derive(Default)]
 struct Counting {
     bytes: u64,
-    /// By lanes, of 32, 64 and 128 bytes.
+    /// By subgroup size; segments of 32, 64 and 128 bytes.
     segments: [[u64; 3]; LANES.len()],
     found: Vec<u64>,
 }
 
 impl Counting {
-    /// An access of every invocation in turn, at these addresses.
+    /// Counts one access of every invocation in turn, at these addresses.
     fn access(&mut self, addresses: impl Iterator<Item = u64> + Clone, bytes: u64) {
         self.bytes += bytes * addresses.clone().count() as u64;
         for at in 0..LANES.len() {
@@ -76,7 +76,7 @@ impl Counting {
         }
     }
 
-    /// The same for one size of subgroups, without the bytes.
+    /// Same as [`Counting::access`], but for one subgroup size and without the bytes.
     fn access_of(&mut self, at: usize, mut addresses: impl Iterator<Item = u64>) {
         loop {
             self.found.clear();
@@ -100,8 +100,8 @@ impl Counting {
     }
 }
 
-/// The stores of all passes of a stable radix sort: a workgroup puts its pairs into the order of their digits, and neighbouring lanes
-/// store neighbours in it.
+/// Counts the stores of all passes of a stable radix sort. A workgroup orders its pairs by digit, and neighbouring lanes store
+/// neighbouring pairs of that order.
 fn stores_of_sort(mut keys: Vec<u32>, key_bits: u32, block: u32) -> Transactions {
     let passes = key_bits.div_ceil(c::SORT_BINS.ilog2());
     let digit_bits = key_bits.div_ceil(passes);
@@ -119,9 +119,9 @@ fn stores_of_sort(mut keys: Vec<u32>, key_bits: u32, block: u32) -> Transactions
         };
         let targets: Vec<u64> = keys.iter().map(|&key| target(key)).collect();
         let mut stores = targets.clone();
-        // In the order of digits, each behind those of lower ones.
+        // Within a block, lower digits are stored first.
         stores.chunks_mut(block as usize).for_each(<[u64]>::sort_unstable);
-        // Keys and values lie in buffers of their own.
+        // Keys and values have separate buffers.
         for _ in 0..2 {
             counting.access(stores.iter().map(|target| target * 4), 4);
         }
@@ -131,14 +131,14 @@ fn stores_of_sort(mut keys: Vec<u32>, key_bits: u32, block: u32) -> Transactions
     counting.end(keys.len() as u64 * 8)
 }
 
-/// The visible from near to far.
+/// Visible Gaussians from near to far.
 fn by_depth(lists: &TileLists) -> Vec<u32> {
     let mut order: Vec<u32> = (0..lists.splats.len() as u32).collect();
     order.sort_by_key(|&visible| lists.splats[visible as usize].depth.to_bits());
     order
 }
 
-/// The tiles of all instances before they are sorted: in the order of depth, of each Gaussian row by row.
+/// Tiles of all instances before sorting: by depth, and row by row for each Gaussian.
 fn unsorted_tiles(lists: &TileLists, order: &[u32]) -> Vec<u32> {
     let mut first = vec![0usize; order.len() + 1];
     lists.entries.iter().for_each(|&visible| first[visible as usize + 1] += 1);
@@ -156,8 +156,8 @@ fn unsorted_tiles(lists: &TileLists, order: &[u32]) -> Vec<u32> {
     order.iter().flat_map(own).collect()
 }
 
-/// What blending and its backward pass fetch: each region of a tile its Gaussians, a subgroup at a time, until its pixels have
-/// stopped. Pixels are blended here for some tiles only.
+/// Counts the fetches of blending and its backward pass. Each region of a tile fetches its Gaussians, a subgroup at a time,
+/// until its pixels have stopped. Only some tiles' pixels are blended here.
 fn fetches(lists: &TileLists, size: (u32, u32)) -> [Transactions; 2] {
     let every = lists.entries.len().div_ceil(SAMPLED_ENTRIES).max(1);
     let filled = lists.ranges.iter().enumerate().filter(|(_, [begin, end])| begin < end);
@@ -180,7 +180,7 @@ fn fetches(lists: &TileLists, size: (u32, u32)) -> [Transactions; 2] {
     })
 }
 
-/// Adds what a tile's regions fetch. `ends`: how many entries each pixel needs.
+/// Adds the fetches of a tile's regions. `ends`: number of entries that each pixel needs.
 fn fetch(counting: &mut Counting, entries: &[u32], ends: &[u32]) {
     for (at, lanes) in LANES.into_iter().enumerate() {
         let rows = region_height(&Tuning::GPU, lanes) as usize;
@@ -193,14 +193,14 @@ fn fetch(counting: &mut Counting, entries: &[u32], ends: &[u32]) {
             for plane in PLANES {
                 let address = |&visible: &u32| u64::from(visible) * RECORD + u64::from(plane) * 16;
                 counting.access_of(at, fetched.iter().map(address));
-                // Bytes are those of 32 lanes.
+                // Bytes are counted once, for 32 lanes.
                 counting.bytes += if lanes == 32 { 16 * fetched.len() as u64 } else { 0 };
             }
         }
     }
 }
 
-/// How many entries each pixel of a tile looks at before it stops, and how many up to the last one that it blends.
+/// For each pixel of a tile: the number of entries until it stops, and until the last one that it blends.
 fn pixel_ends(lists: &TileLists, tile: u32, entries: &[u32], (width, height): (u32, u32)) -> [Vec<u32>; 2] {
     let corner = [tile % lists.tiles_per_row, tile / lists.tiles_per_row].map(|k| k * c::TILE_SIZE);
     let mut ends = [Vec::new(), Vec::new()];
@@ -256,21 +256,21 @@ mod tests {
         assert_eq!(of(&counting.end(0), 32), [64; 3]);
     }
 
-    /// Sorted keys are stored side by side. Of two digits in turn each block stores two runs.
+    /// Equal keys are stored side by side. With two alternating digits, each block stores two runs.
     #[test]
     fn stores_of_a_sort_follow_its_keys() {
         let equal = stores_of_sort(vec![7; 64], 8, 64);
         assert_eq!((equal.bytes, equal.array_bytes, of(&equal, 32)), (512, 512, [16, 8, 4]));
         let alternating = |block| stores_of_sort((0..64).map(|k| k % 2).collect(), 8, block);
         assert_eq!([32, 64].map(|lanes| of(&alternating(64), lanes)), [[16, 8, 4]; 2]);
-        // A block of 32 has 16 of each: two runs of 64 bytes, 128 apart.
+        // A block of 32 has 16 of each digit: two runs of 64 bytes, 128 apart.
         assert_eq!([32, 64].map(|lanes| of(&alternating(32), lanes)), [[16, 8, 8], [16, 8, 4]]);
-        // Of 32 bits four passes, of 9 two.
+        // 32 bits take four passes, 9 bits two.
         assert_eq!(stores_of_sort(vec![7; 64], 32, 64).bytes, 4 * 512);
         assert_eq!(stores_of_sort(vec![7; 64], 9, 64).bytes, 2 * 512);
     }
 
-    /// One tile with 40 Gaussians: all far too faint, or opaque ones, after a few of which every pixel stops.
+    /// One tile with 40 Gaussians: all far too faint, or opaque, so that every pixel soon stops.
     #[test]
     fn fetches_end_where_pixels_stop() {
         let lists = |opacity, conic| TileLists {
@@ -283,15 +283,15 @@ mod tests {
         // 40 records of 64 bytes by 4 regions and 3 planes.
         assert_eq!((faint[0].bytes, of(&faint[0], 32)), (4 * 3 * 40 * 16, [480, 480, 4 * 3 * 20]));
         assert_eq!(of(&faint[1], 32), [0; 3], "none is blended");
-        // At 0.99 the third stops every pixel: a batch of each of 8, 4 and 4 regions.
+        // At 0.99 the third Gaussian stops every pixel: one batch for each of 8, 4 and 4 regions.
         let opaque = fetches(&lists(0.99, [0.0; 3]), (16, 16));
         assert_eq!(opaque.each_ref().map(|t| of(t, 16)), [[8 * 3 * 16, 8 * 3 * 16, 8 * 3 * 8]; 2]);
         assert_eq!(of(&opaque[0], 32), [4 * 3 * 32, 4 * 3 * 32, 4 * 3 * 16]);
-        // Outside of the picture nothing is blended.
+        // Nothing is blended outside the picture.
         assert_eq!(of(&fetches(&lists(0.99, [0.0; 3]), (8, 8))[0], 32), [3 * 32, 3 * 32, 3 * 16]);
     }
 
-    /// Two Gaussians in two tiles each, the nearer one second in the scene.
+    /// Two Gaussians in two tiles each; the nearer one is second in the scene.
     #[test]
     fn instances_are_listed_in_the_order_of_depth() {
         let splat = |depth| ProjectedSplat { depth, ..ProjectedSplat::default() };

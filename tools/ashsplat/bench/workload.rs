@@ -1,4 +1,4 @@
-//! What is measured: synthetic scenes, trained ones, data sets.
+//! Workloads: synthetic scenes, trained ones, data sets.
 
 use super::schema::Workload;
 use super::synthetic;
@@ -55,8 +55,8 @@ impl SyntheticArguments {
         let coefficients = sh_coefficients(self.sh_degree());
         // Mean, rotation, scales, opacity, coefficients.
         let floats = 3 + 4 + 3 + 1 + 3 * coefficients;
-        // Here, and once more where the device is a processor; asked for and given back, for an allocation that fails later
-        // would end the program.
+        // Twice, because a processor as the device needs another copy. The memory is requested and released here, since a
+        // failing allocation later would end the program.
         if Vec::<f32>::new().try_reserve_exact((2 * floats).saturating_mul(count as usize)).is_ok() {
             return Ok(());
         }
@@ -65,7 +65,6 @@ impl SyntheticArguments {
         Err(Error::argument(format!("{count} Gaussians"), problem))
     }
 
-    /// Makes the scene.
     pub fn load(&self) -> Result<Scene> {
         self.check()?;
         let (count, seed) = (self.gaussians.unwrap_or(Self::GAUSSIANS), self.seed());
@@ -100,7 +99,7 @@ pub struct SceneArguments {
     view: usize,
 }
 
-/// A scene and where it is seen from.
+/// A scene and its camera.
 pub struct Scene {
     pub gaussians: Gaussians,
     pub camera: Camera,
@@ -111,7 +110,7 @@ pub struct Scene {
 }
 
 impl SceneArguments {
-    /// A file's scene, in a picture of another size than the camera's where one is given.
+    /// A file's scene, with the picture's size if it differs from the camera's.
     pub fn of_file(file: &Path, camera: Option<&str>, (width, height): (Option<u32>, Option<u32>)) -> Self {
         Self {
             synthetic: SyntheticArguments { gaussians: None, sh_degree: None, width, height, seed: None },
@@ -122,7 +121,7 @@ impl SceneArguments {
         }
     }
 
-    /// Loads or makes the scene. `training`: whether it is to be trained, on a data set's photos where there is one.
+    /// Loads or makes the scene. `training`: true to train it, on a data set's photos if there is one.
     pub fn load(&self, training: bool, host: &HostArguments) -> Result<Scene> {
         self.check(training)?;
         let mut scene = match (&self.dataset, &self.scene) {
@@ -148,7 +147,7 @@ impl SceneArguments {
         scene.checked()
     }
 
-    /// Refuses what says how a scene is to be made where one is given.
+    /// Refuses options of a synthetic scene if a scene is given.
     fn check(&self, training: bool) -> Result<()> {
         let SyntheticArguments { gaussians, sh_degree, seed, .. } = &self.synthetic;
         let giver = match (&self.scene, &self.dataset) {
@@ -237,7 +236,7 @@ fn overview(gaussians: &Gaussians) -> Camera {
 }
 
 impl Scene {
-    /// Refuses a scene that no frame can be made of.
+    /// Refuses a scene of which no frame can be made.
     fn checked(self) -> Result<Self> {
         if self.gaussians.is_empty() {
             return Err(Error::argument("scene", "has no Gaussians; give --gaussians 1 or more"));
@@ -246,15 +245,15 @@ impl Scene {
         Ok(self)
     }
 
-    /// As [`Scene::workload`], with what else training depends on: the sizes of steps go by the extent, and the seed disturbs
-    /// what is trained on its own picture.
+    /// Same as [`Scene::workload`], but hashes more inputs of training. Step sizes depend on the extent; the seed disturbs a
+    /// scene that is trained on its own picture.
     pub fn training_workload(&self, settings: &RenderSettings, seed: u64) -> Workload {
         let disturbed_by = if self.view.is_none() { Some(seed) } else { None };
         let more = format!("{} {disturbed_by:?}", self.scene_extent);
         self.workload_with(settings, more.as_bytes())
     }
 
-    /// For the result file. The command that renders a frame fills in its counts.
+    /// The workload for the result file. The command that renders a frame fills in its counts.
     pub fn workload(&self, settings: &RenderSettings) -> Workload {
         self.workload_with(settings, &[])
     }
@@ -267,7 +266,7 @@ impl Scene {
         hash.add(format!("{settings:?}").as_bytes());
         hash.add(more);
         if let Some(view) = &self.view {
-            // In memory: it cannot fail.
+            // The photo is in memory, so this cannot fail.
             if let Ok(photo) = view.photo.photo() {
                 hash.add(&photo.rgb);
             }
@@ -313,7 +312,7 @@ impl Fnv {
         self.add(bytemuck::cast_slice(&[c.translation.x, c.translation.y, c.translation.z]));
         self.add(bytemuck::cast_slice(&[c.fx, c.fy, c.cx, c.cy]));
         self.add(bytemuck::cast_slice(&[c.width, c.height]));
-        // Pinholes keep the hashes that they had before there were others.
+        // Pinhole cameras keep the hashes of older files.
         if c.is_orthographic() {
             self.add(b"orthographic");
         }

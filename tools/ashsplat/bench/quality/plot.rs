@@ -1,4 +1,4 @@
-//! The curves as SVG, readable on light and dark pages: mean over the seeds, and a band from the least to the most.
+//! The curves as SVG, readable on light and dark pages: the mean over the seeds, and a band from least to most.
 
 use super::super::plot::{COLORS, escape};
 use super::summary::{Place, Range, Summary};
@@ -21,9 +21,9 @@ struct Panel {
     along: &'static str,
     x: Value,
     y: Value,
-    /// Whether both axes begin at 0, or x alone.
+    /// True if both axes begin at 0, false if only x does.
     from_zero: bool,
-    /// Whether the PSNRs that are to be reached are in it.
+    /// True if it shows the PSNRs to reach.
     shows_until: bool,
 }
 
@@ -31,8 +31,8 @@ fn iteration(place: &Place) -> Option<Range> {
     Range::of(std::iter::once(f64::from(place.iteration)))
 }
 
-/// Four panels: PSNR, SSIM and Gaussians by processor seconds, and PSNR by iteration; by seconds where the system does
-/// not tell processor seconds.
+/// Draws four panels: PSNR, SSIM and Gaussians by processor seconds, and PSNR by iteration. Uses seconds if the system does not
+/// report processor seconds.
 pub fn svg(title: &str, summary: &Summary, until: &[f64]) -> String {
     let places = || summary.curves.iter().flat_map(|curve| &curve.places);
     let (along, cost): (_, Value) = match places().all(|place| place.cpu_seconds.is_some()) {
@@ -82,7 +82,7 @@ pub fn svg(title: &str, summary: &Summary, until: &[f64]) -> String {
     out + "</svg>\n"
 }
 
-/// The first is for the whole of something.
+/// Skips the first colour, which plots use for a total.
 fn color(curve: usize) -> &'static str {
     COLORS[1 + curve % (COLORS.len() - 1)]
 }
@@ -178,7 +178,7 @@ mod tests {
         let names = ["a", "b < c"].map(str::to_owned);
         let text = svg("T & U", &Summary::new(&names, &runs, &[]), &[20.0, 99.0]);
         assert!(text.starts_with("<svg") && text.ends_with("</svg>\n") && text.contains("T &amp; U"));
-        // Each strategy in each of four panels. Both runs of a have the same values, so there is no band.
+        // Each strategy is in each of four panels. Both runs of a have the same values, so there is no band.
         assert_eq!((text.matches("<polyline").count(), text.matches("<polygon").count()), (8, 0));
         assert!(text.contains("b &lt; c (1 seeds)") && text.contains("a (2 seeds)"));
         assert_eq!(text.matches("stroke-dasharray").count(), 2, "within the picture only");

@@ -1,4 +1,4 @@
-//! A run that is over, as a file.
+//! A finished run as a file.
 
 use crate::bench::schema::Program;
 use crate::config::DataSettings;
@@ -16,23 +16,22 @@ use std::path::{Path, PathBuf};
 /// Changes when older files can no longer be read.
 pub const SCHEMA: &str = "ashsplat-quality/1";
 
-/// What a run has come to after an iteration.
+/// Results after an iteration.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Point {
     pub iteration: u32,
-    /// Of training alone, since its first iteration.
+    /// Training time since the first iteration.
     pub seconds: f64,
-    /// Processor time of training alone, of the whole process; none where the system does not tell.
+    /// Processor time of the whole process during training; none if the system does not report it.
     pub cpu_seconds: Option<f64>,
     /// Mean over all held-out views, dB.
     pub psnr: f64,
     /// Mean over all held-out views.
     pub ssim: f64,
-    /// Gaussians of the iteration.
     pub gaussians: u32,
 }
 
-/// What must be equal for runs to be compared: data, settings, device, program; names and values.
+/// Values that must agree for runs to be compared: data, settings, device, program.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Setup(Map<String, Value>);
@@ -67,7 +66,7 @@ impl Setup {
         Ok(Setup(setup))
     }
 
-    /// The first thing in which it differs from another: name, its value, the other's.
+    /// Returns the first difference from another setup: name, own value, other value.
     fn difference(&self, other: &Setup) -> Option<(String, Value, Value)> {
         let value = |setup: &Setup, name: &String| setup.0.get(name).cloned().unwrap_or(Value::Null);
         let names = self.0.keys().chain(other.0.keys().filter(|name| !self.0.contains_key(*name)));
@@ -84,12 +83,12 @@ pub struct Run {
     pub seed: u32,
     pub setup: Setup,
     pub held_out_views: usize,
-    /// By iteration; the last is the end.
+    /// By iteration; the last one is the end.
     pub points: Vec<Point>,
 }
 
 impl Run {
-    /// Its end in words.
+    /// Describes the result in words.
     pub fn describe(&self) -> String {
         let Some(end) = self.points.last() else { return String::new() };
         let cpu = end.cpu_seconds.map_or_else(String::new, |cpu| format!(", {cpu:.1} CPU-s"));
@@ -105,15 +104,15 @@ impl Run {
     }
 }
 
-/// Where a run lies.
+/// File of a run.
 pub fn file(folder: &Path, strategy: &str, seed: u32) -> PathBuf {
     folder.join("runs").join(format!("{strategy}-{seed}.json"))
 }
 
-/// A run of an earlier call; None where there is none.
+/// Reads a run of an earlier call; none if there is none.
 ///
 /// # Errors
-/// Where it is damaged, or was made with another setup: both are not mixed.
+/// If it is damaged, or was made with another setup: the two must not be mixed.
 pub fn read(path: &Path, setup: &Setup) -> Result<Option<Run>> {
     let text = match regular_file::read_json(path) {
         Ok(text) => text,
@@ -138,7 +137,7 @@ pub fn read(path: &Path, setup: &Setup) -> Result<Option<Run>> {
     }
 }
 
-/// Iterations at equal shares of all, ascending; the last is the last.
+/// Iterations at equal shares, ascending, up to the last.
 pub fn shares(iterations: u32, points: u32) -> Vec<u32> {
     let at = |k: u32| (u64::from(k) * u64::from(iterations) / u64::from(points)) as u32;
     let mut shares: Vec<u32> = (1..=points).map(at).filter(|&iteration| iteration > 0).collect();
@@ -146,7 +145,7 @@ pub fn shares(iterations: u32, points: u32) -> Vec<u32> {
     shares
 }
 
-/// A line for each point of each run.
+/// One line for each point of each run.
 pub fn csv(runs: &[Run]) -> String {
     let mut out = String::from("strategy,seed,iteration,seconds,cpu_seconds,psnr,ssim,gaussians\n");
     for (run, p) in runs.iter().flat_map(|run| run.points.iter().map(move |point| (run, point))) {

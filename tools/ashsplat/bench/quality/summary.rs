@@ -1,11 +1,10 @@
-//! Runs of the same strategy taken together: means, and the range over the seeds.
+//! Runs of the same strategy combined: means, and ranges over the seeds.
 
 use super::runs::{Point, Run};
 use crate::progress::thousands;
 use serde::Serialize;
 use std::fmt::Write;
 
-/// A value of several runs.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Range {
     pub mean: f64,
@@ -14,7 +13,7 @@ pub struct Range {
 }
 
 impl Range {
-    /// None of nothing.
+    /// None without values.
     pub fn of(values: impl Iterator<Item = f64>) -> Option<Range> {
         let values: Vec<f64> = values.collect();
         let mean = values.iter().sum::<f64>() / values.len() as f64;
@@ -23,7 +22,7 @@ impl Range {
         (!values.is_empty()).then_some(Range { mean, least, most })
     }
 
-    /// The mean, and the ends in parentheses where they differ.
+    /// The mean, and the ends in parentheses if they differ.
     fn describe(&self, digits: usize) -> String {
         let Range { mean, least, most } = self;
         match least < most {
@@ -33,7 +32,7 @@ impl Range {
     }
 }
 
-/// A place of the curve.
+/// A point of the curve.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Place {
     pub iteration: u32,
@@ -41,16 +40,16 @@ pub struct Place {
     pub ssim: Range,
     pub gaussians: Range,
     pub seconds: Range,
-    /// None where the system does not tell.
+    /// None if the system does not report it.
     pub cpu_seconds: Option<Range>,
 }
 
-/// What it takes to reach a PSNR.
+/// Cost of reaching a PSNR.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Reached {
     /// dB.
     pub psnr: f64,
-    /// How many runs do.
+    /// Number of runs that reach it.
     pub runs: usize,
     pub seconds: Option<Range>,
     pub cpu_seconds: Option<Range>,
@@ -65,14 +64,14 @@ pub struct Curve {
     pub until: Vec<Reached>,
 }
 
-/// One curve for each strategy of which a run is over.
+/// One curve for each strategy with a finished run.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Summary {
     pub curves: Vec<Curve>,
 }
 
 impl Summary {
-    /// In the order of the names.
+    /// `strategies`: order of the curves.
     pub fn new(strategies: &[String], runs: &[Run], until: &[f64]) -> Summary {
         let of = |strategy: &String| {
             let own: Vec<&Run> = runs.iter().filter(|run| run.strategy == *strategy).collect();
@@ -81,13 +80,13 @@ impl Summary {
         Summary { curves: strategies.iter().filter_map(of).collect() }
     }
 
-    /// How long the runs are, in words.
+    /// Length of the runs, in words.
     pub fn iterations(&self) -> String {
         let last = self.curves.first().and_then(|curve| curve.places.last());
         last.map_or_else(String::new, |place| format!("{} iterations", thousands(place.iteration.into())))
     }
 
-    /// The ends, and the way to the PSNRs that were asked for.
+    /// Table of the final results, and of the cost of the given PSNRs.
     pub fn table(&self) -> String {
         let name = self.curves.iter().map(|curve| curve.strategy.len()).max().unwrap_or(0).max(8);
         let mut out = String::new();
@@ -162,7 +161,7 @@ impl Curve {
     }
 }
 
-/// Seconds and processor seconds until a PSNR is first reached, on the line between two measurements.
+/// Seconds and processor seconds until a PSNR is first reached, interpolated between two measurements.
 fn cost_of(points: &[Point], psnr: f64) -> Option<(f64, Option<f64>)> {
     let place = points.iter().position(|point| point.psnr >= psnr)?;
     let end = &points[place];
@@ -209,7 +208,7 @@ pub(super) mod tests {
         let a = &summary.curves[1];
         assert_eq!((a.seeds.clone(), a.places.len()), (vec![0, 1], 4));
         assert_eq!(a.places[3].seconds, Range { mean: 8.0, least: 4.0, most: 12.0 });
-        // Half way between the second point and the third.
+        // Half-way between the second point and the third.
         assert_eq!(a.until[0].seconds, Some(Range { mean: 5.0, least: 2.5, most: 7.5 }));
         assert_eq!(a.until[0].cpu_seconds.map(|cpu| cpu.mean), Some(10.0));
         assert_eq!(a.until[1].seconds.map(|seconds| seconds.mean), Some(2.0), "at the first point");
