@@ -1,10 +1,10 @@
-//! What the layer says in the driver's place when a program asks for properties.
+//! Properties that the layer reports in the driver's place.
 
 use super::state::{InstanceState, heap_usage};
 use ash::vk;
 use std::ffi::{CStr, c_char};
 
-/// Extensions that speak of memory types or queues which the layer knows nothing of.
+/// Extensions with memory types or queues that the layer cannot translate.
 const HIDDEN: [&CStr; 5] = [
     c"VK_EXT_external_memory_host",
     c"VK_KHR_external_memory_fd",
@@ -25,10 +25,10 @@ pub(crate) unsafe extern "system" fn properties(
     }
 }
 
-/// The struct of a kind in a chain that a call has written.
+/// Returns the struct of a kind in a chain that a call has written.
 unsafe fn in_chain<'a, T>(chain: *mut std::ffi::c_void, kind: vk::StructureType) -> Option<&'a mut T> {
     let mut next = chain.cast::<vk::BaseOutStructure<'_>>();
-    // SAFETY: every struct of a chain begins like this one, and its kind says what it is.
+    // SAFETY: every struct of a chain begins with these two fields, and its kind says its type.
     unsafe {
         while let Some(found) = next.as_mut() {
             if found.s_type == kind {
@@ -60,7 +60,7 @@ pub(crate) unsafe extern "system" fn properties2(
     }
 }
 
-/// Bytes of the machine's heaps: no more than the driver has.
+/// Bytes of the machine's heaps, at most the driver's.
 pub(crate) fn heap_sizes(state: &InstanceState, physical: vk::PhysicalDevice) -> Vec<u64> {
     let mut real = vk::PhysicalDeviceMemoryProperties::default();
     // SAFETY: a plain query.
@@ -111,14 +111,14 @@ pub(crate) unsafe extern "system" fn memory2(
             in_chain((*memory).p_next, kind);
         let Some(budget) = budget else { return };
         for (heap, described) in properties.memory_heaps_as_slice().iter().enumerate() {
-            // As a desktop leaves it.
+            // A desktop leaves about this much.
             budget.heap_budget[heap] = described.size / 16 * 15;
             budget.heap_usage[heap] = heap_usage(physical, heap as u32);
         }
     }
 }
 
-/// The machine's families, with the clock of the driver's first.
+/// Queue families of the machine, with the timestamp clock of the driver's first family.
 fn described(state: &InstanceState, physical: vk::PhysicalDevice) -> Vec<vk::QueueFamilyProperties> {
     let mut real = vk::QueueFamilyProperties::default();
     let mut one = 1;
@@ -140,7 +140,7 @@ pub(crate) unsafe extern "system" fn families(
     families: *mut vk::QueueFamilyProperties,
 ) {
     let described = described(&InstanceState::of(physical), physical);
-    // SAFETY: the caller's counter, and its array of so many elements if there is one.
+    // SAFETY: the caller's counter, and its array of that many elements if there is one.
     unsafe {
         if families.is_null() {
             *count = described.len() as u32;
@@ -159,7 +159,7 @@ pub(crate) unsafe extern "system" fn families2(
     families: *mut vk::QueueFamilyProperties2<'_>,
 ) {
     let described = described(&InstanceState::of(physical), physical);
-    // SAFETY: as above. What is chained stays as it is.
+    // SAFETY: as above. Chained structs stay unchanged.
     unsafe {
         if families.is_null() {
             *count = described.len() as u32;
@@ -191,11 +191,11 @@ pub(crate) unsafe extern "system" fn surface_support(
     }
 }
 
-/// The driver's extensions of a device.
+/// Device extensions of the driver.
 fn of_driver(state: &InstanceState, physical: vk::PhysicalDevice) -> Vec<vk::ExtensionProperties> {
     let next = state.functions.enumerate_device_extension_properties;
     let mut count = 0;
-    // SAFETY: two plain queries, the second with room for what the first has counted.
+    // SAFETY: two plain queries; the second's array has the counted size.
     unsafe {
         let _ = next(physical, std::ptr::null(), &raw mut count, std::ptr::null_mut());
         let mut all = vec![vk::ExtensionProperties::default(); count as usize];
@@ -209,7 +209,7 @@ fn has(extensions: &[vk::ExtensionProperties], name: &CStr) -> bool {
     extensions.iter().any(|extension| extension.extension_name_as_c_str() == Ok(name))
 }
 
-/// With the budget, which the layer answers itself, and without those that it does not know.
+/// Adds the memory budget, which the layer answers itself, and hides extensions that it does not know.
 pub(crate) unsafe extern "system" fn extensions(
     physical: vk::PhysicalDevice,
     layer: *const c_char,
@@ -233,7 +233,7 @@ pub(crate) unsafe extern "system" fn extensions(
         }
         all.push(added);
     }
-    // SAFETY: the caller's counter, and its array of so many elements if there is one.
+    // SAFETY: the caller's counter, and its array of that many elements if there is one.
     unsafe {
         if extensions.is_null() {
             *count = all.len() as u32;
@@ -246,7 +246,7 @@ pub(crate) unsafe extern "system" fn extensions(
     }
 }
 
-/// What a program enables, without what the layer adds.
+/// Extensions that a program enables, without those that the layer adds.
 ///
 /// # Safety
 /// `info` is a valid description of a device.

@@ -1,9 +1,9 @@
-//! Queue families: whatever names one of the machine's names the driver's only one instead.
+//! Queue families: calls that name a family of the machine name the driver's only one instead.
 
 use super::state::DeviceState;
 use ash::vk;
 
-/// Owned by one family at a time: there is but one.
+/// Exclusive to one family at a time: the driver has only one.
 pub(crate) fn exclusive_buffer<'a>(info: &vk::BufferCreateInfo<'a>) -> vk::BufferCreateInfo<'a> {
     info.sharing_mode(vk::SharingMode::EXCLUSIVE).queue_family_indices(&[])
 }
@@ -51,7 +51,7 @@ pub(crate) unsafe extern "system" fn create_command_pool(
     }
 }
 
-/// No transfer between families of the machine, and the transfers from and to others.
+/// No transfer between families of the machine; a transfer from or to foreign families stays.
 fn mapped(from: u32, to: u32) -> (u32, u32) {
     let outside = |family| family >= vk::QUEUE_FAMILY_FOREIGN_EXT;
     if from == to || !(outside(from) || outside(to)) {
@@ -70,9 +70,8 @@ macro_rules! remapped {
     };
 }
 
-/// A slice of a caller's.
 pub(crate) unsafe fn slice<'a, T>(pointer: *const T, count: u32) -> &'a [T] {
-    // SAFETY: the caller's array has as many elements; without any the address may be null.
+    // SAFETY: the caller's array has `count` elements; if there are none, the pointer may be null.
     if count == 0 { &[] } else { unsafe { std::slice::from_raw_parts(pointer, count as usize) } }
 }
 

@@ -1,16 +1,16 @@
-//! The order of submissions to several queues, as late as it may be.
+//! Starts submissions to several queues as late as the rules allow.
 //!
-//! A submission starts when all earlier ones of its queue have started and what it waits for is signalled by one that has. Those
-//! of some queues ([`Machine::holds`](super::machine::Machine::holds)) start only when something needs them: the host waits, or
-//! another submission waits for a semaphore of theirs. All other ones start as soon as they may.
+//! A submission may start once all earlier ones of its queue have started, and its waits are signalled by started submissions.
+//! Submissions to late queues ([`Machine::holds`](super::machine::Machine::holds)) start only when needed: when the host waits
+//! for them, or another submission waits for their semaphore. All others start as soon as they may.
 
 use ash::vk;
 use std::collections::HashMap;
 
-/// A semaphore with a value. Binary ones have 0.
+/// A semaphore and its value; 0 for binary ones.
 pub(crate) type Point = (vk::Semaphore, u64);
 
-/// A queue of the machine: family and index.
+/// Family and index of one of the machine's queues.
 pub(crate) type Place = (u32, u32);
 
 /// What the host waits for.
@@ -18,19 +18,18 @@ pub(crate) type Place = (u32, u32);
 pub(crate) enum Want {
     /// The submission with this fence.
     Fence(vk::Fence),
-    /// The first one that signals at least this value.
+    /// The first submission that signals at least this value.
     Point(Point),
-    /// All of a queue.
+    /// All submissions of a queue.
     Queue(Place),
-    /// All of the device.
+    /// All submissions of the device.
     All,
 }
 
-/// A submission that has not started.
 #[derive(Debug, Default)]
 pub(crate) struct Held {
     pub place: Place,
-    /// Whether it starts only when something needs it.
+    /// True if it starts only when needed.
     pub late: bool,
     pub waits: Vec<vk::SemaphoreSubmitInfo<'static>>,
     pub commands: Vec<vk::CommandBufferSubmitInfo<'static>>,
@@ -38,13 +37,13 @@ pub(crate) struct Held {
     pub fence: vk::Fence,
 }
 
-/// What has not started, in the order of submission, and what is known of semaphores.
+/// Submissions that have not started, in order of submission, and the state of semaphores.
 #[derive(Default)]
 pub(crate) struct Order {
     pub held: Vec<Held>,
-    /// Timeline semaphores with the largest value that is signalled by what has started.
+    /// Timeline semaphores with the largest value that started submissions signal.
     timelines: HashMap<vk::Semaphore, u64>,
-    /// What the host waits for at the moment, once for each waiting thread.
+    /// Current waits of the host, one for each waiting thread.
     pub wants: Vec<Want>,
 }
 
@@ -53,14 +52,14 @@ impl Order {
         self.timelines.insert(semaphore, value);
     }
 
-    /// The host has signalled it.
+    /// Records a signal by the host.
     pub fn signalled(&mut self, (semaphore, value): Point) {
         if let Some(known) = self.timelines.get_mut(&semaphore) {
             *known = value.max(*known);
         }
     }
 
-    /// None for a binary one.
+    /// Returns a timeline semaphore's value; none for a binary one.
     pub fn reached(&self, semaphore: vk::Semaphore) -> Option<u64> {
         self.timelines.get(&semaphore).copied()
     }
@@ -69,7 +68,7 @@ impl Order {
         self.timelines.remove(&semaphore);
     }
 
-    /// Takes out what starts next, if anything may and should.
+    /// Takes out the next submission that may and should start.
     pub fn next(&mut self) -> Option<Held> {
         let needed = self.needed();
         let ready = |late: bool| {
@@ -83,7 +82,7 @@ impl Order {
         Some(held)
     }
 
-    /// Whether a queue's submission, or with none any, is left.
+    /// True if a queue still has a submission; without a queue, if any queue does.
     pub fn has(&self, place: Option<Place>) -> bool {
         self.held.iter().any(|held| place.is_none_or(|place| held.place == place))
     }
@@ -97,8 +96,8 @@ impl Order {
             })
     }
 
-    /// The submission that a wait is for: for a timeline semaphore the first that signals enough, wherever it stands; for a
-    /// binary one the last before the one that waits.
+    /// Index of the submission that a wait needs. For a timeline semaphore, the first one that signals enough, at any position.
+    /// For a binary one, the last one before the waiting submission.
     fn signaller(&self, semaphore: vk::Semaphore, value: u64, before: usize) -> Option<usize> {
         let signals = |held: &Held| {
             held.signals.iter().any(|signal| signal.semaphore == semaphore && signal.value >= value)
@@ -110,7 +109,7 @@ impl Order {
         }
     }
 
-    /// Which of them should start: those of eager queues, those that the host waits for, and what these wait for.
+    /// True for submissions that should start: those of eager queues, those that the host waits for, and those that these need.
     fn needed(&self) -> Vec<bool> {
         let count = self.held.len();
         let mut needed = vec![false; count];
@@ -147,7 +146,7 @@ mod tests {
         vk::SemaphoreSubmitInfo::default().semaphore(vk::Semaphore::from_raw(semaphore)).value(value)
     }
 
-    /// A submission whose fence is its name.
+    /// A submission whose fence has this number.
     fn submission(name: u64, place: Place, waits: &[(u64, u64)], signals: &[(u64, u64)]) -> Held {
         Held {
             place,
@@ -190,7 +189,7 @@ mod tests {
             assert_eq!(submit(&mut order, submission(2, late, &[], &[(7, 2)])), []);
             assert_eq!(submit(&mut order, submission(3, late, &[], &[(7, 3)])), []);
             assert_eq!(submit(&mut order, submission(4, eager, &[], &[(8, 1)])), [4]);
-            // What waits takes with it what it waits for, and no more.
+            // A waiting submission starts those that it needs, and no more.
             assert_eq!(submit(&mut order, submission(5, eager, &[(7, 2)], &[(8, 2)])), [1, 2, 5]);
             assert_eq!(wanted(&mut order, Want::Fence(vk::Fence::from_raw(5))), []);
             assert_eq!(wanted(&mut order, Want::Point((vk::Semaphore::from_raw(7), 3))), [3]);
@@ -202,7 +201,7 @@ mod tests {
         for late in [COPIES, MAIN] {
             let (mut order, submit) = order(late);
             assert_eq!(submit(&mut order, submission(1, MAIN, &[(7, 1)], &[])), []);
-            // The rest of the queue waits as well, and what waits for that.
+            // The rest of the queue waits too, and so does a submission that needs it.
             assert_eq!(submit(&mut order, submission(2, MAIN, &[], &[(8, 1)])), []);
             assert_eq!(wanted(&mut order, Want::All), []);
             let after = submit(&mut order, submission(3, COPIES, &[], &[(7, 1)]));
@@ -226,7 +225,7 @@ mod tests {
     #[test]
     fn binary_semaphores_pair_with_the_last_signal() {
         let (mut order, submit) = order(COPIES);
-        // Signalled by what is none of the device's submissions.
+        // Signalled from outside the device's submissions.
         assert_eq!(submit(&mut order, submission(1, MAIN, &[(9, 0)], &[])), [1]);
         assert_eq!(submit(&mut order, submission(2, COPIES, &[], &[(9, 0)])), []);
         assert_eq!(submit(&mut order, submission(3, COPIES, &[], &[])), []);

@@ -1,5 +1,5 @@
 //! A Vulkan layer for tests: memory, queues and limits of other devices over the driver at hand, most often llvmpipe.
-//! `ASHSPLAT_MOCK` names the [`machine`]. Below the validation layer, which then holds the program against what this device
+//! `ASHSPLAT_MOCK` names the [`machine`]. Load it below the validation layer, which then checks the program against this device's
 //! claims:
 //!
 //! ```sh
@@ -7,8 +7,8 @@
 //! export VK_INSTANCE_LAYERS=VK_LAYER_KHRONOS_validation:VK_LAYER_ASHSPLAT_mock
 //! ```
 //!
-//! What it changes: properties and memory types (`answers`), allocation and mapping (`memory`), queues and their families
-//! (`queues`, `held`, `semaphores`, `families`). New memory holds 0xFF in every byte, where drivers on processors give zeros. All the rest is the
+//! It changes properties and memory types (`answers`), allocation and mapping (`memory`), queues and their families (`queues`, `held`,
+//! `semaphores`, `families`). New memory holds 0xFF in every byte, where drivers on processors give zeros. Everything else is the
 //! driver's.
 
 mod answers;

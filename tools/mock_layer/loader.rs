@@ -1,4 +1,4 @@
-//! What the loader and a layer tell each other (vk_layer.h), and the lists of functions.
+//! The interface between loader and layer (vk_layer.h), and the tables of functions.
 
 use super::held::Want;
 use super::state::{DeviceState, InstanceState};
@@ -18,7 +18,7 @@ pub(crate) struct Negotiation {
     get_physical_device_proc_addr: Option<vk::PFN_vkGetInstanceProcAddr>,
 }
 
-/// VkLayerInstanceLink and VkLayerDeviceLink: the second function is that of devices in the latter.
+/// VkLayerInstanceLink and VkLayerDeviceLink; only the latter has the device's function.
 #[repr(C)]
 struct Link {
     next: *mut Link,
@@ -39,10 +39,10 @@ struct LayerInfo {
 const LINK: i32 = 0;
 const DATA: i32 = 1;
 
-/// Gives a dispatchable object of the driver the loader's table.
+/// Copies the loader's table into a dispatchable object of the driver.
 pub(crate) type SetLoaderData = unsafe extern "system" fn(vk::Device, *mut c_void) -> vk::Result;
 
-/// The loader's struct of a kind and function in a chain.
+/// Finds the loader's struct of a kind and function in a chain.
 unsafe fn find(mut chain: *const c_void, kind: vk::StructureType, function: i32) -> *mut LayerInfo {
     while !chain.is_null() {
         let info = chain.cast_mut().cast::<LayerInfo>();
@@ -57,7 +57,7 @@ unsafe fn find(mut chain: *const c_void, kind: vk::StructureType, function: i32)
     null_mut()
 }
 
-/// The functions of the next layer, and moves the chain on to it.
+/// Returns the next layer's functions and advances the chain to it.
 unsafe fn take_link(
     chain: *const c_void,
     kind: vk::StructureType,
@@ -72,7 +72,7 @@ unsafe fn take_link(
     }
 }
 
-/// Answers the loader's first question.
+/// Negotiates the interface version with the loader.
 #[unsafe(no_mangle)]
 pub(crate) unsafe extern "system" fn vkNegotiateLoaderLayerInterfaceVersion(
     negotiation: *mut Negotiation,
@@ -143,7 +143,7 @@ unsafe extern "system" fn create_device(
         };
         let create: vk::PFN_vkCreateDevice = std::mem::transmute(create);
         let set: Option<SetLoaderData> = data.as_ref().map(|data| std::mem::transmute(data.content));
-        // One queue of the driver's stands for all.
+        // One queue of the driver serves all queues of the machine.
         let priorities = [1.0];
         let queue = [vk::DeviceQueueCreateInfo::default().queue_priorities(&priorities)];
         let extensions = answers::driver_extensions(&instance, physical, &*info);
@@ -166,14 +166,14 @@ unsafe extern "system" fn destroy_device(device: vk::Device, callbacks: *const v
     }
 }
 
-/// `name => function: type;` as a search for one of them.
+/// Searches a list of `name => function: type;`.
 macro_rules! functions {
     ($asked:expr; $($name:literal => $function:expr, $kind:ident;)*) => {{
         let asked: &CStr = $asked;
         $(
             if asked == $name {
                 let function: vk::$kind = $function;
-                // SAFETY: a function pointer to a function pointer; the caller casts it back, by the name.
+                // SAFETY: a function pointer becomes another; the caller casts it back, according to the name.
                 return Some(unsafe { std::mem::transmute::<vk::$kind, unsafe extern "system" fn()>(function) });
             }
         )*
@@ -271,7 +271,7 @@ unsafe extern "system" fn get_instance_proc_addr(
     }
     // SAFETY: the caller's arguments, passed on.
     let next = unsafe { (InstanceState::of(instance).next)(instance, name) };
-    // What nobody below knows does not exist.
+    // A function that no lower layer knows does not exist.
     next.and(own.or(next))
 }
 

@@ -1,8 +1,8 @@
-//! The devices that the layer can claim to be.
+//! The devices that the layer can imitate.
 
 use ash::vk;
 
-/// The environment variable with a machine's name.
+/// Environment variable with a machine's name.
 pub const VARIABLE: &str = "ASHSPLAT_MOCK";
 
 type Flags = vk::MemoryPropertyFlags;
@@ -15,38 +15,38 @@ const fn both(a: Flags, b: Flags) -> Flags {
     Flags::from_raw(a.as_raw() | b.as_raw())
 }
 
-/// Size in bytes, no larger than the driver's, and whether it is the device's.
+/// Size in bytes, at most the driver's, and true if it is device-local.
 pub(crate) type Heap = (u64, bool);
 /// Properties and heap.
 pub(crate) type Type = (Flags, u32);
 
-/// The environment variable that names queues whose submissions wait for no semaphore: a fault, for trials that must find it.
+/// Environment variable that names queues whose submissions wait for no semaphore: a fault that tests must find.
 pub const FORGETTING: &str = "ASHSPLAT_MOCK_FORGETS_WAITS";
 
-/// Of queues for copies and other ones, which are late. A machine with one family has none that is.
+/// Which queues are late, those for copies or the others. A machine with one family has no late queue.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Late {
     Copies,
     Others,
 }
 
-/// A device that the layer claims to be.
+/// A device that the layer imitates.
 #[derive(Debug)]
 pub struct Machine {
-    /// As `ASHSPLAT_MOCK` says it.
+    /// Its name in `ASHSPLAT_MOCK`.
     pub name: &'static str,
     pub(crate) device_type: vk::PhysicalDeviceType,
     pub(crate) heaps: &'static [Heap],
     pub(crate) types: &'static [Type],
     pub(crate) families: &'static [vk::QueueFlags],
-    /// Which queues' submissions are held back until something needs them.
+    /// Queues whose submissions are held back until needed.
     pub(crate) late: Late,
-    /// Whether the limits are the least that the engine takes, most of them those of the specification.
+    /// True if the limits are the least that the engine accepts, mostly the specification's minimum.
     pub(crate) small: bool,
 }
 
 const LARGE: u64 = 8 << 30;
-/// What a processor sees of a card through its old window.
+/// Part of a card's memory that a processor sees without resizable BAR.
 const WINDOW: u64 = 256 << 20;
 
 const CARD: [Heap; 2] = [(LARGE, true), (LARGE, false)];
@@ -70,24 +70,24 @@ const DISCRETE: Machine = Machine {
 const QUEUES: Machine =
     Machine { name: "transfer-queue", families: &[ALL, vk::QueueFlags::TRANSFER, APART], ..DISCRETE };
 
-/// All of them.
+/// All machines.
 pub const MACHINES: &[Machine] = &[
-    // A card whose memory no processor sees.
+    // A card with memory that no processor sees.
     DISCRETE,
-    // A card with a window of 256 MiB, a heap of its own.
+    // A card with a window of 256 MiB, which is a separate heap.
     Machine {
         name: "discrete-window",
         heaps: &[CARD[0], CARD[1], (WINDOW, true)],
         types: &[(LOCAL, 0), (SEEN, 1), (CACHED, 1), (both(LOCAL, SEEN), 2)],
         ..DISCRETE
     },
-    // A card all of whose memory the processor sees, with a queue for copies.
+    // A card whose memory the processor sees in full, with a queue for copies.
     Machine {
         name: "discrete-rebar",
         types: &[(LOCAL, 0), (SEEN, 1), (both(LOCAL, SEEN), 0), (CACHED, 1)],
         ..QUEUES
     },
-    // Memory that both share, in a cached and an uncached type.
+    // Memory shared by both, in a cached and an uncached type.
     Machine {
         name: "unified",
         device_type: vk::PhysicalDeviceType::INTEGRATED_GPU,
@@ -97,7 +97,7 @@ pub const MACHINES: &[Machine] = &[
         late: Late::Copies,
         small: false,
     },
-    // The same, and the processor reads it word by word.
+    // The same, but uncached: the processor reads it word by word.
     Machine {
         name: "unified-uncached",
         device_type: vk::PhysicalDeviceType::INTEGRATED_GPU,
@@ -107,10 +107,10 @@ pub const MACHINES: &[Machine] = &[
         late: Late::Copies,
         small: false,
     },
-    // A card with queues for copies and for compute besides the one for everything. What is submitted to the one for copies
-    // runs as late as it may.
+    // A card with queues for copies and for compute besides the main one. Submissions to the copy queue run as late as
+    // possible.
     QUEUES,
-    // The same; what is submitted to the others runs as late as it may.
+    // The same, but submissions to the other queues run as late as possible.
     Machine { name: "transfer-queue-main-late", late: Late::Others, ..QUEUES },
     // Workgroups of 256, 16 KiB of shared memory, 128 bytes of push constants.
     Machine { name: "small-limits", small: true, ..DISCRETE },
@@ -122,10 +122,10 @@ impl Machine {
         MACHINES.iter().find(|machine| machine.name == name)
     }
 
-    /// The one that the environment asks for.
+    /// The machine that the environment names.
     ///
     /// # Panics
-    /// For a name that none has: what runs under no machine would prove nothing.
+    /// For an unknown name: a test without a machine would prove nothing.
     pub(crate) fn asked() -> &'static Machine {
         let name = std::env::var(VARIABLE).unwrap_or_default();
         Self::of(&name).unwrap_or_else(|| {
@@ -134,22 +134,22 @@ impl Machine {
         })
     }
 
-    /// All memory types, as bits.
+    /// Bits of all memory types.
     pub(crate) fn type_bits(&self) -> u32 {
         (1 << self.types.len()) - 1
     }
 
-    /// Whether submissions to queues of this family are held back until something needs them.
+    /// True if submissions to queues of this family are held back until needed.
     pub(crate) fn holds(&self, family: u32) -> bool {
         let copies = |of: &vk::QueueFlags| *of == vk::QueueFlags::TRANSFER;
         let of = self.families.get(family as usize).is_some_and(copies);
         self.families.iter().any(copies) && of == (self.late == Late::Copies)
     }
 
-    /// Whether submissions to queues of this family wait for nothing, by [`FORGETTING`].
+    /// True if submissions to queues of this family ignore their waits, by [`FORGETTING`].
     ///
     /// # Panics
-    /// For what is no kind of queues.
+    /// For an unknown kind of queues.
     pub(crate) fn forgets(&self, family: u32) -> bool {
         let copies = self.families.get(family as usize) == Some(&vk::QueueFlags::TRANSFER);
         match std::env::var(FORGETTING).as_deref() {
@@ -160,7 +160,7 @@ impl Machine {
         }
     }
 
-    /// Changes what the driver says of itself.
+    /// Changes the driver's description of itself.
     pub(crate) fn describe(&self, properties: &mut vk::PhysicalDeviceProperties) {
         properties.device_type = self.device_type;
         let driver = properties.device_name_as_c_str().unwrap_or_default().to_string_lossy().into_owned();
@@ -196,7 +196,7 @@ impl Machine {
 mod tests {
     use super::*;
 
-    /// What the specification demands of every device, so that nobody hunts an error of the mock's.
+    /// Checks the specification's demands on every device, so that a faulty mock is noticed here.
     #[test]
     fn machines_are_devices_that_there_may_be() {
         for machine in MACHINES {

@@ -1,4 +1,4 @@
-//! Memory: the machine's types over the driver's first, heaps that end, mappings of what the host sees, garbage in new memory.
+//! Memory: the machine's types over the driver's first, limited heaps, mappings of host-visible memory, garbage in new memory.
 
 use super::families;
 use super::state::{DeviceState, InstanceState};
@@ -7,9 +7,9 @@ use std::collections::HashMap;
 use std::ffi::c_void;
 use std::ptr::null;
 
-/// Every byte of new memory: not a number, or a number that no count should be.
+/// Every byte of new memory: NaN as a float, implausible as a count.
 const GARBAGE: u8 = 0xFF;
-/// At most so much of an allocation is filled.
+/// Most bytes of an allocation that are filled.
 const FILLED: u64 = 256 << 20;
 
 /// The allocations of a device: type, heap and bytes of each.
@@ -39,7 +39,7 @@ pub(crate) unsafe extern "system" fn allocate(
         return vk::Result::ERROR_OUT_OF_DEVICE_MEMORY;
     }
     own.memory_type_index = 0;
-    // SAFETY: the caller's arguments, and a type that every driver has.
+    // SAFETY: the caller's arguments, with a type that every driver has.
     let result = unsafe { (state.v10.allocate_memory)(device, &raw const own, callbacks, memory) };
     if result == vk::Result::SUCCESS {
         // SAFETY: written by the call.
@@ -53,8 +53,8 @@ pub(crate) unsafe extern "system" fn allocate(
 fn fill(state: &DeviceState, memory: vk::DeviceMemory, bytes: u64) {
     let mut address = std::ptr::null_mut::<c_void>();
     let flags = vk::MemoryMapFlags::empty();
-    // SAFETY: new memory of the driver's first type, which the host sees on the drivers this layer is for; where it does not,
-    // the call fails. It is mapped once, filled within its bounds and unmapped.
+    // SAFETY: new memory of the driver's first type, which is host-visible on this layer's drivers; otherwise the call fails.
+    // It is mapped once, filled within its bounds and unmapped.
     unsafe {
         let result = (state.v10.map_memory)(state.device, memory, 0, bytes, flags, &raw mut address);
         if result == vk::Result::SUCCESS {
@@ -94,7 +94,7 @@ pub(crate) unsafe extern "system" fn map(
     unsafe { (state.v10.map_memory)(device, memory, offset, size, flags, address) }
 }
 
-/// Every type of the machine, where the driver allows its first.
+/// Allows every type of the machine if the driver allows its first.
 fn allow(state: &DeviceState, requirements: &mut vk::MemoryRequirements) {
     requirements.memory_type_bits = (requirements.memory_type_bits & 1) * state.machine.type_bits();
 }

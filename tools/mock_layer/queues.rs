@@ -1,7 +1,7 @@
-//! Queues: those of the machine over the driver's one.
+//! Queues: the machine's queues over the driver's only one.
 //!
-//! Submissions of some queues are held back until something needs them ([`super::held`]). So a missing semaphore, or memory that
-//! the host writes or reads too early, shows, although one queue of the driver's runs everything in order.
+//! Some queues' submissions are held back until needed ([`super::held`]). This reveals missing semaphores, and memory that the
+//! host accesses too early, although the driver's queue runs everything in order.
 
 use super::held::{Held, Order, Place, Want};
 use super::state::DeviceState;
@@ -11,20 +11,20 @@ use std::collections::HashMap;
 /// A queue of the machine. Its handle is its address.
 #[repr(C)]
 struct Queue {
-    /// The loader's table, which it puts here itself.
+    /// The loader's table, which the loader itself writes here.
     table: usize,
     place: Place,
 }
 
-/// The driver's queue, those of the machine, and what is held back of them.
+/// The driver's queue, the machine's queues, and their held submissions.
 pub(crate) struct Submissions {
     queue: vk::Queue,
-    /// The boxes give each its address.
+    /// Boxes keep the addresses stable.
     queues: HashMap<Place, Box<Queue>>,
     pub order: Order,
 }
 
-// SAFETY: the handles and addresses in it are used with its lock held only; no chain of structs is kept.
+// SAFETY: handles and addresses are used only under the lock; no chains of structs are kept.
 unsafe impl Send for Submissions {}
 
 impl Submissions {
@@ -32,14 +32,14 @@ impl Submissions {
         Self { queue, queues: HashMap::new(), order: Order::default() }
     }
 
-    /// Submits what starts now.
+    /// Submits all submissions that may start now.
     pub fn go_on(&mut self, state: &DeviceState) -> vk::Result {
         while let Some(held) = self.order.next() {
             let info = [vk::SubmitInfo2::default()
                 .wait_semaphore_infos(&held.waits)
                 .command_buffer_infos(&held.commands)
                 .signal_semaphore_infos(&held.signals)];
-            // SAFETY: a submission of the program's, whose objects live until it is done; the lock gives the queue to this
+            // SAFETY: the program's submission, whose objects live until it is done; the lock gives the queue to this
             // thread.
             let result = unsafe { (state.v13.queue_submit2)(self.queue, 1, info.as_ptr(), held.fence) };
             if result != vk::Result::SUCCESS {
@@ -49,7 +49,7 @@ impl Submissions {
         vk::Result::SUCCESS
     }
 
-    /// As the host asks for it once.
+    /// Same as [`Self::go_on`], but for a single wait of the host.
     fn go_on_for(&mut self, state: &DeviceState, want: Want) -> vk::Result {
         self.order.wants.push(want);
         let result = self.go_on(state);
@@ -57,7 +57,7 @@ impl Submissions {
         result
     }
 
-    /// All of a queue or of the device. What waits for a signal that nobody has submitted would be waited for without end.
+    /// Starts all submissions of a queue or of the device. Fails if one waits for a signal that was never submitted.
     fn finish(&mut self, state: &DeviceState, place: Option<Place>) -> vk::Result {
         let result = self.go_on_for(state, place.map_or(Want::All, Want::Queue));
         if result == vk::Result::SUCCESS && self.order.has(place) {
@@ -69,13 +69,13 @@ impl Submissions {
         result
     }
 
-    /// Takes a submission of the program's.
+    /// Adds a submission of the program.
     fn add(&mut self, state: &DeviceState, place: Place, mut held: Held) {
         (held.place, held.late) = (place, state.machine.holds(place.0));
         if state.machine.forgets(place.0) {
             held.waits.clear();
         }
-        // Values of binary semaphores mean nothing.
+        // Values of binary semaphores have no meaning.
         for of in held.waits.iter_mut().chain(&mut held.signals) {
             of.value = self.order.reached(of.semaphore).map_or(0, |_| of.value);
         }
@@ -84,7 +84,7 @@ impl Submissions {
 }
 
 impl DeviceState {
-    /// Waits for the driver in a thread of the host's. Submissions of other threads meanwhile know of it.
+    /// Waits for the driver on a host thread. Submissions of other threads take its wait into account.
     pub fn wait(&self, wants: &[Want], wait: impl FnOnce() -> vk::Result) -> vk::Result {
         let mut submissions = self.submissions();
         submissions.order.wants.extend(wants);
@@ -102,14 +102,14 @@ impl DeviceState {
         result
     }
 
-    /// Submits what a question of the host's is about.
+    /// Submits what a query of the host needs.
     pub fn ask(&self, want: Want) {
         let _ = self.submissions().go_on_for(self, want);
     }
 }
 
 fn place_of(queue: vk::Queue) -> Place {
-    // SAFETY: the handles of queues that this layer gives out are addresses of its own objects, which live as the device does.
+    // SAFETY: handles of this layer's queues are addresses of its own objects, which live as long as the device.
     unsafe { (*(queue.as_raw() as usize as *const Queue)).place }
 }
 
@@ -120,7 +120,7 @@ pub(crate) unsafe extern "system" fn get(device: vk::Device, family: u32, index:
     let table = unsafe { *(device.as_raw() as usize as *const usize) };
     let place = (family, index);
     let found = submissions.queues.entry(place).or_insert_with(|| Box::new(Queue { table, place }));
-    // SAFETY: the caller's place for a handle.
+    // SAFETY: the caller's location for a handle.
     unsafe { *queue = vk::Queue::from_raw((&raw mut **found) as usize as u64) }
 }
 
@@ -133,9 +133,9 @@ pub(crate) unsafe extern "system" fn get2(
     unsafe { get(device, (*info).queue_family_index, (*info).queue_index, queue) }
 }
 
-/// A submission by the older call. Its chain may hold values of timeline semaphores.
+/// Converts a submission of the older call. Its chain may hold values of timeline semaphores.
 unsafe fn older(info: &vk::SubmitInfo<'_>) -> Held {
-    // SAFETY: the caller's arrays have these lengths, and every struct of a chain begins with its kind and the next one.
+    // SAFETY: the caller's arrays have these lengths; every struct of a chain begins with its kind and the next pointer.
     unsafe {
         let mut chain = info.p_next.cast::<vk::BaseInStructure<'_>>();
         let (mut wait_values, mut signal_values): (&[u64], &[u64]) = (&[], &[]);
@@ -157,7 +157,7 @@ unsafe fn older(info: &vk::SubmitInfo<'_>) -> Held {
         let waits = list(info.p_wait_semaphores, info.wait_semaphore_count).iter().enumerate();
         let signals = list(info.p_signal_semaphores, info.signal_semaphore_count).iter().enumerate();
         let all = vk::PipelineStageFlags2::ALL_COMMANDS;
-        // The older stages are the newer ones' lower bits.
+        // The older stages are the lower bits of the newer ones.
         let stage = |at: usize| vk::PipelineStageFlags2::from_raw(stages[at].as_raw().into());
         let commands = list(info.p_command_buffers, info.command_buffer_count);
         Held {
@@ -172,7 +172,7 @@ unsafe fn older(info: &vk::SubmitInfo<'_>) -> Held {
     }
 }
 
-/// Copies of the lists of a submission, which do not point to anything.
+/// Copies the lists of a submission; the copies hold no pointers.
 unsafe fn newer(info: &vk::SubmitInfo2<'_>) -> Held {
     let semaphore = |from: &vk::SemaphoreSubmitInfo<'_>| {
         vk::SemaphoreSubmitInfo::default()
@@ -197,13 +197,12 @@ unsafe fn newer(info: &vk::SubmitInfo2<'_>) -> Held {
     }
 }
 
-/// A slice of a caller's.
 pub(crate) unsafe fn list<'a, T>(pointer: *const T, count: u32) -> &'a [T] {
-    // SAFETY: the caller's array has as many elements; without any the address may be null.
+    // SAFETY: the caller's array has `count` elements; if there are none, the pointer may be null.
     if count == 0 { &[] } else { unsafe { std::slice::from_raw_parts(pointer, count as usize) } }
 }
 
-/// Takes what one call submits, with the fence after all of it.
+/// Adds the submissions of one call; the fence belongs to the last.
 fn take(queue: vk::Queue, mut all: Vec<Held>, fence: vk::Fence) -> vk::Result {
     let state = DeviceState::of(queue);
     if fence != vk::Fence::null() && all.is_empty() {
@@ -257,7 +256,7 @@ pub(crate) unsafe extern "system" fn device_wait_idle(device: vk::Device) -> vk:
     if result != vk::Result::SUCCESS {
         return result;
     }
-    // SAFETY: as above: the driver's one queue stands for all.
+    // SAFETY: as above: the driver's one queue serves all.
     unsafe { (state.v10.device_wait_idle)(device) }
 }
 
@@ -298,7 +297,7 @@ pub(crate) unsafe extern "system" fn fence_status(device: vk::Device, fence: vk:
 
 pub(crate) unsafe extern "system" fn event_status(device: vk::Device, event: vk::Event) -> vk::Result {
     let state = DeviceState::of(device);
-    // Which submission sets it is not known.
+    // The layer does not know which submission sets the event.
     state.ask(Want::All);
     // SAFETY: as above.
     unsafe { (state.v10.get_event_status)(device, event) }
@@ -328,7 +327,7 @@ pub(crate) unsafe extern "system" fn end_label(queue: vk::Queue) {
     unsafe { (state.debug.queue_end_debug_utils_label_ext)(submissions.queue) }
 }
 
-/// Names of the machine's queues end here: the driver has but one.
+/// Drops names of the machine's queues: the driver has only one.
 pub(crate) unsafe extern "system" fn name_object(
     device: vk::Device,
     info: *const vk::DebugUtilsObjectNameInfoEXT<'_>,

@@ -1,4 +1,4 @@
-//! Semaphores: which are timelines, what the host signals, waits for and asks.
+//! Semaphores: which are timelines, and the host's signals, waits and queries.
 
 use super::held::Want;
 use super::queues::list;
@@ -12,7 +12,7 @@ pub(crate) unsafe extern "system" fn create_semaphore(
     semaphore: *mut vk::Semaphore,
 ) -> vk::Result {
     let state = DeviceState::of(device);
-    // SAFETY: the caller's arguments; every struct of a chain begins with its kind and the next one.
+    // SAFETY: the caller's arguments; every struct of a chain begins with its kind and the next pointer.
     unsafe {
         let result = (state.v10.create_semaphore)(device, info, callbacks, semaphore);
         let mut chain = (*info).p_next.cast::<vk::BaseInStructure<'_>>();
@@ -80,7 +80,7 @@ pub(crate) unsafe extern "system" fn semaphore_value(
 ) -> vk::Result {
     let state = DeviceState::of(device);
     let reached = state.submissions().order.reached(semaphore);
-    // One more with each question: who asks again and again gets on.
+    // Each query starts what the next value needs, so that a polling host makes progress.
     state.ask(Want::Point((semaphore, reached.unwrap_or_default() + 1)));
     // SAFETY: as above.
     unsafe { (state.v12.get_semaphore_counter_value)(device, semaphore, value) }

@@ -1,4 +1,4 @@
-//! What is kept for an instance and for a device.
+//! State of instances and devices.
 
 use super::loader::SetLoaderData;
 use super::machine::Machine;
@@ -9,7 +9,7 @@ use std::collections::HashMap;
 use std::ffi::c_void;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock};
 
-/// By the loader's table, which all dispatchable objects of an instance or a device begin with.
+/// Keyed by the loader's table, with which all dispatchable objects of an instance or a device begin.
 type Table<T> = RwLock<Option<HashMap<usize, Arc<T>>>>;
 
 static INSTANCES: Table<InstanceState> = RwLock::new(None);
@@ -36,7 +36,7 @@ fn find<T>(table: &Table<T>, key: usize) -> Arc<T> {
     found.clone()
 }
 
-/// An instance with the functions of what is below.
+/// An instance with the next layer's functions.
 pub(crate) struct InstanceState {
     pub instance: vk::Instance,
     pub machine: &'static Machine,
@@ -61,7 +61,7 @@ impl InstanceState {
         add(&INSTANCES, key(instance), state);
     }
 
-    /// Of an instance or a physical device.
+    /// State of an instance or a physical device.
     pub fn of<H: Handle>(handle: H) -> Arc<Self> {
         find(&INSTANCES, key(handle))
     }
@@ -75,7 +75,7 @@ fn pointer(function: vk::PFN_vkVoidFunction) -> *const c_void {
     function.map_or(std::ptr::null(), |function| function as *const c_void)
 }
 
-/// A device with the functions of what is below.
+/// A device with the next layer's functions.
 pub(crate) struct DeviceState {
     pub device: vk::Device,
     pub physical: vk::PhysicalDevice,
@@ -103,8 +103,8 @@ impl DeviceState {
         let load = |name: &std::ffi::CStr| unsafe { pointer(next(device, name.as_ptr())) };
         let v10 = ash::DeviceFnV1_0::load(load);
         let mut queue = vk::Queue::null();
-        // SAFETY: the device was made with one queue of this family. The layer gives it the table that the loader gives those
-        // that a program gets.
+        // SAFETY: the device was made with one queue of this family. The layer sets the loader's table, as the loader does for
+        // a program's queues.
         unsafe {
             (v10.get_device_queue)(device, 0, 0, &raw mut queue);
             if let Some(set) = set_loader_data {
@@ -128,7 +128,7 @@ impl DeviceState {
         add(&DEVICES, key(device), state);
     }
 
-    /// Of a device, a command buffer or a queue.
+    /// State of a device, a command buffer or a queue.
     pub fn of<H: Handle>(handle: H) -> Arc<Self> {
         find(&DEVICES, key(handle))
     }
@@ -146,7 +146,7 @@ impl DeviceState {
     }
 }
 
-/// Bytes in use in a heap, of all devices of a physical device.
+/// Bytes in use in a heap, over all devices of a physical device.
 pub(crate) fn heap_usage(physical: vk::PhysicalDevice, heap: u32) -> u64 {
     let table = DEVICES.read().unwrap_or_else(PoisonError::into_inner);
     let devices = table.iter().flat_map(HashMap::values).filter(|device| device.physical == physical);

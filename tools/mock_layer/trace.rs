@@ -1,5 +1,5 @@
-//! With `ASHSPLAT_TRACE=FILE` this module writes the commands of every command buffer as text, without handles and addresses.
-//! Two versions of the program record the same where these texts are the same. `tools/proof` compares them.
+//! With `ASHSPLAT_TRACE=FILE`, writes the commands of every command buffer as text, without handles and addresses. Two versions
+//! of the program record the same commands if these texts agree. `tools/proof` compares them.
 
 use super::families::slice;
 use super::state::DeviceState;
@@ -10,7 +10,7 @@ use std::hash::{DefaultHasher, Hash, Hasher};
 use std::io::Write as _;
 use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
 
-/// Hashes of shader modules and pipelines by handle, and the text of each command buffer that is being recorded.
+/// Hashes of shader modules and pipelines by handle, and the text of each command buffer being recorded.
 #[derive(Default)]
 struct Trace {
     modules: HashMap<u64, u64>,
@@ -18,7 +18,7 @@ struct Trace {
     recordings: HashMap<u64, String>,
 }
 
-/// The file, or None without tracing.
+/// The file; none without tracing.
 fn file() -> Option<&'static Mutex<std::fs::File>> {
     static FILE: OnceLock<Option<Mutex<std::fs::File>>> = OnceLock::new();
     let open = || {
@@ -49,7 +49,7 @@ pub(crate) fn command(commands: vk::CommandBuffer, name: &str, what: impl Debug)
     }
 }
 
-/// A barrier's masks and layouts; the ranges of its buffers and images belong to this run alone.
+/// Writes a barrier's masks and layouts, but not its ranges, which differ between runs.
 pub(crate) fn barrier(commands: vk::CommandBuffer, info: &vk::DependencyInfo<'_>) {
     // SAFETY: the caller's arrays.
     let (memory, buffers, images) = unsafe {

@@ -10,13 +10,13 @@ mod photos;
 
 use crate::siege::{Outcome, Result, Siege};
 
-/// An attack: an error is what should not have happened.
+/// An attack. It returns an error if the program misbehaves.
 pub struct Attack {
     pub name: &'static str,
     pub run: fn(&Siege) -> Result<Outcome>,
 }
 
-/// In the order in which they are made.
+/// In order of execution.
 pub const ATTACKS: [Attack; 23] = [
     Attack { name: "connections that say nothing, to a training", run: connections::silent },
     Attack { name: "WebSockets whose hand-shake never ends", run: connections::unfinished },

@@ -1,18 +1,18 @@
-//! The data that is trained and shown, made here.
+//! Generated data to train on and to show.
 
 use crate::siege::Result;
 use serde_json::{Value, json};
 use std::fmt::Write;
 use std::path::Path;
 
-/// Photos of the small data set, and their size in pixels.
+/// Number of photos in the small data set, and their size in pixels.
 const VIEWS: u32 = 9;
 const SIZE: [u32; 2] = [48, 32];
 const FOCAL: f64 = 57.0;
 /// Distance of the wall.
 const DISTANCE: f64 = 2.5;
 
-/// A COLMAP model of a coloured wall, photographed from nine places: every pixel by a formula.
+/// A COLMAP model of a coloured wall, photographed from nine positions; a formula gives every pixel.
 pub fn write_small(folder: &Path) -> Result<()> {
     let (images, model) = (folder.join("images"), folder.join("sparse/0"));
     std::fs::create_dir_all(&images)?;
@@ -47,7 +47,7 @@ fn color(x: f64, y: f64) -> [u8; 3] {
     [wave(5.0 * x), wave(4.0 * y + 1.0), wave(3.0 * (x + y))]
 }
 
-/// A data set of so many photos of that size, square; on the disk they are one.
+/// A data set of `count` square photos, `size` pixels wide; on disk they are one file.
 pub fn write_large(folder: &Path, count: u32, size: u32) -> Result<()> {
     let images = folder.join("images");
     std::fs::create_dir_all(&images)?;
@@ -60,7 +60,7 @@ pub fn write_large(folder: &Path, count: u32, size: u32) -> Result<()> {
     write_transforms(folder, size, &names.iter().map(|name| json!({ "file_path": name })).collect::<Vec<_>>())
 }
 
-/// A transforms.json with these frames, each beside the last.
+/// A transforms.json with these frames, side by side.
 pub fn write_transforms(folder: &Path, size: u32, frames: &[Value]) -> Result<()> {
     let place = |(index, frame): (usize, &Value)| {
         let mut frame = frame.clone();
@@ -77,20 +77,20 @@ pub fn write_transforms(folder: &Path, size: u32, frames: &[Value]) -> Result<()
     Ok(())
 }
 
-/// Bytes of a Gaussian below [`ply_header`].
+/// Bytes of a Gaussian after [`ply_header`].
 pub const PLY_BYTES: u64 = 4 * PLY_NAMES.len() as u64;
 const PLY_NAMES: [&str; 14] = [
     "x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2", "rot_0",
     "rot_1", "rot_2", "rot_3",
 ];
 
-/// The beginning of a PLY of so many Gaussians.
+/// Header of a PLY with this many Gaussians.
 pub fn ply_header(gaussians: u64) -> String {
     let columns: String = PLY_NAMES.iter().map(|name| format!("property float {name}\n")).collect();
     format!("ply\nformat binary_little_endian 1.0\nelement vertex {gaussians}\n{columns}end_header\n")
 }
 
-/// A PNG that claims to be of this size, and has next to nothing.
+/// A PNG that claims this size, but holds almost no data.
 pub fn png_bomb(size: u32) -> Vec<u8> {
     let mut png = b"\x89PNG\r\n\x1a\n".to_vec();
     // 8 bits, RGB.
@@ -109,7 +109,7 @@ pub fn png_bomb(size: u32) -> Vec<u8> {
 fn gzip_like_zlib(bytes: &[u8]) -> Vec<u8> {
     use std::io::Read;
     let mut packed = Vec::new();
-    // From memory: it cannot fail.
+    // Reading from memory cannot fail.
     flate2::read::ZlibEncoder::new(bytes, flate2::Compression::fast()).read_to_end(&mut packed).ok();
     packed
 }

@@ -1,7 +1,7 @@
-//! `siege`: attacks a running trainer and viewer, and prints what came of each attack.
+//! `siege`: attacks a running trainer and viewer, and prints the result of each attack.
 //!
-//! `cargo build --release && target/release/siege` runs all of them against the `ashsplat` beside it, in at most ten minutes;
-//! `--short` is for CI. The exit code is 1 when anything failed. Limits and peak memory are Linux's.
+//! `cargo build --release && target/release/siege` runs all attacks against the `ashsplat` beside it, in at most ten minutes;
+//! `--short` is for CI. The exit code is 1 if anything failed. Limits and peak memory need Linux.
 
 #[cfg(target_os = "linux")]
 mod attacks;

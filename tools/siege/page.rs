@@ -1,4 +1,4 @@
-//! What a page does, well-behaved or not, without the browser.
+//! A page's messages, well-behaved or not, without a browser.
 
 use crate::siege::{Result, ensure};
 use serde_json::{Value, json};
@@ -7,7 +7,7 @@ use std::net::{TcpStream, ToSocketAddrs};
 use std::time::{Duration, Instant};
 use tungstenite::{Message, WebSocket};
 
-/// Longest that a page may wait for an answer, whatever others do.
+/// Longest wait of a page for an answer, whatever other clients do.
 pub const PATIENCE: Duration = Duration::from_secs(10);
 
 /// A page's WebSocket.
@@ -15,7 +15,7 @@ pub struct Page {
     socket: WebSocket<TcpStream>,
 }
 
-/// A connection, if it comes about in time: where nobody takes them they wait for minutes.
+/// Connects within a time limit: without one, an attempt that is not accepted waits for minutes.
 pub fn reach(host: &str, longest: Duration) -> Result<TcpStream> {
     let mut refused = format!("{host} has no address").into();
     for address in host.to_socket_addrs()? {
@@ -27,7 +27,7 @@ pub fn reach(host: &str, longest: Duration) -> Result<TcpStream> {
     Err(refused)
 }
 
-/// A connection that is given up when nothing comes.
+/// A connection with a time limit for reading and writing.
 pub fn connect(host: &str, longest: Duration) -> Result<TcpStream> {
     let stream = reach(host, longest)?;
     stream.set_read_timeout(Some(longest))?;
@@ -72,7 +72,7 @@ impl Page {
         Ok(page)
     }
 
-    /// Its connection, for what no page would say.
+    /// Its connection, to send what no page would.
     pub fn stream(&self) -> Result<TcpStream> {
         Ok(self.socket.get_ref().try_clone()?)
     }
@@ -84,7 +84,7 @@ impl Page {
         Ok(())
     }
 
-    /// The next message that counts; pictures are null.
+    /// The next relevant message; pictures are null.
     fn next(&mut self, wanted: &str, start: Instant) -> Result<Value> {
         loop {
             ensure!(start.elapsed() < PATIENCE, "a page got no '{wanted}' within {PATIENCE:?}");
@@ -103,7 +103,7 @@ impl Page {
         self.until_message(kind, |_| true)
     }
 
-    /// The next message of a type for which something holds.
+    /// The next message of a type that satisfies a condition.
     pub fn until_message(&mut self, kind: &str, holds: impl Fn(&Value) -> bool) -> Result<Value> {
         let start = Instant::now();
         loop {
@@ -114,7 +114,7 @@ impl Page {
         }
     }
 
-    /// Asks for a frame; how long it took.
+    /// Requests a frame; returns the time it took.
     pub fn look(&mut self) -> Result<Duration> {
         let start = Instant::now();
         self.send(&view())?;
@@ -127,20 +127,20 @@ impl Page {
         self.send(&json!({ "type": "train", "action": action }))
     }
 
-    /// How training goes.
+    /// Progress of training.
     pub fn status(&mut self) -> Result<Value> {
         self.send(&json!({ "type": "status", "since": 0 }))?;
         self.wait_for("status")
     }
 
-    /// Holds the training; the iteration at which it waits.
+    /// Pauses the training; returns the iteration at which it waits.
     pub fn hold(&mut self) -> Result<u64> {
         self.act("pause")?;
         // The first iteration may take long.
         self.until(|status| status["paused"] == true && status["iteration"] != 0)
     }
 
-    /// Waits until training stands so; at which iteration.
+    /// Waits until the status satisfies a condition; returns the iteration.
     pub fn until(&mut self, stands: impl Fn(&Value) -> bool) -> Result<u64> {
         let start = Instant::now();
         loop {
@@ -154,7 +154,7 @@ impl Page {
     }
 }
 
-/// A page's wish for a picture.
+/// A page's request for a picture.
 pub fn view() -> Value {
     json!({ "type": "view", "seq": 1, "look": {}, "camera": {
         "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "translation": [0, 0, 2.5], "fx": 100, "fy": 100, "cx": 48,
@@ -162,7 +162,7 @@ pub fn view() -> Value {
     } })
 }
 
-/// A message as a page would send it, masked with zeros.
+/// A message in a page's framing, masked with zeros.
 pub fn frame(text: &str) -> Vec<u8> {
     let mut frame = vec![0x81];
     match u8::try_from(text.len()) {

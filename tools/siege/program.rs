@@ -1,4 +1,4 @@
-//! The attacked program as a child: within limits, watched, and never left behind.
+//! The attacked program as a child: limited, watched, and always ended.
 
 use crate::siege::{Peak, Result, ensure};
 use rustix::process::{Pid, Signal, kill_process};
@@ -10,24 +10,24 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-/// Until the program has said that it is ready.
+/// Time until the program must be ready.
 const READY: Duration = Duration::from_secs(60);
-/// Between two looks at its memory.
+/// Interval between checks of its memory.
 const WATCH: Duration = Duration::from_millis(5);
 
-/// What the program may have.
+/// Resource limits of the program.
 #[derive(Clone, Default)]
 pub struct Limits {
     pub descriptors: Option<u64>,
-    /// Of a file, KiB.
+    /// Size of a file, KiB.
     pub file: Option<u64>,
-    /// Of the address space, KiB.
+    /// Size of the address space, KiB.
     pub memory: Option<u64>,
-    /// A folder that is a small disk of its own, and its KiB.
+    /// A folder that becomes a small disk, and its size in KiB.
     pub disk: Option<(PathBuf, u64)>,
 }
 
-/// Whether small disks can be had: it takes a mount namespace.
+/// True if small disks can be mounted, which takes a mount namespace.
 pub fn can_mount() -> bool {
     let mut command = unshare();
     let ended =
@@ -54,7 +54,7 @@ pub struct Ending {
 }
 
 impl Ending {
-    /// Whether it refused as it should: one line `error: …` and exit code 2.
+    /// Checks that it refused properly: one line `error: …` and exit code 2.
     pub fn check_refused(&self) -> Result<()> {
         let lines = self.errors.lines().filter(|line| !line.starts_with("warning: "));
         let (errors, rest): (Vec<&str>, Vec<&str>) = lines.partition(|line| line.starts_with("error: "));
@@ -74,7 +74,6 @@ impl std::fmt::Display for Ending {
     }
 }
 
-/// A running program.
 pub struct Program {
     child: Child,
     said: Receiver<String>,
@@ -93,7 +92,7 @@ impl Program {
                 command
             }
         };
-        // dash and POSIX count files in blocks of 512 bytes.
+        // dash and POSIX count file sizes in blocks of 512 bytes.
         let limits = [("n", limits.descriptors), ("f", limits.file.map(|kib| 2 * kib)), ("v", limits.memory)];
         for (letter, most) in limits {
             if let Some(most) = most {
@@ -119,7 +118,7 @@ impl Program {
         Ok(Program { child, said, errors: Some(errors) })
     }
 
-    /// The rest of the next line on stdout that begins so.
+    /// Waits for the next line on stdout with this beginning; returns the rest.
     pub fn wait_for(&mut self, beginning: &str) -> Result<String> {
         let start = Instant::now();
         loop {
@@ -141,7 +140,7 @@ impl Program {
         }
     }
 
-    /// Waits for its end; what takes longer is ended, and is an error.
+    /// Waits for its end. If it takes longer, kills it and returns an error.
     pub fn end(&mut self, longest: Duration) -> Result<Ending> {
         let start = Instant::now();
         let mut late = false;
@@ -164,17 +163,17 @@ impl Program {
         self.child.id()
     }
 
-    /// Whether it still runs.
+    /// True if it still runs.
     pub fn runs(&mut self) -> bool {
         matches!(self.child.try_wait(), Ok(None))
     }
 
-    /// What nothing survives.
+    /// Sends SIGKILL.
     pub fn kill(&mut self) {
         self.child.kill().ok();
     }
 
-    /// What Ctrl-C does.
+    /// Sends SIGINT, as Ctrl-C does.
     pub fn interrupt(&self) {
         let id = i32::try_from(self.child.id()).ok().and_then(Pid::from_raw);
         if let Some(id) = id {
@@ -182,7 +181,7 @@ impl Program {
         }
     }
 
-    /// Its peak so far, MiB.
+    /// Its peak memory so far, MiB.
     pub fn memory(&self) -> u64 {
         peak_of(self.child.id()).unwrap_or(0) >> 10
     }
@@ -195,7 +194,7 @@ impl Drop for Program {
     }
 }
 
-/// Notes the peak of a process as long as it lives.
+/// Records a process's peak memory while it lives.
 fn watch(id: u32, peak: Peak) {
     std::thread::spawn(move || {
         while let Some(kib) = peak_of(id) {
@@ -205,7 +204,7 @@ fn watch(id: u32, peak: Peak) {
     });
 }
 
-/// The most memory that a process has had, KiB; none when it is over.
+/// A process's peak memory, KiB; none after its end.
 fn peak_of(id: u32) -> Option<u64> {
     let status = std::fs::read_to_string(format!("/proc/{id}/status")).ok()?;
     let peak = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;

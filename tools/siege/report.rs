@@ -22,10 +22,10 @@ struct Arguments {
     only: Option<String>,
 }
 
-/// No attack begins after this time.
+/// No attack starts after this time.
 const LONGEST: Duration = Duration::from_secs(600);
 
-/// Exit code of a siege that could not begin.
+/// Exit code if the siege could not begin.
 const FAILURE: u8 = 2;
 
 /// Runs the command.

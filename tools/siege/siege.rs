@@ -1,4 +1,4 @@
-//! What all attacks share: the program, a folder that goes with the siege, the most memory that was seen.
+//! Shared by all attacks: the program, a temporary folder, and the peak memory.
 
 use std::error::Error;
 use std::path::{Path, PathBuf};
@@ -6,18 +6,17 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use tempfile::TempDir;
 
-/// What went wrong, in words.
+/// An error is a text for people.
 pub type Result<T> = std::result::Result<T, Box<dyn Error + Send + Sync>>;
 
-/// How an attack ended that did no harm.
+/// Result of an attack that did no harm.
 pub enum Outcome {
-    /// In words.
     Withstood(String),
-    /// It cannot be made here; why.
+    /// The attack is impossible here; says why.
     Skipped(String),
 }
 
-/// An error unless something holds.
+/// Returns an error unless a condition holds.
 macro_rules! ensure {
     ($holds:expr, $($text:tt)*) => {
         if !$holds {
@@ -27,17 +26,17 @@ macro_rules! ensure {
 }
 pub(crate) use ensure;
 
-/// The most memory that a program had, kibibytes.
+/// Peak memory of programs, KiB.
 #[derive(Clone, Default)]
 pub struct Peak(Arc<AtomicU64>);
 
 impl Peak {
-    /// Begins again.
+    /// Starts anew.
     pub fn reset(&self) {
         self.0.store(0, Ordering::Relaxed);
     }
 
-    /// A program had so much.
+    /// Records a program's memory.
     pub fn note(&self, kib: u64) {
         self.0.fetch_max(kib, Ordering::Relaxed);
     }
@@ -50,7 +49,7 @@ impl Peak {
 /// See the module.
 pub struct Siege {
     pub program: PathBuf,
-    /// Whether it is to be over soon.
+    /// True if the siege should be short.
     pub short: bool,
     pub peak: Peak,
     folder: TempDir,
@@ -63,12 +62,12 @@ impl Siege {
         Ok(Siege { program, short, peak: Peak::default(), folder })
     }
 
-    /// A place in the siege's folder.
+    /// A path in the siege's folder.
     pub fn place(&self, name: &str) -> PathBuf {
         self.folder.path().join(name)
     }
 
-    /// A new empty folder in it.
+    /// Makes a new empty folder there.
     pub fn new_folder(&self, name: &str) -> Result<PathBuf> {
         let path = self.place(name);
         if path.exists() {
@@ -78,22 +77,22 @@ impl Siege {
         Ok(path)
     }
 
-    /// The first in a short siege, the second in a long one.
+    /// Returns the first value in a short siege, otherwise the second.
     pub fn choose<T>(&self, short: T, long: T) -> T {
         if self.short { short } else { long }
     }
 }
 
-/// The attacker's own connections need more than the usual 1024.
+/// Raises the limit of descriptors: the attacker's connections need more than the usual 1024.
 fn raise_own_descriptors() {
     use rustix::process::{Resource, getrlimit, setrlimit};
     let mut limit = getrlimit(Resource::Nofile);
     limit.current = limit.maximum;
-    // Where it cannot be raised, the attacks open as many as they may.
+    // If it cannot be raised, the attacks open as many as they can.
     setrlimit(Resource::Nofile, limit).ok();
 }
 
-/// A path as an argument.
+/// A path as a command's argument.
 pub fn text(path: &Path) -> Result<&str> {
     path.to_str().ok_or_else(|| "the temporary folder's name is not UTF-8".into())
 }

@@ -1,4 +1,4 @@
-//! A training that is attacked, and what must come of it: the same bits as without the attack.
+//! A training under attack. It must end with the same bits as without the attack.
 
 use crate::data;
 use crate::page::Page;
@@ -9,12 +9,12 @@ use std::time::Duration;
 
 /// Iterations of every training.
 pub const ITERATIONS: u32 = 120;
-/// After these, checkpoints are written.
+/// Iterations after which checkpoints are written.
 pub const CHECKPOINTS: [&str; 4] = ["30", "60", "90", "120"];
-/// Longest that one may take, however it is attacked.
+/// Longest time of an attacked training.
 pub const LONGEST: Duration = Duration::from_secs(60);
 
-/// What is done in these iterations: densification, an opacity reset, tests, checkpoints.
+/// Covers densification, an opacity reset, tests and checkpoints.
 const SCHEDULE: [&str; 14] = [
     "--quiet",
     "--eval",
@@ -32,14 +32,14 @@ const SCHEDULE: [&str; 14] = [
     CHECKPOINTS[2],
 ];
 
-/// A training with a page's server.
+/// A training that serves a page.
 pub struct Training {
     pub program: Program,
     pub host: String,
     pub model: PathBuf,
 }
 
-/// The arguments of a training into a folder.
+/// Arguments of a training into a folder.
 pub fn arguments<'a>(data: &'a str, model: &'a str, more: &[&'a str]) -> Vec<&'a str> {
     [&["train", "-s", data, "-m", model], &SCHEDULE[..], &[CHECKPOINTS[3]], more].concat()
 }
@@ -53,7 +53,7 @@ pub fn data_of(siege: &Siege) -> Result<PathBuf> {
     Ok(folder)
 }
 
-/// The scene at the end, as it is when nobody attacks.
+/// The final scene of a training without attacks.
 pub fn undisturbed(siege: &Siege) -> Result<Vec<u8>> {
     let model = siege.place("undisturbed");
     if !result_of(&model).exists() {
@@ -66,15 +66,15 @@ pub fn undisturbed(siege: &Siege) -> Result<Vec<u8>> {
     Ok(std::fs::read(result_of(&model))?)
 }
 
-/// The last scene of a model folder.
+/// File of a model folder's final scene.
 pub fn result_of(model: &Path) -> PathBuf {
     model.join(format!("point_cloud/iteration_{ITERATIONS}/point_cloud.ply"))
 }
 
 impl Training {
-    /// Begins one; `ready` is the beginning of the last line that it says before training.
+    /// Starts a training. `more`: further arguments.
     pub fn start(siege: &Siege, limits: &Limits, more: &[&str]) -> Result<Training> {
-        // Before: what it needs is not the attacked one's.
+        // Runs first, so that its memory does not count for the attacked training.
         undisturbed(siege)?;
         let (data, model) = (data_of(siege)?, siege.new_folder("attacked")?);
         let arguments = arguments(text(&data)?, text(&model)?, &[&["--view=0"], more].concat());
@@ -84,7 +84,7 @@ impl Training {
         Ok(Training { program, host, model })
     }
 
-    /// What a page could not do, by its cause: the training may have ended.
+    /// Replaces a page's error by its cause: the training may have ended.
     pub fn explain<T>(&mut self, done: Result<T>) -> Result<T> {
         done.map_err(|error| match self.program.end(Duration::from_secs(2)) {
             Ok(ending) => format!("training ended with {ending}").into(),
@@ -92,14 +92,14 @@ impl Training {
         })
     }
 
-    /// A page that holds it.
+    /// A page that has paused the training.
     pub fn held(&self) -> Result<Page> {
         let mut page = Page::open(&self.host)?;
         page.hold()?;
         Ok(page)
     }
 
-    /// Waits for its end, which must be as if nothing had happened.
+    /// Waits for the end, which must be the same as without an attack.
     pub fn check_end(&mut self, siege: &Siege) -> Result<()> {
         let ending = self.program.end(LONGEST)?;
         ensure!(ending.code == Some(0), "training ended with {ending}");
@@ -107,12 +107,12 @@ impl Training {
     }
 }
 
-/// Whether all is there, with the same bits as without an attack.
+/// Checks that all files are there, with the same bits as without an attack.
 pub fn check_result(siege: &Siege, model: &Path) -> Result<()> {
     check_with(siege, model, &CHECKPOINTS)
 }
 
-/// The same with these checkpoints.
+/// Same as [`check_result`], but for these checkpoints.
 pub fn check_with(siege: &Siege, model: &Path, checkpoints: &[&str]) -> Result<()> {
     let result = std::fs::read(result_of(model)).map_err(|error| format!("the last scene: {error}"))?;
     ensure!(result == undisturbed(siege)?, "the last scene has other bits than without the attack");

@@ -1,4 +1,4 @@
-//! The layer in raw Vulkan: what it refuses, and that it finds a missing semaphore in either direction, which the driver's one
+//! The layer in raw Vulkan: what it refuses, and that it reveals a missing semaphore in either direction, which the driver's one
 //! queue would hide.
 #![cfg(target_os = "linux")]
 
@@ -50,7 +50,7 @@ struct Gpu {
 }
 
 impl Gpu {
-    /// With a buffer of memory with these flags and without others of HOST_VISIBLE.
+    /// A buffer in memory with these flags; host-visible only if they say so.
     fn buffer(&self, flags: vk::MemoryPropertyFlags) -> (vk::Buffer, vk::DeviceMemory) {
         let seen = vk::MemoryPropertyFlags::HOST_VISIBLE;
         let index =
@@ -107,12 +107,12 @@ impl Gpu {
             .expect("submitted");
     }
 
-    /// What one queue reads of a buffer that the other fills. `point` orders them; the signal may come first or last.
+    /// One queue reads a buffer that the other fills; returns the word read. `point` orders them; the signal may come first or last.
     fn fill_and_read(&self, writer: usize, signal_first: bool, point: Option<Point>) -> u32 {
         let local = vk::MemoryPropertyFlags::DEVICE_LOCAL;
         let seen = vk::MemoryPropertyFlags::HOST_VISIBLE | vk::MemoryPropertyFlags::HOST_COHERENT;
         let ((filled, hidden), (read, memory)) = (self.buffer(local), self.buffer(seen));
-        // SAFETY: memory that the host does not see: the layer's own answer, nothing is mapped.
+        // SAFETY: memory that the host cannot see: the layer refuses, and nothing is mapped.
         let mapped =
             unsafe { self.device.map_memory(hidden, 0, vk::WHOLE_SIZE, vk::MemoryMapFlags::empty()) };
         assert_eq!(mapped.err(), Some(vk::Result::ERROR_MEMORY_MAP_FAILED));
@@ -130,7 +130,7 @@ impl Gpu {
         for (queue, commands, points) in order.map(|at| submissions[at]) {
             self.submit(queue, commands, points);
         }
-        // SAFETY: the device is idle; memory that the host sees, mapped once, of this size.
+        // SAFETY: the device is idle; host-visible memory of this size, mapped once.
         unsafe {
             self.device.device_wait_idle().expect("idle");
             let flags = vk::MemoryMapFlags::empty();
@@ -146,8 +146,8 @@ impl Gpu {
         }
     }
 
-    /// What is read without the semaphore, with it, and with the signal submitted last: by the main queue of what a copy wrote,
-    /// and the other way round.
+    /// Words read without the semaphore, with it, and with the signal submitted last. First the copy queue writes, then the
+    /// main queue.
     fn try_all(&self, semaphore: vk::Semaphore) -> [[u32; 3]; 2] {
         let mut value = 0;
         [COPIES, MAIN].map(|writer| {
@@ -158,7 +158,7 @@ impl Gpu {
         })
     }
 
-    /// What the host sees of a fill: after it has waited for the other queue's work alone, and for the fill itself.
+    /// Words that the host sees of a fill: after waiting for the other queue only, and for the fill itself.
     fn wait_for_either(&self, late: usize, [own, other]: [vk::Semaphore; 2]) -> [u32; 2] {
         let seen = vk::MemoryPropertyFlags::HOST_VISIBLE | vk::MemoryPropertyFlags::HOST_COHERENT;
         let (filled, memory) = self.buffer(seen);
@@ -229,14 +229,14 @@ fn card_in_a_child() {
         };
         assert_ne!(gpu.queues[0], gpu.queues[1]);
         let semaphores @ [first, second, third] = [(); 3].map(|()| gpu.timeline());
-        // New memory holds the old word. Without the semaphore whichever queue is late comes too late to be read.
+        // New memory holds the old word. Without the semaphore, a late queue writes too late to be read.
         let (late, seen) = match std::env::var(ashsplat_mock_layer::VARIABLE).as_deref() {
             Ok("transfer-queue") => (COPIES, [OLD, NEW]),
             Ok("transfer-queue-main-late") => (MAIN, [NEW, OLD]),
             other => panic!("no machine of this trial: {other:?}"),
         };
         assert_eq!(gpu.try_all(first), seen.map(|unordered| [unordered, NEW, NEW]));
-        // The host's waiting for one queue is no waiting for the other.
+        // Waiting for one queue does not wait for the other.
         assert_eq!(gpu.wait_for_either(late, [second, third]), [OLD, NEW]);
         semaphores.iter().for_each(|semaphore| gpu.device.destroy_semaphore(*semaphore, None));
         gpu.pools.iter().for_each(|pool| gpu.device.destroy_command_pool(*pool, None));

@@ -1,4 +1,4 @@
-//! Small files that would take a stack, hours or all memory: each must be refused in one line.
+//! Small files that would exhaust the stack, hours or all memory: each must be refused in one line.
 
 use crate::data;
 use crate::page::{self, Page};
@@ -9,9 +9,9 @@ use std::io::Write;
 use std::path::Path;
 use std::time::Duration;
 
-/// Longest that a refusal may take.
+/// Longest time of a refusal.
 const LONGEST: Duration = Duration::from_secs(20);
-/// Memory that one may take, MiB.
+/// Most memory of a refusal, MiB.
 const MOST_MEMORY: u64 = 600;
 
 fn deep_name() -> String {
@@ -23,14 +23,14 @@ fn refuse(siege: &Siege, arguments: &[&str]) -> Result<()> {
     refusal(siege, arguments).map(drop)
 }
 
-/// Runs a command that must refuse, and returns what it says.
+/// Runs a command that must refuse, and returns its message.
 fn refusal(siege: &Siege, arguments: &[&str]) -> Result<String> {
     let mut program = Program::start(&siege.program, &Limits::default(), &siege.peak, arguments)?;
     let ending = program.end(LONGEST)?;
     ending.check_refused().map(|()| ending.errors)
 }
 
-/// Training on a data set, which must be refused and leave nothing.
+/// Training on a data set must be refused and leave no files.
 fn refuse_to_train(siege: &Siege, data: &Path) -> Result<Outcome> {
     let model = siege.place("refused");
     refuse(siege, &["train", "-s", text(data)?, "-m", text(&model)?, "--iterations", "1", "--quiet"])?;
@@ -98,7 +98,7 @@ pub fn wide_json(siege: &Siege) -> Result<Outcome> {
 
 /// JSON files of 64 MiB beyond `--max-host-memory`.
 pub fn bounded_json(siege: &Siege) -> Result<Outcome> {
-    /// MiB; the program takes two thirds of this by itself.
+    /// MiB; the program alone takes two thirds of it.
     const MOST: u64 = 120;
     let folder = siege.new_folder("bounded")?;
     data::write_small(&folder)?;
@@ -111,7 +111,7 @@ pub fn bounded_json(siege: &Siege) -> Result<Outcome> {
     }
     let (data, cameras) = (folder.join("transforms"), folder.join("cameras.json"));
     let ply = folder.join("scene.ply");
-    // One Gaussian without rotation, all other values 0.
+    // One Gaussian without rotation; all other values are 0.
     let mut values = [[0; 4]; data::PLY_BYTES as usize / 4];
     values[10] = 1.0_f32.to_le_bytes();
     std::fs::write(&ply, [data::ply_header(1).as_bytes(), values.as_flattened()].concat())?;
@@ -132,7 +132,7 @@ pub fn bounded_json(siege: &Siege) -> Result<Outcome> {
     Ok(Outcome::Withstood("each refused by the option's name".into()))
 }
 
-/// A page sends a GLB whose JSON is short as a file and long in memory.
+/// A page sends a GLB whose JSON takes far more memory than its file.
 pub fn upload(siege: &Siege) -> Result<Outcome> {
     const BYTES: usize = 60 << 20;
     const BOUND: u64 = 100;
@@ -161,7 +161,7 @@ pub fn upload(siege: &Siege) -> Result<Outcome> {
     Ok(Outcome::Withstood(format!("{more} MiB more of {BOUND}; the page is told the option")))
 }
 
-/// A sound blocks.json in which one value after the other is something else: each is read or refused.
+/// A valid blocks.json in which one value at a time is replaced: each is read or refused.
 pub fn damaged_blocks(siege: &Siege) -> Result<Outcome> {
     let block = |number: u32, core: Value| {
         json!({
@@ -215,7 +215,7 @@ pub fn damaged_blocks(siege: &Siege) -> Result<Outcome> {
     within_memory(siege, &format!("{refused} refused in one line, {taken} read"))
 }
 
-/// A pipe without a writer, and a device without an end, in the place of files.
+/// A pipe without a writer and an endless device instead of files.
 pub fn no_files(siege: &Siege) -> Result<Outcome> {
     let folder = siege.new_folder("pipes")?;
     data::write_small(&folder)?;
@@ -241,7 +241,7 @@ pub fn claims(siege: &Siege) -> Result<Outcome> {
     let ply = folder.join("claims.ply");
     std::fs::write(&ply, data::ply_header(4_000_000_000))?;
     refuse(siege, &["info", text(&ply)?])?;
-    // Ten Gaussians, and then zeros that nobody has asked for, packed to almost nothing.
+    // Ten Gaussians followed by surplus zeros, compressed to almost nothing.
     let spz = folder.join("bomb.spz");
     let header =
         [&0x5053_474e_u32.to_le_bytes()[..], &2_u32.to_le_bytes(), &10_u32.to_le_bytes(), &[0, 12, 0, 0]];

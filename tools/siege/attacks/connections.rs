@@ -1,4 +1,4 @@
-//! Connections that cost a descriptor each and do nothing. None of them needs the viewer's word.
+//! Connections that each cost a descriptor and do nothing. None of them needs the viewer's token.
 
 use crate::page::{self, Page};
 use crate::program::Limits;
@@ -8,7 +8,7 @@ use std::io::Write;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-/// Who is visited.
+/// Port to attack.
 enum Door {
     Page,
     NetworkViewer,
@@ -18,7 +18,7 @@ pub fn silent(siege: &Siege) -> Result<Outcome> {
     besiege(siege, Door::Page, b"", b"")
 }
 
-/// One header after the other, without an end.
+/// Headers without end, one at a time.
 pub fn unfinished(siege: &Siege) -> Result<Outcome> {
     let begin = b"GET /socket HTTP/1.1\r\nHost: localhost\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n";
     besiege(siege, Door::Page, begin, b"X: y\r\n")
@@ -29,7 +29,7 @@ pub fn network_viewer(siege: &Siege) -> Result<Outcome> {
     besiege(siege, Door::NetworkViewer, &[0, 0, 16, 0], b"{")
 }
 
-/// A training with too few descriptors for all that come: it answers its page, saves and reaches its end meanwhile.
+/// A training with too few descriptors for all connections. Meanwhile it answers its page, saves and finishes.
 fn besiege(siege: &Siege, door: Door, begin: &[u8], more: &[u8]) -> Result<Outcome> {
     let (descriptors, count) = siege.choose((150, 300), (1024, 1060));
     let limits = Limits { descriptors: Some(descriptors), ..Limits::default() };
@@ -42,7 +42,7 @@ fn besiege(siege: &Siege, door: Door, begin: &[u8], more: &[u8]) -> Result<Outco
     };
     let (mut connections, mut missing) = (Vec::new(), 0);
     for _ in 0..count {
-        // Where nobody takes them any more, more of them change nothing.
+        // Once connections are not accepted any more, further ones change nothing.
         if missing > 10 {
             break;
         }
@@ -78,7 +78,7 @@ fn besiege(siege: &Siege, door: Door, begin: &[u8], more: &[u8]) -> Result<Outco
     )))
 }
 
-/// The page that is there already, another one and a request are answered; how long the longest took.
+/// The connected page, a new one and a request must be answered. Returns the longest time.
 fn visit(host: &str, page: &mut Page) -> Result<Duration> {
     let mut longest = Duration::ZERO;
     let mut timed = |visit: &mut dyn FnMut() -> Result<()>| -> Result<()> {

@@ -1,4 +1,4 @@
-//! A disk that is full in the middle of a training.
+//! A disk that fills up during training.
 
 use crate::page::Page;
 use crate::program::{Limits, can_mount};
@@ -11,10 +11,10 @@ use std::path::{Path, PathBuf};
 
 /// Size of the disk, KiB.
 const DISK: u64 = 16 << 10;
-/// Iterations while it is full; with them go a test, a save and a checkpoint.
+/// Iterations while the disk is full; they include a test, a save and a checkpoint.
 const ITERATIONS: u64 = 60;
 
-/// Full when half of the iterations are done, free again for the last ones.
+/// The disk is full after half of the iterations, and free again for the last ones.
 pub fn full(siege: &Siege) -> Result<Outcome> {
     if !can_mount() {
         return Ok(Outcome::Skipped("no small disk can be mounted here".into()));
@@ -22,7 +22,7 @@ pub fn full(siege: &Siege) -> Result<Outcome> {
     let disk = siege.place("attacked");
     let limits = Limits { disk: Some((disk.clone(), DISK)), ..Limits::default() };
     let mut training = Training::start(siege, &limits, &[])?;
-    // Only it sees its disk, and whoever holds a folder of it open, also when it is over.
+    // Only the program sees its disk. An open folder of it stays readable after the program ends.
     let inside = format!("/proc/{}/root{}", training.program.id(), disk.display());
     let held = File::open(inside)?;
     let model = PathBuf::from(format!("/proc/self/fd/{}", held.as_raw_fd()));
@@ -36,7 +36,7 @@ pub fn full(siege: &Siege) -> Result<Outcome> {
     ensure!(ending.code == Some(0), "training ended with {ending}");
     let warnings = ending.errors.lines().filter(|line| line.starts_with("warning: ")).count();
     ensure!(warnings > 0, "no word of what could not be saved");
-    // Checkpoints that had no room came later, as those of other iterations.
+    // Checkpoints that did not fit were written later, at other iterations.
     training::check_with(siege, &model, &training::CHECKPOINTS[3..])?;
     let lines = std::fs::read_to_string(model.join("train_log.csv"))?.lines().count();
     ensure!(lines == 1 + training::ITERATIONS as usize, "the log has {lines} lines");
@@ -45,7 +45,7 @@ pub fn full(siege: &Siege) -> Result<Outcome> {
     )))
 }
 
-/// A page is told that nothing could be saved, and training goes on.
+/// The page gets a message that saving failed, and training continues.
 fn train_on(page: &mut Page) -> Result<()> {
     page.act("save")?;
     page.wait_for("problem").map_err(|_| "a page is not told that nothing was saved")?;
@@ -56,7 +56,7 @@ fn train_on(page: &mut Page) -> Result<()> {
     page.until(|status| status["iteration"].as_u64() >= Some(start + ITERATIONS)).map(drop)
 }
 
-/// Leaves no room.
+/// Fills the disk.
 fn fill(path: &Path) -> Result<()> {
     let mut file = File::create(path)?;
     for size in [64 << 10, 1 << 10, 1] {

@@ -1,4 +1,4 @@
-//! Messages as fast as they go, and nobody who reads the answers.
+//! Messages as fast as possible, by clients that read no answers.
 
 use crate::page::{self, PATIENCE, Page};
 use crate::program::Limits;
@@ -10,12 +10,12 @@ use std::net::TcpStream;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-/// Memory that a flood may take, MiB.
+/// Most memory that a flood may take, MiB.
 const MOST_MEMORY: u64 = 80;
 
-/// Sends a message again and again, as fast as it goes, until it is told to stop or cut off.
+/// Sends a message repeatedly, as fast as possible, until stopped or cut off.
 fn flood(mut stream: &TcpStream, message: &[u8], over: &AtomicBool, sent: &AtomicU64) {
-    // As much as goes into a socket at once.
+    // About as much as a socket takes at once.
     let messages = message.repeat(1 + (64 << 10) / message.len());
     if stream.set_write_timeout(Some(Duration::from_millis(50))).is_err() {
         return;
@@ -90,16 +90,16 @@ pub fn network_viewer(siege: &Siege) -> Result<Outcome> {
     })
 }
 
-/// What an attack needs: whom, until when, and where to count its bytes.
+/// An attack: its target, its stop signal, and its count of sent bytes.
 type Flood<'a> = &'a (dyn Fn(&Besieged, &AtomicBool, &AtomicU64) + Sync);
 
-/// Where a training listens.
+/// Addresses of a training.
 struct Besieged {
     host: String,
     network_viewer: String,
 }
 
-/// While it lasts, another page gets its pictures; then training goes on to its end.
+/// During the attack, another page gets its pictures; then training runs to its end.
 fn besiege(siege: &Siege, attack: impl Fn(&Besieged, &AtomicBool, &AtomicU64) + Sync) -> Result<Outcome> {
     let attack: Flood = &attack;
     let seconds = Duration::from_secs(siege.choose(2, 30));
@@ -114,7 +114,7 @@ fn besiege(siege: &Siege, attack: impl Fn(&Besieged, &AtomicBool, &AtomicU64) + 
         let (over, sent, besieged) = (&over, &sent, &besieged);
         scope.spawn(move || attack(besieged, over, sent));
         let looked = look_on(&mut page, seconds);
-        // Training goes on in the middle of it. Those who flood may hold it again: so it is told again.
+        // Training must finish during the attack. Flooding pages may pause it again, so resume is sent repeatedly.
         let ended = training.explain(looked).and_then(|looked| {
             let start = Instant::now();
             while training.program.runs() && page.act("resume").is_ok() {
@@ -139,7 +139,7 @@ fn besiege(siege: &Siege, attack: impl Fn(&Besieged, &AtomicBool, &AtomicU64) + 
     )))
 }
 
-/// Another page's pictures: how many, and how long the longest took.
+/// Another page's pictures: their number, and the longest time.
 fn look_on(page: &mut Page, seconds: Duration) -> Result<(u32, Duration)> {
     let (start, mut frames, mut longest) = (Instant::now(), 0, Duration::ZERO);
     while start.elapsed() < seconds {

@@ -1,4 +1,4 @@
-//! Ended in the middle of its work, and resumed.
+//! Trainings that are killed or interrupted, and resumed.
 
 use crate::page::Page;
 use crate::program::{Limits, Program};
@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 /// Exit code after Ctrl-C.
 const INTERRUPTED: i32 = 130;
-/// Part of a run's time between two ends, so that they are spread over it: no two come at the same place.
+/// Fraction of a run between two ends. The golden ratio spreads them, so that no two fall on the same moment.
 const GOLDEN: f64 = 0.618_033_988_75;
 
 pub fn killed(siege: &Siege) -> Result<Outcome> {
@@ -20,24 +20,24 @@ pub fn interrupted(siege: &Siege) -> Result<Outcome> {
     besiege(siege, false)
 }
 
-/// After this time the fewest are enough.
+/// After this time the fewest ends suffice.
 const LONG: Duration = Duration::from_secs(90);
 const FEWEST: u32 = 2;
 
-/// Ends trainings at moments spread over their time. Each goes on from what the last left, to the same bits.
+/// Ends trainings at moments spread over their duration. Each resumes from the last one's files, to the same bits.
 fn besiege(siege: &Siege, kills: bool) -> Result<Outcome> {
     let wanted = siege.choose(2, 12);
     let begun = Instant::now();
     let data = training::data_of(siege)?;
     training::undisturbed(siege)?;
     let model = siege.new_folder("attacked")?;
-    // A checkpoint after every iteration, so that there is always one being written.
+    // A checkpoint after every iteration, so that one is always being written.
     let every: Vec<String> = (1..=training::ITERATIONS).map(|iteration| iteration.to_string()).collect();
     let every: Vec<&str> = every.iter().map(String::as_str).collect();
     let mut begin = training::arguments(text(&data)?, text(&model)?, &every);
     begin.push("--view=0");
     let go_on = [&begin[..], &["--start-checkpoint", "latest"]].concat();
-    // How long one takes from when it is ready: the first is left alone.
+    // Duration of a run once it is ready, measured on the first, which is not ended.
     let mut whole = None;
     let (mut ended, mut resumed, mut whole_runs) = (0, 0, 0);
     for moment in 0..4 * wanted {
@@ -85,7 +85,7 @@ fn besiege(siege: &Siege, kills: bool) -> Result<Outcome> {
     )))
 }
 
-/// The result has the undisturbed one's bits, and nothing half-written lies about.
+/// The result has the same bits as without an attack, and no half-written file remains.
 fn check(siege: &Siege, model: &Path) -> Result<()> {
     training::check_result(siege, model)?;
     let mut folders = vec![model.to_owned()];

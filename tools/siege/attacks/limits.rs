@@ -1,11 +1,11 @@
-//! Too little of something from the beginning: a training reaches its end, or says in one line why not.
+//! Too little of a resource from the start: a training finishes, or says in one line why not.
 
 use crate::data;
 use crate::program::{Limits, Program};
 use crate::siege::{Outcome, Result, Siege, ensure, text};
 use crate::training::{self, LONGEST, Training};
 
-/// The last scene fits into a file, and no checkpoint does.
+/// The final scene fits into a file; checkpoints do not.
 pub fn file_size(siege: &Siege) -> Result<Outcome> {
     let scene = training::undisturbed(siege)?;
     let most = (scene.len() as u64 >> 10) + 8;
@@ -27,7 +27,7 @@ pub fn descriptors(siege: &Siege) -> Result<Outcome> {
     Ok(Outcome::Withstood("a page looks on; same bits at the end".into()))
 }
 
-/// A scene of more bytes than there may be: all of them are zeros that take no disk.
+/// A scene larger than the memory limit; its bytes are zeros that take no disk space.
 pub fn memory(siege: &Siege) -> Result<Outcome> {
     const GAUSSIANS: u64 = 10_000_000;
     const FEW: u64 = 200_000;
@@ -36,7 +36,7 @@ pub fn memory(siege: &Siege) -> Result<Outcome> {
     std::fs::write(&path, &header)?;
     let bytes = header.len() as u64 + GAUSSIANS * data::PLY_BYTES;
     std::fs::OpenOptions::new().write(true).open(&path)?.set_len(bytes)?;
-    // Decimation takes several times what its Gaussians do.
+    // Decimation takes several times the memory of its Gaussians.
     let (few, fewer) = (siege.place("few.ply"), siege.place("fewer.ply"));
     let header = data::ply_header(FEW);
     std::fs::write(&few, &header)?;

@@ -1,4 +1,4 @@
-//! Requests for photos, which cost memory to decode.
+//! Requests for photos, which take memory to decode.
 
 use crate::data;
 use crate::page::{self, PATIENCE};
@@ -8,18 +8,18 @@ use std::path::PathBuf;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
-/// Requests at the same time.
+/// Number of simultaneous requests.
 const REQUESTS: u32 = 40;
-/// Memory that they may take beside what the program had, MiB.
+/// Most additional memory of these requests, MiB.
 const MOST_MEMORY: u64 = 800;
-/// Memory that refusing may take, MiB.
+/// Most additional memory of refusals, MiB.
 const LITTLE_MEMORY: u64 = 100;
 
 /// A viewer of large photos.
 struct Gallery {
     program: Program,
     host: String,
-    /// Its memory before, MiB.
+    /// Its memory before the attack, MiB.
     before: u64,
 }
 
@@ -44,13 +44,13 @@ impl Gallery {
         let mut program = Program::start(&siege.program, &Limits::default(), &siege.peak, &arguments)?;
         let address = program.wait_for("viewer at http://")?;
         let host = address.split('/').next().unwrap_or_default().to_owned();
-        // The page is there before the photos.
+        // The page is served before the photos are.
         drop(page::Page::open(&host)?);
         let before = program.memory();
         Ok(Gallery { program, host, before })
     }
 
-    /// Asks for all photos at the same time: how many were answered with each of two codes, and with none.
+    /// Requests all photos at the same time. Returns the number of answers with each of two codes.
     fn ask_for_all(&self, headers: &str, codes: [u16; 2]) -> Result<[u32; 2]> {
         let answers = [const { AtomicU32::new(0) }; 2];
         let others = AtomicU32::new(0);
@@ -66,7 +66,7 @@ impl Gallery {
                     };
                 });
             }
-            // Another page meanwhile.
+            // Another page's requests meanwhile.
             let mut longest = Duration::ZERO;
             for _ in 0..5 {
                 let start = Instant::now();
@@ -83,7 +83,7 @@ impl Gallery {
         Ok(answers.map(AtomicU32::into_inner))
     }
 
-    /// It took no more memory than that, and shows a photo as before.
+    /// Checks the additional memory, and that a photo is still served.
     fn check(&self, most: u64) -> Result<u64> {
         let (code, _) = page::get(&self.host, "/photo/0", "", 3 * PATIENCE)?;
         ensure!(code == 200, "a photo is answered with {code} afterwards");
@@ -103,7 +103,7 @@ pub fn at_once(siege: &Siege) -> Result<Outcome> {
     )))
 }
 
-/// What any web page can have a browser ask for.
+/// Requests that any web page can make a browser send.
 pub fn foreign(siege: &Siege) -> Result<Outcome> {
     let gallery = Gallery::open(siege)?;
     let headers =
