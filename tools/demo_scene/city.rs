@@ -1,27 +1,27 @@
 //! A city of many houses, photographed from above: a scene to be trained in blocks.
 //!
-//! World frame: z up, the ground at z = 0; a square of lots of 1.6 units, usually eight by eight, with houses of individual sizes,
-//! colours and textures, every seventh or so with trees instead. The cameras fly over it in a grid and look obliquely, so that each
-//! photograph shows a few lots and no photograph all of them. A larger city has as many photographs per lot.
+//! World frame: z up, the ground at z = 0. A square of lots of 1.6 units, eight by eight by default. Houses have individual
+//! sizes, colours and textures; about every seventh lot has trees instead. The cameras fly over it in a grid and look
+//! obliquely, so each photograph shows a few lots and none shows all of them. A larger city has as many photographs per lot.
 
 use crate::scene::{Object, Scene, Shape, Texture, glossy, lattice_noise, matt};
 use ashsplat::scene::{Camera, Intrinsics};
 use glam::{Mat3, Vec3, vec3};
 
-/// Lots along a side of the usual city.
+/// Lots along a side of the default city.
 const LOTS: u32 = 8;
-/// Length of a lot.
+/// Side of a lot.
 const LOT: f32 = 1.6;
-/// Cameras along a side of the usual city, each with two views.
+/// Camera positions along a side of the default city, with two views each.
 const CAMERAS: u32 = 9;
-/// Half the side of the square over which these are, and the height of all.
+/// Half the side of the square of camera positions, and their height.
 const FLIGHT: [f32; 2] = [5.8, 3.0];
-/// How far the terrace reaches beyond the middle, per lot along a side.
+/// Radius of the terrace per lot along a side.
 const TERRACE: f32 = 1.25;
 /// Horizontal field of view, radians.
 const FOV_X: f32 = 0.96;
 
-/// How large a city is, and its photographs.
+/// Size of a city and of its photographs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct City {
     /// Lots along a side.
@@ -36,7 +36,7 @@ impl Default for City {
     }
 }
 
-/// The city.
+/// The scene of a city.
 pub fn scene(city: City) -> Scene {
     let lots = city.lots as i32;
     let ground = Texture::Tiles {
@@ -52,7 +52,7 @@ pub fn scene(city: City) -> Scene {
     Scene { objects, to_sun: vec3(0.45, -0.5, 0.74).normalize(), sun: vec3(1.05, 0.98, 0.86) }
 }
 
-/// What stands on a lot.
+/// Objects on a lot.
 fn lot(i: i32, j: i32, lots: i32) -> Vec<Object> {
     let random = |what: i32| lattice_noise(i, j, 100 + what);
     let middle = |index: i32| (index as f32 - 0.5 * (lots - 1) as f32) * LOT;
@@ -100,11 +100,11 @@ fn trees(center: Vec3, random: &impl Fn(i32) -> f32) -> Vec<Object> {
     (0..3).flat_map(tree).collect()
 }
 
-/// The flight: to and fro, at each place a view ahead and one aside, which turn from place to place.
+/// Cameras of the flight, in alternating rows. Each position has a view ahead and one aside, in directions that turn along the way.
 pub fn cameras(city: City) -> Vec<Camera> {
     let intrinsics = Intrinsics::from_fov_x(FOV_X, city.width, city.width * 3 / 4);
     let half = FLIGHT[0] + 0.5 * LOT * (city.lots as f32 - LOTS as f32);
-    // As far from each other as over the usual city.
+    // The same spacing as over the default city.
     let between = 2.0 * FLIGHT[0] / (CAMERAS - 1) as f32;
     let along = ((2.0 * half / between).round() as u32).max(1) + 1;
     let view = |index: u32| {
@@ -114,7 +114,7 @@ pub fn cameras(city: City) -> Vec<Camera> {
         let at = |step: u32| half * (2.0 * step as f32 / (along - 1) as f32 - 1.0);
         let eye = vec3(at(column), at(row), FLIGHT[1]);
         let azimuth = 2.4 * place as f32 + 1.7 * aside as f32;
-        // Towards the middle at the rim, where there is nothing outside.
+        // Turned inward at the rim, since nothing lies outside.
         let inward = -0.12 * (FLIGHT[0] / half) * vec3(eye.x, eye.y, 0.0);
         let look = vec3(azimuth.cos(), azimuth.sin(), 0.0) + inward - 1.3 * Vec3::Z;
         Camera::look_at(eye, eye + look, Vec3::Z, intrinsics)

@@ -1,6 +1,6 @@
 //! The procedural scenes of `ashsplat demo` and the ray caster that photographs them.
 //!
-//! Lengths are in units of each scene's own, z is up, light is linear until it is encoded as sRGB.
+//! Lengths are in each scene's own units, z is up, light is linear until it is encoded as sRGB.
 
 pub mod city;
 pub mod raycast;

@@ -7,11 +7,11 @@ use glam::{Mat3, Vec3, vec3};
 use image::{Rgba, RgbaImage};
 use rayon::prelude::*;
 
-/// Rays per pixel and axis: 9 rays each, on a regular grid, each with its own point of the sun's disc.
+/// Rays per pixel and axis, on a regular grid. Each of the 9 rays has its own point of the sun's disc.
 const GRID: u32 = 3;
 /// Half-width of the sun, as seen from the scene (radians): soft shadows.
 const SUN_RADIUS: f32 = 0.06;
-/// Surfaces closer than this to a ray's origin are the one that it starts on.
+/// Distance up to which a hit is the surface that the ray starts on.
 const SKIN: f32 = 1e-3;
 
 /// A ray in world coordinates; the direction is of unit length.
@@ -43,7 +43,7 @@ impl Ray {
         self.origin + self.direction * distance
     }
 
-    /// Distance to the sky's dome, which is larger where a ray starts far out.
+    /// Distance to the sky's dome, which is larger for rays that start far out.
     pub fn sky_distance(&self) -> f32 {
         let b = self.origin.dot(self.direction);
         let radius = SKY_RADIUS.max(1.5 * self.origin.length());
@@ -59,8 +59,8 @@ pub fn photograph(scene: &Scene, camera: &Camera) -> Photo {
     Photo { width, height, rgb }
 }
 
-/// Photographs what is not sky: 8-bit sRGB and, as opacity, the share of each pixel that is not sky; colours are those of
-/// that share, as a renderer of transparent pictures leaves them.
+/// Photographs without the sky: 8-bit sRGB, with the share of each pixel that is not sky as its opacity. Colours are those of
+/// that share, as renderers of transparent pictures store them.
 pub fn photograph_cutout(scene: &Scene, camera: &Camera) -> RgbaImage {
     let pixels = (0..camera.height).into_par_iter().flat_map_iter(|y| (0..camera.width).map(move |x| (x, y)));
     let rgba = pixels.flat_map_iter(|(x, y)| {
@@ -77,7 +77,7 @@ pub fn photograph_cutout(scene: &Scene, camera: &Camera) -> RgbaImage {
     RgbaImage::from_raw(camera.width, camera.height, rgba.collect()).unwrap_or_default()
 }
 
-/// A cutout on black, as readers of data sets see it there.
+/// A cutout on black, as readers of data sets convert it.
 pub fn on_black(cutout: &RgbaImage) -> Photo {
     let shown = |pixel: &Rgba<u8>| {
         let opacity = f32::from(pixel.0[3]) / 255.0;
@@ -86,7 +86,7 @@ pub fn on_black(cutout: &RgbaImage) -> Photo {
     Photo { width: cutout.width(), height: cutout.height(), rgb: cutout.pixels().flat_map(shown).collect() }
 }
 
-/// The rays of a pixel, by number.
+/// The rays of a pixel with their indices.
 fn rays(camera: &Camera, x: u32, y: u32) -> impl Iterator<Item = (u32, Ray)> {
     (0..GRID * GRID).map(move |sample| {
         let offset = |index: u32| (index as f32 + 0.5) / GRID as f32;
@@ -95,7 +95,7 @@ fn rays(camera: &Camera, x: u32, y: u32) -> impl Iterator<Item = (u32, Ray)> {
     })
 }
 
-/// 7 is coprime to 9: the sun's points are in another order than the rays, which decorrelates them.
+/// Index of a ray's point on the sun. 7 is coprime to 9, so the order differs from that of the rays.
 fn sun_sample(sample: u32, x: u32, y: u32) -> u32 {
     (sample * 7 + x * 3 + y * 5) % (GRID * GRID)
 }
@@ -122,7 +122,7 @@ pub fn first_hit<'a>(scene: &'a Scene, ray: &Ray) -> Option<Hit<'a>> {
     hits.min_by(|a, b| a.distance.total_cmp(&b.distance))
 }
 
-/// Light that comes back along a ray; `sun_sample` in 0..9 chooses the point of the sun's disc for the shadow.
+/// Light that returns along a ray; `sun_sample` in 0..9 chooses the point of the sun's disc for the shadow.
 fn light(scene: &Scene, ray: &Ray, sun_sample: u32) -> Vec3 {
     let Some(hit) = first_hit(scene, ray) else { return scene.sky(ray.direction) };
     let point = ray.at(hit.distance);
@@ -190,7 +190,7 @@ fn intersect(shape: &Shape, ray: &Ray) -> Option<(f32, Vec3)> {
     }
 }
 
-/// Whether a ray comes near a ball: most of a city's houses are told from that.
+/// True if a ray may meet a ball: rejects most of a city's houses.
 fn may_meet(ray: &Ray, center: Vec3, radius: f32) -> bool {
     let to_center = center - ray.origin;
     let along = to_center.dot(ray.direction);
@@ -205,7 +205,7 @@ fn sphere_roots(ray: &Ray, center: Vec3, radius: f32) -> Option<(f32, f32)> {
     (discriminant > 0.0).then(|| (-b - discriminant.sqrt(), -b + discriminant.sqrt()))
 }
 
-/// A box by its three slabs.
+/// Intersects a box, by its three slabs.
 fn hit_box(ray: &Ray, center: Vec3, half: Vec3, local_from_world: &Mat3) -> Option<(f32, Vec3)> {
     let origin = *local_from_world * (ray.origin - center);
     let direction = *local_from_world * ray.direction;
@@ -226,7 +226,7 @@ fn hit_box(ray: &Ray, center: Vec3, half: Vec3, local_from_world: &Mat3) -> Opti
     Some((enter, local_from_world.transpose() * normal))
 }
 
-/// A capsule: a cylinder's side between two spheres.
+/// Intersects a capsule: a cylinder's side between two spheres.
 fn hit_capsule(ray: &Ray, start: Vec3, end: Vec3, radius: f32) -> Option<(f32, Vec3)> {
     let axis = end - start;
     let from_start = ray.origin - start;
@@ -248,7 +248,7 @@ fn hit_capsule(ray: &Ray, start: Vec3, end: Vec3, radius: f32) -> Option<(f32, V
     (t > SKIN).then(|| (t, (ray.at(t) - cap) / radius))
 }
 
-/// A torus around the z axis at the origin, by sphere tracing within its bounding sphere.
+/// Intersects a torus around the z axis at the origin, by sphere tracing within its bounding sphere.
 fn hit_torus(ray: &Ray, major: f32, minor: f32) -> Option<(f32, Vec3)> {
     let (enter, leave) = sphere_roots(ray, Vec3::ZERO, major + minor)?;
     let signed_distance = |p: Vec3| {

@@ -2,11 +2,11 @@
 //!
 //! World frame: z up, the terrace at z = 0, lengths in arbitrary units (the terrace's radius is 5).
 //!
-//! Why a PSNR on this scene means something. It is not trivial: textures down to four pixels, thin parts (the ring, the
-//! rods, the joints of the slabs), occlusion, soft shadows, highlights and a mirrored sky that no diffuse colour can
-//! explain, and a sky that has to be built from Gaussians because the background is black. It is not impossible:
-//! poses are exact, the photographs are free of noise, and the highlights are broad. Measured on the held-out views, with
-//! the demo's own schedule of 1200 iterations:
+//! A PSNR on this scene is meaningful. The scene is not trivial. It has textures down to four pixels, thin parts (the ring, the
+//! rods, the joints of the slabs), occlusion and soft shadows. No diffuse colour explains its highlights and its mirrored sky.
+//! The sky has to be built from Gaussians, because the background is black. It is not impossible either: poses are exact,
+//! photographs have no noise, and highlights are broad. Measured on the held-out views, with the demo's own schedule of 1200
+//! iterations:
 //!
 //! | trainer | PSNR |
 //! |---|---|
@@ -16,7 +16,7 @@
 //! | no densification | 27.4 dB |
 //! | the initial points, hardly trained (2 iterations) | 10.0 dB |
 //!
-//! So what is missing or wrong in any one part shows, and 28 dB are out of reach without the larger ones.
+//! So a missing or wrong part shows, and 28 dB are out of reach without the larger parts.
 
 use glam::{Mat3, Vec3, vec3};
 
@@ -37,14 +37,14 @@ pub(crate) enum Texture {
     Tiles { colors: [Vec3; 2], joint: Vec3, size: f32 },
 }
 
-/// What a surface is made of.
+/// Appearance of a surface.
 pub(crate) struct Material {
     pub(crate) texture: Texture,
     /// Strength of the Phong highlight.
     pub(crate) gloss: f32,
     /// Exponent of the Phong highlight.
     pub(crate) shininess: f32,
-    /// Share of the sky that is mirrored.
+    /// Share of mirrored sky.
     pub(crate) mirror: f32,
 }
 
@@ -54,7 +54,7 @@ pub(crate) struct Object {
     pub(crate) material: Material,
 }
 
-/// Everything that a ray can meet.
+/// The objects that rays can meet, and the sun.
 pub struct Scene {
     pub(crate) objects: Vec<Object>,
     /// Direction towards the sun, of unit length.
@@ -63,7 +63,7 @@ pub struct Scene {
     pub(crate) sun: Vec3,
 }
 
-/// Radius of the dome that stands for the sky: where a ray that meets nothing ends.
+/// Radius of the sky's dome, where a ray ends that meets nothing.
 pub(crate) const SKY_RADIUS: f32 = 14.0;
 
 impl Scene {
@@ -187,7 +187,7 @@ pub(crate) fn matt(texture: Texture) -> Material {
 }
 
 pub(crate) fn glossy(texture: Texture, gloss: f32, mirror: f32) -> Material {
-    // A broad highlight: degree-3 harmonics can follow it in part, so that it tells a right gradient from a wrong one.
+    // A broad highlight, which harmonics of degree 3 follow in part: a wrong gradient shows.
     Material { texture, gloss, shininess: 14.0, mirror }
 }
 
@@ -195,7 +195,7 @@ impl Texture {
     /// The colour at a position in the object's frame, linear.
     pub(crate) fn color(&self, position: Vec3) -> Vec3 {
         match self {
-            // Half a cell of offset keeps the faces of a box that is whole cells wide off the cell borders.
+            // Half a cell of offset keeps a box's faces off the cell borders if its sides are whole cells.
             Texture::Checker { colors, size } => {
                 let cell = (position / *size + 0.5).floor();
                 colors[(cell.x + cell.y + cell.z).rem_euclid(2.0) as usize]

@@ -1,4 +1,4 @@
-//! The guest's memory from the host's allocator: an adapter for the crate `gpu-allocator`, to be copied.
+//! The guest's memory from the host's allocator: an adapter for the crate `gpu-allocator`, made to be copied.
 
 use super::host::{Host, Result};
 use ashsplat::vk::{HostAllocator, HostMemory, MemoryKind, MemoryRequest};
@@ -9,7 +9,7 @@ use gpu_allocator::vulkan::{
 use std::collections::HashMap;
 use std::sync::{Mutex, PoisonError};
 
-/// The adapter. To be dropped, with everything that has memory of it, before the device.
+/// The adapter. Must be dropped before the device, after everything that uses its memory.
 pub struct Adapter(Mutex<Live>);
 
 struct Live {
@@ -32,13 +32,13 @@ impl Adapter {
         Ok(Self(Mutex::new(Live { allocator, pieces: HashMap::new(), next: 0 })))
     }
 
-    /// How many pieces are in use.
+    /// Number of pieces in use.
     pub fn pieces(&self) -> usize {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).pieces.len()
     }
 }
 
-// SAFETY: gpu-allocator gives out memory as requested, which is no one else's until it is freed, and maps only coherent
+// SAFETY: gpu-allocator returns memory as requested, exclusive until it is freed, and maps only coherent
 // memory.
 unsafe impl HostAllocator for Adapter {
     fn allocate(&self, request: &MemoryRequest<'_>) -> std::result::Result<HostMemory, String> {
@@ -56,7 +56,7 @@ unsafe impl HostAllocator for Adapter {
         let piece = live.allocator.allocate(&description).map_err(|e| e.to_string())?;
         let id = live.next;
         live.next += 1;
-        // SAFETY: the memory object is only bound, and only as long as the piece is allocated.
+        // SAFETY: the memory object is only bound, and only while the piece is allocated.
         let memory = unsafe { piece.memory() };
         let memory =
             HostMemory { memory, offset: piece.offset(), mapped: piece.mapped_ptr().map(|p| p.cast()), id };

@@ -7,7 +7,7 @@ use ashsplat::ash::vk;
 
 const TEXTURE_SIDE: u32 = 64;
 
-/// Attachments, before and after the pass.
+/// Uses of the attachments after the pass.
 pub const COLOR_WRITTEN: Use = (
     vk::ImageLayout::COLOR_ATTACHMENT_OPTIMAL,
     vk::PipelineStageFlags2::COLOR_ATTACHMENT_OUTPUT,
@@ -18,7 +18,7 @@ pub const DEPTH_WRITTEN: Use = (
     vk::PipelineStageFlags2::LATE_FRAGMENT_TESTS,
     vk::AccessFlags2::DEPTH_STENCIL_ATTACHMENT_WRITE,
 );
-/// Nothing has used an image yet.
+/// The image is unused so far.
 pub const UNUSED: Use = (vk::ImageLayout::UNDEFINED, vk::PipelineStageFlags2::NONE, vk::AccessFlags2::NONE);
 pub const SAMPLED: Use = (
     vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL,
@@ -26,20 +26,19 @@ pub const SAMPLED: Use = (
     vk::AccessFlags2::SHADER_SAMPLED_READ,
 );
 
-/// The pipeline and its texture.
 pub struct Cube {
     texture: HostTexture,
     sampled: Sampled,
     layout: vk::PipelineLayout,
-    /// With depth that grows away from the camera, and with reversed depth.
+    /// For conventional depth, and for reversed depth.
     pipelines: [vk::Pipeline; 2],
 }
 
-/// One picture of the cube.
+/// Parameters of one picture of the cube.
 pub struct CubePass<'a> {
     pub color: &'a HostTexture,
     pub depth: &'a HostTexture,
-    /// How colour and depth were used last: waited for.
+    /// Last uses of colour and depth; the pass waits for them.
     pub last: [Use; 2],
     pub background: [f32; 4],
     /// Column-major.

@@ -1,4 +1,4 @@
-//! What a host engine writes to have splats in its picture. The steps are numbered as in the guide's chapter `embedding`.
+//! The part that a host engine writes to draw splats. The steps are numbered as in the guide's chapter `embedding`.
 
 use super::allocator::Adapter;
 use super::cube::{COLOR_WRITTEN, Cube, CubePass, DEPTH_WRITTEN, SAMPLED, UNUSED};
@@ -31,11 +31,11 @@ pub struct Picture {
     pub name: &'static str,
     /// Rotation of the crate, radians.
     pub angle: f32,
-    /// Reversed depth with an infinite far plane, as engines have it today; else depth from near to far.
+    /// True for reversed depth with an infinite far plane, usual in engines today; false for depth from near to far.
     pub reversed_depth: bool,
-    /// Whether a second scene is in the picture.
+    /// True if a second scene is drawn.
     pub second: bool,
-    /// What the guest writes. The host lights and blends in linear light: with any other encoding, splats are washed out.
+    /// Encoding that the guest writes. The host lights and blends in linear light: any other encoding washes splats out.
     pub encoding: ColorEncoding,
 }
 
@@ -52,30 +52,29 @@ pub const PICTURES: [Picture; 5] = [
     Picture { name: "reversed", angle: 0.5, second: false, ..TURNED },
     Picture { name: "two_scenes", angle: 1.1, ..TURNED },
     TURNED,
-    // What goes wrong.
+    // A common mistake: an encoding that the host does not blend in.
     Picture { name: "washed_out", encoding: ColorEncoding::AsTrained, ..TURNED },
 ];
 
 /// The engine with its guest.
 struct Engine {
-    /// Command buffers, and where the host reads their pictures.
+    /// Command buffers, and buffers in which the host reads their pictures.
     frames: Vec<(InFlight, HostBuffer)>,
     cube: Cube,
     splat_depth: SplatDepth,
     tonemap: Tonemap,
-    /// Linear light, more than a display has.
+    /// Picture in linear light, with a larger range than a display's.
     color: HostTexture,
     depth: HostTexture,
-    /// How far the splats are.
+    /// Expected depth of the splats.
     expected: HostTexture,
-    /// What is shown.
+    /// Picture as displayed.
     display: HostTexture,
-    /// How the frame before has used colour, depth and display last.
+    /// Last uses of colour, depth and display in the previous frame.
     last: [Use; 3],
     guest: Guest,
 }
 
-/// What belongs to ashsplat.
 struct Guest {
     renderer: Renderer,
     color: Image,
@@ -111,8 +110,8 @@ impl Engine {
         Ok(Self { frames, cube, splat_depth, tonemap, guest, color, depth, expected, display, last })
     }
 
-    /// Records and submits a frame: the engine's own pass, the splats, and the copy to where the host reads it, all in one
-    /// command buffer. Several are in flight, and use the same images one after the other.
+    /// Records and submits a frame: the engine's own pass, the splats, and the copy for the host, all in one command buffer.
+    /// Several frames are in flight, and use the same images in turn.
     fn draw(&mut self, host: &Host, number: usize, picture: &Picture) -> Result<()> {
         let slot = number % self.frames.len();
         let (frame, pixels) = &self.frames[slot];
@@ -134,12 +133,12 @@ impl Engine {
             },
         );
         let (release, mapping) = self.guest.record(commands, slot as u32, picture, &view)?;
-        // 7. The release says what to wait for, and in which layouts the images are now: here for the last pass, and for the
-        // next frame's first one, which may not write the depth before the guest has read it.
+        // 7. The release says what to wait for, and the images' layouts. Here it serves the last pass, and the next frame's
+        // first one, which may write the depth only after the guest has read it.
         let [color, depth, expected] =
             [release.color, release.occluder, release.depth].map(|state| state.map(uses));
         let (color, depth) = (color.ok_or("the frame has a target")?, depth.ok_or("the frame has a depth")?);
-        // What is drawn from here on is hidden by splats, too.
+        // From here on, splats hide what is drawn too.
         let images = [&self.expected, &self.depth];
         let uses = [expected.ok_or("the frame has an expected depth")?, depth];
         let [_, depth] = self.splat_depth.record(host, commands, images, uses, &mapping);
@@ -150,7 +149,7 @@ impl Engine {
         frame.submit(host)
     }
 
-    /// All pictures, one after the other; what is worth telling of each.
+    /// Draws all pictures in turn. Returns a report line for each.
     fn pictures(&mut self, host: &Host, folder: &Path) -> Result<Vec<String>> {
         let mut report = Vec::new();
         for (number, picture) in PICTURES.iter().enumerate() {
@@ -166,7 +165,7 @@ impl Engine {
         Ok(report)
     }
 
-    /// The guest goes before the images and the device that it looks at.
+    /// Drops the guest before the images and the device that it uses.
     fn destroy(self, host: &Host) {
         let Self { frames, cube, splat_depth, tonemap, color, depth, expected, display, guest, .. } = self;
         drop(guest);
@@ -183,7 +182,7 @@ impl Engine {
         depth.destroy(host);
     }
 
-    /// Waits for a frame and writes its picture; what is worth telling.
+    /// Waits for a frame and writes its picture. Returns its report line.
     fn finish(&mut self, host: &Host, number: usize, folder: &Path) -> Result<String> {
         let slot = number % self.frames.len();
         let (frame, pixels) = &self.frames[slot];
@@ -191,7 +190,7 @@ impl Engine {
         let bytes = pixels.read(host, PIXEL_BYTES as usize)?;
         let path = folder.join(format!("embed_{}.png", PICTURES[number].name));
         image::save_buffer(&path, &bytes, SIZE[0], SIZE[1], image::ColorType::Rgba8)?;
-        // 8. What the frame was made of, once it has finished; too little room is told, never a surprise.
+        // 8. The counts of the frame, once it has finished. They also say if its reservation was too small.
         let made = self.guest.renderer.slot_report(slot as u32)?.ok_or("the frame has finished")?;
         Ok(format!(
             "{}: {} of {} Gaussians visible, {} of {} instances{}",
@@ -207,17 +206,16 @@ impl Engine {
 
 impl Guest {
     fn new(host: &Host, [color, depth, expected]: [&HostTexture; 3]) -> Result<Self> {
-        // 2. A context on the host's device, with memory of the host's allocator. Nothing of the host's is ever destroyed by
-        // it.
+        // 2. A context on the host's device, with memory from the host's allocator. It destroys nothing of the host's.
         let allocator = Arc::new(Adapter::new(host)?);
         let foreign = ForeignDevice { allocator: Some(allocator.clone()), ..host.foreign() };
-        // SAFETY: the handles are alive and outlive the guest (`pictures` drops it first); what was enabled is what
-        // `Host::new` says; the queue is used by this thread alone.
+        // SAFETY: the handles are alive and outlive the guest (`pictures` drops it first); `Host::foreign` says what was enabled;
+        // only this thread uses the queue.
         let context = unsafe { Context::from_foreign(&foreign, &ContextOptions::default())? };
         // 3. Scenes, and views of the host's images.
         let ring = DeviceScene::upload(&context, &ring(), 0)?;
         let ball = DeviceScene::upload(&context, &ball(), 0)?;
-        // SAFETY: the images are the host's, created as they say, and outlive the guest.
+        // SAFETY: the images are the host's, were created as described, and outlive the guest.
         let (color, depth, expected) = unsafe {
             (
                 Image::adopt(&context, "picture", &color.foreign(), ImageUse::Target)?,
@@ -225,7 +223,7 @@ impl Guest {
                 Image::adopt(&context, "expected depth", &expected.foreign(), ImageUse::Depth)?,
             )
         };
-        // 4. Everything that frames will need is built and allocated now.
+        // 4. Everything that frames will need is built and allocated here.
         let mut renderer = Renderer::new(&context)?;
         renderer.reserve(&Reservation {
             slots: FRAMES_IN_FLIGHT,
@@ -245,9 +243,9 @@ impl Guest {
         picture: &Picture,
         view: &HostView,
     ) -> Result<(Release, DepthMapping)> {
-        // 5. The host's matrices say everything about its conventions, and how its depth is to be read.
+        // 5. The host's matrices define its conventions, and how to read its depth.
         let (camera, mapping) = view.camera()?;
-        // SAFETY: recording state, outside of the pass; submitted once, and waited for before the slot's next turn.
+        // SAFETY: recording state, outside of the pass; submitted once, and waited for before the slot is used again.
         let commands = unsafe { self.renderer.context().adopt_commands(commands)? };
         let ring = Placed::from(&self.ring);
         let turned = Mat3::from_rotation_z(picture.angle);
@@ -255,11 +253,11 @@ impl Guest {
         let scenes = [ring, Placed::at(&self.ball, pose)];
         let scenes = if picture.second { &scenes[..] } else { &scenes[..1] };
         let settings = RenderSettings::default();
-        // 6. The frame, composed over what the host has drawn, hidden where the host's depth is nearer.
+        // 6. The frame, composed over the host's picture, hidden where the host's depth is nearer.
         let (to, behind) = (used(&self.color, COLOR_WRITTEN), Background::Image);
         let target = Target::Image { to, behind, encoding: picture.encoding };
         let occluder = Some(Occluder { depth: used(&self.depth, DEPTH_WRITTEN), mapping });
-        // The depth pass of the frame before has read it.
+        // The previous frame's depth pass has read it.
         let to = used(&self.expected, (UNUSED.0, SAMPLED.1, SAMPLED.2));
         let depth = Some(DepthTarget { to, min_weight: 0.5, empty: splat_depth::EMPTY });
         let frame =
@@ -276,9 +274,9 @@ fn uses(state: ImageState) -> Use {
     (state.layout, state.stages, state.accesses)
 }
 
-/// Draws the pictures into a folder, each "embed_NAME.png"; returns what is worth telling.
+/// Draws the pictures into a folder, each as "embed_NAME.png". Returns a report line for each.
 pub fn pictures(folder: &Path, options: &HostOptions) -> Result<Vec<String>> {
-    // 1. The host creates its device and enables what `Context::requirements()` asks for.
+    // 1. The host creates its device and enables what `Context::requirements()` lists.
     let host = Host::new(options)?;
     let report = draw(&host, folder);
     let messages = host.destroy();
@@ -293,7 +291,7 @@ pub fn pictures(folder: &Path, options: &HostOptions) -> Result<Vec<String>> {
 fn draw(host: &Host, folder: &Path) -> Result<Vec<String>> {
     let mut engine = Engine::new(host)?;
     let report = engine.pictures(host, folder);
-    // Also where that failed: the guest may go, and the images that it looks at, when nothing runs any more.
+    // Also after a failure: the guest and its images may go only when the device is idle.
     host.wait()?;
     engine.destroy(host);
     report
@@ -316,7 +314,7 @@ fn view(picture: &Picture) -> HostView {
     }
 }
 
-/// Gaussians around the crate, some before and some behind it.
+/// Gaussians around the crate, some in front of it and some behind.
 pub fn ring() -> Gaussians {
     let mut ring = Gaussians { sh_degree: 1, ..Gaussians::default() };
     for i in 0..2400 {
@@ -350,7 +348,7 @@ fn push(to: &mut Gaussians, mean: [f32; 3], scale: f32, opacity_logit: f32, colo
     to.quats.push([1.0, 0.0, 0.0, 0.0]);
     to.log_scales.push([scale.ln(); 3]);
     to.opacity_logits.push(opacity_logit);
-    // Degree 0 holds the colour; degree 1 is without effect here.
+    // Degree 0 holds the colour; degree 1 has no effect here.
     to.sh.push(color.map(|c| (c - 0.5) / 0.282_094_8));
     to.sh.extend([[0.0; 3]; 3]);
 }

@@ -1,5 +1,5 @@
-//! The host's Vulkan: an engine's own instance, device, images and frames in flight, in raw `ash`. Nothing in this file
-//! knows ashsplat but [`Host::new`], which enables what it requires, and [`Host::foreign`], which hands the device over.
+//! The host's Vulkan: an engine's own instance, device, images and frames in flight, in raw `ash`. Only two functions here know
+//! ashsplat: [`Host::new`] enables what it requires, and [`Host::foreign`] hands the device over.
 
 use ashsplat::ash::{self, vk};
 use ashsplat::vk::{Context, Features, ForeignDevice};
@@ -17,7 +17,7 @@ pub struct Host {
     pub queue_family: u32,
     pub queue: vk::Queue,
     pub pool: vk::CommandPool,
-    /// With [`HostOptions::async_compute`].
+    /// Present with [`HostOptions::async_compute`].
     pub async_queue: Option<AsyncQueue>,
     pub features: Features,
     pub extensions: Vec<&'static CStr>,
@@ -27,7 +27,7 @@ pub struct Host {
     _entry: ash::Entry,
 }
 
-/// A queue for compute beside the one for everything, of a family of its own.
+/// A compute queue of its own family, beside the main queue.
 #[allow(dead_code, reason = "the example has one queue; the tests use another one")]
 #[derive(Clone, Copy)]
 pub struct AsyncQueue {
@@ -36,18 +36,18 @@ pub struct AsyncQueue {
     pub pool: vk::CommandPool,
 }
 
-/// How to make a host.
+/// Options of a host.
 #[derive(Clone, Copy)]
 pub struct HostOptions {
     /// Turn on the validation layer with synchronisation validation.
     pub validation: bool,
-    /// Enable VK_KHR_push_descriptor where the device has it.
+    /// Enable VK_KHR_push_descriptor if the device has it.
     pub push_descriptors: bool,
     /// A required feature to leave out, by its Vulkan name.
     pub without: Option<&'static str>,
-    /// A queue of a family for compute without graphics as well.
+    /// Also create a queue of a compute family without graphics.
     pub async_compute: bool,
-    /// Enable what keeps the invocations of subgroups together, and broadcasts from any lane, where the device has it.
+    /// Enable features that keep subgroups' invocations together, and broadcasts from any lane, if the device has them.
     pub subgroup_features: bool,
 }
 
@@ -85,7 +85,7 @@ impl Host {
                 false => None,
             };
 
-            // The guest's wishes are merged with the host's own.
+            // The guest's requirements are merged with the host's own.
             let mut v12 = vk::PhysicalDeviceVulkan12Features::default();
             let mut v13 = vk::PhysicalDeviceVulkan13Features::default().dynamic_rendering(true);
             let requirements = Context::requirements();
@@ -165,7 +165,7 @@ impl Host {
         }
     }
 
-    /// What the guest is told: the handles, and what was enabled.
+    /// Describes the device to the guest: handles, and what was enabled.
     pub fn foreign(&self) -> ForeignDevice<'_> {
         ForeignDevice {
             instance: &self.instance,
@@ -182,7 +182,7 @@ impl Host {
         }
     }
 
-    /// Memory for something, of a type with these properties.
+    /// Allocates memory of a type with these properties.
     pub fn allocate(
         &self,
         needs: vk::MemoryRequirements,
@@ -202,7 +202,6 @@ impl Host {
         }
     }
 
-    /// Records, submits and waits.
     pub fn run(&self, record: impl FnOnce(vk::CommandBuffer) -> Result<()>) -> Result<()> {
         let frame = InFlight::new(self)?;
         frame.begin(self)?;
@@ -215,15 +214,15 @@ impl Host {
         recorded
     }
 
-    /// Waits until nothing runs any more.
+    /// Waits until the device is idle.
     pub fn wait(&self) -> Result<()> {
         // SAFETY: this is the queue's only user.
         unsafe { self.device.device_wait_idle()? }
         Ok(())
     }
 
-    /// Destroys the device and the instance; everything made from them must be gone. The answer is all that the validation
-    /// layer has said, at last of what is left all the same.
+    /// Destroys the device and the instance; everything made from them must be gone. Returns all messages of the validation
+    /// layer, including those about leaked objects.
     pub fn destroy(self) -> Vec<String> {
         // SAFETY: the caller has destroyed what was made from the device.
         unsafe {
@@ -341,7 +340,7 @@ impl InFlight {
     pub fn submit(&self, host: &Host) -> Result<()> {
         let buffers = [vk::CommandBufferSubmitInfo::default().command_buffer(self.commands)];
         let submits = [vk::SubmitInfo2::default().command_buffer_infos(&buffers)];
-        // SAFETY: recorded above; what it uses is kept until the wait.
+        // SAFETY: recorded above; the used objects live until the wait.
         unsafe {
             host.device.end_command_buffer(self.commands)?;
             host.device.queue_submit2(host.queue, &submits, self.fence)?;
@@ -367,12 +366,11 @@ impl InFlight {
     }
 }
 
-/// SPIR-V as words.
 pub fn words(bytes: &[u8]) -> Vec<u32> {
     bytes.chunks_exact(4).map(|c| u32::from_le_bytes([c[0], c[1], c[2], c[3]])).collect()
 }
 
-/// Whether the device broadcasts from lanes that are known at run time only.
+/// True if the device broadcasts from lanes known only at run time.
 ///
 /// # Safety
 /// The physical device is of the instance.

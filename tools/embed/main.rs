@@ -1,4 +1,4 @@
-//! A tiny engine that draws a wooden crate, and invites ashsplat into its command buffer: how to embed.
+//! A tiny engine that draws a wooden crate and lends ashsplat its command buffer: how to embed.
 //!
 //!     cargo run --release --example embed -- FOLDER
 //!

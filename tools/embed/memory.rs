@@ -22,7 +22,7 @@ impl HostTexture {
     pub fn new(host: &Host, format: vk::Format, usage: vk::ImageUsageFlags, size: [u32; 2]) -> Result<Self> {
         let depth = format == vk::Format::D32_SFLOAT || format == vk::Format::D16_UNORM;
         let aspect = if depth { vk::ImageAspectFlags::DEPTH } else { vk::ImageAspectFlags::COLOR };
-        // The guest sees the texels of some formats as those of another one.
+        // The guest views some formats' texels in another format.
         let flags = match ImageUse::Target.seen_as(format) != format && usage.contains(STORAGE) {
             true => vk::ImageCreateFlags::MUTABLE_FORMAT | vk::ImageCreateFlags::EXTENDED_USAGE,
             false => vk::ImageCreateFlags::empty(),
@@ -36,7 +36,7 @@ impl HostTexture {
             .array_layers(1)
             .samples(vk::SampleCountFlags::TYPE_1)
             .usage(usage);
-        // SAFETY: valid create infos; the image is bound to memory of its own.
+        // SAFETY: valid create infos; the image is bound to its own memory.
         unsafe {
             let image = host.device.create_image(&info, None)?;
             let needs = host.device.get_image_memory_requirements(image);
@@ -48,7 +48,7 @@ impl HostTexture {
                 layer_count: 1,
                 ..Default::default()
             };
-            // The host's own view, in which such a format need not be possible as storage.
+            // The host's own view: such a format need not support storage.
             let seen = if flags.is_empty() { usage } else { usage & !STORAGE };
             let mut seen = vk::ImageViewUsageCreateInfo::default().usage(seen);
             let info = vk::ImageViewCreateInfo::default()
@@ -62,7 +62,7 @@ impl HostTexture {
         }
     }
 
-    /// What the guest is told of it.
+    /// Describes the image to the guest.
     pub fn foreign(&self) -> ForeignImage {
         let Self { image, format, flags, usage, size, .. } = *self;
         let samples = vk::SampleCountFlags::TYPE_1;
@@ -102,7 +102,7 @@ impl HostTexture {
         })
     }
 
-    /// Records a copy into a buffer that holds the image, and what makes it visible to the host; how the image is used then.
+    /// Records a copy into a buffer of the image's size, and makes it visible to the host. Returns the image's new use.
     pub fn record_read(&self, host: &Host, commands: vk::CommandBuffer, from: Use, to: &HostBuffer) -> Use {
         let read = (
             vk::ImageLayout::TRANSFER_SRC_OPTIMAL,
@@ -143,7 +143,7 @@ impl HostBuffer {
             | vk::BufferUsageFlags::TRANSFER_DST
             | vk::BufferUsageFlags::STORAGE_BUFFER;
         let info = vk::BufferCreateInfo::default().size(bytes).usage(usage);
-        // SAFETY: a valid create info; bound to memory of its own.
+        // SAFETY: a valid create info; bound to its own memory.
         unsafe {
             let raw = host.device.create_buffer(&info, None)?;
             let needs = host.device.get_buffer_memory_requirements(raw);
@@ -154,7 +154,7 @@ impl HostBuffer {
         }
     }
 
-    /// Records that what transfers and shaders wrote becomes visible to the host.
+    /// Records a barrier that makes writes of transfers and shaders visible to the host.
     pub fn to_host(&self, host: &Host, commands: vk::CommandBuffer) {
         let barriers = [vk::MemoryBarrier2::default()
             .src_stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)
@@ -167,7 +167,7 @@ impl HostBuffer {
     }
 
     pub fn write(&self, host: &Host, bytes: &[u8]) -> Result<()> {
-        // SAFETY: the memory is host-visible, has room for the bytes, and is not in use.
+        // SAFETY: the memory is host-visible, large enough for the bytes, and not in use.
         unsafe {
             let at = host.device.map_memory(self.memory, 0, vk::WHOLE_SIZE, vk::MemoryMapFlags::empty())?;
             std::ptr::copy_nonoverlapping(bytes.as_ptr(), at.cast(), bytes.len());

@@ -1,11 +1,11 @@
-//! What the host's graphics passes have in common: a pipeline of two shaders, and a texture that one of them samples.
+//! Shared by the host's graphics passes: a pipeline of two shaders, and a texture for the fragment shader.
 
 use super::cube::SAMPLED;
 use super::host::{Host, Result};
 use super::memory::HostTexture;
 use ashsplat::ash::vk;
 
-/// A SPIR-V module that build.rs compiled from a file of this folder.
+/// A SPIR-V module that build.rs compiled from a file in this folder.
 macro_rules! spirv {
     ($name:literal) => {
         include_bytes!(concat!(env!("OUT_DIR"), "/embed_", $name, ".spv"))
@@ -62,10 +62,10 @@ impl Sampled {
     }
 }
 
-/// A pipeline of two SPIR-V modules, with a depth test if there is a depth, and without colours if their format is UNDEFINED.
+/// A pipeline of two SPIR-V modules, with a depth test if `depth` is given, and without colours if their format is UNDEFINED.
 ///
 /// # Safety
-/// The modules are valid, and of this layout.
+/// The modules are valid, and match this layout.
 pub unsafe fn pipeline(
     host: &Host,
     layout: vk::PipelineLayout,

@@ -1,4 +1,4 @@
-//! A pass that writes the splats' depth into the host's depth attachment, for the passes behind it.
+//! A pass that writes the splats' depth into the host's depth attachment, for later passes.
 
 use super::cube::{DEPTH_WRITTEN, SAMPLED};
 use super::host::{Host, Result};
@@ -10,11 +10,11 @@ use ashsplat::scene::DepthMapping;
 /// The expected depth of pixels without splats.
 pub const EMPTY: f32 = -1.0;
 
-/// The pipelines, and the expected depth that they read.
+/// The pipelines, and the expected depth as their texture.
 pub struct SplatDepth {
     sampled: Sampled,
     layout: vk::PipelineLayout,
-    /// With depth that grows away from the camera, and with reversed depth.
+    /// For conventional depth, and for reversed depth.
     pipelines: [vk::Pipeline; 2],
 }
 
@@ -25,7 +25,7 @@ impl SplatDepth {
         let ranges = [vk::PushConstantRange::default().stage_flags(vk::ShaderStageFlags::FRAGMENT).size(20)];
         let info =
             vk::PipelineLayoutCreateInfo::default().set_layouts(&layouts).push_constant_ranges(&ranges);
-        // SAFETY: a valid create info; SPIR-V that build.rs compiled, of this layout.
+        // SAFETY: a valid create info; SPIR-V that build.rs compiled, matching this layout.
         unsafe {
             let layout = host.device.create_pipeline_layout(&info, None)?;
             let shaders: [&[u8]; 2] = [spirv!("tonemap.vert"), spirv!("splat_depth.frag")];
@@ -35,7 +35,7 @@ impl SplatDepth {
         }
     }
 
-    /// Records the pass, from the uses that both images had last; how they are used then.
+    /// Records the pass, from both images' last uses. Returns their new uses.
     pub fn record(
         &self,
         host: &Host,

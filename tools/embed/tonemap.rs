@@ -1,4 +1,4 @@
-//! The host's last pass: what was drawn in linear light, as a display shows it.
+//! The host's last pass: converts the linear picture for a display.
 
 use super::cube::{COLOR_WRITTEN, SAMPLED, UNUSED};
 use super::host::{Host, Result};
@@ -6,7 +6,7 @@ use super::memory::{HostTexture, Use};
 use super::pass::{Sampled, pipeline, spirv};
 use ashsplat::ash::vk;
 
-/// The pipeline, and the picture that it reads.
+/// The pipeline, and the picture as its texture.
 pub struct Tonemap {
     sampled: Sampled,
     layout: vk::PipelineLayout,
@@ -18,7 +18,7 @@ impl Tonemap {
         let sampled = Sampled::new(host, picture, vk::Filter::NEAREST)?;
         let layouts = [sampled.set_layout];
         let info = vk::PipelineLayoutCreateInfo::default().set_layouts(&layouts);
-        // SAFETY: a valid create info; SPIR-V that build.rs compiled, of this layout.
+        // SAFETY: a valid create info; SPIR-V that build.rs compiled, matching this layout.
         unsafe {
             let layout = host.device.create_pipeline_layout(&info, None)?;
             let shaders: [&[u8]; 2] = [spirv!("tonemap.vert"), spirv!("tonemap.frag")];
@@ -27,7 +27,7 @@ impl Tonemap {
         }
     }
 
-    /// Records the pass, from the uses that both images had last; how they are used then.
+    /// Records the pass, from both images' last uses. Returns their new uses.
     pub fn record(
         &self,
         host: &Host,

@@ -1,4 +1,4 @@
-//! A wgpu device that ashsplat can be a guest on: the host's part of step 1 of the guide's chapter `embedding`.
+//! A wgpu device on which ashsplat can be a guest: the host's part of step 1 in the guide's chapter `embedding`.
 
 use crate::Result;
 use ashsplat::ash::vk::{self, TaggedStructure};
@@ -10,7 +10,7 @@ use wgpu::hal::api::Vulkan;
 const QUEUE_FAMILY: u32 = 0;
 const QUEUE: u32 = 0;
 
-/// What a wgpu application has, and what was enabled on its device.
+/// A wgpu application's objects, and the extensions enabled on its device.
 pub struct Host {
     pub device: wgpu::Device,
     pub queue: wgpu::Queue,
@@ -60,8 +60,8 @@ impl Host {
     }
 }
 
-/// An instance; with validation, also that of synchronisation, and VK_EXT_debug_utils. `InstanceFlags::DEBUG` would bring the
-/// extension as well, but also debug information in wgpu's own shaders, which older validation layers take for an error.
+/// An instance. With validation, also synchronisation validation and VK_EXT_debug_utils. `InstanceFlags::DEBUG` would add the
+/// extension too, but also debug information in wgpu's shaders, which older validation layers report as an error.
 pub fn instance(validation: bool) -> Result<wgpu::Instance> {
     let flags = if validation { wgpu::InstanceFlags::VALIDATION } else { wgpu::InstanceFlags::empty() };
     let descriptor = wgpu::hal::InstanceDescriptor {
@@ -75,14 +75,14 @@ pub fn instance(validation: bool) -> Result<wgpu::Instance> {
     let extend = Box::new(move |to: wgpu::hal::vulkan::CreateInstanceCallbackArgs<'_, '_, '_>| {
         to.extensions.extend(validation.then_some(ashsplat::ash::ext::debug_utils::NAME));
     });
-    // SAFETY: an extension is added that the validation layer has itself, and nothing is taken away.
+    // SAFETY: adds an extension that the validation layer provides, and removes nothing.
     unsafe {
         let instance = wgpu::hal::vulkan::Instance::init_with_callback(&descriptor, Some(extend))?;
         Ok(wgpu::Instance::from_hal::<Vulkan>(instance))
     }
 }
 
-/// A device with what wgpu asks for and what ashsplat asks for; its extensions.
+/// Opens a device with wgpu's and ashsplat's requirements. Also returns its extensions.
 fn open(
     adapter: &wgpu::Adapter,
     descriptor: &wgpu::DeviceDescriptor<'_>,
@@ -105,8 +105,8 @@ fn open(
     let info = vk::DeviceCreateInfo::default().queue_create_infos(&queues).enabled_extension_names(&names);
     let mut features = adapter.physical_device_features(&extensions, *required_features);
     let mut info = features.add_to_device_create(info);
-    // Features whose structs wgpu has chained are turned on there: a struct may not be chained twice. The others get a
-    // struct of our own. Neither may be Vulkan12Features or Vulkan13Features, which exclude the single structs.
+    // Features whose structs wgpu has chained are enabled there: a struct may not be chained twice. The others get a struct
+    // here. None may be Vulkan12Features or Vulkan13Features, which exclude the single structs.
     let mut scalar = vk::PhysicalDeviceScalarBlockLayoutFeatures::default();
     let mut synchronization2 = vk::PhysicalDeviceSynchronization2Features::default();
     let mut maintenance4 = vk::PhysicalDeviceMaintenance4Features::default();
@@ -120,8 +120,8 @@ fn open(
         (subgroups.subgroup_size_control, subgroups.compute_full_subgroups) = (vk::TRUE, vk::TRUE);
     }
     let instance = adapter.shared_instance().raw_instance();
-    // SAFETY: the physical device is of this instance, and all pointers live through the call. The device is made with what
-    // the adapter requires, and wgpu-hal takes it over.
+    // SAFETY: the physical device is of this instance, and all pointers live through the call. The device has what the adapter
+    // requires, and wgpu-hal takes it over.
     let open = unsafe {
         let device = instance.create_device(adapter.raw_physical_device(), &info, None)?;
         adapter.device_from_raw(
@@ -138,14 +138,14 @@ fn open(
     Ok((open, extensions))
 }
 
-/// The struct of this type in the chain, or `own`, which is put into it.
+/// Returns the chain's struct of this type, or adds `own` to the chain.
 ///
 /// # Safety
-/// All structs of the chain are alive, mutable, and not borrowed elsewhere until the answer is dropped; `own` lives as long as
+/// All structs of the chain are alive, mutable, and not borrowed elsewhere while the returned reference lives; `own` lives as long as
 /// `info` is used.
 unsafe fn chained<'a, T: TaggedStructure>(info: &mut vk::DeviceCreateInfo<'_>, own: &'a mut T) -> &'a mut T {
     let mut next = info.p_next.cast_mut().cast::<vk::BaseOutStructure<'_>>();
-    // SAFETY: as promised; each struct of a chain begins with its type and the next one, and the type says what it is.
+    // SAFETY: as promised; each struct of a chain begins with its type and the next pointer.
     unsafe {
         while !next.is_null() {
             if (*next).s_type == T::STRUCTURE_TYPE {

@@ -1,4 +1,4 @@
-//! What belongs to ashsplat: steps 2 to 8 of the guide's chapter `embedding`.
+//! The guest's part: steps 2 to 8 of the guide's chapter `embedding`.
 
 use crate::Result;
 use crate::device::Host;
@@ -10,14 +10,14 @@ use ashsplat::{
 };
 use wgpu::hal::api::Vulkan;
 
-/// Format of the target, as wgpu and as Vulkan know it.
+/// Format of the target, in wgpu's and in Vulkan's terms.
 pub const FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba16Float;
 const VK_FORMAT: vk::Format = vk::Format::R16G16B16A16_SFLOAT;
 /// STORAGE_BINDING becomes VK_IMAGE_USAGE_STORAGE_BIT, which the guest needs; the others are the host's own.
 pub const USAGES: wgpu::TextureUsages = wgpu::TextureUsages::RENDER_ATTACHMENT
     .union(wgpu::TextureUsages::TEXTURE_BINDING)
     .union(wgpu::TextureUsages::STORAGE_BINDING);
-/// Where the host leaves the target before the guest and finds it behind: wgpu's tracker knows of no other use. Its layout is
+/// State in which the host leaves the target to the guest, and gets it back: wgpu's tracker sees no other use. Its layout is
 /// GENERAL.
 pub const STATE: wgpu::wgt::TextureUses = wgpu::wgt::TextureUses::STORAGE_READ_WRITE;
 
@@ -29,7 +29,7 @@ pub struct Guest {
 
 impl Guest {
     /// # Safety
-    /// The guest is dropped before the target and the context's device. The target is two-dimensional, of one level, layer and
+    /// The guest is dropped before the target and the context's device. The target is two-dimensional, with one level, layer and
     /// sample, of [`FORMAT`] and [`USAGES`], without further view formats.
     pub unsafe fn new(
         context: &Context,
@@ -43,7 +43,7 @@ impl Guest {
         let foreign = ForeignImage {
             image,
             format: VK_FORMAT,
-            // wgpu sets flags for cube maps, 3D textures and view formats alone.
+            // wgpu sets flags only for cube maps, 3D textures and view formats.
             flags: vk::ImageCreateFlags::empty(),
             usage: vk::ImageUsageFlags::COLOR_ATTACHMENT
                 | vk::ImageUsageFlags::SAMPLED
@@ -66,13 +66,13 @@ impl Guest {
         Ok(Self { renderer, scene, target })
     }
 
-    /// A command buffer of wgpu's with a frame, composed over what is in the target.
+    /// Records a frame, composed over the target's contents, into a command buffer of wgpu's.
     ///
     /// # Safety
     /// The slot's earlier command buffer has finished. This one is submitted once, between others that leave the target in
     /// [`STATE`].
     pub unsafe fn record(&mut self, host: &Host, slot: u32, camera: &Camera) -> Result<wgpu::CommandBuffer> {
-        // An encoder of its own: wgpu does not mix its own commands with raw ones.
+        // A separate encoder: wgpu does not mix its own commands with raw ones.
         let descriptor = wgpu::CommandEncoderDescriptor { label: Some("splats") };
         let mut encoder = host.device.create_command_encoder(&descriptor);
         let record = |raw: Option<&mut wgpu::hal::vulkan::CommandEncoder>| -> Result<()> {
@@ -81,7 +81,7 @@ impl Guest {
                 let raw = raw.ok_or("not a Vulkan encoder")?.raw_handle();
                 self.renderer.context().adopt_commands(raw)?
             };
-            // What wgpu's barrier into `STATE` has made available.
+            // wgpu's barrier into `STATE` has made this available.
             let from = ImageState {
                 layout: vk::ImageLayout::GENERAL,
                 stages: vk::PipelineStageFlags2::COMPUTE_SHADER,
@@ -92,7 +92,7 @@ impl Guest {
             let (scenes, settings) = ([Placed::from(&self.scene)], RenderSettings::default());
             let frame = RecordedFrame { target, ..RecordedFrame::new(&scenes, camera, &settings) };
             let release = self.renderer.record(commands, slot, &frame)?;
-            // wgpu's next barrier waits for shaders that read or write the image in GENERAL: for these.
+            // wgpu's next barrier waits for shaders that access the image in GENERAL, and so for this frame.
             let color = release.color.ok_or("the frame has a target")?;
             assert_eq!(color.layout, vk::ImageLayout::GENERAL);
             assert!(vk::PipelineStageFlags2::COMPUTE_SHADER.contains(color.stages));
@@ -103,7 +103,7 @@ impl Guest {
         Ok(encoder.finish())
     }
 
-    /// Once the slot's command buffer has finished: an error if the reservation was too small for its frame.
+    /// Checks a finished frame: an error if its reservation was too small.
     pub fn finish(&mut self, slot: u32) -> Result<()> {
         let report = self.renderer.slot_report(slot)?.ok_or("the slot has no frame")?;
         self.renderer.release_slot(slot)?;

@@ -1,10 +1,10 @@
-//! A host on wgpu that invites ashsplat into its frames: how to embed beside wgpu.
+//! A wgpu host that lends ashsplat its frames: how to embed beside wgpu.
 //!
 //!     tools/embed_wgpu/check
 //!     cargo run --release -- [SCENE] [-o PICTURE.png] [--check]
 //!
 //! `device.rs` and `guest.rs` are what a host adds; `passes.rs` is what it has already. `--check` compares the picture with
-//! `Renderer::render`'s, and fails if they differ or if the validation layer has said something.
+//! `Renderer::render`'s, and fails if they differ or if the validation layer reports anything.
 
 mod device;
 mod guest;
@@ -28,10 +28,9 @@ pub type Result<T> = std::result::Result<T, Box<dyn std::error::Error>>;
 const SIZE: [u32; 2] = [480, 360];
 const FRAMES: u32 = 5;
 const FRAMES_IN_FLIGHT: u32 = 2;
-/// The target holds 16-bit floats, and what is shown is rounded to 8 bits: one step where the rounding falls otherwise.
+/// The target holds 16-bit floats, and the picture is rounded to 8 bits: one step where they round differently.
 const LARGEST_DIFFERENCE: u8 = 1;
 
-/// What the command line says.
 struct Arguments {
     scene: Option<PathBuf>,
     picture: PathBuf,
@@ -73,7 +72,7 @@ fn run(arguments: &Arguments) -> Result<()> {
     };
     let validation = ashsplat::vk::validation_available();
     let instance = device::instance(validation)?;
-    // SAFETY: with validation there is the extension; finished below, before the instance goes.
+    // SAFETY: with validation the extension is present; finished below, before the instance is dropped.
     let messages = validation.then(|| unsafe { Messages::new(&instance) }).transpose()?;
     let rgb = draw(&instance, &gaussians, validation);
     let said = messages.map(Messages::finish);
@@ -94,14 +93,14 @@ fn run(arguments: &Arguments) -> Result<()> {
     Ok(())
 }
 
-/// Some frames of a camera that moves; the pixels of the last one.
+/// Draws some frames of a moving camera; returns the pixels of the last one.
 fn draw(instance: &wgpu::Instance, gaussians: &Gaussians, debug_utils: bool) -> Result<Vec<u8>> {
     let host = Host::new(instance)?;
     let target = passes::texture(&host, "target", guest::FORMAT, guest::USAGES, SIZE);
     let passes = Passes::new(&host, &target);
     // SAFETY: variables are dropped in reverse order, the context before the host; there is one thread.
     let context = unsafe { host.context(debug_utils)? };
-    // SAFETY: the guest is dropped before the target, which is as its constants say.
+    // SAFETY: the guest is dropped before the target, which matches its constants.
     let mut guest = unsafe { Guest::new(&context, gaussians, &target, FRAMES_IN_FLIGHT)? };
     let mut in_flight = std::collections::VecDeque::new();
     for frame in 0..FRAMES {
@@ -131,7 +130,7 @@ fn finish(
     guest.finish(slot)
 }
 
-/// The last frame by `Renderer::render`, on a device of its own, over the same backdrop.
+/// The last frame by `Renderer::render`, on its own device, over the same backdrop.
 fn expected(gaussians: &Gaussians) -> Result<Vec<[f32; 3]>> {
     let context = Context::new(&ContextOptions::default())?;
     let mut renderer = Renderer::new(&context)?;
@@ -165,7 +164,7 @@ fn compare(drawn: &[u8], expected: &[[f32; 3]]) -> Result<()> {
     }
 }
 
-/// Goes around the middle; y points down.
+/// A camera that circles the centre; y points down.
 fn camera(frame: u32) -> Camera {
     let angle = 0.3 * frame as f32;
     let eye = Vec3::new(2.6 * angle.sin(), -0.7, -2.6 * angle.cos());
@@ -173,7 +172,7 @@ fn camera(frame: u32) -> Camera {
     Camera::look_at(eye, Vec3::ZERO, Vec3::NEG_Y, intrinsics)
 }
 
-/// A ball of Gaussians whose colours go with the direction.
+/// A ball of Gaussians whose colours depend on the direction.
 fn ball() -> Gaussians {
     let mut ball = Gaussians::default();
     for i in 0..3000 {
@@ -184,7 +183,7 @@ fn ball() -> Gaussians {
         ball.quats.push([1.0, 0.0, 0.0, 0.0]);
         ball.log_scales.push([-3.6; 3]);
         ball.opacity_logits.push(1.5);
-        // Degree 0 holds the colour less a half, divided by the constant harmonic.
+        // Degree 0 holds the colour minus one half, divided by the constant harmonic.
         ball.sh.push(direction.map(|x| 0.45 * x / 0.282_094_8));
     }
     ball

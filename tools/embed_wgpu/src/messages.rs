@@ -1,4 +1,4 @@
-//! What the validation layer says, counted.
+//! Messages of the validation layer.
 
 use crate::Result;
 use ashsplat::ash::{ext::debug_utils, vk};
@@ -6,7 +6,7 @@ use std::ffi::{CStr, c_void};
 use std::sync::{Mutex, PoisonError};
 use wgpu::hal::api::Vulkan;
 
-/// A messenger beside wgpu's own one, which writes to the log.
+/// A messenger beside wgpu's own, which writes to the log.
 pub struct Messages {
     loader: debug_utils::Instance,
     messenger: vk::DebugUtilsMessengerEXT,
@@ -28,12 +28,12 @@ impl Messages {
             .message_type(vk::DebugUtilsMessageTypeFlagsEXT::VALIDATION)
             .pfn_user_callback(Some(collect))
             .user_data(std::ptr::from_ref(&*texts).cast_mut().cast());
-        // SAFETY: `texts` stays where it is for as long as the messenger lives.
+        // SAFETY: `texts` keeps its address as long as the messenger lives.
         let messenger = unsafe { loader.create_debug_utils_messenger(&info, None)? };
         Ok(Self { loader, messenger, texts })
     }
 
-    /// All that was said. The device is gone by then, so that what was left of it has been told.
+    /// Returns all messages. Call it after the device is dropped, so that leaks are reported too.
     pub fn finish(self) -> Vec<String> {
         // SAFETY: the messenger is of the instance, which is alive.
         unsafe { self.loader.destroy_debug_utils_messenger(self.messenger, None) };

@@ -1,4 +1,4 @@
-//! The host's own passes, in wgpu: a backdrop before the splats, and the copy to what is shown behind them.
+//! The host's own passes in wgpu: a backdrop before the splats, and the displayed copy after them.
 
 use crate::Result;
 use crate::device::Host;
@@ -6,7 +6,7 @@ use crate::guest::{FORMAT, STATE};
 
 const SHOWN: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8Unorm;
 
-/// Colour of the backdrop in a row of pixels: the shader's twin.
+/// Colour of the backdrop in a row of pixels; the shader computes the same.
 pub fn backdrop(y: u32, height: u32) -> [f32; 3] {
     let below = (y as f32 + 0.5) / height as f32;
     let (top, bottom) = ([0.5, 0.6, 0.75], [0.15, 0.125, 0.1]);
@@ -16,7 +16,7 @@ pub fn backdrop(y: u32, height: u32) -> [f32; 3] {
 pub struct Passes {
     target: wgpu::Texture,
     shown: wgpu::Texture,
-    /// Rows are as wide as wgpu's copies want them.
+    /// Rows have the width that wgpu's copies require.
     pixels: wgpu::Buffer,
     row_bytes: u32,
     backdrop: wgpu::RenderPipeline,
@@ -54,8 +54,8 @@ impl Passes {
         Self { target: target.clone(), shown, pixels, row_bytes, backdrop, show, picture }
     }
 
-    /// What is behind the splats. It leaves the target as the guest expects it. A texture that wgpu has not written yet would be
-    /// cleared at its first use, behind the splats: so the host always draws or clears first.
+    /// Draws what is behind the splats, and leaves the target in the state that the guest expects. wgpu clears an unwritten
+    /// texture at its first use, which would be after the splats: the host must always draw or clear first.
     pub fn before(&self, host: &Host) -> wgpu::CommandBuffer {
         let mut encoder = host.device.create_command_encoder(&Default::default());
         draw(&mut encoder, &self.target, &self.backdrop, None);
@@ -64,7 +64,7 @@ impl Passes {
         encoder.finish()
     }
 
-    /// Shows the picture with the splats, and copies it to where the host reads it.
+    /// Displays the picture with the splats, and copies it to the host's buffer.
     pub fn behind(&self, host: &Host) -> wgpu::CommandBuffer {
         let mut encoder = host.device.create_command_encoder(&Default::default());
         draw(&mut encoder, &self.shown, &self.show, Some(&self.picture));

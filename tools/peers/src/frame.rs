@@ -1,4 +1,4 @@
-//! wgpu-3dgs-viewer 0.8.0 beside our frame: the same file, camera and size, sorted anew in each frame, read back.
+//! wgpu-3dgs-viewer 0.8.0 beside ashsplat: the same file, camera and size, sorted anew in each frame, read back.
 
 use crate::measure::{self, Result, Run};
 use ashsplat::scene::Camera;
@@ -8,7 +8,7 @@ use ashsplat_files::{Photo, PhotoFileFormat, metrics, splats};
 use std::path::Path;
 use wgpu_3dgs_viewer as peer;
 
-/// Where the peer's quads end: with this one its Gaussians are those of the file, exp(-d^2 / 2), out to four deviations.
+/// Cutoff of the peer's quads: with this one its Gaussians are the file's, exp(-d^2 / 2), out to four deviations.
 const MAX_STD_DEV: f32 = 2.828_427;
 
 pub fn run(scene: &Path, camera: &Camera, runs: usize, folder: &Path) -> Result<()> {
@@ -17,7 +17,7 @@ pub fn run(scene: &Path, camera: &Camera, runs: usize, folder: &Path) -> Result<
     renderer.upload(&splats::read(scene, &Default::default())?.gaussians)?;
     let mut theirs = Theirs::new(scene, camera)?;
     let settings = RenderSettings::default();
-    // The peer widens no splat; ours have a floor above 0.
+    // The peer widens no splat; ashsplat's dilation must be above 0.
     let sharp = RenderSettings { dilation_px2: 1e-4, ..settings.clone() };
     let frame = |renderer: &mut Renderer, settings: &RenderSettings| -> Result<Photo> {
         let frame = renderer.render(camera, settings)?;
@@ -39,7 +39,7 @@ pub fn run(scene: &Path, camera: &Camera, runs: usize, folder: &Path) -> Result<
     Ok(())
 }
 
-/// Our frame alone, for programs that cannot run in this process.
+/// ashsplat's frame alone, for programs that cannot run in this process.
 pub fn ours(scene: &Path, camera: &Camera, runs: usize, folder: &Path) -> Result<()> {
     let context = Context::new(&ContextOptions::default())?;
     let mut renderer = Renderer::new(&context)?;
@@ -52,7 +52,7 @@ pub fn ours(scene: &Path, camera: &Camera, runs: usize, folder: &Path) -> Result
     Ok(())
 }
 
-/// How alike two pictures are.
+/// Prints the PSNR of two pictures.
 pub fn alike(a: &Path, b: &Path) -> Result<()> {
     let [a, b] = [Photo::read(a, [0.0; 3])?, Photo::read(b, [0.0; 3])?];
     println!("{:.1} dB", metrics::psnr(&a.to_f32(), &b.to_f32())?);
@@ -144,7 +144,7 @@ fn row_bytes(camera: &Camera) -> u32 {
     (4 * camera.width).next_multiple_of(256)
 }
 
-/// View with y up and z backward, a projection to depths from 0 to 1, the size: the peer's uniform.
+/// The peer's uniform: a view with y up and z backward, a projection to depths from 0 to 1, and the size.
 fn camera_pod(camera: &Camera) -> peer::CameraPod {
     use ashsplat::glam::{Mat4, Vec3, camera::rh::proj::directx};
     let flip = Mat4::from_scale(Vec3::new(1.0, -1.0, -1.0));

@@ -1,4 +1,4 @@
-//! Other people's crates beside ours, in turn on the same machine: rows of the table in tools/measured.md. See README.md.
+//! Other authors' crates beside ashsplat, in turn on the same machine: rows of the table in tools/measured.md. See README.md.
 //!
 //!     cargo run --release -- sort [PAIRS] | frame SCENE.ply FOLDER | ours SCENE.ply FOLDER | alike A.png B.png | camera
 
@@ -39,13 +39,13 @@ fn run(arguments: &[&str]) -> Result<()> {
     }
 }
 
-/// The trained scene from outside, as tests/ecosystem sees it.
+/// A camera outside the trained scene, the same as in tests/ecosystem.
 fn camera() -> Camera {
     let intrinsics = Intrinsics::from_fov_x(60f32.to_radians(), 1280, 720);
     Camera::look_at(Vec3::new(-0.4, -1.0, -4.5), Vec3::new(-0.4, 0.15, 0.2), Vec3::NEG_Y, intrinsics)
 }
 
-/// The camera as tests/ecosystem/playcanvas.mjs reads it.
+/// The camera in the form that tests/ecosystem/playcanvas.mjs reads.
 fn for_playcanvas(camera: &Camera) -> serde_json::Value {
     let r = camera.camera_from_world;
     // From y up, z backward to the world.

@@ -1,10 +1,10 @@
-//! Times in turn, and a row of the table.
+//! Times of two programs in turn, and a row of the table.
 
 use std::time::Instant;
 
 pub type Result<T> = std::result::Result<T, Box<dyn std::error::Error>>;
 
-/// A run's milliseconds: on the clock, and of all threads of the process.
+/// Milliseconds of a run: wall time, and processor time of all threads.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Run {
     wall: f64,
@@ -17,7 +17,7 @@ impl std::fmt::Display for Run {
     }
 }
 
-/// Two things in turn, so that other work on the machine meets both alike.
+/// Measures two programs in turn, so that other work on the machine affects both alike.
 pub fn in_turn(
     runs: usize,
     mut ours: impl FnMut() -> Result<Run>,
@@ -33,7 +33,7 @@ pub fn in_turn(
     Ok(all.map(|runs| medians(&runs)))
 }
 
-/// One thing alone.
+/// Measures one program alone.
 pub fn alone(runs: usize, mut work: impl FnMut() -> Result<Run>) -> Result<Run> {
     work()?;
     Ok(medians(&(0..runs).map(|_| work()).collect::<Result<Vec<_>>>()?))
@@ -43,7 +43,6 @@ fn medians(runs: &[Run]) -> Run {
     Run { wall: median(runs, |run| run.wall), cpu: median(runs, |run| run.cpu) }
 }
 
-/// One run.
 pub fn time(work: impl FnOnce() -> Result<()>) -> Result<Run> {
     let (before, start) = (cpu_ms(), Instant::now());
     work()?;
@@ -56,7 +55,7 @@ fn median(runs: &[Run], of: impl Fn(&Run) -> f64) -> f64 {
     values[values.len() / 2]
 }
 
-/// Milliseconds that the process's threads have spent on processors; Linux.
+/// Milliseconds that the process's threads have spent on processors. Linux only.
 fn cpu_ms() -> f64 {
     let tasks = std::fs::read_dir("/proc/self/task").into_iter().flatten().flatten();
     let texts = tasks.filter_map(|task| std::fs::read_to_string(task.path().join("schedstat")).ok());

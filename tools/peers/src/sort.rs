@@ -1,4 +1,4 @@
-//! wgpu_sort 0.1.0 beside our sort: pairs of a u32 key and a u32 value.
+//! wgpu_sort 0.1.0 beside ashsplat's sort: pairs of a u32 key and a u32 value.
 
 use crate::measure::{self, Result, Run};
 use ashsplat::sort::{RadixSort, SortBuffers, Values};
@@ -7,7 +7,7 @@ use std::num::NonZeroU32;
 use wgpu_0_19 as wgpu;
 use wgpu_sort::{GPUSorter, utils};
 
-/// Keys of a hash, values in order.
+/// Compares sorts of hashed keys, with the indices as values.
 pub fn run(pairs: u32, runs: usize) -> Result<()> {
     let keys: Vec<u32> = (0..pairs).map(hash).collect();
     let mut expected: Vec<(u32, u32)> = keys.iter().copied().zip(0..).collect();
@@ -40,10 +40,10 @@ fn hash(i: u32) -> u32 {
     x ^ (x >> 16)
 }
 
-/// Subgroup sizes that the crate knows.
+/// Subgroup sizes that the crate supports.
 const LANES: [u32; 6] = [1, 8, 16, 32, 64, 128];
 
-/// Whether wgpu_sort sorts keys with this subgroup size.
+/// True if wgpu_sort sorts keys with this subgroup size.
 fn sorts(device: &wgpu::Device, queue: &wgpu::Queue, lanes: u32) -> bool {
     use wgpu::util::DeviceExt;
     let Some(count) = NonZeroU32::new(8192) else { return false };
@@ -149,7 +149,7 @@ impl Theirs {
         let descriptor = wgpu::DeviceDescriptor { required_limits: adapter.limits(), ..Default::default() };
         let (device, queue) = pollster::block_on(adapter.request_device(&descriptor, None))?;
         let count = NonZeroU32::new(keys.len() as u32).ok_or("no pairs")?;
-        // The largest that the crate's own trial finds to work; if it finds none, ours looks on.
+        // The largest size that passes the crate's own trial; if none does, the first of `LANES` that sorts here.
         let guessed = pollster::block_on(utils::guess_workgroup_size(&device, &queue));
         let lanes = guessed.or_else(|| LANES.into_iter().find(|&lanes| sorts(&device, &queue, lanes)));
         let lanes = lanes.ok_or_else(|| {
