@@ -61,21 +61,21 @@ pub struct AshsplatAllocator {
 type Allocate = unsafe extern "C" fn(*mut c_void, *const AshsplatMemoryRequest, *mut AshsplatMemory) -> bool;
 type Free = unsafe extern "C" fn(*mut c_void, AshsplatMemory);
 
-/// The same as the library sees it.
+/// A host's allocator as the engine uses it.
 pub(super) struct Adapter {
     user: *mut c_void,
     allocate: Allocate,
     free: Free,
 }
 
-// SAFETY: the owner of an allocator promises that it may be called from any thread.
+// SAFETY: the allocator's owner promises that it may be called from any thread.
 unsafe impl Send for Adapter {}
 // SAFETY: as above.
 unsafe impl Sync for Adapter {}
 
 impl Adapter {
     /// # Safety
-    /// The functions keep what [`HostAllocator`] and their own documentation say, from any thread, as long as
+    /// The functions keep the contract of [`HostAllocator`] and of their own documentation, from any thread, as long as
     /// the adapter lives.
     pub(super) unsafe fn new(allocator: &AshsplatAllocator) -> Result<Self> {
         let (Some(allocate), Some(free)) = (allocator.allocate, allocator.free) else {
@@ -85,7 +85,7 @@ impl Adapter {
     }
 }
 
-// SAFETY: as the creator of the adapter has promised.
+// SAFETY: promised by the adapter's creator.
 unsafe impl HostAllocator for Adapter {
     fn allocate(&self, request: &MemoryRequest<'_>) -> Result<HostMemory, String> {
         let name = CString::new(request.name).unwrap_or_default();
@@ -98,7 +98,7 @@ unsafe impl HostAllocator for Adapter {
             host_visible: request.kind == MemoryKind::HostVisible,
         };
         let mut piece = AshsplatMemory { memory: 0, offset: 0, mapped: std::ptr::null_mut(), id: 0 };
-        // SAFETY: the host's function with what it expects; both pointers live through the call.
+        // SAFETY: the host's function with valid arguments; both pointers live through the call.
         let done = unsafe { (self.allocate)(self.user, &request, &mut piece) };
         if !done || piece.memory == 0 {
             return Err(format!("it has no {} bytes", needs.size));
@@ -118,7 +118,7 @@ unsafe impl HostAllocator for Adapter {
             mapped: memory.mapped.map_or(std::ptr::null_mut(), |address| address.as_ptr().cast()),
             id: memory.id,
         };
-        // SAFETY: a piece of this allocator's that is not used any more.
+        // SAFETY: a piece of this allocator that is no longer used.
         unsafe { (self.free)(self.user, piece) }
     }
 }

@@ -1,4 +1,4 @@
-//! What a frame leaves beside the picture, in C.
+//! A frame's outputs besides the picture, in C.
 
 use super::foreign::used;
 use super::structs::{read, read_if};
@@ -22,7 +22,6 @@ pub struct AshsplatPose {
 }
 
 impl AshsplatPose {
-    /// The same as the library has it.
     pub(super) fn pose(&self) -> Pose {
         Pose {
             world_from_object: Mat3::from_cols_array(&self.world_from_object).transpose(),
@@ -69,7 +68,7 @@ pub struct AshsplatMotionTarget {
     pub to: AshsplatHostImage,
 }
 
-/// What is picked, if the host wants it.
+/// Target of picking, if the host gives one.
 ///
 /// # Safety
 /// `target` is NULL or alive with its image.
@@ -80,14 +79,14 @@ pub(super) unsafe fn pick<'a>(target: *const AshsplatPickTarget) -> Result<Optio
     Ok(Some(PickTarget { to: unsafe { used(&target.to, "pick.to.image")? } }))
 }
 
-/// A target of motion and the camera of the frame before.
+/// A target of motion, and the previous frame's camera.
 pub(super) struct Motion {
     target: AshsplatMotionTarget,
     previous_camera: Camera,
 }
 
 impl Motion {
-    /// The motion that the host wants, if it does.
+    /// Reads the motion target, if the host gives one.
     ///
     /// # Safety
     /// `target` is NULL or alive with its camera.
@@ -100,7 +99,7 @@ impl Motion {
         Ok(Some(Self { target, previous_camera }))
     }
 
-    /// As the library has it.
+    /// Converts to the engine's target.
     ///
     /// # Safety
     /// Its image is NULL or alive.

@@ -1,4 +1,4 @@
-//! What a renderer has of a scene besides its picture, in C: gradients, cameras that fit photographs, the 3D filter.
+//! A renderer's other operations on a scene, in C: gradients, alignment of cameras to photographs, the 3D filter.
 
 use super::structs::{check_room, named, read, read_all, read_if, write};
 use super::trainers::{photo, slice_if};

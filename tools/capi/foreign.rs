@@ -82,14 +82,14 @@ fn null_name(place: usize) -> Error {
     Error::argument(format!("extensions[{place}]"), "the pointer is null")
 }
 
-/// Checks that a struct of Vulkan's is the one that it should be.
+/// Checks the type of a Vulkan struct.
 fn check_type(found: vk::StructureType, wanted: vk::StructureType, field: &str) -> Result<()> {
     let problem = || format!("sType is {}, it must be {} ({wanted:?})", found.as_raw(), wanted.as_raw());
     if found == wanted { Ok(()) } else { Err(Error::argument(field, problem())) }
 }
 
 /// # Safety
-/// As [`ashsplat_context_from_foreign`].
+/// Same as for [`ashsplat_context_from_foreign`].
 unsafe fn from_host(host: &AshsplatForeignDevice) -> Result<Context> {
     let null = |what: &str| Error::argument(what, "the handle is null");
     let handle = |pointer: *mut c_void| pointer as u64;
@@ -179,11 +179,11 @@ pub unsafe extern "C" fn ashsplat_image_adopt(
     })
 }
 
-/// By their numbers in C.
+/// Purposes in the order of their numbers in C.
 const IMAGE_USES: [ImageUse; 5] =
     [ImageUse::Target, ImageUse::Occluder, ImageUse::Depth, ImageUse::Pick, ImageUse::Motion];
 
-/// What messages and debuggers call an image: the field of a frame that it is for.
+/// Name of an image in messages and debuggers: the frame's field that it is for.
 fn image_name(purpose: ImageUse) -> &'static str {
     match purpose {
         ImageUse::Target => "target",
@@ -328,7 +328,7 @@ pub unsafe extern "C" fn ashsplat_record_views(
     })
 }
 
-/// A host's image as the library has it.
+/// Converts a host's image.
 ///
 /// # Safety
 /// Its view is null or alive.

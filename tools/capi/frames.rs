@@ -1,4 +1,4 @@
-//! A frame to record, what it leaves, and its report.
+//! A frame to record, its outputs, and its report.
 
 use super::settings::one_of;
 use super::{
@@ -105,12 +105,12 @@ pub struct AshsplatRecordedFrame {
     pub motion: *const super::AshsplatMotionTarget,
 }
 
-/// What lies behind the splats, from an AshsplatBackground's number.
+/// Converts an AshsplatBackground's number.
 pub(super) fn behind(number: u32, background: [f32; 3]) -> Result<Background> {
     one_of("target.behind", number, &[Background::Color(background), Background::Nothing, Background::Image])
 }
 
-/// What the target's colours are, from an AshsplatColorEncoding's number.
+/// Converts an AshsplatColorEncoding's number.
 pub(super) fn encoding(number: u32, exposure: f32) -> Result<ColorEncoding> {
     one_of("target.encoding", number, &[ColorEncoding::AsTrained, ColorEncoding::LinearSrgb { exposure }])
 }

@@ -1,4 +1,4 @@
-//! What a renderer keeps from one recording for the next, so that this takes nothing from the heap.
+//! Objects that a renderer keeps between recordings, so that recording allocates nothing on the heap.
 
 use super::AshsplatHostBuffer;
 use ashsplat::Result;
@@ -9,23 +9,22 @@ use std::cell::{Cell, RefCell};
 use std::collections::HashMap;
 use std::ops::{Deref, DerefMut};
 
-/// What was not used in so many recordings is let go. Slots take turns, each perhaps with masks and updates of its own.
+/// Objects unused for this many recordings are freed. Slots take turns, perhaps with their own masks and updates.
 const IDLE_RECORDINGS: u64 = 64;
 
-/// See the module.
 #[derive(Default)]
 pub(super) struct Kept {
-    /// Arrays of updates, by the update's place in a recording, with the recording that used them last.
+    /// Arrays for updates, by the update's index within a recording, with the last recording that used them.
     copies: RefCell<Vec<(Gaussians, u64)>>,
-    /// Updates of this recording so far.
+    /// Number of updates in this recording so far.
     updates: Cell<usize>,
-    /// Masks as adopted, with the recording that used them last.
+    /// Adopted masks, with the last recording that used them.
     masks: RefCell<HashMap<AshsplatHostBuffer, (Buffer, u64)>>,
     recordings: Cell<u64>,
 }
 
 impl Kept {
-    /// A recording begins.
+    /// Begins a recording.
     pub fn begin(&self) {
         let now = self.recordings.get() + 1;
         self.recordings.set(now);
@@ -38,7 +37,7 @@ impl Kept {
         }
     }
 
-    /// Arrays for the copy of the recording's next update. They keep their memory when they are dropped.
+    /// Arrays for the copy of the recording's next update. Dropping the copy returns their memory.
     pub fn gaussians(&self) -> Copy<'_> {
         let place = self.updates.replace(self.updates.get() + 1);
         let mut copies = self.copies.borrow_mut();
@@ -50,11 +49,11 @@ impl Kept {
         Copy { own: std::mem::take(own), place, of: &self.copies }
     }
 
-    /// A mask, adopted unless it has been.
+    /// Returns an adopted mask; adopts it on first use.
     ///
     /// # Safety
-    /// The buffer is as [`Buffer::adopt`] says for as long as recordings use it. What is kept of it behind that is its handle, and
-    /// nobody asks the device about that: contexts in which views are made of buffers refuse adopted ones.
+    /// The buffer meets the requirements of [`Buffer::adopt`] as long as recordings use it. Afterwards only its handle is kept,
+    /// and never used with the device: contexts in which views are made of buffers refuse adopted ones.
     pub unsafe fn mask(&self, context: &Context, host: AshsplatHostBuffer) -> Result<Buffer> {
         let (mut masks, now) = (self.masks.borrow_mut(), self.recordings.get());
         if let Some((adopted, last_used)) = masks.get_mut(&host) {
@@ -69,7 +68,7 @@ impl Kept {
     }
 }
 
-/// Gaussians that an update copies.
+/// A copy of an update's Gaussians.
 pub(super) struct Copy<'a> {
     own: Gaussians,
     place: usize,

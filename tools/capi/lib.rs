@@ -1,8 +1,8 @@
-//! The C interface: thin functions over the public Rust API, which say what they would in Rust.
+//! The C interface: thin functions over the public Rust API with the same meaning.
 //!
 //! `ashsplat.h` is generated from this file; a test compares it. Every function that can fail returns a status, and
-//! [`ashsplat_last_error`] has the message; no panic crosses the boundary. Vulkan's handles are passed as they are in
-//! C on 64-bit machines: dispatchable ones as pointers, the others as 64-bit numbers.
+//! [`ashsplat_last_error`] has the message; no panic crosses the boundary. Vulkan's handles have the same types as in C on
+//! 64-bit machines: dispatchable ones are pointers, the others 64-bit numbers.
 
 mod allocator;
 mod auxiliary;
@@ -64,19 +64,19 @@ pub struct AshsplatContext(Context);
 /// Gaussians on a device.
 pub struct AshsplatScene {
     scene: DeviceScene,
-    /// What the file says that it was read from.
+    /// Notes of the file that it was read from.
     told: Told,
 }
 
 #[derive(Default)]
 struct Told {
     antialiased: bool,
-    /// One line each.
+    /// One per line.
     warnings: CString,
 }
 
 impl Told {
-    /// What a file says.
+    /// Reads the notes of a file.
     fn of(file: &splats::Scene) -> Told {
         let kernel =
             |size: f32| format!("it was trained with the kernel size {size}: AshsplatRenderSettings has it");
@@ -105,7 +105,7 @@ impl Told {
 }
 
 impl AshsplatScene {
-    /// A scene that no file says anything of.
+    /// A scene without notes.
     fn of(scene: DeviceScene) -> Self {
         Self { scene, told: Told::default() }
     }
@@ -119,7 +119,7 @@ thread_local! {
     static LAST_LOSS: RefCell<CString> = RefCell::default();
 }
 
-/// Runs a function; notes its error.
+/// Runs a function and stores its error.
 fn guarded(f: impl FnOnce() -> Result<()>) -> AshsplatStatus {
     let (status, message) = match catch_unwind(AssertUnwindSafe(f)) {
         Ok(Ok(())) => return AshsplatStatus::Ok,
@@ -186,7 +186,7 @@ pub unsafe extern "C" fn ashsplat_context_new(
     guarded(|| unsafe {
         give(context, "context", || {
             let device = if device.is_null() { None } else { Some(text(device, "device")?.to_owned()) };
-            // Also where the device is a processor, its frames can be recorded.
+            // Frames of this context can be recorded even on a processor.
             let options = ContextOptions { device, texels: false, ..ContextOptions::default() };
             Context::new(&options).map(AshsplatContext)
         })
@@ -341,7 +341,7 @@ pub unsafe extern "C" fn ashsplat_camera_look_at(
     })
 }
 
-/// A picture's camera, and its settings with the background.
+/// Reads a picture's camera, and its settings with the background.
 ///
 /// # Safety
 /// The pointers are null or valid with what they point to.

@@ -1,4 +1,4 @@
-//! How much two pictures differ, in C: LPIPS.
+//! Distance of two pictures, in C: LPIPS.
 
 use super::{
     AshsplatContext, AshsplatStatus, borrowed, borrowed_mut, give, guarded, rgb_floats, slice, take, text,

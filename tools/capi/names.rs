@@ -1,8 +1,8 @@
-//! The names that messages have in C.
+//! Names of calls and arguments in C, for messages.
 
 use ashsplat::Error;
 
-/// Calls that messages advise, and what these are called here.
+/// Calls that messages advise, and their names in C.
 #[doc(hidden)]
 pub const CALLS: [(&str, &str); 8] = [
     ("Context::new", "ashsplat_context_new"),
@@ -15,7 +15,7 @@ pub const CALLS: [(&str, &str); 8] = [
     ("Trainer::settle", "ashsplat_trainer_maintain"),
 ];
 
-/// Arguments that have other names here.
+/// Arguments with other names in C.
 const ARGUMENTS: [(&str, &str); 6] = [
     ("reservation", "wanted"),
     ("buffer 'frame slots'", "block"),
@@ -25,7 +25,7 @@ const ARGUMENTS: [(&str, &str); 6] = [
     ("picture for LPIPS", "width, height"),
 ];
 
-/// A message with the names that a caller in C knows.
+/// Rewrites a message with C names.
 pub(super) fn said_in_c(error: Error) -> String {
     let error = match error {
         Error::Argument { what, problem } if what == "training steps" => {

@@ -1,4 +1,4 @@
-//! What a host's pointers stand for.
+//! Conversions of a host's pointers.
 
 use ashsplat::{Error, Result};
 use std::ffi::{CStr, c_char};
@@ -25,7 +25,7 @@ pub(super) unsafe fn borrowed_mut<'a, T>(pointer: *mut T, what: &str) -> Result<
 /// The objects behind a pointer and a count.
 ///
 /// # Safety
-/// The pointer is valid for so many objects, or the count is 0.
+/// The pointer is valid for `count` objects, or the count is 0.
 pub(super) unsafe fn slice<'a, T>(pointer: *const T, count: usize, what: &str) -> Result<&'a [T]> {
     match (pointer.is_null(), count) {
         (_, 0) => Ok(&[]),
@@ -35,28 +35,28 @@ pub(super) unsafe fn slice<'a, T>(pointer: *const T, count: usize, what: &str) -
     }
 }
 
-/// Floats of a picture in red, green and blue.
+/// Number of floats in an RGB picture.
 pub(super) fn rgb_floats(width: u32, height: u32) -> Result<usize> {
     let floats = (width as usize).checked_mul(height as usize).and_then(|pixels| pixels.checked_mul(3));
     let floats = floats.filter(|floats| *floats <= isize::MAX as usize / size_of::<f32>());
     floats.ok_or_else(|| Error::argument("width, height", format!("{width}x{height} pixels are too many")))
 }
 
-/// Refuses a pointer that results cannot be written to, before the work.
+/// Refuses a null pointer for results, before the work.
 pub(super) fn check_pointer<T>(pointer: *mut T, what: &str) -> Result<()> {
     if pointer.is_null() { Err(Error::argument(what, "the pointer is null")) } else { Ok(()) }
 }
 
-/// Writes numbers into an array of the host's.
+/// Writes numbers into a host's array.
 ///
 /// # Safety
-/// `to` is valid for so many writes.
+/// `to` is valid for as many writes as `from` has numbers.
 pub(super) unsafe fn fill(to: *mut f32, from: &[f32]) {
     // SAFETY: as promised.
     unsafe { std::ptr::copy_nonoverlapping(from.as_ptr(), to, from.len()) }
 }
 
-/// A C string in UTF-8.
+/// Reads a C string in UTF-8.
 ///
 /// # Safety
 /// The pointer is null or a C string.
@@ -69,7 +69,7 @@ pub(super) unsafe fn text<'a>(pointer: *const c_char, what: &str) -> Result<&'a 
     text.to_str().map_err(|_| Error::argument(what, "is not UTF-8"))
 }
 
-/// Gives an object away.
+/// Moves a new object to the host.
 ///
 /// # Safety
 /// `to` is null or valid for a write.
@@ -81,7 +81,7 @@ pub(super) unsafe fn give<T>(to: *mut *mut T, what: &str, make: impl FnOnce() ->
     Ok(())
 }
 
-/// Takes an object back.
+/// Drops an object of the host.
 ///
 /// # Safety
 /// The pointer is null or came from `give`, and is not used afterwards.

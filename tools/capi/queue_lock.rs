@@ -1,4 +1,4 @@
-//! A host's own lock around its queue, in C.
+//! A host's own lock for its queue, in C.
 
 use super::AshsplatForeignDevice;
 use ashsplat::vk::QueueLock;
@@ -7,7 +7,6 @@ use std::ffi::c_void;
 
 type Call = unsafe extern "C" fn(user: *mut c_void);
 
-/// The lock of a host.
 pub(super) struct Lock {
     user: *mut c_void,
     lock: Call,
@@ -31,7 +30,7 @@ impl Lock {
     }
 }
 
-// SAFETY: the host promises that nobody else uses the queue between both calls.
+// SAFETY: the host promises exclusive use of the queue between the two calls.
 unsafe impl QueueLock for Lock {
     fn lock(&self) {
         // SAFETY: as promised.

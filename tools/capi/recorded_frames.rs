@@ -1,4 +1,4 @@
-//! Frames of a host in C, as the library records them.
+//! Conversion of a C host's frames for recording.
 
 use super::foreign::used;
 use super::kept::Kept;
@@ -16,7 +16,7 @@ use ashsplat::{
 };
 use std::ffi::c_void;
 
-/// A frame with copies of what it points to.
+/// A frame with copies of everything that it points to.
 struct Copied<'a> {
     frame: &'a AshsplatRecordedFrame,
     placed: List<'a, AshsplatPlaced>,
@@ -54,7 +54,7 @@ impl<'a> Copied<'a> {
     }
 
     /// # Safety
-    /// As [`Copied::of`].
+    /// Same as for [`Copied::of`].
     unsafe fn scenes<'b>(&'b self, scratch: &'b Scratch) -> Result<List<'b, Placed<'b>>> {
         let mut scenes = List::with_capacity_in(self.placed.len(), scratch);
         for (place, (placed, own)) in self.placed.iter().zip(&self.pointees).enumerate() {
@@ -75,7 +75,7 @@ impl<'a> Copied<'a> {
     }
 
     /// # Safety
-    /// As [`Copied::of`].
+    /// Same as for [`Copied::of`].
     unsafe fn recorded<'b>(
         &'b self,
         scenes: &'b [Placed<'b>],
@@ -107,7 +107,7 @@ impl<'a> Copied<'a> {
     }
 }
 
-/// Fields that have other names here.
+/// Fields with other names in C.
 const FIELDS: [(&str, &str); 5] = [
     ("target.encoding.exposure", "target.exposure"),
     ("target.behind", "target.background"),
@@ -116,11 +116,11 @@ const FIELDS: [(&str, &str); 5] = [
     (".selection.share", ".selection_share"),
 ];
 
-/// Records frames as the views of one recording, and says in `releases` how it leaves their images: NULL, or room for as many.
-/// Takes nothing from the heap once the renderer has recorded such frames, with these masks and updates no larger.
+/// Records frames as the views of one recording. Writes the final states of their images to `releases`: NULL, or room for all.
+/// Allocates nothing on the heap once the renderer has recorded such frames, with these masks and updates no larger.
 ///
 /// # Safety
-/// As ashsplat_record, for each.
+/// Same as for ashsplat_record, for each frame.
 pub(super) unsafe fn record(
     AshsplatRenderer(renderer, scratch, kept): &mut AshsplatRenderer,
     (commands, slot): (*mut c_void, u32),
@@ -148,7 +148,7 @@ pub(super) unsafe fn record(
         let updates = List::from_iter_in(updates, scratch);
         let mut views = List::with_capacity_in(frames.len(), scratch);
         for (index, own) in copied.iter().enumerate() {
-            // Views of the same list have the same one here: that is how the library knows it.
+            // Views with the same list share it here: the engine recognizes it by its address.
             let list = |f: &AshsplatRecordedFrame| (f.scenes, f.scene_count);
             let first = frames.iter().position(|frame| list(frame) == list(own.frame)).unwrap_or(index);
             views.push(own.recorded(&scenes[first], &updates[index]).map_err(of_view(index))?);
@@ -161,8 +161,8 @@ pub(super) unsafe fn record(
     }
 }
 
-/// An error of a frame with the names of the parameters of ashsplat_record and ashsplat_record_views. Most fields have the same in
-/// both languages. A pose is no field of its own here, and a selection has several fields.
+/// Rewrites an error of a frame with the parameters' names in C. Most fields have the same name in both languages. In C a pose
+/// is no single field, and a selection has several.
 fn in_c(error: Error) -> Error {
     let named = |what: &str| {
         let what = match what.strip_prefix("views") {
@@ -179,7 +179,7 @@ fn in_c(error: Error) -> Error {
                 Some(cut_out) if problem.starts_with("a ") => format!("{cut_out}.size"),
                 _ => what,
             };
-            // Some views are refused because of another.
+            // The problem may name other views.
             let problem = problem.replace("views[", "frames[");
             let problem = ["adopted for ", ", not for "]
                 .into_iter()

@@ -1,4 +1,4 @@
-//! How one scene of a frame is drawn, in C.
+//! Settings of one scene of a frame, in C.
 
 use super::kept::Kept;
 use super::scratch::{List, Scratch, collected};
@@ -75,7 +75,7 @@ pub struct AshsplatSceneSettings {
     pub selection_share: f32,
 }
 
-/// The settings of a scene and what they point to, as the library has it.
+/// A scene's settings and the converted objects that they point to.
 pub(super) struct Pointees<'b> {
     settings: Option<AshsplatSceneSettings>,
     cut_outs: List<'b, CutOut>,
@@ -100,10 +100,10 @@ impl AshsplatCutOut {
     }
 }
 
-/// What the settings of each scene point to.
+/// Converts the objects that each scene's settings point to.
 ///
 /// # Safety
-/// The settings are NULL or valid with all that they point to; masks are as [`Buffer::adopt`] says.
+/// The settings are NULL or valid with all that they point to; masks meet the requirements of [`Buffer::adopt`].
 pub(super) unsafe fn pointees<'b>(
     placed: &[AshsplatPlaced],
     context: &Context,
@@ -117,7 +117,7 @@ pub(super) unsafe fn pointees<'b>(
         };
         let field = || format!("scenes[{place}].settings.cut_outs");
         let count = settings.cut_out_count as usize;
-        // Before so many are read.
+        // Checked before that many are read.
         if count > MAX_CUT_OUTS {
             return Err(Error::argument(field(), format!("{count} of them, there may be {MAX_CUT_OUTS}")));
         }
@@ -139,12 +139,12 @@ pub(super) unsafe fn pointees<'b>(
     collected(placed.iter().enumerate().map(of), scratch)
 }
 
-/// Checks a pose that is a part of something.
+/// Checks a pose within a larger argument.
 fn check_pose(pose: &Pose, of: &str) -> Result<()> {
     pose.check().map_err(within(of))
 }
 
-/// The settings of a scene with what they point to.
+/// Converts a scene's settings.
 pub(super) fn of<'a>(own: &'a Pointees<'_>) -> SceneSettings<'a> {
     own.settings.as_ref().map_or_else(SceneSettings::default, |settings| SceneSettings {
         visible: settings.visible,

@@ -12,20 +12,20 @@ use ashsplat::scene::Gaussians;
 use ashsplat::vk::Buffer;
 use ashsplat::{DeviceScene, Error, Reservation, Result, Update};
 
-/// A host's Gaussians as the library's.
+/// Converts a host's Gaussians.
 ///
 /// # Safety
-/// The arrays have as many elements as the count and the degree say.
+/// The arrays have as many elements as the count and the degree require.
 pub(super) unsafe fn gaussians(host: &AshsplatGaussians) -> Result<Gaussians> {
     let mut own = Gaussians::default();
     // SAFETY: as promised.
     unsafe { copy_into(&mut own, host) }.map(|()| own)
 }
 
-/// Copies a host's Gaussians over others, in the memory of these.
+/// Copies a host's Gaussians over `own`, in its memory.
 ///
 /// # Safety
-/// As [`gaussians`].
+/// Same as for [`gaussians`].
 unsafe fn copy_into(own: &mut Gaussians, host: &AshsplatGaussians) -> Result<()> {
     if host.sh_degree > 3 {
         return Err(Error::argument("sh_degree", format!("{} is above 3", host.sh_degree)));
@@ -49,13 +49,13 @@ unsafe fn copy_into(own: &mut Gaussians, host: &AshsplatGaussians) -> Result<()>
     Ok(())
 }
 
-/// An update with the Gaussians that it copies.
+/// An update: its scene, first Gaussian, and copied Gaussians.
 pub(super) type Copied<'a> = (&'a DeviceScene, u32, kept::Copy<'a>);
 
-/// A frame's updates.
+/// Copies a frame's updates.
 ///
 /// # Safety
-/// As [`gaussians`], for each; the scenes are alive.
+/// Same as for [`gaussians`], for each update; the scenes are alive.
 pub(super) unsafe fn copied<'a>(
     updates: &[AshsplatUpdate],
     (scratch, kept): (&'a Scratch, &'a Kept),
@@ -74,7 +74,7 @@ pub(super) unsafe fn copied<'a>(
     collected(updates.iter().enumerate().map(copy), scratch)
 }
 
-/// The same as the library sees them.
+/// Converts copied updates.
 pub(super) fn updates<'a>(copied: &'a [Copied<'a>], scratch: &'a Scratch) -> List<'a, Update<'a>> {
     let updates = copied.iter().map(|(scene, first, own)| Update { scene, first: *first, gaussians: own });
     List::from_iter_in(updates, scratch)

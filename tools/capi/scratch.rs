@@ -1,14 +1,14 @@
-//! Memory for the lists of a recording, which is used again by the next one.
+//! Memory for the lists of a recording, reused by the next one.
 
 use ashsplat::Result;
 
-/// Where the lists of a recording lie. Once it has held those of a recording, those of another one like it take nothing from the heap.
+/// Arena for the lists of a recording. Another recording of the same size allocates nothing on the heap.
 pub(super) type Scratch = bumpalo::Bump;
 
-/// A list therein.
+/// A list in the arena.
 pub(super) type List<'b, T> = bumpalo::collections::Vec<'b, T>;
 
-/// What an iterator gives up to its first error.
+/// Collects an iterator's values, up to its first error.
 pub(super) fn collected<T>(
     values: impl Iterator<Item = Result<T>>,
     scratch: &Scratch,

@@ -1,4 +1,4 @@
-//! How a frame is rendered, in C. Enumerations arrive as numbers, for a C program may write any: they are checked here.
+//! Render settings in C. Enumerations arrive as numbers and are checked here, because a C program may write any number.
 
 use ashsplat::{Error, Extent, JacobianLimit, RenderSettings, Result, Shape};
 
@@ -65,7 +65,7 @@ pub struct AshsplatRenderSettings {
     pub filter_3d: u32,
 }
 
-/// The meaning of a number that stands for one of an enumeration.
+/// Returns the value of an enumeration's number.
 pub(super) fn one_of<T: Copy>(what: impl std::fmt::Display, number: u32, values: &[T]) -> Result<T> {
     let found = values.get(number as usize).copied();
     found.ok_or_else(|| {
@@ -74,7 +74,7 @@ pub(super) fn one_of<T: Copy>(what: impl std::fmt::Display, number: u32, values:
 }
 
 impl AshsplatRenderSettings {
-    /// As the library has them; on a black background.
+    /// Converts to the engine's settings, with a black background.
     pub(super) fn checked(&self) -> Result<RenderSettings> {
         let standard = RenderSettings::default();
         let dilation_px2 = match self.kernel_size {

@@ -1,10 +1,10 @@
 //! Structs that hosts fill, and how they grow.
 //!
-//! Each begins with its size in the header that the host was compiled with, which `ASHSPLAT_INIT` sets together with the
-//! defaults. A host of an older header has a smaller struct: the fields that it does not know have their defaults. A host of a
-//! newer header has a larger one, which works as long as what lies beyond is zero: fields that come later have the default 0, and
-//! nothing is padded before them. Such a struct is never a part of another one, and in an array all have the size of the first. A size
-//! below that of the first header was not set: the error says how.
+//! Each begins with its size in the header of the host's compilation. `ASHSPLAT_INIT` sets it together with the defaults. With
+//! an older header a host has a smaller struct: the missing fields get their defaults. With a newer header it has a larger
+//! struct, whose surplus bytes must be zero. So later fields have the default 0, and no padding precedes them. Such a struct is
+//! never part of another one. In an array, all have the size of the first. A size below the first header's means that it was
+//! not set; the error says how to set it.
 
 use super::scratch::{List, Scratch};
 use super::{
@@ -21,25 +21,25 @@ use std::mem::{MaybeUninit, offset_of, size_of};
 /// A struct that begins with its size.
 ///
 /// # Safety
-/// The first field is `struct_size: u32` of `#[repr(C)]`; the others are numbers, booleans, pointers, functions that may be
-/// missing, and structs of those.
+/// The first field is `struct_size: u32` of `#[repr(C)]`. The others are numbers, booleans, pointers, optional functions, and
+/// structs of these.
 pub(super) unsafe trait Grows: Copy + Default {
-    /// Its name in C.
+    /// Name in C.
     const NAME: &'static str;
-    /// Its size in the first header.
+    /// Size in the first header.
     const FIRST: usize;
 }
 
-/// Fields with other defaults than zero, and their values, in the words of the sources: `ASHSPLAT_INIT` is made of them.
+/// Fields with defaults other than zero, and their values as written in the source. `ASHSPLAT_INIT` is generated from them.
 pub type Defaults = (&'static str, &'static [(&'static str, &'static str)]);
 
-/// Where a field ends that begins there.
+/// End of a field that begins at `begin`.
 const fn end<T, F>(begin: usize, _: fn(&T) -> &F) -> usize {
     begin + size_of::<F>()
 }
 
-/// A struct's name, the last field that it had in the first header, and its last one, behind which nothing is padded: the next field
-/// begins at today's size. Then the defaults other than zero.
+/// For each struct: its name, its last field in the first header, and its last field now. No padding may follow the last one,
+/// since the next field begins at today's size. Then the defaults other than zero.
 macro_rules! structs {
     ($($name:ident, $first:ident..$last:ident, { $($field:ident: $value:expr),* };)*) => {
         $(
@@ -56,7 +56,7 @@ macro_rules! structs {
                 "padding at the end"
             );
 
-            // SAFETY: as the type's definition shows.
+            // SAFETY: the type's definition shows it.
             unsafe impl Grows for $name {
                 const NAME: &'static str = stringify!($name);
                 const FIRST: usize = end::<$name, _>(offset_of!($name, $first), |it| &it.$first);
@@ -64,7 +64,7 @@ macro_rules! structs {
 
             impl Default for $name {
                 fn default() -> Self {
-                    // SAFETY: zero is a value of all fields.
+                    // SAFETY: zero is valid for all fields.
                     let mut it: Self = unsafe { MaybeUninit::zeroed().assume_init() };
                     it.struct_size = size_of::<Self>() as u32;
                     $(it.$field = $value;)*
@@ -73,18 +73,18 @@ macro_rules! structs {
             }
         )*
 
-        /// All of them.
+        /// All structs with a size.
         #[doc(hidden)]
         pub const STRUCTS: &[Defaults] =
             &[$((stringify!($name), &[$((stringify!($field), stringify!($value))),*])),*];
     };
 }
 
-/// The rows of no rotation.
+/// Rows of the identity rotation.
 pub(super) const UPRIGHT: [f32; 9] = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
 
 structs! {
-    // As Alignment::default.
+    // Same as Alignment::default.
     AshsplatAlignment, lambda_dssim..lambda_dssim, { steps: 100, lr: 2e-3, lambda_dssim: 2e-1 };
     AshsplatAllocator, free..free, {};
     AshsplatCamera, height..projection, { camera_from_world: UPRIGHT };
@@ -117,10 +117,10 @@ structs! {
     AshsplatUpdate, gaussians..gaussians, {};
 }
 
-/// Largest size that is taken for one: what lies beyond is memory that nothing was written to.
+/// Largest plausible size: a larger one is uninitialised memory.
 const LARGEST: usize = 4096;
 
-/// Names what an error is within.
+/// Prefixes an error's argument with its outer argument.
 pub(super) fn within(outer: impl std::fmt::Display) -> impl FnOnce(Error) -> Error {
     move |error| match error {
         Error::Argument { what, problem } => Error::argument(format!("{outer}.{what}"), problem),
@@ -128,7 +128,7 @@ pub(super) fn within(outer: impl std::fmt::Display) -> impl FnOnce(Error) -> Err
     }
 }
 
-/// Names what has another name where the caller gives it.
+/// Replaces an error's argument by the caller's name for it.
 pub(super) fn named(name: impl std::fmt::Display) -> impl FnOnce(Error) -> Error {
     move |error| match error {
         Error::Argument { problem, .. } => Error::argument(name.to_string(), problem),
@@ -136,7 +136,7 @@ pub(super) fn named(name: impl std::fmt::Display) -> impl FnOnce(Error) -> Error
     }
 }
 
-/// Names the element of the list that an error names.
+/// Appends an index to an error's argument.
 fn element(index: usize) -> impl FnOnce(Error) -> Error {
     move |error| match error {
         Error::Argument { what, problem } => Error::argument(format!("{what}[{index}]"), problem),
@@ -144,10 +144,10 @@ fn element(index: usize) -> impl FnOnce(Error) -> Error {
     }
 }
 
-/// The size that a host's struct has.
+/// Returns the size that a host's struct claims.
 ///
 /// # Safety
-/// The pointer is valid for a read of a number.
+/// The pointer is valid for reading a number.
 unsafe fn size_of_hosts<T: Grows>(pointer: *const T, what: &str) -> Result<usize> {
     // SAFETY: as promised; the number is the first field.
     let size = unsafe { pointer.cast::<u32>().read_unaligned() } as usize;
@@ -166,16 +166,16 @@ unsafe fn size_of_hosts<T: Grows>(pointer: *const T, what: &str) -> Result<usize
     }
 }
 
-/// A host's struct as this library has it.
+/// Reads a host's struct, of any header's size.
 ///
 /// # Safety
-/// The pointer is null or valid for as many bytes as the struct says.
+/// The pointer is null or valid for as many bytes as the struct claims.
 pub(super) unsafe fn read<T: Grows>(pointer: *const T, what: &str) -> Result<T> {
     if pointer.is_null() {
         return Err(Error::argument(what, "the pointer is null"));
     }
     let (mut it, own) = (T::default(), size_of::<T>());
-    // SAFETY: as promised; all bytes of the fields of a struct of the host's are values of theirs.
+    // SAFETY: as promised; all bytes of the host's fields are valid values.
     unsafe {
         let size = size_of_hosts(pointer, what)?;
         let bytes = pointer.cast::<MaybeUninit<u8>>();
@@ -197,29 +197,29 @@ pub(super) unsafe fn read<T: Grows>(pointer: *const T, what: &str) -> Result<T> 
     Ok(it)
 }
 
-/// As [`read`], of a pointer that may be null.
+/// Same as [`read`], but the pointer may be null.
 ///
 /// # Safety
-/// As [`read`].
+/// Same as for [`read`].
 pub(super) unsafe fn read_if<T: Grows>(pointer: *const T, what: &str) -> Result<Option<T>> {
     // SAFETY: as promised.
     if pointer.is_null() { Ok(None) } else { unsafe { read(pointer, what) }.map(Some) }
 }
 
-/// A host's array, whose elements are as large as the first says.
+/// Reads a host's array, whose elements have the size of the first.
 ///
 /// # Safety
-/// The pointer is valid for so many structs of that size, or the count is 0.
+/// The pointer is valid for `count` structs of that size, or the count is 0.
 pub(super) unsafe fn read_all<T: Grows>(pointer: *const T, count: u32, what: &str) -> Result<Vec<T>> {
     let mut all = Vec::new();
     // SAFETY: as promised.
     unsafe { read_into(&mut all, Vec::reserve, (pointer, count), what) }.map(|()| all)
 }
 
-/// The same in memory that is used again.
+/// Same as [`read_all`], but in reused memory.
 ///
 /// # Safety
-/// As [`read_all`].
+/// Same as for [`read_all`].
 pub(super) unsafe fn read_all_in<'b, T: Grows>(
     scratch: &'b Scratch,
     pointer: *const T,
@@ -232,7 +232,7 @@ pub(super) unsafe fn read_all_in<'b, T: Grows>(
 }
 
 /// # Safety
-/// As [`read_all`].
+/// Same as for [`read_all`].
 unsafe fn read_into<T: Grows, L: Extend<T>>(
     all: &mut L,
     reserve: impl Fn(&mut L, usize),
@@ -248,7 +248,7 @@ unsafe fn read_into<T: Grows, L: Extend<T>>(
     reserve(all, count as usize);
     // SAFETY: as promised.
     unsafe {
-        // Names are needed for errors alone.
+        // Only errors need names.
         let stride = size_of_hosts(pointer, what).map_err(element(0))?;
         for index in 0..count as usize {
             let at = pointer.byte_add(index * stride);
@@ -263,10 +263,10 @@ unsafe fn read_into<T: Grows, L: Extend<T>>(
     Ok(())
 }
 
-/// Gives a host's struct its values, as many as it has.
+/// Writes a value into a host's struct, as far as its size reaches.
 ///
 /// # Safety
-/// The pointer is null or valid for as many bytes as the struct says.
+/// The pointer is null or valid for as many bytes as the struct claims.
 pub(super) unsafe fn write<T: Grows>(pointer: *mut T, what: &str, value: T) -> Result<()> {
     if pointer.is_null() {
         return Err(Error::argument(what, "the pointer is null"));
@@ -280,19 +280,19 @@ pub(super) unsafe fn write<T: Grows>(pointer: *mut T, what: &str, value: T) -> R
     Ok(())
 }
 
-/// As [`write`], of a pointer that may be null.
+/// Same as [`write`], but the pointer may be null.
 ///
 /// # Safety
-/// As [`write`].
+/// Same as for [`write`].
 pub(super) unsafe fn write_if<T: Grows>(pointer: *mut T, what: &str, value: T) -> Result<()> {
     // SAFETY: as promised.
     if pointer.is_null() { Ok(()) } else { unsafe { write(pointer, what, value) } }
 }
 
-/// As [`write`], of an array, or of none.
+/// Same as [`write`], but for an array, which may be null.
 ///
 /// # Safety
-/// The pointer is null or valid for so many structs of the size of the first.
+/// The pointer is null or valid for `values.len()` structs of the first one's size.
 pub(super) unsafe fn write_all_if<T: Grows>(pointer: *mut T, what: &str, values: &[T]) -> Result<()> {
     if pointer.is_null() || values.is_empty() {
         return Ok(());
@@ -305,19 +305,19 @@ pub(super) unsafe fn write_all_if<T: Grows>(pointer: *mut T, what: &str, values:
     }
 }
 
-/// Checks that a struct can be written, before work whose result it is to have.
+/// Checks that a struct can be written, before the work that makes its value.
 ///
 /// # Safety
-/// As [`write`].
+/// Same as for [`write`].
 pub(super) unsafe fn check_room<T: Grows>(pointer: *mut T, what: &str) -> Result<()> {
     // SAFETY: as promised.
     if pointer.is_null() { Ok(()) } else { unsafe { size_of_hosts(pointer, what) }.map(drop) }
 }
 
-/// The same of an array.
+/// Same as [`check_room`], but for an array.
 ///
 /// # Safety
-/// As [`write_all_if`].
+/// Same as for [`write_all_if`].
 pub(super) unsafe fn check_room_of_all<T: Grows>(pointer: *mut T, count: u32, what: &str) -> Result<()> {
     if pointer.is_null() || count == 0 {
         return Ok(());

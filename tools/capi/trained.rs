@@ -1,4 +1,4 @@
-//! What a training in C has learned: the scene, cameras, exposures and lens effects, and a checkpoint of it all.
+//! Results of a training in C: the scene, cameras, exposures and lens effects, and a checkpoint of everything.
 
 use super::structs::{check_room_of_all, write_all_if};
 use super::{
@@ -129,7 +129,7 @@ fn check_count(count: u32, views: usize) -> Result<()> {
 }
 
 /// # Safety
-/// The pointer is null or valid for so many rows.
+/// The pointer is null or valid for `count` rows.
 unsafe fn give_rows(
     rows: &[[[f32; 4]; 3]],
     (to, count): (*mut f32, u32),

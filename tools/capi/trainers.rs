@@ -1,4 +1,4 @@
-//! What a training in C begins with: photographs, Gaussians or points or a checkpoint, settings.
+//! Inputs of a training in C: photographs, Gaussians or points or a checkpoint, settings.
 
 use super::scenes::gaussians;
 use super::structs::{read, read_all, within};
@@ -126,7 +126,7 @@ pub unsafe extern "C" fn ashsplat_trainer_resume(
     })
 }
 
-/// What the ways to make a trainer share.
+/// Arguments shared by all ways to make a trainer.
 struct Run {
     views: Vec<TrainView>,
     settings: TrainSettings,
@@ -135,7 +135,7 @@ struct Run {
 
 impl Run {
     /// # Safety
-    /// As ashsplat_trainer_new.
+    /// Same as for ashsplat_trainer_new.
     unsafe fn of(
         (views, count): (*const AshsplatTrainView, u32),
         extent: f32,
@@ -181,7 +181,7 @@ fn settings_of(json: &str, extent: f32) -> Result<TrainSettings> {
         Some(Value::Bool(few)) => few,
         Some(other) => return Err(refused(format!("few_photos: {other} is neither true nor false"))),
     };
-    // What is not given has the default of the preset, or of the strategy.
+    // Missing values get the defaults of the preset, or of the strategy.
     let strategy =
         serde_json::from_value::<TrainSettings>(Value::Object(given.clone())).map_err(problem)?.strategy;
     let usual = match (preset, few) {
@@ -201,7 +201,7 @@ fn settings_of(json: &str, extent: f32) -> Result<TrainSettings> {
 }
 
 /// # Safety
-/// The arrays have as many elements as the camera and the count say.
+/// The arrays have as many elements as the camera and the count require.
 unsafe fn train_view(view: &AshsplatTrainView) -> Result<TrainView> {
     // SAFETY: as promised.
     let camera = unsafe { read(view.camera, "camera")? }.known()?;
@@ -219,7 +219,7 @@ unsafe fn train_view(view: &AshsplatTrainView) -> Result<TrainView> {
     }
 }
 
-/// A photograph of a camera's size, and its mask if there is one.
+/// Copies a photograph of a camera's size, and its mask if there is one.
 ///
 /// # Safety
 /// The pointers are null or valid for the camera's pixels.
@@ -234,10 +234,10 @@ pub(super) unsafe fn photo(camera: &Camera, rgb: *const u8, mask: *const u8) -> 
     }
 }
 
-/// An array that may be NULL.
+/// Reads an array that may be NULL.
 ///
 /// # Safety
-/// As [`slice`].
+/// Same as for [`slice`].
 pub(super) unsafe fn slice_if<'a, T>(pointer: *const T, count: usize, what: &str) -> Result<Option<&'a [T]>> {
     // SAFETY: as promised.
     if pointer.is_null() { Ok(None) } else { unsafe { slice(pointer, count, what) }.map(Some) }

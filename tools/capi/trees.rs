@@ -1,4 +1,4 @@
-//! Trees of tiles that a host streams, in C: what is wanted, what is drawn, what a file has.
+//! Trees of tiles that a host streams, in C: wanted tiles, drawn tiles, a file's contents.
 
 use super::structs::{named, read, read_all, write};
 use super::{
@@ -116,10 +116,10 @@ pub unsafe extern "C" fn ashsplat_tree_tile(
     })
 }
 
-/// The cameras of a host's demand.
+/// Converts the cameras of a host's demand.
 ///
 /// # Safety
-/// The cameras are as many as it says.
+/// There are as many cameras as the demand says.
 unsafe fn cameras(demand: &AshsplatDemand) -> Result<Vec<Camera>> {
     // SAFETY: as promised.
     let all = unsafe { read_all(demand.cameras, demand.camera_count, "demand.cameras") }?;
@@ -134,10 +134,10 @@ unsafe fn cameras(demand: &AshsplatDemand) -> Result<Vec<Camera>> {
     all.iter().enumerate().map(known).collect()
 }
 
-/// Which of all tiles are there: all, without an array. Whatever is not 0 is true, for hosts fill memory as they like.
+/// Returns whether a tile is in the array: all are, without one. Any value other than 0 is true, because hosts fill memory freely.
 ///
 /// # Safety
-/// The pointer is null or valid for one of each tile.
+/// The pointer is null or valid for one value for each tile.
 unsafe fn among<'a>(tree: &Tree, there: *const bool) -> Result<impl Fn(usize) -> bool + use<'a>> {
     let there: Option<&[u8]> = match there.is_null() {
         true => None,
@@ -147,10 +147,10 @@ unsafe fn among<'a>(tree: &Tree, there: *const bool) -> Result<impl Fn(usize) ->
     Ok(move |tile: usize| there.is_none_or(|there| there[tile] != 0))
 }
 
-/// Chooses tiles for a demand, and writes their numbers.
+/// Chooses tiles for a demand, and writes their indices.
 ///
 /// # Safety
-/// As [`ashsplat_tree_wanted`].
+/// Same as for [`ashsplat_tree_wanted`].
 unsafe fn chosen(
     (tree, demand, there): (*const AshsplatTree, *const AshsplatDemand, *const bool),
     (tiles, count): (*mut u32, *mut u32),

@@ -81,12 +81,12 @@ impl From<Camera> for AshsplatCamera {
 }
 
 impl AshsplatCamera {
-    /// As the library has it.
+    /// Converts to the engine's camera.
     pub(super) fn known(&self) -> Result<Camera> {
         self.known_as("camera")
     }
 
-    /// The same of a camera with another name.
+    /// Same as [`Self::known`], but for a camera with another name.
     pub(super) fn known_as(&self, name: &str) -> Result<Camera> {
         let AshsplatCamera { fx, fy, cx, cy, width, height, .. } = *self;
         let camera_from_world = Mat3::from_cols_array(&self.camera_from_world).transpose();
@@ -400,7 +400,7 @@ pub struct AshsplatPlaced {
 }
 
 impl AshsplatPlaced {
-    /// Where the scene stands.
+    /// Pose of the scene.
     pub fn pose(&self) -> Pose {
         let Self { world_from_object, translation, scale, .. } = *self;
         super::AshsplatPose { world_from_object, translation, scale, ..Default::default() }.pose()

@@ -1,4 +1,4 @@
-//! The header is what the sources say, and C programs that include it work.
+//! The header matches the sources, and C programs that include it work.
 
 mod hosts;
 mod measures;
@@ -14,7 +14,7 @@ use glam::{DQuat, DVec3, Mat3, Vec3};
 use hosts::{MESSAGES, argument, compile, folder, host_in_c, host_said, host_with, library, run};
 use std::path::{Path, PathBuf};
 
-/// `ashsplat.h` as cbindgen makes it from the sources. With ASHSPLAT_BLESS it is written.
+/// Generates `ashsplat.h` from the sources and compares it. ASHSPLAT_BLESS writes it.
 #[test]
 fn the_header_is_what_the_sources_say() {
     let config = Config {
@@ -36,11 +36,11 @@ fn the_header_is_what_the_sources_say() {
         documentation_style: DocumentationStyle::C99,
         usize_is_size_t: true,
         sys_includes: vec!["string.h".into()],
-        // The guard holds the initialisers as well, which come last.
+        // The include guard also encloses the initialisers, which come last.
         trailer: Some(initialisers() + "\n#endif /* ASHSPLAT_H */"),
         line_length: 110,
         enumeration: EnumConfig { prefix_with_name: true, ..EnumConfig::default() },
-        // They arrive as numbers: no function has them in its signature.
+        // They are passed as numbers, so no function has them in its signature.
         export: ExportConfig {
             include: [
                 "Background",
@@ -58,7 +58,7 @@ fn the_header_is_what_the_sources_say() {
         },
         ..Config::default()
     };
-    // The modules are found from there.
+    // cbindgen finds the modules from here.
     let builder = Builder::new().with_config(config).with_src(folder().join("lib.rs"));
     let mut made = Vec::new();
     builder.generate().expect("a header").write(&mut made);
@@ -171,7 +171,7 @@ fn a_host_in_c_records_into_its_own_command_buffer() {
     assert!(visible > 100 && said.contains("of 500 Gaussians visible, scale 10.0, offset 0.0"), "{said}");
 }
 
-/// The guide's guest is compiled as it stands there.
+/// Compiles the guide's guest from the guide's text.
 #[test]
 fn the_guides_guest_in_c_draws() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -183,13 +183,13 @@ fn the_guides_guest_in_c_draws() {
     let guest = format!("/* guest.c{guest}");
     let said = host_with("guide", &guest, &[&scene]);
     assert!(said.contains("of 500 Gaussians visible"), "{said}");
-    // A mistake of the engine is heard.
+    // Validation reports a mistake of the engine.
     let is_required = std::env::var_os("ASHSPLAT_REQUIRE_VALIDATION").is_some();
     let said = host_said("guide", &guest, &[&scene, Path::new("wrong")]);
     assert!(said.contains(MESSAGES[0]) || !is_required, "no validation layer: {said}");
 }
 
-/// What is read, chosen and drawn of a tree is what Rust chooses and draws.
+/// Reads, chooses and draws the same of a tree as Rust.
 #[test]
 fn a_host_in_c_streams_tiles() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -256,7 +256,7 @@ fn grid(z: f32) -> Gaussians {
     grid
 }
 
-/// What scenes.c should show, from one scene that was put together here.
+/// The expected picture of scenes.c, from one combined scene.
 fn expected_of_scenes(mut file: Gaussians) -> (Frame, Camera) {
     let update = grid(-0.4);
     file.means[10..74].copy_from_slice(&update.means);
@@ -288,7 +288,7 @@ fn expected_of_scenes(mut file: Gaussians) -> (Frame, Camera) {
     // A half-space in the scene's units.
     half.retain(|half, i| half.means[i][0] < 0.5);
     all.append(&moved(half, DQuat::IDENTITY, 0.5, DVec3::new(0.3, 0.0, 0.0)));
-    // Background the wall.
+    // Splats behind the wall are hidden.
     all.retain(|all, i| all.means[i][2] + 4.0 < 4.2);
     let intrinsics = Intrinsics { fx: 160.0, fy: 160.0, cx: 80.0, cy: 60.0, width: 160, height: 120 };
     let camera = Camera::with_pose(Mat3::IDENTITY, Vec3::new(0.0, 0.0, 4.0), intrinsics);
@@ -319,7 +319,7 @@ fn a_host_in_c_has_scenes_of_its_own() {
     };
     let different = png.pixels().zip(&expected.color).filter(far).count();
     assert!(different < 20, "{different} of {} pixels differ", expected.color.len());
-    // Neither nothing nor everything is hidden, and what is there is before the wall.
+    // Something is hidden, but not everything, and everything drawn is in front of the wall.
     let bytes = std::fs::read(&depth).expect("depths");
     let depths = bytes.chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]]));
     let (mut seen, mut empty) = (0, 0);
@@ -336,7 +336,7 @@ fn a_host_in_c_has_scenes_of_its_own() {
     assert!(seen > 1000 && empty > 1000, "{seen} pixels with depth, {empty} without");
 }
 
-/// Its own allocator, settings, a part of a picture, the sum of weights / z, recordings that are thrown away.
+/// A host's own allocator, settings, a part of a picture, the sum of weights / z, discarded recordings.
 #[test]
 fn a_host_in_c_has_all_there_is() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -380,7 +380,7 @@ fn a_host_in_c_has_all_there_is() {
     }
 }
 
-/// Smaller and larger structs than today's.
+/// Structs smaller and larger than today's.
 #[test]
 fn a_host_in_c_may_have_another_header() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -390,7 +390,7 @@ fn a_host_in_c_may_have_another_header() {
     assert!(said.contains("of 1500 Gaussians visible"), "{said}");
 }
 
-/// Each as the files' own crate reads it.
+/// Each file loads the same as in the crate of file formats.
 #[test]
 fn a_c_program_loads_every_format() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -427,7 +427,7 @@ fn a_host_in_c_trains() {
     assert!(said.contains("30 iterations"), "{said}");
     let trained = ply::read(&result, &ply::PlyOptions::default()).expect("a scene").gaussians;
     assert!(trained.len() > 10 && said.contains(&format!("{} Gaussians", trained.len())), "{said}");
-    // What the 3D filter adds is in the file, and marked.
+    // The file contains the 3D filter's part, and says so.
     let filtered = std::fs::read(folder.path().join("result.ply.filtered.ply")).expect("a PLY");
     let header = String::from_utf8_lossy(&filtered[..2000.min(filtered.len())]).into_owned();
     assert!(

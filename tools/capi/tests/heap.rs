@@ -1,4 +1,4 @@
-//! What recording in C takes from the heap.
+//! Heap allocations of recording in C.
 
 #[path = "../../../tests/embedding/counting.rs"]
 mod counting;
@@ -19,7 +19,7 @@ fn check(status: AshsplatStatus) {
     assert!(status == AshsplatStatus::Ok, "{said:?}");
 }
 
-/// A device that ashsplat has opened, lent back to it as a host's.
+/// A device that ashsplat has opened, lent back to it as a host's device.
 struct Host {
     owner: *mut AshsplatContext,
     device: ash::Device,
@@ -62,7 +62,7 @@ impl Host {
         }
     }
 
-    /// What a recording takes from the heap; it is submitted, and waited for.
+    /// Number of heap allocations of a recording, which is then submitted and waited for.
     fn recorded(&self, record: impl FnOnce(*mut c_void) -> AshsplatStatus) -> u64 {
         let commands = self.commands;
         let info = vk::CommandBufferBeginInfo::default().flags(vk::CommandBufferUsageFlags::ONE_TIME_SUBMIT);
@@ -70,7 +70,7 @@ impl Host {
         unsafe { self.device.begin_command_buffer(commands, &info) }.expect("recording");
         let (taken, status) = allocations(|| record(commands.as_raw() as *mut c_void));
         check(status);
-        // SAFETY: it is recorded.
+        // SAFETY: recording has ended without errors.
         unsafe {
             self.device.end_command_buffer(commands).expect("recorded");
             let commands = [commands];
@@ -81,13 +81,13 @@ impl Host {
         taken
     }
 
-    /// A buffer of so many bytes, which a scene's selection may lie in.
+    /// A buffer of this many bytes, for a scene's selection.
     fn buffer(&self, bytes: u64) -> (vk::Buffer, vk::DeviceMemory) {
         let usage = vk::BufferUsageFlags::STORAGE_BUFFER
             | vk::BufferUsageFlags::TRANSFER_SRC
             | vk::BufferUsageFlags::TRANSFER_DST;
         let info = vk::BufferCreateInfo::default().size(bytes).usage(usage);
-        // SAFETY: valid create infos; the buffer is bound once, to memory of its own.
+        // SAFETY: valid create infos; the buffer is bound once, to its own memory.
         unsafe {
             let buffer = self.device.create_buffer(&info, None).expect("a buffer");
             let needs = self.device.get_buffer_memory_requirements(buffer);
@@ -167,7 +167,7 @@ fn recording_in_c_takes_nothing_from_the_heap() {
     let scenes = [placed, AshsplatPlaced { settings: &raw const own, ..placed }];
     let few = AshsplatGaussians { count: 30, ..cloud };
     let update = AshsplatUpdate { scene, gaussians: &raw const few, ..AshsplatUpdate::default() };
-    // Of unlike sizes.
+    // Updates of different sizes.
     let fewer = AshsplatGaussians { count: 7, ..cloud };
     let updates = [update, AshsplatUpdate { first: 40, gaussians: &raw const fewer, ..update }];
     let frame = AshsplatRecordedFrame {

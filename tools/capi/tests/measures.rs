@@ -1,4 +1,4 @@
-//! Gradients, the 3D filter, alignment and LPIPS of a C program are those of Rust, to the bit.
+//! Gradients, the 3D filter, alignment and LPIPS in C have the same bits as in Rust.
 
 use crate::hosts::host_in_c;
 use ashsplat::lpips::{Lpips, Network, Weights};
@@ -71,7 +71,7 @@ fn write(path: &Path, weights: &Weights) {
     safetensors::serialize_to_file(views, None, path).expect("written");
 }
 
-/// What the program has written, from its beginning on.
+/// Remaining results that the program has written.
 struct Results(std::vec::IntoIter<u8>);
 
 impl Results {
@@ -94,7 +94,7 @@ fn a_host_in_c_has_gradients_and_measures() {
     assert!(said.contains("lpips_alex 0."), "{said}");
     let mut results = Results(std::fs::read(&results).expect("results").into_iter());
 
-    // As in a host's device, which has none.
+    // Same as in a host's device, which has no texels.
     let context =
         Context::new(&ContextOptions { texels: false, ..ContextOptions::default() }).expect("a device");
     let mut renderer = Renderer::new(&context).expect("kernels");

@@ -1,14 +1,14 @@
-//! Messages of the engine that advise a call name it in C.
+//! Every call that the engine's messages advise has a name in C.
 
 use ashsplat_c::CALLS;
 use std::path::{Path, PathBuf};
 
-/// Calls of types that C has none of.
+/// Calls of Rust types that have no counterpart in C.
 const RUST_ALONE: [&str; 1] = ["Renderer::set_blending"];
-/// Fields that messages name as calls are written.
+/// Prefix of fields that messages write like calls.
 const FIELDS: &str = "Reservation::";
 
-/// The names of the public fields of a struct in a source or a header, whose text begins behind `start` and ends with `end`.
+/// Names of a struct's public fields in a source or a header, between `start` and `end`.
 fn fields<'a>(
     text: &'a str,
     [start, end]: [&str; 2],

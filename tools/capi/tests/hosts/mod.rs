@@ -7,7 +7,7 @@ pub fn folder() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR"))
 }
 
-/// The newest library with this ending that cargo has made.
+/// The newest library with this ending that cargo has built.
 pub fn library(ending: &str) -> PathBuf {
     let executable = std::env::current_exe().expect("a path");
     let deps = executable.parent().expect("deps");
@@ -38,12 +38,12 @@ pub fn run(program: &Path, arguments: &[&Path]) -> Output {
     Command::new(program).args(arguments).output().expect("a program")
 }
 
-/// Compiles and runs a host in C on the scene of these tests; what it says.
+/// Compiles and runs a host in C on the scene of these tests. Returns its output.
 pub fn host_in_c(name: &str, arguments: &[&Path]) -> String {
     host_with(name, "", arguments)
 }
 
-/// What a host says that includes `included.c` with this text, under validation where its layer is there.
+/// Same as [`host_in_c`], but the program includes `included.c` with this text, and runs under validation if the layer is installed.
 pub fn host_said(name: &str, included: &str, arguments: &[&Path]) -> String {
     let folder = tempfile::tempdir().expect("a folder");
     let program = folder.path().join(name);
@@ -58,7 +58,7 @@ pub fn host_said(name: &str, included: &str, arguments: &[&Path]) -> String {
     said.into_owned()
 }
 
-/// Turns validation and synchronisation validation on. Messages come among what the program says: nobody asks for them.
+/// Turns on validation and synchronisation validation. The layer prints messages into the program's output.
 fn validated(command: &mut Command) {
     command
         .env("VK_INSTANCE_LAYERS", "VK_LAYER_KHRONOS_validation")
@@ -66,10 +66,10 @@ fn validated(command: &mut Command) {
         .env("VK_VALIDATION_VALIDATE_SYNC", "1");
 }
 
-/// What the validation layer calls its messages.
+/// The validation layer's names of its messages.
 pub const MESSAGES: [&str; 2] = ["Validation Error", "Validation Warning"];
 
-/// What a host in C says, which makes no mistakes.
+/// Returns the output of a host in C, which must be free of validation messages.
 pub fn host_with(name: &str, included: &str, arguments: &[&Path]) -> String {
     let said = host_said(name, included, arguments);
     assert!(!MESSAGES.iter().any(|message| said.contains(message)), "{said}");
