@@ -105,7 +105,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     // The default folder may be read-only: looking needs no files.
     arguments.out.as_deref().map(output::check_folder).transpose()?;
     let out = arguments.out.clone().unwrap_or_else(|| "out/view".into());
-    // From here on Ctrl-C only stops the loading: an unpacked ZIP must be removed.
+    // From here on Ctrl-C only sets a flag, so that an unpacked ZIP is removed.
     let stop = session::stop_on_ctrl_c()?;
     // Report a missing file before any address.
     if let Some(path) = &arguments.path {

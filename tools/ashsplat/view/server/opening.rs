@@ -19,17 +19,17 @@ use std::time::{Duration, Instant};
 
 /// Longest message that names a path, bytes.
 const LONGEST_MESSAGE: usize = 64 << 10;
-/// Time for an upload: this long,
+/// Basic time for an upload.
 const GRACE: Duration = if cfg!(test) { Duration::from_millis(200) } else { Duration::from_secs(60) };
-/// and one second more for this many received bytes. A slower sender would keep others from sending.
+/// Received bytes that add one second to that time. A slower sender would keep others from sending.
 const BYTES_PER_SECOND: u64 = 256 << 10;
-/// Most bytes of a refused upload that are still read,
+/// Most bytes of a refused upload that are still read.
 const MOST_DRAINED: usize = 16 << 20;
-/// and the longest time for it.
+/// Longest time for reading them.
 const LINGER: Duration = Duration::from_secs(1);
-/// Letters of a file's name that are kept on disk,
+/// Most letters of a file's name on disk.
 const LONGEST_STEM: usize = 60;
-/// and that are shown.
+/// Most letters of a file's name on the page.
 const LONGEST_NAME: usize = 200;
 
 /// `POST /upload/NAME.ply` with the file's bytes.

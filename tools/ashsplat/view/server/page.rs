@@ -17,9 +17,9 @@ use std::time::{Duration, Instant};
 
 /// A page that does not take a message within this time is given up.
 const PATIENCE: Duration = Duration::from_secs(30);
-/// Interval of the pings to a page,
+/// Interval of the pings to a page.
 const PING: Duration = if cfg!(test) { Duration::from_millis(100) } else { Duration::from_secs(15) };
-/// and the silence after which it is given up: a laptop that falls asleep never says that it leaves.
+/// Silence after which a page is given up: a laptop that falls asleep never says that it leaves.
 pub(super) const SILENCE: Duration = PING.saturating_mul(3);
 /// Longest message of a page.
 const LONGEST_MESSAGE: usize = 256 * 1024;
