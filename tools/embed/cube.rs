@@ -30,7 +30,7 @@ pub struct Cube {
     texture: HostTexture,
     sampled: Sampled,
     layout: vk::PipelineLayout,
-    /// For conventional depth, and for reversed depth.
+    /// Variants for conventional and for reversed depth.
     pipelines: [vk::Pipeline; 2],
 }
 

@@ -14,7 +14,7 @@ pub const EMPTY: f32 = -1.0;
 pub struct SplatDepth {
     sampled: Sampled,
     layout: vk::PipelineLayout,
-    /// For conventional depth, and for reversed depth.
+    /// Variants for conventional and for reversed depth.
     pipelines: [vk::Pipeline; 2],
 }
 

@@ -263,7 +263,7 @@ pub struct Spread {
     pub min: f64,
     pub median: f64,
     pub p90: f64,
-    /// For sums over many iterations; 0 in files written before it was added.
+    /// Basis of sums over many iterations; 0 in files written before it was added.
     #[serde(default)]
     pub mean: f64,
 }

@@ -9,7 +9,7 @@ use std::net::IpAddr;
 use std::sync::Arc;
 
 /// Admits requests with the token. Without a token, admits only pages opened under a name of this machine or that of
-/// `--allow-origin`: a foreign site could point its name here.
+/// `--allow-origin`. This stops foreign sites that point their own name here.
 pub async fn guard(State(site): State<Arc<Site>>, request: Request, next: Next) -> Response {
     let headers = request.headers();
     let allowed = site.serve.allow_origin.as_deref();

@@ -23,11 +23,11 @@ const NOTE: Duration = if cfg!(test) { Duration::from_millis(20) } else { Durati
 #[derive(Clone, Copy, Debug)]
 pub struct Limits {
     pub total: usize,
-    /// From one address.
+    /// Connections from one address.
     pub per_peer: usize,
-    /// For the headers of a request, also of the first.
+    /// Time for the headers of a request, also of the first.
     pub headers: Duration,
-    /// For any other progress.
+    /// Time for any other progress.
     pub stall: Duration,
 }
 
