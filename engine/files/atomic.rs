@@ -50,22 +50,22 @@ pub fn create_folder(path: impl AsRef<Path>) -> Result<()> {
     fs::create_dir_all(path).map_err(|source| Error::io(path, "create", source))
 }
 
-/// A file under another name in the same folder, for another program to write: see [`unfinished`].
+/// A temporary file that another program fills: see [`unfinished`].
 #[derive(Debug)]
 pub struct Unfinished {
     file: tempfile::NamedTempFile,
-    /// As it was named, for errors, and where it really lies.
+    /// Path as the caller gave it, for errors. `target` is that path after symbolic links.
     named: PathBuf,
     target: PathBuf,
 }
 
 impl Unfinished {
-    /// Where it is to be written.
+    /// Path of the temporary file.
     pub fn path(&self) -> &Path {
         self.file.path()
     }
 
-    /// Gives it its name.
+    /// Flushes the temporary file and renames it to its final name.
     ///
     /// # Errors
     /// [`Error::Io`] naming the file.
@@ -80,8 +80,9 @@ impl Unfinished {
     }
 }
 
-/// An empty file beside `path` that gets its name when it is whole, and is removed if it never is. A symbolic
-/// link is followed.
+/// Creates an empty temporary file beside `path`. [`Unfinished::persist`] renames it; dropping it removes it. A
+/// symbolic link
+/// is followed.
 ///
 /// # Errors
 /// [`Error::Io`] naming the file.
@@ -96,7 +97,7 @@ pub fn unfinished(path: impl AsRef<Path>) -> Result<Unfinished> {
     Ok(Unfinished { file, named: named.to_owned(), target })
 }
 
-/// The folder that a file lies in.
+/// Folder of a file; `.` for a bare name.
 fn folder_of(target: &Path) -> &Path {
     match target.parent() {
         Some(parent) if !parent.as_os_str().is_empty() => parent,
@@ -136,8 +137,7 @@ fn temporary_file(target: &Path, folder: &Path) -> io::Result<tempfile::NamedTem
     prefix.push(".");
     let mut builder = tempfile::Builder::new();
     builder.prefix(&prefix).suffix(".tmp");
-    // The usual permissions of a new file, less the process's mask, instead of a temporary file's private
-    // ones.
+    // A new file's usual permissions (0666 less the umask), not the private ones of a temporary file.
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
     builder.tempfile_in(folder)

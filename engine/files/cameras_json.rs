@@ -19,7 +19,7 @@ pub struct NamedCamera {
     pub camera: Camera,
 }
 
-/// The file's own form: position in source units from `origin`, and the rows of the rotation from camera to world.
+/// An entry of the file: position in source units from `origin`, and the rows of the rotation from camera to world.
 #[derive(Serialize, Deserialize)]
 struct Entry {
     id: usize,
@@ -35,18 +35,18 @@ struct Entry {
     cx: Option<f32>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     cy: Option<f32>,
-    /// Only of an orthographic camera, whose fx and fy are pixels per unit.
+    /// Present only for an orthographic camera, whose fx and fy are pixels per unit.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     projection: Option<Rays>,
-    /// The origin that the position is relative to, source coordinates; only if it is not zero.
+    /// Origin of the position, source coordinates; absent if zero.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     origin: Option<[f64; 3]>,
-    /// The world unit of the training, source units; only if it is not 1.
+    /// World unit of the training, source units; absent if 1.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     unit: Option<f64>,
 }
 
-/// Only the frame of an [`Entry`].
+/// The frame of an [`Entry`].
 #[derive(Deserialize)]
 struct Named {
     #[serde(default)]
@@ -96,7 +96,7 @@ impl Entry {
             width: self.width,
             height: self.height,
         };
-        // First the difference of the origins, so that positions near the frame's origin keep their bits.
+        // Subtracts the origins first, so that positions near the frame's origin keep their bits.
         let from_frame = DVec3::from_array(self.origin.unwrap_or_default()) - frame.origin;
         let position = (DVec3::from_array(self.position) + from_frame) / frame.unit;
         let camera = Camera::at(position, camera_from_world, intrinsics);
@@ -106,9 +106,10 @@ impl Entry {
 
 /// Writes cameras in the reference implementation's form: id, img_name, width, height, position and rotation
 /// (camera to world, rows), fy, fx. It adds cx and cy, which the reference's readers ignore, and for
-/// orthographic cameras `"projection": "orthographic"`. The cameras are in the world coordinates of `frame`. Positions are
-/// written in source units from its origin, which `"origin"` names if it is not zero: as in the PLY beside. `"unit"` is
-/// the frame's, if it is not 1.
+/// orthographic cameras `"projection": "orthographic"`. The cameras are in the world coordinates of `frame`. Positions
+/// are
+/// written in source units from the frame's origin, as in the PLY beside. `"origin"` and `"unit"` name a frame other
+/// than the default.
 ///
 /// # Errors
 /// [`Error::Io`] naming the file.
@@ -124,7 +125,7 @@ pub fn write<'a>(
 }
 
 /// Reads cameras that [`write()`] or the reference implementation wrote. Without cx and cy, the principal point is
-/// in the middle. The cameras are returned in the world coordinates of `frame`.
+/// the image's centre. The cameras are returned in the world coordinates of `frame`.
 ///
 /// # Errors
 /// [`Error::Io`] when the file cannot be read, [`Error::Input`] when it is no such list or a camera is unusable.
@@ -153,7 +154,7 @@ pub fn read(path: impl AsRef<Path>, frame: &WorldFrame) -> Result<Vec<NamedCamer
     entries.iter().map(check).collect()
 }
 
-/// Reads the frame that the first camera of a list names. None if it names none, or if the file is no list of cameras.
+/// Reads the frame from a list's first camera. `None` if it names none, or if the file is no list of cameras.
 pub(crate) fn frame_of(path: &Path) -> Option<WorldFrame> {
     let entries: Vec<Named> = serde_json::from_str(&text::read(path).ok()?).ok()?;
     let &Named { origin, unit } = entries.first()?;

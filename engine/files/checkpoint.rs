@@ -1,4 +1,4 @@
-//! The checkpoint's file: safetensors, written whole or not at all.
+//! Checkpoint files: safetensors, written whole or not at all.
 
 use crate::host_memory::HostMemory;
 use crate::splats::Format;
@@ -31,28 +31,28 @@ const MOST_VISIBLE: &str = "most_visible";
 /// [`GradientSums::views`]. Present only if there are any.
 const SUMMED_VIEWS: &str = "gradient_sum_views";
 const AVERAGED_STEPS: &str = "mean_steps";
-/// [`Checkpoint::skipped`], under the name that files have had from the beginning. The oldest files lack it.
+/// Key of [`Checkpoint::skipped`]. The oldest files lack it.
 const SKIPPED: &str = "left_out";
-/// The actions of [`Checkpoint::due`] that every version knows, each by its name.
+/// Actions of [`Checkpoint::due`] that have a metadata entry of their own.
 const DUE: [(&str, Actions); 2] =
     [("densification_due", Actions::DENSIFY), ("opacity_reset_due", Actions::RESET_OPACITY)];
-/// All other actions, as bits. Present only if there are any.
+/// All other due actions, as bits. Present only if there are any.
 const OTHERS_DUE: &str = "strategy_due";
-/// The strategy's name, and the names of the loss's terms, with commas between them. Older files lack both.
+/// Keys of the strategy's name, and of the comma-separated names of the loss's terms. Older files lack both.
 const STRATEGY_NAME: &str = "strategy";
 /// [`Checkpoint::kernels`]. Older files lack it.
 const KERNELS: &str = "kernels";
 /// See [`STRATEGY_NAME`].
 const TERMS: &str = "loss_terms";
-/// [`Checkpoint::block`]: the bits of the core's corners, with commas between them; the number of Gaussians around; their hash.
+/// [`Checkpoint::block`]: bits of the core's corners, comma-separated; number of frozen Gaussians; their hash.
 /// Present only with a block.
 const BLOCK: [&str; 3] = ["block_core_bits", "block_frozen", "block_fingerprint"];
-/// [`Checkpoint::frame`]: x, y, z of the origin and the unit, with commas between them. Present only if it is not the identity.
+/// [`Checkpoint::frame`]: origin x, y, z and unit, comma-separated. Absent for the identity.
 const FRAME: &str = "frame";
-/// The data begin at a multiple of this.
+/// Alignment of the data, bytes.
 const ALIGNMENT: usize = 8;
 
-/// Checkpoints as files: what this crate adds to [`Checkpoint`].
+/// Reads and writes a [`Checkpoint`] as a file.
 pub trait CheckpointFile: Sized {
     /// Writes the checkpoint under a temporary name and renames it when it is complete.
     ///
@@ -69,10 +69,10 @@ pub trait CheckpointFile: Sized {
         Self::read_within(path, &HostMemory::default())
     }
 
-    /// Like [`CheckpointFile::read`], with a bound of the memory that it takes.
+    /// Same as [`CheckpointFile::read`], within a memory budget.
     ///
     /// # Errors
-    /// As [`CheckpointFile::read`].
+    /// Same as [`CheckpointFile::read`].
     fn read_within(path: impl AsRef<Path>, memory: &HostMemory) -> Result<Self>;
 }
 
@@ -101,7 +101,7 @@ impl CheckpointFile for Checkpoint {
 
     fn read_within(path: impl AsRef<Path>, memory: &HostMemory) -> Result<Self> {
         let path = path.as_ref();
-        // The file, and what it becomes.
+        // Twice the file: its bytes, and the checkpoint made of them.
         let (bytes, _lease) = regular_file::read_within(path, 2, memory)?;
         parse(&bytes).map_err(|problem| match other_file(path, &bytes) {
             Some((problem, remedy)) => Error::input(path, problem, remedy),
@@ -126,7 +126,7 @@ fn other_file(path: &Path, bytes: &[u8]) -> Option<(String, &'static str)> {
     sniff::recognise(bytes.get(..512).unwrap_or(bytes)).map(|(what, remedy)| (what.into(), remedy))
 }
 
-/// The format supports text only.
+/// Metadata entries, all as text: safetensors allows nothing else.
 fn metadata(checkpoint: &Checkpoint, data_fingerprint: u64) -> Result<BTreeMap<String, String>> {
     let settings = serde_json::to_string(&checkpoint.settings)
         .map_err(|e| Error::argument("settings", format!("cannot be written: {e}")))?;
@@ -186,7 +186,7 @@ fn metadata(checkpoint: &Checkpoint, data_fingerprint: u64) -> Result<BTreeMap<S
     Ok(named.map(|(name, value)| (name.to_owned(), value)).chain(own).collect())
 }
 
-/// The hash of the metadata, without its own entry.
+/// Hash of the metadata without the hash's own entry.
 fn fingerprint_of(metadata: &BTreeMap<String, String>) -> u64 {
     let mut fingerprint = Fingerprint::new();
     for (name, value) in metadata.iter().filter(|(name, _)| *name != FINGERPRINT) {
@@ -196,7 +196,7 @@ fn fingerprint_of(metadata: &BTreeMap<String, String>) -> u64 {
     fingerprint.finish()
 }
 
-/// Separate from the check of the hashes, which a fuzzer would not pass.
+/// Parses a checkpoint. Fuzzing skips the fingerprint of the metadata, which random bytes would never pass.
 fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
     let broken = |e: safetensors::SafeTensorError| {
         format!("is truncated or no safetensors file ({} bytes): {e}", bytes.len())
@@ -300,12 +300,12 @@ impl Metadata {
         text.parse().map_err(|_| format!("has '{text}' as the metadata '{name}'"))
     }
 
-    /// None if it is missing.
+    /// Returns `None` if the entry is missing.
     fn optional<T: std::str::FromStr>(&self, name: &str) -> Result<Option<T>, String> {
         self.0.contains_key(name).then(|| self.parsed(name)).transpose()
     }
 
-    /// The identity in older files.
+    /// Returns the identity for older files.
     fn frame(&self) -> Result<WorldFrame, String> {
         if !self.0.contains_key(FRAME) {
             return Ok(WorldFrame::default());
@@ -322,7 +322,7 @@ impl Metadata {
         }
     }
 
-    /// None of a whole scene, and in older files.
+    /// Returns `None` for a whole scene, and for older files.
     fn block(&self) -> Result<Option<BlockState>, String> {
         let [core, frozen, fingerprint] = BLOCK;
         if !self.0.contains_key(core) {
@@ -369,7 +369,7 @@ impl Metadata {
     }
 }
 
-/// The rows of a tensor of f32 with the shape [any, row...].
+/// Rows of an f32 tensor of shape [any, row...].
 fn values<T: Pod>(tensors: &SafeTensors, name: &str, row: &[usize]) -> Result<Vec<T>, String> {
     let tensor = tensors.tensor(name).map_err(|_| format!("lacks the tensor '{name}'"))?;
     let fits = tensor.dtype() == Dtype::F32 && tensor.shape().get(1..) == Some(row);
@@ -379,7 +379,7 @@ fn values<T: Pod>(tensors: &SafeTensors, name: &str, row: &[usize]) -> Result<Ve
     Ok(bytemuck::pod_collect_to_vec(tensor.data()))
 }
 
-/// None where they were not optimised.
+/// Returns `None` if poses were not optimised.
 fn poses(tensors: &SafeTensors) -> Result<Option<PoseState>, String> {
     let [parameters, first, second] = Checkpoint::POSES;
     if tensors.tensor(parameters).is_err() {
@@ -398,7 +398,7 @@ fn poses(tensors: &SafeTensors) -> Result<Option<PoseState>, String> {
     }))
 }
 
-/// None where they were not optimised, and in older files.
+/// Empty if poses were not optimised, and in older files.
 fn pose_sums(tensors: &SafeTensors) -> Result<Vec<[f32; 6]>, String> {
     let name = format!("{}{}", Checkpoint::GRADIENT_SUMS, Checkpoint::POSES[0]);
     match tensors.tensor(&name) {
@@ -407,7 +407,7 @@ fn pose_sums(tensors: &SafeTensors) -> Result<Vec<[f32; 6]>, String> {
     }
 }
 
-/// The strategy's own statistics, in the order of the data.
+/// The strategy's own statistics, in the order of the file's data.
 fn strategy_statistics(
     header: &safetensors::tensor::Metadata,
     tensors: &SafeTensors,
@@ -437,7 +437,7 @@ fn light_state(tensors: &SafeTensors, own: &str) -> Result<ExposureState, String
     })
 }
 
-/// None where they are not learned, and in older files.
+/// Empty if exposures and lens effects were not learned, and in older files.
 fn light_sums(tensors: &SafeTensors, prefix: &str) -> Result<LightSums, String> {
     let of = |own| matrices(tensors, prefix, own);
     Ok(LightSums { exposures: of(Checkpoint::EXPOSURES)?, lenses: of(Checkpoint::LENSES)? })

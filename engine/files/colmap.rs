@@ -1,6 +1,7 @@
 //! COLMAP's sparse models: cameras, registered images, points; binary and text.
 //!
-//! Tracks are skipped; [`observations`] and [`tracks`] read where photos show points. Format: COLMAP's documentation, "Output Format".
+//! Tracks are skipped; [`observations`] and [`tracks`] read the points that each photo shows. Format: COLMAP's
+//! documentation, "Output Format".
 
 mod binary;
 mod find;

@@ -1,13 +1,13 @@
-//! Counts the steps of readers, for the tests of how their cost grows. Does nothing in other builds.
+//! Counts the steps of readers, for tests of how their cost grows. Does nothing in other builds.
 
 use std::io::{self, Read, Seek, SeekFrom};
 
-/// One step: a node, a name, a row, a look at a folder.
+/// Counts one step: a node, a name, a row, a folder that is searched.
 pub(crate) fn step() {
     steps(1);
 }
 
-/// So many steps: the bytes or values that something goes through.
+/// Counts `count` steps, such as the bytes or values that were read.
 pub(crate) fn steps(count: usize) {
     #[cfg(test)]
     counter::STEPS.fetch_add(count as u64, std::sync::atomic::Ordering::Relaxed);
@@ -15,7 +15,7 @@ pub(crate) fn steps(count: usize) {
     let _ = count;
 }
 
-/// What is read through it, a step for each byte.
+/// A reader that counts a step for each byte.
 pub(crate) struct Counted<R>(pub(crate) R);
 
 impl<R: Read> Read for Counted<R> {
@@ -34,6 +34,6 @@ impl<R: Seek> Seek for Counted<R> {
 
 #[cfg(test)]
 pub(crate) mod counter {
-    /// All steps of the process so far.
+    /// Steps of the process so far.
     pub(crate) static STEPS: std::sync::atomic::AtomicU64 = std::sync::atomic::AtomicU64::new(0);
 }

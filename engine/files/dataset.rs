@@ -49,30 +49,32 @@ pub struct DatasetOptions {
     /// Name of the subfolder with the photos. In one called `…_2`, `…_4` or `…_8`, as benchmark data sets
     /// use, the photos may have that fraction of their cameras' size.
     pub images: String,
-    /// Folder of inverse-depth maps, within the data set or anywhere: a 16-bit PNG per photo, of the photo's name. Their
-    /// scale and offset are in the model's `depth_params.json`; without that file, they are fitted to the sparse points.
+    /// Folder of inverse-depth maps, absolute or within the data set: a 16-bit PNG per photo, with the photo's name.
+    /// Their
+    /// scale and offset are in the model's `depth_params.json`; without that file, they are fitted to the sparse
+    /// points.
     pub depths: Option<PathBuf>,
-    /// Whether photos are rotated by their metadata.
+    /// Rotation of photos by their metadata.
     pub orientation: PhotoOrientation,
-    /// The frame of cameras and points, such as that of a scene which is drawn with them; None: one that suits the data set.
+    /// Frame of cameras and points, such as the frame of an existing scene. `None` chooses one that suits the data set.
     pub frame: Option<WorldFrame>,
-    /// Whether every `test_every`-th view by name is held out.
+    /// True to hold out every `test_every`-th view by name.
     pub eval: bool,
-    /// Whether the left half of held-out views (columns below ⌊width / 2⌋) is trained on as well. Their views are then in
+    /// True to train on the left half of held-out views too (columns below ⌊width / 2⌋). Their views are then in
     /// both lists, in [`Dataset::train`] with a mask on the right half.
     pub train_test_exp: bool,
-    /// Distance of the held-out views; 8 in the reference implementation and the literature.
+    /// Interval of the held-out views; 8 in the reference implementation and the literature.
     pub test_every: u32,
-    /// Whether transparent pixels of a photo become white instead of black.
+    /// True if transparent pixels of a photo become white, false for black.
     pub white_background: bool,
-    /// Whether transparent photos keep their opacity, so that training can compose them over random backgrounds:
+    /// True if transparent photos keep their opacity, so that training can compose them over random backgrounds:
     /// [`StoredPhoto::with_opacity`].
     pub keep_opacity: bool,
-    /// Bound of the photos' memory. The photos beyond it stay in a file. None: all photos are held in memory.
+    /// Memory budget of the photos; photos beyond it stay in a file. `None` holds all photos in memory.
     pub photo_memory: Option<PhotoMemory>,
-    /// Bound of the memory that photos take, while they are decoded and where they are kept. If they can be kept in a file
-    /// ([`DatasetOptions::photo_memory`]), those that do not fit are; if not, a data set that does not fit is refused
-    /// before its photos are read.
+    /// Memory budget of photos, while they are decoded and while they are kept. With [`DatasetOptions::photo_memory`],
+    /// photos
+    /// beyond it are kept in a file. Without, a data set that does not fit is refused before its photos are read.
     pub host_memory: HostMemory,
 }
 
@@ -101,7 +103,7 @@ impl DatasetOptions {
         [if self.white_background { 1.0 } else { 0.0 }; 3]
     }
 
-    /// Ratio of the model's cameras to the photos in the folder.
+    /// Ratio of the model's camera size to the size of the photos in the folder.
     fn divisor(&self) -> u32 {
         match self.images.trim_end_matches('/').rsplit_once('_') {
             Some((_, "2")) => 2,
@@ -111,7 +113,7 @@ impl DatasetOptions {
         }
     }
 
-    /// Photos that are kept of a view.
+    /// Number of copies of a view's photo that are kept.
     fn copies(&self, held_out: bool) -> u64 {
         1 + u64::from(held_out && self.train_test_exp)
     }
@@ -136,16 +138,17 @@ pub struct View {
     pub original_camera: Camera,
     /// The photo, undistorted and scaled by [`DatasetOptions::resolution`], and its mask.
     pub photo: StoredPhoto,
-    /// The inverse depth that its pixels should have: [`TrainView::inverse_depth`](ashsplat::TrainView::inverse_depth).
-    /// Only with [`DatasetOptions::depths`], and of views that are trained on.
+    /// Inverse depth of each pixel: [`TrainView::inverse_depth`](ashsplat::TrainView::inverse_depth).
+    /// Present only with [`DatasetOptions::depths`], for training views.
     pub inverse_depth: Option<Arc<[f32]>>,
-    /// Sparse points that it shows: [`TrainView::depth_points`](ashsplat::TrainView::depth_points). Only after
-    /// [`Gallery::read_tracks`], and of views that are trained on.
+    /// Sparse points that the photo shows: [`TrainView::depth_points`](ashsplat::TrainView::depth_points). Present only
+    /// after
+    /// [`Gallery::read_tracks`], for training views.
     pub depth_points: Option<Arc<[DepthPoint]>>,
 }
 
 impl View {
-    /// The view with a mask on its right half: on the columns from ⌊width / 2⌋ on.
+    /// The view with a mask on its right half, the columns from ⌊width / 2⌋.
     fn left_half(&self) -> Result<Self> {
         let width = self.photo.width as usize;
         let photo = self.photo.hiding(|pixel| pixel % width >= width / 2)?;
@@ -170,12 +173,12 @@ pub struct Dataset {
     pub source: PathBuf,
     /// Warnings that do not prevent training.
     pub warnings: Vec<String>,
-    /// Treatment of the photos, one line each, besides [`Gallery::notes`].
+    /// Treatment of the photos in addition to [`Gallery::notes`], one line each.
     pub notes: Vec<String>,
 }
 
 impl Dataset {
-    /// Whether a file is a ZIP archive by its content, and so may be a data set.
+    /// True if a file's content is a ZIP archive, which may hold a data set.
     pub fn is_archive(path: impl AsRef<Path>) -> bool {
         unpacked::starts_like_zip(path.as_ref())
     }
@@ -196,7 +199,7 @@ impl Dataset {
     /// The cameras of all views by name, at the photos' original sizes. The photos are not decoded.
     ///
     /// # Errors
-    /// As [`Gallery::open`].
+    /// Same as [`Gallery::open`].
     pub fn cameras(path: impl AsRef<Path>, options: &DatasetOptions) -> Result<Vec<NamedCamera>> {
         Ok(Gallery::open(path, options, Progress::NONE)?.cameras())
     }
@@ -216,7 +219,7 @@ impl Dataset {
             )
         };
         let _kept = options.host_memory.keep(&what, kept)?;
-        // Decoding gets what the kept photos leave: waiting for their part would never end.
+        // Decoding gets the memory that the kept photos leave: waiting for theirs would never end.
         let options =
             &DatasetOptions { host_memory: options.host_memory.beside_photos(kept), ..options.clone() };
         let done = AtomicUsize::new(0);
@@ -261,7 +264,7 @@ impl Dataset {
         Ok(Self::assemble(gallery, views, warnings))
     }
 
-    /// `views`: each with the half that is trained on, if it is held out.
+    /// `views`: each with its training half, if it is held out.
     fn assemble(
         gallery: &Gallery,
         views: Vec<(View, Option<View>, PhotoUse)>,
@@ -303,13 +306,13 @@ impl Dataset {
     /// All views by name, including held-out ones.
     pub fn views(&self) -> Vec<&View> {
         let mut views: Vec<&View> = self.test.iter().chain(&self.train).collect();
-        // Stable: of two of one name, the whole one is first.
+        // The sort is stable: of two views with one name, the whole one comes first.
         views.sort_by(|a, b| a.name.cmp(&b.name));
         views.dedup_by(|b, a| a.name == b.name);
         views
     }
 
-    /// Whether a data set may have no points: those of the NeRF kind have none.
+    /// True if the data set may have no points, as NeRF data sets do.
     pub fn may_lack_points(&self) -> bool {
         may_lack_points(&self.source)
     }
@@ -328,13 +331,14 @@ impl Dataset {
         }
     }
 
-    /// Up to 20,000 points at which the training photographs agree: [`photo_points`]. Where there are fewer than 1000, random
-    /// ones are the better start: then the inner error is their number.
+    /// Up to 20,000 points at which the training photographs agree: [`photo_points`]. The inner error is their number
+    /// if it
+    /// is below 1000: random points are the better start then.
     ///
-    /// `memory` is the bound that the data set was loaded within: [`DatasetOptions::host_memory`].
+    /// `memory` is the budget with which the data set was loaded: [`DatasetOptions::host_memory`].
     ///
     /// # Errors
-    /// As [`photo_points`].
+    /// Same as [`photo_points`].
     pub fn points_in_photos(
         &self,
         seed: u64,
@@ -350,12 +354,12 @@ impl Dataset {
         Ok(if found.len() < MIN_PHOTO_POINTS { Err(found.len()) } else { Ok(found) })
     }
 
-    /// Takes back the warning that it has none: training goes on from Gaussians that are there.
+    /// Removes the warning about missing points, because training continues from existing Gaussians.
     pub fn needs_no_points(&mut self) {
         self.warnings.retain(|warning| !warning.starts_with(&random_points_instead()));
     }
 
-    /// Takes these as its points.
+    /// Replaces the data set's points.
     pub fn set_points(&mut self, points: PointCloud) {
         self.points = points;
         self.needs_no_points();
@@ -364,7 +368,7 @@ impl Dataset {
     /// The initial Gaussians of training.
     ///
     /// # Errors
-    /// As [`initial_gaussians`](crate::initial_gaussians).
+    /// Same as [`initial_gaussians`](crate::initial_gaussians).
     pub fn initial_gaussians(&self, sh_degree: u32, seed: u64) -> Result<Gaussians> {
         crate::initial_gaussians(&self.initial_points(seed), sh_degree)
     }
@@ -373,7 +377,7 @@ impl Dataset {
     /// reference implementation does.
     ///
     /// # Errors
-    /// As [`cameras_json::write()`].
+    /// Same as [`cameras_json::write()`].
     pub fn write_cameras_json(&self, path: impl AsRef<Path>) -> Result<()> {
         let held_out: HashSet<&str> = self.test.iter().map(|view| view.name.as_str()).collect();
         let others = self.train.iter().filter(|view| !held_out.contains(view.name.as_str()));
@@ -392,7 +396,7 @@ impl Dataset {
     }
 }
 
-/// The file for photos that exceed their memory bound.
+/// Creates the file for photos that exceed their memory budget.
 fn photo_file(
     needed: u64,
     options: &DatasetOptions,
@@ -407,23 +411,23 @@ fn photo_file(
     memory.create_file().map(Some)
 }
 
-/// The memory bound of photos that need so many bytes, if they exceed it.
+/// The photos' memory budget if `needed` bytes exceed it.
 fn beyond_memory(needed: u64, options: &DatasetOptions) -> Option<PhotoMemory> {
     let memory = options.photo_memory.as_ref()?;
-    // The other half is for decoding.
+    // Decoding uses the other half.
     let bytes = memory.bytes.min(options.host_memory.limit() / 2);
     (needed > bytes).then(|| PhotoMemory { bytes, ..memory.clone() })
 }
 
-/// Whether the data read from a model folder or a file with cameras may have no points.
+/// True if the source may have no points: a JSON file with cameras.
 fn may_lack_points(source: &Path) -> bool {
     source.extension().is_some_and(|ending| ending == "json")
 }
 
-/// With fewer points in the photographs random ones are the better start.
+/// Least number of points in the photographs; with fewer, random points are the better start.
 const MIN_PHOTO_POINTS: usize = 1000;
 
-/// The message where there are no points.
+/// The warning about random initial points.
 fn random_points_instead() -> String {
     format!("no points to start from; {RANDOM_POINTS} random ones stand in for them")
 }

@@ -44,13 +44,13 @@ pub trait PhotoFileFormat: Sized {
     /// Like [`PhotoFileFormat::read`], with a bound of the memory that decoding may take.
     ///
     /// # Errors
-    /// As [`PhotoFileFormat::read`].
+    /// Same as [`PhotoFileFormat::read`].
     fn read_within(path: impl AsRef<Path>, background: [f32; 3], memory: &HostMemory) -> Result<Self>;
 
     /// Like [`PhotoFileFormat::read`], and refuses a picture of another size before decoding it.
     ///
     /// # Errors
-    /// As [`PhotoFileFormat::read`], and [`Error::Input`] for another size.
+    /// Same as [`PhotoFileFormat::read`], and [`Error::Input`] for another size.
     fn read_sized(path: impl AsRef<Path>, background: [f32; 3], width: u32, height: u32) -> Result<Self>;
 
     /// Writes a PNG.
@@ -115,7 +115,7 @@ impl PhotoFileFormat for Photo {
 /// Reads a picture as it is wanted.
 ///
 /// # Errors
-/// As [`PhotoFileFormat::read_sized`].
+/// Same as [`PhotoFileFormat::read_sized`].
 pub(crate) fn read_as(path: &Path, request: &Request<'_>) -> Result<Decoded> {
     decode::read(path, request)
 }

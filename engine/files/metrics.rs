@@ -31,7 +31,7 @@ pub fn psnr(image: &[[f32; 3]], reference: &[[f32; 3]]) -> Result<f64> {
 /// [`psnr`] over the pixels that count: where the mask, one byte per pixel, is not 0.
 ///
 /// # Errors
-/// As [`psnr`], and for a mask of another size or that hides everything.
+/// Same as [`psnr`], and for a mask of another size or that hides everything.
 pub fn masked_psnr(image: &[[f32; 3]], reference: &[[f32; 3]], mask: &[u8]) -> Result<f64> {
     check_sizes(image.len(), reference.len())?;
     check_mask(image.len(), mask)?;
@@ -65,7 +65,7 @@ pub fn ssim(image: &[[f32; 3]], reference: &[[f32; 3]], width: u32) -> Result<f6
 /// channels.
 ///
 /// # Errors
-/// As [`ssim`], and for a mask of another size or that hides everything.
+/// Same as [`ssim`], and for a mask of another size or that hides everything.
 pub fn masked_ssim(image: &[[f32; 3]], reference: &[[f32; 3]], mask: &[u8], width: u32) -> Result<f64> {
     check_sizes(image.len(), reference.len())?;
     check_mask(image.len(), mask)?;

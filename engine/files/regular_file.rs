@@ -41,7 +41,7 @@ fn check_kind(path: &Path, metadata: &Metadata) -> Result<()> {
 /// The bytes of a file, if the machine has free memory for `growth` times as many.
 ///
 /// # Errors
-/// As [`open`]; [`Error::TooLarge`].
+/// Same as [`open`]; [`Error::TooLarge`].
 pub fn read(path: impl AsRef<Path>, growth: u64) -> Result<Vec<u8>> {
     let path = path.as_ref();
     let (file, length) = open(path)?;
@@ -49,7 +49,7 @@ pub fn read(path: impl AsRef<Path>, growth: u64) -> Result<Vec<u8>> {
     contents(path, file, length)
 }
 
-/// As [`read`], within a bound. The lease holds the memory of what the bytes become.
+/// Same as [`read`], within a bound. The lease holds the memory of what the bytes become.
 pub(crate) fn read_within(path: &Path, growth: u64, memory: &HostMemory) -> Result<(Vec<u8>, Lease)> {
     let (file, length) = open(path)?;
     let lease = memory.take(path, length.saturating_mul(growth))?;
@@ -59,7 +59,7 @@ pub(crate) fn read_within(path: &Path, growth: u64, memory: &HostMemory) -> Resu
 /// The text of a JSON file, if the machine has free memory for it and for what it becomes.
 ///
 /// # Errors
-/// As [`read`].
+/// Same as [`read`].
 pub fn read_json(path: impl AsRef<Path>) -> Result<Vec<u8>> {
     let text = read(&path, 1)?;
     check_json(path.as_ref(), &text, None)?;
@@ -75,7 +75,7 @@ pub(crate) fn check_json(path: &Path, text: &[u8], limit: Option<u64>) -> Result
 /// The bytes of a file; None if it has more than `most`.
 ///
 /// # Errors
-/// As [`open`].
+/// Same as [`open`].
 pub fn read_at_most(path: impl AsRef<Path>, most: u64) -> Result<Option<Vec<u8>>> {
     let path = path.as_ref();
     let (file, length) = open(path)?;

@@ -57,7 +57,7 @@ pub fn read(path: impl AsRef<Path>, options: &ReadOptions) -> Result<Scene> {
 /// What a file of Gaussians says of itself, without the Gaussians.
 ///
 /// # Errors
-/// As [`read`], but for what is wrong with the Gaussians.
+/// Same as [`read`], but for what is wrong with the Gaussians.
 pub fn header(path: impl AsRef<Path>, options: &ReadOptions) -> Result<Header> {
     Ok(open(path.as_ref(), options)?.header().clone())
 }
@@ -90,12 +90,12 @@ pub fn write(
     })
 }
 
-/// As [`write()`], of the Gaussians that a cut leaves, in their order, with spherical harmonics up to a degree; needs the
+/// Same as [`write()`], of the Gaussians that a cut leaves, in their order, with spherical harmonics up to a degree; needs the
 /// memory of a block besides. Returns how many were written, and the
 /// line of [`write()`]. The file has the bytes of the one that [`convert()`] makes.
 ///
 /// # Errors
-/// As [`write()`]; [`ashsplat::Error::Argument`] for a cut that makes no sense; [`ashsplat::Error::Input`] for parameters that [`read`] refuses.
+/// Same as [`write()`]; [`ashsplat::Error::Argument`] for a cut that makes no sense; [`ashsplat::Error::Input`] for parameters that [`read`] refuses.
 pub fn write_cut(
     path: impl AsRef<Path>,
     gaussians: &Gaussians,
@@ -129,7 +129,7 @@ pub fn write_cut(
 /// What a file of [`write_cut()`] in a format does not hold of the Gaussians, one line each.
 ///
 /// # Errors
-/// As [`write_cut()`], but for the file.
+/// Same as [`write_cut()`], but for the file.
 pub fn cut_losses(
     format: Format,
     gaussians: &Gaussians,
@@ -168,7 +168,7 @@ pub fn check_spz_version(format: Format, version: Option<u32>) -> Result<()> {
     }
 }
 
-/// As [`write_blocks`], of what was read and then changed: it can be read again, or is refused.
+/// Same as [`write_blocks`], of what was read and then changed: it can be read again, or is refused.
 fn write_readable(
     path: &Path,
     format: (Format, Option<u32>),

@@ -12,15 +12,15 @@ use crate::{cost, host_memory, regular_file, sniff, text};
 use ashsplat::scene::SourcePoints;
 use ashsplat::{Error, Result};
 
-/// Smallest records: a camera without parameters, an image of one letter without observations, a point without
-/// a track, bytes.
+/// Smallest records, bytes: a camera without parameters, an image with a one-letter name and no observations, a point
+/// without a track.
 const MIN_CAMERA_BYTES: u64 = 24;
 const MIN_IMAGE_BYTES: u64 = 74;
 const POINT_BYTES: u64 = 51;
 const OBSERVATION_BYTES: u64 = 24;
 const TRACK_ENTRY_BYTES: u64 = 8;
 
-/// What is kept of each, bytes: with parameters, with a name.
+/// Memory per record, bytes: a camera with its parameters, an image with its name, a point.
 const CAMERA_ROOM: usize = size_of::<ColmapCamera>() + 16 * size_of::<f64>();
 const IMAGE_ROOM: usize = size_of::<ColmapImage>() + 64;
 const POINT_ROOM: usize = size_of::<DVec3>() + size_of::<[u8; 3]>();
@@ -63,7 +63,7 @@ pub(super) fn images(path: &Path) -> Result<Vec<ColmapImage>> {
     Ok(images)
 }
 
-/// What each image shows.
+/// Reads the observations of each image.
 pub(super) fn observations(path: &Path) -> Result<Vec<Observed>> {
     let mut file = BinaryFile::open(path)?;
     let count = file.count("images", MIN_IMAGE_BYTES, size_of::<Observed>())?;
@@ -83,7 +83,7 @@ pub(super) fn observations(path: &Path) -> Result<Vec<Observed>> {
         }
         let place = |file: &mut BinaryFile| {
             let at = [file.double()?, file.double()?];
-            // All ones for none.
+            // COLMAP writes all ones for an observation without a point.
             let point = u64::from_le_bytes(file.take()?);
             Ok((at, Some(point).filter(|&point| point != u64::MAX)))
         };
@@ -93,7 +93,7 @@ pub(super) fn observations(path: &Path) -> Result<Vec<Observed>> {
     Ok(images)
 }
 
-/// The points' positions by their ids.
+/// Reads the points' positions by id.
 pub(super) fn positions(path: &Path) -> Result<HashMap<u64, [f64; 3]>> {
     let mut file = BinaryFile::open(path)?;
     let count = file.count("points", POINT_BYTES, 2 * size_of::<(u64, [f64; 3])>())?;
@@ -133,13 +133,13 @@ pub(super) fn claimed_count(path: &Path) -> u64 {
     }
 }
 
-/// A file that tracks how many of its bytes remain.
+/// A file with a count of its remaining bytes.
 struct BinaryFile<'a> {
     path: &'a Path,
     reader: BufReader<File>,
     length: u64,
     remaining: u64,
-    /// The current record, for messages.
+    /// The current record, for error messages.
     record: String,
 }
 
@@ -156,7 +156,7 @@ impl<'a> BinaryFile<'a> {
         };
         let mut start = Vec::new();
         Read::take(&mut this.reader, 512).read_to_end(&mut start).map_err(io)?;
-        // A count of 0 is all zeros, and valid.
+        // A count of 0 is valid, although its bytes are all zeros.
         if let Some((problem, remedy)) = sniff::recognise(&start).filter(|_| start != [0; 8]) {
             return Err(Error::input(path, problem, remedy));
         }
@@ -169,7 +169,7 @@ impl<'a> BinaryFile<'a> {
         Error::input(self.path, place, "the file is damaged or was cut short: copy the model again")
     }
 
-    /// The number of records. Refused if the file is too small for them, or the machine's memory.
+    /// Reads the number of records. Fails if the file, or the machine's free memory, is too small for them.
     fn count(&mut self, what: &str, record_bytes: u64, room: usize) -> Result<usize> {
         let count = u64::from_le_bytes(self.take()?);
         match usize::try_from(count) {
@@ -198,7 +198,7 @@ impl<'a> BinaryFile<'a> {
         Ok(f64::from_le_bytes(self.take()?))
     }
 
-    /// Text that a zero byte ends.
+    /// Reads text up to a zero byte.
     fn name(&mut self) -> Result<String> {
         let mut bytes = Vec::new();
         loop {

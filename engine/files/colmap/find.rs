@@ -15,7 +15,7 @@ use ashsplat::{Error, Result};
 pub struct ModelFolder {
     /// The folder that holds cameras, images and points3D.
     pub folder: PathBuf,
-    /// Whether the files are text rather than binary.
+    /// True for text files, false for binary ones.
     pub text: bool,
     /// A message if the choice was not obvious.
     pub warning: Option<String>,
@@ -23,13 +23,14 @@ pub struct ModelFolder {
 
 /// Folder within a data set's in which `ashsplat poses` works until its cameras are found.
 pub const UNFINISHED_POSES: &str = "poses.unfinished";
-/// File within a data set's folder with what `ashsplat poses` asked of COLMAP and what that said.
+/// Log in a data set's folder: the COLMAP commands of `ashsplat poses`, and their output.
 pub const POSES_LOG: &str = "poses.log";
 
 const PARTS: [&str; 3] = ["cameras", "images", "points3D"];
 
-/// Finds the model of a data set: `sparse/N` (of several the one with the most registered images, then points,
-/// then the lowest name), `sparse`, or the folder itself.
+/// Finds the model of a data set: `sparse/N`, `sparse`, or the folder itself. Among several `sparse/N`, the one with
+/// the most
+/// registered images wins, then with the most points, then with the lowest name.
 ///
 /// # Errors
 /// [`Error::Input`] when there is none, or the model lacks its cameras or images; [`Error::Io`] when the folder
@@ -64,7 +65,7 @@ pub fn find(dataset: impl AsRef<Path>) -> Result<ModelFolder> {
     }
 }
 
-/// Whether a data set has a model at one of the places of [`find`].
+/// True if a data set has a model at one of the places of [`find`].
 pub fn exists(dataset: impl AsRef<Path>) -> bool {
     let dataset = dataset.as_ref();
     let sparse = dataset.join("sparse");
@@ -72,10 +73,10 @@ pub fn exists(dataset: impl AsRef<Path>) -> bool {
     below.iter().chain([&sparse, &dataset.to_owned()]).any(|folder| has_model(folder))
 }
 
-/// Programs that write both forms of a model do so within this time.
+/// Largest age difference between two forms of a model that one program wrote.
 const CONVERSION: Duration = Duration::from_secs(5);
 
-/// Files of cameras that other programs write, and these programs.
+/// Camera files of other programs, and these programs' names.
 const FOREIGN_CAMERAS: [(&str, &str); 7] = [
     ("cameras.xml", "Metashape"),
     ("reconstruction.json", "OpenSfM"),
@@ -86,7 +87,7 @@ const FOREIGN_CAMERAS: [(&str, &str); 7] = [
     ("cameras.json", "a trained model"),
 ];
 
-/// The error names a remedy that depends on what the folder holds instead of a model.
+/// The error for a missing model. Its remedy depends on what the folder holds instead.
 fn no_model(dataset: &Path) -> Error {
     let problem = "has no COLMAP model (sparse/0/cameras.bin or .txt) and no transforms.json";
     let place = dataset.display();
@@ -124,7 +125,7 @@ fn no_model(dataset: &Path) -> Error {
     Error::input(dataset, problem, remedy)
 }
 
-/// The command that finds the cameras of photos or of a video, as a shell reads it.
+/// The command that finds the cameras of photos or of a video, quoted for a shell.
 fn poses(source: &Path) -> String {
     format!("`ashsplat poses {}`", quoted(&source.to_string_lossy()))
 }
@@ -139,7 +140,7 @@ fn describe(folder: PathBuf, warning: Option<String>) -> Result<ModelFolder> {
             return Err(Error::input(&folder, problem, "copy the whole model of COLMAP"));
         }
     };
-    // Programs that write one form leave the other as it was.
+    // A program that writes one form leaves the other form unchanged.
     let changed = |part: &str, ending| {
         fs::metadata(folder.join(format!("{part}.{ending}"))).and_then(|file| file.modified()).ok()
     };
@@ -211,7 +212,7 @@ impl Model {
     /// Finds and reads the model of a data set.
     ///
     /// # Errors
-    /// As [`find`] and [`Model::read`].
+    /// Same as [`find`] and [`Model::read`].
     pub fn of_dataset(dataset: impl AsRef<Path>) -> Result<Self> {
         Self::read(&find(dataset)?)
     }

@@ -24,9 +24,9 @@ pub struct Model {
     pub cameras: BTreeMap<u32, ColmapCamera>,
     /// Registered images, in the file's order.
     pub images: Vec<ColmapImage>,
-    /// The points, in the file's order, without those at no finite position.
+    /// The points with finite positions, in the file's order.
     pub points: SourcePoints,
-    /// All oddities that did not prevent reading.
+    /// Oddities that did not prevent reading.
     pub warnings: Vec<String>,
 }
 
@@ -58,17 +58,17 @@ impl Model {
         })
     }
 
-    /// The model's file of a part: "cameras", "images" or "points3D".
+    /// Path of the model's file for "cameras", "images" or "points3D".
     pub fn file(&self, part: &str) -> PathBuf {
         self.source.folder.join(format!("{part}.{}", if self.source.text { "txt" } else { "bin" }))
     }
 
-    /// The file of the points, if there is one.
+    /// Path of the points' file, if there is one.
     pub(super) fn points_file(&self) -> Option<PathBuf> {
         points_file(&self.source)
     }
 
-    /// The camera with pose of an image, at the photo's size and without lens distortion, in the file's coordinates.
+    /// Camera and pose of an image at the photo's size, without lens distortion, in the file's coordinates.
     ///
     /// # Errors
     /// [`Error::Input`] naming file and id when the camera does not exist, has an unsupported lens, no usable
@@ -104,10 +104,10 @@ impl Model {
         Ok(result)
     }
 
-    /// A camera at the size of its photos, with its lens.
+    /// A camera and its lens at the size of its photos.
     ///
     /// # Errors
-    /// As [`Model::camera_of`], for the camera alone.
+    /// Same as [`Model::camera_of`], except for images and poses.
     pub fn lens(&self, camera: &ColmapCamera) -> Result<Lens> {
         let file = self.file("cameras");
         let place = format!("camera {} ({})", camera.id, camera.model.name());
@@ -143,7 +143,7 @@ impl Model {
     }
 }
 
-/// Focal lengths and principal point, and the distortion; `None` for unsupported lenses.
+/// Focal lengths, principal point and distortion; `None` for unsupported lenses.
 fn optics(camera: &ColmapCamera) -> Option<([f64; 4], Distortion)> {
     let brown =
         |k: [f64; 3], d: [f64; 3], p: [f64; 2]| Distortion::Brown { k: [k[0], k[1], k[2], 0.0], d, p };
@@ -200,7 +200,7 @@ fn points(source: &ModelFolder, warnings: &mut Vec<String>) -> Result<SourcePoin
         Some("ply") => ply::read_points_of(&file, warnings)?,
         _ => binary::points(&file)?,
     };
-    // The reference keeps a copy of the points there.
+    // The reference implementation keeps a copy of the points in this PLY.
     let ply = file.with_extension("ply");
     if points.is_empty() && ply.is_file() {
         points = ply::read_points_of(&ply, warnings)?;

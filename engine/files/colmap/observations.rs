@@ -1,4 +1,4 @@
-//! Where the photos of a model show its points.
+//! Observations: the places in photos that show a model's points.
 
 use std::collections::HashMap;
 use std::path::PathBuf;
@@ -12,10 +12,10 @@ use crate::depth_fit::DepthPoint;
 use ashsplat::Result;
 use ashsplat::scene::lens::Distortion;
 
-/// Positions of points by their ids, the file's coordinates.
+/// Positions of points by id, the file's coordinates.
 type Positions = HashMap<u64, [f64; 3]>;
 
-/// What each image shows, and the points.
+/// Reads the observations of each image, and the points' positions.
 fn read(model: &Model) -> Result<(Vec<Observed>, Positions)> {
     let (images, points) = (model.file("images"), model.points_file());
     let observed =
@@ -30,10 +30,10 @@ fn read(model: &Model) -> Result<(Vec<Observed>, Positions)> {
     Ok((observed, positions))
 }
 
-/// The points that each image of a model shows, by the image's id.
+/// The points that each image of a model shows, by image id.
 ///
 /// # Errors
-/// As [`Model::read`].
+/// Same as [`Model::read`].
 pub fn observations(model: &Model) -> Result<HashMap<u32, Vec<DepthPoint>>> {
     let (observed, positions) = read(model)?;
     let pose = |image: &ColmapImage| (image.id, (image.rotation(), DVec3::from_array(image.translation)));
@@ -51,11 +51,11 @@ pub fn observations(model: &Model) -> Result<HashMap<u32, Vec<DepthPoint>>> {
     Ok(observed.into_iter().map(of_image).collect())
 }
 
-/// The positions, in the file's coordinates, of the points that each image of a model shows, by the image's id: once each, in the order of the
-/// points' ids.
+/// Positions of the points that each image of a model shows, by image id, in the file's coordinates. Each point appears
+/// once, in the order of point ids.
 ///
 /// # Errors
-/// As [`Model::read`].
+/// Same as [`Model::read`].
 pub fn tracks(model: &Model) -> Result<HashMap<u32, Vec<[f64; 3]>>> {
     let (observed, positions) = read(model)?;
     let of_image = |(id, places): Observed| {
@@ -67,13 +67,13 @@ pub fn tracks(model: &Model) -> Result<HashMap<u32, Vec<[f64; 3]>>> {
     Ok(observed.into_iter().map(of_image).collect())
 }
 
-/// A line about a model whose points do not lie where its photos show them: poses, points or cameras have been changed apart.
+/// A warning if points do not lie where the photos show them, because poses, points or cameras were changed separately.
 pub(crate) fn contradiction(model: &Model) -> Option<String> {
-    /// Reading the observations of larger models would take too long.
+    /// Larger models are skipped: reading their observations would take too long.
     const MOST_BYTES: u64 = 32 << 20;
     const SAMPLE: usize = 1000;
     const LEAST: usize = 100;
-    /// Share of the photo's larger side. Distortion, which is left out here, is less in the median.
+    /// Share of the photo's larger side. The projection ignores distortion, whose median effect is smaller.
     const FAR: f64 = 0.05;
     let bytes = |file: PathBuf| std::fs::metadata(file).map_or(u64::MAX, |file| file.len());
     if bytes(model.file("images")).saturating_add(bytes(model.points_file()?)) > MOST_BYTES {

@@ -45,8 +45,10 @@ pub(super) fn images(path: &Path) -> Result<Vec<ColmapImage>> {
     Ok(images)
 }
 
-/// Calls `visit` with each image, and with the words of its observations, in the file's order. Some programs leave out the lines
-/// of observations, or put blank lines between all: a line of numbers after an image is its observations, any other is an image.
+/// Calls `visit` with each image, or with the words of its observations, in the file's order. Some programs omit the
+/// lines
+/// of observations or insert blank lines. So a line of numbers after an image is its observations, any other line an
+/// image.
 fn each_image(
     path: &Path,
     mut visit: impl FnMut(Option<ColmapImage>, Words<'_>) -> Result<()>,
@@ -62,7 +64,7 @@ fn each_image(
     Ok(())
 }
 
-/// What each image shows.
+/// Reads the observations of each image.
 pub(super) fn observations(path: &Path) -> Result<Vec<Observed>> {
     let mut images: Vec<Observed> = Vec::new();
     each_image(path, |image, mut words| {
@@ -70,7 +72,7 @@ pub(super) fn observations(path: &Path) -> Result<Vec<Observed>> {
         let Some((_, places)) = images.last_mut() else { return Ok(()) };
         while !words.rest.is_empty() {
             let at = [words.number("position")?, words.number("position")?];
-            // -1 for none.
+            // COLMAP writes -1 for an observation without a point.
             let point: i64 = words.number("point id")?;
             places.push((at, u64::try_from(point).ok()));
         }
@@ -79,7 +81,7 @@ pub(super) fn observations(path: &Path) -> Result<Vec<Observed>> {
     Ok(images)
 }
 
-/// The points' positions by their ids.
+/// Reads the points' positions by id.
 pub(super) fn positions(path: &Path) -> Result<HashMap<u64, [f64; 3]>> {
     let mut file = TextFile::open(path)?;
     let mut positions = HashMap::new();
@@ -141,7 +143,7 @@ struct TextFile<'a> {
 impl<'a> TextFile<'a> {
     fn open(path: &'a Path) -> Result<Self> {
         let (file, bytes) = regular_file::open(path)?;
-        // Of long lines, those of observations and tracks, nothing is kept.
+        // Long lines hold observations and tracks, which are not kept.
         host_memory::check_free(path, bytes.saturating_mul(2))?;
         let mut this = Self { path, reader: BufReader::new(file.take(bytes)), text: String::new(), line: 0 };
         let start = this.reader.fill_buf().map_err(|source| Error::io(path, "read", source))?;
@@ -184,7 +186,7 @@ impl<'a> TextFile<'a> {
     }
 }
 
-/// The rest of a line.
+/// The unread rest of a line.
 struct Words<'a> {
     path: &'a Path,
     line: u64,
@@ -218,7 +220,7 @@ impl<'a> Words<'a> {
         })
     }
 
-    /// Whether these are observations: x, y and the id of a point, any number of times.
+    /// True for a line of observations: x, y and the id of a point, any number of times.
     fn are_observations(mut self) -> bool {
         while !self.rest.is_empty() {
             let numbers = (self.number::<f64>(""), self.number::<f64>(""), self.number::<i64>(""));

@@ -37,12 +37,12 @@ impl CameraModel {
     /// Parameters fx, fy, cx, cy.
     pub const PINHOLE: Self = Self(1);
 
-    /// By COLMAP's number.
+    /// Model with COLMAP's number.
     pub fn from_number(number: i64) -> Option<Self> {
         usize::try_from(number).ok().filter(|&n| n < MODELS.len()).map(Self)
     }
 
-    /// By COLMAP's name.
+    /// Model with COLMAP's name.
     pub fn from_name(name: &str) -> Option<Self> {
         MODELS.iter().position(|(model, _)| *model == name).map(Self)
     }
@@ -93,7 +93,7 @@ pub struct ColmapImage {
     pub translation: [f64; 3],
 }
 
-/// Of one image: its id, and places in its photo with the id of the point that lies there, if there is one.
+/// An image's id, and its observations: the place in the photo, and the id of the point there if there is one.
 pub(super) type Observed = (u32, Vec<([f64; 2], Option<u64>)>);
 
 impl ColmapImage {

@@ -1,4 +1,4 @@
-//! Writing a binary model.
+//! Writes binary models.
 
 use std::io::{self, Write};
 use std::path::Path;
@@ -10,7 +10,7 @@ use crate::atomic;
 use ashsplat::scene::{Camera, PointCloud};
 use ashsplat::{Error, Result};
 
-/// Writes cameras.bin, images.bin and points3D.bin into a folder, which is created. There are no observations and
+/// Writes cameras.bin, images.bin and points3D.bin into a folder, which it creates. It writes no observations and
 /// no tracks; points get the ids 1, 2, ….
 ///
 /// # Errors
@@ -89,7 +89,7 @@ fn doubles(w: &mut dyn Write, values: &[f64]) -> io::Result<()> {
 }
 
 impl ColmapCamera {
-    /// The PINHOLE camera of a camera, without its pose.
+    /// The PINHOLE camera with the intrinsics of `camera`.
     pub fn pinhole(id: u32, camera: &Camera) -> Self {
         Self {
             id,
@@ -102,7 +102,7 @@ impl ColmapCamera {
 }
 
 impl ColmapImage {
-    /// The registered image of a camera with its pose.
+    /// The registered image with the pose of `camera`.
     pub fn posed(id: u32, camera_id: u32, name: impl Into<String>, camera: &Camera) -> Self {
         let quat = DQuat::from_mat3(&camera.camera_from_world.as_dmat3()).normalize();
         let translation = camera.translation.as_dvec3().to_array();

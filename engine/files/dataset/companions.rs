@@ -11,8 +11,9 @@ use crate::names::{Finder, is_companion, pictures_below};
 use ashsplat::Error;
 
 impl Plan {
-    /// Finds the masks of all views without one. Says how many have a mask, or could have a depth map, and what belongs to no photo.
-    /// Views that would share a photo or a mask because of a tolerant search become errors.
+    /// Finds the masks of all views without one. Notes how many have a mask or could have a depth map, and which files
+    /// belong to no
+    /// photo. Views that would share a photo or a mask because of a tolerant search become errors.
     pub(super) fn find_companions(&mut self, dataset: &Path, options: &DatasetOptions) {
         let images = dataset.join(&options.images);
         let mut finder = Finder::default();
@@ -108,7 +109,7 @@ impl Plan {
         }
     }
 
-    /// Names files of points that are not read, where there are no others.
+    /// Names point files that are not read, if the data set has no other points.
     pub(super) fn tell_of_points(&mut self, dataset: &Path) {
         const ENDINGS: [&str; 8] = ["las", "laz", "e57", "pts", "ptx", "xyz", "pcd", "ply"];
         // Beside a transforms.json, any PLY is used or named already.
@@ -130,7 +131,7 @@ impl Plan {
         }
     }
 
-    /// Depth maps are used on request only.
+    /// Notes depth maps that are present but unused: only `-d` uses them.
     fn tell_of_depths(&mut self, dataset: &Path, names: &[PathBuf], finder: &mut Finder) {
         if self.named_depth_maps > 0 {
             self.notes.push(format!(

@@ -17,7 +17,7 @@ use crate::transforms;
 use ashsplat::scene::{PicturePart, WorldFrame};
 use ashsplat::{Error, Result};
 
-/// A map that is read with its photo.
+/// An inverse-depth map that is read with its photo.
 #[derive(Clone, Debug)]
 pub(super) struct PlannedMap {
     path: PathBuf,
@@ -25,8 +25,9 @@ pub(super) struct PlannedMap {
     fit: DepthFit,
 }
 
-/// The maps of the views, by their order; none for those that are left out, and for views that are not trained on: nothing
-/// reads theirs.
+/// Finds the maps of the views, in their order. Held-out views that are not trained on get none, and neither do views
+/// whose
+/// map cannot be fitted.
 ///
 /// # Errors
 /// [`Error::Input`] naming the folder, the map or the parameters that are missing.
@@ -51,7 +52,7 @@ pub(super) fn plan(
         .collect())
 }
 
-/// The maps of views that are trained on, by their order. `unit`: of the frame, source units.
+/// Finds the maps of training views, in their order. `unit` is the frame's unit in source units.
 fn of_trained(
     dataset: &Path,
     folder: &Path,
@@ -75,7 +76,7 @@ fn of_trained(
     }
     let planned = |path: PathBuf, fit| Some(PlannedMap { path, fit });
     if transforms::find(dataset).is_some() && !colmap::exists(dataset) {
-        // Their values are inverse depths.
+        // The maps of a transforms.json hold inverse depths.
         let fit = DepthFit { scale: unit, offset: 0.0 };
         return Ok(paths.into_iter().map(|path| planned(path, fit)).collect());
     }
@@ -122,14 +123,14 @@ fn of_trained(
     Ok(maps)
 }
 
-/// A photo's name without its ending, as the maps have it.
+/// A photo's name without its extension, as maps are named.
 fn stem(name: &str) -> String {
     let name = plain(name);
     let ending = name.rsplit_once('.').filter(|(_, ending)| !ending.contains('/'));
     ending.map_or(name.clone(), |(stem, _)| stem.to_owned())
 }
 
-/// The map of a photo of this name, or of one whose other folders the maps do not have.
+/// Finds the map of a photo. The maps' folder may omit folders of the photo's name.
 pub(super) fn map_of(folder: &Path, name: &str, finder: &mut Finder) -> Option<PathBuf> {
     let (name, stem) = (plain(name), stem(name));
     let (below, last) = stem.rsplit_once('/').map_or(("", &*stem), |(below, last)| (below, last));
@@ -159,7 +160,7 @@ fn checked_map_of(folder: &Path, view: &PlannedView, finder: &mut Finder) -> Res
     Ok(path)
 }
 
-/// The parameters of a file, which are in 1 / source units, in 1 / world units.
+/// Reads the parameters of a file and converts them from 1 / source units to 1 / world units.
 fn given(file: &Path, views: &[&PlannedView], unit: f64) -> Result<Vec<DepthFit>> {
     let all: BTreeMap<String, DepthFit> = DepthFit::read_all(file)?;
     let of = |view: &&PlannedView| {
@@ -176,7 +177,7 @@ fn given(file: &Path, views: &[&PlannedView], unit: f64) -> Result<Vec<DepthFit>
     views.iter().map(of).collect()
 }
 
-/// Fits all maps to the sparse points that their photos show.
+/// Fits all maps to the sparse points of their photos.
 fn fitted(
     model: &Model,
     (views, unit): (&[&PlannedView], f64),
@@ -204,7 +205,7 @@ fn fitted(
 }
 
 impl PlannedMap {
-    /// The inverse depths that the pixels of a view's photo should have: infinite where its mask says that they do not count.
+    /// Reads the inverse depth of each pixel of a view's photo: infinite where the mask hides the pixel.
     pub(super) fn load(&self, view: &View, options: &DatasetOptions) -> Result<Arc<[f32]>> {
         let map = DepthMap::read(&self.path, &options.host_memory)?;
         let (photo, whole) = (&view.photo, view.camera.whole());

@@ -1,19 +1,19 @@
-//! Says which cameras can hardly be those of their photos.
+//! Finds cameras that can hardly belong to their photos.
 
 use std::path::Path;
 
 use ashsplat::scene::lens::{Distortion, Lens};
 
-/// Plausible angles from edge to edge, degrees: from long telephoto lenses to the widest that a pinhole replaces.
+/// Plausible angles of view from edge to edge, degrees: from long telephoto lenses to the widest pinhole.
 const ANGLES: std::ops::RangeInclusive<f64> = 3.0..=150.0;
 
-/// Largest plausible ratio of the focal lengths: pixels are square but for anamorphic lenses.
+/// Largest plausible ratio of the focal lengths; pixels are square except with anamorphic lenses.
 const ASPECT: f64 = 1.3;
 
-/// Largest plausible distance of the principal point from the middle, in image sizes. A camera of photos of half the size is 0.25 off.
+/// Largest plausible offset of the principal point, in image sizes. A camera of photos of half the size is 0.25 off.
 const OFF_CENTER: f64 = 0.2;
 
-/// The warning about some cameras with their names, if one is doubtful.
+/// A warning about the named cameras if one is doubtful.
 pub(super) fn warning<'a>(file: &Path, lenses: impl Iterator<Item = (String, &'a Lens)>) -> Option<String> {
     let mut doubts = lenses.filter_map(|(name, lens)| Some((name, doubt(lens)?)));
     let (name, what) = doubts.next()?;

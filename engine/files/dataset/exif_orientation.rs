@@ -1,9 +1,10 @@
 //! Decides which photos are rotated by their metadata (Exif).
 //!
 //! COLMAP, nerfstudio (Pillow), instant-ngp (stb_image) and the reference use pixels as they are stored.
-//! OpenCV, and programs that use it, rotate them first. For a photo on its side, the size of its camera shows
-//! which of both was done. The result for these photos of a data set is applied to the others, whose size
-//! shows nothing: square ones, those upside down or mirrored, and those whose cameras have no size.
+//! OpenCV, and programs that use it, rotate them first. For a photo on its side, the camera's size shows which was
+//! done.
+//! That result applies to the data set's other photos too, whose size shows nothing: square ones, those upside down or
+//! mirrored, and those whose cameras have no size.
 
 use std::path::Path;
 
@@ -13,11 +14,11 @@ use crate::images::{Header, PhotoOrientation, header};
 
 /// The decision for all photos of a data set.
 pub(super) struct Turned {
-    /// Whether each one is rotated.
+    /// True for each photo that is rotated.
     pub(super) photos: Vec<bool>,
-    /// Their sizes after that, pixels, of those that can be read.
+    /// Photo sizes after the rotation, pixels; `None` for unreadable photos.
     pub(super) sizes: Vec<Option<(u32, u32)>>,
-    /// Number of photos that are used as stored although their metadata ask for a rotation, because no size
+    /// Number of photos that are used as stored, although their metadata ask for a rotation, because no size
     /// decides it.
     pub(super) untold: usize,
 }
@@ -26,7 +27,7 @@ pub(super) struct Turned {
 pub(super) type Sides = [f64; 2];
 
 impl Turned {
-    /// Photos (if they exist) and the sides of their cameras (if they are known).
+    /// Takes photos (if they exist) and the sides of their cameras (if they are known).
     pub(super) fn of(photos: &[(Option<&Path>, Option<Sides>)], choice: PhotoOrientation) -> Self {
         // A photo that cannot be read is reported when it is loaded.
         let asked = |&(path, sides): &(Option<&Path>, Option<Sides>)| Some((header(path?).ok()?, sides));
@@ -52,7 +53,7 @@ impl Turned {
         with(turned.collect(), if tells { 0 } else { untold })
     }
 
-    /// The warning if no size decides it.
+    /// A warning if no size decides the rotation.
     pub(super) fn warning(&self, list: &Path) -> Option<String> {
         let Self { untold, .. } = self;
         let photos = if *untold == 1 { "1 photo is" } else { &format!("{untold} photos are") };
@@ -67,7 +68,7 @@ impl Turned {
     }
 }
 
-/// Whether a camera has the size of the rotated photo; None if its sides fit both.
+/// True if a camera has the size of the rotated photo; `None` if its sides fit both.
 fn told_by(header: Header, [width, height]: Sides) -> Option<bool> {
     let (stored_width, stored_height) = header.size(false);
     let tells = header.lies_on_its_side() && stored_width != stored_height && width != height;

@@ -1,4 +1,4 @@
-//! The photos of a data set one at a time, for applications that need only a few.
+//! Reads single photos of a data set, for applications that need only a few.
 
 use std::collections::BTreeSet;
 use std::ops::Range;
@@ -24,7 +24,7 @@ pub struct Gallery {
     pub(super) views: Vec<PlannedView>,
     pub(super) held_out: Vec<bool>,
     pub(super) maps: Vec<Option<PlannedMap>>,
-    /// Per view; empty before [`Gallery::read_tracks`].
+    /// One per view; empty before [`Gallery::read_tracks`].
     pub(super) tracks: Vec<Option<Track>>,
     pub(super) frame: WorldFrame,
     pub(super) points: PointCloud,
@@ -37,11 +37,11 @@ pub struct Gallery {
 }
 
 impl Gallery {
-    /// Opens a data set (or a ZIP of one, which stays unpacked as long as this value lives). The photos are
+    /// Opens a data set. A ZIP stays unpacked as long as this value lives. The photos are
     /// not decoded.
     ///
     /// # Errors
-    /// As [`Dataset::load`], except for the photos' contents and the split.
+    /// Same as [`Dataset::load`], except for the photos' contents and the split.
     pub fn open(path: impl AsRef<Path>, options: &DatasetOptions, progress: Progress<'_>) -> Result<Self> {
         let unpacked = Unpacked::open(path.as_ref(), progress)?;
         let plan = Plan::of(unpacked.folder(), options).map_err(|error| unpacked.name(error))?;
@@ -76,12 +76,12 @@ impl Gallery {
     /// Reads all photos: the whole data set, in parallel.
     ///
     /// # Errors
-    /// As [`Dataset::load`].
+    /// Same as [`Dataset::load`].
     pub fn load(&self, progress: Progress<'_>) -> Result<Dataset> {
         Dataset::of(self, progress).map_err(|error| self.unpacked.name(error))
     }
 
-    /// Leaves out all views but those with these names. Which are held out stays as it was with all of them.
+    /// Removes all views except those with these names. The choice of held-out views stays as it was.
     ///
     /// # Errors
     /// [`Error::Input`] for a name that no view has.
@@ -104,7 +104,7 @@ impl Gallery {
         Ok(())
     }
 
-    /// Hides pixels of a view besides those that its mask hides: those where `counts`, a coarse picture of this width and height
+    /// Hides further pixels of a view: those where `counts`, a coarse picture of this width and height
     /// over the whole view, is false.
     ///
     /// # Errors
@@ -115,12 +115,14 @@ impl Gallery {
         Ok(())
     }
 
-    /// Uses a part of a view's photo in place of the whole: these columns and rows of a coarse picture of this width and height over the
-    /// whole view, as much around them as their gradients depend on, and what is missing of whole tiles of 16 pixels. Camera, masks, inverse-depth
-    /// maps and points are that part's ([`Camera::part()`](ashsplat::scene::Camera::part())).
+    /// Uses a part of a view's photo in place of the whole. The part covers these columns and rows of a coarse picture
+    /// of this
+    /// width and height, the border that their gradients depend on, and the rest of whole 16-pixel tiles. Camera,
+    /// masks,
+    /// inverse-depth maps and points are cut to it ([`Camera::part()`](ashsplat::scene::Camera::part())).
     ///
     /// # Errors
-    /// [`Error::Argument`] for a view that does not exist, and for columns or rows that the coarse picture does not have.
+    /// [`Error::Argument`] for a view that does not exist, and for columns or rows outside the coarse picture.
     pub fn use_part(
         &mut self,
         index: usize,
@@ -133,19 +135,19 @@ impl Gallery {
         Ok(())
     }
 
-    /// The share of a view's photo that is used: 1 without [`Gallery::use_part`]. `None` beyond the last.
+    /// Share of a view's photo that is used; 1 without [`Gallery::use_part`]. `None` for an index out of range.
     pub fn share_used(&self, index: usize) -> Option<f64> {
         self.views.get(index).map(PlannedView::share_used)
     }
 
-    /// The gallery with whole photos, whatever [`Gallery::use_part`] said.
+    /// Undoes [`Gallery::use_part`] for all views.
     #[must_use]
     pub fn with_whole_photos(mut self) -> Self {
         self.views.iter_mut().for_each(|view| view.part = None);
         self
     }
 
-    /// The cameras of what is used of the photos, at the sizes that these will have when they are read.
+    /// Cameras of the used parts of the photos, at the sizes that the photos will have when they are read.
     ///
     /// # Errors
     /// See [`Camera::part()`](ashsplat::scene::Camera::part()).
@@ -155,7 +157,7 @@ impl Gallery {
         self.views.iter().map(used).collect()
     }
 
-    /// Whether a view is trained on, as a whole or as a half.
+    /// True if a view is trained on, as a whole or as a half.
     pub(super) fn is_trained(&self, held_out: bool) -> bool {
         !held_out || self.options.train_test_exp
     }
@@ -178,8 +180,8 @@ impl Gallery {
         self.views.iter().map(named).collect()
     }
 
-    /// The photos to train on, with the sizes that they will have when they are read. Whether masks or
-    /// transparency hide pixels is not known before that.
+    /// The training photos with the sizes that they will have when they are read. Masks and transparency are not known
+    /// before that.
     pub fn train_photos(&self) -> Vec<PhotoSize> {
         let all = self.views.iter().zip(&self.held_out).zip(&self.maps).enumerate();
         let train = all.filter(|(_, ((_, held_out), _))| self.is_trained(**held_out));
@@ -198,27 +200,27 @@ impl Gallery {
         train.map(size).collect()
     }
 
-    /// 1.1 times the largest distance of a camera to train on to their mean, world units; 0 where all are at one place.
+    /// 1.1 × the largest distance of a training camera to their mean, world units; 0 if all are at one place.
     pub fn scene_extent(&self) -> f32 {
         let all = self.views.iter().zip(&self.held_out);
         let train = all.filter(|(_, held_out)| self.is_trained(**held_out));
         scene_extent(train.map(|(view, _)| view.camera().position()))
     }
 
-    /// The bound of the photos' memory, if they exceed it and will be kept in a file.
+    /// The photos' memory budget, if they exceed it and will be kept in a file.
     pub fn file_memory(&self) -> Option<u64> {
         beyond_memory(self.texel_bytes(), &self.options).map(|memory| memory.bytes)
     }
 
-    /// Estimated bytes of the inverse-depth maps that are kept.
+    /// Estimated bytes of the kept inverse-depth maps.
     pub(super) fn map_bytes(&self) -> u64 {
-        // A float per pixel is as much as a texel.
+        // A map's float per pixel takes as much as a texel.
         let all = self.views.iter().zip(&self.held_out).zip(&self.maps);
         let kept = all.filter(|((_, held_out), map)| map.is_some() && self.is_trained(**held_out));
         kept.map(|((view, _), _)| view.texel_bytes(&self.options)).sum()
     }
 
-    /// Estimated bytes of all photos that are kept.
+    /// Estimated bytes of all kept photos.
     pub(super) fn texel_bytes(&self) -> u64 {
         let bytes = |(view, held_out): (&PlannedView, &bool)| {
             self.options.copies(*held_out) * view.texel_bytes(&self.options)
@@ -226,7 +228,7 @@ impl Gallery {
         self.views.iter().zip(&self.held_out).map(bytes).sum()
     }
 
-    /// Whether each view, by name, is held out; none is without [`DatasetOptions::eval`].
+    /// True for each held-out view, by name; all false without [`DatasetOptions::eval`].
     pub fn held_out(&self) -> &[bool] {
         &self.held_out
     }
@@ -236,7 +238,7 @@ impl Gallery {
         &self.warnings
     }
 
-    /// What is done with the photos, one line each, where that is nothing to worry about.
+    /// Harmless notes on the treatment of the photos, one line each.
     pub fn notes(&self) -> &[String] {
         &self.notes
     }
@@ -251,15 +253,15 @@ impl Gallery {
         &self.points
     }
 
-    /// The width and height in pixels that a photo will have when it is read; `None` beyond the last.
+    /// Width and height in pixels that a photo will have when it is read; `None` for an index out of range.
     pub fn size(&self, index: usize) -> Option<(u32, u32)> {
         Some(self.views.get(index)?.size(&self.options))
     }
 
-    /// Reads a photo, undistorted and scaled as the options say; `None` beyond the last.
+    /// Reads a photo, undistorted and scaled as the options say; `None` for an index out of range.
     ///
     /// # Errors
-    /// As [`super::Dataset::load`].
+    /// Same as [`super::Dataset::load`].
     pub fn view(&self, index: usize) -> Option<Result<View>> {
         let view = self.views.get(index)?;
         Some(view.load(&self.options).map_err(|error| self.unpacked.name(error)))

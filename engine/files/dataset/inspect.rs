@@ -26,7 +26,7 @@ pub struct DatasetReport {
     pub cameras: BTreeMap<String, usize>,
     /// Number of registered images.
     pub images: usize,
-    /// Number of photos that are present, whole and of their camera's size.
+    /// Number of photos that exist, are complete and have their camera's size.
     pub sound_photos: usize,
     /// Number of views that training would use, with the given options.
     pub train_views: usize,
@@ -46,19 +46,19 @@ pub struct DatasetReport {
     pub problems: Vec<String>,
     /// Warnings that do not prevent training.
     pub warnings: Vec<String>,
-    /// What is done with the photos, where that is nothing to worry about.
+    /// Harmless notes on the treatment of the photos.
     pub notes: Vec<String>,
-    /// The problems again, to find one among many.
+    /// The problems as a set, for the search for duplicates.
     known: HashSet<String>,
 }
 
 impl DatasetReport {
-    /// Whether training can start.
+    /// True if training can start.
     pub fn is_sound(&self) -> bool {
         self.problems.is_empty()
     }
 
-    /// True if training refuses it without an explicit start.
+    /// True if training refuses the data set without an explicit choice of initial points.
     pub fn needs_random_points(&self) -> bool {
         self.points == 0 && !self.model.as_deref().is_some_and(may_lack_points)
     }

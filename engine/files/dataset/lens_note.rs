@@ -1,4 +1,4 @@
-//! What is said of lenses that distort.
+//! Notes on lenses that distort.
 
 use super::scaling;
 use crate::images::Resolution;
@@ -6,7 +6,7 @@ use ashsplat::scene::Intrinsics;
 use ashsplat::scene::lens::Lens;
 use std::path::Path;
 
-/// Which of a data set's cameras have lens distortion, if any: many have one camera for each photo.
+/// Names the cameras with lens distortion, if any. Many data sets have one camera per photo.
 pub(super) fn of<'a>(
     file: &Path,
     cameras: impl Iterator<Item = (&'a Lens, Option<Intrinsics>)>,
@@ -25,7 +25,7 @@ pub(super) fn of<'a>(
     Some(format!("{}: {which} lens distortion", file.display()))
 }
 
-/// What happens to their photos, which have these sizes, pixels.
+/// Note on the treatment of their photos, which have these sizes in pixels.
 pub(super) fn line(which: Option<&str>, sizes: &[(u32, u32)], resolution: Resolution) -> Option<String> {
     let (which, ((width, height), up_to)) = (which?, scaling::largest(sizes)?);
     let (width, height) = resolution.apply(width, height);

@@ -27,7 +27,7 @@ impl Mask {
         Self { width, height, values }
     }
 
-    /// A mask of any size, for a photo of another one: see [`Mask::stretched_to`].
+    /// A mask of any size, to be stretched to its photo: see [`Mask::stretched_to`].
     ///
     /// # Errors
     /// [`Error::Argument`] when there is not one value per pixel.
@@ -40,7 +40,7 @@ impl Mask {
         Ok(Self { width, height, values })
     }
 
-    /// The mask at another size, where a pixel has the value of that in which its centre lies.
+    /// The mask at another size, with the nearest value for each pixel.
     pub(super) fn stretched_to(&self, width: u32, height: u32) -> Self {
         let nearest = |at: u32, to: u32, from: u32| {
             ((2 * u64::from(at) + 1) * u64::from(from) / (2 * u64::from(to))) as usize
@@ -51,7 +51,7 @@ impl Mask {
         Self { width, height, values }
     }
 
-    /// Reads the mask of a photo of this size. The mask of a larger version of the photo is scaled down.
+    /// Reads the mask of a photo of this size. A mask of a larger version of the photo is scaled down.
     pub(super) fn read(
         path: &Path,
         turned: bool,
@@ -64,7 +64,7 @@ impl Mask {
             let remedy = "masks must have their photo's size, or be larger with the same proportions";
             return Err(Error::input(path, problem, remedy));
         }
-        // Its own values, and those of the photo's size.
+        // The mask's own values, and the scaled ones.
         let besides = 2 * u64::from(size.0) * u64::from(size.1);
         let request = Request { turned, size: Some(size), besides, ..Request::plain([0.0; 3], memory) };
         let grey = read_as(path, &request)?;
@@ -76,7 +76,7 @@ impl Mask {
         Self { width: grey.width, height: grey.height, values }
     }
 
-    /// The mask of a program that writes 1 where pixels count, in place of 255.
+    /// Converts a mask that marks pixels with 1 instead of 255.
     fn of_bits(mut self) -> Self {
         if self.values.iter().all(|&value| value <= 1) {
             self.values.iter_mut().for_each(|value| *value *= 255);
@@ -84,7 +84,7 @@ impl Mask {
         self
     }
 
-    /// The pixels that count in both masks, which have the same size. Without one all count.
+    /// A mask of the pixels that count in both masks, which have the same size. A missing mask hides nothing.
     pub(super) fn of_both(one: Option<Self>, other: Option<Self>) -> Option<Self> {
         let (mut both, other) = match (one, other) {
             (Some(one), Some(other)) => (one, other),
@@ -99,8 +99,7 @@ impl Mask {
         Self::of_grey(undistort(&grey((self.width, self.height), &self.values), lens, pinhole))
     }
 
-    /// Scales the mask. A pixel counts if all pixels that it covers do, since its colour is a mean of all of
-    /// them.
+    /// Scales the mask. A pixel counts if all pixels that it covers count, since its colour is their mean.
     pub(super) fn scaled_to(self, width: u32, height: u32) -> Self {
         if (width, height) == (self.width, self.height) {
             return self;
@@ -152,7 +151,7 @@ pub(super) fn is_scaled(one: (u32, u32), other: (u32, u32)) -> bool {
     is_enlarged(one, other) || is_enlarged(other, one)
 }
 
-/// Whether a picture has the size of another one, or of a larger version whose sides were rounded when it was
+/// True if a picture has the size of another one, or of a larger version whose sides were rounded when it was
 /// scaled down.
 fn is_enlarged(size: (u32, u32), of: (u32, u32)) -> bool {
     let [a, b] = [(size.0, of.0), (size.1, of.1)].map(|(larger, side)| {
@@ -167,7 +166,7 @@ fn is_enlarged(size: (u32, u32), of: (u32, u32)) -> bool {
 const FOLDERS: [&str; 7] =
     ["masks", "mask", "segmentation", "segmentations", "segmentation_masks", "image_masks", "images_masks"];
 
-/// The folders of a data set that hold masks: first those that belong to the photos' folder, `masks_4` with `images_4`.
+/// The folders of a data set that hold masks. The one of the photos' folder comes first: `masks_4` with `images_4`.
 pub(super) fn folders_of_masks(dataset: &Path, images: &str, finder: &mut Finder) -> Vec<PathBuf> {
     let ending = images.trim_end_matches('/').strip_prefix("images").unwrap_or_default();
     let beside_photos = dataset.join(images).parent().map_or(dataset.to_owned(), Path::to_owned);
@@ -183,7 +182,7 @@ pub(super) fn folders_of_masks(dataset: &Path, images: &str, finder: &mut Finder
     folders
 }
 
-/// Folders of a data set that are named as masks, but are not used: `sky_masks`, which other programs combine with others.
+/// Unused folders with names like masks, such as `sky_masks`, which other programs combine with other masks.
 pub(super) fn unused_folders(dataset: &Path) -> Vec<PathBuf> {
     let is_known = |name: &str| {
         let stem = name.trim_end_matches(|c: char| c.is_ascii_digit()).trim_end_matches('_');
@@ -201,8 +200,8 @@ pub(super) fn unused_folders(dataset: &Path) -> Vec<PathBuf> {
     folders
 }
 
-/// The mask of a photo, which has this path below the photos' folder: in a folder of masks below the same folders as the photo or
-/// fewer, or beside the photo.
+/// Finds the mask of a photo, whose path below the photos' folder is `name`. It lies beside the photo, or in a folder
+/// of masks below the same subfolders or fewer.
 pub(super) fn mask_of(
     folders: &[PathBuf],
     name: &Path,
@@ -211,7 +210,7 @@ pub(super) fn mask_of(
 ) -> Option<PathBuf> {
     let whole = name.file_name()?.to_str()?;
     let stem = name.file_stem()?.to_str()?;
-    // COLMAP's own name, then those of Metashape, 3DGRUT and RealityCapture.
+    // The name that COLMAP uses, then those of Metashape, 3DGRUT and RealityCapture.
     let [own, plain] = [format!("{whole}.png"), format!("{stem}.png")];
     let marked = [
         format!("{stem}_mask.png"),
@@ -241,7 +240,7 @@ pub(super) fn mask_of(
     found.or_else(|| [&own].into_iter().chain(&marked).find_map(|name| finder.photo(beside, name)))
 }
 
-/// The mask that a `transforms.json` names, or the one in the masks' folder that belongs to the photos'.
+/// The mask that a `transforms.json` names, or its counterpart in the folder that matches the photos' folder.
 pub(super) fn mask_in_folder(dataset: &Path, images: &str, named: &Path) -> PathBuf {
     let rest = named.strip_prefix(dataset.join("masks")).ok();
     let beside = rest.map(|rest| dataset.join(beside(images)).join(rest)).filter(|path| path.is_file());

@@ -10,21 +10,23 @@ use ashsplat::scene::{SourcePoints, WorldFrame};
 const SAMPLE: usize = 2000;
 const VIEWS: usize = 200;
 
-/// Depth below which a 20th of the points that the photos show lie.
+/// The near depth is the depth below which one in this many visible points lies.
 const NEAR_SHARE: usize = 20;
 
-/// Depths of the near points, source units, at which the unit stays 1. Below, the near limit of 0.2 hides some of what
-/// lies around them: at 0.2 the demo loses 3 dB. Above, inverse
-/// depths are too small for the losses that compare them.
+/// Near depths, source units, at which the unit stays 1. Below, the near limit of 0.2 hides Gaussians: at 0.2 the demo
+/// loses 3 dB. Above, inverse depths are too small for the losses that compare them.
 const KEPT: std::ops::Range<f64> = 0.3..1000.0;
 
-/// Distance from a frame's origin, in radii of the data set, at which single precision resolves a 16,000th of the radius. Nearer data
-/// sets keep the origin of their files, so that a model's PLY has their coordinates.
+/// Distance from a frame's origin, in radii of the data set, at which single precision resolves a 16,000th of the
+/// radius. Nearer
+/// data sets keep the origin of their files, so that a model's PLY has their coordinates.
 const FAR: f64 = 1000.0;
 
-/// The frame of a data set: its origin is that of points and cameras, and its unit puts the near points between 1 and 10.
+/// The frame of a data set. Its origin is the default, or the middle of points and cameras if they are far from that.
+/// Its unit
+/// brings the near depth to between 1 and 10.
 ///
-/// Without points in view, the median distance of the cameras from their middle takes the place of the near points' depth.
+/// Without visible points, the cameras' median distance from their middle replaces the near depth.
 pub(super) fn frame_of(views: &[&PlannedView], points: &SourcePoints) -> WorldFrame {
     let mut depths: Vec<f64> = Vec::new();
     for view in views.iter().step_by(views.len().div_ceil(VIEWS).max(1)) {
@@ -42,8 +44,9 @@ pub(super) fn frame_of(views: &[&PlannedView], points: &SourcePoints) -> WorldFr
     WorldFrame { unit: if keeps { 1.0 } else { decade }, ..around }
 }
 
-/// Whether single precision rounds a data set in a frame that was not chosen for it: that of a checkpoint which is older than
-/// frames, or of a scene elsewhere.
+/// True if single precision rounds a data set in a frame that was not chosen for it, such as the frame of another scene
+/// or of
+/// a checkpoint older than frames.
 pub(super) fn is_far(views: &[&PlannedView], points: &SourcePoints, frame: &WorldFrame) -> bool {
     median_ball(&all(views, points))
         .is_some_and(|(center, radius)| center.distance(frame.origin) > FAR * radius)
@@ -57,7 +60,7 @@ fn centers(views: &[&PlannedView]) -> Vec<DVec3> {
     views.iter().map(|view| view.source_position()).collect()
 }
 
-/// Some of the points, and all cameras.
+/// A sample of the points, and all cameras.
 fn all(views: &[&PlannedView], points: &SourcePoints) -> Vec<DVec3> {
     sample(points).chain(centers(views)).collect()
 }

@@ -1,4 +1,4 @@
-//! Where the photos of a COLMAP model lie.
+//! Finds the photos of a COLMAP model.
 
 use std::path::{Path, PathBuf};
 
@@ -6,7 +6,7 @@ use crate::names::{has_photos, photos_below, photos_beside};
 use crate::{colmap, regular_file};
 use ashsplat::{Error, Result};
 
-/// The folder that is named; or the data set itself if it has no `images` and photos lie beside the model.
+/// The named folder, or the data set itself if it has no `images` and photos lie beside the model.
 pub(super) fn find(dataset: &Path, images: &str) -> Result<PathBuf> {
     let folder = dataset.join(images);
     if folder.is_dir() {
@@ -23,8 +23,8 @@ pub(super) fn find(dataset: &Path, images: &str) -> Result<PathBuf> {
     Err(Error::input(folder, "there is no folder with photos", remedy))
 }
 
-/// The photos that the folder has, whether or not they are in the model. In that of the data set itself other pictures
-/// may lie beside them, masks for example: only the folders with photos of the model (`names`) are looked through.
+/// All photos of the folder, in the model or not. The data set's own folder may hold other pictures, such as masks:
+/// there, only the folders with photos of the model (`names`) are searched.
 pub(super) fn found<'n>(dataset: &Path, folder: &Path, names: impl Iterator<Item = &'n str>) -> Vec<PathBuf> {
     match (dataset.canonicalize(), folder.canonicalize()) {
         (Ok(dataset), Ok(same)) if dataset == same => photos_beside(folder, names),
@@ -32,7 +32,7 @@ pub(super) fn found<'n>(dataset: &Path, folder: &Path, names: impl Iterator<Item
     }
 }
 
-/// What may find cameras for the other photos of a data set.
+/// Advice on how to find cameras for the other photos of a data set.
 pub(super) fn advice_for_more(dataset: &Path) -> &'static str {
     match regular_file::read(dataset.join(colmap::POSES_LOG), 2) {
         Ok(log) if String::from_utf8_lossy(&log).contains(" exhaustive_matcher ") => {

@@ -1,11 +1,11 @@
-//! Lines about what masks and alpha channels hide of photos.
+//! Notes and warnings about pixels that masks and alpha channels hide.
 
 use super::mask::Mask;
 use super::planned_view::{PlannedView, ReadPhoto};
 
-/// Findings in the pixels of a photo.
+/// What the pixels of a photo show.
 pub(super) struct PhotoUse {
-    /// True if none of its pixels counts.
+    /// True if no pixel counts.
     is_hidden: bool,
     is_transparent: bool,
     gamma: Option<f32>,
@@ -18,11 +18,11 @@ impl PhotoUse {
     }
 }
 
-/// The notes and warnings about photos.
+/// Returns the notes and the warnings about photos.
 pub(super) fn lines<'v>(
     photos: impl Iterator<Item = (&'v PlannedView, PhotoUse)>,
 ) -> (Vec<String>, Vec<String>) {
-    /// Values of 1 / 2.2 and of older screens, which look as sRGB does.
+    /// 1 / 2.2 and the values of older screens, which look like sRGB.
     const USUAL_GAMMA: std::ops::RangeInclusive<f32> = 0.4..=0.6;
     let (mut all, mut by_alpha, mut by_both, mut beside_mask) = (0, 0, 0, 0);
     let mut hidden: Vec<&PlannedView> = Vec::new();

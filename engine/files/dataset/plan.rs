@@ -18,10 +18,10 @@ use ashsplat::scene::lens::Lens;
 use ashsplat::scene::{Camera, Intrinsics, PointCloud, SourcePoints, WorldFrame, far_camera, strays};
 use ashsplat::{Error, Result};
 
-/// Lenses and the pinholes in their place, by what is printed of them: every number differently if it differs.
+/// Lenses and their pinhole replacements by the lens's debug text, which differs whenever a number does.
 type Lenses = BTreeMap<String, (Lens, Option<Intrinsics>)>;
 
-/// What is said of a lens without a pinhole in its place.
+/// The problem of a lens that no pinhole can replace.
 const NO_PINHOLE: &str =
     "sees too much for a pinhole, or its distortion folds the photo over, so that one place appears twice";
 const NO_PINHOLE_REMEDY: &str =
@@ -37,7 +37,7 @@ pub(super) struct Plan {
     pub(super) views: Vec<Result<PlannedView>>,
     /// Number of images that have a camera.
     pub(super) registered: usize,
-    /// Whether the data set itself specifies the held-out views.
+    /// True if the data set itself specifies the held-out views.
     pub(super) has_split: bool,
     /// The frame of views and points.
     pub(super) frame: WorldFrame,
@@ -45,17 +45,17 @@ pub(super) struct Plan {
     /// Number of cameras by "MODEL WIDTHxHEIGHT".
     pub(super) cameras: BTreeMap<String, usize>,
     pub(super) warnings: Vec<String>,
-    /// What is done with the photos, where that is nothing to worry about.
+    /// Harmless notes on the treatment of the photos.
     pub(super) notes: Vec<String>,
     /// Number of depth maps that a transforms.json names.
     pub(super) named_depth_maps: usize,
-    /// Which cameras have lens distortion.
+    /// Names the cameras that have lens distortion.
     distorted: Option<String>,
 }
 
 impl Plan {
-    /// Reads the contents of a data set. It looks for the photos, and opens those whose size is not known
-    /// otherwise, but does not decode them.
+    /// Reads the contents of a data set. It finds the photos without decoding them, and opens those whose size
+    /// is not known otherwise.
     pub(super) fn of(path: &Path, options: &DatasetOptions) -> Result<Self> {
         let files = transforms::find(path);
         let unused = transforms::unused(path, if colmap::exists(path) { None } else { files.as_deref() });
@@ -93,7 +93,7 @@ impl Plan {
         Ok(plan)
     }
 
-    /// Chooses the frame, unless it is given, and brings views and points into it.
+    /// Chooses the frame unless one is given, and moves views and points into it.
     fn settle_frame(&mut self, given: Option<WorldFrame>, mut points: SourcePoints) {
         self.leave_out_copies(&mut points);
         self.lighten_black(&mut points);
@@ -111,8 +111,9 @@ impl Plan {
         self.points = points.in_frame(&self.frame);
     }
 
-    /// Leaves out points that lie exactly where others do, if these are half or more: Gaussians take their size from the
-    /// distance of their neighbours. COLMAP's own models have up to a tenth of such points.
+    /// Removes points at the position of another point if these are half or more, because Gaussians take their size
+    /// from the
+    /// distance to neighbours. COLMAP's own models have up to a tenth of such points.
     fn leave_out_copies(&mut self, points: &mut SourcePoints) {
         let mut seen = HashSet::new();
         let is_first: Vec<bool> =
@@ -133,8 +134,9 @@ impl Plan {
         self.warnings.push(format!("{list}: {copies} of {count} {what} and are left out"));
     }
 
-    /// Makes points grey if all are black: programs write that for points without colours, and black Gaussians hardly learn, because
-    /// colours below 0 have no gradient.
+    /// Makes points grey if all are black. Programs write black for points without colours, and black Gaussians hardly
+    /// learn,
+    /// because colours below 0 have no gradient.
     fn lighten_black(&mut self, points: &mut SourcePoints) {
         if !points.is_empty() && points.colors.iter().all(|color| *color == [0; 3]) {
             points.colors.fill([127; 3]);
@@ -142,7 +144,7 @@ impl Plan {
         }
     }
 
-    /// Names files that other programs use and this one does not.
+    /// Names files that other programs use and ashsplat does not.
     fn tell_of_unused_files(&mut self, dataset: &Path, options: &DatasetOptions) {
         let there = |names: &[&str]| -> Vec<String> {
             let folders = [dataset, &self.source];
@@ -162,7 +164,7 @@ impl Plan {
         }
     }
 
-    /// Names the cameras that the scene extent leaves out, or the farthest one that decides it.
+    /// Names the cameras that the scene extent ignores, or the farthest one that decides it.
     fn warn_of_strays(&mut self) {
         let views: Vec<&PlannedView> = self.views.iter().flatten().collect();
         let positions: Vec<Vec3> = views.iter().map(|view| view.camera().position()).collect();
@@ -185,7 +187,7 @@ impl Plan {
         }
     }
 
-    /// Warns of cameras that can hardly be those of their photos.
+    /// Warns of cameras that can hardly belong to their photos.
     fn warn_of_lenses(&mut self) {
         let of_model = self.source != self.list;
         let mut known = HashSet::new();
@@ -197,7 +199,7 @@ impl Plan {
         self.warnings.extend(doubtful_lens::warning(&self.list, named));
     }
 
-    /// Warns of points that hardly any camera sees: they are of another frame, or of another scene.
+    /// Warns of points that hardly any camera sees: they belong to another frame or another scene.
     fn warn_of_points_out_of_view(&mut self) {
         const SAMPLE: usize = 500;
         const LEAST_SEEN: f32 = 0.1;
@@ -258,7 +260,7 @@ impl Plan {
             let camera = model.cameras.get(&image.camera_id);
             (path.as_deref().ok(), camera.map(|camera| [camera.width as f64, camera.height as f64]))
         });
-        // COLMAP itself never rotates photos, so there is nothing to warn of if no size shows otherwise.
+        // COLMAP itself never rotates photos, so no warning is needed if no size shows otherwise.
         let Turned { photos: turned, sizes, .. } =
             Turned::of(&asked.collect::<Vec<_>>(), options.orientation);
         let view =
@@ -274,7 +276,8 @@ impl Plan {
                     let remedy = "copy it there, or remove the image from the model";
                     return Err(Error::input(photo_path, problem, remedy));
                 }
-                // The path is shown and written; one of another machine is not.
+                // The name is shown and written. A path outside the photos' folder, such as another machine's, is
+                // replaced.
                 let name = match stays_inside(&plain(&image.name)) {
                     true => image.name.clone(),
                     false => {
@@ -322,7 +325,8 @@ impl Plan {
         }
     }
 
-    /// The photos of a model's images: by their names, else by the ends of these, of what no other image names.
+    /// Finds the photos of a model's images: by their names, else by the ends of the names among photos that no other
+    /// image names.
     fn photo_paths(
         &mut self,
         images: &[&ColmapImage],
@@ -477,7 +481,7 @@ impl Plan {
         })
     }
 
-    /// Which of the views (by index) are held out.
+    /// True if a view is held out.
     pub(super) fn is_test(&self, index: usize, options: &DatasetOptions) -> bool {
         let says_so = || self.views[index].as_ref().is_ok_and(|view| view.held_out);
         if self.has_split { options.eval && says_so() } else { options.is_test(index) }
@@ -500,7 +504,7 @@ pub(super) fn check_split(list: &Path, held_out: &[bool]) -> Result<()> {
     Err(Error::input(list, problem, "train without --eval"))
 }
 
-/// The photo of a frame, in the requested folder if the file names `images`.
+/// The photo of a frame; in the requested folder if the file names `images`.
 fn photo_in_folder(path: &Path, frame: &Frame, images: &str, finder: &mut Finder) -> PathBuf {
     match frame.name.strip_prefix("images/") {
         Some(rest) if images != "images" => {

@@ -20,25 +20,25 @@ pub(crate) struct PlannedView {
     /// Rotation and translation from source coordinates to the camera.
     pub(super) camera_from_source: DMat3,
     pub(super) translation: DVec3,
-    /// The frame of the cameras that are made of it.
+    /// The frame of the view's cameras.
     pub(super) frame: WorldFrame,
     /// The camera at the photo's size, with its lens.
     pub(super) lens: Lens,
-    /// The pinhole camera that replaces it; the same without distortion.
+    /// The pinhole that replaces the lens; the same without distortion.
     pub(super) pinhole: Intrinsics,
     pub(super) photo_path: PathBuf,
-    /// Whether the photo is rotated by its metadata.
+    /// True if the photo is rotated by its metadata.
     pub(super) turned: bool,
-    /// The photo's width and height after that, if it can be read.
+    /// Width and height after that rotation, if the photo can be read.
     pub(super) file_size: Option<(u32, u32)>,
-    /// The photo's mask file, and what else is hidden.
+    /// The photo's mask file. `coarse_mask` hides further pixels.
     pub(super) mask_path: Option<PathBuf>,
     pub(super) coarse_mask: Option<Mask>,
-    /// What is used of it; None for all.
+    /// The used part of the photo; `None` for the whole.
     pub(super) part: Option<UsedPart>,
-    /// Whether transparent pixels of the photo do not count; otherwise they show the background.
+    /// True if transparent pixels of the photo do not count; otherwise they show the background.
     pub(super) alpha_is_mask: bool,
-    /// Whether the data set specifies that the view is held out.
+    /// True if the data set specifies that the view is held out.
     pub(super) held_out: bool,
 }
 
@@ -59,7 +59,7 @@ pub(super) struct ReadPhoto {
 }
 
 impl PlannedView {
-    /// A view without a name and at the origin, of which all is used.
+    /// A view at the origin with its whole photo, and without a name.
     pub(super) fn of(
         (lens, pinhole): (Lens, Intrinsics),
         photo_path: PathBuf,
@@ -85,7 +85,7 @@ impl PlannedView {
         }
     }
 
-    /// The pinhole camera of the view at the size of its file, as far as the data set specifies it.
+    /// The view's pinhole camera at the size of its file.
     pub(crate) fn camera(&self) -> Camera {
         self.camera_in(&self.frame)
     }
@@ -107,7 +107,7 @@ impl PlannedView {
         -(self.camera_from_source.transpose() * self.translation)
     }
 
-    /// Depth of a point in source coordinates, source units; None if the photo does not show its place.
+    /// Depth of a point in source coordinates, source units; `None` if the point is out of view.
     pub(super) fn depth_of(&self, point: DVec3) -> Option<f64> {
         let Intrinsics { fx, fy, cx, cy, width, height } = self.pinhole;
         let p = self.camera_from_source * point + self.translation;
@@ -121,7 +121,7 @@ impl PlannedView {
         let (lens, pinhole) = (self.lens, self.pinhole);
         let memory = &options.host_memory;
         let own = (lens.width, lens.height);
-        // One file at a time: who waits for memory must hold none.
+        // Reads one file at a time: a thread that waits for memory must hold none.
         let mask =
             self.mask_path.as_ref().map(|path| Mask::read(path, self.turned, own, memory)).transpose()?;
         let scaled = options.resolution.apply(pinhole.width, pinhole.height);
@@ -139,7 +139,7 @@ impl PlannedView {
             background: options.background(),
             turned: self.turned,
             size: Some(own),
-            // What is undistorted is scaled then.
+            // Distorted photos are scaled after they are undistorted.
             scaled: (!lens.is_distorted()).then_some(scaled),
             besides,
             memory,
@@ -159,18 +159,18 @@ impl PlannedView {
         Ok(ReadPhoto { photo, opacity, mask, is_transparent, gamma, camera: self.posed(pinhole) })
     }
 
-    /// The size at which the photo is used, before it is read: that of its part, if a part is used.
+    /// Size at which the photo or its part will be used.
     pub(super) fn size(&self, options: &DatasetOptions) -> (u32, u32) {
         self.used_of(options.resolution.apply(self.pinhole.width, self.pinhole.height))
     }
 
-    /// The camera of what is used of the photo, at the size at which it is used.
+    /// Camera of the used part of the photo, at the size at which it is used.
     pub(super) fn used_camera(&self, options: &DatasetOptions) -> Result<Camera> {
         let (width, height) = options.resolution.apply(self.pinhole.width, self.pinhole.height);
         self.part_of(self.camera().scaled_to(width, height))
     }
 
-    /// The camera of what is used of a picture.
+    /// Camera of the used part of `camera`'s picture.
     fn part_of(&self, camera: Camera) -> Result<Camera> {
         match self.part.map(|part| part.in_picture((camera.width, camera.height))) {
             Some((corner, size)) => camera.part(corner, size),
@@ -178,19 +178,19 @@ impl PlannedView {
         }
     }
 
-    /// The share of the photo that is used, at the camera's own size.
+    /// Share of the photo that is used, at the camera's own size.
     pub(super) fn share_used(&self) -> f64 {
         let pixels = |(width, height): (u32, u32)| f64::from(width) * f64::from(height);
         let whole = (self.pinhole.width, self.pinhole.height);
         pixels(self.used_of(whole)) / pixels(whole)
     }
 
-    /// The size of what is used of a picture of this size.
+    /// Size of the used part of a picture of size `whole`.
     fn used_of(&self, whole: (u32, u32)) -> (u32, u32) {
         self.part.map_or(whole, |part| part.in_picture(whole).1.into())
     }
 
-    /// Estimated bytes of the photo with its mask, before it is read. On a device it takes about the same.
+    /// Estimated bytes of the photo and its mask. A device needs about as much.
     pub(super) fn texel_bytes(&self, options: &DatasetOptions) -> u64 {
         let (width, height) = self.size(options);
         4 * u64::from(width) * u64::from(height)
@@ -200,7 +200,7 @@ impl PlannedView {
         self.view_of(self.read_photo(options)?)
     }
 
-    /// The view of its photo.
+    /// Makes the view of a read photo.
     pub(super) fn view_of(&self, read: ReadPhoto) -> Result<View> {
         let ReadPhoto { mut photo, mut opacity, mask, camera: original_camera, .. } = read;
         let (width, height) = (photo.width, photo.height);

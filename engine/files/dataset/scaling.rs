@@ -1,11 +1,11 @@
-//! Says at which size photos are used where that may surprise.
+//! Notes and warnings about the size at which photos are used.
 
 use crate::images::{AUTO_MAX_WIDTH, Resolution};
 
 /// A width below this may have been meant as a divisor.
 const SMALL_WIDTH: u32 = 100;
 
-/// The warning about photos of these sizes, pixels, if any is scaled in a way that was not asked for in so many words.
+/// A warning about photos of these sizes, in pixels, if any is scaled in a way that was not explicitly requested.
 pub(super) fn warning(sizes: &[(u32, u32)], resolution: Resolution) -> Option<String> {
     let surprises = |&&(width, _): &&(u32, u32)| match resolution {
         Resolution::Auto => width > AUTO_MAX_WIDTH,
@@ -31,7 +31,7 @@ pub(super) fn warning(sizes: &[(u32, u32)], resolution: Resolution) -> Option<St
     ))
 }
 
-/// What photos were asked to be divided by.
+/// The requested divisor of the photos, if it is above 1.
 pub(super) fn divisor(resolution: Resolution) -> Option<u32> {
     match resolution {
         Resolution::Factor(by) if by > 1 => Some(by),
@@ -39,14 +39,14 @@ pub(super) fn divisor(resolution: Resolution) -> Option<u32> {
     }
 }
 
-/// The largest of some sizes, the wider of two as large, and what stands before it where not all are alike.
+/// The largest size, by area, then by width, and "up to " if not all are equal.
 pub(super) fn largest(sizes: &[(u32, u32)]) -> Option<((u32, u32), &'static str)> {
     let area_and_width = |&&(width, height): &&(u32, u32)| (u64::from(width) * u64::from(height), width);
     let largest = *sizes.iter().max_by_key(area_and_width)?;
     Some((largest, if sizes.iter().all(|&size| size == largest) { "" } else { "up to " }))
 }
 
-/// At which size photos of these sizes, pixels, are used, if they are divided as was asked.
+/// A note on the size at which photos of these sizes, in pixels, are used after the requested division.
 pub(super) fn note(sizes: &[(u32, u32)], resolution: Resolution) -> Option<String> {
     let by = divisor(resolution)?;
     let ((width, height), up_to) = largest(sizes)?;

@@ -1,4 +1,4 @@
-//! The sparse points that a data set's photos are known to show.
+//! The sparse points that a data set's photos show.
 
 use std::sync::Arc;
 
@@ -13,13 +13,13 @@ use ashsplat::loss::DepthPoint;
 pub(super) type Track = Arc<[Vec3]>;
 
 impl Gallery {
-    /// Reads which of the model's points each photo shows, so that the views to train on have them
-    /// ([`View::depth_points`]). Returns how many that are, in all views together: 0 where the data set does not say, as
-    /// `transforms.json` and models without observations do not. Whether a photo shows a point cannot be told from the point's
-    /// place: others may hide it.
+    /// Reads the points that each photo shows, for [`View::depth_points`] of the training views. Returns their number
+    /// over all
+    /// views: 0 for `transforms.json` and for models without observations. A point's position alone does not tell
+    /// if a photo shows it, because other surfaces may hide it.
     ///
     /// # Errors
-    /// As [`Model::read`].
+    /// Same as [`Model::read`].
     pub fn read_tracks(&mut self) -> Result<usize> {
         let folder = self.unpacked.folder();
         if !colmap::exists(folder) || self.source.extension().is_some_and(|ending| ending == "json") {
@@ -36,18 +36,18 @@ impl Gallery {
         Ok(self.tracks.iter().flatten().map(|track| track.len()).sum())
     }
 
-    /// Number of points that a view is known to show, if it is trained on.
+    /// Number of points that a training view shows.
     pub(super) fn track_length(&self, view: usize) -> u32 {
         let track = self.tracks.get(view).and_then(Option::as_ref);
         track.map_or(0, |track| u32::try_from(track.len()).unwrap_or(u32::MAX))
     }
 }
 
-/// The points of a track that a view has in its picture, where its mask hides none.
+/// The points of a track inside a view's picture, except those under its mask.
 pub(super) fn depth_points(view: &View, track: &[Vec3]) -> Result<Arc<[DepthPoint]>> {
     let mask = view.photo.mask()?;
     let (width, height) = (view.photo.width, view.photo.height);
-    // Half a pixel within the edges, so that there is something to interpolate between.
+    // Points lie at least half a pixel within the edges, so that their depth can be interpolated.
     let last = [width, height].map(|side| side as f32 - 1.0);
     let point = |&position: &Vec3| {
         let (x, y, z) = view.camera.project(position);

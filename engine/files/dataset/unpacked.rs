@@ -1,4 +1,4 @@
-//! A data set that may be one ZIP.
+//! A data set in a folder or in a ZIP.
 
 use std::fs::{self, File};
 use std::io::{BufReader, Read, Write};
@@ -11,20 +11,20 @@ use crate::progress::Progress;
 use crate::{colmap, cost, regular_file, transforms};
 use ashsplat::{Error, Result};
 
-/// No honest archive of photos unpacks to more than this many times its size.
+/// Largest credible ratio of an archive's unpacked size to its own.
 const MAX_RATIO: u64 = 1032;
 
-/// Bytes between two looks whether to go on.
+/// Bytes that are unpacked between two checks of `progress`.
 const PIECE_BYTES: usize = 1 << 20;
 
-/// The folder of a data set: itself, or what its ZIP was unpacked to.
+/// The folder of a data set, or the temporary folder with the contents of its ZIP.
 pub(crate) struct Unpacked {
     folder: PathBuf,
     archive: Option<(PathBuf, tempfile::TempDir)>,
 }
 
 impl Unpacked {
-    /// Unpacks a ZIP to a temporary folder that goes with the value; a folder is taken as it is.
+    /// Unpacks a ZIP to a temporary folder, which is removed with this value. A folder is used in place.
     pub(crate) fn open(path: &Path, progress: Progress<'_>) -> Result<Self> {
         if !path.is_file() || !starts_like_zip(path) {
             return Ok(Self { folder: path.to_owned(), archive: None });
@@ -36,12 +36,11 @@ impl Unpacked {
         Ok(Self { folder, archive: Some((path.to_owned(), target)) })
     }
 
-    /// The folder.
     pub(crate) fn folder(&self) -> &Path {
         &self.folder
     }
 
-    /// An error about a temporary file, as one about the archive.
+    /// Replaces temporary paths in an error by paths in the archive.
     pub(crate) fn name(&self, error: Error) -> Error {
         match error {
             Error::Input { path, problem, remedy } => Error::Input {
@@ -57,7 +56,7 @@ impl Unpacked {
         }
     }
 
-    /// A temporary path, as one below the archive.
+    /// Replaces a temporary path by the path in the archive.
     pub(crate) fn named(&self, path: &Path) -> PathBuf {
         let Some((archive, target)) = &self.archive else { return path.to_owned() };
         let rest = path.strip_prefix(&self.folder).or_else(|_| path.strip_prefix(target.path()));
@@ -68,7 +67,7 @@ impl Unpacked {
         }
     }
 
-    /// The same of all such paths in a sentence.
+    /// Replaces all temporary paths in a text by paths in the archive.
     pub(crate) fn name_in(&self, text: &str) -> String {
         let Some((archive, target)) = &self.archive else { return text.to_owned() };
         let archive = archive.to_string_lossy();
@@ -77,7 +76,7 @@ impl Unpacked {
     }
 }
 
-/// Whether a file is a ZIP archive by its content, including an empty one.
+/// True if a file's content is a ZIP archive, even an empty one.
 pub(super) fn starts_like_zip(path: &Path) -> bool {
     let mut start = [0; 4];
     regular_file::open(path).is_ok_and(|(mut file, _)| file.read_exact(&mut start).is_ok())
@@ -124,7 +123,7 @@ fn extract(path: &Path, target: &Path, progress: Progress<'_>) -> Result<()> {
         if let Some(parent) = place.parent() {
             fs::create_dir_all(parent).map_err(|e| Error::io(parent, "create", e))?;
         }
-        // What the disk does not take is no fault of the archive.
+        // A full disk is not the archive's fault.
         let full = |e| Error::io(target, "unpack the ZIP (TMPDIR names another folder for it)", e);
         let mut output = File::create(&place).map_err(full)?;
         loop {
@@ -143,7 +142,7 @@ fn extract(path: &Path, target: &Path, progress: Progress<'_>) -> Result<()> {
     Ok(())
 }
 
-/// The path that an entry's name means; Windows' own separators are among those in use. None where it leads out.
+/// The path of an archive entry; Windows' separators occur. `None` if it leads out of the folder.
 fn path_of(name: &str) -> Option<PathBuf> {
     let path = PathBuf::from(name.replace('\\', "/"));
     if name.len() > MAX_PATH_BYTES || path.components().count() > MAX_DEPTH {
@@ -153,14 +152,14 @@ fn path_of(name: &str) -> Option<PathBuf> {
     (path.components().all(inside) && !name.contains('\0')).then_some(path)
 }
 
-/// What macOS puts beside the files that people pack.
+/// True for files that macOS adds to archives.
 fn is_clutter(path: &Path) -> bool {
     path.iter()
         .map(|part| part.to_string_lossy())
         .any(|part| part == "__MACOSX" || part == ".DS_Store" || part.starts_with("._"))
 }
 
-/// The data set's folder: archives often hold one folder with everything in it, or that in another, or other folders
+/// Finds the data set's folder: archives often nest it in a single folder, or put other folders
 /// beside it.
 fn data_folder(archive: &Path, unpacked: &Path) -> Result<PathBuf> {
     let is_data_set = |folder: &PathBuf| colmap::exists(folder) || transforms::find(folder).is_some();
@@ -178,7 +177,7 @@ fn data_folder(archive: &Path, unpacked: &Path) -> Result<PathBuf> {
                 return Err(Error::input(archive, problem, "unpack it and give one of them"));
             }
             ([only], _) => folder = (*only).clone(),
-            // What lacks its cameras is not looked for in its photos.
+            // Photos and models without cameras are not searched.
             ([], [only]) if !["sparse", "images"].iter().any(|name| only.ends_with(name)) => {
                 folder.clone_from(only);
             }

@@ -5,25 +5,25 @@ use ashsplat::kernels::constants::TILE_SIZE;
 use ashsplat::{Error, Result};
 use std::ops::Range;
 
-/// How far the gradient of a pixel reaches, pixels: windows of SSIM have the pixel in them, and reach as far again.
+/// Reach of a pixel's gradient, pixels: twice the radius of SSIM's window, for the windows that hold the pixel.
 const WINDOW: u32 = 10;
 
-/// The part of a photo that is used, whatever its size will be.
+/// The used part of a photo, independent of the photo's size.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct UsedPart {
-    /// The size of the picture that says it.
+    /// Size of the coarse picture.
     coarse: (u32, u32),
-    /// Its columns there.
+    /// Columns of the coarse picture.
     columns: (u32, u32),
-    /// Its rows.
+    /// Rows of the coarse picture.
     rows: (u32, u32),
 }
 
 impl UsedPart {
-    /// These columns and rows of a picture of some size.
+    /// A part of these columns and rows of a picture of size `coarse`.
     ///
     /// # Errors
-    /// [`Error::Argument`] for none, or for some that it does not have.
+    /// [`Error::Argument`] for an empty range, or one outside the picture.
     pub(super) fn of(coarse: (u32, u32), columns: Range<u32>, rows: Range<u32>) -> Result<Self> {
         let lies_in = |range: &Range<u32>, side: u32| !range.is_empty() && range.end <= side;
         if !lies_in(&columns, coarse.0) || !lies_in(&rows, coarse.1) {
@@ -33,8 +33,8 @@ impl UsedPart {
         Ok(Self { coarse, columns: (columns.start, columns.end), rows: (rows.start, rows.end) })
     }
 
-    /// Corner and size in the picture of this size: all that it covers, as much around it as its gradients depend on, and what is
-    /// missing of whole tiles.
+    /// Corner and size of the part in a picture of this size. They include the border that gradients depend on, and
+    /// whole tiles.
     pub(super) fn in_picture(self, (width, height): (u32, u32)) -> ([u32; 2], [u32; 2]) {
         let of = |(from, to): (u32, u32), coarse: u32, side: u32| {
             let [from, to, coarse, wide] = [from, to, coarse, side].map(u64::from);
@@ -49,7 +49,7 @@ impl UsedPart {
     }
 }
 
-/// The values of a part, `each` per pixel, of those of a picture that is `whole` pixels wide.
+/// Cuts a part out of a picture that is `whole` pixels wide and has `each` values per pixel.
 pub(super) fn cut<T: Copy>(
     values: &[T],
     (whole, each): (u32, usize),
@@ -63,7 +63,7 @@ pub(super) fn cut<T: Copy>(
     (top..top + height).flat_map(row).copied().collect()
 }
 
-/// A part of a photo.
+/// Cuts a part out of a photo.
 pub(super) fn cut_photo(photo: &Photo, corner: [u32; 2], size: [u32; 2]) -> Photo {
     let rgb = cut(&photo.rgb, (photo.width, 3), corner, size);
     Photo { width: size[0], height: size[1], rgb }
@@ -78,7 +78,7 @@ mod tests {
     fn a_part_covers_what_is_wanted_in_whole_tiles() {
         let _turn = turn();
         let part = UsedPart::of((200, 150), 100..104, 0..150).expect("a part");
-        // From 640 to 666 of 1280 pixels, less and more 10.
+        // From 640 to 666 of 1280 pixels, with 10 more on each side.
         assert_eq!(part.in_picture((1280, 960)), ([630, 0], [48, 960]));
         // Pixels 50 and 51 of 100, from 40 to 62.
         assert_eq!(part.in_picture((100, 75)), ([40, 0], [32, 75]));

@@ -50,7 +50,7 @@ pub(crate) fn write_blocks(path: &Path, outline: &Outline, produce: &mut Produce
 /// Reading makes the filter a part of scales and opacities.
 ///
 /// # Errors
-/// As [`write()`]; [`ashsplat::Error::Argument`] for another number of sizes.
+/// Same as [`write()`]; [`ashsplat::Error::Argument`] for another number of sizes.
 pub fn write_filtered(
     path: impl AsRef<Path>,
     gaussians: &Gaussians,

@@ -32,7 +32,7 @@ pub struct ConvertOptions {
     pub decimate: Option<Target>,
     /// The output's format; none: that of its extension.
     pub format: Option<Format>,
-    /// As [`super::WriteOptions::spz_version`].
+    /// Same as [`super::WriteOptions::spz_version`].
     pub spz_version: Option<u32>,
 }
 
@@ -74,15 +74,15 @@ pub struct Converted {
 /// The input is read twice where the output's beginning depends on its end (number and box of the Gaussians).
 ///
 /// # Errors
-/// As [`super::read`] and [`super::write`]; [`ashsplat::Error::Input`] for a change that leads to parameters that reading refuses.
+/// Same as [`super::read`] and [`super::write`]; [`ashsplat::Error::Input`] for a change that leads to parameters that reading refuses.
 pub fn convert(input: &Path, output: &Path, options: &ConvertOptions) -> Result<Converted> {
     join(&[Input { path: input, similarity: Similarity::default() }], output, options)
 }
 
-/// As [`convert`], of several files one after another. The highest SH degree of all is kept.
+/// Same as [`convert`], of several files one after another. The highest SH degree of all is kept.
 ///
 /// # Errors
-/// As [`convert`]; [`Error::Input`] for inputs of which only some were trained with antialiasing, or with different kernel sizes;
+/// Same as [`convert`]; [`Error::Input`] for inputs of which only some were trained with antialiasing, or with different kernel sizes;
 /// [`Error::Argument`] without inputs.
 pub fn join(inputs: &[Input<'_>], output: &Path, options: &ConvertOptions) -> Result<Converted> {
     let format = match options.format {

@@ -35,7 +35,7 @@ pub struct Merged {
 /// Whether the Gaussians were trained with antialiasing is what the parts say; `options` has no part in it.
 ///
 /// # Errors
-/// As [`super::read`] and [`super::write`]; [`Error::Input`] for a part of another SH degree than the first or that does not want
+/// Same as [`super::read`] and [`super::write`]; [`Error::Input`] for a part of another SH degree than the first or that does not want
 /// antialiasing as the first does; [`Error::Argument`] without parts.
 pub fn merge(
     parts: &[Part<'_>],

@@ -52,7 +52,7 @@ pub(super) fn write(path: &Path, outline: &Outline, produce: &mut Produce<'_>) -
     })
 }
 
-/// As [`write`], version 2: for programs that know no other.
+/// Same as [`write`], version 2: for programs that know no other.
 pub(super) fn write_old(path: &Path, outline: &Outline, produce: &mut Produce<'_>) -> Result<()> {
     let mut stream = old(path, MIRRORED, outline, produce)?;
     atomic::write(path, |writer| io::copy(&mut stream, writer).map(drop))

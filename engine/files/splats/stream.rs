@@ -88,7 +88,7 @@ pub struct WriteOptions {
     pub format: Option<Format>,
     /// Whether the Gaussians were trained with antialiasing.
     pub antialiased: bool,
-    /// As [`Header::kernel_size`]; kept in PLY and glTF.
+    /// Same as [`Header::kernel_size`]; kept in PLY and glTF.
     pub kernel_size: Option<f32>,
     /// Marks a scene of 2DGS ([`Header::is_2dgs`]); PLY keeps it.
     pub is_2dgs: bool,
@@ -156,7 +156,7 @@ pub(crate) struct Outline {
     pub(crate) count: u64,
     pub(crate) sh_degree: u32,
     pub(crate) antialiased: bool,
-    /// As [`Header::kernel_size`].
+    /// Same as [`Header::kernel_size`].
     pub(crate) kernel_size: Option<f32>,
     /// See [`Header::is_2dgs`].
     pub(crate) is_2dgs: bool,

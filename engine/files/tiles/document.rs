@@ -53,7 +53,7 @@ pub(super) fn turned(point: Vec3) -> Vec3 {
     vec3(-point.x, -point.z, -point.y)
 }
 
-/// As [`turned`], in double precision.
+/// Same as [`turned`], in double precision.
 pub(super) fn turned_origin(point: DVec3) -> DVec3 {
     dvec3(-point.x, -point.z, -point.y)
 }

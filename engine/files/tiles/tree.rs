@@ -163,13 +163,13 @@ impl Tree {
         self.wanted_among(demand, |_| true)
     }
 
-    /// As [`Tree::wanted`], where some tiles will never be there, because they cannot be read say: nothing is wanted that could
+    /// Same as [`Tree::wanted`], where some tiles will never be there, because they cannot be read say: nothing is wanted that could
     /// only be drawn beside or below one of them.
     pub fn wanted_among(&self, demand: &Demand<'_>, is_possible: impl Fn(usize) -> bool) -> Vec<usize> {
         self.refined(demand, &is_possible).1
     }
 
-    /// As [`Tree::cut`], of the tiles that are there: while one of those that would take a tile's place is not, the tile itself is drawn.
+    /// Same as [`Tree::cut`], of the tiles that are there: while one of those that would take a tile's place is not, the tile itself is drawn.
     /// Without the coarsest tile there is nothing.
     pub fn cut_among(&self, demand: &Demand<'_>, is_there: impl Fn(usize) -> bool) -> Vec<usize> {
         self.refined(demand, &is_there).0
@@ -211,7 +211,7 @@ impl Tree {
     /// Reads a tile.
     ///
     /// # Errors
-    /// As [`splats::read`]; [`Error::Input`] for a file with another number of Gaussians.
+    /// Same as [`splats::read`]; [`Error::Input`] for a file with another number of Gaussians.
     pub fn read(&self, tile: usize, options: &ReadOptions) -> Result<Scene> {
         let (Some(path), Some(tile)) = (self.path(tile), self.tiles.get(tile)) else {
             return Err(Error::argument("tile", format!("{tile} is none of {}", self.tiles.len())));
