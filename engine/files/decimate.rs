@@ -1,4 +1,4 @@
-//! Fewer Gaussians that look alike: neighbours are merged into one of the same moments.
+//! Reduces the number of Gaussians: merges neighbours into one Gaussian of the same moments.
 
 use glam::{DMat3, DQuat, DVec3};
 use kdtree::KdTree;
@@ -11,39 +11,46 @@ use ashsplat::scene::sh::C0;
 /// Neighbours that each Gaussian may be merged with.
 const NEIGHBOURS: usize = 8;
 
-/// Bytes that a round takes beside the Gaussians, for each of them. Pairs are in memory three times, as they are collected and sorted; a
-/// tree has 64 bytes for each Gaussian.
+/// Bytes per Gaussian that a round needs beside the Gaussians. Pairs are in memory three times while they are collected
+/// and
+/// sorted; the tree has 64 bytes per Gaussian.
 pub(crate) const BYTES: u64 = (3 * NEIGHBOURS * size_of::<Pair>() + size_of::<Brief>() + 64) as u64;
 
-/// Share of the Gaussians that one round takes away at most: later rounds see the merged ones.
+/// Largest share of the Gaussians that one round removes: later rounds see the merged ones.
 const SHARE_PER_ROUND: f64 = 0.2;
 
 /// Weight of a difference in colour (0 to 1) beside one of place, in units of the Gaussians' size.
 const COLOR_WEIGHT: f64 = 20.0;
 
-/// Weight of what is apart in place and colour beside the difference of pictures: pictures of single pairs do not show what lies
-/// around, and later rounds merge what earlier ones have mixed. From 0 to 0.2 coarse levels gain 0.6 dB (tools/experiments.md).
+/// Weight of the distance in place and colour against the difference of pictures. Pictures of single pairs do not show
+/// their
+/// surroundings, and later rounds merge Gaussians that earlier ones have mixed. From 0 to 0.2 coarse levels gain 0.6 dB
+/// (tools/experiments.md).
 const APART_WEIGHT: f64 = 0.2;
 
-/// Weight of a difference in opacity beside one of a channel's colour: something may lie behind.
+/// Weight of a difference in opacity against one in a channel's colour: other Gaussians may lie behind.
 const OPACITY_WEIGHT: f64 = 0.5;
 
-/// Largest opacity of a merged Gaussian, as the rasterizer's largest alpha.
+/// Largest opacity of a merged Gaussian: the rasterizer's largest alpha.
 const MAX_OPACITY: f64 = 0.99;
 
-/// Most that a merged Gaussian's covariance grows in place of its opacity. Two Gaussians side by side, which cover twice what
-/// one does, need 2.
+/// Largest growth of a merged Gaussian's covariance in place of its opacity. Two Gaussians side by side, which cover
+/// twice
+/// the area of one, need 2.
 const MAX_GROWTH: f64 = 4.0;
 
-/// A picture of a Gaussian is at least so flat, as the square of its axes' ratio. The determinant of a flatter one is what
-/// rounding leaves of two equal products, and areas of such needles would differ by a hundred powers of ten.
+/// Least flatness of a Gaussian's picture, as the square of its axes' ratio. The determinant of a flatter one is a
+/// rounding
+/// error of two equal products, and areas of such needles would differ by a hundred powers of ten.
 const FLATTEST: f64 = 1e-12;
 
 /// Merges pairs of neighbours until at most `target` are left (at least 1).
 ///
-/// The cheapest pairs go first: those that change pictures least, near to each other for their size and alike in colour. A
-/// merged Gaussian has the mean, the covariance and the colour of the two together, weighted by opacity times area, and as much
-/// opacity times area as both. Where its opacity would exceed the largest, it grows instead: opaque surfaces get no holes.
+/// The cheapest pairs go first: those that change pictures least, near to each other for their size and alike in
+/// colour. A
+/// merged Gaussian has the mean, covariance and colour of both, weighted by opacity times area, and the sum of their
+/// opacity
+/// times area. If its opacity would exceed the largest, it grows instead, so that opaque surfaces get no holes.
 pub fn decimate(gaussians: &mut Gaussians, target: usize) {
     let target = target.max(1);
     while gaussians.len() > target {
@@ -51,7 +58,7 @@ pub fn decimate(gaussians: &mut Gaussians, target: usize) {
         let largest_step = (SHARE_PER_ROUND * gaussians.len() as f64).ceil() as usize;
         let pairs = disjoint(candidates(gaussians), gaussians.len(), excess.min(largest_step));
         if pairs.is_empty() {
-            // Nothing has a neighbour at a finite distance.
+            // No Gaussian has a neighbour at a finite distance.
             *gaussians = gaussians.select(&(0..target).collect::<Vec<_>>());
             return;
         }
@@ -59,14 +66,14 @@ pub fn decimate(gaussians: &mut Gaussians, target: usize) {
     }
 }
 
-/// Two Gaussians and what merging them costs.
+/// Two Gaussians and the cost of merging them.
 struct Pair {
     cost: f64,
     first: usize,
     second: usize,
 }
 
-/// What of a Gaussian enters the cost.
+/// Properties of a Gaussian that the cost depends on.
 struct Brief {
     mean: DVec3,
     covariance: DMat3,
@@ -74,20 +81,20 @@ struct Brief {
     /// Opacity times area.
     mass: f64,
     size2: f64,
-    /// At SH degree 0, from 0 to 1.
+    /// Colour at SH degree 0, from 0 to 1.
     color: DVec3,
 }
 
-/// Two Gaussians as one.
+/// Two Gaussians merged into one.
 struct Joined {
     mean: DVec3,
     covariance: DMat3,
     opacity: f64,
-    /// What each has of the mass.
+    /// Share of each in the mass.
     share: [f64; 2],
 }
 
-/// Directions of view along the axes, as the axes of their pictures.
+/// Axes of the pictures along the three coordinate directions.
 const PICTURES: [[usize; 2]; 3] = [[0, 1], [1, 2], [2, 0]];
 
 fn brief(gaussians: &Gaussians, index: usize) -> Brief {
@@ -103,7 +110,7 @@ fn brief(gaussians: &Gaussians, index: usize) -> Brief {
     }
 }
 
-/// The area that is seen of it, over 2π: the mean of three pictures.
+/// Projected area over 2π: the mean of three pictures.
 fn area(covariance: &DMat3) -> f64 {
     PICTURES.iter().map(|&picture| determinant(covariance, picture).sqrt()).sum::<f64>() / 3.0
 }
@@ -140,8 +147,11 @@ fn joined(a: &Brief, b: &Brief) -> Joined {
     Joined { mean, covariance, opacity, share }
 }
 
-/// The squared difference of pictures of two Gaussians from those of the two as one, integrated over the picture, over 2π, and
-/// summed over three directions of view: each adds its opacity times its colour, and nothing hides anything. In closed form.
+/// The squared difference between the pictures of two Gaussians and the picture of the merged one, over 2π. It is
+/// integrated
+/// over the picture and summed over three directions of view, in closed form. Each Gaussian adds its opacity times its
+/// colour,
+/// without occlusion.
 fn picture_difference(a: &Brief, b: &Brief) -> f64 {
     let one = joined(a, b);
     let of = |own: &Brief| own.color.extend(OPACITY_WEIGHT) * own.opacity;
@@ -159,11 +169,11 @@ fn picture_difference(a: &Brief, b: &Brief) -> f64 {
             sum += times * own.dot(*other) * overlaps.iter().sum::<f64>();
         }
     }
-    // Rounding may leave less than nothing.
+    // Rounding may make the sum negative.
     sum.max(0.0)
 }
 
-/// What merging two costs.
+/// Cost of merging two Gaussians.
 fn cost(a: &Brief, b: &Brief) -> f64 {
     let apart = a.mean.distance_squared(b.mean) / (a.size2 + b.size2).max(f64::MIN_POSITIVE);
     let mass = a.mass * b.mass / (a.mass + b.mass).max(f64::MIN_POSITIVE);
@@ -183,7 +193,7 @@ fn candidates(gaussians: &Gaussians) -> Vec<Pair> {
         let nearest = tree.nearest(&place, NEIGHBOURS + 1, &squared_euclidean).unwrap_or_default();
         let others = nearest.into_iter().map(|(_, &second)| second).filter(|&second| second != first);
         let pair = |second: usize| {
-            // The same cost from either side.
+            // Ordered indices, so that the cost is the same from either side.
             let (first, second) = (first.min(second), first.max(second));
             Pair { cost: cost(&briefs[first], &briefs[second]), first, second }
         };
@@ -194,7 +204,7 @@ fn candidates(gaussians: &Gaussians) -> Vec<Pair> {
     pairs
 }
 
-/// The cheapest pairs of which no two share a Gaussian; `most` at most.
+/// The cheapest pairs, at most `most`, of which no two share a Gaussian.
 fn disjoint(pairs: Vec<Pair>, count: usize, most: usize) -> Vec<(usize, usize)> {
     let mut taken = vec![false; count];
     let free = pairs.into_iter().filter(|pair| {
@@ -242,7 +252,7 @@ fn push_merged(all: &Gaussians, pair: [usize; 2], left: &mut Gaussians) {
     }
 }
 
-/// Covariance of one of all, world units squared.
+/// Covariance of a Gaussian, world units squared.
 pub(crate) fn covariance_of(all: &Gaussians, index: usize) -> DMat3 {
     let [w, x, y, z] = all.quats[index].map(f64::from);
     let quat = DQuat::from_xyzw(x, y, z, w);
@@ -295,7 +305,7 @@ mod tests {
         }
     }
 
-    /// By sums over three pictures.
+    /// Compares with sums over the pixels of three pictures.
     #[test]
     fn differences_of_pictures_are_those_of_sums() {
         let _turn = turn();
@@ -323,7 +333,7 @@ mod tests {
         }
         let (found, expected) = (picture_difference(&a, &b), sum / std::f64::consts::TAU);
         assert!((found / expected - 1.0).abs() < 1e-6, "{found} {expected}");
-        // Of one and the same, nothing is lost but what is hidden.
+        // Merging two identical Gaussians loses only their occlusion.
         let faint = || of(DVec3::ONE, DVec3::splat(0.3), 0.1);
         assert!(picture_difference(&faint(), &faint()) < 1e-12);
     }
@@ -335,13 +345,13 @@ mod tests {
         let near = joined(&a, &b);
         assert!((near.opacity * area(&near.covariance) / (a.mass + b.mass) - 1.0).abs() < 1e-9);
         assert!(near.opacity == MAX_OPACITY && near.covariance.col(1)[1] > 1.2 * 0.25, "{}", near.covariance);
-        // What is faint keeps its size.
+        // A faint Gaussian keeps its size.
         let [a, b] = [-0.4, 0.4].map(|x| of(DVec3::X * x, DVec3::splat(0.5), 0.3));
         let faint = joined(&a, &b);
         assert!((faint.covariance.col(1)[1] - 0.25).abs() < 1e-12 && faint.opacity < 0.6);
     }
 
-    /// The determinant of a needle's picture is what rounding leaves: it must not make anything enormous.
+    /// The determinant of a needle's picture is a rounding error, which must not make a Gaussian enormous.
     #[test]
     fn needles_do_not_grow() {
         let _turn = turn();

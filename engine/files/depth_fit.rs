@@ -1,5 +1,6 @@
-//! Scale and offset of inverse-depth maps, which monocular depth networks leave open: fitted to the sparse points, as the
-//! reference implementation's `make_depth_scale.py` does.
+//! Scale and offset of inverse-depth maps, which monocular depth networks leave open. They are fitted to the sparse
+//! points, as
+//! in the reference implementation's `make_depth_scale.py`.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -13,14 +14,14 @@ use ashsplat::{Error, Result};
 /// Name of the file with the parameters, beside a COLMAP model.
 pub const DEPTH_PARAMS_FILE: &str = "depth_params.json";
 
-/// More points than these must count for a fit.
+/// A fit needs more points than these.
 const FEWEST: usize = 10;
 /// Least range of the points' inverse depths, 1 / world units.
 const LEAST_RANGE: f64 = 1e-3;
-/// A map is left out if its scale is outside of this range, times the median.
+/// A map is skipped if its scale is outside of this range, times the median.
 const RELIABLE: [f64; 2] = [0.2, 5.0];
 
-/// What makes an inverse depth of a map's value: `scale * value + offset`, in 1 / world units. Both are 0 for a map that
+/// Converts a map's value to an inverse depth in 1 / world units: `scale * value + offset`. Both are 0 for a map that
 /// could not be fitted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
 pub struct DepthFit {
@@ -30,7 +31,7 @@ pub struct DepthFit {
     pub offset: f64,
 }
 
-/// A sparse point as a photo shows it.
+/// A sparse point and its place in a photo.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DepthPoint {
     /// Position in the photo, pixels of its camera.
@@ -40,7 +41,8 @@ pub struct DepthPoint {
 }
 
 impl DepthFit {
-    /// Fits a map to the points of its photo, whose camera has this size: medians and mean deviations from them agree.
+    /// Fits a map to its photo's points, so that medians and mean absolute deviations agree. `camera_size` is the size
+    /// of the photo's camera.
     pub fn of(map: &DepthMap, camera_size: (u32, u32), points: &[DepthPoint]) -> Self {
         let ratio = f64::from(map.height) / f64::from(camera_size.1.max(1));
         let ends = [camera_size.0, camera_size.1].map(|side| f64::from(side) * ratio);
@@ -66,27 +68,28 @@ impl DepthFit {
         let scale = deviation(&depths, middle) / deviation(&values, middle_of_map);
         match scale.is_finite() {
             true => Self { scale, offset: middle - scale * middle_of_map },
-            // A map of one value says nothing.
+            // A map with a single value cannot be fitted.
             false => Self::default(),
         }
     }
 
-    /// The median of all positive scales; 0 without one.
+    /// The median of all positive scales; 0 if there are none.
     pub fn median_scale<'a>(fits: impl IntoIterator<Item = &'a Self>) -> f64 {
         median(fits.into_iter().map(|fit| fit.scale).filter(|&scale| scale > 0.0).collect())
     }
 
-    /// Whether a map may be used beside others of this median scale.
+    /// True if a map may be used beside others of this median scale.
     pub fn is_reliable(&self, median_scale: f64) -> bool {
         let [low, high] = RELIABLE;
         self.scale > 0.0 && self.scale >= low * median_scale && self.scale <= high * median_scale
     }
 
-    /// Reads `depth_params.json`: an object from photos' names without ending to scale and offset.
+    /// Reads `depth_params.json`: an object from photos' names without extension to scale and offset.
     ///
     /// # Errors
-    /// [`Error::Io`] when the file cannot be read, [`Error::Input`] when it is no such list or has a number that is not
-    /// finite, also as the 32-bit number that the device takes.
+    /// [`Error::Io`] when the file cannot be read, [`Error::Input`] when it is not such a list or has a number that is
+    /// not
+    /// finite in 32 bits, as the device needs.
     pub fn read_all(path: impl AsRef<Path>) -> Result<BTreeMap<String, Self>> {
         let path = path.as_ref();
         let text = text::read(path)?;
@@ -107,7 +110,7 @@ impl DepthFit {
     }
 }
 
-/// The middle value, or the mean of both; 0 without values.
+/// The middle value, or the mean of the two middle ones; 0 without values.
 fn median(mut values: Vec<f64>) -> f64 {
     values.sort_unstable_by(f64::total_cmp);
     match values.len() {

@@ -27,7 +27,7 @@ pub fn write<'a>(
 /// Reads the exposures of [`write()`] or of the reference implementation.
 ///
 /// # Errors
-/// [`Error::Io`] when the file cannot be read, [`Error::Input`] when it is no such list or has a number that is not
+/// [`Error::Io`] when the file cannot be read, [`Error::Input`] when it is not such a list or has a number that is not
 /// finite.
 pub fn read(path: impl AsRef<Path>) -> Result<BTreeMap<String, Exposure>> {
     let path = path.as_ref();

@@ -1,4 +1,4 @@
-//! Hashes of files, which tell whether one is still what it was.
+//! Hashes of files, which show if a file has changed.
 
 use std::io::Read;
 use std::path::Path;
@@ -7,11 +7,11 @@ use super::regular_file;
 use ashsplat::fingerprint::Fingerprint;
 use ashsplat::{Error, Result};
 
-/// Bytes that are added at a time: they decide the hash.
+/// Bytes that are added at a time. The hash depends on this size.
 const PIECE: usize = 1 << 20;
 
-/// The hash of a file's bytes: [`Fingerprint`] of pieces of a mebibyte, 16 hexadecimal digits. It finds damage, and gives no
-/// protection against forgery. Needs the memory of a piece.
+/// The hash of a file's bytes: [`Fingerprint`] of pieces of one mebibyte, 16 hexadecimal digits. It detects damage, not
+/// forgery. Holds one piece in memory.
 ///
 /// # Errors
 /// [`Error::Io`] naming the file.

@@ -1,4 +1,4 @@
-//! How much host memory reading may take at a time, and what the machine has.
+//! Budgets of host memory for reading files, and the machine's free memory.
 
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -6,25 +6,26 @@ use std::sync::{Arc, Condvar, Mutex, PoisonError};
 
 use ashsplat::{Error, Result};
 
-/// The bound where the system does not tell what it has.
+/// The budget if the system does not report its free memory.
 const UNKNOWN: u64 = 4 << 30;
 
-/// Share of the machine's free memory that reading may take: other programs, and what is kept, need some too.
+/// Share of the machine's free memory that reading may take; the rest is for other programs and for kept data.
 const SHARE: (u64, u64) = (3, 4);
 
-/// The bound of readers that are given none, bytes: see [`HostMemory::set_default`].
+/// Default budget of readers, bytes: see [`HostMemory::set_default`].
 static DEFAULT: AtomicU64 = AtomicU64::new(UNSET);
 const UNSET: u64 = u64::MAX;
 
-/// A bound of the host memory that files take while they are decoded. Clones share it: what one thread uses, the others
-/// cannot.
+/// Budget of host memory for files while they are decoded. Clones share it: memory that one thread uses is not
+/// available to
+/// the others.
 #[derive(Clone, Debug)]
 pub struct HostMemory(Arc<State>);
 
 #[derive(Debug)]
 struct State {
     limit: u64,
-    /// What set it, in messages.
+    /// The setting that determines the limit, for messages.
     limit_name: &'static str,
     used: Mutex<u64>,
     freed: Condvar,
@@ -37,7 +38,7 @@ impl PartialEq for HostMemory {
 }
 
 impl Default for HostMemory {
-    /// The bound of [`HostMemory::set_default`], or three quarters of what the machine has left.
+    /// The budget of [`HostMemory::set_default`], or three quarters of the machine's free memory.
     fn default() -> Self {
         match DEFAULT.load(Ordering::Relaxed) {
             UNSET => Self::named(available(), "--max-host-memory, by default three quarters of what is free"),
@@ -47,17 +48,17 @@ impl Default for HostMemory {
 }
 
 impl HostMemory {
-    /// A bound of so many bytes.
+    /// A budget of `limit` bytes.
     pub fn new(limit: u64) -> Self {
         Self::named(limit, "--max-host-memory")
     }
 
-    /// Bounds every reader of this process that is given no bound of its own, those of JSON and COLMAP among them.
+    /// Limits every reader of this process without a budget of its own, including readers of JSON and COLMAP.
     pub fn set_default(limit: u64) {
         DEFAULT.store(limit, Ordering::Relaxed);
     }
 
-    /// Memory that the machine has left, or the bound of [`HostMemory::set_default`] if that is less.
+    /// The machine's free memory, or the budget of [`HostMemory::set_default`] if that is less.
     fn free() -> Self {
         let (set, machine) = (DEFAULT.load(Ordering::Relaxed), Self::machine());
         if set < machine.limit() { Self::new(set) } else { machine }
@@ -71,21 +72,21 @@ impl HostMemory {
         Self(Arc::new(State { limit, limit_name, used: Mutex::new(0), freed: Condvar::new() }))
     }
 
-    /// The bound of decoding while so many bytes of decoded photos are kept.
+    /// The budget of decoding while `kept` bytes of decoded photos are held.
     pub(crate) fn beside_photos(&self, kept: u64) -> Self {
         Self::named(self.0.limit.saturating_sub(kept), "what --max-host-memory leaves beside the photos kept")
     }
 
-    /// The bound, bytes.
+    /// Size of the budget, bytes.
     pub fn limit(&self) -> u64 {
         self.0.limit
     }
 
-    /// Reserves memory for what is kept while files are read, beside which they have the rest: see
+    /// Reserves memory for data that are kept while files are read. The files get the rest: see
     /// [`HostMemory::beside_photos`].
     ///
     /// # Errors
-    /// [`Error::TooLarge`] when it exceeds the bound, or the system does not give as much. `what` is kept, in words.
+    /// [`Error::TooLarge`] when it exceeds the budget, or the system lacks the memory. `what` names the kept data.
     pub(crate) fn keep(&self, what: &dyn Fn() -> String, bytes: u64) -> Result<Lease> {
         self.lease(what, bytes)
     }
@@ -93,7 +94,7 @@ impl HostMemory {
     /// Reserves memory for reading a file; waits while others have it. The holder must not wait for other threads.
     ///
     /// # Errors
-    /// [`Error::TooLarge`] when it exceeds the bound, or the system does not give as much.
+    /// [`Error::TooLarge`] when it exceeds the budget, or the system lacks the memory.
     pub(crate) fn take(&self, path: &Path, bytes: u64) -> Result<Lease> {
         self.lease(&|| reading(path), bytes)
     }
@@ -106,14 +107,14 @@ impl HostMemory {
         let used = state.used.lock().unwrap_or_else(PoisonError::into_inner);
         let enough = |used: &mut u64| bytes > state.limit - (*used).min(state.limit);
         let mut used = state.freed.wait_while(used, enough).unwrap_or_else(PoisonError::into_inner);
-        // Decoders end the program when they get no memory. Asked here, the system can say no.
+        // Decoders abort the program when an allocation fails. This trial allocation returns an error instead.
         drop(reserved_for(what, bytes)?);
         *used += bytes;
         Ok(Lease { state: state.clone(), bytes })
     }
 }
 
-/// Refuses a file that needs more than a bound, before memory is reserved for it.
+/// Refuses a file that needs more than `limit`, before memory is reserved for it.
 pub(crate) fn check(path: &Path, bytes: u64, limit: Option<u64>) -> Result<()> {
     limit.map_or_else(HostMemory::default, HostMemory::new).take(path, bytes).map(drop)
 }
@@ -123,15 +124,15 @@ pub(crate) fn check_free(path: &Path, bytes: u64) -> Result<()> {
     HostMemory::free().take(path, bytes).map(drop)
 }
 
-/// Refuses to write something that the machine has too little memory for, whatever the bound of reading.
+/// Refuses to write data for which the machine has too little memory, independent of the budget of reading.
 pub(crate) fn check_writing(path: &Path, bytes: u64) -> Result<()> {
     HostMemory::machine().keep(&|| format!("{}: writing it", path.display()), bytes).map(drop)
 }
 
-/// An empty vector with room for so many bytes.
+/// An empty vector with a capacity of `bytes`.
 ///
 /// # Errors
-/// [`Error::TooLarge`] when the system does not give as much.
+/// [`Error::TooLarge`] when the system lacks the memory.
 pub(crate) fn reserved(path: &Path, bytes: u64) -> Result<Vec<u8>> {
     reserved_for(&|| reading(path), bytes)
 }
@@ -152,7 +153,7 @@ fn too_large(what: String, needed: u64, limit: u64, limit_name: &'static str) ->
     Error::TooLarge { what, needed, unit: "bytes of host memory", limit, limit_name }
 }
 
-/// Memory that is in use as long as the value lives.
+/// Memory that is reserved as long as the value lives.
 #[derive(Debug)]
 pub(crate) struct Lease {
     state: Arc<State>,
@@ -166,7 +167,7 @@ impl Drop for Lease {
     }
 }
 
-/// Three quarters of the least that the machine, the groups of this process and its own limit leave, bytes.
+/// Three quarters of the least memory that the machine, the control groups and the process limit leave, bytes.
 fn available() -> u64 {
     let text = |path: &str| std::fs::read_to_string(path).unwrap_or_default();
     let machine = kib_of(&text("/proc/meminfo"), "MemAvailable:");
@@ -181,21 +182,20 @@ fn available() -> u64 {
     least / SHARE.1 * SHARE.0
 }
 
-/// A number in a file with one `name: number kB` in each line, bytes.
+/// Reads a number of a file with one `name: number kB` per line, and returns bytes.
 fn kib_of(text: &str, name: &str) -> Option<u64> {
     let line = text.lines().find(|line| line.starts_with(name))?;
     line.split_ascii_whitespace().nth(1)?.parse::<u64>().ok()?.checked_mul(1 << 10)
 }
 
-/// What `ulimit -v` allows, bytes; none if it is unlimited.
+/// Limit of `ulimit -v`, bytes; `None` if it is unlimited.
 fn address_space(limits: &str) -> Option<u64> {
     let line = limits.lines().find_map(|line| line.strip_prefix("Max address space"))?;
     line.split_ascii_whitespace().next()?.parse().ok()
 }
 
-/// The control groups of this process and those above them, with the names of their files for limit and use. Version 2
-/// has one hierarchy (`0::/path`), version 1 one for memory. Within a container the path may not be there, only its
-/// root.
+/// The control groups of this process and their parents, with the names of their files for limit and use. Version 2
+/// has one hierarchy (`0::/path`), version 1 one for memory. A container may show only the root, not the path.
 fn group_folders(cgroup: &str) -> Vec<(String, [&'static str; 2])> {
     let mut folders = Vec::new();
     for line in cgroup.lines() {

@@ -24,15 +24,15 @@ pub use depth_map::DepthMap;
 use scale::RowScaler;
 pub use undistort::undistort;
 
-/// Widest picture that [`Resolution::Auto`] leaves as it is, pixels.
+/// Widest picture that [`Resolution::Auto`] does not scale, pixels.
 pub const AUTO_MAX_WIDTH: u32 = 1600;
 
-/// Photographs as files: what this crate adds to [`Photo`].
+/// Reads, writes and scales a [`Photo`].
 pub trait PhotoFileFormat: Sized {
-    /// Reads a JPEG or PNG of any colour type; what is transparent shows `background` (r, g, b in [0, 1]).
+    /// Reads a JPEG or PNG of any colour type; transparent pixels show `background` (r, g, b in [0, 1]).
     ///
-    /// The orientation in a photo's metadata is not applied: COLMAP, Pillow and stb_image do not apply it either.
-    /// Data sets may, where their cameras are those of the turned photos: see
+    /// Ignores the orientation in a photo's metadata, as COLMAP, Pillow and stb_image do.
+    /// Data sets may apply it if their cameras have the size of the rotated photos: see
     /// [`super::dataset::DatasetOptions::orientation`].
     ///
     /// # Errors
@@ -41,13 +41,13 @@ pub trait PhotoFileFormat: Sized {
     /// memory for it.
     fn read(path: impl AsRef<Path>, background: [f32; 3]) -> Result<Self>;
 
-    /// Like [`PhotoFileFormat::read`], with a bound of the memory that decoding may take.
+    /// Same as [`PhotoFileFormat::read`], within a memory budget.
     ///
     /// # Errors
     /// Same as [`PhotoFileFormat::read`].
     fn read_within(path: impl AsRef<Path>, background: [f32; 3], memory: &HostMemory) -> Result<Self>;
 
-    /// Like [`PhotoFileFormat::read`], and refuses a picture of another size before decoding it.
+    /// Same as [`PhotoFileFormat::read`], but refuses a picture of another size before decoding it.
     ///
     /// # Errors
     /// Same as [`PhotoFileFormat::read`], and [`Error::Input`] for another size.
@@ -112,7 +112,7 @@ impl PhotoFileFormat for Photo {
     }
 }
 
-/// Reads a picture as it is wanted.
+/// Reads a picture as `request` says.
 ///
 /// # Errors
 /// Same as [`PhotoFileFormat::read_sized`].
@@ -120,20 +120,20 @@ pub(crate) fn read_as(path: &Path, request: &Request<'_>) -> Result<Decoded> {
     decode::read(path, request)
 }
 
-/// How much memory photos may take, and where they lie while they do not fit.
+/// Memory budget of photos, and the folder for photos that exceed it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PhotoMemory {
-    /// Bytes of all photos that are held at a time, in host and device memory together, while training.
+    /// Budget of all photos held at a time, in host and device memory together, while training, bytes.
     pub bytes: u64,
-    /// Folder on a disk with room for four bytes per pixel.
+    /// Folder on a disk with free space for four bytes per pixel.
     pub folder: PathBuf,
 }
 
 impl PhotoMemory {
-    /// An empty file for photos: it has no name, and is gone with the value.
+    /// Creates a file without a name for photos; it is removed with the value.
     ///
     /// # Errors
-    /// [`Error::Io`] when none can be created.
+    /// [`Error::Io`] when the file cannot be created.
     pub fn create_file(&self) -> Result<Arc<PhotoFile>> {
         let file =
             tempfile::tempfile_in(&self.folder).map_err(|e| Error::io(&self.folder, "create a file", e))?;
@@ -141,21 +141,21 @@ impl PhotoMemory {
     }
 }
 
-/// The folder or, while it is not there, the nearest one above it that is.
+/// The folder, or its nearest parent that exists.
 pub fn existing_folder(path: &Path) -> PathBuf {
     let absolute = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
     absolute.ancestors().find(|folder| folder.is_dir()).map_or_else(std::env::temp_dir, Path::to_owned)
 }
 
-/// Whether photos are turned as their metadata (Exif) say.
+/// Rotation of photos by their metadata (Exif).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum PhotoOrientation {
-    /// As stored, unless the sizes of their cameras say that these are of the turned photos.
+    /// As stored, unless the sizes of their cameras are those of the rotated photos.
     #[default]
     Auto,
     /// As stored.
     Stored,
-    /// Turned.
+    /// Rotated by the metadata.
     Upright,
 }
 
@@ -176,7 +176,7 @@ impl FromStr for PhotoOrientation {
 /// The size at which photos are used (`-r`, `--resolution`).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Resolution {
-    /// As they are; wider than 1600 pixels are scaled to 1600 (`-1`).
+    /// Unchanged up to a width of 1600 pixels; wider photos are scaled to 1600 (`-1`).
     #[default]
     Auto,
     /// Both sides divided by 1, 2, 4 or 8.
@@ -188,7 +188,7 @@ pub enum Resolution {
 impl Resolution {
     /// The size of a photo of `width` × `height` pixels under this setting; at least 1×1.
     ///
-    /// Rounds as the reference implementation: factors to the nearest, ties to even; widths down.
+    /// Rounds like the reference implementation: factors to the nearest, ties to even; widths down.
     pub fn apply(self, width: u32, height: u32) -> (u32, u32) {
         let to_width = |target: u32| {
             let scale = f64::from(width) / f64::from(target.max(1));

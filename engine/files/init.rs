@@ -71,7 +71,7 @@ pub fn mean_squared_neighbour_distances(positions: &[[f32; 3]]) -> Result<Vec<f6
     let mut copies: HashMap<[u32; 3], usize> = HashMap::with_capacity(positions.len());
     let mut tree = KdTree::new(3);
     for (index, position) in positions.iter().enumerate() {
-        // Adding 0 merges -0 and 0, which differ only in their bits.
+        // Adding 0 merges -0 and 0, which differ only in the sign bit.
         let key = position.map(|v| (v + 0.0).to_bits());
         let count = copies.entry(key).or_insert(0);
         *count += 1;
@@ -87,7 +87,7 @@ pub fn mean_squared_neighbour_distances(positions: &[[f32; 3]]) -> Result<Vec<f6
             let nearest = tree
                 .nearest(&position.map(f64::from), NEIGHBOURS + 1, &squared_euclidean)
                 .map_err(|e| Error::argument("points", format!("no neighbours of {position:?}: {e}")))?;
-            // Every position counts once per point there. The first count is the point itself.
+            // Each position counts once per coincident point. The first count is the point itself.
             let distances = nearest.iter().flat_map(|&(d, key)| std::iter::repeat_n(d, copies[key]));
             let (sum, n) = distances.skip(1).take(NEIGHBOURS).fold((0.0, 0), |(s, n), d| (s + d, n + 1));
             Ok((sum / f64::from(n.max(1))).max(MIN_SQUARED_DISTANCE))
@@ -109,7 +109,7 @@ pub fn random_points(count: usize, bounds: Bounds, seed: u64) -> PointCloud {
 const DEPTHS: [f32; 2] = [0.25, 16.0];
 
 /// Grey points inside the cameras' views. Each camera's points are uniform in its picture and in the
-/// logarithm of the depth, from a quarter to 16 times `spread`. The same seed gives the same points. None
+/// logarithm of the depth, from a quarter to 16 times `spread`. The same seed gives the same points. Empty
 /// without cameras.
 pub fn points_in_view(count: usize, cameras: &[Camera], spread: f32, seed: u64) -> PointCloud {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
@@ -129,9 +129,10 @@ pub fn points_in_view(count: usize, cameras: &[Camera], spread: f32, seed: u64) 
 /// Edge of the box as a share of the width that a typical camera sees.
 const SEEN_SHARE: f32 = 0.9;
 
-/// The cube that cameras around a scene look at. Its middle is the point nearest to all their axes, and its
-/// half edge a little less than what the typical camera sees to each side of it there. `None` if they do not
-/// look at one place: the middle is behind more than a tenth of them, or their axes are parallel. Strays are left out.
+/// The cube that cameras around a scene look at. Its centre is the point nearest to all their axes. Its
+/// half edge is a little less than what the typical camera sees to each side of the centre. Stray cameras are ignored.
+/// `None` if the cameras do not look at one place: the centre is behind more than a tenth of them, or their axes are
+/// parallel.
 pub fn seen_box(cameras: &[Camera]) -> Option<Bounds> {
     let cameras = &without_strays(cameras, Camera::position);
     let mut across = DMat3::ZERO;

@@ -1,4 +1,4 @@
-//! `lens.json`, what a training has learned of its cameras: vignetting and response, and which camera took which photograph.
+//! `lens.json`, the learned vignetting and response of cameras, and the camera of each photograph.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -11,19 +11,18 @@ use serde::{Deserialize, Serialize};
 /// Name of the file in a model folder.
 pub const LENS_FILE: &str = "lens.json";
 
-/// Largest exponent of a response, and one over the smallest: what is beyond is no camera's.
+/// Largest exponent of a response, and the inverse of the smallest. No real camera exceeds it.
 const MOST_GAMMA: f32 = 20.0;
 
 /// Cameras by their ids, and the ids by the names of photographs.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LensFile {
-    /// What each camera makes of colours.
+    /// Effects of each camera on colours.
     pub cameras: BTreeMap<u32, LensEffects>,
     /// The camera of each photograph, held-out ones included.
     pub photos: BTreeMap<String, u32>,
 }
 
-/// The file's own form.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Document {
@@ -34,14 +33,14 @@ struct Document {
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Entry {
-    /// Per channel: the coefficients of r², r⁴ and r⁶.
+    /// Coefficients of r², r⁴ and r⁶ per channel.
     vignetting: [[f32; 3]; 3],
-    /// Per channel: the exponent.
+    /// Exponent per channel.
     response: [f32; 3],
 }
 
 impl LensFile {
-    /// The effects of the camera that took a photograph; None where that is not known.
+    /// Effects of the camera that took a photograph; `None` if it is unknown.
     pub fn of(&self, photo: &str) -> Option<LensEffects> {
         self.cameras.get(self.photos.get(photo)?).copied()
     }
@@ -63,8 +62,8 @@ impl LensFile {
     /// Reads the file of [`LensFile::write`].
     ///
     /// # Errors
-    /// [`Error::Io`] when the file cannot be read; [`Error::Input`] when it is no such document, has numbers that no camera
-    /// has, or a photograph of a camera that it lacks.
+    /// [`Error::Io`] when the file cannot be read; [`Error::Input`] when it is not such a document, has implausible
+    /// numbers, or a photograph of a missing camera.
     pub fn read(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref();
         let text = text::read(path)?;

@@ -1,5 +1,5 @@
-//! Weights of LPIPS as files: safetensors with the tensors of a network and of the heads, under the names that PyTorch's
-//! programs give them.
+//! Weight files of LPIPS: safetensors with the tensors of a network and of the heads, under PyTorch's
+//! names.
 
 use std::path::Path;
 
@@ -12,30 +12,33 @@ use safetensors::{Dtype, SafeTensors};
 const REMEDY: &str =
     "give the weights of LPIPS 0.1 with AlexNet or VGG16, as tools/lpips_weights.py writes them";
 
-/// No weight of a trained network is as large; a damaged one may be, and would make LPIPS 0 or not a number.
+/// No weight of a trained network is as large. A damaged weight may be, and would make LPIPS 0 or NaN.
 const LARGEST: f32 = 1000.0;
 
-/// Weights as files: what this crate adds to [`Weights`].
+/// Reads [`Weights`] from a file.
 pub trait WeightsFile: Sized {
-    /// Reads the weights of a network and of the heads of LPIPS. The shapes say which network it is.
+    /// Reads the weights of a network and of the heads of LPIPS. The tensor shapes identify the network.
     ///
     /// All tensors are F32, in PyTorch's order. With N the index of a convolution in torchvision's `features`:
-    /// - `net.N.weight` `[outputs, inputs, size, size]` and `net.N.bias` `[outputs]`; `features.N` or lpips' `net.sliceK.N` instead
-    ///   of `net.N` will do,
+    /// - `net.N.weight` `[outputs, inputs, size, size]` and `net.N.bias` `[outputs]`; `features.N` or lpips'
+    /// `net.sliceK.N` may
+    /// replace `net.N`,
     /// - `linK.model.1.weight` [1, channels, 1, 1], K from 0 to 4.
     ///
-    /// Others are ignored.
+    /// Other tensors are ignored.
     ///
     /// # Errors
-    /// [`Error::Io`]; [`Error::Input`] with the tensor that is missing, given twice, of another shape or type, or that has a
-    /// value that is not finite or beyond 1000, or of a head one below 0; [`Error::TooLarge`] when the machine has too little memory.
+    /// [`Error::Io`]; [`Error::Input`] naming a tensor that is missing, given twice, or of another shape or type, or
+    /// whose
+    /// values are not finite, beyond 1000, or negative in a head; [`Error::TooLarge`] when the machine has too little
+    /// memory.
     fn read(path: impl AsRef<Path>, memory: &HostMemory) -> Result<Self>;
 }
 
 impl WeightsFile for Weights {
     fn read(path: impl AsRef<Path>, memory: &HostMemory) -> Result<Self> {
         let path = path.as_ref();
-        // The file, and what it becomes.
+        // Twice the file: its bytes, and the weights made of them.
         let (bytes, _lease) = regular_file::read_within(path, 2, memory)?;
         parse(&bytes).map_err(|problem| Error::input(path, problem, REMEDY))
     }
@@ -63,7 +66,7 @@ fn parse(bytes: &[u8]) -> Result<Weights, String> {
         }
         let weights = values(&tensors, &name, &[1, tap.outputs, 1, 1], network)?;
         refuse_zeros(&weights, || format!("'{name}'"))?;
-        // Section 3 of LPIPS: a distance, so its training keeps them from being negative.
+        // Section 3 of LPIPS: the result is a distance, so training keeps the weights from being negative.
         match weights.iter().position(|&weight| weight < 0.0) {
             Some(at) => Err(format!(
                 "tensor '{name}': value {at} is {}, no head of LPIPS has one below 0",
@@ -76,7 +79,7 @@ fn parse(bytes: &[u8]) -> Result<Weights, String> {
     Ok(Weights { network, convolutions, heads })
 }
 
-/// Refuses weights with which LPIPS would be the same for all pictures.
+/// Refuses weights that make LPIPS the same for all pictures.
 fn refuse_zeros(weights: &[f32], which: impl Fn() -> String) -> Result<(), String> {
     match weights.iter().all(|&weight| weight == 0.0) {
         true => Err(format!("the weights {} are all 0, those of no trained network are", which())),
@@ -84,7 +87,7 @@ fn refuse_zeros(weights: &[f32], which: impl Fn() -> String) -> Result<(), Strin
     }
 }
 
-/// The network whose first convolution the file has.
+/// The network, by the file's first convolution.
 fn network_of(tensors: &SafeTensors) -> Result<Network, String> {
     let Some(name) = named(tensors, 0, "weight")? else {
         return Err("lacks the tensor 'net.0.weight' (or 'features.0.weight') of a network".into());
@@ -101,7 +104,7 @@ fn network_of(tensors: &SafeTensors) -> Result<Network, String> {
     })
 }
 
-/// The name that a tensor of a convolution has.
+/// The name of a convolution's tensor in the file.
 fn named(tensors: &SafeTensors, index: u32, part: &str) -> Result<Option<String>, String> {
     let end = format!(".{index}.{part}");
     let is_one = |name: &&str| {

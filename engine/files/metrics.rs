@@ -28,10 +28,10 @@ pub fn psnr(image: &[[f32; 3]], reference: &[[f32; 3]]) -> Result<f64> {
     Ok(decibels(image.iter().zip(reference)))
 }
 
-/// [`psnr`] over the pixels that count: where the mask, one byte per pixel, is not 0.
+/// [`psnr`] over the pixels whose mask byte is not 0.
 ///
 /// # Errors
-/// Same as [`psnr`], and for a mask of another size or that hides everything.
+/// Same as [`psnr`], and for a mask of another size or one that hides everything.
 pub fn masked_psnr(image: &[[f32; 3]], reference: &[[f32; 3]], mask: &[u8]) -> Result<f64> {
     check_sizes(image.len(), reference.len())?;
     check_mask(image.len(), mask)?;
@@ -61,11 +61,11 @@ pub fn ssim(image: &[[f32; 3]], reference: &[[f32; 3]], width: u32) -> Result<f6
     Ok(map / (3 * image.len()) as f64)
 }
 
-/// SSIM of both pictures times the mask (one byte per pixel; 0: does not count), mean over the pixels that count and all
+/// SSIM of both pictures times the mask (one byte per pixel; 0 hides it): mean over the visible pixels and all
 /// channels.
 ///
 /// # Errors
-/// Same as [`ssim`], and for a mask of another size or that hides everything.
+/// Same as [`ssim`], and for a mask of another size or one that hides everything.
 pub fn masked_ssim(image: &[[f32; 3]], reference: &[[f32; 3]], mask: &[u8], width: u32) -> Result<f64> {
     check_sizes(image.len(), reference.len())?;
     check_mask(image.len(), mask)?;
@@ -77,7 +77,7 @@ pub fn masked_ssim(image: &[[f32; 3]], reference: &[[f32; 3]], mask: &[u8], widt
     Ok(map / (3 * counting) as f64)
 }
 
-/// The sum of the SSIM map over the pixels that count and all channels.
+/// Sum of the SSIM map over the visible pixels and all channels.
 fn ssim_rows(
     image: &[[f32; 3]],
     reference: &[[f32; 3]],
@@ -123,7 +123,7 @@ fn column_sums(a: &[[f32; 3]], b: &[[f32; 3]], width: usize, y: usize, moments: 
     }
 }
 
-/// SSIM at a pixel and channel from the column sums around it.
+/// SSIM at a pixel and channel from the nearby column sums.
 fn ssim_at(moments: &[[f64; 5]], weights: &[f64; WINDOW], x: usize, channel: usize) -> f64 {
     let width = moments.len() / 3;
     let mut sums = [0.0; 5];
@@ -139,7 +139,7 @@ fn ssim_at(moments: &[[f64; 5]], weights: &[f64; WINDOW], x: usize, channel: usi
         / ((mean_a * mean_a + mean_b * mean_b + C1) * (var_a + var_b + C2))
 }
 
-/// The one-dimensional window, of sum 1.
+/// The one-dimensional window, whose sum is 1.
 fn window() -> [f64; WINDOW] {
     let weights: [f64; WINDOW] =
         std::array::from_fn(|i| (-(i as f64 - RADIUS as f64).powi(2) / (2.0 * SIGMA * SIGMA)).exp());

@@ -1,5 +1,5 @@
-//! Files as other people's programs name them: with the separators of another system, in another case, with another
-//! ending or none.
+//! Finds files under the names that other programs give them: with another system's separators, another case, another
+//! extension or none.
 
 use std::collections::{HashMap, HashSet};
 use std::ffi::{OsStr, OsString};
@@ -9,26 +9,26 @@ use unicode_normalization::UnicodeNormalization;
 
 use crate::{cost, text};
 
-/// Endings of photos, the likelier one first.
+/// Extensions of photos, the likeliest first.
 const ENDINGS: [&str; 3] = ["png", "jpg", "jpeg"];
 
-/// Endings of pictures that have to be converted.
+/// Extensions of pictures that must be converted.
 const OTHER_ENDINGS: [&str; 16] = [
     "webp", "tif", "tiff", "heic", "heif", "avif", "bmp", "gif", "jxl", "jp2", "dng", "cr2", "cr3", "nef",
     "arw", "raf",
 ];
 
-/// Endings of videos.
+/// Extensions of videos.
 const VIDEO_ENDINGS: [&str; 11] =
     ["mp4", "mov", "mkv", "webm", "avi", "m4v", "mpg", "mpeg", "mts", "3gp", "wmv"];
 
-/// Longest path that systems have, bytes. A longer one names nothing.
+/// Longest path that systems have, bytes. A longer one cannot exist.
 pub(super) const MAX_PATH_BYTES: usize = 4096;
 
-/// Most folders within each other that a differently written name is looked for in.
+/// Largest depth of nested folders in which a differently written name is searched.
 pub(super) const MAX_DEPTH: usize = 64;
 
-/// A name with `/` for `\`, and without `./` in front.
+/// A name with `/` for `\`, and without a leading `./`.
 pub(super) fn plain(name: &str) -> String {
     let name = name.replace('\\', "/");
     let mut rest = name.as_str();
@@ -38,14 +38,14 @@ pub(super) fn plain(name: &str) -> String {
     rest.to_owned()
 }
 
-/// Whether a plain name stays below the folder that it is joined to.
+/// True if a plain name stays below the folder that it is joined to.
 pub(super) fn stays_inside(name: &str) -> bool {
     let below = |c: Component<'_>| matches!(c, Component::Normal(_) | Component::CurDir);
     let drive = name.as_bytes().get(1) == Some(&b':');
     Path::new(name).components().all(below) && !drive && !name.is_empty() && !name.contains('\0')
 }
 
-/// The end of a path of unknown length, for a message.
+/// The end of a path, shortened for a message.
 pub(super) fn ending(name: &str) -> String {
     const SHOWN: usize = 120;
     let start = name.len().saturating_sub(SHOWN);
@@ -53,7 +53,7 @@ pub(super) fn ending(name: &str) -> String {
     format!("{}{}", if start > 0 { "…" } else { "" }, &name[start..])
 }
 
-/// Whether a name ends as the photos do that can be read: `.jpg`, `.jpeg` or `.png`, in any case.
+/// True for the extension of a readable photo: `.jpg`, `.jpeg` or `.png`, in any case.
 pub fn has_photo_ending(name: &Path) -> bool {
     name.extension().is_some_and(|ending| ENDINGS.iter().any(|known| ending.eq_ignore_ascii_case(known)))
 }
@@ -64,13 +64,13 @@ fn has_other_ending(name: &str) -> bool {
     ending.is_some_and(|ending| OTHER_ENDINGS.iter().any(|known| ending.eq_ignore_ascii_case(known)))
 }
 
-/// Whether a name ends as videos do.
+/// True for the extension of a video.
 pub fn has_video_ending(name: &Path) -> bool {
     name.extension()
         .is_some_and(|ending| VIDEO_ENDINGS.iter().any(|known| ending.eq_ignore_ascii_case(known)))
 }
 
-/// A word as a shell reads it back: in quotes if it needs them.
+/// A word for a shell: in quotes if it needs them.
 pub fn quoted(word: &str) -> String {
     let plain = |c: char| c.is_alphanumeric() || "-_./:,+=@%".contains(c);
     if !word.is_empty() && word.chars().all(plain) {
@@ -79,7 +79,7 @@ pub fn quoted(word: &str) -> String {
     format!("'{}'", word.replace('\'', "'\\''"))
 }
 
-/// Whether photos lie in a folder itself.
+/// True if photos lie directly in a folder.
 pub(super) fn has_photos(folder: &Path) -> bool {
     let mut entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
     entries.any(|entry| !is_hidden(&entry.file_name()) && has_photo_ending(&entry.path()))
@@ -89,7 +89,7 @@ fn is_hidden(name: &OsStr) -> bool {
     name.as_encoded_bytes().starts_with(b".")
 }
 
-/// The photos in a folder itself and in those folders of it that `names` begin with: not in other folders beside them.
+/// The photos directly in a folder, and in those subfolders that `names` begin with.
 pub(super) fn photos_beside<'n>(folder: &Path, names: impl Iterator<Item = &'n str>) -> Vec<PathBuf> {
     let first = |name: &'n str| {
         cost::step();
@@ -106,7 +106,7 @@ pub(super) fn photos_beside<'n>(folder: &Path, names: impl Iterator<Item = &'n s
     here.chain(folders.iter().flat_map(|name| photos_below(&folder.join(name)))).collect()
 }
 
-/// The pictures in a folder and those below it.
+/// The pictures in a folder and its subfolders.
 pub(super) fn pictures_below(folder: &Path) -> Vec<PathBuf> {
     let mut open = vec![folder.to_owned()];
     let mut pictures = Vec::new();
@@ -117,7 +117,7 @@ pub(super) fn pictures_below(folder: &Path) -> Vec<PathBuf> {
             if is_hidden(&entry.file_name()) {
                 continue;
             }
-            // A link may lead back.
+            // A symbolic link may lead back.
             match path.is_dir() && !path.is_symlink() {
                 true => open.push(path),
                 false if has_photo_ending(&path) => pictures.push(path),
@@ -128,14 +128,14 @@ pub(super) fn pictures_below(folder: &Path) -> Vec<PathBuf> {
     pictures
 }
 
-/// The photos in a folder and those below it, without their masks, depth maps and smaller copies.
+/// The photos in a folder and its subfolders, without their masks, depth maps and smaller copies.
 pub(super) fn photos_below(folder: &Path) -> Vec<PathBuf> {
     let mut photos = pictures_below(folder);
     photos.retain(|photo| !is_companion(photo.strip_prefix(folder).unwrap_or(photo)));
     photos
 }
 
-/// Whether a path has a part that is named as masks, depth maps or smaller copies of photos are: `masks`, `a_mask.png`,
+/// True if a part of the path is named like masks, depth maps or smaller copies of photos: `masks`, `a_mask.png`,
 /// `a.jpg.png`, `dynamic_mask_a.png`.
 pub(super) fn is_companion(path: &Path) -> bool {
     const WORDS: [&str; 7] = ["mask", "masks", "segmentation", "segmentations", "depth", "depths", "normals"];
@@ -153,30 +153,30 @@ pub(super) fn is_companion(path: &Path) -> bool {
     })
 }
 
-/// Looks files up, and keeps what lies in the folders that it had to look through.
+/// Looks files up, and caches the contents of the folders that it has searched.
 #[derive(Default)]
 pub(super) struct Finder {
     folders: HashMap<PathBuf, Listing>,
-    /// Photos in folders and those below, by the [`stem_key`] of their names.
+    /// Photos in folders and their subfolders, by the [`stem_key`] of their names.
     trees: HashMap<PathBuf, HashMap<String, Vec<PathBuf>>>,
 }
 
-/// What lies in a folder.
+/// Contents of a folder.
 struct Listing {
-    /// As they are written.
+    /// Names as written on disk.
     exact: HashSet<OsString>,
-    /// By [`key`].
+    /// Names by [`key`].
     names: HashMap<String, OsString>,
-    /// Photos by [`key`], without ending; the likeliest.
+    /// Photos by [`key`] without extension; the likeliest of several.
     photos: HashMap<String, OsString>,
 }
 
 impl Finder {
-    /// The photo that a path below `folder` means: itself, or one whose name differs in case or in the form of its
-    /// accents, lacks an ending, or has another one.
+    /// Finds the photo of a path below `folder`: the file itself, or one whose name differs in case, in the form of its
+    /// accents, or in its extension.
     pub(super) fn photo(&mut self, folder: &Path, name: &str) -> Option<PathBuf> {
         let found = self.file(folder, name);
-        // The original of a converted photo may still lie there.
+        // The original of a converted photo may still be there.
         if found.is_some() && !has_other_ending(name) {
             return found;
         }
@@ -193,7 +193,7 @@ impl Finder {
         converted().or(found)
     }
 
-    /// The file that a path below `folder` means: itself, or one whose name differs in case or in the form of its
+    /// Finds the file of a path below `folder`: itself, or one whose name differs in case or in the form of its
     /// accents.
     pub(super) fn file(&mut self, folder: &Path, name: &str) -> Option<PathBuf> {
         cost::step();
@@ -208,17 +208,17 @@ impl Finder {
         self.within(&folder, name).filter(|found| found.is_file())
     }
 
-    /// The folder that `name` means in `place`.
+    /// Finds the folder `name` in `place`.
     pub(super) fn folder(&mut self, place: &Path, name: &str) -> Option<PathBuf> {
         self.within(place, name).filter(|found| found.is_dir())
     }
 
-    /// The file that the longest end of a path means below `folder`. The whole path is not tried.
+    /// Finds a file below `folder` by the longest end of a path, except the whole path.
     pub(super) fn file_by_end(&mut self, folder: &Path, name: &str) -> Option<PathBuf> {
         self.ends(folder, name).into_iter().find_map(|end| self.file(folder, end))
     }
 
-    /// The ends of a path that may mean a file below `folder`, the longest first, without the whole path.
+    /// Ends of a path that may name a file below `folder`, the longest first, without the whole path.
     fn ends<'n>(&mut self, folder: &Path, name: &'n str) -> Vec<&'n str> {
         let starts: Vec<usize> = name.rmatch_indices('/').take(MAX_DEPTH).map(|(at, _)| at + 1).collect();
         let mut ends: Vec<&str> = starts.into_iter().rev().map(|start| &name[start..]).collect();
@@ -234,8 +234,9 @@ impl Finder {
         ends
     }
 
-    /// The photo below `folder` that a path of another folder means, and its path from there: the longest end of the path
-    /// that means a photo, else the one photo in its folders whose path ends as this one. Two that do are an error.
+    /// Finds a photo below `folder` by a path from another folder. The longest end of the path that names a photo wins,
+    /// else
+    /// the photo that shares the longest end with the path. Two equally good photos are an error.
     pub(super) fn photo_by_end(
         &mut self,
         folder: &Path,
@@ -269,7 +270,7 @@ impl Finder {
         }
     }
 
-    /// The folder in which the last part of a path lies, as it is written on this disk, and that part.
+    /// The folder of a path's last part, as written on this disk, and that part.
     fn parent<'n>(&mut self, folder: &Path, name: &'n str) -> Option<(PathBuf, &'n str)> {
         let mut parts = Vec::new();
         for part in Path::new(name).components() {
@@ -287,7 +288,7 @@ impl Finder {
         Some((place, last))
     }
 
-    /// What one name means in a folder.
+    /// Finds a single name in a folder.
     fn within(&mut self, folder: &Path, name: &str) -> Option<PathBuf> {
         cost::step();
         let listing = self.listing(folder);
@@ -297,7 +298,7 @@ impl Finder {
         if let Some(name) = listing.names.get(&key(name)) {
             return Some(folder.join(name));
         }
-        // A folder may be entered without the right to list it.
+        // A folder may be readable without the right to list it.
         Some(folder.join(name)).filter(|path| listing.exact.is_empty() && path.exists())
     }
 
@@ -306,8 +307,8 @@ impl Finder {
     }
 }
 
-/// What names have in common that mean the same file: without case, accents as one character with their letter. Linux
-/// and Windows write them so, macOS apart.
+/// Makes names equal that mean the same file: lower case, and accents composed with their letter. Linux
+/// and Windows write composed accents, macOS separate ones.
 fn key(name: &str) -> String {
     match name.is_ascii() {
         true => name.to_ascii_lowercase(),
@@ -315,7 +316,7 @@ fn key(name: &str) -> String {
     }
 }
 
-/// The [`key`] of a name without its ending.
+/// The [`key`] of a name without its extension.
 fn stem_key(name: &str) -> String {
     let key = key(name);
     Path::new(&key).file_stem().map_or_else(String::new, |stem| stem.to_string_lossy().into_owned())

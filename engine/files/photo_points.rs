@@ -1,7 +1,9 @@
-//! Points found in posed photographs, to start training from where a data set has none.
+//! Finds points in posed photographs, to start training if a data set has none.
 //!
-//! A plane sweep (Collins: *A space-sweep approach to true multi-image matching*, CVPR 1996) over small copies of the photographs: a
-//! pixel has the depth at which its surroundings look most alike in the neighbouring views. Depths that two other views
+//! A plane sweep (Collins: *A space-sweep approach to true multi-image matching*, CVPR 1996) over small copies of the
+//! photographs: a
+//! pixel gets the depth at which its surroundings look most alike in the neighbouring views. Depths that two other
+//! views
 //! confirm are kept. World coordinates, as in the cameras.
 
 use std::path::Path;
@@ -22,38 +24,42 @@ use crate::images::{Photo, PhotoFileFormat};
 use crate::init::seen_box;
 use crate::progress::Progress;
 
-/// Most points that are kept.
+/// Largest number of kept points.
 pub const PHOTO_POINTS: usize = 20_000;
 
-/// Most views that are looked at, evenly spread.
+/// Largest number of views that are used, evenly spread.
 const MAX_VIEWS: usize = 256;
 /// Longer side of the small copies, pixels.
 const LONG_SIDE: u32 = 128;
-/// Depths that are tried, evenly spread in inverse depth.
+/// Number of candidate depths, evenly spread in inverse depth.
 const PLANES: usize = 96;
-/// Nearest and farthest depth, as shares of the depth of the place that the cameras look at.
+/// Nearest and farthest depth, as shares of the depth of the cameras' common centre.
 const AROUND_MIDDLE: [f32; 2] = [0.25, 6.0];
-/// The same where they do not look at one place, as shares of the scene extent.
+/// Nearest and farthest depth without a common centre, as shares of the scene extent.
 const AROUND_CAMERAS: [f32; 2] = [0.25, 16.0];
-/// Views that a view is compared with.
+/// Number of views that a view is compared with.
 const COMPARED: usize = 4;
-/// Their best distance, as a share of the depths' geometric mean: nearer ones tell little of depth, farther ones look different.
+/// Best distance of compared views, as a share of the depths' geometric mean. Nearer views show little depth, farther
+/// ones look
+/// different.
 const BASELINE: f32 = 0.2;
-/// Windows are this many pixels to each side of the middle.
+/// Radius of the windows, pixels.
 const RADIUS: usize = 3;
-/// Least correlation of windows, the mean of the two best views.
+/// Least correlation of windows: the mean of the two best views.
 const MIN_CORRELATION: f32 = 0.6;
-/// A witness must have recognised more than nothing. With [`MIN_CORRELATION`] surfaces with little texture lose the points that
-/// they have: 1.5 dB less on the demo's scene (three seeds).
+/// Least correlation at a witness: its depth must not be random. With [`MIN_CORRELATION`], surfaces with little texture
+/// lose
+/// their points: 1.5 dB less on the demo's scene (three seeds).
 const WITNESS_CORRELATION: f32 = 0.0;
-/// Views that are asked for a depth, and how many of them must have the same.
+/// Number of views that check a depth, and how many of them must agree.
 const WITNESSES: usize = 8;
 const AGREEING: usize = 2;
-/// Up to this share of it a depth is the same.
+/// Largest relative difference of equal depths.
 const SAME_DEPTH: f32 = 0.03;
 
-/// At most `count` points at which the views agree, with their colours; in no order that means anything. The same views and
-/// seed give the same points. Few or none where photographs show no texture, hardly overlap, or are taken from one place.
+/// At most `count` points at which the views agree, with their colours, in arbitrary order. The same views and
+/// seed give the same points. There are few or none if photographs show no texture, hardly overlap, or are taken from
+/// one place.
 ///
 /// # Errors
 /// [`Error::Interrupted`](ashsplat::Error::Interrupted); [`Error::TooLarge`](ashsplat::Error::TooLarge) when the copy of a
@@ -69,7 +75,7 @@ pub fn photo_points(
     let some = views.len().min(MAX_VIEWS);
     let chosen: Vec<&View> = (0..some).map(|i| &views[i * views.len() / some]).collect();
     let done = AtomicUsize::new(0);
-    // A step for each photograph read, and one for each that is compared.
+    // One step for each photograph read, and one for each compared.
     let step = || progress.step(done.fetch_add(1, Ordering::Relaxed) + 1, 2 * some);
     let read = |view| {
         progress.check()?;
@@ -109,7 +115,7 @@ pub fn photo_points(
     })
 }
 
-/// Nearest and farthest depth that is tried for a view, world units.
+/// Nearest and farthest candidate depth of a view, world units.
 fn depth_range(camera: &Camera, middle: Option<Vec3>, scene_extent: f32) -> [f32; 2] {
     match middle {
         Some(middle) => {
@@ -120,8 +126,8 @@ fn depth_range(camera: &Camera, middle: Option<Vec3>, scene_extent: f32) -> [f32
     }
 }
 
-/// The views that look the same way from another place, and their distances as shares of the depths' geometric mean. A
-/// picture from the same place has no parallax and so confirms anything.
+/// The views that face the same way from another place, with their distances as shares of the depths' geometric mean. A
+/// picture from the same place has no parallax and would confirm any depth.
 fn overlapping(
     cameras: &[Camera],
     of: usize,
@@ -134,24 +140,24 @@ fn overlapping(
         .filter(|&(distance, _)| distance > 0.01)
 }
 
-/// The views that a view is compared with: those from about the best distance.
+/// The views that a view is compared with: those nearest to the best distance.
 fn neighbours(cameras: &[Camera], of: usize, range: [f32; 2]) -> impl Iterator<Item = usize> {
     let rated = overlapping(cameras, of, range).map(|(distance, index)| ((distance - BASELINE).abs(), index));
     first(rated.collect(), COMPARED)
 }
 
-/// The views that are asked about the depths of a view: the nearest.
+/// The views that check the depths of a view: the nearest.
 fn witnesses(cameras: &[Camera], of: usize, range: [f32; 2]) -> Vec<usize> {
     first(overlapping(cameras, of, range).collect(), WITNESSES).collect()
 }
 
-/// The indices of the smallest values.
+/// Indices of the `count` smallest values.
 fn first(mut rated: Vec<(f32, usize)>, count: usize) -> impl Iterator<Item = usize> {
     rated.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
     rated.into_iter().take(count).map(|(_, index)| index)
 }
 
-/// The pixels of a view whose depth others confirm.
+/// Points at the pixels of a view whose depth other views confirm.
 fn agreed(views: &[Small], depths: &[Depths], of: usize, witnesses: &[usize]) -> Vec<(Vec3, [u8; 3])> {
     let (view, own) = (&views[of], &depths[of]);
     let agrees = |point: Vec3, witness: usize| {
@@ -186,11 +192,11 @@ struct Small {
     colors: Vec<[u8; 3]>,
     /// Mean of the colours, 0 to 1.
     gray: Vec<f32>,
-    /// False where a mask leaves the pixel out.
+    /// False for pixels that a mask hides.
     counts: Vec<bool>,
 }
 
-/// For each pixel the depth that suits best, world units, and how well: -1 to 1.
+/// The best depth of each pixel, world units, and its correlation, -1 to 1.
 struct Depths {
     depth: Vec<f32>,
     correlation: Vec<f32>,
@@ -202,12 +208,12 @@ impl Small {
         let share = (LONG_SIDE as f32 / full_width.max(full_height) as f32).min(1.0);
         let [width, height] =
             [full_width, full_height].map(|side| ((side as f32 * share).round() as u32).max(1));
-        // Four bytes of each texel, and its three colours.
+        // Four bytes per texel, and its three colours.
         let _lease =
             memory.take(Path::new(&view.name), 7 * u64::from(full_width) * u64::from(full_height))?;
         let texels = view.photo.texels()?;
         let texels = texels.as_chunks::<4>().0;
-        // What is hidden must not tell where points lie: it may be held out.
+        // Hidden pixels must not influence points: they may be held out.
         let rgb = texels.iter().flat_map(|&[r, g, b, seen]| if seen == 0 { [128; 3] } else { [r, g, b] });
         let photo = Photo { width: full_width, height: full_height, rgb: rgb.collect() };
         let photo = photo.scaled_to(width, height)?;
@@ -229,7 +235,7 @@ impl Small {
         })
     }
 
-    /// The direction of a pixel's centre, of depth 1, in the camera's frame.
+    /// Direction of a pixel's centre in the camera's frame, scaled to depth 1.
     fn ray(&self, at: usize) -> Vec3 {
         let (x, y) = ((at % self.width) as f32 + 0.5, (at / self.width) as f32 + 0.5);
         Vec3::new((x - self.camera.cx) / self.camera.fx, (y - self.camera.cy) / self.camera.fy, 1.0)
@@ -240,7 +246,7 @@ impl Small {
         inside.then(|| y as usize * self.width + x as usize)
     }
 
-    /// Its grey between pixel centres; the border is repeated.
+    /// Grey value at a place by linear interpolation; the border is repeated.
     fn gray_at(&self, x: f32, y: f32) -> f32 {
         let [x, y] = [(x, self.width), (y, self.height)].map(|(v, n)| (v - 0.5).clamp(0.0, (n - 1) as f32));
         let (left, top) = (x as usize, y as usize);
@@ -256,7 +262,7 @@ impl Small {
     fn sweep(&self, others: &[&Small], [near, far]: [f32; 2]) -> Depths {
         let pixels = self.gray.len();
         let mut best = Depths { depth: vec![0.0; pixels], correlation: vec![-1.0; pixels] };
-        // Two views must agree: one alone resembles anything somewhere.
+        // Two views must agree: a single one resembles any window somewhere.
         if others.len() < 2 {
             return best;
         }
@@ -297,7 +303,7 @@ impl Small {
         best
     }
 
-    /// What another view shows of each pixel if it lies at this depth; None outside of it.
+    /// Warps another view to this one for pixels at depth `depth`; `None` outside the other view.
     fn warp(&self, other: &Small, depth: f32, warped: &mut [Option<f32>]) {
         let turn = other.camera.camera_from_world * self.camera.camera_from_world.transpose();
         let shift = other.camera.translation - turn * self.camera.translation;
@@ -316,7 +322,7 @@ struct Windows {
     width: usize,
     rows: Vec<f32>,
     values: Vec<f32>,
-    /// 1 / pixels of each window.
+    /// 1 / number of pixels of each window.
     shares: Vec<f32>,
 }
 
@@ -342,7 +348,7 @@ impl Windows {
     }
 }
 
-/// Sets sums to those of the values at up to [`RADIUS`] strides before and behind.
+/// Sets each sum to the sum of the values at up to [`RADIUS`] strides before and after.
 fn add_around(sums: &mut [f32], values: &[f32], stride: usize) {
     sums.copy_from_slice(values);
     for shift in (1..=RADIUS).map(|n| n * stride).filter(|&shift| shift < values.len()) {
@@ -372,12 +378,12 @@ mod tests {
         let mut cameras = vec![ahead(0.0), ahead(0.0), away, ahead(0.001), aside];
         cameras.extend((1..=WITNESSES + 3).rev().map(|n| ahead(0.1 * n as f32)));
         let last = cameras.len();
-        // The nearest that are left, the nearest first.
+        // The nearest of the others, in ascending distance.
         let expected: Vec<usize> = (last - WITNESSES..last).rev().collect();
         assert_eq!(witnesses(&cameras, 0, [1.0, 16.0]), expected);
     }
 
-    /// A depth of a pixel that resembles nothing is by chance, and says nothing when it is the same.
+    /// An uncorrelated depth is random, so it confirms nothing even if it is equal.
     #[test]
     fn witnesses_confirm_what_they_have_recognised_themselves() {
         let _turn = turn();

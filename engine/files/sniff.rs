@@ -1,4 +1,4 @@
-//! Recognises files whose content is not what their name promises.
+//! Recognises files whose content does not match their name.
 
 /// The actual kind of a file by its first bytes, and the remedy; `None` if it is not recognised.
 ///
@@ -32,13 +32,13 @@ pub(super) fn recognise(start: &[u8]) -> Option<(&'static str, &'static str)> {
     None
 }
 
-/// Text in UTF-16, by its byte-order mark and a first letter of ASCII.
+/// Recognises UTF-16 text by its byte-order mark and a first letter of ASCII.
 pub(super) fn utf16(start: &[u8]) -> Option<(&'static str, &'static str)> {
     let is_text = matches!(start, [0xff, 0xfe, 1..=255, 0, ..] | [0xfe, 0xff, 0, 1..=255, ..]);
     is_text.then_some(("is text in UTF-16", "save it in UTF-8"))
 }
 
-/// Pictures that are no JPEG or PNG. The tools named here keep the size and names of phone photos; otherwise
+/// Recognises pictures other than JPEG and PNG. The tools named here keep the size and names of phone photos; otherwise
 /// the cameras would not fit.
 fn picture(start: &[u8]) -> Option<(&'static str, &'static str)> {
     let brand = start.get(8..12).filter(|_| start.get(4..8) == Some(b"ftyp"));

@@ -47,28 +47,31 @@ pub use stream::{Header, ReadOptions, Scene, WriteOptions};
 /// Reads a file of Gaussians. Its first bytes or its extension select the format.
 ///
 /// # Errors
-/// [`ashsplat::Error::Io`] when the file cannot be read; [`ashsplat::Error::Input`] when it is no file of Gaussians, is cut short
-/// or damaged, or has unusable parameters (see [`super::ply::read`]) and [`ReadOptions::drop_invalid`] is not
-/// set; [`ashsplat::Error::TooLarge`] when it needs more memory than [`ReadOptions::max_host_memory`].
+/// [`ashsplat::Error::Io`] when the file cannot be read; [`ashsplat::Error::Input`] when it is not a file of Gaussians,
+/// is cut
+/// short or damaged, or has unusable parameters (see [`super::ply::read`]) without [`ReadOptions::drop_invalid`];
+/// [`ashsplat::Error::TooLarge`] when it needs more memory than [`ReadOptions::max_host_memory`].
 pub fn read(path: impl AsRef<Path>, options: &ReadOptions) -> Result<Scene> {
     open(path.as_ref(), options)?.collect()
 }
 
-/// What a file of Gaussians says of itself, without the Gaussians.
+/// Reads the properties of a file without its Gaussians.
 ///
 /// # Errors
-/// Same as [`read`], but for what is wrong with the Gaussians.
+/// Same as [`read`], except for errors in the Gaussians.
 pub fn header(path: impl AsRef<Path>, options: &ReadOptions) -> Result<Header> {
     Ok(open(path.as_ref(), options)?.header().clone())
 }
 
-/// Writes Gaussians in the format of the path's extension, or in a given one. Returns a line about what the format cannot hold,
-/// if that shows: positions' steps, sizes, colours.
+/// Writes Gaussians in the format of the path's extension, or in a given one. Returns a warning about visible losses
+/// of the format: steps of positions, sizes, colours.
 ///
 /// # Errors
-/// [`ashsplat::Error::Argument`] when the vectors do not fit together, and for an SPZ version that the format does not have; [`ashsplat::Error::Input`] for an unknown extension or for
-/// data that the format cannot hold; [`ashsplat::Error::Io`] naming the file when it cannot be written. No partial file
-/// remains.
+/// [`ashsplat::Error::Argument`] when the vectors do not fit together, and for an SPZ version that the format does not
+/// have;
+/// [`ashsplat::Error::Input`] for an unknown extension or for data that the format cannot hold; [`ashsplat::Error::Io`]
+/// naming
+/// the file when it cannot be written. No partial file remains.
 pub fn write(
     path: impl AsRef<Path>,
     gaussians: &Gaussians,
@@ -90,12 +93,16 @@ pub fn write(
     })
 }
 
-/// Same as [`write()`], of the Gaussians that a cut leaves, in their order, with spherical harmonics up to a degree; needs the
-/// memory of a block besides. Returns how many were written, and the
-/// line of [`write()`]. The file has the bytes of the one that [`convert()`] makes.
+/// Same as [`write()`], but only for the Gaussians that a cut keeps, in their order, with spherical harmonics up to a
+/// degree.
+/// Needs the memory of one block in addition. Returns the number of written Gaussians and the warning of [`write()`].
+/// The file
+/// has the same bytes as that of [`convert()`].
 ///
 /// # Errors
-/// Same as [`write()`]; [`ashsplat::Error::Argument`] for a cut that makes no sense; [`ashsplat::Error::Input`] for parameters that [`read`] refuses.
+/// Same as [`write()`]; [`ashsplat::Error::Argument`] for an invalid cut; [`ashsplat::Error::Input`] for parameters
+/// that [`read`]
+/// refuses.
 pub fn write_cut(
     path: impl AsRef<Path>,
     gaussians: &Gaussians,
@@ -126,10 +133,10 @@ pub fn write_cut(
     Ok((count, loss))
 }
 
-/// What a file of [`write_cut()`] in a format does not hold of the Gaussians, one line each.
+/// Names the losses of a file of [`write_cut()`] in a format, one line each.
 ///
 /// # Errors
-/// Same as [`write_cut()`], but for the file.
+/// Same as [`write_cut()`], except for errors of the file.
 pub fn cut_losses(
     format: Format,
     gaussians: &Gaussians,
@@ -154,7 +161,7 @@ pub fn cut_losses(
     Ok(losses)
 }
 
-/// Whether a format has a version of SPZ: [`WriteOptions::spz_version`].
+/// Checks that a format has this version of SPZ: [`WriteOptions::spz_version`].
 ///
 /// # Errors
 /// [`Error::Argument`].
@@ -168,7 +175,7 @@ pub fn check_spz_version(format: Format, version: Option<u32>) -> Result<()> {
     }
 }
 
-/// Same as [`write_blocks`], of what was read and then changed: it can be read again, or is refused.
+/// Same as [`write_blocks`], but refuses Gaussians that could not be read again, since they were changed after reading.
 fn write_readable(
     path: &Path,
     format: (Format, Option<u32>),
@@ -184,7 +191,7 @@ fn write_readable(
     })
 }
 
-/// Writes a file of any format. Returns a line about what the format cannot hold.
+/// Writes a file of any format. Returns a warning about the format's losses.
 fn write_blocks(
     path: &Path,
     (format, spz_version): (Format, Option<u32>),

@@ -1,11 +1,11 @@
-//! Text as other programs write it: with a byte-order mark, in Latin-1, with decimal commas.
+//! Decodes text of other programs: with a byte-order mark, in Latin-1, with decimal commas.
 
 use std::path::Path;
 
 use crate::{regular_file, sniff};
 use ashsplat::{Error, Result};
 
-/// The text of a whole JSON file, without its byte-order mark.
+/// Reads the text of a whole JSON file, without its byte-order mark.
 ///
 /// # Errors
 /// [`Error::Io`] when the file cannot be read, [`Error::TooLarge`] when the machine has too little memory for it,
@@ -14,7 +14,7 @@ pub(crate) fn read(path: &Path) -> Result<String> {
     from_bytes(path, regular_file::read_json(path)?)
 }
 
-/// The text of the bytes of a file, without its byte-order mark.
+/// Decodes the bytes of a file, without its byte-order mark.
 ///
 /// # Errors
 /// [`Error::Input`] when it is in UTF-16.
@@ -29,13 +29,13 @@ pub fn from_bytes(path: &Path, bytes: Vec<u8>) -> Result<String> {
 /// UTF-8's byte-order mark, which Windows' editors write.
 pub(crate) const MARK: char = '\u{feff}';
 
-/// UTF-8, or Latin-1 where it is none: names from older systems.
+/// Decodes UTF-8, or else Latin-1, for names from older systems.
 pub(crate) fn decoded(bytes: Vec<u8>) -> String {
     String::from_utf8(bytes)
         .unwrap_or_else(|error| error.as_bytes().iter().copied().map(char::from).collect())
 }
 
-/// Hint about a word that is no number, if it has a decimal comma.
+/// Hint about a word that is not a number, if it has a decimal comma.
 pub(crate) fn not_a_number(word: &str) -> &'static str {
     match word.contains(',') && word.replacen(',', ".", 1).parse::<f64>().is_ok() {
         true => " (a decimal comma: write numbers with a point)",

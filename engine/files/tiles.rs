@@ -1,4 +1,5 @@
-//! A scene as a tree of tiles, the coarser ones merged of the finer: 3D Tiles 1.1 with `KHR_gaussian_splatting` in GLB.
+//! A scene as a tree of tiles in which coarser tiles are merged from finer ones: 3D Tiles 1.1 with
+//! `KHR_gaussian_splatting` in GLB.
 
 mod document;
 mod tree;
@@ -19,21 +20,23 @@ use document::Tile;
 
 pub use tree::{Demand, TILESET_FILE, Tile as TreeTile, Tree};
 
-/// How many Gaussians of the finer tiles become one of the coarser: on surfaces, half of the resolution.
+/// Number of Gaussians of finer tiles that become one of the coarser tile: on surfaces, half of the resolution.
 const MERGED: usize = 4;
 
-/// How far a Gaussian is taken to reach, standard deviations: an opaque one is drawn up to √(2 ln 255) of them.
+/// Reach of a Gaussian, standard deviations: an opaque one is drawn up to √(2 ln 255).
 const REACH: f64 = 3.34;
 
-/// How far from its mean, world units: single precision ends soon after.
+/// Largest reach of a Gaussian from its mean, world units: single precision ends soon after.
 const MOST_REACH: f64 = 1e38;
 
-/// How a scene is divided.
+/// Options for dividing a scene into tiles.
 #[derive(Clone, Copy, Debug)]
 pub struct TileOptions {
-    /// Gaussians of a tile, at most.
+    /// Largest number of Gaussians in a tile.
     pub most: usize,
-    /// Whether the tiles' attributes are packed as SPZ version 2, with `KHR_gaussian_splatting_compression_spz_2`. CesiumJS reads no others.
+    /// True if the tiles' attributes are packed as SPZ version 2, with `KHR_gaussian_splatting_compression_spz_2`.
+    /// CesiumJS reads no
+    /// others.
     pub packed: bool,
 }
 
@@ -44,38 +47,44 @@ impl Default for TileOptions {
     }
 }
 
-/// Of the Gaussians of finer tiles, and those that they were merged to: how much their pictures differ, world units. The root of the
-/// squared difference from 0 to 1, integrated over the tile: divided by the size of a pixel it is that of a picture, summed over
-/// pixels.
+/// Measures how much pictures of the merged Gaussians (second argument) differ from those of the finer ones (first),
+/// world
+/// units: the root of the squared difference from 0 to 1, integrated over the tile. Divided by a pixel's size, it is
+/// the root of the squared difference of a picture, summed over pixels.
 pub type Measure<'a> = dyn FnMut(&Gaussians, &Gaussians) -> Result<f64> + 'a;
 
-/// What was written.
+/// Result of writing the tiles.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Tiling {
-    /// Gaussians of the scene.
+    /// Number of Gaussians in the scene.
     pub gaussians: u64,
-    /// All tiles.
+    /// Number of tiles.
     pub tiles: usize,
-    /// Of these, the tiles with the scene's own Gaussians.
+    /// Number of tiles with the scene's own Gaussians.
     pub leaves: usize,
-    /// Tiles from the coarsest to the finest, one after another.
+    /// Number of levels from the coarsest tile to the finest.
     pub levels: usize,
-    /// Gaussians of all tiles.
+    /// Number of Gaussians in all tiles.
     pub written: u64,
-    /// About the scene, for the user.
+    /// Warnings about the scene.
     pub warnings: Vec<String>,
 }
 
-/// Writes the tiles of a scene, and `tileset.json` about them, into a new folder. The same scene gives the same bytes.
+/// Writes the tiles of a scene and their `tileset.json` into a new folder. The same scene gives the same bytes.
 ///
-/// A k-d tree ([`Cells`]) divides the scene; a cell of its finest level is a tile with the Gaussians that have their centres there, as
-/// they are. A tile above has about four below it, and a quarter of their Gaussians ([`decimate`]). The host holds the centres of all
-/// Gaussians, and the tiles on the way from the root to one of the finest: the rows of the scene lie on the disk meanwhile, in the
-/// folder.
+/// A k-d tree ([`Cells`]) divides the scene. Each cell of its finest level is a tile with the Gaussians centred there,
+/// unchanged.
+/// A tile above has about four children and a quarter of their Gaussians ([`decimate`]). The host holds the centres of
+/// all
+/// Gaussians, and the tiles on the path from the root to a finest one. The scene's rows lie in the folder on disk
+/// meanwhile.
 ///
 /// # Errors
-/// [`Error::Input`] for more Gaussians at one place than a tile has, for means that are too far out for SPZ, for a folder with something in it, for a scene without
-/// Gaussians, and as [`splats::read`]; [`Error::Io`]; [`Error::Interrupted`]; what `measure` says. Then nothing is left.
+/// [`Error::Input`] for more Gaussians at one place than a tile holds, for means that are too far out for SPZ, for a
+/// folder
+/// that is not empty, for a scene without Gaussians, and as [`splats::read`]; [`Error::Io`]; [`Error::Interrupted`];
+/// errors of
+/// `measure`. Nothing is left then.
 pub fn write(
     input: &Path,
     folder: &Path,
@@ -88,13 +97,13 @@ pub fn write(
     if folder.symlink_metadata().is_ok() && !is_empty(folder) {
         return Err(Error::input(folder, "is there already", "give another folder, or remove it"));
     }
-    // The tree is made beside the folder and renamed to it in the end.
+    // The tree is written beside the folder and renamed at the end.
     if folder.is_symlink() || folder.file_name().is_none() {
         return Err(Error::input(folder, "cannot be replaced by a new folder", "give the name of one"));
     }
     let beside = folder.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let mut builder = tempfile::Builder::new();
-    // As any folder, not for its owner alone.
+    // A folder's usual permissions, not the private ones of a temporary folder.
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o777));
     let unfinished = builder.prefix(".tiles").tempdir_in(beside);
@@ -129,10 +138,10 @@ pub fn write(
     Ok(done)
 }
 
-/// Where the scene's rows lie until their tile is written.
+/// Folder of the scene's rows until their tile is written.
 const ROWS: &str = "rows";
 
-/// The scene's rows on the disk, by cells of the finest level.
+/// The scene's rows on disk, by cells of the finest level.
 struct Spill {
     folder: PathBuf,
     cells: Cells,
@@ -141,10 +150,10 @@ struct Spill {
     kernel_size: Option<f32>,
 }
 
-/// What of all rows is held.
+/// Properties of the rows that stay in memory.
 struct Rows {
     means: Vec<[f32; 3]>,
-    /// What they are relative to, source coordinates.
+    /// Origin of the means, source coordinates.
     origin: DVec3,
     warnings: Vec<String>,
 }
@@ -175,7 +184,7 @@ impl Spill {
         if means.is_empty() {
             return Err(Error::input(input, "has no Gaussians", "give a trained scene"));
         }
-        // Means are finite, and there are some: too many are at one place.
+        // Means are finite, and there is at least one, so too many are at one place.
         let cells = Cells::divide(&means, most).map_err(|e| {
             Error::input(input, format!("cannot be divided: {e}"), "give more --max-gaussians")
         })?;
@@ -195,7 +204,7 @@ impl Spill {
         self.folder.join(cell.to_string())
     }
 
-    /// Adds a block's rows to those of their cells. Any number of cells needs one open file.
+    /// Appends a block's rows to the files of their cells. A single file is open at a time.
     fn add(&self, block: &Gaussians) -> Result<()> {
         let mut by_cell: Vec<(usize, usize)> = (0..block.len())
             .filter_map(|row| Some((self.cells.at(Vec3::from_array(block.means[row]))?, row)))
@@ -216,7 +225,7 @@ impl Spill {
         Ok(())
     }
 
-    /// A cell's rows, in the order of the scene; they are gone from the disk then.
+    /// Reads a cell's rows, in the order of the scene, and removes them from the disk.
     fn take(&self, cell: usize) -> Result<Gaussians> {
         let path = self.path(cell);
         let bytes = regular_file::read(&path, 3)?;
@@ -235,16 +244,17 @@ impl Spill {
     }
 }
 
-/// One of the tiles to be written, which are in such an order that those below a tile come before it.
+/// One of the tiles to be written, in an order in which children come before their parents.
 enum Step {
     /// The cell of the finest level.
     Leaf(usize),
-    /// Above the last so many that have none above them yet.
+    /// Parent of this many of the last tiles without a parent.
     Above(usize),
 }
 
-/// The steps to all tiles: the same division of the same points ends earlier for larger cells, so that each is made of whole smaller
-/// ones.
+/// The steps to all tiles. The same division of the same points ends earlier for larger cells, so that each consists of
+/// whole
+/// smaller ones.
 fn steps(means: &[[f32; 3]], finest: &Cells, most: usize) -> Result<Vec<Step>> {
     let mut inside: Vec<Vec3> = vec![Vec3::NAN; finest.bounds().len()];
     for mean in means.iter().copied().map(Vec3::from_array) {
@@ -252,7 +262,7 @@ fn steps(means: &[[f32; 3]], finest: &Cells, most: usize) -> Result<Vec<Step>> {
             inside[cell] = mean;
         }
     }
-    // Each with a place inside of it.
+    // Each tree with a place inside of it.
     let mut trees: Vec<(Vec<Step>, Vec3)> =
         inside.into_iter().enumerate().map(|(cell, place)| (vec![Step::Leaf(cell)], place)).collect();
     let mut most = most;
@@ -270,7 +280,7 @@ fn steps(means: &[[f32; 3]], finest: &Cells, most: usize) -> Result<Vec<Step>> {
     Ok(trees.pop().map(|(steps, _)| steps).unwrap_or_default())
 }
 
-/// One tree of several; a single one stays as it is.
+/// Joins several trees under one parent; a single one is returned unchanged.
 fn joined(mut own: Vec<(Vec<Step>, Vec3)>) -> Option<(Vec<Step>, Vec3)> {
     if own.len() < 2 {
         return own.pop();
@@ -288,18 +298,18 @@ struct TileWriter<'a, 'm> {
     measure: &'a mut Measure<'m>,
     progress: &'a Progress<'a>,
     done: Tiling,
-    /// The first line about a tile whose format cannot hold it, and how many others have one.
+    /// The first warning about losses in a tile, and the number of further tiles with losses.
     loss: Option<(String, usize)>,
 }
 
-/// A tile that is written.
+/// A written tile with its Gaussians.
 struct Built {
     gaussians: Gaussians,
     tile: Tile,
 }
 
 impl TileWriter<'_, '_> {
-    /// Writes all tiles; the coarsest.
+    /// Writes all tiles. Returns the coarsest.
     fn write(&mut self, steps: &[Step]) -> Result<Option<Tile>> {
         let mut written: Vec<Built> = Vec::new();
         for step in steps {
@@ -318,7 +328,7 @@ impl TileWriter<'_, '_> {
         Ok(written.pop().map(|root| root.tile))
     }
 
-    /// The tile above others.
+    /// Writes the parent of some tiles.
     fn above(&mut self, below: Vec<Built>, total: usize) -> Result<Built> {
         let mut finer = Gaussians::with_capacity(self.spill.sh_degree, 0);
         let mut children = Vec::new();
@@ -328,7 +338,7 @@ impl TileWriter<'_, '_> {
         }
         let mut merged = finer.clone();
         decimate(&mut merged, (finer.len() / MERGED).clamp(1, self.options.most));
-        // Squares add up where differences have nothing to do with each other, as those of tiles side by side.
+        // Squares of uncorrelated differences add up, such as those of tiles side by side.
         let squares = children.iter().map(|tile: &Tile| tile.error.powi(2)).sum::<f64>();
         let error = (squares + (self.measure)(&finer, &merged)?.powi(2)).sqrt();
         self.tile(merged, children, error, total)
@@ -349,7 +359,7 @@ impl TileWriter<'_, '_> {
         let all = (&Cut::default(), gaussians.sh_degree);
         let written = splats::write_cut(self.folder.join(&name), &gaussians, all, &write);
         let (_, loss) = written.map_err(|e| match e {
-            // The folder has another name yet, and what is wrong is the scene's.
+            // The folder still has its temporary name, and the scene is the cause, so the error names the input.
             Error::Input { problem, remedy, .. } => {
                 Error::input(self.input, format!("{name}: {problem}"), remedy)
             }
@@ -363,7 +373,7 @@ impl TileWriter<'_, '_> {
         self.done.leaves += usize::from(children.is_empty());
         self.done.written += gaussians.len() as u64;
         self.progress.step(self.done.tiles, total);
-        // That of a tile holds those below it, whose Gaussians may reach farther than the merged ones.
+        // A tile's bounds hold those of its children, whose Gaussians may reach farther than the merged ones.
         let reach = children.iter().map(|tile: &Tile| tile.bounds).fold(reach(&gaussians), enclosing);
         let tile = Tile::new(&name, gaussians.len(), (reach, error), children);
         Ok(Built { gaussians, tile })

@@ -25,28 +25,28 @@ pub use frame::{Frame, Optics};
 /// Files of the synthetic NeRF scenes: for training, and for testing (the first that exists).
 const SPLIT_FILES: [&str; 3] = ["transforms_train.json", "transforms_test.json", "transforms_val.json"];
 
-/// The one file of nerfstudio and instant-ngp.
+/// The file of nerfstudio and instant-ngp.
 const SINGLE_FILE: &str = "transforms.json";
 
-/// The contents of the files.
+/// Contents of the files.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Transforms {
     /// The file with the training views.
     pub source: PathBuf,
     /// The frames of all files, in their order. `test` is set if a file or list marks the frame as held out.
     pub frames: Vec<Frame>,
-    /// Whether the files specify the held-out frames.
+    /// True if the files specify the held-out frames.
     pub has_split: bool,
     /// The points, if there are any.
     pub points: SourcePoints,
-    /// Number of frames that name a depth map. These are not read.
+    /// Number of frames that name a depth map. Depth maps are not read here.
     pub depth_maps: usize,
-    /// All oddities that did not prevent reading.
+    /// Oddities that did not prevent reading.
     pub warnings: Vec<String>,
 }
 
-/// The files of a data set; None if it is not of this kind, or if several may be meant. A file of another name is one of them if it
-/// has poses: `transform.json`, `transform_train.json`.
+/// The files of a data set; `None` if it is not of this kind, or ambiguous. Files with poses under similar names count:
+/// `transform.json`, `transform_train.json`.
 pub fn find(dataset: &Path) -> Option<Vec<PathBuf>> {
     if let Some(single) = Finder::default().file(dataset, SINGLE_FILE) {
         return Some(vec![single]);
@@ -72,7 +72,7 @@ pub fn find(dataset: &Path) -> Option<Vec<PathBuf>> {
     }
 }
 
-/// JSON files in a folder that have poses, or a name that says so.
+/// JSON files in a folder that have poses or a name of such files.
 pub(crate) fn files_with_poses(folder: &Path) -> Vec<PathBuf> {
     /// Poses begin near the start of their file.
     const START_BYTES: u64 = 1 << 20;
@@ -83,7 +83,7 @@ pub(crate) fn files_with_poses(folder: &Path) -> Vec<PathBuf> {
         read.is_ok() && String::from_utf8_lossy(&start).contains("\"transform_matrix\"")
     };
     let entries = std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
-    // Editors on Windows may add `.txt`, which is then hidden there.
+    // Editors on Windows may add `.txt`, which Windows hides.
     let is_json = |path: &PathBuf| {
         let name = name_of(path).to_ascii_lowercase();
         name.strip_suffix(".txt").unwrap_or(&name).ends_with(".json")
@@ -95,12 +95,12 @@ pub(crate) fn files_with_poses(folder: &Path) -> Vec<PathBuf> {
     files
 }
 
-/// Names the files of the usual names that a data set has besides those in use: None for a COLMAP model.
+/// Names the data set's files with usual names that are not used. `used` is `None` for a COLMAP model.
 pub(crate) fn unused(dataset: &Path, used: Option<&[PathBuf]>) -> Option<String> {
     let usual = [SINGLE_FILE].into_iter().chain(SPLIT_FILES).map(|name| dataset.join(name));
     let is_unused = |file: &PathBuf| file.is_file() && !used.is_some_and(|used| used.contains(file));
     let names: Vec<String> = usual.filter(is_unused).map(|file| name_of(&file).to_owned()).collect();
-    // Other programs leave out a split's photographs for validation too, so these need no line.
+    // Other programs ignore a split's validation photographs too, so these need no warning.
     let has_news = names.iter().any(|name| name != SPLIT_FILES[2]);
     let instead = used.map_or("the COLMAP model", |files| files.first().map_or("", |file| name_of(file)));
     has_news.then(|| format!("{}: not used, because {instead} is", names.join(", ")))
@@ -114,8 +114,8 @@ impl Transforms {
     /// Reads the files of a data set, the training views first, and the points that they name.
     ///
     /// # Errors
-    /// [`Error::Io`] when a file cannot be read; [`Error::Input`] naming file and frame when one is no such JSON, has
-    /// no frames, no camera, a matrix that is no pose, or paths that lead out of the folder.
+    /// [`Error::Io`] when a file cannot be read; [`Error::Input`] naming file and frame when one is not such JSON, has
+    /// no frames, no camera, a matrix that is not a pose, or paths that lead out of the folder.
     pub fn read(files: &[PathBuf]) -> Result<Self> {
         let mut all = Self {
             source: files.first().cloned().unwrap_or_default(),
@@ -148,8 +148,8 @@ impl Transforms {
         Ok(all)
     }
 
-    /// Older files of nerfstudio hold points in the frame before `applied_transform` and `applied_scale`. The frame in
-    /// which the cameras see more of them is used.
+    /// Chooses the frame of the points. Older files of nerfstudio hold them in the frame before `applied_transform` and
+    /// `applied_scale`. The frame in which the cameras see more points is used.
     fn place_points(&mut self, path: &Path, applied: Option<DAffine3>) {
         const SAMPLE: usize = 500;
         const APPLIED: &str = "applied_transform (with applied_scale)";
@@ -178,7 +178,7 @@ impl Transforms {
     }
 }
 
-/// The JSON of a file, and the values of the file itself.
+/// The JSON text of a file, and its top-level values.
 fn parse(path: &Path) -> Result<(String, Value)> {
     let text = text::read(path)?;
     if text.trim_ascii().is_empty() {
@@ -201,7 +201,7 @@ fn not_json(path: &Path, text: &str, error: &serde_json::Error) -> Error {
     Error::input(path, format!("is not JSON: {error}"), remedy)
 }
 
-/// True if an error of JSON lies behind a comma between digits.
+/// True if a JSON error comes from a decimal comma.
 fn has_decimal_comma(text: &str, error: &serde_json::Error) -> bool {
     let line = text.lines().nth(error.line().saturating_sub(1)).unwrap_or_default().as_bytes();
     let before = &line[..error.column().min(line.len())];
@@ -209,7 +209,7 @@ fn has_decimal_comma(text: &str, error: &serde_json::Error) -> bool {
     number.is_some_and(|at| at + 1 < before.len() && before[..at].last().is_some_and(u8::is_ascii_digit))
 }
 
-/// The point cloud that a file names, or that lies next to it, and the transform and scale that were applied to
+/// The point cloud that a file names or that lies beside it, and the transform and scale that were applied to
 /// the poses.
 fn cloud(
     path: &Path,
@@ -239,7 +239,7 @@ fn cloud(
     Ok(named.map(|file| (file, applied)))
 }
 
-/// The point cloud that a file names, or the one below its folder whose path ends so.
+/// Finds the point cloud that a file names, or one below its folder whose path ends the same.
 fn named_cloud(path: &Path, named: &str, warnings: &mut Vec<String>) -> Result<PathBuf> {
     let (folder, name, mut finder) =
         (path.parent().unwrap_or(Path::new("")), plain(named), Finder::default());
@@ -267,9 +267,9 @@ fn named_cloud(path: &Path, named: &str, warnings: &mut Vec<String>) -> Result<P
     }
 }
 
-/// The point cloud beside a file that names none, if it has a usual name.
+/// Finds a point cloud with a usual name beside a file that names none.
 fn cloud_beside(path: &Path, warnings: &mut Vec<String>) -> Option<PathBuf> {
-    /// The first is where the reference reads and writes the points of the synthetic scenes.
+    /// The reference implementation uses the first name for the synthetic scenes.
     const USUAL: [&str; 8] = [
         "points3d.ply",
         "sparse_pc.ply",
@@ -311,7 +311,7 @@ fn cloud_beside(path: &Path, warnings: &mut Vec<String>) -> Option<PathBuf> {
     None
 }
 
-/// A plain path below a folder; None if it leads out of the folder.
+/// A plain path below a folder; `None` if it leads out of the folder.
 fn below(name: &str) -> Option<String> {
     Some(plain(name)).filter(|name| stays_inside(name))
 }
@@ -319,7 +319,7 @@ fn below(name: &str) -> Option<String> {
 impl Frame {
     fn sees(&self, point: DVec3) -> bool {
         let p = self.camera_from_source * point + self.translation;
-        // About 30 degrees to each side, because the field of view is not known yet.
+        // About 30 degrees to each side: the field of view is not known yet.
         p.z > 0.0 && p.x.abs() < p.z * 0.6 && p.y.abs() < p.z * 0.6
     }
 }

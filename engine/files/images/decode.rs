@@ -13,11 +13,11 @@ use crate::{regular_file, sniff};
 use ashsplat::scene::camera::MAX_IMAGE_SIDE;
 use ashsplat::{Error, Result};
 
-/// Deflate cannot compress further. A PNG with less data per decoded byte is cut short or has a wrong size in
+/// Deflate's largest compression ratio. A PNG with less data per decoded byte is cut short or has a wrong size in
 /// its header.
 const MAX_DEFLATE_RATIO: u64 = 1032;
 
-/// Bytes that usually suffice for the part before the pixels, including a preview in the metadata.
+/// Bytes that usually hold everything before the pixels, including a preview in the metadata.
 const HEADER_BYTES: u64 = 256 << 10;
 
 /// Properties of a picture from its header.
@@ -30,7 +30,7 @@ pub(crate) struct Header {
 }
 
 impl Header {
-    /// Of a picture that is not rotated.
+    /// Header of a picture that is not rotated.
     pub(super) fn upright(stored: (u32, u32)) -> Self {
         Self { stored, orientation: Orientation::NoTransforms }
     }
@@ -40,12 +40,12 @@ impl Header {
         Ok(Self { stored, orientation: orientation(&mut decoder) })
     }
 
-    /// Whether the displayed picture differs from the stored one.
+    /// True if the displayed picture differs from the stored one.
     pub(crate) fn has_orientation(&self) -> bool {
         self.orientation != Orientation::NoTransforms
     }
 
-    /// Whether the rotation swaps its sides.
+    /// True if the rotation swaps the sides.
     pub(crate) fn lies_on_its_side(&self) -> bool {
         use Orientation::{Rotate90, Rotate90FlipH, Rotate270, Rotate270FlipH};
         matches!(self.orientation, Rotate90 | Rotate270 | Rotate90FlipH | Rotate270FlipH)
@@ -58,7 +58,7 @@ impl Header {
     }
 }
 
-/// Reads as little of the file as possible.
+/// Reads a picture's header, and as little of the file as possible.
 pub(crate) fn header(path: &Path) -> Result<Header> {
     let mut start = Vec::new();
     let (file, _) = regular_file::open(path)?;
@@ -77,34 +77,34 @@ pub fn photo_size(path: impl AsRef<Path>) -> Result<(u32, u32)> {
     Ok(header(path.as_ref())?.stored)
 }
 
-/// None if the metadata cannot be read.
+/// Returns [`Orientation::NoTransforms`] if the metadata cannot be read.
 fn orientation(decoder: &mut impl ImageDecoder) -> Orientation {
     decoder.orientation().unwrap_or(Orientation::NoTransforms)
 }
 
-/// What is wanted of a picture.
+/// How a picture is to be read.
 #[derive(Clone, Copy)]
 pub(crate) struct Request<'a> {
     /// Colour (r, g, b in [0, 1]) where the picture is transparent.
     pub(crate) background: [f32; 3],
-    /// Whether it is rotated by its metadata.
+    /// True if it is rotated by its metadata.
     pub(crate) turned: bool,
-    /// Its size after that; another one is refused before it is decoded. None: any.
+    /// Required size after the rotation, checked before decoding. `None` for any size.
     pub(crate) size: Option<(u32, u32)>,
-    /// The size to which it is scaled; none: its own.
+    /// The size to which it is scaled; `None` keeps its own.
     pub(crate) scaled: Option<(u32, u32)>,
-    /// Bytes that the caller needs for it besides.
+    /// Bytes that the caller needs in addition.
     pub(crate) besides: u64,
     pub(crate) memory: &'a HostMemory,
 }
 
 impl<'a> Request<'a> {
-    /// The picture as it is.
+    /// Reads the picture unchanged.
     pub(crate) fn plain(background: [f32; 3], memory: &'a HostMemory) -> Self {
         Self { background, turned: false, size: None, scaled: None, besides: 0, memory }
     }
 
-    /// The size to which a picture of this size is scaled, if it is.
+    /// Target size for a picture of this size, if it is scaled.
     fn scaled_of(&self, size: (u32, u32)) -> Option<(u32, u32)> {
         self.scaled.filter(|&scaled| scaled != size)
     }
@@ -116,13 +116,13 @@ pub(crate) struct Decoded {
     pub(crate) photo: Photo,
     /// The alpha channel of a picture that has one, one byte per pixel, not scaled.
     pub(crate) alpha: Option<Vec<u8>>,
-    /// The exponent of its values, if it is a PNG that names one and is not marked as sRGB. It is not applied.
+    /// Gamma exponent of the values, if a PNG names one and is not marked as sRGB. It is not applied.
     pub(crate) gamma: Option<f32>,
-    /// What it takes, while the caller works on it.
+    /// Reserves the picture's memory while the caller works on it.
     pub(crate) lease: Lease,
 }
 
-/// A picture whose rows come one after the other: blended over the background, and scaled.
+/// Blends a picture over the background and scales it, row by row.
 pub(super) struct Rows {
     background: [f32; 3],
     width: u32,
@@ -134,7 +134,7 @@ pub(super) struct Rows {
 }
 
 impl Rows {
-    /// Bytes that it takes for a picture of this size.
+    /// Bytes needed for a picture of this size.
     pub(super) fn bytes(request: &Request<'_>, size: (u32, u32), has_alpha: bool) -> u64 {
         let pixels = |(width, height): (u32, u32)| u64::from(width) * u64::from(height);
         let alpha = if has_alpha { pixels(size) } else { 0 };
@@ -160,7 +160,7 @@ impl Rows {
         Ok(Self { background: request.background, width: size.0, to, scaler, rgb, alpha })
     }
 
-    /// The next rows.
+    /// Adds the next rows.
     pub(super) fn push(&mut self, rows: DynamicImage) {
         let (rgb, alpha) = composite(rows, self.background);
         match &mut self.scaler {
@@ -172,15 +172,16 @@ impl Rows {
         }
     }
 
-    /// The picture and its alpha channel, when all rows have come.
+    /// Returns the picture and its alpha channel after the last row.
     pub(super) fn finish(self) -> (Photo, Option<Vec<u8>>) {
         let rgb = self.scaler.map_or(self.rgb, RowScaler::finish);
         (Photo { width: self.to.0, height: self.to.1, rgb }, self.alpha)
     }
 }
 
-/// The picture as it is wanted. PNGs are decoded by rows if their rows come in order; JPEGs, of which no decoder gives rows,
-/// as a whole.
+/// Reads a picture as `request` says. PNGs are decoded by rows unless they are interlaced; JPEGs as a whole, since no
+/// decoder
+/// gives their rows.
 pub(super) fn read(path: &Path, request: &Request<'_>) -> Result<Decoded> {
     let io = |source| Error::io(path, "read", source);
     let (mut file, file_bytes) = regular_file::open(path)?;
@@ -214,7 +215,7 @@ pub(super) fn read(path: &Path, request: &Request<'_>) -> Result<Decoded> {
     if !png && !outline.complete {
         return Err(damaged(&"the data end before the picture does"));
     }
-    // What is decoded, what a decoder holds beside it, and what becomes of it here.
+    // The decoded picture, the decoder's own memory, and the converted result.
     let coefficients = if outline.progressive { 2 * decoded } else { 0 };
     let converted = match color {
         ColorType::Rgb8 => 0,
@@ -258,7 +259,7 @@ pub(super) fn read(path: &Path, request: &Request<'_>) -> Result<Decoded> {
     Ok(Decoded { photo, alpha, gamma, lease })
 }
 
-/// Refuses a picture of another size than is wanted.
+/// Refuses a picture that has another size than requested.
 pub(super) fn check_size(path: &Path, request: &Request<'_>, header: &Header) -> Result<()> {
     let (width, height) = header.size(request.turned);
     let Some((w, h)) = request.size.filter(|&size| size != (width, height)) else { return Ok(()) };
@@ -268,12 +269,12 @@ pub(super) fn check_size(path: &Path, request: &Request<'_>, header: &Header) ->
     Err(Error::input(path, problem, "use the pictures that the cameras were computed from"))
 }
 
-/// Whether a PNG is too small for its pixels.
+/// True if a PNG is too small for its pixels.
 pub(super) fn cannot_hold(file_bytes: u64, decoded: u64) -> bool {
     decoded / MAX_DEFLATE_RATIO > file_bytes
 }
 
-/// The problem of a picture that is too small for its pixels.
+/// The error text for a picture that is too small for its pixels.
 pub(super) fn claims((width, height): (u32, u32), file_bytes: u64) -> String {
     format!("claims {width}x{height} pixels in {file_bytes} bytes")
 }
@@ -283,7 +284,7 @@ pub(super) fn damaged(path: &Path, problem: &dyn std::fmt::Display) -> Error {
     Error::input(path, format!("cannot be decoded: {problem}"), "copy or export the picture again")
 }
 
-/// A decoder chosen by the content instead of the file's name, and the picture's size.
+/// Chooses a decoder by the content, not by the file's name. Returns it with the picture's size.
 pub(super) fn decoder<'a>(path: &Path, bytes: &'a [u8]) -> Result<(impl ImageDecoder + 'a, (u32, u32))> {
     let mut reader = ImageReader::new(Cursor::new(bytes));
     let format =
@@ -303,7 +304,7 @@ fn is_png(bytes: &[u8]) -> bool {
     bytes.starts_with(b"\x89PNG")
 }
 
-/// The picture's opaque colours, blended over the background where it is transparent, and its alpha channel.
+/// The picture's colours, blended over the background, and its alpha channel.
 fn composite(image: DynamicImage, background: [f32; 3]) -> (Vec<u8>, Option<Vec<u8>>) {
     if !image.color().has_alpha() {
         return (image.into_rgb8().into_raw(), None);

@@ -11,7 +11,7 @@ use crate::{cost, regular_file};
 use ashsplat::scene::camera::MAX_IMAGE_SIDE;
 use ashsplat::{Error, Result};
 
-/// Steps of a 16-bit map from 0 to 1.
+/// Number of steps of a 16-bit map from 0 to 1.
 const STEPS: f32 = 65536.0;
 
 /// An inverse-depth map, of any scale.
@@ -66,7 +66,8 @@ impl DepthMap {
         Ok(Self { width, height, values })
     }
 
-    /// The value at a place, linear between pixels, whose centres are at whole numbers; the border goes on outside.
+    /// The value at a place by linear interpolation. Pixel centres are at whole numbers; the border value extends
+    /// outside.
     pub fn sample(&self, x: f64, y: f64) -> f64 {
         let between = |place: f64, size: u32| {
             let place = place.clamp(0.0, f64::from(size - 1));
@@ -79,7 +80,7 @@ impl DepthMap {
         row(y0) * (1.0 - v) + row(y1) * v
     }
 
-    /// The map at another size, linear between its pixels, whose centres are at halves.
+    /// The map at another size by linear interpolation. Pixel centres are at halves.
     #[must_use]
     pub fn resized(&self, width: u32, height: u32) -> Self {
         let of =

@@ -1,4 +1,4 @@
-//! JPEGs that are cut short, damaged, or claim a size that their data cannot hold.
+//! Checks and decodes JPEGs that may be cut short, damaged, or claim a size that their data cannot hold.
 
 use std::ops::Range;
 
@@ -10,25 +10,27 @@ use zune_jpeg::JpegDecoder;
 use crate::cost;
 use ashsplat::scene::camera::MAX_IMAGE_SIDE;
 
-/// Bytes of entropy-coded data that are all ones. No code consists of ones only, so a decoder that gets here where it
-/// expects a code says so. It never does in whole data: bits are read ahead, and not used. Without it, a decoder takes all
-/// that is missing before an end marker for zeros.
+/// Entropy-coded bytes of ones, appended to the data. No code consists of ones only, so a decoder that needs a code
+/// here
+/// reports an error. Without these bytes, it would take all missing data as zeros. In whole data, the decoder may read
+/// ahead to these bits but never uses them.
 const NO_CODE: [u8; 16] = [0xff, 0, 0xff, 0, 0xff, 0, 0xff, 0, 0xff, 0, 0xff, 0, 0xff, 0, 0xff, 0];
 
-/// What the markers of a JPEG say.
+/// Structure of a JPEG by its markers.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(super) struct Outline {
-    /// Whether it reaches its end-of-image marker. Decoders fill one that is cut short with grey.
+    /// True if it reaches its end-of-image marker. Decoders fill a truncated JPEG with grey.
     pub(super) complete: bool,
-    /// Whether it is stored in passes: a decoder holds all its coefficients.
+    /// True if it is stored in passes. A decoder then holds all its coefficients.
     pub(super) progressive: bool,
-    /// Blocks of 64 values that its size claims, at least.
+    /// Least number of blocks of 64 values for the size that it claims.
     blocks: u64,
     /// Bytes of entropy-coded data.
     coded_bytes: u64,
-    /// Places of entropy-coded data.
+    /// Number of scans of entropy-coded data.
     scans: u32,
-    /// Where its parts lie, between the markers at its beginning and its end. There may be other bytes between them: cameras leave some.
+    /// Byte ranges of its parts, between the first and the last marker. Other bytes may lie between them, which some
+    /// cameras write.
     parts: Vec<Range<usize>>,
 }
 
@@ -41,7 +43,7 @@ impl Outline {
         while let Some(&[first, marker]) = bytes.get(at..).and_then(|rest| rest.first_chunk()) {
             cost::step();
             match marker {
-                // Before the data only: in them, a marker may be damage.
+                // Only before the data: inside them, a marker may be damage.
                 _ if first != 0xff && outline.scans == 0 => at += 1,
                 _ if first != 0xff => break,
                 END_OF_IMAGE => return Self { complete: true, ..outline },
@@ -57,7 +59,7 @@ impl Outline {
                     let start = at + 4;
                     at += 2 + usize::from(u16::from_be_bytes(length)).max(2);
                     match marker {
-                        // A frame, and not the tables with numbers among them.
+                        // A frame, not one of the tables with numbers in this range.
                         0xc0..=0xcf if ![0xc4, 0xc8, 0xcc].contains(&marker) => {
                             outline.progressive = marker == 0xc2;
                             outline.blocks = blocks(bytes.get(start..at).unwrap_or_default());
@@ -77,13 +79,13 @@ impl Outline {
         outline
     }
 
-    /// Whether the data can hold as many blocks: each takes a bit at least.
+    /// True if the data can hold the blocks: each takes a bit at least.
     pub(super) fn can_hold_its_size(&self) -> bool {
         self.blocks / 8 <= self.coded_bytes
     }
 }
 
-/// Blocks of all components of a frame, without those that only a part of the picture touches.
+/// Number of blocks of all components of a frame, except blocks that the picture covers only in part.
 fn blocks(frame: &[u8]) -> u64 {
     let Some((&[_, h1, h0, w1, w0, _], components)) = frame.split_first_chunk() else { return 0 };
     let [width, height] = [[w1, w0], [h1, h0]].map(|side| u64::from(u16::from_be_bytes(side)));
@@ -104,12 +106,12 @@ fn end_of_scan(bytes: &[u8], mut at: usize) -> usize {
     bytes.len()
 }
 
-/// The file without bytes between its parts and behind its end, and with [`NO_CODE`] at the end of its data.
+/// The file without bytes between its parts and after its end, and with [`NO_CODE`] at the end of its data.
 fn sealed(bytes: &[u8], outline: &Outline) -> Vec<u8> {
     let mut sealed = Vec::with_capacity(bytes.len() + NO_CODE.len() + 4);
     sealed.extend([0xff, 0xd8]);
     outline.parts.iter().for_each(|part| sealed.extend_from_slice(&bytes[part.clone()]));
-    // The decoder wants a marker directly behind the first pass of several.
+    // The decoder needs a marker directly after the first of several passes.
     if !outline.progressive || outline.scans > 1 {
         sealed.extend(NO_CODE);
     }
@@ -117,8 +119,8 @@ fn sealed(bytes: &[u8], outline: &Outline) -> Vec<u8> {
     sealed
 }
 
-/// The pixels of a JPEG, grey or r, g, b, into memory of their size. Data that end early or make no sense are errors, which
-/// the decoder would fill with grey otherwise.
+/// Decodes a JPEG, grey or r, g, b, into `pixels`. Data that end early or are invalid are errors; by default
+/// the decoder would fill them with grey.
 pub(super) fn decode(bytes: &[u8], outline: &Outline, grey: bool, pixels: &mut [u8]) -> Result<(), String> {
     let options = DecoderOptions::default()
         .set_strict_mode(true)

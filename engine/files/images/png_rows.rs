@@ -1,4 +1,4 @@
-//! PNGs by rows: of the decoded picture, one row is in memory.
+//! Decodes PNGs by rows: a single decoded row is in memory.
 
 use std::fs::File;
 use std::io::{BufReader, Read, Seek};
@@ -15,14 +15,15 @@ use ashsplat::{Error, Result};
 /// Bytes of the file that are read at a time.
 const BUFFER_BYTES: usize = 64 << 10;
 
-/// Bytes that the decoder takes beside its rows: what it reads ahead, and what it unpacks.
+/// Bytes that the decoder needs beside its rows, for reading ahead and unpacking.
 const DECODER_BYTES: u64 = 1 << 20;
 
 /// Rows that the decoder holds.
 const DECODER_ROWS: u64 = 8;
 
-/// The exponent of its values, if it names one and is not marked as sRGB. Refuses a palette of which an entry is cut, or of more
-/// entries than there may be: the decoder takes them on trust.
+/// The gamma exponent of a PNG, if it names one and is not marked as sRGB. Refuses a palette that is cut within an
+/// entry or
+/// has too many entries: the decoder does not check it.
 pub(super) fn checked_gamma(path: &Path, file: &File, memory: &HostMemory) -> Result<Option<f32>> {
     let reader = reader(file, memory).read_info().map_err(|e| damaged(path, &e))?;
     let bytes = reader.info().palette.as_ref().map_or(0, |palette| palette.len());
@@ -41,15 +42,15 @@ fn reader<R: Read + Seek>(file: R, memory: &HostMemory) -> png::Decoder<BufReade
     let limits = Limits { bytes: usize::try_from(memory.limit()).unwrap_or(usize::MAX) };
     let reader = BufReader::with_capacity(BUFFER_BYTES, cost::Counted(file));
     let mut decoder = png::Decoder::new_with_limits(reader, limits);
-    // The depth stays: 16 bits are rounded here, not cut.
+    // Keeps the depth, so that 16 bits are rounded here, not cut.
     decoder.set_transformations(Transformations::EXPAND);
-    // Not used; they could unpack to much before the memory is counted.
+    // Unused chunks, which could unpack to a lot before their memory is counted.
     decoder.set_ignore_iccp_chunk(true);
     decoder.set_ignore_text_chunk(true);
     decoder
 }
 
-/// The picture as it is wanted; none if its rows do not come in order.
+/// Reads a picture as `request` says. `None` for an interlaced one.
 pub(super) fn read(
     path: &Path,
     file: File,
@@ -87,7 +88,7 @@ pub(super) fn read(
     Ok(Some(Decoded { photo, alpha, gamma, lease }))
 }
 
-/// A row as a picture of its own.
+/// Wraps a row as a picture.
 fn as_image(row: &[u8], color: ColorType, depth: BitDepth, width: u32) -> Option<DynamicImage> {
     fn bytes<P: Pixel<Subpixel = u8>>(row: &[u8], width: u32) -> Option<ImageBuffer<P, Vec<u8>>> {
         ImageBuffer::from_raw(width, 1, Vec::from(row))

@@ -1,23 +1,23 @@
-//! Scaling by rows: of the picture, only the rows that a filter covers are in memory.
+//! Scales by rows: only the picture's rows under the filter are in memory.
 //!
 //! Kernel and arithmetic are those of `image::imageops::resize` with `CatmullRom`, in the same order, so the result has
-//! the same bits. That function wants the whole picture, and 16 bytes for each of its columns at the new height.
+//! the same bits. That function needs the whole picture, and 16 bytes for each of its columns at the new height.
 
 use std::collections::VecDeque;
 
 use crate::cost;
 
-/// Pixels on each side that the kernel covers, in units of the larger of both pixels.
+/// Radius of the kernel, in units of the larger of both pixel sizes.
 const SUPPORT: f32 = 2.0;
 
-/// The pixels along an axis that one pixel of the result is made of.
+/// The source pixels along an axis that make one pixel of the result.
 struct Taps {
     first: usize,
     weights: Vec<f32>,
 }
 
 impl Taps {
-    /// Of pixel `place` of `to`, made of `from` pixels.
+    /// Taps of pixel `place` of `to`, made of `from` pixels.
     fn of(place: u32, from: u32, to: u32) -> Self {
         let ratio = from as f32 / to as f32;
         let stretch = if ratio < 1.0 { 1.0 } else { ratio };
@@ -27,7 +27,7 @@ impl Taps {
         let end = ((center + support).ceil() as i64).clamp(first + 1, i64::from(from));
         let weight = |pixel: i64| catmull_rom((pixel as u32 as f32 - (center - 0.5)) / stretch);
         let mut weights: Vec<f32> = (first..end).map(weight).collect();
-        // In their order: a sum depends on it.
+        // Summed in order: the result's bits depend on it.
         let sum = weights.iter().fold(0.0, |sum, weight| sum + weight);
         weights.iter_mut().for_each(|weight| *weight /= sum);
         Self { first: first as usize, weights }
@@ -50,44 +50,44 @@ fn catmull_rom(x: f32) -> f32 {
     six / 6.0
 }
 
-/// A row of the result that more rows of the picture are needed for.
+/// A row of the result that still needs rows of the picture.
 struct Open {
     taps: Taps,
     sums: Vec<f32>,
 }
 
-/// Scales a picture of r, g, b whose rows come one after the other.
+/// Scales a picture of r, g, b that arrives row by row.
 pub(super) struct RowScaler {
     from: [u32; 2],
     to: [u32; 2],
     columns: Vec<Taps>,
     open: VecDeque<Open>,
-    /// Rows of the result that have been opened.
+    /// Number of result rows that have been opened.
     opened: u32,
-    /// Rows of the picture so far.
+    /// Number of source rows so far.
     rows: usize,
     rgb: Vec<u8>,
 }
 
 impl RowScaler {
-    /// Widths and heights, all at least 1. `rgb` receives the result.
+    /// Takes widths and heights, all at least 1. `rgb` receives the result.
     pub(super) fn new(from: [u32; 2], to: [u32; 2], rgb: Vec<u8>) -> Self {
         let columns = (0..to[0]).map(|x| Taps::of(x, from[0], to[0])).collect();
         Self { from, to, columns, open: VecDeque::new(), opened: 0, rows: 0, rgb }
     }
 
-    /// Bytes that a value takes at most, beside the result.
+    /// Largest memory of a scaler, beside the result, bytes.
     pub(super) fn bytes(from: [u32; 2], to: [u32; 2]) -> u64 {
         let taps = |axis: usize| {
             let stretch = u64::from(from[axis].div_ceil(to[axis].max(1)).max(1));
             4 * u64::from(to[axis]) * (4 * stretch + 2)
         };
-        // Each row of the picture is part of so many rows of the result, at most.
+        // Largest number of result rows that a source row is part of.
         let open = 6 * u64::from(to[1].div_ceil(from[1].max(1)).max(1));
         open * 12 * u64::from(from[0]) + taps(0) + taps(1) / u64::from(to[1].max(1)) * open
     }
 
-    /// The next row of the picture.
+    /// Adds the next row of the picture.
     pub(super) fn push(&mut self, row: &[u8]) {
         while self.opened < self.to[1] {
             let taps = Taps::of(self.opened, self.from[1], self.to[1]);
@@ -118,7 +118,7 @@ impl RowScaler {
         }
     }
 
-    /// The result, once all rows have come.
+    /// Returns the result after the last row.
     pub(super) fn finish(self) -> Vec<u8> {
         self.rgb
     }
@@ -131,7 +131,7 @@ mod tests {
     use image::RgbImage;
     use image::imageops::{FilterType, resize};
 
-    /// Larger, smaller, by whole numbers and by others, at the smallest sizes.
+    /// Scales up and down, by whole numbers and by others, down to the smallest sizes.
     #[test]
     fn rows_give_the_bits_of_the_whole_picture() {
         let _turn = turn();

@@ -7,7 +7,7 @@ use super::Photo;
 use ashsplat::scene::camera::Intrinsics;
 use ashsplat::scene::lens::Lens;
 
-/// The photo of a lens as the pinhole camera sees it: bilinear, black where the photo does not reach.
+/// Resamples the photo of a lens for a pinhole camera: bilinear, black outside the photo.
 ///
 /// `lens` has the photo's size. The rows are computed in parallel.
 pub fn undistort(photo: &Photo, lens: &Lens, pinhole: &Intrinsics) -> Photo {
@@ -25,7 +25,7 @@ pub fn undistort(photo: &Photo, lens: &Lens, pinhole: &Intrinsics) -> Photo {
     Photo { width: pinhole.width, height: pinhole.height, rgb }
 }
 
-/// The colour at a place, the first pixel's centre being 0; `None` outside the centres of the border.
+/// The colour at a place, with the first pixel's centre at 0; `None` outside the centres of the border.
 fn bilinear(photo: &Photo, x: f64, y: f64) -> Option<[u8; 3]> {
     let (left, top) = (x.floor(), y.floor());
     let (last_x, last_y) = (f64::from(photo.width) - 1.0, f64::from(photo.height) - 1.0);

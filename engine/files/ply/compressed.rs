@@ -41,7 +41,7 @@ pub(super) const CHUNK_PROPERTIES: [&str; 18] = [
     "max_b",
 ];
 
-/// The properties of older files, in which colours are 0 to 1.
+/// Number of properties in older files, whose colours are 0 to 1.
 const CHUNK_PROPERTIES_WITHOUT_COLOR: usize = 12;
 
 pub(super) const VERTEX_PROPERTIES: [&str; 4] =
@@ -123,7 +123,7 @@ fn read_chunks(file: &mut PlyFile<'_>, element: &Element) -> Result<Vec<Chunk>> 
     Ok(chunks)
 }
 
-/// The degree and the bytes of the optional element `sh`, which follows the vertices.
+/// Reads the degree and the bytes of the optional element `sh`, which follows the vertices.
 fn read_sh(path: &Path, count: u64) -> Result<(u32, Vec<u8>)> {
     let mut file = PlyFile::open(path)?;
     if !file.header.elements.iter().any(|e| e.name == "sh") {
@@ -198,7 +198,7 @@ fn push(chunk: &Chunk, [position, rotation, scale, color]: [u32; 4], block: &mut
 }
 
 fn lerp(min: f32, max: f32, t: f64) -> f32 {
-    // An end may be infinite.
+    // An end of the range may be infinite.
     if t == 0.0 || t == 1.0 {
         return if t == 0.0 { min } else { max };
     }
@@ -214,7 +214,7 @@ fn unpack_11_10_11(value: u32) -> [f64; 3] {
     [unorm(value >> 21, 11), unorm(value >> 11, 10), unorm(value, 11)]
 }
 
-/// The three smaller components in 10 bits each, and the index of the omitted one; the order is w, x, y, z.
+/// The three smaller components in 10 bits each, and the index of the omitted one, in the order w, x, y, z.
 fn unpack_rotation(value: u32) -> [f32; 4] {
     let small = [20, 10, 0].map(|shift| (unorm(value >> shift, 10) - 0.5) * std::f64::consts::SQRT_2);
     let largest = (1.0 - small.iter().map(|v| v * v).sum::<f64>()).max(0.0).sqrt();

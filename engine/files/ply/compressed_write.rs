@@ -1,4 +1,4 @@
-//! Writing compressed PLY.
+//! Writes compressed PLY.
 
 use std::io::{self, Write};
 use std::ops::Range;
@@ -17,22 +17,23 @@ use ashsplat::scene::sh::C0;
 use ashsplat::{Error, Result};
 use glam::{DVec3, Vec3};
 
-/// Distance of an outlier from the median, in median distances. In one chunk with it, the positions of the 255 others would have
-/// steps of this much of the scene's radius, divided by 1023.
+/// Distance of an outlier from the median, in median distances. It would share a chunk with 255 positions, whose steps
+/// would
+/// grow to this much of the scene's radius, divided by 1023.
 const OUTLIER: f64 = 8.0;
 
 /// [`OUTLIER`] for colours, whose steps are a 255th.
 const COLOR_OUTLIER: f64 = 32.0;
 
-/// Most groups with chunks of their own; outliers may have outliers.
+/// Largest number of groups with chunks of their own; outliers may have outliers themselves.
 const MAX_GROUPS: usize = 8;
 
-/// The opacity in a packed colour.
+/// Bits of the opacity in a packed colour.
 const OPACITY: u32 = 0xff;
 
-/// Writes Gaussians along a space-filling curve, so that the 256 of a chunk lie close together.
+/// Writes Gaussians along a space-filling curve, so that the 256 Gaussians of a chunk lie close together.
 pub(crate) fn write_blocks(path: &Path, outline: &Outline, produce: &mut Produce<'_>) -> Result<()> {
-    // Beside the Gaussians, their order and what they are packed to.
+    // Beside the Gaussians, their order and their packed form.
     host_memory::check_writing(path, outline.count.saturating_mul(row_bytes(outline.sh_degree) + 100))?;
     let mut all = Gaussians { sh_degree: outline.sh_degree, ..Default::default() };
     produce(&mut |block| {
@@ -73,15 +74,15 @@ fn write_sorted(writer: &mut impl Write, all: &Gaussians, rows: &Rows, outline: 
     Ok(())
 }
 
-/// The Gaussian of each row.
+/// Index of the Gaussian in each row.
 struct Rows {
     order: Vec<usize>,
-    /// Rows that only fill chunks: transparent copies of the row before.
+    /// Rows that only fill chunks: transparent copies of the previous row.
     padding: Vec<Range<usize>>,
 }
 
 impl Rows {
-    /// Each group along a space-filling curve, from the first row of a chunk on.
+    /// Orders each group along a space-filling curve, beginning at the first row of a chunk.
     fn of(all: &Gaussians) -> Self {
         let (mut order, mut padding) = (Vec::with_capacity(all.len()), Vec::new());
         for group in groups(all) {
@@ -97,7 +98,7 @@ impl Rows {
     }
 }
 
-/// Gaussians whose positions and colours are of one magnitude: first those near the median, then the outliers.
+/// Splits Gaussians by the magnitude of positions and colours: first those near the median, then the outliers.
 fn groups(all: &Gaussians) -> Vec<Vec<usize>> {
     let mean = |&index: &usize| Vec3::from_array(all.means[index]).as_dvec3();
     let color = |&index: &usize| Vec3::from_array(color(all, index)).as_dvec3();
@@ -159,13 +160,13 @@ impl Chunk {
         }
     }
 
-    /// In the order of [`CHUNK_PROPERTIES`].
+    /// Values in the order of [`CHUNK_PROPERTIES`].
     fn values(&self) -> [[f32; 3]; 6] {
         let Self { mean: [m0, m1], log_scale: [s0, s1], color: [c0, c1] } = *self;
         [m0, m1, s0, s1, c0, c1]
     }
 
-    /// In the order of [`VERTEX_PROPERTIES`].
+    /// Packs a Gaussian in the order of [`VERTEX_PROPERTIES`].
     fn pack(&self, all: &Gaussians, index: usize) -> [u32; 4] {
         let [r, g, b] = within(color(all, index), &self.color).map(|t| pack_unorm(t, 8));
         let opacity = pack_unorm(f64::from(all.opacity(index)), 8);
@@ -188,7 +189,7 @@ fn extremes(values: impl Iterator<Item = [f32; 3]>) -> [[f32; 3]; 2] {
     })
 }
 
-/// Where a value lies between two corners, 0 to 1 on each axis.
+/// Position of a value between two corners, 0 to 1 on each axis.
 fn within(value: [f32; 3], [min, max]: &[[f32; 3]; 2]) -> [f64; 3] {
     std::array::from_fn(|i| {
         let (value, min, max) = (f64::from(value[i]), f64::from(min[i]), f64::from(max[i]));
@@ -210,7 +211,7 @@ fn pack_rotation(quat: [f32; 4]) -> u32 {
     let length = quat.iter().map(|q| q * q).sum::<f64>().sqrt();
     let quat = if length > 0.0 { quat.map(|q| q / length) } else { [1.0, 0.0, 0.0, 0.0] };
     let largest = (1..4).fold(0, |best, i| if quat[i].abs() > quat[best].abs() { i } else { best });
-    // The omitted component is positive.
+    // The omitted component must be positive.
     let sign = if quat[largest] < 0.0 { -1.0 } else { 1.0 };
     let others = (0..4).filter(|&i| i != largest);
     others.fold(largest as u32, |packed, i| {

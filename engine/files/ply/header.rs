@@ -11,7 +11,7 @@ use crate::splats::{FARTHEST, Outline, is_kernel_size};
 use crate::{cost, sniff};
 use ashsplat::{Error, Result};
 
-/// Limits above any valid header. They bound the memory of parsing.
+/// Limits above any valid header, which bound the parser's memory.
 const MAX_LINE_BYTES: u64 = 64 * 1024;
 const MAX_LINES: usize = 20_000;
 
@@ -54,7 +54,7 @@ impl Scalar {
         })
     }
 
-    /// Size in a binary file.
+    /// Size in a binary file, bytes.
     pub(crate) fn bytes(self) -> usize {
         match self {
             Self::I8 | Self::U8 => 1,
@@ -85,7 +85,7 @@ pub(crate) struct Element {
 }
 
 impl Element {
-    /// Bytes of one row in a binary file; `None` when a list makes rows differ.
+    /// Bytes of one row in a binary file; `None` if a list makes row sizes differ.
     pub(crate) fn row_bytes(&self) -> Option<u64> {
         let bytes = |p: &Property| match p.kind {
             Kind::Scalar(scalar) => Some(scalar.bytes() as u64),
@@ -103,7 +103,7 @@ impl Element {
 pub(crate) struct Header {
     pub(crate) encoding: Encoding,
     pub(crate) elements: Vec<Element>,
-    /// Length of the header in the file.
+    /// Length of the header, bytes.
     pub(crate) bytes: u64,
     /// Number of lines of the header.
     pub(crate) lines: u64,
@@ -112,26 +112,26 @@ pub(crate) struct Header {
     pub(crate) origin: DVec3,
     /// World unit of the training, source units, if a comment names it.
     pub(crate) unit: Option<f64>,
-    /// Vertices that are no Gaussians: first and number.
+    /// Vertices that are not Gaussians: index of the first, and number.
     pub(crate) padding: Vec<(u64, u64)>,
 }
 
-/// The comment of this crate's compressed PLY about rows that only fill a chunk.
+/// Comment keyword for chunk-filling rows in compressed PLY of this crate.
 pub(crate) const PADDING: &str = "padding";
 const MAX_PADDING: usize = 16;
 
-/// The comment that names the origin of the positions, `comment origin X Y Z`.
+/// Keyword of the comment with the origin of the positions, `comment origin X Y Z`.
 pub(crate) const ORIGIN: &str = "origin";
-/// The comment that names the world unit of the training, `comment unit U`.
+/// Keyword of the comment with the world unit of the training, `comment unit U`.
 pub(crate) const UNIT: &str = "unit";
 
-/// What comments say about how the Gaussians are to be drawn. PLY has no field for it.
+/// Comments about how to draw the Gaussians. PLY has no field for it.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Marks {
     pub(crate) mode: RenderMode,
     /// Variance that training added on the screen, square pixels.
     pub(crate) kernel_size: Option<f32>,
-    /// The axis that points up, as nerfstudio names it.
+    /// The up axis, in nerfstudio's notation.
     pub(crate) up: Option<&'static str>,
 }
 
@@ -146,12 +146,12 @@ pub(crate) enum RenderMode {
     Unknown(String),
 }
 
-/// The line about a scene of 2DGS.
+/// The note about a scene of 2DGS.
 pub(super) const DISKS: &str = "this is a 2DGS scene: its disks are used as 3D Gaussians without thickness, so pictures differ from 2DGS";
 
 impl Marks {
-    /// Takes a comment in as Brush, gsplat and splat-transform (`SplatRenderMode: mip`), Postshot (`antialiased 1`)
-    /// or web-splat (`mip=true`, `kernel_size=0.1`) write it. The last one counts.
+    /// Reads a comment of Brush, gsplat or splat-transform (`SplatRenderMode: mip`), Postshot (`antialiased 1`)
+    /// or web-splat (`mip=true`, `kernel_size=0.1`). The last one counts.
     fn comment(&mut self, text: &str) {
         let text = text.to_ascii_lowercase().replace([':', '='], " ");
         let is_mip = |mip: bool| if mip { RenderMode::Mip } else { RenderMode::Default };
@@ -183,7 +183,7 @@ impl Marks {
         self.mode == RenderMode::Disks
     }
 
-    /// A warning to the user, if any.
+    /// Warning for the user, if any.
     pub(crate) fn warning(&self) -> Option<String> {
         match &self.mode {
             RenderMode::Default | RenderMode::Mip => None,
@@ -194,7 +194,7 @@ impl Marks {
         }
     }
 
-    /// Writes them as other programs read them.
+    /// Writes the marks in the notation of other programs.
     pub(super) fn write(writer: &mut impl Write, outline: &Outline) -> io::Result<()> {
         if outline.antialiased {
             writeln!(writer, "comment SplatRenderMode: mip")?;
@@ -260,7 +260,7 @@ struct Parser<'a> {
     origin: DVec3,
     unit: Option<f64>,
     padding: Vec<(u64, u64)>,
-    /// Names of the elements, and of the last one's properties.
+    /// Names of the elements, and of the last element's properties.
     element_names: HashSet<String>,
     property_names: HashSet<String>,
 }
@@ -313,7 +313,7 @@ impl Parser<'_> {
             ["end_header"] => return Ok(true),
             ["comment", ORIGIN, x, y, z] => {
                 let numbers = [x, y, z].map(|number| number.parse().unwrap_or(f64::NAN));
-                // Another program's comment may begin with the same word.
+                // A comment of another program may begin with the same word.
                 if numbers.iter().all(|number| number.abs() <= FARTHEST) {
                     self.origin = DVec3::from_array(numbers);
                 }
@@ -357,7 +357,7 @@ impl Parser<'_> {
 
     fn property(&mut self, kind: Kind, name: &str) -> Result<()> {
         cost::step();
-        // CloudCompare writes every field but positions, normals and colours under such a name.
+        // CloudCompare prefixes every field except positions, normals and colours.
         let own = name.strip_prefix("scalar_").filter(|own| {
             ["opacity", "f_dc_", "f_rest_", "scale_", "rot_"].iter().any(|start| own.starts_with(start))
         });
@@ -386,7 +386,7 @@ fn is_comment(line: &[u8]) -> bool {
     line.starts_with(b"comment") || line.starts_with(b"obj_info")
 }
 
-/// The beginning of a word of unknown length, for a message.
+/// The beginning of a word, shortened for a message.
 pub(crate) fn shortened(word: &str) -> String {
     let mut start: String = word.chars().take(40).collect();
     if start.len() < word.len() {

@@ -1,9 +1,9 @@
-//! A space-filling curve through points.
+//! Orders points along a space-filling curve.
 
-/// Bits of each axis in a code.
+/// Bits per axis in a code.
 const BITS: u32 = 21;
 
-/// The indices of points along the Z-order (Morton) curve through their box; points at one place keep their order.
+/// Indices of points along the Z-order (Morton) curve through their box; coincident points keep their order.
 pub(super) fn order(points: &[[f32; 3]]) -> Vec<usize> {
     let corner = |start: f32, pick: fn(f32, f32) -> f32| {
         points.iter().fold([start; 3], |corner, p| std::array::from_fn(|axis| pick(corner[axis], p[axis])))
@@ -24,7 +24,7 @@ pub(super) fn order(points: &[[f32; 3]]) -> Vec<usize> {
     order
 }
 
-/// Two zero bits between each two of the lower 21 bits.
+/// Inserts two zero bits after each of the lower 21 bits.
 fn spread(value: u64) -> u64 {
     let mut v = value & 0x1f_ffff;
     v = (v | v << 32) & 0x001f_0000_0000_ffff;

@@ -1,4 +1,4 @@
-//! Reading Gaussians and points from PLY files.
+//! Reads Gaussians and points from PLY files.
 
 use std::collections::HashSet;
 use std::path::Path;
@@ -13,7 +13,7 @@ use ashsplat::scene::{Gaussians, SourcePoints, WorldFrame, filtered, median_ball
 use ashsplat::{Error, Result};
 use glam::DVec3;
 
-/// How to read Gaussians.
+/// Options for reading Gaussians.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct PlyOptions {
     /// Drop Gaussians with unusable parameters instead of refusing the file.
@@ -25,7 +25,7 @@ pub struct PlyOptions {
 pub struct PlyScene {
     /// The usable Gaussians, in the file's order.
     pub gaussians: Gaussians,
-    /// Where their coordinates lie within those of the file.
+    /// Frame of the Gaussians within the file's coordinates.
     pub frame: WorldFrame,
     /// Number of Gaussians that were dropped because of an unusable parameter.
     pub dropped: u64,
@@ -34,9 +34,11 @@ pub struct PlyScene {
 }
 
 /// Reads Gaussians with any property order, encoding and scalar type. Additional properties and elements are
-/// ignored, but for `filter_3D`: Mip-Splatting's 3D filter becomes a part of scales and opacities. The SH degree follows from the number of `f_rest` properties.
-/// Colours may be `red green blue` in place of `f_dc`. Without `scale_2` (2DGS) the Gaussians have no thickness.
-/// [`splats::read`](crate::splats::read) reads the other formats too.
+/// ignored, except `filter_3D`: Mip-Splatting's 3D filter becomes a part of scales and opacities. The number of
+/// `f_rest`
+/// properties gives the SH degree. Colours may be `red green blue` in place of `f_dc`. Without `scale_2` (2DGS) the
+/// Gaussians
+/// have no thickness. [`splats::read`](crate::splats::read) reads the other formats too.
 ///
 /// A parameter is unusable if it is not finite, except an opacity logit of ±∞ (opacity 1 or 0), if a
 /// coordinate (also of a quaternion) exceeds 1e18 or a log-scale 88 (both overflow in the projection), or if an
@@ -58,12 +60,12 @@ pub fn read(path: impl AsRef<Path>, options: &PlyOptions) -> Result<PlyScene> {
     })
 }
 
-/// Number of the vertices that a PLY's header promises.
+/// Number of vertices in a PLY's header.
 pub(crate) fn claimed_points(path: &Path) -> Result<u64> {
     Ok(PlyFile::open(path)?.header.elements.iter().find(|e| e.name == "vertex").map_or(0, |e| e.count))
 }
 
-/// Whether a PLY is PlayCanvas' compressed kind.
+/// True if a PLY is PlayCanvas' compressed kind.
 pub(crate) fn is_compressed(path: &Path) -> Result<bool> {
     let file = PlyFile::open(path)?;
     Ok(file.header.elements.iter().any(|e| e.name == "vertex" && e.has("packed_position")))
@@ -136,7 +138,7 @@ impl<'a> GaussianRows<'a> {
     }
 }
 
-/// Names properties that are not read, such as those of Gaussians that move or have another shape.
+/// Names unused properties, such as those of moving Gaussians or of Gaussians with another shape.
 fn unused_properties(element: &Element, layout: &Layout) -> Option<String> {
     let changes = |name: &&str| {
         ["trbf_", "motion_", "omega_", "rot_r", "quadrant_", "f_offset_", "f_anchor_"]
@@ -144,7 +146,7 @@ fn unused_properties(element: &Element, layout: &Layout) -> Option<String> {
             .any(|start| name.starts_with(start))
             || ["t", "scale_t", "scale_3"].contains(name)
     };
-    // Viewers of points take normals and colours that stand beside `f_dc`.
+    // Point viewers use the normals and colours beside `f_dc`.
     const FOR_POINTS: [&str; 10] = ["nx", "ny", "nz", "red", "green", "blue", "alpha", "r", "g", "b"];
     let is_unused = |name: &&str| !FOR_POINTS.contains(name) && !layout.names.iter().any(|own| own == name);
     let names = element.properties.iter().map(|property| property.name.as_str());
@@ -160,7 +162,7 @@ fn unused_properties(element: &Element, layout: &Layout) -> Option<String> {
     (!unused.is_empty()).then(|| format!("{named}{more}: such properties are not used"))
 }
 
-/// Calls `visit` with these properties of the first vertices: enough of them to judge the whole file by.
+/// Calls `visit` with these properties of the first vertices, which are a sample of the whole file.
 fn first_rows(path: &Path, names: &[&str], mut visit: impl FnMut(&[f64])) -> Result<()> {
     let mut file = PlyFile::open(path)?;
     let vertex = file.seek_element("vertex")?;
@@ -172,7 +174,7 @@ fn first_rows(path: &Path, names: &[&str], mut visit: impl FnMut(&[f64])) -> Res
     })
 }
 
-/// Names values that look as if a program had applied sigmoid, exponential or SH to them already.
+/// Names values to which a program seems to have applied sigmoid, exponential or SH already.
 fn raw_values_doubtful(path: &Path, has_all: bool) -> Option<String> {
     const NAMES: [&str; 7] = ["opacity", "f_dc_0", "f_dc_1", "f_dc_2", "scale_0", "scale_1", "scale_2"];
     let names = if has_all { &NAMES[..] } else { &NAMES[..1] };
@@ -187,7 +189,7 @@ fn raw_values_doubtful(path: &Path, has_all: bool) -> Option<String> {
         }
         scales += row[groups[2].clone()].iter().sum::<f64>();
     };
-    // The reader of all rows reports damaged ones.
+    // The main reader reports damaged rows.
     first_rows(path, names, visit).ok()?;
     let [opacity, color, scale] = ranges;
     // Logits and SH coefficients of trained scenes go far beyond 0 and 1.
@@ -199,7 +201,7 @@ fn raw_values_doubtful(path: &Path, has_all: bool) -> Option<String> {
     if is_share(color) || color[0] >= 0.0 && color[1] > 10.0 {
         found.push("f_dc looks like colours, but is taken as SH coefficients");
     }
-    // As logarithms these values make every Gaussian at least a unit large, and most of them hardly larger.
+    // As logarithms, these values would make every Gaussian at least a unit large, and most of them hardly larger.
     if scale[0] >= 0.0 && scale[1] > scale[0] && scales < count as f64 * 3.0 {
         found.push("scales look like sizes, but are taken as their logarithms");
     }
@@ -213,8 +215,10 @@ fn first_positions(path: &Path) -> Result<Vec<DVec3>> {
     Ok(points)
 }
 
-/// Takes origin and unit from the cameras.json of a model folder, for a `point_cloud/iteration_N/point_cloud.ply` whose comments an
-/// editor has dropped. Positions that lie nearer to the origin than to zero are absolute and keep none. A line about it, if any is used.
+/// Reads origin and unit from the cameras.json of a model folder, for a `point_cloud/iteration_N/point_cloud.ply` that
+/// lost its
+/// comments in an editor. Positions nearer to the origin than to zero are absolute and get no origin. Returns a note if
+/// any was used.
 pub(super) fn restore_frame(
     path: &Path,
     header: &mut super::header::Header,
@@ -249,7 +253,7 @@ pub(super) fn restore_frame(
     Ok((!used.is_empty()).then(line))
 }
 
-/// An origin for a file whose positions are doubles: that of its first rows.
+/// An origin for a file with positions in double precision, from its first rows.
 fn origin_of_first(path: &Path) -> Result<DVec3> {
     Ok(WorldFrame::around(&first_positions(path)?).origin)
 }
@@ -274,7 +278,7 @@ impl Source for GaussianRows<'_> {
     }
 }
 
-/// Names of a colour's properties; the last are those of Gaussians.
+/// Property names of colours; the last are those of Gaussians.
 const COLORS: [[&str; 3]; 4] = [
     ["red", "green", "blue"],
     ["r", "g", "b"],
@@ -282,17 +286,19 @@ const COLORS: [[&str; 3]; 4] = [
     ["f_dc_0", "f_dc_1", "f_dc_2"],
 ];
 
-/// Reads coloured points: x y z and a colour, by name; white if there are no colours. Colours are 0 to 255; floats of at most 1
-/// are shares of 255, 16 bits above 255 shares of 65,535. Gaussians have the colours of their constant SH coefficients.
+/// Reads coloured points: x y z and a colour, by name; white if there are no colours. Colours are 0 to 255; floats of
+/// at most 1
+/// are shares of 255, 16-bit values above 255 shares of 65,535. Gaussians get the colours of their constant SH
+/// coefficients.
 ///
 /// # Errors
-/// [`Error::Io`] when the file cannot be read, [`Error::Input`] when it is no PLY file with points, is cut
-/// short or damaged, or has points, but none with a finite position. Others are left out.
+/// [`Error::Io`] when the file cannot be read, [`Error::Input`] when it is not a PLY file with points, is cut
+/// short or damaged, or has points, but none with a finite position. Points at other positions are dropped.
 pub fn read_points(path: impl AsRef<Path>) -> Result<SourcePoints> {
     read_points_of(path.as_ref(), &mut Vec::new())
 }
 
-/// Reads points like [`read_points`], and returns warnings of points without colours or finite positions and of Gaussians.
+/// Same as [`read_points`], but adds warnings about Gaussians, and about points without colours or finite positions.
 pub(crate) fn read_points_of(path: &Path, warnings: &mut Vec<String>) -> Result<SourcePoints> {
     let mut file = PlyFile::open(path)?;
     let element = file.seek_element("vertex")?;
@@ -350,21 +356,21 @@ pub(crate) fn read_points_of(path: &Path, warnings: &mut Vec<String>) -> Result<
     Ok(points)
 }
 
-/// Number of rows to reserve. The header's count was checked against the file's size.
+/// Number of rows to reserve. The header's count has been checked against the file's size.
 fn capacity(element: &Element) -> usize {
     usize::try_from(element.count).unwrap_or(0)
 }
 
-/// Positions of the parameters in a row: `x y z opacity scale_* rot_* f_dc_* f_rest_*`.
+/// Column layout of a row: `x y z opacity scale_* rot_* f_dc_* f_rest_*`.
 struct Layout {
     names: Vec<String>,
     sh_degree: u32,
-    /// Whether the size of a 3D filter is the row's last value.
+    /// True if the row's last value is the size of a 3D filter.
     filtered: bool,
-    /// Properties that hold the colours in place of `f_dc`, and their value of white.
+    /// Properties with the colours in place of `f_dc`, and their value for white.
     rgb: Option<[&'static str; 3]>,
     white: Option<f64>,
-    /// Whether `scale_2` is missing; `scale_1` is in its column.
+    /// True if `scale_2` is missing; `scale_1` is in its column.
     is_flat: bool,
 }
 
@@ -423,7 +429,7 @@ impl Layout {
         }
     }
 
-    /// Appends the Gaussian of a row, after a shift. A 3D filter becomes a part of it.
+    /// Appends the Gaussian of a row, shifted and with its 3D filter applied.
     fn push(&self, row: &[f64], shift: DVec3, gaussians: &mut Gaussians) {
         let (row, size) = row.split_at(row.len() - usize::from(self.filtered));
         let at = |column: usize| row[column] as f32;
@@ -449,7 +455,7 @@ impl Layout {
     }
 }
 
-/// The value of white: integers have that of their type, floats 255 if a colour is far above 1.
+/// The value of white: the type's maximum for integers, 255 for floats if a colour is far above 1.
 fn white(path: &Path, element: &Element, names: [&str; 3]) -> Result<f64> {
     let kind = element.properties.iter().find(|property| property.name == names[0]).map(|p| &p.kind);
     match kind {
@@ -467,7 +473,7 @@ fn white(path: &Path, element: &Element, names: [&str; 3]) -> Result<f64> {
     Ok(if brightest > 2.0 { 255.0 } else { 1.0 })
 }
 
-/// The error for a file without Gaussians, with the kind of the file.
+/// The error for a file without Gaussians. It names the kind of the file.
 fn missing_properties(path: &Path, element: &Element, has_rgb: bool) -> Error {
     if element.has("packed_position") {
         let problem = "is a compressed PLY of Gaussians (packed_position)";

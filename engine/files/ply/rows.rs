@@ -10,7 +10,7 @@ use ashsplat::{Error, Result};
 
 const BUFFER_BYTES: usize = 1 << 20;
 
-/// An open PLY file that stands somewhere in its data.
+/// An open PLY file at some position in its data.
 pub(crate) struct PlyFile<'a> {
     path: &'a Path,
     reader: BufReader<File>,
@@ -23,12 +23,12 @@ pub(crate) struct PlyFile<'a> {
     next_element: usize,
 }
 
-/// One property that the caller wants.
+/// A requested property.
 #[derive(Clone, Copy)]
 struct Column {
     /// Byte offset in a binary row.
     offset: usize,
-    /// Place in an ASCII row.
+    /// Index in an ASCII row.
     place: usize,
     scalar: Scalar,
 }
@@ -46,7 +46,7 @@ impl<'a> PlyFile<'a> {
         Error::input(self.path, problem, "the file is damaged or was cut short: write or download it again")
     }
 
-    /// Skips the elements before `name` and returns it. Its rows must be read before the next call.
+    /// Skips the elements before `name` and returns it. The caller must read its rows before the next call.
     pub(crate) fn seek_element(&mut self, name: &str) -> Result<Element> {
         for element in self.header.elements.clone().into_iter().skip(self.next_element) {
             self.next_element += 1;
@@ -61,23 +61,23 @@ impl<'a> PlyFile<'a> {
         Err(Error::input(self.path, format!("has no element '{name}' (elements: {names})"), ""))
     }
 
-    /// Bytes behind the last element, if that is `element` and its rows have one size.
+    /// Number of bytes after the last element, if that is `element` and its rows have one size.
     pub(crate) fn bytes_behind(&self, element: &Element) -> Option<u64> {
         let row = element.row_bytes().filter(|_| self.header.encoding != Encoding::Ascii)?;
         let behind = self.remaining.checked_sub(element.count.checked_mul(row)?)?;
         (behind > 0 && self.next_element == self.header.elements.len()).then_some(behind)
     }
 
-    /// Compares what the header promises with what the file can hold, before memory is reserved for it.
+    /// Checks that the file can hold the header's number of rows, before memory is reserved for them.
     fn check_size(&self, element: &Element) -> Result<()> {
         let needed = match (self.header.encoding, element.row_bytes()) {
-            // An ASCII value takes a digit and a separator, which the last one may lack.
+            // An ASCII value takes a digit and a separator, which the last value may lack.
             (Encoding::Ascii, _) => {
                 let row = 2 * element.properties.len() as u128;
                 (u128::from(element.count) * row).saturating_sub(1)
             }
             (_, Some(row)) => u128::from(element.count) * u128::from(row),
-            // Each list is at least its count.
+            // Each list takes at least its count.
             (_, None) => u128::from(element.count),
         };
         if needed <= u128::from(self.remaining) {
@@ -92,9 +92,9 @@ impl<'a> PlyFile<'a> {
     }
 
     /// Calls `row` with the values of the named properties for each row of `element`, in the order of `names`;
-    /// ends with its first error.
+    /// stops at the first error.
     ///
-    /// A property that the element lacks is an error; the caller checks first where it can say more.
+    /// A property that the element lacks is an error. The caller checks before where it can give a better error.
     pub(crate) fn for_each_row(
         &mut self,
         element: &Element,
@@ -151,7 +151,7 @@ impl<'a> PlyFile<'a> {
         element: &Element,
         mut row: impl FnMut(u64, &[u8]) -> Result<()>,
     ) -> Result<()> {
-        // Zero is for lists and elements without properties; the caller has excluded both.
+        // The size is zero for lists and elements without properties; the caller has excluded both.
         let row_bytes = element.row_bytes().unwrap_or(0) as usize;
         if row_bytes == 0 {
             return self.skip_element(element);
@@ -190,7 +190,7 @@ impl<'a> PlyFile<'a> {
             let (has, needs) = (words.len(), element.properties.len());
             return Err(self.error(format!("{} has {has} values, the header says {needs}", place(self.line))));
         }
-        // All of them, not only the ones that are asked for: a word among the numbers means damage.
+        // Checks all values, not only the requested ones: a word among the numbers means damage.
         for (word, property) in words.iter().zip(&element.properties) {
             cost::step();
             if word.parse::<f32>().is_err() {
@@ -202,7 +202,7 @@ impl<'a> PlyFile<'a> {
         }
         for (value, column) in values.iter_mut().zip(columns) {
             let word = words[column.place];
-            // Rounded once, as the file's type asks.
+            // Rounds once, to the precision of the file's type.
             *value = match column.scalar {
                 Scalar::F32 => f64::from(word.parse().unwrap_or(f32::NAN)),
                 _ => word.parse().unwrap_or(f64::NAN),
@@ -211,7 +211,7 @@ impl<'a> PlyFile<'a> {
         Ok(())
     }
 
-    /// The next line that is not blank.
+    /// Reads the next line that is not blank.
     fn ascii_line(&mut self, element: &Element, index: u64, text: &mut Vec<u8>) -> Result<()> {
         loop {
             cost::step();
@@ -233,7 +233,7 @@ impl<'a> PlyFile<'a> {
     fn skip_element(&mut self, element: &Element) -> Result<()> {
         self.check_size(element)?;
         match (self.header.encoding, element.row_bytes()) {
-            // No properties, no bytes, however many there are.
+            // Rows without properties have no bytes.
             _ if element.properties.is_empty() => Ok(()),
             (Encoding::Ascii, _) => {
                 let mut text = Vec::new();
@@ -286,7 +286,7 @@ impl<'a> PlyFile<'a> {
     }
 }
 
-/// The number that `bytes` start with.
+/// Decodes the number at the start of `bytes`.
 fn decode(bytes: &[u8], scalar: Scalar, encoding: Encoding) -> f64 {
     match encoding {
         Encoding::BinaryBigEndian => decode_with(bytes, scalar, true),

@@ -1,4 +1,4 @@
-//! Writing PLY files, binary little endian.
+//! Writes PLY files, binary little endian.
 
 use std::io::{self, Write};
 use std::path::Path;
@@ -11,9 +11,9 @@ use ashsplat::scene::{Gaussians, PointCloud, Similarity, WorldFrame};
 use ashsplat::{Error, Result};
 use glam::DVec3;
 
-/// Writes Gaussians in the layout of the reference implementation, at the SH degree that they have.
+/// Writes Gaussians in the layout of the reference implementation, at their SH degree.
 ///
-/// Values are stored as they are, so that reading gives the same bits.
+/// Values are stored unchanged, so that reading gives the same bits.
 ///
 /// # Errors
 /// [`ashsplat::Error::Argument`] when the vectors do not fit together, [`ashsplat::Error::Io`] naming the file when it
@@ -24,12 +24,12 @@ pub fn write(path: impl AsRef<Path>, gaussians: &Gaussians) -> Result<()> {
     write_blocks(path.as_ref(), &outline, &mut |sink| in_blocks(gaussians, sink))
 }
 
-/// Writes Gaussians as they come.
+/// Writes Gaussians block by block.
 pub(crate) fn write_blocks(path: &Path, outline: &Outline, produce: &mut Produce<'_>) -> Result<()> {
     let names = property_names(outline.sh_degree);
     let io = |source| Error::io(path, "write", source);
     let is_double = |name: &str| outline.double_positions && ["x", "y", "z"].contains(&name);
-    // Doubles need no origin.
+    // Positions in double precision need no origin.
     let doubles = outline.double_positions.then_some(outline.frame.origin);
     let origin = if outline.double_positions { DVec3::ZERO } else { outline.frame.origin };
     let frame = WorldFrame { origin, ..outline.frame };
@@ -46,7 +46,7 @@ pub(crate) fn write_blocks(path: &Path, outline: &Outline, produce: &mut Produce
     })
 }
 
-/// Writes Gaussians with the sizes of Mip-Splatting's 3D filter as the property `filter_3D`, as its own trainer does.
+/// Writes Gaussians with the sizes of Mip-Splatting's 3D filter as the property `filter_3D`, as Mip-Splatting does.
 /// Reading makes the filter a part of scales and opacities.
 ///
 /// # Errors
@@ -84,9 +84,10 @@ pub fn write_filtered(
     })
 }
 
-/// Writes coloured points as the reference implementation's `input.ply`: `x y z nx ny nz` (float, normals 0)
-/// `red green blue` (uchar). The points are in the world coordinates of `frame`; the file has source units from its origin, which
-/// its header names.
+/// Writes coloured points like the reference implementation's `input.ply`: `x y z nx ny nz` (float, normals 0)
+/// `red green blue` (uchar). The points are in the world coordinates of `frame`; the file has source units from the
+/// frame's
+/// origin, which its header names.
 ///
 /// # Errors
 /// [`ashsplat::Error::Io`] naming the file when it cannot be written; no partial file is left.
@@ -123,7 +124,7 @@ fn write_header<'a>(
     writeln!(writer, "end_header")
 }
 
-/// The comments about the frame; none for the usual one.
+/// Writes the comments about the frame, unless it is the default.
 pub(super) fn write_frame(writer: &mut impl Write, frame: &WorldFrame) -> io::Result<()> {
     let DVec3 { x, y, z } = frame.origin;
     if frame.origin != DVec3::ZERO {

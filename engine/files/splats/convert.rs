@@ -1,4 +1,4 @@
-//! From one file of Gaussians to another, block by block.
+//! Converts files of Gaussians to another format, block by block.
 
 use std::path::Path;
 
@@ -9,55 +9,55 @@ use ashsplat::scene::{Bounds, Cut, Gaussians, Similarity, WorldFrame};
 use ashsplat::{Error, Result};
 use glam::{DVec3, Vec3};
 
-/// Share of the median Gaussian's size beyond which the steps of single precision are too coarse for absolute positions.
+/// Share of the median Gaussian's size beyond which single-precision steps are too coarse for absolute positions.
 const COARSE: f64 = 0.01;
 
-/// Gaussians that are enough for the choice of an origin.
+/// Number of Gaussians that suffices to choose an origin.
 const ORIGIN_SAMPLE: u64 = 1 << 16;
 
-/// What is changed on the way, in this order: the SH degree, what is cut, place, number.
+/// Changes of a conversion, in this order: SH degree, cut, similarity, number of Gaussians.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ConvertOptions {
-    /// How the input is read.
+    /// Options for reading the input.
     pub read: ReadOptions,
-    /// The highest SH degree that is kept; none: all that the output can hold.
+    /// Highest SH degree that is kept; `None` for all that the output can hold.
     pub sh_degree: Option<u32>,
-    /// Which Gaussians are dropped; its box is relative to the input's origin ([`Header::origin`]).
+    /// Gaussians to drop; the cut's box is relative to the input's origin ([`Header::origin`]).
     pub cut: Cut,
-    /// Two opposite corners of a box, source coordinates of the input; Gaussians with means outside are dropped, too.
+    /// Two opposite corners of a box, source coordinates of the input; Gaussians with means outside are dropped too.
     pub crop_box: Option<[DVec3; 2]>,
-    /// How everything is moved, source coordinates.
+    /// Similarity that moves the whole scene, source coordinates.
     pub similarity: Similarity,
-    /// How many Gaussians are to be left, at most; the others are merged into them.
+    /// Largest number of Gaussians in the output; others are merged into them.
     pub decimate: Option<Target>,
-    /// The output's format; none: that of its extension.
+    /// The output's format; `None` for that of its extension.
     pub format: Option<Format>,
-    /// Same as [`super::WriteOptions::spz_version`].
+    /// See [`super::WriteOptions::spz_version`].
     pub spz_version: Option<u32>,
 }
 
-/// How many Gaussians are to be left.
+/// Largest number of Gaussians after decimation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Target {
-    /// So many.
+    /// A number of Gaussians.
     Count(u64),
-    /// This share of those that are left otherwise, 0 to 1.
+    /// Share of the Gaussians before decimation, 0 to 1.
     Share(f64),
 }
 
-/// A file of several that become one.
+/// One of the files that are joined.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Input<'a> {
     /// A file of any format.
     pub path: &'a Path,
-    /// How it is moved before [`ConvertOptions::similarity`], source coordinates.
+    /// Similarity of this file before [`ConvertOptions::similarity`], source coordinates.
     pub similarity: Similarity,
 }
 
-/// What a conversion did.
+/// Result of a conversion.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Converted {
-    /// What the inputs said of themselves.
+    /// Headers of the inputs.
     pub inputs: Vec<Header>,
     /// The output's format.
     pub format: Format,
@@ -65,24 +65,26 @@ pub struct Converted {
     pub written: u64,
     /// SH degree written.
     pub sh_degree: u32,
-    /// What was lost or odd.
+    /// Losses and oddities.
     pub warnings: Vec<String>,
 }
 
 /// Reads a file of Gaussians, changes them, and writes them in another format.
 ///
-/// The input is read twice where the output's beginning depends on its end (number and box of the Gaussians).
+/// The input is read twice if the output's header needs the number and box of the Gaussians.
 ///
 /// # Errors
-/// Same as [`super::read`] and [`super::write`]; [`ashsplat::Error::Input`] for a change that leads to parameters that reading refuses.
+/// Same as [`super::read`] and [`super::write`]; [`ashsplat::Error::Input`] for a change that makes parameters
+/// unreadable.
 pub fn convert(input: &Path, output: &Path, options: &ConvertOptions) -> Result<Converted> {
     join(&[Input { path: input, similarity: Similarity::default() }], output, options)
 }
 
-/// Same as [`convert`], of several files one after another. The highest SH degree of all is kept.
+/// Same as [`convert`], but joins several files in order. The highest SH degree is kept.
 ///
 /// # Errors
-/// Same as [`convert`]; [`Error::Input`] for inputs of which only some were trained with antialiasing, or with different kernel sizes;
+/// Same as [`convert`]; [`Error::Input`] for inputs of which only some were trained with antialiasing, or with
+/// different kernel sizes;
 /// [`Error::Argument`] without inputs.
 pub fn join(inputs: &[Input<'_>], output: &Path, options: &ConvertOptions) -> Result<Converted> {
     let format = match options.format {
@@ -119,7 +121,7 @@ pub fn join(inputs: &[Input<'_>], output: &Path, options: &ConvertOptions) -> Re
     warnings.extend(format.losses(wanted_degree, (antialiased, kernel_size, is_2dgs)));
     let count = headers.iter().map(|header| header.count).fold(0, u64::saturating_add);
     if options.decimate.is_some() {
-        // All of them, those that are merged of them, and what finds the pairs.
+        // All Gaussians, the merged ones, and the search for pairs.
         let needed = count.saturating_mul(2 * row_bytes(sh_degree) + decimate::BYTES);
         host_memory::check(all.path, needed, options.read.max_host_memory)?;
     }
@@ -143,7 +145,7 @@ pub fn join(inputs: &[Input<'_>], output: &Path, options: &ConvertOptions) -> Re
         Ok(())
     };
     let moved = &changes[0].2;
-    // A PLY that is not moved keeps its origin.
+    // A PLY without a similarity keeps its origin.
     let stays = inputs.len() == 1 && format == Format::Ply && moved.similarity == Similarity::default();
     let mut to = if first.origin == DVec3::ZERO { DVec3::ZERO } else { moved.similarity.apply(first.origin) };
     let step = OriginSample::step(count);
@@ -165,7 +167,7 @@ pub fn join(inputs: &[Input<'_>], output: &Path, options: &ConvertOptions) -> Re
         if chosen == to {
             break (count, bounds, kept, told);
         }
-        // Once more, for the box around that origin.
+        // Reads again, for the box relative to the new origin.
         to = chosen;
     };
     warnings.extend(told);
@@ -197,7 +199,7 @@ pub fn join(inputs: &[Input<'_>], output: &Path, options: &ConvertOptions) -> Re
 }
 
 impl ConvertOptions {
-    /// The cut with the box of either kind, relative to the input's origin.
+    /// The cut with whichever box is set, relative to the input's origin.
     fn cut_of(&self, header: &Header) -> Cut {
         let relative = |corner: DVec3| (corner - header.origin).as_vec3();
         let corners = self.crop_box.map(|[one, other]| Bounds::between(relative(one), relative(other)));
@@ -205,7 +207,7 @@ impl ConvertOptions {
     }
 }
 
-/// A similarity of source coordinates, for positions that are relative to an origin.
+/// A similarity of source coordinates, for positions relative to the origin `from`.
 struct Move {
     from: DVec3,
     similarity: Similarity,
@@ -223,11 +225,11 @@ impl Move {
     }
 }
 
-/// Some of the Gaussians, which tell whether a scene needs an origin.
+/// A sample of the Gaussians, from which a scene's origin is chosen.
 #[derive(Default)]
 pub(crate) struct OriginSample {
     means: Vec<Vec3>,
-    /// Largest standard deviations.
+    /// Largest standard deviation of each.
     sizes: Vec<f32>,
 }
 
@@ -244,7 +246,7 @@ impl OriginSample {
         self.sizes.extend(block.log_scales.iter().step_by(step).map(largest));
     }
 
-    /// The origin that the scene needs, of positions that are relative to one already: zero where single precision resolves
+    /// The scene's origin, for positions that are relative to `from`. It is zero if single precision resolves
     /// absolute positions well.
     pub(crate) fn origin(mut self, from: DVec3) -> DVec3 {
         let points: Vec<DVec3> = self.means.iter().map(|mean| from + mean.as_dvec3()).collect();
@@ -259,7 +261,7 @@ impl OriginSample {
     }
 }
 
-/// A block at an SH degree, cut and moved.
+/// Applies SH degree, cut and similarity to a block.
 pub(super) fn changed(mut block: Gaussians, sh_degree: u32, cut: &Cut, similarity: &Similarity) -> Gaussians {
     if sh_degree != block.sh_degree {
         block = block.with_sh_degree(sh_degree);
@@ -272,7 +274,7 @@ pub(super) fn changed(mut block: Gaussians, sh_degree: u32, cut: &Cut, similarit
     block
 }
 
-/// The box around two.
+/// The box around two boxes.
 pub(super) fn around(a: Option<Bounds>, b: Option<Bounds>) -> Option<Bounds> {
     match (a, b) {
         (Some(a), Some(b)) => Some(Bounds { min: a.min.min(b.min), max: a.max.max(b.max) }),

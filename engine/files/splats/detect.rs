@@ -1,4 +1,4 @@
-//! Which format a file has.
+//! Detects the format of a file.
 
 use std::path::Path;
 
@@ -8,10 +8,10 @@ use crate::{ply, sniff};
 use ashsplat::{Error, Result};
 
 impl Format {
-    /// The format that a file has: by its first bytes, and where they say nothing, by its name.
+    /// The format of a file by its first bytes, or by its name if they are ambiguous.
     ///
     /// # Errors
-    /// [`Error::Io`] when it cannot be read, [`Error::Input`] when it is in none of the formats.
+    /// [`Error::Io`] when it cannot be read, [`Error::Input`] when it has none of the formats.
     pub fn of_file(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref();
         let start = first_bytes(path)?;

@@ -15,7 +15,7 @@ use ashsplat::{Error, Result};
 
 const ROW: usize = 32;
 
-/// How close to 0 and 1 an opacity is taken for: the logits of these are infinite.
+/// Distance of a stored opacity from 0 and 1, whose logits are infinite.
 const OPACITY_MARGIN: f64 = 1e-6;
 
 /// An open `.splat`.
@@ -68,7 +68,7 @@ fn unpack(row: &[u8; ROW], block: &mut Gaussians) {
     cost::step();
     let float = |at: usize| f32::from_le_bytes([row[at], row[at + 1], row[at + 2], row[at + 3]]);
     block.means.push([float(0), float(4), float(8)]);
-    // The logarithm of a negative size is NaN, and so unusable.
+    // The logarithm of a negative size is NaN, which is unusable.
     block.log_scales.push([float(12), float(16), float(20)].map(f32::ln));
     block.sh.push([24, 25, 26].map(|at| rgb_to_sh_dc(f32::from(row[at]) / 255.0)));
     let opacity = (f64::from(row[27]) / 255.0).clamp(OPACITY_MARGIN, 1.0 - OPACITY_MARGIN);
@@ -78,7 +78,7 @@ fn unpack(row: &[u8; ROW], block: &mut Gaussians) {
     block.quats.push(if length > 0.0 { quat.map(|q| q / length) } else { quat });
 }
 
-/// Writes Gaussians as they come.
+/// Writes Gaussians block by block.
 pub(super) fn write(path: &Path, _outline: &Outline, produce: &mut Produce<'_>) -> Result<()> {
     atomic::write_seekable(path, |writer| {
         let mut rows = Vec::new();

@@ -1,24 +1,25 @@
-//! Gaussians that are used, though their values can hardly be what was meant.
+//! Counts Gaussians that are usable but have implausible values.
 
 use ashsplat::kernels::constants::QUAT_NORM_MIN;
 use ashsplat::scene::Gaussians;
 
-/// Steps of positions are coarse from this share of a typical Gaussian's size on: pictures lose about 6 dB.
+/// Share of a typical Gaussian's size at which steps of positions are coarse: pictures lose about 6 dB.
 pub(super) const COARSE: f64 = 0.2;
 
-/// Gaussians of a file with such values.
+/// Number of Gaussians with implausible values in a file.
 #[derive(Default)]
 pub(super) struct Doubtful {
     count: u64,
     without_rotation: u64,
     coarse: u64,
-    /// Sums over the coarse ones, as logarithms.
+    /// Logarithmic sums over the Gaussians with coarse positions.
     log_steps: f64,
     log_sizes: f64,
 }
 
 impl Doubtful {
-    /// Counts them in the next block. Quaternions of zeros become the identity, so that a move of the scene turns them too.
+    /// Counts the next block's implausible values. A quaternion of zeros becomes the identity, so that a similarity
+    /// rotates it too.
     pub(super) fn look_through(&mut self, block: &mut Gaussians) {
         for quat in &mut block.quats {
             if quat.iter().map(|q| q * q).sum::<f32>().sqrt() <= QUAT_NORM_MIN {
@@ -28,11 +29,11 @@ impl Doubtful {
         }
         for (mean, [x, y, z]) in block.means.iter().zip(&block.log_scales) {
             let farthest = mean.iter().fold(0.0_f32, |most, v| most.max(v.abs()));
-            // The power of two below, which has the same steps.
+            // The next lower power of two has the same steps.
             let power = f32::from_bits(farthest.to_bits() & f32::INFINITY.to_bits());
             let step = f64::from(power) * f64::from(f32::EPSILON);
             let log_size = x.max(*y).max(*z);
-            // Size 0 is no size to compare with.
+            // A size of 0 cannot be compared with.
             if log_size > f32::MIN_POSITIVE.ln() && step > COARSE * f64::from(log_size).exp() {
                 self.coarse += 1;
                 self.log_steps += step.ln();
@@ -42,7 +43,7 @@ impl Doubtful {
         self.count += block.len() as u64;
     }
 
-    /// One line about each kind.
+    /// One warning per kind.
     pub(super) fn lines(&self) -> Vec<String> {
         let (count, mut lines) = (self.count, Vec::new());
         if self.without_rotation > 0 {
@@ -63,7 +64,7 @@ impl Doubtful {
     }
 }
 
-/// A positive number with two significant digits, or as many as it has before the point.
+/// A positive number with two significant digits, or with all digits before the decimal point.
 pub(super) fn short(value: f64) -> String {
     let digits = (1.0 - value.log10().floor()).clamp(0.0, 40.0) as usize;
     format!("{value:.digits$}")

@@ -1,4 +1,4 @@
-//! Scenes in forms that are not read: what each is, and the command that makes a readable one.
+//! Recognises scenes in formats that are not read, and names the command that converts them.
 
 use std::io::Read;
 use std::path::Path;
@@ -10,10 +10,10 @@ use crate::names::{has_photo_ending, quoted};
 use crate::regular_file;
 use ashsplat::{Error, Result};
 
-/// Bytes of a JSON that are searched.
+/// Number of bytes of a JSON file that are searched.
 const SEARCHED_BYTES: u64 = 64 * 1024;
 
-/// Packers of one file: first bytes, name, and the command that unpacks to the standard output.
+/// Compression formats of single files: first bytes, name, and the command that unpacks to the standard output.
 const PACKERS: [(&[u8], &str, &str); 5] = [
     (b"\x1f\x8b", "gzip", "gzip -dc"),
     (b"\x28\xb5\x2f\xfd", "zstd", "zstd -dc"),
@@ -22,14 +22,14 @@ const PACKERS: [(&[u8], &str, &str); 5] = [
     (b"\x04\x22\x4d\x18", "lz4", "lz4 -dc"),
 ];
 
-/// Archives other than ZIP.
+/// Archive formats other than ZIP: offset, first bytes, name and command.
 const ARCHIVERS: [(usize, &[u8], &str, &str); 3] = [
     (0, b"7z\xbc\xaf\x27\x1c", "a 7z archive", "7z x"),
     (0, b"Rar!\x1a\x07", "a RAR archive", "unrar x"),
     (257, b"ustar", "a tar archive", "tar -xf"),
 ];
 
-/// Endings of scenes that other programs read.
+/// Extensions of scenes that other programs can convert.
 const CONVERTED: [(&str, &str, &str); 6] = [
     ("sog", "is a SOG", "splat-transform"),
     ("ksplat", "is a .ksplat of GaussianSplats3D", "splat-transform"),
@@ -39,7 +39,7 @@ const CONVERTED: [(&str, &str, &str); 6] = [
     ("sogst", "is an animated SOG", ""),
 ];
 
-/// The beginning of a file.
+/// First bytes of a file.
 pub(super) fn first_bytes(path: &Path) -> Result<Vec<u8>> {
     let (file, _) = regular_file::open(path)?;
     let mut start = Vec::new();
@@ -47,7 +47,7 @@ pub(super) fn first_bytes(path: &Path) -> Result<Vec<u8>> {
     Ok(start)
 }
 
-/// The error for a file or a folder that holds a scene in a form that is not read; none for anything else.
+/// The error for a file or folder with a scene in an unread format; `None` for anything else.
 pub fn foreign(path: &Path) -> Option<Error> {
     if path.is_dir() {
         return ["meta.json", "lod-meta.json"].iter().find_map(|name| json(&path.join(name)));
@@ -62,7 +62,7 @@ pub fn foreign(path: &Path) -> Option<Error> {
     let by_name = Format::by_name(path);
     if let Some((_, name, command)) = PACKERS.iter().find(|(magic, ..)| start.starts_with(magic)) {
         let mut inside = [0; 4];
-        // SPZ is packed itself.
+        // SPZ is gzip itself.
         let is_spz = GzDecoder::new(&*start).read_exact(&mut inside).is_err() || inside == *b"NGSP";
         if *name == "gzip" && (is_spz || by_name == Some(Format::Spz)) {
             return None;
@@ -91,7 +91,7 @@ fn by_ending(path: &Path) -> Option<Error> {
     converted(path, &path.extension()?.to_str()?.to_ascii_lowercase())
 }
 
-/// The error for a scene with this ending.
+/// The error for a scene with this extension.
 fn converted(path: &Path, ending: &str) -> Option<Error> {
     let (_, problem, command) = CONVERTED.iter().find(|(known, ..)| *known == ending)?;
     let (input, out) = (shell(path), shell(&path.with_extension("ply")));
@@ -103,7 +103,7 @@ fn converted(path: &Path, ending: &str) -> Option<Error> {
     Some(Error::input(path, format!("{problem}, which is not read"), remedy))
 }
 
-/// SOG without its ZIP.
+/// The error for the JSON of a SOG without its ZIP.
 fn json(path: &Path) -> Option<Error> {
     let mut text = Vec::new();
     regular_file::open(path).ok()?.0.take(SEARCHED_BYTES).read_to_end(&mut text).ok()?;
@@ -122,7 +122,7 @@ fn json(path: &Path) -> Option<Error> {
     })
 }
 
-/// A ZIP of something else than a data set.
+/// The error for a ZIP that does not hold a data set.
 fn zip(path: &Path) -> Option<Error> {
     let archive = zip::ZipArchive::new(std::io::BufReader::new(regular_file::open(path).ok()?.0)).ok()?;
     let names: Vec<String> = archive.file_names().flatten().map(|name| name.into_owned()).collect();

@@ -1,4 +1,4 @@
-//! The formats of files of Gaussians.
+//! File formats of Gaussians.
 
 use std::path::Path;
 
@@ -6,7 +6,7 @@ use super::{Outline, origin_file};
 use ashsplat::{Error, Result};
 use glam::DVec3;
 
-/// Log-scales are clamped to this on both sides, as the format's first writer does.
+/// Bound of log-scales in both directions, as in the format's first writer.
 pub(crate) const MAX_COMPRESSED_LOG_SCALE: f32 = 20.0;
 
 /// A format of files of Gaussians.
@@ -27,11 +27,11 @@ pub enum Format {
 }
 
 impl Format {
-    /// All of them.
+    /// All formats.
     pub const ALL: [Self; 6] =
         [Self::Ply, Self::CompressedPly, Self::Splat, Self::Spz, Self::Glb, Self::Gltf];
 
-    /// What Gaussians of this SH degree, with these marks of a header, lose in it, in words.
+    /// Names what Gaussians of this SH degree and with these header marks lose in the format.
     pub(super) fn losses(
         self,
         sh_degree: u32,
@@ -53,12 +53,12 @@ impl Format {
         losses
     }
 
-    /// Whether the origin of the positions stands in a file beside it: it has no place for one itself.
+    /// True if a file beside it holds the origin of the positions, because the format has no field for it.
     pub(super) fn has_origin_file(self) -> bool {
         matches!(self, Self::Splat | Self::Spz)
     }
 
-    /// Says what positions are relative to, where programs that do not know would place the scene elsewhere.
+    /// A note on the origin of the positions, if programs that ignore it would place the scene elsewhere.
     pub(super) fn origin_note(self, path: &Path, outline: &Outline) -> Option<String> {
         let DVec3 { x, y, z } = outline.frame.origin;
         let place = match self {
@@ -71,7 +71,7 @@ impl Format {
         Some(format!("positions are relative to {x},{y},{z}, which {place} names"))
     }
 
-    /// The ending of a file's name, with the dot.
+    /// The extension of a file's name, with the dot.
     pub fn extension(self) -> &'static str {
         match self {
             Self::Ply => ".ply",
@@ -83,17 +83,17 @@ impl Format {
         }
     }
 
-    /// The highest SH degree that it can hold.
+    /// The highest SH degree that the format can hold.
     pub fn max_sh_degree(self) -> u32 {
         if self == Self::Splat { 0 } else { 3 }
     }
 
-    /// Whether it can say that the Gaussians want antialiasing.
+    /// True if the format can mark Gaussians as trained with antialiasing.
     pub fn keeps_antialiased(self) -> bool {
         !matches!(self, Self::Splat)
     }
 
-    /// The format that a file's name promises.
+    /// The format by a file's name.
     ///
     /// # Errors
     /// [`Error::Input`] for an unknown extension.
@@ -107,7 +107,7 @@ impl Format {
 
     pub(super) fn by_name(path: &Path) -> Option<Self> {
         let name = path.file_name()?.to_string_lossy().to_ascii_lowercase();
-        // The longer of two that fit.
+        // Of several matching extensions, the longest.
         Self::ALL.into_iter().filter(|f| name.ends_with(f.extension())).max_by_key(|f| f.extension().len())
     }
 }

@@ -1,6 +1,6 @@
-//! Reading glTF and GLB with `KHR_gaussian_splatting` (ratified form: linear scales, quaternions x, y, z, w).
+//! Reads glTF and GLB with `KHR_gaussian_splatting` (ratified form: linear scales, quaternions x, y, z, w).
 //!
-//! glTF's y points up and its z towards the viewer of a scene's front: x and y are the other way round than in this
+//! glTF's y points up, and its z towards the viewer of a scene's front: x and y are opposite to those of this
 //! crate's frame.
 
 mod accessor;
@@ -21,26 +21,25 @@ use ashsplat::scene::{Gaussians, Similarity, WorldFrame};
 use ashsplat::{Error, Result};
 use glam::DVec3;
 
-/// Which axes of this crate's frame glTF has the other way round.
+/// Axes of glTF that are opposite to those of this crate's frame.
 pub(super) const MIRRORED: [bool; 3] = [true, true, false];
 
-/// The extension's name.
 pub(crate) const EXTENSION: &str = "KHR_gaussian_splatting";
 
-/// Its attributes, as an SPZ.
+/// The extension that packs its attributes as an SPZ.
 pub(crate) const PACKED_EXTENSION: &str = "KHR_gaussian_splatting_compression_spz_2";
 
-/// How close to 0 and 1 a stored opacity is taken for: the logits of these are infinite.
+/// Distance of a stored opacity from 0 and 1, whose logits are infinite.
 const OPACITY_MARGIN: f64 = 3e-8;
 
-/// How far beyond 0 and 1 rounding may put an opacity.
+/// Largest rounding error of an opacity beyond 0 and 1.
 const OPACITY_SLACK: f32 = 1e-3;
 
-/// Placed primitives, at most.
+/// Largest number of placed primitives.
 const MOST_PARTS: usize = 1 << 16;
-/// Gaussians that may lie at any number of places, however few they are in the file.
+/// Number of Gaussians that may be placed any number of times, however few the file has.
 const FREE_GAUSSIANS: u64 = 1 << 20;
-/// How many times the bytes of the file may be used, for more Gaussians than these.
+/// Largest number of uses of each byte of the file, if there are more Gaussians than these.
 const MOST_USES: u64 = 16;
 
 /// An open glTF.
@@ -51,20 +50,20 @@ pub(super) struct Gltf {
     path: PathBuf,
 }
 
-/// One primitive at one node.
+/// A primitive at a node.
 struct Part {
     placement: Similarity,
     sh_degree: u32,
     rows: Rows,
 }
 
-/// Where its Gaussians are.
+/// Storage of a part's Gaussians.
 enum Rows {
     Plain(PlainRows),
     Packed(PackedRows),
 }
 
-/// In accessors.
+/// Gaussians in accessors.
 struct PlainRows {
     count: usize,
     position: Accessor,
@@ -132,7 +131,8 @@ impl Gltf {
                 used = used.saturating_add(rows.bytes());
                 header.count = header.count.saturating_add(rows.count());
                 parts.push(Part { placement, sh_degree: rows.sh_degree(), rows });
-                // A few bytes could claim any number of Gaussians: the same ones at many nodes. What is packed is unpacked for each.
+                // A few bytes could claim any number of Gaussians, placed at many nodes. Packed ones are unpacked for
+                // each node.
                 let copies = header.count > FREE_GAUSSIANS && used / MOST_USES > held
                     || uses.get(&(mesh_index, index)).is_some_and(|&uses| uses > MOST_USES);
                 if copies || parts.len() > MOST_PARTS {
@@ -161,7 +161,7 @@ impl Gltf {
         Ok(gltf)
     }
 
-    /// An origin for positions that nodes place far out: that of the first Gaussians.
+    /// An origin for positions that nodes place far away, from the first Gaussians.
     fn origin_of_nodes(&mut self) -> DVec3 {
         let Some(placed) = self.parts.iter().find(|part| part.placement.translation != DVec3::ZERO) else {
             return DVec3::ZERO;
@@ -169,7 +169,7 @@ impl Gltf {
         let near = mirrored(placed.placement.translation);
         self.header.origin = near;
         let mut points = Vec::new();
-        // An error ends the reading after the first block, and another one is found again by the reader.
+        // The error stops the reading after the first block. The main reader reports any other error again.
         drop(self.blocks(&mut |block| {
             points = block.means.iter().map(|mean| near + DVec3::from_array(mean.map(f64::from))).collect();
             Err(Error::Interrupted)
@@ -178,7 +178,7 @@ impl Gltf {
     }
 }
 
-/// A point of glTF's axes in those of this crate, and the other way.
+/// Converts a point from glTF's axes to this crate's, and back.
 pub(super) fn mirrored(point: DVec3) -> DVec3 {
     DVec3::from_array(std::array::from_fn(|axis| if MIRRORED[axis] { -point[axis] } else { point[axis] }))
 }
@@ -187,7 +187,8 @@ fn damaged(path: &Path, problem: impl Into<String>) -> Error {
     Error::input(path, problem, "the file is damaged or cut short: write or download it again")
 }
 
-/// A primitive of Gaussians, by its number in its mesh. Many nodes may have the same mesh, with many other primitives.
+/// A primitive of Gaussians and its index in its mesh. Many nodes may share a mesh, which may have many other
+/// primitives.
 struct Splats<'a> {
     index: usize,
     primitive: &'a document::Primitive,
@@ -321,7 +322,7 @@ impl Rows {
         }
     }
 
-    /// Bytes in the file.
+    /// Number of bytes in the file.
     fn bytes(&self) -> u64 {
         match self {
             Self::Plain(rows) => rows.bytes(),
@@ -335,7 +336,7 @@ impl PlainRows {
         (0..=MAX_SH_DEGREE).find(|&degree| sh_coefficients(degree) == self.sh.len()).unwrap_or(0)
     }
 
-    /// Bytes of its numbers.
+    /// Number of bytes of all accessors.
     fn bytes(&self) -> u64 {
         let all = [&self.position, &self.rotation, &self.scale, &self.opacity].into_iter().chain(&self.sh);
         all.map(Accessor::bytes).sum()

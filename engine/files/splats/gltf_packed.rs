@@ -1,8 +1,10 @@
 //! GLB whose attributes are an SPZ of version 2: `KHR_gaussian_splatting_compression_spz_2`, a draft.
 //!
-//! The draft and what reads it differ. The draft wants SPZ's own axes (right, up, back) in the SPZ, and a loader to turn them. CesiumJS
-//! (1.145) and the tiles of Cesium ion have glTF's axes in it, and name neither kernel nor colour space. This writes what CesiumJS
-//! reads. Reading takes both: a primitive that names its kernel is the draft's.
+//! The draft and its readers differ. The draft requires SPZ's own axes (right, up, back), which a loader rotates.
+//! CesiumJS
+//! (1.145) and the tiles of Cesium ion have glTF's axes instead, and name neither kernel nor colour space. This module
+//! writes
+//! what CesiumJS reads. It reads both: a primitive that names its kernel follows the draft.
 
 use std::io::{self, Seek, SeekFrom};
 use std::path::Path;
@@ -15,14 +17,14 @@ use super::{Outline, Produce, spz_write};
 use crate::atomic;
 use ashsplat::{Error, Result};
 
-/// Writes Gaussians as they come; they wait in files to be packed.
+/// Writes Gaussians block by block; temporary files hold them until they are packed.
 pub(super) fn write(path: &Path, outline: &Outline, produce: &mut Produce<'_>) -> Result<()> {
     let bounds = bounds_of(path, outline)?;
     let mut packed = spz_write::old(path, MIRRORED, outline, produce)?;
     let io = |source| Error::io(path, "write", source);
     let bytes = packed.seek(SeekFrom::End(0)).map_err(io)?;
     packed.rewind().map_err(io)?;
-    // What the accessors say is what they would hold, unpacked; they have no bytes of their own.
+    // The accessors describe the unpacked attributes and have no bytes of their own.
     let [min, max] = mirrored_corners(bounds);
     let mut accessors = vec![
         json!({ "componentType": FLOAT, "type": "VEC3", "count": outline.count, "min": min, "max": max }),

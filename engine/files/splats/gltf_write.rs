@@ -1,4 +1,4 @@
-//! Writing glTF and GLB with `KHR_gaussian_splatting`: one primitive, one buffer view for each attribute.
+//! Writes glTF and GLB with `KHR_gaussian_splatting`: one primitive, one buffer view for each attribute.
 
 use std::fs;
 use std::io::SeekFrom;
@@ -23,7 +23,7 @@ const ARRAY_BUFFER: u32 = 34_962;
 /// Appends the bytes of one Gaussian's attribute.
 type Put = Box<dyn Fn(&Gaussians, usize, &mut Vec<u8>)>;
 
-/// One attribute of all Gaussians, lying together.
+/// One attribute of all Gaussians, stored contiguously.
 struct Plane {
     name: String,
     components: usize,
@@ -44,14 +44,15 @@ impl Plane {
     }
 }
 
-/// Writes Gaussians as they come, each attribute at its place; a `.gltf` gets its `.bin` first, and an earlier one's `.bin` goes last.
+/// Writes Gaussians block by block, each attribute at its place. A `.gltf` gets a new `.bin` first; an earlier `.bin`
+/// is removed last.
 pub(super) fn write(path: &Path, format: Format, outline: &Outline, produce: &mut Produce<'_>) -> Result<()> {
     let bounds = bounds_of(path, outline)?;
     let planes = planes(outline.sh_degree);
     let binary_bytes = planes.iter().map(|plane| plane.row_bytes()).sum::<u64>() * outline.count;
     let mut document = document(outline, bounds, &planes);
     if format == Format::Gltf {
-        // The new name keeps an earlier scene whole until the .gltf is replaced.
+        // With a new name, an earlier scene stays whole until the .gltf is replaced.
         let (old, new) = (named_binary(path), free_binary(path));
         let name = new.file_name().unwrap_or_default().to_string_lossy().into_owned();
         document["buffers"] = json!([{ "uri": escaped(&name), "byteLength": binary_bytes }]);
@@ -70,7 +71,7 @@ pub(super) fn write(path: &Path, format: Format, outline: &Outline, produce: &mu
     })
 }
 
-/// A name for the binary of a `.gltf` that no file has.
+/// An unused name for the binary of a `.gltf`.
 fn free_binary(path: &Path) -> PathBuf {
     let mut binary = path.with_extension("bin");
     let mut number = 0;
@@ -83,7 +84,7 @@ fn free_binary(path: &Path) -> PathBuf {
 
 /// The binary that an earlier `.gltf` of this crate names.
 fn named_binary(path: &Path) -> Option<PathBuf> {
-    /// Longer ones are not this crate's.
+    /// Longer files are not from this crate.
     const MOST_BYTES: u64 = 1 << 16;
     let text = regular_file::read_at_most(path, MOST_BYTES).ok()??;
     let document: Value = serde_json::from_slice(&text).ok()?;
@@ -100,7 +101,7 @@ pub(super) fn bounds_of(path: &Path, outline: &Outline) -> Result<Bounds> {
     outline.bounds.ok_or_else(|| Error::input(path, problem, "choose another format"))
 }
 
-/// A GLB's beginning, up to so many bytes of binary data.
+/// Beginning of a GLB, before `binary_bytes` of binary data.
 pub(super) fn glb_head(document: &Value, binary_bytes: u64) -> Result<Vec<u8>> {
     let mut json = document.to_string().into_bytes();
     json.resize(json.len().next_multiple_of(4), b' ');
@@ -159,7 +160,7 @@ fn planes(sh_degree: u32) -> Vec<Plane> {
     };
     let mut planes = vec![
         Plane::floats("POSITION", |all, index| all.means[index]),
-        // For programs that show points only.
+        // Fallback for programs that show only points.
         Plane { name: "COLOR_0".into(), components: 4, component_type: UNSIGNED_BYTE, put: Box::new(color) },
         Plane::floats(&own("ROTATION"), |all, index| {
             let [w, x, y, z] = all.quats[index];
@@ -218,7 +219,7 @@ fn document(outline: &Outline, bounds: Bounds, planes: &[Plane]) -> Value {
     })
 }
 
-/// The node of the Gaussians: it lies at their origin.
+/// The node of the Gaussians, at their origin.
 pub(super) fn node(outline: &Outline) -> Value {
     let origin = mirrored(outline.frame.origin);
     match outline.frame.origin == DVec3::ZERO {
@@ -233,12 +234,12 @@ pub(super) fn mark(extension: &mut Value, outline: &Outline) {
         extension["extras"]["antialiased"] = json!(true);
     }
     if let Some(size) = outline.kernel_size {
-        // The shortest number that is the same f32.
+        // The shortest decimal number with the same f32.
         extension["extras"]["kernel_size"] = json!(size.to_string().parse::<f64>().ok());
     }
 }
 
-/// The smallest and the largest corner in glTF's axes. Where an axis is mirrored, the largest becomes the smallest.
+/// The smallest and the largest corner in glTF's axes. On a mirrored axis they swap.
 pub(super) fn mirrored_corners(bounds: Bounds) -> [[f64; 3]; 2] {
     let corners = [bounds.min, bounds.max].map(|corner| corner.to_array().map(f64::from));
     [0, 1].map(|which| {
@@ -250,7 +251,7 @@ pub(super) fn mirrored_corners(bounds: Bounds) -> [[f64; 3]; 2] {
     })
 }
 
-/// A file's name as a relative reference.
+/// A file's name as a relative URI reference.
 fn escaped(name: &str) -> String {
     let plain = |byte: u8| byte.is_ascii_alphanumeric() || b"-._~".contains(&byte);
     name.bytes()

@@ -1,4 +1,4 @@
-//! Parts of several files as one.
+//! Merges parts of several files into one.
 
 use std::path::Path;
 
@@ -8,35 +8,37 @@ use ashsplat::scene::{Bounds, Gaussians, Similarity, WorldFrame};
 use ashsplat::{Error, Result};
 use glam::Vec3;
 
-/// A file, and which of its Gaussians are taken.
+/// A file, and a box that selects its Gaussians.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Part<'a> {
     /// A file of any format.
     pub path: &'a Path,
-    /// Those with means in this box, source units, relative to the first part's origin: see [`Bounds::contains`].
+    /// Box that the means must lie in, source units, relative to the first part's origin: see [`Bounds::contains`].
     pub within: Bounds,
 }
 
-/// What was merged.
+/// Result of a merge.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Merged {
     /// The output's format.
     pub format: Format,
-    /// How many Gaussians each part has given, in their order.
+    /// Number of Gaussians from each part, in order.
     pub written: Vec<u64>,
     /// SH degree written.
     pub sh_degree: u32,
-    /// What was lost or odd.
+    /// Losses and oddities.
     pub warnings: Vec<String>,
 }
 
-/// Writes what the parts have in their boxes into one file, part by part, in their order. Each file is read twice, block by
-/// block: the memory needed depends neither on their sizes nor on their number, but for compressed PLY, which is sorted.
-/// Whether the Gaussians were trained with antialiasing is what the parts say; `options` has no part in it.
+/// Writes the Gaussians inside the parts' boxes into one file, part by part, in order. Each file is read twice, block
+/// by
+/// block, so memory does not grow with the files, except for compressed PLY, which is sorted in memory.
+/// The parts, not `options`, decide if the output is marked as trained with antialiasing.
 ///
 /// # Errors
-/// Same as [`super::read`] and [`super::write`]; [`Error::Input`] for a part of another SH degree than the first or that does not want
-/// antialiasing as the first does; [`Error::Argument`] without parts.
+/// Same as [`super::read`] and [`super::write`]; [`Error::Input`] for a part whose SH degree or antialiasing differs
+/// from the
+/// first part's; [`Error::Argument`] without parts.
 pub fn merge(
     parts: &[Part<'_>],
     output: &Path,
@@ -93,7 +95,7 @@ pub fn merge(
     Ok(Merged { format, written, sh_degree, warnings })
 }
 
-/// The properties that all parts must share.
+/// The properties that all parts must share, in words.
 fn described(header: &Header) -> String {
     format!("SH degree {}, {}", header.sh_degree, header.marks_in_words())
 }
@@ -103,7 +105,7 @@ fn shift(part: &Header, first: &Header) -> Similarity {
     Similarity { translation: part.origin - first.origin, ..Default::default() }
 }
 
-/// Passes on what lies in a box, after a shift.
+/// Passes the Gaussians in a box to the sink, after a shift.
 fn inside(
     reader: &mut Reader<'_>,
     (shift, within): (Similarity, Bounds),

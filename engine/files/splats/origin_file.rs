@@ -1,4 +1,4 @@
-//! `NAME.origin.json`, the origin of the positions of a file `NAME` whose format has no place for it.
+//! `NAME.origin.json`, the origin of the positions of a file `NAME` whose format has no field for it.
 
 use std::fs;
 use std::io::ErrorKind;
@@ -13,7 +13,7 @@ use ashsplat::{Error, Result};
 /// Farthest origin, source units: the square of a coordinate must not overflow in single precision.
 pub(crate) const FARTHEST: f64 = 1e18;
 
-/// Longest such file, bytes.
+/// Largest such file, bytes.
 const MOST_BYTES: u64 = 4096;
 
 #[derive(Serialize, Deserialize)]
@@ -21,14 +21,14 @@ struct OriginJson {
     origin: [f64; 3],
 }
 
-/// Where the origin of a file's positions stands.
+/// Path of the file with the origin.
 pub(super) fn path_of(path: &Path) -> PathBuf {
     let mut name = path.file_name().unwrap_or_default().to_owned();
     name.push(".origin.json");
     path.with_file_name(name)
 }
 
-/// The origin of a file's positions: zero without such a file.
+/// Reads the origin of a file's positions; zero without such a file.
 pub(super) fn read(path: &Path) -> Result<DVec3> {
     let path = path_of(path);
     if !path.is_file() {
@@ -46,7 +46,7 @@ pub(super) fn read(path: &Path) -> Result<DVec3> {
     })
 }
 
-/// Writes the origin of a file that was just written. Without an origin, that of an earlier file is removed.
+/// Writes the origin of a newly written file. A zero origin removes an earlier origin file.
 pub(super) fn write(path: &Path, origin: DVec3) -> Result<()> {
     let beside = path_of(path);
     if origin == DVec3::ZERO {
@@ -57,6 +57,6 @@ pub(super) fn write(path: &Path, origin: DVec3) -> Result<()> {
     }
     let json = OriginJson { origin: origin.to_array() };
     let written = atomic::write(&beside, |writer| Ok(serde_json::to_writer(writer, &json)?));
-    // Positions without their origin would be wrong without a word.
+    // Positions without their origin would be silently wrong, so the scene is removed too.
     written.inspect_err(|_| drop(fs::remove_file(path)))
 }

@@ -6,13 +6,13 @@ use super::{Format, MAX_COMPRESSED_LOG_SCALE, Outline};
 use ashsplat::scene::Gaussians;
 use ashsplat::scene::sh::rgb_to_sh_dc;
 
-/// A Gaussian that is thinner than a format holds looks the same if it is this much longer, as a logarithm.
+/// Logarithm of the ratio at which a Gaussian's longest axis hides that its thinnest one is cut.
 const THIN: f32 = 3.0;
 
-/// Share of the Gaussians whose colours or SH coefficients are cut in ordinary scenes.
+/// Share of the Gaussians with cut colours or SH coefficients in ordinary scenes.
 const USUALLY_CUT: f64 = 0.02;
 
-/// Gaussians of a scene against the limits of a format.
+/// Statistics of a scene's Gaussians against the limits of a format.
 pub(super) struct PackingLoss {
     /// Smallest and largest log-scale.
     log_scales: [f32; 2],
@@ -29,7 +29,7 @@ pub(super) struct PackingLoss {
 }
 
 impl PackingLoss {
-    /// None for formats that hold all values in single precision.
+    /// Returns `None` for formats that hold all values in single precision.
     pub(super) fn of(format: Format, spz_version: Option<u32>) -> Option<Self> {
         let any = [f32::NEG_INFINITY, f32::INFINITY];
         let (log_scales, dc, max_sh) = match (format, spz_version) {
@@ -58,7 +58,7 @@ impl PackingLoss {
         self.count += block.len() as u64;
     }
 
-    /// One line, if it shows.
+    /// A warning, if the loss is visible.
     pub(super) fn line(&self, format: Format, outline: &Outline) -> Option<String> {
         let mut losses = Vec::new();
         let step = fractional_bits(outline).map_or(0.0, |bits| (-f64::from(bits)).exp2());

@@ -1,4 +1,4 @@
-//! Reading SPZ, versions 2 and 3 (one gzip stream) and 4 (a zstd stream for each attribute).
+//! Reads SPZ, versions 2 and 3 (one gzip stream) and 4 (a zstd stream for each attribute).
 
 use std::fs::File;
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
@@ -19,18 +19,18 @@ const FLAG_EXTENSIONS: u8 = 2;
 pub(super) const HEADER_BYTES: u64 = 32;
 /// Length of the header of versions 2 and 3, inside the gzip stream.
 const OLD_HEADER_BYTES: usize = 16;
-/// No valid file unpacks to more than this many times its size (deflate cannot; zstd does not with splats).
+/// Largest credible ratio of unpacked to packed size: deflate cannot exceed it, and zstd does not with splats.
 const MAX_RATIO: u64 = 1032;
-/// A coordinate cannot have more fractional bits than bits.
+/// Bits of a coordinate, which its fractional bits cannot exceed.
 const MAX_FRACTIONAL_BITS: u32 = 24;
-/// Extensions are a few numbers.
+/// Largest size of all extensions, which are a few numbers.
 const MAX_EXTENSION_BYTES: u64 = 1 << 20;
-/// The extension that names the axes (Adobe).
+/// The extension that declares the axes (Adobe).
 const EXTENSION_AXES: u32 = 0xadbe_0003;
-/// Limits of a viewer's orbit, which change no picture.
+/// The extension with limits of a viewer's orbit, which changes no picture.
 const EXTENSION_ORBIT: u32 = 0xadbe_0002;
 
-/// An open SPZ. Each plane has a stream of its own, so that no more than a block is in memory.
+/// An open SPZ. Each plane has its own stream, so that only one block is in memory.
 pub(super) struct Spz {
     file: SpzFile,
     packing: Packing,
@@ -40,18 +40,18 @@ pub(super) struct Spz {
     header: Header,
 }
 
-/// A file up to where the SPZ ends.
+/// A reader that ends at the end of the SPZ.
 type Bytes = BufReader<io::Take<File>>;
 
-/// Where the planes are.
+/// Location of the planes.
 enum Layout {
-    /// One behind the other in one gzip stream; behind them at most so many bytes of extensions.
+    /// All planes in one gzip stream, followed by at most `extensions` bytes of extensions.
     Gzip { extensions: u64 },
-    /// Offset and length of a zstd stream for each; none for those without data.
+    /// Offset and length of each plane's zstd stream; `None` for planes without data.
     Zstd([Option<(u64, u64)>; PLANES]),
 }
 
-/// The fields that both headers have.
+/// The fields that both headers share.
 struct Head {
     packing: Packing,
     count: u64,
@@ -66,7 +66,7 @@ impl Spz {
         Ok(spz)
     }
 
-    /// Of a part of a file: so many bytes from an offset.
+    /// Opens an SPZ inside a file: `bytes` bytes from `offset`.
     pub(super) fn inside(path: &Path, offset: u64, bytes: u64) -> Result<Self> {
         let io = |source| Error::io(path, "read", source);
         let file = SpzFile { path: path.to_owned(), offset, bytes };
@@ -82,12 +82,12 @@ impl Spz {
         }
     }
 
-    /// The same, whose numbers are taken as they are stored: in no axes that are known here.
+    /// The same SPZ without a conversion of axes: numbers are used as stored.
     pub(super) fn without_axes(self) -> Self {
         Self { mirrored: [false; 3], ..self }
     }
 
-    /// The planes at their beginning.
+    /// Opens all planes at their beginning.
     fn planes(&self) -> Result<Vec<Plane<'_>>> {
         let mut before = OLD_HEADER_BYTES as u64;
         let mut planes = Vec::new();
@@ -105,7 +105,8 @@ impl Spz {
                         Box::new(decoder)
                     }
                 },
-                // What is before it is unpacked again: in all up to four times what the file has, twice with all
+                // The stream before a plane is unpacked again: in total up to four times the file's data, twice with
+                // all
                 // harmonics.
                 Layout::Gzip { .. } => {
                     let mut stream = GzDecoder::new(self.file.from(0)?);
@@ -119,13 +120,13 @@ impl Spz {
         Ok(planes)
     }
 
-    /// Reads what is behind the planes. Reading a stream to its end checks its checksum.
+    /// Reads the data after the planes. Reading a stream to its end verifies its checksum.
     fn finish(&self, planes: Vec<Plane<'_>>) -> Result<()> {
         let limit = match self.layout {
             Layout::Gzip { extensions } => extensions,
             Layout::Zstd(_) => 0,
         };
-        // The end of the gzip stream is seen by the last of its readers.
+        // Only the last plane's reader reaches the end of the gzip stream.
         let skipped = if matches!(self.layout, Layout::Gzip { .. }) { PLANES - 1 } else { 0 };
         for mut plane in planes.into_iter().skip(skipped) {
             let rest = io::copy(&mut (&mut plane.stream).take(limit + 1), &mut io::sink());
@@ -144,8 +145,9 @@ impl Spz {
     }
 }
 
-/// Largest window of a plane's decoder, as a power of two. All planes are decoded at once; zstd's own bound would be
-/// 128 MiB for each. The least is what its levels up to 19 take for streams of any length.
+/// Largest window of a plane's decoder, as a power of two. All planes are decoded at once, and zstd's own bound would
+/// be
+/// 128 MiB for each. The minimum suffices for its levels up to 19 at any length.
 fn window_log(bytes: u64) -> u32 {
     bytes.max(1).next_power_of_two().trailing_zeros().clamp(23, 27)
 }
@@ -174,14 +176,14 @@ impl Source for Spz {
     }
 }
 
-/// One attribute of all Gaussians, as it is unpacked.
+/// One attribute of all Gaussians, while it is unpacked.
 struct Plane<'a> {
     file: &'a SpzFile,
     name: &'static str,
     stream: Box<dyn Read>,
-    /// Bytes that it must have.
+    /// Expected number of bytes.
     bytes: u64,
-    /// Bytes of it so far.
+    /// Bytes read so far.
     read: u64,
 }
 
@@ -211,7 +213,7 @@ impl Plane<'_> {
     }
 }
 
-/// The file, or the part of one.
+/// A file, or a part of one.
 struct SpzFile {
     path: PathBuf,
     offset: u64,
@@ -219,7 +221,7 @@ struct SpzFile {
 }
 
 impl SpzFile {
-    /// Its bytes from one on.
+    /// Reader from byte `at` on.
     fn from(&self, at: u64) -> Result<Bytes> {
         let io = |source| Error::io(&self.path, "read", source);
         let (mut file, _) = regular_file::open(&self.path)?;
@@ -231,7 +233,7 @@ impl SpzFile {
         Error::input(&self.path, problem, "the file is damaged or cut short: write or download it again")
     }
 
-    /// Checks the fields that both kinds of header have.
+    /// Checks the fields that both headers share.
     fn head(&self, bytes: &[u8]) -> Result<Head> {
         let number = |at: usize| u32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]]);
         let (version, count) = (number(4), u64::from(number(8)));
@@ -282,7 +284,7 @@ impl SpzFile {
         let mut extensions = Vec::new();
         let mut limit = 0;
         if head.flags & FLAG_EXTENSIONS != 0 {
-            // They are behind all planes, and the first Gaussians need them.
+            // The extensions follow all planes, but the first Gaussians need them.
             limit = MAX_EXTENSION_BYTES;
             let planes = head.count * head.packing.row_bytes().iter().sum::<usize>() as u64;
             self.skip(&mut stream, planes, "planes")?;
@@ -292,7 +294,7 @@ impl SpzFile {
         self.finish(head, Layout::Gzip { extensions: limit }, &extensions)
     }
 
-    /// Unpacks so many bytes for nothing.
+    /// Unpacks and discards `bytes`.
     fn skip(&self, stream: &mut impl Read, bytes: u64, what: &str) -> Result<()> {
         let skipped = io::copy(&mut stream.take(bytes), &mut io::sink());
         let skipped =
@@ -390,8 +392,9 @@ impl SpzFile {
 /// Names of the planes.
 const NAMES: [&str; PLANES] = ["means", "opacities", "colours", "scales", "rotations", "spherical harmonics"];
 
-/// The axes to mirror: those of the format, unless an extension declares others. And the extensions that change the scene and are
-/// not known.
+/// The axes to mirror, those of the format unless an extension declares others; and the unknown extensions that change
+/// the
+/// scene.
 fn axes(mut extensions: &[u8]) -> Result<([bool; 3], Vec<u32>), String> {
     let (mut mirrored, mut unused) = (MIRRORED, Vec::new());
     while let Some((head, rest)) = extensions.split_first_chunk::<8>() {

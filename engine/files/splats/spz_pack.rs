@@ -1,4 +1,4 @@
-//! The packed attributes of SPZ, one plane of bytes each.
+//! Packs and unpacks the attributes of SPZ, one plane of bytes each.
 //!
 //! Format: Niantic's description (github.com/nianticlabs/spz). Axes are right, up, back: y and z are opposite
 //! to those of this crate.
@@ -16,15 +16,15 @@ const SH_BITS: [u32; 2] = [5, 4];
 /// Axes that are opposite in this crate and in SPZ.
 pub(super) const MIRRORED: [bool; 3] = [false, true, true];
 
-/// The attributes in the order of the file.
+/// Number of attributes.
 pub(super) const PLANES: usize = 6;
 
-/// How the attributes of a file are packed.
+/// Packing of a file's attributes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Packing {
     /// 2, 3 or 4.
     pub(super) version: u32,
-    /// Degree that is stored, 0 to 4.
+    /// Stored degree, 0 to 4.
     pub(super) sh_degree: u32,
     /// Fractional bits of a coordinate.
     pub(super) fractional_bits: u32,
@@ -95,11 +95,11 @@ fn byte(value: f32) -> u8 {
 }
 
 fn fixed_24(bytes: &[u8]) -> i32 {
-    // The shift extends the sign of the top byte.
+    // The arithmetic shift extends the sign of the top byte.
     i32::from_le_bytes([0, bytes[0], bytes[1], bytes[2]]) >> 8
 }
 
-/// Version 2: x, y, z as bytes; w is positive.
+/// Rotation of version 2: x, y, z as bytes; w is positive.
 fn first_three(bytes: [u8; 3]) -> [f32; 4] {
     let [x, y, z] = bytes.map(|b| f32::from(b) / 127.5 - 1.0);
     let w = (1.0 - (x * x + y * y + z * z)).max(0.0).sqrt();
@@ -111,13 +111,13 @@ fn pack_first_three(quat: [f32; 4]) -> [u8; 3] {
     [x, y, z].map(|v| byte(127.5 + 127.5 * v * w.signum()))
 }
 
-/// Without a length, no rotation.
+/// Normalises a quaternion; one of length 0 becomes the identity.
 fn unit([w, x, y, z]: [f32; 4]) -> [f32; 4] {
     let length = (w * w + x * x + y * y + z * z).sqrt();
     if length > 0.0 { [w, x, y, z].map(|v| v / length) } else { [1.0, 0.0, 0.0, 0.0] }
 }
 
-/// From version 3: which of x, y, z, w is the largest, and the others as sign and 9 bits.
+/// Rotation from version 3 on: the index of the largest of x, y, z, w, and the others as sign and 9 bits.
 fn smallest_three(packed: u32) -> [f32; 4] {
     const MAGNITUDE: u32 = (1 << 9) - 1;
     let largest = (packed >> 30) as usize;
@@ -145,9 +145,9 @@ fn pack_smallest_three(quat: [f32; 4]) -> u32 {
     })
 }
 
-/// Rounded to multiples of `step`, so that it compresses better; 0 stays 0.
+/// Rounds to multiples of `step`, so that it compresses better; 0 stays 0.
 fn pack_sh(value: f32, step: i32) -> u8 {
-    // What lies outside ends at the nearest byte; beyond it, whole numbers would overflow.
+    // Values outside the range end at the nearest byte. The clamp prevents overflow.
     let fine = (value * 128.0).round().clamp(-256.0, 256.0) as i32 + 128;
     ((fine + step / 2).div_euclid(step) * step).clamp(0, 255) as u8
 }

@@ -1,4 +1,4 @@
-//! Writing SPZ, versions 4 and 2.
+//! Writes SPZ, versions 4 and 2.
 
 use std::fs::File;
 use std::io::{self, BufWriter, Seek, SeekFrom, Write};
@@ -15,16 +15,16 @@ use ashsplat::{Error, Result};
 const VERSION: u32 = 4;
 const OLD_VERSION: u32 = 2;
 
-/// zstd's level in the format's first implementation.
+/// zstd level of the format's first implementation.
 const LEVEL: i32 = 12;
 
-/// Most fractional bits of a coordinate. The first implementation always writes 12, and reads any number below 24.
+/// Largest number of fractional bits. The first implementation always writes 12, and reads any number below 24.
 pub(super) const MAX_FRACTIONAL_BITS: u32 = 23;
 
 /// Bits of a coordinate, including the sign.
 const COORDINATE_BITS: u32 = 24;
 
-/// Writes Gaussians as they arrive, version 4. In memory are a block and one encoder; the rest waits in files.
+/// Writes Gaussians block by block, version 4. Memory holds a block and one encoder; temporary files hold the rest.
 pub(super) fn write(path: &Path, outline: &Outline, produce: &mut Produce<'_>) -> Result<()> {
     let Packed { packing, count, files } = Packed::of(path, VERSION, MIRRORED, outline, produce)?;
     let mut streams = Vec::new();
@@ -52,13 +52,13 @@ pub(super) fn write(path: &Path, outline: &Outline, produce: &mut Produce<'_>) -
     })
 }
 
-/// Same as [`write`], version 2: for programs that know no other.
+/// Same as [`write`], but version 2, for programs that know no other.
 pub(super) fn write_old(path: &Path, outline: &Outline, produce: &mut Produce<'_>) -> Result<()> {
     let mut stream = old(path, MIRRORED, outline, produce)?;
     atomic::write(path, |writer| io::copy(&mut stream, writer).map(drop))
 }
 
-/// A file of version 2, from its beginning, in which some of this crate's axes are the other way round. `path` is for messages.
+/// Makes a file of version 2 in which some axes are mirrored, ready to be read from its start. `path` is for messages.
 pub(super) fn old(
     path: &Path,
     mirrored: [bool; 3],
@@ -74,7 +74,7 @@ pub(super) fn old(
     from_the_start(encoder.finish().map_err(temporary)?).map_err(temporary)
 }
 
-/// What all versions begin with. The last byte is the number of streams, 0 where there is but one.
+/// The header that all versions begin with. The last byte is the number of streams, 0 if there is only one.
 fn head(packing: Packing, count: u32, outline: &Outline, streams: u8) -> [u8; 16] {
     let flags = if outline.antialiased { FLAG_ANTIALIASED } else { 0 };
     let mut head = [0; 16];
@@ -83,7 +83,8 @@ fn head(packing: Packing, count: u32, outline: &Outline, streams: u8) -> [u8; 16
     head
 }
 
-/// The packed planes, each in a file: an encoder takes far more memory than what it writes, so that they wait for it.
+/// The packed planes, each in a file. They are encoded one by one, because an encoder needs far more memory than its
+/// output.
 struct Packed {
     packing: Packing,
     count: u32,
@@ -142,7 +143,7 @@ fn temporary(source: io::Error) -> Error {
     Error::io(std::env::temp_dir(), "write a temporary file", source)
 }
 
-/// What was written, to be read.
+/// Rewinds a written file for reading.
 fn from_the_start(file: BufWriter<File>) -> io::Result<File> {
     let mut file = file.into_inner().map_err(io::IntoInnerError::into_error)?;
     file.rewind()?;
@@ -154,7 +155,7 @@ pub(super) fn farthest(outline: &Outline) -> f32 {
     outline.bounds.map_or(0.0, |b| b.min.abs().max(b.max.abs()).max_element())
 }
 
-/// Fractional bits that the farthest coordinate leaves; None if it is too large.
+/// Largest number of fractional bits for the farthest coordinate; `None` if it is too large.
 pub(super) fn fractional_bits(outline: &Outline) -> Option<u32> {
     let farthest = f64::from(farthest(outline));
     let fits =

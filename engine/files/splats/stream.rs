@@ -1,4 +1,4 @@
-//! Gaussians as they come from a file and go into one: block by block, in whatever format.
+//! Streams Gaussians block by block between files of any format.
 
 use std::path::{Path, PathBuf};
 
@@ -11,7 +11,7 @@ use ashsplat::scene::{Bounds, Gaussians, Similarity, WorldFrame};
 use ashsplat::{Error, RenderSettings, Result};
 use glam::{DVec3, Vec3};
 
-/// Most Gaussians of a block.
+/// Largest number of Gaussians in a block.
 pub(crate) const BLOCK: usize = 16_384;
 
 /// Receives Gaussians block by block. All blocks have the same SH degree.
@@ -26,20 +26,20 @@ pub struct Header {
     pub count: u64,
     /// Degree of the spherical harmonics, 0 to 3.
     pub sh_degree: u32,
-    /// Whether the Gaussians were trained with antialiasing (Mip-Splatting's opacity compensation) and need
+    /// True if the Gaussians were trained with antialiasing (Mip-Splatting's opacity compensation) and need
     /// it.
     pub antialiased: bool,
-    /// Variance that training added on the screen, square pixels; none: the file does not say.
+    /// Variance that training added on the screen, square pixels; `None` if the file does not say.
     pub kernel_size: Option<f32>,
     /// True for a scene of 2DGS, whose disks are used as Gaussians without thickness.
     pub is_2dgs: bool,
-    /// What the positions are relative to, source coordinates: not zero for scenes far from the source's own origin.
+    /// Origin of the positions, source coordinates; not zero for scenes far from the source's own origin.
     pub origin: DVec3,
     /// World unit of the training ([`WorldFrame::unit`]), if the file names one. Positions and sizes are in source units.
     pub unit: Option<f64>,
     /// True if the file's positions are in double precision.
     pub double_positions: bool,
-    /// Parts of the file that are not used.
+    /// Warnings about parts of the file that are not used.
     pub warnings: Vec<String>,
 }
 
@@ -59,7 +59,7 @@ impl Header {
         }
     }
 
-    /// How the Gaussians are to be drawn.
+    /// Antialiasing and kernel size, for messages.
     pub(crate) fn marks_in_words(&self) -> String {
         let with = if self.antialiased { "with" } else { "without" };
         let kernel = self.kernel_size.map_or_else(String::new, |size| format!(", kernel size {size}"));
@@ -67,7 +67,7 @@ impl Header {
     }
 }
 
-/// True if a file's kernel size can be drawn with.
+/// True if a file's kernel size is valid for drawing.
 pub(crate) fn is_kernel_size(size: &f32) -> bool {
     *size > 0.0 && *size <= 1e4
 }
@@ -77,31 +77,34 @@ pub(crate) fn is_kernel_size(size: &f32) -> bool {
 pub struct ReadOptions {
     /// Drop Gaussians with unusable parameters instead of refusing the file.
     pub drop_invalid: bool,
-    /// Bytes of memory that reading may take at most; none: three quarters of what the machine has left.
+    /// Memory budget of reading, bytes; `None` for three quarters of the machine's free memory.
     pub max_host_memory: Option<u64>,
 }
 
 /// How to write Gaussians.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct WriteOptions {
-    /// The format; none: that of the path's extension.
+    /// The format; `None` for that of the path's extension.
     pub format: Option<Format>,
-    /// Whether the Gaussians were trained with antialiasing.
+    /// True if the Gaussians were trained with antialiasing.
     pub antialiased: bool,
-    /// Same as [`Header::kernel_size`]; kept in PLY and glTF.
+    /// See [`Header::kernel_size`]; kept in PLY and glTF.
     pub kernel_size: Option<f32>,
     /// Marks a scene of 2DGS ([`Header::is_2dgs`]); PLY keeps it.
     pub is_2dgs: bool,
-    /// Version of SPZ. SPZ: 2 or 4; none: 4. GLB: 2 packs the attributes as `KHR_gaussian_splatting_compression_spz_2`; none: not
-    /// packed. Other formats have none.
+    /// Version of SPZ. SPZ: 2 or 4; `None` for 4. GLB: 2 packs the attributes as
+    /// `KHR_gaussian_splatting_compression_spz_2`; `None`
+    /// does not pack. Other formats have no version.
     pub spz_version: Option<u32>,
-    /// Where the Gaussians' coordinates lie within those of the file. They are written in source units, relative to the origin, which
-    /// the file names: a PLY as a comment, glTF as the node's translation, .splat and SPZ in a file `NAME.origin.json` beside it.
+    /// Frame of the Gaussians within the file's coordinates. They are written in source units, relative to the frame's
+    /// origin, which
+    /// the file names: PLY in a comment, glTF in the node's translation, .splat and SPZ in a file `NAME.origin.json`
+    /// beside it.
     pub frame: WorldFrame,
 }
 
 impl WriteOptions {
-    /// The marks of a scene that is drawn, or was trained, with these settings.
+    /// The marks of a scene that is drawn or was trained with these settings.
     pub fn marking(settings: &RenderSettings) -> Self {
         let usual = RenderSettings::default().dilation_px2;
         let kernel_size = Some(settings.dilation_px2).filter(|size| *size != usual);
@@ -116,7 +119,7 @@ pub struct Scene {
     pub gaussians: Gaussians,
     /// The file's header.
     pub header: Header,
-    /// Where the Gaussians' coordinates lie within those of the file.
+    /// Frame of the Gaussians within the file's coordinates.
     pub frame: WorldFrame,
     /// Number of Gaussians that were dropped because of an unusable parameter.
     pub dropped: u64,
@@ -124,11 +127,12 @@ pub struct Scene {
     pub warnings: Vec<String>,
 }
 
-/// Points that are enough for the frame of a scene.
+/// Number of points that suffices to choose a scene's frame.
 const FRAME_POINTS: usize = 1 << 16;
 
 impl Scene {
-    /// The scene in the frame in which it is drawn: a distant one around an origin of its own, a tiny one enlarged beyond the near
+    /// Moves the scene to its drawing frame: a distant scene gets an origin of its own, a tiny one is enlarged beyond
+    /// the near
     /// limit. Origin and unit that the file names are kept.
     pub fn in_world_frame(mut self) -> Self {
         let step = self.gaussians.len().div_ceil(FRAME_POINTS).max(1);
@@ -143,29 +147,29 @@ impl Scene {
         self
     }
 
-    /// Brings the Gaussians into another frame, such as that of a data set.
+    /// Moves the Gaussians to another frame, such as that of a data set.
     pub fn express_in(&mut self, frame: &WorldFrame) {
         self.gaussians.transform(&Similarity::between(&self.frame, frame));
         self.frame = *frame;
     }
 }
 
-/// Properties of a scene that are needed before its first Gaussian is written.
+/// Properties of a scene that must be known before its first Gaussian is written.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Outline {
     pub(crate) count: u64,
     pub(crate) sh_degree: u32,
     pub(crate) antialiased: bool,
-    /// Same as [`Header::kernel_size`].
+    /// See [`Header::kernel_size`].
     pub(crate) kernel_size: Option<f32>,
     /// See [`Header::is_2dgs`].
     pub(crate) is_2dgs: bool,
-    /// Box around the means; none without Gaussians.
+    /// Box around the means; `None` without Gaussians.
     pub(crate) bounds: Option<Bounds>,
-    /// What the means are relative to, source coordinates, and the unit of the training that the file names. The Gaussians are in
+    /// Origin of the means, source coordinates, and the unit of the training that the file names. The Gaussians are in
     /// source units.
     pub(crate) frame: WorldFrame,
-    /// Whether positions are written in double precision, where the format can: they are relative to nothing then.
+    /// True if positions are written in double precision, if the format can. They are absolute then.
     pub(crate) double_positions: bool,
 }
 
@@ -224,7 +228,7 @@ pub(crate) trait Source {
     /// Passes all Gaussians to the sink, usable or not. Called once.
     fn blocks(&mut self, sink: &mut Sink<'_>) -> Result<()>;
 
-    /// Bytes that it holds in memory.
+    /// Bytes that the source holds in memory.
     fn held_bytes(&self) -> u64 {
         0
     }
@@ -240,7 +244,7 @@ pub(crate) struct Reader<'a> {
     path: PathBuf,
     source: Box<dyn Source + 'a>,
     options: ReadOptions,
-    /// Descriptions of the dropped Gaussians and of doubtful ones.
+    /// Descriptions of the dropped and of the implausible Gaussians.
     pub(crate) warnings: Vec<String>,
 }
 
@@ -261,7 +265,7 @@ impl<'a> Reader<'a> {
         self.source.blocks(&mut |mut block| {
             unusable.look_through(&mut block);
             doubtful.look_through(&mut block);
-            // After the first unusable Gaussian, a file that is refused is only counted.
+            // If the file is refused, Gaussians after the first unusable one are only counted.
             if unusable.count() == 0 || drop_invalid { sink(block) } else { Ok(()) }
         })?;
         let problem = unusable.describe(count, row_name);
@@ -282,11 +286,11 @@ impl<'a> Reader<'a> {
         }
     }
 
-    /// All Gaussians of the file.
+    /// Reads all Gaussians of the file.
     pub(crate) fn collect(mut self) -> Result<Scene> {
         let header = self.header().clone();
-        // The header's count was checked against the file's size. Rows still take more memory than packed ones,
-        // and glTF may repeat the same ones a limited number of times.
+        // The header's count has been checked against the file's size. But rows take more memory than packed ones,
+        // and glTF may repeat Gaussians a limited number of times.
         let capacity = usize::try_from(header.count).unwrap_or(0);
         let needed = header.count.saturating_mul(row_bytes(header.sh_degree));
         let needed = needed.saturating_add(self.source.held_bytes());

@@ -1,4 +1,4 @@
-//! Gaussians with parameters that nothing can be done with.
+//! Finds Gaussians with unusable parameters.
 
 use std::path::Path;
 
@@ -7,21 +7,21 @@ use ashsplat::scene::Gaussians;
 use ashsplat::{Error, Result};
 use glam::DVec3;
 
-/// Largest usable coordinate, of places and of quaternions: the square of a larger one overflows.
+/// Largest usable coordinate of positions and quaternions: the square of a larger one overflows.
 const MAX_COORDINATE: f32 = 1e18;
 
-/// Largest usable SH coefficient: no sum of terms, of splats or of their derivatives overflows with it.
+/// Largest usable SH coefficient: with it, no sum over terms, splats or their derivatives overflows.
 const MAX_SH: f32 = 1e32;
 
 /// Largest usable log-scale: the exponential of a larger one overflows.
 const MAX_LOG_SCALE: f32 = 88.0;
 
-/// Takes out of the stream what cannot be used, and counts it.
+/// Removes unusable Gaussians from the stream, and counts them.
 #[derive(Default)]
 pub(super) struct Unusable {
     seen: u64,
     count: u64,
-    /// Row, parameter and value of the first.
+    /// Row, parameter and value of the first one.
     first: Option<(u64, String, f32)>,
 }
 
@@ -31,7 +31,8 @@ impl Unusable {
         self.count
     }
 
-    /// Removes the unusable ones from the next block. Size 0 (log-scale -∞) becomes a very small one.
+    /// Removes the unusable Gaussians from the next block. A size of 0 (log-scale -∞) becomes the smallest normal
+    /// number.
     pub(super) fn look_through(&mut self, block: &mut Gaussians) {
         let rows = block.len();
         for log_scale in block.log_scales.as_flattened_mut() {
@@ -51,7 +52,7 @@ impl Unusable {
         self.seen += rows as u64;
     }
 
-    /// One line about them; none when all are usable.
+    /// Describes the unusable Gaussians in one line; `None` if all are usable.
     pub(super) fn describe(&self, all: u64, row_name: &str) -> Option<String> {
         let (row, name, value) = self.first.as_ref()?;
         let kind = if value.is_finite() { "too large" } else { "not finite" };
@@ -63,7 +64,7 @@ impl Unusable {
     }
 }
 
-/// Refuses to write what reading would refuse.
+/// Refuses to write Gaussians that reading would refuse.
 pub(super) fn check_readable(path: &Path, block: &Gaussians) -> Result<()> {
     match (0..block.len()).find_map(|index| parameter(block, index)) {
         None => Ok(()),
@@ -76,7 +77,7 @@ pub(super) fn check_readable(path: &Path, block: &Gaussians) -> Result<()> {
     }
 }
 
-/// Does the same as [`check_readable`] for the origin of the positions.
+/// Same as [`check_readable`], for the origin of the positions.
 pub(super) fn check_origin(path: &Path, origin: DVec3) -> Result<()> {
     let farthest = origin.abs().max_element();
     if farthest <= FARTHEST {

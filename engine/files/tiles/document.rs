@@ -1,7 +1,8 @@
 //! `tileset.json` of 3D Tiles 1.1 (OGC 22-025r4).
 //!
-//! Tiles are z-up. Viewers turn the y-up glTF of a tile so: (x, y, z) of glTF is (x, -z, y) of a tile. glTF's x and y are those of
-//! this crate's frame the other way round.
+//! Tiles are z-up. Viewers rotate the y-up glTF of a tile: (x, y, z) of glTF is (x, -z, y) of a tile. glTF's x and y
+//! are
+//! opposite to those of this crate's frame.
 
 use std::path::Path;
 
@@ -13,20 +14,20 @@ use crate::splats::{EXTENSION, PACKED_EXTENSION};
 use ashsplat::Result;
 use ashsplat::scene::Bounds;
 
-/// One tile, with those below it.
+/// A tile with its children.
 pub(super) struct Tile {
-    /// What it and the tiles below it reach, in this crate's frame.
+    /// Reach of the tile and its children, in this crate's frame.
     pub(super) bounds: Bounds,
     /// Geometric error, world units: 0 for the scene's own Gaussians.
     pub(super) error: f64,
-    /// Tiles from here to the finest, one below another.
+    /// Number of levels from this tile to the finest.
     pub(super) levels: usize,
-    /// Its description.
+    /// The tile's JSON.
     json: Value,
 }
 
 impl Tile {
-    /// The tile of a file, with so many Gaussians, above others.
+    /// The tile of the file `name`, with its children.
     pub(super) fn new(
         name: &str,
         gaussians: usize,
@@ -48,7 +49,7 @@ impl Tile {
     }
 }
 
-/// A point of this crate's frame in that of tiles, and the other way.
+/// Converts a point from this crate's frame to that of tiles, and back.
 pub(super) fn turned(point: Vec3) -> Vec3 {
     vec3(-point.x, -point.z, -point.y)
 }
@@ -58,18 +59,18 @@ pub(super) fn turned_origin(point: DVec3) -> DVec3 {
     dvec3(-point.x, -point.z, -point.y)
 }
 
-/// Centre and half axes.
+/// Centre and half axes of a box.
 fn box_of(bounds: Bounds) -> [f64; 12] {
     let [a, b] = [bounds.min, bounds.max].map(|corner| turned(corner).as_dvec3());
     let (centre, half) = (0.5 * (a + b), 0.5 * (a - b).abs());
     [centre.x, centre.y, centre.z, half.x, 0.0, 0.0, 0.0, half.y, 0.0, 0.0, 0.0, half.z]
 }
 
-/// Writes the description of a tree, whose tiles are relative to an origin.
+/// Writes the description of a tree whose tiles are relative to an origin.
 pub(super) fn write(path: &Path, root: &Tile, origin: DVec3, packed: bool) -> Result<()> {
-    // Of drawing nothing at all.
+    // Error of drawing nothing at all.
     let nothing = root.bounds.max.as_dvec3().distance(root.bounds.min.as_dvec3()).max(root.error);
-    // Viewers look here before the first tile is there.
+    // Viewers look here before they load the first tile.
     let mut used = json!({ "extensionsUsed": [EXTENSION] });
     if packed {
         let both = json!([EXTENSION, PACKED_EXTENSION]);

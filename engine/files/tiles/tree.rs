@@ -1,4 +1,4 @@
-//! Trees of tiles that [`super::write`] has written: which tiles a camera wants, within a number of Gaussians.
+//! Selects the tiles for a camera within a budget of Gaussians, in trees that [`super::write`] has written.
 
 use std::collections::{BTreeSet, BinaryHeap};
 use std::path::{Path, PathBuf};
@@ -12,10 +12,10 @@ use crate::splats::{self, FARTHEST, ReadOptions, Scene};
 use ashsplat::scene::{Bounds, Camera, NEAR_PLANE, Projection, Similarity, WorldFrame};
 use ashsplat::{Error, Result};
 
-/// Beyond the box of a tile in a picture, pixels: the low-pass filter widens Gaussians.
+/// Margin of a tile's box in a picture, pixels: the low-pass filter widens Gaussians.
 const MARGIN: f64 = 2.0;
 
-/// The description in the folder.
+/// Name of the description in the folder.
 pub const TILESET_FILE: &str = "tileset.json";
 
 /// A tree of tiles in a folder.
@@ -25,22 +25,22 @@ pub struct Tree {
     tiles: Vec<Tile>,
     /// Origin of the files' positions.
     file_origin: DVec3,
-    /// Where bounds, errors and the Gaussians that are read lie.
+    /// Frame of bounds, errors and the Gaussians that are read.
     frame: WorldFrame,
 }
 
 /// A tile.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tile {
-    /// Its file's name in the folder.
+    /// Name of the tile's file in the folder.
     pub name: String,
-    /// What it and those below it reach, world units, this crate's frame.
+    /// Reach of the tile and its descendants, world units, this crate's frame.
     pub bounds: Bounds,
-    /// How much its picture differs from that of the finest tiles, world units: see the guide's chapter on tiles.
+    /// Difference of its picture from that of the finest tiles, world units: see the guide's chapter on tiles.
     pub error: f64,
-    /// Its Gaussians.
+    /// Number of Gaussians.
     pub gaussians: usize,
-    /// The tiles that take its place.
+    /// The tiles that replace it.
     pub children: Vec<usize>,
 }
 
@@ -58,7 +58,6 @@ struct TileJson {
     children: Vec<TileJson>,
 }
 
-/// The file.
 #[derive(Deserialize)]
 struct TilesetJson {
     root: TileJson,
@@ -80,11 +79,12 @@ struct ExtrasJson {
 }
 
 impl Tree {
-    /// Reads the description of a tree, and no tile yet.
+    /// Reads the description of a tree, but no tile.
     ///
     /// # Errors
-    /// [`Error::Io`]; [`Error::Input`] for a description that [`super::write`] has not written, for files outside of the folder, and
-    /// for numbers that make no sense.
+    /// [`Error::Io`]; [`Error::Input`] for a description that [`super::write`] has not written, for files outside of
+    /// the folder, and
+    /// for invalid numbers.
     pub fn open(folder: impl AsRef<Path>) -> Result<Tree> {
         let folder = folder.as_ref();
         let path = folder.join(TILESET_FILE);
@@ -93,10 +93,10 @@ impl Tree {
             let problem = format!("is no tree of Gaussians: {problem}");
             Error::input(&path, problem, "give one that `ashsplat tiles` has written, or one .glb of it")
         };
-        // A tile within a tile is two levels; the parser ends at 128.
+        // A nested tile takes two levels of JSON; the parser allows 128.
         let TilesetJson { root } = serde_json::from_slice(&text).map_err(|e| foreign(&e))?;
         let (mut tiles, mut names, mut origin) = (Vec::<Tile>::new(), BTreeSet::new(), DVec3::ZERO);
-        // Those that are not in the list yet, each with the one above it; the next is the last.
+        // Tiles that are not yet listed, each with its parent; the next one is the last.
         let mut open = vec![(None, root)];
         while let Some((above, mut json)) = open.pop() {
             if above.is_none() {
@@ -118,12 +118,12 @@ impl Tree {
         Ok(Tree { folder: folder.to_owned(), tiles, file_origin: origin, frame })
     }
 
-    /// Where the tiles' coordinates lie within those of the scene's file.
+    /// Frame of the tiles within the coordinates of the scene's file.
     pub fn frame(&self) -> WorldFrame {
         self.frame
     }
 
-    /// The tree in the frame in which it is drawn, as [`Scene::in_world_frame`].
+    /// Moves the tree to its drawing frame, like [`Scene::in_world_frame`].
     pub fn in_world_frame(mut self) -> Tree {
         let corners = |Bounds { min, max }: Bounds| [min, 0.5 * min + 0.5 * max, max];
         let points = self.tiles.iter().flat_map(|tile| corners(tile.bounds));
@@ -146,36 +146,41 @@ impl Tree {
         &self.tiles
     }
 
-    /// Gaussians of the finest tiles: those of the scene.
+    /// Number of Gaussians in the finest tiles, which are those of the scene.
     pub fn gaussians(&self) -> usize {
         self.tiles.iter().filter(|tile| tile.children.is_empty()).map(|tile| tile.gaussians).sum()
     }
 
-    /// The tiles to be drawn for a camera, ascending: those in its picture, as fine as so many Gaussians allow, and finest where the error
-    /// is largest in pixels. The coarsest tile is drawn however many it has; nothing, where it is not in the picture.
+    /// The tiles to draw for a camera, in ascending order: those in its picture, as fine as `budget` Gaussians allow,
+    /// and finest
+    /// where the error in pixels is largest. The coarsest tile is drawn even beyond the budget; nothing if it is out of
+    /// view.
     pub fn cut(&self, camera: &Camera, budget: usize) -> Vec<usize> {
         self.cut_among(&Demand::of(camera, budget), |_| true)
     }
 
-    /// The tiles of a cut and those on the way to them: a tile comes after the one above it, and sooner where the error of that is larger
-    /// in pixels. In this order they are to be loaded for [`Tree::cut_among`].
+    /// The tiles of a cut and their ancestors, in the order in which to load them for [`Tree::cut_among`]. A tile comes
+    /// after its
+    /// parent, and earlier if the parent's error in pixels is larger.
     pub fn wanted(&self, demand: &Demand<'_>) -> Vec<usize> {
         self.wanted_among(demand, |_| true)
     }
 
-    /// Same as [`Tree::wanted`], where some tiles will never be there, because they cannot be read say: nothing is wanted that could
-    /// only be drawn beside or below one of them.
+    /// Same as [`Tree::wanted`], but some tiles will never be available, for example because they cannot be read. Tiles
+    /// that
+    /// could only be drawn beside or below one of them are omitted.
     pub fn wanted_among(&self, demand: &Demand<'_>, is_possible: impl Fn(usize) -> bool) -> Vec<usize> {
         self.refined(demand, &is_possible).1
     }
 
-    /// Same as [`Tree::cut`], of the tiles that are there: while one of those that would take a tile's place is not, the tile itself is drawn.
-    /// Without the coarsest tile there is nothing.
+    /// Same as [`Tree::cut`], among the available tiles: a tile is drawn itself until all tiles that replace it are
+    /// available.
+    /// Empty without the coarsest tile.
     pub fn cut_among(&self, demand: &Demand<'_>, is_there: impl Fn(usize) -> bool) -> Vec<usize> {
         self.refined(demand, &is_there).0
     }
 
-    /// The tiles that are drawn, and those and what they have replaced.
+    /// The tiles to draw, and those together with the tiles that they have replaced.
     fn refined(&self, demand: &Demand<'_>, is_there: &dyn Fn(usize) -> bool) -> (Vec<usize>, Vec<usize>) {
         let near =
             |index: &usize| demand.cameras.iter().any(|c| sees(c, self.tiles[*index].bounds, demand.border));
@@ -203,7 +208,7 @@ impl Tree {
         (drawn, visited)
     }
 
-    /// The file of a tile; None for a tile that is not in the tree.
+    /// Path of a tile's file; `None` for an index out of range.
     pub fn path(&self, tile: usize) -> Option<PathBuf> {
         self.tiles.get(tile).map(|tile| self.folder.join(&tile.name))
     }
@@ -228,7 +233,7 @@ impl Tree {
         Ok(scene)
     }
 
-    /// How urgently a tile is to be refined.
+    /// Urgency of a tile's refinement.
     fn candidate(&self, demand: &Demand<'_>, index: usize) -> Candidate {
         let bounds = self.tiles[index].bounds;
         let seen = |camera: &&Camera| demand.border == 0.0 || sees(camera, bounds, 0.0);
@@ -243,7 +248,7 @@ impl Tree {
         }
     }
 
-    /// The error of a tile in pixels, where it is nearest.
+    /// Error of a tile in pixels, at its nearest point.
     fn pixels(&self, camera: &Camera, index: usize) -> f64 {
         let Tile { bounds, error, .. } = &self.tiles[index];
         let eye = camera.position();
@@ -255,26 +260,27 @@ impl Tree {
     }
 }
 
-/// For what tiles are chosen.
+/// Criteria for the choice of tiles.
 #[derive(Clone, Copy, Debug)]
 pub struct Demand<'a> {
-    /// Tiles are chosen that one of them sees, and by the largest error in any of their pictures.
+    /// Cameras of the pictures. A tile is chosen if some camera sees it, by its largest error in any picture.
     pub cameras: &'a [Camera],
-    /// Gaussians of all tiles that are drawn, at most.
+    /// Largest number of Gaussians in all drawn tiles.
     pub budget: usize,
-    /// What lies beyond a picture by less than so many of its widths and heights is drawn too, so that a camera that turns finds it
-    /// there. It is refined after what lies in the picture. 0 draws the pictures alone.
+    /// Width of a border around the picture, in picture sizes. Tiles in the border are drawn too, so that a turning
+    /// camera finds
+    /// them; they are refined after the tiles in the picture. 0 for none.
     pub border: f64,
 }
 
 impl<'a> Demand<'a> {
-    /// The picture of one camera.
+    /// Demand for the picture of one camera.
     pub fn of(camera: &'a Camera, budget: usize) -> Self {
         Self { cameras: std::slice::from_ref(camera), budget, border: 0.0 }
     }
 }
 
-/// Tiles to be refined: those in a picture first, of these the worst, of equal ones the first.
+/// A tile to refine. Tiles in a picture come first, then larger errors, then smaller indices.
 struct Candidate {
     seen: bool,
     pixels: f64,
@@ -302,7 +308,7 @@ impl PartialEq for Candidate {
 
 impl Eq for Candidate {}
 
-/// Whether a part of a box can be in a picture, or beyond it by less than so many of its widths and heights: never false where one is.
+/// True if part of a box may lie in a picture or in its border, in picture sizes. Never false if it does.
 fn sees(camera: &Camera, bounds: Bounds, border: f64) -> bool {
     let corners = (0..8).map(|corner: u32| {
         let side = |axis: u32| if corner >> axis & 1 == 0 { bounds.min } else { bounds.max };
@@ -313,12 +319,12 @@ fn sees(camera: &Camera, bounds: Bounds, border: f64) -> bool {
     let [fx, fy, cx, cy] = [camera.fx, camera.fy, camera.cx, camera.cy].map(f64::from);
     let (width, height) = (f64::from(camera.width), f64::from(camera.height));
     let [across, down] = [width, height].map(|side| MARGIN + border * side);
-    // By what pixels are multiplied.
+    // Factor of the pixel coordinates.
     let depth = |p: &DVec3| match camera.projection {
         Projection::Perspective => p.z,
         Projection::Orthographic => 1.0,
     };
-    // What is positive inside of each side of the pyramid or block.
+    // Functions that are positive inside each side of the view's pyramid or block.
     let inside: [&dyn Fn(&DVec3) -> f64; 5] = [
         &|p| p.z - f64::from(NEAR_PLANE),
         &|p| fx * p.x + (cx + across) * depth(p),
@@ -329,7 +335,7 @@ fn sees(camera: &Camera, bounds: Bounds, border: f64) -> bool {
     inside.iter().all(|inside| corners.iter().any(|corner| inside(corner) >= 0.0))
 }
 
-/// Where the root's transform moves all tiles.
+/// Origin of all tiles by the root's transform.
 fn moved(path: &Path, transform: Option<[f64; 16]>) -> Result<DVec3> {
     let Some(columns) = transform else { return Ok(DVec3::ZERO) };
     let matrix = DMat4::from_cols_array(&columns);

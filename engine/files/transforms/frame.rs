@@ -14,18 +14,18 @@ use ashsplat::scene::camera::MAX_IMAGE_SIDE;
 use ashsplat::scene::lens::{Distortion, Lens};
 use ashsplat::{Error, Result};
 
-/// How far `R Rᵀ` of a pose may be from a multiple of the identity, relative.
+/// Largest relative deviation of a pose's `R Rᵀ` from a multiple of the identity.
 const ROTATION_TOLERANCE: f64 = 1e-3;
 
-/// A scale this close to 1 is taken as 1.
+/// Largest difference from 1 of a scale that is taken as 1.
 const SCALE_ROUNDING: f64 = 1e-12;
 
 /// A photo and its camera.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Frame {
-    /// The photo's path below the file's folder, as the file names it, with its ending.
+    /// The photo's path below the file's folder, as the file names it, with its extension.
     pub name: String,
-    /// The photo.
+    /// Path of the photo.
     pub photo_path: PathBuf,
     /// The photo's mask (`mask_path`), if the file names one.
     pub mask_path: Option<PathBuf>,
@@ -35,7 +35,7 @@ pub struct Frame {
     pub translation: DVec3,
     /// The frame's intrinsics.
     pub optics: Optics,
-    /// Whether the frame is held out.
+    /// True if the frame is held out.
     pub test: bool,
 }
 
@@ -44,9 +44,9 @@ pub struct Frame {
 pub struct Optics {
     /// Width and height, pixels, if the file has them.
     pub size: Option<[u32; 2]>,
-    /// Focal lengths in x and y. If one is missing, it equals the other: square pixels.
+    /// Focal lengths in x and y. A missing one equals the other: pixels are square.
     focal: [Option<Focal>; 2],
-    /// Principal point, pixels; by default the middle.
+    /// Principal point, pixels; the image's centre by default.
     center: [Option<f64>; 2],
     /// The lens.
     distortion: Distortion,
@@ -56,12 +56,12 @@ pub struct Optics {
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Focal {
     Pixels(f64),
-    /// From edge to edge, radians.
+    /// Angle from edge to edge, radians.
     Angle(f64),
 }
 
 impl Optics {
-    /// Width and height, or approximate halves of them; None if the file has neither.
+    /// Width and height, or values proportional to them; `None` if the file has neither.
     pub(crate) fn sides(&self) -> Option<[f64; 2]> {
         let middle = || Some([self.center[0]?, self.center[1]?]);
         self.size.map(|size| size.map(f64::from)).or_else(middle)
@@ -81,7 +81,7 @@ impl Optics {
     }
 }
 
-/// Rows of a matrix of 3 or 4 rows of 4 finite numbers, without the fourth.
+/// The first three rows of a matrix of 3 or 4 rows with 4 finite numbers.
 pub(super) fn matrix(value: &Value) -> Option<[[f64; 4]; 3]> {
     let rows = value.as_array().filter(|rows| matches!(rows.len(), 3 | 4))?;
     let row = |row: &Value| -> Option<[f64; 4]> {
@@ -192,7 +192,7 @@ pub(super) fn read_all(
     Ok((warnings, depth_maps))
 }
 
-/// Adds the keys of a lens that other programs use, and that have an effect there.
+/// Adds unsupported lens keys that have an effect in other programs.
 fn unused_lens_keys(holder: &Value, keys: &mut BTreeSet<String>) {
     /// Skew and affinity of Metashape, further coefficients of OpenCV, and keys of nerfstudio and instant-ngp.
     const KEYS: [&str; 17] = [
@@ -230,13 +230,13 @@ fn unused_lens_keys(holder: &Value, keys: &mut BTreeSet<String>) {
     keys.extend(unused.map(|(key, _)| key.clone()));
 }
 
-/// Keys with the path of a frame's mask; the first is nerfstudio's.
+/// Keys of the path of a frame's mask; the first is nerfstudio's.
 const MASK_KEYS: [&str; 3] = ["mask_path", "mask_file_path", "mask_filename"];
 
-/// Keys with the path of a frame's depth map, of nerfstudio and instant-ngp.
+/// Keys of the path of a frame's depth map, of nerfstudio and instant-ngp.
 const DEPTH_KEYS: [&str; 2] = ["depth_file_path", "depth_path"];
 
-/// The list of nerfstudio for k1, k2, k3, k4, p1 and p2, which comes before these keys.
+/// nerfstudio's list of k1, k2, k3, k4, p1 and p2, which takes precedence over single keys.
 const DISTORTION_PARAMS: &str = "distortion_params";
 
 fn numbers_of(params: &Value) -> Option<[f64; 6]> {
@@ -261,7 +261,7 @@ impl Reader<'_> {
         )
     }
 
-    /// The frame, and whether its path led out of the folder.
+    /// Reads the frame. The flag is true if its path led out of the folder.
     fn read(&self) -> Result<(Frame, bool)> {
         let Some(file_path) = self.frame["file_path"].as_str() else {
             return Err(self.error("has no file_path"));
@@ -309,7 +309,7 @@ impl Reader<'_> {
         self.error(format!("the path {name:?} leads out of the folder, and nothing in it has that name"))
     }
 
-    /// The photo's name and path, and whether the name led out of the folder. A missing file without an
+    /// The photo's name and path, and true if the name led out of the folder. A missing file without an
     /// extension is assumed to be a PNG.
     fn photo(&self, named: &str) -> Result<(String, PathBuf, bool)> {
         self.check_length("file_path", named)?;
@@ -319,7 +319,7 @@ impl Reader<'_> {
         let found = match led_out {
             false => finder.photo(self.folder(), &name).unwrap_or_else(|| self.folder().join(&name)),
             true => {
-                // A path from another machine or folder: the photos have the same names here.
+                // The path is from another machine or folder: searches for the photo's name here.
                 let found = finder.photo_by_end(self.folder(), &name).map_err(|two| {
                     let [first, second] = two.map(|photo| photo.display().to_string());
                     self.error(format!("the path {:?} may mean {first} or {second}", ending(named)))
@@ -359,20 +359,20 @@ impl Reader<'_> {
         let column = |c: usize| DVec3::from_array(std::array::from_fn(|r| rows[r][c]));
         let axes = DMat3::from_cols(column(0), column(1), column(2));
         let scale = axes.determinant().cbrt();
-        // A rotation up to the rounding of doubles is used unchanged, to the bit.
+        // A rotation up to the rounding of doubles is used bit for bit.
         let rotation = if (scale - 1.0).abs() < SCALE_ROUNDING { axes } else { axes * (1.0 / scale) };
         let off = rotation * rotation.transpose() - DMat3::IDENTITY;
-        // Also false for a scale of 0, which gives NaN.
+        // Also refuses a scale of 0, which gives NaN.
         if !(scale > 0.0 && off.to_cols_array().iter().all(|v| v.abs() < ROTATION_TOLERANCE)) {
             return Err(self.error("transform_matrix is no rotation with a translation"));
         }
-        // From y up, z backward to y down, z forward.
+        // Converts from y up, z backward to y down, z forward.
         let camera_from_source = DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0)) * rotation.transpose();
-        // As in COLMAP's files: the same camera in either layout has the same bits.
+        // Same order as for COLMAP's files, so that both layouts of a camera give the same bits.
         Ok((camera_from_source, -(camera_from_source * column(3))))
     }
 
-    /// A number of the frame, or otherwise of the file. Other types are errors.
+    /// Reads a number of the frame, or else of the file. Other types are errors.
     fn number(&self, key: &str) -> Result<Option<f64>> {
         for (holder, value) in [("", &self.frame[key]), ("the file's ", &self.document[key])] {
             match value {
@@ -410,9 +410,9 @@ impl Reader<'_> {
         Ok(Optics { size, focal, center, distortion: self.distortion()? })
     }
 
-    /// The line about a focal length and an angle of one place that say different things.
+    /// A warning if a focal length and an angle on the same level contradict each other.
     fn contradiction(&self, size: Option<[u32; 2]>) -> Option<String> {
-        /// Ratio from which pictures show it.
+        /// Ratio from which the difference is visible.
         const SHOWS: f64 = 1.02;
         let ways = [("fl_x", "camera_angle_x"), ("fl_y", "camera_angle_y")];
         size?.into_iter().zip(ways).find_map(|(side, (pixels, angle))| {
@@ -446,7 +446,7 @@ impl Reader<'_> {
         }
     }
 
-    /// The coefficients k1 to k4, p1 and p2.
+    /// Reads the coefficients k1 to k4, p1 and p2.
     fn coefficients(&self) -> Result<([f64; 4], [f64; 2])> {
         let lists = [&self.frame[DISTORTION_PARAMS], &self.document[DISTORTION_PARAMS]];
         if let Some([k1, k2, k3, k4, p1, p2]) = lists.into_iter().find_map(numbers_of) {

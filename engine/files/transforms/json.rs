@@ -1,4 +1,4 @@
-//! The JSON of a `transforms.json`, one frame in memory at a time. Of each object, what is kept has a bound.
+//! Reads the JSON of a `transforms.json` with one frame in memory at a time. Limits bound the kept part of each object.
 
 use std::fmt::Formatter;
 use std::path::Path;
@@ -8,21 +8,21 @@ use serde_json::{Map, Number, Value};
 
 use ashsplat::Result;
 
-/// Most keys of an object.
+/// Largest number of keys in an object.
 const MOST_KEYS: usize = 1000;
 
-/// Elements of a list that are kept, besides the file's lists of names: a matrix has up to 4.
+/// Number of kept elements per list, except the file's lists of names; a matrix has up to 4.
 const MOST_ELEMENTS: usize = 8;
 
-/// Most lists within each other that are kept: a matrix.
+/// Largest depth of nested lists that are kept: a matrix.
 const MOST_DEPTH: u32 = 2;
 
-/// The values of the file itself. Objects in lists are empty, `frames` among them.
+/// The top-level values of the file. Objects inside lists are empty, `frames` among them.
 pub(super) fn document(path: &Path, text: &str) -> Result<Value> {
     read(path, text, Pruned { depth: 0, keeps_names: true })
 }
 
-/// Passes the frames of a file on, one by one.
+/// Passes the frames of a file to `each`, one by one.
 pub(super) fn each_frame(path: &Path, text: &str, each: &mut dyn FnMut(Value) -> Result<()>) -> Result<()> {
     let mut failed = None;
     let mut pass = |frame| each(frame).map_err(|error| failed = Some(error)).is_ok();
@@ -36,7 +36,7 @@ fn read<'de, S: DeserializeSeed<'de>>(path: &Path, text: &'de str, seed: S) -> R
     value.map_err(|e| super::not_json(path, text, &e))
 }
 
-/// Reads a value without the contents of objects inside it, and without the ends of its lists.
+/// Reads a value without the contents of nested objects, and with shortened lists.
 #[derive(Clone, Copy)]
 struct Pruned {
     depth: u32,
@@ -114,7 +114,7 @@ impl<'de> Visitor<'de> for Pruned {
     }
 }
 
-/// Takes a frame; false ends the reading.
+/// Receives a frame; returns false to stop the reading.
 type Pass<'a> = dyn FnMut(Value) -> bool + 'a;
 
 /// Reads the object around the frames.

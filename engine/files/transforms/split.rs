@@ -9,10 +9,9 @@ use serde_json::Value;
 use crate::names::plain;
 use ashsplat::{Error, Result};
 
-/// The lists of names. Of the held-out lists, which come last, the first that exists is used.
+/// Keys of the name lists. The first held-out list that exists is used; they come last.
 const LISTS: [&str; 3] = ["train_filenames", "test_filenames", "val_filenames"];
 
-/// Use of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Part {
     Train,
@@ -20,7 +19,7 @@ pub(super) enum Part {
     None,
 }
 
-/// The names of each list, and whether a frame has them; None if the file lacks the list, or it is empty.
+/// The names of each list, with true for each name that a frame has. `None` if the list is missing or empty.
 pub(super) struct Split {
     lists: [Option<RefCell<HashMap<String, bool>>>; 3],
 }
@@ -43,8 +42,8 @@ impl Split {
         Ok(Self { lists })
     }
 
-    /// The use of the frame with a path, under a name. Without a training list, frames that are in no list
-    /// are used for it.
+    /// The use of the frame with this path or name. Without a training list, frames in no list are
+    /// training frames.
     pub(super) fn part_of(&self, path: &str, name: &str) -> Part {
         let path = plain(path);
         let lists = |at: usize| {
@@ -76,7 +75,7 @@ impl Split {
         Ok(())
     }
 
-    /// The lists that are used.
+    /// Names of the lists that are used.
     pub(super) fn used_lists(&self) -> String {
         let held_out = if self.lists[1].is_some() { 1 } else { 2 };
         let used = [0, held_out].into_iter().filter(|&at| self.lists[at].is_some());

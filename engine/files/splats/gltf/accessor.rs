@@ -10,14 +10,14 @@ use super::document::Document;
 use crate::cost;
 use ashsplat::{Error, Result};
 
-/// Largest stride that glTF has, bytes.
+/// Largest stride in glTF, bytes.
 const MAX_STRIDE: u64 = 252;
 
 /// The open buffers.
 pub(super) struct Buffers(pub(super) Vec<Buffer>);
 
 impl Buffers {
-    /// Bytes that they hold together; of a file that several name, once.
+    /// Total bytes of the buffers; a file that several buffers name counts once.
     pub(super) fn bytes(&self) -> u64 {
         let mut files = BTreeSet::new();
         let counts = |buffer: &&Buffer| match buffer {
@@ -28,7 +28,7 @@ impl Buffers {
     }
 }
 
-/// Where the bytes of one buffer lie.
+/// Storage of one buffer.
 pub(super) enum Buffer {
     File { path: PathBuf, file: File, offset: u64, bytes: u64 },
     Memory(Vec<u8>),
@@ -42,7 +42,7 @@ impl Buffer {
         }
     }
 
-    /// The caller has compared the range with [`Buffer::bytes`].
+    /// Reads bytes. The caller has checked the range against [`Buffer::bytes`].
     fn read(&mut self, at: u64, data: &mut [u8]) -> Result<()> {
         match self {
             Self::File { path, file, offset, .. } => file
@@ -89,7 +89,7 @@ pub(super) struct Accessor {
 }
 
 impl Accessor {
-    /// The accessor of a number; the error says what is wrong with it.
+    /// The accessor with this index. The error text says what is wrong with it.
     pub(super) fn new(
         document: &Document,
         buffers: &Buffers,
@@ -124,7 +124,7 @@ impl Accessor {
             buffers.0.get(view.buffer).ok_or_else(|| format!("buffer {} is missing", view.buffer))?;
         let row = components as u64 * size;
         let stride = view.byte_stride.unwrap_or(row);
-        // Rows that lie far apart would let many primitives read the whole file for little.
+        // With rows far apart, many primitives could read the whole file for little data.
         if stride > MAX_STRIDE {
             return Err(format!("its buffer view has a stride of {stride} bytes; {MAX_STRIDE} are possible"));
         }
@@ -162,7 +162,7 @@ impl Accessor {
         self.count as u64 * (self.components * self.component.size()) as u64
     }
 
-    /// The numbers of some rows.
+    /// Reads the numbers of some rows.
     pub(super) fn read(&self, buffers: &mut Buffers, rows: Range<usize>) -> Result<Vec<f32>> {
         let mut values = Vec::with_capacity(rows.len() * self.components);
         if rows.is_empty() {

@@ -1,4 +1,4 @@
-//! The JSON of a glTF, and where its buffers are.
+//! Reads the JSON of a glTF, and finds its buffers.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -17,13 +17,13 @@ use crate::{cost, host_memory, regular_file};
 use ashsplat::scene::Similarity;
 use ashsplat::{Error, Result};
 
-/// How far a node's axes may be from orthogonal and equally long, relative.
+/// Largest relative deviation of a node's axes from orthogonal and equal length.
 const SHAPE_TOLERANCE: f64 = 1e-4;
 
 const GLB_JSON: u32 = 0x4e4f_534a;
 const GLB_BINARY: u32 = 0x004e_4942;
 
-/// What is used of the JSON.
+/// The used parts of the JSON.
 #[derive(Deserialize)]
 #[serde(rename_all = "camelCase", default)]
 #[derive(Default)]
@@ -96,7 +96,7 @@ pub(super) struct SplatsExtension {
     pub(super) kernel: Option<String>,
     pub(super) color_space: Option<String>,
     pub(super) extras: SplatsExtras,
-    /// Compressions, by their names.
+    /// Compressions by name.
     pub(super) extensions: BTreeMap<String, Compression>,
 }
 
@@ -113,7 +113,7 @@ pub(super) struct Compression {
     pub(super) buffer_view: Option<usize>,
 }
 
-/// A node; None where it says nothing, so that millions of `{}` take little memory.
+/// A node; `None` for an empty one, so that millions of `{}` take little memory.
 struct NodeSlot(Option<Box<Node>>);
 
 impl<'de> Deserialize<'de> for NodeSlot {
@@ -178,7 +178,7 @@ impl Document {
         Ok((document, Buffers(buffers)))
     }
 
-    /// Extensions that are required and change what is drawn here.
+    /// Required extensions that would change the picture and are not supported.
     pub(super) fn unread_extensions(&self) -> impl Iterator<Item = &String> {
         let is_read = |name: &&String| {
             [super::EXTENSION, super::PACKED_EXTENSION].contains(&name.as_str())
@@ -187,7 +187,7 @@ impl Document {
         self.extensions_required.iter().filter(move |name| !is_read(name))
     }
 
-    /// The meshes of the scene, each with its place in the world.
+    /// The meshes of the scene, each with its placement in the world.
     pub(super) fn placed_meshes(&self, path: &Path) -> Result<Vec<(usize, Similarity)>> {
         if self.nodes.is_empty() {
             return Ok((0..self.meshes.len()).map(|mesh| (mesh, Similarity::default())).collect());
@@ -202,7 +202,7 @@ impl Document {
             None => (0..self.nodes.len()).filter(|&index| !is_child[index]).collect(),
         };
         let mut placed = Vec::new();
-        // For each node on the way to the present one: its children that are still to be visited, and its place.
+        // For each node on the path to the current one: its unvisited children, and its placement.
         let mut open = vec![(roots.iter(), Similarity::default())];
         let mut seen = vec![false; self.nodes.len()];
         while let Some((children, parent)) = open.last_mut() {
@@ -231,7 +231,7 @@ impl Document {
 }
 
 impl Node {
-    /// The node's transform; `None` when it is not a similarity.
+    /// The node's transform; `None` if it is not a similarity.
     fn placement(&self) -> Option<Similarity> {
         let matrix = match &self.matrix {
             Some(columns) => DMat4::from_cols_array(columns),
@@ -260,7 +260,7 @@ impl Node {
     }
 }
 
-/// The JSON of a GLB, and offset and length of its binary chunk.
+/// The JSON of a GLB, and the offset and length of its binary chunk.
 type Chunks = (Vec<u8>, Option<(u64, u64)>);
 
 /// Finds the chunks of a GLB.
@@ -321,7 +321,7 @@ fn open_uri(path: &Path, index: usize, uri: &str) -> Result<Buffer> {
     Ok(Buffer::File { path: file_path.clone(), file, offset: 0, bytes })
 }
 
-/// `%20` and the like as the characters that they stand for.
+/// Replaces `%20` and other escapes by their characters.
 fn unescaped(uri: &str) -> String {
     let mut bytes = Vec::with_capacity(uri.len());
     let mut rest = uri.as_bytes();

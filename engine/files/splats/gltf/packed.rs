@@ -1,4 +1,4 @@
-//! Primitives whose attributes are an SPZ.
+//! Primitives whose attributes are packed as an SPZ.
 
 use std::path::Path;
 
@@ -9,16 +9,16 @@ use crate::splats::Source;
 use crate::splats::spz::Spz;
 use ashsplat::{Error, Result};
 
-/// An SPZ, and whether it has glTF's axes instead of its own (see [`super::super::gltf_packed`]).
+/// An SPZ. `has_own_axes` tells SPZ's axes from glTF's (see [`super::super::gltf_packed`]).
 pub(super) struct PackedRows {
     pub(super) spz: Spz,
     pub(super) has_own_axes: bool,
-    /// Bytes of the file.
+    /// Number of bytes in the file.
     pub(super) bytes: u64,
 }
 
 impl PackedRows {
-    /// That of a primitive, if it is packed so. `place` names it in messages.
+    /// The SPZ of a primitive, if it is packed. `place` names the primitive in messages.
     pub(super) fn of(
         path: &Path,
         place: &str,
