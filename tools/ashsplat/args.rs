@@ -1,4 +1,4 @@
-//! The arguments that all commands share.
+//! Arguments that all commands share.
 
 use crate::pipeline_cache;
 use ashsplat::Result;
@@ -32,23 +32,23 @@ pub struct DeviceArguments {
     pub host: HostArguments,
 }
 
-/// What `--max-memory` does where a scene is trained.
+/// Help of `--max-memory` in commands that train.
 pub const MAX_MEMORY_IN_TRAINING: &str = "Most device memory to use, with a unit: 800M, 6G; densification stops adding Gaussians \
     there, and what does not fit from the start is refused before photos are read [default: what the device has]";
-/// The same where pages are shown.
+/// Help of `--max-memory` in commands that serve pages.
 pub const MAX_MEMORY_IN_VIEWER: &str = "Most device memory to use, with a unit: 800M, 6G; a scene that needs more is refused, and a \
     picture that does is refused to the page that asked for it [default: what the device has]";
-/// The same where time is measured.
+/// Help of `--max-memory` in commands that measure time.
 pub const MAX_MEMORY_IN_MEASUREMENTS: &str = "Most device memory to use, with a unit: 800M, 6G; a measurement that needs more ends \
     with an error [default: what the device has]";
 
-/// The same where tiles are made.
+/// Help of `--max-memory` in `tiles`.
 pub const MAX_MEMORY_IN_TILES: &str = "Most device memory to use, with a unit: 800M, 6G; the pictures that tell a tile's error are \
     drawn within it, and where one needs more the command ends with an error [default: what the device has]";
-/// The same where a scene is divided.
+/// Help of `--max-memory` in `partition`.
 pub const MAX_MEMORY_IN_PARTITION: &str = "Most device memory to use, with a unit: 800M, 6G; the coarse model is drawn within it, once \
     for each photo, and where that needs more the command ends with an error [default: what the device has]";
-/// The same where blocks are merged.
+/// Help of `--max-memory` in `merge`.
 pub const MAX_MEMORY_IN_MERGE: &str = "Most device memory to use, with a unit: 800M, 6G; the report draws the merged scene within it, \
     and where that needs more there is no report; merging itself needs none [default: what the device has]";
 
@@ -62,18 +62,18 @@ pub struct HostArguments {
 }
 
 impl HostArguments {
-    /// How a scene is read.
+    /// Options for reading a scene.
     pub fn reading(&self, drop_invalid: bool) -> ReadOptions {
         ReadOptions { drop_invalid, max_host_memory: self.max_host_memory }
     }
 
-    /// The bound for photos.
+    /// Host memory budget of photos.
     pub fn memory(&self) -> HostMemory {
         self.max_host_memory.map(HostMemory::new).unwrap_or_default()
     }
 }
 
-/// Bytes of a number with a unit: K, M or G, powers of 1024.
+/// Parses a number of bytes with a unit: K, M or G, powers of 1024.
 pub fn bytes(text: &str) -> Result<u64, String> {
     let units = [('K', 10), ('M', 20), ('G', 30)];
     let upper = text.trim().to_uppercase();
@@ -88,7 +88,7 @@ pub fn bytes(text: &str) -> Result<u64, String> {
     }
 }
 
-/// A size as [`bytes`] reads it, in the largest unit that has no fraction.
+/// Writes a size for [`bytes`], in the largest unit without a fraction.
 pub fn size(bytes: u64) -> String {
     let units = [("G", 30), ("M", 20), ("K", 10)];
     let unit = units.into_iter().find(|(_, bits)| bytes.is_multiple_of(1 << bits));
@@ -97,9 +97,9 @@ pub fn size(bytes: u64) -> String {
 }
 
 impl DeviceArguments {
-    /// What decides the bits of a result, as it was typed: to type it again.
+    /// The arguments that determine a result's bits, for a command line that repeats it.
     pub fn repeated(&self) -> String {
-        // Another shell does not have the environment.
+        // Another shell may not have the environment variable.
         self.repeated_for(self.options().asked_backend().ok().flatten())
     }
 
@@ -116,7 +116,7 @@ impl DeviceArguments {
         self.context_with(|_| ())
     }
 
-    /// Opens the device with other options than usual.
+    /// Same as [`DeviceArguments::context`], with changed options.
     pub fn context_with(&self, change: impl FnOnce(&mut ContextOptions)) -> Result<Context> {
         let mut options = ContextOptions { pipeline_cache: pipeline_cache::kept(), ..self.options() };
         change(&mut options);
@@ -134,7 +134,7 @@ impl DeviceArguments {
         }
     }
 
-    /// Prints what the validation layer said, if it was asked for.
+    /// Prints the messages of the validation layer, if it was requested.
     pub fn report_validation(&self, context: &Context) {
         for message in context.validation_messages() {
             tell!("validation: {message}");
@@ -160,7 +160,7 @@ mod tests {
         assert_eq!(arguments.repeated_for(None), r" --device 'it'\''s (256 bits)' --max-memory 6G");
         let arguments =
             DeviceArguments { subgroup_size: Some(16), backend: Some(Backend::Gpu), ..Default::default() };
-        // What was typed holds, whatever the environment says.
+        // Arguments override the environment.
         assert_eq!(arguments.repeated(), " --subgroup-size 16 --backend gpu");
         let processor = DeviceArguments::default().repeated_for(Some(Backend::Processor));
         assert_eq!([processor, DeviceArguments::default().repeated_for(None)], [" --backend processor", ""]);

@@ -1,6 +1,6 @@
 //! Axes of charts.
 
-/// Marks on an axis, about.
+/// Approximate number of marks on an axis.
 const MARKS: f64 = 5.0;
 
 /// An axis with marks at 1, 2 or 5 times a power of ten.
@@ -11,7 +11,7 @@ pub struct Axis {
 }
 
 impl Axis {
-    /// That holds all from the one to the other.
+    /// An axis that covers `low` to `high`.
     pub fn new(low: f64, high: f64) -> Self {
         let span = (high - low).max(high.abs() * 0.05).max(1e-6);
         let rough = span / MARKS;
@@ -22,7 +22,7 @@ impl Axis {
         Self { low: ends.0, high: ends.1.max(ends.0 + step), step }
     }
 
-    /// Where a value lies: 0 at the beginning, 1 at the end.
+    /// Position of a value: 0 at the beginning, 1 at the end.
     pub fn share(&self, value: f64) -> f64 {
         (value - self.low) / (self.high - self.low)
     }
@@ -34,7 +34,7 @@ impl Axis {
         (first..=last).map(|n| n as f64 * self.step)
     }
 
-    /// A value on the axis, with as many digits as its marks need.
+    /// A value with as many digits as the axis's marks need.
     pub fn mark(&self, value: f64) -> String {
         let (unit, divisor) = match self.high.abs() {
             high if high >= 2e6 => ("M", 1e6),
@@ -61,7 +61,7 @@ mod tests {
         assert_eq!(axis.marks().map(|v| axis.mark(v)).collect::<Vec<_>>(), ["15", "20", "25", "30", "35"]);
         let axis = Axis::new(0.0, 30_000.0);
         assert_eq!(axis.mark(20_000.0), "20k");
-        // One value, or none but zeros.
+        // A single value, or only zeros.
         assert!(Axis::new(5.0, 5.0).marks().count() >= 2 && Axis::new(0.0, 0.0).marks().count() >= 2);
     }
 }

@@ -1,4 +1,4 @@
-//! `ashsplat blocks`: how far the training of each block is.
+//! `ashsplat blocks`: progress of each block's training.
 
 use crate::args::HostArguments;
 use crate::blocks::{Block, BlocksFile, Division, result};
@@ -33,21 +33,20 @@ pub struct Arguments {
     _host: HostArguments,
 }
 
-/// Of a Gaussian in training with SH of degree 3, bytes: parameters, gradients, moments, statistics.
+/// Bytes per trained Gaussian with SH degree 3: parameters, gradients, moments, statistics.
 const TRAINED_BYTES: f64 = 944.0;
-/// Of one that is only drawn, bytes: after an exchange, the rest of the scene.
+/// Bytes per Gaussian that is only drawn: the rest of the scene after an exchange.
 const DRAWN_BYTES: f64 = 240.0;
-/// Of a photograph's pixel on the device.
+/// Bytes per pixel of a photograph on the device.
 const PIXEL_BYTES: f64 = 4.0;
-/// Of what does not grow with them: the program, the driver, and frames of photographs of ten megapixels.
+/// Bytes that do not grow with the scene: program, driver, and frames for photographs of ten megapixels.
 const OTHER_BYTES: f64 = 1.5e9;
 
-/// Iterations whose time tells the speed.
+/// Number of last iterations that determine the speed.
 const RECENT: usize = 100;
-/// How soon Ctrl-C ends waiting.
+/// Longest delay before Ctrl-C ends waiting.
 const GLANCE: Duration = Duration::from_millis(100);
 
-/// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<()> {
     let growth = arguments.growth;
     if !(growth.is_finite() && growth >= 1.0) {
@@ -69,8 +68,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     Ok(())
 }
 
-/// What a training of the block may need, bytes, if its Gaussians grow by this factor: on a processor all of the machine's memory, on a GPU
-/// the device's, while the host's needs less.
+/// Estimated memory of a block's training, bytes, if its Gaussians grow by this factor. On a processor it is the
+/// machine's whole
+/// memory, on a GPU the device's; the host then needs less.
 fn memory_bytes(file: &BlocksFile, block: &Block, growth: f64) -> u64 {
     let Division { coarse, rounds, .. } = &file.division;
     let around = if *rounds > 1 { coarse.gaussians - block.trained.min(coarse.gaussians) } else { 0 };
@@ -78,7 +78,7 @@ fn memory_bytes(file: &BlocksFile, block: &Block, growth: f64) -> u64 {
     (OTHER_BYTES + PIXEL_BYTES * block.pixels as f64 + growing * growth) as u64
 }
 
-/// Prints all blocks; how many are trained.
+/// Prints all blocks. Returns the number of trained ones.
 fn show(file: &BlocksFile, arguments: &Arguments) -> usize {
     let round = file.exchanges() + 1;
     let all: Vec<Status> = file.division.blocks.iter().map(|block| Status::of(file, block, round)).collect();
@@ -99,35 +99,35 @@ fn show(file: &BlocksFile, arguments: &Arguments) -> usize {
 #[derive(Clone, Debug, PartialEq)]
 enum State {
     Waiting,
-    /// By whom.
+    /// The process that trains it.
     Training(String),
     Stopped,
-    /// At the end of this round: it waits for the exchange.
+    /// Ended this round; waits for the exchange.
     Exchange(u32),
     Trained,
-    /// Of another division.
+    /// Trained for another division.
     Other,
 }
 
-/// How far one block is.
+/// Progress of one block.
 struct Status<'a> {
     block: &'a Block,
     state: State,
-    /// Of the last iteration in its log.
+    /// Last iteration in its log.
     iteration: u32,
     gaussians: Option<u64>,
-    /// dB, the last that was measured.
+    /// Last measured PSNR, dB.
     psnr: Option<f64>,
     iterations_per_second: Option<f64>,
-    /// On the device, the most so far.
+    /// Peak memory on the device.
     peak_bytes: Option<u64>,
 }
 
 impl Status<'_> {
-    /// `round`: the one that all blocks are in.
+    /// `round` is the current round of all blocks.
     fn of<'a>(file: &BlocksFile, block: &'a Block, round: u32) -> Status<'a> {
         let folder = file.at(&block.folder);
-        // A training that has not begun, or is just replacing its log, has none.
+        // There is no log before a training begins, or while it is being replaced.
         let rows = Rows::read(&folder.join(LOG_FILE)).unwrap_or_default();
         let last = |column: &[f64]| column.iter().rev().copied().find(|value| value.is_finite());
         let iteration = last(&rows.iterations).unwrap_or(0.0) as u32;
@@ -256,7 +256,7 @@ mod tests {
         assert_eq!(needed(3), needed(1) + 2 * 240 * 2000);
     }
 
-    /// A file of before pixels were counted stays as it is, and so do the trainings that know it by its hash.
+    /// Files older than the pixel count keep their hash, which trainings know them by.
     #[test]
     fn a_file_without_pixels_is_of_the_same_division() {
         let mut old = file(1);

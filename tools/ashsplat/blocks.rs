@@ -1,4 +1,4 @@
-//! `blocks.json`: how a scene is divided into blocks that are trained one by one, wherever, and merged then.
+//! `blocks.json`: the division of a scene into blocks, which are trained one by one on any machine and then merged.
 
 pub mod job;
 pub mod parts;
@@ -18,35 +18,35 @@ use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Component, Path, PathBuf};
 
-/// Of the file's form.
+/// Version of the file format.
 pub const VERSION: u32 = 1;
-/// More would take long to check against each other.
+/// Largest number of blocks: checking more against each other would take long.
 pub const MAX_BLOCKS: usize = 4096;
 const REMEDY: &str = "make it anew: `ashsplat partition`";
 
-/// A division of a scene. Paths are relative to the file's folder where they lie below it.
+/// A division of a scene. Paths below the file's folder are relative to it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Division {
     pub version: u32,
     pub dataset: DatasetOfBlocks,
     pub coarse: Coarse,
-    /// The frame in which all blocks are trained: its origin, source coordinates; and its unit.
+    /// Origin (source coordinates) and unit of the frame in which all blocks are trained.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub origin: [f64; 3],
     #[serde(default = "one", skip_serializing_if = "is_one")]
     pub unit: f64,
     /// Extent of the whole scene, source units.
     pub scene_extent: f32,
-    /// Distance around a core within which a block's Gaussians are trained, source units.
+    /// Margin around a core in which the block's Gaussians are trained too, source units.
     pub margin: f32,
-    /// The share of a picture that a block's core must cover.
+    /// Least share of a picture that a block's core must cover.
     pub min_share: f64,
-    /// Most Gaussians of the coarse model in a core.
+    /// Largest number of the coarse model's Gaussians in a core.
     pub max_gaussians: u64,
-    /// Those that training the whole would take.
+    /// Number of iterations that training the whole scene would take.
     pub iterations: u32,
-    /// In how many rounds each block is trained, with an exchange between them.
+    /// Number of rounds in which each block is trained, with exchanges between them.
     #[serde(default = "one", skip_serializing_if = "is_one")]
     pub rounds: u32,
     pub blocks: Vec<Block>,
@@ -64,12 +64,12 @@ fn is_zero(origin: &[f64; 3]) -> bool {
     *origin == [0.0; 3]
 }
 
-/// What all blocks are trained on.
+/// The data set of all blocks.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DatasetOfBlocks {
     pub path: PathBuf,
-    /// Hash of all its cameras: see [`cameras_hash`].
+    /// Hash of the data set's cameras: see [`cameras_hash`].
     pub cameras: String,
     pub images: String,
     pub resolution: i32,
@@ -77,7 +77,7 @@ pub struct DatasetOfBlocks {
     pub eval: bool,
 }
 
-/// The model that the blocks begin with.
+/// The coarse model with which the blocks begin.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Coarse {
@@ -87,33 +87,33 @@ pub struct Coarse {
     pub gaussians: u64,
 }
 
-/// One block.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Block {
-    /// From 1.
+    /// Number of the block, from 1.
     pub number: u32,
     pub core: Core,
-    /// Of the coarse model, in the core.
+    /// Number of the coarse model's Gaussians in the core.
     pub gaussians: u64,
-    /// Of the coarse model, in core and margin: those that training begins with.
+    /// Number of the coarse model's Gaussians in core and margin, with which training begins.
     pub trained: u64,
     pub iterations: u32,
-    /// The model folder.
+    /// Model folder.
     pub folder: PathBuf,
-    /// To train on.
+    /// Training photos.
     pub photos: Vec<String>,
-    /// Held out.
+    /// Held-out photos.
     pub held_out: Vec<String>,
-    /// Pixels of all these photos, of each only its part. 0 in older files.
+    /// Number of pixels in the used parts of all these photos; 0 in older files.
     #[serde(default)]
     pub pixels: u64,
-    /// Of these photos, by name, the part that shows core and margin, where that is not all of it.
+    /// The parts of photos that show core and margin, by name; a missing photo is used as a whole.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub parts: BTreeMap<String, Part>,
 }
 
-/// A box, source coordinates; null for a side without an end. Least sides belong to it, greatest ones do not.
+/// A box, source coordinates; null for an unbounded side. It is half-open: least sides belong to it, greatest ones do
+/// not.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Core {
@@ -122,9 +122,9 @@ pub struct Core {
 }
 
 impl Core {
-    /// Of a box in the world coordinates of a frame.
+    /// The core of a box in the world coordinates of a frame.
     pub fn of(bounds: Bounds, frame: &WorldFrame) -> Core {
-        // Through the shortest decimal number, so that 0.1 stays 0.1.
+        // Converts through the shortest decimal number, so that 0.1 stays 0.1.
         let decimal = |side: f32| side.to_string().parse().unwrap_or(f64::from(side));
         let sides = |corner: Vec3| {
             let source = frame.origin + frame.unit * DVec3::from_array(corner.to_array().map(decimal));
@@ -133,7 +133,7 @@ impl Core {
         Core { min: sides(bounds.min), max: sides(bounds.max) }
     }
 
-    /// The corners, source coordinates; infinite for sides without an end.
+    /// The corners, source coordinates; infinite for unbounded sides.
     pub fn corners(&self) -> [DVec3; 2] {
         let corner = |sides: [Option<f64>; 3], end: f64| DVec3::from_array(sides.map(|s| s.unwrap_or(end)));
         [corner(self.min, f64::NEG_INFINITY), corner(self.max, f64::INFINITY)]
@@ -146,23 +146,23 @@ impl Core {
     }
 }
 
-/// The fields that every version of the file has.
+/// The field that every version of the file has.
 #[derive(Deserialize)]
 struct Versioned {
     version: Option<u64>,
 }
 
-/// A file with a division.
+/// A `blocks.json` that was read.
 #[derive(Clone)]
 pub struct BlocksFile {
     pub path: PathBuf,
     pub division: Division,
-    /// Of the file: what is trained says which division it is of.
+    /// Hash of the file, by which trained blocks name their division.
     pub hash: String,
 }
 
 impl BlocksFile {
-    /// Reads and checks it.
+    /// Reads and checks the file.
     pub fn read(path: &Path) -> Result<BlocksFile> {
         let refuse = |problem: String| Error::input(path, problem, REMEDY);
         let bytes = regular_file::read_json(path)?;
@@ -182,7 +182,8 @@ impl BlocksFile {
         Ok(BlocksFile { path: path.to_owned(), division, hash: format!("{:016x}", print.finish()) })
     }
 
-    /// Refuses to be replaced by another division once blocks have been trained: they could not be merged any more.
+    /// Refuses a replacement by another division once blocks have been trained, because they could not be merged any
+    /// more.
     pub fn check_replaced(&self, division: &Division) -> Result<()> {
         let is_trained = |block: &&Block| result::is_noted(&self.at(&block.folder));
         let trained = self.division.blocks.iter().filter(is_trained).count();
@@ -198,7 +199,8 @@ impl BlocksFile {
         Err(Error::input(&self.path, problem, remedy))
     }
 
-    /// Whether the file has this division. Older ones do not count pixels, and stay as they are: trainings know a file by its hash.
+    /// True if the file has this division. Files older than the pixel count keep their hash, which trainings know them
+    /// by.
     pub fn is_of(&self, division: &Division) -> bool {
         let mut other = division.clone();
         for (block, own) in other.blocks.iter_mut().zip(&self.division.blocks) {
@@ -207,7 +209,7 @@ impl BlocksFile {
         self.division == other
     }
 
-    /// Refuses a data set, read from this path, with other cameras than the division was made for.
+    /// Refuses a data set with other cameras than the division's. `path` names it in the error.
     pub fn check_cameras(&self, path: &Path, gallery: &Gallery) -> Result<()> {
         if cameras_hash(&gallery.cameras_in(&self.division.frame())) == self.division.dataset.cameras {
             return Ok(());
@@ -217,14 +219,13 @@ impl BlocksFile {
         Err(Error::input(path, problem, remedy))
     }
 
-    /// A path as the file means it.
+    /// Resolves a path of the file.
     pub fn at(&self, path: &Path) -> PathBuf {
         folder_of(&self.path).join(path)
     }
 }
 
 impl Division {
-    /// The frame in which all blocks are trained.
     pub fn frame(&self) -> WorldFrame {
         WorldFrame { origin: DVec3::from_array(self.origin), unit: self.unit }
     }
@@ -246,12 +247,12 @@ impl Division {
         Cells::of(&cores)
     }
 
-    /// Whether blocks use of some photos only the part that shows them.
+    /// True if blocks use only parts of some photos.
     pub fn uses_parts(&self) -> bool {
         self.blocks.iter().any(|block| !block.parts.is_empty())
     }
 
-    /// In which options another one differs: "--margin 0.2 (now 0.6)".
+    /// Names the options that differ from another division's: "--margin 0.2 (now 0.6)".
     fn differences(&self, other: &Division) -> String {
         let pairs = self.options().into_iter().zip(other.options());
         let differing: Vec<String> = pairs
@@ -261,7 +262,7 @@ impl Division {
         if differing.is_empty() { "other photos or cells".into() } else { differing.join(", ") }
     }
 
-    /// What it was made with, by the options' names.
+    /// The options that the division was made with, by name.
     fn options(&self) -> [(&'static str, String); 7] {
         [
             ("--margin", self.margin.to_string()),
@@ -274,7 +275,7 @@ impl Division {
         ]
     }
 
-    /// Refuses what no division is: a mistake of an editor, say.
+    /// Refuses an invalid division, such as one with a mistake of an editor.
     fn check(&self) -> Result<(), String> {
         let numbered = self.blocks.iter().zip(1..).all(|(block, number)| block.number == number);
         let folders: BTreeSet<&Path> = self.blocks.iter().map(|block| block.folder.as_path()).collect();
@@ -319,17 +320,16 @@ impl Division {
     }
 }
 
-/// The folder that a file lies in.
 fn folder_of(file: &Path) -> &Path {
     file.parent().unwrap_or(Path::new(""))
 }
 
-/// A path for a file in a folder: relative where it lies below, else absolute.
+/// A path for storing in a file: relative if it lies below the file's folder, else absolute.
 pub fn stored(path: &Path, file: &Path) -> PathBuf {
     let absolute = |path: &Path| std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
     let (path, file) = (absolute(path), absolute(file));
     match path.strip_prefix(folder_of(&file)) {
-        // The folder itself.
+        // The folder of the file.
         Ok(below) if below.as_os_str().is_empty() => PathBuf::from("."),
         Ok(below) => below.to_owned(),
         Err(_) => path,

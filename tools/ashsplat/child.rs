@@ -1,4 +1,4 @@
-//! Other people's programs, run beside this one: ffmpeg for films and videos, COLMAP for cameras.
+//! Runs other programs: ffmpeg for films and videos, COLMAP for cameras.
 
 use ashsplat::{Error, Result};
 use std::collections::VecDeque;
@@ -9,29 +9,29 @@ use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-/// How ffmpeg is installed.
+/// Commands that install ffmpeg.
 pub const INSTALL_FFMPEG: &str = "`apt install ffmpeg` on Debian and Ubuntu, `brew install ffmpeg` on macOS, `dnf install \
     ffmpeg-free` on Fedora, `winget install ffmpeg` on Windows";
-/// Between two looks at a program.
+/// Time between two checks of a program.
 const POLL: Duration = Duration::from_millis(20);
-/// Looks at `stop` after a program failed: Ctrl-C on a terminal ends it as well, and perhaps earlier than it is noticed
-/// here.
+/// Checks of `stop` after a program failed: Ctrl-C on a terminal also ends the program, perhaps before this one
+/// notices.
 const LAST_LOOKS: u32 = 10;
-/// Lines that are kept of what a program said last.
+/// Number of last output lines that are kept.
 const TAIL: usize = 40;
 
-/// Whether a program that understands `-version` is installed.
+/// True if a program is installed that accepts `-version`.
 pub fn has(name: &str) -> bool {
     let mut program = Command::new(name);
     program.arg("-version").stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
     program.status().is_ok_and(|status| status.success())
 }
 
-/// A program, which ends with the value.
+/// A running program, which is ended when the value is dropped.
 pub struct Running(pub Child);
 
 impl Running {
-    /// Waits for its end; none if `stop` was raised.
+    /// Waits for its end; `None` if `stop` was raised.
     pub fn wait(&mut self, stop: &AtomicBool) -> std::io::Result<Option<ExitStatus>> {
         let stopped = || stop.load(Ordering::Relaxed);
         let pause = || std::thread::sleep(POLL);
@@ -51,13 +51,13 @@ impl Running {
 
 impl Drop for Running {
     fn drop(&mut self) {
-        // It has ended already unless something failed.
+        // A program that is still running has failed.
         self.0.kill().ok();
         self.0.wait().ok();
     }
 }
 
-/// Why a program is not there.
+/// Why a program could not be started.
 pub fn not_started(program: &str, error: &std::io::Error) -> String {
     match error.kind() {
         ErrorKind::NotFound => format!("needs {program}, which is not installed"),
@@ -65,18 +65,18 @@ pub fn not_started(program: &str, error: &std::io::Error) -> String {
     }
 }
 
-/// What became of a program.
+/// Result of a program.
 pub struct Ended {
-    /// As systems put it.
     pub status: ExitStatus,
-    /// What it said last, without empty lines.
+    /// Last lines of its output, without empty ones.
     pub tail: Vec<String>,
 }
 
-/// Runs a program to its end. All that it says goes to the end of the file `log`, and each line to `heard`.
+/// Runs a program to its end. All of its output is appended to the file `log`, and each line is passed to `heard`.
 ///
 /// # Errors
-/// [`Error::Interrupted`] if `stop` was raised: the program has ended then. [`Error::Io`] where the program cannot be started
+/// [`Error::Interrupted`] if `stop` was raised; the program has ended then. [`Error::Io`] if the program cannot be
+/// started
 /// or the file cannot be written.
 pub fn run_logged(
     mut command: Command,
@@ -90,7 +90,7 @@ pub fn run_logged(
     command.stdin(Stdio::null()).stdout(writer.try_clone().map_err(io)?).stderr(writer);
     let program = command.get_program().to_os_string();
     let child = command.spawn().map_err(|e| Error::io(program, "start", e))?;
-    // It holds an end of the pipe, which otherwise would never be over.
+    // The command holds an end of the pipe, which would otherwise never close.
     drop(command);
     let mut child = Running(child);
     std::thread::scope(|scope| {
@@ -103,7 +103,7 @@ pub fn run_logged(
     })
 }
 
-/// Copies lines to a file; returns the last ones. What the file does not take does not keep the program from talking.
+/// Copies lines to a file; returns the last ones. If the file cannot be written, the program's output is read on.
 fn copy_lines(
     mut from: impl BufRead,
     mut to: impl Write,

@@ -1,4 +1,4 @@
-//! The command line and how it is read.
+//! Defines and parses the command line.
 
 use crate::{
     bench, block_status, convert, demo, devices, eval, exchange, info, inspect, merge, output, partition,
@@ -15,7 +15,7 @@ use std::process::ExitCode;
 ///
 /// Names may be written with hyphens or underscores (--sh-degree, --sh_degree).
 #[derive(Parser)]
-// Errors are read below: the name is the same whatever the file is called.
+// Errors are formatted below, with the same name whatever the executable is called.
 #[command(name = "ashsplat", bin_name = "ashsplat", version)]
 struct CommandLine {
     #[command(subcommand)]
@@ -61,19 +61,19 @@ pub enum Command {
     Profile(Box<profile::Arguments>),
 }
 
-/// Reads the command line; the error is the exit code of a run that is over already (`--help`, or a mistake,
-/// which has been printed as one line).
+/// Parses the command line. The error is the exit code of a run that is already over: `--help`, or a mistake, which
+/// has been printed as one line.
 pub fn parse(arguments: impl Iterator<Item = OsString>) -> Result<Command, ExitCode> {
     let mut definition = CommandLine::command();
     let read = definition.try_get_matches_from_mut(arguments.map(hyphenated)).and_then(|mut matches| {
-        // Readers of small files take no bound from their callers, so it is the process'.
+        // Readers of small files get no budget from their callers, so the option sets the process's default.
         max_host_memory(&matches).into_iter().for_each(HostMemory::set_default);
         CommandLine::from_arg_matches_mut(&mut matches)
     });
     match read.map_err(|error| error.format(&mut definition)) {
         Ok(line) => Ok(line.command),
         Err(error) if is_request(error.kind()) => {
-            // A closed pipe (`ashsplat --help | head`) is no failure.
+            // A closed pipe (`ashsplat --help | head`) is not a failure.
             output::note(error.print());
             Err(match output::check_stdout() {
                 Ok(()) => ExitCode::SUCCESS,
@@ -90,7 +90,7 @@ pub fn parse(arguments: impl Iterator<Item = OsString>) -> Result<Command, ExitC
     }
 }
 
-/// The option's value, in whatever command.
+/// Value of `--max-host-memory`, in any command.
 fn max_host_memory(matches: &ArgMatches) -> Option<u64> {
     let own = matches.try_get_one::<u64>("max_host_memory").ok().flatten().copied();
     own.or_else(|| max_host_memory(matches.subcommand()?.1))
@@ -118,7 +118,7 @@ fn summary(error: &clap::Error) -> String {
         return format!("{first}{place}; see --help");
     }
     let suggestion = suggestion(error).map(|word| format!("; did you mean '{word}'?")).unwrap_or_default();
-    // What was meant here is likelier than what another command has.
+    // A similar option of this command is likelier than an option of another command.
     if !suggestion.is_empty() || owners.is_empty() {
         let end = if suggestion.is_empty() { ";" } else { "" };
         return format!("{first}{suggestion}{end} see --help");
@@ -126,14 +126,14 @@ fn summary(error: &clap::Error) -> String {
     format!("{first}: it is an option of `{}`; leave it out here, see --help", owners.join("`, `"))
 }
 
-/// Where an option belongs that stands before all commands; none if it may be one of the program's own.
+/// Where an option belongs that is given before the command; `None` if it may be one of the program's own.
 fn place_of_options(error: &clap::Error, owners: &[String]) -> Option<String> {
-    /// Letters that a slip leaves as they are.
+    /// Number of first letters that a typing error leaves intact.
     const SAME: usize = 3;
     let usage = error.get(ContextKind::Usage)?.to_string();
     let ContextValue::String(option) = error.get(ContextKind::InvalidArg)? else { return None };
     let begin = |word: &str| word.chars().filter(|&c| c != '-').take(SAME).collect::<String>();
-    // "Usage: ashsplat train …" within a command.
+    // Usage within a command: "Usage: ashsplat train …".
     let within = usage.split("ashsplat ").nth(1).is_some_and(|rest| rest.starts_with(char::is_alphabetic));
     if within || suggestion(error).is_some_and(|word| begin(&word) == begin(option)) {
         return None;
@@ -144,7 +144,7 @@ fn place_of_options(error: &clap::Error, owners: &[String]) -> Option<String> {
     })
 }
 
-/// What stands behind `train` without an option: other programs take the data set so.
+/// A folder after `train` without an option, which is how other programs take the data set.
 fn folder_of_training(error: &clap::Error) -> Option<&str> {
     let usage = error.get(ContextKind::Usage)?.to_string();
     match error.get(ContextKind::InvalidArg)? {
@@ -155,7 +155,7 @@ fn folder_of_training(error: &clap::Error) -> Option<&str> {
     }
 }
 
-/// The option, command or value that is written nearly so.
+/// The option, command or value with a similar name.
 fn suggestion(error: &clap::Error) -> Option<String> {
     let kinds = [ContextKind::SuggestedArg, ContextKind::SuggestedSubcommand, ContextKind::SuggestedValue];
     kinds.into_iter().find_map(|kind| match error.get(kind)? {
@@ -165,7 +165,7 @@ fn suggestion(error: &clap::Error) -> Option<String> {
     })
 }
 
-/// The commands that know an option ("--windows").
+/// The commands that have an option ("--windows").
 fn owners(option: &str) -> Vec<String> {
     fn collect(command: &clap::Command, path: &str, name: &str, found: &mut Vec<String>) {
         if command.get_arguments().any(|argument| argument.get_long() == Some(name)) {
@@ -182,7 +182,7 @@ fn owners(option: &str) -> Vec<String> {
     found
 }
 
-/// `--sh_degree=3` as `--sh-degree=3`: the reference's names have underscores.
+/// Turns `--sh_degree=3` into `--sh-degree=3`: the reference's names have underscores.
 fn hyphenated(argument: OsString) -> OsString {
     let Some(text) = argument.to_str().filter(|text| text.starts_with("--")) else { return argument };
     match text.split_once('=') {

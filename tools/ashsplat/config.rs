@@ -22,11 +22,10 @@ use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use toml::Table;
 
-/// The names of the presets.
 pub const PRESETS: [&str; 3] = ["fast", "default", "quality"];
-/// Name of the dump that `--config` reads back.
+/// Name of the settings dump for `--config`.
 pub const SETTINGS_FILE: &str = "settings.toml";
-/// Name of the dump in the reference's format.
+/// Name of the settings dump in the reference's format.
 pub const CFG_ARGS_FILE: &str = "cfg_args";
 /// Name of the list of a run's cameras, held-out ones first.
 pub const CAMERAS_FILE: &str = "cameras.json";
@@ -101,7 +100,7 @@ pub struct Overrides {
     train: TrainOverrides,
 }
 
-/// An iteration; -1, with which scripts for the reference say "never", becomes 0, which never comes.
+/// Parses an iteration. -1, which means "never" in scripts for the reference, becomes 0, which never comes.
 fn iteration(text: &str) -> Result<u32, std::num::ParseIntError> {
     if text == "-1" { Ok(0) } else { text.parse() }
 }
@@ -114,19 +113,19 @@ pub struct Settings {
 }
 
 impl Settings {
-    /// Defaults, overridden by the file, overridden by the command line; checked.
+    /// Resolves and checks the settings: defaults, overridden by the file, overridden by the command line.
     pub fn resolve(file: Option<&Path>, overrides: &Overrides) -> Result<Settings> {
         Self::resolve_from(Defaults::Usual, Self::given(file, overrides)?)
     }
 
-    /// What the file and the command line say, by name.
+    /// Settings from the file and the command line, by name.
     fn given(file: Option<&Path>, overrides: &Overrides) -> Result<Table> {
         let mut table = match file {
             Some(path) => file::table(path)?,
             None => Table::new(),
         };
         let mut given = Table::try_from(overrides).map_err(|e| Error::argument("settings", e.to_string()))?;
-        // What the file says would win over a preset, which is a set of defaults.
+        // A preset is a set of defaults, which settings in the file would override.
         let chosen = [
             "strategy",
             "cap_ratio",
@@ -143,7 +142,7 @@ impl Settings {
             let problem = format!("sets {key}, which --preset would set");
             return Err(Error::input(path, problem, "leave out one of them, or --preset"));
         }
-        // Of a file only what says no more: one that a run has left has all of it.
+        // A job in a file counts only if the file lacks the settings that follow from it. A dump has all of them.
         let of_file = table.get("job").filter(|_| !table.contains_key("source_path"));
         if let Some(job) = overrides.block.job.as_deref().or(of_file.and_then(toml::Value::as_str)) {
             let job = Job::find(job)?.settings();
@@ -154,7 +153,7 @@ impl Settings {
         Ok(table)
     }
 
-    /// As [`Settings::resolve`], of what is given, from these defaults.
+    /// Same as [`Settings::resolve`], from a table of given settings and these defaults.
     fn resolve_from(defaults: Defaults, table: Table) -> Result<Settings> {
         let settings = Settings::with_defaults(defaults, table)
             .map_err(|problem| Error::argument("settings", problem))?;
@@ -171,7 +170,7 @@ impl Settings {
         Ok(settings)
     }
 
-    /// The settings that a run left in its folder: ours, or the reference's `cfg_args`.
+    /// The settings that a run left in its folder: settings.toml, or the reference's `cfg_args`.
     pub fn of_model(folder: &Path) -> Result<Settings> {
         let ours = folder.join(SETTINGS_FILE);
         if ours.is_file() {
@@ -195,7 +194,7 @@ impl Settings {
         let data_keys = Table::try_from(DataSettings::default()).map_err(|e| e.to_string())?;
         let (data, train): (Table, Table) =
             table.into_iter().partition(|(key, _)| data_keys.contains_key(key));
-        // What is not given has the default of the strategy.
+        // Missing settings get the strategy's defaults.
         let strategy = train.get("strategy").cloned().map(StrategyType::deserialize).transpose();
         let strategy = strategy.map_err(message)?;
         let usual = defaults.of(preset, strategy);
@@ -214,7 +213,7 @@ impl Settings {
         Ok(Settings { data, train: all.try_into().map_err(message)? })
     }
 
-    /// The dump that `--config` reads back.
+    /// The settings dump for `--config`.
     pub fn to_toml(&self) -> Result<String> {
         let problem = |e: toml::ser::Error| Error::argument("settings", e.to_string());
         let data = toml::to_string(&self.data).map_err(problem)?;
@@ -223,7 +222,7 @@ impl Settings {
     }
 
     /// The line that the reference writes: the `repr` of its parsed model arguments, which viewers and scripts
-    /// look into.
+    /// read.
     pub fn to_cfg_args(&self) -> String {
         let python = |value: bool| if value { "True" } else { "False" };
         let quoted = |path: &Path| python_string(&absolute(path).to_string_lossy());
@@ -290,7 +289,7 @@ mod tests {
         {
             let settings = resolved(&format!("preset = '{name}'")).expect("settings");
             assert_eq!(settings.train, TrainSettings::of_preset(preset));
-            // The dump has all of it, and no preset.
+            // The dump has all settings, and no preset.
             let dump = settings.to_toml().expect("a dump");
             assert_eq!(resolved(&dump).expect("settings"), settings);
         }
@@ -358,7 +357,7 @@ mod tests {
         assert!(message.contains("mcm") && message.contains("mcmc"), "{message}");
     }
 
-    /// `default` was the name of the reference's strategy.
+    /// `default` was the earlier name of the reference's strategy.
     #[test]
     fn a_strategy_is_known_by_its_earlier_name() {
         let command = TrainOverrides::augment_args(Command::new("train"));
@@ -372,7 +371,7 @@ mod tests {
         assert_eq!(read.train.strategy, StrategyType::Reference);
     }
 
-    /// Options, files and checkpoints have the same names and kinds of values.
+    /// Options, files and checkpoints share names and types of values.
     #[test]
     fn every_option_is_on_the_command_line_and_in_the_file() {
         let file = Table::try_from(TrainSettings::default()).expect("a table");

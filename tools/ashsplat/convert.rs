@@ -74,7 +74,7 @@ struct Given {
     translate: Vec<DVec3>,
 }
 
-/// A move of `--rotate`, `--scale` or `--translate`.
+/// A value of `--rotate`, `--scale` or `--translate`.
 #[derive(Clone, Copy)]
 enum Step {
     Rotate(DVec3),
@@ -82,11 +82,11 @@ enum Step {
     Translate(DVec3),
 }
 
-/// The same, by what each move belongs to.
+/// Parsed inputs, each with its own similarity.
 struct Inputs {
     inputs: Vec<(PathBuf, Similarity)>,
     output: PathBuf,
-    /// How everything is moved.
+    /// Similarity of the whole output.
     similarity: Similarity,
 }
 
@@ -108,7 +108,7 @@ impl FromArgMatches for Inputs {
         let refused = |text: String| clap::Error::raw(clap::error::ErrorKind::ValueValidation, text + "\n");
         let last = paths.last().map_or(0, |last| last.0);
         let (place, output) = match given.out {
-            // Before an input it is not the end of the inputs.
+            // An --out before an input does not mark the end of the inputs.
             Some(out) => (places("out").next().filter(|at| *at > last).unwrap_or(usize::MAX), out),
             None if paths.len() > 1 => paths.remove(paths.len() - 1),
             None => return Err(refused("OUT is missing: give the new file after the input".into())),
@@ -138,7 +138,7 @@ impl FromArgMatches for Inputs {
     }
 }
 
-/// The move of one input: the rotation comes first, then the scale, then the translation.
+/// The similarity of one input: rotation, then scale, then translation.
 fn similarity(steps: &[Step]) -> Result<Similarity, String> {
     let (mut rotate, mut scale, mut translate) = (None, None, None);
     for step in steps {
@@ -157,7 +157,7 @@ fn similarity(steps: &[Step]) -> Result<Similarity, String> {
     }
     let [x, y, z] = rotate.unwrap_or_default().to_array().map(f64::to_radians);
     Ok(Similarity {
-        // The last is applied first.
+        // The last rotation is applied first.
         rotation: DQuat::from_euler(EulerRot::ZYX, z, y, x),
         scale,
         translation: translate.unwrap_or_default(),
@@ -188,13 +188,12 @@ pub fn parse_target(text: &str) -> Result<Target, String> {
     }
 }
 
-/// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<()> {
     let options = arguments.options()?;
     let output = &arguments.inputs.output;
     let inputs = &arguments.inputs.inputs;
     let has_folder = inputs.iter().any(|(path, _)| path.is_dir());
-    // Files may be among model folders.
+    // Files and model folders may be mixed.
     let iteration_of = |path: &PathBuf| arguments.iteration.filter(|_| path.is_dir() || !has_folder);
     let located = |(path, _): &(PathBuf, Similarity)| Ok(Model::locate(path, iteration_of(path))?.ply);
     let files = inputs.iter().map(located).collect::<Result<Vec<PathBuf>>>()?;

@@ -2,8 +2,8 @@
 
 use std::fs;
 
-/// User and system time of all living threads so far, seconds: to the nanosecond where the kernel keeps scheduling
-/// statistics, else in hundredths of a second; None where the system tells neither.
+/// User and system time of all living threads so far, seconds: to the nanosecond if the kernel keeps scheduling
+/// statistics, else in hundredths of a second. `None` if the system reports neither.
 pub fn process_seconds() -> Option<f64> {
     scheduled_seconds().or_else(ticked_seconds)
 }
@@ -22,7 +22,7 @@ fn ticked_seconds() -> Option<f64> {
     /// Linux fixes the unit for user space.
     const TICKS_PER_SECOND: f64 = 100.0;
     let stat = fs::read_to_string("/proc/self/stat").ok()?;
-    // The second field is the program's name in parentheses and may hold anything: count from behind it.
+    // The second field is the program's name in parentheses, which may contain anything. Fields are counted after it.
     let fields: Vec<&str> = stat.rsplit_once(')')?.1.split_whitespace().collect();
     let ticks = |index: usize| fields.get(index)?.parse::<f64>().ok();
     Some((ticks(11)? + ticks(12)?) / TICKS_PER_SECOND)

@@ -45,10 +45,9 @@ pub struct Arguments {
     quiet: bool,
 }
 
-/// Two processor cores without a GPU manage these in little more than a minute.
+/// Number of iterations that takes two processor cores without a GPU little more than a minute.
 const ITERATIONS: u32 = 1200;
 
-/// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<()> {
     arguments.choices.check()?;
     let start = Instant::now();
@@ -60,7 +59,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         say!("data set        {}", data.display());
         return Ok(());
     }
-    // The device first: without one, nothing should be written.
+    // Opens the device first: without one, nothing should be written.
     let context = arguments.device.context()?;
     write()?;
     let settings = settings(&data, &folder.join("model"), arguments.iterations, arguments.seed);

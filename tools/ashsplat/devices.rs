@@ -15,10 +15,9 @@ pub struct Arguments {
     measure: bool,
 }
 
-/// Of a buffer that is measured.
+/// Size of a measured buffer.
 const MEASURED_BYTES: u64 = 64 << 20;
 
-/// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<()> {
     if arguments.requirements {
         vk::Context::requirements().to_string().lines().for_each(|line| say!("{line}"));
@@ -33,7 +32,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     Ok(())
 }
 
-/// A line for each memory type that the host sees, GB/s.
+/// Prints a line for each memory type that the host can access, GB/s.
 fn measure(device: &DeviceDescription) -> Result<()> {
     let options = ContextOptions { device: Some(device.index.to_string()), ..ContextOptions::default() };
     let context = Context::new(&options)?;

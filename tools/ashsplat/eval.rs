@@ -68,12 +68,12 @@ pub struct Arguments {
     quiet: bool,
 }
 
-/// Pictures of no structure in common have about this PSNR, dB.
+/// PSNR of unrelated pictures, about, dB.
 const UNLIKE_DB: f64 = 10.0;
 
-/// Means over the held-out views, by iteration.
+/// File of the means over the held-out views, by iteration.
 pub const RESULTS_FILE: &str = "results.json";
-/// The same for each view.
+/// File of each view's results, by iteration.
 pub const PER_VIEW_FILE: &str = "per_view.json";
 
 /// Quality of one view.
@@ -84,15 +84,15 @@ pub struct ViewResult {
     pub ssim: f64,
     /// One for each of [`Evaluation::measures`].
     pub lpips: Vec<f64>,
-    /// Time of a frame, if asked: on the device where it has timestamps, else of the call.
+    /// Time of a frame, if requested: device time if there are timestamps, else wall-clock time of the call.
     pub frame_ms: Option<f64>,
 }
 
-/// What a scene takes.
+/// Size of a scene.
 #[derive(Clone, Copy)]
 pub struct SceneSize {
     pub gaussians: u64,
-    /// Of its file.
+    /// Size of its file.
     pub bytes: Option<u64>,
 }
 
@@ -103,38 +103,38 @@ pub struct Evaluation {
     /// Names of the LPIPS that were measured.
     pub measures: Vec<&'static str>,
     pub scene: Option<SceneSize>,
-    /// The same views with their cameras aligned to the scene, if the poses of the training views were optimised.
+    /// The same views with cameras aligned to the scene, if training optimised the poses.
     pub aligned: Option<Box<Evaluation>>,
 }
 
-/// What is made of views besides PSNR and SSIM.
+/// Further measurements of views besides PSNR and SSIM.
 #[derive(Default)]
 pub struct More<'a> {
     /// Saves the pictures.
     pub pictures: Option<&'a mut Pictures>,
     /// Measures LPIPS.
     pub lpips: Option<&'a mut Perceptual>,
-    /// Draws each frame once more, and takes the time.
+    /// Draws each frame a second time and measures its time.
     pub frame_times: bool,
 }
 
 impl Evaluation {
-    /// Mean over the views, dB; no number where none was measured.
+    /// Mean over the views, dB; NaN if none was measured.
     pub fn psnr(&self) -> f64 {
         self.mean(|view| view.psnr)
     }
 
-    /// Mean over the views; no number where none was measured.
+    /// Mean over the views; NaN if none was measured.
     pub fn ssim(&self) -> f64 {
         self.mean(|view| view.ssim)
     }
 
-    /// Name and mean over the views of each LPIPS that was measured.
+    /// Name and mean over the views of each measured LPIPS.
     pub fn lpips(&self) -> impl Iterator<Item = (&'static str, f64)> {
         self.measures.iter().enumerate().map(|(index, name)| (*name, self.mean(|view| view.lpips[index])))
     }
 
-    /// Median over the views of the time of a frame, milliseconds, where it was taken.
+    /// Median frame time over the views, milliseconds, if it was measured.
     pub fn frame_ms(&self) -> Option<f64> {
         let mut times: Vec<f64> = self.views.iter().filter_map(|view| view.frame_ms).collect();
         times.sort_by(f64::total_cmp);
@@ -147,7 +147,7 @@ impl Evaluation {
         self.views.iter().map(value).sum::<f64>() / self.views.len() as f64
     }
 
-    /// The means in words.
+    /// The means, for a message.
     pub fn describe(&self) -> String {
         if self.views.is_empty() {
             return "PSNR and SSIM not measured".into();
@@ -158,7 +158,7 @@ impl Evaluation {
         format!("PSNR {:.2} dB, SSIM {:.4}{lpips}{}", self.psnr(), self.ssim(), aligned.unwrap_or_default())
     }
 
-    /// The reference's entry in results.json, and what it has not. Its LPIPS is that of VGG16, unscaled.
+    /// The reference's entry in results.json, with additional values. Its LPIPS is that of VGG16, unscaled.
     pub fn summary(&self) -> Value {
         let mut summary = Map::new();
         summary.insert("SSIM".into(), json!(self.ssim()));
@@ -202,8 +202,8 @@ impl Evaluation {
     }
 }
 
-/// Where the pictures of a test are saved, as `renders/00000.png` and `gt/00000.png`. One that cannot be written ends the
-/// saving, and not the test.
+/// Saves the pictures of a test as `renders/00000.png` and `gt/00000.png`. A picture that cannot be written ends the
+/// saving, not the test.
 pub struct Pictures {
     folder: PathBuf,
     saved: Result<()>,
@@ -221,13 +221,13 @@ impl Pictures {
         }
     }
 
-    /// Whether all were written.
+    /// The first error of saving, if any.
     pub fn saved(self) -> Result<()> {
         self.saved
     }
 }
 
-/// Renders the views, measures them and, if asked, saves them. One view is held at a time.
+/// Renders and measures the views, and saves them if requested. One view is in memory at a time.
 pub fn evaluate<V: Borrow<View>>(
     views: impl Iterator<Item = Result<V>>,
     protocol: &Protocol,
@@ -263,7 +263,7 @@ pub fn evaluate<V: Borrow<View>>(
     Ok(Evaluation { views: results, measures, scene: None, aligned: None })
 }
 
-/// Time of a frame, for which everything is ready, milliseconds.
+/// Time of a warm frame, milliseconds.
 fn frame_ms(draw: impl FnOnce() -> Result<Frame>) -> Result<f64> {
     let start = Instant::now();
     let frame = draw()?;
@@ -273,12 +273,12 @@ fn frame_ms(draw: impl FnOnce() -> Result<Frame>) -> Result<f64> {
     Ok(if device > 0.0 { device } else { wall })
 }
 
-/// Whether a view's mask hides all of it.
+/// True if a view's mask hides all of it.
 pub fn is_hidden(view: &View) -> Result<bool> {
     Ok(view.photo.mask()?.is_some_and(|mask| mask.iter().all(|&counts| counts == 0)))
 }
 
-/// PSNR of a frame, clamped to [0, 1], against what of the view's photo counts, dB.
+/// PSNR of a frame, clamped to [0, 1], against the visible pixels of the view's photo, dB.
 pub fn psnr(view: &View, frame: &Frame) -> Result<f64> {
     let photo = view.photo.photo()?.to_f32();
     match view.photo.mask()? {
@@ -287,7 +287,7 @@ pub fn psnr(view: &View, frame: &Frame) -> Result<f64> {
     }
 }
 
-/// As [`psnr`], and SSIM.
+/// Same as [`psnr`], and SSIM.
 fn measure(view: &View, frame: &Frame) -> Result<ViewResult> {
     let photo = view.photo.photo()?.to_f32();
     let ssim = match view.photo.mask()? {
@@ -298,7 +298,7 @@ fn measure(view: &View, frame: &Frame) -> Result<ViewResult> {
     Ok(ViewResult { name, psnr: psnr(view, frame)?, ssim, lpips: Vec::new(), frame_ms: None })
 }
 
-/// Adds an iteration's results to a model folder's results.json and per_view.json, keeping those of others.
+/// Adds an iteration's results to a model folder's results.json and per_view.json. Other iterations' results stay.
 pub fn write_results(folder: &Path, iteration: u32, evaluation: &Evaluation) -> Result<()> {
     let key = format!("ours_{iteration}");
     for (file, entry) in [(RESULTS_FILE, evaluation.summary()), (PER_VIEW_FILE, evaluation.per_view())] {
@@ -315,7 +315,6 @@ pub fn write_results(folder: &Path, iteration: u32, evaluation: &Evaluation) -> 
     Ok(())
 }
 
-/// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<()> {
     let path = arguments.model.as_ref().or(arguments.model_path.as_ref());
     let path = path.ok_or_else(|| Error::argument("MODEL", "is missing"))?;
@@ -343,7 +342,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     renderer.upload(&scene.gaussians)?;
     let look = arguments.look.settings(&model.settings, &scene.header)?;
     let settings = RenderSettings { inverse_depth: false, ..look };
-    // Where poses were optimised, training views have their own; those that were held out are aligned.
+    // With optimised poses, training views have their own; held-out views are aligned.
     let pose_opt = model.settings.train.pose_opt;
     let moved = match (&model.folder, pose_opt) {
         (Some((folder, _)), true) => by_name(cameras_json::read(folder.join(CAMERAS_FILE), &scene.frame)?),
@@ -398,12 +397,12 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     Ok(())
 }
 
-/// The exposures of a model folder, and the halves that its training left.
+/// The learned exposures of a model folder, and the views whose left half was trained on.
 fn protocol(model: &Model, gallery: &Gallery) -> Result<Protocol> {
     let Some((folder, _)) = &model.folder else { return Ok(Protocol::default()) };
     let halves = model.settings.data.train_test_exp;
     if halves {
-        // Without them the halves cannot be compared.
+        // Halves can only be compared with their exposures, so a missing file is an error.
         exposure_json::read(folder.join(EXPOSURE_FILE))?;
     }
     let cameras = gallery.cameras().into_iter().zip(gallery.held_out());
@@ -411,7 +410,7 @@ fn protocol(model: &Model, gallery: &Gallery) -> Result<Protocol> {
     Ok(Protocol { lights: Lights::read(folder)?, halves: held_out.collect() })
 }
 
-/// How cameras are aligned to a scene: with training's loss.
+/// Settings for aligning cameras to a scene: training's loss.
 pub fn alignment_of(settings: &TrainSettings) -> Alignment {
     Alignment { lambda_dssim: settings.lambda_dssim as f32, ..Alignment::default() }
 }
@@ -421,7 +420,7 @@ pub fn by_name(cameras: Vec<NamedCamera>) -> HashMap<String, Camera> {
     cameras.into_iter().map(|NamedCamera { name, camera }| (name, camera)).collect()
 }
 
-/// A view with the pose that its camera among these has, if any.
+/// A view at its camera's pose in `cameras`, if it has one.
 pub fn at_its_place(view: View, cameras: &HashMap<String, Camera>) -> View {
     match cameras.get(&view.name) {
         None => view,
@@ -433,7 +432,7 @@ pub fn at_its_place(view: View, cameras: &HashMap<String, Camera>) -> View {
     }
 }
 
-/// Which views are measured.
+/// Indices of the measured views.
 fn chosen_views(gallery: &Gallery, all: bool, data: &DataSettings) -> Result<Vec<usize>> {
     let held_out = gallery.held_out();
     let chosen: Vec<usize> = (0..held_out.len()).filter(|&index| all || held_out[index]).collect();

@@ -39,7 +39,6 @@ pub struct Arguments {
 
 const WORK: Work = Work { file: ".exchange.lock", what: "exchange", option: "BLOCKS.json" };
 
-/// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<()> {
     let file = BlocksFile::read(&arguments.blocks)?;
     let rounds = file.division.rounds;
@@ -69,7 +68,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     Exchange::new(&file, round, arguments)?.run()
 }
 
-/// What is exchanged after a round.
+/// An exchange after a round.
 struct Exchange<'a> {
     file: &'a BlocksFile,
     round: u32,
@@ -77,7 +76,7 @@ struct Exchange<'a> {
 }
 
 impl<'a> Exchange<'a> {
-    /// Refuses a division of which any block is not at the end of the round, and names them.
+    /// Refuses a division with blocks that have not ended the round, and names them.
     fn new(file: &'a BlocksFile, round: u32, arguments: &'a Arguments) -> Result<Self> {
         let mut missing = BTreeMap::<&'static str, Vec<String>>::new();
         for block in &file.division.blocks {
@@ -117,7 +116,7 @@ impl<'a> Exchange<'a> {
         Err(Error::input(path, problem, "train the block again"))
     }
 
-    /// Those of a checkpoint that lie in its own block's cell, and of them those in another box.
+    /// A block's checkpoint with only those Gaussians in its own cell for which `within` is true.
     fn own(&self, block: &Block, within: impl Fn([f32; 3]) -> bool) -> Result<Checkpoint> {
         let mut checkpoint = self.checkpoint(block)?;
         let (core, _) = self.file.division.core_and_margin(block);
@@ -131,7 +130,7 @@ impl<'a> Exchange<'a> {
     fn run(&self) -> Result<()> {
         let (file, round) = (self.file, self.round);
         let blocks = &file.division.blocks;
-        // Before anything is written: damaged checkpoints and other settings are errors.
+        // Checked before anything is written: damaged checkpoints and differing settings are errors.
         let scene = self.gather()?;
         let bar = counting("blocks exchanged", blocks.len() as u64, self.arguments.quiet);
         for block in blocks {
@@ -144,7 +143,7 @@ impl<'a> Exchange<'a> {
         }
         bar.finish_and_clear();
         file.note_exchange(round)?;
-        // Nothing goes on from there any more.
+        // The files of the earlier exchange are not needed any more.
         if round > 1 {
             std::fs::remove_file(file.exchanged_scene(round - 1)).ok();
             for block in blocks {
@@ -159,7 +158,7 @@ impl<'a> Exchange<'a> {
         Ok(())
     }
 
-    /// Reads all checkpoints, and writes the scene that all blocks are; as it is read again.
+    /// Reads all checkpoints, and writes the scene of all blocks. Returns it as it is read again.
     fn gather(&self) -> Result<Gaussians> {
         let file = self.file;
         let blocks = &file.division.blocks;
@@ -190,13 +189,13 @@ impl<'a> Exchange<'a> {
         let (path, frame) = (file.exchanged_scene(self.round), file.division.frame());
         let options = WriteOptions { frame, ..marks.unwrap_or_default() };
         splats::write(&path, &scene, &options)?;
-        // As trainings will read it: in source units it is rounded.
+        // Read back as trainings will read it: source units round it.
         let mut scene = splats::read(&path, &self.arguments.host.reading(false))?;
         scene.express_in(&frame);
         Ok(scene.gaussians)
     }
 
-    /// Writes what a block goes on from. How many of its Gaussians are its own and its neighbours'.
+    /// Writes the checkpoint that a block continues from. Returns the numbers of its own and its neighbours' Gaussians.
     fn exchanged(&self, block: &Block, scene: &Gaussians) -> Result<(usize, usize)> {
         let file = self.file;
         let (core, margin) = file.division.core_and_margin(block);
@@ -215,7 +214,7 @@ impl<'a> Exchange<'a> {
     }
 }
 
-/// Whether a cell has anything of a core grown by its margin.
+/// True if a cell overlaps a core with its margin.
 fn touches(cell: Bounds, core: Bounds, margin: f32) -> bool {
     cell.min.cmple(core.max + margin).all() && cell.max.cmpge(core.min - margin).all()
 }

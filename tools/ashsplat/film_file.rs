@@ -1,4 +1,4 @@
-//! Films as files: an animated GIF, or an MP4 or WebM by ffmpeg. One frame is in memory at a time.
+//! Writes films: an animated GIF, or an MP4 or WebM by ffmpeg. One frame is in memory at a time.
 
 use crate::child::{INSTALL_FFMPEG, Running, not_started};
 use crate::output;
@@ -10,17 +10,18 @@ use std::path::Path;
 use std::process::{ChildStdin, Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// GIFs count in hundredths of a second, and browsers take less than two of them for ten.
+/// Least delay of a GIF frame, hundredths of a second; browsers replace shorter ones by ten.
 const GIF_LEAST_DELAY: usize = 2;
-/// 1 to 30, quicker: how carefully a GIF's colours are chosen.
+/// Speed of a GIF's choice of colours, from 1 (careful) to 30 (quick).
 const GIF_SPEED: i32 = 10;
 
-/// Sides made even and colours halved, as most players want them; BT.709, and said so: without, players guess.
+/// Pads sides to even numbers and halves the colours' resolution, as most players need. BT.709 is declared, or players
+/// guess.
 const FILTER: &str =
     "pad=ceil(iw/2)*2:ceil(ih/2)*2,scale=in_range=pc:out_range=tv:out_color_matrix=bt709,format=yuv420p";
 const TAGS: [&str; 6] = ["-color_primaries", "bt709", "-color_trc", "iec61966-2-1", "-colorspace", "bt709"];
 
-/// Kinds of film.
+/// Container formats of films.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Container {
     Gif,
@@ -29,7 +30,7 @@ pub enum Container {
 }
 
 impl Container {
-    /// What a file's ending asks for; none if it is no film's.
+    /// The container by a file's extension; `None` if it is not a film.
     pub fn of(path: &Path) -> Result<Option<Self>> {
         let ending = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
         match ending.as_str() {
@@ -45,7 +46,7 @@ impl Container {
         }
     }
 
-    /// Refuses a film that cannot be made here, before its frames are.
+    /// Refuses a film that cannot be made on this machine, before its frames are drawn.
     pub fn check(self, path: &Path) -> Result<()> {
         if self == Self::Gif {
             return Ok(());
@@ -64,7 +65,7 @@ impl Container {
 
     fn codec(self) -> &'static [&'static str] {
         match self {
-            // The index in front, so that a browser need not load all of it.
+            // Puts the index first, so that a browser need not load the whole file.
             Self::Mp4 => &["-movflags", "+faststart", "-f", "mp4"],
             Self::Webm => &["-c:v", "libvpx-vp9", "-b:v", "0", "-crf", "30", "-row-mt", "1", "-f", "webm"],
             Self::Gif => &[],
@@ -72,13 +73,13 @@ impl Container {
     }
 }
 
-/// A film's frames, all of one size, and where they come from.
+/// The frames of a film, all of one size.
 pub struct Frames<'a> {
     pub count: usize,
     pub per_second: u32,
-    /// Called in order; a GIF of more than 50 frames per second leaves some out.
+    /// Called in order; a GIF of more than 50 frames per second skips some.
     pub frame: &'a mut dyn FnMut(usize) -> Result<Photo>,
-    /// Ends the work early, with an error.
+    /// Ends the work with an error when it becomes true.
     pub abandoned: &'a AtomicBool,
 }
 
@@ -125,7 +126,7 @@ fn write_by_ffmpeg(path: &Path, container: Container, frames: &mut Frames) -> Re
     if path.is_dir() {
         return Err(Error::input(path, "is a folder", "give a file's name"));
     }
-    // Under another name until it is whole; removed with the value.
+    // Written under a temporary name, which is removed unless the film is complete.
     let unfinished = atomic::unfinished(path)?;
     // A file instead of a pipe: no thread would read the pipe while ffmpeg runs.
     let mut said = tempfile::tempfile().map_err(io)?;
@@ -158,7 +159,7 @@ fn write_by_ffmpeg(path: &Path, container: Container, frames: &mut Frames) -> Re
     unfinished.persist()
 }
 
-/// Hands ffmpeg all frames, until it hangs up: why is told by what it says.
+/// Passes all frames to ffmpeg until it closes the pipe; its messages then give the reason.
 fn feed(
     input: &mut ChildStdin,
     first: Photo,
@@ -182,8 +183,9 @@ fn feed(
     input.flush().map_err(io)
 }
 
-/// The frames of a GIF and how long each is shown, hundredths of a second: what is lost by rounding one is made up by the
-/// next, so that the film has its length. Beyond 50 frames per second some are left out.
+/// The frames of a GIF and their delays, hundredths of a second. The next delay makes up for the rounding of the
+/// previous one, so
+/// the film keeps its length. Beyond 50 frames per second some frames are skipped.
 fn gif_frames(frames: usize, frames_per_second: usize) -> Vec<(usize, usize)> {
     let begins = |frame: usize| (200 * frame + frames_per_second) / (2 * frames_per_second);
     let mut shown: Vec<(usize, usize)> = Vec::new();

@@ -1,10 +1,10 @@
-//! Work whose panics are errors like others.
+//! Turns panics into errors.
 
 use ashsplat::{Error, Result};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
-/// Does what others must not end with: what they hold has to be whole after a panic at any place of it.
+/// Runs `work` and turns a panic into an error. What `work` holds must be valid after a panic at any point.
 pub fn guarded<T>(work: impl FnOnce() -> Result<T>) -> Result<T> {
-    // The panic has told where.
+    // The panic has already printed its place.
     catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|_| Err(Error::argument("a panic", "told above")))
 }

@@ -9,10 +9,10 @@ use image::codecs::png::PngEncoder;
 use image::{ExtendedColorType, ImageEncoder};
 use std::fmt::Write;
 
-/// Text for XML and HTML.
+/// Escapes text for XML and HTML.
 pub use crate::bench::plot::escape;
 
-/// Of every page; light and dark.
+/// Style of every page; light and dark.
 pub const STYLE: &str = "
 :root { color-scheme: light dark; --line: #8884; --text: #222; --page: #fff; --soft: #666; }
 @media (prefers-color-scheme: dark) { :root { --text: #ddd; --page: #181818; --soft: #999; } }
@@ -25,19 +25,19 @@ td, th { padding: 2px 7px; text-align: right; border-bottom: 1px solid var(--lin
 .row { display: flex; flex-wrap: wrap; gap: 1.2em; } figure { margin: 0; } figcaption { color: var(--soft); font-size: 12px; }
 ";
 
-/// A heading with a word about what follows.
+/// A heading with a note.
 pub fn section(out: &mut String, title: &str, note: &str) {
     let _ = writeln!(out, "<h2>{title}</h2><p class=\"note\">{note}</p>");
 }
 
-/// A picture as the address of an image, without loss.
+/// A picture as a data URL, lossless.
 pub fn png(width: u32, height: u32, rgb: &[u8]) -> Result<String> {
     let mut bytes = Vec::new();
     PngEncoder::new(&mut bytes).write_image(rgb, width, height, ExtendedColorType::Rgb8).map_err(refused)?;
     Ok(format!("data:image/png;base64,{}", BASE64_STANDARD.encode(bytes)))
 }
 
-/// A photo as the address of an image, small.
+/// A photo as a small data URL.
 pub fn jpeg(photo: &Photo) -> Result<String> {
     let mut bytes = Vec::new();
     let encoder = JpegEncoder::new_with_quality(&mut bytes, 90);
@@ -49,7 +49,7 @@ fn refused(error: image::ImageError) -> Error {
     Error::argument("picture of the page", format!("cannot be encoded: {error}"))
 }
 
-/// Dark blue, purple, orange, light yellow: rises in brightness, so it reads in grey too.
+/// A colour from dark blue over purple and orange to light yellow. Its brightness rises, so it reads in grey too.
 pub fn heat(share: f64) -> [u8; 3] {
     const STOPS: [[f64; 3]; 5] = [
         [8.0, 8.0, 32.0],
@@ -66,7 +66,7 @@ pub fn heat(share: f64) -> [u8; 3] {
 
 const BINS: usize = 40;
 
-/// A histogram of the finite values.
+/// Draws a histogram of the finite values.
 pub fn histogram(out: &mut String, name: &str, values: &[f64]) {
     let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
     for &value in values.iter().filter(|v| v.is_finite()) {

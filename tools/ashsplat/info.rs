@@ -44,12 +44,11 @@ pub struct Arguments {
     quiet: bool,
 }
 
-/// Rows of a histogram.
+/// Number of rows of a histogram.
 const ROWS: usize = 10;
 /// Length of a histogram's longest bar, characters.
 const BAR: usize = 40;
 
-/// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<()> {
     let path = &arguments.path;
     if model::is_dataset(path) {
@@ -100,7 +99,7 @@ fn dataset(arguments: &Arguments) -> Result<()> {
                 let (dataset, model) = (&arguments.path, model::usual_folder(&arguments.path));
                 let mut command =
                     format!("ashsplat train -s {} -m {}", quoted(&dataset.to_string_lossy()), quoted(&model));
-                // One photograph would be held out, and none be left.
+                // A single photograph would be held out, so that none is left.
                 if report.train_views + report.test_views > 1 {
                     command += " --eval";
                 }
@@ -149,7 +148,7 @@ fn corners_json([min, max]: [DVec3; 2]) -> Value {
     json!({ "min": min.to_array(), "max": max.to_array() })
 }
 
-/// What there is to say about a set of Gaussians.
+/// Statistics of a set of Gaussians.
 struct Summary {
     count: usize,
     sh_degree: u32,
@@ -165,7 +164,7 @@ impl Summary {
         let statistics = gaussians.statistics();
         let corners = |Bounds { min, max }: Bounds| [min, max].map(|corner| frame.source(corner));
         let opacities = gaussians.opacity_logits.iter().map(|logit| 1.0 / (1.0 + (-logit).exp()));
-        // A Gaussian's size is its largest scale; its logarithm in base 10 spreads evenly.
+        // A Gaussian's size is its largest scale. The decadic logarithm spreads sizes evenly.
         let largest = |scales: &[f32; 3]| scales.iter().copied().fold(f32::NEG_INFINITY, f32::max);
         let scales = gaussians.log_scales.iter().map(|s| largest(s) / std::f32::consts::LN_10);
         let density = |index| gaussians.log_density(index) / std::f32::consts::LN_10;
@@ -185,7 +184,7 @@ impl Summary {
         say!("SH degree  {}", self.sh_degree);
         for (name, bounds) in [("extent", self.bounds), ("central", self.central)] {
             if let Some([min, max]) = bounds {
-                // Three digits of what is smaller than a unit.
+                // Keeps three digits of lengths below one unit.
                 let digits = (2.0 - (max - min).max_element().log10().floor()).clamp(3.0, 12.0) as usize;
                 say!("{name:<10} from {min:.digits$} to {max:.digits$}");
             }
@@ -228,7 +227,7 @@ impl Histogram {
         let mut counts = [0; ROWS];
         let width = ((high - low) / ROWS as f32).max(f32::MIN_POSITIVE);
         for value in values {
-            // Saturates: what lies outside counts in the first or last row.
+            // Saturates, so that values outside count in the first or last row.
             counts[(((value - low) / width) as usize).min(ROWS - 1)] += 1;
         }
         Histogram { low, high, counts }

@@ -67,7 +67,6 @@ fn parse_pixel(text: &str) -> Result<[u32; 2], String> {
     numbers.ok_or_else(|| "expected two whole numbers with a comma between them".into())
 }
 
-/// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<()> {
     let model = Model::locate(&arguments.model, None)?;
     let scene = arguments.look.load(&model.ply, &arguments.device.host)?;
@@ -83,7 +82,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let mut renderer = Renderer::new(&context)?;
     renderer.upload(&scene.gaussians)?;
     let mut report = renderer.inspect(&camera, &settings, arguments.pixel)?;
-    // Depths in source units.
+    // Converts depths to source units.
     report.samples.iter_mut().for_each(|sample| sample.depth *= scene.frame.unit as f32);
     if arguments.json {
         print_json(&report)

@@ -1,4 +1,4 @@
-//! What photographs have of light besides the scene: their exposures, and the effects of the lenses that took them.
+//! Exposures of photographs, and effects of the lenses that took them.
 
 use ashsplat::scene::{Camera, Exposure, LensEffects};
 use ashsplat::{Frame, Result};
@@ -7,7 +7,7 @@ use ashsplat_files::lens_json::{LENS_FILE, LensFile};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// What a photograph made of the scene's colours: nothing by default.
+/// Exposure and lens effects of a photograph; none by default.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Light {
     pub exposure: Option<Exposure>,
@@ -19,12 +19,13 @@ impl Light {
         *self == Light::default()
     }
 
-    /// Changes the colours of a camera's frame, in the order of training.
+    /// Applies exposure and lens effects to a camera's frame, in the order of training.
     pub fn apply(&self, camera: &Camera, frame: &mut Frame) {
         self.apply_as_taken(camera, camera, frame);
     }
 
-    /// As [`Light::apply`], where the photo was `taken` with another picture plane: its lens is at the same angles.
+    /// Same as [`Light::apply`], but the photo was `taken` with another picture plane; lens effects depend on the
+    /// angle.
     pub fn apply_as_taken(&self, taken: &Camera, camera: &Camera, frame: &mut Frame) {
         if let Some(exposure) = &self.exposure {
             exposure.apply(&mut frame.color);
@@ -35,20 +36,20 @@ impl Light {
     }
 }
 
-/// That of all photographs of a training, by their names.
+/// Exposures and lens effects of all photographs of a training, by name.
 #[derive(Clone, Debug, Default)]
 pub struct Lights {
-    /// Of the photos that were trained on.
+    /// Exposures of the training photos.
     pub exposures: BTreeMap<String, Exposure>,
-    /// Also of photos that were held out.
+    /// Lens effects of all photos, held-out ones included.
     pub lenses: LensFile,
 }
 
 impl Lights {
-    /// What a training has left in its model folder: nothing where it did not learn it.
+    /// Reads what a training has left in its model folder; empty where it was not learned.
     ///
     /// # Errors
-    /// For a file that is not one of these, naming it.
+    /// Names a file that has another content.
     pub fn read(folder: &Path) -> Result<Lights> {
         let [exposures, lenses] = [folder.join(EXPOSURE_FILE), folder.join(LENS_FILE)];
         Ok(Lights {
@@ -57,7 +58,7 @@ impl Lights {
         })
     }
 
-    /// That of a photograph.
+    /// Exposure and lens effects of a photograph.
     pub fn of(&self, photo: &str) -> Light {
         Light { exposure: self.exposures.get(photo).copied(), lens: self.lenses.of(photo) }
     }

@@ -1,7 +1,7 @@
-//! One run at a time writes into a folder.
+//! Locks a folder, so that only one run at a time writes into it.
 //!
-//! The lock is the operating system's (`flock`): it ends with the process, however that ends, so none is left behind.
-//! Where there is no such lock (other systems than Unix, some network file systems) nothing is locked.
+//! The lock is the operating system's (`flock`), which ends with the process in any case, so none is left behind.
+//! Without such locks (systems other than Unix, some network file systems) nothing is locked.
 
 use crate::session;
 use ashsplat::{Error, Result};
@@ -12,35 +12,35 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
-/// How often a folder is looked at that another one holds.
+/// Interval between checks of a folder that another process holds.
 const WAIT: Duration = Duration::from_millis(500);
-/// How often, and after how long each, it is tried again before it is held.
+/// Number and interval of further tries before a folder counts as held.
 const GLANCES: u32 = 3;
 const GLANCE: Duration = Duration::from_millis(20);
-/// How often a folder may vanish that is being waited for.
+/// How often a folder that is waited for may vanish.
 const MOST_VANISHED: u32 = 20;
 
-/// What is done in a locked folder.
+/// Kind of work in a locked folder.
 pub struct Work {
-    /// The lock's name.
+    /// Name of the lock file.
     pub file: &'static str,
-    /// "training"
+    /// Name of the work for messages, such as "training".
     pub what: &'static str,
-    /// The option that names another folder.
+    /// Option that names another folder.
     pub option: &'static str,
 }
 
-/// Holds a folder until it is dropped.
+/// A lock on a folder, held until it is dropped.
 pub struct FolderLock {
     path: PathBuf,
-    /// None where files cannot be locked.
+    /// `None` if files cannot be locked.
     held: Option<File>,
-    /// Folders that were made for it, the innermost first.
+    /// Folders that were created for the lock, the innermost first.
     made: Vec<PathBuf>,
 }
 
 impl FolderLock {
-    /// Locks a folder, which exists.
+    /// Locks an existing folder.
     ///
     /// # Errors
     /// [`Error::Input`] naming the process that holds it; [`Error::Io`].
@@ -49,7 +49,7 @@ impl FolderLock {
         loop {
             match Self::try_take(folder, work)? {
                 Try::Locked(lock) => return Ok(lock),
-                // One who asks whether a folder is held holds it for that moment.
+                // Another process that only checks the lock holds it for a moment.
                 Try::Held(_) if glances < GLANCES => {
                     glances += 1;
                     std::thread::sleep(GLANCE);
@@ -63,10 +63,11 @@ impl FolderLock {
         }
     }
 
-    /// As [`FolderLock::take`], of a folder that need not exist. One that was made for it goes with it, if nothing was written there.
+    /// Same as [`FolderLock::take`], but creates the folder if needed. Dropping the lock removes a new folder that is
+    /// still empty.
     ///
     /// # Errors
-    /// Also where the folder cannot be made.
+    /// Same as [`FolderLock::take`]; [`Error::Io`] if the folder cannot be created.
     pub fn make(folder: &Path, work: &Work) -> Result<Self> {
         let made = missing(folder);
         atomic::create_folder(folder)?;
@@ -75,11 +76,12 @@ impl FolderLock {
         Ok(lock)
     }
 
-    /// As [`FolderLock::take`], once nobody else holds it; says whom it waits for. The folder need not be there: several that come
-    /// at once wait for each other then, too. Folders that were made for it are removed with the lock, if nothing was written there.
+    /// Same as [`FolderLock::take`], but waits while another process holds the folder, and reports which. It creates
+    /// the folder if
+    /// needed, also for several processes at once. Dropping the lock removes new folders that are still empty.
     ///
     /// # Errors
-    /// Also [`Error::Interrupted`], when `stop` is set meanwhile; where the folder cannot be made.
+    /// Same as [`FolderLock::make`]; [`Error::Interrupted`] if `stop` is set meanwhile.
     pub fn wait(folder: &Path, work: &Work, stop: &AtomicBool) -> Result<Self> {
         let (mut glances, mut told) = (0, false);
         loop {
@@ -94,7 +96,7 @@ impl FolderLock {
                     tell!("waiting for another {}{by} that writes into {}", work.what, folder.display());
                 }
                 Ok(Try::Held(_)) => {}
-                // Who made it has removed it meanwhile.
+                // The process that created the folder has removed it meanwhile.
                 Err(Error::Io { source, .. })
                     if source.kind() == ErrorKind::NotFound && glances < MOST_VANISHED => {}
                 Err(error) => return Err(error),
@@ -117,7 +119,7 @@ impl FolderLock {
         }
     }
 
-    /// Locks the open file; none where its last holder has removed it since it was opened.
+    /// Locks the open file; `None` if its last holder has removed it since.
     fn try_open(folder: &Path, mut file: File, work: &Work) -> Result<Option<Try>> {
         let path = folder.join(work.file);
         match try_lock(&file) {
@@ -145,14 +147,14 @@ impl FolderLock {
     }
 }
 
-/// What became of a try.
+/// Result of a try.
 enum Try {
     Locked(FolderLock),
-    /// By another one: " (its name)", or nothing where that is not known.
+    /// Held by another process: " (its name)", or empty if the name is unknown.
     Held(String),
 }
 
-/// Who holds a folder, in words; None where nobody does, and where that cannot be told.
+/// The holder of a folder, in words; `None` if there is none or it cannot be determined.
 pub fn holder(folder: &Path, work: &Work) -> Option<String> {
     let (file, _) = regular_file::open(folder.join(work.file)).ok()?;
     match try_lock(&file) {
@@ -161,14 +163,14 @@ pub fn holder(folder: &Path, work: &Work) -> Option<String> {
     }
 }
 
-/// What a holder has written of itself. It only makes messages better.
+/// Name that a holder has written; it is only used in messages.
 fn name_in(file: File) -> String {
     let mut name = String::new();
     file.take(1024).read_to_string(&mut name).ok();
     name.trim().to_owned()
 }
 
-/// "process 12 on node7": the folder may be that of many machines.
+/// "process 12 on node7": several machines may share the folder.
 fn own_name() -> String {
     let process = std::process::id();
     #[cfg(unix)]
@@ -180,7 +182,7 @@ fn own_name() -> String {
     format!("process {process}")
 }
 
-/// The folders of a path that do not exist, the innermost first.
+/// The missing folders of a path, the innermost first.
 fn missing(folder: &Path) -> Vec<PathBuf> {
     let is_missing = |path: &&Path| !path.as_os_str().is_empty() && !path.exists();
     folder.ancestors().take_while(is_missing).map(Path::to_owned).collect()
@@ -191,9 +193,9 @@ impl Drop for FolderLock {
         if self.held.is_some() || !self.made.is_empty() {
             fs::remove_file(&self.path).ok();
         }
-        // Network file systems keep what is open in its folder.
+        // Network file systems keep open files in their folder.
         drop(self.held.take());
-        // Those with something in them stay.
+        // Folders that are not empty stay.
         self.made.iter().for_each(|folder| drop(fs::remove_dir(folder)));
     }
 }
@@ -220,7 +222,7 @@ fn try_lock(_: &File) -> Locked {
     Locked::Unknown
 }
 
-/// Whether a path still names this file.
+/// True if a path still names this file.
 #[cfg(unix)]
 fn is_at(file: &File, path: &Path) -> bool {
     use std::os::unix::fs::MetadataExt;
@@ -258,13 +260,14 @@ mod tests {
         drop(first);
         assert_eq!(super::holder(folder.path(), &WORK), None);
         assert_eq!(fs::read_dir(folder.path()).expect("a folder").count(), 0, "nothing is left");
-        // A file that a killed process left has no holder.
+        // The file of a killed process has no holder.
         fs::write(folder.path().join(WORK.file), "process 1").expect("written");
         drop(FolderLock::take(folder.path(), &WORK).expect("free"));
         assert_eq!(fs::read_dir(folder.path()).expect("a folder").count(), 0);
     }
 
-    /// The last holder goes between another's opening of the file and its locking it, and a third comes: that one has it.
+    /// The last holder leaves between another's opening and locking of the file, and a third process comes: the third
+    /// has the lock.
     #[test]
     fn a_file_that_is_gone_locks_nothing() {
         let folder = tempfile::tempdir().expect("a temporary folder");
@@ -278,7 +281,7 @@ mod tests {
         assert!(FolderLock::take(folder.path(), &WORK).is_err());
         drop(third);
     }
-    /// Of several that come at once for a folder that is not there, each has it once, and none is refused.
+    /// Several threads wait for a missing folder at once: each holds it once, and none is refused.
     #[test]
     fn all_who_wait_for_a_new_folder_come_to_hold_it() {
         use std::sync::atomic::{AtomicU32, Ordering};
@@ -296,7 +299,7 @@ mod tests {
                 });
             }
         });
-        // What was made for one alone is gone with it.
+        // Folders that were created for a lock are removed with it.
         let other = place.path().join("another/one");
         drop(FolderLock::wait(&other, &WORK, &never).expect("held"));
         assert!(!place.path().join("another").exists());

@@ -1,15 +1,15 @@
 //! `ashsplat`: train, render and examine 3D Gaussian Splatting scenes from the command line.
 //!
-//! Every failure is one line `error: …` on stderr and exit code 2; an interrupted training saves and exits with 130; a
-//! comparison of benchmarks that finds what it is to fail for exits with 1.
+//! Every failure is one line `error: …` on stderr and exit code 2. An interrupted training saves and exits with 130. A
+//! benchmark comparison that finds a regression exits with 1.
 
-/// A line on stdout. Unlike `println!`, what cannot be written is no reason to die: a training must go on. A full disk is
+/// Prints a line on stdout. Unlike `println!`, a failure does not panic: a training must continue. A full disk is
 /// reported at the end, a closed pipe never.
 macro_rules! say {
     ($($text:tt)*) => { $crate::output::say(format_args!($($text)*)) };
 }
 
-/// A line on stderr.
+/// Prints a line on stderr.
 macro_rules! tell {
     ($($text:tt)*) => { $crate::output::tell(format_args!($($text)*)) };
 }
@@ -75,11 +75,11 @@ fn main() -> ExitCode {
     }
 }
 
-/// A file beyond `ulimit -f` is an error of writing like a full disk, and does not end the program.
+/// Turns a file beyond `ulimit -f` into a write error, like a full disk, instead of the end of the program.
 fn survive_file_limits() {
     #[cfg(unix)]
     {
-        // That it came is all that the handler notes; the system call says the rest.
+        // The handler only notes the signal; the system call returns the error.
         let came = std::sync::Arc::new(std::sync::atomic::AtomicBool::new(false));
         if let Err(error) = signal_hook::flag::register(signal_hook::consts::SIGXFSZ, came) {
             tell!("warning: {error}: a file beyond `ulimit -f` will end the program");
@@ -111,7 +111,7 @@ fn run(command: command_line::Command) -> Result<ExitCode> {
     done.map(|()| ExitCode::SUCCESS)
 }
 
-/// Line breaks (of an operating system's message, say) become spaces.
+/// Replaces line breaks, such as those of an operating system's message, by spaces.
 fn one_line(message: &str) -> String {
     message.split_whitespace().collect::<Vec<_>>().join(" ")
 }

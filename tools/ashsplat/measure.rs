@@ -1,4 +1,4 @@
-//! What a run costs: wall-clock and processor time.
+//! Measures wall-clock and processor time of a run.
 
 use crate::cpu_time::process_seconds;
 use std::time::Instant;
@@ -16,7 +16,7 @@ pub struct Stopwatch {
 pub struct Cost {
     pub iterations: u32,
     pub seconds: f64,
-    /// User and system time of the whole process; none where the system does not tell.
+    /// User and system time of the whole process; `None` if the system does not report it.
     pub cpu_seconds: Option<f64>,
 }
 
@@ -25,7 +25,7 @@ impl Stopwatch {
         Stopwatch { start: Instant::now(), cpu_start: process_seconds(), before: (0.0, 0.0) }
     }
 
-    /// Does something that does not count.
+    /// Runs a task whose time does not count.
     pub fn paused<T>(&mut self, task: impl FnOnce() -> T) -> T {
         let so_far = self.cost(0);
         let result = task();
@@ -34,9 +34,9 @@ impl Stopwatch {
         result
     }
 
-    /// What has been spent so far, for a number of iterations.
+    /// Time spent so far, for a number of iterations.
     pub fn cost(&self, iterations: u32) -> Cost {
-        // The clock knows living threads only: it goes back when one ends.
+        // The clock counts living threads only, so it goes back when one ends.
         let since = |start: f64, now: f64| (now - start).max(0.0);
         let cpu = self.cpu_start.zip(process_seconds()).map(|(start, now)| since(start, now) + self.before.1);
         Cost { iterations, seconds: self.before.0 + self.start.elapsed().as_secs_f64(), cpu_seconds: cpu }

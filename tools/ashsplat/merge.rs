@@ -56,14 +56,13 @@ pub struct Arguments {
 
 const WORK: Work = Work { file: ".merge.lock", what: "merge", option: "-o" };
 
-/// The report's JSON: quality/page.html.json, so that a page beside blocks.json may have its name.
+/// Path of the report's JSON: quality/page.html.json, so that a page beside blocks.json may have its name.
 fn results_beside(page: &Path) -> PathBuf {
     let mut name = page.as_os_str().to_owned();
     name.push(".json");
     name.into()
 }
 
-/// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<()> {
     let json = arguments.report.as_deref().map(results_beside);
     let results: [(&'static str, Option<&Path>); 3] = [
@@ -77,7 +76,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let scenes = scenes(&file, arguments.quiet)?;
     let others = [arguments.blocks.clone(), file.at(&file.division.coarse.path)];
     output::check_apart(&results, &[&scenes[..], &others].concat())?;
-    // What it needs is looked for before the work.
+    // Everything that the report needs is checked before the work.
     let ready = arguments.report.as_ref().map(|page| Ready::new(page, arguments, &file)).transpose()?;
     output::in_folder(&arguments.out, |out| {
         let folder = out.parent().filter(|folder| !folder.as_os_str().is_empty());
@@ -91,7 +90,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 impl Arguments {
     fn merge(&self, file: &BlocksFile, scenes: &[PathBuf], out: &Path) -> Result<()> {
         let blocks = &file.division.blocks;
-        // Positions in the files of blocks are in source units.
+        // Positions in the blocks' files are in source units.
         let frame = WorldFrame { unit: 1.0, ..file.division.frame() };
         let parts = scenes.iter().zip(blocks);
         let parts: Vec<Part<'_>> =
@@ -117,7 +116,7 @@ impl Arguments {
     }
 }
 
-/// The trained scenes of all blocks; refuses a division of which any is not as it should be, and names them.
+/// The trained scenes of all blocks. Refuses a division with unsuitable blocks, and names them.
 fn scenes(file: &BlocksFile, quiet: bool) -> Result<Vec<PathBuf>> {
     let blocks = &file.division.blocks;
     let bar = counting("blocks checked", blocks.len() as u64, quiet);

@@ -1,4 +1,4 @@
-//! Where a trained scene lies: a PLY, or a folder as training leaves it.
+//! Locates a trained scene: a PLY, or a model folder.
 
 use crate::config::Settings;
 use crate::output;
@@ -12,14 +12,14 @@ use std::path::{Path, PathBuf};
 pub struct Model {
     /// The Gaussians.
     pub ply: PathBuf,
-    /// The model folder and the iteration of the PLY in it; none for a bare PLY.
+    /// The model folder and the iteration of its PLY; `None` for a bare PLY.
     pub folder: Option<(PathBuf, u32)>,
-    /// What the run was made with; defaults for a bare PLY.
+    /// Settings of the training; defaults for a bare PLY.
     pub settings: Settings,
 }
 
 impl Model {
-    /// Finds the PLY of a model folder (of the given iteration, else the newest) or takes a PLY as it is.
+    /// Finds the PLY of a model folder (of the given iteration, else the newest). A path to a PLY is used directly.
     pub fn locate(path: &Path, iteration: Option<u32>) -> Result<Model> {
         let path = folder_of_tiles(path);
         if let Some(error) = splats::foreign(path) {
@@ -59,12 +59,12 @@ pub fn point_cloud_path(folder: &Path, iteration: u32) -> PathBuf {
 /// The folder of all saved iterations.
 pub const POINT_CLOUDS: &str = "point_cloud";
 
-/// Whether a folder is a tree of tiles.
+/// True if a folder is a tree of tiles.
 fn is_tiles(path: &Path) -> bool {
     path.join(TILESET_FILE).is_file()
 }
 
-/// The folder of a tree that is named by its description; else the same.
+/// The folder of a tree of tiles whose description is named; other paths are unchanged.
 pub fn folder_of_tiles(path: &Path) -> &Path {
     match path.parent().filter(|_| path.file_name().is_some_and(|name| name == TILESET_FILE)) {
         Some(parent) if parent.as_os_str().is_empty() => Path::new("."),
@@ -72,7 +72,7 @@ pub fn folder_of_tiles(path: &Path) -> &Path {
     }
 }
 
-/// Whether a path is taken for a data set, and not for a scene or a model folder.
+/// True if a path is a data set, not a scene or a model folder.
 pub fn is_dataset(path: &Path) -> bool {
     let is_archive = path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("zip"))
         || Dataset::is_archive(path);
@@ -80,7 +80,7 @@ pub fn is_dataset(path: &Path) -> bool {
     may_be && splats::foreign(path).is_none()
 }
 
-/// The model folder that is proposed for a data set: `out/NAME`.
+/// The model folder to propose for a data set: `out/NAME`.
 pub fn usual_folder(dataset: &Path) -> String {
     let whole = dataset.canonicalize().ok();
     let whole = whole.as_deref().unwrap_or(dataset);
@@ -90,7 +90,8 @@ pub fn usual_folder(dataset: &Path) -> String {
     format!("out/{}", name.strip_suffix("_dataset").unwrap_or(&name))
 }
 
-/// Which point cloud was saved last: not always the one with the highest number, where an earlier training left its own.
+/// File with the iteration that was saved last. It may not be the highest, if an earlier training left its point
+/// clouds.
 pub const LAST_ITERATION_FILE: &str = "last_iteration";
 
 /// Notes the iteration whose point cloud was saved last.
@@ -98,7 +99,7 @@ pub fn note_saved(folder: &Path, iteration: u32) -> Result<()> {
     output::write_text(&folder.join(LAST_ITERATION_FILE), &format!("{iteration}\n"))
 }
 
-/// The iterations whose point clouds are in a model folder, ascending.
+/// The iterations with a point cloud in a model folder, ascending.
 fn saved_iterations(folder: &Path) -> Vec<u32> {
     let Ok(entries) = std::fs::read_dir(folder.join(POINT_CLOUDS)) else { return Vec::new() };
     let iteration = |name: &str| name.strip_prefix("iteration_")?.parse::<u32>().ok();
@@ -108,7 +109,7 @@ fn saved_iterations(folder: &Path) -> Vec<u32> {
     saved
 }
 
-/// The iteration noted last, if its point cloud is there; else (in a folder that another program wrote) the highest.
+/// The noted iteration, if its point cloud exists; else the highest, for folders of other programs.
 fn newest_iteration(folder: &Path) -> Option<u32> {
     let note = output::read_note(&folder.join(LAST_ITERATION_FILE));
     let noted = note.and_then(|text| text.trim().parse::<u32>().ok());

@@ -1,4 +1,4 @@
-//! The files that commands leave: whole or not at all, in folders that are created as needed.
+//! Writes the files of commands: whole or not at all, in folders that are created as needed.
 
 use ashsplat::scene::{linear_from_premultiplied, linear_from_srgb};
 use ashsplat::{Error, Frame, RenderSettings, Result};
@@ -12,21 +12,21 @@ use std::io::{Cursor, ErrorKind, Write};
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
-/// Why stdout takes no more lines, from the first that it did not take.
+/// The first error of writing to stdout.
 static STDOUT_FAILURE: OnceLock<std::io::Error> = OnceLock::new();
 
-/// Writes a line to stdout. A closed pipe is no error. The work continues after any other failure, and
+/// Writes a line to stdout. A closed pipe is not an error. The work continues after any other failure, and
 /// [`check_stdout`] reports it at the end.
 pub fn say(text: std::fmt::Arguments<'_>) {
     note(writeln!(std::io::stdout(), "{text}"));
 }
 
-/// Writes a line to stderr, where that is possible.
+/// Writes a line to stderr, ignoring failures.
 pub fn tell(text: std::fmt::Arguments<'_>) {
     writeln!(std::io::stderr(), "{text}").ok();
 }
 
-/// Keeps what became of writing to stdout for [`check_stdout`].
+/// Keeps the result of writing to stdout for [`check_stdout`].
 pub fn note(written: std::io::Result<()>) {
     match written {
         Err(e) if e.kind() != ErrorKind::BrokenPipe => drop(STDOUT_FAILURE.set(e)),
@@ -34,7 +34,7 @@ pub fn note(written: std::io::Result<()>) {
     }
 }
 
-/// Whether everything said arrived, but for a reader who has left.
+/// Returns the first failure of writing to stdout, except a closed pipe.
 pub fn check_stdout() -> Result<()> {
     note(std::io::stdout().flush());
     match STDOUT_FAILURE.get() {
@@ -43,8 +43,8 @@ pub fn check_stdout() -> Result<()> {
     }
 }
 
-/// Refuses results that could not be written, before the work that they are of: `(option, file)`. Folders
-/// that are missing are created when the file is written.
+/// Refuses results (option, file) that could not be written, before the work that makes them. Missing
+/// folders are created when the file is written.
 pub fn check(results: &[(&'static str, Option<&Path>)]) -> Result<()> {
     let mut seen: Vec<(&str, PathBuf)> = Vec::new();
     for (option, path) in results.iter().filter_map(|(option, path)| Some((option, (*path)?))) {
@@ -58,7 +58,7 @@ pub fn check(results: &[(&'static str, Option<&Path>)]) -> Result<()> {
     Ok(())
 }
 
-/// Refuses results that would take the place of what they are made of.
+/// Refuses results that would replace their inputs.
 pub fn check_apart(results: &[(&'static str, Option<&Path>)], inputs: &[PathBuf]) -> Result<()> {
     let inputs: Vec<PathBuf> = inputs.iter().filter_map(|path| path.canonicalize().ok()).collect();
     for (option, path) in results.iter().filter_map(|(option, path)| Some((option, (*path)?))) {
@@ -70,11 +70,11 @@ pub fn check_apart(results: &[(&'static str, Option<&Path>)], inputs: &[PathBuf]
     Ok(())
 }
 
-/// The same name for the same file; an error where it cannot be written.
+/// A unique name for a file; an error if it cannot be written.
 fn checked_file(path: &Path) -> Result<PathBuf> {
     match path.metadata() {
         Ok(found) if found.is_dir() => return Err(Error::input(path, "is a folder", "give a file's name")),
-        // A device or a pipe is written to as it is.
+        // A device or a pipe is written to directly.
         Ok(found) if !found.is_file() => return Ok(path.to_owned()),
         _ => {}
     }
@@ -89,7 +89,7 @@ fn checked_file(path: &Path) -> Result<PathBuf> {
     Ok(folder.join(missing).join(target.file_name().unwrap_or(name)))
 }
 
-/// Refuses a folder in which nothing can be created; returns the part of it that exists.
+/// Refuses a folder in which nothing can be created. Returns the part of it that exists.
 pub fn check_folder(folder: &Path) -> Result<PathBuf> {
     let named = folder.ancestors().find(|above| above.exists());
     let existing = named.filter(|above| !above.as_os_str().is_empty()).unwrap_or(Path::new("."));
@@ -100,7 +100,7 @@ pub fn check_folder(folder: &Path) -> Result<PathBuf> {
     Ok(existing.to_owned())
 }
 
-/// Creates the folder that a file is to lie in.
+/// Creates the folder of a file.
 fn make_way(path: &Path) -> Result<()> {
     match path.parent() {
         Some(folder) if !folder.as_os_str().is_empty() => atomic::create_folder(folder),
@@ -108,41 +108,41 @@ fn make_way(path: &Path) -> Result<()> {
     }
 }
 
-/// Creates the folders above a file and writes it; when that fails, the new folders go again.
+/// Creates the folders above a file and writes it. If that fails, the new folders are removed.
 pub fn in_folder<T>(path: &Path, write: impl FnOnce(&Path) -> Result<T>) -> Result<T> {
     let above = path.ancestors().skip(1).filter(|folder| !folder.as_os_str().is_empty());
     let new: Vec<&Path> = above.take_while(|folder| !folder.exists()).collect();
     let result = make_way(path).and_then(|()| write(path));
     if result.is_err() {
-        // Innermost first. A folder that another program has put a file into stays.
+        // Innermost first. A folder with a file of another program stays.
         new.iter().all(|folder| std::fs::remove_dir(folder).is_ok());
     }
     result
 }
 
-/// Writes a file and the folders above it.
+/// Writes a file and creates the folders above it.
 fn write_whole(path: &Path, fill: impl FnOnce(&mut dyn Write) -> std::io::Result<()>) -> Result<()> {
     in_folder(path, |path| atomic::write(path, fill))
 }
 
-/// The text of a note of ours, if there is one.
+/// Reads a short note of this program, if there is one.
 pub fn read_note(path: &Path) -> Option<String> {
     String::from_utf8(regular_file::read_at_most(path, 1024).ok()??).ok()
 }
 
-/// The names in a folder; none if it cannot be read.
+/// The names in a folder; empty if it cannot be read.
 pub fn names(folder: &Path) -> Vec<String> {
     let entries = std::fs::read_dir(folder).into_iter().flatten();
     entries.filter_map(|entry| entry.ok()?.file_name().into_string().ok()).collect()
 }
 
 /// Removes the temporary files (`.NAME.XXXXXX.tmp`) of an earlier run that was killed, in a folder and in
-/// `levels` levels of folders below it. Files that cannot be removed stay, and do no harm.
+/// `levels` levels of folders below it. Files that cannot be removed stay.
 pub fn remove_leftovers(folder: &Path, levels: u32) {
     remove_leftovers_named(folder, levels, ".");
 }
 
-/// Removes those of one file only: in a folder of other people's files, others may be in use.
+/// Removes the leftovers of one file only. In a shared folder, other temporary files may be in use.
 pub fn remove_leftovers_of(file: &Path) {
     let (Some(folder), Some(name)) = (file.parent(), file.file_name()) else { return };
     let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
@@ -165,7 +165,7 @@ fn remove_leftovers_named(folder: &Path, levels: u32, prefix: &str) {
     }
 }
 
-/// Whether a file's name is one under which [`atomic::write`] writes.
+/// True for a temporary name of [`atomic::write`].
 fn is_leftover(name: &str) -> bool {
     let parts = name.strip_prefix('.').and_then(|n| n.strip_suffix(".tmp")).and_then(|n| n.rsplit_once('.'));
     parts.is_some_and(|(stem, random)| {
@@ -173,12 +173,12 @@ fn is_leftover(name: &str) -> bool {
     })
 }
 
-/// Text, such as a dump of settings.
+/// Writes text, such as a dump of settings.
 pub fn write_text(path: &Path, text: &str) -> Result<()> {
     write_whole(path, |out| out.write_all(text.as_bytes()))
 }
 
-/// Pretty-printed JSON.
+/// Writes pretty-printed JSON.
 pub fn write_json(path: &Path, value: &impl Serialize) -> Result<()> {
     write_whole(path, |out| {
         serde_json::to_writer_pretty(&mut *out, value).map_err(std::io::Error::from)?;
@@ -186,12 +186,12 @@ pub fn write_json(path: &Path, value: &impl Serialize) -> Result<()> {
     })
 }
 
-/// An 8-bit PNG.
+/// Writes an 8-bit PNG.
 pub fn write_png(path: &Path, picture: &Photo) -> Result<()> {
     in_folder(path, |path| picture.write_png(path))
 }
 
-/// An 8-bit PNG with opacity.
+/// Writes an 8-bit PNG with opacity.
 pub fn write_rgba_png(path: &Path, picture: &image::RgbaImage) -> Result<()> {
     use image::ImageEncoder;
     write_whole(path, |out| {
@@ -201,12 +201,12 @@ pub fn write_rgba_png(path: &Path, picture: &image::RgbaImage) -> Result<()> {
     })
 }
 
-/// A frame's colour as 8 bits per channel.
+/// A frame's colours at 8 bits per channel.
 pub fn to_photo(frame: &Frame) -> Result<Photo> {
     Photo::from_f32(frame.width, frame.height, &frame.color)
 }
 
-/// The colours of a frame on black as 8 bits per channel, with opacity: PNG's are not premultiplied.
+/// The colours and the opacity of a frame on black at 8 bits per channel, not premultiplied, as in PNG.
 pub fn to_rgba(frame: &Frame) -> image::RgbaImage {
     let pixel = |x: u32, y: u32| {
         let at = (y * frame.width + x) as usize;
@@ -218,9 +218,10 @@ pub fn to_rgba(frame: &Frame) -> image::RgbaImage {
     image::RgbaImage::from_fn(frame.width, frame.height, pixel)
 }
 
-/// A 32-bit float EXR with the channels R G B (linear light: the sRGB curve of the photographs is undone), A
+/// Writes a 32-bit float EXR with the channels R G B (linear light: the sRGB curve of the photographs is undone), A
 /// (1 − transmittance) and Z (depth along the view axis, world units). The colours are on the
-/// frame's background; those of a frame on black may also be premultiplied by alpha, as EXR has it for pictures without one.
+/// frame's background; those of a frame on black may also be premultiplied by alpha, as EXR requires for pictures
+/// without a background.
 pub fn write_exr(path: &Path, frame: &Frame, premultiplied: bool, depth: Depth) -> Result<()> {
     let channel = |name: &str, samples: Vec<f32>| AnyChannel::new(name, FlatSamples::F32(samples));
     let pixels = frame.color.iter().zip(&frame.transmittance);
@@ -239,7 +240,7 @@ pub fn write_exr(path: &Path, frame: &Frame, premultiplied: bool, depth: Depth) 
     .into_iter()
     .collect();
     let size = (frame.width as usize, frame.height as usize);
-    // In order, whichever tile is compressed first: the same picture is the same file.
+    // In order, whichever tile is compressed first, so that the same picture gives the same file.
     let encoding = Encoding { line_order: LineOrder::Increasing, ..Encoding::FAST_LOSSLESS };
     let image = Image::from_encoded_channels(size, encoding, AnyChannels::sort(channels));
     let mut bytes = Cursor::new(Vec::new());
@@ -260,18 +261,18 @@ pub enum Depth {
 }
 
 impl Depth {
-    /// The settings for frames that have it.
+    /// Settings for frames with this depth.
     pub fn requested(self, settings: RenderSettings) -> RenderSettings {
         RenderSettings { inverse_depth: true, linear_depth: self == Self::Mean, ..settings }
     }
 
-    /// Multiplies the depths of a frame: from world to source units.
+    /// Scales the depths of a frame from world to source units.
     pub fn scale(self, frame: &mut Frame, factor: f32) {
         let factor = if self == Self::Mean { factor } else { factor.recip() };
         frame.inverse_depth.iter_mut().flatten().for_each(|sum| *sum *= factor);
     }
 
-    /// Depth of each pixel of such a frame: infinite where nothing was blended.
+    /// Depth of each pixel of such a frame: infinite for transparent pixels.
     pub fn of(self, frame: &Frame) -> Vec<f32> {
         let Some(sums) = &frame.inverse_depth else { return vec![f32::INFINITY; frame.color.len()] };
         let depth = |(&sum, &transmittance): (&f32, &f32)| match (sum > 0.0, self) {
@@ -324,7 +325,7 @@ mod tests {
     #[test]
     fn leftovers_are_removed_and_nothing_else() {
         let folder = tempfile::tempdir().expect("a temporary folder");
-        // The name that is really used while a file is being written.
+        // The actual name of a file while it is written.
         atomic::write(folder.path().join("settings.toml"), |_| {
             let names = std::fs::read_dir(folder.path())?.flatten().map(|entry| entry.file_name());
             let names: Vec<String> = names.filter_map(|name| name.into_string().ok()).collect();

@@ -79,21 +79,22 @@ pub struct Arguments {
 
 const WORK: Work = Work { file: ".partition.lock", what: "partition", option: "-o" };
 
-/// A margin in sides of the usual cell.
+/// Margin as a share of the usual cell's side.
 const MARGIN: f32 = 0.15;
-/// The same in rounds: what lies beyond it is the neighbours' work, not the coarse model.
+/// Margin in rounds: beyond it lie the neighbours' trained Gaussians, not the coarse model.
 const MARGIN_IN_ROUNDS: f32 = 0.05;
-/// Photos are of a single object if they are used for that share of the blocks besides their main one, in the mean. Each block then
-/// fits nearly whole photos, and its border shows in all of them. Objects have 0.84 and more, cities at most 0.5 (tools/blocks.md).
+/// Photos show a single object if each is used, in the mean, for this share of the blocks besides its main one. Each
+/// block then
+/// fits nearly whole photos, and its border shows in all of them. Objects have 0.84 and more, cities at most 0.5
+/// (tools/blocks.md).
 const SINGLE_OBJECT: f64 = 2.0 / 3.0;
-/// What is said of an earlier model of the coarse model's cameras may differ by, in scene extents.
+/// Largest distance between the coarse model's cameras and the data set's, in scene extents.
 const SAME_PLACE: f64 = 1e-3;
-/// Of the pictures, if a model is of the scene.
+/// Least share of the pictures that a model of the scene covers.
 const LEAST_COVERED: f64 = 0.02;
-/// The mean correlation of photographs and renders of a model of the scene.
+/// Least mean correlation of photographs and renders of a model of the scene.
 const LEAST_LIKE: f64 = 0.2;
 
-/// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<()> {
     arguments.check()?;
     let coarse = Model::locate(&arguments.coarse, None)?;
@@ -174,7 +175,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     Ok(())
 }
 
-/// All that a division is made of.
+/// Inputs of a division.
 struct Found<'a> {
     coarse: &'a Model,
     gaussians: &'a Gaussians,
@@ -201,7 +202,7 @@ fn check_same_scene(coarse: &Model, gallery: &Gallery, data: &DataSettings) -> R
     let by_name: BTreeMap<&str, &Camera> =
         cameras.iter().map(|named| (named.name.as_str(), &named.camera)).collect();
     let near = SAME_PLACE * f64::from(scene_extent(cameras.iter().map(|named| named.camera.position())));
-    // Poses that were optimised have moved.
+    // Optimised poses have moved.
     let moved = coarse.settings.train.pose_opt;
     let is_there = |named: &&NamedCamera| {
         let there = by_name.get(named.name.as_str());
@@ -221,7 +222,7 @@ fn check_same_scene(coarse: &Model, gallery: &Gallery, data: &DataSettings) -> R
     Err(Error::input(file, problem, "give a model of this data set"))
 }
 
-/// Refuses a model that shows the cameras something else than the photographs, or nothing.
+/// Refuses a model that covers little of the pictures, or does not resemble the photographs.
 fn check_likeness(
     coarse: &Model,
     gallery: &Gallery,
@@ -244,7 +245,7 @@ fn check_likeness(
 }
 
 impl Arguments {
-    /// Refuses what cannot be done, before the work.
+    /// Refuses invalid arguments before the work.
     fn check(&self) -> Result<()> {
         output::check(&[("--out", Some(&self.out)), ("--plot", self.plot.as_deref())])?;
         if self.out.extension().is_none_or(|extension| extension != "json") {
@@ -384,7 +385,8 @@ impl Arguments {
     }
 }
 
-/// The median of the cells' longest sides, world units: of the boxes around nearly all of a cell's Gaussians.
+/// The median of the cells' longest sides, world units. A cell's sides are those of the box around nearly all of its
+/// Gaussians.
 fn usual_side(gaussians: &Gaussians, cells: &Cells) -> f32 {
     let mut own: Vec<Vec<usize>> = vec![Vec::new(); cells.bounds().len()];
     for (index, &mean) in gaussians.means.iter().enumerate() {

@@ -5,15 +5,16 @@ use ashsplat_files::{atomic, regular_file};
 use std::path::PathBuf;
 use std::sync::Arc;
 
-/// Larger files are not read: something else must have written them.
+/// Largest file that is read; a larger one is from another program.
 const MOST_BYTES: u64 = 256 << 20;
 
 /// A folder with a file per device and driver version.
 #[derive(Debug)]
 struct Folder(PathBuf);
 
-/// The folder that `ASHSPLAT_PIPELINE_CACHE` names, by default `ashsplat/pipeline-caches` in the user's folder for caches.
-/// None where the variable is empty or there is no such folder.
+/// The folder named by `ASHSPLAT_PIPELINE_CACHE`, by default `ashsplat/pipeline-caches` in the user's folder for
+/// caches.
+/// `None` if the variable is empty or there is no such folder.
 pub fn kept() -> Option<Arc<dyn PipelineCacheStore>> {
     if let Some(folder) = std::env::var_os("ASHSPLAT_PIPELINE_CACHE") {
         return if folder.is_empty() { None } else { Some(Arc::new(Folder(folder.into()))) };
@@ -25,7 +26,7 @@ pub fn kept() -> Option<Arc<dyn PipelineCacheStore>> {
     Some(Arc::new(Folder(caches.join("ashsplat").join("pipeline-caches"))))
 }
 
-/// A file that cannot be read or written stops no run: kernels are compiled anew then.
+/// A file that cannot be read or written is ignored: kernels are then compiled again.
 impl PipelineCacheStore for Folder {
     fn load(&self, key: &PipelineCacheKey) -> Vec<u8> {
         let data = regular_file::read_at_most(self.0.join(key.to_string()), MOST_BYTES);

@@ -85,13 +85,13 @@ const CAMERA_MODELS: [&str; 9] = [
     "SIMPLE_RADIAL_FISHEYE",
     "RADIAL_FISHEYE",
 ];
-/// Fewer photographs give no scene.
+/// Least number of photographs for a scene.
 const LEAST_PHOTOS: usize = 3;
-/// Damaged photographs that are named, each with its fault.
+/// Largest number of damaged photographs that are named.
 const MOST_NAMED: usize = 10;
-/// Up to so many photographs are all compared with each other, without and with a GPU.
+/// Largest number of photographs that are all compared with each other, without and with a GPU.
 const EXHAUSTIVE: [usize; 2] = [60, 200];
-/// Names in a message.
+/// Largest number of names in a message.
 const NAMED: usize = 5;
 
 fn seconds(text: &str) -> Result<f64, String> {
@@ -101,7 +101,6 @@ fn seconds(text: &str) -> Result<f64, String> {
     }
 }
 
-/// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<()> {
     let start = Instant::now();
     let source = Source::of(&arguments.source, arguments.out.as_deref())?;
@@ -157,19 +156,19 @@ struct Prints {
     folder: PathBuf,
     names: Vec<String>,
     in_place: bool,
-    /// Frames of a video, in the folder of the unfinished work.
+    /// True for frames of a video, in the folder of the unfinished work.
     is_ours: bool,
     video: bool,
 }
 
-/// What was found out about the source before anything is written.
+/// The source after the checks that precede any writing.
 struct Prepared<'a> {
     kind: Kind<'a>,
     said: String,
 }
 
 enum Kind<'a> {
-    /// With the names of those that are sound.
+    /// Photographs, with the names of the undamaged ones.
     Photos(&'a Photos, Vec<String>, Vec<Look>),
     Video(&'a Path, Video, usize),
 }
@@ -185,7 +184,7 @@ impl Arguments {
         }
     }
 
-    /// Refuses options that would not be used.
+    /// Refuses options that would have no effect.
     fn check(&self, source: &Source) -> Result<()> {
         let unused = [("--frames", self.frames.is_some()), ("--every", self.every.is_some())];
         let unused = unused.iter().find(|(_, given)| *given);
@@ -197,7 +196,7 @@ impl Arguments {
         }
     }
 
-    /// Looks at the photographs or the video.
+    /// Examines the photographs or the video.
     fn prepare<'a>(&self, source: &'a Source, stop: &AtomicBool) -> Result<Prepared<'a>> {
         match source {
             Source::Photos(photos) => {
@@ -246,7 +245,8 @@ impl Arguments {
         }
     }
 
-    /// Reads all photographs once: one that is damaged is better known now than after hours. It is left out, if enough are sound.
+    /// Reads all photographs once, so that damage is found now and not after hours. Damaged ones are skipped if enough
+    /// are sound.
     fn looks(&self, photos: &Photos, stop: &AtomicBool) -> Result<(Vec<String>, Vec<Look>)> {
         let bar = counting_in("checking", "photographs", photos.names.len() as u64, self.quiet);
         let memory = self.host.memory();
@@ -269,7 +269,7 @@ impl Arguments {
                     sound.0.push(name.clone());
                     sound.1.push(look);
                 }
-                // Too little memory or no permission is no fault of the photograph.
+                // Too little memory or no permission is not the photograph's fault.
                 Err(error @ Error::Input { .. }) if enough => {
                     left_out += 1;
                     if left_out <= MOST_NAMED {
@@ -289,7 +289,7 @@ impl Arguments {
         Ok(sound)
     }
 
-    /// The photographs as files: a video's frames are taken from it.
+    /// Returns the photographs as files; extracts a video's frames.
     fn photographs(&self, kind: Kind, work: &mut Work, stop: &AtomicBool) -> Result<(Prints, Vec<Look>)> {
         let (path, video, count) = match kind {
             Kind::Photos(Photos { folder, in_place, .. }, names, looks) => {
@@ -325,7 +325,7 @@ impl Arguments {
         Ok((Prints { folder, names, in_place: false, is_ours: true, video: true }, looks))
     }
 
-    /// After a run that was not finished. What a second run can use, and what COLMAP said, stays.
+    /// Cleans up after an unfinished run. Keeps COLMAP's log and what a second run can use.
     fn leave(&self, work: Work, error: Error) -> Error {
         let interrupted = matches!(error, Error::Interrupted);
         if !work.is_worth_keeping() && (interrupted || !work.path(work::LOG_FILE).exists()) {
@@ -350,7 +350,7 @@ impl Arguments {
         Ok(folder)
     }
 
-    /// Which photographs are compared, and a line about it.
+    /// Chooses the photographs to compare, with a note.
     fn matcher(&self, photographs: usize, gpu: bool) -> (Matcher, String) {
         let matcher = match self.matcher.as_str() {
             "exhaustive" => Matcher::Exhaustive,
@@ -412,10 +412,10 @@ fn time(seconds: f64) -> String {
     if seconds < 60.0 { format!("{seconds:.1} s") } else { clock(seconds) }
 }
 
-/// How far a stage is, shown.
+/// Progress display of a stage.
 struct Meter {
     bar: indicatif::ProgressBar,
-    /// What the runs before this one have done.
+    /// Steps that earlier runs have done.
     before: AtomicU64,
 }
 

@@ -1,4 +1,4 @@
-//! `ashsplat profile`: one frame or one training step under the magnifying glass.
+//! `ashsplat profile`: profiles one frame or one training step.
 
 mod ab;
 mod compiled;
@@ -22,7 +22,7 @@ use clap::{Args, ValueEnum};
 use std::path::PathBuf;
 use subject::Subject;
 
-/// Nothing is run for a dump.
+/// Options that conflict with --dump, which runs nothing.
 const NOT_WITH_DUMP: [&str; 31] = [
     "what",
     "is_static",
@@ -127,7 +127,7 @@ pub enum What {
 }
 
 impl What {
-    /// As on the command line.
+    /// Name on the command line.
     pub fn name(self) -> &'static str {
         match self {
             Self::Render => "render",
@@ -137,9 +137,9 @@ impl What {
 }
 
 impl Arguments {
-    /// Measured iterations, unless the command line says how many.
+    /// Default number of measured iterations.
     const FRAMES: u32 = 20;
-    /// Iterations before them.
+    /// Default number of iterations before them.
     const WARMUP: u32 = 3;
 
     fn what(&self) -> What {
@@ -163,7 +163,7 @@ impl Arguments {
     }
 }
 
-/// Opens the device with other constants, and with edited shaders if a folder of them was given.
+/// Opens the device with other constants, and with edited shaders if their folder is given.
 fn open(arguments: &Arguments, overrides: &[SpecOverride]) -> Result<Context> {
     let context = arguments.device.context_with(|options| {
         options.debug_printf = arguments.printf;
@@ -176,7 +176,6 @@ fn open(arguments: &Arguments, overrides: &[SpecOverride]) -> Result<Context> {
     Ok(context)
 }
 
-/// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<()> {
     let overrides = arguments.overrides()?;
     check_kernel(arguments.kernel.as_deref())?;
@@ -232,7 +231,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     Ok(())
 }
 
-/// One iteration for RenderDoc, which has no frames of its own to capture where there is no window.
+/// Marks one iteration for RenderDoc, which without a window finds no frames to capture.
 fn capture(arguments: &Arguments, context: &Context, scene: &workload::Scene) -> Result<()> {
     let mut subject = Subject::new(context, scene, arguments)?;
     subject.warm_up(arguments.warmup())?;
@@ -243,7 +242,7 @@ fn capture(arguments: &Arguments, context: &Context, scene: &workload::Scene) ->
     Ok(())
 }
 
-/// Keeps the kernels that were asked for; what did not run is refused.
+/// Keeps the requested kernels. Refuses a kernel that did not run.
 fn only(name: Option<&str>, kernels: &mut Vec<KernelResult>) -> Result<()> {
     let Some(name) = name else { return Ok(()) };
     let ran: Vec<String> = kernels.iter().map(|k| k.kernel.clone()).collect();
@@ -255,7 +254,7 @@ fn only(name: Option<&str>, kernels: &mut Vec<KernelResult>) -> Result<()> {
     Ok(())
 }
 
-/// A kernel or folder that does not exist is refused with those that do.
+/// Refuses a kernel or folder that does not exist, and names those that do.
 fn check_kernel(name: Option<&str>) -> Result<()> {
     let Some(name) = name else { return Ok(()) };
     let known = spec::kernels();
@@ -266,7 +265,7 @@ fn check_kernel(name: Option<&str>) -> Result<()> {
     Err(Error::argument(format!("--kernel {name}"), problem))
 }
 
-/// What shaders printed; a line that comes again and again is shown once with its number.
+/// Prints the shaders' messages; a repeated line appears once, with its count.
 fn print_messages(context: &Context) {
     let mut counted: Vec<(String, usize)> = Vec::new();
     for message in context.printed() {

@@ -1,4 +1,4 @@
-//! One block's training: `ashsplat train --job blocks.json:3`.
+//! Training of one block: `ashsplat train --job blocks.json:3`.
 
 use super::{Block, BlocksFile};
 use ashsplat::{Error, Result};
@@ -13,7 +13,7 @@ pub struct Job {
 }
 
 impl Job {
-    /// The job of a file's name and a number; of a training's settings, with the hash of that file as it was then.
+    /// Parses FILE:NUMBER. In a training's settings, the hash of the file follows: FILE:NUMBER@HASH.
     pub fn find(text: &str) -> Result<Job> {
         let problem =
             || Error::argument("job", format!("'{text}': expected a file and a number, as blocks.json:3"));
@@ -34,7 +34,7 @@ impl Job {
         }
     }
 
-    /// The job of a training's settings, if it is one.
+    /// The job named in a training's settings, if any.
     pub fn of(text: &str) -> Result<Option<Job>> {
         if text.is_empty() { Ok(None) } else { Job::find(text).map(Some) }
     }
@@ -43,7 +43,7 @@ impl Job {
         &self.file.division.blocks[self.index]
     }
 
-    /// Its settings, by their names in settings.toml.
+    /// Settings of the job, by their names in settings.toml.
     pub fn settings(&self) -> Table {
         let (division, block) = (&self.file.division, self.block());
         let absolute = |path: &Path| {
@@ -60,7 +60,7 @@ impl Job {
         table.insert("resolution".into(), i64::from(division.dataset.resolution).into());
         table.insert("orientation".into(), division.dataset.orientation.clone().into());
         table.insert("eval".into(), division.dataset.eval.into());
-        // A block is a part of a scene with many, and does not begin with points.
+        // A block is part of a large scene and does not begin with points.
         table.insert("few_photos".into(), "off".into());
         table.insert("init".into(), absolute(&division.coarse.path).into());
         table.insert("block".into(), sides.into());
@@ -70,14 +70,14 @@ impl Job {
         table
     }
 
-    /// Leaves the block's photos; refuses a data set, at this path, with other cameras.
+    /// Removes all photos except the block's. Refuses a data set with other cameras.
     pub fn choose_photos(&self, path: &Path, gallery: &mut Gallery) -> Result<()> {
         self.file.check_cameras(path, gallery)?;
         let block = self.block();
         gallery.keep(&block.photos.iter().chain(&block.held_out).cloned().collect())
     }
 
-    /// Refuses another coarse model than that of the division, wherever it is.
+    /// Refuses another coarse model than the division's, wherever it lies.
     pub fn check_coarse(&self, path: &Path) -> Result<()> {
         if file_hash(path)? == self.file.division.coarse.hash {
             return Ok(());

@@ -1,4 +1,4 @@
-//! What the pixels of a photo show of a block: by the depths of a scene, which is drawn small.
+//! Finds the pixels of a photo that show a block, by the depths of a scene that is drawn small.
 
 use super::places::places;
 use ashsplat::Frame;
@@ -6,28 +6,28 @@ use ashsplat::scene::{Bounds, Camera};
 use ashsplat::trainer::SceneBlock;
 use serde::{Deserialize, Serialize};
 
-/// Less opaque pixels show nothing that could be told to lie outside.
+/// Least opacity of a pixel that can be excluded; fainter ones may show anything.
 const LEAST_OPACITY: f32 = 0.5;
 
-/// The part of a photo that shows a block, whatever the photo's size will be.
+/// The part of a photo that shows a block, independent of the photo's size.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Part {
-    /// Width and height of the small picture that says it, pixels.
+    /// Size of the small picture that the part refers to, pixels.
     pub of: [u32; 2],
-    /// The first of its columns there, and the first one behind it.
+    /// First column and end column in that picture.
     pub columns: [u32; 2],
-    /// The same of its rows.
+    /// First row and end row in that picture.
     pub rows: [u32; 2],
 }
 
 impl Part {
-    /// Whether it is the whole.
+    /// True if the part is the whole photo.
     pub fn is_whole(&self) -> bool {
         self.columns == [0, self.of[0]] && self.rows == [0, self.of[1]]
     }
 
-    /// How many of a photo's pixels it has.
+    /// Number of pixels of the part in a photo of this size.
     pub fn pixels(&self, width: u32, height: u32) -> u64 {
         let sides = [self.columns, self.rows].into_iter().zip(self.of).zip([width, height]);
         sides
@@ -35,7 +35,7 @@ impl Part {
             .product()
     }
 
-    /// Whether it has pixels, and lies in its picture.
+    /// True if the part is not empty and lies in its picture.
     pub fn exists(&self) -> bool {
         [self.columns, self.rows].iter().zip(self.of).all(|([from, to], side)| from < to && *to <= side)
     }
@@ -44,7 +44,7 @@ impl Part {
 /// What the pixels of a small picture show.
 pub struct Shown {
     size: [usize; 2],
-    /// Whether that is the block, grown by its margin; None for nothing.
+    /// True for pixels that show the block with its margin; `None` for transparent pixels.
     inside: Vec<Option<bool>>,
 }
 
@@ -57,7 +57,7 @@ impl Shown {
         Self { size: [frame.width, frame.height].map(|side| side as usize), inside: inside.collect() }
     }
 
-    /// Whether each pixel counts: they show the block, or nothing, or lie next to such a pixel.
+    /// True for each pixel that counts: it or a neighbour shows the block or is transparent.
     pub fn counting(&self) -> Vec<bool> {
         let [width, height] = self.size;
         let shown: Vec<bool> = self.inside.iter().map(|inside| *inside != Some(false)).collect();
@@ -68,7 +68,7 @@ impl Shown {
         (0..height).flat_map(|y| (0..width).map(move |x| (x, y))).map(|(x, y)| any(x, y)).collect()
     }
 
-    /// The columns and rows with all pixels that show the block, and those next to them. None without any.
+    /// The columns and rows of the pixels that show the block, with a border of one pixel. `None` if there are none.
     pub fn part(&self) -> Option<Part> {
         let [width, height] = self.size;
         let shows = |pixel: &usize| self.inside[*pixel] == Some(true);
@@ -98,7 +98,7 @@ mod tests {
         assert_eq!(Part { of: [40, 20], columns: [0, 40], rows: [0, 20] }.pixels(333, 77), 333 * 77);
     }
 
-    /// A wall at depth 2, of which the left half is the block; there is nothing in front of its last columns.
+    /// A wall at depth 2 whose left half is the block; the last columns show nothing.
     #[test]
     fn pixels_of_the_block_and_next_to_it_count_and_those_of_nothing() {
         let intrinsics = Intrinsics::from_fov_x(1.0, 40, 20);

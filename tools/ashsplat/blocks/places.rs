@@ -1,14 +1,14 @@
-//! Where pixels are in the world.
+//! Positions of pixels in the world.
 
 use crate::output::Depth;
 use ashsplat::Frame;
 use ashsplat::scene::Camera;
 use glam::{Vec3, vec3};
 
-/// The longer side of pictures that only tell what lies where, pixels.
+/// Longer side of pictures that only locate things, pixels.
 const SIDE: u32 = 200;
 
-/// The camera at a size of at most [`SIDE`].
+/// The camera scaled to at most [`SIDE`].
 pub fn small(camera: &Camera) -> Camera {
     let longest = camera.width.max(camera.height);
     let scaled = |side: u32| match longest {
@@ -18,7 +18,8 @@ pub fn small(camera: &Camera) -> Camera {
     camera.scaled_to(scaled(camera.width), scaled(camera.height))
 }
 
-/// Where the pixels of a frame are, in the order of rows, world; None where there is nothing. By the frame's harmonic depth,
+/// World position of each pixel of a frame, row by row; `None` for transparent pixels. It uses the frame's harmonic
+/// depth,
 /// which Gaussians far behind a surface hardly move.
 pub fn places(camera: &Camera, frame: &Frame) -> Vec<Option<Vec3>> {
     let world_from_camera = camera.camera_from_world.transpose();

@@ -1,4 +1,4 @@
-//! What a block's training leaves for the merge: `block.json` in its model folder, written when all is done.
+//! `block.json` in a block's model folder: the note for the merge, written when training is complete.
 
 use super::job::Job;
 use super::rounds::ROUND_FILE;
@@ -10,10 +10,10 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// The note's name in the model folder.
+/// Name of the note in the model folder.
 pub const RESULT_FILE: &str = "block.json";
 
-/// A block that is trained.
+/// A trained block.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Trained {
@@ -26,31 +26,32 @@ struct Trained {
     hash: String,
 }
 
-/// Notes that a job's training is at its end.
+/// Notes that a job's training is complete.
 pub fn note(job: &Job, folder: &Path, iteration: u32) -> Result<()> {
     let hash = file_hash(model::point_cloud_path(folder, iteration))?;
     let trained = Trained { blocks: job.file.hash.clone(), block: job.block().number, iteration, hash };
     output::write_json(&folder.join(RESULT_FILE), &trained)
 }
 
-/// Whether a job's training is at its end, and its scene is as it left it.
+/// True if a job's training is complete, and its scene is unchanged.
 pub fn is_done(job: &Job) -> bool {
     matches!(scene_of(&job.file, job.block()), Ok(Ok(_)))
 }
 
-/// Whether any training in a folder has been noted as being at its end, or at that of a round.
+/// True if any training in a folder has been noted as complete, or as at the end of a round.
 pub fn is_noted(folder: &Path) -> bool {
     [RESULT_FILE, ROUND_FILE].iter().any(|note| folder.join(note).is_file())
 }
 
-/// Whether the training of a block has been noted as being at its end for this division, and not for another one; None where there is
-/// no note that can be read. The scene itself is not looked at.
+/// True if a block's training is noted as complete for this division, false for another one; `None` without a readable
+/// note.
+/// The scene itself is not checked.
 pub fn noted(file: &BlocksFile, block: &Block) -> Option<bool> {
     let trained = read(&file.at(&block.folder)).ok().flatten()?;
     Some(trained.blocks == file.hash && trained.block == block.number)
 }
 
-/// None where there is no note.
+/// Returns `None` if there is no note.
 fn read(folder: &Path) -> Result<Option<Trained>> {
     let path = folder.join(RESULT_FILE);
     let Some(text) = output::read_note(&path) else { return Ok(None) };
@@ -58,7 +59,7 @@ fn read(folder: &Path) -> Result<Option<Trained>> {
     serde_json::from_str(&text).map(Some).map_err(damaged)
 }
 
-/// What keeps a block from being merged.
+/// Reason why a block cannot be merged.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Missing {
     NotTrained,
@@ -77,7 +78,7 @@ impl Missing {
 }
 
 impl BlocksFile {
-    /// Refuses a division of which blocks are not as they should be, and names these by what is wrong. `before`: how the error begins.
+    /// Refuses a division with unsuitable blocks, and names them by reason. `before` is the beginning of the error.
     pub fn check_none_missing<Why: Copy + Ord>(
         &self,
         before: &str,
@@ -93,7 +94,7 @@ impl BlocksFile {
     }
 }
 
-/// The scene of a trained block, whose hash is right.
+/// The scene of a trained block, after a check of its hash.
 pub fn scene_of(file: &BlocksFile, block: &Block) -> Result<Result<PathBuf, Missing>> {
     let folder = file.at(&block.folder);
     let trained = match read(&folder) {

@@ -1,5 +1,5 @@
-//! Rounds: all blocks are trained to a share of their iterations, exchange what they have trained of each other's surroundings, and
-//! go on. This is what is noted of that, and where it lies.
+//! Rounds: all blocks are trained for a share of their iterations, exchange the Gaussians near their borders, and
+//! continue. This module keeps the notes about rounds.
 
 use super::job::Job;
 use super::{Block, BlocksFile, Division};
@@ -8,15 +8,16 @@ use ashsplat::Result;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
-/// The note's name in a block's model folder, written at the end of a round that is not the last.
+/// Name of the note in a block's model folder, written at the end of each round except the last.
 pub const ROUND_FILE: &str = "round.json";
-/// More would be an exchange every few iterations.
+/// Largest number of rounds; more would exchange every few iterations.
 pub const MAX_ROUNDS: u32 = 100;
-/// A round ends at a multiple of this: late steps of the strategy `budget` add up the gradients of as many views, and none is to be
-/// left half made.
+/// Rounds end at a multiple of this. Late steps of the strategy `budget` add up the gradients of this many views, and
+/// none may
+/// be cut.
 const STEP: u32 = 20;
 
-/// A round that a block has come to the end of.
+/// End of a block's round.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Ended {
@@ -24,19 +25,19 @@ pub struct Ended {
     pub blocks: String,
     /// The block's number.
     pub block: u32,
-    /// From 1.
+    /// Number of the round, from 1.
     pub round: u32,
-    /// That of its checkpoint.
+    /// Iteration of its checkpoint.
     pub iteration: u32,
 }
 
-/// An exchange that is complete.
+/// A complete exchange.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Exchanged {
     /// Hash of the division's file.
     blocks: String,
-    /// The round that it came after.
+    /// The round before the exchange.
     round: u32,
 }
 
@@ -51,7 +52,7 @@ impl Division {
         if share < STEP { share } else { share / STEP * STEP }
     }
 
-    /// Refuses rounds of which any block has one without an iteration.
+    /// Refuses a number of rounds that leaves some block a round without iterations.
     pub fn check_rounds(&self) -> Result<(), String> {
         let rounds = self.rounds;
         if !(1..=MAX_ROUNDS).contains(&rounds) {
@@ -71,7 +72,7 @@ impl Division {
 }
 
 impl BlocksFile {
-    /// Where the exchange after a round leaves the scene that the blocks are then.
+    /// Path of the scene of all blocks that the exchange after a round writes.
     pub fn exchanged_scene(&self, round: u32) -> PathBuf {
         self.path.with_extension("").join(format!("round_{round}.ply"))
     }
@@ -80,7 +81,7 @@ impl BlocksFile {
         self.path.with_extension("").join(format!("round_{round}.json"))
     }
 
-    /// How many exchanges are complete.
+    /// Number of complete exchanges.
     pub fn exchanges(&self) -> u32 {
         (1..self.division.rounds).rev().find(|&round| self.is_exchanged(round)).unwrap_or(0)
     }
@@ -96,36 +97,36 @@ impl BlocksFile {
         output::write_json(&self.exchange_note(round), &Exchanged { blocks: self.hash.clone(), round })
     }
 
-    /// The round of this division that a block has come to the end of last.
+    /// The last round that a block has ended in this division.
     pub fn ended_own(&self, block: &Block) -> Option<Ended> {
         self.ended(block).filter(|ended| ended.blocks == self.hash && ended.block == block.number)
     }
 
-    /// The round that a block has come to the end of last, of whatever division.
+    /// The last round that a block has ended in any division.
     pub fn ended(&self, block: &Block) -> Option<Ended> {
         serde_json::from_str(&output::read_note(&self.at(&block.folder).join(ROUND_FILE))?).ok()
     }
 }
 
-/// Where a block's training begins and ends now.
+/// Current stage of a block's training.
 pub struct Stage {
-    /// From 1.
+    /// Number of the round, from 1.
     pub round: u32,
     pub rounds: u32,
-    /// The division's.
+    /// The division's file.
     file: PathBuf,
-    /// The iteration that it ends at.
+    /// The iteration at which it ends.
     pub until: u32,
-    /// The iteration that it begins with.
+    /// The iteration at which it begins.
     pub from: u32,
-    /// The scene around the block, if it is not the coarse model.
+    /// The scene around the block, unless it is the coarse model.
     surroundings: Option<PathBuf>,
-    /// Whether the round is at its end already.
+    /// True if the round has already ended.
     pub is_done: bool,
 }
 
 impl Stage {
-    /// The round after all exchanges.
+    /// The round after all complete exchanges.
     pub fn of(job: &Job) -> Stage {
         let (file, block) = (&job.file, job.block());
         let division = &file.division;
@@ -144,30 +145,30 @@ impl Stage {
         }
     }
 
-    /// The scene around the block, if it is not the coarse model.
+    /// The scene around the block, unless it is the coarse model.
     pub fn surroundings(&self) -> Option<&Path> {
         self.surroundings.as_deref()
     }
 
-    /// Whether the block is trained to its end then.
+    /// True if the block's training ends with this round.
     pub fn is_last(&self) -> bool {
         self.round == self.rounds
     }
 
-    /// Says that it is at its end, and what comes next.
+    /// Reports that the round has ended, and the next command.
     pub fn say_done(&self) {
         let Stage { round, rounds, .. } = self;
         let file = self.file.display();
         say!("round {round} of {rounds} is done; when it is for all blocks: ashsplat exchange {file}");
     }
 
-    /// The checkpoint that an exchange has left in a model folder; None in the first round.
+    /// The checkpoint that an exchange has left in a model folder; `None` in the first round.
     pub fn exchanged(&self, folder: &Path) -> Option<PathBuf> {
         (self.round > 1).then(|| exchanged_checkpoint(folder, self.from))
     }
 }
 
-/// Notes that a job's training is at the end of a round.
+/// Notes that a job's training has ended a round.
 pub fn note(job: &Job, folder: &Path, stage: &Stage) -> Result<()> {
     let (blocks, block) = (job.file.hash.clone(), job.block().number);
     let ended = Ended { blocks, block, round: stage.round, iteration: stage.until };

@@ -1,4 +1,4 @@
-//! Which part of a scene is trained.
+//! Settings of a block that is trained in place of the whole scene.
 
 use super::{DataSettings, Outside, When};
 use ashsplat::scene::{Bounds, WorldFrame};
@@ -47,7 +47,7 @@ pub struct BlockArguments {
 }
 
 impl DataSettings {
-    /// The block's core and margin in the world coordinates of a frame; None where the whole scene is trained.
+    /// The block's core and margin in the world coordinates of a frame; `None` for the whole scene.
     pub fn block(&self, frame: &WorldFrame) -> Result<Option<(Bounds, f32)>> {
         let [min, max] = match self.block[..] {
             [] if self.margin == 0.0 => return Ok(None),
@@ -55,7 +55,7 @@ impl DataSettings {
             [a, b, c, x, y, z] => [DVec3::new(a, b, c), DVec3::new(x, y, z)],
             _ => return Err(Error::argument("block", "expected six numbers with commas between them")),
         };
-        // In double precision: single precision may not tell the sides of a box far from the origin apart.
+        // Compared in double precision: single precision may not distinguish the sides of a box far from the origin.
         if !min.cmplt(max).all() {
             let problem = format!("from {min} to {max}: each least side must be below the greatest");
             return Err(Error::argument("block", problem));
@@ -67,15 +67,15 @@ impl DataSettings {
         Ok(Some((Bounds { min: frame.world(min), max: frame.world(max) }, margin)))
     }
 
-    /// The scene's extent in the world units of a frame, where that of the cameras is this.
+    /// The scene's extent in the world units of a frame; `of_cameras` unless a setting overrides it.
     pub fn extent(&self, of_cameras: f32, frame: &WorldFrame) -> f32 {
         if self.scene_extent > 0.0 { (self.scene_extent / frame.unit) as f32 } else { of_cameras }
     }
 
-    /// The block's core and margin, as [`DataSettings::block`], if what lies beyond is masked.
+    /// Same as [`DataSettings::block`], but only if the rest of the scene is masked.
     ///
     /// # Errors
-    /// [`Error::Argument`] without a block, and without a scene whose depths tell what lies where.
+    /// [`Error::Argument`] without a block, and without a scene whose depths show which pixels to mask.
     pub fn masked_block(&self, frame: &WorldFrame) -> Result<Option<(Bounds, f32)>> {
         let block = self.block(frame)?;
         if self.outside == Outside::Drawn {
@@ -91,10 +91,10 @@ impl DataSettings {
         Err(Error::argument("outside", problem))
     }
 
-    /// The block's core and margin, as [`DataSettings::block`], if parts of the photos that show it are to be found by the depths of a scene.
+    /// Same as [`DataSettings::block`], but only if the depths of a scene determine the used parts of photos.
     ///
     /// # Errors
-    /// [`Error::Argument`] where that was asked for without a block, or without such a scene.
+    /// [`Error::Argument`] if that was requested without a block, or without such a scene.
     pub fn block_of_parts(&self, frame: &WorldFrame) -> Result<Option<(Bounds, f32)>> {
         if self.photo_parts != When::On || self.uses_parts_of_job() {
             return Ok(None);
@@ -109,18 +109,18 @@ impl DataSettings {
         Err(Error::argument("photo_parts", problem))
     }
 
-    /// Whether the parts of photos are used that the division's file names.
+    /// True if the division's file names the used parts of photos.
     pub fn uses_parts_of_job(&self) -> bool {
         self.photo_parts != When::Off && !self.job.is_empty()
     }
 
-    /// Whether the depths of the scene that training begins with tell what photos show of a block.
+    /// True if the depths of the initial scene determine what photos show of a block.
     pub fn looks_at_depths(&self) -> Result<bool> {
         let frame = WorldFrame::default();
         Ok(self.masked_block(&frame)?.or(self.block_of_parts(&frame)?).is_some())
     }
 
-    /// Refuses a senseless block or extent.
+    /// Refuses an invalid block or extent.
     pub fn check_block(&self) -> Result<()> {
         if !(self.scene_extent.is_finite() && self.scene_extent >= 0.0) {
             let problem = format!("is {}, must be positive, or 0 for that of the cameras", self.scene_extent);

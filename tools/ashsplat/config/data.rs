@@ -1,63 +1,63 @@
-//! The data of a run.
+//! Settings of a run's data.
 
 use ashsplat::trainer::SceneBlock;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
-/// The data of a run: where it comes from, where its results go, what is saved and tested when.
+/// Settings of a run's data: source, results, and when to save and test.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DataSettings {
-    /// The data set; empty: not given.
+    /// The data set; empty if not given.
     pub source_path: PathBuf,
-    /// Where results go; empty: not given.
+    /// Folder of the results; empty if not given.
     pub model_path: PathBuf,
     /// Folder of the photos within the data set.
     pub images: String,
-    /// Folder of inverse-depth maps within the data set; empty: none.
+    /// Folder of inverse-depth maps within the data set; empty for none.
     pub depths: PathBuf,
     /// The reference's `-r`.
     pub resolution: i32,
-    /// Whether photos are turned as their metadata say: auto, stored or upright.
+    /// Rotation of photos by their metadata: auto, stored or upright.
     pub orientation: String,
     /// Hold out every 8th view.
     pub eval: bool,
     /// Train on the left half of the held-out views, and test on the right one.
     pub train_test_exp: bool,
-    /// Whether the settings for few photos are taken.
+    /// Use of the settings for few photos.
     pub few_photos: When,
-    /// Start from random points where there are none.
+    /// Start from random points if the data set has none.
     pub random_points: bool,
-    /// Whether points are looked for in the photos where there are none.
+    /// Search for points in the photos if the data set has none.
     pub photo_points: When,
-    /// The block that is trained, as blocks.json:3; empty: none.
+    /// The block that is trained, such as blocks.json:3; empty for none.
     pub job: String,
-    /// Gaussians to begin with, in place of points; empty: none.
+    /// File of initial Gaussians in place of points; empty for none.
     pub init: PathBuf,
-    /// The corners of the block that is trained, source coordinates; empty: the whole scene.
+    /// Corners of the trained block, source coordinates; empty for the whole scene.
     pub block: Vec<f64>,
-    /// How far around it Gaussians are trained too, source units.
+    /// Margin around the block in which Gaussians are trained too, source units.
     pub margin: f64,
-    /// What becomes of what lies beyond that.
+    /// Treatment of the scene beyond the margin.
     pub outside: Outside,
-    /// Whether of each photo only the part is used that shows the block.
+    /// Use of only those parts of photos that show the block.
     pub photo_parts: When,
-    /// Source units; 0: that of the training cameras.
+    /// Extent of the scene, source units; 0 for that of the training cameras.
     pub scene_extent: f64,
-    /// Iterations after which to test; the last is always one.
+    /// Iterations after which to test, besides the last.
     pub test_iterations: Vec<u32>,
-    /// Weights of LPIPS, which the last test measures then.
+    /// Files of LPIPS weights for the last test.
     pub lpips_weights: Vec<PathBuf>,
-    /// Iterations after which to save; the last is always one.
+    /// Iterations after which to save, besides the last.
     pub save_iterations: Vec<u32>,
     /// Iterations after which to write a checkpoint.
     pub checkpoint_iterations: Vec<u32>,
-    /// Iterations between checkpoints of which only the newest stays; 0: none.
+    /// Interval of checkpoints of which only the newest is kept; 0 for none.
     pub checkpoint_every: u32,
 }
 
 impl DataSettings {
-    /// Whether a checkpoint is written after an iteration (1-based) of so many.
+    /// True if a checkpoint is written after this iteration (1-based) of `iterations`.
     pub fn checkpoints_at(&self, iteration: u32, iterations: u32) -> bool {
         let every = self.checkpoint_every;
         let passing = every > 0 && (iteration.is_multiple_of(every) || iteration == iterations);
@@ -107,13 +107,14 @@ pub enum Outside {
 }
 
 impl Outside {
-    /// Whether what lies around a block is drawn. Masked, it is after an exchange: what the neighbours have trained beside a block's
-    /// Gaussians is what these were seen with, in front of them or behind.
+    /// True if the scene around a block is drawn. A masked one is drawn after an exchange: the block's neighbours were
+    /// trained
+    /// together with Gaussians of this block in front of them or behind.
     pub fn is_drawn(self, exchanged: bool) -> bool {
         exchanged || self == Outside::Drawn
     }
 
-    /// The block with what is drawn around it, of all that lies there.
+    /// The block without its frozen Gaussians if they are not drawn.
     pub fn leave(self, block: SceneBlock, exchanged: bool) -> SceneBlock {
         match self.is_drawn(exchanged) {
             true => block,

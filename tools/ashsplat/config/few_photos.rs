@@ -7,11 +7,11 @@ use ashsplat_files::Gallery;
 use std::path::Path;
 use toml::Table;
 
-/// What is not given has the values of these.
+/// Source of the defaults for settings that are not given.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Defaults {
     Usual,
-    /// With the strategy where none is named, and the scene's extent.
+    /// Takes the default strategy, and the scene's extent.
     FewPhotos(StrategyType, f32),
 }
 
@@ -31,8 +31,9 @@ impl Defaults {
 }
 
 impl Settings {
-    /// What follows from the data set: the settings for few photos, with a line to say about them, and the points whose depths
-    /// are trained on. A training that goes on from a checkpoint keeps its strategy.
+    /// Applies what follows from the data set: the settings for few photos, and the points whose depths are trained on.
+    /// Returns a
+    /// note on the changed settings. A training that continues from a checkpoint keeps its strategy.
     pub fn settle(
         self,
         gallery: &mut Gallery,
@@ -54,10 +55,10 @@ impl Settings {
             return Ok((self, None));
         }
         let strategy = match start {
-            // A training that goes on keeps what it had, also that of an earlier version.
+            // A continued training keeps its settings, even those of an earlier version.
             Some(start) if made_with(start, &self.train) => return Ok((self, None)),
             Some(start) => strategy_of(start).unwrap_or_default(),
-            // Budget adds up views, which this optimiser does not.
+            // The strategy budget adds up gradients over views, which this optimiser does not support.
             None if self.train.optimizer_type == OptimizerType::SparseAdam => StrategyType::Reference,
             None => StrategyType::Budget,
         };
@@ -78,23 +79,23 @@ impl Settings {
     }
 }
 
-/// Whether a checkpoint is of a run with these settings, but for its end.
+/// True if a checkpoint is from a run with these settings, except for the number of iterations.
 fn made_with(start: &Checkpoint, settings: &TrainSettings) -> bool {
     TrainSettings { iterations: settings.iterations, ..start.settings.clone() } == *settings
 }
 
-/// The strategy of a checkpoint, unless a host has handed in one of its own.
+/// The strategy of a checkpoint, unless it is a host's own.
 fn strategy_of(start: &Checkpoint) -> Option<StrategyType> {
     toml::Value::String(start.strategy.name.clone()).try_into().ok()
 }
 
-/// What the settings for few photos change, beside what is given; None for nothing.
+/// Names the settings that the settings for few photos change; `None` if there are none.
 fn described(
     photos: usize,
     given: &Table,
     (before, after): (&TrainSettings, &TrainSettings),
 ) -> Option<String> {
-    // What a strategy brings along is named by its name.
+    // The name of a strategy implies its settings.
     let usual = match before.strategy == after.strategy {
         true => before.clone(),
         false => TrainSettings { strategy: before.strategy, ..TrainSettings::of_strategy(after.strategy) },
@@ -123,13 +124,13 @@ mod tests {
         Settings::resolve_from(defaults, Settings::given(file, overrides)?)
     }
 
-    /// A scene in other units is trained alike.
+    /// A scene in other units is trained the same.
     #[test]
     fn the_weight_on_scales_goes_by_the_extent() {
         let weight = |extent: f32| TrainSettings::of_few_photos(StrategyType::Budget, extent).scale_reg;
         let weights = [0.045, 4.5, 45.0, 4.3277, 1e-3].map(weight);
         assert_eq!(weights, [1.0, 0.01, 0.001, 0.0104, 45.0]);
-        // No extent, which the trainer refuses, is no reason for a senseless weight.
+        // The trainer refuses an invalid extent, so the weight must stay valid here.
         for extent in [0.0, -1.0, f32::NAN, f32::INFINITY] {
             let settings = TrainSettings::of_few_photos(StrategyType::Budget, extent);
             assert!(settings.scale_reg == 0.0 && settings.check().is_ok(), "{extent}");
@@ -179,7 +180,7 @@ mod tests {
         for part in parts {
             assert!(said.contains(part), "{said}");
         }
-        // Neither what was given, nor what comes with the strategy.
+        // Neither the given settings, nor those that the strategy implies.
         for part in ["iterations", "late-min-opacity", "absgrad", "position", "--sh-degree"] {
             assert!(!said.contains(part), "{said}");
         }
@@ -187,7 +188,7 @@ mod tests {
         assert!(said.contains("to train on: --densify-until-iter 1500,"), "{said}");
     }
 
-    /// Settings that a run has left have its decision in them.
+    /// A dump of settings includes this decision.
     #[test]
     fn a_dump_settles_to_itself() {
         let folder = tempfile::tempdir().expect("a temporary folder");

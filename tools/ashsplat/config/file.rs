@@ -1,4 +1,4 @@
-//! Files of settings: ours (TOML) and the reference's `cfg_args`.
+//! Settings files: settings.toml and the reference's `cfg_args`.
 
 use super::{SETTINGS_FILE, Settings};
 use ashsplat::{Error, Result};
@@ -6,10 +6,10 @@ use ashsplat_files::regular_file;
 use std::path::Path;
 use toml::Table;
 
-/// Settings are a few lines; what is longer is another file, and may be larger than the memory.
+/// Largest settings file. A longer file is something else, and may exceed the memory.
 const MOST_BYTES: u64 = 1 << 20;
 
-/// The text of a file of settings.
+/// Reads the text of a settings file.
 pub fn text(path: &Path) -> Result<String> {
     let refuse = |problem: String| {
         Error::input(path, problem, "give one that `ashsplat train` wrote, such as settings.toml")
@@ -19,23 +19,23 @@ pub fn text(path: &Path) -> Result<String> {
     ashsplat_files::text::from_bytes(path, bytes)
 }
 
-/// The first line of the settings that a run leaves.
+/// First line of a settings dump.
 pub fn dump_line() -> String {
     format!("# Read back by: ashsplat train --config {SETTINGS_FILE}\n")
 }
 
-/// Whether a run has left this file, perhaps of an earlier version.
+/// True if the file is a settings dump of a run, perhaps of an earlier version.
 pub fn is_dump(path: &Path) -> Result<bool> {
     Ok(text(path)?.starts_with(dump_line().trim_end()))
 }
 
-/// The text of `key=value` in a Python `Namespace(…)` line; values with commas in them are not understood.
+/// The text of `key=value` in a Python `Namespace(…)` line; values with commas are not supported.
 pub fn cfg_value<'a>(text: &'a str, key: &str) -> Option<&'a str> {
     let fields = text.trim().strip_prefix("Namespace(")?.strip_suffix(')')?;
     fields.split(", ").find_map(|field| field.strip_prefix(key)?.strip_prefix('='))
 }
 
-/// The settings of a file, checked.
+/// Reads and checks the settings of a file.
 pub fn table(path: &Path) -> Result<Table> {
     let text = text(path)?;
     let remedy =
@@ -63,7 +63,8 @@ mod tests {
         assert!(text(&path).expect_err("refused").to_string().contains("is text in UTF-16"));
     }
 
-    /// What the crate does inside is not seen; it takes memory for each name, value and level that it goes through.
+    /// Counts allocations, because the steps inside the TOML crate cannot be seen: it allocates for each name, value
+    /// and level.
     #[test]
     fn settings_cost_as_much_as_they_are_long() {
         let folder = tempfile::tempdir().expect("a temporary folder");
@@ -84,11 +85,11 @@ mod tests {
                 std::fs::write(&path, numbered(line, count) + end).expect("written");
                 allocation_counter::measure(|| drop(table(&path)))
             });
-            // Some of it is there for an empty file too.
+            // An empty file allocates some of it too.
             assert!(large.count_total <= 5 * small.count_total, "{kind}: {small:?} {large:?}");
             assert!(large.bytes_total <= 5 * small.bytes_total, "{kind}: {small:?} {large:?}");
         }
-        // Of the reference's line nothing is kept: twice its length, for a text grows by doubling.
+        // Nothing is kept of the reference's line; reading it takes twice its length, since a text grows by doubling.
         for line in [&(|n| format!(", field_{n}={n}")) as &dyn Fn(usize) -> String, &|_| "((, ".into()] {
             for count in [1000, 4000] {
                 let namespace = format!("Namespace(eval=True{}", numbered(line, count));

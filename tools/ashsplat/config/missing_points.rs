@@ -1,4 +1,4 @@
-//! What training starts from where a data set has no points.
+//! Initial points for data sets without points.
 
 use super::{Settings, When};
 use crate::progress::thousands;
@@ -26,8 +26,8 @@ pub struct MissingPoints {
 }
 
 impl Settings {
-    /// Whether points are looked for in the photos where there are none. By default not with reference, which is what it is,
-    /// nor with fixed, which has no way to go on from few points.
+    /// True if points are searched for in the photos when there are none. By default, reference does not, to match the
+    /// reference implementation, and fixed does not, since it cannot grow from few points.
     fn looks_for_points(&self) -> bool {
         match self.data.photo_points {
             When::Auto => matches!(self.train.strategy, StrategyType::Budget | StrategyType::Mcmc),
@@ -36,12 +36,12 @@ impl Settings {
         }
     }
 
-    /// How many stand in where there are no points, as far as is known before the photos are read.
+    /// Number of initial points for a data set without points, as far as it is known before photos are read.
     pub fn missing_points(&self) -> usize {
         if self.looks_for_points() { PHOTO_POINTS } else { RANDOM_POINTS }
     }
 
-    /// Refuses a data set that lacks points which nothing may stand in for.
+    /// Refuses a data set that lacks points and may not start from others.
     pub fn check_points(&self, dataset: &Dataset) -> Result<()> {
         let asked = self.data.random_points || self.data.photo_points == When::On;
         if !dataset.points.is_empty() || asked || dataset.may_lack_points() {
@@ -52,7 +52,7 @@ impl Settings {
         Err(Error::input(&self.data.source_path, "the model has no points to start from", remedy))
     }
 
-    /// Refuses a data set that lacks points, or looks for some within the bound that it was loaded in.
+    /// Refuses a data set that lacks points, or searches for some within the memory budget that it was loaded with.
     pub fn settle_points(
         &self,
         dataset: &mut Dataset,

@@ -1,4 +1,4 @@
-//! The settings of training on the command line.
+//! Training settings on the command line.
 
 use super::{Overrides, Settings};
 use ashsplat::Result;
@@ -9,13 +9,13 @@ use clap::{Arg, ArgMatches, Args, Command, FromArgMatches, value_parser};
 use serde::Serialize;
 use toml::{Table, Value};
 
-/// The settings of training that are given on the command line, by their names. The options follow from
+/// Training settings that are given on the command line, by name. The options follow from
 /// [`TrainSettings::OPTIONS`].
 #[derive(Clone, Debug, Default, Serialize)]
 #[serde(transparent)]
 pub struct TrainOverrides(pub(super) Table);
 
-/// What a training's defaults follow from.
+/// Source of a training's defaults.
 #[derive(Clone, Copy)]
 pub enum Recipe<'a> {
     /// A value of `--strategy`.
@@ -24,13 +24,13 @@ pub enum Recipe<'a> {
     Preset(&'a str),
 }
 
-/// Names of values in earlier versions: the option, the earlier name, the name.
+/// Earlier names of values: option, earlier name, current name.
 const EARLIER_NAMES: [(&str, &str, &str); 1] = [("strategy", "default", "reference")];
 
-/// Options that also have a letter, as in the reference.
+/// Options with a letter, as in the reference.
 const LETTERS: [(&str, char); 1] = [("white_background", 'w')];
 
-/// The names of an option's values, and the earlier ones.
+/// The names of an option's values, including earlier ones.
 fn choices(option: &str, names: &'static [&'static str]) -> PossibleValuesParser {
     let earlier = |name: &str| {
         let of = EARLIER_NAMES.iter().filter(|of| (of.0, of.2) == (option, name));
@@ -39,7 +39,7 @@ fn choices(option: &str, names: &'static [&'static str]) -> PossibleValuesParser
     PossibleValuesParser::new(names.iter().map(|name| PossibleValue::new(name).aliases(earlier(name))))
 }
 
-/// The names of the strategies, as `--strategy` takes them.
+/// Parser of the strategies' names for `--strategy`.
 pub fn strategies() -> PossibleValuesParser {
     let option = TrainSettings::OPTIONS.iter().find(|option| option.name == "strategy");
     match option.map(|option| option.kind) {
@@ -61,7 +61,7 @@ impl TrainOverrides {
             None => argument,
         };
         match option.kind {
-            // A negative number is named with what is right, and not taken for another option.
+            // A negative number gets an error about its range instead of being taken for an option.
             OptionKind::Integer => {
                 argument.value_name("N").allow_negative_numbers(true).value_parser(value_parser!(u32))
             }
@@ -82,12 +82,12 @@ impl TrainOverrides {
 }
 
 impl TrainOverrides {
-    /// Whether a setting was given, by its name.
+    /// True if a setting was given.
     pub fn has(&self, name: &str) -> bool {
         self.0.contains_key(name)
     }
 
-    /// The settings of a training with this recipe and seed; checked.
+    /// Resolves and checks the settings of a training with this recipe and seed.
     pub fn settings(&self, recipe: Recipe<'_>, seed: u32) -> Result<TrainSettings> {
         let mut train = self.clone();
         train.0.insert("seed".into(), i64::from(seed).into());

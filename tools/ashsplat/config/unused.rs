@@ -1,4 +1,4 @@
-//! Settings that were given and that the training would not use.
+//! Refuses given settings that the training would not use.
 
 use super::{Overrides, Settings, TrainOverrides, file};
 use ashsplat::trainer::{StrategyType, TrainSettings};
@@ -6,11 +6,11 @@ use ashsplat::{Error, Result};
 use std::path::Path;
 use toml::Table;
 
-/// Settings that only some trainings use. What the strategies refuse by themselves is not among them.
+/// Settings that only some trainings use. Those that the strategies refuse themselves are not listed.
 struct Use {
     names: &'static [&'static str],
     is_used: fn(&Settings) -> bool,
-    /// What uses them, in words.
+    /// Name of what uses them.
     by: &'static str,
 }
 
@@ -73,10 +73,11 @@ const USES: [Use; 13] = [
     },
 ];
 
-/// A setting that is given, without effect in all of some trainings, and not the default in one of them.
+/// A given setting that none of the trainings uses, and whose value differs from the default in some of them; and its
+/// user.
 type Unused = (&'static str, &'static str);
 
-/// All of them, with what would use them.
+/// All unused settings.
 fn unused(given: &Table, trainings: &[Settings]) -> Vec<Unused> {
     let of = |of: &'static Use| of.names.iter().map(move |&name| (name, of));
     let all = USES.iter().flat_map(of).filter(|(name, of)| {
@@ -94,7 +95,8 @@ fn refuse(first: Option<&Unused>, given: &Table) -> Result<()> {
     Err(Error::argument(*name, problem))
 }
 
-/// Growth that ends before it begins, where both are given: one alone switches it off, as with the reference.
+/// Refuses growth that ends before it begins, if both ends are given. One alone switches growth off, as in the
+/// reference.
 fn refuse_no_growth(given: &Table, trainings: &[Settings]) -> Result<()> {
     let names = ["densify_from_iter", "densify_until_iter"];
     let never = |s: &&Settings| {
@@ -112,7 +114,7 @@ fn refuse_no_growth(given: &Table, trainings: &[Settings]) -> Result<()> {
 }
 
 impl TrainOverrides {
-    /// Refuses what none of some trainings would use.
+    /// Refuses settings that none of the trainings would use.
     pub fn refuse_unused(&self, trainings: &[Settings]) -> Result<()> {
         refuse(unused(&self.0, trainings).first(), &self.0)?;
         refuse_no_growth(&self.0, trainings)
@@ -120,8 +122,9 @@ impl TrainOverrides {
 }
 
 impl Settings {
-    /// Refuses what is given, on the command line or in a file, and has no effect. A file that a run has left lists all settings,
-    /// used or not. Of another file, what it switches on itself may be switched off on the command line.
+    /// Refuses settings without effect, on the command line or in a file. A dump lists all settings, used or not, so it
+    /// is not
+    /// checked. The command line may switch off what another file switches on.
     pub fn refuse_unused(&self, (file, overrides): (Option<&Path>, &Overrides)) -> Result<()> {
         overrides.train.refuse_unused(std::slice::from_ref(self))?;
         let Some(path) = file else { return Ok(()) };
@@ -136,7 +139,7 @@ impl Settings {
         refuse(here.iter().find(|unused| of_file.contains(unused)), &given)
     }
 
-    /// Whether a setting is not the default with its strategy.
+    /// True if a setting differs from the default of its strategy.
     fn differs_in(&self, name: &str) -> bool {
         let usual = TrainSettings::of_strategy(self.train.strategy);
         let option = TrainSettings::OPTIONS.iter().find(|option| option.name == name);

@@ -1,5 +1,5 @@
-//! The demo's data set: photographs from two circles, with a sparse, noisy point cloud as a COLMAP folder, or as the
-//! synthetic scenes of the NeRF paper lie.
+//! The demo's data set: photographs from two circles, with a sparse, noisy point cloud, as a COLMAP folder or in the
+//! layout of the NeRF paper's synthetic scenes.
 
 use crate::output;
 use crate::progress::counting;
@@ -26,17 +26,17 @@ const FOV_X: f32 = 0.96;
 const VIEWS_PER_CIRCLE: u32 = 20;
 /// Heights of the two circles, as angles above the terrace, radians.
 const ELEVATIONS: [f32; 2] = [0.27, 0.72];
-/// Distance of the cameras to what they look at.
+/// Distance of the cameras to their target.
 const DISTANCE: f32 = 4.0;
-/// What they look at: the middle of the group.
+/// Target of the cameras: the middle of the group.
 const TARGET: Vec3 = vec3(0.0, 0.0, 0.45);
-/// Size of the point cloud: sparse, as structure from motion would leave it.
+/// Number of points: sparse, like structure from motion.
 const POINTS: usize = 6000;
 const CITY_POINTS: usize = 12_000;
 /// Standard deviation of the points' error, as a share of their distance to the camera: about half a pixel's width
 /// across and much more than that along the ray.
 const NOISE: f32 = 0.004;
-/// Of the points that would lie on the sky, one in so many is kept: it has few features.
+/// One in this many points on the sky is kept, because the sky has few features.
 const SKY_SHARE: u32 = 3;
 
 /// How the data set lies on disk.
@@ -92,7 +92,7 @@ pub struct Choices {
 }
 
 impl Choices {
-    /// Refuses what does not go together.
+    /// Refuses choices that contradict each other.
     pub fn check(&self) -> Result<()> {
         for (name, is_given) in
             [("--lots", self.lots.is_some()), ("--photo-width", self.photo_width.is_some())]
@@ -117,8 +117,9 @@ impl Choices {
     }
 }
 
-/// Photographs the scene and writes it; the same files for the same seed. With the same points and without the sky, both
-/// layouts say the same of cameras, photographs and points, to the bit.
+/// Photographs the scene and writes it; the same seed gives the same files. With the same points and without the sky,
+/// both
+/// layouts hold the same cameras, photographs and points, to the bit.
 pub fn write(folder: &Path, choices: &Choices, seed: u64, quiet: bool) -> Result<()> {
     let (scene, cameras, count) = match choices.scene {
         Subject::Terrace => (Scene::demo(), cameras(), POINTS),
@@ -155,10 +156,10 @@ pub fn write(folder: &Path, choices: &Choices, seed: u64, quiet: bool) -> Result
     Ok(())
 }
 
-/// Every so manieth view is held out, as it would be in the COLMAP folder.
+/// Interval of the held-out views, as in the COLMAP folder.
 const TEST_EVERY: u32 = 8;
 
-/// Cameras by the angle that they see and by matrices from camera to world, the camera's y up and z backward.
+/// Writes cameras as angles of view and camera-to-world matrices, with the camera's y up and z backward.
 fn write_nerf_synthetic(
     folder: &Path,
     cameras: &[Camera],
@@ -182,12 +183,12 @@ fn write_nerf_synthetic(
     if points.is_empty() {
         return Ok(());
     }
-    // Where the reference leaves the points of such scenes.
+    // The reference implementation reads the points of such scenes from this file.
     ply::write_points(folder.join("points3d.ply"), points, &WorldFrame::default())
 }
 
-/// Rotation and position of a camera in double precision, from which both layouts are written: then their readers, which
-/// count back, come to the same camera, to the bit.
+/// Rotation and position of a camera in double precision. Both layouts are written from it, so that their readers
+/// reconstruct the same camera, to the bit.
 struct Pose {
     camera_from_world: DMat3,
     eye: DVec3,
@@ -198,14 +199,14 @@ impl Pose {
     fn new(index: u32, name: String, camera: &Camera) -> Pose {
         let mut image = ColmapImage::posed(index + 1, 1, name, camera);
         let [w, x, y, z] = image.quat;
-        // Normalised once more, as readers do: what is nearly 0 in the matrix shows the last bits of its quaternion.
+        // Normalised once more, as readers do: matrix elements near 0 depend on the last bits of the quaternion.
         let camera_from_world = DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize());
         let eye = camera.position().as_dvec3();
         image.translation = (-(camera_from_world * eye)).to_array();
         Pose { camera_from_world, eye, image }
     }
 
-    /// From the camera (y up, z backward) to the world.
+    /// Rows of the matrix from the camera (y up, z backward) to the world.
     fn opengl_rows(&self) -> Vec<[f64; 4]> {
         let axes = self.camera_from_world.transpose();
         let rows = (0..3).map(|r| [axes.x_axis[r], -axes.y_axis[r], -axes.z_axis[r], self.eye[r]]);
@@ -245,7 +246,7 @@ fn cameras() -> Vec<Camera> {
     (0..VIEWS_PER_CIRCLE * ELEVATIONS.len() as u32).map(view).collect()
 }
 
-/// Points on surfaces that the cameras see, through random pixels, with an error and the pixel's colour.
+/// Points on visible surfaces, through random pixels, with an error and the pixel's colour.
 fn sparse_points((scene, cameras): (&Scene, &[Camera]), count: usize, sky: bool, seed: u64) -> PointCloud {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let mut points = PointCloud::default();

@@ -5,7 +5,7 @@ use ashsplat_files::Photo;
 /// Differences are shown this many times brighter.
 pub const DIFFERENCE_GAIN: u32 = 4;
 
-/// Pixels between the pictures and around them.
+/// Width of the margins around the pictures, pixels.
 const MARGIN: u32 = 8;
 /// Height of a caption strip above a picture, pixels.
 const CAPTION: u32 = 14;
@@ -20,7 +20,7 @@ pub struct Row {
     pub ssim: f64,
 }
 
-/// Lays out the rows; pictures of a row share a size, rows may differ.
+/// Lays out the rows. Pictures of a row share a size; rows may differ.
 pub fn contact_sheet(rows: &[Row]) -> Photo {
     let width = rows.iter().map(|r| 3 * r.photo.width + 4 * MARGIN).max().unwrap_or(MARGIN);
     let height = rows.iter().map(|r| r.photo.height + CAPTION + MARGIN).sum::<u32>() + MARGIN;

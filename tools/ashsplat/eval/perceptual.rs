@@ -7,7 +7,7 @@ use ashsplat::{Error, Frame, Result};
 use ashsplat_files::{Gallery, View, WeightsFile};
 use std::path::PathBuf;
 
-/// Reads the weights in these files, before any work.
+/// Reads weight files, before any other work.
 pub fn read_weights(files: &[PathBuf], host: &HostArguments) -> Result<Vec<Weights>> {
     let mut all: Vec<Weights> = Vec::new();
     for path in files {
@@ -21,7 +21,7 @@ pub fn read_weights(files: &[PathBuf], host: &HostArguments) -> Result<Vec<Weigh
     Ok(all)
 }
 
-/// Refuses photos, by their indices, that are too small for a network; of held-out ones only the right half counts if `halves`.
+/// Refuses photos that are too small for a network. With `halves`, only the right half of held-out photos counts.
 pub fn check_sizes(weights: &[Weights], gallery: &Gallery, chosen: &[usize], halves: bool) -> Result<()> {
     for (network, &index) in weights.iter().flat_map(|of| chosen.iter().map(|index| (of.network, index))) {
         let Some((width, height)) = gallery.size(index) else { continue };
@@ -43,13 +43,13 @@ pub fn check_sizes(weights: &[Weights], gallery: &Gallery, chosen: &[usize], hal
     Ok(())
 }
 
-/// Networks on the device.
+/// LPIPS networks on the device.
 pub struct Perceptual {
     networks: Vec<Lpips>,
 }
 
 impl Perceptual {
-    /// None without weights.
+    /// Returns `None` without weights.
     pub fn new(context: &Context, weights: &[Weights]) -> Result<Option<Perceptual>> {
         let networks =
             weights.iter().map(|weights| Lpips::new(context, weights)).collect::<Result<Vec<_>>>()?;
@@ -61,7 +61,7 @@ impl Perceptual {
         self.networks.iter().map(|lpips| lpips.network().measure()).collect()
     }
 
-    /// A value for each name. What a mask hides is black in both pictures.
+    /// One value for each name. Masked pixels are black in both pictures.
     pub fn measure(&mut self, view: &View, frame: &Frame) -> Result<Vec<f64>> {
         let mut photo = view.photo.photo()?.to_f32();
         let mut color = std::borrow::Cow::Borrowed(&frame.color);

@@ -1,4 +1,4 @@
-//! Which part of a view is measured, and under which light.
+//! The measured part of a view, and its exposure and lens effects.
 
 use crate::light::Lights;
 use ashsplat::scene::{Photo, StoredPhoto};
@@ -7,17 +7,17 @@ use ashsplat_files::View;
 use std::borrow::Cow;
 use std::collections::HashSet;
 
-/// The default measures whole views as they are rendered.
+/// The default measures whole views without exposure and lens effects.
 #[derive(Default)]
 pub struct Protocol {
-    /// Exposures of the photos that were trained on, lenses of all.
+    /// Exposures of the training photos, and lens effects of all photos.
     pub lights: Lights,
-    /// Names of the views whose left half was trained on: only the right one counts.
+    /// Names of the views whose left half was trained on: only the right half counts.
     pub halves: HashSet<String>,
 }
 
 impl Protocol {
-    /// The views and their frame as they are compared.
+    /// Prepares a view and its frame for comparison.
     pub fn prepared<'a>(&self, view: &'a View, mut frame: Frame) -> Result<(Cow<'a, View>, Frame)> {
         self.lights.of(&view.name).apply(&view.camera, &mut frame);
         if !self.halves.contains(&view.name) {
@@ -40,7 +40,7 @@ impl Protocol {
     }
 }
 
-/// Columns from the middle on, of rows of `width` values.
+/// The right half of rows of `width` values.
 fn right<T: Copy>(values: &[T], width: u32) -> Vec<T> {
     let width = width.max(1) as usize;
     values.chunks(width).flat_map(|row| &row[width / 2..]).copied().collect()

@@ -1,4 +1,4 @@
-//! What an evaluation says: a table, or JSON.
+//! Prints an evaluation as a table or as JSON.
 
 use super::{Evaluation, SceneSize, ViewResult};
 use crate::progress::thousands;

@@ -1,4 +1,4 @@
-//! How good a merged scene is, inside of blocks and along their seams.
+//! Report of a merged scene's quality, inside blocks and along their seams.
 
 use super::seams::{Measured, Seams};
 use super::{Arguments, results_beside};
@@ -17,20 +17,20 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-/// How much darker the page's pictures are where they are not along the seam.
+/// Factor by which pixels away from the seam are darkened on the page.
 const ASIDE: u8 = 3;
 
-/// All that measuring needs, before there is a scene.
+/// Everything that the measurement needs except the scene.
 pub struct Ready {
     page: PathBuf,
     gallery: Gallery,
     context: Context,
-    /// How the blocks were trained.
+    /// Settings of the blocks' training.
     settings: Settings,
     stop: Arc<AtomicBool>,
 }
 
-/// A scene to be drawn.
+/// A scene that is drawn.
 struct Drawn {
     renderer: Renderer,
     look: RenderSettings,
@@ -41,7 +41,7 @@ struct Drawn {
 #[derive(Serialize)]
 struct Quality {
     gaussians: u64,
-    /// Mean over the views, as `eval` has it.
+    /// Mean over the views, as in `eval`.
     mean_psnr: f64,
     /// Over all pixels of all views together.
     psnr: Option<f64>,
@@ -63,13 +63,13 @@ struct Results {
     views: usize,
     /// Largest distance from a seam that counts as along it, source units.
     band: f32,
-    /// Share of the pixels.
+    /// Share of the pixels in the band.
     band_share: f64,
     merged: Quality,
     against: Option<Quality>,
-    /// The worst first.
+    /// Seams, the worst first.
     seams: Vec<SeamQuality>,
-    /// The view that shows the worst seam at its worst.
+    /// The view in which the worst seam has the largest error.
     worst_view: Option<String>,
 }
 
@@ -113,7 +113,7 @@ impl Ready {
         Ok(Drawn { renderer, look, gaussians: scene.gaussians.len() as u64 })
     }
 
-    /// Measures the scene, and writes page and JSON.
+    /// Measures the scene, and writes the page and the JSON.
     pub fn measure(self, arguments: &Arguments, file: &BlocksFile) -> Result<()> {
         let cells = file.division.cells()?;
         let seams = Seams::of(&cells, file.division.margin_in_world());
@@ -157,8 +157,9 @@ impl Ready {
         Ok(())
     }
 
-    /// The errors of the scenes on all held-out views, in regions by the depths of the first; and by seams, the view that shows
-    /// each at its worst.
+    /// Errors of the scenes on all held-out views, in regions by the depths of the first scene; and for each seam the
+    /// view
+    /// with its largest error.
     fn errors(
         &self,
         scenes: &mut [Drawn],
@@ -196,7 +197,7 @@ impl Ready {
         Ok((measured, shown.into_iter().map(|(_, view)| view).collect()))
     }
 
-    /// Photograph and renders of a view, bright along a seam.
+    /// Adds photograph and renders of a view, darkened except along a seam.
     fn pictures(
         &self,
         page: &mut String,
@@ -247,7 +248,7 @@ impl Quality {
     }
 }
 
-/// A number of decibels, or none.
+/// A number of decibels, or a dash.
 fn decibels(psnr: Option<f64>) -> String {
     psnr.map_or_else(|| "–".into(), |psnr| format!("{psnr:.2}"))
 }

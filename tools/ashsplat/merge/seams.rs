@@ -1,14 +1,14 @@
-//! Errors of pixels inside of blocks and along their seams.
+//! Errors of pixels inside blocks and along their seams.
 
 use crate::blocks::places::places;
 use ashsplat::Frame;
 use ashsplat::scene::{Camera, Cells, Seam};
 use glam::Vec3;
 
-/// Seams of which fewer pixels are seen are not compared.
+/// Least number of visible pixels of a seam that is compared.
 const LEAST_PIXELS: u64 = 100;
 
-/// Squared errors of colours, 0 to 1.
+/// Sum of squared errors of colours, 0 to 1.
 #[derive(Clone, Copy, Default)]
 pub struct Errors {
     pub squared: f64,
@@ -21,7 +21,7 @@ impl Errors {
         self.pixels += 1;
     }
 
-    /// dB, over all pixels together; None without any.
+    /// PSNR over all pixels together, dB; `None` without pixels.
     pub fn psnr(&self) -> Option<f64> {
         let mean = self.squared / (3 * self.pixels) as f64;
         (self.pixels > 0).then(|| -10.0 * mean.log10())
@@ -31,7 +31,7 @@ impl Errors {
 /// Errors of a scene.
 #[derive(Default)]
 pub struct Measured {
-    /// By view.
+    /// Errors of each view.
     pub views: Vec<Errors>,
     pub inside: Errors,
     pub band: Errors,
@@ -39,7 +39,7 @@ pub struct Measured {
 }
 
 impl Measured {
-    /// Adds a view's frame and photo, with the seam that each pixel lies along and whether it counts.
+    /// Adds a view's frame and photo. `regions` has each pixel's seam, `counts` is false for pixels to skip.
     pub fn add(
         &mut self,
         frame: &Frame,
@@ -66,7 +66,7 @@ impl Measured {
         self.views.push(view);
     }
 
-    /// All pixels of all views.
+    /// Errors over all pixels of all views.
     pub fn whole(&self) -> Errors {
         let [a, b] = [self.inside, self.band];
         Errors { squared: a.squared + b.squared, pixels: a.pixels + b.pixels }
@@ -78,7 +78,7 @@ impl Measured {
         views.iter().sum::<f64>() / views.len() as f64
     }
 
-    /// The seams of which enough is seen, the worst first.
+    /// Seams with enough visible pixels, the worst first.
     pub fn worst_seams(&self) -> Vec<usize> {
         let seen = |&seam: &usize| self.seams[seam].pixels >= LEAST_PIXELS;
         let mut seams: Vec<usize> = (0..self.seams.len()).filter(seen).collect();
@@ -88,12 +88,12 @@ impl Measured {
     }
 }
 
-/// The seams, by cells.
+/// The seams of all cells.
 pub struct Seams<'a> {
     cells: &'a Cells,
     pub all: Vec<Seam>,
     of_cells: Vec<Vec<usize>>,
-    /// How near is along a seam, world units.
+    /// Largest distance along a seam, world units.
     band: f32,
 }
 
@@ -111,7 +111,7 @@ impl Seams<'_> {
         Measured { seams: vec![Errors::default(); self.all.len()], ..Measured::default() }
     }
 
-    /// The nearest seam of a place's cell, if it is near.
+    /// The nearest seam of a position's cell, if it is within the band.
     fn near(&self, place: Vec3) -> Option<usize> {
         let seams = self.of_cells[self.cells.at(place)?].iter();
         let distances = seams.map(|&seam| (self.all[seam].distance(place), seam));
@@ -119,7 +119,7 @@ impl Seams<'_> {
         (distance <= self.band).then_some(seam)
     }
 
-    /// The seam that each pixel lies along, if any.
+    /// The seam along which each pixel lies, if any.
     pub fn regions(&self, camera: &Camera, frame: &Frame) -> Vec<Option<usize>> {
         places(camera, frame).into_iter().map(|place| place.and_then(|place| self.near(place))).collect()
     }
@@ -148,7 +148,7 @@ mod tests {
         let photo = [[0.4; 3], [1.0; 3], [0.0; 3]];
         measured.add(&frame, &photo, &[Some(x), None, None], |pixel| pixel != 2);
         let near = |psnr: Option<f64>, expected: f64| psnr.is_some_and(|psnr| (psnr - expected).abs() < 1e-4);
-        // A hundredth; half of it, for the other pixel is right, and the third does not count.
+        // An error of a hundredth in one pixel, none in the other, and a third that does not count.
         assert!(near(measured.band.psnr(), 20.0) && near(measured.seams[x].psnr(), 20.0));
         assert!(near(measured.whole().psnr(), 23.0103) && near(Some(measured.mean_psnr()), 23.0103));
         assert_eq!((measured.inside.pixels, measured.inside.psnr()), (1, Some(f64::INFINITY)));

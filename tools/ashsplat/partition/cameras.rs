@@ -1,8 +1,8 @@
-//! What share of each photo a cell covers, by the depths of a coarse model.
+//! Share of each photo that a cell covers, by the depths of a coarse model.
 //!
-//! A picture is drawn small, each of its pixels is put where its harmonic depth says, and the pixel counts for the cell there by
-//! its opacity. That is one picture per photo however many cells there are; what each cell's Gaussians contribute would need
-//! one per photo and cell.
+//! A picture is drawn small. Each pixel is located by its harmonic depth, and its opacity counts for the cell there.
+//! That takes one picture per photo for any number of cells. Measuring the contribution of each cell's Gaussians would
+//! take one per photo and cell.
 
 use crate::blocks::parts::{Part, Shown};
 use crate::blocks::places::{places, small};
@@ -15,13 +15,13 @@ use ashsplat_files::cameras_json::NamedCamera;
 use std::collections::BTreeMap;
 use std::sync::atomic::AtomicBool;
 
-/// What the photos' pictures show of cells.
+/// Shares and parts of the photos that show cells.
 pub struct Shares {
-    /// Their shares of each picture, by photo, then by cell, 0 to 1.
+    /// Share of each picture, by photo, then by cell, 0 to 1.
     shares: Vec<Vec<f64>>,
-    /// By photo, then by those cells that it is used for: the part that shows the cell and its margin.
+    /// Parts that show a cell and its margin, by photo, then by the cells that it is used for.
     parts: Vec<BTreeMap<usize, Part>>,
-    /// The share of a picture that a cell must cover for the photo to be used for it.
+    /// Least share of a picture that a cell must cover to use the photo.
     least: f64,
 }
 
@@ -46,12 +46,12 @@ impl Shares {
         Ok(found)
     }
 
-    /// The next photo: as small as it was drawn.
+    /// Adds the next photo, with its small camera and frame.
     fn add(&mut self, camera: &Camera, frame: &Frame, (cells, margin): (&Cells, f32)) {
         let photo = self.shares.len();
         self.shares.push(covered(camera, frame, cells));
         let own = cells.bounds().iter().enumerate().filter(|(cell, _)| self.is_of(photo, *cell));
-        // A block that is the whole scene is trained on what shows nothing, too: as the scene is.
+        // A block that is the whole scene is trained on transparent pixels too, like the scene.
         let own = own.filter(|(_, core)| !SceneBlock::is_everything(**core));
         let part = |(cell, &core): (usize, &Bounds)| {
             let part = Shown::of(camera, frame, (core, margin)).part();
@@ -61,31 +61,32 @@ impl Shares {
         self.parts.push(parts);
     }
 
-    /// Whether a photo is used for a cell.
+    /// True if a photo is used for a cell.
     pub fn is_of(&self, photo: usize, cell: usize) -> bool {
         let own = self.shares[photo][cell];
         own >= self.least || own > 0.0 && self.main_cell(photo) == Some(cell)
     }
 
-    /// The part of a photo that shows a cell and its margin. None where that is all of it, and where nothing opaque shows them: then the
-    /// whole photo is used.
+    /// The part of a photo that shows a cell and its margin. `None` uses the whole photo: the part is the whole, or
+    /// nothing opaque
+    /// shows the cell.
     pub fn part(&self, photo: usize, cell: usize) -> Option<Part> {
         self.parts[photo].get(&cell).copied()
     }
 
-    /// The cell that a photo shows most of: the first of several. None where it shows nothing.
+    /// The cell with the largest share of a photo, the first of equal ones. `None` if it shows no cell.
     pub fn main_cell(&self, photo: usize) -> Option<usize> {
         let cells = self.shares[photo].iter().enumerate().filter(|(_, share)| **share > 0.0);
         cells.rev().max_by(|a, b| a.1.total_cmp(b.1)).map(|(cell, _)| cell)
     }
 
-    /// The largest share of a cell in some of the photos.
+    /// Largest share of a cell in the photos for which `counts` is true.
     pub fn most(&self, cell: usize, counts: impl Fn(usize) -> bool) -> f64 {
         let photos = self.shares.iter().enumerate().filter(|(photo, _)| counts(*photo));
         photos.map(|(_, shares)| shares[cell]).fold(0.0, f64::max)
     }
 
-    /// For what share of the cells besides its main one a photo is used, in the mean: 0 to 1.
+    /// Mean share of the cells, besides its main one, that a photo is used for: 0 to 1.
     pub fn spread(&self) -> f64 {
         let (photos, cells) = (self.shares.len(), self.shares.first().map_or(0, Vec::len));
         let others =
@@ -99,7 +100,7 @@ impl Shares {
         self.parts.iter_mut().for_each(BTreeMap::clear);
     }
 
-    /// What cells cover of the pictures in the mean, all together.
+    /// Mean share of the pictures that all cells cover together.
     pub fn covered(&self) -> f64 {
         self.shares.iter().flatten().sum::<f64>() / self.shares.len() as f64
     }
@@ -139,7 +140,7 @@ mod tests {
                 (x - expected[0]).abs() < 1e-3 && (y - expected[1]).abs() < 1e-3 && (z - 2.0).abs() < 1e-5
             );
         }
-        // Halved where the camera looks.
+        // Two cells, divided where the camera looks.
         let cells = Cells::divide(&[[0.0; 3], [0.5, 0.0, 0.0]], 1).expect("cells");
         let found = |least: f64| {
             let mut found = Shares { shares: Vec::new(), parts: Vec::new(), least };
@@ -150,14 +151,14 @@ mod tests {
         assert_eq!(shares.shares[0], [0.25, 0.5]);
         assert_eq!((shares.main_cell(0), shares.covered()), (Some(1), 0.75));
         assert!(shares.is_of(0, 0) && !found(0.26).is_of(0, 0) && found(0.9).is_of(0, 1));
-        // A column is 2 tan(0.5) 2 / 40 = 0.055 wide: two of the margin, and one more.
+        // A column is 2 tan(0.5) 2 / 40 = 0.055 wide: two columns of the margin, and one more.
         let part = |columns: [u32; 2]| Some(Part { of: [40, 20], columns, rows: [0, 20] });
         assert_eq!([0, 1].map(|cell| shares.part(0, cell)), [part([0, 23]), part([17, 40])]);
         assert_eq!([0.25, 0.26].map(|least| found(least).spread()), [1.0, 0.0]);
         let mut whole = found(0.25);
         whole.use_whole();
         assert_eq!([0, 1].map(|cell| whole.part(0, cell)), [None, None]);
-        // Half of the photos show both of two cells.
+        // Half of the photos show both cells.
         let shares = vec![vec![0.2, 0.2], vec![0.0, 0.4], vec![0.05, 0.1], vec![0.1, 0.3]];
         assert_eq!(Shares { shares, parts: Vec::new(), least: 0.1 }.spread(), 0.5);
         let others = |own: Vec<f64>| Shares { shares: vec![own], parts: Vec::new(), least: 0.1 };

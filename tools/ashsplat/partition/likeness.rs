@@ -1,14 +1,16 @@
-//! Whether a model shows what the photographs show: one of another scene may fill the cameras' pictures just as well.
+//! Compares a model's renders with the photographs: a model of another scene may fill the cameras' pictures just as
+//! well.
 
 use crate::blocks::places::small;
 use ashsplat::{RenderSettings, Renderer, Result};
 use ashsplat_files::{Gallery, PhotoFileFormat};
 use std::sync::Arc;
 
-/// Photographs that are looked at.
+/// Number of photographs that are compared.
 const VIEWS: usize = 5;
 
-/// The mean correlation of brightness between photographs and renders, both small, -1 to 1; None where photographs show nothing.
+/// Mean correlation of brightness between photographs and renders, both small, -1 to 1. `None` if the photographs are
+/// uniform.
 pub fn correlation(renderer: &mut Renderer, gallery: &Gallery, look: &RenderSettings) -> Result<Option<f64>> {
     let views = gallery.cameras().len();
     let mut found = Vec::new();
@@ -26,7 +28,7 @@ pub fn correlation(renderer: &mut Renderer, gallery: &Gallery, look: &RenderSett
     Ok((!found.is_empty()).then(|| found.iter().sum::<f64>() / found.len() as f64))
 }
 
-/// Pearson's correlation; None where the first are all the same.
+/// Pearson's correlation; `None` if all values of `a` are equal.
 fn correlated(a: &[f64], b: &[f64]) -> Option<f64> {
     let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
     let (mean_a, mean_b) = (mean(a), mean(b));
@@ -38,7 +40,7 @@ fn correlated(a: &[f64], b: &[f64]) -> Option<f64> {
         ab += a * b;
     }
     let flat = 1e-6 * a.len() as f64;
-    // What is all the same is like nothing.
+    // A uniform render resembles nothing.
     (aa > flat).then(|| if bb > flat { ab / (aa * bb).sqrt() } else { 0.0 })
 }
 

@@ -1,4 +1,5 @@
-//! Cells, seams, margins, cameras and Gaussians from above, as SVG; from the side as well, where cells lie one above another.
+//! Draws cells, seams, margins, cameras and Gaussians from above, as SVG; from the side too, if cells lie one above
+//! another.
 
 use super::cameras::Shares;
 use crate::bench::plot::COLORS;
@@ -14,18 +15,18 @@ use std::fmt::Write;
 /// The longer side of the drawing, pixels.
 const SIDE: f32 = 900.0;
 const MARGIN: f32 = 30.0;
-/// Room for the line above.
+/// Least width, for the line of text above.
 const LEAST_WIDTH: f32 = 360.0;
-/// Of a unit vector on the paper, to be drawn as a direction.
+/// Least length on paper of a unit vector that is drawn as a direction.
 const LEAST_DIRECTION: f32 = 0.1;
-/// Gaussians that are drawn, about.
+/// Approximate number of Gaussians that are drawn.
 const DOTS: usize = 4000;
 
-/// From world to paper.
+/// Projection from world to paper.
 struct Plan {
-    /// To the right and downwards.
+    /// Axes to the right and downwards.
     axes: [usize; 2],
-    /// Whether the second axis points upwards.
+    /// True if the second axis points upwards.
     upwards: bool,
     min: Vec2,
     scale: f32,
@@ -41,7 +42,7 @@ impl Plan {
         Plan { axes, upwards, min, scale, size: scale * extent }
     }
 
-    /// Seen along the axis that is nearest to the cameras' common up; and, if cells lie one above another, from the side as well.
+    /// Views along the axis nearest to the cameras' common up and, if cells lie one above another, from the side.
     fn of(gaussians: &Gaussians, cameras: &[NamedCamera], seams: &[Seam]) -> Vec<Plan> {
         let up: Vec3 = cameras.iter().map(|named| -named.camera.camera_from_world.row(1)).sum();
         let down = (0..3).max_by(|&a, &b| up[a].abs().total_cmp(&up[b].abs())).unwrap_or(1);
@@ -52,10 +53,11 @@ impl Plan {
         let corners = middle.into_iter().flat_map(|bounds| [bounds.min, bounds.max]);
         let around = Bounds::of(seen.chain(corners)).unwrap_or(Bounds { min: Vec3::ZERO, max: Vec3::ONE });
         let across = |axis: usize| seams.iter().filter(|seam| seam.axis == axis).count();
-        // To the right, downwards and into the paper are three axes in the order x, y, z, x. Where that looks up, one is turned.
+        // Right, down and into the paper are three axes in the order x, y, z, x. If the third looks up, one of them is
+        // flipped.
         let mut plans = vec![Plan::new(around, flat, up[down] > 0.0)];
         if across(down) > 0 {
-            // To the right goes the axis with most seams: along the other one cells would hide each other.
+            // The axis with most seams goes to the right: along the other one, cells would hide each other.
             let right = flat.into_iter().max_by_key(|&axis| across(axis)).unwrap_or(flat[0]);
             plans.push(Plan::new(around, [right, down], up[down] > 0.0));
         }
@@ -67,13 +69,13 @@ impl Plan {
         if self.upwards { Vec2::new(flat.x, self.size.y - flat.y) } else { flat }
     }
 
-    /// A direction on the paper: as long as it does not point into it.
+    /// A direction on the paper; it is short if it points into the paper.
     fn direction(&self, of: Vec3) -> Vec2 {
         let [right, other] = self.axes.map(|axis| of[axis]);
         Vec2::new(right, if self.upwards { -other } else { other })
     }
 
-    /// Whether a point is on the paper.
+    /// True if a point is on the paper.
     fn shows(&self, point: Vec3) -> bool {
         let flat = self.flat(point);
         flat.cmpge(Vec2::ZERO).all() && flat.cmple(self.size).all()
@@ -94,7 +96,7 @@ impl Plan {
     }
 }
 
-/// What is drawn.
+/// Contents of the drawing.
 struct Drawn<'a> {
     division: &'a Division,
     cells: Cells,
@@ -104,7 +106,7 @@ struct Drawn<'a> {
     shares: &'a Shares,
 }
 
-/// The drawing.
+/// Draws the division as SVG.
 pub fn svg(
     division: &Division,
     gaussians: &Gaussians,
@@ -203,7 +205,7 @@ impl Drawn<'_> {
             .filter(|block| block.photos.contains(name) || block.held_out.contains(name))
             .map(|block| block.number.to_string())
             .collect();
-        // One that looks along the line of sight has no direction here.
+        // A camera that looks along the line of sight has no direction here.
         let (element, shape) = if look.length() < LEAST_DIRECTION {
             ("circle", format!("cx=\"{:.1}\" cy=\"{:.1}\" r=\"3.5\"", place.x, place.y))
         } else {
@@ -272,7 +274,7 @@ mod tests {
         assert!(above.direction(down.camera.forward()).length() < LEAST_DIRECTION);
         assert_eq!(side.direction(down.camera.forward()), Vec2::Y);
         assert!(above.at(vec3(0.0, 2.0, 0.0)).y < above.at(Vec3::ZERO).y);
-        // Cells beside each other need no view from the side.
+        // Cells side by side need no view from the side.
         let beside = Cells::divide(&[[0.0; 3], [9.0, 0.0, 0.0]], 1).expect("cells");
         assert_eq!(Plan::of(&gaussians, &[level], &beside.seams()).len(), 1);
     }

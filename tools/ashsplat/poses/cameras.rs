@@ -14,12 +14,13 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Instant, UNIX_EPOCH};
 
-/// More cameras than this are not found each by a run of its own: every photograph has one.
+/// Largest number of cameras whose features are extracted in separate runs. Beyond it, every photograph has its own
+/// camera.
 const MOST_CAMERAS: usize = 16;
-/// What COLMAP says when photographs have nothing in common.
+/// COLMAP's messages if photographs have nothing in common.
 const UNCONNECTED: [&str; 4] =
     ["No good initial image pair", "No images with matches", "failed to create", "Failed to create"];
-/// Lines of COLMAP in a message.
+/// Number of COLMAP's lines in a message.
 const SAID: usize = 3;
 const ADVICE: &str = "take more photographs: each overlapping the next by two thirds, from places some steps apart (not turning \
                       on the spot), sharp, of a scene that has texture and does not move";
@@ -31,26 +32,26 @@ pub struct Cameras<'a> {
     pub stop: &'a AtomicBool,
     pub photos: &'a Prints,
     pub looks: &'a [Look],
-    /// Whether COLMAP may use a GPU.
+    /// True if COLMAP may use a GPU.
     pub gpu: bool,
 }
 
-/// What was found.
+/// Result of COLMAP's stages.
 pub struct Found {
     /// The folder of the largest model.
     pub model: PathBuf,
     pub registered: HashSet<String>,
     pub points: usize,
-    /// How many models there are.
+    /// Number of models.
     pub models: usize,
 }
 
 impl Cameras<'_> {
-    /// Runs all stages that are not done yet.
+    /// Runs all unfinished stages.
     ///
     /// # Errors
-    /// [`Error::Argument`] and [`Error::Input`] where COLMAP fails or connects too few photographs, with the place of all that
-    /// it said; [`Error::Io`]; [`Error::Interrupted`].
+    /// [`Error::Argument`] and [`Error::Input`] if COLMAP fails or connects too few photographs, with the path of its
+    /// log; [`Error::Io`]; [`Error::Interrupted`].
     pub fn find(mut self, work: &mut Work) -> Result<Found> {
         self.features(work)?;
         let log = work.path(LOG_FILE);
@@ -67,14 +68,14 @@ impl Cameras<'_> {
                 return Err(self.unconnected(0, &log));
             }
         }
-        // Also where it was ended after a first model: a larger one may have been to come.
+        // Checked even if a first model exists: a larger one might have followed.
         self.success("mapping", &ended, &log)?;
         let found = self.largest(work, count, &log)?;
         self.arguments.tell(&format!("mapping     {}", time(begin.elapsed().as_secs_f64())));
         Ok(found)
     }
 
-    /// Compares photographs, on the processor if the GPU fails.
+    /// Compares photographs; on the processor if the GPU fails.
     fn matches(&mut self, work: &Work, log: &Path) -> Result<()> {
         let photographs = self.photos.names.len();
         loop {
@@ -111,7 +112,7 @@ impl Cameras<'_> {
         })
     }
 
-    /// Photographs that share a camera.
+    /// Groups of photographs that share a camera.
     fn groups(&self) -> Result<(Vec<Vec<String>>, bool)> {
         let names = &self.photos.names;
         if self.arguments.cameras == "one" {
@@ -132,14 +133,14 @@ impl Cameras<'_> {
         }
     }
 
-    /// Looks for features, on the processor if the GPU fails.
+    /// Extracts features; on the processor if the GPU fails.
     fn features(&mut self, work: &mut Work) -> Result<()> {
         let (groups, shared) = self.groups()?;
         let cameras = if shared { groups.len() } else { self.photos.names.len() };
         let cameras = if cameras == 1 { "1 camera".into() } else { format!("{cameras} cameras") };
         let log = work.path(LOG_FILE);
         let wanted = self.gpu;
-        // Those of the processor are as good: an earlier run may have found that the GPU fails.
+        // Features from the processor are as good: an earlier run may have found that the GPU fails.
         for gpu in [false, wanted] {
             self.gpu = gpu;
             if work.has_features(&self.key(work)?) {
@@ -150,7 +151,7 @@ impl Cameras<'_> {
         loop {
             let key = self.key(work)?;
             work.note_features(None)?;
-            // The first that it says of these photographs.
+            // The log begins with these photographs.
             for name in ["database.db", "database.db-wal", "database.db-shm", "database.db-journal", LOG_FILE]
             {
                 work.remove(name)?;
@@ -187,7 +188,7 @@ impl Cameras<'_> {
         }
     }
 
-    /// What the features in the database depend on.
+    /// Key of everything that the features in the database depend on.
     fn key(&self, work: &Work) -> Result<String> {
         let mut hasher = DefaultHasher::new();
         let Job { photos, camera_model, max_features, gpu, .. } = self.job(work)?;
@@ -199,7 +200,7 @@ impl Cameras<'_> {
         Ok(format!("{:016x}", hasher.finish()))
     }
 
-    /// Says how long a stage took.
+    /// Reports the time of a stage.
     fn tell_stage(&self, name: &str, begin: Instant, about: &str) {
         let took = time(begin.elapsed().as_secs_f64());
         self.arguments.tell(&format!("{name:<11} {took}: {about}"));
@@ -227,7 +228,7 @@ impl Cameras<'_> {
         Error::input(&self.photos.folder, problem, ADVICE)
     }
 
-    /// The model with the most photographs, read as training will read it.
+    /// The model with the most photographs, read in the same way as by training.
     fn largest(&self, work: &Work, models: usize, log: &Path) -> Result<Found> {
         let images = std::path::absolute(&self.photos.folder);
         let images = images.map_err(|e| Error::io(&self.photos.folder, "find", e))?;
@@ -243,7 +244,7 @@ impl Cameras<'_> {
     }
 }
 
-/// Length and time of change of a file: what it was when it was looked at.
+/// Length and modification time of a file, which show if it has changed.
 pub fn fingerprint(path: &Path) -> Result<String> {
     let metadata = path.metadata().map_err(|e| Error::io(path, "read", e))?;
     let changed = metadata.modified().ok().and_then(|time| time.duration_since(UNIX_EPOCH).ok());

@@ -1,4 +1,4 @@
-//! COLMAP as a program: which one is installed, what it is told, how far it is.
+//! Runs COLMAP: finds its version, builds its commands, reads its progress.
 
 use crate::child::{self, Ended};
 use ashsplat::{Error, Result};
@@ -9,15 +9,15 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::atomic::AtomicBool;
 
-/// How it is installed.
+/// Commands that install COLMAP.
 const INSTALL: &str = "`apt install colmap` on Debian and Ubuntu, `brew install colmap` on macOS, the ZIP of \
                        https://github.com/colmap/colmap/releases on Windows, elsewhere `conda install -c conda-forge colmap`; \
                        --colmap gives its path";
-/// Photographs are scaled to this many pixels a side at most where no GPU looks for features: beyond, memory and time grow and
-/// cameras hardly get better.
+/// Largest side of photographs for features on a processor, pixels. Beyond, memory and time grow and cameras hardly
+/// get better.
 const MAX_SIDE_WITHOUT_GPU: u32 = 2000;
 
-/// Blocks of photographs that are compared with each other.
+/// Number of blocks of photographs that are compared with each other.
 const BLOCKS: usize = 6;
 
 /// An installed COLMAP.
@@ -26,21 +26,21 @@ pub struct Colmap {
     program: OsString,
     /// "COLMAP 3.8"
     pub version: String,
-    /// Whether it can use a GPU.
+    /// True if it can use a GPU.
     pub cuda: bool,
-    /// The options that choose the GPU. Newer versions have other names for them.
+    /// Options that select the GPU. Newer versions have other names for them.
     gpu_of_features: Option<String>,
     gpu_of_matches: Option<String>,
-    /// The options for the largest side of a photograph and for the most features, whose names changed as well.
+    /// Options for the largest side of a photograph and for the most features. Their names have changed too.
     max_image_size: Option<String>,
     max_num_features: Option<String>,
 }
 
 impl Colmap {
-    /// Asks the program what it is.
+    /// Asks the program for its version and options.
     ///
     /// # Errors
-    /// [`Error::Argument`], with how to install it.
+    /// [`Error::Argument`], with commands to install it.
     pub fn find(program: &OsStr) -> Result<Self> {
         let features = help(program, "feature_extractor")?;
         let matches = help(program, "exhaustive_matcher")?;
@@ -67,7 +67,7 @@ impl Colmap {
         vec![stage.into()]
     }
 
-    /// Looks for features in the photographs of a list.
+    /// Command that extracts features from the photographs of a list.
     pub fn features(&self, job: &Job, list: &Path, single_camera: bool) -> Vec<OsString> {
         let mut words = self.command("feature_extractor");
         words.extend(job.database());
@@ -83,12 +83,12 @@ impl Colmap {
         words
     }
 
-    /// Compares so many photographs.
+    /// Command that compares `photographs` photographs.
     pub fn matches(&self, job: &Job, matcher: Matcher, photographs: usize) -> Vec<OsString> {
         let mut words = self.command(matcher.command());
         words.extend(job.database());
         if matcher == Matcher::Exhaustive {
-            // It tells how far it is once for each pair of blocks.
+            // COLMAP reports progress once per pair of blocks.
             let block = photographs.div_ceil(BLOCKS).clamp(4, 50).to_string();
             words.extend(["--ExhaustiveMatching.block_size".into(), block.into()]);
         }
@@ -96,20 +96,20 @@ impl Colmap {
         words
     }
 
-    /// Places the cameras; models go to `folder/0`, `folder/1`, …
+    /// Command that places the cameras; models go to `folder/0`, `folder/1`, …
     pub fn mapping(&self, job: &Job, folder: &Path) -> Vec<OsString> {
         let mut words = self.command("mapper");
         words.extend(job.database());
         words.extend(["--image_path".into(), job.photos.clone().into()]);
         words.extend(["--output_path".into(), folder.into()]);
         if job.video {
-            // Neighbouring frames are near each other: as COLMAP's automatic_reconstructor has it for videos.
+            // Neighbouring frames are near each other. COLMAP's automatic_reconstructor uses this for videos.
             words.extend(["--Mapper.init_min_tri_angle".into(), "8".into()]);
         }
         words
     }
 
-    /// Runs it with these words; all that it says is added to `log`.
+    /// Runs COLMAP with these arguments; its output is appended to `log`.
     ///
     /// # Errors
     /// As [`child::run_logged`].
@@ -121,7 +121,7 @@ impl Colmap {
         heard: &(dyn Fn(Heard) + Sync),
     ) -> Result<Ended> {
         let mut command = Command::new(&self.program);
-        // It opens windows otherwise, also where there are none.
+        // Without it, COLMAP opens windows, even without a display.
         command.args(words).env("QT_QPA_PLATFORM", "offscreen");
         let asked: Vec<_> = words.iter().map(|word| word.to_string_lossy()).collect();
         let file = File::options().create(true).append(true).open(log);
@@ -132,7 +132,7 @@ impl Colmap {
     }
 }
 
-/// What a stage works on.
+/// Inputs of a stage.
 #[derive(Clone, Debug)]
 pub struct Job {
     pub database: PathBuf,
@@ -154,7 +154,7 @@ fn switch(on: bool) -> OsString {
     if on { "1".into() } else { "0".into() }
 }
 
-/// An option that this version has, with its value.
+/// An option and its value, if this version has the option.
 fn chosen(option: &Option<String>, value: impl Into<OsString>) -> Vec<OsString> {
     option.iter().map(OsString::from).zip([value.into()]).flat_map(|(name, value)| [name, value]).collect()
 }
@@ -169,7 +169,7 @@ pub enum Matcher {
 }
 
 impl Matcher {
-    /// What COLMAP counts while it matches.
+    /// Unit of COLMAP's progress while it matches.
     pub fn unit(self) -> &'static str {
         match self {
             Matcher::Exhaustive => "blocks of pairs",
@@ -185,12 +185,12 @@ impl Matcher {
     }
 }
 
-/// How far a stage is, as COLMAP's own lines tell.
+/// Progress of a stage by COLMAP's output.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Heard {
-    /// So much of so much.
+    /// This many of that many steps.
     Of(u64, u64),
-    /// So many photographs have a camera.
+    /// Number of photographs with a camera.
     Registered(u64),
 }
 
@@ -228,7 +228,7 @@ impl Heard {
     }
 }
 
-/// The first digits of a text.
+/// The first number in a text.
 fn number(text: &str) -> Option<u64> {
     let start = text.find(|c: char| c.is_ascii_digit())?;
     let digits = &text[start..];
@@ -236,7 +236,7 @@ fn number(text: &str) -> Option<u64> {
     digits[..end].parse().ok()
 }
 
-/// What a command of the program says of itself, on whichever of both streams.
+/// Help of a COLMAP command, from stdout or stderr.
 fn help(program: &OsStr, command: &str) -> Result<String> {
     let asked = Command::new(program)
         .args([command, "-h"])
@@ -250,14 +250,14 @@ fn help(program: &OsStr, command: &str) -> Result<String> {
     Ok([said.stdout, said.stderr].map(|bytes| String::from_utf8_lossy(&bytes).into_owned()).join("\n"))
 }
 
-/// "COLMAP 3.8" of "COLMAP 3.8 (Commit Unknown on Unknown without CUDA)".
+/// "COLMAP 3.8" from "COLMAP 3.8 (Commit Unknown on Unknown without CUDA)".
 fn version(help: &str) -> Option<String> {
     let start = help.find("COLMAP ")?;
     let words: Vec<&str> = help[start..].split_whitespace().take(2).collect();
     words.get(1).is_some_and(|word| word.starts_with(|c: char| c.is_ascii_digit())).then(|| words.join(" "))
 }
 
-/// The option "--GROUP.name", whatever its group is called.
+/// The option "--GROUP.name" of any group.
 fn option(help: &str, name: &str) -> Option<String> {
     let is_it = |word: &&str| {
         word.strip_prefix("--").and_then(|word| word.split_once('.')).is_some_and(|(_, rest)| rest == name)

@@ -1,12 +1,14 @@
-//! How sharp a picture is: the variance of its Laplacian, which motion and defocus lower.
+//! Sharpness of a picture: the variance of its Laplacian, which motion and defocus lower.
 
 use ashsplat_files::Photo;
 
-/// Pictures are reduced to about this width, pixels: noise and the compression of videos go, blur that matters stays.
+/// Width to which pictures are reduced, pixels, about. That removes noise and compression artefacts but keeps relevant
+/// blur.
 const WIDTH: u32 = 640;
 
-/// Variance of the Laplacian of the reduced grey picture, in squares of 8-bit levels. To compare pictures of one scene
-/// and one size; 0 for pictures without an inside.
+/// Variance of the Laplacian of the reduced grey picture, in squares of 8-bit levels. Comparable between pictures of
+/// one
+/// scene and one size; 0 for pictures without inner pixels.
 pub fn sharpness(photo: &Photo) -> f64 {
     let (grey, width) = reduced(photo, (photo.width / WIDTH).max(1) as usize);
     let (mut sum, mut squares, mut count) = (0.0, 0.0, 0.0);
@@ -23,7 +25,7 @@ pub fn sharpness(photo: &Photo) -> f64 {
     if count > 0.0 { squares / count - (sum / count) * (sum / count) } else { 0.0 }
 }
 
-/// Mean grey levels of squares of `factor` pixels, and how many are in a row.
+/// Mean grey levels of squares of `factor` pixels, and the number of squares per row.
 fn reduced(photo: &Photo, factor: usize) -> (Vec<f32>, usize) {
     let (width, height) = (photo.width as usize / factor, photo.height as usize / factor);
     let scale = 1.0 / (1000 * factor * factor) as f32;
@@ -47,7 +49,7 @@ fn reduced(photo: &Photo, factor: usize) -> (Vec<f32>, usize) {
 mod tests {
     use super::*;
 
-    /// Bars and a disk, smeared along x over so many pixels.
+    /// Bars and a disk, blurred along x over `smeared` pixels.
     fn picture(width: u32, smeared: u32) -> Photo {
         let height = width / 2;
         let level = |x: f32, y: f32| {

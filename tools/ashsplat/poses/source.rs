@@ -1,4 +1,4 @@
-//! What cameras are wanted of: photographs in a folder, or a video; and where their data set goes.
+//! The source of `poses`: photographs in a folder, or a video; and the folder of their data set.
 
 use ashsplat::{Error, Result};
 use ashsplat_files::images::existing_folder;
@@ -7,42 +7,42 @@ use std::collections::BTreeMap;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
-/// Endings of pictures that are not read.
+/// Extensions of pictures that are not read.
 const OTHER_PICTURES: [&str; 17] = [
     "heic", "heif", "avif", "webp", "tif", "tiff", "bmp", "gif", "jxl", "dng", "cr2", "cr3", "nef", "arw",
     "raf", "orf", "rw2",
 ];
-/// Folders within each other that are looked into.
+/// Largest depth of nested folders that are searched.
 const MAX_DEPTH: usize = 32;
 
-/// What cameras are wanted of.
+/// A source of photographs.
 #[derive(Debug)]
 pub enum Source {
     Photos(Photos),
-    /// A video, and the folder of its data set.
+    /// Paths of a video and of its data set.
     Video(PathBuf, PathBuf),
 }
 
-/// Photographs, and where their data set goes.
+/// Photographs and the folder of their data set.
 #[derive(Debug)]
 pub struct Photos {
-    /// The folder that they lie in.
+    /// Folder of the photographs.
     pub folder: PathBuf,
-    /// Their paths below it, sorted.
+    /// Paths of the photographs below it, sorted.
     pub names: Vec<String>,
-    /// Pictures beside them that cannot be read: how many, and one of them.
+    /// Number of pictures that cannot be read, and the name of one.
     pub others: Option<(usize, String)>,
     /// The folder of the data set.
     pub dataset: PathBuf,
-    /// Whether the data set reads them where they lie; otherwise they are linked into its folder `images`.
+    /// True if the data set reads them in place; otherwise they are linked into its folder `images`.
     pub in_place: bool,
 }
 
 impl Source {
-    /// What a path means.
+    /// Recognises a path as photographs or a video.
     ///
     /// # Errors
-    /// [`Error::Input`] for what is neither, for photographs of other kinds, and for a data set that has cameras;
+    /// [`Error::Input`] for anything else, for photographs of other formats, and for a data set that has cameras;
     /// [`Error::Io`].
     pub fn of(path: &Path, out: Option<&Path>) -> Result<Self> {
         let metadata = path.metadata().map_err(|e| Error::io(path, "read", e))?;
@@ -55,7 +55,7 @@ impl Source {
         if Dataset::is_archive(path) {
             return Err(Error::input(path, "is a ZIP", "unpack it and give the folder"));
         }
-        // ffmpeg would wait for a pipe.
+        // Refuses a pipe, which ffmpeg would wait for.
         regular_file::open(path)?;
         let dataset = out.map_or_else(|| beside(path, path.file_stem()), Path::to_owned);
         Ok(Self::Video(path.to_owned(), dataset))
@@ -80,7 +80,7 @@ impl Photos {
             );
             return Err(Error::input(path, "is a data set that has cameras already", remedy));
         }
-        // COLMAP's own tools and the reference's script have such folders.
+        // COLMAP's own tools and the reference's script use these folders.
         for name in ["images", "input"] {
             let folder = path.join(name);
             let list = Listing::of(&folder, MAX_DEPTH)?;
@@ -100,7 +100,7 @@ impl Photos {
         }
         let dataset = match out {
             Some(out) => out.to_owned(),
-            // Such a folder is a data set's.
+            // A folder of this name belongs to a data set.
             None if path.file_name().is_some_and(|name| name == "images") => parent(path),
             None => beside(path, path.file_name()),
         };
@@ -119,7 +119,7 @@ struct Listing {
 }
 
 impl Listing {
-    /// What lies in it, and in so many levels of folders below it; nothing if there is no such folder.
+    /// Lists a folder and `depth` levels of folders below it; empty if the folder does not exist.
     fn of(folder: &Path, depth: usize) -> Result<Self> {
         let mut list = Self::default();
         if folder.is_dir() {
@@ -136,7 +136,7 @@ impl Listing {
         let io = |e| Error::io(&place, "read", e);
         for entry in std::fs::read_dir(&place).map_err(io)? {
             let name = entry.map_err(io)?.file_name();
-            // "._IMG_1.JPG" is no photograph but what macOS knows of one.
+            // "._IMG_1.JPG" is macOS's metadata of a photograph.
             if name.as_encoded_bytes().starts_with(b".") {
                 continue;
             }
@@ -197,7 +197,7 @@ impl Listing {
     }
 }
 
-/// A path as COLMAP reads it from a list with one name in each line, and as it is in models.
+/// A path in the form that COLMAP reads from a list with one name per line and writes in models.
 fn name_in_list(path: &Path) -> Option<String> {
     let parts: Option<Vec<&str>> = path.iter().map(|part| part.to_str()).collect();
     let name = parts?.join("/");
@@ -210,29 +210,29 @@ fn bad_name(path: &Path) -> Error {
     Error::input(path, problem, "rename it: without line breaks, without spaces at its ends, in UTF-8")
 }
 
-/// Photographs that have one camera in common: of one size, and by their metadata taken by one camera at one focal length.
+/// Groups photographs that share a camera: of one size, and with the same camera and focal length in their metadata.
 pub fn by_camera(names: &[String], looks: &[Look]) -> Vec<Vec<String>> {
     let mut groups: BTreeMap<&Look, Vec<String>> = BTreeMap::new();
     for (name, look) in names.iter().zip(looks) {
         groups.entry(look).or_default().push(name.clone());
     }
     let mut groups: Vec<Vec<String>> = groups.into_values().collect();
-    // The largest first, then by name: the order does not depend on what the metadata say.
+    // The largest group first, then by name: the order does not depend on the metadata.
     groups.sort_by(|a, b| b.len().cmp(&a.len()).then_with(|| a.cmp(b)));
     groups
 }
 
-/// What photographs of one camera have in common.
+/// Properties that photographs of one camera share.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Look {
     /// Width and height as stored, pixels.
     pub size: (u32, u32),
-    /// Maker, model and focal length, as the metadata put them; empty without.
+    /// Maker, model and focal length from the metadata; empty without.
     pub lens: String,
 }
 
 impl Look {
-    /// Of a photograph of this size.
+    /// Reads the metadata of a photograph of this size.
     pub fn of(path: &Path, size: (u32, u32)) -> Self {
         use exif::{In, Reader, Tag};
         let read = |file| Reader::new().read_from_container(&mut std::io::BufReader::new(file)).ok();
@@ -245,17 +245,17 @@ impl Look {
     }
 }
 
-/// `NAME_dataset` in the folder that a path lies in.
+/// `NAME_dataset` beside a path.
 fn beside(path: &Path, name: Option<&std::ffi::OsStr>) -> PathBuf {
     let whole = path.canonicalize().ok();
-    // Of "." and "..", too.
+    // Also for "." and "..".
     let name = name.or_else(|| whole.as_deref()?.file_name());
     let mut name = name.map_or_else(|| OsString::from("photographs"), OsString::from);
     name.push("_dataset");
     parent(path).join(name)
 }
 
-/// The folder that a path lies in; of "." and ".." as well.
+/// The parent folder of a path, including "." and "..".
 fn parent(path: &Path) -> PathBuf {
     match (path.file_name(), path.parent()) {
         (Some(_), Some(parent)) => parent.to_owned(),
@@ -263,7 +263,7 @@ fn parent(path: &Path) -> PathBuf {
     }
 }
 
-/// Whether a folder, which may not exist yet, lies in another.
+/// True if a folder, which may not exist yet, lies in another.
 fn is_within(inner: &Path, outer: &Path) -> bool {
     let places = (existing_folder(inner).canonicalize(), outer.canonicalize());
     matches!(places, (Ok(inner), Ok(outer)) if inner.starts_with(&outer))
@@ -314,7 +314,7 @@ mod tests {
         assert_eq!((scene.names.join(" "), scene.in_place), ("2.jpg left/1.jpg".into(), true));
         assert_eq!((scene.folder, scene.dataset), (at("scene/images"), at("scene")));
         assert!(!photos("scene", Some("new")).in_place);
-        // The folder itself, given by name: the data set is the one around it.
+        // The folder `images` itself: the data set is its parent.
         let images = photos("scene/images", None);
         assert_eq!((images.dataset, images.in_place), (at("scene"), true));
         let among = Source::of(&at("scene"), Some(&at("scene/images/new")));

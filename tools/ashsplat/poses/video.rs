@@ -1,4 +1,4 @@
-//! Frames of a video by ffmpeg: in each of equal intervals the sharpest.
+//! Extracts frames of a video by ffmpeg: the sharpest frame of each of equal intervals.
 
 use super::sharpness::sharpness;
 use crate::child::{INSTALL_FFMPEG, Running, not_started};
@@ -11,30 +11,31 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Frames that are looked at in each interval, if the video has so many.
+/// Number of frames that are compared in each interval, if the video has enough.
 const CANDIDATES: usize = 8;
-/// Of JPEGs, 1 to 100.
+/// JPEG quality, 1 to 100.
 const QUALITY: u8 = 95;
-/// Longest side of a frame, pixels: beyond, what says so is damaged.
+/// Largest credible side of a frame, pixels.
 const MAX_SIDE: u32 = 16_384;
-/// The containers and streams that are read (ffmpeg's names of demuxers): each is one file. Playlists, lists of files and patterns
-/// would have ffmpeg open others.
+/// Containers and streams that are read (ffmpeg's names of demuxers), each a single file. Playlists, lists of files and
+/// patterns
+/// would make ffmpeg open other files.
 const FORMATS: &str = "mov,matroska,webm,avi,mpegts,mpeg,mpegvideo,asf,flv,ogg,gif,mxf,nut,ivf,dv,h264,hevc,m4v,mjpeg,\
                        yuv4mpegpipe,wtv,rm,obu,apng";
-/// Most frames: names have five digits.
+/// Largest number of frames: names have five digits.
 const MOST: usize = 10_000;
-/// Frames per second by default, and the least and the most frames then.
+/// Default number of frames per second, and its least and largest total.
 const PER_SECOND: f64 = 2.0;
 const USUAL: [usize; 2] = [40, 150];
 
-/// A video, as far as its container tells.
+/// Properties of a video by its container.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Video {
     pub seconds: f64,
     pub frames: usize,
 }
 
-/// How many frames are wanted.
+/// Requested number of frames.
 #[derive(Clone, Copy, Debug)]
 pub struct Wanted {
     pub frames: Option<usize>,
@@ -42,15 +43,15 @@ pub struct Wanted {
 }
 
 impl Wanted {
-    /// The number of intervals, from each of which a frame is taken.
+    /// Number of intervals; one frame is taken from each.
     pub fn of(self, video: &Video) -> usize {
         let usual = || intervals(video, 1.0 / PER_SECOND).clamp(USUAL[0], USUAL[1]);
         let count = self.asked(video).unwrap_or_else(usual);
-        // Else a frame would be there twice.
+        // More would take a frame twice.
         count.clamp(1, video.frames.clamp(1, MOST))
     }
 
-    /// What was asked for, if anything was.
+    /// The requested number, if any.
     pub fn asked(self, video: &Video) -> Option<usize> {
         self.frames.or_else(|| self.every.map(|seconds| intervals(video, seconds)))
     }
@@ -60,20 +61,20 @@ fn intervals(video: &Video, seconds: f64) -> usize {
     (video.seconds / seconds).ceil().clamp(1.0, 1e6) as usize
 }
 
-/// ffmpeg, which reads one video.
+/// ffmpeg with one video.
 pub struct Reader<'a> {
     pub program: &'a OsStr,
     pub path: &'a Path,
-    /// Most memory for frames.
+    /// Memory budget of frames.
     pub most_bytes: u64,
     pub stop: &'a AtomicBool,
 }
 
 impl Reader<'_> {
-    /// Length and frames of the video, without decoding it.
+    /// Reads length and number of frames of the video without decoding it.
     ///
     /// # Errors
-    /// [`Error::Argument`] where there is no ffmpeg, with how to install it; [`Error::Input`] for what is no video.
+    /// [`Error::Argument`] without ffmpeg, with commands to install it; [`Error::Input`] if it is not a video.
     pub fn probe(&self) -> Result<Video> {
         let mut command = self.command(&["-progress", "-"]);
         command.args(["-map", "0:v:0", "-c", "copy", "-f", "null"]);
@@ -88,8 +89,9 @@ impl Reader<'_> {
         video.ok_or_else(|| self.refused("ffmpeg finds no frames in it".into()))
     }
 
-    /// Writes the sharpest frame of each of `count` intervals to `folder`, as `frame_00001.jpg` and so on. `looked_at` hears
-    /// of the time of each frame that was looked at, seconds. Returns the number of frames.
+    /// Writes the sharpest frame of each of `count` intervals to `folder`, as `frame_00001.jpg` and so on. `looked_at`
+    /// receives
+    /// the time of each examined frame, seconds. Returns the number of frames.
     ///
     /// # Errors
     /// [`Error::Input`] when the video cannot be decoded, [`Error::Io`], [`Error::Interrupted`].
@@ -105,7 +107,7 @@ impl Reader<'_> {
         self.read(command, |stdout| {
             let mut input = BufReader::with_capacity(1 << 20, stdout);
             let mut index = 0;
-            // The sharpest so far, the one to compare it with, and the one being read.
+            // Three pictures are in memory: the sharpest so far, its rival, and the next.
             let most = self.most_bytes / 3;
             while let Some(photo) =
                 read_ppm(&mut input, most).map_err(|e| Error::io(self.path, "decode", e))?
@@ -137,7 +139,7 @@ impl Reader<'_> {
         command
     }
 
-    /// Runs ffmpeg and reads what it writes to stdout.
+    /// Runs ffmpeg and passes its stdout to `take`.
     fn read(
         &self,
         mut command: Command,
@@ -187,7 +189,7 @@ impl Reader<'_> {
     }
 }
 
-/// A name that ffmpeg takes for no option and no protocol ("a:b.mp4").
+/// A name that ffmpeg takes neither for an option nor for a protocol ("a:b.mp4").
 fn as_file(path: &Path) -> OsString {
     let mut name = OsString::from("file:");
     name.push(path);
@@ -195,7 +197,7 @@ fn as_file(path: &Path) -> OsString {
 }
 
 impl Video {
-    /// From ffmpeg's `-progress`; the last counts.
+    /// Parses ffmpeg's `-progress`; the last values count.
     fn of_progress(text: &str) -> Option<Self> {
         let last =
             |key: &str| text.lines().rev().find_map(|line| line.trim().strip_prefix(key)?.strip_prefix('='));
@@ -208,11 +210,11 @@ impl Video {
     }
 }
 
-/// How often the video is looked at.
+/// Rate at which frames are examined.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Rate {
     per_second: f64,
-    /// Of the video, at which the last interval ends.
+    /// Length of the video, seconds, at which the last interval ends.
     seconds: f64,
 }
 
@@ -224,12 +226,12 @@ impl Rate {
         Self { per_second: ((CANDIDATES * count) as f64 / seconds).min(most), seconds }
     }
 
-    /// At a fixed rate, with the colours that the video's tags say.
+    /// Filter for a fixed rate, and for the colours that the video's tags declare.
     fn filter(&self) -> String {
         format!("fps={:.6},scale=in_color_matrix=auto,format=rgb24", self.per_second)
     }
 
-    /// In which interval a frame lies.
+    /// The interval of a frame.
     fn interval(&self, index: usize, count: usize) -> usize {
         let share = index as f64 / (self.per_second * self.seconds);
         ((share * count as f64 + 1e-6) as usize).min(count - 1)
@@ -249,7 +251,7 @@ struct Best {
 }
 
 impl Picker {
-    /// Takes the next frame; returns the best of the last interval if this begins another.
+    /// Takes the next frame. Returns the best of the previous interval if this frame begins another.
     fn take(&mut self, interval: usize, photo: Photo) -> Option<Photo> {
         let sharpness = sharpness(&photo);
         let next = Best { interval, sharpness, photo };
@@ -265,7 +267,7 @@ impl Picker {
     }
 }
 
-/// The next picture of a stream of PPMs (P6, 8 bits); none at its end.
+/// Reads the next picture of a stream of PPMs (P6, 8 bits); `None` at its end.
 fn read_ppm(input: &mut impl Read, most_bytes: u64) -> std::io::Result<Option<Photo>> {
     let bad = || std::io::Error::new(ErrorKind::InvalidData, "ffmpeg's output is no PPM");
     let mut words: Vec<String> = vec![String::new()];
@@ -336,7 +338,7 @@ mod tests {
         assert_eq!(count(None, None, &Video { seconds: 4.0, frames: 100 }), 40);
         assert_eq!(count(None, None, &Video { seconds: 600.0, frames: 18_000 }), 150);
         assert_eq!(count(None, Some(0.001), &Video { seconds: 600.0, frames: 18_000 }), MOST);
-        // Not more than there are.
+        // Not more than the video has.
         assert_eq!(count(Some(500), None, &Video { seconds: 4.0, frames: 100 }), 100);
         for (video, count) in [(video, 60), (video, 900), (Video { seconds: 0.0, frames: 1 }, 1)] {
             let rate = Rate::of(&video, count);

@@ -1,4 +1,4 @@
-//! The unfinished work: a folder in that of the data set, which a second run goes on with; and the data set's place.
+//! The unfinished work of `poses`: a folder within the data set's folder, with which a second run continues.
 
 use crate::lock::{FolderLock, Work as Locked};
 use crate::output;
@@ -11,19 +11,19 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 const STATE_FILE: &str = "state.json";
-/// Folder of a data set that only has to be moved to its place.
+/// Folder of a finished data set that only has to be moved to its place.
 const READY: &str = "ready";
-/// What COLMAP was asked and what it said, in the end beside the data set.
+/// Log of COLMAP's commands and output; it is moved beside the data set at the end.
 pub use ashsplat_files::colmap::POSES_LOG as LOG_FILE;
 
 const POSES: Locked = Locked { file: ".poses.lock", what: "`ashsplat poses`", option: "-o" };
 
-/// What is done, and of what: a stage that was done of the same is not done again.
+/// Finished stages with keys of their inputs. A stage with the same inputs is not repeated.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 struct State {
-    /// Frames of a video.
+    /// Key of a video's frames.
     frames: Option<String>,
-    /// Features in COLMAP's database.
+    /// Key of the features in COLMAP's database.
     features: Option<String>,
 }
 
@@ -32,13 +32,13 @@ pub struct Work {
     dataset: PathBuf,
     folder: PathBuf,
     state: State,
-    /// The folders that were made for it, innermost first.
+    /// Folders that were created for the work, the innermost first.
     new: Vec<PathBuf>,
     _lock: FolderLock,
 }
 
 impl Work {
-    /// Refuses a data set's folder that has what would be written. `linked`: also its folder `images`.
+    /// Refuses a data set's folder that already has files to be written. `linked` includes its folder `images`.
     pub fn check(dataset: &Path, linked: bool) -> Result<()> {
         output::check_folder(dataset).map_err(|e| {
             Error::input(dataset, format!("cannot be written: {e}"), "name another folder with -o")
@@ -60,7 +60,7 @@ impl Work {
             let remedy = "rename it, or choose another -o";
             return Err(Error::input(dataset.join("images"), "is there already, with photographs", remedy));
         }
-        // Folders are renamed to these names at the end, and a file to the log's.
+        // At the end, folders are renamed to these names, and a file to the log's.
         for name in if linked { &["sparse", "images"][..] } else { &["sparse"] } {
             let place = dataset.join(name);
             if place.is_symlink() || place.is_file() {
@@ -79,7 +79,7 @@ impl Work {
         Ok(())
     }
 
-    /// Creates the folder, or goes on with it.
+    /// Creates the folder of the work, or continues with it.
     pub fn open(dataset: &Path) -> Result<Self> {
         let folder = dataset.join(FOLDER);
         let new = folder.ancestors().filter(|path| !path.as_os_str().is_empty() && !path.exists());
@@ -93,38 +93,36 @@ impl Work {
         Ok(work)
     }
 
-    /// Its folder.
     pub fn folder(&self) -> &Path {
         &self.folder
     }
 
-    /// A path in it.
     pub fn path(&self, name: &str) -> PathBuf {
         self.folder.join(name)
     }
 
-    /// Whether a second run will go on with something.
+    /// True if a second run can continue with a result.
     pub fn is_worth_keeping(&self) -> bool {
         self.state.frames.is_some() || self.state.features.is_some()
     }
 
-    /// Whether the frames of this video are there.
+    /// True if the frames of this video exist.
     pub fn has_frames(&self, key: &str) -> bool {
         self.state.frames.as_deref() == Some(key) && self.path("frames").is_dir()
     }
 
-    /// Notes that they are, or that they are not.
+    /// Notes the frames' key; `None` if they are incomplete.
     pub fn note_frames(&mut self, key: Option<String>) -> Result<()> {
         self.state.frames = key;
         self.save()
     }
 
-    /// Whether the database has the features of these photographs.
+    /// True if the database has the features of these photographs.
     pub fn has_features(&self, key: &str) -> bool {
         self.state.features.as_deref() == Some(key)
     }
 
-    /// Notes that it has, or that it has not.
+    /// Notes the features' key; `None` if they are incomplete.
     pub fn note_features(&mut self, key: Option<String>) -> Result<()> {
         self.state.features = key;
         self.save()
@@ -134,21 +132,21 @@ impl Work {
         output::write_json(&self.path(STATE_FILE), &self.state)
     }
 
-    /// Removes a file or folder in it, if there is one.
+    /// Removes a file or folder of the work, if it exists.
     pub fn remove(&self, name: &str) -> Result<()> {
         remove(&self.path(name))
     }
 
-    /// An empty folder in it.
+    /// Creates an empty folder of the work.
     pub fn fresh_folder(&self, name: &str) -> Result<PathBuf> {
         self.remove(name)?;
         atomic::create_folder(self.path(name))?;
         Ok(self.path(name))
     }
 
-    /// Gives photographs and model their places. `images`: a folder of this work.
+    /// Moves photographs and model to the data set. `images`: a folder of this work.
     pub fn finish(self, model: &Path, images: Option<&Path>) -> Result<()> {
-        // It names files that are about to go.
+        // It names files that will be removed.
         remove(&model.join("project.ini"))?;
         let ready = self.fresh_folder("readying")?;
         atomic::create_folder(ready.join("sparse"))?;
@@ -160,14 +158,14 @@ impl Work {
         self.place()
     }
 
-    /// The work of a run that was killed while it placed a data set that was ready.
+    /// The work of a run that was killed while it moved a finished data set.
     pub fn ready(dataset: &Path) -> Result<Option<Self>> {
         let folder = dataset.join(FOLDER);
         let is_ready = folder.join(READY).is_dir() && State::read(&folder).is_some();
         is_ready.then(|| Self::open(dataset)).transpose()
     }
 
-    /// Moves what is ready to the data set, the model last: without it nothing looks like one.
+    /// Moves the finished files to the data set, the model last: without a model, nothing looks like a data set.
     pub fn place(mut self) -> Result<()> {
         for name in ["images", LOG_FILE, "sparse"] {
             let (from, to) = (self.path(READY).join(name), self.dataset.join(name));
@@ -184,10 +182,10 @@ impl Work {
         remove(&self.folder)
     }
 
-    /// Leaves nothing of a run that has come to nothing.
+    /// Removes everything of a failed run.
     pub fn abandon(self) {
         remove(&self.folder).ok();
-        // A folder that another program has put a file into stays.
+        // A folder with a file of another program stays.
         self.new.iter().skip(1).all(|folder| fs::remove_dir(folder).is_ok());
     }
 }
@@ -217,7 +215,7 @@ fn remove(path: &Path) -> Result<()> {
     }
 }
 
-/// Photographs at another place: as hard links, or as copies where the file system has none or it is another one. Returns the
+/// Links photographs to another folder, or copies them if the file system cannot link. Returns the
 /// number of copies.
 pub fn link_photos(from: &Path, names: &[String], to: &Path) -> Result<usize> {
     let mut copies = 0;
@@ -226,7 +224,7 @@ pub fn link_photos(from: &Path, names: &[String], to: &Path) -> Result<usize> {
         if let Some(folder) = target.parent() {
             atomic::create_folder(folder)?;
         }
-        // A link to a link would hang on where that leads.
+        // A link to a symbolic link would depend on its target.
         let source = source.canonicalize().map_err(|e| Error::io(&source, "read", e))?;
         if fs::hard_link(&source, &target).is_err() {
             let (mut photo, _) = regular_file::open(&source)?;

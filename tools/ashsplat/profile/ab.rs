@@ -1,4 +1,4 @@
-//! `--ab A B`: two settings of specialization constants in turn, on the same machine at the same time.
+//! `--ab A B`: alternates two settings of specialization constants, on the same machine at the same time.
 
 use super::Arguments;
 use super::subject::{Subject, largest_difference, measured};

@@ -1,5 +1,6 @@
-//! `--static`: what the driver's compiler says of the pipelines of frames and training steps. Nothing runs: also for drivers without
-//! hardware.
+//! `--static`: statistics of the driver's compiler about the pipelines of frames and training steps. Nothing runs, so
+//! it works
+//! for drivers without hardware too.
 
 use super::{Arguments, What, spec, watch};
 use crate::bench::compiled::{self, Compiled, Pipeline};
@@ -34,7 +35,7 @@ pub struct StaticArguments {
     beside: Vec<PathBuf>,
 }
 
-/// What runs something, or chooses what a compiler does not see.
+/// Options that run something, or select what a compiler does not see.
 const NOT_WITH_STATIC: [&str; 20] = [
     "html",
     "trace",
@@ -58,7 +59,7 @@ const NOT_WITH_STATIC: [&str; 20] = [
     "max_host_memory",
 ];
 
-/// Room for all kinds of pictures; what is compiled does not depend on it.
+/// Size of the pictures; compiled code does not depend on it.
 const SIZE: [u32; 2] = [160, 96];
 const GAUSSIANS: usize = 512;
 
@@ -118,7 +119,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     Ok(())
 }
 
-/// The files of --beside, of the kernels that were asked for.
+/// The files of --beside, with the requested kernels.
 fn others(arguments: &Arguments, what: &str) -> Result<Vec<Compiled>> {
     let mut all = Vec::new();
     for path in &arguments.compiled.beside {
@@ -138,7 +139,7 @@ fn others(arguments: &Arguments, what: &str) -> Result<Vec<Compiled>> {
     Ok(all)
 }
 
-/// Keeps the kernels that were asked for; those that are not built here are refused.
+/// Keeps the requested kernels. Refuses a kernel that is not built here.
 fn only(arguments: &Arguments, statistics: &mut Vec<PipelineStatistics>) -> Result<()> {
     let Some(name) = &arguments.kernel else { return Ok(()) };
     let mut built: Vec<&str> = statistics.iter().map(|p| p.kernel).collect();
@@ -160,7 +161,7 @@ fn only(arguments: &Arguments, statistics: &mut Vec<PipelineStatistics>) -> Resu
     Err(Error::argument(format!("--kernel {name}"), problem))
 }
 
-/// Frames with all that can be asked of them, gradients, and frames in a host's command buffer.
+/// Builds frames with all features, gradients, and frames in a host's command buffer.
 fn frames(context: &Context, sh_degree: u32, form: Blending) -> Result<()> {
     let gaussians = synthetic::scene(0, GAUSSIANS, sh_degree);
     let camera = synthetic::camera(SIZE[0], SIZE[1]);
@@ -180,7 +181,7 @@ fn frames(context: &Context, sh_degree: u32, form: Blending) -> Result<()> {
     renderer.gradients(&camera, &usual, &weights, None)?;
     renderer.gradients_with_pose(&camera, &usual, &weights, None)?;
     renderer.reserve(&Reservation {
-        // As many as may be drawn together.
+        // The largest number of scenes that may be drawn together.
         scenes: 8,
         inverse_depth: true,
         expected_depth: true,
@@ -195,8 +196,8 @@ fn frames(context: &Context, sh_degree: u32, form: Blending) -> Result<()> {
     })
 }
 
-/// Steps of each strategy, up to the full SH degree and past a densification, then steps with everything else that can be
-/// learnt.
+/// Runs steps of each strategy up to the full SH degree and past a densification, then steps with everything else that
+/// can be learnt.
 fn trainings(context: &Context, sh_degree: u32, form: Blending) -> Result<()> {
     let of = |strategy| TrainSettings {
         iterations: 16,
@@ -238,7 +239,7 @@ fn training(context: &Context, settings: &TrainSettings, form: Blending) -> Resu
     let camera = synthetic::camera(SIZE[0], SIZE[1]);
     let pixels = (SIZE[0] * SIZE[1]) as usize;
     let photo = Photo { width: SIZE[0], height: SIZE[1], rgb: vec![0; 3 * pixels] };
-    // Maps and points do not go together.
+    // Depth maps and points exclude each other.
     let sparse = settings.depth_points > 0.0;
     let view = |masked: bool| {
         let stored = StoredPhoto::new(photo.clone(), masked.then(|| vec![255; pixels]));
@@ -258,8 +259,9 @@ fn depth_points() -> Vec<ashsplat::loss::DepthPoint> {
     vec![ashsplat::loss::DepthPoint { position_px: [20.0, 20.0], inverse_z: 0.5 }]
 }
 
-/// DIR/forward/blend.2.shader_disassembly.txt and so on; the number is the variant's place in the table of the kernel. Where a
-/// driver compiles several programs of a pipeline, which have texts of the same names, theirs is behind it:
+/// Writes DIR/forward/blend.2.shader_disassembly.txt and so on. The number is the variant's index in the kernel's
+/// table. If a
+/// driver compiles several programs of a pipeline, whose texts have the same names, the program's number follows:
 /// DIR/forward/blend.2.1.shader_disassembly.txt.
 fn write_texts(folder: &Path, all: &[PipelineStatistics]) -> Result<()> {
     let mut variant = 0;

@@ -1,4 +1,4 @@
-//! `--dump DIR`: the SPIR-V of each kernel, and what it is made of.
+//! `--dump DIR`: the SPIR-V of each kernel, with counts of its instructions.
 
 use crate::output;
 use ashsplat::Result;
@@ -7,7 +7,7 @@ use ashsplat::vk::{KernelInterface, KernelVisitor, is_kernel_of};
 use ashsplat_files::atomic;
 use std::path::Path;
 
-/// Instructions of a module by class, as written: a loop's body counts once.
+/// Number of instructions of a module by class, as written: a loop's body counts once.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counts {
     /// Loads, stores, address computations of variables and buffers.
@@ -20,7 +20,7 @@ pub struct Counts {
     pub transcendental: u32,
     /// Additions, multiplications, comparisons, conversions, bit operations, and the other extended instructions.
     pub arithmetic: u32,
-    /// Vectors taken apart and put together, selections.
+    /// Splitting and assembling of vectors, selections.
     pub composite: u32,
     /// Branches, loops, merges, calls, returns.
     pub control: u32,
@@ -38,7 +38,7 @@ impl Counts {
     }
 }
 
-/// Counts the instructions of a module; a cut module is counted as far as it goes.
+/// Counts the instructions of a module; a truncated module is counted up to its end.
 pub fn count(spirv: &[u32]) -> Counts {
     let mut counts = Counts::default();
     let mut at = 5;
@@ -65,7 +65,7 @@ pub fn count(spirv: &[u32]) -> Counts {
     counts
 }
 
-/// Kernel, what its form is called besides, SPIR-V.
+/// Kernel name, name of its form, SPIR-V.
 struct Modules(Vec<(&'static str, &'static str, &'static [u32])>);
 
 impl KernelVisitor for Modules {
@@ -76,7 +76,7 @@ impl KernelVisitor for Modules {
 }
 
 /// Writes DIR/sort/sort_upsweep.spv and so on, DIR/forward/blend.texels.spv for a form that reads texels, and
-/// DIR/instructions.txt; returns that table. `name`: of which kernel or folder.
+/// DIR/instructions.txt. Returns that table. `name` selects a kernel or folder.
 pub fn dump(folder: &Path, name: Option<&str>) -> Result<String> {
     output::check_folder(folder)?;
     let mut modules = Modules(Vec::new());

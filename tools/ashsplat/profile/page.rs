@@ -1,4 +1,4 @@
-//! `--html FILE`: one page without anything from elsewhere.
+//! `--html FILE`: one self-contained page.
 
 mod charts;
 mod tiles;
@@ -18,7 +18,7 @@ const STYLE: &str = "
 img { image-rendering: pixelated; width: 350px; display: block; } .zoom { overflow-x: auto; border: 1px solid var(--line); }
 ";
 
-/// Wheel over the timeline: zoom about the pointer.
+/// The mouse wheel over the timeline zooms about the pointer.
 const SCRIPT: &str = "
 document.querySelectorAll('.zoom').forEach(box => { const svg = box.querySelector('svg'); const width = svg.clientWidth; let scale = 1;
   box.addEventListener('wheel', event => { if (event.shiftKey) return; event.preventDefault();
@@ -30,7 +30,7 @@ document.querySelectorAll('.zoom').forEach(box => { const svg = box.querySelecto
   }, { passive: false }); });
 ";
 
-/// Stages in the order of their first command, with a colour for each.
+/// Stages in the order of their first command, with a colour each.
 pub struct Stages(Vec<String>);
 
 const COLORS: [&str; 16] = [
@@ -49,13 +49,13 @@ impl Stages {
         Self(names)
     }
 
-    /// Its colour.
+    /// Colour of a stage.
     pub fn color(&self, stage: &str) -> &'static str {
         let index = self.0.iter().position(|name| name == stage).unwrap_or(0);
         COLORS[index % COLORS.len()]
     }
 
-    /// Names with what stands for commands outside of all stages.
+    /// Names of the stages; the name of commands outside all stages is empty.
     pub fn iter(&self) -> impl Iterator<Item = &str> {
         self.0.iter().map(String::as_str)
     }
@@ -66,12 +66,12 @@ impl Stages {
     }
 }
 
-/// The name of a stage for people.
+/// Display name of a stage.
 pub fn shown(stage: &str) -> &str {
     if stage.is_empty() { "read-back" } else { stage }
 }
 
-/// The page of a measurement with other constants (`--spec`). Renders the scene once more for the tiles.
+/// The page of a measurement, with the constants of `--spec`. Renders the scene once more for the tiles.
 pub fn page(
     context: &Context,
     scene: &Scene,

@@ -40,7 +40,7 @@ pub fn kernels() -> Vec<&'static str> {
     names.0
 }
 
-/// A list of settings, separated by commas; "-" is none.
+/// Parses a comma-separated list of settings; "-" is an empty list.
 pub fn parse_list(text: &str) -> Result<Vec<SpecOverride>> {
     match text.trim() {
         "-" => Ok(Vec::new()),
@@ -49,12 +49,12 @@ pub fn parse_list(text: &str) -> Result<Vec<SpecOverride>> {
     }
 }
 
-/// The settings of --spec.
+/// Parses the settings of --spec.
 pub fn parse_given(settings: &[String]) -> Result<Vec<SpecOverride>> {
     parse_all("--spec", settings.iter().map(String::as_str))
 }
 
-/// Settings that an option names, each constant at most once.
+/// Parses the settings of an option, in which each constant may appear once.
 fn parse_all<'a>(option: &str, settings: impl Iterator<Item = &'a str>) -> Result<Vec<SpecOverride>> {
     let mut all: Vec<SpecOverride> = Vec::new();
     for setting in settings {
@@ -70,7 +70,7 @@ fn parse_all<'a>(option: &str, settings: impl Iterator<Item = &'a str>) -> Resul
     Ok(all)
 }
 
-/// One setting, "backward/project_backward.LANE_INSTANCES=32", "sort.ITEMS=8" or "WORKGROUP_SIZE=128".
+/// Parses one setting, "backward/project_backward.LANE_INSTANCES=32", "sort.ITEMS=8" or "WORKGROUP_SIZE=128".
 fn parse(option: &str, text: &str) -> Result<SpecOverride> {
     if text.is_empty() {
         return Err(Error::argument(option, "a setting is empty; write [KERNEL.]NAME=VALUE"));
@@ -131,7 +131,7 @@ fn bits(kind: ConstantKind, value: &str) -> Option<u32> {
     }
 }
 
-/// Sizes that the host counts workgroups with hold for all kernels that share them.
+/// Refuses to change, for single kernels, sizes with which the host counts workgroups of several kernels.
 fn check_place(kernel: &str, name: &str) -> Result<(), String> {
     let shared: &[&str] = match name {
         "WORKGROUP_SIZE" => &["", "sort", "loss"],
@@ -153,7 +153,7 @@ fn check_place(kernel: &str, name: &str) -> Result<(), String> {
     Err(format!("kernels share this size with the host; it can be set as {}", forms.join(", ")))
 }
 
-/// Puts settings into a device's options.
+/// Adds settings to a device's options.
 pub fn apply(options: &mut ContextOptions, overrides: &[SpecOverride]) {
     for o in overrides {
         if o.constant == "SUBGROUP_SIZE" {

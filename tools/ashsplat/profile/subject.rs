@@ -1,4 +1,4 @@
-//! What is profiled again and again: a frame or a training step.
+//! The subject of a profile, which is run repeatedly: a frame or a training step.
 
 use super::{Arguments, What};
 use crate::bench::frames;
@@ -22,7 +22,7 @@ enum Work {
 }
 
 impl<'a> Subject<'a> {
-    /// Builds its kernels and loads the scene.
+    /// Builds the kernels and loads the scene.
     pub fn new(context: &'a Context, scene: &'a Scene, arguments: &Arguments) -> Result<Self> {
         let form = arguments.form.get();
         let work = match arguments.what() {
@@ -57,18 +57,18 @@ impl<'a> Subject<'a> {
         }
     }
 
-    /// Runs it without measuring: buffers grow, caches fill.
+    /// Runs unmeasured iterations, in which buffers grow and caches fill.
     pub fn warm_up(&mut self, iterations: u32) -> Result<()> {
         (0..iterations).try_for_each(|_| self.iterate())
     }
 
-    /// One iteration between the marks of a capture.
+    /// Runs one iteration between the marks of a capture.
     pub fn captured(&mut self) -> Result<()> {
         let context = self.context;
         context.capture(|| self.iterate())
     }
 
-    /// One timed iteration.
+    /// Runs one timed iteration.
     pub fn timed(&mut self) -> Result<Iteration> {
         self.context.set_profile(Some(&self.profile));
         let begun = Instant::now();
@@ -78,7 +78,7 @@ impl<'a> Subject<'a> {
         Ok(Iteration { begun, wall, submissions: self.profile.take() })
     }
 
-    /// The picture of the scene as it stands.
+    /// The picture of the scene in its current state.
     pub fn picture(&mut self) -> Result<Vec<[f32; 3]>> {
         let settings = RenderSettings::default();
         let frame = match &mut self.work {
@@ -89,12 +89,12 @@ impl<'a> Subject<'a> {
     }
 }
 
-/// Iterations that were timed elsewhere.
+/// Wraps iterations that were timed elsewhere.
 pub fn measured(iterations: Vec<Iteration>) -> Measured {
     Measured { iterations, untimed_ms: None, cpu_seconds: None, cost: None }
 }
 
-/// Largest difference of any channel of any pixel; a NaN counts as infinite.
+/// Largest difference of any channel of any pixel; NaN counts as infinite.
 pub fn largest_difference(a: &[[f32; 3]], b: &[[f32; 3]]) -> f32 {
     let differences = a.iter().flatten().zip(b.iter().flatten()).map(|(a, b)| {
         let difference = (a - b).abs();

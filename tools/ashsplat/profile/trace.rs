@@ -1,8 +1,10 @@
 //! `--trace FILE`: Chrome's trace event format, which Perfetto and chrome://tracing open.
 //!
-//! Host and device are two processes on one clock, the host's, in microseconds since the first iteration began. Where
-//! the device has calibrated timestamps its times are exact on it; elsewhere a submission is taken to have ended when
-//! the host knew, and `otherData.clock` says so.
+//! Host and device are two processes on the host's clock, in microseconds since the first iteration began. With
+//! calibrated
+//! timestamps, the device's times are exact on it. Otherwise a submission is assumed to end when the host noticed it,
+//! and
+//! `otherData.clock` says so.
 
 use crate::bench::measure::Iteration;
 use ashsplat::vk::{CommandRecord, Submission};
@@ -12,7 +14,7 @@ use std::time::Instant;
 const HOST: u32 = 1;
 const DEVICE: u32 = 2;
 
-/// The whole trace. `device`: its name.
+/// The whole trace. `device` is the device's name.
 pub fn trace(device: &str, iterations: &[Iteration]) -> Value {
     let Some(first) = iterations.first() else { return json!({ "traceEvents": [] }) };
     let origin = first.begun;
@@ -46,7 +48,7 @@ pub fn trace(device: &str, iterations: &[Iteration]) -> Value {
     })
 }
 
-/// Microseconds.
+/// Time in microseconds since the origin.
 fn at(origin: Instant, time: Instant) -> f64 {
     time.saturating_duration_since(origin).as_secs_f64() * 1e6
 }

@@ -1,4 +1,4 @@
-//! Bars and areas.
+//! Bar and area charts.
 
 use super::{Stages, shown};
 use crate::bench::measure::Measured;
@@ -42,7 +42,7 @@ pub fn memory(run: &Run) -> String {
 struct Row {
     name: String,
     value: f64,
-    /// Where the whisker ends.
+    /// End of the whisker.
     most: f64,
     text: String,
     color: &'static str,
@@ -76,7 +76,7 @@ fn bars(rows: &[Row]) -> String {
     out
 }
 
-/// Stacked columns of device time, one per iteration, and the wall time as a line.
+/// Stacked columns of device time, one per iteration, with the wall time as a line.
 pub fn history(stages: &Stages, measured: &Measured) -> String {
     let walls: Vec<f64> = measured.iterations.iter().map(|i| i.wall.as_secs_f64() * 1e3).collect();
     let largest = walls.iter().copied().fold(1e-12, f64::max);

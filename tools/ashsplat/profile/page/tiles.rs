@@ -5,7 +5,7 @@ use ashsplat::{Frame, Gaussians, Result, TileReport};
 use ashsplat_files::Photo;
 use std::fmt::Write;
 
-/// The frame, and how full its tiles are.
+/// The frame, and heat maps of its tiles.
 pub fn pictures(frame: &Frame, tiles: &TileReport) -> Result<String> {
     let photo = Photo::from_f32(frame.width, frame.height, &frame.color)?;
     let most = tiles.entries.iter().copied().max().unwrap_or(0).max(1);
@@ -40,7 +40,7 @@ fn figure(out: &mut String, caption: &str, (width, height): (u32, u32), rgb: &[u
     Ok(())
 }
 
-/// Entries and blended per tile, opacities and sizes of the Gaussians.
+/// Histograms of entries and blended Gaussians per tile, and of the Gaussians' opacities and sizes.
 pub fn histograms(tiles: &TileReport, gaussians: &Gaussians) -> String {
     let counts = |values: &[u32]| values.iter().map(|&v| f64::from(v)).collect::<Vec<_>>();
     let opacities = gaussians.opacity_logits.iter().map(|&o| 1.0 / (1.0 + (-f64::from(o)).exp())).collect();

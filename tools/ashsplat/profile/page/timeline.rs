@@ -8,13 +8,13 @@ use std::fmt::Write;
 use std::time::Instant;
 
 const WIDTH: f64 = 1120.0;
-/// Where the bars begin: names of the rows stand before.
+/// Left end of the bars, after the names of the rows.
 const LEFT: f64 = 60.0;
 const BAR: f64 = 34.0;
 const HOST_Y: f64 = 24.0;
 const DEVICE_Y: f64 = 70.0;
 
-/// The rows of an iteration.
+/// Draws the host and device rows of an iteration.
 pub fn svg(stages: &Stages, iteration: Option<&Iteration>) -> String {
     let Some(iteration) = iteration else { return String::new() };
     let wall_ms = iteration.wall.as_secs_f64() * 1e3;
@@ -51,7 +51,7 @@ impl Rows {
         time.saturating_duration_since(self.origin).as_secs_f64() * 1e3
     }
 
-    /// A bar over (begin, duration) in milliseconds.
+    /// Draws a bar over (begin, duration), milliseconds.
     fn bar(&self, out: &mut String, y: f64, (begin, duration): (f64, f64), color: &str, title: &str) {
         let (x, width) = (LEFT + begin * self.scale, (duration * self.scale).max(0.05));
         let _ = writeln!(
