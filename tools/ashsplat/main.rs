@@ -1,7 +1,7 @@
 //! `ashsplat`: train, render and examine 3D Gaussian Splatting scenes from the command line.
 //!
 //! Every failure is one line `error: …` on stderr and exit code 2. An interrupted training saves and exits with 130. A
-//! benchmark comparison that finds a regression exits with 1.
+//! benchmark comparison exits with 1 if --fail-above finds something worse.
 
 /// Prints a line on stdout. Unlike `println!`, a failure does not panic: a training must continue. A full disk is
 /// reported at the end, a closed pipe never.

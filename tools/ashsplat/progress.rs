@@ -9,10 +9,10 @@ use std::time::{Duration, Instant};
 const LINE_INTERVAL: u32 = 100;
 /// Weight of the newest loss in the running mean, as in the reference.
 const LOSS_WEIGHT: f64 = 0.4;
-/// Weight of the newest measurement in the speed that the time left follows from.
+/// Weight of the newest measurement in the speed that gives the remaining time.
 const SPEED_WEIGHT: f64 = 0.3;
 
-/// What is known after an iteration.
+/// State after an iteration.
 pub struct State {
     pub iteration: u32,
     pub loss: f32,
@@ -22,7 +22,7 @@ pub struct State {
 
 /// A running mean of losses.
 pub struct MeanLoss {
-    /// Of the newest.
+    /// Weight of the newest loss.
     weight: f64,
     mean: Option<f64>,
 }
@@ -32,7 +32,7 @@ impl MeanLoss {
         Self { weight, mean: None }
     }
 
-    /// Takes in that of an iteration; one that was left out has none.
+    /// Adds the loss of an iteration; a skipped iteration has none.
     pub fn add(&mut self, loss: f32) {
         let loss = f64::from(loss);
         if loss.is_finite() {
@@ -40,7 +40,7 @@ impl MeanLoss {
         }
     }
 
-    /// None before the first.
+    /// The mean; `None` before the first loss.
     pub fn value(&self) -> Option<f64> {
         self.mean
     }
@@ -50,23 +50,23 @@ impl MeanLoss {
 pub struct TrainProgress {
     bar: Option<ProgressBar>,
     lines: bool,
-    /// Done before the start.
+    /// Number of iterations before the start.
     first: u32,
     iterations: u32,
-    /// The last densification, or the end of the warm-up: iterations after it take equally long.
+    /// The last densification, or the end of the warm-up. Iterations after it take equally long.
     settled_from: u32,
-    /// When and at which iteration the present speed's measurement began.
+    /// Time and iteration at which the current measurement of the speed began.
     window: (Instant, u32),
     iterations_per_second: f64,
-    /// Seconds of an iteration: a running mean, 0 before the first measurement.
+    /// Running mean of an iteration's time, seconds; 0 before the first measurement.
     mean_seconds: f64,
     mean_loss: MeanLoss,
-    /// The last measurement, and its iteration.
+    /// The last measurement and its iteration.
     psnr: Option<(f64, u32)>,
 }
 
 impl TrainProgress {
-    /// Of a run from iteration `first` on, 0 for a new one.
+    /// Progress of a run from iteration `first` on, 0 for a new one.
     pub fn new(first: u32, settings: &TrainSettings, quiet: bool) -> TrainProgress {
         let iterations = settings.iterations;
         let terminal = std::io::stderr().is_terminal();
@@ -89,11 +89,11 @@ impl TrainProgress {
         }
     }
 
-    /// After each iteration.
+    /// Shows the state after an iteration.
     pub fn step(&mut self, state: &State) {
         self.mean_loss.add(state.loss);
         let seconds = self.window.0.elapsed().as_secs_f64();
-        // Kernels are built in the first iteration: it says nothing of the speed.
+        // Kernels are built in the first iteration, so it does not count.
         if state.iteration == self.first + 1 {
             self.window = (Instant::now(), state.iteration);
         } else if seconds > 1.0 || self.iterations_per_second == 0.0 {
@@ -113,12 +113,12 @@ impl TrainProgress {
         }
     }
 
-    /// After a test.
+    /// Notes the result of a test.
     pub fn tested(&mut self, psnr: f64, iteration: u32) {
         self.psnr = Some((psnr, iteration)).filter(|_| !psnr.is_nan());
     }
 
-    /// A line above the bar.
+    /// Prints a line above the bar.
     pub fn note(&self, text: &str) {
         match &self.bar {
             Some(bar) => bar.suspend(|| tell!("{text}")),
@@ -127,7 +127,7 @@ impl TrainProgress {
         }
     }
 
-    /// A line on stderr, also with `--quiet`.
+    /// Prints a line on stderr, even with `--quiet`.
     pub fn warn(&self, text: &str) {
         match &self.bar {
             Some(bar) => bar.suspend(|| tell!("{text}")),
@@ -135,11 +135,11 @@ impl TrainProgress {
         }
     }
 
-    /// Leaves the bar where it is.
+    /// Ends the progress and leaves the bar visible.
     pub fn finish(&self) {
         if let Some(bar) = &self.bar {
             bar.abandon();
-            // What is said next has a line of its own.
+            // The next output begins on a new line.
             tell!("");
         }
     }
@@ -164,14 +164,14 @@ impl TrainProgress {
     }
 }
 
-/// Progress of something that is counted, whose name is its unit: frames, views.
+/// Progress of counted things, whose name is the unit: frames, views.
 pub fn counting(what: &'static str, total: u64, quiet: bool) -> ProgressBar {
     counting_in(what, "", total, quiet)
 }
 
-/// Progress of a stage, counted in a unit of its own.
+/// Progress of a stage with a unit of its own.
 pub fn counting_in(what: &'static str, unit: &'static str, total: u64, quiet: bool) -> ProgressBar {
-    // A bar of nothing would be full.
+    // An empty bar would look full.
     if quiet || total == 0 || !std::io::stderr().is_terminal() {
         return ProgressBar::hidden();
     }
@@ -190,13 +190,13 @@ fn bar(total: u64, template: &str) -> ProgressBar {
     bar
 }
 
-/// A number in three digits: "0.562", "0.0000100".
+/// A number with three significant digits: "0.562", "0.0000100".
 pub fn significant(number: f32) -> String {
     let digits = (2.0 - number.abs().log10().floor()).clamp(0.0, 40.0);
     if number == 0.0 { "0".into() } else { format!("{number:.*}", digits as usize) }
 }
 
-/// 1234567 as "1,234,567".
+/// Formats 1234567 as "1,234,567".
 pub fn thousands(value: u64) -> String {
     let digits = value.to_string();
     let mut grouped = String::new();
@@ -209,7 +209,7 @@ pub fn thousands(value: u64) -> String {
     grouped
 }
 
-/// Seconds as "1:02:03" or "2:03".
+/// Formats seconds as "1:02:03" or "2:03".
 pub fn clock(seconds: f64) -> String {
     let total = seconds.clamp(0.0, 3.6e6).round() as u64;
     let (hours, minutes, seconds) = (total / 3600, total / 60 % 60, total % 60);

@@ -1,4 +1,4 @@
-//! `ashsplat render`, and how pictures are asked for on the command line.
+//! `ashsplat render`, and the options that choose how pictures are drawn.
 
 use crate::args::{DeviceArguments, HostArguments};
 use crate::config::Settings;
@@ -128,13 +128,13 @@ enum ExtentName {
 }
 
 impl LookArguments {
-    /// Reads the Gaussians in the frame in which they are drawn; tells on stderr what was dropped or is odd.
+    /// Reads the Gaussians in their drawing frame; reports dropped ones and oddities on stderr.
     pub fn load(&self, path: &Path, host: &HostArguments) -> Result<splats::Scene> {
         let scene = splats::read(path, &host.reading(self.drop_invalid))?;
         Ok(told(path, scene.in_world_frame()))
     }
 
-    /// The settings: those of the training, changed by what the file says and what was given.
+    /// The settings of the training, overridden by the file, overridden by the arguments.
     pub fn settings(&self, trained: &Settings, header: &splats::Header) -> Result<RenderSettings> {
         let mut settings = look_of(trained, header);
         if let Some(background) = self.background {
@@ -161,7 +161,7 @@ impl LookArguments {
 
 /// Largest accepted `--kernel-size`, square pixels.
 const MOST_KERNEL_SIZE: f32 = 1e4;
-/// A scene, after a word on what was dropped or is odd.
+/// Reports what was dropped from a scene or is odd about it, and returns the scene.
 fn told(path: &Path, scene: splats::Scene) -> splats::Scene {
     if scene.dropped > 0 {
         tell!("{}: dropped {} Gaussians that are not finite", path.display(), scene.dropped);
@@ -172,29 +172,29 @@ fn told(path: &Path, scene: splats::Scene) -> splats::Scene {
     scene
 }
 
-/// Frames per second of a film.
+/// Default frame rate of a film.
 const FILM_RATE: u32 = 30;
 
-/// How a scene was drawn in its training.
+/// The settings with which training drew the scene.
 pub fn settings_of(trained: &Settings) -> RenderSettings {
-    // Reading a scene has made its 3D filter a part of it.
+    // Reading a scene has already applied its 3D filter.
     RenderSettings { filter_3d: false, ..trained.train.render_settings() }
 }
 
-/// Parses `N` numbers with commas between them.
+/// Parses `N` comma-separated numbers.
 pub fn parse_numbers<const N: usize>(text: &str) -> Option<[f64; N]> {
     let numbers: Result<Vec<f64>, _> = text.split(',').map(|part| part.trim().parse()).collect();
     numbers.ok()?.try_into().ok()
 }
 
-/// How a scene was drawn in its training, as its settings and its file say.
+/// The settings with which training drew the scene, by its settings and its file.
 pub fn look_of(trained: &Settings, header: &splats::Header) -> RenderSettings {
     let look = settings_of(trained);
     let dilation_px2 = header.kernel_size.unwrap_or(look.dilation_px2);
     RenderSettings { antialias: look.antialias || header.antialiased, dilation_px2, ..look }
 }
 
-/// Three numbers with commas between them.
+/// Parses three comma-separated numbers.
 pub fn parse_vector(text: &str) -> Result<Vec3, String> {
     let numbers: Result<Vec<f32>, _> = text.split(',').map(|part| part.trim().parse()).collect();
     match numbers.ok().and_then(|n| <[f32; 3]>::try_from(n).ok()) {
@@ -203,7 +203,7 @@ pub fn parse_vector(text: &str) -> Result<Vec3, String> {
     }
 }
 
-/// A direction in the world: any three numbers but zeros.
+/// Parses a direction in the world: any three numbers that are not all 0.
 pub fn parse_direction(text: &str) -> Result<Vec3, String> {
     match parse_vector(text)?.as_dvec3().try_normalize() {
         Some(direction) => Ok(direction.as_vec3()),
@@ -211,14 +211,13 @@ pub fn parse_direction(text: &str) -> Result<Vec3, String> {
     }
 }
 
-/// A colour whose channels are 0 to 1.
+/// Parses a colour with channels from 0 to 1.
 fn parse_color(text: &str) -> Result<Vec3, String> {
     let color = parse_vector(text)?;
     let sound = color.min_element() >= 0.0 && color.max_element() <= 1.0;
     if sound { Ok(color) } else { Err("expected three numbers from 0 to 1".into()) }
 }
 
-/// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<()> {
     let path = arguments.model.as_ref().or(arguments.model_path.as_ref());
     let path = folder_of_tiles(path.ok_or_else(|| Error::argument("MODEL", "is missing"))?);
@@ -258,7 +257,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         say!("{note}");
     }
     let count = views.cameras.len();
-    // A film's frames are no results of their own: a bar suffices.
+    // A bar suffices for a film, whose frames are not separate results.
     let bar = counting("frames", if film.is_some() { count as u64 } else { 0 }, arguments.quiet);
     let (mut total, mut shows_any) = (0.0, false);
     let mut tiles = tree.map(|tree| arguments.drawn(tree));
@@ -324,7 +323,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     Ok(())
 }
 
-/// What was learned of the photo that an option names, from a file of the model folder, whose photos `read` gives.
+/// The learned value for the photo that an option names. `read` reads the values of all photos from a file of the model
+/// folder.
 fn learned_of<T: Copy>(
     model: &Model,
     (option, name): (&str, &str),
@@ -354,7 +354,7 @@ fn lenses_by_photo(file: &Path) -> Result<BTreeMap<String, LensEffects>> {
     Ok(lenses.photos.keys().filter_map(|name| Some((name.clone(), lenses.of(name)?))).collect())
 }
 
-/// The warning where cameras and scene have nothing in common.
+/// The warning if no camera sees the scene.
 pub const NOTHING_SHOWN: &str =
     "no picture shows a Gaussian: do scene and cameras have the same coordinates?";
 
@@ -366,7 +366,7 @@ fn describe(index: usize, name: &str, milliseconds: f64, frame: &Frame) -> Strin
     )
 }
 
-/// The tree of tiles in a folder in the frame in which it is drawn, if it is one: it must be where there is a budget.
+/// The tree of tiles of a folder in its drawing frame, if there is one. A budget requires it.
 pub fn tree_of(folder: &Path, has_budget: bool) -> Result<Option<Tree>> {
     if folder.join(TILESET_FILE).is_file() {
         return Tree::open(folder).map(|tree| Some(tree.in_world_frame()));
@@ -375,7 +375,7 @@ pub fn tree_of(folder: &Path, has_budget: bool) -> Result<Option<Tree>> {
     if has_budget { Err(Error::argument("--budget", problem)) } else { Ok(None) }
 }
 
-/// Gaussians of a budget.
+/// Number of Gaussians of a budget.
 pub fn gaussians_of(budget: Target, tree: &Tree) -> usize {
     match budget {
         Target::Count(count) => usize::try_from(count).unwrap_or(usize::MAX),
@@ -383,7 +383,7 @@ pub fn gaussians_of(budget: Target, tree: &Tree) -> usize {
     }
 }
 
-/// What is read first: of a tree of tiles the coarsest.
+/// The file to read first: the scene, or the coarsest tile of a tree.
 fn scene_of(path: &Path, tree: Option<&Tree>) -> PathBuf {
     tree.and_then(|tree| tree.tiles().first()).map_or_else(|| path.to_owned(), |tile| path.join(&tile.name))
 }
@@ -394,7 +394,7 @@ impl Arguments {
         Drawn::new(tree, budget, self.device.host.reading(self.look.drop_invalid))
     }
 
-    /// The light that is asked for.
+    /// The requested exposure and lens effects.
     fn light(&self, model: &Model) -> Result<Light> {
         let exposure = |name: &String| {
             let read = |file: &Path| exposure_json::read(file);
@@ -409,7 +409,7 @@ impl Arguments {
         })
     }
 
-    /// The film that is asked for, if one is; refused where it cannot be made.
+    /// The container of the requested film, if any. Refuses a film that cannot be made.
     fn film(&self) -> Result<Option<Container>> {
         let Some(container) = Container::of(&self.out)? else {
             let unused = "is for films; end --out in .mp4, .webm or .gif";
@@ -432,7 +432,7 @@ impl Arguments {
         Ok(Some(container))
     }
 
-    /// The kind of the one picture that --out names, if it does not name a folder.
+    /// The format of the single picture that --out names, if it does not name a folder.
     fn picture(&self) -> Result<Option<Format>> {
         let ending = self.out.extension().and_then(|ending| ending.to_str()).unwrap_or_default();
         // A folder may have any name.

@@ -1,4 +1,4 @@
-//! Data sets as commands load them.
+//! Loads data sets for commands.
 
 use crate::args::HostArguments;
 use crate::blocks::job::Job;
@@ -34,7 +34,7 @@ pub struct DataArguments {
 }
 
 impl DataArguments {
-    /// As [`DataArguments::applied_to`], of a data set that is given otherwise, for a whole scene.
+    /// Same as [`DataArguments::applied_to`], but for a data set from another argument, and for the whole scene.
     pub fn applied_to_dataset(&self, dataset: Option<&Path>, trained: &DataSettings) -> Result<DataSettings> {
         let source_path = dataset.map_or_else(|| trained.source_path.clone(), Path::to_owned);
         let whole =
@@ -42,12 +42,12 @@ impl DataArguments {
         self.applied_to(&whole)
     }
 
-    /// The settings of a training, changed by what was given.
+    /// The settings of a training, overridden by the arguments.
     pub fn applied_to(&self, trained: &DataSettings) -> Result<DataSettings> {
         let mut data = trained.clone();
         if let Some(source) = &self.source_path {
             data.source_path.clone_from(source);
-            // Its photos are listed by name.
+            // The job lists the photos of another data set.
             data.job.clear();
         }
         if let Some(images) = &self.images {
@@ -68,7 +68,7 @@ impl DataArguments {
     }
 }
 
-/// The options that the settings mean; all photos are held in memory, within the bound of `host`.
+/// Loading options for these settings. All photos are held in memory, within the budget of `host`.
 pub fn options(data: &DataSettings, white_background: bool, host: &HostArguments) -> Result<DatasetOptions> {
     Ok(DatasetOptions {
         resolution: data.resolution.to_string().parse()?,
@@ -82,8 +82,9 @@ pub fn options(data: &DataSettings, white_background: bool, host: &HostArguments
     })
 }
 
-/// Finds out what a data set consists of; a ZIP is unpacked for as long as the value lives. `stop` ends it. Of a block's
-/// training these are its photos only, in the frame of the division unless another one is given.
+/// Opens a data set; a ZIP stays unpacked as long as the value lives. `stop` ends it. For a block's training, only the
+/// block's
+/// photos are kept. The frame is the division's unless another one is given.
 pub fn open(data: &DataSettings, options: &DatasetOptions, stop: &AtomicBool) -> Result<Gallery> {
     let progress = Progress { report: None, interrupted: Some(stop) };
     let job = Job::of(&data.job)?;
@@ -96,12 +97,12 @@ pub fn open(data: &DataSettings, options: &DatasetOptions, stop: &AtomicBool) ->
     Ok(gallery)
 }
 
-/// Loads a data set with progress. `stop` ends it.
+/// Loads a data set with a progress bar. `stop` ends it.
 pub fn load(gallery: &Gallery, quiet: bool, stop: &AtomicBool) -> Result<Dataset> {
     counted("reading photos", quiet, stop, |progress| gallery.load(progress))
 }
 
-/// [`Dataset::points_in_photos`] with progress. `stop` ends it.
+/// Same as [`Dataset::points_in_photos`], with a progress bar. `stop` ends it.
 pub fn points_in_photos(
     dataset: &Dataset,
     seed: u64,
@@ -114,7 +115,7 @@ pub fn points_in_photos(
     })
 }
 
-/// Work that says how far it is, with a bar from its first report on; `stop` ends it.
+/// Runs work that reports its progress, with a bar from the first report on. `stop` ends it.
 pub fn counted<T>(
     what: &'static str,
     quiet: bool,
@@ -130,15 +131,16 @@ pub fn counted<T>(
     done
 }
 
-/// What is odd about a data set goes to stderr.
+/// Prints warnings on stderr.
 pub fn warn(warnings: &[String]) {
     for warning in warnings {
         tell!("warning: {warning}");
     }
 }
 
-/// The cameras of a data set by name, in a frame, at the photos' own sizes; the photos are not looked at. Ctrl-C ends that, so that
-/// nothing of an unpacked ZIP is left; from then on it ends the program at once.
+/// The cameras of a data set by name, in a frame, at the photos' own sizes; photos are not read. Ctrl-C stops the call,
+/// so that
+/// nothing of an unpacked ZIP is left. Afterwards, Ctrl-C ends the program at once.
 pub fn cameras(dataset: &Path, frame: &WorldFrame) -> Result<Vec<NamedCamera>> {
     let stop = stop_on_ctrl_c()?;
     let progress = Progress { report: None, interrupted: Some(&stop) };
@@ -148,13 +150,13 @@ pub fn cameras(dataset: &Path, frame: &WorldFrame) -> Result<Vec<NamedCamera>> {
     Ok(cameras)
 }
 
-/// From now on Ctrl-C ends the program at once, because the flag is not read any more. An earlier Ctrl-C
+/// Makes Ctrl-C end the program at once, because the flag is not read any more. An earlier Ctrl-C
 /// takes effect here.
 pub fn end_at_once(stop: &AtomicBool) -> Result<()> {
     if stop.swap(true, Ordering::Relaxed) { Err(Error::Interrupted) } else { Ok(()) }
 }
 
-/// Ends what Ctrl-C is to end.
+/// Returns [`Error::Interrupted`] if `stop` is set.
 pub fn check(stop: &AtomicBool) -> Result<()> {
     if stop.load(Ordering::Relaxed) { Err(Error::Interrupted) } else { Ok(()) }
 }

@@ -68,7 +68,6 @@ fn most(text: &str) -> Result<usize, String> {
     }
 }
 
-/// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<()> {
     let model = Model::locate(&arguments.scene, None)?;
     if arguments.out.is_file() {
@@ -117,7 +116,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     Ok(())
 }
 
-/// Cameras of a measurement.
+/// Number of cameras of a measurement.
 const VIEWS: usize = 12;
 
 impl Arguments {
@@ -142,7 +141,7 @@ impl Arguments {
     }
 }
 
-/// Some of the training's cameras, or around the scene.
+/// Some of the training's cameras, or cameras around the scene.
 fn views(model: &Model, gaussians: &Gaussians, frame: &WorldFrame) -> Result<Vec<Camera>> {
     let file = model.folder.as_ref().map(|(folder, _)| folder.join(CAMERAS_FILE));
     if let Some(file) = file.filter(|file| file.is_file()) {

@@ -103,17 +103,16 @@ pub struct Arguments {
     quiet: bool,
 }
 
-/// After so many iterations the cost is taken once, for comparison with other trainers.
+/// Number of iterations after which the cost is noted, for comparison with other trainers.
 const FIRST_ITERATIONS: u32 = 100;
 pub const LOG_FILE: &str = "train_log.csv";
 
-/// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<()> {
     let settings = Settings::resolve(arguments.config.as_deref(), &arguments.overrides)?;
     for (path, name) in
         [(&settings.data.source_path, "-s/--source-path"), (&settings.data.model_path, "-m/--model-path")]
     {
-        // Verification writes nothing, and reads the newest checkpoint if anything.
+        // Verification writes nothing, and reads at most the newest checkpoint.
         let newest = matches!(arguments.start_checkpoint, Some(StartFrom::Latest | StartFrom::Auto));
         let unused = arguments.verify_determinism.is_some() && !newest && name.starts_with("-m");
         if path.as_os_str().is_empty() && !unused {
@@ -121,7 +120,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         }
     }
     let job = Job::of(&settings.data.job)?;
-    // From now on: a ZIP is unpacked, and nothing of it may be left.
+    // Before a ZIP is unpacked, of which nothing may be left.
     let stop = session::stop_on_ctrl_c()?;
     let writes = arguments.verify_determinism.is_none();
     let model = &settings.data.model_path;
@@ -150,9 +149,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     }
     let settings = origin.settle(settings);
     let mut options = session::options(&settings.data, settings.train.white_background, host)?;
-    // Only training looks at them.
+    // Depth maps are used for training only.
     options.depths = Some(settings.data.depths.clone()).filter(|folder| !folder.as_os_str().is_empty());
-    // A training that goes on keeps its coordinates.
+    // A continued training keeps its coordinates.
     options.frame = origin.checkpoint().map(|checkpoint| checkpoint.frame);
     options.keep_opacity = settings.train.random_background;
     options.photo_memory = photo_memory(&context, arguments.photo_memory, &settings.data.model_path);
@@ -181,7 +180,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         .chain(&used)
         .filter(|_| !arguments.quiet)
         .for_each(|line| tell!("{line}"));
-    // Cameras that are looked through are whole.
+    // The pages show whole photos.
     let gallery = arguments.live.wants_photos().then(|| gallery.with_whole_photos());
     match origin.needs_points() {
         true => settings.settle_points(&mut dataset, &options.host_memory, arguments.quiet, &stop)?,
@@ -197,7 +196,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let folder = settings.data.model_path.clone();
     let mut run = Run::begin(&context, dataset, (settings, held), &origin, arguments.quiet)?;
     unseen.iter().filter(|_| !arguments.quiet).for_each(|line| tell!("{line}"));
-    // A checkpoint is as large as all that training keeps on the device.
+    // Freed here: a checkpoint is as large as everything that training keeps on the device.
     drop(origin);
     run.repeat(&arguments.device, arguments.photo_memory, arguments.offload);
     run.track_within(arguments.eval_share);
@@ -206,7 +205,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         run.stop_at_end_of(stage);
     }
     run.look_on(doors, &context, gallery)?;
-    // Nothing is lost yet.
+    // Nothing can be lost yet.
     session::check(&stop)?;
     let interrupted = run.train(&stop)?;
     run.report();
@@ -221,20 +220,20 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     if interrupted { Err(Error::Interrupted) } else { Ok(()) }
 }
 
-/// One training run: the trainer, and everything that is written beside it.
+/// A training run: the trainer and its files.
 pub struct Run {
     settings: Settings,
     trainer: Trainer,
-    /// The names of the views that are trained on, in the trainer's order.
+    /// Names of the training views, in the trainer's order.
     trained: Vec<String>,
     test: Vec<View>,
-    /// Of all views as they were given, held-out ones first.
+    /// Original cameras of all views, held-out ones first.
     cameras: Vec<(String, Camera)>,
     /// The frame of cameras and Gaussians.
     frame: WorldFrame,
-    /// By the names of the photos, the ids of the cameras that took them.
+    /// Camera ids by photo name.
     takers: BTreeMap<String, u32>,
-    /// Whether `test` was held out, or is a sample of the training views.
+    /// True if `test` was held out, false for a sample of the training views.
     held_out: bool,
     progress: TrainProgress,
     log: TrainLog,
@@ -242,46 +241,46 @@ pub struct Run {
     total: Option<Cost>,
     /// The tests so far.
     pub evaluations: Vec<Tested>,
-    /// The views that are measured between them.
+    /// The views that are measured between tests.
     tracking: Tracking,
-    /// How many of them are in the results' files.
+    /// Number of evaluations in the results files.
     results: usize,
     lpips: FinalLpips,
     gaussians: u32,
     non_finite: u64,
     effect: Effect,
-    /// Whether it was said that there is no more room.
+    /// True once the user was warned that memory is exhausted.
     limited: bool,
     /// Iterations that were skipped because their frames were too large.
     skipped: u32,
     /// Iteration of the checkpoint that the run began with.
     started: u32,
-    /// Iteration whose scene was saved last.
+    /// Iteration of the last saved scene.
     saved: Option<u32>,
-    /// Iteration of the checkpoint that was written last.
+    /// Iteration of the last checkpoint.
     checkpointed: Option<u32>,
-    /// What could not be saved yet.
+    /// Scene or checkpoint that could not be saved yet.
     unsaved: Unsaved,
     kernels: KernelTimes,
-    /// What else to type to go on with the same bits.
+    /// Further arguments that are needed to continue with the same bits.
     repeated: String,
     /// The iteration that it stops at.
     until: u32,
-    /// Whether it is one of several rounds.
+    /// True if it is one of several rounds.
     is_in_rounds: bool,
-    /// Who looks on.
+    /// The viewers.
     live: Option<Live>,
-    /// Last, because it is given up last.
+    /// The last field, because it must be dropped last.
     _lock: FolderLock,
 }
 
 impl Run {
-    /// A run that begins with the data set's points.
+    /// Prepares a run that begins with the data set's points.
     pub fn prepare(context: &Context, dataset: Dataset, settings: Settings, quiet: bool) -> Result<Run> {
         Self::begin(context, dataset, (settings, None), &Origin::points(), quiet)
     }
 
-    /// Creates the trainer, and then, when nothing but the disk can fail any more, the model folder with
+    /// Creates the trainer. Then, when only the disk can still fail, it creates the model folder with
     /// everything that is known before training.
     fn begin(
         context: &Context,
@@ -357,8 +356,8 @@ impl Run {
         }
     }
 
-    /// Trains to the end, or until Ctrl-C: then the answer is true. After a failure, too, scene and log are
-    /// saved.
+    /// Trains to the end, or until Ctrl-C, for which it returns true. Scene and log are saved after a failure
+    /// too.
     pub fn train(&mut self, stop: &AtomicBool) -> Result<bool> {
         let mut watch = Stopwatch::start();
         let result = self.iterate(stop, &mut watch);
@@ -384,7 +383,7 @@ impl Run {
         Ok(interrupted)
     }
 
-    /// An iteration, for some of them with the time of each kernel.
+    /// Runs an iteration; some are timed kernel by kernel.
     fn timed_step(&mut self) -> Result<StepReport> {
         let iteration = self.trainer.iteration() + 1;
         self.kernels.before(iteration);
@@ -395,7 +394,7 @@ impl Run {
 
     fn iterate(&mut self, stop: &AtomicBool, watch: &mut Stopwatch) -> Result<bool> {
         if self.started == self.settings.train.iterations {
-            // All that is missing is what could not be saved.
+            // Training is complete; only the results that could not be saved are missing.
             self.keep(self.started, false, watch)?;
         }
         for _ in self.started..self.until {
@@ -429,7 +428,7 @@ impl Run {
         Ok(false)
     }
 
-    /// Says what the positions in the scene's file are relative to, if that is not the data set's own origin.
+    /// Reports the origin of the scene file's positions, if it is not the data set's own.
     fn say_origin(&self) {
         let DVec3 { x, y, z } = self.frame.origin;
         if self.frame.origin != DVec3::ZERO {
@@ -437,12 +436,11 @@ impl Run {
         }
     }
 
-    /// The trained scene.
     pub fn trainer(&mut self) -> &mut Trainer {
         &mut self.trainer
     }
 
-    /// What the run was made with.
+    /// Settings of the run.
     pub fn settings(&self) -> &Settings {
         &self.settings
     }
@@ -452,7 +450,6 @@ impl Run {
         self.gaussians
     }
 
-    /// The views that are tested.
     pub fn test_views(&self) -> &[View] {
         &self.test
     }

@@ -85,7 +85,7 @@ fn device_events(events: &mut Vec<Value>, origin: Instant, s: &Submission, flow:
         "commands": s.commands.len(),
     });
     events.push(submission);
-    // An arrow from the host's submitting to the device's begin.
+    // An arrow from the host's submission to the device's begin.
     let arrow = |phase: &str, process: u32, ts: f64| json!({ "name": "submission", "cat": "flow", "ph": phase, "id": flow, "ts": ts, "pid": process, "tid": 1, "bp": "e" });
     events.push(arrow("s", HOST, at(origin, s.submitting)));
     events.push(arrow("f", DEVICE, begun));
@@ -111,7 +111,7 @@ fn device_events(events: &mut Vec<Value>, origin: Instant, s: &Submission, flow:
     }
 }
 
-/// Runs of commands of one scope.
+/// Groups consecutive commands of one scope.
 fn stages(commands: &[CommandRecord]) -> impl Iterator<Item = &[CommandRecord]> {
     commands.chunk_by(|a, b| a.scope == b.scope)
 }

@@ -1,4 +1,4 @@
-//! `--watch`: shaders are compiled again as they are edited, and what that changes is printed.
+//! `--watch`: compiles edited shaders again and prints the changes.
 
 #[cfg(feature = "hot-reload")]
 pub use reloading::{run, take_over};
@@ -14,12 +14,12 @@ mod missing {
     const PROBLEM: &str =
         "this program was built without it: cargo run --release --features hot-reload -- profile …";
 
-    /// Refuses.
+    /// Refuses: this build cannot watch shaders.
     pub fn run(_: &Arguments, _: &Context, _: &Scene) -> Result<()> {
         Err(Error::argument("--watch", PROBLEM))
     }
 
-    /// Refuses.
+    /// Refuses: this build cannot compile shaders.
     pub fn take_over(_: &Context, _: &Path) -> Result<()> {
         Err(Error::argument("--glsl", PROBLEM))
     }
@@ -46,13 +46,13 @@ mod reloading {
     use std::sync::atomic::{AtomicBool, Ordering};
     use std::time::{Duration, Instant, SystemTime};
 
-    /// How often files are looked at.
+    /// Interval between checks of the files.
     const INTERVAL: Duration = Duration::from_millis(100);
-    /// Iterations of each measurement: few, so that the answer comes at once.
+    /// Number of iterations of each measurement: few, so that the answer comes at once.
     const FRAMES: u32 = 7;
     const WARMUP: u32 = 1;
 
-    /// The shaders that the program was built from.
+    /// Folder of the shaders that the program was built from.
     fn own_glsl() -> PathBuf {
         PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../glsl"))
     }
@@ -68,7 +68,7 @@ mod reloading {
         }
     }
 
-    /// Compiles the kernels of a folder and takes those that differ from the program's own.
+    /// Compiles the kernels of a folder and uses those that differ from the program's own.
     pub fn take_over(context: &Context, glsl: &Path) -> Result<()> {
         let mut own = Spirv { limits: context.limits(), modules: HashMap::new() };
         visit_all(&mut own);
@@ -82,7 +82,7 @@ mod reloading {
         Ok(())
     }
 
-    /// The files of each kernel and when they were last written.
+    /// The files of each kernel with their modification times.
     struct Watched {
         glsl: PathBuf,
         times: HashMap<PathBuf, SystemTime>,
@@ -95,7 +95,7 @@ mod reloading {
             watched
         }
 
-        /// The kernels that a file changed of since the last call.
+        /// The kernels whose files have changed since the last call.
         fn changed(&mut self) -> Vec<&'static str> {
             let mut newer = Vec::new();
             let mut changed = Vec::new();
@@ -154,7 +154,7 @@ mod reloading {
         );
         let start = Instant::now();
         let over = || arguments.watch_for.is_some_and(|limit| start.elapsed().as_secs_f64() > limit);
-        // Edited, but not yet in use: those of an edit that did not compile wait for the next one.
+        // Edited kernels that are not yet in use. After an edit that did not compile, they wait for the next one.
         let mut changed: Vec<&str> = Vec::new();
         while !interrupted.load(Ordering::Relaxed) && !over() {
             std::thread::sleep(INTERVAL);
@@ -181,7 +181,7 @@ mod reloading {
         Ok(())
     }
 
-    /// All or nothing: with one broken shader, every kernel stays as it was.
+    /// Replaces all kernels or none: with one broken shader, every kernel stays.
     fn recompile(context: &Context, glsl: &Path, kernels: &[&str]) -> Result<(), String> {
         let mut compiled = Vec::new();
         let mut errors = Vec::new();

@@ -1,4 +1,4 @@
-//! Which views `ashsplat render` renders.
+//! Chooses the views that `ashsplat render` renders.
 
 use super::parse_direction;
 use crate::config::CAMERAS_FILE;
@@ -15,9 +15,9 @@ use glam::Vec3;
 use std::cmp::Ordering;
 use std::path::{Path, PathBuf};
 
-/// Most views of an orbit or a curve: an hour of film has as many at 28 frames per second.
+/// Largest number of views of an orbit or a curve: an hour of film at 28 frames per second.
 const MOST_FRAMES: i64 = 100_000;
-/// Frames of a film where nothing says how many.
+/// Default number of frames of a film.
 const FILM_FRAMES: u32 = 240;
 
 /// The views.
@@ -93,12 +93,12 @@ pub struct SizeArguments {
 /// The views to render.
 pub struct Views {
     pub cameras: Vec<NamedCamera>,
-    /// What was chosen, for people.
+    /// A note on the choice of views.
     pub note: Option<String>,
 }
 
 impl Arguments {
-    /// Refuses what cannot be meant.
+    /// Refuses contradictory arguments.
     pub fn check(&self) -> Result<()> {
         match (self.frames, &self.path) {
             (Some(count), None) => {
@@ -111,7 +111,7 @@ impl Arguments {
         }
     }
 
-    /// The views that are asked for.
+    /// The requested views.
     pub fn choose(&self, model: &Model, scene: &Scene, film: Option<Container>) -> Result<Views> {
         let own =
             model.folder.as_ref().map(|(folder, _)| folder.join(CAMERAS_FILE)).filter(|path| path.is_file());
@@ -151,7 +151,7 @@ impl Arguments {
         Ok(Views { cameras, note })
     }
 
-    /// Says that pictures of another aspect than their cameras' show more than these.
+    /// A note if pictures of another aspect show more than their cameras.
     fn widening(&self, cameras: &[NamedCamera]) -> Option<String> {
         let (NamedCamera { name, camera }, [width, height]) = cameras.iter().find_map(|named| {
             let size = self.size.of(&named.camera);
@@ -160,17 +160,17 @@ impl Arguments {
         let (w, h) = (camera.width, camera.height);
         let wider = u64::from(width) * u64::from(h) > u64::from(height) * u64::from(w);
         let sides = if wider { "at the left and right" } else { "above and below" };
-        // --fov says itself how much a picture shows.
+        // --fov determines how much a picture shows, so there is nothing to note.
         self.size.fov.is_none().then(|| {
             format!("{width}x{height} shows more {sides} than {w}x{h} ({name}): pixels keep their shape")
         })
     }
 
-    /// The views of a file, or those between them.
+    /// The views of a camera path, or views on a curve through them.
     fn along(&self, path: &Path, frame: &WorldFrame) -> Result<Vec<NamedCamera>> {
         let mut keys = cameras_json::read(path, frame)?;
         let Some(count) = self.frames else { return Ok(keys) };
-        // Training lists what it holds out first; names tell how the photographs follow each other.
+        // Training lists held-out views first; names give the order of the photographs.
         if is_of_model(path) {
             keys.sort_by(|a, b| by_name(&a.name, &b.name));
         }
@@ -187,7 +187,7 @@ impl Arguments {
         named(tour::through_keys(&keys, count, false), "path")
     }
 
-    /// Views that stay in what the training's cameras saw, or a circle around the Gaussians where there are none.
+    /// Views within the range of the training's cameras, or a circle around the Gaussians if there are no cameras.
     fn around(
         &self,
         count: u32,
@@ -196,7 +196,7 @@ impl Arguments {
         film: Option<Container>,
     ) -> Result<Views> {
         let seen: Vec<Camera> = match own {
-            // What an orbit shows is an angle, which others have none of.
+            // An orbit has an angle of view, which orthographic cameras lack.
             Some(path) => {
                 let all = cameras_json::read(path, &scene.frame)?;
                 all.iter().map(|named| named.camera).filter(|camera| !camera.is_orthographic()).collect()
@@ -237,20 +237,19 @@ impl Arguments {
             Motion::Arc => Some("--motion arc: the cameras look at the scene from one side"),
             Motion::Path => Some("--motion path: along the cameras, which do not look at one place"),
         };
-        // Asked for, it needs no reason.
+        // A requested motion needs no reason.
         let note = note.filter(|_| self.motion.is_none()).map(str::to_owned);
         Ok(Views { cameras: named(cameras, "orbit")?, note })
     }
 }
 
-/// Whether a camera path is the list that a training wrote, and no path that somebody made: it lies in a model folder under that
-/// name.
+/// True if a camera path is the list that a training wrote: a file of that name in a model folder.
 fn is_of_model(path: &Path) -> bool {
     let folder = path.parent().unwrap_or(Path::new(""));
     path.file_name().is_some_and(|name| name == CAMERAS_FILE) && folder.join(POINT_CLOUDS).is_dir()
 }
 
-/// The order of names that people mean: numbers in them count as such.
+/// Compares names so that numbers in them count as numbers.
 fn by_name(a: &str, b: &str) -> Ordering {
     fn part(name: &str) -> (&str, &str) {
         let digit = name.starts_with(|c: char| c.is_ascii_digit());
@@ -270,7 +269,7 @@ fn by_name(a: &str, b: &str) -> Ordering {
     left.len().cmp(&right.len()).then_with(|| a.cmp(b))
 }
 
-/// Sound cameras, numbered.
+/// Checks and numbers cameras.
 fn named(cameras: Vec<Camera>, word: &str) -> Result<Vec<NamedCamera>> {
     let named = |(index, camera): (usize, Camera)| {
         camera.check()?;
@@ -279,13 +278,13 @@ fn named(cameras: Vec<Camera>, word: &str) -> Result<Vec<NamedCamera>> {
     cameras.into_iter().enumerate().map(named).collect()
 }
 
-/// How much of the middle part's diagonal an orbit shows: corners may be cut.
+/// Share of the middle part's diagonal that an orbit shows; corners may be cut.
 const ORBIT_SHARE: f32 = 0.75;
-/// Standard deviations that a Gaussian reaches beyond its mean, in an orbit's sense.
+/// Reach of a Gaussian beyond its mean for an orbit, standard deviations.
 const ORBIT_REACH: f32 = 2.0;
 
-/// A circle around the middle nine tenths of the Gaussians, far enough to see nearly all of them, and none so near
-/// that it would be culled.
+/// A circle around the middle nine tenths of the Gaussians, wide enough to see nearly all of them and not so near
+/// that any are culled.
 pub fn orbit_around(gaussians: &Gaussians, up: Vec3, count: u32, intrinsics: Intrinsics) -> Orbit {
     let statistics = gaussians.statistics();
     let bounds = statistics.central_bounds;
@@ -294,19 +293,19 @@ pub fn orbit_around(gaussians: &Gaussians, up: Vec3, count: u32, intrinsics: Int
     let half_diagonal = bounds.map_or(1.0, |b| 0.5 * b.size().length()) + ORBIT_REACH * median_scale;
     let ball = half_diagonal.max(1e-3) * ORBIT_SHARE;
     let narrow = intrinsics.width.min(intrinsics.height) as f32;
-    // sin of half the narrower field of view: the ball just fits.
+    // Sine of half the narrower field of view, at which the ball just fits.
     let sine = (0.5 * narrow / intrinsics.fx).atan().sin();
     let radius = (ball / sine).max(NEAR_PLANE + ball);
     Orbit { center, up, radius, elevation: 20f32.to_radians(), count, intrinsics }
 }
 
-/// Widest field of view of an orbit that is not asked for, degrees.
+/// Widest default field of view of an orbit, degrees.
 const WIDEST_ORBIT: f32 = 60.0;
 
 impl SizeArguments {
-    /// Size and field of view of an orbit: of no more than the training's cameras saw.
+    /// Size and field of view of an orbit, which shows no more than the training's cameras.
     fn of_orbit(&self, seen: &[Camera], film: Option<Container>) -> Intrinsics {
-        // Upright where most photographs are.
+        // Upright if most photographs are.
         let upright = 2 * seen.iter().filter(|c| c.height > c.width).count() > seen.len();
         let long = if film == Some(Container::Gif) { 640 } else { 1280 };
         let [wide, high] = if upright { [9, 16] } else { [16, 9] };
@@ -320,7 +319,7 @@ impl SizeArguments {
             (None, None) if upright => (of(long, [wide, high]), long),
             (None, None) => (long, of(long, [high, wide])),
         };
-        // As much of the scene as a photograph shows, in another shape.
+        // The same solid angle as a photograph, in another shape.
         let shape = width as f32 / height as f32;
         let reach = |c: &Camera| (0.25 * c.width as f32 / c.fx * c.height as f32 / c.fy * shape).sqrt();
         let mut angles: Vec<f32> = seen.iter().map(|c| 2.0 * reach(c).atan().to_degrees()).collect();
@@ -329,7 +328,7 @@ impl SizeArguments {
         Intrinsics::from_fov_x(self.fov.unwrap_or(usual).to_radians(), width, height)
     }
 
-    /// Width and height of a camera's picture; one of them alone keeps the aspect.
+    /// Width and height of a camera's picture. If only one is given, the aspect is kept.
     fn of(&self, camera: &Camera) -> [u32; 2] {
         let scaled = |size: u32, by: u32, of: u32| {
             ((f64::from(size) * f64::from(by) / f64::from(of)).round() as u32).max(1)
@@ -342,7 +341,7 @@ impl SizeArguments {
         }
     }
 
-    /// The camera at the size and field of view asked for.
+    /// The camera at the requested size and field of view.
     fn applied_to(&self, camera: &Camera) -> Result<Camera> {
         let [width, height] = self.of(camera);
         let mut camera = camera.fitted_to(width, height);

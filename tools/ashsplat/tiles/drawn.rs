@@ -1,4 +1,4 @@
-//! The tiles of a tree that a camera wants.
+//! Reads the tiles of a tree that a camera needs.
 
 use ashsplat::Result;
 use ashsplat::scene::{Camera, Gaussians};
@@ -6,7 +6,7 @@ use ashsplat_files::splats::ReadOptions;
 use ashsplat_files::tiles::Tree;
 use std::collections::BTreeMap;
 
-/// A tree that is drawn within a number of Gaussians. The tiles of the last picture are held.
+/// A tree that is drawn within a budget of Gaussians. It holds the tiles of the last picture.
 pub struct Drawn {
     tree: Tree,
     budget: usize,
@@ -19,7 +19,7 @@ impl Drawn {
         Drawn { tree, budget, read, held: BTreeMap::new() }
     }
 
-    /// What a camera wants, where that is not what the last one wanted.
+    /// The Gaussians for a camera; `None` if they are those of the last one.
     pub fn wanted(&mut self, camera: &Camera) -> Result<Option<Gaussians>> {
         let cut = self.tree.cut(camera, self.budget);
         if !self.held.is_empty() && self.held.keys().eq(&cut) {
@@ -38,7 +38,7 @@ impl Drawn {
         Ok(Some(all))
     }
 
-    /// How many tiles the last camera wanted.
+    /// Number of tiles for the last camera.
     pub fn tiles(&self) -> usize {
         self.held.len()
     }

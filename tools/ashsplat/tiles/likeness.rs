@@ -1,4 +1,4 @@
-//! How much a tile's picture differs from that of its finer ones.
+//! Difference between the pictures of a tile and of its finer tiles.
 
 use ashsplat::scene::{Camera, Gaussians, Intrinsics};
 use ashsplat::{Frame, RenderSettings, Renderer, Result};
@@ -6,15 +6,15 @@ use glam::{Vec3, vec3};
 
 /// Side of the pictures, pixels.
 const SIDE: u32 = 256;
-/// From where tiles are looked at: four corners of a cube, which see every side.
+/// Directions of view: four corners of a cube, which see every side.
 const DIRECTIONS: [Vec3; 4] =
     [vec3(1.0, 1.0, 1.0), vec3(1.0, -1.0, -1.0), vec3(-1.0, 1.0, -1.0), vec3(-1.0, -1.0, 1.0)];
-/// Distance of the eye, in radii of the tile.
+/// Distance of the camera, in radii of the tile.
 const DISTANCE: f32 = 4.0;
-/// Of the centres on each axis, those beyond each end that do not make pictures smaller: strays.
+/// On each axis, one in this many centres beyond each end is a stray, which does not make pictures smaller.
 const STRAYS: usize = 50;
 
-/// Of a ball, at most: single precision ends soon after.
+/// Largest radius of a ball: single precision ends soon after.
 const MOST_RADIUS: f32 = 1e37;
 
 /// Compares tiles.
@@ -24,16 +24,17 @@ pub struct Likeness {
 }
 
 impl Likeness {
-    /// Of a scene that is drawn with these settings; on black, whatever they say.
+    /// Compares tiles of a scene that is drawn with these settings, but always on black.
     pub fn new(renderer: Renderer, settings: RenderSettings) -> Likeness {
         Likeness { renderer, settings: RenderSettings { background: [0.0; 3], ..settings } }
     }
 
-    /// The root of the squared difference of two pictures, of the mean channel from 0 to 1, integrated over the tile's plane through its
-    /// middle: world units. The root mean square over four directions.
+    /// The root of the squared difference of two pictures, as the mean channel from 0 to 1, integrated over the plane
+    /// through the
+    /// tile's middle: world units. The root mean square over four directions.
     pub fn difference(&mut self, finer: &Gaussians, merged: &Gaussians) -> Result<f64> {
         let (centre, radius) = ball(finer);
-        // At the size of 1, so that nothing lies before the near plane, however small the tile is.
+        // Scaled to size 1, so that even a tiny tile lies beyond the near plane.
         let cameras = DIRECTIONS.map(|direction| camera(Vec3::ZERO, 1.0, direction));
         let [finer, merged] = [finer, merged].map(|own| of_size_1(own, centre, radius));
         let [a, b] = [self.pictures(&finer, &cameras)?, self.pictures(&merged, &cameras)?];
@@ -49,7 +50,7 @@ impl Likeness {
     }
 }
 
-/// The same Gaussians, with a ball around 0 of the radius 1.
+/// The Gaussians scaled so that their ball has radius 1 around 0.
 fn of_size_1(gaussians: &Gaussians, centre: Vec3, radius: f32) -> Gaussians {
     let mut own = gaussians.clone();
     own.means.iter_mut().for_each(|mean| *mean = ((Vec3::from_array(*mean) - centre) / radius).to_array());
@@ -57,13 +58,13 @@ fn of_size_1(gaussians: &Gaussians, centre: Vec3, radius: f32) -> Gaussians {
     own
 }
 
-/// Summed over pixels, the mean of the channels.
+/// Squared difference summed over pixels, as the mean of the channels.
 fn squared_difference(a: &[[f32; 3]], b: &[[f32; 3]]) -> f64 {
     let channels = a.as_flattened().iter().zip(b.as_flattened());
     channels.map(|(a, b)| f64::from(a.clamp(0.0, 1.0) - b.clamp(0.0, 1.0)).powi(2)).sum::<f64>() / 3.0
 }
 
-/// Around the centres, but for strays.
+/// The ball around the centres, without strays.
 fn ball(gaussians: &Gaussians) -> (Vec3, f32) {
     let ends = [0, 1, 2].map(|axis| {
         let mut places: Vec<f32> = gaussians.means.iter().map(|mean| mean[axis]).collect();
@@ -73,7 +74,7 @@ fn ball(gaussians: &Gaussians) -> (Vec3, f32) {
     });
     let [min, max] = [0, 1].map(|end| Vec3::from_array(ends.map(|ends| ends[end])));
     let centre = 0.5 * (min + max);
-    // Where all are at about one place, their own size counts: that of most, whatever a single one has.
+    // If all centres nearly coincide, the median size of the Gaussians counts.
     let largest = |scales: &[f32; 3]| scales.iter().copied().fold(f32::NEG_INFINITY, f32::max);
     let mut sizes: Vec<f32> = gaussians.log_scales.iter().map(largest).collect();
     sizes.sort_unstable_by(f32::total_cmp);
@@ -82,7 +83,7 @@ fn ball(gaussians: &Gaussians) -> (Vec3, f32) {
     (centre, reach.max(own).clamp(f32::MIN_POSITIVE, MOST_RADIUS))
 }
 
-/// Sees the ball around a tile: its diameter is the side of the picture.
+/// A camera that sees the ball around a tile; its diameter is the side of the picture.
 fn camera(centre: Vec3, radius: f32, direction: Vec3) -> Camera {
     let eye = centre + DISTANCE * radius * direction.normalize();
     let fov = 2.0 * (1.0 / DISTANCE).atan();
@@ -106,7 +107,7 @@ mod tests {
         gaussians.log_scales = vec![[-5.0; 3]; 101];
         let (centre, radius) = ball(&gaussians);
         assert!((centre.x - 0.5).abs() < 0.02 && (0.45..0.5).contains(&radius), "{centre} {radius}");
-        // Neither does a large one.
+        // A large Gaussian does not matter either.
         gaussians.log_scales[5] = [8.0; 3];
         assert_eq!(ball(&gaussians), (centre, radius));
         gaussians.means = vec![[3.0, 2.0, 1.0]; 101];

@@ -1,4 +1,4 @@
-//! How like a tree's pictures are to those of the whole scene, for budgets of Gaussians.
+//! Measures how much a tree's pictures resemble those of the whole scene, for budgets of Gaussians.
 
 use super::drawn::Drawn;
 use crate::progress::thousands;
@@ -9,10 +9,10 @@ use ashsplat_files::splats::ReadOptions;
 use ashsplat_files::tiles::Tree;
 use std::time::Instant;
 
-/// Shares of the scene's Gaussians, percent.
+/// Budgets as shares of the scene's Gaussians, percent.
 const BUDGETS: [usize; 5] = [5, 10, 25, 50, 100];
 
-/// What is measured: the tree of a scene, for some cameras.
+/// A tree of a scene, and cameras for the measurement.
 pub struct Measurement<'a> {
     pub tree: &'a Tree,
     pub whole: &'a Gaussians,
@@ -21,7 +21,7 @@ pub struct Measurement<'a> {
     pub read: ReadOptions,
 }
 
-/// Of one budget, over the cameras.
+/// Results of one budget over the cameras.
 #[derive(Default)]
 struct Row {
     psnr: Vec<f64>,
@@ -31,7 +31,7 @@ struct Row {
 }
 
 impl Measurement<'_> {
-    /// A line per budget. The whole scene and the budgets are drawn in turn, for one camera after another.
+    /// One line per budget. The whole scene and the budgets are drawn in turn, camera by camera.
     pub fn table(&self, renderer: &mut Renderer, stop: &dyn Fn() -> Result<()>) -> Result<String> {
         let mut rows: Vec<Row> = BUDGETS.iter().map(|_| Row::default()).collect();
         let mut seconds = 0.0;

@@ -1,4 +1,4 @@
-//! What is checked, counted and said after each iteration.
+//! Checks, counts and reports each iteration.
 
 use super::Run;
 use crate::progress::{State, thousands};
@@ -16,7 +16,7 @@ const SAME_LOSS: f32 = 1e-4;
 pub struct Effect {
     /// Consecutive iterations without a visible Gaussian.
     empty: u32,
-    /// Consecutive iterations whose views had the losses that they had when these began.
+    /// Consecutive iterations whose views had the same losses as at their beginning.
     still: u32,
     /// These losses, by view.
     losses: BTreeMap<usize, f32>,
@@ -51,7 +51,7 @@ impl Effect {
 }
 
 impl Run {
-    /// An iteration over nothing is the last.
+    /// Ends training with an error if no Gaussians are left.
     pub(super) fn check(&self, report: &StepReport) -> Result<()> {
         if report.gaussians > 0 {
             return Ok(());
@@ -107,7 +107,7 @@ impl Run {
 mod tests {
     use super::*;
 
-    /// The iterations whose reports make a run warn: of two views, which see this many Gaussians, with this loss.
+    /// The iterations with a warning. `report` gives visible Gaussians and loss of an iteration; there are two views.
     fn warned(iterations: u32, report: impl Fn(u32) -> (u32, f32)) -> Vec<(u32, String)> {
         let mut effect = Effect::default();
         let mut after = |iteration: u32| {

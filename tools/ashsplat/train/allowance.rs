@@ -8,27 +8,27 @@ use std::time::Duration;
 #[derive(Clone, Copy, Debug)]
 pub struct Allowance {
     share: f64,
-    /// Training's time that has to pass.
+    /// Training time that has to pass.
     debt: Duration,
 }
 
 impl Allowance {
-    /// For a share in (0, 1).
+    /// An allowance for a share in (0, 1).
     pub fn new(share: f64) -> Allowance {
         Allowance { share, debt: Duration::ZERO }
     }
 
-    /// Whether anything may be done for those who look on.
+    /// True if work for viewers may be done now.
     pub fn permits(&self) -> bool {
         self.debt.is_zero()
     }
 
-    /// Something was done for them, and took so long.
+    /// Notes work for viewers of this duration.
     pub fn spent(&mut self, time: Duration) {
         self.debt += time.mul_f64((1.0 - self.share) / self.share);
     }
 
-    /// Training had the device for so long.
+    /// Notes that training had the device for this duration.
     pub fn trained(&mut self, time: Duration) {
         self.debt = self.debt.saturating_sub(time);
     }
@@ -42,8 +42,9 @@ mod tests {
 
     const STEPS: usize = 4000;
 
-    /// A training of random steps, and pages that want pictures of random cost, all the time or now and then; for each step
-    /// the time that training took, and what was done for the pages after it.
+    /// Simulates training steps of random duration, with pages that request pictures of random cost, always or at
+    /// times. Returns
+    /// for each step the training time and the time for pages after it.
     fn looked_on(share: f64, seed: u64) -> Vec<(Duration, Duration)> {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         let mut allowance = Allowance::new(share);
@@ -69,7 +70,7 @@ mod tests {
     fn viewers_never_take_more_than_their_share() {
         for (seed, share) in [(1, 0.01), (2, 0.1), (3, 0.2), (4, 0.5), (5, 0.9)] {
             let steps = looked_on(share, seed);
-            // Between any two moments: from each task on, up to the last.
+            // Between any two moments: from each task to the last.
             let tasks: Vec<usize> = (0..STEPS).filter(|&step| !steps[step].1.is_zero()).collect();
             for &from in tasks.iter().step_by(7) {
                 let (mut trained, mut spent) = (0.0, steps[from].1.as_secs_f64());

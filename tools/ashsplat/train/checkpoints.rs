@@ -1,4 +1,4 @@
-//! Checkpoints of a run: where they lie, which is the newest, and what to go on from.
+//! Checkpoints of a run: their paths, the newest one, and the one to continue from.
 
 use super::Run;
 use crate::args::{self, DeviceArguments, HostArguments};
@@ -12,23 +12,24 @@ use ashsplat_files::{CheckpointFile, quoted};
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
-/// Instead of a file: [`StartFrom::Latest`].
+/// Name for [`StartFrom::Latest`] in place of a file.
 const LATEST: &str = "latest";
-/// The iteration whose checkpoint was written last: not always the highest, where an earlier training left its own.
+/// File with the iteration of the newest checkpoint. It may not be the highest, if an earlier training left its
+/// checkpoints.
 const LAST_FILE: &str = "last_checkpoint";
-/// The iterations whose checkpoints go as soon as there is a newer one.
+/// File with the iterations of passing checkpoints, which are removed when a newer one is written.
 const PASSING_FILE: &str = "passing_checkpoints";
 const EXTENSION: &str = "safetensors";
 
-/// Where a training is to go on from.
+/// Checkpoint that a training continues from.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum StartFrom {
-    /// The newest of the model folder.
+    /// The newest checkpoint of the model folder.
     Latest,
-    /// The same, or the beginning where there is none: for schedulers that try again.
+    /// The newest checkpoint, or a new start without one: for schedulers that retry.
     Auto,
     File(PathBuf),
-    /// What an exchange has made of the checkpoint at the end of a round.
+    /// The checkpoint that an exchange has made at the end of a round.
     Exchanged(PathBuf),
 }
 
@@ -42,7 +43,7 @@ impl From<OsString> for StartFrom {
     }
 }
 
-/// A checkpoint to go on from.
+/// A checkpoint to continue from.
 pub struct Start {
     from: StartFrom,
     path: PathBuf,
@@ -50,7 +51,7 @@ pub struct Start {
 }
 
 impl Start {
-    /// Reads it. None where there is none for [`StartFrom::Auto`].
+    /// Finds and reads the checkpoint; `None` if [`StartFrom::Auto`] finds none.
     pub fn find(from: &StartFrom, folder: &Path, host: &HostArguments) -> Result<Option<Start>> {
         let path = match from {
             StartFrom::Latest => newest(folder).ok_or_else(|| no_checkpoint(folder))?,
@@ -64,12 +65,12 @@ impl Start {
         Ok(Some(Start { from: from.clone(), path, checkpoint }))
     }
 
-    /// Whether a scheduler asks, perhaps once more for a training that has come to its end.
+    /// True if the start is automatic; a scheduler may retry a training that is complete.
     pub fn is_automatic(&self) -> bool {
         self.from == StartFrom::Auto
     }
 
-    /// Goes on in its own folder, where one that is asked for by name stays.
+    /// Prepares to continue in the model folder. A passing checkpoint that was named explicitly is kept.
     pub fn keep(&self, folder: &Path) -> Result<()> {
         let passing = passing(folder);
         if matches!(self.from, StartFrom::File(_)) && passing.contains(&self.iteration()) {
@@ -78,23 +79,21 @@ impl Start {
         Ok(())
     }
 
-    /// Whether it is a checkpoint of the training in this folder.
+    /// True if it is a checkpoint of the training in this folder.
     pub fn is_of(&self, folder: &Path) -> bool {
         let parent = self.path.canonicalize().ok().and_then(|path| Some(path.parent()?.to_owned()));
         parent.is_some() && parent == folder.canonicalize().ok()
     }
 
-    /// What was read.
     pub fn checkpoint(&self) -> &Checkpoint {
         &self.checkpoint
     }
 
-    /// Its iteration.
     pub fn iteration(&self) -> u32 {
         self.checkpoint.iteration
     }
 
-    /// Says what keeps the run from ending with the same bits as one that was never interrupted.
+    /// Warns of differences that may change the result's bits.
     pub fn warn(&self, context: &Context) {
         let (device, driver) = (context.device_name(), &context.description().driver);
         for difference in self.checkpoint.differences(device, driver, &context.limits().kernel_forms()) {
@@ -116,7 +115,7 @@ impl Start {
         }
     }
 
-    /// The trainer as it was.
+    /// Restores the trainer.
     pub fn trainer(
         &self,
         context: &Context,
@@ -135,17 +134,17 @@ impl Start {
     }
 }
 
-/// `chkpntN.safetensors` of a model folder, after the reference's chkpntN.pth.
+/// `chkpntN.safetensors` of a model folder, named after the reference's chkpntN.pth.
 pub fn path(folder: &Path, iteration: u32) -> PathBuf {
     folder.join(format!("chkpnt{iteration}.{EXTENSION}"))
 }
 
-/// As [`write`], and removes those that were to go as soon as there is a newer one; this one is another, unless it `stays`.
+/// Same as [`write`], and removes the passing checkpoints. The new one is passing too, unless it `stays`.
 fn write_passing(folder: &Path, checkpoint: &Checkpoint, stays: bool) -> Result<PathBuf> {
     let iteration = checkpoint.iteration;
     let before: Vec<u32> = passing(folder).into_iter().filter(|n| *n != iteration).collect();
     let own = if stays { None } else { Some(iteration) };
-    // Before any is written or removed, so that nothing is forgotten where the process is killed.
+    // Noted before anything is written or removed, so that a killed process forgets nothing.
     note_passing(folder, before.iter().copied().chain(own))?;
     let path = write(folder, checkpoint)?;
     for n in before {
@@ -174,7 +173,7 @@ pub fn write(folder: &Path, checkpoint: &Checkpoint) -> Result<PathBuf> {
 }
 
 impl Run {
-    /// Notes what settings.toml lacks of the command line, and the bits depend on.
+    /// Notes the arguments that settings.toml lacks and the result's bits depend on.
     pub fn repeat(
         &mut self,
         device: &DeviceArguments,
@@ -187,10 +186,10 @@ impl Run {
         self.repeated = device.repeated() + &photos.unwrap_or_default() + &offload.unwrap_or_default();
     }
 
-    /// What to type to go on from the newest checkpoint.
+    /// The command line that continues from the newest checkpoint.
     fn command_to_go_on(&self) -> String {
         let data = &self.settings.data;
-        // It is to work wherever it is typed, and the settings have the paths as they were typed.
+        // It must work in any folder, but the settings have paths as they were typed.
         let absolute = |path: &Path| {
             let path = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
             quoted(&path.to_string_lossy())
@@ -200,7 +199,7 @@ impl Run {
         let mut places: String =
             relative.map(|(option, path)| format!(" {option} {}", absolute(path))).collect();
         if data.lpips_weights.iter().any(|path| path.is_relative()) {
-            // Those that are given take the place of all.
+            // Given weights replace all weights of the settings.
             places
                 .extend(data.lpips_weights.iter().map(|path| format!(" --lpips-weights {}", absolute(path))));
         }
@@ -208,7 +207,7 @@ impl Run {
         format!("ashsplat train --config {settings}{places} --start-checkpoint {LATEST}{}", self.repeated)
     }
 
-    /// What is left where the present state is lost.
+    /// Advice on an older checkpoint, for when the current state is lost.
     pub(super) fn older_checkpoint(&self) -> Option<String> {
         let older = self.checkpointed?;
         Some(format!("; to go on from iteration {older}, {}", self.command_to_go_on()))
@@ -216,7 +215,7 @@ impl Run {
 
     pub(super) fn say_how_to_go_on(&self, iteration: u32) {
         let command = self.command_to_go_on();
-        // Also with --quiet: who stops a training wants to know.
+        // Printed even with --quiet: whoever stops a training needs it.
         self.progress.warn(&match iteration == self.settings.train.iterations {
             true => {
                 format!("interrupted after the last iteration: to train longer, {command} --iterations N")
@@ -225,7 +224,7 @@ impl Run {
         });
     }
 
-    /// The log first: with the checkpoint, all its iterations are on disk.
+    /// Writes the log first, so that all iterations of the checkpoint are on disk.
     pub(super) fn write_checkpoint(&mut self) -> Result<()> {
         self.write_that(self.trainer.checkpoint()?)
     }
@@ -244,15 +243,16 @@ impl Run {
         Ok(())
     }
 
-    /// After a failure: saves what the iterations before it have made, if there is anything that is not saved. A scene
-    /// whose opacities the failed iteration has reset is all but invisible, and is left to the checkpoint.
+    /// After a failure, saves the state of the earlier iterations, if it is not saved. A scene whose opacities the
+    /// failed
+    /// iteration has reset is nearly invisible, so only the checkpoint is written.
     pub(super) fn rescue(&mut self) {
         let iteration = self.trainer.iteration();
         if iteration == 0 || self.gaussians == 0 {
             return;
         }
         let checkpoint = self.trainer.checkpoint();
-        // Of a state that cannot be had, the worst is assumed.
+        // If the state is unavailable, the worst is assumed.
         let still_due = checkpoint.as_ref().map_or(Actions::NONE, |checkpoint| checkpoint.due);
         let done = self.trainer.actions_at(iteration).without(still_due);
         let reset = done.contains(Actions::RESET_OPACITY);
@@ -275,7 +275,7 @@ impl Run {
     }
 }
 
-/// The names of all checkpoints in a folder, and of the note which is the newest.
+/// The names of all checkpoints in a folder, and of the notes about them.
 pub fn names(folder: &Path) -> Vec<PathBuf> {
     let found = output::names(folder).into_iter();
     let notes = [LAST_FILE, PASSING_FILE];
@@ -287,7 +287,7 @@ pub fn names(folder: &Path) -> Vec<PathBuf> {
         .collect()
 }
 
-/// N of chkpntN.safetensors.
+/// The number N of chkpntN.safetensors.
 fn iteration_of(name: &str) -> Option<u32> {
     number_of(name, "chkpnt")
 }
@@ -296,7 +296,7 @@ fn number_of(name: &str, kind: &str) -> Option<u32> {
     name.strip_prefix(kind)?.strip_suffix(EXTENSION)?.strip_suffix('.')?.parse().ok()
 }
 
-/// The checkpoint noted last, if it is there; else the one with the highest iteration.
+/// The noted checkpoint, if it exists; else the one with the highest iteration.
 fn newest(folder: &Path) -> Option<PathBuf> {
     let note = output::read_note(&folder.join(LAST_FILE));
     let noted = note.and_then(|text| text.trim().parse().ok()).map(|iteration| path(folder, iteration));
@@ -337,7 +337,7 @@ mod tests {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let folder = folder.path();
         assert!(newest(folder).is_none());
-        // An earlier training's are not taken for this one's, and are named.
+        // An earlier training's checkpoints are not used, but the error names them.
         std::fs::create_dir(folder.join("earlier_1")).expect("a folder");
         std::fs::write(path(&folder.join("earlier_1"), 7), "").expect("written");
         assert!(newest(folder).is_none() && no_checkpoint(folder).to_string().contains("earlier_1"));
@@ -352,7 +352,7 @@ mod tests {
         std::fs::remove_file(folder.join(LAST_FILE)).expect("removed");
         #[cfg(unix)]
         {
-            // A pipe that nobody writes to is not waited for.
+            // A pipe without a writer is not waited for.
             let mode = nix::sys::stat::Mode::S_IRWXU;
             nix::unistd::mkfifo(&folder.join(LAST_FILE), mode).expect("a pipe");
             assert_eq!(newest(folder), Some(path(folder, 100)));

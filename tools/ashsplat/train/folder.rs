@@ -1,4 +1,4 @@
-//! What a run leaves in its model folder before the first iteration.
+//! Prepares the model folder before the first iteration.
 
 use super::poses::POSES_FILE;
 use super::report::REPORT_FILE;
@@ -17,16 +17,16 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 
 const RENDERS: &str = "test";
-/// Made in the viewer.
+/// Films from the viewer.
 const FILMS: &str = "films";
 const INPUT_FILE: &str = "input.ply";
 const TRAINING: Work = Work { file: ".training.lock", what: "training", option: "-m" };
 
-/// Holds the model folder, where there is one already, before it is asked for its checkpoints: another training would go on writing
-/// them. With `wait` that one may come to its end first, and the folder need not be there yet.
+/// Locks an existing model folder before its checkpoints are looked up: another training would still write
+/// them. With `wait`, that one may end first, and the folder need not exist yet.
 ///
 /// # Errors
-/// Where another training writes into the folder.
+/// [`Error::Input`] if another training writes into the folder.
 pub fn hold(folder: &Path, wait: bool, stop: &AtomicBool) -> Result<Option<FolderLock>> {
     match wait {
         true => FolderLock::wait(folder, &TRAINING, stop).map(Some),
@@ -35,16 +35,17 @@ pub fn hold(folder: &Path, wait: bool, stop: &AtomicBool) -> Result<Option<Folde
     }
 }
 
-/// Who trains in a folder, in words.
+/// The process that trains in a folder, in words.
 pub fn trainer(folder: &Path) -> Option<String> {
     lock::holder(folder, &TRAINING)
 }
 
-/// Creates the model folder, unless it is there and held, and writes what is known before training. A run that goes on with one of
-/// this folder leaves what that has written.
+/// Creates and locks the model folder if that is still to be done, and writes everything known before training. A run
+/// that
+/// continues in this folder keeps its files.
 ///
 /// # Errors
-/// Where another training writes into the folder; a full disk and the like.
+/// [`Error::Input`] if another training writes into the folder; [`Error::Io`], such as for a full disk.
 pub fn begin(
     settings: &Settings,
     held: Option<FolderLock>,
@@ -54,7 +55,7 @@ pub fn begin(
 ) -> Result<FolderLock> {
     let folder = &settings.data.model_path;
     atomic::create_folder(folder)?;
-    // Before anything is removed: it may be another training's.
+    // Locked before anything is removed, which may be another training's.
     let lock = held.map_or_else(|| FolderLock::take(folder, &TRAINING), Ok)?;
     remove_leftovers(folder);
     if !goes_on {
@@ -68,14 +69,14 @@ pub fn begin(
     Ok(lock)
 }
 
-/// Of a run that was killed.
+/// Removes temporary files of a run that was killed.
 fn remove_leftovers(folder: &Path) {
     output::remove_leftovers(folder, 0);
     output::remove_leftovers(&folder.join(model::POINT_CLOUDS), 1);
     output::remove_leftovers(&folder.join(RENDERS), 2);
 }
 
-/// The files that a training leaves in its folder, beside the checkpoints.
+/// The files that a training leaves in its folder, besides checkpoints.
 const LEFT: [&str; 14] = [
     model::LAST_ITERATION_FILE,
     SETTINGS_FILE,
@@ -93,14 +94,15 @@ const LEFT: [&str; 14] = [
     ROUND_FILE,
 ];
 
-/// Files that no data set has: where one of them is, a training was.
+/// Files that show an earlier training, because no data set has them.
 const SIGNS: [&str; 4] = [CFG_ARGS_FILE, SETTINGS_FILE, LOG_FILE, model::LAST_ITERATION_FILE];
-/// What is being moved, so that a run that was killed meanwhile is gone on with.
+/// Folder of the move in progress, so that the next run completes it if this one is killed.
 const UNFINISHED: &str = ".earlier_unfinished";
 
-/// Moves all of an earlier training into `earlier_1`, or the next number that is free: a model folder of its own. Nothing is
-/// overwritten, for a command may have been given a second time by mistake. What cannot be moved, such as links to other disks,
-/// stays.
+/// Moves an earlier training into `earlier_1`, or the next free number, as a model folder of its own. Nothing is
+/// overwritten, because a command may have been repeated by mistake. Files that cannot be moved, such as links to other
+/// disks,
+/// stay.
 fn keep_earlier(folder: &Path) -> Result<()> {
     let unfinished = folder.join(UNFINISHED);
     if !unfinished.is_dir() && !SIGNS.iter().any(|name| folder.join(name).is_file()) {
@@ -115,7 +117,7 @@ fn keep_earlier(folder: &Path) -> Result<()> {
             .into_iter()
             .filter(|name| is_folder(&folder.join(name))),
     );
-    // Of `test` only what `eval` writes there: the folder may hold photographs as well.
+    // Only the pictures of `eval` in `test`: the folder may hold photographs too.
     let of_tests = output::names(&folder.join(RENDERS)).into_iter().filter(|name| name.starts_with("ours_"));
     left.extend(of_tests.map(|name| Path::new(RENDERS).join(name)));
     atomic::create_folder(&unfinished)?;
@@ -136,7 +138,7 @@ fn keep_earlier(folder: &Path) -> Result<()> {
     Ok(())
 }
 
-/// A link to a folder stays where it is: it may be relative.
+/// True for a folder, false for a link to one, which stays because it may be relative.
 fn is_folder(path: &Path) -> bool {
     path.symlink_metadata().is_ok_and(|found| found.is_dir())
 }

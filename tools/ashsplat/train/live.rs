@@ -1,4 +1,4 @@
-//! `train --view` and `--ip`: who looks on while training runs, and what they may cost.
+//! `train --view` and `--ip`: viewers of a running training, and their share of its time.
 
 mod curves;
 mod doors;
@@ -64,13 +64,13 @@ fn share(text: &str) -> Result<f64, String> {
 }
 
 impl LiveArguments {
-    /// Whether the photos are shown as well.
+    /// True if pages also show the photos.
     pub fn wants_photos(&self) -> bool {
         self.view.is_some()
     }
 }
 
-/// What is known of a training before it begins.
+/// Properties of a training that are known before it begins.
 struct About<'a> {
     subject: Subject,
     device: &'a str,
@@ -79,9 +79,9 @@ struct About<'a> {
     source: &'a Path,
 }
 
-/// Pages that follow the training get a new picture no more often.
+/// Least time between two new pictures for pages that follow the training.
 const RENEWAL: Duration = Duration::from_millis(500);
-/// How long a paused training waits before it looks whether it is to end.
+/// Time between two checks of a paused training.
 const REST: Duration = Duration::from_millis(100);
 
 /// The viewers' requests to the training.
@@ -91,7 +91,7 @@ struct Wish {
     stop: bool,
 }
 
-/// Those who look on.
+/// The viewers of a training.
 pub struct Live {
     studio: Studio,
     hub: Arc<Hub>,
@@ -99,16 +99,16 @@ pub struct Live {
     wishes: Option<Arc<Wishes>>,
     curves: Arc<Mutex<Curves>>,
     allowance: Allowance,
-    /// Since when training has had the device to itself.
+    /// Begin of the current time in which training has the device to itself.
     trains_since: Instant,
     renewed: Instant,
     paused: bool,
-    /// Iterations that a paused training is to do.
+    /// Number of iterations that a paused training may do.
     steps: u32,
 }
 
 impl Live {
-    /// Lets those in who wait at the ports.
+    /// Accepts connections at the ports.
     fn start(doors: Doors, about: About) -> Result<Live> {
         let hub = Arc::new(Hub::default());
         let About { subject, device, iterations, model, source } = about;
@@ -165,14 +165,14 @@ impl Live {
         Ok(self.heed())
     }
 
-    /// Whether training is to wait after an iteration.
+    /// True if training waits after this iteration.
     fn holds(&mut self) -> bool {
         let holds = self.waits();
         self.steps = self.steps.saturating_sub(1);
         holds
     }
 
-    /// Serves while training waits: until something is wanted of it, or `stop`.
+    /// Serves viewers while training waits, until a request or `stop`.
     fn hold(&mut self, trainer: &mut Trainer, stop: &AtomicBool) -> Result<Wish> {
         self.hub.renew();
         self.note(|curves| curves.pause(true));
@@ -182,11 +182,11 @@ impl Live {
             let stop = stop.load(Ordering::Relaxed);
             if wish != Wish::default() || stop || !self.waits() {
                 self.note(|curves| curves.pause(self.paused));
-                // A save leaves it waiting.
+                // After a save, training still waits.
                 if !self.waits() {
                     self.steps = self.steps.saturating_sub(1);
                 }
-                // What was done meanwhile has cost training nothing.
+                // The time spent waiting does not count as training.
                 self.trains_since = Instant::now();
                 return Ok(Wish { stop: wish.stop || stop, ..wish });
             }
@@ -198,7 +198,7 @@ impl Live {
         forbidden || self.paused && self.steps == 0
     }
 
-    /// When training is over: the network viewer looks on as long as it wants, and films are made to their end.
+    /// After training, serves the network viewer until it leaves, and completes films.
     fn end(&mut self, trainer: &mut Trainer, stop: &AtomicBool) -> Result<()> {
         let message = "training has ended; `ashsplat view MODEL` shows the result";
         self.hub.broadcast(&ToPage::json(&json!({ "type": "ended", "message": message })));
@@ -206,7 +206,7 @@ impl Live {
             live.studio.has_films() || live.wishes.as_ref().is_some_and(|wishes| wishes.wants_to_stay())
         };
         while stays(self) && !stop.load(Ordering::Relaxed) {
-            // Nothing is left to be told; what waits would wake the studio again and again.
+            // Discards requests: training is over, and they would wake the studio again and again.
             self.hub.actions();
             self.studio.serve(trainer, REST)?;
         }
@@ -216,7 +216,7 @@ impl Live {
         Ok(())
     }
 
-    /// The quality of the views that are followed.
+    /// Notes the PSNR of the tracked views.
     fn measured(&self, iteration: u32, psnr: f64) {
         self.note(|curves| curves.psnr(iteration, psnr));
     }
@@ -225,7 +225,7 @@ impl Live {
         change(&mut self.curves.lock().unwrap_or_else(PoisonError::into_inner));
     }
 
-    /// Does something that counts: then training has its own share before the next.
+    /// Runs a task that counts towards the viewers' share.
     fn timed(&mut self, task: impl FnOnce(&mut Live) -> Result<()>) -> Result<()> {
         let start = Instant::now();
         let result = task(self);
@@ -234,13 +234,13 @@ impl Live {
         result
     }
 
-    /// Tells the pages what has failed; an error where that must end the training.
+    /// Reports an error to the pages. Returns it if it must end the training.
     fn tell(&self, error: Error) -> Result<()> {
         self.hub.broadcast(&ToPage::problem(&error.to_string()));
         studio::fatal(error)
     }
 
-    /// What the pages ask of the training.
+    /// Collects the pages' requests.
     fn heed(&mut self) -> Wish {
         let mut wish = Wish::default();
         for action in self.hub.actions() {
@@ -258,7 +258,7 @@ impl Live {
 }
 
 impl Run {
-    /// Lets others look on, if that was asked for.
+    /// Starts the viewers, if requested.
     pub fn look_on(
         &mut self,
         doors: Option<Doors>,
@@ -293,8 +293,9 @@ impl Run {
         Ok(())
     }
 
-    /// Shows an iteration to the viewers and handles their requests. `stop` is set when they request the end. What fails
-    /// ends the viewer and not the training, a panic too: if the device is lost, the next iteration says so.
+    /// Shows an iteration to the viewers and handles their requests. `stop` is set when they request the end. A failure
+    /// or panic
+    /// ends the viewer, not the training; if the device is lost, the next iteration fails.
     pub(super) fn show(&mut self, report: &StepReport, stop: &AtomicBool, watch: &mut Stopwatch) {
         let Some(mut live) = self.live.take() else { return };
         match guarded(|| self.show_to(&mut live, report, stop, watch)) {
@@ -341,19 +342,19 @@ impl Run {
         }
     }
 
-    /// Whether a page shows the curves.
+    /// True if a page shows the curves.
     pub(super) fn is_looked_at(&self) -> bool {
         self.live.as_ref().is_some_and(|live| live.hub.pages() > 0)
     }
 
-    /// The quality of the views that are followed.
+    /// Shows the PSNR of the tracked views.
     pub(super) fn show_psnr(&self, iteration: u32, psnr: f64) {
         if let Some(live) = &self.live {
             live.measured(iteration, psnr);
         }
     }
 
-    /// Tells them that it is over; they stay until the run goes.
+    /// Tells viewers that training has ended; they stay until the run is dropped.
     pub(super) fn end_show(&mut self, stop: &AtomicBool) {
         let Some(live) = &mut self.live else { return };
         let trainer = &mut self.trainer;

@@ -1,4 +1,4 @@
-//! The log of a training run: a line of CSV per iteration, written while training runs.
+//! The log of a training run: a line of CSV per iteration, written during training.
 
 use crate::output;
 use ashsplat::trainer::StepReport;
@@ -9,29 +9,30 @@ use std::fs::File;
 use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
-/// The arenas of a training, with bytes that are resident and the most that ever were.
+/// The arenas of a training, logged with their resident and peak bytes.
 const ARENAS: [&str; 9] =
     ["total", "scene", "moments", "spare", "statistics", "frame", "loss", "photos", "densify"];
 const COLUMNS: &str = "iteration,loss,psnr,gaussians,ms,skipped";
-/// The mean PSNR of the same few views each time; an older program's log lacks this last column.
+/// Column of the mean PSNR over the tracked views; logs of older versions lack it.
 const TRACKED: &str = "tracked_psnr";
-/// At most so many lines wait in memory.
+/// Largest number of lines that wait in memory.
 const FLUSH_INTERVAL: u32 = 100;
-/// Bytes that wait for a disk that is full: some ten thousands of lines. Then nothing more is added: a log with a gap would
+/// Largest number of bytes that wait for a full disk: some ten thousand lines. Beyond it the log ends, because a gap
+/// would
 /// mislead.
 const MOST_WAITING: usize = 16 << 20;
 
-/// A log that is being written. What cannot be written waits, and is tried again: a log is no reason to stop training.
+/// A log that is being written. Lines that cannot be written wait and are tried again, so that training continues.
 pub struct TrainLog {
     path: PathBuf,
     file: File,
     waiting: Vec<u8>,
-    /// Whether too much has waited.
+    /// True once too much has waited.
     ended: bool,
 }
 
 impl TrainLog {
-    /// Starts the log; one of an earlier run is replaced.
+    /// Starts the log and replaces that of an earlier run.
     pub fn create(path: &Path) -> Result<TrainLog> {
         check(path)?;
         let file = File::create(path).map_err(|e| Error::io(path, "create", e))?;
@@ -43,7 +44,7 @@ impl TrainLog {
         Ok(log)
     }
 
-    /// Goes on with the log of a run from a checkpoint: the lines after its iteration go.
+    /// Continues the log of a run from a checkpoint, and removes the lines after its iteration.
     pub fn go_on(path: &Path, iteration: u32) -> Result<TrainLog> {
         check(path)?;
         let Ok(text) = read(path) else { return TrainLog::create(path) };
@@ -65,8 +66,9 @@ impl TrainLog {
         TrainLog { path: path.to_owned(), file, waiting: Vec::new(), ended: false }
     }
 
-    /// Adds an iteration, with the PSNR of all views and of those that are followed, dB, where they were measured, and the
-    /// memory of the arenas.
+    /// Adds an iteration with the memory of the arenas, and with the PSNR of all views and of the tracked ones, dB, if
+    /// they were
+    /// measured.
     pub fn add(
         &mut self,
         report: &StepReport,
@@ -98,9 +100,9 @@ impl TrainLog {
         }
     }
 
-    /// Writes what waits, as far as it can be written.
+    /// Writes the waiting lines, as far as possible.
     pub fn flush(&mut self) {
-        // At the end it is told.
+        // [`TrainLog::finish`] reports the error.
         self.write().ok();
     }
 
@@ -119,13 +121,13 @@ impl TrainLog {
         }
     }
 
-    /// Writes what waits; an error when that cannot be done.
+    /// Writes the waiting lines; returns an error if that fails.
     pub fn finish(&mut self) -> Result<()> {
         self.write().map_err(|e| Error::io(&self.path, "write", e))
     }
 }
 
-/// Refuses a pipe and the like in the log's place: opening it would wait for its other end, for ever perhaps.
+/// Refuses a pipe in the log's place: opening it might wait forever for its other end.
 fn check(path: &Path) -> Result<()> {
     let Ok(found) = std::fs::metadata(path) else { return Ok(()) };
     #[cfg(unix)]
@@ -147,7 +149,7 @@ fn read(path: &Path) -> Result<String> {
     String::from_utf8(regular_file::read(path, 2)?).map_err(|_| Error::input(path, "is not text", ""))
 }
 
-/// The log as columns; where there is no number, NaN.
+/// The log as columns; NaN for missing numbers.
 #[derive(Default)]
 pub struct Rows {
     pub iterations: Vec<f64>,
@@ -160,7 +162,7 @@ pub struct Rows {
 }
 
 impl Rows {
-    /// Reads what is on disk, also of the runs before a checkpoint.
+    /// Reads the log on disk, including the runs before a checkpoint.
     pub fn read(path: &Path) -> Result<Rows> {
         let text = read(path)?;
         let mut lines = text.lines();
@@ -206,7 +208,7 @@ mod tests {
         log.add(&report(FLUSH_INTERVAL + 1), (Some(20.0), Some(19.5)), &[]);
         assert_eq!(lines(), 2 + FLUSH_INTERVAL);
         let memory = [ArenaMemory { name: "frame".into(), bytes: 77, peak_bytes: 88 }];
-        // As where masks hide all that would be measured.
+        // All measured pixels are masked.
         log.add(&report(FLUSH_INTERVAL + 2), (Some(f64::NAN), None), &memory);
         log.finish().expect("written");
         let text = std::fs::read_to_string(&path).expect("the log");
@@ -223,7 +225,7 @@ mod tests {
         let mut log = TrainLog::create(&path).expect("created");
         (1..=9).for_each(|iteration| log.add(&report(iteration), (None, None), &[]));
         log.finish().expect("written");
-        // As a killed run of an older program may leave it.
+        // A log that a killed run of an older version may leave.
         let mut text = std::fs::read_to_string(&path).expect("the log").replacen(",tracked_psnr", "", 1);
         text.push_str("10,0.");
         std::fs::write(&path, text).expect("written");
@@ -239,7 +241,7 @@ mod tests {
         assert_eq!(rows.tracked_psnr[6..], [30.0, 30.0]);
     }
 
-    /// Neither a new log nor one to go on with waits for a pipe, and the report does not either.
+    /// Neither a new log, a continued one nor the report waits for a pipe.
     #[cfg(unix)]
     #[test]
     fn a_pipe_is_refused() {
@@ -261,7 +263,7 @@ mod tests {
         log.add(&report(1), (Some(20.0), None), &[]);
         let error = log.finish().expect_err("nothing can be written").to_string();
         assert!(error.contains("/dev/full: cannot write"), "{error}");
-        // Where there is room again, nothing is missing.
+        // Once there is space again, nothing is missing.
         let folder = tempfile::tempdir().expect("a temporary folder");
         let path = folder.path().join("log.csv");
         log.file = File::create(&path).expect("created");

@@ -1,4 +1,4 @@
-//! What a training begins with: points, a scene, or a checkpoint; and which block of it is trained.
+//! The start of a training: points, a scene, or a checkpoint; and the block that is trained.
 
 use super::checkpoints::{Start, StartFrom};
 use super::prepared::Data;
@@ -15,34 +15,36 @@ use ashsplat_files::{Dataset, Gallery};
 use glam::Vec3;
 use std::path::Path;
 
-/// What a training begins with: a checkpoint, else a scene, else the points of the data set or what stands in for them. Around a
-/// block the checkpoint has nothing: that is the scene's, or the points', here too.
+/// The start of a training: a checkpoint, else a scene, else the points of the data set or their substitute. A
+/// checkpoint of a
+/// block lacks its surroundings, which come from the scene or the points.
 #[derive(Default)]
 pub struct Origin {
     start: Option<Box<Start>>,
-    /// The Gaussians of a file, `--init`.
+    /// Gaussians of the file `--init`.
     scene: Option<Scene>,
-    /// What an exchange has made of it, where the depths of the first one are needed too; only of blocks.
+    /// The scene after an exchange of blocks, if the depths of the first scene are needed too.
     exchanged: Option<Scene>,
-    /// What became of them, once they are divided: what is trained of a block, and the block.
+    /// The trained Gaussians and the block, after the scene was divided.
     divided: Option<(Gaussians, SceneBlock)>,
-    /// Whether a checkpoint is of a block, among points.
+    /// True if the data set's points are needed, even for a checkpoint of a block among them.
     needs_points: bool,
 }
 
-/// The first Gaussians.
+/// The first Gaussians of a training.
 pub struct First {
-    /// Those that are trained; without them a checkpoint has them.
+    /// The trained Gaussians; `None` if they come from a checkpoint.
     pub trained: Option<Gaussians>,
-    /// The block that they are.
+    /// The trained block, if any.
     pub block: Option<SceneBlock>,
-    /// The points that they were made of.
+    /// The points from which they were made.
     pub points: Option<PointCloud>,
 }
 
 impl Origin {
-    /// What was asked for; a checkpoint comes before `--init`, with which its training may have begun. Warns where a scene was
-    /// trained with another low-pass filter. `exchanged`: the scene around a block after an exchange.
+    /// Reads the requested start. A checkpoint precedes `--init`, with which its training may have begun. Warns if a
+    /// scene was
+    /// trained with another low-pass filter. `exchanged` is the scene around a block after an exchange.
     pub fn read(
         from: Option<&StartFrom>,
         settings: &Settings,
@@ -85,7 +87,8 @@ impl Origin {
         Origin { needs_points: true, ..Origin::default() }
     }
 
-    /// Divides a scene into what is trained of a block, and what of the rest the cameras see. A line about it, if some is not seen.
+    /// Divides a scene into the block's trained Gaussians and the visible rest. Returns a note if some of the rest is
+    /// out of view.
     pub fn divide(&mut self, settings: &Settings, gallery: &Gallery) -> Result<Option<String>> {
         let (train, block) = (&settings.train, settings.data.block(gallery.frame())?);
         let Some(((core, margin), scene)) = block.zip(self.exchanged.as_ref().or(self.scene.as_ref())) else {
@@ -97,7 +100,7 @@ impl Origin {
         let around = block.frozen.len();
         let block = block.without_unseen(&gallery.used_cameras()?, train);
         let unseen = around - block.frozen.len();
-        // Twice as much memory is not needed.
+        // Frees the whole scenes, to save memory.
         (self.scene, self.exchanged) = (None, None);
         self.divided = Some((trained, block));
         let [unseen_of, all] = [unseen, around].map(|count| thousands(count as u64));
@@ -107,17 +110,17 @@ impl Origin {
         Ok((unseen > 0).then(line))
     }
 
-    /// The scene that training begins with, or began with, if it does not begin with points.
+    /// The scene with which training begins or began, unless it begins with points.
     pub fn scene(&self) -> Option<&Gaussians> {
         self.scene.as_ref().map(|scene| &scene.gaussians)
     }
 
-    /// Brings the scenes that were read into the frame of the data set.
+    /// Moves the scenes to the frame of the data set.
     pub fn express_in(&mut self, frame: &WorldFrame) {
         self.scene.iter_mut().chain(&mut self.exchanged).for_each(|scene| scene.express_in(frame));
     }
 
-    /// Warns where no photo shows a Gaussian of the scene that training begins with.
+    /// Warns if no photo shows a Gaussian of the initial scene.
     pub fn warn_if_out_of_view(&self, settings: &Settings, gallery: &Gallery) -> Result<()> {
         const SAMPLE: usize = 4096;
         let Some(scene) = self.scene().filter(|_| self.start.is_none()) else { return Ok(()) };
@@ -132,28 +135,28 @@ impl Origin {
         Ok(())
     }
 
-    /// Whether the points of the data set are used.
+    /// True if the points of the data set are used.
     pub fn needs_points(&self) -> bool {
         self.needs_points
     }
 
-    /// The checkpoint, if it is one.
+    /// The start from a checkpoint, if it is one.
     pub fn start(&self) -> Option<&Start> {
         self.start.as_deref()
     }
 
-    /// What was read of it.
+    /// The checkpoint, if there is one.
     pub fn checkpoint(&self) -> Option<&Checkpoint> {
         self.start().map(Start::checkpoint)
     }
 
-    /// Refuses settings that are given without effect. A training that goes on keeps what it began with, used or not.
+    /// Refuses settings without effect. A continued training keeps its settings, used or not.
     pub fn refuse_unused(&self, settings: &Settings, given: (Option<&Path>, &Overrides)) -> Result<()> {
         if self.start.is_some() { Ok(()) } else { settings.refuse_unused(given) }
     }
 
-    /// How many Gaussians are trained, and how many lie around them, as far as that is known before the photos are read: of
-    /// these `points`, or of so many that stand in for them.
+    /// Number of trained Gaussians and of those around them, as far as it is known before photos are read. It counts
+    /// `points`, or their substitute if there are none.
     pub fn counts(
         &self,
         settings: &Settings,
@@ -183,14 +186,14 @@ impl Origin {
         }
     }
 
-    /// Whether it is the end of its training, and all is saved: only a scheduler may ask for that.
+    /// True if the training is complete and saved; only a scheduler may start it again.
     pub fn is_complete(&self, settings: &Settings) -> bool {
         let (folder, last) = (&settings.data.model_path, settings.train.iterations);
         let at_end = self.start().is_some_and(|start| start.iteration() == last);
         at_end && model::point_cloud_path(folder, last).is_file()
     }
 
-    /// The settings of a training that begins so: the SH degree of a scene is in use from its start.
+    /// The settings of a training with this start: the SH degree of a scene is used from its beginning.
     pub fn settle(&self, settings: Settings) -> Settings {
         let degree = match (self.checkpoint(), self.scene()) {
             (Some(checkpoint), _) => checkpoint.settings.sh_degree_start,
@@ -202,7 +205,7 @@ impl Origin {
         Settings { train: TrainSettings { sh_degree_start, ..train }, ..settings }
     }
 
-    /// The first Gaussians.
+    /// Makes the first Gaussians.
     pub fn first(&self, dataset: &Dataset, settings: &Settings) -> Result<First> {
         let (train, block) = (&settings.train, settings.data.block(&dataset.frame)?);
         let goes_on = self.start.is_some();
@@ -234,7 +237,7 @@ impl Origin {
         Ok(First { trained, block, points })
     }
 
-    /// The trainer of a training that begins so.
+    /// Makes the trainer for this start.
     pub fn trainer(
         &self,
         context: &Context,
@@ -256,14 +259,14 @@ impl Origin {
     }
 }
 
-/// The Gaussians of a file to begin with, with warnings.
+/// Reads the initial Gaussians of a file, with warnings.
 fn scene_of(path: &Path, settings: &Settings, host: &HostArguments) -> Result<Scene> {
     let scene = splats::read(path, &host.reading(false))?;
     if scene.gaussians.is_empty() {
         let remedy = "give another file, or leave --init out and begin with points";
         return Err(Error::input(path, "has no Gaussians to begin with", remedy));
     }
-    // Formats without the mark say that it is not.
+    // Formats without the mark read as trained without antialiasing.
     if scene.header.antialiased && !settings.train.antialiasing {
         tell!("warning: {}: was trained with --antialiasing; train with it, too", path.display());
     }

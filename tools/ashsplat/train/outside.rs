@@ -1,7 +1,8 @@
-//! What photos show of the block that is trained: by what the division's file says, else by the depths of the scene that training
-//! begins with, drawn once per photo, small.
+//! Finds what photos show of the trained block: by the division's file, else by the depths of the initial scene, which
+//! is
+//! drawn small, once per photo.
 //!
-//! Only that part of a photo is used, and without the block's surroundings pixels of the rest do not count.
+//! Only that part of a photo is used. Without the block's surroundings, pixels that show them do not count.
 
 use crate::blocks::job::Job;
 use crate::blocks::parts::{Part, Shown};
@@ -15,8 +16,9 @@ use ashsplat_files::Gallery;
 use std::collections::BTreeSet;
 use std::sync::atomic::AtomicBool;
 
-/// Chooses what is used of the photos, as the settings want it; those that show nothing of the block are left out. A line about it,
-/// if there is anything to say.
+/// Selects the used parts and pixels of the photos by the settings, and removes photos that do not show the block.
+/// Returns a note,
+/// if any.
 pub fn look(
     context: &Context,
     gallery: &mut Gallery,
@@ -45,7 +47,7 @@ pub fn look(
             }
             if masked.is_some() {
                 let counts = shown.counting();
-                // Without parts, held-out photos are whole pictures.
+                // Without parts, held-out photos stay whole.
                 is_used &= counts.contains(&true) || held_out && parts.is_none();
                 gallery.hide(index, (camera.width, camera.height), &counts)?;
             }

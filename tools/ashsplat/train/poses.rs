@@ -1,4 +1,4 @@
-//! Poses of training views that are optimised: where they are written, and what is said of them.
+//! Optimised poses of training views: their files and a summary.
 
 use super::Run;
 use crate::config::CAMERAS_FILE;
@@ -9,10 +9,10 @@ use ashsplat_files::cameras_json::{self, NamedCamera};
 use serde_json::{Map, json};
 use std::collections::HashMap;
 
-/// What each training view's camera was moved by.
+/// File with the movement of each training view's camera.
 pub const POSES_FILE: &str = "poses.json";
 
-/// How far cameras were moved: means and largest, degrees and shares of the scene's extent.
+/// Movement of cameras: mean and largest, in degrees and as shares of the scene's extent.
 pub struct Moved {
     pub degrees: [f64; 2],
     pub shares: [f64; 2],
@@ -36,7 +36,7 @@ impl Moved {
         }
     }
 
-    /// In words.
+    /// The movement in words.
     pub fn describe(&self) -> String {
         let ([degrees, most_degrees], [share, most_share]) = (self.degrees, self.shares);
         format!(
@@ -48,18 +48,18 @@ impl Moved {
     }
 }
 
-/// Degrees.
+/// Angle of a rotation, degrees.
 fn angle(change: &Twist) -> f64 {
     change.omega.length().to_degrees()
 }
 
-/// How far the camera's centre moved, world units: as far as the origin of its frame.
+/// Distance that the camera's centre moved, world units: that of the origin of its frame.
 fn distance(change: &Twist) -> f64 {
     change.exp().1.length()
 }
 
 impl Run {
-    /// None unless poses are optimised.
+    /// Returns `None` unless poses are optimised.
     pub(super) fn moved(&self) -> Result<Option<Moved>> {
         match self.settings.train.pose_opt {
             false => Ok(None),
@@ -67,10 +67,10 @@ impl Run {
         }
     }
 
-    /// All cameras at the size of their photos' files, the training views' where they are now.
+    /// All cameras at the size of their photos' files, training views at their current poses.
     fn cameras_now(&self) -> Result<Vec<NamedCamera>> {
         let moved = self.trainer.cameras()?;
-        // With --train-test-exp held-out views are trained on as well, so only names tell which is which.
+        // With --train-test-exp, held-out views are also trained on, so only names identify the views.
         let moved: HashMap<&str, &Camera> = self.trained.iter().map(String::as_str).zip(&moved).collect();
         let now = |(name, camera): &(String, Camera)| {
             let mut camera = *camera;
@@ -83,7 +83,7 @@ impl Run {
         Ok(self.cameras.iter().map(now).collect())
     }
 
-    /// Writes the cameras as they are after an iteration, if poses are optimised.
+    /// Writes the cameras after an iteration, if poses are optimised.
     pub(super) fn save_poses(&self, iteration: u32) -> Result<()> {
         if !self.settings.train.pose_opt {
             return Ok(());
@@ -115,7 +115,8 @@ impl Run {
         output::write_json(&folder.join(POSES_FILE), &summary)
     }
 
-    /// Views that are trained on are measured where their cameras are now: those that stand in for held-out ones, and held-out
+    /// Moves test views that are trained on to the current poses of their cameras: those that replace held-out ones,
+    /// and held-out
     /// ones whose halves are trained on.
     pub(super) fn follow_cameras(&mut self) -> Result<()> {
         let trained_on = !self.held_out || self.settings.data.train_test_exp;

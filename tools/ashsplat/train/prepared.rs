@@ -1,4 +1,4 @@
-//! A data set as a run uses it.
+//! Prepares a data set for a run.
 
 use super::origin::Origin;
 use crate::config::Settings;
@@ -12,35 +12,35 @@ use ashsplat_files::{Dataset, Gallery, PhotoMemory, View};
 use std::collections::{BTreeMap, HashSet};
 use std::path::Path;
 
-/// Views of the training set that stand in for a test set where none is held out.
+/// Number of training views that replace a test set if none is held out.
 const STAND_IN_VIEWS: usize = 5;
 
-/// A data set taken apart.
+/// A prepared data set.
 pub struct Prepared {
     pub data: Data,
     pub views: Views,
 }
 
-/// What a trainer is given of it.
+/// Input of the trainer.
 #[derive(Clone)]
 pub struct Data {
     pub train: Vec<TrainView>,
-    /// World units.
+    /// Extent of the scene, world units.
     pub scene_extent: f32,
 }
 
-/// What a run keeps of its views.
+/// Views that a run keeps.
 pub struct Views {
-    /// The names of those that are trained on, in their order.
+    /// Names of the training views, in their order.
     pub trained: Vec<String>,
     pub test: Vec<View>,
-    /// As they were given, held-out ones first.
+    /// Original cameras, held-out ones first.
     pub cameras: Vec<(String, Camera)>,
-    /// The cameras' frame.
+    /// Frame of the cameras.
     pub frame: WorldFrame,
-    /// By the names of the photos, the ids of the cameras that took them.
+    /// Camera ids by photo name.
     pub takers: BTreeMap<String, u32>,
-    /// Whether `test` was held out, or is a sample of the training views.
+    /// True if `test` was held out, false for a sample of the training views.
     pub held_out: bool,
 }
 
@@ -49,7 +49,7 @@ impl Prepared {
         let Dataset { frame, train, test, scene_extent, .. } = dataset;
         let scene_extent = settings.data.extent(scene_extent, &frame);
         let own = |view: &View| (view.name.clone(), view.original_camera);
-        // A view may be trained on and held out, each for one half.
+        // A view may be trained on and held out, one half each.
         let held_out: HashSet<&str> = test.iter().map(|view| view.name.as_str()).collect();
         let others = train.iter().filter(|view| !held_out.contains(view.name.as_str()));
         let cameras = test.iter().chain(others).map(own).collect();
@@ -63,7 +63,7 @@ impl Prepared {
     }
 }
 
-/// A view as it is trained on.
+/// Makes the training view of a view.
 pub fn train_view(view: View) -> TrainView {
     TrainView::new(view.camera, view.photo)
         .taken_by(view.camera_id)
@@ -76,12 +76,12 @@ fn sample(train: &[View]) -> Vec<View> {
     stand_ins(train.len()).map(|index| train[index].clone()).collect()
 }
 
-/// Which of so many training views stand in for held-out ones.
+/// Indices of the training views that replace held-out ones.
 pub fn stand_ins(views: usize) -> impl Iterator<Item = usize> {
     (0..views).step_by(views.div_ceil(STAND_IN_VIEWS).max(1))
 }
 
-/// Refuses what cannot be trained here, from the sizes of the photos: before they are read.
+/// Refuses a training that does not fit, by the sizes of the photos, before they are read.
 pub fn check_fits(context: &Context, gallery: &Gallery, settings: &Settings, origin: &Origin) -> Result<()> {
     let [gaussians, frozen] = origin.counts(settings, (gallery.points(), gallery.frame()))?;
     Forecast {
@@ -95,7 +95,7 @@ pub fn check_fits(context: &Context, gallery: &Gallery, settings: &Settings, ori
     .check(context)
 }
 
-/// What photos may take of the memory: what was asked for, or half of what there is, where that is known.
+/// Memory budget of photos: the requested one, or half of the known limit.
 pub fn photo_memory(context: &Context, asked: Option<u64>, model: &Path) -> Option<PhotoMemory> {
     let bytes = asked.or_else(|| context.memory_limit().map(|(limit, _)| limit / 2))?;
     Some(PhotoMemory { bytes, folder: existing_folder(model) })

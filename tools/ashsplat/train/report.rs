@@ -1,4 +1,4 @@
-//! `report.html`: a run on one page that needs nothing else.
+//! `report.html`: a run on one self-contained page.
 
 mod curves;
 mod kernels;
@@ -24,7 +24,7 @@ pub use kernels::KernelTimes;
 /// The page's name in the model folder.
 pub const REPORT_FILE: &str = "report.html";
 
-/// Tables side by side.
+/// Number of tables side by side.
 const SETTINGS_COLUMNS: usize = 3;
 
 const STYLE: &str = "
@@ -51,7 +51,7 @@ body { font-family: system-ui, sans-serif; margin-bottom: 4em; } h1 { font-size:
 @media print { .chart, .view { break-inside: avoid; } }
 ";
 
-/// The value under the pointer.
+/// Shows the value under the pointer.
 const SCRIPT: &str = "
 document.querySelectorAll('.chart').forEach(chart => {
   const svg = chart.querySelector('svg'), data = svg.querySelector('script'), output = chart.querySelector('output');
@@ -67,7 +67,7 @@ document.querySelectorAll('.chart').forEach(chart => {
 });
 ";
 
-/// Writes the page of a run that is over, or was stopped.
+/// Writes the page of a run that has ended or was stopped.
 pub fn write(run: &mut Run, interrupted: bool) -> Result<()> {
     let path = run.settings.data.model_path.join(REPORT_FILE);
     let rows = Rows::read(&run.settings.data.model_path.join(LOG_FILE))?;
@@ -76,7 +76,7 @@ pub fn write(run: &mut Run, interrupted: bool) -> Result<()> {
 }
 
 impl Run {
-    /// Results and costs, on stdout.
+    /// Prints results and costs on stdout.
     pub fn report(&self) {
         for tested in &self.evaluations {
             say!("{}", self.describe(tested));
@@ -104,7 +104,7 @@ fn page(run: &mut Run, rows: &Rows, interrupted: bool) -> Result<String> {
     let tested = run.evaluations.last().filter(|tested| tested.iteration == iteration);
     let (chosen, evaluation) = match tested {
         Some(tested) => (run.test.clone(), tested.evaluation.clone()),
-        // Someone who stops a run does not want to wait for all of its views.
+        // After an interruption, the user does not want to wait for all views.
         None => measure_some(run)?,
     };
     let kind = if run.held_out { "held-out" } else { "training" };
@@ -143,7 +143,7 @@ fn page(run: &mut Run, rows: &Rows, interrupted: bool) -> Result<String> {
     Ok(out)
 }
 
-/// A few of the views, evenly spread, and their quality.
+/// Measures a few of the views, evenly spread.
 fn measure_some(run: &mut Run) -> Result<(Vec<View>, Evaluation)> {
     let views: Vec<View> = views::spread(&run.test.iter().collect::<Vec<_>>()).into_iter().cloned().collect();
     let settings = run.trainer.render_settings();
@@ -314,13 +314,13 @@ fn settings(settings: &Settings) -> Result<String> {
     Ok(out)
 }
 
-/// Says that there is nothing to do.
+/// Reports that the training is already complete.
 pub fn say_complete(settings: &Settings) -> Result<()> {
     say!("{} is trained to its end already", settings.data.model_path.display());
     Ok(())
 }
 
-/// What people do with a trained scene. `measured`: on photographs that were held out.
+/// Prints the next commands for a trained scene. `measured` is true if held-out photographs were measured.
 pub fn say_what_next(model: &Path, measured: bool) {
     let name = quoted(&model.to_string_lossy());
     say!("look at it      ashsplat view {name}");

@@ -1,4 +1,4 @@
-//! Rounds of a block's training: where it begins, and where it stops for an exchange with its neighbours.
+//! Rounds of a block's training: its start, and its stop for an exchange with the neighbours.
 
 use super::Run;
 use super::checkpoints::{StartFrom, newest_iteration};
@@ -9,7 +9,7 @@ use crate::config::Settings;
 use ashsplat::{Error, Result};
 use std::path::Path;
 
-/// Where a round goes on from: after an exchange from what that has made, until there is a newer checkpoint.
+/// The start of a round: after an exchange, the exchanged checkpoint until a newer one exists.
 pub fn start(given: Option<&StartFrom>, stage: Option<&Stage>, folder: &Path) -> Option<StartFrom> {
     let exchanged = stage.and_then(|stage| Some((stage.exchanged(folder)?, stage.from)));
     match (given, exchanged) {
@@ -19,7 +19,7 @@ pub fn start(given: Option<&StartFrom>, stage: Option<&Stage>, folder: &Path) ->
     }
 }
 
-/// The stage of a job, if there is one; refuses other iterations than the division's where blocks are to be exchanged at a share of them.
+/// The stage of a job, if there is one. With rounds, refuses a number of iterations that differs from the division's.
 pub fn stage(job: Option<&Job>, settings: &Settings) -> Result<Option<Stage>> {
     let Some(job) = job else { return Ok(None) };
     let stage = Stage::of(job);
@@ -38,7 +38,7 @@ pub fn stage(job: Option<&Job>, settings: &Settings) -> Result<Option<Stage>> {
 }
 
 impl Run {
-    /// Notes that a block's training is at its end, or at that of a round.
+    /// Notes that a block's training, or its round, has ended.
     pub(super) fn note_end(&self, job: &Job, stage: &Stage) -> Result<()> {
         let data = &self.settings.data;
         if stage.is_last() {
@@ -49,7 +49,7 @@ impl Run {
         Ok(())
     }
 
-    /// Stops where a round does that is not the last.
+    /// Stops training at the end of a round, unless it is the last.
     pub(super) fn stop_at_end_of(&mut self, stage: &Stage) {
         self.is_in_rounds = stage.rounds > 1;
         if !stage.is_last() {
@@ -57,7 +57,7 @@ impl Run {
         }
     }
 
-    /// Whether a round ends after an iteration, which is not the last of all.
+    /// True if a round that is not the last ends after this iteration.
     pub(super) fn ends_round(&self, iteration: u32) -> bool {
         iteration == self.until && self.until < self.settings.train.iterations
     }

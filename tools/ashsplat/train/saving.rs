@@ -1,5 +1,6 @@
-//! Saving while training runs. What the disk refuses is tried again, and training goes on: its hours are worth more than
-//! one file.
+//! Saves during training. If the disk refuses, training continues and saving is tried again: hours of training are
+//! worth more
+//! than one file.
 
 use super::Run;
 use crate::light::Lights;
@@ -13,13 +14,13 @@ use ashsplat_files::{ply, splats};
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
-/// Until what could not be saved is tried again, while training goes on.
+/// Time until a failed save is tried again, during training.
 const AGAIN: Duration = Duration::from_secs(5);
-/// Attempts when training ends, and the pause between two.
+/// Number of attempts when training ends, and the pause between them.
 const ATTEMPTS: u32 = 3;
 const PAUSE: Duration = Duration::from_millis(300);
 
-/// Tries something, and again after a pause if it was refused and training `ends`: there is no later then.
+/// Attempts something; if training `ends`, repeats a refused attempt after a pause, since there is no later.
 pub(super) fn attempt<T>(ends: bool, mut attempt: impl FnMut() -> T, refused: impl Fn(&T) -> bool) -> T {
     let mut result = attempt();
     for _ in 1..if ends { ATTEMPTS } else { 1 } {
@@ -32,14 +33,14 @@ pub(super) fn attempt<T>(ends: bool, mut attempt: impl FnMut() -> T, refused: im
     result
 }
 
-/// What a run saves.
+/// Kinds of files that a run saves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Kind {
     Scene,
     Checkpoint,
 }
 
-/// What could not be saved, and when it is tried again.
+/// Times at which failed saves are tried again.
 #[derive(Default)]
 pub struct Unsaved {
     scene: Option<Instant>,
@@ -54,7 +55,7 @@ impl Unsaved {
         }
     }
 
-    /// The scene that a page wanted could not be saved.
+    /// Notes that the scene a page requested could not be saved.
     pub fn wants_scene(&mut self) {
         self.scene = Some(Instant::now() + AGAIN);
     }
@@ -65,7 +66,7 @@ impl Unsaved {
 }
 
 impl Run {
-    /// Tests and saves where it is time to, off the clock; the PSNR where it was tested.
+    /// Tests and saves if it is time, off the clock. Returns the PSNR if it was tested.
     pub(super) fn keep(
         &mut self,
         iteration: u32,
@@ -86,7 +87,7 @@ impl Run {
                 self.persist(Kind::Scene, last || stopping, |run| run.save(iteration, reason))?;
             }
             match tests.then(|| self.test(iteration, last || stopping)).transpose() {
-                // A frame of a test view that is too large: training goes on.
+                // Training continues if the frame of a test view is too large.
                 Err(error @ Error::TooLarge { .. }) if !last && !stopping => {
                     self.progress.warn(&format!("warning: iteration {iteration} is not tested: {error}"));
                     Ok(None)
@@ -96,7 +97,7 @@ impl Run {
         })
     }
 
-    /// Whether a checkpoint is to be written after an iteration: also one that could not be written before.
+    /// True if a checkpoint is due after an iteration, also one that could not be written before.
     pub(super) fn checkpoint_is_due(&mut self, iteration: u32, stopping: bool) -> bool {
         let last = iteration == self.settings.train.iterations;
         let asked = self.settings.data.checkpoints_at(iteration, self.settings.train.iterations);
@@ -104,14 +105,14 @@ impl Run {
         stopping || asked || late || self.ends_round(iteration) || self.unsaved.is_due(Kind::Checkpoint)
     }
 
-    /// Writes a checkpoint now, or notes that it is to be written.
+    /// Writes a checkpoint now, or notes that it must be written later.
     pub(super) fn keep_checkpoint(&mut self, stopping: bool) -> Result<()> {
         let iteration = self.trainer.iteration();
         let ends = stopping || iteration == self.settings.train.iterations || self.ends_round(iteration);
         self.persist(Kind::Checkpoint, ends, Run::write_checkpoint)
     }
 
-    /// Writes something. When the disk refuses it, it waits for later; where training ends, there is no later.
+    /// Writes a file. If the disk refuses, it is tried again later, or is an error if training ends.
     fn persist(&mut self, kind: Kind, ends: bool, write: impl Fn(&mut Run) -> Result<()>) -> Result<()> {
         match attempt(ends, || write(self), |written| matches!(written, Err(Error::Io { .. }))) {
             Err(error @ Error::Io { .. }) if !ends => {
@@ -130,7 +131,7 @@ impl Run {
         }
     }
 
-    /// What has been learned of the photographs' light. Held-out photographs have their cameras' effects too.
+    /// The learned exposures and lens effects. Held-out photographs have their cameras' lens effects too.
     pub(super) fn lights(&self) -> Result<Lights> {
         let exposures = self.trained.iter().cloned().zip(self.trainer.exposures()?).collect();
         let of_views = self.trained.iter().zip(self.trainer.lens_effects()?);
@@ -141,7 +142,7 @@ impl Run {
         Ok(Lights { exposures, lenses: LensFile { cameras, photos } })
     }
 
-    /// Saves the scene as it stands after an iteration, and notes that it is the newest.
+    /// Saves the scene after an iteration, and notes that it is the newest.
     pub(super) fn save(&mut self, iteration: u32, reason: &str) -> Result<()> {
         let folder = &self.settings.data.model_path;
         let path = model::point_cloud_path(folder, iteration);

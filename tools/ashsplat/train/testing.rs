@@ -1,4 +1,4 @@
-//! Tests while training runs. What they measure counts; pictures and results that the disk refuses end no training.
+//! Tests during training. Pictures and results that the disk refuses do not end training.
 
 use super::Run;
 use super::prepared::stand_ins;
@@ -14,14 +14,14 @@ use ashsplat::{Error, Result};
 use ashsplat_files::{Gallery, quoted};
 use std::path::PathBuf;
 
-/// The test after an iteration.
+/// Result of the test after an iteration.
 pub struct Tested {
     pub(super) iteration: u32,
     pub(super) gaussians: u32,
     pub evaluation: Evaluation,
 }
 
-/// The LPIPS that the last test measures.
+/// Weights of LPIPS for the last test.
 #[derive(Default)]
 pub(super) struct FinalLpips {
     weights: Vec<Weights>,
@@ -33,7 +33,7 @@ impl FinalLpips {
         Ok(FinalLpips { weights: eval::read_weights(files, host)? })
     }
 
-    /// Refuses photos to test on that are too small for the networks: they would fail after all the work.
+    /// Refuses test photos that are too small for the networks: they would fail after all the work.
     pub fn check(&self, gallery: &Gallery, settings: &Settings) -> Result<()> {
         let held_out = gallery.held_out();
         let mut tested: Vec<usize> = (0..held_out.len()).filter(|&index| held_out[index]).collect();
@@ -45,14 +45,14 @@ impl FinalLpips {
 }
 
 impl Run {
-    /// Measures the test views; those that were held out are also saved. What cannot be saved is an error where training
-    /// ends, after some attempts, and else a warning. Pictures of such a test are not made again; its results are.
+    /// Measures the test views; pictures of held-out ones are saved. A failed save is an error if training
+    /// ends, after some attempts, and else a warning. Its pictures are not drawn again; its results are written later.
     pub(super) fn test(&mut self, iteration: u32, ends: bool) -> Result<f64> {
         let unsaved = |tested: &Result<(_, Result<()>)>| matches!(tested, Ok((_, Err(_))));
         let (evaluation, saved) = attempt(ends, || self.evaluate(iteration), unsaved)?;
         let psnr = evaluation.psnr();
         let tested = Tested { iteration, gaussians: self.gaussians, evaluation };
-        // The last one is among the results.
+        // The results include the last test.
         if !ends {
             self.progress.note(&self.describe(&tested));
         }
@@ -70,15 +70,15 @@ impl Run {
         Ok(psnr)
     }
 
-    /// How the test views are compared: those that are trained on under their exposures, all through their lenses; of those
-    /// whose left half is trained on, the right one.
+    /// The protocol of the test views: training views have their exposures, and all have their lens effects. Of views
+    /// whose left half is trained on, the right half counts.
     pub(super) fn protocol(&self) -> Result<Protocol> {
         let halves = self.settings.data.train_test_exp && self.held_out;
         let names = self.test.iter().filter(|_| halves).map(|view| view.name.clone());
         Ok(Protocol { lights: self.lights()?, halves: names.collect() })
     }
 
-    /// Measures, after the last iteration also what takes its time, and whether the pictures were saved.
+    /// Measures the views, after the last iteration also LPIPS. Also returns the result of saving the pictures.
     fn evaluate(&mut self, iteration: u32) -> Result<(Evaluation, Result<()>)> {
         if iteration < self.settings.train.iterations || self.lpips.weights.is_empty() {
             return self.evaluate_with(iteration, None);
@@ -86,7 +86,7 @@ impl Run {
         let lpips = Perceptual::new(self.trainer.context(), &self.lpips.weights);
         let measured = lpips.and_then(|mut lpips| self.evaluate_with(iteration, lpips.as_mut()));
         match measured {
-            // Training has the memory. That is no reason to lose its results.
+            // Training holds the memory. Its results must not be lost.
             Err(error @ (Error::TooLarge { .. } | Error::Vulkan { call: "vkAllocateMemory", .. })) => {
                 let data = &self.settings.data;
                 let typed = |path: &PathBuf| quoted(&path.to_string_lossy());
@@ -136,7 +136,7 @@ impl Run {
         Ok((evaluation, pictures.map_or(Ok(()), Pictures::saved)))
     }
 
-    /// Writes the results that have not been written yet.
+    /// Writes the results that are not in the files yet.
     fn write_results(&mut self) -> Result<()> {
         if self.held_out {
             for tested in &self.evaluations[self.results..] {

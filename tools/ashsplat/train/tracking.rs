@@ -1,5 +1,6 @@
-//! PSNR while training runs: the mean over the same few views each time, so that its curve shows the training and not which
-//! view was measured.
+//! PSNR during training: the mean over the same few views each time, so that its curve shows the training, not the
+//! choice of
+//! views.
 
 use super::Run;
 use super::allowance::Allowance;
@@ -10,52 +11,53 @@ use ashsplat::{RenderSettings, Result, TrainSettings};
 use ashsplat_files::View;
 use std::time::{Duration, Instant};
 
-/// Of training's time, by default.
+/// Default share of training's time.
 pub(super) const SHARE: f64 = 0.02;
-/// Most views that are measured.
+/// Largest number of tracked views.
 const VIEWS: usize = 8;
-/// Points of the curve of a run, about, and the most iterations between two that are asked for.
+/// Approximate number of points of a run's curve, and the largest interval between two.
 const POINTS: u32 = 200;
 const MOST_INTERVAL: u32 = 100;
-/// Most iterations after a change of the set of Gaussians in which nothing is measured: where many were cloned or split, the
+/// Largest number of iterations without a measurement after the set of Gaussians changed. After many clones or splits,
+/// the
 /// PSNR is some decibels lower for a while, and would be shown until the next point.
 const SETTLING: u32 = 50;
 
-/// A share of training's time, from the command line.
+/// Parses a share of training's time.
 pub(super) fn share(text: &str) -> Result<f64, String> {
     let number = text.parse().ok().filter(|&share| share == 0.0 || (0.001..=0.9).contains(&share));
     number.ok_or_else(|| "expected 0 or a number from 0.001 to 0.9".into())
 }
 
-/// Of so many at most `most`, evenly spread, the first and the last among them.
+/// At most `most` elements, evenly spread, with the first and the last.
 pub(super) fn spread<T: Clone>(all: &[T], most: usize) -> Vec<T> {
     let count = all.len().min(most);
     (0..count).map(|i| all[i * (all.len() - 1) / (count - 1).max(1)].clone()).collect()
 }
 
-/// Which views are measured, and when.
+/// The tracked views, and the times of their measurements.
 pub(super) struct Tracking {
     views: Vec<View>,
-    /// How many there are in all.
+    /// Number of all test views.
     of: usize,
     /// Least iterations between two points.
     interval: u32,
     next: u32,
-    /// Iterations after a change of the set of Gaussians in which nothing is measured.
+    /// Number of iterations without a measurement after the set of Gaussians changed.
     settling: u32,
-    /// Until when, and of how many Gaussians the last iteration was.
+    /// End of these iterations, and the number of Gaussians after the last one.
     settled: u32,
     gaussians: u32,
-    /// Whether they were measured: the first time builds kernels, and does not count.
+    /// True after the first measurement, which builds kernels and does not count.
     warm: bool,
-    /// None where nothing is to be measured.
+    /// `None` if nothing is to be measured.
     allowance: Option<Allowance>,
 }
 
 impl Tracking {
-    /// Of a run with these settings, within a share of its time; 0 measures nothing.
+    /// Tracking of a run with these settings, within a share of its time; 0 measures nothing.
     pub(super) fn new(test: &[View], settings: &TrainSettings, share: f64) -> Tracking {
-        // Who looks at a run without an end wants to see one soon.
+        // A run without an end needs a measurement soon.
         let interval = (settings.iterations / POINTS).clamp(1, MOST_INTERVAL);
         Tracking {
             views: spread(test, VIEWS),
@@ -70,7 +72,7 @@ impl Tracking {
         }
     }
 
-    /// Which views, in words.
+    /// Description of the views.
     pub(super) fn describe(&self, kind: &str) -> String {
         match (self.views.len(), self.of) {
             (measured, all) if measured < all => {
@@ -80,7 +82,7 @@ impl Tracking {
         }
     }
 
-    /// Notes an iteration. Whether the views are to be measured after it.
+    /// Notes an iteration. Returns true if the views are to be measured after it.
     pub(super) fn is_due(&mut self, report: &StepReport) -> bool {
         let Some(allowance) = &mut self.allowance else { return false };
         allowance.trained(Duration::try_from_secs_f64(1e-3 * report.milliseconds).unwrap_or_default());
@@ -91,7 +93,7 @@ impl Tracking {
         report.iteration >= self.next.max(self.settled) && allowance.permits()
     }
 
-    /// The views were measured after an iteration, which took so long.
+    /// Notes that the views were measured after an iteration, and the time that it took.
     pub(super) fn measured(&mut self, iteration: u32, time: Duration) {
         self.next = iteration + self.interval;
         let warm = std::mem::replace(&mut self.warm, true);
@@ -100,7 +102,7 @@ impl Tracking {
         }
     }
 
-    /// Takes the cameras of these views, by their names.
+    /// Copies the cameras of these views, by name.
     pub(super) fn follow(&mut self, test: &[View]) {
         for view in &mut self.views {
             if let Some(moved) = test.iter().find(|other| other.name == view.name) {
@@ -109,7 +111,7 @@ impl Tracking {
         }
     }
 
-    /// The mean over the views as they stand, dB; none where masks hide them all.
+    /// The mean PSNR over the views, dB; `None` if masks hide them all.
     fn measure(
         &self,
         trainer: &mut Trainer,
@@ -126,7 +128,7 @@ impl Tracking {
         Ok(mean(&values))
     }
 
-    /// The same of a test of all views.
+    /// The mean over the tracked views in a test of all views.
     pub(super) fn among(&self, evaluation: &Evaluation) -> Option<f64> {
         let tracked = |name: &str| self.views.iter().any(|view| view.name == name);
         let results = evaluation.views.iter().filter(|result| tracked(&result.name));
@@ -140,13 +142,13 @@ fn mean(values: &[f64]) -> Option<f64> {
 }
 
 impl Run {
-    /// Takes another share of training's time than [`SHARE`].
+    /// Changes the share of training's time from [`SHARE`].
     pub(super) fn track_within(&mut self, share: f64) {
         self.tracking = Tracking::new(&self.test, &self.settings.train, share);
     }
 
-    /// The PSNR that is followed, if it is measured after this iteration, dB. Views of the training are measured only for
-    /// those who look on. Where it cannot be measured, it is said, and training goes on.
+    /// The tracked PSNR, if it is measured after this iteration, dB. Training views are measured only for
+    /// viewers. If a measurement fails, a warning is printed and training continues.
     pub(super) fn track(&mut self, report: &StepReport, watch: &mut Stopwatch) -> Option<f64> {
         let iteration = report.iteration;
         let due = self.tracking.is_due(report);

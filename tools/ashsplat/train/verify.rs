@@ -9,7 +9,8 @@ use ashsplat::vk::Context;
 use ashsplat::{Error, Result};
 use ashsplat_files::Dataset;
 
-/// Trains twice for some iterations, from a checkpoint if there is one, without writing anything; an error where the two
+/// Trains some iterations twice, from a checkpoint if there is one, without writing anything. Returns an error if the
+/// two
 /// differ.
 pub fn run(
     context: &Context,

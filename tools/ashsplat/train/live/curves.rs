@@ -1,11 +1,11 @@
-//! The curves of a training: bounded in memory, however long it runs.
+//! The curves of a training, in bounded memory.
 
 use crate::progress::MeanLoss;
 use ashsplat::trainer::StepReport;
 use serde_json::{Value, json};
 use std::time::Instant;
 
-/// Most points of a curve; then every second is dropped.
+/// Largest number of points of a curve. Beyond it, every second point is dropped.
 const MOST_POINTS: usize = 1024;
 /// Weight of the newest loss in the running mean.
 const LOSS_WEIGHT: f64 = 0.05;
@@ -18,14 +18,14 @@ struct Curve {
     points: Vec<(u32, f64)>,
 }
 
-/// See the module.
+/// Curves of loss, PSNR, Gaussians and speed.
 pub struct Curves {
     iterations: u32,
     iteration: u32,
     paused: bool,
-    /// Iterations between two points of the curves that have one in each.
+    /// Iterations between two points of the regular curves.
     stride: u32,
-    /// Iteration up to which points were thinned: pages that know fewer get all anew.
+    /// Iteration of the last thinning. Pages that know less get all points again.
     thinned_at: u32,
     loss: Curve,
     psnr: Curve,
@@ -56,7 +56,7 @@ impl Curves {
         }
     }
 
-    /// After an iteration.
+    /// Adds an iteration.
     pub fn step(&mut self, report: &StepReport) {
         if self.iteration == 0 {
             self.window = (Instant::now(), report.iteration - 1);
@@ -77,14 +77,14 @@ impl Curves {
         self.thin();
     }
 
-    /// A view was measured.
+    /// Adds a measured PSNR.
     pub fn psnr(&mut self, iteration: u32, psnr: f64) {
         if psnr.is_finite() {
             self.psnr.points.push((iteration, psnr));
         }
     }
 
-    /// Whether training waits; its speed is not measured then.
+    /// Notes if training waits; its speed is not measured then.
     pub fn pause(&mut self, paused: bool) {
         if self.paused != paused {
             self.paused = paused;
@@ -107,7 +107,7 @@ impl Curves {
         }
     }
 
-    /// For a page that knows everything up to an iteration.
+    /// New points for a page that knows everything up to iteration `since`.
     pub fn status(&self, since: u32) -> Value {
         let fresh = since < self.thinned_at || since > self.iteration;
         let after = |curve: &Curve| {
@@ -130,7 +130,7 @@ impl Curves {
 }
 
 impl Curve {
-    /// Every second point goes.
+    /// Drops every second point.
     fn halve(&mut self) {
         let mut index = 0;
         self.points.retain(|_| {

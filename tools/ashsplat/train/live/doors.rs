@@ -1,5 +1,5 @@
-//! The ports of those who look on. They are opened before anything is loaded: one that is in use is refused at once, and
-//! not after the photos.
+//! The ports of viewers. They are opened before anything is loaded, so that a port in use is an error at once and
+//! not after the photos are read.
 
 use super::LiveArguments;
 use crate::view::server::{self, ServeArguments};
@@ -7,10 +7,10 @@ use crate::view::sibr;
 use ashsplat::Result;
 use std::net::{IpAddr, TcpListener};
 
-/// This machine's own address.
+/// The loopback address.
 const OWN: &str = "127.0.0.1";
 
-/// Open ports, which nobody serves yet: who comes early waits.
+/// Open ports that are not served yet; early connections wait.
 pub struct Doors {
     pub(super) page: Option<(TcpListener, ServeArguments)>,
     pub(super) network_viewer: Option<TcpListener>,
@@ -19,7 +19,7 @@ pub struct Doors {
 }
 
 impl LiveArguments {
-    /// Opens the ports, if there are to be any.
+    /// Opens the requested ports, if any.
     pub fn open(&self) -> Result<Option<Doors>> {
         if self.view.is_none() && self.ip.is_none() {
             return Ok(None);
@@ -35,7 +35,7 @@ impl LiveArguments {
         Ok(Some(Doors { page, network_viewer, share: self.view_share }))
     }
 
-    /// Scripts for the reference say `--ip 0.0.0.0`; that alone lets nobody in.
+    /// Scripts for the reference pass `--ip 0.0.0.0`, which alone admits no other machine.
     fn network_viewer_address(&self) -> Option<&str> {
         let ip = self.ip.as_deref()?;
         if let Some(host) = &self.host {

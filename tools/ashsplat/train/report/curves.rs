@@ -1,4 +1,4 @@
-//! What the log of a run says, as curves.
+//! The log of a run as curves.
 
 use super::super::log::Rows;
 use crate::axis::Axis;
@@ -11,28 +11,28 @@ const LEFT: f64 = 56.0;
 const RIGHT: f64 = 14.0;
 const TOP: f64 = 12.0;
 const BOTTOM: f64 = 28.0;
-/// Points of a curve at most: more iterations are taken together.
+/// Largest number of points of a curve; more iterations are grouped.
 const POINTS: usize = 280;
 
 /// One pair of axes over the iterations.
 struct Curve {
     title: &'static str,
-    /// What stands behind a value.
+    /// Text after a value.
     unit: &'static str,
     color: &'static str,
     digits: usize,
     points: Vec<(f64, f64)>,
-    /// Whether the points are few and of interest one by one.
+    /// True if the points are few and shown one by one.
     dots: bool,
-    /// Whether the axis begins at 0.
+    /// True if the axis begins at 0.
     from_zero: bool,
 }
 
-/// Loss, PSNR, Gaussians and speed. The PSNR is that of the views that are followed, where a run has measured them: `tracked`
-/// says which they are.
+/// Draws loss, PSNR, Gaussians and speed. The PSNR is that of the tracked views if they were measured; `tracked` names
+/// them.
 pub fn charts(rows: &Rows, tested_on: &str, tracked: &str) -> String {
     let of = |column: &[f64]| rows.iterations.iter().copied().zip(column.iter().copied()).collect::<Vec<_>>();
-    // Not every iteration is tested; one that was left out has no loss.
+    // Not every iteration is tested, and a skipped one has no loss.
     let known = |column: &[f64]| of(column).into_iter().filter(|(_, y)| y.is_finite()).collect::<Vec<_>>();
     let (psnr, tracked_psnr, loss) = (known(&rows.psnr), known(&rows.tracked_psnr), known(&rows.loss));
     let (psnr, measured) = match tracked_psnr.is_empty() {
@@ -95,7 +95,7 @@ fn bins(points: &[(f64, f64)]) -> Vec<Bin> {
     points.chunks(size).map(bin).collect()
 }
 
-/// Iterations per second of neighbouring iterations together.
+/// Iterations per second, averaged over neighbouring iterations.
 fn speed(rows: &Rows) -> Vec<(f64, f64)> {
     let size = rows.iterations.len().div_ceil(POINTS / 2).max(1);
     let parts = rows.iterations.chunks(size).zip(rows.milliseconds.chunks(size));
@@ -103,7 +103,7 @@ fn speed(rows: &Rows) -> Vec<(f64, f64)> {
     parts.map(|(iterations, ms)| (mean(iterations), 1e3 / mean(ms).max(1e-3))).collect()
 }
 
-/// Up to iteration `end`.
+/// Draws a curve up to iteration `end`.
 fn svg(curve: &Curve, end: f64) -> String {
     let bins = bins(&curve.points);
     let mut out = format!("<svg viewBox=\"0 0 {WIDTH} {HEIGHT}\" data-unit=\"{}\">\n", curve.unit);
@@ -115,7 +115,7 @@ fn svg(curve: &Curve, end: f64) -> String {
         );
         return out;
     };
-    // The single worst iterations may leave the picture: the curve is what matters.
+    // The worst single iterations may exceed the axis, so that the curve stays readable.
     let mut tops: Vec<f64> = bins.iter().map(|b| b.high).collect();
     tops.sort_by(f64::total_cmp);
     let high =
@@ -187,7 +187,7 @@ fn grid(out: &mut String, x_axis: &Axis, y_axis: &Axis, (x, y): (Place, Place)) 
     }
 }
 
-/// With spaces between thousands, or so many digits.
+/// A number with thousands separators, or with `digits` digits.
 fn number(value: f64, digits: usize) -> String {
     if digits == 0 {
         crate::progress::thousands(value.round().max(0.0) as u64)

@@ -1,4 +1,4 @@
-//! Times of every kernel of a few iterations.
+//! Times of all kernels in a few iterations.
 
 use crate::bench::schema::Spread;
 use crate::html::escape;
@@ -6,14 +6,14 @@ use crate::profile::page::shown;
 use ashsplat::vk::{Context, Profile};
 use std::fmt::Write;
 
-/// One iteration in so many is timed command by command.
+/// Interval of the iterations that are timed command by command.
 const INTERVAL: u32 = 50;
-/// Which of them: none that densifies.
+/// Offset within the interval, so that no densification is timed.
 const OFFSET: u32 = 7;
-/// Memory that must be left over for timing: it is not what a run may fail for.
+/// Least free memory for timing, which must not make a run fail.
 const SPARE_BYTES: u64 = 16 << 20;
 
-/// What has been timed so far.
+/// Measured times.
 pub struct KernelTimes {
     context: Context,
     profile: Option<Profile>,
@@ -25,7 +25,7 @@ struct Kernel {
     stage: String,
     name: &'static str,
     calls: u32,
-    /// Of each timed iteration that it was in; nothing without timestamps.
+    /// Time in each timed iteration that ran it; empty without timestamps.
     microseconds: Vec<f64>,
 }
 
@@ -34,7 +34,7 @@ impl KernelTimes {
         Self { context: context.clone(), profile: None, timed: 0, kernels: Vec::new() }
     }
 
-    /// Before each iteration.
+    /// Starts timing before an iteration, if it is due.
     pub fn before(&mut self, iteration: u32) {
         let used = self.context.memory_total().bytes;
         let tight = self.context.memory_limit().is_some_and(|(limit, _)| limit < used + SPARE_BYTES);
@@ -46,7 +46,7 @@ impl KernelTimes {
         }
     }
 
-    /// After it.
+    /// Reads the times after an iteration.
     pub fn after(&mut self, iteration: u32) {
         let Some(profile) = self.profile.as_ref().filter(|_| iteration % INTERVAL == OFFSET) else { return };
         self.context.set_profile(None);
@@ -69,13 +69,13 @@ impl KernelTimes {
         }
     }
 
-    /// The device, in words.
+    /// Description of the device.
     pub fn device(&self) -> String {
         let device = self.context.description();
         format!("{} ({}), {}, Vulkan {}", device.name, device.kind, device.driver, device.api_version)
     }
 
-    /// What was measured, in words.
+    /// Description of the measurement.
     pub fn note(&self) -> String {
         match (self.timed, self.context.has_timestamps()) {
             (_, false) => "this device has no timestamps: kernels cannot be timed".into(),
@@ -89,7 +89,7 @@ impl KernelTimes {
         }
     }
 
-    /// The table, dearest first.
+    /// The table of kernels, the most expensive first.
     pub fn table(&self) -> String {
         let mut rows: Vec<(&Kernel, f64)> = self
             .kernels

@@ -1,16 +1,16 @@
-//! What was learned of the photographs' light.
+//! Learned exposures and lens effects of the photographs.
 
 use crate::html::{escape, section};
 use crate::light::Lights;
 use ashsplat::scene::{Exposure, LensEffects};
 use std::fmt::Write;
 
-/// A colour that no usual gain makes white.
+/// A grey that no usual gain saturates.
 const GRAY: f32 = 0.5;
 /// Squared distance of a picture's corner from its middle.
 const CORNER: f32 = 1.0;
 
-/// Sections of exposures and lens effects; nothing of what was not learned.
+/// Writes sections of exposures and lens effects, if they were learned.
 pub fn sections(out: &mut String, lights: &Lights) {
     if !lights.exposures.is_empty() {
         let note = "factors of a middle gray, from the darkest photograph to the brightest; the mean of all \
@@ -26,7 +26,7 @@ pub fn sections(out: &mut String, lights: &Lights) {
     }
 }
 
-/// What an exposure makes of a middle gray, as factors of the channels.
+/// Effect of an exposure on a middle grey, as factors of the channels.
 fn gains(exposure: &Exposure) -> [f32; 3] {
     exposure.of([GRAY; 3]).map(|c| c / GRAY)
 }
@@ -72,7 +72,7 @@ fn lenses(out: &mut String, lights: &Lights) {
     out.push_str("</table>\n");
 }
 
-/// The channels' vignetting in the corners.
+/// Vignetting of the channels in the corners.
 fn corner(effects: &LensEffects) -> [f32; 3] {
     [0, 1, 2].map(|channel| effects.vignetting(channel, CORNER))
 }
@@ -105,7 +105,7 @@ mod tests {
         let mut out = String::new();
         sections(&mut out, &Lights { exposures, lenses });
         let at = |part: &str| out.find(part).unwrap_or_else(|| panic!("no '{part}' in {out}"));
-        // 0.125 is a quarter of the gray.
+        // 0.125 is a quarter of the grey.
         let dark = at("dark.png</td><td>0.750</td><td>1.000</td><td>0.500</td><td>0.750</td>");
         let bright = at("bright &lt;1&gt;.png</td><td>1.250</td><td>1.000</td><td>1.500</td><td>1.250</td>");
         assert!(dark < bright, "{out}");

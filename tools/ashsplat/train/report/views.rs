@@ -1,4 +1,4 @@
-//! Views side by side with their photos, and how good each is.
+//! Views beside their photos, with their quality.
 
 use crate::eval::{Evaluation, ViewResult};
 use crate::html::{self, escape, heat};
@@ -8,32 +8,32 @@ use ashsplat::{Frame, Result};
 use ashsplat_files::{Photo, PhotoFileFormat, View};
 use std::fmt::Write;
 
-/// Views of the contact sheet at most.
+/// Largest number of views on the contact sheet.
 pub const SHOWN: usize = 12;
-/// Pictures are scaled down to this width, pixels.
+/// Width to which pictures are scaled down, pixels.
 const WIDTH: u32 = 480;
-/// Absolute difference, mean over the channels, at which the error's colour is the brightest.
+/// Absolute difference, mean over the channels, with the brightest colour.
 const BRIGHTEST: f64 = 0.25;
 
-/// Places of the results from the worst to the best.
+/// Indices of the results from the worst to the best.
 pub fn worst_first(views: &[ViewResult]) -> Vec<usize> {
     let mut order: Vec<usize> = (0..views.len()).collect();
     order.sort_by(|&a, &b| views[a].psnr.total_cmp(&views[b].psnr));
     order
 }
 
-/// Of so many at most [`SHOWN`], evenly spread.
+/// At most [`SHOWN`] elements, evenly spread.
 pub fn spread<T: Clone>(all: &[T]) -> Vec<T> {
     tracking::spread(all, SHOWN)
 }
 
-/// A row of the contact sheet.
+/// Writes a row of the contact sheet.
 pub fn row(out: &mut String, view: &View, frame: &Frame, result: &ViewResult) -> Result<()> {
     let (photo, mask) = (view.photo.photo()?, view.photo.mask()?);
     let counts = |i: usize| mask.as_ref().is_none_or(|mask| mask[i] != 0);
     let mut shown = Photo::clone(&photo);
     for (i, rgb) in shown.rgb.as_chunks_mut::<3>().0.iter_mut().enumerate().filter(|(i, _)| !counts(*i)) {
-        // Hidden: dim, with stripes.
+        // Masked pixels are dimmed and striped.
         let stripe = (i % photo.width as usize + i / photo.width as usize) / 6;
         *rgb = rgb.map(|c| c / 4 + if stripe.is_multiple_of(2) { 24 } else { 0 });
     }
@@ -75,7 +75,7 @@ fn error(frame: &Frame, photo: &[[f32; 3]], counts: impl Fn(usize) -> bool) -> P
     Photo { width: frame.width, height: frame.height, rgb }
 }
 
-/// What the error's colours mean.
+/// Legend of the error's colours.
 pub fn key() -> String {
     let colors: Vec<String> = (0..=4)
         .map(|i| {
@@ -89,7 +89,7 @@ pub fn key() -> String {
     )
 }
 
-/// The table, worst first.
+/// The table of views, the worst first.
 pub fn table(evaluation: &Evaluation) -> String {
     let cells = |values: &mut dyn Iterator<Item = f64>| -> String {
         values.map(|value| format!("<td>{value:.4}</td>")).collect()

@@ -1,4 +1,4 @@
-//! The views whose PSNR is followed.
+//! The views whose PSNR is tracked.
 
 use super::*;
 use crate::eval::ViewResult;
@@ -24,7 +24,7 @@ fn the_same_few_views_are_followed() {
     let kind = "held-out";
     assert_eq!(tracking.describe(kind), "mean of the same 8 of 29 held-out views each time");
     assert_eq!(Tracking::new(&all[..3], &of(30_000), 0.02).describe(kind), "mean of the 3 held-out views");
-    // Of a test of all views the same ones count: 000, 004, ..., 028.
+    // A test of all views uses the same ones: 000, 004, ..., 028.
     let result = |(i, view): (usize, &View)| {
         let followed = i % 4 == 0;
         let psnr = if followed { 30.0 } else { 10.0 };
@@ -42,14 +42,14 @@ fn measuring_keeps_to_its_share_of_time() {
         let (mut measured, mut spent) = (0, 0.0);
         for iteration in 1..=1000 {
             if tracking.is_due(&step(iteration, 50.0)) {
-                // The first time builds kernels.
+                // The first measurement builds kernels.
                 let cost = if measured == 0 { 100.0 } else { cost };
                 tracking.measured(iteration, std::time::Duration::from_secs_f64(cost));
                 spent += if measured == 0 { 0.0 } else { cost };
                 measured += 1;
             }
         }
-        // The last one is paid off later.
+        // The last measurement is paid off later.
         assert!(spent - cost <= share * (50.0 + spent), "{spent} s of 50 at {share}");
         assert!((2..=200).contains(&measured), "{measured}");
         assert!(spent > 0.8 * share * 50.0 || measured == 200, "{spent} s at {share}");
@@ -62,7 +62,7 @@ fn measuring_keeps_to_its_share_of_time() {
     assert!(["-1", "1", "0.0001", "NaN"].iter().all(|text| tracking::share(text).is_err()));
 }
 
-/// Right after many Gaussians were cloned or split, the PSNR says little of the training.
+/// Right after many Gaussians were cloned or split, the PSNR says little about the training.
 #[test]
 fn nothing_is_measured_right_after_growth() {
     let mut tracking = Tracking::new(&views(2), &of(1000), 0.9);
@@ -82,7 +82,7 @@ fn nothing_is_measured_right_after_growth() {
     }
 }
 
-/// A view that cannot be measured ends the curve, not the training. Views of the training are measured for those who look on.
+/// A view that cannot be measured ends the curve, not the training. Training views are measured only for viewers.
 #[test]
 fn a_view_that_cannot_be_measured_is_told() {
     let folder = tempfile::tempdir().expect("a temporary folder");

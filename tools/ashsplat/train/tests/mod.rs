@@ -1,4 +1,4 @@
-//! A training that cannot start, and what a failure leaves.
+//! Trainings that cannot start, and the files that failures leave.
 
 mod following;
 
@@ -38,7 +38,7 @@ pub(super) fn dataset(scene_extent: f32) -> Dataset {
     }
 }
 
-/// The trainer refuses a scene without extent; what an earlier run left is as it was.
+/// The trainer refuses a scene without extent; an earlier run's files stay.
 #[test]
 fn a_training_that_cannot_start_leaves_the_model_alone() {
     let folder = tempfile::tempdir().expect("a temporary folder");
@@ -99,7 +99,7 @@ fn a_failed_iteration_saves_only_what_is_known_and_seen() {
     assert!(seen > 0 && reset > 0 && unknown > 0, "{seen} {reset} {unknown}");
 }
 
-/// With the device all is lost but the checkpoint, which is named.
+/// With a lost device, only the older checkpoint remains, and the error names it.
 #[test]
 fn a_lost_device_leaves_the_older_checkpoint() {
     let faults = Faults::new();
@@ -128,7 +128,7 @@ fn a_lost_device_leaves_the_older_checkpoint() {
     assert!(!model::point_cloud_path(folder.path(), 2).exists());
 }
 
-/// Iterations that were left out are counted, and have no loss in the log.
+/// Skipped iterations are counted, and have no loss in the log.
 #[test]
 fn iterations_that_are_left_out_are_counted() {
     let folder = tempfile::tempdir().expect("a temporary folder");

@@ -1,4 +1,4 @@
-//! A viewer's failures are its own.
+//! A viewer's failure does not end the training.
 
 use super::*;
 use crate::config::Settings;
@@ -24,7 +24,7 @@ fn any_port() -> Doors {
     arguments.open().expect("a port").expect("an open one")
 }
 
-/// A run that is looked at, its model in this folder.
+/// A run with a viewer, with its model in this folder.
 fn looked_at(context: &Context, model: &Path) -> Run {
     let mut settings = Settings::default();
     settings.data.model_path = model.to_owned();
@@ -33,14 +33,14 @@ fn looked_at(context: &Context, model: &Path) -> Run {
     run
 }
 
-/// What a page wants to see.
+/// A page's request.
 fn view() -> ViewRequest {
     let lens = Intrinsics::from_fov_x(0.8, 16, 16);
     let camera = CameraMessage::of(&Camera::look_at(Vec3::NEG_Z, Vec3::ZERO, Vec3::NEG_Y, lens));
     ViewRequest { seq: 1, camera, look: Look::default(), follow: false, as_photo: None }
 }
 
-/// A page, connected.
+/// A connected page.
 fn page(run: &Run) -> WebSocket<TcpStream> {
     let live = run.live.as_ref().expect("a viewer");
     let address = live._server.as_ref().expect("a server").address;
@@ -60,7 +60,7 @@ fn train_and_save(run: &mut Run) {
     assert!(!stop.load(Ordering::Relaxed));
 }
 
-/// A panic on the server's threads ends the page that it is about; one of what draws, or the server's end, the viewer.
+/// A panic on the server's threads ends its page. A panic while drawing, or the server's end, ends the viewer.
 #[test]
 fn panics_and_ends_of_the_viewer_are_its_own() {
     let context = Context::new(&ContextOptions::default()).expect("a device");
@@ -77,17 +77,16 @@ fn panics_and_ends_of_the_viewer_are_its_own() {
         assert!(begin.elapsed() < Duration::from_secs(60), "the page that is gone is still counted");
         std::thread::sleep(Duration::from_millis(5));
     }
-    // One that says nothing for a while would be given up.
+    // A silent page would be dropped.
     let mut other = page(&run);
     other.send(ask(0)).expect("sent");
     while other.read().expect("an answer").to_text().is_ok_and(|text| text != "fine") {}
     train_and_save(&mut run);
     assert!(run.live.is_some());
-    // Its thread ends.
+    // The server's thread ends.
     run.live.as_mut().expect("a viewer")._server = None;
     train_and_save(&mut run);
-    // A panic on the thread that trains, in what serves the viewers.
-    // No share at all has no end of debt.
+    // A panic on the training thread while it serves viewers: a share of 0 gives an infinite debt.
     run.live.as_mut().expect("a viewer").allowance = Allowance::new(0.0);
     let (page, _outbox) = hub.join().expect("room");
     hub.set_view(page, view());
@@ -96,7 +95,7 @@ fn panics_and_ends_of_the_viewer_are_its_own() {
     train_and_save(&mut run);
 }
 
-/// The device fails with a picture for a page: that is the viewer's end, and not the training's.
+/// If the device fails at a picture for a page, the viewer ends and training continues.
 #[test]
 fn a_viewer_that_fails_ends_alone() {
     let faults = Faults::new();
@@ -108,7 +107,7 @@ fn a_viewer_that_fails_ends_alone() {
     let (stop, mut watch) = (AtomicBool::new(false), Stopwatch::start());
     let hub = run.live.as_ref().expect("a viewer").hub.clone();
     let (page, _outbox) = hub.join().expect("room");
-    // After too little memory the viewer goes on, after a picture that is not over in time it does not.
+    // After an allocation failure the viewer continues; after a picture that times out it does not.
     for (fault, ends) in [(Fault::Object, false), (Fault::WaitMemory, false), (Fault::Timeout, true)] {
         let report = run.trainer.step().expect("a step");
         hub.acknowledge(page);
@@ -124,7 +123,7 @@ fn a_viewer_that_fails_ends_alone() {
     let report = run.trainer.step().expect("training goes on");
     run.show(&report, &stop, &mut watch);
     run.end_show(&stop);
-    // The thread that waits for what was not over in time may need a moment.
+    // The thread that waits for the timed-out picture may need a moment.
     let mut saved = run.save(report.iteration, "");
     for _ in 0..500 {
         if saved.is_ok() {
