@@ -81,8 +81,7 @@ impl Unfinished {
 }
 
 /// Creates an empty temporary file beside `path`. [`Unfinished::persist`] renames it; dropping it removes it. A
-/// symbolic link
-/// is followed.
+/// symbolic link is followed.
 ///
 /// # Errors
 /// [`Error::Io`] naming the file.

@@ -107,9 +107,8 @@ impl Entry {
 /// Writes cameras in the reference implementation's form: id, img_name, width, height, position and rotation
 /// (camera to world, rows), fy, fx. It adds cx and cy, which the reference's readers ignore, and for
 /// orthographic cameras `"projection": "orthographic"`. The cameras are in the world coordinates of `frame`. Positions
-/// are
-/// written in source units from the frame's origin, as in the PLY beside. `"origin"` and `"unit"` name a frame other
-/// than the default.
+/// are written in source units from the frame's origin, as in the PLY beside. `"origin"` and `"unit"` name a frame
+/// other than the default.
 ///
 /// # Errors
 /// [`Error::Io`] naming the file.

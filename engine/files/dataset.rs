@@ -50,8 +50,7 @@ pub struct DatasetOptions {
     /// use, the photos may have that fraction of their cameras' size.
     pub images: String,
     /// Folder of inverse-depth maps, absolute or within the data set: a 16-bit PNG per photo, with the photo's name.
-    /// Their
-    /// scale and offset are in the model's `depth_params.json`; without that file, they are fitted to the sparse
+    /// Their scale and offset are in the model's `depth_params.json`; without that file, they are fitted to the sparse
     /// points.
     pub depths: Option<PathBuf>,
     /// Rotation of photos by their metadata.
@@ -73,8 +72,8 @@ pub struct DatasetOptions {
     /// Memory budget of the photos; photos beyond it stay in a file. `None` holds all photos in memory.
     pub photo_memory: Option<PhotoMemory>,
     /// Memory budget of photos, while they are decoded and while they are kept. With [`DatasetOptions::photo_memory`],
-    /// photos
-    /// beyond it are kept in a file. Without, a data set that does not fit is refused before its photos are read.
+    /// photos beyond it are kept in a file. Without, a data set that does not fit is refused before its photos are
+    /// read.
     pub host_memory: HostMemory,
 }
 
@@ -138,12 +137,11 @@ pub struct View {
     pub original_camera: Camera,
     /// The photo, undistorted and scaled by [`DatasetOptions::resolution`], and its mask.
     pub photo: StoredPhoto,
-    /// Inverse depth of each pixel: [`TrainView::inverse_depth`](ashsplat::TrainView::inverse_depth).
-    /// Present only with [`DatasetOptions::depths`], for training views.
+    /// Inverse depth of each pixel: [`TrainView::inverse_depth`](ashsplat::TrainView::inverse_depth). Present only with
+    /// [`DatasetOptions::depths`], for training views.
     pub inverse_depth: Option<Arc<[f32]>>,
     /// Sparse points that the photo shows: [`TrainView::depth_points`](ashsplat::TrainView::depth_points). Present only
-    /// after
-    /// [`Gallery::read_tracks`], for training views.
+    /// after [`Gallery::read_tracks`], for training views.
     pub depth_points: Option<Arc<[DepthPoint]>>,
 }
 
@@ -332,8 +330,7 @@ impl Dataset {
     }
 
     /// Up to 20,000 points at which the training photographs agree: [`photo_points`]. The inner error is their number
-    /// if it
-    /// is below 1000: random points are the better start then.
+    /// if it is below 1000: random points are the better start then.
     ///
     /// `memory` is the budget with which the data set was loaded: [`DatasetOptions::host_memory`].
     ///

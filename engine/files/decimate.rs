@@ -12,8 +12,7 @@ use ashsplat::scene::sh::C0;
 const NEIGHBOURS: usize = 8;
 
 /// Bytes per Gaussian that a round needs beside the Gaussians. Pairs are in memory three times while they are collected
-/// and
-/// sorted; the tree has 64 bytes per Gaussian.
+/// and sorted; the tree has 64 bytes per Gaussian.
 pub(crate) const BYTES: u64 = (3 * NEIGHBOURS * size_of::<Pair>() + size_of::<Brief>() + 64) as u64;
 
 /// Largest share of the Gaussians that one round removes: later rounds see the merged ones.
@@ -23,9 +22,8 @@ const SHARE_PER_ROUND: f64 = 0.2;
 const COLOR_WEIGHT: f64 = 20.0;
 
 /// Weight of the distance in place and colour against the difference of pictures. Pictures of single pairs do not show
-/// their
-/// surroundings, and later rounds merge Gaussians that earlier ones have mixed. From 0 to 0.2 coarse levels gain 0.6 dB
-/// (tools/experiments.md).
+/// their surroundings, and later rounds merge Gaussians that earlier ones have mixed. From 0 to 0.2 coarse levels gain
+/// 0.6 dB (tools/experiments.md).
 const APART_WEIGHT: f64 = 0.2;
 
 /// Weight of a difference in opacity against one in a channel's colour: other Gaussians may lie behind.
@@ -35,22 +33,19 @@ const OPACITY_WEIGHT: f64 = 0.5;
 const MAX_OPACITY: f64 = 0.99;
 
 /// Largest growth of a merged Gaussian's covariance in place of its opacity. Two Gaussians side by side, which cover
-/// twice
-/// the area of one, need 2.
+/// twice the area of one, need 2.
 const MAX_GROWTH: f64 = 4.0;
 
 /// Least flatness of a Gaussian's picture, as the square of its axes' ratio. The determinant of a flatter one is a
-/// rounding
-/// error of two equal products, and areas of such needles would differ by a hundred powers of ten.
+/// rounding error of two equal products, and areas of such needles would differ by a hundred powers of ten.
 const FLATTEST: f64 = 1e-12;
 
 /// Merges pairs of neighbours until at most `target` are left (at least 1).
 ///
 /// The cheapest pairs go first: those that change pictures least, near to each other for their size and alike in
-/// colour. A
-/// merged Gaussian has the mean, covariance and colour of both, weighted by opacity times area, and the sum of their
-/// opacity
-/// times area. If its opacity would exceed the largest, it grows instead, so that opaque surfaces get no holes.
+/// colour. A merged Gaussian has the mean, covariance and colour of both, weighted by opacity times area, and the sum
+/// of their opacity times area. If its opacity would exceed the largest, it grows instead, so that opaque surfaces get
+/// no holes.
 pub fn decimate(gaussians: &mut Gaussians, target: usize) {
     let target = target.max(1);
     while gaussians.len() > target {
@@ -148,10 +143,8 @@ fn joined(a: &Brief, b: &Brief) -> Joined {
 }
 
 /// The squared difference between the pictures of two Gaussians and the picture of the merged one, over 2π. It is
-/// integrated
-/// over the picture and summed over three directions of view, in closed form. Each Gaussian adds its opacity times its
-/// colour,
-/// without occlusion.
+/// integrated over the picture and summed over three directions of view, in closed form. Each Gaussian adds its opacity
+/// times its colour, without occlusion.
 fn picture_difference(a: &Brief, b: &Brief) -> f64 {
     let one = joined(a, b);
     let of = |own: &Brief| own.color.extend(OPACITY_WEIGHT) * own.opacity;

@@ -1,6 +1,5 @@
 //! Scale and offset of inverse-depth maps, which monocular depth networks leave open. They are fitted to the sparse
-//! points, as
-//! in the reference implementation's `make_depth_scale.py`.
+//! points, as in the reference implementation's `make_depth_scale.py`.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -88,8 +87,7 @@ impl DepthFit {
     ///
     /// # Errors
     /// [`Error::Io`] when the file cannot be read, [`Error::Input`] when it is not such a list or has a number that is
-    /// not
-    /// finite in 32 bits, as the device needs.
+    /// not finite in 32 bits, as the device needs.
     pub fn read_all(path: impl AsRef<Path>) -> Result<BTreeMap<String, Self>> {
         let path = path.as_ref();
         let text = text::read(path)?;

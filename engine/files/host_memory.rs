@@ -17,8 +17,7 @@ static DEFAULT: AtomicU64 = AtomicU64::new(UNSET);
 const UNSET: u64 = u64::MAX;
 
 /// Budget of host memory for files while they are decoded. Clones share it: memory that one thread uses is not
-/// available to
-/// the others.
+/// available to the others.
 #[derive(Clone, Debug)]
 pub struct HostMemory(Arc<State>);
 
@@ -194,8 +193,8 @@ fn address_space(limits: &str) -> Option<u64> {
     line.split_ascii_whitespace().next()?.parse().ok()
 }
 
-/// The control groups of this process and their parents, with the names of their files for limit and use. Version 2
-/// has one hierarchy (`0::/path`), version 1 one for memory. A container may show only the root, not the path.
+/// The control groups of this process and their parents, with the names of their files for limit and use. Version 2 has
+/// one hierarchy (`0::/path`), version 1 one for memory. A container may show only the root, not the path.
 fn group_folders(cgroup: &str) -> Vec<(String, [&'static str; 2])> {
     let mut folders = Vec::new();
     for line in cgroup.lines() {

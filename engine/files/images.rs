@@ -31,8 +31,8 @@ pub const AUTO_MAX_WIDTH: u32 = 1600;
 pub trait PhotoFileFormat: Sized {
     /// Reads a JPEG or PNG of any colour type; transparent pixels show `background` (r, g, b in [0, 1]).
     ///
-    /// Ignores the orientation in a photo's metadata, as COLMAP, Pillow and stb_image do.
-    /// Data sets may apply it if their cameras have the size of the rotated photos: see
+    /// Ignores the orientation in a photo's metadata, as COLMAP, Pillow and stb_image do. Data sets may apply it if
+    /// their cameras have the size of the rotated photos: see
     /// [`super::dataset::DatasetOptions::orientation`].
     ///
     /// # Errors

@@ -129,10 +129,9 @@ pub fn points_in_view(count: usize, cameras: &[Camera], spread: f32, seed: u64) 
 /// Edge of the box as a share of the width that a typical camera sees.
 const SEEN_SHARE: f32 = 0.9;
 
-/// The cube that cameras around a scene look at. Its centre is the point nearest to all their axes. Its
-/// half edge is a little less than what the typical camera sees to each side of the centre. Stray cameras are ignored.
-/// `None` if the cameras do not look at one place: the centre is behind more than a tenth of them, or their axes are
-/// parallel.
+/// The cube that cameras around a scene look at. Its centre is the point nearest to all their axes. Its half edge is a
+/// little less than what the typical camera sees to each side of the centre. Stray cameras are ignored. `None` if the
+/// cameras do not look at one place: the centre is behind more than a tenth of them, or their axes are parallel.
 pub fn seen_box(cameras: &[Camera]) -> Option<Bounds> {
     let cameras = &without_strays(cameras, Camera::position);
     let mut across = DMat3::ZERO;

@@ -1,5 +1,4 @@
-//! Weight files of LPIPS: safetensors with the tensors of a network and of the heads, under PyTorch's
-//! names.
+//! Weight files of LPIPS: safetensors with the tensors of a network and of the heads, under PyTorch's names.
 
 use std::path::Path;
 
@@ -20,18 +19,16 @@ pub trait WeightsFile: Sized {
     /// Reads the weights of a network and of the heads of LPIPS. The tensor shapes identify the network.
     ///
     /// All tensors are F32, in PyTorch's order. With N the index of a convolution in torchvision's `features`:
-    /// - `net.N.weight` `[outputs, inputs, size, size]` and `net.N.bias` `[outputs]`; `features.N` or lpips'
-    /// `net.sliceK.N` may
-    /// replace `net.N`,
+    /// - `net.N.weight` `[outputs, inputs, size, size]` and `net.N.bias` `[outputs]`; `features.N` or lpips' `net.sliceK.N`
+    ///   may replace `net.N`,
     /// - `linK.model.1.weight` [1, channels, 1, 1], K from 0 to 4.
     ///
     /// Other tensors are ignored.
     ///
     /// # Errors
     /// [`Error::Io`]; [`Error::Input`] naming a tensor that is missing, given twice, or of another shape or type, or
-    /// whose
-    /// values are not finite, beyond 1000, or negative in a head; [`Error::TooLarge`] when the machine has too little
-    /// memory.
+    /// whose values are not finite, beyond 1000, or negative in a head; [`Error::TooLarge`] when the machine has too
+    /// little memory.
     fn read(path: impl AsRef<Path>, memory: &HostMemory) -> Result<Self>;
 }
 

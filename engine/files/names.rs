@@ -235,8 +235,7 @@ impl Finder {
     }
 
     /// Finds a photo below `folder` by a path from another folder. The longest end of the path that names a photo wins,
-    /// else
-    /// the photo that shares the longest end with the path. Two equally good photos are an error.
+    /// else the photo that shares the longest end with the path. Two equally good photos are an error.
     pub(super) fn photo_by_end(
         &mut self,
         folder: &Path,
@@ -307,8 +306,8 @@ impl Finder {
     }
 }
 
-/// Makes names equal that mean the same file: lower case, and accents composed with their letter. Linux
-/// and Windows write composed accents, macOS separate ones.
+/// Makes names equal that mean the same file: lower case, and accents composed with their letter. Linux and Windows
+/// write composed accents, macOS separate ones.
 fn key(name: &str) -> String {
     match name.is_ascii() {
         true => name.to_ascii_lowercase(),

@@ -1,10 +1,8 @@
 //! Finds points in posed photographs, to start training if a data set has none.
 //!
 //! A plane sweep (Collins: *A space-sweep approach to true multi-image matching*, CVPR 1996) over small copies of the
-//! photographs: a
-//! pixel gets the depth at which its surroundings look most alike in the neighbouring views. Depths that two other
-//! views
-//! confirm are kept. World coordinates, as in the cameras.
+//! photographs: a pixel gets the depth at which its surroundings look most alike in the neighbouring views. Depths that
+//! two other views confirm are kept. World coordinates, as in the cameras.
 
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -40,16 +38,14 @@ const AROUND_CAMERAS: [f32; 2] = [0.25, 16.0];
 /// Number of views that a view is compared with.
 const COMPARED: usize = 4;
 /// Best distance of compared views, as a share of the depths' geometric mean. Nearer views show little depth, farther
-/// ones look
-/// different.
+/// ones look different.
 const BASELINE: f32 = 0.2;
 /// Radius of the windows, pixels.
 const RADIUS: usize = 3;
 /// Least correlation of windows: the mean of the two best views.
 const MIN_CORRELATION: f32 = 0.6;
 /// Least correlation at a witness: its depth must not be random. With [`MIN_CORRELATION`], surfaces with little texture
-/// lose
-/// their points: 1.5 dB less on the demo's scene (three seeds).
+/// lose their points: 1.5 dB less on the demo's scene (three seeds).
 const WITNESS_CORRELATION: f32 = 0.0;
 /// Number of views that check a depth, and how many of them must agree.
 const WITNESSES: usize = 8;
@@ -57,9 +53,9 @@ const AGREEING: usize = 2;
 /// Largest relative difference of equal depths.
 const SAME_DEPTH: f32 = 0.03;
 
-/// At most `count` points at which the views agree, with their colours, in arbitrary order. The same views and
-/// seed give the same points. There are few or none if photographs show no texture, hardly overlap, or are taken from
-/// one place.
+/// At most `count` points at which the views agree, with their colours, in arbitrary order. The same views and seed
+/// give the same points. There are few or none if photographs show no texture, hardly overlap, or are taken from one
+/// place.
 ///
 /// # Errors
 /// [`Error::Interrupted`](ashsplat::Error::Interrupted); [`Error::TooLarge`](ashsplat::Error::TooLarge) when the copy of a

@@ -7,8 +7,8 @@ use std::path::Path;
 use super::host_memory::{self, HostMemory, Lease};
 use ashsplat::{Error, Result};
 
-/// Largest memory of a list, an object or an element, per comma or opening bracket of its JSON. A map with one key
-/// is the worst: it reserves 630 bytes for three of these characters.
+/// Largest memory of a list, an object or an element, per comma or opening bracket of its JSON. A map with one key is
+/// the worst: it reserves 630 bytes for three of these characters.
 const JSON_ITEM_BYTES: u64 = 210;
 
 /// Opens a regular file. Returns it with its length in bytes.

@@ -48,9 +48,9 @@ pub use stream::{Header, ReadOptions, Scene, WriteOptions};
 ///
 /// # Errors
 /// [`ashsplat::Error::Io`] when the file cannot be read; [`ashsplat::Error::Input`] when it is not a file of Gaussians,
-/// is cut
-/// short or damaged, or has unusable parameters (see [`super::ply::read`]) without [`ReadOptions::drop_invalid`];
-/// [`ashsplat::Error::TooLarge`] when it needs more memory than [`ReadOptions::max_host_memory`].
+/// is cut short or damaged, or has unusable parameters (see [`super::ply::read`]) without
+/// [`ReadOptions::drop_invalid`]; [`ashsplat::Error::TooLarge`] when it needs more memory than
+/// [`ReadOptions::max_host_memory`].
 pub fn read(path: impl AsRef<Path>, options: &ReadOptions) -> Result<Scene> {
     open(path.as_ref(), options)?.collect()
 }
@@ -63,15 +63,13 @@ pub fn header(path: impl AsRef<Path>, options: &ReadOptions) -> Result<Header> {
     Ok(open(path.as_ref(), options)?.header().clone())
 }
 
-/// Writes Gaussians in the format of the path's extension, or in a given one. Returns a warning about visible losses
-/// of the format: steps of positions, sizes, colours.
+/// Writes Gaussians in the format of the path's extension, or in a given one. Returns a warning about visible losses of
+/// the format: steps of positions, sizes, colours.
 ///
 /// # Errors
 /// [`ashsplat::Error::Argument`] when the vectors do not fit together, and for an SPZ version that the format does not
-/// have;
-/// [`ashsplat::Error::Input`] for an unknown extension or for data that the format cannot hold; [`ashsplat::Error::Io`]
-/// naming
-/// the file when it cannot be written. No partial file remains.
+/// have; [`ashsplat::Error::Input`] for an unknown extension or for data that the format cannot hold;
+/// [`ashsplat::Error::Io`] naming the file when it cannot be written. No partial file remains.
 pub fn write(
     path: impl AsRef<Path>,
     gaussians: &Gaussians,
@@ -94,15 +92,12 @@ pub fn write(
 }
 
 /// Same as [`write()`], but only for the Gaussians that a cut keeps, in their order, with spherical harmonics up to a
-/// degree.
-/// Needs the memory of one block in addition. Returns the number of written Gaussians and the warning of [`write()`].
-/// The file
-/// has the same bytes as that of [`convert()`].
+/// degree. Needs the memory of one block in addition. Returns the number of written Gaussians and the warning of
+/// [`write()`]. The file has the same bytes as that of [`convert()`].
 ///
 /// # Errors
 /// Same as [`write()`]; [`ashsplat::Error::Argument`] for an invalid cut; [`ashsplat::Error::Input`] for parameters
-/// that [`read`]
-/// refuses.
+/// that [`read`] refuses.
 pub fn write_cut(
     path: impl AsRef<Path>,
     gaussians: &Gaussians,

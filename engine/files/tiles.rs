@@ -35,8 +35,7 @@ pub struct TileOptions {
     /// Largest number of Gaussians in a tile.
     pub most: usize,
     /// True if the tiles' attributes are packed as SPZ version 2, with `KHR_gaussian_splatting_compression_spz_2`.
-    /// CesiumJS reads no
-    /// others.
+    /// CesiumJS reads no others.
     pub packed: bool,
 }
 
@@ -48,9 +47,8 @@ impl Default for TileOptions {
 }
 
 /// Measures how much pictures of the merged Gaussians (second argument) differ from those of the finer ones (first),
-/// world
-/// units: the root of the squared difference from 0 to 1, integrated over the tile. Divided by a pixel's size, it is
-/// the root of the squared difference of a picture, summed over pixels.
+/// world units: the root of the squared difference from 0 to 1, integrated over the tile. Divided by a pixel's size, it
+/// is the root of the squared difference of a picture, summed over pixels.
 pub type Measure<'a> = dyn FnMut(&Gaussians, &Gaussians) -> Result<f64> + 'a;
 
 /// Result of writing the tiles.
@@ -73,18 +71,14 @@ pub struct Tiling {
 /// Writes the tiles of a scene and their `tileset.json` into a new folder. The same scene gives the same bytes.
 ///
 /// A k-d tree ([`Cells`]) divides the scene. Each cell of its finest level is a tile with the Gaussians centred there,
-/// unchanged.
-/// A tile above has about four children and a quarter of their Gaussians ([`decimate`]). The host holds the centres of
-/// all
-/// Gaussians, and the tiles on the path from the root to a finest one. The scene's rows lie in the folder on disk
-/// meanwhile.
+/// unchanged. A tile above has about four children and a quarter of their Gaussians ([`decimate`]). The host holds the
+/// centres of all Gaussians, and the tiles on the path from the root to a finest one. The scene's rows lie in the
+/// folder on disk meanwhile.
 ///
 /// # Errors
 /// [`Error::Input`] for more Gaussians at one place than a tile holds, for means that are too far out for SPZ, for a
-/// folder
-/// that is not empty, for a scene without Gaussians, and as [`splats::read`]; [`Error::Io`]; [`Error::Interrupted`];
-/// errors of
-/// `measure`. Nothing is left then.
+/// folder that is not empty, for a scene without Gaussians, and as [`splats::read`]; [`Error::Io`];
+/// [`Error::Interrupted`]; errors of `measure`. Nothing is left then.
 pub fn write(
     input: &Path,
     folder: &Path,
@@ -253,8 +247,7 @@ enum Step {
 }
 
 /// The steps to all tiles. The same division of the same points ends earlier for larger cells, so that each consists of
-/// whole
-/// smaller ones.
+/// whole smaller ones.
 fn steps(means: &[[f32; 3]], finest: &Cells, most: usize) -> Result<Vec<Step>> {
     let mut inside: Vec<Vec3> = vec![Vec3::NAN; finest.bounds().len()];
     for mean in means.iter().copied().map(Vec3::from_array) {

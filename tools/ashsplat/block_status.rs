@@ -69,8 +69,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 }
 
 /// Estimated memory of a block's training, bytes, if its Gaussians grow by this factor. On a processor it is the
-/// machine's whole
-/// memory, on a GPU the device's; the host then needs less.
+/// machine's whole memory, on a GPU the device's; the host then needs less.
 fn memory_bytes(file: &BlocksFile, block: &Block, growth: f64) -> u64 {
     let Division { coarse, rounds, .. } = &file.division;
     let around = if *rounds > 1 { coarse.gaussians - block.trained.min(coarse.gaussians) } else { 0 };

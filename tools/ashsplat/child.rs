@@ -76,8 +76,7 @@ pub struct Ended {
 ///
 /// # Errors
 /// [`Error::Interrupted`] if `stop` was raised; the program has ended then. [`Error::Io`] if the program cannot be
-/// started
-/// or the file cannot be written.
+/// started or the file cannot be written.
 pub fn run_logged(
     mut command: Command,
     log: &Path,

@@ -61,8 +61,8 @@ pub enum Command {
     Profile(Box<profile::Arguments>),
 }
 
-/// Parses the command line. The error is the exit code of a run that is already over: `--help`, or a mistake, which
-/// has been printed as one line.
+/// Parses the command line. The error is the exit code of a run that is already over: `--help`, or a mistake, which has
+/// been printed as one line.
 pub fn parse(arguments: impl Iterator<Item = OsString>) -> Result<Command, ExitCode> {
     let mut definition = CommandLine::command();
     let read = definition.try_get_matches_from_mut(arguments.map(hyphenated)).and_then(|mut matches| {

@@ -184,8 +184,7 @@ fn feed(
 }
 
 /// The frames of a GIF and their delays, hundredths of a second. The next delay makes up for the rounding of the
-/// previous one, so
-/// the film keeps its length. Beyond 50 frames per second some frames are skipped.
+/// previous one, so the film keeps its length. Beyond 50 frames per second some frames are skipped.
 fn gif_frames(frames: usize, frames_per_second: usize) -> Vec<(usize, usize)> {
     let begins = |frame: usize| (200 * frame + frames_per_second) / (2 * frames_per_second);
     let mut shown: Vec<(usize, usize)> = Vec::new();

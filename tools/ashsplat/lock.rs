@@ -77,8 +77,8 @@ impl FolderLock {
     }
 
     /// Same as [`FolderLock::take`], but waits while another process holds the folder, and reports which. It creates
-    /// the folder if
-    /// needed, also for several processes at once. Dropping the lock removes new folders that are still empty.
+    /// the folder if needed, also for several processes at once. Dropping the lock removes new folders that are still
+    /// empty.
     ///
     /// # Errors
     /// Same as [`FolderLock::make`]; [`Error::Interrupted`] if `stop` is set meanwhile.

@@ -43,8 +43,8 @@ pub fn check_stdout() -> Result<()> {
     }
 }
 
-/// Refuses results (option, file) that could not be written, before the work that makes them. Missing
-/// folders are created when the file is written.
+/// Refuses results (option, file) that could not be written, before the work that makes them. Missing folders are
+/// created when the file is written.
 pub fn check(results: &[(&'static str, Option<&Path>)]) -> Result<()> {
     let mut seen: Vec<(&str, PathBuf)> = Vec::new();
     for (option, path) in results.iter().filter_map(|(option, path)| Some((option, (*path)?))) {

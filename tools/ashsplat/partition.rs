@@ -84,9 +84,8 @@ const MARGIN: f32 = 0.15;
 /// Margin in rounds: beyond it lie the neighbours' trained Gaussians, not the coarse model.
 const MARGIN_IN_ROUNDS: f32 = 0.05;
 /// Photos show a single object if each is used, in the mean, for this share of the blocks besides its main one. Each
-/// block then
-/// fits nearly whole photos, and its border shows in all of them. Objects have 0.84 and more, cities at most 0.5
-/// (tools/blocks.md).
+/// block then fits nearly whole photos, and its border shows in all of them. Objects have 0.84 and more, cities at most
+/// 0.5 (tools/blocks.md).
 const SINGLE_OBJECT: f64 = 2.0 / 3.0;
 /// Largest distance between the coarse model's cameras and the data set's, in scene extents.
 const SAME_PLACE: f64 = 1e-3;

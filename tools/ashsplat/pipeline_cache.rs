@@ -13,8 +13,7 @@ const MOST_BYTES: u64 = 256 << 20;
 struct Folder(PathBuf);
 
 /// The folder named by `ASHSPLAT_PIPELINE_CACHE`, by default `ashsplat/pipeline-caches` in the user's folder for
-/// caches.
-/// `None` if the variable is empty or there is no such folder.
+/// caches. `None` if the variable is empty or there is no such folder.
 pub fn kept() -> Option<Arc<dyn PipelineCacheStore>> {
     if let Some(folder) = std::env::var_os("ASHSPLAT_PIPELINE_CACHE") {
         return if folder.is_empty() { None } else { Some(Arc::new(Folder(folder.into()))) };

@@ -83,8 +83,7 @@ pub fn options(data: &DataSettings, white_background: bool, host: &HostArguments
 }
 
 /// Opens a data set; a ZIP stays unpacked as long as the value lives. `stop` ends it. For a block's training, only the
-/// block's
-/// photos are kept. The frame is the division's unless another one is given.
+/// block's photos are kept. The frame is the division's unless another one is given.
 pub fn open(data: &DataSettings, options: &DatasetOptions, stop: &AtomicBool) -> Result<Gallery> {
     let progress = Progress { report: None, interrupted: Some(stop) };
     let job = Job::of(&data.job)?;
@@ -139,8 +138,7 @@ pub fn warn(warnings: &[String]) {
 }
 
 /// The cameras of a data set by name, in a frame, at the photos' own sizes; photos are not read. Ctrl-C stops the call,
-/// so that
-/// nothing of an unpacked ZIP is left. Afterwards, Ctrl-C ends the program at once.
+/// so that nothing of an unpacked ZIP is left. Afterwards, Ctrl-C ends the program at once.
 pub fn cameras(dataset: &Path, frame: &WorldFrame) -> Result<Vec<NamedCamera>> {
     let stop = stop_on_ctrl_c()?;
     let progress = Progress { report: None, interrupted: Some(&stop) };

@@ -356,8 +356,7 @@ impl Run {
         }
     }
 
-    /// Trains to the end, or until Ctrl-C, for which it returns true. Scene and log are saved after a failure
-    /// too.
+    /// Trains to the end, or until Ctrl-C, for which it returns true. Scene and log are saved after a failure too.
     pub fn train(&mut self, stop: &AtomicBool) -> Result<bool> {
         let mut watch = Stopwatch::start();
         let result = self.iterate(stop, &mut watch);

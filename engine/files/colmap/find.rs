@@ -29,8 +29,7 @@ pub const POSES_LOG: &str = "poses.log";
 const PARTS: [&str; 3] = ["cameras", "images", "points3D"];
 
 /// Finds the model of a data set: `sparse/N`, `sparse`, or the folder itself. Among several `sparse/N`, the one with
-/// the most
-/// registered images wins, then with the most points, then with the lowest name.
+/// the most registered images wins, then with the most points, then with the lowest name.
 ///
 /// # Errors
 /// [`Error::Input`] when there is none, or the model lacks its cameras or images; [`Error::Io`] when the folder

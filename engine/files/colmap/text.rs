@@ -46,9 +46,8 @@ pub(super) fn images(path: &Path) -> Result<Vec<ColmapImage>> {
 }
 
 /// Calls `visit` with each image, or with the words of its observations, in the file's order. Some programs omit the
-/// lines
-/// of observations or insert blank lines. So a line of numbers after an image is its observations, any other line an
-/// image.
+/// lines of observations or insert blank lines. So a line of numbers after an image is its observations, any other line
+/// an image.
 fn each_image(
     path: &Path,
     mut visit: impl FnMut(Option<ColmapImage>, Words<'_>) -> Result<()>,

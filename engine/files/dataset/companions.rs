@@ -12,8 +12,7 @@ use ashsplat::Error;
 
 impl Plan {
     /// Finds the masks of all views without one. Notes how many have a mask or could have a depth map, and which files
-    /// belong to no
-    /// photo. Views that would share a photo or a mask because of a tolerant search become errors.
+    /// belong to no photo. Views that would share a photo or a mask because of a tolerant search become errors.
     pub(super) fn find_companions(&mut self, dataset: &Path, options: &DatasetOptions) {
         let images = dataset.join(&options.images);
         let mut finder = Finder::default();

@@ -26,8 +26,7 @@ pub(super) struct PlannedMap {
 }
 
 /// Finds the maps of the views, in their order. Held-out views that are not trained on get none, and neither do views
-/// whose
-/// map cannot be fitted.
+/// whose map cannot be fitted.
 ///
 /// # Errors
 /// [`Error::Input`] naming the folder, the map or the parameters that are missing.

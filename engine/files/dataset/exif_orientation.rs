@@ -2,9 +2,8 @@
 //!
 //! COLMAP, nerfstudio (Pillow), instant-ngp (stb_image) and the reference use pixels as they are stored.
 //! OpenCV, and programs that use it, rotate them first. For a photo on its side, the camera's size shows which was
-//! done.
-//! That result applies to the data set's other photos too, whose size shows nothing: square ones, those upside down or
-//! mirrored, and those whose cameras have no size.
+//! done. That result applies to the data set's other photos too, whose size shows nothing: square ones, those upside
+//! down or mirrored, and those whose cameras have no size.
 
 use std::path::Path;
 

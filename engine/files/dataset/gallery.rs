@@ -37,8 +37,7 @@ pub struct Gallery {
 }
 
 impl Gallery {
-    /// Opens a data set. A ZIP stays unpacked as long as this value lives. The photos are
-    /// not decoded.
+    /// Opens a data set. A ZIP stays unpacked as long as this value lives. The photos are not decoded.
     ///
     /// # Errors
     /// Same as [`Dataset::load`], except for the photos' contents and the split.
@@ -116,10 +115,9 @@ impl Gallery {
     }
 
     /// Uses a part of a view's photo in place of the whole. The part covers these columns and rows of a coarse picture
-    /// of this
-    /// width and height, the border that their gradients depend on, and the rest of whole 16-pixel tiles. Camera,
-    /// masks,
-    /// inverse-depth maps and points are cut to it ([`Camera::part()`](ashsplat::scene::Camera::part())).
+    /// of this width and height, the border that their gradients depend on, and the rest of whole 16-pixel tiles.
+    /// Camera, masks, inverse-depth maps and points are cut to it
+    /// ([`Camera::part()`](ashsplat::scene::Camera::part())).
     ///
     /// # Errors
     /// [`Error::Argument`] for a view that does not exist, and for columns or rows outside the coarse picture.

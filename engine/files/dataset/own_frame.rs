@@ -18,13 +18,11 @@ const NEAR_SHARE: usize = 20;
 const KEPT: std::ops::Range<f64> = 0.3..1000.0;
 
 /// Distance from a frame's origin, in radii of the data set, at which single precision resolves a 16,000th of the
-/// radius. Nearer
-/// data sets keep the origin of their files, so that a model's PLY has their coordinates.
+/// radius. Nearer data sets keep the origin of their files, so that a model's PLY has their coordinates.
 const FAR: f64 = 1000.0;
 
 /// The frame of a data set. Its origin is the default, or the middle of points and cameras if they are far from that.
-/// Its unit
-/// brings the near depth to between 1 and 10.
+/// Its unit brings the near depth to between 1 and 10.
 ///
 /// Without visible points, the cameras' median distance from their middle replaces the near depth.
 pub(super) fn frame_of(views: &[&PlannedView], points: &SourcePoints) -> WorldFrame {
@@ -45,8 +43,7 @@ pub(super) fn frame_of(views: &[&PlannedView], points: &SourcePoints) -> WorldFr
 }
 
 /// True if single precision rounds a data set in a frame that was not chosen for it, such as the frame of another scene
-/// or of
-/// a checkpoint older than frames.
+/// or of a checkpoint older than frames.
 pub(super) fn is_far(views: &[&PlannedView], points: &SourcePoints, frame: &WorldFrame) -> bool {
     median_ball(&all(views, points))
         .is_some_and(|(center, radius)| center.distance(frame.origin) > FAR * radius)

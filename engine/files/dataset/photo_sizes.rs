@@ -10,8 +10,7 @@ use ashsplat::scene::lens::Lens;
 use ashsplat::{Error, Result};
 
 /// Scales the cameras of views to their photos. Photos of other proportions, or of another size than other photos of
-/// the
-/// same camera, become errors. Returns a warning, unless the photos' folder is named after the ratio (`divisor`).
+/// the same camera, become errors. Returns a warning, unless the photos' folder is named after the ratio (`divisor`).
 pub(super) fn fit(views: &mut [Result<PlannedView>], list: &Path, divisor: u32) -> Option<String> {
     let key = |view: &PlannedView| format!("{} {:?}", view.camera_id, view.lens);
     let own_size = |view: &PlannedView| (view.lens.width, view.lens.height);

@@ -54,8 +54,8 @@ pub(super) struct Plan {
 }
 
 impl Plan {
-    /// Reads the contents of a data set. It finds the photos without decoding them, and opens those whose size
-    /// is not known otherwise.
+    /// Reads the contents of a data set. It finds the photos without decoding them, and opens those whose size is not
+    /// known otherwise.
     pub(super) fn of(path: &Path, options: &DatasetOptions) -> Result<Self> {
         let files = transforms::find(path);
         let unused = transforms::unused(path, if colmap::exists(path) { None } else { files.as_deref() });
@@ -112,8 +112,7 @@ impl Plan {
     }
 
     /// Removes points at the position of another point if these are half or more, because Gaussians take their size
-    /// from the
-    /// distance to neighbours. COLMAP's own models have up to a tenth of such points.
+    /// from the distance to neighbours. COLMAP's own models have up to a tenth of such points.
     fn leave_out_copies(&mut self, points: &mut SourcePoints) {
         let mut seen = HashSet::new();
         let is_first: Vec<bool> =
@@ -135,8 +134,7 @@ impl Plan {
     }
 
     /// Makes points grey if all are black. Programs write black for points without colours, and black Gaussians hardly
-    /// learn,
-    /// because colours below 0 have no gradient.
+    /// learn, because colours below 0 have no gradient.
     fn lighten_black(&mut self, points: &mut SourcePoints) {
         if !points.is_empty() && points.colors.iter().all(|color| *color == [0; 3]) {
             points.colors.fill([127; 3]);

@@ -14,9 +14,8 @@ pub(super) type Track = Arc<[Vec3]>;
 
 impl Gallery {
     /// Reads the points that each photo shows, for [`View::depth_points`] of the training views. Returns their number
-    /// over all
-    /// views: 0 for `transforms.json` and for models without observations. A point's position alone does not tell
-    /// if a photo shows it, because other surfaces may hide it.
+    /// over all views: 0 for `transforms.json` and for models without observations. A point's position alone does not
+    /// tell if a photo shows it, because other surfaces may hide it.
     ///
     /// # Errors
     /// Same as [`Model::read`].

@@ -180,8 +180,7 @@ impl Rows {
 }
 
 /// Reads a picture as `request` says. PNGs are decoded by rows unless they are interlaced; JPEGs as a whole, since no
-/// decoder
-/// gives their rows.
+/// decoder gives their rows.
 pub(super) fn read(path: &Path, request: &Request<'_>) -> Result<Decoded> {
     let io = |source| Error::io(path, "read", source);
     let (mut file, file_bytes) = regular_file::open(path)?;

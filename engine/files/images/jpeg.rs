@@ -11,9 +11,8 @@ use crate::cost;
 use ashsplat::scene::camera::MAX_IMAGE_SIDE;
 
 /// Entropy-coded bytes of ones, appended to the data. No code consists of ones only, so a decoder that needs a code
-/// here
-/// reports an error. Without these bytes, it would take all missing data as zeros. In whole data, the decoder may read
-/// ahead to these bits but never uses them.
+/// here reports an error. Without these bytes, it would take all missing data as zeros. In whole data, the decoder may
+/// read ahead to these bits but never uses them.
 const NO_CODE: [u8; 16] = [0xff, 0, 0xff, 0, 0xff, 0, 0xff, 0, 0xff, 0, 0xff, 0, 0xff, 0, 0xff, 0];
 
 /// Structure of a JPEG by its markers.
@@ -119,8 +118,8 @@ fn sealed(bytes: &[u8], outline: &Outline) -> Vec<u8> {
     sealed
 }
 
-/// Decodes a JPEG, grey or r, g, b, into `pixels`. Data that end early or are invalid are errors; by default
-/// the decoder would fill them with grey.
+/// Decodes a JPEG, grey or r, g, b, into `pixels`. Data that end early or are invalid are errors; by default the
+/// decoder would fill them with grey.
 pub(super) fn decode(bytes: &[u8], outline: &Outline, grey: bool, pixels: &mut [u8]) -> Result<(), String> {
     let options = DecoderOptions::default()
         .set_strict_mode(true)

@@ -22,8 +22,7 @@ const DECODER_BYTES: u64 = 1 << 20;
 const DECODER_ROWS: u64 = 8;
 
 /// The gamma exponent of a PNG, if it names one and is not marked as sRGB. Refuses a palette that is cut within an
-/// entry or
-/// has too many entries: the decoder does not check it.
+/// entry or has too many entries: the decoder does not check it.
 pub(super) fn checked_gamma(path: &Path, file: &File, memory: &HostMemory) -> Result<Option<f32>> {
     let reader = reader(file, memory).read_info().map_err(|e| damaged(path, &e))?;
     let bytes = reader.info().palette.as_ref().map_or(0, |palette| palette.len());

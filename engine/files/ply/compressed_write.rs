@@ -18,8 +18,7 @@ use ashsplat::{Error, Result};
 use glam::{DVec3, Vec3};
 
 /// Distance of an outlier from the median, in median distances. It would share a chunk with 255 positions, whose steps
-/// would
-/// grow to this much of the scene's radius, divided by 1023.
+/// would grow to this much of the scene's radius, divided by 1023.
 const OUTLIER: f64 = 8.0;
 
 /// [`OUTLIER`] for colours, whose steps are a 255th.

@@ -150,8 +150,8 @@ pub(crate) enum RenderMode {
 pub(super) const DISKS: &str = "this is a 2DGS scene: its disks are used as 3D Gaussians without thickness, so pictures differ from 2DGS";
 
 impl Marks {
-    /// Reads a comment of Brush, gsplat or splat-transform (`SplatRenderMode: mip`), Postshot (`antialiased 1`)
-    /// or web-splat (`mip=true`, `kernel_size=0.1`). The last one counts.
+    /// Reads a comment of Brush, gsplat or splat-transform (`SplatRenderMode: mip`), Postshot (`antialiased 1`) or
+    /// web-splat (`mip=true`, `kernel_size=0.1`). The last one counts.
     fn comment(&mut self, text: &str) {
         let text = text.to_ascii_lowercase().replace([':', '='], " ");
         let is_mip = |mip: bool| if mip { RenderMode::Mip } else { RenderMode::Default };

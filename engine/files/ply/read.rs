@@ -35,10 +35,8 @@ pub struct PlyScene {
 
 /// Reads Gaussians with any property order, encoding and scalar type. Additional properties and elements are
 /// ignored, except `filter_3D`: Mip-Splatting's 3D filter becomes a part of scales and opacities. The number of
-/// `f_rest`
-/// properties gives the SH degree. Colours may be `red green blue` in place of `f_dc`. Without `scale_2` (2DGS) the
-/// Gaussians
-/// have no thickness. [`splats::read`](crate::splats::read) reads the other formats too.
+/// `f_rest` properties gives the SH degree. Colours may be `red green blue` in place of `f_dc`. Without `scale_2`
+/// (2DGS) the Gaussians have no thickness. [`splats::read`](crate::splats::read) reads the other formats too.
 ///
 /// A parameter is unusable if it is not finite, except an opacity logit of ±∞ (opacity 1 or 0), if a
 /// coordinate (also of a quaternion) exceeds 1e18 or a log-scale 88 (both overflow in the projection), or if an
@@ -216,9 +214,8 @@ fn first_positions(path: &Path) -> Result<Vec<DVec3>> {
 }
 
 /// Reads origin and unit from the cameras.json of a model folder, for a `point_cloud/iteration_N/point_cloud.ply` that
-/// lost its
-/// comments in an editor. Positions nearer to the origin than to zero are absolute and get no origin. Returns a note if
-/// any was used.
+/// lost its comments in an editor. Positions nearer to the origin than to zero are absolute and get no origin. Returns
+/// a note if any was used.
 pub(super) fn restore_frame(
     path: &Path,
     header: &mut super::header::Header,
@@ -287,13 +284,12 @@ const COLORS: [[&str; 3]; 4] = [
 ];
 
 /// Reads coloured points: x y z and a colour, by name; white if there are no colours. Colours are 0 to 255; floats of
-/// at most 1
-/// are shares of 255, 16-bit values above 255 shares of 65,535. Gaussians get the colours of their constant SH
-/// coefficients.
+/// at most 1 are shares of 255, 16-bit values above 255 shares of 65,535. Gaussians get the colours of their constant
+/// SH coefficients.
 ///
 /// # Errors
-/// [`Error::Io`] when the file cannot be read, [`Error::Input`] when it is not a PLY file with points, is cut
-/// short or damaged, or has points, but none with a finite position. Points at other positions are dropped.
+/// [`Error::Io`] when the file cannot be read, [`Error::Input`] when it is not a PLY file with points, is cut short or
+/// damaged, or has points, but none with a finite position. Points at other positions are dropped.
 pub fn read_points(path: impl AsRef<Path>) -> Result<SourcePoints> {
     read_points_of(path.as_ref(), &mut Vec::new())
 }

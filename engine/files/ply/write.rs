@@ -84,9 +84,8 @@ pub fn write_filtered(
     })
 }
 
-/// Writes coloured points like the reference implementation's `input.ply`: `x y z nx ny nz` (float, normals 0)
-/// `red green blue` (uchar). The points are in the world coordinates of `frame`; the file has source units from the
-/// frame's
+/// Writes coloured points like the reference implementation's `input.ply`: `x y z nx ny nz` (float, normals 0) `red
+/// green blue` (uchar). The points are in the world coordinates of `frame`; the file has source units from the frame's
 /// origin, which its header names.
 ///
 /// # Errors

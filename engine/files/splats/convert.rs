@@ -84,8 +84,7 @@ pub fn convert(input: &Path, output: &Path, options: &ConvertOptions) -> Result<
 ///
 /// # Errors
 /// Same as [`convert`]; [`Error::Input`] for inputs of which only some were trained with antialiasing, or with
-/// different kernel sizes;
-/// [`Error::Argument`] without inputs.
+/// different kernel sizes; [`Error::Argument`] without inputs.
 pub fn join(inputs: &[Input<'_>], output: &Path, options: &ConvertOptions) -> Result<Converted> {
     let format = match options.format {
         Some(format) => format,

@@ -1,10 +1,8 @@
 //! GLB whose attributes are an SPZ of version 2: `KHR_gaussian_splatting_compression_spz_2`, a draft.
 //!
 //! The draft and its readers differ. The draft requires SPZ's own axes (right, up, back), which a loader rotates.
-//! CesiumJS
-//! (1.145) and the tiles of Cesium ion have glTF's axes instead, and name neither kernel nor colour space. This module
-//! writes
-//! what CesiumJS reads. It reads both: a primitive that names its kernel follows the draft.
+//! CesiumJS (1.145) and the tiles of Cesium ion have glTF's axes instead, and name neither kernel nor colour space.
+//! This module writes what CesiumJS reads. It reads both: a primitive that names its kernel follows the draft.
 
 use std::io::{self, Seek, SeekFrom};
 use std::path::Path;

@@ -31,14 +31,12 @@ pub struct Merged {
 }
 
 /// Writes the Gaussians inside the parts' boxes into one file, part by part, in order. Each file is read twice, block
-/// by
-/// block, so memory does not grow with the files, except for compressed PLY, which is sorted in memory.
-/// The parts, not `options`, decide if the output is marked as trained with antialiasing.
+/// by block, so memory does not grow with the files, except for compressed PLY, which is sorted in memory. The parts,
+/// not `options`, decide if the output is marked as trained with antialiasing.
 ///
 /// # Errors
 /// Same as [`super::read`] and [`super::write`]; [`Error::Input`] for a part whose SH degree or antialiasing differs
-/// from the
-/// first part's; [`Error::Argument`] without parts.
+/// from the first part's; [`Error::Argument`] without parts.
 pub fn merge(
     parts: &[Part<'_>],
     output: &Path,

@@ -106,8 +106,7 @@ impl Spz {
                     }
                 },
                 // The stream before a plane is unpacked again: in total up to four times the file's data, twice with
-                // all
-                // harmonics.
+                // all harmonics.
                 Layout::Gzip { .. } => {
                     let mut stream = GzDecoder::new(self.file.from(0)?);
                     self.file.skip(&mut stream, before, name)?;
@@ -146,8 +145,7 @@ impl Spz {
 }
 
 /// Largest window of a plane's decoder, as a power of two. All planes are decoded at once, and zstd's own bound would
-/// be
-/// 128 MiB for each. The minimum suffices for its levels up to 19 at any length.
+/// be 128 MiB for each. The minimum suffices for its levels up to 19 at any length.
 fn window_log(bytes: u64) -> u32 {
     bytes.max(1).next_power_of_two().trailing_zeros().clamp(23, 27)
 }
@@ -393,8 +391,7 @@ impl SpzFile {
 const NAMES: [&str; PLANES] = ["means", "opacities", "colours", "scales", "rotations", "spherical harmonics"];
 
 /// The axes to mirror, those of the format unless an extension declares others; and the unknown extensions that change
-/// the
-/// scene.
+/// the scene.
 fn axes(mut extensions: &[u8]) -> Result<([bool; 3], Vec<u32>), String> {
     let (mut mirrored, mut unused) = (MIRRORED, Vec::new());
     while let Some((head, rest)) = extensions.split_first_chunk::<8>() {

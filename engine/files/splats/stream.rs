@@ -93,13 +93,11 @@ pub struct WriteOptions {
     /// Marks a scene of 2DGS ([`Header::is_2dgs`]); PLY keeps it.
     pub is_2dgs: bool,
     /// Version of SPZ. SPZ: 2 or 4; `None` for 4. GLB: 2 packs the attributes as
-    /// `KHR_gaussian_splatting_compression_spz_2`; `None`
-    /// does not pack. Other formats have no version.
+    /// `KHR_gaussian_splatting_compression_spz_2`; `None` does not pack. Other formats have no version.
     pub spz_version: Option<u32>,
     /// Frame of the Gaussians within the file's coordinates. They are written in source units, relative to the frame's
-    /// origin, which
-    /// the file names: PLY in a comment, glTF in the node's translation, .splat and SPZ in a file `NAME.origin.json`
-    /// beside it.
+    /// origin, which the file names: PLY in a comment, glTF in the node's translation, .splat and SPZ in a file
+    /// `NAME.origin.json` beside it.
     pub frame: WorldFrame,
 }
 
@@ -132,8 +130,7 @@ const FRAME_POINTS: usize = 1 << 16;
 
 impl Scene {
     /// Moves the scene to its drawing frame: a distant scene gets an origin of its own, a tiny one is enlarged beyond
-    /// the near
-    /// limit. Origin and unit that the file names are kept.
+    /// the near limit. Origin and unit that the file names are kept.
     pub fn in_world_frame(mut self) -> Self {
         let step = self.gaussians.len().div_ceil(FRAME_POINTS).max(1);
         let means = self.gaussians.means.iter().step_by(step);
@@ -289,8 +286,8 @@ impl<'a> Reader<'a> {
     /// Reads all Gaussians of the file.
     pub(crate) fn collect(mut self) -> Result<Scene> {
         let header = self.header().clone();
-        // The header's count has been checked against the file's size. But rows take more memory than packed ones,
-        // and glTF may repeat Gaussians a limited number of times.
+        // The header's count has been checked against the file's size. But rows take more memory than packed ones, and
+        // glTF may repeat Gaussians a limited number of times.
         let capacity = usize::try_from(header.count).unwrap_or(0);
         let needed = header.count.saturating_mul(row_bytes(header.sh_degree));
         let needed = needed.saturating_add(self.source.held_bytes());

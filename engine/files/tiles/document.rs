@@ -1,8 +1,7 @@
 //! `tileset.json` of 3D Tiles 1.1 (OGC 22-025r4).
 //!
 //! Tiles are z-up. Viewers rotate the y-up glTF of a tile: (x, y, z) of glTF is (x, -z, y) of a tile. glTF's x and y
-//! are
-//! opposite to those of this crate's frame.
+//! are opposite to those of this crate's frame.
 
 use std::path::Path;
 

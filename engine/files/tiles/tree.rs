@@ -83,8 +83,7 @@ impl Tree {
     ///
     /// # Errors
     /// [`Error::Io`]; [`Error::Input`] for a description that [`super::write`] has not written, for files outside of
-    /// the folder, and
-    /// for invalid numbers.
+    /// the folder, and for invalid numbers.
     pub fn open(folder: impl AsRef<Path>) -> Result<Tree> {
         let folder = folder.as_ref();
         let path = folder.join(TILESET_FILE);
@@ -152,30 +151,26 @@ impl Tree {
     }
 
     /// The tiles to draw for a camera, in ascending order: those in its picture, as fine as `budget` Gaussians allow,
-    /// and finest
-    /// where the error in pixels is largest. The coarsest tile is drawn even beyond the budget; nothing if it is out of
-    /// view.
+    /// and finest where the error in pixels is largest. The coarsest tile is drawn even beyond the budget; nothing if
+    /// it is out of view.
     pub fn cut(&self, camera: &Camera, budget: usize) -> Vec<usize> {
         self.cut_among(&Demand::of(camera, budget), |_| true)
     }
 
     /// The tiles of a cut and their ancestors, in the order in which to load them for [`Tree::cut_among`]. A tile comes
-    /// after its
-    /// parent, and earlier if the parent's error in pixels is larger.
+    /// after its parent, and earlier if the parent's error in pixels is larger.
     pub fn wanted(&self, demand: &Demand<'_>) -> Vec<usize> {
         self.wanted_among(demand, |_| true)
     }
 
     /// Same as [`Tree::wanted`], but some tiles will never be available, for example because they cannot be read. Tiles
-    /// that
-    /// could only be drawn beside or below one of them are omitted.
+    /// that could only be drawn beside or below one of them are omitted.
     pub fn wanted_among(&self, demand: &Demand<'_>, is_possible: impl Fn(usize) -> bool) -> Vec<usize> {
         self.refined(demand, &is_possible).1
     }
 
     /// Same as [`Tree::cut`], among the available tiles: a tile is drawn itself until all tiles that replace it are
-    /// available.
-    /// Empty without the coarsest tile.
+    /// available. Empty without the coarsest tile.
     pub fn cut_among(&self, demand: &Demand<'_>, is_there: impl Fn(usize) -> bool) -> Vec<usize> {
         self.refined(demand, &is_there).0
     }
@@ -268,8 +263,7 @@ pub struct Demand<'a> {
     /// Largest number of Gaussians in all drawn tiles.
     pub budget: usize,
     /// Width of a border around the picture, in picture sizes. Tiles in the border are drawn too, so that a turning
-    /// camera finds
-    /// them; they are refined after the tiles in the picture. 0 for none.
+    /// camera finds them; they are refined after the tiles in the picture. 0 for none.
     pub border: f64,
 }
 

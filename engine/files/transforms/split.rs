@@ -42,8 +42,7 @@ impl Split {
         Ok(Self { lists })
     }
 
-    /// The use of the frame with this path or name. Without a training list, frames in no list are
-    /// training frames.
+    /// The use of the frame with this path or name. Without a training list, frames in no list are training frames.
     pub(super) fn part_of(&self, path: &str, name: &str) -> Part {
         let path = plain(path);
         let lists = |at: usize| {

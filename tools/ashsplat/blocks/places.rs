@@ -19,8 +19,7 @@ pub fn small(camera: &Camera) -> Camera {
 }
 
 /// World position of each pixel of a frame, row by row; `None` for transparent pixels. It uses the frame's harmonic
-/// depth,
-/// which Gaussians far behind a surface hardly move.
+/// depth, which Gaussians far behind a surface hardly move.
 pub fn places(camera: &Camera, frame: &Frame) -> Vec<Option<Vec3>> {
     let world_from_camera = camera.camera_from_world.transpose();
     let place = |(pixel, z): (usize, f32)| {

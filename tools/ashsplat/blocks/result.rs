@@ -44,8 +44,7 @@ pub fn is_noted(folder: &Path) -> bool {
 }
 
 /// True if a block's training is noted as complete for this division, false for another one; `None` without a readable
-/// note.
-/// The scene itself is not checked.
+/// note. The scene itself is not checked.
 pub fn noted(file: &BlocksFile, block: &Block) -> Option<bool> {
     let trained = read(&file.at(&block.folder)).ok().flatten()?;
     Some(trained.blocks == file.hash && trained.block == block.number)

@@ -108,8 +108,7 @@ pub enum Outside {
 
 impl Outside {
     /// True if the scene around a block is drawn. A masked one is drawn after an exchange: the block's neighbours were
-    /// trained
-    /// together with Gaussians of this block in front of them or behind.
+    /// trained together with Gaussians of this block in front of them or behind.
     pub fn is_drawn(self, exchanged: bool) -> bool {
         exchanged || self == Outside::Drawn
     }

@@ -32,8 +32,7 @@ impl Defaults {
 
 impl Settings {
     /// Applies what follows from the data set: the settings for few photos, and the points whose depths are trained on.
-    /// Returns a
-    /// note on the changed settings. A training that continues from a checkpoint keeps its strategy.
+    /// Returns a note on the changed settings. A training that continues from a checkpoint keeps its strategy.
     pub fn settle(
         self,
         gallery: &mut Gallery,

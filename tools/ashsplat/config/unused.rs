@@ -123,8 +123,7 @@ impl TrainOverrides {
 
 impl Settings {
     /// Refuses settings without effect, on the command line or in a file. A dump lists all settings, used or not, so it
-    /// is not
-    /// checked. The command line may switch off what another file switches on.
+    /// is not checked. The command line may switch off what another file switches on.
     pub fn refuse_unused(&self, (file, overrides): (Option<&Path>, &Overrides)) -> Result<()> {
         overrides.train.refuse_unused(std::slice::from_ref(self))?;
         let Some(path) = file else { return Ok(()) };

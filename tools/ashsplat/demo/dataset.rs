@@ -118,8 +118,7 @@ impl Choices {
 }
 
 /// Photographs the scene and writes it; the same seed gives the same files. With the same points and without the sky,
-/// both
-/// layouts hold the same cameras, photographs and points, to the bit.
+/// both layouts hold the same cameras, photographs and points, to the bit.
 pub fn write(folder: &Path, choices: &Choices, seed: u64, quiet: bool) -> Result<()> {
     let (scene, cameras, count) = match choices.scene {
         Subject::Terrace => (Scene::demo(), cameras(), POINTS),

@@ -158,8 +158,7 @@ impl Ready {
     }
 
     /// Errors of the scenes on all held-out views, in regions by the depths of the first scene; and for each seam the
-    /// view
-    /// with its largest error.
+    /// view with its largest error.
     fn errors(
         &self,
         scenes: &mut [Drawn],

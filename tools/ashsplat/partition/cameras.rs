@@ -68,8 +68,7 @@ impl Shares {
     }
 
     /// The part of a photo that shows a cell and its margin. `None` uses the whole photo: the part is the whole, or
-    /// nothing opaque
-    /// shows the cell.
+    /// nothing opaque shows the cell.
     pub fn part(&self, photo: usize, cell: usize) -> Option<Part> {
         self.parts[photo].get(&cell).copied()
     }

@@ -13,8 +13,8 @@ use std::sync::atomic::AtomicBool;
 const INSTALL: &str = "`apt install colmap` on Debian and Ubuntu, `brew install colmap` on macOS, the ZIP of \
                        https://github.com/colmap/colmap/releases on Windows, elsewhere `conda install -c conda-forge colmap`; \
                        --colmap gives its path";
-/// Largest side of photographs for features on a processor, pixels. Beyond, memory and time grow and cameras hardly
-/// get better.
+/// Largest side of photographs for features on a processor, pixels. Beyond, memory and time grow and cameras hardly get
+/// better.
 const MAX_SIDE_WITHOUT_GPU: u32 = 2000;
 
 /// Number of blocks of photographs that are compared with each other.

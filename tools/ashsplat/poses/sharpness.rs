@@ -7,8 +7,7 @@ use ashsplat_files::Photo;
 const WIDTH: u32 = 640;
 
 /// Variance of the Laplacian of the reduced grey picture, in squares of 8-bit levels. Comparable between pictures of
-/// one
-/// scene and one size; 0 for pictures without inner pixels.
+/// one scene and one size; 0 for pictures without inner pixels.
 pub fn sharpness(photo: &Photo) -> f64 {
     let (grey, width) = reduced(photo, (photo.width / WIDTH).max(1) as usize);
     let (mut sum, mut squares, mut count) = (0.0, 0.0, 0.0);

@@ -18,8 +18,7 @@ const QUALITY: u8 = 95;
 /// Largest credible side of a frame, pixels.
 const MAX_SIDE: u32 = 16_384;
 /// Containers and streams that are read (ffmpeg's names of demuxers), each a single file. Playlists, lists of files and
-/// patterns
-/// would make ffmpeg open other files.
+/// patterns would make ffmpeg open other files.
 const FORMATS: &str = "mov,matroska,webm,avi,mpegts,mpeg,mpegvideo,asf,flv,ogg,gif,mxf,nut,ivf,dv,h264,hevc,m4v,mjpeg,\
                        yuv4mpegpipe,wtv,rm,obu,apng";
 /// Largest number of frames: names have five digits.
@@ -90,8 +89,7 @@ impl Reader<'_> {
     }
 
     /// Writes the sharpest frame of each of `count` intervals to `folder`, as `frame_00001.jpg` and so on. `looked_at`
-    /// receives
-    /// the time of each examined frame, seconds. Returns the number of frames.
+    /// receives the time of each examined frame, seconds. Returns the number of frames.
     ///
     /// # Errors
     /// [`Error::Input`] when the video cannot be decoded, [`Error::Io`], [`Error::Interrupted`].

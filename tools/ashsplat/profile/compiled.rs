@@ -1,6 +1,5 @@
 //! `--static`: statistics of the driver's compiler about the pipelines of frames and training steps. Nothing runs, so
-//! it works
-//! for drivers without hardware too.
+//! it works for drivers without hardware too.
 
 use super::{Arguments, What, spec, watch};
 use crate::bench::compiled::{self, Compiled, Pipeline};
@@ -260,9 +259,8 @@ fn depth_points() -> Vec<ashsplat::loss::DepthPoint> {
 }
 
 /// Writes DIR/forward/blend.2.shader_disassembly.txt and so on. The number is the variant's index in the kernel's
-/// table. If a
-/// driver compiles several programs of a pipeline, whose texts have the same names, the program's number follows:
-/// DIR/forward/blend.2.1.shader_disassembly.txt.
+/// table. If a driver compiles several programs of a pipeline, whose texts have the same names, the program's number
+/// follows: DIR/forward/blend.2.1.shader_disassembly.txt.
 fn write_texts(folder: &Path, all: &[PipelineStatistics]) -> Result<()> {
     let mut variant = 0;
     for (index, pipeline) in all.iter().enumerate() {

@@ -1,10 +1,8 @@
 //! `--trace FILE`: Chrome's trace event format, which Perfetto and chrome://tracing open.
 //!
 //! Host and device are two processes on the host's clock, in microseconds since the first iteration began. With
-//! calibrated
-//! timestamps, the device's times are exact on it. Otherwise a submission is assumed to end when the host noticed it,
-//! and
-//! `otherData.clock` says so.
+//! calibrated timestamps, the device's times are exact on it. Otherwise a submission is assumed to end when the host
+//! noticed it, and `otherData.clock` says so.
 
 use crate::bench::measure::Iteration;
 use ashsplat::vk::{CommandRecord, Submission};

@@ -283,8 +283,8 @@ const ORBIT_SHARE: f32 = 0.75;
 /// Reach of a Gaussian beyond its mean for an orbit, standard deviations.
 const ORBIT_REACH: f32 = 2.0;
 
-/// A circle around the middle nine tenths of the Gaussians, wide enough to see nearly all of them and not so near
-/// that any are culled.
+/// A circle around the middle nine tenths of the Gaussians, wide enough to see nearly all of them and not so near that
+/// any are culled.
 pub fn orbit_around(gaussians: &Gaussians, up: Vec3, count: u32, intrinsics: Intrinsics) -> Orbit {
     let statistics = gaussians.statistics();
     let bounds = statistics.central_bounds;

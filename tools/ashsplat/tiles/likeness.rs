@@ -30,8 +30,7 @@ impl Likeness {
     }
 
     /// The root of the squared difference of two pictures, as the mean channel from 0 to 1, integrated over the plane
-    /// through the
-    /// tile's middle: world units. The root mean square over four directions.
+    /// through the tile's middle: world units. The root mean square over four directions.
     pub fn difference(&mut self, finer: &Gaussians, merged: &Gaussians) -> Result<f64> {
         let (centre, radius) = ball(finer);
         // Scaled to size 1, so that even a tiny tile lies beyond the near plane.

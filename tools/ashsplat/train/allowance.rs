@@ -43,8 +43,7 @@ mod tests {
     const STEPS: usize = 4000;
 
     /// Simulates training steps of random duration, with pages that request pictures of random cost, always or at
-    /// times. Returns
-    /// for each step the training time and the time for pages after it.
+    /// times. Returns for each step the training time and the time for pages after it.
     fn looked_on(share: f64, seed: u64) -> Vec<(Duration, Duration)> {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         let mut allowance = Allowance::new(share);

@@ -244,8 +244,7 @@ impl Run {
     }
 
     /// After a failure, saves the state of the earlier iterations, if it is not saved. A scene whose opacities the
-    /// failed
-    /// iteration has reset is nearly invisible, so only the checkpoint is written.
+    /// failed iteration has reset is nearly invisible, so only the checkpoint is written.
     pub(super) fn rescue(&mut self) {
         let iteration = self.trainer.iteration();
         if iteration == 0 || self.gaussians == 0 {

@@ -22,8 +22,8 @@ const FILMS: &str = "films";
 const INPUT_FILE: &str = "input.ply";
 const TRAINING: Work = Work { file: ".training.lock", what: "training", option: "-m" };
 
-/// Locks an existing model folder before its checkpoints are looked up: another training would still write
-/// them. With `wait`, that one may end first, and the folder need not exist yet.
+/// Locks an existing model folder before its checkpoints are looked up: another training would still write them. With
+/// `wait`, that one may end first, and the folder need not exist yet.
 ///
 /// # Errors
 /// [`Error::Input`] if another training writes into the folder.
@@ -41,8 +41,7 @@ pub fn trainer(folder: &Path) -> Option<String> {
 }
 
 /// Creates and locks the model folder if that is still to be done, and writes everything known before training. A run
-/// that
-/// continues in this folder keeps its files.
+/// that continues in this folder keeps its files.
 ///
 /// # Errors
 /// [`Error::Input`] if another training writes into the folder; [`Error::Io`], such as for a full disk.
@@ -101,8 +100,7 @@ const UNFINISHED: &str = ".earlier_unfinished";
 
 /// Moves an earlier training into `earlier_1`, or the next free number, as a model folder of its own. Nothing is
 /// overwritten, because a command may have been repeated by mistake. Files that cannot be moved, such as links to other
-/// disks,
-/// stay.
+/// disks, stay.
 fn keep_earlier(folder: &Path) -> Result<()> {
     let unfinished = folder.join(UNFINISHED);
     if !unfinished.is_dir() && !SIGNS.iter().any(|name| folder.join(name).is_file()) {

@@ -294,8 +294,7 @@ impl Run {
     }
 
     /// Shows an iteration to the viewers and handles their requests. `stop` is set when they request the end. A failure
-    /// or panic
-    /// ends the viewer, not the training; if the device is lost, the next iteration fails.
+    /// or panic ends the viewer, not the training; if the device is lost, the next iteration fails.
     pub(super) fn show(&mut self, report: &StepReport, stop: &AtomicBool, watch: &mut Stopwatch) {
         let Some(mut live) = self.live.take() else { return };
         match guarded(|| self.show_to(&mut live, report, stop, watch)) {

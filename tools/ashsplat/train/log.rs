@@ -18,8 +18,7 @@ const TRACKED: &str = "tracked_psnr";
 /// Largest number of lines that wait in memory.
 const FLUSH_INTERVAL: u32 = 100;
 /// Largest number of bytes that wait for a full disk: some ten thousand lines. Beyond it the log ends, because a gap
-/// would
-/// mislead.
+/// would mislead.
 const MOST_WAITING: usize = 16 << 20;
 
 /// A log that is being written. Lines that cannot be written wait and are tried again, so that training continues.
@@ -67,8 +66,7 @@ impl TrainLog {
     }
 
     /// Adds an iteration with the memory of the arenas, and with the PSNR of all views and of the tracked ones, dB, if
-    /// they were
-    /// measured.
+    /// they were measured.
     pub fn add(
         &mut self,
         report: &StepReport,

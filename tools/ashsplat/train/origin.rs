@@ -16,8 +16,7 @@ use glam::Vec3;
 use std::path::Path;
 
 /// The start of a training: a checkpoint, else a scene, else the points of the data set or their substitute. A
-/// checkpoint of a
-/// block lacks its surroundings, which come from the scene or the points.
+/// checkpoint of a block lacks its surroundings, which come from the scene or the points.
 #[derive(Default)]
 pub struct Origin {
     start: Option<Box<Start>>,
@@ -43,8 +42,7 @@ pub struct First {
 
 impl Origin {
     /// Reads the requested start. A checkpoint precedes `--init`, with which its training may have begun. Warns if a
-    /// scene was
-    /// trained with another low-pass filter. `exchanged` is the scene around a block after an exchange.
+    /// scene was trained with another low-pass filter. `exchanged` is the scene around a block after an exchange.
     pub fn read(
         from: Option<&StartFrom>,
         settings: &Settings,

@@ -1,6 +1,5 @@
 //! Finds what photos show of the trained block: by the division's file, else by the depths of the initial scene, which
-//! is
-//! drawn small, once per photo.
+//! is drawn small, once per photo.
 //!
 //! Only that part of a photo is used. Without the block's surroundings, pixels that show them do not count.
 
@@ -17,8 +16,7 @@ use std::collections::BTreeSet;
 use std::sync::atomic::AtomicBool;
 
 /// Selects the used parts and pixels of the photos by the settings, and removes photos that do not show the block.
-/// Returns a note,
-/// if any.
+/// Returns a note, if any.
 pub fn look(
     context: &Context,
     gallery: &mut Gallery,

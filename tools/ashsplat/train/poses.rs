@@ -116,8 +116,7 @@ impl Run {
     }
 
     /// Moves test views that are trained on to the current poses of their cameras: those that replace held-out ones,
-    /// and held-out
-    /// ones whose halves are trained on.
+    /// and held-out ones whose halves are trained on.
     pub(super) fn follow_cameras(&mut self) -> Result<()> {
         let trained_on = !self.held_out || self.settings.data.train_test_exp;
         if !(self.settings.train.pose_opt && trained_on) {

@@ -1,6 +1,5 @@
 //! Saves during training. If the disk refuses, training continues and saving is tried again: hours of training are
-//! worth more
-//! than one file.
+//! worth more than one file.
 
 use super::Run;
 use crate::light::Lights;

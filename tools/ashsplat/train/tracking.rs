@@ -1,6 +1,5 @@
 //! PSNR during training: the mean over the same few views each time, so that its curve shows the training, not the
-//! choice of
-//! views.
+//! choice of views.
 
 use super::Run;
 use super::allowance::Allowance;
@@ -19,8 +18,7 @@ const VIEWS: usize = 8;
 const POINTS: u32 = 200;
 const MOST_INTERVAL: u32 = 100;
 /// Largest number of iterations without a measurement after the set of Gaussians changed. After many clones or splits,
-/// the
-/// PSNR is some decibels lower for a while, and would be shown until the next point.
+/// the PSNR is some decibels lower for a while, and would be shown until the next point.
 const SETTLING: u32 = 50;
 
 /// Parses a share of training's time.
@@ -147,8 +145,8 @@ impl Run {
         self.tracking = Tracking::new(&self.test, &self.settings.train, share);
     }
 
-    /// The tracked PSNR, if it is measured after this iteration, dB. Training views are measured only for
-    /// viewers. If a measurement fails, a warning is printed and training continues.
+    /// The tracked PSNR, if it is measured after this iteration, dB. Training views are measured only for viewers. If a
+    /// measurement fails, a warning is printed and training continues.
     pub(super) fn track(&mut self, report: &StepReport, watch: &mut Stopwatch) -> Option<f64> {
         let iteration = report.iteration;
         let due = self.tracking.is_due(report);

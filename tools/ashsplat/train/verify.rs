@@ -10,8 +10,7 @@ use ashsplat::{Error, Result};
 use ashsplat_files::Dataset;
 
 /// Trains some iterations twice, from a checkpoint if there is one, without writing anything. Returns an error if the
-/// two
-/// differ.
+/// two differ.
 pub fn run(
     context: &Context,
     dataset: Dataset,

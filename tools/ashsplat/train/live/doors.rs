@@ -1,5 +1,5 @@
-//! The ports of viewers. They are opened before anything is loaded, so that a port in use is an error at once and
-//! not after the photos are read.
+//! The ports of viewers. They are opened before anything is loaded, so that a port in use is an error at once and not
+//! after the photos are read.
 
 use super::LiveArguments;
 use crate::view::server::{self, ServeArguments};
