@@ -127,7 +127,7 @@ pub fn write<'a>(
 /// the image's centre. The cameras are returned in the world coordinates of `frame`.
 ///
 /// # Errors
-/// [`Error::Io`] when the file cannot be read, [`Error::Input`] when it is no such list or a camera is unusable.
+/// [`Error::Io`] when the file cannot be read, [`Error::Input`] when it is not such a list or a camera is unusable.
 pub fn read(path: impl AsRef<Path>, frame: &WorldFrame) -> Result<Vec<NamedCamera>> {
     let path = path.as_ref();
     let text = text::read(path)?;

@@ -191,7 +191,7 @@ fn has_model(folder: &Path) -> bool {
     PARTS[..2].iter().any(file)
 }
 
-/// Subfolders, `2` before `10`; none when the folder does not exist.
+/// Subfolders, `2` before `10`; empty if the folder does not exist.
 fn subfolders(folder: &Path) -> Result<Vec<PathBuf>> {
     let entries = match fs::read_dir(folder) {
         Ok(entries) => entries,

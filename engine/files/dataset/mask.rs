@@ -124,7 +124,7 @@ impl Mask {
         Self { width: size[0], height: size[1], values }
     }
 
-    /// 255 where a pixel counts, otherwise 0; None if all pixels count.
+    /// 255 for pixels that count, otherwise 0; `None` if all pixels count.
     pub(super) fn into_values(self) -> Option<Vec<u8>> {
         let value_of = |value: &u8| if *value >= COUNTS { 255 } else { 0 };
         self.hides().then(|| self.values.iter().map(value_of).collect())

@@ -72,7 +72,7 @@ pub(crate) fn header(path: &Path) -> Result<Header> {
 /// Width and height of a JPEG or PNG from its header, as stored, pixels.
 ///
 /// # Errors
-/// [`Error::Io`] when the file cannot be read, [`Error::Input`] when it is no such picture.
+/// [`Error::Io`] when the file cannot be read, [`Error::Input`] when it is not such a picture.
 pub fn photo_size(path: impl AsRef<Path>) -> Result<(u32, u32)> {
     Ok(header(path.as_ref())?.stored)
 }

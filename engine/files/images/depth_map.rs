@@ -29,7 +29,7 @@ impl DepthMap {
     /// Reads the first channel of a 16-bit PNG: its value / 65536.
     ///
     /// # Errors
-    /// [`Error::Io`] when the file cannot be read, [`Error::Input`] when it is no such picture,
+    /// [`Error::Io`] when the file cannot be read, [`Error::Input`] when it is not such a picture,
     /// [`Error::TooLarge`] when it does not fit into the memory.
     pub fn read(path: impl AsRef<Path>, memory: &HostMemory) -> Result<Self> {
         let path = path.as_ref();

@@ -112,7 +112,7 @@ impl Colmap {
     /// Runs COLMAP with these arguments; its output is appended to `log`.
     ///
     /// # Errors
-    /// As [`child::run_logged`].
+    /// Same as [`child::run_logged`].
     pub fn run(
         &self,
         words: &[OsString],

@@ -206,7 +206,7 @@ impl Live {
             live.studio.has_films() || live.wishes.as_ref().is_some_and(|wishes| wishes.wants_to_stay())
         };
         while stays(self) && !stop.load(Ordering::Relaxed) {
-            // Discards requests: training is over, and they would wake the studio again and again.
+            // Discards requests: training is over, and pending ones would end each wait at once.
             self.hub.actions();
             self.studio.serve(trainer, REST)?;
         }
