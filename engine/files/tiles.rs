@@ -47,8 +47,8 @@ impl Default for TileOptions {
 }
 
 /// Measures how much pictures of the merged Gaussians (second argument) differ from those of the finer ones (first),
-/// in world units. The measure is the root of the squared difference from 0 to 1, integrated over the tile. Divided by a pixel's size, it
-/// is the root of the squared difference of a picture, summed over pixels.
+/// in world units. The measure is the root of the squared difference from 0 to 1, integrated over the tile. Divided by a
+/// pixel's size, it is the root of the squared difference of a picture, summed over pixels.
 pub type Measure<'a> = dyn FnMut(&Gaussians, &Gaussians) -> Result<f64> + 'a;
 
 /// Result of writing the tiles.

@@ -15,7 +15,7 @@ use ashsplat::{Error, Result};
 
 const ROW: usize = 32;
 
-/// Distance of a stored opacity from 0 and 1, whose logits are infinite.
+/// Least distance of a stored opacity from 0 and 1, whose logits are infinite.
 const OPACITY_MARGIN: f64 = 1e-6;
 
 /// An open `.splat`.

@@ -29,7 +29,7 @@ pub(crate) const EXTENSION: &str = "KHR_gaussian_splatting";
 /// The extension that packs its attributes as an SPZ.
 pub(crate) const PACKED_EXTENSION: &str = "KHR_gaussian_splatting_compression_spz_2";
 
-/// Distance of a stored opacity from 0 and 1, whose logits are infinite.
+/// Least distance of a stored opacity from 0 and 1, whose logits are infinite.
 const OPACITY_MARGIN: f64 = 3e-8;
 
 /// Largest rounding error of an opacity beyond 0 and 1.
