@@ -9,18 +9,17 @@ use super::gpu::Gpu;
 use super::layout::{pack, pack_filtered, planes, room, unpack};
 use crate::reference::types::Gaussian;
 
-/// Gradients of a visible Gaussian as the kernel reads them.
+/// Gradients of a visible Gaussian, as the kernel reads them.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct VisibleGradient {
     pub mean: [f64; 3],
     pub opacity_logit: f64,
     pub quat: [f64; 4],
     pub log_scale: [f64; 3],
-    /// Of the colour before its clamp: those of SH follow from it.
+    /// With respect to the colour before its clamp; the kernel derives the SH gradients from it.
     pub color: [f64; 3],
 }
 
-/// Learning rates.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Rates {
     pub mean: f64,
@@ -31,11 +30,10 @@ pub struct Rates {
     pub sh_rest: f64,
 }
 
-/// One step.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Step {
     pub rates: Rates,
-    /// From 1; 0 for no bias correction.
+    /// Counts from 1; 0 switches the bias correction off.
     pub count: i32,
     pub camera_position: [f64; 3],
 }
@@ -54,7 +52,8 @@ fn kernel(gpu: &Gpu, sh_degree: u32, sparse: bool, parameter_gradients: bool) ->
     })
 }
 
-/// A camera at this position, turned by a quarter about y; of no use to a camera that was not moved.
+/// Camera at this position, turned by a quarter about y. Without `moved` its translation is NaN, so that a kernel
+/// that reads it fails.
 pub fn camera_block(position: [f64; 3], moved: bool) -> CameraBlock {
     if !moved {
         return CameraBlock { camera_translation: [f32::NAN; 3], ..CameraBlock::default() };
@@ -85,7 +84,7 @@ pub struct AdamState<'a> {
 }
 
 impl<'a> AdamState<'a> {
-    /// Uploads Gaussians with zero moments, all with a 3D filter of this size; 0 for none.
+    /// Uploads Gaussians with zero moments. All have a 3D filter of this size; 0 for none.
     pub fn filtered(gpu: &'a Gpu, gaussians: &[Gaussian], sh_degree: u32, size: f64) -> AdamState<'a> {
         let state = AdamState::new(gpu, gaussians, sh_degree, false);
         let parameters = gpu.buffer("parameters", &pack_filtered(gaussians, state.room, size));
@@ -111,7 +110,7 @@ impl<'a> AdamState<'a> {
         }
     }
 
-    /// Takes over the state of another, as a variant of the optimiser.
+    /// Continues with the same parameters and moments in another variant of the optimiser.
     pub fn continued(&self, sh_degree: u32, sparse: bool) -> AdamState<'a> {
         AdamState {
             gpu: self.gpu,
@@ -123,7 +122,8 @@ impl<'a> AdamState<'a> {
         }
     }
 
-    /// With gradients of the parameters themselves: means, quaternions, scales and opacities of `direct`.
+    /// Adds gradients with respect to the parameters themselves: `direct`'s means, quaternions, scales and
+    /// opacities.
     pub fn with_parameter_gradients(
         self,
         sh_degree: u32,
@@ -137,7 +137,7 @@ impl<'a> AdamState<'a> {
         AdamState { kernel, parameter_gradients, ..self }
     }
 
-    /// With the camera's position in the camera block only.
+    /// Reads the camera's position from the camera block only.
     pub fn with_moved_camera(self, sh_degree: u32, sparse: bool) -> AdamState<'a> {
         let (workgroup_size, parameter_gradients) = (self.workgroup, self.parameter_gradients.is_some());
         let (sums, moved_camera) = (false, true);
@@ -154,7 +154,8 @@ impl<'a> AdamState<'a> {
         AdamState { kernel: self.gpu.kernel(&spec), moved_camera: true, ..self }
     }
 
-    /// Steps; `gradients` has `None` for what is not visible. Returns how many were skipped as not finite.
+    /// Makes one step. `gradients` has `None` for Gaussians that are not visible. Returns the number of Gaussians
+    /// skipped as not finite.
     pub fn step(&self, gradients: &[Option<VisibleGradient>], step: &Step, overflow: bool) -> u32 {
         let (visible_index, rows) = self.gradient_planes(gradients);
         let mut state = vec![0; STATE_WORDS as usize];
@@ -185,7 +186,6 @@ impl<'a> AdamState<'a> {
         self.gpu.read::<u32>(state, STATE_WORDS as usize)[STATE_NON_FINITE as usize]
     }
 
-    /// The kernel's push constants for a step.
     pub fn push(&self, step: &Step) -> Push {
         let (beta_1, beta_2) = (0.9, 0.999);
         let correction = |beta: f64| if step.count == 0 { 1.0 } else { 1.0 - f64::powi(beta, step.count) };
@@ -231,7 +231,7 @@ impl<'a> AdamState<'a> {
             let three = |v: [f64; 3], w: f64| [f(v[0]), f(v[1]), f(v[2]), f(w)];
             rows[place] = three(g.mean, g.opacity_logit);
             rows[stride + place] = g.quat.map(f);
-            // The fourth components belong to other kernels: whatever they hold has no effect.
+            // Other kernels use the fourth components: the optimiser must ignore their values.
             rows[2 * stride + place] = three(g.log_scale, f64::NAN);
             rows[3 * stride + place] = three(g.color, f64::INFINITY);
             place += 1;

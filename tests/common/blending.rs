@@ -9,7 +9,7 @@ use ashsplat::vk::{Buffer, Context};
 use super::gpu::Gpu;
 use super::tiles::Lists;
 
-/// What the forward kernel leaves for the backward one.
+/// Outputs of the forward kernel that the backward kernel reads.
 pub struct Blended {
     pub accumulated: Buffer,
     /// Three planes; only written in strips.
@@ -18,25 +18,24 @@ pub struct Blended {
     pub last_entries: Buffer,
 }
 
-/// Sums of each instance.
 pub struct SlotSums {
-    /// 1, dx, dy, dx², dx·dy, dy², r, g, b, inverse depth. The weight in place of b, if only that is summed.
+    /// 1, dx, dy, dx², dx·dy, dy², r, g, b, inverse depth. With WEIGHTS, the weight takes the place of b.
     pub sums: Vec<[f64; 10]>,
-    /// |dL/d(mean2d)| of each pixel.
+    /// Sum over pixels of |dL/d(mean2d)|.
     pub absolute: Vec<[f64; 2]>,
 }
 
-/// What the backward kernels sum up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum OtherSums {
     None,
-    /// ABSOLUTE: absolute gradients besides.
+    /// ABSOLUTE: also the absolute gradients.
     Absolute,
-    /// WEIGHTS: weights alone.
+    /// WEIGHTS: only the weights.
     Weights,
 }
 
-/// What the forms of blending leave: to the bit on processors. Another compiler may fuse sums of products in one kernel and not in the other.
+/// Compares the outputs of two forms of blending: exactly on CPUs, within `error` on GPUs. A GPU's compiler may fuse
+/// sums of products in one kernel only.
 pub fn assert_same(context: &Context, a: &[f32], b: &[f32], (what, error): (&str, f32)) {
     let same = |(a, b): (&f32, &f32)| {
         a.to_bits() == b.to_bits()
@@ -45,7 +44,8 @@ pub fn assert_same(context: &Context, a: &[f32], b: &[f32], (what, error): (&str
     assert!(a.len() == b.len() && a.iter().zip(b).all(same), "{what} differ");
 }
 
-/// What two variants of a kernel leave: to the bit on processors, elsewhere within this share of the largest value, for the same reason.
+/// Compares the outputs of two variants of a kernel: exactly on CPUs, elsewhere within this share of the largest
+/// value.
 pub fn assert_alike(context: &Context, a: &[f32], b: &[f32], (what, share): (&str, f32)) {
     let exact = context.description().kind == "CPU";
     let bound = share * b.iter().fold(0.0_f32, |most, x| most.max(x.abs()));
@@ -63,7 +63,7 @@ fn workgroup(gpu: &Gpu, how: How) -> u32 {
     gpu.subgroup() * 32 / region_height(gpu, how)
 }
 
-/// A blending kernel over lists, at most `$entries_per_pass` of each tile at a time.
+/// Runs a blending kernel over lists, with at most `$entries_per_pass` entries of each tile per pass.
 macro_rules! blend_lists {
     (
         $gpu:expr, $lists:expr, $kernel:ident, $spec:expr, $entries_per_pass:expr, $limits:expr
@@ -113,16 +113,15 @@ macro_rules! blend_lists {
     }};
 }
 
-/// How a kernel blends.
 #[derive(Clone, Copy, Debug)]
 pub struct How {
     pub inverse_depth: bool,
-    /// INCREMENTAL_EXP: opacities along a column follow from one another.
+    /// INCREMENTAL_EXP: each opacity of a column follows from the one above.
     pub incremental_exp: bool,
     /// REGIONS_PER_SUBGROUP: regions of a subgroup.
     pub parts: u32,
     pub entries_per_pass: u32,
-    /// REGION_HEIGHT: 4 in place of 8, where a subgroup is not higher. And BROADCAST.
+    /// REGION_HEIGHT 4 instead of 8 (if the subgroup is no higher), and BROADCAST.
     pub low_regions: bool,
     /// SHARED_SPLATS.
     pub shares: bool,
@@ -131,18 +130,18 @@ pub struct How {
     pub sums: OtherSums,
 }
 
-/// How the planes of a view lie.
+/// Layout of a view's planes.
 pub fn strips_of(lists: &Lists) -> Strips {
     let [width, height] = lists.view.size_px;
     Strips { width, height }
 }
 
-/// Whether kernels can work in strips: a lane has four rows of a column or eight.
+/// True if kernels can work in strips: a lane then has four or eight rows of a column.
 pub fn has_strips(gpu: &Gpu) -> bool {
     gpu.subgroup() <= 16
 }
 
-/// With inverse depth and in one pass.
+/// Inverse depth, one pass, incremental exponentials.
 pub const CHAINED: How = How {
     inverse_depth: true,
     incremental_exp: true,
@@ -153,16 +152,16 @@ pub const CHAINED: How = How {
     strips: false,
     sums: OtherSums::None,
 };
-/// The same with an exponential for each opacity.
+/// Same as [`CHAINED`], but with an exponential for each opacity.
 pub const UNCHAINED: How = How { incremental_exp: false, ..CHAINED };
-/// The same with low regions.
+/// Same as [`UNCHAINED`], but with low regions.
 pub const LOW: How = How { low_regions: true, ..UNCHAINED };
-/// With splats in shared memory.
+/// Same as [`UNCHAINED`], but with splats in shared memory.
 pub const SHARED: How = How { shares: true, ..UNCHAINED };
-/// Chained, with planes in strips.
+/// Same as [`CHAINED`], but with planes in strips.
 pub const IN_STRIPS: How = How { strips: true, ..CHAINED };
 
-/// The forms to try: all on a device, the GPUs' alone where an interpreter takes its time.
+/// Forms to test: all on a device; on the slower interpreter only those that GPUs use.
 pub fn forms(gpu: &Gpu) -> Vec<How> {
     let in_strips = if has_strips(gpu) { vec![IN_STRIPS] } else { Vec::new() };
     match gpu.is_interpreted() {
@@ -176,7 +175,7 @@ pub fn forward(gpu: &Gpu, lists: &Lists, how: How) -> Blended {
     forward_limited(gpu, lists, how, false, None)
 }
 
-/// The same with depth limits (1/z per pixel), and with the sum of weights * z in place of weights / z.
+/// Same as [`forward`], but with depth limits (1/z per pixel), and with the sum of weights * z if asked for.
 pub fn forward_limited(
     gpu: &Gpu,
     lists: &Lists,
@@ -202,12 +201,12 @@ pub fn forward_limited(
     blend_lists!(gpu, lists, blend, spec, entries_per_pass, limits)
 }
 
-/// Blends lists by `forward/blend_shared`, with this many invocations per tile.
+/// Blends lists by `forward/blend_shared` with `workgroup_size` invocations per tile.
 pub fn forward_shared(gpu: &Gpu, lists: &Lists, workgroup_size: u32, how: How) -> Blended {
     forward_shared_limited(gpu, lists, workgroup_size, how, None)
 }
 
-/// The same with depth limits (1/z per pixel).
+/// Same as [`forward_shared`], but with depth limits (1/z per pixel).
 pub fn forward_shared_limited(
     gpu: &Gpu,
     lists: &Lists,
@@ -229,17 +228,17 @@ pub fn forward_shared_limited(
     blend_lists!(gpu, lists, blend_shared, spec, entries_per_pass, limits)
 }
 
-/// What is left beside the picture.
+/// Outputs of the auxiliary kernels.
 pub struct Beside {
     pub blended: Blended,
-    /// Per pixel: 1 + place in the list, and the bits of the weight.
+    /// Value per pixel: 1 + place in the list, and the bits of the weight.
     pub picks: Buffer,
-    /// Per pixel: sum of weights * motions.
+    /// Value per pixel: sum of weights * motions.
     pub motion_sums: Buffer,
 }
 
-/// Blends lists by `forward/blend_auxiliary`, or by `forward/blend_shared_auxiliary` with this many invocations per tile,
-/// with picks and with motion as asked for.
+/// Blends lists by `forward/blend_auxiliary`, or by `forward/blend_shared_auxiliary` with `shared` invocations per
+/// tile. Writes picks and motions if asked for.
 pub fn forward_auxiliary(
     gpu: &Gpu,
     lists: &Lists,
@@ -292,7 +291,7 @@ pub fn forward_auxiliary(
     Beside { blended, picks, motion_sums }
 }
 
-/// A backward kernel over lists.
+/// Runs a backward kernel over lists.
 macro_rules! backward_of_lists {
     (
         $kernel:ident, $gpu:expr, $lists:expr, $blended:expr, $gradient:expr, $how:expr, $workgroup_size:expr
@@ -377,7 +376,7 @@ macro_rules! backward_of_lists {
     }};
 }
 
-/// The sums of each instance for a gradient per pixel (r, g, b, inverse depth), by `backward/blend_backward`.
+/// Sums each instance's gradients by `backward/blend_backward`; `gradient` is per pixel (r, g, b, inverse depth).
 pub fn backward(
     gpu: &Gpu,
     lists: &Lists,
@@ -388,7 +387,7 @@ pub fn backward(
     backward_of_lists!(blend_backward, gpu, lists, blended, gradient, how, workgroup(gpu, how), region_height)
 }
 
-/// The same by `backward/blend_backward_subgroup_per_tile`.
+/// Same as [`backward`], but by `backward/blend_backward_subgroup_per_tile`.
 pub fn backward_alone(
     gpu: &Gpu,
     lists: &Lists,
@@ -399,7 +398,7 @@ pub fn backward_alone(
     backward_of_lists!(blend_backward_subgroup_per_tile, gpu, lists, blended, gradient, how, gpu.subgroup())
 }
 
-/// Strands that rows of tiles are dealt to.
+/// Number of strands that the rows of tiles are dealt to.
 const ROW_STRANDS: u32 = 4;
 
 fn passes(lists: &Lists, entries_per_pass: u32) -> u32 {
@@ -407,7 +406,7 @@ fn passes(lists: &Lists, entries_per_pass: u32) -> u32 {
     longest.div_ceil(entries_per_pass).max(1)
 }
 
-/// Passes, each over the tiles that begin in the first half of the instances and over the others.
+/// Passes, each once for the tiles that begin in the first half of the instances and once for the others.
 fn dispatches(lists: &Lists, entries_per_pass: u32) -> impl Iterator<Item = (u32, [u32; 2])> {
     let half = lists.instances.len() as u32 / 2;
     let parts = [[0, half], [half, u32::MAX - half]];

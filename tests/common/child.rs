@@ -1,11 +1,11 @@
 //! Trials that need a process of their own: another environment, or no other trial beside them.
 //!
-//! Such a trial is `#[ignore]`d, so that it counts as ignored where it does not run, and the trial that judges it runs it
-//! by [`run`].
+//! Such a trial is `#[ignore]`d, so that it counts as ignored in the parent. Another trial runs it by [`run`] and
+//! judges it.
 
 use std::process::{Command, Stdio};
 
-/// Runs trials of this test binary, also ignored ones, in a process of its own. Returns what it printed.
+/// Runs trials of this test binary, also ignored ones, in a process of their own. Returns their output.
 ///
 /// # Panics
 /// When a trial fails, or fewer than `least` have run.
@@ -21,7 +21,7 @@ pub fn run(trials: &[&str], least: usize, configure: impl FnOnce(&mut Command)) 
     text
 }
 
-/// How many trials passed, as the test binary says itself.
+/// Number of trials passed, from the test binary's own summary.
 fn passed(text: &str) -> Option<usize> {
     let (_, counts) = text.split_once("test result: ok. ")?;
     counts.split_once(" passed").and_then(|(count, _)| count.parse().ok())

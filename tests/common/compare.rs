@@ -1,31 +1,30 @@
-//! The comparators of pictures and gradients. `comparators.rs` proves that they reject what is wrong.
+//! Comparators of pictures and gradients. `comparators.rs` proves that they reject wrong values.
 
-/// Bounds on a picture where no decision hangs on rounding.
+/// Bounds for a picture. A pixel is unstable if a decision of the blending depends on rounding.
 #[derive(Clone, Copy, Debug)]
 pub struct PixelTolerance {
-    /// On the largest absolute difference.
+    /// Largest absolute difference.
     pub max: f64,
-    /// On the mean absolute difference.
+    /// Mean absolute difference.
     pub mean: f64,
-    /// How far a pixel whose decisions hang on rounding may be off, except for [`UNSTABLE_SHARE`] of them.
+    /// Largest difference of an unstable pixel, except for [`UNSTABLE_SHARE`] of them.
     pub unstable: f64,
 }
 
-/// What was measured.
+/// Measured errors.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct PixelErrors {
     /// Largest absolute difference at stable pixels.
     pub max: f64,
     /// Mean absolute difference at stable pixels.
     pub mean: f64,
-    /// Unstable pixels that differ by more than their bound.
+    /// Number of unstable pixels that differ by more than their bound.
     pub unstable_off: usize,
 }
 
-/// Share of the pixels whose decisions hang on rounding that may be off by more than their bound.
+/// Share of the unstable pixels that may differ by more than their bound.
 pub const UNSTABLE_SHARE: f64 = 0.01;
 
-/// Compares pictures of some values per pixel.
 pub fn pixels(
     what: &str,
     actual: &[f64],
@@ -72,16 +71,15 @@ pub fn pixels(
     Ok(errors)
 }
 
-/// Bounds on a gradient.
 #[derive(Clone, Copy, Debug)]
 pub struct GradientTolerance {
-    /// On ‖actual − expected‖₂ / ‖expected‖₂.
+    /// Bound for ‖actual − expected‖₂ / ‖expected‖₂.
     pub relative_l2: f64,
-    /// On max |actual − expected| / max |expected|.
+    /// Bound for max |actual − expected| / max |expected|.
     pub max_over_max: f64,
 }
 
-/// What was measured.
+/// Measured errors.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct GradientErrors {
     /// ‖actual − expected‖₂ / ‖expected‖₂.
@@ -90,11 +88,11 @@ pub struct GradientErrors {
     pub max_over_max: f64,
     /// 1 − cosine.
     pub one_minus_cosine: f64,
-    /// Σ (actual − expected)·sign(expected) / Σ |expected|: a systematic shrinking or growing.
+    /// Σ (actual − expected)·sign(expected) / Σ |expected|: negative if gradients shrink systematically.
     pub bias: f64,
 }
 
-/// Compares gradients of some values per Gaussian, leaving out the Gaussians of `skip`.
+/// Compares gradients, without the Gaussians of `skip`.
 pub fn gradient(
     what: &str,
     actual: &[f64],
@@ -146,7 +144,7 @@ pub fn gradient(
     Ok(errors)
 }
 
-/// Compares element by element: |actual − expected| ≤ absolute + relative·|expected|; returns the largest excess
+/// Compares element by element: |actual − expected| ≤ absolute + relative·|expected|. Returns the largest excess
 /// over the relative part.
 pub fn elementwise(
     what: &str,
@@ -167,7 +165,6 @@ pub fn elementwise(
     Ok(largest)
 }
 
-/// Compares integers.
 pub fn equal<T: PartialEq + std::fmt::Debug>(what: &str, actual: &[T], expected: &[T]) -> Result<(), String> {
     if actual.len() != expected.len() {
         return Err(format!("{what}: {} elements, expected {}", actual.len(), expected.len()));

@@ -8,11 +8,11 @@ use ashsplat::vk::{Image, ImageUse};
 use super::gpu::Gpu;
 use super::scenes::Random;
 
-/// The frame, smaller than the image that it goes into.
+/// Size of the frame, smaller than the image.
 pub const SIZE: [u32; 2] = [21, 13];
-/// Where in the image.
+/// Position of the frame in the image.
 pub const OFFSET: [u32; 2] = [5, 2];
-/// The image.
+/// Size of the image.
 pub const IMAGE: [u32; 2] = [32, 17];
 
 /// Pixels as blending leaves them: premultiplied colour, transmittance.
@@ -32,12 +32,12 @@ pub fn pixels() -> Vec<[f32; 4]> {
         .collect()
 }
 
-/// Composes [`pixels`] as trained over an image of texels; returns what the image holds then.
+/// Composes [`pixels`] as trained over an image of `texels`. Returns the image's bytes.
 pub fn composed(gpu: &Gpu, format: vk::Format, texels: &[u8], behind: Background) -> Vec<u8> {
     composed_of(gpu, &pixels(), format, texels, (behind, ColorEncoding::AsTrained))
 }
 
-/// The same of other pixels, in another encoding.
+/// Same as [`composed`], but with given pixels and encoding.
 pub fn composed_of(
     gpu: &Gpu,
     pixels: &[[f32; 4]],
@@ -58,7 +58,7 @@ pub fn composed_of(
     gpu.read(&to, texels.len())
 }
 
-/// Checks every texel: inside of the frame against `expected`, outside it must be as it was.
+/// Checks every texel: `expected` inside the frame, unchanged outside.
 pub fn check(
     before: &[[f64; 4]],
     after: &[[f64; 4]],
@@ -69,7 +69,7 @@ pub fn check(
     check_each(before, after, behind, |_, _| tolerance, twin);
 }
 
-/// The same with a tolerance for each channel and expected number.
+/// Same as [`check`], but with a tolerance per channel and expected value.
 pub fn check_each(
     before: &[[f64; 4]],
     after: &[[f64; 4]],
@@ -101,16 +101,15 @@ pub fn check_each(
     }
 }
 
-/// Linear light that is not as bright as the photographs'.
+/// Exposure of the linear output.
 pub const EXPOSURE: f32 = 0.8;
-/// It.
 pub const LINEAR: ColorEncoding = ColorEncoding::LinearSrgb { exposure: EXPOSURE };
 
-/// Whether the result is opaque, for the twins.
+/// True if the result is opaque.
 pub fn is_opaque(behind: Background) -> bool {
     matches!(behind, Background::Color(_))
 }
 
-/// What lies behind, in all its forms.
+/// All kinds of background.
 pub const BEHIND: [Background; 3] =
     [Background::Color([0.2, 0.4, 0.7]), Background::Nothing, Background::Image];

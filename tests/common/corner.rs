@@ -1,4 +1,4 @@
-//! A corner of a room with patterned walls, as photographs that COLMAP finds cameras for.
+//! A corner of a room with patterned walls, whose photographs COLMAP can align.
 
 use ashsplat::scene::{Camera, Intrinsics, Photo};
 use glam::{Vec3, vec3};
@@ -6,14 +6,14 @@ use glam::{Vec3, vec3};
 /// Width and height, pixels.
 pub const SIZE: [u32; 2] = [480, 360];
 
-/// The camera of a walk along the corner, at a share of its length from 0 to 1.
+/// Camera on a walk along the corner, at `share` (0 to 1) of its length.
 pub fn camera(share: f32) -> Camera {
     let eye = vec3(1.6 * share - 1.6, 0.25 * (9.0 * share).sin(), 0.7 * share - 1.0);
     let intrinsics = Intrinsics::from_fov_x(0.85, SIZE[0], SIZE[1]);
     Camera::look_at(eye, vec3(0.9, 0.5, 3.0), Vec3::NEG_Y, intrinsics)
 }
 
-/// What it sees.
+/// Photograph that the camera takes.
 pub fn photograph(camera: &Camera) -> Photo {
     let world_from_camera = camera.camera_from_world.transpose();
     let eye = camera.position();
@@ -26,7 +26,7 @@ pub fn photograph(camera: &Camera) -> Photo {
     Photo { width: camera.width, height: camera.height, rgb }
 }
 
-/// Two walls and the floor: the nearest along the ray.
+/// Colour of the nearest of two walls and the floor along the ray.
 fn color(eye: Vec3, ray: Vec3) -> [u8; 3] {
     let walls = [(0, 2.0, 1, 2), (1, 1.4, 0, 2), (2, 4.0, 0, 1)];
     let hits = walls.into_iter().filter_map(|(axis, at, u, v)| {

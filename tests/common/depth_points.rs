@@ -9,17 +9,16 @@ use super::gpu::Gpu;
 use super::scenes::Random;
 use crate::reference::sparse_depth::Point;
 
-/// A picture's depths as the blending leaves them.
+/// Depth sums of a picture as the blending writes them.
 pub struct Depths {
     pub size: [usize; 2],
     /// Sum of weights z.
     pub sums: Vec<f32>,
-    /// T.
     pub transmittances: Vec<f32>,
 }
 
 impl Depths {
-    /// Some pixels are empty.
+    /// Random depths; some pixels are empty.
     pub fn random(random: &mut Random, size: [usize; 2]) -> Depths {
         let one = |random: &mut Random| match random.below(6) {
             0 => [0.0, 1.0],
@@ -40,7 +39,7 @@ impl Depths {
     }
 }
 
-/// Points all over a picture, some at its edges and some at integers.
+/// Points all over a picture, some at its edges and some at integer positions.
 pub fn random_points(random: &mut Random, count: usize, size: [usize; 2]) -> Vec<Point> {
     let place = |random: &mut Random, side: usize| {
         let last = (side - 1) as f64;
@@ -58,14 +57,14 @@ pub fn random_points(random: &mut Random, count: usize, size: [usize; 2]) -> Vec
         .collect()
 }
 
-/// As the engine has them.
+/// Converts points to the engine's type.
 pub fn points(all: &[Point]) -> Vec<DepthPoint> {
     let f = |x: f64| x as f32;
     let point = |p: &Point| DepthPoint { position_px: p.position_px.map(f), inverse_z: f(p.inverse_z) };
     all.iter().map(point).collect()
 }
 
-/// The weighted loss, and dL/dZ at each point.
+/// Returns the weighted loss and dL/dZ at each point.
 pub fn sparse_depth(gpu: &Gpu, depths: &Depths, all: &[Point], weight: f64) -> (f64, Vec<f64>) {
     let spec = sparse_depth::Spec { workgroup_size: gpu.workgroup(64), subgroup_size: gpu.subgroup() };
     let kernel = gpu.kernel::<sparse_depth::Interface>(&spec);
@@ -94,7 +93,7 @@ pub fn sparse_depth(gpu: &Gpu, depths: &Depths, all: &[Point], weight: f64) -> (
     (loss, gpu.read::<f32>(&gradients, all.len()).into_iter().map(f64::from).collect())
 }
 
-/// What is added to the depths' gradient, which was `before` everywhere, and the depths after that.
+/// Returns the sums added to a depth gradient that was `before` everywhere, and the depths afterwards.
 pub fn sparse_depth_gather(
     gpu: &Gpu,
     depths: &Depths,

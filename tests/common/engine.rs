@@ -1,4 +1,4 @@
-//! The twins' scenes and views as the engine's.
+//! Converts the twins' scenes and views to the engine's types.
 
 use std::sync::{Mutex, MutexGuard, OnceLock};
 
@@ -90,16 +90,16 @@ pub fn settings(view: &View) -> RenderSettings {
 pub fn renderer() -> MutexGuard<'static, Renderer> {
     static RENDERER: OnceLock<Mutex<Renderer>> = OnceLock::new();
     let renderer = RENDERER.get_or_init(|| Mutex::new(Renderer::new(context()).expect("a renderer")));
-    // A test that failed with it has not broken it.
+    // A failed test does not leave the renderer in a bad state.
     renderer.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
 }
 
-/// float32 to the twins' precision, flattened.
+/// Flattens float32 values as float64.
 pub fn widen<const N: usize>(values: &[[f32; N]]) -> Vec<f64> {
     values.as_flattened().iter().map(|&x| f64::from(x)).collect()
 }
 
-/// Gradients of each parameter and of the 2D means, without the pose's.
+/// Gradients of each parameter and of the 2D means, without the pose's gradient.
 pub fn derivatives(gradients: &Gradients) -> [&[f32]; 6] {
     let Gaussians { means, quats, log_scales, opacity_logits, sh, .. } = &gradients.parameters;
     [

@@ -6,10 +6,9 @@ use super::scenes::Random;
 use crate::reference::expose::{IDENTITY, Matrix};
 use crate::reference::picture_to_rows::{picture_to_rows, strip_index};
 
-/// The background of all of them.
 pub const BACKGROUND: [f32; 3] = [0.25, 0.5, 0.75];
 
-/// Random values in a picture's native layout, and the colours that they mean.
+/// Random values in a picture's native layout, and the colours that they encode.
 pub fn picture(random: &mut Random, size: [usize; 2], strips: bool) -> (Vec<f32>, Vec<[f64; 3]>) {
     let native: Vec<f32> = (0..values(size)).map(|_| random.unit() as f32).collect();
     let wide: Vec<f64> = native.iter().copied().map(f64::from).collect();
@@ -22,7 +21,7 @@ pub fn values([width, height]: [usize; 2]) -> usize {
     4 * Strips { width: width as u32, height: height as u32 }.values() as usize
 }
 
-/// Place of a pixel's channel in the native layout.
+/// Index of a pixel's channel in the native layout.
 pub fn place(size: [usize; 2], strips: bool, pixel: usize, channel: usize) -> usize {
     match strips {
         true => strip_index(channel, [pixel % size[0], pixel / size[0]], size),
@@ -36,7 +35,7 @@ pub fn colors(native: &[f32], size: [usize; 2], strips: bool) -> Vec<[f64; 3]> {
     (0..size[0] * size[1]).map(color).collect()
 }
 
-/// Matrices near the identity, each another one.
+/// Different matrices near the identity.
 pub fn matrices(random: &mut Random, count: usize) -> Vec<[[f32; 4]; 3]> {
     let near = |identity: f64, random: &mut Random| (identity + 0.3 * random.signed()) as f32;
     (0..count).map(|_| IDENTITY.map(|row| row.map(|x| near(x, random)))).collect()

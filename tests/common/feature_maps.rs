@@ -1,15 +1,15 @@
-//! Maps of features as kernels of LPIPS hold them: feature_map.glsl.
+//! Feature maps as the kernels of LPIPS store them: feature_map.glsl.
 
 use std::ops::Range;
 
 use crate::reference::convolve::Features;
 
-/// A map of two pictures.
+/// Shape of a map of two pictures.
 pub struct MapShape {
     pub channels: usize,
     pub height: usize,
     pub width: usize,
-    /// Rows that are kept; row y lies in slot y modulo this.
+    /// Number of rows stored; row y lies in slot y modulo this number.
     pub slots: usize,
     /// Columns of zeros on each side.
     pub margin: usize,
@@ -32,7 +32,7 @@ impl MapShape {
         ((picture * self.blocks() + block) * (self.slots + 1) + slot) * self.pitch() + self.margin + x
     }
 
-    /// Places of all texels beside the columns, and of the row of zeros.
+    /// Indices of all texels beside the columns, and of the row of zeros.
     pub fn margins(&self) -> impl Iterator<Item = usize> {
         let (pitch, width, margin, rows) = (self.pitch(), self.width, self.margin, self.slots + 1);
         (0..self.texels()).filter(move |at| {
@@ -42,7 +42,7 @@ impl MapShape {
     }
 }
 
-/// The last rows of two pictures.
+/// Packs the last rows of two pictures.
 pub fn pack(shape: &MapShape, pictures: &[Features; 2]) -> Vec<[f32; 4]> {
     let mut texels = vec![[0.0; 4]; shape.texels()];
     for (picture, features) in pictures.iter().enumerate() {
@@ -56,7 +56,7 @@ pub fn pack(shape: &MapShape, pictures: &[Features; 2]) -> Vec<[f32; 4]> {
     texels
 }
 
-/// Some rows of a picture: channel by channel, row by row.
+/// Unpacks some rows of a picture: channel by channel, row by row.
 pub fn unpack(shape: &MapShape, texels: &[[f32; 4]], picture: usize, rows: Range<usize>) -> Vec<f64> {
     let mut values = vec![];
     for c in 0..shape.channels {

@@ -1,4 +1,4 @@
-//! Splats of a random scene as the kernels behind the projection find them.
+//! Splats of a random scene as inputs of the kernels that follow the projection.
 
 use ashsplat::kernels::constants::{STATE_FIRST_SCENE_VISIBLE, STATE_INSTANCES, STATE_VISIBLE, STATE_WORDS};
 use ashsplat::kernels::forward::project;
@@ -13,7 +13,7 @@ use crate::reference::project as twin;
 use crate::reference::tiles::{touched, touches_by_pixels};
 use crate::reference::types::{ALPHA_MIN, Extent, Gaussian, Selection, Splat, View};
 
-/// Visible splats, in the precision that the blending sees, and on the device.
+/// Visible splats: on the host with the blending's precision, and on the device.
 pub struct Splats {
     pub splats: Vec<Splat>,
     pub mean2d_extent: Buffer,
@@ -22,7 +22,6 @@ pub struct Splats {
 }
 
 impl Splats {
-    /// Uploads splats.
     pub fn new(gpu: &Gpu, splats: Vec<Splat>) -> Splats {
         let SplatPlanes { mean2d_extent, conic_opacity, color_inverse_depth } = pack_splats(&splats);
         Splats {
@@ -34,9 +33,9 @@ impl Splats {
     }
 }
 
-/// What `forward/project` makes of the visible Gaussians of a scene.
+/// Output of `forward/project` for the visible Gaussians of a scene.
 pub struct Projected {
-    /// The twin's.
+    /// The twin's splats.
     pub expected: Vec<Splat>,
     pub mean2d_extent: Buffer,
     pub conic_opacity: Buffer,
@@ -47,18 +46,18 @@ pub struct Projected {
 }
 
 impl Projected {
-    /// Projects a scene. Each output has room for one more than the visible.
+    /// Projects a scene. Each output has one row more than there are visible Gaussians.
     pub fn new(gpu: &Gpu, gaussians: &[Gaussian], view: &View) -> Projected {
         Self::of(gpu, gaussians, view, false)
     }
 
-    /// The same of all Gaussians in the place of the visible ones, as other views may show them. `expected` has the visible.
+    /// Same as [`Self::new`], but all Gaussians are listed as visible. `expected` has only those that are.
     pub fn of_all(gpu: &Gpu, gaussians: &[Gaussian], view: &View) -> Projected {
         Self::of(gpu, gaussians, view, true)
     }
 
     fn of(gpu: &Gpu, gaussians: &[Gaussian], view: &View, may_be_unseen: bool) -> Projected {
-        // The degree may be below what is stored.
+        // The view's degree may be lower than the stored one.
         let (sh_degree, filter_3d) = (view.sh_degree, view.filter_3d > 0.0);
         let (dropout, z_record, tinted) =
             (view.drawn.dropout.is_some(), view.drawn.z_record, view.drawn.tint.is_some());
@@ -86,12 +85,12 @@ impl Projected {
         for i in (0..gaussians.len()).filter(|&i| Selection::selects(i)) {
             mask[(first_of_scene + i) / 32] |= 1u32 << ((first_of_scene + i) % 32);
         }
-        // What is left out at random is left out by culling.
+        // Culling applies the dropout.
         let visible: Vec<u32> =
             (0..gaussians.len() as u32).filter(|&i| may_be_unseen || splats[i as usize].is_some()).collect();
         let (room, count) = (room(gaussians.len()), visible.len());
         let parameters = gpu.buffer("parameters", &pack_filtered(gaussians, room, view.filter_3d));
-        // Two in front that do not belong to this range.
+        // Two entries at the front belong to another range.
         let list = gpu.buffer("visible_list", &[&[UNTOUCHED; 2], visible.as_slice()].concat());
         let ranges = gpu.buffer("visible_ranges", &[[0; 4], [2, 2 + count as u32, 0, 0]]);
         let [mean2d_extent, conic_opacity, color_inverse_depth, footprints] =
@@ -127,7 +126,7 @@ impl Projected {
             let own = 2 * bytes as usize / 4..(2 + count) * bytes as usize / 4;
             let others = words[..own.start].iter().chain(&words[own.end..]);
             assert!(others.copied().all(|word| word == UNTOUCHED), "{} outside the range", buffer.name());
-            // On its own: devices want ranges to begin at multiples of up to 256 bytes.
+            // A buffer of its own, because devices align ranges to up to 256 bytes.
             gpu.buffer("own", &words[own.start..])
         };
         Projected {
@@ -141,7 +140,7 @@ impl Projected {
         }
     }
 
-    /// The splats with what the kernels behind the projection see of them: mean, conic, opacity and radius.
+    /// Splats as the kernels after the projection read them: mean, conic, opacity and radius.
     pub fn splats(&self, gpu: &Gpu, view: &View) -> Vec<Splat> {
         let count = self.expected.len();
         let means = gpu.read::<[f32; 4]>(&self.mean2d_extent, count);
@@ -157,7 +156,7 @@ impl Projected {
     }
 }
 
-/// About `count` Gaussians of a random scene that are visible.
+/// About `count` visible Gaussians of a random scene.
 pub fn visible_scene(count: usize, view: &View) -> Vec<Gaussian> {
     let mut random = Random::new(count as u64);
     let mut gaussians = Vec::new();
@@ -169,8 +168,8 @@ pub fn visible_scene(count: usize, view: &View) -> Vec<Gaussian> {
     gaussians
 }
 
-/// Fewest and most tiles that a splat may be counted with: those with a pixel of α ≥ 1/255, and those that the
-/// ellipse meets when it is a little larger.
+/// Fewest and most tiles that may be counted for a splat: those with a pixel of α ≥ 1/255, and those that a slightly
+/// larger ellipse meets.
 pub fn tile_bounds(splat: &Splat, view: &View) -> (u32, u32) {
     if view.extent == Extent::Reference {
         let exactly = touched(splat, view).len() as u32;
@@ -179,12 +178,12 @@ pub fn tile_bounds(splat: &Splat, view: &View) -> (u32, u32) {
     let most = touched_at_most(splat, view).len() as u32;
     let [columns, rows] = view.tiles();
     let tiles = (0..rows).flat_map(|y| (0..columns).map(move |x| [x, y]));
-    // A pixel within the rounding of float32 at the threshold may count or not.
+    // Rounding decides about pixels at the threshold.
     let surely = Splat { opacity: splat.opacity * (1.0 - 1e-5), ..splat.clone() };
     (tiles.filter(|tile| touches_by_pixels(&surely, *tile)).count() as u32, most)
 }
 
-/// A splat that reaches as far as the margins of the projection do.
+/// A splat enlarged by the projection's margins.
 pub fn widened(splat: &Splat) -> Splat {
     let opacity = splat.opacity.max(ALPHA_MIN) * 1.005;
     Splat {
@@ -195,8 +194,8 @@ pub fn widened(splat: &Splat) -> Splat {
     }
 }
 
-/// All the tiles that a splat may be listed in: where it reaches with the margins of the projection, up to a tenth of
-/// a pixel away.
+/// All tiles whose lists may contain a splat, with the projection's margins and up to a tenth of a pixel of
+/// displacement.
 pub fn touched_at_most(splat: &Splat, view: &View) -> Vec<u32> {
     let mut tiles = Vec::new();
     for (dx, dy) in [(0.0, 0.0), (0.1, 0.0), (-0.1, 0.0), (0.0, 0.1), (0.0, -0.1)] {
@@ -213,7 +212,7 @@ pub fn state(gpu: &Gpu, visible: usize, instances: usize) -> Buffer {
     state_of_scenes(gpu, visible, visible, instances)
 }
 
-/// Frame state of several scenes, of which the first one has so many of the visible Gaussians.
+/// Frame state of several scenes. The first scene has `first_scene` of the visible Gaussians.
 pub fn state_of_scenes(gpu: &Gpu, first_scene: usize, visible: usize, instances: usize) -> Buffer {
     let mut words = vec![0; STATE_WORDS as usize];
     words[STATE_VISIBLE as usize] = visible as u32;
@@ -222,7 +221,7 @@ pub fn state_of_scenes(gpu: &Gpu, first_scene: usize, visible: usize, instances:
     gpu.buffer("state", &words)
 }
 
-/// A permutation, as a depth sort would give.
+/// A random permutation, in place of a depth sort.
 pub fn shuffled(count: usize) -> Vec<u32> {
     let mut order: Vec<u32> = (0..count as u32).collect();
     let mut random = Random::new(count as u64);

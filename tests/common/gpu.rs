@@ -1,4 +1,4 @@
-//! Running single kernels: buffers from slices and back, and the check that validation stayed silent.
+//! Runs single kernels: uploads and reads buffers, and checks that validation stays silent.
 
 use std::sync::OnceLock;
 
@@ -9,42 +9,41 @@ use bytemuck::Pod;
 use super::machine::{self, Machine};
 use super::{assert_silent, context, options};
 
-/// What outputs hold before a kernel runs, to see what it writes.
+/// Initial word of every output, so that tests see what a kernel writes.
 pub const UNTOUCHED: u32 = 0xDEAD_BEEF;
 
-/// The shared device. Dropping it at the end of a test fails the test if validation has said anything.
+/// The shared device. Its drop at the end of a test fails the test if there are validation messages.
 pub struct Gpu {
-    /// The device.
     pub context: &'static Context,
-    /// What runs kernels by [`Gpu::dispatch`].
+    /// Runs the kernels of [`Gpu::dispatch`].
     machine: Machine,
-    /// What is told to kernels of it.
+    /// Limits that kernels are built for.
     limits: Limits,
 }
 
 impl Gpu {
-    /// The device that all tests share, or the machine that runs this test.
+    /// Uses the device that all tests share, or the machine that runs this test.
     pub fn new() -> Gpu {
         Gpu::of(context())
     }
 
-    /// A device, or the machine that runs this test, with buffers on that device.
+    /// Uses this device's buffers, and the machine that runs this test.
     pub fn of(context: &'static Context) -> Gpu {
         let machine = machine::current();
         Gpu { context, machine, limits: machine.limits(context.limits()) }
     }
 
-    /// Whether an interpreter stands in the device's place.
+    /// True if an interpreter runs the kernels.
     pub fn is_interpreted(&self) -> bool {
         matches!(self.machine, Machine::Interpreter { .. })
     }
 
-    /// Limits of the device or of the machine in its place.
+    /// Limits of the machine that runs the kernels.
     pub fn limits(&self) -> &Limits {
         &self.limits
     }
 
-    /// Whether kernels can read texels here; says what is skipped where they cannot.
+    /// True if kernels can read texels on this device; prints the skipped test otherwise.
     pub fn has_texels(&self, skipped: &str) -> bool {
         let has = self.context.limits().max_texels > 0;
         if !has {
@@ -53,13 +52,13 @@ impl Gpu {
         has
     }
 
-    /// The forms of the loss that this device has.
+    /// Forms of the loss that this device supports.
     pub fn windowings(&self) -> impl Iterator<Item = Windowing> {
         let sweeps = self.has_texels("the loss by sweeps").then_some(Windowing::Sweeps);
         std::iter::once(Windowing::Blocks).chain(sweeps)
     }
 
-    /// The same device without push descriptors, and so without texels: kernels in their form that reads storage buffers.
+    /// The same device without push descriptors and hence without texels: kernels read storage buffers instead.
     pub fn without_texels() -> Gpu {
         static CONTEXT: OnceLock<Context> = OnceLock::new();
         // Called each time: `options` makes the calling test the only one with such a device.
@@ -68,20 +67,20 @@ impl Gpu {
         Gpu::of(CONTEXT.get_or_init(|| plain().expect("a device")))
     }
 
-    /// A device that nobody checks, for thousands of steps of which only the result matters. Checks take as long as such steps;
-    /// shorter trials run the same kernels on the shared device.
+    /// A device without validation, for thousands of steps whose result alone matters. Validation would double their
+    /// time, and shorter tests check the same kernels.
     pub fn unchecked() -> Gpu {
         static CONTEXT: OnceLock<Context> = OnceLock::new();
         let plain = || Context::new(&ContextOptions::default());
         Gpu::of(CONTEXT.get_or_init(|| plain().expect("a device")))
     }
 
-    /// The subgroup size of the kernels.
+    /// Subgroup size of the kernels.
     pub fn subgroup(&self) -> u32 {
         self.limits.subgroup_size
     }
 
-    /// The largest possible workgroup up to a size.
+    /// Largest workgroup size up to `preferred`.
     pub fn workgroup(&self, preferred: u32) -> u32 {
         match self.machine {
             Machine::Interpreter { workgroup, .. } => self.limits.workgroup_size(preferred.max(workgroup)),
@@ -89,7 +88,7 @@ impl Gpu {
         }
     }
 
-    /// A buffer with these contents.
+    /// Creates a buffer with these contents.
     pub fn buffer<T: Pod>(&self, name: &'static str, values: &[T]) -> Buffer {
         let bytes: &[u8] = bytemuck::cast_slice(values);
         let buffer = self.allocate(name, bytes.len() as u64);
@@ -99,18 +98,18 @@ impl Gpu {
         buffer
     }
 
-    /// A buffer of a number of elements, each word [`UNTOUCHED`].
+    /// Creates a buffer of `count` elements, each word [`UNTOUCHED`].
     pub fn untouched<T: Pod>(&self, name: &'static str, count: usize) -> Buffer {
         let words = (count * size_of::<T>()).div_ceil(4).max(4);
         self.buffer(name, &vec![UNTOUCHED; words])
     }
 
-    /// A buffer of zeros.
+    /// Creates a buffer of zeros.
     pub fn zeros<T: Pod>(&self, name: &'static str, count: usize) -> Buffer {
         self.buffer(name, &vec![0_u8; (count * size_of::<T>()).next_multiple_of(4).max(16)])
     }
 
-    /// The first `count` elements of a buffer.
+    /// Reads the first `count` elements of a buffer.
     pub fn read<T: Pod>(&self, buffer: &Buffer, count: usize) -> Vec<T> {
         if count == 0 {
             return Vec::new();
@@ -120,7 +119,6 @@ impl Gpu {
         bytemuck::pod_collect_to_vec(&bytes)
     }
 
-    /// Compiles a kernel.
     pub fn kernel<K: KernelInterface>(&self, spec: &K::Spec) -> Kernel<K> {
         Kernel::new(self.context, spec).expect(K::NAME)
     }
@@ -135,7 +133,7 @@ impl Gpu {
             .expect("a submission");
     }
 
-    /// Runs a kernel once. Tests that call it can run on every [`Machine`].
+    /// Runs a kernel once, on the test's [`Machine`].
     pub fn dispatch<K: KernelInterface>(
         &self,
         spec: &K::Spec,
@@ -146,7 +144,7 @@ impl Gpu {
         self.dispatch_each::<K>(spec, bind, [*push], workgroups);
     }
 
-    /// Runs a kernel several times, with barriers between.
+    /// Runs a kernel several times, with barriers in between.
     pub fn dispatch_each<K: KernelInterface>(
         &self,
         spec: &K::Spec,
@@ -190,7 +188,7 @@ impl Drop for Gpu {
     }
 }
 
-/// Sizes at which a kernel that works on blocks may go wrong.
+/// Element counts around multiples of a kernel's block size.
 pub fn sizes(block: usize) -> Vec<usize> {
     vec![0, 1, 2, block - 1, block, block + 1, 2 * block - 1, 3 * block + 7, 7 * block + block / 2]
 }

@@ -6,7 +6,7 @@ use ashsplat::kernels::loss::inverse_depth_l1::{Bind, Interface, Push, Spec};
 use super::exposures::{place, values};
 use super::gpu::Gpu;
 
-/// The weighted loss, and what was added to the fourth plane of a gradient that was `before` everywhere.
+/// Returns the weighted loss, and the sums added to the fourth plane of a gradient that was `before` everywhere.
 pub fn inverse_depth_l1(
     gpu: &Gpu,
     depth: &[f32],

@@ -1,4 +1,4 @@
-//! How the kernels see Gaussians, cameras and splats (documented in the shaders and `constants.glsl`).
+//! Layout of Gaussians, cameras and splats for the kernels (documented in the shaders and `constants.glsl`).
 
 use ashsplat::kernels::blocks::CameraBlock;
 use ashsplat::kernels::constants::{
@@ -10,18 +10,18 @@ use crate::reference::project::slope_limits;
 use crate::reference::tiles::half_extent_px;
 use crate::reference::types::{Gaussian, Splat, View};
 
-/// vec4 planes for coefficients stored.
+/// Number of vec4 planes for `coefficients` SH coefficients.
 pub fn planes(coefficients: usize) -> usize {
     PLANE_SH as usize + (3 * coefficients).div_ceil(4)
 }
 
-/// For how many Gaussians planes have room that are made for `count` of them and a few more.
+/// Capacity of the planes for `count` Gaussians and a few more.
 pub fn room(count: usize) -> usize {
     (count + 3).next_multiple_of(256)
 }
 
-/// Where plane `plane` of the `index`-th Gaussian lies: geometry and each SH degree for itself, in rows of eight Gaussians.
-/// `ScenePlan::place` is compared with it, and what the kernels read of what is packed with it.
+/// Index of a Gaussian in plane `plane`. Geometry and each SH degree lie apart, in rows of eight Gaussians. Tests
+/// compare `ScenePlan::place` with it.
 pub fn place(plane: u32, index: usize, room: usize) -> usize {
     let (first, planes) = match plane {
         0..3 => (0, 3),
@@ -34,7 +34,7 @@ pub fn place(plane: u32, index: usize, room: usize) -> usize {
     first * room + (index / 8 * planes + plane as usize - first) * 8 + index % 8
 }
 
-/// Gaussians as planes.
+/// Packs Gaussians into planes.
 pub fn pack(gaussians: &[Gaussian], room: usize) -> Vec<[f32; 4]> {
     let coefficients = gaussians.first().map_or(16, |g| g.sh.len());
     let mut packed = vec![[0.0; 4]; planes(coefficients) * room];
@@ -53,14 +53,14 @@ pub fn pack(gaussians: &[Gaussian], room: usize) -> Vec<[f32; 4]> {
     packed
 }
 
-/// As [`pack`], all with a 3D filter of this size; 0 for none.
+/// Same as [`pack`], but all Gaussians have a 3D filter of this size; 0 for none.
 pub fn pack_filtered(gaussians: &[Gaussian], room: usize, size: f64) -> Vec<[f32; 4]> {
     let mut packed = pack(gaussians, room);
     (0..gaussians.len()).for_each(|i| packed[place(PLANE_LOG_SCALE, i, room)][3] = size as f32);
     packed
 }
 
-/// The word of ANTIALIAS_ bits.
+/// Word with the ANTIALIAS_ bits.
 pub fn antialias_word(view: &View) -> u32 {
     let bit = |on: bool, bit: u32| if on { bit } else { 0 };
     bit(view.antialias, ANTIALIAS_COMPENSATED) | bit(view.antialias_detached, ANTIALIAS_DETACHED)
@@ -87,7 +87,7 @@ pub fn unpack(packed: &[[f32; 4]], room: usize, count: usize, coefficients: usiz
 }
 
 /// The uniform block of the kernels that project.
-// Views know no members that are added to the block, which are 0 then.
+// Views lack some members of the block; those are 0.
 #[allow(clippy::needless_update)]
 pub fn camera_block(view: &View) -> CameraBlock {
     let [[x0, x1], [y0, y1]] = slope_limits(view);
@@ -126,7 +126,7 @@ pub fn camera_block(view: &View) -> CameraBlock {
     }
 }
 
-/// The blocks of several scenes behind each other, as the kernels over all scenes read them.
+/// Camera blocks of several scenes in a row, as the kernels over all scenes read them.
 #[allow(dead_code)]
 pub fn scene_blocks(blocks: &[CameraBlock]) -> Vec<[u32; CAMERA_BLOCK_WORDS as usize]> {
     let padded = |block: &CameraBlock| {
@@ -138,7 +138,7 @@ pub fn scene_blocks(blocks: &[CameraBlock]) -> Vec<[u32; CAMERA_BLOCK_WORDS as u
     blocks.iter().map(padded).collect()
 }
 
-/// The cut-outs of a view behind two that no culling may read, and the numbers of the first and of all.
+/// Cut-outs of a view, behind two that culling must not read. Also the index of the first and their number.
 #[allow(dead_code)]
 pub fn cut_outs(view: &View) -> (Vec<[f32; 4]>, [u32; 2]) {
     let mut words = vec![[f32::NAN; 4]; 8];
@@ -162,7 +162,7 @@ pub fn extent_word(view: &View) -> u32 {
     }
 }
 
-/// Splats as the blending reads them.
+/// Splats as the blending kernels read them.
 #[derive(Clone, Debug, Default)]
 pub struct SplatPlanes {
     pub mean2d_extent: Vec<[f32; 4]>,
@@ -170,7 +170,7 @@ pub struct SplatPlanes {
     pub color_inverse_depth: Vec<[f32; 4]>,
 }
 
-/// Packs splats, rounding to float32; the extents a little wider, as the projection leaves them.
+/// Packs splats, rounded to float32. The extents are slightly widened, as the projection does it.
 pub fn pack_splats(splats: &[Splat]) -> SplatPlanes {
     let f = |x: f64| x as f32;
     let mut planes = SplatPlanes::default();
@@ -185,7 +185,7 @@ pub fn pack_splats(splats: &[Splat]) -> SplatPlanes {
     planes
 }
 
-/// What the twins must work on to see the same numbers as the kernels: every value rounded to float32.
+/// Rounds every value to float32, so that the twins see the same numbers as the kernels.
 pub fn rounded(splats: &[Splat]) -> Vec<Splat> {
     let planes = pack_splats(splats);
     let f = |x: f32| f64::from(x);

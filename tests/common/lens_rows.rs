@@ -3,15 +3,15 @@
 use super::scenes::Random;
 use crate::reference::lens_effects::{Rows, squares_of_radii};
 
-/// Where the principal point of all pictures is, as a share of their size.
+/// Principal point of all pictures, as a share of their size.
 const CENTER: [f32; 2] = [0.4, 0.55];
 
-/// Parameters near none, each others.
+/// Random parameters near zero.
 pub fn lenses(random: &mut Random, count: usize) -> Vec<[[f32; 4]; 3]> {
     (0..count).map(|_| [[0.0; 4]; 3].map(|row| row.map(|_: f32| (0.4 * random.signed()) as f32))).collect()
 }
 
-/// The principal point, and one over the square of half the diagonal, as the kernels have them; the squares of radii.
+/// Returns the principal point, one over the square of half the diagonal, and the squared radii.
 pub fn plane([width, height]: [u32; 2]) -> ([f32; 2], f32, Vec<f64>) {
     let center = [CENTER[0] * width as f32, CENTER[1] * height as f32];
     let inverse_square = 4.0 / (width * width + height * height) as f32;

@@ -1,4 +1,4 @@
-//! A data set of distorting lenses.
+//! A data set of lenses with distortion.
 
 // In a test, an unwrap is an assertion.
 #![allow(clippy::unwrap_used)]
@@ -30,7 +30,7 @@ pub fn cameras() -> Vec<ColmapCamera> {
     (1..).zip(models).map(camera).collect()
 }
 
-/// A smooth picture without symmetry, of any size.
+/// A smooth picture without symmetry.
 fn picture(width: u32, height: u32) -> Photo {
     let pixel = |index: u32| {
         let (x, y) = ((index % width) as f32, (index / width) as f32);
@@ -40,7 +40,7 @@ fn picture(width: u32, height: u32) -> Photo {
     Photo { width, height, rgb: (0..width * height).flat_map(pixel).collect() }
 }
 
-/// A data set with one photo of each camera, all from one place.
+/// Writes a data set with one photo per camera, all from the same pose.
 pub fn write(folder: &Path) {
     std::fs::create_dir_all(folder.join("images")).unwrap();
     let cameras = cameras();

@@ -1,4 +1,4 @@
-//! The kernels of the loss with their inputs on the device.
+//! The kernels of the loss, with their inputs on the device.
 
 use ashsplat::kernels::loss::{ssim_backward, ssim_backward_sweep, ssim_forward, ssim_forward_sweep};
 use ashsplat::loss::{Windowing, photo_on_device};
@@ -14,16 +14,16 @@ pub const BACKGROUND: [f64; 3] = [0.25, 0.5, 0.75];
 /// A rendered picture and a photograph.
 pub struct Pictures {
     pub size: [u32; 2],
-    /// As the blending leaves it: colour without background, transmittance.
+    /// As the blending writes it: colour without background, transmittance.
     pub accumulated: Vec<[f32; 4]>,
     /// RGBA8.
     pub photo: Vec<u32>,
-    /// Whether the photograph's fourth byte is a mask.
+    /// True if the photograph's fourth byte is a mask.
     pub masked: bool,
 }
 
 impl Pictures {
-    /// Random ones with structure: SSIM is neither 0 nor 1.
+    /// Random pictures with structure, so that SSIM is neither 0 nor 1.
     pub fn random(size: [u32; 2]) -> Pictures {
         let mut random = Random::new(u64::from(size[0]) << 32 | u64::from(size[1]));
         let count = (size[0] * size[1]) as usize;
@@ -42,7 +42,7 @@ impl Pictures {
         Pictures { size, accumulated, photo, masked: false }
     }
 
-    /// The same with a mask of blocks and single pixels, which leaves about half of them.
+    /// Same as [`Self::random`], but a mask of blocks and single pixels leaves about half of the pixels.
     pub fn masked(size: [u32; 2]) -> Pictures {
         let mut pictures = Pictures { masked: true, ..Pictures::random(size) };
         let mut random = Random::new(7 + u64::from(size[0]));
@@ -58,7 +58,7 @@ impl Pictures {
         pictures
     }
 
-    /// Whether a pixel counts.
+    /// True if the mask keeps a pixel.
     pub fn counts(&self, pixel: usize) -> bool {
         !self.masked || self.photo[pixel] >> 24 != 0
     }
@@ -83,7 +83,7 @@ impl Pictures {
         Strips { width, height }
     }
 
-    /// The rendered picture as the loss wants it.
+    /// The rendered picture in the layout of this form of the loss.
     pub fn rendered(&self, windowing: Windowing) -> Vec<f32> {
         let composited = |t: &[f32; 4]| [0, 1, 2].map(|c| t[c] + t[3] * BACKGROUND[c] as f32);
         match windowing {
@@ -92,13 +92,13 @@ impl Pictures {
         }
     }
 
-    /// The photograph as the loss wants it.
+    /// The photograph in the layout of this form of the loss.
     pub fn photo(&self, windowing: Windowing) -> Vec<u8> {
         let [width, height] = self.size;
         photo_on_device(windowing, width, height, self.masked, bytemuck::cast_slice(&self.photo).to_vec())
     }
 
-    /// Words of the gradient.
+    /// Number of words of the gradient.
     pub fn gradient_words(&self, windowing: Windowing) -> usize {
         match windowing {
             Windowing::Blocks => 4 * self.pixels(),
@@ -106,7 +106,7 @@ impl Pictures {
         }
     }
 
-    /// The gradient per pixel, with the fourth component of blocks.
+    /// The gradient per pixel; the fourth component is only that of blocks.
     pub fn gradient(&self, windowing: Windowing, words: &[f32]) -> Vec<[f32; 4]> {
         match windowing {
             Windowing::Blocks => words.as_chunks::<4>().0.to_vec(),
@@ -120,13 +120,13 @@ impl Pictures {
         }
     }
 
-    /// Workgroups: blocks of 16×16 and the channel.
+    /// Workgroup counts: blocks of 16×16, and channels.
     pub fn grid(&self) -> [u32; 3] {
         [self.size[0].div_ceil(16), self.size[1].div_ceil(16), 3]
     }
 }
 
-/// Which kernels compute the window, and how much one invocation does.
+/// Kernels that compute the window, and the work of one invocation.
 #[derive(Clone, Copy, Debug)]
 pub enum Window {
     Block { strip: u32 },
@@ -141,7 +141,7 @@ impl Window {
         }
     }
 
-    /// Words of the derivatives.
+    /// Number of words of the derivatives.
     pub fn derivative_words(self, pictures: &Pictures) -> usize {
         match self {
             Self::Block { .. } => 9 * pictures.pixels(),
@@ -149,7 +149,7 @@ impl Window {
         }
     }
 
-    /// Where the derivative by moment k is, a word.
+    /// Index of the word with the derivative by moment `k`.
     pub fn derivative_place(self, pictures: &Pictures, channel: usize, pixel: usize, k: usize) -> usize {
         let place = match self {
             Self::Block { .. } => channel * pictures.pixels() + pixel,
@@ -161,7 +161,7 @@ impl Window {
         3 * place + k
     }
 
-    /// Derivatives of what is below the picture, in a strip: read, and 0.
+    /// Indices of the derivatives below the picture in a strip. Kernels read them, and they are 0.
     pub fn derivatives_below(self, pictures: &Pictures) -> Vec<usize> {
         if let Self::Block { .. } = self {
             return Vec::new();
@@ -174,7 +174,7 @@ impl Window {
         places.flat_map(|place| [place, place + 1, place + 2]).collect()
     }
 
-    /// Partial sums of a channel.
+    /// Number of partial sums of a channel.
     pub fn partials(self, pictures: &Pictures) -> usize {
         let [width, height] = pictures.size;
         match self {
@@ -184,7 +184,7 @@ impl Window {
     }
 }
 
-/// Runs the forward kernel: derivatives of SSIM per channel and pixel, and partial sums.
+/// Runs the forward kernel. Returns derivatives of SSIM per channel and pixel, and partial sums.
 pub fn forward(gpu: &Gpu, pictures: &Pictures, window: Window) -> (Buffer, Buffer) {
     let rendered = &gpu.buffer("rendered", &pictures.rendered(window.windowing()));
     let photo = &gpu.buffer("photo", &pictures.photo(window.windowing()));
@@ -232,10 +232,10 @@ pub fn forward(gpu: &Gpu, pictures: &Pictures, window: Window) -> (Buffer, Buffe
     (derivatives, loss_partials)
 }
 
-/// Factor of the loss.
+/// Weight of the loss.
 pub const WEIGHT: f32 = 0.7;
 
-/// Runs the backward kernel; [`WEIGHT`] dL/d(r, g, b) and a fourth component that it does not write.
+/// Runs the backward kernel. Returns [`WEIGHT`] dL/d(r, g, b) and a fourth component that it does not write.
 pub fn backward(
     gpu: &Gpu,
     pictures: &Pictures,
@@ -280,7 +280,7 @@ pub fn backward(
                 photo,
                 derivatives,
                 image_gradient: &image_gradient,
-                // Not touched without partial sums.
+                // Unused without partial sums.
                 loss_partials: derivatives,
                 losses: &image_gradient,
             };
@@ -303,8 +303,8 @@ pub fn backward(
     pictures.gradient(window.windowing(), &gpu.read::<f32>(&image_gradient, words))
 }
 
-/// Image sizes at which blocks and apron may go wrong.
+/// Image sizes around the block and apron sizes.
 pub const SIZES: [[u32; 2]; 8] = [[1, 1], [5, 3], [16, 16], [17, 5], [15, 33], [31, 48], [64, 10], [90, 70]];
 
-/// Columns of one invocation that sweeps.
+/// Columns per invocation of the sweeping kernels.
 pub const SWEEPS: [u32; 3] = [3, 7, 48];

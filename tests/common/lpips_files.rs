@@ -1,4 +1,4 @@
-//! Files of weights of LPIPS, by a formula.
+//! Files of LPIPS weights, computed by a formula.
 
 use std::path::Path;
 
@@ -8,7 +8,7 @@ use crate::reference::lpips::{ALEXNET, Step, VGG16, formula};
 #[derive(Clone, Debug)]
 pub struct Tensor {
     pub name: String,
-    /// F32, or what it pretends to be.
+    /// F32, or another kind that the header claims.
     pub kind: &'static str,
     pub shape: Vec<usize>,
     pub values: Vec<f32>,
@@ -20,12 +20,12 @@ impl Tensor {
     }
 }
 
-/// Weights of AlexNet and its heads; the formula begins at a tag.
+/// Weights of AlexNet and its heads. The formula's tags begin at `tag`.
 pub fn alexnet(tag: u32) -> Vec<Tensor> {
     tensors(&ALEXNET, &[0, 3, 6, 8, 10], tag)
 }
 
-/// Weights of VGG16 and its heads; the formula begins at a tag.
+/// Weights of VGG16 and its heads. The formula's tags begin at `tag`.
 pub fn vgg16(tag: u32) -> Vec<Tensor> {
     tensors(&VGG16, &[0, 2, 5, 7, 10, 12, 14, 17, 19, 21, 24, 26, 28], tag)
 }
@@ -48,7 +48,7 @@ fn tensors(steps: &[Step], indices: &[usize], tag: u32) -> Vec<Tensor> {
     tensors
 }
 
-/// Writes them as safetensors.
+/// Writes tensors as safetensors.
 pub fn write(path: &Path, tensors: &[Tensor]) {
     let mut header = serde_json::Map::new();
     let mut data: Vec<u8> = vec![];

@@ -1,4 +1,4 @@
-//! What runs the kernels of a test: the device, an interpreter, or both, which then must agree.
+//! Machines that run a test's kernels: the device, an interpreter, or both, whose results must agree.
 
 use std::cell::{Cell, RefCell};
 use std::collections::HashMap;
@@ -8,16 +8,15 @@ use ashsplat::tuning::Tuning;
 use ashsplat::vk::{Buffer, Context, KernelInterface, Limits};
 use ashsplat_interpreter::{Dispatch, Fault, Order, Program};
 
-/// Kernels that read shared memory which nobody has written, and drop what they have read: sums of regions that no Gaussian hits.
-/// If they kept it, results would be NaN.
+/// Kernels that read unwritten shared memory and drop the value: the sums of regions that no Gaussian hits. If they
+/// used it, results would be NaN.
 const READ_UNWRITTEN: [&str; 1] = ["backward/blend_backward"];
 
-/// What runs kernels.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Machine {
     /// The device.
     Device,
-    /// The interpreter, with so many lanes, and so many invocations of a workgroup where a test asks for less.
+    /// The interpreter with this many lanes, and at least this many invocations per workgroup.
     Interpreter { lanes: u32, workgroup: u32 },
     /// Both, with the device's lanes. Words agree to the bit; floats within |a - b| <= `error` * (1 + |b|).
     Both { error: f32 },
@@ -31,7 +30,7 @@ thread_local! {
 
 type Programs = HashMap<(&'static str, u32, Vec<(u32, u32)>), Rc<Program>>;
 
-/// Runs tests of kernels, or parts of them, with another machine than the device.
+/// Runs tests of kernels, or parts of them, on another machine than the device.
 pub fn on(machine: Machine, tests: impl FnOnce()) {
     struct Back(Machine);
     impl Drop for Back {
@@ -43,13 +42,13 @@ pub fn on(machine: Machine, tests: impl FnOnce()) {
     tests();
 }
 
-/// That of the calling thread.
+/// Machine of the calling thread.
 pub fn current() -> Machine {
     MACHINE.get()
 }
 
 impl Machine {
-    /// What kernels are told of it: of an AMD GPU where it is the interpreter, which has other numbers of lanes than the device.
+    /// Limits that kernels are built for. The interpreter uses those of an AMD GPU with its own number of lanes.
     pub fn limits(self, device: &Limits) -> Limits {
         let mut limits = device.clone();
         if let Self::Interpreter { lanes, .. } = self {
@@ -67,7 +66,7 @@ impl Machine {
     }
 }
 
-/// (constant_id, bits) of a kernel, the largest subgroups that fit into its workgroups.
+/// The interpreter's program of a kernel, with the largest subgroups that fit into its workgroups.
 fn program<K: KernelInterface>(spec: &K::Spec, lanes: u32) -> Rc<Program> {
     let invocations: u32 = K::workgroup_size(spec).iter().product();
     let lanes = K::subgroup_size(spec).unwrap_or_else(|| lanes.min(1 << invocations.trailing_zeros()));
@@ -78,10 +77,10 @@ fn program<K: KernelInterface>(spec: &K::Spec, lanes: u32) -> Rc<Program> {
     })
 }
 
-/// The words of buffers by their bindings.
+/// Words of buffers by binding.
 pub type Words = Vec<(u32, Vec<u32>)>;
 
-/// The words of a dispatch's buffers.
+/// Downloads the words of a dispatch's buffers.
 fn words<K: KernelInterface>(context: &Context, bind: &K::Bind<'_>) -> Words {
     let word = |buffer: &Buffer| {
         let bytes = context.download(&buffer.range(0, buffer.bytes())).expect("a download");
@@ -91,7 +90,7 @@ fn words<K: KernelInterface>(context: &Context, bind: &K::Bind<'_>) -> Words {
     K::BINDINGS.iter().zip(buffers.as_ref()).map(|(info, buffer)| (info.binding, word(buffer))).collect()
 }
 
-/// Runs a program over words, in an order of workgroups and subgroups that is another for each dispatch.
+/// Runs a program over words. Each dispatch uses another order of workgroups and subgroups.
 pub fn run(
     program: &Program,
     name: &str,
@@ -105,7 +104,7 @@ pub fn run(
     program.run(&Dispatch { workgroups, push, order, accepts_unwritten_shared }, words)
 }
 
-/// Runs one dispatch by the interpreter, over the contents of the device's buffers.
+/// Interprets one dispatch, over the contents of the device's buffers.
 pub fn interpret<K: KernelInterface>(
     context: &Context,
     lanes: u32,
@@ -127,7 +126,7 @@ pub fn interpret<K: KernelInterface>(
     }
 }
 
-/// Runs one dispatch by the interpreter and then `device`, and compares what both leave in the buffers.
+/// Interprets one dispatch, runs `device`, and compares the buffers that both write.
 pub fn compare<K: KernelInterface>(
     context: &Context,
     error: f32,

@@ -1,6 +1,6 @@
-//! What the tests share.
+//! Code that the tests share.
 
-// Each test binary uses a part of it.
+// Each test binary uses only a part of it.
 #![allow(dead_code, unused_imports)]
 
 pub mod adam;
@@ -33,12 +33,12 @@ pub mod tiles;
 pub use device::{assert_silent, bounded, context, count_hits, options};
 use std::path::{Path, PathBuf};
 
-/// Where the golden vectors and data sets are: `$ASHSPLAT_SHARED`, else next to the repository.
+/// Folder of the golden vectors and data sets: `$ASHSPLAT_SHARED`, or next to the repository.
 pub fn shared_folder() -> PathBuf {
     std::env::var_os("ASHSPLAT_SHARED").map_or_else(|| root().join("../shared"), PathBuf::from)
 }
 
-/// The project's top folder.
+/// Root folder of the repository.
 pub fn root() -> PathBuf {
     let package = Path::new(env!("CARGO_MANIFEST_DIR"));
     let is_root = |folder: &&Path| folder.join("glsl").is_dir();

@@ -6,7 +6,7 @@ use ashsplat::vk::Buffer;
 
 use super::gpu::Gpu;
 
-/// What `poses/pose_gradient` leaves: g and dL/dξ.
+/// Runs `poses/pose_gradient`: returns g and dL/dξ.
 pub fn pose_gradient(gpu: &Gpu, sums: &[[f32; 6]], parameters: &[[f32; 6]], image: u32) -> [[f64; 6]; 2] {
     let (workgroup_size, subgroup_size) = (gpu.workgroup(64), gpu.subgroup());
     let gradient = gpu.untouched::<[f32; 6]>("pose_gradient", 2);
@@ -22,32 +22,32 @@ pub fn pose_gradient(gpu: &Gpu, sums: &[[f32; 6]], parameters: &[[f32; 6]], imag
     [g.map(f64::from), d_xi.map(f64::from)]
 }
 
-/// All poses on the host.
+/// All poses, on the host.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Poses {
-    /// ξ per image.
+    /// ξ of each image.
     pub parameters: Vec<[f32; 6]>,
-    /// First and second moments per image.
+    /// First and second moments of each image.
     pub moments: Vec<[[f32; 6]; 2]>,
-    /// Rotation by rows and translation per image.
+    /// Rotation by rows and translation of each image, without ξ.
     pub starts: Vec<[f32; 12]>,
-    /// The same after ξ.
+    /// Same, but with ξ.
     pub cameras: Vec<[f32; 12]>,
-    /// Depth of the point about which each turns in steps; 0 for none.
+    /// Depth of the point about which a step turns each camera; 0 for none.
     pub depths: Vec<f32>,
 }
 
-/// One step: image, dL/dξ of it, rate, number from 1.
+/// One step: image, its dL/dξ, rate, count from 1.
 pub type Step = (u32, [f32; 6], f64, u32);
 
-/// What `poses/pose_step` makes of poses; without a step the cameras only.
+/// Runs `poses/pose_step`; without a step it updates only the cameras.
 pub fn pose_step(gpu: &Gpu, poses: &Poses, step: Option<Step>, overflow: u32) -> Poses {
     let sums = gpu.untouched::<[f32; 6]>("pose_view_sums", poses.parameters.len());
     pose_view(gpu, poses, step, overflow, (&sums, [true, step.is_some()]), false)
 }
 
-/// A view of a step with the sums before it: whether it is the first, and whether the step follows it. `sums`: by the variant
-/// of the kernel that has them.
+/// Adds one view of a step to `view_sums`. `starts`: it is the first view. `makes_step`: the step follows. `sums`
+/// selects the kernel's variant with sums.
 pub fn pose_view(
     gpu: &Gpu,
     poses: &Poses,
@@ -66,7 +66,7 @@ pub fn pose_view(
         (gpu.buffer("pose_parameters", &poses.parameters), gpu.buffer("pose_moments", &poses.moments));
     let cameras = gpu.buffer("pose_cameras", &poses.cameras);
     let bind = pose_step::Bind {
-        // The first half is that of another kind.
+        // The first half has another meaning.
         pose_gradient: &gpu.buffer("pose_gradient", &[[f32::NAN; 6], gradient]),
         pose_starts: &gpu.buffer("pose_starts", &poses.starts),
         pose_parameters: &parameters,

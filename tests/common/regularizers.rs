@@ -7,11 +7,11 @@ use super::gpu::Gpu;
 use super::layout::{pack, room, unpack};
 use crate::reference::types::Gaussian;
 
-/// The row of the losses that is written, of three.
+/// Row of the losses, out of three, that the kernel writes.
 const ROW: usize = 1;
 
-/// The weighted sum, the mean opacity, the mean scale; and gradients in the fields of a Gaussian. The Gaussians are
-/// in two chunks, the second with the rest of the first.
+/// Returns the weighted sum, the mean opacity, the mean scale, and the gradients as Gaussians. The Gaussians lie in
+/// two chunks.
 pub fn regularize(gpu: &Gpu, gaussians: &[Gaussian], weights: [f64; 2]) -> ([f64; 3], Vec<Gaussian>) {
     let spec = sums::Spec { workgroup_size: gpu.workgroup(64), subgroup_size: gpu.subgroup() };
     let kernel = gpu.kernel::<sums::Interface>(&spec);
@@ -31,7 +31,7 @@ pub fn regularize(gpu: &Gpu, gaussians: &[Gaussian], weights: [f64; 2]) -> ([f64
             scale_weight: (weights[1] / (3 * count) as f64) as f32,
         };
         gpu.run(|recorder| recorder.dispatch(&kernel, &bind, &push, TERM_PARTIALS.into()));
-        // No SH, so one plane more.
+        // The result lacks the SH plane.
         let mut planes = gpu.read::<[f32; 4]>(&d, planes);
         planes.resize(planes.len() + room, [0.0; 4]);
         gradients.extend(unpack(&planes, room, part.len(), 1));

@@ -1,4 +1,4 @@
-//! Random scenes and numbers, the same in every run.
+//! Random scenes and numbers, identical in every run.
 
 use crate::reference::types::{Drawn, Extent, Gaussian, View};
 
@@ -6,7 +6,7 @@ use crate::reference::types::{Drawn, Extent, Gaussian, View};
 pub struct Random(u64);
 
 impl Random {
-    /// A sequence of its own for each seed.
+    /// Sequence of this seed.
     pub fn new(seed: u64) -> Random {
         Random(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15).wrapping_add(1))
     }
@@ -25,17 +25,17 @@ impl Random {
         (((self.bits() >> 32) * u64::from(limit)) >> 32) as u32
     }
 
-    /// In [0, 1), representable in float32.
+    /// Random number in [0, 1), exact in float32.
     pub fn unit(&mut self) -> f64 {
         (self.bits() >> 40) as f64 / f64::from(1 << 24)
     }
 
-    /// In [-1, 1), representable in float32.
+    /// Random number in [-1, 1), exact in float32.
     pub fn signed(&mut self) -> f64 {
         2.0 * self.unit() - 1.0
     }
 
-    /// In [low, high), rounded to float32.
+    /// Random number in [low, high), rounded to float32.
     pub fn between(&mut self, low: f64, high: f64) -> f64 {
         f64::from((low + (high - low) * self.unit()) as f32)
     }
@@ -47,7 +47,7 @@ impl Random {
     }
 }
 
-/// A view of [`small_scene`], exact extent, SH degree 3.
+/// A view of [`small_scene`]: exact extent, SH degree 3.
 pub fn small_view(size_px: [u32; 2]) -> View {
     let focal = f64::from(size_px[0]);
     View {
@@ -67,8 +67,8 @@ pub fn small_view(size_px: [u32; 2]) -> View {
     }
 }
 
-/// What else may be drawn: smaller Gaussians, opaque ellipsoids of those that are not faint, dots. Every number
-/// representable in float32.
+/// Other shapes: smaller Gaussians; opaque ellipsoids without faint Gaussians; dots. Every number is exact in
+/// float32.
 #[allow(dead_code)]
 pub fn drawn_shapes() -> [Drawn; 3] {
     let exp = |steepness: f32| f64::from(steepness.exp());
@@ -79,12 +79,12 @@ pub fn drawn_shapes() -> [Drawn; 3] {
     ]
 }
 
-/// Gaussians around the origin, seen from a few units away; every parameter representable in float32.
+/// Gaussians around the origin, a few units from the camera. Every parameter is exact in float32.
 pub fn small_scene(random: &mut Random, count: usize, coefficients: usize) -> Vec<Gaussian> {
     (0..count).map(|_| gaussian(random, 1.5, [-2.3, -0.7], coefficients)).collect()
 }
 
-/// One random Gaussian within ±`reach`, its log-scales within a range.
+/// One random Gaussian within ±`reach`, with log-scales in a range.
 pub fn gaussian(random: &mut Random, reach: f64, log_scale: [f64; 2], coefficients: usize) -> Gaussian {
     Gaussian {
         mean: [0; 3].map(|_| random.between(-reach, reach)),
@@ -106,7 +106,7 @@ pub fn rotation_about_y(angle: f64) -> [[f64; 3]; 3] {
     [[cosine, 0.0, sine], [0.0, 1.0, 0.0], [-sine, 0.0, cosine]]
 }
 
-/// Gaussians inside and outside of the view of [`small_view`], near and behind the camera, faint, tiny and huge.
+/// Gaussians inside and outside the view of [`small_view`], near and behind the camera, faint, tiny and huge.
 pub fn mixed_scene(random: &mut Random, count: usize, coefficients: usize) -> Vec<Gaussian> {
     (0..count)
         .map(|i| {
@@ -123,7 +123,7 @@ pub fn mixed_scene(random: &mut Random, count: usize, coefficients: usize) -> Ve
         .collect()
 }
 
-/// All the scalar parameters of a Gaussian in one order.
+/// All scalar parameters of a Gaussian.
 pub fn scalars(gaussian: &mut Gaussian) -> Vec<&mut f64> {
     let mut all: Vec<&mut f64> = gaussian.mean.iter_mut().collect();
     all.extend(gaussian.quat.iter_mut());

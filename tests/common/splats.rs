@@ -1,4 +1,4 @@
-//! Gaussians for the tests of files, and how near what is read must be to what was written.
+//! Gaussians for the tests of files, and the tolerance of each format.
 
 use ashsplat::scene::{Camera, Gaussians, Intrinsics};
 use ashsplat_files::splats::Format;
@@ -6,7 +6,7 @@ use glam::Vec3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// Gaussians such as training leaves: in a room of 20 units, of centimetres to a metre, of any shape and colour.
+/// Gaussians as training produces them: within 20 units, sizes from centimetres to a metre, any shape and colour.
 pub fn scene(count: usize, sh_degree: u32) -> Gaussians {
     let mut random = ChaCha8Rng::seed_from_u64(count as u64 + 1000 * u64::from(sh_degree));
     let mut between = |low: f32, high: f32| low + (high - low) * random.random::<f32>();
@@ -26,7 +26,7 @@ pub fn scene(count: usize, sh_degree: u32) -> Gaussians {
     gaussians
 }
 
-/// How far the values of a format may be from those that were written.
+/// Largest difference between the values written and read.
 #[derive(Debug)]
 pub struct Tolerance {
     pub mean: f32,
@@ -38,7 +38,7 @@ pub struct Tolerance {
     pub sh: f32,
 }
 
-/// Half a step of each quantisation, and rounding.
+/// Tolerance of a format: half a quantisation step, plus rounding.
 pub fn tolerance(format: Format) -> Tolerance {
     let float = 1e-5;
     match format {
@@ -59,7 +59,7 @@ pub fn tolerance(format: Format) -> Tolerance {
             log_scale: float,
             opacity: 0.5 / 255.0 + float,
             rotation: 2e-4,
-            // Colours outside 0 to 1 are clamped; the scene's are inside.
+            // The format clamps colours to [0, 1]; the scene's lie inside.
             color: 0.5 / 255.0 / 0.282 + float,
             sh: 0.0,
         },
@@ -92,7 +92,7 @@ pub fn assert_close(actual: &Gaussians, expected: &Gaussians, tolerance: &Tolera
         near("opacity", index, &[actual.opacity(index)], &[expected.opacity(index)], tolerance.opacity);
         let length = |q: &[f32; 4]| q.iter().map(|q| q * q).sum::<f32>().sqrt();
         let (a, b) = (actual.quats[index], expected.quats[index]);
-        // Half a turn about one of its own axes leaves a Gaussian as it is.
+        // A Gaussian is symmetric under half a turn about its own axes.
         let [w, x, y, z] = a;
         let alike = [a, [-x, w, z, -y], [-y, -z, w, x], [-z, y, -x, w]];
         let dot = |q: &[f32; 4]| q.iter().zip(b).map(|(a, b)| a * b).sum::<f32>().abs();
@@ -104,7 +104,7 @@ pub fn assert_close(actual: &Gaussians, expected: &Gaussians, tolerance: &Tolera
     }
 }
 
-/// Brings Gaussians of a sorted file back into the order of the nearest originals.
+/// Reorders Gaussians of a sorted file by their nearest originals.
 pub fn in_order_of(expected: &Gaussians, actual: &Gaussians) -> Gaussians {
     let distance2 = |a: &[f32; 3], b: &[f32; 3]| a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum::<f32>();
     let mut free: Vec<usize> = (0..actual.len()).collect();

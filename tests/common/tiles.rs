@@ -1,4 +1,4 @@
-//! Tile lists on the device, and the float64 truth about them.
+//! Tile lists on the device, and their reference in float64.
 
 use ashsplat::vk::Buffer;
 
@@ -11,21 +11,21 @@ use crate::reference::types::{ALPHA_MAX, ALPHA_MIN, Splat, TRANSMITTANCE_MIN, Vi
 
 use super::frame::Splats;
 
-/// Splats in tile lists: each tile gets its own list of visible indices, front to back.
+/// Splats in tile lists: each tile has its own list of visible indices, front to back.
 pub struct Lists {
     pub view: View,
     pub frame: Splats,
     pub lists: Vec<Vec<u32>>,
     pub tile_ranges: Buffer,
     pub sorted_visible: Buffer,
-    /// Place before the tile sort of each sorted instance.
+    /// Slot before the tile sort of each sorted instance.
     pub instances: Vec<u32>,
     pub sorted_instances: Buffer,
     pub state: Buffer,
 }
 
 impl Lists {
-    /// Uploads lists; the instances are a permutation.
+    /// Uploads lists. The instances are a random permutation.
     pub fn new(gpu: &Gpu, splats: Vec<Splat>, lists: Vec<Vec<u32>>, view: &View) -> Lists {
         let mut ranges = Vec::new();
         let mut sorted: Vec<u32> = Vec::new();
@@ -48,7 +48,7 @@ impl Lists {
         }
     }
 
-    /// `entries` splats in each tile, so faint and small that every entry still counts.
+    /// `entries` splats per tile, so faint and small that every entry contributes.
     pub fn long(gpu: &Gpu, entries: usize, opacity: [f64; 2], view: &View) -> Lists {
         let mut random = Random::new(entries as u64);
         let tiles = view.tiles();
@@ -63,7 +63,7 @@ impl Lists {
         Lists::new(gpu, splats, lists, view)
     }
 
-    /// The same with every list in order of depth, as frames have them.
+    /// Same as [`Self::long`], but every list is in order of depth, as in a frame.
     pub fn sorted(gpu: &Gpu, entries: usize, opacity: [f64; 2], view: &View) -> Lists {
         let Lists { frame, mut lists, view, .. } = Lists::long(gpu, entries, opacity, view);
         for list in &mut lists {
@@ -77,8 +77,8 @@ impl Lists {
         self.lists[tile_of(&self.view, pixel)].iter().map(|&i| &self.frame.splats[i as usize]).collect()
     }
 
-    /// Pixels at which a decision of the blending hangs on the rounding of float32: exp is good to 17 ulp on lavapipe,
-    /// and its argument has an error of its own.
+    /// Pixels at which float32 rounding may change a decision of the blending: exp is accurate to 17 ulp on
+    /// lavapipe, and its argument is rounded too.
     pub fn unstable(&self) -> Vec<bool> {
         pixels_of(&self.view)
             .map(|pixel| {
@@ -89,7 +89,7 @@ impl Lists {
     }
 }
 
-/// A splat around a tile.
+/// A random splat near a tile.
 fn random_splat(random: &mut Random, corner: [f64; 2], opacity: [f64; 2]) -> Splat {
     let [xx, yy] = [0; 2].map(|_| random.between(0.5, 60.0));
     let xy = random.between(-0.9, 0.9) * (xx * yy).sqrt();
@@ -105,7 +105,7 @@ fn random_splat(random: &mut Random, corner: [f64; 2], opacity: [f64; 2]) -> Spl
     }
 }
 
-/// Whether a decision at a pixel hangs on a relative error of α.
+/// True if a relative error of α may change a decision at this pixel.
 pub fn is_unstable(list: &[&Splat], pixel: [u32; 2], margin: f64) -> bool {
     let near = |x: f64, threshold: f64, margin: f64| (x / threshold - 1.0).abs() < margin;
     let (blended, _) = samples(list, pixel);

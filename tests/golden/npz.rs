@@ -1,4 +1,4 @@
-//! Reading of numpy archives.
+//! Reads numpy archives.
 
 use std::collections::HashMap;
 use std::fs::File;
@@ -10,27 +10,24 @@ use zip::ZipArchive;
 /// An array, flattened row-major, as f64 (exact for f4, i4 and u1).
 #[derive(Clone, Debug)]
 pub struct Array {
-    /// Sizes.
     pub shape: Vec<usize>,
-    /// Values.
     pub values: Vec<f64>,
 }
 
-/// All the arrays of an archive.
+/// All arrays of an archive.
 #[derive(Clone, Debug, Default)]
 pub struct Npz {
     arrays: HashMap<String, Array>,
 }
 
 impl Npz {
-    /// The names of the arrays of an archive, without reading them.
+    /// Lists an archive's arrays without reading them.
     pub fn names(path: &Path) -> Vec<String> {
         let archive = open(path);
         let names = archive.file_names().map(|name| name.expect("a name in UTF-8"));
         names.filter_map(|name| Some(name.strip_suffix(".npy")?.to_owned())).collect()
     }
 
-    /// Reads an archive.
     pub fn read(path: &Path) -> Npz {
         let mut archive = open(path);
         let mut arrays = HashMap::new();
@@ -46,7 +43,7 @@ impl Npz {
         Npz { arrays }
     }
 
-    /// The same with the arrays of a prefix in place of those without.
+    /// Same archive, but the arrays with this prefix replace those without it.
     pub fn with_prefix(&self, prefix: &str) -> Npz {
         let mut arrays = self.arrays.clone();
         for (name, array) in &self.arrays {
@@ -57,27 +54,24 @@ impl Npz {
         Npz { arrays }
     }
 
-    /// Whether there is an array of this name.
     pub fn has(&self, name: &str) -> bool {
         self.arrays.contains_key(name)
     }
 
-    /// The array of this name.
     pub fn array(&self, name: &str) -> &Array {
         self.arrays.get(name).unwrap_or_else(|| panic!("no array {name}"))
     }
 
-    /// The values of the array of this name.
     pub fn values(&self, name: &str) -> &[f64] {
         &self.array(name).values
     }
 
-    /// The one value of an array.
+    /// Value of an array of one element.
     pub fn scalar(&self, name: &str) -> f64 {
         self.values(name)[0]
     }
 
-    /// Rows of `N` values.
+    /// Values of an array in rows of `N`.
     pub fn rows<const N: usize>(&self, name: &str) -> Vec<[f64; N]> {
         rows(self.values(name))
     }
@@ -106,7 +100,7 @@ fn parse(bytes: &[u8]) -> Option<Array> {
     let (header, data) = rest.split_at_checked(u16::from_le_bytes(*length).into())?;
     let header = std::str::from_utf8(header).ok()?;
     let after = |key: &str| Some(header.split_once(key)?.1);
-    // Row-major ones only.
+    // Only row-major arrays.
     after("'fortran_order': False")?;
     let sizes = after("'shape': (")?.split_once(')')?.0;
     let sizes = sizes.split(',').map(str::trim).filter(|size| !size.is_empty());

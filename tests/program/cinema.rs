@@ -1,4 +1,4 @@
-//! Films that a viewer makes.
+//! Films that the viewer records.
 
 use std::path::{Path, PathBuf};
 
@@ -7,7 +7,7 @@ use tempfile::{TempDir, tempdir};
 
 use super::page::{Page, Server, camera, message, write_ball};
 
-/// A viewer of a small scene, and where it puts films.
+/// A viewer of a small scene, and the folder for its films.
 pub struct Cinema {
     pub folder: TempDir,
     pub server: Server,
@@ -26,7 +26,7 @@ impl Cinema {
         self.folder.path().join("films")
     }
 
-    /// What lies there, by name.
+    /// Names of the files in the film folder.
     pub fn files(&self) -> Vec<String> {
         let entries = std::fs::read_dir(self.films()).expect("a folder");
         let name = |entry: std::io::Result<std::fs::DirEntry>| {
@@ -52,7 +52,7 @@ pub fn film(frames: u32, size: [u32; 2]) -> Value {
 }
 
 impl Page {
-    /// The next word about a film that has something to say of this.
+    /// Waits for the next film message with a value for `key`.
     pub fn hears(&mut self, key: &str) -> Value {
         loop {
             let film = self.wait_for("film");

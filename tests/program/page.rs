@@ -1,4 +1,4 @@
-//! The program as a server, and what a page does with it, without the browser.
+//! The program as a server, and a client that does what the page does.
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
@@ -14,13 +14,13 @@ use tungstenite::{Message, WebSocket};
 use super::running::Running;
 pub use crate::common::splats::{ball, camera};
 
-/// Longest that anything may take.
+/// Timeout of every wait.
 pub const PATIENCE: Duration = Duration::from_secs(120);
 
-/// A program that serves, ended with the value.
+/// A serving program. The drop ends it.
 pub struct Server {
     child: Running,
-    /// What it said before it was ready.
+    /// Lines printed before it was ready.
     pub said: Vec<String>,
     /// localhost:PORT.
     pub host: String,
@@ -32,12 +32,12 @@ impl Server {
         Server::start_until(arguments, "viewer at ")
     }
 
-    /// As [`Server::start`], until it has said something else.
+    /// Same as [`Server::start`], but waits for a line with `last`.
     pub fn start_until(arguments: &[&str], last: &str) -> Server {
         Server::run(Command::new(env!("CARGO_BIN_EXE_ashsplat")), arguments, last)
     }
 
-    /// The same, where the program may have so many descriptors.
+    /// Same as [`Server::start_until`], but with a limit on file descriptors.
     #[cfg(unix)]
     pub fn start_within(descriptors: u32, arguments: &[&str], last: &str) -> Server {
         let mut command = Command::new("sh");
@@ -46,7 +46,7 @@ impl Server {
         Server::run(command, arguments, last)
     }
 
-    /// As [`Server::start`], in a folder and with variables of its own.
+    /// Same as [`Server::start`], but in this folder and with these environment variables.
     pub fn start_in(folder: &Path, variables: &[(&str, &str)], arguments: &[&str]) -> Server {
         let mut command = Command::new(env!("CARGO_BIN_EXE_ashsplat"));
         command.current_dir(folder).envs(variables.iter().copied());
@@ -72,33 +72,33 @@ impl Server {
             child.stderr.take().expect("its stderr").read_to_string(&mut stderr).ok();
             panic!("{arguments:?}: {said:?}, {stderr}");
         }
-        // Whatever else it says must not block it.
+        // Drain the rest of the output, so that the program never blocks.
         std::thread::spawn(move || lines.for_each(drop));
         Server { child, said, host: host.unwrap_or_default() }
     }
 
-    /// As [`Server::start`] of `view` on any port; when the scene is there, unless a token is asked for.
+    /// Starts `view` on a free port and waits for the scene, unless the page needs a token.
     pub fn view(path: &Path, more: &[&str]) -> Server {
         let server = Server::start(&[&["view", path.to_str().expect("UTF-8"), "--port", "0"], more].concat());
         server.page_with("").ok();
         server
     }
 
-    /// Interrupts it and waits; exit code and stderr.
+    /// Interrupts the program and waits. Returns exit code and stderr.
     #[cfg(unix)]
     pub fn end(mut self) -> (Option<i32>, String) {
         self.child.interrupt();
         self.wait()
     }
 
-    /// Waits for its end; exit code and stderr.
+    /// Waits for the program's end. Returns exit code and stderr.
     pub fn wait(&mut self) -> (Option<i32>, String) {
         let mut stderr = String::new();
         self.child.stderr.take().expect("its stderr").read_to_string(&mut stderr).ok();
         (self.child.wait().expect("it ends").code(), stderr)
     }
 
-    /// The most memory that it has had, MiB.
+    /// Peak resident memory, MiB.
     #[cfg(target_os = "linux")]
     pub fn peak_memory(&self) -> u64 {
         let status =
@@ -107,12 +107,12 @@ impl Server {
         peak.trim().trim_end_matches(" kB").parse::<u64>().expect("a number") >> 10
     }
 
-    /// Status line, headers and body of an answer.
+    /// Returns status, headers and body of an answer.
     pub fn get(&self, path: &str, headers: &[(&str, &str)]) -> (u16, String, Vec<u8>) {
         self.request("GET", path, headers, &[])
     }
 
-    /// The same of a message with a body; its length is added unless it is given.
+    /// Same as [`Self::get`], but sends a body. Adds the length unless the headers give one.
     pub fn post(&self, path: &str, headers: &[(&str, &str)], body: &[u8]) -> (u16, String, Vec<u8>) {
         let sized = ["Content-Length", "Transfer-Encoding"];
         let length = body.len().to_string();
@@ -121,7 +121,7 @@ impl Server {
         self.request("POST", path, &[headers, if own { &[] } else { &length }].concat(), body)
     }
 
-    /// Status line and headers of an answer to any method.
+    /// Returns status and headers of an answer to any method.
     pub fn ask(&self, method: &str, path: &str, headers: &[(&str, &str)]) -> (u16, String) {
         let (code, head, _) = self.request(method, path, headers, &[]);
         (code, head)
@@ -139,7 +139,7 @@ impl Server {
         let host = if own { String::new() } else { format!("Host: {}\r\n", self.host) };
         let more: String = headers.iter().map(|(name, value)| format!("{name}: {value}\r\n")).collect();
         write!(stream, "{method} {path} HTTP/1.1\r\n{host}{more}Connection: close\r\n\r\n").expect("sent");
-        // What is refused by its headers may not be read to its end.
+        // The server may refuse a request by its headers without reading the body.
         stream.write_all(body).ok();
         let mut answer = Vec::new();
         let read = stream.read_to_end(&mut answer);
@@ -156,12 +156,12 @@ impl Server {
         stream
     }
 
-    /// A page's WebSocket; the first message.
+    /// Opens the page's WebSocket and reads the first message.
     pub fn page(&self) -> Page {
         self.page_with("").expect("a WebSocket")
     }
 
-    /// The same with a query.
+    /// Same as [`Self::page`], but with a query.
     pub fn page_with(&self, query: &str) -> Result<Page, String> {
         let url = format!("ws://{}/socket{query}", self.host);
         let (socket, _) = tungstenite::client(url, self.connect()).map_err(|error| error.to_string())?;
@@ -171,20 +171,20 @@ impl Server {
     }
 }
 
-/// What a browser's page does, without the browser.
+/// A client that does what the browser's page does.
 pub struct Page {
     pub socket: WebSocket<TcpStream>,
     pub greeting: Value,
 }
 
-/// A frame as it comes.
+/// A frame as received.
 pub struct Shown {
     pub header: Value,
     pub picture: Vec<u8>,
 }
 
 impl Shown {
-    /// Its RGB bytes.
+    /// RGB bytes of the picture.
     pub fn rgb(&self) -> Vec<u8> {
         image::load_from_memory(&self.picture).expect("a picture").to_rgb8().into_raw()
     }
@@ -195,7 +195,7 @@ impl Page {
         self.socket.send(Message::text(message.to_string())).expect("sent");
     }
 
-    /// The next message of a type; others are passed over.
+    /// Waits for the next message of this type and skips others.
     pub fn wait_for(&mut self, kind: &str) -> Value {
         let start = Instant::now();
         while start.elapsed() < PATIENCE {
@@ -210,7 +210,7 @@ impl Page {
         panic!("no {kind}");
     }
 
-    /// The next frame.
+    /// Waits for the next frame.
     pub fn frame(&mut self) -> Shown {
         loop {
             match self.socket.read().expect("a message") {
@@ -226,7 +226,7 @@ impl Page {
         }
     }
 
-    /// Whether nothing comes for a while.
+    /// True if nothing arrives for a while.
     pub fn is_silent(&mut self) -> bool {
         let stream = self.socket.get_ref();
         stream.set_read_timeout(Some(Duration::from_millis(700))).expect("a timeout");
@@ -235,7 +235,7 @@ impl Page {
         silent
     }
 
-    /// Asks for a frame and takes it.
+    /// Requests a frame and acknowledges it.
     pub fn look(&mut self, camera: &Camera, look: &Value) -> Shown {
         self.send(&view(1, camera, look));
         let shown = self.frame();
@@ -244,12 +244,12 @@ impl Page {
     }
 }
 
-/// A request for a frame.
+/// Message that requests a frame.
 pub fn view(seq: u64, camera: &Camera, look: &Value) -> Value {
     json!({ "type": "view", "seq": seq, "camera": message(camera), "look": look })
 }
 
-/// A camera as the page has it.
+/// Camera in the page's format.
 pub fn message(camera: &Camera) -> Value {
     let rows = [0, 1, 2].map(|row| camera.camera_from_world.row(row).to_array());
     json!({

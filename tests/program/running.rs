@@ -3,7 +3,7 @@
 use std::ops::{Deref, DerefMut};
 use std::process::{Child, Command, Output};
 
-/// A program that is ended with the value: a test that fails leaves none behind.
+/// A program that the drop ends, so that a failed test leaves no process behind.
 pub struct Running(Option<Child>);
 
 impl Running {
@@ -11,7 +11,7 @@ impl Running {
         Running(Some(command.spawn().expect("the program starts")))
     }
 
-    /// What Ctrl-C does to it.
+    /// Sends SIGINT, as Ctrl-C does.
     #[cfg(unix)]
     pub fn interrupt(&self) {
         self.signal(nix::sys::signal::Signal::SIGINT);
@@ -23,7 +23,7 @@ impl Running {
         nix::sys::signal::kill(nix::unistd::Pid::from_raw(pid), signal).expect("a signal");
     }
 
-    /// Waits for its end.
+    /// Waits for the program's end.
     pub fn finish(mut self) -> Output {
         self.0.take().expect("a program").wait_with_output().expect("it ends")
     }

@@ -10,11 +10,8 @@ pub const EPSILON: f64 = 1e-15;
 /// One scalar parameter with its moments.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Parameter {
-    /// Value.
     pub value: f64,
-    /// First moment.
     pub moment1: f64,
-    /// Second moment.
     pub moment2: f64,
 }
 
@@ -26,13 +23,13 @@ pub fn adam(parameter: &mut Parameter, gradient: f64, rate: f64, step: u32) {
     parameter.value -= rate * corrected1 / (corrected2.sqrt() + EPSILON);
 }
 
-/// The sparse variant, for Gaussians that were seen: no bias correction.
+/// The sparse variant, for visible Gaussians only: no bias correction.
 pub fn adam_sparse(parameter: &mut Parameter, gradient: f64, rate: f64) {
     accumulate(parameter, gradient);
     parameter.value -= rate * parameter.moment1 / (parameter.moment2.sqrt() + EPSILON);
 }
 
-/// Whether a Gaussian with these gradients is left alone (and counted).
+/// True if the kernel skips (and counts) a Gaussian with these gradients.
 pub fn is_skipped(gradients: &[f64]) -> bool {
     gradients.iter().any(|gradient| !gradient.is_finite())
 }

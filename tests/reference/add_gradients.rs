@@ -1,8 +1,8 @@
-//! Gradients of several views added up (Improved-GS); the twin of `optimizer/add_gradients`.
+//! Adds up the gradients of several views (Improved-GS); the twin of `optimizer/add_gradients`.
 
 use super::types::Gaussian;
 
-/// The sum after a view: its gradient alone if it is the first. A gradient that is not finite adds nothing.
+/// The sum after a view. `starts`: it is the first view. A gradient that is not finite adds nothing.
 pub fn add(sum: &Gaussian, gradient: &Gaussian, starts: bool) -> Gaussian {
     let Gaussian { mean, quat, log_scale, opacity_logit, sh } = gradient;
     let mut all = mean.iter().chain(quat).chain(log_scale).chain([opacity_logit]).chain(sh.as_flattened());

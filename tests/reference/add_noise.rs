@@ -3,7 +3,7 @@
 use super::linear::{apply, normalize_quat, rotation, sigmoid};
 use super::types::Gaussian;
 
-/// What a mean moves by, world units: the covariance times standard normal numbers, gated by the opacity.
+/// Displacement of a mean, world units: the covariance times standard normal numbers, gated by the opacity.
 pub fn noise(gaussian: &Gaussian, normal: [f64; 3], rate: f64) -> [f64; 3] {
     let gate = sigmoid(-100.0 * (sigmoid(gaussian.opacity_logit) - 0.005));
     let rotation = rotation(normalize_quat(gaussian.quat).0);

@@ -3,7 +3,6 @@
 use super::tiles::alpha_unclamped;
 use super::types::{ALPHA_MAX, ALPHA_MIN, Splat, TRANSMITTANCE_MIN};
 
-/// What a pixel gets.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Pixel {
     /// Colour over the background.
@@ -14,7 +13,7 @@ pub struct Pixel {
     pub inverse_depth: f64,
     /// 1-based place in the list of the last entry blended, 0 when none.
     pub last: u32,
-    /// How many entries were blended.
+    /// Number of entries blended.
     pub blended: u32,
 }
 
@@ -25,7 +24,7 @@ pub struct Sample {
     pub entry: usize,
     /// α after the clamp.
     pub alpha: f64,
-    /// Whether the clamp at 0.99 acted.
+    /// True if the clamp at 0.99 acted.
     pub clamped: bool,
     /// Transmittance in front of it.
     pub transmittance: f64,
@@ -70,7 +69,7 @@ pub fn blend(list: &[&Splat], pixel: [u32; 2], background: [f64; 3]) -> Pixel {
     result
 }
 
-/// What lies beside a pixel.
+/// Auxiliary values of a pixel.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Beside {
     /// The largest weight; 0 for none.
@@ -79,7 +78,7 @@ pub struct Beside {
     pub motion: [f64; 2],
 }
 
-/// The largest weight at a pixel, and the sum of weighted motions; the weight of each place in the list besides.
+/// Returns the largest weight at a pixel and the sum of weighted motions, and the weight of each place in the list.
 pub fn beside(list: &[&Splat], motions: &[[f64; 2]], pixel: [u32; 2]) -> (Beside, Vec<f64>) {
     let (mut result, mut weights) = (Beside::default(), vec![0.0; list.len()]);
     for sample in &samples(list, pixel).0 {

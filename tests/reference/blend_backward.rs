@@ -21,7 +21,7 @@ pub fn blend_backward(
     gradients: &mut [SplatGradient],
 ) {
     let (samples, transmittance) = samples(list, pixel);
-    // What lies behind the entry at hand, seen through everything in front of it.
+    // Colour behind the current entry, seen through all entries in front of it.
     let mut behind_color = background.map(|x| x * transmittance);
     let mut behind_inverse_depth = 0.0;
     for sample in samples.iter().rev() {

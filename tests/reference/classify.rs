@@ -9,7 +9,6 @@ pub const PERCENT_DENSE: f64 = 0.01;
 /// Opacity under which a Gaussian is pruned.
 pub const OPACITY_MIN: f64 = 0.005;
 
-/// What happens to a Gaussian.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Decision {
     /// Nothing.
@@ -41,7 +40,7 @@ pub fn decide(log_scale: [f64; 3], statistic: Statistic, scene_extent: f64) -> D
     }
 }
 
-/// Whether a Gaussian is removed. `prune_big`: also those larger than a tenth of the scene.
+/// True if a Gaussian is pruned. `prune_big` also prunes those larger than a tenth of the scene.
 pub fn is_pruned(opacity_logit: f64, log_scale: [f64; 3], scene_extent: f64, prune_big: bool) -> bool {
     sigmoid(opacity_logit) < OPACITY_MIN || (prune_big && largest_scale(log_scale) > 0.1 * scene_extent)
 }

@@ -1,9 +1,9 @@
-//! The list of what is flagged, in its own order, and its inverse: the twin of `forward/compact`.
+//! The list of the flagged indices, in ascending order, and its inverse: the twin of `forward/compact`.
 
-/// Marks what is not in the list.
+/// Place of an index that is not in the list.
 pub const NOT_LISTED: u32 = u32::MAX;
 
-/// (list of the first `capacity` flagged indices, place of each index in the list or [`NOT_LISTED`]).
+/// Returns the first `capacity` flagged indices, and the place of each index in that list or [`NOT_LISTED`].
 pub fn compact(flags: &[bool], capacity: usize) -> (Vec<u32>, Vec<u32>) {
     let mut list = Vec::new();
     let mut places = Vec::new();

@@ -1,4 +1,4 @@
-//! A blended pixel over what lies behind it, the twin of `compose/compose_rgba32f`.
+//! A blended pixel over a background, the twin of `compose/compose_rgba32f`.
 
 /// (C, 1 - T) + T behind.
 pub fn compose(accumulated: [f32; 4], behind: [f64; 4]) -> [f64; 4] {
@@ -21,8 +21,8 @@ pub fn encode(light: f64) -> f64 {
     encoded * light.signum()
 }
 
-/// Linear light. Over an opaque background that is display-encoded as the splats are, the whole picture is decoded; else what
-/// covers the pixel is, and lies over what is linear.
+/// Output in linear light. If the background is opaque and display-encoded as the splats are, decodes the whole
+/// picture. Otherwise decodes the splats' colour and composes it over the linear background.
 pub fn compose_linear(accumulated: [f32; 4], behind: [f64; 4], opaque: bool, exposure: f64) -> [f64; 4] {
     let [r, g, b, transmittance] = accumulated.map(f64::from);
     let alpha = 1.0 - transmittance;

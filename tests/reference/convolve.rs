@@ -10,7 +10,7 @@ pub struct Features {
 }
 
 impl Features {
-    /// Of a formula.
+    /// Features with values computed by a formula.
     pub fn new(
         [channels, height, width]: [usize; 3],
         mut value: impl FnMut(usize, usize, usize) -> f64,
@@ -30,14 +30,14 @@ impl Features {
         self.values[(c * self.height + y) * self.width + x]
     }
 
-    /// A row of a channel.
+    /// Row `y` of channel `c`.
     pub fn row(&self, c: usize, y: usize) -> &[f64] {
         let start = (c * self.height + y) * self.width;
         &self.values[start..start + self.width]
     }
 }
 
-/// Side of the window, distance from one to the next, zeros around the picture.
+/// Side of the window, stride, and zero padding around the picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Window {
     pub size: usize,
@@ -46,7 +46,7 @@ pub struct Window {
 }
 
 impl Window {
-    /// Windows along a side.
+    /// Number of windows along a side.
     pub fn count(&self, side: usize) -> usize {
         (side + 2 * self.padding - self.size) / self.stride + 1
     }

@@ -1,4 +1,4 @@
-//! Near plane and projection validity: which Gaussians may be seen at all, the twin of `forward/cull`.
+//! Near plane and projection validity: which Gaussians may be visible, the twin of `forward/cull`.
 
 use super::linear::apply;
 use super::project;
@@ -10,7 +10,7 @@ pub fn camera_position(gaussian: &Gaussian, view: &View) -> [f64; 3] {
     [0, 1, 2].map(|i| rotated[i] + view.translation[i])
 }
 
-/// One flag per Gaussian: whether it is not cut, and leaves a splat.
+/// One flag per Gaussian: true if it is kept and projects to a splat.
 pub fn cull(gaussians: &[Gaussian], view: &View) -> Vec<bool> {
     let drawn = |(index, gaussian): (usize, &Gaussian)| {
         let kept = view.drawn.cut.keep(gaussian) && view.drawn.keeps(gaussian) && !view.drawn.drops(index);

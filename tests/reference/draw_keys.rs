@@ -7,7 +7,7 @@ pub fn uniform([seed, iteration]: [u32; 2], gaussian: u32) -> f64 {
     (f64::from(pcg4d([seed, iteration, gaussian, 5])[0] >> 9) + 0.5) / f64::from(1 << 23)
 }
 
-/// -ln(u) / chance; None for a Gaussian that cannot be drawn.
+/// -ln(u) / chance; None if the chance is 0.
 pub fn key(chance: f64, u: f64) -> Option<f64> {
     (chance > 0.0).then(|| -u.ln() / chance)
 }

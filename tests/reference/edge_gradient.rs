@@ -1,6 +1,6 @@
-//! Edges from 0 to 1: the twin of `densify/edge_gradient`.
+//! Edge responses scaled to [0, 1]: the twin of `densify/edge_gradient`.
 
-/// From the smallest to the largest response; 0 if all are equal.
+/// Maps the smallest response to 0 and the largest to 1; 0 if all are equal.
 pub fn edges(responses: &[i64]) -> Vec<f64> {
     let low = responses.iter().copied().min().unwrap_or(0);
     let high = responses.iter().copied().max().unwrap_or(0);

@@ -1,9 +1,9 @@
-//! Edges of a photograph in whole numbers: the twin of `densify/edge_response`.
+//! Edge responses of a photograph in integers: the twin of `densify/edge_response`.
 
 /// round((299 R + 587 G + 114 B) / 1000), halves to even.
 pub fn gray([r, g, b]: [u8; 3]) -> i64 {
     let sum = 299 * i64::from(r) + 587 * i64::from(g) + 114 * i64::from(b);
-    // No sum is near a half without being one.
+    // A sum is either exactly a half or far from one.
     (sum as f64 / 1000.0).round_ties_even() as i64
 }
 

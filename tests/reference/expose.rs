@@ -3,7 +3,6 @@
 /// A matrix of three rows, whose last column is added.
 pub type Matrix = [[f64; 4]; 3];
 
-/// No change.
 pub const IDENTITY: Matrix = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]];
 
 /// The row vector of a colour times the left 3×3 part, plus the last column.

@@ -2,7 +2,7 @@
 
 use super::expose::Matrix;
 
-/// The gradient of the picture and of the matrix, from that of the exposed picture.
+/// Gradients of the picture and of the matrix, from the gradient of the exposed picture.
 pub fn expose_backward(
     picture: &[[f64; 3]],
     matrix: &Matrix,

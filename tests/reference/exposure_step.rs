@@ -10,12 +10,11 @@ pub struct Exposures {
     pub second: Vec<Matrix>,
     /// Gradients of the views since the last step.
     pub sums: Vec<Matrix>,
-    /// Times each value, a part of its gradient; with `center`, not on the diagonal.
+    /// Weight decay: the gradient gains this factor times each value, except for the diagonal with `center`.
     pub decay: f64,
-    /// Whether second moments are of the squares of all photographs' gradients, without the parts of `decay`.
+    /// True if second moments use the squares of all photographs' gradients, without `decay`.
     pub shares: bool,
-    /// How far a matrix comes closer to the identity after its step, as a share of the rate over 1 - b1^t, where it is there; nothing
-    /// at a distance of 0.05.
+    /// Pull towards the identity after the step, as a share of rate / (1 - b1^t). It vanishes at a distance of 0.05.
     pub sparsity: f64,
 }
 
@@ -33,14 +32,14 @@ impl Exposures {
         }
     }
 
-    /// The `count`-th step, from 1, in which one photograph has a gradient. With `center`, the mean over the
-    /// photographs is the identity afterwards.
+    /// Makes the `count`-th step, from 1; one photograph has a gradient. With `center`, the mean over the
+    /// photographs becomes the identity.
     pub fn step(&mut self, view: usize, gradient: &Matrix, rate: f64, count: i32, center: bool) {
         self.add(view, gradient, true);
         self.step_of_sums(rate, count, center);
     }
 
-    /// Adds the gradient of a photograph to the sums; with `starts` it is the first.
+    /// Adds the gradient of a photograph to the sums. `starts`: it is the first.
     pub fn add(&mut self, view: usize, gradient: &Matrix, starts: bool) {
         if starts {
             self.sums.fill([[0.0; 4]; 3]);
@@ -50,7 +49,7 @@ impl Exposures {
         }
     }
 
-    /// As [`Exposures::step`], with the gradients that were added.
+    /// Same as [`Exposures::step`], but with the gradients already added.
     pub fn step_of_sums(&mut self, rate: f64, count: i32, center: bool) {
         let photographs = self.values.len();
         for photograph in 0..photographs {

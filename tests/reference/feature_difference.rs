@@ -2,7 +2,7 @@
 
 use super::convolve::Features;
 
-/// Per pixel, row by row.
+/// Differences per pixel, row by row.
 pub fn feature_difference(a: &Features, b: &Features, head: &[f64]) -> Vec<f64> {
     let norm = |features: &Features, y: usize, x: usize| {
         (0..features.channels).map(|c| features.at(c, y, x).powi(2)).sum::<f64>().sqrt() + 1e-10

@@ -1,15 +1,17 @@
-//! Mip-Splatting's 3D filter; the twin of `forward/filter_sizes` and of what the projection makes of it.
+//! Mip-Splatting's 3D filter; the twin of `forward/filter_sizes` and of the filter in the projection.
 
 use super::linear::sigmoid;
 use super::types::{Gaussian, Gradient};
 
-/// Standard deviations from the depths of `nearest_depths`, world units; `longest_focal_px` is that of all cameras.
+/// Standard deviations from the depths of `nearest_depths`, world units; `longest_focal_px` is the longest of all
+/// cameras.
 pub fn filter_sizes(nearest: &[Option<f64>], longest_focal_px: f64) -> Vec<f64> {
     let farthest = nearest.iter().flatten().copied().fold(0.0, f64::max);
     nearest.iter().map(|depth| 0.2_f64.sqrt() * depth.unwrap_or(farthest) / longest_focal_px).collect()
 }
 
-/// The Gaussian that is drawn: convolved with one of the size, and fainter by what it has grown. A size of 0 leaves it.
+/// The Gaussian as drawn: convolved with the filter, with less opacity by the growth of its scales. A size of 0
+/// changes nothing.
 pub fn filtered(gaussian: &Gaussian, size: f64) -> Gaussian {
     if size == 0.0 {
         return gaussian.clone();
@@ -29,7 +31,7 @@ pub fn shrink(gaussian: &Gaussian, size: f64) -> f64 {
     gaussian.log_scale.map(f64::exp).map(|s| s / s.hypot(size)).into_iter().product()
 }
 
-/// From the gradient of what is drawn to that of what is stored; `d_opacity` is that of the drawn opacity.
+/// Converts the gradient of the drawn Gaussian to the stored one; `d_opacity` is that of the drawn opacity.
 pub fn filtered_backward(gaussian: &Gaussian, size: f64, d_opacity: f64, gradient: &mut Gradient) {
     if size == 0.0 {
         return;

@@ -1,4 +1,4 @@
-//! What a Gaussian of the new set becomes, and the random numbers for it: the twin of `densify/gather`.
+//! New Gaussians of a densification, and their random numbers: the twin of `densify/gather`.
 
 use super::linear::{apply, normalize_quat, rotation, sigmoid};
 use super::types::Gaussian;

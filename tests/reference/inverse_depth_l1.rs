@@ -1,6 +1,7 @@
 //! The inverse-depth term of the loss; the twin of `loss/inverse_depth_l1`.
 
-/// The mean of |D - M| over all pixels, times the weight, and its gradient. Pixels without a target do not count.
+/// Returns the mean of |D - M| over all pixels, times the weight, and its gradient. Pixels without a target add
+/// nothing.
 pub fn inverse_depth_l1(depth: &[f64], targets: &[Option<f64>], weight: f64) -> (f64, Vec<f64>) {
     let pixels = depth.len() as f64;
     let (mut loss, mut gradient) = (0.0, vec![0.0; depth.len()]);

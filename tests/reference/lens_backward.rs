@@ -2,7 +2,7 @@
 
 use super::lens_effects::{LEAST, Rows, vignetting};
 
-/// The gradient of the picture and of the lens, from that of the picture behind it.
+/// Gradients of the picture and of the lens, from the gradient of the picture after the lens.
 pub fn lens_backward(
     picture: &[[f64; 3]],
     rows: &Rows,

@@ -1,13 +1,13 @@
 //! Vignetting and response of a camera; the twin of `exposure/lens_effects`.
 
-/// Per channel: the three coefficients of vignetting, and the logarithm of the response's exponent.
+/// Rows per channel: three coefficients of vignetting, and the logarithm of the response's exponent.
 pub type Rows = [[f64; 4]; 3];
 
-/// Below it the response is a straight line.
+/// Below this value the response is a straight line.
 pub const LEAST: f64 = 1.0 / 1024.0;
 
-/// Squared distances of the pixels of a picture from the principal point (first pixel's centre at 0), row by row, in squares of
-/// half the diagonal.
+/// Squared distances of the pixels from the principal point, row by row, in squares of half the diagonal. The first
+/// pixel's centre is 0.
 pub fn squares_of_radii([width, height]: [usize; 2], center_px: [f64; 2]) -> Vec<f64> {
     let half_diagonal = ((width * width + height * height) as f64).sqrt() / 2.0;
     let square = |pixel: usize| {
@@ -35,7 +35,8 @@ pub fn lens_effects(picture: &[[f64; 3]], rows: &Rows, r2: &[f64]) -> Vec<[f64; 
     picture.iter().zip(r2).map(of).collect()
 }
 
-/// What the kernels of a lens cannot be asked for near: where the straight line ends, the response has a corner.
+/// True near the end of the straight line: the response has a corner there, and float32 kernels may take either
+/// side.
 pub fn has_corner(color: &[f64; 3], rows: &Rows, r2: f64) -> bool {
     (0..3).any(|c| (color[c] * vignetting(&rows[c], r2) / LEAST - 1.0).abs() < 1e-4)
 }

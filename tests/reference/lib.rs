@@ -1,8 +1,8 @@
-//! Plain-loop twins of the kernels in double precision, one file per shader under the shader's name, written from
-//! the paper and the reference implementation's definitions without a line of the engine: the judge of the GPU. Kernels
-//! that compute the same in another way share a twin.
+//! Plain-loop twins of the kernels in double precision: the judge of the GPU. Each shader has a file of its name,
+//! written from the paper and the reference implementation's definitions without a line of the engine. Kernels that
+//! compute the same in another way share a twin.
 
-// The formulas' names say what the fields and parameters are.
+// The names are those of the formulas.
 #![allow(missing_docs)]
 // Loops over indices read like the formulas.
 #![allow(clippy::needless_range_loop)]

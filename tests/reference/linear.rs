@@ -1,4 +1,4 @@
-//! The little linear algebra that the twins need, written out.
+//! The linear algebra that the twins need, written out.
 
 /// A row-major 3×3 matrix.
 pub type Mat3 = [[f64; 3]; 3];

@@ -1,4 +1,4 @@
-//! LPIPS as a whole, from the twins of its layers; and weights by a formula, as the golden vectors have them.
+//! LPIPS from the twins of its layers, and weights by the formula of the golden vectors.
 
 use super::convolve::{Features, Window, convolve};
 use super::feature_difference::feature_difference;
@@ -7,10 +7,10 @@ use super::max_pool::max_pool;
 /// A step of a network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Step {
-    /// With so many outputs.
+    /// Convolution with this number of outputs.
     Convolve(usize, Window),
     Pool(Window),
-    /// LPIPS compares what is there.
+    /// LPIPS compares the features at this point.
     Tap,
 }
 
@@ -22,7 +22,6 @@ const fn pool(size: usize) -> Step {
     Step::Pool(Window { size, stride: 2, padding: 0 })
 }
 
-/// AlexNet.
 pub const ALEXNET: [Step; 12] = [
     conv(64, 11, 4, 2),
     Step::Tap,
@@ -38,7 +37,6 @@ pub const ALEXNET: [Step; 12] = [
     Step::Tap,
 ];
 
-/// VGG16.
 pub const VGG16: [Step; 22] = [
     conv(64, 3, 1, 1),
     conv(64, 3, 1, 1),
@@ -64,14 +62,14 @@ pub const VGG16: [Step; 22] = [
     Step::Tap,
 ];
 
-/// Of each convolution: weights and biases; of each tap: weights.
+/// Weights and biases of each convolution; weights of each tap.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Weights {
     pub convolutions: Vec<(Vec<f32>, Vec<f32>)>,
     pub heads: Vec<Vec<f32>>,
 }
 
-/// A number in [-1, 1) of two numbers.
+/// Hashes two numbers to a number in [-1, 1).
 pub fn hash(tag: u32, j: u32) -> f32 {
     let mut x = (tag << 24).wrapping_add(j);
     x ^= x >> 16;
@@ -111,7 +109,7 @@ fn wide(values: &[f32]) -> Vec<f64> {
     values.iter().map(|&value| f64::from(value)).collect()
 }
 
-/// The parts of LPIPS, one for each tap, of two pictures of values as the network is to see them: [0, 1] or [-1, 1].
+/// LPIPS of two pictures, one part per tap. Values are in the network's range: [0, 1] or [-1, 1].
 pub fn lpips(
     steps: &[Step],
     weights: &Weights,

@@ -1,6 +1,6 @@
 //! The Gaussians with the smallest keys: the twin of `densify/mark_drawn`.
 
-/// 1 for the `wanted` smallest keys, the first of equal ones first.
+/// Returns 1 for the `wanted` smallest keys; among equal keys the first win.
 pub fn mark(keys: &[Option<f64>], wanted: usize) -> Vec<u32> {
     let mut order: Vec<usize> = (0..keys.len()).filter(|&i| keys[i].is_some()).collect();
     order.sort_by(|&a, &b| keys[a].partial_cmp(&keys[b]).expect("no NaN"));

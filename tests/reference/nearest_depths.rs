@@ -3,7 +3,7 @@
 use super::linear::apply;
 use super::types::{NEAR, View};
 
-/// The least depth of a mean in the cameras that see it, up to 15 % of the picture outside of it.
+/// The least depth of a mean in the cameras that see it, including 15 % of the picture around it.
 pub fn nearest_depth(mean: [f64; 3], cameras: &[View]) -> Option<f64> {
     let depths = cameras.iter().filter_map(|view| {
         let rotated = apply(&view.camera_from_world, mean);

@@ -1,8 +1,8 @@
 //! A photograph at a fraction of its size, the twin of `pixels/photo_reduced`.
 
-/// (r, g, b, mask) per pixel of the means of squares of `factor` pixels, rounded. With `masked` a square counts, with mask 255,
-/// if all of its pixels do, and has zeros otherwise. `change` is that of the background of transparent photographs, whose
-/// fourth byte is 1 + 254 opacity where a pixel counts.
+/// Returns (r, g, b, mask) per pixel: rounded means of squares of `factor` pixels. With `masked`, a square has mask
+/// 255 if all its pixels count, otherwise zeros. `change` is the change of the background of transparent
+/// photographs, whose fourth byte is 1 + 254 opacity where a pixel counts.
 pub fn photo_reduced(
     rows: &[[u8; 4]],
     [width, height]: [usize; 2],

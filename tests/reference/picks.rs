@@ -1,7 +1,7 @@
-//! What is picked at a pixel, the twin of `compose/picks`.
+//! The Gaussian picked at a pixel, the twin of `compose/picks`.
 
-/// Scene and index in it of a Gaussian of the frame, from how many Gaussians each scene has in the frame's indices. Scenes that
-/// are not drawn have none.
+/// Scene of a frame's Gaussian and its index in the scene. `counts`: number of Gaussians of each scene in the
+/// frame's indices; 0 if the scene is not drawn.
 pub fn scene_of(gaussian: u32, counts: &[u32]) -> [u32; 2] {
     let mut left = gaussian;
     for (scene, &count) in counts.iter().enumerate() {

@@ -1,4 +1,4 @@
-//! The twins put together: a whole frame and its gradient.
+//! The twins together: a whole frame and its gradient.
 
 use super::blend::{Pixel, blend};
 use super::blend_backward::{PixelGradient, blend_backward};
@@ -7,7 +7,7 @@ use super::project_backward::{pose_gradient, project_backward};
 use super::types::{Gaussian, Gradient, Splat, SplatGradient, TILE, View};
 use super::{duplicate_with_tiles, ranges, sort};
 
-/// A frame with everything on the way.
+/// A frame and its intermediate results.
 pub struct Frame {
     /// Per Gaussian, `None` when culled.
     pub splats: Vec<Option<Splat>>,
@@ -21,15 +21,14 @@ pub struct Frame {
 
 /// Gradients of a frame.
 pub struct FrameGradient {
-    /// Per Gaussian, of its splat.
+    /// Gradients of the splats, per Gaussian.
     pub splats: Vec<SplatGradient>,
-    /// Per Gaussian, of its parameters; zeros when culled.
+    /// Gradients of the parameters, per Gaussian; zeros when culled.
     pub parameters: Vec<Gradient>,
-    /// Of the camera's pose: dL/dδ of exp(δ^) T at δ = 0, (ν, ω).
+    /// dL/dδ of the pose exp(δ^) T at δ = 0, (ν, ω).
     pub pose: [f64; 6],
 }
 
-/// Renders.
 pub fn render(gaussians: &[Gaussian], view: &View) -> Frame {
     let kept = |(index, g)| if view.drawn.drops(index) { None } else { project(g, view) };
     let splats: Vec<Option<Splat>> = gaussians.iter().enumerate().map(kept).collect();
@@ -89,7 +88,6 @@ pub fn backward(
 }
 
 impl SplatGradient {
-    /// Sum.
     pub fn add(&mut self, other: &SplatGradient) {
         for i in 0..2 {
             self.mean2d_px[i] += other.mean2d_px[i];

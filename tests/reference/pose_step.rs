@@ -1,4 +1,4 @@
-//! Adam over poses, and the cameras that follow (spec of training, §8): the twin of `poses/pose_step`.
+//! Adam over poses, and the resulting cameras (spec of training, §8): the twin of `poses/pose_step`.
 
 use super::adam::{BETA1, BETA2, Parameter};
 use super::linear::{Mat3, apply, cross, multiply, rotation};
@@ -6,7 +6,7 @@ use super::pose_gradient::left_jacobian;
 
 /// ε.
 pub const EPSILON: f64 = 1e-8;
-/// Added to the gradient, times the parameter.
+/// Weight decay: the gradient gains this factor times the parameter.
 pub const WEIGHT_DECAY: f64 = 1e-6;
 
 /// One step of one parameter; `step` counts from 1.
@@ -19,8 +19,9 @@ pub fn pose_step(parameter: &mut Parameter, gradient: f64, rate: f64, step: u32)
     parameter.value -= rate * corrected1 / (corrected2.sqrt() + EPSILON);
 }
 
-/// As [`pose_step`] on all of ξ, by turns about the point at `depth` before the camera: there the parameters are η, ξ = Ad η,
-/// ν = η_ν + p × η_ω. Displacements learn at the rate times the depth. 0 is no pivot.
+/// Same as [`pose_step`] on all of ξ, but turns about the point at `depth` in front of the camera. The parameters
+/// there are η, ξ = Ad η, ν = η_ν + p × η_ω. Displacements learn at the rate times the depth. Depth 0 means no
+/// pivot.
 pub fn step_about(depth: f64, parameters: &mut [Parameter; 6], gradient: [f64; 6], rate: f64, step: u32) {
     let pivot = [0.0, 0.0, depth];
     let xi = parameters.map(|p| p.value);
@@ -33,7 +34,7 @@ pub fn step_about(depth: f64, parameters: &mut [Parameter; 6], gradient: [f64; 6
             0..3 => (of_nu[i], rate * if depth > 0.0 { depth } else { 1.0 }),
             _ => (g[i] - lever[i - 3], rate),
         };
-        // The decay is in the gradient: none of η.
+        // The gradient includes the decay, so η starts at 0.
         parameter.value = 0.0;
         pose_step(parameter, g, rate, step);
         steps[i] = parameter.value;

@@ -6,14 +6,14 @@ use super::tiles;
 use super::types::{ALPHA_MIN, Extent, FAINT_OPACITY, Gaussian, NEAR, Splat, View};
 use super::{cull, sh};
 
-/// Everything on the way from a Gaussian to its splat that the backward pass needs again.
+/// Intermediate values of the projection that the backward pass needs.
 #[derive(Clone, Debug)]
 pub struct Intermediate {
     /// Position in the camera's frame.
     pub p: [f64; 3],
     /// x/z and y/z after the Jacobian limits.
     pub slope: [f64; 2],
-    /// Whether the limit acted, per axis.
+    /// True if the limit acted, per axis.
     pub limited: [bool; 2],
     /// Unit quaternion and the norm it was divided by.
     pub unit_quat: ([f64; 4], f64),
@@ -27,7 +27,7 @@ pub struct Intermediate {
     pub cov2d_undilated: [f64; 3],
     /// Opacity before the compensation.
     pub opacity: f64,
-    /// Factor on the opacity, and whether its floor acted.
+    /// Factor on the opacity; true if its floor acted.
     pub compensation: (f64, bool),
     /// Added to both variances on the screen, px².
     pub dilation_px2: f64,
@@ -50,7 +50,7 @@ pub fn slope_limits(view: &View) -> [[f64; 2]; 2] {
     })
 }
 
-/// The part of the projection that needs no cull decision; `None` before the near plane.
+/// The projection before any cull decision; `None` before the near plane.
 pub fn intermediate(gaussian: &Gaussian, view: &View) -> Option<Intermediate> {
     let gaussian = &filtered(gaussian, view.filter_3d);
     let p = cull::camera_position(gaussian, view);
@@ -58,7 +58,7 @@ pub fn intermediate(gaussian: &Gaussian, view: &View) -> Option<Intermediate> {
         return None;
     }
     let limits = slope_limits(view);
-    // Of parallel rays, x and y do not change with z.
+    // With parallel rays, x and y do not change with z.
     let (z, raw) = match view.drawn.orthographic {
         true => (1.0, [0.0; 2]),
         false => (p[2], [p[0] / p[2], p[1] / p[2]]),
@@ -153,7 +153,7 @@ pub fn camera_position(view: &View) -> [f64; 3] {
     apply(&transpose(&view.camera_from_world), view.translation).map(|x| -x)
 }
 
-/// Colour from SH: clamped at 0, and the raw value.
+/// Colour from SH, clamped at 0, and the raw value.
 pub fn color(gaussian: &Gaussian, view: &View) -> ([f64; 3], [f64; 3]) {
     let (direction, _) = view_direction(gaussian, view);
     let basis = sh::basis(direction);
@@ -167,7 +167,7 @@ pub fn color(gaussian: &Gaussian, view: &View) -> ([f64; 3], [f64; 3]) {
     (raw.map(|x| x.max(0.0)), raw)
 }
 
-/// Unit vector from the camera to the Gaussian, and the distance; of parallel rays, theirs.
+/// Unit vector from the camera to the Gaussian, and the distance. With parallel rays, the ray direction and 1.
 pub fn view_direction(gaussian: &Gaussian, view: &View) -> ([f64; 3], f64) {
     let eye = camera_position(view);
     if view.drawn.orthographic {

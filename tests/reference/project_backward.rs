@@ -124,7 +124,7 @@ fn conic_backward(on_the_way: &Intermediate, [d_a, d_b, d_c]: [f64; 3]) -> [f64;
 
 /// cov2d = (JR) Σ (JR)ᵀ → dL/dΣ and dL/d(JR).
 fn covariance_backward(on_the_way: &Intermediate, d: [f64; 3]) -> (Mat3, Mat3) {
-    // The off-diagonal element stands twice in the matrix, each time for half of its gradient.
+    // The off-diagonal element occurs twice in the matrix, each time with half of its gradient.
     let d_cov = [[d[0], d[1] / 2.0, 0.0], [d[1] / 2.0, d[2], 0.0], [0.0; 3]];
     let jr = &on_the_way.jr;
     let d_cov3d = multiply(&multiply(&transpose(jr), &d_cov), jr);
@@ -132,7 +132,7 @@ fn covariance_backward(on_the_way: &Intermediate, d: [f64; 3]) -> (Mat3, Mat3) {
     (d_cov3d, d_jr)
 }
 
-/// J → position in the camera's frame. A limited slope is a constant, so that t̂ = z·limit depends on z alone.
+/// J → position in the camera's frame. A limited slope is constant, so t̂ = z·limit depends on z alone.
 fn jacobian_backward(on_the_way: &Intermediate, view: &View, d_jr: &Mat3) -> [f64; 3] {
     let d_j = multiply(d_jr, &transpose(&view.camera_from_world));
     let z = on_the_way.p[2];

@@ -1,4 +1,4 @@
-//! Where each tile's run begins and ends in the sorted instances, the twin of `forward/ranges`.
+//! Begin and end of each tile's run in the sorted instances, the twin of `forward/ranges`.
 
 /// [begin, end) per tile; an empty tile gets [0, 0).
 pub fn ranges(sorted_tiles: &[u32], tile_count: u32) -> Vec<[u32; 2]> {

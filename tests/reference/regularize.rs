@@ -10,7 +10,7 @@ pub struct Sums {
     pub gradients: Vec<Gaussian>,
 }
 
-/// `weights`: of the mean opacity and of the mean scale.
+/// `weights`: weight of the mean opacity, weight of the mean scale.
 pub fn regularize(gaussians: &[Gaussian], weights: [f64; 2]) -> Sums {
     let count = gaussians.len() as f64;
     let mut sums = Sums { opacity: 0.0, scale: 0.0, gradients: Vec::new() };

@@ -2,7 +2,7 @@
 
 use super::linear::sigmoid;
 
-/// The new logit; `shrink` is the factor of the opacity that a 3D filter draws, 1 without one.
+/// The new logit. `shrink` is the 3D filter's factor of the drawn opacity, 1 without a filter.
 pub fn reset_opacity(logit: f64, shrink: f64) -> f64 {
     let drawn = sigmoid(logit) * shrink;
     let opacity = drawn.min(0.01_f32.into()) / shrink;

@@ -1,6 +1,6 @@
 //! Exclusive prefix sum within each block plus the block's offset, the twin of `scan/scan_apply`.
 
-/// prefix[i] = offset of its block + what precedes it there.
+/// prefix[i] = offset of its block + sum of the values before it in the block.
 pub fn scan_apply(values: &[u32], offsets: &[u32], block: usize) -> Vec<u32> {
     let mut prefix = Vec::with_capacity(values.len());
     for (values, &offset) in values.chunks(block).zip(offsets) {

@@ -1,6 +1,6 @@
 //! Exclusive prefix sum of the block sums, the twin of `scan/scan_spine`.
 
-/// In place, modulo 2^32; returns the sum of all, at most `u32::MAX`.
+/// Works in place, modulo 2^32. Returns the sum of all, at most `u32::MAX`.
 pub fn scan_spine(sums: &mut [u32]) -> u32 {
     let mut running = 0_u64;
     for sum in sums {

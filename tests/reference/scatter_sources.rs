@@ -4,39 +4,34 @@ use super::classify::{Decision, Statistic, decide, is_pruned};
 use super::gather::child_of;
 use super::types::Gaussian;
 
-/// Where a Gaussian of the new state comes from.
+/// Origin of a Gaussian in the new set.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// It was there before.
+    /// Unchanged.
     Kept = 0,
-    /// Copy.
     Clone = 1,
-    /// Half of a split one.
+    /// Half of a split Gaussian.
     Child = 2,
 }
 
-/// A Gaussian of the new state.
+/// A Gaussian of the new set.
 #[derive(Clone, Debug)]
 pub struct Placed {
-    /// Its index before (its parent's for clones and children).
+    /// Its index before densification; the parent's for clones and children.
     pub parent: usize,
-    /// What it is.
     pub kind: Kind,
-    /// Its parameters.
     pub gaussian: Gaussian,
 }
 
-/// How to densify.
 #[derive(Clone, Copy, Debug)]
 pub struct Densify {
-    /// Scene extent.
     pub scene_extent: f64,
     /// Also prune Gaussians larger than a tenth of the scene.
     pub prune_big: bool,
 }
 
-/// Survivors first, then clones, then the first children of all the splits, then the second ones; then pruning.
-/// `noise(child, split)` are standard normal numbers for a child of the split-th Gaussian that is split.
+/// Places survivors first, then clones, then all first children, then all second children; then prunes.
+/// `noise(child, split)` returns standard normal numbers for a child of the split-th split Gaussian.
 pub fn place(
     gaussians: &[Gaussian],
     statistics: &[Statistic],

@@ -11,12 +11,12 @@ pub fn position_rate(step: f64, scene_extent: f64) -> f64 {
     log_linear(step, 1.6e-4 * scene_extent, 1.6e-6 * scene_extent, 30_000.0)
 }
 
-/// Number of Gaussians that Improved-GS grows to by an iteration.
+/// Number of Gaussians that Improved-GS allows by an iteration.
 pub fn growth_budget(iteration: f64, last: f64) -> f64 {
     (((iteration - 500.0) / 14_000.0).clamp(0.0, 1.0).sqrt() * last).floor().max(1.0)
 }
 
-/// Whether Improved-GS makes a step: always, then every 5th, then every 20th iteration, not at the last.
+/// True if Improved-GS makes a step: at every, then every 5th, then every 20th iteration, not at the last.
 pub fn makes_step(iteration: u32) -> bool {
     match iteration {
         30_000 => false,

@@ -2,7 +2,7 @@
 
 use super::types::View;
 
-/// A mean's place on the screen (px, pixel centres at the integers) and its depth.
+/// Screen position of a mean (px, pixel centres at the integers) and its depth.
 fn seen(mean: [f64; 3], view: &View) -> ([f64; 2], f64) {
     let row =
         |k: usize| (0..3).map(|j| view.camera_from_world[k][j] * mean[j]).sum::<f64>() + view.translation[k];
@@ -12,7 +12,8 @@ fn seen(mean: [f64; 3], view: &View) -> ([f64; 2], f64) {
     ([at(0, x), at(1, y)], z)
 }
 
-/// Its place in `view` less that in `before`, px, at most the picture's size; none where it did not lie before that camera.
+/// Position in `view` minus position in `before`, px, at most the picture's size. Zero if the mean was behind the
+/// camera `before`.
 pub fn screen_motion(mean: [f64; 3], view: &View, before: &View) -> [f64; 2] {
     let ([x, y], _) = seen(mean, view);
     let ([x0, y0], z0) = seen(mean, before);

@@ -68,7 +68,7 @@ pub fn basis_gradient(direction: [f64; 3]) -> [[f64; 3]; 16] {
     ]
 }
 
-/// How many coefficients a degree has.
+/// Number of coefficients of a degree.
 pub fn coefficients(degree: u32) -> usize {
     ((degree + 1) * (degree + 1)) as usize
 }

@@ -2,7 +2,7 @@
 
 use super::sort_upsweep::digit;
 
-/// The keys and values, by digit and then by place.
+/// Keys and values, ordered by digit, then by position.
 pub fn sort_downsweep(keys: &[u32], values: &[u32], shift: u32, bits: u32) -> (Vec<u32>, Vec<u32>) {
     let (mut sorted_keys, mut sorted_values) = (Vec::new(), Vec::new());
     for wanted in 0..1 << bits {

@@ -3,14 +3,14 @@
 use super::blend::samples;
 use super::types::Splat;
 
-/// A point: its place in the picture, samples at the integers, and 1/z.
+/// A point: its position in the picture (pixel centres at the integers) and 1/z.
 #[derive(Clone, Copy, Debug)]
 pub struct Point {
     pub position_px: [f64; 2],
     pub inverse_z: f64,
 }
 
-/// Sum of weights z, and sum of weights, of a pixel.
+/// Sum of weights z and sum of weights of a pixel.
 pub fn depth_sums(list: &[&Splat], pixel: [u32; 2]) -> [f64; 2] {
     let (samples, _) = samples(list, pixel);
     samples.iter().fold([0.0; 2], |[z, one], sample| {
@@ -36,7 +36,7 @@ pub fn corners(position_px: [f64; 2], size_px: [usize; 2]) -> Vec<(usize, f64)> 
     all
 }
 
-/// The weighted loss, and per point the sampled depth and dL/d(it).
+/// Returns the weighted loss, and the sampled depth of each point with its dL/d(depth).
 pub fn loss(depths: &[f64], size_px: [usize; 2], points: &[Point], weight: f64) -> (f64, Vec<[f64; 2]>) {
     let mut sum = 0.0;
     let each = points.iter().map(|point| {

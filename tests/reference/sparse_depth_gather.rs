@@ -1,4 +1,4 @@
-//! From gradients at sparse points to those of the picture's depths, and on to the splats; the twin of
+//! Gradients at sparse points, passed on to the picture's depths and to the splats; the twin of
 //! `loss/sparse_depth_gather`.
 
 use super::blend::samples;
@@ -35,7 +35,7 @@ pub fn expected_depth_backward(
     for (at, sample) in samples.iter().enumerate() {
         let splat = list[sample.entry];
         let gradient = &mut gradients[sample.entry];
-        // dL/dz, as that of 1/z.
+        // dL/dz, converted to dL/d(1/z).
         gradient.inverse_depth -= d_expected * weight(at) / coverage * splat.depth * splat.depth;
         let behind: f64 = (at + 1..samples.len()).map(|k| weight(k) * (depth(k) - expected)).sum();
         let of_alpha = sample.transmittance * (splat.depth - expected) - behind / (1.0 - sample.alpha);

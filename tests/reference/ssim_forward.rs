@@ -10,11 +10,8 @@ const RADIUS: i64 = 5;
 /// One channel of a picture, row-major.
 #[derive(Clone, Debug)]
 pub struct Plane {
-    /// Columns.
     pub width: usize,
-    /// Rows.
     pub height: usize,
-    /// Values.
     pub values: Vec<f64>,
 }
 

@@ -3,7 +3,7 @@
 /// Set in the first word of a list.
 pub const LISTED: u32 = 1 << 31;
 
-/// Whether the words are a list.
+/// True if the words are a list.
 pub fn is_listed([head, _]: [u32; 2]) -> bool {
     head & LISTED != 0
 }
@@ -19,7 +19,7 @@ pub fn listed_tiles([head, rows]: [u32; 2], tiles_per_row: u32) -> Vec<u32> {
     let count = tiles_met([head, rows]);
     let mut begin = 0;
     for row in 0..5 {
-        // The fifth row has no end of its own, the first its column in the first word.
+        // The fifth row has no stored end; the first row's column is in the first word.
         let end = if row < 4 { (rows >> (5 * row) & 31).min(count) } else { count };
         let column = if row == 0 { head >> 23 & 7 } else { rows >> (20 + 3 * (row - 1)) & 7 };
         let first = (head & 0x7F_FFFF) + row * tiles_per_row + column;

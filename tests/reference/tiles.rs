@@ -5,12 +5,12 @@ use super::types::{ALPHA_MIN, Extent, Splat, TILE, View};
 /// Tile columns [x0, x1) and rows [y0, y1), as [x0, y0, x1, y1].
 pub type TileBox = [u32; 4];
 
-/// Whether the box holds no tile.
+/// True if the box holds no tile.
 pub fn is_empty([x0, y0, x1, y1]: TileBox) -> bool {
     x0 >= x1 || y0 >= y1
 }
 
-/// The reference implementation's tiles: the square of the radius.
+/// The reference implementation's tiles: those of the square around the radius.
 pub fn reference_square(splat: &Splat, view: &View) -> TileBox {
     let tile = f64::from(TILE);
     let radius = f64::from(splat.radius_px);
@@ -23,7 +23,7 @@ pub fn reference_square(splat: &Splat, view: &View) -> TileBox {
     [first(x, columns), first(y, rows), last(x, columns), last(y, rows)]
 }
 
-/// The level set α = 1/255: (xᵀ conic x) at which the opacity has fallen to it; negative when never reached.
+/// The value of xᵀ conic x at which α falls to 1/255; negative if α never reaches it.
 pub fn level(splat: &Splat) -> f64 {
     2.0 * (splat.opacity / ALPHA_MIN).ln()
 }
@@ -34,8 +34,8 @@ pub fn half_extent_px(splat: &Splat) -> [f64; 2] {
     [(level * splat.cov2d[0]).sqrt(), (level * splat.cov2d[2]).sqrt()]
 }
 
-/// Tiles whose rectangle of pixel centres, [16 t, 16 t + 15] on each axis, meets the box around the ellipse α ≥ 1/255.
-/// Tiles at the border are whole ones.
+/// Tiles whose rectangle of pixel centres, [16 t, 16 t + 15] on each axis, meets the box around the ellipse α ≥
+/// 1/255. Border tiles count as whole tiles.
 pub fn exact_box(splat: &Splat, view: &View) -> TileBox {
     let half = half_extent_px(splat);
     let tile = f64::from(TILE);
@@ -49,7 +49,7 @@ pub fn exact_box(splat: &Splat, view: &View) -> TileBox {
     tiles
 }
 
-/// Whether a pixel centre of the tile is reached with α ≥ 1/255, by trying all 256.
+/// True if α ≥ 1/255 at some pixel centre of the tile; tries all 256.
 pub fn touches_by_pixels(splat: &Splat, tile: [u32; 2]) -> bool {
     let mut touches = false;
     for y in 0..TILE {
@@ -81,7 +81,7 @@ pub fn smallest_form_over_tile(splat: &Splat, tile: [u32; 2]) -> f64 {
     }
     let [a, b, c] = splat.conic;
     let form = |x: f64, y: f64| a * x * x + 2.0 * b * x * y + c * y * y;
-    // Convex, so the minimum over a rectangle without the centre lies on its border: a parabola per side.
+    // The form is convex. Its minimum over a rectangle without the centre lies on the border, a parabola per side.
     let mut smallest = f64::INFINITY;
     for x in [low[0] - center[0], high[0] - center[0]] {
         let y = (-b * x / c).clamp(low[1] - center[1], high[1] - center[1]);
@@ -94,8 +94,8 @@ pub fn smallest_form_over_tile(splat: &Splat, tile: [u32; 2]) -> f64 {
     smallest
 }
 
-/// Whether the ellipse α ≥ 1/255 meets the continuous rectangle of the tile's pixel centres: true wherever
-/// [`touches_by_pixels`] is.
+/// True if the ellipse α ≥ 1/255 meets the continuous rectangle of the tile's pixel centres. Implied by
+/// [`touches_by_pixels`].
 pub fn touches_rectangle(splat: &Splat, tile: [u32; 2]) -> bool {
     smallest_form_over_tile(splat, tile) <= level(splat)
 }

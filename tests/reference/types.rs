@@ -7,11 +7,10 @@ use super::gather::pcg4d;
 pub enum Extent {
     /// Wherever power ≤ 0 and α ≥ 1/255.
     Exact,
-    /// The square of three standard deviations that the reference implementation visits.
+    /// The square of three standard deviations of the reference implementation.
     Reference,
 }
 
-/// One Gaussian as stored: raw parameters.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Gaussian {
     /// World position.
@@ -39,47 +38,45 @@ pub struct View {
     pub center_px: [f64; 2],
     /// Width, height.
     pub size_px: [u32; 2],
-    /// Background colour.
     pub background: [f64; 3],
     /// Active SH degree.
     pub sh_degree: u32,
     /// Opacity compensation for the dilation.
     pub antialias: bool,
-    /// Gradients take that compensation as a constant.
+    /// Gradients treat that compensation as constant.
     pub antialias_detached: bool,
     /// Standard deviation of the 3D filter of all Gaussians, world units; 0 for none.
     pub filter_3d: f64,
-    /// Jacobian limits ±1.3 tan(fov/2) instead of the image edges plus 0.3 tan(fov/2).
+    /// Jacobian limits ±1.3 tan(fov/2), instead of the image edges plus 0.3 tan(fov/2).
     pub symmetric_limit: bool,
     /// Which pixels a Gaussian may reach.
     pub extent: Extent,
-    /// What is drawn in place of the Gaussians.
+    /// How Gaussians are drawn.
     pub drawn: Drawn,
 }
 
-/// What is drawn of each Gaussian.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Drawn {
     /// Factor of the standard deviations.
     pub scale_modifier: f64,
     /// Added to both variances on the screen, px².
     pub dilation_px2: f64,
-    /// If not 0, what stands in place of all opacities (and of the compensation); if negative, those below
-    /// [`FAINT_OPACITY`] become 0 instead.
+    /// If not 0, replaces all opacities (and the compensation). If negative, opacities below [`FAINT_OPACITY`]
+    /// become 0 instead.
     pub opacity: f64,
-    /// Which Gaussians are left out.
+    /// Limits that a drawn Gaussian must meet.
     pub cut: Limits,
-    /// Some that are left out at random.
+    /// Random omission of Gaussians.
     pub dropout: Option<Dropout>,
-    /// Factors of the scene. Only the kernels that cull and project know them.
+    /// Factors of the scene. Only the culling and projecting kernels read them.
     pub tint: Option<Tint>,
-    /// Volumes that keep or remove Gaussians. Only culling knows them.
+    /// Volumes that keep or remove Gaussians. Only culling reads them.
     pub cut_outs: [Option<CutOut>; 3],
-    /// Gaussians in another colour. Only the kernels that project know it.
+    /// Recoloured Gaussians. Only the projecting kernels read it.
     pub selection: Option<Selection>,
-    /// The depth that is blended is z, not 1/z. Only the kernels that project know it.
+    /// Blends z, not 1/z, as the depth. Only the projecting kernels read it.
     pub z_record: bool,
-    /// The camera's rays are parallel. Only the kernels that cull and project know it.
+    /// Parallel camera rays. Only the culling and projecting kernels read it.
     pub orthographic: bool,
 }
 
@@ -88,27 +85,26 @@ pub struct Drawn {
 pub struct Tint {
     /// Red, green and blue.
     pub color: [f64; 3],
-    /// 0 to 1, of Gaussians themselves.
+    /// Factor of the Gaussians' own opacities, 0 to 1.
     pub opacity: f64,
 }
 
 /// A volume that keeps or removes the Gaussians whose means lie inside, in float32.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CutOut {
-    /// Centre.
     pub center: [f32; 3],
-    /// What takes points relative to it to the volume's axes.
+    /// Rows of the transform of relative positions to the volume's axes.
     pub rows: [[f32; 3]; 3],
-    /// Half sizes of a box; of a half-space, the largest first coordinate.
+    /// Half sizes of a box; the largest first coordinate of a half-space.
     pub bounds: [f32; 3],
     /// Box, unit ball or half-space: 0, 1, 2.
     pub shape: u32,
-    /// Whether what is inside is removed.
+    /// True if the volume removes the Gaussians inside.
     pub removes: bool,
 }
 
 impl CutOut {
-    /// Whether a mean lies inside.
+    /// True if a mean lies inside.
     pub fn contains(&self, mean: [f64; 3]) -> bool {
         let from = [0, 1, 2].map(|i| mean[i] as f32 - self.center[i]);
         let q = self.rows.map(|[a, b, c]| a * from[0] + b * from[1] + c * from[2]);
@@ -120,65 +116,64 @@ impl CutOut {
     }
 }
 
-/// Gaussians in another colour: about every other one.
+/// Recolours about every other Gaussian.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Selection {
-    /// The other colour.
     pub color: [f64; 3],
-    /// Its share.
+    /// Share of that colour.
     pub share: f64,
 }
 
 impl Selection {
-    /// Whether a Gaussian is among them.
+    /// True if a Gaussian is selected.
     pub fn selects(gaussian: usize) -> bool {
         pcg4d([gaussian as u32, 1, 2, 3])[0] & 1 == 1
     }
 }
 
-/// Gaussians that are left out at random (DropGaussian): the numbers of 24 bits below `below`, by the keys and the Gaussian.
+/// Random omission of Gaussians (DropGaussian): those whose 24-bit random number is less than `below`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Dropout {
-    /// Of 2^24.
+    /// Number out of 2^24.
     pub below: u32,
-    /// Key.
+    /// Key of the random numbers.
     pub seed: u32,
-    /// Key.
+    /// Key of the random numbers.
     pub iteration: u32,
 }
 
 impl Dropout {
-    /// Whether a Gaussian is left out.
+    /// True if a Gaussian is omitted.
     pub fn drops(&self, gaussian: usize) -> bool {
         pcg4d([self.seed, self.iteration, gaussian as u32, 6])[0] >> 8 < self.below
     }
 
-    /// Factor of the opacities of the others, rounded to float32.
+    /// Factor of the remaining opacities, rounded to float32.
     pub fn factor(&self) -> f64 {
         f64::from((1.0 / (1.0 - f64::from(self.below) / f64::from(1 << 24))) as f32)
     }
 }
 
-/// What a Gaussian must have to be drawn.
+/// Conditions that a drawn Gaussian must meet.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limits {
     /// Least and largest coordinates of the mean.
     pub mean: [[f64; 3]; 2],
     /// Least opacity before the sigmoid.
     pub opacity_logit: f64,
-    /// Least difference of that and the largest log-scale, in float32.
+    /// Least difference of the opacity logit and the largest log-scale, in float32.
     pub log_density: f64,
 }
 
 impl Limits {
-    /// Nothing is left out.
+    /// Keeps all Gaussians.
     pub const NONE: Self = Self {
         mean: [[f32::MIN as f64; 3], [f32::MAX as f64; 3]],
         opacity_logit: f32::MIN as f64,
         log_density: f32::MIN as f64,
     };
 
-    /// Whether a Gaussian is drawn.
+    /// True if a Gaussian is drawn.
     pub fn keep(&self, gaussian: &Gaussian) -> bool {
         let [low, high] = self.mean;
         let inside = (0..3).all(|i| (low[i]..=high[i]).contains(&gaussian.mean[i]));
@@ -203,14 +198,14 @@ impl Drawn {
         orthographic: false,
     };
 
-    /// Whether the cut-outs leave a Gaussian.
+    /// True if the cut-outs keep a Gaussian.
     pub fn keeps(&self, gaussian: &Gaussian) -> bool {
         let own = || self.cut_outs.iter().flatten();
         let inside = |removes: bool| own().any(|c| c.removes == removes && c.contains(gaussian.mean));
         !inside(true) && (inside(false) || own().all(|c| c.removes))
     }
 
-    /// Whether a Gaussian is left out at random.
+    /// True if the dropout omits a Gaussian.
     pub fn drops(&self, gaussian: usize) -> bool {
         self.dropout.is_some_and(|dropout| dropout.drops(gaussian))
     }
@@ -233,27 +228,27 @@ impl Drawn {
         }
     }
 
-    /// The scene's factor of the opacities of Gaussians, which is none of what is drawn in their place.
+    /// The scene's opacity factor of Gaussians; 1 if replaced opacities are drawn.
     pub fn fading(&self) -> f64 {
         self.tint.filter(|_| self.opacity == 0.0).map_or(1.0, |tint| tint.opacity)
     }
 
-    /// What opacities are multiplied by at last.
+    /// Last factor of the opacities.
     pub fn opacity_factor(&self) -> f64 {
         self.dropout.map_or(1.0, |dropout| dropout.factor())
     }
 }
 
-/// Gaussians fainter than this are left out where opacities are replaced by a negative one.
+/// Gaussians fainter than this are omitted if `Drawn::opacity` is negative.
 pub const FAINT_OPACITY: f64 = 0.2_f32 as f64;
 
 impl View {
-    /// The tile grid's columns and rows.
+    /// Columns and rows of the tile grid.
     pub fn tiles(&self) -> [u32; 2] {
         self.size_px.map(|n| n.div_ceil(TILE))
     }
 
-    /// Pixels of the image.
+    /// Number of pixels of the image.
     pub fn pixels(&self) -> usize {
         self.size_px[0] as usize * self.size_px[1] as usize
     }
@@ -312,7 +307,7 @@ pub struct Gradient {
 
 /// Side of a tile.
 pub const TILE: u32 = 16;
-/// The thresholds are the float32-rounded constants.
+/// Near plane. All thresholds are constants rounded to float32.
 pub const NEAR: f64 = 0.2_f32 as f64;
 /// Added to the diagonal of the 2-D covariance.
 pub const DILATION: f64 = 0.3_f32 as f64;
@@ -320,5 +315,5 @@ pub const DILATION: f64 = 0.3_f32 as f64;
 pub const ALPHA_MAX: f64 = 0.99_f32 as f64;
 /// α's lower threshold.
 pub const ALPHA_MIN: f64 = (1.0_f32 / 255.0_f32) as f64;
-/// Blending stops before transmittance falls below.
+/// Blending stops before the transmittance falls below this.
 pub const TRANSMITTANCE_MIN: f64 = 1e-4_f32 as f64;

@@ -1,9 +1,9 @@
-//! Which of the visible lie in each range of parameters, the twin of `forward/write_visible_ranges`.
+//! Visible Gaussians in each range of parameters, the twin of `forward/write_visible_ranges`.
 
 use std::ops::Range;
 
-/// [first visible, one past the last) of each range of `blocks_per_range` blocks of a scene, from the visible before each
-/// block of the frame and those in all. `own`: the scene's blocks.
+/// [first visible, one past the last) of each range of `blocks_per_range` blocks of a scene. `block_offsets` counts
+/// the visible before each block of the frame. `own`: the scene's blocks.
 pub fn ranges(
     block_offsets: &[u32],
     visible: u32,

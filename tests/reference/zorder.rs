@@ -1,16 +1,16 @@
-//! Places on the Z-order curve that densification orders Gaussians along: the twin of `densify/zorder`.
+//! Positions on the Z-order curve by which densification orders Gaussians: the twin of `densify/zorder`.
 
-/// Cells of an axis.
+/// Number of cells per axis.
 const CELLS: f64 = 1024.0;
 
-/// The cell of a place on one axis: space folded into (-1, 1) about the middle of the cameras, in extents of the scene.
+/// Cell of a coordinate: space folded into (-1, 1) about the middle of the cameras, in scene extents.
 pub fn cell(place: f64, center: f64, extent: f64) -> f64 {
     let distance = (place - center) / extent;
     let folded = distance / (1.0 + distance.abs());
     if !distance.is_finite() { 0.0 } else { ((0.5 + 0.5 * folded) * CELLS).min(CELLS - 1.0) }
 }
 
-/// A place's number on the curve: the bits of its cells in turn, x lowest.
+/// Number of a position on the curve: the bits of its cells interleaved, x lowest.
 pub fn zorder(place: [f64; 3], center: [f64; 3], extent: f64) -> u32 {
     let mut key = 0;
     for axis in 0..3 {
