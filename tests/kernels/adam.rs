@@ -12,7 +12,7 @@ const RATES: Rates =
     Rates { mean: 1e-3, opacity: 0.025, quat: 2e-3, log_scale: 5e-3, sh_dc: 2.5e-3, sh_rest: 1.25e-4 };
 const CAMERA: [f64; 3] = [0.5, -0.25, -5.0];
 
-/// Everything that the optimiser holds of a Gaussian, with the rate of each.
+/// All parameters of a Gaussian that the optimiser updates, with their rates.
 fn scalars(gaussian: &Gaussian) -> Vec<(f64, f64)> {
     let mut all: Vec<(f64, f64)> = gaussian.mean.iter().map(|&x| (x, RATES.mean)).collect();
     all.extend(gaussian.quat.iter().map(|&x| (x, RATES.quat)));
@@ -25,7 +25,7 @@ fn scalars(gaussian: &Gaussian) -> Vec<(f64, f64)> {
     all
 }
 
-/// The same order for a gradient; SH from the direction at which the Gaussian was seen.
+/// Gradients in the order of [`scalars`]; SH from the viewing direction.
 fn gradient_scalars(g: &VisibleGradient, mean: [f64; 3], sh_degree: u32, stored: usize) -> Vec<f64> {
     let towards = [0, 1, 2].map(|i| mean[i] - CAMERA[i]);
     let distance = towards.iter().map(|x| x * x).sum::<f64>().sqrt();
@@ -54,7 +54,7 @@ fn random_gradients(random: &mut Random, count: usize) -> Vec<Option<VisibleGrad
     gradients.into_iter().enumerate().map(|(i, g)| (i % 4 != 1).then_some(g)).collect()
 }
 
-/// Some steps on the device and by the twin.
+/// Makes some steps on the device and with the twin.
 fn check(gpu: &Gpu, size: usize, [sh_degree, stored]: [u32; 2], sparse: bool) {
     let mut random = Random::new(size as u64);
     let coefficients = ((stored + 1) * (stored + 1)) as usize;
@@ -69,7 +69,7 @@ fn check(gpu: &Gpu, size: usize, [sh_degree, stored]: [u32; 2], sparse: bool) {
     for step in 1..=4 {
         let mut gradients = random_gradients(&mut random, size);
         if size > 12 && step == 2 {
-            // Not finite: left alone and counted.
+            // Not finite: skipped and counted.
             gradients[4] = Some(VisibleGradient { mean: [f64::NAN, 0.0, 0.0], ..VisibleGradient::default() });
             gradients[8] =
                 Some(VisibleGradient { quat: [0.0, 0.0, 0.0, f64::INFINITY], ..VisibleGradient::default() });
@@ -163,7 +163,7 @@ fn adam_without_texels_is_the_same_to_the_bit() {
     }
 }
 
-/// Where the device has moved the camera, it is the camera block's that counts, and only that.
+/// If the device has moved the camera, only the camera block's position counts.
 #[test]
 fn adam_of_a_moved_camera_is_the_same_to_the_bit() {
     let gpu = Gpu::new();
@@ -197,8 +197,8 @@ fn adam_changes_nothing_after_an_overflow() {
     assert!(state.download() == before);
 }
 
-/// Gradients of the parameters themselves add to those of the frame, and count outside the view as well; sparse
-/// steps leave what is outside alone.
+/// Gradients of the parameters themselves add to those of the frame, also outside the view. Sparse steps skip
+/// Gaussians outside the view.
 #[test]
 fn adam_adds_gradients_of_the_parameters() {
     let gpu = Gpu::new();
@@ -240,7 +240,7 @@ fn gradient_is_seen(gradient: &VisibleGradient) -> bool {
     gradient.mean != [0.0; 3]
 }
 
-/// Where no direction exists, none is needed: a Gaussian at the camera is never seen.
+/// A Gaussian at the camera has no direction, but it is never visible and needs none.
 #[test]
 fn adam_leaves_a_gaussian_at_the_camera_finite() {
     let gpu = Gpu::new();

@@ -16,9 +16,9 @@ use crate::reference::types::Gaussian;
 
 const CAMERA: [f64; 3] = [0.5, -0.25, -5.0];
 
-/// What a view gives.
+/// Output of a view.
 struct View {
-    /// Per Gaussian: its visible index.
+    /// Visible index of each Gaussian.
     visible: Vec<u32>,
     rows: Vec<[f32; 4]>,
     stride: usize,
@@ -39,7 +39,7 @@ impl View {
         View { visible, rows: rows.collect(), stride }
     }
 
-    /// The gradient of a Gaussian with this mean.
+    /// The gradient of Gaussian `index` with this mean.
     fn gradient(&self, index: usize, mean: [f64; 3], degree: u32, stored: usize) -> Gaussian {
         let row = |plane: usize| match self.visible[index] {
             u32::MAX => [0.0; 4],
@@ -54,7 +54,7 @@ impl View {
     }
 }
 
-/// Two views with degrees of their own, and one that overflowed.
+/// Two views with different degrees, and one that overflowed.
 fn check(gpu: &Gpu, size: usize, degrees: [u32; 2], stored: u32, direct: bool) {
     let coefficients = ((stored + 1) * (stored + 1)) as usize;
     let mut random = Random::new(size as u64 + 7 * u64::from(stored));

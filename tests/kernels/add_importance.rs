@@ -8,7 +8,7 @@ use crate::common::gpu::{Gpu, sizes};
 use crate::common::scenes::Random;
 use crate::reference::add_importance::importance;
 
-/// The kernel over one view after the other, from 0.
+/// Runs the kernel over one view after another, starting from 0.
 fn run(gpu: &Gpu, views: &[Vec<f32>], overflow: bool) -> Vec<f64> {
     let spec = Spec { workgroup_size: gpu.workgroup(64) };
     let kernel = gpu.kernel::<Interface>(&spec);
@@ -34,7 +34,7 @@ fn add_importance_equals_its_twin() {
     for size in sizes(gpu.workgroup(64) as usize).into_iter().filter(|&size| size > 0) {
         let mut random = Random::new(size as u64);
         let mut of = |low: f64| (0..size).map(|_| (low + 9.0 * random.unit()) as f32).collect::<Vec<f32>>();
-        // The third has equal weights.
+        // The third view has equal weights.
         let views = [of(0.0), of(2.0), vec![4.0; size]];
         let wide = views.each_ref().map(|view| view.iter().copied().map(f64::from).collect::<Vec<f64>>());
         let actual = run(&gpu, &views, false);

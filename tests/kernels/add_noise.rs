@@ -29,7 +29,7 @@ fn moved(gpu: &Gpu, gaussians: &[Gaussian], normals: Option<&[[f32; 3]]>, overfl
     unpack(&gpu.read::<[f32; 4]>(&parameters, planes(4) * room), room, count, 4)
 }
 
-/// Where the opacity lets the noise through, and where it does not.
+/// Opacities that let the noise through, and opacities that block it.
 fn scene(size: usize) -> Vec<Gaussian> {
     let mut gaussians = mixed_scene(&mut Random::new(size as u64), size, 4);
     for (i, gaussian) in gaussians.iter_mut().enumerate() {
@@ -38,7 +38,7 @@ fn scene(size: usize) -> Vec<Gaussian> {
     gaussians
 }
 
-/// `error` bounds what the normal numbers are off by.
+/// `error` bounds the error of the normal numbers.
 fn compare(before: &[Gaussian], after: &[Gaussian], normal: impl Fn(usize) -> [f64; 3], error: f64) {
     for (i, (before, after)) in before.iter().zip(after).enumerate() {
         let delta = noise(before, normal(i), 3.0);

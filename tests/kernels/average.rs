@@ -8,10 +8,10 @@ use crate::common::gpu::{Gpu, sizes};
 use crate::common::scenes::Random;
 use crate::reference::average::mean;
 
-/// What lies in front and stays; a multiple of what devices ask of the begin of a binding.
+/// Texels in front, which must stay; a multiple of the devices' alignment of bindings.
 const FIRST: usize = 16;
 
-/// Values and means after a step; `ends` and the frame's overflow as the kernel has them.
+/// Returns values and means after a step; `flags` has `ends` and the frame's overflow.
 fn after(gpu: &Gpu, [values, means]: [&[[f32; 4]]; 2], weight: f32, flags: [u32; 2]) -> [Vec<[f32; 4]>; 2] {
     let spec = Spec { workgroup_size: gpu.workgroup(64) };
     let kernel = gpu.kernel::<Interface>(&spec);
@@ -29,7 +29,7 @@ fn after(gpu: &Gpu, [values, means]: [&[[f32; 4]]; 2], weight: f32, flags: [u32;
     [&values, &means].map(|buffer| gpu.read(buffer, all))
 }
 
-/// A vec4 more than what is averaged behind it, which stays too.
+/// One vec4 behind the averaged ones must stay, too.
 fn random(size: usize, seed: u64) -> Vec<[f32; 4]> {
     let mut random = Random::new(seed);
     (0..size + FIRST + 1).map(|_| [0; 4].map(|_| 3.0 * random.signed() as f32)).collect()
@@ -40,7 +40,7 @@ fn average_equals_its_twin() {
     let gpu = Gpu::new();
     for size in sizes(gpu.workgroup(64) as usize) {
         let mut means = random(size, 99);
-        // The first mean takes nothing of what was there before.
+        // The first mean ignores previous values.
         means[FIRST..].fill([f32::NAN; 4]);
         means[FIRST + size] = [7.0; 4];
         let mut expected: Vec<[f64; 4]> = means.iter().map(|texel| texel.map(f64::from)).collect();

@@ -17,7 +17,7 @@ use crate::reference::types::Splat;
 
 const TOLERANCE: PixelTolerance = PixelTolerance { max: 5e-5, mean: 1e-6, unstable: 2e-2 };
 
-/// Blends on the device, with and without chained columns, and by the twin, and compares every output.
+/// Blends on the device in all forms and by the twin, and compares every output.
 fn check(gpu: &Gpu, lists: &Lists, inverse_depth: bool, entries_per_pass: u32) {
     for how in forms(gpu).into_iter().map(|how| How { inverse_depth, entries_per_pass, ..how }) {
         match how.strips {
@@ -27,7 +27,8 @@ fn check(gpu: &Gpu, lists: &Lists, inverse_depth: bool, entries_per_pass: u32) {
     }
 }
 
-/// The picture composited in strips against what accumulated says, all else as without strips, to the bit.
+/// Checks the picture composited in strips against `accumulated`, and the other outputs against those without
+/// strips, to the bit.
 fn check_strips(gpu: &Gpu, lists: &Lists, how: How) {
     let count = lists.view.pixels();
     let usual = forward(gpu, lists, How { strips: false, ..how });
@@ -57,7 +58,7 @@ fn check_strips(gpu: &Gpu, lists: &Lists, how: How) {
 fn check_one(gpu: &Gpu, lists: &Lists, how: How) {
     let blended = forward(gpu, lists, how);
     let count = lists.view.pixels();
-    // The kernel leaves the background to others.
+    // The kernel does not add the background.
     let expected: Vec<Pixel> =
         pixels_of(&lists.view).map(|pixel| blend(&lists.list_of(pixel), pixel, [0.0; 3])).collect();
     let unstable = lists.unstable();
@@ -113,14 +114,14 @@ pub fn blend_equals_its_twin_on_images_of_all_sizes() {
     }
 }
 
-/// Opaque layers: the clamp at 0.99 and the stop before transmittance 1e-4.
+/// Opaque layers reach the clamp at 0.99 and the stop before transmittance 1e-4.
 #[test]
 pub fn blend_of_opaque_layers() {
     let gpu = Gpu::new();
     check(&gpu, &Lists::long(&gpu, 50, [0.98, 1.0], &small_view([37, 21])), true, u32::MAX);
 }
 
-/// Passes over parts of the lists give the same picture to the bit.
+/// Passes over parts of the lists give the same picture, to the bit.
 #[test]
 pub fn blend_in_passes_equals_blend_at_once() {
     let gpu = Gpu::new();
@@ -145,7 +146,7 @@ pub fn blend_in_passes_equals_blend_at_once() {
     }
 }
 
-/// Splats of all directions, from the smallest that the dilation allows to `longest` px² of variance along.
+/// Splats in all directions, of variances from the dilation's minimum to `longest` px².
 fn needles(gpu: &Gpu, longest: f64) -> Lists {
     let view = small_view([64, 48]);
     let splats: Vec<Splat> = (0..600)
@@ -172,15 +173,15 @@ fn needles(gpu: &Gpu, longest: f64) -> Lists {
     Lists::new(gpu, splats, lists, &view)
 }
 
-/// Where a column's opacities change fastest, and the chain starts far from those that count.
+/// The opacities of a column change fastest, and the chain starts far from the visible pixels.
 #[test]
 pub fn blend_of_needles() {
     let gpu = Gpu::new();
     check(&gpu, &needles(&gpu, 30.0), true, u32::MAX);
 }
 
-/// Needles so long that float32 itself misses the tolerance, because the form's terms cancel: chained columns must not
-/// add to that.
+/// The form's terms cancel for needles so long that float32 itself misses the tolerance. Chained columns must not
+/// add to that error.
 #[test]
 pub fn blend_of_long_needles_errs_no_more_in_chained_columns() {
     let gpu = Gpu::new();
@@ -202,7 +203,8 @@ pub fn blend_of_long_needles_errs_no_more_in_chained_columns() {
     }
 }
 
-/// A tile that no pass finishes makes the frame invalid: said, so that it is run again with more passes.
+/// A tile that no pass finishes makes the frame invalid. The kernel reports it, so that the frame runs again with
+/// more passes.
 #[test]
 pub fn blend_reports_tiles_that_no_pass_finishes() {
     let gpu = Gpu::new();
@@ -228,7 +230,7 @@ pub fn blend_reports_tiles_that_no_pass_finishes() {
         composited: &accumulated,
     };
     let [tiles_per_row, rows] = lists.view.tiles();
-    // Whether the last pass ends within the lists, at their end, or another follows.
+    // The lists exceed the last pass, fit it, or another pass follows.
     for (max_entries, last_pass, overflow) in [(99, 0, 0), (100, 1, 0), (99, 1, 1)] {
         let push = Push {
             image_width: lists.view.size_px[0],
@@ -250,14 +252,14 @@ pub fn blend_reports_tiles_that_no_pass_finishes() {
     }
 }
 
-/// Splats behind a limit do not count, nor does anything that follows them; and the sum of weights * z.
+/// Splats behind a limit and those after them add nothing. Also checks the sum of weights * z.
 #[test]
 pub fn blend_stops_at_the_depth_limit() {
     let gpu = Gpu::new();
     let lists = Lists::sorted(&gpu, 70, [0.02, 0.6], &small_view([37, 21]));
     let count = lists.view.pixels();
     let unstable = lists.unstable();
-    // Nothing, everything hidden, and depths in between: the splats lie between 0.5 and 9.
+    // Nothing hidden, everything hidden, and depths in between: the splats lie between 0.5 and 9.
     let limits: Vec<f32> =
         (0..count).map(|i| [0.0, 1.0 / 0.4, 1.0 / 8.9, 1.0 / 4.0][i % 4] * (1.0 + i as f32 * 1e-5)).collect();
     let buffer = gpu.buffer("depth_limits", &limits);
@@ -292,8 +294,8 @@ pub fn blend_stops_at_the_depth_limit() {
     }
 }
 
-/// Entries that each hit every region, more of them than a driver's rounds of an invocation suffice for at once, and behind
-/// them one that can be seen: such a driver stops without a word.
+/// Each of many entries hits every region, and the last entry is visible. A driver that limits an invocation's loop
+/// rounds stops silently before it.
 #[test]
 pub fn blend_of_more_hits_than_an_invocation_has_rounds() {
     const ENTRIES: usize = 20_000;
@@ -319,7 +321,7 @@ pub fn blend_of_more_hits_than_an_invocation_has_rounds() {
     let [red, _, _, transmittance] = chosen[2 * 16 + 2];
     assert!(red > 0.8 && transmittance < 0.2, "the last entry is lost: {red}, {transmittance}");
     assert!(chosen == blend(1, 1000), "fewer entries per pass change the picture");
-    // This test can tell.
+    // Proves that the test detects such a driver.
     let rounds = gpu.limits().max_loop_iterations().map_or(usize::MAX, |rounds| rounds as usize);
     if blocks.regions_per_subgroup as usize * ENTRIES > rounds {
         assert!(
@@ -329,7 +331,7 @@ pub fn blend_of_more_hits_than_an_invocation_has_rounds() {
     }
 }
 
-/// How many regions a subgroup blends does not change the picture.
+/// The number of regions per subgroup does not change the picture.
 #[test]
 pub fn blend_of_several_regions_per_subgroup_is_the_same() {
     let gpu = Gpu::new();
@@ -345,7 +347,7 @@ pub fn blend_of_several_regions_per_subgroup_is_the_same() {
     for parts in [2, 4].into_iter().filter(|&parts| parts <= regions) {
         assert!(words(How { parts, ..CHAINED }) == one, "{parts} regions per subgroup");
     }
-    // Nor does their height, where opacities do not follow from one another.
+    // The height of regions does not, either, if each opacity is computed alone.
     assert!(words(LOW) == words(UNCHAINED), "low regions");
     assert!(words(SHARED) == words(UNCHAINED), "splats in shared memory");
 }

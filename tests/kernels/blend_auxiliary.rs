@@ -15,7 +15,7 @@ pub fn motions(lists: &Lists) -> Vec<[f32; 2]> {
     (0..lists.frame.splats.len()).map(|i| [(i % 17) as f32 - 8.0, (i % 5) as f32 * 0.25]).collect()
 }
 
-/// Pixels that differ from the twin, of those that do not hang on rounding.
+/// Number of stable pixels that differ from the twin.
 fn odd(gpu: &Gpu, lists: &Lists, beside_picture: &Beside, motions: &[[f32; 2]]) -> usize {
     let count = lists.view.pixels();
     let picks = gpu.read::<[u32; 2]>(&beside_picture.picks, count);
@@ -27,7 +27,7 @@ fn odd(gpu: &Gpu, lists: &Lists, beside_picture: &Beside, motions: &[[f32; 2]]) 
         let (expected, weights) = beside(&lists.list_of(pixel), &own, pixel);
         let [place, bits] = picks[index];
         let weight = f64::from(f32::from_bits(bits));
-        // Of weights that are as good as equal any may be the largest.
+        // Any of several almost equal weights may be the largest.
         let picked = match place {
             0 => expected.heaviest == 0.0 && bits == 0,
             _ => (weights[place as usize - 1] - weight).abs() < 2e-5 && weight > expected.heaviest - 2e-5,
@@ -38,13 +38,13 @@ fn odd(gpu: &Gpu, lists: &Lists, beside_picture: &Beside, motions: &[[f32; 2]]) 
     pixels_of(&lists.view).enumerate().filter(|(index, _)| !unstable[*index]).filter(differs).count()
 }
 
-/// Both kernels: `shared` has this many invocations per tile.
+/// Checks both kernels; `shared` is the number of invocations per tile.
 pub fn check(gpu: &Gpu, lists: &Lists, how: How, shared: Option<u32>) {
     let (motions, count) = (motions(lists), lists.view.pixels());
     let both = forward_auxiliary(gpu, lists, (how, shared), &motions, [true; 2]);
     assert_eq!(odd(gpu, lists, &both, &motions), 0, "{how:?}, {shared:?}");
     let words = |buffer: &Buffer, words: usize| gpu.read::<u32>(buffer, words);
-    // The picture of the kernel without, in one pass.
+    // The picture of the kernel without auxiliary outputs, in one pass.
     let alone = match shared {
         None => forward(gpu, lists, How { entries_per_pass: u32::MAX, ..how }),
         Some(invocations) => {
@@ -57,7 +57,7 @@ pub fn check(gpu: &Gpu, lists: &Lists, how: How, shared: Option<u32>) {
     assert!(words(&both.blended.inverse_depth, count) == words(&alone.inverse_depth, count));
 }
 
-/// Picks and motion apart leave what both together do, and nothing of the other.
+/// Picks or motion alone equal those of both together, and the other output stays untouched.
 pub fn check_apart(gpu: &Gpu, lists: &Lists, how: How, shared: Option<u32>) {
     let (motions, count) = (motions(lists), lists.view.pixels());
     let words = |buffer: &Buffer| gpu.read::<u32>(buffer, 2 * count);
@@ -73,8 +73,9 @@ pub fn check_apart(gpu: &Gpu, lists: &Lists, how: How, shared: Option<u32>) {
     }
 }
 
-/// Of two equal weights the nearer splat's wins: 1/4 in front, and behind it 3/4 of a third, which rounds to 1/4. A third and one
-/// step more is heavier, and wins. The splats are so wide that alpha is their opacity at each pixel.
+/// The nearer of two splats with equal weights wins: 1/4 in front; behind it 3/4 of a third, which rounds to 1/4.
+/// With a third plus one step, the farther one wins. The splats are so wide that alpha is their opacity at each
+/// pixel.
 pub fn check_ties(gpu: &Gpu, how: How, shared: Option<u32>) {
     let view = small_view([37, 21]);
     let third = 1.0f32 / 3.0;
@@ -90,7 +91,7 @@ pub fn check_ties(gpu: &Gpu, how: How, shared: Option<u32>) {
             color: [0.5; 3],
             radius_px: 0,
         };
-        // Of the first nothing is blended, of the last too little to count.
+        // The first is too faint to be blended, the last too faint to win.
         let splats = [0.001, 0.25, behind, 0.125].map(splat).to_vec();
         let lists = vec![(0..4).collect(); (view.tiles()[0] * view.tiles()[1]) as usize];
         let lists = Lists::new(gpu, splats, lists, &view);
@@ -134,7 +135,7 @@ fn blend_auxiliary_equals_its_twin_in_passes_and_regions() {
     }
 }
 
-/// The comparison can tell: motions of other splats, and lists in another order.
+/// The comparison detects motions of other splats, and lists in another order.
 #[test]
 fn blend_auxiliary_is_told_from_a_mutated_twin() {
     let gpu = Gpu::new();

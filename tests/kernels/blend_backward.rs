@@ -12,7 +12,7 @@ use crate::reference::types::{Splat, SplatGradient};
 
 const TOLERANCE: GradientTolerance = GradientTolerance { relative_l2: 1e-4, max_over_max: 2e-4 };
 
-/// Random dL/dpixel, zero where a decision hangs on rounding.
+/// Random dL/dpixel, zero where rounding may change a decision.
 pub fn image_gradient(lists: &Lists) -> Vec<[f32; 4]> {
     let mut random = Random::new(17);
     let unstable = lists.unstable();
@@ -58,10 +58,8 @@ fn actual(lists: &Lists, sums: &SlotSums) -> Vec<SplatGradient> {
         .collect()
 }
 
-/// Name, values.
 type Field = (&'static str, fn(&SplatGradient) -> Vec<f64>);
 
-/// Compares field by field.
 pub fn compare(actual: &[SplatGradient], expected: &[SplatGradient]) {
     let skip = vec![false; expected.len()];
     let fields: [Field; 5] = [
@@ -120,7 +118,7 @@ pub fn in_passes(kernel: Kernel) {
     }
 }
 
-/// Every instance is written, also where no pixel has a gradient.
+/// Every instance is written, even if no pixel has a gradient.
 pub fn of_nothing(kernel: Kernel) {
     let gpu = Gpu::new();
     let lists = Lists::long(&gpu, 70, [0.5, 1.0], &small_view([37, 21]));
@@ -129,7 +127,7 @@ pub fn of_nothing(kernel: Kernel) {
     assert!(sums.sums.iter().flatten().all(|&sum| sum == 0.0));
 }
 
-/// The variants with other sums: the absolute gradients beside the usual sums, which keep their bits, and the weights alone.
+/// Variants with other sums: absolute gradients beside the usual sums, which keep their bits; and the weights alone.
 pub fn with_other_sums(kernel: Kernel) {
     let gpu = Gpu::new();
     for (entries, size, entries_per_pass) in [(1, [17, 5], u32::MAX), (33, [37, 21], 64), (300, [37, 21], 96)]
@@ -137,7 +135,7 @@ pub fn with_other_sums(kernel: Kernel) {
         let lists = Lists::long(&gpu, entries, [0.02, 0.9], &small_view(size));
         let d_pixels = image_gradient(&lists);
         let expected = expected(&lists, &d_pixels);
-        // The weights of red alone.
+        // Only the weights of red.
         let edges: Vec<[f32; 4]> = d_pixels.iter().map(|d| [d[0].abs(), 0.0, 0.0, 0.0]).collect();
         let weights = self::expected(&lists, &edges);
         for how in forms(&gpu).into_iter().map(|how| How { entries_per_pass, ..how }) {
@@ -161,8 +159,8 @@ pub fn with_other_sums(kernel: Kernel) {
     }
 }
 
-/// Where a frame has other scenes besides the first one: the same bits for the first one. In a single pass, nothing of what is a batch or
-/// more behind it is blended.
+/// The first scene has the same bits when the frame has other scenes. In a single pass, nothing a batch or more
+/// behind it is blended.
 pub fn of_the_first_scene(kernel: Kernel) {
     let gpu = Gpu::new();
     let cases = [
@@ -178,7 +176,7 @@ pub fn of_the_first_scene(kernel: Kernel) {
         let (order, instances) = (lists.lists.clone(), lists.instances.clone());
         let how = How { entries_per_pass, sums, inverse_depth: sums == OtherSums::None, ..CHAINED };
         let blended = forward(&gpu, &lists, how);
-        // Weights are all that is written with them.
+        // Only the weights are written.
         let first_sum = if sums == OtherSums::Weights { 8 } else { 0 };
         let mut of_scenes = |first_scene: usize| -> Vec<Vec<f64>> {
             lists.state = state_of_scenes(&gpu, first_scene, visible, instances.len());

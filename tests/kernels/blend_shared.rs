@@ -1,4 +1,5 @@
-//! `forward/blend_shared` against the twin of `forward/blend`, and against `forward/blend` itself: on processors to the bit.
+//! `forward/blend_shared` against the twin of `forward/blend`, and against `forward/blend` itself: to the bit on
+//! CPUs.
 
 use crate::common::blending::{
     Blended, CHAINED, How, UNCHAINED, assert_same, forward, forward_limited, forward_shared,
@@ -10,14 +11,14 @@ use crate::common::tiles::Lists;
 use crate::reference::blend::blend;
 use crate::reference::pipeline::pixels_of;
 
-/// Blends by both kernels and the twin.
+/// Blends by both kernels and by the twin.
 fn check(gpu: &Gpu, lists: &Lists, workgroup_size: u32, entries_per_pass: u32) {
     check_one(gpu, lists, workgroup_size, How { entries_per_pass, ..UNCHAINED });
     // Columns of up to 8 pixels.
     check_one(gpu, lists, workgroup_size.min(32), How { entries_per_pass, ..CHAINED });
 }
 
-/// Colours, transmittances and inverse depths.
+/// Compares colours, transmittances and inverse depths.
 fn assert_alike(gpu: &Gpu, [a, b]: [&Blended; 2], count: usize, what: &str) {
     for (a, b, values) in
         [(&a.accumulated, &b.accumulated, 4 * count), (&a.inverse_depth, &b.inverse_depth, count)]
@@ -33,7 +34,7 @@ fn check_one(gpu: &Gpu, lists: &Lists, workgroup_size: u32, how: How) {
     let count = lists.view.pixels();
     let what = format!("{workgroup_size} invocations, {how:?}");
     let words = |buffer, words: usize| gpu.read::<u32>(buffer, words);
-    // Which entries count is decided by precise arithmetic, everywhere.
+    // Precise arithmetic decides everywhere which entries count.
     assert_eq!(words(&shared.last_entries, count), words(&regions.last_entries, count), "{what}");
     assert_alike(gpu, [&shared, &regions], count, &what);
     if has_strips(gpu) && how.incremental_exp {

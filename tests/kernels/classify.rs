@@ -13,7 +13,7 @@ use crate::reference::types::Gaussian;
 
 const SCENE_EXTENT: f64 = 40.0;
 
-/// Bits of a decision: 1 stays, 2 is cloned, 4 is split.
+/// Bits of a decision: 1 keep, 2 clone, 4 split.
 pub fn decision_bits(gaussian: &Gaussian, statistic: Statistic, prune_big: bool) -> u32 {
     let pruned = |log_scale: [f64; 3]| is_pruned(gaussian.opacity_logit, log_scale, SCENE_EXTENT, prune_big);
     let halves = gaussian.log_scale.map(|s| s - 1.6_f64.ln());
@@ -29,7 +29,7 @@ fn spec(gpu: &Gpu) -> Spec {
     Spec { workgroup_size, subgroup_size, long_axis: false, criterion: CRITERION_GRADIENT }
 }
 
-/// Bits of a decision with a criterion's value, of which a Gaussian is split along its long axis.
+/// Bits of a decision by a criterion's value; splits are along the long axis.
 fn long_axis_bits(gaussian: &Gaussian, (criterion, value): (u32, f64), prune_big: bool) -> u32 {
     let pruned = |g: &Gaussian| is_pruned(g.opacity_logit, g.log_scale, SCENE_EXTENT, prune_big);
     let decision = match (criterion, value > 0.0) {
@@ -44,7 +44,7 @@ fn long_axis_bits(gaussian: &Gaussian, (criterion, value): (u32, f64), prune_big
     }
 }
 
-/// By absolute statistics and by a selection, with children along the long axis.
+/// Decisions by absolute statistics and by a selection, with children along the long axis.
 #[test]
 pub fn decide_by_other_criteria_equals_its_twin() {
     let gpu = Gpu::new();
@@ -56,10 +56,10 @@ pub fn decide_by_other_criteria_equals_its_twin() {
             let mut gaussians = mixed_scene(&mut random, size, 1);
             for gaussian in &mut gaussians {
                 gaussian.log_scale = [0; 3].map(|_| random.between(-3.0, 1.8));
-                // Opacities around those of which a child is too faint.
+                // Opacities around the limit at which a child is too faint.
                 gaussian.opacity_logit = random.between(-6.0, -4.0);
             }
-            // As large as the bounds of a decision allow without hanging on rounding.
+            // Opacities so close to a bound that rounding may decide are replaced.
             let clear = |g: &Gaussian| {
                 let child = long_axis_child(g, 0);
                 let clear = |x: f64, bound: f64| (x / bound - 1.0).abs() > 1e-4;
@@ -77,7 +77,7 @@ pub fn decide_by_other_criteria_equals_its_twin() {
                 CRITERION_SELECTED => selected.clone(),
                 _ => views.iter().zip(&means).map(|(views, mean)| (views * mean).to_bits()).collect(),
             };
-            // The sums of the signed norms do not count.
+            // The sums of the signed norms must be ignored.
             let statistics: Vec<[f32; 2]> = views.iter().map(|&views| [1e9, views]).collect();
             let blocks = size.div_ceil(block);
             let parameters = gpu.buffer("parameters", &pack(&gaussians, room(size)));

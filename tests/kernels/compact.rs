@@ -22,7 +22,7 @@ pub fn compact_equals_its_twin() {
         let total = scan_spine(&mut offsets) as usize;
         let (input, block_offsets) =
             (gpu.buffer("visible_flags", &words), gpu.buffer("block_offsets", &offsets));
-        // Room for all, and for some.
+        // Capacity for all, and for half.
         for capacity in [total, total / 2] {
             let list = gpu.untouched::<u32>("visible_list", total + 2);
             let places = gpu.untouched::<u32>("visible_index", size + 2);

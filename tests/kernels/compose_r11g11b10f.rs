@@ -1,4 +1,4 @@
-//! `compose/compose_r11g11b10f` against the twin of `compose/compose_rgba32f`, rounded to the nearest of its numbers.
+//! `compose/compose_r11g11b10f` against the twin of `compose/compose_rgba32f`, rounded to the format.
 
 use ashsplat::ash::vk::Format;
 
@@ -9,7 +9,7 @@ use crate::common::gpu::Gpu;
 use crate::reference::compose_rgba32f::{compose, compose_linear};
 
 const FORMAT: Format = Format::B10G11R11_UFLOAT_PACK32;
-/// Of red, green and blue.
+/// Mantissa bits of red, green and blue.
 const MANTISSA_BITS: [i32; 3] = [6, 6, 5];
 
 fn number(bits: u32, mantissa_bits: i32) -> f64 {
@@ -26,13 +26,13 @@ fn wide(texels: &[u32]) -> Vec<[f64; 4]> {
     texels.iter().map(texel).collect()
 }
 
-/// Half of the distance between numbers. There is no alpha.
+/// Half of the distance between numbers. The format has no alpha.
 fn tolerance(channel: usize, number: f64) -> f64 {
     let Some(bits) = MANTISSA_BITS.get(channel) else { return 1.0 };
     1e-6 + 1.001 * 2f64.powi(-bits - 1) * 2f64.powf(number.max(2f64.powi(-14)).log2().floor())
 }
 
-/// From a 64th to 2.
+/// Texels from 1/64 to 2.
 fn texels() -> Vec<u32> {
     let part = |i: u32, bits: u32| (9 << bits) + i % (7 << bits);
     (0..IMAGE[0] * IMAGE[1]).map(|i| part(i, 6) | part(5 * i, 6) << 11 | part(3 * i, 5) << 22).collect()
@@ -47,7 +47,7 @@ fn compose_r11g11b10f_equals_its_twin() {
     let gpu = Gpu::new();
     let texels = texels();
     let bytes = bytemuck::cast_slice(&texels);
-    // Premultiplied colours without alpha are refused.
+    // The engine refuses premultiplied colours without alpha.
     for behind in [BEHIND[0], BEHIND[2]] {
         let after = read(composed(&gpu, FORMAT, bytes, behind));
         check_each(&wide(&texels), &after, behind, tolerance, compose);
@@ -58,7 +58,7 @@ fn compose_r11g11b10f_equals_its_twin() {
     }
 }
 
-/// Every finite number survives where nothing covers it: both sides of the smallest normal one, and the largest.
+/// Every finite number survives under uncovered pixels: around the smallest normal one, and up to the largest.
 #[test]
 fn compose_r11g11b10f_leaves_what_nothing_covers() {
     let gpu = Gpu::new();
@@ -69,14 +69,14 @@ fn compose_r11g11b10f_leaves_what_nothing_covers() {
             let code = (round * count + i) % (31 * 64);
             code | (31 * 64 - 1 - code) << 11 | (code % (31 * 32)) << 22
         };
-        // As many texels in a row, wherever the frame lies.
+        // As many texels in a row, so that the frame's position does not matter.
         let texels: Vec<u32> = (0..IMAGE[0] * IMAGE[1]).map(|i| texel(i % count)).collect();
         let bytes = bytemuck::cast_slice(&texels);
         assert_eq!(composed_of(&gpu, &nothing, FORMAT, bytes, (BEHIND[2], LINEAR)), bytes);
     }
 }
 
-/// What is larger than the format's largest number is that, not infinite; what is negative is 0.
+/// Values above the format's largest number become that number, not infinity. Negative values become 0.
 #[test]
 fn compose_r11g11b10f_stays_finite() {
     let gpu = Gpu::new();

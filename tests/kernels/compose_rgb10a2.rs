@@ -40,7 +40,7 @@ fn compose_rgb10a2_equals_its_twin() {
     }
 }
 
-/// What nothing covers keeps its bits.
+/// Uncovered texels keep their bits.
 #[test]
 fn compose_rgb10a2_leaves_what_nothing_covers() {
     let gpu = Gpu::new();

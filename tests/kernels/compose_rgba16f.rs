@@ -8,7 +8,7 @@ use crate::common::compose::{
 use crate::common::gpu::Gpu;
 use crate::reference::compose_rgba32f::{compose, compose_linear};
 
-/// A half float without infinities.
+/// Value of a half float that is finite.
 fn from_half(bits: u16) -> f64 {
     let (exponent, mantissa) = (i32::from(bits >> 10 & 31), f64::from(bits & 1023));
     let size = match exponent {
@@ -21,7 +21,7 @@ fn from_half(bits: u16) -> f64 {
 #[test]
 fn compose_rgba16f_equals_its_twin() {
     let gpu = Gpu::new();
-    // From 0.5 to just below 2.
+    // Values from 0.5 to just below 2.
     let texels: Vec<u16> = (0..IMAGE[0] * IMAGE[1] * 4).map(|i| 0x3800 + (i % 2048) as u16).collect();
     let wide = |texels: &[u16]| -> Vec<[f64; 4]> {
         texels.as_chunks::<4>().0.iter().map(|t| t.map(from_half)).collect()
@@ -41,7 +41,7 @@ fn compose_rgba16f_equals_its_twin() {
     }
 }
 
-/// Colours beyond the format are its largest number, not infinite.
+/// Colours above the format's largest number become that number, not infinity.
 #[test]
 fn compose_rgba16f_stays_finite() {
     let gpu = Gpu::new();

@@ -22,7 +22,7 @@ fn compose_rgba32f_equals_its_twin() {
     }
 }
 
-/// Linear light: decoded after blending, and what is premultiplied before the product with alpha.
+/// Linear light: the kernel decodes after blending, and premultiplied colours before the product with alpha.
 #[test]
 fn compose_rgba32f_decodes_as_its_twin() {
     let gpu = Gpu::new();

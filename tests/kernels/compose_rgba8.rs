@@ -8,26 +8,26 @@ use crate::common::compose::{
 use crate::common::gpu::Gpu;
 use crate::reference::compose_rgba8::{compose, compose_linear, compose_linear_in_srgb};
 
-/// Half a step and some for floats of 32 bits.
+/// A little more than half a step, for float32.
 const TOLERANCE: f64 = 0.501 / 255.0;
 
 fn texels() -> Vec<u8> {
     (0..IMAGE[0] * IMAGE[1] * 4).map(|i| (i * 37 % 256) as u8).collect()
 }
 
-/// The numbers of texels, whose bytes have this order.
+/// Values of texels whose bytes have this order.
 fn wide(texels: &[u8], order: [usize; 4]) -> Vec<[f64; 4]> {
     texels.as_chunks::<4>().0.iter().map(|t| order.map(|k| f64::from(t[k]) / 255.0)).collect()
 }
 
-/// All encodings in a plain format and one that is display-encoded.
+/// All encodings in a plain and in an sRGB format.
 pub fn equal_their_twins([plain, srgb]: [Format; 2], order: [usize; 4]) {
     let gpu = Gpu::new();
     let (texels, exposure) = (texels(), f64::from(EXPOSURE));
     let before = wide(&texels, order);
     for behind in BEHIND {
         let opaque = is_opaque(behind);
-        // As trained, codes are codes.
+        // As trained, codes stay codes.
         for format in [plain, srgb] {
             let after = composed(&gpu, format, &texels, behind);
             check(&before, &wide(&after, order), behind, TOLERANCE, compose);
@@ -45,7 +45,7 @@ fn compose_rgba8_equals_its_twin() {
     equal_their_twins([Format::R8G8B8A8_UNORM, Format::R8G8B8A8_SRGB], [0, 1, 2, 3]);
 }
 
-/// What is decoded, covered by nothing and encoded again is the same code, each of the 256.
+/// Each of the 256 codes under uncovered pixels survives decoding and encoding.
 #[test]
 fn compose_rgba8_leaves_what_nothing_covers() {
     let gpu = Gpu::new();

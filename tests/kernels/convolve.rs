@@ -8,10 +8,10 @@ use crate::common::gpu::{Gpu, UNTOUCHED};
 use crate::common::scenes::Random;
 use crate::reference::convolve::{Features, Window, convolve};
 
-/// Inputs, outputs and the size of the picture.
+/// Window, inputs, outputs, and size of the picture.
 type Case = (Window, usize, usize, [usize; 2]);
 
-/// The windows of both networks, and channels that fill no block.
+/// The windows of both networks, with channel counts that do not fill a block.
 const CASES: [Case; 5] = [
     (Window { size: 11, stride: 4, padding: 2 }, 3, 8, [35, 47]),
     (Window { size: 5, stride: 1, padding: 2 }, 8, 4, [7, 9]),
@@ -31,7 +31,7 @@ fn check(gpu: &Gpu, (window, inputs, outputs, [height, width]): Case, rows: u32,
     let wide = |values: &[f32]| values.iter().map(|&x| f64::from(x)).collect::<Vec<f64>>();
     let expected = pictures.each_ref().map(|p| convolve(p, &wide(&weights), &wide(&biases), window));
 
-    // Four weights of a texel belong to four outputs.
+    // The four weights of a texel belong to four outputs.
     let mut packed = vec![];
     for (block, ky) in (0..outputs / 4).flat_map(|block| (0..window.size).map(move |ky| (block, ky))) {
         for (first, kx) in (0..inputs.div_ceil(4)).flat_map(|i| (0..window.size).map(move |kx| (4 * i, kx))) {
@@ -50,7 +50,7 @@ fn check(gpu: &Gpu, (window, inputs, outputs, [height, width]): Case, rows: u32,
     let kernel = gpu.kernel::<Interface>(&spec);
     let input = MapShape { channels: inputs, height, width, slots: height + slack, margin: window.padding };
     let (out_height, out_width) = (expected[0].height, expected[0].width);
-    // Fewer slots than rows: what the last rows replace is gone.
+    // Fewer slots than rows: the last rows replace the first.
     let slots = out_height.div_ceil(2) + 1;
     let output = MapShape { channels: outputs, height: out_height, width: out_width, slots, margin: 3 };
     let (input_buffer, output_buffer) = (
@@ -99,7 +99,7 @@ fn check(gpu: &Gpu, (window, inputs, outputs, [height, width]): Case, rows: u32,
 
 #[test]
 fn convolve_equals_its_twin() {
-    // Kernels that read texels, and those that read storage buffers.
+    // With texels and with storage buffers.
     for gpu in [Gpu::new(), Gpu::without_texels()] {
         for case in CASES {
             for (rows, slack) in [(4, 0), (1, 2), (3, 1)] {

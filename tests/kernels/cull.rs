@@ -11,8 +11,8 @@ use crate::reference::linear::multiply;
 use crate::reference::project::project;
 use crate::reference::types::{CutOut, Drawn, Dropout, Extent, Gaussian, Limits, Tint, View};
 
-/// Whether a Gaussian's visibility may hang on the rounding of float32, or on the margin that the kernel adds to
-/// exact extents: a splat that touches nothing but the margin costs time only.
+/// True if a Gaussian's visibility may depend on float32 rounding, or on the margin that the kernel adds to exact
+/// extents. A splat that touches only the margin costs time, but nothing is wrong.
 pub fn may_differ(gaussian: &Gaussian, view: &View) -> bool {
     let nudged = [-1.0, 1.0].map(|by: f64| {
         let larger = Gaussian {
@@ -25,12 +25,12 @@ pub fn may_differ(gaussian: &Gaussian, view: &View) -> bool {
     nudged[0] != nudged[1]
 }
 
-/// Culls `size` Gaussians with a gap behind them. Returns their flags and the counts of their blocks.
+/// Culls `size` Gaussians with a gap behind them. Returns their flags and their blocks' counts.
 pub fn culled(gpu: &Gpu, view: &View, parameters: &Buffer, size: usize) -> [Vec<u32>; 2] {
     culled_behind(gpu, view, (parameters, size), None)
 }
 
-/// As [`culled`], by the flags of an earlier view if there are some.
+/// Same as [`culled`], but adds to the flags of an earlier view, if any.
 fn culled_behind(
     gpu: &Gpu,
     view: &View,
@@ -50,7 +50,7 @@ fn culled_behind(
         ..spec(gpu)
     };
     let block = spec.workgroup_size as usize;
-    // With all of another block in the gap.
+    // The gap includes all of another block.
     let end = size + block + 1;
     let [own_blocks, blocks] = [size, end].map(|count| count.div_ceil(block));
     let flags = match earlier {
@@ -129,7 +129,7 @@ pub fn cull_equals_its_twin() {
     }
 }
 
-/// A second view adds what it shows to what the first one does.
+/// A second view adds its visible Gaussians to those of the first.
 #[test]
 pub fn cull_equals_its_twin_behind_an_earlier_view() {
     let gpu = Gpu::new();
@@ -152,7 +152,7 @@ pub fn cull_equals_its_twin_behind_an_earlier_view() {
     }
 }
 
-/// Parallel rays: the picture's edges are planes, and only the near plane has a z.
+/// With parallel rays the picture's edges are planes, and only the near plane has a z.
 #[test]
 pub fn cull_equals_its_twin_with_parallel_rays() {
     let gpu = Gpu::new();
@@ -171,7 +171,7 @@ pub fn cull_equals_its_twin_with_parallel_rays() {
     }
 }
 
-/// Fainter and wider than they are stored, behind a narrower low-pass filter.
+/// The filter makes Gaussians fainter and wider, with a narrower low-pass filter.
 #[test]
 pub fn cull_equals_its_twin_with_a_3d_filter() {
     let gpu = Gpu::new();
@@ -190,7 +190,7 @@ pub fn cull_equals_its_twin_with_a_3d_filter() {
     }
 }
 
-/// Faint Gaussians leave no ellipsoid, but a dot.
+/// A faint Gaussian draws no ellipsoid, but a dot.
 #[test]
 pub fn cull_equals_its_twin_for_what_is_drawn_in_place_of_gaussians() {
     let gpu = Gpu::new();
@@ -210,7 +210,7 @@ pub fn cull_equals_its_twin_for_what_is_drawn_in_place_of_gaussians() {
     assert!(0 < ellipsoids && ellipsoids < dots, "{seen:?}");
 }
 
-/// What is cut is cut bit for bit: the limits are values of single Gaussians, which stay.
+/// Cuts are exact: the limits are values of single Gaussians, which stay.
 #[test]
 pub fn cull_equals_its_twin_where_a_part_is_cut() {
     let gpu = Gpu::new();
@@ -242,7 +242,7 @@ pub fn cull_equals_its_twin_where_a_part_is_cut() {
         let expected = cull(&gaussians, &view);
         let differ = |&i: &usize| flags[i] != u32::from(expected[i]) && !may_differ(&gaussians[i], &view);
         assert_eq!((0..size).find(differ), None, "{cut:?}");
-        // Whatever its projection: what is cut is never visible.
+        // A cut Gaussian is never visible, wherever it projects to.
         assert_eq!((0..size).find(|&i| flags[i] == 1 && !cut.keep(&gaussians[i])), None, "{cut:?}");
         seen.push(expected.iter().filter(|seen| **seen).count());
     }
@@ -250,7 +250,7 @@ pub fn cull_equals_its_twin_where_a_part_is_cut() {
     assert!(seen[2] <= seen[1], "{seen:?}");
 }
 
-/// NaN and infinities are culled, opacity logits of ±∞ are valid.
+/// NaN and infinities are culled. Opacity logits of ±∞ are valid.
 #[test]
 pub fn cull_of_non_finite_parameters() {
     let gpu = Gpu::new();
@@ -283,7 +283,7 @@ pub fn cull_of_non_finite_parameters() {
     assert_eq!(flags[..cases.len()], expected);
 }
 
-/// What is left out at random follows from seed, iteration and Gaussian alone, bit for bit.
+/// The dropout depends on seed, iteration and Gaussian alone, bit for bit.
 #[test]
 pub fn cull_equals_its_twin_under_dropout() {
     let gpu = Gpu::new();
@@ -304,15 +304,15 @@ pub fn cull_equals_its_twin_under_dropout() {
         assert_eq!((0..size).find(|&i| flags[i] == 1 && dropout.drops(i)), None, "{dropout:?}");
         left_out.push((0..size).filter(|&i| dropout.drops(i)).collect::<Vec<_>>());
     }
-    // As many as the share says, within three standard deviations, and others for another key.
+    // The number matches the share within three standard deviations, and another key omits other Gaussians.
     let counts: Vec<usize> = left_out.iter().map(Vec::len).collect();
     assert!(counts[0] == 0 && counts[1].abs_diff(225) < 40 && counts[4].abs_diff(675) < 40, "{counts:?}");
     assert!(left_out[1] != left_out[2] && left_out[1] != left_out[3] && left_out[2] != left_out[3]);
-    // A larger share leaves out those of the smaller one, and more.
+    // A larger share omits those of the smaller one, and more.
     assert!(left_out[1].iter().all(|i| left_out[4].contains(i)));
 }
 
-/// A scene's opacity leaves out what it makes faint, and no ellipsoid or dot. A factor of 1 changes nothing.
+/// A scene's opacity culls Gaussians that it makes faint, but no ellipsoid or dot. A factor of 1 changes nothing.
 #[test]
 pub fn cull_equals_its_twin_under_a_scenes_opacity() {
     let gpu = Gpu::new();
@@ -339,7 +339,7 @@ pub fn cull_equals_its_twin_under_a_scenes_opacity() {
     }
 }
 
-/// A turned volume of each shape, and Gaussians within a few roundings of its surface.
+/// A turned volume of each shape, with Gaussians within a few roundings of its surface.
 fn at_the_surface(shape: u32, count: usize) -> (CutOut, Vec<Gaussian>) {
     let mut random = Random::new(shape.into());
     // No element is 0: the order of the sums matters.
@@ -368,7 +368,7 @@ fn at_the_surface(shape: u32, count: usize) -> (CutOut, Vec<Gaussian>) {
     (cut_out, (0..count).map(near).collect())
 }
 
-/// Volumes leave what their twin leaves, bit for bit, also where that hangs on the last rounding.
+/// Volumes keep exactly the twin's Gaussians, even where the last rounding decides.
 #[test]
 pub fn cull_equals_its_twin_with_cut_outs() {
     let gpu = Gpu::new();
@@ -398,7 +398,7 @@ pub fn cull_equals_its_twin_with_cut_outs() {
             assert_eq!((0..size).find(|&i| flags[i] != expected(i)), None, "{cut_outs:?}");
         }
     }
-    // Each shape has some of its own scene on either side.
+    // Each shape has Gaussians of its scene on either side.
     for (cut_out, gaussians) in &scenes {
         let inside = gaussians.iter().filter(|gaussian| cut_out.contains(gaussian.mean)).count();
         assert!((size / 5..4 * size / 5).contains(&inside), "{inside} inside of {cut_out:?}");

@@ -16,20 +16,20 @@ use crate::reference::types::{CutOut, Drawn, Extent, Gaussian, Tint, View};
 /// Scenes of a batch and others between them, in one buffer.
 pub struct Batch {
     pub scenes: Vec<(Vec<Gaussian>, View)>,
-    /// Whether the batch has it.
+    /// True if the scene belongs to the batch.
     pub own: Vec<bool>,
-    /// Index of the first Gaussian of each.
+    /// Index of the first Gaussian of each scene.
     pub firsts: Vec<usize>,
     pub parameters: Vec<[f32; 4]>,
     pub table: Vec<CameraBlock>,
 }
 
 impl Batch {
-    /// `view` makes that of a scene from its number. The batch begins with the scene 1.
+    /// `view` makes the view of scene `number`. The batch begins with scene 1.
     pub fn new(block: usize, coefficients: usize, view: impl Fn(usize) -> View) -> Batch {
         // Scenes without Gaussians are not drawn.
         let counts = [block, 3, 0, block, 2 * block + 2, 0, 1, block + 1, 5 * block + 3, 0, 7, 0];
-        // What belongs to others, at both ends and between.
+        // Scenes of others, at both ends and in between.
         let foreign = [0, 4, 7, 10];
         let (mut scenes, mut firsts, mut parameters, mut table) = (vec![], vec![], vec![], vec![]);
         let mut first = 0;
@@ -42,13 +42,13 @@ impl Batch {
                 scene_count: count as u32,
                 scene_chunk_gaussians: room(count) as u32,
                 scene_batch: if own && count > 0 { 1 } else { NO_BATCH },
-                // Of another buffer, far outside of this one.
+                // Parameters of another buffer, far outside this one.
                 scene_parameters: if own { parameters.len() as u32 } else { 1 << 26 },
                 ..camera_block(&view)
             });
             if own {
                 parameters.extend(pack_filtered(&gaussians, room(count), view.filter_3d));
-                // Scenes need not follow each other.
+                // A gap between scenes.
                 parameters.extend(vec![[f32::NAN; 4]; 16 * number]);
             }
             scenes.push((gaussians, view));
@@ -59,7 +59,7 @@ impl Batch {
         Batch { scenes, own, firsts, parameters, table }
     }
 
-    /// Indices of the frame, up to the last Gaussian.
+    /// Number of the frame's indices, up to the last Gaussian.
     pub fn index_count(&self) -> usize {
         self.ends().max().unwrap_or(0)
     }
@@ -69,7 +69,7 @@ impl Batch {
         self.firsts.iter().zip(&self.scenes).map(|(first, (gaussians, _))| first + gaussians.len())
     }
 
-    /// Culling blocks from the batch's first to its last.
+    /// First and last culling block of the batch.
     pub fn blocks(&self, block: usize) -> [usize; 2] {
         let ends = self.ends().zip(&self.own).filter(|(_, own)| **own).map(|(end, _)| end);
         [self.firsts[1] / block, ends.max().unwrap_or(0).div_ceil(block)]
@@ -97,7 +97,7 @@ fn check(gpu: &Gpu, adds: bool, view: impl Fn(usize) -> View) {
     };
     let count = batch.index_count();
     let blocks = count.div_ceil(block);
-    // Every third Gaussian is seen by an earlier view.
+    // An earlier view shows every third Gaussian.
     let seen = |i: usize| if adds && i < count { u32::from(i.is_multiple_of(3)) } else { UNTOUCHED };
     let before: Vec<u32> = (0..count + 2).map(seen).collect();
     let flags = gpu.buffer("visible_flags", &before);
@@ -119,7 +119,7 @@ fn check(gpu: &Gpu, adds: bool, view: impl Fn(usize) -> View) {
         extent: extent_word(&settings),
         antialias: antialias_word(&settings),
     };
-    // More workgroups than blocks, as of grids in two dimensions.
+    // More workgroups than blocks, as grids in two dimensions have.
     gpu.dispatch::<Interface>(&spec, &bind, &push, (end_block - first_block) as u64 + 3);
     let mut flags = gpu.read::<u32>(&flags, count + 2);
     let mut counts = gpu.read::<u32>(&counts, blocks + 2);
@@ -134,7 +134,7 @@ fn check(gpu: &Gpu, adds: bool, view: impl Fn(usize) -> View) {
             alone.iter_mut().zip(&before[first..]).for_each(|(flag, before)| *flag |= before);
         }
         assert_eq!(flags[first..first + size], alone, "scene {number}");
-        // With the gap behind it.
+        // Includes the gap behind the scene.
         let end = (first + size).next_multiple_of(block).min(count);
         assert!(flags[first + size..end].iter().all(|flag| *flag == 0), "behind scene {number}");
         for (own, flags) in counts[first / block..].iter_mut().zip(alone.chunks(block)) {
@@ -147,7 +147,7 @@ fn check(gpu: &Gpu, adds: bool, view: impl Fn(usize) -> View) {
     assert!(flags == before, "flags of others");
 }
 
-/// Each scene has a pose of its own.
+/// Each scene has its own pose.
 fn turned(number: usize) -> View {
     let turn = 0.3 * number as f64;
     View { camera_from_world: rotation_about_y(turn), ..small_view([53, 37]) }

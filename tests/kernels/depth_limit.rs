@@ -21,7 +21,7 @@ fn depth_limit_equals_its_twin() {
     // Standard and reversed depth of parallel rays, and a near plane behind the camera.
     let parallel = [(99.5, 0.5, 1.0), (-99.5, 100.0, 0.0), (-20.0, 15.0, 0.0)].map(|m| (m, true));
     let mut formats = vec![vk::Format::R32_SFLOAT];
-    // Only a queue that draws may copy depth. Hosts' trials have depth that was drawn.
+    // Only a graphics queue may copy depth. The hosts' tests use depth that was drawn.
     match gpu.context.draws() {
         true => formats.push(vk::Format::D32_SFLOAT),
         false => eprintln!("skipped: depth formats: the queue does not draw"),
@@ -43,7 +43,7 @@ fn depth_limit_equals_its_twin() {
                 let (x, y) = (index as u32 % SIZE[0] + OFFSET[0], index as u32 / SIZE[0] + OFFSET[1]);
                 let depth = texels[(y * IMAGE[0] + x) as usize];
                 let expected = depth_limit(depth, (scale.into(), offset.into()), linear, clear_value);
-                // Near the camera, z cancels.
+                // Cancellation near the camera.
                 let bound = if linear { 2e-6 * expected.max(expected * expected * 100.0) } else { 2e-6 };
                 let both_hide = expected > 1e30 && *actual > 1e30;
                 let close = (f64::from(*actual) - expected).abs() <= bound || both_hide;

@@ -10,7 +10,7 @@ use crate::reference::draw_keys::{key, uniform};
 const KEY: [u32; 2] = [42, 700];
 const THRESHOLD: f32 = 0.5;
 
-/// What the kernel reads of a Gaussian.
+/// Inputs of the kernel for a Gaussian.
 #[derive(Clone, Copy)]
 struct Row {
     statistic: [f32; 2],
@@ -19,7 +19,7 @@ struct Row {
     uniform: f32,
 }
 
-/// Its variant.
+/// Variant of the kernel.
 #[derive(Clone, Copy, Debug)]
 struct How {
     absolute: bool,
@@ -85,14 +85,14 @@ pub fn draw_keys_equals_its_twin() {
     for size in sizes(gpu.workgroup(64) as usize) {
         let mut random = Random::new(size as u64);
         let mut row = || Row {
-            // Means on both sides of the threshold, none within rounding of it; some were never seen.
+            // Means on both sides of the threshold, none within rounding of it. Some Gaussians were never visible.
             statistic: [(random.below(16) * 2 + 1) as f32 / 8.0, random.below(4) as f32],
             absolute: (random.below(16) * 2 + 1) as f32 / 8.0,
             importance: if random.below(5) == 0 { 0.0 } else { random.unit() as f32 },
             uniform: 0.0,
         };
         let mut rows: Vec<Row> = (0..size).map(|_| row()).collect();
-        // All magnitudes, above all near 1, where the largest keys are.
+        // All magnitudes, especially near 1, where the largest keys are.
         let edges =
             [1e-37, 1e-7, 0.25, 0.5, f32::from_bits(0x3EFF_FFFF), 0.75, 0.999, f32::from_bits(0x3F7F_FFFF)];
         for (i, row) in rows.iter_mut().enumerate() {

@@ -56,7 +56,7 @@ fn draw_sources_equals_its_twin() {
     let gpu = Gpu::new();
     for size in sizes(gpu.workgroup(64) as usize).into_iter().filter(|&size| size > 0) {
         let mut random = Random::new(size as u64);
-        // Also sums near the end of 32 bits, and where none can be drawn.
+        // Also sums near the end of 32 bits, and weights that allow no draw.
         for most in [5, u32::MAX / size as u32, 1] {
             let mut weight = || if random.below(3) == 0 { 0 } else { random.below(most) };
             let weights: Vec<u32> = (0..size).map(|_| weight()).collect();
@@ -71,14 +71,14 @@ fn draw_sources_equals_its_twin() {
     }
 }
 
-/// In proportion to the weights: 60,000 draws of three, within four standard deviations.
+/// Draws are in proportion to the weights: 60,000 draws of three, within four standard deviations.
 #[test]
 fn draws_follow_the_weights() {
     let gpu = Gpu::new();
     let weights = [10, 0, 30, 60];
     let rows = 60_004;
     let Drawn { draws, .. } = drawn(&gpu, &weights, rows, None);
-    // The second Gaussian cannot be drawn, and its row is drawn as well.
+    // The second Gaussian cannot be drawn, and its row takes a draw as well.
     let all = f64::from(draws.iter().sum::<u32>());
     assert_eq!(all as usize, rows - 3);
     for (weight, drawn) in weights.into_iter().zip(draws) {

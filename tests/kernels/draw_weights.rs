@@ -12,7 +12,7 @@ fn draw_weights_equals_its_twin() {
     let gpu = Gpu::new();
     let spec = Spec { workgroup_size: gpu.workgroup(64) };
     let kernel = gpu.kernel::<Interface>(&spec);
-    // As the second of two chunks.
+    // The second of two chunks.
     const FIRST: usize = 5;
     for size in sizes(spec.workgroup_size as usize) {
         let mut gaussians = mixed_scene(&mut Random::new(size as u64), size, 1);

@@ -12,7 +12,7 @@ use crate::reference::tile_list::{LISTED, is_listed, tiles_met};
 use crate::reference::tiles::{touched, touches_by_pixels};
 use crate::reference::types::{Extent, Gaussian, Splat, View};
 
-/// The counts and what the kernel writes.
+/// The counts and the kernel's outputs.
 struct Expanded {
     counts: Vec<u32>,
     tiles: Vec<u32>,
@@ -105,7 +105,7 @@ pub fn expand_equals_its_twin() {
     }
 }
 
-/// Long thin ellipses in all directions: where a box and an ellipse differ most.
+/// Long thin ellipses in all directions, for which boxes and ellipses differ most.
 #[test]
 pub fn expand_of_needles() {
     let gpu = Gpu::new();
@@ -129,7 +129,7 @@ pub fn expand_of_needles() {
         let frame = Projected::new(&gpu, &needles, &view);
         gpu.read::<[u32; 2]>(&frame.tile_lists, frame.expected.len())
     };
-    // With and without a list of their tiles, side by side.
+    // Splats with and without a tile list side by side.
     let listed = lists.iter().filter(|&&list| is_listed(list)).count();
     assert!((50..lists.len() - 50).contains(&listed), "{listed} of {} are listed", lists.len());
     check(&gpu, &needles, &view);
@@ -150,10 +150,10 @@ pub fn expand_of_many_without_tiles() {
     let gaussians: Vec<Gaussian> =
         (0..900).map(|i| small(f64::from(i % 30) * 0.05, if i == 450 { 2.0 } else { -9.0 })).collect();
     let frame = Projected::new(&gpu, &gaussians, &view);
-    // As if the ellipses of most met no row of their boxes.
+    // As if most ellipses met no row of their boxes.
     let mut lists = gpu.read::<[u32; 2]>(&frame.tile_lists, gaussians.len());
     for (i, list) in lists.iter_mut().enumerate().filter(|(i, _)| i % 300 != 150) {
-        // As lists of nothing, and as none.
+        // Empty lists, and no lists.
         *list = [if i % 2 == 0 { LISTED } else { 0 }, 0];
     }
     let tiles: Vec<u32> = lists.iter().copied().map(tiles_met).collect();
@@ -166,8 +166,8 @@ pub fn expand_of_many_without_tiles() {
     assert_eq!(expanded.visible, expected);
 }
 
-/// Should a driver round otherwise where tiles are counted than where they are listed, each instance still gets a tile of the
-/// Gaussian's box, none is left unwritten.
+/// A driver may round differently when it lists tiles than when it counts them. Each instance must still have a tile
+/// of the Gaussian's box.
 #[test]
 pub fn expand_of_other_counts_stays_in_the_box() {
     let gpu = Gpu::new();

@@ -7,7 +7,7 @@ use crate::common::gpu::Gpu;
 use crate::common::scenes::Random;
 use crate::reference::edge_response::{gray, responses};
 
-/// Random colours, flat ones, and such that gray is a whole number and a half; random ones again, for parts.
+/// Random colours, flat ones, and ones whose gray is a half; random ones again, for parts.
 fn photos(pixels: usize) -> Vec<Vec<[u8; 4]>> {
     let mut random = Random::new(pixels as u64);
     let mut any = || [0; 3].map(|_| (random.unit() * 256.0) as u8);

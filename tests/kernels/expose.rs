@@ -29,7 +29,7 @@ fn expose_equals_its_twin() {
         let expected = expose(&colors_before, &wide(&exposures[2]));
         let color = colors(&actual, size, strips);
         elementwise("color", color.as_flattened(), expected.as_flattened(), 1e-6, 1e-6).expect("the picture");
-        // The loss's window reads below the picture, and adds what its kernels take for a transmittance.
+        // The loss's window reads below the picture, and its kernels add the fourth value as a transmittance.
         let pixels = size[0] * size[1];
         let fourth = |pixel: usize| actual[4 * pixel + 3];
         assert!(strips || (0..pixels).all(|pixel| fourth(pixel) == 0.0));
@@ -41,7 +41,7 @@ fn expose_equals_its_twin() {
         assert!(rest.iter().all(kept), "written outside of the picture");
         let padding = (size[1]..size[1].next_multiple_of(8)).flat_map(|y| (0..size[0]).map(move |x| (x, y)));
         let below = |(x, y): (usize, usize)| place([size[0], y + 1], strips, y * size[0] + x, 0);
-        // Planes after the first lie elsewhere in a higher picture.
+        // The index of later planes differs in a higher picture.
         assert!(!strips || padding.map(below).all(|at| actual[at] == 0.0), "below the picture");
     }
 }

@@ -12,17 +12,17 @@ use crate::reference::exposure_step::Exposures;
 
 type Rows = [[f32; 4]; 3];
 
-/// A view, the parts of its gradient, and whether its frame overflowed.
+/// A view, the parts of its gradient, and true if its frame overflowed.
 type Seen = (u32, Vec<Rows>, bool);
 
-/// Pulls all of lenses, and of exposures all but the diagonal.
+/// Decay of all lens parameters, and of all exposure values but the diagonal.
 const DECAY: f32 = 0.125;
 
-/// Such that some matrices come back to the identity, and some are out of its reach.
+/// Large enough that some matrices return to the identity, small enough that others do not.
 const SPARSITY: f32 = 0.5;
 
-/// Of exposures or lenses; for steps after several views or one; second moments of all photographs together or of each; with a pull to
-/// the identity or not.
+/// Form of the kernel: exposures or lenses; steps after several views or one; second moments of all photographs or
+/// of each; with or without a pull to the identity.
 #[derive(Clone, Copy, Debug)]
 struct Form {
     center: bool,
@@ -33,13 +33,13 @@ struct Form {
 
 const USUAL: Form = Form { center: true, sums: false, shares: false, sparse: false };
 
-/// Steps of the device; each with its view, the parts of its gradient, and whether its frame overflowed.
+/// Runs steps of one view each on the device.
 fn run(gpu: &Gpu, photographs: usize, form: Form, steps: &[Seen]) -> [Vec<Rows>; 3] {
     let views: Vec<_> = steps.iter().cloned().map(|step| (step, [true, true])).collect();
     run_views(gpu, photographs, form, &views)
 }
 
-/// Views of steps: with whether it is the first of a step, and whether the step follows it.
+/// Runs views on the device. Flags: the first view of a step, and the view that the step follows.
 fn run_views(
     gpu: &Gpu,
     photographs: usize,
@@ -68,7 +68,7 @@ fn run_views(
             moments_2: &moments[1],
             sums: &gradient_sums,
         };
-        // That of the step that it belongs to.
+        // All views of a step have its count.
         count += i32::from(*starts);
         let push = Push {
             photographs: photographs as u32,
@@ -137,7 +137,8 @@ fn exposure_step_equals_its_twin() {
     }
 }
 
-/// Steps after several views: some photographs are seen twice in one, some never. A view that overflowed adds nothing.
+/// Steps after several views: one step has some photographs twice, others never. A view that overflowed adds
+/// nothing.
 #[test]
 fn exposure_step_adds_up_views() {
     let gpu = Gpu::new();
@@ -169,14 +170,14 @@ fn exposure_step_adds_up_views() {
         }
         let actual = run_views(&gpu, photographs, Form { sums: true, shares, sparse, ..USUAL }, &views);
         let actual: Vec<Matrix> = actual[0].iter().map(wide).collect();
-        // A thousandth of a step: where the steps of two photographs cancel in the mean, what is left is rounding, and the decay of
-        // that is all the gradient of those that are not seen.
+        // A thousandth of a step. Where the steps of two photographs cancel in the mean, only rounding remains. Its
+        // decay is the whole gradient of photographs without a view.
         elementwise("values", &flat(&actual), &flat(&twin.values), 1e-5, 1e-5)
             .unwrap_or_else(|e| panic!("{photographs}, {shares}: {e}"));
     }
 }
 
-/// A frame that overflowed changes nothing; a gradient that is not finite is none, but moments still decay.
+/// A frame that overflowed changes nothing. A gradient that is not finite counts as zero, but moments still decay.
 #[test]
 fn exposure_step_survives_overflow_and_infinity() {
     let gpu = Gpu::new();

@@ -18,7 +18,7 @@ fn feature_difference_equals_its_twin() {
             let mut random = Random::new(channels as u64);
             let mut features = || {
                 Features::new([channels, height, width], |_, y, x| match (y, x) {
-                    // No feature answers: no division by nothing.
+                    // All features are 0: the kernel must not divide by zero.
                     (0, 0) => 0.0,
                     _ => f64::from((random.unit() as f32 - 0.2).max(0.0)),
                 })

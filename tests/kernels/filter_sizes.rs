@@ -17,7 +17,7 @@ fn check(overflow: u32) {
     for size in sizes(spec.workgroup_size as usize) {
         let gaussians = mixed_scene(&mut Random::new(size as u64), size, 4);
         let room = room(size);
-        // Every third is not seen.
+        // No camera sees every third Gaussian.
         let depth = |i: usize| (i % 3 != 2).then_some(0.25 + (i % 17) as f64);
         let nearest: Vec<Option<f64>> = (0..size).map(depth).collect();
         let mut packed = pack(&gaussians, room);

@@ -14,7 +14,7 @@ const COEFFICIENTS: usize = 9;
 const SEED: u32 = 42;
 const ITERATION: u32 = 700;
 
-/// Gaussians and where the rows of the new set come from.
+/// Gaussians, and the sources of the new rows.
 struct Rows {
     gaussians: Vec<Gaussian>,
     sources: Vec<u32>,
@@ -35,7 +35,7 @@ impl Rows {
         })
     }
 
-    /// Runs the kernel; `noise` has the numbers by half and Gaussian.
+    /// Runs the kernel; `noise` has the numbers of each child and Gaussian.
     fn gathered(&self, gpu: &Gpu, spec: Spec, noise: Option<&Buffer>) -> Vec<Gaussian> {
         let kernel = gpu.kernel::<Interface>(&spec);
         let (before, after) = (self.gaussians.len(), self.sources.len());
@@ -68,7 +68,7 @@ fn spec(gpu: &Gpu) -> Spec {
     Spec { workgroup_size: gpu.workgroup(64), moments: false, explicit_noise: false, long_axis: false }
 }
 
-/// `error` bounds what the noise is off by, in standard deviations.
+/// `error` bounds the error of the noise, in standard deviations.
 fn compare(rows: &Rows, actual: &[Gaussian], noise: impl Fn(u32, u32) -> [f64; 3], error: f64) {
     for ((source, gaussian, kind), actual) in rows.each().zip(actual) {
         if kind < 2 {
@@ -91,7 +91,8 @@ fn gather_equals_its_twin() {
     for size in sizes(gpu.workgroup(64) as usize) {
         let rows = Rows::random(size);
         let actual = rows.gathered(&gpu, spec(&gpu), None);
-        // Logarithm, cosine and their arguments in float32. Vulkan asks for a cosine within 2^-11, times at most 6.
+        // Logarithm, cosine and their arguments are float32. Vulkan requires a cosine within 2^-11; the radius is at
+        // most 6.
         let error = if gpu.context.device_name().contains("llvmpipe") { 2e-4 } else { 6.0 / 2048.0 };
         compare(&rows, &actual, |gaussian, child| random_normal([SEED, ITERATION, gaussian, child]), error);
     }
@@ -136,7 +137,7 @@ fn gather_of_splits_along_the_long_axis() {
             let largest = source.log_scale.iter().copied().fold(f64::NEG_INFINITY, f64::max).exp();
             elementwise("mean", &actual.mean, &expected.mean, 1e-6 + 4e-6 * largest, 1e-6).expect("means");
             elementwise("log-scale", &actual.log_scale, &expected.log_scale, 2e-6, 1e-6).expect("log-scales");
-            // Of an opacity near 1 the twin's form has few digits.
+            // The twin's form loses digits for opacities near 1.
             let (logit, expected) = ([actual.opacity_logit], [expected.opacity_logit]);
             elementwise("logit", &logit, &expected, 3e-6, 1e-6).expect("logits");
             assert_eq!((actual.quat, &actual.sh), (source.quat, &source.sh), "row of {gaussian}");

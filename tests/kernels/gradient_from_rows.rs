@@ -29,7 +29,7 @@ fn gradient_from_rows_equals_its_twin() {
         let size = [width as usize, height as usize];
         let mut expected = wide(&before);
         if !add {
-            // What is written is replaced; all else stays.
+            // Replaces the written values; the others stay.
             let mut written = vec![0.0; values];
             let ones = vec![[1.0; 4]; pixels];
             gradient_from_rows(&ones, size, planes as usize, strips, &mut written);

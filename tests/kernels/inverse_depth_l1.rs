@@ -26,7 +26,7 @@ fn inverse_depth_l1_equals_its_twin() {
                 _ => random.signed() as f32,
             })
             .collect();
-        // A power of two, so that nothing is lost when it is added to what is there.
+        // A power of two, so that the sum with the previous value is exact.
         let weight = 0.25 * pixels as f64;
         let (loss, added) = inverse_depth_l1(&gpu, &depth, &targets, size, (weight, strips, 0.5));
         let wide: Vec<f64> = depth.into_iter().map(f64::from).collect();

@@ -1,4 +1,4 @@
-//! `exposure/lens_backward` against its twin, and the twin against differences of the one without backward.
+//! `exposure/lens_backward` against its twin, and the twin against finite differences of the forward twin.
 
 use ashsplat::kernels::constants::TERM_PARTIALS;
 use ashsplat::kernels::exposure::lens_backward::{Bind, Interface, Push, Spec};
@@ -72,13 +72,13 @@ fn lens_backward_equals_its_twin() {
     }
 }
 
-/// The twin's gradients are those of its own values: L = Σ h y.
+/// The twin's gradients match finite differences of L = Σ h y.
 #[test]
 fn lens_backward_is_the_derivative() {
     let size = [13, 9];
     let mut random = Random::new(4);
     let (_, mut picture) = picture(&mut random, [13, 9], false);
-    // Also on the straight line, and below 0.
+    // Also values on the straight line, and below 0.
     picture[3] = [1e-4, -0.2, 5e-4];
     let rows = wide(&lenses(&mut random, 1)[0]);
     let (.., r2) = plane(size);

@@ -10,7 +10,7 @@ use crate::common::lens_rows::{lenses, plane, wide};
 use crate::common::scenes::Random;
 use crate::reference::lens_effects::lens_effects;
 
-/// What the device makes of a random picture, and that picture.
+/// Runs the kernel over a random picture. Returns output and input.
 fn run(
     gpu: &Gpu,
     size: [u32; 2],
@@ -51,7 +51,7 @@ fn lens_effects_equals_its_twin() {
         let expected = lens_effects(&before, &wide(&all[2]), &r2);
         let color = colors(&actual, sides, strips);
         elementwise("color", color.as_flattened(), expected.as_flattened(), 4e-6, 8e-6).expect("the picture");
-        // As of exposures: 0 where the loss's window reads, and nothing else is written.
+        // As with exposures: 0 where the loss's window reads, and no other word is written.
         let pixels = sides[0] * sides[1];
         assert!(strips || (0..pixels).all(|pixel| actual[4 * pixel + 3] == 0.0));
         let mut rest = actual.clone();
@@ -63,7 +63,7 @@ fn lens_effects_equals_its_twin() {
     }
 }
 
-/// No effects are the picture to the bit, so that a run begins with what it would have without them.
+/// Neutral effects leave the picture's bits, so that a run starts as it would without effects.
 #[test]
 fn lens_effects_of_none_is_the_picture() {
     let gpu = Gpu::new();
@@ -73,7 +73,7 @@ fn lens_effects_of_none_is_the_picture() {
         if strips {
             assert_eq!(color, before);
         } else {
-            // The background is added on the device.
+            // The kernel adds the background.
             elementwise("color", color.as_flattened(), before.as_flattened(), 1e-7, 1e-7).expect("none");
         }
     }

@@ -38,7 +38,7 @@ pub fn loss_reduce_equals_its_twin() {
     }
 }
 
-/// Together with the kernel before it, the loss of two pictures.
+/// The loss of two pictures, with the kernel that precedes this one.
 #[test]
 pub fn loss_of_two_pictures() {
     let gpu = Gpu::new();

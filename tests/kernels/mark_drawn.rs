@@ -38,7 +38,7 @@ fn mark_drawn_equals_its_twin() {
     }
 }
 
-/// A draw by the generator, from Gaussians of which every fifth has no chance.
+/// Draws with the generator. Every fifth Gaussian has no chance.
 fn drawn(gpu: &Gpu, chances: &[f32], wanted: u32, iteration: u32) -> (Vec<u32>, Vec<u32>) {
     let selection = Selection::new(gpu.context).expect("kernels");
     let count = chances.len() as u32;
@@ -78,7 +78,7 @@ fn selection_is_that_of_the_twins() {
     }
 }
 
-/// How often Gaussians of weights 1, 2 and 3 come first, in 600 draws of one: within five standard deviations.
+/// Counts how often Gaussians of weights 1, 2 and 3 are drawn in 600 draws of one: within five standard deviations.
 #[test]
 fn selection_follows_the_chances() {
     let gpu = Gpu::new();

@@ -7,7 +7,7 @@ use crate::common::layout::{pack, room};
 use crate::common::scenes::{Random, mixed_scene};
 use crate::reference::mask_outside::masked;
 
-/// The box; one side is at no mean's end.
+/// The box. Some sides are open.
 const LOW: [f32; 3] = [-0.5, f32::MIN, -1.0];
 const HIGH: [f32; 3] = [0.75, 0.25, f32::MAX];
 
@@ -15,12 +15,12 @@ fn check(absolute: bool) {
     let gpu = Gpu::new();
     let spec = Spec { workgroup_size: gpu.workgroup(64), absolute };
     let kernel = gpu.kernel::<Interface>(&spec);
-    // As the second of two chunks.
+    // The second of two chunks.
     const FIRST: usize = 5;
     let mut found = [0; 2];
     for size in sizes(spec.workgroup_size as usize) {
         let mut gaussians = mixed_scene(&mut Random::new(size as u64), size, 1);
-        // On a side, and just beyond it.
+        // Means on a side, and just outside.
         for (gaussian, x) in gaussians.iter_mut().zip([-0.5, -0.500_000_06, 0.75, 0.750_000_06]) {
             gaussian.mean = [f64::from(x as f32), 0.25, -1.0];
         }

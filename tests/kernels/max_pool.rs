@@ -12,7 +12,7 @@ use crate::reference::max_pool::max_pool;
 fn check(gpu: &Gpu, size: usize, [channels, height, width]: [usize; 3]) {
     let window = Window { size, stride: 2, padding: 0 };
     let mut random = Random::new((size * width) as u64);
-    // Features of a ReLU, rounded to float32.
+    // Features after a ReLU, rounded to float32.
     let mut features = || {
         Features::new([channels, height, width], |_, _, _| f64::from((random.unit() as f32 - 0.2).max(0.0)))
     };

@@ -8,7 +8,7 @@ use crate::common::compose::{IMAGE, OFFSET, SIZE, pixels};
 use crate::common::gpu::Gpu;
 use crate::reference::mean_motion::mean_motion;
 
-/// A half float that is finite.
+/// Value of a half float that is finite.
 fn of_half(bits: u16) -> f64 {
     let (exponent, mantissa) = (i32::from(bits >> 10 & 31), f64::from(bits & 1023) / 1024.0);
     let size = match exponent {
@@ -42,7 +42,7 @@ fn mean_motion_equals_its_twin() {
         gpu.run(|r| {
             r.copy_to_image(&from.range(0, 4 * texels as u64), &image);
             let region = Region { image: &image, offset: OFFSET };
-            // Of the visible Gaussians' motions nothing is read here.
+            // The kernel does not read the visible Gaussians' motions here.
             let own = MotionBuffers { motions: &motion_sums, sums: &motion_sums };
             compose.record_motion(r, (&accumulated, own), SIZE, region, (min_weight, empty));
             r.copy_from_image(&image, &to.range(0, 4 * texels as u64));

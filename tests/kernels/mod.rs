@@ -1,4 +1,4 @@
-//! Each kernel alone on the device against its twin, under the shader's name.
+//! Tests of each kernel alone on the device against its twin, under the shader's name.
 
 mod adam;
 mod add_gradients;

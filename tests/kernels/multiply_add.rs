@@ -10,7 +10,7 @@ use crate::reference::multiply_add::multiply_add;
 #[test]
 fn multiply_add_equals_its_twin() {
     let gpu = Gpu::new();
-    // So few steps that each start still shows in the result.
+    // Few enough steps that each start shows in the result.
     let spec = Spec { workgroup_size: gpu.workgroup(64), rounds: 3 };
     let kernel = gpu.kernel::<Interface>(&spec);
     let count = 300;

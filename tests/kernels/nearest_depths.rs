@@ -9,10 +9,10 @@ use crate::common::scenes::{Random, mixed_scene, small_view};
 use crate::reference::nearest_depths::nearest_depth;
 use crate::reference::types::{Gaussian, View};
 
-/// What is there before.
+/// Previous content.
 const STALE: f64 = 5.5;
 
-/// Near and far, from three sides, with the principal point off the centre.
+/// Cameras near and far, from three sides, with the principal point off the centre.
 fn cameras() -> Vec<View> {
     let turned = |degrees: f64| {
         let (sin, cos) = degrees.to_radians().sin_cos();
@@ -39,7 +39,7 @@ fn pose(view: &View) -> [f32; 12] {
     pose
 }
 
-/// As engine/forward/filter_3d.rs writes them.
+/// Same bounds as in engine/forward/filter_3d.rs.
 fn bounds(view: &View) -> [f32; 4] {
     let bound = |axis: usize, share: f64| {
         ((share * f64::from(view.size_px[axis]) - view.center_px[axis]) / view.focal_px[axis]) as f32
@@ -47,7 +47,7 @@ fn bounds(view: &View) -> [f32; 4] {
     [bound(0, -0.15), bound(0, 1.15), bound(1, -0.15), bound(1, 1.15)]
 }
 
-/// Fourth components of the log-scales, and the largest.
+/// Returns the fourth components of the log-scales, and the largest.
 fn depths(gpu: &Gpu, gaussians: &[Gaussian], cameras: &[View], overflow: u32) -> (Vec<f32>, f32) {
     let spec = Spec { workgroup_size: gpu.workgroup(64), subgroup_size: gpu.subgroup() };
     let (count, room) = (gaussians.len(), room(gaussians.len()));
@@ -69,7 +69,7 @@ fn depths(gpu: &Gpu, gaussians: &[Gaussian], cameras: &[View], overflow: u32) ->
     ((0..count).map(at).collect(), f32::from_bits(gpu.read::<u32>(&farthest, 1)[0]))
 }
 
-/// Whether rounding may decide which cameras see a mean.
+/// True if rounding may decide which cameras see a mean.
 fn may_differ(gaussian: &Gaussian, cameras: &[View]) -> bool {
     let nudged = |by: f64| {
         let seen = |view: &View| {

@@ -14,7 +14,7 @@ use crate::reference::linear::sigmoid;
 use crate::reference::opacity_keys::sorted;
 use crate::reference::types::Gaussian;
 
-/// Gaussians of all opacities, some of them alike, and of the ends.
+/// Gaussians of all opacities, some of them equal, some extreme.
 fn scene(count: usize) -> Vec<Gaussian> {
     let mut random = Random::new(count as u64);
     let mut scene = mixed_scene(&mut Random::new(9), count, 1);
@@ -32,7 +32,7 @@ fn logits(scene: &[Gaussian]) -> Vec<f64> {
     scene.iter().map(|gaussian| gaussian.opacity_logit).collect()
 }
 
-/// An exponential is as exact as Vulkan asks: 3 + 2 |x| units in the last place.
+/// Vulkan's bound for an exponential: 3 + 2 |x| units in the last place.
 #[track_caller]
 fn close(actual: f32, expected: f64) {
     let error = (f64::from(actual) - expected).abs();
@@ -44,7 +44,7 @@ fn opacity_keys_equal_their_twin() {
     let gpu = Gpu::new();
     let spec = Spec { workgroup_size: gpu.workgroup(64) };
     let kernel = gpu.kernel::<Interface>(&spec);
-    // As the second of two chunks.
+    // The second of two chunks.
     const FIRST: usize = 3;
     for size in sizes(spec.workgroup_size as usize) {
         let scene = scene(size);
@@ -62,7 +62,7 @@ fn opacity_keys_equal_their_twin() {
     }
 }
 
-/// With so many that one workgroup does not sort them alone, and with parameters in several buffers.
+/// With more opacities than one workgroup sorts alone, and with parameters in several buffers.
 #[test]
 fn opacity_keys_put_opacities_into_their_order() {
     let gpu = Gpu::new();

@@ -26,7 +26,8 @@ fn photo_reduced_equals_its_twin() {
             transparent: change.is_some(),
         });
         let windowing = if strips { Windowing::Sweeps } else { Windowing::Blocks };
-        // One of sixteen pixels does not count; of transparent photographs the others are anything else.
+        // One of sixteen pixels does not count. Without a mask, transparent photographs have any opacity in the
+        // others.
         let mut mask = || match (masked && random.unit() < 1.0 / 16.0, change) {
             (true, _) => 0,
             (false, None) => 255,
@@ -57,7 +58,7 @@ fn photo_reduced_equals_its_twin() {
             let expected = expected.as_flattened().to_vec();
             let expected = photo_on_device(windowing, reduced_width, reduced_height, masked, expected);
             let case = format!("{width}x{height} / {factor}, strips {strips}, masked {masked}");
-            // Halves are rounded in single and in double precision.
+            // Single and double precision may round halves differently.
             let tolerance = u8::from(change.is_some());
             let actual = gpu.read::<u8>(&reduced, bytes);
             assert!(actual.iter().zip(&expected).all(|(a, b)| a.abs_diff(*b) <= tolerance), "{case}");

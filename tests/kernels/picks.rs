@@ -9,7 +9,7 @@ use crate::common::compose::{IMAGE, OFFSET, SIZE};
 use crate::common::gpu::Gpu;
 use crate::reference::picks::scene_of;
 
-/// Scenes with no Gaussians in front, in the middle and at the end, and one of a single Gaussian.
+/// Scenes without Gaussians at the front, in the middle and at the end, and a scene of one Gaussian.
 #[test]
 fn picks_equal_their_twin() {
     let gpu = Gpu::new();
@@ -27,7 +27,7 @@ fn picks_equal_their_twin() {
         let image = image.expect("an image");
         let (columns, rows) = (SIZE[0].div_ceil(16), SIZE[1].div_ceil(16));
         let tiles = columns * rows;
-        // Each tile lists the visible in another order; every second Gaussian is visible.
+        // Each tile lists the visible Gaussians in another order; every second Gaussian is visible.
         let (visible, entries) = (32, 32);
         let list: Vec<u32> = (0..visible).map(|i| 2 * i).collect();
         let ranges: Vec<[u32; 2]> = (0..tiles).map(|tile| [tile * entries, (tile + 1) * entries]).collect();

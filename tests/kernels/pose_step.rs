@@ -20,7 +20,7 @@ fn poses(random: &mut Random, images: usize, size: f64) -> Poses {
         moments: vec![[[0.0; 6]; 2]; images],
         starts: (0..images).map(|_| start(random)).collect(),
         cameras: vec![[f32::NAN; 12]; images],
-        // Every third without a pivot.
+        // Every third pose has no pivot.
         depths: (0..images).map(|i| if i % 3 == 1 { 0.0 } else { (3.0 + random.signed()) as f32 }).collect(),
     }
 }
@@ -48,7 +48,7 @@ fn pose_step_equals_its_twin() {
         for count in 1..=5 {
             let seen = random.below(images as u32);
             let mut gradient = [0; 6].map(|_| (1e-3 * random.signed()) as f32);
-            // What is not finite counts as 0: here of the turn.
+            // A gradient that is not finite counts as 0: here in the rotation.
             if count == 3 {
                 gradient[4] = f32::INFINITY;
             }
@@ -76,7 +76,7 @@ fn pose_step_equals_its_twin() {
     }
 }
 
-/// Without a step the parameters stay, and the cameras are theirs: exactly the given ones where nothing is moved.
+/// Without a step the parameters stay, and cameras follow from them: the start poses exactly if nothing moved.
 #[test]
 fn pose_step_makes_cameras() {
     let gpu = Gpu::new();
@@ -92,7 +92,7 @@ fn pose_step_makes_cameras() {
     }
 }
 
-/// A step after several views takes the sum of what each has given its image; views before it move nothing.
+/// A step after several views uses each image's sum of gradients. Views before it move nothing.
 #[test]
 fn pose_step_adds_up_views() {
     let gpu = Gpu::new();
@@ -113,7 +113,7 @@ fn pose_step_adds_up_views() {
             let step: Step = (seen as u32, gradient, 1e-3, count);
             let at = [place == 0, place + 1 == group.len()];
             let before = device.clone();
-            // Nothing of a view that overflowed.
+            // A view that overflowed adds nothing.
             let spoilt = (seen as u32, [1.0; 6], 1e-3, count);
             device = pose_view(&gpu, &device, Some(spoilt), 1, (&sums, [false, at[1]]), true);
             assert!(device == before, "a view that overflowed has moved something");

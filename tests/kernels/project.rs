@@ -7,7 +7,7 @@ use crate::reference::tile_list::{is_listed, listed_tiles, tiles_met};
 use crate::reference::tiles::{half_extent_px, reference_square, touched};
 use crate::reference::types::{Drawn, Dropout, Extent, Selection, Splat, Tint, View};
 
-/// What the kernel writes of each visible Gaussian.
+/// Outputs of the kernel for each visible Gaussian.
 struct Output {
     mean2d_extent: Vec<[f32; 4]>,
     conic_opacity: Vec<[f32; 4]>,
@@ -33,7 +33,7 @@ fn check(gpu: &Gpu, size: usize, view: &View) {
     check_tiles(gpu, &projected, &output.footprints, view);
 }
 
-/// How many tiles are counted.
+/// Checks the numbers of tiles.
 fn check_tiles(gpu: &Gpu, projected: &Projected, footprints: &[[u32; 4]], view: &View) {
     let lists = gpu.read::<[u32; 2]>(&projected.tile_lists, projected.expected.len());
     let (mut counted, mut exact) = (0, 0);
@@ -59,7 +59,7 @@ fn check_tiles(gpu: &Gpu, projected: &Projected, footprints: &[[u32; 4]], view: 
         counted += count;
         exact += touched(splat, view).len() as u32;
     }
-    // The margins cost little.
+    // The margins add few tiles.
     assert!(f64::from(counted) <= 1.02 * f64::from(exact) + 2.0, "{counted}, {exact}");
 }
 
@@ -99,7 +99,7 @@ fn compare(output: &Output, place: usize, splat: &Splat, view: &View) {
     }
 }
 
-/// The radius and the tiles are equal unless they hang on rounding.
+/// Radius and tiles are equal unless rounding may change them.
 fn compare_square(footprint: [u32; 4], place: usize, splat: &Splat, view: &View) {
     let moved = |by: f64| {
         let cov2d = splat.cov2d.map(|x| x * (1.0 + by));
@@ -157,7 +157,7 @@ fn project_equals_its_twin_for_what_is_drawn_in_place_of_gaussians() {
     }
 }
 
-/// Mip-Splatting's filters.
+/// With Mip-Splatting's filters.
 #[test]
 fn project_equals_its_twin_with_filters() {
     let gpu = Gpu::new();
@@ -169,7 +169,7 @@ fn project_equals_its_twin_with_filters() {
     }
 }
 
-/// Opacities, some then above 1, of what is not left out; and z as the depth that is blended.
+/// Opacities under dropout, some above 1; and z as the blended depth.
 #[test]
 fn project_equals_its_twin_under_dropout() {
     let gpu = Gpu::new();
@@ -180,7 +180,7 @@ fn project_equals_its_twin_under_dropout() {
     }
 }
 
-/// A scene's factors, up to colours that are clamped, and of what is drawn in place of Gaussians.
+/// A scene's factors, also for colours that are clamped and for other shapes.
 #[test]
 fn project_equals_its_twin_under_a_tint() {
     let gpu = Gpu::new();
@@ -195,8 +195,8 @@ fn project_equals_its_twin_under_a_tint() {
     }
 }
 
-/// Among Gaussians that only other views show, the visible ones are what they are alone, and the others meet no tile: not those
-/// without finite numbers either.
+/// Among Gaussians that only other views show, the visible ones have the same outputs as alone. The others meet no
+/// tile, even if their numbers are not finite.
 #[test]
 fn project_leaves_out_what_other_views_show() {
     let gpu = Gpu::new();
@@ -227,7 +227,7 @@ fn project_leaves_out_what_other_views_show() {
         let (mut next, mut borderline) = (0, 0);
         for i in 0..size {
             if shown[i] {
-                // The twin may show one that the kernel does not, by rounding.
+                // Rounding may hide a Gaussian that the twin shows.
                 let own = (own_keys[next], own_means[next]);
                 assert_eq!((keys[i], means[i]), own, "{extent:?}: Gaussian {i}");
                 let left_out = lists[i] == [0; 2] && tiles_met(own_lists[next]) == 0;
@@ -242,7 +242,7 @@ fn project_leaves_out_what_other_views_show() {
     }
 }
 
-/// Some in another colour, which the tint leaves alone.
+/// A selection in another colour, to which the tint does not apply.
 #[test]
 fn project_equals_its_twin_with_a_selection() {
     let gpu = Gpu::new();
@@ -255,7 +255,7 @@ fn project_equals_its_twin_with_a_selection() {
     }
 }
 
-/// Parallel rays, also with what else changes the same lines.
+/// Parallel rays, also with other features that change the same lines.
 #[test]
 fn project_equals_its_twin_with_parallel_rays() {
     let gpu = Gpu::new();
@@ -272,7 +272,7 @@ fn project_equals_its_twin_with_parallel_rays() {
     }
 }
 
-/// As large as a pinhole's at the middle of the scene.
+/// As large as a pinhole camera's picture at the middle of the scene.
 fn parallel_view() -> View {
     View { focal_px: [13.0, 14.5], ..small_view([53, 37]) }
 }

@@ -19,23 +19,23 @@ use crate::reference::types::{
 const TOLERANCE: GradientTolerance = GradientTolerance { relative_l2: 1e-4, max_over_max: 2e-4 };
 const QUATS: GradientTolerance = GradientTolerance { relative_l2: 5e-4, max_over_max: 5e-4 };
 
-/// A scene with the sums that the blending left for each visible Gaussian.
+/// A scene with the blending's sums for each visible Gaussian.
 pub struct Scene {
     pub view: View,
     pub gaussians: Vec<Gaussian>,
     pub visible: Vec<u32>,
     splats: Vec<Splat>,
-    /// Per visible Gaussian, its instances' sums.
+    /// Sums of the instances of each visible Gaussian.
     pub sums: Vec<Vec<[f64; 10]>>,
 }
 
 impl Scene {
-    /// Every `many`-th Gaussian has more instances than one lane adds alone.
+    /// Every `many`-th Gaussian has more instances than one lane sums up.
     pub fn random(size: usize, view: View, many: usize) -> Scene {
         let mut random = Random::new(size as u64);
         let mut gaussians = mixed_scene(&mut random, size, 16);
         for gaussian in &mut gaussians {
-            // Float32 resolves neither needles nor opacities that hardly count.
+            // Float32 resolves neither needles nor very faint opacities.
             gaussian.opacity_logit = gaussian.opacity_logit.max(-4.0);
         }
         let visible: Vec<u32> =
@@ -66,7 +66,7 @@ impl Scene {
                 }
                 let mut d = from_moments(&self.splats[place], sum);
                 if self.view.drawn.z_record {
-                    // What was summed up is dL/dz.
+                    // The sum is dL/dz.
                     d.inverse_depth *= -self.splats[place].depth.powi(2);
                 }
                 (project_backward(&self.gaussians[gaussian as usize], &self.view, &d), d)
@@ -75,7 +75,7 @@ impl Scene {
     }
 }
 
-/// What the kernel reads.
+/// Buffers that the kernel reads.
 pub struct Inputs {
     pub parameters: Buffer,
     pub state: Buffer,
@@ -90,7 +90,7 @@ pub struct Inputs {
 }
 
 impl Scene {
-    /// Uploads it, as a frame that overflowed or not.
+    /// Uploads the scene; `overflow`: the frame overflowed.
     pub fn upload(&self, gpu: &Gpu, overflow: bool) -> Inputs {
         let (size, count) = (self.gaussians.len(), self.visible.len());
         let mut words = vec![0; STATE_WORDS as usize];
@@ -138,7 +138,7 @@ impl Scene {
     }
 }
 
-/// Moments of the size that pixels within the splat give, rounded to float32.
+/// Moments as large as those of pixels within the splat, rounded to float32.
 fn random_sums(random: &mut Random, splat: &Splat) -> [f64; 10] {
     let [xx, xy, yy] = splat.cov2d;
     let [sx, sy] = [xx.sqrt(), yy.sqrt()];
@@ -147,7 +147,7 @@ fn random_sums(random: &mut Random, splat: &Splat) -> [f64; 10] {
     scales.map(|scale| f64::from((scale * 1e-2 * random.signed()) as f32))
 }
 
-/// What the kernel leaves: gradient planes and statistics.
+/// Runs the kernel. Returns gradient planes and statistics.
 pub fn run(gpu: &Gpu, scene: &Scene, accumulate: bool, overflow: bool) -> (Vec<[f32; 4]>, Vec<[f32; 2]>) {
     let (gradients, statistics, _, sums) = run_with(gpu, scene, [accumulate, overflow, false], None);
     assert!(
@@ -157,14 +157,15 @@ pub fn run(gpu: &Gpu, scene: &Scene, accumulate: bool, overflow: bool) -> (Vec<[
     (gradients, statistics)
 }
 
-/// And the sums for the camera's pose per subgroup, if it has a gradient.
+/// Same as [`run`], but also returns the sums for the camera's pose per subgroup.
 #[allow(clippy::type_complexity)]
 fn run_variant(gpu: &Gpu, scene: &Scene, modes: [bool; 3]) -> (Vec<[f32; 4]>, Vec<[f32; 2]>, Vec<[f32; 6]>) {
     let (gradients, statistics, _, sums) = run_with(gpu, scene, modes, None);
     (gradients, statistics, sums)
 }
 
-/// The same with the instances' absolute gradients: gradients, statistics, absolute statistics, sums for the pose.
+/// Same as [`run_variant`], but with the instances' absolute gradients. Returns gradients, statistics, absolute
+/// statistics, sums for the pose.
 #[allow(clippy::type_complexity)]
 fn run_with(
     gpu: &Gpu,
@@ -193,7 +194,7 @@ fn run_with(
     let absolute_statistics = gpu.buffer("absolute_statistics", &vec![5.0_f32; size]);
     let instance_gradients_d = absolute
         .map_or_else(|| inputs.instance_gradients_c.clone(), |d| gpu.buffer("instance_gradients_d", d));
-    // One more than there are, to see that it stays as it is.
+    // One more than needed, to see that it stays untouched.
     let subgroups = count.div_ceil(gpu.subgroup() as usize) + 1;
     let pose_sums = gpu.untouched::<[f32; 6]>("pose_sums", subgroups);
     let bind = Bind {
@@ -239,7 +240,7 @@ fn check(gpu: &Gpu, scene: &Scene) {
             .collect()
     };
     let skip = vec![false; count];
-    // The colour's gradient is that before the clamp at 0, which may act or not where the colour is nearly 0.
+    // The colour's gradient is that before the clamp at 0. Rounding decides about the clamp for colours near 0.
     let near_clamp: Vec<bool> = scene
         .visible
         .iter()
@@ -270,7 +271,7 @@ fn check(gpu: &Gpu, scene: &Scene) {
     check_statistics(scene, &statistics, &expected);
 }
 
-/// Visible Gaussians have one view more and the norm added, the others are as they were.
+/// Visible Gaussians gain a view and the norm; the others keep their statistics.
 fn check_statistics(scene: &Scene, statistics: &[[f32; 2]], expected: &[(Gradient, SplatGradient)]) {
     let mut wanted = vec![[2.0, 3.0]; scene.gaussians.len()];
     let largest =
@@ -310,7 +311,7 @@ pub fn project_backward_equals_its_twin_in_every_mode() {
     }
 }
 
-/// Mip-Splatting's filters; the compensation differentiated, and as a constant.
+/// Mip-Splatting's filters, with the compensation differentiated and constant.
 #[test]
 pub fn project_backward_equals_its_twin_with_filters() {
     let gpu = Gpu::new();
@@ -321,7 +322,7 @@ pub fn project_backward_equals_its_twin_with_filters() {
     }
 }
 
-/// Opacities that were raised for others that are left out; and z as the depth that was blended.
+/// Opacities raised by dropout; and z as the blended depth.
 #[test]
 pub fn project_backward_equals_its_twin_under_dropout() {
     let gpu = Gpu::new();
@@ -334,7 +335,7 @@ pub fn project_backward_equals_its_twin_under_dropout() {
     }
 }
 
-/// The sums of each subgroup for the pose; all else as without them.
+/// Checks each subgroup's sums for the pose, and that the other outputs stay the same.
 fn check_pose(gpu: &Gpu, scene: &Scene) {
     let (planes, statistics, sums) = run_variant(gpu, scene, [true, false, true]);
     let (plain, plain_statistics) = run(gpu, scene, true, false);
@@ -383,7 +384,7 @@ pub fn project_backward_of_the_pose_equals_its_twin() {
     }
 }
 
-/// What is not finite would spoil the pose for good.
+/// A value that is not finite would spoil the pose for good.
 #[test]
 pub fn project_backward_leaves_out_of_the_pose_what_is_not_finite() {
     let gpu = Gpu::new();
@@ -409,7 +410,7 @@ pub fn project_backward_leaves_statistics_alone_unless_told() {
     }
 }
 
-/// Beside the usual gradients and statistics, which keep their bits.
+/// Absolute statistics leave the bits of the usual gradients and statistics.
 #[test]
 pub fn project_backward_adds_up_absolute_statistics() {
     let gpu = Gpu::new();
@@ -418,7 +419,7 @@ pub fn project_backward_adds_up_absolute_statistics() {
     let mut random = Random::new(5);
     let mut absolute: Vec<[f32; 2]> =
         (0..instances).map(|_| [0; 2].map(|_| 1e-3 * random.signed().abs() as f32)).collect();
-    // One whose sums are not finite, and one whose signed ones are not.
+    // One Gaussian whose sums are not finite, and one whose signed sums are not.
     let first_of = |place: usize| scene.sums[..place].iter().map(Vec::len).sum::<usize>();
     let with_instances: Vec<usize> = (0..scene.sums.len()).filter(|&i| !scene.sums[i].is_empty()).collect();
     let [infinite, signed] = [with_instances[3], with_instances[7]];

@@ -1,4 +1,4 @@
-//! `forward/project_scenes` against `forward/project`, which has the twin, to the bit.
+//! `forward/project_scenes` against `forward/project` to the bit; the latter has the twin.
 
 use ashsplat::kernels::forward::project_scenes::{Bind, Interface, Push, Spec};
 
@@ -10,10 +10,10 @@ use crate::common::scenes::{rotation_about_y, small_view};
 use crate::reference::cull::cull;
 use crate::reference::types::{Drawn, Extent, Tint, View};
 
-/// Words of a visible Gaussian in each output.
+/// Words per visible Gaussian in each output.
 const WORDS: [usize; 6] = [4, 4, 4, 1, 4, 2];
 
-/// `too_few`: for so many visible ones there is no room.
+/// `too_few`: number of visible Gaussians beyond the capacity.
 fn check(gpu: &Gpu, [all, unseen]: [bool; 2], too_few: usize, view: impl Fn(usize) -> View) {
     let block = gpu.workgroup(64) as usize;
     let batch = Batch::new(block, 16, view);
@@ -63,7 +63,7 @@ fn check(gpu: &Gpu, [all, unseen]: [bool; 2], too_few: usize, view: impl Fn(usiz
         antialias: antialias_word(&settings),
         splat_stride: 1,
     };
-    // More workgroups than blocks, as of grids in two dimensions.
+    // More workgroups than blocks, as grids in two dimensions have.
     gpu.dispatch::<Interface>(&spec, &bind, &push, (end_block - first_block) as u64 + 3);
     let mut actual: Vec<Vec<u32>> =
         outputs.iter().zip(WORDS).map(|(output, words)| gpu.read(output, words * (list.len() + 1))).collect();

@@ -55,7 +55,7 @@ fn relocate_equals_its_twin() {
                 continue;
             }
             let (logit, log_scale) = relocate(before.opacity_logit, before.log_scale, drawn);
-            // Of an opacity near 1, 1 - o has few digits.
+            // 1 - o has few digits for an opacity near 1.
             let digits = 1e-7 * (1.0 + logit.exp());
             elementwise("logit", &[after[i].opacity_logit], &[logit], 1e-5 + digits, 1e-6)
                 .unwrap_or_else(|e| panic!("{i}, drawn {drawn}: {e}"));

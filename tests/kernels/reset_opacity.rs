@@ -10,7 +10,7 @@ use crate::reference::filter_sizes::shrink;
 use crate::reference::reset_opacity::reset_opacity;
 use crate::reference::types::Gaussian;
 
-/// The third of every four has none.
+/// Every third of four has no filter.
 fn filter_of(index: usize) -> f64 {
     [0.25, 4.0, 0.0, 0.015625][index % 4]
 }

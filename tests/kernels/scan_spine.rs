@@ -24,7 +24,7 @@ fn check(gpu: &Gpu, items: u32) {
             let sums: Vec<u32> = (0..size).map(|_| random.below(1 << 27)).collect();
             // The last block is not full.
             let values = if size == 0 { 0 } else { size as u32 * block_size - 5 };
-            // The sums start behind three words of something else.
+            // The sums start behind three other words.
             let input =
                 gpu.buffer("block_sums", &[&[UNTOUCHED; 3], sums.as_slice(), &[UNTOUCHED; 2]].concat());
             let totals = gpu.buffer("totals", &[1, 2, 3, values]);
@@ -46,7 +46,7 @@ fn check(gpu: &Gpu, items: u32) {
     }
 }
 
-/// A total that wraps around must not pass for a small one, wherever the carry happens.
+/// A total that wraps around must not look like a small one, wherever the carry occurs.
 #[test]
 pub fn scan_spine_saturates_exactly_beyond_32_bits() {
     let gpu = Gpu::new();

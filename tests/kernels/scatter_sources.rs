@@ -9,8 +9,8 @@ use crate::reference::classify::Statistic;
 use crate::reference::scan_spine::scan_spine;
 use crate::reference::scatter_sources::{Densify, Kind, place};
 
-/// The order of the twin, which appends and then prunes as the reference implementation does, from decisions that know
-/// of the pruning already.
+/// The order of the twin, which appends and then prunes as the reference implementation does. The kernel's decisions
+/// already include the pruning.
 #[test]
 fn place_equals_its_twin() {
     let gpu = Gpu::new();

@@ -8,11 +8,11 @@ use crate::common::scenes::{Random, mixed_scene, small_view};
 use crate::reference::screen_motion::screen_motion;
 use crate::reference::types::{Drawn, Gaussian, View};
 
-/// Motions of every second Gaussian of a range that begins behind others, as the kernel says.
+/// The kernel's motions of every second Gaussian of a range that begins behind others.
 fn moved(gpu: &Gpu, gaussians: &[Gaussian], view: &View, before: &View) -> Vec<[f32; 2]> {
     let workgroup_size = gpu.workgroup(64);
     let room = room(gaussians.len());
-    // The range is the second culling block's.
+    // The range is that of the second culling block.
     let first = workgroup_size;
     let visible: Vec<u32> = (0..gaussians.len() as u32).step_by(2).map(|i| first + i).collect();
     let list = gpu.buffer("visible_list", &[&[UNTOUCHED; 3], visible.as_slice()].concat());
@@ -56,7 +56,7 @@ fn screen_motion_equals_its_twin() {
         center_px: [26.25, 18.75],
         ..now.clone()
     };
-    // Pixels per unit, in place of a focal length.
+    // Pixels per unit instead of a focal length.
     let parallel = |view: &View, scale: f64| View {
         drawn: Drawn { orthographic: true, ..Drawn::AS_THEY_ARE },
         focal_px: view.focal_px.map(|f| f * scale),
@@ -77,7 +77,7 @@ fn screen_motion_equals_its_twin() {
             let expected = screen_motion(gaussian.mean, view, before);
             for axis in 0..2 {
                 let (actual, expected) = (f64::from(motion[axis]), expected[axis]);
-                // Places are that large, and rounded.
+                // Positions are that large, and rounded.
                 let tolerance = 1e-3 + 1e-5 * expected.abs();
                 assert!((actual - expected).abs() < tolerance, "{actual}, expected {expected}");
             }
@@ -89,7 +89,7 @@ fn screen_motion_equals_its_twin() {
     }
 }
 
-/// Behind the camera of before, close to its plane, far aside, and not a number.
+/// Means behind the previous camera, close to its plane, far aside, and NaN.
 #[test]
 fn screen_motion_stays_finite() {
     let gpu = Gpu::new();
@@ -97,7 +97,7 @@ fn screen_motion_stays_finite() {
     let mut gaussians = mixed_scene(&mut Random::new(3), 8, 1);
     let behind = View { translation: [0.0, 0.0, -100.0], ..view.clone() };
     assert!(moved(&gpu, &gaussians, &view, &behind).iter().all(|motion| *motion == [0.0; 2]));
-    // At most as much as leads out of the picture.
+    // At most the motion that leaves the picture.
     let aside = View { translation: [1e9, -1e9, 4.0], ..view.clone() };
     for motion in moved(&gpu, &gaussians, &view, &aside) {
         assert_eq!(motion, [-53.0, 37.0]);
@@ -105,7 +105,7 @@ fn screen_motion_stays_finite() {
     gaussians[0].mean = [-1.0, 0.0, 0.0];
     let close = View { translation: [0.0, 0.0, 0.201], ..view.clone() };
     assert_eq!(moved(&gpu, &gaussians, &view, &close)[0][0], 53.0);
-    // From infinity, and to there: the guard leaves nothing.
+    // From infinity and to infinity: the kernel must return 0.
     for gaussian in &mut gaussians {
         gaussian.mean = [1e38, 1e38, f64::from(f32::MAX)];
     }

@@ -1,4 +1,4 @@
-//! `sort/sort_downsweep` against its twin, with the other two steps of a pass by their twins.
+//! `sort/sort_downsweep` against its twin; the twins do the other two steps of a pass.
 
 use ashsplat::kernels::sort::sort_downsweep::{Bind, Interface, Push, Spec};
 
@@ -23,7 +23,7 @@ fn check(gpu: &Gpu, spec: Spec, keys: &[u32], [shift, bits]: [u32; 2]) {
     let size = keys.len();
     let block = (spec.workgroup_size * spec.items) as usize;
     let blocks = size.div_ceil(block);
-    // Values that say where they come from, so that the order among equal keys is seen.
+    // Values identify their positions, to check the order of equal keys.
     let scale = if spec.identity_values { 1 } else { 3 };
     let values: Vec<u32> = (0..size as u32).map(|place| place * scale).collect();
     let mut histogram = sort_upsweep(keys, shift, bits, block);
@@ -62,11 +62,11 @@ pub fn sort_downsweep_equals_its_twin() {
     for identity_values in [false, true] {
         check_sizes(&gpu, spec(&gpu, identity_values));
     }
-    // A block of more pairs than there are counts of its subgroups' digits.
+    // A block of more pairs than its subgroups have digit counts.
     check_sizes(&gpu, Spec { workgroup_size: gpu.subgroup(), items: 128, ..spec(&gpu, false) });
 }
 
-/// Numbers of keys around blocks, random keys, digits of all kinds.
+/// Key counts around multiples of a block, random keys, all digits.
 pub fn check_sizes(gpu: &Gpu, spec: Spec) {
     for size in sizes((spec.workgroup_size * spec.items) as usize) {
         let mut random = Random::new(size as u64);

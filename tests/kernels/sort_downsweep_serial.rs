@@ -1,4 +1,4 @@
-//! `sort/sort_downsweep_serial` against its twin, with the other two steps of a pass by their twins.
+//! `sort/sort_downsweep_serial` against its twin; the twins do the other two steps of a pass.
 
 use ashsplat::kernels::sort::sort_downsweep_serial::{Bind, Interface, Push, Spec};
 use ashsplat::vk::Kernel;
@@ -22,7 +22,7 @@ fn check(gpu: &Gpu, kernel: &Kernel<Interface>, spec: Spec, keys: &[u32], [shift
     let size = keys.len();
     let (lanes, run) = (spec.workgroup_size as usize, spec.items as usize);
     let blocks = size.div_ceil(lanes * run);
-    // Values that say where they come from, so that the order among equal keys is seen.
+    // Values identify their positions, to check the order of equal keys.
     let scale = if spec.identity_values { 1 } else { 3 };
     let values: Vec<u32> = (0..size as u32).map(|place| place * scale).collect();
     let mut histogram = sort_upsweep(keys, shift, bits, lanes * run);
@@ -58,7 +58,7 @@ fn check(gpu: &Gpu, kernel: &Kernel<Interface>, spec: Spec, keys: &[u32], [shift
     let mut read = gpu.read::<u32>(&sorted_values, size + 2);
     assert_eq!(read.split_off(size), [UNTOUCHED; 2], "{label}");
     assert_eq!(read, expected_values, "{label}");
-    // The runs' counts have become the places behind their last keys.
+    // The kernel turns the runs' counts into the positions after their last keys.
     let digits = 1 << bits;
     let ends = sort_downsweep_serial(&counts_of_runs, digits);
     let read = gpu.read::<u32>(&run_counts, ends.concat().len());

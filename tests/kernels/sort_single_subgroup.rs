@@ -11,7 +11,7 @@ fn spec(gpu: &Gpu, identity_values: bool) -> Spec {
     Spec { workgroup_size: gpu.subgroup(), subgroup_size: gpu.subgroup(), identity_values }
 }
 
-/// Sorts and compares: the pairs, and that nothing behind them changes.
+/// Sorts and compares the pairs, and checks that nothing behind them changes.
 fn check(gpu: &Gpu, kernel: &Kernel<Interface>, spec: Spec, keys: &[u32], [digit_bits, passes]: [u32; 2]) {
     let size = keys.len();
     let scale = if spec.identity_values { 1 } else { 3 };

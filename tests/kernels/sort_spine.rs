@@ -17,11 +17,11 @@ pub fn sort_spine_equals_its_twin() {
 fn check(gpu: &Gpu, whole_rows: bool) {
     let spec = Spec { workgroup_size: gpu.workgroup(64), subgroup_size: gpu.subgroup(), whole_rows };
     let block_size = 8;
-    // The last workgroup has rows to spare.
+    // The last workgroup has more rows than there are digits.
     let digits = 21;
     let rows = if whole_rows { 1 } else { spec.workgroup_size / spec.subgroup_size };
     let workgroups = u64::from(digits as u32 / rows + 1);
-    // Around a round of either form.
+    // Sizes around one round of either form.
     let of_rows =
         sizes(spec.workgroup_size as usize).into_iter().chain(sizes(4 * spec.workgroup_size as usize));
     for blocks in of_rows {

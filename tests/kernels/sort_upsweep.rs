@@ -12,7 +12,7 @@ pub fn sort_upsweep_equals_its_twin() {
     check_sizes(&gpu, Spec { workgroup_size: gpu.workgroup(64), items: 4 });
 }
 
-/// Numbers of keys around blocks, random keys, digits of all kinds.
+/// Key counts around multiples of a block, random keys, all digits.
 pub fn check_sizes(gpu: &Gpu, spec: Spec) {
     let block = (spec.workgroup_size * spec.items) as usize;
     for (size, shift, bits) in

@@ -26,7 +26,7 @@ fn sparse_depth_equals_its_twin() {
     }
 }
 
-/// A point where nothing is drawn has the inverse depth 0, and no gradient.
+/// A point where nothing is drawn has inverse depth 0 and no gradient.
 #[test]
 fn sparse_depth_of_nothing_has_no_gradient() {
     let gpu = Gpu::new();

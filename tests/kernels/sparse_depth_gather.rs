@@ -42,7 +42,7 @@ fn sparse_depth_gather_equals_its_twin() {
     }
 }
 
-/// What other terms have added stays.
+/// The gradients of other terms stay.
 #[test]
 fn sparse_depth_gather_adds() {
     let gpu = Gpu::new();

@@ -6,13 +6,13 @@ use crate::common::loss::{Pictures, SIZES, WEIGHT, Window, backward};
 use crate::reference::ssim_backward::ssim_backward;
 use crate::reference::ssim_forward::{SsimPlane, ssim_forward};
 
-/// Of a gradient in f32.
+/// Tolerance of a float32 gradient.
 pub const TOLERANCE: GradientTolerance = GradientTolerance { relative_l2: 2e-5, max_over_max: 2e-5 };
 
 /// Compares the gradient of either kernel with the twin's.
 pub fn check(gpu: &Gpu, pictures: &Pictures, window: Window) {
     let count = pictures.pixels();
-    // From the twin's derivatives, so that only this kernel is judged.
+    // Uses the twin's derivatives, so that the test judges only this kernel.
     let twins: Vec<SsimPlane> = (0..3)
         .map(|channel| {
             let [x, y] = pictures.planes(channel);
@@ -47,7 +47,7 @@ pub fn check(gpu: &Gpu, pictures: &Pictures, window: Window) {
                     assert_eq!(actual[i], 0.0, "gradient where the mask is");
                     expected[i] = 0.0;
                 }
-                // The sign of a difference within rounding of zero.
+                // Rounding decides the sign of a difference near zero.
                 if (x.values[i] - y.values[i]).abs() < 1e-6 {
                     (expected[i], actual[i]) = (0.0, 0.0);
                 }

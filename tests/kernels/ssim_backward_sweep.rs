@@ -1,4 +1,4 @@
-//! `loss/ssim_backward_sweep` against the twin of `loss/ssim_backward`, and the loss as a whole in all its forms.
+//! `loss/ssim_backward_sweep` against the twin of `loss/ssim_backward`, and the whole loss in all its forms.
 
 use super::ssim_backward::{TOLERANCE, check};
 use crate::common::compare::{elementwise, gradient};
@@ -23,7 +23,7 @@ fn ssim_backward_sweep_equals_its_twin() {
     }
 }
 
-/// Loss and gradient by the engine, on a device whose buffers hold that many bytes at most.
+/// Loss and gradient by the engine, on a device whose buffers hold at most `largest` bytes.
 fn engine_loss(pictures: &Pictures, windowing: Windowing, largest: Option<u64>) -> (Vec<u8>, Vec<f32>) {
     let limits = LimitsOverride { max_storage_buffer_range: largest, ..LimitsOverride::default() };
     let options = ContextOptions { limits_override: Some(limits), ..options() };
@@ -74,7 +74,8 @@ fn engine_loss(pictures: &Pictures, windowing: Windowing, largest: Option<u64>) 
     (context.download(losses).expect("losses"), gradient.into_flattened())
 }
 
-/// Where the derivatives of all channels do not fit into one buffer, they are computed one by one: the same bits.
+/// If the derivatives of all channels do not fit into one buffer, the engine computes them one by one, to the same
+/// bits.
 #[test]
 fn loss_in_one_buffer_or_three() {
     let pictures = Pictures::random([67, 41]);
@@ -85,7 +86,7 @@ fn loss_in_one_buffer_or_three() {
     }
 }
 
-/// A mask that leaves everything changes nothing, to the bit; what is under a mask does not matter, to the bit.
+/// A mask that keeps everything changes nothing, to the bit. Masked pixels do not matter, to the bit.
 #[test]
 fn loss_under_masks() {
     for windowing in Gpu::new().windowings() {
@@ -107,7 +108,7 @@ fn loss_under_masks() {
     }
 }
 
-/// Loss and gradient as a whole against both pictures times the mask, in f64.
+/// Loss and gradient against both pictures times the mask, in f64.
 #[test]
 fn loss_under_a_mask_is_that_of_the_pictures_times_the_mask() {
     let pictures = Pictures::masked([67, 41]);
@@ -130,7 +131,7 @@ fn loss_under_a_mask_is_that_of_the_pictures_times_the_mask() {
     }
 }
 
-/// Both forms give one loss.
+/// Both forms give the same loss.
 #[test]
 fn loss_by_blocks_and_by_sweeps() {
     if !Gpu::new().has_texels("the loss by sweeps") {
@@ -148,7 +149,7 @@ fn loss_by_blocks_and_by_sweeps() {
     assert!(difference <= 2e-5 * largest && largest > 0.0, "{difference} of {largest}");
 }
 
-/// Texels can only be bound by push descriptors: without them, the loss takes its other form.
+/// Texels need push descriptors: without them, the loss uses its other form.
 #[test]
 fn loss_without_texels() {
     let options = ContextOptions { push_descriptors: false, ..options() };

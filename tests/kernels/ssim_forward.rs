@@ -19,7 +19,7 @@ pub fn check(gpu: &Gpu, pictures: &Pictures, window: Window) {
         let place = |pixel: usize, k: usize| window.derivative_place(pictures, channel, pixel, k);
         let column = |k: usize| (0..count).map(|i| f64::from(derivatives[place(i, k)])).collect::<Vec<f64>>();
         for (k, expected) in [&twin.d_mean, &twin.d_square, &twin.d_product].into_iter().enumerate() {
-            // The derivatives reach 1/C2 where a window has no variance.
+            // The derivatives reach 1/C2 if a window has no variance.
             let largest = expected.iter().fold(1.0_f64, |largest, x| largest.max(x.abs()));
             elementwise("derivative", &column(k), expected, 1e-4 * largest, 1e-4)
                 .expect("derivatives of SSIM");

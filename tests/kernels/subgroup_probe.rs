@@ -11,7 +11,7 @@ fn subgroup_probe_equals_its_twin() {
     let size = gpu.subgroup();
     let workgroup_size = gpu.workgroup(4 * size);
     let kernel = gpu.kernel::<Interface>(&Spec { workgroup_size, subgroup_size: size });
-    // The last workgroup is not full of results, but full of invocations.
+    // The last workgroup has more invocations than results.
     let count = 2 * workgroup_size + size / 2;
     let found = gpu.untouched::<[u32; 4]>("found", count as usize + 1);
     gpu.run(|r| r.dispatch(&kernel, &Bind { found: &found }, &Push { count }, 3_u32.into()));

@@ -8,7 +8,7 @@ use crate::common::gpu::{Gpu, UNTOUCHED, sizes};
 use crate::common::scenes::Random;
 use crate::reference::sum_weights::sum_weights;
 
-/// Weights and ranges that the kernel leaves, for the instances of the visible Gaussians among `size`.
+/// Returns the kernel's weights and ranges for the instances of the visible Gaussians among `size`.
 fn run(gpu: &Gpu, visible: &[(u32, Vec<f32>)], size: usize, overflow: bool) -> (Vec<f32>, Vec<u32>) {
     let spec = Spec { workgroup_size: gpu.workgroup(64), subgroup_size: gpu.subgroup(), ..Spec::default() };
     let mut index = vec![NOT_VISIBLE; size];

@@ -17,7 +17,7 @@ use crate::reference::write_visible_ranges::ranges;
 /// Gaussians of a culling block.
 const BLOCK: u32 = 64;
 
-/// Scenes of a frame of `blocks` blocks, each with its own blocks and those of a range.
+/// A frame of `blocks` blocks; each scene has its own blocks and a number of blocks per range.
 fn check(gpu: &Gpu, blocks: usize, scenes: &[(Range<usize>, usize)], most: u32) {
     let spec = Spec { workgroup_size: gpu.workgroup(64) };
     let kernel = gpu.kernel::<Interface>(&spec);
@@ -71,7 +71,7 @@ fn check(gpu: &Gpu, blocks: usize, scenes: &[(Range<usize>, usize)], most: u32) 
 #[test]
 fn prepare_ranges_equals_its_twin() {
     let gpu = Gpu::new();
-    // One scene, with and without others behind it.
+    // One scene, alone and among others.
     let alone =
         [(1, 0..1, 1), (1, 0..1, 5), (5, 0..5, 5), (6, 0..6, 5), (300, 0..300, 3), (1000, 0..1000, 1)];
     let one_of_some = [(20, 3..9, 4), (20, 7..20, 4), (20, 0..8, 4)];
@@ -79,7 +79,7 @@ fn prepare_ranges_equals_its_twin() {
         for (blocks, own, blocks_per_range) in alone.iter().chain(&one_of_some).cloned() {
             check(&gpu, blocks, &[(own, blocks_per_range)], most);
         }
-        // One that is not drawn between two, and behind all.
+        // Scenes that are not drawn: between two others, and behind all.
         check(&gpu, 20, &[(0..5, 2), (5..5, 1), (5..6, 3), (6..20, 4), (20..20, 1)], most);
         let many: Vec<_> = (0..200).map(|scene| (2 * scene..2 * scene + 2, 1 + scene % 3)).collect();
         check(&gpu, 400, &many, most);

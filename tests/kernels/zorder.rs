@@ -1,4 +1,4 @@
-//! `densify/zorder` against its twin, and rows in the curve's order.
+//! `densify/zorder` against its twin, and rows in the order of the curve.
 
 use ashsplat::densify::{Curve, Densify, DensifyBuffers, OrderBuffers};
 use ashsplat::kernels::densify::zorder::{Bind, Interface, Push, Spec};
@@ -18,7 +18,7 @@ use crate::reference::zorder::{cell, zorder};
 const CENTER: [f64; 3] = [0.5, -1.25, 2.0];
 const EXTENT: f64 = 3.0;
 
-/// Gaussians all over space, and what has no place in it.
+/// Gaussians all over space, some without a position on the curve.
 fn scattered(count: usize) -> Vec<Gaussian> {
     let mut random = Random::new(count as u64);
     let mut scene = small_scene(&mut Random::new(7), count, 1);
@@ -33,7 +33,7 @@ fn scattered(count: usize) -> Vec<Gaussian> {
     scene
 }
 
-/// The same a hundredth of a cell away from borders at least, where rounding decides.
+/// Same as [`scattered`], but at least a hundredth of a cell from borders, where rounding decides.
 fn inside_cells(count: usize) -> Vec<Gaussian> {
     let mut scene = scattered(count);
     for gaussian in &mut scene {
@@ -56,7 +56,7 @@ fn zorder_equals_its_twin() {
         let mut random = Random::new(3);
         let sources: Vec<u32> =
             (0..size).map(|_| random.below(scene.len() as u32) | random.below(4) << 30).collect();
-        // In two ranges of Gaussians, as where parameters lie in two buffers.
+        // Two ranges of Gaussians, as with parameters in two buffers.
         let half = scene.len() / 2;
         let keys = gpu.buffer("keys", &vec![u32::MAX; size + 1]);
         for (first, range) in [(0, &scene[..half]), (half, &scene[half..])] {
@@ -94,8 +94,8 @@ fn zorder_keys_are_the_bits_of_cells_in_turn() {
     assert_eq!(corner(1.0, -1e9, -1e9), 1 << 27 | 1 << 24);
 }
 
-/// The rows by their keys, those of one key in the order that they had; with so many rows that one workgroup does not sort
-/// them alone, and with parameters in several buffers.
+/// Rows are sorted by their keys, and rows of one key keep their order. There are more rows than one workgroup sorts
+/// alone, and parameters in several buffers.
 #[test]
 fn zorder_puts_rows_into_the_curves_order() {
     let gpu = Gpu::new();
