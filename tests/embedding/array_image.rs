@@ -1,4 +1,4 @@
-//! An image of the host's with several layers, as a headset's swapchain has.
+//! A host's image with several layers, like a headset's swapchain.
 
 use crate::auxiliary::truth::WRITTEN;
 use crate::host::Host;
@@ -39,7 +39,7 @@ impl ArrayImage {
         vk::ImageUsageFlags::STORAGE | vk::ImageUsageFlags::TRANSFER_SRC
     }
 
-    /// A layer as the guest sees it.
+    /// A layer as the guest's image.
     pub fn adopt(&self, context: &Context, layer: u32) -> Image {
         let foreign = ForeignImage {
             image: self.image,
@@ -55,7 +55,7 @@ impl ArrayImage {
         unsafe { Image::adopt(context, "eye", &foreign, ImageUse::Target) }.expect("adopted")
     }
 
-    /// The texels of all layers, which the guest has written.
+    /// Reads the texels of all layers.
     pub fn read(&self, host: &Host) -> Vec<Vec<[f32; 4]>> {
         let [width, height] = self.size;
         let pixels = (width * height) as usize;

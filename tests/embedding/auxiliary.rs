@@ -1,4 +1,4 @@
-//! What a frame leaves beside the picture: what is picked at each pixel, and motion; by the host's own arithmetic.
+//! Picks and motion of a frame, compared with the host's own arithmetic.
 
 mod cameras;
 mod costs;
@@ -22,14 +22,15 @@ use ashsplat::{
 use glam::{Mat3, Quat, Vec3};
 use truth::{SIZE, Screens, Truth, WRITTEN, ball, both, round, shifted, turned};
 
-/// Four Gaussians at known places: which wins where, its depth, its weight, its motion.
+/// Four Gaussians at known positions: the picked one, its depth, its weight, its motion.
 #[test]
 fn picks_and_motion_of_a_scene_on_paper() {
     with_host(&options(), |host| {
         let context = guest(host);
         let view = Camera { cx: 40.5, cy: 35.5, ..camera(0.0, SIZE[0], SIZE[1]) };
         let screens = Screens::new(host, &context, SIZE);
-        // 0.2 of opacity before 0.9, at the pixel (40, 35): weights of 0.2 and 0.72. And one of 0.6 before 0.9: 0.6 and 0.36.
+        // Opacity 0.2 in front of 0.9 at the pixel (40, 35): weights of 0.2 and 0.72. Also 0.6 in front of 0.9:
+        // weights of 0.6 and 0.36.
         let right = |z: f32| 30.0 / view.fx * z;
         let first = appended(
             &ball(&view, [0.0, 0.0, 3.0], [0.05, 0.2]),
@@ -49,7 +50,7 @@ fn picks_and_motion_of_a_scene_on_paper() {
             renderer.reserve(&both(wanted)).expect("memory");
             let frame = RecordedFrame::new(&placed, &view, &settings);
             let at = |[x, y]: [u32; 2]| (y * SIZE[0] + x) as usize;
-            // The camera came from 0.1 to the left: everything goes to the left, near things faster.
+            // The camera moved right by 0.1, so everything moves to the left, near things faster.
             let before = shifted(&view, [-0.1, 0.0, 0.0]);
             let shot = screens.shot(&mut renderer, &frame, &before);
             let known = [([40, 35], [0, 1], 6.0, 0.72), ([70, 35], [1, 0], 2.0, 0.6)];
@@ -70,14 +71,14 @@ fn picks_and_motion_of_a_scene_on_paper() {
                 let [mx, my] = shot.motions[at(pixel)];
                 assert!((mx - x).abs() < 5e-3 * x.abs() && my.abs() < 1e-3, "{pixel:?}: {mx} {my}, {x}");
             }
-            // What stands still has none, to the bit.
+            // Without motion, it is exactly 0.
             let still = screens.shot(&mut renderer, &frame, &view);
             assert!(still.motions.iter().all(|motion| *motion == [0.0; 2]));
-            // The camera looked further to the left: about 0.05 f more to the left now.
+            // The camera turned right: everything moves about 0.05 f to the left.
             let shot = screens.shot(&mut renderer, &frame, &turned(&view, 0.05));
             let x = shot.motions[at([40, 35])][0];
             assert!((x + view.fx * 0.05f32.tan()).abs() < 0.01 * view.fx, "{x}");
-            // The second scene came from below: it goes up.
+            // The second scene moved up.
             let down = view.camera_from_world.transpose() * Vec3::new(0.0, 0.5, 0.0);
             let pose = Pose { translation: down, ..Pose::IDENTITY };
             let moving = [placed[0], Placed { previous_pose: Some(pose), ..placed[1] }];
@@ -90,7 +91,7 @@ fn picks_and_motion_of_a_scene_on_paper() {
     });
 }
 
-/// Many at random, in every way that a frame can draw scenes.
+/// Random scenes, drawn in every way that a frame allows.
 #[test]
 fn picks_and_motion_of_random_scenes() {
     with_host(&options(), |host| {
@@ -133,7 +134,7 @@ fn picks_and_motion_of_random_scenes() {
             let truth = Truth::new(&[of(0), of(1), of(2)], [&view, &before]);
             let covered = truth.check(&shot, SIZE);
             assert!(covered > 2000, "{covered}");
-            // The picture has the bits of a frame without, and each alone those of both.
+            // Picks and motion leave the picture's bits, and each alone equals both.
             let plain = rendered(host, &mut renderer, &frame);
             assert!(plain == shot.pixels, "{form:?}: the picture changes");
             let pick = RecordedFrame { pick: Some(PickTarget { to: screens.to(0) }), ..frame };
@@ -142,7 +143,7 @@ fn picks_and_motion_of_random_scenes() {
             let motion = RecordedFrame { motion: Some(screens.motion(&before)), ..frame };
             assert!(rendered(host, &mut renderer, &motion) == plain);
             assert!(screens.motions() == shot.motions);
-            // Scenes keep their places beside one that is hidden.
+            // Scene indices do not change if another scene is hidden.
             for (hidden, others) in [(0, [1, 2]), (1, [0, 2]), (2, [0, 1])] {
                 let mut own = [USUAL; 3];
                 own[hidden] = HIDDEN;
@@ -151,7 +152,7 @@ fn picks_and_motion_of_random_scenes() {
                 let shot = screens.shot(&mut renderer, &frame, &before);
                 Truth::new(&others.map(of), [&view, &before]).check(&shot, SIZE);
             }
-            // Behind a wall of the host's.
+            // Behind the host's wall.
             let wall = 4.1;
             let (texture, state) = depth_image(host, SIZE, 0.1 / wall);
             // SAFETY: the image is as it says, and outlives the frame.
@@ -170,13 +171,13 @@ fn picks_and_motion_of_random_scenes() {
             texture.destroy(host);
             colors.push((shot.picks, shot.motions));
         }
-        // Both forms blend the same.
+        // Both forms blend identically.
         assert!(colors[0] == colors[1]);
         screens.destroy();
     });
 }
 
-/// A scene whose parameters lie in several buffers, and whose splats' attributes lie apart.
+/// A scene with parameters in several buffers, and with splat attributes apart.
 #[test]
 fn picks_and_motion_go_on_from_chunk_to_chunk() {
     with_host(&options(), |host| {
@@ -199,7 +200,8 @@ fn picks_and_motion_go_on_from_chunk_to_chunk() {
     });
 }
 
-/// More scenes than one command writes the first Gaussians of, a tenth of them hidden: one at each fourth pixel of a grid.
+/// More scenes than one command writes first Gaussians for, a tenth of them hidden: one at each fourth pixel of a
+/// grid.
 #[test]
 fn picks_know_a_thousand_scenes() {
     const COLUMNS: u32 = 44;
@@ -239,7 +241,8 @@ fn picks_know_a_thousand_scenes() {
     });
 }
 
-/// Cut-outs, a tint and a selection change who is drawn and what weighs how much; indices stay those of the scene.
+/// Cut-outs, a tint and a selection change which Gaussians are drawn and their weights. Indices stay those of the
+/// scene.
 #[test]
 fn picks_know_scenes_in_ways_of_their_own() {
     with_host(&options(), |host| {
@@ -257,7 +260,7 @@ fn picks_know_scenes_in_ways_of_their_own() {
         let placed = [Placed { settings, ..Placed::from(&scene) }];
         let render = RenderSettings::default();
         let shot = screens.shot(&mut renderer, &RecordedFrame::new(&placed, &view, &render), &view);
-        // The same on the host; who is left keeps its index.
+        // The host applies the same; the remaining Gaussians keep their indices.
         let left: Vec<u32> =
             (0..400).filter(|&i| Vec3::from(part.means[i as usize]).length() > 0.8).collect();
         let mut kept = part.clone();
@@ -274,7 +277,7 @@ fn picks_know_scenes_in_ways_of_their_own() {
     });
 }
 
-/// A part of a larger image, what is kept there, and pixels that are covered little.
+/// A part of a larger image, its previous contents, and pixels with little coverage.
 #[test]
 fn picks_and_motion_go_into_a_part_of_an_image() {
     with_host(&options(), |host| {
@@ -289,7 +292,7 @@ fn picks_and_motion_go_into_a_part_of_an_image() {
         let (placed, settings) = ([Placed::from(&scene)], RenderSettings::default());
         let frame = RecordedFrame::new(&placed, &view, &settings);
         let shot = own.shot(&mut renderer, &frame, &before);
-        // First all of it, then a part, over what is there.
+        // First the whole image, then a part over its contents.
         let large = camera(0.3, SIZE[0], SIZE[1]);
         let cleared = [Placed { settings: HIDDEN, ..placed[0] }];
         renderer.reserve(&both(Reservation::new(60, 0, SIZE[0], SIZE[1]))).expect("memory");
@@ -305,7 +308,7 @@ fn picks_and_motion_go_into_a_part_of_an_image() {
         let offset = [29, 31];
         let read = (vk::ImageLayout::TRANSFER_SRC_OPTIMAL, vk::PipelineStageFlags2::ALL_TRANSFER);
         let from = ImageState { layout: read.0, stages: read.1, accesses: vk::AccessFlags2::NONE };
-        // What was read last is the motion; the picks are still as they were written.
+        // The motion image was read last. The picks are still in the state of their write.
         let motion = MotionTarget {
             to: HostImage { from, offset, ..whole.to(1) },
             min_weight: 0.5,
@@ -338,7 +341,7 @@ fn picks_and_motion_go_into_a_part_of_an_image() {
     });
 }
 
-/// What is refused, by the caller's field; and what is not reserved takes no memory.
+/// Refusals name the caller's field. Outputs that are not reserved take no memory.
 #[test]
 fn bad_picks_and_motions_are_refused_by_name() {
     with_host(&options(), |host| {
@@ -398,7 +401,7 @@ fn bad_picks_and_motions_are_refused_by_name() {
         for (frame, expected) in bad {
             refused(&mut renderer, &frame, expected);
         }
-        // Nothing was recorded, and all is well.
+        // Nothing was recorded, and the renderer still works.
         let shot = screens.shot(&mut renderer, &good, &view);
         assert_same(&shot.pixels, &owned(&round(60, 5), &view, &settings), [0.0; 3]);
         screens.destroy();

@@ -1,4 +1,4 @@
-//! What is wrong is said in a typed error before anything is recorded.
+//! Errors of the caller are reported as typed errors before anything is recorded.
 
 mod recorders;
 
@@ -19,7 +19,7 @@ use ashsplat::{
 };
 use glam::{Mat3, Vec3};
 
-/// The error of a context that a host describes like this.
+/// The error of a context with a changed description.
 fn refused(host: &Host, change: impl FnOnce(&mut ForeignDevice<'_>)) -> Error {
     let mut foreign = host.foreign();
     change(&mut foreign);
@@ -29,13 +29,13 @@ fn refused(host: &Host, change: impl FnOnce(&mut ForeignDevice<'_>)) -> Error {
 
 #[test]
 fn a_host_that_has_not_enabled_a_feature_is_told_which() {
-    // All of them in one answer.
+    // One error names all missing features.
     with_host(&options(), |host| {
         let features = Features { scalar_block_layout: false, subgroup_size_control: false, ..host.features };
         let error = refused(host, |h| h.features = features).to_string();
         assert!(error.contains("lacks scalarBlockLayout, subgroupSizeControl (the device has"), "{error}");
     });
-    // The device itself was created without it.
+    // The device itself lacks the feature.
     with_host(&HostOptions { without: Some("maintenance4"), ..options() }, |host| {
         let error = refused(host, |_| ());
         assert!(matches!(&error, Error::MissingFeature { feature, .. } if feature.contains("maintenance4")));
@@ -52,7 +52,7 @@ fn a_host_that_has_not_enabled_a_feature_is_told_which() {
         assert!(matches!(&error, Error::Argument { what, .. } if what == "queue"), "{error}");
         let error = refused(host, |h| h.queue_family = 77);
         assert!(matches!(&error, Error::Argument { what, .. } if what == "queue_family"), "{error}");
-        // Its functions in place of the host's would take the host's handles for its own.
+        // The functions of such a context would take the host's handles for their own.
         let compile_only = Some(CompileOnly { texts: false });
         let options = ContextOptions { compile_only, ..ContextOptions::default() };
         // SAFETY: as in `refused`.
@@ -61,7 +61,7 @@ fn a_host_that_has_not_enabled_a_feature_is_told_which() {
     });
 }
 
-/// Without a queue nothing is submitted, and everything can still be recorded.
+/// A context without a queue cannot submit, but can still record.
 #[test]
 fn a_host_may_keep_its_queue() {
     with_host(&options(), |host| {
@@ -116,7 +116,7 @@ fn null_handles_and_wrong_images_are_refused() {
         let sampled = |f: &mut ashsplat::vk::ForeignImage| {
             (f.format, f.usage) = (vk::Format::R32_UINT, vk::ImageUsageFlags::SAMPLED);
         };
-        // No device here has storage images of it.
+        // No device in use supports storage images of this format.
         let only_mutable = |f: &mut ashsplat::vk::ForeignImage| {
             (f.format, f.flags) = (vk::Format::R8G8B8A8_SRGB, vk::ImageCreateFlags::MUTABLE_FORMAT);
         };
@@ -139,13 +139,13 @@ fn null_handles_and_wrong_images_are_refused() {
             (&|f| f.usage = vk::ImageUsageFlags::SAMPLED, ImageUse::Target, "lacks STORAGE"),
             (&|_| (), ImageUse::Occluder, "lacks SAMPLED"),
             (&|f| f.format = vk::Format::D32_SFLOAT, ImageUse::Target, "D32_SFLOAT"),
-            // What no frame can be recorded with.
+            // Formats that no frame can use.
             (&|f| f.format = vk::Format::R32_UINT, ImageUse::Target, "R32_UINT is not one of"),
             (&|f| f.format = vk::Format::R8G8_UNORM, ImageUse::Target, "R8G8_UNORM is not one of"),
             (&sampled, ImageUse::Occluder, "R32_UINT is not one of"),
             (&|f| f.format = vk::Format::B8G8R8A8_UNORM, ImageUse::Target, "lack MUTABLE_FORMAT"),
             (&|f| f.format = vk::Format::R16G16_SFLOAT, ImageUse::Motion, "lack MUTABLE_FORMAT"),
-            // Each field of a frame has formats of its own.
+            // Each field of a frame has its own formats.
             (&|f| f.format = vk::Format::R32_SFLOAT, ImageUse::Target, "R32_SFLOAT is not one of"),
             (&|_| (), ImageUse::Depth, "R8G8B8A8_UNORM is not one of [R32_SFLOAT]"),
             (&|_| (), ImageUse::Pick, "R8G8B8A8_UNORM is not one of [R32G32B32A32_UINT]"),
@@ -162,7 +162,7 @@ fn null_handles_and_wrong_images_are_refused() {
     });
 }
 
-/// Everything that a frame can have wrong leaves the command buffer and the slot as they were.
+/// No error in a frame changes the command buffer or the slot.
 #[test]
 fn bad_frames_are_refused_before_anything_is_recorded() {
     with_host(&options(), |host| {
@@ -257,7 +257,7 @@ fn bad_frames_are_refused_before_anything_is_recorded() {
         let both_settings = RenderSettings { filter_3d: true, ..depth_settings };
         let hidden = |depth, mapping| RecordedFrame { occluder: Some(Occluder { depth, mapping }), ..good };
         let target = "target (image 'target')";
-        // The field that is wrong, and words about it.
+        // Frame, wrong field, and words of the error.
         let bad = [
             (RecordedFrame { camera: &nan, ..good }, "camera", "focal length"),
             (RecordedFrame { camera: &nothing, ..good }, "camera", "image size 0x48"),
@@ -346,13 +346,14 @@ fn bad_frames_are_refused_before_anything_is_recorded() {
         let error = renderer.record(adopt(&other, &in_flight), 0, &good).expect_err("of another context");
         assert_eq!(error.to_string(), "commands: it belongs to another context");
 
-        // What is set after the reservation has no kernels.
+        // Settings changed after the reservation have no kernels.
         renderer.set_blending(Blending::SharedMemory);
         let error = renderer.record(adopt(&context, &in_flight), 0, &good).expect_err("no kernels");
         assert!(error.to_string().contains("not built"), "{error}");
         renderer.set_blending(Blending::default());
 
-        // Still usable, whatever the background that no frame looks at; then in flight until it has been executed.
+        // Still usable, and frames ignore the background of the settings. The slot is in flight until the frame has
+        // executed.
         let settings = RenderSettings { background: [0.0, f32::INFINITY, 0.0], ..settings };
         let good = RecordedFrame { settings: &settings, ..good };
         renderer.record(adopt(&context, &in_flight), 0, &good).expect("a recording");
@@ -394,7 +395,7 @@ fn reservations_that_make_no_sense_are_refused() {
         let error = renderer.grow(&good).expect_err("nothing that could grow");
         assert_eq!(error.to_string(), "slots: none are reserved that could grow: call Renderer::reserve");
         renderer.reserve(&good).expect("memory");
-        // What kernels cannot bind is refused by its field, and what was reserved stays.
+        // The error names the field that needs more than kernels can bind. The previous reservation stays.
         let most = context.limits().max_storage_buffer_range;
         let words = u32::try_from(most / 4 + 1).expect("a number of words");
         for (field, bad) in [

@@ -1,4 +1,4 @@
-//! Many scenes in one frame: drawn together by few dispatches, they give the bits that they give alone.
+//! Many scenes in one frame: batches draw them by few dispatches, with the bits of single scenes.
 
 use crate::array_image::ArrayImage;
 use crate::cost::record_cost;
@@ -14,7 +14,8 @@ use ashsplat::{
 };
 use glam::{Mat3, Quat, Vec3};
 
-/// Gaussians of many sizes: none, a part of a block, a block, several blocks; one has more than a batch takes.
+/// Gaussian counts of many sizes: none, a part of a block, a block, several blocks. One scene has more than a batch
+/// takes.
 fn clouds() -> Vec<Gaussians> {
     let counts = [8, 0, 256, 300, 17, 1, 640, 8, 40];
     let cloud = |number: usize| {
@@ -25,7 +26,7 @@ fn clouds() -> Vec<Gaussians> {
     (0..99).map(cloud).collect()
 }
 
-/// Scenes in few buffers and, the same, each in a buffer of its own.
+/// Uploads scenes to few buffers, and again each to its own buffer.
 fn uploaded(context: &Context, clouds: &[Gaussians]) -> [Vec<DeviceScene>; 2] {
     let together = DeviceScene::upload_all(context, &clouds.iter().collect::<Vec<_>>()).expect("scenes");
     let apart = clouds.iter().map(|cloud| DeviceScene::upload(context, cloud, 0).expect("a scene"));
@@ -52,7 +53,8 @@ fn renderer(context: &Context, wanted: &Reservation) -> Renderer {
     renderer
 }
 
-/// Poses, scales, tints, degrees, cut-outs, a selection, scenes that are not drawn, some from a buffer of their own among the others.
+/// Poses, scales, tints, degrees, cut-outs, a selection, hidden scenes, and some scenes from a separate buffer among
+/// the others.
 #[test]
 fn batches_have_the_bits_of_single_scenes() {
     with_host(&options(), |host| {
@@ -96,7 +98,7 @@ fn batches_have_the_bits_of_single_scenes() {
             let mut pictures = Vec::new();
             for (is_apart, scenes) in [(false, &together), (true, &apart)] {
                 let placed = (0..clouds.len()).map(|number| {
-                    // Every seventh is of the other upload.
+                    // Every seventh scene comes from the other upload.
                     let scene = if number % 7 == 6 { &apart[number] } else { &scenes[number] };
                     Placed { settings: settings(number), ..Placed::at(scene, pose(number)) }
                 });
@@ -104,7 +106,8 @@ fn batches_have_the_bits_of_single_scenes() {
                 pictures.push(rendered(host, &mut renderer, &RecordedFrame::new(&placed, camera, own)));
                 let report = renderer.slot_report(0).expect("a report").expect("finished");
                 assert!(report.visible > 1000 && !report.overflow, "{report:?}");
-                // Three batches: 25 scenes, 15 of SH degree 0, 10 with a tint. The others are apart, not drawn, selected, too large, or too few.
+                // Three batches: 25 scenes, 15 of SH degree 0, 10 with a tint. The others are in separate buffers,
+                // hidden, selected, too large, or too few.
                 assert_eq!(report.batched_scenes, if is_apart { 0 } else { 50 });
             }
             assert!(pictures[0] == pictures[1], "{camera:?}");
@@ -113,7 +116,8 @@ fn batches_have_the_bits_of_single_scenes() {
     });
 }
 
-/// Instances of one scene are in one buffer by nature. Eyes with one sort and with two, without push descriptors, too.
+/// Instances of one scene share a buffer anyway. Tests eyes with one sort and with two, also without push
+/// descriptors.
 #[test]
 fn batches_of_instances_are_seen_by_several_views() {
     for push_descriptors in [true, false] {
@@ -156,7 +160,8 @@ fn batches_of_instances_are_seen_by_several_views() {
     }
 }
 
-/// A host's scenes come into a batch as ranges of one adopted buffer. Adopted apart, they are drawn alone, and look the same.
+/// A host's scenes are batched as ranges of one adopted buffer. Adopted one by one, they are drawn alone and look
+/// the same.
 #[test]
 fn batches_of_a_hosts_buffer_are_of_one_adoption() {
     with_host(&options(), |host| {
@@ -198,7 +203,7 @@ fn batches_of_a_hosts_buffer_are_of_one_adoption() {
     });
 }
 
-/// Batches take nothing from the heap once each slot has recorded a frame with them.
+/// Recording batches allocates nothing once each slot has recorded a frame with them.
 #[test]
 fn batches_take_nothing_from_the_heap() {
     with_host(&HostOptions::default(), |host| {
@@ -209,12 +214,12 @@ fn batches_take_nothing_from_the_heap() {
     });
 }
 
-/// Uploads that exceed a binding lie in several buffers, and every scene keeps its Gaussians.
+/// Uploads larger than a binding are split into several buffers, and every scene keeps its Gaussians.
 #[test]
 fn batches_fit_what_can_be_bound() {
     with_host(&options(), |host| {
         let context = guest_of_small_bindings(host);
-        // One has two chunks.
+        // One scene has two chunks.
         let clouds: Vec<_> =
             (0..20).map(|number| cloud(if number == 3 { 600 } else { 20 }, number)).collect();
         let [together, apart] = uploaded(&context, &clouds);

@@ -1,4 +1,4 @@
-//! Training of a block of a scene in a host's command buffer.
+//! Recorded training of a scene block.
 
 use crate::host::{HostOptions, InFlight};
 use crate::stage::{cloud, guest, options, own_device, with_host};
@@ -8,7 +8,7 @@ use ashsplat::scene::Bounds;
 use ashsplat::trainer::{SceneBlock, StepReservation, TrainParts, Trainer};
 use ashsplat::vk::Context;
 
-/// Half of a scene, among the other half.
+/// Trainer of half a scene, with the other half frozen.
 fn trainer(context: &Context) -> Trainer {
     let core = Bounds { min: Vec3::NEG_INFINITY, max: Vec3::new(0.0, f32::INFINITY, f32::INFINITY) };
     let (initial, block) = SceneBlock::divide(&cloud(300, 5), core, 0.2).expect("a block");

@@ -1,5 +1,5 @@
-//! What is written into a host's images: their formats, and linear light. Expected is what the twin of `compose` makes of the
-//! frame's own pixels.
+//! Contents of a host's images: their formats, and linear light. The expected values are the twin of `compose` over
+//! the frame's own pixels.
 
 mod formats;
 
@@ -25,7 +25,7 @@ const WRITTEN: Use = (
 );
 const EXPOSED: ColorEncoding = ColorEncoding::LinearSrgb { exposure: 0.7 };
 
-/// A guest with a scene, and what it blends: premultiplied colours and transmittance.
+/// A guest with a scene, and its blended pixels: premultiplied colours and transmittance.
 struct Scene {
     context: Context,
     renderer: Renderer,
@@ -46,8 +46,8 @@ impl Scene {
         Self { context, renderer, scene, camera, blended }
     }
 
-    /// The texels of an image of a format in which the frame was composed over what [`cleared`] names, as the host reads them; in
-    /// linear floats, if the device converts them.
+    /// Composes the frame over the colour of [`cleared`] in an image of this format, and reads its texels. `convert`
+    /// lets the device convert them to linear floats.
     fn composed(
         &mut self,
         host: &Host,
@@ -103,7 +103,7 @@ impl Scene {
         read.chunks_exact(bytes).map(|texel| texel_of(format, texel)).collect()
     }
 
-    /// What the twin makes of the frame's pixels, over what `below` holds.
+    /// Composes the frame's pixels over `below` with the twin.
     fn expected(&self, (behind, encoding): (Background, ColorEncoding), below: [f64; 4]) -> Vec<[f64; 4]> {
         let (behind, opaque) = match behind {
             Background::Color([r, g, b]) => ([r, g, b, 1.0].map(f64::from), true),
@@ -134,7 +134,7 @@ fn clear(host: &Host, in_flight: &InFlight, texture: &HostTexture) {
     }
 }
 
-/// Copies an image to one of another format: the device converts, and decodes what is sRGB.
+/// Copies an image to one of another format. The device converts and decodes sRGB.
 fn blit(host: &Host, in_flight: &InFlight, [from, to]: [&HostTexture; 2], left: Use) {
     let read = (vk::ImageLayout::TRANSFER_SRC_OPTIMAL, WRITTEN.1, vk::AccessFlags2::TRANSFER_READ);
     let fresh = (vk::ImageLayout::UNDEFINED, vk::PipelineStageFlags2::NONE, vk::AccessFlags2::NONE);
@@ -164,7 +164,7 @@ fn texel_bytes(format: Format) -> usize {
     }
 }
 
-/// A number of floats without sign, or with a sign that is not set.
+/// Value of a small float without a sign.
 fn small_float(bits: u32, mantissa_bits: i32) -> f64 {
     let (exponent, mantissa) = ((bits >> mantissa_bits) as i32, f64::from(bits & ((1 << mantissa_bits) - 1)));
     let steps = 2f64.powi(mantissa_bits);
@@ -174,7 +174,7 @@ fn small_float(bits: u32, mantissa_bits: i32) -> f64 {
     }
 }
 
-/// The numbers of a texel. Those of an sRGB format are its codes.
+/// Values of a texel; those of an sRGB format are its codes.
 fn texel_of(format: Format, bytes: &[u8]) -> [f64; 4] {
     let word = |at: usize| u32::from_le_bytes([0, 1, 2, 3].map(|k| bytes[at + k]));
     let [r, g, b, a] = [0, 1, 2, 3].map(|k| f64::from(bytes[k]) / 255.0);
@@ -214,7 +214,7 @@ fn encoded([r, g, b, a]: [f64; 4]) -> [f64; 4] {
     [encode(r), encode(g), encode(b), a]
 }
 
-/// What [`cleared`] names, after the device has cleared an image with it, as the guest takes it: an sRGB format holds codes.
+/// The colour of [`cleared`] after the clear, as the guest reads it: an sRGB format holds codes.
 fn below(format: Format, encoding: ColorEncoding) -> [f64; 4] {
     let below = cleared(format).map(f64::from);
     let held = |x: f64| unorm_steps(format).map_or(x, |steps| (x * steps).round() / steps);
@@ -227,7 +227,8 @@ fn below(format: Format, encoding: ColorEncoding) -> [f64; 4] {
 
 const GREY: Background = Background::Color([0.2, 0.6, 0.4]);
 
-/// Every format, over everything, in both encodings: the picture of floats of 32 bits, within what the format can hold.
+/// Every format over every background in both encodings holds the picture of 32-bit floats, within the format's
+/// precision.
 #[test]
 fn every_format_holds_the_picture() {
     with_host(&options(), |host| {
@@ -256,13 +257,15 @@ fn every_format_holds_the_picture() {
     });
 }
 
-/// The device itself decodes what was written into an sRGB image through another view: linear light was meant, and is seen.
+/// The device itself decodes texels that were written into an sRGB image through another view: the result is linear
+/// light.
 #[test]
 fn an_srgb_image_is_seen_as_linear_light() {
     with_host(&options(), |host| {
         let mut scene = Scene::new(host, &cloud(700, 3));
         for format in [Format::R8G8B8A8_SRGB, Format::B8G8R8A8_SRGB] {
-            // The codes are the picture as trained: decoded, they are its linear light. So they are either way.
+            // The codes are the picture as trained; decoded, they are its linear light. Both encodings must give
+            // this.
             for encoding in [ColorEncoding::AsTrained, ColorEncoding::LINEAR] {
                 let seen = scene.composed(host, format, (GREY, encoding), true);
                 let linear = scene.expected((GREY, ColorEncoding::LINEAR), [0.0; 4]);
@@ -278,7 +281,7 @@ fn an_srgb_image_is_seen_as_linear_light() {
     });
 }
 
-/// A guest that leaves premultiplied colours to the host, which mixes in linear light, shows what the guest mixes itself.
+/// A host that mixes premultiplied colours in linear light gets the picture that the guest mixes itself.
 #[test]
 fn premultiplied_colours_are_mixed_by_the_host_as_by_the_guest() {
     with_host(&options(), |host| {
@@ -292,14 +295,15 @@ fn premultiplied_colours_are_mixed_by_the_host_as_by_the_guest() {
         };
         let expected: Vec<_> = left.iter().map(|&pixel| by_host(pixel)).collect();
         assert_close(format, "over", &mixed, &expected);
-        // Decoding what is premultiplied already would be darker, by far, wherever a pixel is partly covered.
+        // Decoding premultiplied colours would be much darker at partly covered pixels.
         let naive = |pixel: &[f32; 4]| 0.7 * decode(pixel[0].into());
         let darker = scene.blended.iter().zip(&left).filter(|(raw, left)| naive(raw) < 0.8 * left[0]).count();
         assert!(darker > PIXELS / 8, "{darker} pixels");
     });
 }
 
-/// A grey of 173 of 255, as trained: written as it is into a linear image, the host shows it as 215; as linear light, as 173.
+/// A trained grey of 173 of 255: written unchanged into a linear image, the host shows it as 215; as linear light,
+/// as 173.
 #[test]
 fn what_was_trained_is_washed_out_unless_it_is_linear() {
     with_host(&options(), |host| {
@@ -322,7 +326,7 @@ fn what_was_trained_is_washed_out_unless_it_is_linear() {
     });
 }
 
-/// Both encodings in turn; nothing is asserted of times.
+/// Prints the times of both encodings, measured in turn.
 #[test]
 #[ignore = "a measurement"]
 fn what_linear_light_costs() {
@@ -377,7 +381,7 @@ fn what_linear_light_costs() {
     });
 }
 
-/// Two pictures side by side, each a part of the size of a panel.
+/// Two pictures side by side.
 fn panels(pictures: [image::RgbImage; 2]) -> image::RgbImage {
     let (width, height) = pictures[0].dimensions();
     let mut both = image::RgbImage::from_pixel(2 * width + 8, height, image::Rgb([255; 3]));
@@ -387,7 +391,8 @@ fn panels(pictures: [image::RgbImage; 2]) -> image::RgbImage {
     both
 }
 
-/// `ASHSPLAT_PICTURES=engine/guide/pictures cargo test --release --test embedding -- --ignored pictures_of_the_guide`
+/// Run with `ASHSPLAT_PICTURES=engine/guide/pictures cargo test --release --test embedding -- --ignored
+/// pictures_of_the_guide`.
 #[test]
 #[ignore = "writes files of the guide"]
 fn pictures_of_the_guide() {
@@ -400,7 +405,8 @@ fn pictures_of_the_guide() {
     };
     panels([part("washed_out"), part("turned")]).save(folder.join("colour_target.png")).expect("written");
 
-    // Over white, in linear light: what is premultiplied decoded as it is, and what covers decoded before the product.
+    // Over white in linear light: premultiplied colours decoded directly, and colours decoded before the product
+    // with alpha.
     let camera = camera(0.6, 120, 106);
     let frame = crate::stage::owned(&crate::guest::ring(), &camera, &RenderSettings::default());
     let over_white = |light: &dyn Fn(f64, f64) -> f64| {

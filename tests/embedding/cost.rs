@@ -1,6 +1,6 @@
-//! What frames cost the host: memory of slots, time and heap allocations of `record`.
+//! Costs of frames for the host: memory of slots, time and heap allocations of `record`.
 //!
-//! The tables of the guide: `cargo test --release --test embedding -- --ignored --nocapture cost::tables`.
+//! Prints the guide's tables: `cargo test --release --test embedding -- --ignored --nocapture cost::tables`.
 
 use crate::auxiliary::truth::Screens;
 use crate::counting::allocations;
@@ -17,14 +17,14 @@ use glam::Vec3;
 use std::sync::Mutex;
 use std::time::Instant;
 
-/// A guest as in a game that is shipped: nothing checks what it does.
+/// A guest as in a shipped game, without any checks.
 pub fn shipped(host: &Host, timestamps: bool) -> Context {
     let options = ContextOptions { timestamps, hazard_check: false, ..ContextOptions::default() };
     // SAFETY: as in `guest`.
     unsafe { Context::from_foreign(&host.foreign(), &options) }.expect("a context")
 }
 
-/// Bytes of a reservation.
+/// Bytes that a reservation allocates.
 fn reserved_bytes(context: &Context, wanted: &Reservation) -> u64 {
     let before = context.memory_total().bytes;
     let mut renderer = Renderer::new(context).expect("kernels");
@@ -33,8 +33,8 @@ fn reserved_bytes(context: &Context, wanted: &Reservation) -> u64 {
     context.memory_total().bytes - before - empty
 }
 
-/// Milliseconds of stages by their names, all stages for the empty one, of frames that take turns: `[frame][stage][round]`. A round
-/// before them does not count.
+/// Times of stages, in milliseconds, of frames measured in turn: `[frame][stage][round]`. An empty name is the whole
+/// frame. Ignores a first round.
 pub fn in_turn<const STAGES: usize>(
     host: &Host,
     renderer: &mut Renderer,
@@ -71,7 +71,7 @@ pub fn median(values: impl IntoIterator<Item = f64>) -> f64 {
     values[values.len() / 2]
 }
 
-/// The median of the ratios of pairs.
+/// Median of the ratios of pairs.
 pub fn ratio(own: &[f64], other: &[f64]) -> f64 {
     median(own.iter().zip(other).map(|(own, other)| own / other))
 }
@@ -96,7 +96,8 @@ fn memory_table(host: &Host) {
     }
 }
 
-/// Median time of `record`, microseconds, its fastest, and the most heap allocations of one, after the first frames.
+/// Median and least time of `record`, microseconds, and the most heap allocations of one call, after the first
+/// frames.
 pub fn record_cost(
     host: &Host,
     (scenes, together, motion): (u32, bool, bool),
@@ -131,9 +132,9 @@ pub fn record_cost(
         let time = start.elapsed().as_secs_f64() * 1e6;
         done.expect("a recording");
         frame.submit(host).expect("a submission");
-        // A device that is a processor would take the next recording's time.
+        // A CPU device would slow down the next recording.
         frame.wait(host).expect("done");
-        // What the first frames make stays.
+        // Allocations of the first frames are not counted.
         if number >= 4 {
             times.push(time);
             most = most.max(asked);
@@ -146,7 +147,7 @@ pub fn record_cost(
     ([times[times.len() / 2], times[0]], most)
 }
 
-/// Everything that a frame can ask for, over and over, with a report after each.
+/// Records every kind of frame repeatedly, with a report after each.
 fn steady_allocations(host_options: &HostOptions, timestamps: bool) {
     with_host(host_options, |host| {
         let context = shipped(host, timestamps);
@@ -210,7 +211,7 @@ fn steady_allocations(host_options: &HostOptions, timestamps: bool) {
 #[test]
 fn record_takes_nothing_from_the_heap() {
     for push_descriptors in [true, false] {
-        // Validation brings VK_EXT_debug_utils with it, and labels.
+        // Validation enables VK_EXT_debug_utils and hence labels.
         for host_options in [options(), HostOptions::default()] {
             for timestamps in [true, false] {
                 steady_allocations(&HostOptions { push_descriptors, ..host_options }, timestamps);
@@ -219,7 +220,8 @@ fn record_takes_nothing_from_the_heap() {
     }
 }
 
-/// Milliseconds of building kernels ahead on so many threads, of `Renderer::new` and `reserve`, and of two frames.
+/// Milliseconds to build kernels ahead on `threads` threads, to call `Renderer::new` and `reserve`, and to draw two
+/// frames.
 fn first_frame(threads: usize) -> [f64; 4] {
     let host = Host::new(&HostOptions::default()).expect("a host");
     let context = shipped(&host, false);
@@ -271,13 +273,13 @@ fn tables() {
     record_table();
 }
 
-/// The table of the first frame alone. With MESA_SHADER_CACHE_DISABLE=true nothing is on disk.
+/// Prints only the first frame's table. MESA_SHADER_CACHE_DISABLE=true disables the disk cache.
 #[test]
 #[ignore = "prints a table of the guide"]
 fn first_frame_table() {
     println!("threads | kernels ahead, ms | Renderer::new and reserve | first frame | second");
     for threads in [0, 1, 2] {
-        // The least of some runs: other programs only add to it.
+        // The least of some runs, because other programs only add time.
         let runs = (0..5).map(|_| first_frame(threads));
         let least = runs.reduce(|least, run| std::array::from_fn(|i| least[i].min(run[i])));
         let [ahead, reserved, first, second] = least.expect("a run");
@@ -285,7 +287,7 @@ fn first_frame_table() {
     }
 }
 
-/// The row of thousands of scenes in one buffer alone, which takes ten seconds.
+/// Prints only the row of thousands of scenes in one buffer, which takes ten seconds.
 #[test]
 #[ignore = "prints a row of the guide"]
 fn record_of_thousands() {
@@ -295,7 +297,7 @@ fn record_of_thousands() {
     });
 }
 
-/// The table of `record` alone.
+/// Prints only the table of `record`.
 #[test]
 #[ignore = "prints a table of the guide"]
 fn record_table() {

@@ -1,9 +1,9 @@
-//! Counts what a thread asks of the heap.
+//! Counts heap allocations per thread.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
-/// The system's allocator, which counts what each thread asks for.
+/// The system's allocator, which also counts each thread's allocations.
 pub struct Counting;
 
 thread_local! {
@@ -11,7 +11,7 @@ thread_local! {
 }
 
 fn note() {
-    // A thread that is ending has no counter any more.
+    // A thread that is ending has lost its counter.
     let _ = ASKED.try_with(|asked| asked.set(asked.get() + 1));
 }
 
@@ -41,7 +41,7 @@ unsafe impl GlobalAlloc for Counting {
     }
 }
 
-/// Heap allocations of this thread while `f` runs; what the driver asks malloc for is not among them.
+/// Heap allocations of this thread while `f` runs, without the driver's calls of malloc.
 pub fn allocations<T>(f: impl FnOnce() -> T) -> (u64, T) {
     let before = ASKED.get();
     let result = f();

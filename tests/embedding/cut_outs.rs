@@ -1,4 +1,4 @@
-//! Volumes that keep or remove the Gaussians of a scene of a frame.
+//! Volumes that keep or remove Gaussians of a frame's scene.
 
 mod at_random;
 
@@ -21,7 +21,7 @@ fn pose(turn: f32, translation: Vec3, scale: f32) -> Pose {
     Pose { world_from_object: Mat3::from_quat(turn), translation, scale }
 }
 
-/// One of each volume, turned, moved and scaled, that keeps what is inside.
+/// One volume of each shape, turned, moved and scaled, that keeps the inside.
 fn volumes() -> [CutOut; 3] {
     let inside = Inside::Kept;
     let half_size = Vec3::new(0.9, 0.6, 0.75);
@@ -54,7 +54,7 @@ fn with_cut_outs(wanted: Reservation) -> Reservation {
     Reservation { slots: 2, occlusion: true, tint: true, cut_outs: 20, selection: true, ..wanted }
 }
 
-/// The bits of a frame of what is left, filtered on the host.
+/// Cut-outs give the bits of a frame whose scenes the host has filtered.
 #[test]
 fn cut_outs_leave_the_bits_of_a_filtered_scene() {
     with_host(&options(), |host| {
@@ -88,7 +88,7 @@ fn cut_outs_leave_the_bits_of_a_filtered_scene() {
     });
 }
 
-/// A cut-out moves with its scene; one that stands in the world is brought into the scene.
+/// A cut-out moves with its scene; a cut-out of the world is transformed into the scene.
 #[test]
 fn cut_outs_of_the_world_stay_where_they_are() {
     with_host(&options(), |host| {
@@ -117,7 +117,8 @@ fn cut_outs_of_the_world_stay_where_they_are() {
     });
 }
 
-/// Milliseconds of culling, of projection and of all, of frames that draw the same Gaussians: medians, taken in turn.
+/// Prints the median milliseconds of culling, projection and whole frames that draw the same Gaussians, measured in
+/// turn.
 #[test]
 #[ignore = "prints a table of the guide"]
 fn costs() {
@@ -191,7 +192,7 @@ fn bad_cut_outs_are_refused_by_name() {
         let eleven = SceneSettings { cut_outs: &ten, ..USUAL };
         let error = stage.refused(&[eleven, eleven]).to_string();
         assert_eq!(error, "scenes: the frame needs 22 cut-outs, more than 20 (Reservation::cut_outs)");
-        // What is hidden has none.
+        // A hidden scene has no cut-outs.
         let hidden = SceneSettings { visible: false, ..eleven };
         let expected = owned(&filtered(&part, &ten), &stage.camera, &stage.frame);
         assert_same(&stage.pixels(&[hidden, eleven]), &expected, [0.0; 3]);

@@ -1,5 +1,5 @@
-//! On a host's device, too, every call of the guest that may fail does so once in its turn: a typed error, no panic, and
-//! nothing of the guest's left behind.
+//! On a host's device every call of the guest that may fail is made to fail once. The result is a typed error, no
+//! panic, and no leak.
 
 use crate::host::{Host, HostOptions, InFlight};
 use crate::stage::{adopt, camera, cloud, options, with_host};
@@ -18,7 +18,7 @@ fn guest(host: &Host, faults: &Faults) -> Result<Context> {
     unsafe { Context::from_foreign(&host.foreign(), &options) }
 }
 
-/// Everything that a guest makes, and one recorded frame; how many Gaussians it saw.
+/// Creates all of a guest's objects and records one frame. Returns the number of visible Gaussians.
 fn frame(host: &Host, faults: &Faults) -> Result<u32> {
     let context = guest(host, faults)?;
     let scene = DeviceScene::upload(&context, &cloud(60, 1), 0)?;
@@ -34,13 +34,13 @@ fn frame(host: &Host, faults: &Faults) -> Result<u32> {
         in_flight.submit(host).expect("a submission");
         in_flight.wait(host).expect("done");
     }
-    // What could not be recorded whole is thrown away.
+    // An incomplete recording is thrown away.
     in_flight.destroy(host);
     recorded?;
     Ok(renderer.slot_report(0)?.expect("finished").visible)
 }
 
-/// Without push descriptors: there is more to allocate.
+/// Without push descriptors there are more allocations.
 #[test]
 fn faults_of_a_guest() {
     with_host(&HostOptions { push_descriptors: false, ..options() }, |host| {
@@ -52,7 +52,7 @@ fn faults_of_a_guest() {
         }
         let (mut refused, mut survived) = (0, 0);
         for (index, name) in functions.iter().enumerate() {
-            // Kernels are alike: of what is called for each, the first and the last.
+            // Kernels behave alike: test only the first and the last of each function's calls.
             if functions[..index].contains(name) && functions[index + 1..].contains(name) {
                 continue;
             }
@@ -75,7 +75,7 @@ fn faults_of_a_guest() {
     });
 }
 
-/// After a loss that the context has seen, nothing is recorded: no frame, no training step.
+/// After the context has seen a device loss, nothing can be recorded: no frame, no training step.
 #[test]
 fn a_lost_device_records_nothing() {
     with_host(&options(), |host| {
@@ -102,7 +102,7 @@ fn a_lost_device_records_nothing() {
     });
 }
 
-/// A run has the iterations of its settings, recorded or not.
+/// A run ends after the iterations of its settings, recorded or not.
 #[test]
 fn a_run_that_is_over_records_no_step() {
     with_host(&options(), |host| {
@@ -113,7 +113,7 @@ fn a_run_that_is_over_records_no_step() {
         for (slot, in_flight) in frames.iter().enumerate() {
             in_flight.begin(host).expect("recording");
             let recorded = trainer.record_step(adopt(&context, in_flight), slot as u32);
-            // The first three are still in flight: they count.
+            // Steps in flight count.
             match slot {
                 3 => {
                     let error = recorded.expect_err("a fourth of three").to_string();
@@ -130,7 +130,7 @@ fn a_run_that_is_over_records_no_step() {
     });
 }
 
-/// What a reservation has wrong is said before kernels are built for it, which may take seconds.
+/// A bad reservation fails before its kernels are built, which may take seconds.
 #[test]
 fn refused_reservations_build_no_kernels() {
     with_host(&options(), |host| {
@@ -145,7 +145,7 @@ fn refused_reservations_build_no_kernels() {
         let (scenes, camera, settings) = ([(&scene).into()], camera(0.3, 40, 30), RenderSettings::default());
         let frame = RecordedFrame::new(&scenes, &camera, &settings);
         renderer.record(adopt(&context, &in_flight), 0, &frame).expect("a recording");
-        // Kernels of their own, all of these.
+        // All of these need kernels of their own.
         let good = Reservation { pick: true, motion: true, tint: true, orthographic: true, ..own };
         let block = context.allocate("block", &[("small", 256)], MemoryKind::Device).expect("memory");
         faults.disarm();
@@ -165,7 +165,7 @@ fn refused_reservations_build_no_kernels() {
         in_flight.wait(host).expect("done");
         refused("bytes", renderer.reserve_in(&good, &block[0]));
         refused("needs", renderer.reserve(&Reservation { gaussians: u32::MAX, ..good }));
-        // The reservation before is still there.
+        // The previous reservation is still valid.
         in_flight.begin(host).expect("recording");
         renderer.record(adopt(&context, &in_flight), 0, &frame).expect("a recording");
         in_flight.submit(host).expect("a submission");

@@ -1,4 +1,4 @@
-//! Frames in flight, sizes and cameras that change, several renderers, room that does not suffice.
+//! Frames in flight, changing sizes and cameras, several renderers, insufficient capacity.
 
 use crate::host::{HostOptions, InFlight};
 use crate::memory::HostBuffer;
@@ -31,7 +31,7 @@ fn a_recorded_frame_is_the_owned_paths_to_the_bit() {
             if context.limits().timestamp_period_ns > 0.0 {
                 assert!(report.scopes.iter().any(|s| s.name == "blend" && s.nanoseconds > 0.0), "{report:?}");
             }
-            // The path that submits by itself works on the host's queue as well.
+            // [`Renderer::render`], which submits by itself, works on the host's queue as well.
             renderer.upload(&gaussians).expect("a scene");
             let frame = renderer.render(&camera, &settings).expect("a frame");
             assert_eq!(frame.color, expected.color);
@@ -59,7 +59,7 @@ fn three_frames_in_flight_do_not_disturb_each_other() {
                 let recorded = RecordedFrame::new(&scenes, &cameras[number], &settings);
                 renderer.record(adopt(&context, frame), slot as u32, &recorded).expect("a recording");
                 copy_pixels(host, &mut renderer, slot as u32, frame, &staging[number], 120 * 90);
-                // Recorded, not submitted: in flight, and its statistics are not there yet.
+                // Recorded but not submitted: the slot is in flight, and has no statistics yet.
                 assert!(!renderer.slot_finished(slot as u32).expect("a status"));
                 assert_eq!(renderer.slot_report(slot as u32).expect("no report"), None);
                 frame.submit(host).expect("a submission");
@@ -84,7 +84,7 @@ fn three_frames_in_flight_do_not_disturb_each_other() {
 fn two_renderers_share_a_device() {
     with_host(&options(), |host| {
         let settings = RenderSettings::default();
-        // One context for both, and one each.
+        // Two renderers share a context, the third has its own.
         let first = guest(host);
         let contexts: [Context; 3] = [first.clone(), first, guest(host)];
         let mut renderers = Vec::new();
@@ -107,7 +107,7 @@ fn two_renderers_share_a_device() {
     });
 }
 
-/// Threads that render with renderers of their own on one context; the host gives its queue to one at a time.
+/// Threads render with their own renderers on one context; the host gives its queue to one thread at a time.
 #[test]
 fn renderers_may_be_used_by_different_threads() {
     with_host(&options(), |host| {
@@ -128,7 +128,7 @@ fn renderers_may_be_used_by_different_threads() {
                     let (settings, scenes) = (RenderSettings::default(), [(&scene).into()]);
                     for turn in [0.5, 1.5, 2.5] {
                         let camera = camera(turn, 64, 48);
-                        // The host's command pool is used by one thread at a time, as its queue.
+                        // Only one thread at a time may use the host's command pool, like its queue.
                         let pixels = {
                             let _queue = locked();
                             rendered(host, &mut renderer, &RecordedFrame::new(&scenes, &camera, &settings))
@@ -141,7 +141,7 @@ fn renderers_may_be_used_by_different_threads() {
     });
 }
 
-/// Changing sizes and cameras cost no memory: what is reserved is all there ever is.
+/// Changing sizes and cameras allocate nothing beyond the reservation.
 #[test]
 fn a_thousand_frames_of_changing_size_take_no_memory() {
     with_host(&options(), |host| {
@@ -194,14 +194,14 @@ fn a_frame_without_room_says_what_it_needs() {
         let report = renderer.slot_report(0).expect("a report").expect("finished");
         assert!(!report.overflow, "{report:?}");
         assert_eq!(grown.grown(&report), grown);
-        // More than can be counted fits no reservation.
+        // No reservation fits a number that cannot be counted.
         let mut uncounted = report;
         (uncounted.overflow, uncounted.instances_needed) = (true, u32::MAX);
         assert_eq!(small.grown(&uncounted), small);
     });
 }
 
-/// A tile with more entries than two passes take, where the driver bounds loops. Elsewhere one pass is enough.
+/// A tile with more entries than two passes take, if the driver limits loops. Otherwise one pass is enough.
 #[test]
 fn long_tiles_are_blended_in_several_passes() {
     with_host(&options(), |host| {
@@ -257,7 +257,7 @@ fn a_recording_that_is_thrown_away_frees_its_slot() {
     });
 }
 
-/// More instances than a reservation without a number expects: the first frame is whole all the same.
+/// The first frame is complete even if it has more instances than a default reservation expects.
 #[test]
 fn the_first_frame_that_is_reserved_for_is_whole() {
     with_host(&options(), |host| {
@@ -269,7 +269,7 @@ fn the_first_frame_that_is_reserved_for_is_whole() {
         let frame = RecordedFrame::new(&scenes, &camera, &settings);
         let wanted = Reservation { slots: 2, ..Reservation::new(600, 1, 96, 96) };
         let mut renderer = Renderer::new(&context).expect("kernels");
-        // Without it, the frame is cut off.
+        // A plain reservation cuts the frame off.
         renderer.reserve(&wanted).expect("memory");
         rendered(host, &mut renderer, &frame);
         assert!(renderer.slot_report(0).expect("a report").expect("finished").overflow);
@@ -280,7 +280,7 @@ fn the_first_frame_that_is_reserved_for_is_whole() {
         assert!(reserved.instances >= expected.stats.instances);
         assert_same(&rendered(host, &mut renderer, &frame), &expected, [0.0; 3]);
         assert!(!renderer.slot_report(0).expect("a report").expect("finished").overflow);
-        // What fits is left as it is; what is not reserved is refused.
+        // A reservation that fits stays; a feature that is not reserved is refused.
         let few = cloud(20, 9);
         let scene = DeviceScene::upload(&context, &few, 0).expect("a scene");
         let scenes = [(&scene).into()];

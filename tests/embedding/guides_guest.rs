@@ -1,4 +1,4 @@
-//! The guide's guest in Rust, which runs as it stands there.
+//! The guide's example of a guest in Rust: its code compiles and runs as printed.
 
 use crate::host::{Host, HostOptions, InFlight};
 use crate::memory::{HostTexture, Use};
@@ -44,7 +44,7 @@ impl Screen {
         })
     }
 
-    /// What the engine draws: nothing but a colour.
+    /// Stands in for the engine's drawing: clears to a colour.
     fn clear(&mut self, host: &Host, commands: vk::CommandBuffer) -> [ImageState; 2] {
         self.color.barrier(host, commands, self.last[0], CLEARED);
         let color = vk::ClearColorValue { float32: [0.25, 0.5, 0.125, 1.0] };
@@ -86,7 +86,7 @@ fn turned(angle: f32) -> Pose {
     Pose { world_from_object: Mat3::from_rotation_y(angle), ..Pose::IDENTITY }
 }
 
-/// Records and submits a frame of the engine's.
+/// Records and submits a frame of the engine.
 fn frame(
     host: &Host,
     guest: &mut Guest,
@@ -108,8 +108,8 @@ fn the_guest_is_the_guides() {
     assert!(guide.contains(&format!("```no_run\n{code}```\n")), "the guide's guest is another one");
 }
 
-/// Three frames in flight, while scenes come and go, the window is resized and a frame had too little room. The last picture
-/// has the bits of a guest's for which nothing of that happened.
+/// Three frames in flight, while scenes come and go, the window is resized and a frame overflows. The last picture
+/// has the bits of a guest without these changes.
 #[test]
 fn the_guides_guest_draws_through_changes() {
     with_host(&options(), |host| {
@@ -133,7 +133,7 @@ fn the_guides_guest_draws_through_changes() {
                 gone.destroy(host);
             }
             match number {
-                // More than are reserved at first.
+                // More scenes than reserved at first.
                 2 => (0..17).for_each(|seed| own.add(&cloud(5, seed), turned(0.5)).expect("a scene")),
                 3 => (0..17).for_each(|_| own.remove(1)),
                 4 => own.add(&cloud(700, 2), turned(1.0)).expect("a scene"),
@@ -174,7 +174,7 @@ fn the_guides_guest_draws_through_changes() {
     });
 }
 
-/// What recording two scenes over an image and behind a host's depth takes the processor, microseconds: median and least.
+/// Prints CPU microseconds of recording two scenes over an image and behind a host's depth: median and least.
 #[test]
 #[ignore = "prints numbers of the guide"]
 fn costs() {
@@ -199,7 +199,7 @@ fn costs() {
                 let time = start.elapsed().as_secs_f64() * 1e6;
                 screen.left(&release.expect("a recording").expect("there are scenes"));
                 frame.submit(host).expect("a submission");
-                // A device that is a processor would take the next recording's time.
+                // A CPU device would slow down the next recording.
                 frame.wait(host).expect("done");
                 times.push(time);
             }

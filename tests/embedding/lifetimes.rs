@@ -1,4 +1,4 @@
-//! How long a slot keeps what its recording uses, and what becomes of recordings that are not executed.
+//! How long a slot keeps the objects of its recording, and the fate of recordings that are not executed.
 
 use crate::host::{Host, HostOptions, InFlight};
 use crate::memory::{HostBuffer, HostTexture};
@@ -26,7 +26,7 @@ fn scene_bytes(context: &Context) -> u64 {
     context.memory().iter().find(|arena| arena.name == "scene").map_or(0, |arena| arena.bytes)
 }
 
-/// Scenes and views that are dropped while frames of two slots use them live until both are done with them.
+/// Scenes and views that are dropped while two slots' frames use them live until both are done.
 #[test]
 fn what_is_dropped_lives_as_long_as_its_slots_need_it() {
     with_host(&options(), |host| {
@@ -68,7 +68,7 @@ fn what_is_dropped_lives_as_long_as_its_slots_need_it() {
         renderer.release_slot(0).expect("over");
         assert_eq!(scene_bytes(&context), bytes, "the other frame may still use it");
         frames[1].wait(host).expect("done");
-        // The next recording of the slot lets go as well.
+        // The slot's next recording releases the scene, too.
         let other = DeviceScene::empty(&context, 1, 0).expect("a scene");
         let others = [Placed::from(&other)];
         frames[1].begin(host).expect("recording");
@@ -82,11 +82,11 @@ fn what_is_dropped_lives_as_long_as_its_slots_need_it() {
     });
 }
 
-/// The guest's own commands are over before what the host has recorded behind them.
+/// The guest's own commands finish before later commands of the host.
 #[test]
 fn a_report_does_not_wait_for_the_hosts_own_commands() {
     with_host(&options(), |host| {
-        // Asking llvmpipe for timestamps waits for the whole device.
+        // On llvmpipe, a query of timestamps waits for the whole device.
         let without_times =
             ContextOptions { timestamps: false, hazard_check: true, ..ContextOptions::default() };
         // SAFETY: as in `guest`.
@@ -114,7 +114,7 @@ fn a_report_does_not_wait_for_the_hosts_own_commands() {
             finished = renderer.slot_finished(0);
         }
         let report = renderer.slot_report(0);
-        // Whatever came of it: first the device goes on.
+        // First let the device go on, whatever the results.
         // SAFETY: the event is alive until the submission is over.
         unsafe { host.device.set_event(gate) }.expect("set");
         frame.wait(host).expect("done");
@@ -127,7 +127,7 @@ fn a_report_does_not_wait_for_the_hosts_own_commands() {
     });
 }
 
-/// What a test leaves behind on the device fails it.
+/// A test fails if it leaks an object of the device.
 #[test]
 #[should_panic(expected = "vkDestroyDevice")]
 fn leaks_are_seen() {
@@ -138,7 +138,7 @@ fn leaks_are_seen() {
     });
 }
 
-/// A report is the same whenever it is asked for.
+/// A report stays the same however often it is read.
 #[test]
 fn a_report_is_kept() {
     with_host(&options(), |host| {
@@ -153,7 +153,7 @@ fn a_report_is_kept() {
     });
 }
 
-/// A recording that a panic or an error has cut off leaks nothing, and its slot is used again once it is discarded.
+/// A recording that a panic or an error interrupts leaks nothing. Its slot can be used again once it is discarded.
 #[test]
 fn an_unfinished_recording_gives_everything_back() {
     for push_descriptors in [true, false] {
@@ -176,7 +176,7 @@ fn unfinished(host: &Host) {
         }));
         assert!(panicked.is_err(), "a copy that does not fit");
         drop(recorder);
-        // The host may or may not execute what was recorded.
+        // The host may or may not execute the recording.
         assert!(!slot.finished().expect("a status"));
         let error = slot.begin(adopt(&context, &frame), "test").err().expect("in flight");
         assert!(error.to_string().contains("in flight"), "{error}");
@@ -195,12 +195,12 @@ fn unfinished(host: &Host) {
     frame.destroy(host);
 }
 
-/// A recorder that is leaked takes along what its slot had lent it: the slot is in flight until it is discarded, and
-/// then as good as before. A slot that is leaked stands in nobody's way.
+/// A leaked recorder takes its slot's objects along. The slot is in flight until it is discarded, and then works as
+/// before. A leaked slot blocks nothing.
 #[test]
 fn leaked_recorders_and_slots_block_nothing() {
     for push_descriptors in [true, false] {
-        // What is leaked is never destroyed: validation would say so at the device's end.
+        // Leaked objects are never destroyed, which validation would report at the device's end.
         let host =
             Host::new(&HostOptions { push_descriptors, validation: false, ..options() }).expect("a host");
         let context = guest(&host);
@@ -237,7 +237,7 @@ fn leaked_recorders_and_slots_block_nothing() {
         assert!(slot.finished().expect("a status"));
         let sums: Vec<f32> = bytemuck::pod_collect_to_vec(&context.download(results).expect("bytes"));
         assert!(sums.iter().all(|&sum| sum > 0.0), "{sums:?}");
-        // Once more, and the slot itself is gone.
+        // Once more, with the slot leaked.
         let recorder = record(&mut slot);
         slot.end(recorder).expect("recorded");
         std::mem::forget(slot);
@@ -251,7 +251,7 @@ fn leaked_recorders_and_slots_block_nothing() {
     }
 }
 
-/// What a discarded recording would have been made of is not known, and what was before is not what is asked for.
+/// A discarded recording has no report, not even the previous one.
 #[test]
 fn a_discarded_recording_has_no_report() {
     with_host(&options(), |host| {
@@ -277,7 +277,7 @@ fn a_discarded_recording_has_no_report() {
     });
 }
 
-/// The sum of weights / z is read from the slot as the pixels are.
+/// The sum of weights / z can be read from the slot like the pixels.
 #[test]
 fn inverse_depth_lies_in_the_slot() {
     with_host(&options(), |host| {
@@ -306,7 +306,7 @@ fn inverse_depth_lies_in_the_slot() {
     });
 }
 
-/// A device of our own lent to a host: its kernels may not need views that only recording would make.
+/// A device of the engine's, lent to a host: its kernels must not need views that only recording creates.
 #[test]
 fn a_device_of_our_own_records_for_a_host() {
     let (gaussians, view) = (cloud(300, 1), camera(0.3, 64, 48));

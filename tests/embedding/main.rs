@@ -1,6 +1,6 @@
-//! Embedding: a host with a device of its own, the guest on it. The host is the one of the example `tools/embed`.
+//! Embedding: a host with its own device, and the guest on it. The host is that of the example `tools/embed`.
 
-// The example's parts, of which each test uses some.
+// Modules of the example. No test uses all of them.
 #[allow(dead_code)]
 #[path = "../../tools/embed/allocator.rs"]
 mod allocator;

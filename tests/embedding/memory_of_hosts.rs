@@ -7,7 +7,7 @@ use ashsplat::vk::{Context, ContextOptions, ForeignDevice, HostAllocator, HostMe
 use ashsplat::{DeviceScene, Placed, RecordedFrame, RenderSettings, Renderer, Reservation};
 use std::sync::Arc;
 
-/// An allocator that has nothing left.
+/// An allocator without any memory.
 struct Exhausted;
 
 // SAFETY: it never gives out any memory.

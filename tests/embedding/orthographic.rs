@@ -53,8 +53,8 @@ fn with_scene(test: impl Fn(&Host, &mut Renderer, &DeviceScene, &Gaussians)) {
     });
 }
 
-/// Those of a wall's depth hide what is behind it, and a frame without a wall is what [`Renderer::render`] makes of it, to
-/// the bit, beside the same scene through a pinhole in the same reservation.
+/// The depth of a wall hides Gaussians behind it. A frame without a wall equals [`Renderer::render`] to the bit,
+/// beside a pinhole view of the scene in the same reservation.
 #[test]
 fn an_orthographic_hosts_depth_hides_what_lies_behind_it() {
     with_scene(|host, renderer, scene, gaussians| {
@@ -92,7 +92,7 @@ fn an_orthographic_hosts_depth_hides_what_lies_behind_it() {
                     assert_same(&pixels, &owned(expected, &camera, &settings), [0.0; 3]);
                 }
                 pictures.push(pixels);
-                // The slot lets go of the image with its next recording.
+                // The slot's next recording releases the image.
                 rendered(host, renderer, &plain);
                 drop(image);
                 texture.destroy(host);
@@ -105,8 +105,8 @@ fn an_orthographic_hosts_depth_hides_what_lies_behind_it() {
     });
 }
 
-/// A scene that stands turned, moved and twice as large, of view-dependent colours, looks to parallel rays as the scene itself does to
-/// the camera that is turned, moved and shrunk against it.
+/// Parallel rays see a scene that is turned, moved and twice as large with view-dependent colours. The picture
+/// equals that of the scene itself through the inversely transformed camera.
 #[test]
 fn parallel_rays_see_a_turned_scene_from_its_own_side() {
     with_scene(|host, renderer, scene, gaussians| {
@@ -128,7 +128,7 @@ fn parallel_rays_see_a_turned_scene_from_its_own_side() {
             ..camera
         };
         assert_nearly_equal(&pixels, &owned(gaussians, &own, &settings));
-        // Colours that do not depend on the direction would not show it.
+        // Colours that do not depend on the direction would hide the difference.
         let plain = gaussians.with_sh_degree(0);
         let differs = owned(&plain, &own, &settings);
         let far = pixels.iter().zip(&differs.color).filter(|(p, c)| (p[0] - c[0]).abs() > 0.02).count();
@@ -136,7 +136,7 @@ fn parallel_rays_see_a_turned_scene_from_its_own_side() {
     });
 }
 
-/// Expected depth is z from the camera, and its conversion is the depth that the host's own matrices give.
+/// Expected depth is z in the camera's frame. Its conversion equals the depth of the host's own matrices.
 #[test]
 fn expected_depth_of_parallel_rays_is_z() {
     with_scene(|host, renderer, _, _| {
@@ -190,14 +190,14 @@ fn expected_depth_of_parallel_rays_is_z() {
             }
         }
         assert!(covered > 1000, "{covered}");
-        // The slot lets go of the image with its next recording.
+        // The slot's next recording releases the image.
         rendered(host, renderer, &RecordedFrame::new(&placed, &camera, &settings));
         drop(image);
         texture.destroy(host);
     });
 }
 
-/// Without kernels for it, a frame is refused before its first command.
+/// A frame without reserved kernels is refused before its first command.
 #[test]
 fn an_orthographic_camera_is_reserved() {
     with_host(&options(), |host| {
@@ -219,7 +219,7 @@ fn an_orthographic_camera_is_reserved() {
     });
 }
 
-/// Milliseconds of a frame through parallel rays and through a pinhole, in turn.
+/// Prints milliseconds of a frame with parallel rays and through a pinhole, measured in turn.
 #[test]
 #[ignore = "prints numbers of the guide"]
 fn costs() {
@@ -230,7 +230,7 @@ fn costs() {
         let wanted = Reservation { orthographic: true, ..Reservation::new(200_000, 1, 640, 480) };
         renderer.reserve(&wanted).expect("memory");
         let pinhole = camera(0.7, 640, 480);
-        // As large as the pinhole shows the middle of the cloud.
+        // The pixel scale of the pinhole at the middle of the cloud.
         let distance = pinhole.project(Vec3::ZERO).2;
         let parallel =
             Camera { fx: pinhole.fx / distance, fy: pinhole.fy / distance, ..pinhole.orthographic() };

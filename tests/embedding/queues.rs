@@ -1,5 +1,5 @@
-//! Queues of a host: one of another family with images that change hands, one that other threads submit to ([`lock`]), and contexts that share
-//! what is on the device.
+//! A host's queues: one of another family with images that change owners, one that other threads submit to
+//! ([`lock`]), and contexts that share device objects.
 
 mod failed_wait;
 mod lock;
@@ -19,7 +19,7 @@ use std::path::Path;
 const SIZE: [u32; 2] = [64, 48];
 const PIXELS: usize = 64 * 48;
 
-/// A context whose queues are those for compute alone.
+/// A context with the host's compute queue.
 fn asynchronous(host: &Host) -> Context {
     let AsyncQueue { family, queue, .. } = host.async_queue.expect("asked for");
     let foreign = ForeignDevice { queue_family: family, queue: Some(queue), ..host.foreign() };
@@ -28,7 +28,7 @@ fn asynchronous(host: &Host) -> Context {
     unsafe { Context::from_foreign(&foreign, &options) }.expect("a context")
 }
 
-/// A machine with such a family, claimed over the driver by the layer of `tools/mock_layer`, under validation.
+/// Runs a trial on a machine with such a family, simulated by the layer of `tools/mock_layer`, under validation.
 fn on_a_machine_with_two_queues(trial: &str) {
     let own = Host::new(&HostOptions::default()).expect("a host");
     // SAFETY: a plain query.
@@ -42,7 +42,7 @@ fn on_a_machine_with_two_queues(trial: &str) {
     let binary = std::env::current_exe().expect("a path");
     let mut libraries = vec![binary.parent().expect("deps").to_owned()];
     libraries.extend(std::env::var_os("LD_LIBRARY_PATH").iter().flat_map(std::env::split_paths));
-    // Layers lie over each other as they are found. Validation lies over the machine, and so sees its families.
+    // The loader stacks layers in the order found. Validation must lie above the mock machine, to see its families.
     let found = ["/usr/local/share", "/usr/share", "/etc"]
         .map(|place| Path::new(place).join("vulkan/explicit_layer.d"));
     let mock = Path::new(env!("CARGO_MANIFEST_DIR")).join("tools/mock_layer");
@@ -56,7 +56,7 @@ fn on_a_machine_with_two_queues(trial: &str) {
     });
 }
 
-/// A command buffer of one queue, and the semaphore that the other queue waits for behind it.
+/// A command buffer of one queue, and the semaphore that the other queue waits for.
 struct Work<'a> {
     host: &'a Host,
     queue: vk::Queue,
@@ -88,7 +88,7 @@ impl<'a> Work<'a> {
         unsafe { self.host.device.cmd_pipeline_barrier2(self.commands, &dependency) }
     }
 
-    /// Behind some other work, before what waits for this.
+    /// Submits after some other work, and before any work that waits for this.
     fn submit(&self, behind: Option<&Work<'_>>, signals: bool) {
         let point = |semaphore: vk::Semaphore| {
             let all = vk::PipelineStageFlags2::ALL_COMMANDS;
@@ -123,7 +123,7 @@ const CLEARED: ImageState = ImageState {
     accesses: vk::AccessFlags2::TRANSFER_WRITE,
 };
 
-/// Records, in the queue for everything, a host's picture.
+/// Records a host's picture in the graphics queue.
 fn clear(work: &Work<'_>, image: &Image, used: ImageState, grey: f32) {
     let mut ready = vk::ImageMemoryBarrier2::default()
         .src_stage_mask(used.stages)
@@ -144,14 +144,16 @@ fn clear(work: &Work<'_>, image: &Image, used: ImageState, grey: f32) {
     }
 }
 
-/// The uses before a recording: a queue that only computes has no stage of fragments, and discarded contents are not handed over.
+/// Uses before a recording. A compute queue has no fragment stage, and discarded contents need no ownership
+/// transfer.
 fn uses() -> [ImageState; 4] {
     let fragments = vk::PipelineStageFlags2::FRAGMENT_SHADER;
     let drawn = ImageState { stages: CLEARED.stages | fragments, ..CLEARED };
     [CLEARED, drawn, ImageState::UNDEFINED, ImageState { stages: fragments, ..ImageState::UNDEFINED }]
 }
 
-/// Frames of a guest's queue over what the host's has drawn, or over a colour where that is discarded, and back to the host.
+/// Draws frames of the guest's queue over the host's picture, or over a colour if that is discarded, and returns the
+/// image to the host.
 fn draw_in_turns(
     host: &Host,
     context: &Context,
@@ -221,7 +223,7 @@ fn draw_in_turns(
     staging.destroy(host);
 }
 
-/// An image that a host draws into and a guest as well.
+/// An image that the host and the guest draw into.
 fn shared_image(host: &Host, context: &Context) -> (HostTexture, Image) {
     let usage =
         vk::ImageUsageFlags::STORAGE | vk::ImageUsageFlags::TRANSFER_SRC | vk::ImageUsageFlags::TRANSFER_DST;
@@ -231,7 +233,7 @@ fn shared_image(host: &Host, context: &Context) -> (HostTexture, Image) {
     (texture, image.expect("adopted"))
 }
 
-/// Two views into one image, which say that other families own it.
+/// Two views into one image must agree on the family that owns it.
 fn assert_one_owner(
     host: &Host,
     context: &Context,
@@ -263,7 +265,7 @@ fn assert_one_owner(
     work.destroy();
 }
 
-/// Frames of an asynchronous queue over what the graphics queue has drawn, and back to it.
+/// Frames of a compute queue over the graphics queue's picture, and back to that queue.
 #[test]
 #[ignore = "the child's part of images_change_hands_between_queues"]
 fn images_change_hands_in_a_child() {
@@ -272,7 +274,7 @@ fn images_change_hands_in_a_child() {
         let apart = host.async_queue.expect("asked for");
         assert_ne!(apart.family, host.queue_family);
         let scene = DeviceScene::upload(&context, &cloud(300, 3), 0).expect("a scene");
-        // What the other family owns cannot be drawn here.
+        // A scene that the other family owns cannot be drawn here.
         let other = guest(host);
         let error = scene.in_context(&other).err().expect("another family").to_string();
         assert!(
@@ -293,7 +295,7 @@ fn images_change_hands_in_a_child() {
     });
 }
 
-/// Where the context's own family owns an image, both barriers of the host are plain ones.
+/// If the context's own family owns an image, both of the host's barriers are plain ones.
 #[test]
 fn barriers_fit_images_of_the_own_family() {
     with_host(&options(), |host| {
@@ -317,7 +319,7 @@ fn images_change_hands_between_queues() {
     on_a_machine_with_two_queues("queues::images_change_hands_in_a_child");
 }
 
-/// Two contexts on one device, one of which has uploaded: both draw the scene, and it outlives the first one's.
+/// Two contexts on one device draw a scene that one has uploaded. The scene outlives the first context.
 #[test]
 fn contexts_of_a_device_share_scenes() {
     with_host(&options(), |host| {

@@ -1,5 +1,5 @@
-//! Memory of the whole process over a thousand frames of changing size and camera: in a process of its own, where no other
-//! test allocates, and without the validation layer, which keeps records of its own.
+//! Memory of the process over a thousand frames of changing size and camera. The test has its own process, where no
+//! other test allocates, and no validation layer, which keeps records.
 
 use crate::child;
 use crate::host::{HostOptions, InFlight};
@@ -7,10 +7,10 @@ use crate::stage::{adopt, camera, cloud, guest, with_host};
 use ashsplat::{Camera, DeviceScene, RecordedFrame, RenderSettings, Renderer, Reservation};
 
 const FRAMES: u32 = 1000;
-/// Allocators and the driver have settled.
+/// Number of frames after which allocators and the driver have settled.
 const SETTLED: u32 = 200;
 
-/// Resident pages of the process, KiB; None where the system does not tell.
+/// Resident memory of the process, KiB; None if the system does not report it.
 fn resident_kib() -> Option<u64> {
     let statm = std::fs::read_to_string("/proc/self/statm").ok()?;
     let pages: u64 = statm.split_whitespace().nth(1)?.parse().ok()?;
@@ -21,7 +21,7 @@ fn view(number: u32) -> Camera {
     camera(number as f32 * 0.1, 1 + number * 7 % 64, 1 + number * 5 % 48)
 }
 
-/// Runs so many frames; resident memory once they have settled and at the end.
+/// Runs all frames. Returns the resident memory once settled and at the end.
 fn measured(mut frame: impl FnMut(u32)) -> [u64; 2] {
     let mut settled = 0;
     for number in 0..FRAMES {

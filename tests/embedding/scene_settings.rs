@@ -1,4 +1,4 @@
-//! Scenes of one frame that are drawn in ways of their own.
+//! Scenes of one frame with different settings.
 
 use crate::host::{Host, InFlight};
 use crate::scenes::{appended, assert_nearly_equal};
@@ -18,7 +18,7 @@ pub struct Stage<'a> {
     pub scenes: Vec<DeviceScene>,
     pub camera: Camera,
     pub frame: RenderSettings,
-    /// Of the scenes; in the world as they are, where there are none.
+    /// Poses of the scenes; empty for the identity.
     pub poses: Vec<Pose>,
 }
 
@@ -49,7 +49,7 @@ impl<'a> Stage<'a> {
         rendered(host, renderer, &RecordedFrame::new(&placed, camera, frame))
     }
 
-    /// The error of a frame that is refused.
+    /// The error of a refused frame.
     pub fn refused(&mut self, settings: &[SceneSettings]) -> Error {
         let in_flight = InFlight::new(self.host).expect("a command buffer");
         in_flight.begin(self.host).expect("recording");
@@ -62,7 +62,7 @@ impl<'a> Stage<'a> {
     }
 }
 
-/// Scenes with settings of their own.
+/// Pairs scenes with poses and settings.
 pub fn placed<'a>(
     scenes: &'a [DeviceScene],
     poses: &[Pose],
@@ -84,12 +84,12 @@ pub const USUAL: SceneSettings = SceneSettings {
 pub const HIDDEN: SceneSettings = SceneSettings { visible: false, ..USUAL };
 const FADED: SceneSettings = SceneSettings { opacity: 0.0, ..USUAL };
 
-/// What is not drawn takes no room, and leaves the bits of a frame without it.
+/// Hidden scenes need no capacity, and leave the bits of a frame without them.
 #[test]
 fn scenes_that_are_not_drawn_leave_no_trace() {
     with_host(&options(), |host| {
         let parts = [cloud(300, 1), cloud(5000, 2), cloud(257, 3)];
-        // The second one alone would not fit.
+        // The second scene alone would not fit.
         let least = |wanted| Reservation { gaussians: 600, ..wanted };
         let mut stage = Stage::new(host, &[&parts[0], &parts[1], &parts[2]], &least);
         let (camera, frame) = (stage.camera, stage.frame);
@@ -117,7 +117,7 @@ fn scenes_that_are_not_drawn_leave_no_trace() {
     });
 }
 
-/// Each scene has its own degree, with the bits of a scene that has no more coefficients.
+/// Each scene can limit its degree, with the bits of a scene that has no more coefficients.
 #[test]
 fn a_scene_has_an_sh_degree_of_its_own() {
     with_host(&options(), |host| {
@@ -127,11 +127,11 @@ fn a_scene_has_an_sh_degree_of_its_own() {
         flat.sh.chunks_mut(4).for_each(|sh| sh[1..].fill([0.0; 3]));
         let degree = |sh_degree| SceneSettings { sh_degree: Some(sh_degree), ..USUAL };
         let expected = owned(&appended(&flat, &parts[1]), &stage.camera, &stage.frame);
-        // A sum with zeros is rounded in other places.
+        // A sum with zeros rounds differently.
         assert_nearly_equal(&stage.pixels(&[degree(0), degree(3)]), &expected);
         let whole = owned(&appended(&parts[0], &parts[1]), &stage.camera, &stage.frame);
         assert_same(&stage.pixels(&[degree(1), USUAL]), &whole, [0.0; 3]);
-        // The frame's limit holds for all.
+        // The frame's limit applies to all scenes.
         stage.frame.sh_degree = Some(0);
         let all_flat = owned(&appended(&parts[0], &parts[1]), &stage.camera, &stage.frame);
         assert_same(&stage.pixels(&[degree(1), degree(3)]), &all_flat, [0.0; 3]);
@@ -140,7 +140,7 @@ fn a_scene_has_an_sh_degree_of_its_own() {
     });
 }
 
-/// Colours and opacities as if the scene had been trained with them; a factor of 1 has the bits of none.
+/// Colours and opacities as if trained with the factors. A factor of 1 has the bits of none.
 #[test]
 fn a_tint_and_an_opacity_are_factors() {
     with_host(&options(), |host| {
@@ -149,7 +149,7 @@ fn a_tint_and_an_opacity_are_factors() {
         let mut stage = Stage::new(host, &[&tinted, &other], &|wanted| Reservation { tint: true, ..wanted });
         let whole = owned(&appended(&tinted, &other), &stage.camera, &stage.frame);
         assert_same(&stage.pixels(&[USUAL, USUAL]), &whole, [0.0; 3]);
-        // The kernels of a tint, with one that is all but none.
+        // The kernels of a tint, with a tint of almost 1.
         let least = SceneSettings { tint: [1.0, 1.0, 1.0f32.next_down()], ..USUAL };
         assert_nearly_equal(&stage.pixels(&[least, USUAL]), &whole);
         let (tint, opacity) = ([0.5, 1.75, 0.0], 0.375);
@@ -175,7 +175,7 @@ fn a_tint_and_an_opacity_are_factors() {
     });
 }
 
-/// What a scene's settings can have wrong is said with the scene's place and the field.
+/// Errors in a scene's settings name the scene's place and the field.
 #[test]
 fn bad_settings_of_a_scene_are_refused_by_name() {
     with_host(&options(), |host| {
@@ -209,7 +209,7 @@ fn bad_settings_of_a_scene_are_refused_by_name() {
             assert!(matches!(error, Error::Argument { .. }), "{error:?}");
             assert!(error.to_string().contains(expected), "{error} (expected {expected})");
         }
-        // What is not drawn needs nothing that is reserved.
+        // A hidden scene needs no reserved features.
         let expected = owned(&part, &stage.camera, &stage.frame);
         let unseen = SceneSettings { visible: false, tint: [0.5; 3], ..USUAL };
         assert_same(&stage.pixels(&[USUAL, unseen]), &expected, [0.0; 3]);

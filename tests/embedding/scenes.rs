@@ -1,4 +1,4 @@
-//! Scenes that change, that stand somewhere, that are the host's own memory, and several in one frame.
+//! Scenes that change, have poses, lie in the host's memory, or share a frame.
 
 use crate::host::Host;
 use crate::memory::{HostBuffer, HostTexture};
@@ -33,7 +33,7 @@ pub fn renderer(context: &Context, gaussians: u32, staging_bytes: u64) -> Render
     renderer
 }
 
-/// Sorted together: the picture is that of one scene which holds all Gaussians, to the bit.
+/// Scenes are sorted together: the picture equals that of one scene with all Gaussians, to the bit.
 #[test]
 fn several_scenes_are_one_picture() {
     with_host(&options(), |host| {
@@ -55,7 +55,7 @@ fn several_scenes_are_one_picture() {
     });
 }
 
-/// Few pixels differ by more than rounding.
+/// Fails if more than a few pixels differ by more than rounding.
 pub fn assert_nearly_equal(pixels: &[[f32; 4]], expected: &Frame) {
     let differences = pixels
         .iter()
@@ -65,14 +65,14 @@ pub fn assert_nearly_equal(pixels: &[[f32; 4]], expected: &Frame) {
     assert!(far <= pixels.len() / 500, "{far} pixels differ");
 }
 
-/// A pose moves a scene as if its Gaussians had been moved, and turns its spherical harmonics with it.
+/// A pose moves a scene as if its Gaussians had moved, and turns its spherical harmonics.
 #[test]
 fn a_pose_moves_a_scene() {
     with_host(&options(), |host| {
         let context = guest(host);
         let turn = Quat::from_euler(glam::EulerRot::XYZ, 0.4, -0.8, 1.9);
         let shift = Vec3::new(0.2, -0.3, 0.4);
-        // Without view-dependent colour, the moved Gaussians can be made on the host.
+        // Without view-dependent colour, the host can move the Gaussians itself.
         let mut object = cloud(400, 5);
         for sh in object.sh.chunks_mut(4) {
             sh[1..].fill([0.0; 3]);
@@ -93,7 +93,7 @@ fn a_pose_moves_a_scene() {
         let expected = owned(&moved, &camera, &settings);
         assert_nearly_equal(&pixels, &expected);
 
-        // With view-dependent colour: object and camera turned together show the same as neither turned.
+        // With view-dependent colour: turning object and camera together changes nothing.
         let object = cloud(400, 6);
         let scene = DeviceScene::upload(&context, &object, 0).expect("a scene");
         let rotation = Mat3::from_quat(turn);
@@ -109,7 +109,7 @@ fn a_pose_moves_a_scene() {
     });
 }
 
-/// A uniform scale is the same as larger Gaussians farther apart, also for what lies before and behind them.
+/// A uniform scale equals larger Gaussians farther apart, also for Gaussians before and behind them.
 #[test]
 fn a_pose_scales_a_scene() {
     with_host(&options(), |host| {
@@ -136,7 +136,7 @@ fn a_pose_scales_a_scene() {
             let matrix = glam::Mat4::from_scale_rotation_translation(Vec3::splat(scale), turn, shift);
             let pose = Pose::from_matrix(matrix).expect("a uniform scale");
             assert!((pose.scale - scale).abs() < 1e-6 * scale);
-            // The scaled one first, and behind the other: they are sorted together either way.
+            // The scaled scene first, and second: both are sorted together.
             let scaled = Placed::at(&scenes[0], pose);
             for placed in [[scaled, (&scenes[1]).into()], [(&scenes[1]).into(), scaled]] {
                 let frame = RecordedFrame::new(&placed, &camera, &settings);
@@ -205,7 +205,7 @@ fn a_scene_may_lie_in_the_hosts_buffers() {
     });
 }
 
-/// Buffers that are larger than a binding may be are bound in part; the same buffer cannot be two chunks.
+/// A buffer larger than a binding may be is bound in part. One buffer cannot be two chunks.
 #[test]
 fn a_hosts_buffers_may_exceed_what_can_be_bound() {
     with_host(&options(), |host| {
@@ -258,7 +258,7 @@ pub fn planes(g: &Gaussians, room: usize) -> Vec<u8> {
     bytemuck::cast_slice(&planes).to_vec()
 }
 
-/// A wall of Gaussians at one depth: the expected depth is that depth.
+/// The expected depth of a wall of Gaussians at one depth is that depth.
 #[test]
 fn expected_depth_is_the_depth_of_a_wall() {
     with_host(&options(), |host| {
@@ -312,7 +312,7 @@ fn expected_depth_is_the_depth_of_a_wall() {
     });
 }
 
-/// Gaussians in front of what the host has drawn are seen, those behind are not.
+/// Gaussians in front of the host's depth are visible, those behind are not.
 #[test]
 fn a_hosts_depth_hides_what_lies_behind_it() {
     with_host(&options(), |host| {
@@ -350,7 +350,7 @@ fn a_hosts_depth_hides_what_lies_behind_it() {
             let occluder = Some(ashsplat::Occluder { depth, mapping });
             let pixels = rendered(host, &mut renderer, &RecordedFrame { occluder, ..plain });
             assert_same(&pixels, &owned(expected, &camera, &settings), [0.0; 3]);
-            // The slot lets go of the image with its next recording.
+            // The slot's next recording releases the image.
             rendered(host, &mut renderer, &plain);
             drop(image);
             texture.destroy(host);

@@ -1,4 +1,4 @@
-//! Gaussians of a scene in another colour, by a mask of the host's.
+//! Recoloured Gaussians of a scene, selected by the host's mask.
 
 use crate::host::Host;
 use crate::memory::HostBuffer;
@@ -25,14 +25,14 @@ fn mask(host: &Host, context: &Context, gaussians: usize) -> (HostBuffer, Buffer
     (own, adopted)
 }
 
-/// Sets the bits of the Gaussians that are selected.
+/// Sets the bits of the selected Gaussians.
 fn select(host: &Host, own: &HostBuffer, gaussians: usize, selected: impl Fn(usize) -> bool) {
     let mut words = vec![0u32; gaussians.div_ceil(32)];
     (0..gaussians).filter(|&i| selected(i)).for_each(|i| words[i / 32] |= 1 << (i % 32));
     own.write(host, bytemuck::cast_slice(&words)).expect("written");
 }
 
-/// The colours that the selected Gaussians should have, made on the host. Nothing depends on the view.
+/// Mixes the selected Gaussians' colours on the host. Colours do not depend on the view.
 fn mixed(gaussians: &Gaussians, share: f32, selected: impl Fn(usize) -> bool) -> Gaussians {
     let (mut mixed, c0) = (gaussians.clone(), 0.282_094_79);
     for (_, sh) in mixed.sh.chunks_mut(4).enumerate().filter(|(i, _)| selected(*i)) {
@@ -70,7 +70,7 @@ fn a_selection_has_another_colour() {
                 assert_nearly_equal(&pixels, &expected(&mixed(&parts[0], share, selected)));
             }
         }
-        // None, none that shows, and none that is drawn: the bits of a frame without.
+        // A share of 0, an empty mask and a hidden scene give the bits of a frame without a selection.
         assert_same(&stage.pixels(&[with(0.0), USUAL]), &expected(&parts[0]), [0.0; 3]);
         select(host, &own, 300, |_| false);
         assert_nearly_equal(&stage.pixels(&[with(1.0), USUAL]), &expected(&parts[0]));
@@ -82,7 +82,7 @@ fn a_selection_has_another_colour() {
     });
 }
 
-/// Of a scene whose parameters lie in several buffers the mask is one.
+/// One mask covers a scene whose parameters lie in several buffers.
 #[test]
 fn a_mask_goes_on_from_chunk_to_chunk() {
     with_host(&options(), |host| {

@@ -1,4 +1,4 @@
-//! Memory of frames in flight: what slots share, how it grows while they fly, and a host's own block for it.
+//! Memory of frames in flight: what slots share, growth while frames are in flight, and a host's own block.
 
 use crate::auxiliary::flight::Flight;
 use crate::auxiliary::truth::both;
@@ -14,13 +14,13 @@ use ashsplat::{Camera, DeviceScene, Error, Placed, RecordedFrame, RenderSettings
 const SIZE: [u32; 2] = [96, 80];
 const PIXELS: usize = 96 * 80;
 
-/// Bytes of the device's memory for frames.
+/// Bytes of device memory for frames.
 fn slot_bytes(context: &Context) -> u64 {
     let memory = context.memory();
     memory.iter().find(|arena| arena.name == "frame slot").map_or(0, |arena| arena.bytes)
 }
 
-/// A million Gaussians at 1920 x 1080.
+/// Slots of one queue share their working memory, with a million Gaussians at 1920 x 1080.
 #[test]
 fn slots_of_a_queue_share_what_lives_within_a_frame() {
     with_host(&options(), |host| {
@@ -37,11 +37,11 @@ fn slots_of_a_queue_share_what_lives_within_a_frame() {
         };
         let one = bytes(1, 1, true);
         assert!(one > 250 << 20, "{one}");
-        // At most 1.15 times one slot is asked for.
+        // The limit is 1.15 times one slot.
         assert_eq!([bytes(2, 1, true), bytes(3, 1, true)], [one; 2]);
-        // Pixels are the host's until it records the slot again.
+        // The pixels belong to the host until it records the slot again.
         assert_eq!([bytes(1, 1, false), bytes(3, 1, false)], [one, one + 2 * 16 * 1920 * 1080]);
-        // A queue of its own for each, and more queues than slots.
+        // One queue per slot, and more queues than slots.
         assert_eq!([bytes(2, 2, true), bytes(2, 7, false)], [2 * one; 2]);
     });
 }
@@ -63,7 +63,7 @@ fn pixels(host: &Host, staging: &HostBuffer) -> Vec<[f32; 4]> {
     bytemuck::pod_collect_to_vec(&staging.read(host, 16 * PIXELS).expect("bytes"))
 }
 
-/// Every frame begins behind all that was submitted before it, whatever was recorded first.
+/// Every frame starts after all submitted before it, in whatever order they were recorded.
 #[test]
 fn frames_that_share_memory_may_be_submitted_in_any_order() {
     with_host(&options(), |host| {
@@ -100,11 +100,12 @@ fn frames_that_share_memory_may_be_submitted_in_any_order() {
     });
 }
 
-/// The second frame in a command buffer writes what the first one reads: synchronisation validation sees whether it waits.
+/// The second frame in a command buffer writes memory that the first one reads. Synchronization validation checks
+/// that it waits.
 #[test]
 fn frames_of_one_command_buffer_share_memory() {
     with_host(&options(), |host| {
-        // Timestamps bring barriers of their own with them.
+        // Timestamps add barriers.
         let options = ContextOptions { timestamps: false, ..ContextOptions::default() };
         // SAFETY: as in `guest`.
         let context = unsafe { Context::from_foreign(&host.foreign(), &options) }.expect("a context");
@@ -119,7 +120,7 @@ fn frames_of_one_command_buffer_share_memory() {
         let frame = InFlight::new(host).expect("a command buffer");
         let mut flights = [0; 2].map(|_| Flight::new(host, &context, SIZE));
         frame.begin(host).expect("recording");
-        // Each has moved from where the other one is.
+        // Each camera's previous position is that of the other.
         for (slot, camera) in cameras.iter().enumerate() {
             let recorded = RecordedFrame::new(&scenes, camera, &settings);
             let recorded = flights[slot].with(recorded, &cameras[1 - slot], [true; 2]);
@@ -149,7 +150,7 @@ fn frames_of_one_command_buffer_share_memory() {
     });
 }
 
-/// Two slots fly with too little room while the third gets more.
+/// Two slots are in flight with too little capacity while the third gets more.
 #[test]
 fn memory_grows_while_frames_fly() {
     with_host(&options(), |host| {
@@ -180,7 +181,7 @@ fn memory_grows_while_frames_fly() {
             renderer.record(commands, slot, &recorded).expect("a recording");
             frame.submit(host).expect("a submission");
         }
-        // Both wait for the host, and so nothing below can have waited for them.
+        // Both wait for the host, so nothing below can have waited for them.
         let enough = Reservation { instances: 60_000, ..small };
         let error = renderer.grow(&Reservation { slots: 2, ..enough }).expect_err("another number of slots");
         assert!(error.to_string().contains("slots is 2, 3 are reserved"), "{error}");
@@ -204,12 +205,12 @@ fn memory_grows_while_frames_fly() {
         let reports = [0, 1, 2].map(|slot| renderer.slot_report(slot).expect("a report").expect("finished"));
         let said = reports.map(|report| (report.overflow, report.instance_capacity));
         assert_eq!(said, [(true, 100), (true, 100), (false, 60_000)]);
-        // What is reserved already is not reserved again.
+        // A reservation that fits allocates nothing.
         let held = slot_bytes(&context);
         assert!(before < held && held <= both);
         renderer.grow(&enough).expect("nothing");
         assert_eq!(slot_bytes(&context), held);
-        // A released slot keeps its pixels, and with them the old memory.
+        // A released slot keeps its pixels and hence the old memory.
         let old = renderer.slot_pixels(0).expect("pixels");
         renderer.release_slot(0).expect("over");
         assert!(renderer.slot_pixels(0).expect("pixels").handle() == old.handle());

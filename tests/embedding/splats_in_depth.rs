@@ -29,7 +29,7 @@ fn orthographic(reversed: bool) -> Mat4 {
     )
 }
 
-/// The depth attachment after the pass, and the expected depth that it was made of.
+/// The depth attachment after the pass, and the expected depth that the pass read.
 fn drawn(
     host: &Host,
     renderer: &mut Renderer,
@@ -122,7 +122,7 @@ fn splats_are_written_into_a_hosts_depth_attachment() {
                 height: SIZE[1],
             };
             let (_, mapping) = view.camera().expect("a camera");
-            // What the host's own matrix makes of a z, and a wall in the middle of the cloud.
+            // The depth of a z by the host's own matrix, and a wall in the middle of the cloud.
             let host_depth = |z: f32| {
                 let clip = clip_from_view * Vec4::new(0.0, 0.0, -z, 1.0);
                 clip.z / clip.w

@@ -1,4 +1,4 @@
-//! A host with a guest, and the checks at the end: validation silent, nothing of the guest's left on the device.
+//! A host with a guest. The final checks: validation is silent, and nothing of the guest's is left on the device.
 
 use crate::host::{Host, HostOptions, InFlight};
 use crate::memory::{HostBuffer, HostTexture, Use};
@@ -10,7 +10,7 @@ use glam::Vec3;
 use std::ffi::{CStr, c_void};
 use std::sync::{Mutex, OnceLock, PoisonError};
 
-/// A host with validation wherever it is installed.
+/// A host with validation if installed.
 pub fn options() -> HostOptions {
     let validation = validation_available();
     let required = std::env::var_os("ASHSPLAT_REQUIRE_VALIDATION").is_some();
@@ -18,12 +18,11 @@ pub fn options() -> HostOptions {
     HostOptions { validation, ..HostOptions::default() }
 }
 
-/// Runs a test on a host's device. The device is destroyed at the end, which validation answers with a message for
-/// everything that was left behind.
+/// Runs a test on a host's device. Validation reports every leak when the device is destroyed.
 ///
-/// One host at a time: the layer looks its devices up in a table without a lock
-/// (known to its authors as "Occasional crash in GetLayerDataPtr"), so that a call of one host crashes now and then while
-/// another thread's host comes or goes. The tests take no longer for it: the device computes with all processors.
+/// One host at a time: the layer looks its devices up in a table without a lock ("Occasional crash in
+/// GetLayerDataPtr"). A call of one host may crash while another thread creates or destroys a host. This costs no
+/// time, because the device uses all processors.
 pub fn with_host(options: &HostOptions, test: impl FnOnce(&Host)) {
     static TURN: Mutex<()> = Mutex::new(());
     let _turn = options.validation.then(|| TURN.lock().unwrap_or_else(PoisonError::into_inner));
@@ -33,11 +32,11 @@ pub fn with_host(options: &HostOptions, test: impl FnOnce(&Host)) {
     assert!(messages.is_empty(), "validation:\n{}", messages.join("\n"));
 }
 
-/// The host's device by another table of its functions. `replace` is given each one's name and address, null if the device has none,
-/// and says what the guest finds in its place.
+/// The host's device with another function table. `replace` gets each function's name and address, null if the
+/// device has none, and returns the address for the guest.
 ///
 /// # Safety
-/// What it says is null or a function of that name's type, which may be called wherever the device's own may.
+/// `replace` returns null or a function of that name's type, which may be called wherever the device's own may.
 pub unsafe fn device_with(
     host: &Host,
     mut replace: impl FnMut(&CStr, *const c_void) -> *const c_void,
@@ -56,7 +55,7 @@ pub fn guest(host: &Host) -> Context {
     guest_within(host, None)
 }
 
-/// As [`guest`], with bindings of 96 KiB at most.
+/// Same as [`guest`], but with bindings of at most 96 KiB.
 pub fn guest_of_small_bindings(host: &Host) -> Context {
     guest_within(
         host,
@@ -95,21 +94,21 @@ pub fn cloud(count: usize, seed: u32) -> Gaussians {
     cloud
 }
 
-/// A camera that looks at the cloud from some side.
+/// A camera that looks at the cloud from the side `turn`.
 pub fn camera(turn: f32, width: u32, height: u32) -> Camera {
     let eye = Vec3::new(4.0 * turn.sin(), -1.0, -4.0 * turn.cos());
     Camera::look_at(eye, Vec3::ZERO, Vec3::NEG_Y, Intrinsics::from_fov_x(0.7, width, height))
 }
 
-/// A device of our own without validation, with the kernels of a host's device: those that read texels train to other bits.
-/// All tests share it.
+/// A device of the engine's without validation, with the kernels of a host's device, because training with texels
+/// gives other bits. All tests share it.
 pub fn own_device() -> &'static Context {
     static CONTEXT: OnceLock<Context> = OnceLock::new();
     let options = ContextOptions { texels: false, ..ContextOptions::default() };
     CONTEXT.get_or_init(|| Context::new(&options).expect("a device"))
 }
 
-/// What a device of our own renders, the same bits with texels.
+/// A frame rendered by a device of the engine's; texels do not change the bits.
 pub fn owned(gaussians: &Gaussians, camera: &Camera, settings: &RenderSettings) -> Frame {
     static RENDERER: OnceLock<Mutex<Renderer>> = OnceLock::new();
     let renderer = RENDERER.get_or_init(|| {
@@ -121,7 +120,7 @@ pub fn owned(gaussians: &Gaussians, camera: &Camera, settings: &RenderSettings) 
     renderer.render(camera, settings).expect("a frame")
 }
 
-/// Records, submits and waits for a frame in slot 0; its pixels (r, g, b, transmittance).
+/// Records, submits and waits for a frame in slot 0. Returns its pixels (r, g, b, transmittance).
 pub fn rendered(host: &Host, renderer: &mut Renderer, frame: &RecordedFrame<'_>) -> Vec<[f32; 4]> {
     let in_flight = InFlight::new(host).expect("a command buffer");
     in_flight.begin(host).expect("recording");
@@ -137,7 +136,7 @@ pub fn rendered(host: &Host, renderer: &mut Renderer, frame: &RecordedFrame<'_>)
     bytemuck::pod_collect_to_vec(&bytes)
 }
 
-/// Records the copy of a slot's pixels, as a host would that waits for what the release says.
+/// Records a copy of a slot's pixels, as a host does, with a wait as the release requires.
 pub fn copy_pixels(
     host: &Host,
     renderer: &mut Renderer,
@@ -162,7 +161,7 @@ pub fn copy_pixels(
     to.to_host(host, in_flight.commands);
 }
 
-/// The texels of an image of four bytes each, which was used so last.
+/// Reads the texels of an image with four bytes each; `from` is its last use.
 pub fn read_texture(host: &Host, texture: &HostTexture, from: Use) -> Vec<u8> {
     let bytes = 4 * texture.size[0] as usize * texture.size[1] as usize;
     let staging = HostBuffer::new(host, bytes as u64).expect("memory");
@@ -176,7 +175,7 @@ pub fn read_texture(host: &Host, texture: &HostTexture, from: Use) -> Vec<u8> {
     read
 }
 
-/// Whether recorded pixels are those of a frame, to the bit.
+/// Fails unless recorded pixels equal a frame's, to the bit.
 pub fn assert_same(recorded: &[[f32; 4]], frame: &Frame, background: [f32; 3]) {
     assert_eq!(recorded.len(), frame.color.len());
     for (index, &[r, g, b, t]) in recorded.iter().enumerate() {
@@ -186,7 +185,7 @@ pub fn assert_same(recorded: &[[f32; 4]], frame: &Frame, background: [f32; 3]) {
     }
 }
 
-/// Points that a picture of 48 x 36 pixels shows.
+/// Points within a picture of 48 x 36 pixels.
 pub fn depth_points() -> Vec<ashsplat::loss::DepthPoint> {
     let point = |k: u32| ashsplat::loss::DepthPoint {
         position_px: [(k * 7 % 47) as f32 + 0.25, (k * 11 % 35) as f32 + 0.5],

@@ -1,4 +1,4 @@
-//! A tree of tiles in a host's frames: each tile is a scene, read by a thread of the host and written by a recorded update.
+//! A tree of tiles in a host's frames: each tile is a scene that a thread reads and a recorded update writes.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::mpsc;
@@ -17,13 +17,13 @@ use glam::Vec3;
 
 /// Gaussians of a tile.
 const MOST: usize = 20;
-/// Of the picture.
+/// Budget of the picture, in Gaussians.
 const BUDGET: usize = 200;
-/// Scenes on the device: those of a picture, and those that take their place.
+/// Number of scenes on the device: those of a picture, and those that replace them.
 const ROOM: usize = 32;
 /// Frames in flight.
 const SLOTS: usize = 2;
-/// Of the picture, pixels.
+/// Size of the picture, pixels.
 const SIZE: [u32; 2] = [110, 70];
 
 fn written(folder: &std::path::Path) -> Tree {
@@ -36,23 +36,23 @@ fn written(folder: &std::path::Path) -> Tree {
     Tree::open(&tree).expect("a tree")
 }
 
-/// Looks out of the cloud from its middle, at a quarter of it.
+/// A camera in the middle of the cloud that looks outwards, at a quarter of it.
 fn inside(turn: f32) -> Camera {
     let away = Vec3::new(turn.sin(), 0.0, -turn.cos());
     Camera::look_at(-0.2 * away, away, Vec3::NEG_Y, Intrinsics::from_fov_x(1.2, SIZE[0], SIZE[1]))
 }
 
-/// A frame that has been submitted.
+/// A submitted frame.
 struct Flying {
     camera: Camera,
     tiles: Vec<usize>,
-    /// What it draws.
+    /// The Gaussians drawn.
     gaussians: Gaussians,
 }
 
-/// A camera turns round. What it wants is asked for and drawn some frames later; until then what is there covers the picture. Two frames
-/// fly: neither waits for the other, nothing that one of them reads is written, and each is that of one scene with the same
-/// Gaussians, to the bit.
+/// A camera turns around. Wanted tiles arrive some frames later; until then coarser tiles cover the picture. Neither
+/// of two frames in flight waits for the other, and no update writes what a frame reads. Each picture equals that of
+/// one scene with the same Gaussians, to the bit.
 #[test]
 fn tiles_stream_into_recorded_frames() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -80,7 +80,7 @@ fn tiles_stream_into_recorded_frames() {
             let mut flying: [Option<Flying>; SLOTS] = [const { None }; SLOTS];
             let empty = || DeviceScene::empty(&context, MOST as u32, 1).expect("a scene");
             let mut free: Vec<DeviceScene> = (0..ROOM).map(|_| empty()).collect();
-            // Taken out of the picture: the frame from which on no flying one reads them, and the tiles that they have.
+            // Removed scenes, with their tiles and the frame from which on no frame in flight reads them.
             let mut leaving: VecDeque<(usize, DeviceScene, usize)> = VecDeque::new();
             let mut there: BTreeMap<usize, (DeviceScene, Gaussians)> = BTreeMap::new();
             let mut wished = BTreeSet::from([0]);
@@ -92,7 +92,7 @@ fn tiles_stream_into_recorded_frames() {
                 if let Some(done) = flying[slot].take() {
                     commands[slot].wait(host).expect("done");
                     let bytes = pictures[slot].read(host, 16 * pixels).expect("bytes");
-                    // Of both slots, in turn.
+                    // Frames of both slots in turn.
                     if frame % 5 == 0 || frame > 190 {
                         let shown: Vec<[f32; 4]> = bytemuck::pod_collect_to_vec(&bytes);
                         assert_same(&shown, &owned(&done.gaussians, &done.camera, &settings), [0.0; 3]);
@@ -108,17 +108,18 @@ fn tiles_stream_into_recorded_frames() {
                     overlapped += usize::from(flying.iter().flatten().count() > 0);
                     free.push(scene);
                 }
-                // It stands still at the end, so that all arrives.
+                // The camera stops at the end, so that all tiles arrive.
                 let camera = inside(0.06 * frame.min(100) as f32);
                 let ideal = tree.cut(&camera, BUDGET);
                 let wanted = tree.wanted(&Demand::of(&camera, BUDGET));
                 let old = there.keys().copied().find(|other| !wanted.contains(other));
                 if let Some(old) = old.filter(|_| free.is_empty() && leaving.is_empty()) {
-                    // The frame before this one may draw it, and ends before the slot after this one's is used again.
+                    // The previous frame may draw the tile. It ends before the next frame's slot is used again.
                     leaving.extend(there.remove(&old).map(|(scene, _)| (frame + SLOTS - 1, scene, old)));
                     replaced += 1;
                 }
-                // One tile per frame, if one has arrived and there is room. The first is waited for, and those that are wished at the end.
+                // At most one tile per frame, if one has arrived and a scene is free. Waits for the first tile, and
+                // at the end for all that are requested.
                 let arrival = if free.is_empty() {
                     None
                 } else if there.is_empty() || frame > 100 && !wished.is_empty() {

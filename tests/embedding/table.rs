@@ -1,7 +1,7 @@
-//! A device table that counts: `record` calls nothing that submits, waits, allocates or maps.
+//! An instrumented device table: `record` calls nothing that submits, waits, allocates or maps.
 //!
-//! The guest gets a table in which each function is one of three things: a `vkCmd*` (or one of four others that only
-//! touch the guest's own descriptors and events), passed through; one that is counted; or absent, so that a call panics.
+//! Each function of the guest's table is passed through, counted or absent. The first kind is `vkCmd*`, and four
+//! others that only touch the guest's own descriptors and events. A call of an absent function panics.
 
 use crate::host::{Host, HostOptions, InFlight};
 use crate::stage::{adopt, camera, cloud, device_with, guest, options, with_host};
@@ -21,7 +21,6 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 mod subgroup_features;
 
-/// Calls of each counted function.
 static CALLS: Mutex<Vec<(&str, usize)>> = Mutex::new(Vec::new());
 
 fn count(name: &'static str) {
@@ -36,7 +35,8 @@ fn take_calls() -> Vec<(&'static str, usize)> {
     std::mem::take(&mut CALLS.lock().expect("no panic while held"))
 }
 
-/// A wrapper for each counted function: a static with the real one, a function that counts and passes on.
+/// Generates a wrapper for each counted function: a static with the real address, and a function that counts and
+/// forwards.
 macro_rules! counted {
     ($($name:literal $wrapper:ident($($arg:ident: $ty:ty),*) -> $ret:ty;)*) => {
         mod real {
@@ -51,7 +51,7 @@ macro_rules! counted {
                 f($($arg),*)
             }
         })*
-        /// The wrapper of a function, with its real address noted.
+        /// Returns the wrapper of a function and stores its real address.
         fn wrapped(name: &str, address: usize) -> Option<*const c_void> {
             match name {
                 $($name => {
@@ -112,7 +112,7 @@ counted! {
     "vkDeviceWaitIdle" wait_device(d: Device) -> i32;
 }
 
-/// The caches that pipelines were built with.
+/// Pipeline caches used to build pipelines.
 static CACHES: Mutex<BTreeSet<u64>> = Mutex::new(BTreeSet::new());
 
 unsafe extern "system" fn create_pipelines_with(
@@ -128,10 +128,10 @@ unsafe extern "system" fn create_pipelines_with(
     unsafe { create_pipelines(device, cache, count, infos, callbacks, pipelines) }
 }
 
-/// What recording may call besides `vkCmd*`.
+/// Functions besides `vkCmd*` that recording may call.
 const ALLOWED: [&str; 3] = ["vkGetEventStatus", "vkResetEvent", "vkUpdateDescriptorSets"];
 
-/// The host's device with the instrumented table, and the names that the guest cannot call at all.
+/// The host's device with the instrumented table, and the names of absent functions.
 fn instrumented(host: &Host) -> (ash::Device, BTreeSet<String>) {
     let mut absent = BTreeSet::new();
     let replace = |name: &CStr, address: *const c_void| {
@@ -203,7 +203,7 @@ fn record_and_count(host_options: &HostOptions) {
     });
 }
 
-/// A frame of many scenes: each has dispatches of its own, which a reservation has to count.
+/// Records a frame of many scenes. Each has its own dispatches, which a reservation must count.
 fn many_scenes(host: &Host, context: &Context, renderer: &mut Renderer, in_flight: &InFlight) {
     const SCENES: u32 = 100;
     let gaussians = cloud(6, 1);
@@ -222,7 +222,7 @@ fn many_scenes(host: &Host, context: &Context, renderer: &mut Renderer, in_fligh
     in_flight.wait(host).expect("done");
 }
 
-/// Steps of training, before and after a densification and an opacity reset.
+/// Records training steps, before and after a densification and an opacity reset.
 fn training_steps(host: &Host, context: &Context, in_flight: &InFlight) {
     let settings = TrainSettings {
         iterations: 20,
@@ -267,12 +267,12 @@ fn training_steps(host: &Host, context: &Context, in_flight: &InFlight) {
     assert_eq!(maintained, 5, "densified after 3, 6, 9, reset after 5 and 10");
 }
 
-/// The most that a frame can ask for: updates, a host's depth, a host's image.
+/// Images of a frame with every feature: updates, a host's depth, a host's image.
 pub struct Images {
     color: crate::memory::HostTexture,
     depth: crate::memory::HostTexture,
     adopted: [Image; 2],
-    /// How the depth image was used last.
+    /// Last use of the depth image.
     depth_state: ImageState,
 }
 
@@ -336,7 +336,7 @@ impl Images {
 impl<'a> Everything<'a> {
     pub fn recorded(&'a self) -> RecordedFrame<'a> {
         let used = |image, from| HostImage { image, from, offset: [0; 2] };
-        // Nothing is ever drawn into the depth image: what it holds does not matter here.
+        // Nothing draws into the depth image; its contents do not matter.
         let mapping =
             ashsplat::scene::DepthMapping { scale: 1e-9, offset: 0.0, clear_value: 2.0, linear: false };
         RecordedFrame {
@@ -352,7 +352,7 @@ impl<'a> Everything<'a> {
     }
 }
 
-/// Both kinds of descriptors, one after the other: the counters are shared.
+/// Both kinds of descriptors in one test, because the counters are shared.
 #[test]
 fn record_calls_nothing_that_submits_waits_allocates_or_maps() {
     record_and_count(&options());
@@ -361,7 +361,7 @@ fn record_calls_nothing_that_submits_waits_allocates_or_maps() {
     subgroup_features::that_a_host_has_enabled();
 }
 
-/// What the host's threads have built, in its own cache, is not built again.
+/// Kernels that the host's threads have built into its own cache are not built again.
 fn kernels_of_threads(host_options: &HostOptions) {
     with_host(host_options, |host| {
         let (device, _) = instrumented(host);
@@ -414,7 +414,7 @@ fn kernels_of_threads(host_options: &HostOptions) {
     });
 }
 
-/// And the counters see it when one does.
+/// The counters detect a call.
 #[test]
 fn the_untouched_table_is_the_hosts() {
     with_host(&options(), |host| {

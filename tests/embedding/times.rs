@@ -1,4 +1,4 @@
-//! Times of stages, in a command buffer that has commands of the host's before them.
+//! Times of stages in a command buffer that begins with the host's commands.
 
 use crate::cube::{Cube, CubePass, UNUSED};
 use crate::host::InFlight;
@@ -7,8 +7,8 @@ use crate::stage::{adopt, camera, cloud, guest, options, with_host};
 use ashsplat::ash::vk;
 use ashsplat::{DeviceScene, RecordedFrame, RenderSettings, Renderer, Reservation};
 
-/// A driver that draws later, as llvmpipe does, may write the timestamps behind a render pass later, too: the time of blending was
-/// that of the stage before.
+/// A driver that draws later, as llvmpipe does, may also write the timestamps after a render pass later. Blending
+/// then had the time of the stage before.
 #[test]
 fn stages_behind_a_render_pass_have_times_of_their_own() {
     with_host(&options(), |host| {
@@ -58,7 +58,7 @@ fn stages_behind_a_render_pass_have_times_of_their_own() {
             };
             least = [least[0].min(time("ranges")), least[1].min(time("blend"))];
         }
-        // One finds where lists end, the other reads them all at each of 19,200 pixels.
+        // `ranges` finds the ends of lists; `blend` reads them all at each of 19,200 pixels.
         assert!(least[1] > least[0], "ranges {} ns, blend {} ns", least[0], least[1]);
         in_flight.destroy(host);
         cube.destroy(host);

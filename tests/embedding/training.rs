@@ -15,7 +15,7 @@ use ashsplat::{
 };
 use ashsplat_files::{Photo, PhotoMemory, StoredPhoto};
 
-/// Densifies after 20, 40, 60, 80, resets opacities after 50.
+/// Densifies after 20, 40, 60, 80; resets opacities after 50.
 pub fn settings() -> TrainSettings {
     TrainSettings {
         iterations: 100,
@@ -32,7 +32,7 @@ pub fn settings() -> TrainSettings {
     }
 }
 
-/// What is learnt does not matter: photographs of different sizes with a few patterns, one with a mask.
+/// Photographs of different sizes with a few patterns, one with a mask. The result of the training does not matter.
 pub fn views() -> Vec<TrainView> {
     let view = |number: u32| {
         let (width, height) = (40 + 8 * number, 36);
@@ -68,13 +68,13 @@ pub fn step(host: &Host, trainer: &mut Trainer, context: &Context, in_flight: &I
     done(trainer, 0)
 }
 
-/// Of a run of 440 iterations by a preset: the steps that begin with what was due after 300 and 308.
+/// Steps of a preset's run of 440 iterations that begin with the prunings due after 300 and 308.
 const LATE_PRUNINGS: [usize; 2] = [301, 309];
 
-/// As many steps in flight as there are slots, and maintenance whenever it is due.
+/// Trains with one step in flight per slot, and runs maintenance whenever due.
 fn train_recorded(host: &Host, settings: &TrainSettings) {
     const SLOTS: usize = 3;
-    // Until what is particular to these settings has happened.
+    // Trains until the special events of these settings have occurred.
     let steps = match settings {
         s if s.late_min_opacity > 0.0 => 312,
         s if s.filter_3d => 104,
@@ -132,10 +132,10 @@ fn train_recorded(host: &Host, settings: &TrainSettings) {
 
 #[test]
 fn recorded_training_is_the_owned_paths_to_the_bit() {
-    // Once with terms of the loss that depend on the parameters directly.
+    // Terms of the loss that depend directly on the parameters.
     let weighted = TrainSettings { opacity_reg: 0.01, scale_reg: 0.01, ..settings() };
     let mcmc = TrainSettings { strategy: StrategyType::Mcmc, ..settings() };
-    // And once with filters, whose sizes are computed anew between steps and in them.
+    // Filters, whose sizes are computed between steps and within them.
     let filtered = TrainSettings {
         antialiasing: true,
         kernel_size: 0.1,
@@ -145,7 +145,7 @@ fn recorded_training_is_the_owned_paths_to_the_bit() {
         iterations: 500,
         ..settings()
     };
-    // And with budgeted growth, which adds up gradients over several steps after 66 and 80, later than all else happens.
+    // Budgeted growth, which adds up gradients over several steps after 66 and 80, later than all other events.
     let budget = TrainSettings {
         strategy: StrategyType::Budget,
         scale_schedule: true,
@@ -155,7 +155,7 @@ fn recorded_training_is_the_owned_paths_to_the_bit() {
         multi_step: true,
         ..settings()
     };
-    // As users have it, but for a longer mean: it prunes what is faint after 300 and 308, and averages from then on.
+    // A user's preset, but with a longer mean: it prunes faint Gaussians after 300 and 308, and averages afterwards.
     let preset = TrainSettings {
         iterations: 440,
         sh_degree: 2,
@@ -182,7 +182,8 @@ fn recorded_training_is_the_owned_paths_to_the_bit() {
     }
 }
 
-/// Another form of blending has kernels of its own: steps are recorded again once they are built, with the same bits.
+/// Another form of blending needs other kernels. Steps can be recorded again once they are built, with the same
+/// bits.
 #[test]
 fn another_form_of_blending_is_due_maintenance() {
     with_host(&options(), |host| {
@@ -191,10 +192,10 @@ fn another_form_of_blending_is_due_maintenance() {
         let (mut recorded, mut expected) = (trainer(&context, settings()), trainer(&context, settings()));
         recorded.reserve_steps(&StepReservation { slots: 1, instances: 0, visible: 0 }).expect("memory");
         let frame = InFlight::new(host).expect("a command buffer");
-        // Nothing is due where nothing changes.
+        // Nothing is due if nothing changes.
         recorded.set_blending(own);
         assert!(!recorded.maintenance_is_due().expect("an answer"));
-        // What is recorded keeps its form.
+        // A recorded step keeps its form.
         frame.begin(host).expect("recording");
         recorded.record_step(adopt(&context, &frame), 0).expect("a recording");
         recorded.set_blending(other);
@@ -219,7 +220,7 @@ fn another_form_of_blending_is_due_maintenance() {
     });
 }
 
-/// A step without room leaves everything as it was, and so do those behind it. All are recorded before the first one runs.
+/// A step without capacity changes nothing, nor do the steps behind it. All are recorded before the first one runs.
 #[test]
 fn steps_without_room_change_nothing() {
     with_host(&options(), |host| {
@@ -259,14 +260,14 @@ fn steps_without_room_change_nothing() {
         }
         let (got, mut wanted) =
             (recorded.checkpoint().expect("a state"), expected.checkpoint().expect("a state"));
-        // More room was made here than there.
+        // This trainer had to grow more.
         wanted.room = got.room;
         assert!(got == wanted, "other bits after more room");
         frames.into_iter().for_each(|frame| frame.destroy(host));
     });
 }
 
-/// Views whose frames have more instances than a binding holds are left out, as by [`Trainer::step`].
+/// Views whose frames have more instances than a binding holds are skipped, as by [`Trainer::step`].
 #[test]
 fn steps_that_no_room_suffices_for_are_left_out() {
     const INSTANCES: u32 = 6400;
@@ -278,7 +279,7 @@ fn steps_that_no_room_suffices_for_are_left_out() {
         let options = ContextOptions { limits_override: Some(limits), ..ContextOptions::default() };
         // SAFETY: as in `guest`.
         let context = unsafe { Context::from_foreign(&host.foreign(), &options) }.expect("a context");
-        // All of them in all tiles: nine of two views, twelve of the others.
+        // All Gaussians in all tiles: nine tiles in two views, twelve in the others.
         let mut scene = cloud(600, 5);
         scene.log_scales.iter_mut().flatten().for_each(|s| *s += 3.5);
         let begin = |seed| {
@@ -313,7 +314,7 @@ fn steps_that_no_room_suffices_for_are_left_out() {
     });
 }
 
-/// The Gaussians are rendered in the command buffer that trains them.
+/// A host renders the Gaussians in the command buffer that trains them.
 #[test]
 fn a_host_renders_what_it_trains() {
     with_host(&options(), |host| {
@@ -396,7 +397,7 @@ fn bad_steps_are_refused_before_anything_is_recorded() {
         in_flight.wait(host).expect("done");
         assert_eq!(done(&mut training, 0).iteration, 3);
 
-        // Behind the last step nobody is sent to maintenance first.
+        // After the last step, no maintenance is required first.
         let mut ending = trainer(&context, TrainSettings { iterations: 2, ..quick });
         ending.reserve_steps(&StepReservation::default()).expect("memory");
         assert_eq!([0; 2].map(|_| step(host, &mut ending, &context, &in_flight).iteration), [1, 2]);
@@ -409,7 +410,7 @@ fn bad_steps_are_refused_before_anything_is_recorded() {
     });
 }
 
-/// A trainer has to submit by itself now and then.
+/// A trainer must submit by itself from time to time.
 #[test]
 fn a_trainer_needs_a_queue() {
     with_host(&options(), |host| {
@@ -422,7 +423,7 @@ fn a_trainer_needs_a_queue() {
     });
 }
 
-/// Photographs that are read while training runs cannot be recorded ahead.
+/// Steps cannot be recorded if photographs are read from a file during training.
 #[test]
 fn photographs_in_a_file_are_refused() {
     with_host(&options(), |host| {

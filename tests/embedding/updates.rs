@@ -6,7 +6,7 @@ use ashsplat::scene::Gaussians;
 use ashsplat::vk::{Context, ContextOptions, LimitsOverride};
 use ashsplat::{DeviceScene, Placed, RecordedFrame, RenderSettings, Renderer, Reservation, Update};
 
-/// Puts Gaussians in the place of others.
+/// Replaces a range of Gaussians.
 fn replace(all: &mut Gaussians, first: usize, new: &Gaussians) {
     let end = first + new.len();
     all.means[first..end].copy_from_slice(&new.means);
@@ -37,7 +37,7 @@ fn updates_replace_a_part_of_a_scene() {
         assert_same(&rendered(host, &mut renderer, &before), &after, [0.0; 3]);
         assert_eq!(scene.download().expect("Gaussians"), expected);
 
-        // A scene that was empty.
+        // An empty scene.
         let mut empty = DeviceScene::empty(&context, 500, 1).expect("a scene");
         let update = [Update { scene: &empty, first: 0, gaussians: &start }];
         let frame = RecordedFrame { updates: &update, ..before };
@@ -59,7 +59,7 @@ fn cloud_of_degree(sh_degree: u32, count: usize, seed: u32) -> Gaussians {
     Gaussians { sh_degree, sh, ..own }
 }
 
-/// Whatever part of rows and chunks it begins and ends in, an update replaces its Gaussians and no others.
+/// An update replaces exactly its Gaussians, wherever in rows and chunks it begins and ends.
 #[test]
 fn updates_replace_any_range() {
     const RANGES: [(usize, usize); 12] = [
@@ -112,7 +112,7 @@ fn updates_replace_any_range() {
     });
 }
 
-/// Of updates that replace the same Gaussians, the later one counts.
+/// The later of two overlapping updates wins.
 #[test]
 fn overlapping_updates_are_made_in_their_order() {
     with_host(&options(), |host| {

@@ -1,4 +1,5 @@
-//! Several views in one recording: layers of an array, rectangles of one image, with a sort of their own and with one for all.
+//! Several views in one recording: layers of an array or rectangles of one image, each with its own sort or with a
+//! shared one.
 
 mod at_random;
 mod commands;
@@ -22,13 +23,13 @@ use glam::{Mat3, Vec3};
 const SIZE: [u32; 2] = [72, 56];
 pub const BLACK: Background = Background::Color([0.0; 3]);
 
-/// Colours of a view, as they were trained.
+/// Target for a view's colours as trained.
 pub fn into(image: &Image, behind: Background, offset: [u32; 2]) -> Target<'_> {
     let to = HostImage { image, from: ImageState::UNDEFINED, offset };
     Target::Image { to, behind, encoding: ColorEncoding::AsTrained }
 }
 
-/// A cloud, with Gaussians that only one eye shows, and with some that none can.
+/// A cloud with Gaussians that only one eye sees, and some that no view can show.
 fn hard_cloud() -> Gaussians {
     let mut hard = cloud(900, 4);
     for (i, x) in [f32::NAN, f32::INFINITY, 1e30, -1e38, 3.0e8].into_iter().enumerate() {
@@ -53,19 +54,19 @@ pub fn render_views(host: &Host, renderer: &mut Renderer, views: &[RecordedFrame
     releases
 }
 
-/// Two eyes, one beside them whose depths differ in the last bit, and a picture in a picture from elsewhere.
+/// Two eyes, one beside them whose depths differ in the last bit, and a picture-in-picture from elsewhere.
 #[test]
 fn layers_have_the_bits_of_frames_alone() {
     with_host(&options(), |host| {
         let context = guest(host);
         let gaussians = hard_cloud();
         let scene = DeviceScene::upload(&context, &gaussians, 0).expect("a scene");
-        // Each shows Gaussians that the other does not.
+        // Each eye sees Gaussians that the other does not.
         let left = camera(0.3, SIZE[0], SIZE[1]).moved_aside([-1.0, 0.0]);
         let right = left.moved_aside([2.0, 0.1]);
         let mut nearly = right.moved_aside([0.4, 0.0]);
         nearly.translation.z = f32::from_bits(nearly.translation.z.to_bits() + 1);
-        // A wider eye that is turned about the axis of view, of another size.
+        // A wider eye, rolled about the view axis, of another size.
         let roll = Mat3::from_cols(Vec3::NEG_Y, Vec3::X, Vec3::Z);
         let turned = Camera {
             camera_from_world: roll * left.camera_from_world,
@@ -108,7 +109,7 @@ fn layers_have_the_bits_of_frames_alone() {
             assert_eq!(Some(report.instances_needed), most(|stats| stats.instances));
             assert_eq!(Some(report.longest_tile), most(|stats| stats.longest_tile));
             let visible = most(|stats| stats.visible).unwrap_or(0);
-            // The eyes' together, or the most of one.
+            // The eyes' sum, or the largest of them.
             assert!(if shared_sort { report.visible >= visible } else { report.visible == visible });
         }
         drop((renderer, layers));
@@ -116,13 +117,13 @@ fn layers_have_the_bits_of_frames_alone() {
     });
 }
 
-/// The use of an image that kernels have written.
+/// State of an image that kernels have written.
 fn written() -> ImageState {
     let read = vk::AccessFlags2::SHADER_STORAGE_READ;
     ImageState { accesses: WRITTEN.accesses | read, ..WRITTEN }
 }
 
-/// A picture in a picture, over it: views are drawn in their order.
+/// A picture-in-picture over another view: views are drawn in order.
 #[test]
 fn views_may_overlap() {
     with_host(&options(), |host| {
@@ -245,7 +246,7 @@ fn bad_views_are_refused_by_name() {
         }
         let error = renderer.grow(&Reservation { views: 3, ..wanted }).expect_err("more views");
         assert!(error.to_string().contains("views is 3, 2 are reserved"), "{error}");
-        // Of an error of a frame alone, there is no view to name.
+        // The error of a single frame names no view.
         let alone = RecordedFrame { camera: &broken, ..good };
         let error = renderer.record(adopt(&context, &in_flight), 0, &alone).expect_err("no camera");
         assert!(!error.to_string().contains("views"), "{error}");

@@ -1,4 +1,4 @@
-//! Recorded training steps of a run that begins with small pictures.
+//! Recorded training steps of a run that starts with small pictures.
 
 use crate::host::InFlight;
 use crate::stage::{adopt, camera, cloud, guest, options, with_host};
@@ -24,7 +24,7 @@ fn trainer(context: &Context) -> Trainer {
     Trainer::new(context, (0..3).map(view).collect(), &cloud(300, 5), 4.0, settings).expect("a trainer")
 }
 
-/// Reservation makes everything that pictures of each size need, whatever size comes first.
+/// The reservation prepares pictures of every size, whichever comes first.
 #[test]
 fn recorded_steps_of_a_warm_up_have_the_owned_paths_bits() {
     with_host(&options(), |host| {

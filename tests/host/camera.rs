@@ -24,11 +24,11 @@ fn look_at_sees_its_target_upright() {
     assert!((x - 31.0).abs() < 1e-3 && (y - 25.0).abs() < 1e-3);
     assert!((depth - camera.position().distance(target)).abs() < 1e-5);
     assert!(camera.position().abs_diff_eq(Vec3::new(3.0, -2.0, 1.0), 1e-5));
-    // Up in the world is up in the picture, that is, smaller y; right-handed, so nothing is mirrored.
+    // Up in the world is up in the picture (smaller y). The frame is right-handed, so nothing is mirrored.
     assert!(camera.project(target + 0.1 * Vec3::NEG_Y).1 < y);
     let to_the_right = camera.forward().cross(Vec3::NEG_Y);
     assert!(camera.project(target + 0.1 * to_the_right).0 > x);
-    // Straight along up.
+    // Straight along the up axis.
     Camera::look_at(Vec3::ZERO, Vec3::Y, Vec3::NEG_Y, intrinsics()).check().unwrap();
     Camera::look_at(Vec3::ONE, Vec3::ONE, Vec3::Y, intrinsics()).check().unwrap();
 }
@@ -59,7 +59,7 @@ fn scaling_keeps_the_picture() {
 #[test]
 fn another_aspect_keeps_the_shape_of_pixels() {
     let camera = Camera { fy: 70.0, ..oblique() };
-    // All of the picture, in the middle: wider, higher, and as it is but for rounding.
+    // The whole picture in the middle: wider, higher, and unchanged but for rounding.
     for (width, height) in [(128, 48), (64, 96), (33, 25), (21, 16)] {
         let fitted = camera.fitted_to(width, height);
         let scale = (width as f32 / 64.0).min(height as f32 / 48.0);
@@ -110,7 +110,7 @@ fn extent() {
     assert!((scene_extent(positions.into_iter()) - 1.1).abs() < 1e-6);
 }
 
-/// A camera that stands far away alone decides nothing. A far block, a corridor and a wall of cameras do.
+/// A single camera far away does not decide the extent. A far block, a corridor and a wall of cameras do.
 #[test]
 fn strays_decide_nothing() {
     let camera = |eye: Vec3| Camera::look_at(eye, Vec3::ZERO, Vec3::NEG_Y, intrinsics());
@@ -144,7 +144,7 @@ fn strays_decide_nothing() {
         let largest = eyes.iter().map(|eye| eye.as_dvec3().distance(mean)).fold(0.0, f64::max);
         assert_eq!(scene_extent(eyes.iter().copied()), (1.1 * largest) as f32);
     }
-    // One that looks away does not hide from all others where the scene is.
+    // One camera that looks away does not hide the others' target.
     let mut cameras = cameras(&ring);
     cameras[3] = Camera::look_at(ring[3], 2.0 * ring[3], Vec3::NEG_Y, intrinsics());
     assert!(seen_box(&cameras).is_some());
@@ -192,7 +192,7 @@ fn cameras_json_has_the_names_of_the_reference_and_reads_back() {
     let entry = &json[1];
     assert_eq!((entry["id"].as_u64(), entry["img_name"].as_str()), (Some(1), Some("b.png")));
     assert_eq!((entry["width"].as_u64(), entry["height"].as_u64()), (Some(64), Some(48)));
-    // Rows of the rotation from camera to world: the third column is the viewing direction.
+    // Rows of the rotation from camera to world; the third column is the viewing direction.
     for axis in 0..3 {
         assert!((entry["rotation"][axis][2].as_f64().unwrap() as f32 - camera.forward()[axis]).abs() < 1e-6);
         assert!((entry["position"][axis].as_f64().unwrap() as f32 - camera.position()[axis]).abs() < 1e-6);
@@ -203,7 +203,7 @@ fn cameras_json_has_the_names_of_the_reference_and_reads_back() {
     assert_eq!(read[1].camera.intrinsics(), camera.intrinsics());
     assert!(read[1].camera.camera_from_world.abs_diff_eq(camera.camera_from_world, 1e-6));
 
-    // The reference's own files have no principal point.
+    // The reference's files have no principal point.
     json[0].as_object_mut().unwrap().retain(|key, _| key != "cx" && key != "cy");
     json[1]["fx"] = 0.into();
     let list = serde_json::Value::Array(vec![json[0].clone()]);
@@ -221,7 +221,7 @@ fn cameras_json_has_the_names_of_the_reference_and_reads_back() {
     );
 }
 
-/// Positions are those of the PLY beside: in source units from the origin, which is named.
+/// Positions are those of the PLY beside the file: in source units from the named origin.
 #[test]
 fn cameras_json_keeps_the_origin() {
     let folder = tempfile::tempdir().unwrap();
@@ -240,7 +240,7 @@ fn cameras_json_keeps_the_origin() {
     let [pinhole, orthographic] = read(&frame)[..] else { panic!("two cameras") };
     assert!(pinhole.translation.abs_diff_eq(oblique().translation, 1e-6));
     assert!((orthographic.fx / parallel.fx - 1.0).abs() < 1e-6);
-    // In another frame the camera is at the same place of the source.
+    // In another frame the camera has the same source position.
     let other = WorldFrame { origin: origin + DVec3::X, unit: 0.1 };
     let [pinhole, orthographic] = read(&other)[..] else { panic!("two cameras") };
     let expected = other.world(frame.source(oblique().position()));

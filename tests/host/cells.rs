@@ -1,15 +1,15 @@
-//! Cells of a scene that is trained in blocks: every place is in exactly one.
+//! Cells of a scene that is trained in blocks: every position lies in exactly one.
 
 use ashsplat::scene::{Bounds, Cells};
 use glam::Vec3;
 use proptest::prelude::*;
 
-/// The cells that a place is in, by their boxes alone.
+/// Cells whose boxes contain a position.
 fn holders(cells: &Cells, place: Vec3) -> Vec<usize> {
     (0..cells.bounds().len()).filter(|&cell| cells.bounds()[cell].contains(place)).collect()
 }
 
-/// Places at which a border may be wrong: on it, and next to it.
+/// Positions on borders and next to them.
 fn around_borders(cells: &Cells) -> Vec<Vec3> {
     let sides = |axis: usize| {
         let all = cells.bounds().iter().flat_map(move |b| [b.min[axis], b.max[axis]]);
@@ -27,7 +27,7 @@ fn around_borders(cells: &Cells) -> Vec<Vec3> {
 
 proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(24) })]
-    /// On a coarse grid many points share coordinates, which borders then run through.
+    /// On a coarse grid many points share coordinates, so borders run through points.
     #[test]
     fn every_place_is_in_exactly_one_cell(
         grid in prop::collection::vec([-4..4i32, -3..3, -2..2], 1..90),
@@ -46,14 +46,14 @@ proptest! {
         for place in own.chain(around_borders(&cells)) {
             prop_assert_eq!(holders(&cells, place), [cells.at(place).unwrap()], "{}", place);
         }
-        // The order of the points does not matter, and the boxes tell it all.
+        // The order of the points does not matter, and the boxes determine the cells.
         let reversed: Vec<[f32; 3]> = points.iter().rev().copied().collect();
         prop_assert_eq!(&Cells::divide(&reversed, most).unwrap(), &cells);
         let again = Cells::of(cells.bounds()).unwrap();
         for place in around_borders(&cells) {
             prop_assert_eq!(again.at(place), cells.at(place));
         }
-        // Whole, they are as many as the planes of the tree and one.
+        // A tree with n planes has n + 1 cells.
         prop_assert!(cells.bounds().len() < 2 || cells.seams().len() + 1 >= cells.bounds().len());
     }
 }
@@ -99,7 +99,7 @@ fn boxes_that_do_not_divide_space_are_refused() {
 
 #[test]
 fn seams_lie_between_neighbours() {
-    // Four in a square: four seams, for what meets in an edge has none.
+    // Four cells in a square have four seams: cells that share only an edge have none.
     let square = [[0.0; 3], [4.0, 0.0, 0.0], [4.0, 3.0, 0.0], [0.0, 3.0, 0.0]];
     let cells = Cells::divide(&square, 1).unwrap();
     let seams = cells.seams();
@@ -111,6 +111,6 @@ fn seams_lie_between_neighbours() {
     }
     let x = seams.iter().find(|seam| seam.axis == 0 && seam.bounds.max.y < 9.0).unwrap();
     assert_eq!((x.bounds.min.x, x.distance(Vec3::new(6.0, 0.0, 9.0))), (4.0, 2.0));
-    // Beside its end.
+    // Beside the seam's end.
     assert_eq!(x.distance(Vec3::new(4.0, 3.0 + 1.5, 9.0)), 1.5);
 }

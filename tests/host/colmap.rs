@@ -1,4 +1,4 @@
-//! COLMAP models: round trips, text against binary, the choice among several, damage.
+//! COLMAP models: round trips, text against binary, choice among several models, damage.
 
 use std::path::Path;
 use std::time::{Duration, SystemTime};
@@ -15,7 +15,7 @@ struct Parts {
     points: PointCloud,
 }
 
-/// Two cameras, three images in no order, four points.
+/// Two cameras, three unordered images, four points.
 fn parts() -> Parts {
     let intrinsics = Intrinsics { fx: 60.5, fy: 61.0, cx: 31.0, cy: 25.0, width: 64, height: 48 };
     let camera = |x: f32| Camera::look_at(Vec3::new(x, -2.0, 1.0), Vec3::ZERO, Vec3::NEG_Y, intrinsics);
@@ -44,7 +44,7 @@ fn write(dataset: &Path, place: &str, parts: &Parts) {
     colmap::write(dataset.join(place), &parts.cameras, &parts.images, &parts.points).unwrap();
 }
 
-/// The same model as text, with comments, blank lines and observations where the format has them.
+/// The same model as text, with comments, blank lines and observations.
 fn write_text(folder: &Path, parts: &Parts) {
     let join = |values: &[f64]| values.iter().map(f64::to_string).collect::<Vec<_>>().join(" ");
     let mut cameras = "# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n\n".to_owned();
@@ -92,7 +92,7 @@ fn binary_round_trip_and_text_are_equal() {
     let text = Model::of_dataset(folder.path().join("text")).unwrap();
     assert_same(&text, &parts);
     assert!(text.warnings.is_empty() && text.source.text);
-    // The pose survives its way through a quaternion.
+    // The pose survives the conversion to a quaternion.
     let camera = binary.camera_of(&binary.images[0]).unwrap();
     assert!(camera.position().abs_diff_eq(Vec3::new(1.0, -2.0, 1.0), 1e-5));
     assert_eq!(camera.intrinsics().fy, 61.0);
@@ -128,7 +128,7 @@ fn binary_is_preferred_to_text_and_folders_without_model_are_passed_over() {
     let model = Model::of_dataset(folder.path()).unwrap();
     assert_same(&model, &all);
     assert!(model.warnings.is_empty());
-    // Edited after the conversion.
+    // The text was edited after the conversion.
     let images =
         std::fs::File::options().append(true).open(folder.path().join("sparse/1/images.txt")).unwrap();
     images.set_modified(SystemTime::now() + Duration::from_secs(9)).unwrap();
@@ -153,7 +153,7 @@ fn the_largest_of_several_is_taken() {
     };
     chosen("10");
     write_text(&folder.path().join("sparse/3"), &all);
-    // Equally large: the lowest.
+    // Among equally large models, the lowest number.
     chosen("3");
     std::fs::remove_dir_all(folder.path().join("sparse/3")).unwrap();
     std::fs::remove_dir_all(folder.path().join("sparse/10")).unwrap();
@@ -253,7 +253,7 @@ fn text_errors_name_the_line() {
     }
 }
 
-/// Other programs leave out the lines of observations, or put blank lines between all, whatever the names are.
+/// Other programs omit the lines of observations, or insert blank lines, whatever the names are.
 #[test]
 fn images_are_told_from_observations_by_their_words() {
     let folder = tempfile::tempdir().unwrap();
@@ -296,7 +296,7 @@ fn text_may_have_a_byte_order_mark_or_be_latin_1() {
     assert!(error(folder.path()).contains("images.txt: ends its lines with CR alone"));
 }
 
-/// The reference reads points3D.ply.
+/// Points may be in points3D.ply, as the reference reads it.
 #[test]
 fn points_may_be_a_ply() {
     let folder = tempfile::tempdir().unwrap();
@@ -371,7 +371,7 @@ fn observations_are_those_of_the_points_that_exist() {
         assert_eq!(all.len(), 3, "{name}");
         let [point] = all[&12][..] else { panic!("{name}: {:?}", all[&12]) };
         assert_eq!(point.position_px, [3.0, 4.0], "{name}");
-        // The point at the origin.
+        // Depth of the point at the origin.
         let z = parts.images[0].translation[2];
         assert!((point.inverse_z * z - 1.0).abs() < 1e-9, "{name}: {}", point.inverse_z);
         assert!(all[&3].is_empty() && all[&5].is_empty(), "{name}");

@@ -1,4 +1,4 @@
-//! Data sets: loading, splitting, what is wrong with them.
+//! Data sets: loading, splitting, reported problems.
 
 use std::path::Path;
 use std::sync::Mutex;
@@ -12,7 +12,7 @@ use ashsplat_files::{
 use glam::{DVec3, Vec3};
 use serde_json::{Map, Value, json};
 
-/// Pictures of 20×12 from a circle of radius 3 around the origin; every picture has its own grey.
+/// Pictures of 20×12 from a circle of radius 3 around the origin; every picture has a different grey.
 fn write(folder: &Path, count: u32, points: usize) -> Vec<Camera> {
     let intrinsics = Intrinsics { fx: 21.0, fy: 22.0, cx: 10.5, cy: 6.0, width: 20, height: 12 };
     let camera = |i: u32| {
@@ -27,7 +27,7 @@ fn write(folder: &Path, count: u32, points: usize) -> Vec<Camera> {
 fn write_with(folder: &Path, cameras: &[Camera], points: usize) {
     let count = cameras.len() as u32;
     let name = |i: u32| format!("{i:03}.png");
-    // Registered in the opposite order of the names.
+    // Images registered in reverse order of their names.
     let images: Vec<_> =
         (0..count).rev().map(|i| ColmapImage::posed(100 - i, 1, name(i), &cameras[i as usize])).collect();
     let points = PointCloud { positions: vec![[0.5, 0.0, -0.5]; points], colors: vec![[10, 20, 30]; points] };
@@ -78,7 +78,7 @@ fn every_eighth_view_is_held_out() {
     assert!(dataset.views().is_sorted_by_key(|view| &view.name));
     let every_second = load(folder.path(), &DatasetOptions { test_every: 2, ..options });
     assert_eq!(every_second.test.len(), 9);
-    // The held-out views come first in cameras.json, at the size of their files.
+    // The held-out views come first in cameras.json, with the size of their files.
     let path = folder.path().join("cameras.json");
     dataset.write_cameras_json(&path).unwrap();
     let listed = cameras_json::read(&path, &WorldFrame::default()).unwrap();
@@ -113,7 +113,7 @@ fn another_images_folder_and_background() {
     let message =
         Dataset::load(folder.path(), &DatasetOptions::default(), Progress::NONE).unwrap_err().to_string();
     assert!(message.contains("images: there is no folder with photos"), "{message}");
-    // Beside a COLMAP model, alpha is a mask, and that is said.
+    // Beside a COLMAP model, alpha is a mask, and a note says so.
     let said = |notes: &[String]| notes.iter().any(|note| note.contains("alpha channel of 1 photos"));
     options.keep_opacity = true;
     let dataset = load(folder.path(), &options);
@@ -149,7 +149,7 @@ fn photos_in_a_folder_of_a_fraction_are_of_that_size() {
     assert_eq!(Dataset::inspect(folder.path(), &options, Progress::NONE).problems, [message]);
 }
 
-/// Photos that were scaled after COLMAP have their cameras scaled, with one line; others are refused.
+/// Photos that were scaled after COLMAP have their cameras scaled, with one note. Others are refused.
 #[test]
 fn cameras_are_scaled_to_their_photos() {
     let folder = tempfile::tempdir().unwrap();
@@ -187,7 +187,7 @@ fn cameras_are_scaled_to_their_photos() {
     }
 }
 
-/// A camera of another size or in other units is named, with its value.
+/// A warning names a camera of another size or in other units, with the value.
 #[test]
 fn doubtful_cameras_are_named() {
     let folder = tempfile::tempdir().unwrap();
@@ -215,7 +215,7 @@ fn doubtful_cameras_are_named() {
     }
 }
 
-/// Three of nine are no strays; a line names the farthest.
+/// Three of nine cameras are no strays; a warning names the farthest.
 #[test]
 fn far_cameras_that_decide_the_extent_are_told() {
     let folder = tempfile::tempdir().unwrap();
@@ -264,12 +264,12 @@ fn without_points_it_starts_from_random_ones_around_the_cameras() {
     let points = dataset.initial_points(5);
     assert_eq!(points.len(), 100_000);
     assert!(points == dataset.initial_points(5), "the seed gives the points");
-    // Where the cameras look: around the origin, a little less than what they see of it.
+    // Random points lie where the cameras look: around the origin, within their pictures.
     let bounds = points.bounds().unwrap();
     assert!(bounds.center().length() < 0.01);
     let half_edge = 0.9 * 3.0 * (0.5 * 20.0 / 21.0f32).min(0.5 * 12.0 / 22.0);
     assert!((0.5 * bounds.size().max_element() - half_edge).abs() < 0.01, "{bounds:?}");
-    // Cameras that look outwards have the cube around them.
+    // For cameras that look outwards, the cube is around them.
     let mut outward = dataset.clone();
     for view in &mut outward.train {
         let position = view.camera.position();
@@ -286,7 +286,7 @@ fn without_points_it_starts_from_random_ones_around_the_cameras() {
     assert!(gaussians.means == points.positions, "one Gaussian at each point");
 }
 
-/// Axes that meet nowhere tell no depth: the points are where the cameras look all the same.
+/// Axes that never meet define no depth, but the points still lie in the cameras' views.
 #[test]
 fn without_points_parallel_cameras_see_the_random_ones() {
     let folder = tempfile::tempdir().unwrap();
@@ -334,7 +334,7 @@ fn photos_without_a_camera_are_counted() {
     assert!(dataset.warnings.join("\n").contains("only 3 of its 5 photos have a camera"));
 }
 
-/// Files and values that other programs give a meaning.
+/// Warnings name files and values that have a meaning in other programs.
 #[test]
 fn what_other_programs_leave_beside_a_model_is_named() {
     let folder = tempfile::tempdir().unwrap();
@@ -357,7 +357,7 @@ fn what_other_programs_leave_beside_a_model_is_named() {
     assert!(dataset.warnings.join("\n").contains("all its points are black"), "{:?}", dataset.warnings);
 }
 
-/// Poses of another convention, or points that were scaled or turned alone.
+/// Warnings about poses of another convention, or points that were scaled or turned alone.
 #[test]
 fn points_that_do_not_lie_where_photos_show_them_are_told() {
     let folder = tempfile::tempdir().unwrap();
@@ -447,7 +447,7 @@ fn inspect_lists_every_problem() {
         assert!(report.problems.iter().any(|p| p.contains(name) && p.contains(words)), "{report}");
     }
     assert!(report.to_string().lines().filter(|line| line.starts_with("problem ")).count() == 3);
-    // Loading gives one of them.
+    // Loading reports one of them.
     let message = Dataset::load(folder.path(), &options, Progress::NONE).unwrap_err().to_string();
     assert!(report.problems.contains(&message), "{message}");
 
@@ -455,21 +455,21 @@ fn inspect_lists_every_problem() {
     assert_eq!((report.model.is_none(), report.problems.len()), (true, 1));
 }
 
-/// Photos have the points that the model says they show, at their size, where they are in the picture and no mask hides them;
-/// held-out photos have none.
+/// Photos have the points that the model lists for them, at the photo's size, if inside the picture and not masked.
+/// Held-out photos have none.
 #[test]
 fn photos_have_the_points_that_they_show() {
     let folder = tempfile::tempdir().unwrap();
     let cameras = write(folder.path(), 9, 0);
     let sparse = folder.path().join("sparse/0");
-    // The third is behind some cameras, the fourth outside all pictures.
+    // The third point is behind some cameras, the fourth outside all pictures.
     let points = [[0.0, 0.0, 0.0], [0.25, 0.5, -0.25], [0.0, 0.0, 4.5], [0.0, 40.0, 0.0]];
     let (mut images, mut list) = (String::new(), String::new());
     for (i, camera) in cameras.iter().enumerate() {
         let image = ColmapImage::posed(i as u32 + 1, 1, format!("{i:03}.png"), camera);
         let numbers =
             image.quat.iter().chain(&image.translation).map(|x| format!("{x} ")).collect::<String>();
-        // One place without a point, one point twice, and the last photo without any.
+        // One observation without a point, one point twice, and the last photo without any.
         let seen = if i == 7 { "" } else { "1 1 0 2 2 -1 3 3 1 3 3 1 4 4 2 5 5 3" };
         images += &format!("{} {numbers}1 {}\n{seen}\n", image.id, image.name);
     }
@@ -482,7 +482,7 @@ fn photos_have_the_points_that_they_show() {
     }
     std::fs::remove_file(sparse.join("cameras.bin")).unwrap();
     std::fs::write(sparse.join("cameras.txt"), "1 PINHOLE 20 12 21 22 10.5 6\n").unwrap();
-    // Hides the last third of the second photo, and with it the second point.
+    // Masks the last third of the second photo, and with it the second point.
     let hidden = image::GrayImage::from_fn(20, 12, |_, y| image::Luma([u8::from(y < 8) * 255]));
     std::fs::create_dir_all(folder.path().join("masks")).unwrap();
     hidden.save(folder.path().join("masks/001.png")).unwrap();
@@ -491,7 +491,7 @@ fn photos_have_the_points_that_they_show() {
         DatasetOptions { eval: true, resolution: Resolution::Width(10), ..DatasetOptions::default() };
     let mut gallery = Gallery::open(folder.path(), &options, Progress::NONE).unwrap();
     assert!(gallery.train_photos().iter().all(|photo| photo.depth_points == 0));
-    // 7 to train on, of which one shows none.
+    // Seven training photos, one of them without points.
     assert_eq!(gallery.read_tracks().unwrap(), 6 * points.len());
     let counts: Vec<u32> = gallery.train_photos().iter().map(|photo| photo.depth_points).collect();
     assert_eq!(counts, [4, 4, 4, 4, 4, 4, 0]);
@@ -510,13 +510,13 @@ fn photos_have_the_points_that_they_show() {
             .map(|(x, y, z)| [x - 0.5, y - 0.5, 1.0 / z])
             .collect();
         let [near, ..] = expected[..] else { panic!("{} shows the first", view.name) };
-        // The origin is in the middle of each picture, three units away.
+        // The origin is in the middle of each picture, at a depth of 3.
         assert!((near[0] - 4.75).abs() < 1e-3 && (near[2] - 1.0 / 3.0).abs() < 1e-4, "{near:?}");
         let found: Vec<[f32; 3]> =
             found.iter().map(|point| [point.position_px[0], point.position_px[1], point.inverse_z]).collect();
         assert_eq!(found, expected, "{}", view.name);
     }
-    // Without observations there are none.
+    // Without observations, photos have no points.
     write(folder.path(), 9, 3);
     ["images", "points3D", "cameras"].iter().for_each(|name| {
         std::fs::remove_file(sparse.join(format!("{name}.txt"))).unwrap();
@@ -536,7 +536,7 @@ fn views_are_chosen_by_name() {
     assert!(refused.contains("images.bin: has no photo 009.png"), "{refused}");
     assert_eq!(gallery.cameras().len(), 9);
     gallery.keep(&names(&["008.png", "002.png", "003.png"])).unwrap();
-    // The ninth is held out, as it was among all.
+    // The ninth photo stays held out.
     assert_eq!(gallery.held_out(), [false, false, true]);
     let dataset = gallery.load(Progress::NONE).unwrap();
     let named = |views: &[View]| views.iter().map(|view| view.name.clone()).collect::<Vec<_>>();
@@ -545,7 +545,7 @@ fn views_are_chosen_by_name() {
     assert_eq!(dataset.train[1].photo.photo().unwrap().rgb[0], 3);
 }
 
-/// Writes a data set in text, moved by `offset` after it was scaled.
+/// Writes a data set in text, scaled and then moved by `offset`.
 fn write_moved(folder: &Path, scale: f64, offset: DVec3) {
     let intrinsics = Intrinsics { fx: 21.0, fy: 22.0, cx: 10.5, cy: 6.0, width: 20, height: 12 };
     let target = Vec3::new(0.3, -0.2, 0.1);
@@ -563,7 +563,7 @@ fn write_moved(folder: &Path, scale: f64, offset: DVec3) {
         let map = image::ImageBuffer::from_pixel(20, 12, image::Luma([30_000_u16]));
         map.save(folder.join(format!("depths/{i}.png"))).unwrap();
         fits.insert(i.to_string(), json!({ "scale": 0.5 / scale, "offset": 0.1 / scale }));
-        // Each photo shows all points.
+        // Each photo observes all points.
         images += &format!("{} {qw} {qx} {qy} {qz} {x} {y} {z} 1 {i}.png\n1 1 0 1 1 1 1 1 2\n", i + 1);
         let photo = Photo { width: 20, height: 12, rgb: vec![i as u8; 20 * 12 * 3] };
         photo.write_png(folder.join(format!("images/{i}.png"))).unwrap();
@@ -582,7 +582,7 @@ fn write_moved(folder: &Path, scale: f64, offset: DVec3) {
     }
 }
 
-/// Data sets in map coordinates or other units are trained as the same one at the origin.
+/// Data sets in map coordinates or other units load as the same one at the origin.
 #[test]
 fn far_and_tiny_and_huge_data_sets_have_the_world_of_one_at_the_origin() {
     let loaded = |scale: f64, offset: DVec3| {
@@ -615,13 +615,13 @@ fn far_and_tiny_and_huge_data_sets_have_the_world_of_one_at_the_origin() {
         let line = format!("frame     origin {} {} {}, unit {scale}", offset.x, offset.y, offset.z);
         assert!(report.to_string().contains(&line), "{report}");
     }
-    // Both at once: doubles resolve a tiny scene there to a millionth of its size.
+    // Both at once: float64 resolves a tiny scene there to a millionth of its size.
     let (moved, _) = loaded(1e-2, utm);
     assert_eq!(moved.frame, WorldFrame { origin: utm, unit: 1e-2 });
     let distance = |(a, b): (&[f32; 3], &[f32; 3])| Vec3::from_array(*a).distance(Vec3::from_array(*b));
     let apart = moved.points.positions.iter().zip(&near.points.positions).map(distance);
     assert!(apart.fold(0.0, f32::max) < 1e-6);
-    // A scene's frame in place of the own one.
+    // The frame of an existing scene instead of the data set's own.
     let folder = tempfile::tempdir().unwrap();
     write_moved(folder.path(), 1.0, utm);
     let frame = WorldFrame { origin: utm - DVec3::X, unit: 1.0 };
@@ -629,7 +629,7 @@ fn far_and_tiny_and_huge_data_sets_have_the_world_of_one_at_the_origin() {
     let cameras = Dataset::cameras(folder.path(), &options).unwrap();
     let moved = cameras[3].camera.position() - near.train[3].camera.position();
     assert!(moved.abs_diff_eq(Vec3::X, 1e-5), "{moved}");
-    // That of a checkpoint which is older than frames.
+    // The frame of a checkpoint from before frames existed.
     let options = DatasetOptions { frame: Some(WorldFrame::default()), ..DatasetOptions::default() };
     let gallery = Gallery::open(folder.path(), &options, Progress::NONE).unwrap();
     assert!(gallery.warnings()[0].contains("single precision rounds"), "{:?}", gallery.warnings());

@@ -1,4 +1,4 @@
-//! Photos whose metadata say that they are to be turned, and masks of another size.
+//! Photos that their metadata turn, and masks of another size.
 
 use std::path::Path;
 
@@ -8,7 +8,7 @@ use ashsplat_files::{Dataset, DatasetOptions, Photo, PhotoOrientation, Progress}
 use glam::Vec3;
 use serde_json::{Value, json};
 
-/// A JPEG of black, but for its left quarter in white and its upper quarter in grey, with an orientation in its Exif data.
+/// A black JPEG with its left quarter white and its upper quarter grey, and an orientation in its Exif data.
 fn jpeg(path: &Path, width: u32, height: u32, orientation: u8) {
     let color = |x, y| {
         if x < width / 4 {
@@ -33,7 +33,7 @@ fn jpeg(path: &Path, width: u32, height: u32, orientation: u8) {
     std::fs::write(path, file).unwrap();
 }
 
-/// A `transforms.json` with a frame for each size, orientation and own values; the photos are `N.jpg`.
+/// Writes a `transforms.json` with a frame of each size, orientation and own values. The photos are `N.jpg`.
 fn write(folder: &Path, shared: Value, photos: &[([u32; 2], u8, Value)]) {
     let mut frames = Vec::new();
     for (index, ([width, height], orientation, own)) in photos.iter().enumerate() {
@@ -56,7 +56,7 @@ fn load(folder: &Path, orientation: PhotoOrientation) -> Dataset {
     Dataset::load(folder, &options, Progress::NONE).unwrap()
 }
 
-/// Where in a photo the white side is, and where the grey one: left, top, right or bottom.
+/// Sides of a photo that are white and grey: left, top, right or bottom.
 fn sides(photo: &Photo) -> [&'static str; 2] {
     let value = |x: u32, y: u32| photo.rgb[3 * (y * photo.width + x) as usize];
     let (x, y) = (photo.width / 2, photo.height / 2);
@@ -69,7 +69,7 @@ fn sides(photo: &Photo) -> [&'static str; 2] {
     [200..=255, 80..=180].map(|range| middles.iter().find(|(_, v)| range.contains(v)).unwrap().0)
 }
 
-/// What the orientations 1 to 8 make of left and top.
+/// Displayed sides of left and top under the orientations 1 to 8.
 const SHOWN: [[&str; 2]; 8] = [
     ["left", "top"],
     ["right", "top"],
@@ -115,7 +115,7 @@ fn where_no_size_tells_photos_stay_as_stored_and_it_is_said() {
             );
         }
     }
-    // Without any of them, nothing is said.
+    // Without any of them, there is no note.
     write(
         folder.path(),
         json!({ "camera_angle_x": 0.9 }),
@@ -125,7 +125,7 @@ fn where_no_size_tells_photos_stay_as_stored_and_it_is_said() {
     assert!(!plain.warnings.iter().any(|warning| warning.contains("Exif")), "{:?}", plain.warnings);
 }
 
-/// One photo on its side tells for all: those upside down and square ones are of the same kind.
+/// One photo on its side decides for all, also for those upside down and square ones.
 #[test]
 fn a_photo_on_its_side_tells_of_the_others() {
     let folder = tempfile::tempdir().unwrap();
@@ -144,7 +144,7 @@ fn a_photo_on_its_side_tells_of_the_others() {
             dataset.warnings
         );
     }
-    // The middle of the picture tells as well as its size.
+    // The principal point shows the orientation as well as the size does.
     write(
         folder.path(),
         json!({ "fl_x": 30, "cx": 12, "cy": 16 }),
@@ -153,7 +153,7 @@ fn a_photo_on_its_side_tells_of_the_others() {
     let dataset = load(folder.path(), PhotoOrientation::Auto);
     assert_eq!(all_sides(&dataset), [SHOWN[5], SHOWN[4]]);
     assert_eq!((dataset.train[0].camera.width, dataset.train[0].camera.height), (24, 32));
-    // Where they contradict each other, each keeps its camera's size, and the others stay.
+    // If photos contradict each other, those that need a turn to fit their cameras get it, and the others stay.
     let turned = json!({ "w": 24, "h": 32 });
     write(
         folder.path(),
@@ -163,7 +163,7 @@ fn a_photo_on_its_side_tells_of_the_others() {
     let dataset = load(folder.path(), PhotoOrientation::Auto);
     assert_eq!(all_sides(&dataset), [SHOWN[5], SHOWN[0], SHOWN[0]]);
     assert!(dataset.warnings.iter().any(|warning| warning.contains("1 photo is")), "{:?}", dataset.warnings);
-    // What cannot be turned so is refused.
+    // A photo that does not fit after the turn is refused.
     let options = DatasetOptions { orientation: PhotoOrientation::Upright, ..Default::default() };
     let message = Dataset::load(folder.path(), &options, Progress::NONE).unwrap_err().to_string();
     assert!(
@@ -172,7 +172,7 @@ fn a_photo_on_its_side_tells_of_the_others() {
     );
 }
 
-/// COLMAP takes photos as they are stored, which needs no word; where a model's sizes are those of the turned ones, all are.
+/// COLMAP uses photos as stored, without a note. If a model has the sizes of turned photos, all are turned.
 #[test]
 fn models_say_by_their_sizes_whether_photos_are_turned() {
     let folder = tempfile::tempdir().unwrap();
@@ -200,7 +200,7 @@ fn models_say_by_their_sizes_whether_photos_are_turned() {
     }
 }
 
-/// A mask of so many pixels whose left half is hidden, but for one column on the right.
+/// A mask of this size that hides the left half and the last column.
 fn mask(path: &Path, width: u32, height: u32) {
     std::fs::create_dir_all(path.parent().unwrap()).unwrap();
     let value = |x| if x < width / 2 || x + 1 == width { 0 } else { 255 };
@@ -227,9 +227,9 @@ fn masks_may_be_larger_than_their_photos() {
         assert!(dataset.train[1].photo.mask().unwrap().is_none());
         dataset.train[0].photo.mask().unwrap().unwrap()[..8].to_vec()
     };
-    // 4.25 pixels to one: one that covers anything hidden does not count.
+    // Scaled by 4.25: a pixel that covers any hidden one does not count.
     assert_eq!(row(), [0, 0, 0, 0, 255, 255, 255, 0]);
-    // The one of the same size goes before it.
+    // A mask of the photo's size has priority.
     mask(&place("masks_4/0.png"), 8, 6);
     assert_eq!(row(), [0, 0, 0, 0, 255, 255, 255, 0]);
     image::GrayImage::from_fn(8, 6, |x, _| image::Luma([if x == 1 { 0 } else { 255 }]))

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-/// Names in a folder, sorted.
+/// Sorted names in a folder.
 pub fn names(folder: &Path) -> Vec<String> {
     let entry = |entry: std::io::Result<std::fs::DirEntry>| entry.unwrap().file_name().into_string().unwrap();
     let mut names: Vec<String> = std::fs::read_dir(folder).unwrap().map(entry).collect();
@@ -10,7 +10,7 @@ pub fn names(folder: &Path) -> Vec<String> {
     names
 }
 
-/// Calls `check` with `bytes` cut at each of their [`places`] (length, written to `path`).
+/// Cuts `bytes` at each of their [`places`], writes the file and calls `check` with the length.
 pub fn for_each_truncation(path: &Path, bytes: &[u8], mut check: impl FnMut(usize)) {
     for length in places(bytes) {
         replace(path, &bytes[..length]);
@@ -18,7 +18,7 @@ pub fn for_each_truncation(path: &Path, bytes: &[u8], mut check: impl FnMut(usiz
     }
 }
 
-/// Calls `check` with the byte at each of their [`places`] replaced in turn by several others (place, written to `path`).
+/// Replaces the byte at each of the [`places`] by several others, writes the file and calls `check` with the place.
 pub fn for_each_mutation(path: &Path, bytes: &[u8], mut check: impl FnMut(usize)) {
     let mut mutated = bytes.to_vec();
     for place in places(bytes) {
@@ -31,13 +31,13 @@ pub fn for_each_mutation(path: &Path, bytes: &[u8], mut check: impl FnMut(usize)
     }
 }
 
-/// Where to cut or to change a file: everywhere at its beginning and its end, every third byte between, where elements are alike.
+/// Places to cut or change a file: all near its beginning and end, every third byte between.
 fn places(bytes: &[u8]) -> impl Iterator<Item = usize> + use<> {
     let (begin, end) = (512, bytes.len().saturating_sub(64));
     (0..bytes.len()).filter(move |place| *place < begin || *place >= end || place % 3 == 0)
 }
 
-/// Writes a new file: file systems that flush an overwritten one to the disk would make the loops slow.
+/// Writes a new file, because file systems may flush overwritten files to the disk, which is slow.
 fn replace(path: &Path, bytes: &[u8]) {
     let _ = std::fs::remove_file(path);
     std::fs::write(path, bytes).unwrap();

@@ -91,7 +91,7 @@ fn palettes_are_read() {
     assert_eq!(Photo::read(&path, [1.0; 3]).unwrap().rgb, [255, 0, 0, 204, 204, 255]);
 }
 
-/// Fuzzing found that the decoder takes its entries on trust.
+/// Found by fuzzing: the decoder does not check the palette's size.
 #[test]
 fn damaged_palettes_are_refused() {
     let folder = tempfile::tempdir().unwrap();
@@ -100,7 +100,7 @@ fn damaged_palettes_are_refused() {
         for interlaced in [false, true] {
             std::fs::write(&path, with_palette(&vec![9; length], interlaced)).unwrap();
             let message = error(&path);
-            // The decoder itself finds those without a whole entry.
+            // The decoder itself refuses those without a whole entry.
             assert!(["palette", "PLTE"].iter().any(|word| message.contains(word)), "{length}: {message}");
         }
     }
@@ -154,7 +154,7 @@ fn sizes_that_the_file_cannot_hold_are_refused() {
         let mut claim = bytes.clone();
         claim[16..20].copy_from_slice(&side.to_be_bytes());
         claim[20..24].copy_from_slice(&side.to_be_bytes());
-        // Whether the checksum is looked at before the size does not matter here: both must be refused fast.
+        // Either the checksum or the size may fail first; both must be refused fast.
         let header = png_chunk(b"IHDR", &claim[16..29]);
         claim[8..33].copy_from_slice(&header);
         std::fs::write(&path, &claim).unwrap();
@@ -162,7 +162,7 @@ fn sizes_that_the_file_cannot_hold_are_refused() {
     }
 }
 
-/// Metadata of any length may stand before a JPEG's size.
+/// A JPEG's size may follow metadata of any length.
 #[test]
 fn sizes_behind_long_metadata_are_read() {
     let folder = tempfile::tempdir().unwrap();
@@ -249,7 +249,7 @@ fn scaling_keeps_flat_pictures_and_the_mean() {
     let noise = Photo { width: 64, height: 64, rgb: noise };
     let eighth = noise.clone().scaled_to(8, 8).unwrap();
     assert!((mean(&noise) - mean(&eighth)).abs() < 3.0);
-    // The whole area counts, not a few pixels of it: noise averages out.
+    // The whole area counts, so noise averages out.
     assert!(eighth.rgb.iter().all(|v| v.abs_diff(127) < 60), "{:?}", eighth.rgb);
     // The first pixel's centre moves from 0.5 to 0.25 of the new size: no shift.
     let ramp = Photo { width: 64, height: 1, rgb: (0..64u8).flat_map(|x| [x * 4; 3]).collect() };

@@ -6,7 +6,7 @@ use ashsplat_files::init::{mean_squared_neighbour_distances, random_points};
 use glam::Vec3;
 use proptest::prelude::*;
 
-/// By the definition: all distances, sorted.
+/// Mean squared distances by brute force: all distances, sorted.
 fn brute_force(positions: &[[f32; 3]]) -> Vec<f64> {
     let squared =
         |a: &[f32; 3], b: &[f32; 3]| (0..3).map(|i| (f64::from(a[i]) - f64::from(b[i])).powi(2)).sum::<f64>();
@@ -126,7 +126,7 @@ fn statistics() {
     let statistics = gaussians.statistics();
     let central = statistics.central_bounds.unwrap();
     assert!((central.size() - 0.9).abs().max_element() < 0.05, "{central:?}");
-    // A sixth of all lies far away.
+    // A sixth of all Gaussians lies far away.
     gaussians.means.iter_mut().step_by(6).for_each(|mean| mean[0] += 500.0);
     let central = gaussians.statistics().central_bounds.unwrap();
     assert!((central.size() - 0.9).abs().max_element() < 0.05, "{central:?}");

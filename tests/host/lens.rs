@@ -1,4 +1,4 @@
-//! Lens distortion: the models, their inverse, the pinhole in their place. COLMAP's own tool is among the programs.
+//! Lens distortion: the models, their inverse, the undistorted pinhole. COLMAP's own tool is among the programs.
 
 use ashsplat::scene::Intrinsics;
 use ashsplat::scene::lens::{Distortion, Lens};
@@ -17,8 +17,8 @@ fn lenses() -> Vec<Lens> {
     model.cameras.values().map(|camera| model.lens(camera).unwrap()).collect()
 }
 
-/// Whether the picture turns back on itself between its centre and a point: what lies there appears twice, and
-/// undoing gives the other one.
+/// True if the distortion folds between the centre and a point. The distorted point then has two sources, and
+/// undoing it gives the other one.
 fn folds_before(distortion: &Distortion, point: DVec2) -> bool {
     const STEPS: u32 = 64;
     let h = 1e-5;
@@ -72,7 +72,7 @@ fn known_values_of_the_models() {
     assert!(Distortion::Fisheye { k: [0.0; 4] }.undo(dvec2(1.7, 0.0)).is_none());
 }
 
-/// No pixel of the undistorted photo lies outside of the photo, and no larger one would do.
+/// No pixel of the undistorted photo lies outside the photo, and no larger pinhole would fit.
 #[test]
 fn the_pinhole_is_inscribed() {
     for lens in lenses() {
@@ -92,7 +92,7 @@ fn the_pinhole_is_inscribed() {
                 })
                 .count()
         };
-        // The principal point is rounded with the size, as COLMAP does: a border pixel may be half a pixel out.
+        // COLMAP rounds the principal point with the size: a border pixel may be half a pixel outside.
         assert!(outside(&pinhole) <= pinhole.height as usize, "{lens:?} {}", outside(&pinhole));
         let (cx, cy) = (pinhole.cx * 1.05, pinhole.cy * 1.05);
         let larger = Intrinsics {
@@ -106,7 +106,7 @@ fn the_pinhole_is_inscribed() {
     }
 }
 
-/// Nothing is wrong with a lens that distorts: it is a note, with the size that is used.
+/// Distortion is no problem: a note names it and the size used.
 #[test]
 fn what_happens_to_distorted_photos_is_no_warning() {
     let folder = tempfile::tempdir().unwrap();
@@ -114,7 +114,7 @@ fn what_happens_to_distorted_photos_is_no_warning() {
     for (resolution, end) in [("1", ""), ("2", " (-r 2)")] {
         let options = DatasetOptions { resolution: resolution.parse().unwrap(), ..Default::default() };
         let gallery = Gallery::open(folder.path(), &options, Progress::NONE).unwrap();
-        // Of cameras of several sizes.
+        // The largest photo, because the cameras have several sizes.
         let largest = gallery.train_photos().iter().map(|photo| photo.width * photo.height).max();
         let photos = gallery.train_photos();
         let size = photos.iter().find(|photo| Some(photo.width * photo.height) == largest).unwrap();
@@ -129,7 +129,7 @@ fn what_happens_to_distorted_photos_is_no_warning() {
     }
 }
 
-/// A photo of straight lines becomes what the pinhole camera sees of them.
+/// An undistorted photo of straight lines equals the pinhole camera's view.
 #[test]
 fn undistorted_photos_show_what_a_pinhole_sees() {
     // A board in the plane z = 1.

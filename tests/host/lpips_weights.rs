@@ -1,4 +1,4 @@
-//! Reading of the weights of LPIPS.
+//! Reads the weights of LPIPS.
 
 use std::path::{Path, PathBuf};
 
@@ -18,7 +18,7 @@ fn file(folder: &Path, tensors: &[Tensor]) -> PathBuf {
     path
 }
 
-/// The formula of the golden vectors, by its first numbers.
+/// The formula matches the golden vectors in its first numbers.
 #[test]
 fn lpips_weights_of_tests_are_those_of_the_vectors() {
     assert_eq!([hash(0, 0), hash(0, 1)], [-1.0, -0.183_301_93]);
@@ -34,7 +34,7 @@ fn lpips_weights_are_read_under_all_their_names() {
         for tensor in &mut tensors {
             tensor.name = tensor.name.replace("net.", prefix);
         }
-        // What the file has besides does not matter.
+        // Other tensors of the file do not matter.
         tensors.push(Tensor::new("scaling_layer.shift", &[1, 3, 1, 1], vec![0.5; 3]));
         let weights = read(&file(folder.path(), &tensors)).expect("weights");
         assert_eq!(weights.network, Network::AlexNet);
@@ -42,7 +42,7 @@ fn lpips_weights_are_read_under_all_their_names() {
     }
 }
 
-/// Each with what its message must say.
+/// Each bad file has an error with these words.
 #[test]
 fn lpips_weights_that_are_no_such_are_named() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -69,12 +69,12 @@ fn lpips_weights_that_are_no_such_are_named() {
         &|tensors| tensors.push(Tensor::new("features.3.bias", &[192], vec![0.0; 192])),
         &["'features.3.bias'", "'net.3.bias'"],
     );
-    // The heads of the other network.
+    // Heads of the other network.
     check(
         &of("lin1.model.1.weight", |t| *t = Tensor::new(&t.name, &[1, 128, 1, 1], vec![0.0; 128])),
         &["'lin1.model.1.weight'", "[1, 128, 1, 1]", "[1, 192, 1, 1]"],
     );
-    // Another network: that of SqueezeNet begins as VGG16 does, that of ResNet as neither.
+    // Other networks: SqueezeNet begins like VGG16, ResNet like neither.
     check(
         &of("net.0.weight", |t| *t = Tensor::new(&t.name, &[64, 3, 3, 3], vec![0.1; 1728])),
         &["'net.2.weight'", "not the weights of VGG16"],

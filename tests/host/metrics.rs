@@ -9,7 +9,7 @@ fn noise(pixels: usize, seed: u64) -> Vec<[f32; 3]> {
     (0..pixels).map(|_| [(); 3].map(|()| random.random_range(-0.1..1.1f32))).collect()
 }
 
-/// SSIM by its definition: for each pixel a loop over the whole two-dimensional window.
+/// SSIM by its definition: a loop over the whole window of each pixel.
 fn ssim_direct(a: &[[f32; 3]], b: &[[f32; 3]], width: i64) -> f64 {
     let height = a.len() as i64 / width;
     let gauss = |d: i64| (-(d * d) as f64 / 4.5).exp();
@@ -49,7 +49,7 @@ fn ssim_equals_the_direct_loop() {
         let (fast, direct) = (ssim(&a, &b, width as u32).unwrap(), ssim_direct(&a, &b, width as i64));
         assert!((fast - direct).abs() < 1e-12, "{width}x{height}: {fast}, directly {direct}");
         assert!((ssim(&a, &a, width as u32).unwrap() - 1.0).abs() < 1e-12);
-        // The comparison above must be able to fail.
+        // Proves that the comparison above can fail.
         assert!((ssim(&b, &b, width as u32).unwrap() - direct).abs() > 1e-3);
     }
 }
@@ -78,13 +78,13 @@ fn masks_in_metrics() {
     let all = vec![255; a.len()];
     assert_eq!(masked_psnr(&a, &b, &all).unwrap(), psnr(&a, &b).unwrap());
     assert_eq!(masked_ssim(&a, &b, &all, 31).unwrap(), ssim(&a, &b, 31).unwrap());
-    // The right third does not count: nothing there matters.
+    // Masked pixels in the right third do not matter.
     let mask: Vec<u8> = (0..a.len()).map(|i| if i % 31 < 20 { 255 } else { 0 }).collect();
     let changed: Vec<[f32; 3]> =
         a.iter().zip(&mask).map(|(&rgb, &counts)| if counts == 0 { [0.77; 3] } else { rgb }).collect();
     assert_eq!(masked_psnr(&a, &b, &mask).unwrap(), masked_psnr(&changed, &b, &mask).unwrap());
     assert_eq!(masked_ssim(&a, &b, &mask, 31).unwrap(), masked_ssim(&changed, &b, &mask, 31).unwrap());
-    // What counts, cut out: the zeros that stand for the rest are those of the border.
+    // Same as the cut-out picture: masked pixels count as the border's zeros.
     let cut = |picture: &[[f32; 3]]| -> Vec<[f32; 3]> {
         picture.iter().enumerate().filter(|(i, _)| i % 31 < 20).map(|(_, &rgb)| rgb).collect()
     };

@@ -1,4 +1,4 @@
-//! The parts that know no Vulkan: scene, files, metrics.
+//! Tests of code without Vulkan: scene, files, metrics.
 
 // In a test, an unwrap is an assertion.
 #![allow(clippy::unwrap_used)]

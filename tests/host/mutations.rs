@@ -1,4 +1,4 @@
-//! Valid files with random damage: the readers refuse or read, and never panic. A short form of the fuzzing in tests/fuzz.
+//! Valid files with random damage: readers refuse or read them, and never panic. A short form of tests/fuzz.
 
 use crate::common::scenes::Random;
 use ashsplat::scene::{PointCloud, WorldFrame};
@@ -8,7 +8,7 @@ use ashsplat_files::{CheckpointFile, ply};
 use std::path::Path;
 use tempfile::tempdir;
 
-/// Numbers at which readers go wrong.
+/// Numbers that break readers.
 const NUMBERS: [&str; 8] =
     ["0", "-1", "4294967295", "18446744073709551615", "1e30", "nan", "65536", "2147483648"];
 
@@ -40,7 +40,7 @@ fn points() -> PointCloud {
     PointCloud { positions: vec![[0.0, 1.0, 2.0]; 5], colors: vec![[1, 2, 3]; 5] }
 }
 
-/// Damages a file again and again.
+/// Damages a file `times` times and reads it.
 fn mutate(path: &Path, seed: u64, times: u32, read: impl Fn(&Path)) {
     let sound = std::fs::read(path).expect("a sound file");
     let mut random = Random::new(seed);

@@ -1,4 +1,4 @@
-//! Names as phones, other systems and other people's programs write them, and what is said of what is no data set.
+//! File names of phones, other systems and other programs, and errors for inputs that are no data set.
 
 use std::path::Path;
 
@@ -31,7 +31,7 @@ fn greys(dataset: &Dataset) -> Vec<u8> {
 #[test]
 fn frames_name_photos_as_other_systems_do() {
     let folder = tempfile::tempdir().unwrap();
-    // What the file says, what is there, and the view's name.
+    // Name in the file, name on disk, and name of the view.
     let cases = [
         ("images/a.png", "images/a.png", "images/a.png"),
         (".\\images\\b.png", "images/b.png", "images/b.png"),
@@ -57,7 +57,7 @@ fn frames_name_photos_as_other_systems_do() {
     assert_eq!(dataset.warnings.len(), 1, "{:?}", dataset.warnings);
 }
 
-/// Written on another machine: what lies here under the same names is taken, and nothing outside.
+/// Paths of another machine: files below the data set with these names are used, never files outside.
 #[test]
 fn paths_that_lead_out_mean_photos_below() {
     let folder = tempfile::tempdir().unwrap();
@@ -85,7 +85,7 @@ fn paths_that_lead_out_mean_photos_below() {
     assert!(message.contains("\"../secret.png\" leads out of the folder, and nothing in it"), "{message}");
 }
 
-/// A model with images of these names.
+/// Writes a model with images of these names.
 fn model(folder: &Path, names: &[&str]) {
     let intrinsics = Intrinsics { fx: 21.0, fy: 21.0, cx: 10.0, cy: 6.0, width: 20, height: 12 };
     let camera = |id: u32| {
@@ -99,7 +99,7 @@ fn model(folder: &Path, names: &[&str]) {
         .unwrap();
 }
 
-/// Names of a model with the folders of another machine, or of none here.
+/// Names of a model contain folders of another machine, or folders that are missing here.
 #[test]
 fn models_name_photos_that_lie_elsewhere() {
     for (names, there) in [
@@ -122,7 +122,7 @@ fn models_name_photos_that_lie_elsewhere() {
         assert_eq!(dataset.train.iter().filter(|view| view.photo.is_masked()).count(), 1, "{names:?}");
         let said = dataset.warnings.iter().filter(|w| w.contains("2 of 2 photos do not lie where it says"));
         assert_eq!(said.count(), 1, "{:?}", dataset.warnings);
-        // Names are shown and written.
+        // Views have clean names, which are shown and written.
         assert!(dataset.train.iter().all(|view| !view.name.contains("..") && !view.name.starts_with('/')));
     }
 }
@@ -147,14 +147,14 @@ fn a_name_that_may_mean_two_photos_is_an_error() {
     model(folder.path(), &["left/a.png", "below/a.png"]);
     std::fs::remove_dir_all(folder.path().join("images/right")).unwrap();
     assert!(refusal().contains("below/a.png: the photo of image 2 is missing"));
-    // One mask for two photos of different cameras.
+    // One mask would serve two photos of different cameras.
     model(folder.path(), &["left/a.png", "right/a.png"]);
     photo(&folder.path().join("images/right/a.png"), 1);
     photo(&folder.path().join("masks/a.png"), 1);
     assert!(refusal().contains("left/a.png and right/a.png would both have the mask "), "{}", refusal());
 }
 
-/// Photographs that were converted to PNG or JPEG, beside the originals or not.
+/// Photos converted to PNG or JPEG, with or without the originals.
 #[test]
 fn converted_photos_are_found() {
     let folder = tempfile::tempdir().unwrap();
@@ -176,7 +176,7 @@ fn half_mask(path: &Path) {
     image::GrayImage::from_fn(20, 12, |x, _| image::Luma([if x < 10 { 255 } else { 0 }])).save(path).unwrap();
 }
 
-/// Photos of which nothing counts, and folders of masks that are not used, are told: when training and by `info`.
+/// Warnings name photos that are entirely masked and unused folders of masks, in training and in `info`.
 #[test]
 fn masks_that_hide_everything_are_told() {
     let folder = tempfile::tempdir().unwrap();
@@ -208,7 +208,7 @@ fn masks_that_hide_everything_are_told() {
     assert!(lines[1].contains("sky_masks: its 1 pictures are not used"), "{lines:?}");
 }
 
-/// A photo with a mask file and an alpha channel: one line says which of them hides.
+/// A photo with a mask file and an alpha channel: a warning says which one hides.
 #[test]
 fn alpha_beside_a_mask_is_told() {
     let folder = tempfile::tempdir().unwrap();
@@ -241,7 +241,7 @@ fn alpha_beside_a_mask_is_told() {
     assert!(lines.len() == 1 && lines[0].contains("what is transparent shows the background"), "{lines:?}");
 }
 
-/// A PNG of linear light says so; its values are used as others.
+/// A PNG of linear light gives a warning; its values are used unchanged.
 #[test]
 fn png_gamma_is_told() {
     let folder = tempfile::tempdir().unwrap();
@@ -253,7 +253,7 @@ fn png_gamma_is_told() {
     let warnings = |gamma: Option<u32>, is_srgb: bool| {
         let gamma = gamma.map(|gamma| png_chunk(b"gAMA", &gamma.to_be_bytes())).unwrap_or_default();
         let srgb = if is_srgb { png_chunk(b"sRGB", &[0]) } else { Vec::new() };
-        // The chunks follow the first, which has the size.
+        // The chunks follow the header chunk.
         std::fs::write(&path, [&png[..33], &gamma, &srgb, &png[33..]].concat()).unwrap();
         let report = Dataset::inspect(folder.path(), &DatasetOptions::default(), Progress::NONE);
         let dataset = load(folder.path(), "images").unwrap();
@@ -270,7 +270,7 @@ fn png_gamma_is_told() {
     );
 }
 
-/// A photo with two poses is used twice, with a line.
+/// A photo with two poses is used twice, with a warning.
 #[test]
 fn photos_with_several_poses_are_told() {
     let folder = tempfile::tempdir().unwrap();
@@ -289,7 +289,7 @@ fn photos_with_several_poses_are_told() {
     assert_eq!(lines.len(), 1);
 }
 
-/// nerfstudio's depth maps are no inverse depths: they are named, unless others are given.
+/// nerfstudio's depth maps are no inverse depths: a warning names them, unless others are given.
 #[test]
 fn named_depth_maps_are_told() {
     let folder = tempfile::tempdir().unwrap();
@@ -311,7 +311,7 @@ fn named_depth_maps_are_told() {
     assert_eq!(depth_notes(Some("depths")), [""; 0]);
 }
 
-/// Masks under the names of other programs are read, counted, and not taken for photos; others are told.
+/// Masks with the names of other programs are read, counted, and not taken for photos. A warning names others.
 #[test]
 fn masks_of_other_programs_are_found() {
     let place = |folder: &Path, name: &str| folder.join(name);
@@ -350,7 +350,7 @@ fn masks_of_other_programs_are_found() {
     }
 }
 
-/// Programs write 1 where pixels count, too.
+/// Masks may use 1 for pixels that count.
 #[test]
 fn masks_of_ones_hide_nothing() {
     let folder = tempfile::tempdir().unwrap();
@@ -386,7 +386,7 @@ fn models_name_photos_in_another_case_or_folder_of_another_ending() {
     photo(&folder.path().join("other/IMG_1.png"), 7);
     photo(&folder.path().join("other/left/IMG_2.png"), 8);
     assert_eq!(greys(&load(folder.path(), "images").unwrap()), [5, 6]);
-    // Masks likewise.
+    // The same holds for masks.
     for name in ["masks/IMG_1.jpg.PNG", "masks/left/img_2.png"] {
         photo(&folder.path().join(name), 0);
         let masked = load(folder.path(), "images").unwrap().train;
@@ -421,7 +421,7 @@ fn what_is_no_data_set_says_what_to_do() {
     assert!(message.contains("outer/scene, which has one"), "{message}");
     let message = refusal(&place("outer/scene/transforms.json"));
     assert!(message.contains("give the folder in which it lies"), "{message}");
-    // A folder that is asked for must be one that is used.
+    // A requested folder must be one that is used.
     let message = load(&place("outer/scene"), "images_4").unwrap_err();
     assert!(message.contains("images_4 has no effect") && message.contains("train/a.png"), "{message}");
     assert_eq!(load(&place("outer/scene"), "images").unwrap().train.len(), 1);
@@ -448,7 +448,7 @@ fn pictures_of_other_kinds_are_named() {
     }
 }
 
-/// A folder may hold several data sets: one is used, and the others are named.
+/// A folder may hold several data sets: one is used, and a warning names the others.
 #[test]
 fn other_poses_beside_those_in_use_are_told() {
     let folder = tempfile::tempdir().unwrap();

@@ -1,4 +1,4 @@
-//! SPZ of version 2, alone and as the attributes of a GLB.
+//! SPZ of version 2, alone and inside a GLB.
 
 use std::io::{Read, Write};
 use std::path::Path;
@@ -20,7 +20,7 @@ fn write(path: &Path, gaussians: &Gaussians) {
     splats::write(path, gaussians, &options).unwrap();
 }
 
-/// Version 2 has 8 bits for each of x, y and z of a quaternion; w is what they leave, and the least exact near 0.
+/// Version 2 has 8 bits for each of x, y and z of a quaternion. w follows from them, and is least exact near 0.
 fn tolerance_of_2() -> Tolerance {
     Tolerance { rotation: 7e-3, ..tolerance(Format::Spz) }
 }
@@ -41,7 +41,7 @@ fn spz_2_comes_back() {
     }
 }
 
-/// What is not known of a sound file is named: flags that change which Gaussians there are, and extensions.
+/// Warnings name unknown parts of a valid file: flags that change the Gaussians, and extensions.
 #[test]
 fn unknown_parts_of_an_spz_are_named() {
     let folder = tempfile::tempdir().unwrap();
@@ -82,7 +82,7 @@ fn packed_glb_comes_back() {
     }
 }
 
-/// A GLB of an SPZ.
+/// Writes a GLB that contains an SPZ.
 fn glb(path: &Path, spz: &[u8], change: impl FnOnce(&mut Value)) {
     let mut document = json!({
         "asset": { "version": "2.0" },
@@ -110,7 +110,7 @@ fn glb(path: &Path, spz: &[u8], change: impl FnOnce(&mut Value)) {
     std::fs::write(path, bytes.concat()).unwrap();
 }
 
-/// With a kernel, the SPZ has its own axes, as the draft wants it; and nodes place it as any primitive.
+/// With a kernel, the SPZ has its own axes, as the draft requires. Nodes place it like any primitive.
 #[test]
 fn the_drafts_axes_are_spzs() {
     let folder = tempfile::tempdir().unwrap();

@@ -1,4 +1,4 @@
-//! Points that are found in photographs, against a wall whose place is known.
+//! Points found in photographs of a wall with a known position.
 
 use std::sync::atomic::AtomicBool;
 
@@ -9,12 +9,12 @@ use glam::{Vec3, vec3};
 
 const SIZE: [u32; 2] = [160, 120];
 
-/// The wall z = 4 + 0.3 x.
+/// Distance from the wall z = 4 + 0.3 x.
 fn off_the_wall(point: Vec3) -> f32 {
     (point.z - 4.0 - 0.3 * point.x).abs()
 }
 
-/// What is painted on the wall: waves of many lengths, which nowhere repeat.
+/// Texture of the wall: waves of many lengths, which never repeat.
 fn paint(x: f32, y: f32) -> [u8; 3] {
     let waves = [[3.1, 1.7], [-7.3, 5.9], [13.7, 11.1], [4.3, -17.9]];
     std::array::from_fn(|channel| {
@@ -24,7 +24,7 @@ fn paint(x: f32, y: f32) -> [u8; 3] {
     })
 }
 
-/// Seven views from an arc, of the wall as `paint` has it.
+/// Seven views of the painted wall, along an arc.
 fn views(paint: impl Fn(f32, f32) -> [u8; 3], mask: impl Fn(u32) -> Option<Vec<u8>>) -> Vec<View> {
     let [width, height] = SIZE;
     let intrinsics = Intrinsics { fx: 150.0, fy: 150.0, cx: 80.0, cy: 60.0, width, height };
@@ -64,7 +64,7 @@ fn photo_points_lie_on_the_wall_and_have_its_colours() {
     assert!(points.len() > 20_000, "{} of {} pixels", points.len(), 7 * 128 * 96);
     let mut off: Vec<f32> = points.positions.iter().map(|&p| off_the_wall(p.into())).collect();
     off.sort_unstable_by(f32::total_cmp);
-    // The depths that are tried are 0.16 apart here.
+    // The candidate depths are 0.16 apart here.
     let (half, most) = (off[off.len() / 2], off[off.len() * 95 / 100]);
     assert!(half < 0.05 && most < 0.12, "half of them {half}, 95 % {most} off the wall");
     let difference = |(p, color): (&[f32; 3], &[u8; 3])| {
@@ -87,7 +87,7 @@ fn photo_points_are_none_where_nothing_can_be_told() {
     assert_eq!(found(&vec![first; 5], 1000, 0).len(), 0, "from one place");
 }
 
-/// Whatever the number of threads: with room for one photograph they take turns.
+/// With memory for one photograph, threads take turns and give the same points.
 #[test]
 fn photo_points_keep_to_the_memory_given() {
     let views = views(paint, |_| None);
@@ -100,7 +100,7 @@ fn photo_points_keep_to_the_memory_given() {
 
 #[test]
 fn photo_points_are_chosen_by_the_seed_and_end_when_asked_to() {
-    // The left half of each photograph does not count.
+    // The left half of each photograph is masked.
     let half = |_| Some((0..SIZE[0] * SIZE[1]).map(|at| u8::from(at % SIZE[0] >= 80) * 255).collect());
     let views = views(paint, half);
     let points = found(&views, 500, 3);
@@ -108,7 +108,7 @@ fn photo_points_are_chosen_by_the_seed_and_end_when_asked_to() {
     assert!(points == found(&views, 500, 3) && points != found(&views, 500, 4));
     let seen_right = |&p: &[f32; 3]| views.iter().any(|view| view.camera.project(p.into()).0 > 79.0);
     assert!(points.positions.iter().all(seen_right));
-    // What lies under the masks, if anything, decides nothing.
+    // Masked pixels have no influence.
     let hidden_otherwise = |view: &View| {
         let mut photo = view.photo.photo().expect("in memory").as_ref().clone();
         let mask = view.photo.mask().expect("in memory").expect("a mask");

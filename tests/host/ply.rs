@@ -11,7 +11,7 @@ use super::files::{for_each_mutation, for_each_truncation, names};
 const KEEP: PlyOptions = PlyOptions { drop_invalid: false };
 const DROP: PlyOptions = PlyOptions { drop_invalid: true };
 
-/// Distinct values everywhere.
+/// Gaussians with distinct values everywhere.
 fn numbered(count: usize, sh_degree: u32) -> Gaussians {
     let k = ((sh_degree + 1) * (sh_degree + 1)) as usize;
     let mut next = 0.0f32;
@@ -29,7 +29,7 @@ fn numbered(count: usize, sh_degree: u32) -> Gaussians {
     }
 }
 
-/// The values of a Gaussian by property name, as in the file.
+/// Values of a Gaussian with their property names.
 fn named(gaussians: &Gaussians, index: usize) -> Vec<(String, f32)> {
     let sh = gaussians.sh_of(index);
     let mut values = Vec::new();
@@ -107,7 +107,7 @@ fn shapes_are_checked_before_writing() {
     assert_eq!(names(folder.path()), [""; 0]);
 }
 
-/// How a test file is laid out.
+/// Layout of a test file.
 #[derive(Clone, Debug)]
 struct Shape {
     order: Vec<usize>,
@@ -135,7 +135,7 @@ fn shape(properties: usize) -> impl Strategy<Value = Shape> {
         .prop_map(|(order, types, encoding, crlf, extra)| Shape { order, types, encoding, crlf, extra })
 }
 
-/// A number in the file's encoding.
+/// Writes a number in the file's encoding.
 fn encode(out: &mut Vec<u8>, value: f64, kind: &str, encoding: usize) {
     let start = out.len();
     match kind {
@@ -203,7 +203,7 @@ proptest! {
         (degree, shape) in (0..=3u32).prop_flat_map(|d| (Just(d), shape(14 + 3 * ((d + 1) * (d + 1) - 1) as usize))),
     ) {
         let mut gaussians = numbered(5, degree);
-        // Whole numbers that every type can hold.
+        // Integers that every type can hold.
         let whole = |v: &mut f32| *v = (v.abs() * 3.0).round() % 80.0;
         gaussians.means.as_flattened_mut().iter_mut().for_each(whole);
         gaussians.quats.as_flattened_mut().iter_mut().for_each(whole);
@@ -229,7 +229,7 @@ proptest! {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.ply");
         std::fs::write(&path, file_of(&gaussians, &shape)).unwrap();
-        // Zeros give no rotation.
+        // A zero quaternion is no rotation.
         if gaussians.quats[0].iter().map(|q| q * q).sum::<f32>().sqrt() <= 1e-12 {
             gaussians.quats[0] = [1.0, 0.0, 0.0, 0.0];
         }
@@ -249,7 +249,7 @@ fn no_truncation_gives_a_scene() {
         let bytes = file_of(&numbered(2, 1), &plain_shape(encoding));
         for_each_truncation(&path, &bytes, |length| match ply::read(&path, &KEEP) {
             Err(e) => assert!(e.to_string().starts_with(path.to_str().unwrap()), "{e}"),
-            // The last number of a text may lose digits unnoticed, or the line its end.
+            // A truncated text may lose digits of its last number unnoticed, or its end of line.
             Ok(scene) => assert!(encoding == 0 && length + 30 > bytes.len() && scene.gaussians.len() == 2),
         });
     }
@@ -305,7 +305,7 @@ fn points_round_trip_and_are_no_gaussians() {
     assert_eq!(read(), PointCloud { positions: vec![[1.0, 2.0, 3.0]], colors: vec![[255; 3]] });
 }
 
-/// Points without a place are left out; a file without any other is refused, as is one with a byte-order mark.
+/// Points without finite positions are left out. A file with no other is refused, as is one with a byte-order mark.
 #[test]
 fn points_without_a_place_are_left_out() {
     let folder = tempfile::tempdir().unwrap();
@@ -376,7 +376,7 @@ fn ascii(comments: &[&str], properties: &[(&str, &str, f64)]) -> String {
     format!("ply\nformat ascii 1.0\n{comments}element vertex 1\n{header}end_header\n{}\n", values.join(" "))
 }
 
-/// All that a Gaussian has but its colour.
+/// All properties of a Gaussian except its colour.
 const WITHOUT_COLOUR: [(&str, &str, f64); 11] = [
     ("float", "x", 1.0),
     ("float", "y", 2.0),
@@ -416,7 +416,7 @@ fn colours_are_read_in_place_of_f_dc() {
         let line = format!("has no f_dc: its {} (0 to {white}) are used as colours", names.join(" "));
         assert_eq!(scene.warning, Some(line));
     }
-    // Where there is f_dc, colours are an addition for other programs.
+    // With f_dc, colours are only an addition for other programs.
     let both: Vec<_> = with_colour("float", ["f_dc_0", "f_dc_1", "f_dc_2"], [0.1, 0.2, 0.3])
         .into_iter()
         .chain([("uchar", "red", 9.0), ("uchar", "green", 9.0), ("uchar", "blue", 9.0)])
@@ -445,7 +445,7 @@ fn parts_that_are_missing_are_all_named() {
     }
 }
 
-/// Opacities after the sigmoid, colours, sizes, and properties that are not read.
+/// Warnings about opacities after the sigmoid, colours, sizes, and properties that are not read.
 #[test]
 fn what_is_taken_otherwise_than_it_may_be_meant_is_named() {
     let folder = tempfile::tempdir().unwrap();
@@ -507,7 +507,7 @@ fn bytes_behind_the_gaussians_are_told() {
     assert!(read.warning.unwrap().contains(&line));
 }
 
-/// Names and comments of other programs, each with its line.
+/// Names and comments of other programs: each gives a warning.
 #[test]
 fn names_and_comments_of_other_programs_are_used_or_named() {
     let folder = tempfile::tempdir().unwrap();
@@ -526,7 +526,7 @@ fn names_and_comments_of_other_programs_are_used_or_named() {
     assert_eq!(ply::read(&path, &KEEP).unwrap().gaussians.log_scales[0], [-2.0, -3.0, -4.0]);
 }
 
-/// Two scales: the disks of 2DGS.
+/// Two scales mean the disks of 2DGS.
 #[test]
 fn a_scene_of_2dgs_is_read_flat_and_named() {
     let folder = tempfile::tempdir().unwrap();

@@ -1,4 +1,4 @@
-//! The spherical harmonics: orthonormal, and their derivatives.
+//! Spherical harmonics: orthonormal basis and derivatives.
 
 use ashsplat::scene::sh::{basis, basis_gradient, color, rgb_to_sh_dc, sh_dc_to_rgb};
 use rand::{RngExt, SeedableRng};

@@ -1,4 +1,4 @@
-//! Rotating and mirroring spherical harmonics: what is seen from a turned direction must be what was seen before.
+//! Rotating and mirroring spherical harmonics: a turned direction must show the previous colour.
 
 use ashsplat::scene::sh;
 use ashsplat::scene::sh_rotation::{ShRotation, mirror_signs};
@@ -30,7 +30,7 @@ proptest! {
         prop_assume!(quat.iter().map(|q| q * q).sum::<f64>() > 1e-3);
         prop_assume!(DVec3::from_array(direction).length() > 1e-2);
         let rotation = DMat3::from_quat(DQuat::from_array(quat).normalize());
-        // What f32 can hold.
+        // Rounded to float32.
         let coefficients: [f64; 16] = std::array::from_fn(|i| f64::from(coefficients[i] as f32));
         let direction = DVec3::from_array(direction).normalize();
         let turned = rotated(rotation, &coefficients);
@@ -69,7 +69,7 @@ fn no_rotation_changes_nothing_and_two_half_turns_neither() {
     );
 }
 
-/// Lower degrees have fewer coefficients, and those are treated alike.
+/// Lower degrees have fewer coefficients, which turn alike.
 #[test]
 fn lower_degrees_are_a_part_of_the_higher() {
     let rotation = ShRotation::new(DMat3::from_rotation_x(0.7) * DMat3::from_rotation_z(-2.1));

@@ -38,7 +38,7 @@ fn every_format_reads_what_it_writes() {
     assert_eq!(names(folder.path()).len(), Format::ALL.len() + 1);
 }
 
-/// Writing what was read from a quantised file again gives the same values: nothing drifts.
+/// Reading and writing a quantised file again changes no value.
 #[test]
 fn a_second_round_trip_changes_nothing() {
     let folder = tempfile::tempdir().unwrap();
@@ -148,7 +148,7 @@ fn changes_on_the_way() {
     assert_eq!((done.written, done.warnings.len()), (0, 1));
 }
 
-/// From memory and from a file, a cut leaves the same bytes.
+/// Cuts from memory and from a file give the same bytes.
 #[test]
 fn a_cut_scene_is_written_as_a_conversion_writes_it() {
     let folder = tempfile::tempdir().unwrap();
@@ -179,7 +179,7 @@ fn a_cut_scene_is_written_as_a_conversion_writes_it() {
     assert!(splats::convert(&input, &path, &ConvertOptions { cut: odd, ..Default::default() }).is_err());
 }
 
-/// Each part has all of the scene; of each, its cell is taken.
+/// Each part has the whole scene; the merge takes its cell of each.
 #[test]
 fn merged_cells_are_the_scene() {
     let folder = tempfile::tempdir().unwrap();
@@ -206,7 +206,7 @@ fn merged_cells_are_the_scene() {
         splats::write_cut(&written, &expected, (&Cut::default(), 2), &options).unwrap();
         assert!(std::fs::read(&merged).unwrap() == std::fs::read(&written).unwrap(), "{format}");
     }
-    // As much memory for many cells as for one.
+    // Many cells need no more memory than one.
     let [few, many] = [40_000, 500].map(|most| {
         let cells = Cells::divide(&original.means, most).unwrap();
         let parts: Vec<splats::Part<'_>> = cells.bounds().iter().map(part).collect();
@@ -215,7 +215,7 @@ fn merged_cells_are_the_scene() {
         (parts.len(), allocation_counter::measure(|| drop(merge())).bytes_max)
     });
     assert!(few.0 == 1 && many.0 > 60 && many.1 < few.1 + few.1 / 10, "{few:?} {many:?}");
-    // Parts that do not go together, or are none.
+    // Parts that do not fit together, and no parts.
     let other = folder.path().join("other.ply");
     splats::write(&other, &original.with_sh_degree(1), &options).unwrap();
     let output = folder.path().join("none.ply");
@@ -233,7 +233,7 @@ fn merged_cells_are_the_scene() {
     std::fs::write(&other, &bytes[..bytes.len() - 9]).unwrap();
     refused(&other);
     assert!(splats::merge(&[], &output, &KEEP, &WriteOptions::default()).is_err());
-    // One Gaussian that is not finite, of the box that holds all.
+    // One Gaussian that is not finite, in the box that holds all.
     let mut broken = original.clone();
     broken.log_scales[7][1] = f32::NAN;
     splats::write(&other, &broken, &options).unwrap();
@@ -249,7 +249,7 @@ fn merged_cells_are_the_scene() {
     );
 }
 
-/// The header as it is, with other comments.
+/// The header with other comments.
 fn with_comments(bytes: &[u8], comments: &[&str]) -> Vec<u8> {
     const FORMAT: &[u8] = b"ply\nformat binary_little_endian 1.0\n";
     let own: Vec<u8> = comments.iter().flat_map(|line| format!("comment {line}\n").into_bytes()).collect();
@@ -309,7 +309,7 @@ fn marks_of_other_programs_are_read_and_kept() {
     assert!(header.contains("\ncomment SplatRenderMode: mip\ncomment kernel_size=0.1\n"), "{header}");
 }
 
-/// PLYs keep the mark of 2DGS; what it was is said where other formats lose it.
+/// PLYs keep the mark of 2DGS; a warning names it when another format loses it.
 #[test]
 fn a_scene_of_2dgs_stays_one() {
     let folder = tempfile::tempdir().unwrap();
@@ -326,7 +326,7 @@ fn a_scene_of_2dgs_stays_one() {
     }
 }
 
-/// No rotation, which a move turns as others.
+/// A zero quaternion means no rotation, and a move turns it like others.
 #[test]
 fn quaternions_of_zeros_are_counted() {
     let folder = tempfile::tempdir().unwrap();
@@ -338,7 +338,7 @@ fn quaternions_of_zeros_are_counted() {
         gaussians.quats[4] = [0.0; 4];
         splats::write(&path, &gaussians, &WriteOptions::default()).unwrap();
         if format == Format::Splat {
-            // Its writer leaves no zeros.
+            // The writer of .splat never writes zeros.
             let mut bytes = std::fs::read(&path).unwrap();
             bytes[32 * 4 + 28..32 * 5].fill(128);
             std::fs::write(&path, bytes).unwrap();
@@ -356,7 +356,7 @@ fn quaternions_of_zeros_are_counted() {
     }
 }
 
-/// Floats at UTM have steps of 0.5. Doubles and larger Gaussians have none that show.
+/// Floats at UTM coordinates have steps of 0.5. Doubles and larger Gaussians do not show them.
 #[test]
 fn positions_that_single_precision_has_rounded_are_named() {
     let folder = tempfile::tempdir().unwrap();
@@ -401,7 +401,7 @@ fn spherical_harmonics_that_are_cut_are_counted() {
     assert_eq!(splats::write(folder.path().join("a.spz"), &few, &WriteOptions::default()).unwrap(), None);
 }
 
-/// An editor has dropped the comments of a model folder's PLY; its cameras.json still has the frame.
+/// An editor dropped the comments of a model folder's PLY; its cameras.json still has the frame.
 #[test]
 fn a_models_cameras_tell_the_frame_that_a_ply_has_lost() {
     let folder = tempfile::tempdir().unwrap();
@@ -427,7 +427,7 @@ fn a_models_cameras_tell_the_frame_that_a_ply_has_lost() {
         assert_eq!(restored, whole, "{format}");
         let words = ["names no origin 500000,5000000,120 and unit 100: ", "cameras.json"];
         assert!(said.len() == 1 && words.iter().all(|word| said[0].contains(word)), "{said:?}");
-        // Absolute positions, of Gaussians so large that single precision suffices.
+        // Absolute positions, with Gaussians so large that single precision suffices.
         let mut absolute = gaussians.clone();
         absolute.log_scales.as_flattened_mut().fill(2.0);
         for mean in &mut absolute.means {
@@ -442,7 +442,7 @@ fn a_models_cameras_tell_the_frame_that_a_ply_has_lost() {
     assert_eq!(plain, ((DVec3::ZERO, None), Vec::new()));
 }
 
-/// A log-scale of -∞ in PLY, a 0 in .splat and glTF, a range without an end in compressed PLY.
+/// A log-scale of -∞ in PLY, a 0 in .splat and glTF, an infinite range in compressed PLY.
 #[test]
 fn size_0_is_a_size() {
     let folder = tempfile::tempdir().unwrap();
@@ -466,7 +466,7 @@ fn size_0_is_a_size() {
     assert_eq!(read.gaussians.len(), 5);
 }
 
-/// Where nothing is usable, leaving out what is not leaves no scene.
+/// If no Gaussian is usable, dropping invalid ones leaves no scene.
 #[test]
 fn dropping_every_gaussian_is_an_error() {
     let folder = tempfile::tempdir().unwrap();
@@ -483,7 +483,8 @@ fn dropping_every_gaussian_is_an_error() {
     }
 }
 
-/// The `.gltf` cannot be written: the name of its temporary file is too long. The scene of before is whole.
+/// The `.gltf` cannot be written, because the name of its temporary file is too long. The previous scene stays
+/// intact.
 #[cfg(unix)]
 #[test]
 fn a_gltf_keeps_its_scene_until_the_new_one_is_there() {
@@ -504,7 +505,7 @@ fn a_gltf_keeps_its_scene_until_the_new_one_is_there() {
     assert_eq!(splats::read(&path, &KEEP).unwrap().gaussians.len(), 20);
 }
 
-/// Writing refuses the same values as reading.
+/// Writers refuse the same values as readers.
 #[test]
 fn what_cannot_be_read_again_is_not_written() {
     let folder = tempfile::tempdir().unwrap();
@@ -526,7 +527,7 @@ fn what_cannot_be_read_again_is_not_written() {
         }
         assert_eq!(names(folder.path()), ["in.ply"], "{format}");
     }
-    // A fine scene moves to an origin of its own, which has a limit, too.
+    // A valid scene moves to another origin, which has a limit, too.
     let near = folder.path().join("near.ply");
     splats::write(&near, &scene(20, 0), &WriteOptions::default()).unwrap();
     for format in Format::ALL {
@@ -547,7 +548,7 @@ fn scenes_are_joined() {
     let folder = tempfile::tempdir().unwrap();
     let file = |name: &str| folder.path().join(name);
     let (mut first, mut second) = (scene(20_000, 0), scene(300, 2));
-    // Turned, they stay within the range of SPZ.
+    // After the turn, the values stay within the range of SPZ.
     second.sh.as_flattened_mut().iter_mut().for_each(|value| *value *= 0.5);
     splats::write(file("a.ply"), &first, &WriteOptions::default()).unwrap();
     splats::write(file("b.glb"), &second, &WriteOptions::default()).unwrap();
@@ -599,7 +600,7 @@ fn scenes_are_joined() {
     let fewer = ConvertOptions { decimate: Some(Target::Count(200)), ..Default::default() };
     let small = [splats::Input { path: &b, similarity: moved }; 2];
     assert_eq!(splats::join(&small, &file("few.ply"), &fewer).unwrap().written, 200);
-    // Marks that one file cannot have for both.
+    // The files have marks that one file cannot have for both.
     let antialiased = WriteOptions { antialiased: true, ..Default::default() };
     splats::write(&b, &scene(300, 2), &antialiased).unwrap();
     let output = file("none.ply");
@@ -633,7 +634,7 @@ fn refused_input_leaves_the_output_alone() {
     );
 }
 
-/// A large scene gets fewer bits behind the point, and is not wrapped around.
+/// A large scene gets fewer fractional bits, and does not wrap around.
 #[test]
 fn spz_holds_far_away_gaussians() {
     let folder = tempfile::tempdir().unwrap();
@@ -645,7 +646,8 @@ fn spz_holds_far_away_gaussians() {
     assert_close(&actual, &expected, &Tolerance { mean: 0.5 / 32.0, ..tolerance(Format::Spz) });
 }
 
-/// Outliers in position and colour have chunks of their own: the others keep their precision, and the file its count.
+/// Outliers in position and colour have separate chunks: the others keep their precision, and the file keeps its
+/// count.
 #[test]
 fn outliers_do_not_coarsen_compressed_ply() {
     let folder = tempfile::tempdir().unwrap();
@@ -667,12 +669,12 @@ fn outliers_do_not_coarsen_compressed_ply() {
     let others: Vec<usize> = others.into_iter().filter(|&index| odd.sh_of(index)[0][0] < 100.0).collect();
     assert_close(&actual.select(&others), &odd.select(&others), &tolerance(Format::CompressedPly));
     assert!((actual.means[3][0] - 2e5).abs() < 1.0 && (actual.means[4][0] + 3e3).abs() < 1.0);
-    // Without the outliers, another conversion has no padding.
+    // Without the outliers, a conversion needs no padding.
     let converted = folder.path().join("scene.ply");
     assert_eq!(splats::convert(&path, &converted, &ConvertOptions::default()).unwrap().written, 700);
 }
 
-/// SPZ has the bits that the scene leaves, and one line says what it cannot hold.
+/// SPZ uses the bits that fit the scene, and a warning names values that it cannot hold.
 #[test]
 fn spz_goes_by_the_size_of_the_scene() {
     let folder = tempfile::tempdir().unwrap();
@@ -727,7 +729,7 @@ fn no_truncation_gives_a_scene_and_no_mutation_panics() {
         splats::write(&path, &scene(3, 1.min(format.max_sh_degree())), &WriteOptions::default()).unwrap();
         let bytes = std::fs::read(&path).unwrap();
         for_each_truncation(&path, &bytes, |length| {
-            // A whole number of rows of a format without header is a file.
+            // In a format without a header, any whole number of rows is a file.
             if format != Format::Splat || length % 32 != 0 || length == 0 {
                 message(&path);
             }
@@ -760,7 +762,7 @@ fn formats_are_known_by_content_before_name() {
     assert!(message(folder.path()).contains("is not a file"));
 }
 
-/// A glTF may place a mesh at many nodes, but a small one claims no scene that fills the memory.
+/// A glTF may place a mesh at many nodes, but a small file must not claim a scene that fills the memory.
 #[test]
 fn gltf_places_its_gaussians_a_limited_number_of_times() {
     let folder = tempfile::tempdir().unwrap();
@@ -776,7 +778,7 @@ fn gltf_places_its_gaussians_a_limited_number_of_times() {
     };
     placed(5, 300, 2);
     assert_eq!(splats::read(&path, &KEEP).unwrap().gaussians.len(), 3000);
-    // 10^9 Gaussians from 560 kB; ever more of them at each node; places alone.
+    // 10^9 Gaussians from 560 kB; more and more of them at each node; only placements.
     for (count, nodes, primitives) in [(10_000, 100_000, 1), (10_000, 300, 300), (1, 1000, 1000)] {
         placed(count, nodes, primitives);
         let message = message(&path);
@@ -818,7 +820,7 @@ fn a_gltf_of_other_programs_is_read_as_it_says_or_named() {
     });
     assert!(with_a_mesh.ends_with("1 primitives that are no Gaussians are not used"), "{with_a_mesh}");
 
-    // Logarithms in place of sizes, and logits in place of opacities: some positions are negative and far from 0.
+    // Logarithms instead of sizes, and logits instead of opacities: some values are negative and far from 0.
     written(&|document| {
         let attributes = &mut document["meshes"][0]["primitives"][0]["attributes"];
         attributes["KHR_gaussian_splatting:SCALE"] = attributes["POSITION"].clone();
@@ -841,7 +843,7 @@ fn a_gltf_of_other_programs_is_read_as_it_says_or_named() {
 /// A corner of a UTM zone. Single precision has steps of 0.5 there.
 const UTM: DVec3 = DVec3::new(500_000.3, 4_600_000.7, 120.0);
 
-/// A PLY whose positions are doubles, as programs for survey data write it.
+/// A PLY with double positions, as survey programs write it.
 fn ply_of_doubles(path: &Path, gaussians: &Gaussians, offset: DVec3) {
     let names = "f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3";
     let mut bytes = format!("ply\nformat binary_little_endian 1.0\nelement vertex {}\n", gaussians.len());
@@ -893,14 +895,14 @@ fn scenes_far_from_the_origin_keep_their_positions_in_every_format() {
             let most = f64::from(tolerance(format).mean.max(1e-5));
             assert!(far.len() == 300 && off <= most, "{}: {off}", path.display());
         }
-        // Where other programs would place it elsewhere, one line says so.
+        // If other programs would place it elsewhere, a warning says so.
         let known = matches!(format, Format::Ply | Format::Glb | Format::Gltf);
         assert_eq!(done.warnings.len(), usize::from(!known), "{:?}", done.warnings);
         assert!(known || done.warnings[0].contains("relative to 500000,4600000,"), "{:?}", done.warnings);
     }
     let text = String::from_utf8_lossy(&std::fs::read(place("far.ply")).unwrap()[..200]).into_owned();
     assert!(text.contains("property double x") && !text.contains("comment origin"), "{text}");
-    // Another scene of the same name has no origin any more.
+    // A new scene of the same name has no origin file any more.
     splats::convert(&place("near.ply"), &place("far.spz"), &ConvertOptions::default()).unwrap();
     assert!(!place("far.spz.origin.json").exists() && place("far.splat.origin.json").exists());
     std::fs::write(place("far.splat.origin.json"), r#"{"origin": [1, 2]}"#).unwrap();
@@ -923,7 +925,7 @@ fn changes_of_distant_scenes_are_made_in_their_own_coordinates() {
         far.iter().zip(&expected).map(|(a, b)| a.distance(*b)).fold(0.0, f64::max)
     };
     assert!(off(&place("far.ply"), UTM) < 1e-5);
-    // Back at the origin, it needs none.
+    // Back at the origin, the file needs no offset.
     let back = ConvertOptions { similarity: moved(-UTM), ..Default::default() };
     splats::convert(&place("far.ply"), &place("back.ply"), &back).unwrap();
     assert!(off(&place("back.ply"), DVec3::ZERO) < 1e-5);
@@ -933,7 +935,7 @@ fn changes_of_distant_scenes_are_made_in_their_own_coordinates() {
     let cropped = splats::convert(&place("far.ply"), &place("cropped.ply"), &crop).unwrap().written;
     let inside = expected.iter().filter(|mean| mean.min_element() >= 0.0).count();
     assert_eq!(cropped, inside as u64);
-    // Positions that single precision holds keep their bits.
+    // Positions that are exact in single precision keep their bits.
     let mut exact = gaussians;
     for mean in &mut exact.means {
         *mean = [0, 1, 2].map(|axis| (2.0 * mean[axis]).round() / 2.0 + UTM[axis].floor() as f32);
@@ -943,7 +945,7 @@ fn changes_of_distant_scenes_are_made_in_their_own_coordinates() {
     assert!(std::fs::read(place("exact.ply")).unwrap() == std::fs::read(place("copy.ply")).unwrap());
 }
 
-/// A training writes its scene in the coordinates of its data set.
+/// Training writes its scene in the coordinates of the data set.
 #[test]
 fn scenes_are_written_in_source_units_and_drawn_in_their_frame() {
     let folder = tempfile::tempdir().unwrap();
@@ -957,7 +959,7 @@ fn scenes_are_written_in_source_units_and_drawn_in_their_frame() {
         assert!(largest <= 0.1, "{format}: {largest}");
         assert_eq!(read.header.unit, (format == Format::Ply).then_some(0.01));
         let drawn = read.in_world_frame();
-        // Other formats do not say what the training's unit was.
+        // Other formats do not store the training's unit.
         assert!(drawn.frame.unit <= if format == Format::Ply { 0.01 } else { 0.1 }, "{:?}", drawn.frame);
         let expected = if format == Format::Splat { gaussians.with_sh_degree(0) } else { gaussians.clone() };
         let mut moved = expected;

@@ -16,7 +16,7 @@ use crate::common::splats::scene;
 
 const KEEP: ReadOptions = ReadOptions { drop_invalid: false, max_host_memory: None };
 
-/// A scene's file, and where its tiles go.
+/// A scene's file, and a folder for its tiles.
 struct Place {
     own: tempfile::TempDir,
     scene: Gaussians,
@@ -33,7 +33,7 @@ impl Place {
         self.own.path().join(name)
     }
 
-    /// Each merge differs by 2 units, and is told.
+    /// Each merge has an error of 2 units and is recorded in `told`.
     fn tiled(&self, name: &str, most: usize, told: &mut Vec<(usize, usize)>) -> Result<Tiling> {
         let mut measure = |finer: &Gaussians, merged: &Gaussians| {
             told.push((finer.len(), merged.len()));
@@ -43,7 +43,7 @@ impl Place {
         tiles::write(&input, &self.folder(name), &options, &KEEP, &mut measure, &Progress::default())
     }
 
-    /// The names in it.
+    /// Names in the folder.
     fn names(&self) -> Vec<String> {
         let entries = fs::read_dir(self.own.path()).unwrap();
         let mut names: Vec<String> =
@@ -69,7 +69,7 @@ fn children(tile: &Value) -> &[Value] {
     tile["children"].as_array().map_or(&[], Vec::as_slice)
 }
 
-/// What the tiles of a tree hold, and whether each is what it says.
+/// Checks the tiles of a tree, and collects the Gaussians of its leaves.
 fn leaves_of(tile: &Value, folder: &Path, most: usize, found: &mut Vec<Gaussians>) -> usize {
     let own = splats::read(folder.join(tile["content"]["uri"].as_str().unwrap()), &KEEP).unwrap().gaussians;
     assert!((1..=most).contains(&own.len()), "{} of {most}", own.len());
@@ -79,7 +79,7 @@ fn leaves_of(tile: &Value, folder: &Path, most: usize, found: &mut Vec<Gaussians
     for index in 0..own.len() {
         let [w, x, y, z] = own.quats[index];
         let (mean, turn) = (Vec3::from_array(own.means[index]), Quat::from_xyzw(x, y, z, w).normalize());
-        // To where an opaque one ends, along each of its own axes.
+        // Ends of the visible extent of an opaque Gaussian, along its own axes.
         let ends = (0..3).flat_map(|axis| {
             let end = 3.3 * own.log_scales[index][axis].exp() * (turn * Vec3::AXES[axis]);
             [mean - end, mean + end]
@@ -108,7 +108,7 @@ fn leaves_of(tile: &Value, folder: &Path, most: usize, found: &mut Vec<Gaussians
     1 + children(tile).iter().map(|child| leaves_of(child, folder, most, found)).sum::<usize>()
 }
 
-/// Comparable Gaussians: what glTF keeps to the bit.
+/// The values of Gaussians that glTF keeps to the bit.
 fn rows<'a>(scenes: impl IntoIterator<Item = &'a Gaussians>) -> Vec<Vec<u32>> {
     let row = |scene: &Gaussians, index: usize| {
         let floats = [&scene.means[index][..], scene.sh_of(index).as_flattened()].concat();
@@ -132,12 +132,12 @@ fn the_finest_tiles_hold_each_gaussian_once() {
     assert!(found.iter().all(|tile| tile.sh_degree == 2));
     assert_eq!((done.gaussians, done.tiles, done.leaves), (3000, tiles, found.len()));
     assert!(done.leaves >= 30 && done.levels >= 3, "{done:?}");
-    // Each tile above was compared with those below it, of which it has a quarter.
+    // Each inner tile was compared with its children, and has a quarter of their Gaussians.
     assert_eq!(told.len(), done.tiles - done.leaves);
     assert!(told.iter().all(|&(finer, merged)| merged == (finer / 4).min(100)), "{told:?}");
     let merged: usize = told.iter().map(|&(_, merged)| merged).sum();
     assert_eq!(done.written, 3000 + merged as u64);
-    // Nothing but the tiles and their description.
+    // Only the tiles and their description.
     assert_eq!(fs::read_dir(&folder).unwrap().count(), tiles + 1);
     assert_eq!(place.names(), ["scene.ply", "tiles"]);
     let nothing = document["geometricError"].as_f64().unwrap();
@@ -189,7 +189,7 @@ fn tiles_that_fail_leave_nothing() {
     let mut measure = |_: &Gaussians, _: &Gaussians| Ok(1.0);
     let stopped = tiles::write(&input, &folder, &options, &KEEP, &mut measure, &progress).unwrap_err();
     assert!(matches!(stopped, Error::Interrupted), "{stopped}");
-    // More at one place than a tile holds.
+    // More Gaussians at one position than a tile holds.
     let mut heap = scene(70, 0);
     heap.means.fill([1.0, 2.0, 3.0]);
     splats::write(&input, &heap, &WriteOptions::default()).unwrap();
@@ -201,7 +201,7 @@ fn tiles_that_fail_leave_nothing() {
             && told.contains("--max-gaussians"),
         "{told}"
     );
-    // Farther than SPZ can say.
+    // Farther away than SPZ can store.
     let mut far = scene(70, 0);
     far.means[3] = [1e15, 0.0, 0.0];
     splats::write(&input, &far, &WriteOptions::default()).unwrap();
@@ -209,7 +209,7 @@ fn tiles_that_fail_leave_nothing() {
     let told =
         tiles::write(&input, &folder, &packed, &KEEP, &mut measure, &Progress::NONE).unwrap_err().to_string();
     assert!(told.contains("scene.ply: ") && told.contains("too far out for SPZ"), "{told}");
-    // Coarse, which one line says.
+    // Coarse, with a warning.
     far.means[3] = [6e6, 0.0, 0.0];
     splats::write(&input, &far, &WriteOptions::default()).unwrap();
     let coarse = place.folder("coarse");
@@ -217,7 +217,7 @@ fn tiles_that_fail_leave_nothing() {
     assert!(done.warnings.len() == 1 && done.warnings[0].contains("rounded to steps of 1.0"), "{done:?}");
     fs::remove_dir_all(coarse).unwrap();
     assert_eq!(place.names(), ["scene.ply"]);
-    // A folder with something in it stays as it is.
+    // A folder with contents stays unchanged.
     fs::create_dir(&folder).unwrap();
     fs::write(folder.join("note"), "mine").unwrap();
     let refused = place.tiled("tiles", 64, &mut Vec::new()).unwrap_err();
@@ -226,13 +226,13 @@ fn tiles_that_fail_leave_nothing() {
     assert_eq!(place.names(), ["scene.ply", "tiles"]);
 }
 
-/// All of a room of 20 units is in its picture, from outside.
+/// A camera outside with the whole scene of 20 units in its picture.
 fn from_outside() -> Camera {
     let intrinsics = Intrinsics::from_fov_x(1.0, 400, 300);
     Camera::look_at(vec3(4.0, -9.0, -60.0), Vec3::ZERO, Vec3::NEG_Y, intrinsics)
 }
 
-/// Every finest tile is drawn itself or by exactly one above it, but for those out of the picture.
+/// Fails unless every leaf in the picture is drawn exactly once, by itself or by a tile above it.
 fn assert_covered(tree: &Tree, cut: &[usize]) {
     let tiles = tree.tiles();
     let mut times = vec![0; tiles.len()];
@@ -262,7 +262,7 @@ fn a_cut_of_the_tree_is_as_fine_as_its_budget() {
         let cut = tree.cut(&camera, budget);
         assert_covered(&tree, &cut);
         assert!((last..=budget).contains(&count(&cut)), "{} of {budget}", count(&cut));
-        // The next finer tile has four times a tile's Gaussians at most.
+        // A tile's children have at most four times its Gaussians.
         assert!(4 * count(&cut) >= budget, "{} of {budget}", count(&cut));
         last = count(&cut);
     }
@@ -276,20 +276,20 @@ fn a_cut_of_the_tree_is_as_fine_as_its_budget() {
     for (place, &tile) in wanted.iter().enumerate() {
         assert!(tree.tiles()[tile].children.iter().all(|child| !wanted[..place].contains(child)));
     }
-    // Level by level here, where all is about as far away, and not one corner down to the finest.
+    // Wanted level by level, because all tiles are about as far away, instead of one corner down to its leaves.
     let half =
         wanted[..wanted.len() / 2].iter().filter(|&&tile| tree.tiles()[tile].children.is_empty()).count();
     assert!(half < all.len() / 2, "{half} of {}", all.len());
     wanted.sort_unstable();
     assert_eq!(wanted, (0..tree.tiles().len()).collect::<Vec<_>>());
-    // What is loaded in order is drawn sooner or later, and a tile above is there before.
+    // Tiles loaded in this order are drawn at some point, each after its parent.
     let wanted = tree.wanted(&Demand::of(&camera, 700));
     for loaded in 1..=wanted.len() {
         let cut = tree.cut_among(&Demand::of(&camera, 700), |tile| wanted[..loaded].contains(&tile));
         assert_covered(&tree, &cut);
         assert!(loaded < wanted.len() || cut == tree.cut(&camera, 700));
     }
-    // While tiles are missing, those above them take their place.
+    // Missing tiles are replaced by those above them.
     for there in 0..tree.tiles().len() {
         let cut = tree.cut_among(&Demand::of(&camera, usize::MAX), |tile| tile <= there);
         assert_covered(&tree, &cut);
@@ -298,7 +298,7 @@ fn a_cut_of_the_tree_is_as_fine_as_its_budget() {
     assert!(tree.cut_among(&Demand::of(&camera, 3000), |_| false).is_empty());
 }
 
-/// Both kinds of cameras: what is near is finer, and what is out of the picture is not drawn.
+/// With both kinds of cameras, near tiles are finer, and tiles out of view are not drawn.
 #[test]
 fn a_cut_is_finer_where_it_is_nearer_and_leaves_out_what_is_not_seen() {
     let place = Place::new(scene(3000, 0));
@@ -316,7 +316,7 @@ fn a_cut_is_finer_where_it_is_nearer_and_leaves_out_what_is_not_seen() {
     assert!(depth(true) + 2.0 < depth(false), "{} {}", depth(true), depth(false));
     let away = Camera::look_at(vec3(0.0, 0.0, -60.0), vec3(0.0, 0.0, -100.0), Vec3::NEG_Y, intrinsics);
     assert!(tree.cut(&away, 3000).is_empty());
-    // Parallel rays around x = 6, one unit wide: what is drawn of the finest tiles reaches there, and all of what reaches there is drawn.
+    // Parallel rays around x = 6, one unit wide: exactly the leaves that reach there are drawn.
     let wide = Intrinsics { fx: 400.0, fy: 10.0, cx: 200.0, cy: 150.0, width: 400, height: 300 };
     let slice = Camera::look_at(vec3(6.0, 0.0, -60.0), vec3(6.0, 0.0, 0.0), Vec3::NEG_Y, wide);
     let slice = Camera { projection: Projection::Orthographic, ..slice };
@@ -363,7 +363,7 @@ fn trees_of_others_are_refused() {
     refused(&|d| d["root"]["children"][0]["refine"] = "ADD".into(), "add to those above");
     refused(&|d| d["root"]["boundingVolume"]["box"][4] = 0.5.into(), "turned");
     refused(&|d| d["root"]["children"][1] = d["root"]["children"][0].clone(), "twice");
-    // A number that is not that of the file.
+    // A number that differs from the file's.
     let mut document = good.clone();
     document["root"]["extras"]["gaussians"] = 7.into();
     fs::write(folder.join(TILESET_FILE), document.to_string()).unwrap();
@@ -371,7 +371,7 @@ fn trees_of_others_are_refused() {
     assert!(error.contains("says 7"), "{error}");
 }
 
-/// What is as large as single precision allows has numbers in its description, and no nulls.
+/// Gaussians as large as single precision allows have finite numbers in the description, no nulls.
 #[test]
 fn enormous_gaussians_have_finite_boxes() {
     let mut large = scene(90, 0);
@@ -383,7 +383,8 @@ fn enormous_gaussians_have_finite_boxes() {
     assert!(Tree::open(place.folder("tiles")).unwrap().tiles()[0].bounds.max.x > 1e34);
 }
 
-/// What either of two cameras sees is drawn, and what lies beyond a picture's sides, but less fine than what lies in it.
+/// Tiles that either of two cameras sees are drawn. Tiles beyond a picture's sides are drawn, too, but coarser than
+/// those inside.
 #[test]
 fn a_cut_is_for_several_cameras_and_for_what_lies_beyond_their_pictures() {
     let place = Place::new(scene(3000, 0));
@@ -401,14 +402,14 @@ fn a_cut_is_for_several_cameras_and_for_what_lies_beyond_their_pictures() {
     either.dedup();
     assert!(either.len() > own[0].len() && either.len() > own[1].len());
     assert_eq!(tree.cut_among(&both, |_| true), either);
-    // As far to the sides as the picture is wide: a camera that turns by less finds all there.
+    // A border as wide as the picture: a camera that turns by less finds all tiles there.
     let (camera, turned) = (towards(0.0), towards(3.0));
     let wide = Demand { border: 1.0, ..Demand::of(&camera, usize::MAX) };
     let around = tree.cut_among(&wide, |_| true);
     let narrow = tree.cut(&camera, usize::MAX);
     let new = tree.cut(&turned, usize::MAX);
     assert!(new.iter().any(|tile| !narrow.contains(tile)));
-    // A box may count as seen that is not: what is left out shows no Gaussian.
+    // A box may be visible without a visible Gaussian: the omitted tiles show none.
     for &tile in new.iter().filter(|tile| !around.contains(tile)) {
         for mean in tree.read(tile, &KEEP).unwrap().gaussians.means {
             let p = turned.camera_from_world * Vec3::from(mean) + turned.translation;
@@ -417,7 +418,7 @@ fn a_cut_is_for_several_cameras_and_for_what_lies_beyond_their_pictures() {
         }
     }
     assert!(new.iter().filter(|tile| around.contains(tile)).count() > new.len() / 2);
-    // Where the number is short, more of the picture is finest than of what lies beside it.
+    // With a small budget, more of the picture than of its border is finest.
     let count = |cut: &[usize]| cut.iter().map(|&tile| tree.tiles()[tile].gaussians).sum::<usize>();
     let budget = (count(&narrow) + count(&around)) / 2;
     let short = tree.cut_among(&Demand { budget, ..wide }, |_| true);
@@ -448,7 +449,7 @@ fn trees_of_distant_scenes_have_an_origin() {
         let [a, b] = [&near, &far].map(|tree| tree.read(tile, &KEEP).unwrap().gaussians);
         assert!(a.means.iter().zip(&b.means).all(|(a, b)| Vec3::from(*a).distance(Vec3::from(*b)) < 1e-4));
     }
-    // A tiny one is drawn in a unit of its own.
+    // A tiny scene is drawn in its own unit.
     let mut tiny = place.scene.clone();
     tiny.transform(&Similarity { scale: 1e-3, ..Default::default() });
     let place = Place::new(tiny);

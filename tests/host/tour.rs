@@ -1,4 +1,4 @@
-//! Ways of a camera that stay in what other cameras saw.
+//! Camera paths that stay where other cameras have been.
 
 use ashsplat::scene::{Camera, Intrinsics, Motion, tour};
 use glam::{Vec3, vec3};
@@ -8,10 +8,10 @@ fn intrinsics() -> Intrinsics {
     Intrinsics::from_fov_x(0.9, 64, 48)
 }
 
-/// Where the cameras of [`ring`] look.
+/// Target of the cameras of [`ring`].
 const MIDDLE: Vec3 = vec3(3.0, -2.0, 5.0);
 
-/// Cameras around [`MIDDLE`], at azimuths of a fraction of a turn, 4 units away and 1 above.
+/// Cameras around [`MIDDLE`] at these azimuths (radians), 4 units away and 1 above.
 fn ring(azimuths: impl Iterator<Item = f32>) -> Vec<Camera> {
     let camera = |azimuth: f32| {
         let (sine, cosine) = azimuth.sin_cos();
@@ -21,7 +21,7 @@ fn ring(azimuths: impl Iterator<Item = f32>) -> Vec<Camera> {
     azimuths.map(camera).collect()
 }
 
-/// Angle between the directions in which two cameras stand.
+/// Angle between two cameras' positions as seen from the middle.
 fn apart(a: &Camera, b: &Camera) -> f32 {
     (a.position() - MIDDLE).with_y(0.0).angle_between((b.position() - MIDDLE).with_y(0.0))
 }
@@ -30,10 +30,10 @@ fn apart(a: &Camera, b: &Camera) -> f32 {
 fn a_motion_suits_the_cameras() {
     let around = ring((0..24).map(|i| TAU * i as f32 / 24.0));
     assert_eq!(Motion::of(&around), Motion::Orbit);
-    // Nobody could stand in front of the wall; an orbit passes there all the same.
+    // A gap in front of a wall: it is still an orbit.
     let nearly = ring((0..20).map(|i| TAU * i as f32 / 24.0));
     assert_eq!(Motion::of(&nearly), Motion::Orbit);
-    // The turn from the last azimuth to the first is inside of the arc.
+    // The azimuths wrap around inside the arc.
     let facade = ring((0..11).map(|i| PI - 0.5 + 0.1 * i as f32));
     assert_eq!(Motion::of(&facade), Motion::Arc);
     let stack: Vec<Camera> = (0..5)
@@ -53,7 +53,7 @@ fn a_motion_suits_the_cameras() {
     assert_eq!(Motion::of(&around[..2]), Motion::Path);
 }
 
-/// The cameras look down, and from one side there is none: the mean of what is up in their pictures leans.
+/// The cameras look down, and one side has none: the mean of their up vectors leans.
 #[test]
 fn an_orbit_is_level() {
     let cameras: Vec<Camera> = (0..20)
@@ -90,13 +90,13 @@ fn an_arc_stays_between_its_ends() {
     let looped = Motion::Arc.cameras(&facade, 40, true, intrinsics());
     assert!(apart(&looped[0], &facade[5]) < 1e-3, "it does not begin in the middle");
     assert!(apart(&looped[0], &looped[39]) < 0.07 && (apart(&looped[10], &looped[30]) - 0.8).abs() < 1e-3);
-    // Of three cameras no more than an eighth at each end is left out.
+    // With three cameras, at most an eighth at each end is left out.
     let three = ring([0.0, 0.5, 1.0].into_iter());
     let once = Motion::Arc.cameras(&three, 2, false, intrinsics());
     assert!((apart(&once[0], &once[1]) - 0.75).abs() < 1e-3);
 }
 
-/// Two rounds at two heights: the way goes between them, and does not jump from one to the other.
+/// Two rounds at two heights: the path runs between them and does not jump.
 #[test]
 fn an_arc_is_smooth() {
     let cameras: Vec<Camera> = (0..40)
@@ -129,7 +129,7 @@ fn a_path_passes_along_the_cameras() {
         assert!(longest < 1.0, "a jump of {longest}");
     };
     near_the_corridor(&Motion::Path.cameras(&cameras, 60, false, intrinsics()));
-    // Photographs in no order: from neighbour to neighbour. The first stays where it is.
+    // Unordered photographs: the path goes from neighbour to neighbour. The first camera stays.
     let shuffled: Vec<usize> = (0..30).map(|i| i * 7 % 30).collect();
     cameras = shuffled.iter().map(|&i| cameras[i]).collect();
     near_the_corridor(&Motion::Path.cameras(&cameras, 60, false, intrinsics()));
@@ -141,11 +141,11 @@ fn a_path_passes_along_the_cameras() {
     }
 }
 
-/// Steps between all pairs of so many would take hours.
+/// All pairwise distances of these would take hours.
 #[test]
 fn a_path_along_many_cameras_ends() {
     let count = 200_000_u32;
-    // In no order: an odd multiplier visits each place once.
+    // Unordered: an odd multiplier visits each position once.
     let place = |i: u32| (u64::from(i) * 77_773 % u64::from(count)) as f32 * 1e-3;
     let cameras: Vec<Camera> = (0..count)
         .map(|i| vec3(0.0, 0.0, place(i)))

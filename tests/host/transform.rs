@@ -1,4 +1,4 @@
-//! Moving and thinning out Gaussians on the host.
+//! Transforms and merges of Gaussians on the host.
 
 use ashsplat::scene::{Gaussians, Similarity};
 use ashsplat_files::decimate::decimate;
@@ -63,7 +63,7 @@ fn decimation_reaches_its_target() {
     }
 }
 
-/// Two halves of one Gaussian, side by side, give its moments.
+/// Merging two halves of one Gaussian gives its moments.
 #[test]
 fn a_merged_pair_has_the_moments_of_both() {
     let mut pair = Gaussians {
@@ -81,13 +81,13 @@ fn a_merged_pair_has_the_moments_of_both() {
     for (variance, expected) in variances.into_iter().zip([0.0625, 0.25, 2.0]) {
         assert!((variance - expected).abs() < 1e-5, "{variances:?}");
     }
-    // As much opacity times area as both.
+    // Opacity times area equals the sum of both.
     let area = |[a, b, c]: [f32; 3]| a * b + b * c + c * a;
     let after = pair.opacity(0) * area(pair.log_scales[0].map(f32::exp));
     assert!((after - 2.0 * 0.5 * area([1.0, 0.5, 0.25])).abs() < 1e-4);
 }
 
-/// Among distant pairs of twins, twins are merged with each other.
+/// Among distant pairs of twins, twins merge with each other.
 #[test]
 fn the_nearest_alike_are_merged_first() {
     let mut twins = Gaussians::default();

@@ -1,4 +1,4 @@
-//! Data sets of the NeRF kind, masks, orientations and archives.
+//! Data sets in transforms.json, masks, orientations and archives.
 
 use std::path::Path;
 
@@ -16,7 +16,7 @@ fn camera(index: u32) -> Camera {
     Camera::look_at(Vec3::new(3.0 * cos, 3.0 * sin, 1.0), Vec3::ZERO, Vec3::Z, intrinsics)
 }
 
-/// Camera to world with y up and z backward, as the files have it.
+/// Camera-to-world matrix with y up and z backward, as in the files.
 fn matrix(camera: &Camera) -> Value {
     let r = camera.camera_from_world;
     let eye = camera.position();
@@ -33,7 +33,7 @@ fn write_json(path: &Path, value: &Value) {
     std::fs::write(path, value.to_string()).unwrap();
 }
 
-/// Photos 0.. of a folder and their frames; the names have an ending or not.
+/// Writes photos 0.. of a folder and returns their frames; `ending` is appended to the names.
 fn frames(folder: &Path, below: &str, indices: std::ops::Range<u32>, ending: &str) -> Vec<Value> {
     std::fs::create_dir_all(folder.join(below)).unwrap();
     let frame = |index: u32| {
@@ -57,7 +57,7 @@ fn refusal(folder: &Path) -> String {
     message
 }
 
-/// x sees fx = half the width over the tangent of half the angle.
+/// Horizontal field of view for fx = 21 and a width of 20.
 fn angle() -> f64 {
     2.0 * (10.0f64 / 21.0).atan()
 }
@@ -86,7 +86,7 @@ fn synthetic_scenes_have_their_own_split() {
         }
         assert!(view.photo.photo().unwrap().rgb.iter().all(|&v| u32::from(v) == index));
     }
-    // Without points, random ones where the cameras look.
+    // Without points, the initial points are random and lie where the cameras look.
     assert!(dataset.points.is_empty() && dataset.may_lack_points());
     let bounds = dataset.initial_points(1).bounds().unwrap();
     assert!(bounds.center().length() < 0.1 && bounds.max.max_element() < 2.0, "{bounds:?}");
@@ -107,21 +107,21 @@ fn transparent_photos_show_the_background() {
     let first = |white_background| {
         let view =
             load(folder.path(), &DatasetOptions { white_background, ..Default::default() }).train.remove(0);
-        // It is the background that counts there, not nothing.
+        // The background counts there; the pixel is not masked.
         assert!(!view.photo.is_masked());
         let photo = view.photo.photo().unwrap();
         [photo.rgb[0], photo.rgb[1], photo.rgb[2]]
     };
     assert_eq!(first(false), [40, 20, 0]);
     assert_eq!(first(true), [244, 224, 204]);
-    // Training on random backgrounds has the same photo, and its opacity: here 0.2 of 254 steps.
+    // Training on random backgrounds gets the same photo with its opacity: here 0.2 of 254 steps.
     for resolution in [Resolution::Auto, Resolution::Width(10)] {
         let options = DatasetOptions { keep_opacity: true, resolution, ..Default::default() };
         let train = load(folder.path(), &options).train;
         let [clear, opaque] = [0, 1].map(|index| &train[index].photo);
         assert!(clear.is_transparent() && clear.mask().unwrap().is_none() && !opaque.is_masked());
         assert!(clear.texels().unwrap().as_chunks::<4>().0.iter().all(|texel| *texel == [40, 20, 0, 52]));
-        // The right half hidden, as with train_test_exp.
+        // The right half is hidden, as with train_test_exp.
         let half = clear.hiding(|pixel| pixel % 2 == 1).unwrap();
         assert_eq!(half.mask().unwrap().unwrap()[..4], [255, 0, 255, 0]);
         assert_eq!(half.texels().unwrap()[..8], [40, 20, 0, 52, 40, 20, 0, 0]);
@@ -147,12 +147,12 @@ fn frames_may_have_their_own_lens_and_points() {
     let focal: Vec<f32> = dataset.train.iter().map(|view| view.camera.fx).collect();
     assert_eq!(focal, [21.0, 30.0, 21.0]);
     assert_eq!(dataset.train[1].camera.fy, 25.0);
-    // Every second is held out, as for COLMAP.
+    // Every second photo is held out, as with COLMAP.
     let options = DatasetOptions { eval: true, test_every: 2, ..Default::default() };
     assert_eq!(load(folder.path(), &options).test.len(), 2);
 }
 
-/// Points that were stored before the transform of the poses are moved to the cameras.
+/// Points stored before the transform of the poses are moved to the cameras.
 #[test]
 fn points_in_the_older_frame_are_moved() {
     let folder = tempfile::tempdir().unwrap();
@@ -201,7 +201,7 @@ fn points_from_before_the_scale_are_moved() {
     assert!(refusal(folder.path()).contains("applied_scale is not a number above 0"));
 }
 
-/// Keys without effect here are named unless they are 0.
+/// Warnings name keys without effect, unless they are 0.
 #[test]
 fn keys_that_are_not_used_are_named() {
     let folder = tempfile::tempdir().unwrap();
@@ -234,7 +234,7 @@ fn keys_that_are_not_used_are_named() {
     assert!(lines.len() == 1 && lines[0].contains("camera_angle_x means 14.6: fl_x is used"), "{lines:?}");
 }
 
-/// The list of nerfstudio has the meaning of the keys k1, k2, k3, k4, p1 and p2.
+/// The list of nerfstudio means the keys k1, k2, k3, k4, p1 and p2.
 #[test]
 fn distortion_params_are_used() {
     let folder = tempfile::tempdir().unwrap();
@@ -250,7 +250,7 @@ fn distortion_params_are_used() {
     assert!(by_list == sizes(json!({ "k1": -0.2, "p1": 0.01 })) && by_list[0].0.width < 20);
 }
 
-/// Where no placement is better, the points stay, with a line.
+/// If no placement is better, the points stay, with a warning.
 #[test]
 fn points_that_fit_either_frame_are_told() {
     let folder = tempfile::tempdir().unwrap();
@@ -273,7 +273,7 @@ fn points_that_fit_either_frame_are_told() {
     assert_eq!(dataset.warnings.len(), 2);
 }
 
-/// Points without a place, and files of points that are not read, are told.
+/// Warnings name points without finite positions and files of points that are not read.
 #[test]
 fn points_that_cannot_be_used_are_told() {
     let folder = tempfile::tempdir().unwrap();
@@ -301,7 +301,7 @@ fn points_that_cannot_be_used_are_told() {
     assert_eq!(warnings("1 of 3 points have a position that is not finite").len(), 1);
 }
 
-/// Points without a `ply_file_path` are used under the usual names, else named.
+/// Points without a `ply_file_path` are used under the usual names; a warning names others.
 #[test]
 fn points_beside_the_file_are_used_or_named() {
     let folder = tempfile::tempdir().unwrap();
@@ -324,7 +324,7 @@ fn points_beside_the_file_are_used_or_named() {
     }
 }
 
-/// Gaussians are points as well.
+/// A file of Gaussians can serve as points.
 #[test]
 fn points_may_be_gaussians() {
     let folder = tempfile::tempdir().unwrap();
@@ -419,7 +419,7 @@ fn masks_and_alpha_say_what_counts() {
     std::fs::create_dir_all(place("images")).unwrap();
     std::fs::create_dir_all(place("masks")).unwrap();
     (0..4).for_each(|i| photo(50).write_png(place("images").join(format!("{i}.png"))).unwrap());
-    // The left half counts in 0 by a mask, the top half in 1 by its alpha, everything in 2 by a mask, 3 has none.
+    // The left half counts in 0 by a mask, the top half in 1 by its alpha, everything in 2 by a mask; 3 has no mask.
     let half = |left: bool| {
         image::GrayImage::from_fn(20, 12, |x, y| {
             image::Luma([if (left && x < 10) || (!left && y < 6) { 255 } else { 0 }])
@@ -436,7 +436,7 @@ fn masks_and_alpha_say_what_counts() {
     let shown = |i: usize| masks[i].as_ref().unwrap().to_vec();
     assert!(shown(0) == *half(true).as_raw() && shown(1) == *half(false).as_raw());
     assert_eq!(masks[2..], [None, None]);
-    // With the photo's size changes the mask's.
+    // The mask is scaled with the photo.
     let options = DatasetOptions { resolution: "2".parse().unwrap(), ..Default::default() };
     let small = load(folder.path(), &options).train.remove(0).photo.mask().unwrap().unwrap();
     assert_eq!((small.len(), small[0], small[9]), (60, 255, 0));
@@ -469,7 +469,7 @@ fn a_zip_is_a_data_set() {
         assert_eq!(zipped.train, plain.train);
         assert_eq!(Dataset::cameras(folder.path().join(name), &DatasetOptions::default()).unwrap().len(), 3);
     }
-    // As macOS and Windows pack it.
+    // An archive as macOS and Windows create it.
     let mut zip = zip::ZipWriter::new(std::fs::File::create(folder.path().join("finder.zip")).unwrap());
     let options = zip::write::SimpleFileOptions::default();
     for name in
@@ -484,7 +484,7 @@ fn a_zip_is_a_data_set() {
     }
     zip.finish().unwrap();
     assert_eq!(load(&folder.path().join("finder.zip"), &DatasetOptions::default()).train, plain.train);
-    // Without an ending, and beside other folders.
+    // An archive without a file extension, and beside other folders.
     std::fs::copy(folder.path().join("plain.zip"), folder.path().join("plain")).unwrap();
     assert!(Dataset::is_archive(folder.path().join("plain")) && !Dataset::is_archive(&data));
     assert_eq!(load(&folder.path().join("plain"), &DatasetOptions::default()).train, plain.train);
@@ -508,7 +508,7 @@ fn a_zip_is_a_data_set() {
     let text = folder.path().join("text.zip");
     std::fs::write(&text, "none").unwrap();
     assert!(refusal(&text).contains("is not a folder, nor a ZIP"));
-    // Problems are told of the archive.
+    // Problems name the archive.
     let missing = pack("missing.zip", "", 2);
     assert!(
         refusal(&missing)
@@ -549,7 +549,7 @@ fn lists_of_names_split_the_frames() {
         let (train, test): (String, String) = (names(&dataset.train), names(&dataset.test));
         (train, test, dataset.warnings[0].clone())
     };
-    // The last is in none, and the one before only in what gives way to the test's list.
+    // The last photo is in no list, and the one before only in a list that the test's list overrides.
     write(
         json!({ "train_filenames": named(&[0, 1, 2]), "test_filenames": named(&[3]), "val_filenames": named(&[4]) }),
     );

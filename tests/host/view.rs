@@ -1,4 +1,4 @@
-//! A host's matrices as a camera and a depth mapping, for all conventions.
+//! A host's matrices as a camera and a depth mapping, in all conventions.
 
 use ashsplat::scene::{ClipY, HostView, Pose};
 use glam::camera::{lh, rh};
@@ -9,7 +9,7 @@ const EYE: Vec3 = Vec3::new(1.0, 2.0, 5.0);
 const NEAR: f32 = 0.25;
 const FAR: f32 = 40.0;
 
-/// Where the host itself draws a point: pixels and depth.
+/// Position at which the host itself draws a point: pixels and depth.
 fn drawn(view: &HostView, world: Vec3) -> (Vec3, f32) {
     let clip = view.clip_from_view * view.view_from_world * world.extend(1.0);
     let ndc = clip / clip.w;
@@ -18,7 +18,7 @@ fn drawn(view: &HostView, world: Vec3) -> (Vec3, f32) {
     (Vec3::new((ndc.x * 0.5 + 0.5) * width, (y * 0.5 + 0.5) * height, ndc.z), clip.w)
 }
 
-/// (name, view, projection, clip y, whether depth is reversed)
+/// Conventions: name, view, and true if depth is reversed.
 fn conventions() -> Vec<(&'static str, HostView, bool)> {
     let (fov, aspect) = (0.8, SIZE.0 as f32 / SIZE.1 as f32);
     let right = rh::view::look_at_mat4(EYE, Vec3::ZERO, Vec3::Y);
@@ -105,7 +105,7 @@ fn host_views_put_points_where_the_host_does() {
                 expected.z
             );
         }
-        // The near plane, and what is infinitely far or on the far plane.
+        // The near plane, and the far plane or infinity.
         let near_value = if reversed { 1.0 } else { 0.0 };
         assert!((mapping.z(near_value) / NEAR - 1.0).abs() < 1e-3, "{name}: {}", mapping.z(near_value));
         let far = mapping.z(mapping.clear_value);
@@ -143,7 +143,7 @@ fn host_views_that_cannot_be_are_refused() {
     let mut far_off = good;
     far_off.clip_from_view.x_axis.x = f32::MAX;
     bad.push(("clip_from_view: focal length (inf, ", far_off));
-    // The rounding of an inverse is none of it.
+    // The rounding of an inverse is no error.
     let mut rounded = good;
     rounded.view_from_world.w_axis.w = 0.999_999_9;
     rounded.camera().expect("as good");
@@ -153,7 +153,7 @@ fn host_views_that_cannot_be_are_refused() {
     let mut flat = good;
     flat.clip_from_view.y_axis.y = 0.0;
     bad.push(("clip_from_view: is skewed or degenerate: row 1, column 1 is 0", flat));
-    // w of both kinds.
+    // w of both kinds of projection.
     let mut mixed = good;
     mixed.clip_from_view.w_axis.w = 1.0;
     bad.push(("clip_from_view: is neither perspective nor orthographic", mixed));
@@ -191,7 +191,7 @@ fn poses_come_from_matrices_that_scale_uniformly() {
         let error = Pose { scale, ..Pose::IDENTITY }.check().expect_err("no scale").to_string();
         assert!(error.contains("a scale of"), "{error}");
     }
-    // The square and its inverse are normal numbers.
+    // The scale's square and its inverse must be normal numbers.
     for (least, beyond) in [(2f32.powi(-63), f32::next_down as fn(f32) -> f32), (2f32.powi(63), f32::next_up)]
     {
         let is_possible = |scale: f32| Pose { scale, ..Pose::IDENTITY }.check().is_ok();

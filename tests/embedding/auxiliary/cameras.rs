@@ -1,4 +1,4 @@
-//! Picks and motion of cameras that are no pinholes, and of such as do not see all that the other one sees.
+//! Picks and motion of orthographic cameras, and of cameras that do not see all that the other one sees.
 
 use super::truth::{SIZE, Screens, Truth, ball, both, round, shifted, turned};
 use crate::orthographic;
@@ -8,12 +8,12 @@ use ashsplat::scene::{Camera, Pose};
 use ashsplat::{Blending, DeviceScene, Placed, RecordedFrame, RenderSettings, Renderer, Reservation};
 use glam::{Mat3, Vec3};
 
-/// With pixels per unit as a pinhole has at a distance of 4.
+/// Orthographic camera with the pixels per unit of a pinhole at a distance of 4.
 fn parallel(camera: &Camera) -> Camera {
     Camera { fx: camera.fx / 4.0, fy: camera.fy / 4.0, ..camera.orthographic() }
 }
 
-/// Of orthographic cameras now, before, and both.
+/// Orthographic cameras in this frame, in the previous one, and in both.
 #[test]
 fn picks_and_motion_of_orthographic_cameras() {
     with_host(&options(), |host| {
@@ -56,7 +56,7 @@ fn picks_and_motion_of_orthographic_cameras() {
     });
 }
 
-/// The depth of what is picked, through the host's mapping, is that of the host's matrices.
+/// The depth of a pick, through the host's mapping, equals that of the host's matrices.
 #[test]
 fn picks_have_the_depth_of_an_orthographic_host() {
     with_host(&options(), |host| {
@@ -93,7 +93,7 @@ fn picks_have_the_depth_of_an_orthographic_host() {
     });
 }
 
-/// A camera of the frame before is reserved as one of now is.
+/// An orthographic previous camera must be reserved like a current one.
 #[test]
 fn an_orthographic_camera_before_is_reserved() {
     with_host(&options(), |host| {
@@ -116,8 +116,8 @@ fn an_orthographic_camera_before_is_reserved() {
     });
 }
 
-/// The earlier camera stood among the Gaussians: some lay behind it and count as standing still, some close to its plane, whose
-/// motion is as long as the picture at most.
+/// The previous camera stood among the Gaussians. Those behind it have no motion. The motion of those near its plane
+/// is at most the picture's size.
 #[test]
 fn gaussians_that_the_earlier_camera_did_not_see_do_not_outweigh_others() {
     with_host(&options(), |host| {

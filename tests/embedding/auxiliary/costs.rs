@@ -1,4 +1,4 @@
-//! What picks and motion cost a frame.
+//! Costs of picks and motion.
 
 use super::truth::{Screens, both, shifted};
 use crate::cost::{in_turn, median, ratio, record_cost};
@@ -7,7 +7,7 @@ use crate::stage::{camera, cloud, with_host};
 use ashsplat::{DeviceScene, PickTarget, Placed, RecordedFrame, RenderSettings, Renderer, Reservation};
 use std::time::Instant;
 
-/// Milliseconds of the stages and of all, of a frame with and without: medians, taken in turn.
+/// Prints the median milliseconds of the stages and of the frame, with and without both, measured in turn.
 #[test]
 #[ignore = "prints a table of the guide"]
 fn costs() {
@@ -46,7 +46,7 @@ fn costs() {
     });
 }
 
-/// Microseconds of `record` with and without motion.
+/// Prints microseconds of `record` with and without motion.
 #[test]
 #[ignore = "prints numbers of the guide"]
 fn record_costs() {
@@ -61,7 +61,8 @@ fn record_costs() {
     });
 }
 
-/// Pipelines of a reservation, and the milliseconds until all are built: with MESA_SHADER_CACHE_DISABLE=true by the compiler.
+/// Prints a reservation's pipelines and the milliseconds to build them all. MESA_SHADER_CACHE_DISABLE=true includes
+/// the compiler.
 #[test]
 #[ignore = "prints numbers of the guide"]
 fn pipelines() {

@@ -1,4 +1,4 @@
-//! What lies beside frames that are in flight: images of a slot, used again and again, and where their texels go.
+//! Picks and motion of frames in flight: images of a slot that are used repeatedly, and the buffers that read them.
 
 use super::truth::{Screens, WRITTEN};
 use crate::host::{Host, InFlight};
@@ -7,7 +7,7 @@ use ashsplat::ash::vk;
 use ashsplat::vk::{Context, ImageState};
 use ashsplat::{Camera, MotionTarget, PickTarget, RecordedFrame};
 
-/// Texels of picks and of motion; none where they were not asked for.
+/// Texels of picks and of motion; empty unless requested.
 pub type Beside = (Vec<[u32; 4]>, Vec<[u16; 2]>);
 
 pub struct Flight<'a> {
@@ -15,7 +15,6 @@ pub struct Flight<'a> {
     screens: Screens<'a>,
     staging: [HostBuffer; 2],
     pixels: usize,
-    /// The last use of each image.
     last: [ImageState; 2],
 }
 
@@ -27,7 +26,7 @@ impl<'a> Flight<'a> {
         Self { host, screens, staging, pixels, last: [ImageState::UNDEFINED; 2] }
     }
 
-    /// A frame with picks, with motion.
+    /// Adds picks and motion to a frame.
     pub fn with<'b>(
         &'b self,
         frame: RecordedFrame<'b>,
@@ -40,7 +39,7 @@ impl<'a> Flight<'a> {
         RecordedFrame { pick: pick.then_some(target), motion: motion.then_some(moved), ..frame }
     }
 
-    /// Behind the frame, in its command buffer.
+    /// Records the reads after the frame, in its command buffer.
     pub fn record_read(&mut self, in_flight: &InFlight, wanted: [bool; 2]) {
         let written = (WRITTEN.layout, WRITTEN.stages, WRITTEN.accesses);
         for which in (0..2).filter(|&which| wanted[which]) {
@@ -50,7 +49,7 @@ impl<'a> Flight<'a> {
         }
     }
 
-    /// After the fence.
+    /// Returns the texels; to be called after the fence.
     pub fn read(&self, [pick, motion]: [bool; 2]) -> Beside {
         let bytes = |which: usize, wanted: bool, bytes: usize| match wanted {
             true => self.staging[which].read(self.host, bytes * self.pixels).expect("bytes"),
@@ -60,7 +59,7 @@ impl<'a> Flight<'a> {
         (bytemuck::pod_collect_to_vec(&texels.0), bytemuck::pod_collect_to_vec(&texels.1))
     }
 
-    /// After a frame that nobody else has read and that was waited for.
+    /// Reads the images after a frame that has finished and that recorded no reads.
     pub fn now(&self, [pick, motion]: [bool; 2]) -> Beside {
         let (picks, motions) = (pick.then(|| self.screens.read(0)), motion.then(|| self.screens.read(1)));
         (picks.unwrap_or_default(), motions.unwrap_or_default())

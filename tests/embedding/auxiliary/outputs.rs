@@ -1,4 +1,4 @@
-//! Images of the host's that a frame draws into or is hidden by, used again and again, and where their texels go.
+//! A host's images that a frame draws into or that hide splats: used repeatedly, and the buffers that read them.
 
 use super::truth::WRITTEN;
 use crate::host::{Host, InFlight};
@@ -9,18 +9,18 @@ use ashsplat::scene::DepthMapping;
 use ashsplat::vk::{Context, Image, ImageState, ImageUse};
 use ashsplat::{Background, ColorEncoding, DepthTarget, HostImage, Occluder, RecordedFrame, Release, Target};
 
-/// What a frame has of them.
+/// Outputs and inputs that a frame uses.
 #[derive(Clone, Copy, Default)]
 pub struct Wanted {
-    /// A picture in an image.
+    /// The picture in an image.
     pub target: Option<(Background, ColorEncoding)>,
     /// Expected depth.
     pub depth: bool,
-    /// Depth of the host's that hides splats.
+    /// The host's depth, which hides splats.
     pub occluder: Option<DepthMapping>,
 }
 
-/// Bits of texels: colours, expected depth; none where they were not asked for.
+/// Words of colours and of expected depth; empty unless requested.
 pub type Seen = [Vec<u32>; 2];
 
 pub struct Outputs<'a> {
@@ -29,7 +29,6 @@ pub struct Outputs<'a> {
     textures: [HostTexture; 3],
     views: [Image; 3],
     staging: [HostBuffer; 2],
-    /// The last use of each image.
     last: [ImageState; 3],
 }
 
@@ -42,7 +41,7 @@ fn state((layout, stages, accesses): Use) -> ImageState {
 }
 
 impl<'a> Outputs<'a> {
-    /// The host's depth is `hides` everywhere.
+    /// `hides` is the value of the host's depth everywhere.
     pub fn new(host: &'a Host, context: &Context, size: [u32; 2], hides: f32) -> Self {
         let usage = vk::ImageUsageFlags::STORAGE
             | vk::ImageUsageFlags::TRANSFER_SRC
@@ -62,7 +61,7 @@ impl<'a> Outputs<'a> {
         Self { host, textures, views, staging, last: [ImageState::UNDEFINED, ImageState::UNDEFINED, written] }
     }
 
-    /// A frame with what is wanted.
+    /// Adds the wanted outputs and inputs to a frame.
     pub fn with<'b>(&'b self, frame: RecordedFrame<'b>, wanted: &Wanted) -> RecordedFrame<'b> {
         let to =
             |which: usize| HostImage { image: &self.views[which], from: self.last[which], offset: [0; 2] };
@@ -75,7 +74,7 @@ impl<'a> Outputs<'a> {
         }
     }
 
-    /// Before the frame, in its command buffer: what it is drawn over.
+    /// Clears the target before the frame, in its command buffer, if the frame draws over it.
     pub fn record_clear(&mut self, in_flight: &InFlight, wanted: &Wanted) {
         if !matches!(wanted.target, Some((Background::Image, _))) {
             return;
@@ -99,12 +98,12 @@ impl<'a> Outputs<'a> {
         self.last[0] = state(cleared);
     }
 
-    /// Notes the last use of the host's depth.
+    /// Notes the host's depth's last use.
     pub fn note(&mut self, release: &Release) {
         self.last[2] = release.occluder.unwrap_or(self.last[2]);
     }
 
-    /// Behind the frame, in its command buffer.
+    /// Records the reads after the frame, in its command buffer.
     pub fn record_read(&mut self, in_flight: &InFlight, wanted: &Wanted, release: &Release) {
         self.note(release);
         for (which, used) in [release.color, release.depth].into_iter().enumerate() {
@@ -118,7 +117,7 @@ impl<'a> Outputs<'a> {
         }
     }
 
-    /// After the fence.
+    /// Returns the texels; to be called after the fence.
     pub fn read(&self, wanted: &Wanted) -> Seen {
         let [width, height] = self.textures[0].size;
         let bytes = |which: usize, asked: bool, bytes: u32| match asked {
@@ -131,7 +130,7 @@ impl<'a> Outputs<'a> {
         [bytes(0, wanted.target.is_some(), 16), bytes(1, wanted.depth, 4)]
     }
 
-    /// The expected depth after a frame that nobody else has read and that was waited for.
+    /// Reads the expected depth after a frame that has finished and that recorded no reads.
     pub fn depths(&self) -> Vec<u32> {
         let copied = self.host.run(|commands| {
             self.textures[1].record_read(self.host, commands, of(WRITTEN), &self.staging[1]);

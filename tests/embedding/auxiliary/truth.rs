@@ -1,4 +1,4 @@
-//! Images for what lies beside the picture, and the host's own arithmetic for it.
+//! Images for picks and motion, and the host's own arithmetic for them.
 
 use crate::host::Host;
 use crate::memory::{HostBuffer, HostTexture};
@@ -20,14 +20,14 @@ pub const WRITTEN: ImageState = ImageState {
     accesses: vk::AccessFlags2::SHADER_STORAGE_WRITE,
 };
 
-/// Images of the host's for what lies beside the picture.
+/// A host's images for picks and motion.
 pub struct Screens<'a> {
     host: &'a Host,
     pub textures: [HostTexture; 2],
     pub views: [Image; 2],
 }
 
-/// What a frame left.
+/// Outputs of a frame.
 #[derive(Clone)]
 pub struct Shot {
     pub pixels: Vec<[f32; 4]>,
@@ -54,7 +54,7 @@ impl<'a> Screens<'a> {
         HostImage { image: &self.views[which], from: ImageState::UNDEFINED, offset: [0; 2] }
     }
 
-    /// Renders a frame with both.
+    /// Renders a frame with picks and motion.
     pub fn shot(&self, renderer: &mut Renderer, frame: &RecordedFrame<'_>, previous: &Camera) -> Shot {
         let (pick, motion) = (PickTarget { to: self.to(0) }, self.motion(previous));
         let frame = RecordedFrame { pick: Some(pick), motion: Some(motion), ..*frame };
@@ -92,7 +92,7 @@ impl<'a> Screens<'a> {
     }
 }
 
-/// A half float that is finite.
+/// Value of a half float that is finite.
 pub fn of_half(bits: u16) -> f32 {
     let (sign, exponent, mantissa) =
         (bits >> 15, i32::from(bits >> 10 & 31), f32::from(bits & 1023) / 1024.0);
@@ -107,7 +107,7 @@ pub fn both(wanted: Reservation) -> Reservation {
     Reservation { pick: true, motion: true, ..wanted }
 }
 
-/// Round Gaussians without a direction: what a pose does to them is soon said.
+/// Round Gaussians without view-dependent colour, so that a pose is easy to apply.
 pub fn round(count: usize, seed: u32) -> Gaussians {
     let mut round = crate::stage::cloud(count, seed).with_sh_degree(0);
     for i in 0..count {
@@ -117,7 +117,7 @@ pub fn round(count: usize, seed: u32) -> Gaussians {
     round
 }
 
-/// One round Gaussian at a place in a camera's frame.
+/// One round Gaussian at a position in a camera's frame.
 pub fn ball(camera: &Camera, at: [f32; 3], [scale, opacity]: [f32; 2]) -> Gaussians {
     let at = camera.camera_from_world.transpose() * (Vec3::from(at) - camera.translation);
     Gaussians {
@@ -130,7 +130,7 @@ pub fn ball(camera: &Camera, at: [f32; 3], [scale, opacity]: [f32; 2]) -> Gaussi
     }
 }
 
-/// Round Gaussians as a pose places them.
+/// Round Gaussians, transformed by a pose.
 pub fn posed(gaussians: &Gaussians, pose: &Pose) -> Gaussians {
     let mut posed = gaussians.clone();
     for (mean, log_scale) in posed.means.iter_mut().zip(&mut posed.log_scales) {
@@ -153,7 +153,7 @@ pub fn seen(point: DVec3, camera: &Camera) -> ([f64; 2], f64) {
     ([f(camera.fx, at.x, camera.cx), f(camera.fy, at.y, camera.cy)], at.z)
 }
 
-/// What has moved on the screen, in float64: at most the picture's size.
+/// Motion on the screen, in float64: at most the picture's size.
 pub fn moved(mean: [f32; 3], [pose, before]: [&Pose; 2], [camera, camera_before]: [&Camera; 2]) -> [f64; 2] {
     let ([x, y], _) = seen(in_world(mean, pose), camera);
     let ([x0, y0], z0) = seen(in_world(mean, before), camera_before);
@@ -161,7 +161,7 @@ pub fn moved(mean: [f32; 3], [pose, before]: [&Pose; 2], [camera, camera_before]
     if z0 > 0.2 { [(x - x0).clamp(-w, w), (y - y0).clamp(-h, h)] } else { [0.0; 2] }
 }
 
-/// Weights of what is blended at a pixel, as (Gaussian, weight, depth); none from `limit` on.
+/// Weights blended at a pixel, as (Gaussian, weight, depth); none beyond the depth `limit`.
 pub fn weights(lists: &TileLists, [x, y]: [u32; 2], limit: f64) -> Vec<(usize, f64, f64)> {
     let [begin, end] = lists.ranges[(y / 16 * lists.tiles_per_row + x / 16) as usize];
     let (mut weights, mut transmittance) = (Vec::new(), 1.0);
@@ -186,10 +186,10 @@ pub fn weights(lists: &TileLists, [x, y]: [u32; 2], limit: f64) -> Vec<(usize, f
     weights
 }
 
-/// The truth about a frame of round Gaussians: who they are, and how each moved.
+/// Reference for a frame of round Gaussians: their indices and motions.
 pub struct Truth {
     lists: TileLists,
-    /// Of each Gaussian of the lists: its index in its scene, the scene, its motion.
+    /// Index in its scene, scene and motion of each Gaussian of the lists.
     pub who: Vec<(u32, u32, [f64; 2])>,
     pub limit: f64,
 }
@@ -209,11 +209,11 @@ impl Truth {
         Self { lists, who, limit: f64::INFINITY }
     }
 
-    /// Compares all pixels. Returns how many have something. At most one of a hundred may hang on rounding.
+    /// Compares all pixels. Returns the number of covered pixels. At most one of a hundred may differ by rounding.
     pub fn check(&self, shot: &Shot, size: [u32; 2]) -> usize {
         let [covered, odd] = self.compare(shot, size);
         assert!(odd <= shot.picks.len() / 100, "{odd} pixels differ");
-        // The comparison can tell: what lies beside is another pixel's.
+        // The comparison detects values of another pixel.
         let (mut picks, mut motions) = (shot.picks.clone(), shot.motions.clone());
         picks.rotate_left(2);
         motions.rotate_left(2);
@@ -225,7 +225,7 @@ impl Truth {
         covered
     }
 
-    /// Pixels that have something, and those that differ.
+    /// Numbers of covered pixels and of pixels that differ.
     fn compare(&self, shot: &Shot, [width, height]: [u32; 2]) -> [usize; 2] {
         let (mut covered, mut odd) = (0, 0);
         for index in 0..width * height {
@@ -261,7 +261,7 @@ impl Truth {
 }
 
 pub fn shifted(camera: &Camera, by: [f32; 3]) -> Camera {
-    // A camera that stands `by` further along its own axes sees everything so much less far along them.
+    // Everything lies `by` nearer along the axes of a camera that moved by `by`.
     Camera { translation: camera.translation - Vec3::from(by), ..*camera }
 }
 

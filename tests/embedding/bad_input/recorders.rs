@@ -1,8 +1,8 @@
-//! What a recorder of another context, and copies outside of buffers, are told.
+//! Errors of recorders: objects of another context, and copies outside buffers.
 
 use super::*;
 
-/// Buffers, images and kernels of another context are a programmer's error: none of them gets into a recording.
+/// Buffers, images and kernels of another context are a programming error: the recorder refuses them all.
 #[test]
 fn a_recorder_takes_nothing_of_another_context() {
     with_host(&options(), |host| {
@@ -55,7 +55,7 @@ fn a_recorder_takes_nothing_of_another_context() {
     });
 }
 
-/// What is copied fits, and nothing is no command.
+/// Copies must fit, and an empty copy records no command.
 #[test]
 fn recorded_copies_stay_inside() {
     with_host(&options(), |host| {

@@ -1,4 +1,4 @@
-//! Frame after frame with everything on and off at random: what scenes are drawn with, where to, and what lies beside.
+//! Random features in frame after frame: scene settings, outputs, picks and motion.
 
 use super::{filtered, pose, removing, volumes};
 use crate::auxiliary::flight::{Beside, Flight};
@@ -17,12 +17,12 @@ use ashsplat::{
 };
 use glam::Vec3;
 
-/// Scenes that are drawn alone, and small ones in one buffer, which come into batches.
+/// Numbers of scenes that are drawn alone, and of small ones in one buffer, which are batched.
 const LARGE: usize = 3;
 const SMALL: usize = 9;
-/// Gaussians of an update, at most.
+/// Largest number of Gaussians of an update.
 const MOST: u32 = 12;
-/// The value of the host's depth, and the z that is meant.
+/// Value of the host's depth, and the z that it means.
 pub const HIDES: (f32, f32) = (0.25, 4.0);
 
 pub struct Random(pub u32);
@@ -34,10 +34,10 @@ impl Random {
     }
 }
 
-/// What comes into frames. Reservations with all of it have so many kernels that short runs have a part each.
+/// Features of the frames. A reservation with all has so many kernels that short runs test a part each.
 #[derive(Clone, Copy)]
 pub struct Kinds {
-    /// The host's depth, expected depth, tints; cut-outs where they are not in all frames.
+    /// The host's depth, expected depth, tints, and cut-outs if not all frames have them.
     pub surfaces: bool,
     /// Picks, motion, parallel rays, selections.
     pub tools: bool,
@@ -66,13 +66,13 @@ impl Kinds {
     }
 }
 
-/// A camera with parallel rays where one with a pinhole stands.
+/// A camera with parallel rays at the position of a pinhole camera.
 pub fn parallel(camera: &Camera) -> Camera {
     let half = camera.width as f32 / 5.0;
     Camera { projection: Projection::Orthographic, fx: half, fy: half, ..*camera }
 }
 
-/// What hides all that is farther than the middle.
+/// Mapping whose depth hides everything farther than the middle.
 pub fn mapping(camera: &Camera) -> DepthMapping {
     let (value, z) = HIDES;
     let linear = camera.is_orthographic();
@@ -80,7 +80,7 @@ pub fn mapping(camera: &Camera) -> DepthMapping {
     DepthMapping { scale, offset: 0.0, clear_value: 1.0, linear }
 }
 
-/// What a frame has beside its scenes.
+/// Outputs and inputs of a frame beside its scenes.
 struct Wants<'a> {
     outputs: Wanted,
     /// Picks, motion.
@@ -88,7 +88,7 @@ struct Wants<'a> {
     before: &'a Camera,
 }
 
-/// What a frame shows: the slot's pixels, or images.
+/// Outputs of a frame: the slot's pixels, or images.
 #[derive(PartialEq)]
 struct Shown {
     pixels: Vec<[f32; 4]>,
@@ -96,7 +96,7 @@ struct Shown {
     beside: Beside,
 }
 
-/// A command buffer, and all that its frame writes.
+/// A command buffer, and the outputs of its frame.
 struct Shot<'a> {
     host: &'a Host,
     in_flight: InFlight,
@@ -155,7 +155,7 @@ impl<'a> Shot<'a> {
     }
 }
 
-/// Some of a scene's Gaussians give way to others.
+/// Replaces some of a scene's Gaussians.
 fn replace(part: &mut Gaussians, first: usize, new: &Gaussians) {
     let end = first + new.len();
     part.means[first..end].copy_from_slice(&new.means);
@@ -165,13 +165,13 @@ fn replace(part: &mut Gaussians, first: usize, new: &Gaussians) {
     part.sh[4 * first..4 * end].copy_from_slice(&new.sh);
 }
 
-/// The index in a scene of each Gaussian that is left of it.
+/// Index in the scene of each remaining Gaussian.
 fn places(part: &Gaussians, left: &Gaussians) -> Vec<u32> {
     let mut all = (0..).zip(&part.means);
     left.means.iter().map(|mean| all.find(|(_, own)| *own == mean).expect("of the scene").0).collect()
 }
 
-/// Cut-outs of each scene. The small ones have some or none together.
+/// Random cut-outs of each scene. Either all small scenes have some, or none.
 fn cut_outs(random: &mut Random) -> Vec<Vec<CutOut>> {
     let are_cut = random.below(2) > 0;
     let mut set = |scene: usize| {
@@ -185,7 +185,7 @@ fn cut_outs(random: &mut Random) -> Vec<Vec<CutOut>> {
     (0..LARGE + SMALL).map(&mut set).collect()
 }
 
-/// Settings of each scene. Most small ones are alike in their kinds.
+/// Random settings of each scene. Most small ones use the same features.
 fn scene_settings<'a>(
     random: &mut Random,
     sets: &'a [Vec<CutOut>],
@@ -230,14 +230,14 @@ fn render_settings(random: &mut Random, kinds: Kinds) -> RenderSettings {
         inverse_depth: random.below(4) == 0 && kinds.others,
         filter_3d: random.below(4) == 0 && kinds.others,
         sh_degree: (random.below(4) == 0).then_some(0),
-        // Which no frame looks at.
+        // Frames ignore it.
         background: [f32::NAN; 3],
         ..RenderSettings::default()
     }
 }
 
-/// In the bits of scenes that were filtered before, each in a buffer of its own. Two slots in turn share their memory: the second one is
-/// submitted while the first one is in flight.
+/// Frames have the bits of scenes that the host has filtered, each in its own buffer. Two slots share their memory
+/// in turn: the second is submitted while the first is in flight.
 fn at_random(host: &Host, kinds: Kinds, frames: u32) {
     assert!(frames.is_multiple_of(2));
     let mut parts = vec![cloud(200, 1), cloud(150, 2), cloud(120, 3)];
@@ -252,12 +252,12 @@ fn at_random(host: &Host, kinds: Kinds, frames: u32) {
     let mut plain = Stage::of(host, &context, &all, &wanted);
     let mut shots = [0, 1].map(|slot| Shot::new(host, &context, slot));
     let mut apart = Shot::new(host, &context, 0);
-    // Of all, whichever are left.
+    // Selects all remaining Gaussians.
     let bits = context.allocate("selection", &[("mask", 28)], MemoryKind::Device).expect("memory");
     context.upload(&bits[0], &[0xFF; 28]).expect("uploaded");
     let selection = Selection { mask: &bits[0], color: [1.0, 0.5, 0.0], share: 0.5 };
     let mut random = Random(1);
-    // What a slot's frame has to show.
+    // Expected outputs of a slot's frame.
     let mut awaited = [const { None::<Awaited> }; 2];
     let mut batched = 0;
     let mut finish = |shot: &Shot<'_>, frame: u32, awaited: &mut Option<Awaited>, renderer: &mut Renderer| {
@@ -271,7 +271,7 @@ fn at_random(host: &Host, kinds: Kinds, frames: u32) {
         batched += report.batched_scenes;
     };
     for frame in 0..frames {
-        // Both are submitted at once, so that nobody waits between them.
+        // Both are submitted without a wait in between.
         let slot = (frame % 2) as usize;
         finish(&shots[slot], frame.wrapping_sub(2), &mut awaited[slot], &mut stage.renderer);
         let changed = random.below(parts.len() as u32) as usize;
@@ -327,7 +327,7 @@ fn at_random(host: &Host, kinds: Kinds, frames: u32) {
     shots.into_iter().chain([apart]).for_each(Shot::destroy);
 }
 
-/// Scenes that come from somewhere else.
+/// Gives scenes their previous poses.
 fn come_from<'a>(mut placed: Vec<Placed<'a>>, earlier: &[Pose]) -> Vec<Placed<'a>> {
     for (placed, pose) in placed.iter_mut().zip(earlier) {
         placed.previous_pose = Some(*pose);

@@ -1,5 +1,5 @@
-//! A wait that fails, on a host's device whose queue has a lock: a thread of the guest waits for the queue in place of the fence, and
-//! holds the lock meanwhile.
+//! A wait fails on a host's device whose queue has a lock. A thread of the guest then waits for the queue instead of
+//! the fence, and holds the lock meanwhile.
 
 use super::SIZE;
 use crate::host::Host;
@@ -31,7 +31,7 @@ unsafe impl QueueLock for Gate {
     }
 }
 
-/// The device's vkWaitForFences, how many of its next calls fail, and its vkQueueWaitIdle.
+/// The device's vkWaitForFences, the number of its next calls that fail, and the device's vkQueueWaitIdle.
 static WAIT: AtomicUsize = AtomicUsize::new(0);
 static FAILING: AtomicU32 = AtomicU32::new(0);
 static IDLE: AtomicUsize = AtomicUsize::new(0);
@@ -65,7 +65,7 @@ unsafe extern "system" fn idle(queue: vk::Queue) -> vk::Result {
     }
 }
 
-/// The host's device, whose waits are looked at.
+/// The host's device with wrapped wait functions.
 fn watched(host: &Host) -> ash::Device {
     let replace = |name: &CStr, address: *const c_void| {
         let (real, wrapper) = match name.to_bytes() {
@@ -94,11 +94,11 @@ fn a_wait_that_fails_is_made_up_for_within_a_hosts_lock() {
         renderer.upload(&gaussians).expect("a scene");
         let idles = || IDLES.each_ref().map(|count| count.load(Ordering::SeqCst));
         assert_eq!(idles(), [0, 0], "a wait that succeeds is enough");
-        // The wait, and the one that would make sure that nothing runs any more.
+        // The first wait, and the one that would make sure that nothing runs.
         FAILING.store(2, Ordering::SeqCst);
         let error = renderer.render(&view, &settings).map(drop).expect_err("the wait failed").to_string();
         assert!(error.contains("vkWaitForFences") && error.contains("OUT_OF_HOST_MEMORY"), "{error}");
-        // Nobody else submits, so the flag is that thread's.
+        // Nobody else submits, so that thread holds the flag.
         let start = Instant::now();
         while idles() == [0, 0] || HELD.load(Ordering::SeqCst) {
             assert!(start.elapsed() < Duration::from_secs(60), "{:?}", idles());

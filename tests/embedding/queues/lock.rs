@@ -1,4 +1,4 @@
-//! A host's lock around the queue that its other threads submit to.
+//! A host's lock around a queue that its other threads submit to.
 
 use super::SIZE;
 use crate::host::Host;
@@ -37,7 +37,7 @@ unsafe impl QueueLock for Gate {
     }
 }
 
-/// The device's vkQueueSubmit2, and how many of its calls had nobody who holds the lock, or somebody.
+/// The device's vkQueueSubmit2, and the numbers of calls without and with the lock held.
 static SUBMIT: AtomicUsize = AtomicUsize::new(0);
 static SUBMITTED: [AtomicU32; 2] = [AtomicU32::new(0), AtomicU32::new(0)];
 static IN_USE: AtomicBool = AtomicBool::new(false);
@@ -56,7 +56,7 @@ unsafe extern "system" fn submit(
     }
 }
 
-/// The host's device, whose submissions are looked at.
+/// The host's device with wrapped submissions.
 fn watched(host: &Host) -> ash::Device {
     let replace = |name: &CStr, address: *const c_void| {
         if name != c"vkQueueSubmit2" {
@@ -69,7 +69,7 @@ fn watched(host: &Host) -> ash::Device {
     unsafe { device_with(host, replace) }
 }
 
-/// Ends the host's thread, also where the test fails.
+/// Ends the host's thread even if the test fails.
 struct Stop<'a>(&'a AtomicBool);
 
 impl Drop for Stop<'_> {
@@ -78,7 +78,7 @@ impl Drop for Stop<'_> {
     }
 }
 
-/// All submissions of the guest lie within the lock, while a thread of the host submits as well.
+/// All of the guest's submissions hold the lock, while a thread of the host submits as well.
 #[test]
 fn a_hosts_lock_is_taken_around_submissions() {
     with_host(&options(), |host| {
@@ -99,7 +99,7 @@ fn a_hosts_lock_is_taken_around_submissions() {
         renderer.render(&view, &settings).expect("a frame");
         let of_frame = gate.taken.load(Ordering::SeqCst) - of_frame;
         assert!(of_frame >= 1, "the lock is taken");
-        // Recording takes none.
+        // Recording takes no lock.
         let placed = [Placed::from(&scene)];
         let before = gate.taken.load(Ordering::SeqCst);
         rendered(host, &mut renderer, &RecordedFrame::new(&placed, &view, &settings));

@@ -1,4 +1,4 @@
-//! What a host has enabled for subgroups reaches the driver's compiler.
+//! The subgroup features that a host has enabled reach the driver's compiler.
 
 use super::{Callbacks, Device, create_module, instrumented};
 use crate::host::HostOptions;
@@ -9,7 +9,7 @@ use ashsplat::{Renderer, Reservation};
 use std::ffi::c_void;
 use std::sync::Mutex;
 
-/// Shader modules as the driver gets them.
+/// Shader modules that the driver received.
 static MODULES: Mutex<Vec<Vec<u32>>> = Mutex::new(Vec::new());
 
 pub unsafe extern "system" fn create_module_of(
@@ -27,7 +27,7 @@ pub unsafe extern "system" fn create_module_of(
     }
 }
 
-/// What a host says of subgroups is in the modules that the driver gets, and only then.
+/// Subgroup features appear in the driver's modules if and only if the host enables them.
 pub fn that_a_host_has_enabled() {
     // OpExecutionMode of an entry point, SubgroupUniformControlFlowKHR; OpGroupNonUniformBroadcast.
     let has_mode = |module: &[u32]| module.windows(3).any(|w| w[0] == 3 << 16 | 16 && w[2] == 4421);

@@ -1,8 +1,8 @@
-//! Recorded steps that are thrown away, in time and too late.
+//! Recorded steps that are discarded, in time and too late.
 
 use super::*;
 
-/// A command buffer that is thrown away takes its steps back; those behind it may not stay.
+/// A discarded command buffer takes back its steps; later ones must be discarded, too.
 #[test]
 fn steps_that_are_thrown_away_are_recorded_again() {
     with_host(&options(), |host| {
@@ -39,7 +39,7 @@ fn steps_that_are_thrown_away_are_recorded_again() {
     });
 }
 
-/// What the device has executed cannot be taken back.
+/// Executed steps cannot be taken back.
 #[test]
 fn steps_that_are_discarded_too_late_break_the_trainer() {
     with_host(&options(), |host| {

@@ -3,7 +3,8 @@
 use super::*;
 use ashsplat::plan::LEAST_VISIBLE;
 
-/// The first step sees more Gaussians than estimated. It changes nothing, and goes on with room for them, to the same bits.
+/// The first step sees more Gaussians than estimated. It changes nothing and is repeated with more capacity, to the
+/// same bits.
 #[test]
 fn steps_that_see_more_than_estimated_are_repeated() {
     with_host(&options(), |host| {
@@ -37,7 +38,7 @@ fn steps_that_see_more_than_estimated_are_repeated() {
         }
         (0..3).for_each(|_| assert!(!expected.step().expect("a step").skipped));
         assert!(recorded.gaussians().expect("Gaussians") == expected.gaussians().expect("Gaussians"));
-        // With room for all of them from the beginning no step is repeated.
+        // With enough capacity from the start, no step is repeated.
         let mut roomy = trainer();
         let all = StepReservation { slots: 1, instances: 1 << 18, visible: 3 * LEAST_VISIBLE };
         roomy.reserve_steps(&all).expect("memory");

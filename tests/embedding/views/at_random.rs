@@ -1,4 +1,4 @@
-//! Views, scenes and what they are drawn with, at random from frame to frame: in one recording as each alone.
+//! Random views, scenes and settings in frame after frame: one recording equals each view alone.
 
 use super::{BLACK, SIZE, hard_cloud, into, render_views};
 use crate::array_image::ArrayImage;
@@ -17,12 +17,12 @@ use ashsplat::{
 use glam::{Mat3, Vec3};
 use std::ops::Range;
 
-/// Views of a recording, at most.
+/// Largest number of views of a recording.
 const MOST: u32 = 3;
-/// Small scenes.
+/// Number of small scenes.
 const SMALL: u32 = 20;
 
-/// What is drawn, and beside it.
+/// A view's scenes and outputs.
 struct View<'a> {
     scenes: &'a [Placed<'a>],
     camera: &'a Camera,
@@ -50,7 +50,7 @@ impl<'a> Screens<'a> {
         Self { array, layers, flights, outputs }
     }
 
-    /// Some of the views in one recording, into the images from here on.
+    /// Renders some views in one recording, into the images from `bank` on.
     fn render(
         &mut self,
         host: &Host,
@@ -70,7 +70,7 @@ impl<'a> Screens<'a> {
         group.zip(&releases).for_each(|(number, release)| self.outputs[bank + number].note(release));
     }
 
-    /// Bits of what a view's images show, within its picture.
+    /// Words of a view's images, within its picture.
     fn shown(&self, colors: &[Vec<[f32; 4]>], view: &View<'_>, place: usize) -> [Vec<u32>; 4] {
         let [width, height] = [view.camera.width as usize, view.camera.height as usize];
         let cropped = |texels: &[u32]| -> Vec<u32> {
@@ -79,7 +79,7 @@ impl<'a> Screens<'a> {
             rows.flat_map(|row| row[..width * words].to_vec()).collect()
         };
         let (picks, motions) = self.flights[place].now(view.beside);
-        // Two halves each.
+        // Two half floats per word.
         let motions: Vec<u32> = bytemuck::pod_collect_to_vec(&motions);
         let depths = if view.outputs.depth { self.outputs[place].depths() } else { Vec::new() };
         [
@@ -98,8 +98,8 @@ impl<'a> Screens<'a> {
     }
 }
 
-/// Cameras beside each other can share a sort where they draw the same list; small scenes of one buffer come into batches; a large
-/// one never does.
+/// Cameras side by side can share a sort if they draw the same list. Small scenes of one buffer are batched, a large
+/// one never.
 fn at_random(host: &Host, kinds: Kinds, frames: u32) {
     let context = guest(host);
     let small: Vec<Gaussians> = (0..SMALL).map(|seed| cloud(12, 20 + seed)).collect();
@@ -132,7 +132,7 @@ fn at_random(host: &Host, kinds: Kinds, frames: u32) {
     let (mut sorts, mut batched, mut differing) = ([0; MOST as usize + 1], 0, 0);
     for frame in 0..frames {
         let lists: [Vec<Placed>; 2] = [(); 2].map(|()| {
-            // Scenes of a batch are alike in these.
+            // A batch needs equal values of these.
             let [tinted, cut, plain] = [(); 3].map(|()| below(2) > 0);
             let [tinted, cut] = [tinted, cut].map(|is_so| is_so && kinds.surfaces);
             let mut placed = |scene| {
@@ -155,7 +155,7 @@ fn at_random(host: &Host, kinds: Kinds, frames: u32) {
             };
             scenes.iter().map(&mut placed).collect()
         });
-        // Two views with one sort, one of which has motion: seldom by chance.
+        // Two views with one sort, one of them with motion: rare by chance.
         let is_pair = frame % 8 == 5;
         let base = camera(0.2 * below(30) as f32, SIZE[0], SIZE[1]);
         let base = if below(4) == 0 && kinds.tools { parallel(&base) } else { base };
@@ -168,7 +168,7 @@ fn at_random(host: &Host, kinds: Kinds, frames: u32) {
         let settings = [None, Some(0)].map(|sh_degree| RenderSettings { sh_degree, ..Default::default() });
         let own = settings[below(2) as usize];
         let before: Vec<Camera> = cameras.iter().map(|now| shifted(now, [0.03, 0.0, 0.02])).collect();
-        // Motion keeps scenes out of batches.
+        // Scenes with motion are not batched.
         let may_move = below(2) > 0 && kinds.tools;
         let views: Vec<View> = cameras
             .iter()
@@ -190,7 +190,8 @@ fn at_random(host: &Host, kinds: Kinds, frames: u32) {
                 ],
             })
             .collect();
-        // Those that are left have a recording each: all layers are drawn. And each alone, by the other renderer.
+        // Each remaining view has its own recording, so that all layers are drawn. The other renderer draws each
+        // alone.
         let first = if is_pair { 2 } else { 1 + below(MOST) as usize };
         let of_together = (first..views.len()).map(|view| view..view + 1).chain(std::iter::once(0..first));
         for group in of_together {

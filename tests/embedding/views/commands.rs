@@ -1,4 +1,4 @@
-//! How many commands and objects views take: counted in the device's table.
+//! Numbers of commands and objects that views need, counted in the device's table.
 
 use super::{BLACK, SIZE, into};
 use crate::array_image::ArrayImage;
@@ -11,7 +11,8 @@ use std::ffi::{CStr, c_void};
 use std::mem::transmute;
 use std::sync::atomic::{AtomicU32, AtomicUsize, Ordering};
 
-/// A wrapper for each command: a static with the real one, one with its calls, and a function that counts and passes on.
+/// Generates a wrapper for each command: statics with the real address and the number of calls, and a function that
+/// counts and forwards.
 macro_rules! counted {
     ($($name:literal $wrapper:ident($($arg:ident: $ty:ty),*);)*) => {
         mod real {
@@ -39,7 +40,7 @@ macro_rules! counted {
                 _ => None,
             }
         }
-        /// Calls of each since the last time.
+        /// Calls of each command since the last call of this.
         fn taken() -> [u32; 6] {
             [$(calls::$wrapper.swap(0, Ordering::Relaxed)),*]
         }
@@ -57,7 +58,7 @@ counted! {
     "vkCmdCopyBuffer" copy(c: Commands, f: u64, t: u64, n: u32, r: *const c_void);
 }
 
-/// The device's vkCreateDescriptorPool, and its calls.
+/// The device's vkCreateDescriptorPool, and the number of its calls.
 static CREATE_POOL: AtomicUsize = AtomicUsize::new(0);
 static POOLS: AtomicU32 = AtomicU32::new(0);
 
@@ -87,7 +88,7 @@ fn counting(host: &Host) -> ash::Device {
     unsafe { device_with(host, replace) }
 }
 
-/// Dispatches, barriers and other commands of groups of views, each group in a recording.
+/// Numbers of dispatches, barriers and other commands of groups of views, each group in one recording.
 fn counts(host: &Host, renderer: &mut Renderer, groups: &[&[RecordedFrame<'_>]]) -> [u32; 3] {
     let in_flight = InFlight::new(host).expect("a command buffer");
     in_flight.begin(host).expect("recording");
@@ -143,7 +144,7 @@ fn views_of_one_recording_have_fewer_commands() {
     });
 }
 
-/// Without push descriptors, the sets of many views with images are reserved as well.
+/// Without push descriptors, a reservation includes the sets of many views with images.
 #[test]
 fn many_views_make_no_descriptor_pool() {
     const VIEWS: usize = 20;

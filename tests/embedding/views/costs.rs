@@ -1,4 +1,4 @@
-//! What two eyes cost in two recordings, in one, and with one sort.
+//! Costs of two eyes in two recordings, in one, and with one sort.
 
 use super::{BLACK, into};
 use crate::array_image::ArrayImage;
@@ -12,14 +12,14 @@ const CASES: [&str; 3] = ["two recordings", "one", "one, shared sort"];
 const FIGURES: [&str; 7] =
     ["device, ms", "cull", "project", "depth sort", "the rest", "CPU, ms", "record, us"];
 
-/// Processor time of this process so far, ms, in ticks of ten.
+/// CPU time of this process so far, ms, in steps of ten.
 fn cpu_ms() -> f64 {
     let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
     let ticks = stat.rsplit(')').next().unwrap_or_default().split_whitespace().skip(11).take(2);
     ticks.filter_map(|word| word.parse::<f64>().ok()).sum::<f64>() * 10.0
 }
 
-/// The figures of groups of views, each group in a recording.
+/// Measures groups of views, each group in one recording.
 fn shot(host: &Host, in_flight: &InFlight, renderer: &mut Renderer, groups: &[&[RecordedFrame]]) -> [f64; 7] {
     let cpu = cpu_ms();
     in_flight.begin(host).expect("recording");

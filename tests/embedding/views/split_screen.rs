@@ -1,4 +1,4 @@
-//! Two players side by side, with everything that a frame can leave.
+//! Two players side by side, with every output of a frame.
 
 use super::{SIZE, render_views};
 use crate::auxiliary::truth::{Screens, WRITTEN};
@@ -16,7 +16,7 @@ use ashsplat::{
 };
 use glam::{Mat3, Vec3};
 
-/// The images of a split screen: colours, depths, what hides, picks and motion, for both players side by side.
+/// Images of a split screen for both players: colours, depths, occluder, picks and motion.
 struct Split<'a> {
     host: &'a Host,
     textures: [HostTexture; 3],
@@ -51,7 +51,7 @@ impl<'a> Split<'a> {
         split
     }
 
-    /// Slopes of the host's: z from 3 to 5, along the rows.
+    /// Writes the host's depth: z from 3 to 5 along the rows.
     fn write_depth(&self) {
         let depths: Vec<f32> =
             (0..BOTH[0] * BOTH[1]).map(|i| 1.0 / (3.0 + 2.0 * (i % 59) as f32 / 59.0)).collect();
@@ -87,7 +87,7 @@ impl<'a> Split<'a> {
         }
     }
 
-    /// A frame into the part of a player, with everything. `used`: by a recording before.
+    /// A frame with every output into a player's part. `used`: release of a previous recording.
     fn frame<'b>(
         &'b self,
         frame: RecordedFrame<'b>,
@@ -125,7 +125,7 @@ impl<'a> Split<'a> {
         }
     }
 
-    /// How the images are used once they were read.
+    /// State of the images after they were read.
     fn after_read(release: &Release) -> Release {
         let mut after = *release;
         let read = ImageState {
@@ -138,7 +138,7 @@ impl<'a> Split<'a> {
         after
     }
 
-    /// Everything that was written.
+    /// Reads all outputs.
     fn read(&self) -> [Vec<u32>; 4] {
         let from = (WRITTEN.layout, WRITTEN.stages, WRITTEN.accesses);
         let texels = |texture: &HostTexture, words: usize| -> Vec<u32> {
@@ -164,7 +164,7 @@ impl<'a> Split<'a> {
     }
 }
 
-/// A reservation for two players with everything.
+/// A reservation for two players with every feature.
 fn for_two(shared_sort: bool) -> Reservation {
     Reservation {
         views: 2,
@@ -216,7 +216,7 @@ fn rectangles_have_the_bits_of_recordings_alone() {
                 let frame = RecordedFrame::new(&placed, &cameras[player], &settings);
                 split.frame(RecordedFrame { updates, ..frame }, player as u32, used)
             };
-            // Alone, the second one into what the first has left.
+            // Each player alone, the second one into the first one's images.
             let first = render_views(host, &mut renderer, &[frame(0, None)]);
             render_views(host, &mut renderer, &[frame(1, Some(&first[0]))]);
             shots.push(split.read());
