@@ -1,4 +1,4 @@
-//! The program `ashsplat`, run as its users run it.
+//! The program `ashsplat`, run as users run it.
 
 mod archives;
 mod bad_input;
@@ -20,7 +20,7 @@ mod lpips;
 mod merge;
 mod moved;
 mod pose_opt;
-// The stand-ins are scripts of a shell.
+// The stand-ins are shell scripts.
 #[cfg(unix)]
 mod poses;
 mod report;
@@ -44,14 +44,14 @@ const SIZE: [u32; 2] = [48, 32];
 /// Number of views of [`write_dataset`]; with `--eval` the first and the last are held out.
 const VIEWS: u32 = 9;
 
-/// Runs the program, which must succeed; returns its stdout.
+/// Runs the program, which must succeed. Returns its stdout.
 pub(crate) fn succeed(arguments: &[&str]) -> String {
     let run = finish(program().args(arguments));
     assert_eq!(run.code, Some(0), "{arguments:?}: {}", run.stderr);
     run.stdout
 }
 
-/// Checks that the program refused: exit code 2, nothing on stdout, one line `error: …` with all the given words.
+/// Checks that the program refused: exit code 2, nothing on stdout, one line `error: …` with all of these words.
 pub(crate) fn assert_refused(run: &Finished, words: &[&str]) {
     assert_eq!(run.code, Some(2), "{}{}", run.stdout, run.stderr);
     let errors: Vec<&str> = run.stderr.lines().filter(|line| !line.starts_with("warning: ")).collect();
@@ -67,7 +67,7 @@ pub(crate) fn refuse(arguments: &[&str], words: &[&str]) {
     assert_refused(&finish(program().args(arguments)), words);
 }
 
-/// All files below a folder, sorted, relative to it.
+/// All files below a folder, sorted, with relative paths.
 fn files_below(folder: &Path) -> Vec<PathBuf> {
     let mut files = Vec::new();
     let mut folders = vec![folder.to_owned()];
@@ -86,7 +86,7 @@ fn files_below(folder: &Path) -> Vec<PathBuf> {
     files
 }
 
-/// A COLMAP data set of a coloured wall, photographed from nine places; every pixel by a formula.
+/// Writes a COLMAP data set of a coloured wall, photographed from nine positions; a formula gives every pixel.
 pub(crate) fn write_dataset(folder: &Path) {
     let views: Vec<Camera> = (0..VIEWS).map(view).collect();
     let mut images = Vec::new();
@@ -111,7 +111,7 @@ fn view(index: u32) -> Camera {
     Camera::look_at(eye, Vec3::ZERO, Vec3::NEG_Y, Intrinsics::from_fov_x(0.8, SIZE[0], SIZE[1]))
 }
 
-/// The wall at z = 0 seen by a camera.
+/// A camera's photograph of the wall at z = 0.
 fn photograph(camera: &Camera) -> Photo {
     let mut rgb = Vec::new();
     let world_from_camera = camera.camera_from_world.transpose();

@@ -1,4 +1,4 @@
-//! The golden vectors: one trial per set found in the folder and per implementation (the twins, the GPU).
+//! The golden vectors: one trial per set and implementation (the twins, the GPU).
 
 mod absgrad;
 mod antialias;
@@ -27,7 +27,7 @@ use crate::absent_data;
 use crate::common::root;
 use crate::golden::npz::Npz;
 
-/// What a set is about, by the names of its fields.
+/// Subject of a set, from the names of its fields.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Kind {
     Rendering,
@@ -50,7 +50,7 @@ enum Kind {
     SparseDepth,
     Lpips,
     Poses,
-    /// Judged by `golden_host`.
+    /// `golden_host` tests it.
     Initial,
     Unknown,
 }
@@ -89,15 +89,14 @@ impl Kind {
 #[derive(Clone, Debug)]
 pub struct SetFile {
     pub name: String,
-    /// The file.
     pub path: PathBuf,
     /// The set of the same name with the exact extent.
     exact: Option<PathBuf>,
     kind: Kind,
 }
 
-/// One trial per set and implementation: the project's own sets, and those of the shared folder besides. Where that is absent,
-/// one more trial says so.
+/// One trial per set and implementation, for the project's own sets and those of the shared folder. If that folder
+/// is missing, an extra trial says so.
 pub fn trials(shared: &Path) -> Vec<Trial> {
     let sets = sets(shared);
     let mut trials = Vec::new();
@@ -113,12 +112,12 @@ pub fn trials(shared: &Path) -> Vec<Trial> {
     trials
 }
 
-/// The project's own sets, a small part of all.
+/// The project's own sets, a small selection.
 fn own() -> PathBuf {
     root().join("tests/golden/sets")
 }
 
-/// The project's own sets, and those of the shared folder that have other names.
+/// The project's own sets, and those of the shared folder with other names.
 pub fn sets(shared: &Path) -> Vec<SetFile> {
     let mut sets = list(&own());
     assert!(!sets.is_empty(), "no golden vectors in {}", own().display());
@@ -154,7 +153,7 @@ fn trial(name: String, check: impl FnOnce() -> Result<(), String> + Send + 'stat
     Trial::test(name, move || check().map_err(Failed::from))
 }
 
-/// Prints measured errors where `ASHSPLAT_GOLDEN_REPORT` is set.
+/// Prints measured errors if `ASHSPLAT_GOLDEN_REPORT` is set.
 fn report(text: impl FnOnce() -> String) {
     if std::env::var_os("ASHSPLAT_GOLDEN_REPORT").is_some() {
         println!("{}", text());

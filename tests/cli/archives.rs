@@ -1,4 +1,4 @@
-//! Data sets in a ZIP: what is unpacked, and that nothing of it is left.
+//! Data sets in a ZIP: they are unpacked, and the temporary files are removed.
 
 use super::*;
 use crate::program::running::Running;
@@ -8,7 +8,6 @@ use std::time::{Duration, Instant};
 use tempfile::tempdir;
 use zip::write::SimpleFileOptions;
 
-/// Packs files.
 pub(super) fn pack<'a>(archive: &Path, files: impl IntoIterator<Item = (String, &'a [u8])>) {
     let mut zip = zip::ZipWriter::new(std::fs::File::create(archive).expect("a file"));
     for (name, bytes) in files {
@@ -18,7 +17,7 @@ pub(super) fn pack<'a>(archive: &Path, files: impl IntoIterator<Item = (String, 
     zip.finish().expect("an archive");
 }
 
-/// The program with a folder of its own for temporary files.
+/// The program with its own folder for temporary files.
 struct Unpacking {
     program: Running,
     temporary: PathBuf,
@@ -32,13 +31,13 @@ impl Unpacking {
         Unpacking { program: Running::start(&mut command), temporary: temporary.to_owned() }
     }
 
-    /// How many archives lie there unpacked.
+    /// Number of unpacked archives in the folder.
     fn unpacked(&self) -> usize {
         let entries = std::fs::read_dir(&self.temporary).expect("a folder").flatten();
         entries.filter(|entry| entry.path().is_dir()).count()
     }
 
-    /// Interrupts it and waits; its exit code.
+    /// Interrupts the program and waits. Returns its exit code.
     fn interrupt(mut self) -> Option<i32> {
         self.program.interrupt();
         let code = self.program.wait().expect("it ends").code();
@@ -47,7 +46,7 @@ impl Unpacking {
     }
 }
 
-/// A page shows the photos of what training has unpacked, and nothing is left of it.
+/// A page shows the photos that training has unpacked, and all unpacked files are removed at the end.
 #[test]
 fn archives_are_unpacked_once_and_removed() {
     let folder = tempdir().expect("a temporary folder");
@@ -70,7 +69,7 @@ fn archives_are_unpacked_once_and_removed() {
         let mut lines = stdout.lines().map_while(Result::ok);
         let host = lines
             .find_map(|line| Some(line.strip_prefix("viewer at http://")?.trim_end_matches('/').to_owned()));
-        // The page is there before what it shows.
+        // The page exists before the scene.
         wait_for_scene(&host.unwrap_or_else(|| panic!("{arguments:?}")));
         assert_eq!(running.unpacked(), 1, "{arguments:?}");
         std::thread::spawn(move || lines.for_each(drop));
@@ -78,7 +77,7 @@ fn archives_are_unpacked_once_and_removed() {
     }
 }
 
-/// Waits until a viewer's page has something to show.
+/// Waits until a viewer's page has a scene to show.
 fn wait_for_scene(host: &str) {
     let stream = std::net::TcpStream::connect(host).expect("connected");
     let mut socket = tungstenite::client(format!("ws://{host}/socket"), stream).expect("a WebSocket").0;
@@ -90,7 +89,7 @@ fn wait_for_scene(host: &str) {
 fn archives_are_removed_when_loading_is_interrupted() {
     let folder = tempdir().expect("a temporary folder");
     let path = |name: &str| folder.path().join(name);
-    // Photos that take their time.
+    // Photos that are slow to decode.
     let (width, height) = (6000, 4000);
     let mut photo = Vec::new();
     let grey = image::GrayImage::new(width, height);

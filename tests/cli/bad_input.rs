@@ -1,10 +1,10 @@
-//! Whatever is wrong with the input: one line that names it, exit code 2, nothing half-written.
+//! Bad input of every kind: one line names the problem, the exit code is 2, and nothing is half-written.
 
 use super::*;
 use ashsplat_files::PhotoFileFormat;
 use tempfile::{TempDir, tempdir};
 
-/// A data set that a test may spoil, and a place for results.
+/// A data set that a test may damage, and a folder for results.
 struct Place {
     folder: TempDir,
 }
@@ -24,7 +24,7 @@ impl Place {
         self.folder.path().join("out")
     }
 
-    /// Training must refuse, before it writes anything.
+    /// Runs a training that must refuse before it writes anything.
     fn training_refuses(&self, words: &[&str]) {
         refuse(&["train", "-s", text(&self.data()), "-m", text(&self.out()), "--quiet"], words);
         assert!(!self.out().exists(), "{:?}", files_below(&self.out()));
@@ -71,7 +71,8 @@ fn photo_of_another_size() {
     place.training_refuses(&["05.png", "2x2", "48x32"]);
 }
 
-/// The cameras tell how large the photos are: these are not even decoded, for they are none.
+/// The cameras give the photos' sizes, so these photos are refused without being decoded. They are not even
+/// pictures.
 #[test]
 fn photos_that_cannot_be_trained_on_are_refused_before_they_are_read() {
     let place = Place::new();
@@ -91,7 +92,7 @@ fn photos_that_cannot_be_trained_on_are_refused_before_they_are_read() {
     let arguments = ["train", "-s", text(&data), "-m", text(&out), "--quiet", "-r"];
     let words = ["'04.png' of 60000x50000 pixels and 1 other (", "-r ", "48000000000 bytes"];
     refuse(&[&arguments[..], &["1"]].concat(), &words);
-    // Small enough for memory: now they are read, in parallel, and either is refused first.
+    // Small enough for memory: now threads read them, and either may be refused first.
     refuse(&[&arguments[..], &["50"]].concat(), &[".png: is not a JPEG or PNG"]);
     assert!(!out.exists());
 }
@@ -121,7 +122,7 @@ fn zero_points_are_refused_unless_random_ones_are_wanted() {
     ]));
     assert_eq!(run.code, Some(0), "{}", run.stderr);
     assert!(run.stderr.starts_with("warning: ") && run.stderr.contains("random"), "{}", run.stderr);
-    // Photos without texture: random ones after all, and both is said.
+    // Photos without texture give no points: the points are random, and a warning says so.
     for photo in std::fs::read_dir(data.join("images")).expect("photos") {
         let flat = Photo { width: 48, height: 32, rgb: vec![90; 3 * 48 * 32] };
         flat.write_png(photo.expect("a photo").path()).expect("written");
@@ -163,14 +164,14 @@ fn zero_points_of_a_textured_scene_are_found_in_its_photos() {
         assert_eq!(run.stderr.contains(found), finds, "{arguments:?}: {}", run.stderr);
         assert_eq!(run.stderr.contains("random ones stand in"), !finds, "{arguments:?}: {}", run.stderr);
     }
-    // What goes on needs none.
+    // A resumed training needs no points.
     let settings = model.join("settings.toml");
     let run = finish(program().args(["train", "--config", text(&settings), "--start-checkpoint", "latest"]));
     assert_eq!(run.code, Some(0), "{}", run.stderr);
     assert!(!run.stderr.contains("no points"), "{}", run.stderr);
 }
 
-/// Takes the points out of a model in binary files.
+/// Removes the points from a binary model.
 fn colmap_without_points(dataset: &Path) {
     std::fs::write(dataset.join("sparse/0/points3D.bin"), 0_u64.to_le_bytes()).expect("written");
 }
@@ -188,7 +189,7 @@ fn ply_is_an_lfs_pointer() {
     assert!(!out.exists());
 }
 
-/// A pipe would be waited for, and a device read without end.
+/// The program must not wait for a pipe or read a device without end.
 #[cfg(unix)]
 #[test]
 fn pipes_and_devices_are_no_files() {
@@ -239,7 +240,7 @@ fn parameters_that_are_not_finite() {
     let mut gaussians = ashsplat_files::initial_gaussians(&wall_points(), 0).expect("Gaussians");
     gaussians.means[7][1] = f32::NAN;
     gaussians.log_scales[9][0] = f32::INFINITY;
-    // Opacity 1 and 0: real files have them.
+    // Opacities 1 and 0 occur in real files.
     gaussians.opacity_logits[1] = f32::INFINITY;
     gaussians.opacity_logits[2] = f32::NEG_INFINITY;
     ashsplat_files::ply::write(&path, &gaussians).expect("written");
@@ -258,7 +259,7 @@ fn unknown_device() {
         &["'no such card'", "there are: 0 '"],
     );
     assert!(!out.exists());
-    // Before the photos are looked at.
+    // The device is checked before the photos.
     std::fs::write(data.join("images/05.png"), "no photo").expect("written");
     let ask =
         |command: &[&str]| refuse(&[command, &["--device", "no such card"]].concat(), &["'no such card'"]);
@@ -278,7 +279,7 @@ fn no_driver() {
     assert_refused(&finish(&mut command), &["Vulkan", "driver"]);
 }
 
-/// A file of the loader's name that is no library, found before the real one.
+/// A file with the loader's name that is no library, found before the real one.
 #[cfg(target_os = "linux")]
 #[test]
 fn no_loader() {
@@ -302,13 +303,13 @@ fn unwritable_output() {
     assert_eq!(std::fs::read_to_string(place.out()).expect("still there"), "a file, not a folder");
 }
 
-/// The system refuses files above a size, as it refuses to write when the disk is full: every file that is there is
-/// whole, and no temporary one is left.
+/// The system refuses files above a size, like a full disk. Every existing file stays whole, and no temporary file
+/// is left.
 #[cfg(unix)]
 #[test]
 fn disk_full_while_saving() {
     let place = Place::new();
-    // Only the point cloud grows beyond the limit (blocks of 512 or 1024 bytes, as the shell has it).
+    // Only the point cloud exceeds the limit (blocks of 512 or 1024 bytes, depending on the shell).
     let images: Vec<_> =
         (1..=VIEWS).map(|id| ColmapImage::posed(id, 1, format!("{id:02}.png"), &view(id - 1))).collect();
     let cloud = wall_points();

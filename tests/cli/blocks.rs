@@ -1,4 +1,4 @@
-//! `train --block`: a part of a scene is trained, the rest is drawn.
+//! `train --block`: trains a part of a scene and draws the rest.
 
 use super::checkpoints::{Place, assert_trained};
 use super::*;
@@ -24,7 +24,7 @@ fn a_block_that_is_everything_is_plain_training_to_the_byte() {
     assert!(checkpoint("block") == checkpoint("plain") && checkpoint("plain").is_some());
 }
 
-/// Among the points of the data set, and among the Gaussians of a scene; stopped and gone on with.
+/// A block starts from the points of the data set or from the Gaussians of a scene, stops and resumes.
 #[test]
 fn a_block_is_trained_among_the_rest_of_its_scene() {
     let place = Place::new();
@@ -36,7 +36,7 @@ fn a_block_is_trained_among_the_rest_of_its_scene() {
         let run = |model: &str, more: &[&str]| place.train(model, &[&block, more, begin].concat());
         let names = [format!("whole{}", begin.len()), format!("parts{}", begin.len())];
         assert_trained(&run(&names[0], &["30"]));
-        // Rates and the limits of densification go by the extent.
+        // Rates and densification limits depend on the extent.
         let larger = [LEFT, "--margin", "0.1", "--scene-extent", "3", "--iterations", "30"];
         assert_trained(&place.train("larger", &[&larger, begin].concat()));
         assert!(place.ply(&names[0], 30) != place.ply("larger", 30), "the extent is not looked at");
@@ -49,7 +49,7 @@ fn a_block_is_trained_among_the_rest_of_its_scene() {
         assert_trained(&run(&names[1], &["20", "--checkpoint_iterations", "20"]));
         assert_trained(&run(&names[1], &["30", "--start_checkpoint", "latest"]));
         assert!(place.ply(&names[0], 30) == place.ply(&names[1], 30), "other bits");
-        // From its settings alone.
+        // A run from its settings alone.
         let settings = place.model(&names[1]).join("settings.toml");
         let written = std::fs::read_to_string(&settings).expect("settings");
         assert!(written.contains("block = [-inf, -inf, -inf, -0.2, inf, inf]"), "{written}");
@@ -59,7 +59,7 @@ fn a_block_is_trained_among_the_rest_of_its_scene() {
         assert_trained(&finish(program().args(again)));
         assert!(place.ply(&names[0], 30) == place.ply("again", 30), "other bits");
         std::fs::remove_dir_all(place.model("again")).expect("removed");
-        // What lies around must be what it was.
+        // The frozen neighbours must be unchanged.
         for (other, said) in [
             (&[LEFT, "--margin", "0.2"][..], "of another scene or margin"),
             (&["--block=-9,-9,-9,-0.2,9,9", "--margin", "0.1"], "here it is -9,"),
@@ -69,14 +69,14 @@ fn a_block_is_trained_among_the_rest_of_its_scene() {
             let refused = place.train(&names[1], &[other, &goes_on, begin].concat());
             assert_refused(&refused, &["chkpnt20", said]);
         }
-        // Verification trains it, too.
+        // Verification can train a block, too.
         let verified = program()
             .args(["train", "--config", text(&settings), "--verify-determinism", "3"])
             .output()
             .expect("a run");
         assert!(verified.status.success(), "{}", String::from_utf8_lossy(&verified.stderr));
     }
-    // Only what is trained is written.
+    // Only the trained Gaussians are written.
     let all = trained(&place, "coarse", 20);
     let inside = all.means.iter().filter(|mean| mean[0] <= -0.2 + 0.1).count();
     let (still, one) = (["--strategy", "fixed"], ["--iterations", "1", "--margin", "0.1", LEFT]);
@@ -87,7 +87,7 @@ fn a_block_is_trained_among_the_rest_of_its_scene() {
     assert!(inside > 20 && inside < all.len() - 20, "{inside} of {}", all.len());
 }
 
-/// Of each photo what shows the block is used; stopped and gone on with.
+/// A block uses only the parts of photos that show it. It stops and resumes.
 #[test]
 fn a_block_is_trained_on_parts_of_photos() {
     let place = Place::new();
@@ -114,7 +114,7 @@ fn a_block_is_trained_on_parts_of_photos() {
     assert_refused(&refused, &["chkpnt20", "other photographs or cameras"]);
     assert_trained(&run("stopped", &[&goes_on[..], &parts].concat()));
     assert!(place.ply("stopped", 30) == place.ply("parts", 30), "other bits");
-    // Less of them is kept on the device.
+    // The device holds fewer pixels.
     let photos = |model: &str| -> f64 {
         let report = std::fs::read_to_string(place.model(model).join("report.html")).expect("a report");
         let row = report.split(">photos<").nth(1).expect("photos");
@@ -124,7 +124,7 @@ fn a_block_is_trained_on_parts_of_photos() {
     assert!(photos("parts") < photos("whole"), "{} {}", photos("parts"), photos("whole"));
 }
 
-/// The rest of the scene is left out, and pixels that show it do not count; stopped and gone on with.
+/// The rest of the scene is omitted, and pixels that show it are masked. The training stops and resumes.
 #[test]
 fn a_block_is_trained_with_the_rest_of_its_scene_masked() {
     let place = Place::new();
@@ -143,11 +143,11 @@ fn a_block_is_trained_with_the_rest_of_its_scene_masked() {
     assert!(place.ply("masked", 30) == place.ply("parts", 30), "other bits");
     let written = std::fs::read_to_string(place.model("masked").join("settings.toml")).expect("settings");
     assert!(written.contains("outside = \"masked\""), "{written}");
-    // Nothing lies around, on the device either.
+    // There are no frozen neighbours, on the device either.
     let report =
         |model: &str| std::fs::read_to_string(place.model(model).join("report.html")).expect("a report");
     assert!(report("drawn").contains(">surroundings<") && !report("masked").contains(">surroundings<"));
-    // Far away from what is seen.
+    // A block far away from all views.
     let nothing = "--block=-inf,-inf,-inf,inf,inf,-30";
     let refused =
         place.train("nothing", &["--init", text(&scene), nothing, "--margin", "0", "--outside", "masked"]);

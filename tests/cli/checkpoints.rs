@@ -1,4 +1,4 @@
-//! Checkpoints: written when asked for and on Ctrl-C, gone on from, refused with the reason, whole whatever happens.
+//! Checkpoints: written on request and on Ctrl-C, resumed, refused with a reason, and never half-written.
 
 use super::*;
 use crate::common::lpips_files;
@@ -9,7 +9,7 @@ use std::time::Duration;
 use tempfile::{TempDir, tempdir};
 
 const SCHEDULE: [&str; 12] = [
-    // Whose schedule does not stretch with the iterations.
+    // Its schedule does not stretch with the iterations.
     "--strategy",
     "reference",
     "--sh_degree",
@@ -64,7 +64,7 @@ pub(super) fn assert_trained(run: &Finished) {
 fn a_resumed_training_equals_one_that_was_never_stopped() {
     let place = Place::new();
     assert_trained(&place.train("whole", &["--iterations", "40"]));
-    // Stopped right before a densification and after an opacity reset, which a run of 33 recovers from too.
+    // Stopped right before a densification and after an opacity reset, from which a run of 33 recovers, too.
     assert_trained(&place.train("parts", &["--iterations", "33", "--checkpoint_iterations", "20", "23"]));
     for (number, kept) in [("20", 1 + 20), ("23", 1 + 23)] {
         let file = place.model("parts").join(format!("chkpnt{number}.safetensors"));
@@ -75,7 +75,7 @@ fn a_resumed_training_equals_one_that_was_never_stopped() {
         assert_eq!(log().lines().count(), 41);
         assert!(log().lines().take(kept).eq(before), "the log's beginning has changed");
     }
-    // A run that ends at a reset leaves it out, and a longer one from there on makes it up.
+    // A run that ends at a reset omits it, and a longer one that resumes there makes up for it.
     assert_trained(&place.train("short", &["--iterations", "22", "--checkpoint_iterations", "22"]));
     let longer = ["--iterations", "40", "--start_checkpoint", "latest", "--save-iterations", "24"];
     let run = place.train("short", &longer);
@@ -100,7 +100,7 @@ fn a_resumed_training_equals_one_that_was_never_stopped() {
     assert!(!place.model("none").exists());
 }
 
-/// As a scheduler runs it: the same command again and again, until it is done.
+/// The same command is repeated until training is done, as a scheduler does.
 #[test]
 fn the_same_command_goes_on_by_itself() {
     let place = Place::new();
@@ -119,9 +119,9 @@ fn the_same_command_goes_on_by_itself() {
     let begun = auto("32");
     assert_trained(&begun);
     assert!(begun.stderr.contains("has no checkpoint: training begins anew"), "{}", begun.stderr);
-    // The newest of those that pass, and the one that was asked for.
+    // The newest automatic checkpoint, and the requested one.
     assert_eq!(checkpoints(), ["chkpnt20.safetensors", "chkpnt32.safetensors"]);
-    // What a run leaves that was killed between writing a checkpoint and removing the one before.
+    // Files of a run that was killed between writing a checkpoint and removing the previous one.
     let model = place.model("model");
     std::fs::write(model.join("chkpnt30.safetensors"), "").expect("written");
     std::fs::write(model.join("passing_checkpoints"), "30\n32\n").expect("written");
@@ -130,7 +130,7 @@ fn the_same_command_goes_on_by_itself() {
     assert!(!gone_on.stderr.contains("anew"), "{}", gone_on.stderr);
     assert_eq!(checkpoints(), ["chkpnt20.safetensors", "chkpnt40.safetensors"]);
     assert!(place.ply("model", 40) == place.ply("whole", 40), "other bits");
-    // Nothing is left to do, which is no failure.
+    // Nothing remains to be done, which is no failure.
     let ply = place.model("model").join("point_cloud/iteration_40/point_cloud.ply");
     let written = || std::fs::metadata(&ply).and_then(|file| file.modified()).expect("a time");
     let before = written();
@@ -138,18 +138,18 @@ fn the_same_command_goes_on_by_itself() {
     assert_trained(&done);
     assert!(done.stdout.contains("is trained to its end already"), "{}", done.stdout);
     assert_eq!(written(), before);
-    // Nothing but the scene, which could not be saved.
+    // Only the scene is missing, as if it could not be saved.
     std::fs::remove_dir_all(model.join("point_cloud")).expect("removed");
     assert_trained(&auto("40"));
     assert!(place.ply("model", 40) == place.ply("whole", 40), "other bits");
-    // What is asked for by name stays.
+    // A checkpoint named on the command line stays.
     let last = model.join("chkpnt40.safetensors");
     let named = ["--checkpoint-every", "10", "--iterations", "50", "--start-checkpoint", text(&last)];
     assert_trained(&place.train("model", &named));
     assert_eq!(checkpoints(), ["chkpnt20.safetensors", "chkpnt40.safetensors", "chkpnt50.safetensors"]);
 }
 
-/// Where densification stops depends on the memory: a run that goes on with another says so.
+/// The end of densification depends on the memory bound: a run that resumes with another bound warns.
 #[test]
 fn another_bound_of_memory_is_a_warning() {
     let place = Place::new();
@@ -170,7 +170,7 @@ fn another_bound_of_memory_is_a_warning() {
     }
 }
 
-/// What is needed in all, though photographs read ahead are what does not fit first.
+/// The error names the total need, although photographs read ahead are the first that do not fit.
 #[test]
 fn too_little_memory_is_told_how_much_would_do() {
     let place = Place::new();
@@ -185,7 +185,7 @@ fn too_little_memory_is_told_how_much_would_do() {
     assert_trained(&place.train("model", &["--max-memory", needed, "--iterations", "2"]));
 }
 
-/// In the machine's memory a training is what it is in the device's, also if it goes on there.
+/// Training in host memory gives the same scene as in device memory, also when it resumes there.
 #[test]
 fn offload_gives_the_same_scene() {
     let place = Place::new();
@@ -212,11 +212,11 @@ fn determinism_is_verified_without_writing() {
     let said = succeed(&["train", "-s", text(&data), "--verify-determinism", "3", "--quiet"]);
     assert!(said.starts_with("3 iterations twice on ") && said.contains("the same bits"), "{said}");
     assert_eq!(place.folder.path().read_dir().expect("the folder").count(), 1);
-    // The newest checkpoint of what?
+    // `latest` needs a model folder.
     let asked = ["train", "-s", text(&data), "--verify-determinism", "3", "--start_checkpoint", "latest"];
     let run = finish(program().args(asked));
     assert!(run.code != Some(0) && run.stderr.contains("-m/--model-path: is missing"), "{}", run.stderr);
-    // From a checkpoint on: only what is left of the training.
+    // From a checkpoint, only the rest of the training.
     assert_trained(&place.train("parts", &["--iterations", "12", "--checkpoint_iterations", "9"]));
     let more = ["--iterations", "12", "--start_checkpoint", "latest", "--verify-determinism", "50"];
     let run = finish(&mut place.command("parts", &more));
@@ -228,7 +228,7 @@ fn determinism_is_verified_without_writing() {
     );
 }
 
-/// Ends a run in whatever it is doing, and says whether it still ran; whatever is on disk then must do.
+/// Kills a run. Returns true if it was still running.
 #[cfg(unix)]
 fn kill(mut child: Running) -> bool {
     use std::os::unix::process::ExitStatusExt;
@@ -239,9 +239,9 @@ fn kill(mut child: Running) -> bool {
     killed
 }
 
-/// A few moments; `ASHSPLAT_KILLS` asks for more.
+/// Kills a few times; `ASHSPLAT_KILLS` sets the number.
 ///
-/// They are counted in checkpoints, not in seconds: how long a run takes depends on what else the machine does.
+/// The moments are counted in checkpoints, not in seconds, because the speed depends on the machine's load.
 #[cfg(unix)]
 #[test]
 fn killed_at_any_moment_training_goes_on() {
@@ -266,7 +266,8 @@ fn killed_at_any_moment_training_goes_on() {
         let before = newest();
         let mut command = place.command("killed", &begin(before.is_some()));
         let mut child = Running::start(command.stdout(Stdio::null()).stderr(Stdio::null()));
-        // Every fifth dies before its first checkpoint. The moment within an iteration is a low-discrepancy sequence.
+        // Every fifth run dies before its first checkpoint. The moment within an iteration follows a low-discrepancy
+        // sequence.
         let share = (0.5 + moment as f64 * 0.618_033_988_75) % 1.0;
         let wanted = before.unwrap_or(0) + [1, 9, 22, 4, 0][moment as usize % 5];
         let start = std::time::Instant::now();
@@ -294,7 +295,7 @@ fn killed_at_any_moment_training_goes_on() {
                 assert!(whole, "{name}");
             }
         }
-        // Once it has reached the end, a new run begins.
+        // A new run begins once the last one has reached the end.
         if place.model("killed").join("point_cloud/iteration_120").exists() {
             assert!(place.ply("killed", 120) == place.ply("whole", 120), "other bits");
             std::fs::remove_dir_all(place.model("killed")).expect("removed");
@@ -307,7 +308,7 @@ fn killed_at_any_moment_training_goes_on() {
     assert!(place.ply("killed", 120) == place.ply("whole", 120), "other bits");
 }
 
-/// No file may grow beyond a few KiB: what a full disk looks like.
+/// No file may exceed a few KiB, like on a full disk.
 #[cfg(target_os = "linux")]
 #[test]
 fn a_full_disk_leaves_the_older_checkpoint_and_no_empty_folder() {
@@ -319,14 +320,15 @@ fn a_full_disk_leaves_the_older_checkpoint_and_no_empty_folder() {
     let full = |more: &[&str]| {
         let command = place.command("model", more);
         let mut limited = Command::new("sh");
-        // 24 blocks of 512 bytes: enough for text, too few for Gaussians. The signal is ignored, so that writing fails.
+        // 24 blocks of 512 bytes: enough for text, too few for Gaussians. The signal is ignored, so that writing
+        // fails.
         limited.args(["-c", "trap '' XFSZ; ulimit -f 24; exec \"$0\" \"$@\""]);
         limited.env_remove("ASHSPLAT_DEVICE");
         finish(limited.arg(command.get_program()).args(command.get_args()))
     };
     let resumed = ["--start_checkpoint", "latest", "--checkpoint_iterations", "5", "7", "--save_iterations"];
     let run = full(&[resumed.as_slice(), &["40", "--iterations", "30"]].concat());
-    // Training goes on, to the end.
+    // Training runs to its end.
     assert_refused_with_warnings(&run, &["chkpnt30.safetensors", "cannot write"]);
     assert!(run.stderr.contains("chkpnt7.safetensors: cannot write"), "{}", run.stderr);
     let run = full(&[resumed.as_slice(), &["6", "--iterations", "30"]].concat());
@@ -336,11 +338,11 @@ fn a_full_disk_leaves_the_older_checkpoint_and_no_empty_folder() {
     assert_eq!(files_below(&place.model("model")), files, "nothing new, nothing lost");
     let left = place.model("model").join("point_cloud/iteration_6");
     assert!(!left.exists(), "an empty folder is left");
-    // And with room again it goes on.
+    // With space again it resumes.
     assert_trained(&place.train("model", &["--iterations", "12", "--start_checkpoint", "latest"]));
 }
 
-/// What the disk refuses for a while is saved later, and training goes on meanwhile.
+/// Training continues while the disk refuses files, and saves them later.
 #[cfg(unix)]
 #[test]
 fn what_cannot_be_saved_is_tried_again() {
@@ -348,11 +350,11 @@ fn what_cannot_be_saved_is_tried_again() {
     let place = Place::new();
     let model = place.model("model");
     std::fs::create_dir_all(model.join("chkpnt5.safetensors")).expect("created");
-    // Where the scene, the test's pictures and the checkpoint would be.
+    // Files block the paths of the scene, the test's pictures and the checkpoint.
     for name in ["point_cloud", "test"] {
         std::fs::write(model.join(name), "in the way").expect("written");
     }
-    // Nothing is pruned, so that something is left to save.
+    // No pruning, so that a scene remains to be saved.
     let mut asked = vec!["--strategy", "fixed", "--eval", "--iterations", "1000000", "--quiet"];
     asked.extend(
         ["--save_iterations", "--test_iterations", "--checkpoint_iterations"].map(|o| [o, "5"]).concat(),
@@ -366,7 +368,7 @@ fn what_cannot_be_saved_is_tried_again() {
         let line = lines.next().expect("a warning");
         assert!(line.starts_with("warning: ") && line.contains(what) && line.contains("goes on"), "{line}");
     }
-    // What was measured is there without its pictures.
+    // The measurements are saved without the pictures.
     let results = std::fs::read_to_string(model.join("results.json")).expect("the results");
     assert!(results.contains("ours_5"), "{results}");
     std::fs::remove_file(model.join("point_cloud")).expect("removed");
@@ -385,7 +387,7 @@ fn what_cannot_be_saved_is_tried_again() {
     assert_eq!(child.wait().expect("it ends").code(), Some(130), "{rest:?}");
 }
 
-/// Ctrl-C with --quiet says how to go on, from wherever that is typed.
+/// After Ctrl-C with --quiet, the message gives a command that resumes from any folder.
 #[cfg(unix)]
 #[test]
 fn a_quiet_training_says_how_to_go_on() {
@@ -422,7 +424,7 @@ fn a_quiet_training_says_how_to_go_on() {
     assert!(!place.ply("model", last + 2).is_empty());
 }
 
-/// A model folder that may not be written, and one that cannot be made.
+/// A model folder without write permission, and one that cannot be created.
 #[cfg(unix)]
 #[test]
 fn a_read_only_folder_is_refused_and_keeps_its_checkpoint() {
@@ -448,7 +450,7 @@ fn a_read_only_folder_is_refused_and_keeps_its_checkpoint() {
     );
     command.env("MESA_SHADER_CACHE_DISABLE", "true");
     if std::fs::metadata(&model).expect("the folder").uid() == 0 {
-        // Who may write everywhere tries it as one who may not.
+        // The superuser may write everywhere, so the test runs as another user.
         const NOBODY: u32 = 65_534;
         std::fs::set_permissions(place.folder.path(), PermissionsExt::from_mode(0o755)).expect("ours");
         command.uid(NOBODY).gid(NOBODY);

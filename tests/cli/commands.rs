@@ -69,7 +69,7 @@ fn info_of_a_ply() {
     ashsplat_files::ply::write(&path, &gaussians).expect("written");
     let report: Value = serde_json::from_str(&succeed(&["info", text(&path), "--json"])).expect("JSON");
     assert_eq!((&report["gaussians"], &report["sh_degree"]), (&Value::from(400), &Value::from(2)));
-    // All start at opacity 0.1.
+    // All Gaussians start at opacity 0.1.
     let counts: Vec<u64> = serde_json::from_value(report["opacity"]["counts"].clone()).expect("counts");
     assert_eq!(counts.iter().sum::<u64>(), 400);
     assert_eq!(counts[0] + counts[1], 400);
@@ -85,7 +85,7 @@ fn camera_path_is_rendered_to_png_and_exr() {
     let mut gaussians = ashsplat_files::initial_gaussians(&wall_points(), 0).expect("Gaussians");
     gaussians.opacity_logits.fill(4.0);
     ashsplat_files::ply::write(&ply, &gaussians).expect("written");
-    // No cx and cy, as the reference writes it; looking along +z from in front of the wall.
+    // No cx and cy, as in the reference's files; looks along +z from in front of the wall.
     let camera = r#"[{"id": 0, "img_name": "front", "width": 64, "height": 48, "position": [0, 0, -2],
         "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "fx": 60, "fy": 60}]"#;
     std::fs::write(&path, camera).expect("written");
@@ -95,7 +95,8 @@ fn camera_path_is_rendered_to_png_and_exr() {
     compare_exr_with_png(&out);
 }
 
-/// Without a background, colours are those of what covers: a PNG has them as they are, an EXR premultiplied, in linear light.
+/// Without a background, colours are those of the covering Gaussians: straight in a PNG, premultiplied and linear in
+/// an EXR.
 #[test]
 fn pictures_without_background_have_the_colours_of_what_covers() {
     use exr::prelude::*;
@@ -104,7 +105,7 @@ fn pictures_without_background_have_the_colours_of_what_covers() {
         (folder.path().join("scene.ply"), folder.path().join("path.json"), folder.path().join("out"));
     let mut gaussians = ashsplat_files::initial_gaussians(&wall_points(), 0).expect("Gaussians");
     gaussians.opacity_logits.fill(-1.5);
-    // One grey of 128 everywhere: half covered or not, it is that.
+    // A uniform grey of 128, whatever the coverage.
     gaussians.sh.fill([(128.0 / 255.0 - 0.5) / 0.282_094_8; 3]);
     ashsplat_files::ply::write(&ply, &gaussians).expect("written");
     let camera = r#"[{"id": 0, "img_name": "front", "width": 64, "height": 48, "position": [0, 0, -2],
@@ -139,11 +140,11 @@ fn pictures_without_background_have_the_colours_of_what_covers() {
     refuse(&[&views[..], &[text(&folder.path().join("a.gif"))]].concat(), &["--transparent", "no opacity"]);
 }
 
-/// The EXR's colour is the PNG's without the sRGB curve; the wall's depth is 2.
+/// The EXR's colour equals the PNG's without the sRGB curve; the wall's depth is 2.
 fn compare_exr_with_png(folder: &Path) {
     use exr::prelude::*;
     let picture = image::open(folder.join("00000.png")).expect("a PNG").to_rgb8();
-    // Else tiles lie in the file as threads come to an end: the same picture is not the same bytes.
+    // Otherwise tiles are stored in the order in which threads finish: the same picture, but not the same bytes.
     let header = MetaData::read_from_file(folder.join("00000.exr"), true).expect("an EXR").headers.remove(0);
     assert_eq!(header.line_order, LineOrder::Increasing);
     let image = read_first_flat_layer_from_file(folder.join("00000.exr")).expect("an EXR");
@@ -165,7 +166,7 @@ fn compare_exr_with_png(folder: &Path) {
     assert!((depth[middle] - 2.0).abs() < 0.01, "depth {}", depth[middle]);
 }
 
-/// A ball stays round in pictures of any shape, and in a curve through cameras of several.
+/// A ball stays round in pictures of any shape, and on a curve through cameras of several shapes.
 #[test]
 fn pictures_of_another_shape_show_more_and_stretch_nothing() {
     let folder = tempdir().expect("a temporary folder");
@@ -180,7 +181,7 @@ fn pictures_of_another_shape_show_more_and_stretch_nothing() {
     std::fs::write(at("one.json"), format!("[{}]", camera("a", [160, 120]))).expect("written");
     let two = [camera("a", [160, 120]), camera("b", [120, 160])].join(",");
     std::fs::write(at("two.json"), format!("[{two}]")).expect("written");
-    // Standard deviations of the light in x and y, pixels.
+    // Standard deviations of the brightness in x and y, pixels.
     let spread = |picture: &Path| {
         let picture = image::open(picture).expect("a PNG").to_luma8();
         let mut sums = [0.0; 5];
@@ -230,7 +231,7 @@ fn pictures_of_another_shape_show_more_and_stretch_nothing() {
     }
 }
 
-/// Cameras that look elsewhere make black pictures: a line says so, in `eval` too.
+/// Cameras that look elsewhere give black pictures: a warning says so, in `eval` too.
 #[test]
 fn pictures_that_show_nothing_are_told() {
     let folder = tempdir().expect("a temporary folder");
@@ -249,7 +250,7 @@ fn pictures_that_show_nothing_are_told() {
     }
 }
 
-/// A sixth of the Gaussians far away, as floaters or a sky: an orbit shows the others.
+/// A sixth of the Gaussians is far away, like floaters or a sky: an orbit shows the others.
 #[test]
 fn an_orbit_does_not_go_by_far_gaussians() {
     let folder = tempdir().expect("a temporary folder");
@@ -269,7 +270,7 @@ fn an_orbit_does_not_go_by_far_gaussians() {
     assert!(lit(800.0) > whole / 2, "{} of {whole} pixels", lit(800.0));
 }
 
-/// One pixel before two Gaussians, at 2 (opacity 0.5) and 10 (0.99).
+/// One pixel in front of two Gaussians, at 2 (opacity 0.5) and 10 (0.99).
 #[test]
 fn an_exrs_depth_is_the_mean_or_the_harmonic_mean() {
     use exr::prelude::*;
@@ -297,7 +298,7 @@ fn an_exrs_depth_is_the_mean_or_the_harmonic_mean() {
     refuse(&[&render[..], &[text(&png), "--depth", "mean"]].concat(), &["--depth", "EXR"]);
 }
 
-/// White balls: position, opacity's logit, standard deviation.
+/// Writes white balls: position, opacity logit, standard deviation.
 fn write_gaussians(path: &Path, balls: &[([f32; 3], f32, f32)]) {
     let mut gaussians = ashsplat::scene::Gaussians { sh_degree: 0, ..Default::default() };
     for &(mean, logit, deviation) in balls {
@@ -374,13 +375,13 @@ fn films_are_files_and_never_folders() {
     {
         let path = film(name);
         let arguments = [["render", text(&ply)].as_slice(), &small, &[text(&path)]].concat();
-        // Without ffmpeg, wherever it may be.
+        // Without ffmpeg anywhere.
         assert_refused(&finish(program().args(arguments).env("PATH", "")), &words);
         assert!(!path.exists(), "{name}");
     }
     let exr = [["render", text(&ply), "--format", "exr"].as_slice(), &small, &[text(&gif)]].concat();
     refuse(&exr, &["--format", "8 bits"]);
-    // One picture is a file, too.
+    // A single picture can be a file, too.
     let one = ["render", text(&ply), "--width", "40", "--orbit", "1", "--out"];
     for name in ["one.png", "one.exr"] {
         succeed(&[one.as_slice(), &[text(&film(name))]].concat());
@@ -403,7 +404,8 @@ fn films_are_files_and_never_folders() {
     refuse(&["render", text(&ply), "--frames", "12"], &["--frames", "--path", "`--orbit 12`"]);
 }
 
-/// Training lists what it holds out first; a curve goes from photograph to photograph. A path that somebody wrote stays as it is.
+/// Training lists the held-out cameras first, but a curve visits the photographs in order. A path that a user wrote
+/// keeps its order.
 #[test]
 fn a_models_cameras_are_a_path_by_name() {
     let folder = tempdir().expect("a temporary folder");
@@ -434,7 +436,6 @@ fn a_models_cameras_are_a_path_by_name() {
     assert!(first("listed.json") != first("cameras.json"), "not as it was written");
 }
 
-/// And first of all windows, which a program has only if it is built with them.
 #[test]
 fn a_window_needs_something_to_show() {
     let remedy = match cfg!(feature = "window") {
@@ -444,7 +445,7 @@ fn a_window_needs_something_to_show() {
     refuse(&["view", "--window"], &["--window", remedy]);
 }
 
-/// However small a scene is, an orbit does not come so near that all of it is culled.
+/// An orbit of a very small scene stays far enough away that not all of it is culled.
 #[test]
 fn orbit_of_a_single_gaussian_shows_it() {
     let folder = tempdir().expect("a temporary folder");
@@ -465,7 +466,7 @@ fn orbit_of_a_single_gaussian_shows_it() {
     }
 }
 
-/// A row of cameras that all look the same way says nothing about the scene's depth: the Gaussians do.
+/// Cameras in a row that look the same way define no depth: the Gaussians do.
 #[test]
 fn orbit_of_parallel_cameras_shows_the_scene() {
     let folder = tempdir().expect("a temporary folder");
@@ -490,7 +491,7 @@ fn orbit_of_parallel_cameras_shows_the_scene() {
     assert_eq!(said.matches(" 400 of 400 Gaussians visible").count(), 4, "{said}");
 }
 
-/// A phone's photographs become a film for a phone.
+/// Upright photographs give an upright film.
 #[test]
 fn orbit_of_upright_photographs_is_upright() {
     let folder = tempdir().expect("a temporary folder");
@@ -548,7 +549,7 @@ fn compiled_kernels_are_kept_between_runs() {
         finished.stdout
     };
     let first = run();
-    // One file, for the device: the header of version one, 32 bytes, then what the driver keeps.
+    // One file for the device: the header of version one, 32 bytes, then the driver's data.
     let files: Vec<_> =
         std::fs::read_dir(&caches).expect("a folder").map(|entry| entry.expect("a file")).collect();
     assert_eq!(files.len(), 1);
@@ -556,7 +557,7 @@ fn compiled_kernels_are_kept_between_runs() {
     let kept = std::fs::read(&cache).expect("a cache");
     assert!(kept.len() >= 32 && kept.starts_with(&[32, 0, 0, 0, 1, 0, 0, 0]), "{} bytes", kept.len());
     assert_eq!(run(), first);
-    // Something else in its place is not given to the driver.
+    // Other contents are not passed to the driver.
     std::fs::write(&cache, b"no cache").expect("written");
     assert_eq!(run(), first);
     assert!(std::fs::read(&cache).expect("a cache").starts_with(&[32, 0, 0, 0]));

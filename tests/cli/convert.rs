@@ -1,4 +1,4 @@
-//! `ashsplat convert`, and the other commands on what it writes.
+//! `ashsplat convert`, and other commands on its outputs.
 
 use super::*;
 use ashsplat_files::splats::{self, Format};
@@ -25,7 +25,7 @@ fn converted_files_are_rendered_and_described() {
             ["render", text(&out), "--orbit", "1", "--width", "64", "--height", "48", "-o", text(&pictures)];
         assert!(succeed(&frames).contains("of 400 Gaussians visible"));
     }
-    // Version 2 is packed with gzip, 4 with zstd behind a header of its own.
+    // Version 2 is packed with gzip, version 4 with zstd and its own header.
     for (version, begins) in [("2", [0x1f, 0x8b]), ("4", *b"NG")] {
         let spz = place("version.spz");
         succeed(&["convert", text(&place("in.ply")), text(&spz), "--spz-version", version]);
@@ -41,11 +41,11 @@ fn converted_files_are_rendered_and_described() {
     );
     let read = splats::read(&moved, &Default::default()).expect("read").gaussians;
     assert_eq!((read.len(), read.sh_degree), (150, 0));
-    // The wall stood at z = 0; now x = -1 is its plane, and z runs from -2 to 1.
+    // The wall was at z = 0; now its plane is x = -1, and z runs from -2 to 1.
     assert!(read.means.iter().all(|m| (m[0] + 1.0).abs() < 0.01 && (-2.01..1.1).contains(&m[2])));
 }
 
-/// A move belongs to the input before it, and after the output to everything.
+/// A move applies to the input before it, and after the output to everything.
 #[test]
 fn files_are_joined_each_with_its_move() {
     let folder = tempdir().expect("a temporary folder");
@@ -92,7 +92,7 @@ fn convert_refuses_in_one_line() {
     refuse(&["convert", "a.ply", "b.ply", "--scale", "0"], &["--scale", "positive"]);
     refuse(&["convert", "a.ply", "b.ply", "--crop-box", "1,2"], &["six numbers"]);
     assert!(!place("out.ply").exists());
-    // Nothing is overwritten that is not the output's own.
+    // Only the output file may be overwritten.
     let gaussians = ashsplat_files::initial_gaussians(&wall_points(), 0).expect("Gaussians");
     ashsplat_files::ply::write(place("in.ply"), &gaussians).expect("written");
     let before = std::fs::read(place("in.ply")).expect("a file");
@@ -117,7 +117,7 @@ fn convert_refuses_in_one_line() {
     assert_eq!(std::fs::read(place("scene.bin")).expect("a file"), b"another program's");
 }
 
-/// One answer of all commands, with the command that helps.
+/// All commands give the same error, with the command that helps.
 #[test]
 fn scenes_of_other_programs_are_named() {
     let folder = tempdir().expect("a temporary folder");
@@ -184,12 +184,12 @@ fn scenes_of_other_programs_are_named() {
         answers.dedup();
         assert_eq!(answers.len(), 1, "{answers:?}");
     }
-    // A data set with points in it is none of them.
+    // A data set with points is no such scene.
     archives::pack(&place("set.zip"), [("points.ply".into(), &ply[..]), ("images/a.jpg".into(), b"")]);
     assert!(!finish(program().args(["info", &named("set.zip")])).stderr.contains("ZIP with a scene"));
 }
 
-/// Limits of the system and of the command line are errors like others, and the file is named.
+/// Limits of the system and of the command line are ordinary errors that name the file.
 #[cfg(unix)]
 #[test]
 fn limits_of_files_and_memory_are_told() {
@@ -244,7 +244,7 @@ fn limits_of_files_and_memory_are_told() {
         (&["profile", "train-step", "--dataset", text(&data)], "keeping its 9 photos in memory"),
     ] {
         let run = finish(program().args(command).args(["--max-host-memory", "24K"]));
-        // A card trains on photographs in a file: half of the memory is for those that are read ahead.
+        // A discrete GPU trains on photographs in a file: half of the memory holds those that are read ahead.
         let read_ahead = &[
             "reading ahead (5 of",
             "more than 12288 (--photo-memory, or half of --max-memory or --max-host-memory)",
@@ -256,7 +256,8 @@ fn limits_of_files_and_memory_are_told() {
     assert!(!model.exists());
 }
 
-/// Single precision holds these positions exactly, at the origin and in UTM coordinates: only the camera's transform can differ.
+/// Single precision holds these positions exactly, at the origin and in UTM coordinates. Only the camera's transform
+/// can differ.
 #[test]
 fn distant_and_tiny_scenes_look_as_others() {
     let folder = tempdir().expect("a temporary folder");

@@ -1,4 +1,4 @@
-//! `partition`, `train --job`, `merge`: what cannot be divided, or is no longer what was divided.
+//! `partition`, `train --job`, `merge`: scenes that cannot be divided, and divisions that are out of date.
 
 use super::checkpoints::assert_trained;
 use super::merge::{division, job, merge, partition, place, read};
@@ -28,7 +28,7 @@ fn what_cannot_be_divided_or_trained_is_refused() {
     std::fs::remove_file(&photo).expect("removed");
     refused(&["--max-gaussians", "300"], &["05.png", "the photo of image 5 is missing"]);
     std::fs::write(&photo, kept).expect("written");
-    // Another data set: of other places, and of photos from which nothing is seen.
+    // Another data set, with other positions, and with photos that see nothing.
     let other = place.model("other");
     write_dataset(&other);
     let images = |count: u32, turned: f32| -> Vec<ColmapImage> {
@@ -51,7 +51,7 @@ fn what_cannot_be_divided_or_trained_is_refused() {
     let bare =
         ["partition", text(&other), "--coarse", text(&ply), "--max-gaussians", "300", "-o", text(&out)];
     refuse(&bare, &["point_cloud.ply", "next to nothing"]);
-    // As large, and with other colours.
+    // Same size, other colours.
     let mut negative = read(&ply);
     negative.sh.iter_mut().flatten().for_each(|coefficient| *coefficient *= -1.0);
     let path = place.model("negative.ply");
@@ -88,7 +88,7 @@ fn what_cannot_be_divided_or_trained_is_refused() {
     refuse(&["train", "--job", &all], &["job", "has the blocks 1 to"]);
     refuse(&["train", "--job", text(&out)], &["job", "blocks.json:3"]);
     refuse(&["train", "--job", &all, "--margin", "1"], &["--job", "cannot be used with"]);
-    // What the blocks refer to is not what it was.
+    // A file that the blocks refer to has changed.
     let photo = data.join("images/05.png");
     let kept = std::fs::read(&photo).expect("a photo");
     std::fs::remove_file(&photo).expect("removed");
@@ -106,7 +106,7 @@ fn what_cannot_be_divided_or_trained_is_refused() {
     assert!(!place.model("blocks").exists());
 }
 
-/// Where all photos look at one thing, a part of it shows in whole photos.
+/// If all photos show a single object, its parts use whole photos.
 #[test]
 fn photos_of_a_single_object_are_used_whole() {
     let place = place();
@@ -129,7 +129,7 @@ fn photos_of_a_single_object_are_used_whole() {
     let (rounds, said) = divided(&["--rounds", "2"]);
     assert!(said.contains("whole photos") && rounds["blocks"] == whole["blocks"], "{said}");
     assert_eq!(rounds["margin"], whole["margin"]);
-    // Parts show the wide margin, too.
+    // Parts of photos include the wide margin, too.
     let (of_parts, said) = divided(&["--rounds", "2", "--photo-parts", "on"]);
     assert!(said.contains("parts of photos") && of_parts["margin"] == whole["margin"], "{said}");
     let wide = (margin as f32).to_string();
@@ -139,7 +139,7 @@ fn photos_of_a_single_object_are_used_whole() {
     assert!(parts(&narrow) != parts(&given), "{narrow}");
     assert_eq!(narrow["margin"].as_f64().map(|margin| margin as f32), Some(0.001));
 
-    // Each photo for the block that it shows most of, and those for few more.
+    // Each photo is used for the block that it shows most of, and some photos for more.
     let several = ["--rounds", "2", "--min-share", "0.33"];
     let (several_places, said) = divided(&several);
     assert!(used(&several_places) < 15 && !said.contains("single object"), "{said}");

@@ -1,4 +1,4 @@
-//! `partition --rounds` and `exchange`: blocks that go on with what their neighbours have trained.
+//! `partition --rounds` and `exchange`: blocks that resume with their neighbours' results.
 
 use super::checkpoints::{Place, assert_trained};
 use super::merge::{core, division, job, merge, partition, place, read, status};
@@ -7,7 +7,7 @@ use ashsplat::trainer::{Checkpoint, SceneBlock};
 use ashsplat_files::CheckpointFile;
 use serde_json::Value;
 
-/// Growing from the beginning, and without a step that is left out at the end of a round.
+/// Grows from the beginning, and makes a step at the end of a round.
 const STRATEGY: [&str; 6] =
     ["--strategy", "reference", "--densify-from-iter", "2", "--densification-interval", "3"];
 
@@ -27,7 +27,7 @@ fn divided(rounds: &str) -> (Place, Vec<Value>) {
     (place, blocks)
 }
 
-/// A round of a block ends at its share of the iterations.
+/// Last iteration of a block's round, its share of all iterations.
 fn end(block: &Value, round: u64, rounds: u64) -> u64 {
     block["iterations"].as_u64().expect("iterations") * round / rounds
 }
@@ -36,7 +36,7 @@ fn file_of(place: &Place, block: &Value, name: &str) -> PathBuf {
     place.model(block["folder"].as_str().expect("a folder")).join(name)
 }
 
-/// What an exchange after the first of two rounds has written.
+/// Files of an exchange after the first of two rounds.
 fn exchanged(place: &Place, blocks: &[Value]) -> Vec<PathBuf> {
     let name = |block: &Value| format!("exchanged{}.safetensors", end(block, 1, 2));
     let own = blocks.iter().map(|block| file_of(place, block, &name(block)));
@@ -75,7 +75,7 @@ fn blocks_go_on_with_what_their_neighbours_have_trained() {
         };
         let before = read_all("chkpnt");
         assert_trained(&exchange(&place, &[]));
-        // The same once more, and whatever was left behind, are the same bytes.
+        // A repeated exchange, also over leftovers, gives the same bytes.
         let (files, scene) = (exchanged(&place, &blocks), place.model("blocks/round_1.ply"));
         let bytes = contents(&files);
         let again = exchange(&place, &[]);
@@ -87,7 +87,8 @@ fn blocks_go_on_with_what_their_neighbours_have_trained() {
         assert_trained(&exchange(&place, &["--quiet"]));
         assert!(contents(&files) == bytes, "other bytes");
 
-        // Of each what lies in its cell, and around it what the neighbours have there, with moments and statistics.
+        // Each file has the Gaussians of the block's cell and the neighbours' Gaussians around it, with moments and
+        // statistics.
         let margin = division(&place)["margin"].as_f64().expect("a margin") as f32;
         for (index, after) in read_all("exchanged").iter().enumerate() {
             let box_of = core(&blocks[index]);
@@ -132,7 +133,7 @@ fn blocks_go_on_with_what_their_neighbours_have_trained() {
         assert_trained(&merge(&place, "scene.ply"));
         let scene = std::fs::read(place.model("scene.ply")).expect("a scene");
         for (number, (block, name)) in (1..).zip(blocks.iter().zip(&last)) {
-            // As a killed training leaves it: nothing noted, a checkpoint on the way.
+            // As a killed training leaves it: no note, and an earlier checkpoint.
             let path = file_of(&place, block, name);
             let good = std::fs::read(&path).expect("a scene");
             std::fs::remove_file(file_of(&place, block, "block.json")).expect("removed");
@@ -156,7 +157,7 @@ fn blocks_go_on_with_what_their_neighbours_have_trained() {
     }
 }
 
-/// Killed at whatever time within two rounds, and asked for again.
+/// Training is killed at any time within two rounds, and repeated.
 #[test]
 fn a_round_that_is_gone_on_with_ends_with_the_same_bits() {
     let (place, blocks) = divided("2");
@@ -171,7 +172,7 @@ fn a_round_that_is_gone_on_with_ends_with_the_same_bits() {
     std::fs::remove_dir_all(folder(&place)).expect("removed");
     for number in (1..=blocks.len()).rev() {
         assert_trained(&train(&place, number, &auto));
-        // The end of a round that was not noted any more.
+        // The note of a round's end is missing.
         std::fs::remove_file(file_of(&place, &blocks[number - 1], "round.json")).expect("noted");
         assert_trained(&train(&place, number, &auto));
         let again = train(&place, number, &auto);
@@ -189,7 +190,7 @@ fn what_cannot_be_exchanged_is_refused() {
         &exchange(&place, &[]),
         &["blocks.json", "round 1", "1, 2", "not trained to the end of the round"],
     );
-    // No output where nothing was exchanged.
+    // A refused exchange writes nothing.
     assert!(!place.model("blocks").exists());
     for number in 2..=blocks.len() {
         assert_trained(&train(&place, number, &[]));
@@ -203,7 +204,7 @@ fn what_cannot_be_exchanged_is_refused() {
     assert_trained(&train(&place, 1, &["--lambda-dssim", "0.3"]));
     refused(&["block 2", "other settings than block 1", "lambda_dssim was 0.3, is 0.2"]);
     assert_trained(&train(&place, 1, &[]));
-    // Each is as it should be, but for one file.
+    // Everything is valid except one file.
     let changed = |name: &str, change: &dyn Fn(&[u8]) -> Vec<u8>, words: &[&str]| {
         let path = file_of(&place, &blocks[0], name);
         let good = std::fs::read(&path).expect("a file");
@@ -238,10 +239,10 @@ fn what_cannot_be_exchanged_is_refused() {
     std::fs::rename(&path, place.model("kept")).expect("moved");
     refused(&["1 without the checkpoint of the round's end"]);
     std::fs::rename(place.model("kept"), &path).expect("moved");
-    // Rounds end at a share of the division's iterations.
+    // A round ends at its share of the division's iterations.
     assert_refused(&train(&place, 1, &["--iterations", "30"]), &["--iterations", "share of the division's"]);
     assert_refused(&train(&place, 1, &["--pose-opt"]), &["pose_opt", "rounds"]);
-    // Another division does not take the place of one that is being trained.
+    // A new division must not replace one whose blocks have been trained.
     let replaced = partition(&place, "blocks.json", &["--max-gaussians", "300", "--rounds", "3"]);
     assert_refused(&replaced, &["blocks have been trained", "another -o"]);
     let many = partition(&place, "other.json", &["--max-gaussians", "300", "--rounds", "50"]);
@@ -250,7 +251,7 @@ fn what_cannot_be_exchanged_is_refused() {
     let of_one = finish(program().args(["exchange", text(&place.model("whole.json"))]));
     assert_refused(&of_one, &["whole.json", "is of one round", "--rounds"]);
     assert!(!place.model("other.json").exists() && !place.model("whole").exists());
-    // A block that goes on otherwise than it ended is told.
+    // A block must resume with the options that it ended with.
     assert_trained(&exchange(&place, &[]));
     assert_refused(&train(&place, 1, &["--outside", "masked"]), &["other photographs or cameras"]);
 }

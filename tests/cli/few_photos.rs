@@ -11,14 +11,14 @@ fn train(data: &Path, model: &Path, more: &[&str]) -> Finished {
     finish(program().args(usual).args(SCHEDULE).args(more))
 }
 
-/// The value of a setting in the dump of a run.
+/// Value of a setting in a run's dump.
 fn setting(model: &Path, name: &str) -> String {
     let dump = std::fs::read_to_string(model.join("settings.toml")).expect("a dump");
     let line = dump.lines().find_map(|line| line.strip_prefix(&format!("{name} = ")));
     line.unwrap_or_else(|| panic!("no {name} in {dump}")).to_owned()
 }
 
-/// The data set of [`write_dataset`], whose model says which photos show which points.
+/// Writes the data set of [`write_dataset`], with observations of the points in the photos.
 fn write_tracks(folder: &Path) {
     write_dataset(folder);
     let points = wall_points();
@@ -50,7 +50,7 @@ fn write_tracks(folder: &Path) {
     }
 }
 
-/// Below so many photos their settings are taken and said, in one line; what is given wins.
+/// Data sets with few photos get special settings, and one line says so. Given options have priority.
 #[test]
 fn few_photos_are_noticed_and_said() {
     let folder = tempdir().expect("a temporary folder");
@@ -73,11 +73,11 @@ fn few_photos_are_noticed_and_said() {
         ("\"budget\"", "0.2")
     );
     assert_eq!(setting(&model, "few_photos"), "\"auto\"");
-    // The weight on scales goes by the extent that training has.
+    // The weight on scales depends on the scene extent.
     let extent = ashsplat::scene::scene_extent((0..VIEWS).map(|index| view(index).position()));
     let weight: f64 = setting(&model, "scale_reg").parse().expect("a number");
     assert!((weight * f64::from(extent) / 0.045 - 1.0).abs() < 0.006, "{weight} {extent}");
-    // A run with its dump is the same run, and needs not be said anything about twice.
+    // A run with the dump's settings is identical, and prints no such line.
     let again = folder.path().join("again");
     let config = model.join("settings.toml");
     let run = train(&data, &again, &["--config", text(&config)]);
@@ -108,12 +108,12 @@ fn few_photos_are_noticed_and_said() {
     let said = lines(&train(&data, &given, &[&reference[..], &["--densify-until-iter", "9"]].concat()));
     assert!(said.is_empty(), "{said:?}");
     assert_eq!(setting(&given, "densify_until_iter"), "9");
-    // An optimiser that budget does not go with.
+    // Budget does not work with this optimiser.
     let sparse = folder.path().join("sparse");
     let said = lines(&train(&data, &sparse, &["--optimizer-type", "sparse_adam"]));
     assert!(said.len() == 1 && said[0].contains(": --densify-until-iter 1500,"), "{said:?}");
     assert_eq!(setting(&sparse, "strategy"), "\"reference\"");
-    // A training that was begun as with many goes on so.
+    // A training that began as one with many photos resumes as such.
     let begun = folder.path().join("begun");
     let stop = ["--few-photos", "off", "--checkpoint-iterations", "5"];
     assert!(lines(&train(&data, &begun, &stop)).is_empty());
@@ -134,7 +134,8 @@ fn few_photos_are_noticed_and_said() {
     refuse(&["train", "-s", text(&data), "-m", "x", "--few-photos", "maybe"], &["maybe", "few-photos"]);
 }
 
-/// A model with observations has depths to train on; one without has none, which is said before the work.
+/// A model with observations gives depths for training. For a model without them, an error says so before the
+/// training.
 #[test]
 fn points_are_taken_for_depths_where_photos_show_them() {
     let folder = tempdir().expect("a temporary folder");

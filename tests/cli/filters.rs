@@ -1,4 +1,4 @@
-//! Mip-Splatting's filters through the program: from a training into files, pictures and measurements.
+//! Mip-Splatting's filters in the program: from a training to files, pictures and measurements.
 
 use super::*;
 use serde_json::Value;
@@ -21,11 +21,11 @@ fn filters_go_from_training_into_files_and_pictures() {
     };
     assert!(header(&ply).contains("property float filter_3D\n"), "{}", header(&ply));
     assert!(header(&ply).contains("comment SplatRenderMode: mip"), "{}", header(&ply));
-    // Who converts has what the filter makes of the Gaussians, and the mark.
+    // A converted file has the filtered Gaussians, and the mark.
     let baked = at("baked.ply");
     succeed(&["convert", text(&ply), text(&baked)]);
     assert!(!header(&baked).contains("filter_3D") && header(&baked).contains("comment SplatRenderMode: mip"));
-    // The folder's settings are the training's; of a file alone they are said.
+    // A model folder has the training's settings; a single file needs options.
     let measured = |scene: &Path, more: &[&str]| -> f64 {
         let eval = ["eval", text(scene), "-s", text(&data), "--eval", "--json", "--quiet"];
         let said = succeed(&[&eval[..], more].concat());
@@ -52,13 +52,13 @@ fn filters_go_from_training_into_files_and_pictures() {
     let differ = |other: &[u8]| whole.iter().zip(other).map(|(a, b)| a.abs_diff(*b)).max().expect("pixels");
     assert!(differ(&picture(&baked, "alone", &["--kernel-size", "0.1"])) <= 1);
     assert!(differ(&picture(&baked, "other", &["--kernel-size", "3"])) > 8);
-    // Without the filter, neither the column nor the mark.
+    // Without the filter, the file has neither the column nor the mark.
     let plain = at("plain");
     let train = ["train", "-s", text(&data), "-m", text(&plain), "--quiet", "--iterations", "2"];
     succeed(&train);
     let without = header(&plain.join("point_cloud/iteration_2/point_cloud.ply"));
     assert!(!without.contains("filter_3D") && !without.contains("mip"), "{without}");
-    // What is no size.
+    // An invalid size.
     let none = at("none");
     let refused = ["train", "-s", text(&data), "-m", text(&none), "--kernel-size", "0"];
     refuse(&refused, &["kernel_size", "0"]);

@@ -1,4 +1,4 @@
-//! `inspect` on an example small enough to be worked out by hand, through the library and through the program.
+//! `inspect` on a small example worked out by hand, through the library and through the program.
 
 use super::*;
 use ashsplat::scene::{Gaussians, sh};
@@ -15,7 +15,7 @@ const COLORS: [[f32; 3]; 3] = [[1.0, 0.6, 0.1], [0.0, 0.9, 1.0], [1.0, 0.2, 0.8]
 const FOCAL: f64 = 500.0;
 const MIDDLE: f64 = 400.0;
 const PIXEL: [u32; 2] = [420, 420];
-/// Front to back by depth: 1.8, 2.5, 3.2.
+/// Order by depth, front to back: 1.8, 2.5, 3.2.
 const ORDER: [usize; 3] = [2, 0, 1];
 
 fn example() -> Gaussians {
@@ -29,14 +29,14 @@ fn example() -> Gaussians {
     }
 }
 
-/// Alpha of one Gaussian at the pixel, in f64, straight from the equations of EWA splatting.
+/// Alpha of one Gaussian at the pixel, in f64, directly from the equations of EWA splatting.
 fn alpha(index: usize) -> f64 {
     let mean = DVec3::from_array(MEANS[index].map(f64::from));
     let [w, x, y, z] = QUATS[index].map(f64::from);
     let rotation = DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize());
     let axes = rotation * DMat3::from_diagonal(DVec3::from_array(SCALES[index].map(f64::from)));
     let covariance = axes * axes.transpose();
-    // Rows of the Jacobian of the projection; the camera stands at the origin.
+    // Rows of the projection's Jacobian; the camera is at the origin.
     let jx = DVec3::new(FOCAL / mean.z, 0.0, -FOCAL * mean.x / (mean.z * mean.z));
     let jy = DVec3::new(0.0, FOCAL / mean.z, -FOCAL * mean.y / (mean.z * mean.z));
     let off = jx.dot(covariance * jy);
@@ -84,7 +84,7 @@ fn worked_example_by_the_library() {
     }
     let reported = DVec3::from_array(report.color.map(f64::from));
     assert!(reported.abs_diff_eq(color, 1e-5), "{reported} instead of {color}");
-    // The report explains the picture: same pixel, same colour.
+    // The report matches the picture: same pixel, same colour.
     let frame = renderer.render(&camera, &settings).expect("a frame");
     let drawn = frame.color[(PIXEL[1] * 800 + PIXEL[0]) as usize];
     assert!(Vec3::from_array(drawn).abs_diff_eq(Vec3::from_array(report.color), 1e-6), "{drawn:?}");

@@ -1,11 +1,11 @@
-//! One scene in two layouts: as the synthetic scenes of the NeRF paper lie, and as COLMAP leaves it.
+//! One scene in two layouts: as the synthetic scenes of the NeRF paper, and as a COLMAP model.
 
 use super::*;
 use ashsplat_files::{Dataset, DatasetOptions, Progress, View};
 use serde_json::Value;
 use tempfile::tempdir;
 
-/// Writes both layouts of the demo's scene without its sky.
+/// Writes the demo's scene without its sky in both layouts.
 fn write_both(folder: &Path, points: &str) -> [PathBuf; 2] {
     ["nerf-synthetic", "colmap"].map(|layout| {
         let out = folder.join(layout);
@@ -20,7 +20,7 @@ fn load(dataset: &Path) -> Dataset {
     Dataset::load(dataset, &options, Progress::NONE).expect("a data set")
 }
 
-/// Trains; the held-out PSNR, dB, and the scene's bytes.
+/// Trains. Returns the held-out PSNR, dB, and the scene's bytes.
 fn train(dataset: &Path, model: &Path, arguments: &[&str]) -> (f64, Vec<u8>) {
     let run = ["train", "-s", text(dataset), "-m", text(model), "--eval", "--random-points", "--quiet"];
     succeed(&[&run[..], &["--test_iterations", "-1"], arguments].concat());
@@ -32,7 +32,7 @@ fn train(dataset: &Path, model: &Path, arguments: &[&str]) -> (f64, Vec<u8>) {
     (last["PSNR"].as_f64().expect("a number"), scene)
 }
 
-/// A field of photographs from above.
+/// An aerial survey.
 #[test]
 fn the_city_is_a_data_set_of_many_photos() {
     let folder = tempdir().expect("a temporary folder");
@@ -52,7 +52,7 @@ fn the_city_is_a_data_set_of_many_photos() {
     }
 }
 
-/// What is read of both layouts is the same, to the bit.
+/// Fails unless both layouts load identically, to the bit.
 fn assert_alike(nerf: &Dataset, colmap: &Dataset) {
     assert_eq!((nerf.train.len(), nerf.test.len()), (35, 5));
     let corner: Vec<u8> = nerf.train[0].photo.photo().expect("in memory").rgb[..3].to_vec();
@@ -69,8 +69,8 @@ fn assert_alike(nerf: &Dataset, colmap: &Dataset) {
     }
 }
 
-/// The same photographs, cameras, split and points: the scenes are not nearly, but to the bit the same, so that nothing is
-/// left for densification to make much of.
+/// Photographs, cameras, split and points are equal, so the scenes must be equal to the bit. Densification would
+/// amplify any difference.
 fn compare(points: &str, arguments: &[&str], least: f64) {
     let folder = tempdir().expect("a temporary folder");
     let [nerf, colmap] = write_both(folder.path(), points);
@@ -89,7 +89,7 @@ fn layouts_of_a_scene_train_alike() {
     compare("sparse", &[&short[..], &densify].concat(), 15.0);
 }
 
-/// The demo's schedule for so many iterations.
+/// The demo's schedule for this number of iterations.
 fn schedule(iterations: u32) -> Vec<String> {
     let n = |share: f64| format!("{}", (f64::from(iterations) * share) as u32);
     [
@@ -109,7 +109,7 @@ fn schedule(iterations: u32) -> Vec<String> {
     .collect()
 }
 
-/// Minutes on a processor.
+/// Takes minutes on a CPU.
 #[test]
 #[ignore = "takes minutes"]
 fn layouts_of_a_scene_train_alike_for_long() {

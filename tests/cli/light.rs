@@ -28,7 +28,7 @@ fn exposures_are_learnt_saved_and_asked_for() {
     write_dataset(&at("data"));
     train(&at("data"), &at("model"), &["--eval", "--exposure", "--exposure-lr-init=0.1"]);
     let exposures = exposure_json::read(at("model").join("exposure.json")).expect("the exposures");
-    // Not of those that are held out.
+    // Held-out photos have no exposure.
     let names: Vec<&str> = exposures.keys().map(String::as_str).collect();
     assert_eq!(names, ["02.png", "03.png", "04.png", "05.png", "06.png", "07.png", "08.png"]);
     assert!(exposures.values().all(|exposure| *exposure != Default::default()));
@@ -49,7 +49,7 @@ fn exposures_are_learnt_saved_and_asked_for() {
     let ply = at("model").join("point_cloud/iteration_40/point_cloud.ply");
     let bare = ["render", text(&ply), "-o", text(&out), "--orbit=1", "--exposure-of", "02.png"];
     refuse(&bare, &["--exposure-of", "model folder"]);
-    // A new training forgets the exposures of an older one.
+    // A new training removes the exposures of an older one.
     train(&at("data"), &model, &["--eval"]);
     assert!(!at("model").join("exposure.json").exists());
     refuse(&[wanted.as_slice(), &["02.png"]].concat(), &["exposure.json", "--exposure"]);
@@ -58,7 +58,7 @@ fn exposures_are_learnt_saved_and_asked_for() {
     assert!(!out.exists() && !none.exists());
 }
 
-/// Vignetting and response: learned, saved for all photos, asked for, and measured with.
+/// Vignetting and response: learned, saved for all photos, used by `render` and by measurements.
 #[test]
 fn lens_effects_are_learnt_saved_and_asked_for() {
     let folder = tempdir().expect("a temporary folder");
@@ -75,7 +75,7 @@ fn lens_effects_are_learnt_saved_and_asked_for() {
     let corner = learnt.vignetting(0, 1.0);
     assert!(page.contains(&format!(">1</td><td>9</td><td>{corner:.3}</td>")), "{page}");
     assert!(!page.contains("<h2>Exposures"), "{page}");
-    // Evaluation finds what training did.
+    // `eval` gives the training's results.
     let results = || std::fs::read_to_string(model.join("per_view.json")).expect("results");
     let trained = results();
     succeed(&["eval", text(&model), "--quiet"]);
@@ -91,7 +91,7 @@ fn lens_effects_are_learnt_saved_and_asked_for() {
     let plain = picture(&out);
     succeed(&[wanted.as_slice(), &["01.png"]].concat());
     assert_ne!(plain, picture(&out));
-    // Files that say nothing sensible.
+    // Invalid files.
     let good = std::fs::read_to_string(model.join("lens.json")).expect("text");
     let unknown = good.replace("\"01.png\": 1", "\"01.png\": 8");
     assert_ne!(good, unknown);
@@ -104,12 +104,12 @@ fn lens_effects_are_learnt_saved_and_asked_for() {
         std::fs::write(model.join("lens.json"), spoilt).expect("written");
         refuse(&[wanted.as_slice(), &["01.png"]].concat(), &words);
     }
-    // A new training forgets them.
+    // A new training removes them.
     train(&data, &model, &["--eval"]);
     assert!(!model.join("lens.json").exists());
 }
 
-/// The reference's protocol: the left half of the held-out views is trained on, the right one is measured.
+/// The reference's protocol: trains on the left half of the held-out views, and measures the right half.
 #[test]
 fn held_out_views_are_trained_on_their_left_half() {
     let folder = tempdir().expect("a temporary folder");
@@ -122,7 +122,7 @@ fn held_out_views_are_trained_on_their_left_half() {
     );
     train(&data, &model, &["--eval", "--train_test_exp"]);
     assert_eq!(exposure_json::read(model.join("exposure.json")).expect("the exposures").len(), 9);
-    // Pictures of the test are halves.
+    // The test's pictures are halves.
     let saved = |kind: &str| at("model").join("test/ours_40").join(kind).join("00000.png");
     for kind in ["gt", "renders"] {
         let size = ashsplat_files::images::photo_size(saved(kind)).expect("a picture");
@@ -134,7 +134,7 @@ fn held_out_views_are_trained_on_their_left_half() {
     assert_eq!(trained, results(()));
     let cameras = std::fs::read_to_string(model.join("cameras.json")).expect("cameras");
     assert_eq!(cameras.matches("img_name").count(), 9);
-    // What the right half shows does not count.
+    // The right half's pixels do not matter.
     let held_out = data.join("images/01.png");
     let mut photo = Photo::read(&held_out, [0.0; 3]).expect("a photo");
     for (pixel, rgb) in photo.rgb.chunks_mut(3).enumerate() {
@@ -153,8 +153,8 @@ fn held_out_views_are_trained_on_their_left_half() {
     refuse(&["eval", text(&model), "--quiet"], &["exposure.json"]);
 }
 
-/// A data set with the observations of its points, and maps whose values are no inverse depths yet: those of photo k
-/// are (1 / z - 0.1) / (1 + k / 10).
+/// A data set with observations of its points, and maps that are no inverse depths yet. Those of photo k are (1 / z
+/// - 0.1) / (1 + k / 10).
 struct Mapped {
     folder: TempDir,
 }
@@ -222,7 +222,7 @@ impl Mapped {
         let map = image::ImageBuffer::from_fn(SIZE[0], SIZE[1], |x, y| {
             let (x, y) = (x as f32 + 0.5 - camera.cx, y as f32 + 0.5 - camera.cy);
             let ray = world_from_camera * Vec3::new(x / camera.fx, y / camera.fy, 1.0);
-            // To the wall at z = 0, where the ray's own z in the camera is 1.
+            // Distance to the wall at z = 0, along the ray with z = 1 in the camera's frame.
             let inverse_z = ray.z / -camera.position().z;
             image::Luma([((inverse_z - 0.1) / scale_of(index) * 65536.0) as u16])
         });
@@ -252,14 +252,14 @@ fn depth_maps_are_scaled_and_trained_on() {
         std::fs::read(out.join("00000.exr")).expect("a picture")
     };
     let data = mapped.data();
-    // No term that few photos bring along.
+    // Switches off the terms that few photos add.
     let [alone, too] = ["--opacity-reg=0", "--scale-reg=0"];
     train(&data, &at("plain"), &["--checkpoint-iterations=40", alone, too]);
     train(&data, &at("fitted"), &["--checkpoint-iterations=40", "-d", "depths", alone, too]);
     assert_eq!(losses(&at("plain")), ["photometric"]);
     assert_eq!(losses(&at("fitted")), ["photometric", "inverse_depth"]);
     assert_ne!(depth_of(&at("plain")), depth_of(&at("fitted")));
-    // Parameters of a file count instead, and these are the right ones: the scene is nearly the same.
+    // Parameters from a file have priority. These are the true ones, so the scene is nearly the same.
     let entry =
         |index: u32| format!("\"{:02}\": {{\"scale\": {}, \"offset\": 0.1}}", index + 1, scale_of(index));
     let entries: Vec<String> = (0..VIEWS).map(entry).collect();
@@ -280,12 +280,13 @@ fn depth_maps_are_scaled_and_trained_on() {
 fn depth_maps_that_lack_something_are_refused() {
     let mapped = Mapped::new();
     mapped.refuses("nowhere", &["nowhere", "no folder with depth maps"]);
-    // A file for some photos only.
+    // A file with only some photos.
     std::fs::write(mapped.params(), "{\"01\": {\"scale\": 1, \"offset\": 0}}").expect("written");
     mapped.refuses("depths", &["depth_params.json", "02.png"]);
     std::fs::write(mapped.params(), "{\"01\": {\"scale\": 1}}").expect("written");
     mapped.refuses("depths", &["depth_params.json", "offset"]);
-    // Beyond what the device takes; and of no use to any photograph, which the sparse points are not to blame for.
+    // Values beyond the device's range; and values that no photograph can use, which is no fault of the sparse
+    // points.
     let all_of = |scale: &str| {
         let entry = |index: u32| format!("\"{:02}\": {{\"scale\": {scale}, \"offset\": 0.1}}", index + 1);
         let entries: Vec<String> = (0..VIEWS).map(entry).collect();
@@ -303,7 +304,7 @@ fn depth_maps_that_lack_something_are_refused() {
     std::fs::write(mapped.map(4), b"no picture").expect("written");
     mapped.refuses("depths", &["05.png"]);
     mapped.write_map(4);
-    // Without observations nothing tells the scale.
+    // Without observations the scale is unknown.
     write_dataset(&mapped.data());
     let text_parts = ["cameras.txt", "images.txt", "points3D.txt"];
     text_parts
@@ -312,7 +313,7 @@ fn depth_maps_that_lack_something_are_refused() {
     mapped.refuses("depths", &["depths", "none of the depth maps", "depth_params.json"]);
 }
 
-/// Nothing reads the maps of photographs that are held out: they are not missed, and what is trained is the same.
+/// Depth maps of held-out photographs are never read: they may be missing, and the trained scene is the same.
 #[test]
 fn held_out_photos_need_no_depth_maps() {
     let mapped = Mapped::new();
@@ -329,7 +330,7 @@ fn held_out_photos_need_no_depth_maps() {
     let entries: Vec<String> = (1..VIEWS - 1).map(entry).collect();
     std::fs::write(mapped.params(), format!("{{{}}}", entries.join(", "))).expect("written");
     assert!(scene_of("given") != with_all);
-    // Halves of them are trained on.
+    // Training uses halves of the held-out photographs.
     let out = mapped.folder.path().join("out");
     let halves = ["train", "-s", text(&data), "-m", text(&out), "-d", "depths", "--eval", "--train-test-exp"];
     refuse(&halves, &["01.png", "depth map", "missing"]);

@@ -6,7 +6,7 @@ use crate::program::running::Running;
 use std::io::{BufRead, BufReader};
 use std::process::Stdio;
 
-/// A second training into the same folder is refused while the first runs, and takes nothing from it.
+/// A second training into the same folder is refused while the first runs, and removes none of its files.
 #[test]
 fn one_training_at_a_time_writes_into_a_folder() {
     let place = Place::new();
@@ -16,13 +16,13 @@ fn one_training_at_a_time_writes_into_a_folder() {
     let mut child = Running::start(command.stdout(Stdio::null()).stderr(Stdio::piped()));
     let mut lines = BufReader::new(child.stderr.take().expect("its stderr")).lines().map_while(Result::ok);
     lines.find(|line| line.starts_with("100/1000000")).expect("progress after 100 iterations");
-    // As the first one has it in mid-write.
+    // A temporary file, as the first training has it while it writes.
     let unfinished = model.join(".chkpnt100.safetensors.aB3dE6.tmp");
     std::fs::write(&unfinished, "half").expect("written");
     let second = place.train("model", &["--iterations", "3"]);
     assert_refused(&second, &["another training (process ", "choose another -m"]);
     assert!(unfinished.is_file() && model.join("train_log.csv").is_file(), "{:?}", files_below(&model));
-    // Who is patient comes after it.
+    // With --wait, a training runs after the first one.
     let mut command = program();
     command.args(["train", "-s", text(&data), "-m", text(&model), "--iterations", "3", "--wait"]);
     let mut patient = Running::start(command.stdout(Stdio::null()).stderr(Stdio::piped()));
@@ -36,11 +36,11 @@ fn one_training_at_a_time_writes_into_a_folder() {
     let rest: Vec<String> = heard.collect();
     assert!(rest.iter().any(|line| line.contains("had an earlier training")), "{rest:?}");
     assert_eq!(patient.wait().expect("it ends").code(), Some(0));
-    // Free again; so it is after a kill.
+    // The folder is free again, as it is after a kill.
     assert!(!model.join(".training.lock").exists(), "{:?}", files_below(&model));
 }
 
-/// A scheduler that starts a job twice at once: one trains, and the others find it done.
+/// A scheduler starts a job twice at once: one trains, and the others find it done.
 #[test]
 fn patient_trainings_of_a_new_folder_are_one() {
     let place = Place::new();
@@ -59,7 +59,7 @@ fn patient_trainings_of_a_new_folder_are_one() {
     let done = ends.iter().filter(|end| said(end).contains("is trained to its end already"));
     assert_eq!(done.count(), 2, "{ends:?}");
     assert!(!model.join("earlier_1").exists(), "{:?}", files_below(&model));
-    // What is refused leaves no folder behind.
+    // A refused training leaves no folder.
     let none = place.model("none/at/all");
     let train = ["train", "-s", text(&data), "-m", text(&none), "--wait", "--few-photos", "off"];
     refuse(&[&train[..], &["--strategy", "mcmc", "--cap-max", "7"]].concat(), &["cap_max"]);

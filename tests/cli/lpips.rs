@@ -1,4 +1,4 @@
-//! LPIPS in `eval` and `train`, by weights of a formula.
+//! LPIPS in `eval` and `train`, with weights by a formula.
 
 use super::training::trained;
 use super::*;
@@ -7,7 +7,7 @@ use crate::reference::lpips::{ALEXNET, Step, VGG16, Weights, formula, lpips};
 use serde_json::Value;
 use tempfile::tempdir;
 
-/// LPIPS by the twin of two pictures that were saved.
+/// LPIPS of two saved pictures by the twin.
 fn of_pictures(steps: &[Step], weights: &Weights, scaled: bool, paths: [&Path; 2]) -> f64 {
     let [a, b] = paths.map(|path| {
         let picture = image::open(path).expect("a picture").to_rgb8();
@@ -37,7 +37,7 @@ fn lpips_of_eval_is_that_of_the_twin() {
             let picture = |kind: &str| model.join(format!("test/ours_30/{kind}/{index:05}.png"));
             let expected = of_pictures(steps, &weights, scaled, [&picture("renders"), &picture("gt")]);
             let actual = view[name].as_f64().expect("a number");
-            // The pictures are rounded to 8 bits.
+            // The saved pictures are rounded to 8 bits.
             assert!((actual - expected).abs() < 0.02 * expected, "{name}: {actual}, expected {expected}");
             sum += actual;
         }
@@ -45,7 +45,7 @@ fn lpips_of_eval_is_that_of_the_twin() {
         assert!((mean - sum / 2.0).abs() < 1e-12, "{name}");
     }
     assert_eq!(json["mean"]["LPIPS"], json["mean"]["lpips_vgg_unscaled"], "the reference's");
-    // What the scene takes.
+    // Size of the scene.
     let bytes = std::fs::metadata(&ply).expect("a file").len();
     assert_eq!(json["scene_bytes"].as_u64(), Some(bytes));
     assert!(
@@ -96,7 +96,7 @@ fn lpips_of_training_is_in_its_results_and_its_report() {
         assert!(page.contains(words), "no '{words}'");
     }
     assert!(!page.contains("LPIPS is not computed"));
-    // The same scene as without, and the same measure by a file of settings.
+    // LPIPS does not change the scene, and a file of settings gives the same measure.
     let settings = folder.path().join("lpips.toml");
     std::fs::write(&settings, format!("lpips_weights = [{:?}]\n", text(&weights))).expect("written");
     let train = ["train", "-s", text(data), "--eval", "--iterations", "4", "--quiet"];
@@ -136,12 +136,12 @@ fn lpips_weights_that_are_none_are_refused_before_the_work() {
     check(&["weights.safetensors: is truncated or no safetensors file"], &[]);
     write(&weights, &alexnet(0).into_iter().filter(|t| t.name != "lin4.model.1.weight").collect::<Vec<_>>());
     check(&["weights.safetensors: lacks the tensor 'lin4.model.1.weight'", "tools/lpips_weights.py"], &[]);
-    // Another network's, as ResNet begins.
+    // Weights of another network, here ResNet's first tensor.
     let mut other = alexnet(0);
     other[0] = Tensor::new("net.0.weight", &[64, 3, 7, 7], vec![0.0; 64 * 147]);
     write(&weights, &other);
     check(&["weights.safetensors: has a tensor 'net.0.weight' of [64, 3, 7, 7]", "of AlexNet or"], &[]);
-    // Damaged ones: such numbers would measure 0 or nothing.
+    // Damaged weights, which would give 0 or no number.
     let damaged = |name: &str, value: f32| {
         let mut tensors = alexnet(0);
         let tensor = tensors.iter_mut().find(|tensor| tensor.name == name).expect("there");
@@ -156,7 +156,8 @@ fn lpips_weights_that_are_none_are_refused_before_the_work() {
     check(&["once more", "AlexNet"], &["--lpips-weights", text(&weights)]);
 }
 
-/// Photographs that are smaller than the network's least picture: said before the work, of those that are tested.
+/// Photographs smaller than the network's least input: an error before the training, only for photos that are
+/// tested.
 #[test]
 fn photos_that_are_too_small_for_lpips_are_refused_before_the_work() {
     let folder = tempdir().expect("a temporary folder");
@@ -166,7 +167,7 @@ fn photos_that_are_too_small_for_lpips_are_refused_before_the_work() {
     let data = &trained().data;
     let train = ["train", "-s", text(data), "-m", text(&model), "--iterations", "2", "--quiet"];
     let of = ["--lpips-weights", text(&weights)];
-    // Of 48x32 pixels, without --eval the first training view stands in.
+    // The photos have 48x32 pixels. Without --eval the first training view is tested.
     let small = ["photo 01.png is 24x16 pixels", "AlexNet needs 31"];
     refuse(&[&train[..], &of, &["-r", "2", "--eval"]].concat(), &small);
     refuse(&[&train[..], &of, &["-r", "2"]].concat(), &small);

@@ -21,12 +21,12 @@ pub(super) fn place() -> Place {
 pub(super) fn partition(place: &Place, file: &str, more: &[&str]) -> Finished {
     let (coarse, out) = (place.model("coarse"), place.model(file));
     let given = ["partition", "--coarse", text(&coarse), "-o", text(&out), "--iterations", "14"];
-    // Faint after so few steps.
+    // The Gaussians are faint after so few steps.
     let share = if more.contains(&"--min-share") { &[][..] } else { &["--min-share", "0.03"] };
     finish(program().args(given).args(share).args(more))
 }
 
-/// Of a few steps, with the few degrees of SH that the coarse model has.
+/// Trains a block for a few steps, with the low SH degree of the coarse model.
 pub(super) fn job(place: &Place, number: u32, more: &[&str]) -> Finished {
     let job = format!("{}:{number}", text(&place.model("blocks.json")));
     finish(program().args(["train", "--job", &job, "--quiet", "--sh-degree", "1"]).args(more))
@@ -37,7 +37,7 @@ pub(super) fn merge(place: &Place, out: &str) -> Finished {
     finish(program().args(["merge", text(&blocks), "-o", text(&out)]))
 }
 
-/// Of each block how far it is, and how many are trained.
+/// Status of each block, and the number of trained blocks.
 pub(super) fn status(place: &Place) -> (Vec<Value>, Value) {
     let told = succeed(&["blocks", text(&place.model("blocks.json")), "--json"]);
     let told: Value = serde_json::from_str(&told).expect("JSON");
@@ -49,7 +49,7 @@ pub(super) fn division(place: &Place) -> Value {
     serde_json::from_str(&text).expect("JSON")
 }
 
-/// Pixels of a block's photos, of each only its part.
+/// Number of pixels of a block's photos or of the parts used.
 fn pixels_of(block: &Value) -> u64 {
     let names =
         ["photos", "held_out"].map(|list| block[list].as_array().cloned().unwrap_or_default()).concat();
@@ -66,7 +66,7 @@ fn pixels_of(block: &Value) -> u64 {
     names.iter().map(of).sum()
 }
 
-/// A cell; null is no border.
+/// Core box of a block; null means unbounded.
 pub(super) fn core(block: &Value) -> Bounds {
     let corner = |name: &str, end: f32| {
         Vec3::from_array(
@@ -82,11 +82,11 @@ fn blocks_are_trained_one_by_one_and_merged() {
     let plot = place.model("plan.svg");
     let mut files = files_below(&place.model(""));
     assert_trained(&partition(&place, "blocks.json", &["--max-gaussians", "300", "--plot", text(&plot)]));
-    // Photos are named, not copied.
+    // Photos are referenced, not copied.
     files.extend(["blocks.json", "plan.svg"].map(PathBuf::from));
     files.sort();
     assert_eq!(files_below(&place.model("")), files);
-    // The same again, to the byte; but for where results go.
+    // A repeated partition gives the same bytes.
     let first = std::fs::read(place.model("blocks.json")).expect("blocks.json");
     let data = place.model("data");
     assert_trained(&partition(&place, "blocks.json", &[text(&data), "--max-gaussians", "300"]));
@@ -94,14 +94,14 @@ fn blocks_are_trained_one_by_one_and_merged() {
 
     let division = division(&place);
     let blocks = division["blocks"].as_array().expect("blocks");
-    // Rates are those of a training of all: the first and the ninth view are held out.
+    // Rates are those of a training of the whole scene, with the first and the ninth view held out.
     let extent = ashsplat::scene::scene_extent((1..VIEWS - 1).map(|index| view(index).position()));
     let written = division["scene_extent"].as_f64().expect("an extent");
     assert!((written - f64::from(extent)).abs() < 1e-5, "{written} {extent}");
     let coarse = read(&place.model("coarse/point_cloud/iteration_12/point_cloud.ply"));
     let drawn = std::fs::read_to_string(&plot).expect("a drawing");
     assert!(blocks.len() > 2 && drawn.matches(">block ").count() == blocks.len(), "{drawn}");
-    // From above, and from the side: the cells of a wall lie one above another.
+    // From above and from the side, because the cells of a wall lie one above another.
     let views: Vec<&str> = drawn.split("<g ").skip(1).collect();
     assert_eq!(views.iter().map(|view| view.matches("<title>").count()).collect::<Vec<_>>(), [9, 9]);
     assert!(views[1].matches("stroke-width=\"1.5\"").count() > 1, "{drawn}");
@@ -117,7 +117,7 @@ fn blocks_are_trained_one_by_one_and_merged() {
         assert_eq!(block["gaussians"], inside, "{block}");
         assert!((1..=300).contains(&inside) && block["trained"].as_u64() > Some(inside as u64), "{block}");
         let photos = block["photos"].as_array().expect("photos");
-        // The first and the ninth are held out; each photo is looked at twice in 14 iterations.
+        // The first and the ninth photo are held out; 14 iterations use each photo twice.
         assert!(photos.iter().all(|name| name != "01.png" && name != "09.png"), "{block}");
         assert_eq!(block["iterations"], 2 * photos.len(), "{block}");
         assert_trained(&job(&place, block["number"].as_u64().expect("a number") as u32, &[]));
@@ -146,7 +146,7 @@ fn blocks_are_trained_one_by_one_and_merged() {
             "{line}"
         );
     }
-    // It ends when all are trained.
+    // `--watch` ends when all blocks are trained.
     succeed(&["blocks", text(&place.model("blocks.json")), "--watch", "1"]);
     let sum = |name: &str| blocks.iter().filter_map(|block| block[name].as_u64()).sum::<u64>();
     assert_eq!(sum("gaussians"), coarse.len() as u64);
@@ -173,7 +173,7 @@ fn blocks_are_trained_one_by_one_and_merged() {
     for mean in scene.means.iter().map(|&mean| Vec3::from_array(mean)) {
         assert_eq!(blocks.iter().filter(|block| core(block).contains(mean)).count(), 1, "{mean}");
     }
-    // Measured, beside the coarse model: as eval measures both.
+    // `merge --report` measures the scene and the coarse model as `eval` does.
     let (blocks_json, coarse_model) = (place.model("blocks.json"), place.model("coarse"));
     let (out, page) = (place.model("again.ply"), place.model("quality/page.html"));
     let measured = ["merge", text(&blocks_json), "-o", text(&out), "--report", text(&page), "--against"];
@@ -190,7 +190,7 @@ fn blocks_are_trained_one_by_one_and_merged() {
             own.zip(evaluated).is_some_and(|(own, evaluated)| (own - evaluated).abs() < 0.01),
             "{own:?} {table}"
         );
-        // All pixels lie inside or along a seam.
+        // Every pixel lies either inside or along a seam.
         let part = |part: &str| results[name][part].as_f64().expect("a number");
         let (least, most) =
             (part("inside_psnr").min(part("seam_psnr")), part("inside_psnr").max(part("seam_psnr")));
@@ -205,13 +205,13 @@ fn blocks_are_trained_one_by_one_and_merged() {
     assert!(psnr.len() == seams.len() && psnr.is_sorted() && !psnr.is_empty(), "{results}");
     let page = std::fs::read_to_string(page).expect("a page");
     assert_eq!(page.matches("<img").count(), 3);
-    // Another format, as convert writes it.
+    // Another format gives the file that convert writes.
     assert_trained(&merge(&place, "scene.spz"));
     let (ply, spz) = (place.model("new/scene.ply"), place.model("converted.spz"));
     succeed(&["convert", text(&ply), text(&spz)]);
     assert!(std::fs::read(place.model("scene.spz")).ok() == std::fs::read(spz).ok(), "other bytes");
 
-    // What is read is not written.
+    // Input files are never overwritten.
     let own = place
         .model("blocks/001")
         .join(format!("point_cloud/iteration_{}/point_cloud.ply", blocks[0]["iterations"]));
@@ -222,11 +222,11 @@ fn blocks_are_trained_one_by_one_and_merged() {
         assert_refused(&merged, &["is read; give another file"]);
     }
     assert!(std::fs::read(&blocks_json).ok() == Some(first) && !aside.exists());
-    // Photos with other poses than the blocks were trained on say nothing about the scene.
+    // Photos whose poses changed since the blocks were trained cannot measure the scene.
     let (images, kept) = (data.join("sparse/0/images.bin"), place.model("kept.bin"));
     std::fs::copy(&images, &kept).expect("copied");
     let mut moved = std::fs::read(&images).expect("images");
-    // The first one's tx: after their number, its own, and its rotation.
+    // The first image's tx: it follows the count, the image's id, and its rotation.
     moved[8 + 4 + 32..][..8].copy_from_slice(&0.25_f64.to_le_bytes());
     std::fs::write(&images, moved).expect("written");
     let page = place.model("page.html");
@@ -236,7 +236,7 @@ fn blocks_are_trained_one_by_one_and_merged() {
     assert!(!aside.exists() && !page.exists());
     std::fs::rename(&kept, images).expect("moved");
 
-    // A held-out photo that is missing.
+    // A held-out photo is missing.
     let photo = data.join("images/09.png");
     std::fs::rename(&photo, &kept).expect("moved");
     let merged =
@@ -245,14 +245,14 @@ fn blocks_are_trained_one_by_one_and_merged() {
     assert!(!aside.exists() && !page.exists());
     std::fs::rename(&kept, &photo).expect("moved");
 
-    // A block is over when it is noted and whole, and its results are its own.
+    // A block is done when its note exists and its scene is intact.
     let folder = place.model("blocks/002");
     let ply = folder.join(format!("point_cloud/iteration_{}/point_cloud.ply", blocks[1]["iterations"]));
     let good = std::fs::read(&ply).expect("a scene");
     let again = job(&place, 2, &["--start-checkpoint", "auto", "--checkpoint-every", "5"]);
     assert!(again.stdout.contains("is trained to its end already"), "{}{}", again.stdout, again.stderr);
     assert!(!folder.join("earlier_1").exists());
-    // Evaluated on its photos, of which one is held out.
+    // `eval` uses the block's photos, one of which is held out.
     let known = blocks[1]["held_out"].as_array().map_or(0, Vec::len);
     let evaluated = finish(program().args(["eval", text(&folder), "--quiet"]));
     assert!(
@@ -262,7 +262,7 @@ fn blocks_are_trained_one_by_one_and_merged() {
         evaluated.stderr
     );
 
-    // Damaged, and missing.
+    // One scene is damaged, and one is missing.
     let mut bad = good.clone();
     let last = bad.len() - 3;
     bad[last] ^= 1;
@@ -272,12 +272,13 @@ fn blocks_are_trained_one_by_one_and_merged() {
     let refused = merge(&place, "other/scene.ply");
     assert_refused(&refused, &["blocks.json", "1 not trained to the end", "2 damaged", "--job"]);
     assert_eq!(files_below(&place.model("")), before);
-    // The same command mends it.
+    // The same command repairs it.
     assert_trained(&job(&place, 2, &["--start-checkpoint", "auto", "--checkpoint-every", "5"]));
     assert!(std::fs::read(&ply).ok() == Some(good), "other bytes");
     std::fs::rename(place.model("kept"), place.model("blocks/001/block.json")).expect("moved");
     assert_trained(&merge(&place, "new/scene.ply"));
-    // Another division does not take the place of one that is trained; where it does, results are of another.
+    // A new division must not replace one whose blocks have been trained. If the file is removed, results belong to
+    // another division.
     let replaced = partition(&place, "blocks.json", &["--max-gaussians", "300", "--margin", "0.4"]);
     assert_refused(&replaced, &["blocks.json", "blocks have been trained", "(now 0.4)", "another -o"]);
     std::fs::remove_file(&blocks_json).expect("removed");
@@ -286,7 +287,7 @@ fn blocks_are_trained_one_by_one_and_merged() {
     let begun = job(&place, 2, &["--start-checkpoint", "auto", "--checkpoint-every", "5"]);
     assert_refused(&begun, &["of another scene or margin"]);
     assert_eq!(status(&place).0[1]["state"], "of another division");
-    // What was trained for the old one is not gone on with as if it were of the new one.
+    // A training of the old division cannot resume as one of the new division.
     let settings = folder.join("settings.toml");
     let begun =
         finish(program().args(["train", "--config", text(&settings), "--start-checkpoint", "latest"]));
@@ -294,7 +295,7 @@ fn blocks_are_trained_one_by_one_and_merged() {
 }
 
 #[cfg(unix)]
-/// What a block uses of its photos stands in the file.
+/// The file lists the parts of photos that a block uses.
 #[test]
 fn jobs_use_the_parts_of_photos_that_show_them() {
     let place = place();
@@ -312,7 +313,7 @@ fn jobs_use_the_parts_of_photos_that_show_them() {
         assert!(!parts.is_empty() && parts.keys().all(|name| own.contains(name)), "{block}");
     }
     let (block, number) = (blocks[0].clone(), blocks[0]["number"].as_u64().expect("a number") as u32);
-    // The photos are so small that tiles and windows fill them: less of one.
+    // Tiles and windows fill these small photos: use a smaller part of one.
     let part = |of: u64| serde_json::json!({ "of": [of, of], "columns": [0, 1], "rows": [0, of] });
     let photo = block["photos"][0].as_str().expect("a photo").to_owned();
     division["blocks"][0]["parts"][&photo] = part(8);
@@ -362,12 +363,12 @@ fn two_merges_at_once_are_refused() {
     use nix::fcntl::{Flock, FlockArg};
     let place = place();
     assert_trained(&partition(&place, "blocks.json", &["--max-gaussians", "100000"]));
-    // As on a machine that has the photos elsewhere.
+    // The photos lie elsewhere, as on another machine.
     let moved = place.model("elsewhere");
     std::fs::rename(place.model("data"), &moved).expect("moved");
     assert_trained(&job(&place, 1, &["-s", text(&moved)]));
     std::fs::rename(&moved, place.model("data")).expect("moved");
-    // How far a block is that another process trains.
+    // Progress of a block that another process trains.
     let path = place.model("blocks/001/.training.lock");
     std::fs::write(&path, "process 7 on node3").expect("written");
     let file = std::fs::File::open(&path).expect("it is there");
@@ -385,7 +386,7 @@ fn two_merges_at_once_are_refused() {
     drop(held);
     assert_trained(&merge(&place, "scene.ply"));
     assert!(!path.exists());
-    // A single block is the whole scene, but for the photos that are listed: all of them.
+    // A single block is the whole scene, with all photos listed.
     let whole = place.model("coarse/point_cloud/iteration_12/point_cloud.ply");
     let same = place
         .train("whole", &["--init", text(&whole), "--eval", "--iterations", "14", "--few-photos", "off"]);

@@ -1,4 +1,5 @@
-//! Data sets in map coordinates and in other units: they train as at the origin, and coordinates are those of their files.
+//! Data sets in map coordinates and other units: they train as at the origin, and outputs have the coordinates of
+//! their files.
 
 use super::checkpoints::{Place, assert_trained};
 use super::merge::{core, division, job, merge, partition};
@@ -19,7 +20,7 @@ fn moved(scale: f64, offset: DVec3) -> Place {
     let (mut images, mut points) = (String::new(), String::new());
     for id in 1..=VIEWS {
         let image = ColmapImage::posed(id, 1, format!("{id:02}.png"), &view(id - 1));
-        // Far from zero, where single precision is coarser than doubles at the offset.
+        // Offset from zero, where single precision is coarser than doubles at the offset.
         let translation = DVec3::from_array(image.translation.map(|v| (v * 1024.0).round() / 1024.0 + 0.01));
         let [x, y, z] = (scale * translation.as_vec3().as_dvec3() - image.rotation() * offset).to_array();
         let [qw, qx, qy, qz] = image.quat;
@@ -39,7 +40,7 @@ fn moved(scale: f64, offset: DVec3) -> Place {
     place
 }
 
-/// A PLY without the comment that names the origin.
+/// Removes the comment with the origin from a PLY.
 fn without_origin(ply: Vec<u8>) -> Vec<u8> {
     let comment = b"comment origin 500000 5000000 120\n";
     let at = ply.windows(comment.len()).position(|bytes| bytes == comment).expect("the origin");
@@ -75,7 +76,7 @@ fn a_far_data_set_trains_to_the_bits_of_one_at_the_origin() {
         serde_json::from_str::<serde_json::Value>(&results).expect("JSON")["ours_12"]["PSNR"].clone()
     };
     assert_eq!(measured(&far), measured(&near));
-    // Gaussians to begin with are brought into the data set's frame.
+    // A scene for --init is moved into the data set's frame.
     let begun = |place: &Place| {
         let scene = place.model("model/point_cloud/iteration_12/point_cloud.ply");
         assert_trained(&place.train("init", &[&OPTIONS[..], &["--init", text(&scene)]].concat()));
@@ -83,7 +84,7 @@ fn a_far_data_set_trains_to_the_bits_of_one_at_the_origin() {
     };
     assert!(without_origin(begun(&far)) == begun(&near), "other bits");
 
-    // Resumed in the frame of the checkpoint, and not on a data set that lies elsewhere.
+    // A training resumes in the checkpoint's frame, and not on a data set elsewhere.
     let checkpoint = far.model("model/chkpnt6.safetensors");
     assert_eq!(Checkpoint::read(&checkpoint).expect("a checkpoint").frame, frame);
     let start = [&OPTIONS[..], &["--start-checkpoint", text(&checkpoint)]].concat();
@@ -91,14 +92,15 @@ fn a_far_data_set_trains_to_the_bits_of_one_at_the_origin() {
     assert!(far.ply("resumed", 12) == far.ply("model", 12), "other bits");
     assert_refused(&near.train("resumed", &start), &["chkpnt6", "other photographs or cameras"]);
 
-    // A block of the data set's coordinates.
+    // A block in the data set's coordinates.
     let block = |x: f64| format!("--block=-inf,-inf,-inf,{x},inf,inf");
     assert_trained(&near.train("block", &[&OPTIONS[..], &[&block(-0.2)]].concat()));
     assert_trained(&far.train("block", &[&OPTIONS[..], &[&block(499_999.8)]].concat()));
     assert!(without_origin(far.ply("block", 12)) == near.ply("block", 12), "another block");
 }
 
-/// A scene that an editor saved without the origin is black for all cameras, unless its model's cameras.json tells it.
+/// A scene that an editor saved without the origin would be out of view of all cameras. The model's cameras.json
+/// restores the origin.
 #[test]
 fn an_origin_that_a_scene_has_lost_is_found_or_told() {
     let place = moved(1.0, UTM);
@@ -118,7 +120,7 @@ fn an_origin_that_a_scene_has_lost_is_found_or_told() {
     let (restored, said) = measured();
     assert_eq!(restored, whole);
     assert!(said.contains("names no origin 500000,5000000,120: ") && said.contains("cameras.json"), "{said}");
-    // Elsewhere nothing tells it.
+    // Outside the model folder the origin is lost.
     let scene = place.model("lost.ply");
     std::fs::write(&scene, &lost).expect("written");
     let begin = |scene: &Path| {
@@ -141,7 +143,7 @@ fn a_data_set_in_other_units_trains_alike() {
         assert_trained(&place.train("model", &OPTIONS));
         let (means, unit) = means(&place, "model");
         assert_eq!((means.len(), unit), (expected.len(), Some(scale)));
-        // In the units of the data set.
+        // Distances in the units of the data set.
         let off = |(mean, expected): (&[f32; 3], &[f32; 3])| {
             Vec3::from_array(*mean).distance(scale as f32 * Vec3::from_array(*expected)) / scale as f32
         };
@@ -195,6 +197,6 @@ fn blocks_in_other_units_go_on_after_an_exchange() {
     let blocks = division["blocks"].as_array().expect("blocks").len() as u32;
     (1..=blocks).for_each(|number| assert_trained(&job(&place, number, &[])));
     assert_trained(&finish(program().args(["exchange", text(&place.model("blocks.json"))])));
-    // The frozen neighbours are the exchange's scene, to the bit.
+    // The frozen neighbours equal the exchange's scene, to the bit.
     assert_trained(&job(&place, 1, &["--start-checkpoint", "auto"]));
 }

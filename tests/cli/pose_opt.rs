@@ -1,4 +1,4 @@
-//! The demo's poses are moved by known amounts; `--pose-opt` gets them back.
+//! `--pose-opt` recovers the demo's poses after known displacements.
 
 use super::{succeed, text, write_dataset};
 use ashsplat::Camera;
@@ -14,8 +14,8 @@ use tempfile::tempdir;
 
 const ITERATIONS: &str = "2000";
 
-/// Moves each camera of a COLMAP model by a degree about some axis and a hundredth of the extent in some direction.
-/// Returns the cameras before and after by the names of their photographs.
+/// Turns each camera of a COLMAP model by a degree and moves it by a hundredth of the extent. Returns the cameras
+/// before and after, with their photographs' names.
 fn perturb(data: &Path) -> [Vec<(String, Camera)>; 2] {
     let model = Model::read(&colmap::find(data).expect("a folder")).expect("a model");
     let true_ones: Vec<(String, Camera)> = (model.images.iter())
@@ -51,7 +51,7 @@ fn json(path: &Path) -> Value {
 
 fn train(data: &Path, model: &Path, more: &[&str]) -> (String, Value) {
     let usual = ["train", "-s", text(data), "-m", text(model), "--eval", "-r", "2", "--quiet"];
-    // Nothing grows: new Gaussians can fit a photograph at its wrong pose.
+    // Fixed Gaussians, because new ones could fit a photograph at its wrong pose.
     let schedule = ["--iterations", ITERATIONS, "--position_lr_max_steps", ITERATIONS, "--strategy", "fixed"];
     let rest = ["--sh_degree", "0", "--eval-share", "0"];
     let stdout = succeed(&[usual.as_slice(), &schedule, &rest, more].concat());
@@ -59,14 +59,14 @@ fn train(data: &Path, model: &Path, more: &[&str]) -> (String, Value) {
     (stdout, results[format!("ours_{ITERATIONS}")].clone())
 }
 
-/// Of a rotation, degrees.
+/// Angle of a rotation, degrees.
 fn angle_of(turn: &DMat3) -> f64 {
     let trace = turn.x_axis.x + turn.y_axis.y + turn.z_axis.z;
     (0.5 * (trace - 1.0)).clamp(-1.0, 1.0).acos().to_degrees()
 }
 
-/// What the true world is of the one that cameras stand in: the mean turn between their directions, then the scale and the move
-/// that fit their centres best.
+/// Similarity from the cameras' world to the true one: the mean turn between directions, then the best scale and
+/// translation of the centres.
 fn similarity(cameras: &[NamedCamera], true_ones: &[(String, Camera)]) -> Similarity {
     let pairs = pairs(cameras, true_ones);
     let turn = |[found, wanted]: &[Camera; 2]| {
@@ -90,14 +90,14 @@ fn similarity(cameras: &[NamedCamera], true_ones: &[(String, Camera)]) -> Simila
     Similarity { rotation, scale, translation: wanted - scale * (rotation * found) }
 }
 
-/// Each camera beside the true one of its name.
+/// Pairs each camera with the true one of its name.
 fn pairs(cameras: &[NamedCamera], true_ones: &[(String, Camera)]) -> Vec<[Camera; 2]> {
     let of = |name: &str| true_ones.iter().find(|(other, _)| other == name).expect("known").1;
     cameras.iter().map(|named| [named.camera, of(&named.name)]).collect()
 }
 
-/// Means over the cameras, after both are aligned by a similarity: the angle from the true ones, degrees, and the distance of the
-/// centres, as a share of the extent.
+/// Mean errors of the cameras after alignment by a similarity: angle, degrees, and distance of the centres, as a
+/// share of the extent.
 fn away(cameras: &[NamedCamera], true_ones: &[(String, Camera)]) -> [f64; 2] {
     let aligned = similarity(cameras, true_ones);
     let extent = scene_extent(true_ones.iter().map(|(_, c)| c.position()).collect::<Vec<_>>().into_iter());
@@ -132,7 +132,7 @@ fn poses_of_the_demo_are_found_again() {
     assert!(aligned > number(&with, "PSNR") + 2.0, "{with}");
     assert!(number(&with, "SSIM_aligned") > number(&without, "SSIM"), "{with}");
 
-    // Held-out cameras are the first eighth, as given; the others are elsewhere, and where they belong.
+    // The first eighth of the cameras is held out and unchanged; the others have moved to their true positions.
     let cameras = cameras_json::read(on.join("cameras.json"), &WorldFrame::default()).expect("cameras");
     assert_eq!(cameras.len(), 40);
     let given = |name: &str| &moved.iter().find(|(other, _)| other == name).expect("known").1;
@@ -149,12 +149,13 @@ fn poses_of_the_demo_are_found_again() {
     println!(
         "degrees and shares of the extent from the true poses, mean: {before:.5?} before, {after:.5?} after"
     );
-    // 0.11 of 0.99 degrees and 0.0016 of 0.0097 of the extent are left, with turns about the cameras' centres about 0.35 and 0.005. True
-    // poses that are optimised end as far away: the rest is what these Gaussians fit better (tools/strategies.md).
+    // 0.11 of 0.99 degrees and 0.0016 of 0.0097 of the extent remain; about 0.35 and 0.005 with turns about the
+    // camera centres. Optimised true poses end equally far away, because these Gaussians fit them better
+    // (tools/strategies.md).
     assert!(after[0] < 0.15 * before[0], "{before:?} before, {after:?} after");
     assert!(after[1] < 0.2 * before[1], "{before:?} before, {after:?} after");
 
-    // What is said, and what is written.
+    // Printed and written results.
     assert!(stdout.contains("poses turned by "), "{stdout}");
     let poses = json(&on.join("poses.json"));
     let xi = poses["xi"].as_object().expect("poses");
@@ -165,19 +166,19 @@ fn poses_of_the_demo_are_found_again() {
     assert!(report.contains("poses turned, mean") && report.contains("cameras aligned"));
     assert!(!off.join("poses.json").exists());
 
-    // The same numbers from what was saved.
+    // `eval` of the saved model gives the same numbers.
     let again: Value =
         serde_json::from_str(&succeed(&["eval", text(&on), "--json", "--quiet"])).expect("JSON");
     let difference = number(&again["mean"], "PSNR_aligned") - aligned;
     assert!(difference.abs() < 0.05, "{again}");
     let all: Value =
         serde_json::from_str(&succeed(&["eval", text(&on), "--all", "--json", "--quiet"])).expect("JSON");
-    // Training views stand where they were moved to.
+    // Training views are at their optimised poses.
     assert!(number(&all["mean"], "PSNR") > number(&with, "PSNR") + 2.0, "{}", all["mean"]);
 }
 
-/// With `--train-test-exp` held-out views are trained on as well. Each pose stands under the name of its own view, and `eval`
-/// places the views as training did.
+/// With `--train-test-exp` held-out views are trained on, too. Each pose has its view's name, and `eval` uses the
+/// training's poses.
 #[test]
 fn poses_of_halves_stand_under_their_names() {
     let folder = tempdir().expect("a temporary folder");

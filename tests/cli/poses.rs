@@ -1,4 +1,4 @@
-//! `ashsplat poses` with stand-ins for COLMAP and ffmpeg, and the hints that lead to it.
+//! `ashsplat poses` with stand-ins for COLMAP and ffmpeg, and the hints that name it.
 
 use super::*;
 use std::os::unix::fs::MetadataExt;
@@ -9,13 +9,13 @@ use tempfile::{TempDir, tempdir};
 
 use crate::program::running::Running;
 
-/// Photographs without cameras, and the model that the stand-in finds for them.
+/// Photographs without cameras, and the model that the stand-in produces.
 struct Place {
     folder: TempDir,
 }
 
 impl Place {
-    /// The photographs lie in this folder.
+    /// `photographs`: folder for the photographs.
     fn new(photographs: &str) -> Self {
         let folder = tempdir().expect("a temporary folder");
         let data = folder.path().join("data");
@@ -33,7 +33,7 @@ impl Place {
         self.folder.path().join(name)
     }
 
-    /// A command in this folder that finds the stand-ins and the program.
+    /// A command in this folder with the stand-ins and the program in its PATH.
     fn command(&self, program: &str) -> Command {
         let tools = crate::common::root().join("tests/cli/poses");
         let own = Path::new(env!("CARGO_BIN_EXE_ashsplat")).parent().expect("a folder");
@@ -51,14 +51,14 @@ impl Place {
         command
     }
 
-    /// Runs it; returns stdout and stderr.
+    /// Runs `ashsplat poses`. Returns stdout and stderr.
     fn succeed(&self, arguments: &[&str]) -> [String; 2] {
         let run = finish(&mut self.poses(arguments));
         assert_eq!(run.code, Some(0), "{}", run.stderr);
         [run.stdout, run.stderr]
     }
 
-    /// Runs it, which must fail with these words in its last line.
+    /// Runs a command that must fail with these words in its last line.
     fn fails(&self, command: &mut Command, words: &[&str]) {
         let run = finish(command);
         assert_eq!(run.code, Some(2), "{}{}", run.stdout, run.stderr);
@@ -67,25 +67,25 @@ impl Place {
         assert!(words.iter().all(|word| last.contains(word)), "{last}");
     }
 
-    /// What the stand-ins were asked, without the questions what they are.
+    /// Calls of the stand-ins, without their calls of `-h`.
     fn calls(&self) -> Vec<String> {
         let calls = std::fs::read_to_string(self.at("fake/calls")).unwrap_or_default();
         std::fs::remove_file(self.at("fake/calls")).ok();
         calls.lines().filter(|call| !call.ends_with(" -h")).map(str::to_owned).collect()
     }
 
-    /// The first words of them.
+    /// First words of the calls.
     fn stages(&self) -> Vec<String> {
         self.calls().iter().filter_map(|call| call.split(' ').next().map(str::to_owned)).collect()
     }
 }
 
-/// The command in the backquotes of a message.
+/// Command in the backquotes of a message.
 fn hint(message: &str) -> &str {
     message.split('`').nth(1).unwrap_or_else(|| panic!("no command in {message}"))
 }
 
-/// What a reader with photographs does: ask, and type what is printed.
+/// A user with photographs runs a command, and then the command that it prints.
 #[test]
 fn hints_work_as_they_are_printed() {
     let place = Place::new("my photos");
@@ -179,7 +179,7 @@ fn a_damaged_photograph_is_left_out() {
     for name in ["02.jpg", "03.jpg"] {
         std::fs::write(place.at("few").join(name), "no JPEG").expect("written");
     }
-    // Without them too few are left.
+    // Too few photographs remain without them.
     place.fails(&mut place.poses(&["few"]), &["few/02.jpg", "(and 1 more)"]);
 }
 
@@ -190,20 +190,20 @@ fn photographs_in_a_data_set_are_used_where_they_are() {
     assert!(place.at("scene/sparse/0/images.bin").is_file() && place.at("scene/images/01.png").is_file());
     assert_eq!(std::fs::read_dir(place.at("scene")).expect("a folder").count(), 3);
     place.fails(&mut place.poses(&["scene"]), &["has cameras already", "`ashsplat train -s scene`"]);
-    // A flat folder as well, where that is wished: the data set is read all the same, and counted right.
+    // An output folder without subfolders works, and its photos are counted right.
     let flat = Place::new("flat");
     flat.succeed(&["flat", "-o", "flat", "--quiet"]);
     assert!(flat.at("flat/sparse/0/images.bin").is_file() && !flat.at("flat/images").exists());
     let info = || finish(flat.command(env!("CARGO_BIN_EXE_ashsplat")).args(["info", "flat"]));
     assert!(info().stdout.contains("9 registered, 9 sound photos"), "{}", info().stderr);
-    // What lies beside the photographs is none of them, but one more of them is.
+    // Folders beside the photographs are ignored, but another photograph counts.
     for folder in ["flat/thumbnails", "flat/stereo/deep"] {
         std::fs::create_dir_all(flat.at(folder)).expect("a folder");
         std::fs::copy(flat.at("flat/01.png"), flat.at(folder).join("01.png")).expect("copied");
     }
     assert!(!info().stdout.contains("warning"), "{}", info().stdout);
     std::fs::copy(flat.at("flat/01.png"), flat.at("flat/99.png")).expect("copied");
-    // COLMAP has compared them all already.
+    // COLMAP has already compared all of them.
     for words in ["only 9 of its 10 photos have a camera", "all were compared with each other"] {
         assert!(info().stdout.contains(words), "{}", info().stdout);
     }
@@ -240,10 +240,10 @@ fn failures_name_the_log_and_a_second_run_goes_on() {
     unconnected.env("WORDS", "failed to create sparse model");
     place.fails(&mut unconnected, &["none of the 9 photographs", "more photographs", "overlapping", log]);
     assert_eq!(place.stages(), ["exhaustive_matcher", "mapper"]);
-    // Another lens: its features are others.
+    // Another camera model needs other features.
     place.fails(failing("mapper").args(["--camera-model", "OPENCV"]), &["mapping failed"]);
     assert_eq!(place.stages(), ["feature_extractor", "exhaustive_matcher", "mapper"]);
-    // A larger model may have been to come.
+    // A larger model might have followed.
     let mut killed = place.poses(&["photos", "--camera-model", "OPENCV"]);
     place.fails(killed.env("CRASH", "1"), &["mapping failed", log]);
     assert_eq!(place.stages(), ["exhaustive_matcher", "mapper"]);
@@ -258,7 +258,7 @@ fn ctrl_c_ends_colmap_and_can_be_continued() {
     for (stage, features) in [("feature_extractor", 1), ("mapper", 0)] {
         std::fs::remove_file(place.at("fake/pid")).ok();
         let mut command = place.poses(&["photos"]);
-        // Its own group: the signal goes to the program alone.
+        // A separate process group, so that only the program gets the signal.
         command.env("HANG", stage).process_group(0).stdout(Stdio::null()).stderr(Stdio::piped());
         let running = Running::start(&mut command);
         let begin = Instant::now();
@@ -298,7 +298,7 @@ fn without_its_gpu_colmap_takes_the_processor() {
     assert!(calls[0].contains("SiftExtraction.use_gpu 1") && calls[1].contains("SiftExtraction.use_gpu 0"));
     assert!(calls[2].contains("SiftMatching.use_gpu 0"), "{}", calls[2]);
     assert!(calls[1].contains("SiftExtraction.max_image_size 2000"), "{}", calls[1]);
-    // Only matching fails on it; and a run that goes on does not look for features again.
+    // Only matching fails on the GPU; a resumed run does not extract features again.
     let place = Place::new("photos");
     let mut command = place.poses(&["photos"]);
     place.fails(command.env("CUDA", "with").env("GPU_FEATURES", "1").env("CRASH", "1"), &["mapping failed"]);
@@ -312,7 +312,7 @@ fn without_its_gpu_colmap_takes_the_processor() {
 #[test]
 fn the_sharpest_frames_of_a_video_become_a_data_set() {
     let place = Place::new("unused");
-    // Of each four frames one is sharp; its grey tells which.
+    // One of every four frames is sharp; its grey identifies it.
     let mut frames = Vec::new();
     for index in 0..12u8 {
         let sharp = [1, 6, 11].contains(&index);
@@ -330,7 +330,7 @@ fn the_sharpest_frames_of_a_video_become_a_data_set() {
         "my film.mov",
     ]));
     assert_eq!(hint(&hinted.stderr), "ashsplat poses 'my film.mov'");
-    // The stand-in's model has other names, so that it cannot be used; the frames are there all the same.
+    // The stand-in's model has other names and cannot be used, but the frames exist.
     place.fails(&mut place.poses(&["my film.mov", "--frames", "3"]), &["01.png", "missing"]);
     let folder = place.at("my film_dataset/poses.unfinished/frames");
     assert_eq!(
@@ -344,7 +344,7 @@ fn the_sharpest_frames_of_a_video_become_a_data_set() {
     }
     let calls = place.calls();
     assert!(calls[0].contains("-i file:my film.mov") && calls[1].contains("fps=6.000000"), "{calls:?}");
-    // Frames are not taken twice.
+    // Frames are extracted only once.
     place.fails(&mut place.poses(&["my film.mov", "--frames", "3"]), &["missing"]);
     assert_eq!(place.calls().iter().filter(|call| call.contains("image2pipe")).count(), 0);
     place.fails(
@@ -353,7 +353,7 @@ fn the_sharpest_frames_of_a_video_become_a_data_set() {
     );
 }
 
-/// Such a file may name others anywhere.
+/// A playlist may name files anywhere.
 #[test]
 fn a_playlist_is_no_video() {
     let place = Place::new("unused");
@@ -368,7 +368,7 @@ fn a_playlist_is_no_video() {
     }
 }
 
-/// A folder that says that it is unfinished work may be anybody's; and places are looked at before COLMAP works for hours.
+/// A folder named as unfinished work may belong to anyone. Paths are checked before COLMAP runs for hours.
 #[test]
 fn what_lies_in_the_data_sets_places_stays() {
     let place = Place::new("photos");
@@ -395,7 +395,7 @@ fn what_lies_in_the_data_sets_places_stays() {
     }
 }
 
-/// A run is killed before the first of its last moves, or after one of them.
+/// A run is killed before or after one of its final moves.
 #[test]
 fn a_second_run_completes_what_a_killed_one_was_moving() {
     let place = Place::new("photos");
@@ -437,12 +437,12 @@ fn what_is_missing_says_how_to_get_it() {
     assert!(!place.at("photos_dataset").exists() && !place.at("film_dataset").exists());
     let small = Photo { width: 2, height: 2, rgb: vec![0; 12] };
     small.write_png(place.at("photos/00.png")).expect("written");
-    // Of another size: a camera of its own.
+    // A photo of another size gets its own camera.
     place.succeed(&["photos", "--quiet"]);
     assert_eq!(place.stages(), ["feature_extractor", "feature_extractor", "exhaustive_matcher", "mapper"]);
     place.fails(&mut place.poses(&["photos", "-o", "b", "--cameras", "one"]), &["--cameras", "2x2", "48x32"]);
     assert!(!place.at("b").exists());
-    // All are damaged: nothing to go on with.
+    // All photographs are damaged.
     for photo in std::fs::read_dir(place.at("photos")).expect("photographs") {
         std::fs::write(photo.expect("a photograph").path(), "no photograph").expect("written");
     }

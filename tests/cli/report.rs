@@ -1,4 +1,4 @@
-//! `report.html`, which `train` leaves.
+//! `report.html` of a training.
 
 use super::training::trained;
 use super::*;
@@ -7,7 +7,7 @@ fn report(model: &Path) -> String {
     std::fs::read_to_string(model.join("report.html")).expect("the report")
 }
 
-/// Nothing is loaded from elsewhere, and everything is there.
+/// The page is complete and loads nothing from elsewhere.
 #[test]
 fn report_is_whole_and_needs_nothing_else() {
     let page = report(&trained().model);
@@ -28,7 +28,7 @@ fn report_is_whole_and_needs_nothing_else() {
     );
     assert!(page.contains("<tr class=\"own\"><td class=\"name\">iterations</td><td>30</td></tr>"));
     assert!(page.contains("<tr><td class=\"name\">lambda_dssim</td>"), "a default is not bold");
-    // The same figures as in the results, the worst view first.
+    // The same figures as in the results, with the worst view first.
     let results = std::fs::read_to_string(trained().model.join("per_view.json")).expect("results");
     let results: serde_json::Value = serde_json::from_str(&results).expect("JSON");
     let views = results["ours_30"]["PSNR"].as_object().expect("views");
@@ -40,7 +40,7 @@ fn report_is_whole_and_needs_nothing_else() {
     assert_eq!(page.matches("<span class=\"badge\">30 iterations</span>").count(), 1);
 }
 
-/// Charts of JSON that a browser can parse, one entry per iteration of a short run.
+/// Charts are valid JSON, with one entry per iteration of a short run.
 #[test]
 fn report_has_the_curves_of_all_iterations() {
     let page = report(&trained().model);
@@ -50,7 +50,7 @@ fn report_has_the_curves_of_all_iterations() {
         .map(|part| serde_json::from_str(part.split("</script>").next().expect("an end")).expect("JSON"))
         .collect();
     let lengths: Vec<usize> = data.iter().map(Vec::len).collect();
-    // The PSNR is measured where it was tested, and between the tests as often as its share of time allows.
+    // The PSNR is measured at tests, and in between as often as its share of the time allows.
     let [loss, psnr, gaussians, speed] = lengths[..] else { panic!("{lengths:?}") };
     assert_eq!([loss, gaussians, speed], [30; 3]);
     assert!((2..=30).contains(&psnr), "{psnr}");

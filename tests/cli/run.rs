@@ -10,7 +10,7 @@ pub(crate) struct Finished {
     pub(crate) stderr: String,
 }
 
-/// The program, not yet started, in a clean environment apart from what chooses the driver.
+/// The program, not yet started, in a clean environment except for the choice of the driver.
 pub(crate) fn program() -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_ashsplat"));
     command.env_remove("ASHSPLAT_DEVICE").env("ASHSPLAT_PIPELINE_CACHE", "");

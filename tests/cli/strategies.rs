@@ -1,17 +1,17 @@
-//! Strategies and presets through the program: what they begin with, resumed, verified, and refused where settings contradict
-//! each other.
+//! Strategies and presets in the program: initial values, resumed and verified runs, refusals of contradictory
+//! settings.
 
 use super::checkpoints::Place;
 use super::*;
 use ashsplat::Gaussians;
 use ashsplat_files::splats::{self, ReadOptions};
 
-/// Ways to train, as users choose them.
+/// Options as users choose them.
 const WAYS: [&[&str]; 4] = [
     &["--strategy", "budget", "--few-photos", "off"],
     &["--strategy", "mcmc", "--few-photos", "off"],
     &["--preset", "fast", "--few-photos", "off"],
-    // By itself with so few photos.
+    // Chosen automatically with so few photos.
     &["--exposure"],
 ];
 
@@ -57,7 +57,7 @@ fn every_way_to_train_goes_on_and_is_verified() {
     assert_eq!(ends.len(), WAYS.len(), "two ways do the same");
 }
 
-/// 3DGS-MCMC begins with more opaque, smaller Gaussians. A scene keeps its own.
+/// 3DGS-MCMC starts with more opaque, smaller Gaussians. A given scene keeps its values.
 #[test]
 fn a_strategy_begins_with_its_own_values() {
     let place = Place::new();

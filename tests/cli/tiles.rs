@@ -12,7 +12,7 @@ fn written(folder: &Path, gaussians: usize) -> PathBuf {
     path
 }
 
-/// The errors from the root down, one child after another.
+/// Checks the errors of a tile and its children, from the root down.
 fn check(tile: &Value, gaussians: &mut u64, tiles: &mut u32) {
     let error = |tile: &Value| tile["geometricError"].as_f64().expect("an error");
     let children = tile["children"].as_array().map_or(&[][..], Vec::as_slice);
@@ -38,10 +38,10 @@ fn a_scene_becomes_tiles_whose_errors_are_measured() {
     check(&document["root"], &mut gaussians, &mut tiles);
     assert_eq!(gaussians, 400);
     assert!(told.contains("400 Gaussians") && told.contains(&format!("{tiles} tiles")), "{told}");
-    // Pictures of 20 units' width, each of whose channels differs by less than 1, and 3 levels.
+    // Pictures 20 units wide, whose channels differ by less than 1, and 3 levels.
     let error = document["root"]["geometricError"].as_f64().expect("an error");
     assert!((0.1..80.0).contains(&error), "{error}");
-    // Packed: the same tree in smaller files, which shows the same scene.
+    // Packed: smaller files of the same tree and the same scene.
     let packed = place.path().join("packed");
     succeed(&["tiles", text(&scene), "-o", text(&packed), "--max-gaussians", "50", "--spz", "--quiet"]);
     let own = std::fs::read_to_string(packed.join("tileset.json")).expect("a tileset");
@@ -64,7 +64,7 @@ fn a_scene_becomes_tiles_whose_errors_are_measured() {
     let far = pictures[0].iter().zip(&pictures[1]).map(|(a, b)| f64::from(a.abs_diff(*b)).powi(2));
     let psnr = 10.0 * (255.0_f64.powi(2) * pictures[0].len() as f64 / far.sum::<f64>()).log10();
     assert!(psnr > 30.0, "{psnr}");
-    // The same scene of other sizes: lengths grow with it, also where all is nearer together than the near plane's z.
+    // Scaled scenes: lengths scale with them, also if everything is nearer than the near plane's z.
     for scale in ["0.01", "100"] {
         let [other, tiles] = ["other.ply", &format!("tiles{scale}")].map(|name| place.path().join(name));
         succeed(&["convert", text(&scene), text(&other), "--scale", scale, "--quiet"]);
@@ -75,7 +75,7 @@ fn a_scene_becomes_tiles_whose_errors_are_measured() {
         let ratio = own / error / scale.parse::<f64>().expect("a number");
         assert!((ratio - 1.0).abs() < 0.02, "{scale}: {own}, {error} at 1");
     }
-    // Measured as the scene is drawn: with antialiasing, if the file says so.
+    // Errors are measured with antialiasing if the file is marked so.
     let [plain, antialiased] = [false, true].map(|antialiased| {
         let [file, tiles] = ["glb", "tiles"].map(|end| place.path().join(format!("{antialiased}.{end}")));
         let options = WriteOptions { antialiased, ..WriteOptions::default() };
@@ -87,7 +87,7 @@ fn a_scene_becomes_tiles_whose_errors_are_measured() {
     });
     assert!((plain / error - 1.0).abs() < 1e-3, "{plain} {error}");
     assert!((antialiased / plain - 1.0).abs() > 1e-2, "{antialiased} {plain}");
-    // A merge is no copy: what is finer is nearer.
+    // A merged tile is no copy: finer tiles have smaller errors.
     let finest = place.path().join("one");
     succeed(&["tiles", text(&scene), "-o", text(&finest), "--quiet"]);
     let one = std::fs::read_to_string(finest.join("tileset.json")).expect("a tileset");
@@ -110,7 +110,7 @@ fn tiles_refuse_by_name() {
     refused(&folder("new"), &["--max-gaussians", "1"], &["2 or more"]);
     refused(&scene.join("new"), &[], &["scene.ply"]);
     refused(&folder("full/.."), &[], &["is there already"]);
-    // An empty folder is replaced, but not one that another name links to.
+    // An empty folder is replaced, but not one behind a link.
     #[cfg(unix)]
     {
         let away = tempfile::tempdir().expect("a folder");
@@ -135,7 +135,7 @@ fn a_tree_is_drawn_within_a_budget() {
     let rows: Vec<Vec<f64>> = told.lines().filter(|line| line.contains('%')).map(numbers).collect();
     assert_eq!(rows.iter().map(|row| row[0]).collect::<Vec<_>>(), [5.0, 10.0, 25.0, 50.0, 100.0], "{told}");
     for row in &rows {
-        // The coarsest tile is drawn whatever it has.
+        // The coarsest tile is always drawn.
         assert!(
             row[1] <= (4.0 * row[0]).max(50.0) && row[2] >= 1.0 && row[3] >= row[4] && row[5] > 0.0,
             "{told}"
@@ -156,13 +156,13 @@ fn a_tree_is_drawn_within_a_budget() {
         counts.collect::<Vec<u32>>()
     };
     assert_eq!(of(&drawn(&[])), [400, 400]);
-    // By the name of its description; other commands say what the folder is.
+    // Opens the tileset by its description; other commands explain what the folder is.
     let described = out.join("tileset.json");
     assert_eq!(of(&succeed(&["render", text(&described), "--orbit", "1", "-o", text(&pictures)])), [400]);
     refuse(&["info", text(&out)], &["is a folder of tiles", "ashsplat render"]);
     let half = of(&drawn(&["--budget", "50%"]));
     assert!(half.len() == 2 && half.iter().all(|count| (100..=200).contains(count)), "{half:?}");
-    // More than were asked for, and no fewer than there are.
+    // The coarsest tile exceeds the budget.
     let coarsest = of(&drawn(&["--budget", "1"]));
     assert!(coarsest[0] == coarsest[1] && (2..=50).contains(&coarsest[0]), "{coarsest:?}");
     refuse(&["render", text(&scene), "--budget", "1", "--orbit", "1"], &["--budget", "folders of tiles"]);
@@ -171,7 +171,7 @@ fn a_tree_is_drawn_within_a_budget() {
     refuse(&[&["render", text(&out)], &orbit[..]].concat(), &["0.glb"]);
 }
 
-/// Those in a line of a table.
+/// Numbers in a line of a table.
 fn numbers(line: &str) -> Vec<f64> {
     let words = line.split_whitespace().map(|word| word.trim_end_matches('%').replace(',', ""));
     words.map(|word| word.parse().expect("a number")).collect()

@@ -1,4 +1,4 @@
-//! `train`, and what is done with its results.
+//! `train`, and commands on its results.
 
 use super::*;
 use crate::common::gpu::Gpu;
@@ -12,7 +12,7 @@ use std::process::Stdio;
 use std::sync::OnceLock;
 use tempfile::tempdir;
 
-/// A data set, and a model trained on it for a few iterations; made once.
+/// A data set and a model trained on it for a few iterations; created once.
 pub(super) struct Trained {
     pub(super) data: PathBuf,
     pub(super) model: PathBuf,
@@ -26,7 +26,7 @@ pub(super) fn trained() -> &'static Trained {
         std::fs::remove_dir_all(&folder).ok();
         let (data, model) = (folder.join("data"), folder.join("model"));
         write_dataset(&data);
-        // The names as people type them: hyphens here, underscores there.
+        // Option names with hyphens and with underscores.
         let schedule =
             ["--iterations", "30", "--sh_degree", "1", "--sh-degree-interval=10", "--test_iterations", "10"];
         let densify = ["--densify_from_iter", "5", "--densification-interval=10", "--densify_until_iter=25"];
@@ -110,7 +110,7 @@ fn log_has_a_line_for_each_iteration() {
     assert!(loss(30) < loss(1), "{log}");
     let tested: Vec<usize> = (1..31).filter(|&row| !rows[row][2].is_empty()).collect();
     assert_eq!(tested, [10, 30]);
-    // Both held-out views are tracked: after a test the two columns agree.
+    // Tracking covers both held-out views: after a test the two columns agree.
     assert!(tested.iter().all(|&row| rows[row][last] == rows[row][2]), "{log}");
     assert!(rows[1..].iter().all(|row| row[5] == "0"), "{log}");
 }
@@ -137,7 +137,7 @@ fn settings_are_dumped_and_read_back() {
     }
     let arguments = std::fs::read_to_string(model.join("cfg_args")).expect("cfg_args");
     assert!(arguments.starts_with("Namespace(sh_degree=1, source_path='"), "{arguments}");
-    // The same settings give the same scene, to the last bit; the command line wins over the file.
+    // The same settings give the same scene, to the last bit. The command line has priority over the file.
     let folder = tempdir().expect("a temporary folder");
     let again = folder.path().join("again");
     succeed(&[
@@ -162,7 +162,7 @@ fn eval_agrees_with_training() {
     let during = json(model.join("results.json"))["ours_30"].clone();
     let after: Value =
         serde_json::from_str(&succeed(&["eval", text(model), "--json", "--quiet"])).expect("JSON");
-    // Of the PLY alone, on the data set: the same views are held out.
+    // The PLY alone with the data set: the same views are held out.
     let ply = model.join("point_cloud/iteration_30/point_cloud.ply");
     let bare: Value =
         serde_json::from_str(&succeed(&["eval", text(&ply), "-s", text(data), "--json"])).expect("JSON");
@@ -174,7 +174,7 @@ fn eval_agrees_with_training() {
     let table = succeed(&["eval", "-m", text(model), "--quiet"]);
     assert!(table.contains("01.png") && table.contains("09.png") && table.contains("mean of 2"), "{table}");
 
-    // A model of all views measures nothing that it has not seen.
+    // A model trained on all views has no held-out views to measure.
     let folder = tempdir().expect("a temporary folder");
     let saved = "point_cloud/iteration_30/point_cloud.ply";
     std::fs::create_dir_all(folder.path().join(saved).parent().expect("a folder")).expect("created");
@@ -186,7 +186,7 @@ fn eval_agrees_with_training() {
     assert!(run.code == Some(0) && run.stderr.contains("was trained on all views"), "{}", run.stderr);
 }
 
-/// Photos are read one at a time, and only those that are measured.
+/// `eval` reads photos one at a time, and only those that it measures.
 #[test]
 fn eval_reads_what_it_measures() {
     let folder = tempdir().expect("a temporary folder");
@@ -213,7 +213,7 @@ fn renders_its_own_cameras_and_those_of_a_data_set() {
     let size = |path: PathBuf| image::image_dimensions(path).expect("a PNG");
     assert_eq!(size(own.join("00000.png")), (48, 32));
     assert_eq!(size(from_data.join("00008.png")), (24, 16));
-    // The first of its own cameras is the first that was held out; training left the same picture.
+    // The first of the model's cameras is the first held-out one; training has saved the same picture.
     let bytes = |path: PathBuf| image::open(path).expect("a PNG").to_rgb8().into_raw();
     assert_eq!(bytes(own.join("00000.png")), bytes(model.join("test/ours_30/renders/00000.png")));
 }
@@ -243,7 +243,7 @@ fn demo_leaves_data_set_sheet_metrics_and_scene() {
     let metrics = json(out.join("metrics.json"));
     assert_eq!(metrics["views"].as_array().map(Vec::len), Some(5));
     assert!(metrics["psnr"].as_f64() > Some(5.0), "{metrics}");
-    // A data set like any other.
+    // The demo's data set works like any other.
     let info = succeed(&["info", text(&out.join("dataset")), "--eval"]);
     assert!(info.contains("40 registered, 40 sound photos"), "{info}");
     assert!(info.contains("35 for training, 5 held out"), "{info}");
@@ -251,7 +251,7 @@ fn demo_leaves_data_set_sheet_metrics_and_scene() {
     assert_eq!(image::image_dimensions(out.join("contact_sheet.png")).expect("a PNG").0, 3 * 256 + 4 * 8);
 }
 
-/// A data set and a model folder of a test's own, and a short training in it.
+/// A data set, a model folder and a short training for one test.
 struct Short {
     folder: tempfile::TempDir,
 }
@@ -277,7 +277,7 @@ impl Short {
     }
 }
 
-/// The point cloud of an earlier, longer training in the same folder is not taken for the new one's.
+/// The point cloud of an earlier, longer training in the same folder is not mistaken for the new one.
 #[test]
 fn newest_point_cloud_counts_not_the_highest_number() {
     let short = Short::new();
@@ -286,13 +286,13 @@ fn newest_point_cloud_counts_not_the_highest_number() {
     let mut had = files_below(&short.model());
     had.retain(|name| !name.ends_with(".training.lock"));
     assert!(had.len() > 8, "{had:?}");
-    // As a run leaves it that was killed while it saved.
+    // A temporary file of a run that was killed while saving.
     let leftover = short.ply(5).with_file_name(".point_cloud.ply.aB3dE6.tmp");
     std::fs::write(&leftover, "half").expect("written");
     let again = short.train(&["--iterations", "3"]);
     assert_eq!(again.code, Some(0), "{}", again.stderr);
     assert!(again.stderr.starts_with("warning: ") && again.stderr.contains("earlier_1"), "{}", again.stderr);
-    // The earlier training is a model folder of its own, with all that it had.
+    // The earlier training becomes its own model folder, with all its files.
     let earlier = short.model().join("earlier_1");
     assert!(!short.ply(5).exists() && !leftover.exists());
     assert_eq!(files_below(&earlier), had);
@@ -312,7 +312,7 @@ fn a_training_that_fails_saves_what_it_has() {
     std::fs::create_dir(short.model()).expect("created");
     std::fs::write(short.model().join("test"), "no folder").expect("written");
     let run = short.train(&["--iterations", "9", "--eval", "--test_iterations", "6"]);
-    // Before the end that is a warning, and what was measured is kept.
+    // Before the end this is a warning, and the measurements are kept.
     assert!(run.stderr.starts_with("warning: the test of iteration 6 is not saved"), "{}", run.stderr);
     assert_refused(&run, &["model/test", "cannot create"]);
     assert!(short.ply(9).is_file(), "{:?}", files_below(&short.model()));
@@ -322,7 +322,7 @@ fn a_training_that_fails_saves_what_it_has() {
     assert_eq!(log.lines().count(), 10, "{log}");
 }
 
-/// Every Gaussian has less opacity than is asked for.
+/// Every Gaussian is too faint and is pruned.
 #[test]
 fn training_ends_when_nothing_is_left() {
     let short = Short::new();
@@ -336,7 +336,8 @@ fn training_ends_when_nothing_is_left() {
     assert!(!short.model().join("point_cloud").exists(), "{:?}", files_below(&short.model()));
 }
 
-/// Ctrl-C in the middle: the iteration is finished, the scene saved, the exit code that of an interrupted program.
+/// Ctrl-C during training: it finishes the iteration, saves the scene and exits with the code of an interrupted
+/// program.
 #[cfg(unix)]
 #[test]
 fn ctrl_c_saves() {
@@ -362,7 +363,7 @@ fn ctrl_c_saves() {
     let report = || std::fs::read_to_string(out.join("report.html")).expect("the report");
     assert!(report().contains(&format!("stopped after {last} of 1,000,000 iterations")));
     let advice = rest.iter().find(|line| line.starts_with("interrupted: to go on, ")).expect("how to go on");
-    // What it says works: up to a Ctrl-C of its own.
+    // The printed command works, with --offload and --max-memory.
     let typed: Vec<&str> = advice.split(", ashsplat ").nth(1).expect("a command").split(' ').collect();
     let same = ["--start-checkpoint", "latest", "--max-memory", "2G", "--offload", "1G"];
     assert!(typed.ends_with(&same), "{advice}");
@@ -370,11 +371,11 @@ fn ctrl_c_saves() {
     let more = ["--iterations", &next.to_string(), "--quiet"];
     succeed(&[typed.as_slice(), &more].concat());
     assert!(out.join(format!("point_cloud/iteration_{next}/point_cloud.ply")).is_file());
-    // The curves begin where the first run did.
+    // The curves begin with the first run.
     assert!(report().contains(&format!("\">{next} iterations</span>")) && report().contains(",1,\""));
 }
 
-/// What cannot be saved is a warning: the checkpoint has everything. A scheduler's signal does what Ctrl-C does.
+/// A scene that cannot be saved is a warning, because the checkpoint has everything. SIGTERM acts like Ctrl-C.
 #[cfg(unix)]
 #[test]
 fn sigterm_writes_its_checkpoint_where_the_scene_cannot_be_saved() {
@@ -399,7 +400,7 @@ fn sigterm_writes_its_checkpoint_where_the_scene_cannot_be_saved() {
     Checkpoint::read(path).expect("whole");
 }
 
-/// Photographs that do not fit are read while training runs, and nothing else changes.
+/// Photographs that do not fit are read during training, and nothing else changes.
 #[test]
 fn photos_may_stay_on_disk() {
     let folder = tempdir().expect("a temporary folder");
@@ -414,7 +415,7 @@ fn photos_may_stay_on_disk() {
         let files = ["point_cloud/iteration_25/point_cloud.ply", "results.json", "test/ours_25/gt/00001.png"];
         let [scene, results, photo] = files.map(read);
         let mut results: Value = serde_json::from_slice(&results).expect("JSON");
-        // A time.
+        // A time, which varies.
         let tested = results["ours_25"].as_object_mut().expect("a test");
         assert!(tested.remove("frame_ms").is_some_and(|time| time.as_f64() > Some(0.0)));
         ((scene, results, photo), run.stderr)
@@ -428,7 +429,7 @@ fn photos_may_stay_on_disk() {
     assert_eq!(left, 3, "the file goes with the program");
     let model = folder.path().join("refused");
     let run = ["train", "-s", text(&data), "-m", text(&model), "--photo-memory", "20K"];
-    // In planes, as processors have them, or pixel by pixel.
+    // In planes (as on CPUs), or pixel by pixel.
     let planes = Windowing::for_device(Gpu::new().context.limits()) == Windowing::Sweeps;
     let needed = if planes { "30144 bytes" } else { "30720 bytes" };
     assert_refused(&finish(program().args(run)), &["reading ahead", needed, "20480"]);

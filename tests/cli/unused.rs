@@ -1,4 +1,4 @@
-//! Settings of training that would have no effect.
+//! Training settings without effect.
 
 use super::*;
 use ashsplat::scene::WorldFrame;
@@ -6,7 +6,7 @@ use tempfile::tempdir;
 
 const FEW: [&str; 6] = ["--iterations", "2", "--sh-degree", "0", "--eval-share", "0"];
 
-/// Each is refused by its name with what would use it, and no folder is left.
+/// An error names each such setting and what would use it. No folder is created.
 #[test]
 fn settings_without_effect_are_refused() {
     let folder = tempdir().expect("a temporary folder");
@@ -38,14 +38,14 @@ fn settings_without_effect_are_refused() {
     refused(&["--strategy=fixed", "--opacity-reset-interval=9"], ["opacity_reset_interval", "budget"]);
     std::fs::write(&file, "lens_lr = 0.5\n").expect("written");
     refused(&["--config", text(&file)], ["lens_lr: is 0.5", "--lens-effects"]);
-    // Of strategies that are compared, one may use it.
+    // One of several compared strategies may use it.
     let (out, both) = (folder.path().join("out"), "--strategies=reference,mcmc");
     let bench = ["bench", "quality", text(&data), "-o", text(&out), both];
     refuse(&[&bench[..], &["--pose-lr", "1e-3"]].concat(), &["pose_lr", "no effect"]);
     refuse(&[&bench[..], &["--cap-max", "7"]].concat(), &["cap_max", "400 Gaussians"]);
 }
 
-/// Options of `render`, `eval` and `convert` that could change nothing.
+/// Options of `render`, `eval` and `convert` without effect.
 #[test]
 fn options_without_effect_are_refused() {
     let folder = tempdir().expect("a temporary folder");
@@ -79,7 +79,7 @@ fn options_without_effect_are_refused() {
     succeed(&["convert", text(&scene), text(&model), "-o", text(&joined), "--iteration", "7"]);
 }
 
-/// Defaults that are typed out, settings that a run has left, and what a file switches on itself.
+/// Explicit defaults, settings dumped by a run, and settings that a file itself enables are accepted.
 #[test]
 fn settings_that_are_listed_without_effect_are_read() {
     let folder = tempdir().expect("a temporary folder");
@@ -92,7 +92,7 @@ fn settings_that_are_listed_without_effect_are_read() {
         succeed(&[&usual[..], &FEW, more].concat());
         std::fs::read_to_string(model.join("settings.toml")).expect("a dump")
     };
-    // With few photos that is budget, which has a bound.
+    // With few photos the strategy is budget, which has a bound.
     let dump = train("first", &["--cap-max", "500", "--pose-opt", "--pose-lr", "1e-4"]);
     assert!(dump.contains("cap_max = 500\n") && dump.contains("strategy = \"budget\""), "{dump}");
     let (config, own) = (at("first/settings.toml"), at("own.toml"));

@@ -18,10 +18,10 @@ use crate::reference::types::{Extent, Gaussian, View};
 
 const EXTENTS: [Extent; 2] = [Extent::Exact, Extent::Reference];
 
-/// Per Gaussian: norms of the signed and of the absolute gradients, and whether it was visible.
+/// Norms of the signed and of the absolute gradients, and true if visible, per Gaussian.
 type Norms = Vec<(f64, f64, bool)>;
 
-/// Compares with a tolerance in parts of the largest value.
+/// Compares with a tolerance relative to the largest value.
 fn relative(name: &str, actual: &[f64], expected: &[f64], part: f64) -> Result<(), String> {
     let largest = expected.iter().fold(0.0, |most: f64, x| most.max(x.abs()));
     elementwise(name, actual, expected, part * largest, 0.0).map(|_| ())
@@ -33,7 +33,7 @@ fn image_gradients(npz: &Npz, views: &[View]) -> Vec<Vec<[f64; 3]>> {
     all.chunks(all.len() / views.len()).map(<[_]>::to_vec).collect()
 }
 
-/// What a set says of each view, and of all of them.
+/// Checks a set's values of each view, and of all views together.
 fn check(npz: &Npz, set: &[Gaussian], extent: Extent, views: &[Norms], part: f64) -> Result<(), String> {
     let of = |name: &str| npz.values(&field(extent, name));
     let signed: Vec<f64> = views.iter().flatten().map(|norms| norms.0).collect();
@@ -44,7 +44,7 @@ fn check(npz: &Npz, set: &[Gaussian], extent: Extent, views: &[Norms], part: f64
     let expected = npz.flags(&field(extent, "visible"));
     match extent {
         Extent::Reference => equal("visible", &visible, &expected)?,
-        // By tiles more may be visible.
+        // By tiles, more Gaussians may be visible.
         Extent::Exact if visible.iter().zip(&expected).any(|(own, expected)| *expected && !own) => {
             return Err("visible: some are missing".into());
         }
@@ -64,7 +64,7 @@ fn check(npz: &Npz, set: &[Gaussian], extent: Extent, views: &[Norms], part: f64
     Ok(())
 }
 
-/// Clone and split by the means over views: AbsGS's rule, and absolute ones for both.
+/// Clone and split decisions by the means over views: AbsGS's rule, and absolute gradients for both.
 fn decisions(npz: &Npz, set: &[Gaussian], [signed, absolute, views]: [&[f64]; 3]) -> Result<(), String> {
     let most = npz.scalar("percent_dense") * npz.scalar("extent");
     let decide = |sum: &[f64], threshold: &str, large: bool| -> Vec<f64> {
@@ -118,7 +118,7 @@ pub fn of_device(path: &Path) -> Result<(), String> {
     for extent in EXTENTS {
         let views = views(&npz, extent);
         let stages = Stages::new(&gpu, &set, &views);
-        // Of one view after the other, and of all.
+        // Sums over single views, and over all.
         let sums = gpu.zeros::<[f32; 2]>("statistics", set.len());
         let absolute_sums = gpu.zeros::<f32>("absolute_statistics", set.len());
         let mut all: Vec<Norms> = Vec::new();

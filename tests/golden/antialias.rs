@@ -1,4 +1,5 @@
-//! Antialiasing: the low-pass filter's size, its compensation with both gradients, and the 3D filter (spec_training.md, 7).
+//! Antialiasing: size of the low-pass filter, its compensation with both gradients, and the 3D filter
+//! (spec_training.md, 7).
 
 use std::path::Path;
 
@@ -45,7 +46,7 @@ pub fn of_device(path: &Path) -> Result<(), String> {
     })
 }
 
-/// Sizes, what is drawn, its gradients and those of what is stored, the reset.
+/// Filter sizes, filtered Gaussians, gradients of filtered and stored Gaussians, opacity reset.
 pub fn filter_of_twin(path: &Path) -> Result<(), String> {
     let set = RenderingSet::of_feature(path);
     let npz = &set.npz;
@@ -89,7 +90,7 @@ pub fn filter_of_twin(path: &Path) -> Result<(), String> {
     check_factors(&set, &drawn)
 }
 
-/// Sizes from all cameras, pictures and gradients of the device; what is baked on the host.
+/// Filter sizes from all cameras, pictures and gradients of the device; filtered Gaussians of the host.
 pub fn filter_of_device(path: &Path) -> Result<(), String> {
     let set = RenderingSet::of_feature(path);
     let npz = &set.npz;
@@ -111,7 +112,7 @@ pub fn filter_of_device(path: &Path) -> Result<(), String> {
         let settings = RenderSettings { filter_3d: true, ..settings(&set.view_with(extent)) };
         judge_device(&mut renderer, &set, extent, &settings)?;
     }
-    // What is baked is drawn alike without a filter.
+    // The filtered Gaussians give the same picture without a filter.
     renderer.upload(&drawn).map_err(|e| e.to_string())?;
     let settings = settings(&set.view_with(Extent::Exact));
     let frame = renderer.render(&camera(&set.view), &settings).map_err(|e| e.to_string())?;
@@ -128,7 +129,7 @@ fn sizes_of_twin(set: &RenderingSet) -> Vec<f64> {
     filter_sizes(&nearest, longest)
 }
 
-/// A frame, and the gradient of the sum of its pixels times the set's.
+/// A frame, and the gradient of its pixels' sum weighted by the set's values.
 fn rendered(
     set: &RenderingSet,
     gaussians: &[Gaussian],
@@ -151,7 +152,7 @@ fn judge(set: &RenderingSet, extent: Extent, frame: &Frame, gradient: FrameGradi
     judge_gradients(NAME, set, extent, &twin::gradients(&gradient), DOUBLE)
 }
 
-/// The opacities' factors and the covariances with the dilation, of what is drawn.
+/// Opacity factors and dilated covariances of the filtered Gaussians.
 fn check_factors(set: &RenderingSet, drawn: &[Gaussian]) -> Result<(), String> {
     let (expected, cov2d) = (set.npz.values("factor"), set.npz.rows::<3>("cov2d"));
     for (i, gaussian) in drawn.iter().enumerate() {
@@ -181,7 +182,7 @@ fn judge_device(
     Ok(())
 }
 
-/// Errors relative to the largest entry.
+/// Compares with a tolerance relative to the largest value.
 fn relative(what: &str, actual: &[f64], expected: &[f64], bound: f64) -> Result<(), String> {
     let largest = expected.iter().fold(0.0_f64, |most, x| most.max(x.abs()));
     elementwise(what, actual, expected, bound * largest, 0.0).map(drop)

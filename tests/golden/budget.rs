@@ -22,7 +22,7 @@ use crate::reference::linear::sigmoid;
 use crate::reference::schedule;
 use crate::reference::types::Gaussian;
 
-/// Of every value, absolute and relative.
+/// Tolerance of every value, absolute and relative.
 const DEVICE: f64 = 2e-6;
 const TWIN: f64 = 1.5e-7;
 
@@ -92,7 +92,7 @@ pub fn split_of_device(path: &Path) -> Result<(), String> {
     compare(&npz, &engine::twins(&after), DEVICE)
 }
 
-/// Budgets, steps, the threshold and who stays above it.
+/// Compares budgets, steps, the opacity threshold and the Gaussians above it.
 fn compare_schedule(
     npz: &Npz,
     budget: impl Fn(u32) -> f64,

@@ -20,12 +20,12 @@ use crate::reference::types::{Extent, View};
 
 const EXTENTS: [(Extent, &str); 2] = [(Extent::Exact, ""), (Extent::Reference, "ref_")];
 
-/// What an implementation computes with an extent.
+/// Results of an implementation with one extent.
 struct Computed {
     inverse_depth: Vec<f64>,
     loss: f64,
     of_inverse_depth: Vec<f64>,
-    /// Means, quaternions, log-scales, opacity logits.
+    /// Gradients of means, quaternions, log-scales, opacity logits.
     gradients: [Vec<f64>; 4],
 }
 
@@ -116,7 +116,7 @@ pub fn of_device(path: &Path) -> Result<(), String> {
     Ok(())
 }
 
-/// The maps' scales and offsets, which of them are kept, and the target of one.
+/// Scales and offsets of the maps, the maps kept, and the target of one.
 pub fn of_host(path: &Path) -> Result<(), String> {
     let npz = Npz::read(path);
     let &[maps, height, width] = &npz.array("mono").shape[..] else { return Err("no maps".into()) };

@@ -20,7 +20,7 @@ use crate::reference::loss_reduce;
 const ROUNDING: f64 = 1.5e-7;
 const DOUBLE: GradientTolerance = GradientTolerance { relative_l2: 1e-6, max_over_max: 1e-6 };
 
-/// Errors that are allowed: of values, of the loss, of gradients.
+/// Tolerances of values, loss and gradients.
 struct Tolerances {
     out: f64,
     loss: f64,
@@ -28,7 +28,7 @@ struct Tolerances {
     adam: f64,
 }
 
-/// What an implementation computes of a set.
+/// Results of an implementation.
 struct Computed {
     out: Vec<[f64; 3]>,
     loss: f64,
@@ -52,7 +52,7 @@ fn judge(npz: &Npz, computed: &Computed, tolerances: &Tolerances) -> Result<(), 
     Ok(())
 }
 
-/// The steps of a set: photograph, gradient, rate, and all matrices afterwards.
+/// Steps of a set: photograph, gradient, rate, and all matrices afterwards.
 fn steps(npz: &Npz) -> Vec<(usize, Matrix, f64, Vec<Matrix>)> {
     let photographs = npz.array("adam_E").shape[1];
     let after: Vec<Matrix> = npz.values("adam_E").chunks(12).map(matrix).collect();

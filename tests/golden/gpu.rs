@@ -1,4 +1,4 @@
-//! The trials of the device: within the tolerances for float32.
+//! Trials of the device, with tolerances for float32.
 
 use std::path::Path;
 
@@ -73,7 +73,7 @@ fn forward(file: &SetFile, extent: Extent) -> Result<(), String> {
     let view = set.view_with(extent);
     let mut renderer = renderer();
     renderer.upload(&gaussians(&set.gaussians)).map_err(|e| e.to_string())?;
-    // Both variants of the kernel: with the inverse depth where there is one to compare with.
+    // Both variants of the kernel: with inverse depth if the set has it.
     let inverse_depth = set.results(extent).has("inv_depth");
     let settings = RenderSettings { inverse_depth, ..settings(&view) };
     let frame = renderer.render(&camera(&view), &settings).map_err(|e| e.to_string())?;
@@ -86,7 +86,7 @@ fn forward(file: &SetFile, extent: Extent) -> Result<(), String> {
     Ok(())
 }
 
-/// The tiles touched are equal, except those of Gaussians whose rectangle hangs on rounding.
+/// The tiles touched are equal, except those of Gaussians whose rectangle depends on rounding.
 fn judge_instances(set: &RenderingSet, instances: u32) -> Result<(), String> {
     let unstable = set.gaussian_flag(2);
     let touched = set.npz.values("tiles_touched");
@@ -109,7 +109,7 @@ fn check_gradients(file: &SetFile, extent: Extent) -> Result<(), String> {
     let inverse_depth: Vec<f32> = inverse_depth.iter().map(|&x| x as f32).collect();
     let mut renderer = renderer();
     renderer.upload(&gaussians(&set.gaussians)).map_err(|e| e.to_string())?;
-    // Both variants of the kernels: with the inverse depth where it has a gradient.
+    // Both variants of the kernels: with inverse depth if it has a gradient.
     let inverse_depth = set.results(extent).has("Gd").then_some(inverse_depth);
     let settings = RenderSettings { inverse_depth: inverse_depth.is_some(), ..settings(&view) };
     let derivatives = renderer
@@ -121,7 +121,7 @@ fn check_gradients(file: &SetFile, extent: Extent) -> Result<(), String> {
     Ok(())
 }
 
-/// A frame of the engine, as it is judged.
+/// Converts a frame of the engine for the judge.
 pub(super) fn picture(frame: &ashsplat::Frame) -> Picture {
     let single = |values: &[f32]| values.iter().map(|&x| f64::from(x)).collect::<Vec<f64>>();
     Picture {
@@ -131,7 +131,7 @@ pub(super) fn picture(frame: &ashsplat::Frame) -> Picture {
     }
 }
 
-/// Gradients of the engine, as they are judged.
+/// Converts gradients of the engine for the judge.
 pub(super) fn gradients(gradients: &ashsplat::Gradients) -> Gradients {
     let parameters = &gradients.parameters;
     Gradients {

@@ -1,4 +1,4 @@
-//! The device's loss, optimiser and densification against the vectors.
+//! Loss, optimiser and densification of the device against the vectors.
 
 use std::path::Path;
 
@@ -24,7 +24,7 @@ use crate::reference::pipeline::render;
 use crate::reference::types::{Gaussian, Gradient};
 use crate::reference::{schedule, sh};
 
-/// A handful of roundings of float32.
+/// A few roundings of float32.
 const ROUNDING: f64 = 1e-6;
 
 /// Loss, L1, SSIM and gradient of a picture against float ground truth.
@@ -41,7 +41,7 @@ pub(super) fn device_loss(
         pixels
     });
     let (rendered, photo) = match windowing {
-        // Without background, nothing shines through.
+        // The transmittance is 0, so no background shows.
         Windowing::Blocks => {
             let texels: Vec<[f32; 4]> = image.iter().map(|&[r, g, b]| [r, g, b, 0.0]).collect();
             (texels.into_flattened(), truth.into_flattened())
@@ -105,8 +105,8 @@ pub fn loss(path: &Path) -> Result<(), String> {
     Ok(())
 }
 
-/// The values of a group as Gaussians: three values each, the opacity one. The camera lies at the origin and the means
-/// on its axis, so that the gradient of SH coefficient 2 is a known multiple of the colour's.
+/// Values of a group as Gaussians: three values each; one for the opacity. The camera is at the origin and the means
+/// on its axis. The gradient of SH coefficient 2 is then a known multiple of the colour's.
 fn as_gaussians(group: &str, values: &[f64]) -> Vec<Gaussian> {
     let neutral = Gaussian {
         mean: [0.0, 0.0, 1.0],
@@ -218,7 +218,7 @@ fn compare_adam(group: &str, state: &AdamState, expected: [&[f64]; 3]) -> Result
     Ok(())
 }
 
-/// The schedule of the settings that training resolves.
+/// Schedule of the resolved training settings.
 pub fn rates(path: &Path) -> Result<(), String> {
     let npz = Npz::read(path);
     let settings = TrainSettings::default();
@@ -267,7 +267,7 @@ pub fn densify(path: &Path) -> Result<(), String> {
     Ok(())
 }
 
-/// The given noise by half and Gaussian in place of half and split.
+/// Reorders the noise from child and split to child and Gaussian.
 fn noise_of_gaussians(npz: &Npz) -> Vec<[f32; 3]> {
     let noise = npz.rows::<3>("noise");
     let (splits, split) = (npz.array("noise").shape[1], npz.flags("split"));
@@ -281,7 +281,7 @@ fn noise_of_gaussians(npz: &Npz) -> Vec<[f32; 3]> {
     by_gaussian
 }
 
-/// Runs a densification; the new Gaussians and where they come from.
+/// Runs a densification. Returns the new Gaussians and their sources.
 fn densified(
     gpu: &Gpu,
     before: &[Gaussian],
@@ -321,7 +321,7 @@ pub fn reset_opacity(path: &Path) -> Result<(), String> {
     let before = as_gaussians("opacity", npz.values("logits"));
     let input = engine::gaussians(&before);
     let upload = || planes::upload(gpu.context, "test", &input, 0, 1).expect("upload");
-    // Moments are planes as well; the logits stand for them.
+    // Moments are planes as well; copies of the scene take their place.
     let (scene, first, second) = (upload(), upload(), upload());
     let moments = Moments { first: first.chunks.clone(), second: second.chunks.clone() };
     let densify = Densify::new(gpu.context).expect("the kernels of densification");
@@ -349,7 +349,7 @@ pub fn regularizers(path: &Path) -> Result<(), String> {
     set.check_gradients(&npz, &gradients, ROUNDING)
 }
 
-/// Full iterations: picture, loss, gradients and step, each on the device.
+/// Full iterations on the device: picture, loss, gradients and step.
 pub fn train(path: &Path) -> Result<(), String> {
     let npz = Npz::read(path);
     let view = view(&npz);
@@ -400,7 +400,7 @@ pub fn train(path: &Path) -> Result<(), String> {
     Ok(())
 }
 
-/// Only the coefficient of degree 0 is active.
+/// Only the SH coefficient of degree 0 is active.
 fn visible_gradient(g: &Gaussian) -> VisibleGradient {
     VisibleGradient {
         mean: g.mean,
@@ -436,7 +436,8 @@ fn compare_iteration(
         let largest = expected_gradient.iter().fold(0.0_f64, |largest, x| largest.max(x.abs()));
         let values: Vec<f64> = after.iter().flat_map(of_gaussian).collect();
         for (place, (actual, expected)) in values.iter().zip(npz.values(&value_name)).enumerate() {
-            // Adam's first steps are the rate times a sign, which a gradient within rounding of zero does not have.
+            // Adam's first steps are the rate times a sign, which is undefined for a gradient within rounding of
+            // zero.
             let certain = expected_gradient[place].abs() > 1e-4 * largest && !departing[place / width];
             if certain {
                 elementwise(&value_name, &[*actual], &[*expected], 5e-5, 1e-6)?;

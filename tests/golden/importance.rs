@@ -1,4 +1,4 @@
-//! Edge-weighted blending importance and the draw by it: twins and device against the vectors.
+//! Edge-weighted blending importance and the draw with it: twins and device against the vectors.
 
 use std::path::Path;
 
@@ -24,7 +24,7 @@ use crate::reference::mark_drawn::mark;
 use crate::reference::pipeline::{backward, render};
 use crate::reference::types::{Extent, View};
 
-/// In parts of the largest value.
+/// Tolerances relative to the largest value.
 const DEVICE: f64 = 1e-5;
 const TWIN: f64 = 1e-6;
 
@@ -87,7 +87,7 @@ pub fn of_device(path: &Path) -> Result<(), String> {
         for (i, view) in views.iter().enumerate() {
             let of = |name: &str| by_view(&npz, name, &views)[i];
             edges_of_device(&gpu, &kernels, &buffers, view, &of)?;
-            // The set's weights leave out pixels whose blending hangs on rounding.
+            // The set's weights omit pixels whose blending depends on rounding.
             let used: Vec<[f32; 4]> = of("edge_used").iter().map(|&e| [e as f32, 0.0, 0.0, 0.0]).collect();
             let used = gpu.buffer("rows", &used);
             let [width, height] = view.size_px;
@@ -108,7 +108,7 @@ pub fn of_device(path: &Path) -> Result<(), String> {
     selection_of_device(&gpu, &npz)
 }
 
-/// The edges of a photograph in the device's layout, as the gradient that blending reads.
+/// Edges of a photograph in the device's layout, as the gradient that blending reads.
 fn edges_of_device<'a>(
     gpu: &Gpu,
     kernels: &Importance,

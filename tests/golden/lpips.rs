@@ -11,7 +11,7 @@ use crate::reference::lpips::{ALEXNET, Step, VGG16, formula, lpips};
 
 const TWIN: f64 = 1e-6;
 const DEVICE: f64 = 1e-4;
-/// Name in the file, steps, first tag of the weights beyond that of the set.
+/// Name in the file, steps, and tag of the weights relative to the set's first.
 const NETWORKS: [(&str, &[Step], u32, Network); 2] =
     [("alex", &ALEXNET, 0, Network::AlexNet), ("vgg", &VGG16, 64, Network::Vgg16)];
 

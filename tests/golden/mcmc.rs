@@ -19,11 +19,11 @@ use crate::reference::linear::sigmoid;
 use crate::reference::relocate::relocate;
 use crate::reference::types::Gaussian;
 
-/// Of logits and log-scales.
+/// Tolerances of logits and log-scales.
 const DEVICE: f64 = 1e-4;
 const TWIN: f64 = 1e-6;
 
-/// What a set says of one draw: the uniform numbers by row, and the result.
+/// One draw of a set: the uniform numbers by row, and the result.
 struct Step {
     rows: usize,
     uniforms: Vec<f32>,
@@ -71,7 +71,7 @@ fn compare(npz: &Npz, prefix: &str, actual: &[Gaussian], tolerance: f64) -> Resu
     if prefix == "mid" {
         return Ok(());
     }
-    // Growth takes them along.
+    // Growth copies them.
     equal("out quaternion", &column(|g| g.quat.to_vec()), field("quats"))?;
     equal("out SH", &column(|g| g.sh.as_flattened().to_vec()), field("sh"))
 }
@@ -80,7 +80,7 @@ pub fn relocation_of_twin(path: &Path) -> Result<(), String> {
     let npz = Npz::read(path);
     let mut set = gaussians(&npz, "in_");
     for (step, prefix) in steps(&npz).iter().zip(["mid", "out"]) {
-        // The dead are those up to 0.005; growth draws from all.
+        // Dead Gaussians have opacities up to 0.005; growth draws from all.
         let weights: Vec<f64> =
             set.iter()
                 .enumerate()
@@ -184,7 +184,7 @@ pub fn relocation_of_device(path: &Path) -> Result<(), String> {
     Ok(())
 }
 
-/// What the noise moves by, without the means: their rounding would hide it.
+/// The set of the noise, without the means, whose rounding would hide it.
 fn noise_set(npz: &Npz) -> (Vec<Gaussian>, Vec<[f64; 3]>, f64) {
     let normals = npz.rows::<3>("normals");
     let (quats, scales) = (npz.rows::<4>("quats"), npz.rows::<3>("log_scales"));
@@ -202,7 +202,7 @@ fn noise_set(npz: &Npz) -> (Vec<Gaussian>, Vec<[f64; 3]>, f64) {
 fn compare_noise(npz: &Npz, deltas: &[[f64; 3]], relative: f64) -> Result<(), String> {
     for (i, (actual, expected)) in deltas.iter().zip(npz.rows::<3>("delta")).enumerate() {
         let largest = expected.iter().fold(0.0, |most: f64, x| most.max(x.abs()));
-        // Where the gate is closed to 24 digits, its own rounding is larger than that.
+        // If the gate is closed to 24 digits, its rounding is larger than the noise.
         elementwise(&format!("noise of {i}"), actual, &expected, relative * largest + 1e-12, 0.0)?;
     }
     Ok(())

@@ -16,11 +16,11 @@ use crate::reference::pose_gradient::gradient_of_parameters;
 use crate::reference::pose_step::{moved, pose_step as twin_step};
 use crate::reference::types::{Extent, View};
 
-/// Of the largest entry of a gradient.
+/// Tolerances relative to the largest entry of a gradient.
 const TWIN: f64 = 1e-6;
 const DEVICE: f64 = 1e-4;
 
-/// The cameras of a set: at its pose, and moved by ξ.
+/// The cameras of a set: at the given pose, and moved by ξ.
 fn views(npz: &Npz, extent: Extent) -> Vec<[View; 2]> {
     let (rotations, translations) = (npz.rows::<9>("R_xi"), npz.rows::<3>("t_xi"));
     let both = |(index, view): (usize, View)| {
@@ -35,7 +35,7 @@ fn views(npz: &Npz, extent: Extent) -> Vec<[View; 2]> {
 const EXTENTS: [(Extent, &str); 2] = [(Extent::Exact, ""), (Extent::Reference, "ref_")];
 const FIELDS: [&str; 2] = ["d_pose", "d_pose_xi"];
 
-/// Of the largest entry.
+/// Compares with a tolerance relative to the largest entry.
 fn compare(what: &str, actual: &[f64], expected: &[f64], relative: f64) -> Result<(), String> {
     let largest = expected.iter().fold(0.0, |most: f64, x| most.max(x.abs()));
     elementwise(what, actual, expected, relative * largest, 0.0).map(drop)

@@ -1,4 +1,4 @@
-//! What a renderer's picture and gradients must satisfy on a rendering set.
+//! Checks of a renderer's picture and gradients on a rendering set.
 
 use super::report;
 use super::sets::RenderingSet;
@@ -15,7 +15,7 @@ pub struct Picture {
     pub inverse_depth: Option<Vec<f64>>,
 }
 
-/// Gradients, flattened; what an implementation does not expose is `None`.
+/// Flattened gradients; `None` if an implementation does not expose them.
 pub struct Gradients {
     pub means: Vec<f64>,
     pub quats: Vec<f64>,
@@ -28,17 +28,17 @@ pub struct Gradients {
     pub color: Option<Vec<f64>>,
 }
 
-/// How closely an implementation has to agree.
+/// Tolerances of an implementation.
 #[derive(Clone, Copy)]
 pub struct Tolerance {
     pub image: PixelTolerance,
     pub transmittance: PixelTolerance,
     pub gradient: GradientTolerance,
-    /// Quaternions of needles.
+    /// Tolerance of the quaternions of needles.
     pub quats: GradientTolerance,
 }
 
-/// The acceptance of float32 implementations.
+/// Tolerances of float32 implementations.
 pub const SINGLE: Tolerance = Tolerance {
     image: PixelTolerance { max: 5e-5, mean: 1e-6, unstable: 2e-2 },
     transmittance: PixelTolerance { max: 5e-5, mean: 5e-5, unstable: 2e-2 },
@@ -46,7 +46,7 @@ pub const SINGLE: Tolerance = Tolerance {
     quats: GradientTolerance { relative_l2: 5e-4, max_over_max: 5e-4 },
 };
 
-/// What the float64 twins achieve: the rounding of the stored float32.
+/// Tolerances of the float64 twins: the rounding of stored float32.
 pub const DOUBLE: Tolerance = Tolerance {
     image: PixelTolerance { max: 5e-7, mean: 1e-7, unstable: 2e-2 },
     transmittance: PixelTolerance { max: 5e-7, mean: 1e-7, unstable: 2e-2 },
@@ -54,7 +54,7 @@ pub const DOUBLE: Tolerance = Tolerance {
     quats: GradientTolerance { relative_l2: 1e-6, max_over_max: 1e-6 },
 };
 
-/// A set of which only finiteness is asked: its 2-D determinant cancels totally in float32.
+/// True for a set that is checked only for finiteness, because its 2-D determinant cancels in float32.
 pub fn only_finite(set: &str) -> bool {
     set == "s11_needle"
 }
@@ -82,8 +82,8 @@ pub fn judge_picture(
     )?;
     let mut inverse_depth_max = 0.0;
     if let Some(inverse_depth) = picture.inverse_depth.as_ref().filter(|_| results.has("inv_depth")) {
-        // Its bound scales with the largest. None at unstable pixels: an entry too many or too few that changes the
-        // colour by 0.02 changes the inverse depth five times as much beside the near plane.
+        // The bound scales with the largest value. Unstable pixels have none: an extra entry that changes the colour
+        // by 0.02 changes the inverse depth near the near plane five times as much.
         let largest = results.values("inv_depth").iter().copied().fold(1.0, f64::max);
         let PixelTolerance { max, mean, .. } = tolerance.image;
         let bound = PixelTolerance { max: max * largest, mean: mean * largest, unstable: f64::INFINITY };
@@ -155,9 +155,9 @@ pub fn judge_gradients(
     Ok(())
 }
 
-/// The field with the exact derivative: `dx_*`, or `d_*` where the exact one is not stored because it is equal.
-/// Intermediate gradients of INRIA's derivative differ where the clamp at 0.99 acts, so they are read only where
-/// nothing is clamped, that is where the exact derivative of the opacity equals INRIA's.
+/// Name of the field with the exact derivative: `dx_*`, or `d_*` if both are equal. INRIA's intermediate gradients
+/// differ where the clamp at 0.99 acts. They are used only if the exact derivative of the opacity equals INRIA's, so
+/// nothing is clamped.
 fn expected_gradient(set: &RenderingSet, extent: Extent, field: &str) -> Option<String> {
     let results = set.results(extent);
     let (exact, inria) = (format!("dx_{field}"), format!("d_{field}"));
@@ -173,8 +173,8 @@ fn expected_gradient(set: &RenderingSet, extent: Extent, field: &str) -> Option<
     (results.has(&inria) && (stored_only_when_different || same_derivative)).then_some(inria)
 }
 
-/// Isotropic Gaussians have no orientation, but what cancels leaves rounding: bounded by the other gradient of the
-/// shape.
+/// Isotropic Gaussians have no orientation, but cancellation leaves rounding errors. The gradient of the log-scales
+/// bounds them.
 fn zero_quats(quats: &[f64], log_scales: &[f64], tolerance: GradientTolerance) -> Result<(), String> {
     let largest = |values: &[f64]| values.iter().fold(0.0_f64, |largest, x| largest.max(x.abs()));
     let within = largest(quats) <= tolerance.max_over_max * largest(log_scales);

@@ -5,20 +5,17 @@ use std::path::Path;
 use crate::golden::npz::{Npz, rows};
 use crate::reference::types::{Drawn, Extent, Gaussian, View};
 
-/// A rendering set.
 pub struct RenderingSet {
     /// Inputs, and results with the reference extent.
     pub npz: Npz,
     /// Results with the exact extent.
     pub exact: Option<Npz>,
-    /// Parameters.
     pub gaussians: Vec<Gaussian>,
     /// Camera, the reference extent.
     pub view: View,
 }
 
 impl RenderingSet {
-    /// Reads a set.
     pub fn read(path: &Path, exact: Option<&Path>) -> RenderingSet {
         let npz = Npz::read(path);
         let gaussians = gaussians(&npz, "");
@@ -26,7 +23,7 @@ impl RenderingSet {
         RenderingSet { exact: exact.map(Npz::read), gaussians, view, npz }
     }
 
-    /// Reads a set of a training feature: results of both extents in one file, and the first of its cameras.
+    /// Reads a set of a training feature: one file with the results of both extents, and the first of its cameras.
     pub fn of_feature(path: &Path) -> RenderingSet {
         let exact = Npz::read(path);
         let (gaussians, npz) = (gaussians(&exact, ""), exact.with_prefix("ref_"));
@@ -58,7 +55,7 @@ impl RenderingSet {
         (color, inverse_depth)
     }
 
-    /// Flags of a Gaussian: see the bits in the README of the vectors.
+    /// Flags of Gaussians; for the bits see the README of the vectors.
     pub fn gaussian_flag(&self, bit: u8) -> Vec<bool> {
         if !self.npz.has("g_unstable") {
             return vec![false; self.gaussians.len()];
@@ -67,7 +64,7 @@ impl RenderingSet {
     }
 }
 
-/// The Gaussians of an archive whose fields have a prefix.
+/// Gaussians of an archive whose fields have this prefix.
 pub fn gaussians(npz: &Npz, prefix: &str) -> Vec<Gaussian> {
     let field = |name: &str| format!("{prefix}{name}");
     let means = npz.rows::<3>(&field("means"));

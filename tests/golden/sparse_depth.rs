@@ -22,9 +22,9 @@ use crate::reference::sparse_depth::{Point, corners, depth_sums, expected, loss}
 use crate::reference::sparse_depth_gather::{expected_depth_backward, gather};
 use crate::reference::types::{Extent, Gaussian, Gradient, Splat, SplatGradient, View};
 
-/// What an implementation computes.
+/// Results of an implementation.
 struct Computed {
-    /// Per pixel, and the sum of the weights there.
+    /// Expected depth and sum of the weights, per pixel.
     expected_depth: Vec<f64>,
     coverage: Vec<f64>,
     loss: f64,
@@ -44,7 +44,7 @@ const TWIN: Bounds = Bounds {
     loss: 1e-6,
     gradient: GradientTolerance { relative_l2: 1e-6, max_over_max: 1e-6 },
 };
-/// Small coverages divide.
+/// Wide, because small coverages divide.
 const DEVICE: Bounds = Bounds {
     depth: 1e-4,
     sampled: 1e-4,
@@ -94,7 +94,7 @@ fn weight(npz: &Npz) -> f64 {
     npz.scalar("weight") * npz.scalar("scene_scale")
 }
 
-/// The loss with these Gaussians, its gradients, and what is on the way.
+/// The loss with these Gaussians, its gradients, and intermediate results.
 fn by_twin(set: &[Gaussian], view: &View, points: &[Point], weight: f64) -> Computed {
     let frame = render(set, view);
     let list = |pixel: [u32; 2]| -> Vec<&Splat> {
@@ -132,7 +132,7 @@ pub fn of_twin(path: &Path) -> Result<(), String> {
     agrees_with_differences(&set, &view, &points, weight, &computed.gradients)
 }
 
-/// Finite differences, too, prove the twin's gradients.
+/// Finite differences confirm the twin's gradients.
 fn agrees_with_differences(
     set: &[Gaussian],
     view: &View,
@@ -183,7 +183,7 @@ pub fn of_device(path: &Path) -> Result<(), String> {
     let size = (view.size_px[0], view.size_px[1]);
     let all = engine_points(&points(&npz));
     let points = DepthPointBuffers::new(context, &all, size).map_err(|e| e.to_string())?;
-    // The weight of the first iteration is all of it.
+    // The weight is the first iteration's.
     let settings = TrainSettings { depth_points: npz.scalar("weight"), ..TrainSettings::default() };
     let extent = npz.scalar("scene_scale") as f32;
     let term = SparseDepth::new(context, &settings, extent, all.len() as u32).map_err(|e| e.to_string())?;

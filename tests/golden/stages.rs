@@ -1,4 +1,4 @@
-//! Frames with backward by the engine's stages, without a renderer: for what it does not hand out.
+//! Frames with backward passes by the engine's stages, for values that a renderer does not return.
 
 use ashsplat::backward::{Backward, BackwardVariant};
 use ashsplat::forward::{Auxiliary, BlendVariant, Forward, FrameInputs, PlacedScene, SceneBuffers};
@@ -18,7 +18,7 @@ pub fn views(npz: &Npz, extent: Extent) -> Vec<View> {
     sets::views(npz).into_iter().map(|view| View { extent, ..view }).collect()
 }
 
-/// The field of an extent: the reference's have a prefix.
+/// Field name for an extent; those of the reference have a prefix.
 pub fn field(extent: Extent, name: &str) -> String {
     match extent {
         Extent::Exact => name.to_owned(),
@@ -26,7 +26,7 @@ pub fn field(extent: Extent, name: &str) -> String {
     }
 }
 
-/// A scene, and a frame for its views.
+/// A scene, and a frame with its kernels for the views.
 pub struct Stages<'a> {
     pub gpu: &'a Gpu,
     pub backward: Backward,
@@ -34,17 +34,17 @@ pub struct Stages<'a> {
     forward: Forward,
     frame: FrameBuffers,
     capacity: FrameCapacity,
-    /// Whether the sum of weights z is drawn, too.
+    /// True if the sum of weights z is drawn, too.
     linear_depth: bool,
 }
 
 impl<'a> Stages<'a> {
-    /// With the kernels for the views' SH degree.
+    /// Builds kernels for the views' SH degree.
     pub fn new(gpu: &'a Gpu, set: &[Gaussian], views: &[View]) -> Stages<'a> {
         Self::with_depth(gpu, set, views, false)
     }
 
-    /// As [`Stages::new`], perhaps with the sum of weights z.
+    /// Same as [`Stages::new`], but can also draw the sum of weights z.
     pub fn with_depth(gpu: &'a Gpu, set: &[Gaussian], views: &[View], linear_depth: bool) -> Stages<'a> {
         let context = gpu.context;
         let sh_degree = views[0].sh_degree;
@@ -76,7 +76,7 @@ impl<'a> Stages<'a> {
         Stages { gpu, backward, scene, forward, frame, capacity, linear_depth }
     }
 
-    /// Draws a view, and what is recorded behind it.
+    /// Draws a view and records further commands after it.
     pub fn run(&self, view: &View, record: impl FnOnce(&mut Recorder, &FrameInputs, &Backward)) {
         let linear_depth = self.linear_depth;
         let settings = RenderSettings { inverse_depth: linear_depth, linear_depth, ..settings(view) };

@@ -60,7 +60,7 @@ pub fn adam(path: &Path) -> Result<(), String> {
                 [&field("p")[now.clone()], &field("m")[now.clone()], &field("v")[now]],
             )?;
         }
-        // The sparse variant goes on from there, with the first gradient again.
+        // The sparse variant continues with the first gradient again.
         let visible = field("sp_vis");
         let per_gaussian = count / visible.len();
         for (i, parameter) in parameters.iter_mut().enumerate() {
@@ -180,9 +180,9 @@ pub fn train(path: &Path) -> Result<(), String> {
     Ok(())
 }
 
-/// Gaussians of which the vectors follow the reference implementation's derivative where the exact one differs: a
-/// limit of the Jacobian acts, or α's clamp at a pixel. Adam's first steps are
-/// the rate times a sign, so that they may differ by all of it.
+/// Gaussians for which the vectors follow the reference implementation's derivative instead of the exact one: a
+/// limit of the Jacobian acts, or α's clamp at a pixel. Adam's first steps are the rate times a sign, so the
+/// difference may be a full step.
 pub fn departing(gaussians: &[Gaussian], view: &View, frame: &Frame) -> Vec<bool> {
     let mut departing: Vec<bool> = gaussians
         .iter()
@@ -222,7 +222,7 @@ fn compare_iteration(
 
 pub type Field = (&'static str, fn(&Gradient) -> Vec<f64>, fn(&Gaussian) -> Vec<f64>);
 
-/// The fields of the vectors, of gradients and of parameters.
+/// Fields of the vectors, with their gradients and parameters.
 pub const FIELDS: [Field; 5] = [
     ("means", |g| g.mean.to_vec(), |g| g.mean.to_vec()),
     ("quats", |g| g.quat.to_vec(), |g| g.quat.to_vec()),
@@ -231,7 +231,7 @@ pub const FIELDS: [Field; 5] = [
     ("sh", |g| g.sh.concat(), |g| g.sh.concat()),
 ];
 
-/// One step of Adam on all the parameters of a Gaussian; its moments are made at the first.
+/// One step of Adam on all parameters of a Gaussian; the first step creates its moments.
 fn step(gaussian: &mut Gaussian, d: &Gradient, moments: &mut Vec<Parameter>, iteration: u32, extent: f64) {
     let mut updates: Vec<(&mut f64, f64, f64)> = Vec::new();
     let position = schedule::position_rate(f64::from(iteration), extent);
@@ -254,7 +254,7 @@ fn step(gaussian: &mut Gaussian, d: &Gradient, moments: &mut Vec<Parameter>, ite
 /// Weights of the mean opacity and of the mean scale in the sets.
 pub const REGULARIZER_WEIGHTS: [f64; 2] = [0.01, 0.01];
 
-/// Gaussians of which only opacities and scales count.
+/// Gaussians with opacities and scales only.
 pub struct RegularizerSet {
     pub gaussians: Vec<Gaussian>,
 }

@@ -1,4 +1,4 @@
-//! The trials of the twins: they must agree with the vectors to the rounding of the stored float32.
+//! Trials of the twins: they must match the vectors up to the rounding of stored float32.
 
 use libtest_mimic::Trial;
 
@@ -125,10 +125,10 @@ fn check(file: &SetFile, extent: Extent) -> Result<(), String> {
     judge_gradients(&file.name, &set, extent, &gradients(&gradient), DOUBLE)
 }
 
-/// The set whose results are mutated to prove that the judge can fail.
+/// Set whose results are mutated to prove that the judge can fail.
 const MUTATED: &str = "s07_offcentre_edge";
 
-/// The accepted result of the twin, then the same with single faults, judged as float32 implementations are.
+/// Judges the twin's correct result, then copies with single faults, with the float32 tolerances.
 fn rejects_mutations(file: &SetFile) -> Result<(), String> {
     let set = RenderingSet::read(&file.path, file.exact.as_deref());
     let extent = Extent::Reference;
@@ -197,7 +197,8 @@ pub(super) fn gradients(gradient: &FrameGradient) -> Gradients {
     }
 }
 
-/// The number blended, and with the reference extent the place of the last, at every stable pixel.
+/// Compares the number of entries blended, and with the reference extent the place of the last, at every stable
+/// pixel.
 fn judge_counts(set: &RenderingSet, extent: Extent, frame: &Frame) -> Result<(), String> {
     let results = set.results(extent);
     let stable: Vec<bool> = results.flags("pix_unstable").iter().map(|unstable| !unstable).collect();
@@ -213,7 +214,7 @@ fn judge_counts(set: &RenderingSet, extent: Extent, frame: &Frame) -> Result<(),
     Ok(())
 }
 
-/// Everything that is stored per splat.
+/// Compares all stored values of the splats.
 fn judge_splats(set: &RenderingSet, frame: &Frame) -> Result<(), String> {
     let npz = &set.npz;
     let touched: Vec<f64> = frame.tiles_touched.iter().map(|&n| f64::from(n)).collect();
