@@ -1,4 +1,4 @@
-//! What a strategy may ask of training: absolute statistics, and the importance of the Gaussians between two steps.
+//! Absolute statistics, and the importance of Gaussians between two steps, as strategies request them.
 
 use ashsplat::densify::{
     Candidates, Chances, Densify, Importance, Selection, SelectionBuffers, SelectionDraw,
@@ -16,10 +16,10 @@ use crate::photos::in_a_file;
 
 const EXTENT: f32 = 5.0;
 const ITERATIONS: u32 = 20;
-/// Gaussians that are removed at a time.
+/// Number of Gaussians removed at a time.
 const REMOVED: u32 = 9;
 
-/// Asks for absolute statistics or not. With `every`, after so many iterations it removes Gaussians that it draws in
+/// Requests absolute statistics if `absolute`. After every `every` iterations it removes Gaussians, drawn in
 /// proportion to their importance.
 struct Watching {
     absolute: bool,
@@ -126,7 +126,7 @@ fn settings() -> TrainSettings {
     }
 }
 
-/// A run that goes on from a checkpoint after each of `stops`.
+/// A run that is resumed from a checkpoint after each of `stops`.
 fn run(
     context: &Context,
     views: impl Fn() -> Vec<TrainView>,
@@ -146,7 +146,7 @@ fn run(
     trainer.expect("a trainer").checkpoint().expect("the end")
 }
 
-/// They are added up beside the signed ones, never below them, and change no bit of the training.
+/// Absolute statistics are never below the signed ones, and change no bit of the training.
 #[test]
 fn absolute_statistics_leave_the_training_as_it_is() {
     let gpu = Gpu::new();
@@ -160,7 +160,7 @@ fn absolute_statistics_leave_the_training_as_it_is() {
     let pairs = || with.statistics.iter().zip(&absolute.values);
     assert!(pairs().all(|(&[signed, _], &absolute)| absolute >= signed * 0.9999));
     assert!(pairs().filter(|(statistic, absolute)| **absolute > 1.5 * statistic[0]).count() > 20);
-    // Of the same views: three of the iterations do not count.
+    // Same number of views: three of the iterations do not count.
     let most = with.statistics.iter().fold(0.0_f32, |most, statistic| most.max(statistic[1]));
     assert_eq!(most, (ITERATIONS - 3) as f32);
 }
@@ -180,7 +180,7 @@ fn importance_draws_the_same_gaussians_in_a_resumed_run_and_from_photographs_in_
     assert!(streamed.fingerprint() == whole.fingerprint());
 }
 
-/// Asks for the importance after each iteration, and notes whether there was memory for it.
+/// Requests the importance after each iteration, and notes whether there was memory for it.
 struct Asking {
     kernels: Importance,
     views: Vec<usize>,
@@ -220,7 +220,7 @@ impl Strategy for Asking {
     }
 }
 
-/// All of it is counted: without memory for it there is no importance, and the training goes on.
+/// All of its memory is counted: without memory there is no importance, and the training continues.
 #[test]
 fn importance_keeps_within_a_bounded_memory() {
     let of = |max_memory: Option<u64>| {

@@ -1,5 +1,5 @@
-//! Readers under a limit of address space, as `ulimit -v` and `prlimit --as` set it: what does not fit is an error that
-//! says how much was needed, and not the end of the program.
+//! Readers under a limit of address space, as `ulimit -v` and `prlimit --as` set it. Insufficient memory is an error
+//! with the required amount, and does not end the program.
 #![cfg(target_os = "linux")]
 
 use std::fs::{self, File};
@@ -18,9 +18,9 @@ use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 use crate::common::child;
 use crate::common::splats::scene;
 
-/// What the readers have, in all.
+/// Address space of the readers.
 const ROOM: u64 = 24 << 20;
-/// Gaussians of which each takes 56 bytes at least.
+/// Number of Gaussians; each takes at least 56 bytes.
 const MANY: usize = 400_000;
 
 /// The address space of this process, bytes.
@@ -31,7 +31,7 @@ fn address_space() -> u64 {
     kib << 10
 }
 
-/// Leaves this process so much more address space than it has. Threads that have just been started take theirs first.
+/// Limits this process to `room` bytes more than it uses. New threads take their share first.
 fn limit_address_space(room: u64) {
     let mut size = address_space();
     loop {
@@ -45,7 +45,7 @@ fn limit_address_space(room: u64) {
     setrlimit(Resource::As, Rlimit { current, ..getrlimit(Resource::As) }).expect("a limit");
 }
 
-/// A COLMAP data set of so many photos.
+/// A COLMAP data set with this number of photos.
 fn dataset(folder: &Path, photos: u32, [width, height]: [u32; 2]) {
     let intrinsics = Intrinsics::from_fov_x(1.0, width, height);
     let camera =
@@ -63,7 +63,7 @@ fn dataset(folder: &Path, photos: u32, [width, height]: [u32; 2]) {
     colmap::write(folder.join("sparse/0"), &[lens], &images, &points).expect("a model");
 }
 
-/// A file of so many MiB of spaces.
+/// A file with this many MiB of spaces.
 fn spaces(path: &Path, mib: usize) {
     fs::write(path, vec![b' '; mib << 20]).expect("a file");
 }
@@ -112,11 +112,11 @@ fn readers_without_address_space() {
     ply::write_points(place("points.ply"), &points, &WorldFrame::default()).expect("written");
     drop(points);
     let load = |name: &str, resolution: Resolution| {
-        // As under the limit: the default follows it.
+        // Same as under the limit: the default depends on it.
         let options = DatasetOptions { resolution, ..Default::default() };
         Dataset::load(place(name), &options, Progress::NONE)
     };
-    // The threads that read photos stay.
+    // The threads that read photos stay alive.
     assert_eq!(load("few", Resolution::Auto).expect("room").train.len(), 2);
 
     limit_address_space(ROOM);
@@ -130,7 +130,7 @@ fn readers_without_address_space() {
     refused("large.jpg: reading it", Photo::read(place("large.jpg"), [0.0; 3]));
     refused("keeping its 20 photos", load("many", Resolution::Auto));
     refused("keeping its 2 photos", load("large", Resolution::Factor(1)));
-    // By rows, there is room for them.
+    // Read by rows, they fit.
     assert_eq!(load("large", Resolution::Width(200)).expect("room").train.len(), 2);
     refused("large.safetensors", Checkpoint::read(place("large.safetensors")));
     refused("points3D.bin", Model::of_dataset(place("points")));
@@ -138,7 +138,7 @@ fn readers_without_address_space() {
     refused("transforms.json", load("frames", Resolution::Auto));
     refused("cameras.json", cameras_json::read(place("cameras.json"), &WorldFrame::default()));
     refused("points.ply", ply::read_points(place("points.ply")));
-    // What goes through by blocks needs no room; what is sorted or merged does.
+    // A conversion by blocks fits; sorting and merging need all at once.
     let convert =
         |to: &str, options: &ConvertOptions| splats::convert(&place("many.ply"), &place(to), options);
     let out = convert("out.splat", &ConvertOptions::default()).expect("room");

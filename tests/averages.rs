@@ -21,7 +21,7 @@ fn trainer(settings: &TrainSettings) -> Trainer {
     Trainer::new(Gpu::new().context, views(3, 9), &start(), EXTENT, settings.clone()).expect("a trainer")
 }
 
-/// Everything that is averaged.
+/// All averaged values.
 fn values(trainer: &Trainer) -> Vec<f64> {
     let Gaussians { means, quats, log_scales, opacity_logits, sh, .. } =
         trainer.gaussians().expect("Gaussians");
@@ -51,7 +51,7 @@ fn along(settings: &TrainSettings, first: u32) -> (Vec<Vec<f64>>, Vec<f64>) {
 fn averages_are_means_of_the_last_steps() {
     let (steps, last) = along(&settings(0.0), 31);
     assert_eq!(steps[8], last, "the last iteration moves nothing");
-    // Shares of nine and of all steps: the mean begins after the last change of the set.
+    // Shares of nine steps and of all steps: the mean starts after the last densification.
     for share in [0.225, 1.0] {
         let (same, end) = along(&settings(share), 31);
         assert!(same == steps, "{share}: training itself is another");
@@ -78,7 +78,7 @@ fn averages_go_on_from_checkpoints_to_the_bit() {
     for settings in [&settings, &sparse, &filtered] {
         check_resumed_with(|| views(3, 9), settings, &[29, 31, 36, 39]);
     }
-    // Through a file, and on into a longer run, which begins with the mean.
+    // Through a file, and on into a longer run, which starts from the mean.
     let mut trainer = trainer(&settings);
     (0..36).for_each(|_| drop(trainer.step().expect("a step")));
     let checkpoint = trainer.checkpoint().expect("a checkpoint");
@@ -96,7 +96,7 @@ fn averages_go_on_from_checkpoints_to_the_bit() {
     let resumed = Trainer::resume(Gpu::new().context, views(3, 9), EXTENT, longer, &end);
     let mut resumed = resumed.expect("resumed");
     (40..44).for_each(|_| drop(resumed.step().expect("a step")));
-    // A checkpoint whose means are of other Gaussians.
+    // A checkpoint whose means belong to other Gaussians.
     let mut broken = checkpoint;
     broken.means.as_mut().expect("means").gaussians = start();
     assert!(broken.check().expect_err("refused").to_string().contains("means"));

@@ -1,4 +1,4 @@
-//! Both rows of the tuning table on the device at hand: a GPU's kernels on a software driver, and the other way round.
+//! Rows of the tuning table on the present device: a GPU's kernels on a software driver, and vice versa.
 
 use ashsplat::kernels::sort::sort_downsweep;
 use ashsplat::plan::{LaunchSizes, SortMethod};
@@ -14,7 +14,7 @@ use crate::common::gpu::Gpu;
 use crate::common::scenes::{Random, mixed_scene, small_view};
 use crate::common::{assert_silent, options};
 
-/// With these values for constants of kernels.
+/// A context with overridden constants of kernels.
 fn context_with(overrides: Vec<SpecOverride>) -> Context {
     Context::new(&ContextOptions { overrides, ..options() }).expect("a device")
 }
@@ -23,7 +23,7 @@ fn context(backend: Backend) -> Context {
     Context::new(&ContextOptions { backend: Some(backend), ..options() }).expect("a device")
 }
 
-/// Largest difference, relative to 1 and above.
+/// Largest difference, relative to values above 1.
 fn difference(a: &[f32], b: &[f32]) -> f32 {
     assert_eq!(a.len(), b.len());
     a.iter().zip(b).map(|(a, b)| (a - b).abs() / b.abs().max(1.0)).fold(0.0, f32::max)
@@ -69,8 +69,9 @@ fn backends_train_alike() {
     assert!(difference(&trained[0], &trained[1]) < 1e-4, "{trained:?}");
 }
 
-/// Loops over SH coefficients that stay loops add in the same order: pictures, trainings with and without poses. Sums over several
-/// views (`multi_step`) are not among them: this driver rounds them otherwise in a loop.
+/// Loops over SH coefficients that are not unrolled add in the same order: pictures, trainings with and without
+/// poses. Sums over several views (`multi_step`) are excluded, because this driver rounds them differently in a
+/// loop.
 #[test]
 fn backends_of_both_kinds_of_loops_have_the_same_bits() {
     compare_switched("SH_LOOPS");
@@ -81,7 +82,7 @@ fn backends_that_share_splats_have_the_same_bits() {
     compare_switched("SHARED_SPLATS");
 }
 
-/// Pictures and trainings with a constant of kernels off and on.
+/// Compares pictures and trainings with a kernel constant off and on.
 fn compare_switched(constant: &str) {
     let _gpu = Gpu::new();
     let switched = |on: bool| {
@@ -116,14 +117,14 @@ fn compare_switched(constant: &str) {
         assert!(off.1.iter().flatten().any(|&x| x > 0.1), "the picture is black");
         let what = format!("the pictures of {constant}, {strategy:?},");
         assert_alike(&on.0, off.1.as_flattened(), on.1.as_flattened(), (&what, 1e-5));
-        // Another compiler may fuse other sums of products, and trainings go apart with the first bit.
+        // Another compiler may fuse different sums of products, and trainings diverge with the first different bit.
         if on.0.description().kind == "CPU" {
             assert!(off.2 == on.2, "{constant}, {strategy:?}: other bits");
         }
     }
 }
 
-/// What suits Intel's registers is asked for where the device lets it be chosen.
+/// Intel's preferred subgroup size is required if the device allows it.
 #[test]
 fn backends_choose_their_subgroup_size_where_the_device_has_it() {
     let intel = |own, sizes| Tuning::INTEL.subgroup_sizes(own, sizes, 64);
@@ -132,13 +133,13 @@ fn backends_choose_their_subgroup_size_where_the_device_has_it() {
     // A workgroup of 256 is 32 subgroups of 8.
     assert_eq!(Tuning::INTEL.subgroup_sizes(32, Some(8..=32), 31), [16, 16]);
     assert_eq!(Tuning::GPU.subgroup_sizes(64, Some(32..=64), 64), [64, 64]);
-    // RDNA and GCN.
+    // Sizes of RDNA and GCN.
     let amd = |own, sizes| Tuning::AMD.subgroup_sizes(own, sizes, 64);
     assert_eq!([amd(64, Some(32..=64)), amd(64, Some(64..=64))], [[64, 32], [64, 64]]);
 }
 
-/// Those of the heaviest kernels on Intel before Xe2 and on RDNA where more than the picture is blended, the usual ones elsewhere.
-/// Regions have 4 rows at least.
+/// Blending uses the heaviest kernels' sizes on Intel before Xe2, and on RDNA if it also writes other outputs; the
+/// usual sizes elsewhere. Regions have at least 4 rows.
 #[test]
 fn backends_choose_the_lanes_that_blend() {
     let device = Gpu::new();
@@ -156,7 +157,8 @@ fn backends_choose_the_lanes_that_blend() {
     assert_eq!(sizes(&Tuning::GPU, [32, 32]), [[32, 8, 128], [32, 8, 128]]);
 }
 
-/// The workgroups of tiles are no larger than what is asked of a device with such subgroups; more than 32 take more.
+/// Workgroups of tiles fit into the required minimum of devices with such subgroups; subgroups of more than 32 need
+/// more.
 #[test]
 fn backends_fit_into_the_workgroups_that_are_asked_of_devices() {
     for tuning in [&Tuning::PROCESSOR, &Tuning::GPU, &Tuning::INTEL, &Tuning::AMD, &Tuning::NVIDIA] {
@@ -208,7 +210,7 @@ fn backends_are_looked_up_by_their_class() {
     }
 }
 
-/// As on a driver that reports a subgroup size and lets none be required.
+/// A device whose driver reports a subgroup size and does not let it be required.
 fn context_of_fixed_size(size: u32) -> Context {
     let limits = LimitsOverride { fixed_subgroup_size: Some(size), ..LimitsOverride::default() };
     Context::new(&ContextOptions { limits_override: Some(limits), ..options() }).expect("a device")
@@ -252,8 +254,8 @@ fn backends_with_other_subgroups_than_they_report_are_refused() {
     }
 }
 
-/// A driver could deal a workgroup's invocations out to lanes in another order, where it lets the size be required, too. Here the
-/// probe says so of lanes that are in order.
+/// A driver could map invocations to lanes in another order, even with a required size. The test makes the probe
+/// report this for ordered lanes.
 #[cfg(feature = "hot-reload")]
 #[test]
 fn backends_with_lanes_in_another_order_are_refused() {

@@ -1,4 +1,4 @@
-//! Every barrier of a training step is needed, and the hazard checker notices the absence of any one.
+//! Every barrier of a training step is needed, and the hazard checker notices each missing one.
 
 use ashsplat::backward::{Backward, BackwardVariant, Statistics};
 use ashsplat::forward::{
@@ -19,12 +19,12 @@ use crate::common::scenes::{Random, small_scene, small_view};
 const SIZE: [u32; 2] = [40, 30];
 const SH_DEGREE: u32 = 1;
 
-/// What is recorded behind the forward pass.
+/// Commands recorded after the forward pass.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Kind {
     /// Loss, backward, optimiser.
     Step,
-    /// Backward, and the gradients of all parameters.
+    /// Backward, with the gradients of all parameters.
     Gradients,
     /// A step with a camera that the device moves.
     Poses,
@@ -32,7 +32,7 @@ enum Kind {
 
 const KINDS: [Kind; 3] = [Kind::Step, Kind::Gradients, Kind::Poses];
 
-/// Everything that a training step works on.
+/// Buffers and kernels of a training step.
 struct Training {
     context: Context,
     forward: Forward,
@@ -56,7 +56,7 @@ struct Training {
 }
 
 impl Training {
-    /// Parameters in several buffers, blending in two passes: with all the barriers that there can be.
+    /// Parameters in several buffers and blending in two passes, so that every barrier occurs.
     fn new() -> Training {
         let limits = LimitsOverride { max_storage_buffer_range: Some(100_000), ..LimitsOverride::default() };
         let options = ContextOptions { limits_override: Some(limits), ..options() };
@@ -85,7 +85,7 @@ impl Training {
             ("losses", 16),
             ("statistics", 1200 * 8),
             ("mean2d_gradients", 1200 * 8),
-            // With inverse depth, whichever form it has.
+            // Large enough for both layouts, with inverse depth.
             ("image_gradient", 16 * Strips { width, height }.values()),
         ];
         others.extend(loss.scratch_requests([(width, height)]));
@@ -185,7 +185,7 @@ impl Training {
         self.pose_optimizer.record(recorder, poses, state, Some((step, 0)));
     }
 
-    /// The hazards of a recording without one of its barriers, and how many barriers it has.
+    /// Hazards of a recording without one of its barriers, and its number of barriers.
     fn hazards(&self, kind: Kind, omitted: Option<u32>) -> (Vec<String>, u32) {
         let mut recorder = self.context.begin("training step").expect("a recorder");
         recorder.collect_hazards();
@@ -211,7 +211,7 @@ fn barriers_are_complete_and_none_is_superfluous() {
     crate::common::assert_silent(&training.context);
 }
 
-/// And the recording runs: what the checker accepts, synchronisation validation accepts as well.
+/// Synchronization validation accepts what the checker accepts.
 #[test]
 fn barriers_satisfy_synchronization_validation() {
     let training = Training::new();

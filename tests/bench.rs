@@ -1,4 +1,4 @@
-//! `ashsplat bench`, run as its users run it.
+//! `ashsplat bench`, run as users run it.
 
 use crate::cli::{finish, program, refuse, succeed, text};
 use crate::common;
@@ -8,7 +8,7 @@ use serde_json::Value;
 use std::path::Path;
 use tempfile::tempdir;
 
-/// A workload that takes no time.
+/// A workload that takes little time.
 fn small(what: &str) -> Vec<&str> {
     const ELEMENTS: [&str; 2] = ["--elements", "3000"];
     const FRAME: [&str; 6] = ["--gaussians", "400", "--width", "72", "--height", "48"];
@@ -59,7 +59,7 @@ fn bench_all_follows_its_schema() {
     let names = runs(&report).iter().filter_map(|run| run["name"].as_str());
     let (forms, names): (Vec<&str>, Vec<&str>) =
         names.partition(|name| name.contains("-regions") || name.contains("-shared"));
-    // On a processor the smaller sort is timed as a whole only, and one frame is enough for the table of forms.
+    // On a CPU the smaller sort is only timed as a whole, and one frame suffices for the table of forms.
     let whole = report["device"]["kind"] == "CPU";
     assert_eq!(names, ["scan", "sort", "sort-3000", "render", "render-900@64x64", "train-step"]);
     assert_eq!(forms.len(), if whole { 2 } else { 4 }, "{forms:?}");
@@ -92,7 +92,7 @@ fn bench_all_follows_its_schema() {
     assert_eq!(sorts.len(), if cfg!(feature = "cpu-sorts") { 4 } else { 2 });
 }
 
-/// The parts add up, dispatches have grids, and the counts are those of a frame.
+/// Checks that the parts add up, dispatches have grids, and the counts are those of a frame.
 fn check_run(run: &Value) {
     let split = &run["split"];
     let parts = ["kernels_ms", "recording_ms", "submitting_ms", "waiting_ms", "host_ms"];
@@ -115,7 +115,7 @@ fn check_run(run: &Value) {
         assert_eq!((&workload["gaussians"], &workload["width"]), (&Value::from(400), &Value::from(72)));
         assert!(number(&workload["visible"]) > 100.0 && number(&workload["instances"]) > 400.0);
         assert!(number(&workload["longest_tile"]) > 10.0);
-        // Three vec4 of each Gaussian and the camera's block, and nothing for what is bound in place of cut-outs.
+        // Three vec4 of each Gaussian and the camera block; the placeholder for cut-outs does not count.
         let mut kernels = run["kernels"].as_array().into_iter().flatten();
         let cull = kernels.find(|kernel| kernel["kernel"] == "forward/cull").expect("culling");
         let read = number(&cull["bytes_read"]);
@@ -154,7 +154,7 @@ fn bench_compare_names_what_became_slower() {
         "{}",
         run.stderr
     );
-    // A kernel that only one of them has is named, and no comparison.
+    // A kernel that only one file has is named, without a comparison.
     report["runs"][0]["kernels"].as_array_mut().expect("kernels").remove(0);
     write(&b, &report);
     assert!(succeed(&["bench", "compare", text(&a), text(&b)]).contains("only in A: sort sort/sort_"));
@@ -167,7 +167,7 @@ fn bench_compare_names_what_became_slower() {
     refuse(&["bench", "compare", text(&a), text(&b)], &["clocks differ"]);
     report = read(&a);
     write(&b, &report);
-    // The other way round nothing is slower.
+    // In the other direction nothing is slower.
     succeed(&["bench", "compare", text(&b), text(&a), "--fail-above", "1.15"]);
 }
 
@@ -202,7 +202,7 @@ fn bench_compare_refuses_what_cannot_be_compared() {
     let mut report = read(&a);
     report["runs"][0]["cpu_seconds"] = Value::Null;
     write(&b, &report);
-    // A system need not tell processor time.
+    // A system may not report processor time.
     if !read(&a)["runs"][0]["cpu_seconds"].is_null() {
         assert!(
             succeed(&["bench", "compare", text(&a), text(&b)]).contains("only in A: scan processor time")
@@ -296,7 +296,7 @@ fn bench_measures_files_and_refuses_bad_ones() {
     refuse(&["bench", "scaling", "--counts", &most], &["--counts", "67108864"]);
     refuse(&["bench", "scaling", "--gaussians", &most], &["--gaussians", "67108864"]);
     refuse(&["bench", "all", "--frames", &format!("{most}@9x9")], &["--frames", "67108864"]);
-    // Before any frame is measured, and where the memory would hold the scene.
+    // Refused before any frame is measured, even if the memory could hold the scene.
     let most = max_trained_gaussians(common::context().limits());
     if most < 10_000_000 {
         let (steps, counts) = (folder.path().join("steps.json"), format!("10,{}", most + 1));
@@ -304,7 +304,7 @@ fn bench_measures_files_and_refuses_bad_ones() {
         refuse(&many, &["Gaussians: this device trains at most", "--of frames"]);
         assert!(!steps.exists());
     }
-    // The seed disturbs what is trained on its own picture.
+    // The seed disturbs the scene that is trained on its own picture.
     let hash = |seed: &str| {
         let json = folder.path().join("step.json");
         let one = ["bench", "train-step", "--scene", text(&ply), "--seed", seed, "--json", text(&json)];
@@ -314,7 +314,7 @@ fn bench_measures_files_and_refuses_bad_ones() {
     assert_ne!(hash("1"), hash("2"));
 }
 
-/// All rows of a table in one run: a scene in a size of its own, a second data set up to the first window.
+/// All rows of a table in one run: a scene at its own size, a second data set up to the first window.
 #[test]
 fn bench_all_measures_a_scene_and_data_sets() {
     let folder = tempdir().expect("a temporary folder");
@@ -367,7 +367,7 @@ fn bench_train_measures_windows_of_real_training() {
     refuse(&["bench", "train", "--dataset", text(&data), "--windows", "100,150"], &["150", "overlap"]);
 }
 
-/// Sizes that would take minutes: what is refused is refused before any work.
+/// Sizes that would take minutes: bad arguments are refused before any work.
 const LARGE: [&str; 4] = ["--gaussians", "3000000", "--iterations", "1000"];
 
 #[test]
@@ -392,7 +392,7 @@ fn bench_refuses_results_that_cannot_be_written_at_once() {
     refuse(&both("--plot", "--csv"), &["--csv and --plot: both name"]);
     refuse(&["profile", "--html", &one, "--trace", &other], &["--html and --trace: both name"]);
     assert_eq!(std::fs::read_dir(folder.path()).expect("a folder").count(), 1, "nothing is left behind");
-    // A folder that is missing is made.
+    // A missing folder is created.
     measure("scan", &["--quiet", "--json", &at("new/folder/a.json")]);
     assert!(folder.path().join("new/folder/a.json").is_file());
 }
@@ -457,7 +457,7 @@ fn a_full_standard_output_is_a_failure_and_a_closed_one_is_not() {
     }
 }
 
-/// A report says whose kernels ran, which of them wait, and how much memory those that gather and scatter touch.
+/// A report names the device, the kernels that wait, and the memory that gathers and scatters touch.
 #[test]
 fn bench_counts_waits_and_transactions() {
     let folder = tempdir().expect("a temporary folder");
@@ -476,7 +476,7 @@ fn bench_counts_waits_and_transactions() {
         let found = kernels.iter().find(|kernel| kernel["scope"] == scope && kernel["kernel"] == name);
         found.unwrap_or_else(|| panic!("no {name} in {scope}"))
     };
-    // Each pass of a sort waits for the one before.
+    // Each pass of a sort waits for the previous one.
     let scatter = of("depth sort", "sort/sort_downsweep");
     assert_eq!([number(&scatter["calls"]), number(&scatter["waits"])], [4.0, 4.0]);
     let visible = number(&run["workload"]["visible"]);

@@ -11,7 +11,7 @@ use crate::common::engine::{camera, derivatives, gaussians, settings};
 use crate::common::scenes::{Random, mixed_scene, small_scene, small_view};
 use crate::common::{count_hits, options};
 
-/// A device that counts what is blended: from the count follows which kernel ran.
+/// A device that counts blended samples: the count reveals which kernel ran.
 fn counting() -> Context {
     let options = ContextOptions { overrides: vec![count_hits()], ..options() };
     Context::new(&options).expect("a device")
@@ -43,12 +43,12 @@ fn blending_forms_draw_the_same_picture_with_other_work() {
         assert!(of_regions.iter().any(|d| *d != 0.0));
         assert_same(&context, &of_regions, &of_shared, ("the gradients", 1e-3));
         let samples = |frame: &Frame| frame.stats.samples.forward;
-        // A region skips what does not meet it; the tile as a whole walks over all of its list.
+        // A region skips entries that miss it; the form with one tile per workgroup walks its whole list.
         assert!(samples(&regions.0) > 0 && samples(&shared.0) > samples(&regions.0), "seed {seed}");
     }
 }
 
-/// Where nothing is opaque, no tile ends early: each instance is walked over by all pixels of its tile.
+/// If nothing is opaque, no tile ends early: all pixels of a tile walk over each instance.
 #[test]
 fn blending_from_shared_memory_walks_over_whole_lists() {
     let context = counting();
@@ -64,7 +64,7 @@ fn blending_from_shared_memory_walks_over_whole_lists() {
     assert_eq!(frame.stats.samples, expected);
 }
 
-/// Trains with one form, and from an iteration on with another; the samples of each half, and what was learnt.
+/// Trains with one form, and from an iteration on with another. Returns samples of each half and the results.
 fn train(context: &Context, [first, then]: [Blending; 2]) -> ([u64; 2], Vec<u32>, Gaussians) {
     let photo = |number: u32| {
         let rgb = (0..56 * 40 * 3).map(|k| (k * (number + 2) / 7) as u8).collect();
@@ -109,6 +109,6 @@ fn blending_forms_train_to_the_same_bits() {
         assert_eq!(mixed.0, [regions.0[0], shared.0[1]]);
     }
     assert_ne!(regions.2.len(), 200, "nothing was densified");
-    // Each half did the work of its own form.
+    // Each half has the sample count of its form.
     assert!(regions.0.iter().zip(&shared.0).all(|(regions, shared)| 0 < *regions && regions < shared));
 }

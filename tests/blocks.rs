@@ -1,4 +1,4 @@
-//! Training of a block of a scene: what lies around is drawn and stays as it is.
+//! Training of a scene block: its frozen neighbours are drawn and do not change.
 
 use ashsplat::renderer::Renderer;
 use ashsplat::scene::{Bounds, Intrinsics};
@@ -18,7 +18,7 @@ use crate::common::gpu::Gpu;
 
 const EXTENT: f32 = 5.0;
 
-/// Half of the scene, less a margin.
+/// Half of the scene, minus a margin.
 fn core() -> Bounds {
     Bounds { min: Vec3::new(f32::NEG_INFINITY, -1.2, f32::NEG_INFINITY), max: Vec3::new(0.2, 1.3, 9.0) }
 }
@@ -66,7 +66,7 @@ fn inside(core: Bounds, mean: [f32; 3]) -> bool {
     SceneBlock::contains(core, 0.0, mean)
 }
 
-/// Without borders nothing runs that plain training does not have; with far ones the mask runs, and masks nothing.
+/// Without borders, nothing but plain training runs. With far borders the mask runs, and masks nothing.
 #[test]
 fn a_block_that_is_the_whole_scene_is_plain_training() {
     let gpu = Gpu::new();
@@ -87,7 +87,7 @@ fn a_block_that_is_the_whole_scene_is_plain_training() {
     }
 }
 
-/// The picture is that of the whole scene, bit for bit, and so is the first step of those that are trained.
+/// The picture equals that of the whole scene, bit for bit, and so does the first step of the trained Gaussians.
 #[test]
 fn the_first_step_of_a_block_is_that_of_the_whole_scene() {
     let gpu = Gpu::new();
@@ -141,7 +141,7 @@ fn what_lies_around_stays_as_it_is() {
     assert!(parameters > 0 && moments == 2 * arena("scene"), "{parameters} {moments}");
 }
 
-/// Half of what lies around is where no view looks. Checkpoints with it and without go on with each other.
+/// Half of the frozen Gaussians are out of all views. Checkpoints with and without them can resume each other.
 #[test]
 fn what_no_view_sees_can_be_left_out() {
     let gpu = Gpu::new();
@@ -178,7 +178,7 @@ fn what_no_view_sees_can_be_left_out() {
     end(&mut trainer(gpu.context, &initial, Some(nobody), &settings()).expect("a trainer"));
 }
 
-/// With rates of 0 a clone is its original once more, and an original that is split is gone.
+/// With rates of 0 a clone equals its original, and a split original is gone.
 #[test]
 fn gaussians_are_added_in_the_core_only() {
     let gpu = Gpu::new();
@@ -204,7 +204,7 @@ fn gaussians_are_added_in_the_core_only() {
         (TrainSettings { absgrad: true, ..still(StrategyType::Budget, 1e-9) }, false),
     ] {
         let key = |mean: &[f32; 3]| mean.map(f32::to_bits);
-        // The means of those that were cloned or split.
+        // Means of the cloned or split Gaussians.
         let chosen = |initial: &Gaussians, block: Option<SceneBlock>| -> Vec<[f32; 3]> {
             let mut trainer = trainer(gpu.context, initial, block, &settings).expect("a trainer");
             let densified = (0..16).filter_map(|_| trainer.step().expect("a step").densified).last();
@@ -223,7 +223,7 @@ fn gaussians_are_added_in_the_core_only() {
         let of_block = chosen(&initial, Some(block.clone()));
         assert!(of_block.len() > 10, "{} of {:?}", of_block.len(), settings.strategy);
         assert!(of_block.iter().all(|&mean| inside(core(), mean)), "{:?}", settings.strategy);
-        // Among the same Gaussians without a border, some are outside.
+        // Without a border, some of these Gaussians are outside.
         let free = SceneBlock { core: everything(), ..block.clone() };
         assert!(chosen(&initial, Some(free)).iter().any(|&mean| !inside(core(), mean)));
     }
@@ -287,7 +287,7 @@ fn senseless_blocks_are_refused() {
     assert!(aligned.expect_err("refused").to_string().contains("a block of one"));
 }
 
-/// What the forecast asks for is enough, and what lies around is counted: parameters and frames, but no moments.
+/// The forecast suffices. It counts frozen Gaussians with parameters and frames, but no moments.
 #[test]
 fn the_memory_of_what_lies_around_is_planned() {
     let (initial, block) = divided();
@@ -319,7 +319,7 @@ fn the_memory_of_what_lies_around_is_planned() {
     // Ten planes of parameters at SH degree 2.
     assert!(around > u64::from(frozen) * 160, "{around}");
     assert!(trained > around + u64::from(frozen) * 3 * 160, "{around} {trained}");
-    // Enough for a run, and for what it adds as far as that fits.
+    // Enough for a run, and for some of the Gaussians that it adds.
     let mut many = block.clone();
     (0..200).for_each(|_| many.frozen.append(&block.frozen));
     let bound = needed(count, many.frozen.len() as u32) + (1 << 20);
@@ -329,7 +329,7 @@ fn the_memory_of_what_lies_around_is_planned() {
     assert!(trainer.memory().last().expect("the total").peak_bytes <= bound);
 }
 
-/// A camera far from all.
+/// A camera far away from the block.
 #[test]
 fn a_picture_of_what_lies_around_alone_is_drawn() {
     let gpu = Gpu::new();
@@ -351,7 +351,7 @@ fn a_picture_of_what_lies_around_alone_is_drawn() {
     assert!(ours.color == theirs.color && theirs.stats.visible > 0);
 }
 
-/// What a checkpoint has of each Gaussian goes with it, whatever the strategy keeps.
+/// All values that a checkpoint keeps for a Gaussian move with it, in every strategy.
 #[test]
 fn gaussians_go_from_one_checkpoint_to_another_with_all_that_is_kept_of_them() {
     let gpu = Gpu::new();
@@ -379,13 +379,13 @@ fn gaussians_go_from_one_checkpoint_to_another_with_all_that_is_kept_of_them() {
     joined.append(&kept(&whole, &even)).expect("of the same settings");
     joined.check().expect("whole");
     assert!(joined == kept(&whole, &[&odd[..], &even[..]].concat()) && joined != whole);
-    // And training goes on with them, with room for as many as there are.
+    // Training resumes with them, with capacity for their number.
     let (core, frozen) = (everything(), Gaussians::default());
     joined.settle_in(&SceneBlock { core, frozen, chosen_from: None });
     let mut resumed = resumed(gpu.context, None, &settings, &joined).expect("resumed");
     let last = end(&mut resumed);
     assert_eq!(last.iteration, settings.iterations);
-    // Frames are expected to be like those of before, not to show all Gaussians that there is room for.
+    // The expected frames are like the previous ones, instead of showing all Gaussians that fit the capacity.
     assert!(last.room.frame_instances >= last.room.most_instances && joined.room.most_instances > 0);
     assert!(last.room.frame_instances < 6 * last.room.gaussians, "{:?}", last.room);
 

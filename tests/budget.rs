@@ -1,4 +1,4 @@
-//! Training with budgeted growth, and the parts of it that the reference's strategy can have.
+//! Training with budgeted growth, and its parts that the reference's strategy can use.
 
 use ashsplat::densify::RESET_OPACITY;
 use ashsplat::trainer::{Checkpoint, ImportanceType, OptimizerType, SplitType, StrategyType, Trainer};
@@ -14,7 +14,7 @@ use crate::reference::schedule::quantile;
 const EXTENT: f32 = 5.0;
 const CAP: u32 = 260;
 
-/// Of 60 iterations as they are counted: densifies after 15, 20, … 35, resets opacities after 20 and 40.
+/// 60 iterations: densifies after 15, 20, … 35, resets opacities after 20 and 40.
 fn settings() -> TrainSettings {
     TrainSettings {
         iterations: 60,
@@ -85,7 +85,7 @@ fn budget_splits_up_to_its_curve() {
     }
 }
 
-/// What a run of other parts ends with differs: each switch does something.
+/// Each switch changes the result of a run.
 #[test]
 fn budget_has_a_switch_for_each_part() {
     let gpu = Gpu::new();
@@ -95,7 +95,7 @@ fn budget_has_a_switch_for_each_part() {
         trainer.gaussians().expect("Gaussians")
     };
     type Change = fn(&mut TrainSettings);
-    // By the statistic, which all parts have an effect on.
+    // With the statistic, so that all parts have an effect.
     let by_statistic = || TrainSettings { importance: ImportanceType::Statistic, ..in_groups() };
     let whole = end(by_statistic());
     let changes: [Change; 10] = [
@@ -139,7 +139,7 @@ fn budget_resumes_to_the_bit() {
     };
     let plain = settings();
     let whole = run(&plain, &[]);
-    // Around densifications, between a reset and the next densification.
+    // Around densifications, and between a reset and the next densification.
     for stops in [[7, 15], [20, 23], [34, 35]] {
         assert!(run(&plain, &stops) == whole, "interrupted after {stops:?}: other bits");
     }
@@ -150,7 +150,7 @@ fn budget_resumes_to_the_bit() {
     for stops in [[41, 44], [45, 52], [59, 47]] {
         assert!(run(&grouped, &stops) == whole, "interrupted after {stops:?}: other bits");
     }
-    // With what adds up views beside the Gaussians.
+    // With exposures and poses, which also sum views.
     let lit = TrainSettings { exposure: true, pose_opt: true, pose_lr: 1e-3, ..in_groups() };
     let whole = run(&lit, &[]);
     let sums = whole.gradient_sums.as_ref().expect("the last iteration makes no step");
@@ -160,7 +160,8 @@ fn budget_resumes_to_the_bit() {
     }
 }
 
-/// Each view of a step counts for its own exposure and pose, not the last one alone; between steps nothing moves.
+/// Each view of a step contributes to its own exposure and pose, not only the last view. Nothing moves between
+/// steps.
 #[test]
 fn budget_adds_up_exposures_and_poses() {
     let gpu = Gpu::new();
@@ -177,7 +178,7 @@ fn budget_adds_up_exposures_and_poses() {
     }
     assert_eq!(seen, [true; 4]);
     let after = trainer.checkpoint().expect("a state");
-    // A second moment of which no gradient is a part falls by a thousandth.
+    // A second moment without a gradient decreases by a thousandth.
     let grown = |before: &[f32], after: &[f32]| before.iter().zip(after).any(|(b, a)| *a > 0.99901 * b);
     let [first, last] = [&before, &after].map(|state| state.poses.as_ref().expect("poses"));
     for view in 0..4 {
@@ -188,7 +189,7 @@ fn budget_adds_up_exposures_and_poses() {
     }
 }
 
-/// A step after several views is one of the optimiser with the sum of their gradients; between, nothing moves.
+/// A step after several views uses the sum of their gradients. Nothing moves between steps.
 #[test]
 fn budget_makes_one_step_of_several_views() {
     let gpu = Gpu::new();
@@ -209,7 +210,7 @@ fn budget_makes_one_step_of_several_views() {
     assert_eq!(steps, 41);
 }
 
-/// How many are not fainter than the faintest fifth of all.
+/// Number of Gaussians that are not fainter than the faintest fifth.
 fn not_of_the_faintest_fifth(all: &Gaussians) -> usize {
     let opacity = |&logit: &f32| sigmoid(logit.into());
     let opacities: Vec<f64> = all.opacity_logits.iter().map(opacity).collect();
@@ -217,7 +218,7 @@ fn not_of_the_faintest_fifth(all: &Gaussians) -> usize {
     opacities.iter().filter(|&&opacity| opacity >= least).count()
 }
 
-/// Resets are milder with `recovery`, and what is faint after them is pruned.
+/// With `recovery`, resets are milder, and Gaussians that stay faint are pruned.
 #[test]
 fn budget_prunes_what_does_not_recover() {
     let gpu = Gpu::new();
@@ -259,17 +260,17 @@ fn budget_prunes_what_does_not_recover() {
             assert_eq!(counts, []);
             continue;
         }
-        // 300 after the start, then a fifth each time 300 after the first two resets.
+        // 300 after the start, then 300 after each of the first two resets, a fifth each time.
         let after: Vec<u32> = counts.iter().map(|count| count.0).collect();
         assert_eq!(after, [300, 430, 560]);
-        // Fewer where many are as faint as each other: those that no view has seen since the reset.
+        // Fewer if many are equally faint: those that no view has seen since the reset.
         for &(_, before, kept) in &counts[1..] {
             assert!(kept < before && before - kept <= before / 5 + 1, "{counts:?}");
         }
     }
 }
 
-/// What is faint late in a run is pruned, and nothing else; resumed, to the bit.
+/// Only Gaussians that are faint late in a run are pruned. A resumed run has the same bits.
 #[test]
 fn budget_prunes_what_is_faint_late() {
     let gpu = Gpu::new();
@@ -294,11 +295,11 @@ fn budget_prunes_what_is_faint_late() {
         let report = whole.step().expect("a step");
         assert_eq!(report.densified.is_some(), due, "{iteration}");
         let (Some(densified), Some(before)) = (report.densified, before) else { continue };
-        // The change comes before the step of the next iteration, from the Gaussians that the last one left.
+        // The pruning precedes the step of the next iteration, and uses the Gaussians after the previous one.
         let faint = |logit: f32| 1.0 / (1.0 + f64::from(-logit).exp()) < 0.1;
         let kept: Vec<usize> = (0..before.len()).filter(|&i| !faint(before.opacity_logits[i])).collect();
         assert_eq!((densified.before as usize, densified.kept as usize), (before.len(), kept.len()));
-        // In their order; one step moves them by less.
+        // They keep their order; one step moves them by less.
         let after = whole.gaussians().expect("Gaussians");
         for (&from, to) in kept.iter().zip(&after.means) {
             let moved = before.means[from].iter().zip(to).map(|(from, to)| (from - to).abs());
@@ -315,7 +316,7 @@ fn budget_prunes_what_is_faint_late() {
     assert!(resumed.gaussians().expect("Gaussians") == end, "other bits");
 }
 
-/// With too little memory it grows as far as it can, goes on, and still has the same bits each time.
+/// With insufficient memory it grows as far as possible, continues, and is still deterministic.
 #[test]
 fn budget_grows_as_far_as_the_memory_allows() {
     let settings = TrainSettings {
@@ -342,7 +343,7 @@ fn budget_refuses_what_contradicts_itself() {
     let sparse = OptimizerType::SparseAdam;
     let message = refused(TrainSettings { optimizer_type: sparse, ..settings() });
     assert!(message.contains("multi_step") && message.contains("sparse_adam"), "{message}");
-    // Parts that other strategies do not have.
+    // Parts that other strategies do not support.
     let usual = TrainSettings::default();
     for (name, strategy) in [
         ("recovery", StrategyType::Reference),
@@ -361,7 +362,7 @@ fn budget_refuses_what_contradicts_itself() {
     assert!(message.contains("split") && message.contains("long-axis"), "{message}");
 }
 
-/// Both parts in the reference's strategy: other Gaussians, as reproducible, and back to the bit in between.
+/// Both parts in the reference's strategy change the result, are deterministic, and resume to the bit.
 #[test]
 fn the_reference_strategy_takes_other_statistics_and_splits() {
     let gpu = Gpu::new();

@@ -1,14 +1,14 @@
-//! No input, however deeply nested, takes a reader's stack: the compiled program shows it. Its machine code has every call,
-//! also across files and out of generic code; what is called through tables of methods only is not seen.
+//! Deeply nested input cannot overflow a reader's stack, as the machine code shows. It contains all calls, across
+//! files and from generic code. Calls through vtables are not seen.
 
 use std::collections::{HashMap, HashSet};
 use std::io::{BufRead, BufReader};
 use std::process::{Command, Stdio};
 
-/// Function → what it calls, jumps to or takes the address of.
+/// Functions that each function calls, jumps to or takes the address of.
 type Graph = HashMap<String, HashSet<String>>;
 
-/// The address at the end of a line, without an offset: `call 1b20 <name>`, `lea 0x3d2(%rip),%rax # 1f40 <name>`.
+/// Symbol at the end of a line, without an offset: `call 1b20 <name>`, `lea 0x3d2(%rip),%rax # 1f40 <name>`.
 fn target(line: &str) -> Option<&str> {
     let name = line.strip_suffix('>')?.rsplit_once('<')?.1;
     Some(name.rsplit_once("+0x").map_or(name, |(function, _)| function))
@@ -23,7 +23,7 @@ fn graph(disassembly: impl Iterator<Item = String>) -> Graph {
             continue;
         }
         let Some(called) = target(line.trim_end()) else { continue };
-        // A jump within a function is a loop, and an address a table, unless it is the function's own.
+        // A jump within a function is a loop, and an address is a table, unless it is the function's own.
         let own_address = line.contains("lea ") && !line.contains("+0x");
         if called != current || line.contains("call ") || own_address {
             graph.entry(current.clone()).or_default().insert(called.to_owned());
@@ -32,8 +32,7 @@ fn graph(disassembly: impl Iterator<Item = String>) -> Graph {
     graph
 }
 
-/// Only what may lie in a circle: functions that call nothing of the rest, or are called by nothing of it, are taken away until
-/// none is left.
+/// Keeps only functions that may lie in a cycle: removes those without callers or callees until none is left.
 fn without_ends(mut graph: Graph) -> Graph {
     loop {
         let called: HashSet<String> = graph.values().flatten().cloned().collect();
@@ -47,7 +46,7 @@ fn without_ends(mut graph: Graph) -> Graph {
     }
 }
 
-/// Those of the functions with `part` in their names that can be reached from themselves.
+/// Functions with `part` in their names that can reach themselves.
 fn in_circles(graph: Graph, part: &str) -> Vec<String> {
     let graph = without_ends(graph);
     let reaches_itself = |start: &String| {
@@ -105,7 +104,7 @@ fn call_graph_of_the_readers_has_no_circles() {
     let mut child = match objdump.stdout(Stdio::piped()).spawn() {
         Ok(child) => child,
         Err(error) => {
-            // It comes with the linker that has built this.
+            // It belongs to the linker that built this.
             eprintln!("skipped: objdump: {error}");
             return;
         }
@@ -115,10 +114,10 @@ fn call_graph_of_the_readers_has_no_circles() {
     assert!(child.wait().expect("it ends").success());
     let readers = graph.keys().filter(|name| name.contains("ashsplat_files")).count();
     assert!(readers > 300, "{readers} functions of the readers are in the program");
-    // What goes down three levels of folders, so that it is known to be seen.
+    // A function that recurses over three levels of folders proves that cycles are found.
     let all = in_circles(graph, "ashsplat");
     assert!(all.iter().any(|name| name.contains("remove_leftovers_named")), "{all:#?}");
-    // serde_json refuses texts of more than 128 levels before these are called as deep.
+    // serde_json refuses more than 128 levels before these recurse.
     let is_bounded = |name: &str| name.contains("TileJson") || name.contains("transforms..json..Pruned");
     let readers = all.iter().filter(|name| name.contains("ashsplat_files") && !is_bounded(name));
     let readers: Vec<_> = readers.collect();

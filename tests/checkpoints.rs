@@ -1,4 +1,4 @@
-//! A run that goes on from a checkpoint ends with the same bits as one that was never interrupted.
+//! A run that resumes from a checkpoint ends with the same bits as an uninterrupted one.
 
 use ashsplat::scene::WorldFrame;
 use ashsplat::trainer::{Actions, Checkpoint, OptimizerType, PoseState, Room, TrainView, Trainer};
@@ -35,7 +35,7 @@ pub fn settings() -> TrainSettings {
     }
 }
 
-/// Views of a few grey levels: what is learnt does not matter.
+/// Grey views: the result of the training does not matter.
 pub fn views(count: u32, gray: u8) -> Vec<TrainView> {
     (0..count)
         .map(|i| {
@@ -50,7 +50,7 @@ pub fn start() -> Gaussians {
     gaussians(&small_scene(&mut Random::new(31), 150, 9))
 }
 
-/// The end of a run that goes on from a checkpoint after some iterations.
+/// The end of a run that is resumed from a checkpoint after each of `stops`.
 pub fn end_of_run(start: &Gaussians, settings: &TrainSettings, iterations: u32, stops: &[u32]) -> Checkpoint {
     let gpu = Gpu::new();
     let mut trainer =
@@ -75,7 +75,7 @@ pub fn end_with(views: Vec<TrainView>, settings: &TrainSettings) -> Checkpoint {
     trainer.checkpoint().expect("the end")
 }
 
-/// Numbers that no training can have are refused when a file is read, whatever its hashes say.
+/// Values that no training can have are refused when a file is read, even with valid hashes.
 #[test]
 fn numbers_out_of_their_range_are_refused() {
     let whole = end_of_run(&start(), &settings(), 3, &[]);
@@ -108,14 +108,14 @@ fn numbers_out_of_their_range_are_refused() {
         let message = read(spoil).expect_err(words).to_string();
         assert!(message.contains(words) && message.contains("checkpoint.safetensors"), "{message}");
     }
-    // Work that the strategy does not have.
+    // Work that the strategy does not support.
     let unknown = read(&|c| c.due = Actions(1 << 9)).expect("read");
     let resumed = Trainer::resume(Gpu::new().context, views(3, 9), EXTENT, settings(), &unknown);
     let refused = resumed.expect("resumed").step().expect_err("refused").to_string();
     assert!(refused.contains("has work (0x200)"), "{refused}");
 }
 
-/// Whether a run with these views has the same bits each time, also if it is interrupted once. Returns its end.
+/// Checks that a run with these views is deterministic, also if interrupted at each stop. Returns its end.
 pub fn check_resumed_with(
     views: impl Fn() -> Vec<TrainView>,
     settings: &TrainSettings,
@@ -137,7 +137,8 @@ pub fn check_resumed_with(
     whole
 }
 
-/// With too little memory a run of 3000 Gaussians grows as far as it can, goes on, and still has the same bits each time.
+/// Checks that with insufficient memory a run of 3000 Gaussians grows as far as possible, continues, and is still
+/// deterministic.
 pub fn check_growth_in_bounded_memory(settings: &TrainSettings) {
     let many = gaussians(&small_scene(&mut Random::new(31), 3000, 9));
     let run = |max_memory: Option<u64>| {
@@ -165,7 +166,7 @@ pub fn check_growth_in_bounded_memory(settings: &TrainSettings) {
     assert!((3000..free.gaussians.len()).contains(&bounded.gaussians.len()));
 }
 
-/// Whether what training takes with an addition to its settings is known before, and counted.
+/// Checks that the memory for these additional settings is forecast and counted.
 pub fn check_memory_of(with: &TrainSettings, without: &TrainSettings) {
     let peak = |settings: &TrainSettings, max_memory: Option<u64>| -> ashsplat::Result<u64> {
         let context = bounded(max_memory);
@@ -185,7 +186,7 @@ fn steps(trainer: &mut Trainer, until: u32) -> Vec<f32> {
     (trainer.iteration()..until).map(|_| trainer.step().expect("a step").loss).collect()
 }
 
-/// With too little memory to grow as it would, a run that was interrupted still grows as one that was not.
+/// With too little memory for its growth, an interrupted run grows like an uninterrupted one.
 #[test]
 fn checkpoints_lose_no_bit_where_memory_is_bounded() {
     let settings = TrainSettings { densify_grad_threshold: 1e-7, iterations: 34, ..settings() };
@@ -210,7 +211,7 @@ fn checkpoints_lose_no_bit_where_memory_is_bounded() {
     };
     let (free, none, peak) = run(None, &[]);
     assert_eq!(none, 0);
-    // Room for the first densification and for a part of the second.
+    // Capacity for the first densification and for a part of the second.
     let some = Some(peak * 3 / 4);
     let (whole, limited, _) = run(some, &[]);
     assert!(limited > 0 && (3000..free.gaussians.len()).contains(&whole.gaussians.len()), "{limited}");
@@ -220,7 +221,7 @@ fn checkpoints_lose_no_bit_where_memory_is_bounded() {
     }
 }
 
-/// The last iteration of a run moves nothing, as in the reference; in a run that has become longer it does.
+/// The last iteration of a run moves nothing, as in the reference. In a run that is prolonged, it does.
 #[test]
 fn checkpoints_of_the_last_iteration_go_on_like_a_longer_run() {
     let gpu = Gpu::new();
@@ -229,7 +230,7 @@ fn checkpoints_of_the_last_iteration_go_on_like_a_longer_run() {
         Trainer::new(gpu.context, views(5, 40), &start(), EXTENT, longer.clone()).expect("a trainer");
     let losses = steps(&mut whole, 26);
     let end = whole.checkpoint().expect("the end");
-    // At an ordinary iteration, at one that densifies, and at one that resets opacities.
+    // A plain iteration, one that densifies, and one that resets opacities.
     for last in [12, 15, 20] {
         let short = TrainSettings { iterations: last, ..longer.clone() };
         let mut trainer =
@@ -258,7 +259,7 @@ fn checkpoints_say_what_else_made_them() {
     let path = folder.path().join("of_this.safetensors");
     checkpoint.write(&path).expect("written");
     assert_eq!(Checkpoint::read(&path).expect("read").kernels, kernels);
-    // Checkpoints of older versions do not say it.
+    // Checkpoints of older versions lack this field.
     checkpoint.kernels.clear();
     checkpoint.write(&path).expect("written");
     assert!(!String::from_utf8_lossy(&std::fs::read(&path).expect("a file")).contains("\"kernels\""));
@@ -271,7 +272,7 @@ fn checkpoints_say_what_else_made_them() {
     }
 }
 
-/// Every bit of a small file counts, those of the settings and counters too.
+/// Any flipped bit of a small file is detected, also in settings and counters.
 #[test]
 fn checkpoints_with_any_bit_flipped_are_refused() {
     let one = Gaussians {
@@ -322,13 +323,13 @@ fn checkpoints_with_any_bit_flipped_are_refused() {
     assert!(Checkpoint::read(&path).expect("sound") == checkpoint);
     let mut bytes = std::fs::read(&path).expect("read");
     let mut unnoticed = 0;
-    // Of each byte one, in turn, unless all are asked for.
+    // One bit of each byte in turn, unless all are requested.
     let all = std::env::var_os("ASHSPLAT_ALL_FAULTS").is_some();
     for bit in (0..bytes.len() * 8).filter(|bit| all || bit % 8 == bit / 8 % 8) {
         bytes[bit / 8] ^= 1 << (bit % 8);
         std::fs::write(&path, &bytes).expect("written");
         if let Ok(read) = Checkpoint::read(&path) {
-            // White space of the header, say.
+            // For example, white space in the header.
             assert!(read == checkpoint, "bit {bit} of {} changes what is read", bytes.len() * 8);
             unnoticed += 1;
         }
@@ -337,7 +338,7 @@ fn checkpoints_with_any_bit_flipped_are_refused() {
     assert!(unnoticed < 100, "{unnoticed} bits do not count");
 }
 
-/// From a trainer to disk and back to another trainer.
+/// Moves a trainer through a file to a new trainer.
 fn through_a_file(trainer: Trainer, gpu: &Gpu, settings: &TrainSettings) -> Trainer {
     let folder = tempdir().expect("a temporary folder");
     let path = folder.path().join("a.safetensors");
@@ -368,7 +369,7 @@ fn check_resumed(settings: &TrainSettings, stops: &[u32]) {
     }
 }
 
-/// Also right where a densification (15) or a reset (20) is due, and in the middle of an epoch.
+/// Also right where a densification (15) or a reset (20) is due, and within an epoch.
 #[test]
 fn checkpoints_lose_no_bit() {
     check_resumed(&settings(), &[0, 1, 15, 20, 27, 39]);
@@ -401,7 +402,7 @@ fn checkpoints_of_something_else_are_refused() {
     refuse(views(4, 40), EXTENT, &settings, &["5 training views, here are 4"]);
     refuse(views(5, 41), EXTENT, &settings, &["other photographs"]);
     refuse(views(5, 40), 6.0, &settings, &["extent of 5, here it is 6"]);
-    // More iterations than were planned are no other training.
+    // More iterations than planned are still the same training.
     let longer = TrainSettings { iterations: 50, ..settings };
     let resumed = Trainer::resume(gpu.context, views(5, 40), EXTENT, longer.clone(), &checkpoint);
     let mut resumed = resumed.expect("resumed");
@@ -446,7 +447,7 @@ fn damaged_checkpoints_are_refused() {
     refuse_file(&path, &text(b"\"statistics\"", b"\"statistiks\""), &["lacks the tensor 'statistics'"]);
     refuse_file(&path, &text(b"densify_from_iter", b"densify_from_itre"), &["damaged", "metadata"]);
     refuse_file(&path, b"ply\nformat ascii 1.0\n", &["truncated or no safetensors"]);
-    // A header that claims to be as long as memory.
+    // A header that claims to fill the memory.
     refuse_file(
         &path,
         &[&u64::MAX.to_le_bytes(), whole.as_slice()].concat(),

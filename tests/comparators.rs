@@ -1,11 +1,11 @@
-//! Every comparator accepts what is right and rejects what is wrong.
+//! Every comparator accepts correct values and rejects wrong ones.
 
 use crate::common::compare::{GradientTolerance, PixelTolerance, elementwise, equal, gradient, pixels};
 
 const PIXELS: PixelTolerance = PixelTolerance { max: 5e-5, mean: 1e-6, unstable: 2e-2 };
 const GRADIENT: GradientTolerance = GradientTolerance { relative_l2: 1e-4, max_over_max: 2e-4 };
 
-/// Values without a pattern, in (-1, 1), the same in every run.
+/// Values without a pattern, in (-1, 1), identical in every run.
 fn noise(count: usize) -> Vec<f64> {
     (0..count).map(|i| ((i as f64 * 12.9898).sin() * 43_758.545_3).fract()).collect()
 }
@@ -81,7 +81,7 @@ fn zero_gradient_must_be_zero() {
 
 #[test]
 fn gradient_bias_is_rejected() {
-    // Small enough per element for the other bounds were they looser, but all in one direction.
+    // Small enough per element for the other bounds, but all in one direction.
     let expected = noise(3000);
     let loose = GradientTolerance { relative_l2: 1e-4, max_over_max: 1.0 };
     let actual: Vec<f64> = expected.iter().map(|x| x + 2e-4 * x.signum()).collect();

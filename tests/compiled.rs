@@ -1,4 +1,4 @@
-//! `ashsplat profile --static`: what compilers say of the kernels, on a driver that compiles for GPUs that are not there.
+//! `ashsplat profile --static`: compiler statistics of the kernels, from a driver that compiles for absent GPUs.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -9,11 +9,10 @@ use tempfile::tempdir;
 use crate::cli::{Finished, assert_refused, finish, program, refuse, succeed, text};
 use crate::common::context;
 
-/// A GPU of RDNA2, GCN5 and RDNA3 each, by all names that versions of Mesa have for it: RDNA3's is another in Mesa 22 than in
-/// newer ones.
+/// One GPU each of RDNA2, GCN5 and RDNA3, with its names in all versions of Mesa: RDNA3's differs in Mesa 22.
 const FAMILIES: [&[&str]; 3] = [&["navi21"], &["vega10"], &["gfx1100", "navi31"]];
 
-/// Mesa's driver for AMD, where it is installed: it compiles without hardware.
+/// Mesa's driver for AMD, if installed: it compiles without hardware.
 fn radv() -> Option<PathBuf> {
     let manifest = Path::new("/usr/share/vulkan/icd.d/radeon_icd.x86_64.json");
     let found = manifest.exists().then(|| manifest.to_owned());
@@ -35,7 +34,7 @@ fn under(radv: &Path, family: &str, arguments: &[&str]) -> Finished {
     )
 }
 
-/// What the first of a family's names that the driver knows compiles to; None: it knows none of them.
+/// Compiles for the first of a family's names that the driver knows; None if it knows none.
 fn compiled(radv: &Path, names: &[&'static str], json: &Path) -> Option<(&'static str, Value)> {
     for &family in names {
         let run = under(radv, family, &["--json", text(json)]);
@@ -55,7 +54,7 @@ fn number(figures: &Value, name: &str) -> f64 {
     figures[name].as_f64().unwrap_or_else(|| panic!("{name}: {figures}"))
 }
 
-/// Kernel → fewest subgroups per SIMD, largest latency, of all its variants.
+/// Fewest subgroups per SIMD and largest latency of each kernel, over its variants.
 fn worst(compiled: &Value) -> BTreeMap<String, (f64, f64)> {
     let mut kernels: BTreeMap<String, (f64, f64)> = BTreeMap::new();
     for pipeline in compiled["pipelines"].as_array().expect("pipelines") {
@@ -68,7 +67,7 @@ fn worst(compiled: &Value) -> BTreeMap<String, (f64, f64)> {
     kernels
 }
 
-/// A line of the table: driver, family and kernel; fewest subgroups per SIMD, largest latency.
+/// A row of the table: driver, family and kernel; fewest subgroups per SIMD, largest latency.
 type Row = ((String, String, String), (f64, f64));
 
 fn row(line: &str) -> Row {
@@ -78,8 +77,8 @@ fn row(line: &str) -> Row {
     ((driver.to_owned(), family.to_owned(), kernel.to_owned()), (number(subgroups), number(latency)))
 }
 
-/// No kernel spills on AMD's compilers. Where the driver is the table's, both have the same kernels, and none has become worse
-/// than the table: not one subgroup less per SIMD, at most a tenth more estimated cycles.
+/// No kernel spills with AMD's compilers. If the driver is the table's, the kernels are the same, and none is worse:
+/// no subgroup less per SIMD, at most a tenth more estimated cycles.
 #[test]
 fn compiled_kernels_fit_into_registers() {
     let Some(radv) = radv() else { return };
@@ -128,13 +127,13 @@ fn compiled_kernels_fit_into_registers() {
             "{key:?}: {subgroups} subgroups, {latency} cycles; the table has {least}, {most}"
         );
     }
-    // A family that this driver does not know is not among its rows.
+    // A family that this driver does not know has no rows.
     let gone = table.keys().find(|key| of_driver(key) && !made.iter().any(|(ours, _)| ours == *key));
     assert!(gone.is_none(), "{gone:?} is in the table and was not compiled; run with ASHSPLAT_BLESS=1");
 }
 
-/// The heaviest kernels get another size of subgroups than the others where the driver has both: in the shader's constant, and in
-/// what is required of the pipeline.
+/// The heaviest kernels have another subgroup size if the driver supports both: in the shader's constant, and as the
+/// pipeline's required size.
 #[test]
 fn compiled_subgroups_have_the_size_that_is_asked_for() {
     const HEAVIEST: [&str; 3] =
@@ -183,10 +182,10 @@ fn compiled_files_stand_beside_each_other() {
             && std::fs::read_to_string(file.path()).expect("text").contains("s_endpgm")
     });
     assert!(assembly.is_some(), "no machine code of blend");
-    // Variants are shown where one kernel is asked for.
+    // If one kernel is requested, its variants are shown.
     let run = under(&radv, "navi21", &["--kernel", "forward/project"]);
     assert!(run.stdout.contains("SH_DEGREE=3 SH_LOOPS"), "{}", run.stdout);
-    // Only this one beside others, too, of which some have other pipelines.
+    // Only this kernel in a comparison, too, although others have different pipelines.
     let run = under(&radv, "vega10", &["--kernel", "forward/project", "--beside", text(&a)]);
     let rows =
         run.stdout.lines().filter(|line| line.starts_with("| forward/") || line.starts_with("| sort/"));
@@ -196,7 +195,7 @@ fn compiled_files_stand_beside_each_other() {
         "{}",
         run.stderr
     );
-    // What a frame does not have, and neither has.
+    // Kernels that a frame does not use, and kernels that neither uses.
     let run = under(&radv, "navi21", &["render", "--kernel", "optimizer"]);
     assert_refused(&run, &["--kernel optimizer", "'render' has no pipeline of it", "forward/blend, "]);
     let run = under(&radv, "navi21", &["--kernel", "lpips"]);
@@ -212,7 +211,7 @@ fn compiled_files_are_compared() {
     let [a, b] = ["a.json", "b.json"].map(|name| folder.path().join(name));
     let run = under(&radv, "navi21", &["render", "--json", text(&a)]);
     assert_eq!(run.code, Some(0), "{}", run.stderr);
-    // The file, changed, after itself.
+    // Compares the file with a changed copy.
     let compare = |limit: &[&str], change: &dyn Fn(&mut Value)| {
         let mut changed = read(&a);
         change(&mut changed);
@@ -231,7 +230,7 @@ fn compiled_files_are_compared() {
     assert_eq!(run.code, Some(1), "{}", run.stderr);
     assert!(run.stdout.contains(": latency ") && run.stderr.starts_with("worse than 1.05 times: "));
 
-    // Constants of other names: no variant of a kernel is the same, and the worst stand for it.
+    // Constants with other names: no variants match, so the worst ones are compared.
     let rename = |file: &mut Value, is_doubled: bool| {
         for pipeline in file["pipelines"].as_array_mut().expect("pipelines") {
             if pipeline["kernel"] == "forward/blend" {
@@ -253,7 +252,7 @@ fn compiled_files_are_compared() {
         run.stdout
     );
 
-    // A kernel that only one of them has.
+    // A kernel that only one file has.
     let without = |file: &mut Value| {
         let pipelines = file["pipelines"].as_array_mut().expect("pipelines");
         pipelines.retain(|pipeline| pipeline["kernel"] != "forward/blend");
@@ -269,7 +268,7 @@ fn compiled_files_are_compared() {
         run.stderr
     );
 
-    // What has nothing to compare.
+    // Files without anything to compare.
     let run = compare(&[], &|file| file["pipelines"] = Value::Array(Vec::new()));
     assert_refused(&run, &["b.json", "no kernel with figures in common"]);
     let run = compare(&[], &|file| file["what"] = "train-step".into());
@@ -287,11 +286,11 @@ fn compiled_only_where_the_driver_tells() {
     refuse(&["profile", "--json", "x.json"], &["--static"]);
 }
 
-/// tools/gpu_static with a runner and a program that pretend: what it says, what it says of errors, and its exit code.
+/// tools/gpu_static with a fake runner and program: its output, its errors and its exit code.
 #[cfg(unix)]
 fn pretended_static(folder: &Path, configs: &[&str]) -> Finished {
     use std::os::unix::fs::PermissionsExt;
-    // Under a driver that is absent nothing runs, as with a runner whose drivers were not installed.
+    // An absent driver runs nothing, like a runner without installed drivers.
     let runner =
         "[ \"$1\" != nvk:absent ] || { echo 'run: no such driver' >&2; exit 1; }\nFAMILY=$1 exec \"${@:2}\"";
     let program = r#"case $FAMILY in
@@ -335,7 +334,7 @@ fn compiled_tables_skip_only_what_no_compiler_knows() {
     }
     let broken = "error: intel:broken: exit code 1: error: kernel forward/blend: no registers left";
     assert!(run.stderr.lines().any(|said| said == broken), "{}", run.stderr);
-    // The devices after it are in the table.
+    // Later devices are still in the table.
     assert!(table().starts_with("table under radv:arcturus: ") && table().contains("radv-navi31.json"));
     assert!(!folder.path().join("made/intel-broken.json").exists());
     let run = pretended_static(folder.path(), &["radv:navi21", "radv:nonsense"]);

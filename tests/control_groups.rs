@@ -12,10 +12,10 @@ use libtest_mimic::Trial;
 
 use crate::absent;
 
-/// What the group may have, bytes.
+/// Memory limit of the group, bytes.
 const LIMIT: u64 = 512 << 20;
 
-/// One trial, where this process may make a group within its own.
+/// One trial, if this process may create a group within its own.
 pub fn trials() -> Vec<Trial> {
     let name = "control_groups_limit_what_is_read";
     vec![match Group::new() {
@@ -27,7 +27,7 @@ pub fn trials() -> Vec<Trial> {
     }]
 }
 
-/// A control group below this process's own; gone with the value.
+/// A control group below this process's own; removed by the drop.
 struct Group(PathBuf);
 
 impl Group {
@@ -49,7 +49,7 @@ impl Group {
         fs::create_dir(&folder)?;
         let group = Group(folder);
         fs::write(group.0.join(limit), LIMIT.to_string())?;
-        // Whether processes may move is known only when one does.
+        // Only an attempt shows whether processes may move.
         match group.command("true").output()?.status.success() {
             true => Ok(group),
             false => Err(io::ErrorKind::PermissionDenied.into()),
@@ -71,7 +71,7 @@ impl Drop for Group {
     }
 }
 
-/// Gaussians of 1.1 GB, in a file of holes: refused within the group, with its limit, and not ended by the system.
+/// Gaussians of 1.1 GB in a sparse file: refused with the group's limit, instead of being killed by the system.
 fn files_beyond_the_limit_are_refused(group: &Group) {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.ply");

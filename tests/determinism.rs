@@ -1,4 +1,4 @@
-//! The same inputs on the same device give the same bits, in training too.
+//! The same inputs on the same device give the same bits, also in training.
 
 use ashsplat::fingerprint::Fingerprint;
 use ashsplat::trainer::verify::{Verdict, verify_determinism};
@@ -13,7 +13,7 @@ use crate::common::gpu::Gpu;
 use crate::common::scenes::{Random, rotation_about_y, small_scene, small_view};
 use crate::reference::types::{Extent, View};
 
-/// Photographs of a scene of Gaussians from around it.
+/// Photographs around a scene of Gaussians.
 fn views() -> Vec<TrainView> {
     let scene = gaussians(&small_scene(&mut Random::new(11), 120, 4));
     let mut renderer = renderer();
@@ -29,7 +29,7 @@ fn views() -> Vec<TrainView> {
         .collect()
 }
 
-/// A short run with densification and an opacity reset; the losses and the Gaussians at the end.
+/// A short run with densification and an opacity reset. Returns the losses and the final Gaussians.
 fn train(gpu: &Gpu, seed: u32) -> (Vec<f32>, Gaussians) {
     let settings = TrainSettings {
         iterations: 70,
@@ -67,8 +67,8 @@ fn determinism_of_training() {
     assert!(first != other, "the seed has no effect");
 }
 
-/// Hashes of what [`train`] gives, by driver and instructions: other compilers round otherwise. The program before there were other
-/// strategies gave the same bytes in longer trainings (tools/strategies.md).
+/// Hashes of [`train`] by driver and instruction set, because compilers round differently. The program before other
+/// strategies existed gave the same bytes in longer trainings (tools/strategies.md).
 const REFERENCE: &[(&str, u64)] = &[
     ("llvmpipe (LLVM 15.0.6, 128 bits), llvmpipe Mesa 22.3.6 (LLVM 15.0.6), FMA", 0x87a9_127a_28f3_5ac3),
     ("llvmpipe (LLVM 15.0.6, 128 bits), llvmpipe Mesa 22.3.6 (LLVM 15.0.6), AVX-512", 0x87a9_127a_28f3_5ac3),
@@ -145,13 +145,13 @@ fn determinism_is_verified() {
     assert!(hashes.windows(2).all(|pair| pair[0].2 != pair[1].2), "{hashes:?}");
 }
 
-/// SH degree 1 is in use from the third iteration on.
+/// SH degree 1 is active from the third iteration on.
 fn graded_trainer(context: &Context) -> ashsplat::Result<Trainer> {
     let settings = TrainSettings { sh_degree_interval: 3, ..TrainSettings::default() };
     Trainer::new(context, checkpoints::views(3, 60), &checkpoints::start(), 5.0, settings)
 }
 
-/// Every second run on a device whose kernel of one name does something else.
+/// Every second run uses a device whose kernel of this name behaves differently.
 fn first_difference(kernel: &str, constant: &str) -> (u32, &'static str) {
     let spoilt = SpecOverride { kernel: kernel.into(), constant: constant.into(), bits: 0 };
     let mut runs = 0;
@@ -175,7 +175,7 @@ fn determinism_verification_names_the_first_kernel_that_differs() {
     assert_eq!(first_difference("optimizer/adam", "SH_DEGREE"), (3, "optimizer/adam"));
 }
 
-/// Without memory for the search, that two runs differ is said all the same.
+/// Without memory for the search, the verification still reports that two runs differ.
 #[test]
 fn determinism_verification_says_so_without_memory_for_more() {
     let mut contexts = 0;
@@ -187,7 +187,7 @@ fn determinism_verification_says_so_without_memory_for_more() {
             }
             _ => Vec::new(),
         };
-        // From the third on the runs are audited.
+        // Audited runs start with the third.
         let max_memory = (contexts > 2).then_some(1 << 20);
         Context::new(&ContextOptions { overrides, max_memory, ..crate::common::options() })
     };
@@ -199,7 +199,7 @@ fn determinism_verification_says_so_without_memory_for_more() {
     }
 }
 
-/// A submission whose commands write much is audited piece by piece.
+/// A submission with large outputs is audited piece by piece.
 #[test]
 fn determinism_audit_holds_a_few_outputs_at_a_time() {
     const MIB: u64 = 1 << 20;
@@ -225,7 +225,7 @@ fn determinism_audit_holds_a_few_outputs_at_a_time() {
     write().expect("run");
     let records = audit.take();
     assert_eq!(records.len(), 25);
-    // A copy has the hash of what was filled before it.
+    // A copy has the hash of the fill before it.
     for (at, pair) in records.windows(2).enumerate().step_by(2) {
         assert_eq!((pair[0].kernel, pair[1].kernel), ("fill", "copy"));
         assert_eq!((pair[1].hash, pair[0].command), (pair[0].hash, at as u32));
@@ -235,12 +235,12 @@ fn determinism_audit_holds_a_few_outputs_at_a_time() {
         context.memory().into_iter().find(|arena| arena.name == "audit").expect("snapshots").peak_bytes;
     assert!(held <= 80 * MIB, "{held} bytes at a time");
     drop(audit);
-    // Without the audit: some devices download by a command.
+    // Without the audit, because some devices download by a command.
     assert!(read() == wanted, "an audit changes results");
     crate::common::assert_silent(&context);
 }
 
-/// Pictures and gradients of a scene at every SH degree, by one form of the kernels.
+/// Pictures and gradients of a scene at every SH degree, with one form of the kernels.
 fn by_form(options: &ContextOptions) -> Vec<(Vec<[f32; 3]>, ashsplat::Gradients)> {
     let context = Context::new(options).expect("a device");
     let mut renderer = ashsplat::Renderer::new(&context).expect("kernels");
@@ -248,7 +248,7 @@ fn by_form(options: &ContextOptions) -> Vec<(Vec<[f32; 3]>, ashsplat::Gradients)
     for (sh, extent) in [(1, Extent::Exact), (4, Extent::Reference), (9, Extent::Exact), (16, Extent::Exact)]
     {
         let mut scene = gaussians(&small_scene(&mut Random::new(14), 1501, sh));
-        // Some that cover the picture, whose instances are added by a whole subgroup.
+        // Some cover the picture, so that a whole subgroup sums their instances.
         scene.log_scales[..5].fill([0.5; 3]);
         renderer.upload(&scene).expect("upload");
         let degree = sh.isqrt() as u32 - 1;
@@ -262,7 +262,7 @@ fn by_form(options: &ContextOptions) -> Vec<(Vec<[f32; 3]>, ashsplat::Gradients)
     results
 }
 
-/// Kernels that exist with and without texels (glsl/include/buffers.glsl): a device uses one of the forms, tests both.
+/// Kernels exist with and without texels (glsl/include/buffers.glsl): a device uses one form, tests use both.
 #[test]
 fn determinism_between_the_forms_of_kernels() {
     let plain = ContextOptions { push_descriptors: false, ..crate::common::options() };

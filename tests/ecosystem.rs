@@ -1,8 +1,8 @@
-//! Other people's programs beside ours: PlayCanvas' splat-transform and engine, CesiumJS and its 3D Tiles tools, Khronos' glTF
-//! validator; and our page in other people's browser.
+//! Comparisons with other programs: PlayCanvas' splat-transform and engine, CesiumJS and its 3D Tiles tools,
+//! Khronos' glTF validator, and a browser for our page.
 //!
 //! They come from npm: `ASHSPLAT_NPM=1` installs them below `target`, `ASHSPLAT_NPM=FOLDER` uses those of a
-//! `node_modules`; without it, the trials are skipped by name.
+//! `node_modules`. Without it, the trials are listed as skipped.
 
 // In a test, an unwrap is an assertion.
 #![allow(clippy::unwrap_used)]
@@ -24,7 +24,7 @@ use libtest_mimic::{Failed, Trial};
 use crate::absent;
 use crate::common::splats::{Tolerance, assert_close, in_order_of, scene, tolerance};
 
-/// What is installed.
+/// Packages to install.
 const PACKAGES: [&str; 5] = [
     "cesium@1.145.0",
     "@playcanvas/splat-transform@2.7.1",
@@ -32,12 +32,12 @@ const PACKAGES: [&str; 5] = [
     "gltf-validator@2.0.0-dev.3.10",
     "playwright-core@1.56.1",
 ];
-/// Installed apart: it needs its optional packages, which the others do without.
+/// Installed separately: it needs its optional packages, which the others do without.
 const TILES_TOOLS: &str = "3d-tiles-tools@0.5.4";
 
 const KEEP: ReadOptions = ReadOptions { drop_invalid: false, max_host_memory: None };
 
-/// A comparison: of the packages in a folder, and a format.
+/// A comparison with the packages in a folder, for a format.
 type Check = fn(&Path, Format);
 
 /// One trial per program and format.
@@ -63,7 +63,7 @@ pub fn trials() -> Vec<Trial> {
         cases.push((name.into(), run));
     }
     cases.push(("viewer_in_chromium_ply".into(), viewer::works_in_chromium));
-    // What others cannot do yet.
+    // Missing features of other programs.
     let missing = absent(
         "ecosystem_splat_transform_reads_our_glb",
         "splat-transform writes glTF and does not read it: neither 2.7.1 nor 3.7.0 has .glb among its inputs",
@@ -101,8 +101,8 @@ pub fn trials() -> Vec<Trial> {
         .collect()
 }
 
-/// A check of a picture that a page draws. Workers sort for the page, and on a busy machine they may be late by more frames than the
-/// page waited for: then the page is given more, once.
+/// Checks a picture that a page draws. The page's workers sort, and on a busy machine they may need more frames than
+/// the page waits for. A failed check is repeated once with more frames.
 fn once_more_with_patience(still_frames: u32, check: impl Fn(u32) -> Result<(), String>) {
     if let Err(first) = check(still_frames) {
         eprintln!("once more with patience: {first}");
@@ -110,7 +110,7 @@ fn once_more_with_patience(still_frames: u32, check: impl Fn(u32) -> Result<(), 
     }
 }
 
-/// Whether the browser that pages are drawn in is there.
+/// True if the browser for the pages is installed.
 fn has_chromium() -> bool {
     Command::new("chromium").arg("--version").output().is_ok()
 }
@@ -120,7 +120,7 @@ fn trained_scene() -> PathBuf {
     crate::common::shared_folder().join("data/trained/yushimatenjin_186k_sh3.inria.ply")
 }
 
-/// The folder with the packages.
+/// Folder with the packages.
 fn install(wanted: &str) -> Result<PathBuf, String> {
     if wanted != "1" {
         return Ok(PathBuf::from(wanted));
@@ -128,7 +128,7 @@ fn install(wanted: &str) -> Result<PathBuf, String> {
     installed("npm", &[&["--omit=optional"], &PACKAGES[..]].concat())
 }
 
-/// The folder with Cesium's 3D Tiles tools, by that of the other packages.
+/// Folder with Cesium's 3D Tiles tools, given that of the other packages.
 fn tiles_tools(modules: &Path) -> Result<PathBuf, String> {
     static INSTALLED: OnceLock<Result<PathBuf, String>> = OnceLock::new();
     if modules.join("3d-tiles-tools").is_dir() {
@@ -140,7 +140,7 @@ fn tiles_tools(modules: &Path) -> Result<PathBuf, String> {
     INSTALLED.get_or_init(|| installed("npm_tiles", &["--ignore-scripts", TILES_TOOLS])).clone()
 }
 
-/// The `node_modules` of a folder below `target`, with these packages in it.
+/// Installs these packages below `target`. Returns their `node_modules`.
 fn installed(name: &str, packages: &[&str]) -> Result<PathBuf, String> {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
     std::fs::create_dir_all(&folder).map_err(|e| e.to_string())?;
@@ -153,7 +153,7 @@ fn installed(name: &str, packages: &[&str]) -> Result<PathBuf, String> {
     Ok(folder.join("node_modules"))
 }
 
-/// Runs splat-transform; the arguments are a file, actions, and a file.
+/// Runs splat-transform. The arguments are an input file, actions, and an output file.
 fn splat_transform(modules: &Path, arguments: &[&str]) {
     let program = modules.join("@playcanvas/splat-transform/bin/cli.mjs");
     let output = Command::new("node").arg(program).args(["-q", "-w"]).args(arguments).output().expect("node");
@@ -168,13 +168,13 @@ fn text(path: &Path) -> &str {
     path.to_str().expect("temporary paths are UTF-8")
 }
 
-/// What another decoder may do otherwise: rounding, and for .splat what 128 of a quaternion's byte means.
+/// Tolerance for another decoder: rounding, and the meaning of 128 in a quaternion of .splat.
 fn small(format: Format) -> Tolerance {
     let rotation = if format == Format::Splat { 3e-4 } else { 1e-5 };
     Tolerance { mean: 1e-5, log_scale: 1e-5, opacity: 1e-5, rotation, color: 1e-4, sh: 1e-5 }
 }
 
-/// It reads what we write, and finds what we find.
+/// It reads our files with the same result as we do.
 fn they_read_ours(modules: &Path, format: Format) {
     let folder = tempfile::tempdir().unwrap();
     let (ours, theirs) =
@@ -189,7 +189,7 @@ fn they_read_ours(modules: &Path, format: Format) {
     assert_close(&sorted, &expected, &Tolerance { rotation: 2.0 * margin.rotation, ..margin });
 }
 
-/// We read what it writes, as near to the original as the format allows.
+/// We read its files, as close to the original as the format allows.
 fn we_read_theirs(modules: &Path, format: Format) {
     let folder = tempfile::tempdir().unwrap();
     let ours = folder.path().join("ours.ply");
@@ -213,7 +213,7 @@ fn we_read_theirs(modules: &Path, format: Format) {
     }
 }
 
-/// Rotation, with its spherical harmonics, scale and translation. Its axes are ours with x and y the other way round.
+/// Rotation (with spherical harmonics), scale and translation. Its x and y axes are reversed.
 fn we_move_alike(modules: &Path, _: Format) {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);
@@ -243,7 +243,7 @@ fn the_validator_accepts_ours(modules: &Path, format: Format) {
     validate(modules, &[path], false);
 }
 
-/// Checks that Khronos' validator finds nothing in these files but what it does not know. `packed`: whether SPZ is in them.
+/// Fails if Khronos' validator finds more than unknown extensions in these files. `packed`: they contain SPZ.
 fn validate(modules: &Path, files: &[PathBuf], packed: bool) {
     const SCRIPT: &str = "const v = require(process.argv[1] + '/gltf-validator'), fs = require('fs'), path = require('path');
         const check = (file) => { const read = (uri) => Promise.resolve(new Uint8Array(fs.readFileSync(path.join(path.dirname(file), decodeURIComponent(uri)))));
@@ -255,7 +255,7 @@ fn validate(modules: &Path, files: &[PathBuf], packed: bool) {
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let reports: Vec<serde_json::Value> = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!(reports.len(), files.len());
-    // It does not know the extensions: neither the names of attributes, nor what of SPZ lies in a view that nothing else names.
+    // The validator does not know the extensions: names of attributes, and SPZ data in an otherwise unused view.
     let unknown = |issue: &&serde_json::Value| {
         let place = issue["pointer"].as_str().unwrap_or_default();
         issue["code"] == "MESH_PRIMITIVE_INVALID_ATTRIBUTE"

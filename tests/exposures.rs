@@ -13,7 +13,7 @@ use crate::reference::types::View;
 
 pub const EXTENT: f32 = 5.0;
 const VIEWS: usize = 10;
-/// View, and the known gains of its channels. Their mean is 1, as that of all exposures stays.
+/// Views with known gains of their channels. Their mean is 1, as the mean of all exposures stays.
 const CHANGED: [(usize, [f32; 3]); 3] =
     [(1, [0.75, 0.75, 0.75]), (4, [0.95, 1.0, 1.05]), (8, [1.3, 1.25, 1.2])];
 
@@ -27,7 +27,7 @@ pub fn cameras() -> Vec<Camera> {
     (0..VIEWS).map(|i| camera(&turned(i))).collect()
 }
 
-/// What the photographs show, in colours that no gain makes white.
+/// Scene of the photographs, in colours that no gain clips.
 pub fn truth() -> Gaussians {
     let mut scene = small_scene(&mut Random::new(5), 260, 1);
     for gaussian in &mut scene {
@@ -37,8 +37,8 @@ pub fn truth() -> Gaussians {
     gaussians(&scene)
 }
 
-/// Every `share`-th Gaussian of the same scene, gray and faint. All of them can show the photographs, a third cannot: what a
-/// scene cannot show, exposures take on. With a third, those of unchanged photographs were 3.4 % off, whatever their rates.
+/// Every `share`-th Gaussian of the same scene, gray and faint. All of them can reproduce the photographs, a third
+/// cannot: exposures then compensate. With a third, those of unchanged photographs were off by 3.4 %, at any rate.
 pub fn gray(share: usize) -> Gaussians {
     let all = truth();
     let kept: Vec<usize> = (0..all.len()).filter(|i| i % share == 0).collect();
@@ -92,7 +92,7 @@ fn with_exposures_of_presets(settings: TrainSettings) -> TrainSettings {
     }
 }
 
-/// The mean PSNR over the views against the unchanged photographs, and the exposures.
+/// Returns the mean PSNR of the views against the unchanged photographs, and the exposures.
 fn train(
     gpu: &Gpu,
     start: &Gaussians,
@@ -113,8 +113,8 @@ fn train(
     (quality, trainer.exposures().expect("exposures"))
 }
 
-/// Three photographs under known gains: what is learnt of them are these gains (0.7 % off at most), and a scene of 34 dB is as good as
-/// that of unchanged photographs. With the reference's form, at slower rates, it is 1.1 % and 0.2 dB less. The exposures of the others
+/// Three photographs have known gains. Training recovers the gains (within 0.7 %), and the scene's 34 dB equal those
+/// with unchanged photographs. The reference's form with slower rates has 1.1 % and 0.2 dB less. The other exposures
 /// are the measure: the mean of all is the identity.
 #[test]
 fn exposures_are_recovered_and_the_scene_stays_as_it_is() {
@@ -134,7 +134,7 @@ fn exposures_are_recovered_and_the_scene_stays_as_it_is() {
     let restless = TrainSettings { exposure_sparsity: 0.0, ..with.clone() };
     let (_, moving) = train(&gpu, &few, [&taken, &shown], &restless);
     let (best, exposures) = train(&gpu, &gray(1), [&taken, &shown], &with);
-    // What the exposure makes of the photograph's mean colour.
+    // Exposed mean colour of the photograph.
     let mut worst: f32 = 0.0;
     for (view, gains) in CHANGED {
         let pixels = shown[view].to_f32();
@@ -149,7 +149,7 @@ fn exposures_are_recovered_and_the_scene_stays_as_it_is() {
         "unchanged {unchanged:.2} dB, ignored {ignored:.2}, learnt {learnt:.2}; gains off by {worst:.4} at {best:.2} dB"
     );
     assert!(worst < 0.007, "a gain is off by {worst}");
-    // How far the exposures of unchanged photographs are from none.
+    // Distance of the unchanged photographs' exposures from the identity.
     let [resting, moving] = [resting, moving].map(|exposures| {
         let unchanged = (0..VIEWS).filter(|view| CHANGED.iter().all(|(changed, _)| changed != view));
         let differences = unchanged.flat_map(|view| {
@@ -172,7 +172,7 @@ fn exposures_are_recovered_and_the_scene_stays_as_it_is() {
     }
 }
 
-/// With a weight on all else, little but a gain per channel is left.
+/// With a weight on all other terms, little but a gain per channel remains.
 #[test]
 fn exposures_are_pulled_to_gains() {
     let gpu = Gpu::new();
@@ -198,7 +198,7 @@ fn exposures_are_pulled_to_gains() {
     assert!(gains > 0.5 * free_gains, "{free_gains}, pulled {gains}");
 }
 
-/// Settings that exposures do not use may be others: presets have changed theirs.
+/// Settings of unused exposures may differ, because presets have changed theirs.
 #[test]
 fn exposures_that_are_not_learned_do_not_count_in_checkpoints() {
     let gpu = Gpu::new();
@@ -223,7 +223,7 @@ fn exposures_that_are_not_learned_do_not_count_in_checkpoints() {
 fn exposures_resume_to_the_bit() {
     let gpu = Gpu::new();
     for optimizer_type in [OptimizerType::Default, OptimizerType::SparseAdam] {
-        // The second of them as presets have it.
+        // The second form as in presets.
         let exposure_shared = optimizer_type == OptimizerType::SparseAdam;
         let exposure_reg = if exposure_shared { 0.1 } else { 0.0 };
         let settings = TrainSettings {
@@ -263,7 +263,7 @@ fn exposures_resume_to_the_bit() {
     }
 }
 
-/// What exposures take is known before training, and counted.
+/// The memory for exposures is forecast and counted.
 #[test]
 fn exposures_are_within_the_memory() {
     let without = TrainSettings { iterations: 3, ..small_settings() };

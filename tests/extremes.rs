@@ -1,4 +1,4 @@
-//! Parameters that no training should make: nothing hangs, nothing is written out of bounds, no NaN spreads.
+//! Parameters that no training should produce: no hang, no write out of bounds, no spreading NaN.
 
 use std::sync::OnceLock;
 
@@ -28,7 +28,7 @@ const EXTREMES: [f32; 12] = [
     -100.0,
 ];
 
-/// A device of its own with bands around every buffer.
+/// A separate device with guard bands around every buffer.
 fn guarded() -> &'static Context {
     static CONTEXT: OnceLock<Context> = OnceLock::new();
     // Called each time: `options` makes the calling test the only one with such a device.
@@ -36,12 +36,13 @@ fn guarded() -> &'static Context {
     CONTEXT.get_or_init(|| Context::new(&options).expect("a device with guards"))
 }
 
-/// The first of [`start`] as they are, the rest with some parameters replaced; some at one place.
+/// The first `sound` Gaussians of [`start`] unchanged, the others with some extreme parameters; some at one
+/// position.
 fn spoilt(seed: u64, sound: usize) -> Gaussians {
     let mut scene = start();
     let mut random = Random::new(seed);
     for i in sound..scene.len() {
-        // How much of it: one parameter, or all.
+        // Either one parameter or all of them.
         let often = [60, 3, 1][random.below(3) as usize];
         let mut spoil = |value: &mut f32| {
             if random.below(often) == 0 {
@@ -68,7 +69,7 @@ fn is_finite(scene: &Gaussians, i: usize) -> bool {
     geometry.chain([&scene.opacity_logits[i]]).chain(sh).all(|x| x.is_finite())
 }
 
-/// Spoilt Gaussians are rendered, trained and, above a gradient, densified; what the densification did.
+/// Renders, trains and (above a gradient) densifies spoilt Gaussians. Returns the densification's counts.
 fn check(seed: u64, sound: usize, gradient: f64) -> Densified {
     let context = guarded();
     let scene = spoilt(seed, sound);
@@ -100,7 +101,7 @@ fn check(seed: u64, sound: usize, gradient: f64) -> Densified {
     for i in 0..after.len() {
         assert!(!is_finite(&scene, i) || is_finite(&after, i), "seed {seed}: Gaussian {i} was sound");
     }
-    // Densification, too: what is not finite has spoilt ancestors, each of which has two descendants at most.
+    // Also in densification: a Gaussian that is not finite has a spoilt ancestor, each with at most two descendants.
     let unsound = |scene: &Gaussians| (0..scene.len()).filter(|&i| !is_finite(scene, i)).count();
     let reports: Vec<_> = (0..3).map(|_| trainer.step().expect("a step")).collect();
     assert_eq!(context.breached_guards().expect("read"), Vec::<&str>::new(), "seed {seed}");
@@ -122,7 +123,7 @@ proptest! {
     }
 }
 
-/// A few spoilt ones among many, all of which are cloned or split.
+/// A few spoilt Gaussians among many, all of which are cloned or split.
 #[test]
 fn extremes_do_not_spread_by_densification() {
     for seed in 0..3 {
@@ -131,13 +132,13 @@ fn extremes_do_not_spread_by_densification() {
     }
 }
 
-/// More (tile, Gaussian) instances than 32 bits count, whose prefix sums wrap around, are refused by name. Where a device does not
-/// check bounds itself, the guards see what would be written outside.
+/// More (tile, Gaussian) instances than 32 bits count: their prefix sums wrap around, and an error names the
+/// problem. If a device does not check bounds, the guards detect writes outside.
 #[test]
 fn extremes_of_more_instances_than_32_bits_are_refused() {
     let context = guarded();
-    // 128 x 128 tiles, each met by every other Gaussian, few by those between. The sums begin anew at 524,288, shortly before
-    // 524,400, where a search that goes by quarters, eighths and so on meets small ones again.
+    // Every other Gaussian meets all of 128 x 128 tiles, those in between few. The sums wrap around at 524,288,
+    // shortly before 524,400, where a search by quarters and eighths meets small sums again.
     let count = 699_200;
     let is_large = |i: usize| !i.is_multiple_of(2);
     let scene = Gaussians {
@@ -157,10 +158,10 @@ fn extremes_of_more_instances_than_32_bits_are_refused() {
     assert_silent(context);
 }
 
-/// What a number replaces of a Gaussian.
+/// Replaces a parameter of a Gaussian by a value.
 type Replace = fn(&mut Gaussians, usize, f32);
 
-/// One parameter of a Gaussian, by its name.
+/// Replacements by the parameter's name.
 const PARAMETERS: [(&str, Replace); 6] = [
     ("mean", |scene, i, value| scene.means[i][i % 3] = value),
     ("quaternion", |scene, i, value| scene.quats[i][i % 4] = value),
@@ -176,13 +177,13 @@ const PARAMETERS: [(&str, Replace); 6] = [
     }),
 ];
 
-/// Huge but finite numbers in a file of any format: it is refused with one line that names it, or its picture is finite.
+/// Huge finite values in a file of any format: one error names them, or the picture is finite.
 #[test]
 fn extremes_in_files_are_refused_or_give_finite_pictures() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut renderer = Renderer::new(guarded()).expect("a renderer");
     let sound = start();
-    // A log-scale of 69 is a scale of 1e30 where the format has no logarithms.
+    // A log-scale of 69 is a scale of 1e30 in formats without logarithms.
     let huge = [1e30, -1e30, f32::MAX, f32::MIN, 1e17, 69.0];
     let (mut refused, mut brightest) = (Vec::new(), 0.0_f32);
     for (format, (name, replace)) in Format::ALL.iter().flat_map(|f| PARAMETERS.map(|p| (f, p))) {
@@ -223,12 +224,12 @@ fn extremes_in_files_are_refused_or_give_finite_pictures() {
         assert_eq!(refuses((Format::Ply, name, 1e30)), name == "log-scale");
     }
     assert!(refuses((Format::Ply, "quaternion", 1e30)) && !refuses((Format::Ply, "log-scale", 69.0)));
-    // What is not refused is not left out either.
+    // Accepted Gaussians are drawn.
     assert!(brightest > 1e25, "{brightest:e}");
     assert_eq!(guarded().breached_guards().expect("read"), Vec::<&str>::new());
 }
 
-/// What a format's bytes cannot hold becomes their largest, not the other end.
+/// Values beyond a format's range become its largest value, and do not wrap around.
 #[test]
 fn extremes_of_harmonics_are_packed_to_the_nearest() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -246,7 +247,7 @@ fn extremes_of_harmonics_are_packed_to_the_nearest() {
     }
 }
 
-/// The bands would show a write outside: here one of the host's.
+/// Proves that the guards detect a write outside: here one by the host.
 #[test]
 fn extremes_would_be_seen_by_the_guards() {
     use ashsplat::vk::MemoryKind;
@@ -261,8 +262,8 @@ fn extremes_would_be_seen_by_the_guards() {
     assert_eq!(context.breached_guards().expect("read"), ["second"]);
 }
 
-/// A kernel that writes one element too many is seen as well: the bands behind a buffer are bound with it, for a driver
-/// drops what lies outside of what is bound.
+/// Proves that the guards detect a kernel that writes one element too many. The bands are bound with the buffer,
+/// because a driver drops writes outside the binding.
 #[test]
 fn extremes_would_be_seen_when_a_kernel_writes_too_much() {
     use ashsplat::kernels::constants::CRITERION_GRADIENT;

@@ -1,5 +1,5 @@
-//! Every Vulkan call that may fail does so once in its turn: a typed error each time, no panic, nothing leaked, and what
-//! met with it works again or says that it does not.
+//! Every Vulkan call that may fail is made to fail once. The result is a typed error, no panic, no leak. Affected
+//! objects work again or report that they do not.
 
 mod panics;
 mod pipelines;
@@ -16,15 +16,15 @@ use crate::common::engine::{camera, gaussians};
 use crate::common::options;
 use crate::common::scenes::{Random, small_scene, small_view};
 
-/// Of the calls of a long list, each so many-th fails; `ASHSPLAT_ALL_FAULTS=1` lets each of them.
+/// One in this many calls of a long list fails; `ASHSPLAT_ALL_FAULTS=1` makes each of them fail.
 const STRIDE: u64 = 29;
 
 fn stride(usual: u64) -> usize {
     if std::env::var_os("ASHSPLAT_ALL_FAULTS").is_some() { 1 } else { usual as usize }
 }
 
-/// A device whose calls can be made to fail. Transfers are staged, so that there are more of them. The timeout is one that
-/// a busy machine does not reach.
+/// A device whose calls can be made to fail. Transfers are staged, to have more of them. A busy machine does not
+/// reach the timeout.
 fn device() -> (Context, Faults) {
     device_with(options())
 }
@@ -36,9 +36,9 @@ fn device_with(options: ContextOptions) -> (Context, Faults) {
     (Context::new(&own).expect("a device"), faults)
 }
 
-/// Nothing is allocated any more, and the validation layer has nothing to say, of leaks neither.
+/// Fails unless all memory is freed and the validation layer reports nothing, leaks included.
 fn close(context: Context) {
-    // A submission that timed out is waited for by a thread.
+    // A thread waits for a submission that timed out.
     context.free_staging();
     for _ in 0..500 {
         if context.memory().iter().all(|arena| arena.bytes == 0) {
@@ -59,10 +59,10 @@ fn assert_nothing_allocated(context: &Context, after: &str) {
     }
 }
 
-/// What a run made, and whether a densification found too little room, which changes it.
+/// Result of a run, and true if a densification was limited by memory, which changes it.
 type Made<T> = (T, bool);
 
-/// A picture, by way of a frame that has to grow.
+/// A picture, with a frame that must grow.
 fn render(context: &Context) -> Result<Made<Vec<[f32; 3]>>> {
     let mut renderer = Renderer::new(context)?;
     renderer.upload(&start())?;
@@ -117,7 +117,7 @@ fn is_of(fault: Fault, error: &Error) -> bool {
     }
 }
 
-/// What came of the calls of a run, one failing after the other.
+/// Outcomes of a run's calls, each made to fail in turn.
 #[derive(Debug, Default)]
 struct Matrix {
     calls: u64,
@@ -134,7 +134,7 @@ impl Matrix {
     }
 }
 
-/// Which calls of a kind are to fail: of every function the first and the last one, and each so many-th.
+/// Calls of a kind to fail: the first and the last one of every function, and one in `stride`.
 fn chosen(fault: Fault, faults: &Faults, stride: usize) -> Vec<u64> {
     let mut chosen: Vec<u64> = (0..faults.calls(fault)).step_by(stride).collect();
     if fault == Fault::Object {
@@ -151,8 +151,8 @@ fn chosen(fault: Fault, faults: &Faults, stride: usize) -> Vec<u64> {
     chosen
 }
 
-/// Each failing call on the same device: what failed is dropped, and the next run works as if nothing had been. The answer is
-/// the functions that were called.
+/// Makes each call fail on the same device: failed objects are dropped, and the next run works as usual. Returns the
+/// functions called.
 fn check_again_and_again<T: PartialEq>(
     name: &str,
     fault: Fault,
@@ -207,7 +207,7 @@ fn faults_of_other_objects() {
     check_again_and_again("train", Fault::Object, stride(3 * STRIDE), train);
 }
 
-/// Descriptor sets are allocated while recording where there are no push descriptors.
+/// Without push descriptors, recording allocates descriptor sets.
 #[test]
 fn faults_of_descriptor_sets() {
     let device = || device_with(ContextOptions { push_descriptors: false, ..options() });
@@ -218,7 +218,7 @@ fn faults_of_descriptor_sets() {
     close(context);
     for function in ["create_descriptor_pool", "allocate_descriptor_sets"] {
         let index = functions.iter().position(|name| *name == function).expect(function);
-        // Pools are kept: only a device's first run makes them.
+        // Pools are kept: only a device's first run creates them.
         let (context, faults) = device();
         faults.arm(Fault::Object, index as u64);
         let error = render(&context).expect_err(function);
@@ -229,7 +229,7 @@ fn faults_of_descriptor_sets() {
     }
 }
 
-/// A lost device stays lost: everything that is left says so, and all of it can be dropped.
+/// A lost device stays lost: all remaining objects report it, and can be dropped.
 fn check_lost<T>(name: &str, fault: Fault, stride: usize, run: fn(&Context) -> Result<T>) {
     let (context, faults) = device();
     run(&context).map(drop).expect("no fault yet");
@@ -257,19 +257,19 @@ fn faults_of_lost_devices() {
     check_lost("train", Fault::WaitLost, stride(9), train);
 }
 
-/// What is tried again until it succeeds; the number of failures.
+/// Repeats an attempt until it succeeds. Returns the number of failures.
 fn insist<T>(mut attempt: impl FnMut() -> Result<T>) -> (T, u32) {
     for failures in 0..1000 {
         if let Ok(result) = attempt() {
             return (result, failures);
         }
-        // The thread that waits for what timed out may need a moment.
+        // The thread that waits for the timed-out submission may need a moment.
         std::thread::sleep(Duration::from_millis(10));
     }
     panic!("does not work again")
 }
 
-/// The renderer and the trainer that met with the failure go on, with the same bits as without it.
+/// The renderer and the trainer that got the failure continue, with the same bits as without it.
 #[test]
 fn faults_leave_renderer_and_trainer_usable() {
     let (context, faults) = device();
@@ -320,7 +320,7 @@ fn faults_leave_renderer_and_trainer_usable() {
     close(context);
 }
 
-/// A step that timed out may or may not have moved the Gaussians: the trainer says so, and the device goes on.
+/// A step that timed out may have moved the Gaussians: the trainer reports it, and the device continues.
 #[test]
 fn faults_of_timeouts_in_training() {
     check_waits(Fault::Timeout, stride(9));
@@ -352,7 +352,7 @@ fn check_waits(fault: Fault, stride: usize) {
                             assert_eq!(refused, error);
                         }
                     }
-                    // The waits that are left are those of reading the result, which changes nothing.
+                    // The remaining waits belong to reading the result, which changes nothing.
                     None => {
                         let error = trainer.gaussians().expect_err("what else waits");
                         assert!(is_of(fault, &error), "{error}");
@@ -369,7 +369,8 @@ fn check_waits(fault: Fault, stride: usize) {
     close(context);
 }
 
-/// As many Gaussians as outgrow their planes (those of 2800 have room for 4200) when they densify after the second iteration.
+/// Enough Gaussians to outgrow their planes (2800 have a capacity of 4200) in the densification after the second
+/// iteration.
 fn about_to_grow(context: &Context) -> Trainer {
     let mut many = gaussians(&small_scene(&mut Random::new(42), 2800, 16));
     many.log_scales.iter_mut().flatten().for_each(|s| *s -= 2.5);
@@ -379,8 +380,8 @@ fn about_to_grow(context: &Context) -> Trainer {
     trainer
 }
 
-/// Growing fails in each of its calls, that one alone and together with all that follow it: either it does so with the
-/// same bits, or it adds only what fits into the planes at hand, or the step is refused and comes to pass later.
+/// Growing fails in each of its calls, alone and with all that follow. The trainer then grows with the same bits,
+/// adds only the Gaussians that fit, or refuses the step and makes it later.
 #[test]
 fn faults_of_growth() {
     let (context, faults) = device();
@@ -407,7 +408,7 @@ fn faults_of_growth() {
                 Err(error) => {
                     assert!(is_of(fault, &error), "{fault:?} {index}: {error}");
                     refused += 1;
-                    // What was densified before the failure is, and is not done twice.
+                    // A densification before the failure is not repeated.
                     trainer.step().expect("tried again").densified
                 }
             };

@@ -1,4 +1,4 @@
-//! What training offers where there are few photographs: Gaussians left out at random, and the depths of sparse points.
+//! Features for few photographs: dropout of Gaussians, and the depths of sparse points.
 
 use ashsplat::loss::DepthPoint;
 use ashsplat::trainer::{StrategyType, Trainer};
@@ -41,7 +41,7 @@ fn few_photos_resume_to_the_bit() {
     let gpu = Gpu::new();
     for settings in [settings(), TrainSettings { strategy: StrategyType::Mcmc, ..settings() }] {
         check_resumed_with(few, &settings, &[1, 15, 27]);
-        // Other points are other views.
+        // Views with other points are different views.
         let mut other = few();
         other[0].depth_points = other[2].depth_points.clone();
         let checkpoint = trainer(&gpu, &settings).checkpoint().expect("a checkpoint");
@@ -50,7 +50,7 @@ fn few_photos_resume_to_the_bit() {
     }
 }
 
-/// The same three views with maps in place of points; the second has none.
+/// The same three views with maps instead of points; the second has none.
 fn mapped() -> Vec<TrainView> {
     let map =
         |view: u32| (0..40 * 30).map(|k| 0.2 + 0.001 * ((k * (view + 3)) % 97) as f32).collect::<Vec<f32>>();
@@ -67,7 +67,7 @@ fn inverse_depth_maps_resume_to_the_bit_and_are_within_the_memory() {
     let settings = TrainSettings { depth_points: 0.0, ..settings() };
     let end = check_resumed_with(mapped, &settings, &[1, 15, 27]);
     assert!(end_with(views(3, 40), &settings).gaussians != end.gaussians, "without effect");
-    // Other maps are other views.
+    // Views with other maps are different views.
     let mut other = mapped();
     other[0].inverse_depth = other[2].inverse_depth.clone();
     let trainer = Trainer::new(gpu.context, mapped(), &start(), EXTENT, settings.clone());
@@ -85,7 +85,7 @@ fn inverse_depth_maps_resume_to_the_bit_and_are_within_the_memory() {
     assert!(peak(mapped(), Some(with)).expect("trained") <= with);
 }
 
-/// Each changes what is learnt; without them points are not looked at.
+/// Each setting changes the result; without them, points are ignored.
 #[test]
 fn few_photos_settings_have_an_effect_each() {
     let gpu = Gpu::new();
@@ -99,7 +99,7 @@ fn few_photos_settings_have_an_effect_each() {
     let deep = end_with(few(), &TrainSettings { depth_points: 0.2, ..off });
     assert!(dropped.gaussians != plain.gaussians && deep.gaussians != plain.gaussians);
     assert!(dropped.gaussians != deep.gaussians);
-    // Another seed leaves out others, even where nothing else is random.
+    // Another seed drops other Gaussians, even if nothing else is random.
     let other = |seed: u32| {
         let fixed = TrainSettings { strategy: StrategyType::Fixed, random_background: false, ..settings() };
         let one = || few().into_iter().take(1).collect();
@@ -111,7 +111,7 @@ fn few_photos_settings_have_an_effect_each() {
     assert!(other(1) != other(2));
 }
 
-/// Those that are left out count as not seen, and the reports tell the term of the loss.
+/// Dropped Gaussians count as not visible, and reports include the loss term.
 #[test]
 fn few_photos_leave_gaussians_out_of_steps_and_not_of_pictures() {
     let gpu = Gpu::new();
@@ -120,7 +120,7 @@ fn few_photos_leave_gaussians_out_of_steps_and_not_of_pictures() {
     let reports: Vec<_> = (0..ITERATIONS).map(|_| trainer.step().expect("a step")).collect();
     let seen =
         |range: std::ops::Range<usize>| reports[range].iter().map(|report| report.visible).sum::<u32>();
-    // Nine of ten are left out in the end.
+    // Nine of ten are dropped at the end.
     assert!(5 * seen(36..39) < seen(0..3), "{} {}", seen(36..39), seen(0..3));
     let terms: Vec<&str> = reports[0].terms.iter().map(|(name, _)| *name).collect();
     assert_eq!(terms, ["photometric", "sparse_depth"]);
@@ -133,7 +133,7 @@ fn few_photos_leave_gaussians_out_of_steps_and_not_of_pictures() {
     assert!(picture.stats.visible > 2 * reports[38].visible);
 }
 
-/// The depths at the points come nearer to what is known of them.
+/// The depths at the points approach their known values.
 #[test]
 fn few_photos_points_move_the_scene_to_their_depths() {
     let gpu = Gpu::new();

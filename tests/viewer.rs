@@ -1,4 +1,4 @@
-//! `ashsplat view` and `train --view`, spoken to as a page does it, but without a browser.
+//! `ashsplat view` and `train --view`, with a client that acts like the page, without a browser.
 
 mod cuts;
 mod films;

@@ -1,4 +1,4 @@
-//! Links of the documents lead somewhere.
+//! Links of the documents have existing targets.
 
 use std::path::{Path, PathBuf};
 
@@ -11,7 +11,7 @@ fn documents() -> Vec<PathBuf> {
     found
 }
 
-/// What stands behind `](` and `]: ` outside of code: the target, and the title if there is one.
+/// Targets of links outside of code, after `](` and `]: `, with the title if any.
 fn links(text: &str) -> Vec<(&str, Option<&str>)> {
     let mut is_code = false;
     let mut found = Vec::new();
@@ -32,8 +32,8 @@ fn links(text: &str) -> Vec<(&str, Option<&str>)> {
     found
 }
 
-/// The anchors of a document's headings, as GitHub names them: lower case, without punctuation, a hyphen for each space, a number
-/// behind all but the first of a name.
+/// Anchors of a document's headings, as GitHub generates them: lower case, no punctuation, a hyphen for each space,
+/// and a number for repeated names.
 fn anchors(text: &str) -> Vec<String> {
     let mut is_code = false;
     let mut found: Vec<String> = Vec::new();
@@ -43,7 +43,7 @@ fn anchors(text: &str) -> Vec<String> {
         if is_code || heading.len() == line.len() || !heading.starts_with(' ') {
             continue;
         }
-        // Of a link its text remains.
+        // Of a link, only its text counts.
         let mut shown = String::new();
         let mut rest = heading.trim();
         while let Some((before, target)) = rest.split_once("](") {
@@ -87,7 +87,7 @@ fn architecture_links_of_documents_lead_somewhere() {
                 assert!(is_there, "{}: no heading of {target}", document.display());
                 headings += 1;
             }
-            // A link to a source names its item, which rustdoc shows.
+            // A link to a source names an item, which rustdoc shows.
             if let Some(name) = item.and_then(|item| item.rsplit("::").next()) {
                 let source = std::fs::read_to_string(&file).unwrap_or_default();
                 let is_module = file.file_stem().is_some_and(|stem| stem == name);

@@ -1,4 +1,5 @@
-//! What files and pages say must not decide how deep the stack or how long a queue grows, nor how long a reader waits.
+//! File and page contents must not determine the depth of the stack, the length of a queue, or how long a reader
+//! waits.
 
 use super::{Source, assert_none, code_lines, has_word, sources};
 
@@ -11,7 +12,8 @@ struct Function<'a> {
 }
 
 impl Function<'_> {
-    /// Whether its text calls another one of its file: by its name, or for a method by `self.` or `Self::` and its name.
+    /// True if the body calls another function of the file: by name, or for a method by `self.` or `Self::` and its
+    /// name.
     fn calls(&self, other: &Function) -> bool {
         let call = format!("{}(", other.name);
         let calls = |line: &&str| {
@@ -30,7 +32,7 @@ fn functions(source: &Source) -> Vec<Function<'_>> {
         let end = format!("{indent}}}");
         let rest = lines[start + 1..].iter().map(|(_, line)| *line);
         let body: Vec<_> = rest.take_while(|line| !line.starts_with(&end)).collect();
-        // Parameters may stand on lines of their own.
+        // Parameters may be on separate lines.
         let until_body = std::iter::once(line).chain(body.iter().copied());
         let head = until_body.scan(false, |over, line| {
             let is_head = !*over;
@@ -43,8 +45,8 @@ fn functions(source: &Source) -> Vec<Function<'_>> {
     found
 }
 
-/// Functions that call themselves, directly or through others of their file, by a plain name, `self.` or `Self::`. Circles through
-/// several files or through other values are not seen.
+/// Functions that call themselves, directly or through others of their file, by a plain name, `self.` or `Self::`.
+/// Cycles through several files or other values are not found.
 fn recursions(source: &Source) -> Vec<String> {
     let functions = functions(source);
     let called = |from: &Function| -> Vec<usize> {
@@ -64,7 +66,7 @@ fn recursions(source: &Source) -> Vec<String> {
     (0..functions.len()).filter(|&of| recurs(of)).map(place).collect()
 }
 
-/// The name of the function that begins in a line.
+/// Name of the function that begins in a line.
 fn function_name(line: &str) -> Option<&str> {
     let at = line.match_indices("fn ").map(|(at, _)| at).find(|&at| at == 0 || line[..at].ends_with(' '))?;
     let rest = &line[at + 3..];
@@ -72,7 +74,7 @@ fn function_name(line: &str) -> Option<&str> {
     (end > 0 && !line.trim_end().ends_with(';')).then(|| &rest[..end])
 }
 
-/// Whether a call with this text before it is one to a function of the same file.
+/// True if a call after this text is a call of a function in the same file.
 fn is_call_within_the_file(before: &str, is_method: bool) -> bool {
     let own = ["self.", "Self::"].into_iter().any(|prefix| {
         before
@@ -90,7 +92,7 @@ fn architecture_readers_do_not_recurse() {
     assert_eq!(example("fn walk(n: u32) {\n    if n > 0 {\n        walk(n - 1);\n    }\n}\n"), 1);
     assert_eq!(example("    fn walk(&self, n: u32) {\n        self.walk(n - 1);\n    }\n"), 1);
     assert_eq!(example("    fn walk(\n        n: u32,\n    ) {\n        Self::walk(n - 1);\n    }\n"), 1);
-    // Others of the same name.
+    // Functions of other types with the same name.
     assert_eq!(
         example("    fn walk(&self) {\n        walk(self.0);\n        self.inner.walk();\n    }\n"),
         0
@@ -99,7 +101,7 @@ fn architecture_readers_do_not_recurse() {
         example("fn walk() {\n    sleepwalk();\n    legs::walk();\n}\nfn run() {\n    walk();\n}\n"),
         0
     );
-    // In a circle, two of them.
+    // Two functions in a cycle.
     assert_eq!(
         example("fn walk() {\n    run();\n}\nfn run() {\n    walk();\n}\nfn sit() {\n    run();\n}\n"),
         2
@@ -130,7 +132,7 @@ fn architecture_channels_are_bounded() {
     );
 }
 
-/// Ways to open a file that neither ask what it is nor how long.
+/// Ways to open a file without checking its kind and length.
 const UNCHECKED: [&str; 7] = [
     "File::open",
     "fs::read",
@@ -141,7 +143,7 @@ const UNCHECKED: [&str; 7] = [
     ".read(true)",
 ];
 
-/// Where they are used nevertheless.
+/// Files that use them, with the reason.
 const MAY_OPEN: [(&str, &str); 6] = [
     ("engine/files/regular_file.rs", "asks both"),
     ("engine/files/atomic.rs", "opens a folder, to synchronise it"),

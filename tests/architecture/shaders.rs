@@ -2,7 +2,7 @@
 
 use super::{Source, assert_none, code_lines, has_word, root, sources};
 
-/// Subgroup sizes are never literal: only `SUBGROUP_SIZE` and `gl_SubgroupSize` stand for them.
+/// Subgroup sizes are never literal, but `SUBGROUP_SIZE` or `gl_SubgroupSize`.
 fn literal_subgroup_sizes(source: &Source) -> Vec<String> {
     let builtins = ["gl_SubgroupInvocationID", "gl_SubgroupSize", "gl_SubgroupID", "gl_NumSubgroups"];
     let literals = ["4", "8", "16", "31", "32", "63", "64", "127", "128"];
@@ -34,12 +34,12 @@ fn architecture_no_literal_subgroup_sizes() {
     assert_none("literal subgroup sizes", shaders.iter().flat_map(literal_subgroup_sizes).collect());
 }
 
-/// Functions that hold a barrier, by the includes; a shader's own `barrier()` counts as well.
+/// True if a line has a barrier: a call of such an include function, or of the shader's own `barrier()`.
 fn has_barrier(line: &str, barrier_functions: &[String]) -> bool {
     has_word(line, "barrier") || barrier_functions.iter().any(|function| has_word(line, function))
 }
 
-/// `return` in `main` with a barrier behind it: undefined where not all invocations return.
+/// `return` in `main` before a barrier: undefined unless all invocations return.
 fn return_before_barrier(source: &Source, barrier_functions: &[String]) -> Vec<String> {
     let lines: Vec<(usize, &str)> = code_lines(&source.text).collect();
     let Some(main) = lines.iter().position(|(_, line)| line.contains("void main()")) else { return vec![] };
@@ -52,7 +52,7 @@ fn return_before_barrier(source: &Source, barrier_functions: &[String]) -> Vec<S
         .collect()
 }
 
-/// Names of the functions of a shader include in which a barrier stands.
+/// Names of the functions in a shader include that contain a barrier.
 fn barrier_functions(source: &Source) -> Vec<String> {
     let mut functions = Vec::new();
     let mut current = String::new();
@@ -86,7 +86,7 @@ fn architecture_no_return_before_a_barrier() {
     assert_none("return before a barrier", violations);
 }
 
-/// Whether a shader, or what it includes, knows of subgroups.
+/// True if a shader or its includes use subgroups.
 fn knows_of_subgroups(name: &str, shaders: &[Source]) -> bool {
     let file = |source: &&Source| source.path.rsplit('/').next() == Some(name);
     let source = shaders.iter().find(file).unwrap_or_else(|| panic!("{name} is no shader"));
@@ -102,7 +102,7 @@ fn knows_of_subgroups(name: &str, shaders: &[Source]) -> bool {
     })
 }
 
-/// `.ci/run` leaves them out at other widths.
+/// `.ci/run` skips them at other subgroup sizes.
 #[test]
 fn architecture_kernels_without_subgroups() {
     let source = |path: &str, text: &str| Source { path: path.into(), text: text.into() };
@@ -124,7 +124,7 @@ fn architecture_kernels_without_subgroups() {
     assert_none("kernels with subgroups", wrong.map(|name| (*name).to_owned()).collect());
 }
 
-/// `.ci/run` runs these trainings with the forms of GPUs: each of its words is of some trial's name.
+/// `.ci/run` runs these trainings with the kernels of GPUs: each word of its list must match a trial's name.
 #[test]
 fn architecture_trainings_of_gpus_are_trials() {
     let script = std::fs::read_to_string(root().join(".ci/run")).expect("a script");
@@ -140,7 +140,7 @@ fn architecture_trainings_of_gpus_are_trials() {
     assert_none("words that are no trial's", unknown.collect());
 }
 
-/// Kernels that compute what another one computes, in another way: they share its twin.
+/// Kernels that compute the same as another one in another way: they share its twin.
 const ALIKE: [(&str, &str); 12] = [
     ("blend_auxiliary", "blend"),
     ("blend_backward_subgroup_per_tile", "blend_backward"),
@@ -156,7 +156,7 @@ const ALIKE: [(&str, &str); 12] = [
     ("ssim_forward_sweep", "ssim_forward"),
 ];
 
-/// What is missing of each kernel: its test, or its twin, which may be that of a kernel that is alike.
+/// Missing tests and twins of kernels. A kernel in [`ALIKE`] needs no twin.
 fn missing_of_kernels(shaders: &[String], exists: impl Fn(&str) -> bool) -> Vec<String> {
     let mut missing = Vec::new();
     for shader in shaders {
@@ -182,7 +182,7 @@ fn architecture_each_shader_has_its_twin_and_its_test() {
     assert_none("missing", missing_of_kernels(&shaders, |path| root.join(path).exists()));
 }
 
-/// Whether a twin computes nothing, but hands out another one.
+/// True if a twin file only re-exports another one.
 fn is_no_twin(source: &Source) -> bool {
     !code_lines(&source.text)
         .any(|(_, line)| has_word(line, "fn") || has_word(line, "mod") || has_word(line, "struct"))

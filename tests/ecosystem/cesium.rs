@@ -12,16 +12,16 @@ use super::once_more_with_patience;
 use super::playcanvas::{camera, render, side_by_side};
 use super::tiles::{document, tree_of_the_ball};
 
-/// dB between its picture and ours, of the same tiles.
+/// Least PSNR between its picture and ours of the same tiles, dB.
 const LEAST_PSNR: f64 = 35.0;
 
 pub const TRIALS: [(&str, super::Check); 1] =
     [("cesium_shows_our_tiles_ply", |modules, _| shows_the_tree(modules))];
 
-/// All of the finest tiles where no error is allowed, and the coarsest one where its own is.
+/// It draws all leaves if no error is allowed, and the root if the root's error is.
 fn shows_the_tree(modules: &Path) {
     let folder = tempfile::tempdir().unwrap();
-    // Some 20 pixels for the root at the eye's distance; nothing at all would be some 900.
+    // The root's error is about 20 pixels at the camera's distance; an empty picture would have about 900.
     let tree = tree_of_the_ball(folder.path(), true);
     let document = document(&tree);
     let all = names(&document["root"], false);
@@ -51,7 +51,7 @@ fn shows_the_tree(modules: &Path) {
     }
 }
 
-/// The tiles of a tree, sorted; the finest alone, or all.
+/// Sorted tiles of a tree: the leaves only, or all.
 fn names(root: &Value, finest: bool) -> Vec<String> {
     let (mut names, mut open) = (Vec::new(), vec![root]);
     while let Some(tile) = open.pop() {
@@ -65,7 +65,7 @@ fn names(root: &Value, finest: bool) -> Vec<String> {
     names
 }
 
-/// Draws a tree with CesiumJS; the tiles that it drew, sorted.
+/// Draws a tree with CesiumJS. Returns the sorted tiles that it drew.
 fn draw(
     modules: &Path,
     tree: &Path,

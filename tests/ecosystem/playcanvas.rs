@@ -1,4 +1,4 @@
-//! The PlayCanvas engine in headless Chromium draws what we write as we do.
+//! The PlayCanvas engine in headless Chromium draws our files as we do.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -14,9 +14,9 @@ use super::once_more_with_patience;
 use crate::common::engine::renderer;
 use crate::common::splats::scene;
 
-/// dB between its picture and ours.
+/// Least PSNR between its picture and ours, dB.
 const LEAST_PSNR: f64 = 30.0;
-/// A fifth of a second each.
+/// Number of frames to wait, a fifth of a second each.
 const STILL_FRAMES: u32 = 3;
 
 pub fn shows_the_same(modules: &Path, format: Format) {
@@ -26,7 +26,7 @@ pub fn shows_the_same(modules: &Path, format: Format) {
     let camera = camera();
     let picture = folder.path().join("playcanvas.png");
     let ours = render(&splats::read(&path, &Default::default()).unwrap().gaussians, &camera);
-    // To look at.
+    // Kept for inspection.
     let kept = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("playcanvas{}.png", format.extension()));
     once_more_with_patience(STILL_FRAMES, |still_frames| {
         draw(modules, &path, &camera, &picture, (false, still_frames));
@@ -40,7 +40,7 @@ pub fn shows_the_same(modules: &Path, format: Format) {
     assert!(bright > ours.rgb.len() / 4, "an empty picture proves nothing");
 }
 
-/// Gaussians that fill the picture, of softer colours: what is clamped differs at the edges of 8 bits.
+/// Gaussians that fill the picture, with soft colours, because clamping differs at the limits of 8 bits.
 pub fn ball() -> Gaussians {
     let mut gaussians = scene(6000, 3);
     gaussians.means.as_flattened_mut().iter_mut().for_each(|v| *v *= 0.12);
@@ -49,15 +49,16 @@ pub fn ball() -> Gaussians {
     gaussians
 }
 
-/// Sees it, from no axis.
+/// A camera that looks at the ball along no axis.
 pub fn camera() -> Camera {
     let intrinsics = Intrinsics::from_fov_x(0.8, 400, 300);
     Camera::look_at(Vec3::new(1.5, -1.0, -3.5), Vec3::new(0.1, 0.0, 0.0), Vec3::NEG_Y, intrinsics)
 }
 
-/// A trained scene from outside: most of its Gaussians are about as large as a pixel, so that the engine's own, smaller
-/// dilation shows (26.6 dB): its 0.3 are in squares of half pixels. In a picture of twice the size ours are as well; of
-/// that, the pixels whose middles are those of the engine's are its picture. Likewise with the reference's dilation in its shader.
+/// A trained scene from outside. Most of its Gaussians are about as large as a pixel, so the engine's smaller
+/// dilation shows (26.6 dB). Its 0.3 are in squares of half pixels. Our picture at twice the size has that dilation,
+/// and its pixels at the engine's pixel centres form the expected picture. The reference's dilation in the engine's
+/// shader is compared, too.
 pub fn shows_a_trained_scene(modules: &Path, scene: &Path) {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("scene.ply");
@@ -80,7 +81,8 @@ pub fn shows_a_trained_scene(modules: &Path, scene: &Path) {
     });
 }
 
-/// Ours with pixels and half pixels, theirs with the engine's own dilation and the reference's.
+/// Compares our pictures with dilations in pixels and half pixels to theirs with the engine's own dilation and the
+/// reference's.
 fn compare_dilations(
     [ours, in_half_pixels]: [&Photo; 2],
     [own, reference]: &[Photo; 2],
@@ -103,12 +105,12 @@ fn compare_dilations(
     Err(format!("{theirs:.2} dB, {references:.2} dB, and {unlike:.2} dB without either"))
 }
 
-/// The picture with a dilation of 0.3 squares of half pixels.
+/// Our picture with a dilation of 0.3 squares of half pixels.
 fn render_in_half_pixels(gaussians: &Gaussians, camera: &Camera) -> Photo {
     let large = Camera {
         fx: 2.0 * camera.fx,
         fy: 2.0 * camera.fy,
-        // The middle of each picture's pixel becomes that of its left upper quarter.
+        // The centre of each pixel becomes that of its upper left quarter.
         cx: 2.0 * camera.cx - 0.5,
         cy: 2.0 * camera.cy - 0.5,
         width: 2 * camera.width,
@@ -138,7 +140,7 @@ fn draw(
     (reference_dilation, still_frames): (bool, u32),
 ) {
     let r = camera.camera_from_world;
-    // From y up, z backward to the world.
+    // From y up and z backward to the world.
     let world_from_camera = Mat3::from_cols(r.row(0), -r.row(1), -r.row(2));
     let description = serde_json::json!({
         "width": camera.width,

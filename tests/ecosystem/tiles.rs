@@ -1,4 +1,5 @@
-//! Our trees of tiles, read by Cesium's 3D Tiles tools and Khronos' glTF validator; our levels, bundled for PlayCanvas by splat-transform.
+//! Our trees of tiles in Cesium's 3D Tiles tools and Khronos' glTF validator; our levels, bundled for PlayCanvas by
+//! splat-transform.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -20,7 +21,7 @@ pub const TRIALS: [(&str, super::Check); 3] = [
     ("splat_transform_bundles_our_levels_ply", |modules, _| it_bundles_our_levels(modules)),
 ];
 
-/// A tree of plain tiles, and one of SPZ in them.
+/// Runs a check with a tree of plain tiles, and one with SPZ.
 fn each_tree(check: impl Fn(&Path, bool)) {
     let folder = tempfile::tempdir().unwrap();
     for packed in [false, true] {
@@ -28,7 +29,7 @@ fn each_tree(check: impl Fn(&Path, bool)) {
     }
 }
 
-/// The ball as a tree in a folder, whose coarser tiles say an error of 0.05.
+/// Writes the ball as a tree, whose coarser tiles have an error of 0.05.
 pub fn tree_of_the_ball(folder: &Path, packed: bool) -> PathBuf {
     let (scene, tree) = (folder.join("scene.ply"), folder.join(if packed { "packed" } else { "plain" }));
     splats::write(&scene, &ball(), &WriteOptions { format: Some(Format::Ply), ..Default::default() })
@@ -39,11 +40,12 @@ pub fn tree_of_the_ball(folder: &Path, packed: bool) -> PathBuf {
     tree
 }
 
-/// As the guide says for PlayCanvas' streaming: its `lod-meta.json` has our levels, and each one's compressed tiles look as ours do.
+/// PlayCanvas' streaming as the guide describes it: `lod-meta.json` has our levels, and each level's compressed
+/// tiles look like ours.
 fn it_bundles_our_levels(modules: &Path) {
     let folder = tempfile::tempdir().unwrap();
     let level = |number: usize| folder.path().join(format!("lod{number}.ply"));
-    // Without higher SH, whose codebooks take it minutes.
+    // Without higher SH degrees, whose codebooks take minutes.
     let smooth = ball().with_sh_degree(0);
     splats::write(level(0), &smooth, &WriteOptions::default()).unwrap();
     for (number, share) in [(1, 0.25), (2, 0.06)] {
@@ -73,7 +75,7 @@ fn it_bundles_our_levels(modules: &Path) {
     }
 }
 
-/// The files below a folder with this ending, sorted.
+/// Sorted files below a folder with this ending.
 fn files(folder: &Path, ending: &str) -> Vec<PathBuf> {
     let (mut found, mut open) = (Vec::new(), vec![folder.to_owned()]);
     while let Some(next) = open.pop() {
@@ -96,8 +98,8 @@ fn the_validator_accepts(modules: &Path, tree: &Path, packed: bool) {
     super::validate(modules, &tiles, packed);
 }
 
-/// Packed into an archive and unpacked again, and put below another tree, for which they follow every tile: the same tree each time, and
-/// the same tiles.
+/// Packs the tree into an archive and unpacks it, and links it below another tree, which makes the tools visit every
+/// tile. Tree and tiles stay the same.
 fn the_tools_read(modules: &Path, tree: &Path) {
     let modules = super::tiles_tools(modules).unwrap();
     let beside =
@@ -127,12 +129,12 @@ fn the_tools_read(modules: &Path, tree: &Path) {
     }
 }
 
-/// What a tree says of itself.
+/// The tree's description.
 pub fn document(folder: &Path) -> Value {
     serde_json::from_slice(&std::fs::read(folder.join("tileset.json")).unwrap()).unwrap()
 }
 
-/// Of each tile, depth first: the file's name below a folder of the tree, which has to be there; the error, and the numbers of the box.
+/// Each tile, depth first: name of its existing file below the tree's folder, its error, and its box.
 fn as_said(root: &Value, below: &str, tree: &Path) -> Vec<(String, f64, Vec<f64>)> {
     let (mut said, mut open) = (Vec::new(), vec![root]);
     while let Some(tile) = open.pop() {
@@ -151,6 +153,6 @@ fn run(modules: &Path, arguments: &[&str]) {
     let output = Command::new(modules.join(".bin/3d-tiles-tools")).args(arguments).output().expect("node");
     let said =
         [output.stdout, output.stderr].map(|said| String::from_utf8_lossy(&said).into_owned()).concat();
-    // It ends with 0 whatever happened.
+    // It exits with 0 even after errors.
     assert!(output.status.success() && !said.contains("ERROR"), "{arguments:?}: {said}");
 }

@@ -5,7 +5,7 @@ use std::process::Command;
 
 use ashsplat_files::splats::Format;
 
-/// Looks through a model and a training as a person would; the screenshots stay below `target`, to look at.
+/// Uses a model and a training as a user would. The screenshots stay below `target` for inspection.
 pub fn works_in_chromium(modules: &Path, _: Format) {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("viewer");
     std::fs::remove_dir_all(&folder).ok();

@@ -1,4 +1,4 @@
-//! Panics that are caught: what they left goes on as without them.
+//! Caught panics do not affect later work.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
@@ -9,8 +9,8 @@ use ashsplat::{RenderSettings, TrainSettings};
 use super::{close, device};
 use crate::checkpoints::{settings, start, views};
 
-/// Between two steps a picture is drawn, as a viewer asks for it, with a panic in its midst; the steps after it have the same bits.
-/// With absolute gradients, frames of training have buffers that pictures lack.
+/// A viewer's picture between two steps panics; later steps have the same bits. With absolute gradients, frames of
+/// training have buffers that pictures lack.
 #[test]
 fn faults_that_panic_in_a_picture_leave_training_as_it_is() {
     let (context, faults) = device();

@@ -4,7 +4,7 @@ use ashsplat::vk::Fault;
 
 use super::{close, device, is_of, render};
 
-/// A device builds its pipelines once. One that fails leaves no trace: the next run on the device builds it.
+/// A device builds each pipeline once. After a failed build, the next run on the device builds it.
 #[test]
 fn faults_of_pipelines() {
     const OF_PIPELINES: [&str; 4] = [

@@ -1,4 +1,4 @@
-//! Prunings between two steps, without memory for what decides them.
+//! Prunings between two steps without memory for their decisions.
 
 use ashsplat::TrainSettings;
 use ashsplat::trainer::{StrategyType, Trainer};
@@ -9,7 +9,7 @@ use crate::checkpoints::{start, views};
 
 const EXTENT: f32 = 5.0;
 
-/// A pruning of a share fails in each of its allocations: it is left out, and training goes on.
+/// Each allocation of a pruning of a share fails: the pruning is skipped, and training continues.
 #[test]
 fn faults_of_prunings() {
     let (context, faults) = device();
@@ -26,7 +26,7 @@ fn faults_of_prunings() {
     let mut trainer =
         Trainer::new(&context, views(2, 5), &start(), EXTENT, settings.clone()).expect("a trainer");
     (0..430).for_each(|_| drop(trainer.step().expect("a step")));
-    // The pruning is due.
+    // The pruning is due next.
     let before = trainer.checkpoint().expect("a checkpoint");
     drop(trainer);
     let resumed =
@@ -54,7 +54,7 @@ fn faults_of_prunings() {
         drop(trainer);
         assert_nothing_allocated(&context, "prunings");
     }
-    // For the order of opacities, and for the decisions.
+    // One allocation for the order of opacities, one for the decisions.
     assert!(left_out >= 2, "{left_out}");
     close(context);
 }

@@ -4,10 +4,11 @@
 
 use std::cell::Cell;
 
-/// What the specifications leave undefined (a quotient by 0, a shift too far), and what nobody has written. As a float it is NaN.
+/// Value of undefined results (a quotient by 0, a shift too far) and of unwritten words. As a float it is NaN.
 pub(crate) const POISON: u32 = 0x7FC5_A5A5;
 
-/// In place of SPIR-V's opcodes: the upper half of a product; and the instructions of GLSL.std.450, from here on.
+/// Codes besides SPIR-V's opcodes: the upper half of a product; and from EXTENDED on, the instructions of
+/// GLSL.std.450.
 pub(crate) const MULTIPLY_HIGH: u16 = 1000;
 pub(crate) const EXTENDED: u16 = 2000;
 
@@ -31,10 +32,11 @@ fn one(op: impl Fn(f32) -> f32) -> impl Fn([u32; 1]) -> u32 {
     move |[a]| op(f(a)).to_bits()
 }
 
-/// A table of operations on so many operands: for one word each, and for the words of all lanes.
+/// Generates a table of operations with `$count` operands: one function for single words, one for the words of all
+/// lanes.
 macro_rules! operations {
     ($single:ident, $lanes:ident, $count:literal, { $($code:pat => $op:expr,)* }) => {
-        /// The operation on single words; None: not known.
+        /// The operation on single words; None for an unknown code.
         pub(crate) fn $single(code: u16, operands: [u32; $count]) -> Option<u32> {
             match code {
                 $($code => Some(($op)(operands)),)*
@@ -42,7 +44,7 @@ macro_rules! operations {
             }
         }
 
-        /// The operation on the words of all lanes. Unknown codes are refused when a program is made.
+        /// The operation on the words of all lanes. Unknown codes were refused when the program was built.
         pub(crate) fn $lanes(code: u16, target: &[Cell<u32>], operands: [&[Cell<u32>]; $count]) {
             let operands = operands.map(|row| &row[..target.len()]);
             match code {
@@ -132,7 +134,7 @@ operations!(binary, binary_lanes, 2, {
     177 => signed(|a, b| a < b),
     178 => |[a, b]: [u32; 2]| u32::from(a <= b),
     179 => signed(|a, b| a <= b),
-    // Ordered comparisons, and unordered ones, which are the opposites of ordered ones
+    // Ordered comparisons, and unordered ones, which negate ordered ones
     180 => compare(|a, b| a == b),
     182 => compare(|a, b| a != b && !a.is_nan() && !b.is_nan()),
     183 => compare(|a, b| a != b),

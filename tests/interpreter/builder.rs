@@ -1,5 +1,5 @@
-//! Control flow of a module as a flat list: functions are copied into their callers, blocks that no branch reaches under the
-//! specialization are left out.
+//! A module's control flow as a flat list: functions are inlined, and blocks that the specialization makes
+//! unreachable are omitted.
 
 use std::collections::{HashMap, HashSet};
 use std::rc::Rc;
@@ -9,7 +9,7 @@ use crate::module::{BINDING, BUILT_IN, Id, Instruction, Module, NON_WRITABLE, Va
 use crate::outline::Outline;
 use crate::program::{Edge, Kind, Memory, NO_SLOT, Operation, Slot};
 
-/// Where a pointer points to.
+/// Target of a pointer.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Space {
     /// Slots of the invocation.
@@ -34,7 +34,7 @@ pub(crate) enum Value {
     Pointer(Pointer),
 }
 
-/// What is being copied.
+/// A function that is being inlined.
 struct Frame {
     outline: Rc<Outline>,
     values: HashMap<Id, Value>,
@@ -50,7 +50,7 @@ pub(crate) struct Builder<'m> {
     pub(crate) operations: Vec<Operation>,
     pub(crate) sources: Vec<(u32, u16)>,
     pub(crate) moves: Vec<(Slot, Slot)>,
-    /// Words of constants; the slots of a block alone come first, then those of constants, then those that are kept.
+    /// Words of constants. Slot order: temporary slots of a block, constants, kept slots.
     pub(crate) constants: Vec<u32>,
     constant_slots: HashMap<u32, Slot>,
     temporary: u32,
@@ -132,7 +132,7 @@ impl<'m> Builder<'m> {
             },
             9 => Kind::Push,
             4 => Kind::Shared { words: module.size(variable.of)? },
-            // Images. Who reads them is refused there.
+            // Images: their reads are refused.
             _ => return Ok(()),
         };
         let index = self.memories.len() as u32;
@@ -177,7 +177,7 @@ impl<'m> Builder<'m> {
         self.sources.push(self.source);
     }
 
-    /// Emits an operation on words, or computes it where all are constants.
+    /// Emits an operation on words, or computes it if all operands are constants.
     pub(crate) fn compute(&mut self, code: u16, operands: &[Slot]) -> Result<Slot, String> {
         let known: Option<Vec<u32>> = operands.iter().map(|slot| self.known(*slot)).collect();
         let value = |words: &[u32]| match *words {
@@ -202,7 +202,7 @@ impl<'m> Builder<'m> {
         Ok(target)
     }
 
-    /// A copy that other blocks may read; constants and what is kept already need none.
+    /// Copies a value for other blocks; constants and kept slots need no copy.
     fn kept_copy(&mut self, from: Slot) -> Slot {
         if from == NO_SLOT || from >= self.first_constant {
             return from;
@@ -268,13 +268,14 @@ impl<'m> Builder<'m> {
         self.labels.len() as u32 - 1
     }
 
-    /// A block begins here.
+    /// Begins a block.
     fn place(&mut self, label: u32) {
         self.labels[label as usize] = self.operations.len() as u32;
         self.temporary = 0;
     }
 
-    /// Blocks in the order of their operations, by which branches name them from now on; the first operation of each.
+    /// Numbers blocks in the order of their operations, and renames branches accordingly. Returns each block's first
+    /// operation.
     pub(crate) fn number_blocks(&mut self) -> Vec<u32> {
         let mut placed: Vec<u32> = self.labels.iter().copied().filter(|at| *at != u32::MAX).collect();
         placed.sort_unstable();
@@ -351,7 +352,7 @@ impl<'m> Builder<'m> {
     fn instruction(&mut self, instruction: &Instruction<'m>) -> Result<(), String> {
         let o = instruction.operands;
         match instruction.opcode {
-            // Lines, and the structure that the order of blocks tells.
+            // Line information, and structure that the order of blocks already gives.
             0 | 8 | 245..=247 | 317 => Ok(()),
             249 => {
                 let edge = self.edge(o[0])?;
@@ -414,7 +415,7 @@ impl<'m> Builder<'m> {
         self.define(o[1], Value::Words(result))
     }
 
-    /// The branch to a block of the function, with what its phis take from here.
+    /// The branch to a block of the function, with the values of its phis.
     fn edge(&mut self, label: Id) -> Result<Edge, String> {
         let frame = self.frame()?;
         frame.reached.insert(label);

@@ -1,4 +1,4 @@
-//! Running a program: workgroups one after the other, and their subgroups between barriers.
+//! Runs a program: one workgroup after another, and within each its subgroups from barrier to barrier.
 
 use std::fmt;
 
@@ -8,14 +8,14 @@ use crate::memory::Words;
 use crate::program::{Kind, Program};
 use crate::subgroup::Problem;
 
-/// The order of workgroups, and of the subgroups of a workgroup between barriers.
+/// Order of workgroups, and of a workgroup's subgroups between barriers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Order {
-    /// By their numbers.
+    /// Ascending.
     Forward,
-    /// From the last to the first.
+    /// Descending.
     Reverse,
-    /// At random, by a seed.
+    /// Random with this seed.
     Shuffled(u64),
 }
 
@@ -41,32 +41,32 @@ impl Order {
 /// One dispatch.
 #[derive(Clone, Copy, Debug)]
 pub struct Dispatch<'a> {
-    /// On each axis.
+    /// Number of workgroups per axis.
     pub workgroups: [u32; 3],
     /// Push constants.
     pub push: &'a [u8],
-    /// See there.
+    /// Order of workgroups and subgroups.
     pub order: Order,
-    /// Shared memory that nobody has written may be read: it is NaN. For kernels that read it and drop what they have read.
+    /// Allows reads of unwritten shared memory, as NaN. For kernels that drop the values.
     pub accepts_unwritten_shared: bool,
 }
 
-/// What a kernel has done against the specifications, and where.
+/// A violation of the specifications, and its location.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Fault {
     /// The kernel.
     pub kernel: String,
     /// What is wrong.
     pub problem: String,
-    /// The instruction: its word in the module.
+    /// Word of the instruction in the module.
     pub word: u32,
-    /// And its opcode.
+    /// Opcode of the instruction.
     pub opcode: u16,
     /// The workgroup.
     pub workgroup: [u32; 3],
-    /// The subgroup in it.
+    /// Subgroup in the workgroup.
     pub subgroup: u32,
-    /// The lane in that; None: all.
+    /// Lane in the subgroup; None for all.
     pub lane: Option<u32>,
 }
 
@@ -88,7 +88,7 @@ impl Program {
     /// Runs a dispatch over buffers (binding, words) in place.
     ///
     /// # Errors
-    /// The first thing that the kernel does against the specifications. Buffers are then as they were.
+    /// The kernel's first violation of the specifications. Buffers are then unchanged.
     ///
     /// # Panics
     /// If a binding has no buffer, or push constants are missing.

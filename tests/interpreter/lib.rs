@@ -1,15 +1,16 @@
-//! Runs SPIR-V compute modules on the host, with subgroups of any size from 1 to 128, and is strict about what they do.
+//! Runs SPIR-V compute modules on the host, with subgroups of any size from 1 to 128, and strict checks.
 //!
-//! The lanes of a subgroup run in lockstep. They part at branches and are together again at merge blocks, as
-//! SPV_KHR_maximal_reconvergence has it. The subgroups of a workgroup run one after the other from barrier to barrier, the
-//! workgroups one after the other, both in an order that the caller chooses ([`Order`]).
+//! The lanes of a subgroup run in lockstep. They diverge at branches and reconverge at merge blocks, as
+//! SPV_KHR_maximal_reconvergence defines it. Subgroups of a workgroup run one after another from barrier to barrier,
+//! and workgroups one after another. The caller chooses the order ([`Order`]).
 //!
-//! What no result may hang on is a [`Fault`]: an access outside of a buffer, an array or a vector; shared memory that is read
-//! before it is written; a barrier that not all invocations reach; a word that two invocations touch without a barrier
-//! between, one of them writing something else than it holds; a subgroup operation that reads an inactive lane. Undefined
-//! results of arithmetic and variables that nobody has written are NaN.
+//! Behaviour that no result may depend on is a [`Fault`]: an access outside a buffer, an array or a vector; a read
+//! of unwritten shared memory; a barrier that not all invocations reach; a data race between two invocations without
+//! a barrier, if one writes another value; a subgroup operation that reads an inactive lane. Undefined results of
+//! arithmetic and unwritten variables are NaN.
 //!
-//! Not here: images, 8, 16 and 64 bits, cooperative matrices, clusters of subgroups, memory scopes beyond the workgroup.
+//! Not supported: images; 8, 16 and 64 bits; cooperative matrices; clustered subgroups; memory scopes beyond the
+//! workgroup.
 
 mod arithmetic;
 mod builder;

@@ -1,4 +1,4 @@
-//! A subgroup: its lanes run in lockstep, each block with all lanes that have come to it.
+//! A subgroup: its lanes run in lockstep, each block with all lanes that have arrived there.
 
 use std::cell::Cell;
 
@@ -7,25 +7,25 @@ use crate::memory::{Moment, Words};
 use crate::program::{Address, Edge, NO_SLOT, Operation, Program, Slot};
 use crate::subgroup::{Problem, Row, all, ballot, count, lanes_of, reduce, shuffle, vote};
 
-/// A subgroup of the workgroup that runs.
+/// A subgroup of the current workgroup.
 pub(crate) struct Subgroup {
     pub(crate) number: u32,
-    /// Rows of words, one for each slot.
+    /// Rows of words, one per slot.
     words: Vec<Cell<u32>>,
-    /// Lanes that wait at the start of each block, and which blocks have such lanes.
+    /// Lanes that wait at the start of each block, and bits of the blocks with such lanes.
     waiting: Vec<u128>,
     pending: Vec<u64>,
-    /// The next operation, and the lanes that are there.
+    /// The next operation, and the active lanes.
     pub(crate) at: usize,
     active: u128,
     pub(crate) has_ended: bool,
     moment: Moment,
-    /// Barriers that shared memory and buffers have seen: of the workgroup, and of the subgroup.
+    /// Numbers of barriers so far for shared memory and for buffers: of the workgroup, and of the subgroup.
     barriers: [[u32; 2]; 2],
     semantics: u32,
 }
 
-/// Shared memory, buffers: which semantics a barrier has for them.
+/// Semantics bits of a barrier for shared memory and for buffers.
 const SEMANTICS: [u32; 2] = [0x100, 0x40];
 
 fn row(words: &[Cell<u32>], lanes: usize, slot: Slot) -> Row<'_> {
@@ -52,7 +52,7 @@ impl Subgroup {
         }
     }
 
-    /// At the start of a workgroup.
+    /// Resets the subgroup for a workgroup.
     pub(crate) fn begin(
         &mut self,
         program: &Program,
@@ -98,7 +98,7 @@ impl Subgroup {
         (self.barriers, self.semantics) = ([[0; 2]; 2], 0);
     }
 
-    /// A barrier of the workgroup (0) or of the subgroup (1), for the memory that its semantics name.
+    /// Counts a barrier of the workgroup (0) or of the subgroup (1) for the memory in its semantics.
     pub(crate) fn pass_barrier(&mut self, scope: usize) {
         for (kind, semantics) in SEMANTICS.iter().enumerate() {
             self.barriers[scope][kind] += u32::from(self.semantics & semantics != 0);
@@ -106,14 +106,14 @@ impl Subgroup {
         self.semantics = 0;
     }
 
-    /// The moment of an access to a memory by a lane.
+    /// Moment of a lane's access to a memory.
     fn now(&self, memory: &Words, lane: usize) -> Moment {
         let kind = usize::from(!memory.is_shared);
         let [of_workgroup, own] = self.barriers;
         Moment { lane: lane as u8, barriers: of_workgroup[kind], own_barriers: own[kind], ..self.moment }
     }
 
-    /// Runs to the next barrier of the workgroup, or to the end.
+    /// Runs to the workgroup's next barrier, or to the end.
     pub(crate) fn run(&mut self, program: &Program, memories: &mut [Words]) -> Result<(), Problem> {
         let lanes = program.lanes;
         while !self.has_ended {
@@ -211,7 +211,7 @@ impl Subgroup {
         Ok(())
     }
 
-    /// Lanes go to wait at the start of a block.
+    /// Makes lanes wait at the start of a block.
     fn follow(&mut self, program: &Program, edge: Edge, taking: u128) {
         if taking == 0 {
             return;
@@ -224,7 +224,8 @@ impl Subgroup {
         self.pending[edge.block as usize / 64] |= 1 << (edge.block % 64);
     }
 
-    /// Goes on with the first block where lanes wait: with all that have come there, for merge blocks follow their constructs.
+    /// Continues with the first block that has waiting lanes. All its lanes have arrived, because merge blocks
+    /// follow their constructs.
     fn next_block(&mut self, program: &Program) {
         let Some(part) = self.pending.iter().position(|part| *part != 0) else {
             self.has_ended = true;
@@ -272,7 +273,7 @@ fn copy_active(target: Row, from: Row, active: u128, lanes: usize) {
     lanes_of(active).for_each(|lane| target[lane].set(from[lane].get()));
 }
 
-/// What an atomic leaves: Load, Exchange, IAdd, ISub, SMin, UMin, SMax, UMax, And, Or, Xor.
+/// New value of an atomic: Load, Exchange, IAdd, ISub, SMin, UMin, SMax, UMax, And, Or, Xor.
 fn changed(code: u16, old: u32, value: u32) -> u32 {
     let operation = match code {
         227 => return old,

@@ -1,25 +1,25 @@
-//! Memory that invocations share, and who has touched each word.
+//! Memory that invocations share, with the last accesses to each word.
 
 use crate::arithmetic::POISON;
 use crate::program::{Kind, Memory};
 
-/// An invocation at a time, which barriers tell.
+/// An access: its invocation, and its time in numbers of barriers.
 #[derive(Clone, Copy, Default)]
 pub(crate) struct Moment {
-    /// Number of the subgroup in the dispatch from 1 on; 0: nobody.
+    /// Number of the subgroup in the dispatch, from 1 on; 0 for no access.
     pub(crate) subgroup: u32,
     pub(crate) workgroup: u32,
     pub(crate) lane: u8,
-    /// Barriers of the workgroup, and of the subgroup, that this kind of memory has seen in this workgroup.
+    /// Numbers of the workgroup's and of the subgroup's barriers for this kind of memory, in this workgroup.
     pub(crate) barriers: u32,
     pub(crate) own_barriers: u32,
     pub(crate) is_atomic: bool,
-    /// Other lanes of the subgroup have done the same.
+    /// True if other lanes of the subgroup have accessed the word, too.
     pub(crate) is_many: bool,
 }
 
 impl Moment {
-    /// Whether nothing orders an access after an earlier one.
+    /// True if nothing orders an access after an earlier one.
     fn races(&self, earlier: &Self) -> bool {
         if earlier.subgroup == 0 || (self.is_atomic && earlier.is_atomic) {
             return false;
@@ -35,7 +35,7 @@ impl Moment {
     }
 }
 
-/// The last accesses to a word; of the reads two, of different subgroups.
+/// Last accesses to a word, with two reads of different subgroups.
 #[derive(Clone, Copy, Default)]
 struct Touched {
     writer: Moment,
@@ -59,7 +59,7 @@ impl Touched {
 pub(crate) struct Words {
     pub(crate) name: String,
     pub(crate) words: Vec<u32>,
-    /// Empty: nobody may write it.
+    /// Empty for read-only memory.
     touched: Vec<Touched>,
     pub(crate) is_shared: bool,
     accepts_unwritten: bool,
@@ -77,7 +77,7 @@ impl Words {
         }
     }
 
-    /// Shared memory at the start of a workgroup.
+    /// Resets shared memory for a workgroup.
     pub(crate) fn forget(&mut self) {
         if self.is_shared {
             self.words.fill(POISON);
@@ -123,7 +123,7 @@ impl Words {
         };
         let Touched { writer, readers } = *touched;
         touched.writer = now;
-        // Who reads or writes what is there anyway does not notice.
+        // Writing the same value affects no other access.
         if self.words[place] != word {
             if now.races(&writer) {
                 return Err(self.race(place, "writes", (&writer, "has written")));
@@ -136,7 +136,7 @@ impl Words {
         Ok(())
     }
 
-    /// Replaces a word by what becomes of it; returns the old one.
+    /// Replaces a word by its new value; returns the old one.
     pub(crate) fn change(
         &mut self,
         place: u64,

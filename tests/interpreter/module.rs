@@ -1,4 +1,4 @@
-//! What a module declares: types, constants under a specialization, variables, functions.
+//! Declarations of a module: types, constants under a specialization, variables, functions.
 
 use std::collections::HashMap;
 
@@ -6,7 +6,7 @@ use crate::arithmetic::{POISON, binary, ternary, unary};
 
 pub(crate) type Id = u32;
 
-/// An instruction: its place in words from the module's start, and its words from the second on.
+/// An instruction: its position in words from the module's start, its opcode, and its other words.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Instruction<'m> {
     pub(crate) at: u32,
@@ -30,7 +30,7 @@ pub(crate) enum Type {
         of: Id,
         count: u32,
     },
-    /// Of a length that the bound buffer gives.
+    /// Its length depends on the bound buffer.
     Runtime {
         of: Id,
     },
@@ -39,7 +39,7 @@ pub(crate) enum Type {
         class: u32,
         to: Id,
     },
-    /// Void, functions, and what is not supported where it is used.
+    /// Void, functions, and types that are refused where they are used.
     Other,
 }
 
@@ -54,7 +54,7 @@ pub(crate) struct Variable {
 
 pub(crate) struct Function<'m> {
     pub(crate) parameters: Vec<Id>,
-    /// From the first label on.
+    /// Instructions from the first label on.
     pub(crate) body: Vec<Instruction<'m>>,
 }
 
@@ -104,7 +104,7 @@ fn instructions(words: &[u32]) -> Result<Vec<Instruction<'_>>, String> {
     Ok(found)
 }
 
-/// Whether an instruction within a function makes a value: its type and id come first.
+/// True if an instruction within a function has a result: its type and id come first.
 pub(crate) fn has_result(opcode: u16) -> bool {
     !matches!(opcode, 0 | 8 | 62 | 63 | 224 | 225 | 228 | 246..=255 | 317)
 }
@@ -214,7 +214,7 @@ impl<'m> Module<'m> {
         self.constants.insert(operands[1], (operands[0], words));
     }
 
-    /// OpSpecConstantOp: by the component.
+    /// Evaluates OpSpecConstantOp, component by component.
     fn operation(&self, o: &[u32]) -> Result<Vec<u32>, String> {
         let (code, ids) = (o[2] as u16, &o[3..]);
         if code == 81 {
@@ -253,7 +253,7 @@ impl<'m> Module<'m> {
         self.types.get(&id).unwrap_or(&Type::Other)
     }
 
-    /// Words of a type, packed.
+    /// Size of a type in words, packed.
     pub(crate) fn size(&self, id: Id) -> Result<u32, String> {
         match self.kind(id) {
             Type::Scalar => Ok(1),
@@ -265,8 +265,8 @@ impl<'m> Module<'m> {
         }
     }
 
-    /// Where member or element `index` of a type begins, in words, and its type. `laid_out`: as decorations say, for what the
-    /// host sees; otherwise packed.
+    /// Offset in words and type of member or element `index`. `laid_out`: the offset follows the decorations, as the
+    /// host sees it; otherwise it is packed.
     pub(crate) fn part(&self, id: Id, index: u32, laid_out: bool) -> Result<(u32, Id), String> {
         match self.kind(id) {
             Type::Struct(members) => {
@@ -286,7 +286,7 @@ impl<'m> Module<'m> {
         }
     }
 
-    /// Type, stride in words and number of elements; the number is the largest possible where the buffer says it.
+    /// Type, stride in words and number of elements. A runtime array has the largest possible number.
     pub(crate) fn elements(&self, id: Id, laid_out: bool) -> Result<(Id, u32, u32), String> {
         let stride = |of: Id| match self.decorations.get(&(id, ARRAY_STRIDE)) {
             Some(bytes) if laid_out => Ok(bytes / 4),
@@ -303,7 +303,7 @@ impl<'m> Module<'m> {
         }
     }
 
-    /// The places of a type's words, from its first.
+    /// Offsets of a type's words from its first.
     pub(crate) fn places(&self, id: Id, laid_out: bool) -> Result<Vec<u32>, String> {
         let count = match self.kind(id) {
             Type::Scalar => return Ok(vec![0]),
@@ -322,13 +322,13 @@ impl<'m> Module<'m> {
         self.decorations.get(&(id, decoration)).copied()
     }
 
-    /// The name of a variable; of a block without one, that of its first member.
+    /// Name of a variable. A block without a name has that of its first member.
     pub(crate) fn name(&self, variable: &Variable) -> String {
         let own = self.names.get(&variable.id).filter(|name| !name.is_empty());
         own.or_else(|| self.member_names.get(&variable.of)).cloned().unwrap_or_default()
     }
 
-    /// Whether all words of a block are floats.
+    /// True if all words of a block are floats.
     pub(crate) fn is_float(&self, id: Id) -> bool {
         match self.kind(id) {
             Type::Scalar => self.floats.contains(&id),

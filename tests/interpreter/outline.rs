@@ -1,10 +1,11 @@
-//! What is known of a function before it is copied: which values leave their blocks, phis, and that the order of its blocks suits.
+//! Analysis of a function before it is inlined: values used by other blocks, phis, and a check of the order of
+//! blocks.
 
 use std::collections::{HashMap, HashSet};
 
 use crate::module::{Id, Instruction, has_result};
 
-/// Values that other blocks read than their own, and the phis of blocks.
+/// Values read outside their blocks, and the phis of blocks.
 #[derive(Default)]
 pub(crate) struct Outline {
     pub(crate) crossing: HashSet<Id>,
@@ -18,8 +19,8 @@ impl Outline {
     }
 }
 
-/// Whether a merge block follows its construct, and only the ends of loops branch back: what lanes wait for is then always the
-/// first block that any of them has come to.
+/// Checks that merge blocks follow their constructs and that only the ends of loops branch back. Waiting lanes then
+/// always meet at the first block that any of them has reached.
 fn check_order(body: &[Instruction]) -> Result<(), String> {
     let labels = body.iter().filter(|i| i.opcode == 248).map(|i| i.operands[0]);
     let places: HashMap<Id, usize> = labels.enumerate().map(|(place, label)| (label, place)).collect();
@@ -50,7 +51,7 @@ fn check_order(body: &[Instruction]) -> Result<(), String> {
     Ok(())
 }
 
-/// Which values other blocks read than the one that makes them (a call ends a block), and the phis of each block.
+/// Values read outside their blocks (a call ends a block), and the phis of each block.
 fn outline_of(body: &[Instruction]) -> Outline {
     let mut outline = Outline::default();
     let mut made: HashMap<Id, u32> = HashMap::new();
@@ -67,7 +68,7 @@ fn outline_of(body: &[Instruction]) -> Outline {
                 let read = if has_result(opcode) { &o[2..] } else { o };
                 outline.crossing.extend(read.iter().filter(|id| made.get(id).is_some_and(|at| *at != part)));
                 if has_result(opcode) {
-                    // What a call returns lies in slots that are kept.
+                    // A call's result lies in kept slots.
                     part += u32::from(opcode == 57);
                     made.insert(o[1], part);
                 }

@@ -1,23 +1,23 @@
-//! What a module becomes under a specialization: one flat list of operations on slots. A slot holds a word of each lane.
+//! A module under a specialization, as one flat list of operations on slots. A slot has one word per lane.
 //!
-//! Calls are copied in. Blocks keep their order, in which a merge block follows all blocks of its construct.
+//! Calls are inlined. Blocks keep their order, in which a merge block follows all blocks of its construct.
 
 use crate::builder::Builder;
 use crate::module::Module;
 
 pub(crate) type Slot = u32;
 
-/// In place of a slot: none.
+/// Stands in for a missing slot.
 pub(crate) const NO_SLOT: Slot = u32::MAX;
 
-/// Where a branch leads: a block, and the words that its phis take (from, to in [`Program::moves`]).
+/// Target of a branch: a block, and the moves for its phis (range in [`Program::moves`]).
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Edge {
     pub(crate) block: u32,
     pub(crate) moves: (u32, u32),
 }
 
-/// A word in a memory: `place` words from its start, and those in the slot `offset` besides.
+/// A word in a memory: `place` words from its start, plus the value of the slot `offset`.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Address {
     pub(crate) memory: u32,
@@ -45,7 +45,7 @@ pub(crate) enum Operation {
         b: Slot,
         c: Slot,
     },
-    /// In all lanes, for slots that no other block reads; and in active ones.
+    /// Copies in all lanes, for slots that no other block reads; or in active lanes only.
     Copy {
         target: Slot,
         from: Slot,
@@ -54,7 +54,7 @@ pub(crate) enum Operation {
         target: Slot,
         from: Slot,
     },
-    /// target = before + index * stride, where the index is below the count.
+    /// target = before + index * stride, if index is below the count.
     Index {
         target: Slot,
         before: Slot,
@@ -123,36 +123,37 @@ pub(crate) struct Memory {
     pub(crate) kind: Kind,
 }
 
-/// A kernel under a specialization and with a size of subgroups, ready to [`run`](Program::run).
+/// A kernel under a specialization and with a subgroup size, ready to [`run`](Program::run).
 #[derive(Debug)]
 pub struct Program {
     pub(crate) name: String,
     pub(crate) lanes: usize,
     pub(crate) workgroup_size: [u32; 3],
     pub(crate) operations: Vec<Operation>,
-    /// Of each operation: word in the module, opcode.
+    /// Word in the module and opcode of each operation.
     pub(crate) sources: Vec<(u32, u16)>,
-    /// Phis: (target, from).
+    /// Moves of phis: (target, from).
     pub(crate) moves: Vec<(Slot, Slot)>,
     /// First operation of each block.
     pub(crate) blocks: Vec<u32>,
     pub(crate) slots: usize,
     pub(crate) constants: Vec<(Slot, u32)>,
-    /// Slots that keep words from block to block.
+    /// Range of the slots that keep words from block to block.
     pub(crate) kept: (Slot, Slot),
-    /// Built-in variables: its number, first slot.
+    /// Built-in variables: number, first slot.
     pub(crate) inputs: Vec<(u32, Slot)>,
-    /// Variables of invocations with initial words.
+    /// Initial words of the invocations' variables.
     pub(crate) initials: Vec<(Slot, u32)>,
     pub(crate) memories: Vec<Memory>,
 }
 
 impl Program {
-    /// Makes a program of a module. `specialization`: (constant_id, bits). `lanes`: invocations of a subgroup, a power of two
+    /// Builds a program from a module. `specialization`: (constant_id, bits). `lanes`: subgroup size, a power of two
     /// from 1 to 128 that divides the workgroup.
     ///
     /// # Errors
-    /// What is not supported: images, 64-bit types, atomics on floats, and what the kernels do not use; no SPIR-V.
+    /// A module that is no SPIR-V, or unsupported instructions: images, 64-bit types, atomics on floats, and others
+    /// that the kernels do not use.
     pub fn new(name: &str, words: &[u32], specialization: &[(u32, u32)], lanes: u32) -> Result<Self, String> {
         let in_kernel = |problem| format!("{name}: {problem}");
         if !lanes.is_power_of_two() || lanes > 128 {
@@ -165,7 +166,7 @@ impl Program {
                 "a workgroup of {x} x {y} x {z} has no full subgroups of {lanes}"
             )));
         }
-        // The first time to count slots.
+        // A first build counts the slots.
         let counted = Builder::new(&module, (1 << 20, 1 << 20)).build().map_err(in_kernel)?;
         let mut built = Builder::new(&module, (counted.most_temporary, counted.constants.len() as u32))
             .build()
@@ -190,7 +191,7 @@ impl Program {
         })
     }
 
-    /// Bindings of the buffers, and whether all their words are floats.
+    /// Bindings of the buffers, and true if all their words are floats.
     pub fn bindings(&self) -> impl Iterator<Item = (u32, bool)> {
         self.memories.iter().filter_map(|memory| match memory.kind {
             Kind::Buffer { binding, is_float, .. } => Some((binding, is_float)),

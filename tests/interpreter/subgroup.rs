@@ -1,13 +1,13 @@
-//! Operations of subgroups: over the active lanes, in the order of the lanes.
+//! Subgroup operations over the active lanes, in the order of the lanes.
 
 use std::cell::Cell;
 
 use crate::arithmetic::binary;
 
-/// A row of words, one of each lane.
+/// One word of each lane.
 pub(crate) type Row<'a> = &'a [Cell<u32>];
 
-/// What is wrong, and in which lane.
+/// A problem, and its lane.
 pub(crate) type Problem = (String, Option<u32>);
 
 pub(crate) fn lanes_of(mut active: u128) -> impl Iterator<Item = usize> {
@@ -37,7 +37,7 @@ pub(crate) fn vote(code: u16, target: Row, value: Row, active: u128) {
     }
 }
 
-/// Ballot: four rows of words.
+/// Ballot: writes four rows of words.
 pub(crate) fn ballot(target: Row, value: Row, active: u128) {
     let ballot =
         lanes_of(active).filter(|lane| value[*lane].get() != 0).fold(0, |all, lane| all | 1_u128 << lane);
@@ -46,7 +46,7 @@ pub(crate) fn ballot(target: Row, value: Row, active: u128) {
     }
 }
 
-/// BallotBitCount (kind: of all lanes, of those up to this one, of those below), BallotFindLSB, BallotFindMSB.
+/// BallotBitCount (kind: all lanes, lanes up to this one, lanes below), BallotFindLSB, BallotFindMSB.
 pub(crate) fn count(code: u16, kind: u8, target: Row, value: Row) {
     let lanes = target.len();
     for (lane, word) in target.iter().enumerate() {
@@ -91,7 +91,7 @@ pub(crate) fn shuffle(
     Ok(())
 }
 
-/// Operation for words, and what leaves them as they are.
+/// Code of the operation on words, and its neutral element.
 fn arithmetic(code: u16) -> (u16, u32) {
     match code {
         349 => (128, 0),
@@ -107,12 +107,12 @@ fn arithmetic(code: u16) -> (u16, u32) {
         359 => (199, u32::MAX),
         361 => (198, 0),
         362 => (167, 1),
-        // BitwiseOr, LogicalOr; LogicalXor is refused before.
+        // BitwiseOr, LogicalOr; LogicalXor was refused before.
         _ => (197, 0),
     }
 }
 
-/// Sums, products, bounds. kind: over all active lanes, over those up to this one, over those below.
+/// Sums, products, minima and maxima. kind: over all active lanes, over those up to this one, over those below.
 pub(crate) fn reduce(code: u16, kind: u8, target: Row, value: Row, active: u128) {
     let (code, neutral) = arithmetic(code);
     let mut sum = neutral;

@@ -1,4 +1,4 @@
-//! Small modules by hand: what lanes do at branches, loops and barriers.
+//! Small handwritten modules that test branches, loops and barriers.
 
 use crate::{Dispatch, Fault, Order, Program};
 
@@ -24,7 +24,7 @@ const MAIN: u32 = 13;
 const INDEX: u32 = 14;
 const THREE: u32 = 15;
 
-/// A module of workgroups of 16 invocations, with a buffer of words, and this body of its entry point.
+/// A module with workgroups of 16 invocations, a buffer of words, and this body of its entry point.
 fn module(body: &[Vec<u32>]) -> Vec<u32> {
     let header = vec![0x0723_0203, 0x0001_0600, 0, 100, 0];
     let (input, shader_words) = (20, 21);
@@ -70,7 +70,7 @@ fn run(body: &[Vec<u32>], words: usize) -> Result<Vec<u32>, Fault> {
     Ok(buffers.remove(0).1)
 }
 
-/// Around a barrier if an input is 0.
+/// Executes a barrier if an input is 0.
 fn barrier_if(input: u32) -> Vec<Vec<u32>> {
     vec![
         i(248, &[30]),
@@ -102,7 +102,7 @@ fn store(index: u32, value: u32, pointer: u32) -> Vec<u32> {
     [i(65, &[TO_WORD, pointer, OUTPUT, ZERO, index]), i(62, &[pointer, value])].concat()
 }
 
-/// Lanes leave a loop after as many rounds as their number says, and are together again behind it.
+/// Lanes leave a loop after as many rounds as their numbers, and reconverge behind it.
 #[test]
 fn lanes_are_together_again_at_merge_blocks() {
     let body = |merged: Vec<u32>| {
@@ -123,7 +123,7 @@ fn lanes_are_together_again_at_merge_blocks() {
             i(128, &[UINT, 35, 34, ONE]),
             i(249, &[33]),
             i(248, &[37]),
-            // The sum over all lanes of their rounds; sums over fewer where they are apart.
+            // The sum over all lanes of their rounds; smaller if the lanes have not reconverged.
             i(349, &[UINT, 40, THREE, 0, 34]),
             merged,
             i(253, &[]),
@@ -131,7 +131,7 @@ fn lanes_are_together_again_at_merge_blocks() {
     };
     let expected: Vec<u32> = vec![28; 16];
     assert_eq!(run(&body(store(32, 40, 41)), 16), Ok(expected));
-    // Each lane for itself knows its rounds.
+    // Each lane has its own number of rounds.
     let rounds: Vec<u32> = (0..16).map(|lane| lane % 8).collect();
     assert_eq!(run(&body(store(32, 34, 41)), 16), Ok(rounds));
 }
@@ -148,7 +148,8 @@ fn accesses_that_no_barrier_orders_are_faults() {
         ];
         run(&body, 16)
     };
-    // Each invocation its own word; lanes of two subgroups the same word, with the same value; all the same word.
+    // Each invocation writes its own word; lanes of two subgroups write the same value to the same word; all write
+    // the same word.
     assert_eq!(to(32, 31).map(|words| words[9]), Ok(1));
     assert_eq!(to(31, 31).map(|words| words[7]), Ok(7));
     let fault = to(31, 32).expect_err("lane 0 of both subgroups");
@@ -167,7 +168,7 @@ fn what_is_no_module_or_not_supported_is_refused() {
     assert!(
         error(&whole, 3).contains("subgroups of 3") && error(&whole, 32).contains("no full subgroups of 32")
     );
-    // OpImageWrite; a jump back without a loop.
+    // OpImageWrite; a backward jump without a loop.
     let unknown = [i(248, &[30]), i(99, &[1, 2, 3]), i(253, &[])];
     assert!(error(&module(&unknown), 8).contains("opcode 99"), "{}", error(&module(&unknown), 8));
     let back = [i(248, &[30]), i(249, &[31]), i(248, &[31]), i(249, &[30])];

@@ -1,4 +1,4 @@
-//! Instructions that make values: arithmetic, composites, memory, subgroups.
+//! Instructions with results: arithmetic, composites, memory, subgroups.
 
 use crate::arithmetic::{EXTENDED, MULTIPLY_HIGH};
 use crate::builder::{Builder, Pointer, Space, Value};
@@ -12,7 +12,6 @@ const F_DIVIDE: u16 = 136;
 const SQRT: u16 = EXTENDED + 31;
 
 impl Builder<'_> {
-    /// What a pointer type points to.
     pub(crate) fn pointee(&self, of: Id) -> Result<Id, String> {
         match self.module.kind(of) {
             Type::Pointer { to, .. } => Ok(*to),
@@ -142,13 +141,13 @@ impl Builder<'_> {
         }
     }
 
-    /// An operation on each component; operands of one component are taken for all.
+    /// Applies an operation to each component. A scalar operand applies to all components.
     fn by_component(&mut self, code: u16, ids: &[Id]) -> Result<Vec<Slot>, String> {
         let operands: Result<Vec<_>, _> = ids.iter().map(|id| self.words(*id)).collect();
         let operands = operands?;
         let count = operands.iter().map(|words| words.len()).max().unwrap_or(0);
         let at = |k: usize| operands.iter().map(|words| words[k.min(words.len() - 1)]).collect::<Vec<_>>();
-        // Of a structure or an array, which Select may choose.
+        // Also structures and arrays, which Select may choose.
         (0..count).map(at).map(|slots| self.compute(code, &slots)).collect()
     }
 
@@ -201,7 +200,7 @@ impl Builder<'_> {
         }
     }
 
-    /// The words of one part of a composite: from, up to.
+    /// Range of a part's words in a composite.
     fn part_of(&self, of: Id, indices: &[u32]) -> Result<(usize, usize), String> {
         let (mut begin, mut of) = (0, of);
         for index in indices {
@@ -212,7 +211,7 @@ impl Builder<'_> {
         Ok((begin as usize, (begin + self.module.size(of)?) as usize))
     }
 
-    /// A value's words one behind the other.
+    /// Copies a value's words into contiguous slots.
     fn contiguous(&mut self, id: Id) -> Result<Slot, String> {
         let words = self.words(id)?;
         let first = self.temporary(words.len() as u32);

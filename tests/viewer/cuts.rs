@@ -1,4 +1,4 @@
-//! What is left out, and the scene as a file: the viewer's, and `ashsplat convert`'s.
+//! Cuts, and exported files: those of the viewer and of `ashsplat convert`.
 
 use super::*;
 use crate::cli::{succeed, write_dataset};
@@ -12,7 +12,7 @@ use tempfile::tempdir;
 
 const COUNT: usize = 900;
 
-/// Cuts by each limit and by all; one that leaves all, and one with sides that are swapped.
+/// Cuts by each limit and by all; one that keeps everything, and one with swapped sides.
 fn cuts() -> Vec<Value> {
     let mut densities: Vec<f32> = (0..COUNT).map(|index| ball(COUNT).log_density(index).exp()).collect();
     densities.sort_unstable_by(f32::total_cmp);
@@ -26,7 +26,7 @@ fn cuts() -> Vec<Value> {
     ]
 }
 
-/// The picture of Gaussians that were cut by hand.
+/// Picture of Gaussians that the test has cut itself.
 fn picture(gaussians: &Gaussians, camera: &Camera) -> Vec<u8> {
     let mut renderer = renderer();
     renderer.upload(gaussians).expect("uploaded");
@@ -38,8 +38,8 @@ fn read(path: &Path) -> Gaussians {
     splats::read(path, &splats::ReadOptions::default()).expect("a scene").gaussians
 }
 
-/// The viewer's picture is that of the file which the command that it names writes, and its exports are that file, byte for
-/// byte.
+/// The viewer's picture equals that of the file which the displayed command writes. Its exports equal that file,
+/// byte for byte.
 #[test]
 fn viewer_cuts_as_convert_does() {
     let folder = tempdir().expect("a temporary folder");
@@ -85,7 +85,7 @@ fn viewer_cuts_as_convert_does() {
     }
     assert!(sizes[0] == COUNT && sizes[1..].iter().all(|&left| 20 < left && left < COUNT), "{sizes:?}");
     assert_eq!(sizes[2], COUNT - COUNT / 3, "a third is less dense");
-    // Pixels are of what is shown.
+    // Picks consider only the Gaussians shown.
     let cut = json!({ "low": [null, null, 0.0] });
     let pick = json!({ "type": "pick", "id": 1, "camera": message(&camera), "pixel": [48, 32], "look": { "cut": cut } });
     page.send(&pick);
@@ -99,7 +99,7 @@ fn viewer_cuts_as_convert_does() {
     assert!(!ids.is_empty() && ids.iter().all(|&id| ball(COUNT).means[id][2] >= 0.0), "{ids:?}");
 }
 
-/// A tiny scene far from the origin: the page sees it as any other, and names its box in the coordinates of the file.
+/// A tiny scene far from the origin looks like any other. The page gives its box in the coordinates of the file.
 #[test]
 fn viewer_cuts_distant_scenes_in_their_own_coordinates() {
     let folder = tempdir().expect("a temporary folder");
@@ -124,7 +124,7 @@ fn viewer_cuts_distant_scenes_in_their_own_coordinates() {
     assert_eq!(counts["kept"], read(&converted).len());
 }
 
-/// A cut for each page.
+/// Each page has its own cut.
 #[test]
 fn viewer_pages_cut_for_themselves() {
     let folder = tempdir().expect("a temporary folder");
@@ -140,7 +140,7 @@ fn viewer_pages_cut_for_themselves() {
     expected.retain(|all, index| limits.keeps(all, index));
     assert!(half.rgb() == picture(&expected, &camera) && whole == picture(&ball(300), &camera));
     assert!(one.look(&camera, &json!({ "quality": 0 })).rgb() == whole);
-    // Nonsense is answered in words.
+    // Invalid cuts are answered with an error.
     for cut in [json!({ "min_opacity": 7 }), json!({ "min_density": -1 })] {
         one.send(&view(1, &camera, &json!({ "cut": cut })));
         let problem = one.wait_for_problem();
@@ -168,7 +168,7 @@ fn viewer_exports_of_a_training_are_what_it_saves() {
     assert_eq!(code, 200, "{head}");
     let saved = model.join(format!("point_cloud/iteration_{at}/point_cloud.ply"));
     assert!(body == std::fs::read(saved).expect("a PLY"));
-    // Nothing is opened in a training.
+    // No scene can be opened in a training.
     assert_eq!(
         server.post("/upload/ball.ply", &[("Content-Type", "application/octet-stream")], b"ply").0,
         403
@@ -191,7 +191,7 @@ fn viewer_exports_what_it_understands_to_who_may_have_it() {
         ("/export/a.ply?token=sesame", 200),
         ("/export/a.spz?token=sesame&low=,0,&high=,,&min_opacity=&sh_degree=0", 200),
         ("/export/a.glb?token=sesame", 200),
-        // Of two files.
+        // A format of two files.
         ("/export/a.gltf?token=sesame", 404),
         ("/export/a.png?token=sesame", 404),
         ("/export/..%2f..%2fa.ply%2fb?token=sesame", 404),
@@ -211,7 +211,7 @@ fn viewer_exports_what_it_understands_to_who_may_have_it() {
     ] {
         assert_eq!(get("/export/a.ply?token=sesame", &[foreign]), 403, "{foreign:?}");
     }
-    // Who does not take what was made keeps a bounded number of files.
+    // Clients that ask for files and do not read them cause a bounded number of files.
     let asked = |_| {
         let mut stream = server.connect();
         write!(stream, "GET /export/a.ply?token=sesame HTTP/1.1\r\nHost: {}\r\n\r\n", server.host)
@@ -227,7 +227,7 @@ fn viewer_exports_what_it_understands_to_who_may_have_it() {
     assert!(codes.all(|code| ["200", "503"].contains(&code.as_str())));
 }
 
-/// A page that knows the word, when the scene is there.
+/// Opens a page with the token, once the scene is loaded.
 fn page_of(server: &Server) -> Page {
     server.page_with("?token=sesame").expect("let in")
 }

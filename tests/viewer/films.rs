@@ -14,7 +14,7 @@ fn viewer_makes_films() {
     let gif = format!("/film/{}", files["gif"].as_str().expect("a GIF"));
     let (code, head, gif) = cinema.server.get(&gif, &[]);
     assert!(code == 200 && head.contains("image/gif"), "{head}");
-    // What else lies in the folder is none of the page's.
+    // Other files of the folder are not served.
     for other in ["film_900.gif", "secret.json"] {
         std::fs::write(cinema.films().join(other), "older").expect("written");
         assert_eq!(cinema.server.get(&format!("/film/{other}"), &[]).0, 404, "{other}");
@@ -27,15 +27,15 @@ fn viewer_makes_films() {
     assert_eq!((frames.len(), frames[5].buffer().dimensions()), (6, (64, 48)));
     let milliseconds = frames.iter().map(|frame| frame.delay().numer_denom_ms());
     assert_eq!(milliseconds.map(|(ms, parts)| ms / parts).sum::<u32>(), 6000);
-    // Either a film, or why there is none.
+    // Either a film, or a note why there is none.
     assert!(files["mp4"].is_string() != files["note"].is_string(), "{files}");
-    // The path is one for `render`, which makes the same frames of it.
+    // `render` accepts the path and makes the same frames.
     let cameras = cinema.films().join(files["path"].as_str().expect("a path"));
     let (scene, again) = (cinema.folder.path().join("ball.ply"), cinema.folder.path().join("again"));
     succeed(&["render", text(&scene), "--path", text(&cameras), "-o", text(&again)]);
     let film = Path::new(files["frames"].as_str().expect("a folder"));
     for index in 0..6 {
-        // Its cameras went through text: rounding may differ.
+        // The cameras were written as text, so rounding may differ.
         let (a, b) = (pixels(film, index), pixels(&again, index));
         let worst = a.iter().zip(&b).map(|(a, b)| a.abs_diff(*b)).max();
         assert!(worst <= Some(2) && a.len() == b.len(), "frame {index}: {worst:?}");
@@ -46,11 +46,11 @@ fn viewer_makes_films() {
 fn viewer_films_take_turns_and_can_be_called_off() {
     let cinema = Cinema::open();
     let [mut first, mut second, mut gone] = [(); 3].map(|()| cinema.server.page());
-    // Longer than anybody waits.
+    // Far longer than the test runs.
     first.send(&film(3000, [64, 48]));
     assert_eq!(first.hears("waiting"), 0);
     first.hears("done");
-    // Another page's waits, and calling it off leaves the first alone.
+    // Another page's film waits, and cancelling it does not affect the first.
     second.send(&film(3, [32, 24]));
     assert_eq!(second.hears("waiting"), 1);
     second.send(&json!({ "type": "cancel" }));
@@ -60,13 +60,13 @@ fn viewer_films_take_turns_and_can_be_called_off() {
     // A page has one film at a time.
     first.send(&film(3, [32, 24]));
     assert!(first.wait_for_problem().contains("cancel it first"));
-    // Called off, it leaves nothing, and the next one comes.
+    // A cancelled film leaves no files, and the next one starts.
     second.send(&film(3, [32, 24]));
     assert_eq!(second.hears("waiting"), 1);
     first.send(&json!({ "type": "cancel" }));
     assert_eq!(first.hears("cancelled"), true);
     assert_eq!(second.hears("files")["gif"], "film_001.gif");
-    // A page that goes takes its film along.
+    // A page that closes cancels its film.
     gone.send(&film(3000, [64, 48]));
     gone.hears("done");
     first.send(&film(2, [32, 24]));
@@ -79,7 +79,7 @@ fn viewer_films_take_turns_and_can_be_called_off() {
     assert_eq!(std::fs::read_dir(cinema.films().join("film_002")).expect("frames").count(), 2);
 }
 
-/// Training does not wait for a film, but its end does.
+/// Training does not wait for a film, but the program does at its end.
 #[test]
 fn viewer_films_of_a_training_are_made_to_their_end() {
     let mut training = Training::start(&["150", "--view=0", "--view-share", "0.05"], "viewer at ");

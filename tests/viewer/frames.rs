@@ -9,7 +9,7 @@ use ashsplat_files::Photo;
 use glam::Vec3;
 use tempfile::tempdir;
 
-/// The picture that the library renders.
+/// Picture that the library renders.
 fn expected(count: usize, camera: &Camera, settings: &RenderSettings) -> Vec<u8> {
     let mut renderer = renderer();
     renderer.upload(&ball(count)).expect("uploaded");
@@ -42,7 +42,7 @@ fn viewer_shows_what_the_library_renders() {
     assert!(error / (exact.len() as f64) < 3.0, "{error}");
 }
 
-/// After a line of many pixels, pictures of usual sizes are what they were.
+/// A picture of one very long line does not change later pictures of usual sizes.
 #[test]
 fn viewer_is_none_the_worse_for_odd_sizes() {
     let folder = tempdir().expect("a temporary folder");
@@ -101,7 +101,7 @@ fn viewer_sends_the_newest_view_only() {
     }
     let first = slow.frame().header["seq"].as_u64().expect("a number");
     assert!(slow.is_silent(), "the first frame was not acknowledged");
-    // Another page does not wait for it.
+    // Other pages do not wait for it.
     for _ in 0..5 {
         quick.look(&camera(0.0), &json!({}));
     }
@@ -135,7 +135,7 @@ fn viewer_picks_what_inspect_lists() {
     assert!(ids(&picked).len() > 3, "{picked}");
     let depth = picked["depth"].as_f64().expect("a depth");
     assert!((2.0..6.5).contains(&depth), "{depth}");
-    // Beside the ball is nothing to turn around.
+    // A pick beside the ball has no depth.
     page.send(&json!({ "type": "pick", "id": 6, "camera": message(&camera), "pixel": [0, 0] }));
     assert_eq!(page.wait_for("picked")["depth"], Value::Null);
 }

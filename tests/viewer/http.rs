@@ -1,4 +1,4 @@
-//! The page, tokens, ports, photos.
+//! The page, tokens, ports and photos.
 
 use super::*;
 use crate::cli::{assert_refused, finish, program, refuse, write_dataset};
@@ -20,14 +20,14 @@ fn viewer_without_a_scene_says_what_to_do() {
     let mut page = server.page();
     assert_eq!(page.greeting["empty"], true);
     assert!(page.greeting["note"].as_str().expect("a note").contains("ashsplat view scene.ply"));
-    // Whatever it is asked then is answered in words.
+    // Requests for frames are answered with an error.
     page.send(&view(1, &camera(0.0), &json!({})));
     let problem = page.wait_for_problem();
     assert!(problem.contains("scene"), "{problem}");
 }
 
 impl Page {
-    /// The next complaint.
+    /// Waits for the next error message.
     pub fn wait_for_problem(&mut self) -> String {
         loop {
             if let Message::Text(text) = self.socket.read().expect("a message") {
@@ -46,7 +46,7 @@ fn viewer_lets_in_who_knows_the_token() {
     let path = write_ball(folder.path(), 50);
     refuse(&["view", text(&path), "--host", "0.0.0.0", "--port", "0"], &["--host", "0.0.0.0", "--token"]);
     refuse(&["view", text(&path), "--host", "0.0.0.0", "--port", "0", "--token", ""], &["--token"]);
-    // What could not be written is refused before anything is served.
+    // A bad output folder is refused before the page is served.
     refuse(
         &["view", text(&path), "--port", "0", "-o", text(&path.join("below"))],
         &["ball.ply", "no folder"],
@@ -76,7 +76,7 @@ fn viewer_lets_in_who_knows_the_token() {
     assert!(code == 200 && head.contains(&format!("{own}; HttpOnly; SameSite=Strict")), "{head}");
     assert_eq!(server.get("/main.js", &[("Cookie", &format!("other=1; {own}"))]).0, 200);
     assert_eq!(server.get("/main.js", &[("Cookie", &cookie(&server, "wrong"))]).0, 401);
-    // Browsers send the cookies of all ports of a host: another viewer's word is kept beside this one's.
+    // Browsers send the cookies of all ports of a host: another viewer's token must not replace this one's.
     let another = Server::view(&path, &["--token", "open"]);
     let both = format!("{own}; {}", cookie(&another, "open"));
     for server in [&server, &another] {
@@ -92,7 +92,7 @@ fn viewer_refuses_foreign_pages() {
     let folder = tempdir().expect("a temporary folder");
     let server = Server::view(&write_ball(folder.path(), 50), &[]);
     assert_eq!(server.get("/", &[("Host", "rebound.example:80")]).0, 403);
-    // Of a foreign page, whatever it asks for: photos cost memory, and need no script to be asked for.
+    // Requests of a foreign page are refused, whatever they ask for: photos cost memory, and need no script.
     for path in [
         "/",
         "/main.js",
@@ -118,7 +118,7 @@ fn viewer_refuses_foreign_pages() {
     let link =
         [("Sec-Fetch-Site", "cross-site"), ("Sec-Fetch-Mode", "navigate"), ("Sec-Fetch-Dest", "document")];
     assert_eq!((server.get("/", &link).0, server.get("/photo/0", &link).0), (200, 403));
-    // The same handshake but for the page that opens it.
+    // The same handshake, with different origins.
     let own = format!("http://{}", server.host);
     for (origin, expected) in [("http://elsewhere.example", 403), ("null", 403), (&own, 101)] {
         let mut request = format!("ws://{}/socket", server.host).into_client_request().expect("a request");
@@ -132,7 +132,7 @@ fn viewer_refuses_foreign_pages() {
     }
 }
 
-/// A proxy at viewer.example gives the viewer its own name as the header Host, as nginx does by default.
+/// A proxy at viewer.example sends its upstream name in the header Host, as nginx does by default.
 #[cfg(unix)]
 #[test]
 fn viewer_behind_a_proxy_says_what_to_do_and_can_be_told() {
@@ -150,7 +150,7 @@ fn viewer_behind_a_proxy_says_what_to_do_and_can_be_told() {
     let (shown, evil) = ("https://viewer.example", "https://evil.example");
     let server = Server::view(&path, &[]);
     assert_eq!(open(&server, shown), 403);
-    // A page does not see that; it asks once more.
+    // A page cannot see the reason; it sends another request.
     let asked = |server: &Server, headers: &[(&str, &str)]| {
         let (code, _, body) = server.post("/socket", headers, &[]);
         (code, String::from_utf8(body).expect("text"))
@@ -175,12 +175,12 @@ fn viewer_behind_a_proxy_says_what_to_do_and_can_be_told() {
         assert_eq!(server.get("/", headers).0, expected, "{headers:?}");
     }
     refuse(&["view", text(&path), "--allow-origin", "viewer.example"], &["--allow-origin", "https://HOST"]);
-    // Others reach it: they name no paths here.
+    // Others can reach the viewer, so they may not name paths.
     let server = Server::start_in(folder.path(), &[], &["view", "--port", "0", "--allow-origin", shown]);
     assert!(server.page().greeting["open"]["folder"].is_null());
 }
 
-/// Up is a direction; the page turns around it.
+/// `--up` sets the up direction of the page.
 #[test]
 fn viewer_is_told_what_is_up() {
     let folder = tempdir().expect("a temporary folder");
@@ -188,7 +188,7 @@ fn viewer_is_told_what_is_up() {
     let page = Server::view(&path, &["--up", "0,0,2"]).page();
     assert_eq!(page.greeting["up"], json!([0.0, 0.0, 1.0]));
     let rows = &page.greeting["start"]["rotation"];
-    // The picture's down is the camera's second row.
+    // The camera's second row points down in the picture.
     assert!(rows[1][2].as_f64().expect("a number") < -0.9, "{rows}");
     refuse(&["view", text(&path), "--up", "0,0,0", "--port", "0"], &["--up", "not all 0"]);
 }
@@ -205,13 +205,13 @@ fn viewer_names_a_busy_port() {
     let model = folder.path().join("model");
     let train = ["train", "-s", text(&data), "-m", text(&model), "--iterations", "5", "--quiet"];
     refuse(&[&train[..], &[&format!("--view={port}")]].concat(), &[&port, "in use", "--view=PORT"]);
-    // Before anything was written.
+    // Nothing was written before.
     assert!(!model.exists());
     refuse(&[&train[..], &["--port", &port]].concat(), &["--ip"]);
     refuse(&[&train[..], &["--ip", "127.0.0.1", "--port", &port]].concat(), &[&port, "in use"]);
 }
 
-/// Before a page is promised.
+/// The file is checked before the page's address is printed.
 #[test]
 fn viewer_of_a_missing_file_says_only_so() {
     let run = finish(program().args(["view", "nosuch.ply", "--port", "0"]));
@@ -229,7 +229,7 @@ fn viewer_shows_a_data_set_and_its_photos() {
     assert_eq!((&page.greeting["gaussians"], &page.greeting["empty"]), (&json!(400), &json!(false)));
     let cameras = page.greeting["cameras"].as_array().expect("cameras");
     assert_eq!((cameras.len(), cameras[1]["name"].as_str()), (9, Some("02.png")));
-    // Browsers keep photos: another run at the same port has other addresses.
+    // Browsers cache photos: another run at the same port must use other addresses.
     let run = page.greeting["run"].as_str().expect("a word");
     assert_ne!(Server::view(&data, &[]).page().greeting["run"].as_str(), Some(run));
     let script = String::from_utf8(server.get("/photos.js", &[]).2).expect("text");
@@ -243,14 +243,14 @@ fn viewer_shows_a_data_set_and_its_photos() {
     assert!(shown.dimensions() == (48, 32) && differences.sum::<f64>() / f64::from(48 * 32 * 3) < 4.0);
     assert_eq!(server.get("/thumbnail/8", &[]).0, 200);
     assert_eq!(server.get("/photo/9", &[]).0, 404);
-    // A photo that has gone is told in words, and nothing else ends.
+    // A missing photo gives an error, and the server continues.
     std::fs::remove_file(data.join("images/03.png")).expect("removed");
     let (code, _, body) = server.get("/photo/2", &[]);
     assert!(code == 422 && String::from_utf8_lossy(&body).contains("03.png"), "{code}");
     assert_eq!(server.get("/photo/1", &[]).0, 200);
 }
 
-/// Smaller copies of the photos beside them, as the reference's data sets have them.
+/// Smaller copies of the photos, as in the reference's data sets.
 #[test]
 fn viewer_takes_photos_from_the_folder_that_it_is_told() {
     let folder = tempdir().expect("a temporary folder");
@@ -275,10 +275,10 @@ fn viewer_takes_photos_from_the_folder_that_it_is_told() {
     for option in [["--images", "images_2"], ["-i", "images_2"]] {
         assert_eq!(size(&Server::view(&data, &option)), (24, 16));
     }
-    // Of a scene's data set too; and nothing is passed over in silence.
+    // The option also applies to a scene's data set, and is never ignored silently.
     let scene = write_ball(folder.path(), 20);
     assert_eq!(size(&Server::view(&scene, &["-s", text(&data), "-i", "images_2"])), (24, 16));
-    // The page is there first: at a port of its own.
+    // The page is served first, so the viewer needs a free port.
     refuse(&["view", text(&data), "--port", "0", "--images", "images_9"], &["images_9"]);
     refuse(&["view", text(&scene), "--port", "0", "--images", "images_2"], &["data set", "-s DATASET"]);
 }

@@ -1,4 +1,4 @@
-//! Views as they were photographed: with the exposure of the photo, through the lens that took it.
+//! Views with the exposure of their photo and the effects of its lens.
 
 use super::training::Training;
 use super::*;
@@ -7,7 +7,7 @@ use ashsplat::scene::WorldFrame;
 use ashsplat_files::cameras_json;
 use tempfile::tempdir;
 
-/// A scene's camera, by its place, as its photo is or as the scene is.
+/// The view of a scene's camera, with or without its photo's exposure and lens.
 fn shown(page: &mut Page, place: usize, as_photo: Option<usize>) -> Vec<u8> {
     let camera = page.greeting["cameras"][place]["camera"].clone();
     let look = json!({ "quality": 0 });
@@ -38,13 +38,13 @@ fn viewer_shows_views_as_they_were_photographed() {
     succeed(&[paths.as_slice(), &light].concat());
     let server = Server::view(&model, &[]);
     let mut page = server.page();
-    // The one that was held out was seen through the same lens.
+    // The held-out photo was taken with the same lens.
     let all = page.greeting["cameras"].as_array().expect("cameras").clone();
     assert!(all.iter().all(|camera| camera["lit"] == true), "{all:?}");
     let place = place_of(&page, "03.png");
     let (plain, lit) = (shown(&mut page, place, None), shown(&mut page, place, Some(place)));
     assert!(mean_difference(&plain, &lit) > 2.0, "{}", mean_difference(&plain, &lit));
-    // As `render` has it.
+    // Equal to the picture of `render`.
     let named = ["--exposure-of", "03.png", "--lens-of", "03.png"];
     succeed(&[&["render", text(&model), "-o", text(&out), "--quiet"], named.as_slice()].concat());
     let cameras = cameras_json::read(model.join("cameras.json"), &WorldFrame::default()).expect("cameras");
@@ -52,7 +52,7 @@ fn viewer_shows_views_as_they_were_photographed() {
     let rendered = image::open(out.join(format!("{index:05}.png"))).expect("a picture").to_rgb8().into_raw();
     let off = mean_difference(&rendered, &lit);
     assert!(off < 0.2 && mean_difference(&rendered, &plain) > 2.0, "{off}");
-    // One that does not exist is refused, and the page goes on.
+    // An unknown photo is refused, and the page continues.
     let camera = message(&camera(0.0));
     page.send(&json!({ "type": "view", "seq": 2, "camera": camera, "as_photo": all.len() }));
     let start = Instant::now();
@@ -68,7 +68,7 @@ fn viewer_shows_views_as_they_were_photographed() {
     assert!(shown(&mut page, place, None) == plain);
 }
 
-/// While training runs, with what it has learned so far; nothing where it learns no such thing.
+/// During training, exposures are those learned so far. Trainings that learn none show none.
 #[test]
 fn viewer_of_a_training_shows_its_exposures() {
     for learns in [true, false] {

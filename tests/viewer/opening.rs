@@ -1,4 +1,4 @@
-//! Scenes that pages bring or name.
+//! Scenes that pages upload or name.
 
 use super::*;
 use crate::cli::write_dataset;
@@ -8,7 +8,7 @@ use tempfile::{TempDir, tempdir};
 const BINARY: (&str, &str) = ("Content-Type", "application/octet-stream");
 const JSON: (&str, &str) = ("Content-Type", "application/json");
 
-/// A viewer that was started without a scene, in a folder of its own.
+/// A viewer that was started without a scene, in its own folder.
 struct Empty {
     folder: TempDir,
     server: Server,
@@ -30,7 +30,7 @@ impl Empty {
         self.folder.path().join("started")
     }
 
-    /// What lies in the temporary folder.
+    /// Number of files in the temporary folder.
     fn left(&self) -> usize {
         std::fs::read_dir(self.folder.path().join("room")).expect("a folder").count()
     }
@@ -50,7 +50,7 @@ fn bytes_of(count: usize, ending: &str) -> Vec<u8> {
 }
 
 impl Page {
-    /// The next scene that is shown, or why there is none.
+    /// Waits for the next scene or error.
     fn opened(&mut self) -> Result<Value, String> {
         loop {
             if let Message::Text(text) = self.socket.read().expect("a message") {
@@ -82,21 +82,21 @@ fn viewer_shows_files_that_are_dropped() {
         assert_eq!(scene["name"], format!("my ball{ending}"));
         assert_eq!(scene["stem"], "my ball");
         assert_eq!(scene["convert"], format!("ashsplat convert 'my ball{ending}' 'my ball_cut.ply'"));
-        // All pages see it, and it is gone from the disk once it is read.
+        // All pages see the scene, and the upload is deleted after reading.
         assert_eq!(other.opened().expect("a scene")["run"], scene["run"]);
         assert!(!page.look(&camera(0.0), &json!({})).picture.is_empty());
         assert_eq!(empty.left(), 0, "{ending}");
     }
-    // What it shows is what was sent.
+    // The exported scene is the uploaded one.
     let (_, _, back) = empty.server.get("/export/back.compressed.ply", &[]);
     assert!(!back.is_empty());
-    // A file that is none is told in words; the scene before stays.
+    // An invalid file gives an error; the previous scene stays.
     let last = page.look(&camera(0.0), &json!({ "quality": 0 })).rgb();
     let mut cut_short = bytes_of(300, ".ply");
     cut_short.truncate(9000);
     for (name, bytes) in [("bad.spz", &b"no splats at all"[..]), ("short.ply", &cut_short)] {
         assert_eq!(empty.server.post(&format!("/upload/{name}"), &[BINARY], bytes).0, 202);
-        // By its name, and without the folder in which it was.
+        // The error has the file's name, without the temporary folder.
         let problem = page.opened().expect_err(name);
         assert!(problem.contains(name) && !problem.contains("room"), "{problem}");
         assert!(other.opened().is_err());
@@ -115,7 +115,7 @@ fn viewer_bounds_what_is_sent() {
     let ball = bytes_of(100, ".ply");
     let (code, text) = post("/upload/ball.ply", &[BINARY, ("Content-Length", "65537")], &[]);
     assert!(code == 413 && text.contains("--max-host-memory"), "{text}");
-    // The answer arrives though the file is not read to its end.
+    // The answer arrives although the server does not read the whole file.
     assert_eq!(post("/upload/ball.ply", &[BINARY], &vec![0; 4 << 20]).0, 413);
     assert_eq!(post("/upload/ball.ply", &[("Content-Type", "text/plain")], &ball).0, 415);
     assert_eq!(post("/upload/ball.ply", &[], &ball).0, 415);
@@ -127,7 +127,7 @@ fn viewer_bounds_what_is_sent() {
     assert_eq!(post("/open", &[JSON], b"no JSON").0, 400);
     assert_eq!(post("/open", &[JSON], &[b' '; 70_000]).0, 400);
     assert_eq!(empty.server.get("/upload/ball.ply", &[]).0, 405);
-    // One at a time: a second is refused while the first is on its way, and may come when that has gone.
+    // One upload at a time: a second one is refused until the first has ended.
     let mut slow = empty.server.connect();
     let head = format!(
         "POST /upload/slow.ply HTTP/1.1\r\nHost: {}\r\nContent-Type: {}\r\nContent-Length: 60000\r\n\r\nply",
@@ -141,7 +141,7 @@ fn viewer_bounds_what_is_sent() {
             std::thread::sleep(Duration::from_millis(20));
         }
     };
-    // The first of these may come before the slow one has begun.
+    // The first attempts may arrive before the slow upload has begun.
     until(503);
     assert_eq!(empty.left(), 1);
     let mut page = empty.server.page();
@@ -149,7 +149,7 @@ fn viewer_bounds_what_is_sent() {
     until(202);
     assert_eq!(page.opened().expect("a scene")["gaussians"], 100);
     assert_eq!(empty.left(), 0);
-    // It fits as a file, and not as a scene.
+    // The file fits into memory, the scene does not.
     let packed = bytes_of(900, ".spz");
     assert!(packed.len() < 65_536);
     assert_eq!(post("/upload/large.spz", &[BINARY], &packed).0, 202);
@@ -174,12 +174,12 @@ fn viewer_opens_paths_of_its_folder_only() {
     assert_eq!(empty.open("below/ball.ply").0, 202);
     assert_eq!(page.opened().expect("a scene")["gaussians"], 40);
     assert_eq!(empty.server.get("/photo/0", &[]).0, 404);
-    // A data set, with its photos.
+    // A data set with its photos.
     assert_eq!(empty.open(text(&started.join("data"))).0, 202);
     let scene = page.opened().expect("a scene");
     assert_eq!((&scene["gaussians"], scene["cameras"].as_array().map(Vec::len)), (&json!(400), Some(9)));
     assert_eq!(empty.server.get("/photo/0", &[]).0, 200);
-    // A model may name its data set; one of elsewhere stays there.
+    // A model may name its data set, but only inside the start folder.
     let model = started.join("model/point_cloud/iteration_7");
     std::fs::create_dir_all(&model).expect("created");
     std::fs::write(model.join("point_cloud.ply"), bytes_of(30, ".ply")).expect("written");
@@ -192,7 +192,7 @@ fn viewer_opens_paths_of_its_folder_only() {
         (&inside, "images", true),
         (&inside, text(&own), true),
         (&outside, "images", false),
-        // Nor may it name photos of elsewhere.
+        // A model may not name photos elsewhere, either.
         (&inside, text(&foreign), false),
         (&inside, "../../data/images", false),
         (&inside, "linked", false),
@@ -223,11 +223,11 @@ fn viewer_lets_nobody_open_who_may_not() {
         ] {
             assert_eq!(empty.server.post(path, &[kind, foreign], body).0, 403, "{path} {foreign:?}");
         }
-        // A browser asks first whether a foreign page may.
+        // A browser first asks whether a foreign page may.
         let (code, head) = empty.server.ask("OPTIONS", path, &[("Origin", "http://elsewhere.example")]);
         assert!(code == 403 && !head.to_lowercase().contains("access-control"), "{head}");
     }
-    // With a token, and reached by others: what is sent is taken of who knows it, paths are not.
+    // With a token and reachable by others: uploads are accepted with the token, paths are not.
     let mut far = Empty::start(&["--host", "0.0.0.0", "--token", "sesame"]);
     far.server.host = far.server.host.replace("0.0.0.0", "127.0.0.1");
     write_ball(&far.started(), 20);
@@ -240,7 +240,7 @@ fn viewer_lets_nobody_open_who_may_not() {
     assert!(code == 404 && String::from_utf8_lossy(&said).contains("opens no paths"));
     assert_eq!(far.server.post("/upload/a.ply?token=sesame", &[BINARY], &ball).0, 202);
     assert_eq!(page.opened().expect("a scene")["gaussians"], 10);
-    // What was started with a scene shows that one.
+    // A viewer that was started with a scene accepts no other.
     let folder = tempdir().expect("a temporary folder");
     let server = Server::view(&write_ball(folder.path(), 30), &[]);
     assert!(server.page().greeting["open"].is_null());
@@ -250,7 +250,7 @@ fn viewer_lets_nobody_open_who_may_not() {
     }
 }
 
-/// The page is served before the scene is read; what is wrong with that ends the program in words.
+/// The page is served before the scene is read. An error in the scene ends the program with a message.
 #[test]
 fn viewer_ends_with_what_is_wrong_with_its_scene() {
     let folder = tempdir().expect("a temporary folder");

@@ -1,4 +1,4 @@
-//! What is drawn in place of the Gaussians: scale modifier, ellipsoids, points.
+//! Other shapes for Gaussians: scale modifier, ellipsoids, points.
 
 use crate::common::engine::renderer;
 use ashsplat::forward::{ELLIPSOID_SIGMAS, POINT_RADIUS_PX};
@@ -29,7 +29,7 @@ fn render(gaussians: &Gaussians, settings: &RenderSettings) -> Frame {
     renderer.render(&camera(), settings).expect("a frame")
 }
 
-/// Half the width and half the height of what is more than half opaque, pixels.
+/// Half the width and height of the area that is more than half opaque, pixels.
 fn half_extent(frame: &Frame) -> [f32; 2] {
     let width = frame.width as usize;
     let hit = |index: &usize| frame.transmittance[*index] < 0.5;
@@ -68,10 +68,10 @@ fn ellipsoids_are_opaque_up_to_their_surface() {
     let radius = |sigma: f32| ELLIPSOID_SIGMAS * sigma * focal / 4.0;
     let [x, y] = half_extent(&frame);
     assert!((x - radius(0.3)).abs() < 1.5 && (y - radius(0.15)).abs() < 1.5, "{x} {y}, {}", radius(0.3));
-    // In its own colour, whatever its opacity.
+    // The colour is the Gaussian's, whatever its opacity.
     let middle = frame.color[(48 * 128 + 64) as usize];
     middle.iter().zip([0.9, 0.5, 0.2]).for_each(|(a, b)| assert!((a - b * 0.99).abs() < 0.01, "{middle:?}"));
-    // Half-opaque pixels are few: the rim is narrow.
+    // Few pixels are half opaque: the rim is narrow.
     let rim = frame.transmittance.iter().filter(|t| (0.05..0.95).contains(*t)).count();
     let inside = frame.transmittance.iter().filter(|t| **t <= 0.05).count();
     assert!(rim * 4 < inside, "{rim} of {inside}");
@@ -106,20 +106,20 @@ fn shapes_that_make_no_sense_are_refused() {
     assert!(error.to_string().contains("as they are"), "{error}");
 }
 
-/// Small ellipsoids are whole wherever they lie: their edges are steeper than any Gaussian's.
+/// Small ellipsoids have no holes, wherever they lie: their edges are steeper than any Gaussian's.
 #[test]
 fn small_ellipsoids_have_no_holes() {
     let settings = RenderSettings { shape: Shape::Ellipsoid, ..RenderSettings::default() };
     for (k, scale) in [0.0002, 0.005, 0.02, 0.05].into_iter().cycle().take(32).enumerate() {
         let mut ellipsoid = one([scale; 3], 0.9);
-        // Anywhere within tiles, and between pixels.
+        // Different positions within tiles and between pixels.
         let [x, y] = [0.013 * k as f32 - 0.2, 0.3 - 0.017 * k as f32];
         ellipsoid.means[0] = [x, y, 4.0];
         let frame = render(&ellipsoid, &settings);
         let camera = camera();
         let middle = [camera.fx * x / 4.0 + camera.cx - 0.5, camera.fy * y / 4.0 + camera.cy - 0.5];
         let sigma = (camera.fx * scale / 4.0).hypot(0.3f32.sqrt());
-        // A tenth less, for the rim.
+        // A tenth less, because of the rim.
         let radius = 0.9 * ELLIPSOID_SIGMAS * sigma;
         for (index, transmittance) in frame.transmittance.iter().enumerate() {
             let [column, row] = [index as u32 % frame.width, index as u32 / frame.width];

@@ -1,9 +1,9 @@
-//! The reference implementation's network viewer, as its `network_gui.py` hears it.
+//! The reference implementation's network viewer and the protocol of its `network_gui.py`.
 
 use super::training::Training;
 use super::*;
 
-/// SIBR's remote viewer, but for its window.
+/// SIBR's remote viewer without a window.
 struct Remote(TcpStream);
 
 impl Remote {
@@ -14,7 +14,7 @@ impl Remote {
         Remote(stream)
     }
 
-    /// Sends a message; the picture, if one was asked for, and the path.
+    /// Sends a message. Returns the picture (if requested) and the path.
     fn ask(&mut self, message: &Value) -> (Vec<u8>, String) {
         let text = message.to_string();
         self.0.write_all(&u32::try_from(text.len()).expect("short").to_le_bytes()).expect("sent");
@@ -30,7 +30,7 @@ impl Remote {
     }
 }
 
-/// As the viewer has it: OpenGL's axes, vectors from the left.
+/// Camera in the viewer's format: OpenGL's axes, row vectors.
 fn of_camera(camera: &Camera, train: bool) -> Value {
     let (r, t) = (camera.camera_from_world, camera.translation);
     let column = |j: usize| [r.col(j).x, -r.col(j).y, -r.col(j).z, 0.0];
@@ -44,7 +44,7 @@ fn of_camera(camera: &Camera, train: bool) -> Value {
     })
 }
 
-/// However many have come before and say nothing.
+/// Silent clients do not block a viewer.
 #[test]
 fn viewer_keeps_no_sibr_waiting_for_silent_clients() {
     let training = Training::start(
@@ -58,13 +58,13 @@ fn viewer_keeps_no_sibr_waiting_for_silent_clients() {
     drop(silent);
     #[cfg(unix)]
     {
-        // What listens to others says what that means.
+        // A viewer that others can reach prints a warning.
         let (_, stderr) = training.server.end();
         assert!(stderr.contains("warning: the network viewer's protocol has no password"), "{stderr}");
     }
 }
 
-/// As scripts for the reference ask: that alone lets no other machine in.
+/// `--ip 0.0.0.0`, as scripts for the reference pass it, admits no other machine without --host.
 #[test]
 fn viewer_of_sibr_listens_to_this_machine_unless_a_host_is_said() {
     let arguments = ["1000000", "--view=0", "--ip", "0.0.0.0", "--port", "0"];
@@ -81,17 +81,17 @@ fn viewer_of_sibr_listens_to_this_machine_unless_a_host_is_said() {
 
 #[test]
 fn viewer_speaks_sibrs_protocol() {
-    // Without an address it is for this machine alone.
+    // Without an address it listens to this machine only.
     let training = Training::start(&["1000000", "--view=0", "--ip", "--port", "0"], "network viewer");
     let said = training.server.said.last().expect("its address");
     assert!(said.starts_with("network viewer at 127.0.0.1:"), "{said}");
     let mut remote = Remote::connect(&training);
-    // Without a size, only the path.
+    // Without a size, it returns only the path.
     let mut nothing = of_camera(&camera(0.0), true);
     (nothing["resolution_x"], nothing["resolution_y"]) = (json!(0), json!(0));
     let (rgb, path) = remote.ask(&nothing);
     assert!(rgb.is_empty() && path.ends_with("data"), "{path}");
-    // It stops training; then its picture is the page's.
+    // The viewer stops training; then its picture equals the page's.
     let view_of = camera(0.2);
     remote.ask(&of_camera(&view_of, false));
     let mut page = training.server.page();
@@ -101,12 +101,12 @@ fn viewer_speaks_sibrs_protocol() {
     let worst = rgb.iter().zip(&shown).map(|(a, b)| a.abs_diff(*b)).max().expect("pixels");
     assert!(worst <= 1, "{worst}");
     assert!(rgb.iter().any(|&v| v > 60), "an empty picture proves nothing");
-    // A scale makes another picture.
+    // A scale modifier changes the picture.
     let mut smaller = of_camera(&view_of, false);
     smaller["scaling_modifier"] = json!(0.3);
     assert!(remote.ask(&smaller).0 != rgb);
     assert_eq!(page.same(), at);
-    // When it goes, training goes on; nonsense ends its connection and nothing else.
+    // When the viewer disconnects, training continues. An invalid message ends only its connection.
     remote.0.write_all(&[0xFF; 64]).expect("sent");
     assert!(matches!(remote.0.read(&mut [0; 1]), Ok(0) | Err(_)));
     let start = Instant::now();

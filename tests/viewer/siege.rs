@@ -1,4 +1,4 @@
-//! What others do to the viewer, by mistake or not: it costs them, and neither the program nor other pages.
+//! Hostile or faulty clients harm neither the program nor other pages.
 
 use super::training::Training;
 use super::*;
@@ -10,7 +10,7 @@ fn silent(server: &Server, count: usize) -> Vec<TcpStream> {
     (0..count).filter_map(|_| TcpStream::connect(server.host.as_str()).ok()).collect()
 }
 
-/// Connections that say nothing, many more than the program may have descriptors.
+/// Silent connections, many more than the program's limit of descriptors.
 #[cfg(unix)]
 #[test]
 fn viewer_leaves_descriptors_to_a_training() {
@@ -22,7 +22,7 @@ fn viewer_leaves_descriptors_to_a_training() {
     page.act("save");
     let note = page.wait_for("note");
     assert_eq!(note["message"], format!("saved iteration {at}"));
-    // Others come in all the same.
+    // Other clients can still connect.
     assert_eq!(training.server.get("/main.js", &[]).0, 200);
     let mut other = training.server.page();
     assert_eq!(other.status(0)["iteration"].as_u64(), Some(at));
@@ -75,12 +75,12 @@ fn viewer_decodes_few_photos_at_once() {
         }
     });
     let (shown, more) = (shown.into_inner(), server.peak_memory() - before);
-    // On a busy machine others have waited for too long.
+    // On a busy machine other requests time out.
     assert!(shown >= 2 && more < 600, "{shown} photos, {more} MiB");
     assert_eq!(server.get("/photo/0", &[]).0, 200);
 }
 
-/// Sends as fast as it can and reads nothing, until it is told to stop.
+/// Sends as fast as possible and reads nothing, until `over` is set.
 fn flood(page: &mut Page, over: &AtomicBool, message: &str) {
     page.socket.get_ref().set_write_timeout(Some(Duration::from_millis(50))).expect("a timeout");
     let mut sent = true;
@@ -125,7 +125,7 @@ fn viewer_pages_that_flood_starve_none() {
     });
 }
 
-/// Who talks without pause is answered meanwhile.
+/// A client that sends without pause still gets answers.
 #[test]
 fn viewer_answers_while_messages_come() {
     let folder = tempdir().expect("a temporary folder");
@@ -144,7 +144,7 @@ fn viewer_answers_while_messages_come() {
         let mut answers = 0;
         while answers < 100 {
             let answer = reader.read().expect("an answer");
-            // The server also asks from time to time whether the page is there.
+            // The server also sends pings.
             if answer.is_ping() {
                 continue;
             }

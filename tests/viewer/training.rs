@@ -1,11 +1,11 @@
-//! Looking on while training runs.
+//! Viewers of a running training.
 
 use super::*;
 use crate::cli::write_dataset;
 use std::path::PathBuf;
 use tempfile::{TempDir, tempdir};
 
-/// A training that never ends by itself.
+/// A training, usually without an end of its own.
 pub struct Training {
     pub folder: TempDir,
     pub server: Server,
@@ -21,7 +21,7 @@ impl Training {
         Training { folder, server }
     }
 
-    /// With few descriptors.
+    /// Starts it with few descriptors.
     #[cfg(unix)]
     pub fn start_within(descriptors: u32, more: &[&str]) -> Training {
         let folder = tempdir().expect("a temporary folder");
@@ -47,7 +47,7 @@ impl Page {
         self.send(&json!({ "type": "train", "action": action }));
     }
 
-    /// Waits for an iteration of a training that is stepped.
+    /// Waits for an iteration while training is stepped.
     pub fn reach(&mut self, iteration: u64) {
         let start = Instant::now();
         while self.status(0)["iteration"].as_u64() != Some(iteration) {
@@ -56,7 +56,7 @@ impl Page {
         }
     }
 
-    /// The iteration at which it has come to rest, once it is paused. Not before the first, which may take long.
+    /// Waits until training is paused, after the first iteration at the earliest. Returns the iteration.
     pub fn rest(&mut self) -> u64 {
         let start = Instant::now();
         while self.status(0)["paused"] != true {
@@ -66,7 +66,7 @@ impl Page {
         self.same()
     }
 
-    /// The iteration that it has for a while.
+    /// Waits until the iteration stays the same. Returns it.
     pub fn same(&mut self) -> u64 {
         loop {
             let first = self.status(0);
@@ -86,7 +86,7 @@ fn viewer_of_a_training_shows_and_steers_it() {
     assert_eq!(page.greeting["training"], 1_000_000);
     assert_eq!(page.greeting["cameras"].as_array().map(Vec::len), Some(9));
     assert_eq!(training.server.get("/photo/0", &[]).0, 200);
-    // Frames of the scene as it stands, renewed while training goes on.
+    // Frames of the current scene, renewed while training runs.
     let mut request = view(1, &camera(0.0), &json!({}));
     request["follow"] = json!(true);
     page.send(&request);
@@ -95,7 +95,7 @@ fn viewer_of_a_training_shows_and_steers_it() {
     page.send(&json!({ "type": "ack" }));
     let second = iteration(&page.frame());
     assert!(second > first, "{first} {second}");
-    // It waits, and goes on by one.
+    // Training pauses, and makes a single step.
     page.act("pause");
     let at = page.rest();
     let status = page.status(0);
@@ -105,7 +105,7 @@ fn viewer_of_a_training_shows_and_steers_it() {
     page.act("step");
     page.reach(at + 1);
     assert_eq!(page.rest(), at + 1);
-    // A picture of a training that waits.
+    // A pick in a paused training.
     let pick = json!({ "type": "pick", "id": 1, "camera": message(&camera(0.0)), "pixel": [48, 32] });
     page.send(&pick);
     assert!(page.wait_for("picked")["samples"].is_array());
@@ -130,7 +130,7 @@ fn viewer_of_a_training_shows_and_steers_it() {
     assert!(model.join(format!("chkpnt{}.safetensors", last.trim())).is_file());
 }
 
-/// Viewers change nothing: the same bits with and without.
+/// A viewer does not change the bits of a training.
 #[test]
 fn viewer_does_not_change_a_training() {
     let cloud = |watched: bool| {
@@ -150,12 +150,12 @@ fn viewer_does_not_change_a_training() {
     assert!(cloud(true) == cloud(false), "looking on has changed the training");
 }
 
-/// A save that the disk refuses is told to the page, and training goes on.
+/// If a save fails, the page gets an error and training continues.
 #[test]
 fn viewer_survives_a_save_that_fails() {
     let mut training = Training::start(&["1000000", "--view=0"], "viewer at ");
     let mut page = training.server.page();
-    // Where the folder of point clouds would be.
+    // A file blocks the folder of point clouds.
     let place = training.model().join("point_cloud");
     std::fs::write(&place, "in the way").expect("written");
     page.act("pause");

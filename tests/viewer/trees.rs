@@ -16,7 +16,7 @@ const COUNT: usize = 900;
 fn written(folder: &Path) -> (std::path::PathBuf, Tree) {
     let tree = folder.join("tree");
     let options = TileOptions { most: 60, packed: false };
-    // Any error will do, as long as coarser tiles have larger ones.
+    // The error's value does not matter, as long as coarser tiles have larger ones.
     let mut measure = |_: &Gaussians, _: &Gaussians| Ok(0.1);
     let scene = write_ball(folder, COUNT);
     tiles::write(&scene, &tree, &options, &ReadOptions::default(), &mut measure, &Progress::NONE)
@@ -25,7 +25,7 @@ fn written(folder: &Path) -> (std::path::PathBuf, Tree) {
     (tree, opened)
 }
 
-/// Frames until nothing is on its way: the first, the last, and what was said.
+/// Requests frames until no tile is missing. Returns the first and the last frame, and the messages.
 fn settled(page: &mut Page, camera: &Camera, look: &Value) -> (Shown, Shown, BTreeSet<String>) {
     let (start, mut first, mut said) = (Instant::now(), None, BTreeSet::new());
     while start.elapsed() < PATIENCE {
@@ -55,7 +55,7 @@ fn settled(page: &mut Page, camera: &Camera, look: &Value) -> (Shown, Shown, BTr
     panic!("tiles do not come");
 }
 
-/// A page's first frame shows the coarsest tile, and its last what `render --budget` draws, to the bit.
+/// A page's first frame shows the coarsest tile. Its last equals the picture of `render --budget`, to the bit.
 #[test]
 fn viewer_streams_a_tree_until_it_is_what_render_draws() {
     let folder = tempdir().expect("a temporary folder");
@@ -76,7 +76,7 @@ fn viewer_streams_a_tree_until_it_is_what_render_draws() {
             let (first, last, said) = settled(&mut page, camera, &look);
             let tree = &last.header["tree"];
             if budget == "50%" && index == 0 {
-                // Nothing else was asked for yet, and the frame did not wait.
+                // No other tile was requested yet, and the frame did not wait.
                 assert_eq!((&first.header["tree"]["drawn"], &tree["of"]), (&json!(1), &json!(COUNT)));
                 assert!(first.header["tree"]["missing"].as_u64() > Some(3), "{}", first.header);
                 assert!(tree["drawn"].as_u64() > Some(3), "{}", last.header);
@@ -90,18 +90,18 @@ fn viewer_streams_a_tree_until_it_is_what_render_draws() {
             assert!(said.is_empty(), "{said:?}");
         }
     }
-    // Another page, at once, has what the first has loaded.
+    // Another page immediately has the tiles that the first one has loaded.
     let mut other = server.page();
     let (first, _, _) = settled(&mut other, &cameras[1], &json!({ "quality": 0, "budget": 250 }));
     assert_eq!(first.header["tree"]["missing"], 0);
-    // A part of a tree is no scene to be saved.
+    // A part of a tree cannot be saved as a scene.
     assert_eq!(server.get("/export/tree.ply", &[]).0, 422);
     assert!(page.greeting["convert"].is_null());
     #[cfg(unix)]
     assert_eq!(server.end(), (Some(0), String::new()));
 }
 
-/// A missing and a damaged tile are named, once each on the page and on the terminal; their coarser ones are drawn.
+/// Each missing or damaged tile is named once on the page and on the terminal; coarser ones replace it.
 #[test]
 fn viewer_names_tiles_that_cannot_be_read() {
     let folder = tempdir().expect("a temporary folder");
@@ -149,12 +149,12 @@ fn viewer_refuses_what_is_no_tree() {
     refuse(&["view", text(&scene), "--budget", "10", "--port", "0"], &["--budget", "folders of tiles"]);
 }
 
-/// Where tiles leave no memory for a picture, they make room for it, and that is said once.
+/// If tiles leave no memory for a picture, some are dropped, and a message says so once.
 #[test]
 fn viewer_draws_fewer_tiles_where_a_picture_finds_no_memory() {
     let folder = tempdir().expect("a temporary folder");
     let (path, _) = written(folder.path());
-    // Enough for all tiles, but not for all tiles and a picture of them: 1 MiB would be.
+    // Enough for all tiles, but not for a picture of them, which needs 1 MiB in all.
     let server = Server::view(&path, &["--budget", "100%", "--max-memory", "750K"]);
     let mut page = server.page();
     for turn in [0.3, 1.9, 0.3] {

@@ -1,5 +1,5 @@
-//! The parts of the window that need no window, with their own tests: the program has them only with its feature `window`.
-//! And the keys: those of the page, with the same names and meanings, or a reason.
+//! The parts of the window that need no display, with their own tests: the program has them only with its feature
+//! `window`. The window's keys must have the page's names and meanings, or a reason for the difference.
 
 #[path = "../../tools/ashsplat/view/window/present/choice.rs"]
 mod choice;
@@ -25,13 +25,13 @@ fn page(file: &str) -> String {
     std::fs::read_to_string(path).expect("a file of the page")
 }
 
-/// What stands between two marks, the first time.
+/// Text between the first occurrences of two marks.
 fn between<'a>(text: &'a str, from: &str, to: &str) -> &'a str {
     let rest = text.split_once(from).unwrap_or_else(|| panic!("no '{from}'")).1;
     rest.split_once(to).unwrap_or_else(|| panic!("no '{to}' after '{from}'")).0
 }
 
-/// The entries `Name: value` of a constant of controls.js.
+/// Entries `Name: value` of a constant in controls.js.
 fn entries<'a>(text: &'a str, constant: &str) -> Vec<(&'a str, Vec<f64>)> {
     let mut found = Vec::new();
     let mut rest = between(text, &format!("const {constant} = {{"), "};");
@@ -78,7 +78,7 @@ fn window_has_the_keys_of_the_page() {
         let code = part.split('\'').next().expect("a name");
         let only_page = ONLY_PAGE.iter().any(|(key, _)| *key == code);
         assert!(action(code).is_some() != only_page, "{code} is neither in the window nor left out of it");
-        // F is two keys, with Shift and without.
+        // F has two meanings, with and without Shift.
         if !known.iter().any(|k| k == code) {
             known.push(code.to_owned());
         }
@@ -96,7 +96,7 @@ fn window_explains_keys_as_the_page_does() {
         let key = row.split("</td>").next().expect("a key");
         (key, between(row, "<td>", "</td>"))
     });
-    // Rows of which the window has a part, or none.
+    // Rows that the window supports partly or not at all.
     let other =
         ["one finger", "two fingers", "double tap", "V, I, C", "K, P", "X", "Space", "O", "H, Esc, ?", "[ ]"];
     let mut same = 0;
