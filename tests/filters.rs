@@ -13,7 +13,7 @@ use crate::common::gpu::Gpu;
 
 const EXTENT: f32 = 5.0;
 
-/// Densifies after 15, 20, ... 35, resets opacities after 20, computes sizes anew after 100 and 200.
+/// Densifies after 15, 20, ... 35, resets opacities after 20, computes new filter sizes after 100 and 200.
 fn settings() -> TrainSettings {
     TrainSettings {
         iterations: 320,
@@ -29,7 +29,7 @@ fn cameras() -> Vec<Camera> {
     views(3, 9).iter().map(|view| view.camera).collect()
 }
 
-/// The sizes that a renderer gives what is trained.
+/// Filter sizes that a renderer computes for the trained scene.
 fn fresh(gpu: &Gpu, trainer: &Trainer) -> Vec<f32> {
     let cameras = trainer.cameras().expect("cameras");
     let mut renderer = Renderer::new(gpu.context).expect("a renderer");
@@ -67,11 +67,11 @@ fn follow_the_gaussians(settings: TrainSettings) {
             assert!(after == fresh(&gpu, &trainer), "{iteration}");
         }
     }
-    // The step after a densification does what is due before it begins.
+    // The step after a densification first does the work that is due.
     assert_eq!(computed, [16, 21, 26, 31, 36, 100, 200]);
 }
 
-/// Where poses are optimised, sizes follow from the cameras as they are.
+/// With pose optimisation, sizes depend on the current cameras.
 #[test]
 fn filters_follow_moved_cameras() {
     let gpu = Gpu::new();
@@ -111,7 +111,7 @@ fn filters_are_within_the_memory() {
     assert!(used <= peak * 3 / 4 && first == run(Some(peak * 3 / 4)).0);
 }
 
-/// A file keeps the sizes; who reads it has what the filter makes of the Gaussians.
+/// A file keeps the sizes; reading it gives the filtered Gaussians.
 #[test]
 fn filters_are_baked_when_they_are_read() {
     let gpu = Gpu::new();

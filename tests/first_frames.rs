@@ -1,4 +1,4 @@
-//! First frames: nothing is known of them but an estimate of their instances, and they come out whole.
+//! First frames start from an estimate of their instances, and are complete.
 
 use ashsplat::plan::{LEAST_INSTANCES, LEAST_VISIBLE, PictureCapacity, initial_instances, initial_visible};
 use ashsplat::trainer::{TrainView, Trainer};
@@ -13,7 +13,7 @@ use crate::common::scenes::{Random, small_scene, small_view};
 
 const SIZE: [u32; 2] = [200, 120];
 
-/// Gaussians `by` natural logarithms larger or smaller than usual.
+/// Gaussians whose log-scales differ from the usual by `by`.
 fn scene(count: usize, by: f32) -> Gaussians {
     let mut scene = gaussians(&small_scene(&mut Random::new(77), count, 16));
     scene.log_scales.iter_mut().flatten().for_each(|s| *s += by);
@@ -46,7 +46,7 @@ fn a_first_frame_that_needs_more_than_estimated_is_whole() {
     assert!(first.color == roomy.color && first.transmittance == roomy.transmittance);
 }
 
-/// The memory does not hold what is estimated. It holds what is needed.
+/// The memory is too small for the estimate, but large enough for the frame.
 #[test]
 fn a_first_frame_that_needs_less_than_estimated_is_not_refused() {
     let scene = scene(4000, -3.0);
@@ -59,7 +59,7 @@ fn a_first_frame_that_needs_less_than_estimated_is_not_refused() {
     let tight = bounded(Some(with_estimate - u64::from(estimate - expected.stats.instances) * 4));
     let frame = render(&tight, &scene, None).expect("a frame");
     assert!(frame.color == expected.color);
-    // Where even the least is too much, the error says so.
+    // If even the least is too much, the error says so.
     drop(tight);
     let least = bounded(Some(1 << 20));
     let error = render(&least, &scene, None).expect_err("refused");
@@ -67,7 +67,7 @@ fn a_first_frame_that_needs_less_than_estimated_is_not_refused() {
     assert!(LEAST_INSTANCES < estimate);
 }
 
-/// The same of the number of visible Gaussians: a camera that shows a tenth of a scene, where a quarter is estimated.
+/// Same for visible Gaussians: the camera sees a tenth of a scene, and the estimate is a quarter.
 #[test]
 fn a_first_frame_that_shows_less_than_estimated_is_not_refused() {
     const COUNT: usize = 100_000;
@@ -88,13 +88,13 @@ fn a_first_frame_that_shows_less_than_estimated_is_not_refused() {
     );
     let with_estimate = roomy.memory().iter().map(|arena| arena.peak_bytes).sum::<u64>();
     drop(roomy);
-    // Less than half of what a visible Gaussian takes in a frame without gradients.
+    // Less than half of the bytes of a visible Gaussian in a frame without gradients.
     let tight = bounded(Some(with_estimate - u64::from(estimate - 2 * visible) * 32));
     let frame = render(&tight).expect("a frame");
     assert!(frame.color == expected.color && frame.stats.visible == visible);
 }
 
-/// A camera that sees little of a scene, and then one that sees all.
+/// A camera that sees little of a scene, followed by one that sees all.
 #[test]
 fn frames_have_room_for_what_is_visible_and_grow_when_more_is() {
     let (context, scene) = (bounded(None), scene(20_000, -1.0));
@@ -113,7 +113,7 @@ fn frames_have_room_for_what_is_visible_and_grow_when_more_is() {
     let grown = renderer.render(&all, &settings).expect("a frame");
     assert!(grown.stats.visible > 2 * estimate && grown.stats.retries > 0, "{:?}", grown.stats);
     assert!(frame_bytes() > before);
-    // Both are whole: they come out alike where nothing has to grow.
+    // Both are complete: later frames that need not grow are equal.
     for (camera, first) in [(&few, &little), (&all, &grown)] {
         let again = renderer.render(camera, &settings).expect("a frame");
         assert_eq!((again.stats.retries, again.stats.visible), (0, first.stats.visible));
@@ -124,7 +124,7 @@ fn frames_have_room_for_what_is_visible_and_grow_when_more_is() {
     assert_eq!(renderer.render(&all, &settings).expect("a frame").stats.visible, 0);
 }
 
-/// Memory for the first frame, but not beside the reserve of Gaussians that was planned with the estimate.
+/// There is memory for the first frame, but not beside the planned reserve of Gaussians.
 #[test]
 fn a_first_frame_takes_the_place_of_the_reserve_of_a_training() {
     let scene = scene(3000, 2.5);
@@ -136,7 +136,7 @@ fn a_first_frame_takes_the_place_of_the_reserve_of_a_training() {
     };
     let (expected, room) = train(&bounded(None)).expect("trained");
     assert!(room > 3000);
-    // The least memory that suffices, to a 64th.
+    // Finds the least sufficient memory to a 64th.
     let (mut refused, mut enough) = (0u64, 256 << 20);
     let mut rooms = Vec::new();
     while enough - refused > enough / 64 {

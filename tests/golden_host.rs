@@ -1,4 +1,4 @@
-//! Golden vectors of what the host computes: the Gaussians that training starts from, and the scene extent.
+//! Golden vectors of the host's computations: the initial Gaussians, and the scene extent.
 
 // In a test, an unwrap is an assertion.
 #![allow(clippy::unwrap_used)]
@@ -12,7 +12,7 @@ use libtest_mimic::Trial;
 
 use crate::golden::npz::Npz;
 
-/// One trial per set that has the fields.
+/// One trial per set with these fields.
 pub fn trials(shared: &Path) -> Vec<Trial> {
     let mut sets = crate::golden::sets(shared);
     sets.retain(|set| Npz::names(&set.path).iter().any(|name| name == "dist2"));
@@ -33,7 +33,7 @@ fn check(set: &Npz) {
     let dist2 = mean_squared_neighbour_distances(&positions).unwrap();
     assert_close("dist2", dist2.iter().copied(), set.values("dist2"), 1e-6);
 
-    // A point cloud's colours have 8 bits: the set's go to the coefficients afterwards.
+    // A point cloud's colours have 8 bits, so the set's colours are stored in the coefficients afterwards.
     let colors = vec![[0; 3]; positions.len()];
     let gaussians =
         ashsplat_files::initial_gaussians(&PointCloud { positions: positions.clone(), colors }, 3).unwrap();

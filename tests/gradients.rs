@@ -43,12 +43,12 @@ fn flat(gradient: &Gradient) -> Vec<f64> {
     all
 }
 
-/// Whether a step changes which Gaussians a pixel blends: there the picture jumps and has no derivative.
+/// Entries blended at each pixel. If a step changes them, the picture jumps and has no derivative.
 pub fn decisions(gaussians: &[Gaussian], view: &View) -> Vec<(u32, u32)> {
     render(gaussians, view).pixels.iter().map(|p| (p.blended, p.last)).collect()
 }
 
-/// Compares every derivative with central differences; returns how many were compared.
+/// Compares every derivative with central differences. Returns the number compared.
 fn compare_with_differences(view: &View, seed: u64) -> usize {
     let mut random = Random::new(seed);
     let gaussians = small_scene(&mut random, 6, 16);
@@ -137,7 +137,7 @@ fn compare_with_device(view: &View, seed: u64) {
         if is_unstable(&list, pixel, 2e-5) {
             *weight = PixelGradient::default();
         }
-        // As float32 sees them.
+        // Rounded to float32.
         weight.color = weight.color.map(|x| f64::from(x as f32));
     }
     let expected = backward(&scene, view, &frame, &weights).parameters;

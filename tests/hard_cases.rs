@@ -1,4 +1,4 @@
-//! Frames at the limits: very long tiles, nothing to draw, odd and large images, too little room.
+//! Extreme frames: very long tiles, nothing to draw, odd and large images, too little capacity.
 
 use ashsplat::{Frame, Renderer};
 
@@ -21,7 +21,7 @@ fn axis_view(size_px: [u32; 2]) -> View {
     }
 }
 
-/// Gaussians of hardly a pixel, faint enough that very many blend before a pixel is opaque, all in the first tile.
+/// Gaussians of about a pixel, so faint that very many blend before a pixel is opaque, all in the first tile.
 fn faint_points(count: usize, view: &View) -> Vec<Gaussian> {
     let mut random = Random::new(count as u64);
     (0..count)
@@ -42,7 +42,7 @@ fn faint_points(count: usize, view: &View) -> Vec<Gaussian> {
         .collect()
 }
 
-/// Pixels of a frame whose decisions hang on the rounding of everything that float32 computed so far.
+/// True for pixels whose decisions may depend on float32 rounding.
 fn unstable(view: &View, frame: &pipeline::Frame) -> Vec<bool> {
     let lists: Vec<Vec<&Splat>> = frame
         .lists
@@ -61,7 +61,7 @@ fn compare_picture(actual: &Frame, expected: &pipeline::Frame, unstable: &[bool]
     pixels("transmittance", &actual, &transmittance, unstable, bound).expect("the transmittance");
 }
 
-/// Forward and backward against the twin; returns the entries of the fullest tile.
+/// Compares forward and backward with the twin. Returns the number of entries of the fullest tile.
 fn check(gaussians_: &[Gaussian], view: &View) -> u32 {
     let gpu = Gpu::new();
     let expected = render(gaussians_, view);
@@ -104,7 +104,7 @@ fn compare_gradients(actual: &[Gaussian], expected: &[Gradient]) {
         let expected: Vec<f64> = expected.iter().flat_map(of_expected).collect();
         let round = name == "quaternions" && expected.iter().all(|d| d.abs() <= 1e-12 * scale);
         if round {
-            // Spheres have no orientation: rounding is left.
+            // Spheres have no orientation: only rounding remains.
             assert!(actual.iter().all(|d| d.abs() <= 1e-4 * scale), "quaternions of spheres");
             continue;
         }
@@ -125,7 +125,7 @@ fn hard_case_tile_of_5000_entries() {
     assert!(check(&faint_points(5_100, &view), &view) >= 5_000);
 }
 
-/// More than a loop of one invocation makes on lavapipe.
+/// More entries than one invocation's loop makes rounds on lavapipe.
 #[test]
 fn hard_case_tile_of_100000_entries() {
     let view = axis_view([16, 16]);
@@ -185,7 +185,7 @@ fn hard_case_large_image() {
     compare_picture(&actual, &expected, &unstable);
 }
 
-/// A frame whose instances exceed the capacity is run again with more, to the same result.
+/// A frame whose instances exceed the capacity runs again with more, to the same result.
 #[test]
 fn hard_case_overflow_then_growth() {
     let gpu = Gpu::new();
@@ -217,7 +217,7 @@ fn hard_case_overflow_then_growth() {
     assert_eq!(renderer.render(&camera, &settings).expect("a frame").stats.retries, 0);
 }
 
-/// NaN and infinite parameters leave no trace in picture and gradients of the others; opacity logits of ±∞ are valid.
+/// NaN and infinite parameters do not affect the others' picture and gradients. Opacity logits of ±∞ are valid.
 #[test]
 fn hard_case_non_finite_parameters() {
     let gpu = Gpu::new();
@@ -262,7 +262,7 @@ fn hard_case_non_finite_parameters() {
     drop(gpu);
 }
 
-/// What cannot be bound is refused before any work, with the number needed.
+/// Images that cannot be bound are refused before any work, with the number needed.
 #[test]
 fn hard_case_image_beyond_the_limits() {
     let gpu = Gpu::new();
@@ -278,7 +278,7 @@ fn hard_case_image_beyond_the_limits() {
         renderer.render(&camera(&view), &settings(&view)).expect_err("a picture larger than a binding");
     let needed = u64::from(side) * u64::from(side) * 16;
     assert!(error.to_string().contains(&needed.to_string()), "{error}");
-    // And it goes on with pictures that fit.
+    // The renderer still draws pictures that fit.
     let view = small_view([33, 18]);
     renderer.render(&camera(&view), &settings(&view)).expect("a frame");
 }

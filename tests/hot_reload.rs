@@ -1,5 +1,5 @@
-//! Shaders that are edited while the program runs: its feature `hot-reload`. A test program of its own, for the feature
-//! compiles all of the engine anew.
+//! Shaders that are edited while the program runs: its feature `hot-reload`. A separate test program, because the
+//! feature recompiles the engine.
 
 #[path = "cli/run.rs"]
 mod run;
@@ -15,11 +15,11 @@ use std::path::{Path, PathBuf};
 use std::process::Stdio;
 use tempfile::tempdir;
 
-/// A workload that takes no time.
+/// A workload that takes little time.
 const SMALL: [&str; 10] =
     ["--gaussians", "300", "--width", "80", "--height", "48", "--frames", "3", "--warmup", "1"];
 
-/// A copy of all shaders that may be edited.
+/// A copy of all shaders, for editing.
 fn shaders(folder: &Path) -> PathBuf {
     fn copy(from: &Path, to: &Path) {
         fs::create_dir_all(to).expect("a folder");
@@ -49,7 +49,7 @@ fn profile_watch_shows_an_edit_and_survives_a_broken_one() {
     let folder = tempdir().expect("a temporary folder");
     let glsl = shaders(folder.path());
     let mut command = program();
-    // Each edit waits for what the one before it has led to: compiling takes as long as it takes.
+    // Each edit waits for the result of the previous one, because compile times vary.
     command.args(["profile", "--watch", "--watch-for", "60", "--glsl", text(&glsl)]).args(SMALL);
     let mut child = Running::start(command.stdout(Stdio::piped()).stderr(Stdio::null()));
     let mut lines = BufReader::new(child.stdout.take().expect("its stdout")).lines().map_while(Result::ok);
@@ -91,7 +91,7 @@ fn profile_takes_edited_shaders_and_what_they_print() {
     assert_eq!(run.code, Some(0), "{}", run.stderr);
     let said = run.stdout;
     assert_eq!(said.contains("printf: first of 7"), ashsplat::vk::validation_available(), "{said}");
-    // Another interface needs another program.
+    // A changed interface needs another program.
     edit(&ranges, "void main() {", "layout(constant_id = 9) const uint NEW = 1;\nvoid main() {");
     let run = finish(program().args(["profile", "--glsl", text(&glsl)]).args(SMALL));
     assert!(run.code == Some(2) && run.stderr.contains("specialization constants changed"), "{}", run.stderr);

@@ -1,5 +1,6 @@
-//! Kernels at 32, 64 and 128 lanes, which no software driver runs: by an interpreter of their SPIR-V (tests/interpreter), with a
-//! GPU's workgroups, against the twins. The interpreter itself against the device, at the device's lanes.
+//! Kernels with subgroups of 32, 64 and 128 lanes, which no software driver has. An interpreter of their SPIR-V
+//! (tests/interpreter) runs them with a GPU's workgroups against the twins, and with the device's lanes against the
+//! device.
 
 use ashsplat::kernels::scan::scan_reduce;
 use ashsplat::kernels::sort::{sort_downsweep, sort_upsweep};
@@ -17,10 +18,10 @@ use crate::kernels::{
     sort_downsweep as downsweep, sort_spine, sort_upsweep as upsweep, sum_weights,
 };
 
-/// The width of AMD's GPUs, with the elementwise workgroups of all GPUs.
+/// Subgroups of AMD's GPUs, with the elementwise workgroups of all GPUs.
 const AMD: Machine = Machine::Interpreter { lanes: 64, workgroup: 256 };
 
-/// Runs tests of kernels at 64 lanes and at the other widths that the kernels are written for.
+/// Runs tests of kernels at 64 lanes and at the other supported sizes.
 fn on_wide_machines(tests: impl Fn()) {
     for lanes in [64, 32, 128] {
         on(Machine::Interpreter { lanes, workgroup: 256 }, &tests);
@@ -50,7 +51,7 @@ fn interpreter_scans_and_sorts_as_the_device_to_the_bit() {
     });
 }
 
-/// On llvmpipe alone: another driver's exponentials take other decisions now and then, as twins and tolerances allow.
+/// Only on llvmpipe: other drivers' exponentials may change decisions, within the twins' tolerances.
 #[test]
 fn interpreter_culls_and_blends_as_the_device() {
     if !context().device_name().contains("llvmpipe") {
@@ -132,7 +133,7 @@ fn wide_blend_backward() {
     });
 }
 
-/// What the other kernels with operations of subgroups do, as far as they are dispatched alone.
+/// The other kernels with subgroup operations that can be dispatched alone.
 #[test]
 fn wide_expand_and_project_backward() {
     on_wide_machines(|| {
@@ -156,7 +157,7 @@ fn wide_densify_and_sum() {
     });
 }
 
-/// All but those that read images or texels.
+/// All kernels except those that read images or texels.
 #[test]
 fn interpreter_takes_every_kernel_of_buffers() {
     struct Taken(usize);
@@ -178,7 +179,7 @@ fn interpreter_takes_every_kernel_of_buffers() {
 
 const OP_CONTROL_BARRIER: u32 = 224;
 
-/// The places of an opcode in a module.
+/// Positions of an opcode in a module.
 fn places(module: &[u32], opcode: u32) -> Vec<usize> {
     let (mut at, mut found) = (5, Vec::new());
     while at < module.len() {
@@ -190,14 +191,14 @@ fn places(module: &[u32], opcode: u32) -> Vec<usize> {
     found
 }
 
-/// The module without an instruction: OpNop in its place.
+/// The module with one instruction replaced by OpNop.
 fn without(module: &[u32], at: usize) -> Vec<u32> {
     let mut changed = module.to_vec();
     changed[at..at + (module[at] >> 16) as usize].fill(1 << 16);
     changed
 }
 
-/// Sums of 900 values by subgroups of 64 in workgroups of 128, with so many words of output.
+/// Sums 900 values with subgroups of 64 in workgroups of 128, into `words` words of output.
 fn sums(words: usize) -> Result<Vec<u32>, Fault> {
     let module = scan_reduce::Interface::SPIRV;
     let program = Program::new("scan_reduce", module, &[(0, 128), (1, 64), (2, 4)], 64).expect("a program");
@@ -217,8 +218,8 @@ fn interpreter_finds_accesses_out_of_bounds() {
     assert!(fault.to_string().contains("scan_reduce: ") && fault.opcode == 62, "{fault}");
 }
 
-/// The absence of a barrier from a kernel that sorts and scans is found, whatever the order of subgroups. One is only needed where
-/// the workgroup has a single subgroup, the scan's only where it has several.
+/// The interpreter finds each missing barrier of a kernel that sorts and scans, in every order of subgroups. One
+/// barrier is only needed with a single subgroup per workgroup, the scan's only with several.
 #[test]
 fn interpreter_finds_missing_barriers() {
     let module = sort_downsweep::Interface::SPIRV;
@@ -226,7 +227,7 @@ fn interpreter_finds_missing_barriers() {
     let run = |module: &[u32], subgroups: u32, order, accepts_unwritten_shared| {
         let constants = [(0, 64 * subgroups), (1, 64), (2, 4 / subgroups)];
         let program = Program::new("sort_downsweep", module, &constants, 64).expect("a program");
-        // 16 digits from the first to the last.
+        // All 16 digits.
         let keys: Vec<u32> = (0..512_u32).map(|k| (k.wrapping_mul(0x9E37_79B9) >> 28) * 17).collect();
         let digits: Vec<u32> = (0..256).map(|d| keys.iter().filter(|k| **k == d).count() as u32).collect();
         let before =

@@ -1,4 +1,4 @@
-//! What a picture must not depend on.
+//! Properties that a picture must not depend on.
 
 use ashsplat::vk::{Context, ContextOptions, LimitsOverride, SpecOverride};
 use ashsplat::{BlendSamples, Frame, Renderer, TrainSettings, TrainView, Trainer};
@@ -21,7 +21,7 @@ fn difference<'a>(a: impl Iterator<Item = &'a [f32; 3]>, b: impl Iterator<Item =
     a.zip(b).flat_map(|(a, b)| [0, 1, 2].map(|i| (a[i] - b[i]).abs())).fold(0.0, f32::max)
 }
 
-/// Depths differ, so the order in memory has no effect on the order of blending: the same to the bit.
+/// Depths differ, so the order in memory does not affect the order of blending: equal to the bit.
 #[test]
 fn invariant_under_the_order_of_the_gaussians() {
     let gpu = Gpu::new();
@@ -38,7 +38,7 @@ fn invariant_under_the_order_of_the_gaussians() {
     drop(gpu);
 }
 
-/// Equal depths blend in the Gaussians' own order.
+/// Gaussians of equal depth are blended in memory order.
 #[test]
 fn invariant_ties_follow_the_order_of_the_gaussians() {
     let gpu = Gpu::new();
@@ -70,7 +70,7 @@ fn invariant_ties_follow_the_order_of_the_gaussians() {
     drop(gpu);
 }
 
-/// Gaussians that are not visible change nothing, to the bit.
+/// Invisible Gaussians change nothing, to the bit.
 #[test]
 fn invariant_under_culled_gaussians() {
     let gpu = Gpu::new();
@@ -79,7 +79,7 @@ fn invariant_under_culled_gaussians() {
     let before = frame(&scene, &view);
     let mut unseen = mixed_scene(&mut Random::new(6), 300, 16);
     for gaussian in &mut unseen {
-        // Background the camera, which is 4 in front of the origin.
+        // Behind the camera, which is 4 in front of the origin.
         gaussian.mean[2] = -20.0 - gaussian.mean[2].abs();
     }
     let mixed: Vec<Gaussian> = unseen[..150].iter().chain(&scene).chain(&unseen[150..]).cloned().collect();
@@ -89,14 +89,14 @@ fn invariant_under_culled_gaussians() {
     drop(gpu);
 }
 
-/// With the exact extent the tiles are only a matter of speed: a picture moved by any number of pixels against the grid
-/// of tiles is the same picture.
+/// With the exact extent, tiles affect only speed: a picture shifted against the tile grid by any number of pixels
+/// stays the same.
 #[test]
 fn invariant_under_the_place_of_the_tiles() {
     let gpu = Gpu::new();
     let size = [60, 50];
     let scene = small_scene(&mut Random::new(7), 300, 16);
-    // Symmetric limits of a wide view do not reach the Gaussians, in either picture.
+    // A wide view, so that no Gaussian reaches the symmetric limits in either picture.
     let view = View { focal_px: [40.0, 40.0], ..small_view(size) };
     let before = frame(&scene, &view);
     for [x, y] in [[1, 0], [0, 5], [7, 3], [15, 9], [16, 16]] {
@@ -111,7 +111,7 @@ fn invariant_under_the_place_of_the_tiles() {
             &after.color[begin..begin + size[0] as usize]
         });
         let off = difference(before.color.iter(), part);
-        // Positions in pixels are rounded at other places; an entry at the threshold of 1/255 may come or go.
+        // Pixel positions round differently; an entry at the threshold of 1/255 may appear or vanish.
         assert!(off < 5e-3, "moved by {x}, {y}: {off}");
         let mean: f32 = before
             .color
@@ -128,12 +128,12 @@ fn invariant_under_the_place_of_the_tiles() {
     drop(gpu);
 }
 
-/// Stricter limits of a device split buffers and grids, and change no bit of picture and gradients.
+/// Lower device limits split buffers and grids, and change no bit of picture and gradients.
 #[test]
 fn invariant_under_the_limits_of_the_device() {
     let gpu = Gpu::new();
     let view = small_view([200, 120]);
-    // Small ones, so that the parameters are larger than what a frame needs of instances.
+    // Small Gaussians, so that parameters need more bytes than a frame's instances.
     let mut scene = small_scene(&mut Random::new(8), 20_000, 16);
     for gaussian in &mut scene {
         gaussian.log_scale = gaussian.log_scale.map(|s| s - 2.5);
@@ -166,8 +166,8 @@ fn invariant_under_the_limits_of_the_device() {
     }
 }
 
-/// Gaussians that cover the picture are blended over each of its pixels, forward and backward; nothing is counted unless asked
-/// for, and counting changes nothing.
+/// Gaussians that cover the picture are blended at each pixel, forward and backward. Samples are only counted on
+/// request, and counting changes nothing.
 #[test]
 fn invariant_under_counting_samples() {
     let view = View {

@@ -1,4 +1,4 @@
-//! Training that learns vignetting and response of the cameras.
+//! Training that learns the cameras' vignetting and response.
 
 use ashsplat::scene::{LensEffects, Photo};
 use ashsplat::trainer::{Checkpoint, Trainer};
@@ -9,7 +9,8 @@ use crate::checkpoints::{check_memory_of, settings as small_settings, start, vie
 use crate::common::gpu::Gpu;
 use crate::exposures::{EXTENT, cameras, gray, photographs};
 
-/// Every other photograph is of the second camera, which darkens corners, blue ones most, and has another response.
+/// Every other photograph is from the second camera, which darkens corners, mostly in blue, and has another
+/// response.
 fn camera_of(view: usize) -> u32 {
     if view.is_multiple_of(2) { 7 } else { 9 }
 }
@@ -17,7 +18,7 @@ fn camera_of(view: usize) -> u32 {
 const KNOWN: LensEffects = LensEffects {
     rows: [[-0.30, -0.10, -0.05, 0.14], [-0.30, -0.10, -0.05, 0.10], [-0.36, -0.16, -0.04, 0.06]],
 };
-/// One of each camera.
+/// One view of each camera.
 const HELD_OUT: [usize; 2] = [4, 7];
 
 fn taken(shown: &[Photo]) -> Vec<Photo> {
@@ -45,7 +46,7 @@ fn settings(lens_effects: bool) -> TrainSettings {
     }
 }
 
-/// The mean PSNR over the held-out views against their photographs, and the effects of both cameras.
+/// Returns the mean PSNR of the held-out views against their photographs, and the effects of both cameras.
 fn train(gpu: &Gpu, taken: &[Photo], lens_effects: bool) -> (f64, Vec<LensEffects>) {
     let all: Vec<usize> = (0..taken.len()).filter(|view| !HELD_OUT.contains(view)).collect();
     let views = all
@@ -76,15 +77,15 @@ fn train(gpu: &Gpu, taken: &[Photo], lens_effects: bool) -> (f64, Vec<LensEffect
     (quality.iter().sum::<f64>() / quality.len() as f64, effects)
 }
 
-/// What the second camera shows where the first shows a colour.
+/// Converts a colour of the first camera to the second.
 fn from_first_to_second([first, second]: [&LensEffects; 2], color: f32, channel: usize, r2: f32) -> f32 {
     let behind = color.powf(first.response()[channel].recip());
     let scene = behind / first.vignetting(channel, r2);
     second.of([scene; 3], r2)[channel]
 }
 
-/// Photographs of two cameras, of which one darkens corners and has another response: what is learnt of the two is how
-/// they differ, and views that were held out are closer to their photographs.
+/// Photographs of two cameras, one of which darkens corners and has another response. Training learns their
+/// difference, and held-out views come closer to their photographs.
 #[test]
 fn lens_effects_are_recovered() {
     let gpu = Gpu::unchecked();
@@ -143,7 +144,7 @@ fn lens_effects_resume_to_the_bit() {
         };
         let mut lacks = end.clone();
         lacks.iteration -= 1;
-        // Of other cameras.
+        // Views of other cameras.
         let message = refused(&lacks, views(4, 40));
         assert!(message.contains("other photographs or cameras"), "{message}");
         lacks.lenses.first_moments.pop();
@@ -152,7 +153,7 @@ fn lens_effects_resume_to_the_bit() {
     }
 }
 
-/// Without the option, who took a photograph makes no difference.
+/// Without the option, the camera of a photograph does not matter.
 #[test]
 fn lens_effects_stay_none_unless_asked_for() {
     let gpu = Gpu::new();
@@ -167,7 +168,7 @@ fn lens_effects_stay_none_unless_asked_for() {
     assert!(run(0) == run(3));
 }
 
-/// What they take is known before training, and counted.
+/// The memory for lens effects is forecast and counted.
 #[test]
 fn lens_effects_are_within_the_memory() {
     let without = TrainSettings { iterations: 3, ..small_settings() };

@@ -1,4 +1,4 @@
-//! Lowered limits and little memory: the same picture and the same training, or an error that names the numbers.
+//! Lowered limits and little memory give the same picture and training, or an error with the numbers.
 
 use ashsplat::plan::{FrameCapacity, LaunchSizes, PictureCapacity, ScenePlan, frame_requests};
 use ashsplat::scene::{Camera, Intrinsics};
@@ -41,7 +41,7 @@ fn train(context: &Context) -> Result<Gaussians> {
     let mut trainer = Trainer::new(context, views(2, 5), &start(), 5.0, settings())?;
     for _ in 0..4 {
         if trainer.step()?.densified.is_some_and(|densified| densified.limited) {
-            // It goes on, with fewer Gaussians, and has said so.
+            // Training continues with fewer Gaussians, and reports it.
             let what = "growth".to_owned();
             return Err(Error::TooLarge { what, needed: 1, unit: "Gaussians", limit: 0, limit_name: "" });
         }
@@ -49,7 +49,7 @@ fn train(context: &Context) -> Result<Gaussians> {
     trainer.gaussians()
 }
 
-/// An equal result, or a refusal: which of the two.
+/// Checks that the result is equal or refused. Returns true if equal.
 fn equal_or_refused<T: PartialEq>(name: &str, limits: LimitsOverride, usual: &T, result: Result<T>) -> bool {
     match result {
         Ok(result) => {
@@ -78,7 +78,7 @@ fn limits_that_are_lowered_change_no_bit_or_are_named() {
     lowered.extend([128, 32].map(|n| LimitsOverride { push_constant_bytes: Some(n), ..none }));
     lowered.extend([4, 1].map(|n| LimitsOverride { max_workgroup_subgroups: Some(n), ..none }));
     lowered.extend([32, 4].map(|n| LimitsOverride { max_push_descriptors: Some(n), ..none }));
-    // Dozens of dispatches of blending in place of one.
+    // Dozens of blending dispatches instead of one.
     lowered.push(LimitsOverride { instances_per_dispatch: Some(150), ..none });
     let (mut equal, mut refused) = (0, 0);
     for limits in lowered {
@@ -93,7 +93,7 @@ fn limits_that_are_lowered_change_no_bit_or_are_named() {
         assert_silent(&context);
     }
     assert!(equal >= 15 && refused >= 8, "{equal} equal, {refused} refused");
-    // Without texels, the loss is by other kernels, which round otherwise: a picture is the same.
+    // Without texels, other kernels compute the loss and round differently, but the picture is the same.
     let context = context(LimitsOverride { max_texels: Some(4096), ..none });
     assert!(render(&context).expect("a picture") == picture);
     assert_silent(&context);
@@ -115,7 +115,8 @@ fn limits_of_large_images_are_named() {
     assert_silent(&context);
 }
 
-/// What can be drawn can be trained on: nothing that backward needs takes more per pixel than the picture itself.
+/// A picture that can be drawn can be trained on: no buffer of the backward pass needs more bytes per pixel than the
+/// picture.
 #[test]
 fn limits_of_images_are_those_of_the_picture_in_training_too() {
     let largest = 128 << 20;
@@ -138,7 +139,7 @@ fn limits_of_images_are_those_of_the_picture_in_training_too() {
     }
 }
 
-/// Gradients lie in one buffer: growth ends where it does, and more than it holds is refused at once.
+/// Gradients lie in one buffer: growth stops when it is full, and a larger start is refused.
 #[test]
 fn limits_of_bindings_stop_growth_not_training() {
     let limits = |gaussians: u64| LimitsOverride {
@@ -146,7 +147,7 @@ fn limits_of_bindings_stop_growth_not_training() {
         ..LimitsOverride::default()
     };
     let mut start = gaussians(&small_scene(&mut Random::new(42), 3000, 16));
-    // Small ones: that there is room for instances is not what is asked here.
+    // Small Gaussians, so that instances are no limit here.
     start.log_scales.iter_mut().flatten().for_each(|s| *s -= 2.5);
     let settings = TrainSettings { densify_grad_threshold: 0.0, ..settings() };
     let context = context(limits(5000));
@@ -159,7 +160,7 @@ fn limits_of_bindings_stop_growth_not_training() {
     assert!(refused.contains("3000 Gaussians, more than 2900"), "{refused}");
 }
 
-/// Bindings that hold 3840 instances; Gaussians that each cover all six tiles.
+/// Bindings that hold 3840 instances; each Gaussian covers all six tiles.
 #[test]
 fn limits_of_instances_stop_growth_and_lose_nothing() {
     let limits = LimitsOverride { max_storage_buffer_range: Some(3840 * 16), ..LimitsOverride::default() };
@@ -178,7 +179,7 @@ fn limits_of_instances_stop_growth_and_lose_nothing() {
     assert!(most > Some(2000) && most <= Some(3840), "{most:?}");
     assert!(reports.iter().any(|r| r.densified.is_some_and(|d| d.limited)));
     drop(trainer);
-    // Too many from the start: an error that names them, and a checkpoint that goes on where there is room.
+    // Too many from the start: an error with the numbers, and a checkpoint that resumes on a larger device.
     let mut trainer =
         Trainer::new(&context, views(2, 5), &large(900), 5.0, settings.clone()).expect("a trainer");
     let error = trainer.step().expect_err("too many");
@@ -191,10 +192,10 @@ fn limits_of_instances_stop_growth_and_lose_nothing() {
     assert_silent(&context);
 }
 
-/// Instances that bindings hold.
+/// Number of instances that bindings hold.
 const FEW: u32 = 4608;
 
-/// Such bindings, and Gaussians that each cover all tiles: six of one view, twelve of the other.
+/// A device with such bindings, and Gaussians that cover all tiles: six in one view, twelve in the other.
 fn crowded() -> (Context, Gaussians) {
     let range = u64::from(FEW) * 16;
     let limits = LimitsOverride { max_storage_buffer_range: Some(range), ..LimitsOverride::default() };
@@ -209,8 +210,8 @@ fn view_of(size: [u32; 2]) -> TrainView {
     TrainView::new(camera(&small_view(size)), Photo { width, height, rgb })
 }
 
-/// A view whose frames are too large is left out, and the others are trained; nothing is grown meanwhile; a run that goes
-/// on from a checkpoint has the same bits.
+/// Training skips a view whose frames are too large, trains the others, and does not grow meanwhile. A resumed run
+/// has the same bits.
 #[test]
 fn limits_of_instances_leave_out_the_views_beyond_them() {
     let (context, scene) = crowded();
@@ -222,7 +223,7 @@ fn limits_of_instances_leave_out_the_views_beyond_them() {
         let first = trainer.step();
         (trainer, first, settings)
     };
-    // A run that begins with the large view is refused at once: nothing is known to fit.
+    // A run that starts with the large view is refused, because no view is known to fit.
     let refused = (0..20).find_map(|seed| begin(seed).1.err()).expect("one of the seeds");
     assert!(matches!(refused, Error::TooLarge { .. }), "{refused}");
     let (mut trainer, _, settings) =
@@ -261,7 +262,7 @@ fn limits_of_instances_leave_out_the_views_beyond_them() {
     assert_silent(&context);
 }
 
-/// A run whose last iteration was left out goes on like a longer run.
+/// A run whose last iteration was skipped resumes like a longer run.
 #[test]
 fn limits_of_instances_leave_out_the_last_iteration_of_a_run() {
     let (context, scene) = crowded();
@@ -280,7 +281,7 @@ fn limits_of_instances_leave_out_the_last_iteration_of_a_run() {
         let short = TrainSettings { iterations: last.iteration, ..longer.clone() };
         let (checkpoint, parts) = run(&short).expect("a shorter run");
         assert_eq!((parts[parts.len() - 1].skipped, checkpoint.skipped > 0), (last.skipped, last.skipped));
-        // Older checkpoints do not say it.
+        // Older checkpoints lack this field.
         for skipped in [checkpoint.skipped, 0] {
             let from = Checkpoint { skipped, ..checkpoint.clone() };
             let resumed = Trainer::resume(&context, views(), 5.0, longer.clone(), &from);
@@ -296,7 +297,7 @@ fn limits_of_instances_leave_out_the_last_iteration_of_a_run() {
     assert_silent(&context);
 }
 
-/// Where not one view has room any more, training ends with the reason.
+/// If no view fits any more, training ends with the reason.
 #[test]
 fn limits_of_instances_end_a_training_of_nothing() {
     let (context, scene) = crowded();
@@ -307,7 +308,7 @@ fn limits_of_instances_end_a_training_of_nothing() {
     let checkpoint = trainer.checkpoint().expect("a checkpoint");
     let mut trainer = Trainer::resume(&context, views(), 5.0, settings(), &checkpoint).expect("resumed");
     for _ in 0..2 {
-        // However often it is interrupted.
+        // Interruptions do not matter.
         let checkpoint = trainer.checkpoint().expect("a checkpoint");
         trainer = Trainer::resume(&context, views(), 5.0, settings(), &checkpoint).expect("resumed");
         assert!(trainer.step().expect("left out").skipped);
@@ -316,7 +317,7 @@ fn limits_of_instances_end_a_training_of_nothing() {
     let mut trainer = Trainer::resume(&context, views(), 5.0, settings(), &checkpoint).expect("resumed");
     let error = trainer.step().expect_err("nothing is trained");
     assert!(matches!(error, Error::TooLarge { .. }) && error.to_string().contains("instances"), "{error}");
-    // What there is can be had, and goes on where there is room.
+    // The scene remains available, and resumes on a larger device.
     let checkpoint = trainer.checkpoint().expect("a checkpoint");
     let mut resumed = Trainer::resume(gpu.context, views(), 5.0, settings(), &checkpoint).expect("resumed");
     assert!(!resumed.step().expect("there is room here").skipped);
@@ -339,7 +340,7 @@ fn memory_that_cannot_suffice_is_said_before_any_work() {
     }
     assert_eq!(context.memory_total().peak_bytes, 0, "nothing was allocated");
     drop(context);
-    // What is said to be needed suffices, and less does not.
+    // The needed memory suffices, and less does not.
     let Error::TooLarge { needed, .. } = refused else { unreachable!("asserted above") };
     assert!(Trainer::new(&with_memory(needed - 1), views(2, 5), &start(), 5.0, settings()).is_err());
     let context = with_memory(needed);
@@ -352,7 +353,7 @@ fn memory_that_cannot_suffice_is_said_before_any_work() {
     }
 }
 
-/// With memory for the start and no more, training goes on without growing; what was enough before is enough now.
+/// With memory for the start only, training continues without growth. Memory that sufficed before suffices now.
 #[test]
 fn memory_budget_stops_growth_not_training() {
     let start = gaussians(&small_scene(&mut Random::new(41), 6000, 16));
@@ -369,12 +370,12 @@ fn memory_budget_stops_growth_not_training() {
     let gpu = Gpu::new();
     let (free, grown, _) = train(gpu.context);
     assert!(free.iter().all(|d| !d.limited) && grown > 9000, "{free:?}, {grown}");
-    // Room for the sets of 6000 Gaussians, half as many again, and the frame; not for twice the sets.
+    // Memory for the sets of 6000 Gaussians, half as many again, and the frame; not for twice the sets.
     let sets = 9000 * (4 * 240 + 8);
     let context = with_memory(sets * 9 / 5);
     let (limited, kept, peak) = train(&context);
     assert!(limited.iter().any(|d| d.limited), "{limited:?}");
-    // As many as there is room for: those with the largest gradients.
+    // As many as fit, chosen by the largest gradients.
     assert!(limited.iter().any(|d| d.limited && d.cloned + d.split > 0), "{limited:?}");
     for d in limited.iter().filter(|d| d.limited) {
         assert!((8800..=9000).contains(&d.rows()), "{d:?}");
@@ -383,8 +384,8 @@ fn memory_budget_stops_growth_not_training() {
     assert_silent(&context);
 }
 
-/// Drawing pictures larger and fuller than those of training changes nothing of what is grown; and sees
-/// them, whatever training has taken, as long as there is room for them in its frame's place.
+/// Drawing pictures larger and fuller than those of training does not change its growth. They are drawn however much
+/// memory training uses, if they fit in place of its frame.
 #[test]
 fn memory_budget_is_trainings_whoever_looks_on() {
     let start = gaussians(&small_scene(&mut Random::new(44), 3000, 16));
@@ -420,7 +421,7 @@ fn memory_budget_is_trainings_whoever_looks_on() {
     }
 }
 
-/// Every vec4 of a chunk belongs to one plane of one Gaussian, and a row of a plane lies together.
+/// Every vec4 of a chunk belongs to one plane of one Gaussian, and a row of a plane is contiguous.
 #[test]
 fn limits_of_a_chunk_hold_every_plane_once() {
     let gpu = Gpu::new();

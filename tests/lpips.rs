@@ -1,4 +1,4 @@
-//! LPIPS on the device: whatever the memory the same bits, and what cannot be measured is named.
+//! LPIPS on the device: the same bits with any memory, and errors for invalid inputs.
 
 use ashsplat::Error;
 use ashsplat::lpips::{InputRange, Lpips, Network, Weights};
@@ -18,7 +18,7 @@ fn weights(network: Network) -> Weights {
     Weights { network, convolutions: own.convolutions, heads: own.heads }
 }
 
-/// Noise.
+/// Random pixels.
 fn picture([width, height]: [u32; 2], seed: u64) -> Vec<[f32; 3]> {
     let mut random = Random::new(seed);
     (0..width * height).map(|_| [0; 3].map(|_| random.unit() as f32)).collect()
@@ -30,7 +30,7 @@ fn measure(context: &Context, weights: &Weights, size: [u32; 2]) -> [f64; 5] {
     lpips.distances([&a, &b], (size[0], size[1]), InputRange::ZeroToOne).expect("a measurement")
 }
 
-/// Peak bytes of the maps of features.
+/// Peak bytes of the feature maps.
 fn maps(context: &Context) -> u64 {
     context.memory().into_iter().find(|arena| arena.name == "lpips").expect("maps").peak_bytes
 }
@@ -52,7 +52,7 @@ fn lpips_has_the_same_bits_in_little_memory() {
     }
 }
 
-/// No map fits a binding as a whole.
+/// No feature map fits a binding as a whole.
 #[test]
 fn lpips_has_the_same_bits_in_small_bindings() {
     let gpu = Gpu::new();
@@ -66,7 +66,7 @@ fn lpips_has_the_same_bits_in_small_bindings() {
     assert_silent(&context);
 }
 
-/// Sizes at which windows do not fit evenly, one picture after the other with the same kernels.
+/// Sizes that windows do not divide evenly, one picture after another with the same kernels.
 #[test]
 fn lpips_of_pictures_of_any_size() {
     let gpu = Gpu::new();

@@ -16,10 +16,10 @@ use libtest_mimic::{Failed, Trial};
 
 use crate::absent_data;
 
-/// Far beyond what any of the small files needs.
+/// Far more than any of the small files needs.
 const TIMEOUT: Duration = Duration::from_secs(120);
 
-/// Far beyond what any of the small files needs, and far below what their counts claim.
+/// Far more than any of the small files needs, and far less than their counts claim.
 const MAX_MEMORY_KIB: u64 = 1 << 20;
 
 /// A row of expected.json.
@@ -50,10 +50,10 @@ fn trial(folder: &Path, case: Case) -> Trial {
     Trial::test(name, move || guarded(path, case))
 }
 
-/// What loading gave: a description of the scene, or the error.
+/// Result of loading: a description of the scene, or the error.
 type Outcome = Result<String, Error>;
 
-/// Runs a case with a limit on time, and looks at the memory that it took.
+/// Runs a case with a time limit, and checks its memory.
 fn guarded(path: PathBuf, case: Case) -> Result<(), Failed> {
     let (sender, receiver) = mpsc::channel();
     let loaded = path.clone();
@@ -83,7 +83,7 @@ fn load(path: &Path) -> Outcome {
     let report = Dataset::inspect(path, &options, Progress::NONE);
     let loaded = Dataset::load(path, &options, Progress::NONE);
     assert_eq!(report.is_sound(), loaded.is_ok(), "load and inspect disagree: {report}");
-    // What is done with photographs of lenses that distort is a note.
+    // The treatment of photographs of distorting lenses is a note.
     let said: Vec<_> = report.warnings.iter().chain(&report.notes).collect();
     loaded.map(|set| format!("{} views, {} points, {said:?}", set.train.len(), set.points.len()))
 }
@@ -105,7 +105,7 @@ fn judge(path: &Path, case: &Case, outcome: &Outcome) -> Result<(), String> {
     Ok(())
 }
 
-/// One line that names the file, or one in the data set, and then says something.
+/// Checks that the message is one line that names the file, or a file of the data set, and has more text.
 fn check_message(path: &Path, message: &str) -> Result<(), String> {
     let named = path.to_str().expect("UTF-8").trim_end_matches('/');
     let Some(rest) = message.strip_prefix(named) else {
@@ -121,7 +121,7 @@ fn check_message(path: &Path, message: &str) -> Result<(), String> {
     }
 }
 
-/// The most memory that this process ever had, where the system tells.
+/// Peak memory of this process, if the system reports it.
 fn peak_memory_kib() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find(|line| line.starts_with("VmHWM:"))?;

@@ -1,4 +1,4 @@
-//! Training with the strategy of 3DGS-MCMC.
+//! Training with the 3DGS-MCMC strategy.
 
 use ashsplat::trainer::{StrategyType, Trainer};
 use ashsplat::{Gaussians, TrainSettings};
@@ -24,7 +24,7 @@ fn settings() -> TrainSettings {
     }
 }
 
-/// A third of them is not to be seen.
+/// A third of the Gaussians is dead.
 fn with_dead() -> Gaussians {
     let mut gaussians = start();
     gaussians.opacity_logits.iter_mut().step_by(3).for_each(|logit| *logit = -9.0);
@@ -56,11 +56,11 @@ fn mcmc_moves_what_is_not_seen_and_grows_to_its_cap() {
             _ => {}
         }
     }
-    // Five in a hundred each time, rounded down.
+    // 5 % each time, rounded down.
     assert_eq!(counts, [157, 164, 172, 180, 180]);
 }
 
-/// The noise moves means although nothing else does.
+/// The noise moves means even if nothing else does.
 #[test]
 fn mcmc_explores_with_noise() {
     let gpu = Gpu::new();
@@ -74,7 +74,7 @@ fn mcmc_explores_with_noise() {
     let (still, first, again) = (moved(0.0), moved(5e5), moved(5e5));
     assert_eq!(first, again);
     let differ = still.iter().zip(&first).filter(|(a, b)| a != b).count();
-    // All of those that are not to be seen.
+    // All dead Gaussians.
     assert!(differ >= with_dead().len() / 3, "{differ}");
 }
 
@@ -88,7 +88,7 @@ fn mcmc_resumes_to_the_bit() {
     }
 }
 
-/// With too little memory it grows as far as it can, goes on, and still has the same bits each time.
+/// With insufficient memory it grows as far as possible, continues, and is still deterministic.
 #[test]
 fn mcmc_grows_as_far_as_the_memory_allows() {
     let settings =

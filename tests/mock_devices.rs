@@ -1,8 +1,9 @@
-//! The same on devices with other memory, queues and limits: those that the layer of `tools/mock_layer` claims over llvmpipe.
+//! The same results on devices with other memory, queues and limits, which the layer of `tools/mock_layer` simulates
+//! on llvmpipe.
 //!
-//! A layer takes a process of its own. The kernels are those of GPUs, for the machines say that they are none of processors;
-//! so the trial in this process has them as well, and a training must end in the same bits wherever memory lies and whichever
-//! queue copies. `tools/as_gpu mock:discrete` runs all that the suite has on one.
+//! A layer needs a separate process. The kernels are those of GPUs, because the machines claim to be none of CPUs.
+//! This process therefore uses them as well. A training must end with the same bits, wherever memory lies and
+//! whichever queue copies. `tools/as_gpu mock:discrete` runs the whole suite on one.
 
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -19,8 +20,8 @@ use crate::common::engine::{camera, gaussians};
 use crate::common::scenes::{Random, mixed_scene, small_view};
 use crate::common::{assert_silent, child, context, options, root};
 
-/// What a child runs: what the device claims to be, trainings and pictures for the parent, transfers of all kinds, and a
-/// training whose photographs come from a file.
+/// Tests that a child runs: the device's claims, trainings and pictures for the parent, transfers of all kinds, and
+/// a training with photographs from a file.
 const SELECTION: [&str; 6] = [
     "mock_device_claims_in_a_child",
     "mock_device_results_in_a_child",
@@ -30,7 +31,7 @@ const SELECTION: [&str; 6] = [
     PHOTOS,
 ];
 
-/// What it runs where limits are other ones, too: kernels whose workgroups and shared memory follow them.
+/// Further tests on machines with other limits: kernels whose workgroups and shared memory depend on them.
 const SHAPES: [&str; 4] = [
     "kernels::scan_apply::scan_apply_equals_its_twin",
     "kernels::sort_downsweep::sort_downsweep_equals_its_twin",
@@ -38,7 +39,7 @@ const SHAPES: [&str; 4] = [
     "hard_cases::hard_case_images_of_odd_sizes",
 ];
 
-/// What it runs on cards: bounded memory, of which transfers take a part, and failing calls.
+/// Further tests on discrete GPUs: bounded memory, which transfers share, and failing calls.
 const BOUNDED: [&str; 6] = [
     "faults::faults_of_other_objects",
     "limits::memory_that_cannot_suffice_is_said_before_any_work",
@@ -48,16 +49,16 @@ const BOUNDED: [&str; 6] = [
     "visible_memory::a_view_that_shows_too_much_stops_growth",
 ];
 
-/// An upload into what a submission reads still.
+/// Test of an upload into a buffer that a submission still reads.
 const UPLOADS: &str = "vk::memory::uploads_run_after_what_was_submitted";
-/// Photographs that are uploaded while the main queue computes.
+/// Test of photographs that are uploaded while the main queue computes.
 const PHOTOS: &str = "photos::photos_from_a_file_give_the_same_bits";
 
-/// Where a child leaves its results.
+/// Environment variable with the folder for a child's results.
 const RESULTS: &str = "ASHSPLAT_MOCK_RESULTS";
 const LAYERS: &str = "VK_LAYER_KHRONOS_validation:VK_LAYER_ASHSPLAT_mock";
 
-/// The fingerprint of a training that has densified.
+/// Fingerprint of a training with a densification.
 fn trained(context: &Context) -> String {
     let settings = TrainSettings {
         sh_degree_interval: 2,
@@ -71,7 +72,7 @@ fn trained(context: &Context) -> String {
     format!("{:?}", trainer.checkpoint().expect("a state").fingerprint())
 }
 
-/// The values of a picture, and what a training has ended with.
+/// A picture, and the fingerprint of a training.
 fn results(context: &Context) -> (Vec<f32>, String) {
     let mut renderer = Renderer::new(context).expect("kernels");
     renderer.upload(&gaussians(&mixed_scene(&mut Random::new(17), 1500, 16))).expect("a scene");
@@ -81,13 +82,13 @@ fn results(context: &Context) -> (Vec<f32>, String) {
     (frame.expect("a picture").color.into_flattened(), trained)
 }
 
-/// What every machine is held to: the same kernels without the layer.
+/// Expected results of every machine: those of the same kernels without the layer.
 static OWN: LazyLock<(Vec<f32>, String)> = LazyLock::new(|| {
     let own = ContextOptions { backend: Some(Backend::Gpu), ..options() };
     results(&Context::new(&own).expect("a device"))
 });
 
-/// Whether machines can be claimed here; says why not.
+/// True if machines can be simulated here; prints the reason otherwise.
 fn can_be_claimed() -> bool {
     if !cfg!(target_os = "linux") || !context().device_name().contains("llvmpipe") {
         eprintln!("skipped: machines are claimed over llvmpipe on Linux only");
@@ -100,7 +101,7 @@ fn can_be_claimed() -> bool {
     true
 }
 
-/// Lets a child see this machine.
+/// Makes a child use this machine.
 fn claim(child: &mut Command, machine: &str) {
     let library = std::env::current_exe().expect("a path");
     let mut libraries = vec![library.parent().expect("deps").to_owned()];
@@ -149,7 +150,7 @@ fn check(machine: &str) {
     }
 }
 
-/// One trial for each machine, so that they run at the same time.
+/// Generates one trial per machine, so that they run in parallel.
 macro_rules! machines {
     ($($trial:ident: $machine:literal;)*) => {
         $(#[test] fn $trial() { check($machine); })*
@@ -173,7 +174,7 @@ machines! {
     mock_device_small_limits: "small-limits";
 }
 
-/// A wait that is missing in the engine is found, in either direction; with the other queue late it is not.
+/// Detects a wait missing in the engine, in either direction. It goes undetected if the other queue is late.
 #[test]
 fn mock_device_finds_missing_waits() {
     if !can_be_claimed() {
@@ -188,7 +189,7 @@ fn mock_device_finds_missing_waits() {
         !output.status.success()
     };
     assert!(fails("transfer-queue", "others", PHOTOS));
-    // There, too, photographs go by the queue for copies.
+    // On this machine, too, photographs use the copy queue.
     assert!(fails("discrete-rebar", "others", PHOTOS));
     assert!(fails("transfer-queue-main-late", "copies", UPLOADS));
     assert!(!fails("transfer-queue", "copies", UPLOADS));
@@ -199,7 +200,7 @@ fn mock_device_finds_missing_waits() {
 fn mock_device_results_in_a_child() {
     let folder = std::env::var_os(RESULTS).expect("mock_device_… runs it, and says where results go");
     let (picture, trained) = results(context());
-    // Parameters and moments in what this machine has of the host's memory.
+    // With parameters and moments in this machine's host memory.
     context().set_offload(Some(1 << 30));
     assert_eq!(self::trained(context()), trained);
     context().set_offload(None);
@@ -218,7 +219,7 @@ fn mock_device_claims_in_a_child() {
     assert!(context.device_name().starts_with(&format!("{machine} mock of ")), "{}", context.device_name());
     let kind = if machine.starts_with("unified") { "integrated GPU" } else { "discrete GPU" };
     assert_eq!((context.description().kind, context.limits().tuning.backend), (kind, Backend::Gpu));
-    // The machine's budget is less than its heap.
+    // The machine's budget is smaller than its heap.
     let (budget, name) = context.memory_limit().expect("a bound");
     assert!(name == "VK_EXT_memory_budget" && budget < context.limits().heap_bytes, "{budget} by {name}");
     if machine == "small-limits" {
@@ -235,7 +236,7 @@ fn mock_device_claims_in_a_child() {
         other => panic!("how does {other} transfer?"),
     };
     assert_eq!(context.transfers(), Transfers { writes_directly, reads_directly, copy_queue }, "{machine}");
-    // New memory is garbage, not zeros.
+    // New memory holds garbage, not zeros.
     let buffer =
         context.allocate("new", &[("words", 64)], MemoryKind::Device).expect("memory").swap_remove(0);
     assert_eq!(context.download(&buffer).expect("download"), [0xFF; 64]);

@@ -1,4 +1,4 @@
-//! Training whose parameters and moments lie in the host's memory: the same bits, and little memory of the device.
+//! Training with parameters and moments in host memory: the same bits, and little device memory.
 
 use ashsplat::trainer::{Checkpoint, OptimizerType, StrategyType, Trainer};
 use ashsplat::vk::Context;
@@ -10,17 +10,17 @@ use crate::common::scenes::{Random, gaussian};
 use crate::common::{assert_silent, bounded};
 
 const EXTENT: f32 = 5.0;
-/// Of a Gaussian of SH degree 3 in each of the four sets.
+/// Bytes of a Gaussian of SH degree 3 in each of the four sets.
 const SET: u64 = 4 * (3 * 4 + 48);
 const HOST: Option<u64> = Some(1 << 30);
 
-/// Many Gaussians that cover few pixels each: most of their memory is parameters and moments.
+/// Many small Gaussians: most of their memory is parameters and moments.
 fn start(count: usize) -> Gaussians {
     let mut random = Random::new(77);
     gaussians(&(0..count).map(|_| gaussian(&mut random, 1.5, [-5.0, -4.0], 16)).collect::<Vec<_>>())
 }
 
-/// Grows twice and resets opacities once.
+/// Densifies twice and resets opacities once.
 fn settings() -> TrainSettings {
     TrainSettings {
         iterations: 24,
@@ -38,7 +38,7 @@ fn trainer(context: &Context, start: &Gaussians, settings: &TrainSettings) -> as
     Trainer::new(context, views(3, 9), start, EXTENT, settings.clone())
 }
 
-/// The end of a run; the device's memory then and at its peak, and the peak of the host's, bytes.
+/// The end of a run; then the device memory at the end, its peak, and the peak of the host memory, bytes.
 fn run(
     start: &Gaussians,
     settings: &TrainSettings,
@@ -58,7 +58,7 @@ fn run(
     Ok((end, [at_end, context.memory_total().peak_bytes, context.memory_offloaded().peak_bytes]))
 }
 
-/// A scene of four times the device's memory is trained, with the bits that it has where there is enough.
+/// A scene of four times the device memory trains with the same bits as with enough memory.
 #[test]
 fn offload_trains_four_times_what_the_device_holds() {
     let start = start(20_000);
@@ -75,7 +75,7 @@ fn offload_trains_four_times_what_the_device_holds() {
     assert!(end.fingerprint() == whole.fingerprint(), "other bits within {budget:?} bytes");
 }
 
-/// Whatever else a step does, and also if a run goes on where its memory lies elsewhere.
+/// Whatever else a step does, and also if a run resumes with other memory.
 #[test]
 fn offload_changes_no_bit_of_any_strategy() {
     let start = start(2000);
@@ -101,7 +101,7 @@ fn offload_changes_no_bit_of_any_strategy() {
     }
 }
 
-/// What does not fit the host's memory is refused before anything is allocated; growth stops there.
+/// Sets beyond the host memory are refused before any allocation; growth stops at the bound.
 #[test]
 fn offload_is_bounded() {
     let start = start(6000);
@@ -111,7 +111,7 @@ fn offload_is_bounded() {
         run(&start, &settings, (None, Some(planes - 1))).map(|(_, peaks)| peaks).expect_err("too little");
     let Error::TooLarge { needed, limit, limit_name, .. } = error else { panic!("{error}") };
     assert_eq!((needed, limit, limit_name), (planes, planes - 1, "--offload"));
-    // Room for half as many again, once, and not for both before and after.
+    // Enough for half as many again, once, but not for the sets before and after.
     let bound = planes * 9 / 4;
     let (end, [.., host]) = run(&start, &settings, (None, Some(bound))).expect("trained");
     let (free, _) = run(&start, &settings, (None, HOST)).expect("trained");

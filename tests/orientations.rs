@@ -1,4 +1,4 @@
-//! Pictures of several shapes: wide and high ones need the memory of one of them, large ones leave nothing behind.
+//! Pictures of several shapes: wide and high ones share the memory of one, and large ones do not affect later ones.
 
 use ashsplat::scene::{Camera, Intrinsics};
 use ashsplat::trainer::{Checkpoint, Forecast, PhotoSize, Room, TrainView, Trainer};
@@ -17,7 +17,7 @@ use crate::common::{assert_silent, bounded, options};
 
 const WIDE: [u32; 2] = [320, 32];
 const HIGH: [u32; 2] = [32, 320];
-/// More than a picture of either shape needs in one buffer, less than one that is both wide and high.
+/// More bytes than a picture of either shape needs in one buffer, fewer than one that is both wide and high.
 const RANGE: u64 = 500_000;
 const EXTENT: f32 = 5.0;
 
@@ -53,7 +53,7 @@ fn peak_of(context: &Context, arena: &str) -> u64 {
     all.iter().find(|memory| memory.name == arena).map_or(0, |memory| memory.peak_bytes)
 }
 
-/// The bytes of the frame and of the loss while four iterations run.
+/// Bytes of the frame and of the loss during four iterations.
 fn reserved(sizes: &[[u32; 2]]) -> [u64; 2] {
     let context = narrow_context();
     let still = TrainSettings { densify_from_iter: 100, ..settings() };
@@ -75,7 +75,7 @@ fn orientations_train_together_in_the_memory_of_one() {
     assert_eq!(both, [0, 1].map(|arena| wide[arena].max(high[arena])), "{wide:?} {high:?}");
 }
 
-/// What is drawn or derived does not depend on what was drawn before.
+/// Pictures and gradients do not depend on earlier frames.
 #[test]
 fn orientations_of_earlier_frames_change_no_bit() {
     let cameras = [WIDE, HIGH, [150, 70]].map(|size| camera(&small_view(size)));
@@ -101,7 +101,8 @@ fn orientations_of_earlier_frames_change_no_bit() {
     }
 }
 
-/// One that is too large is named, with its own size and bytes, whatever the others are, and before anything is read.
+/// An error names a photo that is too large, with its own size and bytes, whatever the others are, and before any is
+/// read.
 #[test]
 fn orientations_that_do_not_fit_are_named_with_their_own_bytes() {
     let context = narrow_context();
@@ -130,7 +131,7 @@ fn orientations_that_do_not_fit_are_named_with_their_own_bytes() {
     for word in ["'sky/b.jpg' of 320x128 pixels (", "-r ", "655360 bytes", "maxStorageBufferRange"] {
         assert!(message.contains(word), "no '{word}' in {message}");
     }
-    // The largest of several; the same from the trainer, which knows no names.
+    // The largest of several. The trainer gives the same error without names.
     let twice = [&photos[..], &[photo("d.jpg", [136, 320])]].concat();
     let (_, message) = said(&check(&twice).expect_err("too large"));
     assert!(message.contains("'d.jpg' of 136x320 pixels and 1 other"), "{message}");
@@ -138,12 +139,12 @@ fn orientations_that_do_not_fit_are_named_with_their_own_bytes() {
     let refused = Trainer::new(&context, views, &start(), EXTENT, settings.clone()).err().expect("refused");
     assert!(said(&refused).1.contains("'view 1' of 320x128 pixels ("), "{refused}");
     assert_eq!(context.memory_total().peak_bytes, 0, "nothing was allocated");
-    // Those that fit are trained.
+    // The photos that fit are trained on.
     check(&[photos[0].clone(), photos[2].clone()]).expect("both fit");
     assert_silent(&context);
 }
 
-/// What a forecast says to be needed is what training then takes.
+/// Training takes exactly the memory that the forecast says.
 #[test]
 fn orientations_need_the_memory_that_is_forecast() {
     let sizes = [WIDE, HIGH, WIDE];
@@ -176,7 +177,7 @@ fn orientations_need_the_memory_that_is_forecast() {
     assert!(check(&bounded(Some(needed - 1))).is_err());
 }
 
-/// Earlier versions wrote the largest width and the largest height, and had room for their product.
+/// Earlier versions stored the largest width and the largest height, and had a capacity for their product.
 #[test]
 fn orientations_go_on_from_checkpoints_of_earlier_versions() {
     let gpu = Gpu::new();
@@ -188,14 +189,14 @@ fn orientations_go_on_from_checkpoints_of_earlier_versions() {
     let checkpoint = trainer.checkpoint().expect("a checkpoint");
     checkpoint.write(&path).expect("written");
     let read = Checkpoint::read(&path).expect("read");
-    // As they are there, and as older programs need them.
+    // Stored in this form, because older programs need it.
     assert_eq!((read.room.frame_width, read.room.frame_height), (320, 320));
     while trainer.iteration() < settings().iterations {
         trainer.step().expect("a step");
     }
     let end = trainer.checkpoint().expect("the end");
     for (frame_width, frame_height) in [(320, 320), (320, 32), (4000, 4000)] {
-        // A device that has no room for the product.
+        // The product does not fit this device.
         let context = narrow_context();
         let from = Checkpoint { room: Room { frame_width, frame_height, ..read.room }, ..read.clone() };
         let resumed = Trainer::resume(&context, views(), EXTENT, settings(), &from);
@@ -216,7 +217,7 @@ fn odd_camera(width: u32, height: u32) -> Camera {
     Camera::look_at(Vec3::NEG_Z * 4.0, Vec3::ZERO, Vec3::NEG_Y, lens)
 }
 
-/// A line of 65,535 pixels, and then what fits a screen.
+/// A line of 65,535 pixels, followed by pictures of usual sizes.
 #[test]
 fn orientations_that_are_odd_spoil_no_later_frame() {
     let limits = LimitsOverride { max_storage_buffer_range: Some(8 << 20), ..LimitsOverride::default() };
@@ -232,7 +233,7 @@ fn orientations_that_are_odd_spoil_no_later_frame() {
         let again = renderer.render(&odd_camera(320, 180), &settings).expect("a frame");
         assert!(again.color == usual.color, "after {width}x{height}");
     }
-    // Room for the line's tiles and pixels, and no more.
+    // Capacity for the line's tiles and pixels, and no more.
     let (grown, tiles) = (renderer.frame_bytes(), 4096);
     assert!(grown > bytes && grown < bytes + 65_535 * 24 + tiles * 1024, "{bytes}, then {grown}");
     renderer.shrink();
@@ -243,7 +244,7 @@ fn orientations_that_are_odd_spoil_no_later_frame() {
     assert_silent(&context);
 }
 
-/// Where a frame does not fit beside what earlier ones needed, that is given up.
+/// If a frame does not fit beside the buffers of earlier ones, those are freed.
 #[test]
 fn orientations_of_earlier_frames_are_given_up_for_want_of_memory() {
     let settings = RenderSettings::default();
@@ -262,11 +263,11 @@ fn orientations_of_earlier_frames_are_given_up_for_want_of_memory() {
     let mut alone = fresh(None);
     let gradients = alone.gradients(&small, &settings, &image_gradient, None).expect("gradients");
     assert!(peak(&alone) < most, "less than the picture needs");
-    // What gradients sum up in is not given up.
+    // Buffers for sums of gradients are not freed.
     let most = most + (512 << 10);
     let mut bounded = fresh(Some(most));
     for _ in 0..2 {
-        // Each is larger than the other in one way: both together have no room.
+        // Each is larger than the other in one way: both together do not fit.
         assert!(bounded.render(&large, &settings).expect("a frame").color == picture.color);
         let again = bounded.gradients(&small, &settings, &image_gradient, None).expect("gradients");
         assert!(again == gradients);

@@ -1,4 +1,4 @@
-//! Orthographic cameras: what parallel rays show of known Gaussians, and of random ones what the twin shows.
+//! Orthographic cameras: pictures of known Gaussians by formula, and of random ones by the twin.
 
 use ashsplat::forward::Filter3d;
 use ashsplat::scene::{Camera, Gaussians, HostView, Intrinsics, Photo, WorldFrame};
@@ -24,7 +24,7 @@ fn along_z() -> Camera {
     Camera::with_pose(Mat3::IDENTITY, Vec3::ZERO, intrinsics).orthographic()
 }
 
-/// One Gaussian along the axes: of SH degree 1, red where it is seen along +z.
+/// One Gaussian along the axes: SH degree 1, red when seen along +z.
 fn one(mean: [f32; 3], sigmas: [f32; 3], logit: f32) -> Gaussians {
     Gaussians {
         sh_degree: 1,
@@ -37,7 +37,7 @@ fn one(mean: [f32; 3], sigmas: [f32; 3], logit: f32) -> Gaussians {
 }
 
 /// alpha = opacity exp(-d²/2) with the standard deviations fx sx and fy sy, widened by the low-pass filter, around
-/// (fx x, fy y): the same for every z and every thickness.
+/// (fx x, fy y). It does not depend on z or thickness.
 #[test]
 fn orthographic_gaussians_cover_the_same_pixels_at_every_depth() {
     let gpu = Gpu::new();
@@ -66,7 +66,7 @@ fn orthographic_gaussians_cover_the_same_pixels_at_every_depth() {
             assert!(close, "z {z}, {at:?}: {actual}, expected {expected}");
             let depth = f64::from(frame.inverse_depth.as_ref().expect("rendered")[index]);
             assert!((depth - actual / f64::from(z)).abs() <= 1e-5 * actual / f64::from(z), "{depth}");
-            // The constants of spherical harmonics: the direction is (0, 0, 1) at every pixel.
+            // The spherical harmonics' constants; the direction is (0, 0, 1) at every pixel.
             let red = actual * (0.5 + 0.5 * 0.488_602_511_902_919_9);
             let [r, g, b] = frame.color[index].map(f64::from);
             assert!((r - red).abs() < 1e-6 && (g - 0.5 * actual).abs() < 1e-6, "{r}, {g}");
@@ -75,7 +75,7 @@ fn orthographic_gaussians_cover_the_same_pixels_at_every_depth() {
         pictures.push(frame.transmittance);
     }
     assert!(pictures.iter().all(|picture| picture == &pictures[0]), "bits do not depend on z");
-    // The near plane is one of z.
+    // The near plane limits z.
     let mut renderer = renderer();
     for (z, visible) in [(0.19, 0), (-5.0, 0), (0.21, 1)] {
         renderer.upload(&one([0.0, 0.0, z], [0.5; 3], 1.0)).expect("a scene");
@@ -85,7 +85,7 @@ fn orthographic_gaussians_cover_the_same_pixels_at_every_depth() {
     drop((renderer, gpu));
 }
 
-/// Depth order, spherical harmonics, turned cameras and antialiasing, as the twin blends them.
+/// Depth order, spherical harmonics, turned cameras and antialiasing equal the twin's blending.
 #[test]
 fn orthographic_pictures_equal_the_twins() {
     let gpu = Gpu::new();
@@ -107,17 +107,17 @@ fn orthographic_pictures_equal_the_twins() {
             assert!(worst < 2e-2, "{seed}, pixel {index}: {actual:?}, {:?}", pixel.color);
             off += usize::from(worst > 5e-5);
         }
-        // Decisions that hang on rounding.
+        // Decisions that depend on rounding.
         assert!(off <= expected.pixels.len() / 100, "{off} pixels");
         assert!(frame.stats.visible > 60, "{}", frame.stats.visible);
-        // A pinhole shows something else.
+        // A pinhole gives another picture.
         let pinhole = Camera { projection: ashsplat::scene::Projection::Perspective, ..camera(&view) };
         assert_ne!(renderer.render(&pinhole, &settings(&view)).expect("a frame").color, frame.color);
     }
     drop(gpu);
 }
 
-/// Dots of the means lie where `Camera::project` says.
+/// Dots of the means lie at the positions of `Camera::project`.
 #[test]
 fn orthographic_points_lie_where_the_camera_projects_them() {
     let gpu = Gpu::new();
@@ -135,7 +135,7 @@ fn orthographic_points_lie_where_the_camera_projects_them() {
     drop((renderer, gpu));
 }
 
-/// What is defined for pinholes alone names the field.
+/// Errors name the field of features that only pinholes support.
 #[test]
 fn orthographic_cameras_have_no_gradients() {
     let gpu = Gpu::new();
@@ -158,8 +158,8 @@ fn orthographic_cameras_have_no_gradients() {
     assert!(error.contains("view 0.camera.projection: is orthographic"), "{error}");
 }
 
-/// A host's matrices, of standard and reversed depth, with y up and down, off-centre, near planes before and behind the
-/// eye: pixels and depths of points are those of the matrices.
+/// A host's matrices with standard and reversed depth, y up and down, off-centre, near planes before and behind the
+/// eye: pixels and depths of points equal those of the matrices.
 #[test]
 fn orthographic_matrices_become_a_camera() {
     use ashsplat::scene::ClipY;
@@ -193,12 +193,12 @@ fn orthographic_matrices_become_a_camera() {
                 assert!((mapping.z(clip.z) - z).abs() < 1e-4, "{} {z}", mapping.z(clip.z));
                 assert!((mapping.depth(z) - clip.z).abs() < 1e-5, "{} {}", mapping.depth(z), clip.z);
             }
-            // The near plane is where drawing begins, or it is as far as the host says.
+            // Drawing starts at the near plane, or farther if the host says so.
             let at_near = mapping.z(d_near);
             assert!((at_near - near.max(0.2)).abs() < 1e-5, "{at_near}");
         }
     }
-    // Around the eye, what mirrors with standard depth is what looks back with reversed depth.
+    // Around the eye, a mirrored view with standard depth equals a backward view with reversed depth.
     let around = |y: f32| {
         let third = Vec4::new(0.0, 0.0, -1.0 / 40.0, 0.0);
         let clip_from_view =
@@ -221,7 +221,7 @@ fn orthographic_matrices_become_a_camera() {
     }
 }
 
-/// The conversions of perspective depth go back and forth, too.
+/// The conversions of perspective depth are inverse to each other, too.
 #[test]
 fn orthographic_and_perspective_coefficients_invert_the_mapping() {
     use ashsplat::scene::DepthMapping;
@@ -238,7 +238,7 @@ fn orthographic_and_perspective_coefficients_invert_the_mapping() {
     }
 }
 
-/// `cameras.json` keeps the projection, and says nothing of it for pinholes.
+/// `cameras.json` keeps the projection, and omits it for pinholes.
 #[test]
 fn orthographic_cameras_come_back_from_their_file() {
     let folder = tempfile::tempdir().expect("a folder");

@@ -1,4 +1,4 @@
-//! Parts of training that are exchanged: a strategy and terms of the loss that the library does not have.
+//! Exchangeable parts of training: a strategy and loss terms that the library does not have.
 
 use ashsplat::densify::Densify;
 use ashsplat::loss::{LossTerm, PixelLayout, Targets, TermInputs};
@@ -19,10 +19,10 @@ use crate::common::scenes::{Random, small_scene, small_view};
 use crate::reference::types::View;
 
 const EXTENT: f32 = 5.0;
-/// An action of this strategy alone.
+/// An action of this strategy only.
 const PRUNE: Actions = Actions(1 << 7);
 
-/// After every fourth iteration each Gaussian is removed with a probability of a tenth.
+/// After every fourth iteration, removes each Gaussian with a probability of a tenth.
 struct RandomPrune {
     kernels: Densify,
     pruned: u32,
@@ -128,7 +128,7 @@ fn a_strategy_of_a_host_prunes_and_resumes_to_the_bit() {
     let refused =
         Trainer::resume(gpu.context, views(3, 9), EXTENT, settings(), &read).err().expect("refused");
     assert!(refused.to_string().contains("strategy 'random_prune'"), "{refused}");
-    // Nor are other terms of the loss taken for the same run.
+    // A run with other loss terms is a different run.
     let terms: Vec<Box<dyn LossTerm>> =
         vec![Box::new(Regularizers::new(gpu.context, 1.0, 0.0).expect("kernels"))];
     let other = TrainParts { terms, ..parts() };
@@ -137,7 +137,7 @@ fn a_strategy_of_a_host_prunes_and_resumes_to_the_bit() {
     assert!(refused.contains("regularizers"), "{refused}");
 }
 
-/// Keeping what does not exist, or nothing, is refused, and the set stays.
+/// Keeping a missing Gaussian, or none, is refused, and the set stays.
 struct Wrong {
     kernels: Densify,
 }
@@ -183,7 +183,7 @@ fn a_strategy_cannot_keep_what_does_not_exist() {
     assert_eq!(trainer.gaussians().expect("Gaussians").len(), start().len());
 }
 
-/// The settings' `fixed` strategy keeps the number of Gaussians where the reference's would have densified.
+/// The `fixed` strategy keeps the number of Gaussians at iterations when the reference's would densify.
 #[test]
 fn the_fixed_strategy_keeps_the_number_of_gaussians() {
     let gpu = Gpu::new();
@@ -205,7 +205,7 @@ fn the_fixed_strategy_keeps_the_number_of_gaussians() {
     assert!(count(Reference) > start().len());
 }
 
-/// Means of opacities and scales.
+/// Mean opacity and mean scale.
 fn means(gaussians: &Gaussians) -> [f64; 2] {
     let opacity = |&logit: &f32| 1.0 / (1.0 + f64::from(-logit).exp());
     let scale = |scale: &f32| f64::from(*scale).exp();
@@ -217,7 +217,7 @@ fn means(gaussians: &Gaussians) -> [f64; 2] {
     ]
 }
 
-/// Their value is in the report, and they lower opacities and scales of all Gaussians, also of those outside the view.
+/// The report has the regularisers' value. They lower opacities and scales of all Gaussians, also outside the view.
 #[test]
 fn regularizers_lower_opacities_and_scales() {
     let gpu = Gpu::new();
@@ -255,9 +255,9 @@ fn regularizers_lower_opacities_and_scales() {
     assert!(!lower(&sparse, 3), "sparse Adam does not move what is not seen");
 }
 
-/// A constant gradient of the inverse depth.
+/// A term with a constant gradient of the inverse depth.
 struct Nearer {
-    /// Of each pixel: no gradient of the colour, and this of the inverse depth.
+    /// Gradient of each pixel: zero for the colour, a constant for the inverse depth.
     gradient: Buffer,
 }
 
@@ -280,7 +280,7 @@ impl LossTerm for Nearer {
     }
 }
 
-/// The gradient of the inverse depth reaches the means, on both layouts of pictures.
+/// The gradient of the inverse depth reaches the means, in both layouts of pictures.
 #[test]
 fn a_term_of_the_inverse_depth_moves_gaussians_along_the_view() {
     let wide = View { background: [0.0; 3], ..small_view([64, 48]) };
@@ -300,7 +300,7 @@ fn a_term_of_the_inverse_depth_moves_gaussians_along_the_view() {
                 terms: vec![Box::new(Nearer { gradient })],
                 ..TrainParts::of_settings(&context, &settings()).expect("parts")
             };
-            // The same photometric gradient in both runs, and a far smaller one.
+            // The same photometric gradient in both runs, and far smaller than the term's.
             let rgb = vec![0; 3 * pixels];
             let photo = Photo { width: camera.width, height: camera.height, rgb };
             let settings = TrainSettings { sh_degree: 0, ..settings() };
@@ -315,8 +315,8 @@ fn a_term_of_the_inverse_depth_moves_gaussians_along_the_view() {
             };
             (0..scene.len()).map(|i| depth(&after, i) - depth(&scene, i)).collect::<Vec<f32>>()
         };
-        // The loss falls with the inverse depth's rise, so what is seen comes nearer; and the other way round. Where one
-        // Gaussian hides another, their opacities count as well.
+        // The loss decreases as the inverse depth grows, so visible Gaussians come nearer; and vice versa.
+        // Occlusions make their opacities matter as well.
         let (nearer, farther) = (moved(-100.0), moved(100.0));
         let seen = nearer.iter().zip(&farther).filter(|(near, far)| **near != 0.0 && **far != 0.0);
         let right = seen.clone().filter(|(near, far)| **near < 0.0 && **far > 0.0).count();
@@ -325,7 +325,7 @@ fn a_term_of_the_inverse_depth_moves_gaussians_along_the_view() {
     }
 }
 
-/// Keeps what a term by rows is given.
+/// A term that keeps its inputs.
 struct Probe {
     picture: Buffer,
     photo: Buffer,
@@ -353,7 +353,7 @@ impl LossTerm for Probe {
     }
 }
 
-/// Pictures and photographs have one layout for terms of a host, and such a term without a gradient changes nothing.
+/// Pictures and photographs have one layout for a host's terms, and such a term without a gradient changes nothing.
 #[test]
 fn a_term_by_rows_sees_the_picture_and_the_photograph() {
     let view = View { background: [0.0; 3], ..small_view([67, 41]) };

@@ -1,4 +1,4 @@
-//! Photographs in training: what masks hide carries no loss, and those that are read while training runs change nothing.
+//! Photographs in training: masked pixels have no loss, and reading photographs during training changes nothing.
 
 use ashsplat::loss::{Windowing, photo_bytes, photo_on_device};
 use ashsplat::plan::Strips;
@@ -18,7 +18,7 @@ use crate::reference::types::View;
 
 const EXTENT: f32 = 5.0;
 
-/// What so many photographs take on the device and, in the same form, on the host, while another is read.
+/// Memory for `held` photographs on the device and, in the same form, on the host, while another is read.
 fn held_bytes(views: &[TrainView], held: u64) -> u64 {
     let windowing = Windowing::for_device(Gpu::new().context.limits());
     let bytes = |photo: &StoredPhoto| photo_bytes(windowing, photo.width, photo.height, photo.is_masked());
@@ -27,7 +27,7 @@ fn held_bytes(views: &[TrainView], held: u64) -> u64 {
     held * largest + read
 }
 
-/// The views with their photographs in a file, of which so many may be held at a time.
+/// The views with their photographs in a file, with memory for `held` of them.
 pub fn in_a_file(views: &[TrainView], held: u64) -> Vec<TrainView> {
     let memory = PhotoMemory { bytes: held_bytes(views, held), folder: std::env::temp_dir() };
     let file = memory.create_file().expect("a file");
@@ -35,7 +35,7 @@ pub fn in_a_file(views: &[TrainView], held: u64) -> Vec<TrainView> {
     views.iter().map(|view| TrainView::new(view.camera, stored(view))).collect()
 }
 
-/// As in the tests of checkpoints, without an opacity reset and without random backgrounds.
+/// Settings of the checkpoint tests, but without an opacity reset and without random backgrounds.
 fn short() -> TrainSettings {
     let usual = TrainSettings::default();
     TrainSettings {
@@ -65,7 +65,7 @@ fn train(context: &Context, views: Vec<TrainView>, until: u32) -> (Trainer, Vec<
 
 #[test]
 fn photos_from_a_file_give_the_same_bits() {
-    // Of its own: other tests' photographs would be counted too.
+    // A separate device, because other tests' photographs would be counted.
     let context = Context::new(&options()).expect("a device");
     let views = views();
     let (trainer, losses) = train(&context, views.clone(), 40);
@@ -81,7 +81,7 @@ fn photos_from_a_file_give_the_same_bits() {
         assert!(trainer.gaussians().expect("the Gaussians") == expected, "{held} held");
         assert!(held == 14 || of_photos(&trainer) < resident);
     }
-    // A checkpoint does not know where the photographs were.
+    // A checkpoint does not depend on where the photographs were.
     let (trainer, _) = train(&context, views.clone(), 17);
     let checkpoint = trainer.checkpoint().expect("a checkpoint");
     drop(trainer);
@@ -89,7 +89,7 @@ fn photos_from_a_file_give_the_same_bits() {
         Trainer::resume(&context, in_a_file(&views, 6), EXTENT, short(), &checkpoint).expect("resumed");
     let rest: Vec<f32> = (17..40).map(|_| resumed.step().expect("a step").loss).collect();
     assert!(rest == losses[17..] && resumed.gaussians().expect("the Gaussians") == expected);
-    // Another mask is another data set.
+    // A data set with another mask is a different one.
     let mut others = views;
     others[0].photo = StoredPhoto::from(Photo::clone(&others[0].photo.photo().expect("in memory")));
     let refused = Trainer::resume(&context, others, EXTENT, short(), &checkpoint).err().expect("refused");
@@ -105,7 +105,7 @@ fn photos_without_memory_to_read_ahead_are_refused() {
     let message = refused.expect("refused").to_string();
     let expected = match Windowing::for_device(gpu.context.limits()) {
         Windowing::Blocks => "24000 bytes, more than 19200 (--photo-memory,",
-        // Four planes of four strips, and the pixels of the one that is being read.
+        // Four planes of four strips, and the pixels of the photograph being read.
         Windowing::Sweeps => "31680 bytes, more than 26304 (--photo-memory,",
     };
     assert!(message.contains(expected), "{message}");
@@ -135,7 +135,7 @@ fn photos_and_masks_of_wrong_sizes_are_refused() {
     assert!(refusal(masked).contains("the mask has 3 bytes, not one per pixel"));
 }
 
-/// In strips each value is at its place, what does not count is 0, and so is everything else.
+/// In strips each value is at its place; pixels that do not count, and padding, are 0.
 #[test]
 fn photos_on_a_device_are_pixels_or_planes() {
     let (width, height) = (21, 19);
@@ -165,8 +165,8 @@ fn photos_on_a_device_are_pixels_or_planes() {
     }
 }
 
-/// Views of several sizes, one wider and one higher than all others, some with masks: what processors do in strips is what
-/// others do by pixels, but for rounding.
+/// Views of several sizes, one wider and one higher than all others, some with masks. Training in strips (on CPUs)
+/// equals training by pixels, up to rounding.
 #[test]
 fn training_in_strips_is_training_by_pixels() {
     let views: Vec<TrainView> = [[40, 30], [17, 45], [51, 9], [33, 23]]
@@ -189,7 +189,8 @@ fn training_in_strips_is_training_by_pixels() {
     }
 }
 
-/// Where neither a photograph nor the scene shows anything, both show the background that is drawn: the loss is that of rounding.
+/// If neither a photograph nor the scene covers a pixel, both show the drawn background: only rounding remains in
+/// the loss.
 #[test]
 fn transparent_photographs_have_the_random_background() {
     let mut out_of_view = checkpoints::start();
@@ -219,7 +220,8 @@ fn transparent_photographs_have_the_random_background() {
 
 const SIZE: [u32; 2] = [70, 50];
 
-/// A scene seen from around it; `occluder` puts something bright before it, elsewhere in each view, under a mask or not.
+/// Views around a scene. `occluder` puts something bright in front of it, at a different place in each view, masked
+/// or not.
 fn seen(indices: impl Iterator<Item = u32>, occluder: Option<bool>) -> Vec<TrainView> {
     let scene = gaussians(&small_scene(&mut Random::new(11), 120, 4));
     let mut renderer = renderer();
@@ -243,7 +245,7 @@ fn seen(indices: impl Iterator<Item = u32>, occluder: Option<bool>) -> Vec<Train
     indices.map(of_view).collect()
 }
 
-/// Mean PSNR of views that were not trained on.
+/// Mean PSNR of held-out views.
 fn held_out_psnr(gpu: &Gpu, train: Vec<TrainView>, start: &Gaussians) -> f64 {
     let settings = TrainSettings {
         iterations: 400,
@@ -266,7 +268,7 @@ fn held_out_psnr(gpu: &Gpu, train: Vec<TrainView>, start: &Gaussians) -> f64 {
     psnrs.sum::<f64>() / held_out.len() as f64
 }
 
-/// Something moves before the scene: hidden by masks, it does no harm.
+/// An object moves in front of the scene: masks remove its effect.
 #[test]
 fn masks_keep_a_moving_occluder_out_of_the_scene() {
     let gpu = Gpu::unchecked();

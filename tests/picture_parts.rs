@@ -1,4 +1,4 @@
-//! Parts of pictures: rendered, differentiated and trained on as in the whole.
+//! Parts of pictures are rendered, differentiated and trained like the whole.
 
 use ashsplat::scene::{Intrinsics, Photo, StoredPhoto};
 use ashsplat::trainer::{Checkpoint, TrainView, Trainer};
@@ -9,11 +9,11 @@ use crate::common::engine::renderer;
 use crate::common::gpu::Gpu;
 use crate::common::splats::{ball, camera};
 
-/// Corners and sizes: by tiles, across them, at the far edges, a single pixel.
+/// Corners and sizes: aligned to tiles, across them, at the far edges, a single pixel.
 const PARTS: [([u32; 2], [u32; 2]); 4] =
     [([16, 16], [48, 32]), ([13, 7], [50, 41]), ([70, 40], [26, 24]), ([48, 30], [1, 1])];
 
-/// The pixels of a part, of those of a picture.
+/// Pixels of a part of a picture.
 fn cut<T: Copy>(pixels: &[T], whole: u32, [left, top]: [u32; 2], [width, height]: [u32; 2]) -> Vec<T> {
     let rows = (top..top + height).map(|y| (y * whole + left) as usize);
     rows.flat_map(|first| &pixels[first..first + width as usize]).copied().collect()
@@ -25,7 +25,7 @@ fn farthest(one: &[[f32; 3]], other: &[[f32; 3]]) -> f32 {
     pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
 }
 
-/// A few large Gaussians to the side of what the camera sees: where they are linearised, the picture's edges say.
+/// Adds large Gaussians beside the view: the picture's edges determine where their projection is linearised.
 fn with_large_ones(mut scene: Gaussians) -> Gaussians {
     for (row, x) in [(0, -1.9), (1, 1.9), (2, 1.4), (3, -1.4)] {
         scene.means[row] = [x, 0.2, -1.2];
@@ -115,7 +115,7 @@ fn trained(views: Vec<TrainView>, settings: &TrainSettings) -> (Checkpoint, f32)
     (trainer.checkpoint().expect("a checkpoint"), loss)
 }
 
-/// What is trained and counted is the same whether the black around it is there or not: rounding apart.
+/// Results and counts do not depend on the black pixels around it, up to rounding.
 #[test]
 fn training_on_a_part_is_that_on_the_whole() {
     let part = ([24, 8], [48, 48]);
@@ -134,14 +134,14 @@ fn training_on_a_part_is_that_on_the_whole() {
         let norms = |state: &Checkpoint| state.statistics.iter().map(|row| f64::from(row[0])).sum::<f64>();
         let (ours, theirs) = (norms(&of_part), norms(&whole));
         assert!(theirs > 0.0 && (ours / theirs - 1.0).abs() < 1e-3, "{ours} {theirs}");
-        // Without its place in the whole, it is a picture of its own.
+        // Without its position in the whole, a part is an independent picture.
         let mut own = views(Some(part), depths);
         own.iter_mut().for_each(|view| view.camera.part = None);
         assert!((norms(&trained(own, &settings).0) / theirs - 1.0).abs() > 0.5);
     }
 }
 
-/// A checkpoint of other parts is one of other photographs.
+/// A checkpoint with other parts counts as one with other photographs.
 #[test]
 fn a_run_does_not_go_on_with_other_parts() {
     let gpu = Gpu::new();

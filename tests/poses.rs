@@ -1,5 +1,5 @@
-//! Gradients of camera poses: finite differences prove the twin, the twin proves the device. Poses that were moved are found
-//! again, in training and by alignment.
+//! Gradients of camera poses: finite differences prove the twin, the twin proves the device. Displaced poses are
+//! recovered in training and by alignment.
 
 mod optimisation;
 
@@ -31,7 +31,7 @@ fn along(axis: usize, by: f64) -> [f64; 6] {
     delta
 }
 
-/// Compares all six derivatives with central differences; returns how many were compared.
+/// Compares all six derivatives with central differences. Returns the number compared.
 fn compare_with_differences(view: &View, seed: u64) -> usize {
     let mut random = Random::new(seed);
     let scene = small_scene(&mut random, 6, 16);
@@ -76,7 +76,7 @@ fn poses_of_the_twin_agree_with_finite_differences() {
     }
 }
 
-/// Weights of the pixels whose decisions do not hang on rounding, as float32 sees them.
+/// Weights at stable pixels, rounded to float32; zero at pixels whose decisions depend on rounding.
 fn stable_weights(random: &mut Random, scene: &[Gaussian], view: &View) -> Vec<PixelGradient> {
     let frame = render(scene, view);
     let mut weights = random_weights(random, view);
@@ -109,7 +109,7 @@ fn compare_with_device(renderer: &mut Renderer, view: &View, (count, seed): (usi
     let actual = first.pose.expect("a gradient of the pose").map(f64::from);
     let largest = expected.iter().fold(0.0, |most: f64, x| most.max(x.abs()));
     elementwise("pose", &actual, &expected, 1e-4 * largest, 0.0).expect("the pose's gradient");
-    // All else is as without it.
+    // All other gradients equal those without it.
     let plain = renderer.gradients(&camera, &settings, &color, Some(&inverse_depth)).expect("gradients");
     assert!(plain.pose.is_none());
     for (a, b) in derivatives(&plain).into_iter().zip(derivatives(&first)) {
@@ -158,20 +158,21 @@ fn poses_without_anything_to_see_have_no_gradient() {
     drop((renderer, gpu));
 }
 
-/// L = Σ pixel · weight of smooth weights, by the public renderer.
+/// L = Σ pixel · weight with smooth weights, by the public renderer.
 fn loss(renderer: &mut Renderer, view: &View, settings: &RenderSettings, weights: &[[f32; 3]]) -> f64 {
     let frame = renderer.render(&camera(view), settings).expect("a frame");
     let terms = frame.color.iter().zip(weights);
     terms.flat_map(|(c, w)| [0, 1, 2].map(|i| f64::from(c[i]) * f64::from(w[i]))).sum()
 }
 
-/// The public renderer's own pictures move as its gradient says: within what float32 and the jumps at 1/255 leave of the differences.
+/// The public renderer's pictures change as its gradient predicts, within float32 rounding and the jumps at 1/255.
 #[test]
 fn poses_agree_with_differences_of_pictures() {
     let gpu = Gpu::new();
     let view = small_view([160, 120]);
     let mut scene: Gaussians = engine::gaussians(&small_scene(&mut Random::new(21), 12, 16));
-    // Edges at 1/255 move as well: little of what is opaque. And none passes another in depth, where pictures jump.
+    // Edges at 1/255 move as well, so Gaussians are opaque. Their depths are apart, because pictures jump when the
+    // order changes.
     scene.opacity_logits.iter_mut().for_each(|logit| *logit = logit.max(3.0));
     scene.means.iter_mut().zip(0..).for_each(|(mean, i)| *mean = [mean[0], mean[1], 0.3 * i as f32 - 1.8]);
     let mut renderer = engine::renderer();

@@ -1,10 +1,10 @@
-//! `ashsplat profile`, run as its users run it.
+//! `ashsplat profile`, run as users run it.
 
 use crate::cli::{refuse, succeed, text};
 use serde_json::Value;
 use tempfile::tempdir;
 
-/// A workload that takes no time.
+/// A workload that takes little time.
 const SMALL: [&str; 10] =
     ["--gaussians", "300", "--width", "80", "--height", "48", "--frames", "3", "--warmup", "1"];
 
@@ -103,7 +103,7 @@ fn profile_trace_nests_and_keeps_one_clock() {
             open.push(begin + duration);
         }
     }
-    // Three iterations on the host, each with the device's work inside of it.
+    // Three iterations on the host, each containing the device's work.
     assert_eq!(events.iter().filter(|e| e["cat"] == "iteration").count(), 3);
     assert_eq!(events.iter().filter(|e| e["name"] == "forward/blend").count(), 3);
     assert_eq!(

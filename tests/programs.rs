@@ -1,5 +1,5 @@
-//! Programs that may be installed, beside ours: COLMAP, for lenses and cameras, and ffmpeg, for films and videos. Where one is missing, its
-//! trial is skipped by name.
+//! Comparisons with optional programs: COLMAP, for lenses and cameras, and ffmpeg, for films and videos. The trial
+//! of a missing program is listed as skipped.
 
 // In a test, an unwrap is an assertion.
 #![allow(clippy::unwrap_used)]
@@ -25,7 +25,7 @@ use run::{finish, program};
 /// One trial per program.
 pub fn trials() -> Vec<Trial> {
     let trial = |name: &str, program: &str, asked: &str, check: fn()| {
-        // Whatever it answers, it is there.
+        // Any answer shows that it is installed.
         if let Err(error) = Command::new(program).arg(asked).output() {
             return absent(name, format!("{program} is not installed: {error}"));
         }
@@ -53,7 +53,7 @@ pub fn trials() -> Vec<Trial> {
     ]
 }
 
-/// COLMAP's image_undistorter makes the same cameras and the same pictures.
+/// COLMAP's image_undistorter gives the same cameras and pictures.
 fn colmap_undistorts_the_same() {
     let folder = tempfile::tempdir().unwrap();
     write(folder.path());
@@ -71,7 +71,7 @@ fn colmap_undistorts_the_same() {
     assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
     let ours = Dataset::load(folder.path(), &DatasetOptions::default(), Progress::NONE).unwrap();
     let theirs = Dataset::load(path("theirs"), &DatasetOptions::default(), Progress::NONE).unwrap();
-    // Nothing is wrong with it.
+    // There are no warnings.
     assert!(ours.warnings.is_empty(), "{:?}", ours.warnings);
     assert_eq!(ours.train.len(), theirs.train.len());
     for (a, b) in ours.train.iter().zip(&theirs.train) {
@@ -86,7 +86,7 @@ fn colmap_undistorts_the_same() {
     }
 }
 
-/// `ashsplat poses` runs, and its data set is one; returns what it said.
+/// Runs `ashsplat poses` and loads its data set. Returns its output and the data set.
 fn poses(folder: &Path, arguments: &[&str], dataset: &str) -> (String, Dataset) {
     let run = finish(program().current_dir(folder).arg("poses").args(arguments));
     assert_eq!(run.code, Some(0), "{}", run.stderr);
@@ -96,7 +96,7 @@ fn poses(folder: &Path, arguments: &[&str], dataset: &str) -> (String, Dataset) 
     (run.stdout, Dataset::load(folder.join(dataset), &options, Progress::NONE).unwrap())
 }
 
-/// Positions that differ from the true ones by rotation, scale and translation have distances in one proportion.
+/// Fails unless positions equal the true ones up to a similarity: all distances have the same ratio.
 fn assert_placed(dataset: &Dataset, truth: impl Fn(&str) -> f32) {
     let views = dataset.views();
     let place = |view: &ashsplat_files::View| corner::camera(truth(&view.name)).position();
@@ -116,7 +116,7 @@ fn number(name: &str) -> f32 {
     name.chars().filter(char::is_ascii_digit).collect::<String>().parse().unwrap()
 }
 
-/// Eleven photographs in a flat folder, on their sides as phones store them, with metadata that say so: neither COLMAP nor
+/// Eleven photographs in a flat folder, stored sideways with orientation metadata, as phones do: neither COLMAP nor
 /// we turn them.
 fn colmap_finds_poses() {
     let folder = tempfile::tempdir().unwrap();
@@ -136,7 +136,7 @@ fn colmap_finds_poses() {
     assert!(said.contains("11 of 11 photographs"), "{said}");
     let [width, height] = corner::SIZE;
     let camera = dataset.train[0].original_camera;
-    // Undistortion costs some pixels.
+    // Undistortion removes some pixels.
     assert!(camera.width.abs_diff(height) < 9 && camera.height.abs_diff(width) < 9, "{camera:?}");
     assert_placed(&dataset, |name| number(name) / 10.0);
     let model = ["train", "-s", "my photos_dataset", "-m", "out", "--iterations", "20", "--quiet"];
@@ -144,7 +144,7 @@ fn colmap_finds_poses() {
     assert_eq!(run.code, Some(0), "{}", run.stderr);
 }
 
-/// A video of which every fourth frame alone is sharp.
+/// A video with every fourth frame sharp.
 fn colmap_finds_poses_of_a_video() {
     let folder = tempfile::tempdir().unwrap();
     let mut raw = Vec::new();
@@ -168,7 +168,7 @@ fn colmap_finds_poses_of_a_video() {
     assert_placed(&dataset, |name| (4.0 * (number(name) - 1.0) + 2.0) / 47.0);
 }
 
-/// Sides that are odd and colours that ffmpeg must not shift.
+/// Films with odd sides, whose colours ffmpeg must not shift.
 fn ffmpeg_makes_films() {
     let cinema = Cinema::open();
     let mut page = cinema.server.page();
@@ -181,7 +181,7 @@ fn ffmpeg_makes_films() {
     assert!(code == 200 && head.contains("video/mp4"), "{head}");
     let path = cinema.films().join(name);
     assert_eq!(std::fs::read(&path).expect("a file"), bytes);
-    // As players see it: the tags say how its colours are meant.
+    // Decoded as players do: the tags define the colours.
     let decode = ["-f", "rawvideo", "-vf", "scale=in_color_matrix=auto", "-pix_fmt", "rgb24", "-"];
     let decoded = Command::new("ffmpeg").args(["-v", "error", "-i"]).arg(&path).args(decode).output();
     let decoded = decoded.expect("ffmpeg");
@@ -197,7 +197,7 @@ fn ffmpeg_makes_films() {
         let mean = errors.iter().sum::<f64>() / errors.len() as f64;
         assert!(mean < 4.0, "frame {index}: {mean}");
     }
-    // Nothing half-done beside it.
+    // No temporary files remain.
     assert_eq!(cinema.files(), ["film_001", "film_001.gif", "film_001.json", "film_001.mp4"]);
 }
 

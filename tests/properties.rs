@@ -1,4 +1,4 @@
-//! Random scenes, cameras and modes: the device's picture and gradients are the twin's.
+//! Random scenes, cameras and modes: the device's picture and gradients equal the twin's.
 
 use proptest::prelude::*;
 
@@ -11,7 +11,7 @@ use crate::reference::blend_backward::PixelGradient;
 use crate::reference::pipeline::{Frame, backward, pixels_of, render, tile_of};
 use crate::reference::types::{Extent, Gaussian, Splat, View};
 
-/// A scene and how to look at it.
+/// A scene and a view.
 #[derive(Clone, Debug)]
 struct Case {
     seed: u64,
@@ -40,9 +40,9 @@ fn cases() -> impl Strategy<Value = Case> {
     })
 }
 
-/// Pixels at which a decision hangs on the rounding of float32. With the reference extent also those of tiles that a
-/// rectangle's rounding decides, which is hard to tell apart: then a pixel counts as unstable where either extent of a
-/// slightly moved picture would blend another number.
+/// True for pixels at which a decision may depend on float32 rounding. With the reference extent, a rectangle's
+/// rounding also decides about tiles. A pixel then counts as unstable if a slightly moved picture blends another
+/// number of entries, with either extent.
 fn unstable(case: &Case, scene: &[Gaussian], frame: &Frame) -> Vec<bool> {
     let view = &case.view;
     let nudged: Vec<Frame> = [-1.0, 1.0]

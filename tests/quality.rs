@@ -10,7 +10,7 @@ use tempfile::tempdir;
 use crate::cli::{assert_refused, finish, program, succeed, text, write_dataset};
 use crate::program::running::Running;
 
-/// The default strategy's name, and another's.
+/// Names of the default strategy and of another.
 fn strategies() -> [&'static str; 2] {
     let option = TrainSettings::OPTIONS.iter().find(|option| option.name == "strategy").expect("there");
     let OptionKind::Choice(names) = option.kind else { panic!("{:?}", option.kind) };
@@ -68,7 +68,7 @@ fn bench_quality_measures_what_training_gives_and_goes_on() {
     let svg = std::fs::read_to_string(out.join("quality.svg")).expect("a plot");
     assert!(svg.starts_with("<svg") && svg.matches("<polyline").count() == 8);
 
-    // The same training by `train`.
+    // `train` gives the same training.
     let train = ["train", "-s", text(&data), "-m", text(&model), "--eval", "--quiet", "--strategy", names[1]];
     let more = ["--iterations", "12", "--seed", "1", "--few-photos", "off"];
     succeed(&[&train[..], &schedule, &more].concat());
@@ -78,7 +78,7 @@ fn bench_quality_measures_what_training_gives_and_goes_on() {
         assert!((number(&end[ours]) - number(&trained[theirs])).abs() < 1e-9, "{ours}: {end} {trained}");
     }
 
-    // What is there is not measured again; what is missing is.
+    // Finished runs are not repeated; missing ones are.
     let file = |strategy: &str, seed: u32| out.join(format!("runs/{strategy}-{seed}.json"));
     let kept = std::fs::read(file(names[0], 0)).expect("a run");
     std::fs::remove_file(file(names[1], 1)).expect("removed");
@@ -86,7 +86,7 @@ fn bench_quality_measures_what_training_gives_and_goes_on() {
     assert_eq!(std::fs::read(file(names[0], 0)).expect("a run"), kept);
     let again = json(&file(names[1], 1));
     assert_eq!(again["points"][2]["psnr"], end["psnr"], "the same bits");
-    // Another measurement does not mix with it.
+    // Another measurement must not mix with it.
     let other = [&quality[..], &schedule, &["--iterations", "11", "--points", "3"]].concat();
     let run = finish(program().args(other));
     assert_refused(&run, &["-0.json", "another iterations: 12, now 11", "-o"]);
@@ -146,11 +146,11 @@ fn bench_quality_refuses_what_makes_no_sense() {
     refused(&with(&["--strategy", "mcmc"]), &["--strategy", "--strategies"]);
     refused(&with(&["--iterations", "0"]), &["iterations", "at least 1"]);
     refused(&with(&["--until=-3"]), &["--until"]);
-    // What the second strategy refuses is said before the first is trained.
+    // Errors of the second strategy come before the first training.
     let late = ["--strategies", "budget,reference", "--late-min-opacity", "0.1", "--iterations", "3"];
     refused(&late, &["late_min_opacity", "reference"]);
     refused(&with(&["-d", "nowhere"]), &["nowhere", "no folder with depth maps"]);
-    // Without points, unless random ones are wanted.
+    // Without points, unless random ones are requested.
     let points = data.join("sparse/0/points3D.bin");
     assert!(points.exists());
     std::fs::write(points, 0_u64.to_le_bytes()).expect("written");
@@ -161,7 +161,7 @@ fn bench_quality_refuses_what_makes_no_sense() {
     assert_eq!(run["setup"]["random_points"], true, "{run}");
 }
 
-/// Ctrl-C during the second run: the first one is kept, with its picture.
+/// Ctrl-C during the second run keeps the first one and its picture.
 #[cfg(unix)]
 #[test]
 fn bench_quality_keeps_what_is_over_when_stopped() {

@@ -13,7 +13,7 @@ use libtest_mimic::Trial;
 
 use crate::absent_data;
 
-/// Trials of the data sets and trained scenes that are there.
+/// Trials of the available data sets and trained scenes.
 pub fn trials(shared: &Path) -> Vec<Trial> {
     let data = shared.join("data");
     let mut trials = Vec::new();
@@ -61,8 +61,8 @@ fn fox(path: &Path, width: u32, height: u32) {
     assert!(Dataset::inspect(path, &options, Progress::NONE).is_sound());
 }
 
-/// The points of a model lie in front of its cameras, many of them in each picture, and have its colours: more so
-/// than those of the mirrored picture.
+/// Fails unless a model's points lie in front of its cameras, many of them in each picture, and match its colours
+/// better than those of the mirrored picture.
 fn assert_points_are_seen(dataset: &Dataset) {
     let (mut difference, mut mirrored) = (0, 0);
     for view in dataset.views() {
@@ -129,14 +129,14 @@ fn trained(path: &Path, count: usize, sh_degree: u32) {
     let folder = tempfile::tempdir().unwrap();
     let copy = folder.path().join("copy.ply");
     ply::write(&copy, gaussians).unwrap();
-    // No assert_eq: it would print a million numbers.
+    // Not assert_eq, which would print a million numbers.
     assert!(ply::read(&copy, &options).unwrap().gaussians == *gaussians, "the copy differs");
     let statistics = gaussians.statistics();
     let bounds = statistics.central_bounds.unwrap();
     assert!(bounds.size().min_element() > 0.0 && bounds.size().is_finite(), "{statistics:?}");
 }
 
-/// A scene of SH degree 0 in another format than PLY, and its copy in the same format.
+/// Checks a scene of SH degree 0 in another format than PLY, and its copy in that format.
 fn other_format(path: &Path, count: usize, antialiased: bool) {
     let read = |path: &Path| splats::read(path, &splats::ReadOptions::default()).unwrap();
     let scene = read(path);

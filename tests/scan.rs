@@ -1,4 +1,4 @@
-//! The prefix sum as a whole.
+//! The whole prefix sum.
 
 use ashsplat::scan::{Scan, ScanBuffers, Workgroups};
 use ashsplat::vk::{Context, ContextOptions, LimitsOverride};
@@ -8,7 +8,7 @@ use crate::common::options;
 use crate::common::scenes::Random;
 use crate::reference::scan_apply::exclusive_scan;
 
-/// Scans on the device, the number of workgroups given by the host or read from a buffer.
+/// Scans on the device. The host or a buffer gives the number of workgroups.
 fn check(gpu: &Gpu, scan: &Scan, values: &[u32], indirect: bool) {
     let n = values.len();
     let counts = gpu.buffer("counts", &[5, n as u32, UNTOUCHED]);
@@ -56,7 +56,7 @@ fn scan_wraps_around() {
     check(&gpu, &scan, &[u32::MAX; 3000], false);
 }
 
-/// The same through a two-dimensional grid of workgroups.
+/// Same with a two-dimensional grid of workgroups.
 #[test]
 fn scan_in_a_narrow_grid() {
     let limits = LimitsOverride { max_workgroups_per_axis: Some(7), ..LimitsOverride::default() };

@@ -1,4 +1,4 @@
-//! Several scenes on the device, drawn as one: `Renderer::set_scenes`.
+//! Several scenes on the device, drawn as one by `Renderer::set_scenes`.
 
 use ashsplat::vk::Context;
 use ashsplat::{Camera, DeviceScene, Gaussians, RenderSettings};
@@ -7,7 +7,7 @@ use crate::common::engine::renderer;
 use crate::common::options;
 use crate::common::splats::{ball, camera};
 
-/// Ends of the parts: one without Gaussians, and none a multiple of a block.
+/// Ends of the parts: one is empty, and none is a multiple of a block.
 const ENDS: [usize; 5] = [0, 130, 130, 400, 700];
 
 fn parts(all: &Gaussians) -> Vec<Gaussians> {
@@ -36,19 +36,19 @@ fn several_scenes_are_drawn_as_one_to_the_bit() {
     assert!(frame.color == expected.0.color && frame.transmittance == expected.0.transmittance);
     assert!(frame.inverse_depth == expected.0.inverse_depth && tiles == expected.1);
     assert_eq!(frame.stats.gaussians, 700);
-    // Gaussians have the numbers that they have in one scene.
+    // Gaussians have the same indices as in one scene.
     assert_eq!(renderer.inspect(&camera, &settings, pixel).expect("a report"), picked);
     let lists = renderer.tile_lists(&camera, &settings).expect("lists");
     let last = lists.splats.iter().map(|splat| splat.gaussian).max();
     assert!(last > Some(650) && last < Some(700), "{last:?}");
     assert!(renderer.gaussians().expect("downloaded") == all && renderer.scene().is_none());
-    // One of them alone, beside them.
+    // Draws a single scene while all are loaded.
     let alone = renderer.render_scene(&scenes[0], &camera, &settings).expect("a frame");
     assert_eq!(
         (alone.stats.gaussians, renderer.render(&camera, &settings).expect("a frame").stats.gaussians),
         (130, 700)
     );
-    // None, and one scene as before.
+    // An empty list, and then a single uploaded scene.
     renderer.set_scenes(&scenes[1..2]).expect("none");
     assert!(renderer.render(&camera, &settings).expect("a frame").transmittance.iter().all(|&t| t == 1.0));
     renderer.set_scenes(&scenes).expect("scenes");
@@ -56,11 +56,11 @@ fn several_scenes_are_drawn_as_one_to_the_bit() {
     assert!(renderer.render(&camera, &settings).expect("a frame").color == alone.color);
 }
 
-/// What is loaded is drawn again afterwards, also after an error.
+/// The loaded scenes are drawn again afterwards, also after an error.
 #[test]
 fn with_a_scene_several_others_stay_loaded() {
     let all = ball(700);
-    // Before the renderer that tests share: whoever waits for a device of their own may have it.
+    // Created before the shared renderer is locked: a test that waits for its own device may hold that lock.
     let other = Context::new(&options()).expect("a device");
     let mut renderer = renderer();
     let scenes = uploaded(renderer.context(), &parts(&all));
@@ -106,6 +106,6 @@ fn several_scenes_have_one_degree_and_no_gradients() {
     let others = uploaded(renderer.context(), &parts);
     let refused = renderer.set_scenes(&others).expect_err("two degrees");
     assert!(refused.to_string().contains("SH degree 0"), "{refused}");
-    // What was there before is there still.
+    // The previous scenes stay.
     assert_eq!(renderer.render(&camera, &RenderSettings::default()).expect("a frame").stats.gaussians, 700);
 }

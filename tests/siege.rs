@@ -1,6 +1,6 @@
-//! The short form of `tools/siege` against the program that was built beside it.
+//! The short form of `tools/siege` against the program built beside it.
 
-/// It attacks for half a minute: `.ci/run` runs a copy of the same program beside a build.
+/// It attacks for half a minute: `.ci/run` runs a copy of the same program during a build.
 #[cfg(target_os = "linux")]
 #[test]
 #[ignore = "half a minute"]

@@ -11,12 +11,12 @@ use crate::checkpoints::{start, views};
 use crate::common::engine::camera;
 use crate::common::scenes::small_view;
 
-/// The validation layer keeps records of its own: it would hide what grows.
+/// Without the validation layer, whose records would hide a growth of memory.
 fn context() -> Context {
     Context::new(&ContextOptions::default()).expect("a device")
 }
 
-/// Resident memory of the process, KiB; 0 where the system does not tell.
+/// Resident memory of the process, KiB; 0 if the system does not report it.
 fn resident_kib() -> u64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"));
@@ -27,10 +27,10 @@ fn number(name: &str, usual: u32) -> u32 {
     std::env::var(name).ok().and_then(|n| n.parse().ok()).unwrap_or(usual)
 }
 
-/// Device memory that densification soon fills: from there on it only removes and finds no room, again and again.
+/// Device memory that densification soon fills: afterwards it only removes, and is limited each time.
 const MEMORY: u64 = 12 << 20;
 
-/// Densification and opacity resets during the first half; in the second nothing grows and nothing is forgotten.
+/// The first half has densifications and opacity resets; the second half has neither.
 #[test]
 #[ignore = "takes minutes"]
 fn soak_training() {
@@ -78,7 +78,7 @@ fn soak_training() {
         "device memory grows: {device_bytes:?}"
     );
     assert!(resident[9] < resident[0] + 16_384, "memory grows, KiB: {resident:?}");
-    // What is learnt in the second half stays learnt: no tenth is much worse than the best before it.
+    // The second half keeps its results: no tenth is much worse than the best before it.
     let mut best = f64::INFINITY;
     for loss in &losses[6..] {
         assert!(*loss < 1.2 * best, "the loss drifts: {losses:?}");

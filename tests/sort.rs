@@ -1,4 +1,4 @@
-//! The radix sort as a whole, by every method: order, permutation and stability.
+//! The whole radix sort with every method: order, permutation and stability.
 
 use ashsplat::plan::{LaunchSizes, SortMethod};
 use ashsplat::scan::Workgroups;
@@ -10,7 +10,7 @@ use crate::common::options;
 use crate::common::scenes::Random;
 use crate::reference::sort::sort_pairs;
 
-/// The sort by matching, by runs, and by runs with few pairs left to a single workgroup.
+/// The sort by matching, by runs, and by runs with a single workgroup for few pairs.
 fn sorts(gpu: &Gpu) -> [RadixSort; 3] {
     let methods = [(SortMethod::Matching, false), (SortMethod::Serial, false), (SortMethod::Serial, true)];
     methods.map(|(method, sort_single_subgroup)| {
@@ -36,7 +36,7 @@ fn sorted(
     bits: u32,
 ) -> (Vec<u32>, Vec<u32>) {
     let n = keys.len();
-    // What lies behind the pairs must stay as it is.
+    // Elements after the pairs must not change.
     let padded = |words: &[u32]| [words, &[UNTOUCHED; 3]].concat();
     let counts = gpu.buffer("counts", &[99, n as u32]);
     let keys = [gpu.buffer("keys_a", &padded(keys)), gpu.untouched::<u32>("keys_b", n + 3)];
@@ -68,7 +68,7 @@ fn sorted(
 
 fn check(gpu: &Gpu, sort: &RadixSort, keys: &[u32], bits: u32) {
     let n = keys.len();
-    // Values in descending order: a stable sort keeps that among equal keys, an unstable one hardly by chance.
+    // Values in descending order: a stable sort keeps it among equal keys, an unstable one hardly by chance.
     let values: Vec<u32> = (0..n as u32).rev().collect();
     let expected = sort_pairs(keys, &values, bits);
     assert!(sorted(gpu, sort, keys, Some(&values), bits) == expected, "{n} pairs, {bits} bits");
@@ -93,14 +93,14 @@ fn sort_of_many_sizes() {
     }
 }
 
-/// With short runs, whose block is as small as that of the other method.
+/// With short runs, whose block is as small as the other method's.
 #[test]
 fn sort_of_every_size_across_one_block() {
     let gpu = gpu_with(&ContextOptions { overrides: vec![sort_constant("ITEMS", 16)], ..options() });
     for sort in sorts(&gpu) {
         let mut random = Random::new(1);
         for n in 0..=sort.block() + 1 {
-            // Few distinct keys, so that stability counts; one pass suffices to see a size that goes wrong.
+            // Few distinct keys, so that stability matters; one pass reveals a wrong size.
             let keys: Vec<u32> = (0..n).map(|_| random.below(40)).collect();
             let positions: Vec<u32> = (0..n).collect();
             let expected = sort_pairs(&keys, &positions, 6);
@@ -142,12 +142,12 @@ fn sort_of_keys_of_few_bits() {
     }
 }
 
-/// The same through a two-dimensional grid of workgroups.
+/// Same with a two-dimensional grid of workgroups.
 #[test]
 fn sort_in_a_narrow_grid() {
     let limits = LimitsOverride { max_workgroups_per_axis: Some(5), ..LimitsOverride::default() };
     let gpu = gpu_with(&ContextOptions { limits_override: Some(limits), ..options() });
-    // The scan of the histogram is one dispatch of a row per digit: more workgroups than 5 × 5 allow on wide blocks.
+    // One dispatch scans the histogram, a row per digit: on wide blocks more workgroups than 5 × 5.
     for sort in sorts(&gpu) {
         let mut random = Random::new(4);
         let keys: Vec<u32> = (0..23 * sort.block()).map(|_| random.below(8)).collect();

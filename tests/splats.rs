@@ -1,4 +1,4 @@
-//! What becomes of pictures when Gaussians are moved, thinned out and stored.
+//! Pictures after Gaussians are moved, decimated and stored.
 
 use ashsplat::RenderSettings;
 use ashsplat::scene::{Camera, Gaussians, Intrinsics, Similarity};
@@ -11,7 +11,7 @@ use crate::common::engine::renderer;
 use crate::common::gpu::Gpu;
 use crate::common::splats::scene;
 
-/// A ball that fills the picture, strongly coloured by direction.
+/// A ball that fills the picture, with strongly view-dependent colours.
 fn ball() -> Gaussians {
     let mut gaussians = scene(4000, 3);
     gaussians.means.as_flattened_mut().iter_mut().for_each(|v| *v *= 0.1);
@@ -30,7 +30,7 @@ fn render(gaussians: &Gaussians, camera: &Camera) -> Vec<[f32; 3]> {
     renderer.render(camera, &RenderSettings::default()).expect("a frame").color
 }
 
-/// The camera that sees the moved scene as `camera` sees the scene.
+/// The camera that sees the moved scene as `camera` sees the original.
 fn moved(camera: &Camera, similarity: &Similarity) -> Camera {
     let back = similarity.rotation.inverse();
     let rotation = camera.camera_from_world.as_dmat3() * glam::DMat3::from_quat(back);
@@ -38,7 +38,7 @@ fn moved(camera: &Camera, similarity: &Similarity) -> Camera {
     Camera { camera_from_world: rotation.as_mat3(), translation: translation.as_vec3(), ..*camera }
 }
 
-/// Rotation of means, shapes and spherical harmonics, scale and translation: the moved camera sees the same picture.
+/// A similarity applies to means, shapes and spherical harmonics: the moved camera sees the same picture.
 #[test]
 fn splats_moved_with_their_camera_look_the_same() {
     let gpu = Gpu::new();
@@ -56,7 +56,7 @@ fn splats_moved_with_their_camera_look_the_same() {
         let after = render(&gaussians, &moved(&camera(), &similarity));
         let psnr = metrics::psnr(&before, &after).expect("one size");
         assert!(psnr > 60.0, "{similarity:?}: {psnr:.1} dB");
-        // Without the rotation of the spherical harmonics it is another picture.
+        // Without the rotation of the spherical harmonics the picture differs.
         gaussians.sh = ball().sh;
         let wrong =
             metrics::psnr(&before, &render(&gaussians, &moved(&camera(), &similarity))).expect("one size");
@@ -65,12 +65,12 @@ fn splats_moved_with_their_camera_look_the_same() {
     drop(gpu);
 }
 
-/// Half of the Gaussians, merged, look more like all of them than the half of the most opaque or largest does.
+/// Merging half of the Gaussians resembles the whole more than keeping the most opaque or largest half.
 #[test]
 fn splats_decimated_look_alike() {
     let gpu = Gpu::new();
     let mut all = ball();
-    // As in real scenes, neighbours are alike.
+    // Neighbours have similar colours, as in real scenes.
     for (sh, mean) in all.sh.chunks_exact_mut(16).zip(&all.means) {
         sh.fill([0.0; 3]);
         sh[0] = [0, 1, 2].map(|i| (4.0 * mean[i] + mean[(i + 1) % 3]).sin());
@@ -93,7 +93,7 @@ fn splats_decimated_look_alike() {
     drop(gpu);
 }
 
-/// What each format's quantisation costs, in dB, on a scene without any order.
+/// Loss of each format's quantisation, in dB, for an unordered scene.
 #[test]
 fn splats_stored_in_any_format_look_alike() {
     let gpu = Gpu::new();

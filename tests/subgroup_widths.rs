@@ -1,4 +1,4 @@
-//! The same integers and the same tolerances whatever the subgroup size: llvmpipe gives 4, 8 or 16 lanes on demand.
+//! The same integers and tolerances with any subgroup size: llvmpipe supports 4, 8 or 16 lanes.
 
 use std::path::Path;
 
@@ -8,8 +8,8 @@ use crate::common::engine::{camera, gaussians, renderer};
 use crate::common::scenes::{Random, mixed_scene, small_view};
 use crate::common::{child, context};
 
-/// What the child processes run: sort and scan (integers, equal to the twins to the bit), blending, its backward, the
-/// projection's backward (floats, within the tolerances), the loss, and whole frames with gradients.
+/// Tests that the child processes run. Sort and scan equal the twins to the bit. Blending, its backward, the
+/// projection's backward, the loss and whole frames with gradients are within tolerances.
 const SELECTION: [&str; 20] = [
     "subgroup_size_is_the_one_asked_for_in_a_child",
     "kernels::scan_apply::scan_apply_equals_its_twin",
@@ -33,21 +33,21 @@ const SELECTION: [&str; 20] = [
     "subgroup_width_picture_in_a_child",
 ];
 
-/// Set in the child processes.
+/// Environment variable of the child processes: the expected subgroup size.
 const EXPECTED: &str = "ASHSPLAT_EXPECTED_SUBGROUP_SIZE";
-/// A folder for the shader caches of all widths, by lanes, where they are used again: `.ci/run` does.
+/// Folder for shader caches by number of lanes, if they are reused, as in `.ci/run`.
 const CACHES: &str = "ASHSPLAT_SHADER_CACHES";
-/// Where a child process leaves its picture.
+/// Environment variable with the file for a child's picture.
 const PICTURE: &str = "ASHSPLAT_PICTURE";
 
-/// The driver's shader cache ignores the width, so each width has a folder of its own.
+/// The driver's shader cache ignores the width, so each width has a separate folder.
 fn run_with_width(bits: u32, cache: &Path, picture: &Path) {
     child::run(&SELECTION, SELECTION.len(), |child| {
         child
             .args(["--test-threads", "2"])
             .env("LP_NATIVE_VECTOR_WIDTH", bits.to_string())
             .env("MESA_SHADER_CACHE_DIR", cache)
-            // Workgroups side by side, also where the rest of the suite has them one after the other, as in .ci/run.
+            // Parallel workgroups, even if the rest of the suite runs them one after another, as in .ci/run.
             .env("LP_NUM_THREADS", "2")
             .env(EXPECTED, (bits / 32).to_string())
             .env(PICTURE, picture);
@@ -78,7 +78,7 @@ fn picture() -> Vec<f32> {
     frame.expect("a picture").color.into_flattened()
 }
 
-/// Across widths equal bits are not promised: the driver's code differs. This is how much.
+/// Pictures of different subgroup sizes may differ, because the driver's code does. This bounds the difference.
 fn compare(lanes: u32, other: &[f32]) {
     let own = picture();
     assert_eq!(own.len(), other.len());
@@ -92,7 +92,7 @@ fn compare(lanes: u32, other: &[f32]) {
         "{lanes} lanes against {here}: {:.3} % differ, mean {mean:.2e}, most {largest:.2e}",
         100.0 * differing
     );
-    // A decision that hangs on rounding may fall the other way at a pixel: a Gaussian of alpha 1/255 more or less.
+    // Rounding may change a decision at a pixel: a Gaussian of alpha 1/255 more or less.
     assert!(mean < 1e-6 && largest < 1.0 / 128.0, "{lanes} lanes: mean {mean:e}, most {largest:e}");
 }
 

@@ -1,10 +1,11 @@
-//! What each tile blends, read back: [`ashsplat::TileLists`].
+//! Reading back what each tile blends: [`ashsplat::TileLists`].
 
 use crate::common::engine::{camera, gaussians, renderer};
 use crate::common::scenes::{Random, mixed_scene, small_view};
 use ashsplat::RenderSettings;
 
-/// The lists have every instance once, near ones first, in tiles that the Gaussian meets, and a pixel's samples are of its tile.
+/// The lists have every instance once, front to back, in tiles that the Gaussian meets. A pixel's samples belong to
+/// its tile.
 #[test]
 fn tile_lists_are_those_of_the_frame() {
     let scene = gaussians(&mixed_scene(&mut Random::new(17), 700, 16));

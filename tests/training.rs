@@ -1,4 +1,4 @@
-//! The trainer as a whole against the twins put together: losses, densification, opacity reset, order of the steps.
+//! The whole trainer against the combined twins: losses, densification, opacity reset, order of the steps.
 
 use ashsplat::trainer::{TrainView, Trainer};
 use ashsplat::{Gaussians, TrainSettings};
@@ -20,7 +20,7 @@ use crate::reference::types::{Gaussian, Gradient, View};
 use crate::reference::zorder::zorder;
 
 const SIZE: [u32; 2] = [48, 36];
-/// A hundredth of it lies amid the scales, so that Gaussians are cloned and split.
+/// A hundredth of it lies within the scales, so that Gaussians are cloned and split.
 const SCENE_EXTENT: f64 = 30.0;
 const SEED: u32 = 9;
 
@@ -38,7 +38,7 @@ fn training_settings() -> TrainSettings {
     }
 }
 
-/// Black background, no inverse depth: as the trainer renders.
+/// A view as the trainer renders it: black background, no inverse depth.
 fn view(sh_degree: u32) -> View {
     View { background: [0.0; 3], sh_degree, ..small_view(SIZE) }
 }
@@ -65,7 +65,7 @@ fn gradient_scalars(gradient: &Gradient) -> Vec<f64> {
     all
 }
 
-/// The reference implementation's loop by the twins.
+/// The reference implementation's loop, built from the twins.
 struct Twin {
     gaussians: Vec<Gaussian>,
     moments: Vec<Vec<Parameter>>,
@@ -91,7 +91,7 @@ impl Twin {
         }
     }
 
-    /// One iteration with what follows it; returns the loss.
+    /// One iteration with its densification or reset; returns the loss.
     fn step(&mut self, iteration: u32, s: &TrainSettings) -> f64 {
         let view = view(s.sh_degree_at(iteration));
         let frame = render(&self.gaussians, &view);
@@ -140,7 +140,7 @@ impl Twin {
                     0..3 => (position, self.steps),
                     3..7 => (s.rotation_lr, self.steps),
                     7..10 => (s.scaling_lr, self.steps),
-                    // Its gradient is lost when the reset replaces it.
+                    // The reset replaces the logit, so its gradient is lost.
                     OPACITY if resets => continue,
                     OPACITY => (s.opacity_lr, self.opacity_steps),
                     11..14 => (s.feature_lr, self.steps),
@@ -160,12 +160,12 @@ impl Twin {
             .filter(|placed| placed.kind == Kind::Child)
             .map(|placed| placed.parent)
             .collect();
-        // No Gaussian was pruned between the numbering of the splits and here: the first half are first children.
+        // No Gaussian was pruned since the splits were numbered: the first half are first children.
         let splits = &parents[..parents.len() / 2];
         let mut placed = place(&self.gaussians, &self.statistics, densify, |child, split| {
             random_normal([SEED, iteration, splits[split] as u32, child as u32])
         });
-        // Along the curve about the only camera, by where the parents were.
+        // Ordered along the curve about the only camera, by the parents' positions.
         let parent = |p: &Placed| zorder(self.gaussians[p.parent].mean, camera_position(), SCENE_EXTENT);
         placed.sort_by_key(parent);
         let moments = |kind: Kind, parent: usize| match kind {
@@ -178,7 +178,7 @@ impl Twin {
     }
 }
 
-/// Gaussians well inside of the view, of both sides of the bound between clones and splits, none to be pruned.
+/// Gaussians well inside the view, on both sides of the bound between clones and splits, none to be pruned.
 fn start() -> Vec<Gaussian> {
     let mut scene = small_scene(&mut Random::new(22), 120, 4);
     for (i, gaussian) in scene.iter_mut().enumerate() {
@@ -215,8 +215,8 @@ fn training_follows_the_twin() {
     compare_scenes(&twins(&trainer.gaussians().expect("the Gaussians")), &twin.gaussians);
 }
 
-/// Adam's first steps are the rate times a sign, which rounding may turn where a gradient is nearly zero: hardly any
-/// parameter may be off by more, and the scenes must look the same.
+/// Adam's first steps are the rate times a sign, which rounding may flip if a gradient is nearly zero. Few
+/// parameters may differ by more, and the scenes must look the same.
 fn compare_scenes(actual: &[Gaussian], expected: &[Gaussian]) {
     assert_eq!(actual.len(), expected.len());
     let flat = |scene: &[Gaussian]| -> Vec<f64> {
@@ -238,14 +238,14 @@ fn compare_scenes(actual: &[Gaussian], expected: &[Gaussian]) {
     assert!(psnr > 60.0, "the scenes look different: {psnr:.1} dB");
 }
 
-/// A step whose frame overflows changes nothing and is run again: as if there had been room from the start.
+/// A step whose frame overflows changes nothing and runs again, as if the capacity had sufficed from the start.
 #[test]
 fn training_step_that_overflows_is_run_again() {
     let gpu = Gpu::new();
     let view = View { background: [0.0; 3], ..small_view([320, 240]) };
     let mut scene = small_scene(&mut Random::new(23), 200, 1);
     for gaussian in &mut scene {
-        // Each covers the screen: far more instances than a first guess.
+        // Each covers the screen: far more instances than the first estimate.
         gaussian.log_scale = [0.7; 3];
         gaussian.opacity_logit = -3.0;
     }

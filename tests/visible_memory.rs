@@ -1,4 +1,4 @@
-//! Training where memory goes by what is visible: photographs that show more than was estimated, within bounds.
+//! Training whose memory depends on the visible Gaussians: views that show more than estimated, within bounds.
 
 use ashsplat::plan::initial_visible;
 use ashsplat::trainer::{
@@ -20,7 +20,7 @@ const SIZE: [u32; 2] = [64, 48];
 const COUNT: u32 = 24_000;
 const MIB: u64 = 1 << 20;
 
-/// Small Gaussians, of which the one camera shows few and the other all.
+/// Small Gaussians. One camera sees few of them, the other all.
 fn scene() -> Gaussians {
     let mut scene = gaussians(&small_scene(&mut Random::new(78), COUNT as usize, 1));
     scene.log_scales.iter_mut().flatten().for_each(|s| *s -= 2.0);
@@ -48,7 +48,7 @@ fn steps(trainer: &mut Trainer, count: usize) -> Vec<StepReport> {
     (0..count).map(|_| trainer.step().expect("a step")).collect()
 }
 
-/// What a training is said to need where it is refused.
+/// Memory that a training needs, from its error.
 fn needed(settings: &TrainSettings) -> u64 {
     let [width, height] = SIZE;
     let photo =
@@ -67,8 +67,8 @@ fn needed(settings: &TrainSettings) -> u64 {
     }
 }
 
-/// With the memory that the error names, and with more: also where a reserve of Gaussians would fit beside an estimated frame, and
-/// not beside the frame that shows all.
+/// Trains with the memory that the error names, and with more. For some bounds a reserve of Gaussians fits beside an
+/// estimated frame, but not beside the frame that shows all.
 #[test]
 fn every_view_is_trained_within_the_memory_that_is_asked_for() {
     let settings = settings();
@@ -91,7 +91,7 @@ fn every_view_is_trained_within_the_memory_that_is_asked_for() {
     }
 }
 
-/// The same bits with frames that have room for all from the beginning, with what else goes by frames.
+/// The bits equal those of frames with enough capacity from the start, also with other features that use frames.
 #[test]
 fn steps_that_are_run_again_leave_the_bits_of_others() {
     let gpu = Gpu::new();
@@ -145,7 +145,7 @@ fn steps_that_are_run_again_leave_the_bits_of_others() {
     }
 }
 
-/// A seed with which the view that shows few Gaussians comes first, twice.
+/// Settings whose seed begins twice with the view that shows few Gaussians.
 fn few_first() -> TrainSettings {
     let gpu = Gpu::new();
     let first = |seed: u32| {
@@ -157,7 +157,7 @@ fn few_first() -> TrainSettings {
     TrainSettings { seed, ..settings() }
 }
 
-/// The reserve of Gaussians is given up in the middle of a run, too, with moments and statistics.
+/// The reserve of Gaussians is freed in the middle of a run, too, with its moments and statistics.
 #[test]
 fn a_reserve_gives_way_to_a_frame_in_the_middle_of_a_run() {
     let few_first = few_first();
@@ -185,7 +185,7 @@ fn a_reserve_gives_way(settings: &TrainSettings) {
         let first = steps(&mut trainer, 1).remove(0);
         assert!(first.view == 0 && first.visible < initial_visible(COUNT), "{first:?}");
         let reserved = trainer.checkpoint().expect("a checkpoint").room.gaussians;
-        // Somebody else needs memory.
+        // Another user takes memory.
         let held = ballast.map(|left| {
             context.free_staging();
             let bytes = 96 * MIB - context.memory_total().bytes - kept_for_transfers(&context) - left;
@@ -204,7 +204,7 @@ fn a_reserve_gives_way(settings: &TrainSettings) {
     assert!(trained == expected, "other bits");
 }
 
-/// A view that no memory is left for is left out, its needs are told, and nothing is added as long as it does not fit.
+/// A view without enough memory is skipped, its needs are reported, and no Gaussian is added until it fits.
 #[test]
 fn a_view_that_shows_too_much_stops_growth() {
     let grows = TrainSettings {
@@ -222,7 +222,7 @@ fn a_view_that_shows_too_much_stops_growth() {
     let free = run(None);
     assert!(free.iter().all(|report| !report.skipped) && free[5].gaussians > COUNT, "{free:?}");
     let all = free.iter().find(|report| report.view == 1).expect("the view");
-    // Enough for the estimate. What is asked for is of more instances than there are.
+    // Enough for the estimate, which exceeds the number of instances.
     let least = needed(&grows);
     let mut tight = (1..16).map(|less| run(Some(least - less * MIB / 2)));
     let tight = tight.find(|reports| reports.iter().any(|report| report.skipped)).expect("a bound");
@@ -236,7 +236,8 @@ fn a_view_that_shows_too_much_stops_growth() {
     }
 }
 
-/// After an exchange a frame like those of before is expected. Where it does not fit, the training goes on without.
+/// After an exchange, the trainer expects a frame like the previous ones. If that does not fit, training continues
+/// without the expectation.
 #[test]
 fn what_is_expected_after_an_exchange_is_no_reason_to_refuse() {
     let settings = settings();
@@ -266,7 +267,7 @@ fn what_is_expected_after_an_exchange_is_no_reason_to_refuse() {
     for bound in [0, 1, 2, 3, 5, 8, 13].map(|more| least + more * MIB) {
         assert_eq!(resumed(&bounded(Some(bound)), &from).expect("trained"), (expected, false), "{bound}");
     }
-    // With less than what is asked for: as without what is expected.
+    // With less memory than requested, the result is that without the expectation.
     let unknown = Checkpoint { room: Room::default(), ..from.clone() };
     for bound in (1..12).map(|less| least - less * MIB) {
         let [with, without] = [&from, &unknown].map(|from| {

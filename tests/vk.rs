@@ -1,4 +1,4 @@
-//! The Vulkan layer on the device at hand.
+//! The Vulkan layer on the present device.
 
 mod context;
 mod hazard;

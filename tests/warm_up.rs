@@ -1,4 +1,4 @@
-//! Runs that begin with small pictures.
+//! Runs that start with small pictures.
 
 use ashsplat::trainer::{StrategyType, Trainer};
 use ashsplat::{TrainSettings, TrainView};
@@ -15,7 +15,7 @@ const ITERATIONS: u32 = 24;
 const SIZE: [u32; 2] = [267, 259];
 const PIXELS: usize = (SIZE[0] * SIZE[1]) as usize;
 
-/// A quarter for 6 iterations, half for 6.
+/// A quarter of the size for 6 iterations, half for 6.
 fn settings() -> TrainSettings {
     TrainSettings { warm_up: 12, iterations: ITERATIONS, ..small_settings() }
 }
@@ -49,7 +49,7 @@ fn warm_up_resumes_to_the_bit() {
     }
 }
 
-/// Frames have fewer instances while they are small, and pictures that are asked for keep their size.
+/// Small pictures have fewer instances, and requested pictures keep their size.
 #[test]
 fn warm_up_draws_fewer_tiles_at_first() {
     let gpu = Gpu::new();
@@ -78,7 +78,7 @@ fn without_rates(settings: TrainSettings) -> TrainSettings {
     }
 }
 
-/// Losses are those of a training on small photographs with cameras to match.
+/// The losses equal those of a training on small photographs with matching cameras.
 #[test]
 fn warm_up_trains_on_means_of_pixels() {
     let gpu = Gpu::new();
@@ -103,12 +103,12 @@ fn warm_up_trains_on_means_of_pixels() {
         TrainView::new(drawn, Photo { width: drawn.width, height: drawn.height, rgb })
     };
     let by_hand = unmasked.iter().map(small).collect();
-    // The first iteration is whole, and makes no step here.
+    // The first iteration uses the whole picture, and makes no step here.
     let still = |warm_up| TrainSettings { warm_up, ..without_rates(settings()) };
     assert_eq!(losses(by_hand, still(0))[1..], losses(unmasked, still(12))[1..]);
 }
 
-/// Of a run that is too short for it, half is left for whole pictures.
+/// In a short run, half is left for whole pictures.
 #[test]
 fn warm_up_ends_by_half_of_the_run() {
     let long = TrainSettings { warm_up: 500, ..settings() };
@@ -120,7 +120,7 @@ fn warm_up_ends_by_half_of_the_run() {
 
 #[test]
 fn warm_up_is_within_the_memory_and_refuses_depths() {
-    // Views of this trial are too small to be reduced: what it needs is known all the same.
+    // These views are too small to be reduced, but the forecast still includes the warm-up.
     // Random backgrounds would need the same photograph without a warm-up.
     let settings = || TrainSettings { random_background: false, ..settings() };
     check_memory_of(&settings(), &TrainSettings { warm_up: 0, ..settings() });

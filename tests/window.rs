@@ -1,5 +1,5 @@
-//! `ashsplat view --window` on an X server of its own (Xvfb), drawn by whatever device there is, under the validation layer.
-//! Where Xvfb is missing, the trial is skipped by name.
+//! `ashsplat view --window` on its own X server (Xvfb), drawn by the present device under the validation layer.
+//! Without Xvfb, the trial is listed as skipped.
 
 #[path = "cli/run.rs"]
 mod run;
@@ -24,7 +24,7 @@ use run::{finish, program, text};
 use running::Running;
 use server::{Desk, PATIENCE, PAUSE, Screenshot, Server};
 
-/// Size of the cameras, and of the window after it was resized.
+/// Size of the cameras, and of the resized window.
 const SIZE: [u32; 2] = [480, 360];
 const LARGER: [u32; 2] = [900, 610];
 /// Colour of letters.
@@ -71,7 +71,7 @@ fn main() -> ExitCode {
     libtest_mimic::run(&arguments, trials).exit_code()
 }
 
-/// A ball of Gaussians with colours of their own.
+/// A ball of Gaussians of different colours.
 fn ball() -> Gaussians {
     let mut ball = Gaussians { sh_degree: 0, ..Gaussians::default() };
     for i in 0..1500 {
@@ -86,7 +86,7 @@ fn ball() -> Gaussians {
     ball
 }
 
-/// A model folder with two cameras, the second with a lens that is off its middle.
+/// A model folder with two cameras, the second with an off-centre lens.
 fn model(folder: &Path) -> PathBuf {
     let model = folder.join("model");
     let ply = model.join("point_cloud/iteration_7");
@@ -102,10 +102,10 @@ fn model(folder: &Path) -> PathBuf {
         &WorldFrame::default(),
     )
     .expect("cameras");
-    // Training has learned how the second was exposed.
+    // Exposure that training has learned for the second photo.
     let rows = [[0.6, 0.1, 0.0, 0.05], [0.0, 1.2, 0.0, 0.0], [0.1, 0.0, 0.8, 0.0]];
     exposure_json::write(model.join(EXPOSURE_FILE), [("two", &Exposure { rows })]).expect("exposures");
-    // The first as a larger window has it: its vertical field of view stays.
+    // The first camera in a larger window, which keeps its vertical field of view.
     let f = first.fy * LARGER[1] as f32 / SIZE[1] as f32;
     let [cx, cy] = LARGER.map(|side| 0.5 * side as f32);
     let lens = Intrinsics { fx: f, fy: f, cx, cy, width: LARGER[0], height: LARGER[1] };
@@ -115,7 +115,7 @@ fn model(folder: &Path) -> PathBuf {
     model
 }
 
-/// What `ashsplat render` draws of the model.
+/// Pictures of the model by `ashsplat render`.
 fn rendered(model: &Path, folder: &Path, options: &[&str]) -> Vec<Photo> {
     let out = folder.join(format!("rendered{}", options.len()));
     let path = folder.join("path.json");
@@ -133,7 +133,6 @@ fn pictures(folder: &Path) -> Vec<Photo> {
     files.iter().map(|path| Photo::read(path, [0.0; 3]).expect("a picture")).collect()
 }
 
-/// Starts the window on a server.
 fn start(server: &Server, model: &Path, out: &Path) -> Running {
     start_with(server, model, out, &[])
 }
@@ -145,7 +144,7 @@ fn start_with(server: &Server, model: &Path, out: &Path, options: &[&str]) -> Ru
     Running::start(command.stdout(Stdio::piped()).stderr(Stdio::piped()))
 }
 
-/// Largest and mean difference of two pictures, levels; None if their sizes differ.
+/// Largest and mean difference of two pictures, in levels; None if their sizes differ.
 fn difference(shown: &Screenshot, photo: &Photo) -> Option<(u8, f64)> {
     if [shown.width, shown.height] != [photo.width, photo.height] {
         return None;
@@ -155,7 +154,7 @@ fn difference(shown: &Screenshot, photo: &Photo) -> Option<(u8, f64)> {
     Some((differences.max().unwrap_or(0), sum / shown.rgb.len() as f64))
 }
 
-/// Waits until the window shows something.
+/// Waits until the window's content satisfies a condition.
 fn wait_until(
     desk: &Desk,
     window: u32,
@@ -178,7 +177,7 @@ fn wait_until(
     }
 }
 
-/// Writes a screenshot to the folder `ASHSPLAT_SCREENSHOTS`, for people.
+/// Writes a screenshot to the folder `ASHSPLAT_SCREENSHOTS`, for inspection.
 fn keep(shown: &Screenshot, what: &str, folder: &Path) -> PathBuf {
     let folder = std::env::var_os("ASHSPLAT_SCREENSHOTS").map_or_else(|| folder.to_owned(), PathBuf::from);
     let path = folder.join(format!("window_{}.png", what.replace(' ', "_")));
@@ -206,7 +205,7 @@ fn shows_what_render_draws() {
     let first = wait("first", &|shown| shown.width == 1280 && shown.rgb.iter().any(|&v| v > 100));
     assert_eq!(first.height, 720);
     desk.resize(window, SIZE);
-    // The text lies over the corner, and only there.
+    // The text covers only the corner.
     let below = 3 * (SIZE[0] * (SIZE[1] * 3 / 5)) as usize;
     let close = |a: &[u8], b: &[u8]| a.iter().zip(b).all(|(a, b)| a.abs_diff(*b) <= 2);
     let white = |shown: &Screenshot| shown.rgb[..below].chunks_exact(3).filter(|p| **p == LETTERS).count();
@@ -217,7 +216,7 @@ fn shows_what_render_draws() {
     });
     desk.key(H);
     wait("splats", &|shown| equals(&expected[0], shown));
-    // Every mode is another picture; the first one comes back.
+    // Every mode gives another picture; the first one returns.
     let mut seen = vec![expected[0].rgb.clone()];
     for (digit, mode) in DIGITS.iter().zip(["splats", "centres", "ellipsoids", "depth", "tiles"]).skip(1) {
         desk.key(*digit);
@@ -232,13 +231,13 @@ fn shows_what_render_draws() {
     }
     desk.key(DIGITS[0]);
     wait("splats again", &|shown| equals(&expected[0], shown));
-    // The second photo's view, as its lens has it; what it says goes by itself.
+    // The second photo's view with its lens. The message disappears by itself.
     desk.key(RIGHT_BRACKET);
     desk.key(RIGHT_BRACKET);
     wait("second view", &|shown| equals(&expected[1], shown));
     desk.key(L);
     wait("as photographed", &|shown| equals(&exposed[1], shown));
-    // Only that photo's view.
+    // Only for that photo's view.
     desk.key(RIGHT_BRACKET);
     wait("another photo's view", &|shown| equals(&expected[0], shown));
     desk.key(RIGHT_BRACKET);
@@ -261,7 +260,7 @@ fn shows_what_render_draws() {
         std::thread::sleep(PAUSE);
     }
     assert!(pictures(&out)[0].rgb == expected[0].rgb);
-    // The text that tells of it may be there still: it lies above.
+    // The message may still be shown; it lies in the upper part.
     desk.resize(window, LARGER);
     wait("larger", &|shown| {
         let half = 3 * (LARGER[0] * LARGER[1] / 2) as usize;
@@ -274,7 +273,7 @@ fn shows_what_render_draws() {
     assert!(String::from_utf8_lossy(&output.stdout).starts_with("window on "));
 }
 
-/// What `render` draws of a tree within a budget, from where the window begins.
+/// Picture of a tree by `render` within a budget, from the window's first view.
 fn rendered_tree(tree: &Path, budget: &str) -> Photo {
     let out = tree.with_file_name(format!("budget{budget}"));
     let size = ["--orbit", "1", "--width", "1280", "--height", "720", "--fov", "57.295779513"];
@@ -283,7 +282,7 @@ fn rendered_tree(tree: &Path, budget: &str) -> Photo {
     pictures(&out).remove(0)
 }
 
-/// The picture becomes what `render --budget` draws, without an input; so it does again after the view has been elsewhere.
+/// The picture becomes that of `render --budget`, without input, and again after the view has been elsewhere.
 fn streams_a_tree() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let [scene, tree, out] = ["scene.ply", "tree", "out"].map(|name| folder.path().join(name));
@@ -299,7 +298,7 @@ fn streams_a_tree() {
     let window = desk.window("tree");
     let wait =
         |what: &str, is: &dyn Fn(&Screenshot) -> bool| wait_until(&desk, window, what, folder.path(), is);
-    // The text lies over the upper part.
+    // The text covers the upper part.
     let below = 3 * (1280 * 720 / 2) as usize;
     let equals = |photo: &Photo, shown: &Screenshot, from: usize| {
         shown.rgb.len() == photo.rgb.len()
@@ -318,7 +317,7 @@ fn streams_a_tree() {
     wait("depth of a tree", &|shown| difference(shown, &fine).is_some_and(|(_, mean)| mean > 1.0));
     desk.key(DIGITS[0]);
     wait("tree again", &|shown| equals(&fine, shown, 0));
-    // Behind the camera no tile is in view.
+    // Beyond the scene no tile is in view.
     wait("nothing", &|shown| {
         desk.hold(W, Duration::from_secs(1));
         shown.rgb.iter().all(|value| *value == 0)
@@ -344,7 +343,7 @@ fn ends_in_every_way() {
     type End = fn(&Desk, &Running);
     let ways: [(&str, End); 3] = [
         ("Escape", |desk, _| {
-            // The first closes the list of keys.
+            // The first key press closes the list of keys.
             desk.chord(SHIFT, SLASH);
             std::thread::sleep(4 * PAUSE);
             desk.key(ESCAPE);

@@ -1,5 +1,5 @@
-//! Finite differences of what may be added to the loss, and of what a frame passes through: regularisers, inverse depths of maps
-//! and of sparse points, exposures, the 3D filter, dropout. The golden vectors and the kernels' tests then prove the device.
+//! Finite differences of loss terms and of stages of a frame: regularisers, inverse depths of maps and of sparse
+//! points, exposures, the 3D filter, dropout. The golden vectors and the kernels' tests then prove the device.
 
 use super::{compare_with_differences, decisions, flat};
 use crate::common::scenes::{Random, scalars, small_scene, small_view};
@@ -18,11 +18,11 @@ use crate::reference::types::{Drawn, Dropout, Gaussian, Gradient, Splat, SplatGr
 
 const STEP: f64 = 1e-6;
 
-/// What a term says of a scene: the loss, and whatever must stay for it to have a derivative.
+/// A term's loss for a scene, and the decisions that must stay the same for a derivative to exist.
 type Term<'a, T> = &'a dyn Fn(&[Gaussian]) -> (f64, T);
 
-/// Compares the derivative of a term by each parameter with central differences; returns how many were compared. Errors are of
-/// the largest derivative.
+/// Compares the derivative of a term by each parameter with central differences. Returns the number compared. Errors
+/// are relative to the largest derivative.
 fn compare<T: PartialEq>(scene: &[Gaussian], gradients: &[Gradient], term: Term<T>) -> usize {
     let largest = gradients.iter().flat_map(flat).fold(0.0, |most: f64, x| most.max(x.abs()));
     let mut compared = 0;
@@ -67,7 +67,7 @@ fn gradients_of_the_regularisers_agree_with_finite_differences() {
     }
 }
 
-/// Through the whole frame: a map of which some pixels have no depth.
+/// Through the whole frame, with a map that lacks depths at some pixels.
 #[test]
 fn gradients_of_inverse_depth_maps_agree_with_finite_differences() {
     let mut random = Random::new(32);
@@ -88,7 +88,7 @@ fn gradients_of_inverse_depth_maps_agree_with_finite_differences() {
     assert!(compared > 60, "only {compared} of 84");
 }
 
-/// Per pixel of a frame: its list.
+/// Pixels of a frame with their tiles and lists.
 fn lists<'a>(frame: &'a Frame, view: &View) -> Vec<([u32; 2], usize, Vec<&'a Splat>)> {
     let list = |tile: usize| frame.lists[tile].iter().filter_map(|&g| frame.splats[g as usize].as_ref());
     pixels_of(view).map(|pixel| (pixel, tile_of(view, pixel), list(tile_of(view, pixel)).collect())).collect()
@@ -136,7 +136,7 @@ fn gradients_of_sparse_points_agree_with_finite_differences() {
     assert!(compared > 80, "only {compared} of 112");
 }
 
-/// Of the photometric loss, by each element of the matrix and by the rendered picture.
+/// Derivatives of the photometric loss by each element of the matrix and by the rendered picture.
 #[test]
 fn gradients_of_an_exposure_agree_with_finite_differences() {
     let mut random = Random::new(34);
@@ -172,7 +172,7 @@ fn gradients_of_an_exposure_agree_with_finite_differences() {
     }
 }
 
-/// Its size is constant. It widens Gaussians by about their own size.
+/// The filter size is constant, about the size of the Gaussians.
 #[test]
 fn gradients_through_the_3d_filter_agree_with_finite_differences() {
     for antialias in [false, true] {
@@ -182,8 +182,8 @@ fn gradients_through_the_3d_filter_agree_with_finite_differences() {
     }
 }
 
-/// The weight on exposures as the trainer sets it, twice `exposure_reg`, is the derivative of `exposure_reg` times the sum of squares: of
-/// all elements, or of all but the diagonal.
+/// The trainer's weight on exposures is twice `exposure_reg`. It is the derivative of `exposure_reg` times the sum
+/// of squares: of all elements, or of all but the diagonal.
 #[test]
 fn gradients_of_the_weight_on_exposures_agree_with_finite_differences() {
     let mut random = Random::new(35);
@@ -214,7 +214,8 @@ fn gradients_of_the_weight_on_exposures_agree_with_finite_differences() {
     }
 }
 
-/// Some Gaussians are left out, the others' opacities are larger: also where the compensation of antialiasing makes them smaller.
+/// Dropout omits some Gaussians and raises the others' opacities, also those that the compensation of antialiasing
+/// reduces.
 #[test]
 fn gradients_under_dropout_agree_with_finite_differences() {
     for antialias in [false, true] {

@@ -1,4 +1,4 @@
-//! Cameras from files: in double precision until they are stored.
+//! Cameras from files stay in double precision until they are stored.
 
 use ashsplat::scene::{Camera, Intrinsics, WorldFrame};
 use glam::{DMat3, DQuat, DVec3};
@@ -10,8 +10,8 @@ use crate::progress::Progress;
 
 const INTRINSICS: Intrinsics = Intrinsics { fx: 5.0, fy: 5.0, cx: 2.0, cy: 1.0, width: 4, height: 2 };
 
-/// Far from the origin, the place of a camera is as exact as its numbers: a unit in the last place, and not an error of
-/// each product and sum.
+/// Far from the origin, a camera's position is accurate to one unit in the last place, instead of accumulating an
+/// error per operation.
 #[test]
 fn cameras_far_out_keep_their_place() {
     let _turn = super::turn();
@@ -31,7 +31,7 @@ fn cameras_far_out_keep_their_place() {
         let camera = cameras_json::read(&path, &WorldFrame::default()).unwrap()[0].camera;
         let exact = -(camera.camera_from_world.as_dmat3() * position);
         assert_eq!(camera.translation, exact.as_vec3());
-        // What is written gives the same camera again, to the bit.
+        // The written camera is read back to the bit.
         cameras_json::write(&path, [("a", &camera)], &WorldFrame::default()).unwrap();
         assert_eq!(cameras_json::read(&path, &WorldFrame::default()).unwrap()[0].camera, camera);
     }
@@ -46,7 +46,6 @@ fn cameras_that_look_from_far_out_keep_their_place() {
     assert_eq!(camera.translation, (-(camera.camera_from_world.as_dmat3() * eye)).as_vec3());
 }
 
-/// Also those of a transforms.json.
 #[test]
 fn frames_far_out_keep_their_place() {
     let _turn = super::turn();
@@ -56,13 +55,13 @@ fn frames_far_out_keep_their_place() {
         let rows: Vec<_> =
             (0..3).map(|i| [rotation.row(i).to_array().to_vec(), vec![place[i]]].concat()).collect();
         let camera = load_posed(&format!("{rows:?}"), "\"k1\": 0.0").unwrap().train[0].camera;
-        // From y up, z backward to y down, z forward.
+        // From y up and z backward to y down and z forward.
         let exact = DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0)) * rotation.transpose() * place;
         assert_eq!(camera.translation, (-exact).as_vec3());
     }
 }
 
-/// A transforms.json with matrices of 3 rows, and a lens.
+/// Loads a transforms.json with matrices of 3 rows, and a lens.
 fn load(lens: &str) -> Result<Dataset, String> {
     load_posed("[[1, 0, 0, 0.5], [0, 1, 0, 2], [0, 0, 1, 4]]", lens)
 }

@@ -1,4 +1,4 @@
-//! Checkpoints: many Gaussians, many statistics and values of a strategy.
+//! Checkpoints with many Gaussians, statistics and values of a strategy.
 
 use std::path::Path;
 
@@ -10,7 +10,7 @@ use ashsplat::trainer::strategy::Actions;
 use super::assert_linear;
 use crate::checkpoint::CheckpointFile;
 
-/// A checkpoint of so many Gaussians, with so many statistics and values of the strategy's own.
+/// A checkpoint of `count` Gaussians with statistics, and `own` values of the strategy.
 fn checkpoint(count: usize, own: usize) -> Checkpoint {
     let gaussians = Gaussians {
         sh_degree: 1,

@@ -14,7 +14,7 @@ fn write_model(folder: &Path, cameras: &str, images: &str, points: &str) {
     }
 }
 
-/// So many lines with their numbers, from 1.
+/// Text of `count` lines, numbered from 1.
 fn lines(count: usize, line: impl Fn(usize, &mut String)) -> String {
     let mut text = String::new();
     (1..=count).for_each(|index| line(index, &mut text));
@@ -24,7 +24,7 @@ fn lines(count: usize, line: impl Fn(usize, &mut String)) -> String {
 const CAMERA: &str = "1 PINHOLE 4 2 5 5 2 1\n";
 const IMAGE: &str = "1 1 0 0 0 0 0 0 1 a.png\n";
 
-/// One comment before each line: lists of cameras, images with eight observations, points with a track of ten.
+/// A comment before each line; images have eight observations, points a track of ten.
 #[test]
 fn text_models_of_many_cameras_images_and_points() {
     let write = |folder: &Path, size: usize| {

@@ -1,4 +1,4 @@
-//! What belongs to photographs by their names: exposures, parameters of depth maps; and the names of weights.
+//! Lists of values by photograph names: exposures, parameters of depth maps; and names of weights.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -43,7 +43,7 @@ fn exposures_of_one_name_many_times() {
     });
 }
 
-/// Photographs of as many cameras.
+/// Each photograph has its own camera.
 #[test]
 fn lenses_of_many_photographs() {
     let write = |folder: &Path, size: usize| {
@@ -69,7 +69,7 @@ fn depth_parameters_of_many_photographs() {
     });
 }
 
-/// Photographs that see sparse points, each with a map, which is fitted to them.
+/// Photographs with sparse points and a map that is fitted to them.
 #[test]
 fn depth_maps_of_many_photographs_with_many_points() {
     let write = |folder: &Path, size: usize| {
@@ -103,7 +103,7 @@ fn depth_maps_of_many_photographs_with_many_points() {
     });
 }
 
-/// One map of more and more pixels, as large as its photograph and smaller.
+/// One map with more and more pixels, as large as its photograph and smaller.
 #[test]
 fn depth_maps_of_many_pixels() {
     let write = |folder: &Path, size: usize| {
@@ -119,7 +119,7 @@ fn depth_maps_of_many_pixels() {
     }
 }
 
-/// A file of many tensors, none of which is wanted. The weights of a network would be much the larger part of it.
+/// A file of many unwanted tensors. The weights of a network would dominate it.
 #[test]
 fn weights_among_many_tensors() {
     let write = |folder: &Path, size: usize| {

@@ -1,4 +1,4 @@
-//! Small files that claim much: what is refused, and that it is refused before memory is reserved.
+//! Small files with large claims are refused before memory is reserved.
 
 use std::io::Write;
 use std::path::Path;
@@ -54,7 +54,7 @@ fn a_jpeg_of_a_few_bytes_is_no_large_picture() {
     assert!(cost.bytes < 4 << 20, "{cost:?}");
 }
 
-/// What cameras leave behind the end and between the parts does no harm; what is in the middle of the data does.
+/// Bytes that cameras leave after the end and between the parts are harmless; inside the data they are errors.
 #[test]
 fn damaged_jpegs_are_found() {
     let _turn = turn();
@@ -67,7 +67,7 @@ fn damaged_jpegs_are_found() {
     assert_eq!(read(&path, &between).unwrap(), read(&path, &whole).unwrap());
     let mut damaged = whole.clone();
     let middle = whole.len() / 2;
-    // A table of the quantisation where pictures have none.
+    // A quantisation table inside the data.
     damaged[middle..middle + 4].copy_from_slice(&[0xff, 0xdb, 0, 2]);
     assert!(read(&path, &damaged).is_err_and(|message| message.contains("cannot be decoded")));
     for part in 1..10 {
@@ -92,7 +92,7 @@ fn photos_beyond_the_bound_are_refused_before_they_are_decoded() {
         Dataset::load(folder.path(), &options, Progress::NONE)
     };
     let whole = Resolution::Factor(1);
-    // Four bytes of each pixel are kept, or none where there is a file for them.
+    // Four bytes per pixel stay in memory, or none if there is a file for them.
     let (cost, refused) = Cost::of(|| load(30 << 20, whole, None));
     let message = refused.unwrap_err().to_string();
     let words =
@@ -115,7 +115,7 @@ fn photos_beyond_the_bound_are_refused_before_they_are_decoded() {
             && loaded.warnings.iter().any(|w| w.contains("kept in a file"))
     );
     assert!(load(100 << 20, whole, None).unwrap().train[0].photo.file().is_none());
-    // At a smaller size, rows are enough.
+    // At a smaller size, the reader needs only rows.
     assert_eq!(load(12 << 20, Resolution::Width(400), None).unwrap().train[0].photo.width, 400);
 }
 
@@ -188,7 +188,7 @@ fn json_takes_little_memory() {
     }
 }
 
-/// One encoder is open at a time, and the packed Gaussians are not in memory.
+/// Only one encoder is open at a time, and the packed Gaussians are not kept in memory.
 #[test]
 fn writing_spz_takes_little_memory() {
     let _turn = turn();
@@ -206,14 +206,14 @@ fn writing_spz_takes_little_memory() {
     assert!(peak < 60, "{peak} MiB");
 }
 
-/// MiB that work takes at its peak, also in libraries in C: as the system counts them. 0 where it does not.
+/// Peak memory of `work`, MiB, from the system, so that C libraries count. 0 if the system does not report it.
 pub(super) fn peak_mib(work: impl FnOnce()) -> u64 {
     let kib = |name: &str| {
         let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
         let line = status.lines().find_map(|line| line.strip_prefix(name)).unwrap_or_default();
         line.trim().trim_end_matches(" kB").parse::<u64>().unwrap_or_default()
     };
-    // The peak begins anew here.
+    // Resets the peak.
     if std::fs::write("/proc/self/clear_refs", "5").is_err() {
         return 0;
     }
@@ -222,7 +222,7 @@ pub(super) fn peak_mib(work: impl FnOnce()) -> u64 {
     kib("VmHWM:").saturating_sub(before) >> 10
 }
 
-/// An SPZ of many Gaussians in one gzip stream: version 2, at any places, all other values 0.
+/// Writes an SPZ of version 2 in one gzip stream: random positions, all other values 0.
 fn old_spz(path: &Path, count: u32, flags: u8, behind: &[u8]) {
     let file = std::fs::File::create(path).unwrap();
     let mut stream = flate2::write::GzEncoder::new(file, flate2::Compression::fast());
@@ -239,7 +239,7 @@ fn old_spz(path: &Path, count: u32, flags: u8, behind: &[u8]) {
     stream.finish().unwrap();
 }
 
-/// A block of each plane is unpacked at a time, whatever the file unpacks to.
+/// The reader unpacks one block of each plane at a time, whatever the unpacked size.
 #[test]
 fn reading_spz_takes_little_memory() {
     let _turn = turn();
@@ -273,7 +273,7 @@ fn damaged_old_spz_are_found() {
         }
         old_spz(&path, count, 0, &[0]);
         assert!(read().unwrap_err().contains("holds more data than its"));
-        // An extension behind the planes, which says that the axes are left, up, back.
+        // An extension after the planes, which says that the axes are left, up, back.
         let axes = [0xadbe_0003_u32, 4, 3].map(u32::to_le_bytes).concat();
         for (flags, extra) in [(2, &axes[..]), (2, &[])] {
             old_spz(&path, count, flags, extra);

@@ -1,5 +1,5 @@
-//! What reading costs: four times the input, at most five times the steps and five times the bytes reserved. Hostile
-//! input is among it. These are the crate's own tests because they count its steps and all that it reserves.
+//! Cost of reading: for four times the input, at most five times the steps and five times the bytes reserved, also
+//! for hostile input. These tests are inside the crate to count its steps and allocations.
 
 // In a test, an unwrap is an assertion.
 #![allow(clippy::unwrap_used)]
@@ -27,14 +27,13 @@ use crate::progress::Progress;
 #[global_allocator]
 static MEMORY: Cap<System> = Cap::new(System, usize::MAX);
 
-/// One test at a time: the counts are those of the process. Every test of this crate takes it, also one that counts
-/// nothing: what it reads would be counted for another.
+/// Lets one test run at a time, because the counts are global. Tests that count nothing must take it, too, because
+/// their allocations would be counted.
 pub(crate) fn turn() -> MutexGuard<'static, ()> {
     static TURN: Mutex<()> = Mutex::new(());
     TURN.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// What something costs.
 #[derive(Clone, Copy, Debug)]
 struct Cost {
     steps: u64,
@@ -42,7 +41,7 @@ struct Cost {
 }
 
 impl Cost {
-    /// What `work` costs, the second time: what is made once is not counted.
+    /// Cost of the second run of `work`: one-time allocations do not count.
     fn of<T>(work: impl Fn() -> T) -> (Self, T) {
         work();
         let before = (STEPS.load(Ordering::Relaxed), MEMORY.total_allocated() as u64);
@@ -52,7 +51,7 @@ impl Cost {
     }
 }
 
-/// Writes input of a size into a folder, reads it, writes four times as much, and compares what both cost.
+/// Reads an input of this size and one of four times the size, and compares the costs.
 fn assert_linear(size: usize, write: impl Fn(&Path, usize), read: impl Fn(&Path)) {
     let _turn = turn();
     let [small, large] = [size, 4 * size].map(|size| {
@@ -69,7 +68,7 @@ fn inspect(folder: &Path) -> DatasetReport {
     Dataset::inspect(folder, &DatasetOptions::default(), Progress::NONE)
 }
 
-/// Runs something with little room for recursion.
+/// Runs work with a small stack.
 fn on_a_small_stack(work: impl FnOnce() + Send + 'static) {
     let _turn = turn();
     std::thread::Builder::new().stack_size(256 << 10).spawn(work).unwrap().join().unwrap();

@@ -7,7 +7,7 @@ use serde_json::json;
 use super::{assert_linear, inspect, on_a_small_stack};
 use crate::images::{Photo, PhotoFileFormat};
 
-/// A transforms.json with these paths; each frame has the values of `extra` and a focal length of its own.
+/// A transforms.json with these paths; each frame has a different focal length.
 fn write(folder: &Path, paths: &[String], key: &str) {
     let frame = |(index, path): (usize, &String)| {
         let mut frame = json!({
@@ -98,7 +98,7 @@ fn many_paths_that_lead_out() {
     assert_linear(100, write, |folder| assert!(inspect(folder).is_sound()));
 }
 
-/// Every frame has a lens of its own.
+/// Every frame has a different lens.
 #[test]
 fn many_missing_photos() {
     let paths = |size: usize| (0..size).map(|index| format!("images/{index}.png")).collect::<Vec<_>>();
@@ -108,7 +108,7 @@ fn many_missing_photos() {
     assert_linear(250, write_all, |folder| assert!(inspect(folder).problems.len() >= 250));
 }
 
-/// macOS writes accents apart from their letters, other systems as one character.
+/// macOS stores accents separately from their letters, other systems as one character.
 #[test]
 fn accents_are_found_in_either_form() {
     let _turn = super::turn();
@@ -123,7 +123,7 @@ fn accents_are_found_in_either_form() {
     }
 }
 
-/// A folder is listed once, and not for each name that it is searched for.
+/// A folder is listed once, instead of once per name.
 #[test]
 fn many_photos_under_another_case() {
     let paths = |size: usize| (0..size).map(|index| format!("images/img_{index}.png")).collect::<Vec<_>>();

@@ -1,4 +1,4 @@
-//! Photographs: decoded by rows where they can be, and found when they are cut short.
+//! Photographs: decoded by rows where possible, and detected if truncated.
 
 use std::io::Write;
 use std::path::Path;
@@ -15,13 +15,13 @@ fn noise(index: u32) -> u8 {
     (index.wrapping_mul(2_654_435_761) >> 23) as u8
 }
 
-/// A picture with all values of r, g, b and alpha.
+/// A picture with random values of r, g, b and alpha.
 fn picture(width: u32, height: u32) -> DynamicImage {
     let values = (0..4 * width * height).map(noise).collect();
     DynamicImage::from(image::RgbaImage::from_raw(width, height, values).unwrap())
 }
 
-/// Scaled while it is decoded, a picture has the bits of one that is scaled as a whole, whatever its colours.
+/// Scaling during decoding gives the same bits as scaling the whole picture, in every colour type.
 #[test]
 fn rows_have_the_bits_of_whole_photos() {
     let _turn = turn();
@@ -61,7 +61,7 @@ fn rows_have_the_bits_of_whole_photos() {
     }
 }
 
-/// Of a large PNG that is scaled down, a few rows are in memory, and no more of it than is said before.
+/// Scaling down a large PNG keeps only a few rows in memory, within the forecast.
 #[test]
 fn large_photos_that_are_scaled_down_take_little_memory() {
     let _turn = turn();
@@ -75,7 +75,7 @@ fn large_photos_that_are_scaled_down_take_little_memory() {
     assert!(read_as(&path, &plain).is_err());
     let read = |scaled| read_as(&path, &Request { scaled: Some(scaled), ..plain }).unwrap().photo;
     read((60, 40));
-    // The picture itself has 69 MiB.
+    // The whole picture has 69 MiB.
     let peak = peak_mib(|| assert_eq!(read((600, 400)).rgb.len(), 720_000));
     assert!(peak <= 6, "{peak} MiB");
 }
@@ -110,7 +110,7 @@ fn is_whole(path: &Path) -> bool {
     Photo::read(path, [0.0; 3]).is_ok()
 }
 
-/// Whole and scaled down, of every form; their width and height grow in turn.
+/// Whole and scaled down, in every form; width and height grow in turn.
 #[test]
 fn photos_of_every_form() {
     for kind in ["png", "plain", "4:2:0", "own tables", "restarts", "grey", "passes"] {
@@ -133,7 +133,7 @@ fn photos_of_every_form() {
     }
 }
 
-/// Segments that say nothing, fill bytes, and bytes between segments.
+/// Empty segments, fill bytes, and bytes between segments.
 #[test]
 fn jpegs_of_many_parts() {
     let comment = [0xff, 0xfe, 0, 3, 7];
@@ -141,18 +141,18 @@ fn jpegs_of_many_parts() {
     for part in parts {
         let write = |folder: &Path, size: usize| {
             let whole = jpeg(16, 16, "plain");
-            // Behind the first segment.
+            // Inserted after the first segment.
             let (start, rest) = whole.split_at(4 + usize::from(u16::from_be_bytes([whole[4], whole[5]])));
             std::fs::write(folder.join("a.jpg"), [start, &part.repeat(size), rest].concat()).unwrap();
         };
-        // Read or refused, as the decoder likes it.
+        // Accepted or refused, as the decoder decides.
         assert_linear(20_000, write, |folder| {
             is_whole(&folder.join("a.jpg"));
         });
     }
 }
 
-/// Each pass goes over the whole picture: as many as the file has bytes for would be quadratic.
+/// Each pass covers the whole picture, so the work for many passes would be quadratic.
 #[test]
 fn jpegs_of_many_passes_are_refused() {
     let _turn = turn();
@@ -166,7 +166,7 @@ fn jpegs_of_many_passes_are_refused() {
     assert!(!is_read(&path, &of(200)));
 }
 
-/// Chunks that are passed over, and data of one byte each.
+/// Ignored chunks, and data of one byte each.
 #[test]
 fn pngs_of_many_chunks() {
     let chunk = |kind: &[u8; 4], data: &[u8]| {
@@ -199,7 +199,7 @@ fn pngs_of_many_chunks() {
     }
 }
 
-/// An end marker behind half of the data does not make them whole: whoever stops a transfer may write one.
+/// An end marker after half of the data does not make it complete: an aborted transfer may write one.
 #[test]
 fn jpegs_cut_short_before_an_end_marker_are_found() {
     let _turn = turn();
@@ -212,7 +212,7 @@ fn jpegs_cut_short_before_an_end_marker_are_found() {
             let scan = whole.windows(2).rposition(|w| w == [0xff, 0xda]).unwrap();
             let data = scan + 2 + usize::from(u16::from_be_bytes([whole[scan + 2], whole[scan + 3]]));
             let end = whole.len() - 2;
-            // Of the last byte, some bits may be padding.
+            // Some bits of the last byte may be padding.
             let cuts = (data..end - 1).step_by(1 + (end - data) / 60).chain([end - 2, end - 3]);
             for cut in cuts.filter(|&cut| cut >= data && whole[cut - 1] != 0xff) {
                 let short = [&whole[..cut], &[0xff, 0xd9]].concat();
@@ -222,7 +222,7 @@ fn jpegs_cut_short_before_an_end_marker_are_found() {
     }
 }
 
-/// The encoder of another crate, at sizes around those of its blocks: what is whole is not taken for cut short.
+/// With another crate's encoder, at sizes around its block size: complete files are not taken for truncated ones.
 #[test]
 fn whole_jpegs_of_every_size_are_read() {
     let _turn = turn();

@@ -41,7 +41,7 @@ fn gaussians_of_every_format() {
     }
 }
 
-/// A PLY of Gaussians behind an element whose rows are lists, which has to be skipped.
+/// A PLY of Gaussians after an element of lists, which the reader must skip.
 fn ply_behind_lists(encoding: &str, rows: usize) -> Vec<u8> {
     let names = "x y z f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3";
     let lists = "property list uchar uchar a\nproperty list uchar int b\n";
@@ -79,7 +79,7 @@ fn glb(path: &Path, document: &Value) {
     std::fs::write(path, bytes).unwrap();
 }
 
-/// Each node is the child of the one before; no scene says where to begin.
+/// Each node is the child of the previous one; no scene names the root.
 #[test]
 fn chains_of_nodes() {
     let write = |folder: &Path, size: usize| {

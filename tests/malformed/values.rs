@@ -1,4 +1,4 @@
-//! What the accepted files must contain, and what the refusals must say.
+//! Required contents of accepted files, and required messages of refusals.
 
 use std::path::Path;
 
@@ -22,7 +22,7 @@ pub fn check(path: &Path, case: &str) {
     }
 }
 
-/// Checks what is special about refused cases.
+/// Checks requirements of single refused cases.
 pub fn check_refused(path: &Path, case: &str, error: Option<&Error>) {
     let message = error.map(ToString::to_string).unwrap_or_default();
     let says = |words: &str| assert!(message.contains(words), "no '{words}' in: {message}");
@@ -60,7 +60,7 @@ fn dropping(path: &Path) -> (usize, u64) {
     (scene.gaussians.len(), scene.dropped)
 }
 
-/// The values of ok_inria.ply, whose data are 16 rows of 62 floats after the header, by place.
+/// Values of ok_inria.ply: 16 rows of 62 floats after the header, by position.
 fn plain_rows(folder: &Path) -> Vec<[f32; 62]> {
     let bytes = std::fs::read(folder.join("ok_inria.ply")).unwrap();
     let data = &bytes[bytes.len() - 16 * 248..];
@@ -68,7 +68,7 @@ fn plain_rows(folder: &Path) -> Vec<[f32; 62]> {
     floats.as_chunks::<62>().0.to_vec()
 }
 
-/// The three Gaussians that the same people stored as PLY, SPZ and .splat: within the quantisation the same.
+/// Three Gaussians that the same authors stored as PLY, SPZ and .splat: equal within the quantisation.
 fn check_three_points(path: &Path) {
     let folder = path.ancestors().nth(3).unwrap().join("trained");
     let read = |path: &Path| splats::read(path, &splats::ReadOptions::default()).unwrap().gaussians;
@@ -135,7 +135,7 @@ fn check_counts(path: &Path, views: usize, points: usize) {
         assert_eq!((camera.width, camera.height), (photo.width, photo.height));
         let photo = photo.photo().unwrap();
         assert_eq!(photo.rgb.len(), 3 * (photo.width * photo.height) as usize);
-        // Real pictures are not flat.
+        // Real pictures are not uniform.
         assert!(photo.rgb.iter().max() > photo.rgb.iter().min().map(|v| v + 100).as_ref());
     }
 }
@@ -145,7 +145,7 @@ fn check_generated(path: &Path, name: &str) {
     let dataset = load(path);
     let plain = load(&path.parent().unwrap().join("ok"));
     assert_eq!(dataset.points.positions, plain.points.positions);
-    // One case has another colour at its last point.
+    // One case has a different colour at its last point.
     assert_eq!(dataset.points.colors[..19], plain.points.colors[..19]);
     assert_eq!(dataset.points.len(), 20);
     assert!(dataset.test.is_empty());

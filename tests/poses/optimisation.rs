@@ -1,4 +1,4 @@
-//! Poses that were moved are found again.
+//! Displaced poses are recovered.
 
 use ashsplat::poses::PoseBuffers;
 use ashsplat::scene::{StoredPhoto, Twist, scene_extent};
@@ -21,7 +21,7 @@ fn scene() -> Gaussians {
     gaussians(&small_scene(&mut Random::new(41), 150, 4))
 }
 
-/// All around the scene.
+/// Cameras around the scene.
 fn cameras() -> Vec<Camera> {
     let turned = |i: u32| {
         let angle = std::f64::consts::TAU * f64::from(i) / f64::from(VIEWS);
@@ -47,7 +47,7 @@ fn photographs() -> Vec<StoredPhoto> {
     cameras().iter().map(photograph).collect()
 }
 
-/// Each by a degree about some axis and a hundredth of the extent in some direction.
+/// Each camera turned by a degree about some axis, and moved by a hundredth of the extent.
 fn perturbed() -> Vec<Camera> {
     let mut random = Random::new(77);
     let mut direction = || {
@@ -60,7 +60,7 @@ fn perturbed() -> Vec<Camera> {
     cameras().iter().zip(twists).map(|(camera, twist)| twist.applied_to(camera)).collect()
 }
 
-/// Degrees and shares of the extent between two lists of cameras: the largest of each.
+/// Largest differences between two lists of cameras: degrees, and shares of the extent.
 fn apart(cameras: &[Camera], others: &[Camera]) -> (f64, f64) {
     let mut most = (0.0_f64, 0.0_f64);
     for (camera, other) in cameras.iter().zip(others) {
@@ -81,7 +81,7 @@ fn views(cameras: &[Camera]) -> Vec<TrainView> {
     cameras.iter().zip(photographs()).map(|(&camera, photo)| TrainView::new(camera, photo)).collect()
 }
 
-/// With a scene that stays as it is.
+/// Settings that keep the scene unchanged.
 fn fixed(iterations: u32) -> TrainSettings {
     TrainSettings {
         iterations,
@@ -113,7 +113,7 @@ fn poses_are_found_again_on_a_scene_that_is_known() {
         trainer.step().expect("a step");
     }
     let (degrees, share) = apart(&trainer.cameras().expect("cameras"), &cameras());
-    // Turns about the cameras' centres leave 0.015 and 2.2e-4.
+    // With turns about the cameras' centres, 0.015 and 2.2e-4 remain.
     println!("left of 1 degree: {degrees:.4}, of 0.01 of the extent: {share:.6}");
     assert!(degrees < 0.011 && share < 1.6e-4, "{degrees} degrees, {share} of the extent");
     assert!(trainer.gaussians().expect("Gaussians") == scene(), "the scene was to stay");
@@ -128,7 +128,7 @@ fn psnr(trainer: &mut Trainer, cameras: &[Camera]) -> f64 {
     each.sum::<f64>() / cameras.len() as f64
 }
 
-/// Scene and poses together, from a scene that is off and poses that are: without poses, the scene can only blur.
+/// Optimises scene and poses together, both displaced. Without poses, the scene can only blur.
 #[test]
 fn poses_and_scene_together_are_better_than_the_scene_alone() {
     let gpu = Gpu::unchecked();
@@ -184,12 +184,12 @@ fn poses_of_held_out_views_are_aligned() {
     println!("aligned to {degrees:.4} degrees, {share:.6} of the extent");
     assert!(degrees < 0.15 && share < 2e-3, "{degrees} degrees, {share} of the extent");
     assert!(trainer.checkpoint().expect("a state") == before, "training has changed");
-    // A renderer does the same.
+    // A renderer gives the same result.
     let mut renderer = renderer();
     renderer.upload(&scene()).expect("upload");
     let alone = renderer.align(&given[0], &photos[0], &settings, &alignment).expect("aligned");
     assert_eq!(alone, aligned[0]);
-    // Behind a mask nothing counts: nothing moves.
+    // A fully masked photograph moves nothing.
     let photo = photos[0].photo().expect("a photo");
     let hidden = StoredPhoto::new((*photo).clone(), Some(vec![0; (SIZE[0] * SIZE[1]) as usize]));
     let unmoved = renderer.align(&given[0], &hidden, &settings, &alignment).expect("aligned");
@@ -208,7 +208,7 @@ fn new(gpu: &Gpu, settings: &TrainSettings) -> Trainer {
         .expect("a trainer")
 }
 
-/// Poses, moments and cameras: through a file, also where a densification (15) or a reset (20) is due.
+/// Poses, moments and cameras go through a file, also where a densification (15) or a reset (20) is due.
 #[test]
 fn poses_are_resumed_to_the_bit() {
     let gpu = Gpu::new();
@@ -240,7 +240,7 @@ fn poses_are_resumed_to_the_bit() {
     }
 }
 
-/// A checkpoint of one kind is no beginning of the other; one without its poses is none at all.
+/// A checkpoint with poses cannot start a run without them, or vice versa. One that lost its poses is invalid.
 #[test]
 fn poses_of_a_checkpoint_must_fit() {
     let gpu = Gpu::new();
@@ -262,7 +262,7 @@ fn poses_of_a_checkpoint_must_fit() {
     refuse(short(), &short_one, "another number than the views");
 }
 
-/// Older checkpoints do not say about which points cameras turn: it was their centres, and stays so.
+/// Older checkpoints lack the pivots: their cameras turn about their centres, and continue to.
 #[test]
 fn poses_of_older_checkpoints_turn_about_the_cameras() {
     let gpu = Gpu::new();
@@ -291,7 +291,7 @@ fn poses_of_older_checkpoints_turn_about_the_cameras() {
     assert_ne!(older.parameters, present.parameters);
 }
 
-/// Without the option nothing is moved, kept or written.
+/// Without the option no pose is moved, stored or written.
 #[test]
 fn poses_stay_unless_asked_for() {
     let gpu = Gpu::new();
@@ -301,12 +301,12 @@ fn poses_stay_unless_asked_for() {
     let given: Vec<Camera> = checkpoints::views(5, 40).iter().map(|view| view.camera).collect();
     assert_eq!(trainer.cameras().expect("cameras"), given);
     assert!(trainer.checkpoint().expect("a checkpoint").poses.is_none());
-    // With it, a rate of 0 trains the same scene to the bit: the moved camera is the given one.
+    // With the option and a rate of 0, the scene trains to the same bits: the moved camera is the given one.
     let still = TrainSettings { pose_opt: true, pose_lr: 0.0, ..short() };
     let (mut plain, mut still) = (new(&gpu, &settings), new(&gpu, &still));
     for iteration in 1..=40 {
         let losses = [&mut plain, &mut still].map(|trainer| trainer.step().expect("a step").loss.to_bits());
-        // The optimiser takes the camera's position from another place, rounded once more.
+        // The optimiser reads the camera's position from another place, where it is rounded once more.
         if iteration == 1 {
             assert_eq!(losses[0], losses[1]);
         }
@@ -314,7 +314,7 @@ fn poses_stay_unless_asked_for() {
     assert_eq!(still.cameras().expect("cameras"), given);
 }
 
-/// What a run with poses is refused for includes their memory.
+/// The memory in an error includes the poses.
 #[test]
 fn poses_count_among_the_memory() {
     let needed = |pose_opt: bool, photos: usize| {

@@ -72,7 +72,7 @@ fn an_earlier_read_does_not_hide_an_earlier_write() {
     assert_eq!(hazards[0].first.0, "b");
 }
 
-/// What it reads and writes by one binding is its own affair; by two, the shader's compiler must know.
+/// A command may read and write memory through one binding. Through two, the shader must declare it.
 #[test]
 fn one_memory_by_two_bindings_is_declared_in_the_shader() {
     let check = |a: Use, b: Use| undeclared_alias("adam", &[touch(1, 0..64, ReadWrite), a, b]);

@@ -69,7 +69,7 @@ fn the_generated_interface_mirrors_the_shader() {
     assert_eq!(kernels::constants::TILE_SIZE, 16);
 }
 
-/// Kernels with two buffers of one memory, and how many variables of each form tell the compiler so.
+/// Kernels with two buffers in one memory, and the number of their variables that are declared so in each form.
 struct Aliases(Vec<(&'static str, Vec<&'static str>)>);
 
 impl KernelVisitor for Aliases {
@@ -82,7 +82,7 @@ impl KernelVisitor for Aliases {
         forms.extend(K::TEXELS.map(|form| (form.spirv, form.bindings)));
         for (spirv, bindings) in forms {
             assert_eq!(names(bindings), all, "{}", K::NAME);
-            // OpDecorate, a variable, Aliased; Restrict would say the opposite.
+            // OpDecorate, a variable, Aliased; Restrict means the opposite.
             let decorated =
                 |with: u32| spirv.windows(3).filter(|w| w[0] == 3 << 16 | 71 && w[2] == with).count();
             assert_eq!((decorated(20), decorated(19)), (all.len(), 0), "{}", K::NAME);
@@ -102,7 +102,7 @@ fn kernels_with_two_names_for_one_memory_tell_the_compiler() {
     assert_eq!(aliases.0, expected);
 }
 
-/// Whether kernels fit a device with these limits, for what is not in their workgroups.
+/// Checks whether kernels fit a device with these limits, apart from their workgroups.
 struct Fit<'a> {
     limits: &'a Limits,
     largest: u32,
@@ -118,7 +118,7 @@ impl KernelVisitor for Fit<'_> {
     }
 }
 
-/// What is asked of every device is enough for every kernel, also where a vec3 of shared memory takes 16 bytes.
+/// The required limits suffice for every kernel, even if a vec3 of shared memory takes 16 bytes.
 #[test]
 fn kernels_fit_into_what_is_asked_of_devices() {
     let least = |name: &str| {

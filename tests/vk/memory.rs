@@ -1,4 +1,4 @@
-//! Allocation, transfer, and what keeps memory alive.
+//! Allocation, transfers, and lifetime of memory.
 
 use crate::common;
 use ash::vk;
@@ -16,7 +16,7 @@ fn requests_are_packed_in_order_without_overlap() {
     assert_eq!(packing.blocks, [784]);
 }
 
-/// So that large buffers, whatever their size, do not begin in the same sets of a cache as the next ones.
+/// Staggered, so that large buffers of any size do not start in the same cache sets.
 #[test]
 fn large_buffers_are_staggered() {
     const LARGE: u64 = 1 << 20;
@@ -26,7 +26,7 @@ fn large_buffers_are_staggered() {
     let fourth = third + LARGE + 8448;
     assert_eq!(begins, [0, LARGE + 8448, third, fourth, fourth + LARGE / 2, fourth + LARGE]);
     assert_eq!(packing.blocks, [fourth + LARGE + 16]);
-    // Where that would not fit, another block.
+    // If the stagger does not fit, another block.
     assert_eq!(pack(&[LARGE, 16], LARGE + 8000).expect("fits").places, [(0, 0), (1, 0)]);
 }
 
@@ -39,7 +39,7 @@ fn a_full_block_is_followed_by_another() {
     assert_eq!(pack(&[1000, 1001], 1000), Err(1));
 }
 
-/// Requests and the largest block: many small ones, or few that are large and staggered, some of them round.
+/// Requests and the largest block: many small ones, or a few large ones with stagger, some of round sizes.
 fn requests() -> impl Strategy<Value = (Vec<u64>, u64)> {
     let large = prop_oneof![0_u64..2_500_000, (0_u64..600).prop_map(|pages| pages * 4096)];
     prop_oneof![(vec(0_u64..5000, 0..40), 5000_u64..20_000), (vec(large, 0..20), 2_500_000_u64..9_000_000)]
@@ -110,7 +110,7 @@ fn arenas_are_counted() {
     assert_eq!((arena("step").bytes, arena("step").peak_bytes), (256, 256));
     drop(third);
     assert_eq!((arena("step").bytes, arena("step").peak_bytes), (0, 256));
-    // Images of our own are counted, too.
+    // The context's own images are counted, too.
     let image = Image::new(&context, "own", vk::Format::R32_SFLOAT, [64, 64], ImageUse::Depth);
     let image = image.expect("an image");
     assert!(arena("images").bytes >= 64 * 64 * 4);
@@ -118,7 +118,7 @@ fn arenas_are_counted() {
     assert_eq!(arena("images").bytes, 0);
 }
 
-/// A new bound holds from the next allocation on.
+/// A new bound applies from the next allocation on.
 #[test]
 fn the_bound_of_all_arenas_may_change() {
     let context = common::bounded(None);
@@ -141,9 +141,9 @@ fn the_bound_of_all_arenas_may_change() {
     drop((allocate(260).expect("without a bound"), kept));
 }
 
-/// Bytes that differ at every place.
+/// Bytes that differ at every position.
 fn pattern(bytes: usize) -> Vec<u8> {
-    // As long as no power of two, so that parts of a transfer are told apart.
+    // Not a power of two, so that parts of a transfer differ.
     let block: Vec<u8> = (0..65_537_u32).map(|i| (i.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
     let mut pattern = block.repeat(bytes.div_ceil(block.len()));
     pattern.truncate(bytes);
@@ -152,7 +152,7 @@ fn pattern(bytes: usize) -> Vec<u8> {
 
 #[test]
 fn transfers_give_back_what_they_got() {
-    // Mapped, as on a discrete GPU, and mapped without a cache: read by copies then.
+    // Mapped memory, as on a discrete GPU, and mapped without a cache, which is read by copies.
     for (force_staging, force_uncached) in [(false, false), (true, false), (false, true)] {
         let options = ContextOptions { force_staging, force_uncached, ..common::options() };
         let context = Context::new(&options).expect("a context");
@@ -169,7 +169,7 @@ fn transfers_give_back_what_they_got() {
     }
 }
 
-/// Also where uploads have a queue of their own.
+/// Also if uploads have a separate queue.
 #[test]
 fn uploads_run_after_what_was_submitted() {
     const BYTES: usize = 300_004;
@@ -190,8 +190,8 @@ fn uploads_run_after_what_was_submitted() {
     common::assert_silent(&context);
 }
 
-/// Every upload of many through a ring that holds four pieces of them, sizes and order as they come; the memory goes back when
-/// asked for or when another allocation needs it.
+/// Many uploads of any size and order share a ring that holds four of their pieces. Its memory is freed on request,
+/// or when another allocation needs it.
 #[test]
 fn staging_is_a_ring_that_is_kept_and_given_back() {
     let options = ContextOptions { force_staging: true, ..common::options() };
@@ -218,7 +218,7 @@ fn staging_is_a_ring_that_is_kept_and_given_back() {
     assert_eq!(kept, 32 << 20);
     assert!(context.free_staging() && !context.free_staging());
     assert_eq!(staging(), 0);
-    // A bound that leaves less than the ring likes, and then nothing.
+    // A bound that leaves less than the ring's preferred size, and then nothing.
     context.upload(&buffers[3], &pattern(9 << 20)).expect("upload");
     let used = context.memory_total().bytes;
     context.set_max_memory(Some(used));
@@ -231,8 +231,8 @@ fn staging_is_a_ring_that_is_kept_and_given_back() {
     common::assert_silent(&context);
 }
 
-/// What a ring is worth: photographs of a data set, each by memory of its own and a wait for each 16 MiB, as it was, and by the
-/// ring. Prints seconds; run it alone.
+/// Benefit of a ring: uploads the photographs of a data set with separate memory and a wait for each 16 MiB, and
+/// through the ring. Prints seconds; run it alone.
 #[test]
 #[ignore = "a measurement, which proves nothing"]
 fn staging_by_a_ring_is_measured() {

@@ -1,11 +1,11 @@
-//! Other specialization constants than usual, and how full tiles are.
+//! Overridden specialization constants, and the fill of tiles.
 
 use ashsplat::scene::{Camera, Gaussians, Intrinsics, PointCloud};
 use ashsplat::vk::{Context, ContextOptions, Limits, SpecOverride};
 use ashsplat::{Frame, RenderSettings, Renderer};
 use glam::Vec3;
 
-/// A curved wall of 3000 Gaussians, view-dependent in colour, and a camera in front of it.
+/// A curved wall of 3000 Gaussians with view-dependent colours, and a camera in front of it.
 fn scene() -> (Gaussians, Camera) {
     let place =
         |i: u32| [(i % 60) as f32 / 30.0 - 1.0, (i / 60) as f32 / 25.0 - 1.0, ((i * i) % 7) as f32 * 0.02];

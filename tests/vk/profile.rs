@@ -1,4 +1,4 @@
-//! The opt-in profile: what it records, and that it is off by default.
+//! The opt-in profile: its records, and that it is off by default.
 
 use crate::common::gpu::Gpu;
 use ashsplat::scan::{Scan, ScanBuffers, Workgroups};
@@ -6,7 +6,7 @@ use ashsplat::vk::{Access, Context, ContextOptions, Submission};
 
 const COUNT: u32 = 5000;
 
-/// One scan with its grid given by the host, then the same with the grid in a buffer.
+/// One scan whose grid the host gives, and one whose grid is in a buffer.
 fn run_scans(gpu: &Gpu) {
     let scan = Scan::new(gpu.context).expect("kernels");
     let grid = scan.block_words(COUNT.into()) as u32;
@@ -34,13 +34,13 @@ fn run_scans(gpu: &Gpu) {
     assert_eq!(gpu.read::<u32>(&prefix, COUNT as usize), expected);
 }
 
-/// Other tests run on the shared device at the same time: the recording that is meant is known by its commands.
+/// Other tests use the shared device at the same time: finds the recording by its commands.
 fn of_scans(submissions: Vec<Submission>) -> Submission {
     let mut own = submissions.into_iter().filter(|s| s.scopes.iter().any(|scope| scope.name == "indirect"));
     own.next().expect("the recording was logged")
 }
 
-/// A device of one's own, as a profile belongs to its context.
+/// A separate device, because a profile belongs to its context.
 fn own_gpu(options: ContextOptions) -> Gpu {
     let context = Context::new(&options).expect("a device");
     Gpu::of(Box::leak(Box::new(context)))
@@ -59,7 +59,7 @@ fn profile_names_every_command_with_its_grid_and_time() {
         .chain(kernels.map(|name| ("indirect", name)))
         .collect();
     assert_eq!(names, expected);
-    // Each kernel waits for the one before it.
+    // Each kernel waits for the previous one.
     let barriers: Vec<u32> = submission.commands.iter().map(|c| c.barriers).collect();
     assert_eq!(barriers, [0, 1, 1, 1, 1, 1, 1]);
     assert_eq!(submission.commands[0].workgroups, None);
@@ -75,7 +75,7 @@ fn profile_names_every_command_with_its_grid_and_time() {
     assert!(profile.take().is_empty(), "taken once");
 }
 
-/// Commands follow one another without gaps, within the recording, within the host's times.
+/// Checks that commands follow one another without gaps, within the recording and the host's times.
 fn check_times(gpu: &Gpu, submission: &Submission) {
     if !gpu.context.has_timestamps() {
         return;
@@ -92,7 +92,7 @@ fn check_times(gpu: &Gpu, submission: &Submission) {
     assert!(submission.submitted <= submission.done);
     let device_begun = submission.device_begun.expect("timestamps");
     if submission.calibrated {
-        // The clocks are read one after the other: a thread may be interrupted between them.
+        // The clocks are read in sequence, and a thread may be interrupted in between.
         let error = submission.calibration_error;
         assert!(
             error <= submission.done - submission.begun,

@@ -145,7 +145,7 @@ fn a_missing_barrier_panics_with_both_ends() {
     });
 }
 
-/// Four commands, three barriers, each of them needed.
+/// Records four commands and three barriers, each of them needed.
 fn record(recorder: &mut ashsplat::vk::Recorder, sums: &BlockSums) {
     recorder.update(&sums.arguments, bytemuck::cast_slice(&[sums.workgroups as u32, 1, 1]));
     recorder.barrier();
@@ -312,12 +312,13 @@ fn an_error_while_recording_submits_nothing() {
     assert_eq!(context.download(&buffer).expect("download"), [1; 16]);
 }
 
-/// Push constants that promise a kernel more than its buffer holds: what lies beside it stays, and nothing falls.
+/// Push constants claim more elements than a kernel's buffer holds: neighbouring buffers stay intact, and nothing
+/// crashes.
 #[test]
 fn counts_beyond_a_buffer_touch_nothing_else() {
     use ashsplat::kernels::arithmetic::multiply_add::{Bind, Interface, Push, Spec};
     let context = common::context();
-    // The invocations of the largest grid here, each of which writes a float, end far behind the allocation.
+    // The largest grid here, where each invocation writes a float, exceeds the allocation by far.
     let spec = Spec { workgroup_size: 64.min(context.limits().max_workgroup_invocations), rounds: 1 };
     let kernel = Kernel::<Interface>::new(context, &spec).expect("a kernel");
     let request = [("before", 4096), ("results", 64), ("after", 4096)];

@@ -1,4 +1,4 @@
-//! Uniform blocks: their layout on both sides, their buffers, and the barrier behind their writes.
+//! Uniform blocks: their layout on both sides, their buffers, and the barrier after their writes.
 
 use crate::common;
 use ashsplat::kernels::blocks::CameraBlock;
@@ -8,7 +8,7 @@ use ashsplat::vk::{
     Access, BindingKind, Buffer, Context, ContextOptions, Kernel, KernelInterface, MemoryKind, Recorder,
 };
 
-/// What culling no Gaussians takes.
+/// Objects to cull zero Gaussians.
 struct Culling {
     buffers: Vec<Buffer>,
     kernel: Kernel<cull::Interface>,

@@ -1,4 +1,4 @@
-//! An X server without a screen, and what a person does at it.
+//! An X server without a screen, and simulated input.
 
 use std::io::{BufRead, BufReader};
 use std::process::{Child, Command, Stdio};
@@ -12,21 +12,21 @@ use x11rb::protocol::xproto::{
 use x11rb::protocol::xtest::ConnectionExt as _;
 use x11rb::rust_connection::RustConnection;
 
-/// Longest that anything may take.
+/// Timeout of every wait.
 pub const PATIENCE: Duration = Duration::from_secs(120);
 pub const PAUSE: Duration = Duration::from_millis(50);
 
-/// A running Xvfb, ended with the value.
+/// A running Xvfb. The drop ends it.
 pub struct Server {
     child: Child,
-    /// As DISPLAY has it.
+    /// Value for DISPLAY.
     pub display: String,
 }
 
 impl Server {
-    /// On the first display that is free.
+    /// Starts on the first free display.
     pub fn start() -> Server {
-        // Any display; it says which.
+        // Any display; Xvfb prints its number.
         let mut child = Command::new("Xvfb")
             .args(["-displayfd", "1", "-screen", "0", "1400x900x24", "-nolisten", "tcp", "-noreset"])
             .stdout(Stdio::piped())
@@ -59,14 +59,14 @@ pub struct Screenshot {
     pub rgb: Vec<u8>,
 }
 
-/// A person at the server.
+/// Simulated input at the server.
 pub struct Desk {
     connection: RustConnection,
     root: Window,
 }
 
 impl Desk {
-    /// The window whose title begins so, once it is shown.
+    /// Waits for a window whose title begins with `title`.
     pub fn window(&self, title: &str) -> Window {
         let start = Instant::now();
         while start.elapsed() < PATIENCE {
@@ -97,7 +97,7 @@ impl Desk {
         self.connection.flush().expect("sent");
     }
 
-    /// Presses and releases a key by its code: that of Linux, and 8.
+    /// Presses and releases a key; the code is Linux' plus 8.
     pub fn key(&self, code: u8) {
         self.hold(code, Duration::ZERO);
     }
@@ -139,7 +139,7 @@ impl Desk {
         self.connection.configure_window(window, &size).expect("sent").check().expect("resized");
     }
 
-    /// What a window manager sends when the close button is pressed.
+    /// Sends the message of a window manager when the close button is pressed.
     pub fn close(&self, window: Window) {
         let atom = |name: &[u8]| {
             self.connection.intern_atom(false, name).expect("sent").reply().expect("an atom").atom
@@ -150,13 +150,13 @@ impl Desk {
         self.connection.flush().expect("sent");
     }
 
-    /// What a window shows.
+    /// Screenshot of a window.
     pub fn screenshot(&self, window: Window) -> Screenshot {
         let place = self.connection.get_geometry(window).expect("sent").reply().expect("a window");
         let (width, height) = (place.width, place.height);
         let image = self.connection.get_image(ImageFormat::Z_PIXMAP, window, 0, 0, width, height, !0);
         let image = image.expect("sent").reply().expect("an image");
-        // Blue, green, red, nothing.
+        // Blue, green, red, unused.
         let rgb = image.data.chunks_exact(4).flat_map(|bgrx| [bgrx[2], bgrx[1], bgrx[0]]).collect();
         Screenshot { width: width.into(), height: height.into(), rgb }
     }

@@ -1,4 +1,4 @@
-//! ZIPs of data sets: whole ones with hostile contents and names, and directories that lie.
+//! ZIPs of data sets: valid ones with hostile contents and names, and false directories.
 #![no_main]
 
 use arbitrary::Arbitrary;
@@ -116,7 +116,7 @@ impl Archive {
                 false => zip::CompressionMethod::Deflated,
             };
             let options = SimpleFileOptions::default().compression_method(method);
-            // A name that is there already is refused by the writer.
+            // The writer refuses duplicate names.
             if zip.start_file(NAMES[usize::from(*name) % NAMES.len()], options).is_ok() {
                 zip.write_all(&content.bytes()).expect("packed");
             }

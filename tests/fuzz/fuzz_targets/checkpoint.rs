@@ -1,4 +1,4 @@
-//! Any bytes as a checkpoint. Fingerprints are not compared here: else nearly every change would end at them.
+//! Arbitrary bytes as a checkpoint. Fingerprints are not compared, because nearly every change would fail there.
 #![no_main]
 
 use ashsplat::scene::PointCloud;
@@ -26,7 +26,7 @@ fuzz_target!(init: seeds(), |data: &[u8]| {
     std::fs::write(&*FILE, data).expect("written");
     within(data.len(), |_| {
         if let Some(checkpoint) = in_one_line(Checkpoint::read(&*FILE)) {
-            // What can be read can be written, and is the same again.
+            // A checkpoint that was read can be written and read again unchanged.
             checkpoint.write(&*FILE).expect("written");
             let again = Checkpoint::read(&*FILE).expect("its own");
             assert_eq!(again.fingerprint(), checkpoint.fingerprint());

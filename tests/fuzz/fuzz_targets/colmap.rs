@@ -1,4 +1,4 @@
-//! Any bytes as the three files of a COLMAP model, binary or text.
+//! Arbitrary bytes as the three files of a COLMAP model, binary or text.
 #![no_main]
 
 use ashsplat_files::colmap::{self, Model};
@@ -13,7 +13,7 @@ static FOLDER: LazyLock<PathBuf> = LazyLock::new(|| {
     folder
 });
 
-// First byte: the format. Then the lengths of cameras and images, two bytes each; points are the rest.
+// First byte: the format. Then the lengths of cameras and images, two bytes each; the rest is points.
 fuzz_target!(|data: &[u8]| {
     let [format, a, b, c, d, rest @ ..] = data else { return };
     let [mine, other] = if format & 1 == 0 { ["bin", "txt"] } else { ["txt", "bin"] };

@@ -1,4 +1,4 @@
-//! Any bytes as a transforms.json, a cameras.json, the ZIP of a data set, an exposure.json, a lens.json, a
+//! Arbitrary bytes as a transforms.json, a cameras.json, the ZIP of a data set, an exposure.json, a lens.json, a
 //! depth_params.json or a tileset.json; or as a value that a list in the JSON repeats up to 8 MiB.
 #![no_main]
 
@@ -29,7 +29,7 @@ const LENSES: &str = r#"{"cameras": {"1": {"vignetting": [[0.1,0,0],[0,-0.2,0],[
  "photos": {"a.png": 1}}"#;
 const DEPTHS: &str = r#"{"a": {"scale": 1.5, "offset": -0.25}}"#;
 
-/// A valid file of each kind; the folder's photo is the one that they name.
+/// Writes a valid file of each kind, and the photo that they name.
 fn seeds() {
     let photo = FOLDER.join("a.png");
     Photo { width: 4, height: 3, rgb: vec![9; 36] }.write_png(&photo).expect("a photo");
@@ -55,7 +55,7 @@ fn seeds() {
 /// Length of a file with a repeated value, bytes.
 const LONG: usize = 8 << 20;
 
-/// A valid file with a list of one value.
+/// A valid file with a list that repeats a value.
 fn repeated(valid: &str, value: &[u8]) -> Vec<u8> {
     let element = [value, b","].concat();
     let list = element.repeat(LONG / element.len());

@@ -1,4 +1,4 @@
-//! GLB and glTF: counts, offsets and lengths that do not fit what is there.
+//! GLB and glTF with counts, offsets and lengths that do not fit the data.
 #![no_main]
 
 use arbitrary::Arbitrary;
@@ -20,14 +20,14 @@ struct Gltf {
     count: u16,
     degree: u8,
     changes: Vec<Change>,
-    /// In place of the buffer's bytes.
+    /// Replaces the buffer's bytes.
     buffer: Option<Filling>,
     lengths: [Number; 3],
     chunks: Vec<(u8, Filling)>,
     patches: Vec<Patch>,
-    /// The text alone, with its buffers in a file beside it.
+    /// Plain text, with its buffers in a file beside it.
     text: bool,
-    /// Nodes like this one make the JSON 8 MiB long.
+    /// Repeats this node until the JSON is 8 MiB long.
     node: Option<Node>,
 }
 
@@ -39,7 +39,7 @@ struct Node {
 }
 
 impl Node {
-    /// A glTF's text with nodes like this one.
+    /// A glTF's text with this node repeated.
     fn repeated(&self, text: &str) -> Vec<u8> {
         let keys = [
             self.mesh.map(|mesh| format!("\"mesh\":{mesh}")),

@@ -1,4 +1,5 @@
-//! PNG and JPEG files, as photographs and as depth maps: chunks with right checksums and segments with right lengths, and headers that lie.
+//! PNG and JPEG files, as photographs and depth maps: chunks with valid checksums, segments with valid lengths, and
+//! false headers.
 #![no_main]
 
 use arbitrary::Arbitrary;
@@ -71,7 +72,7 @@ impl Png {
         let row = 1 + (width * channels * u64::from(depth)).div_ceil(8);
         let length = self.data_bytes.of(row * height).min(self.data.most_packed() as u64) as usize;
         let mut rows = self.data.exactly(length);
-        // Filters that exist, but for the seeds that say otherwise.
+        // Valid filters, except for the seeds that choose others.
         rows.iter_mut().step_by(row as usize).for_each(|filter| *filter %= 6);
         let data = packed(&rows);
         for piece in data.chunks(data.len().div_ceil(usize::from(self.pieces % 4) + 1).max(1)) {
@@ -88,7 +89,7 @@ struct Jpeg {
     sides: [u8; 2],
     claimed: [Number; 2],
     grey: bool,
-    /// Frame header: baseline, progressive and so on.
+    /// Kind of frame header: baseline, progressive and so on.
     frame: Option<u8>,
     orientation: Option<(bool, [Number; 4])>,
     others: Vec<(u8, Filling, Number)>,

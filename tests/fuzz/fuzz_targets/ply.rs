@@ -1,4 +1,4 @@
-//! Any bytes as a PLY: Gaussians with and without unusable ones, and points.
+//! Arbitrary bytes as a PLY: Gaussians, with and without unusable ones, and points.
 #![no_main]
 
 use ashsplat_files::ply;

@@ -1,4 +1,4 @@
-//! Any bytes as a file of Gaussians in any format.
+//! Arbitrary bytes as a file of Gaussians in any format.
 #![no_main]
 
 use ashsplat::scene::PointCloud;
@@ -10,12 +10,12 @@ use std::io::Write;
 use std::path::PathBuf;
 use std::sync::LazyLock;
 
-/// By the first byte of an input; of the last, the rest of it is what an SPZ holds when it is unpacked.
+/// The first byte of an input chooses the name. For the last one, the rest is the unpacked content of an SPZ.
 const NAMES: [&str; 7] = ["a.ply", "a.compressed.ply", "a.splat", "a.spz", "a.glb", "a.gltf", "packed.spz"];
 
 static FOLDER: LazyLock<PathBuf> = LazyLock::new(|| folder("splats"));
 
-/// A valid file of each format.
+/// Writes a valid file of each format.
 fn seeds() {
     let points = PointCloud { positions: vec![[0.0; 3], [1.0, 2.0, 3.0]], colors: vec![[1, 2, 3]; 2] };
     for degree in [0, 1] {

@@ -1,4 +1,4 @@
-//! SPZ of versions 2, 3 and 4: counts that the packed data confirm or not.
+//! SPZ of versions 2, 3 and 4, with counts that do or do not fit the packed data.
 #![no_main]
 
 use arbitrary::Arbitrary;
@@ -38,7 +38,7 @@ impl Spz {
         match self {
             Self::Gzip { version, count, claimed, degree, fractional_bits, flags, data, length, patches } => {
                 let version = u32::from(version % 4) + 1;
-                // Large ones are slow, and few.
+                // Large counts are slow, so they are rare.
                 let count = u64::from(count % 600_000 >> (degree / 5 % 8 * 2));
                 let degree = degree % 5;
                 let coefficients = (u64::from(degree) + 1).pow(2) - 1;

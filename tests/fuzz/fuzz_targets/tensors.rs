@@ -1,4 +1,4 @@
-//! Checkpoints: a header whose shapes, offsets and settings do not fit the tensors.
+//! Checkpoints with a header whose shapes, offsets and settings do not fit the tensors.
 #![no_main]
 
 use arbitrary::Arbitrary;
@@ -18,7 +18,7 @@ struct Tensors {
     count: u16,
     degree: u8,
     changes: Vec<Change>,
-    /// Behind the tensors.
+    /// Bytes after the tensors.
     more: Option<Filling>,
     cut: Option<u16>,
     header: Number,

@@ -1,4 +1,4 @@
-//! Weights of LPIPS: the first layers of a network, with names, shapes, types and offsets that do not fit.
+//! Weights of LPIPS: the first layers of a network, with wrong names, shapes, types and offsets.
 #![no_main]
 
 use arbitrary::Arbitrary;
@@ -16,11 +16,11 @@ static FILE: LazyLock<PathBuf> = LazyLock::new(|| folder("weights").join("input.
 #[derive(Arbitrary, Debug)]
 struct File {
     vgg: bool,
-    /// How many of the layers it has.
+    /// Number of layers.
     layers: u8,
-    /// Of which of the ways to name them.
+    /// Index of the naming scheme.
     names: u8,
-    /// The kind of a tensor that is no F32.
+    /// Kind of a tensor that is not F32.
     other_kind: Option<u8>,
     others: Vec<(u8, u8)>,
     filling: Filling,
@@ -79,7 +79,7 @@ fuzz_target!(|file: File| {
     let bytes = file.bytes();
     std::fs::write(&*FILE, &bytes).expect("written");
     within(bytes.len(), |bound| {
-        // None is whole: the smaller network has 10 MB.
+        // None is complete: the smaller network has 10 MB.
         assert!(in_one_line(Weights::read(&*FILE, &HostMemory::new(bound))).is_none());
     });
 });

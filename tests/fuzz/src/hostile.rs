@@ -1,13 +1,13 @@
-//! Parts of descriptions of files: what is built from them is consistent (lengths, checksums), but for what they change on
-//! purpose.
+//! Descriptions of parts of files. Files built from them are consistent (lengths, checksums), except for deliberate
+//! changes.
 
 use arbitrary::Arbitrary;
 use serde_json::Value;
 
-/// Most bytes of a file or of what it unpacks to in one piece.
+/// Largest size of a file or of an unpacked part of it, bytes.
 pub const MOST_BYTES: usize = 1 << 20;
 
-/// A number in place of an honest one.
+/// A number that may replace the correct one.
 #[derive(Arbitrary, Clone, Copy, Debug)]
 pub enum Number {
     Honest,
@@ -33,7 +33,7 @@ impl Number {
     }
 }
 
-/// A number written over bytes of a file.
+/// A number that overwrites bytes of a file.
 #[derive(Arbitrary, Clone, Copy, Debug)]
 pub struct Patch {
     at: u16,
@@ -56,29 +56,29 @@ pub fn patch(file: &mut [u8], patches: &[Patch]) {
     }
 }
 
-/// Bytes that are told by a few.
+/// Bytes described by a few.
 #[derive(Arbitrary, Clone, Copy, Debug)]
 pub struct Filling {
     length: u32,
     seed: u8,
-    /// Else all are equal, and pack well.
+    /// Random bytes; otherwise all are equal and compress well.
     noise: bool,
 }
 
 impl Filling {
-    /// Most bytes of it, so that they are packed to no more than [`MOST_BYTES`].
+    /// Largest length, so that the packed bytes are at most [`MOST_BYTES`].
     pub fn most_packed(self) -> usize {
         if self.noise { MOST_BYTES } else { 4 * MOST_BYTES }
     }
 
-    /// At most so many bytes.
+    /// Returns at most `most` bytes.
     pub fn bytes(self, most: usize) -> Vec<u8> {
-        // Short ones are more frequent.
+        // Short lengths are more frequent.
         let length = self.length as usize % (most.min(MOST_BYTES) + 1) >> (self.seed % 4 * 4);
         self.exactly(length)
     }
 
-    /// So many bytes.
+    /// Returns `length` bytes.
     pub fn exactly(self, length: usize) -> Vec<u8> {
         let mut state = u32::from(self.seed);
         let mut next = || {
@@ -89,10 +89,10 @@ impl Filling {
     }
 }
 
-/// Which number of a JSON becomes which.
+/// Index of a number in a JSON, and its replacement.
 pub type Change = (u8, Number);
 
-/// Changes numbers of a JSON, also those that are written as text.
+/// Changes numbers of a JSON, also those in strings.
 pub fn spoil(value: &mut Value, changes: &[Change]) {
     for (which, number) in changes.iter().take(4) {
         let count = leaves(value).len().max(1);

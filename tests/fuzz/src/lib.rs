@@ -1,4 +1,4 @@
-//! Inputs as files for the fuzzed readers, and what an input may cost.
+//! Writes inputs as files for the fuzzed readers, and limits their memory.
 
 pub mod hostile;
 
@@ -15,13 +15,13 @@ pub use ashsplat::Error;
 #[global_allocator]
 static MEMORY: Cap<System> = Cap::new(System, usize::MAX);
 
-/// Memory that reading an input of so many bytes may take, bytes.
+/// Memory that reading an input of this length may take, bytes.
 pub fn allowance(bytes: usize) -> usize {
     64 * bytes + (64 << 20)
 }
 
-/// Runs a reader of so many bytes within their allowance. What is allocated beyond it ends the process, which is a
-/// finding. The reader is given a bound for `max_host_memory`, which it has to keep: the allowance less an eighth.
+/// Runs a reader of an input of `bytes` bytes within its allowance. A larger allocation ends the process, which is a
+/// finding. The reader gets a bound for `max_host_memory` that it must keep: the allowance minus an eighth.
 pub fn within<T>(bytes: usize, read: impl FnOnce(u64) -> T) -> T {
     let allowance = allowance(bytes);
     MEMORY.set_limit(MEMORY.allocated() + allowance).expect("more than is in use");
@@ -32,12 +32,12 @@ pub fn within<T>(bytes: usize, read: impl FnOnce(u64) -> T) -> T {
     result
 }
 
-/// The value, or None for an error, which must be one line.
+/// The value, or None for an error, whose message must be one line.
 pub fn in_one_line<T>(result: Result<T, Error>) -> Option<T> {
     result.map_err(|error| assert!(!error.to_string().contains('\n'), "{error}")).ok()
 }
 
-/// A folder in memory, where there is such a thing, for this process' files.
+/// A folder for this process' files, in memory if possible.
 pub fn folder(name: &str) -> PathBuf {
     let memory = PathBuf::from("/dev/shm");
     let base = if memory.is_dir() { memory } else { std::env::temp_dir() };
@@ -46,21 +46,20 @@ pub fn folder(name: &str) -> PathBuf {
     folder
 }
 
-/// Puts a valid input where the fuzzer begins: into the folder `ASHSPLAT_FUZZ_SEEDS`, if it is set.
+/// Writes a valid input into the folder `ASHSPLAT_FUZZ_SEEDS`, if set; the fuzzer starts from it.
 pub fn leave_seed(name: &str, bytes: &[u8]) {
     if let Some(folder) = std::env::var_os("ASHSPLAT_FUZZ_SEEDS") {
         std::fs::write(PathBuf::from(folder).join(name), bytes).expect("a seed");
     }
 }
 
-/// Some Gaussians.
 pub fn gaussians(count: usize, sh_degree: u32) -> Gaussians {
     let positions: Vec<[f32; 3]> = (0..count).map(|k| [k as f32, (k % 7) as f32, (k % 3) as f32]).collect();
     let points = PointCloud { colors: vec![[1, 2, 3]; count], positions };
     ashsplat_files::initial_gaussians(&points, sh_degree).expect("Gaussians")
 }
 
-/// A sound checkpoint of some Gaussians.
+/// A valid checkpoint of some Gaussians.
 pub fn checkpoint(gaussians: Gaussians, sh_degree: u32) -> Checkpoint {
     let count = gaussians.len();
     let ones = Gaussians {
