@@ -14,7 +14,7 @@ pub const BACKGROUND: [f64; 3] = [0.25, 0.5, 0.75];
 /// A rendered picture and a photograph.
 pub struct Pictures {
     pub size: [u32; 2],
-    /// As the blending writes it: colour without background, transmittance.
+    /// Colour without background, and transmittance, as the blending writes them.
     pub accumulated: Vec<[f32; 4]>,
     /// RGBA8.
     pub photo: Vec<u32>,

@@ -51,7 +51,7 @@ impl ArrayImage {
             mip_level: 0,
             layer,
         };
-        // SAFETY: the image is as it says, and outlives the view in all tests.
+        // SAFETY: the description matches the image, which outlives the view in all tests.
         unsafe { Image::adopt(context, "eye", &foreign, ImageUse::Target) }.expect("adopted")
     }
 

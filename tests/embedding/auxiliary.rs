@@ -155,7 +155,7 @@ fn picks_and_motion_of_random_scenes() {
             // Behind the host's wall.
             let wall = 4.1;
             let (texture, state) = depth_image(host, SIZE, 0.1 / wall);
-            // SAFETY: the image is as it says, and outlives the frame.
+            // SAFETY: the description matches the image, which outlives the frame.
             let image = unsafe { Image::adopt(&context, "depth", &texture.foreign(), ImageUse::Occluder) };
             let image = image.expect("adopted");
             let depth = HostImage { image: &image, from: state, offset: [0; 2] };

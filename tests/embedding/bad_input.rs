@@ -184,7 +184,7 @@ fn bad_frames_are_refused_before_anything_is_recorded() {
         let usage = vk::ImageUsageFlags::STORAGE | vk::ImageUsageFlags::SAMPLED;
         let small = HostTexture::new(host, vk::Format::R8G8B8A8_UNORM, usage, [40, 48]).expect("an image");
         let single = HostTexture::new(host, vk::Format::R32_SFLOAT, usage, [64, 48]).expect("an image");
-        // SAFETY: the images are as they say, and outlive the views.
+        // SAFETY: the descriptions match the images, which outlive the views.
         let view = |c: &Context, t: &HostTexture, purpose| unsafe {
             Image::adopt(c, "target", &t.foreign(), purpose).expect("adopted")
         };

@@ -170,7 +170,7 @@ fn batches_of_a_hosts_buffer_are_of_one_adoption() {
         let plan = DeviceScene::plan_for(&context, 20, 1).expect("a plan");
         let stride = plan.chunk_bytes().next_multiple_of(256);
         let own = HostBuffer::new(host, 12 * stride).expect("memory");
-        // SAFETY: the buffer is the host's, of this size, and outlives the scenes. Uses of what overlaps are apart in time.
+        // SAFETY: the buffer is the host's, of this size, and outlives the scenes. Uses of overlapping ranges are apart in time.
         let adopt = |offset, bytes| unsafe { Buffer::adopt(&context, "scenes", own.raw, offset, bytes) };
         let whole = adopt(0, 12 * stride).expect("adopted");
         let scenes = [true, false].map(|together| {

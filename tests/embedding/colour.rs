@@ -65,7 +65,7 @@ impl Scene {
             SIZE,
         );
         let floats = floats.expect("an image");
-        // SAFETY: the image is as it says, and outlives the view.
+        // SAFETY: the description matches the image, which outlives the view.
         let image = unsafe { Image::adopt(&self.context, "target", &texture.foreign(), ImageUse::Target) };
         let image = image.expect("adopted");
         let (read_from, bytes) = if convert { (&floats, 16) } else { (&texture, texel_bytes(format)) };
@@ -339,7 +339,7 @@ fn what_linear_light_costs() {
         renderer.reserve(&Reservation::new(scene.count(), 1, 1280, 720)).expect("memory");
         let (usage, size) = (vk::ImageUsageFlags::STORAGE, [1280, 720]);
         let texture = HostTexture::new(host, Format::R16G16B16A16_SFLOAT, usage, size).expect("an image");
-        // SAFETY: the image is as it says, and outlives the view.
+        // SAFETY: the description matches the image, which outlives the view.
         let image = unsafe { Image::adopt(&context, "target", &texture.foreign(), ImageUse::Target) };
         let image = image.expect("adopted");
         let (camera, settings, scenes) =

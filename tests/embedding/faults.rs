@@ -14,7 +14,7 @@ use ashsplat::{
 fn guest(host: &Host, faults: &Faults) -> Result<Context> {
     let options =
         ContextOptions { hazard_check: true, faults: Some(faults.clone()), ..ContextOptions::default() };
-    // SAFETY: the host outlives the context, uses the queue from this thread, and says itself what was enabled.
+    // SAFETY: the host outlives the context, uses the queue from this thread, and lists the enabled features.
     unsafe { Context::from_foreign(&host.foreign(), &options) }
 }
 

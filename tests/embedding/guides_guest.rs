@@ -38,7 +38,7 @@ impl Screen {
 
     fn adopted(&self, context: &Context) -> [Image; 2] {
         let with = [(&self.color, ImageUse::Target), (&self.depth, ImageUse::Occluder)];
-        // SAFETY: the images are as they say, and are destroyed after the slots that use the views.
+        // SAFETY: the descriptions match the images, which are destroyed after the slots that use the views.
         with.map(|(texture, purpose)| unsafe {
             Image::adopt(context, "screen", &texture.foreign(), purpose).expect("adopted")
         })

@@ -37,7 +37,7 @@ fn what_is_dropped_lives_as_long_as_its_slots_need_it() {
         let bytes = scene_bytes(&context);
         let usage = vk::ImageUsageFlags::STORAGE;
         let texture = HostTexture::new(host, vk::Format::R8G8B8A8_UNORM, usage, [64, 48]).expect("an image");
-        // SAFETY: the image is as it says, and is destroyed after both slots have let go of the view.
+        // SAFETY: the description matches the image, which is destroyed after both slots have let go of the view.
         let image = unsafe { Image::adopt(&context, "target", &texture.foreign(), ImageUse::Target) };
         let image = image.expect("adopted");
         let frames = [0; 2].map(|_| InFlight::new(host).expect("a command buffer"));

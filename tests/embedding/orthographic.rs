@@ -78,7 +78,7 @@ fn an_orthographic_hosts_depth_hides_what_lies_behind_it() {
             let nearest = if reversed { 1.0 } else { 0.0 };
             for (value, expected) in [(mapping.clear_value, gaussians), (clip.z, &kept), (nearest, &none)] {
                 let (texture, state) = depth_image(host, SIZE, value);
-                // SAFETY: the image is as it says, and outlives the frame.
+                // SAFETY: the description matches the image, which outlives the frame.
                 let image = unsafe {
                     Image::adopt(renderer.context(), "depth", &texture.foreign(), ImageUse::Occluder)
                 };
@@ -158,7 +158,7 @@ fn expected_depth_of_parallel_rays_is_z() {
         let scene = DeviceScene::upload(&context, &sheet, 0).expect("a scene");
         let usage = vk::ImageUsageFlags::STORAGE | vk::ImageUsageFlags::TRANSFER_SRC;
         let texture = HostTexture::new(host, vk::Format::R32_SFLOAT, usage, SIZE).expect("an image");
-        // SAFETY: the image is as it says, and outlives the frame.
+        // SAFETY: the description matches the image, which outlives the frame.
         let image = unsafe { Image::adopt(&context, "expected", &texture.foreign(), ImageUse::Depth) };
         let image = image.expect("adopted");
         let placed = [Placed::at(&scene, Pose { scale: 2.0, ..Pose::IDENTITY })];

@@ -228,7 +228,7 @@ fn shared_image(host: &Host, context: &Context) -> (HostTexture, Image) {
     let usage =
         vk::ImageUsageFlags::STORAGE | vk::ImageUsageFlags::TRANSFER_SRC | vk::ImageUsageFlags::TRANSFER_DST;
     let texture = HostTexture::new(host, vk::Format::R32G32B32A32_SFLOAT, usage, SIZE).expect("an image");
-    // SAFETY: the image is as it says, and outlives the view.
+    // SAFETY: the description matches the image, which outlives the view.
     let image = unsafe { Image::adopt(context, "shared", &texture.foreign(), ImageUse::Target) };
     (texture, image.expect("adopted"))
 }

@@ -280,7 +280,7 @@ fn expected_depth_is_the_depth_of_a_wall() {
         renderer.reserve(&reservation).expect("memory");
         let usage = vk::ImageUsageFlags::STORAGE | vk::ImageUsageFlags::TRANSFER_SRC;
         let texture = HostTexture::new(host, vk::Format::R32_SFLOAT, usage, [64, 48]).expect("an image");
-        // SAFETY: the image is as it says, and outlives the renderer.
+        // SAFETY: the description matches the image, which outlives the renderer.
         let image =
             unsafe { Image::adopt(&context, "depth", &texture.foreign(), ImageUse::Depth) }.expect("adopted");
         let to = HostImage { image: &image, from: ImageState::UNDEFINED, offset: [0; 2] };
@@ -343,7 +343,7 @@ fn a_hosts_depth_hides_what_lies_behind_it() {
             ashsplat::scene::DepthMapping { scale: 1.0 / near, offset: 0.0, clear_value: 0.0, linear: false };
         for (value, expected) in [(near / wall, &kept), (0.0, &gaussians)] {
             let (texture, state) = depth_image(host, [110, 70], value);
-            // SAFETY: the image is as it says, and outlives the frame.
+            // SAFETY: the description matches the image, which outlives the frame.
             let image = unsafe { Image::adopt(&context, "depth", &texture.foreign(), ImageUse::Occluder) };
             let image = image.expect("adopted");
             let depth = HostImage { image: &image, from: state, offset: [0; 2] };

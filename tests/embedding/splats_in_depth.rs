@@ -43,7 +43,7 @@ fn drawn(
     let expected = HostTexture::new(host, vk::Format::R32_SFLOAT, usage, SIZE).expect("an image");
     let usage = vk::ImageUsageFlags::DEPTH_STENCIL_ATTACHMENT | copies;
     let depth = HostTexture::new(host, vk::Format::D32_SFLOAT, usage, SIZE).expect("an image");
-    // SAFETY: the image is as it says, and outlives the frame.
+    // SAFETY: the description matches the image, which outlives the frame.
     let image = unsafe { Image::adopt(renderer.context(), "z", &expected.foreign(), ImageUse::Depth) };
     let image = image.expect("adopted");
     let pass = SplatDepth::new(host, &expected, depth.format).expect("a pass");

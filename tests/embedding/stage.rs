@@ -65,8 +65,8 @@ pub fn guest_of_small_bindings(host: &Host) -> Context {
 
 fn guest_within(host: &Host, limits_override: Option<LimitsOverride>) -> Context {
     let options = ContextOptions { hazard_check: true, limits_override, ..ContextOptions::default() };
-    // SAFETY: the host outlives the context in all tests, which use the queue from one thread; what was enabled is what
-    // the host says.
+    // SAFETY: the host outlives the context in all tests, which use the queue from one thread. The host lists
+    // the enabled features.
     unsafe { Context::from_foreign(&host.foreign(), &options) }.expect("a context")
 }
 

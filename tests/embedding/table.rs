@@ -291,7 +291,7 @@ impl Images {
         let color = texture(vk::Format::R16G16B16A16_SFLOAT, vk::ImageUsageFlags::STORAGE).expect("an image");
         let depth = vk::ImageUsageFlags::SAMPLED | vk::ImageUsageFlags::DEPTH_STENCIL_ATTACHMENT;
         let depth = texture(vk::Format::D32_SFLOAT, depth).expect("an image");
-        // SAFETY: the images are as they say, and outlive the renderer.
+        // SAFETY: the descriptions match the images, which outlive the renderer.
         let adopted = unsafe {
             [
                 Image::adopt(context, "color", &color.foreign(), ImageUse::Target).expect("adopted"),

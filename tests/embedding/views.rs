@@ -185,7 +185,7 @@ fn bad_views_are_refused_by_name() {
         let (storage, sampled) = (vk::ImageUsageFlags::STORAGE, vk::ImageUsageFlags::SAMPLED);
         let both = HostTexture::new(host, vk::Format::R32_SFLOAT, storage | sampled, SIZE).expect("an image");
         let [read, write] = [ImageUse::Occluder, ImageUse::Depth].map(|purpose| {
-            // SAFETY: the image is as it says, and outlives the view.
+            // SAFETY: the description matches the image, which outlives the view.
             unsafe { Image::adopt(&context, "both", &both.foreign(), purpose) }.expect("adopted")
         });
         let good = RecordedFrame {

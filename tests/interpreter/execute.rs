@@ -56,7 +56,7 @@ pub struct Dispatch<'a> {
 pub struct Fault {
     /// The kernel.
     pub kernel: String,
-    /// What is wrong.
+    /// Description of the violation.
     pub problem: String,
     /// Word of the instruction in the module.
     pub word: u32,

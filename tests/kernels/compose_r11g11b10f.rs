@@ -69,7 +69,7 @@ fn compose_r11g11b10f_leaves_what_nothing_covers() {
             let code = (round * count + i) % (31 * 64);
             code | (31 * 64 - 1 - code) << 11 | (code % (31 * 32)) << 22
         };
-        // As many texels in a row, so that the frame's position does not matter.
+        // Consecutive texels have all codes, so that the frame's position does not matter.
         let texels: Vec<u32> = (0..IMAGE[0] * IMAGE[1]).map(|i| texel(i % count)).collect();
         let bytes = bytemuck::cast_slice(&texels);
         assert_eq!(composed_of(&gpu, &nothing, FORMAT, bytes, (BEHIND[2], LINEAR)), bytes);

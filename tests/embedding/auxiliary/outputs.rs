@@ -53,7 +53,7 @@ impl<'a> Outputs<'a> {
         let purposes = [ImageUse::Target, ImageUse::Depth, ImageUse::Occluder];
         let views = [0, 1, 2].map(|which| {
             let purpose = purposes[which];
-            // SAFETY: the images are as they say, and outlive the views.
+            // SAFETY: the descriptions match the images, which outlive the views.
             unsafe { Image::adopt(context, "output", &textures[which].foreign(), purpose) }.expect("adopted")
         });
         let pixels = u64::from(size[0] * size[1]);

@@ -42,7 +42,7 @@ impl<'a> Screens<'a> {
             | vk::ImageUsageFlags::TRANSFER_DST;
         let textures = [vk::Format::R32G32B32A32_UINT, vk::Format::R16G16_SFLOAT]
             .map(|format| HostTexture::new(host, format, usage, size).expect("an image"));
-        // SAFETY: the images are as they say, and outlive the views.
+        // SAFETY: the descriptions match the images, which outlive the views.
         let view = |t: &HostTexture, purpose| unsafe {
             Image::adopt(context, "beside", &t.foreign(), purpose).expect("adopted")
         };

@@ -38,7 +38,7 @@ impl<'a> Split<'a> {
             new(vk::Format::R32_SFLOAT, sampled),
         ];
         let view = |texture: &HostTexture, purpose| {
-            // SAFETY: the images are as they say, and outlive the views.
+            // SAFETY: the descriptions match the images, which outlive the views.
             unsafe { Image::adopt(context, "split", &texture.foreign(), purpose) }.expect("adopted")
         };
         let images = [
