@@ -1,4 +1,4 @@
-//! Where the cameras are: those of the training views, which may be optimised, and others that are aligned.
+//! Cameras of the training views, and alignment of other cameras to the scene.
 
 use super::Trainer;
 use crate::error::{Error, Result};
@@ -7,8 +7,8 @@ use crate::renderer::{AlignRequest, Aligner, Alignment};
 use crate::scene::{Camera, StoredPhoto, Twist};
 
 impl Trainer {
-    /// The cameras of the training views as they are now, in the views' order: where they were given, or where
-    /// [`pose_opt`](super::TrainSettings::pose_opt) has moved them.
+    /// Current cameras of the training views, in the views' order. [`pose_opt`](super::TrainSettings::pose_opt) moves them away
+    /// from the given ones.
     ///
     /// # Errors
     /// [`Error::Argument`] while recorded steps are in flight, and after a step with an unknown
@@ -21,11 +21,11 @@ impl Trainer {
         }
     }
 
-    /// What each camera of the training views has been moved by, in the views' order: 0 without
+    /// Total movement of each training view's camera, in the views' order; 0 without
     /// [`pose_opt`](super::TrainSettings::pose_opt).
     ///
     /// # Errors
-    /// As [`Trainer::cameras`].
+    /// Same as [`Trainer::cameras`].
     pub fn pose_changes(&self) -> Result<Vec<Twist>> {
         self.check_readable()?;
         let Some(poses) = &self.poses else { return Ok(vec![Twist::default(); self.run.cameras.len()]) };
@@ -33,17 +33,17 @@ impl Trainer {
         Ok(parameters.iter().map(|xi| Twist::from_array(xi.map(f64::from))).collect())
     }
 
-    /// The scene's extent that training was given, world units.
+    /// Extent of the scene as given to training, world units.
     pub fn scene_extent(&self) -> f32 {
         self.run.scene_extent
     }
 
-    /// As [`Renderer::align`](crate::Renderer::align), with the current scene. If `settings.sh_degree` is None, it uses the SH
-    /// degree of this iteration. Training does not depend on it.
+    /// Same as [`Renderer::align`](crate::Renderer::align), with the current scene. If `settings.sh_degree` is None, it uses
+    /// the SH degree of this iteration. The result of training does not depend on alignments.
     ///
     /// # Errors
-    /// As [`Renderer::align`](crate::Renderer::align) and [`Trainer::render`];
-    /// [`Error::Argument`] with Gaussians around a [block](super::SceneBlock).
+    /// Same as [`Renderer::align`](crate::Renderer::align) and [`Trainer::render`]; [`Error::Argument`] if a
+    /// [block](super::SceneBlock) has frozen Gaussians.
     pub fn align(
         &mut self,
         camera: &Camera,

@@ -1,7 +1,6 @@
-//! Means of parameters over the last steps of a run: [`TrainSettings::average_last`].
+//! Means of the parameters over the last steps of a run: [`TrainSettings::average_last`].
 //!
-//! They lie where steps of several views have their sums, so they take no memory of their own, and go together with such steps
-//! no more.
+//! They share the buffers of the gradient sums that steps of several views use, so the two exclude each other.
 
 use super::Trainer;
 use super::checkpoint::MeanState;
@@ -11,7 +10,7 @@ use crate::error::{Error, Result};
 use crate::forward::SceneBuffers;
 use crate::planes;
 
-/// Refuses steps of several views.
+/// Refuses averaging together with steps of several views.
 pub(super) fn check(settings: &TrainSettings, strategy: &dyn Strategy) -> Result<()> {
     if settings.average_last > 0.0 && strategy.records().sums {
         let problem = format!(
@@ -24,7 +23,7 @@ pub(super) fn check(settings: &TrainSettings, strategy: &dyn Strategy) -> Result
 }
 
 impl Trainer {
-    /// Gives parameters their means, where the frame that should do it does not fit.
+    /// Replaces the parameters by their means. Used if the frame that would record this does not fit.
     pub(super) fn end_means(&mut self) -> Result<()> {
         let model = &self.state.model;
         self.context.run("end means", |r| {
@@ -39,7 +38,7 @@ impl Trainer {
         Ok(())
     }
 
-    /// For the checkpoint.
+    /// Means for the checkpoint; None before the first averaged step.
     pub(super) fn mean_state(&self) -> Result<Option<MeanState>> {
         let model = &self.state.model;
         match self.state.progress.averaged {

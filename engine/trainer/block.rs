@@ -1,4 +1,4 @@
-//! A block of a scene: what of it is trained, and what is only drawn.
+//! A block of a scene: its trained core and the frozen Gaussians around it.
 
 use super::settings::TrainSettings;
 use super::unseen;
@@ -7,36 +7,37 @@ use crate::fingerprint::Fingerprint;
 use crate::scene::{Bounds, Camera, Gaussians};
 use glam::Vec3;
 
-/// A block of a scene, and what lies around it.
+/// A block of a scene, with the frozen Gaussians around it.
 ///
-/// Every Gaussian that a trainer begins with is trained, in the core or not; those that are cloned or split lie in the core at
-/// that time. (The halves of one near its border may come to lie beyond it, and means move as in any training.)
+/// All initial Gaussians are trained, also those outside the core. Only Gaussians in the core are cloned or split. Their halves
+/// and later movement can cross its border.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SceneBlock {
     /// Where density control adds Gaussians, world units. Sides may be infinite.
     pub core: Bounds,
-    /// Gaussians that are drawn and stay as they are; there may be none. Degrees of SH above that of the settings are left out.
+    /// Gaussians that are drawn but not trained; may be empty. SH coefficients above the settings' degree are dropped.
     pub frozen: Gaussians,
-    /// All that lay around, if [`SceneBlock::without_unseen`] left some of it out: that is what checkpoints are compared by.
+    /// Count and hash of all surroundings before [`SceneBlock::without_unseen`] dropped some. Checkpoints are compared by
+    /// these.
     pub chosen_from: Option<Surroundings>,
 }
 
-/// What lies around a block, by number and content.
+/// Count and hash of the Gaussians around a block.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Surroundings {
     /// Number of Gaussians.
     pub count: u64,
-    /// Their hash.
+    /// Hash of the Gaussians.
     pub fingerprint: u64,
 }
 
 impl SceneBlock {
-    /// Divides a scene: the Gaussians with means in the core grown by `margin` on all sides, which are to be trained, and the
-    /// block with all others. Both keep their order. `margin` is in world units.
+    /// Divides a scene into the Gaussians to train and a block with all others. Trained are the means in the core, grown by
+    /// `margin` (world units) on all sides. Both parts keep their order.
     ///
     /// # Errors
-    /// [`Error::Argument`] for a core without volume or with sides that are no numbers, a margin that is negative or no number,
-    /// and where no Gaussian is to be trained.
+    /// [`Error::Argument`] if the core has no volume or a NaN side, if the margin is negative or not finite, or if no Gaussian
+    /// is to be trained.
     pub fn divide(scene: &Gaussians, core: Bounds, margin: f32) -> Result<(Gaussians, Self)> {
         Self::check_box(core, margin)?;
         let inside = |&index: &usize| Self::contains(core, margin, scene.means[index]);
@@ -48,17 +49,17 @@ impl SceneBlock {
         Ok((scene.select(&trained), Self { core, frozen, chosen_from: None }))
     }
 
-    /// Whether [`SceneBlock::divide`] trains a Gaussian with this mean.
+    /// True if [`SceneBlock::divide`] trains a Gaussian with this mean.
     pub fn contains(core: Bounds, margin: f32, mean: [f32; 3]) -> bool {
         let mean = Vec3::from_array(mean);
         mean.cmpge(core.min - margin).all() && mean.cmple(core.max + margin).all()
     }
 
-    /// The block without the surroundings that no picture of these cameras can show, at any size at which a training with these
-    /// settings draws them. Its pictures are the same to the bit. So is a training on these cameras, with two exceptions:
-    /// [dropout](TrainSettings::dropout) draws its random numbers by place, and where memory limits growth there is more of it.
-    /// A checkpoint of either block can be resumed with the other. With [the 3D filter](TrainSettings::filter_3d) nothing is left out: its
-    /// sizes depend on all surroundings.
+    /// Drops the surroundings that no picture of these cameras can show, at any size at which a training with these settings
+    /// draws them. The pictures keep their bits, and so does the training, with two exceptions.
+    /// [Dropout](TrainSettings::dropout) draws its random numbers by row, and growth that memory limits gets more of it. A
+    /// checkpoint of either block can be resumed with the other. With [the 3D filter](TrainSettings::filter_3d) nothing is
+    /// dropped, because its sizes depend on all surroundings.
     #[must_use]
     pub fn without_unseen(self, cameras: &[Camera], settings: &TrainSettings) -> Self {
         if settings.filter_3d {
@@ -74,14 +75,14 @@ impl SceneBlock {
         Self { frozen: self.frozen.select(&rows), chosen_from, ..self }
     }
 
-    /// All that lies around it, drawn or left out.
+    /// Count and hash of all surroundings, drawn or dropped.
     pub fn surroundings(&self) -> Surroundings {
         let all =
             || Surroundings { count: self.frozen.len() as u64, fingerprint: fingerprint_of(&self.frozen) };
         self.chosen_from.unwrap_or_else(all)
     }
 
-    /// Whether a core has no border.
+    /// True if the core has no border.
     pub fn is_everything(core: Bounds) -> bool {
         core.min == Vec3::NEG_INFINITY && core.max == Vec3::INFINITY
     }
@@ -89,10 +90,9 @@ impl SceneBlock {
     /// Checks a core and a margin as [`SceneBlock::divide`] does.
     ///
     /// # Errors
-    /// [`Error::Argument`] for a core without volume or with sides that are no numbers, and a margin that is negative or no
-    /// number.
+    /// [`Error::Argument`] if the core has no volume or a NaN side, or if the margin is negative or not finite.
     pub fn check_box(core: Bounds, margin: f32) -> Result<()> {
-        // False for what is no number.
+        // False for NaN.
         if !core.min.cmplt(core.max).all() {
             let problem =
                 format!("from {} to {}: each least side must be below the greatest", core.min, core.max);
@@ -104,14 +104,14 @@ impl SceneBlock {
         Ok(())
     }
 
-    /// The error of a block in which there is nothing to train.
+    /// Error for a block without a Gaussian to train.
     pub fn nothing_inside(of: usize) -> Error {
         let problem =
             format!("has none of the {of} Gaussians of the start in it; give another box or margin");
         Error::argument("block", problem)
     }
 
-    /// What a checkpoint says of it; None if it is the whole scene.
+    /// Block of a checkpoint; None if it is the whole scene.
     pub(super) fn state(&self) -> Option<BlockState> {
         let Surroundings { count, fingerprint } = self.surroundings();
         let whole = count == 0 && Self::is_everything(self.core);
@@ -120,19 +120,19 @@ impl SceneBlock {
     }
 }
 
-/// The block of a checkpoint: see [`SceneBlock`].
+/// Block of a checkpoint: see [`SceneBlock`].
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct BlockState {
     /// The core's corners, world units.
     pub core: [[f32; 3]; 2],
-    /// Number of the Gaussians around.
+    /// Number of frozen Gaussians around the core.
     pub frozen: u64,
-    /// Their hash.
+    /// Hash of the frozen Gaussians.
     pub fingerprint: u64,
 }
 
 impl BlockState {
-    /// What differs between the block of a checkpoint and the one of a run; None if nothing does.
+    /// Difference between the block of a checkpoint and that of a run; None if they are equal.
     pub(super) fn difference(there: Option<&Self>, here: Option<&Self>) -> Option<String> {
         let sides = |core: &[[f32; 3]; 2]| {
             let all: Vec<String> = core.as_flattened().iter().map(f32::to_string).collect();

@@ -1,4 +1,4 @@
-//! Memory of a training run, computed before it is allocated.
+//! Memory of a training run, computed before anything is allocated.
 
 use super::checkpoint::Room;
 use super::model::{RowBytes, RowMemory};
@@ -28,26 +28,26 @@ pub(super) struct Before<'a> {
     pub photos: &'a [PhotoSize],
     pub photo_bytes: PhotoBytes,
     pub rows: &'a RowMemory,
-    /// The loss's buffers on the device, for views of given sizes.
+    /// Device buffers of the loss, for views of the given sizes.
     pub loss: &'a LossRequests<'a>,
-    /// The losses' copy that the host reads.
+    /// Host-readable copy of the losses.
     pub losses: Request,
-    /// The poses' buffers; none unless they are optimised.
+    /// Buffers of the poses; empty unless they are optimised.
     pub poses: Requests,
-    /// Initial number of Gaussians that are trained.
+    /// Initial number of trained Gaussians.
     pub count: u32,
-    /// Number of those that lie around them.
+    /// Number of frozen Gaussians around them.
     pub around: u32,
     pub sh_degree: u32,
 }
 
 impl Before<'_> {
-    /// Bytes of all buffers except the photographs', as allocated after the first iteration that fits.
+    /// Bytes of all buffers, except those of the photographs, once the first iteration has fitted.
     fn buffer_bytes(&self, context: &Context, plan: &ScenePlan, frame: Option<FrameCapacity>) -> RowBytes {
         let limits = context.limits();
         let bytes = |requests: &[(&'static str, u64)]| context.allocation_bytes(requests);
         let scratch = (self.loss)(&self.sizes());
-        // The counts of training's frames and of drawn frames.
+        // Counts of training frames and of drawn frames.
         let readback = 2 * bytes(&FrameStore::READBACK) + bytes(&[self.losses]);
         let frame = frame.map_or(0, |frame| bytes(&frame_requests(&frame, &LaunchSizes::new(limits))));
         let poses = if self.poses.is_empty() { 0 } else { bytes(&self.poses) };
@@ -56,7 +56,7 @@ impl Before<'_> {
         self.rows.allocation_bytes(context, plan) + around + others
     }
 
-    /// Bytes of the planes of what lies around, of this plan's SH degree.
+    /// Bytes of the planes of the frozen Gaussians, with this plan's SH degree.
     fn around_bytes(&self, context: &Context, of: &ScenePlan) -> u64 {
         match ScenePlan::new(context.limits(), self.around, of.sh_degree) {
             Ok(plan) if self.around > 0 => context.allocation_bytes(&planes::requests(&plan)),
@@ -74,12 +74,12 @@ impl Before<'_> {
         each.fold(PictureCapacity::NONE, PictureCapacity::and)
     }
 
-    /// All Gaussians at the start.
+    /// Number of all initial Gaussians, trained and frozen.
     fn whole(&self) -> u32 {
         gaussians_with(self.count, self.around)
     }
 
-    /// A frame of these pictures with room for `capacity` Gaussians that are trained, and for so many visible ones.
+    /// A frame of these pictures for `capacity` trained Gaussians, of which up to `visible` are visible.
     fn frame(
         &self,
         context: &Context,
@@ -100,7 +100,7 @@ impl Before<'_> {
         }
     }
 
-    /// Scenes of a frame.
+    /// Number of scenes in a frame.
     fn scenes(&self) -> u32 {
         1 + u32::from(self.around > 0)
     }
@@ -108,9 +108,9 @@ impl Before<'_> {
     /// Refuses photographs whose frames exceed a limit of the device, whatever the memory.
     ///
     /// # Errors
-    /// [`Error::TooLarge`] for the photograph that needs most, with the size of its largest buffer.
+    /// [`Error::TooLarge`] for the photograph with the largest need, with the size of its largest buffer.
     pub fn check_photos(&self, context: &Context) -> Result<()> {
-        // The first photograph of each size, and how many have it.
+        // The first photograph of each size, and the number of photographs with that size.
         let mut sizes: HashMap<Size, (&PhotoSize, usize)> = HashMap::new();
         for photo in self.photos {
             sizes.entry((photo.width, photo.height)).or_insert((photo, 0)).1 += 1;
@@ -140,7 +140,7 @@ impl Before<'_> {
         }
     }
 
-    /// Whether a device can have the buffers and grids of a frame of this size.
+    /// Checks that the device supports the buffers and grids of a frame of this size.
     fn check_size(&self, context: &Context, size: (u32, u32)) -> Result<()> {
         let limits = context.limits();
         let count = self.count.min(max_trained_among(limits, self.around));
@@ -169,10 +169,10 @@ impl Before<'_> {
         }
     }
 
-    /// The initial capacity in Gaussians: with a reserve of half, or what the memory holds.
+    /// Initial capacity in Gaussians: half more than the initial ones, or just those if memory is short.
     ///
     /// # Errors
-    /// [`Error::TooLarge`] if even the initial Gaussians do not fit, with the bytes that suffice if pictures show all of them.
+    /// [`Error::TooLarge`] if even the initial Gaussians do not fit, with bytes that suffice if pictures show all of them.
     pub fn initial_capacity(&self, context: &Context) -> Result<u32> {
         let Self { photos: all, ref photo_bytes, count, sh_degree, .. } = *self;
         let most = max_trained_among(context.limits(), self.around);
@@ -185,7 +185,7 @@ impl Before<'_> {
                 limit_name: "what maxStorageBufferRange holds",
             });
         }
-        // A reserve: densification reallocates when it is used up.
+        // The reserve delays the first reallocation by densification.
         let wanted = count.saturating_add(count / 2).max(1 << 12).min(most);
         let (limit, limit_name) = context.memory_limit().unwrap_or((u64::MAX, "no limit"));
         let held = context.held_bytes();
@@ -197,13 +197,13 @@ impl Before<'_> {
         };
         let photos = photo_bytes.held + photo_bytes.staging;
         let fits = |of: &RowBytes| of.device + photos <= free && of.is_offloadable(context);
-        // A frame starts with room for a part of the Gaussians. A reserve must not be what it cannot grow for.
+        // A frame starts with a capacity for part of the Gaussians. The reserve must leave memory for a frame of all of them.
         let whole = self.whole();
         if fits(&buffers(wanted, whole)?) {
             return Ok(wanted);
         }
         let least = buffers(count, whole)?;
-        // Without room for all, perhaps no picture shows them.
+        // If a frame of all does not fit, pictures may still show fewer.
         if fits(&least) || fits(&buffers(count, initial_visible(whole))?) {
             return Ok(count);
         }
@@ -217,8 +217,7 @@ impl Before<'_> {
             });
         }
         let least = least.device;
-        // Photographs with a budget of half the memory follow the total: all of it, or half of what is
-        // requested.
+        // A photograph budget of half the limit follows the total: all photographs, or half of the requested bytes.
         let follow = photo_bytes.budget == Some(limit / 2);
         let with_more = if follow { photo_bytes.all.min(least) + photo_bytes.staging } else { photos };
         let largest = all.iter().max_by_key(|photo| u64::from(photo.width) * u64::from(photo.height));
@@ -236,7 +235,7 @@ impl Before<'_> {
         );
         Err(Error::TooLarge {
             what,
-            // With what is held, so that a limit of that many bytes suffices.
+            // Includes the bytes already held, so that a limit of this value suffices.
             needed: held + least + with_more.max(photos),
             unit: "bytes",
             limit,
@@ -244,13 +243,13 @@ impl Before<'_> {
         })
     }
 
-    /// Whether the capacities of an earlier run hold the Gaussians and fit here.
+    /// True if the capacities of an earlier run hold the Gaussians and fit here.
     pub fn has_room(&self, context: &Context, room: &Room) -> bool {
         let limits = context.limits();
         let Ok(plan) = ScenePlan::new(limits, room.gaussians, self.sh_degree) else { return false };
         let sizes = LaunchSizes::new(limits);
         let frame = room.frame((self.pictures(), self.scenes()), self.rows.absolute().is_some());
-        // No tile has more entries than there are instances.
+        // No tile has more entries than the frame has instances.
         let passes = |frame: &FrameCapacity| frame.instances.div_ceil(sizes.entries_per_pass).max(1);
         let fits = frame.is_none_or(|frame| {
             frame.blend_passes <= passes(&frame) && frame_fits_device(limits, &frame, &sizes)
@@ -265,8 +264,7 @@ impl Before<'_> {
     }
 }
 
-/// The new capacity when `rows` do not fit: with a reserve of half, up to the most Gaussians that can be
-/// trained with so many around them.
+/// New capacity when `rows` do not fit: half more, up to the most that can be trained beside `around` frozen Gaussians.
 pub(super) fn grown_capacity(context: &Context, rows: u32, around: u32) -> u32 {
     let most = max_trained_among(context.limits(), around);
     rows.saturating_add(rows / 2).min(most.max(rows))
@@ -278,15 +276,15 @@ pub(super) struct Present<'a> {
     pub rows: &'a RowMemory,
     pub plan: &'a ScenePlan,
     pub frame: FrameCapacity,
-    /// Current bytes of the frame's buffers.
+    /// Current bytes of the frame buffers.
     pub frame_bytes: u64,
-    /// Gaussians around those that are trained.
+    /// Number of frozen Gaussians.
     pub around: u32,
 }
 
 impl Present<'_> {
-    /// Whether planes for a plan and a frame of its capacity fit beside the current planes, and, once those
-    /// are freed, a frame with proportionally more visible Gaussians and instances.
+    /// True if planes for `plan` and a frame of its capacity fit beside the current planes. Once those are freed, a frame with
+    /// proportionally more visible Gaussians and instances must fit too.
     pub fn has_room(&self, plan: &ScenePlan) -> bool {
         let Self { context, rows, plan: old, frame, frame_bytes: old_frame, around } = self;
         let limits = context.limits();
@@ -301,7 +299,7 @@ impl Present<'_> {
         let sizes = LaunchSizes::new(limits);
         let of = |plan: &ScenePlan| gaussians_with(plan.capacity, *around);
         let grown = FrameCapacity { gaussians: of(plan), ..*frame };
-        // The numbers of visible ones and of instances grow with the number of Gaussians.
+        // The visible Gaussians and instances grow with the number of Gaussians.
         let grow = |n: u32, most: u32| {
             let grown = u64::from(n) * u64::from(of(plan)) / u64::from(of(old).max(1));
             grown.min(most.into()) as u32
@@ -317,7 +315,7 @@ impl Present<'_> {
         during.max(after) <= limit
     }
 
-    /// The most rows, up to `rows`, that fit; at least the current capacity.
+    /// Largest number of rows, up to `rows`, that fits; at least the current capacity.
     pub fn most_with_room(&self, rows: u32) -> Result<u32> {
         let (mut fits, mut beyond) = (self.plan.capacity, rows);
         while beyond.saturating_sub(fits) > (self.plan.capacity / 64).max(1) {
@@ -328,9 +326,9 @@ impl Present<'_> {
         Ok(fits)
     }
 
-    /// The most rows that a densification of `before` Gaussians may leave. Later frames should stay within three quarters of
-    /// the instances that the device can hold, because views differ. No row is added if the memory does not hold a frame with the
-    /// most that frames needed so far.
+    /// Maximum number of rows after a densification of `before` Gaussians. Later frames should stay within three quarters of
+    /// the device's instance limit, because views differ. No row is added if memory cannot hold a frame with the peak counts so
+    /// far.
     pub fn most_rows_by_frames(&self, before: u32, most: Needs) -> u32 {
         if !self.holds(most) {
             return before;
@@ -341,7 +339,7 @@ impl Present<'_> {
         all.saturating_sub(around).clamp(before.into(), u32::MAX.into()) as u32
     }
 
-    /// Whether the memory holds such a frame.
+    /// True if memory holds a frame with these peak counts.
     fn holds(&self, most: Needs) -> bool {
         let Some((limit, _)) = self.context.memory_limit() else { return true };
         let visible = most.visible.min(self.frame.gaussians).max(self.frame.visible);

@@ -1,8 +1,8 @@
 //! The complete state of a training run between two steps.
 //!
 //! The crate `ashsplat-files` reads and writes it as a file: parameters, Adam's moments and the statistics of
-//! densification as named tensors, the rest as metadata. A resumed run ends with the same bits as a run that
-//! was never interrupted: random numbers are keyed by seed and iteration, so no generator has state.
+//! densification as named tensors, the rest as metadata. A resumed run ends with the same bits as an uninterrupted run: random
+//! numbers are keyed by seed and iteration, so no generator has state.
 
 use super::block::BlockState;
 use super::settings::TrainSettings;
@@ -13,7 +13,7 @@ use crate::scene::camera::MAX_IMAGE_SIDE;
 use crate::scene::gaussians::sh_coefficients;
 use crate::scene::{Gaussians, WorldFrame};
 
-/// Most [`Room::blend_passes`].
+/// Upper limit of [`Room::blend_passes`].
 const MOST_BLEND_PASSES: u32 = 1 << 16;
 
 /// The state of a training run after an iteration.
@@ -25,8 +25,8 @@ pub struct Checkpoint {
     pub device: String,
     /// The device's driver and its version. With another driver the bits may differ.
     pub driver: String,
-    /// Which forms of the kernels ran ([`Limits::kernel_forms`](crate::vk::Limits::kernel_forms)); empty in older checkpoints. With
-    /// other ones the bits may differ.
+    /// Forms of the kernels ([`Limits::kernel_forms`](crate::vk::Limits::kernel_forms)); empty in older checkpoints. With other
+    /// forms the bits may differ.
     pub kernels: String,
     /// The run's settings.
     pub settings: TrainSettings,
@@ -36,15 +36,15 @@ pub struct Checkpoint {
     pub views_fingerprint: u64,
     /// The scene's extent, world units.
     pub scene_extent: f32,
-    /// The frame of all lengths. The caller that writes a trainer's checkpoint sets it.
+    /// Origin and unit of all lengths. The caller that writes the checkpoint sets it.
     pub frame: WorldFrame,
     /// Iterations done.
     pub iteration: u32,
-    /// Steps of the optimiser so far.
+    /// Number of optimiser steps so far.
     pub optimizer_steps: u64,
-    /// Steps of the opacities' optimiser so far.
+    /// Number of optimiser steps of the opacities so far.
     pub opacity_steps: u64,
-    /// Work of the strategy at the beginning of the next step.
+    /// Work of the strategy before the next step.
     pub due: Actions,
     /// The parameters.
     pub gaussians: Gaussians,
@@ -52,34 +52,32 @@ pub struct Checkpoint {
     pub first_moments: Gaussians,
     /// Adam's second moments, shaped like the parameters.
     pub second_moments: Gaussians,
-    /// Per Gaussian: sum of the 2D mean's gradient norms (NDC), number of views.
+    /// Per Gaussian: sum of the norms of the 2D mean's gradient (NDC), number of views.
     pub statistics: Vec<[f32; 2]>,
-    /// The sizes of the 3D filter, world units, one per Gaussian; none without
-    /// [`TrainSettings::filter_3d`].
+    /// Sizes of the 3D filter, world units, one per Gaussian; empty without [`TrainSettings::filter_3d`].
     pub filters: Vec<f32>,
-    /// What the strategy keeps besides.
+    /// Further state of the strategy.
     pub strategy: StrategyState,
-    /// Gradients that were added up since the last step.
+    /// Sums of the gradients since the last step.
     pub gradient_sums: Option<GradientSums>,
-    /// Means of parameters over the last steps ([`TrainSettings::average_last`]).
+    /// Means of the parameters over the last steps ([`TrainSettings::average_last`]).
     pub means: Option<MeanState>,
-    /// The exposures of the views' photographs, if they are learned.
+    /// Exposures of the views' photographs, if they are learned.
     pub exposures: ExposureState,
-    /// The effects of the lenses ([`LensEffects`](crate::scene::LensEffects)) in the order of the cameras' ids, if they
-    /// are learned.
+    /// Lens effects ([`LensEffects`](crate::scene::LensEffects)) in the order of the camera ids, if they are learned.
     pub lenses: ExposureState,
-    /// The poses of the views, if they are optimised.
+    /// Poses of the views, if they are optimised.
     pub poses: Option<PoseState>,
     /// Number of consecutive skipped iterations up to this one ([`super::StepReport::skipped`]).
     pub skipped: u32,
-    /// The block of the scene that is trained; None of a whole one. What lies around is not in a checkpoint.
+    /// The trained block; None for a whole scene. The checkpoint does not hold the frozen Gaussians.
     pub block: Option<BlockState>,
     /// Allocated capacities.
     pub room: Room,
 }
 
-/// Exposures of photographs, by the views' order: see [`Exposure`](crate::scene::Exposure); or effects of lenses. Empty
-/// where they are not learned.
+/// Exposures of photographs ([`Exposure`](crate::scene::Exposure)) in the views' order, or effects of lenses. Empty if they are
+/// not learned.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ExposureState {
     /// The matrices.
@@ -90,56 +88,56 @@ pub struct ExposureState {
     pub second_moments: Vec<[[f32; 4]; 3]>,
 }
 
-/// The parts of a run, and the state of its strategy: see [`Strategy`](super::Strategy).
+/// The strategy's state and the names of the run's parts: see [`Strategy`](super::Strategy).
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct StrategyState {
-    /// Its name; empty in checkpoints of older versions.
+    /// Name of the strategy; empty in older checkpoints.
     pub name: String,
-    /// The names of the loss's terms; none in checkpoints of older versions.
+    /// Names of the loss terms; empty in older checkpoints.
     pub terms: Vec<String>,
-    /// Its own statistics.
+    /// Statistics of the strategy.
     pub statistics: Vec<StrategyStatistic>,
-    /// Names and values of its state on the host.
+    /// Names and values of the strategy's state on the host.
     pub values: Vec<(String, String)>,
 }
 
-/// Sums of the gradients of several views, of which a later step makes use.
+/// Sums of the gradients of several views, for a later step.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GradientSums {
-    /// Number of the views.
+    /// Number of views in the sums.
     pub views: u32,
     /// The sums, shaped like the parameters.
     pub sums: Gaussians,
-    /// Those of exposures and lenses.
+    /// Sums for exposures and lenses.
     pub light: LightSums,
-    /// Those of the poses, if they are optimised. Older checkpoints have none: what the views gave is then lost.
+    /// Sums for the poses, if they are optimised. Older checkpoints lack them and lose these views' contributions.
     pub poses: Vec<[f32; 6]>,
 }
 
-/// Sums of the gradients of several views, or means of the values; empty where nothing is learned, and in older checkpoints.
+/// Sums of gradients over several views, or means of values. Empty if nothing is learned, and in older checkpoints.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LightSums {
-    /// Of the exposures.
+    /// One per photograph.
     pub exposures: Vec<[[f32; 4]; 3]>,
-    /// Of the lenses.
+    /// One per lens.
     pub lenses: Vec<[[f32; 4]; 3]>,
 }
 
-/// Means of parameters over steps.
+/// Means of the parameters over several steps.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MeanState {
-    /// Number of the steps.
+    /// Number of steps in the means.
     pub steps: u32,
     /// The means, shaped like the parameters.
     pub gaussians: Gaussians,
-    /// Those of exposures and lenses.
+    /// Means for exposures and lenses.
     pub light: LightSums,
 }
 
 /// A statistic of a strategy.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StrategyStatistic {
-    /// Its name.
+    /// Name of the statistic.
     pub name: String,
     /// Values per Gaussian.
     pub floats: u32,
@@ -150,57 +148,57 @@ pub struct StrategyStatistic {
 /// Optimised poses, one row per view: see [`Twist`](crate::scene::Twist).
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PoseState {
-    /// What each camera has been moved by: ξ = (ν, ω), world units and radians.
+    /// Movement of each camera: ξ = (ν, ω), world units and radians.
     pub parameters: Vec<[f32; 6]>,
     /// Adam's first moments.
     pub first_moments: Vec<[f32; 6]>,
     /// Adam's second moments.
     pub second_moments: Vec<[f32; 6]>,
-    /// The depth of the point about which each camera turns in steps, world units; 0 for its centre. Older checkpoints have none:
-    /// all of theirs turn about their centres.
+    /// Depth of the point about which each camera turns in steps, world units; 0 for its centre. Older checkpoints have none,
+    /// and their cameras turn about their centres.
     pub depths: Vec<f32>,
 }
 
-/// A part of a checkpoint.
+/// A tensor of a checkpoint.
 #[derive(Clone, Debug)]
 pub struct Tensor<'a> {
-    /// Its name in the file.
+    /// Name in the file.
     pub name: String,
-    /// Its shape, outermost dimension first.
+    /// Shape, outermost dimension first.
     pub shape: Vec<usize>,
-    /// Its values, f32 in the host's order.
+    /// Values: f32 in the host's byte order.
     pub bytes: &'a [u8],
 }
 
-/// The allocated capacities of a run. Within a bounded memory, they decide whether a densification fits.
+/// Allocated capacities of a run. With a memory limit, they decide whether a densification fits.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Room {
     /// Capacity of the parameter planes in Gaussians.
     pub gaussians: u32,
-    /// Gaussians of a frame.
+    /// Capacity of a frame in Gaussians.
     pub frame_gaussians: u32,
-    /// Visible Gaussians of a frame. Files of earlier versions have none: all were.
+    /// Capacity of a frame in visible Gaussians. Older files have none: then all were visible.
     pub frame_visible: u32,
-    /// (tile, Gaussian) instances of a frame.
+    /// Capacity of a frame in (tile, Gaussian) instances.
     pub frame_instances: u32,
-    /// Largest width of the views, pixels; 0 without a frame. Earlier versions sized frames by this times
-    /// [`Room::frame_height`]. Now only the 0 counts: a frame has room for each view's own size.
+    /// Largest width of the views, pixels; 0 without a frame. Older versions sized frames by this times [`Room::frame_height`].
+    /// Now only the 0 counts: a frame has capacity for each view's own size.
     pub frame_width: u32,
     /// Largest height of the views, pixels; 0 without a frame.
     pub frame_height: u32,
-    /// Passes of blending.
+    /// Number of blending passes.
     pub blend_passes: u32,
-    /// Whether a frame has the buffers of the backward pass: 0 or 1.
+    /// 1 if a frame has the buffers of the backward pass, else 0.
     pub backward: u32,
-    /// Most visible Gaussians of a frame, kept as [`Room::most_instances`]. Files of earlier versions have none: 0.
+    /// Peak number of visible Gaussians in a frame, scaled like [`Room::most_instances`]; 0 in older files.
     pub most_visible: u32,
-    /// Most instances of a frame. Each densification keeps the number per Gaussian, less a twentieth.
+    /// Peak number of instances in a frame. Each densification keeps the number per Gaussian, less a twentieth.
     pub most_instances: u32,
     /// [`crate::vk::ContextOptions::max_memory`], bytes.
     pub max_memory: Option<u64>,
 }
 
-/// What a checkpoint must match to be resumed.
+/// Properties that a checkpoint must match to be resumed.
 pub(super) struct Wanted<'a> {
     pub settings: &'a TrainSettings,
     pub views: u64,
@@ -210,11 +208,10 @@ pub(super) struct Wanted<'a> {
 }
 
 impl Checkpoint {
-    /// Why a run that is resumed here may end with other bits than one that was never interrupted: another
-    /// version, device or driver made the checkpoint, or other forms of the kernels
-    /// ([`Limits::kernel_forms`](crate::vk::Limits::kernel_forms)). One sentence each.
+    /// Reasons why a run that is resumed here may end with other bits than an uninterrupted run, one sentence each. The
+    /// version, device, driver or forms of the kernels ([`Limits::kernel_forms`](crate::vk::Limits::kernel_forms)) can differ.
     pub fn differences(&self, device: &str, driver: &str, kernels: &str) -> Vec<String> {
-        // Older checkpoints do not say it.
+        // Older checkpoints do not name their kernels.
         let own = if self.kernels.is_empty() { kernels } else { &self.kernels };
         let pairs = [
             ("ashsplat", self.version.as_str(), env!("CARGO_PKG_VERSION")),
@@ -229,7 +226,7 @@ impl Checkpoint {
         differing.map(say).collect()
     }
 
-    /// The tensors: names, shapes and values, in the order of the file.
+    /// Names, shapes and values of the tensors, in the file's order.
     pub fn tensors(&self) -> Vec<Tensor<'_>> {
         let mut tensors = Vec::new();
         let sets = [&self.gaussians, &self.first_moments, &self.second_moments];
@@ -295,42 +292,42 @@ impl Checkpoint {
         tensors
     }
 
-    /// Prefixes of the tensors' names: parameters, first and second moments.
+    /// Prefixes of the tensor names: parameters, first moments, second moments.
     pub const SETS: [&str; 3] = ["", "first_moment.", "second_moment."];
 
-    /// Name of the tensor of the filter's sizes, as in Mip-Splatting's PLY.
+    /// Name of the tensor of filter sizes, as in Mip-Splatting's PLY.
     pub const FILTERS: &str = "filter_3D";
 
-    /// Prefix of the names of [`Checkpoint::gradient_sums`].
+    /// Prefix of the tensor names of [`Checkpoint::gradient_sums`].
     pub const GRADIENT_SUMS: &str = "gradient_sum.";
 
-    /// Prefix of the names of [`Checkpoint::means`].
+    /// Prefix of the tensor names of [`Checkpoint::means`].
     pub const MEANS: &str = "mean.";
 
-    /// Name of the exposures' tensor, and of that of their moments behind the prefixes.
+    /// Name of the exposures' tensor. Their moments add the prefixes.
     pub const EXPOSURES: &str = "exposures";
 
-    /// The same of the lenses.
+    /// Name of the lenses' tensor. Their moments add the prefixes.
     pub const LENSES: &str = "lenses";
 
-    /// Names of the poses' tensors: parameters, first and second moments. Only of runs that optimise them.
+    /// Names of the pose tensors: parameters, first moments, second moments. Only runs that optimise poses have them.
     pub const POSES: [&str; 3] = ["pose", "first_moment.pose", "second_moment.pose"];
 
     /// Name of the tensor of [`PoseState::depths`].
     pub const POSE_DEPTHS: &str = "pose_depth";
 
-    /// Prefix of the strategy's own statistics, and of its values in the metadata.
+    /// Prefix of the strategy's statistics, and of its values in the metadata.
     pub const STRATEGY: &str = "strategy.";
 
-    /// A hash of all tensors. Equal hashes mean states that are equal to the bit.
+    /// Hash of all tensors. Equal hashes mean states that are equal to the bit.
     pub fn fingerprint(&self) -> u64 {
         let mut fingerprint = Fingerprint::new();
         self.tensors().iter().for_each(|tensor| fingerprint.add(tensor.bytes));
         fingerprint.finish()
     }
 
-    /// Checks that all sets have the same number of Gaussians and the settings' SH degree, and that each number is one that a
-    /// training can have.
+    /// Checks that all sets have the same number of Gaussians and the settings' SH degree, and that each number is possible in
+    /// a training.
     ///
     /// # Errors
     /// [`Error::Argument`] naming the set or the number.
@@ -376,7 +373,7 @@ impl Checkpoint {
         self.check_values()
     }
 
-    /// Statistics and sums of gradients may be anything: what is not finite there changes no parameter.
+    /// Statistics and gradient sums are unchecked, because values there that are not finite change no parameter.
     fn check_values(&self) -> Result<()> {
         let free = ["statistics", Self::STRATEGY, Self::GRADIENT_SUMS];
         for Tensor { name, bytes, .. } in self.tensors() {
@@ -452,10 +449,10 @@ impl Checkpoint {
         Ok(())
     }
 
-    /// Whether a run with these settings and views could have made the checkpoint.
+    /// Checks that a run with these settings and views could have made the checkpoint.
     pub(super) fn check_fits(&self, wanted: &Wanted) -> Result<()> {
         let refuse = |problem: String| Err(Error::argument("checkpoint", problem));
-        // First: photographs go by the block, and settings by the photographs.
+        // The block comes first: photographs depend on the block, and settings on the photographs.
         if let Some(difference) = BlockState::difference(self.block.as_ref(), wanted.block.as_ref()) {
             return refuse(difference);
         }
@@ -464,7 +461,7 @@ impl Checkpoint {
         }
         let mut settings = TrainSettings { iterations: wanted.settings.iterations, ..self.settings.clone() };
         if !settings.exposure {
-            // Of no effect, and presets came to set them.
+            // Unused without `exposure`. Ignored, because later presets set them.
             settings.exposure_lr_init = wanted.settings.exposure_lr_init;
             settings.exposure_lr_final = wanted.settings.exposure_lr_final;
             settings.exposure_reg = wanted.settings.exposure_reg;
@@ -498,7 +495,7 @@ impl Checkpoint {
     }
 }
 
-/// The settings that differ, each as "name was there, is here".
+/// Settings that differ, each as "name was there, is here"; None if all are equal.
 pub(super) fn difference(there: &TrainSettings, here: &TrainSettings) -> Option<String> {
     let (there, here) = (there.values(), here.values());
     let differing = there.iter().zip(&here).filter(|(there, here)| there != here);

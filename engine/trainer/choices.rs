@@ -1,67 +1,69 @@
-//! Choices among parts of training, by the names that settings give them.
+//! Values of the settings that choose among parts of training.
 
-/// The optimiser of the parameters.
+/// Optimiser of the parameters.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "snake_case"))]
 pub enum OptimizerType {
     /// Adam on every Gaussian in every iteration (the reference's `default`).
     #[default]
     Default,
-    /// Adam on the Gaussians seen in the iteration's view only, without bias correction (`sparse_adam`).
+    /// Adam only on the Gaussians that are visible in the iteration's view, without bias correction (`sparse_adam`).
     SparseAdam,
 }
 
-/// The strategy of density control. A host can hand in one of its own: [`super::TrainParts`].
+/// Strategy of density control. A host can supply its own: [`super::TrainParts`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "snake_case"))]
 pub enum StrategyType {
-    /// That of the reference implementation: clone, split, prune, opacity reset. Files may also call it
-    /// `default`, its name in earlier versions.
+    /// The reference implementation's: clone, split, prune, opacity reset. Settings files may also use `default`, its name in
+    /// earlier versions.
     #[default]
     #[cfg_attr(feature = "serde", serde(alias = "default"))]
     Reference,
-    /// None: the Gaussians of the beginning are optimised, and their number stays.
+    /// No density control: the initial Gaussians are optimised, and their number stays.
     Fixed,
-    /// 3DGS-MCMC's: relocation, growth to `cap_max`, noise. [`TrainSettings::of_strategy`](super::TrainSettings::of_strategy) has its values.
+    /// 3DGS-MCMC's: relocation, growth to `cap_max`, noise. [`TrainSettings::of_strategy`](super::TrainSettings::of_strategy)
+    /// has its values.
     Mcmc,
-    /// Budgeted growth after Improved-GS: the Gaussians that matter most for the edges of the photographs are
-    /// split along their long axis, up to a number that grows to `cap_max`. [`TrainSettings::of_strategy`](super::TrainSettings::of_strategy) has
-    /// its values.
+    /// Budgeted growth after Improved-GS: splits the Gaussians that matter most for the photographs' edges along their long
+    /// axis, up to a number that grows to `cap_max`. [`TrainSettings::of_strategy`](super::TrainSettings::of_strategy) has its
+    /// values.
     Budget,
 }
 
-/// How a Gaussian is split.
+/// Method of splitting a Gaussian.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "kebab-case"))]
 pub enum SplitType {
-    /// Two means drawn from it, scales divided by 1.6 (the reference's).
+    /// Two means drawn from the Gaussian, scales divided by 1.6 (the reference's).
     #[default]
     Sample,
-    /// Two along its longest axis, at ± 1.35 of that scale (Improved-GS).
+    /// Two means on the longest axis, at ± 1.35 of its scale (Improved-GS).
     LongAxis,
 }
 
-/// What the chance to be split follows, among the candidates of the strategy `budget`.
+/// Weight of a candidate's chance to be split, in the strategy `budget`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "snake_case"))]
 pub enum ImportanceType {
-    /// The blending weights at the photographs' edges, over several views (Improved-GS).
+    /// Blending weights at the photographs' edges, over several views (Improved-GS).
     #[default]
     Edges,
-    /// The statistic that made the candidates.
+    /// The statistic that selected the candidates.
     Statistic,
-    /// Nothing: all have the same chance.
+    /// Equal weights.
     None,
 }
 
-/// What a training is to be good at: [`TrainSettings::of_preset`](super::TrainSettings::of_preset). Without a preset it is the reference's.
+/// Goal of a training: [`TrainSettings::of_preset`](super::TrainSettings::of_preset). Without a preset the reference's values
+/// apply.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "snake_case"))]
 pub enum Preset {
-    /// Time: fewer Gaussians, small pictures first.
+    /// Short time: fewer Gaussians, small pictures first.
     Fast,
-    /// Quality, with fewer Gaussians than the reference and in about its time.
+    /// Good quality, with fewer Gaussians than the reference and in about its time.
     Default,
-    /// Quality, whatever the time.
+    /// Best quality, regardless of time.
     Quality,
 }

@@ -1,4 +1,4 @@
-//! What is known of the depths in the views, on the device: inverse-depth maps, and sparse points.
+//! Known depths of the views on the device: inverse-depth maps and sparse points.
 
 use super::TrainView;
 use super::photos::PhotoSize;
@@ -6,10 +6,10 @@ use crate::error::Result;
 use crate::loss::DepthPointBuffers;
 use crate::vk::{Buffer, Context, MemoryKind};
 
-/// Per view: a float per pixel, row by row, if it has a map; and its points, if it has any.
+/// Per view: its inverse-depth map (a float per pixel, row by row) and its sparse points, if it has them.
 pub(super) struct DepthMaps(Vec<(Option<Buffer>, Option<DepthPointBuffers>)>);
 
-/// The buffers view by view, the map first.
+/// Buffers of all views in order, each view's map before its points.
 fn requests(photos: &[PhotoSize]) -> Vec<(&'static str, u64)> {
     let of_photo = |photo: &PhotoSize| {
         let pixels = u64::from(photo.width) * u64::from(photo.height);
@@ -20,7 +20,7 @@ fn requests(photos: &[PhotoSize]) -> Vec<(&'static str, u64)> {
     photos.iter().flat_map(of_photo).collect()
 }
 
-/// Bytes of device memory that they take.
+/// Bytes of device memory for all maps and points.
 pub(super) fn device_bytes(context: &Context, photos: &[PhotoSize]) -> u64 {
     match requests(photos) {
         none if none.is_empty() => 0,
@@ -29,7 +29,7 @@ pub(super) fn device_bytes(context: &Context, photos: &[PhotoSize]) -> u64 {
 }
 
 impl DepthMaps {
-    /// Uploads the views' maps and points; the photographs have these sizes.
+    /// Uploads the maps and points of the views, whose photographs have these sizes.
     pub fn new(context: &Context, views: &[TrainView], sizes: &[PhotoSize]) -> Result<Self> {
         let requests = requests(sizes);
         let buffers = match requests.is_empty() {
@@ -56,12 +56,10 @@ impl DepthMaps {
         Ok(Self(each.collect::<Result<_>>()?))
     }
 
-    /// The map of a view.
     pub fn of(&self, view: usize) -> Option<&Buffer> {
         self.0[view].0.as_ref()
     }
 
-    /// The points of a view.
     pub fn points_of(&self, view: usize) -> Option<&DepthPointBuffers> {
         self.0[view].1.as_ref()
     }

@@ -1,4 +1,4 @@
-//! Checkpoints of neighbouring blocks exchange their Gaussians, with all that training keeps of each.
+//! Moves Gaussians between checkpoints of neighbouring blocks, with their moments and statistics.
 
 use super::block::SceneBlock;
 use super::checkpoint::{Checkpoint, Room, StrategyStatistic, difference};
@@ -6,15 +6,15 @@ use super::settings::TrainSettings;
 use crate::error::{Error, Result};
 
 impl Checkpoint {
-    /// Leaves these Gaussians alone, in this order, with their moments and statistics. What is kept of views and of the run stays.
+    /// Keeps only these Gaussians, in this order, with their moments and statistics. The state of views and of the run stays.
     pub fn keep(&mut self, rows: &[usize]) {
         let sums = self.gradient_sums.iter_mut().map(|sums| &mut sums.sums);
         let sets = [&mut self.gaussians, &mut self.first_moments, &mut self.second_moments];
         sets.into_iter().chain(sums).for_each(|set| *set = set.select(rows));
-        // They begin anew.
+        // Averaging starts again.
         self.means = None;
         self.statistics = rows.iter().map(|&row| self.statistics[row]).collect();
-        // There are none without the 3D filter.
+        // Empty without the 3D filter.
         self.filters = rows.iter().filter_map(|&row| self.filters.get(row).copied()).collect();
         for StrategyStatistic { floats, values, .. } in &mut self.strategy.statistics {
             let floats = *floats as usize;
@@ -22,10 +22,11 @@ impl Checkpoint {
         }
     }
 
-    /// Appends the Gaussians of another run with the same settings. What that run keeps of its views is left out.
+    /// Appends the Gaussians of another run with the same settings. The other run's state of views is dropped.
     ///
     /// # Errors
-    /// [`Error::Argument`] naming the settings that differ, and where one of the two has added up gradients of more views.
+    /// [`Error::Argument`] if settings differ, naming them, or if the gradient sums of the two cover different numbers of
+    /// views.
     pub fn append(&mut self, other: &Self) -> Result<()> {
         let refuse = |problem: String| Err(Error::argument("checkpoint", problem));
         if let Some(difference) = self.difference_of_settings(&other.settings) {
@@ -56,14 +57,14 @@ impl Checkpoint {
         Ok(())
     }
 
-    /// The settings in which another run's differ, but for the number of iterations; None if there are none.
+    /// Settings in which another run differs, except the number of iterations; None if none differ.
     pub fn difference_of_settings(&self, others: &TrainSettings) -> Option<String> {
         let there = TrainSettings { iterations: self.settings.iterations, ..others.clone() };
         difference(&there, &self.settings)
     }
 
-    /// Goes on in this block, among what lies around it. The room that was allocated for other Gaussians is forgotten: as much is
-    /// allocated as at a start, but that frames are expected to be like those of before.
+    /// Continues training in this block, with new frozen neighbours. The allocated capacities are reset to those of a start;
+    /// only the expected counts of a frame stay.
     pub fn settle_in(&mut self, block: &SceneBlock) {
         self.block = block.state();
         let Room { frame_visible, most_visible, most_instances, max_memory, .. } = self.room;

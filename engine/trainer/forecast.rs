@@ -1,4 +1,4 @@
-//! Whether a training fits the device and the memory, before its photographs are read.
+//! Checks that a training fits the device and the memory before its photographs are read.
 
 use super::budget::Before;
 use super::checkpoint::Room;
@@ -14,31 +14,31 @@ use crate::forward::Filter3d;
 use crate::loss::{LossTerm, Photometric};
 use crate::vk::Context;
 
-/// What is known of a training before its photographs are read.
+/// Properties of a training that are known before its photographs are read.
 #[derive(Clone, Copy, Debug)]
 pub struct Forecast<'a> {
-    /// Its settings.
+    /// Settings of the training.
     pub settings: &'a TrainSettings,
     /// The photographs to train on.
     pub photos: &'a [PhotoSize],
-    /// If the photographs will be in a file: the bound of the memory that they take, bytes
+    /// Memory bound of the photographs in bytes, if they will be in a file
     /// ([`PhotoFile::memory_bytes`](crate::scene::PhotoFile::memory_bytes)).
     pub photo_memory: Option<u64>,
-    /// Initial number of Gaussians that are trained; that of the checkpoint if the training goes on from one.
+    /// Initial number of trained Gaussians; the checkpoint's when resuming.
     pub gaussians: u32,
-    /// Number of Gaussians around those that are trained: [`SceneBlock::frozen`](super::SceneBlock::frozen).
+    /// Number of frozen Gaussians: [`SceneBlock::frozen`](super::SceneBlock::frozen).
     pub frozen: u32,
-    /// The checkpoint's capacities.
+    /// Capacities of the checkpoint.
     pub room: Option<&'a Room>,
 }
 
 impl Forecast<'_> {
-    /// Refuses what [`Trainer::new`](super::Trainer::new) or [`Trainer::resume`](super::Trainer::resume) would refuse
-    /// for want of memory or because of a limit of the device.
+    /// Refuses a training that [`Trainer::new`](super::Trainer::new) or [`Trainer::resume`](super::Trainer::resume) would
+    /// refuse because of memory or a device limit.
     ///
     /// # Errors
-    /// [`Error::TooLarge`](crate::Error::TooLarge) with the photograph and the needed bytes, of the device
-    /// ([`Error::Vulkan`](crate::Error::Vulkan)).
+    /// [`Error::TooLarge`](crate::Error::TooLarge) with the photograph and the needed bytes;
+    /// [`Error::Vulkan`](crate::Error::Vulkan) from the device.
     pub fn check(&self, context: &Context) -> Result<()> {
         let Self { settings, photos, photo_memory, gaussians, frozen, room } = *self;
         settings.check()?;
@@ -47,15 +47,15 @@ impl Forecast<'_> {
         }
         let parts = TrainParts::of_settings(context, settings)?;
         parts.strategy.check(settings, gaussians)?;
-        // Whether a block with nothing around it has a border is not known here; the trainer looks at that.
+        // The border of a block without frozen Gaussians is unknown here. The trainer checks it.
         surroundings::check_settings(settings, &*parts.strategy, false, frozen > 0)?;
-        // The extent scales a weight only.
+        // The extent only scales a weight.
         let kit = Kit::new(context, (settings, 1.0), parts, photos)?;
         kit.capacity(context, settings, (photos, photo_memory), (gaussians, frozen), room).map(drop)
     }
 }
 
-/// The kernels of a run, and what it keeps per Gaussian.
+/// Kernels of a run, and its memory per Gaussian.
 pub(super) struct Kit {
     pub strategy: Box<dyn Strategy>,
     pub recorder: StepRecorder,
@@ -96,10 +96,11 @@ impl Kit {
         Ok(Self { strategy, recorder, rows })
     }
 
-    /// The initial capacity in Gaussians, of `count` that are trained among `around` others, and the given capacities of an earlier run if they fit.
+    /// Initial capacity in Gaussians, for `count` trained ones among `around` frozen ones. Also returns the capacities of an
+    /// earlier run if they fit.
     ///
     /// # Errors
-    /// [`Error::TooLarge`](crate::Error::TooLarge): before anything is allocated.
+    /// [`Error::TooLarge`](crate::Error::TooLarge), before anything is allocated.
     pub fn capacity<'a>(
         &self,
         context: &Context,
@@ -135,7 +136,7 @@ impl Kit {
         };
         before.check_photos(context)?;
         if let Some(error) = refused {
-            // Without memory for the whole training, that of the photographs is the lesser problem.
+            // If the whole training does not fit, that error matters more than the photographs'.
             before.initial_capacity(context)?;
             return Err(error);
         }
@@ -146,7 +147,7 @@ impl Kit {
     }
 }
 
-/// Refuses terms that need different depths of a frame.
+/// Refuses terms that need different kinds of depth in a frame.
 fn check_depths(terms: &[Box<dyn LossTerm>]) -> Result<()> {
     let depths = terms.iter().filter(|term| term.targets().inverse_depth);
     let names: Vec<&str> = depths.map(|term| term.name()).collect();
@@ -161,7 +162,7 @@ fn check_depths(terms: &[Box<dyn LossTerm>]) -> Result<()> {
     Err(Error::argument("depth_points", problem))
 }
 
-/// Refuses a warm-up with depths, which are those of the photographs' pixels.
+/// Refuses a warm-up with depth terms, because their depths belong to the photographs' full-size pixels.
 fn check_warm_up(settings: &TrainSettings, terms: &[Box<dyn LossTerm>]) -> Result<()> {
     match terms.iter().find(|term| term.targets().inverse_depth) {
         Some(term) => settings.refuse_warm_up_with(&format!("depths ({})", term.name())),
@@ -169,7 +170,7 @@ fn check_warm_up(settings: &TrainSettings, terms: &[Box<dyn LossTerm>]) -> Resul
     }
 }
 
-/// The views' photographs, by the views' indices.
+/// Sizes of the views' photographs, in the views' order.
 pub(super) fn sizes_of(views: &[TrainView], settings: &TrainSettings) -> Vec<PhotoSize> {
     let points = |view: &TrainView| match settings.depth_points > 0.0 {
         true => view.depth_points.as_ref().map_or(0, |points| points.len() as u32),

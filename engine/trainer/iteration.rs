@@ -1,5 +1,5 @@
-//! The schedule of a run: what each iteration does. It depends on the settings, the seed, the iteration and
-//! the progress before it.
+//! Schedule of a run: the work of each iteration. It depends on the settings, the seed, the iteration and the progress before
+//! it.
 
 use super::needs::Needs;
 use super::random::{self, ViewOrder};
@@ -17,22 +17,20 @@ use crate::scene::Camera;
 /// Progress of a run between two iterations.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Progress {
-    /// Iterations done.
+    /// Number of finished iterations.
     pub iteration: u32,
-    /// Steps of the optimiser. Iterations that were skipped have none, nor have those where the strategy says
-    /// so.
+    /// Number of optimiser steps. Skipped iterations make none, and the strategy can omit some.
     pub steps: u64,
     pub opacity_steps: u64,
-    /// Views whose gradients were added up since the last step.
+    /// Number of views whose gradients were added up since the last step.
     pub summed: u32,
-    /// Steps over which parameters were averaged since the set last changed.
+    /// Number of steps in the running mean of the parameters since the set of Gaussians last changed.
     pub averaged: u32,
     /// Work before the next iteration.
     pub due: Actions,
 }
 
 impl Progress {
-    /// The progress after an iteration.
     pub fn after(&self, plan: &IterationPlan) -> Self {
         let Work { optimizes, optimizes_opacity, sums_gradients, actions, .. } = plan.work;
         Self {
@@ -55,34 +53,34 @@ impl Progress {
 pub(super) struct IterationPlan {
     pub iteration: u32,
     pub view: usize,
-    /// With which the view is drawn: its own, or one of smaller pictures.
+    /// Camera that draws the view: its own, or one of a smaller picture.
     pub camera: Camera,
     pub work: Work,
-    /// Views whose gradients were added up before.
+    /// Number of views in the gradient sums before this iteration.
     pub summed: u32,
     pub sh_degree: u32,
     pub settings: RenderSettings,
     pub step: Step,
-    /// Whether the sizes of the 3D filter are computed anew after the step.
+    /// True if the 3D filter's sizes are recomputed after the step.
     pub computes_filters: bool,
     pub exposure: LightStep,
-    /// Of the lenses, if their effects are learned.
+    /// Step of the lens effects, if they are learned.
     pub lens_step: LightStep,
-    /// Of the parameters' mean, if it is of this iteration.
+    /// Averaging step of this iteration, if any.
     pub mean_step: Option<MeanStep>,
-    /// Of the poses, if they are optimised.
+    /// Step of the poses, if they are optimised.
     pub pose_step: PoseStep,
 }
 
 impl IterationPlan {
-    /// What a frame of the whole picture needs, as far as the frame that was drawn tells.
+    /// Estimates the visible Gaussians and instances of a full-size frame from those of the drawn frame.
     pub fn needs(&self, run: &Run, drawn: &State) -> Needs {
         let (visible, instances) = (drawn.visible_needed, drawn.all_instances());
         let cameras = [&run.cameras[self.view], &self.camera];
         Needs { visible, instances: warm_up::whole_instances(cameras, instances, visible) }
     }
 
-    /// A plan with the optimiser's step and the statistics, for some view: for a recording that is never executed.
+    /// Plan with the optimiser's step and the statistics for the given view, for a recording that never executes.
     pub fn rehearsal(self, view: usize, camera: Camera, sums_gradients: bool) -> Self {
         let work = Work { optimizes: true, accumulates: true, sums_gradients, ..self.work };
         Self { view, camera, work, mean_step: Some(MeanStep::Adds(1)), ..self }
@@ -92,7 +90,7 @@ impl IterationPlan {
 /// Makes the plans of iterations.
 pub(super) struct Schedule {
     order: ViewOrder,
-    /// How frames are drawn, without what is random.
+    /// Render settings of training, without the random parts.
     drawn: RenderSettings,
 }
 
@@ -101,15 +99,15 @@ impl Schedule {
         Self { order: ViewOrder::new(run.settings.seed, run.cameras.len()), drawn: *drawn }
     }
 
-    /// The plan of the next iteration. `work` is what the strategy says of it.
+    /// Plan of the next iteration. `work` is the strategy's choice for it.
     pub fn plan_after(&mut self, progress: &Progress, run: &Run, mut work: Work) -> IterationPlan {
         let iteration = progress.iteration + 1;
         let s = &run.settings;
         // The reference's last iteration only saves.
         work.optimizes &= iteration < s.iterations;
-        // What was added up before belongs into this step too.
+        // A step must include the gradients added up before.
         work.sums_gradients = (work.sums_gradients || progress.summed > 0) && iteration < s.iterations;
-        // Exposures and poses add up what the Gaussians do.
+        // Exposures and poses add up gradients whenever the Gaussians do.
         let sum = match work.sums_gradients {
             true => ViewSum { starts: progress.summed == 0, makes_step: work.optimizes },
             false => ViewSum::ALONE,
@@ -129,7 +127,7 @@ impl Schedule {
                 ..self.drawn
             },
             step: optimizer_step(run, iteration, progress, &work),
-            // They follow the means.
+            // Filter sizes depend on the means.
             computes_filters: s.computes_filters_at(iteration)
                 || (s.filter_3d && mean_step == Some(MeanStep::Ends)),
             mean_step,
@@ -147,7 +145,7 @@ impl Schedule {
                 decay: 2.0 * s.lens_reg,
                 sparsity: 0.0,
             },
-            // Where the Gaussians make a step, the poses do.
+            // Poses make a step whenever the Gaussians do.
             pose_step: PoseStep { rate: pose_rate(s, iteration), count: progress.steps + 1, sum },
         }
     }
@@ -158,7 +156,7 @@ fn pose_rate(s: &TrainSettings, iteration: u32) -> f64 {
     s.pose_lr * 0.01_f64.powf(f64::from(iteration) / f64::from(s.iterations))
 }
 
-/// Means are of steps one after the other: those of an earlier, shorter run do not count.
+/// Averages only consecutive steps, so means of an earlier, shorter run do not count.
 fn mean_step(s: &TrainSettings, iteration: u32, progress: &Progress, work: &Work) -> Option<MeanStep> {
     let before = if s.averages_at(iteration - 1) { progress.averaged } else { 0 };
     match s.averages_at(iteration) {

@@ -1,4 +1,4 @@
-//! What photographs have of light besides the scene: the exposure of each, and the effects of the lenses that took them.
+//! Exposure of each photograph and effects of each lens, learned besides the scene.
 
 use super::checkpoint::{ExposureState, LightSums};
 use super::iteration::IterationPlan;
@@ -14,23 +14,23 @@ use crate::scene::{Exposure, LensEffects};
 use crate::vk::{Buffer, Context, Recorder};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// The kernels; none of what is not learned.
+/// Kernels of exposures and of lens effects; None if not learned.
 pub(super) struct Light {
     exposing: Option<Exposing>,
     lenses: Option<Lenses>,
 }
 
-/// Matrices and moments, which outlive an iteration, and scratch.
+/// Matrices and moments, which outlive an iteration, and scratch buffers.
 pub(super) struct LightMemory {
     pub exposures: Option<LightBuffers>,
     pub lenses: Option<LightBuffers>,
 }
 
-/// One iteration of them.
+/// Inputs of one iteration.
 #[derive(Clone, Copy)]
 pub(super) struct LightInputs<'a> {
     pub frame: &'a FrameInputs<'a>,
-    /// What was rendered, in the native layout.
+    /// Rendered picture in the native layout.
     pub rendered: &'a Buffer,
     pub memory: &'a LightMemory,
     pub plan: &'a IterationPlan,
@@ -49,7 +49,7 @@ impl LightInputs<'_> {
 }
 
 impl Light {
-    /// `sums`: whether steps may follow several views.
+    /// `sums`: true if steps may follow several views.
     ///
     /// # Errors
     /// When the device refuses a pipeline.
@@ -68,7 +68,7 @@ impl Light {
         exposures.chain(self.lenses.iter().flat_map(|_| lens_effects::requests(sizes))).collect()
     }
 
-    /// Takes the buffers of [`Light::requests`] from the next that were allocated, and clears them.
+    /// Takes the buffers of [`Light::requests`] from the allocated ones and clears them.
     pub fn allocated(
         &self,
         context: &Context,
@@ -85,8 +85,8 @@ impl Light {
         Ok(LightMemory { exposures, lenses })
     }
 
-    /// Records the picture as it is compared with the photograph, and returns it: None if it is what was rendered.
-    /// Ends with a barrier.
+    /// Records the exposure and lens effects, and returns the picture to compare with the photograph. None if nothing is
+    /// learned: the rendered picture is compared. Ends with a barrier.
     pub fn record<'a>(&self, r: &mut Recorder, inputs: &LightInputs<'a>) -> Option<&'a Buffer> {
         let mut picture = None;
         if let Some((exposing, exposures)) = self.exposing.as_ref().zip(inputs.memory.exposures.as_ref()) {
@@ -102,7 +102,7 @@ impl Light {
         picture
     }
 
-    /// Records the way of the gradient back from that picture to what was rendered. Each part begins with a barrier.
+    /// Records the gradient's way back from that picture to the rendered one. Each part begins with a barrier.
     pub fn record_backward(&self, r: &mut Recorder, inputs: &LightInputs, gradient: &Buffer) {
         if let Some((lenses, buffers)) = self.lenses.as_ref().zip(inputs.memory.lenses.as_ref()) {
             r.barrier();
@@ -114,7 +114,7 @@ impl Light {
         }
     }
 
-    /// Records the steps, or the additions to the sums. Each part begins with a barrier.
+    /// Records the steps, or the additions to the gradient sums. Each part begins with a barrier.
     pub fn record_step(&self, r: &mut Recorder, inputs: &LightInputs) {
         let (plan, state) = (inputs.plan, &inputs.frame.frame.state);
         if let Some((exposing, exposures)) = self.exposing.as_ref().zip(inputs.memory.exposures.as_ref()) {
@@ -129,19 +129,19 @@ impl Light {
 }
 
 impl LightMemory {
-    /// Records their means, which lie where steps of several views have sums.
+    /// Records the running means, which share the buffers of the gradient sums.
     pub fn record_means(&self, r: &mut Recorder, averaging: &Averaging, (state, step): (&Buffer, MeanStep)) {
         for buffers in self.exposures.iter().chain(&self.lenses) {
             averaging.record(r, [&buffers.values, &buffers.sums, state], step);
         }
     }
 
-    /// Copies of the means to what they are of.
+    /// Records copies of the means over the values.
     pub fn record_end(&self, r: &mut Recorder) {
         self.exposures.iter().chain(&self.lenses).for_each(|buffers| r.copy(&buffers.sums, &buffers.values));
     }
 
-    /// Exposures of all views, and the first `lenses` lenses.
+    /// Exposures of all views, and the effects of the first `lenses` lenses.
     pub fn states(&self, context: &Context, lenses: usize) -> Result<[ExposureState; 2]> {
         let state = |buffers: &Option<LightBuffers>, count: usize| -> Result<ExposureState> {
             let Some(buffers) = buffers else { return Ok(ExposureState::default()) };
@@ -153,7 +153,7 @@ impl LightMemory {
         Ok([state(&self.exposures, usize::MAX)?, state(&self.lenses, lenses)?])
     }
 
-    /// Gradients of the views since the last step.
+    /// Sums of gradients since the last step.
     pub fn sums(&self, context: &Context, lenses: usize) -> Result<LightSums> {
         let sums = |buffers: &Option<LightBuffers>| {
             buffers.as_ref().map_or(Ok(Vec::new()), |buffers| buffers.download_sums(context))
@@ -166,7 +166,7 @@ impl LightMemory {
     /// Restores [`LightMemory::states`] and [`LightMemory::sums`].
     ///
     /// # Errors
-    /// [`Error::Argument`] for more than there are views.
+    /// [`Error::Argument`] if there are more rows than views.
     pub fn restore(
         &self,
         context: &Context,
@@ -195,7 +195,7 @@ impl LightMemory {
     }
 }
 
-/// Per view: the number of its lens, from 0 in the order of the cameras' ids.
+/// Lens index of each view, counted from 0 in the order of the camera ids.
 pub(super) fn lenses_of(views: &[TrainView]) -> Vec<u32> {
     let ids: BTreeSet<u32> = views.iter().map(|view| view.camera_id).collect();
     let numbers: BTreeMap<u32, u32> = ids.into_iter().zip(0..).collect();
@@ -211,22 +211,20 @@ impl Trainer {
         self.losses.light.sums(&self.context, self.run.lens_count())
     }
 
-    /// The exposures of the views' photographs in their order, if they are learned ([`TrainSettings::exposure`]);
-    /// otherwise none.
+    /// Exposures of the views' photographs in their order; empty unless they are learned ([`TrainSettings::exposure`]).
     ///
     /// # Errors
-    /// As [`Trainer::checkpoint`].
+    /// Same as [`Trainer::checkpoint`].
     pub fn exposures(&self) -> Result<Vec<Exposure>> {
         self.check_readable()?;
         let [exposures, _] = self.light_states()?;
         Ok(exposures.values.into_iter().map(|rows| Exposure { rows }).collect())
     }
 
-    /// The lens effects of the views' cameras in the views' order, if they are learned
-    /// ([`TrainSettings::lens_effects`]); otherwise none.
+    /// Lens effects of the views' cameras in the views' order; empty unless they are learned ([`TrainSettings::lens_effects`]).
     ///
     /// # Errors
-    /// As [`Trainer::checkpoint`].
+    /// Same as [`Trainer::checkpoint`].
     pub fn lens_effects(&self) -> Result<Vec<LensEffects>> {
         self.check_readable()?;
         let [_, lenses] = self.light_states()?;

@@ -1,9 +1,9 @@
 //! Training: from photographs and a sparse point cloud to Gaussians.
 //!
 //! One step is one submission: forward, loss, backward, Adam. A host may record it into its own command
-//! buffer instead. A densification or an opacity reset that an iteration requests runs at the start of the
-//! next step, so that between steps the scene is what the reference would save. A step whose frame overflowed
-//! its buffers changes nothing, and is run again with a larger capacity.
+//! buffer instead. A densification or an opacity reset runs at the start of the next step, so that the scene between steps is
+//! what the reference would save. A step whose frame overflowed its buffers changes nothing and is repeated with a larger
+//! capacity.
 
 mod align;
 mod average;
@@ -76,18 +76,18 @@ use std::panic::{self, AssertUnwindSafe};
 use step_recorder::{LossMemory, StepRecorder};
 use surroundings::Block;
 
-/// The parts of training that can be exchanged. The photometric term of the loss always comes first.
+/// Replaceable parts of training. The photometric term of the loss always comes first.
 pub struct TrainParts {
     /// Density control.
     pub strategy: Box<dyn Strategy>,
-    /// Terms of the loss besides the photometric one and the strategy's own.
+    /// Loss terms besides the photometric one and the strategy's own.
     pub terms: Vec<Box<dyn LossTerm>>,
-    /// The block that the initial Gaussians are; None if they are the whole scene.
+    /// Block that the initial Gaussians form; None if they are the whole scene.
     pub block: Option<SceneBlock>,
 }
 
 impl TrainParts {
-    /// The parts that the settings name.
+    /// Returns the parts that the settings select.
     ///
     /// # Errors
     /// When the device refuses a pipeline.
@@ -114,7 +114,7 @@ impl TrainParts {
 /// }
 /// ```
 ///
-/// The [guide](crate::guide::first_training) has more; [`Trainer::record_step`] is for a host's command buffer.
+/// See the [guide](crate::guide::first_training). [`Trainer::record_step`] records into a host's command buffer.
 pub struct Trainer {
     context: Context,
     run: Run,
@@ -124,16 +124,16 @@ pub struct Trainer {
     strategy: Box<dyn Strategy>,
     recorder: StepRecorder,
     losses: LossMemory,
-    /// None unless they are optimised.
+    /// None unless poses are optimised.
     poses: Option<Poses>,
-    /// Built with the first alignment.
+    /// Created by the first alignment.
     aligner: Option<Aligner>,
     runner: FrameRunner,
-    /// Buffers of the frames that are drawn between steps. Training does not depend on them.
+    /// Buffers of frames drawn between steps. The result of training does not depend on them.
     pictures: FrameStore,
     rows: RowMemory,
     state: State,
-    /// The 3D filter, if the settings want one.
+    /// The 3D filter, if the settings enable it.
     filter: Option<Filter3d>,
     block: Option<Block>,
     recording: record::Recording,
@@ -148,7 +148,7 @@ impl Trainer {
     ///
     /// # Errors
     /// [`Error::Argument`] for invalid settings, cameras or photographs; memory or device failures;
-    /// [`Error::MissingFeature`] where subgroups are not what the device reports ([`subgroups::check`](crate::subgroups::check)).
+    /// [`Error::MissingFeature`] if subgroups differ from the device's report ([`subgroups::check`](crate::subgroups::check)).
     pub fn new(
         context: &Context,
         views: Vec<TrainView>,
@@ -161,10 +161,10 @@ impl Trainer {
         Self::with_parts(context, views, initial, scene_extent, settings, parts)
     }
 
-    /// As [`Trainer::new`], with a strategy or terms of the loss that the settings do not name.
+    /// Same as [`Trainer::new`], but with a strategy or loss terms that the settings cannot name.
     ///
     /// # Errors
-    /// As [`Trainer::new`].
+    /// Same as [`Trainer::new`].
     pub fn with_parts(
         context: &Context,
         views: Vec<TrainView>,
@@ -176,7 +176,7 @@ impl Trainer {
         Self::build(context, views, initial, (settings, scene_extent), parts, None)
     }
 
-    /// `room`: the capacities of an earlier run.
+    /// `room`: capacities of an earlier run.
     fn build(
         context: &Context,
         views: Vec<TrainView>,
@@ -211,7 +211,7 @@ impl Trainer {
         let before = room;
         let (capacity, room) =
             kit.capacity(context, &settings, (&photo_sizes, photo_memory), counts, room)?;
-        // It takes memory: what does not fit is refused before.
+        // The check takes memory, so a training that does not fit is refused first.
         if context.owns_device() {
             crate::subgroups::check(context)?;
         }
@@ -265,12 +265,12 @@ impl Trainer {
             recording: record::Recording::default(),
         };
         trainer.compute_filters()?;
-        // Last: what must be there comes before what is expected.
+        // Last, because required buffers come before expected ones.
         expected.map_or(Ok(()), |frame| trainer.runner.restore_if_room(frame))?;
         Ok(trainer)
     }
 
-    /// The device that it trains on.
+    /// Context of the device that trains.
     pub fn context(&self) -> &Context {
         &self.context
     }
@@ -280,31 +280,31 @@ impl Trainer {
         &self.run.settings
     }
 
-    /// The form of blending.
+    /// Form of the blending kernel.
     pub fn blending(&self) -> Blending {
         self.runner.blending()
     }
 
-    /// Sets the form of blending. Steps that are already recorded keep
-    /// their form. Another step can be recorded after [`Trainer::maintain`] only.
+    /// Sets the form of the blending kernel. Recorded steps keep their form. The next step can be recorded only after
+    /// [`Trainer::maintain`].
     pub fn set_blending(&mut self, blending: Blending) {
         if self.runner.set_blending(blending) {
             self.recording.frame_is_ready = false;
         }
     }
 
-    /// Number of finished iterations. Recorded ones count once they have finished and [`Trainer::settle`] or
-    /// [`Trainer::step_outcome`] has been called.
+    /// Number of finished iterations. Recorded iterations count once they have finished and [`Trainer::settle`] or
+    /// [`Trainer::step_outcome`] was called.
     pub fn iteration(&self) -> u32 {
         self.state.progress.iteration
     }
 
-    /// The strategy's work between an iteration (1-based) and the next one.
+    /// Work of the strategy between an iteration (1-based) and the next.
     pub fn actions_at(&self, iteration: u32) -> Actions {
         self.strategy.work(&self.run.settings, iteration).actions
     }
 
-    /// The last opacity reset, if the scene has not recovered from it: [`TrainSettings::reset_recovery`].
+    /// Iteration of the last opacity reset, if the scene has not recovered from it: [`TrainSettings::reset_recovery`].
     pub fn recent_reset(&self) -> Option<u32> {
         let (now, recovery) = (self.iteration(), self.run.settings.reset_recovery());
         let resets = |&iteration: &u32| self.actions_at(iteration).contains(Actions::RESET_OPACITY);
@@ -316,7 +316,7 @@ impl Trainer {
         self.run.settings.sh_degree_at(self.state.progress.iteration)
     }
 
-    /// Renders the current scene. If `settings.sh_degree` is None, it uses the SH degree of this iteration.
+    /// Renders the current scene. Uses the SH degree of this iteration if `settings.sh_degree` is None.
     ///
     /// # Errors
     /// [`Error::Argument`] for an invalid camera, while recorded steps are in flight, and after a step with
@@ -326,10 +326,10 @@ impl Trainer {
         self.drawing(|runner, scene| runner.render(scene, camera, &settings))
     }
 
-    /// As [`Trainer::render`], with the number of Gaussians in the frame's tiles.
+    /// Same as [`Trainer::render`], and also returns the number of Gaussians in each tile of the frame.
     ///
     /// # Errors
-    /// As [`Trainer::render`].
+    /// Same as [`Trainer::render`].
     pub fn render_with_tiles(
         &mut self,
         camera: &Camera,
@@ -339,11 +339,10 @@ impl Trainer {
         self.drawing(|runner, scene| runner.render_with_tiles(scene, camera, &settings))
     }
 
-    /// The Gaussians of the current scene that are blended at a pixel, as [`crate::Renderer::inspect`] lists
-    /// them.
+    /// Lists the Gaussians of the current scene that are blended at a pixel: see [`crate::Renderer::inspect`].
     ///
     /// # Errors
-    /// As [`crate::Renderer::inspect`].
+    /// Same as [`crate::Renderer::inspect`].
     pub fn inspect(
         &mut self,
         camera: &Camera,
@@ -354,9 +353,9 @@ impl Trainer {
         self.drawing(|runner, scene| runner.inspect(scene, camera, &settings, pixel))
     }
 
-    /// Draws between two steps, with its own buffers, so that a viewer does not change the training's
-    /// buffers. They are freed afterwards if memory is bounded. If they do not fit beside the training frame,
-    /// that frame is freed, and the next step allocates it again.
+    /// Draws between two steps with separate buffers, so that a viewer does not change the training's buffers. With a memory
+    /// limit they are freed afterwards. If they do not fit beside the training frame, that frame is freed and the next step
+    /// allocates it again.
     fn drawing<T>(
         &mut self,
         mut draw: impl FnMut(&mut FrameRunner, &SceneBuffers) -> Result<T>,
@@ -367,7 +366,7 @@ impl Trainer {
             runner.exchange(pictures);
             let drawn = panic::catch_unwind(AssertUnwindSafe(|| draw(runner, &state.model.scene)));
             runner.exchange(pictures);
-            // Who catches the panic may train on, with the buffers of training.
+            // A caller that catches the panic can continue training with the training's buffers.
             let drawn = drawn.unwrap_or_else(|panic| {
                 pictures.forget();
                 panic::resume_unwind(panic)
@@ -389,7 +388,7 @@ impl Trainer {
         }
     }
 
-    /// Frees the buffers of frames that are drawn between steps: see [`crate::Renderer::shrink`].
+    /// Frees the buffers of frames drawn between steps: see [`crate::Renderer::shrink`].
     pub fn shrink_pictures(&mut self) {
         self.pictures.forget();
     }
@@ -399,7 +398,7 @@ impl Trainer {
         RenderSettings { sh_degree: Some(sh_degree), ..*settings }
     }
 
-    /// The render settings of training, without the random background.
+    /// Render settings of training, without the random background.
     pub fn render_settings(&self) -> RenderSettings {
         self.run.render_settings()
     }
@@ -414,11 +413,11 @@ impl Trainer {
         planes::download(&self.context, &self.state.model.scene)
     }
 
-    /// Downloads the Gaussians, with the 3D filter, if there is one, as a part of scales and opacities: as any renderer
-    /// draws them.
+    /// Downloads the Gaussians. The 3D filter, if any, is merged into scales and opacities, so that any renderer draws them
+    /// alike.
     ///
     /// # Errors
-    /// As [`Trainer::gaussians`].
+    /// Same as [`Trainer::gaussians`].
     pub fn baked_gaussians(&self) -> Result<Gaussians> {
         let mut gaussians = self.gaussians()?;
         if self.filter.is_some() {
@@ -427,11 +426,10 @@ impl Trainer {
         Ok(gaussians)
     }
 
-    /// The sizes of Mip-Splatting's 3D filter, world units, one per Gaussian; none without
-    /// [`TrainSettings::filter_3d`].
+    /// Sizes of Mip-Splatting's 3D filter, world units, one per Gaussian; empty without [`TrainSettings::filter_3d`].
     ///
     /// # Errors
-    /// As [`Trainer::gaussians`].
+    /// Same as [`Trainer::gaussians`].
     pub fn filters(&self) -> Result<Vec<f32>> {
         self.check_readable()?;
         match self.filter {
@@ -440,13 +438,13 @@ impl Trainer {
         }
     }
 
-    /// Bytes of device memory in use by all arenas of the context, without what is offloaded.
+    /// Bytes of device memory in use by all arenas of the context, without offloaded buffers.
     pub fn memory_bytes(&self) -> u64 {
         self.context.memory_total().bytes
     }
 
-    /// Current and peak bytes of each arena of the context. The last entries are what is offloaded of them, if anything is, and the
-    /// total of the rest.
+    /// Current and peak bytes of each arena of the context. The last entries are the offloaded bytes, if any, and the total of
+    /// the rest.
     pub fn memory(&self) -> Vec<ArenaMemory> {
         let offloaded = Some(self.context.memory_offloaded()).filter(|memory| memory.peak_bytes > 0);
         let total = self.context.memory_total();

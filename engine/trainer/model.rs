@@ -1,5 +1,4 @@
-//! What a training run changes: on the device the Gaussians, their moments and statistics; on the host the
-//! progress.
+//! State that a training run changes: Gaussians, moments and statistics on the device, progress on the host.
 
 use super::checkpoint::Checkpoint;
 use super::iteration::Progress;
@@ -13,10 +12,10 @@ use crate::plan::ScenePlan;
 use crate::planes;
 use crate::vk::{Buffer, Context, MemoryKind};
 
-/// Sets of planes: parameters, two moments, and the target of densification's gather.
+/// Sets of planes: parameters, two sets of moments, and the target of densification's gather.
 const PLANE_SETS: u64 = 4;
 
-/// Bytes by where they lie.
+/// Bytes on the device and offloaded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct RowBytes {
     pub device: u64,
@@ -24,7 +23,7 @@ pub(super) struct RowBytes {
 }
 
 impl RowBytes {
-    /// Whether what is offloaded fits beside what is there.
+    /// True if the offloaded bytes fit beside those already offloaded.
     pub fn is_offloadable(&self, context: &Context) -> bool {
         let there = context.memory_offloaded().bytes;
         context.offload().is_none_or(|bound| there + self.offloaded <= bound)
@@ -39,7 +38,7 @@ impl std::ops::Add for RowBytes {
     }
 }
 
-/// The memory that the Gaussians of a run need, besides that of a frame.
+/// Memory for the Gaussians of a run, apart from frames.
 pub(super) struct RowMemory {
     statistics: Vec<Statistic>,
     parameter_gradients: bool,
@@ -47,22 +46,22 @@ pub(super) struct RowMemory {
 }
 
 impl RowMemory {
-    /// `own`: the strategy's statistics. `planes`: the memory of what a step needs of few Gaussians only.
+    /// `own`: statistics of the strategy. `planes`: memory of planes that a step reads sparsely.
     pub fn new(own: Vec<Statistic>, parameter_gradients: bool, planes: MemoryKind) -> Self {
         Self { statistics: [vec![GRADIENT_STATISTIC], own].concat(), parameter_gradients, planes }
     }
 
-    /// The memory of parameters, moments and the spare set.
+    /// Memory kind of parameters, moments and the spare set.
     pub fn planes(&self) -> MemoryKind {
         self.planes
     }
 
-    /// The statistics, the gradient's first.
+    /// All statistics, the gradient's first.
     pub fn statistics(&self) -> &[Statistic] {
         &self.statistics
     }
 
-    /// The place of [`ABSOLUTE_STATISTIC`] among the statistics.
+    /// Index of [`ABSOLUTE_STATISTIC`] among the statistics.
     pub fn absolute(&self) -> Option<usize> {
         self.statistics.iter().position(|statistic| *statistic == ABSOLUTE_STATISTIC)
     }
@@ -79,15 +78,14 @@ impl RowMemory {
         vec![("parameter_gradients", bytes); chunks]
     }
 
-    /// Bytes of the buffers with the capacity of a plan, without the padding of their allocation: what one
-    /// capacity needs beside another.
+    /// Bytes of the buffers for a plan's capacity, without allocation padding: the cost of one capacity beside another.
     pub fn bytes(&self, plan: &ScenePlan) -> RowBytes {
         let others = self.statistics_requests(plan.capacity).into_iter().chain(self.gradient_requests(plan));
         let planes = PLANE_SETS * plan.chunk_bytes() * u64::from(plan.chunks);
         self.placed(planes, others.map(|(_, bytes)| bytes).sum())
     }
 
-    /// Bytes that the buffers take, with padding: what a run needs before it starts.
+    /// Bytes of the buffers with allocation padding: the cost of a run before it starts.
     pub fn allocation_bytes(&self, context: &Context, plan: &ScenePlan) -> RowBytes {
         let bytes = |requests: &[(&'static str, u64)]| context.allocation_bytes(requests);
         let gradients = self.gradient_requests(plan);
@@ -96,7 +94,7 @@ impl RowMemory {
         self.placed(PLANE_SETS * bytes(&planes::requests(plan)), others)
     }
 
-    /// Bytes of further planes: what lies around those that are trained.
+    /// Bytes of further planes: those of frozen Gaussians.
     pub fn of_planes(&self, bytes: u64) -> RowBytes {
         self.placed(bytes, 0)
     }
@@ -123,12 +121,12 @@ impl RowMemory {
     }
 }
 
-/// The Gaussians on the device, with what training keeps of them.
+/// Gaussians on the device, with their moments and statistics.
 pub(super) struct Model {
     pub scene: SceneBuffers,
     pub moments: Moments,
-    /// A fourth set of planes, the target of densification's gather. Between two changes of the set it has the
-    /// sums of gradients ([`super::work::Work::sums_gradients`]).
+    /// Fourth set of planes: the target of densification's gather. Between changes of the set it holds the gradient sums
+    /// ([`super::work::Work::sums_gradients`]).
     pub spare: Vec<Buffer>,
     /// Per Gaussian: see [`super::strategy::StepInputs::statistics`].
     pub statistics: Vec<Buffer>,
@@ -137,7 +135,7 @@ pub(super) struct Model {
 }
 
 impl Model {
-    /// Allocates what belongs to a scene, and clears it.
+    /// Allocates the buffers that belong to a scene, and clears them.
     pub fn new(context: &Context, scene: SceneBuffers, rows: &RowMemory) -> Result<Self> {
         let planes = |arena| planes::allocate(context, (arena, rows.planes), &scene.plan);
         let moments = Moments { first: planes("moments")?, second: planes("moments")? };
@@ -153,7 +151,7 @@ impl Model {
         Ok(Self { scene, moments, spare, statistics, parameter_gradients })
     }
 
-    /// Lets go of all memory, and is empty. The model is to be replaced.
+    /// Frees all memory and becomes empty; the caller replaces the model.
     pub fn release(&mut self) {
         self.scene.count = 0;
         let Moments { first, second } = &mut self.moments;
@@ -177,9 +175,9 @@ pub(super) struct State {
     pub most: Needs,
     /// Number of consecutive skipped iterations.
     pub skipped: u32,
-    /// Whether it is unknown if a submission that changes the scene was executed.
+    /// True if a submission that changes the scene has an unknown outcome.
     pub broken: bool,
-    /// What there was before memory was given up that could not be had again.
+    /// State saved before memory was freed that could not be allocated again.
     pub rescued: Option<Box<Checkpoint>>,
 }
 
@@ -195,14 +193,14 @@ impl State {
         }
     }
 
-    /// An iteration's step has been executed.
+    /// Notes that an iteration's step has executed.
     pub fn done(&mut self, after: Progress, needs: Needs) {
         self.progress = after;
         self.skipped = 0;
         self.most = self.most.max(needs);
     }
 
-    /// Whether the state of the scene is known.
+    /// Checks that the state of the scene is known.
     pub fn check_whole(&self) -> Result<()> {
         if self.broken {
             let problem = "an earlier step was not finished; go on from a checkpoint, or anew";
@@ -211,7 +209,7 @@ impl State {
         Ok(())
     }
 
-    /// A submission whose wait failed may or may not have been executed.
+    /// Notes a submission whose wait failed: it may or may not have executed.
     pub fn note_failure<T>(&mut self, result: &Result<T>) {
         self.broken |= match result {
             Err(Error::DeviceLost { .. } | Error::Timeout { .. }) => true,

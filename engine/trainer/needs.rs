@@ -1,6 +1,6 @@
-//! What frames of a training needed.
+//! Peak counts of the frames of a training.
 
-/// The most that frames so far needed: see [`super::Room`].
+/// Peak counts of the frames so far: see [`super::Room`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Needs {
     pub visible: u32,
@@ -13,8 +13,8 @@ impl Needs {
         Self { visible: self.visible.max(other.visible), instances: self.instances.max(other.instances) }
     }
 
-    /// What is remembered of it after a densification of a frame's `before` Gaussians has left `rows`: the same numbers per
-    /// Gaussian, less a twentieth. After an opacity reset frames have few instances for a while, and then as many as before.
+    /// Peak counts to keep after a densification from `before` to `rows` Gaussians: the same per Gaussian, less a twentieth.
+    /// Frames after an opacity reset have few instances for a while, then as many as before.
     pub fn remembered(self, before: u32, rows: u32) -> Self {
         let scaled = |most: u32| {
             let per_gaussian = u64::from(most) * u64::from(rows) / u64::from(before.max(1));
@@ -30,7 +30,7 @@ mod tests {
 
     #[test]
     fn what_frames_needed_before_a_reset_is_remembered_for_a_while() {
-        // Five densifications, a twentieth each, while opacities recover: three quarters are remembered.
+        // Five densifications while opacities recover lose a twentieth each: three quarters remain.
         let (mut most, mut rows) = (Needs { visible: 50_000, instances: 1_000_000 }, 100_000);
         for _ in 0..5 {
             most = most.remembered(rows, rows / 20 * 21);

@@ -4,14 +4,14 @@ use super::choices::{ImportanceType, OptimizerType, SplitType, StrategyType};
 use super::settings::TrainSettings;
 use crate::error::{Error, Result};
 
-/// Values that an option may have.
+/// Bounds of an option's value.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Bounds {
-    /// Any of its type.
+    /// Any value of the type.
     None,
-    /// A whole number from this one on.
+    /// A whole number of at least this.
     AtLeast(u32),
-    /// A whole number up to this one.
+    /// A whole number of at most this.
     AtMost(u32),
     /// A number above 0, up to a million.
     Positive,
@@ -21,29 +21,29 @@ pub enum Bounds {
     Share,
 }
 
-/// The type of an option.
+/// Type of an option.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum OptionKind {
     /// A whole number, 0 or more.
     Integer,
     /// A number.
     Number,
-    /// Yes or no.
+    /// True or false.
     Switch,
     /// One of these names.
     Choice(&'static [&'static str]),
 }
 
-/// The value of an option.
+/// Value of an option.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum OptionValue {
-    /// Of [`OptionKind::Integer`].
+    /// Value of an [`OptionKind::Integer`].
     Integer(u32),
-    /// Of [`OptionKind::Number`].
+    /// Value of an [`OptionKind::Number`].
     Number(f64),
-    /// Of [`OptionKind::Switch`].
+    /// Value of an [`OptionKind::Switch`].
     Switch(bool),
-    /// Of [`OptionKind::Choice`].
+    /// Value of an [`OptionKind::Choice`].
     Choice(&'static str),
 }
 
@@ -58,28 +58,28 @@ impl std::fmt::Display for OptionValue {
     }
 }
 
-/// An option of training, as it is declared.
+/// Declaration of an option of training.
 #[derive(Clone, Copy, Debug)]
 pub struct TrainOption {
-    /// Its name: that of the field.
+    /// Name of the option and of its field.
     pub name: &'static str,
-    /// What it does: lines of text.
+    /// Lines of the description.
     pub about: &'static [&'static str],
-    /// Its type.
+    /// Type of the value.
     pub kind: OptionKind,
-    /// Its bounds.
+    /// Bounds of the value.
     pub bounds: Bounds,
-    /// Its value in some settings.
+    /// Returns the value in the given settings.
     pub value: fn(&TrainSettings) -> OptionValue,
 }
 
 impl TrainOption {
-    /// Checks the value in some settings.
+    /// Checks the value in the given settings.
     ///
     /// # Errors
-    /// [`Error::Argument`] with the name, the value and what would be right.
+    /// [`Error::Argument`] with the name, the value and the allowed range.
     pub fn check(&self, settings: &TrainSettings) -> Result<()> {
-        /// Larger numbers are mistakes.
+        /// Upper limit of all numbers; larger ones are mistakes.
         const LARGEST: f64 = 1e6;
         let value = (self.value)(settings);
         let (fits, wanted) = match (self.bounds, value) {
@@ -93,7 +93,7 @@ impl TrainOption {
             }
             (Bounds::Share, OptionValue::Number(x)) => ((0.0..=1.0).contains(&x), "between 0 and 1".into()),
             (Bounds::None, _) => (true, String::new()),
-            // A declaration whose bounds are of another type than its values.
+            // The declared bounds do not match the type.
             _ => (false, "of the type of its bounds".into()),
         };
         match fits {
@@ -102,13 +102,13 @@ impl TrainOption {
         }
     }
 
-    /// The default.
+    /// Returns the default value.
     pub fn default_value(&self) -> OptionValue {
         (self.value)(&TrainSettings::default())
     }
 }
 
-/// A type of options.
+/// A type that an option can have.
 pub(super) trait IsOption: Copy {
     const KIND: OptionKind;
     fn value(self) -> OptionValue;
@@ -163,7 +163,7 @@ choice!(
     "none" = ImportanceType::None
 );
 
-/// Declares the settings: the fields with types, defaults, bounds and descriptions, and a table of them.
+/// Declares the settings: a struct with documented fields, and a table of their types, defaults, bounds and descriptions.
 macro_rules! options {
     ($(#[$about:meta])* pub struct $name:ident {
         $($(#[doc = $doc:literal])+ $field:ident: $kind:ty = $default:expr, $bounds:expr;)*
@@ -180,7 +180,7 @@ macro_rules! options {
         }
 
         impl $name {
-            /// Every setting, in the order of declaration.
+            /// All settings in the order of declaration.
             pub const OPTIONS: &[$crate::trainer::options::TrainOption] = &[$(
                 $crate::trainer::options::TrainOption {
                     name: stringify!($field),
@@ -191,7 +191,7 @@ macro_rules! options {
                 },
             )*];
 
-            /// Every setting's name and value, in the order of declaration.
+            /// Names and values of all settings, in the order of declaration.
             pub fn values(&self) -> Vec<(&'static str, OptionValue)> {
                 Self::OPTIONS.iter().map(|option| (option.name, (option.value)(self))).collect()
             }

@@ -1,4 +1,4 @@
-//! Photographs on the device: all of them, or the ones that are needed next.
+//! Photographs on the device: all of them, or those of the next iterations.
 
 use std::sync::mpsc::{Receiver, sync_channel};
 
@@ -11,9 +11,9 @@ use crate::scene::StoredPhoto;
 use crate::scene::stored_photo::TEXEL_BYTES;
 use crate::vk::{Buffer, Context, MemoryKind};
 
-/// Photographs that a thread has read and that wait on the host.
+/// Maximum number of photographs that a thread has read ahead and that wait on the host.
 const AHEAD: u64 = 2;
-/// Most photographs on the host: the waiting ones, the one being read, and the one being uploaded.
+/// Maximum number of photographs on the host: the waiting ones, the one being read, and the one being uploaded.
 const ON_HOST: u64 = AHEAD + 2;
 
 /// The views' photographs in the layout of [`photo_on_device`].
@@ -22,18 +22,18 @@ pub(super) enum Photos {
     Streamed(Box<Stream>),
 }
 
-/// How much of the photographs is on the device at a time.
+/// Photographs on the device at a time: all, or a number of places.
 enum Residence {
     All,
     Places { count: usize, bytes: u64 },
 }
 
 impl Residence {
-    /// All of them, except for photographs in a file: then the number that fits its budget, less those that
-    /// wait on the host.
+    /// All photographs, unless they lie in a file. Then as many places as fit the file's budget, less the photographs that wait
+    /// on the host.
     fn of(windowing: Windowing, photos: &[PhotoSize], file_memory: Option<u64>) -> Result<Self> {
         let Some(memory) = file_memory else { return Ok(Self::All) };
-        // Waiting photographs have the device's layout. The one that is being read has both layouts.
+        // Waiting photographs have the device's layout. The photograph being read has both layouts.
         let bytes = photos.iter().map(|photo| photo.device_bytes(windowing)).max().unwrap_or(0).max(4);
         let read = photos.iter().map(PhotoSize::file_bytes).max().unwrap_or(0);
         let read = if windowing == Windowing::Sweeps { read } else { 0 };
@@ -52,20 +52,20 @@ impl Residence {
     }
 }
 
-/// A photograph as its header and its camera describe it.
+/// Size and masks of a photograph, known from its header and camera.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PhotoSize {
-    /// The name that errors give it.
+    /// Name for errors.
     pub name: String,
-    /// Width as it is trained on, pixels.
+    /// Width in training, pixels.
     pub width: u32,
-    /// Height as it is trained on, pixels.
+    /// Height in training, pixels.
     pub height: u32,
-    /// Whether it is known to have pixels that do not count.
+    /// True if it is known to have pixels that do not count.
     pub masked: bool,
-    /// Whether it has an inverse-depth map.
+    /// True if it has an inverse-depth map.
     pub inverse_depth: bool,
-    /// Sparse points of known depth that it shows, at most; 0 unless they are trained on.
+    /// Upper bound of its visible sparse points; 0 unless training uses them.
     pub depth_points: u32,
 }
 
@@ -79,20 +79,20 @@ impl PhotoSize {
     }
 }
 
-/// Bytes of device memory that the photographs take.
+/// Bytes of device memory for the photographs.
 pub(super) struct PhotoBytes {
-    /// Bytes of those that stay on the device, and of the inverse-depth maps and points.
+    /// Photographs that stay on the device, inverse-depth maps and sparse points.
     pub held: u64,
-    /// Bytes of staging memory during an upload.
+    /// Staging memory during an upload.
     pub staging: u64,
-    /// All of them.
+    /// All photographs.
     pub all: u64,
-    /// The budget of photographs in a file.
+    /// Memory budget of photographs in a file.
     pub budget: Option<u64>,
 }
 
 impl PhotoBytes {
-    /// Where reading ahead needs more than its budget.
+    /// Bytes if reading ahead needs more than its budget.
     pub fn reading_ahead(
         context: &Context,
         photos: &[PhotoSize],
@@ -103,12 +103,12 @@ impl PhotoBytes {
     }
 }
 
-/// The bound of the views' photographs in a file.
+/// Memory budget of the views' photographs, if they lie in a file.
 pub(super) fn memory_of_file(views: &[TrainView]) -> Option<u64> {
     views.iter().find_map(|view| view.photo.file()).map(|file| file.memory_bytes())
 }
 
-/// The device memory of the photographs. `file_memory`: the budget of photographs in a file.
+/// Device memory of the photographs. `file_memory`: memory budget of photographs in a file.
 ///
 /// # Errors
 /// [`Error::TooLarge`] if the budget is too small to read ahead.
@@ -143,7 +143,7 @@ fn on_device(windowing: Windowing, photo: &StoredPhoto) -> Result<Vec<u8>> {
     Ok(photo_on_device(windowing, photo.width, photo.height, photo.is_masked(), photo.texels()?))
 }
 
-/// Refuses views whose photographs do not have their cameras' sizes.
+/// Refuses views whose cameras and photographs differ in size.
 pub(super) fn check(views: &[TrainView]) -> Result<()> {
     for (index, TrainView { camera, photo, inverse_depth, depth_points, .. }) in views.iter().enumerate() {
         let named = |error: Error| error.within(format_args!("view {index}"));
@@ -172,8 +172,8 @@ pub(super) fn check(views: &[TrainView]) -> Result<()> {
 }
 
 impl Photos {
-    /// Uploads the views' photographs, which have these sizes, or allocates places for some of them. The seed
-    /// determines the order of their use.
+    /// Uploads the photographs of the views, which have these sizes, or allocates places for some of them. The seed determines
+    /// the order of their use.
     pub fn new(context: &Context, views: &[TrainView], sizes: &[PhotoSize], seed: u32) -> Result<Self> {
         let (count, bytes) = match Residence::of(windowing_of(context), sizes, memory_of_file(views))? {
             Residence::Places { count, bytes } => (count, bytes),
@@ -183,10 +183,10 @@ impl Photos {
                     context.begin_upload(buffer, &on_device(windowing_of(context), &view.photo)?)
                 };
                 let begun = texels.iter().zip(views).try_for_each(begin);
-                // Also of those that were begun before one that cannot be read: they hold the memory.
+                // Also finishes uploads begun before a photograph that cannot be read, because they hold memory.
                 let finished = context.finish_uploads();
                 if let Err(error) = begun.and(finished) {
-                    // A queue for copies has some of them still.
+                    // A copy queue may still use some of them.
                     drop(texels);
                     context.free_staging();
                     return Err(error);
@@ -201,13 +201,13 @@ impl Photos {
         Ok(Self::Streamed(Box::new(Stream { photos, places, seed, running: None })))
     }
 
-    /// Whether all photographs stay on the device.
+    /// True if all photographs stay on the device.
     pub fn are_resident(&self) -> bool {
         matches!(self, Self::Resident { .. })
     }
 
-    /// Makes sure that the photograph of an iteration is on the device. No submission that uses another one
-    /// may be pending.
+    /// Loads the photograph of an iteration to the device if necessary. No submission that uses another photograph may be
+    /// pending.
     pub fn prepare(&mut self, context: &Context, iteration: u32) -> Result<()> {
         match self {
             Self::Resident { .. } => Ok(()),
@@ -215,8 +215,7 @@ impl Photos {
         }
     }
 
-    /// Begins to load the photograph of the next iteration, beside the one that was prepared, where the device copies beside
-    /// its work.
+    /// Begins to load the next iteration's photograph beside the prepared one, if the device has a copy queue.
     pub fn prefetch(&mut self, context: &Context) -> Result<()> {
         match self {
             Self::Resident { .. } => Ok(()),
@@ -224,7 +223,7 @@ impl Photos {
         }
     }
 
-    /// The texels of a view after [`Photos::prepare`].
+    /// Texels of a view after [`Photos::prepare`].
     pub fn of(&self, view: usize) -> &Buffer {
         match self {
             Self::Resident { texels, .. } => &texels[view],
@@ -235,7 +234,7 @@ impl Photos {
         }
     }
 
-    /// Bytes of the place that [`Photos::between_steps`] needs.
+    /// Bytes of the buffer that [`Photos::between_steps`] needs as `place`.
     pub fn place_bytes(&self) -> u64 {
         match self {
             Self::Resident { .. } => 0,
@@ -243,7 +242,7 @@ impl Photos {
         }
     }
 
-    /// The texels of any view, between steps: those on the device, or read from their file into `place`.
+    /// Texels of any view, between steps: those on the device, or those of the file, uploaded to `place`.
     pub fn between_steps(&self, context: &Context, view: usize, place: &Buffer) -> Result<Buffer> {
         match self {
             Self::Resident { texels, .. } => Ok(texels[view].clone()),
@@ -272,8 +271,8 @@ impl Photos {
     }
 }
 
-/// Photographs that are read from a file during training. A thread reads them in the order in which they will
-/// be loaded. Both threads compute this order on their own.
+/// Photographs that are read from a file during training. A thread reads them in the order of their loads. Both threads compute
+/// this order on their own.
 pub(super) struct Stream {
     photos: Vec<StoredPhoto>,
     places: Vec<Buffer>,
@@ -287,7 +286,7 @@ struct Running {
     /// The prepared iteration.
     iteration: u32,
     at: Use,
-    /// The next iteration's, and whether its load has begun.
+    /// Photograph of the next iteration; true if its load has begun.
     ahead: Option<(Use, bool)>,
     /// Texels in the order of the loads. The thread ends when the receiver is dropped.
     texels: Receiver<Result<Vec<u8>>>,
@@ -295,7 +294,7 @@ struct Running {
 
 impl Drop for Running {
     fn drop(&mut self) {
-        // A load that has begun uses memory that goes now. After an error there is nothing to wait for.
+        // A load in progress uses memory that is freed now. After an error nothing is pending.
         let _ = self.context.finish_uploads();
     }
 }
@@ -332,7 +331,7 @@ impl Stream {
             return Ok(());
         };
         let at = running.schedule.advance();
-        // The place of the prepared one is in use.
+        // The prepared photograph's place is in use.
         let free = at.load && at.place != running.at.place && context.transfers().copy_queue;
         let texels = if free { running.texels.try_recv().ok().transpose()? } else { None };
         if let Some(texels) = &texels {

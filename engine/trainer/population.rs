@@ -1,4 +1,4 @@
-//! The set of Gaussians between two steps, as a strategy sees and changes it.
+//! The set of Gaussians between two steps, for a strategy to read and change.
 
 use super::budget;
 use super::model::{Model, RowMemory};
@@ -27,7 +27,7 @@ pub struct Population<'a> {
     pub(super) pictures: &'a mut FrameStore,
     pub(super) model: &'a mut Model,
     pub(super) photos: &'a Photos,
-    /// None unless they are optimised.
+    /// None unless poses are optimised.
     pub(super) poses: Option<&'a Poses>,
     pub(super) most: &'a mut Needs,
     pub(super) iteration: u32,
@@ -46,7 +46,7 @@ struct Fresh {
 }
 
 impl Population<'_> {
-    /// The device.
+    /// Context of the device.
     pub fn context(&self) -> &Context {
         self.context
     }
@@ -56,17 +56,17 @@ impl Population<'_> {
         &self.run.settings
     }
 
-    /// The scene's extent, world units.
+    /// Extent of the scene, world units.
     pub fn scene_extent(&self) -> f32 {
         self.run.scene_extent
     }
 
-    /// The training cameras as they were given.
+    /// Training cameras as given, without optimised poses.
     pub fn cameras(&self) -> &[Camera] {
         &self.run.cameras
     }
 
-    /// The last iteration, from 1.
+    /// Last iteration, counted from 1.
     pub fn iteration(&self) -> u32 {
         self.iteration
     }
@@ -76,33 +76,32 @@ impl Population<'_> {
         self.model.scene.count
     }
 
-    /// The parameters.
+    /// Parameters of the Gaussians.
     pub fn scene(&self) -> &SceneBuffers {
         &self.model.scene
     }
 
-    /// Adam's moments.
+    /// Adam's moments of the parameters.
     pub fn moments(&self) -> &Moments {
         &self.model.moments
     }
 
-    /// The statistics: see [`super::strategy::StepInputs::statistics`].
+    /// Statistics per Gaussian: see [`super::strategy::StepInputs::statistics`].
     pub fn statistics(&self) -> &[Buffer] {
         &self.model.statistics
     }
 
-    /// Frees what pictures drawn between steps have left.
+    /// Frees the buffers of pictures drawn between steps.
     pub fn release_pictures(&mut self) {
         self.pictures.release();
     }
 
-    /// The mean edge-weighted blending importance of each Gaussian over training views (indices of
-    /// [`Population::cameras`]), which are drawn one after the other: f32 per Gaussian from 0 to 1. None without
-    /// memory for it. In a view whose frame does not fit the memory, all have the importance 0.
+    /// Mean importance of each Gaussian over training views (indices of [`Population::cameras`]), which are drawn one after the
+    /// other: blending weights at edges, f32 per Gaussian from 0 to 1. None if memory is short. In a view whose frame does not
+    /// fit the memory, all have importance 0.
     ///
-    /// # Errors
-    /// [`Error::Argument`] without views, or for one that does not exist; when a photograph cannot be read or the
-    /// device is lost.
+    /// [`Error::Argument`] without views, or for an index that does not exist; when a photograph cannot be read or the device
+    /// is lost.
     pub fn importance(&mut self, kernels: &Importance, views: &[usize]) -> Result<Option<Buffer>> {
         let (context, count) = (self.context, self.count());
         let views_exist = !views.is_empty() && views.iter().all(|&view| view < self.run.cameras.len());
@@ -159,21 +158,20 @@ impl Population<'_> {
         Ok(Some(importance.clone()))
     }
 
-    /// The space-filling curve along which Gaussians are stored.
+    /// Space-filling curve of the storage order.
     pub fn curve(&self) -> Curve {
         let middle = middle(self.run.cameras.iter().map(Camera::position)).unwrap_or_default();
         Curve { center: middle.as_vec3(), extent: self.run.scene_extent }
     }
 
-    /// The most Gaussians that the set should grow to, so that frames stay within what the device and the
-    /// memory hold.
+    /// Maximum number of Gaussians for which frames stay within the limits of device and memory.
     pub fn most_rows(&self) -> u32 {
         self.present().most_rows_by_frames(self.count(), *self.most)
     }
 
-    /// Planes and a frame for `rows` rows, if they exceed the capacity. Tries a reserve of half, then no
-    /// reserve, then the largest capacity that the memory holds; that last one only if it is a sixteenth
-    /// larger than the present one. The growth may fall short of `rows`: see [`Population::capacity_with`].
+    /// Allocates planes and a frame for `rows` rows, if they exceed the capacity. Tries a reserve of half, then no reserve,
+    /// then the largest capacity that fits, if that is at least a sixteenth larger than the present one. The growth may fall
+    /// short of `rows`: see [`Population::capacity_with`].
     ///
     /// # Errors
     /// When the device is lost.
@@ -196,15 +194,15 @@ impl Population<'_> {
         Ok(Growth(None))
     }
 
-    /// The capacity in Gaussians with a growth.
+    /// Capacity in Gaussians after a growth.
     pub fn capacity_with(&self, growth: &Growth) -> u32 {
         growth.0.as_ref().map_or(self.model.scene.plan.capacity, |fresh| fresh.plan.capacity)
     }
 
-    /// Replaces the set by `rows` rows, in one submission: either all of it is executed or the old set stays.
-    /// `record_sources` records, and returns, the source of each row: its Gaussian, and its kind in the bits
-    /// from `KIND_SHIFT` on (kept, clone, first or second half of a split Gaussian). It ends with a barrier.
-    /// Statistics are cleared after it. Kept Gaussians keep their moments; those of new ones are zero.
+    /// Replaces the set by `rows` rows in one submission: either all of it executes or the old set stays. `record_sources`
+    /// records and returns the source of each row. That is a Gaussian, with the row's kind in the bits from `KIND_SHIFT` on:
+    /// kept, clone, first or second half of a split. It ends with a barrier. Statistics are cleared after it. Kept Gaussians
+    /// keep their moments; those of new ones are zero.
     ///
     /// # Errors
     /// [`Error::Argument`] for more rows than the capacity; when the device is lost.
@@ -219,11 +217,11 @@ impl Population<'_> {
         self.rebuild_and((rows, growth), kernels, key, record_sources, |_, _, _| {})
     }
 
-    /// As [`Population::rebuild`]; `record_changes` records what is changed in the new set, from the set and the
-    /// sources of its rows, in the same submission. A barrier precedes it.
+    /// Same as [`Population::rebuild`], but `record_changes` also records changes to the new set, from the set and the sources
+    /// of its rows, in the same submission. A barrier precedes it.
     ///
     /// # Errors
-    /// As [`Population::rebuild`].
+    /// Same as [`Population::rebuild`].
     pub fn rebuild_and<'b>(
         &mut self,
         (rows, growth): (u32, Growth),
@@ -239,8 +237,7 @@ impl Population<'_> {
         }
         let (old, fresh, before) = (&*self.model, growth.0, self.count());
         let plan = fresh.as_ref().map_or(old.scene.plan, |fresh| fresh.plan);
-        // Without growth the four sets of planes rotate: each is gathered into the set that the previous
-        // gather freed.
+        // Without growth the four sets of planes rotate: each is gathered into the set that the previous gather freed.
         let sets = [&old.scene.chunks, &old.moments.first, &old.moments.second];
         let targets: [&Vec<Buffer>; 3] = match &fresh {
             Some(fresh) => [&fresh.sets[0], &fresh.sets[1], &fresh.sets[2]],
@@ -278,7 +275,7 @@ impl Population<'_> {
             statistics: statistics.clone(),
             parameter_gradients: parameter_gradients.clone(),
         };
-        // The sums are in the planes that are the spare set no longer, in the order of the old set.
+        // The gradient sums are void: their planes are no longer the spare set, and their rows are in the old order.
         *self.summed = 0;
         let of_frame = |rows: u32| rows.saturating_add(self.runner.around());
         *self.most = self.most.remembered(of_frame(before), of_frame(rows));
@@ -288,8 +285,8 @@ impl Population<'_> {
     /// Keeps these Gaussians, in this order, each once, and removes all others.
     ///
     /// # Errors
-    /// [`Error::Argument`] for an index that does not exist or comes twice, and for none at all; when the memory does not
-    /// suffice or the device is lost.
+    /// [`Error::Argument`] for an index that does not exist or comes twice, and for an empty list; when memory is short or the
+    /// device is lost.
     pub fn keep(&mut self, kept: &[u32], kernels: &Densify) -> Result<()> {
         let count = self.count();
         if kept.is_empty() || kept.len() > count as usize {
@@ -321,7 +318,7 @@ impl Population<'_> {
 
     fn present(&self) -> budget::Present<'_> {
         let frame = self.runner.capacity();
-        // For all views, including those that have not been used yet.
+        // Covers all views, also those not used yet.
         let pictures = PictureCapacity::of_cameras(&self.run.cameras);
         budget::Present {
             context: self.context,
@@ -333,9 +330,9 @@ impl Population<'_> {
         }
     }
 
-    /// Planes for parameters, both moments and the spare set with the given capacity, their statistics, and a
-    /// frame. An error if they do not fit the memory. The old planes then still exist. The old frame does
-    /// not, and the next step allocates it again.
+    /// Allocates planes for parameters, both moments and the spare set with the given capacity, their statistics, and a frame.
+    /// An error if they do not fit the memory: the old planes then still exist, but the next step allocates the old frame
+    /// again.
     fn allocate_fresh(&mut self, capacity: u32) -> Result<Fresh> {
         let plan = ScenePlan::new(self.context.limits(), capacity, self.model.scene.plan.sh_degree)?;
         if !self.present().has_room(&plan) {
@@ -357,7 +354,7 @@ impl Population<'_> {
     }
 }
 
-/// None if the memory does not suffice; an error if the state of the device is unknown.
+/// Returns None if memory is short, and an error if the state of the device is unknown.
 pub(super) fn or_none<T>(result: Result<T>) -> Result<Option<T>> {
     match result {
         Ok(done) => Ok(Some(done)),

@@ -1,4 +1,4 @@
-//! Poses of the training views that are optimised with the scene.
+//! Poses of the training views, optimised with the scene.
 
 use super::checkpoint::PoseState;
 use super::settings::TrainSettings;
@@ -10,19 +10,19 @@ use crate::scene::{Camera, Gaussians, NEAR_PLANE};
 use crate::vk::{Buffer, Context, MemoryKind, Recorder};
 use glam::Vec3;
 
-/// Most Gaussians that [`mean_depth`] looks at: a mean needs no more, and there is one per camera.
+/// Maximum number of Gaussians that [`mean_depth`] samples. It runs once per camera, and a mean needs no more.
 const DEPTH_SAMPLES: usize = 1 << 16;
 
-/// The poses of a run that optimises them.
+/// Kernels and buffers of a run that optimises poses.
 pub(super) struct Poses {
     gradient: PoseGradient,
     optimizer: PoseOptimizer,
     buffers: PoseBuffers,
-    /// Per view: its camera's place on the device.
+    /// Per view: range of its camera on the device.
     cameras: Vec<Buffer>,
 }
 
-/// Names and bytes of the buffers that a run keeps; none unless it optimises poses.
+/// Names and bytes of the buffers; empty unless the run optimises poses.
 pub(super) fn requests(settings: &TrainSettings, views: usize) -> Vec<(&'static str, u64)> {
     match settings.pose_opt {
         true => PoseBuffers::requests(views as u32).to_vec(),
@@ -31,8 +31,8 @@ pub(super) fn requests(settings: &TrainSettings, views: usize) -> Vec<(&'static 
 }
 
 impl Poses {
-    /// With all cameras where they are given. None unless the settings optimise poses.
-    /// `sums`: whether steps may follow several views.
+    /// Starts with all cameras as given. None unless the settings optimise poses. `sums`: true if steps may follow several
+    /// views.
     pub fn new(
         context: &Context,
         settings: &TrainSettings,
@@ -66,7 +66,7 @@ impl Poses {
         Ok(Some(poses))
     }
 
-    /// From the parameters. The same parameters give the same bits, here and in steps.
+    /// Computes the cameras from the parameters. The same parameters give the same bits, here and in steps.
     fn make_cameras(&self, context: &Context) -> Result<()> {
         let state =
             context.allocate("poses", &[("state", u64::from(STATE_WORDS) * 4)], MemoryKind::Device)?;
@@ -84,8 +84,8 @@ impl Poses {
         &self.cameras[view]
     }
 
-    /// Records what follows the backward pass with a gradient of the pose: the gradient, and a step or the addition to
-    /// the sums. The caller places barriers before and after.
+    /// Records the gradient of a pose, and a step or an addition to the sums, after a backward pass with such a gradient. The
+    /// caller places barriers before and after.
     pub fn record(&self, r: &mut Recorder, inputs: &FrameInputs, view: usize, step: &PoseStep) {
         let view = view as u32;
         r.scope("poses", |r| {
@@ -95,19 +95,19 @@ impl Poses {
         });
     }
 
-    /// All of them, one after the other.
+    /// All cameras, one after the other.
     pub fn all_cameras(&self) -> &Buffer {
         &self.buffers.cameras
     }
 
-    /// The cameras as they are now.
+    /// Current cameras.
     pub fn moved(&self, context: &Context, cameras: &[Camera]) -> Result<Vec<Camera>> {
         let bytes = context.download(&self.buffers.cameras)?;
         let poses: Vec<[f32; 12]> = bytemuck::pod_collect_to_vec(&bytes);
         Ok(cameras.iter().zip(&poses).map(|(camera, pose)| camera_at(camera, pose)).collect())
     }
 
-    /// The gradients of the views since the last step.
+    /// Sums of the gradients since the last step.
     pub fn sums(&self, context: &Context) -> Result<Vec<[f32; 6]>> {
         Ok(bytemuck::pod_collect_to_vec(&context.download(&self.buffers.sums)?))
     }
@@ -120,7 +120,7 @@ impl Poses {
     pub fn state(&self, context: &Context) -> Result<PoseState> {
         let parameters = context.download(&self.buffers.parameters)?;
         let moments: Vec<[f32; 6]> = bytemuck::pod_collect_to_vec(&context.download(&self.buffers.moments)?);
-        // The buffer of a few is larger.
+        // The buffer has a minimum size.
         let depths = self.buffers.depths.range(0, 4 * self.cameras.len() as u64);
         let every_second = |first: usize| moments.iter().skip(first).step_by(2).copied().collect();
         Ok(PoseState {
@@ -148,7 +148,7 @@ impl Poses {
     }
 }
 
-/// Harmonic mean of the depth over the means that a camera sees, world units; 0 where it sees none. Of many, evenly spaced ones.
+/// Harmonic mean of the depths of the means that a camera shows, world units; 0 if it shows none. Samples many means evenly.
 fn mean_depth(camera: &Camera, means: &[[f32; 3]]) -> f32 {
     let inverse = |&mean: &[f32; 3]| {
         let p = camera.camera_from_world * Vec3::from_array(mean) + camera.translation;
@@ -180,7 +180,7 @@ mod tests {
         assert_eq!(mean_depth(&camera, &unseen), 0.0);
         assert_eq!(mean_depth(&camera, &[&unseen[..], &[near]].concat()), 2.0);
         assert_eq!(mean_depth(&camera, &[]), 0.0);
-        // Of three times too many, every third.
+        // Three times the sample limit: every third is read.
         let many: Vec<[f32; 3]> =
             (0..3 * DEPTH_SAMPLES).map(|i| if i % 3 == 0 { near } else { far }).collect();
         assert_eq!(mean_depth(&camera, &many), 2.0);

@@ -4,12 +4,12 @@ use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// Random streams of a run, all derived from its seed.
+/// Random streams of a run; the seed determines them all.
 const STREAM_VIEWS: u64 = 1;
 const STREAM_BACKGROUND: u64 = 2;
 const STREAM_POOL: u64 = 3;
 
-/// Each view once per epoch, in random order.
+/// Order of views: each view once per epoch, in random order.
 #[derive(Clone)]
 pub(super) struct ViewOrder {
     seed: u32,
@@ -23,12 +23,11 @@ impl ViewOrder {
         Self { seed, views, epoch: u64::MAX, order: Vec::new() }
     }
 
-    /// Number of views.
     pub fn views(&self) -> usize {
         self.views
     }
 
-    /// The view of an iteration, from 1. It depends only on the seed and the iteration.
+    /// View of an iteration, counted from 1. It depends only on the seed and the iteration.
     pub fn view(&mut self, iteration: u32) -> usize {
         let index = iteration as usize - 1;
         let epoch = (index / self.views) as u64;
@@ -50,8 +49,7 @@ fn generator(seed: u32, stream: u64, counter: u64) -> ChaCha8Rng {
     rng
 }
 
-/// Views from a pool that is all views in random order, and then all of them in another order: those at these
-/// places.
+/// Returns the views at these places of an endless sequence. Each epoch of it has all views, in a new random order.
 pub(super) fn pool_views(seed: u32, views: usize, places: std::ops::Range<u64>) -> Vec<usize> {
     let views = views as u64;
     let mut order: Option<(u64, Vec<usize>)> = None;
@@ -68,7 +66,7 @@ pub(super) fn pool_views(seed: u32, views: usize, places: std::ops::Range<u64>) 
     places.map(view).collect()
 }
 
-/// A random background for an iteration: r, g, b.
+/// Random background of an iteration: r, g, b.
 pub(super) fn background(seed: u32, iteration: u32) -> [f32; 3] {
     let mut rng = generator(seed, STREAM_BACKGROUND, iteration.into());
     [rng.random(), rng.random(), rng.random()]

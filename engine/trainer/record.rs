@@ -1,9 +1,8 @@
 //! Training steps in a host's command buffer. Recording never submits, waits, allocates, maps or reads back.
 //!
-//! [`Trainer::maintain`] does between steps what recording cannot: densification, which needs memory and
-//! counts from the device; opacity resets; and a larger capacity after a step that overflowed. A step that
-//! overflows changes nothing, and neither do the steps recorded after it: the device keeps its overflow flag
-//! until then.
+//! [`Trainer::maintain`] does between steps what recording cannot. It densifies, which needs memory and counts from the device;
+//! it resets opacities; and it grows the capacity after an overflow. A step that overflows changes nothing, and neither do the
+//! steps recorded after it: the device keeps its overflow flag until then.
 
 use super::iteration::{IterationPlan, Progress};
 use super::reserve::StepReservation;
@@ -17,27 +16,25 @@ use crate::vk::{Buffer, Context, ForeignCommands, MemoryKind, RecordSlot, Record
 use ash::vk;
 use std::collections::VecDeque;
 
-/// A recorded step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct RecordedStep {
-    /// Its iteration, from 1.
+    /// Iteration, counted from 1.
     pub iteration: u32,
-    /// Index of its view.
+    /// Index of the view.
     pub view: usize,
-    /// What the next user of the Gaussians waits for. There are no images.
+    /// Stages and accesses that the next user of the Gaussians must wait for. There are no images.
     pub release: Release,
 }
 
-/// The recorded steps of a host.
+/// Recorded steps of a host.
 #[derive(Default)]
 pub(super) struct Recording {
     slots: Vec<StepSlot>,
     in_flight: VecDeque<InFlight>,
-    /// Counts of the steps that overflowed, until the capacity has grown: of the first of them, and the
-    /// largest of all.
+    /// Counts of the first step that overflowed, and the maxima over all such steps. None once the capacity has grown.
     overflow: Option<[State; 2]>,
-    /// Whether the next recorded step may use the frame's buffers.
+    /// True if the next recorded step may use the frame's buffers.
     pub frame_is_ready: bool,
 }
 
@@ -81,13 +78,13 @@ impl StepSlot {
 }
 
 impl Trainer {
-    /// Builds all kernels and allocates everything that recorded steps need. Replaces the previous
-    /// reservation. Submits and waits. The whole command buffers of all steps must have finished
+    /// Builds all kernels and allocates everything that recorded steps need, replacing the previous reservation. Submits and
+    /// waits. Before the call, the whole command buffers of all steps must have finished
     /// ([`Context::adopt_commands`](crate::vk::Context::adopt_commands)).
     ///
     /// # Errors
-    /// [`Error::Argument`] without slots, for photographs that lie in a file or while recorded steps are in
-    /// flight, [`Error::TooLarge`] if it exceeds the device; memory or device failures.
+    /// [`Error::Argument`] without slots, for photographs in a file, or while recorded steps are in flight; [`Error::TooLarge`]
+    /// if the reservation exceeds the device; memory or device failures.
     pub fn reserve_steps(&mut self, wanted: &StepReservation) -> Result<()> {
         if !(1..=1024).contains(&wanted.slots) {
             return Err(Error::argument("slots", format!("is {}, it may be 1 to 1024", wanted.slots)));
@@ -112,19 +109,17 @@ impl Trainer {
         self.make_ready(true)
     }
 
-    /// Records the next iteration into a host's command buffer. The bits equal those of [`Trainer::step`] on
-    /// the same context.
+    /// Records the next iteration into a host's command buffer. The bits equal those of [`Trainer::step`] on the same context.
     ///
-    /// It only records: it neither submits nor waits, allocates or maps device memory, or reads anything
-    /// back. Everything is checked before the first command. The slot is then in flight until the device has
-    /// executed the recording. Recorded steps must be executed in the order of recording. Between them the
-    /// host may render [`Trainer::scene`] with [`Renderer::record`](crate::Renderer::record): in the same queue without a
-    /// barrier, in another one behind a semaphore.
+    /// Recording neither submits nor waits, allocates or maps device memory, or reads anything back. Everything is checked
+    /// before the first command. The slot is then in flight until the device has executed the recording. Recorded steps must
+    /// execute in the order of recording. Between them the host may render [`Trainer::scene`] with
+    /// [`Renderer::record`](crate::Renderer::record): in the same queue without a barrier, in another queue behind a semaphore.
     ///
     /// # Errors
-    /// [`Error::Argument`] for a slot that is not reserved or still in flight; for commands of another
-    /// device; while maintenance is due ([`Trainer::maintenance_is_due`]); after the last of
-    /// [`TrainSettings::iterations`](crate::TrainSettings); and as [`Trainer::step`] for a trainer whose state is unknown.
+    /// [`Error::Argument`] for a slot that is not reserved or still in flight; for commands of another device; while
+    /// maintenance is due ([`Trainer::maintenance_is_due`]); after the last of
+    /// [`TrainSettings::iterations`](crate::TrainSettings); and, like [`Trainer::step`], for a trainer in an unknown state.
     /// [`Error::DeviceLost`] after a loss that the context has noticed.
     pub fn record_step(&mut self, commands: ForeignCommands, slot: u32) -> Result<RecordedStep> {
         self.context.check_alive()?;
@@ -140,7 +135,7 @@ impl Trainer {
         let is_due = self.maintenance_is_due()?;
         let progress = self.recording.in_flight.back().map_or(self.state.progress, |last| last.after);
         let all = self.run.settings.iterations;
-        // Steps behind one that overflowed are recorded again.
+        // Steps after an overflow are recorded again.
         if progress.iteration >= all && self.recording.overflow.is_none() {
             let problem = format!("the run is over: its settings have {all} iterations");
             return Err(Error::argument("training step", problem));
@@ -172,7 +167,7 @@ impl Trainer {
         Ok(RecordedStep { iteration: plan.iteration, view: plan.view, release })
     }
 
-    /// Records a step, and the copies of its counts and its loss to host-readable memory.
+    /// Records a step, and copies of its counts and loss to host-readable memory.
     fn record_plan(
         &self,
         r: &mut Recorder,
@@ -190,7 +185,7 @@ impl Trainer {
         })
     }
 
-    /// Updates the state from the recorded steps that have finished. Returns how many have not. Never waits.
+    /// Updates the state from recorded steps that have finished. Returns the number still in flight. Never waits.
     ///
     /// # Errors
     /// When the device is lost.
@@ -250,7 +245,7 @@ impl Trainer {
         Ok(())
     }
 
-    /// The outcome of the last step of a slot: None while it is in flight, and without a step. Never waits.
+    /// Outcome of a slot's last step; None without a step, or while it is in flight. Never waits.
     ///
     /// # Errors
     /// [`Error::Argument`] for a slot that is not reserved; when the device is lost.
@@ -258,7 +253,7 @@ impl Trainer {
         self.settle()?;
         let index = self.slot_index(slot)?;
         let slot = &mut self.recording.slots[index];
-        // Not read while steps are recorded: see `RecordSlot::has_times`.
+        // Times cannot be read while steps are recorded: see `RecordSlot::has_times`.
         if let Some(StepOutcome::Done(report)) = &mut slot.outcome
             && report.scopes.is_empty()
         {
@@ -270,7 +265,7 @@ impl Trainer {
         Ok(slot.outcome.clone())
     }
 
-    /// Whether [`Trainer::maintain`] has to be called before another step can be recorded. Never waits.
+    /// True if [`Trainer::maintain`] must be called before another step can be recorded. Never waits.
     ///
     /// # Errors
     /// When the device is lost.
@@ -283,15 +278,15 @@ impl Trainer {
         Ok(!due.is_empty() || recording.overflow.is_some() || !recording.frame_is_ready || !fits)
     }
 
-    /// Does what recorded steps cannot. It densifies and resets opacities if the previous iteration requested
-    /// it. After a step that overflowed, it grows the capacity, or skips the step if the capacity cannot grow
-    /// enough. Submits, waits and allocates; does nothing if nothing is due. The command buffers of all
-    /// recorded steps must have finished ([`Context::adopt_commands`]).
+    /// Does the work that recorded steps cannot. It densifies and resets opacities if the previous iteration requested it.
+    /// After an overflow it grows the capacity, or skips the step if the capacity cannot grow enough. Submits, waits and
+    /// allocates; does nothing if nothing is due. The command buffers of all recorded steps must have finished
+    /// ([`Context::adopt_commands`]).
     ///
     /// Afterwards the Gaussians are in another set of buffers: call [`Trainer::scene`] again.
     ///
     /// # Errors
-    /// [`Error::Argument`] while recorded steps are in flight or without a queue; as [`Trainer::step`].
+    /// [`Error::Argument`] while recorded steps are in flight or without a queue; same as [`Trainer::step`].
     pub fn maintain(&mut self) -> Result<Maintenance> {
         self.state.check_whole()?;
         if self.settle()? > 0 {
@@ -308,7 +303,7 @@ impl Trainer {
     fn run_maintenance(&mut self) -> Result<Maintenance> {
         let mut done = Maintenance::default();
         self.recording.frame_is_ready = false;
-        // They hold the buffers that are replaced.
+        // The slots hold buffers that are replaced now.
         self.recording.slots.iter_mut().try_for_each(|slot| slot.record.release())?;
         if let Some(needed) = self.recording.overflow {
             self.make_room_for_steps(needed, &mut done)?;
@@ -321,8 +316,7 @@ impl Trainer {
         Ok(done)
     }
 
-    /// Grows the capacity after steps that overflowed: for all of them, or otherwise for the first. If even
-    /// the first does not fit, it is skipped.
+    /// Grows the capacity after overflows: for all steps, or else for the first. If even the first does not fit, it is skipped.
     fn make_room_for_steps(&mut self, [first, most]: [State; 2], done: &mut Maintenance) -> Result<()> {
         let grown = match self.runner.grow(&most) {
             Err(Error::TooLarge { .. }) => self.runner.grow(&first),
@@ -340,8 +334,8 @@ impl Trainer {
         Ok(())
     }
 
-    /// Allocates buffers for all views, clears the contents of earlier frames, and makes slots for the
-    /// dispatches. Recordings that are never submitted create all objects that are made on first use.
+    /// Allocates buffers for all views, clears the contents of earlier frames, and makes slots for the dispatches. Recordings
+    /// that are never submitted create all objects that are otherwise made on first use.
     fn make_ready(&mut self, every_view: bool) -> Result<()> {
         let gaussians = self.state.model.scene.plan.capacity;
         let drawn = self.recorder.drawn();
@@ -364,7 +358,7 @@ impl Trainer {
             for view in views {
                 let sums: &[bool] = if self.strategy.records().sums { &[false, true] } else { &[false] };
                 let camera = self.run.cameras[view];
-                // Of the reduced sizes one stands for all: they have the same buffers.
+                // One reduced size represents all: they have the same buffers.
                 let first = self.run.settings.warm_up_camera(2, &camera);
                 let cameras = if first == camera { vec![camera] } else { vec![first, camera] };
                 for (&sums, &camera) in sums.iter().flat_map(|sums| cameras.iter().map(move |c| (sums, c))) {
@@ -382,33 +376,33 @@ impl Trainer {
         Ok(())
     }
 
-    /// Most dispatches of a step.
+    /// Maximum number of dispatches in a step.
     fn step_dispatches(&self) -> usize {
         const PER_STEP: u32 = 64;
-        // Per chunk of parameters: culling, projection, its backward pass, the sums of gradients, the optimiser. What lies
-        // around a block has the first two, and one dispatch for its ranges.
+        // Per chunk of parameters: culling, projection, its backward pass, the gradient sums, the optimiser. Chunks of frozen
+        // Gaussians have the first two, and share one dispatch for their ranges.
         let around = self.surroundings().map_or(0, |around| 2 * around.plan().chunks + 1);
         let frame = self.runner.capacity();
         let blending =
             LaunchSizes::new(self.context.limits()).blend_dispatches(frame.instances, frame.blend_passes);
-        // The mean has one for the geometry and one for each SH degree.
+        // The averaging has one for the geometry and one for each SH degree.
         let scene = &self.state.model.scene.plan;
         let mean =
             if self.run.settings.average_last > 0.0 { scene.chunks * (scene.sh_degree + 2) } else { 0 };
-        // Sizes of the 3D filter: the nearest depths, and what follows from them.
+        // The 3D filter has the nearest depths, and the sizes that follow from them.
         let filter = if self.run.settings.filter_3d { 2 * scene.chunks } else { 0 };
         (PER_STEP + 5 * scene.chunks + mean + filter + around + 2 * blending) as usize
     }
 
-    /// The Gaussians on the device, for [`Renderer::record`](crate::Renderer::record) after recorded steps.
-    /// Valid until the next [`Trainer::maintain`] or [`Trainer::step`]. Its [`SceneSettings::sh_degree`](crate::SceneSettings::sh_degree)
-    /// should be [`Trainer::sh_degree`], which rises as it trains. Of a block, without [`Trainer::surroundings`].
+    /// Gaussians on the device, for [`Renderer::record`](crate::Renderer::record) after recorded steps; valid until the next
+    /// [`Trainer::maintain`] or [`Trainer::step`]. Its [`SceneSettings::sh_degree`](crate::SceneSettings::sh_degree) should be
+    /// [`Trainer::sh_degree`], which rises during training. Excludes [`Trainer::surroundings`].
     pub fn scene(&self) -> DeviceScene {
         DeviceScene::of(&self.context, self.state.model.scene.clone())
     }
 
-    /// A slot's recording state, for a host that has discarded its command buffer ([`SlotRecording::discard`]).
-    /// The host must then discard those of all steps recorded after it as well.
+    /// Recording state of a slot, for a host that has discarded its command buffer ([`SlotRecording::discard`]). The host must
+    /// then also discard those of all steps recorded later.
     ///
     /// # Errors
     /// [`Error::Argument`] for a slot that is not reserved.
@@ -417,7 +411,7 @@ impl Trainer {
         Ok(SlotRecording::new(&mut self.recording.slots[index].record))
     }
 
-    /// Fails while recorded steps are in flight, or have finished without a call of [`Trainer::settle`].
+    /// Fails while recorded steps are in flight, or if they have finished without a call of [`Trainer::settle`].
     pub(super) fn check_settled(&self) -> Result<()> {
         if self.recording.in_flight.is_empty() {
             return Ok(());
@@ -426,7 +420,7 @@ impl Trainer {
         Err(Error::argument("trainer", problem))
     }
 
-    /// Fails unless the scene and its state are those of the last step, and no recorded step can change them.
+    /// Fails unless the state of the scene is known and no recorded step can change it.
     pub(super) fn check_readable(&self) -> Result<()> {
         self.check_settled()?;
         self.state.check_whole()

@@ -1,4 +1,4 @@
-//! What a training has memory for in advance: recorded steps, and Gaussians to come, which give way to a frame.
+//! Memory reserved in advance: for recorded steps, and for future Gaussians. The latter gives way to a frame.
 
 use super::model::Model;
 use super::{Checkpoint, Trainer};
@@ -7,15 +7,15 @@ use crate::plan::{FrameCapacity, LaunchSizes, ScenePlan, frame_bytes, frame_fits
 use crate::planes;
 use crate::renderer::State;
 
-/// What is allocated in advance for recording steps: see [`Trainer::reserve_steps`].
+/// Buffers to allocate in advance for recorded steps: see [`Trainer::reserve_steps`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct StepReservation {
-    /// Steps that may be recorded before the first of them has finished. They share the same memory, except
-    /// for a few words each.
+    /// Number of steps that may be recorded before the first of them has finished. They share the same memory, except for a few
+    /// words each.
     pub slots: u32,
-    /// Least capacity in (tile, Gaussian) instances of a step; 0 for an estimate. [`Trainer::maintain`] grows it.
+    /// Minimum capacity in (tile, Gaussian) instances of a step; 0 for an estimate. [`Trainer::maintain`] grows it.
     pub instances: u32,
-    /// Least capacity in visible Gaussians, those around a block among them; 0 for an estimate.
+    /// Minimum capacity in visible Gaussians, including frozen ones; 0 for an estimate.
     pub visible: u32,
 }
 
@@ -26,13 +26,13 @@ impl Default for StepReservation {
 }
 
 impl Trainer {
-    /// Frees the reserve of Gaussians where that makes room for a frame. What is kept of each Gaussian goes through the host, for
-    /// there is no memory for a second copy. Returns whether it was freed. Recorded steps have reserved what they need: while there
-    /// are slots for them the reserve stays.
+    /// Frees the reserve of Gaussians if that makes enough memory for a frame. Returns true if it was freed. The rows move
+    /// through the host, because memory does not hold a second copy. While there are slots for recorded steps, the reserve
+    /// stays.
     ///
     /// # Errors
-    /// When the memory does not suffice after all, because somebody else holds what was freed or takes it:
-    /// [`Trainer::checkpoint`] then still has everything, and every later step is refused.
+    /// When memory does not suffice after all, because another user holds or takes the freed part. [`Trainer::checkpoint`] then
+    /// still returns the whole state, and every later step is refused.
     pub(super) fn give_up_reserve(&mut self, needed: &State) -> Result<bool> {
         let scene = &self.state.model.scene;
         let plan = ScenePlan::new(self.context.limits(), scene.count, scene.plan.sh_degree)?;
@@ -41,7 +41,7 @@ impl Trainer {
             return Ok(false);
         }
         let kept = Box::new(self.checkpoint()?);
-        // Until all of it is there again.
+        // The state is incomplete until the rebuild succeeds.
         self.state.broken = true;
         self.state.model.release();
         self.runner.forget();
@@ -58,7 +58,7 @@ impl Trainer {
         self.restore_rows(from)
     }
 
-    /// Whether the memory holds the frame beside planes of this plan, if nobody else holds the present ones.
+    /// True if memory holds the frame beside planes of this plan, once the present planes are freed.
     fn has_room_without_reserve(&self, needed: &State, plan: &ScenePlan) -> bool {
         let (context, present) = (&self.context, &self.state.model.scene.plan);
         let Some((limit, _)) = context.memory_limit() else { return false };

@@ -1,39 +1,39 @@
-//! Which photographs are on the device if only some of them fit.
+//! Selection of the photographs on the device if only some of them fit.
 
 use super::random::ViewOrder;
 
-/// The photograph of an iteration.
+/// Photograph of an iteration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Use {
     pub view: usize,
-    /// Its place.
+    /// Index of its place on the device.
     pub place: usize,
-    /// Whether it must be loaded into the place.
+    /// True if it must be loaded into the place.
     pub load: bool,
 }
 
-/// Belady's algorithm: the order is known, so the photograph that is needed last is replaced.
+/// Belady's algorithm: the order is known, so a load replaces the photograph whose next use is last.
 #[derive(Clone)]
 pub(super) struct Residency {
     order: ViewOrder,
-    /// The next iteration, from 1.
+    /// Next iteration, counted from 1.
     iteration: u32,
     /// View in each place.
     places: Vec<Option<usize>>,
-    /// Iterations at which each view is next needed: in this epoch and in the next.
+    /// Iterations at which each view is next used: in this epoch and in the next.
     uses: Vec<[u32; 2]>,
-    /// The iteration from which on `uses` must be recomputed.
+    /// Iteration from which `uses` must be recomputed.
     epoch_end: u32,
 }
 
 impl Residency {
-    /// Starts at an iteration, with empty places.
+    /// Starts at an iteration with empty places.
     pub fn new(order: ViewOrder, places: usize, iteration: u32) -> Self {
         let uses = vec![[0; 2]; order.views()];
         Self { order, iteration, places: vec![None; places], uses, epoch_end: 0 }
     }
 
-    /// The next iteration's photograph.
+    /// Photograph of the next iteration.
     pub fn advance(&mut self) -> Use {
         let iteration = self.iteration;
         self.iteration += 1;
@@ -51,7 +51,7 @@ impl Residency {
         Use { view, place, load: true }
     }
 
-    /// Notes when each view comes in the epoch of an iteration and in the next one.
+    /// Notes the iteration of each view, in the epoch of the given iteration and in the next.
     fn look_ahead(&mut self, iteration: u32) {
         let views = self.uses.len() as u32;
         let first = (iteration - 1) / views * views + 1;
@@ -73,7 +73,7 @@ impl Residency {
 mod tests {
     use super::*;
 
-    /// Loads in `epochs` epochs.
+    /// Number of loads in `epochs` epochs.
     fn loads(views: usize, places: usize, epochs: u32) -> u32 {
         let mut schedule = Residency::new(ViewOrder::new(3, views), places, 1);
         let mut order = ViewOrder::new(3, views);
@@ -98,14 +98,14 @@ mod tests {
         assert_eq!(loads(17, 1, 10), 170 - repeats(17, 10));
     }
 
-    /// Views that come last in an epoch and first in the next.
+    /// Number of views that come last in an epoch and first in the next.
     fn repeats(views: usize, epochs: u32) -> u32 {
         let mut order = ViewOrder::new(3, views);
         let ends = (1..epochs).map(|epoch| epoch * views as u32);
         ends.filter(|&at| order.view(at) == order.view(at + 1)).count() as u32
     }
 
-    /// With least-recently-used replacement nearly all are loaded in every epoch.
+    /// Least-recently-used replacement would load nearly all in every epoch.
     #[test]
     fn half_the_room_saves_half_the_loads() {
         let of_all = f64::from(loads(40, 20, 20)) / 800.0;

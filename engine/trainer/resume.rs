@@ -30,7 +30,7 @@ impl Trainer {
             planes::download(&self.context, &SceneBuffers { chunks: chunks.to_vec(), ..model.scene.clone() })
         };
         let count = u64::from(model.scene.count);
-        // Each value is of f32.
+        // All statistics are f32.
         let values = |buffer: &Buffer, floats: u32| -> Result<Vec<f32>> {
             match count {
                 0 => Ok(Vec::new()),
@@ -95,12 +95,12 @@ impl Trainer {
         })
     }
 
-    /// A trainer that continues from a checkpoint as if it had never stopped: the same views in the same
-    /// order, and the same settings except for the number of iterations, which must not be reached yet. With
-    /// another version, device or driver the bits differ: see [`Checkpoint::differences`].
+    /// Creates a trainer that continues from a checkpoint as if it had never stopped. It needs the same views in the same
+    /// order, and the same settings. Only the number of iterations may differ, if it is not reached yet. With another version,
+    /// device or driver the bits differ: see [`Checkpoint::differences`].
     ///
     /// # Errors
-    /// [`crate::Error::Argument`] naming what differs; as [`Trainer::new`].
+    /// [`crate::Error::Argument`] naming what differs; same as [`Trainer::new`].
     pub fn resume(
         context: &Context,
         views: Vec<TrainView>,
@@ -113,10 +113,10 @@ impl Trainer {
         Self::resume_with_parts(context, views, (settings, scene_extent), parts, from)
     }
 
-    /// As [`Trainer::resume`], for a run of [`Trainer::with_parts`].
+    /// Same as [`Trainer::resume`], for a run of [`Trainer::with_parts`].
     ///
     /// # Errors
-    /// As [`Trainer::resume`].
+    /// Same as [`Trainer::resume`].
     pub fn resume_with_parts(
         context: &Context,
         views: Vec<TrainView>,
@@ -163,7 +163,7 @@ impl Trainer {
                 poses.restore_sums(context, sums)?;
             }
         }
-        // The shorter run left out a reset that this one makes.
+        // The shorter run omitted a reset that this run makes.
         let recovery = from.settings.reset_recovery();
         let made_up = (from.iteration.saturating_sub(recovery) + 1..=from.iteration).any(|iteration| {
             let here = trainer.actions_at(iteration).contains(Actions::RESET_OPACITY);
@@ -201,7 +201,7 @@ impl Trainer {
         Err(Error::argument("checkpoint", problem))
     }
 
-    /// Uploads what is kept of each Gaussian beside its parameters.
+    /// Uploads the state of each Gaussian besides its parameters.
     pub(super) fn restore_rows(&self, from: &Checkpoint) -> Result<()> {
         let (context, model) = (&self.context, &self.state.model);
         context.upload(&model.statistics[0], bytemuck::cast_slice(&from.statistics))?;
@@ -247,14 +247,13 @@ impl Trainer {
 }
 
 impl Room {
-    /// The most that frames needed.
+    /// Peak counts of the run's frames.
     pub(super) fn most(&self) -> Needs {
         Needs { visible: self.most_visible, instances: self.most_instances }
     }
 
-    /// The capacity of a first frame of so many Gaussians, where the one of before is of no use, as after an exchange of blocks: twice the
-    /// instances that any frame had so far, and as many visible Gaussians as there was room for. None
-    /// if there was no frame.
+    /// Initial frame capacity when the checkpoint's does not apply, as after an exchange of blocks. Holds twice the peak number
+    /// of instances, and the earlier capacity of visible Gaussians. None if there was no frame.
     pub(super) fn first_frame(
         &self,
         context: &Context,
@@ -281,8 +280,7 @@ impl Room {
         (self.most_instances > 0).then_some(frame)
     }
 
-    /// The capacity of a frame, for these pictures and so many scenes, with room for absolute gradients or not; None without a
-    /// frame.
+    /// Frame capacity for these pictures and number of scenes; `absolute`: with absolute gradients. None without a frame.
     pub(super) fn frame(
         &self,
         (pictures, scenes): (PictureCapacity, u32),
@@ -301,7 +299,7 @@ impl Room {
     }
 }
 
-/// Identifies views, cameras and photographs in their order; `by_camera`: and which cameras took them.
+/// Hash of views, cameras and photographs in their order; `by_camera`: also of the ids of their cameras.
 pub(super) fn fingerprint_of(views: &[TrainView], by_camera: bool) -> u64 {
     let of_view = |view: &TrainView| {
         let Camera { camera_from_world, translation, fx, fy, cx, cy, width, height, part, .. } = view.camera;
@@ -324,7 +322,7 @@ pub(super) fn fingerprint_of(views: &[TrainView], by_camera: bool) -> u64 {
         }
         print.finish()
     };
-    // Photographs have many megabytes: each thread hashes a share of them.
+    // Photographs have many megabytes, so each thread hashes a share of them.
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     let share = views.len().div_ceil(threads).max(1);
     let mut each = vec![0; views.len()];

@@ -1,17 +1,17 @@
-//! What a training run is given, and keeps unchanged.
+//! Unchanging inputs of a training run.
 
 use super::settings::TrainSettings;
 use crate::forward::RenderSettings;
 use crate::scene::Camera;
 
-/// The inputs of a run, apart from the photographs.
+/// Inputs of a run, apart from the photographs.
 pub(super) struct Run {
     pub settings: TrainSettings,
     /// World units.
     pub scene_extent: f32,
     /// One per view.
     pub cameras: Vec<Camera>,
-    /// Per view: the number of its lens, from 0 in the order of the cameras' ids.
+    /// Lens index of each view, counted from 0 in the order of the camera ids.
     pub lenses: Vec<u32>,
     pub views_fingerprint: u64,
 }
@@ -22,14 +22,14 @@ impl Run {
         self.lenses.iter().max().map_or(0, |&last| last as usize + 1)
     }
 
-    /// The render settings of training, without the random background.
+    /// Render settings of training, without the random background.
     pub fn render_settings(&self) -> RenderSettings {
         self.settings.render_settings()
     }
 }
 
 impl TrainSettings {
-    /// The render settings of training, without the random background.
+    /// Render settings of training, without the random background.
     pub fn render_settings(&self) -> RenderSettings {
         RenderSettings {
             antialias: self.antialiasing,

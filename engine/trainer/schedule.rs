@@ -1,33 +1,32 @@
-//! What the settings of a run give at an iteration: rates, weights, and when density control works.
+//! Values of the settings at an iteration: rates, weights, and the times of density control.
 
 use super::settings::TrainSettings;
 use crate::forward::Dropout;
 
-/// Iterations of the run that schedules are given for.
+/// Number of iterations for which the schedules are given.
 const SCHEDULE_ITERATIONS: u32 = 30_000;
-/// The SH coefficients above degree 0 learn at this share of `feature_lr`.
+/// Learning rate of the SH coefficients above degree 0, as a share of `feature_lr`.
 const FEATURE_REST_SHARE: f64 = 1.0 / 20.0;
-/// Iterations after an opacity reset until a scene is as good as before it: 350 to 900 on photographs, by measurement.
+/// Iterations until a scene recovers from an opacity reset: 350 to 900 on photographs, by measurement.
 const RESET_RECOVERY: u32 = 1000;
-/// What is left at the end of the weight of the sparse points' depths.
+/// Share of the sparse points' depth weight that is left at the end.
 const DEPTH_POINTS_END: f64 = 0.01;
 
-/// From the first value at iteration 0 to the second one after `steps`, log-linear; constant after that.
+/// Log-linear from `first` at iteration 0 to `last` at `steps`; constant after that.
 fn log_linear([first, last]: [f64; 2], iteration: u32, steps: u32) -> f64 {
     let progress = (f64::from(iteration) / f64::from(steps)).min(1.0);
     (first.ln() * (1.0 - progress) + last.ln() * progress).exp()
 }
 
 impl TrainSettings {
-    /// An iteration of the schedule in this run: the same, or with `scale_schedule` multiplied by `iterations`
-    /// / 30,000 and rounded, so that it keeps its share of the run. Intervals and what follows an opacity reset
-    /// are not scaled: statistics need as many views, and opacities as many steps, in a short run. That of the SH degree has a
-    /// switch of its own, `scale_sh_degree`.
+    /// Position of a schedule's iteration in this run: unchanged, or with `scale_schedule` multiplied by `iterations` / 30,000
+    /// and rounded. Intervals and the recovery from opacity resets are not scaled, because statistics need as many views in a
+    /// short run, and opacities as many steps. The SH degree's interval follows `scale_sh_degree`.
     pub fn scaled(&self, iteration: u32) -> u32 {
         if self.scale_schedule { self.share_of_run(iteration) } else { iteration }
     }
 
-    /// An iteration, or a number of iterations, multiplied by `iterations` / 30,000 and rounded.
+    /// Returns an iteration, or a number of iterations, multiplied by `iterations` / 30,000 and rounded.
     fn share_of_run(&self, iteration: u32) -> u32 {
         let whole = u64::from(SCHEDULE_ITERATIONS);
         let scaled = (u64::from(iteration) * u64::from(self.iterations) + whole / 2) / whole;
@@ -55,8 +54,8 @@ impl TrainSettings {
         self.depth_points * log_linear([1.0, DEPTH_POINTS_END], iteration, self.iterations)
     }
 
-    /// The Gaussians that an iteration (1-based) leaves out at random: their share rises linearly to `dropout` at the last
-    /// iteration (DropGaussian, section 3.2).
+    /// Dropout of an iteration (1-based). The share of omitted Gaussians rises linearly to `dropout` at the last iteration
+    /// (DropGaussian, section 3.2).
     pub fn dropout_at(&self, iteration: u32) -> Option<Dropout> {
         let progress = (f64::from(iteration) / f64::from(self.iterations)).min(1.0);
         let (share, seed) = (self.dropout * progress, self.seed);
@@ -84,8 +83,8 @@ impl TrainSettings {
         log_linear([self.lens_lr, 0.1 * self.lens_lr], iteration, self.iterations)
     }
 
-    /// Factor of the means' first learning rate: with `scale_rates` 30,000 / `iterations`, 1 to 10, so that means
-    /// can travel as far in a short run. Their last rate stays: it is the precision that they end with.
+    /// Factor of the means' first learning rate: with `scale_rates` 30,000 / `iterations`, 1 to 10, so that means can travel as
+    /// far in a short run. Their last rate stays, because it determines their final precision.
     pub fn position_factor(&self) -> f64 {
         if self.scale_rates { self.shorter().min(10.0) } else { 1.0 }
     }
@@ -96,7 +95,7 @@ impl TrainSettings {
         if self.scale_rates { self.shorter().sqrt().min(2.0) } else { 1.0 }
     }
 
-    /// How many times shorter than 30,000 iterations the run is, at least 1.
+    /// Ratio of 30,000 to the run's iterations, at least 1.
     fn shorter(&self) -> f64 {
         (f64::from(SCHEDULE_ITERATIONS) / f64::from(self.iterations.max(1))).max(1.0)
     }
@@ -106,55 +105,55 @@ impl TrainSettings {
         self.feature_lr * FEATURE_REST_SHARE
     }
 
-    /// The SH degree in use at an iteration (1-based): one more at every `sh_degree_interval`, up to `sh_degree`, and never below
-    /// `sh_degree_start`. With `scale_sh_degree` the interval keeps its share of the run.
+    /// SH degree in use at an iteration (1-based): rises by one at every `sh_degree_interval`, from at least `sh_degree_start`
+    /// to `sh_degree`. With `scale_sh_degree` the interval keeps its share of the run.
     pub fn sh_degree_at(&self, iteration: u32) -> u32 {
         let interval = self.sh_degree_interval;
         let interval = if self.scale_sh_degree { self.share_of_run(interval).max(1) } else { interval };
         (iteration / interval).max(self.sh_degree_start).min(self.sh_degree)
     }
 
-    /// `sh_degree_start` of a run with these settings that goes on after an iteration of one with those of `before`. A longer run,
-    /// which would raise the degree later, keeps the one in use.
+    /// `sh_degree_start` of a run with these settings that resumes after an iteration of a run with the settings `before`. A
+    /// longer run, which would raise the degree later, keeps the degree in use.
     pub(super) fn sh_degree_start_after(&self, before: &Self, iteration: u32) -> u32 {
         let start = self.sh_degree_start.max(before.sh_degree_start);
         let other_length = self.iterations != before.iterations;
         if self.scale_sh_degree && other_length { start.max(before.sh_degree_at(iteration)) } else { start }
     }
 
-    /// Gives `there`, settings of a checkpoint that goes on with these, these values for what does not matter: the checkpoint is of
-    /// this iteration of a run with those of `before`.
+    /// Replaces values in `there`, a checkpoint's settings, by these where the difference does not matter. The checkpoint is
+    /// from this iteration of a run with the settings `before`.
     pub(super) fn excuse_sh_degrees(&self, there: &mut Self, before: &Self, iteration: u32) {
         if self.iterations == SCHEDULE_ITERATIONS && before.iterations == SCHEDULE_ITERATIONS {
-            // Presets came to set it.
+            // Without effect here. Ignored, because later presets set it.
             there.scale_sh_degree = self.scale_sh_degree;
         }
-        // Raised by `sh_degree_start_after`.
+        // `sh_degree_start_after` raised it.
         if self.scale_sh_degree && self.sh_degree_start <= before.sh_degree_at(iteration) {
             there.sh_degree_start = self.sh_degree_start;
         }
     }
 
-    /// Whether statistics for densification are collected at an iteration (1-based).
+    /// True if an iteration (1-based) collects statistics for densification.
     pub fn collects_statistics_at(&self, iteration: u32) -> bool {
         iteration < self.scaled(self.densify_until_iter)
     }
 
-    /// Whether an iteration (1-based) ends with a densification.
+    /// True if an iteration (1-based) ends with a densification.
     pub fn densifies_at(&self, iteration: u32) -> bool {
         iteration > self.scaled(self.densify_from_iter)
             && iteration < self.scaled(self.densify_until_iter)
             && iteration.is_multiple_of(self.densification_interval)
     }
 
-    /// Whether a densification at this iteration (1-based) also prunes Gaussians that are large in the world:
-    /// only after the first opacity reset.
+    /// True if a densification at this iteration (1-based) also prunes Gaussians that are large in the world: only after the
+    /// first opacity reset.
     pub fn prunes_large_at(&self, iteration: u32) -> bool {
         iteration > self.opacity_reset_interval
     }
 
-    /// Whether the sizes of the 3D filter are computed anew after an iteration's step (1-based), besides at the start and
-    /// after each densification: every hundred iterations once densification has ended, but not in the last hundred
+    /// True if the 3D filter's sizes are recomputed after an iteration's step (1-based), besides at the start and after each
+    /// densification. That is every hundred iterations after densification has ended, except in the last hundred
     /// (Mip-Splatting's train.py).
     pub fn computes_filters_at(&self, iteration: u32) -> bool {
         const INTERVAL: u32 = 100;
@@ -164,26 +163,26 @@ impl TrainSettings {
             && iteration < self.iterations.saturating_sub(INTERVAL)
     }
 
-    /// Whether parameters after an iteration (1-based) belong to the mean of [`TrainSettings::average_last`]. Those after the last
-    /// iteration, which makes no step, are the mean.
+    /// True if the parameters after an iteration (1-based) belong to the mean of [`TrainSettings::average_last`]. The last
+    /// iteration makes no step; after it the parameters are the mean.
     pub fn averages_at(&self, iteration: u32) -> bool {
         let averaged = (f64::from(self.iterations) * self.average_last).round() as u32;
         iteration >= self.iterations - averaged && iteration < self.iterations
     }
 
-    /// Whether an iteration (1-based) ends with an opacity reset. Over white, the reference also resets once
-    /// at `densify_from_iter`. A reset from which the run would not [recover](Self::reset_recovery) before its end is left out.
+    /// True if an iteration (1-based) ends with an opacity reset. Over white, the reference also resets once at
+    /// `densify_from_iter`. A reset from which the run cannot [recover](Self::reset_recovery) before its end is omitted.
     pub fn resets_opacity_at(&self, iteration: u32) -> bool {
         self.is_reset_planned_at(iteration) && !self.is_too_late_for_reset(iteration)
     }
 
-    /// Iterations after an opacity reset in which a scene is worse than before it: 1000, or half of the interval between
-    /// resets if that is shorter.
+    /// Number of iterations after an opacity reset in which a scene is worse than before it: 1000, or half of the interval
+    /// between resets if that is shorter.
     pub fn reset_recovery(&self) -> u32 {
         RESET_RECOVERY.min(self.opacity_reset_interval / 2)
     }
 
-    /// Whether a run with these settings left out the reset of an iteration only because it was near its end.
+    /// True if a run with these settings omitted the reset of an iteration only because it was near its end.
     pub(super) fn left_out_reset_at(&self, iteration: u32) -> bool {
         self.is_reset_planned_at(iteration) && self.is_too_late_for_reset(iteration)
     }
@@ -223,14 +222,14 @@ mod tests {
             |iterations| TrainSettings { iterations, scale_sh_degree: true, ..TrainSettings::default() };
         let degrees = |iterations: u32, at: [u32; 5]| at.map(|i| scaled(iterations).sh_degree_at(i));
         assert_eq!(degrees(30_000, [999, 1000, 2000, 3000, 30_000]), [0, 1, 2, 3, 3]);
-        // 1000 of 30,000 are 66.7 of 2000.
+        // 1000 of 30,000 correspond to 66.7 of 2000.
         assert_eq!(degrees(2000, [66, 67, 134, 200, 201]), [0, 1, 2, 2, 3]);
         assert_eq!(degrees(60_000, [1999, 2000, 4000, 5999, 6000]), [0, 1, 2, 2, 3]);
-        // Not even a run of one iteration divides by zero.
+        // A run of one iteration must not divide by zero.
         assert_eq!(degrees(1, [0, 1, 2, 3, 4]), [0, 1, 2, 3, 3]);
     }
 
-    /// Of 2000 iterations with degree 3, then 30,000, which have degree 3 from iteration 3000 on.
+    /// 2000 iterations with degree 3, then 30,000, which reach degree 3 at iteration 3000.
     #[test]
     fn a_longer_run_keeps_the_sh_degree_in_use() {
         let of = |iterations, sh_degree_start| TrainSettings {
@@ -245,17 +244,17 @@ mod tests {
             [longer.sh_degree_start_after(&short, 100), short.sh_degree_start_after(&short, 2000)],
             [1, 0]
         );
-        // It goes on once more, with the settings that were given.
+        // The run resumes once more, with the settings as given.
         let raised = of(30_000, 3);
         assert_eq!(longer.sh_degree_start_after(&raised, 2500), 3);
         let mut there = raised.clone();
         longer.excuse_sh_degrees(&mut there, &raised, 2500);
         assert_eq!(there, longer);
-        // Where the degree is not in use yet, another start is another training.
+        // If the degree is not in use yet, another start is another training.
         let mut there = short.clone();
         of(2000, 3).excuse_sh_degrees(&mut there, &short, 100);
         assert_eq!(there, short);
-        // Checkpoints from before there was the setting.
+        // Checkpoints older than the setting.
         let before = TrainSettings { scale_sh_degree: false, ..longer.clone() };
         let mut there = before.clone();
         longer.excuse_sh_degrees(&mut there, &before, 7);
@@ -302,7 +301,7 @@ mod tests {
         let computed: Vec<u32> = (1..=30_000).filter(|&i| settings.computes_filters_at(i)).collect();
         assert_eq!((computed.first(), computed.last(), computed.len()), (Some(&15_100), Some(&29_800), 148));
         assert!((1..=30_000).all(|i| !TrainSettings::default().computes_filters_at(i)));
-        // Densification that is scaled ends at 1000 of 2000 iterations.
+        // Scaled densification ends at 1000 of 2000 iterations.
         let short = TrainSettings { iterations: 2000, scale_schedule: true, ..settings };
         let computed: Vec<u32> = (1..=2000).filter(|&i| short.computes_filters_at(i)).collect();
         assert_eq!(computed, [1100, 1200, 1300, 1400, 1500, 1600, 1700, 1800]);
@@ -320,7 +319,7 @@ mod tests {
         assert!((short.position_lr(2000) - 1.6e-6).abs() < 1e-18);
         let densified: Vec<u32> = (1..=2000).filter(|&i| short.densifies_at(i)).collect();
         assert_eq!(densified, [100, 200, 300, 400, 500, 600, 700, 800, 900]);
-        // Not even a run of one iteration divides by zero.
+        // A run of one iteration must not divide by zero.
         assert!(scaled(1).position_lr(1).is_finite());
         assert_eq!(TrainSettings { iterations: 2000, ..Default::default() }.scaled(500), 500);
     }

@@ -1,4 +1,4 @@
-//! The settings of a training run, under the names of the reference implementation's command line.
+//! Settings of a training run, with the names of the reference implementation's command line.
 //!
 //! Each setting is declared once, in [`TrainSettings`]: its type, default, bounds and description. The command
 //! line, the TOML file, the checkpoint and the C API follow from the declaration, through
@@ -12,9 +12,9 @@ use crate::scene::gaussians::MAX_SH_DEGREE;
 use crate::{Error, Result};
 
 options! {
-    /// Everything that shapes a training run, apart from the data: the arguments of the reference
-    /// implementation (gaussian-splatting, `arguments/__init__.py`) under their own names and with their
-    /// defaults, three that it hard-codes, and later work's under the names of their papers' code.
+    /// All settings of a training run. They are the arguments of the reference implementation (gaussian-splatting,
+    /// `arguments/__init__.py`) with its names and defaults, and three values that it hard-codes. Settings of later work have
+    /// the names in their papers' code.
     ///
     /// Iterations are counted from 1. With the feature `serde` the settings can be read from and written to
     /// any of its formats. Missing fields take their defaults, unknown ones are refused.
@@ -164,24 +164,24 @@ options! {
     }
 }
 
-/// Opacity of the first Gaussians in the reference.
+/// Initial opacity of the Gaussians in the reference.
 const INITIAL_OPACITY: f64 = 0.1;
-/// Share of a run over whose steps presets average parameters.
+/// Share of a run over which presets average parameters.
 const AVERAGED_SHARE: f64 = 0.05;
-/// End of the reference's densification with few photographs.
+/// End of the reference's densification, with few photographs.
 const FEW_PHOTOS_UNTIL: u32 = 1500;
-/// Share of the Gaussians that the last step leaves out with few photographs.
+/// Share of Gaussians that the last step omits, with few photographs.
 const FEW_PHOTOS_DROPOUT: f64 = 0.2;
-/// Share of the run whose steps the parameters are averaged over: few photographs want a longer mean than many.
+/// Share of the run over which parameters are averaged, with few photographs. They need a longer mean than many.
 const FEW_PHOTOS_AVERAGED: f64 = 0.25;
-/// Weight of the mean opacity in the loss with few photographs.
+/// Weight of the mean opacity in the loss, with few photographs.
 const FEW_PHOTOS_OPACITY_REG: f64 = 0.01;
-/// Weight in the loss of the mean of scale over extent with few photographs.
+/// Weight of the mean scale over extent in the loss, with few photographs.
 const FEW_PHOTOS_SCALE_REG: f64 = 0.045;
-/// Most Gaussians that are left out.
+/// Maximum share of omitted Gaussians.
 const MOST_DROPOUT: f64 = 0.9;
 
-/// A weight over the scene's extent, in three digits, which can be read and typed; 0 for an extent that is none.
+/// A weight divided by the scene's extent, rounded to three digits to be easily typed; 0 if the extent is not usable.
 fn per_extent(weight: f64, scene_extent: f32) -> f64 {
     let weight = weight / f64::from(scene_extent);
     let usable = scene_extent > 0.0 && weight.is_finite();
@@ -189,9 +189,9 @@ fn per_extent(weight: f64, scene_extent: f32) -> f64 {
 }
 
 impl TrainSettings {
-    /// The defaults with a strategy. Those of 3DGS-MCMC differ in rates, initial values, regularisers and the end
-    /// of densification (its README and `train.py`). Those of budgeted growth differ in the means' rates and in
-    /// the threshold (Improved-GS, `arguments/__init__.py`), have all parts of it, and scale its schedule.
+    /// Returns the defaults of a strategy. 3DGS-MCMC differs in rates, initial values, regularisers and the end of
+    /// densification (its README and `train.py`). Budgeted growth differs in the means' rates and the threshold (Improved-GS,
+    /// `arguments/__init__.py`). It enables all its parts and scales its schedule.
     pub fn of_strategy(strategy: StrategyType) -> Self {
         let usual = Self { strategy, ..Self::default() };
         match strategy {
@@ -223,10 +223,10 @@ impl TrainSettings {
         }
     }
 
-    /// The defaults of a preset, by measurement (tools/strategies.md). All have the strategy budget, prune what is faint late and
-    /// average parameters over the last steps, one view each, which goes together with larger rates of scales, and of means at the
-    /// end; they differ in the number of Gaussians, and in the warm-up. With [`exposure`](Self::exposure), exposures are nearly gains per
-    /// channel.
+    /// Returns the defaults of a preset, by measurement (tools/strategies.md). All use the strategy budget and prune faint
+    /// Gaussians late. They average parameters over the last steps of one view each, which allows larger rates of scales, and
+    /// of means at the end. Presets differ in the number of Gaussians and in the warm-up. [`exposure`](Self::exposure) is
+    /// nearly a gain per channel.
     pub fn of_preset(preset: Preset) -> Self {
         let usual = Self {
             late_min_opacity: 0.1,
@@ -248,15 +248,15 @@ impl TrainSettings {
         }
     }
 
-    /// With fewer photographs to train on than this, `ashsplat train` takes [`TrainSettings::of_few_photos`].
+    /// Number of photographs below which `ashsplat train` uses [`TrainSettings::of_few_photos`].
     pub const FEW_PHOTOS: usize = 24;
 
-    /// The defaults with a strategy for few photographs, by measurement (tools/strategies.md). Budget has fewer Gaussians,
-    /// and steps leave some out at random (DropGaussian), so that no photograph is fitted by what no other sees. The weight on
-    /// opacities clears the haze where no photograph shows that there is none. The weight on scales keeps Gaussians from growing
-    /// beyond the scene; it goes by the scene's extent (world units), so that a scene in other units trains alike, and is left out
-    /// where the extent is 0. The mean of the last quarter of the steps, one view each, does not fall where single steps do. The
-    /// reference's growth ends early, and with it its opacity resets. The other strategies keep their defaults.
+    /// Returns a strategy's defaults for few photographs, by measurement (tools/strategies.md). Budget has fewer Gaussians and
+    /// random dropout (DropGaussian), so that no photograph is fitted by Gaussians that no other shows. The weight on opacities
+    /// clears haze that no photograph disproves. The weight on scales keeps Gaussians from outgrowing the scene. It is relative
+    /// to the scene's extent (world units), so that other units train alike, and 0 if the extent is 0. The mean of the last
+    /// quarter of the steps is stable where single steps are not. The reference's growth and its opacity resets end early. The
+    /// other strategies keep their defaults.
     pub fn of_few_photos(strategy: StrategyType, scene_extent: f32) -> Self {
         let usual = Self::of_strategy(strategy);
         match strategy {
@@ -276,8 +276,8 @@ impl TrainSettings {
         }
     }
 
-    /// A preset's settings for few photographs: it says how many Gaussians there are; what keeps them from fitting these photographs only
-    /// stays, the long mean among it.
+    /// Returns a preset's settings for few photographs. The preset decides the number of Gaussians. The settings against
+    /// overfitting stay, including the long mean.
     pub fn of_preset_for_few_photos(preset: Preset, scene_extent: f32) -> Self {
         let preset = Self::of_preset(preset);
         let few = Self::of_few_photos(preset.strategy, scene_extent);
@@ -294,7 +294,7 @@ impl TrainSettings {
         }
     }
 
-    /// Refuses options that the strategy does not have, where they differ from their defaults.
+    /// Refuses options that the strategy does not have, if they differ from their defaults.
     pub(super) fn refuse(&self, strategy: &str, names: &[&str]) -> Result<()> {
         let usual = Self::default();
         for option in Self::OPTIONS.iter().filter(|option| names.contains(&option.name)) {
@@ -309,9 +309,9 @@ impl TrainSettings {
         Ok(())
     }
 
-    /// Gives Gaussians of the reference's opacity and scale those of the settings.
+    /// Replaces the reference's initial opacity and scale by those of the settings.
     pub fn initialize(&self, gaussians: &mut Gaussians) {
-        // The usual ones keep their bits.
+        // The defaults keep their bits.
         if self.initial_opacity != INITIAL_OPACITY {
             let logit = (self.initial_opacity / (1.0 - self.initial_opacity)).ln() as f32;
             gaussians.opacity_logits.fill(logit);
@@ -322,7 +322,7 @@ impl TrainSettings {
         }
     }
 
-    /// Refuses a warm-up, whose photographs are smaller, with these depths.
+    /// Refuses a warm-up together with these depths, because its photographs are smaller.
     pub(super) fn refuse_warm_up_with(&self, depths: &str) -> Result<()> {
         if self.warm_up == 0 {
             return Ok(());
@@ -333,10 +333,10 @@ impl TrainSettings {
         Err(Error::argument("warm_up", problem))
     }
 
-    /// Checks that every value is within its bounds; the trainer calls this before any work.
+    /// Checks that every value is within its bounds. The trainer calls this before any work.
     ///
     /// # Errors
-    /// [`Error::Argument`] with the setting's name, its value and what would be right.
+    /// [`Error::Argument`] with the setting's name, its value and the allowed range.
     pub fn check(&self) -> Result<()> {
         Self::OPTIONS.iter().try_for_each(|option: &TrainOption| option.check(self))?;
         if self.dropout > MOST_DROPOUT {

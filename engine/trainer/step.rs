@@ -10,14 +10,13 @@ use crate::optimizer::MeanStep;
 use crate::renderer::{Failed, Ran, State};
 
 impl Trainer {
-    /// Runs one iteration. If its frame has more visible Gaussians or instances than the device or the memory can hold, also
-    /// without the reserve of Gaussians, the iteration is skipped: it changes nothing, but counts ([`StepReport::skipped`]).
+    /// Runs one iteration. The iteration is skipped if its frame has more visible Gaussians or instances than the device or the
+    /// memory can hold, even without the reserve of Gaussians. It then changes nothing, but counts ([`StepReport::skipped`]).
     ///
     /// # Errors
-    /// When memory does not suffice, also if no view at all fits: the Gaussians are then as before the
-    /// iteration, and it may be tried again. When the device is lost or too slow ([`Error::DeviceLost`],
-    /// [`Error::Timeout`]): the state of the Gaussians is unknown, and every later step is refused; resume
-    /// from a checkpoint. [`Error::Argument`] while recorded steps are in flight.
+    /// When memory is short, or no view fits: the Gaussians stay as before the iteration, and the caller may try again. When
+    /// the device is lost or too slow ([`Error::DeviceLost`], [`Error::Timeout`]): the state of the Gaussians is unknown, and
+    /// every later step is refused; resume from a checkpoint. [`Error::Argument`] while recorded steps are in flight.
     pub fn step(&mut self) -> Result<StepReport> {
         self.state.check_whole()?;
         let result = self.run_iteration();
@@ -26,10 +25,9 @@ impl Trainer {
         result
     }
 
-    /// The last iteration of a run does not change the parameters, as in the reference. In a longer run it
-    /// does. This runs it again when a run is extended: its view, on the same parameters, gives the same
-    /// gradients. Its statistics are already added. A skipped iteration stays skipped, and so does one that
-    /// does not fit here.
+    /// Repeats the last iteration of a run that is extended. As in the reference, that iteration did not change the parameters,
+    /// but in a longer run it does. Its view gives the same gradients on the same parameters. Its statistics are already added.
+    /// An iteration stays skipped, and is skipped if it does not fit here.
     pub(super) fn finish_last_iteration(&mut self) -> Result<()> {
         if self.state.skipped > 0 {
             return Ok(());
@@ -93,7 +91,7 @@ impl Trainer {
         })
     }
 
-    /// Gives all Gaussians the sizes of the 3D filter, if there is one.
+    /// Computes the sizes of the 3D filter for all Gaussians, if there is one.
     pub(super) fn compute_filters(&self) -> Result<()> {
         match &self.filter {
             Some(filter) => filter.run(&self.context, &self.state.model.scene),
@@ -101,14 +99,14 @@ impl Trainer {
         }
     }
 
-    /// The plan of the next iteration.
+    /// Plan of the next iteration.
     pub(super) fn plan_after(&mut self, progress: &Progress) -> IterationPlan {
         let work = self.strategy.work(&self.run.settings, progress.iteration + 1);
         self.schedule.plan_after(progress, &self.run, work)
     }
 
-    /// Does what the previous iteration left to be done before the next one. The reference tests and saves
-    /// before it does so: between steps, the scene is what the reference would save.
+    /// Does the work that the previous iteration left for the time before the next one. The reference tests and saves first, so
+    /// between steps the scene is what the reference would save.
     pub(super) fn catch_up(&mut self) -> Result<Changes> {
         let mut done = Changes::default();
         loop {
@@ -131,7 +129,7 @@ impl Trainer {
                 summed: &mut self.state.progress.summed,
             };
             let changes = self.strategy.between_steps(&mut population, due.first())?;
-            // The means were those of other Gaussians.
+            // The means belong to the previous set of Gaussians.
             self.state.progress.averaged = 0;
             if changes.densified.is_some() {
                 self.compute_filters()?;
@@ -142,12 +140,12 @@ impl Trainer {
         }
     }
 
-    /// Skips an iteration whose frame has too many visible Gaussians or instances for the device or the memory. The iteration
-    /// changes nothing, and densification adds no Gaussians until frames have fewer.
+    /// Skips an iteration whose frame has too many visible Gaussians or instances for the device or the memory. Densification
+    /// adds no Gaussians until frames have fewer.
     ///
     /// # Errors
-    /// The given error if it has another cause, if no step has succeeded yet, and if every view has been
-    /// skipped since the last step that succeeded: a training that makes no progress must end.
+    /// The given error if it has another cause, if no step has succeeded yet, or if every view was skipped since the last
+    /// successful step: a training without progress must end.
     pub(super) fn skip(&mut self, plan: &IterationPlan, needed: &State, error: Error) -> Result<()> {
         self.skip_parameters(plan, needed, error)?;
         match plan.mean_step {
@@ -156,7 +154,7 @@ impl Trainer {
         }
     }
 
-    /// Skips what an iteration would do to the parameters.
+    /// Skips the iteration's changes of the parameters.
     fn skip_parameters(&mut self, plan: &IterationPlan, needed: &State, error: Error) -> Result<()> {
         let state = &mut self.state;
         // A view that fits may come first in one epoch and last in the next.

@@ -1,5 +1,4 @@
-//! Records an iteration: its frame, the terms of the loss, the backward pass, the optimiser's step, and what
-//! the strategy adds.
+//! Records an iteration: its frame, the loss terms, the backward pass, the optimiser's step, and the strategy's work.
 
 use super::depth_maps::DepthMaps;
 use super::iteration::IterationPlan;
@@ -21,18 +20,18 @@ use crate::plan::LaunchSizes;
 use crate::renderer::Request;
 use crate::vk::{Buffer, Context, MemoryKind, Recorder};
 
-/// The kernels of an iteration after its frame, and their scratch memory.
+/// Kernels of an iteration after its frame.
 pub(super) struct StepRecorder {
     terms: Vec<Box<dyn LossTerm>>,
     targets: Targets,
-    /// For terms that read pictures by rows.
+    /// Converts pictures to rows, for terms that read them so.
     border: Option<PixelBorder>,
     sizes: LaunchSizes,
     light: Light,
     backward: Backward,
-    /// How frames are drawn, apart from the inverse depth.
+    /// Render settings of frames, without the depths of the loss terms.
     drawn: RenderSettings,
-    /// The place of the absolute statistic among the strategy's.
+    /// Index of the absolute statistic among all statistics.
     absolute: Option<usize>,
     optimizer: Optimizer,
     /// None unless parameters are averaged.
@@ -41,37 +40,37 @@ pub(super) struct StepRecorder {
     preparation: Option<PhotoPreparation>,
 }
 
-/// The memory of the loss.
+/// Memory of the loss.
 pub(super) struct LossMemory {
-    /// Per term: the buffers of [`LossTerm::scratch_requests`].
+    /// Buffers of [`LossTerm::scratch_requests`], per term.
     scratch: Vec<Vec<Buffer>>,
     losses: Buffer,
-    /// Instead of the frame's, which has no room for the gradient of the inverse depth on all devices.
+    /// Replaces the frame's, which does not hold the gradient of the inverse depth on all devices.
     image_gradient: Option<Buffer>,
-    /// For terms that read pictures by rows.
+    /// Pictures by rows, for terms that read them so.
     rows: Option<PixelRows>,
-    /// The photograph of a frame that is smaller than it or has another background.
+    /// Photograph reduced to the frame's size or over another background.
     prepared: Option<Buffer>,
     pub light: LightMemory,
     pub readback: Buffer,
 }
 
-/// A view's pictures by rows.
+/// Pictures of a view by rows.
 struct PixelRows {
     picture: Buffer,
     gradient: Buffer,
     photo: Buffer,
 }
 
-/// Loss, and the numbers of each term.
+/// Total loss and the values of each term.
 pub(super) struct LossValues {
     /// Sum of the terms.
     pub total: f32,
-    /// Per term: its name, its weighted value, and its own numbers.
+    /// Per term: its name; its weighted value and further values.
     pub terms: Vec<(&'static str, [f32; 4])>,
 }
 
-/// One iteration to record.
+/// Inputs of one iteration.
 pub(super) struct StepParts<'a> {
     pub run: &'a Run,
     pub model: &'a Model,
@@ -86,7 +85,7 @@ pub(super) struct StepParts<'a> {
 }
 
 impl<'a> StepParts<'a> {
-    /// The iteration's frame.
+    /// Frame of the iteration.
     pub fn frame(&self) -> Request<'a> {
         Request {
             scene: &self.model.scene,
@@ -100,9 +99,8 @@ impl<'a> StepParts<'a> {
 }
 
 impl StepRecorder {
-    /// The first of the terms writes the picture's gradient. `sums`: whether gradients of several views may be
-    /// added up. `absolute`: the place of [`ABSOLUTE_STATISTIC`](super::work::ABSOLUTE_STATISTIC) among all
-    /// statistics.
+    /// The first term writes the picture's gradient. `sums`: true if gradients of several views may be added up. `absolute`:
+    /// index of [`ABSOLUTE_STATISTIC`](super::work::ABSOLUTE_STATISTIC) among all statistics.
     ///
     /// # Errors
     /// When the device refuses a pipeline.
@@ -138,28 +136,28 @@ impl StepRecorder {
         })
     }
 
-    /// The gradients that terms add to.
+    /// Gradients that the terms add to.
     pub fn targets_of(terms: &[Box<dyn LossTerm>]) -> Targets {
         terms.iter().fold(Targets::default(), |all, term| all.and(term.targets()))
     }
 
-    /// The names of the terms.
+    /// Names of the terms.
     pub fn terms(&self) -> impl Iterator<Item = &'static str> {
         self.terms.iter().map(|term| term.name())
     }
 
-    /// The losses of a step that was skipped.
+    /// Losses of a skipped step.
     pub fn no_losses(&self) -> LossValues {
         LossValues { total: f32::NAN, terms: self.terms().map(|name| (name, [f32::NAN; 4])).collect() }
     }
 
-    /// How frames are drawn, without what is random.
+    /// Render settings of frames, without the random parts.
     pub fn drawn(&self) -> RenderSettings {
         let Targets { inverse_depth, linear_depth, .. } = self.targets;
         RenderSettings { inverse_depth, linear_depth, ..self.drawn }
     }
 
-    /// Builds the kernels of any iteration at an SH degree unless they exist.
+    /// Builds the missing kernels of any iteration at an SH degree.
     pub fn prepare(&mut self, sh_degree: u32) -> Result<()> {
         self.prepare_backward(sh_degree, false)?;
         if self.absolute.is_some() {
@@ -168,7 +166,7 @@ impl StepRecorder {
         self.optimizer.prepare(sh_degree)
     }
 
-    /// Builds the kernels of this iteration unless they exist: a short or resumed run needs few of them.
+    /// Builds the missing kernels of this iteration: a short or resumed run needs few of them.
     pub fn prepare_for(&mut self, plan: &IterationPlan) -> Result<()> {
         self.prepare_backward(plan.sh_degree, self.absolute.is_some() && plan.work.accumulates)?;
         self.optimizer.prepare(plan.sh_degree)
@@ -183,8 +181,7 @@ impl StepRecorder {
         }
     }
 
-    /// The loss's buffers on the device for views of these sizes, one per view: scratch of the terms, the losses,
-    /// and the exposures.
+    /// Device buffers of the loss for views of these sizes, one per view: scratch of the terms, the losses, and the exposures.
     pub fn device_requests(&self, sizes: &[(u32, u32)]) -> Vec<(&'static str, u64)> {
         let mut requests: Vec<_> = self.terms.iter().flat_map(|term| term.scratch_requests(sizes)).collect();
         requests.push(("losses", self.losses_bytes()));
@@ -206,7 +203,7 @@ impl StepRecorder {
         requests
     }
 
-    /// The losses' copy that the host reads.
+    /// Host-readable copy of the losses.
     pub fn readback_request(&self) -> (&'static str, u64) {
         ("loss_readback", self.losses_bytes())
     }
@@ -237,8 +234,8 @@ impl StepRecorder {
         }
     }
 
-    /// Records the work after a frame. `losses` is a host-readable copy. Persistent state does not change if
-    /// the frame overflowed.
+    /// Records the work after a frame. `losses` is a host-readable copy. If the frame overflowed, persistent state does not
+    /// change.
     pub fn record(&self, r: &mut Recorder, inputs: &FrameInputs, parts: &StepParts, losses: &Buffer) {
         let StepParts { model, plan, .. } = *parts;
         let gradient = parts.memory.image_gradient.as_ref().unwrap_or(&inputs.frame.image_gradient);
@@ -320,7 +317,7 @@ impl StepRecorder {
             let size = (inputs.camera.width, inputs.camera.height);
             border.record_photo(r, size, photo_is_masked, photo, &rows.photo);
         }
-        // A gradient of the inverse depth may be native, without rows.
+        // The gradient of the inverse depth may be native, without rows.
         if self.targets.inverse_depth || self.targets.parameters || rows.is_some() {
             r.barrier();
         }
@@ -368,7 +365,8 @@ impl StepRecorder {
         }
     }
 
-    /// Records the photograph at the frame's size and over its background, with a barrier; None if it is as it is stored.
+    /// Records the photograph at the frame's size and over its background, with a barrier. None if the stored photograph
+    /// serves.
     fn record_preparation<'a>(&self, r: &mut Recorder, parts: &StepParts<'a>) -> Option<&'a Buffer> {
         let StepParts { run, photos, memory, plan, .. } = *parts;
         let camera = &run.cameras[plan.view];
@@ -394,7 +392,7 @@ impl StepRecorder {
         LightInputs { frame, rendered: frame.frame.rendered(&self.sizes), memory: &memory.light, plan, run }
     }
 
-    /// Reads the losses of a step that has finished.
+    /// Reads the losses of a finished step.
     pub fn read_losses(&self, readback: &Buffer) -> Result<LossValues> {
         let mut bytes = vec![0u8; self.losses_bytes() as usize];
         readback.read(0, &mut bytes)?;

@@ -1,4 +1,4 @@
-//! The strategies of density control that the library has.
+//! Strategies of density control in this library.
 
 mod budget;
 mod fixed;
@@ -17,7 +17,7 @@ use super::work::Actions;
 use crate::error::{Error, Result};
 use crate::vk::Context;
 
-/// Options of densification by gradients, which other strategies do not have.
+/// Options of densification by gradients, which other strategies refuse.
 const NOT_IN_OTHERS: [&str; 8] = [
     "cap_ratio",
     "absgrad",
@@ -29,7 +29,7 @@ const NOT_IN_OTHERS: [&str; 8] = [
     "late_min_opacity",
 ];
 
-/// The strategy that the settings name.
+/// Returns the strategy that the settings select.
 ///
 /// # Errors
 /// When the device refuses a pipeline.
@@ -42,13 +42,13 @@ pub(super) fn of_settings(context: &Context, settings: &TrainSettings) -> Result
     })
 }
 
-/// The error for a checkpoint's work that the strategy does not have.
+/// Error for a checkpoint with work that the strategy does not have.
 fn unknown(strategy: &str, action: Actions) -> Error {
     let problem = format!("has work ({:#x}) that the strategy {strategy} does not know", action.0);
     Error::argument("checkpoint", problem)
 }
 
-/// The name of a strategy that a checkpoint names: earlier versions called the reference's `default`.
+/// Current name of a strategy in a checkpoint: older versions called the reference's `default`.
 pub(super) fn present_name(name: &str) -> &str {
     if name == "default" { "reference" } else { name }
 }

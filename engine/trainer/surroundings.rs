@@ -1,7 +1,7 @@
-//! Training of a block of a scene: some Gaussians are trained, those around are drawn as they are.
+//! Training of a block of a scene, whose surroundings are frozen.
 //!
-//! Frames have both, so that pictures are whole and photographs need no mask. What lies around has parameters on the device and
-//! nothing else: no moments, no statistics, no spare set.
+//! Frames show both, so that pictures are whole and photographs need no mask. Frozen Gaussians only have parameters on the
+//! device: no moments, no statistics, no spare set.
 
 use super::Trainer;
 use super::block::{BlockState, SceneBlock};
@@ -16,28 +16,28 @@ use crate::planes;
 use crate::renderer::DeviceScene;
 use crate::vk::Context;
 
-/// A block as training keeps it.
+/// A block on the device.
 pub(super) struct Block {
-    /// For the checkpoint.
+    /// State for the checkpoint.
     pub state: BlockState,
-    /// None without borders.
+    /// None if the core has no border.
     mask: Option<MaskOutside>,
-    /// None where nothing lies around.
+    /// Frozen Gaussians; None if there are none.
     around: Option<SceneBuffers>,
 }
 
 impl Block {
-    /// Refuses what blocks do not go together with.
+    /// Refuses settings and strategies that exclude blocks.
     pub fn check(settings: &TrainSettings, strategy: &dyn Strategy, of: Option<&SceneBlock>) -> Result<()> {
         let Some(block) = of else { return Ok(()) };
         SceneBlock::check_box(block.core, 0.0)?;
         block.frozen.check_shapes()?;
-        // Cameras that move may come to see what is left out.
+        // Cameras that move may begin to see dropped Gaussians.
         let frozen = block.surroundings().count > 0;
         check_settings(settings, strategy, !SceneBlock::is_everything(block.core), frozen)
     }
 
-    /// Uploads what lies around. None of a block that is the whole scene.
+    /// Uploads the frozen Gaussians. None if the block is the whole scene.
     pub fn new(
         context: &Context,
         block: Option<SceneBlock>,
@@ -54,18 +54,18 @@ impl Block {
             0 => None,
             _ => Some(planes::upload(context, ("surroundings", rows.planes()), &block.frozen, 0, sh_degree)?),
         };
-        // They do not move: once is enough.
+        // Frozen Gaussians do not move, so once is enough.
         filter.zip(around.as_ref()).map_or(Ok(()), |(filter, around)| filter.run(context, around))?;
         Ok(Some(Self { state, mask, around }))
     }
 
-    /// What is drawn with every frame.
+    /// Frozen Gaussians, drawn with every frame.
     pub fn around(&self) -> Option<&SceneBuffers> {
         self.around.as_ref()
     }
 }
 
-/// As [`Block::check`]. `bordered`: density control has a border; `frozen`: something lies around, so that it should have one.
+/// Same as [`Block::check`]. `bordered`: density control has a border; `frozen`: there are frozen Gaussians.
 pub(super) fn check_settings(
     settings: &TrainSettings,
     strategy: &dyn Strategy,
@@ -87,14 +87,14 @@ pub(super) fn check_settings(
 }
 
 impl Trainer {
-    /// The Gaussians around the [block](SceneBlock), which every picture of this trainer has; None if there are none. In
-    /// [`Trainer::inspect`] they have the indices behind those that are trained.
+    /// Frozen Gaussians around the [block](SceneBlock), which every picture of this trainer shows; None if there are none. In
+    /// [`Trainer::inspect`] their indices follow those of the trained Gaussians.
     pub fn surroundings(&self) -> Option<DeviceScene> {
         let around = self.block.as_ref()?.around()?;
         Some(DeviceScene::of(&self.context, around.clone()))
     }
 
-    /// Before a densification: hides the statistics of Gaussians outside of the core from it.
+    /// Hides the statistics of Gaussians outside the core from a densification.
     pub(super) fn mask_outside(&self, action: Actions) -> Result<()> {
         let mask = self.block.as_ref().and_then(|block| block.mask.as_ref());
         let Some(mask) = mask.filter(|_| action == Actions::DENSIFY) else { return Ok(()) };

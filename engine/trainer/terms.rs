@@ -1,4 +1,4 @@
-//! The terms of the loss that the settings can add to the photometric one.
+//! Loss terms that the settings can add to the photometric one.
 
 mod inverse_depth;
 mod regularizers;
@@ -13,7 +13,7 @@ use crate::error::Result;
 use crate::loss::LossTerm;
 use crate::vk::Context;
 
-/// The terms with a weight above 0.
+/// Returns the terms with a weight above 0.
 ///
 /// # Errors
 /// When the device refuses a pipeline.

@@ -1,19 +1,19 @@
-//! Which Gaussians no picture can show, found on the host: before any of them is on a device.
+//! Finds Gaussians that no picture can show, on the host and before any of them is on a device.
 //!
-//! A bound, not the projection itself: a Gaussian counts as seen if a ball of its largest axis may reach a pixel. So leaving out what is
-//! not seen changes no bit of any picture.
+//! The test is a bound, not the projection itself: a Gaussian counts as visible if a ball of its largest axis may reach a
+//! pixel. So dropping the others changes no bit of any picture.
 
 use crate::scene::camera::NEAR_PLANE;
 use crate::scene::{Camera, Gaussians};
 use glam::{DMat3, DVec2, DVec3};
 
-/// Standard deviations beyond which alpha is below 1/255 whatever the opacity: even one that is raised by dropout.
+/// Number of standard deviations beyond which alpha is below 1/255 for any opacity, even one that dropout raises.
 const REACH: f64 = 4.0;
-/// Room for rounding, pixels.
+/// Margin for rounding, pixels.
 const ROUNDING_PX: f64 = 1.0;
-/// The same as a share of the numbers that a place is computed from.
+/// Margin for rounding, as a share of the numbers from which a position is computed.
 const ROUNDING: f64 = 1e-6;
-/// How far the linearisation reaches beyond the picture, in sizes of it.
+/// Margin of the linearisation beyond the picture, as a share of its size.
 const BEYOND: f64 = 0.15;
 
 /// A camera in double precision.
@@ -23,8 +23,8 @@ struct Sight {
     focal: DVec2,
     center: DVec2,
     size: DVec2,
-    /// The least slopes with which Gaussians are linearised, in absolute terms: above 0 only where the optical axis lies far outside
-    /// of the whole picture.
+    /// Minimum absolute slopes with which Gaussians are linearised. Above 0 only if the optical axis lies far outside the whole
+    /// picture.
     least_slope: DVec2,
     is_orthographic: bool,
 }
@@ -51,8 +51,8 @@ impl Sight {
         }
     }
 
-    /// Whether the picture may show a Gaussian with this mean and largest axis (a standard deviation), world units, under a low-pass
-    /// filter of this variance. True where a number is NaN.
+    /// True if the picture may show a Gaussian with this mean and largest axis (a standard deviation), world units, under a
+    /// low-pass filter of this variance. True if a number is NaN.
     fn may_show(&self, mean: DVec3, axis: f64, low_pass_px2: f64) -> bool {
         let place = self.camera_from_world * mean + self.translation;
         let rounding = ROUNDING * (mean.abs().max_element() + self.translation.abs().max_element());
@@ -73,8 +73,8 @@ impl Sight {
     }
 }
 
-/// Whether each Gaussian may be seen by any of the cameras, under a low-pass filter of this variance on the screen (px²) and without
-/// the 3D filter.
+/// Per Gaussian: true if any of the cameras may show it, under a low-pass filter of this variance on the screen (px²) and
+/// without the 3D filter.
 pub(super) fn seen(gaussians: &Gaussians, cameras: &[Camera], low_pass_px2: f64) -> Vec<bool> {
     let sights: Vec<Sight> = cameras.iter().map(Sight::of).collect();
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
@@ -84,7 +84,7 @@ pub(super) fn seen(gaussians: &Gaussians, cameras: &[Camera], low_pass_px2: f64)
         for (part, seen) in seen.chunks_mut(each).enumerate() {
             let (first, sights) = (part * each, &sights);
             scope.spawn(move || {
-                // Neighbours are seen by the same cameras.
+                // The same cameras show neighbours.
                 let mut last = 0;
                 for (offset, seen) in seen.iter_mut().enumerate() {
                     let index = first + offset;
@@ -130,7 +130,7 @@ mod tests {
         Camera::look_at(vec3(0.0, 0.0, -5.0), Vec3::ZERO, Vec3::NEG_Y, intrinsics)
     }
 
-    /// At the depth of 5, the picture is from -5 to 5 in x and -2.5 to 2.5 in y; a pixel is 0.05.
+    /// At depth 5, the picture is from -5 to 5 in x and -2.5 to 2.5 in y; a pixel is 0.05.
     #[test]
     fn what_lies_beside_or_behind_is_not_seen() {
         let means = [
@@ -144,14 +144,14 @@ mod tests {
         ];
         let small = seen_by(&gaussians(&means, -7.0), &[camera()]);
         assert_eq!(small, [true, false, false, false, false, false, true]);
-        // An axis of 0.2: four of them reach 0.8, and more in the slope.
+        // With an axis of 0.2, four of them reach 0.8, and more with the slope.
         let large = seen_by(&gaussians(&means, 0.2_f32.ln()), &[camera()]);
         assert_eq!(large, [true, true, true, true, false, false, true]);
         assert_eq!(seen_by(&gaussians(&means, -7.0), &[]), [false; 7]);
         assert!(seen_by(&gaussians(&[], 0.0), &[camera()]).is_empty());
-        // A low-pass filter of 10 px² has 4 times 3.2 pixels, which are 0.63.
+        // A low-pass filter of 10 px² reaches 4 times 3.2 pixels, which are 0.63.
         assert_eq!(seen(&gaussians(&means, -7.0), &[camera()], 10.0)[..4], [true, true, true, true]);
-        // Linearised as if it were at the edge of a picture that looks aside: x from 10 to 20, and 4 sqrt(1 + 4.3²) 0.2 beyond.
+        // Linearised as at the edge of a picture that looks aside: x from 10 to 20, and 4 sqrt(1 + 4.3²) 0.2 beyond.
         let aside = Camera { cx: -200.0, ..camera() };
         let beside = [[6.5, 0.0, 0.0], [5.0, 0.0, 0.0]];
         assert_eq!(seen_by(&gaussians(&beside, 0.2_f32.ln()), &[aside]), [true, false]);

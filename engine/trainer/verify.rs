@@ -4,20 +4,19 @@ use super::Trainer;
 use crate::error::Result;
 use crate::vk::{AuditRecord, Context};
 
-/// The outcome of training twice.
+/// Outcome of training twice.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Verdict {
     /// The same bits after every iteration.
     Same,
-    /// Other bits.
+    /// The bits differ.
     Differs {
-        /// The first iteration after which parameters, moments, statistics or the loss differ.
+        /// First iteration after which parameters, moments, statistics or the loss differ.
         iteration: u32,
-        /// The first command with a different output, if both runs, repeated command by command, differ
-        /// again. None if they do not: then commands race with each other, or the driver computes wrongly at
-        /// times.
+        /// First command with a different output, if both runs differ again when repeated command by command. None if they do
+        /// not: then commands race with each other, or the driver sometimes computes wrongly.
         first: Option<Difference>,
-        /// Why the search for that command failed: the repetition of both runs needs more memory.
+        /// Reason why the search for that command failed: repeating both runs needs more memory.
         problem: Option<String>,
     },
 }
@@ -25,16 +24,15 @@ pub enum Verdict {
 /// A command with a different output in the second run.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Difference {
-    /// The command's iteration.
+    /// Iteration of the command.
     pub iteration: u32,
-    /// Its output in the first run.
+    /// Output of the command in the first run.
     pub record: AuditRecord,
 }
 
-/// Trains twice for some iterations, each time with a new context and trainer, and compares hashes of the
-/// state after every iteration. If they differ, it repeats both runs up to there with an
-/// [audit](Context::audit), to find the first command with a different output. `report` receives (run from 0,
-/// iteration, hash).
+/// Trains twice for some iterations, each time with a new context and trainer, and compares hashes of the state after every
+/// iteration. If they differ, both runs are repeated up to there with an [audit](Context::audit), to find the first command
+/// with a different output. `report` receives (run from 0, iteration, hash).
 ///
 /// # Errors
 /// Errors of the closures or of a step, except those of the repetition.
@@ -60,7 +58,7 @@ pub fn verify_determinism(
     let mut audited = || audited_run(&context()?, &mut trainer, place as u32 + 1);
     let (first, second) = match audited().and_then(|first| Ok((first, audited()?))) {
         Ok(both) => both,
-        // The difference is known nevertheless.
+        // The difference is known even without the repetition.
         Err(error) => {
             return Ok(Verdict::Differs { iteration, first: None, problem: Some(error.to_string()) });
         }
@@ -70,7 +68,7 @@ pub fn verify_determinism(
     Ok(Verdict::Differs { iteration, first, problem: None })
 }
 
-/// All outputs, with their iterations (0: before the first).
+/// All outputs with their iterations (0: before the first).
 fn audited_run(
     context: &Context,
     trainer: &mut impl FnMut(&Context) -> Result<Trainer>,

@@ -1,5 +1,5 @@
-//! Frames at a quarter and at half of the photographs' size, with which a run may begin (paper, section 7.1), and the
-//! photographs to compare them with. These also get the random background of an iteration.
+//! Frames at a quarter and at half of the photographs' size at the start of a run (paper, section 7.1), and the photographs to
+//! compare them with. Photographs also get the random background of an iteration.
 
 use super::settings::TrainSettings;
 use crate::error::Result;
@@ -9,12 +9,12 @@ use crate::plan::{LaunchSizes, Strips, blocks};
 use crate::scene::{Camera, PicturePart};
 use crate::vk::{Buffer, Context, Kernel, Recorder};
 
-/// The first and the last factor by which width and height are divided.
+/// Divisors of width and height: at the start and at the end of the warm-up.
 const FACTORS: [u32; 2] = [4, 2];
-/// Least width and height of a reduced picture, pixels: four tiles by four.
+/// Minimum width and height of a reduced picture, pixels: four tiles by four.
 const LEAST_SIDE: u32 = 64;
 
-/// The kernels that reduce photographs, and compose transparent ones over random backgrounds.
+/// Kernels that reduce photographs and compose transparent ones over random backgrounds.
 pub(super) struct PhotoPreparation {
     sizes: LaunchSizes,
     /// True if photographs may keep their size.
@@ -23,18 +23,18 @@ pub(super) struct PhotoPreparation {
     kernels: [Kernel<photo_reduced::Interface>; 3],
 }
 
-/// A photograph to prepare.
+/// Inputs of the preparation of a photograph.
 pub(super) struct PhotoInputs<'a> {
-    /// Its camera, and the camera of the frame.
+    /// Camera of the photograph, and camera of the frame.
     pub cameras: [&'a Camera; 2],
     pub photo: &'a Buffer,
     pub masked: bool,
-    /// The change of the background (r, g, b) of a transparent photograph; None of others.
+    /// Change of the background (r, g, b) of a transparent photograph; None for others.
     pub background_change: Option<[f32; 3]>,
 }
 
-/// The camera of pictures with 1 / `factor` of the width and height: their pixels are squares of `factor` pixels. What is left
-/// over at the right and at the bottom is cut off.
+/// Camera of a picture with 1 / `factor` of the width and height: its pixels are squares of `factor` pixels. The remainder at
+/// the right and at the bottom is cut off.
 fn reduced(camera: &Camera, factor: u32) -> Camera {
     let by = factor as f32;
     let part = camera.part.map(|part| PicturePart {
@@ -56,14 +56,14 @@ fn reduced(camera: &Camera, factor: u32) -> Camera {
 }
 
 impl TrainSettings {
-    /// The last iteration of the warm-up: `warm_up`, but at most half of the iterations.
+    /// Last iteration of the warm-up: `warm_up`, but at most half of the iterations.
     pub fn warm_up_end(&self) -> u32 {
         self.warm_up.min(self.iterations / 2)
     }
 
-    /// The camera with which a view is drawn at an iteration (1-based): a quarter of its width and height up to half of
-    /// [the warm-up](Self::warm_up_end), half of them up to its end; less reduced where a side would have fewer than 64 pixels.
-    /// The first iteration is whole: it shows what memory that takes.
+    /// Camera that draws a view at an iteration (1-based): a quarter of the size up to half of [the
+    /// warm-up](Self::warm_up_end), half of the size up to its end, and less reduced if a side would have fewer than 64 pixels.
+    /// The first iteration is whole, because it shows the memory that whole frames take.
     pub fn warm_up_camera(&self, iteration: u32, camera: &Camera) -> Camera {
         let end = self.warm_up_end();
         let wanted = match iteration {
@@ -75,7 +75,7 @@ impl TrainSettings {
         FACTORS.into_iter().find(fits).map_or(*camera, |factor| reduced(camera, factor))
     }
 
-    /// A view's camera at all sizes at which it is drawn, its own first.
+    /// Camera of a view at all sizes that training draws, its own first.
     pub(super) fn sizes_of_camera(&self, camera: &Camera) -> Vec<Camera> {
         let of = |iteration: u32| self.warm_up_camera(iteration, camera);
         let mut sizes = vec![*camera, of(2), of(self.warm_up_end())];
@@ -84,8 +84,8 @@ impl TrainSettings {
     }
 }
 
-/// What a frame of `drawn` with these instances and visible Gaussians would have at the size of `camera`: an estimate, for square
-/// footprints that are all as large.
+/// Estimates the instances of a frame at the size of `camera` from a frame of `drawn` with these instances and visible
+/// Gaussians. Assumes square footprints of equal size.
 pub(super) fn whole_instances([camera, drawn]: [&Camera; 2], instances: u32, visible: u32) -> u32 {
     let factor = f64::from(camera.width / drawn.width);
     let tiles = f64::from(instances) / f64::from(visible.max(1));
@@ -195,7 +195,7 @@ mod tests {
         let camera =
             |width| Camera::with_pose(Mat3::IDENTITY, Vec3::ZERO, Intrinsics::from_fov_x(1.0, width, width));
         let (whole, quarter) = (camera(400), camera(100));
-        // One tile each; two by two, which become five by five; whole already.
+        // One tile each; two by two tiles, which become five by five; none.
         let estimates = [(70, 70), (400, 100), (0, 0)]
             .map(|(n, visible)| whole_instances([&whole, &quarter], n, visible));
         assert_eq!(estimates, [70, 2500, 0]);

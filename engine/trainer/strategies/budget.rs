@@ -1,6 +1,6 @@
-//! Budgeted growth (Improved-GS, 2026): Gaussians are split along their long axis, those first that matter most for
-//! the edges of the photographs, up to a number that grows along a curve; opacity resets are mild, and what does
-//! not recover from them is pruned; late steps add up the gradients of several views.
+//! Budgeted growth (Improved-GS, 2026). It splits Gaussians along their long axis, first those that matter most for the edges
+//! of the photographs, up to a number that grows along a curve. Opacity resets are mild, and Gaussians that do not recover from
+//! them are pruned. Late steps add up the gradients of several views.
 
 mod schedule;
 
@@ -20,7 +20,7 @@ use crate::trainer::strategy::{Hooks, Strategy};
 use crate::trainer::work::{ABSOLUTE_STATISTIC, Actions, Changes, Densified, Statistic, Work};
 use crate::vk::{Buffer, Context, MemoryKind};
 
-/// Pruning of what the start left faint.
+/// Pruning of Gaussians that are still faint after the start.
 const PRUNE_FAINT: Actions = Actions(1 << 2);
 /// Pruning of the faintest share after a reset.
 const PRUNE_RANKS: Actions = Actions(1 << 3);
@@ -30,28 +30,28 @@ const PRUNE_LATE: Actions = Actions(1 << 4);
 const FAINT: f64 = 0.02;
 /// Share of the Gaussians that [`PRUNE_RANKS`] removes.
 const FAINTEST_SHARE: f64 = 0.2;
-/// Largest opacity after a reset that Gaussians are to recover from.
+/// Largest opacity after a reset, if Gaussians are to recover from it.
 const RECOVERABLE_OPACITY: f64 = 0.05;
 
-/// What a pruning removes.
+/// Gaussians that a pruning removes.
 #[derive(Clone, Copy)]
 enum Pruned {
-    /// What is fainter than this opacity.
+    /// Those fainter than this opacity.
     Below(f64),
     /// The faintest share, between 0 and 1.
     Share(f64),
 }
 
-/// Budgeted growth to [`TrainSettings::cap_max`]. Each part has a switch: [`TrainSettings::absgrad`], `split`,
-/// `importance`, `growth_curve`, `recovery`, `multi_step`, `late_min_opacity`.
+/// Budgeted growth to [`TrainSettings::cap_max`]. Each part has a switch: [`TrainSettings::absgrad`], `split`, `importance`,
+/// `growth_curve`, `recovery`, `multi_step`, `late_min_opacity`.
 pub struct Budget {
     kernels: Densify,
     selection: Selection,
-    /// Built by the first densification, if it is [`ImportanceType::Edges`]: a resumed run may be past the last.
+    /// Built by the first densification with [`ImportanceType::Edges`], because a resumed run may have none left.
     importance: Option<Importance>,
     absolute: bool,
     sums: bool,
-    /// Gaussians before the first change of the set.
+    /// Number of Gaussians before the first change of the set.
     start: Option<u32>,
 }
 
@@ -117,7 +117,7 @@ impl Strategy for Budget {
             .and(PRUNE_LATE.when(schedule.prunes_late_at(iteration)));
         Work {
             accumulates: settings.collects_statistics_at(iteration),
-            // The step precedes densification: the set that is split is the one that the step made.
+            // The step precedes densification, which splits the set that the step made.
             optimizes: schedule.steps_at(iteration),
             sums_gradients: schedule.group(iteration) > 1,
             optimizes_opacity: true,
@@ -171,8 +171,8 @@ impl Strategy for Budget {
 }
 
 impl Budget {
-    /// Draws the Gaussians to split, within budget, memory and device, and gathers the new set. Without memory
-    /// for it the set stays as it is.
+    /// Draws the Gaussians to split, within budget, memory and device, and gathers the new set. If memory is short, the set
+    /// stays.
     fn densify(&mut self, population: &mut Population, start: u32) -> Result<Densified> {
         population.release_pictures();
         let edges = population.settings().importance == ImportanceType::Edges;
@@ -226,7 +226,7 @@ impl Budget {
         Ok(densified)
     }
 
-    /// The chances to be split, if they are those of the photographs' edges. None without memory for them.
+    /// Importance by the photographs' edges, if the settings use it. None if memory is short.
     fn importance(&self, population: &mut Population) -> Result<Option<Option<Buffer>>> {
         let Some(kernels) = &self.importance else { return Ok(Some(None)) };
         let (seed, views) = (population.settings().seed, population.cameras().len());
@@ -236,7 +236,7 @@ impl Budget {
         Ok(population.importance(kernels, &drawn)?.map(Some))
     }
 
-    /// Selects up to `wanted` Gaussians, and returns how many.
+    /// Selects up to `wanted` Gaussians and returns their number.
     fn select(
         &self,
         population: &Population,
@@ -276,7 +276,7 @@ impl Budget {
         Ok(totals[2])
     }
 
-    /// Removes what is faint. Without memory for it the set stays as it is, and so it does where nothing would be left.
+    /// Removes faint Gaussians. If memory is short, or nothing would be left, the set stays.
     fn prune(&self, population: &mut Population, pruned: Pruned) -> Result<Densified> {
         population.release_pictures();
         let before = population.count();
@@ -305,7 +305,7 @@ impl Budget {
         Ok(pruned)
     }
 
-    /// The opacity that a share of the Gaussians is fainter than. None without memory for their order.
+    /// Opacity below which a share of the Gaussians lies. None if memory for their order is short.
     fn opacity_of_share(&self, population: &Population, share: f64) -> Result<Option<f64>> {
         let context = population.context();
         let requests = self.selection.requests(population.count());
@@ -326,12 +326,12 @@ impl Budget {
     }
 }
 
-/// What is fainter goes. The selection alone decides who is split.
+/// Prunes below an opacity. The selection alone decides splits.
 fn pruning_below(min_opacity: f32) -> DensifySettings {
     DensifySettings { gradient_threshold: 0.0, clone_scale: 0.0, min_opacity, max_scale: 0.0 }
 }
 
-/// The least f32 that is not below a number: an f32 is below both, or below neither.
+/// Smallest f32 that is not below a number: any f32 is below both, or below neither.
 fn not_below(number: f64) -> f32 {
     let nearest = number as f32;
     if f64::from(nearest) < number { nearest.next_up() } else { nearest }

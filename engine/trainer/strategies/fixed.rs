@@ -6,7 +6,7 @@ use crate::trainer::settings::TrainSettings;
 use crate::trainer::strategy::Strategy;
 use crate::trainer::work::{Actions, Changes, Work};
 
-/// Optimises the Gaussians of the beginning, and neither adds nor removes any.
+/// Optimises the initial Gaussians, and neither adds nor removes any.
 pub struct Fixed;
 
 impl Strategy for Fixed {

@@ -1,5 +1,5 @@
-//! The density control of 3DGS-MCMC (Kheradmand et al. 2024): Gaussians of no opacity move to where others are,
-//! the set grows to a bound, and noise explores.
+//! Density control of 3DGS-MCMC (Kheradmand et al. 2024): transparent Gaussians move to the places of others, the set grows to
+//! a bound, and noise explores.
 
 use crate::densify::{Densify, Draw, DrawBuffers, OrderBuffers, RandomKey, Relocation};
 use crate::error::{Error, Result};
@@ -10,7 +10,7 @@ use crate::trainer::strategy::{Hooks, StepInputs, Strategy};
 use crate::trainer::work::{Actions, Changes, Densified, Work};
 use crate::vk::{Context, MemoryKind, Recorder};
 
-/// Growth of a densification (3dgs-mcmc, `add_new_gs`), in hundredths.
+/// Size of the set after a densification (3dgs-mcmc, `add_new_gs`), in percent.
 const GROWTH_PERCENT: u64 = 105;
 
 /// Relocation, growth to [`TrainSettings::cap_max`], and noise on the means. Its regularisers are
@@ -96,8 +96,8 @@ impl Strategy for Mcmc {
 }
 
 impl Mcmc {
-    /// Draws a new set of up to `rows` rows, at least as many as there are. Growth also orders it along the
-    /// curve. False without memory for it: the set then stays as it is.
+    /// Draws a new set of up to `rows` rows, at least as many as now. Growth also orders it along the curve. Returns false if
+    /// memory is short; the set then stays.
     fn rebuild(&self, population: &mut Population, rows: u32, replaces_dead: bool) -> Result<bool> {
         let before = population.count();
         let context = population.context().clone();

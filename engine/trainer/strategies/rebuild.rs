@@ -1,4 +1,4 @@
-//! What strategies that clone and split have in common: decisions per Gaussian, memory, and the new set from them.
+//! Shared parts of strategies that clone and split: decisions per Gaussian, memory, and the new set that follows.
 
 use crate::densify::{ClassifyInputs, Densify, DensifyBuffers, DensifySettings, OrderBuffers, RandomKey};
 use crate::error::Result;
@@ -14,13 +14,13 @@ pub(super) struct DecisionMemory {
 }
 
 impl DecisionMemory {
-    /// For a set that at most doubles: a Gaussian stays and is cloned, or is split into two. None without memory for it: the set
-    /// then stays as it is.
+    /// Memory for a set that at most doubles: a Gaussian stays and is cloned, or is split into two. None if memory is short;
+    /// the set then stays.
     pub fn for_growth(population: &Population) -> Result<Option<Self>> {
         Self::allocate(population, population.count().saturating_mul(2))
     }
 
-    /// For a set that does not grow. None without memory for it: the set then stays as it is.
+    /// Memory for a set that does not grow. None if memory is short; the set then stays.
     pub fn for_pruning(population: &Population) -> Result<Option<Self>> {
         Self::allocate(population, population.count())
     }
@@ -33,7 +33,7 @@ impl DecisionMemory {
     }
 }
 
-/// A densification by decisions.
+/// A densification by decisions per Gaussian.
 pub(super) struct Decisions<'a> {
     pub kernels: &'a Densify,
     pub memory: DecisionMemory,
@@ -54,9 +54,10 @@ impl Decisions<'_> {
         Ok(Densified { before, kept: totals[0], cloned: totals[1], split: totals[2], limited: false })
     }
 
-    /// Decides who stays, where nobody is cloned or split; by [`Criterion::Selected`](crate::densify::Criterion::Selected).
+    /// Decides which Gaussians stay, without clones and splits, by
+    /// [`Criterion::Selected`](crate::densify::Criterion::Selected).
     pub fn classify_kept(&self, population: &Population) -> Result<Densified> {
-        // Zeros until sources are written: nobody is selected.
+        // The buffer is zero until sources are written, so no Gaussian is selected.
         let none = &self.memory.buffers.sources;
         population.context().run("select none", |r| {
             r.fill(none, 0);
@@ -66,11 +67,11 @@ impl Decisions<'_> {
         self.classify(population, ClassifyInputs { statistics, criteria: Some(none) })
     }
 
-    /// Memory for a new set of up to `rows` rows, in its order along the curve. The room may fall short of them
-    /// ([`Population::capacity_with`]). None without memory for the order: the set then stays as it is.
+    /// Allocates memory for a new set of up to `rows` rows, and for its order along the curve. The capacity may be less
+    /// ([`Population::capacity_with`]). None if memory for the order is short; the set then stays.
     pub fn make_room(&mut self, population: &mut Population, rows: u32) -> Result<Option<Growth>> {
-        // Allocated before the second set of planes. There is no fallback to another order: the bits would
-        // then depend on the free memory.
+        // The order comes before the second set of planes. There is no fallback to another order, because the bits would then
+        // depend on the free memory.
         self.memory.order = order_buffers(population.context(), rows)?;
         match self.memory.order {
             Some(_) => Ok(Some(population.make_room(rows)?)),
@@ -78,7 +79,7 @@ impl Decisions<'_> {
         }
     }
 
-    /// Replaces the set as decided, after [`Decisions::make_room`].
+    /// Replaces the set by the decisions, after [`Decisions::make_room`].
     pub fn rebuild(&self, population: &mut Population, densified: Densified, growth: Growth) -> Result<()> {
         let Some(order) = &self.memory.order else { unreachable!("room was made") };
         let (rows, buffers) = (densified.rows(), &self.memory.buffers);
@@ -90,7 +91,7 @@ impl Decisions<'_> {
         })
     }
 
-    /// Removes what is not to stay, where nothing is cloned or split. The others keep their order.
+    /// Removes the Gaussians that do not stay, without clones and splits. The others keep their order.
     pub fn prune(&self, population: &mut Population, densified: Densified) -> Result<()> {
         let rows = densified.rows();
         let (key, room) = (random_key(population), population.make_room(rows)?);
@@ -100,14 +101,14 @@ impl Decisions<'_> {
         })
     }
 
-    /// Records where each row of the new set comes from, of `count` Gaussians. Ends with a barrier.
+    /// Records the source of each row of the new set, among `count` Gaussians. Ends with a barrier.
     fn record_sources(&self, r: &mut Recorder, count: u32, rows: u32) {
         self.kernels.record_scatter_sources(r, count, rows, &self.memory.buffers);
         r.barrier();
     }
 }
 
-/// The key of the random numbers after an iteration.
+/// Key of the random numbers after an iteration.
 fn random_key(population: &Population) -> RandomKey<'static> {
     RandomKey { seed: population.settings().seed, iteration: population.iteration(), explicit: None }
 }

@@ -14,16 +14,16 @@ use crate::vk::Context;
 /// Scales above this share of the scene's extent are pruned after the first opacity reset (reference).
 const LARGE_SCALE_SHARE: f64 = 0.1;
 
-/// Clone, split, prune and opacity reset, as the reference implementation does them. Two parts can be exchanged:
-/// [`TrainSettings::absgrad`] densifies by the absolute statistic (as gsplat does: one threshold for clones and
-/// splits), [`TrainSettings::split`] splits otherwise.
+/// Clone, split, prune and opacity reset of the reference implementation. Two parts are replaceable. [`TrainSettings::absgrad`]
+/// densifies by the absolute statistic (like gsplat, with one threshold for clones and splits), and [`TrainSettings::split`]
+/// selects the split.
 pub struct Reference {
     kernels: Densify,
     absolute: bool,
 }
 
 impl Reference {
-    /// Builds the kernels, with all parts as in the reference.
+    /// Builds the kernels with the reference's own parts.
     ///
     /// # Errors
     /// When the device refuses a pipeline.
@@ -62,8 +62,8 @@ impl Strategy for Reference {
         let resets = settings.resets_opacity_at(iteration);
         Work {
             accumulates: settings.collects_statistics_at(iteration),
-            // In the reference, densification replaces the parameters, which then have no gradient; a reset
-            // does the same to the opacities.
+            // In the reference, densification replaces the parameters, so that they have no gradient. A reset does the same to
+            // the opacities.
             optimizes: !densifies,
             sums_gradients: false,
             optimizes_opacity: !resets,
@@ -91,8 +91,8 @@ impl Strategy for Reference {
 }
 
 impl Reference {
-    /// Classifies, grows the capacity, and gathers the new set. If the capacity cannot grow enough, only the
-    /// Gaussians with the largest gradients are cloned or split.
+    /// Classifies, grows the capacity, and gathers the new set. If the capacity cannot grow enough, clones and splits only the
+    /// Gaussians with the largest gradients.
     fn densify(&self, population: &mut Population) -> Result<Densified> {
         let settings = settings_of(population);
         let before = population.count();
@@ -118,9 +118,8 @@ impl Reference {
         ClassifyInputs { statistics: &statistics[0], criteria: self.absolute.then(|| &statistics[1]) }
     }
 
-    /// Classifies with a threshold that fits the capacity: bisection finds the lowest one, so that the
-    /// Gaussians with the largest gradients are cloned or split. The capacity is at least the current number
-    /// of Gaussians.
+    /// Classifies with the lowest threshold that fits the capacity, found by bisection, so that the Gaussians with the largest
+    /// gradients are cloned or split. The capacity is at least the current number of Gaussians.
     fn decide_within(
         &self,
         population: &Population,
@@ -128,7 +127,7 @@ impl Reference {
         room: u32,
     ) -> Result<Densified> {
         const ROUNDS: u32 = 24;
-        // Non-negative floats have the order of their bits. At infinity no Gaussian passes.
+        // Non-negative floats are ordered like their bits. No Gaussian passes a threshold of infinity.
         let least = decisions.settings.gradient_threshold.abs();
         let (mut low, mut high) = (least.to_bits(), f32::INFINITY.to_bits());
         let mut classify = |bits: u32| {

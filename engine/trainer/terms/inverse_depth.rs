@@ -8,8 +8,8 @@ use crate::plan::LaunchSizes;
 use crate::trainer::settings::TrainSettings;
 use crate::vk::{Context, Kernel, Recorder};
 
-/// The mean difference of the rendered inverse depth (the sum of weights / z) from a view's map, times a weight that
-/// falls log-linearly over the run. 0 for views without a map. Its own number is the mean difference.
+/// Mean difference of the rendered inverse depth (the sum of weights / z) from a view's map, times a weight that falls
+/// log-linearly over the run. 0 for views without a map. Reports the mean difference.
 pub struct InverseDepth {
     difference: Kernel<inverse_depth_l1::Interface>,
     reduce: Kernel<term_reduce::Interface>,

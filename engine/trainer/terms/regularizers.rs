@@ -7,8 +7,8 @@ use crate::loss::{LossTerm, Targets, TermInputs};
 use crate::plan::LaunchSizes;
 use crate::vk::{Context, Kernel, Recorder};
 
-/// `opacity` times the mean opacity plus `scale` times the mean scale (world units), over all Gaussians, also
-/// those outside the view. Sparse Adam moves only those in the view. Its numbers are both means.
+/// `opacity` times the mean opacity plus `scale` times the mean scale (world units), over all Gaussians, also those out of
+/// view. Sparse Adam moves only the visible ones. Reports both means.
 pub struct Regularizers {
     regularize: Kernel<regularize::Interface>,
     reduce: Kernel<term_reduce::Interface>,

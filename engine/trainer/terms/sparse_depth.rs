@@ -1,4 +1,4 @@
-//! The depths of sparse points as a term of the loss (gsplat, `depth_loss` of its `simple_trainer.py`).
+//! Depths of sparse points as a loss term (gsplat, `depth_loss` of its `simple_trainer.py`).
 
 use crate::error::Result;
 use crate::kernels::constants::TERM_PARTIALS;
@@ -8,9 +8,10 @@ use crate::plan::{LaunchSizes, blocks};
 use crate::trainer::settings::TrainSettings;
 use crate::vk::{Context, Kernel, Recorder};
 
-/// The mean over a view's sparse points of |1/Z - 1/z|, times [`TrainSettings::depth_points`], the scene's extent and a factor
-/// that falls log-linearly from 1 to a hundredth over the run. Z is the expected depth at the point, Σ w z / Σ w with the blending's weights
-/// w, bilinear; 1/z the point's. 0 for views without points. Its own number is the mean difference, 1 / world units.
+/// Mean of |1/Z - 1/z| over a view's sparse points, times [`TrainSettings::depth_points`], the scene's extent, and a factor
+/// that falls log-linearly from 1 to a hundredth over the run. Z is the expected depth at the point, bilinear: Σ w z / Σ w with
+/// the blending weights w. z is the depth of the point. 0 for views without points. Reports the mean difference, 1 / world
+/// units.
 pub struct SparseDepth {
     points: Kernel<sparse_depth::Interface>,
     gather: Kernel<sparse_depth_gather::Interface>,
@@ -22,7 +23,7 @@ pub struct SparseDepth {
 }
 
 impl SparseDepth {
-    /// Builds the kernels, for views of at most so many points.
+    /// Builds the kernels for views of at most `most_points` points.
     ///
     /// # Errors
     /// When the device refuses a pipeline.

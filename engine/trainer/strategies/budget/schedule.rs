@@ -1,32 +1,32 @@
-//! When budgeted growth does what: pure arithmetic of the settings.
+//! Schedule of budgeted growth: pure arithmetic of the settings.
 
 use crate::trainer::settings::TrainSettings;
 
 /// Improved-GS ends its growth at 14,500 of the 15,000 iterations with densification.
 const CURVE_SHARE: f64 = 14_500.0 / 15_000.0;
-/// From these iterations of 30,000 on, so many views share a step.
+/// (first iteration of 30,000, number of views that share a step).
 const GROUPS: [(u32, u32); 2] = [(24_000, 20), (20_000, 5)];
-/// Iterations after which Gaussians that are still faint are pruned: after the start, and after a reset.
+/// Iterations after the start and after a reset, until Gaussians that are still faint are pruned.
 const RECOVERY: u32 = 300;
-/// Resets that a pruning by rank follows.
+/// Number of resets that are followed by a pruning by rank.
 const RANKED_RESETS: u32 = 2;
-/// Of 30,000 iterations, those after which [`TrainSettings::late_min_opacity`] prunes. FastGS prunes so from 15,000 on; from
-/// 8,000 on, more are left in the end, for the same or more quality on average (tools/strategies.md).
+/// Iterations of 30,000 after which [`TrainSettings::late_min_opacity`] prunes. FastGS starts at 15,000. A start at 8,000
+/// leaves more Gaussians in the end, with the same or more quality on average (tools/strategies.md).
 const LATE_PRUNINGS: [u32; 7] = [8_000, 10_000, 12_000, 14_000, 16_000, 18_000, 21_000];
-/// Views of an importance.
+/// Number of views for an importance.
 const VIEWS: usize = 10;
 
-/// The schedule of the strategy `budget` (Improved-GS, `train.py`). At 30,000 iterations it is that of the paper's
-/// code; [`TrainSettings::scale_schedule`] says what changes in a shorter or longer run.
+/// Schedule of the strategy `budget` (Improved-GS, `train.py`). At 30,000 iterations it is that of the paper's code.
+/// [`TrainSettings::scale_schedule`] changes it for other lengths.
 #[derive(Clone, Copy, Debug)]
 pub struct GrowthSchedule<'a> {
     settings: &'a TrainSettings,
-    /// The most Gaussians of the run.
+    /// Maximum number of Gaussians in the run.
     cap: u32,
 }
 
 impl<'a> GrowthSchedule<'a> {
-    /// The schedule of a run that began with so many Gaussians.
+    /// Schedule of a run that began with `start` Gaussians.
     pub fn of(settings: &'a TrainSettings, start: u32) -> Self {
         let cap = match settings.cap_max {
             0 => {
@@ -39,9 +39,8 @@ impl<'a> GrowthSchedule<'a> {
         Self { settings, cap }
     }
 
-    /// The most Gaussians after the densification of an iteration (1-based): with
-    /// [`TrainSettings::growth_curve`] ⌊√t · cap⌋, at least 1, where t rises linearly from 0 at the start of
-    /// densification to 1 shortly before its end.
+    /// Maximum number of Gaussians after the densification of an iteration (1-based). With [`TrainSettings::growth_curve`] it
+    /// is ⌊√t · cap⌋, at least 1, where t rises linearly from 0 at the start of densification to 1 shortly before its end.
     pub fn budget(&self, iteration: u32) -> u32 {
         let s = self.settings;
         if !s.growth_curve {
@@ -63,31 +62,30 @@ impl<'a> GrowthSchedule<'a> {
         }
     }
 
-    /// Whether the optimiser makes a step at an iteration (1-based): at the last of each group, never at the
-    /// last of the run.
+    /// True if the optimiser makes a step at an iteration (1-based): at the last of each group, never at the last of the run.
     pub fn steps_at(&self, iteration: u32) -> bool {
         iteration < self.settings.iterations && iteration.is_multiple_of(self.group(iteration))
     }
 
-    /// The opacity below which a densification prunes: 0 at the last one.
+    /// Opacity below which a densification prunes: 0 at the last one.
     pub fn min_opacity(&self, iteration: u32) -> f64 {
         let s = self.settings;
         let last = s.scaled(s.densify_until_iter).saturating_sub(s.densification_interval);
         if iteration < last { s.min_opacity } else { 0.0 }
     }
 
-    /// Whether an iteration (1-based) ends with the first pruning, of what the start left faint.
+    /// True if an iteration (1-based) ends with the first pruning, of Gaussians that are still faint after the start.
     pub fn prunes_faint_at(&self, iteration: u32) -> bool {
         self.settings.recovery && iteration == RECOVERY && self.settings.collects_statistics_at(iteration)
     }
 
-    /// Whether an iteration (1-based) ends with a pruning of the faintest share: 300 after the first two resets.
+    /// True if an iteration (1-based) ends with a pruning of the faintest share: 300 after the first two resets.
     pub fn prunes_ranks_at(&self, iteration: u32) -> bool {
         self.settings.recovery && self.is_after_ranked_reset(iteration, RECOVERY)
     }
 
-    /// Whether an iteration (1-based) ends with a pruning below [`TrainSettings::late_min_opacity`]. After the start and after an
-    /// opacity reset, Gaussians have as long to recover as before the other prunings.
+    /// True if an iteration (1-based) ends with a pruning below [`TrainSettings::late_min_opacity`]. Gaussians first have the
+    /// same time to recover from the start or an opacity reset as before the other prunings.
     pub fn prunes_late_at(&self, iteration: u32) -> bool {
         let s = self.settings;
         s.late_min_opacity > 0.0
@@ -96,15 +94,15 @@ impl<'a> GrowthSchedule<'a> {
             && !(iteration - RECOVERY + 1..=iteration).any(|i| s.resets_opacity_at(i))
     }
 
-    /// Which of all densifications this one is, from 0.
+    /// Index of the iteration's densification, from 0.
     fn densifications_before(&self, iteration: u32) -> u32 {
         let s = self.settings;
         let interval = s.densification_interval;
         (iteration / interval).saturating_sub(s.scaled(s.densify_from_iter) / interval + 1)
     }
 
-    /// The views from whose pool a densification draws the importance: where in the pool they begin, and how
-    /// many of `all`. All of them at the first densification after the faintest share was pruned.
+    /// Views from whose pool a densification draws the importance: the first place in the pool, and the number of views, of
+    /// `all`. The first densification after a pruning of the faintest share takes all views.
     pub fn views(&self, iteration: u32, all: usize) -> (u64, usize) {
         let after_pruning = RECOVERY + self.settings.densification_interval;
         let each = match self.settings.recovery && self.is_after_ranked_reset(iteration, after_pruning) {
@@ -124,19 +122,19 @@ impl<'a> GrowthSchedule<'a> {
     }
 }
 
-/// Where a quantile of sorted values lies, by linear interpolation between ranks as `torch.quantile` has it.
+/// Place of a quantile among sorted values, interpolated linearly between ranks like `torch.quantile`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct QuantilePlace {
-    /// The rank below it, from 0.
+    /// Rank below the quantile, from 0.
     pub below: u32,
-    /// The next one, if there is one.
+    /// Next rank, or the last one.
     pub above: u32,
-    /// How far it lies from the first to the second, at least 0 and less than 1.
+    /// Fraction of the way from `below` to `above`, at least 0 and less than 1.
     pub rest: f64,
 }
 
 impl QuantilePlace {
-    /// Of so many values; `share`: of those that lie below, 0 to 1.
+    /// Place among this number of values; `share`: share of the values that lie below, 0 to 1.
     pub fn new(values: u32, share: f64) -> Self {
         let last = values.saturating_sub(1);
         let place = share * f64::from(last);
@@ -144,7 +142,7 @@ impl QuantilePlace {
         Self { below, above: (below + 1).min(last), rest: place.fract() }
     }
 
-    /// The quantile, from the values of both ranks.
+    /// Interpolates the quantile from the values of both ranks.
     pub fn between(&self, below: f64, above: f64) -> f64 {
         below + self.rest * (above - below)
     }
@@ -190,7 +188,7 @@ mod tests {
         };
         let with = |iterations: u32| TrainSettings { late_min_opacity: 0.1, ..settings(iterations) };
         assert_eq!(late(settings(30_000)), [0; 0]);
-        // The reset at 12,000 takes one of them.
+        // The reset at 12,000 displaces one of them.
         assert_eq!(late(with(30_000)), [8_000, 10_000, 14_000, 16_000, 18_000, 21_000]);
         assert_eq!(late(with(2000)), [533, 667, 800, 933, 1067, 1200, 1400]);
         // 3267 is 267 after a reset.
@@ -205,7 +203,7 @@ mod tests {
     fn schedule_of_short_runs() {
         assert_eq!(all(2000, |s, i| s.prunes_ranks_at(i)), [0; 0]);
         assert_eq!(all(7000, |s, i| s.prunes_ranks_at(i)), [3300]);
-        // At the end of every group, and none at the last iteration.
+        // A step at the end of every group, and none at the last iteration.
         let late = all(2000, |s, i| s.steps_at(i) && i > 1320);
         assert_eq!(
             (&late[..14], late.last()),
