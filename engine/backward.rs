@@ -17,7 +17,7 @@ use crate::kernels::backward::{
 use crate::plan::{BlendShape, LaunchSizes, POSE_SUM_BYTES, blocks};
 use crate::vk::{Buffer, Context, KernelSet, Recorder};
 
-/// A Gaussian with more tiles has its instances added by a whole subgroup.
+/// A Gaussian with more tiles has its instances added up by a whole subgroup.
 const LANE_INSTANCES: u32 = 64;
 
 /// The kernels of the backward pass.
@@ -32,14 +32,14 @@ pub struct Backward {
     expand: KernelSet<expand_gradients::Interface>,
 }
 
-/// What the backward blending sums up per (tile, Gaussian) instance.
+/// Sums of the backward blending per (tile, Gaussian) instance.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Sums {
-    /// What the gradients of all parameters need.
+    /// Sums for the gradients of all parameters.
     Gradients,
     /// The same, and the absolute gradients of the 2D mean.
     Absolute,
-    /// The Gaussian's weights alone.
+    /// Only the Gaussian's weights.
     Weights,
 }
 
@@ -49,12 +49,12 @@ impl Sums {
     }
 }
 
-/// The densification statistics: per Gaussian, the sum of NDC gradient norms and the number of views.
+/// Densification statistics per Gaussian: sum of NDC gradient norms, number of views.
 #[derive(Clone, Copy)]
 pub struct Statistics<'a> {
     /// vec2 per Gaussian.
     pub buffer: &'a Buffer,
-    /// Whether to update it.
+    /// True if the pass updates it.
     pub accumulate: bool,
     /// f32 per Gaussian: the sum of the norms of (W/2 Σ|g_x|, H/2 Σ|g_y|), with g = dL/d(2D mean in pixels) of
     /// each pixel alone (AbsGS, Ye et al. 2024). Needs [`Backward::prepare_absolute`] and a frame with
@@ -62,7 +62,7 @@ pub struct Statistics<'a> {
     pub absolute: Option<&'a Buffer>,
 }
 
-/// The buffers and push constants of the backward blending, the same in both kernels: blend_gradient.glsl.
+/// Buffers and push constants of the backward blending, which both kernels share (blend_gradient.glsl).
 macro_rules! blend_backward_arguments {
     ($kernel:ident, $backward:expr, $inputs:expr, $gradient:expr, $pass:expr) => {{
         let (sizes, f) = (&$backward.sizes, $inputs.frame);
@@ -103,7 +103,7 @@ macro_rules! blend_backward_arguments {
 }
 
 impl Backward {
-    /// Prepares for a device. [`Backward::prepare`] builds the kernels.
+    /// Creates an instance without kernels; [`Backward::prepare`] builds them.
     pub fn new(context: &Context) -> Self {
         Self {
             context: context.clone(),
@@ -115,7 +115,7 @@ impl Backward {
         }
     }
 
-    /// Builds the kernels for an SH degree and a variant, unless they exist.
+    /// Builds the missing kernels for an SH degree and a variant.
     ///
     /// # Errors
     /// When the device refuses a pipeline.
@@ -124,7 +124,7 @@ impl Backward {
         self.prepare_project(sh_degree, variant, [false, false])
     }
 
-    /// As [`Backward::prepare`], for [`Statistics::absolute`].
+    /// Same as [`Backward::prepare`], for [`Statistics::absolute`].
     ///
     /// # Errors
     /// When the device refuses a pipeline.
@@ -133,7 +133,7 @@ impl Backward {
         self.prepare_project(sh_degree, variant, [true, false])
     }
 
-    /// Builds the kernel of [`Backward::record_weights`] for a variant unless it exists.
+    /// Builds the kernel of [`Backward::record_weights`] for a variant, if it is missing.
     ///
     /// # Errors
     /// When the device refuses a pipeline.
@@ -182,7 +182,7 @@ impl Backward {
         }
     }
 
-    /// As [`Backward::prepare`], for [`Backward::record_with_pose`], without and with [`Statistics::absolute`].
+    /// Same as [`Backward::prepare`], but for [`Backward::record_with_pose`], without or with [`Statistics::absolute`].
     ///
     /// # Errors
     /// When the device refuses a pipeline.
@@ -214,8 +214,7 @@ impl Backward {
     ) -> project_backward::Spec {
         let BackwardVariant { filter_3d, own_dilation, dropout, z_record, .. } = variant;
         project_backward::Spec {
-            // The indirect dispatch over the visible Gaussians counts blocks of the elementwise
-            // workgroup's size.
+            // The indirect dispatch over the visible Gaussians counts blocks of the elementwise workgroup's size.
             workgroup_size: self.sizes.elementwise_workgroup,
             subgroup_size: self.context.limits().heavy_subgroup_size,
             sh_degree,
@@ -243,14 +242,13 @@ impl Backward {
         expand_gradients::Spec { workgroup_size, sh_degree, sh_loops }
     }
 
-    /// Records the backward pass of the frame that was recorded into the same buffers: from `image_gradient`
-    /// to `frame.gradients`. The caller places a barrier before; it ends without one.
+    /// Records the backward pass of the frame in the same buffers, from `image_gradient` to `frame.gradients`. The caller
+    /// places a barrier before; it ends without one.
     ///
-    /// `image_gradient` has the device's native layout: per pixel dL/d(r, g, b, inverse depth), row by row; on
-    /// devices that use [`Strips`], three planes, or four with
-    /// [`inverse_depth`](crate::RenderSettings::inverse_depth).
-    /// [`PixelBorder::record_gradient`](crate::pixels::PixelBorder::record_gradient) makes it from rows, which
-    /// are the same on all devices. Without inverse depth, `frame.image_gradient` can be passed.
+    /// `image_gradient` has the device's native layout: per pixel dL/d(r, g, b, inverse depth), row by row. Devices that use
+    /// [`Strips`] have three planes, or four with [`inverse_depth`](crate::RenderSettings::inverse_depth).
+    /// [`PixelBorder::record_gradient`](crate::pixels::PixelBorder::record_gradient) converts it from rows, which are the same
+    /// on all devices. Without inverse depth, the caller may pass `frame.image_gradient`.
     ///
     /// [`Strips`]: crate::plan::Strips
     pub fn record(
@@ -263,8 +261,8 @@ impl Backward {
         self.record_all(r, inputs, image_gradient, statistics, false);
     }
 
-    /// As [`Backward::record`], and the sums that [`PoseGradient`](crate::poses::PoseGradient) makes the gradient of the
-    /// camera's pose from. The scene must have the scale 1.
+    /// Same as [`Backward::record`], but also writes the sums from which [`PoseGradient`](crate::poses::PoseGradient) computes
+    /// the gradient of the camera's pose. The scene must have the scale 1.
     pub fn record_with_pose(
         &self,
         r: &mut Recorder,
@@ -293,10 +291,10 @@ impl Backward {
         r.scope("project backward", |r| self.record_project(r, inputs, statistics, pose));
     }
 
-    /// Records the weights of the Gaussians in the frame that was recorded into the same buffers: per instance
-    /// before the tile sort, the sum over the tile's pixels of e α T, with `image_gradient` = (e, …) per pixel in
-    /// the native layout. It is the first word of each entry of `frame.instance_gradients_c`. The frame must be
-    /// without inverse depth. The caller places a barrier before; it ends without one.
+    /// Records the weights of the Gaussians in the frame of the same buffers. Per instance before the tile sort, it is the sum
+    /// over the tile's pixels of e α T, with `image_gradient` = (e, …) per pixel in the native layout. It becomes the first
+    /// word of each entry of `frame.instance_gradients_c`. The frame must be without inverse depth. The caller places a barrier
+    /// before; it ends without one.
     pub fn record_weights(&self, r: &mut Recorder, inputs: &FrameInputs, image_gradient: &Buffer) {
         r.scope("blend weights", |r| self.record_blend(r, inputs, image_gradient, Sums::Weights));
     }
@@ -352,9 +350,9 @@ impl Backward {
                 instance_gradients_d: f.absolute_gradients(inputs.capacity.absolute),
                 gradients: &f.gradients,
                 statistics: statistics.buffer,
-                // Without it nothing is written there.
+                // Without the absolute statistic the kernel does not write this binding.
                 absolute_statistics: statistics.absolute.unwrap_or(statistics.buffer),
-                // Without a gradient of the pose nothing is written to it.
+                // Without a gradient of the pose the kernel does not write this binding.
                 pose_sums: f.pose_sums(),
                 camera_block: &block_of(f, 0),
             };
@@ -362,9 +360,8 @@ impl Backward {
         }
     }
 
-    /// Records the conversion of `frame.gradients` to gradients of all parameters of all Gaussians, in the
-    /// layout of the scene's planes, and of the 2D means in pixels. The caller places barriers before and
-    /// after.
+    /// Records the conversion of `frame.gradients` to gradients of all parameters of all Gaussians, in the layout of the
+    /// scene's planes, and of the 2D means in pixels. The caller places barriers before and after.
     pub fn record_expand_gradients(
         &self,
         r: &mut Recorder,

@@ -1,5 +1,5 @@
-//! Composites a frame into a host's picture: the host's depth image limits the blending, and the blended
-//! pixels are written into the host's images.
+//! Composites a frame into a host's picture: the host's depth image limits the blending, and the kernels write the blended
+//! pixels into the host's images.
 
 mod auxiliary;
 
@@ -14,21 +14,21 @@ use crate::scene::{ColorEncoding, DepthMapping};
 use crate::vk::{self as device, Buffer, Context, Image, ImageUse, Kernel, Recorder};
 use ash::vk;
 
-/// What the splats are composited over.
+/// Background behind the splats.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Background {
-    /// A background of this colour; the result is opaque. The colour is display-encoded, as trained, also where the
-    /// picture is then decoded to linear light.
+    /// This colour; the result is opaque. The colour is display-encoded, as trained, even if the picture is then decoded to
+    /// linear light.
     Color([f32; 3]),
-    /// Nothing: premultiplied colour with alpha 1 - T, for a host that composites it. In linear light it is
-    /// (1 - T) f(C / (1 - T)), with the curve f of sRGB: what covers the pixel is decoded, and premultiplied again.
+    /// None: premultiplied colour with alpha 1 - T, for a host that composites it. In linear light it is (1 - T) f(C / (1 - T))
+    /// with the sRGB curve f: the colour that covers the pixel is decoded, and premultiplied again.
     Nothing,
-    /// The image's content: out = C + T image, and the same for alpha. In linear light the content is linear, and C is
-    /// what [`Background::Nothing`] leaves.
+    /// Content of the image: out = C + T image, and the same for alpha. In linear light the content is linear, and C is the
+    /// colour of [`Background::Nothing`].
     Image,
 }
 
-/// A part of an image, of the frame's size.
+/// A part of an image, with the frame's size.
 #[derive(Clone, Copy, Debug)]
 pub struct Region<'a> {
     /// The image.
@@ -37,7 +37,7 @@ pub struct Region<'a> {
     pub offset: [u32; 2],
 }
 
-/// The kernels between a frame and a host's images.
+/// Kernels between a frame and a host's images.
 pub struct Compose {
     workgroup: u32,
     rgba8: ByEncoding<compose_rgba8::Interface>,
@@ -46,22 +46,22 @@ pub struct Compose {
     r11g11b10f: ByEncoding<compose_r11g11b10f::Interface>,
     rgba16f: ByEncoding<compose_rgba16f::Interface>,
     rgba32f: ByEncoding<compose_rgba32f::Interface>,
-    /// Of perspective and of orthographic projections.
+    /// For perspective and for orthographic projections.
     depth_limits: [Kernel<depth_limit::Interface>; 2],
     expected_depth: Kernel<expected_depth::Interface>,
     auxiliary: auxiliary::Kernels,
 }
 
-/// A kernel for each of `COMPOSE_AS_TRAINED`, `COMPOSE_LINEAR` and, if texels can be display-encoded,
+/// One kernel for each of `COMPOSE_AS_TRAINED`, `COMPOSE_LINEAR` and, if the format can be display-encoded,
 /// `COMPOSE_LINEAR_IN_SRGB`.
 type ByEncoding<I> = Vec<Kernel<I>>;
 
-/// Whether the texels of a format are display-encoded for the host, which sees them decoded.
+/// True if the texels of a format are display-encoded and a host reads them decoded.
 fn is_srgb(format: vk::Format) -> bool {
     matches!(format, vk::Format::R8G8B8A8_SRGB | vk::Format::B8G8R8A8_SRGB)
 }
 
-/// What a kernel writes into an image, and the factor of the light.
+/// Returns the encoding constant of a kernel for a format, and the factor of the light.
 fn encoding_word(encoding: ColorEncoding, format: vk::Format) -> (u32, f32) {
     match encoding {
         ColorEncoding::AsTrained => (c::COMPOSE_AS_TRAINED, 1.0),
@@ -77,7 +77,7 @@ impl Compose {
     pub const HOST_DEPTH_FORMATS: [vk::Format; 9] = device::HOST_DEPTH_FORMATS;
     /// Format of an image of expected depth.
     pub const DEPTH_FORMAT: vk::Format = device::DEPTH_FORMAT;
-    /// Format of an image of what is picked: Gaussian, scene, bits of its depth, bits of its weight.
+    /// Format of an image of picks: Gaussian, scene, bits of the depth, bits of the weight.
     pub const PICK_FORMAT: vk::Format = device::PICK_FORMAT;
     /// Format of an image of motion, px.
     pub const MOTION_FORMAT: vk::Format = device::MOTION_FORMAT;
@@ -110,11 +110,11 @@ impl Compose {
         })
     }
 
-    /// Checks that a frame of an encoding can be written over this into a [target](crate::vk::ImageUse::Target).
+    /// Checks that a frame can be written over this background into a [target](crate::vk::ImageUse::Target) with this encoding.
     ///
     /// # Errors
-    /// [`Error::Argument`] for an image with another purpose, numbers that are not finite, an exposure that is not positive,
-    /// and for premultiplied colours in a format without alpha.
+    /// [`Error::Argument`] for an image with another purpose, numbers that are not finite, an exposure that is not positive, or
+    /// premultiplied colours in a format without alpha.
     pub fn check_frame(image: &Image, behind: Background, encoding: ColorEncoding) -> Result<()> {
         image.check_purpose(ImageUse::Target)?;
         encoding.check().map_err(|error| error.within("encoding"))?;
@@ -134,8 +134,8 @@ impl Compose {
         blocks(u64::from(width) * u64::from(height), self.workgroup.into())
     }
 
-    /// Records the colours of a frame into an image that [`Compose::check_frame`] accepts with this background and
-    /// encoding. The image must be ready for kernels.
+    /// Records the colours of a frame into an image. [`Compose::check_frame`] must accept it with this background and encoding,
+    /// and it must be ready for kernels.
     pub fn record_color(
         &self,
         r: &mut Recorder,
@@ -177,8 +177,7 @@ impl Compose {
         }
     }
 
-    /// Records the depth limit of each pixel from a host's depth image that is ready for kernels: 1/z, or 0
-    /// for no surface.
+    /// Records the depth limit of each pixel from a host's depth image that is ready for kernels: 1/z, or 0 without a surface.
     pub fn record_depth_limits(
         &self,
         r: &mut Recorder,
@@ -196,9 +195,8 @@ impl Compose {
         r.dispatch(&self.depth_limits[usize::from(linear)], &bind, &push, self.workgroups(size));
     }
 
-    /// Records the expected depth sum(w z) / sum(w) of a frame that was blended with `linear_depth`, into an
-    /// r32f image that is ready for kernels. Pixels whose sum of weights is below `min_weight` receive
-    /// `empty`.
+    /// Records the expected depth sum(w z) / sum(w) of a frame that was blended with `linear_depth`, into an r32f image that is
+    /// ready for kernels. Pixels with a sum of weights below `min_weight` receive `empty`.
     pub fn record_expected_depth(
         &self,
         r: &mut Recorder,

@@ -1,10 +1,8 @@
-//! Adaptive density control, entirely on the device: classify, prefix sum, scatter sources, gather; and the
-//! opacity reset.
+//! Adaptive density control, entirely on the device: classify, prefix sum, scatter sources, gather; and the opacity reset.
 //!
-//! The new set has the reference's order: first the Gaussians that stay, then the clones, then the first and
-//! the second halves of split Gaussians. Training then sorts it along a space-filling curve
-//! ([`Densify::record_order`]). Random numbers are keyed by (seed, iteration, Gaussian, half), so the result
-//! does not depend on scheduling.
+//! The new set has the reference's order: first the Gaussians that stay, then the clones, then the first and the second halves
+//! of split Gaussians. Training then sorts it along a space-filling curve ([`Densify::record_order`]). Random numbers are keyed
+//! by (seed, iteration, Gaussian, half), so the result does not depend on scheduling.
 
 mod importance;
 mod mask;
@@ -32,37 +30,37 @@ use crate::vk::{Buffer, Context, Kernel, Recorder};
 /// Largest opacity after the reset.
 pub const RESET_OPACITY: f64 = 0.01;
 
-/// The forms of densification's kernels.
+/// Forms of the densification kernels.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct DensifyForm {
-    /// Whether Gaussians are split along their longest axis (long_axis.glsl).
+    /// True if Gaussians are split along their longest axis (long_axis.glsl).
     pub long_axis: bool,
-    /// What chooses those that are cloned or split.
+    /// Criterion that selects Gaussians to clone or split.
     pub criterion: Criterion,
 }
 
-/// What densification chooses by.
+/// Criterion of densification.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Criterion {
-    /// The mean gradient norm.
+    /// Mean norm of the gradient.
     #[default]
     Gradient,
-    /// The mean of norms of absolute values: one f32 per Gaussian, their sum over the views of the statistics.
+    /// Mean norm of absolute gradients: one f32 per Gaussian, their sum over the views of the statistics.
     Absolute,
-    /// A selection: one u32 per Gaussian, not 0 for those that are split. None is cloned.
+    /// A selection: one u32 per Gaussian, nonzero for a split. No Gaussian is cloned.
     Selected,
 }
 
 /// Thresholds of a densification.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DensifySettings {
-    /// A Gaussian is cloned or split from this mean norm of the gradient of its 2D mean on, NDC.
+    /// Mean norm of the 2D mean's gradient, NDC, from which a Gaussian is cloned or split.
     pub gradient_threshold: f32,
-    /// Largest scale that is cloned instead of split, world units.
+    /// Largest scale of a cloned Gaussian; larger ones are split. World units.
     pub clone_scale: f32,
     /// Opacity below which a Gaussian is removed.
     pub min_opacity: f32,
-    /// Scale above which a Gaussian is removed, world units; 0 for no bound.
+    /// Scale above which a Gaussian is removed, world units; 0 for no limit.
     pub max_scale: f32,
 }
 
@@ -73,7 +71,7 @@ pub struct DensifyBuffers {
     pub decisions: Buffer,
     /// Per block of Gaussians, three counts, then offsets.
     pub blocks: Buffer,
-    /// Numbers of Gaussians that stay, are cloned, are split; and the number of sorted rows.
+    /// Number of Gaussians that stay, are cloned, are split; number of sorted rows.
     pub totals: Buffer,
     /// Per row of the new set: its source.
     pub sources: Buffer,
@@ -111,7 +109,7 @@ impl DensifyBuffers {
 pub struct ExplicitNoise<'a> {
     /// vec3 at `half * stride + Gaussian`.
     pub buffer: &'a Buffer,
-    /// Gaussians.
+    /// Number of Gaussians.
     pub stride: u32,
 }
 
@@ -120,9 +118,9 @@ pub struct ExplicitNoise<'a> {
 pub struct RandomKey<'a> {
     /// Seed of the run.
     pub seed: u32,
-    /// Iteration.
+    /// Iteration of the densification.
     pub iteration: u32,
-    /// Numbers that replace the generator.
+    /// Numbers that replace the generator's.
     pub explicit: Option<ExplicitNoise<'a>>,
 }
 
@@ -133,16 +131,16 @@ pub struct Gather<'a> {
     pub from: &'a SceneBuffers,
     /// New planes and their layout; `count` rows are written.
     pub to: &'a SceneBuffers,
-    /// The source of each row.
+    /// Source of each row.
     pub sources: &'a Buffer,
 }
 
-/// What [`Densify::record_classify_by`] reads.
+/// Inputs of [`Densify::record_classify_by`].
 #[derive(Clone, Copy)]
 pub struct ClassifyInputs<'a> {
-    /// vec2 per Gaussian: sum of gradient norms, views.
+    /// vec2 per Gaussian: sum of gradient norms, number of views.
     pub statistics: &'a Buffer,
-    /// The values of the form's [`Criterion`]; None for [`Criterion::Gradient`].
+    /// Values for the form's [`Criterion`]; None for [`Criterion::Gradient`].
     pub criteria: Option<&'a Buffer>,
 }
 
@@ -162,7 +160,7 @@ pub struct Densify {
 }
 
 impl Densify {
-    /// Builds the kernels in the reference's form.
+    /// Builds the kernels of the reference's form.
     ///
     /// # Errors
     /// When the device refuses a pipeline.
@@ -170,7 +168,7 @@ impl Densify {
         Self::with_form(context, DensifyForm::default())
     }
 
-    /// Builds the kernels.
+    /// Builds the kernels of a form.
     ///
     /// # Errors
     /// When the device refuses a pipeline.
@@ -200,8 +198,8 @@ impl Densify {
         })
     }
 
-    /// Records the classification by the mean gradient norm: the decisions, and in `buffers.totals` the numbers
-    /// of Gaussians that stay, are cloned and are split.
+    /// Records the classification by the mean gradient norm: the decisions, and in `buffers.totals` the numbers of Gaussians
+    /// that stay, are cloned and are split.
     pub fn record_classify(
         &self,
         r: &mut Recorder,
@@ -214,10 +212,10 @@ impl Densify {
         self.record_classify_by(r, scene, inputs, buffers, settings);
     }
 
-    /// As [`Densify::record_classify`], by the form's [`Criterion`].
+    /// Same as [`Densify::record_classify`], but by the form's [`Criterion`].
     ///
     /// # Panics
-    /// Without the values that the form needs.
+    /// If the values for the form's criterion are missing.
     pub fn record_classify_by(
         &self,
         r: &mut Recorder,
@@ -258,8 +256,7 @@ impl Densify {
                     blocks(range.count.into(), self.sizes.elementwise_workgroup.into()),
                 );
             }
-            // Three rows of one buffer. Their offsets may not meet the device's alignment, so each row is one
-            // dispatch.
+            // Three rows of one buffer. Each row is one dispatch, because their offsets may break the device's alignment.
             for decision in 0..3 {
                 r.barrier();
                 let row = (decision * all_blocks, all_blocks);
@@ -284,7 +281,7 @@ impl Densify {
         );
     }
 
-    /// Records the copy of the parameters, including the random means of split Gaussians.
+    /// Records the copy of the parameters, with random means of split Gaussians.
     pub fn record_gather_parameters(&self, r: &mut Recorder, rows: &Gather, key: &RandomKey) {
         let kernel = if key.explicit.is_some() { &self.gather_explicit } else { &self.gather_parameters };
         self.record_gather(r, kernel, rows, key);

@@ -1,8 +1,8 @@
-//! Exposures of the photographs, learned beside the Gaussians: the reference implementation's 3×4 matrix per image.
+//! Exposures of the photographs, learned with the Gaussians: the reference implementation's 3×4 matrix per image.
 //!
-//! The loss compares a photograph with the rendered picture under the photograph's [`Exposure`](crate::scene::Exposure), so that a
-//! camera's automatic exposure and white balance do not end up in the Gaussians. Its own Adam treats the
-//! matrices of all photographs as one tensor.
+//! The loss compares a photograph with the rendered picture under the photograph's [`Exposure`](crate::scene::Exposure), so
+//! that the Gaussians do not absorb a camera's automatic exposure and white balance. A separate Adam treats the matrices of all
+//! photographs as one tensor.
 
 use crate::error::{Error, Result};
 use crate::forward::FrameInputs;
@@ -12,43 +12,44 @@ use crate::optimizer::{BETA_1, BETA_2, ViewSum};
 use crate::plan::{LaunchSizes, STRIP_ROWS, Strips, blocks};
 use crate::vk::{Buffer, Context, Kernel, Recorder};
 
-/// Adam's ε for exposures in the reference (the default of its library).
+/// Adam's ε for exposures in the reference (the default of PyTorch).
 pub const EPSILON: f64 = 1e-8;
 /// Bytes of a matrix.
 const MATRIX_BYTES: u64 = 48;
 
-/// Which optimiser of exposures, or of [lenses](crate::lens_effects).
+/// Form of the optimiser of exposures, or of [lenses](crate::lens_effects).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct LightForm {
-    /// Whether each step brings the mean of all matrices back to the identity: otherwise scene and exposures could drift against
-    /// each other.
+    /// True if each step brings the mean of all matrices back to the identity. Otherwise scene and exposures could drift
+    /// against each other.
     pub center: bool,
-    /// Whether steps may follow several views ([`ViewSum`]).
+    /// True if steps may follow several views ([`ViewSum`]).
     pub sums: bool,
-    /// Whether the second moments are those of all photographs together.
+    /// True if all photographs share the second moments.
     pub shares: bool,
-    /// Whether steps have a [`LightStep::sparsity`].
+    /// True if steps have a [`LightStep::sparsity`].
     pub sparse: bool,
 }
 
-/// One step of the optimiser of exposures, or of [lenses](crate::lens_effects).
+/// A step of the optimiser of exposures, or of [lenses](crate::lens_effects).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LightStep {
     /// Learning rate.
     pub rate: f64,
-    /// Number of steps including this one, from 1.
+    /// Number of steps including this one, counted from 1.
     pub count: u64,
-    /// Where the view is among those whose gradients add up.
+    /// Place of the view among those whose gradients add up.
     pub sum: ViewSum,
-    /// Times each value, a part of its gradient: pulls it to 0. Of exposures that are centred, not the diagonal.
+    /// Factor of each value that adds to its gradient and pulls it to 0. Spares the diagonal of centred exposures.
     pub decay: f64,
-    /// How far a matrix comes closer to the identity after its step, as a share of the rate; less the farther it is away, nothing
-    /// at 0.05 (root of the sum of squares). Photographs without a clear change stay as they are: the minimax concave penalty (Zhang 2010).
+    /// Distance by which a step brings a matrix closer to the identity, as a share of the rate. It decreases with the matrix's
+    /// distance (root of the sum of squares) and is 0 from 0.05 on. Photographs without a clear change stay as they are: the
+    /// minimax concave penalty (Zhang 2010).
     pub sparsity: f64,
 }
 
-/// Matrices and moments of some photographs, or [lenses](crate::lens_effects), on the device, and scratch memory. A matrix is
-/// three rows of vec4.
+/// Matrices, moments and scratch memory of photographs, or of [lenses](crate::lens_effects), on the device. A matrix is three
+/// rows of vec4.
 pub struct LightBuffers {
     /// A matrix per photograph or lens.
     pub values: Buffer,
@@ -56,11 +57,11 @@ pub struct LightBuffers {
     pub first_moments: Buffer,
     /// Adam's second moments.
     pub second_moments: Buffer,
-    /// The picture that they make, laid out like the rendered one.
+    /// Resulting picture, laid out like the rendered one.
     pub picture: Buffer,
-    /// Parts of the gradient of a matrix.
+    /// Partial sums of a matrix's gradient.
     pub partials: Buffer,
-    /// Gradients of the views since the last step, laid out like the matrices: of steps of several views only.
+    /// Sums of gradients since the last step, laid out like the matrices. Only steps of several views use them.
     pub sums: Buffer,
 }
 
@@ -81,7 +82,7 @@ impl LightBuffers {
         Self::named_requests(names, sizes)
     }
 
-    /// As [`LightBuffers::requests`], under other names.
+    /// Same as [`LightBuffers::requests`], but with other names.
     pub(crate) fn named_requests(
         names: [&'static str; Self::COUNT],
         sizes: &[(u32, u32)],
@@ -100,7 +101,7 @@ impl LightBuffers {
         ]
     }
 
-    /// The buffers, in the order of [`LightBuffers::requests`].
+    /// Assigns the buffers, in the order of [`LightBuffers::requests`].
     pub fn from_allocated(buffers: [Buffer; Self::COUNT]) -> Self {
         let [values, first_moments, second_moments, picture, partials, sums] = buffers;
         Self { values, first_moments, second_moments, picture, partials, sums }
@@ -111,7 +112,7 @@ impl LightBuffers {
         (self.values.bytes() / MATRIX_BYTES) as usize
     }
 
-    /// The same matrix for all, with no moments.
+    /// Sets all matrices to the given one, and all moments to zero.
     ///
     /// # Errors
     /// When the device is lost.
@@ -125,7 +126,7 @@ impl LightBuffers {
     /// Uploads matrices and both moments.
     ///
     /// # Errors
-    /// [`Error::Argument`] when they are not of the number of the photographs; when the device is lost.
+    /// [`Error::Argument`] when their number differs from that of the photographs; when the device is lost.
     pub fn upload(&self, context: &Context, from: [&[[[f32; 4]; 3]]; 3]) -> Result<()> {
         for (buffer, rows) in [&self.values, &self.first_moments, &self.second_moments].into_iter().zip(from)
         {
@@ -138,10 +139,10 @@ impl LightBuffers {
         Ok(())
     }
 
-    /// Uploads the sums of gradients; none are zeros.
+    /// Uploads the gradient sums; an empty slice uploads zeros.
     ///
     /// # Errors
-    /// [`Error::Argument`] when they are not of the number of the photographs; when the device is lost.
+    /// [`Error::Argument`] when their number differs from that of the photographs; when the device is lost.
     pub fn upload_sums(&self, context: &Context, sums: &[[[f32; 4]; 3]]) -> Result<()> {
         let none = vec![[[0.0; 4]; 3]; self.photographs()];
         let sums = if sums.is_empty() { &none } else { sums };
@@ -152,7 +153,7 @@ impl LightBuffers {
         context.upload(&self.sums, bytemuck::cast_slice(sums))
     }
 
-    /// Downloads the sums of gradients.
+    /// Downloads the gradient sums.
     ///
     /// # Errors
     /// When the device is lost.
@@ -170,7 +171,7 @@ impl LightBuffers {
     }
 }
 
-/// The kernels.
+/// Kernels of exposures.
 pub struct Exposing {
     sizes: LaunchSizes,
     expose: Kernel<expose::Interface>,
@@ -196,8 +197,8 @@ impl Exposing {
         })
     }
 
-    /// Records the exposed picture of a frame, for a photograph's index. The frame must be one with backward.
-    /// The caller places barriers before and after.
+    /// Records the exposed picture of a frame, for a photograph's index. The frame must have backward. The caller places
+    /// barriers before and after.
     pub fn record(&self, r: &mut Recorder, inputs: &FrameInputs, buffers: &LightBuffers, view: u32) {
         let (width, height) = (inputs.camera.width, inputs.camera.height);
         let bind = expose::Bind {
@@ -214,9 +215,8 @@ impl Exposing {
         });
     }
 
-    /// Records the backward pass: `image_gradient`, in the native layout, is that of the exposed picture
-    /// before and that of the rendered one afterwards; the gradient of the matrix stays in parts. The caller
-    /// places barriers before and after.
+    /// Records the backward pass: changes `image_gradient`, in the native layout, from that of the exposed picture to that of
+    /// the rendered one, and writes partial sums of the matrix's gradient. The caller places barriers before and after.
     pub fn record_backward(
         &self,
         r: &mut Recorder,
@@ -240,15 +240,15 @@ impl Exposing {
         r.scope("exposure backward", |r| r.dispatch(&self.backward, &bind, &push, TERM_PARTIALS.into()));
     }
 
-    /// Records a step of the optimiser over all matrices, of which that of `view` has the gradient of
-    /// [`Exposing::record_backward`], or the addition to the sums: [`ViewSum`]. If the frame overflowed, nothing
-    /// changes. The caller places barriers before and after.
+    /// Records a step of the optimiser over all matrices, or the addition to the sums ([`ViewSum`]). The matrix of `view` has
+    /// the gradient of [`Exposing::record_backward`]. If the frame overflowed, nothing changes. The caller places barriers
+    /// before and after.
     pub fn record_step(&self, r: &mut Recorder, of: (&LightBuffers, &Buffer), view: u32, step: &LightStep) {
         r.scope("exposure step", |r| self.step.record(r, of, view, step));
     }
 }
 
-/// The kernel of Adam over matrices.
+/// Kernel of Adam over matrices.
 pub(crate) struct LightOptimizer(Kernel<exposure_step::Interface>);
 
 impl LightOptimizer {
@@ -264,7 +264,7 @@ impl LightOptimizer {
         Ok(Self(Kernel::new(context, &step)?))
     }
 
-    /// See [`Exposing::record_step`]: `seen` is the matrix that has a gradient.
+    /// See [`Exposing::record_step`]: `seen` is the index of the matrix with a gradient.
     pub(crate) fn record(
         &self,
         r: &mut Recorder,

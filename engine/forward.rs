@@ -1,9 +1,9 @@
 //! The forward pass: project → count → scan → duplicate → sort → ranges → blend.
 //!
-//! It follows the paper's pipeline, with two differences that change the cost but not the picture. First, the
-//! visible Gaussians are sorted by depth before they are duplicated to (tile, Gaussian) instances. Only the
-//! tile bits of the instances then remain to be sorted, and the order is that of the 64-bit (tile | depth)
-//! key. Second, a Gaussian touches a tile only if the ellipse where alpha reaches 1/255 meets it.
+//! It follows the paper's pipeline, with two differences that change the cost but not the picture. First, the visible Gaussians
+//! are sorted by depth before they are duplicated to (tile, Gaussian) instances. Only the instances' tile bits then remain to
+//! be sorted, and the order is that of the 64-bit (tile | depth) key. Second, a Gaussian touches a tile only if the ellipse
+//! where alpha reaches 1/255 meets it.
 
 mod arguments;
 mod auxiliary;
@@ -61,7 +61,7 @@ pub struct Forward {
     project: KernelSet<project::Interface>,
     project_scenes: KernelSet<project_scenes::Interface>,
     count: Kernel<count::Interface>,
-    /// For rendering alone, and for frames with backward.
+    /// For frames without and with backward.
     duplicate: [Kernel<duplicate_with_tiles::Interface>; 2],
     ranges: [Kernel<ranges::Interface>; 2],
     blend: blending::Blend,
@@ -94,7 +94,7 @@ impl Forward {
             sort: RadixSort::new(context)?,
             cull: KernelSet::default(),
             cull_scenes: KernelSet::default(),
-            // Its blocks are the culling blocks.
+            // Compaction blocks are the culling blocks.
             compact: Kernel::new(
                 context,
                 &compact::Spec { workgroup_size, subgroup_size, block: workgroup_size },
@@ -114,7 +114,7 @@ impl Forward {
         })
     }
 
-    /// Builds the variants for an SH degree, and with or without inverse depth, unless they exist.
+    /// Builds the missing variants for an SH degree, with or without inverse depth.
     ///
     /// # Errors
     /// When the device refuses a pipeline.
@@ -122,7 +122,7 @@ impl Forward {
         self.prepare_variant(sh_degree, BlendVariant { inverse_depth, ..BlendVariant::default() })
     }
 
-    /// Builds the kernels for an SH degree and a variant of blending, unless they exist.
+    /// Builds the missing kernels for an SH degree and a variant of blending.
     ///
     /// # Errors
     /// When the device refuses a pipeline.
@@ -135,7 +135,7 @@ impl Forward {
         self.blend.prepare(&self.context, &self.sizes, variant)
     }
 
-    /// Whether all kernels for an SH degree and a variant of blending are built.
+    /// True if all kernels for an SH degree and a variant of blending are built.
     pub fn is_prepared(&self, sh_degree: u32, variant: BlendVariant) -> bool {
         self.project.contains(&variant.project_spec(&self.sizes, sh_degree))
             && self.cull.contains(&self.cull_spec(variant))
@@ -147,8 +147,7 @@ impl Forward {
         variant.cull_spec(&self.sizes, self.context.limits().subgroup_size)
     }
 
-    /// Sets the form of blending. Call it before [`Forward::prepare`].
-    /// Returns whether the form has changed.
+    /// Sets the form of blending. Returns true if it has changed. Call it before [`Forward::prepare`].
     pub fn set_blending(&mut self, blending: Blending) -> bool {
         self.blend.choose(blending)
     }
@@ -158,7 +157,7 @@ impl Forward {
         self.blend.blending()
     }
 
-    /// Culls. A view after the first of some with one order adds to what those before it see.
+    /// Records culling. With a shared order, each view after the first adds its visible Gaussians to those of earlier views.
     fn record_flags(&self, r: &mut Recorder, inputs: &FrameInputs) {
         let f = inputs.frame;
         let [extent, antialias] = inputs.settings.modes();
@@ -187,7 +186,7 @@ impl Forward {
                 parameters: &part.scene.chunks[chunk],
                 visible_flags: &f.visible_flags,
                 block_counts: f.visible_counts(),
-                // Without any it is not read, but must be bound; with some, record has checked it.
+                // Without cut-outs the kernel does not read this binding. With cut-outs, `record` has checked the buffer.
                 cut_outs: inputs.cut_outs.unwrap_or(&part.scene.chunks[chunk]),
                 camera_block: &block_of(f, part.block),
             };
@@ -198,7 +197,7 @@ impl Forward {
         r.barrier();
     }
 
-    /// Compacts the visible Gaussians in their own order.
+    /// Records the compaction of the visible Gaussians, which keep their order.
     fn record_compaction(&self, r: &mut Recorder, inputs: &FrameInputs) {
         let f = inputs.frame;
         let (count, subgroup_size) = (inputs.index_count(), self.context.limits().subgroup_size);
@@ -247,8 +246,7 @@ impl Forward {
         r.barrier();
     }
 
-    /// `counted`: index of the count, its capacity, index of the first argument, block size of the third
-    /// argument.
+    /// `counted`: index of the count, its capacity, index of the first argument, block size of the third argument.
     fn record_prepare(&self, r: &mut Recorder, f: &FrameBuffers, counted: [u32; 4]) {
         let [count_index, capacity, first_argument, block_third] = counted;
         r.dispatch(
@@ -267,7 +265,7 @@ impl Forward {
         );
     }
 
-    /// Records the screen-space attributes of the visible Gaussians, and their motions where a host wants them.
+    /// Records the screen-space attributes of the visible Gaussians, and their motions if a host wants them.
     fn record_project(&self, r: &mut Recorder, inputs: &FrameInputs) {
         let f = inputs.frame;
         let (splats, [extent, antialias]) = (f.splats(), inputs.settings.modes());
@@ -302,7 +300,7 @@ impl Forward {
                 depth_keys: f.depth_keys(),
                 footprints: splats.footprints,
                 tile_lists: f.tile_lists(),
-                // Without one it is not read, but must be bound.
+                // Without a selection the kernel does not read this binding.
                 selection: part.settings.mask().unwrap_or(&f.visible_list),
                 camera_block: &block_of(f, part.block),
             };
@@ -315,7 +313,7 @@ impl Forward {
         r.barrier();
     }
 
-    /// Ranks the visible Gaussians from near to far. Equal depths keep the order of the Gaussians.
+    /// Records the sort of the visible Gaussians from near to far. Equal depths keep the order of the Gaussians.
     fn record_depth_sort(&self, r: &mut Recorder, f: &FrameBuffers) {
         let buffers = SortBuffers {
             counts: &f.state,
@@ -330,8 +328,8 @@ impl Forward {
         r.barrier();
     }
 
-    /// Tiles per visible Gaussian in depth order, their prefix sums, and the number of instances. The sorted
-    /// depths are not needed any more: their buffers receive the lists of tiles.
+    /// Records the tile counts of the visible Gaussians in depth order, their prefix sums, and the number of instances. The
+    /// lists of tiles overwrite the sorted depths, which are no longer needed.
     fn record_count(&self, r: &mut Recorder, inputs: &FrameInputs) {
         let f = inputs.frame;
         let bind = count::Bind {

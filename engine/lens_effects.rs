@@ -1,8 +1,8 @@
-//! Vignetting and response of the cameras, learned beside the Gaussians: one of each per camera and channel.
+//! Vignetting and response of the cameras, learned with the Gaussians: one of each per camera and channel.
 //!
-//! The loss compares a photograph with the rendered picture, under its [exposure](crate::exposure) if that is
-//! learned, through the [`LensEffects`](crate::scene::LensEffects) of the camera that took it. Parameters and moments are laid out like those of
-//! exposures, and have the same Adam.
+//! The loss compares a photograph with the rendered picture, under its [exposure](crate::exposure) if that is learned. The
+//! picture passes through the [`LensEffects`](crate::scene::LensEffects) of the photograph's camera. Parameters and moments are
+//! laid out like those of exposures, and have the same Adam.
 
 use crate::error::Result;
 use crate::exposure::{LightBuffers, LightForm, LightOptimizer, LightStep};
@@ -13,28 +13,28 @@ use crate::plan::{LaunchSizes, STRIP_ROWS, blocks};
 use crate::scene::LensPlane;
 use crate::vk::{Buffer, Context, Kernel, Recorder};
 
-/// Names and bytes of the [`LightBuffers`] of lenses, for photographs of these sizes (width, height): there are at
-/// most as many lenses.
+/// Names and bytes of the [`LightBuffers`] of lenses, for photographs of these sizes (width, height). There is at most one lens
+/// per photograph.
 pub fn requests(sizes: &[(u32, u32)]) -> [(&'static str, u64); LightBuffers::COUNT] {
     let names =
         ["lenses", "lens_moments_1", "lens_moments_2", "shaded_picture", "lens_partials", "lens_sums"];
     LightBuffers::named_requests(names, sizes)
 }
 
-/// A photograph's lens, and the picture that falls through it.
+/// Lens of a photograph, and the picture in front of it.
 #[derive(Clone, Copy)]
 pub struct LensInputs<'a> {
-    /// The frame, one with backward.
+    /// Frame with backward.
     pub frame: &'a FrameInputs<'a>,
-    /// In the native layout: the rendered one, or the exposed one.
+    /// Rendered or exposed picture, in the native layout.
     pub picture: &'a Buffer,
-    /// The lenses.
+    /// Buffers of the lenses.
     pub buffers: &'a LightBuffers,
     /// Index of the lens.
     pub lens: u32,
 }
 
-/// The kernels.
+/// Kernels of lens effects.
 pub struct Lenses {
     sizes: LaunchSizes,
     forward: Kernel<lens_effects::Interface>,
@@ -43,8 +43,7 @@ pub struct Lenses {
 }
 
 impl Lenses {
-    /// Builds the kernels, with `sums` for steps that follow several views
-    /// ([`ViewSum`](crate::optimizer::ViewSum)).
+    /// Builds the kernels; `sums`: steps may follow several views ([`ViewSum`](crate::optimizer::ViewSum)).
     ///
     /// # Errors
     /// When the device refuses a pipeline.
@@ -61,8 +60,7 @@ impl Lenses {
         })
     }
 
-    /// Records the picture behind the lens, into [`LightBuffers::picture`]. The caller places barriers before and
-    /// after.
+    /// Records the picture behind the lens, into [`LightBuffers::picture`]. The caller places barriers before and after.
     pub fn record(&self, r: &mut Recorder, inputs: &LensInputs) {
         let LensInputs { frame, picture, buffers, lens } = *inputs;
         let bind =
@@ -83,9 +81,9 @@ impl Lenses {
         r.scope("lens effects", |r| r.dispatch(&self.forward, &bind, &push, groups));
     }
 
-    /// Records the backward pass: `image_gradient`, in the native layout, is that of the picture behind the lens
-    /// before and that of the one in front of it afterwards; the gradient of the lens stays in parts. The caller
-    /// places barriers before and after.
+    /// Records the backward pass: changes `image_gradient`, in the native layout, from that of the picture behind the lens to
+    /// that of the picture in front of it, and writes partial sums of the lens's gradient. The caller places barriers before
+    /// and after.
     pub fn record_backward(&self, r: &mut Recorder, inputs: &LensInputs, image_gradient: &Buffer) {
         let LensInputs { frame, picture, buffers, lens } = *inputs;
         let bind = lens_backward::Bind {
@@ -106,8 +104,7 @@ impl Lenses {
         r.scope("lens backward", |r| r.dispatch(&self.backward, &bind, &push, TERM_PARTIALS.into()));
     }
 
-    /// As [`Exposing::record_step`](crate::exposure::Exposing::record_step), for the lens of
-    /// [`Lenses::record_backward`].
+    /// Same as [`Exposing::record_step`](crate::exposure::Exposing::record_step), for the lens of [`Lenses::record_backward`].
     pub fn record_step(&self, r: &mut Recorder, of: (&LightBuffers, &Buffer), lens: u32, step: &LightStep) {
         r.scope("lens step", |r| self.step.record(r, of, lens, step));
     }

@@ -1,5 +1,5 @@
-//! The loss of training and its gradient: a sum of terms ([`LossTerm`]), of which the first is that of an
-//! image against a photograph, (1 - λ) L1 + λ (1 - SSIM).
+//! Training loss and its gradient: a sum of terms ([`LossTerm`]). The first compares an image with a photograph: (1 - λ) L1 + λ
+//! (1 - SSIM).
 
 mod depth_points;
 mod photo;
@@ -21,7 +21,7 @@ pub use photo::{photo_bytes, photo_on_device};
 pub use photometric::Photometric;
 pub use term::{LossTerm, PixelLayout, Targets, TermInputs};
 
-/// How SSIM's window is evaluated. The results agree except for rounding; the cost depends on the device.
+/// Evaluation of SSIM's window. The results agree except for rounding; the cost depends on the device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Windowing {
     /// Workgroups load blocks of 16×16 pixels into shared memory.
@@ -31,13 +31,13 @@ pub enum Windowing {
 }
 
 impl Windowing {
-    /// Sweeps on processors: their shared memory is ordinary memory, so it saves nothing.
+    /// Sweeps on processors, where shared memory is ordinary memory and saves nothing.
     pub fn for_device(limits: &Limits) -> Self {
         if Strips::suit(limits) { Self::Sweeps } else { Self::Blocks }
     }
 }
 
-/// The kernels of the loss.
+/// Kernels of the loss.
 pub struct Loss {
     limits: Limits,
     sizes: LaunchSizes,
@@ -70,12 +70,11 @@ impl Windows {
 pub enum PhotoFormat {
     /// Four bytes per pixel, (r, g, b, unused), 255 being 1.
     Rgba8,
-    /// Four bytes per pixel, (r, g, b, mask), 255 being 1. A pixel with mask 0 does not count: the loss is
-    /// that of both pictures times the mask (as in nerfstudio's Splatfacto; the reference implementation
-    /// multiplies the rendered one only). Its means are over all pixels, and its gradient is exactly 0 where
-    /// the mask is 0.
+    /// Four bytes per pixel, (r, g, b, mask), 255 being 1. A pixel with mask 0 does not count: both pictures are multiplied by
+    /// the mask (like nerfstudio's Splatfacto; the reference implementation only multiplies the rendered one). Means are over
+    /// all pixels, and the gradient is exactly 0 where the mask is 0.
     MaskedRgba8,
-    /// Three f32 per pixel: for targets that 8 bits cannot hold.
+    /// Three f32 per pixel, for targets that 8 bits cannot hold.
     Float,
 }
 
@@ -83,7 +82,7 @@ pub enum PhotoFormat {
 /// converts them to rows and back.
 ///
 /// # Examples
-/// A picture and a photograph by rows: the loss and its gradient with [`Windowing::Blocks`].
+/// Loss and gradient of a picture and a photograph by rows, with [`Windowing::Blocks`].
 /// ```no_run
 /// use ashsplat::loss::{Loss, LossInputs, PhotoFormat, Windowing, photo_bytes};
 /// use ashsplat::vk::{Context, MemoryKind};
@@ -125,36 +124,35 @@ pub enum PhotoFormat {
 /// ```
 #[derive(Clone, Copy)]
 pub struct LossInputs<'a> {
-    /// The blended picture, as a frame with backward stores it. [`Windowing::Blocks`]: per pixel,
-    /// premultiplied colour without background, transmittance. [`Windowing::Sweeps`]: composited, three
-    /// planes in [`Strips`], 0 below the picture.
+    /// Blended picture of a frame with backward. [`Windowing::Blocks`]: per pixel, premultiplied colour without background,
+    /// transmittance. [`Windowing::Sweeps`]: composited, three planes in [`Strips`], 0 below the picture.
     pub rendered: &'a Buffer,
-    /// The photograph in the format given to [`Loss::new`]. [`Windowing::Blocks`]: per pixel.
-    /// [`Windowing::Sweeps`]: planes in [`Strips`], see [`photo_on_device`].
+    /// Photograph in the format given to [`Loss::new`]. [`Windowing::Blocks`]: per pixel. [`Windowing::Sweeps`]: planes in
+    /// [`Strips`], see [`photo_on_device`].
     pub photo: &'a Buffer,
-    /// The buffers of [`Loss::scratch_requests`], in its order.
+    /// Buffers of [`Loss::scratch_requests`], in their order.
     pub scratch: &'a [Buffer],
     /// Out: vec4 (weighted loss, L1, SSIM, 0) per row.
     pub losses: &'a Buffer,
-    /// The row of `losses` that is written.
+    /// Index of the row of `losses` to write.
     pub row: u32,
     /// Out: dL/d(r, g, b). [`Windowing::Blocks`]: per pixel, with a fourth component that is not written.
     /// [`Windowing::Sweeps`]: three planes in [`Strips`].
     pub image_gradient: &'a Buffer,
-    /// Size of the image, pixels.
+    /// Width of the image, pixels.
     pub width: u32,
-    /// Size of the image, pixels.
+    /// Height of the image, pixels.
     pub height: u32,
     /// Background over which [`Windowing::Blocks`] composites the image.
     pub background: [f32; 3],
-    /// λ.
+    /// Weight λ of 1 - SSIM.
     pub lambda_dssim: f32,
-    /// Factor of the loss and its gradient, not of the two means: 1, or the share of a part in its whole picture
+    /// Factor of the loss and its gradient, but not of the two means. 1, or the share of a part in its whole picture
     /// ([`Camera::share_of_whole`](crate::scene::Camera::share_of_whole)).
     pub weight: f32,
 }
 
-/// The colour channels of one dispatch.
+/// Colour channels of one dispatch.
 #[derive(Clone, Copy)]
 struct Channels<'a> {
     first: u32,
@@ -162,8 +160,7 @@ struct Channels<'a> {
     derivatives: &'a Buffer,
 }
 
-/// Records a pass over all channels: in one dispatch, or in one per channel if each channel has its own
-/// buffer.
+/// Records a pass over all channels: in one dispatch, or in one per channel if each channel has its own buffer.
 fn by_channels(r: &mut Recorder, derivatives: &[Buffer], mut record: impl FnMut(&mut Recorder, Channels)) {
     let count = 3 / derivatives.len() as u32;
     for (derivatives, first) in derivatives.iter().zip((0..3).step_by(count as usize)) {
@@ -183,7 +180,7 @@ impl Loss {
         Self::with_windowing(context, photos, Windowing::for_device(context.limits()))
     }
 
-    /// Builds the kernels of one kind.
+    /// Builds the kernels with the given windowing.
     ///
     /// # Errors
     /// When the device refuses a pipeline.
@@ -227,7 +224,7 @@ impl Loss {
     /// Records loss and gradient. The caller places barriers before and after.
     ///
     /// # Panics
-    /// When there are fewer scratch buffers than [`Loss::scratch_requests`] asks for.
+    /// If there are fewer scratch buffers than [`Loss::scratch_requests`] returns.
     pub fn record(&self, r: &mut Recorder, inputs: &LossInputs) {
         let i = inputs;
         r.scope("loss", |r| {

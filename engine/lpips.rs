@@ -1,13 +1,13 @@
-//! LPIPS: how different two pictures look, by the features of a network (Zhang et al., "The Unreasonable Effectiveness of Deep
-//! Features as a Perceptual Metric", CVPR 2018; version 0.1 of their weights).
+//! LPIPS: perceptual difference of two pictures by the features of a network (Zhang et al., "The Unreasonable Effectiveness of
+//! Deep Features as a Perceptual Metric", CVPR 2018; version 0.1 of their weights).
 //!
-//! Both pictures go through AlexNet or VGG16. After five of the ReLUs the features of each pixel are divided by their norm; the
-//! squared differences, weighted per channel, are added up and averaged over the pixels (equation 1 of the paper). 0 means
-//! equal. The weights are not part of this crate: see [`Weights`].
+//! Both pictures pass through AlexNet or VGG16. After five of the ReLUs the features of each pixel are divided by their norm.
+//! Their squared differences, weighted per channel, are added up and averaged over the pixels (equation 1 of the paper). 0
+//! means equal. The weights are not part of this crate: see [`Weights`].
 //!
-//! Two numbers go round under this name: that of AlexNet on pictures of values from -1 to 1, as the authors recommend and gsplat
-//! reports, and that of VGG16 on values from 0 to 1, which its network was not made for, as the reference implementation of 3D
-//! Gaussian Splatting reports. [`InputRange`] says which.
+//! Two measures share this name. The authors recommend, and gsplat reports, AlexNet on values from -1 to 1. The reference
+//! implementation of 3D Gaussian Splatting reports VGG16 on values from 0 to 1, for which the network was not trained.
+//! [`InputRange`] selects the values.
 
 mod bands;
 mod network;
@@ -21,29 +21,29 @@ use crate::vk::{Buffer, Context, Kernel, MemoryKind, Recorder};
 use bands::{Bands, CHANNELS, Map, PICTURES};
 use std::ops::Range;
 
-/// Rows of one invocation of a convolution.
+/// Number of rows per invocation of a convolution.
 const ROWS: u32 = 4;
 const WORKGROUP: u32 = 128;
-/// Most bytes of all maps. Larger bands would not be faster.
+/// Maximum bytes of all maps. Larger bands are not faster.
 const MOST_BYTES: u64 = 256 << 20;
-/// Most multiplications of a dispatch: a fraction of a second on slow devices, so that neither a watchdog nor the timeout of a
-/// submission ends it.
+/// Maximum number of multiplications in a dispatch. It takes a fraction of a second on slow devices, so that no watchdog or
+/// timeout ends it.
 const MOST_WORK: u64 = 1 << 32;
-/// Mean and standard deviation of the pictures that the networks were trained on, of values from -1 to 1.
+/// Mean and standard deviation of the networks' training pictures, with values from -1 to 1.
 const SHIFT: [f32; 3] = [-0.030, -0.088, -0.188];
 const SCALE: [f32; 3] = [0.458, 0.448, 0.450];
 
-/// Which values of a picture the network sees.
+/// Range of the values that the network receives.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum InputRange {
-    /// As they are, 0 to 1: "unscaled".
+    /// Unchanged, 0 to 1: "unscaled".
     ZeroToOne,
-    /// 2x - 1, as the networks' weights want it.
+    /// 2x - 1, the range of the networks' training.
     MinusOneToOne,
 }
 
 impl Network {
-    /// The values on which papers measure with this network.
+    /// Returns the range that papers use with this network.
     pub fn usual_range(self) -> InputRange {
         match self {
             Self::AlexNet => InputRange::MinusOneToOne,
@@ -71,7 +71,7 @@ struct Memory {
     size: (u32, u32),
     bands: Bands,
     maps: Vec<Buffer>,
-    /// Per tap: differences of a band's pixels.
+    /// Differences of a band's pixels, per tap.
     differences: Vec<Buffer>,
 }
 
@@ -80,7 +80,7 @@ pub struct Lpips {
     context: Context,
     network: Network,
     workgroup: u32,
-    /// By size and stride.
+    /// Kernels by size and stride.
     convolve: Vec<([u32; 2], Kernel<convolve::Interface>)>,
     pool: Kernel<max_pool::Interface>,
     difference: Kernel<feature_difference::Interface>,
@@ -90,10 +90,10 @@ pub struct Lpips {
 }
 
 impl Lpips {
-    /// Builds the kernels and uploads the weights: 10 MB of AlexNet, 59 MB of VGG16.
+    /// Builds the kernels and uploads the weights: 10 MB for AlexNet, 59 MB for VGG16.
     ///
     /// # Errors
-    /// As [`Weights::check`]; when the device refuses a pipeline or has too little memory.
+    /// Same as [`Weights::check`]; when the device refuses a pipeline or memory is short.
     pub fn new(context: &Context, weights: &Weights) -> Result<Self> {
         weights.check()?;
         let network = weights.network;
@@ -138,28 +138,28 @@ impl Lpips {
         })
     }
 
-    /// The network.
+    /// Returns the network.
     pub fn network(&self) -> Network {
         self.network
     }
 
-    /// LPIPS of two pictures on the values that are usual for the network: see [`Lpips::distances`].
+    /// LPIPS of two pictures in the network's usual range: see [`Lpips::distances`].
     ///
     /// # Errors
-    /// As [`Lpips::distances`].
+    /// Same as [`Lpips::distances`].
     pub fn distance(&mut self, pictures: [&[[f32; 3]]; 2], size: (u32, u32)) -> Result<f64> {
         let range = self.network.usual_range();
         Ok(self.distances(pictures, size, range)?.iter().sum())
     }
 
     /// The five parts of LPIPS, each the mean over the pixels of a tap; their sum is LPIPS. The pictures are rgb, row-major,
-    /// `size` pixels (width, height), and are clamped to [0, 1] first. They are not scaled to another size.
+    /// `size` pixels (width, height), and are clamped to [0, 1], but not rescaled to another size.
     ///
-    /// The memory that it takes is bounded: of large pictures the layers hold bands of rows only. The result has the same bits
-    /// whatever the bands.
+    /// Memory is bounded: for large pictures the layers only hold bands of rows. The bits of the result do not depend on the
+    /// bands.
     ///
     /// # Errors
-    /// [`Error::Argument`] for a picture of another or too small a size; [`Error::TooLarge`] when not even bands of one row
+    /// [`Error::Argument`] for a picture of a different or too small size; [`Error::TooLarge`] when not even bands of one row
     /// fit the memory; device failures.
     pub fn distances(
         &mut self,
@@ -182,14 +182,14 @@ impl Lpips {
             }
         };
         let distances = self.run(&mut memory, pictures, range);
-        // Where memory is bounded, the frames between two measurements need it.
+        // With a memory limit, frames between two measurements need this memory.
         if self.context.max_memory().is_none() {
             self.memory = Some(memory);
         }
         distances
     }
 
-    /// Frees the memory of the last size of pictures.
+    /// Frees the memory for the last size of pictures.
     pub fn shrink(&mut self) {
         self.memory = None;
     }
@@ -220,7 +220,7 @@ impl Lpips {
         Ok(sums)
     }
 
-    /// The maps that are compared.
+    /// Indices of the compared maps.
     fn taps(&self) -> impl Iterator<Item = usize> {
         let layers = self.network.layers().iter().enumerate();
         layers.filter(|(_, layer)| layer.is_tap).map(|(index, _)| index + 1)
@@ -318,12 +318,12 @@ impl Lpips {
         r.dispatch_3d(&self.pool, &max_pool::Bind { inputs, outputs }, &push, self.grid(output, rows));
     }
 
-    /// Of a layer's dispatch: one invocation per column and row, or group of rows, for each block and picture.
+    /// Grid of a layer's dispatch: one invocation per column and row, or group of rows, for each block and picture.
     fn grid(&self, output: &Map, rows: u32) -> [u32; 3] {
         [(output.width * rows).div_ceil(self.workgroup), output.blocks, PICTURES]
     }
 
-    /// Allocates for the largest bands that fit.
+    /// Allocates memory for the largest bands that fit.
     fn allocate(&self, size: (u32, u32)) -> Result<Memory> {
         let context = &self.context;
         let limits = context.limits();
@@ -365,7 +365,7 @@ impl Lpips {
         maps.chain(differences).collect()
     }
 
-    /// The columns and rows of zeros are written once.
+    /// Allocates memory for these bands, and writes their columns and rows of zeros once.
     fn allocate_bands(
         &self,
         size: (u32, u32),
@@ -386,7 +386,7 @@ fn bytes_of(values: &[f32]) -> u64 {
     size_of_val(values) as u64
 }
 
-/// Weights in the order of the kernel: (output block, ky, input block, kx, input of the block, output of the block).
+/// Reorders weights for the kernel: (output block, ky, input block, kx, input of the block, output of the block).
 pub fn packed_weights(layer: &Layer, weights: &[f32]) -> Vec<f32> {
     let [inputs, outputs, size] = [layer.inputs, layer.outputs, layer.size].map(|n| n as usize);
     let four = CHANNELS as usize;
@@ -404,7 +404,7 @@ pub fn packed_weights(layer: &Layer, weights: &[f32]) -> Vec<f32> {
     packed
 }
 
-/// The texels of the input's map that holds the rows up to `end`.
+/// Texels of the input map with the rows up to `end`.
 fn input(map: &Map, end: u32, pictures: [&[[f32; 3]]; 2], range: InputRange) -> Vec<[f32; 4]> {
     let (slots, pitch) = (map.slots as usize, map.pitch() as usize);
     let (width, margin) = (map.width as usize, map.margin as usize);

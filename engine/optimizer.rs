@@ -1,4 +1,4 @@
-//! Adam over all parameters in one pass, and the mean of parameters over steps.
+//! Adam over all parameters in one pass, and the mean of parameters over several steps.
 
 mod average;
 
@@ -30,7 +30,7 @@ pub struct Rates {
     pub log_scale: f64,
     /// SH coefficient 0.
     pub sh_dc: f64,
-    /// The other SH coefficients.
+    /// SH coefficients from 1 on.
     pub sh_rest: f64,
 }
 
@@ -39,18 +39,18 @@ pub struct Rates {
 pub struct Step {
     /// Learning rates.
     pub rates: Rates,
-    /// Number of steps including this one, from 1; 0 turns off the bias correction (sparse Adam).
+    /// Number of steps including this one, counted from 1; 0 turns off the bias correction (sparse Adam).
     pub count: u64,
-    /// The same for the opacity, whose step is skipped at an opacity reset.
+    /// Same as `count`, but for the opacity, whose step is skipped at an opacity reset.
     pub opacity_count: u64,
 }
 
 /// A view's place among the views of a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ViewSum {
-    /// Whether it is the first since the last step: what the sums had before does not count.
+    /// True for the first view since the last step: it overwrites the sums.
     pub starts: bool,
-    /// Whether the step follows it; otherwise its gradient is added to the sums only.
+    /// True if a step follows; otherwise the gradient is only added to the sums.
     pub makes_step: bool,
 }
 
@@ -68,7 +68,7 @@ pub struct Moments {
     pub second: Vec<Buffer>,
 }
 
-/// The kernels of the optimiser.
+/// Kernels of the optimiser.
 pub struct Optimizer {
     context: Context,
     sizes: LaunchSizes,
@@ -86,12 +86,12 @@ pub struct Optimizer {
 pub struct GradientSums<'a> {
     /// The sums, laid out like the scene's planes, one buffer per chunk.
     pub sums: &'a [Buffer],
-    /// Whether the view is the first: what the buffers had before does not count.
+    /// True for the first view, which overwrites the sums.
     pub starts: bool,
 }
 
 impl Optimizer {
-    /// Prepares for a device. Sparse Adam does not change Gaussians outside the view, and corrects no bias.
+    /// Creates an instance without kernels. Sparse Adam does not change Gaussians out of view, and corrects no bias.
     pub fn new(context: &Context, sparse: bool) -> Self {
         let sizes = LaunchSizes::new(context.limits());
         Self {
@@ -106,24 +106,24 @@ impl Optimizer {
         }
     }
 
-    /// As [`Optimizer::new`], for a loss with terms that depend on the parameters directly: their gradient is
-    /// passed to [`Optimizer::record`].
+    /// Same as [`Optimizer::new`], but for a loss with terms that depend on the parameters directly. [`Optimizer::record`]
+    /// receives their gradient.
     pub fn with_parameter_gradients(context: &Context, sparse: bool) -> Self {
         Self { parameter_gradients: true, ..Self::new(context, sparse) }
     }
 
-    /// Also builds the kernels for [`Optimizer::record_add`] and [`Optimizer::record_sums`].
+    /// Adds the kernels for [`Optimizer::record_add`] and [`Optimizer::record_sums`].
     pub fn with_sums(self) -> Self {
         Self { sums: true, ..self }
     }
 
-    /// For frames whose cameras the device has moved: [`FrameInputs::pose`].
+    /// Supports frames whose cameras the device moves: [`FrameInputs::pose`].
     #[must_use]
     pub fn with_moved_cameras(self) -> Self {
         Self { moved_cameras: true, ..self }
     }
 
-    /// Builds the variant for an SH degree unless it exists.
+    /// Builds the variant for an SH degree if it is missing.
     ///
     /// # Errors
     /// When the device refuses a pipeline.
@@ -148,8 +148,8 @@ impl Optimizer {
         add_gradients::Spec { workgroup_size, sh_degree, parameter_gradients, moved_camera, sh_loops }
     }
 
-    /// Records the addition of `frame.gradients`, and of `parameter_gradients` as in [`Optimizer::record`], to
-    /// sums. The caller places barriers before and after.
+    /// Records the addition of `frame.gradients`, and of `parameter_gradients` as in [`Optimizer::record`], to the sums. The
+    /// caller places barriers before and after.
     pub fn record_add(
         &self,
         r: &mut Recorder,
@@ -192,8 +192,8 @@ impl Optimizer {
         });
     }
 
-    /// Records one step from sums of several views' gradients, the frame's among them. The caller places
-    /// barriers before and after.
+    /// Records one step from sums of several views' gradients, including this frame's. The caller places barriers before and
+    /// after.
     pub fn record_sums(
         &self,
         r: &mut Recorder,
@@ -249,7 +249,7 @@ impl Optimizer {
                     old_parameters: parameters,
                     old_moments_1: moments_1,
                     old_moments_2: moments_2,
-                    // Without such terms nothing is read from it.
+                    // Without such terms the kernel does not read this binding.
                     parameter_gradients: direct
                         .map_or(&inputs.frame.gradients, |gradients| &gradients[range.chunk]),
                     camera_block: &block_of(inputs.frame, 0),

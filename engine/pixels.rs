@@ -1,7 +1,7 @@
-//! Pictures, their gradients and photographs in the one layout that hosts see: row by row, pixel by pixel.
+//! Pictures, their gradients and photographs in the layout of hosts: row by row, pixel by pixel.
 //!
-//! Blending, the loss and the backward pass exchange them in a layout that suits the device: on GPUs by rows,
-//! on processors in [`Strips`]. [`PixelBorder`] converts between the two.
+//! Blending, the loss and the backward pass exchange them in the device's native layout: by rows on GPUs, in [`Strips`] on
+//! processors. [`PixelBorder`] converts between the two.
 
 use crate::error::Result;
 use crate::forward::FrameInputs;
@@ -9,7 +9,7 @@ use crate::kernels::pixels::{gradient_from_rows, photo_to_rows, picture_to_rows}
 use crate::plan::{LaunchSizes, Strips, blocks};
 use crate::vk::{Buffer, Context, Kernel, Recorder};
 
-/// The conversions of a device.
+/// Conversions between rows and the device's native layout.
 pub struct PixelBorder {
     sizes: LaunchSizes,
     picture: Kernel<picture_to_rows::Interface>,
@@ -37,14 +37,14 @@ impl PixelBorder {
         })
     }
 
-    /// Bytes of the native gradient of an image: dL/d(r, g, b, inverse depth) of each pixel and padding.
+    /// Bytes of an image's native gradient: dL/d(r, g, b, inverse depth) of each pixel, with padding.
     pub fn gradient_bytes(width: u32, height: u32) -> u64 {
         // Strips have at least as many values as the image has pixels.
         16 * Strips { width, height }.values()
     }
 
-    /// Records the conversion of a frame's picture: `rows` receives (r, g, b, 0) per pixel, composited on the
-    /// background. The frame must be one with backward. The caller places barriers before and after.
+    /// Records the conversion of a frame's picture: `rows` receives (r, g, b, 0) per pixel, composited on the background. The
+    /// frame must have backward. The caller places barriers before and after.
     pub fn record_picture(&self, r: &mut Recorder, inputs: &FrameInputs, rows: &Buffer) {
         let (width, height) = (inputs.camera.width, inputs.camera.height);
         let bind = picture_to_rows::Bind { rendered: inputs.frame.rendered(&self.sizes), rows };
@@ -57,8 +57,8 @@ impl PixelBorder {
     }
 
     /// Records the conversion of a picture's gradient, a vec4 per pixel, to the native one that
-    /// [`Backward::record`](crate::backward::Backward::record) reads; with `add`, adds it there. Its fourth
-    /// component counts if the frame has inverse depth. The caller places barriers before and after.
+    /// [`Backward::record`](crate::backward::Backward::record) reads, or with `add` its addition. The fourth component counts
+    /// if the frame has inverse depth. The caller places barriers before and after.
     pub fn record_gradient(
         &self,
         r: &mut Recorder,
@@ -78,8 +78,8 @@ impl PixelBorder {
     }
 
     /// Records the conversion of a native photograph with 8 bits per channel
-    /// ([`photo_on_device`](crate::loss::photo_on_device)): `rows` receives (r, g, b, mask) per pixel, a byte
-    /// each. The caller places barriers before and after.
+    /// ([`photo_on_device`](crate::loss::photo_on_device)): `rows` receives (r, g, b, mask) per pixel, a byte each. The caller
+    /// places barriers before and after.
     pub fn record_photo(
         &self,
         r: &mut Recorder,

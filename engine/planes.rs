@@ -1,4 +1,4 @@
-//! Gaussians in the device's layout: vec4 planes split into chunks. Conversion in both directions.
+//! Gaussians in the device's layout, vec4 planes split into chunks, and conversions to and from it.
 
 use crate::error::{Error, Result};
 use crate::forward::SceneBuffers;
@@ -8,12 +8,12 @@ use crate::scene::Gaussians;
 use crate::scene::gaussians::sh_coefficients;
 use crate::vk::{Buffer, Context, MemoryKind};
 
-/// The buffers of a plan's planes, one per chunk.
+/// Requests for the buffers of a plan's planes, one per chunk.
 pub(crate) fn requests(plan: &ScenePlan) -> Vec<(&'static str, u64)> {
     vec![("planes", plan.chunk_bytes()); plan.chunks as usize]
 }
 
-/// An arena, in device memory or in that of a kind.
+/// An arena and its memory kind; device memory by default.
 pub struct Place<'a> {
     arena: &'a str,
     kind: MemoryKind,
@@ -34,7 +34,7 @@ impl<'a> From<(&'a str, MemoryKind)> for Place<'a> {
 /// Allocates planes for a plan, one buffer per chunk.
 ///
 /// # Errors
-/// When the memory does not suffice.
+/// When memory is short.
 pub fn allocate<'a>(context: &Context, place: impl Into<Place<'a>>, plan: &ScenePlan) -> Result<Vec<Buffer>> {
     let Place { arena, kind } = place.into();
     context.allocate(arena, &requests(plan), kind)
@@ -132,13 +132,13 @@ pub fn upload_filters(context: &Context, scene: &SceneBuffers, filters: &[f32]) 
     Ok(())
 }
 
-/// The geometry planes of a range's Gaussians: they come first in a chunk, row by row.
+/// Geometry planes of a range's Gaussians. They come first in a chunk, row by row.
 fn geometry_of(scene: &SceneBuffers, range: &GaussianRange) -> Buffer {
     let rows = u64::from(range.count.div_ceil(c::PLANE_ROW));
     scene.chunks[range.chunk].range(0, rows * u64::from(c::PLANE_ROW) * u64::from(c::PLANE_SH) * 16)
 }
 
-/// Packs the Gaussians of `range`, from index `begin` on, into a chunk. The chunk's other Gaussians are zero.
+/// Packs the Gaussians of `range` into a chunk, from index `begin` on. All others of the chunk become zero.
 pub(crate) fn pack(
     g: &Gaussians,
     range: std::ops::Range<usize>,
@@ -150,7 +150,7 @@ pub(crate) fn pack(
     planes
 }
 
-/// The same in memory that is there already.
+/// Same as [`pack`], but reuses memory.
 pub(crate) fn pack_into(
     planes: &mut Vec<[f32; 4]>,
     g: &Gaussians,

@@ -1,13 +1,12 @@
 //! Poses of cameras: their gradient, and Adam over the poses of all images.
 //!
-//! The pose of an image is `T(ξ) = exp(ξ^) T₀` from world to camera, with six parameters ξ = (ν, ω): ν a
-//! displacement in world units, ω a turn in radians, both in the camera's frame
-//! ([`Twist`](crate::scene::Twist)). The cameras live in device memory, where frames read them
-//! ([`FrameInputs::pose`]), so that recorded steps move them without the host.
+//! The pose of an image is `T(ξ) = exp(ξ^) T₀` from world to camera, with six parameters ξ = (ν, ω): a displacement ν in world
+//! units and a turn ω in radians, both in the camera's frame ([`Twist`](crate::scene::Twist)). Frames read the cameras from
+//! device memory ([`FrameInputs::pose`]), so recorded steps move them without the host.
 //!
-//! Steps turn a camera about a point before it, at the mean depth of what it sees, not about its centre. Both span the same
-//! poses. But about the centre a turn and a displacement move the picture nearly alike, and Adam, which scales each parameter by
-//! itself, does not tell them apart (Park et al. 2023, "CamP", precondition cameras for this reason).
+//! Steps turn a camera about a point in front of it, at the mean depth of the visible Gaussians, not about its centre. Both
+//! span the same poses. But about the centre, a turn and a displacement move the picture nearly alike, and Adam, which scales
+//! each parameter separately, cannot tell them apart. Park et al. 2023 ("CamP") precondition cameras for this reason.
 
 pub use crate::forward::pose_of;
 
@@ -19,19 +18,19 @@ use crate::plan::{LaunchSizes, blocks};
 use crate::scene::Camera;
 use crate::vk::{Buffer, Context, Kernel, Recorder};
 
-/// ε of Adam over poses, PyTorch's.
+/// ε of Adam over poses, as in PyTorch.
 pub const EPSILON: f64 = 1e-8;
 /// Weight decay of Adam over poses, added to the gradient (gsplat, `simple_trainer.py`).
 pub const WEIGHT_DECAY: f64 = 1e-6;
 /// Bytes of a pose's parameters ξ: six f32.
 pub const PARAMETER_BYTES: u64 = 24;
-/// Bytes of the gradient that [`PoseGradient::record`] leaves.
+/// Bytes of the gradient that [`PoseGradient::record`] writes.
 pub const GRADIENT_BYTES: u64 = 48;
 
-/// The kernel of the gradient with respect to a pose.
+/// Kernel of the gradient with respect to a pose.
 pub struct PoseGradient {
     kernel: Kernel<pose_gradient::Interface>,
-    /// Gaussians of a sum, which a subgroup of `project_backward` adds.
+    /// Number of Gaussians per sum, which a subgroup of `project_backward` adds up.
     sum_gaussians: u32,
 }
 
@@ -47,10 +46,9 @@ impl PoseGradient {
         Ok(Self { kernel, sum_gaussians: context.limits().heavy_subgroup_size })
     }
 
-    /// Records the gradient after [`Backward::record_with_pose`](crate::backward::Backward::record_with_pose).
-    /// `parameters` has ξ of all images, the frame is of the `image`-th. `gradient` ([`GRADIENT_BYTES`])
-    /// receives g = dL/dδ of `exp(δ^) T` at δ = 0, then dL/dξ, each as (ν, ω). The caller places barriers
-    /// before and after.
+    /// Records the gradient after [`Backward::record_with_pose`](crate::backward::Backward::record_with_pose). `parameters` has
+    /// ξ of all images, and `image` is the index of the frame's. `gradient` ([`GRADIENT_BYTES`]) receives g = dL/dδ of `exp(δ^)
+    /// T` at δ = 0, then dL/dξ, each as (ν, ω). The caller places barriers before and after.
     pub fn record(
         &self,
         r: &mut Recorder,
@@ -68,18 +66,19 @@ impl PoseGradient {
     }
 }
 
-/// One step of the optimiser of poses.
+/// A step of the optimiser of poses.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PoseStep {
-    /// Learning rate: radians; of displacements, times the depth about which the image turns (1 where there is none).
+    /// Learning rate in radians. For displacements it is multiplied by the depth about which the image turns (1 if it has
+    /// none).
     pub rate: f64,
-    /// Number of steps including this one, from 1.
+    /// Number of steps including this one, counted from 1.
     pub count: u64,
-    /// Where the view is among those whose gradients add up.
+    /// Place of the view among those whose gradients add up.
     pub sum: ViewSum,
 }
 
-/// The poses of all images on the device.
+/// Poses of all images on the device.
 #[derive(Clone)]
 pub struct PoseBuffers {
     /// Number of images.
@@ -88,15 +87,15 @@ pub struct PoseBuffers {
     pub parameters: Buffer,
     /// Four vec3 per image: Adam's first moment of ν and ω, then the second.
     pub moments: Buffer,
-    /// Four vec3 per image: the rows of the rotation of T₀, and its translation.
+    /// Four vec3 per image: rows of the rotation of T₀, then its translation.
     pub starts: Buffer,
-    /// Per image: the depth of the point about which it turns in steps, world units; 0 for the camera's centre.
+    /// Depth of the point about which each image turns in steps, world units; 0 for the camera's centre.
     pub depths: Buffer,
-    /// Four vec3 per image: the same of T(ξ), as [`FrameInputs::pose`] reads it.
+    /// Four vec3 per image: rows of the rotation of T(ξ), then its translation, for [`FrameInputs::pose`].
     pub cameras: Buffer,
-    /// See [`PoseGradient::record`].
+    /// Gradient of a pose: see [`PoseGradient::record`].
     pub gradient: Buffer,
-    /// Two vec3 per image: the gradients of the views since the last step, of steps of several views only.
+    /// Two vec3 per image: sums of gradients since the last step. Only steps of several views use them.
     pub sums: Buffer,
 }
 
@@ -118,7 +117,7 @@ impl PoseBuffers {
     /// Assigns the buffers that were allocated for [`PoseBuffers::requests`], in the same order.
     ///
     /// # Panics
-    /// If there are others.
+    /// If the number of buffers differs.
     pub fn from_allocated(images: u32, buffers: Vec<Buffer>) -> Self {
         let Ok([parameters, moments, starts, depths, cameras, gradient, sums]) =
             <[Buffer; 7]>::try_from(buffers)
@@ -129,21 +128,21 @@ impl PoseBuffers {
     }
 }
 
-/// The inverse of [`pose_of`]: `camera` at another place.
+/// Moves `camera` to a pose: the inverse of [`pose_of`].
 pub fn camera_at(camera: &Camera, pose: &[f32; 12]) -> Camera {
     let [a, b, c, d, e, f, g, h, i, x, y, z] = *pose;
     let rotation = glam::Mat3::from_cols_array(&[a, b, c, d, e, f, g, h, i]).transpose();
     Camera { camera_from_world: rotation, translation: glam::Vec3::new(x, y, z), ..*camera }
 }
 
-/// The kernel of Adam over poses.
+/// Kernel of Adam over poses.
 pub struct PoseOptimizer {
     kernel: Kernel<pose_step::Interface>,
     workgroup: u32,
 }
 
 impl PoseOptimizer {
-    /// Builds the kernel, with `sums` for steps that follow several views ([`ViewSum`]).
+    /// Builds the kernel; `sums`: steps may follow several views ([`ViewSum`]).
     ///
     /// # Errors
     /// When the device refuses a pipeline.
@@ -153,11 +152,10 @@ impl PoseOptimizer {
         Ok(Self { kernel, workgroup })
     }
 
-    /// Records a step with the gradient of the image that was seen, and makes the cameras of all images. All
-    /// poses are one tensor: those of images that were not seen decay and move as well. Where no step follows
-    /// the view, its gradient is added to the sums. Without a step only the cameras are made. Nothing changes if
-    /// `state` ([`FrameBuffers::state`](crate::plan::FrameBuffers))
-    /// has an overflow. The caller places barriers before and after.
+    /// Records a step with the gradient of the given image, and computes the cameras of all images. All poses are one tensor,
+    /// so those of other images decay and move as well. If no step follows the view, its gradient is added to the sums. Without
+    /// `step` only the cameras are computed. If `state` ([`FrameBuffers::state`](crate::plan::FrameBuffers)) has an overflow,
+    /// nothing changes. The caller places barriers before and after.
     pub fn record(
         &self,
         r: &mut Recorder,

@@ -1,15 +1,15 @@
 //! Exclusive prefix sum of u32 values on the device, usable by itself.
 //!
-//! Reduce-then-scan in three dispatches: the sum of each block, a single workgroup's scan of those sums, and
-//! the scan within each block. It assumes no forward progress between workgroups (a decoupled look-back gives
-//! wrong sums on devices without it) and works for any subgroup size from 4 to 128.
+//! Reduce-then-scan in three dispatches: the sum of each block, a single workgroup's scan of those sums, and the scan within
+//! each block. It assumes no forward progress between workgroups, unlike a decoupled look-back, whose sums are wrong on devices
+//! without it. It works for any subgroup size from 4 to 128.
 
 use crate::error::Result;
 use crate::kernels::scan::{scan_apply, scan_reduce, scan_spine};
 use crate::plan::{LaunchSizes, blocks};
 use crate::vk::{Buffer, Context, Kernel, Recorder};
 
-/// The kernels of a prefix sum.
+/// Kernels of a prefix sum.
 pub struct Scan {
     reduce: Kernel<scan_reduce::Interface>,
     spine: Kernel<scan_spine::Interface>,
@@ -20,15 +20,14 @@ pub struct Scan {
 /// Buffers of a prefix sum.
 #[derive(Clone, Copy)]
 pub struct ScanBuffers<'a> {
-    /// The counts: the number of values is read from `counts[count_index]`, the total is written to
-    /// `counts[total_index]`. The total is `u32::MAX` if it exceeds 32 bits, provided that no block's sum
-    /// does.
+    /// Counts: the number of values is read from `counts[count_index]`, and the total is written to `counts[total_index]`. A
+    /// total above 32 bits becomes `u32::MAX`, provided that no block's sum exceeds 32 bits.
     pub counts: &'a Buffer,
-    /// See `counts`.
+    /// Index of the number of values in `counts`.
     pub count_index: u32,
-    /// See `counts`.
+    /// Index of the total in `counts`.
     pub total_index: u32,
-    /// The values, u32.
+    /// Values, u32.
     pub values: &'a Buffer,
     /// Output of the prefix sums; must not be `values`.
     pub prefix: &'a Buffer,
@@ -39,9 +38,9 @@ pub struct ScanBuffers<'a> {
 /// Number of workgroups of a stage over elements that the device counts.
 #[derive(Clone, Copy)]
 pub enum Workgroups<'a> {
-    /// Enough for this number of elements, which the host knows.
+    /// Enough workgroups for this number of elements, which the host knows.
     Elements(u64),
-    /// The counts in these 12 bytes.
+    /// Number of workgroups in these 12 bytes.
     Indirect(&'a Buffer),
 }
 
@@ -70,7 +69,7 @@ impl Scan {
         })
     }
 
-    /// Words of scratch for `n` values.
+    /// Number of scratch words for `n` values.
     pub fn block_words(&self, n: u64) -> u64 {
         blocks(n, self.block.into()).max(1)
     }
@@ -90,8 +89,8 @@ impl Scan {
         self.record_from_block_sums(recorder, buffers, workgroups);
     }
 
-    /// Records the prefix sum of values whose sums per block of `Scan::block` are already in `block_sums`.
-    /// The caller places a barrier before and after.
+    /// Records the prefix sum of values with sums per block of `Scan::block` already in `block_sums`. The caller places a
+    /// barrier before and after.
     pub fn record_from_block_sums(
         &self,
         recorder: &mut Recorder,
@@ -131,8 +130,7 @@ impl Scan {
         );
     }
 
-    /// Records only the scan of `row.1` block sums, in place, from word `row.0` on. Their total goes to
-    /// `totals[total_index]`.
+    /// Records only the scan of `row.1` block sums, in place, from word `row.0` on. `totals[total_index]` receives their total.
     pub fn record_block_sums(
         &self,
         recorder: &mut Recorder,

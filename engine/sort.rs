@@ -1,10 +1,9 @@
 //! Stable radix sort of (u32 key, u32 value) pairs on the device, usable by itself.
 //!
-//! Least significant digit first, three dispatches per digit: a histogram per block, the scan of each digit's
-//! row, a stable scatter. Reduce-then-scan assumes no forward progress between workgroups, and any subgroup
-//! size from 4 to 128 works. Only the given number of key bits is sorted. Counting and scattering have two
-//! forms, see [`SortMethod`]. If [`LaunchSizes::sorts_in_single_subgroup`] is true, a single subgroup sorts
-//! the pairs in one dispatch.
+//! Least significant digit first, three dispatches per digit: a histogram per block, the scan of each digit's row, a stable
+//! scatter. Reduce-then-scan assumes no forward progress between workgroups, and any subgroup size from 4 to 128 works. Only
+//! the given number of key bits is sorted. Counting and scattering have two forms, see [`SortMethod`]. If
+//! [`LaunchSizes::sorts_in_single_subgroup`] is true, a single subgroup sorts the pairs in one dispatch.
 
 use crate::error::Result;
 use crate::kernels::sort::{
@@ -15,18 +14,18 @@ use crate::plan::{LaunchSizes, SortMethod, blocks};
 use crate::scan::Workgroups;
 use crate::vk::{Buffer, Context, Kernel, KernelInterface, Recorder};
 
-/// The kernels of a sort.
+/// Kernels of a sort.
 pub struct RadixSort {
     sizes: LaunchSizes,
     kernels: Kernels,
     scan: Kernel<sort_spine::Interface>,
-    /// With given values, and with the keys' indices as values.
+    /// Sort in a single subgroup: with given values, and with the keys' indices as values.
     alone: Option<[Kernel<sort_single_subgroup::Interface>; 2]>,
-    /// Digits per workgroup of the histogram's scan.
+    /// Number of digits per workgroup of the histogram's scan.
     rows: u32,
 }
 
-/// Counting, and scattering with given values and with the keys' indices.
+/// Kernels that count, and that scatter with given values and with the keys' indices.
 enum Kernels {
     Matching {
         count: Kernel<sort_upsweep::Interface>,
@@ -38,17 +37,16 @@ enum Kernels {
     },
 }
 
-/// Buffers of a sort. Keys start in `keys[0]`; the number of passes determines where they end, see
-/// [`RadixSort::passes`].
+/// Buffers of a sort. Keys start in `keys[0]`; the number of passes ([`RadixSort::passes`]) determines where they end.
 #[derive(Clone, Copy)]
 pub struct SortBuffers<'a> {
     /// The number of pairs is `counts[count_index]`.
     pub counts: &'a Buffer,
-    /// See `counts`.
+    /// Index of the number of pairs in `counts`.
     pub count_index: u32,
     /// Keys, u32: two buffers between which the passes alternate.
     pub keys: [&'a Buffer; 2],
-    /// Values, u32, likewise.
+    /// Values, u32: two buffers between which the passes alternate.
     pub values: [&'a Buffer; 2],
     /// Scratch: [`RadixSort::histogram_words`] words.
     pub histogram: &'a Buffer,
@@ -66,9 +64,9 @@ impl SortBuffers<'_> {
 /// Source of the values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Values {
-    /// `values[0]`.
+    /// Reads them from `values[0]`.
     Given,
-    /// The keys' indices 0, 1, 2, …; `values[0]` need not be written.
+    /// Uses the keys' indices 0, 1, 2, …; `values[0]` need not be written.
     Positions,
 }
 
@@ -107,17 +105,17 @@ impl RadixSort {
         })
     }
 
-    /// Words of scratch for buffers of `n` pairs with keys below 2^`key_bits`.
+    /// Number of scratch words for buffers of `n` pairs with keys below 2^`key_bits`.
     pub fn histogram_words(&self, n: u64, key_bits: u32) -> u64 {
         self.sizes.sort_histogram_words(n, key_bits)
     }
 
-    /// Words of scratch for any number of pairs.
+    /// Number of scratch words for any number of pairs.
     pub fn digit_total_words(&self) -> u64 {
         1 << self.sizes.sort_digit_bits()
     }
 
-    /// Pairs of one block.
+    /// Number of pairs in a block.
     pub fn block(&self) -> u32 {
         self.sizes.sort
     }
@@ -126,13 +124,13 @@ impl RadixSort {
         blocks(n, self.sizes.sort.into())
     }
 
-    /// Passes for keys below 2^`key_bits`. The result lies in buffers `passes % 2`.
+    /// Number of passes for keys below 2^`key_bits`. The result lies in buffers `passes % 2`.
     pub fn passes(&self, key_bits: u32) -> u32 {
         self.sizes.sort_passes(key_bits)
     }
 
-    /// Records the sort of keys below 2^`key_bits`. The caller places a barrier before and after. Returns
-    /// which of the two buffers holds the result.
+    /// Records the sort of keys below 2^`key_bits`. Returns the index of the buffers with the result. The caller places a
+    /// barrier before and after.
     pub fn record(
         &self,
         recorder: &mut Recorder,
@@ -265,7 +263,7 @@ impl RadixSort {
         );
     }
 
-    /// One workgroup per block.
+    /// Records a dispatch of one workgroup per block.
     fn dispatch<K: KernelInterface>(
         &self,
         recorder: &mut Recorder,
@@ -307,7 +305,7 @@ impl Kernels {
     }
 }
 
-/// One pass.
+/// One pass of the sort.
 #[derive(Clone, Copy)]
 struct Digit {
     shift: u32,

@@ -3,25 +3,25 @@
 use crate::forward::RenderSettings;
 use crate::kernels::constants::DILATION_PX2;
 
-/// What the backward pass of a frame needs besides gradients of the colours.
+/// Parts of a frame's backward pass besides the gradients of the colours.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct BackwardVariant {
     /// Gradients of the inverse depth.
     pub inverse_depth: bool,
-    /// As [`BlendVariant::steep`](crate::forward::BlendVariant::steep).
+    /// Same as [`BlendVariant::steep`](crate::forward::BlendVariant::steep).
     pub steep: bool,
     /// Gaussians have a 3D filter.
     pub filter_3d: bool,
-    /// The low-pass filter is another than the reference's.
+    /// The low-pass filter differs from the reference's.
     pub own_dilation: bool,
-    /// As [`BlendVariant::dropout`](crate::forward::BlendVariant::dropout).
+    /// Same as [`BlendVariant::dropout`](crate::forward::BlendVariant::dropout).
     pub dropout: bool,
-    /// As [`BlendVariant::z_record`](crate::forward::BlendVariant::z_record).
+    /// Same as [`BlendVariant::z_record`](crate::forward::BlendVariant::z_record).
     pub z_record: bool,
 }
 
 impl BackwardVariant {
-    /// That of a frame.
+    /// Returns the variant of a frame with these settings.
     pub fn of(settings: &RenderSettings) -> Self {
         Self {
             inverse_depth: settings.inverse_depth,

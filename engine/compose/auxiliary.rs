@@ -1,4 +1,4 @@
-//! What is picked at each pixel and the mean motion, into a host's images.
+//! Writes picks and the mean motion into a host's images.
 
 use super::{Compose, Region};
 use crate::error::Result;
@@ -8,7 +8,7 @@ use crate::plan::{FrameBuffers, LaunchSizes, tile_grid};
 use crate::scene::Camera;
 use crate::vk::{Buffer, Context, KernelSet, Recorder};
 
-/// The kernels, built where a host asks for them.
+/// Kernels, built on request.
 #[derive(Default)]
 pub(super) struct Kernels {
     picks: KernelSet<picks::Interface>,
@@ -16,7 +16,7 @@ pub(super) struct Kernels {
 }
 
 impl Compose {
-    /// Builds the kernels of picking and of motion that are wanted, unless they exist.
+    /// Builds the missing kernels of picking and of motion, if wanted.
     ///
     /// # Errors
     /// When the device refuses a pipeline.
@@ -31,8 +31,8 @@ impl Compose {
         Ok(())
     }
 
-    /// Records what is picked at each pixel of a frame without backward that was blended with picks, into an image of
-    /// [`Compose::PICK_FORMAT`] that is ready for kernels: the Gaussian, its scene, the bits of its depth and of its weight.
+    /// Records the picks of a frame without backward that was blended with picks, into an image of [`Compose::PICK_FORMAT`]
+    /// that is ready for kernels. Each has the Gaussian, its scene, and the bits of its depth and of its weight.
     pub fn record_picks(
         &self,
         r: &mut Recorder,
@@ -65,9 +65,9 @@ impl Compose {
         r.dispatch(kernel, &bind, &push, self.workgroups([camera.width, camera.height]));
     }
 
-    /// Records the mean motion sum(w m) / sum(w) of a frame that was blended with motion, px, into an image of
-    /// [`Compose::MOTION_FORMAT`] that is ready for kernels. Pixels whose sum of weights is below `min_weight` receive
-    /// `empty`; without it they stay as they are.
+    /// Records the mean motion sum(w m) / sum(w), px, of a frame that was blended with motion, into an image of
+    /// [`Compose::MOTION_FORMAT`] that is ready for kernels. Pixels with a sum of weights below `min_weight` receive `empty`,
+    /// or stay without it.
     pub fn record_motion(
         &self,
         r: &mut Recorder,

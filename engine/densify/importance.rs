@@ -1,9 +1,9 @@
-//! Edge-weighted blending importance (Improved-GS): how much of a view's edges a Gaussian paints.
+//! Edge-weighted blending importance (Improved-GS): the share of a view's edges that a Gaussian paints.
 //!
-//! A Gaussian's weight in a view is Σ e α T over its pixels, where e are the edges of the photograph from 0 to 1.
-//! That is the gradient of its red, before the clamp of colours, for a loss with the gradient e with respect to the
-//! red of the picture: the backward blending in the variant that adds up nothing else. The importance is the
-//! weight from 0 (the smallest of all Gaussians) to 1 (the largest), averaged over views.
+//! A Gaussian's weight in a view is Σ e α T over its pixels, where e are the photograph's edges from 0 to 1. It equals the
+//! gradient of the Gaussian's red, before the clamp of colours, if e is the gradient of the picture's red. So the backward
+//! blending computes it, in a variant that adds up nothing else. The importance is the weight, scaled from 0 (smallest of all
+//! Gaussians) to 1 (largest), averaged over views.
 
 use crate::backward::{Backward, BackwardVariant};
 use crate::error::Result;
@@ -13,24 +13,24 @@ use crate::pixels::PixelBorder;
 use crate::plan::{LaunchSizes, blocks};
 use crate::vk::{Buffer, Context, Kernel, Recorder};
 
-/// A Gaussian with more tiles has its weights added by a whole subgroup.
+/// A Gaussian with more tiles has its weights added up by a whole subgroup.
 const LANE_INSTANCES: u32 = 64;
 
-/// Scratch of the importance of one view after the other.
+/// Scratch for the importance of one view at a time.
 #[derive(Clone)]
 pub struct ImportanceBuffers {
     /// Per pixel: the photograph, see [`PixelBorder::record_photo`].
     pub rows: Buffer,
-    /// Per pixel: the response of the edges, 0 to 255.
+    /// Per pixel: response of the edge filter, 0 to 255.
     pub responses: Buffer,
     /// Smallest and largest response and weight: see edges.glsl.
     pub ranges: Buffer,
-    /// Per Gaussian: its weight in the last view, f32.
+    /// Per Gaussian: weight in the last view, f32.
     pub weights: Buffer,
 }
 
 impl ImportanceBuffers {
-    /// Names and bytes, in the order of the fields, for so many Gaussians and pictures of up to so many pixels.
+    /// Names and bytes, in the order of the fields, for this number of Gaussians and pictures of up to `pixels` pixels.
     pub fn requests(gaussians: u32, pixels: u64) -> [(&'static str, u64); 4] {
         [
             ("photo_rows", 4 * pixels),
@@ -55,17 +55,17 @@ impl ImportanceBuffers {
 /// A photograph on the device.
 #[derive(Clone, Copy)]
 pub struct EdgePhoto<'a> {
-    /// Its texels, see [`crate::loss::photo_on_device`].
+    /// Texels, see [`crate::loss::photo_on_device`].
     pub texels: &'a Buffer,
     /// Width and height, pixels.
     pub size: (u32, u32),
-    /// Whether it has masked pixels. They have no edges.
+    /// True if it has masked pixels, which have no edges.
     pub masked: bool,
-    /// At which of its sides it is cut, if it is a part of a photograph: left, top, right, bottom. There it has no edges.
+    /// True for sides where it is cut from a larger photograph: left, top, right, bottom. There it has no edges.
     pub cut_sides: [bool; 4],
 }
 
-/// The kernels.
+/// Kernels of the importance.
 pub struct Importance {
     sizes: LaunchSizes,
     border: PixelBorder,
@@ -77,7 +77,7 @@ pub struct Importance {
 }
 
 impl Importance {
-    /// Builds the kernels for frames that are drawn in this way, without inverse depth.
+    /// Builds the kernels for frames with these settings, but without inverse depth.
     ///
     /// # Errors
     /// When the device refuses a pipeline.
@@ -101,8 +101,8 @@ impl Importance {
         })
     }
 
-    /// Records the edges of a photograph as the gradient of a picture: e as dL/dred, in the native layout. A
-    /// barrier must precede it; it ends without one.
+    /// Records the edges e of a photograph as the gradient of a picture, dL/dred, in the native layout. A barrier must precede
+    /// it; it ends without one.
     pub fn record_edges(
         &self,
         r: &mut Recorder,
@@ -135,10 +135,10 @@ impl Importance {
         });
     }
 
-    /// Records the weights of all Gaussians in the frame that was recorded into the same buffers, from the edges
-    /// in `image_gradient`, and adds `share` times their importance in this view to `importance`, f32 per
-    /// Gaussian. The frame must be one with backward and without inverse depth, and `buffers.ranges` 0 before the
-    /// edges. A barrier must precede it; it ends without one. If the frame overflowed, `importance` stays.
+    /// Records the weights of all Gaussians in the frame of the same buffers, from the edges in `image_gradient`. Adds `share`
+    /// times their importance in this view to `importance`, f32 per Gaussian. The frame must have backward and no inverse
+    /// depth, and `buffers.ranges` must be 0 before the edges. A barrier must precede it; it ends without one. If the frame
+    /// overflowed, `importance` stays.
     pub fn record_view(
         &self,
         r: &mut Recorder,

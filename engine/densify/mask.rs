@@ -1,4 +1,4 @@
-//! Density control within a box: statistics of Gaussians outside are masked before it decides.
+//! Density control within a box: masks the statistics of Gaussians outside.
 
 use crate::error::Result;
 use crate::forward::SceneBuffers;
@@ -7,7 +7,7 @@ use crate::plan::{LaunchSizes, blocks};
 use crate::scene::{Bounds, Cut, CutLimits};
 use crate::vk::{Buffer, Context, Kernel, Recorder};
 
-/// The kernel that masks statistics, for one box.
+/// Kernel that masks statistics outside a box.
 pub struct MaskOutside {
     sizes: LaunchSizes,
     mask: Kernel<mask_outside::Interface>,
@@ -16,7 +16,7 @@ pub struct MaskOutside {
 }
 
 impl MaskOutside {
-    /// Builds the kernel for a box, whose sides may be infinite; `absolute`: for both statistics.
+    /// Builds the kernel for a box, whose sides may be infinite; `absolute`: it masks both statistics.
     ///
     /// # Errors
     /// When the device refuses a pipeline.
@@ -27,11 +27,11 @@ impl MaskOutside {
         Ok(Self { mask: Kernel::new(context, &mask)?, sizes, core, absolute })
     }
 
-    /// Records the mask: of Gaussians with means outside of the box, the sums in `statistics` (vec2 per Gaussian: sum of norms,
-    /// number of views) and in `absolute` (f32 per Gaussian) fall below every threshold. Ends without a barrier.
+    /// Records the mask. For Gaussians with means outside the box, it sets the sums below every threshold in `statistics` (vec2
+    /// per Gaussian: sum of norms, number of views) and in `absolute` (f32 per Gaussian). Ends without a barrier.
     ///
     /// # Panics
-    /// Without the absolute statistic that it was built for.
+    /// If the absolute statistic is missing although the kernel was built for it.
     pub fn record(
         &self,
         r: &mut Recorder,
@@ -47,7 +47,7 @@ impl MaskOutside {
             let bind = mask_outside::Bind {
                 parameters: &scene.chunks[range.chunk],
                 statistics,
-                // Without it nothing is written there.
+                // Without the absolute statistic the kernel does not write this binding.
                 absolute_statistics: absolute.unwrap_or(statistics),
             };
             let push = mask_outside::Push {

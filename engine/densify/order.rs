@@ -1,5 +1,4 @@
-//! Sorts the new set along a space-filling curve, so that Gaussians that are seen together are close in
-//! memory.
+//! Sorts the new set along a space-filling curve, so that Gaussians in the same views are close in memory.
 
 use super::{Densify, DensifyBuffers};
 use crate::forward::SceneBuffers;
@@ -11,19 +10,19 @@ use crate::sort::{SortBuffers, Values};
 use crate::vk::{Buffer, Recorder};
 use glam::Vec3;
 
-/// The curve's frame: see zorder.comp.
+/// Frame of the curve: see zorder.comp.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Curve {
-    /// Centre of the cameras, world.
+    /// Mean position of the cameras, world.
     pub center: Vec3,
-    /// The scene's extent, world units; positive.
+    /// Extent of the scene, world units; positive.
     pub extent: f32,
 }
 
 /// Scratch of the sort along a curve.
 #[derive(Clone)]
 pub struct OrderBuffers {
-    /// Per row: its position on the curve; sorting scratch.
+    /// Position of each row on the curve; sorting scratch.
     pub keys: [Buffer; 2],
     /// Like [`DensifyBuffers::sources`].
     pub sources: Buffer,
@@ -59,9 +58,8 @@ impl OrderBuffers {
 }
 
 impl Densify {
-    /// Records the sort of `rows` sources that [`Densify::record_scatter_sources`] has written. A barrier
-    /// must precede it; it ends with one. Returns the buffer with the result. Rows of one cell of the curve
-    /// keep their order.
+    /// Records the sort of `rows` sources of [`Densify::record_scatter_sources`] and returns the buffer with the result. A
+    /// barrier must precede it; it ends with one. Rows in the same cell of the curve keep their order.
     pub fn record_order<'a>(
         &self,
         r: &mut Recorder,
@@ -73,8 +71,7 @@ impl Densify {
         self.record_order_of(r, set, (&buffers.sources, &buffers.totals), order, curve)
     }
 
-    /// As [`Densify::record_order`], of sources that others have written. The fourth word of `totals` is
-    /// scratch.
+    /// Same as [`Densify::record_order`], but for sources that others have written. The fourth word of `totals` is scratch.
     pub fn record_order_of<'a>(
         &self,
         r: &mut Recorder,

@@ -1,4 +1,4 @@
-//! Opacities in their order, for pruning the faintest share of a set.
+//! Sorts opacities, for pruning the faintest share of a set.
 
 use super::{Selection, SelectionBuffers};
 use crate::forward::SceneBuffers;
@@ -10,8 +10,8 @@ use crate::sort::Values;
 use crate::vk::{Buffer, Recorder};
 
 impl Selection {
-    /// Records a sort of all opacities. A barrier must precede it; it ends with one. Returns the buffer with the result: f32 per
-    /// Gaussian, the faintest first.
+    /// Records a sort of all opacities. A barrier must precede it; it ends with one. Returns the buffer with the result: f32
+    /// per Gaussian, the faintest first.
     pub fn record_opacities<'a>(
         &self,
         r: &mut Recorder,
@@ -21,7 +21,7 @@ impl Selection {
         r.scope("order opacities", |r| {
             r.fill(&buffers.total(c::TOTAL_GAUSSIANS), scene.count);
             for range in scene.plan.ranges(scene.count) {
-                // The chunks write one buffer.
+                // All chunks write the same buffer.
                 if range.chunk > 0 {
                     r.barrier();
                 }

@@ -1,5 +1,5 @@
-//! Relocation and growth of 3DGS-MCMC (Kheradmand et al. 2024, section 4): Gaussians are drawn in proportion to
-//! their opacity, and each shares its place with its copies.
+//! Relocation and growth of 3DGS-MCMC (Kheradmand et al. 2024, section 4): Gaussians are drawn in proportion to their opacity,
+//! and each shares its place with its copies.
 
 use crate::error::Result;
 use crate::forward::SceneBuffers;
@@ -11,23 +11,23 @@ use crate::plan::{LaunchSizes, blocks};
 use crate::scan::{Scan, ScanBuffers, Workgroups};
 use crate::vk::{Buffer, Context, Kernel, Recorder};
 
-/// Largest weight of a Gaussian: floats count no further one by one.
+/// Largest weight of a Gaussian: the last integer up to which f32 counts in steps of one.
 const MOST_WEIGHT: u32 = 1 << 24;
 
 /// Scratch of a draw.
 #[derive(Clone)]
 pub struct DrawBuffers {
-    /// Per Gaussian: its weight.
+    /// Weight of each Gaussian.
     pub weights: Buffer,
-    /// Per Gaussian: sum of the weights before it.
+    /// Sum of the weights before each Gaussian.
     pub prefix: Buffer,
-    /// Per Gaussian: how often it was drawn.
+    /// Number of draws of each Gaussian.
     pub draws: Buffer,
     /// Number of Gaussians, sum of the weights, number of sorted rows.
     pub totals: Buffer,
     /// Scratch of the prefix sum.
     pub block_sums: Buffer,
-    /// Per row of the new set: its source.
+    /// Source of each row of the new set.
     pub sources: Buffer,
 }
 
@@ -51,20 +51,19 @@ impl DrawBuffers {
 /// A draw of the sources of a new set.
 #[derive(Clone, Copy)]
 pub struct Draw<'a> {
-    /// Rows of the new set, at least the Gaussians of the old one.
+    /// Number of rows of the new set, at least that of the old one.
     pub rows: u32,
-    /// Whether Gaussians with an opacity of at most 0.005 are replaced.
+    /// True if Gaussians with an opacity of at most 0.005 are replaced.
     pub replaces_dead: bool,
     /// Seed of the run.
     pub seed: u32,
-    /// Iteration.
+    /// Iteration of the draw.
     pub iteration: u32,
-    /// Uniform numbers in [0, 1) per row, in place of the generator, for comparisons with other
-    /// implementations.
+    /// Uniform numbers in [0, 1) per row that replace the generator's, for comparisons with other implementations.
     pub explicit: Option<&'a Buffer>,
 }
 
-/// The kernels.
+/// Kernels of relocation and noise.
 pub struct Relocation {
     sizes: LaunchSizes,
     scan: Scan,
@@ -111,7 +110,7 @@ impl Relocation {
         ]
     }
 
-    /// Records a draw: `buffers.sources` and `buffers.draws`. It ends with a barrier.
+    /// Records a draw into `buffers.sources` and `buffers.draws`. Ends with a barrier.
     pub fn record_draw(&self, r: &mut Recorder, scene: &SceneBuffers, draw: &Draw, buffers: &DrawBuffers) {
         let count = scene.count;
         let groups = |n: u32| blocks(n.into(), self.sizes.elementwise_workgroup.into());
@@ -196,9 +195,8 @@ impl Relocation {
         });
     }
 
-    /// Records the noise of an iteration, on a scene with the state of its frame. `rate`: the means' learning
-    /// rate (world units) times that of the noise; `explicit`: standard normal numbers in place of the
-    /// generator.
+    /// Records the noise of an iteration, on a scene with the state of its frame. `rate`: learning rate of the means (world
+    /// units) times that of the noise; `explicit`: standard normal numbers that replace the generator's.
     pub fn record_noise(
         &self,
         r: &mut Recorder,

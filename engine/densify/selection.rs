@@ -1,6 +1,6 @@
-//! A draw of Gaussians without replacement, in proportion to their chances (Efraimidis and Spirakis 2006): a random
-//! key each, a sort, and the first of them. Random numbers are keyed by (seed, iteration, Gaussian), so the result
-//! does not depend on scheduling.
+//! Draws Gaussians without replacement, in proportion to their chances (Efraimidis and Spirakis 2006): each gets a random key,
+//! and the first of the sorted keys are drawn. Random numbers are keyed by (seed, iteration, Gaussian), so the result does not
+//! depend on scheduling.
 
 use crate::error::Result;
 use crate::kernels::constants as c;
@@ -10,45 +10,44 @@ use crate::scan::Workgroups;
 use crate::sort::{RadixSort, SortBuffers, Values};
 use crate::vk::{Buffer, Context, Kernel, Recorder};
 
-/// Gaussians that may be drawn: those that were seen, with a mean statistic of at least `threshold`.
+/// Gaussians that may be drawn: those that any view showed, with a mean statistic of at least `threshold`.
 #[derive(Clone, Copy)]
 pub struct Candidates<'a> {
     /// vec2 per Gaussian: sum of the signed norms, number of views.
     pub statistics: &'a Buffer,
-    /// f32 per Gaussian: sum of the absolute norms, in place of the signed ones.
+    /// f32 per Gaussian: sum of the absolute norms, which replaces the signed ones.
     pub absolute: Option<&'a Buffer>,
-    /// Least mean over the views.
+    /// Minimum mean over the views.
     pub threshold: f32,
 }
 
-/// What the chances are in proportion to. Without a positive chance a Gaussian is never drawn.
+/// Weights of the draw. A Gaussian without a positive weight is never drawn.
 #[derive(Clone, Copy)]
 pub enum Chances<'a> {
-    /// These, f32 per Gaussian.
+    /// The given weights, f32 per Gaussian.
     Importance(&'a Buffer),
     /// The mean statistic of [`Candidates`].
     Statistic,
-    /// All candidates alike.
+    /// The same weight for all candidates.
     Equal,
 }
 
-/// A draw.
+/// Parameters of a draw.
 #[derive(Clone, Copy)]
 pub struct SelectionDraw<'a> {
-    /// Gaussians.
+    /// Number of Gaussians.
     pub count: u32,
-    /// How many are drawn, or all candidates if they are fewer.
+    /// Number of Gaussians to draw; all candidates if there are fewer.
     pub wanted: u32,
-    /// Who may be drawn.
+    /// Gaussians that may be drawn.
     pub candidates: Candidates<'a>,
-    /// In proportion to what.
+    /// Weights of the draw.
     pub chances: Chances<'a>,
     /// Seed of the run.
     pub seed: u32,
-    /// Iteration.
+    /// Iteration of the draw.
     pub iteration: u32,
-    /// Uniform numbers within (0, 1) per Gaussian, in place of the generator, for comparisons with other
-    /// implementations.
+    /// Uniform numbers within (0, 1) per Gaussian that replace the generator's, for comparisons with other implementations.
     pub explicit: Option<&'a Buffer>,
 }
 
@@ -57,7 +56,7 @@ pub struct SelectionDraw<'a> {
 pub struct SelectionBuffers {
     /// Per Gaussian: 1 if it was drawn, otherwise 0.
     pub selected: Buffer,
-    /// Numbers of Gaussians, of candidates with a positive chance, and of drawn ones: TOTAL_* of the constants.
+    /// Numbers of Gaussians, of candidates with a positive chance, and of drawn Gaussians: TOTAL_* of the constants.
     pub totals: Buffer,
     /// Sorting scratch: keys.
     pub keys: [Buffer; 2],
@@ -83,12 +82,12 @@ impl SelectionBuffers {
         Self { selected, totals, keys: [keys_a, keys_b], gaussians: [a, b], histogram, digit_totals }
     }
 
-    /// One of the totals. Each can be filled in the same step as another.
+    /// Returns one of the totals. Each can be filled in the same step as another.
     pub(super) fn total(&self, word: u32) -> Buffer {
         self.totals.range(u64::from(word) * 4, 4)
     }
 
-    /// The keys with their Gaussians, to be sorted.
+    /// Returns the keys and their Gaussians for the sort.
     pub(super) fn pairs(&self) -> SortBuffers<'_> {
         SortBuffers {
             counts: &self.totals,
@@ -101,12 +100,12 @@ impl SelectionBuffers {
     }
 }
 
-/// The kernels of draws, and of opacities in their order.
+/// Kernels of draws and of sorted opacities.
 pub struct Selection {
     pub(super) sizes: LaunchSizes,
     pub(super) sort: RadixSort,
     pub(super) opacity_keys: Kernel<opacity_keys::Interface>,
-    /// Of the signed and of the absolute statistic; each from the generator and from explicit numbers.
+    /// For the signed and for the absolute statistic; each from the generator and from explicit numbers.
     keys: [[Kernel<draw_keys::Interface>; 2]; 2],
     mark: Kernel<mark_drawn::Interface>,
 }
@@ -132,7 +131,7 @@ impl Selection {
         })
     }
 
-    /// Names and bytes of the buffers of [`SelectionBuffers::from_allocated`], for so many Gaussians.
+    /// Names and bytes of the buffers of [`SelectionBuffers::from_allocated`], for this number of Gaussians.
     pub fn requests(&self, gaussians: u32) -> Vec<(&'static str, u64)> {
         let words = u64::from(gaussians) * 4;
         vec![

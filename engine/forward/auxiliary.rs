@@ -1,51 +1,51 @@
-//! What blending leaves beside the picture where a host wants it: the Gaussian of the largest weight, and the mean motion.
+//! Further outputs of blending on request: the Gaussian of the largest weight, and the mean motion.
 
 use super::inputs::FrameInputs;
 use crate::scene::{Camera, Pose};
 use crate::vk::{Buffer, Recorder};
 
-/// What a frame leaves beside the picture. The default is nothing, by the kernels of a frame without.
+/// Further outputs of a frame besides the picture. By default there are none, and the kernels are those of a plain frame.
 #[derive(Clone, Copy, Default)]
 pub struct Auxiliary<'a> {
-    /// The Gaussian of the largest weight.
+    /// Gaussian of the largest weight per pixel.
     pub picks: Option<PickBuffers<'a>>,
-    /// The mean motion.
+    /// Mean motion per pixel.
     pub motion: Option<MotionBuffers<'a>>,
 }
 
-/// The buffers of picking.
+/// Buffers of picking.
 #[derive(Clone, Copy)]
 pub struct PickBuffers<'a> {
-    /// Per pixel: 1 + place of the Gaussian in its tile's list, 0 for none, and the bits of its weight: 8 bytes.
+    /// Per pixel: 1 + index of the Gaussian in its tile's list, 0 for none; bits of its weight. 8 bytes.
     pub picks: &'a Buffer,
-    /// Per scene: the index of its first Gaussian among all of the frame, 4 bytes.
+    /// Per scene: index of its first Gaussian in the frame, 4 bytes.
     pub scene_firsts: &'a Buffer,
 }
 
-/// The buffers of motion.
+/// Buffers of motion.
 #[derive(Clone, Copy)]
 pub struct MotionBuffers<'a> {
-    /// Per visible Gaussian: its motion on the screen, px, 8 bytes.
+    /// Per visible Gaussian: motion on the screen, px, 8 bytes.
     pub motions: &'a Buffer,
-    /// Per pixel: the sum of weights * motions, px, 8 bytes.
+    /// Per pixel: sum of weights * motions, px, 8 bytes.
     pub sums: &'a Buffer,
 }
 
-/// How a scene is seen.
+/// View of a scene in its own axes.
 #[derive(Clone, Copy, Debug)]
 pub struct Seen {
-    /// The camera in the scene's own axes and origin, in world units.
+    /// Camera in the scene's own axes and origin, in world units.
     pub camera: Camera,
     /// World units per unit of the scene.
     pub scale: f32,
 }
 
-/// How a scene was seen in the frame before.
+/// View of a scene in the previous frame.
 #[derive(Clone, Copy, Debug)]
 pub struct Before<'a> {
-    /// The frame's camera.
+    /// Camera of the previous frame.
     pub camera: &'a Camera,
-    /// The scene's pose.
+    /// Pose of the scene in the previous frame.
     pub pose: &'a Pose,
 }
 
@@ -55,13 +55,13 @@ impl Before<'_> {
     }
 }
 
-/// How many of them one command writes. They are gathered on the stack: 4 KiB.
+/// Number of indices that one command writes. They are gathered on the stack: 4 KiB.
 const FIRSTS_AT_ONCE: usize = 1024;
 
-/// Records the writes of the scenes' first Gaussians, by which picks find the scene. The caller places a barrier after it.
+/// Records the indices of the scenes' first Gaussians, by which picks find the scene. The caller places a barrier after it.
 ///
 /// # Panics
-/// Without room for them.
+/// If the buffer is too small.
 pub(super) fn record_firsts(r: &mut Recorder, inputs: &FrameInputs) {
     let Some(PickBuffers { scene_firsts, .. }) = inputs.auxiliary.picks else { return };
     let (mut placed, mut first, mut words) = (inputs.scenes.iter(), 0, [0u32; FIRSTS_AT_ONCE]);

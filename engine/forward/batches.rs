@@ -1,8 +1,8 @@
-//! Batches: scenes of a frame whose culling and projection are one dispatch each.
+//! Batches of scenes: one dispatch culls and one projects all scenes of a batch.
 //!
-//! A frame of thousands of small scenes would spend its time on the host, in dispatches. Scenes whose parameters lie in one VkBuffer
-//! can share one: a workgroup is a culling block, which belongs to one scene, and finds that scene in the table of camera blocks
-//! (glsl/include/batch.glsl). Blocks of other scenes that lie between those of a batch are passed over.
+//! A frame of thousands of small scenes would spend its time on the host, in dispatches. Scenes with parameters in one VkBuffer
+//! can share a dispatch. A workgroup is a culling block of one scene, and finds that scene in the table of camera blocks
+//! (glsl/include/batch.glsl). It skips blocks of other scenes that lie between those of a batch.
 
 use super::inputs::{Batch, Parameters, PlacedScene};
 use super::{BlendVariant, Forward, FrameInputs, camera_block};
@@ -11,17 +11,17 @@ use crate::kernels::constants as c;
 use crate::kernels::forward::{cull_scenes, project_scenes};
 use crate::vk::Recorder;
 
-/// A frame of fewer scenes has no batches, and no batch has fewer.
+/// Minimum number of scenes in a batch, and in a frame with batches.
 pub(crate) const LEAST_SCENES: u32 = 8;
-/// Culling blocks of the largest scene in a batch. A batch projects by culling blocks, however few of their Gaussians are visible;
-/// alone, a scene's visible Gaussians fill workgroups.
+/// Maximum number of culling blocks of a scene in a batch. A batch projects whole culling blocks, even if few of their
+/// Gaussians are visible. Outside a batch, a scene's visible Gaussians fill workgroups.
 const MOST_BLOCKS: u32 = 16;
-/// Most culling blocks of others between two scenes of a batch.
+/// Maximum number of other scenes' culling blocks between two scenes of a batch.
 const MOST_BETWEEN: u32 = 32;
-/// Batches that scenes are added to at a time.
+/// Number of batches that accept scenes at the same time.
 const OPEN: usize = 8;
 
-/// What the scenes of a batch have in common, beside the frame.
+/// Properties that the scenes of a batch share.
 #[derive(Clone, Copy)]
 struct Open {
     parameters: Parameters,
@@ -44,7 +44,7 @@ fn prepend(scenes: &mut [PlacedScene<'_>], batch: u32) {
     scenes[0].batch.frame.head = batch;
 }
 
-/// Ends the batches of few scenes, and returns how many scenes the others have.
+/// Dissolves batches with few scenes. Returns the number of scenes in the remaining batches.
 fn keep_large(scenes: &mut [PlacedScene<'_>]) -> u32 {
     let (mut batched, mut ended) = (0, false);
     let mut place = std::mem::replace(&mut scenes[0].batch.frame.head, c::NO_BATCH);
@@ -67,8 +67,8 @@ fn keep_large(scenes: &mut [PlacedScene<'_>]) -> u32 {
 }
 
 impl Forward {
-    /// Assigns the scenes of a frame to batches, and returns how many are in one. Their kernels must be there:
-    /// [`Forward::prepare_batches`].
+    /// Assigns the scenes of a frame to batches and returns the number of scenes in batches. [`Forward::prepare_batches`] must
+    /// have built their kernels.
     pub(crate) fn form_batches(&self, scenes: &mut [PlacedScene<'_>]) -> u32 {
         if scenes.len() < LEAST_SCENES as usize {
             return 0;
@@ -79,7 +79,7 @@ impl Forward {
         batched
     }
 
-    /// Assigns the scenes that can be in a batch, however few they are, and returns how many scenes are drawn.
+    /// Assigns scenes to batches of any size and returns the number of drawn scenes.
     fn assign(&self, scenes: &mut [PlacedScene<'_>]) -> u32 {
         let block = self.sizes.elementwise_workgroup;
         let (mut open, mut drawn) = ([None::<Open>; OPEN], 0);
@@ -95,7 +95,7 @@ impl Forward {
             let first = match known.and_then(|at| open[at]).map(|batch| batch.first) {
                 Some(first) if is_near(first) => first,
                 _ => {
-                    // In place of one that no scene can join any more, or to which few will.
+                    // Replaces a batch that no scene can join any more, or that few scenes will join.
                     let worth = |batch: &Open| match scenes[batch.first as usize].batch.scenes {
                         _ if !is_near(batch.first) => 0,
                         1 if batch.parameters.alone => 1,
@@ -115,7 +115,7 @@ impl Forward {
         drawn
     }
 
-    /// What a scene asks of its batch, if it can be in one.
+    /// Returns the properties that a scene needs of its batch; None if it cannot be in one.
     fn batched(&self, placed: &PlacedScene<'_>, (first, drawn): (u32, u32)) -> Option<Open> {
         let (parameters, kinds) = (placed.batch.parameters, placed.settings.kinds());
         let fits = drawn > 0
@@ -125,7 +125,7 @@ impl Forward {
         fits.then_some(Open { parameters, sh_degree: placed.sh_degree, kinds, first })
     }
 
-    /// Builds the kernels of batches for an SH degree and a variant, unless they exist or no batch has it.
+    /// Builds the missing kernels of batches for an SH degree and a variant. Does nothing if no batch has the variant.
     ///
     /// # Errors
     /// When the device refuses a pipeline.
@@ -141,7 +141,7 @@ impl Forward {
         variant.cull_scenes_spec(&self.sizes, self.context.limits().subgroup_size)
     }
 
-    /// Culls the batch whose first scene this is.
+    /// Records culling of the batch with this first scene.
     pub(super) fn record_batch_flags(
         &self,
         r: &mut Recorder,
@@ -166,14 +166,14 @@ impl Forward {
             parameters: &parameters,
             visible_flags: &f.visible_flags,
             block_counts: f.visible_counts(),
-            // As of one scene.
+            // Same as for a single scene.
             cut_outs: inputs.cut_outs.unwrap_or(&parameters),
             scene_blocks: &camera_block::blocks_of(inputs),
         };
         r.dispatch(kernel, &bind, &push, (end_block - first_block).into());
     }
 
-    /// Records the screen-space attributes of the batch whose first scene this is.
+    /// Records the screen-space attributes of the batch with this first scene.
     pub(super) fn record_batch_project(
         &self,
         r: &mut Recorder,

@@ -9,13 +9,13 @@ use crate::plan::{LaunchSizes, tile_grid};
 use crate::scene::Camera;
 use crate::vk::{Context, KernelSet, Limits, Recorder};
 
-/// How a tile is blended: the same picture, at a cost that depends on the device. The pictures agree to the
-/// bit if the driver's compiler fuses sums of products alike in both kernels, as llvmpipe's does. `precise`
-/// arithmetic decides which Gaussians count.
+/// Form of the blending kernel: the picture is the same, the cost depends on the device. The pictures agree to the bit if the
+/// driver's compiler fuses sums of products alike in both kernels, as llvmpipe's does. `precise` arithmetic decides which
+/// Gaussians count.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Blending {
-    /// Each subgroup culls against its own region of the tile and hands Gaussians over by shuffles or broadcasts. It is the
-    /// faster form on all devices that have been measured.
+    /// Each subgroup culls against its own region of the tile and passes Gaussians on by shuffles or broadcasts. It is the
+    /// faster form on all measured devices.
     #[default]
     Regions,
     /// The paper's form: batches in shared memory, and every invocation loops over the whole batch.
@@ -27,45 +27,47 @@ impl Blending {
     pub const ALL: [Self; 2] = [Self::Regions, Self::SharedMemory];
 }
 
-/// The variant of a frame's kernels: what is blended in addition to colours, and how.
+/// Variant of a frame's kernels: additional outputs of blending, and properties of the Gaussians.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct BlendVariant {
-    /// The sum of weights / z, or of weights * z with `linear_depth`.
+    /// Blends the sum of weights / z, or of weights * z with `linear_depth`.
     pub inverse_depth: bool,
     /// See `inverse_depth`.
     pub linear_depth: bool,
-    /// Splats farther away than the frame's depth limits do not count.
+    /// Splats beyond the frame's depth limits do not count.
     pub depth_limit: bool,
     /// The picture is stored in the layout of the backward pass.
     pub backward: bool,
-    /// Splats may be steeper than [`DILATION_PX2`](crate::kernels::constants::DILATION_PX2) leaves them, as
-    /// ellipsoids are. The products of INCREMENTAL_EXP would underflow (glsl/include/blending.glsl).
+    /// Splats may be steeper than [`DILATION_PX2`](crate::kernels::constants::DILATION_PX2) allows, like those of ellipsoids.
+    /// The products of INCREMENTAL_EXP would underflow (glsl/include/blending.glsl).
     pub steep: bool,
-    /// Gaussians have a 3D filter: this concerns culling and projection.
+    /// Gaussians have a 3D filter. Affects culling and projection.
     pub filter_3d: bool,
-    /// Some Gaussians are left out at random: as `filter_3d`.
+    /// Random Gaussians are omitted. Affects culling and projection.
     pub dropout: bool,
-    /// A scene has a tint or an opacity ([`SceneSettings`]): as `filter_3d`.
+    /// A scene has a tint or an opacity ([`SceneSettings`]). Affects culling and projection.
     pub tinted: bool,
-    /// A scene has cut-outs: this concerns culling.
+    /// A scene has cut-outs. Affects culling.
     pub cut_outs: bool,
-    /// A scene has a selection: this concerns projection.
+    /// A scene has a selection. Affects projection.
     pub selection: bool,
-    /// The splats' records have z in place of 1/z, so that the sum of weights * z is differentiable; `linear_depth` is not:
-    /// this concerns projection.
+    /// The splats' records have z in place of 1/z, so that the sum of weights * z is differentiable, unlike with
+    /// `linear_depth`. Affects projection.
     pub z_record: bool,
-    /// The Gaussian of the largest weight is kept for each pixel.
+    /// Stores the Gaussian of the largest weight for each pixel.
     pub pick: bool,
-    /// The sum of weights * motions.
+    /// Blends the sum of weights * motions.
     pub motion: bool,
-    /// The camera's rays are parallel ([`Projection::Orthographic`](crate::scene::Projection::Orthographic)): as `filter_3d`.
+    /// The camera's rays are parallel ([`Projection::Orthographic`](crate::scene::Projection::Orthographic)). Affects culling
+    /// and projection.
     pub orthographic: bool,
-    /// Views have one order: culling adds to what earlier ones see, and projection leaves out what its view does not show.
+    /// Views share one order. Culling adds to the visible Gaussians of earlier views, and projection omits those that its view
+    /// does not show.
     pub shared_order: bool,
 }
 
 impl BlendVariant {
-    /// That of a pinhole's frame of one scene, in a buffer of its own.
+    /// Returns the variant of a pinhole's frame of one scene, in a buffer of its own.
     pub fn of(settings: &RenderSettings, backward: bool) -> Self {
         Self {
             inverse_depth: settings.inverse_depth,
@@ -78,13 +80,13 @@ impl BlendVariant {
         }
     }
 
-    /// That of one of a frame's scenes.
+    /// Returns the variant of one of a frame's scenes.
     pub(crate) fn of_scene(self, scene: &SceneSettings) -> Self {
         let [tinted, cut_outs, selection] = scene.kinds();
         Self { tinted, cut_outs, selection, ..self }
     }
 
-    /// With a camera.
+    /// Returns the variant with a camera.
     pub(crate) fn of_camera(self, camera: &Camera) -> Self {
         Self { orthographic: camera.is_orthographic(), ..self }
     }
@@ -111,7 +113,7 @@ impl BlendVariant {
         }
     }
 
-    /// Whether batches have it.
+    /// True if batches support the variant.
     pub(super) fn may_be_batched(self) -> bool {
         !(self.dropout || self.selection || self.z_record || self.backward)
     }
@@ -140,7 +142,7 @@ impl BlendVariant {
     }
 }
 
-/// The blending kernels.
+/// Kernels of blending.
 pub(super) struct Blend {
     blending: Blending,
     broadcast: bool,
@@ -151,7 +153,7 @@ pub(super) struct Blend {
     shared_auxiliary: KernelSet<blend_shared_auxiliary::Interface>,
 }
 
-/// One of the blending kernels. Those of frames with picks or motions have further outputs.
+/// Key of a blending kernel. Kernels of frames with picks or motions have further outputs.
 enum BlendKey {
     Regions(blend::Spec),
     Shared(blend_shared::Spec),
@@ -159,8 +161,7 @@ enum BlendKey {
     SharedAuxiliary(blend_shared_auxiliary::Spec),
 }
 
-/// The buffers of blend_io.glsl, for all kernels; and those of blend_auxiliary.glsl, which are bound also where they are
-/// not used.
+/// Buffers of blend_io.glsl, for all kernels; and those of blend_auxiliary.glsl, which must be bound even if they are not used.
 macro_rules! blend_bind {
     ($kernel:ident, $inputs:expr, $sizes:expr $(, $auxiliary:ident)?) => {{
         let frame = $inputs.frame;
@@ -175,7 +176,7 @@ macro_rules! blend_bind {
             inverse_depth: &frame.inverse_depth,
             last_entries: &frame.last_entries,
             state: &frame.state,
-            // Without a limit it is not read, but must be bound.
+            // Without a limit the kernel does not read this binding.
             depth_limits: $inputs.depth_limits.unwrap_or(&frame.tile_ranges),
             composited: &frame.composited,
             $(
@@ -301,9 +302,9 @@ impl Blend {
     }
 }
 
-/// Records the blending of all tiles, forward or backward. Very long tiles need several passes, and each pass
-/// has enough dispatches to bound the work of one. `dispatch` receives the push constants of blend_io.glsl,
-/// which the kernels have in common, and the number of tiles.
+/// Records the blending of all tiles, forward or backward. Very long tiles need several passes, and each pass has enough
+/// dispatches to bound the work of one. `dispatch` receives the push constants of blend_io.glsl, which the kernels share, and
+/// the number of tiles.
 pub(crate) fn record_passes(
     r: &mut Recorder,
     inputs: &FrameInputs,
@@ -312,7 +313,7 @@ pub(crate) fn record_passes(
 ) {
     let (columns, rows) = tile_grid(inputs.camera.width, inputs.camera.height);
     let passes = inputs.capacity.blend_passes;
-    // The host knows the capacity only, not the number of instances.
+    // The host only knows the capacity, not the number of instances.
     let parts = sizes.blend_dispatches(inputs.capacity.instances, 1);
     for (part, pass) in (0..parts).flat_map(|part| (0..passes).map(move |pass| (part, pass))) {
         if part + pass > 0 {

@@ -1,10 +1,9 @@
-//! The camera blocks of a frame: what the kernels that project Gaussians know of a scene's camera and of the
-//! settings, in one uniform block per scene. They lie behind each other: kernels over all scenes read them as a table.
+//! Camera blocks of a frame: one uniform block per scene with its camera and the settings, for the kernels that project
+//! Gaussians. The blocks are contiguous, so kernels over all scenes read them as a table.
 //!
 //! A new scalar of the projection takes three files: a member in `glsl/include/camera_members.glsl`, a field of
-//! `RenderSettings` and a line of [`block_of_frame`] below, and its use in a shader. The blocks are written
-//! by commands of the frame's own recording, so a recording needs no host memory, and frames in flight do not
-//! share a block.
+//! `RenderSettings` with a line of [`block_of_frame`] below, and its use in a shader. Commands of the frame's own recording
+//! write the blocks. So a recording needs no host memory, and frames in flight do not share a block.
 
 use super::inputs::{FrameInputs, PlacedScene};
 use super::settings::{Dropout, JacobianLimit, RenderSettings};
@@ -17,12 +16,12 @@ use crate::vk::{Buffer, MAX_UPDATE_BYTES, Recorder};
 use bytemuck::Zeroable;
 use std::mem::offset_of;
 
-/// The block of a frame's scene, by the scene's place in the frame.
+/// Camera block of a scene, by its place in the frame.
 pub(crate) fn block_of(frame: &FrameBuffers, scene: usize) -> Buffer {
     frame.camera_blocks.range(scene as u64 * CAMERA_BLOCK_BYTES, CAMERA_BLOCK_BYTES)
 }
 
-/// Bytes of a camera's pose at the start of its block: the rows of the rotation from world to camera, and the translation.
+/// Bytes of a camera's pose at the start of its block: rows of the rotation from world to camera, then the translation.
 pub const POSE_BYTES: u64 = 48;
 const _: () = assert!(
     offset_of!(CameraBlock, camera_row_x) == 0
@@ -32,7 +31,7 @@ const _: () = assert!(
 
 const _: () = assert!(crate::scene::camera::NEAR_PLANE == constants::NEAR_PLANE);
 
-/// A camera's pose as the device keeps it: the rows of the rotation from world to camera, then the translation.
+/// Pose of a camera in device layout: rows of the rotation from world to camera, then the translation.
 pub fn pose_of(camera: &Camera) -> [f32; 12] {
     let rows = camera.camera_from_world.transpose();
     let mut pose = [0.0; 12];
@@ -41,18 +40,18 @@ pub fn pose_of(camera: &Camera) -> [f32; 12] {
     pose
 }
 
-/// The blocks of all scenes of a frame.
+/// Camera blocks of all scenes of a frame.
 pub(super) fn blocks_of(inputs: &FrameInputs) -> Buffer {
     let scenes = inputs.scenes.len() as u64;
     let first = inputs.first_block() as u64 * CAMERA_BLOCK_BYTES;
     inputs.frame.camera_blocks.range(first, scenes * CAMERA_BLOCK_BYTES)
 }
 
-/// Blocks that one command writes, from the host's stack.
+/// Number of blocks that one command writes, from the host's stack.
 const BLOCKS_PER_UPDATE: usize = 64;
 const _: () = assert!(BLOCKS_PER_UPDATE * size_of::<Block>() <= MAX_UPDATE_BYTES);
 
-/// A block, up to the next one.
+/// A block with its padding.
 #[repr(C)]
 #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
 struct Block {
@@ -61,10 +60,10 @@ struct Block {
 }
 const _: () = assert!(size_of::<Block>() as u64 == CAMERA_BLOCK_BYTES);
 
-/// Records the writes of the blocks of all scenes, those that are not drawn among them. The caller places a barrier after it.
+/// Records the writes of all scenes' blocks, including scenes that are not drawn. The caller places a barrier after it.
 pub(super) fn record_blocks(r: &mut Recorder, inputs: &FrameInputs) {
     let all = blocks_of(inputs);
-    // The scenes have most of a block in common: it is written once.
+    // Most members are the same for all scenes, so they are computed once.
     let of_frame = Block { values: block_of_frame(inputs.camera, inputs.settings), ..Block::zeroed() };
     let mut blocks = [of_frame; BLOCKS_PER_UPDATE];
     let (mut scenes, mut written) = (inputs.scenes.iter(), 0);
@@ -77,7 +76,7 @@ pub(super) fn record_blocks(r: &mut Recorder, inputs: &FrameInputs) {
             set_scene(&mut block.values, placed);
             filled += 1;
         }
-        // What the device knows better stays out of the first block.
+        // The first block's pose comes from the device if it has one.
         let known = if written == 0 && inputs.pose.is_some() { POSE_BYTES } else { 0 };
         let values = &bytemuck::cast_slice::<_, u8>(&blocks[..filled])[known as usize..];
         let bytes = values.len() as u64;
@@ -86,7 +85,7 @@ pub(super) fn record_blocks(r: &mut Recorder, inputs: &FrameInputs) {
     }
 }
 
-/// What the blocks of a frame's scenes have in common: their cameras differ in where they stand alone.
+/// Members that all scenes of a frame share. Their cameras differ only in the pose.
 fn block_of_frame(camera: &Camera, settings: &RenderSettings) -> CameraBlock {
     let shape = DrawnShape::of(settings);
     let CutLimits { low, high, opacity_logit, log_density } = settings.cut.limits();
@@ -116,7 +115,7 @@ fn block_of_frame(camera: &Camera, settings: &RenderSettings) -> CameraBlock {
     }
 }
 
-/// Sets what the blocks of a frame's scenes differ in.
+/// Sets the members that differ between the scenes of a frame.
 #[inline]
 fn set_scene(block: &mut CameraBlock, placed: &PlacedScene<'_>) {
     let PlacedScene { camera, scale, settings: scene, .. } = placed;
@@ -139,7 +138,7 @@ fn set_scene(block: &mut CameraBlock, placed: &PlacedScene<'_>) {
     block.scene_cut_outs = scene.cut_out_count();
 }
 
-/// Limits of x/z and y/z (low, high, low, high) within which the projection is linearised.
+/// Limits of x/z and y/z (low, high, low, high) between which the projection is linearised.
 fn jacobian_limits(camera: &Camera, limit: JacobianLimit) -> [f32; 4] {
     let axis = |focal: f32, center: f32, size: u32| {
         let size = size as f32;

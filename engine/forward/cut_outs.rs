@@ -1,4 +1,4 @@
-//! The cut-outs of a frame's scenes as culling reads them (cut_outs.glsl).
+//! Cut-outs of a frame's scenes in the layout that culling reads (cut_outs.glsl).
 
 use super::inputs::FrameInputs;
 use crate::kernels::constants as c;
@@ -11,10 +11,10 @@ type Words = [[f32; 4]; c::CUT_OUT_PLANES as usize];
 /// Bytes of a cut-out on the device.
 pub(crate) const CUT_OUT_BYTES: u64 = size_of::<Words>() as u64;
 
-/// Records the writes of the cut-outs of all scenes. The caller places a barrier after it.
+/// Records the writes of all scenes' cut-outs. The caller places a barrier after it.
 ///
 /// # Panics
-/// Without room for them.
+/// If the buffer is too small.
 pub(super) fn record(r: &mut Recorder, inputs: &FrameInputs) {
     // The last scene's lie behind all others'.
     let end = inputs.scenes.last().map_or(0, |last| last.first_cut_out + last.settings.cut_out_count());

@@ -1,8 +1,8 @@
-//! Mip-Splatting's 3D filter (Yu et al. 2024, section 5.1): each Gaussian is convolved with one as large as what the
-//! nearest camera can resolve.
+//! Mip-Splatting's 3D filter (Yu et al. 2024, section 5.1): convolves each Gaussian with a filter as large as the finest detail
+//! that the nearest camera resolves.
 //!
-//! A size is the fourth component of a Gaussian's log-scales on the device; 0 is none. Culling, projection and the backward
-//! pass read it where [`RenderSettings::filter_3d`](super::RenderSettings::filter_3d) is set.
+//! The device stores a size as the fourth component of a Gaussian's log-scales; 0 is none. Culling, projection and the backward
+//! pass read it if [`RenderSettings::filter_3d`](super::RenderSettings::filter_3d) is set.
 
 use super::{POSE_BYTES, SceneBuffers, pose_of};
 use crate::error::{Error, Result};
@@ -12,12 +12,12 @@ use crate::plan::{LaunchSizes, blocks, to_u32};
 use crate::scene::Camera;
 use crate::vk::{Buffer, Context, Kernel, MemoryKind, Recorder};
 
-/// A mean counts as seen up to this share of the picture's size outside it (compute_3D_filter).
+/// Margin outside the picture in which a mean still counts as visible, as a share of the picture's size (compute_3D_filter).
 const MARGIN: f64 = 0.15;
 /// Variance of the filter, in squares of a pixel's size at the nearest depth.
 const VARIANCE_PX2: f64 = 0.2;
 
-/// The kernels, and the cameras.
+/// Kernels of the filter, with the cameras.
 pub struct Filter3d {
     sizes: LaunchSizes,
     nearest: Kernel<nearest_depths::Interface>,
@@ -36,7 +36,7 @@ impl Filter3d {
         [("filter_poses", cameras * POSE_BYTES), ("filter_bounds", cameras * 16), ("farthest", 4)]
     }
 
-    /// Builds the kernels and uploads the cameras from which a scene is trained.
+    /// Builds the kernels and uploads the training cameras.
     ///
     /// # Errors
     /// [`Error::Argument`] without cameras, and for an orthographic one; memory or device failures.
@@ -71,15 +71,15 @@ impl Filter3d {
         })
     }
 
-    /// With the cameras where the device has them: [`POSE_BYTES`] per camera, as
-    /// [`FrameInputs::pose`](super::FrameInputs::pose) has them.
+    /// Uses cameras that the device has: [`POSE_BYTES`] per camera, in the layout of
+    /// [`FrameInputs::pose`](super::FrameInputs::pose).
     #[must_use]
     pub fn with_poses(self, poses: Buffer) -> Self {
         Self { poses, ..self }
     }
 
-    /// Records the computation of all sizes of a scene. The caller places barriers before and after. Nothing changes if
-    /// `state[STATE_OVERFLOW]` is set.
+    /// Records the computation of all sizes of a scene. The caller places barriers before and after. If `state[STATE_OVERFLOW]`
+    /// is set, nothing changes.
     pub fn record(&self, r: &mut Recorder, scene: &SceneBuffers, state: &Buffer) {
         r.scope("3D filter", |r| {
             r.fill(&self.farthest, 0);
@@ -108,7 +108,7 @@ impl Filter3d {
         });
     }
 
-    /// Computes all sizes of a scene now.
+    /// Computes all sizes of a scene immediately.
     ///
     /// # Errors
     /// Memory or device failures.
@@ -129,7 +129,7 @@ impl Filter3d {
     }
 }
 
-/// The bounds of x/z and y/z within which a mean counts as seen.
+/// Limits of x/z and y/z between which a mean counts as visible.
 fn bounds_of(camera: &Camera) -> [f32; 4] {
     let bounds = |focal: f32, center: f32, size: u32| {
         let (focal, center, size) = (f64::from(focal), f64::from(center), f64::from(size));

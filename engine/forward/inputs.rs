@@ -1,4 +1,4 @@
-//! The inputs of a frame: scenes with their transforms, a camera, settings.
+//! Inputs of a frame: scenes with their transforms, a camera, settings.
 
 use super::{Auxiliary, Before, BlendVariant, RenderSettings, SceneSettings, Seen};
 use crate::kernels::constants::NO_BATCH;
@@ -6,19 +6,19 @@ use crate::plan::{FrameBuffers, FrameCapacity, GaussianRange, ScenePlan};
 use crate::scene::Camera;
 use crate::vk::{Buffer, Context};
 
-/// The parameters of a scene on the device: planes split into chunks.
+/// Parameters of a scene on the device: planes split into chunks.
 #[derive(Clone)]
 pub struct SceneBuffers {
     /// One buffer per chunk of Gaussians.
     pub chunks: Vec<Buffer>,
-    /// The layout of the planes.
+    /// Layout of the planes.
     pub plan: ScenePlan,
     /// Number of Gaussians.
     pub count: u32,
 }
 
 impl SceneBuffers {
-    /// The evaluated SH degree: the settings' degree, at most the stored one.
+    /// Returns the SH degree to evaluate: the settings' degree, at most the stored one.
     #[inline]
     pub fn active_degree(&self, settings: &RenderSettings) -> u32 {
         settings.sh_degree.unwrap_or(self.plan.sh_degree).min(self.plan.sh_degree)
@@ -32,34 +32,34 @@ pub struct FrameInputs<'a> {
     pub scenes: &'a [PlacedScene<'a>],
     /// The frame's buffers.
     pub frame: &'a FrameBuffers,
-    /// Their capacity.
+    /// Capacity of the frame's buffers.
     pub capacity: &'a FrameCapacity,
     /// The camera in the axes of the first scene.
     pub camera: &'a Camera,
     /// Where the camera of the first scene is, if the device knows better than `camera` ([`POSE_BYTES`](super::POSE_BYTES)): the
     /// rows of the rotation from world to camera, then the translation, with the scale 1.
     pub pose: Option<&'a Buffer>,
-    /// How to render.
+    /// Render settings of the frame.
     pub settings: &'a RenderSettings,
     /// Per pixel of the image: 1/z of the opaque surface that hides splats, 0 for none.
     pub depth_limits: Option<&'a Buffer>,
-    /// Room for the cut-outs of all scenes, 64 bytes each; may be `None` if there are none.
+    /// Buffer for the cut-outs of all scenes, 64 bytes each; may be `None` if there are none.
     pub cut_outs: Option<&'a Buffer>,
-    /// Sum weights * z instead of weights / z.
+    /// Renders the sum of weights * z instead of weights / z.
     pub linear_depth: bool,
     /// A backward pass follows: store the picture in its layout, see [`FrameBuffers::rendered`]. No scene has a tint, an opacity
     /// or a selection then.
     pub backward: bool,
-    /// Keep the previous frame's STATE_OVERFLOW: all frames after one that overflowed are invalid too.
+    /// True to keep the previous frame's STATE_OVERFLOW, because all frames after an overflow are invalid too.
     pub keeps_overflow: bool,
-    /// What is left beside the picture; nothing with `backward`.
+    /// Further outputs besides the picture; none with `backward`.
     pub auxiliary: Auxiliary<'a>,
     /// Which of some views with one order it is ([`Forward::record_first`](super::Forward::record_first)); `None` alone.
     pub view: Option<u32>,
 }
 
 impl FrameInputs<'_> {
-    /// The variant of blending that the frame needs.
+    /// Returns the variant of blending for the frame.
     pub fn blend_variant(&self) -> BlendVariant {
         BlendVariant {
             linear_depth: self.linear_depth,
@@ -75,37 +75,36 @@ impl FrameInputs<'_> {
 /// The batch of a scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Batch {
-    /// The place of its first scene in the frame; [`NO_BATCH`] for a scene that is drawn alone.
+    /// Place of the batch's first scene in the frame; [`NO_BATCH`] for a scene outside batches.
     pub first: u32,
-    /// Of its first scene: how many there are.
+    /// Number of scenes in the batch. Only set for its first scene.
     pub(super) scenes: u32,
-    /// Of its first scene: one past the last Gaussian of all, in the frame.
+    /// One past the batch's last Gaussian in the frame. Only set for its first scene.
     pub(super) end: u32,
-    /// Of its first scene: the place of the first scene of the frame's next batch; [`NO_BATCH`] for none.
+    /// Place of the first scene of the frame's next batch; [`NO_BATCH`] for none. Only set for the batch's first scene.
     pub(super) next: u32,
     pub(super) parameters: Parameters,
-    /// Of the frame's first scene.
+    /// Batches of the frame. Only set for the frame's first scene.
     pub(super) frame: FrameBatches,
 }
 
-/// What a frame's batches draw, so that nobody looks through thousands of scenes for it.
+/// Batches of a frame, so that recording need not scan all scenes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct FrameBatches {
-    /// The place of the first scene of the first batch; [`NO_BATCH`] for none.
+    /// Place of the first scene of the first batch; [`NO_BATCH`] for none.
     pub(super) head: u32,
-    /// Whether they draw all that is drawn.
+    /// True if the batches draw everything.
     pub(super) all: bool,
 }
 
-/// Where a scene's parameters lie among those of others. A frame of thousands of scenes has it at hand, and does not fetch
-/// each scene's list of buffers.
+/// Location of a scene's parameters. A frame of thousands of scenes need not fetch each scene's list of buffers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Parameters {
-    /// Their VkBuffer; 0 if there are several or kernels cannot bind it as a whole.
+    /// VkBuffer of the parameters; 0 if there are several, or if kernels cannot bind it as a whole.
     pub(super) memory: u64,
-    /// Where they begin in it, vec4.
+    /// First vec4 of the parameters in that buffer.
     pub(super) begin: u32,
-    /// Whether it has no room for others of their size.
+    /// True if the buffer has no space for other scenes of this size.
     pub(super) alone: bool,
 }
 
@@ -123,14 +122,14 @@ impl Parameters {
 }
 
 impl Batch {
-    /// A scene that is drawn alone.
+    /// A scene outside batches.
     pub const ALONE: Self = {
         let parameters = Parameters { memory: 0, begin: 0, alone: true };
         let frame = FrameBatches { head: NO_BATCH, all: false };
         Self { first: NO_BATCH, scenes: 0, end: 0, next: NO_BATCH, parameters, frame }
     };
 
-    /// The same of a scene that may come into a batch.
+    /// A scene that may join a batch.
     pub(crate) fn none_yet(parameters: Parameters) -> Self {
         Self { parameters, ..Self::ALONE }
     }
@@ -139,25 +138,25 @@ impl Batch {
 /// A scene of a frame. It is small, because a frame may have thousands: what it refers to is read where it is needed.
 #[derive(Clone, Copy)]
 pub struct PlacedScene<'a> {
-    /// The scene.
+    /// Parameters of the scene.
     pub scene: &'a SceneBuffers,
-    /// The frame's camera in the scene's own axes and origin, in world units.
+    /// Camera of the frame in the scene's own axes and origin, in world units.
     pub camera: Camera,
     /// World units per unit of the scene.
     pub scale: f32,
     /// Evaluated SH degree.
     pub sh_degree: u32,
-    /// How it is drawn; its SH degree is in `sh_degree`.
+    /// Settings of the scene; its SH degree is in `sh_degree`.
     pub settings: &'a SceneSettings<'a>,
-    /// Index of its first Gaussian among all of the frame. It comes after the previous scene, at a multiple
-    /// of [`LaunchSizes::elementwise_workgroup`](crate::plan::LaunchSizes::elementwise_workgroup), so that a
-    /// culling block belongs to one scene.
+    /// Index of the scene's first Gaussian in the frame. It follows the previous scene, at a multiple of
+    /// [`LaunchSizes::elementwise_workgroup`](crate::plan::LaunchSizes::elementwise_workgroup), so that a culling block belongs
+    /// to one scene.
     pub first: u32,
-    /// Index of its first cut-out among all of the frame.
+    /// Index of the scene's first cut-out in the frame.
     pub first_cut_out: u32,
-    /// How it was seen in the frame before, for its motion; as now if `None`.
+    /// View of the scene in the previous frame, for its motion; the current view if `None`.
     pub previous: Option<Before<'a>>,
-    /// Which others its dispatches draw, too.
+    /// Batch that the scene's dispatches draw.
     pub batch: Batch,
 }
 
@@ -183,29 +182,29 @@ impl<'a> PlacedScene<'a> {
         if self.settings.draws() { self.scene.count } else { 0 }
     }
 
-    /// Of the first scene of a batch: its first culling block and one past the last, of `block` Gaussians each.
+    /// First culling block of the batch and one past its last, of `block` Gaussians each. Only for the batch's first scene.
     pub(super) fn batch_blocks(&self, block: u32) -> [u32; 2] {
         [self.first / block, self.batch.end.div_ceil(block)]
     }
 }
 
-/// The inputs of one dispatch over a scene's parameters.
+/// Inputs of one dispatch over a scene's parameters.
 #[derive(Clone, Copy)]
 pub(super) struct Part<'a> {
     pub(super) scene: &'a SceneBuffers,
-    /// The place of the scene's camera block.
+    /// Index of the scene's camera block.
     pub(super) block: usize,
     pub(super) sh_degree: u32,
     pub(super) settings: &'a SceneSettings<'a>,
-    /// Of the frame.
+    /// Index of the scene's first cut-out in the frame.
     pub(super) first_cut_out: u32,
     /// First Gaussian of the range in its scene.
     pub(super) first_of_scene: u32,
-    /// Of the frame: its first Gaussian counts among those of all scenes.
+    /// Range of Gaussians in the frame, counted over all scenes.
     pub(super) range: GaussianRange,
-    /// Indices that the range takes in the frame: with the gap between its scene and the next one.
+    /// Number of the frame's indices for the range, including the gap before the next scene.
     pub(super) flags: u32,
-    /// How the scene was seen in the frame before.
+    /// View of the scene in the previous frame.
     pub(super) previous: Seen,
 }
 
@@ -251,7 +250,7 @@ impl<'a> FrameInputs<'a> {
         std::iter::successors(at(scenes[0].batch.frame.head), move |(_, placed)| at(placed.batch.next))
     }
 
-    /// The dispatches over parameters of scenes that are drawn alone: chunk by chunk, scene by scene.
+    /// Dispatches over the parameters of scenes outside batches: chunk by chunk, scene by scene.
     pub(super) fn parts(&self) -> impl Iterator<Item = Part<'a>> + use<'a> {
         let (first_block, end, scenes) = (self.first_block(), self.index_count(), self.scenes);
         // Where batches draw everything, nobody looks through thousands of scenes.

@@ -33,8 +33,8 @@ impl Forward {
         r.barrier();
     }
 
-    /// Sorts the instances by tile. The sort is stable, so depth order remains within a tile. The values are
-    /// the instance indices before the tile sort, or without backward the visible Gaussians.
+    /// Records the sort of the instances by tile. It is stable, so each tile keeps the depth order. The values are the instance
+    /// indices before the tile sort, or without backward the visible Gaussians.
     pub(super) fn record_tile_sort(&self, r: &mut Recorder, inputs: &FrameInputs) {
         let f = inputs.frame;
         let (columns, rows) = tile_grid(inputs.camera.width, inputs.camera.height);
@@ -54,7 +54,7 @@ impl Forward {
         r.barrier();
     }
 
-    /// Finds the begin and end of each tile's instances.
+    /// Records the begin and end of each tile's instances.
     pub(super) fn record_ranges(&self, r: &mut Recorder, inputs: &FrameInputs) {
         let f = inputs.frame;
         let bind = ranges::Bind {

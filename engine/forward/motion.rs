@@ -1,4 +1,4 @@
-//! The motion of the visible Gaussians on the screen, in frames that ask for it.
+//! Motion of the visible Gaussians on the screen, in frames that request it.
 
 use super::auxiliary::{MotionBuffers, Seen};
 use super::inputs::Part;
@@ -12,7 +12,7 @@ impl Forward {
         screen_motion::Spec { workgroup_size, orthographic, previous_orthographic }
     }
 
-    /// The kernels that frames of a variant may need: the camera now and the one before may differ in their projection.
+    /// Kernels that frames of a variant may need: the projections of the current and the previous camera may differ.
     pub(super) fn motion_specs(&self, variant: BlendVariant) -> impl Iterator<Item = screen_motion::Spec> {
         const PROJECTIONS: [[bool; 2]; 4] = [[false, false], [true, false], [false, true], [true, true]];
         let count = match (variant.motion, variant.orthographic) {
@@ -23,8 +23,8 @@ impl Forward {
         PROJECTIONS.into_iter().take(count).map(|projections| self.motion_spec(projections))
     }
 
-    /// Records the motions of a part's visible Gaussians, if the frame asks for them. It writes nothing that the projection
-    /// reads or writes, and needs no barrier between them.
+    /// Records the motions of a part's visible Gaussians if the frame requests them. The projection neither reads nor writes
+    /// these outputs, so no barrier is necessary between them.
     pub(super) fn record_screen_motion(&self, r: &mut Recorder, inputs: &FrameInputs, part: &Part) {
         let Some(MotionBuffers { motions, .. }) = inputs.auxiliary.motion else { return };
         let (f, Seen { camera, scale }) = (inputs.frame, part.previous);
@@ -38,7 +38,7 @@ impl Forward {
             previous_row_z: rows.z_axis.to_array(),
             previous_translation: camera.translation.to_array(),
             previous_focal_px: [camera.fx, camera.fy],
-            // As in the camera block.
+            // Same offset as in the camera block.
             previous_center_px: [camera.cx - 0.5, camera.cy - 0.5],
         };
         let bind = screen_motion::Bind {

@@ -1,25 +1,25 @@
-//! How one scene of a frame is drawn, beside the frame's settings.
+//! Settings of one scene of a frame, besides the frame's settings.
 
 use crate::error::{Error, Result};
 use crate::kernels::constants::TINTED_COLOR_MAX;
 use crate::scene::{CutOut, MAX_CUT_OUTS};
 use crate::vk::Buffer;
 
-/// How one scene of a frame is drawn. The default draws it as it is, with the kernels of a frame without any of this.
+/// Settings of one scene of a frame. The default draws the scene unchanged, with the kernels of a frame without these settings.
 #[derive(Clone, Copy, Debug)]
 pub struct SceneSettings<'a> {
-    /// Whether it is drawn. A scene that is not takes no Gaussians of the reservation and no time on the device. It counts among
-    /// the scenes, and the others keep their places in [`RecordedFrame::scenes`](crate::RecordedFrame::scenes).
+    /// True if the scene is drawn. A hidden scene takes no Gaussians of the reservation and no time on the device. It still
+    /// counts as a scene, and the others keep their places in [`RecordedFrame::scenes`](crate::RecordedFrame::scenes).
     pub visible: bool,
-    /// Factors of red, green and blue, each 0 to [`MAX_TINT`]. They multiply the colour of each Gaussian after its spherical
-    /// harmonics and their clamp at 0: display-encoded, as trained. The product is at most
+    /// Factors of red, green and blue, each 0 to [`MAX_TINT`]. They multiply each Gaussian's colour after its spherical
+    /// harmonics and their clamp at 0: display-encoded, as trained. The product is clamped to
     /// [`TINTED_COLOR_MAX`](crate::kernels::constants::TINTED_COLOR_MAX), the largest half float.
     pub tint: [f32; 3],
-    /// Factor of each Gaussian's opacity after the sigmoid, 0 to 1. Other [shapes](crate::Shape) than Gaussians stay opaque. At
-    /// 0 nothing is drawn, as where the scene is not visible.
+    /// Factor of each Gaussian's opacity after the sigmoid, 0 to 1. Other [shapes](crate::Shape) than Gaussians stay opaque. A
+    /// factor of 0 hides the scene.
     pub opacity: f32,
-    /// Highest evaluated SH degree, 0 to 3: lower degrees alone. `None` for the frame's
-    /// [`sh_degree`](crate::RenderSettings::sh_degree), which is never exceeded.
+    /// Highest evaluated SH degree, 0 to 3. `None` uses the frame's [`sh_degree`](crate::RenderSettings::sh_degree), which is
+    /// also the upper limit.
     pub sh_degree: Option<u32>,
     /// Volumes that keep or remove Gaussians, in the scene's own coordinates: at most [`MAX_CUT_OUTS`].
     pub cut_outs: &'a [CutOut],
@@ -30,13 +30,13 @@ pub struct SceneSettings<'a> {
 /// Gaussians of a scene that are drawn in another colour.
 #[derive(Clone, Copy, Debug)]
 pub struct Selection<'a> {
-    /// A bit per Gaussian of the scene: bit i % 32 of word i / 32, set where it is selected. A host's buffer
-    /// ([`Buffer::adopt`]) or one of the context's, of whole words for all Gaussians; the host synchronises its writes as for
-    /// any buffer that compute shaders read.
+    /// A bit per Gaussian of the scene: bit i % 32 of word i / 32, set if selected. A host's buffer ([`Buffer::adopt`]) or the
+    /// context's, with whole words for all Gaussians. The host synchronises its writes as for any buffer that compute shaders
+    /// read.
     pub mask: &'a Buffer,
-    /// The other colour, display-encoded, 0 to [`TINTED_COLOR_MAX`] each.
+    /// Colour of the selection, display-encoded, 0 to [`TINTED_COLOR_MAX`] per channel.
     pub color: [f32; 3],
-    /// Its share in the drawn colour, 0 to 1; the rest is the Gaussian's own, under the tint.
+    /// Share of that colour, 0 to 1; the rest is the Gaussian's own colour with the tint.
     pub share: f32,
 }
 
@@ -50,18 +50,18 @@ impl Default for SceneSettings<'_> {
 }
 
 impl<'a> SceneSettings<'a> {
-    /// As the scene is.
+    /// Draws the scene unchanged.
     pub const USUAL: Self =
         Self { visible: true, tint: [1.0; 3], opacity: 1.0, sh_degree: None, cut_outs: &[], selection: None };
 
     /// Checks the numbers.
     ///
     /// # Errors
-    /// [`Error::Argument`] with the field's name for a tint, an opacity or a selection's colour out of range or no number, an
-    /// SH degree above 3, too many cut-outs, and those of [`CutOut::check`].
+    /// [`Error::Argument`] with the field's name for a tint, an opacity or a selection's colour that is NaN or out of range, an
+    /// SH degree above 3, and too many cut-outs; errors of [`CutOut::check`].
     #[inline]
     pub fn check(&self) -> Result<()> {
-        // As most scenes of a frame of thousands are.
+        // Fast path for frames of thousands of scenes.
         let is_simple = self.sh_degree.is_none() & self.cut_outs.is_empty() & self.selection.is_none();
         match is_simple & self.has_possible_factors() {
             true => Ok(()),
@@ -69,7 +69,7 @@ impl<'a> SceneSettings<'a> {
         }
     }
 
-    /// Whether the tint and the opacity are in their ranges.
+    /// True if the tint and the opacity are in their ranges.
     #[inline]
     fn has_possible_factors(&self) -> bool {
         let [r, g, b] = self.tint.map(|factor| (0.0..=MAX_TINT).contains(&factor));
@@ -105,19 +105,19 @@ impl<'a> SceneSettings<'a> {
         })
     }
 
-    /// Whether anything is drawn.
+    /// True if any Gaussian is drawn.
     #[inline]
     pub fn draws(&self) -> bool {
         self.visible && self.opacity > 0.0
     }
 
-    /// Number of cut-outs of what is drawn.
+    /// Number of cut-outs, 0 if the scene is hidden.
     #[inline]
     pub fn cut_out_count(&self) -> u32 {
         if self.draws() { self.cut_outs.len() as u32 } else { 0 }
     }
 
-    /// The mask of a selection that shows.
+    /// Mask of the selection, if it is visible.
     #[inline]
     pub fn mask(&self) -> Option<&'a Buffer> {
         self.selection
@@ -125,13 +125,13 @@ impl<'a> SceneSettings<'a> {
             .map(|selection| selection.mask)
     }
 
-    /// What concerns its kernels: a tint or an opacity, cut-outs, a selection.
+    /// Features that need kernel variants: a tint or an opacity, cut-outs, a selection.
     #[inline]
     pub(crate) fn kinds(&self) -> [bool; 3] {
         [self.is_tinted(), self.cut_out_count() > 0, self.mask().is_some()]
     }
 
-    /// Whether colours or opacities of what is drawn are multiplied.
+    /// True if colours or opacities of a drawn scene are multiplied.
     #[inline]
     pub fn is_tinted(&self) -> bool {
         let [r, g, b] = self.tint;

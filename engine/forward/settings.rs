@@ -1,75 +1,73 @@
-//! How a frame is rendered.
+//! Render settings of a frame.
 
 use super::shape::Shape;
 use crate::error::{Error, Result};
 use crate::kernels::constants as c;
 use crate::scene::Cut;
 
-/// At which pixels a Gaussian counts.
+/// Pixels at which a Gaussian counts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Extent {
-    /// Wherever its alpha is at least 1/255.
+    /// All pixels where its alpha is at least 1/255.
     #[default]
     Exact,
-    /// In the tiles of the reference implementation's square of three standard deviations, for parity with
-    /// the reference.
+    /// Pixels of the tiles that touch the reference implementation's square of three standard deviations, for parity with the
+    /// reference.
     Reference,
 }
 
-/// Directions within which the projection is linearised at the Gaussian itself. Outside, it is linearised at
-/// the limit.
+/// Directions in which the projection is linearised at the Gaussian itself. Beyond, it is linearised at the limit.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum JacobianLimit {
-    /// From the image's edges to 0.3 tan(fov/2) outside them.
+    /// Up to 0.3 tan(fov/2) outside the image's edges.
     #[default]
     Edge,
-    /// ±1.3 tan(fov/2) around the optical axis, which is the reference's limit also for off-centre cameras.
+    /// ±1.3 tan(fov/2) around the optical axis. This is the reference's limit, also for off-centre cameras.
     Symmetric,
 }
 
-/// How a frame is rendered.
+/// Render settings of a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RenderSettings {
-    /// Extent of a Gaussian.
+    /// Pixels at which a Gaussian counts.
     pub extent: Extent,
     /// Limits of the projection's linearisation.
     pub jacobian_limit: JacobianLimit,
     /// Opacity compensation for the low-pass filter (Mip-Splatting's 2D filter).
     pub antialias: bool,
-    /// Gradients take that compensation as a constant (gsplat's and Mip-Splatting's kernels differentiate it).
+    /// True if gradients treat that compensation as a constant. The kernels of gsplat and Mip-Splatting differentiate it.
     pub antialias_detached: bool,
-    /// The low-pass filter: variance that the projection adds along both axes, square pixels. The reference has 0.3,
-    /// Mip-Splatting 0.1 (its `kernel_size`).
+    /// Variance that the low-pass filter of the projection adds along both axes, square pixels. 0.3 in the reference, 0.1 in
+    /// Mip-Splatting (its `kernel_size`).
     pub dilation_px2: f32,
-    /// Draws Gaussians with Mip-Splatting's 3D filter, whose sizes
-    /// [`Renderer::compute_filters`](crate::Renderer::compute_filters) gives them. Gaussians without a size are drawn as they
-    /// are.
+    /// Draws Gaussians with Mip-Splatting's 3D filter. [`Renderer::compute_filters`](crate::Renderer::compute_filters) sets its
+    /// sizes; Gaussians without a size are drawn unfiltered.
     pub filter_3d: bool,
-    /// Background colour, display-encoded as the photographs of the training.
+    /// Background colour, display-encoded like the training photographs.
     pub background: [f32; 3],
     /// Highest evaluated SH degree; `None` for all stored degrees.
     pub sh_degree: Option<u32>,
-    /// Also render the sum of weights / z.
+    /// Also renders the sum of weights / z.
     pub inverse_depth: bool,
-    /// How each Gaussian is drawn.
+    /// Shape that represents each Gaussian.
     pub shape: Shape,
-    /// Factor of all scales: 1 for the scene as it is.
+    /// Factor of all scales; 1 leaves the scene unchanged.
     pub scale_modifier: f32,
-    /// Which Gaussians are left out.
+    /// Volume and limits that remove Gaussians.
     pub cut: Cut,
-    /// Gaussians that are left out at random, for frames that are trained on.
+    /// Random omission of Gaussians, for training frames.
     pub dropout: Option<Dropout>,
-    /// With `inverse_depth`: the sum of weights * z in its place, differentiable as that is. Not for recorded frames, which
-    /// have depth images of their own.
+    /// With `inverse_depth`: renders the sum of weights * z instead, which is also differentiable. Not for recorded frames,
+    /// which have depth images of their own.
     pub linear_depth: bool,
 }
 
-/// Gaussians that are left out at random (DropGaussian, Park et al. 2025, section 3.2): each with the same probability, and the
-/// opacities of the others are divided by the probability that they stay. They may so exceed 1; alpha stays below 0.99.
-/// The same key leaves out the same Gaussians, by their indices.
+/// Random omission of Gaussians, each with the same probability (DropGaussian, Park et al. 2025, section 3.2). The opacities of
+/// the others are divided by the probability to stay. They may then exceed 1, but alpha stays below 0.99. The same key omits
+/// the same Gaussians, by index.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Dropout {
-    /// Probability to be left out: 0 to below 1.
+    /// Probability of omission: 0 to below 1.
     pub share: f64,
     /// Key of the random numbers.
     pub seed: u32,
@@ -78,12 +76,12 @@ pub struct Dropout {
 }
 
 impl Dropout {
-    /// Numbers of 24 bits below which a Gaussian is left out.
+    /// 24-bit random numbers below this omit a Gaussian.
     pub(super) fn below(self) -> u32 {
         (self.share * f64::from(1 << 24)).round() as u32
     }
 
-    /// The factor of the opacities, from the probability as it is after rounding.
+    /// Factor of the opacities, from the rounded probability.
     pub(super) fn factor(self) -> f32 {
         (1.0 / (1.0 - f64::from(self.below()) / f64::from(1 << 24))) as f32
     }
@@ -114,8 +112,8 @@ impl RenderSettings {
     /// Checks the numbers.
     ///
     /// # Errors
-    /// [`Error::Argument`] for a scale modifier that is negative or not finite, a dilation that is not positive and
-    /// finite, a background that is not finite, a dropout of almost all, or a cut that makes no sense.
+    /// [`Error::Argument`] for a scale modifier that is negative or not finite, a dilation that is not positive and finite, a
+    /// background that is not finite, a dropout of almost all, or an invalid cut.
     pub fn check(&self) -> Result<()> {
         if !(self.scale_modifier.is_finite() && self.scale_modifier >= 0.0) {
             let problem = format!("is {}, must be finite and not negative", self.scale_modifier);
@@ -139,27 +137,27 @@ impl RenderSettings {
         self.cut.check().map_err(|error| error.within("cut"))
     }
 
-    /// Whether the settings draw the Gaussians themselves, so that the picture is differentiable.
+    /// True if the settings draw the Gaussians themselves, so that the picture is differentiable.
     pub fn is_faithful(&self) -> bool {
         self.shape == Shape::Gaussian && self.scale_modifier == 1.0
     }
 
-    /// Whether splats may be steeper than the low-pass filter leaves them.
+    /// True if splats may be steeper than the reference's low-pass filter allows.
     pub(crate) fn is_steep(&self) -> bool {
         self.shape == Shape::Ellipsoid || self.dilation_px2 < c::DILATION_PX2
     }
 
-    /// Whether the splats' records have z in place of 1/z.
+    /// True if the splats' records have z in place of 1/z.
     pub(crate) fn has_z_record(&self) -> bool {
         self.inverse_depth && self.linear_depth
     }
 
-    /// What culling and projection branch on: extent and antialias.
+    /// Values on which culling and projection branch: extent and antialias.
     pub(super) fn modes(&self) -> [u32; 2] {
         [self.extent_word(), self.antialias_bits()]
     }
 
-    /// The bits of ANTIALIAS_.
+    /// Returns the ANTIALIAS_ bits.
     pub(crate) fn antialias_bits(&self) -> u32 {
         let bit = |on: bool, bit: u32| if on { bit } else { 0 };
         bit(self.antialias, c::ANTIALIAS_COMPENSATED) | bit(self.antialias_detached, c::ANTIALIAS_DETACHED)

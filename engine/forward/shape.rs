@@ -1,35 +1,34 @@
-//! How each Gaussian is drawn, and the scalars for it.
+//! Shapes that represent Gaussians, and their scalars for the kernels.
 
 use super::RenderSettings;
 
-/// How each Gaussian is drawn.
+/// Shape that represents each Gaussian.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Shape {
     /// The Gaussian itself.
     #[default]
     Gaussian,
-    /// An opaque ellipsoid of the Gaussian's colour. Its surface lies at [`ELLIPSOID_SIGMAS`] standard
-    /// deviations, with a soft rim of a few percent of that. Gaussians with an opacity below
-    /// [`ELLIPSOID_LEAST_OPACITY`](crate::kernels::constants::ELLIPSOID_LEAST_OPACITY) are not drawn. An ellipsoid has the depth of its mean, as a Gaussian
-    /// does.
+    /// An opaque ellipsoid of the Gaussian's colour. Its surface lies at [`ELLIPSOID_SIGMAS`] standard deviations, with a soft
+    /// rim of a few percent of that. Gaussians with an opacity below
+    /// [`ELLIPSOID_LEAST_OPACITY`](crate::kernels::constants::ELLIPSOID_LEAST_OPACITY) are not drawn. Its depth is that of its
+    /// mean, like a Gaussian's.
     Ellipsoid,
     /// An opaque dot of the Gaussian's colour at its mean, about [`POINT_RADIUS_PX`] pixels in radius.
     Point,
 }
 
-/// Standard deviations at which the surface of [`Shape::Ellipsoid`] lies.
+/// Distance of the surface of [`Shape::Ellipsoid`] from the mean, in standard deviations.
 pub const ELLIPSOID_SIGMAS: f32 = 2.0;
 /// Radius of [`Shape::Point`], pixels.
 pub const POINT_RADIUS_PX: f32 = 1.5;
 
-/// Logarithm of the opacity that turns a Gaussian into a disc. `exp(STEEPNESS - d²/2)` stays above 1 until
-/// d = √(2 STEEPNESS). It is below 1/255 at √(2 (STEEPNESS + ln 255)), 7 % farther out. The value is well
-/// within float32.
+/// Logarithm of the opacity that turns a Gaussian into a disc. `exp(STEEPNESS - d²/2)` stays above 1 until d = √(2 STEEPNESS).
+/// It is below 1/255 at √(2 (STEEPNESS + ln 255)), 7 % farther out. The value fits float32 well.
 const STEEPNESS: f32 = 40.0;
-/// The same for points, whose rim is one pixel wide.
+/// Same as [`STEEPNESS`], but for points, whose rim is one pixel wide.
 const POINT_STEEPNESS: f32 = 3.75;
 
-/// How the kernels draw a shape: the members of camera_block.glsl.
+/// Scalars of a shape in the camera block (camera_block.glsl).
 pub(super) struct DrawnShape {
     /// Factor of the scales.
     pub scale: f32,
@@ -51,7 +50,7 @@ impl DrawnShape {
                 Self {
                     scale: scale_modifier * shrink,
                     dilation_px2: dilation_px2 * shrink * shrink,
-                    // Negative: excludes Gaussians of low opacity.
+                    // A negative value excludes Gaussians of low opacity.
                     opacity: -STEEPNESS.exp(),
                 }
             }

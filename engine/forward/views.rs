@@ -1,9 +1,9 @@
-//! The order of a frame's stages, and of several views that share some of them.
+//! Order of a frame's stages, also for several views that share some of them.
 //!
-//! The kernels write z of a Gaussian by the same arithmetic on the same numbers, so that cameras whose rows of z are equal to the
-//! bit give it the same depth: those of eyes side by side, whatever their focal lengths, sizes and other axes. What at least
-//! one view shows is compacted and sorted once, and each view finds its own Gaussians therein in the order that it would have
-//! found itself: by depth, then by index. The others meet none of its tiles.
+//! The kernels compute z of a Gaussian by the same arithmetic on the same numbers. So cameras whose rows of z are equal to the
+//! bit give it the same depth, whatever their focal lengths, sizes and other axes: for example a pair of eyes. Gaussians that
+//! at least one view shows are compacted and sorted once. Each view then finds its own Gaussians in the order of a separate
+//! sort: by depth, then by index. The others touch none of its tiles.
 
 use super::{Forward, FrameInputs, auxiliary, camera_block, cut_outs};
 use crate::kernels::constants as c;
@@ -13,17 +13,18 @@ impl Forward {
     /// Records a frame. [`Forward::prepare`] must have been called for its variants. Ends without a barrier.
     ///
     /// # Panics
-    /// Without these variants, without room for the cut-outs, and for a tint, an opacity or a selection before a backward pass.
+    /// If these variants are missing, if the buffer of cut-outs is too small, and for a tint, an opacity or a selection before
+    /// a backward pass.
     pub fn record(&self, r: &mut Recorder, inputs: &FrameInputs) {
         self.record_first(r, 1, |_| *inputs);
     }
 
-    /// Records the first of so many views with one order: of the same scenes in the same poses and settings, whose cameras give
-    /// each Gaussian the same depth to the bit. `view` gives each by its number, with [`FrameInputs::view`]. The others follow by
-    /// [`Forward::record_next`]. Ends without a barrier.
+    /// Records the first of `views` views with one order. They show the same scenes in the same poses and settings, and their
+    /// cameras give each Gaussian the same depth to the bit. `view` returns each view by its index, with [`FrameInputs::view`].
+    /// [`Forward::record_next`] records the others. Ends without a barrier.
     ///
     /// # Panics
-    /// As [`Forward::record`], and without room for the camera blocks of all views.
+    /// Same as [`Forward::record`], and if the buffer of camera blocks is too small for all views.
     pub fn record_first<'a>(&self, r: &mut Recorder, views: u32, view: impl Fn(u32) -> FrameInputs<'a>) {
         let inputs = &view(0);
         inputs.assert_differentiable();
@@ -51,15 +52,15 @@ impl Forward {
         self.record_picture(r, inputs);
     }
 
-    /// Records another view with the order of the first one, in the same buffers, behind a barrier. Ends without one.
+    /// Records a further view with the order of the first, in the same buffers, after a barrier. Ends without a barrier.
     ///
     /// # Panics
-    /// As [`Forward::record`].
+    /// Same as [`Forward::record`].
     pub fn record_next(&self, r: &mut Recorder, inputs: &FrameInputs) {
         let f = inputs.frame;
         r.scope("clear", |r| {
             auxiliary::record_firsts(r, inputs);
-            // All counts but those of the visible.
+            // Clears all counts but those of the visible Gaussians.
             let counts = 4 * u64::from(c::STATE_INSTANCES_NEEDED);
             r.fill(&f.state.range(counts, f.state.bytes() - counts), 0);
             r.fill(&f.tile_ranges, 0);
@@ -69,7 +70,7 @@ impl Forward {
         self.record_picture(r, inputs);
     }
 
-    /// From the order to the pixels.
+    /// Records the stages from the order to the pixels.
     fn record_picture(&self, r: &mut Recorder, inputs: &FrameInputs) {
         r.scope("count", |r| self.record_count(r, inputs));
         r.scope("duplicate", |r| self.record_duplicate(r, inputs));

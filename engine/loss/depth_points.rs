@@ -3,39 +3,39 @@
 use crate::error::{Error, Result};
 use crate::vk::{Buffer, Context, MemoryKind};
 
-/// A point of the scene that a photograph shows, as structure from motion has found it.
+/// A point of the scene from structure from motion that a photograph shows.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DepthPoint {
-    /// Where the photograph shows it, pixels, x to the right and y down; pixels' centres are at the integers. From 0 to the
-    /// width - 1 and the height - 1.
+    /// Position in the photograph, pixels, x to the right and y down, with pixel centres at the integers. From 0 to width - 1
+    /// and height - 1.
     pub position_px: [f32; 2],
     /// 1 / z in the camera's frame, 1 / world units; positive.
     pub inverse_z: f32,
 }
 
-/// The points of a view: see `glsl/loss/sparse_depth.comp` and `sparse_depth_gather.comp`.
+/// Sparse points of a view: see `glsl/loss/sparse_depth.comp` and `sparse_depth_gather.comp`.
 pub struct DepthPointBuffers {
     /// vec3 per point: position, 1/z.
     pub points: Buffer,
-    /// uvec2 per pixel that is sampled: its index, and the end of its entries.
+    /// uvec2 per sampled pixel: its index, and the end of its entries.
     pub pixels: Buffer,
     /// u32 per entry: 4 point + corner.
     pub entries: Buffer,
     /// Number of points.
     pub count: u32,
-    /// Number of pixels that are sampled.
+    /// Number of sampled pixels.
     pub pixel_count: u32,
 }
 
 impl DepthPointBuffers {
-    /// Bytes of the buffers of so many points, as [`DepthPointBuffers::upload`] takes them in turn.
+    /// Names and bytes of the buffers for `count` points, in the order of [`DepthPointBuffers::upload`].
     pub fn requests(count: u32) -> [(&'static str, u64); 3] {
         let count = u64::from(count);
         // Each point has four corners, which may all be different pixels.
         [("depth_points", 12 * count), ("depth_pixels", 8 * 4 * count), ("depth_entries", 4 * 4 * count)]
     }
 
-    /// Uploads the points of a picture of this size. `buffers` are of [`DepthPointBuffers::requests`].
+    /// Uploads the points of a picture of this size into the buffers of [`DepthPointBuffers::requests`].
     ///
     /// # Errors
     /// When the device is lost.
@@ -56,7 +56,7 @@ impl DepthPointBuffers {
         Ok(Self { points, pixels, entries, count, pixel_count })
     }
 
-    /// Allocates and uploads the points of a picture of this size: at least one.
+    /// Allocates buffers and uploads the points of a picture of this size. At least one point is necessary.
     ///
     /// # Errors
     /// Memory or device failures.
@@ -68,10 +68,10 @@ impl DepthPointBuffers {
     }
 }
 
-/// Refuses points that a picture of this size does not show.
+/// Refuses points outside a picture of this size.
 ///
 /// # Errors
-/// [`Error::Argument`] that calls the points by `name`.
+/// [`Error::Argument`] with `name` for the points.
 pub(crate) fn check_depth_points(
     name: &str,
     points: &[DepthPoint],
@@ -92,7 +92,7 @@ pub(crate) fn check_depth_points(
     }
 }
 
-/// The pixels that points are sampled from, in ascending order.
+/// Pixels that the points sample, in ascending order.
 struct PointLists {
     pixels: Vec<[u32; 2]>,
     entries: Vec<u32>,
@@ -100,7 +100,7 @@ struct PointLists {
 
 impl PointLists {
     fn of(points: &[DepthPoint], width: u32, height: u32) -> Self {
-        // As corner_pixel in depth_points.glsl.
+        // Same as corner_pixel in depth_points.glsl.
         let pixel = |point: &DepthPoint, corner: u32| {
             let [x, y] = point.position_px;
             let column = (x as u32 + (corner & 1)).min(width - 1);
@@ -129,7 +129,7 @@ mod tests {
     #[test]
     fn each_corner_is_listed_once() {
         let at = |x: f32, y: f32| DepthPoint { position_px: [x, y], inverse_z: 1.0 };
-        // Two that share two pixels, and the last pixel of all.
+        // Two points that share two pixels, and the last pixel of the picture.
         let lists = PointLists::of(&[at(1.5, 0.25), at(2.0, 0.0), at(4.0, 2.0)], 5, 3);
         assert_eq!(lists.pixels, [[1, 1], [2, 3], [3, 4], [6, 5], [7, 7], [8, 8], [14, 12]]);
         let mut sorted = lists.entries.clone();

@@ -18,12 +18,12 @@ pub fn photo_bytes(windowing: Windowing, width: u32, height: u32, masked: bool) 
     }
 }
 
-/// Converts a photograph with 8 bits per channel, (r, g, b, mask) per pixel, to the device's layout:
-/// unchanged, or planes in [`Strips`]. The planes are 0 where the mask is 0. With `masked`, for
-/// [`PhotoFormat::MaskedRgba8`](super::PhotoFormat), an additional plane holds the mask.
+/// Converts a photograph with 8 bits per channel, (r, g, b, mask) per pixel, to the device's layout: unchanged, or planes in
+/// [`Strips`]. The planes are 0 where the mask is 0. With `masked`, a further plane holds the mask, for
+/// [`PhotoFormat::MaskedRgba8`](super::PhotoFormat).
 ///
 /// # Panics
-/// If the number of pixels is not that of the image.
+/// If the number of pixels differs from the image's.
 pub fn photo_on_device(
     windowing: Windowing,
     width: u32,

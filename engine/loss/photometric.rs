@@ -4,7 +4,7 @@ use super::{Loss, LossInputs, LossTerm, PhotoFormat, PixelLayout, Targets, TermI
 use crate::error::Result;
 use crate::vk::{Context, Recorder};
 
-/// L1 and D-SSIM against the view's photograph (Kerbl et al. 2023, equation 7). Its numbers are L1 and SSIM.
+/// L1 and D-SSIM against the view's photograph (Kerbl et al. 2023, equation 7). Reports L1 and SSIM.
 pub struct Photometric {
     plain: Loss,
     /// For photographs with masks.

@@ -4,15 +4,15 @@ use super::{Loss, Windowing};
 use crate::plan::{Strips, tile_grid};
 use crate::vk::Limits;
 
-/// Most columns of one invocation of [`Windowing::Sweeps`], which reads ten more.
+/// Maximum number of columns per invocation of [`Windowing::Sweeps`], which reads ten more.
 const SWEEP_COLUMNS: u32 = 160;
 
-/// How an image is divided into sweeps.
+/// Division of an image into sweeps.
 #[derive(Clone, Copy)]
 pub(super) struct Sweeps {
-    /// Columns of an invocation.
+    /// Number of columns per invocation.
     pub columns: u32,
-    /// Invocations of a channel.
+    /// Number of invocations per channel.
     pub per_channel: u32,
 }
 
@@ -52,7 +52,7 @@ impl ScratchBytes {
     fn new(windowing: Windowing, width: u32, height: u32) -> Self {
         match windowing {
             Windowing::Blocks => {
-                // Blocks of the window have the size of tiles.
+                // Window blocks have the size of tiles.
                 let (columns, rows) = tile_grid(width, height);
                 let pixels = u64::from(width) * u64::from(height);
                 Self { partials: 3 * u64::from(columns * rows) * 8, derivatives: 12 * pixels }
@@ -69,8 +69,8 @@ impl ScratchBytes {
         (self.partials / 8) as u32
     }
 
-    /// Partial sums and derivatives. The derivatives are one buffer for all channels, or one per channel if
-    /// one would exceed the largest binding.
+    /// Buffers of the partial sums and derivatives. The derivatives have one buffer for all channels, or one per channel if one
+    /// would exceed the largest binding.
     pub fn requests(&self, limits: &Limits) -> Vec<(&'static str, u64)> {
         let mut requests = vec![("loss_partials", self.partials)];
         if 3 * self.derivatives <= limits.max_storage_buffer_range {

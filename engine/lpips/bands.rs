@@ -1,10 +1,10 @@
-//! A network in bands of rows: which rows of each layer's map are computed when, and how many of them must be kept. Nothing is
-//! computed twice, and what a map takes does not grow with the picture's height.
+//! Division of a network into bands of rows. It determines which rows of each layer's map a band computes, and how many rows a
+//! map keeps. No row is computed twice, and a map's memory does not grow with the picture's height.
 
 use super::network::{Layer, Network};
 use std::ops::Range;
 
-/// Pictures that go through the network side by side.
+/// Number of pictures that pass through the network side by side.
 pub(super) const PICTURES: u32 = 2;
 /// Channels of a texel.
 pub(super) const CHANNELS: u32 = 4;
@@ -13,18 +13,18 @@ const TEXEL_BYTES: u64 = 16;
 /// A map of features (feature_map.glsl): the input, or the output of a layer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Map {
-    /// Blocks of four channels.
+    /// Number of blocks of four channels.
     pub blocks: u32,
     pub width: u32,
     pub height: u32,
-    /// Rows that are kept.
+    /// Number of rows that are kept.
     pub slots: u32,
-    /// Columns of zeros on each side: the padding of the layer that reads it.
+    /// Number of zero columns on each side, for the padding of the layer that reads the map.
     pub margin: u32,
 }
 
 impl Map {
-    /// Columns from one row to the next.
+    /// Number of columns from one row to the next.
     pub fn pitch(&self) -> u32 {
         self.width + 2 * self.margin
     }
@@ -35,17 +35,17 @@ impl Map {
     }
 }
 
-/// The maps, and what is computed in each band.
+/// The maps, and the rows that each band computes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Bands {
-    /// The input's, and that of each layer's output.
+    /// Map of the input, then of each layer's output.
     pub maps: Vec<Map>,
-    /// Per band and map: its new rows.
+    /// New rows per band and map.
     pub rows: Vec<Vec<Range<u32>>>,
 }
 
 impl Bands {
-    /// With so many rows of the picture in each band.
+    /// Divides a picture into bands of `band` rows.
     pub fn new(network: Network, (width, height): (u32, u32), band: u32) -> Self {
         let layers = network.layers();
         let mut maps = vec![Map { blocks: 1, width, height, slots: 0, margin: layers[0].padding }];
@@ -81,12 +81,12 @@ impl Bands {
         self.maps.iter().map(Map::bytes).max().unwrap_or(0)
     }
 
-    /// Most new rows of a map in a band.
+    /// Maximum number of new rows of a map in a band.
     pub fn most_rows(&self, map: usize) -> u32 {
         self.rows.iter().map(|band| band[map].len() as u32).max().unwrap_or(0)
     }
 
-    /// Workgroups along an axis of the largest grid: columns and rows, or blocks.
+    /// Maximum number of workgroups along an axis of a grid: columns and rows, or blocks.
     pub fn most_grid(&self, workgroup: u32) -> u32 {
         let grid = |(i, map): (usize, &Map)| {
             let pixels = u64::from(map.width) * u64::from(self.most_rows(i));
@@ -95,7 +95,7 @@ impl Bands {
         self.maps.iter().enumerate().map(grid).max().map_or(0, |most| most.try_into().unwrap_or(u32::MAX))
     }
 
-    /// Multiplications of the largest dispatch.
+    /// Number of multiplications in the largest dispatch.
     pub fn most_work(&self, network: Network) -> u64 {
         let work = |(i, layer): (usize, &Layer)| {
             let outputs = u64::from(self.most_rows(i + 1)) * u64::from(self.maps[i + 1].width);
@@ -106,7 +106,7 @@ impl Bands {
     }
 }
 
-/// First row of its input that an output row of a layer reads.
+/// First input row that an output row of a layer reads.
 fn first_row_read(layer: &Layer, row: u32) -> u32 {
     (row * layer.stride).saturating_sub(layer.padding)
 }
@@ -115,7 +115,7 @@ fn first_row_read(layer: &Layer, row: u32) -> u32 {
 mod tests {
     use super::*;
 
-    /// Whatever the band: each row once, in order, and every row that a window needs is still there.
+    /// For any band, each row is computed once, in order, and every row that a window reads is still kept.
     #[test]
     fn every_row_is_computed_once_from_rows_that_are_there() {
         for network in Network::ALL {

@@ -5,13 +5,13 @@ use crate::error::{Error, Result};
 /// A network whose features are compared.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Network {
-    /// AlexNet (Krizhevsky 2014), as torchvision has it.
+    /// AlexNet (Krizhevsky 2014), in torchvision's form.
     AlexNet,
-    /// VGG16 without batch normalisation (Simonyan and Zisserman 2015), as torchvision has it.
+    /// VGG16 without batch normalisation (Simonyan and Zisserman 2015), in torchvision's form.
     Vgg16,
 }
 
-/// What a layer does.
+/// Operation of a layer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LayerKind {
     /// A convolution and its ReLU.
@@ -20,25 +20,25 @@ pub enum LayerKind {
     MaxPool,
 }
 
-/// A layer.
+/// A layer of a network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Layer {
-    /// Its index in torchvision's `features`.
+    /// Index in torchvision's `features`.
     pub index: u32,
-    /// What it does.
+    /// Operation of the layer.
     pub kind: LayerKind,
-    /// Input channels.
+    /// Number of input channels.
     pub inputs: u32,
-    /// Output channels.
+    /// Number of output channels.
     pub outputs: u32,
-    /// Side of its window, pixels of its input.
+    /// Side of the window, input pixels.
     pub size: u32,
-    /// Pixels of its input from one output to the next.
+    /// Distance between two outputs, input pixels.
     pub stride: u32,
-    /// Rows and columns of zeros around its input.
+    /// Number of zero rows and columns on each side of the input.
     pub padding: u32,
-    /// Whether LPIPS compares its output.
+    /// True if LPIPS compares the output.
     pub is_tap: bool,
 }
 
@@ -57,13 +57,13 @@ impl Layer {
         Self { index, kind, inputs: channels, outputs: channels, size, stride: 2, padding: 0, is_tap: false }
     }
 
-    /// Outputs along an axis of so many inputs.
+    /// Returns the number of outputs along an axis of `inputs` inputs.
     pub(super) fn outputs_of(&self, inputs: u32) -> u32 {
         let padded = inputs + 2 * self.padding;
         if padded < self.size { 0 } else { (padded - self.size) / self.stride + 1 }
     }
 
-    /// Outputs along an axis that the first `known` of `all` inputs suffice for.
+    /// Returns the number of outputs along an axis that depend only on the first `known` of `all` inputs.
     pub(super) fn outputs_of_first(&self, known: u32, all: u32) -> u32 {
         if known >= all {
             return self.outputs_of(all);
@@ -104,10 +104,10 @@ const VGG16: [Layer; 17] = [
 ];
 
 impl Network {
-    /// Both.
+    /// Both networks.
     pub const ALL: [Self; 2] = [Self::AlexNet, Self::Vgg16];
 
-    /// Its name.
+    /// Returns the name.
     pub fn name(self) -> &'static str {
         match self {
             Self::AlexNet => "AlexNet",
@@ -115,7 +115,7 @@ impl Network {
         }
     }
 
-    /// Its layers, in order.
+    /// Returns the layers, in order.
     pub fn layers(self) -> &'static [Layer] {
         match self {
             Self::AlexNet => &ALEXNET,
@@ -123,12 +123,12 @@ impl Network {
         }
     }
 
-    /// Its convolutions, in order.
+    /// Returns the convolutions, in order.
     pub fn convolutions(self) -> impl Iterator<Item = &'static Layer> {
         self.layers().iter().filter(|layer| layer.kind == LayerKind::Convolution)
     }
 
-    /// The layers whose outputs LPIPS compares, in order: five.
+    /// Returns the five layers with outputs that LPIPS compares, in order.
     pub fn taps(self) -> impl Iterator<Item = &'static Layer> {
         self.layers().iter().filter(|layer| layer.is_tap)
     }
@@ -136,7 +136,7 @@ impl Network {
     /// Checks that a picture is large enough for every layer.
     ///
     /// # Errors
-    /// [`Error::Argument`] with the smallest size.
+    /// [`Error::Argument`] with the minimum size.
     pub fn check_size(self, width: u32, height: u32) -> Result<()> {
         let outputs = |side: u32| self.layers().iter().fold(side, |side, layer| layer.outputs_of(side));
         if outputs(width.min(height)) > 0 {
@@ -148,10 +148,10 @@ impl Network {
     }
 }
 
-/// Weights of a network and of LPIPS' heads, as PyTorch orders them.
+/// Weights of a network and of LPIPS' heads, in PyTorch's order.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Weights {
-    /// The network.
+    /// Network of the weights.
     pub network: Network,
     /// Per convolution: weights (output, input, y, x), row-major, and one bias per output.
     pub convolutions: Vec<(Vec<f32>, Vec<f32>)>,
@@ -160,10 +160,10 @@ pub struct Weights {
 }
 
 impl Weights {
-    /// Checks the numbers of weights.
+    /// Checks the number of weights.
     ///
     /// # Errors
-    /// [`Error::Argument`] with the layer.
+    /// [`Error::Argument`] naming the layer.
     pub fn check(&self) -> Result<()> {
         let network = self.network;
         let wrong = |what: String| Error::argument(format!("weights of {}", network.name()), what);

@@ -1,4 +1,4 @@
-//! The mean of parameters over the last steps of a run.
+//! Mean of the parameters over the last steps of a run.
 
 use crate::error::Result;
 use crate::forward::SceneBuffers;
@@ -10,16 +10,16 @@ use crate::vk::{Buffer, Context, Kernel, Recorder};
 /// Bytes of a vec4.
 const TEXEL_BYTES: u64 = 16;
 
-/// What happens to means of parameters.
+/// Work on the means of parameters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MeanStep {
-    /// The parameters are added to the means of so many steps, these included, from 1. At 1 the means begin.
+    /// Adds the parameters to the means; the number of steps includes this one. Step 1 starts the means.
     Adds(u32),
-    /// The means take the parameters' place.
+    /// Replaces the parameters by the means.
     Ends,
 }
 
-/// The kernel.
+/// Kernel of the averaging.
 pub struct Averaging {
     sizes: LaunchSizes,
     kernel: Kernel<average::Interface>,
@@ -36,8 +36,8 @@ impl Averaging {
         Ok(Self { kernel: Kernel::new(context, &spec)?, sizes })
     }
 
-    /// Records it for a scene's parameters; `means` are laid out like them, one buffer per chunk. If `state` says that the frame
-    /// overflowed, nothing changes. The caller places barriers before and after.
+    /// Records the step for a scene's parameters. `means` have the same layout, one buffer per chunk. If `state` has an
+    /// overflow, nothing changes. The caller places barriers before and after.
     pub fn record_scene(
         &self,
         r: &mut Recorder,
@@ -61,7 +61,7 @@ impl Averaging {
         });
     }
 
-    /// The same for buffers of vec4, whole.
+    /// Same as [`Averaging::record_scene`], but for whole buffers of vec4.
     pub fn record(&self, r: &mut Recorder, [values, means, state]: [&Buffer; 3], step: MeanStep) {
         r.scope("average", |r| self.dispatch(r, [values, means, state], step));
     }
