@@ -6,51 +6,49 @@ use super::PicturePart;
 use super::strays::without_strays;
 use crate::{Error, Result};
 
-/// Largest accepted width or height of an image, pixels. It is JPEG's own limit; a larger value means a
-/// damaged file.
+/// Largest accepted width or height of an image, pixels: JPEG's own limit. A larger value means a damaged file.
 pub const MAX_IMAGE_SIDE: u32 = 65_535;
 
-/// Least z of what is drawn, world units: that of the shaders.
+/// Minimum z of visible Gaussians, world units; the same as in the shaders.
 pub const NEAR_PLANE: f32 = 0.2;
 
-/// Smallest and largest plausible focal length of a camera that took photographs, in image sizes.
+/// Plausible range of the focal length of a camera that took photographs, in image sizes.
 const FOCAL_LENGTHS: [f32; 2] = [1e-3, 1e6];
 
-/// Largest plausible distance of its principal point from the middle, in image sizes.
+/// Largest plausible distance of the principal point from the middle, in image sizes.
 const PRINCIPAL_POINT: f32 = 100.0;
 
-/// Largest plausible distance of its centre from the origin, world units.
+/// Largest plausible distance of a camera's centre from the origin, world units.
 const FARTHEST: f32 = 1e9;
 
-/// How far `R Rᵀ` of a camera's rotation may be from the identity, per element.
+/// Largest deviation of `R Rᵀ` from the identity per element, for a camera's rotation.
 const ORTHONORMAL_TOLERANCE: f32 = 1e-3;
 
-/// How the rays of a camera run.
+/// Direction of a camera's rays.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Projection {
     /// Through one point, the camera's centre: a pinhole.
     #[default]
     Perspective,
-    /// In parallel, along the camera's z axis. All Gaussians are seen from that direction. Only pictures are rendered so:
-    /// photographs that are trained on, and gradients, are of pinholes.
+    /// Parallel, along the camera's z axis, so that all Gaussians are seen from one direction. Only for rendered pictures:
+    /// training photographs and gradients need pinholes.
     Orthographic,
 }
 
 /// A camera in COLMAP's and OpenCV's frame: x right, y down, z forward.
 ///
-/// `x_camera = camera_from_world * x_world + translation`; a point projects to
-/// `(fx·x/z + cx, fy·y/z + cy)` pixels, or to `(fx·x + cx, fy·y + cy)` if the camera is
-/// [orthographic](Projection::Orthographic), where the centre of the first pixel is (0.5, 0.5). Either way only what lies
-/// beyond z = [`NEAR_PLANE`] is drawn.
+/// `x_camera = camera_from_world * x_world + translation`. A point projects to `(fx·x/z + cx, fy·y/z + cy)` pixels, or to
+/// `(fx·x + cx, fy·y + cy)` if the camera is [orthographic](Projection::Orthographic). The centre of the first pixel is (0.5,
+/// 0.5). Both kinds only draw Gaussians beyond z = [`NEAR_PLANE`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Camera {
     /// Rotation from world to camera axes.
     pub camera_from_world: Mat3,
     /// Translation from world to camera, world units.
     pub translation: Vec3,
-    /// Focal length in x, pixels; pixels per world unit if it is orthographic.
+    /// Focal length in x, pixels; pixels per world unit if orthographic.
     pub fx: f32,
-    /// Focal length in y: as `fx`.
+    /// Focal length in y, like `fx`.
     pub fy: f32,
     /// Principal point in x, pixels (centre of the first pixel at 0.5).
     pub cx: f32,
@@ -60,9 +58,9 @@ pub struct Camera {
     pub width: u32,
     /// Height of the image, pixels.
     pub height: u32,
-    /// How its rays run.
+    /// Direction of the rays.
     pub projection: Projection,
-    /// Which part of a larger picture its picture is: see [`Camera::part()`]. None if it is whole.
+    /// Place of the picture in a larger one: see [`Camera::part()`]. None for a whole picture.
     pub part: Option<PicturePart>,
 }
 
@@ -92,7 +90,7 @@ impl Intrinsics {
 }
 
 impl Intrinsics {
-    /// Values that no camera that took photographs has, although they could be rendered.
+    /// Describes values that can be rendered, but that no camera that took photographs has.
     pub fn absurdity(&self) -> Option<String> {
         let axes = [("x", self.fx, self.cx, self.width), ("y", self.fy, self.cy, self.height)];
         axes.into_iter().find_map(|(axis, focal, center, side)| {
@@ -107,16 +105,15 @@ impl Intrinsics {
 }
 
 impl Camera {
-    /// A position that no camera of a scene has, although it is finite: single precision does not suffice for
-    /// it.
+    /// Describes a position that is finite, but too far away for single precision.
     pub fn absurdity(&self) -> Option<String> {
         let position = self.position();
-        // The comparison is false for NaN as well.
+        // False for NaN.
         let sane = position.length() <= FARTHEST;
         (!sane).then(|| format!("its camera is at {position}, farther than {FARTHEST:e} from the origin"))
     }
 
-    /// A camera from its pose in COLMAP's form: the quaternion (w, x, y, z) of the rotation from world to
+    /// Creates a camera from its pose in COLMAP's form. That is the quaternion (w, x, y, z) of the rotation from world to
     /// camera, of any length but zero, and the translation from world to camera.
     ///
     /// A zero or non-finite quaternion gives a camera that [`Camera::check`] refuses.
@@ -126,14 +123,14 @@ impl Camera {
         Self::with_pose(rotation.as_mat3(), DVec3::from_array(translation).as_vec3(), intrinsics)
     }
 
-    /// A camera at `eye` that looks at `target`; `up` is any world direction that is up in the image.
+    /// Creates a camera at `eye` that looks at `target`; `up` is any world direction that is up in the image.
     ///
-    /// Looking straight along `up` is allowed: some other direction is up then.
+    /// If the camera looks straight along `up`, another direction is up.
     pub fn look_at(eye: Vec3, target: Vec3, up: Vec3, intrinsics: Intrinsics) -> Self {
         Self::look_from(eye.as_dvec3(), target.as_dvec3(), up.as_dvec3(), intrinsics)
     }
 
-    /// As [`Camera::look_at`], from numbers of double precision.
+    /// Same as [`Camera::look_at`], but from double precision.
     pub fn look_from(eye: DVec3, target: DVec3, up: DVec3, intrinsics: Intrinsics) -> Self {
         let forward = (target - eye).try_normalize().unwrap_or(DVec3::Z);
         let right = forward.cross(up).try_normalize().unwrap_or_else(|| forward.any_orthonormal_vector());
@@ -141,34 +138,34 @@ impl Camera {
         Self::at(eye, DMat3::from_cols(right, down, forward).transpose(), intrinsics)
     }
 
-    /// A camera at `position` in the world, with a rotation from world to camera.
+    /// Creates a camera at `position` in the world, with a rotation from world to camera.
     ///
-    /// The translation is that of the rotation in single precision, and is rounded once: far from the origin, its
-    /// error would be one of the camera's place otherwise.
+    /// The translation is computed from the rounded rotation, and is rounded once. Otherwise, far from the origin, the
+    /// rotation's rounding would displace the camera.
     pub fn at(position: DVec3, camera_from_world: DMat3, intrinsics: Intrinsics) -> Self {
         let camera_from_world = camera_from_world.as_mat3();
         let translation = -(camera_from_world.as_dmat3() * position);
         Self::with_pose(camera_from_world, translation.as_vec3(), intrinsics)
     }
 
-    /// A pinhole from its world-to-camera pose.
+    /// Creates a pinhole from its world-to-camera pose.
     pub fn with_pose(camera_from_world: Mat3, translation: Vec3, intrinsics: Intrinsics) -> Self {
         let Intrinsics { fx, fy, cx, cy, width, height } = intrinsics;
         let projection = Projection::Perspective;
         Self { camera_from_world, translation, fx, fy, cx, cy, width, height, projection, part: None }
     }
 
-    /// The camera with parallel rays in place of the pinhole's; its focal lengths now are pixels per world unit.
+    /// Returns the camera with parallel rays. Its focal lengths then are pixels per world unit.
     pub fn orthographic(self) -> Self {
         Self { projection: Projection::Orthographic, ..self }
     }
 
-    /// Whether its rays are parallel.
+    /// True if the rays are parallel.
     pub fn is_orthographic(&self) -> bool {
         self.projection == Projection::Orthographic
     }
 
-    /// The camera without its pose and projection.
+    /// Returns the camera without its pose and projection.
     pub fn intrinsics(&self) -> Intrinsics {
         let Self { fx, fy, cx, cy, width, height, .. } = *self;
         Intrinsics { fx, fy, cx, cy, width, height }
@@ -179,7 +176,7 @@ impl Camera {
         -(self.camera_from_world.transpose() * self.translation)
     }
 
-    /// The camera's centre from which [`Camera::at`] makes the same translation again, world coordinates.
+    /// Centre from which [`Camera::at`] computes the same translation, world coordinates.
     pub fn exact_position(&self) -> DVec3 {
         -(self.camera_from_world.as_dmat3().inverse() * self.translation.as_dvec3())
     }
@@ -189,14 +186,14 @@ impl Camera {
         self.camera_from_world.row(2)
     }
 
-    /// Whether a picture of this size has the camera's aspect, up to the rounding of a side.
+    /// True if a picture of this size has the camera's aspect, up to the rounding of a side.
     pub fn keeps_aspect_at(&self, width: u32, height: u32) -> bool {
         let [w, h, width, height] = [self.width, self.height, width, height].map(f64::from);
         (w * height / h - width).abs() <= 0.5 || (h * width / w - height).abs() <= 0.5
     }
 
-    /// The same view at another size, with pixels of the same shape. A picture of another aspect shows all that this one shows, in
-    /// its middle, and more at two of its sides. It is then no part of a larger picture.
+    /// Returns the same view at another size, with pixels of the same shape. A picture of another aspect shows this view in its
+    /// middle, and more at two of its sides. It is then no longer a part of a larger picture.
     pub fn fitted_to(&self, width: u32, height: u32) -> Self {
         if self.keeps_aspect_at(width, height) {
             return self.scaled_to(width, height);
@@ -215,8 +212,8 @@ impl Camera {
         }
     }
 
-    /// The same view at another size: focal lengths and principal point scale with each axis. Another aspect stretches the
-    /// picture: see [`Camera::fitted_to`].
+    /// Returns the same view at another size: focal lengths and principal point scale with each axis. Another aspect stretches
+    /// the picture: see [`Camera::fitted_to`].
     pub fn scaled_to(&self, width: u32, height: u32) -> Self {
         let (sx, sy) = (width as f32 / self.width as f32, height as f32 / self.height as f32);
         let part = self.part.map(|part| part.scaled_by([sx.into(), sy.into()], (width, height)));
@@ -232,8 +229,8 @@ impl Camera {
         }
     }
 
-    /// The same camera moved within its image plane, world units along its own x (right) and y (down): the other eye. Depths stay
-    /// the same to the bit.
+    /// Moves the camera within its image plane, world units along its own x (right) and y (down), for example to the other eye.
+    /// Depths stay the same to the bit.
     pub fn moved_aside(&self, [x, y]: [f32; 2]) -> Self {
         Self { translation: self.translation - Vec3::new(x, y, 0.0), ..*self }
     }
@@ -252,7 +249,7 @@ impl Camera {
         z > 0.0 && inside(x, self.width) && inside(y, self.height)
     }
 
-    /// Checks that it is a pinhole, for what is defined for pinholes alone.
+    /// Checks that the camera is a pinhole; `what` names the operation that needs one.
     ///
     /// # Errors
     /// [`Error::Argument`] for an orthographic camera.
@@ -275,7 +272,7 @@ impl Camera {
         }
     }
 
-    /// What is wrong with the camera, if anything.
+    /// Describes what is wrong with the camera, if anything.
     pub fn problem(&self) -> Option<String> {
         let Self { fx, fy, cx, cy, width, height, .. } = *self;
         let sides = 1..=MAX_IMAGE_SIDE;
@@ -305,20 +302,20 @@ impl Camera {
     }
 }
 
-/// Whether a matrix is orthonormal with determinant 1, but for rounding.
+/// True if a matrix is orthonormal with determinant 1, except for rounding.
 #[inline]
 pub(super) fn is_rotation(r: Mat3) -> bool {
-    // A frame asks it for thousands of poses. The other products are the same by symmetry.
+    // Fast, because a frame checks thousands of poses. The other products are the same by symmetry.
     let Mat3 { x_axis: x, y_axis: y, z_axis: z } = r.transpose();
     let lengths = [x.dot(x) - 1.0, y.dot(y) - 1.0, z.dot(z) - 1.0];
     let angles = [x.dot(y), x.dot(z), y.dot(z)];
-    // As a sum of conditions without branches; numbers that are not finite fail it.
+    // A sum of conditions without branches; numbers that are not finite fail it.
     let is_small = |value: f32| value.abs() <= ORTHONORMAL_TOLERANCE;
     lengths.into_iter().chain(angles).fold(true, |all, value| all & is_small(value))
         & (x.cross(y).dot(z) > 0.0)
 }
 
-/// The mean of the cameras' positions but for [`strays`](super::strays()), world; None without any.
+/// Mean position of the cameras except [`strays`](super::strays()), world; None without cameras.
 pub fn middle(positions: impl Iterator<Item = Vec3>) -> Option<DVec3> {
     mean(&without_strays(&positions.collect::<Vec<_>>(), |position| *position))
 }
@@ -328,9 +325,9 @@ fn mean(positions: &[Vec3]) -> Option<DVec3> {
     (count > 0.0).then(|| sum / count)
 }
 
-/// Scene extent: 1.1 × the largest distance of a camera to the cameras' mean, world units; 0 for no or one
-/// camera. Scales the learning rate of the positions and densification (reference implementation,
-/// `getNerfppNorm`). [`strays`](super::strays()) are left out.
+/// Scene extent: 1.1 × the largest distance of a camera to the cameras' mean, world units; 0 for fewer than two cameras. Scales
+/// the learning rate of the positions and densification (reference implementation, `getNerfppNorm`). Excludes
+/// [`strays`](super::strays()).
 pub fn scene_extent(positions: impl Iterator<Item = Vec3>) -> f32 {
     let positions = without_strays(&positions.collect::<Vec<_>>(), |position| *position);
     let Some(mean) = mean(&positions) else { return 0.0 };

@@ -1,44 +1,44 @@
-//! Cells that divide all space, for scenes that are trained in blocks.
+//! Cells that divide all space, for scenes that are trained block by block.
 
 use glam::Vec3;
 
 use super::points::Bounds;
 use crate::error::{Error, Result};
 
-/// The share of the points beyond each end of an axis that does not count for its length: strays.
+/// Share of the points at each end of an axis that are excluded from its length as strays.
 const STRAYS: f64 = 0.05;
 
-/// Boxes that divide all space between them: a k-d tree (Bentley 1975). Every point lies in exactly one, for their lower
-/// sides belong to them and their upper sides do not ([`Bounds::contains`]). The outermost have infinite sides.
+/// Boxes that together fill all space: a k-d tree (Bentley 1975). Every point lies in exactly one, because lower sides belong
+/// to a box and upper sides do not ([`Bounds::contains`]). The outermost boxes have infinite sides.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Cells {
-    /// In the order of the tree, lower sides first.
+    /// Boxes in the order of the tree, lower sides first.
     bounds: Vec<Bounds>,
-    /// The tree; its first node is the root.
+    /// Nodes of the tree; the first is the root.
     nodes: Vec<Node>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Node {
-    /// Points below `at` on the axis are in the first node, the others in the second.
+    /// Points below `at` on the axis are in the first child, the others in the second.
     Split { axis: usize, at: f32, sides: [usize; 2] },
-    /// The index of a cell.
+    /// Index of a cell.
     Leaf(usize),
 }
 
-/// What two cells have in common: a plane between them.
+/// Common side of two neighbouring cells.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Seam {
-    /// The cell below and the one above.
+    /// Indices of the cell below and of the cell above.
     pub cells: [usize; 2],
-    /// The axis that it is perpendicular to: 0 for x.
+    /// Axis perpendicular to the side: 0 for x.
     pub axis: usize,
-    /// Their common rectangle, world units: of no extent on that axis. Sides may be infinite.
+    /// Common rectangle, world units: of size 0 on that axis. Sides may be infinite.
     pub bounds: Bounds,
 }
 
 impl Seam {
-    /// The distance of a point, world units.
+    /// Distance of a point from the rectangle, world units.
     pub fn distance(&self, point: Vec3) -> f32 {
         point.distance(point.clamp(self.bounds.min, self.bounds.max))
     }
@@ -48,13 +48,13 @@ impl Cells {
     /// The only cell of an undivided space.
     pub const EVERYTHING: Bounds = Bounds { min: Vec3::NEG_INFINITY, max: Vec3::INFINITY };
 
-    /// Divides space until no cell has more than `most` of the points (x, y, z; world units). A cell is halved at the median of
-    /// its longest axis, where the outermost twentieths of its points do not count. The same points in any order give the same
-    /// cells.
+    /// Divides space until no cell has more than `most` of the points (x, y, z; world units). A cell is split at the median of
+    /// its longest axis; lengths exclude the outermost twentieths of its points. The cells do not depend on the order of the
+    /// points.
     ///
     /// # Errors
-    /// [`Error::Argument`] without points, for points that are not finite, for `most` of 0, and where more than `most` points
-    /// are at one place.
+    /// [`Error::Argument`] without points, for points that are not finite, for `most` of 0, and if more than `most` points
+    /// coincide.
     pub fn divide(points: &[[f32; 3]], most: usize) -> Result<Self> {
         if most == 0 || points.is_empty() {
             return Err(Error::argument("cells", "a cell needs one Gaussian at least"));
@@ -68,7 +68,7 @@ impl Cells {
         Ok(cells)
     }
 
-    /// Adds the cells of a box, and the node above them; returns the node.
+    /// Adds the cells of a box and the node above them. Returns the node.
     fn halve(&mut self, points: &mut [Vec3], within: Bounds, most: usize) -> Result<usize> {
         let node = self.nodes.len();
         self.nodes.push(Node::Leaf(self.bounds.len()));
@@ -81,7 +81,7 @@ impl Cells {
             let problem = format!("{count} Gaussians are at {place}: no cell can have {most} of them");
             return Err(Error::argument("cells", problem));
         };
-        // The order within a side does not matter: only medians are taken.
+        // The order within a side does not matter, because only medians are used.
         points.sort_unstable_by(|a, b| a[axis].total_cmp(&b[axis]));
         let (below, above) = points.split_at_mut(points.partition_point(|point| point[axis] < at));
         let [lower, upper] = split(within, axis, at);
@@ -90,11 +90,10 @@ impl Cells {
         Ok(node)
     }
 
-    /// The cells with these boxes, in their order.
+    /// Rebuilds the tree of cells with these boxes, in their order.
     ///
     /// # Errors
-    /// [`Error::Argument`] where they do not divide all space by planes that halve it again and again: where some overlap, or
-    /// leave a gap.
+    /// [`Error::Argument`] if the boxes overlap, leave a gap, or cannot be cut from all space by planes, one at a time.
     pub fn of(bounds: &[Bounds]) -> Result<Self> {
         let mut cells = Self { bounds: bounds.to_vec(), nodes: Vec::new() };
         cells.join((0..bounds.len()).collect(), Self::EVERYTHING)?;
@@ -133,12 +132,12 @@ impl Cells {
         Ok(node)
     }
 
-    /// Their boxes, world units.
+    /// Boxes of the cells, world units.
     pub fn bounds(&self) -> &[Bounds] {
         &self.bounds
     }
 
-    /// The cell that a point lies in; None for one that is not finite.
+    /// Index of the cell that contains a point; None if the point is not finite.
     pub fn at(&self, point: Vec3) -> Option<usize> {
         let mut node = Some(0).filter(|_| point.is_finite())?;
         loop {
@@ -149,14 +148,14 @@ impl Cells {
         }
     }
 
-    /// The seams between neighbours, by their cells.
+    /// Seams between neighbours, in the order of their cells.
     pub fn seams(&self) -> Vec<Seam> {
         let mut seams = Vec::new();
         for (first, one) in self.bounds.iter().enumerate() {
             for (second, other) in self.bounds.iter().enumerate() {
                 let bounds = Bounds { min: one.min.max(other.min), max: one.max.min(other.max) };
                 let touching = (0..3).find(|&axis| one.max[axis] == other.min[axis]);
-                // An edge or a corner is no seam.
+                // Cells with only a common edge or corner have no seam.
                 let flat = |axis: usize| (0..3).all(|a| a == axis || bounds.min[a] < bounds.max[a]);
                 if let Some(axis) = touching.filter(|&axis| flat(axis)) {
                     seams.push(Seam { cells: [first, second], axis, bounds });
@@ -167,7 +166,7 @@ impl Cells {
     }
 }
 
-/// The parts of a box below and above a plane.
+/// Divides a box into the parts below and above a plane.
 fn split(bounds: Bounds, axis: usize, at: f32) -> [Bounds; 2] {
     let mut parts = [bounds; 2];
     parts[0].max[axis] = at;
@@ -175,7 +174,7 @@ fn split(bounds: Bounds, axis: usize, at: f32) -> [Bounds; 2] {
     parts
 }
 
-/// The longest axis and the median on it, with points on both sides; None where all points are at one place.
+/// Longest axis and the median on it, with points on both sides; None if all points coincide.
 fn median(points: &[Vec3]) -> Option<(usize, f32)> {
     let mut best: Option<(f32, usize, f32)> = None;
     for whole in [false, true] {
@@ -185,10 +184,10 @@ fn median(points: &[Vec3]) -> Option<(usize, f32)> {
             let strays = if whole { 0 } else { (STRAYS * values.len() as f64) as usize };
             let length = values[values.len() - 1 - strays] - values[strays];
             let middle = values[values.len() / 2];
-            // Where the lower half is all at one place: the first beyond it.
+            // If the lower half coincides, the first value beyond it.
             let at =
                 if middle > values[0] { Some(middle) } else { values.iter().copied().find(|&v| v > middle) };
-            // So that the plane is written in one way only.
+            // Replaces -0 by 0, so that a plane has one representation.
             let at = at.map(|at| at + 0.0);
             if let Some(at) = at.filter(|_| length > best.map_or(0.0, |(longest, ..)| longest)) {
                 best = Some((length, axis, at));

@@ -1,40 +1,40 @@
-//! Display-encoded colours, as photographs hold them and splats are trained in them, and linear light.
+//! Display-encoded colours, as in photographs and trained splats, and linear light.
 //!
-//! The curve is that of sRGB (IEC 61966-2-1). It is continued oddly below 0, and by the same power above 1.
+//! The curve is that of sRGB (IEC 61966-2-1). Below 0 it is odd, and above 1 it continues with the same power.
 
 use crate::error::{Error, Result};
 
-/// Linear light from a display-encoded value: the electro-optical transfer function.
+/// Converts a display-encoded value to linear light: the electro-optical transfer function.
 pub fn linear_from_srgb(encoded: f32) -> f32 {
     let size = encoded.abs();
     let light = if size <= 0.040_45 { size / 12.92 } else { ((size + 0.055) / 1.055).powf(2.4) };
     light.copysign(encoded)
 }
 
-/// A display-encoded value from linear light.
+/// Converts linear light to a display-encoded value.
 pub fn srgb_from_linear(light: f32) -> f32 {
     let size = light.abs();
     let encoded = if size <= 0.003_130_8 { 12.92 * size } else { 1.055 * size.powf(1.0 / 2.4) - 0.055 };
     encoded.copysign(light)
 }
 
-/// Linear light, premultiplied by alpha, from a display-encoded colour that is premultiplied: a f(C / a), with the curve f of
-/// [`linear_from_srgb`]. Alpha is the share of the pixel that is covered, the same in both. 0 where nothing covers it.
+/// Converts a premultiplied display-encoded colour to premultiplied linear light: a f(C / a), with the curve f of
+/// [`linear_from_srgb`]. Alpha, the covered share of the pixel, is the same in both. 0 if nothing covers the pixel.
 pub fn linear_from_premultiplied([r, g, b]: [f32; 3], alpha: f32) -> [f32; 3] {
     [r, g, b].map(|channel| if alpha > 0.0 { alpha * linear_from_srgb(channel / alpha) } else { 0.0 })
 }
 
-/// What the colours are that are written into an image.
+/// Encoding of the colours in a written image.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum ColorEncoding {
-    /// The values that the splats were trained in: those of photographs, display-encoded by the curve of sRGB. They are
-    /// shown as they are. In an image of an sRGB format they are its codes.
+    /// Values of the training photographs, display-encoded by the curve of sRGB, and shown unchanged. An image of an sRGB
+    /// format receives them as its codes.
     #[default]
     AsTrained,
-    /// Linear light with the primaries of sRGB, for hosts that light, blend and expose in it. What splats have blended to is
-    /// decoded, not each splat. An image of an sRGB format encodes it again, as it does what a host draws into it.
+    /// Linear light with the primaries of sRGB, for hosts that light, blend and expose in it. The blended colour is decoded,
+    /// not each splat. An image of an sRGB format encodes it again, like everything that a host draws into it.
     LinearSrgb {
-        /// Factor of the light: finite and positive; 1 leaves a photograph's white at 1.
+        /// Factor of the light: finite and positive. 1 leaves a photograph's white at 1.
         exposure: f32,
     },
 }
@@ -62,7 +62,7 @@ impl ColorEncoding {
 mod tests {
     use super::*;
 
-    /// Values of the standard, both sides of its threshold, and the way back.
+    /// Values of the standard, on both sides of its threshold, and the inverse.
     #[test]
     fn the_curve_is_that_of_the_standard() {
         let known =
@@ -84,7 +84,7 @@ mod tests {
         assert_eq!(linear_from_premultiplied([0.25, 0.5, 0.0], 0.5)[1], 0.5);
         let [half, ..] = linear_from_premultiplied([0.25, 0.5, 0.0], 0.5);
         assert!((half - 0.5 * 0.214_041_14).abs() < 1e-6, "{half}");
-        // Not that of the product: a tenth of white is a tenth of its light.
+        // The product is not decoded: a tenth of white is a tenth of its light.
         assert!((linear_from_premultiplied([0.1; 3], 0.1)[0] - 0.1).abs() < 1e-7);
     }
 

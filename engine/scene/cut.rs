@@ -1,4 +1,4 @@
-//! Which part of a scene is shown or kept: without faint Gaussians, without fog, within a box.
+//! Selection of the Gaussians of a scene to show or keep: by opacity, density and a box.
 
 use glam::Vec3;
 
@@ -6,45 +6,45 @@ use super::gaussians::Gaussians;
 use super::points::Bounds;
 use crate::error::{Error, Result};
 
-/// Which Gaussians are left out. The default leaves out none.
+/// Limits that remove Gaussians. The default removes none.
 ///
-/// Files are cut with [`CutLimits::keeps`], frames on the device ([`RenderSettings::cut`](crate::RenderSettings::cut)). Both
-/// compare the same numbers in the same way, so that both leave the same Gaussians.
+/// [`CutLimits::keeps`] cuts files, and frames are cut on the device ([`RenderSettings::cut`](crate::RenderSettings::cut)).
+/// Both compare the same numbers in the same way, so both keep the same Gaussians.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Cut {
-    /// Gaussians of a smaller opacity are left out, 0 to 1.
+    /// Minimum opacity, 0 to 1.
     pub min_opacity: f32,
-    /// Gaussians with means outside are left out; sides may be infinite.
+    /// Box that contains the remaining means; sides may be infinite.
     pub bounds: Option<Bounds>,
-    /// Gaussians of a smaller [`density`](Gaussians::log_density) are left out, per world unit; 0 for none. Floaters are
-    /// faint for their size: fog has a hundredth of a trained scene's median density, or less.
+    /// Minimum [`density`](Gaussians::log_density), per world unit; 0 for no limit. Floaters are faint for their size: fog has
+    /// at most a hundredth of a trained scene's median density.
     pub min_density: f32,
 }
 
-/// A cut as it is compared: with raw parameters, all finite.
+/// Limits of a cut for comparisons with raw parameters, all finite.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CutLimits {
-    /// The box's corners.
+    /// Lower corner of the box.
     pub low: Vec3,
-    /// The box's corners.
+    /// Upper corner of the box.
     pub high: Vec3,
-    /// The least opacity before the sigmoid.
+    /// Minimum opacity before the sigmoid.
     pub opacity_logit: f32,
-    /// The least logarithm of the density.
+    /// Minimum logarithm of the density.
     pub log_density: f32,
 }
 
-/// An opacity that is the least one but for rounding is kept: files store opacities in eight bits, or as logits.
+/// Tolerance for the rounding of opacities, which files store in eight bits or as logits.
 const LOGIT_SLACK: f64 = 1e-5;
-/// Opacities from here on are 1 in float32.
+/// Largest limit of the opacity: greater ones are 1 in float32.
 const MOST_OPACITY: f64 = 1.0 - 1.0 / (1 << 25) as f64;
 
 impl Cut {
     /// Checks the numbers.
     ///
     /// # Errors
-    /// [`Error::Argument`] for an opacity that is not between 0 and 1, a density that is negative or not finite, and a box
-    /// with sides that are no numbers.
+    /// [`Error::Argument`] for an opacity that is not between 0 and 1, a density that is negative or not finite, and a box with
+    /// NaN sides.
     pub fn check(&self) -> Result<()> {
         let Self { min_opacity, min_density, bounds } = self;
         if !(0.0..=1.0).contains(min_opacity) {
@@ -60,9 +60,9 @@ impl Cut {
         Ok(())
     }
 
-    /// The numbers that are compared.
+    /// Returns the limits to compare with.
     pub fn limits(&self) -> CutLimits {
-        // No infinities: a device need not know them.
+        // Infinite sides become finite, because a device may not support infinities.
         let finite = |v: f32| v.clamp(f32::MIN, f32::MAX);
         let side = |v: Vec3| Vec3::from_array(v.to_array().map(finite));
         let bounds = self.bounds.unwrap_or(Bounds { min: Vec3::MIN, max: Vec3::MAX });
@@ -77,7 +77,7 @@ impl Cut {
 }
 
 impl CutLimits {
-    /// Whether a Gaussian stays.
+    /// True if a Gaussian stays.
     pub fn keeps(&self, gaussians: &Gaussians, index: usize) -> bool {
         let mean = Vec3::from_array(gaussians.means[index]);
         mean.cmpge(self.low).all()
@@ -88,8 +88,8 @@ impl CutLimits {
 }
 
 impl Gaussians {
-    /// The logarithm of a Gaussian's density: of `opacity / (1 − opacity)`, which is near the optical depth where it is
-    /// faint, per largest standard deviation in world units. It is the difference of two stored parameters.
+    /// Logarithm of a Gaussian's density: `opacity / (1 − opacity)` per largest standard deviation in world units. For faint
+    /// Gaussians the numerator is near the optical depth. It is the difference of two stored parameters.
     pub fn log_density(&self, index: usize) -> f32 {
         let [x, y, z] = self.log_scales[index];
         self.opacity_logits[index] - x.max(y).max(z)
@@ -100,7 +100,7 @@ impl Gaussians {
 mod tests {
     use super::*;
 
-    /// (mean's x, opacity, largest standard deviation) of each.
+    /// (mean's x, opacity, largest standard deviation) of each Gaussian.
     fn scene(rows: &[(f32, f32, f32)]) -> Gaussians {
         let count = rows.len();
         Gaussians {
@@ -124,7 +124,7 @@ mod tests {
         let none = Cut::default();
         assert_eq!(kept(&none, &scene), [0, 1, 2, 3]);
         assert_eq!(kept(&Cut { min_opacity: 0.1, ..none }, &scene), [0, 3]);
-        // Fog is faint for its size. What is as faint and small is none.
+        // Fog is faint for its size. An equally faint but small Gaussian is not fog.
         assert_eq!(kept(&Cut { min_density: 0.1, ..none }, &scene), [0, 2, 3]);
         let bounds = Some(Bounds { min: Vec3::splat(f32::NEG_INFINITY), max: Vec3::new(1.0, 0.0, 3.0) });
         assert_eq!(kept(&Cut { bounds, ..none }, &scene), [0, 1, 2]);

@@ -8,70 +8,69 @@ use crate::error::{Error, Result};
 
 /// A volume that keeps or removes the Gaussians whose means lie inside.
 ///
-/// Of several, a Gaussian is drawn that lies in at least one of those that keep, if there are any, and in none of those that
-/// remove; their order does not matter. Half-spaces that keep are united, too: to draw what lies in all of several, remove the
-/// opposite ones.
+/// A Gaussian is drawn if it lies in some keep volume (when there are any) and in no remove volume, whatever their order.
+/// Half-spaces that keep are united as well. To draw the intersection of several, remove the opposite half-spaces.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CutOut {
-    /// Its shape and size, in axes of its own.
+    /// Shape and size, in the volume's own axes.
     pub volume: Volume,
-    /// From these axes to the scene's own, before the scene's pose: a cut-out moves with its scene.
-    /// [`CutOut::in_scene`] is for one that stands in the world.
+    /// Pose of these axes in the scene's own, before the scene's pose: a cut-out moves with its scene. [`CutOut::in_scene`]
+    /// converts one that is fixed in the world.
     pub pose: Pose,
-    /// What becomes of the Gaussians inside.
+    /// Treatment of the Gaussians inside.
     pub inside: Inside,
 }
 
-/// What becomes of the Gaussians inside of a [`CutOut`].
+/// Treatment of the Gaussians inside a [`CutOut`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Inside {
-    /// They are drawn, and others are not unless another cut-out keeps them.
+    /// Draws them, and hides others unless another cut-out keeps them.
     #[default]
     Kept,
-    /// They are not drawn.
+    /// Hides them.
     Removed,
 }
 
-/// The shape and the size of a [`CutOut`], in axes of its own; the surface belongs to it.
+/// Shape and size of a [`CutOut`], in its own axes. The surface is inside.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Volume {
     /// A box around the origin.
     Box {
-        /// Half of its size along each axis, positive.
+        /// Half of the size along each axis, positive.
         half_size: Vec3,
     },
     /// An ellipsoid around the origin.
     Ellipsoid {
-        /// Half of its size along each axis, positive.
+        /// Half of the size along each axis, positive.
         radii: Vec3,
     },
     /// The points x with normal · x ≤ offset.
     HalfSpace {
-        /// Points out of it; of any length but 0.
+        /// Direction out of the half-space; of any length but 0.
         normal: Vec3,
-        /// The plane is normal · x = offset: it lies at offset / |normal| along the normal, which is a distance if the normal has
-        /// length 1.
+        /// Offset of the plane normal · x = offset. The plane lies at offset / |normal| along the normal, so this is a distance
+        /// if the normal has length 1.
         offset: f32,
     },
 }
 
-/// Most cut-outs of a scene.
+/// Maximum number of cut-outs in a scene.
 pub const MAX_CUT_OUTS: usize = 16;
 
-/// A cut-out as it is compared, on the host and on the device.
+/// A cut-out in the form that host and device compare.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CutOutLimits {
     pub(crate) center: [f32; 3],
-    /// Rows that take a point relative to the centre to the axes of the cut-out: for an ellipsoid to a unit ball, for a
-    /// half-space the first is the normal.
+    /// Rows that transform a point, relative to the centre, to the axes of the cut-out. For an ellipsoid they lead to a unit
+    /// ball; for a half-space the first is the normal.
     pub(crate) rows: [[f32; 3]; 3],
-    /// Half sizes of a box, offset of a half-space.
+    /// Half sizes of a box, or offset of a half-space.
     pub(crate) bounds: [f32; 3],
     pub(crate) compared: Compared,
     pub(crate) inside: Inside,
 }
 
-/// What [`CutOutLimits`] compare.
+/// Comparison of [`CutOutLimits`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Compared {
     Box,
@@ -80,7 +79,7 @@ pub(crate) enum Compared {
 }
 
 impl CutOut {
-    /// A cut-out whose pose is one in the world, for a scene in a pose.
+    /// Converts a cut-out with a pose in the world, for a scene in a pose.
     #[must_use]
     pub fn in_scene(&self, scene: &Pose) -> Self {
         let scene_from_world = scene.world_from_object.transpose();
@@ -95,7 +94,7 @@ impl CutOut {
     /// Checks the numbers.
     ///
     /// # Errors
-    /// [`Error::Argument`] for an invalid pose, sizes that are not positive and finite, a normal of no length, numbers that are
+    /// [`Error::Argument`] for an invalid pose, sizes that are not positive and finite, a normal of length 0, numbers that are
     /// not finite, and a volume that is too large or too small for float32.
     pub fn check(&self) -> Result<()> {
         let bad = |problem: String| Err(Error::argument("volume", problem));
@@ -115,7 +114,7 @@ impl CutOut {
                 }
             }
         }
-        // A device may take subnormal sizes as zeros.
+        // A device may treat subnormal sizes as zeros.
         let usable = match self.volume {
             Volume::Box { half_size: size } | Volume::Ellipsoid { radii: size } => {
                 (size * self.pose.scale).to_array().iter().all(|size| size.is_normal())
@@ -129,7 +128,7 @@ impl CutOut {
         Ok(())
     }
 
-    /// The numbers that are compared.
+    /// Returns the limits to compare with.
     pub fn limits(&self) -> CutOutLimits {
         let Pose { world_from_object, translation, scale } = self.pose;
         let (axes, scale) = (world_from_object.as_dmat3(), f64::from(scale));
@@ -157,8 +156,8 @@ impl CutOut {
 }
 
 impl CutOutLimits {
-    /// Whether a point of the scene lies inside. As in_cut_out (glsl/include/cut_outs.glsl), bit for bit but for subnormal
-    /// numbers, which a device may take as zero: products, sums and comparisons in this order.
+    /// True if a point of the scene lies inside. Matches in_cut_out (glsl/include/cut_outs.glsl) to the bit, except for
+    /// subnormal numbers, which a device may treat as zero: products, sums and comparisons in this order.
     pub fn contains(&self, point: [f32; 3]) -> bool {
         let Self { center, rows, bounds, compared, .. } = self;
         let from = [0, 1, 2].map(|i| point[i] - center[i]);
@@ -170,7 +169,7 @@ impl CutOutLimits {
         }
     }
 
-    /// Whether a Gaussian with its mean there is drawn with these cut-outs.
+    /// True if a Gaussian with this mean is drawn with these cut-outs.
     pub fn keep(cut_outs: &[Self], mean: [f32; 3]) -> bool {
         let removed = cut_outs.iter().any(|own| own.inside == Inside::Removed && own.contains(mean));
         let mut keepers = cut_outs.iter().filter(|own| own.inside == Inside::Kept).peekable();
@@ -179,11 +178,11 @@ impl CutOutLimits {
 }
 
 impl Gaussians {
-    /// Keeps the Gaussians that frames show with these cut-outs ([`SceneSettings`](crate::SceneSettings::cut_outs)): the same
-    /// ones, bit for bit but for subnormal numbers.
+    /// Keeps the Gaussians that frames show with these cut-outs ([`SceneSettings`](crate::SceneSettings::cut_outs)), to the bit
+    /// except for subnormal numbers.
     ///
     /// # Errors
-    /// As [`CutOut::check`].
+    /// Same as [`CutOut::check`].
     pub fn cut_out(&mut self, cut_outs: &[CutOut]) -> Result<()> {
         cut_outs.iter().try_for_each(CutOut::check)?;
         let limits: Vec<_> = cut_outs.iter().map(CutOut::limits).collect();
@@ -227,7 +226,7 @@ mod tests {
         assert!(limits.contains([9.0, 9.0, 2.2999]) && !limits.contains([9.0, 9.0, 2.3001]));
     }
 
-    /// A point of the volume's own axes is inside in any pose, and as far out in the world as in the scene.
+    /// A point inside in the volume's own axes is inside in any pose, and the same holds for outside points.
     #[test]
     fn poses_move_volumes() {
         let inside = [Vec3::new(0.99, -1.99, 0.49), Vec3::new(-0.5, 0.0, 0.0)];
@@ -280,7 +279,7 @@ mod tests {
             CutOut { volume: Volume::Ellipsoid { radii: Vec3::new(1.0, -1.0, 1.0) }, ..good },
             CutOut { volume: Volume::Ellipsoid { radii: Vec3::splat(f32::INFINITY) }, ..good },
             CutOut { volume: Volume::Ellipsoid { radii: Vec3::splat(1e-40) }, ..good },
-            // Of subnormal sizes a device may make zeros.
+            // A device may treat subnormal sizes as zeros.
             CutOut { volume: Volume::Box { half_size: Vec3::new(1.0, 1e-39, 1.0) }, ..good },
             CutOut {
                 volume: Volume::Ellipsoid { radii: Vec3::splat(3e-38) },

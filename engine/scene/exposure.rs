@@ -1,8 +1,7 @@
-//! The exposure of a photograph: how its colours follow from those of the scene.
+//! Exposure of a photograph: the relation of its colours to those of the scene.
 
-/// An affine change of colours: `out[c] = Σ_k in[k] * rows[k][c] + rows[c][3]`, with colours as photographs store
-/// them (sRGB, 0 to 1). It is the reference implementation's exposure matrix: 3 rows of 4 numbers, of which the
-/// last column is added. Nothing is clamped.
+/// An affine change of colours: `out[c] = Σ_k in[k] * rows[k][c] + rows[c][3]`, with colours as in photographs (sRGB, 0 to 1).
+/// It is the reference implementation's exposure matrix, 3 rows of 4 numbers, whose last column is added. Nothing is clamped.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Exposure {
     /// The matrix, row by row.
@@ -16,11 +15,11 @@ impl Default for Exposure {
 }
 
 impl Exposure {
-    /// Leaves colours as they are.
+    /// Leaves colours unchanged.
     pub const IDENTITY: Self =
         Self { rows: [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]] };
 
-    /// The colour under this exposure.
+    /// Returns the colour under this exposure.
     pub fn of(&self, color: [f32; 3]) -> [f32; 3] {
         let sum = |c: usize| (0..3).map(|k| color[k] * self.rows[k][c]).sum::<f32>() + self.rows[c][3];
         [sum(0), sum(1), sum(2)]

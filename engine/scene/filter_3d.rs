@@ -1,10 +1,10 @@
-//! Mip-Splatting's 3D filter (Yu et al. 2024, section 5.1) as a part of the parameters.
+//! Merges Mip-Splatting's 3D filter (Yu et al. 2024, section 5.1) into the parameters.
 
 use super::gaussians::Gaussians;
 use crate::error::{Error, Result};
 
-/// Log-scales and opacity logit of a Gaussian that is convolved with one of the standard deviation `size`, world units, and
-/// keeps its integral along each axis. Without a positive size they stay.
+/// Log-scales and opacity logit of a Gaussian after convolution with one of standard deviation `size`, world units, that
+/// preserves its integral along each axis. Unchanged if the size is not positive.
 pub fn filtered(log_scale: [f32; 3], opacity_logit: f32, size: f32) -> ([f32; 3], f32) {
     if size.is_nan() {
         return ([f32::NAN; 3], opacity_logit);
@@ -16,7 +16,7 @@ pub fn filtered(log_scale: [f32; 3], opacity_logit: f32, size: f32) -> ([f32; 3]
     // ln(s_f / s) = ln(1 + (size / s)^2) / 2
     let growth = log_scale.map(|log_scale| 0.5 * (2.0 * (log_size - f64::from(log_scale))).exp().ln_1p());
     let widened = [0, 1, 2].map(|axis| (f64::from(log_scale[axis]) + growth[axis]) as f32);
-    // logit(o c) with ln c = -sum is -ln((1 + exp(-x)) / c - 1); what may be large is taken out of the logarithm.
+    // logit(o c) with ln c = -sum is -ln((1 + exp(-x)) / c - 1). Terms that may be large are taken out of the logarithm.
     let (sum, x) = (growth.iter().sum::<f64>(), f64::from(opacity_logit));
     let rest = -(-sum).exp_m1();
     let logit = match x < 0.0 {
@@ -27,11 +27,11 @@ pub fn filtered(log_scale: [f32; 3], opacity_logit: f32, size: f32) -> ([f32; 3]
 }
 
 impl Gaussians {
-    /// Makes the 3D filter a part of scales and opacities, so that any renderer draws it. `filters` has one size per
-    /// Gaussian, world units: [`Trainer::filters`](crate::Trainer::filters).
+    /// Merges the 3D filter into scales and opacities, so that any renderer draws it. `filters` has one size per Gaussian,
+    /// world units: [`Trainer::filters`](crate::Trainer::filters).
     ///
     /// # Errors
-    /// [`Error::Argument`] for another number of sizes.
+    /// [`Error::Argument`] if the number of sizes differs from the number of Gaussians.
     pub fn bake_filters(&mut self, filters: &[f32]) -> Result<()> {
         if filters.len() != self.len() {
             let problem = format!("are {}, there are {} Gaussians", filters.len(), self.len());

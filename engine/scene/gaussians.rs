@@ -14,7 +14,7 @@ pub const fn sh_coefficients(degree: u32) -> usize {
     ((degree + 1) * (degree + 1)) as usize
 }
 
-/// A set of Gaussians, structure of arrays, raw parameters as they are stored in a PLY and optimised.
+/// A set of Gaussians, structure of arrays, with raw parameters as in a PLY and in the optimiser.
 ///
 /// All vectors have `len()` entries, `sh` has `len() * sh_coefficients(sh_degree)`.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -51,7 +51,7 @@ impl Gaussians {
         self.means.len()
     }
 
-    /// Whether there are none.
+    /// True if there are no Gaussians.
     pub fn is_empty(&self) -> bool {
         self.means.is_empty()
     }
@@ -65,7 +65,7 @@ impl Gaussians {
     /// Checks that the vectors fit together.
     ///
     /// # Errors
-    /// [`Error::Argument`] naming the vector whose length is wrong, or the degree above 3.
+    /// [`Error::Argument`] naming the vector with a wrong length, or the degree above 3.
     pub fn check_shapes(&self) -> Result<()> {
         if self.sh_degree > MAX_SH_DEGREE {
             return Err(Error::argument("sh_degree", format!("{} is not between 0 and 3", self.sh_degree)));
@@ -85,7 +85,7 @@ impl Gaussians {
         }
     }
 
-    /// The same Gaussians at another SH degree: higher coefficients are dropped, or added as 0.
+    /// Returns the same Gaussians at another SH degree: higher coefficients are dropped, or added as 0.
     pub fn with_sh_degree(&self, sh_degree: u32) -> Self {
         let k = sh_coefficients(sh_degree.min(MAX_SH_DEGREE));
         let mut sh = Vec::with_capacity(self.len() * k);
@@ -98,7 +98,7 @@ impl Gaussians {
         Self { sh_degree: sh_degree.min(MAX_SH_DEGREE), sh, ..self.clone() }
     }
 
-    /// Position, scale and opacity statistics of the Gaussians; for `info`.
+    /// Statistics of positions, scales and opacities, for `info`.
     pub fn statistics(&self) -> GaussianStatistics {
         let means = || self.means.iter().map(|&p| Vec3::from_array(p)).filter(|p| p.is_finite());
         let scales = || self.log_scales.iter().flatten().map(|s| s.exp());
@@ -124,8 +124,8 @@ pub struct GaussianStatistics {
     pub sh_degree: u32,
     /// Box around all means; `None` without Gaussians.
     pub bounds: Option<Bounds>,
-    /// Box from the 5th to the 95th percentile of the means on each axis: where the scene is, without floaters. Where that is far
-    /// larger than the middle half of the means, only those near to these count.
+    /// Box from the 5th to the 95th percentile of the means on each axis, without floaters. If it is far larger than the middle
+    /// half of the means, distant means are excluded.
     pub central_bounds: Option<Bounds>,
     /// Standard deviations (all three axes) at 0, 5, 25, 50, 75, 95 and 100 %, world units.
     pub scale_percentiles: Option<[f32; 7]>,
@@ -143,8 +143,8 @@ pub fn percentiles(values: impl Iterator<Item = f32>) -> Option<[f32; 7]> {
     Some([0, 5, 25, 50, 75, 95, 100].map(|percent| sorted[(last * percent + 50) / 100]))
 }
 
-/// Half the diagonal of the central box, and reach of the means that count in a larger one, in median distances from the median.
-/// Ordinary scenes stay below 3.
+/// Largest half diagonal of the central box, and largest distance of the means in a larger one, in median distances from the
+/// median. Ordinary scenes stay below 3.
 const CENTRAL_REACH: f64 = 8.0;
 
 fn central_bounds(means: impl Iterator<Item = Vec3> + Clone) -> Option<Bounds> {

@@ -4,10 +4,10 @@ use glam::{DMat2, DVec2, dvec2};
 
 use super::camera::Intrinsics;
 
-/// How a lens moves the point (x/z, y/z) of the image plane.
+/// Distortion of the point (x/z, y/z) of the image plane by a lens.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Distortion {
-    /// Not at all.
+    /// No distortion.
     None,
     /// Brown's model, with r² = u² + v²: the radial factor (1 + k₀ r² + k₁ r⁴ + k₂ r⁶ + k₃ r⁸) / (1 + d₀ r² +
     /// d₁ r⁴ + d₂ r⁶) and the tangential term (2 p₀ u v + p₁ (r² + 2 u²), 2 p₁ u v + p₀ (r² + 2 v²)).
@@ -28,7 +28,7 @@ pub enum Distortion {
 }
 
 impl Distortion {
-    /// Where a point of the image plane appears.
+    /// Returns the distorted position of a point of the image plane.
     pub fn apply(&self, point: DVec2) -> DVec2 {
         let r2 = point.length_squared();
         match *self {
@@ -56,13 +56,12 @@ impl Distortion {
         }
     }
 
-    /// The undistorted point of a distorted one; `None` if there is none nearby (a lens that sees more than a
-    /// plane).
+    /// Returns the undistorted point of a distorted one. None if there is none nearby: the lens shows more than a plane can.
     pub fn undo(&self, distorted: DVec2) -> Option<DVec2> {
         const STEPS: usize = 100;
         const TOLERANCE: f64 = 1e-10;
         let mut point = match self {
-            // Wide lenses converge only from a good start.
+            // Wide lenses only converge from a good start.
             Self::Fisheye { .. } => {
                 let theta = distorted.length();
                 if theta > 0.0 { distorted * (theta.min(1.5).tan() / theta) } else { distorted }
@@ -88,17 +87,17 @@ impl Distortion {
         (self.apply(point).distance(distorted) < 1e-6).then_some(point)
     }
 
-    /// Whether the picture turns back on itself between its middle and a point of the image plane: what lies there
-    /// appears twice, and the photo does not tell which one it shows.
+    /// True if the picture folds between its middle and a point of the image plane. Points there appear twice, and the
+    /// photograph does not tell which one it shows.
     pub fn folds_before(&self, point: DVec2) -> bool {
         const STEPS: u32 = 64;
         let at = |step: u32| point * (f64::from(step) / f64::from(STEPS));
-        // False for NaN as well.
+        // False for NaN.
         let whole = |at: DVec2| self.apply(at).is_finite() && self.jacobian(at).determinant() > 0.0;
         !(0..=STEPS).all(|step| whole(at(step)))
     }
 
-    /// Derivatives of [`Distortion::apply`], by finite differences.
+    /// Derivatives of [`Distortion::apply`] by finite differences.
     fn jacobian(&self, point: DVec2) -> DMat2 {
         let h = 1e-6 * point.length().max(1.0);
         let by = |axis: DVec2| (self.apply(point + h * axis) - self.apply(point - h * axis)) / (2.0 * h);
@@ -106,7 +105,7 @@ impl Distortion {
     }
 }
 
-/// A camera without pose, including its lens.
+/// A camera without its pose, but with its lens.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Lens {
     /// Focal lengths, pixels.
@@ -117,7 +116,7 @@ pub struct Lens {
     pub width: u32,
     /// Height of the image, pixels.
     pub height: u32,
-    /// The lens distortion.
+    /// Distortion of the lens.
     pub distortion: Distortion,
 }
 
@@ -125,7 +124,7 @@ pub struct Lens {
 const SCALE_LIMITS: [f64; 2] = [0.2, 2.0];
 
 impl Lens {
-    /// A pinhole.
+    /// A pinhole without distortion.
     pub fn pinhole(intrinsics: Intrinsics) -> Self {
         let Intrinsics { fx, fy, cx, cy, width, height } = intrinsics;
         let [fx, fy, cx, cy] = [fx, fy, cx, cy].map(f64::from);
@@ -138,7 +137,7 @@ impl Lens {
         }
     }
 
-    /// The camera without its distortion.
+    /// Returns the camera without its distortion.
     pub fn intrinsics(&self) -> Intrinsics {
         let (focal, center) = (self.focal_px.as_vec2(), self.center_px.as_vec2());
         Intrinsics {
@@ -151,7 +150,7 @@ impl Lens {
         }
     }
 
-    /// Whether photos must be undistorted.
+    /// True if photographs must be undistorted.
     pub fn is_distorted(&self) -> bool {
         let none = |coefficients: &[f64]| coefficients.iter().all(|&c| c == 0.0);
         match &self.distortion {
@@ -161,7 +160,7 @@ impl Lens {
         }
     }
 
-    /// The same lens at another size of its image.
+    /// Returns the same lens at another image size.
     pub fn scaled_to(&self, width: u32, height: u32) -> Self {
         let scale =
             dvec2(f64::from(width) / f64::from(self.width), f64::from(height) / f64::from(self.height));
@@ -173,9 +172,9 @@ impl Lens {
         self.focal_px * self.distortion.apply(point) + self.center_px
     }
 
-    /// The largest pinhole camera whose image has no blank pixels: the same focal lengths, a smaller or
-    /// larger image around the same direction. Equals `UndistortCamera` of COLMAP with its default. `None` if
-    /// the lens sees too much for a plane, or folds the picture over within the photo or the pinhole's image.
+    /// Largest pinhole camera whose image has no blank pixels: the same focal lengths, a smaller or larger image around the
+    /// same direction. Equals `UndistortCamera` of COLMAP with its default. None if the lens shows more than a plane can, or
+    /// folds the picture within the photograph or the pinhole's image.
     pub fn inscribed_pinhole(&self) -> Option<Intrinsics> {
         if !self.is_distorted() {
             return Some(self.intrinsics());
@@ -186,7 +185,7 @@ impl Lens {
             let point = self.distortion.undo((dvec2(x, y) - self.center_px) / self.focal_px)?;
             Some(self.focal_px * point + self.center_px)
         };
-        // The innermost positions of the photo's four borders.
+        // Innermost positions of the photograph's four borders.
         let (mut left, mut right, mut top, mut bottom) = (f64::MIN, f64::MAX, f64::MIN, f64::MAX);
         for y in rows {
             left = left.max(ideal(0.5, y)?.x);

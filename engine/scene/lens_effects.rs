@@ -1,33 +1,33 @@
-//! What a camera makes of colours: vignetting and response.
+//! Effects of a lens on colours: vignetting and response.
 
 use super::Camera;
 
-/// Vignetting and response of a camera, per channel: a colour `x`, as photographs store it (sRGB, 0 to 1), becomes
-/// `(x (1 + a₁ r² + a₂ r⁴ + a₃ r⁶))^γ`, with r the distance from the principal point in halves of the picture's
-/// diagonal. Below [`LensEffects::LEAST`] the response is the straight line from 0. Nothing is clamped. (After PPISP,
-/// NVIDIA 2025, which has them beside exposures.)
+/// Vignetting and response of a camera, per channel. A colour `x`, as in photographs (sRGB, 0 to 1), becomes `(x (1 + a₁ r² +
+/// a₂ r⁴ + a₃ r⁶))^γ`, where r is the distance from the principal point in halves of the picture's diagonal. Below
+/// [`LensEffects::LEAST`] the response is a straight line from 0. Nothing is clamped. After PPISP (NVIDIA 2025), which has
+/// these besides exposures.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LensEffects {
-    /// Per channel: a₁, a₂, a₃, ln γ. All 0: no effect.
+    /// Per channel: a₁, a₂, a₃, ln γ; all 0 without an effect.
     pub rows: [[f32; 4]; 3],
 }
 
 impl LensEffects {
-    /// Below it the response is a straight line.
+    /// Limit below which the response is a straight line.
     pub const LEAST: f32 = 1.0 / 1024.0;
 
-    /// The vignetting of a channel at a squared distance from the principal point.
+    /// Vignetting factor of a channel at a squared distance from the principal point.
     pub fn vignetting(&self, channel: usize, r2: f32) -> f32 {
         let [a1, a2, a3, _] = self.rows[channel];
         1.0 + r2 * (a1 + r2 * (a2 + r2 * a3))
     }
 
-    /// The exponents γ of the channels.
+    /// Exponents γ of the channels.
     pub fn response(&self) -> [f32; 3] {
         self.rows.map(|row| row[3].exp())
     }
 
-    /// The colour at a squared distance from the principal point.
+    /// Returns the colour at a squared distance from the principal point.
     pub fn of(&self, color: [f32; 3], r2: f32) -> [f32; 3] {
         let gamma = self.response();
         [0, 1, 2].map(|c| {
@@ -41,8 +41,8 @@ impl LensEffects {
         self.apply_as_taken(camera, camera, picture);
     }
 
-    /// As [`LensEffects::apply`], for the picture of a camera that stands where the photograph was `taken`, with
-    /// another field of view. Beyond the photograph's corners the vignetting stays as it is there.
+    /// Same as [`LensEffects::apply`], but for the picture of a camera at the place of `taken` with another field of view.
+    /// Beyond the photograph's corners the vignetting stays constant.
     pub fn apply_as_taken(&self, taken: &Camera, camera: &Camera, picture: &mut [[f32; 3]]) {
         let plane = LensPlane::of(&taken.whole());
         let most = plane.corner();
@@ -57,10 +57,10 @@ impl LensEffects {
     }
 }
 
-/// Where a camera's picture lies behind its lens.
+/// Position of a camera's picture relative to its optical axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct LensPlane {
-    /// The principal point, pixels, with the first pixel's centre at 0.
+    /// Principal point, pixels, with the first pixel's centre at 0.
     pub center_px: [f32; 2],
     /// 1 / the square of half the diagonal.
     pub inverse_square: f32,
@@ -76,7 +76,7 @@ impl LensPlane {
         Self { center_px: [camera.cx - 0.5, camera.cy - 0.5], inverse_square, size_px: [width, height] }
     }
 
-    /// The squared distance of the farthest corner of the picture of [`LensPlane::size_px`].
+    /// Squared distance of the farthest corner of the picture of [`LensPlane::size_px`].
     fn corner(&self) -> f32 {
         let farthest = |axis: usize| {
             let from_edge = self.center_px[axis] + 0.5;
@@ -113,7 +113,7 @@ mod tests {
         assert!((red - 0.5).abs() < 1e-6 && green == 1.0 && (blue - 0.25).abs() < 1e-6, "{:?}", picture[0]);
         assert!((picture[1][0] - 0.9).abs() < 1e-6, "{:?}", picture[1]);
         assert_eq!(picture[7][0], picture[0][0]);
-        // The same photograph in a picture twice as wide on each side of it, and of another size: in its middle.
+        // The same photograph at twice its size, in the middle of a picture three times as wide.
         let wide = Camera {
             width: 24,
             height: 4,

@@ -1,8 +1,8 @@
-//! Where the middle half of some points lies: unlike a box, it does not go by the farthest point.
+//! Position and size of the middle half of some points. Unlike a box, they do not depend on the farthest point.
 
 use glam::DVec3;
 
-/// The median of each axis, and the median distance from there. None without points, and where that is not positive.
+/// Median of each axis, and median distance from there. None without points, and if the distance is not positive.
 pub fn median_ball(points: &[DVec3]) -> Option<(DVec3, f64)> {
     let axis = |axis: usize| median(points.iter().map(|p| p[axis]).collect());
     let center = DVec3::new(axis(0), axis(1), axis(2));

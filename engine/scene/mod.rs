@@ -1,4 +1,4 @@
-//! What a scene is, on the host: Gaussians, cameras, points, spherical harmonics. Knows no Vulkan.
+//! Scenes on the host: Gaussians, cameras, points, spherical harmonics. Independent of Vulkan.
 
 pub mod camera;
 pub mod cells;

@@ -5,15 +5,15 @@ use glam::{DMat3, DVec3, Vec3};
 use super::camera::{Camera, Intrinsics};
 use super::strays::without_strays;
 
-/// Steps of the iteration for the vertical; each gains three digits and more unless axes are nearly parallel.
+/// Steps of the iteration for the vertical. Each gains at least three digits unless axes are nearly parallel.
 const INVERSE_ITERATIONS: u32 = 8;
 
 /// A circular camera path that looks at its centre.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Orbit {
-    /// The point that all cameras look at, world units.
+    /// Point that all cameras look at, world units.
     pub center: Vec3,
-    /// World direction that is up in the pictures; need not be of unit length.
+    /// World direction that is up in the pictures, of any length.
     pub up: Vec3,
     /// Distance of the cameras to the centre, world units.
     pub radius: f32,
@@ -26,7 +26,7 @@ pub struct Orbit {
 }
 
 impl Orbit {
-    /// The cameras, in order; the last is one step before the first again.
+    /// Returns the cameras in order; the last is one step before the first.
     pub fn cameras(&self) -> Vec<Camera> {
         let up = self.up.as_dvec3().try_normalize().unwrap_or(DVec3::NEG_Y);
         let side = up.any_orthonormal_vector();
@@ -43,18 +43,17 @@ impl Orbit {
             .collect()
     }
 
-    /// An orbit that resembles existing cameras: their mean height above the point they look at, their mean
-    /// distance to it, the direction across their horizontal axes as up. `None` without cameras. [`strays`](super::strays()) are left
-    /// out.
+    /// Creates an orbit that resembles existing cameras: their mean distance to the point they look at, their mean height above
+    /// it, and as up the direction across their horizontal axes. None without cameras. Excludes [`strays`](super::strays()).
     ///
-    /// The centre is the point nearest to all optical axes (least squares). Parallel axes have no such point:
-    /// the centre is then one world unit ahead of the cameras, see [`Orbit::around_scene`].
+    /// The centre is the point nearest to all optical axes (least squares). For parallel axes it is one world unit ahead of the
+    /// cameras, see [`Orbit::around_scene`].
     pub fn around(cameras: &[Camera], count: u32, intrinsics: Intrinsics) -> Option<Self> {
         Self::around_scene(cameras, None, count, intrinsics)
     }
 
-    /// As [`Orbit::around`], but around `scene_center` (world units) if the cameras' axes are parallel and it
-    /// lies in front of the cameras.
+    /// Same as [`Orbit::around`], but around `scene_center` (world units) if the cameras' axes are parallel and it lies in
+    /// front of them.
     pub fn around_scene(
         cameras: &[Camera],
         scene_center: Option<Vec3>,
@@ -80,21 +79,21 @@ impl Orbit {
     }
 }
 
-/// The direction across the cameras' horizontal axes: cameras above a scene look down, and the mean of what is up in
-/// their pictures leans with them.
+/// Direction across the cameras' horizontal axes. The mean of the pictures' up directions would lean, because cameras above a
+/// scene look down.
 pub(super) fn level_up(cameras: &[Camera]) -> Option<DVec3> {
     let mean: Vec3 = cameras.iter().map(|c| -c.camera_from_world.row(1)).sum();
     let across = cameras.iter().fold(DMat3::ZERO, |sum, camera| {
         let right = camera.camera_from_world.row(0).as_dvec3();
         sum + DMat3::from_cols(right * right.x, right * right.y, right * right.z)
     });
-    // Inverse iteration to the least eigenvector. Where axes are parallel, it is as near to the mean as can be.
+    // Inverse iteration to the eigenvector of the smallest eigenvalue. For parallel axes it stays close to the mean.
     let inverse =
         (across * (1.0 / cameras.len() as f64) + DMat3::from_diagonal(DVec3::splat(1e-4))).inverse();
     (0..INVERSE_ITERATIONS).try_fold(mean.as_dvec3().try_normalize()?, |up, _| (inverse * up).try_normalize())
 }
 
-/// The point with the least sum of squared distances to the cameras' optical axes.
+/// Point with the least sum of squared distances to the cameras' optical axes.
 pub(super) fn nearest_to_axes(cameras: &[Camera]) -> Option<Vec3> {
     let (mut a, mut b) = (DMat3::ZERO, DVec3::ZERO);
     for camera in cameras {
@@ -103,7 +102,7 @@ pub(super) fn nearest_to_axes(cameras: &[Camera]) -> Option<Vec3> {
         a += across;
         b += across * camera.position().as_dvec3();
     }
-    // The determinant falls to 0 as the axes become parallel; a mean sin² below 1e-4 says nothing about depth.
+    // The determinant falls to 0 as the axes become parallel; a mean sin² below 1e-4 does not determine a depth.
     let scaled = a * (1.0 / cameras.len() as f64);
     (scaled.determinant() > 1e-4).then(|| (a.inverse() * b).as_vec3()).filter(|p| p.is_finite())
 }

@@ -14,12 +14,12 @@ pub struct Photo {
 }
 
 impl Photo {
-    /// The pixels (r, g, b) in [0, 1], row-major.
+    /// Returns the pixels (r, g, b) in [0, 1], row-major.
     pub fn to_f32(&self) -> Vec<[f32; 3]> {
         self.rgb.as_chunks::<3>().0.iter().map(|pixel| pixel.map(|c| f32::from(c) / 255.0)).collect()
     }
 
-    /// A picture from pixels (r, g, b), row-major, clamped to [0, 1] and rounded to 8 bits.
+    /// Creates a picture from pixels (r, g, b), row-major, clamped to [0, 1] and rounded to 8 bits.
     ///
     /// # Errors
     /// [`Error::Argument`] when the number of pixels does not fit the size.
@@ -30,7 +30,7 @@ impl Photo {
         Ok(photo)
     }
 
-    /// Refuses a picture with another number of bytes than its size says.
+    /// Refuses a picture whose number of bytes does not match its size.
     ///
     /// # Errors
     /// [`Error::Argument`].

@@ -3,17 +3,17 @@
 use super::Camera;
 use crate::{Error, Result};
 
-/// Where a camera's picture lies in the whole one of which it is a part.
+/// Place of a camera's picture in a larger one.
 ///
-/// A part has the whole's pixels: its Gaussians are projected as in the whole picture, whose edges bound the linearisation, the
-/// lens effects and the 3D filter; and what training sums up of it (loss, statistics of densification) is its share in that of the
-/// whole. So a photograph can be trained on where it shows a block of a scene, and a picture that is larger than the device's memory
+/// A part has the whole picture's pixels. The whole picture's edges bound the linearisation, the lens effects and the 3D
+/// filter. Sums of training (loss, statistics of densification) are the part's share of the whole's. So a photograph can be
+/// trained where it shows a block of a scene, and a picture that exceeds the device's memory can be rendered part by part.
 /// rendered part by part.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct PicturePart {
-    /// Columns of the whole picture to the left of it.
+    /// Number of the whole picture's columns to the left of the part.
     pub left: u32,
-    /// Rows of the whole picture above it.
+    /// Number of the whole picture's rows above the part.
     pub top: u32,
     /// Width of the whole picture, pixels.
     pub whole_width: u32,
@@ -22,7 +22,7 @@ pub struct PicturePart {
 }
 
 impl PicturePart {
-    /// Whether a picture of this size fits there.
+    /// True if a picture of this size fits there.
     pub(super) fn holds(&self, width: u32, height: u32) -> bool {
         let fits = |from: u32, side: u32, whole: u32| from.checked_add(side).is_some_and(|end| end <= whole);
         fits(self.left, width, self.whole_width) && fits(self.top, height, self.whole_height)
@@ -30,11 +30,11 @@ impl PicturePart {
 }
 
 impl Camera {
-    /// The camera of a part of this picture: `width` by `height` pixels from the column `left` and the row `top`. With multiples of 16
-    /// for both, the part has the same tiles.
+    /// Camera of a part of this picture: `width` by `height` pixels from the column `left` and the row `top`. If both are
+    /// multiples of 16, the part has the same tiles.
     ///
     /// # Errors
-    /// [`Error::Argument`] for a part that is empty or does not lie in the picture.
+    /// [`Error::Argument`] for a part that is empty or exceeds the picture.
     pub fn part(&self, [left, top]: [u32; 2], [width, height]: [u32; 2]) -> Result<Self> {
         let here = PicturePart { left, top, whole_width: self.width, whole_height: self.height };
         if width == 0 || height == 0 || !here.holds(width, height) {
@@ -53,21 +53,21 @@ impl Camera {
         Ok(Self { cx, cy, width, height, part: (!is_whole).then_some(part), ..*self })
     }
 
-    /// The camera of the whole picture of which this one is a part: itself, if it is whole.
+    /// Camera of the whole picture; itself if it is whole.
     pub fn whole(&self) -> Self {
         let Some(PicturePart { left, top, whole_width, whole_height }) = self.part else { return *self };
         let (cx, cy) = (self.cx + left as f32, self.cy + top as f32);
         Self { cx, cy, width: whole_width, height: whole_height, part: None, ..*self }
     }
 
-    /// At which sides the picture is cut out of a larger one: left, top, right, bottom.
+    /// True for sides where the picture is cut from a larger one: left, top, right, bottom.
     pub(crate) fn cut_sides(&self) -> [bool; 4] {
         self.part.map_or([false; 4], |PicturePart { left, top, whole_width, whole_height }| {
             [left > 0, top > 0, left + self.width < whole_width, top + self.height < whole_height]
         })
     }
 
-    /// The share of its pixels in those of the whole picture: 1 if it is whole.
+    /// Number of pixels as a share of the whole picture's; 1 if it is whole.
     pub fn share_of_whole(&self) -> f64 {
         let pixels = |camera: &Self| f64::from(camera.width) * f64::from(camera.height);
         pixels(self) / pixels(&self.whole())
@@ -79,11 +79,11 @@ impl PicturePart {
         width < self.whole_width || height < self.whole_height
     }
 
-    /// The part at another scale of its picture, which has this size then.
+    /// Part at another scale of its picture, whose size becomes (width, height).
     pub(super) fn scaled_by(&self, [sx, sy]: [f64; 2], (width, height): (u32, u32)) -> Self {
         let scaled = |length: u32, by: f64| (f64::from(length) * by).round() as u32;
         let (left, top) = (scaled(self.left, sx), scaled(self.top, sy));
-        // Rounding must not leave it without room.
+        // The part must fit despite rounding.
         let whole_width = scaled(self.whole_width, sx).max(left + width);
         Self { left, top, whole_width, whole_height: scaled(self.whole_height, sy).max(top + height) }
     }

@@ -19,18 +19,18 @@ impl PointCloud {
         self.positions.len()
     }
 
-    /// Whether there are none.
+    /// True if there are no points.
     pub fn is_empty(&self) -> bool {
         self.positions.is_empty()
     }
 
-    /// The smallest box around the points; `None` without points.
+    /// Smallest box around the points; None without points.
     pub fn bounds(&self) -> Option<Bounds> {
         Bounds::of(self.positions.iter().map(|&p| Vec3::from_array(p)))
     }
 }
 
-/// A point cloud as files have it, in source coordinates: see [`WorldFrame`].
+/// A point cloud from a file, in source coordinates: see [`WorldFrame`].
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SourcePoints {
     /// Positions, source units.
@@ -45,12 +45,12 @@ impl SourcePoints {
         self.positions.len()
     }
 
-    /// Whether there are none.
+    /// True if there are no points.
     pub fn is_empty(&self) -> bool {
         self.positions.is_empty()
     }
 
-    /// The points in the world coordinates of a frame.
+    /// Converts the points to the world coordinates of a frame.
     pub fn in_frame(self, frame: &WorldFrame) -> PointCloud {
         let positions = self.positions.iter().map(|&position| frame.world(position).to_array()).collect();
         PointCloud { positions, colors: self.colors }
@@ -60,14 +60,14 @@ impl SourcePoints {
 /// An axis-aligned box in world units.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bounds {
-    /// The corner with the smallest coordinates.
+    /// Corner with the smallest coordinates.
     pub min: Vec3,
-    /// The corner with the largest coordinates.
+    /// Corner with the largest coordinates.
     pub max: Vec3,
 }
 
 impl Bounds {
-    /// The smallest box around the points; `None` without points.
+    /// Smallest box around the points; None without points.
     pub fn of(points: impl Iterator<Item = Vec3>) -> Option<Self> {
         points.fold(None, |bounds: Option<Self>, p| {
             let Self { min, max } = bounds.unwrap_or(Self { min: p, max: p });
@@ -75,13 +75,12 @@ impl Bounds {
         })
     }
 
-    /// The box with two opposite corners.
+    /// Box with two opposite corners.
     pub fn between(one: Vec3, other: Vec3) -> Self {
         Self { min: one.min(other), max: one.max(other) }
     }
 
-    /// Whether a point lies in the box: on its least sides or above, below its greatest ones, so that of two boxes with a common
-    /// side one has it. False for what is no number.
+    /// Half-open box: true on the lower sides, false on the upper ones, so that neighbours share no point. False for NaN.
     pub fn contains(&self, point: Vec3) -> bool {
         point.cmpge(self.min).all() && point.cmplt(self.max).all()
     }
@@ -91,7 +90,7 @@ impl Bounds {
         self.max - self.min
     }
 
-    /// The middle.
+    /// Centre of the box.
     pub fn center(&self) -> Vec3 {
         0.5 * (self.min + self.max)
     }

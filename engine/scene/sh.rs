@@ -22,12 +22,12 @@ pub const C3: [f64; 7] = [
     -0.5900435899266435,
 ];
 
-/// The constant SH coefficient of a colour channel in [0, 1]: `(rgb − 0.5) / Y₀₀`.
+/// Constant SH coefficient of a colour channel in [0, 1]: `(rgb − 0.5) / Y₀₀`.
 pub fn rgb_to_sh_dc(rgb: f32) -> f32 {
     ((f64::from(rgb) - 0.5) / C0) as f32
 }
 
-/// The colour channel of a constant SH coefficient; inverse of [`rgb_to_sh_dc`].
+/// Colour channel of a constant SH coefficient; inverse of [`rgb_to_sh_dc`].
 pub fn sh_dc_to_rgb(sh_dc: f32) -> f32 {
     (f64::from(sh_dc) * C0 + 0.5) as f32
 }
@@ -55,9 +55,9 @@ pub fn basis([x, y, z]: [f64; 3]) -> [f64; 16] {
     ]
 }
 
-/// Derivatives of [`basis`], read as polynomials in (x, y, z): `[function][axis]`.
+/// Derivatives of [`basis`] as polynomials in (x, y, z): `[function][axis]`.
 ///
-/// The direction's own normalisation is the caller's part of the chain rule.
+/// The caller adds the normalisation of the direction by the chain rule.
 pub fn basis_gradient([x, y, z]: [f64; 3]) -> [[f64; 3]; 16] {
     let (xx, yy, zz) = (x * x, y * y, z * z);
     [
@@ -80,7 +80,7 @@ pub fn basis_gradient([x, y, z]: [f64; 3]) -> [[f64; 3]; 16] {
     ]
 }
 
-/// Colour seen from a direction: `max(0, 0.5 + Σ Y·sh)`, using the coefficients up to `degree`.
+/// Colour from a direction: `max(0, 0.5 + Σ Y·sh)`, with the coefficients up to `degree`.
 ///
 /// `sh` holds at least `sh_coefficients(degree)` coefficients (r, g, b); `direction` has unit length and points
 /// from the camera to the Gaussian.

@@ -1,4 +1,4 @@
-//! Rotating spherical harmonics: the real Wigner matrices up to degree 3.
+//! Rotation of spherical harmonics: the real Wigner matrices up to degree 3.
 
 use glam::DMat3;
 
@@ -8,23 +8,22 @@ use super::sh;
 /// Number of orders of degree 3.
 const WIDEST: usize = 7;
 
-/// A matrix between the orders -l..=l of one degree, in the upper left corner.
+/// A matrix for the orders -l..=l of one degree, in the upper left corner.
 type Band = [[f64; WIDEST]; WIDEST];
 
-/// The change of SH coefficients under a rotation.
+/// Rotation of SH coefficients.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ShRotation {
-    /// The matrices of degrees 1, 2 and 3.
+    /// Matrices of degrees 1, 2 and 3.
     bands: [Band; 3],
 }
 
 impl ShRotation {
-    /// The change under `rotation` (orthonormal, determinant 1), which takes old directions to new ones.
+    /// Creates the matrices for `rotation` (orthonormal, determinant 1), which maps old directions to new ones.
     ///
-    /// Ivanic and Ruedenberg, "Rotation Matrices for Real Spherical Harmonics", J. Phys. Chem. 1996, with the
-    /// correction of 1998: each degree's matrix follows from that of degree 1 and of the degree before. Their
-    /// functions have no Condon-Shortley phase; those of [`sh::basis`] have it, so that elements between an even
-    /// and an odd order change sign.
+    /// After Ivanic and Ruedenberg, "Rotation Matrices for Real Spherical Harmonics", J. Phys. Chem. 1996, with the correction
+    /// of 1998: each matrix follows from those of degree 1 and of the previous degree. Their functions have no Condon-Shortley
+    /// phase, but those of [`sh::basis`] do, so elements between an even and an odd order change sign.
     pub fn new(rotation: DMat3) -> Self {
         // Orders -1, 0, 1 are y, z, x.
         const AXIS: [usize; 3] = [1, 2, 0];
@@ -60,7 +59,7 @@ impl ShRotation {
     }
 }
 
-/// The sign that each of the 16 basis functions takes when axes are mirrored (`signs` are 1 or -1).
+/// Sign that each of the 16 basis functions receives when axes are mirrored (`signs` are 1 or -1).
 pub fn mirror_signs(signs: [f64; 3]) -> [f32; 16] {
     // Each function is even or odd in each axis; no function is 0 in this direction.
     let direction = [0.36, 0.48, 0.8];
@@ -80,7 +79,7 @@ fn with_phase(mut band: Band, l: usize) -> Band {
     band
 }
 
-/// The matrix of degree `l` from those of degree 1 and `l - 1`.
+/// Computes the matrix of degree `l` from those of degree 1 and `l - 1`.
 fn next_band(l: i32, first: &Band, previous: &Band) -> Band {
     let recursion = Recursion { l, first, previous };
     let mut band = [[0.0; WIDEST]; WIDEST];
@@ -92,7 +91,7 @@ fn next_band(l: i32, first: &Band, previous: &Band) -> Band {
     band
 }
 
-/// Table 1 and 2 of the paper.
+/// Tables 1 and 2 of the paper.
 struct Recursion<'a> {
     l: i32,
     first: &'a Band,
@@ -109,7 +108,7 @@ impl Recursion<'_> {
         let v = 0.5 * root((if zero { 2 } else { 1 }) * (l + m.abs() - 1) * (l + m.abs()));
         let v = if zero { -v } else { v };
         let w = if zero { 0.0 } else { -0.5 * root((l - m.abs() - 1) * (l - m.abs())) };
-        // A factor of 0 belongs to terms outside the matrices, which must not be evaluated.
+        // Terms with a factor of 0 lie outside the matrices and must not be evaluated.
         let term = |factor: f64, value: &dyn Fn() -> f64| if factor == 0.0 { 0.0 } else { factor * value() };
         term(u, &|| self.p(0, m, n)) + term(v, &|| self.v(m, n)) + term(w, &|| self.w(m, n))
     }

@@ -1,4 +1,4 @@
-//! Photos of a data set with their masks: in memory, or in a file until they are needed.
+//! Photographs of a data set with their masks, in memory or in a file.
 
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom, Write};
@@ -11,10 +11,10 @@ use crate::{Error, Result};
 
 /// Bytes of a pixel in a file: r, g, b, coverage.
 pub(crate) const TEXEL_BYTES: u64 = 4;
-/// Coverage of an opaque pixel. That of a transparent one is 1; a pixel with 0 does not count.
+/// Coverage of an opaque pixel. A transparent pixel has 1, and a pixel that does not count has 0.
 const OPAQUE: u8 = 255;
 
-/// A photo and its mask. Cheap to clone: the pixels are shared.
+/// A photograph and its mask. Cheap to clone, because the pixels are shared.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StoredPhoto {
     /// Width, pixels.
@@ -28,7 +28,7 @@ pub struct StoredPhoto {
 
 #[derive(Clone, Debug, PartialEq)]
 enum Place {
-    /// The mask of a transparent photo holds its coverage.
+    /// The mask of a transparent photograph holds its coverage.
     Memory {
         photo: Arc<Photo>,
         mask: Option<Arc<[u8]>>,
@@ -41,21 +41,21 @@ enum Place {
 }
 
 impl From<Photo> for StoredPhoto {
-    /// A photo without a mask.
+    /// A photograph without a mask.
     fn from(photo: Photo) -> Self {
         Self::new(photo, None)
     }
 }
 
 impl StoredPhoto {
-    /// A photo in memory. `mask` has one byte per pixel, 0 where the pixel does not count.
+    /// Creates a photograph in memory. `mask` has one byte per pixel, 0 if the pixel does not count.
     pub fn new(photo: Photo, mask: Option<Vec<u8>>) -> Self {
         let (width, height, masked) = (photo.width, photo.height, mask.is_some());
         let place = Place::Memory { photo: Arc::new(photo), mask: mask.map(Into::into) };
         Self { width, height, masked, transparent: false, place }
     }
 
-    /// As [`StoredPhoto::new`], of a photo that was composed over the background of the training. Its opacity, one byte per
+    /// Same as [`StoredPhoto::new`], but for a photograph composed over the training's background. `opacity`, one byte per
     /// pixel, lets [`TrainSettings::random_background`](crate::TrainSettings::random_background) compose it over others.
     pub fn with_opacity(photo: Photo, opacity: &[u8], mask: Option<Vec<u8>>) -> Self {
         let fits = mask.as_ref().is_none_or(|mask| mask.len() == opacity.len());
@@ -71,10 +71,10 @@ impl StoredPhoto {
         Self { masked: mask.is_some(), transparent: true, ..Self::new(photo, Some(coverage)) }
     }
 
-    /// The photo without the pixels that are `hidden`, by their indices: they do not count.
+    /// Masks the pixels whose indices are `hidden`, so that they do not count.
     ///
     /// # Errors
-    /// As [`StoredPhoto::photo`].
+    /// Same as [`StoredPhoto::photo`].
     pub fn hiding(&self, hidden: impl Fn(usize) -> bool) -> Result<Self> {
         let texels = self.texels()?;
         let coverage = texels.as_chunks::<4>().0.iter().map(|texel| texel[3]).enumerate();
@@ -83,22 +83,22 @@ impl StoredPhoto {
         Ok(Self { masked: true, place, ..self.clone() })
     }
 
-    /// True if some pixels do not count, or are transparent: the device then keeps their coverage.
+    /// True if some pixels do not count or are transparent. The device then stores the coverage.
     pub fn is_masked(&self) -> bool {
         self.masked || self.transparent
     }
 
-    /// True if it can be composed over another background: [`StoredPhoto::with_opacity`].
+    /// True if another background is possible: [`StoredPhoto::with_opacity`].
     pub fn is_transparent(&self) -> bool {
         self.transparent
     }
 
-    /// Bytes of the photo in a file.
+    /// Bytes of the photograph in a file.
     pub fn bytes(&self) -> u64 {
         TEXEL_BYTES * u64::from(self.width) * u64::from(self.height)
     }
 
-    /// The file, if the photo is in one.
+    /// File of the photograph; None if it is in memory.
     pub fn file(&self) -> Option<&Arc<PhotoFile>> {
         match &self.place {
             Place::Memory { .. } => None,
@@ -106,10 +106,10 @@ impl StoredPhoto {
         }
     }
 
-    /// The photo.
+    /// Returns the picture.
     ///
     /// # Errors
-    /// [`Error::Io`] when it is in a file that cannot be read.
+    /// [`Error::Io`] if its file cannot be read.
     pub fn photo(&self) -> Result<Arc<Photo>> {
         if let Place::Memory { photo, .. } = &self.place {
             return Ok(photo.clone());
@@ -118,10 +118,10 @@ impl StoredPhoto {
         Ok(Arc::new(Photo { width: self.width, height: self.height, rgb }))
     }
 
-    /// One byte per pixel, 0 where the pixel does not count. None if all pixels count.
+    /// One byte per pixel, 0 if the pixel does not count. None if all pixels count.
     ///
     /// # Errors
-    /// As [`StoredPhoto::photo`].
+    /// Same as [`StoredPhoto::photo`].
     pub fn mask(&self) -> Result<Option<Arc<[u8]>>> {
         match &self.place {
             _ if !self.masked => Ok(None),
@@ -133,11 +133,11 @@ impl StoredPhoto {
         }
     }
 
-    /// The photo and its coverage: r, g, b and, from 0 where the pixel does not count and 1 where it is transparent to 255
-    /// where it is opaque, coverage per pixel, row-major.
+    /// Pixels with coverage: r, g, b, coverage per pixel, row-major. Coverage is 0 if the pixel does not count, else from 1
+    /// (transparent) to 255 (opaque).
     ///
     /// # Errors
-    /// As [`StoredPhoto::photo`].
+    /// Same as [`StoredPhoto::photo`].
     pub fn texels(&self) -> Result<Vec<u8>> {
         match &self.place {
             Place::Memory { photo, mask } => Ok(self.texels_of(photo, mask.as_deref())),
@@ -145,7 +145,7 @@ impl StoredPhoto {
         }
     }
 
-    /// A hash of photo and mask, the same in memory and in a file.
+    /// Hash of photograph and mask, the same in memory and in a file.
     pub(crate) fn fingerprint(&self) -> u64 {
         match &self.place {
             Place::Memory { photo, mask } => fingerprint(photo, mask.as_deref()),
@@ -153,7 +153,7 @@ impl StoredPhoto {
         }
     }
 
-    /// Refuses a photo or mask whose number of bytes does not fit its size.
+    /// Refuses a photograph or mask whose number of bytes does not match its size.
     pub(crate) fn check(&self) -> Result<(), String> {
         let Place::Memory { photo, mask } = &self.place else { return Ok(()) };
         let pixels = self.width as usize * self.height as usize;
@@ -187,7 +187,7 @@ fn fingerprint(photo: &Photo, mask: Option<&[u8]>) -> u64 {
     print.finish()
 }
 
-/// Photos with their masks, one after the other, in an unnamed file that is deleted with this value.
+/// Photographs with their masks in an unnamed file, which is deleted with this value.
 #[derive(Debug)]
 pub struct PhotoFile {
     folder: PathBuf,
@@ -202,21 +202,21 @@ impl PartialEq for PhotoFile {
 }
 
 impl PhotoFile {
-    /// An empty file in a folder. `memory_bytes` bounds the memory of its photos during training, host and
-    /// device together.
+    /// Creates an empty file in a folder. `memory_bytes` limits the memory of its photographs during training, host and device
+    /// together.
     pub fn new(file: File, folder: PathBuf, memory_bytes: u64) -> Arc<Self> {
         Arc::new(Self { folder, memory_bytes, file: Mutex::new(file) })
     }
 
-    /// Bound of the memory of the file's photos, bytes.
+    /// Memory limit of the file's photographs, bytes.
     pub fn memory_bytes(&self) -> u64 {
         self.memory_bytes
     }
 
-    /// Moves a photo into the file.
+    /// Moves a photograph into the file.
     ///
     /// # Errors
-    /// [`Error::Io`] when the disk is full, for example.
+    /// [`Error::Io`], for example when the disk is full.
     pub fn store(self: &Arc<Self>, photo: &StoredPhoto) -> Result<StoredPhoto> {
         let (texels, fingerprint) = (photo.texels()?, photo.fingerprint());
         let mut file = self.file.lock().unwrap_or_else(PoisonError::into_inner);

@@ -1,25 +1,25 @@
-//! Cameras that stand far from all others. Most often their poses are wrong: an extent, an orbit or a box that goes by the farthest
-//! camera is then that camera's, not the scene's.
+//! Cameras far from all others. Usually their poses are wrong, and would determine an extent, an orbit or a box instead of the
+//! scene.
 
 use glam::Vec3;
 
 use super::median_ball::median_ball;
 
-/// Distance of a stray from the median position, in median distances. Ordinary data sets stay below 2.4. As a part of the extent, one
-/// camera of 40 costs 0.1 dB at 5, 0.9 at 10 and 3.4 at 30.
+/// Minimum distance of a stray from the median position, in median distances. Ordinary data sets stay below 2.4. If the extent
+/// includes one distant camera of 40, quality falls by 0.1 dB at 5, 0.9 at 10 and 3.4 at 30.
 const FAR: f64 = 8.0;
 
-/// A far camera with this many others nearer than [`FAR`] is no stray: they are a block of a city, say.
+/// Number of other cameras within [`FAR`] that make a far camera no stray, but for example a block of a city.
 const COMPANIONS: usize = 3;
 
-/// Fewer cameras do not tell which of them is a stray.
+/// Minimum number of cameras for finding strays.
 const LEAST_CAMERAS: usize = 5;
 
-/// Most strays, however many cameras there are: each is compared with all cameras.
+/// Maximum number of strays, because each is compared with all cameras.
 const MAX_STRAYS: usize = 1000;
 
-/// For each camera that is a stray, its distance from the median position in median distances. At most a fifth are strays, or one:
-/// where more stand apart, none is.
+/// For each stray, its distance from the median position in median distances. At most a fifth of the cameras are strays, or
+/// one; if more stand apart, none is.
 pub fn strays(positions: &[Vec3]) -> Vec<Option<f64>> {
     let count = positions.len();
     let points: Vec<_> = positions.iter().map(|position| position.as_dvec3()).collect();
@@ -28,7 +28,7 @@ pub fn strays(positions: &[Vec3]) -> Vec<Option<f64>> {
         return none();
     };
     let reach = FAR * radius;
-    // Neighbours in the list are neighbours in space most often.
+    // Neighbours in the list usually are neighbours in space.
     let is_lonely = |index: usize| {
         let others = (1..count).flat_map(|step| [index.checked_sub(step), Some(index + step)]);
         let others = others.flatten().filter(|&other| other < count);
@@ -49,13 +49,13 @@ pub fn strays(positions: &[Vec3]) -> Vec<Option<f64>> {
     found
 }
 
-/// All but the strays, in their order.
+/// Returns all but the strays, in their order.
 pub fn without_strays<T: Copy>(all: &[T], position: impl Fn(&T) -> Vec3) -> Vec<T> {
     let strays = strays(&all.iter().map(position).collect::<Vec<_>>());
     all.iter().zip(strays).filter(|(_, stray)| stray.is_none()).map(|(&one, _)| one).collect()
 }
 
-/// Index of the farthest camera and its distance from the median position in median distances, if that is beyond all usual ones.
+/// Index of the farthest camera and its distance from the median position in median distances, if it is unusually large.
 pub fn far_camera(positions: &[Vec3]) -> Option<(usize, f64)> {
     let points: Vec<_> = positions.iter().map(|position| position.as_dvec3()).collect();
     let (center, radius) = median_ball(&points).filter(|_| points.len() >= LEAST_CAMERAS)?;

@@ -1,4 +1,4 @@
-//! Ways of a camera that stay in what other cameras saw.
+//! Camera paths close to existing cameras.
 
 use super::camera::{Camera, Intrinsics};
 use super::orbit::{Orbit, level_up, nearest_to_axes};
@@ -6,42 +6,42 @@ use super::strays::without_strays;
 use glam::{DMat3, DQuat, DVec3};
 use std::f64::consts::{PI, TAU};
 
-/// Cameras on a ring look at its middle to within this angle, radians.
+/// Largest angle at which cameras on a ring look at its middle, radians.
 const INWARD: f64 = 60.0 / 180.0 * PI;
-/// Share of the cameras that must do so for an orbit or an arc.
+/// Minimum share of such cameras for an orbit or an arc.
 const INWARD_SHARE: f64 = 0.8;
-/// The widest part of the ring without a camera over which an orbit still passes, radians.
+/// Widest gap of the ring without cameras that an orbit may cross, radians.
 const WIDEST_GAP: f64 = 100.0 / 180.0 * PI;
-/// Width of the kernel that smooths a way, in mean distances between cameras.
+/// Width of the smoothing kernel, in mean distances between cameras.
 const SMOOTHING: f64 = 1.5;
-/// Its least width, as a share of the way: photographs of a path follow each other, those of an arc may have been taken
-/// in several rounds at several heights.
+/// Minimum width of the smoothing kernel, as a share of the way, for paths and for arcs. Photographs of a path follow each
+/// other; those of an arc may come from several rounds at several heights.
 const LEAST_SMOOTHING: (f64, f64) = (1.0 / 40.0, 1.0 / 6.0);
-/// How much longer than from neighbour to neighbour the way in the given order may be.
+/// Largest ratio of the way in the given order to the way from neighbour to neighbour.
 const LONGEST_DETOUR: f64 = 2.0;
 
-/// An arc ends within its outermost cameras, by a mean distance between two of them and at most by this share of it: what
-/// only one camera saw is not drawn well from elsewhere.
+/// Largest distance between an arc's end and its outermost camera, as a share of the arc; otherwise it is the mean distance
+/// between cameras. What only one camera showed is not drawn well from elsewhere.
 const MOST_INSET: f64 = 1.0 / 8.0;
 
-/// Most cameras that a motion goes by; of more, evenly spaced ones are taken. Beyond some hundreds, the smoothing no longer depends on
-/// their number, and the order from neighbour to neighbour takes steps in proportion to its square.
+/// Maximum number of cameras for a motion; more are thinned evenly. Beyond some hundreds the smoothing does not depend on their
+/// number, and the time to order neighbours grows with its square.
 const MOST_CAMERAS: usize = 4096;
 
-/// How a camera moves through a scene.
+/// Movement of a camera through a scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Motion {
     /// A full circle around the point that the cameras look at.
     Orbit,
-    /// The part of that circle in which there are cameras.
+    /// The part of that circle that has cameras.
     Arc,
     /// A smooth curve along the cameras.
     Path,
 }
 
 impl Motion {
-    /// The motion that suits these cameras, but for [`strays`](super::strays()): an orbit if they surround one place, an arc if they look at it from
-    /// one side, else a path.
+    /// Returns the motion that suits these cameras, except [`strays`](super::strays()): an orbit if they surround one place, an
+    /// arc if they look at it from one side, else a path.
     pub fn of(cameras: &[Camera]) -> Self {
         match Ring::of(&without_strays(cameras, Camera::position)) {
             Some(ring) if ring.inward >= INWARD_SHARE && ring.span >= TAU - WIDEST_GAP => Self::Orbit,
@@ -50,14 +50,14 @@ impl Motion {
         }
     }
 
-    /// `count` cameras that move so, in order. `looped`: the first follows the last, so an arc is walked from
-    /// its middle to both ends and back; a path is always walked once. Empty without cameras.
+    /// Returns `count` cameras of the motion, in order. `looped`: the first follows the last, so an arc runs from its middle to
+    /// both ends and back; a path always runs once. Empty without cameras.
     pub fn cameras(self, seen: &[Camera], count: u32, looped: bool, intrinsics: Intrinsics) -> Vec<Camera> {
         let every = seen.len().div_ceil(MOST_CAMERAS).max(1);
         let thinned: Vec<Camera> = seen.iter().step_by(every).copied().collect();
         let thinned = without_strays(&thinned, Camera::position);
         let along = (0..count).map(|i| match (looped && self == Self::Arc, count) {
-            // The first frame is what a film is known by.
+            // A film is recognised by its first frame.
             (true, _) => 0.5 + 0.5 * (TAU * f64::from(i) / f64::from(count)).sin(),
             (false, 1) => 0.5,
             (false, _) => f64::from(i) / f64::from(count - 1),
@@ -75,8 +75,8 @@ impl Motion {
     }
 }
 
-/// `count` cameras on a smooth curve through some keys: positions on a Catmull-Rom spline, rotations the shortest
-/// way, intrinsics in proportion, the size of the first key ([`Camera::fitted_to`]). An open curve begins and ends at a key; a closed
+/// Returns `count` cameras on a smooth curve through keys: positions on a Catmull-Rom spline, rotations by the shortest way,
+/// intrinsics interpolated, and the first key's size ([`Camera::fitted_to`]). An open curve begins and ends at a key; a closed
 /// one ends a step before its first key. Empty without keys.
 pub fn through_keys(keys: &[Camera], count: u32, closed: bool) -> Vec<Camera> {
     let Some(first) = keys.first() else { return Vec::new() };
@@ -87,7 +87,7 @@ pub fn through_keys(keys: &[Camera], count: u32, closed: bool) -> Vec<Camera> {
         if spans == 0 {
             return keys[0];
         }
-        // By integers, so that a frame at a key is that key.
+        // Integers make a frame at a key equal to that key.
         let at = spans as u64 * u64::from(frame);
         let span = (at / u64::from(steps)).min(spans as u64 - 1);
         let t = (at - span * u64::from(steps)) as f64 / f64::from(steps);
@@ -96,7 +96,7 @@ pub fn through_keys(keys: &[Camera], count: u32, closed: bool) -> Vec<Camera> {
     (0..count).map(frame).collect()
 }
 
-/// The camera at `t` from 0 to 1 between a key and the next.
+/// Camera at `t` from 0 to 1 between a key and the next.
 fn between(keys: &[Camera], span: usize, t: f64, closed: bool) -> Camera {
     let count = keys.len() as i64;
     let key = |offset: i64| {
@@ -130,7 +130,7 @@ fn rotation(camera: &Camera) -> DQuat {
     DQuat::from_mat3(&camera.camera_from_world.as_dmat3()).normalize()
 }
 
-/// The mean of some values at a place, each weighted by a Gaussian of its distance there.
+/// Sum of values weighted by a Gaussian of their distance from a place, and the sum of the weights.
 fn smoothed<T>(
     values: &[(f64, T)],
     place: f64,
@@ -140,30 +140,30 @@ fn smoothed<T>(
 ) -> (T, f64) {
     let nearest = values.iter().map(|(at, _)| (at - place).abs()).fold(f64::INFINITY, f64::min);
     values.iter().fold((zero, 0.0), |(sum, weights), (at, value)| {
-        // Of the nearest 1, so that never all of them vanish.
+        // The nearest value has the weight 1, so that the weights never all vanish.
         let [distance, least] = [*at - place, nearest].map(|d| (d / width).powi(2));
         let weight = (0.5 * (least - distance)).exp();
         (add(sum, value, weight), weights + weight)
     })
 }
 
-/// Cameras around the point that they look at.
+/// Cameras around a common point.
 struct Ring {
     center: DVec3,
-    /// Up, and two directions across it, from the first of which azimuths are measured.
+    /// Up, then two directions across it. Azimuths start at the first of these.
     axes: [DVec3; 3],
-    /// Azimuth at which the widest gap ends, radians.
+    /// Azimuth at the end of the widest gap, radians.
     begin: f64,
-    /// From there to the last camera, radians.
+    /// Angle from there to the last camera, radians.
     span: f64,
     /// Share of the cameras that look at the centre.
     inward: f64,
-    /// Of each camera: azimuth from `begin`, (distance to the axis, height above the centre).
+    /// Per camera: azimuth from `begin`, (distance to the axis, height above the centre).
     places: Vec<(f64, [f64; 2])>,
 }
 
 impl Ring {
-    /// None for fewer than three cameras, and where they do not look at one place.
+    /// None for fewer than three cameras, or if they do not look at one place.
     fn of(cameras: &[Camera]) -> Option<Self> {
         if cameras.len() < 3 {
             return None;
@@ -193,7 +193,7 @@ impl Ring {
         Some(Self { center, axes, begin, span: TAU - gap, inward, places })
     }
 
-    /// A camera at a share of the arc.
+    /// Camera at a share of the arc.
     fn camera(&self, share: f64, intrinsics: Intrinsics) -> Camera {
         let [up, side, front] = self.axes;
         let spacing = self.span / (self.places.len() - 1) as f64;
@@ -211,14 +211,14 @@ impl Ring {
     }
 }
 
-/// Cameras one behind the other.
+/// Cameras in sequence.
 struct Way {
-    /// Of each camera: its place on the way, position, rotation (signs so that neighbours are near).
+    /// Per camera: place on the way, position, rotation (with signs so that neighbours are near).
     places: Vec<(f64, (DVec3, DQuat))>,
 }
 
 impl Way {
-    /// In the given order, or from neighbour to neighbour if that way is much shorter.
+    /// Orders cameras as given, or from neighbour to neighbour if that way is much shorter.
     fn along(cameras: &[Camera]) -> Self {
         let poses: Vec<(DVec3, DQuat)> =
             cameras.iter().map(|camera| (camera.exact_position(), rotation(camera))).collect();
@@ -250,7 +250,7 @@ impl Way {
         Self { places }
     }
 
-    /// A camera at a share of the way.
+    /// Camera at a share of the way.
     fn camera(&self, share: f64, intrinsics: Intrinsics) -> Camera {
         let end = self.places.last().map_or(0.0, |(at, _)| *at);
         let spacing = end / (self.places.len().max(2) - 1) as f64;

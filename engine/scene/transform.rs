@@ -1,4 +1,4 @@
-//! Moving, turning, scaling and thinning out a set of Gaussians.
+//! Moves, turns, scales and thins out sets of Gaussians.
 
 use glam::{DQuat, DVec3};
 
@@ -10,7 +10,7 @@ use super::world_frame::WorldFrame;
 /// A similarity: `x_new = scale * (rotation * x) + translation`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Similarity {
-    /// Rotation, of unit length; applied first.
+    /// Rotation of unit length; applied first.
     pub rotation: DQuat,
     /// Factor of all lengths, positive.
     pub scale: f64,
@@ -25,7 +25,7 @@ impl Default for Similarity {
 }
 
 impl Similarity {
-    /// From the world coordinates of one frame to those of another.
+    /// Converts the world coordinates of one frame to those of another.
     pub fn between(from: &WorldFrame, to: &WorldFrame) -> Self {
         Self {
             rotation: DQuat::IDENTITY,
@@ -34,12 +34,12 @@ impl Similarity {
         }
     }
 
-    /// The place of a point after the move.
+    /// Returns the transformed point.
     pub fn apply(&self, point: DVec3) -> DVec3 {
         self.scale * (self.rotation * point) + self.translation
     }
 
-    /// This one after `first`.
+    /// Returns the composition: first `first`, then `self`.
     pub fn after(&self, first: &Self) -> Self {
         Self {
             rotation: (self.rotation * first.rotation).normalize(),
@@ -50,7 +50,7 @@ impl Similarity {
 }
 
 impl Gaussians {
-    /// Moves everything: means, shapes, and what depends on the view.
+    /// Transforms means, shapes and SH coefficients.
     pub fn transform(&mut self, similarity: &Similarity) {
         if *similarity == Similarity::default() {
             return;
@@ -77,7 +77,7 @@ impl Gaussians {
         }
     }
 
-    /// Mirrors the axes with `true`. Only signs change, so that a second call restores the same bits.
+    /// Mirrors the axes with `true`. Only signs change, so a second call restores the same bits.
     pub fn mirror(&mut self, axes: [bool; 3]) {
         if axes == [false; 3] {
             return;
@@ -107,7 +107,7 @@ impl Gaussians {
         }
     }
 
-    /// The Gaussians with these indices, in this order.
+    /// Returns the Gaussians with these indices, in this order.
     pub fn select(&self, indices: &[usize]) -> Self {
         let mut selected = Self::with_capacity(self.sh_degree, indices.len());
         indices.iter().for_each(|&index| selected.push_from(self, index));
@@ -138,7 +138,7 @@ impl Gaussians {
         1.0 / (1.0 + (-self.opacity_logits[index]).exp())
     }
 
-    /// The smallest box around the means; `None` without Gaussians.
+    /// Smallest box around the means; None without Gaussians.
     pub fn bounds(&self) -> Option<Bounds> {
         Bounds::of(self.means.iter().map(|&mean| glam::Vec3::from_array(mean)))
     }

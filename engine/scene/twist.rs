@@ -4,14 +4,14 @@ use glam::{DMat3, DVec3};
 
 use super::Camera;
 
-/// Terms of the series: the rest is below double precision for turns of up to a circle.
+/// Number of terms of the series. The rest is below double precision for turns of up to a circle.
 const TERMS: u32 = 40;
 
 /// Six parameters ξ = (ν, ω) that move a camera: its pose from world to camera becomes `exp(ξ^) T`.
 ///
-/// Both are in the camera's own frame (x right, y down, z forward): `omega` turns about the camera's centre,
-/// by its length in radians; `nu` is a displacement in world units (Barfoot 2017, section 7.1). What is seen
-/// moves by them, and the camera the other way.
+/// Both are in the camera's own frame (x right, y down, z forward). `omega` turns about the camera's centre, by its length in
+/// radians; `nu` is a displacement in world units (Barfoot 2017, section 7.1). The scene moves by them, and the camera the
+/// other way.
 ///
 /// # Examples
 /// ```
@@ -26,29 +26,29 @@ const TERMS: u32 = 40;
 /// ```
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Twist {
-    /// Displacement of what is seen, world units.
+    /// Displacement of the scene, world units.
     pub nu: DVec3,
-    /// Turn of what is seen: axis times angle, radians.
+    /// Turn of the scene: axis times angle, radians.
     pub omega: DVec3,
 }
 
 impl Twist {
-    /// From (ν, ω) in one array.
+    /// Creates a twist from (ν, ω).
     pub fn from_array(xi: [f64; 6]) -> Self {
         let [a, b, c, d, e, f] = xi;
         Self { nu: DVec3::new(a, b, c), omega: DVec3::new(d, e, f) }
     }
 
-    /// (ν, ω) in one array.
+    /// Returns (ν, ω).
     pub fn to_array(self) -> [f64; 6] {
         let ([a, b, c], [d, e, f]) = (self.nu.to_array(), self.omega.to_array());
         [a, b, c, d, e, f]
     }
 
-    /// `exp(ξ^)`: a rotation and a translation.
+    /// Returns the rotation and the translation of `exp(ξ^)`.
     pub fn exp(self) -> (DMat3, DVec3) {
         let Self { nu, omega } = self;
-        // Column by column, and the translation: each is the solution of a linear equation, by its series.
+        // Each column, and the translation, is the solution of a linear equation, computed by its series.
         let turned = |start: DVec3| -> DVec3 {
             let (mut sum, mut term) = (start, start);
             for k in 1..TERMS {
@@ -65,7 +65,7 @@ impl Twist {
         (DMat3::from_cols(turned(DVec3::X), turned(DVec3::Y), turned(DVec3::Z)), translation)
     }
 
-    /// The camera at `exp(ξ^) T`.
+    /// Returns the camera at `exp(ξ^) T`.
     #[must_use]
     pub fn applied_to(self, camera: &Camera) -> Camera {
         let (rotation, translation) = self.exp();
@@ -107,7 +107,7 @@ mod tests {
         // A screw does not change the part along its axis.
         let along = Twist { nu: TWIST.omega * 0.7, ..TWIST }.exp().1;
         assert!(along.abs_diff_eq(TWIST.omega * 0.7, 1e-14));
-        // Half of it twice.
+        // Half the screw, twice.
         let half = Twist { nu: TWIST.nu / 2.0, omega: TWIST.omega / 2.0 }.exp();
         let twice = (half.0 * half.0, half.0 * half.1 + half.1);
         let whole = TWIST.exp();
@@ -115,7 +115,7 @@ mod tests {
         assert_eq!(Twist::from_array(TWIST.to_array()), TWIST);
     }
 
-    /// L = sum of weights of the elements of R and t.
+    /// L is a weighted sum of the elements of R and t.
     #[test]
     fn gradients_agree_with_differences() {
         let weights = |k: usize| ((7 * k + 3) % 11) as f64 - 5.0;

@@ -1,8 +1,8 @@
-//! Converts a host engine's matrices to [`Camera`]. All conventions are handled here.
+//! Converts a host engine's matrices to [`Camera`], with all conventions.
 //!
-//! A view and a projection matrix contain everything that differs between engines: the directions of the view
-//! space's axes, whether clip space points up or down, whether depth is reversed, and the far plane. So only
-//! the matrices and the flip of the viewport are needed.
+//! A view and a projection matrix contain everything that differs between engines: the directions of view space, whether clip
+//! space points up or down, whether depth is reversed, and the far plane. So only the matrices and the flip of the viewport are
+//! necessary.
 
 use glam::{Mat3, Mat4, Vec3, Vec4};
 
@@ -10,28 +10,26 @@ use super::camera::{MAX_IMAGE_SIDE, NEAR_PLANE, is_rotation};
 use super::{Camera, Intrinsics};
 use crate::{Error, Result};
 
-/// Where the +y of clip space lies in the image.
+/// Direction of clip space's +y in the image.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ClipY {
-    /// At the bottom: Vulkan with a viewport of positive height.
+    /// Down: Vulkan with a viewport of positive height.
     #[default]
     Down,
-    /// At the top: a viewport of negative height, or OpenGL's and Direct3D's clip space.
+    /// Up: a viewport of negative height, or OpenGL's and Direct3D's clip space.
     Up,
 }
 
-/// A host's view: column vectors, `clip = projection * view * world`, depth from 0 to 1 in the viewport's
-/// whole range.
+/// View of a host: column vectors, `clip = projection * view * world`, depth from 0 to 1 in the viewport's whole range.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HostView {
-    /// View space from the scene's world: a rotation, perhaps a mirroring of axes, and a translation. A
-    /// scene's world is right-handed. A host with a left-handed world multiplies by the conversion: `view *
-    /// diag(1, 1, -1, 1)`.
+    /// Transform from the scene's world to view space: a rotation, perhaps a mirroring of axes, and a translation. A scene's
+    /// world is right-handed. A host with a left-handed world multiplies by the conversion: `view * diag(1, 1, -1, 1)`.
     pub view_from_world: Mat4,
     /// Perspective projection: any signs, off-centre or not, standard or reversed depth, finite or infinite far plane. Or an
-    /// orthographic one: any signs, off-centre or not, standard or reversed depth, near plane before or behind the eye.
+    /// orthographic one: any signs, off-centre or not, standard or reversed depth, near plane in front of or behind the eye.
     pub clip_from_view: Mat4,
-    /// Where the +y of clip space lies in the image.
+    /// Direction of clip space's +y in the image.
     pub clip_y: ClipY,
     /// Width of the image, pixels.
     pub width: u32,
@@ -39,37 +37,37 @@ pub struct HostView {
     pub height: u32,
 }
 
-/// What the value `d` of a host's depth buffer means: `1/z = scale * d + offset`, exact for every perspective projection, or
-/// `z = scale * d + offset` for an orthographic one. z is the distance along the optical axis from the camera that
-/// [`HostView::camera`] gives, in world units.
+/// Meaning of the value `d` of a host's depth buffer: `1/z = scale * d + offset`, exact for every perspective projection, or `z
+/// = scale * d + offset` for an orthographic one. z is the distance along the optical axis from the camera of
+/// [`HostView::camera`], in world units.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DepthMapping {
-    /// See above. For reversed depth it is positive of a perspective, and negative of an orthographic projection.
+    /// Factor of `d`. For reversed depth it is positive for a perspective projection, and negative for an orthographic one.
     pub scale: f32,
-    /// See above.
+    /// Offset of 1/z or z.
     pub offset: f32,
-    /// The depth of a pixel without a surface: 1, or 0 for reversed depth.
+    /// Depth of a pixel without a surface: 1, or 0 for reversed depth.
     pub clear_value: f32,
-    /// Whether it is z itself that is linear in d: of an orthographic projection.
+    /// True if z itself is linear in d, as for an orthographic projection.
     pub linear: bool,
 }
 
 impl DepthMapping {
-    /// The z of a depth value, infinite for the far plane at infinity.
+    /// Returns the z of a depth value; infinite for a far plane at infinity.
     pub fn z(&self, depth: f32) -> f32 {
         let value = self.scale * depth + self.offset;
         if self.linear { value } else { value.max(0.0).recip() }
     }
 
-    /// The coefficients (a, b) of the way back, for a host's shader that writes depth: `d = a / z + b`, or `d = a z + b` if the
+    /// Coefficients (a, b) of the inverse, for a host's shader that writes depth: `d = a / z + b`, or `d = a z + b` if the
     /// mapping is [`linear`](Self::linear). Not finite if `scale` is 0.
     pub fn coefficients(&self) -> [f32; 2] {
         let (scale, offset) = (f64::from(self.scale), f64::from(self.offset));
         [scale.recip() as f32, (-offset / scale) as f32]
     }
 
-    /// The depth value of a z, by [`coefficients`](Self::coefficients): outside of 0 to 1 where z is not between the host's
-    /// planes.
+    /// Returns the depth value of a z, by [`coefficients`](Self::coefficients). It is outside 0 to 1 if z is not between the
+    /// host's planes.
     pub fn depth(&self, z: f32) -> f32 {
         let [a, b] = self.coefficients();
         a * if self.linear { z } else { z.recip() } + b
@@ -77,20 +75,21 @@ impl DepthMapping {
 }
 
 impl HostView {
-    /// The camera, and the mapping of the depth buffer that is rendered with it.
+    /// Returns the camera and the mapping of its depth buffer.
     ///
-    /// The camera is the host's. Of an orthographic projection it looks where its axes are right-handed, whether depth is
-    /// reversed or not; and because splats are drawn beyond z = [`NEAR_PLANE`] only, it stands so far behind the host's eye that
-    /// the near plane has that z, unless it has more already. The mapping, and expected depth, count from there. Its near plane clips no
-    /// splats that lie before it and beyond that z.
+    /// The camera is the host's, with two exceptions for orthographic projections. It looks in the direction in which its axes
+    /// are right-handed, for both directions of depth. Splats are only drawn beyond z = [`NEAR_PLANE`], so it may move back
+    /// behind the host's eye until the near plane has that z. The mapping, and expected depth, count from there. The near plane
+    /// clips no splats between it and that z.
     ///
-    /// With parallel rays, a mirrored picture is that of the opposite direction. It is refused where the whole range of depth lies behind the
-    /// eye then. An orthographic projection whose near plane is behind the eye and whose far plane is before it must not mirror: it would
-    /// be taken for one of the other depth, reversed or not.
+    /// With parallel rays, a mirrored picture is that of the opposite direction, and is refused if the whole range of depth
+    /// then lies behind the eye. An orthographic projection with a near plane behind the eye and a far plane in front must not
+    /// mirror. It would be taken for one with the other direction of depth.
     ///
     /// # Errors
-    /// [`Error::Argument`] for numbers that are not finite, a projection that is neither perspective nor orthographic or is
-    /// skewed, a view that scales or is not affine, and matrices that together mirror the picture, but for those above.
+    /// [`Error::Argument`] for numbers that are not finite, a skewed projection or one that is neither perspective nor
+    /// orthographic, a view that scales or is not affine, and matrices that together mirror the picture, with the exception
+    /// above.
     pub fn camera(&self) -> Result<(Camera, DepthMapping)> {
         self.check()?;
         let (view, projection) = (self.view_from_world, self.clip_from_view);
@@ -111,7 +110,7 @@ impl HostView {
         check_zeros(projection, &zeros, [[0, 0], [1, 1], [2, 3]], "perspectives")?;
         let up = if self.clip_y == ClipY::Up { -1.0 } else { 1.0 };
         let (scale_x, scale_y) = (p(0, 0) / w.abs(), up * p(1, 1) / w.abs());
-        // The camera's axes (x right, y down, z forward) in view space.
+        // Axes of the camera (x right, y down, z forward) in view space.
         let axes = Vec3::new(scale_x.signum(), scale_y.signum(), w.signum());
         let view_rotation = Mat3::from_mat4(view);
         let camera_from_world = Mat3::from_diagonal(axes) * view_rotation;
@@ -141,7 +140,7 @@ impl HostView {
         Ok((camera, mapping))
     }
 
-    /// Checks each field, but for the kind of projection.
+    /// Checks each field, except the kind of projection.
     fn check(&self) -> Result<()> {
         let (view, projection) = (self.view_from_world, self.clip_from_view);
         for (field, matrix) in [("view_from_world", view), ("clip_from_view", projection)] {
@@ -168,7 +167,7 @@ impl HostView {
         Ok(())
     }
 
-    /// As [`HostView::camera`], of a projection with the last row (0, 0, 0, w).
+    /// Same as [`HostView::camera`], for a projection with the last row (0, 0, 0, w).
     fn orthographic(&self) -> Result<(Camera, DepthMapping)> {
         let projection = self.clip_from_view;
         let p = |row: usize, column: usize| f64::from(projection.col(column)[row] / projection.col(3)[3]);
@@ -177,7 +176,7 @@ impl HostView {
         let up = if self.clip_y == ClipY::Up { -1.0 } else { 1.0 };
         let (scale_x, scale_y) = (p(0, 0), up * p(1, 1));
         let view_rotation = Mat3::from_mat4(self.view_from_world);
-        // Two axes of the picture and the handedness give the third.
+        // Two axes of the picture and the handedness determine the third.
         let handed = scale_x.signum() * scale_y.signum() * f64::from(view_rotation.determinant().signum());
         let axes = Vec3::new(scale_x.signum() as f32, scale_y.signum() as f32, handed as f32);
         // d = p22 z_view + p23, and z_view = handed z.
@@ -210,19 +209,19 @@ impl HostView {
     }
 }
 
-/// Of matrices that show a mirror image.
+/// Error for matrices that show a mirror image.
 fn mirrored<T>() -> Result<T> {
     let problem = "together they mirror the picture: check clip_y; for a left-handed world, multiply view_from_world by what \
                    takes the scene there, for example diag(1, 1, -1, 1)";
     Err(Error::argument("view_from_world, clip_from_view, clip_y", problem))
 }
 
-/// Row and column of the first such element.
+/// Row and column of the first element for which `is_it` is true.
 fn find(matrix: Mat4, is_it: impl Fn(f32) -> bool) -> Option<[usize; 2]> {
     (0..16).map(|i| [i / 4, i % 4]).find(|&[row, column]| is_it(matrix.col(column)[row]))
 }
 
-/// Refuses a projection that has not 0 at the first rows and columns, or has 0 at one of the others.
+/// Refuses a projection with nonzero elements at `zeros`, or a zero at one of `others`.
 fn check_zeros(projection: Mat4, zeros: &[[usize; 2]], others: [[usize; 2]; 3], kind: &str) -> Result<()> {
     let value = |[row, column]: [usize; 2]| projection.col(column)[row];
     let skewed = zeros.iter().find(|&&place| value(place) != 0.0);
@@ -236,32 +235,31 @@ fn check_zeros(projection: Mat4, zeros: &[[usize; 2]], others: [[usize; 2]; 3], 
     Err(Error::argument("clip_from_view", problem))
 }
 
-/// Whether a matrix's last row is (0, 0, 0, 1), but for the rounding of an inverse.
+/// True if a matrix's last row is (0, 0, 0, 1), except for the rounding of an inverse.
 fn is_affine(matrix: Mat4) -> bool {
     matrix.row(3).abs_diff_eq(Vec4::W, 1e-5)
 }
 
 /// Pose of an object in the world: `x_world = scale * rotation * x_object + translation`.
 ///
-/// The scale is uniform. Under a non-uniform scale Gaussians would need other rotations and extents, and
-/// their colours would change with the angle. [`Gaussians::transform`](super::Gaussians::transform) changes
-/// the Gaussians themselves.
+/// The scale is uniform. A non-uniform scale would change the rotations, extents and view-dependent colours of Gaussians.
+/// [`Gaussians::transform`](super::Gaussians::transform) changes the Gaussians themselves.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pose {
     /// Rotation from object to world.
     pub world_from_object: Mat3,
     /// Position of the object's origin, world units.
     pub translation: Vec3,
-    /// World units per unit of the object: positive.
+    /// World units per unit of the object; positive.
     pub scale: f32,
 }
 
 impl Pose {
-    /// Object and world are the same.
+    /// Identity of object and world.
     pub const IDENTITY: Self =
         Self { world_from_object: Mat3::IDENTITY, translation: Vec3::ZERO, scale: 1.0 };
 
-    /// A rotation, a uniform scale and a translation.
+    /// Creates a pose from a matrix with a rotation, a uniform scale and a translation.
     ///
     /// # Errors
     /// [`Error::Argument`] for a matrix that mirrors, shears, or does not scale uniformly.
@@ -282,18 +280,17 @@ impl Pose {
     /// Checks that the pose is valid.
     ///
     /// # Errors
-    /// [`Error::Argument`] for numbers that are not finite, a scale that is not positive, or a matrix that is
-    /// no rotation.
+    /// [`Error::Argument`] for numbers that are not finite, a scale that is not positive, or a matrix that is not a rotation.
     #[inline]
     pub fn check(&self) -> Result<()> {
-        // Numbers that are not finite are no rotation.
+        // Numbers that are not finite fail as a rotation.
         if is_rotation(self.world_from_object) & self.translation.is_finite() & self.has_possible_scale() {
             return Ok(());
         }
         Err(self.error())
     }
 
-    /// Whether the square of the scale and its inverse are normal numbers.
+    /// True if the square of the scale and its inverse are normal numbers.
     #[inline]
     fn has_possible_scale(&self) -> bool {
         const LEAST: f32 = f32::MIN_POSITIVE;
@@ -301,7 +298,7 @@ impl Pose {
         (self.scale > 0.0) & (squared >= LEAST) & (squared <= LEAST.recip())
     }
 
-    /// What is wrong with a pose that fails its check.
+    /// Describes the problem of a pose that fails its check.
     #[cold]
     fn error(&self) -> Error {
         let bad = |problem: &str| Error::argument("pose", problem);
@@ -314,8 +311,8 @@ impl Pose {
         }
     }
 
-    /// The camera in the object's axes and origin, in world units. Relative to it the object is neither
-    /// turned nor moved, and its spherical harmonics are unchanged; the object is `scale` times as large.
+    /// Returns the camera in the object's axes and origin, in world units. Relative to it the object is neither turned nor
+    /// moved, and its spherical harmonics are unchanged; the object is `scale` times as large.
     #[inline]
     pub fn camera_in_object(&self, camera: &Camera) -> Camera {
         if (Self { scale: 1.0, ..*self }) == Self::IDENTITY {
