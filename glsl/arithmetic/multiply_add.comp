@@ -1,5 +1,4 @@
-// Multiply-adds on registers only: the most operations per second that the device's shaders reach. It is the reference for
-// compute-bound kernels.
+// Multiply-adds on registers only: the maximum rate of operations in the device's shaders. Reference for compute-bound kernels.
 //
 // invocation: ROUNDS * STEPS steps of x <- x * factor + term in each of CHAINS independent chains; subgroup, workgroup:
 // nothing shared

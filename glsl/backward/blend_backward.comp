@@ -4,9 +4,9 @@
 //   R <- R - T alpha s,   dL/dalpha = T s - R / (1 - alpha),   dL/dpower = alpha dL/dalpha (0 where alpha is clamped).
 // An instance's sums over its pixels, with (dx, dy) = mean - pixel and p = dL/dpower:
 //   sum p (1, dx, dy, dx^2, dx dy, dy^2), sum T alpha g (r, g, b, inverse depth).
-// With ABSOLUTE also the sum of |dL/d(mean2d)|, x and y, the absolute value taken for each pixel alone (AbsGS, Ye et al. 2024).
-// With WEIGHTS only the sum of T alpha dL/dr: the Gaussian's share of a picture whose pixels weigh dL/dr.
-// Only the first scene has gradients: what lies behind its last entry of a tile need not be blended.
+// With ABSOLUTE also the sum of |dL/d(mean2d)|, x and y, with absolute values per pixel (AbsGS, Ye et al. 2024).
+// With WEIGHTS only the sum of T alpha dL/dr: the Gaussian's share of a picture with the pixel weights dL/dr.
+// Only the first scene has gradients, so entries behind its last one in a tile need not be blended.
 // project_backward turns the moments into gradients of mean, conic and opacity. The sums are stored at the instance's index
 // before the tile sort. These indices are contiguous per Gaussian, so the sum over tiles has one fixed order.
 //
@@ -41,14 +41,14 @@ layout(constant_id = 3) const bool INCREMENTAL_EXP = false;
 layout(constant_id = 4) const bool COUNT_HITS = false;
 // See blend_gradient.glsl. Only for subgroups of at most 16.
 layout(constant_id = 5) const bool STRIPS = false;
-// Other sums: see above. At most one of the two.
+// Select other sums, see above. At most one of the two is true.
 layout(constant_id = 6) const bool ABSOLUTE = false;
 layout(constant_id = 7) const bool WEIGHTS = false;
 // See region_shape.glsl.
 layout(constant_id = 8) const uint REGION_HEIGHT = 8;
 // See splat_shuffle.glsl.
 layout(constant_id = 9) const bool BROADCAST = false;
-// On an H100 shared memory takes 1.02 times as long: this kernel has enough to do for each splat.
+// On an H100 shared memory takes 1.02 times as long, because this kernel has enough work per splat.
 const bool SHARED_SPLATS = false;
 layout(local_size_x_id = 0) in;
 
@@ -57,11 +57,11 @@ layout(local_size_x_id = 0) in;
 #include "dispatch.glsl"
 #include "subgroup.glsl"
 
-// Entries whose sums are added in shared memory at a time: a multiple of every subgroup size.
+// Number of entries whose sums are added in shared memory at a time: a multiple of every subgroup size.
 const uint BATCH = SUBGROUP_SIZE > 32 ? SUBGROUP_SIZE : 32;
 const uint STEPS = BATCH / SUBGROUP_SIZE;
 const uint MASK_WORDS = BATCH / 32;
-// Sums per entry and region.
+// Number of sums per entry and region.
 const uint SUMS = WEIGHTS ? 1 : ABSOLUTE ? ABSOLUTE_SUMS : INSTANCE_SUMS;
 
 shared float partial[BATCH * REGIONS * SUMS];
@@ -82,8 +82,8 @@ float add_across(float value, uint first_bit) {
     return value;
 }
 
-// Adds ten values over the subgroup, with ABSOLUTE twelve, and stores the sums at partial[base]. Each exchange halves the
-// values per lane, so ten sums cost about as many shuffles as two sums that are added one by one.
+// Adds ten values over the subgroup, twelve with ABSOLUTE, and stores the sums at partial[base]. Each exchange halves the
+// values per lane, so ten sums cost about as many shuffles as two separate sums.
 void store_sums(uint base, Sums s) {
     uint lane = gl_SubgroupInvocationID;
     if (WEIGHTS) {
@@ -201,8 +201,8 @@ void main() {
         barrier();
     }
 
-    // What is left of the list has zero gradients: no pixel blended it, or nothing of the first scene comes after. project_backward
-    // reads those of the first scene, so they are written.
+    // The rest of the list has zero gradients: no pixel blended it, or it comes after the first scene's last entry.
+    // project_backward reads the first scene's gradients, so they must be written.
     uint batches = (work_end - begin + BATCH - 1) / BATCH;
     for (uint entry = begin + batches * BATCH + gl_LocalInvocationID.x; entry < end; entry += WORKGROUP_SIZE) {
         store_instance(range.x + entry, no_sums());

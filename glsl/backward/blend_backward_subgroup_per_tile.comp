@@ -1,10 +1,10 @@
-// The same as blend_backward.comp, without shared memory and barriers. For processors: there a barrier moves every variable
-// of a loop to memory, and shared memory is accessed lane by lane.
+// Same as blend_backward.comp, without shared memory and barriers. For processors, where a barrier moves every variable of a
+// loop to memory, and shared memory is accessed lane by lane.
 //
 // invocation: COLUMNS x ROWS pixels of each region of the tile; subgroup and workgroup: one tile. Each lane fetches one
 // Gaussian, tests it against each region, and broadcasts it; the sums over all lanes and regions end up in the registers
 // of the lane that fetched the Gaussian
-// in, out: as blend_backward.comp
+// in, out: same as blend_backward.comp
 // shared: none; subgroup sizes 4 to 128
 #version 460
 #extension GL_EXT_scalar_block_layout : require
@@ -41,8 +41,8 @@ const bool SHARED_SPLATS = false;
 #include "dispatch.glsl"
 #include "subgroup.glsl"
 
-// The sum over the subgroup, in all lanes. By shuffles, because drivers without vector instructions for subgroupAdd are
-// slow.
+// Sum over the subgroup, in all lanes. Uses shuffles, because subgroupAdd is slow on drivers without vector instructions for
+// it.
 float add_over_lanes(float value) {
     value += subgroupShuffleXor(value, 1);
     value += subgroupShuffleXor(value, 2);

@@ -1,5 +1,5 @@
 // Gradients of all parameters of all Gaussians in the layout of the parameters; zero for Gaussians that are not visible. For
-// applications that read gradients. Training does not need it: adam.comp computes the same values on the fly.
+// applications that read gradients. Training does without: adam.comp computes the same values on the fly.
 //
 // invocation: one Gaussian
 // in: parameters (PerGaussian planes, for the viewing direction), visible_index, gradients (PerVisible planes)
@@ -29,7 +29,7 @@ layout(push_constant, scalar) uniform Push {
     uint count;
     uint gradient_stride;
     uint chunk_gaussians;
-    // Planes of the stored degree, which may be above the active one.
+    // Number of planes of the stored degree, which may exceed the active one.
     uint planes;
 };
 

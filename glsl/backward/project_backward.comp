@@ -11,8 +11,8 @@
 //         and the norm is finite; with ABSOLUTE absolute_statistics[Gaussian] += (norm of the sums of |dL/d(mean2d)| in NDC),
 //         and both norms must be finite
 // out, with POSE_GRADIENT: pose_sums[subgroup] = sums of dL/d(nu), dL/d(omega) over the subgroup's Gaussians. They are dL/d(delta)
-//         at delta = 0 of the pose exp(delta^) T, delta = (nu, omega), T from world to camera. A turn about the camera's
-//         centre leaves the directions of the colours as they are. Gaussians with a contribution that is not finite are left out.
+//         at delta = 0 of the pose exp(delta^) T, delta = (nu, omega), T from world to camera. A turn about the camera's centre
+//         keeps the directions of the colours. Gaussians with a contribution that is not finite are excluded.
 // shared: none; subgroup sizes 4 to 128
 #version 460
 #extension GL_EXT_control_flow_attributes : require
@@ -31,20 +31,19 @@ layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
 layout(constant_id = 2) const uint SH_DEGREE = 3;
 // A Gaussian with more instances is summed by its whole subgroup.
 layout(constant_id = 3) const uint LANE_INSTANCES = 64;
-// Also the statistic of the absolute gradients of the 2D mean.
+// True to update the statistic of the absolute gradients of the 2D mean as well.
 layout(constant_id = 4) const bool ABSOLUTE = false;
-// Whether the camera's pose has a gradient.
+// True if the camera's pose has a gradient.
 layout(constant_id = 6) const bool POSE_GRADIENT = false;
-// Whether Gaussians have a 3D filter: see projection.glsl.
+// True if Gaussians have a 3D filter: see projection.glsl.
 layout(constant_id = 5) const bool FILTER_3D = false;
-// Whether the dilation is another than DILATION_PX2. That one is a constant: a driver may compute with constants in another
-// order, and the bits of training would change.
+// True if the dilation differs from DILATION_PX2. That value is a constant, because a driver may compute with constants in
+// another order, and the bits of training would change.
 layout(constant_id = 7) const bool OWN_DILATION = false;
-// As in project.comp.
+// Same as in project.comp.
 layout(constant_id = 8) const bool DROPOUT = false;
 layout(constant_id = 9) const bool Z_RECORD = false;
-// Whether loops over SH coefficients stay loops (see sh.glsl), and what takes few instructions is computed again where it would
-// be kept in registers.
+// True if loops over SH coefficients stay loops (see sh.glsl), and if cheap values are recomputed instead of kept in registers.
 layout(constant_id = 10) const bool SH_LOOPS = false;
 layout(local_size_x_id = 0) in;
 
@@ -69,10 +68,10 @@ layout(push_constant, scalar) uniform Push {
     // First Gaussian of the bound parameter range, and capacity of the range.
     uint first;
     uint chunk_gaussians;
-    // As in project.comp.
+    // Same as in project.comp.
     uint antialias;
     uint splat_stride;
-    // Stride of the gradient planes, and whether to update the statistics.
+    // Stride of the gradient planes; nonzero to update the statistics.
     uint gradient_stride;
     uint accumulate;
 };
@@ -142,10 +141,10 @@ Sums sum_instances(uint begin, uint count, bool exists) {
 // Gradient of the rows of M, from that of the dilated covariance.
 void covariance_backward(Projection p, vec3 d_conic, float d_opacity, float opacity_raw, out vec3 d_row_x,
     out vec3 d_row_y) {
-    // The conic is (c, -b, a) / det for the covariance (a, b, c). Through the determinant nothing cancels along the major
-    // axis of an elongated Gaussian, as it does in the equal form -conic d_conic conic.
+    // The conic is (c, -b, a) / det for the covariance (a, b, c). The determinant's form does not cancel along the major axis
+    // of an elongated Gaussian, unlike the equal form -conic d_conic conic.
     vec3 cov = p.cov2d;
-    // Divided twice: the square of the determinant may overflow.
+    // Divides twice, because the square of the determinant may overflow.
     float s = (cov.z * d_conic.x - cov.y * d_conic.y + cov.x * d_conic.z) / p.det / p.det;
     float d_xx = d_conic.z / p.det - s * cov.z;
     float d_xy = s * cov.y - 0.5 * d_conic.y / p.det;
@@ -181,7 +180,8 @@ vec4 axes_backward(Projection p, mat3 d_axes) {
     return quaternion_backward(p.quat, p.inverse_norm, d_rotation);
 }
 
-// With SH_LOOPS the coefficients become four products before the derivatives are computed: never both in registers.
+// With SH_LOOPS the coefficients become four products before the derivatives are computed, so both never occupy registers at
+// once.
 void add_direction_gradient(uint group, uint index, vec3 direction, vec3 d_color, inout vec3 d_direction) {
     vec3 derivative[4];
     vec3 sh[4];
@@ -201,7 +201,7 @@ void add_direction_gradient(uint group, uint index, vec3 direction, vec3 d_color
     }
 }
 
-// Gradient of the direction of a colour. With SH_LOOPS the coefficients are read a second time, from the cache: to keep them
+// Gradient of the direction of a colour. With SH_LOOPS the coefficients are read again, from the cache, because keeping them
 // takes 48 registers.
 vec3 sh_direction_gradient(uint index, vec3 direction, vec3 d_color) {
     vec3 d_direction = vec3(0.0);
@@ -214,8 +214,8 @@ bool all_finite(vec3 v) {
     return is_finite(v.x) && is_finite(v.y) && is_finite(v.z);
 }
 
-// The sums of the subgroup that begins at this visible Gaussian go to the place of its subgroup among those of all Gaussians:
-// the visible ones of a range are at most as many as the range has.
+// The subgroup that begins at this visible Gaussian writes its sums to its own place among the subgroups of all Gaussians. The
+// visible Gaussians of a range never outnumber the Gaussians of the range.
 void write_pose_sums(vec3 d_moved, vec3 d_turned, bool exists, uint end) {
     bool counts = exists && all_finite(d_moved) && all_finite(d_turned);
     vec3 moved = subgroupAdd(counts ? d_moved : vec3(0.0));
@@ -237,13 +237,13 @@ void main() {
     uint gaussian = UINT_AT(visible_list, clamped_visible);
     uint index = exists ? gaussian - first : 0;
     uint instances = exists ? UVEC4_AT(footprints, splat_at(clamped_visible, SPLAT_FOOTPRINT)).w : 0;
-    // Instances beyond the capacity do not exist. The frame has overflowed then and is run again anyway.
+    // Instances beyond the capacity do not exist. The frame has then overflowed and will be repeated.
     uint begin = instances == 0 ? 0 : UINT_AT(first_instances, clamped_visible);
     instances = state[STATE_OVERFLOW] != 0 ? 0 : instances;
     Sums sums = sum_instances(begin, instances, exists);
 
     vec4 mean_opacity = VEC4_AT(parameters, plane_at(PLANE_MEAN_OPACITY, index, chunk_gaussians));
-    // Colour: through the clamp at 0, then through the direction.
+    // Gradient of the colour through the clamp at 0, then through the direction.
     vec3 towards = mean_opacity.xyz - camera_position();
     float inverse_distance = inversesqrt(dot(towards, towards));
     vec3 direction = towards * inverse_distance;
@@ -257,14 +257,14 @@ void main() {
     Filtered filtered = filter_3d(log_scale, mean_opacity.w);
     Projection p = project_gaussian(mean_opacity.xyz, quat, filtered.log_scale);
 
-    // Moments to gradients of mean, conic and opacity.
+    // Converts moments to gradients of mean, conic and opacity.
     float m_1 = sums.a.x, m_x = sums.a.y, m_y = sums.a.z, m_xx = sums.a.w, m_xy = sums.b.x, m_yy = sums.b.y;
     float d_inverse_z = sums.c.y;
     vec2 d_mean2d = -vec2(conic.x * m_x + conic.y * m_y, conic.y * m_x + conic.z * m_y);
     vec3 d_conic = vec3(-0.5 * m_xx, -m_xy, -0.5 * m_yy);
     float d_opacity = m_1 / max(conic.w, 1e-20);
     if (DROPOUT) {
-        // To the opacity before the factor.
+        // Converts to the opacity before the factor.
         d_opacity *= dropout_factor;
     }
 
@@ -278,7 +278,7 @@ void main() {
     covariance_backward(p, d_conic, d_opacity, opacity_raw, d_row_x, d_row_y);
     vec3 d_log_scale = d_row_x * p.row_x + d_row_y * p.row_y;
     if (FILTER_3D && log_scale.w > 0.0) {
-        // From the filtered parameters to the stored ones; the filter's size is a constant.
+        // Converts from the filtered parameters to the stored ones. The filter's size is constant.
         vec3 ratio = filter_ratio(log_scale);
         vec3 share = 1.0 / (1.0 + ratio * ratio);
         float d_opacity_filtered = d_opacity * compensation;
@@ -288,8 +288,8 @@ void main() {
     }
 
     if (SH_LOOPS) {
-        // The axes and what is made of them are computed again, not kept meanwhile: 16 registers. The bound, which holds for
-        // every index, keeps the compiler from seeing that this is the same quaternion.
+        // Recomputes the axes and derived values instead of keeping them: 16 registers. The bound holds for every index. It
+        // hides from the compiler that this is the same quaternion.
         quat = VEC4_AT(parameters, plane_at(PLANE_QUAT, min(index, chunk_gaussians), chunk_gaussians));
         p = project_gaussian(mean_opacity.xyz, quat, filtered.log_scale);
     }
@@ -312,7 +312,7 @@ void main() {
     // J = (f/z, -f slope / z). An unclamped slope is x/z; a clamped slope does not depend on the mean.
     vec2 through_slope = vec2(p.clamped.x ? 0.0 : 1.0, p.clamped.y ? 0.0 : 1.0);
     vec2 d_slope = -j_diagonal * d_j_depth * through_slope + d_mean2d * focal_px;
-    // Of the depth that was blended, 1/z or z, towards the camera.
+    // The blended depth is 1/z or z. This is its gradient towards the camera.
     float d_nearness = Z_RECORD ? -d_inverse_z : inverse_z * inverse_z * d_inverse_z;
     vec3 d_camera;
     d_camera.xy = d_slope * inverse_z;
@@ -330,7 +330,7 @@ void main() {
         write_pose_sums(d_camera + to_camera(d_towards), d_turned, exists, visible_range.y - visible_range.x);
     }
     if (SH_LOOPS) {
-        // After the pose, which is the last to need the axes.
+        // Comes after the pose, which is the last user of the axes.
         d_quat = axes_backward(p, d_axes);
     }
     if (exists) {
@@ -342,7 +342,7 @@ void main() {
             vec2 ndc = d_mean2d * 0.5 * vec2(whole_width, whole_height);
             float norm = length(ndc);
             float absolute_norm = ABSOLUTE ? length(sums.absolute * 0.5 * vec2(whole_width, whole_height)) : 0.0;
-            // A norm that is not finite would spoil the statistics for good, so it is skipped.
+            // A norm that is not finite would spoil the statistics permanently, so it is skipped.
             bool counts = is_finite(norm) && is_finite(absolute_norm);
             statistics[gaussian] += counts ? vec2(norm, 1.0) : vec2(0.0);
             if (ABSOLUTE) {

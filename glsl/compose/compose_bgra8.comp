@@ -1,5 +1,5 @@
-// A blended picture into a host's storage image whose texels are blue, green, red and alpha in 8 bits each, seen as
-// rgba8 (compose.glsl).
+// Writes a blended picture into a host's storage image with 8-bit texels of blue, green, red and alpha, bound as rgba8
+// (compose.glsl).
 //
 //   out = (C, 1 - T) + T * below, where `below` is a background of alpha 1, zero (premultiplied colour), or the image
 //

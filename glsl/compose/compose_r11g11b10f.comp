@@ -1,4 +1,4 @@
-// A blended picture into a host's storage image of B10G11R11_UFLOAT_PACK32, seen as r32ui (compose.glsl).
+// Writes a blended picture into a host's storage image of B10G11R11_UFLOAT_PACK32, bound as r32ui (compose.glsl).
 //
 //   out = (C, 1 - T) + T * below, where `below` is a background of alpha 1, zero (premultiplied colour), or the image
 //
@@ -11,11 +11,10 @@
 
 #include "constants.glsl"
 
-// From the lowest bits: red and green as floats with 5 bits of exponent and 6 of mantissa, blue with 5 and 5; no sign, no
-// alpha.
+// From the lowest bits: red and green as floats with 5 exponent and 6 mantissa bits, then blue with 5 and 5. No sign, no alpha.
 const uvec3 MANTISSA_BITS = uvec3(6, 6, 5);
 const uvec3 FIRST_BITS = uvec3(0, 11, 22);
-// Beyond them is infinity.
+// Largest finite values; larger ones become infinity.
 const vec3 LARGEST = vec3(65024.0, 65024.0, 64512.0);
 
 vec4 colors_of(uint texel) {
@@ -28,7 +27,7 @@ vec4 colors_of(uint texel) {
     return vec4(mix(normal, subnormal, equal(exponent, uvec3(0))), 1.0);
 }
 
-// To the nearest number, ties to the even one.
+// Rounds to the nearest number, ties to even.
 uint texel_of(vec4 color) {
     vec3 size = clamp(color.xyz, vec3(0.0), LARGEST);
     uvec3 dropped = 23 - MANTISSA_BITS;

@@ -1,4 +1,4 @@
-// A blended picture into a host's storage image of A2B10G10R10_UNORM_PACK32, seen as r32ui (compose.glsl).
+// Writes a blended picture into a host's storage image of A2B10G10R10_UNORM_PACK32, bound as r32ui (compose.glsl).
 //
 //   out = (C, 1 - T) + T * below, where `below` is a background of alpha 1, zero (premultiplied colour), or the image
 //
@@ -11,7 +11,7 @@
 
 #include "constants.glsl"
 
-// From the lowest bits: red, green and blue of 10 bits each, alpha of 2.
+// From the lowest bits: red, green and blue with 10 bits each, alpha with 2.
 vec4 colors_of(uint texel) {
     uvec4 steps = uvec4(texel, texel >> 10, texel >> 20, texel >> 30) & uvec4(1023, 1023, 1023, 3);
     return vec4(steps) / vec4(1023.0, 1023.0, 1023.0, 3.0);

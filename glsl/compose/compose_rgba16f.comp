@@ -1,4 +1,4 @@
-// A blended picture into a host's storage image of format rgba16f (compose.glsl).
+// Writes a blended picture into a host's storage image of format rgba16f (compose.glsl).
 //
 //   out = (C, 1 - T) + T * below, where `below` is a background of alpha 1, zero (premultiplied colour), or the image
 //

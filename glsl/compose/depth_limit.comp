@@ -13,7 +13,7 @@
 #extension GL_GOOGLE_include_directive : require
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
-// Whether z itself is linear in the depth.
+// True if z itself is linear in the depth.
 layout(constant_id = 2) const bool LINEAR = false;
 layout(local_size_x_id = 0) in;
 
@@ -28,7 +28,7 @@ layout(push_constant, scalar) uniform Push {
     uint offset_y;
     float scale;
     float offset;
-    // Clear value of the depth image: a pixel without a surface.
+    // Clear value of the depth image, which marks a pixel without a surface.
     float clear_value;
 };
 

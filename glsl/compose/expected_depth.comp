@@ -1,8 +1,8 @@
-// The expected depth of each pixel, sum(w z) / sum(w) with the blending's weights w, into a host's storage image.
+// Writes the expected depth of each pixel, sum(w z) / sum(w) with the blending weights w, into a host's storage image.
 //
 // invocation: one pixel
 // in, PerPixel: accumulated (.w = T, so that sum(w) = 1 - T), depth_sums (sum of w z)
-// out: target (r32f), world units; `empty` where less than `min_weight` of the pixel is covered
+// out: target (r32f), world units; `empty` if less than `min_weight` of the pixel is covered
 // shared: none; any subgroup size
 #version 460
 #extension GL_EXT_scalar_block_layout : require

@@ -1,9 +1,9 @@
-// The mean motion of each pixel, sum(w m) / sum(w) with the blending's weights w, into a host's storage image.
+// Writes the mean motion of each pixel, sum(w m) / sum(w) with the blending weights w, into a host's storage image.
 //
 // invocation: one pixel
 // in, PerPixel: accumulated (.w = T, so that sum(w) = 1 - T), motion_sums (sum of w m, px)
-// out: target (R16G16_SFLOAT, seen as r32ui), px; where less than `min_weight` of the pixel is covered `empty`, or with
-//     `keeps` what is there
+// out: target (R16G16_SFLOAT, bound as r32ui), px; if less than `min_weight` of the pixel is covered, `empty`, or with `keeps`
+//     unchanged
 // shared: none; any subgroup size
 #version 460
 #extension GL_EXT_scalar_block_layout : require

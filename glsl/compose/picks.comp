@@ -1,10 +1,10 @@
-// What was picked at each pixel, into a host's storage image: the Gaussian of the largest weight, by its index in its own
-// scene, and the scene.
+// Writes the pick of each pixel into a host's storage image: the Gaussian of the largest weight, by its index in its own scene,
+// and the scene.
 //
 // invocation: one pixel
 // in, PerPixel: picks (1 + place in the tile's list, or 0; bits of the weight); tile_ranges, sorted_visible; PerVisible:
 //     visible_list, color_inverse_depth; scene_firsts: index of each scene's first Gaussian among all, in rising order
-// out: target (rgba32ui): Gaussian, scene, bits of its depth z in world units, bits of its weight; where nothing is blended
+// out: target (rgba32ui): Gaussian, scene, bits of its depth z in world units, bits of its weight; if nothing is blended,
 //     NOT_PICKED twice and 0 twice
 // shared: none; any subgroup size
 #version 460
@@ -38,7 +38,7 @@ layout(push_constant, scalar) uniform Push {
 #include "dispatch.glsl"
 #include "splat_record.glsl"
 
-// The last scene that begins at or before a Gaussian: those that are not drawn begin where the next one does.
+// Last scene that begins at or before a Gaussian. Scenes that are not drawn begin where the next one does.
 uint scene_of(uint gaussian) {
     uint low = 0;
     uint end = scenes;

@@ -1,5 +1,5 @@
-// Adds the importance of each Gaussian in a view to its mean over views: its weight, from 0 (the smallest of all Gaussians) to 1
-// (the largest); 0 if all are equal (Improved-GS).
+// Adds each Gaussian's importance in a view to its mean over views: the weight, scaled from 0 (smallest of all Gaussians) to 1
+// (largest); 0 if all are equal (Improved-GS).
 //
 // invocation: one Gaussian
 // in: state, weights, ranges (sum_weights.comp)

@@ -1,12 +1,12 @@
-// Adaptive density control, classification (paper, section 5.2; reference densify_and_prune): which Gaussians stay, are
-// cloned, or are split. Gaussians that the later pruning would remove are excluded here.
+// Classification for adaptive density control (paper, section 5.2; reference densify_and_prune): decides which Gaussians stay,
+// are cloned, or are split. Excludes Gaussians that the reference prunes later.
 //
 // With CRITERION_ABSOLUTE the mean gradient is that of absolute values over pixels (AbsGS, Ye et al. 2024). With
-// CRITERION_SELECTED the selected Gaussians are split whatever their scale, and none is cloned (Improved-GS).
+// CRITERION_SELECTED the selected Gaussians are split at any scale, and none is cloned (Improved-GS).
 //
 // invocation: one Gaussian; workgroup: one block of WORKGROUP_SIZE Gaussians
-// in: parameters (PerGaussian planes), statistics (sum of NDC gradient norms, views), criteria (per Gaussian: the sum of
-//     absolute norms as float bits, or whether it is selected; not read with CRITERION_GRADIENT)
+// in: parameters (PerGaussian planes), statistics (sum of NDC gradient norms, views), criteria (per Gaussian: sum of absolute
+//     norms as float bits, or nonzero if selected; not read with CRITERION_GRADIENT)
 // out: decisions[Gaussian] = bit 0 stays, bit 1 cloned, bit 2 split into two;
 //      block_counts[decision * blocks + block], blocks = ceil(total / WORKGROUP_SIZE)
 // shared: one word per subgroup; any subgroup size
@@ -20,7 +20,7 @@
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
 layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
-// Children of a split are those of long_axis.glsl.
+// The children of a split are those of long_axis.glsl.
 layout(constant_id = 2) const bool LONG_AXIS = false;
 layout(constant_id = 3) const uint CRITERION = 0;
 layout(local_size_x_id = 0) in;
@@ -36,10 +36,10 @@ layout(push_constant, scalar) uniform Push {
     uint count;
     uint blocks;
     float gradient_threshold;
-    // Largest scale that is cloned instead of split, world units.
+    // Largest scale of a clone; larger Gaussians are split, world units.
     float clone_scale;
     float min_opacity;
-    // Largest scale that is kept, world units; 0 for no bound.
+    // Largest scale that stays, world units; 0 for no limit.
     float max_scale;
 };
 

@@ -1,6 +1,6 @@
-// Keys of a draw without replacement, in proportion to chances c: with u uniform in (0, 1), the n largest ln(u) / c are such a
-// draw (Efraimidis and Spirakis 2006). The key is -ln(u) / c, so the n smallest; as a float that is not negative, its bits
-// have its order.
+// Keys of a draw without replacement, in proportion to chances c. With u uniform in (0, 1), the n largest ln(u) / c are such a
+// draw (Efraimidis and Spirakis 2006). The key is -ln(u) / c, so the n smallest are drawn. It is a nonnegative float, so its
+// bits sort like its value.
 //
 // invocation: one Gaussian
 // in: statistics (sum, views), with ABSOLUTE absolute_statistics (sum); importance; with EXPLICIT_UNIFORMS uniforms[Gaussian]
@@ -31,7 +31,7 @@ layout(set = 0, binding = 6, scalar) buffer Totals { uint totals[]; };
 
 layout(push_constant, scalar) uniform Push {
     uint count;
-    // A Gaussian can be drawn from this mean over its views on.
+    // Minimum mean over the views for a Gaussian to be drawn.
     float threshold;
     // CHANCE_*.
     uint chances;
@@ -45,9 +45,8 @@ layout(push_constant, scalar) uniform Push {
 // Distinguishes these numbers from those of other draws with the same key.
 const uint STREAM = 5;
 
-// -ln(u) for 0 < u < 1, to some units in the last place. The keys that matter are those of u near 1, and log() may be off by a
-// thousandth there. With u = m 2^e and m in [1/2, 1), both parts of -ln(u) = -e ln(2) + 2 atanh((1 - m) / (1 + m)) are not
-// negative.
+// -ln(u) for 0 < u < 1, to some units in the last place. The relevant keys have u near 1, where log() may be off by a
+// thousandth. With u = m 2^e and m in [1/2, 1), both parts of -ln(u) = -e ln(2) + 2 atanh((1 - m) / (1 + m)) are nonnegative.
 float minus_log(float u) {
     uint bits = floatBitsToUint(u);
     float exponent = float(int(bits >> 23 & 0xFFu) - 126);
@@ -69,7 +68,7 @@ void main() {
     float chance = chances == CHANCE_IMPORTANCE ? importance[gaussian] : chances == CHANCE_STATISTIC ? mean : 1.0;
     bool can = exists && statistic.y > 0.0 && mean >= threshold && chance > 0.0;
     uint bits = pcg4d(uvec4(seed, iteration, gaussian, STREAM)).x;
-    // 23 bits, so that neither 0 nor 1 results.
+    // 23 bits exclude 0 and 1.
     float drawn = (float(bits >> 9) + 0.5) / 8388608.0;
     float u = EXPLICIT_UNIFORMS ? uniforms[gaussian] : drawn;
     if (exists) {

@@ -1,9 +1,9 @@
-// Draws the sources of a new set with replacement (3DGS-MCMC, Kheradmand et al. 2024, section 4). Rows of Gaussians with a
-// weight keep them; all others, and those beyond the old set, get one that is drawn in proportion to the weights.
+// Draws the sources of a new set with replacement (3DGS-MCMC, Kheradmand et al. 2024, section 4). A row whose Gaussian has a
+// weight keeps it. All other rows, and those beyond the old set, get a Gaussian drawn in proportion to the weights.
 //
 // invocation: one row of the new set
 // in: weights[Gaussian], prefix[Gaussian] = sum of the weights before, totals[1] = their sum
-// out: sources[row] = Gaussian | kind << KIND_SHIFT; draws[Gaussian] = how often it was drawn
+// out: sources[row] = Gaussian | kind << KIND_SHIFT; draws[Gaussian] = number of times it was drawn
 // shared: none; any subgroup size
 #version 460
 #extension GL_EXT_scalar_block_layout : require
@@ -12,7 +12,7 @@
 #include "constants.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
-// The uniform numbers come from `uniforms`[row] instead of the generator. For comparisons.
+// Uniform numbers come from `uniforms`[row] instead of the generator, for comparisons.
 layout(constant_id = 2) const bool EXPLICIT_UNIFORMS = false;
 layout(local_size_x_id = 0) in;
 
@@ -24,19 +24,19 @@ layout(set = 0, binding = 4, scalar) writeonly buffer Sources { uint sources[]; 
 layout(set = 0, binding = 5, scalar) buffer Draws { uint draws[]; };
 
 layout(push_constant, scalar) uniform Push {
-    // Gaussians of the old set, rows of the new one.
+    // Number of Gaussians in the old set, number of rows in the new one.
     uint count;
     uint rows;
     uint seed;
     uint iteration;
-    // Tells the draws of an iteration apart.
+    // Distinguishes the draws of an iteration.
     uint stream;
 };
 
 #include "dispatch.glsl"
 #include "random.glsl"
 
-// The Gaussian in whose part of the sum of the weights a place lies.
+// Gaussian whose part of the sum of weights contains a place.
 uint gaussian_at(uint place) {
     uint low = 0;
     uint high = count - 1;

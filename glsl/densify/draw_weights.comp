@@ -1,5 +1,5 @@
-// Weights of a draw in proportion to opacity (3DGS-MCMC, Kheradmand et al. 2024, section 4). They are whole numbers, so that
-// their sums are the same in any order, and all of them together fit 32 bits.
+// Weights of a draw in proportion to opacity (3DGS-MCMC, Kheradmand et al. 2024, section 4). They are integers, so that their
+// sums are the same in any order, and their total fits 32 bits.
 //
 // invocation: one Gaussian of a chunk
 // in: parameters (PerGaussian planes); out: weights[Gaussian], 0 for those that cannot be drawn; draws[Gaussian] = 0

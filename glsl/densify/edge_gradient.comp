@@ -1,9 +1,9 @@
-// Edges of a photograph as the gradient of a picture: their responses from 0 (the smallest of the photograph) to 1 (the
-// largest), 0 if all are equal. With them as dL/dred, the gradient of a Gaussian's red is the sum of its weights on edges.
+// Edges of a photograph as the gradient of a picture: responses scaled from 0 (smallest of the photograph) to 1 (largest); 0 if
+// all are equal. If they are dL/dred, the gradient of a Gaussian's red is the sum of its weights on edges.
 //
 // invocation: one pixel
 // in: responses (edge_response.comp), ranges (edges.glsl)
-// out: image_gradient as blending reads it: with STRIPS its first plane (strips.glsl), otherwise (edge, 0, 0, 0) per pixel
+// out: image_gradient in blending's layout: with STRIPS its first plane (strips.glsl), otherwise (edge, 0, 0, 0) per pixel
 // shared: none; any subgroup size
 #version 460
 #extension GL_EXT_scalar_block_layout : require

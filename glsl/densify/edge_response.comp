@@ -1,10 +1,10 @@
-// Edges of a photograph, in whole numbers: the response of the 3 x 3 Laplacian to the gray photograph (Improved-GS,
-// edge-aware score).
+// Edges of a photograph as integers: the response of the 3 x 3 Laplacian to the gray photograph (Improved-GS, edge-aware
+// score).
 //
 //   gray = round((299 R + 587 G + 114 B) / 1000), halves to even;  response = clamp(8 centre - 8 neighbours, 0, 255)
 //
-// Outside the photograph gray is 0, so its border responds. Masked pixels have no response, nor have those at the sides of a part of
-// a photograph: what lies beyond is not known.
+// Outside the photograph gray is 0, so its border responds. Masked pixels have no response, nor do those at the cut sides of a
+// part, because the pixels beyond are unknown.
 //
 // invocation: one pixel
 // in: rows[y * image_width + x] = r | g << 8 | b << 16 | mask << 24
@@ -29,7 +29,7 @@ layout(push_constant, scalar) uniform Push {
     uint image_height;
     // 0: every pixel counts.
     uint masked;
-    // Sides at which the picture is cut: 1 left, 2 top, 4 right, 8 bottom.
+    // Bits of the cut sides: 1 left, 2 top, 4 right, 8 bottom.
     uint cut_sides;
 };
 
@@ -61,7 +61,7 @@ void main() {
     bvec4 is_cut = notEqual(cut_sides & uvec4(1, 2, 4, 8), uvec4(0));
     bool at_cut = any(notEqual(uvec4(at_side) & uvec4(is_cut), uvec4(0)));
     bool counts = !at_cut && (masked == 0 || rows[pixel] >> 24 != 0);
-    // The sum has the centre as well.
+    // The sum includes the centre.
     uint response = counts ? uint(clamp(9 * gray_at(at) - sum, 0, 255)) : 0;
     uint low = subgroupMax(exists ? ~response : 0);
     uint high = subgroupMax(exists ? response : 0);

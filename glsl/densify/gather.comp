@@ -12,9 +12,9 @@
 #include "constants.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
-// The planes are the optimiser's moments, which are zero for new Gaussians.
+// True if the planes are the optimiser's moments, which are zero for new Gaussians.
 layout(constant_id = 2) const bool MOMENTS = false;
-// The normal numbers come from `noise`[child * noise_stride + Gaussian] instead of the generator. For comparisons.
+// Normal numbers come from `noise`[child * noise_stride + Gaussian] instead of the generator, for comparisons.
 layout(constant_id = 3) const bool EXPLICIT_NOISE = false;
 layout(constant_id = 4) const bool LONG_AXIS = false;
 layout(local_size_x_id = 0) in;

@@ -2,7 +2,7 @@
 //
 // invocation: one place of the sorted keys
 // in: sorted[place], the Gaussian at a place of the sorted keys; in/out: totals[TOTAL_CANDIDATES], totals[TOTAL_DRAWN]
-// out: selected[Gaussian] = 1 for the first min(wanted, candidates) of them
+// out: selected[Gaussian] = 1 for the first min(wanted, candidates) Gaussians
 // shared: none; any subgroup size
 #version 460
 #extension GL_EXT_scalar_block_layout : require

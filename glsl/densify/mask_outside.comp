@@ -1,5 +1,5 @@
-// Masks the statistics of Gaussians outside of a block's core, so that density control, which adds where they are large, adds
-// nothing there: the sum of gradient norms becomes OUTSIDE_STATISTIC, which lies below every threshold. The numbers of views stay.
+// Masks the statistics of Gaussians outside a block's core, so that density control adds no Gaussians there. The sum of
+// gradient norms becomes OUTSIDE_STATISTIC, which lies below every threshold. The numbers of views stay.
 //
 // invocation: one Gaussian of a chunk
 // in: parameters (PerGaussian planes); in/out: statistics[Gaussian] (sum of norms, views), with ABSOLUTE
@@ -22,7 +22,7 @@ layout(set = 0, binding = 2, scalar) writeonly buffer AbsoluteStatistics { float
 layout(push_constant, scalar) uniform Push {
     uint first;
     uint count;
-    // Corners of the core, world units. Its sides belong to it.
+    // Corners of the core, world units. Its sides are inside.
     vec3 core_low;
     vec3 core_high;
 };

@@ -1,4 +1,4 @@
-// Opacities as keys of a sort, the faintest first: an opacity is not negative, so its bits have its order.
+// Opacities as sort keys, the faintest first. An opacity is a nonnegative float, so its bits sort like its value.
 //
 // invocation: one Gaussian of a chunk
 // in: parameters (PerGaussian planes); out: keys[Gaussian] = bits of the opacity

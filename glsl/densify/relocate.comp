@@ -1,6 +1,6 @@
-// Gives Gaussians that were drawn, and their copies, the opacity and scale with which all of them together look as the one
-// did (3DGS-MCMC, Kheradmand et al. 2024, equation 9). With n of them, o' = 1 - (1 - o)^(1/n), and the scale is multiplied by
-// o / D, where D = 2/sqrt(pi) * integral over u > 0 of 1 - (1 - o' exp(-u^2))^n. Their moments become zero.
+// Gives drawn Gaussians and their copies the opacity and scale with which they together look like the original (3DGS-MCMC,
+// Kheradmand et al. 2024, equation 9). For n Gaussians, o' = 1 - (1 - o)^(1/n), and the scale is multiplied by o / D, where D =
+// 2/sqrt(pi) * integral over u > 0 of 1 - (1 - o' exp(-u^2))^n. Their moments become zero.
 //
 // invocation: one row of the new set
 // in: sources[row] = Gaussian of the old set | kind << KIND_SHIFT; draws[Gaussian]
@@ -32,13 +32,13 @@ layout(push_constant, scalar) uniform Push {
 #include "opacity.glsl"
 #include "planes.glsl"
 
-// The trapezoid rule with this step, up to where the integrand is below 1e-14.
+// Step of the trapezoid rule, which ends where the integrand is below 1e-14.
 const float STEP = 0.25;
 const uint STEPS = 24;
 const float TWO_OVER_SQRT_PI = 1.1283791670955126;
 
-// log(1 + x) = 2 artanh(x / (2 + x)), without cancellation near 0. Between 0.5 and 2 a GPU's logarithm may be off by 2^-21,
-// however small it is, so the series reaches far.
+// log(1 + x) = 2 artanh(x / (2 + x)), without cancellation near 0. The series covers a wide range, because between 0.5 and 2 a
+// GPU's logarithm may have an absolute error of 2^-21, even if its value is small.
 float log1p(float x) {
     float s = x / (2.0 + x);
     float q = s * s;
@@ -66,7 +66,7 @@ void main() {
     uint at = geometry_at(PLANE_MEAN_OPACITY, row);
     float logit = parameters[at].w;
     float opacity = opacity_of(logit);
-    // log(1 - o) of the logit itself: where o is close to 1, 1 - o has few digits.
+    // Computes log(1 - o) from the logit, because 1 - o has few digits if o is close to 1.
     float log_transparency = logit > 0.0 ? -logit - log1p(exp(-logit)) : -log1p(exp(logit));
     float shared_opacity =
         clamp(-expm1(log_transparency / n), RELOCATION_LEAST_OPACITY, RELOCATION_MOST_OPACITY);

@@ -1,5 +1,5 @@
 // Opacity reset (paper, section 5.2; reference reset_opacity): opacity <- min(opacity, 0.01), and zero moments. With a 3D
-// filter it is the opacity that is drawn (Mip-Splatting's reset_opacity).
+// filter it applies to the filtered opacity (Mip-Splatting's reset_opacity).
 //
 // invocation: one Gaussian
 // in/out: parameters, moments_1, moments_2 (PerGaussian planes; only the opacity's component changes)
@@ -39,7 +39,7 @@ void main() {
     float limit = max_logit;
     if (log_scale.w > 0.0) {
         float shrink = filter_shrink(filter_ratio(log_scale));
-        // Where no opacity is drawn with more than the largest, none is bounded.
+        // If no filtered opacity can exceed the largest, there is no limit.
         limit = shrink > max_opacity ? -log(shrink / max_opacity - 1.0) : logit;
     }
     parameters[at].w = min(logit, limit);

@@ -1,10 +1,10 @@
-// Weight of each Gaussian in a view: the sum of its instances' weights (blend_backward.comp, WEIGHTS), in one order; 0 for
-// Gaussians that are not visible. And the smallest and the largest of all.
+// Weight of each Gaussian in a view: the sum of its instances' weights (blend_backward.comp, WEIGHTS), in a fixed order; 0 for
+// Gaussians that are not visible. Also the smallest and the largest weight.
 //
 // invocation: one Gaussian; subgroup: adds the instances of a Gaussian with many tiles together, as project_backward.comp
 // in: state, visible_index, footprints, first_instances, instance_gradients_c (weight, 0)
-// out: weights[Gaussian]; ranges, see edges.glsl: bits of the smallest and of the largest weight. None if the frame
-//      overflowed
+// out: weights[Gaussian]; ranges, see edges.glsl: bits of the smallest and of the largest weight; nothing if the frame
+//     overflowed
 // shared: none; subgroup sizes 4 to 128
 #version 460
 #extension GL_EXT_scalar_block_layout : require
@@ -73,7 +73,7 @@ void main() {
     uint row = seen ? visible : 0;
     uint instances = seen ? footprints[splat_at(row, SPLAT_FOOTPRINT)].w : 0;
     uint begin = instances == 0 ? 0 : first_instances[row];
-    // Not negative, so that its bits are in the order of the values.
+    // Nonnegative, so its bits sort like its value.
     float weight = max(sum_instances(begin, instances), 0.0);
     uint low = subgroupMax(exists ? ~floatBitsToUint(weight) : 0);
     uint high = subgroupMax(exists ? floatBitsToUint(weight) : 0);

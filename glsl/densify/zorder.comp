@@ -1,8 +1,8 @@
-// Position of each row of the new set on a Z-order curve (Morton 1966) through all of space. After a sort by it, Gaussians
-// that are close to each other in the scene, and so in most pictures, are close to each other in memory.
+// Position of each row of the new set on a Z-order curve (Morton 1966) through all space. Sorting by it places Gaussians that
+// are close in the scene, and so in most pictures, close in memory.
 //
-// Each axis is folded into (-1, 1) by d / (1 + |d|), where d is the distance from the centre of the cameras in units of the
-// scene's extent. The folded axis has 1024 cells: half of them lie within one extent.
+// Each axis is folded into (-1, 1) by d / (1 + |d|), where d is the distance from the cameras' mean position in scene extents.
+// The folded axis has 1024 cells, half of them within one extent.
 //
 // invocation: one row of the new set; it returns at once if the row's source lies outside the bound range
 // in: sources[row], parameters (PerGaussian planes); out: keys[row] < 2^ZORDER_BITS, the cell's bits interleaved, x lowest
@@ -24,7 +24,7 @@ layout(push_constant, scalar) uniform Push {
     uint first;
     uint count;
     uint rows;
-    // The centre of the cameras, and the scene's extent.
+    // Mean position of the cameras, and extent of the scene.
     vec3 center;
     float extent;
 };
@@ -36,7 +36,7 @@ const uint CELLS = 1 << (ZORDER_BITS / 3);
 
 uint cell(float distance) {
     float folded = distance / (1.0 + abs(distance));
-    // NaN and infinity go to the first cell. The test is on their bits, because a compiler may assume that no value is NaN.
+    // NaN and infinity go to the first cell. The test reads their bits, because a compiler may assume that no value is NaN.
     bool placed = (floatBitsToUint(distance) & 0x7F800000) != 0x7F800000;
     return placed ? min(uint(max(0.5 + 0.5 * folded, 0.0) * float(CELLS)), CELLS - 1) : 0;
 }

@@ -1,4 +1,4 @@
-// The rendered picture under the exposure of its photograph: exposure.glsl. Nothing is clamped.
+// Rendered picture under the exposure of its photograph (exposure.glsl). Nothing is clamped.
 //
 // invocation: one pixel, with STRIPS also of the rows that fill the last strip
 // in: rendered, exposures

@@ -1,6 +1,6 @@
-// The gradient through the exposure of a photograph (exposure.glsl), with g = dL/d(exposed picture) of each pixel:
+// Gradient through the exposure of a photograph (exposure.glsl), with g = dL/d(exposed picture) of each pixel:
 //
-//   dL/d(picture_k) = sum over c of E[k][c] g_c,  dL/dE[k][c] = sum over pixels of picture_k g_c,  dL/dE[c][3] = that of g_c
+//   dL/d(picture_k) = sum over c of E[k][c] g_c,  dL/dE[k][c] = sum over pixels of picture_k g_c,  dL/dE[c][3] = sum of g_c
 //
 // invocation: every (number of invocations)-th pixel; the number of workgroups is TERM_PARTIALS
 // in: rendered, exposures

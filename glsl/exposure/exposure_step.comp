@@ -1,20 +1,20 @@
-// Adam over the exposures of all photographs as one tensor, or over the effects of all lenses (lens_effects.glsl): also those
-// that the iteration does not see have their moments decay, and move. Only the view's own has a gradient: the sum of the
-// partials, or 0 where that is not finite. All have `decay` times their value besides; with CENTER, of exposures, the diagonal
-// has not: it is a gain per channel, all else is pulled to 0.
+// Adam over the exposures of all photographs as one tensor, or over the effects of all lenses (lens_effects.glsl). Matrices of
+// other views also move, and their moments decay. Only the view's own has a gradient: the sum of the partials, or 0 if that is
+// not finite. All gradients include `decay` times the value. With CENTER, for exposures, the diagonal does not: it is a gain
+// per channel, and all else is pulled to 0.
 //
-// With SUMS a step follows several views: without `makes_step` the gradient of the view's photograph is added to `sums`, and a
-// step takes what they have as well. With `starts` what they had before does not count.
+// With SUMS a step follows several views. Without `makes_step` the gradient of the view's photograph is added to `sums`, and a
+// step adds the sums to its gradient. With `starts` the previous sums do not count.
 //
-// With SHARES the second moments are those of all photographs together: their squared gradients add up, without the parts of
-// `decay`. Otherwise Adam moves photographs that fit as fast as those that do not.
+// With SHARES all photographs share the second moments: their squared gradients add up, without the parts of `decay`. Otherwise
+// Adam moves photographs that fit as fast as those that do not.
 //
-// With SPARSE a matrix comes closer to the identity by `sparsity` of the rate after its step, by less the farther it is away, and at
-// FREE_DISTANCE by nothing: the minimax concave penalty (Zhang 2010). Photographs without a clear change stay as they are, and
-// the gains of those with one are not made smaller.
+// With SPARSE a step then brings the matrix closer to the identity by `sparsity` times the rate. This decreases with its
+// distance and is 0 from FREE_DISTANCE on: the minimax concave penalty (Zhang 2010). Photographs without a clear change keep
+// none, and clear gains do not shrink.
 //
-// With CENTER, the mean over the photographs is then brought back to the identity: E <- E - mean(E) + [I | 0]. Otherwise the
-// scene could grow brighter while all exposures grow darker, and what is rendered without an exposure would drift.
+// With CENTER, the mean over the photographs is then moved back to the identity: E <- E - mean(E) + [I | 0]. Otherwise the
+// scene could grow brighter while all exposures grow darker, and pictures without an exposure would drift.
 // If the frame overflowed, nothing changes.
 //
 // invocation: every WORKGROUP_SIZE-th photograph; one workgroup in all
@@ -53,19 +53,19 @@ layout(push_constant, scalar) uniform Push {
     float one_minus_beta_1;
     float one_minus_beta_2;
     float epsilon;
-    // Already divided by 1 - b1^t.
+    // Divided by 1 - b1^t.
     float rate;
     // 1 / sqrt(1 - b2^t).
     float inverse_bias_2;
     uint makes_step;
     uint starts;
-    // Times each value, a part of its gradient.
+    // Factor of each value in its gradient.
     float decay;
-    // With SPARSE, a share of the rate.
+    // With SPARSE: distance per rate.
     float sparsity;
 };
 
-// Between a matrix and the identity, the root of the sum of the squares of all twelve.
+// Distance between a matrix and the identity: root of the sum of squares of all twelve numbers.
 const float FREE_DISTANCE = 0.05;
 
 #include "exposure_sums.glsl"
@@ -75,7 +75,7 @@ bool finite(vec4 g) {
     return all(notEqual(exponent, uvec4(0x7F800000u)));
 }
 
-// What the step takes of row k, without the part of `decay`.
+// Gradient of row k for the step, without the part of `decay`.
 vec4 gradient_of(uint photograph, uint k, vec4 of_view) {
     vec4 g = photograph == view ? of_view : vec4(0.0);
     return SUMS && starts == 0 ? g + sums[3 * photograph + k] : g;
@@ -129,7 +129,7 @@ void main() {
             if (!SPARSE) {
                 exposures[at] = e;
             }
-            // The distance from the identity: small numbers add up with small errors.
+            // Distance from the identity, because small numbers add up with small errors.
             e[k] -= 1.0;
             change[k] = e;
         }

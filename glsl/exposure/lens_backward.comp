@@ -1,9 +1,9 @@
-// The gradient through a lens (lens_effects.glsl), with h = dL/dy of each pixel and channel, and t = V x:
+// Gradient through a lens (lens_effects.glsl), with h = dL/dy of each pixel and channel, and t = V x:
 //
-//   dL/dx = h y'(t) V,  dL/da_k = sum over pixels of h y'(t) x r^(2k),  dL/dg = that of h dy/dg
+//   dL/dx = h y'(t) V,  dL/da_k = sum over pixels of h y'(t) x r^(2k),  dL/dg = sum over pixels of h dy/dg
 //
 // invocation: every (number of invocations)-th pixel; the number of workgroups is TERM_PARTIALS
-// in: rendered (or what its exposure has made of it), lenses
+// in: rendered (or exposed), lenses
 // in/out: image_gradient, from h to dL/dx: with STRIPS planes in strips (strips.glsl), otherwise per pixel a vec4 whose fourth
 //     component stays
 // out: partials[3 * workgroup + c] = row c of the workgroup's part of the gradient: (da1, da2, da3, dg)
@@ -31,7 +31,7 @@ layout(push_constant, scalar) uniform Push {
     uint image_height;
     vec3 background;
     uint lens;
-    // Where the principal point is, with the first pixel's centre at 0.
+    // Principal point, with the first pixel's centre at 0.
     vec2 center_px;
     float inverse_square;
 };

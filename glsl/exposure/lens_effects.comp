@@ -1,7 +1,7 @@
-// A picture through the lens that took its photograph: lens_effects.glsl. Nothing is clamped.
+// A picture through the lens that took its photograph (lens_effects.glsl). Nothing is clamped.
 //
 // invocation: one pixel, with STRIPS also of the rows that fill the last strip
-// in: rendered (or what its exposure has made of it), lenses
+// in: rendered (or exposed), lenses
 // out: shaded, laid out like `rendered`: with STRIPS three planes, 0 below the picture; otherwise (r, g, b, 0) per pixel
 // shared: none; any subgroup size
 #version 460
@@ -21,7 +21,7 @@ layout(push_constant, scalar) uniform Push {
     uint image_height;
     vec3 background;
     uint lens;
-    // Where the principal point is, with the first pixel's centre at 0.
+    // Principal point, with the first pixel's centre at 0.
     vec2 center_px;
     float inverse_square;
 };

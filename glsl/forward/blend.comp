@@ -11,8 +11,8 @@
 //     (1 + list index of the last blended entry of the tile, 0 if none); state[STATE_LONGEST_TILE]
 // shared: see splat_shuffle.glsl; subgroup sizes 4 to 128
 //
-// A pass handles entries [first_entry, first_entry + max_entries) of each tile. With first_entry > 0 it continues where the
-// previous pass stopped: drivers that limit the iterations of an invocation need several passes for very long tiles. Frames
+// A pass handles entries [first_entry, first_entry + max_entries) of each tile. With first_entry > 0 it continues after the
+// previous pass, because drivers that limit the iterations of an invocation need several passes for very long tiles. Frames
 // with very many instances take several dispatches, each over the tiles whose first instance lies in its range.
 #version 460
 #extension GL_EXT_scalar_block_layout : require
@@ -29,17 +29,17 @@
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 128;
 layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
 layout(constant_id = 2) const bool INVERSE_DEPTH = false;
-// Splats farther away than depth_limits do not count.
+// Splats beyond depth_limits do not count.
 layout(constant_id = 3) const bool DEPTH_LIMIT = false;
 // With INVERSE_DEPTH: the sum of weights * z instead of weights / z.
 layout(constant_id = 4) const bool LINEAR_DEPTH = false;
 // See blending.glsl.
 layout(constant_id = 5) const bool INCREMENTAL_EXP = false;
-// Regions of a subgroup: 1, 2 or 4. With more regions a Gaussian is fetched fewer times, and a lane has more pixels.
+// Number of regions per subgroup: 1, 2 or 4. With more regions a Gaussian is fetched less often, but a lane has more pixels.
 layout(constant_id = 6) const uint REGIONS_PER_SUBGROUP = 1;
-// Counts the pixels that Gaussians are blended over, to compare the kernel's rate with the device's.
+// Counts the pixels under blended Gaussians, to compare the kernel's rate with the device's.
 layout(constant_id = 7) const bool COUNT_HITS = false;
-// See blend_io.glsl. Only for subgroups of at most 16, whose lanes have four or eight rows of a column.
+// See blend_io.glsl. Only for subgroups of at most 16, where a lane has four or eight rows of a column.
 layout(constant_id = 8) const bool STRIPS = false;
 // See region_shape.glsl.
 layout(constant_id = 9) const uint REGION_HEIGHT = 8;
@@ -60,18 +60,18 @@ layout(local_size_x_id = 0) in;
 #include "dispatch.glsl"
 #include "subgroup.glsl"
 
-// Most pixels of a lane in a region. A literal for the same reason as MAX_COLUMN_ROWS.
+// Maximum number of pixels of a lane in a region. A literal for the same reason as MAX_COLUMN_ROWS.
 const uint MAX_PIXELS = 16;
 
-// With COUNT_HITS: Gaussians blended over a region.
+// With COUNT_HITS: number of Gaussians blended over a region.
 uint hit_count = 0;
 #ifdef AUXILIARY
-// With MOTION: the motion of the lane's splat.
+// With MOTION: motion of the lane's splat.
 vec2 own_motion = vec2(0.0);
 #endif
 
-// Tests each lane's splat against a region and blends the hits over it. The pixels are a parameter: in one array of all regions they
-// would lie in memory on llvmpipe, where blending takes three times as long.
+// Tests each lane's splat against a region and blends the hits over it. The pixels are a parameter, because llvmpipe would keep
+// one array for all regions in memory, where blending takes three times as long.
 void blend_region(Splat own, vec4 mean2d, bool exists, uvec2 origin, uint batch, inout Pixel pixels[MAX_PIXELS],
     inout bool alive) {
     vec2 corner_px = vec2(origin + lane_offset());
@@ -153,7 +153,7 @@ void main() {
     FOUR_REGIONS(DECLARE)
     EACH_REGION(REGIONS_PER_SUBGROUP, LOAD)
 
-    // Both loops test at their end: with a test at the start, a driver without branches runs one more masked iteration.
+    // Both loops test at their end. With a test at the start, a driver without branches runs one more masked iteration.
     uint batch = first_entry;
     if (batch < end) for (;;) {
         uint entry = batch + gl_SubgroupInvocationID;

@@ -4,8 +4,8 @@
 //   C += T alpha c, T <- T (1 - alpha); a pixel stops before the Gaussian that would bring T below 1e-4.
 //
 // The paper's form of the kernel: the workgroup fetches a batch of Gaussians into shared memory, and every invocation loops
-// over the whole batch for its own pixels. The picture equals that of blend.comp, which culls per region instead. They agree
-// to the bit if the compiler fuses sums of products in both kernels or in neither. The device decides which one is faster.
+// over the whole batch for its own pixels. The picture equals that of blend.comp, which culls per region instead. They agree to
+// the bit if the compiler fuses sums of products in both kernels or in neither. The device decides which kernel is faster.
 //
 // invocation: PIXELS pixels, and one Gaussian of each batch to fetch; workgroup: one tile, batches of WORKGROUP_SIZE
 // in: tile_ranges, sorted_visible, PerVisible attributes; with DEPTH_LIMIT, PerPixel: depth_limits
@@ -14,8 +14,8 @@
 // shared: WORKGROUP_SIZE * 10 words and one; any subgroup size (no subgroup operations)
 //
 // With INCREMENTAL_EXP a pixel's value depends on its position in a column, so the columns are those of blend.comp.
-// A pass handles entries [first_entry, first_entry + max_entries) of each tile. With first_entry > 0 it continues where the
-// previous pass stopped: drivers that limit the iterations of an invocation need several passes for very long tiles.
+// A pass handles entries [first_entry, first_entry + max_entries) of each tile. With first_entry > 0 it continues after the
+// previous pass, because drivers that limit the iterations of an invocation need several passes for very long tiles.
 #version 460
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_EXT_control_flow_attributes : require
@@ -28,13 +28,13 @@
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
 layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
 layout(constant_id = 2) const bool INVERSE_DEPTH = false;
-// Splats farther away than depth_limits do not count.
+// Splats beyond depth_limits do not count.
 layout(constant_id = 3) const bool DEPTH_LIMIT = false;
 // With INVERSE_DEPTH: the sum of weights * z instead of weights / z.
 layout(constant_id = 4) const bool LINEAR_DEPTH = false;
 // See blending.glsl.
 layout(constant_id = 5) const bool INCREMENTAL_EXP = false;
-// Counts the pixels that Gaussians are blended over, as blend.comp does.
+// Counts the pixels under blended Gaussians, like blend.comp.
 layout(constant_id = 7) const bool COUNT_HITS = false;
 // See blend_io.glsl. Only with INCREMENTAL_EXP.
 layout(constant_id = 8) const bool STRIPS = false;
@@ -50,7 +50,7 @@ const uint REGION_HEIGHT = SUBGROUP_SIZE <= 64 ? 8 : 16;
 #include "region_shape.glsl"
 
 const uint COLUMN_ROWS = INCREMENTAL_EXP ? ROWS : 1;
-// Columns and pixels of an invocation.
+// Number of columns and pixels per invocation.
 const uint OWN_COLUMNS = TILE_SIZE * TILE_SIZE / COLUMN_ROWS / WORKGROUP_SIZE;
 const uint PIXELS = OWN_COLUMNS * COLUMN_ROWS;
 
@@ -97,7 +97,7 @@ void main() {
         pixels[k] = load_pixel(corner + pixel_of(k));
     }
 
-    // With COUNT_HITS: Gaussians that all pixels of the tile loop over.
+    // With COUNT_HITS: number of Gaussians that all pixels of the tile loop over.
     uint walked = 0;
     for (uint batch = begin; batch < end; batch += WORKGROUP_SIZE) {
         if (gl_LocalInvocationID.x == 0) {

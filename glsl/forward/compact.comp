@@ -3,8 +3,8 @@
 // invocation: every SUBGROUP_SIZE-th Gaussian of a block; subgroup: one block of BLOCK Gaussians, the blocks of cull; it
 // keeps a running count, so no barrier is needed
 // in: visible_flags[Gaussian], block_offsets[block] (exclusive prefix sums)
-// out: visible_list[visible] = Gaussian, visible_index[Gaussian] = visible or NOT_VISIBLE. Beyond the capacity of the visible ones
-// none is visible: the frame has overflowed then (write_indirect_args.comp) and is run again
+// out: visible_list[visible] = Gaussian, visible_index[Gaussian] = visible or NOT_VISIBLE. Gaussians beyond the capacity are
+//     not visible: the frame has then overflowed (write_indirect_args.comp) and is repeated
 // shared: none; subgroup sizes 4 to 128
 #version 460
 #extension GL_EXT_scalar_block_layout : require
@@ -27,7 +27,7 @@ layout(set = 0, binding = 3, scalar) writeonly buffer VisibleIndex { uint visibl
 
 layout(push_constant, scalar) uniform Push {
     uint count;
-    // Most visible Gaussians.
+    // Maximum number of visible Gaussians.
     uint capacity;
 };
 

@@ -1,5 +1,5 @@
-// The tiles of each visible Gaussian and their number, in depth order, and the sum of these numbers per block. The sums are
-// the first step of the prefix sum that assigns the instances (scan_reduce.comp, with a gather).
+// Tiles of each visible Gaussian and their number, in depth order, and the sum of these numbers per block. The sums are the
+// first step of the prefix sum that assigns the instances (scan_reduce.comp, with a gather).
 //
 // invocation: ITEMS visible Gaussians; workgroup: one block of WORKGROUP_SIZE * ITEMS of them, a block of the scan
 // in: order[rank] = visible, tile_lists[visible] (tile_span.glsl)
@@ -32,7 +32,7 @@ layout(set = 0, binding = 6, scalar) writeonly buffer BlockSums { uint block_sum
 #include "workgroup_scan.glsl"
 #include "tile_list.glsl"
 
-// Items whose reads are in flight together. Not all of them where an invocation has many: building the pipeline would take longer
+// Number of items whose reads are in flight together. Limited, because with many items building the pipeline would take longer
 // than a frame.
 const uint AT_ONCE = ITEMS < 8 ? ITEMS : 8;
 

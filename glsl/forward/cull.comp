@@ -1,12 +1,11 @@
-// Visibility of each Gaussian, and the number of visible ones in each block: first step of the stable compaction. Culls by
-// the near plane, a degenerate covariance, an opacity below 1/255, and an empty set of tiles (paper, section 6; reference
-// preprocessCUDA). Leaves out what the settings cut, and with DROPOUT some at random. With TINTED opacities have the scene's
-// factor, with CUT_OUTS volumes keep or remove what lies inside. With ADDS, what an earlier view of the same Gaussians sees is
-// visible, too.
+// Visibility of each Gaussian, and the number of visible ones in each block: first step of the stable compaction. Culls by the
+// near plane, a degenerate covariance, an opacity below 1/255, and an empty set of tiles (paper, section 6; reference
+// preprocessCUDA). Applies the settings' cut, and with DROPOUT random omission. With TINTED opacities have the scene's factor,
+// and with CUT_OUTS volumes keep or remove Gaussians. With ADDS, Gaussians that are visible in an earlier view stay visible.
 //
 // invocation: one Gaussian; workgroup: one block of WORKGROUP_SIZE Gaussians
-// in: parameters (PerGaussian planes), with CUT_OUTS cut_outs (64 bytes each), with ADDS visible_flags; out: visible_flags[Gaussian], block_counts[block],
-//     zero where there is no Gaussian
+// in: parameters (PerGaussian planes), with CUT_OUTS cut_outs (64 bytes each), with ADDS visible_flags; out:
+//     visible_flags[Gaussian], block_counts[block], zero without a Gaussian
 // shared: one word per subgroup; any subgroup size
 #version 460
 #extension GL_EXT_scalar_block_layout : require
@@ -19,17 +18,17 @@
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
 layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
-// Whether Gaussians have a 3D filter: see projection.glsl.
+// True if Gaussians have a 3D filter: see projection.glsl.
 layout(constant_id = 3) const bool FILTER_3D = false;
-// Whether some are left out at random: see dropout.glsl.
+// True if random Gaussians are omitted: see dropout.glsl.
 layout(constant_id = 4) const bool DROPOUT = false;
-// Whether the scene has an opacity of its own: see camera_block.glsl.
+// True if the scene has its own opacity: see camera_block.glsl.
 layout(constant_id = 5) const bool TINTED = false;
-// Whether volumes keep or remove Gaussians: see cut_outs.glsl.
+// True if volumes keep or remove Gaussians: see cut_outs.glsl.
 layout(constant_id = 6) const bool CUT_OUTS = false;
-// Whether the camera's rays are parallel: see projection.glsl.
+// True if the camera's rays are parallel: see projection.glsl.
 layout(constant_id = 7) const bool ORTHOGRAPHIC = false;
-// Whether the flags hold what an earlier view sees.
+// True if the flags already hold the visible Gaussians of an earlier view.
 layout(constant_id = 8) const bool ADDS = false;
 layout(local_size_x_id = 0) in;
 
@@ -43,13 +42,13 @@ layout(push_constant, scalar) uniform Push {
     uint first;
     uint count;
     uint chunk_gaussians;
-    // `extent` is EXTENT_EXACT or EXTENT_REFERENCE, `antialias` of ANTIALIAS_ bits.
+    // `extent` is EXTENT_EXACT or EXTENT_REFERENCE; `antialias` has ANTIALIAS_ bits.
     uint extent;
     uint antialias;
-    // With CUT_OUTS: those of the scene.
+    // With CUT_OUTS: the scene's first cut-out and their number.
     uint first_cut_out;
     uint cut_out_count;
-    // Indices that have flags: those of the Gaussians, and of the gap between them and the next scene.
+    // Number of indices with flags: those of the Gaussians, and of the gap before the next scene.
     uint flag_count;
 };
 

@@ -1,5 +1,5 @@
-// Culls the scenes of a batch (batch.glsl) in one dispatch: what cull.comp does scene by scene, to the bit. Blocks of other scenes
-// between them stay as they are.
+// Culls the scenes of a batch (batch.glsl) in one dispatch, with the same bits as cull.comp scene by scene. Blocks of other
+// scenes between them are unchanged.
 //
 // invocation: one Gaussian; workgroup: one block of WORKGROUP_SIZE Gaussians, of one scene
 // in: parameters (PerGaussian planes of all scenes), scene_blocks[scene], with CUT_OUTS cut_outs (64 bytes each), with ADDS
@@ -16,7 +16,7 @@
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
 layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
-// As in cull.comp. Frames with dropout have no batches.
+// Same as in cull.comp. Frames with dropout have no batches.
 layout(constant_id = 3) const bool FILTER_3D = false;
 layout(constant_id = 5) const bool TINTED = false;
 layout(constant_id = 6) const bool CUT_OUTS = false;
@@ -36,9 +36,9 @@ layout(push_constant, scalar) uniform Push {
     uint end_block;
     uint scenes;
     uint batch;
-    // Indices of the frame: each has a flag.
+    // Number of indices in the frame: each has a flag.
     uint index_count;
-    // As in cull.comp.
+    // Same as in cull.comp.
     uint extent;
     uint antialias;
 };

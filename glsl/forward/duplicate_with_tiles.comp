@@ -63,7 +63,7 @@ uint find_rank(uint instance, uint low, uint ranks) {
         uint probe = gl_SubgroupInvocationID * apart;
         bool exists = probe < ranks;
         bool passed = exists && UINT_AT(instance_offsets, low + (exists ? probe : 0)) <= instance;
-        // The first lane's probe always passes: the rank searched for is at or after it.
+        // The first lane's probe always passes, because the searched rank is at or after it.
         uint last = max(subgroupBallotBitCount(subgroupBallot(passed)), 1) - 1;
         low += last * apart;
         ranks = min(apart, ranks - last * apart);
@@ -184,7 +184,7 @@ void main() {
         if (next >= run_end) {
             break;
         }
-        // As in put_unlisted.
+        // Same as in put_unlisted.
         first_rank = min(first_rank + SUBGROUP_SIZE, visible_count - 1);
         first_rank = find_rank(next, first_rank, found_none ? visible_count - first_rank : 1);
     }

@@ -1,5 +1,5 @@
-// The size of Mip-Splatting's 3D filter from the depths of nearest_depths.comp: Gaussians that no camera sees take the largest
-// depth of those that are seen.
+// Size of Mip-Splatting's 3D filter from the depths of nearest_depths.comp. Gaussians that no camera shows take the largest
+// depth of the visible ones.
 //
 // invocation: one Gaussian of a chunk
 // in: farthest; in/out: parameters (PerGaussian planes): log_scale.w, a depth, becomes the filter's standard deviation,

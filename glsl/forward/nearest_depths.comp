@@ -1,10 +1,10 @@
-// The least depth of each Gaussian in the cameras that see it, for the size of Mip-Splatting's 3D filter (Yu et al. 2024,
+// Smallest depth of each Gaussian in the cameras that show it, for the size of Mip-Splatting's 3D filter (Yu et al. 2024,
 // section 5.1; its compute_3D_filter).
 //
 // invocation: one Gaussian of a chunk
-// in: poses, four vec3 per camera: the rows of R, then t, camera from world (as pose_step.comp leaves them); bounds, a vec4 per
+// in: poses, four vec3 per camera: the rows of R, then t, camera from world (layout of pose_step.comp); bounds, a vec4 per
 //     camera: least and largest x/z, least and largest y/z
-// in/out: parameters (PerGaussian planes): log_scale.w is the depth, or 0 if no camera sees the mean; farthest is the bits of
+// in/out: parameters (PerGaussian planes): log_scale.w is the depth, or 0 if no camera shows the mean; farthest is the bits of
 //     the largest depth. Nothing changes if the frame overflowed.
 // shared: none; any subgroup size
 #version 460
@@ -53,7 +53,7 @@ void main() {
         nearest = seen ? min(nearest, position.z) : nearest;
     }
     nearest = exists && nearest < NONE ? nearest : 0.0;
-    // Positive floats have the order of their bits, and a maximum is the same in any order.
+    // Positive floats sort like their bits, and a maximum does not depend on the order.
     uint largest = subgroupMax(floatBitsToUint(nearest));
     if (subgroupElect() && largest > 0) {
         atomicMax(farthest[0], largest);

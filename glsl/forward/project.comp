@@ -1,12 +1,12 @@
 // Screen-space attributes of the visible Gaussians: mean, conic, extent, tiles, depth, and colour from spherical harmonics
 // (paper, section 4; reference preprocessCUDA and computeColorFromSH). With TINTED, colours and opacities have the scene's
-// factors. With ORTHOGRAPHIC, all are seen along the camera's z axis. With MAY_BE_UNSEEN, Gaussians may be listed that this view
-// does not show, because another one does: they meet no tile.
+// factors. With ORTHOGRAPHIC, all are seen along the camera's z axis. With MAY_BE_UNSEEN, the list may have Gaussians that only
+// another view shows: they touch no tile.
 //
 // invocation: one visible Gaussian of the bound parameter range; it loops over its rows of tiles to count its tiles
-// in: parameters (PerGaussian planes), visible_list, visible_ranges, with SELECTION selection (a bit per Gaussian); out, PerVisible: mean2d_extent (x, y, half extents,
-//     px), conic_opacity (A, B, C, opacity), color_inverse_depth (r, g, b, 1/z, or z with Z_RECORD), depth_keys (bits of z),
-//     footprints and tile_lists (tile_span.glsl)
+// in: parameters (PerGaussian planes), visible_list, visible_ranges, with SELECTION selection (a bit per Gaussian); out,
+//     PerVisible: mean2d_extent (x, y, half extents, px), conic_opacity (A, B, C, opacity), color_inverse_depth (r, g, b, 1/z,
+//     or z with Z_RECORD), depth_keys (bits of z), footprints and tile_lists (tile_span.glsl)
 // shared: none; any subgroup size
 #version 460
 #extension GL_EXT_scalar_block_layout : require
@@ -18,20 +18,20 @@
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
 layout(constant_id = 2) const uint SH_DEGREE = 3;
-// Whether Gaussians have a 3D filter: see projection.glsl.
+// True if Gaussians have a 3D filter: see projection.glsl.
 layout(constant_id = 3) const bool FILTER_3D = false;
-// Whether some Gaussians are left out at random: see dropout.glsl.
+// True if random Gaussians are omitted: see dropout.glsl.
 layout(constant_id = 4) const bool DROPOUT = false;
-// Whether the depth that is blended is z instead of 1/z.
+// True if the blended depth is z instead of 1/z.
 layout(constant_id = 5) const bool Z_RECORD = false;
-// Whether the scene has a tint or an opacity of its own: see camera_block.glsl.
+// True if the scene has its own tint or opacity: see camera_block.glsl.
 layout(constant_id = 6) const bool TINTED = false;
-// Whether some Gaussians have another colour: those whose bits in `selection` are set.
+// True if some Gaussians have another colour: those with a set bit in `selection`.
 layout(constant_id = 7) const bool SELECTION = false;
-// Whether the camera's rays are parallel: see projection.glsl.
+// True if the camera's rays are parallel: see projection.glsl.
 layout(constant_id = 8) const bool ORTHOGRAPHIC = false;
 layout(constant_id = 9) const bool SH_LOOPS = false;
-// Whether the list has Gaussians of other views.
+// True if the list has Gaussians of other views.
 layout(constant_id = 10) const bool MAY_BE_UNSEEN = false;
 layout(local_size_x_id = 0) in;
 
@@ -50,11 +50,11 @@ layout(push_constant, scalar) uniform Push {
     // First Gaussian of the bound parameter range, and capacity of the range.
     uint first;
     uint chunk_gaussians;
-    // `extent` is EXTENT_EXACT or EXTENT_REFERENCE, `antialias` of ANTIALIAS_ bits.
+    // `extent` is EXTENT_EXACT or EXTENT_REFERENCE; `antialias` has ANTIALIAS_ bits.
     uint extent;
     uint antialias;
     uint splat_stride;
-    // With SELECTION: the range's first Gaussian in its scene.
+    // With SELECTION: index of the range's first Gaussian in its scene.
     uint first_of_scene;
 };
 
@@ -69,7 +69,7 @@ layout(push_constant, scalar) uniform Push {
 #include "sh.glsl"
 #include "sh_planes.glsl"
 
-// Bit i % 32 of word i / 32 is that of the scene's Gaussian i.
+// Bit i % 32 of word i / 32 belongs to the scene's Gaussian i.
 vec3 highlighted(vec3 color, uint index) {
     if (SELECTION) {
         uint gaussian = first_of_scene + index;

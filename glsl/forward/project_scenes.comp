@@ -1,9 +1,9 @@
-// Screen-space attributes of what is visible of the scenes of a batch (batch.glsl), in one dispatch: what project.comp writes scene
-// by scene, to the bit.
+// Screen-space attributes of the visible Gaussians of a batch (batch.glsl), in one dispatch, with the same bits as project.comp
+// scene by scene.
 //
-// invocation: one visible Gaussian; workgroup: those of one culling block, which belongs to one scene
+// invocation: one visible Gaussian; workgroup: the visible ones of one culling block, which belongs to one scene
 // in: parameters (PerGaussian planes of all scenes), scene_blocks[scene], visible_list, block_offsets[block]: visible Gaussians
-//     before each culling block; state[STATE_VISIBLE]; out, PerVisible: as project.comp
+//     before each culling block; state[STATE_VISIBLE]; out, PerVisible: same as project.comp
 // shared: one word; any subgroup size
 #version 460
 #extension GL_EXT_scalar_block_layout : require
@@ -15,7 +15,7 @@
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
 layout(constant_id = 2) const uint SH_DEGREE = 3;
-// As in project.comp. Frames with dropout have no batches, and scenes with a selection are drawn alone.
+// Same as in project.comp. Frames with dropout have no batches, and scenes with a selection are outside batches.
 layout(constant_id = 3) const bool FILTER_3D = false;
 layout(constant_id = 6) const bool TINTED = false;
 layout(constant_id = 8) const bool ORTHOGRAPHIC = false;
@@ -42,9 +42,9 @@ layout(push_constant, scalar) uniform Push {
     uint end_block;
     uint scenes;
     uint batch;
-    // Culling blocks in the frame.
+    // Number of culling blocks in the frame.
     uint blocks;
-    // As in project.comp.
+    // Same as in project.comp.
     uint extent;
     uint antialias;
     uint splat_stride;
@@ -71,7 +71,7 @@ vec3 highlighted(vec3 color, uint index) {
 void main() {
     uint block = min(first_block + linear_workgroup(), blocks);
     bool own = load_scene(block);
-    // As write_visible_ranges has it of a range.
+    // Same computation as in write_visible_ranges.
     uint all = state[STATE_VISIBLE];
     uint next = UINT_AT(block_offsets, block + 1 < blocks ? block + 1 : 0);
     uint visible = min(UINT_AT(block_offsets, min(block, blocks - 1)), all) + gl_LocalInvocationID.x;

@@ -1,9 +1,9 @@
 // Begin and end of each tile's instances in the sorted sequence (paper, section 6; reference identifyTileRanges). With
-// FOR_BACKWARD also the visible Gaussian of each sorted instance; without it, that is the value that was sorted.
+// FOR_BACKWARD also the visible Gaussian of each sorted instance; without it, the sorted value is the visible Gaussian.
 //
 // invocation: one sorted instance, compared with its neighbours
 // in: sorted_tiles[n]; with FOR_BACKWARD sorted_instances[n] (indices before the tile sort), instance_visible[instance]
-// out: tile_ranges[tile] = (begin, end), only of tiles with instances; with FOR_BACKWARD sorted_visible[n]
+// out: tile_ranges[tile] = (begin, end), only for tiles with instances; with FOR_BACKWARD sorted_visible[n]
 // shared: none; any subgroup size
 #version 460
 #extension GL_EXT_scalar_block_layout : require

@@ -1,12 +1,12 @@
-// Motion of the visible Gaussians on the screen, from the frame before to this one: of their means, by both cameras and poses.
+// Motion of the visible Gaussians' means on the screen, from the previous frame to this one, by both cameras and poses.
 //
-//   m = p - p', p = f (R mean + t).xy / (R mean + t).z + c, with ORTHOGRAPHIC p = f (R mean + t).xy + c; p' the same of the
-//   frame before
+//   m = p - p', p = f (R mean + t).xy / (R mean + t).z + c, with ORTHOGRAPHIC p = f (R mean + t).xy + c; p' is p in the
+//   previous frame
 //
-// Zero where the mean did not lie in front of the earlier camera (z > NEAR_PLANE), or where a number is not finite. At most the
-// picture's width and height: from any pixel that leads out of the picture, and a Gaussian close to the plane of the earlier
-// camera, whose p' is far away, does not outweigh all others of a pixel. The same arithmetic for both cameras: what has not moved
-// has the motion 0 exactly.
+// Zero if the mean was not in front of the previous camera (z > NEAR_PLANE), or if a number is not finite. Limited to the
+// picture's width and height. From any pixel that leads out of the picture. It also keeps a Gaussian close to the previous
+// camera's plane, whose p' is far away, from outweighing all others of a pixel. Both cameras use the same arithmetic, so a mean
+// that has not moved has exactly the motion 0.
 //
 // invocation: one visible Gaussian of the bound parameter range
 // in: parameters (PerGaussian planes), visible_list, visible_ranges; out, PerVisible: motions, px, y down
@@ -19,7 +19,7 @@
 #include "buffers.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
-// Whether the camera's rays are parallel, and those of the camera before: see projection.glsl.
+// True if the rays of the current and of the previous camera are parallel: see projection.glsl.
 layout(constant_id = 2) const bool ORTHOGRAPHIC = false;
 layout(constant_id = 3) const bool PREVIOUS_ORTHOGRAPHIC = false;
 layout(local_size_x_id = 0) in;
@@ -32,7 +32,7 @@ layout(set = 0, binding = 3, scalar) writeonly buffer Motions { vec2 motions[]; 
 layout(push_constant, scalar) uniform Push {
     // First Gaussian of the bound parameter range.
     uint first;
-    // The camera of the frame before, in the scene's axes of then: as the members of the camera block.
+    // Previous camera in the scene's previous axes, laid out like the camera block.
     vec3 previous_row_x;
     vec3 previous_row_y;
     vec3 previous_row_z;

@@ -1,4 +1,4 @@
-// The visible Gaussians of each parameter range of all scenes, and the indirect arguments of the dispatches over them.
+// Visible Gaussians of each parameter range of all scenes, and the indirect arguments of the dispatches over them.
 //
 // invocation: one scene, it loops over its ranges; workgroup: WORKGROUP_SIZE scenes
 // in: scene_blocks[scene]; block_offsets[block]: visible Gaussians before each culling block; state[STATE_VISIBLE]
@@ -20,7 +20,7 @@ layout(set = 0, binding = 2, scalar) writeonly buffer VisibleRanges { uvec4 visi
 
 layout(push_constant, scalar) uniform Push {
     uint scenes;
-    // Culling blocks in the frame.
+    // Number of culling blocks in the frame.
     uint blocks;
     // Elements per culling block, and per workgroup of the dispatches.
     uint block_elementwise;
@@ -50,7 +50,7 @@ void main() {
         visible_ranges[2 * begin_block] = workgroup_count(end - begin, block_elementwise);
         visible_ranges[2 * begin_block + 1] = uvec4(begin, end, 0, 0);
     }
-    // It has the first visible ones.
+    // The first scene has the first visible Gaussians.
     if (scene == 0) {
         state[STATE_FIRST_SCENE_VISIBLE] = end;
     }

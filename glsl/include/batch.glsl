@@ -1,7 +1,8 @@
-// Kernels that draw several scenes in one dispatch: a batch (engine/forward/batches.rs). A workgroup is a culling block, and a block
-// belongs to one scene. What kernels of one scene read from a uniform block or are pushed are variables of the same names here.
-// Needs constants.glsl, dispatch.glsl, WORKGROUP_SIZE, SCENE_BLOCKS, and push constants: `first_block` and `end_block`, the first
-// culling block of the dispatch and one past the last; `scenes` of the frame; `batch`, the place of the first one of the batch.
+// Kernels that draw several scenes in one dispatch: a batch (engine/forward/batches.rs). A workgroup is a culling block of one
+// scene. Here the values that kernels of one scene read from a uniform block or push constants are variables of the same names.
+// Needs constants.glsl, dispatch.glsl, WORKGROUP_SIZE, SCENE_BLOCKS, and push constants: `first_block` and `end_block`, the
+// first culling block of the dispatch and one past the last; `scenes` of the frame; `batch`, the place of the batch's first
+// scene.
 //
 // shared: one word
 
@@ -14,7 +15,7 @@
 
 shared uint found_scene;
 
-// Last scene that begins at the culling block or before it. Scenes that are not drawn begin where the next one does.
+// Last scene that begins at or before the culling block. Scenes that are not drawn begin where the next one does.
 uint scene_at(uint gaussian) {
     uint low = batch, high = scenes;
     while (high - low > 1) {
@@ -63,8 +64,8 @@ void load_block(uint scene) {
     scene_cut_outs = scene_blocks[scene].scene_cut_outs;
 }
 
-// Loads the values of a culling block's scene. Returns whether the batch draws it; addresses are valid if not, too. All invocations
-// must call it: it has a barrier.
+// Loads the values of a culling block's scene. Returns true if the batch draws it; addresses are valid in any case. It has a
+// barrier, so all invocations must call it.
 bool load_scene(uint block) {
     if (gl_LocalInvocationID.x == 0) {
         found_scene = scene_at(block * WORKGROUP_SIZE);

@@ -1,16 +1,16 @@
-// What the blending kernels leave beside the picture, in kernels of their own (blend_auxiliary.comp,
+// Further outputs of the blending kernels besides the picture, in separate kernels (blend_auxiliary.comp,
 // blend_shared_auxiliary.comp):
 //
-//   with PICK    the splat with the largest weight alpha T, the nearest of equal ones
+//   with PICK    the splat with the largest weight alpha T, the nearest among equals
 //   with MOTION  sum of alpha T m, where m is the splat's motion on the screen (screen_motion.comp)
 //
 // Needs blending.glsl with AUXILIARY, buffers.glsl, PICK, MOTION.
 
-// Per pixel: 1 + place of the splat in the tile's list, 0 for none, and the bits of its weight.
+// Per pixel: 1 + index of the splat in the tile's list, 0 for none; bits of its weight.
 layout(set = 0, binding = 11, scalar) buffer Picks { uvec2 picks[]; };
-// Per visible Gaussian, px.
+// Motion per visible Gaussian, px.
 VEC2_READS(12, Motions, motions);
-// Per pixel, px.
+// Sum of weighted motions per pixel, px.
 layout(set = 0, binding = 13, scalar) buffer MotionSums { vec2 motion_sums[]; };
 
 void note_splat(float weight, vec2 motion, uint place, inout Pixel pixel) {

@@ -1,12 +1,11 @@
-// The backward pass of blending for the pixels of one lane: buffers, push constants, and the gradient of one Gaussian. All
-// variants of the kernel share it. They differ in how they add over lanes and regions. blend_backward.comp has the
-// derivative.
+// Backward pass of blending for the pixels of one lane: buffers, push constants, and the gradient of one Gaussian. All variants
+// of the kernel share it; they differ in the addition over lanes and regions. blend_backward.comp has the derivative.
 //
 // Needs constants.glsl, buffers.glsl, SUBGROUP_SIZE, REGION_HEIGHT, INVERSE_DEPTH, INCREMENTAL_EXP, COUNT_HITS, STRIPS (see
-// blend_io.glsl), ABSOLUTE, WEIGHTS (see blend_backward.comp), BROADCAST, SHARED_SPLATS, OWN_REGIONS: in how many regions a lane has pixels at most,
-// GL_KHR_shader_subgroup_basic, _arithmetic, _ballot and _shuffle.
+// blend_io.glsl), ABSOLUTE, WEIGHTS (see blend_backward.comp), BROADCAST, SHARED_SPLATS, OWN_REGIONS (maximum number of regions
+// per lane), GL_KHR_shader_subgroup_basic, _arithmetic, _ballot and _shuffle.
 
-// Training draws splats only, with inverse depth: no host depth image, no linear depth.
+// Training only draws splats: there is no host depth image and no linear depth.
 const bool DEPTH_LIMIT = false;
 const bool LINEAR_DEPTH = false;
 
@@ -54,12 +53,12 @@ layout(push_constant, scalar) uniform Push {
 #include "blending.glsl"
 #include "splat_shuffle.glsl"
 
-// Most pixels of a lane in a region. A literal for the same reason as MAX_COLUMN_ROWS.
+// Maximum number of pixels of a lane in a region. A literal for the same reason as MAX_COLUMN_ROWS.
 const uint MAX_PIXELS = 16;
 
 const float LN_2 = 0.6931471805599453;
 
-// With COUNT_HITS: Gaussians blended over a region.
+// With COUNT_HITS: number of Gaussians blended over a region.
 uint hit_count = 0;
 
 void note_hits() {
@@ -68,17 +67,17 @@ void note_hits() {
     }
 }
 
-// The end of what a pass over the entries [begin, pass_end) of a tile's list blends. `tile_last`: 1 + the last index of the list that any
-// pixel of the tile blended. What is behind the last entry of the first scene, which alone has gradients, does not count: front to
-// back, these do not depend on it. Where a later pass blends, it may need all that this one leaves; and a search through all passes
-// would take too many rounds of a loop for drivers that limit these.
+// End of the entries that a pass over [begin, pass_end) of a tile's list blends. `tile_last`: 1 + the last index of the list
+// that any pixel of the tile blended. Entries behind the last one of the first scene do not count: only that scene has
+// gradients, and front to back they do not depend on later entries. If a later pass blends, it may need all entries of this
+// pass. A search through all passes would exceed the loop limits of some drivers.
 uint blended_end(uvec2 range, uint begin, uint pass_end, uint tile_last) {
     uint end = max(min(range.y - range.x, tile_last), begin);
     if (end > pass_end) {
         return pass_end;
     }
     uint first_scene = state[STATE_FIRST_SCENE_VISIBLE];
-    // Where there is one scene, the last entry is of it. The loop tests at its end: see blend.comp.
+    // With one scene, the last entry always counts. The loop tests at its end: see blend.comp.
     if (end > begin) for (;;) {
         bool exists = gl_SubgroupInvocationID < end - begin;
         uint entry = exists ? end - 1 - gl_SubgroupInvocationID : begin;
@@ -94,14 +93,14 @@ uint blended_end(uvec2 range, uint begin, uint pass_end, uint tile_last) {
 
 struct GradientPixel {
     float transmittance;
-    // The contribution of the remaining list to gradient . pixel.
+    // Contribution of the remaining list to gradient . pixel.
     float rest;
     // dL/d(r, g, b, inverse depth).
     vec4 gradient;
     uint last;
 };
 
-// The lane's pixels, those of its first region first. Not parameters, which take Mesa longer to build: tools/experiments.md.
+// Pixels of the lane, its first region first. Not parameters, because these take Mesa longer to build: tools/experiments.md.
 GradientPixel pixels[OWN_REGIONS * MAX_PIXELS];
 
 // One instance's sums over the pixels, see blend_backward.comp.
@@ -109,9 +108,9 @@ struct Sums {
     // dL/dpower times 1, dx, dy; dx^2, dx dy, dy^2.
     vec3 linear;
     vec3 quadratic;
-    // r, g, b, inverse depth. With WEIGHTS the first is the sum of weight * r, and nothing else counts.
+    // Sums of r, g, b, inverse depth. With WEIGHTS the first is the sum of weight * r, and the others do not count.
     vec4 value;
-    // With ABSOLUTE: |dL/d(mean2d)|, x and y, of each pixel alone.
+    // With ABSOLUTE: |dL/d(mean2d)|, x and y, with absolute values per pixel.
     vec2 absolute;
 };
 
@@ -119,7 +118,7 @@ bool is_pixel(uvec2 at) {
     return at.x < image_width && at.y < image_height;
 }
 
-// Notes what blending and the loss have written for a pixel: its composited colour and its gradient.
+// Stores a pixel's composited colour and gradient, which blending and the loss have written.
 void hand(uint k, vec3 color, vec4 gradient) {
     pixels[k].gradient = gradient;
     pixels[k].rest = WEIGHTS ? 0.0 : dot(gradient.xyz, color);
@@ -154,8 +153,8 @@ void load_one(uvec2 at, bool tile_exists, uint k) {
     hand(k, color.xyz + color.w * background, gradient);
 }
 
-// Loads the state of a lane's pixels in a region, from the index `first` on, as the previous pass left it. Returns 1 + the
-// last list index that any of these pixels blended.
+// Loads the previous pass's state of a lane's pixels in a region, from the index `first` on. Returns 1 + the last list index
+// that any of these pixels blended.
 uint load_pixels(uvec2 corner, bool tile_exists, uint first) {
     uint lane_last = 0;
     [[unroll]] for (uint k = 0; k < PIXELS; ++k) {
@@ -180,7 +179,7 @@ uint load_pixels(uvec2 corner, bool tile_exists, uint first) {
     if (first_entry > 0) {
         [[unroll]] for (uint k = 0; k < PIXELS; ++k) {
             uvec2 at = corner + pixel_step(k);
-            // Nothing of other pixels: their lanes write meanwhile.
+            // Reads no state of other pixels, because their lanes may be writing it.
             if (tile_exists && is_pixel(at)) {
                 vec2 before = backward_state[at.y * image_width + at.x];
                 pixels[first + k].transmittance = before.x;
@@ -201,15 +200,15 @@ void store_pixels(uvec2 corner, bool tile_exists, uint first) {
     }
 }
 
-// Blends a Gaussian of this weight over a pixel.
+// Blends a Gaussian with this weight over a pixel.
 void blend_over(uint k, float alpha, float weight, inout vec4 sum_value) {
     precise float next = pixels[k].transmittance * (1.0 - alpha);
     pixels[k].transmittance = next;
     sum_value += weight * pixels[k].gradient;
 }
 
-// Gradient of the Gaussian at list index `place` over the pixels of a lane in a region, from the index `first` on. Blends
-// the Gaussian over these pixels as it goes.
+// Gradient of the Gaussian at list index `place` over the pixels of a lane in a region, from the index `first` on. Also blends
+// the Gaussian over these pixels.
 Sums blend_backward(Splat splat, uint place, vec2 corner_px, uint first) {
     vec4 value = vec4(splat.rgb, splat.inverse_z);
     vec2 d0 = splat.mean - corner_px;
@@ -237,7 +236,7 @@ Sums blend_backward(Splat splat, uint place, vec2 corner_px, uint first) {
             pixels[k].rest = rest;
             float d_alpha = transmittance * shade_gradient - rest / (1.0 - alpha);
             float d_power = unclamped <= ALPHA_MAX ? alpha * d_alpha : 0.0;
-            // Not before: a processor runs out of registers then (tools/experiments.md).
+            // Not earlier, because a processor would run out of registers (tools/experiments.md).
             blend_over(k, alpha, weight, sum_value);
             column_1 += d_power;
             column_y += d_power * dy;
@@ -260,7 +259,7 @@ Sums blend_backward(Splat splat, uint place, vec2 corner_px, uint first) {
 }
 
 // Writes to the instance's index before the tile sort: (1, dx, dy, dx dx), (dx dy, dy dy, r, g), (b, inverse depth), and the
-// absolute gradients; or (weight, 0) in place of the third.
+// absolute gradients. With WEIGHTS only (weight, 0), as the third.
 void store_instance(uint place, Sums sums) {
     uint target = UINT_AT(sorted_instances, place);
     if (WEIGHTS) {

@@ -1,8 +1,8 @@
 // Buffers and push constants of the blending kernels, and the state of a pixel between passes.
 //
-// With STRIPS the picture is composited on the background and stored as three planes in strips (strips.glsl): on processors
-// the loss and the backward pass read that layout. `accumulated` then carries the state from one pass to the next, and with
-// INVERSE_DEPTH the transmittance for losses of depths.
+// With STRIPS the picture is composited on the background and stored as three planes in strips (strips.glsl), the layout of the
+// loss and the backward pass on processors. `accumulated` then carries the state from one pass to the next, and with
+// INVERSE_DEPTH the transmittance for depth losses.
 //
 // Needs blending.glsl, buffers.glsl, STRIPS.
 
@@ -15,7 +15,7 @@ layout(set = 0, binding = 5, scalar) buffer Accumulated { vec4 accumulated[]; };
 layout(set = 0, binding = 6, scalar) buffer InverseDepth { float inverse_depth[]; };
 layout(set = 0, binding = 7, scalar) buffer LastEntries { uint last_entries[]; };
 layout(set = 0, binding = 8, scalar) buffer State { uint state[]; };
-// Per pixel: 1/z of the host's nearest opaque surface, 0 for none. Only read with DEPTH_LIMIT.
+// Per pixel: 1/z of the host's nearest opaque surface, 0 without one. Only read with DEPTH_LIMIT.
 layout(set = 0, binding = 9, scalar) readonly buffer DepthLimits { float depth_limits[]; };
 
 VEC4_WRITES(10, Composited, composited);
@@ -33,7 +33,7 @@ layout(push_constant, scalar) uniform Push {
     uint max_instances;
     // See tile_order.glsl.
     uint tile_row_interleave;
-    // 1 in the last pass: a tile with more entries than this pass reaches then makes the frame invalid (STATE_OVERFLOW).
+    // 1 in the last pass: a tile with entries beyond this pass then invalidates the frame (STATE_OVERFLOW).
     uint last_pass;
     uint splat_stride;
     // Only read with STRIPS.
@@ -58,7 +58,7 @@ void note_tile(uint entries, uint end) {
     }
 }
 
-// Loads a pixel: a fresh one in the first pass, otherwise the state that the previous pass stored.
+// Loads a pixel: a fresh one in the first pass, otherwise the previous pass's state.
 Pixel load_pixel(uvec2 at) {
     bool inside = at.x < image_width && at.y < image_height;
     Pixel pixel = fresh_pixel(inside);
@@ -66,7 +66,7 @@ Pixel load_pixel(uvec2 at) {
     if (DEPTH_LIMIT) {
         pixel.least_inverse_z = depth_limits[index];
     }
-    // Beside the picture nothing of other pixels: their lanes write meanwhile.
+    // Reads no state outside the picture, because other lanes may be writing it.
     if (first_entry > 0 && inside) {
         vec4 before = accumulated[index];
         pixel.color = before.xyz;
@@ -82,11 +82,11 @@ Pixel load_pixel(uvec2 at) {
     return pixel;
 }
 
-// If another pass follows, the sign of T is kept: it tells the next pass which pixels have stopped.
+// If another pass follows, keeps the sign of T, which marks pixels that have stopped.
 void store_pixel(uvec2 at, Pixel pixel, bool more) {
     if (at.x < image_width && at.y < image_height) {
         uint index = at.y * image_width + at.x;
-        // A loss of depths reads the transmittance.
+        // Depth losses read the transmittance.
         if (!STRIPS || more || INVERSE_DEPTH) {
             accumulated[index] = vec4(pixel.color, more ? pixel.transmittance : abs(pixel.transmittance));
         }

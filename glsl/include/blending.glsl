@@ -1,11 +1,10 @@
-// Blends one Gaussian over a column of pixels, front to back. Every variant of the kernel shares this arithmetic. A column
-// is the vertical run of COLUMN_ROWS pixels that belongs to one invocation.
+// Blends one Gaussian over a column of pixels, front to back. Every variant of the kernel shares this arithmetic. A column is a
+// vertical run of COLUMN_ROWS pixels that belongs to one invocation.
 //
 // Needs constants.glsl, INVERSE_DEPTH, DEPTH_LIMIT, LINEAR_DEPTH, INCREMENTAL_EXP and COLUMN_ROWS.
 
-// No region gives an invocation a longer column. This is a literal instead of COLUMN_ROWS: an array sized by a
-// specialization constant has a distinct type in every declaration, and a function that returns one returns undefined
-// values.
+// Maximum number of rows in a column. A literal instead of COLUMN_ROWS, because an array sized by a specialization constant has
+// a distinct type in every declaration, and a function that returns one returns undefined values.
 const uint MAX_COLUMN_ROWS = 8;
 
 const float LOG2_E = 1.4426950408889634;
@@ -34,7 +33,7 @@ struct Pixel {
     float least_inverse_z;
     uint last;
 #ifdef AUXILIARY
-    // Largest weight, the place of its splat, and the sum of weighted motions: blend_auxiliary.glsl.
+    // Largest weight, index of its splat, and sum of weighted motions: blend_auxiliary.glsl.
     float heaviest;
     uint picked;
     vec2 motion;
@@ -47,8 +46,8 @@ Splat splat_of(vec2 mean, vec4 conic_opacity, vec4 color_inverse_depth) {
     return Splat(mean, form, conic_opacity.w, color_inverse_depth.xyz, color_inverse_depth.w, curvature);
 }
 
-// Opacity before the clamp at ALPHA_MAX, or 0 where it does not count. If rounding alone makes the form indefinite, the
-// opacity exceeds the splat's own.
+// Opacity before the clamp at ALPHA_MAX, or 0 if it does not count. If rounding alone makes the form indefinite, the opacity
+// exceeds the splat's own.
 float counted(float alpha, float opacity) {
     return alpha >= ALPHA_MIN && alpha <= opacity ? alpha : 0.0;
 }
@@ -56,11 +55,11 @@ float counted(float alpha, float opacity) {
 // Opacities of a splat at the pixels of a column; `first_px` is the first pixel. `precise` keeps the compiler from
 // contracting the products in one kernel only: all kernels must take the same decisions.
 //
-// INCREMENTAL_EXP: along a column, a Gaussian is a second-order geometric sequence, alpha(k + 1) = alpha(k) r(k) and r(k +
-// 1) = r(k) curvature. It is evaluated from the middle of the column outwards. This takes three exponentials, and two
-// products per pixel instead of one exponential per pixel. It pays where exp2 takes many instructions. A half column has at
-// most 4 px. Within it, opacities that count are within 2^82 of the middle's (the form's coefficient is at least -2.41
-// because of the dilation), so no opacity that counts underflows float32.
+// INCREMENTAL_EXP: along a column, a Gaussian is a second-order geometric sequence, alpha(k + 1) = alpha(k) r(k) and r(k + 1) =
+// r(k) curvature. It is evaluated from the middle of the column outwards. This takes three exponentials, and two products per
+// pixel instead of one exponential per pixel. It pays if exp2 takes many instructions. A half column has at most 4 px. Within
+// it, opacities that count are within 2^82 of the middle's, because the dilation keeps the form's coefficient at -2.41 or
+// above. So no opacity that counts underflows float32.
 void column_alphas(Splat splat, vec2 first_px, out float alphas[MAX_COLUMN_ROWS]) {
     const uint middle = COLUMN_ROWS / 2;
     float dx = splat.mean.x - first_px.x;
@@ -75,7 +74,7 @@ void column_alphas(Splat splat, vec2 first_px, out float alphas[MAX_COLUMN_ROWS]
         precise float bend = splat.form.z;
         precise float alpha = splat.opacity * exp2(power);
         alphas[middle] = counted(alpha, limit);
-        // Bounded, so that the product with 0 is 0 and not NaN.
+        // The limit makes the product with 0 equal 0, not NaN.
         precise float below = exp2(min(bend - slope, 100.0));
         precise float down = alpha;
         [[unroll]] for (uint k = middle + 1; k < COLUMN_ROWS; ++k) {
@@ -104,8 +103,8 @@ void column_alphas(Splat splat, vec2 first_px, out float alphas[MAX_COLUMN_ROWS]
 float blend_splat(Splat splat, float unclamped, uint place, inout Pixel pixel) {
     float alpha = min(ALPHA_MAX, unclamped);
     precise float next = pixel.transmittance * (1.0 - alpha);
-    // Tested even if the splat does not count at this pixel, but not after the pixel has stopped. Splats come front to back,
-    // so all later splats lie behind the limit too: the pixel stops.
+    // Tested even if the splat does not count at this pixel, but not after the pixel has stopped. Splats come front to back, so
+    // all later splats lie behind the limit too, and the pixel stops.
     bool behind = DEPTH_LIMIT && splat.inverse_z < pixel.least_inverse_z;
     bool goes_on = next >= TRANSMITTANCE_MIN && !behind;
     float weight = goes_on ? alpha * pixel.transmittance : 0.0;

@@ -1,14 +1,14 @@
-// Each buffer has two forms. A shader with this include is compiled twice: as it stands, and with TEXELS for drivers of
-// processors. The TEXELS form reads by texel, which is a quarter of the work there (engine/vk/texels.rs), and can write 64
-// bits at once. On a processor each store is a loop over the lanes, and each lane computes its address again unless other
-// stores share it; the wide store pays where stores are most of a kernel. `Limits::prefers_texels` selects the form for a
-// device. Both forms have the same interface and give the same bits.
+// Each buffer has two forms. A shader with this include is compiled twice: unchanged, and with TEXELS for drivers of
+// processors. The TEXELS form reads by texel, a quarter of the work there (engine/vk/texels.rs), and can write 64 bits at once.
+// On a processor each store is a loop over the lanes, and each lane recomputes its address unless stores share it. The wide
+// store pays if a kernel mostly stores. `Limits::prefers_texels` selects the form for a device. Both forms have the same
+// interface and give the same bits.
 //
 // VEC4_READS(binding, Block, name); declares a buffer, VEC4_AT(name, index) reads from it; likewise for other types.
 // VEC4_WRITES and VEC4_PUT(name, index, value) write.
 //
-// ALIASED stands before each of two buffers that may be bound to the same memory, one of them written: SPIR-V's decoration of
-// this name, without which a compiler takes them for different memory. The hazard checker finds where it is missing.
+// ALIASED marks each of two buffers that may be bound to the same memory, if one of them is written. It is SPIR-V's decoration,
+// without which a compiler assumes different memory. The hazard checker finds missing ones.
 #extension GL_EXT_spirv_intrinsics : require
 #define ALIASED spirv_decorate(20)
 

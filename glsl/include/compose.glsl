@@ -1,14 +1,14 @@
-// Writes a blended picture into a host's storage image, either replacing the image or composited over it. Each format has
-// its own kernel because the format is part of the image's type. Needs constants.glsl and COMPOSE_FORMAT. COMPOSE_LARGEST is
-// the format's largest number, where it is below that of the colours. COMPOSE_STEPS is its number of steps between 0 and 1, where it
-// holds no others. Where texels are not colours, COMPOSE_IMAGE is the image's type, COMPOSE_LOAD the colour of a texel and
-// COMPOSE_STORE its inverse.
+// Writes a blended picture into a host's storage image, either replacing the image or composited over it. Each format has its
+// own kernel, because the format is part of the image's type. Needs constants.glsl and COMPOSE_FORMAT. COMPOSE_LARGEST is the
+// format's largest number, if colours can exceed it. COMPOSE_STEPS is its number of steps between 0 and 1, if it is limited to
+// these. If texels are not colours, COMPOSE_IMAGE is the image's type, COMPOSE_LOAD the colour of a texel and COMPOSE_STORE its
+// inverse.
 //
-// Splats are trained, and blended, in display-encoded values. Linear light is made of what they have blended to:
+// Splats are trained and blended in display-encoded values. Linear light is computed from the blended colour:
 //
 //   background: exposure f(C + T background), opaque: the picture as trained, decoded by the curve f of sRGB
-//   else:       a exposure f(C / a) + T below, a = 1 - T: the mean colour of what covers the pixel, decoded, and mixed with
-//               `below` in linear light, as a host mixes what is premultiplied
+//   else:       a exposure f(C / a) + T below, a = 1 - T: the mean colour that covers the pixel, decoded, and mixed with
+//               `below` in linear light, like a host mixes premultiplied colours
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
 // COMPOSE_AS_TRAINED, COMPOSE_LINEAR or COMPOSE_LINEAR_IN_SRGB.
@@ -35,7 +35,7 @@ layout(push_constant, scalar) uniform Push {
     // COMPOSE_BACKGROUND, COMPOSE_PREMULTIPLIED or COMPOSE_OVER.
     uint mode;
     vec3 background;
-    // Factor of linear light; of no meaning as trained.
+    // Factor of linear light; unused as trained.
     float exposure;
 };
 
@@ -73,12 +73,12 @@ void main() {
         }
     }
 #ifdef COMPOSE_STEPS
-    // A store of what lies between two numbers of the format may become either (Vulkan prefers the nearer one): an H200 is off by
-    // up to 0.56 of their distance.
+    // A store between two numbers of the format may become either (Vulkan prefers the nearer one): an H200 is off by up to 0.56
+    // of their distance.
     picture = floor(clamp(picture, 0.0, 1.0) * COMPOSE_STEPS + 0.5) / COMPOSE_STEPS;
 #endif
 #ifdef COMPOSE_LARGEST
-    // The format rounds what is larger to infinity.
+    // The format rounds larger values to infinity.
     picture = min(picture, vec4(COMPOSE_LARGEST));
 #endif
     imageStore(target, at, COMPOSE_STORE(picture));

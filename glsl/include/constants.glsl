@@ -11,37 +11,37 @@ const float ALPHA_MIN = 0.00392156862745098;
 const float TRANSMITTANCE_MIN = 1e-4;
 const float ANTIALIAS_MIN_RATIO = 2.5e-5;
 const float QUAT_NORM_MIN = 1e-12;
-// Opacity of the faintest Gaussians that are drawn as ellipsoids.
+// Minimum opacity of Gaussians drawn as ellipsoids.
 const float ELLIPSOID_LEAST_OPACITY = 0.2;
 
 // Largest colour of a tinted scene: the largest half float.
 const float TINTED_COLOR_MAX = 65504.0;
 
-// Where nothing is picked: in place of the Gaussian and of the scene.
+// Replaces the Gaussian and the scene if nothing is picked.
 const uint NOT_PICKED = 0xFFFFFFFF;
 // Largest motion along an axis, px: the largest half float.
 const float MOTION_MAX = 65504.0;
 
-// Cut-outs: shapes, what is added for those that remove, and vec4 of each.
+// Cut-outs: shapes, the term that marks removal, and the number of vec4 per cut-out.
 const uint CUT_OUT_BOX = 0;
 const uint CUT_OUT_ELLIPSOID = 1;
 const uint CUT_OUT_HALF_SPACE = 2;
 const uint CUT_OUT_REMOVES = 4;
 const uint CUT_OUT_PLANES = 4;
 
-// Antialiasing, bits: opacities are compensated for the dilation (Mip-Splatting's 2D filter); the compensation is a constant
-// for gradients.
+// Bits of antialiasing: opacities are compensated for the dilation (Mip-Splatting's 2D filter); gradients treat the
+// compensation as a constant.
 const uint ANTIALIAS_COMPENSATED = 1;
 const uint ANTIALIAS_DETACHED = 2;
 
-// Extent modes: how a Gaussian's tiles are found.
+// Extent modes: methods of finding a Gaussian's tiles.
 const uint EXTENT_EXACT = 0;
 const uint EXTENT_REFERENCE = 1;
 
-// Parameters of a Gaussian as vec4 planes, in rows of PLANE_ROW Gaussians. Planes that are read together lie together, row
-// by row, for all Gaussians: the geometry planes, and the planes of each SH degree (planes.glsl). A row is one cache line of
-// a GPU, so accesses coalesce. A processor prefetches few streams of memory. With one stream per plane the optimiser would
-// read 45 of them; and with this layout no bytes of unused SH degrees are fetched.
+// Parameters of a Gaussian as vec4 planes, in rows of PLANE_ROW Gaussians. Planes that are read together lie together, row by
+// row, for all Gaussians: the geometry planes, and the planes of each SH degree (planes.glsl). A row is one cache line of a
+// GPU, so accesses coalesce. A processor prefetches few streams of memory. With one stream per plane the optimiser would read
+// 45 streams. This layout also fetches no bytes of unused SH degrees.
 const uint PLANE_ROW = 8;
 const uint PLANE_MEAN_OPACITY = 0;
 const uint PLANE_QUAT = 1;
@@ -70,15 +70,15 @@ const uint GRADIENT_PLANES = 4;
 // Words of the frame state.
 const uint STATE_VISIBLE_NEEDED = 0;
 const uint STATE_VISIBLE = 1;
-// Visible Gaussians of the first scene: the only ones that have gradients. They come first.
+// Number of visible Gaussians of the first scene. They come first, and only they have gradients.
 const uint STATE_FIRST_SCENE_VISIBLE = 2;
-// From here on, each view of several with one order has its own.
+// Words from here on are separate for each of several views with one order.
 const uint STATE_INSTANCES_NEEDED = 3;
 const uint STATE_INSTANCES = 4;
 const uint STATE_LONGEST_TILE = 5;
 const uint STATE_NON_FINITE = 6;
 const uint STATE_OVERFLOW = 7;
-// With COUNT_HITS: Gaussians blended over 8 x 4 pixels, forward and backward.
+// With COUNT_HITS: number of Gaussians blended over 8 x 4 pixels, forward and backward.
 const uint STATE_BLEND_HITS = 8;
 const uint STATE_BLEND_BACKWARD_HITS = 9;
 const uint STATE_WORDS = 10;
@@ -92,13 +92,13 @@ const uint ARGUMENTS_INSTANCES_SORT = 4;
 const uint ARGUMENTS_INSTANCES_EXPAND = 5;
 const uint ARGUMENTS_COUNT = 6;
 
-// Radix sort: most bins of one digit.
+// Radix sort: maximum number of bins of one digit.
 const uint SORT_BINS = 256;
 
-// Words from one scene's camera block to the next (scene_blocks.glsl), and those that have a meaning.
+// Words from one scene's camera block to the next (scene_blocks.glsl), and words of its members.
 const uint CAMERA_BLOCK_WORDS = 64;
 const uint CAMERA_BLOCK_MEMBERS = 55;
-// In place of a scene's batch: it is drawn alone.
+// Marks a scene outside batches.
 const uint NO_BATCH = 0xFFFFFFFF;
 
 // Marks a Gaussian that is not visible in this frame.
@@ -109,13 +109,13 @@ const uint ZORDER_BITS = 30;
 
 // Densification divides the scales of a split Gaussian's halves by this.
 const float SPLIT_FACTOR = 1.6;
-// Sum of gradient norms of a Gaussian outside of a block's core: its mean over views is below every threshold.
+// Sum of gradient norms of a Gaussian outside a block's core: its mean over views is below every threshold.
 const float OUTSIDE_STATISTIC = -3e38;
-// A split along the longest axis (Improved-GS): the children lie at three times this share of the scale, which shrinks by
-// it, and they have this share of the opacity.
+// A split along the longest axis (Improved-GS): the children lie at three times this share of the scale, which shrinks by it.
+// They have this share of the opacity.
 const float LONG_AXIS_SHARE = 0.45;
 const float LONG_AXIS_OPACITY = 0.6;
-// What densification chooses by: the mean gradient norm, that of absolute values, or a selection made before.
+// Criterion of densification: the mean gradient norm, that of absolute values, or a previous selection.
 const uint CRITERION_GRADIENT = 0;
 const uint CRITERION_ABSOLUTE = 1;
 const uint CRITERION_SELECTED = 2;
@@ -126,13 +126,12 @@ const uint KIND_SPLIT_0 = 2;
 const uint KIND_SPLIT_1 = 3;
 // Source of a row: Gaussian | kind << KIND_SHIFT.
 const uint KIND_SHIFT = 30;
-// Relocation (3DGS-MCMC): the number of copies that share an opacity, with the source; the bounds of that opacity.
+// Relocation (3DGS-MCMC): maximum number of Gaussians that share an opacity, including the source; limits of that opacity.
 const uint RELOCATION_MOST = 51;
 const float RELOCATION_LEAST_OPACITY = 0.005;
 const float RELOCATION_MOST_OPACITY = 0.99999988;
 
-// A draw without replacement (draw_keys.comp): what the chances are in proportion to, the key of those that cannot be drawn, and
-// words of its totals.
+// A draw without replacement (draw_keys.comp): its weights, the key of Gaussians that cannot be drawn, and words of its totals.
 const uint CHANCE_IMPORTANCE = 0;
 const uint CHANCE_STATISTIC = 1;
 const uint CHANCE_EQUAL = 2;
@@ -141,32 +140,32 @@ const uint TOTAL_GAUSSIANS = 0;
 const uint TOTAL_CANDIDATES = 1;
 const uint TOTAL_DRAWN = 2;
 
-// Rows of a strip: see strips.glsl.
+// Number of rows in a strip: see strips.glsl.
 const uint STRIP_ROWS = 8;
 
-// Sums of one (tile, Gaussian) instance in the backward pass: six moments, three colours, inverse depth; and with the absolute
-// gradient of the 2D mean.
+// Number of sums per (tile, Gaussian) instance in the backward pass: six moments, three colours, inverse depth; also with the
+// absolute gradient of the 2D mean.
 const uint INSTANCE_SUMS = 10;
 const uint ABSOLUTE_SUMS = 12;
 
-// Workgroups, and so partial sums, of a term of the loss that is a mean over Gaussians.
+// Number of workgroups, and so of partial sums, of a loss term that is a mean over Gaussians.
 const uint TERM_PARTIALS = 256;
 
-// From this value on, a pixel of an inverse-depth map does not count.
+// Minimum value of an inverse-depth map at which a pixel does not count.
 const float MAP_NOTHING = 1e30;
 
-// Least sum of weights that an expected depth is divided by (gsplat).
+// Minimum divisor of an expected depth, a sum of weights (gsplat).
 const float COVERAGE_MIN = 1e-10;
 
-// Arithmetic benchmark: independent chains per invocation, and steps of each chain per round.
+// Arithmetic benchmark: number of independent chains per invocation, and of steps per chain and round.
 const uint MULTIPLY_ADD_CHAINS = 8;
 const uint MULTIPLY_ADD_STEPS = 4;
 
-// What the splats are composited over in a host's image: a background, nothing (premultiplied colour), or the image.
+// Background of the splats in a host's image: a colour, none (premultiplied colour), or the image.
 const uint COMPOSE_BACKGROUND = 0;
 const uint COMPOSE_PREMULTIPLIED = 1;
 const uint COMPOSE_OVER = 2;
-// What compose writes: the values as trained; linear light; linear light into texels that the display's curve encodes.
+// Encoding of a composed image: values as trained; linear light; linear light into texels that the format encodes for display.
 const uint COMPOSE_AS_TRAINED = 0;
 const uint COMPOSE_LINEAR = 1;
 const uint COMPOSE_LINEAR_IN_SRGB = 2;

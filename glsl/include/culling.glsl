@@ -1,15 +1,15 @@
-// Whether Gaussians are visible, and how many of a block are: culling of one scene and of a batch. Needs what projection.glsl
-// with DRAWS_SHAPES, dropout.glsl and cut_outs.glsl need; workgroup_scan.glsl; `chunk_gaussians`, `visible_flags`, `block_counts`; and
-// ADDS, whether the flags hold what an earlier view sees.
+// Visibility of Gaussians and their number per block, for culling of one scene and of a batch. Needs the requirements of
+// projection.glsl with DRAWS_SHAPES, dropout.glsl and cut_outs.glsl; workgroup_scan.glsl; `chunk_gaussians`, `visible_flags`,
+// `block_counts`; and ADDS: true if the flags already hold the visible Gaussians of an earlier view.
 
-// As CutLimits::keeps (engine/scene/cut.rs), bit for bit: comparisons and one subtraction.
+// Same as CutLimits::keeps (engine/scene/cut.rs), bit for bit: comparisons and one subtraction.
 bool kept(vec3 mean, vec3 log_scale, float opacity_logit) {
     precise float log_density = opacity_logit - max(max(log_scale.x, log_scale.y), log_scale.z);
     return all(greaterThanEqual(mean, cut_low)) && all(lessThanEqual(mean, cut_high))
         && opacity_logit >= cut_opacity_logit && log_density >= cut_log_density;
 }
 
-// `gaussian` is its index in the frame, `index` that in its range of parameters.
+// `gaussian` is the index in the frame, `index` that in its range of parameters.
 bool is_shown(uint gaussian, uint index, uint first_cut_out, uint cut_out_count) {
     vec4 mean_opacity = VEC4_AT(parameters, plane_at(PLANE_MEAN_OPACITY, index, chunk_gaussians));
     vec4 quat = VEC4_AT(parameters, plane_at(PLANE_QUAT, index, chunk_gaussians));
@@ -27,9 +27,10 @@ bool is_shown(uint gaussian, uint index, uint first_cut_out, uint cut_out_count)
     return visible;
 }
 
-// Writes the flag of an index of the frame, if there is one, and the sum of a block's. `exists`: whether it is that of a Gaussian.
+// Writes the flag of an index of the frame, if it has one, and the sum of a block's flags. `exists`: true if the index has a
+// Gaussian.
 void write_flag(uint gaussian, bool has_flag, bool exists, bool visible) {
-    // The other invocations read no flag.
+    // No other invocation reads this flag.
     if (ADDS && exists) {
         visible = visible || visible_flags[gaussian] != 0;
     }

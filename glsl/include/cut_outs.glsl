@@ -1,9 +1,9 @@
 // Volumes that keep or remove the Gaussians inside (engine/scene/cut_out.rs): boxes, ellipsoids, half-spaces. A cut-out is four
-// vec4: rows that take a point relative to the centre to the volume's axes, behind each a coordinate of the centre; and what is
-// compared with, behind it CUT_OUT_ with CUT_OUT_REMOVES.
+// vec4. Three have a row that transforms a point, relative to the centre, to the volume's axes, and a coordinate of the centre.
+// The fourth has the limits of the comparison, and CUT_OUT_ with CUT_OUT_REMOVES.
 // Needs constants.glsl and `cut_outs`.
 
-// As CutOutLimits::contains, bit for bit: `precise`, so that products and sums are rounded one by one.
+// Same as CutOutLimits::contains, bit for bit: `precise` rounds each product and sum separately.
 bool in_cut_out(uint at, uint shape, vec3 point) {
     vec4 row_x = VEC4_AT(cut_outs, at), row_y = VEC4_AT(cut_outs, at + 1), row_z = VEC4_AT(cut_outs, at + 2);
     vec3 bounds = VEC4_AT(cut_outs, at + 3).xyz;
@@ -16,8 +16,8 @@ bool in_cut_out(uint at, uint shape, vec3 point) {
     return shape == CUT_OUT_BOX ? in_box : shape == CUT_OUT_ELLIPSOID ? squared <= 1.0 : x <= bounds.x;
 }
 
-// Whether `count` cut-outs from the `first` on leave a Gaussian with this mean: inside of one that keeps, if there are any, and
-// of none that removes. As CutOutLimits::keep.
+// True if `count` cut-outs from `first` on leave a Gaussian with this mean: inside some keep volume (when there are any), and
+// inside no remove volume. Same as CutOutLimits::keep.
 bool kept_by_cut_outs(uint first, uint count, vec3 mean) {
     bool removed = false, kept = false, any_keeps = false;
     for (uint i = 0; i < count; ++i) {

@@ -1,8 +1,8 @@
-// Points of known depth in a picture: a point is sampled bilinearly from four pixels, whose centres are at the integers. The
-// last row and column stand for those beyond.
+// Points of known depth in a picture. A point is sampled bilinearly from four pixels with centres at the integers. The last row
+// and column replace those beyond.
 // Needs the push constants `image_width` and `image_height`.
 
-// Index of the pixel at a corner of the point, 0 to 3: the first bit is to the right, the second one down.
+// Index of the pixel at a corner of the point, 0 to 3: the first bit moves right, the second one down.
 uint corner_pixel(vec2 point_px, uint corner) {
     uvec2 at = uvec2(point_px) + uvec2(corner & 1, corner >> 1);
     at = min(at, uvec2(image_width, image_height) - 1);

@@ -1,4 +1,4 @@
-// A dispatch above the axis limit is two-dimensional; this recovers the linear workgroup index.
+// Linear workgroup index: a dispatch above the axis limit is two-dimensional.
 uint linear_workgroup() {
     return gl_WorkGroupID.y * gl_NumWorkGroups.x + gl_WorkGroupID.x;
 }

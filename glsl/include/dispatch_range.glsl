@@ -2,7 +2,7 @@
 // range.
 // Needs the push constants `first_instance` and `max_instances`.
 
-// Whether this dispatch handles the tile with this range of instances.
+// True if this dispatch handles the tile with this range of instances.
 bool in_dispatch_range(uvec2 range) {
     return range.x - first_instance < max_instances;
 }

@@ -1,8 +1,8 @@
-// Gaussians left out at random (DropGaussian, Park et al. 2025, section 3.2): of a frame that is trained on, each is left out
-// with the probability dropout_below / 2^24, and the opacities of the others are multiplied by dropout_factor.
+// Random omission of Gaussians in training frames (DropGaussian, Park et al. 2025, section 3.2). Each is omitted with
+// probability dropout_below / 2^24, and the opacities of the others are multiplied by dropout_factor.
 // Needs camera_block.glsl and random.glsl.
 
-// Tells these numbers apart from others with the same seed and iteration.
+// Distinguishes these numbers from others with the same seed and iteration.
 const uint DROPOUT_STREAM = 6;
 
 bool dropped_out(uint gaussian) {

@@ -1,9 +1,9 @@
-// Sums of 3 x 4 values over a workgroup, in one fixed order.
+// Sums of 3 x 4 values over a workgroup, in a fixed order.
 // Needs WORKGROUP_SIZE, SUBGROUP_SIZE.
 
 shared vec4 subgroup_sums[3 * (WORKGROUP_SIZE / SUBGROUP_SIZE)];
 
-// All invocations of the workgroup take part, and all receive the sums.
+// All invocations of the workgroup must call it; all receive the sums.
 void add_over_workgroup(inout vec4 values[3]) {
     for (uint k = 0; k < 3; ++k) {
         vec4 sum = subgroupAdd(values[k]);
@@ -18,6 +18,6 @@ void add_over_workgroup(inout vec4 values[3]) {
             values[k] += subgroup_sums[3 * s + k];
         }
     }
-    // Before the next sums.
+    // Precedes the next sums.
     barrier();
 }

@@ -1,6 +1,6 @@
-// Mip-Splatting's 3D filter (Yu et al. 2024, section 5.1): a Gaussian is convolved with one of the standard deviation
-// log_scale.w, world units. All of it follows from the ratio of its scales to that, which neither overflows nor vanishes
-// where their squares would.
+// Mip-Splatting's 3D filter (Yu et al. 2024, section 5.1): convolves a Gaussian with one of standard deviation log_scale.w,
+// world units. All values follow from the ratio of its scales to that deviation. The ratio neither overflows nor vanishes,
+// unlike the squares.
 
 vec3 filter_ratio(vec4 log_scale) {
     return exp(log_scale.xyz) / log_scale.w;

@@ -1,11 +1,11 @@
 // Lanes of a subgroup with equal keys, for any subgroup size from 4 to 128.
 // Needs SUBGROUP_SIZE, GL_EXT_control_flow_attributes, GL_KHR_shader_subgroup_ballot and _shuffle.
 
-// Most bits of a key.
+// Maximum number of bits in a key.
 const uint MATCHED_BITS = 8;
 
-// Among lanes with `valid`: `peers` is the number of lanes that hold the same `key`, `below` the number of them below this
-// lane. Narrow subgroups compare by shuffles, wide ones by one ballot per bit of the key (multisplit).
+// For lanes with `valid`: `peers` is the number of lanes with the same `key`, `below` the number of those below this lane.
+// Narrow subgroups compare by shuffles, wide ones by one ballot per bit of the key (multisplit).
 void match_key(uint key, uint bits, bool valid, out uint below, out uint peers) {
     if (SUBGROUP_SIZE <= 8) {
         uint tagged = valid ? key : 0xFFFFFFFF;
@@ -18,7 +18,7 @@ void match_key(uint key, uint bits, bool valid, out uint below, out uint peers) 
         }
     } else if (SUBGROUP_SIZE <= 32) {
         uint match = subgroupBallot(valid).x;
-        // A fixed number of rounds unrolls. Bits that no key has change nothing.
+        // A fixed number of rounds unrolls. Bits that no key sets change nothing.
         [[unroll]] for (uint bit = 0; bit < MATCHED_BITS; ++bit) {
             bool set = ((key >> bit) & 1) != 0;
             uint ballot = subgroupBallot(set).x;

@@ -1,4 +1,4 @@
-// Where the camera of the view's direction is: in the push constants, or where the device has moved it.
+// Camera position for the view direction: from the push constants, or from the camera block if the device has moved the camera.
 // Needs camera_block.glsl, the push constant `camera_position`, and MOVED_CAMERA.
 
 vec3 position_of_camera() {

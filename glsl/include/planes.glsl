@@ -1,7 +1,7 @@
 // Addresses of a Gaussian's parameter planes: see PLANE_ROW in constants.glsl. ScenePlan::place is the same formula on the
 // host. The tests compare both with a third one, place in tests/common/layout.rs.
 
-// Where a chunk begins in its buffer, vec4: see batch.glsl.
+// First vec4 of a chunk in its buffer: see batch.glsl.
 #ifndef PARAMETERS_BEGIN
 #define PARAMETERS_BEGIN 0
 #endif
@@ -26,7 +26,7 @@ uint plane_at(uint plane, uint index, uint gaussians) {
     return PARAMETERS_BEGIN + first * gaussians + (row * (end - first) + plane - first) * PLANE_ROW + index % PLANE_ROW;
 }
 
-// The same for a geometry plane. Geometry comes first, so the index does not depend on the chunk's capacity.
+// Same as plane_at, but for a geometry plane. Geometry comes first, so the index does not depend on the chunk's capacity.
 uint geometry_at(uint plane, uint index) {
     return plane_at(plane, index, 0);
 }

@@ -1,9 +1,9 @@
-// EWA projection of one Gaussian (Zwicker et al. 2001; paper, section 4), shared by culling, projection and the backward
-// pass. Needs constants.glsl, camera_block.glsl and `parameters`.
-// Needs filter_3d.glsl, FILTER_3D, and the push constant `antialias`, of ANTIALIAS_ bits.
-// Culling and projection can draw ellipsoids or points instead. They define DRAWS_SHAPES, need tile_span.glsl and the push
-// constant `extent`, DROPOUT (dropout.glsl), TINTED (whether the scene has factors of its own) and ORTHOGRAPHIC (whether the
-// camera's rays are parallel), and have footprint_of.
+// EWA projection of one Gaussian (Zwicker et al. 2001; paper, section 4), shared by culling, projection and the backward pass.
+// Needs constants.glsl, camera_block.glsl and `parameters`.
+// Needs filter_3d.glsl, FILTER_3D, and the push constant `antialias` with ANTIALIAS_ bits.
+// Culling and projection can draw ellipsoids or points instead. They define DRAWS_SHAPES and get footprint_of. They need
+// tile_span.glsl and the push constant `extent`, DROPOUT (dropout.glsl), TINTED (true if the scene has its own factors) and
+// ORTHOGRAPHIC (true if the camera's rays are parallel).
 
 #include "opacity.glsl"
 
@@ -18,8 +18,8 @@
 #define PARALLEL_RAYS false
 #endif
 
-// With ORTHOGRAPHIC, x and y are those of the camera's frame in place of x/z and y/z, and focal_px are pixels per unit: the
-// Jacobian is diag(fx, fy) without a third column.
+// With ORTHOGRAPHIC, the camera's x and y replace x/z and y/z, and focal_px are pixels per unit. The Jacobian is diag(fx, fy)
+// without a third column.
 
 struct Projection {
     vec3 mean_camera;      // R mean + t
@@ -91,7 +91,7 @@ Projection project_gaussian(vec3 mean, vec4 quat, vec3 log_scale) {
     return p;
 }
 
-// A Gaussian under its 3D filter. `shrink` is the factor of its opacity.
+// A Gaussian after its 3D filter. `shrink` is the factor of its opacity.
 struct Filtered {
     vec3 log_scale;
     float opacity_logit;
@@ -117,7 +117,7 @@ bool is_finite(float x) {
 }
 
 #ifdef DRAWS_SHAPES
-// The screen area that a Gaussian covers.
+// Screen area that a Gaussian covers.
 struct Footprint {
     bool visible;
     float opacity;         // after the antialiasing compensation and the factors of TINTED and DROPOUT
@@ -136,7 +136,7 @@ Footprint footprint_of(Projection p, float opacity_logit) {
     if (TINTED) {
         f.opacity *= scene_opacity;
     }
-    // Of the members of the camera block, values to select from: see there.
+    // Members of the camera block may only select between values: see camera_block.glsl.
     float least_opacity = shape_opacity > 0.0 ? 0.0 : ELLIPSOID_LEAST_OPACITY;
     float drawn_opacity = abs(shape_opacity);
     drawn_opacity = opacity >= least_opacity ? drawn_opacity : 0.0;
@@ -148,7 +148,7 @@ Footprint footprint_of(Projection p, float opacity_logit) {
     bool valid = p.mean_camera.z > NEAR_PLANE && is_finite(p.det) && p.det > 0.0 && is_finite(p.cov2d.x)
         && is_finite(p.cov2d.z) && is_finite(f.mean2d_px.x) && is_finite(f.mean2d_px.y) && is_finite(f.opacity);
 
-    // Extent at which opacity * exp(-q/2) = 1/255, widened by more than the float32 error. The excess costs time only.
+    // Extent at which opacity * exp(-q/2) = 1/255, widened by more than the float32 error. The excess only costs time.
     float level = 2.0 * log(255.0 * f.opacity);
     level = f.opacity >= ALPHA_MIN ? max(level, 0.0) * 1.0001 + 0.002 : 0.0;
     vec2 half_extent = sqrt(level * p.cov2d.xz) * 1.0001 + 0.001;

@@ -1,9 +1,9 @@
-// The camera blocks of all scenes of a frame, scene by scene: the same bytes as the uniform blocks of camera_block.glsl.
+// Camera blocks of all scenes of a frame, scene by scene: the same bytes as the uniform blocks of camera_block.glsl.
 // Needs constants.glsl, and SCENE_BLOCKS, the number of the binding.
 
 struct SceneBlock {
 #include "camera_members.glsl"
-    // Uniform blocks begin at multiples of what devices want.
+    // Padding to the device's alignment of uniform blocks.
     uint unused[CAMERA_BLOCK_WORDS - CAMERA_BLOCK_MEMBERS];
 };
 

@@ -12,14 +12,14 @@ const float SH_C3_YZZ = 0.4570457994644658;
 const float SH_C3_ZZZ = 0.3731763325901154;
 const float SH_C3_ZXX = 1.445305721320277;
 
-// vec4 planes that hold the active coefficients.
+// Number of vec4 planes with the active coefficients.
 const uint SH_PLANES = SH_DEGREE == 0 ? SH_PLANES_0
     : SH_DEGREE == 1 ? SH_PLANES_1
     : SH_DEGREE == 2 ? SH_PLANES_2 : SH_PLANES_3;
 
-// Coefficients come in groups of four, which are three planes. With SH_LOOPS loops over groups stay loops: one group lies in
-// registers at a time, in place of 16 coefficients with their basis functions and derivatives. GPUs then have room for twice as
-// many subgroups (tools/gpu_static.md). A processor takes a third longer for it.
+// Coefficients come in groups of four, which are three planes. With SH_LOOPS loops over groups stay loops: registers hold one
+// group at a time instead of 16 coefficients with their basis functions and derivatives. GPUs then run twice as many subgroups
+// (tools/gpu_static.md). A processor takes a third longer.
 const uint SH_GROUPS = (SH_PLANES + 2) / 3;
 
 // Basis functions 4 group to 4 group + 3 at the unit direction d; those above SH_DEGREE are 0.
@@ -75,7 +75,7 @@ void sh_derivative_group(uint group, vec3 d, out vec3 derivative[4]) {
     }
 }
 
-// DO(group) for the groups below n.
+// DO(group) for the groups below N.
 #define EACH_SH_GROUP(N, DO) \
     if (SH_LOOPS) { \
         [[dont_unroll]] for (uint group = 0; group < (N); ++group) { DO(group); } \

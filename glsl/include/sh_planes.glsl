@@ -2,12 +2,12 @@
 // Needs sh.glsl, planes.glsl, `parameters`, `chunk_gaussians`.
 
 vec4 sh_plane(uint plane, uint index) {
-    // Planes above the active degree may not exist: read plane 0 instead, and discard it.
+    // Planes above the active degree may not exist, so plane 0 is read and discarded instead.
     vec4 value = VEC4_AT(parameters, plane_at(PLANE_SH + (plane < SH_PLANES ? plane : 0), index, chunk_gaussians));
     return plane < SH_PLANES ? value : vec4(0.0);
 }
 
-// Coefficients 4 group to 4 group + 3; those above SH_DEGREE are 0, whatever is stored.
+// Coefficients 4 group to 4 group + 3; those above SH_DEGREE are 0, regardless of the stored values.
 void sh_coefficient_group(uint group, uint index, out vec3 sh[4]) {
     vec4 a = sh_plane(3 * group, index), b = sh_plane(3 * group + 1, index), c = sh_plane(3 * group + 2, index);
     // At degrees 0 and 2 the last active coefficient shares its plane with the next one.
@@ -27,7 +27,7 @@ void add_color(uint group, uint index, vec3 direction, inout vec3 color) {
     }
 }
 
-// The colour before its clamp at 0, from a unit direction.
+// Colour before its clamp at 0, from a unit direction.
 vec3 sh_color(uint index, vec3 direction) {
     vec3 color = vec3(0.5);
 #define ADD_COLOR(GROUP) add_color(GROUP, index, direction, color)

@@ -3,26 +3,26 @@
 //
 // shared: with SHARED_SPLATS three vec4 per invocation
 
-// With SHARED_SPLATS: vec4 of a splat.
+// With SHARED_SPLATS: number of vec4 per splat.
 const uint SPLAT_WORDS = 3;
 shared vec4 shared_splats[SHARED_SPLATS ? SPLAT_WORDS * WORKGROUP_SIZE : 1];
 
-// Intel's compiler takes a broadcast for a scalar, a shuffle for a gather. llvmpipe takes a fifth longer for the former.
+// Intel's compiler treats a broadcast as a scalar and a shuffle as a gather. On llvmpipe a broadcast takes a fifth longer.
 float lane_value(float value, uint lane) {
     return BROADCAST ? subgroupBroadcast(value, lane) : subgroupShuffle(value, lane);
 }
 
-// Where a lane's splat begins; its words are SUBGROUP_SIZE apart.
+// First word of a lane's splat; its words are SUBGROUP_SIZE apart.
 uint shared_place(uint lane) {
     return gl_SubgroupID * SPLAT_WORDS * SUBGROUP_SIZE + lane;
 }
 
-// All lanes of a subgroup must call it before they read the splats of a batch. With SHARED_SPLATS it puts them where a read takes
-// four numbers at once: an NVIDIA multiprocessor does as many of those per clock as shuffles of one number.
+// All lanes of a subgroup must call it before they read the splats of a batch. With SHARED_SPLATS it stores them so that a read
+// takes four numbers at once. An NVIDIA multiprocessor does as many of those per clock as shuffles of one number.
 void hand_over(Splat splat) {
     if (SHARED_SPLATS) {
         uint place = shared_place(gl_SubgroupInvocationID);
-        // Until now those of the batch before may be read.
+        // Other lanes may read the previous batch until now.
         subgroupMemoryBarrierShared();
         subgroupBarrier();
         shared_splats[place] = vec4(splat.mean, splat.form.xy);

@@ -1,4 +1,4 @@
-// The curve of sRGB (IEC 61966-2-1), continued oddly below 0 and by the same power above 1.
+// Curve of sRGB (IEC 61966-2-1). Below 0 it is odd, and above 1 it continues with the same power.
 
 // Linear light from display-encoded values.
 vec3 linear_from_srgb(vec3 encoded) {

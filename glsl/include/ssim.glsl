@@ -1,4 +1,4 @@
-// The window of SSIM: 11 x 11 Gaussian, sigma 1.5, separable, zero padding (Wang et al. 2004, as the reference uses it).
+// Window of SSIM: 11 x 11 Gaussian, sigma 1.5, separable, zero padding (Wang et al. 2004, as in the reference).
 
 const uint SSIM_RADIUS = 5;
 const uint SSIM_TAPS = 11;
@@ -29,7 +29,7 @@ float ssim_and_derivatives(vec4 moments, out vec3 derivatives) {
     return ssim;
 }
 
-// The loss from the mean of |x - y| and the mean of SSIM.
+// Loss from the mean of |x - y| and the mean of SSIM.
 float total_loss(vec2 means, float lambda_dssim) {
     return (1.0 - lambda_dssim) * means.x + lambda_dssim * (1.0 - means.y);
 }

@@ -1,5 +1,5 @@
-// The block of pixels in shared memory under the window: a workgroup handles SSIM_BLOCK x SSIM_BLOCK pixels of one channel
-// with an apron of SSIM_RADIUS.
+// Block of pixels in shared memory under the window: a workgroup handles SSIM_BLOCK x SSIM_BLOCK pixels of one channel with an
+// apron of SSIM_RADIUS.
 // Needs ssim.glsl, STRIP.
 
 const uint SSIM_BLOCK = 16;

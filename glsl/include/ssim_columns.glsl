@@ -1,6 +1,6 @@
 // Reads columns of both pictures, in strips. All texels below the picture are 0. `rendered` has three planes of f32. `photo`
-// has three planes of bytes (255 is 1) or of f32. With MASKED, `photo` is 0 at pixels that do not count, and has a fourth
-// plane that is not 0 at pixels that count.
+// has three planes of bytes (255 is 1) or of f32. With MASKED, `photo` is 0 at pixels that do not count, and has a fourth plane
+// that is nonzero at pixels that count.
 // Needs strips.glsl, FLOAT_PHOTO, MASKED (not with FLOAT_PHOTO), and the texels `rendered` and `photo`.
 
 const uint MASK_PLANE = 3;

@@ -1,7 +1,7 @@
 // Both pictures at one pixel.
 // Needs FLOAT_PHOTO, MASKED (RGBA8 only), the buffers `accumulated` and `photo`, and the push constant `background`.
 
-// Whether a pixel counts. The mask multiplies both pictures, so a masked pixel is 0 in both.
+// True if a pixel counts. The mask multiplies both pictures, so a masked pixel is 0 in both.
 bool counts(uint pixel) {
     return !MASKED || photo[pixel] >> 24 != 0;
 }

@@ -9,10 +9,10 @@ const uint SWEEP_WAITING = SSIM_TAPS - 1;
 
 // Values of the current column, from SSIM_RADIUS rows above the strip to SSIM_RADIUS below it.
 SWEPT sweep_values[SWEEP_VALUES];
-// Incomplete windows: those of the columns right of the next complete one.
+// Incomplete windows, for the columns to the right of the next complete one.
 SWEPT sweep_waiting[SWEEP_WAITING][STRIP_ROWS];
 
-// The share of one invocation: columns `first_x` to `end_x` - 1 of a strip.
+// Work of one invocation: columns `first_x` to `end_x` - 1 of a strip.
 struct Sweep {
     bool exists;
     uint channel;
@@ -44,8 +44,7 @@ Sweep sweep_of_invocation() {
     return sweep;
 }
 
-// Indices of a plane's column in the strips above, at and below a sweep. A strip that does not exist is replaced by one that
-// can be read.
+// Indices of a plane's column in the strips above, at and below a sweep. A missing strip is replaced by a readable one.
 uvec3 sweep_columns(Sweep sweep, uint plane, uint x) {
     uint own = strip_column(plane, sweep.strip, x);
     return uvec3(sweep.has_above ? own - strip_pitch() : own, own, sweep.has_below ? own + strip_pitch() : own);

@@ -8,8 +8,8 @@ uint strips_of_image() {
     return (image_height + STRIP_ROWS - 1) / STRIP_ROWS;
 }
 
-// Columns from one strip to the next. Never a multiple of four: a column of a picture has 32 bytes, and with such a pitch it
-// would map to the same cache set in every strip, while a sweep reads three strips in eight lanes.
+// Number of columns from one strip to the next. Never a multiple of four: a column has 32 bytes, and with such a pitch it would
+// map to the same cache set in every strip, while a sweep reads three strips in eight lanes.
 uint strip_pitch() {
     return (image_width + 1) / 4 * 4 + 2;
 }

@@ -1,8 +1,8 @@
-// The tiles of a footprint, packed into two words if they are few.
+// Tiles of a footprint, packed into two words if they are few.
 // First word: LISTED | number of tiles | column of the first row's first tile | first tile of the bounding box.
-// Second word: for every possible row except the last, the number of tiles up to its end; then, for every row after the
-// first, the column of its first tile. Columns count from the left side of the box. If the tiles do not fit, the first word
-// is their number and there is no list.
+// Second word: for every possible row except the last, the number of tiles up to its end; then, for every row after the first,
+// the column of its first tile. Columns count from the left side of the box. If the tiles do not fit, the first word is their
+// number and there is no list.
 const uint LISTED = 0x80000000u;
 const uint LISTED_TILES = 31;
 const uint LISTED_COLUMNS = 8;

@@ -1,12 +1,12 @@
-// Division of a tile within its workgroup. Each subgroup owns a region 8 pixels wide and REGION_HEIGHT high. Each lane owns
-// COLUMNS x ROWS pixels of the region. A subgroup culls Gaussians against its own region only, so
-// blending needs no barrier. Works for any subgroup size from 4 to 128.
+// Division of a tile within its workgroup. Each subgroup owns a region 8 pixels wide and REGION_HEIGHT high, and each lane owns
+// COLUMNS x ROWS pixels of it. A subgroup culls Gaussians only against its own region, so blending needs no barrier. Works for
+// any subgroup size from 4 to 128.
 // Needs constants.glsl, SUBGROUP_SIZE, REGION_HEIGHT, GL_KHR_shader_subgroup_basic.
 
 #include "region_shape.glsl"
 
 const uint PIXELS = COLUMNS * ROWS;
-// Rows of a column, as blending.glsl needs them.
+// Rows of a column, for blending.glsl.
 const uint COLUMN_ROWS = ROWS;
 
 // First pixel of a region, and this lane's first pixel in it.
@@ -23,13 +23,13 @@ uvec2 pixel_step(uint k) {
     return uvec2(k / ROWS * LANES_X, k % ROWS);
 }
 
-// Code for each region of a subgroup that owns several: EACH_REGION(n, DO) is DO(k) for the regions k below n, which is 1, 2
-// or 4. What a region needs are variables of its own, name_0 to name_3, which FOUR_REGIONS declares: an array of arrays would
-// lie in memory where the driver does not unroll the loop over it.
+// Code for each region of a subgroup that owns several: EACH_REGION(n, DO) is DO(k) for the regions k below n, which is 1, 2 or
+// 4. Each region has its own variables, name_0 to name_3, which FOUR_REGIONS declares. An array of arrays would lie in memory
+// if the driver does not unroll the loop over it.
 #define FOUR_REGIONS(DO) DO(0) DO(1) DO(2) DO(3)
 #define EACH_REGION(N, DO) DO(0) if (N > 1) { DO(1) } if (N > 2) { DO(2) DO(3) }
 
-// Whether a Gaussian reaches alpha >= 1/255 anywhere in the rectangle of the region's pixel centres. `form` is (a, b, c) of
+// True if a Gaussian reaches alpha >= 1/255 anywhere in the rectangle of the region's pixel centres. `form` is (a, b, c) of
 // log2 exp(power) = a dx^2 + b dx dy + c dy^2. If the mean lies outside, the form is largest on an edge that faces the mean.
 // The test is conservative by more than the float32 error: a false hit only costs time.
 bool meets_region(vec4 mean2d_extent_px, vec3 form, float opacity, uvec2 origin) {

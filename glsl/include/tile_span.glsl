@@ -1,6 +1,5 @@
-// Which tiles a Gaussian's footprint meets: the rows of tiles of its bounding box, and in each row the tiles that the
-// ellipse meets. The count (project) and the duplication (duplicate_with_tiles) must agree to the bit, hence `precise`
-// throughout.
+// Tiles that a Gaussian's footprint touches: the rows of tiles of its bounding box, and in each row the tiles that the ellipse
+// touches. The count (project) and the duplication (duplicate_with_tiles) must agree to the bit, hence `precise` throughout.
 // Needs constants.glsl and a push constant `extent`.
 //
 // A footprint is four words. Exact extent: shape of the rows (row_shape), number of tiles. Reference extent: x0 | x1 << 16
@@ -8,8 +7,8 @@
 
 #include "tile_list.glsl"
 
-// Tiles that hold pixel centres of the box: (x0, x1, y0, y1), where x1 and y1 are one past the last. Tile t holds the pixel
-// centres 16 t .. 16 t + 15.
+// Tiles with pixel centres of the box: (x0, x1, y0, y1), where x1 and y1 are one past the last. Tile t has the pixel centres 16
+// t .. 16 t + 15.
 uvec4 tile_box(vec4 mean2d_extent_px, uvec2 grid) {
     precise vec2 low = ceil((mean2d_extent_px.xy - mean2d_extent_px.zw - float(TILE_SIZE - 1)) / float(TILE_SIZE));
     precise vec2 high = floor((mean2d_extent_px.xy + mean2d_extent_px.zw) / float(TILE_SIZE)) + 1.0;
@@ -37,8 +36,8 @@ uvec3 row_shape(vec4 mean2d_extent_px, vec4 conic_opacity) {
     return floatBitsToUint(vec3(leftmost, slope, half_width));
 }
 
-// The tiles of one row: (first tile, one past the last). Within the row's pixel centres, the ellipse spans [left, right] in
-// x: x = slope y -+ w sqrt(1 - (y/h)^2), with extremes at y = -+ leftmost or at the edges of the row.
+// Tiles of one row: (first tile, one past the last). Within the row's pixel centres, the ellipse spans [left, right] in x: x =
+// slope y -+ w sqrt(1 - (y/h)^2), with extremes at y = -+ leftmost or at the edges of the row.
 uvec2 tile_span(uint row, vec4 mean2d_extent_px, uvec3 shape, uvec2 tiles_x) {
     if (extent == EXTENT_REFERENCE) {
         return tiles_x;
@@ -56,7 +55,7 @@ uvec2 tile_span(uint row, vec4 mean2d_extent_px, uvec3 shape, uvec2 tiles_x) {
     precise float rise_left = y_left / half_y;
     precise float right = form.y * y_right + form.z * sqrt(max(0.0, 1.0 - rise_right * rise_right));
     precise float left = form.y * y_left - form.z * sqrt(max(0.0, 1.0 - rise_left * rise_left));
-    // The margin grows with the terms above, because their rounding error does.
+    // The margin grows with the terms above, like their rounding error.
     precise float margin = 0.02 + 1e-5 * (half_x + half_y);
     right = min(right + margin, half_x);
     left = max(left - margin, -half_x);
@@ -73,12 +72,12 @@ uvec2 list_tiles(vec4 mean2d_extent_px, uvec3 shape, uvec4 box, uint tiles_per_r
     uint row = 0;
     uint first_column = 0;
     uint columns = 0;
-    // Row ends that are never set belong to rows after the last: no tile comes after them.
+    // Row ends that are never set belong to rows after the last, which have no tiles.
     uint unset = 0;
     // Tested at its end: see blend.comp.
     for (;;) {
         uvec2 span = tile_span(box.z + row, mean2d_extent_px, shape, box.xy);
-        // A row without tiles has no first column; any value does.
+        // A row without tiles has no first column, so any value works.
         uint column = span.x - box.x & LISTED_COLUMNS - 1;
         tiles += span.y - span.x;
         first_column = row == 0 ? column : first_column;

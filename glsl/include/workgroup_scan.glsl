@@ -17,7 +17,7 @@ uint workgroup_exclusive_add(uint value, out uint total) {
     }
     barrier();
     if (gl_SubgroupID == 0) {
-        // The subgroups' sums may outnumber the lanes, so the first subgroup walks over them.
+        // The subgroups' sums may outnumber the lanes, so the first subgroup loops over them.
         uint carry = 0;
         for (uint first = 0; first < subgroups; first += SUBGROUP_SIZE) {
             uint index = first + gl_SubgroupInvocationID;

@@ -1,12 +1,12 @@
-// The attributes of a visible Gaussian: projection of one scene and of a batch. Needs what projection.glsl with DRAWS_SHAPES needs;
-// sh_planes.glsl, splat_record.glsl; the buffers of project.comp; Z_RECORD and MAY_BE_UNSEEN; and `highlighted`, which gives a
-// selected Gaussian its colour.
+// Attributes of a visible Gaussian, for projection of one scene and of a batch. Needs the requirements of projection.glsl with
+// DRAWS_SHAPES; sh_planes.glsl, splat_record.glsl; the buffers of project.comp; Z_RECORD and MAY_BE_UNSEEN; and `highlighted`,
+// which gives a selected Gaussian its colour.
 
 vec3 tinted(vec3 color) {
     return TINTED ? min(color * scene_tint, vec3(TINTED_COLOR_MAX)) : color;
 }
 
-// `index` is that of the Gaussian in its range of parameters.
+// `index` is the index of the Gaussian in its range of parameters.
 void write_splat(uint visible, uint index) {
     vec4 mean_opacity = VEC4_AT(parameters, plane_at(PLANE_MEAN_OPACITY, index, chunk_gaussians));
     vec4 quat = VEC4_AT(parameters, plane_at(PLANE_QUAT, index, chunk_gaussians));

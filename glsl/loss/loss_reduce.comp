@@ -1,4 +1,4 @@
-// Adds the workgroups' sums in one fixed order: the loss of the iteration.
+// Adds the workgroups' sums in a fixed order to the loss of the iteration.
 //
 // invocation: every WORKGROUP_SIZE-th partial sum; one workgroup in all
 // in: loss_partials[partials]; out: losses[loss_row] = (weight * L, mean |x - y|, mean SSIM, unused)
@@ -22,7 +22,7 @@ layout(push_constant, scalar) uniform Push {
     // 1 / (3 W H).
     float scale;
     float lambda_dssim;
-    // Of the loss; the means are without it.
+    // Weight of the loss, but not of the means.
     float weight;
 };
 

@@ -24,9 +24,9 @@ layout(set = 0, binding = 2, scalar) buffer Partials { vec2 partials[]; };
 
 layout(push_constant, scalar) uniform Push {
     uint count;
-    // Whether earlier chunks have written partial sums.
+    // Nonzero if earlier chunks have written partial sums.
     uint continues;
-    // Weight of an opacity and of a scale: that of the mean, divided by the number of values.
+    // Weight of an opacity and of a scale: that of the mean divided by the number of values.
     float opacity_weight;
     float scale_weight;
 };

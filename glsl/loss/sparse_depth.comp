@@ -1,5 +1,5 @@
-// The loss of sparse points' depths (gsplat, `depth_loss`): the mean over the points of |1/Z - 1/z| times its weight, where Z is
-// the expected depth sum(w z) / sum(w) of the blending's weights w, bilinear at the point, and 1/z the point's. Where nothing is
+// Loss of sparse points' depths (gsplat, `depth_loss`): the mean over the points of |1/Z - 1/z| times its weight. Z is the
+// expected depth sum(w z) / sum(w) with the blending weights w, bilinear at the point, and 1/z is the point's. If nothing is
 // blended, 1/Z counts as 0 and has no gradient.
 //
 // invocation: every (number of invocations)-th point; the number of workgroups is TERM_PARTIALS
@@ -28,7 +28,7 @@ layout(push_constant, scalar) uniform Push {
     uint image_width;
     uint image_height;
     uint count;
-    // Weight of a point: that of the mean, divided by the number of points.
+    // Weight of a point: that of the mean divided by the number of points.
     float weight;
 };
 

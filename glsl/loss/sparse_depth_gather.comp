@@ -1,11 +1,11 @@
-// From dL/dZ at sparse points (sparse_depth.comp) to the gradient of the pixels that they are sampled from, each pixel's points in
-// one fixed order.
+// Converts dL/dZ at sparse points (sparse_depth.comp) to the gradient of the sampled pixels. The points of each pixel have a
+// fixed order.
 //
-// A pixel's expected depth is Z = N / A, N = sum(w z), A = sum(w) = 1 - T, so dL = g / A (dN - Z dA) with g = dL/dZ. That is the
-// gradient g / A of the depth N + Z T, which has Z in place of a background: the backward pass of the blending starts from the
-// picture's depth, so Z takes the place of N there.
+// A pixel's expected depth is Z = N / A, N = sum(w z), A = sum(w) = 1 - T, so dL = g / A (dN - Z dA) with g = dL/dZ. That is
+// the gradient g / A of the depth N + Z T, with Z as the background. The backward pass of the blending starts from the
+// picture's depth, so Z replaces N there.
 //
-// invocation: one pixel that is sampled
+// invocation: one sampled pixel
 // in: points[point] = (x, y, px; 1/z), sample_gradients[point], PerPixel: accumulated (.w = T); pixels[place] = (index, end of its
 //     entries, which begin where those of the pixel before end), entries[] = 4 point + corner
 // in/out, PerPixel: depth_sums, N becomes Z; image_gradient, dL/d(depth): with STRIPS the fourth plane in strips (strips.glsl),
@@ -32,7 +32,7 @@ layout(set = 0, binding = 6, scalar) buffer ImageGradient { float image_gradient
 layout(push_constant, scalar) uniform Push {
     uint image_width;
     uint image_height;
-    // Number of pixels that are sampled.
+    // Number of sampled pixels.
     uint count;
 };
 
@@ -54,7 +54,7 @@ void main() {
     }
     float coverage = covered(accumulated[index].w);
     uvec2 at = uvec2(index % image_width, index / image_width);
-    // Where nothing is blended, there is nothing to move.
+    // If nothing is blended, there is no gradient.
     image_gradient[STRIPS ? strip_value(3, at) : 4 * index + 3] += coverage > COVERAGE_MIN ? gradient / coverage : 0.0;
     depth_sums[index] /= coverage;
 }

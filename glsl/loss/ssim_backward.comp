@@ -3,7 +3,7 @@
 //   dSSIM/dx = window * by_mean + 2 x (window * by_square) + y (window * by_product)
 //
 // invocation: STRIP pixels in a row or column; workgroup: a 16 x 16 block of one channel (z), window separable
-// in, PerPixel: accumulated, photo; PerPixel and channel: derivatives as ssim_forward.comp leaves them;
+// in, PerPixel: accumulated, photo; PerPixel and channel: derivatives of ssim_forward.comp;
 // out, PerPixel: image_gradient[4 * pixel + channel]
 // shared: 3 * (26^2 + 26 * 16) words; any subgroup size
 #version 460
@@ -38,7 +38,7 @@ layout(push_constant, scalar) uniform Push {
 #include "ssim_pixel.glsl"
 #include "ssim_block.glsl"
 
-// Three floats each: drivers may give a vec3 four, and that would be more than the 16 KiB that every device has.
+// Three floats each: drivers may pad a vec3 to four, which would exceed the 16 KiB that every device has.
 shared float values[3 * SSIM_APRON * SSIM_APRON];
 shared float rows[3 * SSIM_APRON * SSIM_BLOCK];
 
@@ -64,7 +64,7 @@ void main() {
     uint channel = first_channel + gl_WorkGroupID.z;
     ivec2 size = ivec2(image_width, image_height);
     ivec2 origin = ivec2(gl_WorkGroupID.xy * SSIM_BLOCK);
-    // Rows of SSIM_PITCH avoid a division, and leave few lanes idle.
+    // Rows of SSIM_PITCH avoid a division and leave few lanes idle.
     [[unroll]] for (uint round = 0; round < SSIM_APRON * SSIM_PITCH; round += WORKGROUP_SIZE) {
         uint at = round + gl_LocalInvocationID.x;
         uvec2 place = uvec2(at % SSIM_PITCH, at / SSIM_PITCH);

@@ -1,10 +1,10 @@
-// The same as ssim_backward.comp, without shared memory and barriers. For processors: there a memory access costs as much as
-// ten multiplications.
+// Same as ssim_backward.comp, without shared memory and barriers. For processors, where a memory access costs as much as ten
+// multiplications.
 //
 // invocation: `columns` columns of a strip of one channel, see ssim_sweep.glsl; subgroup, workgroup: nothing shared
 // in, strips: rendered, photo, see ssim_columns.glsl, derivatives as ssim_forward_sweep.comp writes them; out, strips:
 //     image_gradient, a plane for each channel, undefined below the picture
-// One additional workgroup adds the `partials` of the forward pass as loss_reduce.comp does, which saves a dispatch.
+// One additional workgroup adds the `partials` of the forward pass like loss_reduce.comp, which saves a dispatch.
 // shared: none; any subgroup size; reads texels, writes columns
 #version 460
 #extension GL_EXT_scalar_block_layout : require
@@ -35,15 +35,15 @@ layout(push_constant, scalar) uniform Push {
     uint image_width;
     uint image_height;
     uint first_channel;
-    // Invocations for all channels of the dispatch.
+    // Number of invocations for all channels of the dispatch.
     uint invocations;
-    // Columns per invocation.
+    // Number of columns per invocation.
     uint columns;
     float lambda_dssim;
-    // Partial sums of all channels; 0 if another dispatch adds them.
+    // Number of partial sums of all channels; 0 if another dispatch adds them.
     uint partials;
     uint loss_row;
-    // Of the loss and its gradient; the means are without it.
+    // Weight of the loss and its gradient, but not of the means.
     float weight;
 };
 
@@ -70,7 +70,7 @@ vec3 derivatives_at(uint row) {
     return values;
 }
 
-// Adds the loss with one subgroup, in one fixed order.
+// Adds the loss with one subgroup, in a fixed order.
 void add_partials(float scale) {
     vec2 sum = vec2(0.0);
     for (uint index = gl_SubgroupInvocationID; index < partials; index += SUBGROUP_SIZE) {

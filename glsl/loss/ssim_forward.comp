@@ -60,7 +60,7 @@ void main() {
     uint channel = first_channel + gl_WorkGroupID.z;
     ivec2 size = ivec2(image_width, image_height);
     ivec2 origin = ivec2(gl_WorkGroupID.xy * SSIM_BLOCK);
-    // Rows of SSIM_PITCH avoid a division, and leave few lanes idle.
+    // Rows of SSIM_PITCH avoid a division and leave few lanes idle.
     [[unroll]] for (uint round = 0; round < SSIM_APRON * SSIM_PITCH; round += WORKGROUP_SIZE) {
         uint at = round + gl_LocalInvocationID.x;
         uvec2 place = uvec2(at % SSIM_PITCH, at / SSIM_PITCH);

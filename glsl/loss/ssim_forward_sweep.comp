@@ -1,5 +1,5 @@
-// The same as ssim_forward.comp, without shared memory and barriers. For processors: there a memory access costs as much as
-// ten multiplications.
+// Same as ssim_forward.comp, without shared memory and barriers. For processors, where a memory access costs as much as ten
+// multiplications.
 //
 // invocation: `columns` columns of a strip of one channel, see ssim_sweep.glsl; subgroup, workgroup: nothing shared
 // in, strips: rendered, photo, see ssim_columns.glsl; out, strips for each channel of the dispatch: derivatives of SSIM with
@@ -29,9 +29,9 @@ layout(push_constant, scalar) uniform Push {
     uint image_width;
     uint image_height;
     uint first_channel;
-    // Invocations for all channels of the dispatch.
+    // Number of invocations for all channels of the dispatch.
     uint invocations;
-    // Columns per invocation.
+    // Number of columns per invocation.
     uint columns;
     // Index of the dispatch's first partial sum.
     uint first_partial;

@@ -1,4 +1,4 @@
-// Adds the partial sums of a term of the loss in one fixed order: two weighted means, such as those of regularize.comp.
+// Adds the partial sums of a loss term in a fixed order: two weighted means, such as those of regularize.comp.
 //
 // invocation: every WORKGROUP_SIZE-th partial sum; one workgroup in all
 // in: partials[TERM_PARTIALS]; out: losses[row] = (weighted sum of the means, both means, 0)
@@ -20,7 +20,7 @@ layout(set = 0, binding = 1, scalar) writeonly buffer Losses { vec4 losses[]; };
 
 layout(push_constant, scalar) uniform Push {
     uint row;
-    // Number of values that each mean is of.
+    // Number of values in each mean.
     vec2 values;
     vec2 weights;
 };

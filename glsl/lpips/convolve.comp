@@ -1,7 +1,7 @@
-// A convolution and its ReLU: out(o, y, x) = max(0, bias(o) + sum over i, ky, kx of weight(o, i, ky, kx) *
-// in(i, STRIDE y + ky - padding, STRIDE x + kx - padding)), as AlexNet and VGG16 have them.
+// A convolution and its ReLU for AlexNet and VGG16: out(o, y, x) = max(0, bias(o) + sum over i, ky, kx of weight(o, i, ky, kx)
+// * in(i, STRIDE y + ky - padding, STRIDE x + kx - padding)).
 //
-// A weight is read once for ROWS rows. A dispatch's grid: (columns and groups of rows, blocks of output channels, pictures).
+// Each weight is read once for ROWS rows. A dispatch's grid: (columns and groups of rows, blocks of output channels, pictures).
 //
 // invocation: four output channels of a column of ROWS rows, from row `first` on
 // in: inputs, a map (feature_map.glsl) with a margin of `padding`; weights of four output channels in the order (output block,

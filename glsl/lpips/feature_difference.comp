@@ -1,5 +1,5 @@
-// How far the features of two pictures lie apart at each pixel (LPIPS, Zhang et al. 2018, equation 1): sum over channels c of
-// head(c) * (a(c) / |a| - b(c) / |b|)^2, with |f| = sqrt(sum over c of f(c)^2) + 1e-10.
+// Distance of the features of two pictures at each pixel (LPIPS, Zhang et al. 2018, equation 1): sum over channels c of head(c)
+// * (a(c) / |a| - b(c) / |b|)^2, with |f| = sqrt(sum over c of f(c)^2) + 1e-10.
 //
 // invocation: one pixel
 // in: features, a map (feature_map.glsl) of two pictures; heads of four channels each
@@ -51,7 +51,7 @@ void main() {
     vec2 scale = 1.0 / (sqrt(squares) + NORM_OFFSET);
     float sum = 0.0;
     for (uint i = 0; i < blocks; ++i) {
-        // `precise`: with one product rounded and the other not, features that are equal would differ.
+        // `precise`: if only one of the products were rounded, equal features would differ.
         precise vec4 d = scale.x * VEC4_AT(features, a + i * plane) - scale.y * VEC4_AT(features, b + i * plane);
         sum += dot(VEC4_AT(heads, i), d * d);
     }

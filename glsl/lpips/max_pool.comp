@@ -43,7 +43,7 @@ void main() {
     uint y = first + index / out_width;
     uint plane = gl_WorkGroupID.z * blocks + gl_WorkGroupID.y;
     uint column = plane * map_plane(in_slots, in_pitch) + STRIDE * x;
-    // Features are those of a ReLU.
+    // Features are outputs of a ReLU, so they are at least 0.
     vec4 largest = vec4(0.0);
     for (uint ky = 0; ky < SIZE; ++ky) {
         uint at = column + map_slot(int(STRIDE * y + ky), in_height, in_slots) * in_pitch;

@@ -2,11 +2,11 @@
 //
 //   m <- b1 m + (1 - b1) g,  v <- b2 v + (1 - b2) g^2,  p <- p - rate / (1 - b1^t) m / (sqrt(v / (1 - b2^t)) + eps)
 //
-// Without SPARSE, Gaussians outside the view have a zero gradient, and their moments still decay. With SPARSE they do not
-// change. SH gradients are computed here from the colour's gradient. Planes above the active degree have neither gradient
-// nor moments. A Gaussian with a gradient that is not finite does not change, and is counted. If the frame overflowed,
-// nothing changes. With SUMS all gradients are sums over several views (add_gradients.comp), in the planes that otherwise have
-// those of the parameters themselves.
+// Without SPARSE, Gaussians out of view have a zero gradient, and their moments still decay. With SPARSE they do not change. SH
+// gradients are computed here from the colour's gradient. Planes above the active degree have neither gradient nor moments. A
+// Gaussian with a gradient that is not finite does not change, and is counted. If the frame overflowed, nothing changes. With
+// SUMS all gradients are sums over several views (add_gradients.comp), in the planes that otherwise have the parameters' own
+// gradients.
 //
 // invocation: one Gaussian
 // in: visible_index, gradients (PerVisible planes), parameter_gradients (PerGaussian planes), state, camera block
@@ -26,7 +26,7 @@ layout(constant_id = 2) const uint SH_DEGREE = 3;
 layout(constant_id = 3) const bool SPARSE = false;
 layout(constant_id = 4) const bool PARAMETER_GRADIENTS = false;
 layout(constant_id = 5) const bool SUMS = false;
-// The camera is where the camera block says, and not where the push constants do: the device has moved it.
+// True if the device has moved the camera: its position is then in the camera block, not in the push constants.
 layout(constant_id = 7) const bool MOVED_CAMERA = false;
 layout(constant_id = 8) const bool SH_LOOPS = false;
 layout(local_size_x_id = 0) in;
@@ -37,7 +37,7 @@ ALIASED VEC4_WRITES(2, Moments2, moments_2);
 UINT_READS(3, VisibleIndex, visible_index);
 VEC4_READS(4, Gradients, gradients);
 layout(set = 0, binding = 5, scalar) buffer State { uint state[]; };
-// The same memory as the first three bindings. Each invocation reads its own elements before it writes them.
+// Same memory as the first three bindings. Each invocation reads its own elements before it writes them.
 ALIASED VEC4_READS(6, OldParameters, old_parameters);
 ALIASED VEC4_READS(7, OldMoments1, old_moments_1);
 ALIASED VEC4_READS(8, OldMoments2, old_moments_2);
@@ -55,7 +55,7 @@ layout(push_constant, scalar) uniform Push {
     float one_minus_beta_1;
     float one_minus_beta_2;
     float epsilon;
-    // Learning rates, already divided by 1 - b1^t.
+    // Learning rates, divided by 1 - b1^t.
     float rate_mean;
     float rate_opacity;
     float rate_quat;
@@ -98,7 +98,7 @@ void update_group(uint group, uint index, vec3 d_color, vec3 direction) {
     }
 }
 
-// `direction` is that of the forward pass.
+// `direction` is the viewing direction of the forward pass.
 void update_all(uint index, vec4 d_mean_opacity, vec4 d_quat, vec4 d_log_scale, vec3 d_color, vec3 direction) {
     vec4 bias = vec4(inverse_bias_2);
     update(plane_at(PLANE_MEAN_OPACITY, index, chunk_gaussians), d_mean_opacity, vec4(vec3(rate_mean), rate_opacity),
@@ -146,10 +146,10 @@ void main() {
         atomicAdd(state[STATE_NON_FINITE], 1);
         return;
     }
-    // The direction of the forward pass, from the mean before this step.
+    // Viewing direction of the forward pass, from the mean before this step.
     vec3 mean = VEC4_AT(old_parameters, plane_at(PLANE_MEAN_OPACITY, index, chunk_gaussians)).xyz;
-    // Outside the view the colour has no gradient. A Gaussian at the camera's position has no direction: without this test
-    // NaN times 0 would be NaN.
+    // Out of view the colour has no gradient. A Gaussian at the camera's position has no direction; without this test NaN times
+    // 0 would be NaN.
     vec3 direction = seen ? normalize(mean - position_of_camera()) : vec3(0.0);
     update_all(index, d_mean_opacity, d_quat, d_log_scale, d_color.xyz, direction);
 }

@@ -1,5 +1,5 @@
-// Adds the gradients of a view to the sums since the optimiser's last step (Improved-GS, multi-step update). Gradients of SH
-// follow from the view's direction, so the sums have a value per parameter, in the layout of the parameters. A Gaussian whose
+// Adds the gradients of a view to the sums since the optimiser's last step (Improved-GS, multi-step update). SH gradients
+// depend on the viewing direction, so the sums have a value per parameter, in the layout of the parameters. A Gaussian whose
 // gradient is not finite adds nothing, and is counted. If the frame overflowed, nothing changes.
 //
 // invocation: one Gaussian
@@ -18,7 +18,7 @@
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
 layout(constant_id = 2) const uint SH_DEGREE = 3;
 layout(constant_id = 4) const bool PARAMETER_GRADIENTS = false;
-// As in adam.comp.
+// Same as in adam.comp.
 layout(constant_id = 7) const bool MOVED_CAMERA = false;
 layout(constant_id = 8) const bool SH_LOOPS = false;
 layout(local_size_x_id = 0) in;
@@ -28,7 +28,7 @@ VEC4_READS(1, Parameters, parameters);
 UINT_READS(2, VisibleIndex, visible_index);
 VEC4_READS(3, Gradients, gradients);
 layout(set = 0, binding = 4, scalar) buffer State { uint state[]; };
-// The same memory as the first binding. Each invocation reads its own elements before it writes them.
+// Same memory as the first binding. Each invocation reads its own elements before it writes them.
 ALIASED VEC4_READS(5, OldSums, old_sums);
 VEC4_READS(6, ParameterGradients, parameter_gradients);
 
@@ -38,9 +38,9 @@ layout(push_constant, scalar) uniform Push {
     uint count;
     uint chunk_gaussians;
     uint gradient_stride;
-    // Planes of the stored degree, which may be above the active one.
+    // Number of planes of the stored degree, which may exceed the active one.
     uint planes;
-    // Whether these gradients are the first since the last step.
+    // Nonzero if these gradients are the first since the last step.
     uint starts;
 };
 
@@ -104,7 +104,7 @@ void main() {
         d_mean_opacity = d_quat = d_log_scale = d_color = vec4(0.0);
     }
     vec3 mean = VEC4_AT(parameters, plane_at(PLANE_MEAN_OPACITY, index, chunk_gaussians)).xyz;
-    // As in adam.comp: outside the view there may be no direction.
+    // Same as in adam.comp: out of view there may be no direction.
     vec3 direction = seen && counts ? normalize(mean - position_of_camera()) : vec3(0.0);
 
     add(plane_at(PLANE_MEAN_OPACITY, index, chunk_gaussians), d_mean_opacity);

@@ -1,6 +1,6 @@
-// Moves means at random (3DGS-MCMC, Kheradmand et al. 2024, section 4): by rate * sigmoid(-100 (o - 0.005)) * cov * n, where
-// cov is the Gaussian's covariance itself and n has three standard normal numbers. Opaque Gaussians stay where they are. If
-// the frame overflowed, nothing changes.
+// Moves means at random (3DGS-MCMC, Kheradmand et al. 2024, section 4), by rate * sigmoid(-100 (o - 0.005)) * cov * n. Here cov
+// is the Gaussian's covariance and n has three standard normal numbers. Opaque Gaussians stay in place. If the frame
+// overflowed, nothing changes.
 //
 // invocation: one Gaussian of a chunk
 // in: state; in/out: parameters (PerGaussian planes)
@@ -12,7 +12,7 @@
 #include "constants.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
-// The normal numbers come from `noise`[Gaussian] instead of the generator. For comparisons.
+// Normal numbers come from `noise`[Gaussian] instead of the generator, for comparisons.
 layout(constant_id = 2) const bool EXPLICIT_NOISE = false;
 layout(local_size_x_id = 0) in;
 
@@ -33,7 +33,7 @@ layout(push_constant, scalar) uniform Push {
 #include "planes.glsl"
 #include "random.glsl"
 
-// Tells these numbers apart from others with the same seed and iteration.
+// Distinguishes these numbers from others with the same seed and iteration.
 const uint STREAM = 4;
 const float SHARPNESS = 100.0;
 
@@ -51,7 +51,7 @@ void main() {
     vec4 q = norm > QUAT_NORM_MIN ? quat / norm : vec4(1.0, 0.0, 0.0, 0.0);
     vec3 normal =
         EXPLICIT_NOISE ? noise[first + index] : random_normal(uvec4(seed, iteration, first + index, STREAM));
-    // In the Gaussian's own axes, and back.
+    // Transforms to the Gaussian's own axes and back.
     vec3 own = normal + 2.0 * cross(-q.yzw, cross(-q.yzw, normal) + q.x * normal);
     own *= scale * scale;
     vec3 world = own + 2.0 * cross(q.yzw, cross(q.yzw, own) + q.x * own);

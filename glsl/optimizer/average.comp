@@ -1,8 +1,8 @@
-// The mean of parameters over the steps at the end of training (averaged SGD, Polyak and Juditsky 1992; in deep learning
-// stochastic weight averaging, Izmailov et al. 2018): mean += weight * (value - mean), where weight is 1 over the number of steps
-// so far. At the end the mean takes the parameters' place. If the frame overflowed, nothing changes.
+// Mean of parameters over the last steps of training (averaged SGD, Polyak and Juditsky 1992; in deep learning stochastic
+// weight averaging, Izmailov et al. 2018): mean += weight * (value - mean), where weight is 1 over the number of steps so far.
+// At the end the mean replaces the parameters. If the frame overflowed, nothing changes.
 //
-// invocation: one vec4, whatever it is of
+// invocation: one vec4 of any parameters
 // in: state; in/out: values, means (laid out alike)
 // shared: none; any subgroup size
 #version 460
@@ -20,9 +20,9 @@ layout(set = 0, binding = 2, scalar) readonly buffer State { uint state[]; };
 
 layout(push_constant, scalar) uniform Push {
     uint count;
-    // 1 for the first values: what the means were does not count.
+    // 1 for the first values, so that earlier means do not count.
     float weight;
-    // Whether the means become the values.
+    // Nonzero if the means replace the values.
     uint ends;
 };
 

@@ -1,4 +1,4 @@
-// The gradient of a picture, from the layout that hosts see to the one that the backward pass reads.
+// Converts the gradient of a picture from the layout of hosts to that of the backward pass.
 //
 // invocation: one pixel
 // in: rows[y * image_width + x] = dL/d(r, g, b, inverse depth)

@@ -1,12 +1,12 @@
-// A photograph with 8 bits per channel at 1 / `factor` of its width and height, in the layout in which it is stored: the
-// means of squares of `factor` pixels, rounded. Columns and rows beyond the last whole square are left out. With TRANSPARENT
-// the colour behind the photograph changes by `background_change`: C' = C + (1 - opacity) change.
+// A photograph with 8 bits per channel, reduced to 1 / `factor` of its width and height in its storage layout: the means of
+// squares of `factor` pixels, rounded. Columns and rows beyond the last whole square are omitted. With TRANSPARENT the colour
+// behind the photograph changes by `background_change`: C' = C + (1 - opacity) change.
 //
 // invocation: with STRIPS four rows of a column of a plane of the result, otherwise a pixel of it
 // in: photo, with STRIPS planes of bytes in strips (strips.glsl): three, and with MASKED a fourth with the coverage; otherwise
-//   r | g << 8 | b << 16 | coverage << 24 per pixel, where the coverage counts with MASKED: 0 of a pixel that does not count;
-//   with TRANSPARENT, which needs MASKED, 1 + 254 opacity of all others
-// out: reduced, the same of the result, with a coverage of 0 or 255; padding is 0
+//     r | g << 8 | b << 16 | coverage << 24 per pixel. Coverage needs MASKED: 0 for a pixel that does not count; with
+//     TRANSPARENT 1 + 254 opacity for all others
+// out: reduced, in the same layout, with a coverage of 0 or 255; padding is 0
 // shared: none; any subgroup size
 #version 460
 #extension GL_EXT_scalar_block_layout : require
@@ -21,7 +21,7 @@ layout(local_size_x_id = 0) in;
 layout(set = 0, binding = 0, scalar) readonly buffer Photo { uint photo[]; };
 layout(set = 0, binding = 1, scalar) writeonly buffer Reduced { uint reduced[]; };
 
-// image_width, image_height: of the photograph. background_change: r, g, b, 1 for white instead of black.
+// image_width, image_height: size of the photograph. background_change: r, g, b; 1 to replace black by white.
 layout(push_constant, scalar) uniform Push {
     uint image_width;
     uint image_height;
@@ -41,8 +41,8 @@ uint byte_at(uint plane, uvec2 at) {
     return bitfieldExtract(photo[value / 4], int(8 * (value % 4)), 8);
 }
 
-// The mean of the square that begins at `from`. With MASKED a square counts if all of its pixels do: 255 in plane 3, or else 0 in
-// all planes.
+// Mean of the square that begins at `from`. With MASKED a square counts if all of its pixels do: then plane 3 has 255, else all
+// planes have 0.
 uint mean(uint plane, uvec2 from) {
     uint sum = 0;
     uint opacities = 0;
@@ -82,7 +82,7 @@ void main() {
         reduced[index] = word;
         return;
     }
-    // The result's strips.
+    // Strips of the result.
     uint strips = (size.y + STRIP_ROWS - 1) / STRIP_ROWS;
     uint pitch = (size.x + 1) / 4 * 4 + 2;
     uint column = index / (STRIP_ROWS / 4);

@@ -1,4 +1,4 @@
-// A photograph with 8 bits per channel, from the layout that the loss reads on processors to the one that hosts see.
+// Converts a photograph with 8 bits per channel from the loss's layout on processors to that of hosts.
 //
 // invocation: one pixel
 // in: photo, planes of bytes in strips (strips.glsl): three, and with MASKED a fourth with the mask

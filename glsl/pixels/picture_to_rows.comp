@@ -1,8 +1,8 @@
-// The blended picture in the layout that hosts see: row by row, one vec4 per pixel, composited on the background.
+// Blended picture in the layout of hosts: row by row, one vec4 per pixel, composited on the background.
 //
 // invocation: one pixel
-// in: rendered, as blending stores it for the loss: with STRIPS three planes in strips (strips.glsl), composited;
-//     otherwise per pixel the colour without background and the transmittance
+// in: rendered, in the layout of blending for the loss: with STRIPS three planes in strips (strips.glsl), composited; otherwise
+//     per pixel the colour without background and the transmittance
 // out: rows[y * image_width + x] = (r, g, b, 0)
 // shared: none; any subgroup size
 #version 460

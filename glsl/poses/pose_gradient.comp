@@ -1,4 +1,4 @@
-// Gradient of the loss with respect to a camera's pose: adds what project_backward has left, in one fixed order, and takes it
+// Gradient of the loss with respect to a camera's pose: adds the sums of project_backward, in a fixed order, and converts them
 // to the parameters of the pose.
 //
 // The pose of image i is T = exp(xi^) T_i from world to camera, xi = (nu, omega). With g = dL/d(delta) of exp(delta^) T at
@@ -62,7 +62,7 @@ void main() {
         vec3 term_moved = moved;
         vec3 term_turned = turned;
         for (uint k = 2; k < TERMS + 2; ++k) {
-            // ad^T of the last term.
+            // Applies ad^T to the last term.
             term_turned = -(cross(nu, term_moved) + cross(omega, term_turned)) / float(k);
             term_moved = -cross(omega, term_moved) / float(k);
             moved += term_moved;

@@ -1,19 +1,19 @@
-// Adam over the poses of all images as one tensor, and the cameras that follow:
+// Adam over the poses of all images as one tensor, and the resulting cameras:
 //
-//   g <- P^T (dL/d(xi) of the image that was seen, 0 for all others, + weight_decay xi)
+//   g <- P^T (dL/d(xi) for the image `seen`, 0 for all others, + weight_decay xi)
 //   m <- b1 m + (1 - b1) g,  v <- b2 v + (1 - b2) g^2,  xi <- xi - rate / (1 - b1^t) P m / (sqrt(v / (1 - b2^t)) + eps)
 //   T = exp(xi^) T_0, from world to camera: R = exp(omega^) R_0, t = exp(omega^) t_0 + V nu,
 //   exp(omega^) = I + a omega^ + b omega^ omega^,  V = I + b omega^ + c omega^ omega^,
 //   a = sin w / w,  b = (1 - cos w) / w^2,  c = (w - sin w) / w^3,  w = |omega|
 //
-// P takes steps from turns about a pivot, p = (0, 0, depth) of the camera, to turns about its centre: P (nu, omega) =
-// (s nu + p x omega, omega), the adjoint of a displacement. s is the depth: displacements learn at the rate times it. About
-// the centre a turn and a displacement look nearly the same, and Adam, which sees each parameter alone, does not tell them apart.
-// Without a pivot (depth 0) P is the identity.
+// P converts steps from turns about a pivot, p = (0, 0, depth) of the camera, to turns about its centre: P (nu, omega) = (s nu
+// + p x omega, omega), the adjoint of a displacement. s is the depth, so displacements learn at the rate times the depth. About
+// the centre a turn and a displacement look nearly the same, and Adam, which scales each parameter separately, cannot tell them
+// apart. Without a pivot (depth 0) P is the identity.
 //
-// With SUMS a step follows several views: with `adds` the gradient of the image that was seen is added to pose_view_sums, and a
-// step takes what they have as well. With `starts` what they had before does not count. With neither `adds` nor `makes_step`
-// only the cameras are made. A gradient that is not finite counts as 0. If the frame overflowed, nothing changes.
+// With SUMS a step follows several views. With `adds` the gradient of the image `seen` is added to pose_view_sums, and a step
+// adds these to its gradient. With `starts` the previous sums do not count. With neither `adds` nor `makes_step` only the
+// cameras are computed. A gradient that is not finite counts as 0. If the frame overflowed, nothing changes.
 //
 // invocation: one image
 // in: pose_gradient (pose_gradient.comp), pose_starts (four vec3 per image: the rows of R_0, t_0), pose_depths (one per image),
@@ -43,13 +43,13 @@ layout(set = 0, binding = 7, scalar) readonly buffer PoseDepths { float pose_dep
 
 layout(push_constant, scalar) uniform Push {
     uint images;
-    // The image that was seen.
+    // Index of the image with a gradient.
     uint seen;
-    // Whether to make a step.
+    // Nonzero to make a step.
     uint makes_step;
-    // Whether to add its gradient to the sums, without a step.
+    // Nonzero to add the gradient to the sums, without a step.
     uint adds;
-    // Whether it is the first since the last step.
+    // Nonzero for the first view since the last step.
     uint starts;
     float beta_1;
     float beta_2;
@@ -57,7 +57,7 @@ layout(push_constant, scalar) uniform Push {
     float one_minus_beta_1;
     float one_minus_beta_2;
     float epsilon;
-    // Already divided by 1 - b1^t.
+    // Divided by 1 - b1^t.
     float rate;
     // 1 / sqrt(1 - b2^t).
     float inverse_bias_2;
@@ -66,7 +66,7 @@ layout(push_constant, scalar) uniform Push {
 
 #include "dispatch.glsl"
 
-// Of the series of a, b and c in w^2: the next term is below float32 for turns of up to a circle.
+// Number of terms in the series of a, b and c in w^2. The next is below float32 for turns of up to a circle.
 const uint TERMS = 14;
 
 vec3 gradient_of(uint image, uint part) {
@@ -79,7 +79,7 @@ vec3 gradient_of(uint image, uint part) {
     return g;
 }
 
-// Of nu (part 0) or omega (part 1).
+// Step of nu (part 0) or omega (part 1).
 vec3 step_of(uint image, uint part, vec3 g) {
     vec3 m = beta_1 * pose_moments[4 * image + part] + one_minus_beta_1 * g;
     vec3 v = beta_2 * pose_moments[4 * image + 2 + part] + one_minus_beta_2 * g * g;
@@ -88,7 +88,7 @@ vec3 step_of(uint image, uint part, vec3 g) {
     return rate * (m / (sqrt(v) * inverse_bias_2 + epsilon));
 }
 
-// (a, b, c) by their series, which need no sine: drivers' sines have 11 bits.
+// (a, b, c) by their series, which avoid sines, because drivers' sines have 11 bits.
 vec3 coefficients(float square) {
     vec3 sum = vec3(1.0);
     for (uint k = TERMS; k > 0; --k) {
@@ -126,7 +126,7 @@ void main() {
     vec3 c = coefficients(dot(omega, omega));
     mat3 start_t = mat3(pose_starts[4 * image], pose_starts[4 * image + 1], pose_starts[4 * image + 2]);
     vec3 start = pose_starts[4 * image + 3];
-    // Column by column of R_0, which is a row of `start_t` transposed.
+    // Each column of R_0 is a row of `start_t` transposed.
     mat3 columns = transpose(start_t);
     for (uint k = 0; k < 3; ++k) {
         vec3 turned = cross(omega, columns[k]);

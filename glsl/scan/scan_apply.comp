@@ -42,7 +42,7 @@ void main() {
     }
     uint total;
     uint running = workgroup_exclusive_add(sum, total);
-    // A workgroup past the end has no offset: it reads one that exists.
+    // A workgroup past the end has no offset, so it reads an existing one.
     running += block_offsets[min(block, n == 0 ? 0 : (n - 1) / (WORKGROUP_SIZE * ITEMS))];
     for (uint four = first / 4; four < last_four; ++four) {
         uvec4 value = values[four];

@@ -1,6 +1,6 @@
 // Exclusive prefix sum of the block sums, in place, by a single workgroup: second step of reduce-then-scan.
 //
-// invocation: ITEMS block sums at a time; workgroup: loops over all of them with a carry
+// invocation: ITEMS block sums at a time; workgroup: loops over all sums with a carry
 // in/out: block_sums[first_sum ..][m], m = ceil(n / block_size); n = count, or totals[count] when from_totals is set
 // out: totals[total_index] = the total, or 0xFFFFFFFF if it exceeds 32 bits: a wrapped total would look like a small one
 // shared: one word per subgroup; any subgroup size
@@ -13,7 +13,7 @@
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
 layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
-// The fewer rounds, the fewer barriers: an H100 took 32 µs for 17 rounds.
+// Fewer rounds mean fewer barriers: an H100 took 32 µs for 17 rounds.
 layout(constant_id = 2) const uint ITEMS = 1;
 layout(local_size_x_id = 0) in;
 

@@ -1,13 +1,13 @@
 // Stable scatter by one digit: last step of a radix sort pass.
 //
-// Each subgroup owns a contiguous run of its block's keys. Matching lanes, round by round, gives each key its rank among the run's
-// keys of its digit. Runs, blocks and digits are processed in order, so the pass is stable. The block's pairs are put into the order
-// of their digits in shared memory first, so that neighbouring lanes store to neighbouring places: on an H100 a pass over 2^20 pairs
-// takes 17 µs, and 44 µs without that.
+// Each subgroup owns a contiguous run of its block's keys. Matching lanes, round by round, gives each key its rank among the
+// run's keys of its digit. Runs, blocks and digits are processed in order, so the pass is stable. First, shared memory orders
+// the block's pairs by digit, so that neighbouring lanes store to neighbouring places: on an H100 a pass over 2^20 pairs takes
+// 17 µs, and 44 µs without that.
 //
 // invocation: ITEMS keys; subgroup: a run of SUBGROUP_SIZE * ITEMS keys; workgroup: one block
 // in: keys[n], values[n], histogram (exclusive within a digit), digit_totals; out: sorted_keys[n], sorted_values[n]
-// shared: one word per key of the block, or per subgroup and digit, if those are more; one per digit; subgroup sizes 4 to 128
+// shared: one word per key of the block, or per subgroup and digit if those are more; one per digit; subgroup sizes 4 to 128
 #version 460
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_GOOGLE_include_directive : require
@@ -48,10 +48,10 @@ const uint BLOCK = WORKGROUP_SIZE * ITEMS;
 const uint SUBGROUPS = WORKGROUP_SIZE / SUBGROUP_SIZE;
 const uint RUN_BINS = SUBGROUPS * SORT_BINS;
 
-// First, per subgroup and digit: the count within the run, then the place within the block of the run's first key with this digit.
-// Then the block's keys in the order of their digits, then its values.
+// Holds first, per subgroup and digit, the count within the run, then the place within the block of the run's first key with
+// this digit. Then it holds the block's keys in the order of their digits, then its values.
 shared uint scratch[RUN_BINS > BLOCK ? RUN_BINS : BLOCK];
-// Per digit: what a key's place within the block is added to, to give its place in the output. May wrap.
+// Per digit: the offset from a key's place within the block to its place in the output. May wrap.
 shared uint digit_offsets[SORT_BINS];
 
 uint digit_of(uint key) {
@@ -65,7 +65,7 @@ void main() {
     uint digits = 1u << bits;
     uint run_base = gl_SubgroupID * SORT_BINS;
     uint first = block * BLOCK + gl_SubgroupID * SUBGROUP_SIZE * ITEMS + gl_SubgroupInvocationID;
-    // There may be workgroups behind the last block.
+    // Workgroups after the last block are possible.
     uint in_block = block < blocks ? min(n - block * BLOCK, BLOCK) : 0;
 
     uint keys_of[ITEMS];
@@ -79,7 +79,7 @@ void main() {
     subgroupMemoryBarrierShared();
     subgroupBarrier();
 
-    // Of each key: how many keys of its run and digit come before it, then its place within the block.
+    // Per key: number of earlier keys of its run and digit, then its place within the block.
     uint places[ITEMS];
     [[unroll]] for (uint k = 0; k < ITEMS; ++k) {
         bool valid = first + k * SUBGROUP_SIZE < n;
@@ -100,8 +100,8 @@ void main() {
     }
     barrier();
 
-    // Start of each digit within the block: after all lower digits, and all earlier runs. In the output: after all lower digits,
-    // and all earlier blocks.
+    // Start of each digit. Within the block: after all lower digits, and all earlier runs. In the output: after all lower
+    // digits, and all earlier blocks.
     uint carry = 0;
     uint block_carry = 0;
     for (uint low = 0; low < digits; low += WORKGROUP_SIZE) {

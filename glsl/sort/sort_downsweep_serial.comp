@@ -5,7 +5,7 @@
 // pass is stable.
 //
 // invocation: a run of ITEMS keys; workgroup: a single subgroup, one block of SUBGROUP_SIZE runs
-// in: keys[n], values[n], in fours; histogram (exclusive within a digit), digit_totals; run_counts, which are overwritten
+// in: keys[n], values[n], in fours; histogram (exclusive within a digit), digit_totals; run_counts, which is overwritten
 // out: sorted_keys[n], sorted_values[n]
 // shared: none; any subgroup size
 #version 460

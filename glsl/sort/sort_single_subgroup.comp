@@ -1,7 +1,7 @@
-// The whole sort of few keys by a single subgroup, in one dispatch. On a processor, the twelve dispatches of the serial sort
-// cost more time than a second core saves.
+// Sorts few keys with a single subgroup, in one dispatch. On a processor, the twelve dispatches of the serial sort cost more
+// time than a second core saves.
 //
-// Each pass works as in sort_upsweep_serial and sort_downsweep_serial, with as many runs as lanes.
+// Each pass works like sort_upsweep_serial and sort_downsweep_serial, with as many runs as lanes.
 //
 // invocation: a run of ceil(n / lanes) keys in every pass; workgroup: one, a single subgroup
 // in/out: keys_a[n], values_a[n], n = counts[count_index], in fours; the passes alternate between them and keys_b[n],
@@ -60,8 +60,7 @@ uint take_place(uint digit) {
     return place;
 }
 
-// Turns the counts into the output index of each run's next key: after all lower digits, and within a digit after earlier
-// runs.
+// Turns the counts into the output index of each run's next key: after all lower digits, and within a digit after earlier runs.
 void place_runs() {
     uint carry = 0;
     for (uint low = 0; low < quads; low += SUBGROUP_SIZE) {

@@ -1,8 +1,8 @@
-// Exclusive prefix sum of each digit's row of the histogram, in place, and the row's total: second step of a radix sort
-// pass. Rows are independent. On a processor one subgroup processes a row, and no barrier is needed. On a GPU a whole workgroup does:
-// on an H100 256 rows of 256 counts take 7 µs, and 10 µs with a subgroup each.
+// Exclusive prefix sum of each digit's row of the histogram, in place, and the row's total: second step of a radix sort pass.
+// Rows are independent. On a processor one subgroup processes a row without barriers. On a GPU a whole workgroup does: on an
+// H100 256 rows of 256 counts take 7 µs, and 10 µs with a subgroup each.
 //
-// invocation: one count at a time, four where a workgroup has the row; subgroup or workgroup: one digit's row, with a carry
+// invocation: one count at a time, four if a workgroup has the row; subgroup or workgroup: one digit's row, with a carry
 // in/out: histogram[digit * blocks + block]; out: digit_totals[digit]
 // shared: one word per subgroup; any subgroup size
 #version 460
@@ -15,7 +15,7 @@
 
 layout(constant_id = 0) const uint WORKGROUP_SIZE = 256;
 layout(constant_id = 1) const uint SUBGROUP_SIZE = 32;
-// Whether a workgroup has a row, in place of each of its subgroups.
+// True if a workgroup processes a row, instead of each of its subgroups.
 layout(constant_id = 2) const bool WHOLE_ROWS = false;
 layout(local_size_x_id = 0) in;
 

@@ -1,7 +1,7 @@
 // Histograms of one digit in each run of keys, and in each block of runs: first step of a pass of the serial sort.
 //
 // For processors, which have few lanes, no coalescing and slow atomics. An invocation counts its own consecutive keys in its
-// own histogram. This needs neither atomics nor barriers, and the cache holds both the keys and the histogram.
+// own histogram. So it needs neither atomics nor barriers, and the cache holds both the keys and the histogram.
 //
 // invocation: a run of ITEMS keys; workgroup: a single subgroup, one block of SUBGROUP_SIZE runs
 // in: keys[n], n = counts[count_index], in fours

@@ -1,8 +1,8 @@
-// What a subgroup is on this device: how many invocations it has, and which of them runs where.
+// Subgroups of this device: their number of invocations, and the place of each invocation.
 //
 // invocation: one result; subgroup: counts its invocations by a ballot; workgroup: nothing shared
-// out: found[i] = invocations of its subgroup, gl_SubgroupSize, its place by gl_SubgroupID and gl_SubgroupInvocationID, and which
-// invocation of the workgroup is the first of its subgroup
+// out: found[i] = invocations of its subgroup, gl_SubgroupSize, place by gl_SubgroupID and gl_SubgroupInvocationID, and the
+//     workgroup's invocation that is first in its subgroup
 // shared: none; any subgroup size up to 128
 #version 460
 #extension GL_EXT_scalar_block_layout : require
@@ -22,7 +22,7 @@ layout(push_constant, scalar) uniform Push { uint count; };
 
 void main() {
     uint invocations = subgroupBallotBitCount(subgroupBallot(true));
-    // A compiler that takes SUBGROUP_SIZE for granted must still read what the device has.
+    // A compiler that assumes SUBGROUP_SIZE must still read the device's value.
     uint size = max(gl_SubgroupSize, min(SUBGROUP_SIZE, 1));
     uint first = subgroupBroadcastFirst(gl_LocalInvocationID.x);
     uint index = linear_invocation();
