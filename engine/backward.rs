@@ -291,10 +291,10 @@ impl Backward {
         r.scope("project backward", |r| self.record_project(r, inputs, statistics, pose));
     }
 
-    /// Records the weights of the Gaussians in the frame of the same buffers. Per instance before the tile sort, it is the sum
-    /// over the tile's pixels of e α T, with `image_gradient` = (e, …) per pixel in the native layout. It becomes the first
-    /// word of each entry of `frame.instance_gradients_c`. The frame must be without inverse depth. The caller places a barrier
-    /// before; it ends without one.
+    /// Records the weights of the Gaussians in the frame of the same buffers. A weight is the sum over the tile's pixels of e α
+    /// T, with `image_gradient` = (e, …) per pixel in the native layout. It becomes the first word of each entry of
+    /// `frame.instance_gradients_c`, per instance before the tile sort. The frame must be without inverse depth. The caller
+    /// places a barrier before; it ends without one.
     pub fn record_weights(&self, r: &mut Recorder, inputs: &FrameInputs, image_gradient: &Buffer) {
         r.scope("blend weights", |r| self.record_blend(r, inputs, image_gradient, Sums::Weights));
     }

@@ -215,8 +215,8 @@ impl Exposing {
         });
     }
 
-    /// Records the backward pass: changes `image_gradient`, in the native layout, from that of the exposed picture to that of
-    /// the rendered one, and writes partial sums of the matrix's gradient. The caller places barriers before and after.
+    /// Records the backward pass. It converts `image_gradient`, in the native layout, from that of the exposed picture to that
+    /// of the rendered one. It also writes partial sums of the matrix's gradient. The caller places barriers before and after.
     pub fn record_backward(
         &self,
         r: &mut Recorder,

@@ -81,9 +81,9 @@ impl Lenses {
         r.scope("lens effects", |r| r.dispatch(&self.forward, &bind, &push, groups));
     }
 
-    /// Records the backward pass: changes `image_gradient`, in the native layout, from that of the picture behind the lens to
-    /// that of the picture in front of it, and writes partial sums of the lens's gradient. The caller places barriers before
-    /// and after.
+    /// Records the backward pass. It converts `image_gradient`, in the native layout, from that of the picture behind the lens
+    /// to that of the picture in front of it. It also writes partial sums of the lens's gradient. The caller places barriers
+    /// before and after.
     pub fn record_backward(&self, r: &mut Recorder, inputs: &LensInputs, image_gradient: &Buffer) {
         let LensInputs { frame, picture, buffers, lens } = *inputs;
         let bind = lens_backward::Bind {

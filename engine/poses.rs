@@ -1,8 +1,8 @@
 //! Poses of cameras: their gradient, and Adam over the poses of all images.
 //!
-//! The pose of an image is `T(ξ) = exp(ξ^) T₀` from world to camera, with six parameters ξ = (ν, ω): a displacement ν in world
-//! units and a turn ω in radians, both in the camera's frame ([`Twist`](crate::scene::Twist)). Frames read the cameras from
-//! device memory ([`FrameInputs::pose`]), so recorded steps move them without the host.
+//! The pose of an image is `T(ξ) = exp(ξ^) T₀` from world to camera, with six parameters ξ = (ν, ω). ν is a displacement in
+//! world units and ω a turn in radians, both in the camera's frame ([`Twist`](crate::scene::Twist)). Frames read the cameras
+//! from device memory ([`FrameInputs::pose`]), so recorded steps move them without the host.
 //!
 //! Steps turn a camera about a point in front of it, at the mean depth of the visible Gaussians, not about its centre. Both
 //! span the same poses. But about the centre, a turn and a displacement move the picture nearly alike, and Adam, which scales

@@ -27,8 +27,9 @@ impl MaskOutside {
         Ok(Self { mask: Kernel::new(context, &mask)?, sizes, core, absolute })
     }
 
-    /// Records the mask. For Gaussians with means outside the box, it sets the sums below every threshold in `statistics` (vec2
-    /// per Gaussian: sum of norms, number of views) and in `absolute` (f32 per Gaussian). Ends without a barrier.
+    /// Records the mask, which sets the sums of Gaussians with means outside the box below every threshold. The sums lie in
+    /// `statistics` (vec2 per Gaussian: sum of norms, number of views) and in `absolute` (f32 per Gaussian). Ends without a
+    /// barrier.
     ///
     /// # Panics
     /// If the absolute statistic is missing although the kernel was built for it.

@@ -1,9 +1,9 @@
 //! Camera blocks of a frame: one uniform block per scene with its camera and the settings, for the kernels that project
 //! Gaussians. The blocks are contiguous, so kernels over all scenes read them as a table.
 //!
-//! A new scalar of the projection takes three files: a member in `glsl/include/camera_members.glsl`, a field of
-//! `RenderSettings` with a line of [`block_of_frame`] below, and its use in a shader. Commands of the frame's own recording
-//! write the blocks. So a recording needs no host memory, and frames in flight do not share a block.
+//! A new scalar of the projection changes three files: `glsl/include/camera_members.glsl` gets a member, `RenderSettings` a
+//! field with a line of [`block_of_frame`] below, and a shader its use. Commands of the frame's own recording write the blocks.
+//! So a recording needs no host memory, and frames in flight do not share a block.
 
 use super::inputs::{FrameInputs, PlacedScene};
 use super::settings::{Dropout, JacobianLimit, RenderSettings};

@@ -1,4 +1,4 @@
-//! From the visible Gaussians to the tiles' lists: instances, their sort, and the ranges of the tiles.
+//! Instances of the visible Gaussians: creation, sort by tile, and ranges of the tiles.
 
 use super::{Forward, FrameInputs, arguments};
 use crate::kernels::constants as c;

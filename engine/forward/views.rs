@@ -1,9 +1,9 @@
 //! Order of a frame's stages, also for several views that share some of them.
 //!
 //! The kernels compute z of a Gaussian by the same arithmetic on the same numbers. So cameras whose rows of z are equal to the
-//! bit give it the same depth, whatever their focal lengths, sizes and other axes: for example a pair of eyes. Gaussians that
-//! at least one view shows are compacted and sorted once. Each view then finds its own Gaussians in the order of a separate
-//! sort: by depth, then by index. The others touch none of its tiles.
+//! bit, like those of a pair of eyes, give it the same depth. Focal lengths, sizes and the other axes may differ. Gaussians
+//! that at least one view shows are compacted and sorted once. Each view then finds its own Gaussians in the order of a
+//! separate sort: by depth, then by index. The others touch none of its tiles.
 
 use super::{Forward, FrameInputs, auxiliary, camera_block, cut_outs};
 use crate::kernels::constants as c;

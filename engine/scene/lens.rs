@@ -120,7 +120,7 @@ pub struct Lens {
     pub distortion: Distortion,
 }
 
-/// Smallest and largest size of an undistorted image, as a share of the photo's (COLMAP's defaults).
+/// Smallest and largest size of an undistorted image, as a share of the photograph's (COLMAP's defaults).
 const SCALE_LIMITS: [f64; 2] = [0.2, 2.0];
 
 impl Lens {

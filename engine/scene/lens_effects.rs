@@ -2,8 +2,8 @@
 
 use super::Camera;
 
-/// Vignetting and response of a camera, per channel. A colour `x`, as in photographs (sRGB, 0 to 1), becomes `(x (1 + a₁ r² +
-/// a₂ r⁴ + a₃ r⁶))^γ`, where r is the distance from the principal point in halves of the picture's diagonal. Below
+/// Vignetting and response of a camera, per channel. A colour `x`, as in photographs (sRGB, 0 to 1), becomes
+/// `(x (1 + a₁ r² + a₂ r⁴ + a₃ r⁶))^γ`. r is the distance from the principal point in halves of the picture's diagonal. Below
 /// [`LensEffects::LEAST`] the response is a straight line from 0. Nothing is clamped. After PPISP (NVIDIA 2025), which has
 /// these besides exposures.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

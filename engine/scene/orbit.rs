@@ -43,8 +43,9 @@ impl Orbit {
             .collect()
     }
 
-    /// Creates an orbit that resembles existing cameras: their mean distance to the point they look at, their mean height above
-    /// it, and as up the direction across their horizontal axes. None without cameras. Excludes [`strays`](super::strays()).
+    /// Creates an orbit that resembles existing cameras. It has their mean distance to the point they look at, and their mean
+    /// height above it; up is the direction across their horizontal axes. None without cameras. Excludes
+    /// [`strays`](super::strays()).
     ///
     /// The centre is the point nearest to all optical axes (least squares). For parallel axes it is one world unit ahead of the
     /// cameras, see [`Orbit::around_scene`].

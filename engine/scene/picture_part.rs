@@ -7,7 +7,7 @@ use crate::{Error, Result};
 ///
 /// A part has the whole picture's pixels. The whole picture's edges bound the linearisation, the lens effects and the 3D
 /// filter. Sums of training (loss, statistics of densification) are the part's share of the whole's. So a photograph can be
-/// trained where it shows a block of a scene, and a picture that exceeds the device's memory can be rendered part by part.
+/// trained where it shows a block of a scene. A picture that exceeds the device's memory can be rendered part by part.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct PicturePart {
     /// Number of the whole picture's columns to the left of the part.

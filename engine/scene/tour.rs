@@ -40,8 +40,8 @@ pub enum Motion {
 }
 
 impl Motion {
-    /// Returns the motion that suits these cameras, except [`strays`](super::strays()): an orbit if they surround one place, an
-    /// arc if they look at it from one side, else a path.
+    /// Returns the motion that suits these cameras, except [`strays`](super::strays()). It is an orbit if they surround one
+    /// place, an arc if they look at it from one side, else a path.
     pub fn of(cameras: &[Camera]) -> Self {
         match Ring::of(&without_strays(cameras, Camera::position)) {
             Some(ring) if ring.inward >= INWARD_SHARE && ring.span >= TAU - WIDEST_GAP => Self::Orbit,

@@ -1,8 +1,7 @@
 //! Converts a host engine's matrices to [`Camera`], with all conventions.
 //!
-//! A view and a projection matrix contain everything that differs between engines: the directions of view space, whether clip
-//! space points up or down, whether depth is reversed, and the far plane. So only the matrices and the flip of the viewport are
-//! necessary.
+//! A view and a projection matrix contain everything that differs between engines: the axes of view space, the direction of
+//! clip space's y, reversed depth, and the far plane. So only the matrices and the flip of the viewport are necessary.
 
 use glam::{Mat3, Mat4, Vec3, Vec4};
 
@@ -79,8 +78,8 @@ impl HostView {
     ///
     /// The camera is the host's, with two exceptions for orthographic projections. It looks in the direction in which its axes
     /// are right-handed, for both directions of depth. Splats are only drawn beyond z = [`NEAR_PLANE`], so it may move back
-    /// behind the host's eye until the near plane has that z. The mapping, and expected depth, count from there. The near plane
-    /// clips no splats between it and that z.
+    /// behind the host's eye until the near plane has that z. The mapping, and expected depth, count from there. Splats between
+    /// that z and the host's near plane are not clipped.
     ///
     /// With parallel rays, a mirrored picture is that of the opposite direction, and is refused if the whole range of depth
     /// then lies behind the eye. An orthographic projection with a near plane behind the eye and a far plane in front must not

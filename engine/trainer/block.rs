@@ -13,7 +13,7 @@ use glam::Vec3;
 /// and later movement can cross its border.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SceneBlock {
-    /// Where density control adds Gaussians, world units. Sides may be infinite.
+    /// Box in which density control adds Gaussians, world units. Sides may be infinite.
     pub core: Bounds,
     /// Gaussians that are drawn but not trained; may be empty. SH coefficients above the settings' degree are dropped.
     pub frozen: Gaussians,

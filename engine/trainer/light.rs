@@ -1,4 +1,4 @@
-//! Exposure of each photograph and effects of each lens, learned besides the scene.
+//! Exposure of each photograph and effects of each lens, learned with the scene.
 
 use super::checkpoint::{ExposureState, LightSums};
 use super::iteration::IterationPlan;

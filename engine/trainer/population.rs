@@ -96,10 +96,11 @@ impl Population<'_> {
         self.pictures.release();
     }
 
-    /// Mean importance of each Gaussian over training views (indices of [`Population::cameras`]), which are drawn one after the
-    /// other: blending weights at edges, f32 per Gaussian from 0 to 1. None if memory is short. In a view whose frame does not
-    /// fit the memory, all have importance 0.
+    /// Mean importance of each Gaussian over training views (indices of [`Population::cameras`]): its blending weights at
+    /// edges, f32 per Gaussian from 0 to 1. The views are drawn one after the other. None if memory is short. In a view whose
+    /// frame does not fit the memory, all have importance 0.
     ///
+    /// # Errors
     /// [`Error::Argument`] without views, or for an index that does not exist; when a photograph cannot be read or the device
     /// is lost.
     pub fn importance(&mut self, kernels: &Importance, views: &[usize]) -> Result<Option<Buffer>> {

@@ -33,9 +33,9 @@ impl TrainSettings {
         scaled.min(u32::MAX.into()) as u32
     }
 
-    /// Learning rate of the means at an iteration, in units of the scene's extent (multiply by it): log-linear
-    /// from `position_lr_init`, times [`Self::position_factor`], at 0 to
-    /// `position_lr_final` at `position_lr_max_steps` ([scaled](Self::scaled)), constant after that.
+    /// Learning rate of the means at an iteration, in units of the scene's extent (multiply by it). Log-linear from
+    /// `position_lr_init` times [`Self::position_factor`] at 0 to `position_lr_final` at `position_lr_max_steps`
+    /// ([scaled](Self::scaled)), then constant.
     pub fn position_lr(&self, iteration: u32) -> f64 {
         let end = self.scaled(self.position_lr_max_steps).max(1);
         let first = self.position_lr_init * self.position_factor();
@@ -48,7 +48,7 @@ impl TrainSettings {
         log_linear([self.depth_l1_weight_init, self.depth_l1_weight_final], iteration, self.iterations)
     }
 
-    /// Weight of the depths of sparse points at an iteration, in units of the scene's extent (multiply by it): log-linear from
+    /// Weight of the depths of sparse points at an iteration, in units of the scene's extent (multiply by it). Log-linear from
     /// `depth_points` at 0 to a hundredth of it at the last iteration.
     pub fn depth_points_weight(&self, iteration: u32) -> f64 {
         self.depth_points * log_linear([1.0, DEPTH_POINTS_END], iteration, self.iterations)

@@ -144,8 +144,8 @@ impl Trainer {
     /// adds no Gaussians until frames have fewer.
     ///
     /// # Errors
-    /// The given error if it has another cause, if no step has succeeded yet, or if every view was skipped since the last
-    /// successful step: a training without progress must end.
+    /// The given error, if it has another cause, if no step has succeeded yet, or if every view was skipped since the last
+    /// successful step. A training without progress must end.
     pub(super) fn skip(&mut self, plan: &IterationPlan, needed: &State, error: Error) -> Result<()> {
         self.skip_parameters(plan, needed, error)?;
         match plan.mean_step {

@@ -61,9 +61,9 @@ impl TrainSettings {
         self.warm_up.min(self.iterations / 2)
     }
 
-    /// Camera that draws a view at an iteration (1-based): a quarter of the size up to half of [the
-    /// warm-up](Self::warm_up_end), half of the size up to its end, and less reduced if a side would have fewer than 64 pixels.
-    /// The first iteration is whole, because it shows the memory that whole frames take.
+    /// Camera that draws a view at an iteration (1-based). It has a quarter of the size up to half of
+    /// [the warm-up](Self::warm_up_end), and half of the size up to its end. It is reduced less if a side would have fewer than
+    /// 64 pixels. The first iteration is whole, because it shows the memory that whole frames take.
     pub fn warm_up_camera(&self, iteration: u32, camera: &Camera) -> Camera {
         let end = self.warm_up_end();
         let wanted = match iteration {

@@ -1,5 +1,5 @@
-// Source of each row of the new set: first the Gaussians that stay, then the clones, then the first and the second halves of
-// the split Gaussians, each in the old order (the reference's order after its prune).
+// Source of each row of the new set. First come the Gaussians that stay, then the clones, then the first and the second halves
+// of split Gaussians. Each part keeps the old order (the reference's order after its prune).
 //
 // invocation: one Gaussian; workgroup: one block of WORKGROUP_SIZE Gaussians, the same blocks as in classify
 // in: decisions[Gaussian], block_offsets[decision * blocks + block], totals[3]

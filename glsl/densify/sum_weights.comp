@@ -1,7 +1,7 @@
 // Weight of each Gaussian in a view: the sum of its instances' weights (blend_backward.comp, WEIGHTS), in a fixed order; 0 for
 // Gaussians that are not visible. Also the smallest and the largest weight.
 //
-// invocation: one Gaussian; subgroup: adds the instances of a Gaussian with many tiles together, as project_backward.comp
+// invocation: one Gaussian; subgroup: adds the instances of a Gaussian with many tiles together, like project_backward.comp
 // in: state, visible_index, footprints, first_instances, instance_gradients_c (weight, 0)
 // out: weights[Gaussian]; ranges, see edges.glsl: bits of the smallest and of the largest weight; nothing if the frame
 //     overflowed

@@ -3,7 +3,7 @@
 //   alpha = min(0.99, o exp(-(A dx^2 + C dy^2) / 2 - B dx dy)), skipped below 1/255;
 //   C += T alpha c, T <- T (1 - alpha); a pixel stops before the Gaussian that would bring T below 1e-4.
 //
-// The paper's form of the kernel: the workgroup fetches a batch of Gaussians into shared memory, and every invocation loops
+// The paper's form of the kernel. The workgroup fetches a batch of Gaussians into shared memory, and every invocation loops
 // over the whole batch for its own pixels. The picture equals that of blend.comp, which culls per region instead. They agree to
 // the bit if the compiler fuses sums of products in both kernels or in neither. The device decides which kernel is faster.
 //

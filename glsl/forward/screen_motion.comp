@@ -4,9 +4,9 @@
 //   previous frame
 //
 // Zero if the mean was not in front of the previous camera (z > NEAR_PLANE), or if a number is not finite. Limited to the
-// picture's width and height. From any pixel that leads out of the picture. It also keeps a Gaussian close to the previous
-// camera's plane, whose p' is far away, from outweighing all others of a pixel. Both cameras use the same arithmetic, so a mean
-// that has not moved has exactly the motion 0.
+// picture's width and height, which lead out of the picture from any pixel. A Gaussian close to the previous camera's plane has
+// a far p'; the limit keeps it from outweighing all others of a pixel. Both cameras use the same arithmetic, so a mean that has
+// not moved has exactly the motion 0.
 //
 // invocation: one visible Gaussian of the bound parameter range
 // in: parameters (PerGaussian planes), visible_list, visible_ranges; out, PerVisible: motions, px, y down

@@ -68,7 +68,7 @@ void note_hits() {
 }
 
 // End of the entries that a pass over [begin, pass_end) of a tile's list blends. `tile_last`: 1 + the last index of the list
-// that any pixel of the tile blended. Entries behind the last one of the first scene do not count: only that scene has
+// that any pixel of the tile blended. Entries behind the last one of the first scene do not count. Only that scene has
 // gradients, and front to back they do not depend on later entries. If a later pass blends, it may need all entries of this
 // pass. A search through all passes would exceed the loop limits of some drivers.
 uint blended_end(uvec2 range, uint begin, uint pass_end, uint tile_last) {

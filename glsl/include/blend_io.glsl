@@ -1,7 +1,7 @@
 // Buffers and push constants of the blending kernels, and the state of a pixel between passes.
 //
-// With STRIPS the picture is composited on the background and stored as three planes in strips (strips.glsl), the layout of the
-// loss and the backward pass on processors. `accumulated` then carries the state from one pass to the next, and with
+// With STRIPS the picture is composited on the background and stored as three planes in strips (strips.glsl). The loss and the
+// backward pass use that layout on processors. `accumulated` then carries the state from one pass to the next, and with
 // INVERSE_DEPTH the transmittance for depth losses.
 //
 // Needs blending.glsl, buffers.glsl, STRIPS.

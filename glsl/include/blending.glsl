@@ -3,8 +3,8 @@
 //
 // Needs constants.glsl, INVERSE_DEPTH, DEPTH_LIMIT, LINEAR_DEPTH, INCREMENTAL_EXP and COLUMN_ROWS.
 
-// Maximum number of rows in a column. A literal instead of COLUMN_ROWS, because an array sized by a specialization constant has
-// a distinct type in every declaration, and a function that returns one returns undefined values.
+// Maximum number of rows in a column. A literal instead of COLUMN_ROWS: an array sized by a specialization constant has a
+// distinct type in every declaration. A function that returns such an array returns undefined values.
 const uint MAX_COLUMN_ROWS = 8;
 
 const float LOG2_E = 1.4426950408889634;

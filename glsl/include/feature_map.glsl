@@ -1,7 +1,6 @@
 // Feature maps of a convolutional network, four channels per vec4: for each picture, block of four channels, row and column. A
-// map holds a window of its rows, row y in slot y % slots, because a network runs in bands of rows, and no map is ever whole.
-// After the slots follows one row of zeros, and left and right of each row are `margin` columns of zeros: the values that a
-// convolution reads outside a map.
+// network runs in bands of rows, so a map only holds a window of its rows, row y in slot y % slots. One row of zeros follows
+// the slots, and `margin` columns of zeros lie left and right of each row: the values that a convolution reads outside a map.
 
 // Number of vec4 in one block of four channels.
 uint map_plane(uint slots, uint pitch) {

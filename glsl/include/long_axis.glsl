@@ -1,4 +1,4 @@
-// Split along the longest axis (Improved-GS). Its children overlap the parent's picture more closely than drawn ones: their
+// Split along the longest axis (Improved-GS). Its children overlap the parent's picture more closely than drawn ones. Their
 // means are mean +- R(q) e_k 3 d s_k, where k is the first axis of the largest scale and d is LONG_AXIS_SHARE. Scale k becomes
 // (1 - d) s_k, the others shrink by sqrt(1 - d^2), and the opacity becomes LONG_AXIS_OPACITY o.
 // Needs constants.glsl.

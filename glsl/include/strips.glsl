@@ -8,8 +8,8 @@ uint strips_of_image() {
     return (image_height + STRIP_ROWS - 1) / STRIP_ROWS;
 }
 
-// Number of columns from one strip to the next. Never a multiple of four: a column has 32 bytes, and with such a pitch it would
-// map to the same cache set in every strip, while a sweep reads three strips in eight lanes.
+// Number of columns from one strip to the next; never a multiple of four. A column has 32 bytes, so with such a pitch it would
+// map to the same cache set in every strip. A sweep reads three strips in eight lanes.
 uint strip_pitch() {
     return (image_width + 1) / 4 * 4 + 2;
 }

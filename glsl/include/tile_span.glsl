@@ -25,8 +25,8 @@ uvec4 unpack_tiles(uvec2 packed) {
     return uvec4(packed.x & 0xFFFF, packed.x >> 16, packed.y & 0xFFFF, packed.y >> 16);
 }
 
-// Terms shared by all rows of an ellipse conic(e, e) <= level, as bits of floats: the height of its leftmost point, the
-// slope of the midpoints of its rows, and its half width at the mean.
+// Terms shared by all rows of an ellipse conic(e, e) <= level, as bits of floats. They are the height of its leftmost point,
+// the slope of the midpoints of its rows, and its half width at the mean.
 uvec3 row_shape(vec4 mean2d_extent_px, vec4 conic_opacity) {
     precise float leftmost = conic_opacity.y * mean2d_extent_px.z / conic_opacity.z;
     precise float slope = -conic_opacity.y / conic_opacity.x;

@@ -1,5 +1,5 @@
 // Inverse-depth term of the loss (the reference's depth regularisation): the mean over the picture of |D - M| times its weight
-// w, where D is the sum of weights / z and M the map. Adds w / pixels * sign(D - M) to the picture's gradient.
+// w. D is the sum of weights / z and M the map. Adds w / pixels * sign(D - M) to the picture's gradient.
 //
 // invocation: every (number of invocations)-th pixel; the number of workgroups is TERM_PARTIALS
 // in, PerPixel: inverse_depth (D), target_map (M; MAP_NOTHING and above: the pixel does not count), both row by row

@@ -1,5 +1,5 @@
-// A photograph with 8 bits per channel, reduced to 1 / `factor` of its width and height in its storage layout: the means of
-// squares of `factor` pixels, rounded. Columns and rows beyond the last whole square are omitted. With TRANSPARENT the colour
+// A photograph with 8 bits per channel at 1 / `factor` of its width and height, in its storage layout. A pixel is the rounded
+// mean of a square of `factor` pixels. Columns and rows beyond the last whole square are omitted. With TRANSPARENT the colour
 // behind the photograph changes by `background_change`: C' = C + (1 - opacity) change.
 //
 // invocation: with STRIPS four rows of a column of a plane of the result, otherwise a pixel of it

@@ -1,4 +1,4 @@
-// Gradient of the loss with respect to a camera's pose: adds the sums of project_backward, in a fixed order, and converts them
+// Gradient of the loss with respect to a camera's pose. Adds the sums of project_backward in a fixed order, and converts them
 // to the parameters of the pose.
 //
 // The pose of image i is T = exp(xi^) T_i from world to camera, xi = (nu, omega). With g = dL/d(delta) of exp(delta^) T at

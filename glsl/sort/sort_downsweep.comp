@@ -2,7 +2,7 @@
 //
 // Each subgroup owns a contiguous run of its block's keys. Matching lanes, round by round, gives each key its rank among the
 // run's keys of its digit. Runs, blocks and digits are processed in order, so the pass is stable. First, shared memory orders
-// the block's pairs by digit, so that neighbouring lanes store to neighbouring places: on an H100 a pass over 2^20 pairs takes
+// the block's pairs by digit, so that neighbouring lanes store to neighbouring places. On an H100 a pass over 2^20 pairs takes
 // 17 µs, and 44 µs without that.
 //
 // invocation: ITEMS keys; subgroup: a run of SUBGROUP_SIZE * ITEMS keys; workgroup: one block

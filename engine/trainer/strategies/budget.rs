@@ -36,7 +36,7 @@ const RECOVERABLE_OPACITY: f64 = 0.05;
 /// Gaussians that a pruning removes.
 #[derive(Clone, Copy)]
 enum Pruned {
-    /// Those fainter than this opacity.
+    /// Gaussians fainter than this opacity.
     Below(f64),
     /// The faintest share, between 0 and 1.
     Share(f64),

@@ -8,10 +8,9 @@ use crate::plan::{LaunchSizes, blocks};
 use crate::trainer::settings::TrainSettings;
 use crate::vk::{Context, Kernel, Recorder};
 
-/// Mean of |1/Z - 1/z| over a view's sparse points, times [`TrainSettings::depth_points`], the scene's extent, and a factor
-/// that falls log-linearly from 1 to a hundredth over the run. Z is the expected depth at the point, bilinear: Σ w z / Σ w with
-/// the blending weights w. z is the depth of the point. 0 for views without points. Reports the mean difference, 1 / world
-/// units.
+/// Mean of |1/Z - 1/z| over a view's sparse points, times [`TrainSettings::depth_points`], the scene's extent, and a decay. The
+/// decay is log-linear from 1 to a hundredth over the run. Z is the expected depth at the point, bilinear: Σ w z / Σ w with the
+/// blending weights w. z is the depth of the point. 0 for views without points. Reports the mean difference, 1 / world units.
 pub struct SparseDepth {
     points: Kernel<sparse_depth::Interface>,
     gather: Kernel<sparse_depth_gather::Interface>,
