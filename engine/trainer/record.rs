@@ -16,6 +16,7 @@ use crate::vk::{Buffer, Context, ForeignCommands, MemoryKind, RecordSlot, Record
 use ash::vk;
 use std::collections::VecDeque;
 
+/// A recorded step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct RecordedStep {
